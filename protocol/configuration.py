@@ -1,0 +1,78 @@
+"""Strict loading of YAML files into pydantic models, with one-line errors that name key, value and limit."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from protocol.errors import ConfigurationError
+
+
+class StrictModel(BaseModel):
+    """Base of every configuration model: unknown keys, NaN and infinity are refused, instances are frozen."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """Safe YAML, but a key that is written twice is an error instead of a silent override."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        for key in keys:
+            if keys.count(key) > 1:
+                raise ConfigurationError("configuration.duplicate_key", f"key '{key}' is written twice{node.start_mark}")
+        return super().construct_mapping(node, deep)
+
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """The mapping in one YAML file.
+
+    Raises ConfigurationError when the file is missing, is not YAML, or is not a mapping.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigurationError("configuration.unreadable", f"{path}: {error.strerror}") from error
+    try:
+        data = yaml.load(text, Loader=_UniqueKeyLoader)  # noqa: S506 - a SafeLoader
+    except yaml.YAMLError as error:
+        raise ConfigurationError("configuration.not_yaml", f"{path}: {' '.join(str(error).split())}") from error
+    if not isinstance(data, dict):
+        raise ConfigurationError("configuration.not_a_mapping", f"{path}: a mapping is wanted, got {type(data).__name__}")
+    return data
+
+
+def merged(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """``base`` with ``overrides`` laid over it, nested mappings merged key by key, anything else replaced."""
+    result = dict(base)
+    for key, value in overrides.items():
+        below = result.get(key)
+        result[key] = merged(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
+    return result
+
+
+def load(model: type[ModelT], path: Path, overrides: Mapping[str, Any] | None = None) -> ModelT:
+    """The file at ``path``, with ``overrides`` merged over it, as a validated ``model``.
+
+    Raises ConfigurationError with one line that names file, key, value and limit of the first fault.
+    """
+    return validated(model, merged(read_yaml(path), overrides or {}), str(path))
+
+
+def validated(model: type[ModelT], data: Mapping[str, Any], where: str) -> ModelT:
+    """``data`` as a validated ``model``; ``where`` names its origin in the error."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "(whole file)"
+        value = "" if first["type"] == "missing" else f" = {first['input']!r}"
+        more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+        cause = "unknown_key" if first["type"] == "extra_forbidden" else first["type"]
+        raise ConfigurationError(f"configuration.{cause}", f"{where}: {key}{value}: {first['msg']}{more}") from error
