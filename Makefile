@@ -1,0 +1,76 @@
+# Longreach: everything runs from the virtual environment in .venv; `make help` lists the targets.
+#
+# A fresh machine needs Python 3.11 and make. Dependencies are pinned with hashes in requirements.lock
+# (what runs) and requirements-dev.lock (that and what tests); pip finds them where it is configured to.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV := .venv
+BIN := $(VENV)/bin
+RUN_STAMP := $(VENV)/.stamp-run
+DEV_STAMP := $(VENV)/.stamp-dev
+LOCK_FLAGS := --generate-hashes --no-emit-index-url --no-header --python-version 3.11
+ARGS ?=
+
+.PHONY: help setup setup-dev demo test bench experiments lint types imports compose-test lock clean
+
+help:  ## this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
+
+$(BIN)/python:
+	@test -n "$(PYTHON)" || { echo "Longreach needs Python 3.11: none was found; name one with PYTHON=..." >&2; exit 1; }
+	@"$(PYTHON)" -c 'import sys; found = ".".join(map(str, sys.version_info[:3])); sys.exit(0 if sys.version_info[:2] == (3, 11) else f"Longreach needs Python 3.11, found {found} at {sys.executable}; name another with PYTHON=...")'
+	"$(PYTHON)" -m venv $(VENV)
+
+$(RUN_STAMP): requirements.lock pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(DEV_STAMP): requirements-dev.lock $(RUN_STAMP)
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-dev.lock
+	@touch $@
+
+setup: $(RUN_STAMP)  ## virtual environment with what runs
+
+setup-dev: $(DEV_STAMP)  ## that and what tests
+
+demo: $(RUN_STAMP)  ## the whole loop in real time: three processes, verdict against 5 mm (ARGS="--seed 3")
+	$(BIN)/longreach demo $(ARGS)
+
+test: $(DEV_STAMP)  ## all tests (ARGS="-k kinematics")
+	$(BIN)/python -m pytest $(ARGS)
+
+bench: $(DEV_STAMP)  ## benchmarks, with their limits
+	$(BIN)/python -m pytest -m bench --benchmark-enable -s $(ARGS)
+
+experiments: $(DEV_STAMP)  ## long, seeded experiments
+	$(BIN)/python -m pytest -m experiment --timeout 0 -s $(ARGS)
+
+lint: $(DEV_STAMP)  ## ruff
+	$(BIN)/ruff check .
+
+types: $(DEV_STAMP)  ## mypy, strict on protocol/ and every core/
+	$(BIN)/mypy
+
+imports: $(DEV_STAMP)  ## who may import whom
+	$(BIN)/lint-imports
+
+compose-test: $(DEV_STAMP)  ## build the image, bring the tool to the object with compose
+	$(BIN)/python -m pytest -m docker --timeout 1800 -s $(ARGS)
+
+# The locks are made from pyproject.toml by uv, in an environment of its own. `requirements.lock` holds the
+# run-time dependencies and the build back end; `requirements-dev.lock` adds the tools of the tests.
+lock:  ## resolve pyproject.toml again into both lock files
+	"$(PYTHON)" -m venv $(VENV)-lock
+	$(VENV)-lock/bin/python -m pip install --quiet uv
+	$(VENV)-lock/bin/uv pip compile pyproject.toml --group build $(LOCK_FLAGS) -o requirements.lock
+	$(VENV)-lock/bin/uv pip compile pyproject.toml --group build --group dev -c requirements.lock $(LOCK_FLAGS) -o requirements-dev.lock
+	rm -rf $(VENV)-lock
+
+clean:  ## remove the virtual environment and every cache
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis .benchmarks
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
