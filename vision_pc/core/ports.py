@@ -1,0 +1,90 @@
+"""The two small interfaces that calibration programs are written over: an arm and eyes.
+
+The real rig implements them over sockets and cameras, the lockstep rig by stepping the cores.
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractAsyncContextManager
+from typing import NamedTuple, Protocol
+
+from protocol.faults import FaultCode, GroupState, Severity
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import Look, WatchHealth, WatchSample
+
+Report = Callable[[float, str], None]
+"""Called by programs as ``report(progress, note)`` with progress 0…1."""
+
+
+class ArmView(NamedTuple):
+    """The controller's own view of the arm at one instant; ``time_ns`` on the vision PC's clock.
+
+    ``X_BT`` is the rigid model at the encoders, ``X_BT_cmd`` the desired pose; ``settled`` as the controller judges it.
+    """
+
+    time_ns: int
+    group_state: GroupState
+    fault: FaultCode
+    severity: Severity
+    motion_id: int
+    motion_done: bool
+    settled: bool
+    q_meas: Array
+    q_cmd: Array
+    X_BT: Array
+    X_BT_cmd: Array
+
+
+class Arm(Protocol):
+    """Motion through the reference link. Every call returns at rest, or raises and leaves the arm holding still.
+
+    Raises RequestRefused (the controller's reason) or LinkLost.
+    """
+
+    async def view(self) -> ArmView:
+        """The newest view."""
+        ...
+
+    async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
+        """The view after the point-to-point motion has settled; ``duration_s`` 0: by the controller's limits."""
+        ...
+
+    async def follow(self, waypoints: Sequence[Array], segment_s: float = 0.0, dwell_s: float = 0.0) -> ArmView:
+        """The view after the path through ``waypoints`` (1…24, at rest at each) has settled."""
+        ...
+
+    async def stop(self) -> None:
+        """None, once the controller has accepted the stop."""
+        ...
+
+
+class Watch(Protocol):
+    """Samples along a motion, gathered in the background between entering and leaving ``Eyes.watch``."""
+
+    @property
+    def samples(self) -> tuple[WatchSample, ...]:
+        """One sample for every processed pair, in time order; complete after the exit."""
+        ...
+
+    @property
+    def health(self) -> WatchHealth:
+        """What was missed; complete after the exit."""
+        ...
+
+
+class Eyes(Protocol):
+    """Measurements through the stereo camera."""
+
+    async def look(self, frames: int | None = None) -> Look:
+        """A look over ``frames`` fresh pairs (None: as configured) with the arm at rest.
+
+        Raises MeasurementFailed when tool or object is seen in too few of them, RequestRefused while the arm moves,
+        LinkLost when the camera is silent or frozen.
+        """
+        ...
+
+    def watch(self, *, markers: bool, odometry: bool) -> AbstractAsyncContextManager[Watch]:
+        """A context that samples every pair until its exit. The first camera frame of a watch is its C0.
+
+        Raises MeasurementFailed on exit when nothing wanted was measured.
+        """
+        ...

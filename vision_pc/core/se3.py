@@ -1,0 +1,155 @@
+"""Rigid transforms as 4×4 float64 arrays in the monogram way: ``X_AC = X_AB @ X_BC``, ``X_AB`` is B in A."""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from protocol.pose import Pose
+
+Array = NDArray[np.float64]
+
+_SMALL_ANGLE = 1e-6  # below it the series' next term is under 1e-13 relative
+_NEAR_PI = math.pi - 1e-4  # above it the antisymmetric part of R has lost half its digits
+
+
+def identity() -> Array:
+    """A new 4×4 identity."""
+    return np.eye(4)
+
+
+def transform(R: ArrayLike, p: ArrayLike) -> Array:
+    """X (4×4) with rotation ``R`` (3×3) and translation ``p`` (3,)."""
+    X = np.eye(4)
+    X[:3, :3] = R
+    X[:3, 3] = np.reshape(np.asarray(p, dtype=np.float64), 3)
+    return X
+
+
+def inverse(X: Array) -> Array:
+    """X_BA from X_AB, by transposition."""
+    Y = np.eye(4)
+    Y[:3, :3] = X[:3, :3].T
+    Y[:3, 3] = -X[:3, :3].T @ X[:3, 3]
+    return Y
+
+
+def apply(X_AB: Array, points_B: Array) -> Array:
+    """``points_B`` (n, 3) expressed in A."""
+    return points_B @ X_AB[:3, :3].T + X_AB[:3, 3]
+
+
+def hat(v: ArrayLike) -> Array:
+    """The 3×3 cross-product matrix of ``v`` (3,)."""
+    x, y, z = np.asarray(v, dtype=np.float64)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def exp_so3(w: ArrayLike) -> Array:
+    """R (3×3) that turns by the rotation vector ``w`` (3,), rad."""
+    w = np.asarray(w, dtype=np.float64)
+    angle = float(np.linalg.norm(w))
+    W = hat(w)
+    if angle < _SMALL_ANGLE:
+        return np.eye(3) + W + 0.5 * (W @ W)
+    return np.eye(3) + (math.sin(angle) / angle) * W + ((1.0 - math.cos(angle)) / angle**2) * (W @ W)
+
+
+def log_so3(R: Array) -> Array:
+    """The rotation vector (3,) of R, of length 0…π rad; at π either sign of the axis may come."""
+    v = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    angle = math.atan2(float(np.linalg.norm(v)), 0.5 * (float(np.trace(R)) - 1.0))
+    if angle < _SMALL_ANGLE:
+        return v
+    if angle < _NEAR_PI:
+        return v * (angle / math.sin(angle))
+    S = 0.5 * (R + R.T) - math.cos(angle) * np.eye(3)  # = (1 − cos) · axis axisᵀ
+    column = S[:, int(np.argmax(np.diag(S)))]
+    axis = column / np.linalg.norm(column)
+    return axis * (angle if axis @ v >= 0.0 else -angle)
+
+
+def angle_between(R_A: Array, R_B: Array) -> float:
+    """The angle (rad, 0…π) of the rotation from ``R_A`` to ``R_B``."""
+    return float(np.linalg.norm(log_so3(R_A.T @ R_B)))
+
+
+def retract(X: Array, delta: ArrayLike) -> Array:
+    """X moved by ``delta`` = [δp; δθ] (6,): p + δp and exp(δθ) R, both in the axes of the outer frame.
+
+    All 6×6 covariances of the vision side are of this perturbation.
+    """
+    d = np.asarray(delta, dtype=np.float64)
+    return transform(exp_so3(d[3:]) @ X[:3, :3], X[:3, 3] + d[:3])
+
+
+def local(X: Array, Y: Array) -> Array:
+    """The ``delta`` (6,) with ``retract(X, delta) == Y``."""
+    return np.concatenate([Y[:3, 3] - X[:3, 3], log_so3(Y[:3, :3] @ X[:3, :3].T)])
+
+
+def interpolate(X: Array, Y: Array, fraction: float) -> Array:
+    """The pose at ``fraction`` (0…1) between X and Y: straight line and geodesic."""
+    return retract(X, fraction * local(X, Y))
+
+
+def nearest_rotation(M: Array) -> Array:
+    """The proper rotation nearest to M (3×3) in the Frobenius norm."""
+    U, _, Vt = np.linalg.svd(M)
+    return np.asarray(U @ np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))]) @ Vt)
+
+
+def euler_xyz(R: Array) -> Array:
+    """(α, β, γ) in rad with R = Rx(α) Ry(β) Rz(γ): the error angles of Mäkinen et al. 2023, Table 2."""
+    return np.array(
+        [
+            math.atan2(-R[1, 2], R[2, 2]),
+            math.atan2(R[0, 2], math.hypot(R[0, 0], R[0, 1])),
+            math.atan2(-R[0, 1], R[0, 0]),
+        ]
+    )
+
+
+def rotation_from_quaternion(q_wxyz: ArrayLike) -> Array:
+    """R (3×3) of the quaternion (w, x, y, z), which is normalised first."""
+    q = np.asarray(q_wxyz, dtype=np.float64)
+    w, x, y, z = q / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion_from_rotation(R: Array) -> Array:
+    """The unit quaternion (w, x, y, z), w ≥ 0, of R.
+
+    Source: Shepperd 1978; the largest component is taken from the diagonal, so nothing is divided by a small number.
+    """
+    t = float(np.trace(R))
+    squares = np.array([t, R[0, 0], R[1, 1], R[2, 2]])
+    k = int(np.argmax(squares))
+    v = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    q = np.empty(4)
+    if k == 0:
+        q[0], q[1:] = 1.0 + t, v
+    else:
+        q[0] = v[k - 1]
+        q[1:] = R[:, k - 1] + R[k - 1, :]
+        q[k] = 1.0 + 2.0 * R[k - 1, k - 1] - t
+    q /= np.linalg.norm(q)
+    return q if q[0] >= 0.0 else -q
+
+
+def to_pose(X: Array) -> Pose:
+    """X as it crosses process boundaries."""
+    p = X[:3, 3]
+    q = quaternion_from_rotation(X[:3, :3])
+    return Pose((float(p[0]), float(p[1]), float(p[2])), (float(q[0]), float(q[1]), float(q[2]), float(q[3])))
+
+
+def from_pose(pose: Pose) -> Array:
+    """The 4×4 array of a boundary pose."""
+    return transform(rotation_from_quaternion(pose.q_wxyz), pose.p_m)

@@ -1,0 +1,148 @@
+"""Plain data of the vision side: images, cameras, observations, looks and samples along a path.
+
+Poses are 4×4 arrays named in the monogram way. Every covariance is 6×6 of ``se3.retract``'s perturbation
+[δp; δθ] in the outer frame's axes, m² and rad². Times are nanoseconds on the vision PC's monotonic clock.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision_pc.core.se3 import Array
+
+Image = NDArray[np.uint8]
+
+
+class StereoPair(NamedTuple):
+    """One grey picture of each eye, (height, width) uint8, exposed together at ``capture_ns``."""
+
+    left: Image
+    right: Image
+    capture_ns: int
+    frame_id: int
+
+
+class EyeModel(NamedTuple):
+    """A pinhole with Brown-Conrady distortion.
+
+    ``K`` (3×3) px; ``distortion`` (5,) = k1 k2 p1 p2 k3, zeros when the pictures are rectified; ``X_CE`` this eye in C
+    (C is the left eye: identity there).
+    """
+
+    K: Array
+    distortion: Array
+    X_CE: Array
+
+
+class CameraCalibration(NamedTuple):
+    """Both eyes and the picture size. Built by ``intrinsics.calibration``."""
+
+    width: int
+    height: int
+    left: EyeModel
+    right: EyeModel
+
+
+class MarkerObservation(NamedTuple):
+    """One marker in one pair.
+
+    ``corners_left``/``corners_right`` (4, 2) distorted pixels, in ArUco's order, right None where it was not found there;
+    ``X_CA`` the marker's own frame in C; ``residual_px`` the rms reprojection error over both eyes;
+    ``flip_ratio`` the rejected planar solution's residual over the accepted one's (large: no doubt).
+    """
+
+    marker_id: int
+    size: float
+    corners_left: Array
+    corners_right: Array | None
+    X_CA: Array
+    covariance: Array
+    residual_px: float
+    flip_ratio: float
+
+
+class StereoOffset(NamedTuple):
+    """How much the right eye's rows and columns are off the calibration, px (right picture minus model)."""
+
+    x_px: float
+    y_px: float
+    std_x_px: float
+    std_y_px: float
+
+
+class FrameObservation(NamedTuple):
+    """What one pair shows. A pose that was not measured is None, never a zero.
+
+    ``rejected`` counts what was seen and refused, by cause (``unknown_id``, ``ambiguous``, ``residual`` …).
+    """
+
+    capture_ns: int
+    frame_id: int
+    X_CM: Array | None
+    cov_CM: Array | None
+    X_CO: Array | None
+    cov_CO: Array | None
+    markers: tuple[MarkerObservation, ...]
+    rejected: Mapping[str, int]
+    offset: StereoOffset | None
+
+
+class Look(NamedTuple):
+    """Several pairs at rest combined robustly, with the controller's own X_BT at that time.
+
+    ``frames`` pairs were tried, ``failed_tool`` / ``failed_object`` of them did not show the tool / the object;
+    ``cov_CM`` / ``cov_CO`` are of the combined pose; ``std_*`` (3,) are square roots of their diagonals,
+    ``std_*_frame`` those of a single frame; ``_m`` per axis of C in metres, ``_rad`` about the axes of C.
+    """
+
+    time_ns: int
+    X_CM: Array
+    X_CO: Array
+    X_BT: Array
+    frames: int
+    failed_tool: int
+    failed_object: int
+    cov_CM: Array
+    cov_CO: Array
+    std_tool_m: Array
+    std_tool_rad: Array
+    std_object_m: Array
+    std_object_rad: Array
+    std_tool_frame_m: Array
+    std_object_frame_m: Array
+    offset: StereoOffset | None
+
+
+class OdometryPose(NamedTuple):
+    """The camera's pose in the first camera frame, from one pair, and how well it is known."""
+
+    capture_ns: int
+    frame_id: int
+    X_C0C: Array
+    covariance: Array
+    inliers: int
+    coverage: float
+    residual_px: float
+
+
+class WatchSample(NamedTuple):
+    """One pair along a path: controller's X_BT at its capture, odometry and markers where wanted and measured."""
+
+    time_ns: int
+    X_BT: Array
+    X_C0C: Array | None
+    X_CM: Array | None
+    X_CO: Array | None
+
+
+class WatchHealth(NamedTuple):
+    """Counts over a watch. ``frames`` were processed; the others say in how many a measurement was missing."""
+
+    frames: int
+    odometry_lost: int
+    tool_missed: int
+    object_missed: int
+    median_inliers: int
+    last_loss: str | None
