@@ -18,7 +18,8 @@ Report = Callable[[float, str], None]
 class ArmView(NamedTuple):
     """The controller's own view of the arm at one instant; ``time_ns`` on the vision PC's clock.
 
-    ``X_BT`` is the rigid model at the encoders, ``X_BT_cmd`` the desired pose; ``settled`` as the controller judges it.
+    ``X_BT`` is the rigid model at the encoders, ``X_BT_cmd`` the desired pose; ``settled`` is the
+    controller's own judgement.
     """
 
     time_ns: int
@@ -35,7 +36,7 @@ class ArmView(NamedTuple):
 
 
 class Arm(Protocol):
-    """Motion through the reference link. Every call returns at rest, or raises and leaves the arm holding still.
+    """Motion through the reference link. Every call returns at rest, or raises with the arm holding still.
 
     Raises RequestRefused (the controller's reason) or LinkLost.
     """
@@ -45,10 +46,12 @@ class Arm(Protocol):
         ...
 
     async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
-        """The view after the point-to-point motion has settled; ``duration_s`` 0: by the controller's limits."""
+        """The view after the point-to-point motion has settled; ``duration_s`` 0: by its limits."""
         ...
 
-    async def follow(self, waypoints: Sequence[Array], segment_s: float = 0.0, dwell_s: float = 0.0) -> ArmView:
+    async def follow(
+        self, waypoints: Sequence[Array], segment_s: float = 0.0, dwell_s: float = 0.0
+    ) -> ArmView:
         """The view after the path through ``waypoints`` (1…24, at rest at each) has settled."""
         ...
 
@@ -77,8 +80,8 @@ class Eyes(Protocol):
     async def look(self, frames: int | None = None) -> Look:
         """A look over ``frames`` fresh pairs (None: as configured) with the arm at rest.
 
-        Raises MeasurementFailed when tool or object is seen in too few of them, RequestRefused while the arm moves,
-        LinkLost when the camera is silent or frozen.
+        Raises MeasurementFailed when tool or object is seen in too few of them, RequestRefused while the arm
+        moves, LinkLost when the camera is silent or frozen.
         """
         ...
 

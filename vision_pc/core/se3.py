@@ -126,7 +126,7 @@ def rotation_from_quaternion(q_wxyz: ArrayLike) -> Array:
 def quaternion_from_rotation(R: Array) -> Array:
     """The unit quaternion (w, x, y, z), w ≥ 0, of R.
 
-    Source: Shepperd 1978; the largest component is taken from the diagonal, so nothing is divided by a small number.
+    Source: Shepperd 1978: the largest component is found first, so nothing is divided by a small number.
     """
     t = float(np.trace(R))
     squares = np.array([t, R[0, 0], R[1, 1], R[2, 2]])

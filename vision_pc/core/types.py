@@ -27,8 +27,8 @@ class StereoPair(NamedTuple):
 class EyeModel(NamedTuple):
     """A pinhole with Brown-Conrady distortion.
 
-    ``K`` (3×3) px; ``distortion`` (5,) = k1 k2 p1 p2 k3, zeros when the pictures are rectified; ``X_CE`` this eye in C
-    (C is the left eye: identity there).
+    ``K`` (3×3) px; ``distortion`` (5,) = k1 k2 p1 p2 k3, zeros when the pictures are rectified; ``X_CE`` this eye
+    in C (C is the left eye: identity there).
     """
 
     K: Array
@@ -48,7 +48,7 @@ class CameraCalibration(NamedTuple):
 class MarkerObservation(NamedTuple):
     """One marker in one pair.
 
-    ``corners_left``/``corners_right`` (4, 2) distorted pixels, in ArUco's order, right None where it was not found there;
+    ``corners_left``/``corners_right`` (4, 2) distorted pixels in ArUco's order, right None where not found there;
     ``X_CA`` the marker's own frame in C; ``residual_px`` the rms reprojection error over both eyes;
     ``flip_ratio`` the rejected planar solution's residual over the accepted one's (large: no doubt).
     """
@@ -92,7 +92,7 @@ class FrameObservation(NamedTuple):
 class Look(NamedTuple):
     """Several pairs at rest combined robustly, with the controller's own X_BT at that time.
 
-    ``frames`` pairs were tried, ``failed_tool`` / ``failed_object`` of them did not show the tool / the object;
+    ``frames`` pairs were tried; ``failed_tool`` / ``failed_object`` did not show the tool / the object;
     ``cov_CM`` / ``cov_CO`` are of the combined pose; ``std_*`` (3,) are square roots of their diagonals,
     ``std_*_frame`` those of a single frame; ``_m`` per axis of C in metres, ``_rad`` about the axes of C.
     """
@@ -128,7 +128,7 @@ class OdometryPose(NamedTuple):
 
 
 class WatchSample(NamedTuple):
-    """One pair along a path: controller's X_BT at its capture, odometry and markers where wanted and measured."""
+    """One pair along a path: X_BT at its capture, odometry and markers where wanted and measured."""
 
     time_ns: int
     X_BT: Array
@@ -138,7 +138,7 @@ class WatchSample(NamedTuple):
 
 
 class WatchHealth(NamedTuple):
-    """Counts over a watch. ``frames`` were processed; the others say in how many a measurement was missing."""
+    """Counts over a watch. ``frames`` were processed; the others say in how many something was missing."""
 
     frames: int
     odometry_lost: int
