@@ -1,0 +1,1 @@
+"""Matching of two pose trajectories: coarse frame alignment, then the hybrid mixture model."""
