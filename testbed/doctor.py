@@ -1,0 +1,176 @@
+"""What `longreach doctor` finds out: whether this machine and this configuration can run the testbed."""
+
+import importlib.metadata
+import os
+import platform
+import re
+import shutil
+import socket
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from protocol.errors import ConfigurationError
+
+Verdict = Literal["ok", "warning", "failed"]
+
+WANTED_CORES = 2
+WANTED_MEMORY_MB = 2048
+WANTED_DISK_MB = 512
+SLEEPS = 400
+SLEEP_S = 0.001
+LATE_WARNING_US = 5000.0  # one cycle: a timer later than this at the 99th percentile will cost overruns
+
+
+class Check(NamedTuple):
+    """One line of the examination: what was looked at, the verdict, what was found, what to do about it."""
+
+    name: str
+    verdict: Verdict
+    found: str
+    advice: str = ""
+
+
+def python_check() -> Check:
+    """Whether this is the Python that the locked dependencies are for."""
+    found = f"{platform.python_implementation()} {platform.python_version()}"
+    good = sys.version_info[:2] == (3, 11)
+    return Check(
+        "python", "ok" if good else "failed", found, "" if good else "install Python 3.11; make clean setup"
+    )
+
+
+def locked_versions(lock: Path) -> dict[str, str]:
+    """Name → version of every package that the lock file pins."""
+    pins = re.findall(r"^([A-Za-z0-9._-]+)==([^\s\\]+)", lock.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return dict(pins)
+
+
+def versions_check(lock: Path) -> Check:
+    """Whether the installed packages are those of the lock file."""
+    if not lock.is_file():
+        return Check(
+            "packages", "warning", f"no {lock.name} here to compare with", "run it in the repository"
+        )
+    pins = locked_versions(lock)
+    wrong = []
+    for name, version in pins.items():
+        try:
+            installed = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            installed = "missing"
+        if installed != version:
+            wrong.append(f"{name} {installed} instead of {version}")
+    if wrong:
+        return Check("packages", "failed", "; ".join(wrong), "make setup")
+    return Check("packages", "ok", f"all {len(pins)} as locked")
+
+
+def cores_check() -> Check:
+    """How many cores this process may use, and how busy the machine is."""
+    cores = len(os.sched_getaffinity(0))
+    load = os.getloadavg()[0]
+    found = f"{cores} usable, load {load:.2f}"
+    if cores < WANTED_CORES:
+        return Check(
+            "cores", "warning", found, f"{WANTED_CORES} are wanted for real time; use demo --lockstep"
+        )
+    if load > 0.5 * cores:
+        return Check("cores", "warning", found, "other work is running: expect overruns")
+    return Check("cores", "ok", found)
+
+
+def memory_check() -> Check:
+    """How much memory can be had."""
+    fields = dict(re.findall(r"^(\w+):\s+(\d+) kB", Path("/proc/meminfo").read_text(), flags=re.MULTILINE))
+    available_mb = int(fields["MemAvailable"]) // 1024
+    good = available_mb >= WANTED_MEMORY_MB
+    return Check(
+        "memory",
+        "ok" if good else "warning",
+        f"{available_mb} MB available",
+        "" if good else "close something",
+    )
+
+
+def disk_check(runs: Path) -> Check:
+    """How much room there is for recordings."""
+    place = next(parent for parent in (runs.absolute(), *runs.absolute().parents) if parent.exists())
+    free_mb = shutil.disk_usage(place).free // 2**20
+    good = free_mb >= WANTED_DISK_MB and os.access(place, os.W_OK)
+    return Check(
+        "disk", "ok" if good else "failed", f"{free_mb} MB free for {runs}", "" if good else "make room"
+    )
+
+
+def timer_check() -> Check:
+    """How late a sleep of one millisecond ends."""
+    late_us = []
+    for _ in range(SLEEPS):
+        due = time.monotonic() + SLEEP_S
+        time.sleep(SLEEP_S)
+        late_us.append(1e6 * (time.monotonic() - due))
+    cuts = statistics.quantiles(late_us, n=100)
+    resolution_ns = 1e9 * time.clock_getres(time.CLOCK_MONOTONIC)
+    found = (
+        f"resolution {resolution_ns:.0f} ns; 1 ms sleeps end {cuts[49]:.0f}/{cuts[98]:.0f} µs late (p50/p99)"
+    )
+    good = cuts[98] < LATE_WARNING_US
+    return Check(
+        "timer", "ok" if good else "warning", found, "" if good else "expect overruns; see realtime notes"
+    )
+
+
+def scheduling_check() -> Check:
+    """Whether real-time scheduling can be had (it is not needed)."""
+    before, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except PermissionError:
+        return Check("scheduling", "ok", "no real-time class; vision and renderer will run at low priority")
+    os.sched_setscheduler(0, before, parameters)
+    return Check("scheduling", "ok", "real-time class SCHED_FIFO can be had")
+
+
+def port_check(name: str, host: str, port: int, kind: socket.SocketKind) -> Check:
+    """Whether the port is free to be served."""
+    label = f"{host}:{port}/{'tcp' if kind == socket.SOCK_STREAM else 'udp'}"
+    with socket.socket(socket.AF_INET, kind) as probe:
+        if kind == socket.SOCK_STREAM:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            advice = "end what holds it, or use --free-ports"
+            return Check(f"port {name}", "failed", f"{label}: {error.strerror}", advice)
+    return Check(f"port {name}", "ok", f"{label} is free")
+
+
+def configuration_check(name: str, load: Callable[[], object]) -> Check:
+    """Whether one configuration file can be loaded."""
+    try:
+        load()
+    except ConfigurationError as error:
+        return Check(f"configuration {name}", "failed", str(error), "correct the file")
+    return Check(f"configuration {name}", "ok", "valid")
+
+
+def engine_check() -> Check:
+    """Whether containers could be used (they are not needed)."""
+    tools = [tool for tool in ("docker", "docker-compose") if shutil.which(tool)]
+    return Check("containers", "ok", ", ".join(tools) + " found" if tools else "no engine found; not needed")
+
+
+def machine_checks(lock: Path, runs: Path) -> Iterator[Check]:
+    """The checks that need no configuration, one by one."""
+    yield python_check()
+    yield versions_check(lock)
+    yield cores_check()
+    yield memory_check()
+    yield disk_check(runs)
+    yield timer_check()
+    yield scheduling_check()
+    yield engine_check()
