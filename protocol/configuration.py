@@ -1,6 +1,8 @@
 """Strict loading of YAML files into pydantic models, with one-line errors that name key, value and limit."""
 
-from collections.abc import Mapping
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,7 +25,9 @@ class _UniqueKeyLoader(yaml.SafeLoader):
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
         for key in keys:
             if keys.count(key) > 1:
-                raise ConfigurationError("configuration.duplicate_key", f"key '{key}' is written twice{node.start_mark}")
+                raise ConfigurationError(
+                    "configuration.duplicate_key", f"key '{key}' is written twice{node.start_mark}"
+                )
         return super().construct_mapping(node, deep)
 
 
@@ -40,11 +44,15 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise ConfigurationError("configuration.unreadable", f"{path}: {error.strerror}") from error
     try:
-        data = yaml.load(text, Loader=_UniqueKeyLoader)  # noqa: S506 - a SafeLoader
+        data = yaml.load(text, Loader=_UniqueKeyLoader)
     except yaml.YAMLError as error:
-        raise ConfigurationError("configuration.not_yaml", f"{path}: {' '.join(str(error).split())}") from error
+        raise ConfigurationError(
+            "configuration.not_yaml", f"{path}: {' '.join(str(error).split())}"
+        ) from error
     if not isinstance(data, dict):
-        raise ConfigurationError("configuration.not_a_mapping", f"{path}: a mapping is wanted, got {type(data).__name__}")
+        raise ConfigurationError(
+            "configuration.not_a_mapping", f"{path}: a mapping is wanted, got {type(data).__name__}"
+        )
     return data
 
 
@@ -53,7 +61,9 @@ def merged(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, A
     result = dict(base)
     for key, value in overrides.items():
         below = result.get(key)
-        result[key] = merged(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
+        result[key] = (
+            merged(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
+        )
     return result
 
 
@@ -75,4 +85,45 @@ def validated(model: type[ModelT], data: Mapping[str, Any], where: str) -> Model
         value = "" if first["type"] == "missing" else f" = {first['input']!r}"
         more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
         cause = "unknown_key" if first["type"] == "extra_forbidden" else first["type"]
-        raise ConfigurationError(f"configuration.{cause}", f"{where}: {key}{value}: {first['msg']}{more}") from error
+        raise ConfigurationError(
+            f"configuration.{cause}", f"{where}: {key}{value}: {first['msg']}{more}"
+        ) from error
+
+
+def parse_overrides(assignments: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Overrides by file stem, from dotted assignments: ``plant.valves.deadband=0.03`` goes to ``plant``.
+
+    The value is parsed as YAML. Raises ConfigurationError for an assignment without ``=`` or without a key
+    below the file's name, for a value that is not YAML, and for two assignments that contradict each other.
+    """
+    overrides: dict[str, dict[str, Any]] = {}
+    for assignment in assignments:
+        dotted, equals, text = assignment.partition("=")
+        path = [part.strip() for part in dotted.split(".")]
+        if not equals or len(path) < 2 or not all(path):
+            raise ConfigurationError("configuration.bad_override", f"'{assignment}': wanted FILE.KEY…=VALUE")
+        try:
+            value = yaml.load(text, Loader=_UniqueKeyLoader)
+        except yaml.YAMLError as error:
+            why = " ".join(str(error).split())
+            raise ConfigurationError("configuration.not_yaml", f"'{assignment}': {why}") from error
+        below: dict[str, Any] = overrides
+        for part in path[:-1]:
+            below = below.setdefault(part, {})
+            if not isinstance(below, dict):
+                raise ConfigurationError(
+                    "configuration.contradiction", f"'{assignment}': {part} already has a value"
+                )
+        if path[-1] in below:
+            raise ConfigurationError("configuration.contradiction", f"'{assignment}': set twice")
+        below[path[-1]] = value
+    return overrides
+
+
+def configuration_hash(model: BaseModel) -> int:
+    """A 64-bit number, never 0, that changes with every value in ``model`` and not with order or formatting.
+
+    The reference link carries it as ``arm_hash``, so both sides know that they speak of the same arm.
+    """
+    text = json.dumps(model.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little") or 1

@@ -2,7 +2,7 @@
 
 Taxonomy (every leaf names who is at fault):
 
-    LongreachError                base; ``cause`` is a dotted, stable slug, ``str(error)`` one line for a person
+    LongreachError                base; ``cause`` is a dotted, stable slug; ``str(error)`` one line
     ├── ConfigurationError        the configuration files or command line: what, where, value, limit
     ├── DatagramRefused           the peer sent bytes that the reference link does not accept
     ├── ImageRefused              the peer sent process-image words that cannot be decoded

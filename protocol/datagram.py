@@ -1,0 +1,230 @@
+"""Codec of the reference link: one message and its header ⇄ the bytes of one datagram.
+
+Numbers that are NaN or infinite pass: whether a pose makes sense is for the controller to refuse with a
+reason, and a refusal can be acknowledged only if the request was decoded.
+"""
+
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+from zlib import crc32
+
+from protocol.datagram_layout import (
+    CRC_BYTES,
+    CRC_OFFSET,
+    CRITICAL_FLAGS,
+    HEADER,
+    HEADER_BYTES,
+    KNOWN_CRITICAL_FLAGS,
+    MAGIC,
+    MAX_DATAGRAM_BYTES,
+    MAX_WAYPOINTS,
+    MESSAGE_TYPES,
+    PAYLOADS,
+    VERSION_MAJOR,
+    VERSION_MINOR,
+    Field,
+    Kind,
+    struct_format,
+)
+from protocol.errors import DatagramRefused, RequestRefused
+from protocol.faults import Reason
+from protocol.pose import Pose
+from protocol.reference_messages import Command, Message, ReferencePath, UnusableRequest
+
+_HEADER_STRUCT = struct.Struct(struct_format(HEADER))
+_CRC_STRUCT = struct.Struct("<I")
+_CRC_END = CRC_OFFSET + CRC_BYTES
+
+
+class Header(NamedTuple):
+    """What every datagram carries; ``echo_sequence`` means something only with FLAG_ECHO_VALID."""
+
+    session: int
+    sequence: int
+    sent_ns: int
+    echo_sequence: int = 0
+    flags: int = 0
+    minor: int = VERSION_MINOR
+
+
+class Datagram(NamedTuple):
+    """One decoded datagram."""
+
+    header: Header
+    message: Message | UnusableRequest
+
+
+class _Codec(NamedTuple):
+    kind: Kind
+    layout: struct.Struct
+    fields: tuple[Field, ...]
+    type: Callable[..., Message]
+
+
+# The number of waypoints is not a field of the message: it follows from their tuple.
+_CODECS: dict[int, _Codec] = {
+    kind: _Codec(
+        kind,
+        struct.Struct(struct_format(fields)),
+        tuple(field for field in fields if field.code != "x" and field.name != "waypoint_count"),
+        MESSAGE_TYPES[kind],
+    )
+    for kind, fields in PAYLOADS.items()
+}
+_MEMBERS = {
+    field.enum: {member.value: member for member in field.enum}
+    for fields in PAYLOADS.values()
+    for field in fields
+    if field.enum is not None
+}
+_CODEC_OF_TYPE = {codec.type: codec for codec in _CODECS.values()}
+
+
+def encode(message: Message, header: Header) -> bytes:
+    """The bytes of one datagram.
+
+    Raises RequestRefused (``refused.not_encodable``), naming the field, when a value does not fit its range.
+    """
+    codec = _CODEC_OF_TYPE[type(message)]
+    try:
+        payload = codec.layout.pack(*_flattened(message, codec))
+        head = _HEADER_STRUCT.pack(
+            MAGIC, VERSION_MAJOR, header.minor, codec.kind, 0, header.flags, len(payload), 0,
+            header.session, header.sequence, header.echo_sequence, header.sent_ns,
+        )  # fmt: skip
+    except struct.error as error:
+        why = f"{codec.kind.name}: {error} in {message} with {header}"
+        raise RequestRefused("refused.not_encodable", why) from error
+    checksum = crc32(payload, crc32(head[_CRC_END:], crc32(head[:CRC_OFFSET])))
+    return head[:CRC_OFFSET] + _CRC_STRUCT.pack(checksum) + head[_CRC_END:] + payload
+
+
+def decode(datagram: bytes) -> Datagram:
+    """Header and message of one datagram.
+
+    Raises DatagramRefused for anything but an intact datagram of this major version with a known kind,
+    exactly its length, and integers in range. The cause names the first check that failed, in the order
+    of docs/protocol.md.
+    """
+    kind, header, payload = _opened(datagram)
+    codec = _CODECS.get(kind)
+    if codec is None:
+        raise DatagramRefused("datagram.unknown_kind", f"kind {kind}: not one of 1…{max(Kind)}")
+    if len(payload) != codec.layout.size:
+        why = f"{codec.kind.name}: {len(payload)} bytes, wanted {codec.layout.size}"
+        raise DatagramRefused("datagram.wrong_payload_length", why)
+    numbers = codec.layout.unpack(payload)
+    message = _path(numbers) if codec.type is ReferencePath else _message(numbers, codec)
+    return Datagram(header, message)
+
+
+def _opened(datagram: bytes) -> tuple[int, Header, bytes]:
+    size = len(datagram)
+    if size < HEADER_BYTES:
+        raise DatagramRefused("datagram.too_short", f"{size} bytes: a header alone has {HEADER_BYTES}")
+    if size > MAX_DATAGRAM_BYTES:
+        raise DatagramRefused("datagram.too_long", f"{size} bytes: the limit is {MAX_DATAGRAM_BYTES}")
+    head = _HEADER_STRUCT.unpack_from(datagram)
+    (
+        magic,
+        major,
+        minor,
+        kind,
+        _,
+        flags,
+        payload_bytes,
+        checksum,
+        session,
+        sequence,
+        echo_sequence,
+        sent_ns,
+    ) = head
+    if magic != MAGIC:
+        raise DatagramRefused("datagram.bad_magic", f"magic {magic.hex()}: wanted {MAGIC.hex()}")
+    if major != VERSION_MAJOR:
+        raise DatagramRefused("datagram.wrong_major", f"major version {major}: wanted {VERSION_MAJOR}")
+    if payload_bytes != size - HEADER_BYTES:
+        why = f"payload of {size - HEADER_BYTES} bytes: the header says {payload_bytes}"
+        raise DatagramRefused("datagram.bad_length", why)
+    if checksum != crc32(datagram[_CRC_END:], crc32(datagram[:CRC_OFFSET])):
+        raise DatagramRefused("datagram.bad_crc", f"CRC-32 {checksum:08x} does not match the content")
+    if flags & CRITICAL_FLAGS & ~KNOWN_CRITICAL_FLAGS:
+        raise DatagramRefused("datagram.unknown_critical_flag", f"flags {flags:04x}: unknown critical bit")
+    return kind, Header(session, sequence, sent_ns, echo_sequence, flags, minor), datagram[HEADER_BYTES:]
+
+
+def _flattened(message: Message, codec: _Codec) -> list[Any]:
+    values: list[Any] = []
+    # Any: which field has which type is the table's knowledge, not the type checker's.
+    fields: tuple[Any, ...] = message
+    for field, value in zip(codec.fields, fields, strict=True):
+        if field.poses > 1:
+            _flatten_waypoints(value, values)
+        elif field.poses:
+            values += value.p_m
+            values += value.q_wxyz
+        elif field.count > 1:
+            values += value
+        else:
+            if field.code != "d" and not field.low <= value <= field.highest:
+                raise struct.error(f"{field.name} = {value}: wanted {field.low}…{field.highest}")
+            values.append(value)
+    return values
+
+
+def _flatten_waypoints(waypoints: Sequence[Pose], values: list[Any]) -> None:
+    if not 1 <= len(waypoints) <= MAX_WAYPOINTS:
+        raise struct.error(f"{len(waypoints)} waypoints: wanted 1…{MAX_WAYPOINTS}")
+    values.append(len(waypoints))
+    for waypoint in waypoints:
+        values += waypoint.p_m
+        values += waypoint.q_wxyz
+    values += (0.0,) * (7 * (MAX_WAYPOINTS - len(waypoints)))
+
+
+def _message(numbers: tuple[Any, ...], codec: _Codec) -> Message | UnusableRequest:
+    values: list[Any] = []
+    at = 0
+    for field in codec.fields:
+        if field.poses:
+            values.append(_pose(numbers, at))
+        elif field.count > 1:
+            values.append(numbers[at : at + field.count])
+        elif field.code == "d":
+            values.append(numbers[at])
+        elif field.enum is not None:
+            member = _MEMBERS[field.enum].get(numbers[at])
+            if member is not None:
+                values.append(member)
+            elif codec.type is Command:
+                return UnusableRequest(values[0], Reason.UNKNOWN_COMMAND, float(numbers[at]), 0.0)
+            else:
+                raise _bad_value(codec.kind, field.name, numbers[at])
+        elif field.low <= numbers[at] <= field.highest:
+            values.append(bool(numbers[at]) if field.name == "motion_done" else numbers[at])
+        else:
+            raise _bad_value(codec.kind, field.name, numbers[at])
+        at += field.count
+    return codec.type(*values)
+
+
+def _path(numbers: tuple[Any, ...]) -> ReferencePath | UnusableRequest:
+    command_id, count = numbers[:2]
+    if command_id < 1:
+        raise _bad_value(Kind.REFERENCE_PATH, "command_id", command_id)
+    if count == 0:
+        return UnusableRequest(command_id, Reason.EMPTY_PATH, 0.0, 1.0)
+    if count > MAX_WAYPOINTS:
+        return UnusableRequest(command_id, Reason.TOO_MANY_WAYPOINTS, float(count), float(MAX_WAYPOINTS))
+    waypoints = tuple(_pose(numbers, at) for at in range(2, 2 + 7 * count, 7))
+    return ReferencePath(command_id, waypoints, numbers[-2], numbers[-1])
+
+
+def _pose(numbers: tuple[Any, ...], at: int) -> Pose:
+    x, y, z, qw, qx, qy, qz = numbers[at : at + 7]
+    return Pose((x, y, z), (qw, qx, qy, qz))
+
+
+def _bad_value(kind: Kind, name: str, value: int) -> DatagramRefused:
+    return DatagramRefused("datagram.bad_value", f"{kind.name}.{name} = {value}: outside its range")
