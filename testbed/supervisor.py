@@ -76,20 +76,21 @@ class Child:
 
     def _read_stdout(self) -> None:
         assert self._process.stdout is not None
-        for line in self._process.stdout:
-            try:
-                said = json.loads(line)
-            except ValueError:
-                continue
-            if isinstance(said, dict) and said.get("event") == "ready":
-                self.ready = said
-                self._said_ready.set()
+        with self._process.stdout as lines:
+            for line in lines:
+                try:
+                    said = json.loads(line)
+                except ValueError:
+                    continue
+                if isinstance(said, dict) and said.get("event") == "ready":
+                    self.ready = said
+                    self._said_ready.set()
         self._said_ready.set()  # the end of stdout: nothing more to wait for
 
     def _read_stderr(self) -> None:
         assert self._process.stderr is not None
-        with self._log.open("w", encoding="utf-8") as log:
-            for line in self._process.stderr:
+        with self._log.open("w", encoding="utf-8") as log, self._process.stderr as lines:
+            for line in lines:
                 log.write(line)
                 log.flush()
                 self._last_line = line.strip() or self._last_line
