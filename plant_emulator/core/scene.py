@@ -1,0 +1,137 @@
+"""The visible world as rigid poses and flat plates: where wall, object of interest, tool marker and camera
+truly are.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from plant_emulator.scene_config import MarkerConfig, ObjectConfig, PoseConfig, SceneConfig, ToolMarkerConfig
+
+Matrix = NDArray[np.float64]
+
+R_WO_FACING_ARM = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+R_TM_NOMINAL = np.diag([1.0, -1.0, -1.0])
+_QUIET_CELLS = 1
+_DICTIONARY = cv2.aruco.DICT_5X5_1000
+_CELLS = 7  # five data cells and the black border on either side
+
+
+class Plate(NamedTuple):
+    """A flat rectangle painted with a grid of uniform cells.
+
+    ``X_parent_plate``: pose in the parent (O for the wall's markers, M for what the tool carries), x right, y
+    up, z towards the viewer. ``edges_x`` and ``edges_y`` are the grid lines in metres, ascending; y here
+    counts **downwards**, so that ``grey[row, column]`` reads like a picture. ``lit_by_wall``: the wall's
+    lighting gradient applies.
+    """
+
+    X_parent_plate: Matrix
+    edges_x: Matrix
+    edges_y: Matrix
+    grey: NDArray[np.float32]
+    lit_by_wall: bool
+
+
+def pose_matrix(pose: PoseConfig) -> Matrix:
+    """4x4 homogeneous matrix of a configured pose."""
+    return transform(rotation_matrix(pose.rotation_deg), pose.position_m)
+
+
+def rotation_matrix(rotation_deg: tuple[float, float, float]) -> Matrix:
+    """3x3 rotation matrix of a rotation vector given in degrees."""
+    rotation, _ = cv2.Rodrigues(np.radians(np.array(rotation_deg, dtype=np.float64)).reshape(3, 1))
+    return np.asarray(rotation, dtype=np.float64)
+
+
+def transform(rotation: Matrix, position: tuple[float, float, float] | Matrix) -> Matrix:
+    """4x4 homogeneous matrix from a 3x3 rotation and a position in metres."""
+    result = np.eye(4)
+    result[:3, :3] = rotation
+    result[:3, 3] = position
+    return result
+
+
+def object_pose(config: ObjectConfig) -> Matrix:
+    """X_WO (4x4): the nominal pose that faces the arm, tilted by ``tilt_deg`` in O's own axes."""
+    return transform(R_WO_FACING_ARM @ rotation_matrix(config.tilt_deg), config.position_m)
+
+
+def tool_marker_pose(config: ToolMarkerConfig) -> Matrix:
+    """X_TM (4x4) as it truly is: nominal R = diag(1, -1, -1), then the misalignment in M's axes."""
+    return transform(R_TM_NOMINAL @ rotation_matrix(config.misalignment_deg), config.offset_m)
+
+
+def printed_side(config: MarkerConfig) -> float:
+    """Side length in metres as printed, the scale error included."""
+    return config.side_m * (1.0 + config.print_scale_error)
+
+
+def corners_in_plate(config: MarkerConfig) -> Matrix:
+    """Four corners (4x3, metres) of the printed marker in its plate's axes, ArUco order: from top left,
+    clockwise.
+    """
+    half = printed_side(config) / 2.0
+    return np.array([[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]])
+
+
+def marker_plate(config: MarkerConfig, X_parent_plate: Matrix, lit_by_wall: bool) -> Plate:
+    """The plate of one marker: black and white cells as printed, surrounded by the quiet zone (if it has a
+    width).
+    """
+    dictionary = cv2.aruco.getPredefinedDictionary(_DICTIONARY)
+    bits = cv2.aruco.generateImageMarker(dictionary, config.marker_id, _CELLS) > 127
+    edges = np.linspace(-0.5, 0.5, _CELLS + 1) * printed_side(config)
+    if config.quiet_zone_m > 0.0:
+        bits = np.pad(bits, _QUIET_CELLS, constant_values=True)
+        outer = printed_side(config) / 2.0 + config.quiet_zone_m
+        edges = np.concatenate([[-outer], edges, [outer]])
+    grey = np.where(bits, config.white_grey, config.black_grey).astype(np.float32)
+    return Plate(X_parent_plate, edges, edges, grey, lit_by_wall)
+
+
+class Scene:
+    """Everything visible, as poses and plates. Holds no state: what moves (camera, tool) is passed at each
+    picture.
+
+    ``X_WB`` base in world, ``X_WO`` object of interest in world, ``X_TC`` camera in tool centre point,
+    ``X_TM`` tool marker in tool centre point: all true, 4x4. ``wall_plates`` have parent O, ``tool_plates``
+    parent M; both in painting order.
+    """
+
+    def __init__(self, config: SceneConfig) -> None:
+        self.config = config
+        self.X_WB = pose_matrix(config.base)
+        self.X_WO = object_pose(config.object_of_interest)
+        self.X_TC = pose_matrix(config.mount)
+        self.X_TM = tool_marker_pose(config.tool_marker)
+        self.wall_plates = tuple(
+            marker_plate(marker, self._wall_marker_pose(marker.centre_m, marker.roll_deg), lit_by_wall=True)
+            for marker in config.object_of_interest.markers
+        )
+        self.tool_plates = (*self._bracket(), marker_plate(config.tool_marker, np.eye(4), lit_by_wall=False))
+
+    def marker_corners(self) -> dict[int, tuple[str, Matrix]]:
+        """Marker id → (parent frame "O" or "M", 4x3 corners in it in metres, ArUco order)."""
+        corners = {self.config.tool_marker.marker_id: ("M", corners_in_plate(self.config.tool_marker))}
+        for marker, plate in zip(self.config.object_of_interest.markers, self.wall_plates, strict=True):
+            X_OP = plate.X_parent_plate
+            corners[marker.marker_id] = ("O", corners_in_plate(marker) @ X_OP[:3, :3].T + X_OP[:3, 3])
+        return corners
+
+    @staticmethod
+    def _wall_marker_pose(centre_m: tuple[float, float], roll_deg: float) -> Matrix:
+        return transform(rotation_matrix((0.0, 0.0, roll_deg)), (centre_m[0], centre_m[1], 0.0))
+
+    def _bracket(self) -> tuple[Plate, ...]:
+        tool = self.config.tool_marker
+        if tool.bracket_width_m == 0.0 or tool.bracket_length_m == 0.0:
+            return ()
+        top = printed_side(tool) / 2.0 + tool.quiet_zone_m
+        half = tool.bracket_width_m / 2.0
+        edges_x = np.array([-half, half])
+        edges_y = np.array([top, top + tool.bracket_length_m])
+        grey = np.full((1, 1), tool.bracket_grey, dtype=np.float32)
+        return (Plate(np.eye(4), edges_x, edges_y, grey, lit_by_wall=False),)
