@@ -1,0 +1,240 @@
+"""What arm.yaml and controller.yaml may say, with bounds on every number."""
+
+import zlib
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from protocol.configuration import StrictModel
+
+JOINT_COUNT = 6
+JOINT_NAMES = ("slew", "lift", "tilt", "wrist1", "wrist2", "wrist3")
+
+# Table 1 of Mäkinen et al. 2023: link twists of the paper's arm, and which lengths are zero in its structure.
+_TWISTS_DEG = (90.0, 0.0, 90.0, 90.0, -90.0, 90.0, 90.0)
+_LENGTH_ALLOWED = (True, True, True, False, False, False, False)
+_OFFSET_ALLOWED = (True, False, False, True, False, True, False)
+
+Sextuple = tuple[float, float, float, float, float, float]
+Positive = Annotated[float, Field(gt=0.0)]
+
+
+class DhRow(StrictModel):
+    """One link of the Denavit-Hartenberg table."""
+
+    name: str
+    alpha_deg: float = Field(ge=-180.0, le=180.0)
+    a_m: float = Field(ge=-10.0, le=10.0)
+    theta_offset_deg: float = Field(ge=-360.0, le=360.0)
+    d_m: float = Field(ge=-10.0, le=20.0)
+
+
+class JointConfig(StrictModel):
+    """Range and greatest planned speed of one joint."""
+
+    name: str
+    lower_deg: float = Field(ge=-360.0, le=360.0)
+    upper_deg: float = Field(ge=-360.0, le=360.0)
+    speed_deg_s: float = Field(gt=0.0, le=180.0)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.lower_deg >= self.upper_deg:
+            raise ValueError(f"lower_deg {self.lower_deg} must lie below upper_deg {self.upper_deg}")
+        return self
+
+
+class RotaryDrive(StrictModel):
+    """A vane or rack actuator: joint speed at full spool."""
+
+    name: str
+    kind: Literal["rotary"]
+    speed_rad_s: float = Field(gt=0.0, le=50.0)
+
+
+class CylinderDrive(StrictModel):
+    """A cylinder in a triangle linkage: x = sqrt(long² + short² + 2 long short cos(q + angle_offset))."""
+
+    name: str
+    kind: Literal["cylinder"]
+    long_m: float = Field(gt=0.0, le=10.0)
+    short_m: float = Field(gt=0.0, le=5.0)
+    angle_offset_rad: float = Field(ge=-7.0, le=7.0)
+    extend_m_s: float = Field(gt=0.0, le=5.0)
+    retract_m_s: float = Field(gt=0.0, le=5.0)
+
+
+Drive = Annotated[RotaryDrive | CylinderDrive, Field(discriminator="kind")]
+Interval = tuple[Annotated[float, Field(ge=-50.0, le=50.0)], Annotated[float, Field(ge=-50.0, le=50.0)]]
+
+
+class Workspace(StrictModel):
+    """Box in the base frame, and the least distance from the slew axis, for the tool centre point."""
+
+    x_m: Interval
+    y_m: Interval
+    z_m: Interval
+    radius_min_m: float = Field(ge=0.0, le=20.0)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        for axis, (low, high) in (("x_m", self.x_m), ("y_m", self.y_m), ("z_m", self.z_m)):
+            if low >= high:
+                raise ValueError(f"{axis}: lower end {low} must lie below upper end {high}")
+        return self
+
+
+class ArmConfig(StrictModel):
+    """The nominal arm: seven DH rows of the paper's structure, six joints and drives, the workspace."""
+
+    name: str
+    dh: tuple[DhRow, DhRow, DhRow, DhRow, DhRow, DhRow, DhRow]
+    joints: tuple[JointConfig, JointConfig, JointConfig, JointConfig, JointConfig, JointConfig]
+    drives: tuple[Drive, Drive, Drive, Drive, Drive, Drive]
+    workspace: Workspace
+
+    @model_validator(mode="after")
+    def _structure(self) -> Self:
+        """Table 1's structure; the closed-form inverse kinematics holds for no other, others are refused."""
+        allowed = zip(self.dh, _TWISTS_DEG, _LENGTH_ALLOWED, _OFFSET_ALLOWED, strict=True)
+        for row, twist, length, offset in allowed:
+            if row.alpha_deg != twist:
+                raise ValueError(f"dh {row.name}: alpha_deg = {row.alpha_deg}, Table 1 has {twist}")
+            if row.a_m != 0.0 and not length:
+                raise ValueError(f"dh {row.name}: a_m = {row.a_m}, Table 1 has 0")
+            if row.d_m != 0.0 and not offset:
+                raise ValueError(f"dh {row.name}: d_m = {row.d_m}, Table 1 has 0")
+        mock = self.dh[6]
+        if mock.theta_offset_deg != 0.0:
+            raise ValueError(f"dh {mock.name}: theta_offset_deg = {mock.theta_offset_deg}, Table 1 has 0")
+        for kind, parts in (("joints", self.joints), ("drives", self.drives)):
+            names = tuple(part.name for part in parts)
+            if names != JOINT_NAMES:
+                raise ValueError(f"{kind}: names {names} must be {JOINT_NAMES}")
+        return self
+
+
+def arm_hash(arm: ArmConfig) -> int:
+    """CRC-32 of the arm's canonical JSON: 1…2³²−1 (0 is the link's word for "any arm")."""
+    return zlib.crc32(arm.model_dump_json().encode()) or 1
+
+
+class PoseServoConfig(StrictModel):
+    """Gains of the Cartesian law (4), dead zone of its integral (5), damping near singularities."""
+
+    position_gain_1_s: float = Field(ge=0.0, le=20.0)
+    orientation_gain_1_s: float = Field(ge=0.0, le=40.0)
+    dead_zone_mrad: float = Field(ge=0.0, le=5.0)
+    damping_max: float = Field(ge=0.0, le=1.0)
+    damping_onset: float = Field(gt=0.0, le=0.5)
+
+
+class JointControlConfig(StrictModel):
+    """Joint control (6), PT-1 (25) on lift and tilt, feed-forward and deadband compensation."""
+
+    gain_1_s: tuple[Positive, Positive, Positive, Positive, Positive, Positive]
+    pt1_time_constant_ms: float = Field(ge=0.0, le=2000.0)
+    feed_forward: float = Field(ge=0.0, le=1.5)
+    deadband_compensation: Sextuple
+    deadband_blend: float = Field(gt=0.0, le=0.2)
+    valve_limit: float = Field(gt=0.0, le=1.0)
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        if max(self.gain_1_s) > 50.0:
+            raise ValueError(f"gain_1_s: {max(self.gain_1_s)} is above 50")
+        if not all(0.0 <= value <= 0.3 for value in self.deadband_compensation):
+            raise ValueError(f"deadband_compensation: {self.deadband_compensation} must lie in 0…0.3")
+        return self
+
+
+class MotionConfig(StrictModel):
+    """Limits of planned motion, and what is refused at the door."""
+
+    speed_m_s: float = Field(gt=0.0, le=3.0)
+    acceleration_m_s2: float = Field(gt=0.0, le=10.0)
+    turn_speed_deg_s: float = Field(gt=0.0, le=180.0)
+    turn_acceleration_deg_s2: float = Field(gt=0.0, le=720.0)
+    duration_min_s: float = Field(ge=0.05, le=10.0)
+    duration_max_s: float = Field(gt=0.0, le=3600.0)
+    stop_acceleration_m_s2: float = Field(gt=0.0, le=20.0)
+    stop_turn_acceleration_deg_s2: float = Field(gt=0.0, le=1440.0)
+    stop_min_s: float = Field(ge=0.02, le=5.0)
+    first_point_distance_m: float = Field(gt=0.0, le=50.0)
+    singular_value_min: float = Field(ge=0.0, le=0.5)
+    joint_margin_deg: float = Field(ge=0.0, le=10.0)
+
+
+class SettledConfig(StrictModel):
+    """When the arm counts as settled: joint-equivalent error inside the tolerance for the whole time."""
+
+    tolerance_mrad: float = Field(gt=0.0, le=20.0)
+    time_ms: float = Field(ge=0.0, le=10_000.0)
+
+
+class SupervisionConfig(StrictModel):
+    """When the controller stops by itself."""
+
+    missed_exchanges: int = Field(ge=1, le=1000)
+    frozen_exchanges: int = Field(ge=1, le=1000)
+    echo_lag_cycles: int = Field(ge=1, le=1000)
+    overrun_ms: float = Field(gt=0.0, le=5000.0)
+    following_error_deg: Sextuple
+    encoder_jump_deg: float = Field(gt=0.0, le=90.0)
+    encoder_stuck_valve: float = Field(gt=0.0, le=1.0)
+    encoder_stuck_ms: float = Field(gt=0.0, le=10_000.0)
+    overspeed_m_s: float = Field(gt=0.0, le=10.0)
+    overspeed_ms: float = Field(ge=0.0, le=1000.0)
+    supply_min_bar: float = Field(ge=0.0, le=400.0)
+    supply_low_ms: float = Field(ge=0.0, le=10_000.0)
+    valves_enable_ms: float = Field(gt=0.0, le=10_000.0)
+    workspace_margin_m: float = Field(ge=0.0, le=2.0)
+    joint_overtravel_deg: float = Field(ge=0.0, le=10.0)
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Self:
+        if not all(0.0 < value <= 90.0 for value in self.following_error_deg):
+            raise ValueError(f"following_error_deg: {self.following_error_deg} must lie in 0…90, 0 excluded")
+        return self
+
+
+class PlantLinkConfig(StrictModel):
+    """Where the plant's Modbus TCP face is, and how long one exchange may take."""
+
+    host: str = Field(min_length=1)
+    port: int = Field(ge=1, le=65535)
+    unit_id: int = Field(ge=0, le=247)
+    timeout_ms: float = Field(ge=1.0, le=1000.0)
+    reconnect_ms: float = Field(ge=10.0, le=60_000.0)
+
+
+class ReferenceLinkConfig(StrictModel):
+    """Where the UDP reference server listens (port 0: any free one) and when its peer counts as gone."""
+
+    host: str = Field(min_length=1)
+    port: int = Field(ge=0, le=65535)
+    link_timeout_ms: int = Field(ge=20, le=60_000)
+
+
+class ControllerConfig(StrictModel):
+    """controller.yaml as a whole."""
+
+    cycle_ms: float = Field(ge=1.0, le=10.0)
+    pose_servo: PoseServoConfig
+    joint_control: JointControlConfig
+    motion: MotionConfig
+    settled: SettledConfig
+    supervision: SupervisionConfig
+    plant_link: PlantLinkConfig
+    reference_link: ReferenceLinkConfig
+    flight_recorder_scans: int = Field(ge=1, le=100_000)
+    fifo_priority: int = Field(ge=0, le=99)
+
+    @model_validator(mode="after")
+    def _settles(self) -> Self:
+        if self.pose_servo.dead_zone_mrad >= self.settled.tolerance_mrad:
+            raise ValueError(
+                f"pose_servo.dead_zone_mrad = {self.pose_servo.dead_zone_mrad} must lie below "
+                f"settled.tolerance_mrad = {self.settled.tolerance_mrad}, or the arm never settles"
+            )
+        return self

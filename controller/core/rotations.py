@@ -1,0 +1,149 @@
+"""Rotations: unit quaternions written w, x, y, z, rotation vectors, and the derivatives that link them."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+Array = npt.NDArray[np.float64]
+
+# Below this angle the trigonometric quotients are replaced by their series (truncation below 1e-16).
+_SMALL_ANGLE = 0.02
+
+
+@njit(cache=True)
+def cross(a: Array, b: Array) -> Array:
+    """The vector product a × b, both of shape (3,)."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+@njit(cache=True)
+def quaternion_product(a: Array, b: Array) -> Array:
+    """The product a ⊗ b: rotation b first, then a; each of shape (4,), w first."""
+    return np.array(
+        [
+            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+        ]
+    )
+
+
+@njit(cache=True)
+def conjugate(q: Array) -> Array:
+    """The inverse of a unit quaternion."""
+    return np.array([q[0], -q[1], -q[2], -q[3]])
+
+
+@njit(cache=True)
+def matrix_from_quaternion(q: Array) -> Array:
+    """The rotation matrix, (3, 3), of a unit quaternion (4,)."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
+@njit(cache=True)
+def quaternion_from_matrix(R: Array) -> Array:
+    """The unit quaternion (4,), w ≥ 0, of a rotation matrix (3, 3); after Shepperd."""
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    if trace >= R[0, 0] and trace >= R[1, 1] and trace >= R[2, 2]:
+        q = np.array([1.0 + trace, R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    elif R[0, 0] >= R[1, 1] and R[0, 0] >= R[2, 2]:
+        q = np.array([R[2, 1] - R[1, 2], 1.0 + 2.0 * R[0, 0] - trace, R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]])
+    elif R[1, 1] >= R[2, 2]:
+        q = np.array([R[0, 2] - R[2, 0], R[0, 1] + R[1, 0], 1.0 + 2.0 * R[1, 1] - trace, R[1, 2] + R[2, 1]])
+    else:
+        q = np.array([R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], 1.0 + 2.0 * R[2, 2] - trace])
+    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return q / norm if q[0] >= 0.0 else -q / norm
+
+
+@njit(cache=True)
+def orientation_error(desired: Array, actual: Array) -> Array:
+    """δr = η ε_d − η_d ε − ε_d × ε, (3,), base frame: sin(angle/2) · axis, actual to desired, the short way.
+
+    Both arguments are unit quaternions (4,); the sign of either does not matter.
+    Source: Siciliano et al., used by Mäkinen et al. 2023 in (4).
+    """
+    product = 0.0
+    for k in range(4):
+        product += desired[k] * actual[k]
+    sign = 1.0 if product >= 0.0 else -1.0  # q and −q are one rotation; a positive product is the short way
+    error: Array = actual[0] * desired[1:4] - desired[0] * actual[1:4] - cross(desired[1:4], actual[1:4])
+    return sign * error
+
+
+@njit(cache=True)
+def quaternion_from_vector(theta: Array) -> Array:
+    """exp: the unit quaternion (4,) of a rotation vector (3,)."""
+    angle = math.sqrt(theta[0] * theta[0] + theta[1] * theta[1] + theta[2] * theta[2])
+    factor = 0.5 - angle * angle / 48.0 if angle < 1e-4 else math.sin(0.5 * angle) / angle
+    return np.array([math.cos(0.5 * angle), factor * theta[0], factor * theta[1], factor * theta[2]])
+
+
+@njit(cache=True)
+def vector_from_quaternion(q: Array) -> Array:
+    """log: the rotation vector (3,), no longer than π, of a unit quaternion (4,); q and −q give the same."""
+    s = math.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    w = abs(q[0])
+    sign = 1.0 if q[0] >= 0.0 else -1.0
+    factor = 2.0 / w if s < 1e-12 else 2.0 * math.atan2(s, w) / s
+    return sign * factor * q[1:4]
+
+
+@njit(cache=True)
+def angular_motion(theta: Array, theta_dot: Array, theta_ddot: Array) -> tuple[Array, Array]:
+    """Angular velocity ω and acceleration α, base frame, of exp(θ(t)) R_0 with θ a rotation vector.
+
+    ω = θ̇ + A θ×θ̇ + B θ×(θ×θ̇) with A = (1 − cos φ)/φ², B = (φ − sin φ)/φ³, φ = |θ| (the left Jacobian of
+    SO(3)); α is its time derivative.
+    """
+    square = theta[0] * theta[0] + theta[1] * theta[1] + theta[2] * theta[2]
+    phi = math.sqrt(square)
+    if phi < _SMALL_ANGLE:
+        a = 0.5 - square / 24.0 + square * square / 720.0
+        b = 1.0 / 6.0 - square / 120.0 + square * square / 5040.0
+        a_slope = -1.0 / 12.0 + square / 180.0 - square * square / 6720.0
+        b_slope = -1.0 / 60.0 + square / 1260.0 - square * square / 60480.0
+    else:
+        sine, cosine = math.sin(phi), math.cos(phi)
+        a = (1.0 - cosine) / square
+        b = (phi - sine) / (square * phi)
+        a_slope = (phi * sine - 2.0 * (1.0 - cosine)) / (square * square)
+        b_slope = (phi * (1.0 - cosine) - 3.0 * (phi - sine)) / (square * square * phi)
+    along = theta[0] * theta_dot[0] + theta[1] * theta_dot[1] + theta[2] * theta_dot[2]  # φ φ̇
+    first = cross(theta, theta_dot)
+    second = cross(theta, first)
+    omega = theta_dot + a * first + b * second
+    bend = cross(theta, theta_ddot)
+    alpha = theta_ddot + a * bend + b * (cross(theta_dot, first) + cross(theta, bend))
+    return omega, alpha + along * (a_slope * first + b_slope * second)
+
+
+@njit(cache=True)
+def vector_rates(theta: Array, omega: Array, alpha: Array) -> tuple[Array, Array]:
+    """θ̇ and θ̈ that give ω and α: the inverse of ``angular_motion``, valid for |θ| < 2π."""
+    theta_dot = _inverse_left_jacobian(theta, omega)
+    _, bias = angular_motion(theta, theta_dot, np.zeros(3))
+    return theta_dot, _inverse_left_jacobian(theta, alpha - bias)
+
+
+@njit(cache=True)
+def _inverse_left_jacobian(theta: Array, vector: Array) -> Array:
+    square = theta[0] * theta[0] + theta[1] * theta[1] + theta[2] * theta[2]
+    phi = math.sqrt(square)
+    if phi < _SMALL_ANGLE:
+        c = 1.0 / 12.0 + square / 720.0 + square * square / 30240.0
+    else:
+        c = (1.0 - 0.5 * phi / math.tan(0.5 * phi)) / square
+    first = cross(theta, vector)
+    result: Array = vector - 0.5 * first + c * cross(theta, first)
+    return result

@@ -1,0 +1,34 @@
+"""The configuration files as shipped, read once."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from controller.config import ArmConfig, ControllerConfig
+from controller.core.denavit_hartenberg import dh_table
+from controller.core.rotations import Array
+from protocol.configuration import load
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+@pytest.fixture(scope="session")
+def arm() -> ArmConfig:
+    return load(ArmConfig, CONFIGS / "arm.yaml")
+
+
+@pytest.fixture(scope="session")
+def config() -> ControllerConfig:
+    return load(ControllerConfig, CONFIGS / "controller.yaml")
+
+
+@pytest.fixture(scope="session")
+def table(arm: ArmConfig) -> Array:
+    return dh_table(arm.dh)
+
+
+@pytest.fixture(scope="session")
+def joint_range(arm: ArmConfig) -> tuple[Array, Array]:
+    lower = np.radians([joint.lower_deg for joint in arm.joints])
+    return lower, np.radians([joint.upper_deg for joint in arm.joints])

@@ -1,0 +1,34 @@
+"""Quintic polynomials: end conditions exact, rest to rest is 10-15-6."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controller.core.quintic import coefficients, evaluate
+
+_numbers = st.floats(-5.0, 5.0)
+_ends = st.tuples(_numbers, _numbers, _numbers).map(np.array)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(start=_ends, end=_ends, duration=st.floats(0.05, 60.0))
+def test_end_conditions_are_met(start: np.ndarray, end: np.ndarray, duration: float) -> None:
+    c = coefficients(start, end, duration)
+    scale = max(np.abs(start).max(), np.abs(end).max(), 1e-3) * max(1.0, duration**2) * max(1.0, duration**-2)
+    assert evaluate(c, 0.0) == pytest.approx(start, abs=0.0)
+    assert evaluate(c, duration) == pytest.approx(end, abs=1e-12 * scale)
+
+
+def test_rest_to_rest_is_the_10_15_6_polynomial() -> None:
+    c = coefficients(np.zeros(3), np.array([1.0, 0.0, 0.0]), 2.0)
+    for s in np.linspace(0.0, 1.0, 21):
+        assert evaluate(c, 2.0 * s)[0] == pytest.approx(10 * s**3 - 15 * s**4 + 6 * s**5, abs=1e-14)
+    assert evaluate(c, 1.0)[1] == pytest.approx(1.875 / 2.0)
+
+
+def test_derivatives_equal_numpy() -> None:
+    c = np.array([0.3, -1.2, 0.7, 2.0, -0.4, 0.05])
+    p = np.polynomial.Polynomial(c)
+    for t in (0.0, 0.4, 1.7):
+        assert evaluate(c, t) == pytest.approx((p(t), p.deriv()(t), p.deriv(2)(t)))
