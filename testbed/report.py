@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jinja2 import Environment, PackageLoader, select_autoescape
+from jinja2 import Environment, PackageLoader
 
 from testbed import outcome as outcomes
 from testbed import plots
@@ -59,7 +59,7 @@ def write_report(
         Picture("Beside the object after each look", plots.target_plot(outcome.stages)),
         Picture("Joint tracking at the encoders", plots.joint_plot(traces, outcome.stages)),
     )
-    environment = Environment(loader=PackageLoader("testbed"), autoescape=select_autoescape())
+    environment = Environment(loader=PackageLoader("testbed"), autoescape=True)
     html = environment.get_template("report.html.j2").render(
         outcome=outcome,
         verdict=outcomes.verdict(outcome),

@@ -1,0 +1,29 @@
+# One image for the three services: `python -m controller`, `plant_emulator` or `vision_pc` is its command.
+ARG BASE=python:3.11-slim-bookworm
+FROM ${BASE}
+
+RUN /usr/sbin/useradd --create-home --uid 10001 longreach \
+    && python -m venv /opt/longreach \
+    && install -d -o longreach -g longreach /var/lib/longreach
+ENV PATH=/opt/longreach/bin:$PATH \
+    PYTHONUNBUFFERED=1 \
+    PYTHONDONTWRITEBYTECODE=1 \
+    NUMBA_CACHE_DIR=/var/lib/longreach/numba \
+    MPLCONFIGDIR=/tmp/matplotlib
+
+# Dependencies first: this layer changes only with the lock file.
+WORKDIR /build
+COPY requirements.lock ./
+RUN pip install --no-cache-dir --quiet --require-hashes -r requirements.lock
+
+COPY pyproject.toml README.md LICENSE ./
+COPY protocol protocol
+COPY controller controller
+COPY plant_emulator plant_emulator
+COPY vision_pc vision_pc
+COPY testbed testbed
+RUN pip install --no-cache-dir --quiet --no-deps --no-build-isolation . && rm -rf /build/*
+
+WORKDIR /srv/longreach
+COPY configs configs
+USER longreach
