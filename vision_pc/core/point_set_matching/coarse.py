@@ -1,8 +1,8 @@
 """Coarse frame alignment: one right-handed frame laid into each of two traces of the same path.
 
-It keeps the fine match from a mirrored or flipped answer (Mäkinen et al. 2023, section 3.2.2, step 1). What it
-needs of the path, an open and bent shape that is not its own mirror image, is measured by ``path_shape`` so that
-a path can be refused before the arm moves.
+It keeps the fine match from a mirrored or flipped answer (Mäkinen et al. 2023, section 3.2.2, step 1). What
+it needs of the path, an open and bent shape that is not its own mirror image, is measured by ``path_shape``
+so that a path can be refused before the arm moves.
 """
 
 from typing import NamedTuple
@@ -20,8 +20,9 @@ class PathShape(NamedTuple):
     """How well a trace fixes a rotation. All but ``extent_m`` are ratios to its extent (rms radius).
 
     ``straightness``: second principal spread over the first (0: a line). ``openness``: distance of the ends.
-    ``turning``: signed area between path and chord over chord times extent. ``asymmetry``: rms distance to its
-    nearest twin, the same set turned by 180° about any axis in its plane, or by any angle over 20° within it.
+    ``turning``: signed area between path and chord over chord times extent. ``asymmetry``: rms distance to
+    its nearest twin, the same set turned by 180° about any axis in its plane, or by any angle over 20°
+    within it.
     """
 
     extent_m: float
@@ -37,7 +38,9 @@ def path_shape(points: Array) -> PathShape:
     Raises MeasurementFailed for fewer than four points or no extent.
     """
     if len(points) < 4:
-        raise MeasurementFailed("measurement.too_few_samples", f"path: {len(points)} points, at least 4 are wanted")
+        raise MeasurementFailed(
+            "measurement.too_few_samples", f"path: {len(points)} points, at least 4 are wanted"
+        )
     smooth = _running_median(points)
     centred = smooth - smooth.mean(axis=0)
     extent = float(np.sqrt((centred**2).sum(axis=1).mean()))
@@ -47,29 +50,34 @@ def path_shape(points: Array) -> PathShape:
     chord = smooth[-1] - smooth[0]
     openness = float(np.linalg.norm(chord)) / extent
     turning = float(np.linalg.norm(_area_vector(smooth))) / (extent * max(float(np.linalg.norm(chord)), 1e-9))
-    return PathShape(extent, float(spreads[1] / spreads[0]), openness, turning, _twin_distance(centred) / extent)
+    return PathShape(
+        extent, float(spreads[1] / spreads[0]), openness, turning, _twin_distance(centred) / extent
+    )
 
 
 def path_frame(points: Array) -> Array:
     """R (3×3) whose columns are the path's own axes: chord in the plane, across, normal.
 
     ``points`` (N, 3) in time order. The normal is that of the principal plane, with the sign of the turning
-    direction: the area between path and chord counts positive. Raises MeasurementFailed when the path is straight
-    (``measurement.path_straight``), closed (``.path_closed``) or turns as much left as right
+    direction: the area between path and chord counts positive. Raises MeasurementFailed when the path is
+    straight (``measurement.path_straight``), closed (``.path_closed``) or turns as much left as right
     (``.path_symmetric``): then the frame would hang on noise.
     """
     shape = path_shape(points)
     if shape.straightness < 0.05:
         raise MeasurementFailed(
-            "measurement.path_straight", f"path: spread ratio {shape.straightness:.3f}, at least 0.05 is wanted"
+            "measurement.path_straight",
+            f"path: spread ratio {shape.straightness:.3f}, at least 0.05 is wanted",
         )
     if shape.openness < 0.5:
         raise MeasurementFailed(
-            "measurement.path_closed", f"path: ends {shape.openness:.2f} extents apart, at least 0.5 is wanted"
+            "measurement.path_closed",
+            f"path: ends {shape.openness:.2f} extents apart, at least 0.5 is wanted",
         )
-    if shape.turning < 0.05:
+    if shape.turning < 0.02:
         raise MeasurementFailed(
-            "measurement.path_symmetric", f"path: turning measure {shape.turning:.3f}, at least 0.05 is wanted"
+            "measurement.path_symmetric",
+            f"path: turning measure {shape.turning:.3f}, at least 0.02 is wanted",
         )
     smooth = _running_median(points)
     normal = np.linalg.svd(smooth - smooth.mean(axis=0), full_matrices=False)[2][2]

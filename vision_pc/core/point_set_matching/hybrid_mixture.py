@@ -1,9 +1,9 @@
 """Fine matching of two pose trajectories by a hybrid mixture model, solved by expectation maximisation.
 
-Positions are Gaussian, directions von Mises-Fisher, outliers uniform (Min, Wang and Meng 2018, as used by Mäkinen
-et al. 2023, refs. 30 and 31). Each model point y_m with unit directions v_ma explains a data point x_n with unit
-directions n_na by x ≈ R y + t, n ≈ R v. Camera trace and kinematic trace may be associated in time (then x_n
-belongs to y_n or is an outlier) or not (then every y_m competes for every x_n).
+Positions are Gaussian, directions von Mises-Fisher, outliers uniform (Min, Wang and Meng 2018, as used by
+Mäkinen et al. 2023, refs. 30 and 31). Each model point y_m with unit directions v_ma explains a data point
+x_n with unit directions n_na by x ≈ R y + t, n ≈ R v. Camera trace and kinematic trace may be associated in
+time (then x_n belongs to y_n or is an outlier) or not (then every y_m competes for every x_n).
 """
 
 import math
@@ -61,8 +61,8 @@ def match_trajectories(data: PoseSet, model: PoseSet, R_start: Array, *, associa
     """The hybrid-mixture match of ``data`` (camera) on ``model`` (kinematics), from the coarse R ``R_start``.
 
     Source: formulas of ``p(n|m)``, E and M step as derived for the hybrid mixture model; responsibilities are
-    kept in logarithms. Raises MeasurementFailed for fewer than four points, unequal counts when ``associated``,
-    or when the outliers take over (``measurement.match_lost``).
+    kept in logarithms. Raises MeasurementFailed for fewer than four points, unequal counts when
+    ``associated``, or when the outliers take over (``measurement.match_lost``).
     """
     _check(data, model, associated)
     x, y = data.positions, model.positions
@@ -72,29 +72,33 @@ def match_trajectories(data: PoseSet, model: PoseSet, R_start: Array, *, associa
     kappa = _start_concentration(data, model, R)
     share = _OUTLIERS_START
     volume = float(np.prod(np.ptp(x, axis=0) + 3.0 * math.sqrt(variance)))
-    previous, converged, iteration = -math.inf, False, 0
-    for iteration in range(1, _ITERATIONS + 1):
+    previous, converged, iterations = -math.inf, False, 0
+    while not converged and iterations < _ITERATIONS:
+        iterations += 1
         log_p = _log_density(data, model, R, t, variance, kappa, associated)
         p, likelihood = _responsibilities(log_p, share, volume, data.directions.shape[1], len(y), associated)
         if abs(likelihood - previous) < _STOP_RELATIVE * abs(likelihood):
             converged = True
-            break
         previous = likelihood
         R, t, variance, kappa, share = _maximise(data, model, p, variance, kappa, associated)
     inlier = p if associated else p.sum(axis=1)
-    return MixtureMatch(R, t, math.sqrt(variance), kappa, share, inlier, likelihood, iteration, converged)
+    return MixtureMatch(R, t, math.sqrt(variance), kappa, share, inlier, likelihood, iterations, converged)
 
 
 def _check(data: PoseSet, model: PoseSet, associated: bool) -> None:
     n, m = len(data.positions), len(model.positions)
     if min(n, m) < 4:
-        raise MeasurementFailed("measurement.too_few_samples", f"matching: {n} and {m} points, at least 4 are wanted")
+        raise MeasurementFailed(
+            "measurement.too_few_samples", f"matching: {n} and {m} points, at least 4 are wanted"
+        )
     if associated and n != m:
-        raise MeasurementFailed("measurement.not_associated", f"matching: {n} against {m} points in time association")
+        raise MeasurementFailed(
+            "measurement.not_associated", f"matching: {n} against {m} points in time association"
+        )
 
 
 def _start_concentration(data: PoseSet, model: PoseSet, R: Array) -> float:
-    """κ to start from: what the mean directions show under ``R``, at most 10, so that a far start is not lost."""
+    """κ to start from: what the mean directions show under ``R``, at most 10: a far start is not lost."""
     axes = data.directions.shape[1]
     if not axes:
         return 0.0
@@ -155,7 +159,9 @@ def _maximise(
     by_data, by_model = (p, p) if associated else (p.sum(axis=1), p.sum(axis=0))
     total = float(by_data.sum())
     if total < 3.0:
-        raise MeasurementFailed("measurement.match_lost", f"matching: only {total:.1f} points are not outliers")
+        raise MeasurementFailed(
+            "measurement.match_lost", f"matching: only {total:.1f} points are not outliers"
+        )
     x_mean, y_mean = by_data @ x / total, by_model @ y / total
     x_weighted = p[:, None] * (x - x_mean) if associated else p.T @ (x - x_mean)
     H = (y - y_mean).T @ x_weighted / variance

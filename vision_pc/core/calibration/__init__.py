@@ -1,0 +1,1 @@
+"""Calibration programs: orientation adjustment, line equation, trajectory matching, local map."""

@@ -1,0 +1,98 @@
+"""Settings of the calibration and positioning programs: section ``programs`` of ``vision.yaml``."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from protocol.configuration import StrictModel
+
+Length = Annotated[float, Field(ge=0.01, le=1.5)]
+Seconds = Annotated[float, Field(ge=0.0, le=60.0)]
+
+
+class OrientationSettings(StrictModel):
+    """Orientation adjustment (7)(8). ``form``: the paper's, or the one that is right in any frame."""
+
+    form: Literal["frame_true", "paper"]
+    repetitions: int = Field(ge=1, le=5)
+    limit_deg: float = Field(gt=0.0, le=90.0)
+
+
+class LineEquationSettings(StrictModel):
+    """Line equation (10)-(16). ``minimum``: the least sample (paper), or a circle fitted through all."""
+
+    radius_m: float = Field(ge=0.02, le=0.6)
+    points: int = Field(ge=6, le=24)
+    segment_s: Seconds
+    minimum: Literal["sample", "fit"]
+    seen_share: float = Field(gt=0.0, le=1.0)
+    step_limit_m: float = Field(gt=0.0, le=5.0)
+
+
+class TrajectorySettings(StrictModel):
+    """Trajectory matching (17)-(19) and the match.
+
+    ``heading_deg`` turns the whole path in the n-s plane; ``turn_deg`` is the paper's π/4. ``placement``:
+    the path starts where the arm stands (paper) or ends there, so that the object is in view again.
+    ``method``: ``points`` matches the marker's positions (the lever arm between camera and tool removed),
+    ``paper`` the camera's poses.
+    """
+
+    segments_m: tuple[Length, ...] = Field(min_length=2, max_length=23)
+    turn_deg: float = Field(ge=5.0, le=175.0)
+    heading_deg: float = Field(ge=-180.0, le=180.0)
+    placement: Literal["ends_here", "starts_here"]
+    segment_s: Seconds
+    dwell_s: Seconds
+    method: Literal["points", "paper"]
+    association: Literal["time", "none"]
+    minimum_samples: int = Field(ge=8, le=10_000)
+    lost_share_limit: float = Field(ge=0.0, le=0.9)
+    outlier_share_limit: float = Field(gt=0.0, le=0.9)
+    residual_limit_m: float = Field(gt=0.0, le=1.0)
+    scale_limit: float = Field(gt=0.0, le=1.0)
+    condition_limit: float = Field(ge=1.0)
+    rotation_std_limit_deg: float = Field(gt=0.0, le=45.0)
+
+
+class LocalMapSettings(StrictModel):
+    """Best mode: three legs along n, s and a, a local affine map with slew play, and a mid-course correction.
+
+    ``strain_std``, ``play_std_m`` and ``noise_std_m`` are the prior of the map; ``play_rad`` half the
+    slew's play; ``wrist_to_tool_m`` the distance along the tool axis from the wrist's centre, on the slew
+    plane, to the TCP.
+    """
+
+    leg_m: float = Field(ge=0.05, le=0.5)
+    segment_s: Seconds
+    dwell_s: Seconds
+    strain_std: float = Field(gt=0.0, le=0.2)
+    play_std_m: float = Field(gt=0.0, le=0.05)
+    play_rad: float = Field(gt=0.0, le=0.02)
+    noise_std_m: float = Field(gt=0.0, le=0.05)
+    wrist_to_tool_m: float = Field(ge=-2.0, le=2.0)
+    first_share: float = Field(ge=0.3, le=0.98)
+    minimum_samples: int = Field(ge=8, le=10_000)
+    residual_limit_m: float = Field(gt=0.0, le=1.0)
+
+
+class PositioningSettings(StrictModel):
+    """Look-then-move (20)-(22). ``strain_std`` and ``servo_std_m`` are what a rotation alone cannot know."""
+
+    clearance_m: float = Field(ge=0.0, le=1.0)
+    tolerance_m: float = Field(gt=0.0, le=0.1)
+    inputs: int = Field(ge=1, le=10)
+    step_limit_m: float = Field(gt=0.0, le=5.0)
+    duration_s: Seconds
+    strain_std: float = Field(ge=0.0, le=0.2)
+    servo_std_m: float = Field(ge=0.0, le=0.05)
+
+
+class ProgramSettings(StrictModel):
+    """All programs' settings."""
+
+    orientation: OrientationSettings
+    line_equation: LineEquationSettings
+    trajectory: TrajectorySettings
+    local_map: LocalMapSettings
+    positioning: PositioningSettings
