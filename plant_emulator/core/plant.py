@@ -1,0 +1,230 @@
+"""The plant: valve commands in, sensors out, physics in between, and the truth for its own recording only."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant_emulator.core.equilibrium import rest_state
+from plant_emulator.core.faults import Fault, FaultKind, checked
+from plant_emulator.core.geometry import base_tilt, transform
+from plant_emulator.core.layout import (
+    DRIVEN,
+    FLEXIBLE,
+    N_ACTUATORS,
+    N_COORDINATES,
+    PRESSURE_A,
+    PRESSURE_B,
+    RATE,
+    SPOOL,
+    SPOOL_RATE,
+    SUPPLY,
+    TEMPERATURE,
+    Q,
+)
+from plant_emulator.core.model import build_model, put_payload, start_coordinates
+from plant_emulator.core.multibody import forward_kinematics
+from plant_emulator.core.right_hand_side import FLOW_A, FLOW_B, advance, new_work
+from plant_emulator.core.sensors import Encoders
+from plant_emulator.core.truth import Mounts, PlantTruth, inverse
+from plant_emulator.plant_config import BAR, PlantConfig
+from protocol.errors import ImageRefused, RequestRefused
+from protocol.process_image import (
+    CONTROL_ENABLE,
+    CONTROL_RESET_WATCHDOG,
+    STATUS_SENSOR_FAULT,
+    STATUS_SUPPLY_ON,
+    STATUS_VALVES_ENABLED,
+    STATUS_WATCHDOG_TRIPPED,
+    SensorImage,
+    ValveImage,
+)
+
+Array = NDArray[np.float64]
+
+NOMINAL_MOUNTS = Mounts(
+    X_WB=np.eye(4),
+    X_TC=transform(np.eye(3), np.array([-0.20, -0.05, -0.40])),
+    X_TM=transform(np.diag([1.0, -1.0, -1.0]), np.zeros(3)),
+    X_WO=transform(np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([4.7, 0.0, 1.0])),
+)
+
+
+class _Pending(NamedTuple):
+    """A valve command on its way through the drive electronics."""
+
+    due_ns: int
+    valves: tuple[float, ...]
+
+
+class Plant:
+    """The arm, its oil and its sensors at simulated time ``time_ns``; no clock, no sockets, bit-identical for one seed.
+
+    Starts at rest at the configured pose. The loop around it is ``write`` the valve image, ``advance``, ``read``.
+    """
+
+    def __init__(self, config: PlantConfig, seed: int, mounts: Mounts = NOMINAL_MOUNTS) -> None:
+        self.config = config
+        self.time_ns = 0
+        self._step_ns = round(config.step_ms * 1e6)
+        self._owed_ns = 0
+        self._rng = np.random.default_rng(seed)
+        self._mounts = mounts._replace(X_WB=mounts.X_WB @ base_tilt(config))
+        self._model, self._chain, self._bare_tool = build_model(config)
+        self._payload_kg = config.payload.mass_kg
+        put_payload(self._model, self._bare_tool, self._payload_kg, config, self._chain)
+        self._state = rest_state(self._model, start_coordinates(config), config.oil.temperature_degc)
+        self._work = new_work()
+        self._encoders = Encoders(config.errors, self._rng)
+        play = config.errors.backlash
+        self._half_play = np.asarray(play.half_width_mrad) * 1e-3 if play.enabled else np.zeros(N_ACTUATORS)
+        self._shaft = self._state[list(DRIVEN)].copy()
+        self._drive = np.zeros(N_ACTUATORS)
+        self._target = np.zeros(N_ACTUATORS)
+        self._pending: list[_Pending] = []
+        self._faults: dict[str, Fault] = {}
+        self._valve_table = self._model.hydraulics.valve.copy()
+        self._image: ValveImage | None = None
+        self._fresh_ns = 0
+        self._tripped = False
+        self._cycle = 0
+
+    def write(self, image: ValveImage) -> None:
+        """Take the controller's valve image; valves act only while enabled and while the watchdog has not tripped.
+
+        Raises ImageRefused when a valve command is not finite.
+        """
+        if not all(map(math.isfinite, image.valves)):
+            raise ImageRefused("image.not_finite", f"valve commands {image.valves}: finite numbers are wanted")
+        before = self._image
+        if before is None or image.controller_cycle != before.controller_cycle:
+            self._fresh_ns = self.time_ns + self._owed_ns
+        if image.control & CONTROL_RESET_WATCHDOG and not (before and before.control & CONTROL_RESET_WATCHDOG):
+            self._tripped = False
+            self._fresh_ns = self.time_ns + self._owed_ns
+        self._image = image
+        self._command(tuple(image.valves) if self._enabled() else (0.0,) * N_ACTUATORS)
+
+    def advance(self, duration_ns: int) -> None:
+        """Let ``duration_ns`` of simulated time pass; a remainder below one step is owed to the next call."""
+        if duration_ns < 0:
+            raise ValueError(f"duration_ns = {duration_ns}: time does not run backwards")
+        self._owed_ns += duration_ns
+        while self._owed_ns >= self._step_ns:
+            self._events()
+            until = min([p.due_ns for p in self._pending] + [self._deadline_ns(), self.time_ns + self._owed_ns])
+            steps = min(max(-(-(until - self.time_ns) // self._step_ns), 1), self._owed_ns // self._step_ns)
+            advance(
+                self._state, self._drive, self._target, self._shaft, self._half_play, steps, self._step_ns * 1e-9,
+                self._model, self._work,
+            )  # fmt: skip
+            self.time_ns += steps * self._step_ns
+            self._owed_ns -= steps * self._step_ns
+        self._events()
+        self._cycle = (self._cycle + 1) & 0xFFFFFFFF
+
+    def read(self) -> SensorImage:
+        """The sensors at this instant, as the fieldbus carries them."""
+        pressures = self._state[PRESSURE_A : PRESSURE_B + N_ACTUATORS].reshape(2, N_ACTUATORS).T / BAR
+        a, b, c, d, e, f = self._encoders.read(self._shaft)
+        return SensorImage(
+            plant_cycle=self._cycle,
+            echo_cycle=0 if self._image is None else self._image.controller_cycle,
+            status=self._status(),
+            encoder_counts=(a, b, c, d, e, f),
+            pressures_bar=tuple((float(p[0]), float(p[1])) for p in pressures),
+            supply_bar=float(self._state[SUPPLY]) / BAR,
+            return_bar=float(self._model.hydraulics.supply[1]) / BAR,
+            oil_temperature_degc=float(self._state[TEMPERATURE]),
+        )
+
+    def truth(self) -> PlantTruth:
+        """Where everything really is at this instant; for the plant's recording, never for another service."""
+        work, state = self._work, self._state
+        forward_kinematics(state[Q : Q + N_COORDINATES], self._model.mechanism, work.multibody)
+        X_BT = transform(work.multibody.rotation[-1], work.multibody.origin[-1]) @ self._chain.X_BT_home
+        mounts = self._mounts
+        X_WT = mounts.X_WB @ X_BT
+        X_WC, X_WM = X_WT @ mounts.X_TC, X_WT @ mounts.X_TM
+        X_CW = inverse(X_WC)
+        X_CM, X_CO = X_CW @ X_WM, X_CW @ mounts.X_WO
+        driven, flexible = list(DRIVEN), list(FLEXIBLE)
+        return PlantTruth(
+            time_ns=self.time_ns, q=state[driven], q_rate=state[RATE : RATE + N_COORDINATES][driven],
+            deflections=state[flexible], X_BT=X_BT, X_WB=mounts.X_WB, X_WT=X_WT, X_WC=X_WC, X_WM=X_WM, X_WO=mounts.X_WO,
+            p_CM=X_CM[:3, 3], p_CO=X_CO[:3, 3], R_CM=X_CM[:3, :3], R_CO=X_CO[:3, :3],
+            pressures=state[PRESSURE_A : PRESSURE_B + N_ACTUATORS].reshape(2, N_ACTUATORS).T.copy(),
+            supply=float(state[SUPPLY]), oil_temperature_degc=float(state[TEMPERATURE]), payload_kg=self._payload_kg,
+            valves=self._target.copy(), spools=state[SPOOL : SPOOL + N_ACTUATORS].copy(),
+            flows=work.flows[:, [FLOW_A, FLOW_B]].copy(), faults=tuple(sorted(self._faults)),
+        )  # fmt: skip
+
+    def set_payload(self, mass_kg: float) -> None:
+        """Change the load at the tool at this instant; velocities stay, as when a load is let go.
+
+        Raises RequestRefused outside 0 to 1000 kg.
+        """
+        if not 0.0 <= mass_kg <= 1000.0:
+            raise RequestRefused("refused.payload", f"payload {mass_kg:g} kg, wanted 0 to 1000")
+        self._payload_kg = mass_kg
+        put_payload(self._model, self._bare_tool, mass_kg, self.config, self._chain)
+
+    def inject(self, fault: Fault) -> None:
+        """Break something from this instant on. Raises RequestRefused when the fault does not fit this plant."""
+        self._faults[checked(fault).name()] = fault
+        if fault.kind is FaultKind.ENCODER_STUCK:
+            self._encoders.hold(fault.joint)
+        self._apply_faults()
+
+    def clear_faults(self) -> None:
+        """Mend everything."""
+        self._faults.clear()
+        self._encoders.held.clear()
+        self._apply_faults()
+
+    def _apply_faults(self) -> None:
+        hydraulics = self._model.hydraulics
+        hydraulics.valve[:] = self._valve_table
+        hydraulics.supply[6] = 1.0
+        self._encoders.bias[:] = 0.0
+        for fault in self._faults.values():
+            if fault.kind is FaultKind.SUPPLY_LOST:
+                hydraulics.supply[6] = 0.0
+            elif fault.kind is FaultKind.VALVE_STUCK:
+                hydraulics.valve[fault.joint, 2] = 0.0  # no drive: the spool rests where friction leaves it
+                self._state[SPOOL_RATE + fault.joint] = 0.0
+            elif fault.kind is FaultKind.VALVE_SLOW:
+                hydraulics.valve[fault.joint, 2] *= fault.value
+            elif fault.kind is FaultKind.ENCODER_BIAS:
+                self._encoders.bias[fault.joint] = fault.value
+
+    def _enabled(self) -> bool:
+        return self._image is not None and bool(self._image.control & CONTROL_ENABLE) and not self._tripped
+
+    def _deadline_ns(self) -> int:
+        """When the watchdog would trip; never, before the first image and once tripped."""
+        if self._image is None or self._tripped:
+            return 1 << 62
+        return self._fresh_ns + round(self.config.watchdog_ms * 1e6) + 1
+
+    def _command(self, valves: tuple[float, ...]) -> None:
+        due = self.time_ns + self._owed_ns + round(self.config.valves.delay_ms * 1e6)
+        self._pending = [p for p in self._pending if p.due_ns < due] + [_Pending(due, valves)]
+
+    def _events(self) -> None:
+        """Let what is due by now happen: the watchdog, then commands that leave the delay."""
+        if self.time_ns >= self._deadline_ns():
+            self._tripped = True
+            self._command((0.0,) * N_ACTUATORS)
+        while self._pending and self._pending[0].due_ns <= self.time_ns:
+            self._target[:] = np.clip(self._pending.pop(0).valves, -1.0, 1.0)
+
+    def _status(self) -> int:
+        held_encoder = bool(self._encoders.held)
+        return (
+            (STATUS_SUPPLY_ON if self._model.hydraulics.supply[6] > 0.0 else 0)
+            | (STATUS_VALVES_ENABLED if self._enabled() else 0)
+            | (STATUS_WATCHDOG_TRIPPED if self._tripped else 0)
+            | (STATUS_SENSOR_FAULT if held_encoder else 0)
+        )

@@ -1,0 +1,35 @@
+"""Servo valve: spool dynamics, deadband and regularised turbulent orifices."""
+
+import math
+
+from numba import njit
+
+
+@njit(cache=True, error_model="numpy")
+def opening(spool: float, deadband: float) -> float:
+    """Effective opening −1…1: zero inside the deadband, rescaled so that full spool is full opening."""
+    size = abs(spool) - deadband
+    if size <= 0.0:
+        return 0.0
+    return math.copysign(size / (1.0 - deadband), spool)
+
+
+@njit(cache=True, error_model="numpy")
+def orifice_flow(gain: float, drop: float, regularisation: float) -> float:
+    """Turbulent flow (m³/s) through an edge of ``gain`` (m³/s/√Pa) at pressure ``drop`` (Pa).
+
+    Odd and smooth: K Δp / (Δp² + δ²)^¼, which is K √Δp for Δp ≫ δ and laminar at zero.
+    """
+    return gain * drop / math.sqrt(math.sqrt(drop * drop + regularisation * regularisation))
+
+
+@njit(cache=True, error_model="numpy")
+def spool_acceleration(command: float, spool: float, rate: float, natural: float, damping: float) -> float:
+    """Second-order spool, ẍ = ω²(u − x) − 2ζω ẋ (1/s²)."""
+    return natural * natural * (command - spool) - 2.0 * damping * natural * rate
+
+
+@njit(cache=True, error_model="numpy")
+def slew_limited(previous: float, target: float, most: float) -> float:
+    """``target``, but at most ``most`` away from ``previous``: the drive electronics' slew limit."""
+    return previous + min(max(target - previous, -most), most)
