@@ -30,7 +30,7 @@ def paint_plate(
     box: tuple[int, int, int, int],
     light: Real64,
 ) -> None:
-    """Paint one plate over ``out`` inside ``box`` (top, bottom, left, right); its rim blends with what is there.
+    """Paint one plate over ``out`` inside ``box`` (top, bottom, left, right); its rim blends with the rest.
 
     ``homography`` maps (ray_x, ray_y, 1) to plate coordinates (x right, y down) in metres times the inverse
     depth; ``light`` = (constant, per x, per y) multiplies the grey.
