@@ -1,7 +1,7 @@
 """An independent sub-pixel corner estimator for pictures without noise: edge positions by area, then lines.
 
-The sum of the grey levels across an edge gives its position exactly when pixels integrate light over their area,
-whatever the point spread; no gradient, no interpolation, nothing shared with the renderer.
+The sum of the grey levels across an edge gives its position exactly when pixels integrate light over their
+area, whatever the point spread; no gradient, no interpolation, nothing shared with the renderer.
 """
 
 import numpy as np
@@ -12,16 +12,17 @@ Matrix = NDArray[np.float64]
 
 
 def refined_corners(picture: Grey, predicted: Matrix, half_window: int, end_gap: float) -> Matrix | None:
-    """Corners (4, 2) px found in ``picture`` near ``predicted`` (4, 2); None where an edge cannot be followed.
+    """Corners (4, 2) px found near ``predicted`` (4, 2); None where an edge cannot be followed.
 
-    ``half_window`` pixels on either side of an edge must be of one colour each; ``end_gap`` pixels at both ends of
-    an edge are left out.
+    ``half_window`` pixels on either side of an edge must be of one colour each; ``end_gap`` pixels at both
+    ends of an edge are left out.
     """
-    lines = [
-        _edge_line(picture, predicted[k], predicted[(k + 1) % 4], half_window, end_gap) for k in range(4)
-    ]
-    if any(line is None for line in lines):
-        return None
+    lines = []
+    for k in range(4):
+        line = _edge_line(picture, predicted[k], predicted[(k + 1) % 4], half_window, end_gap)
+        if line is None:
+            return None
+        lines.append(line)
     return np.array([_crossing(lines[k - 1], lines[k]) for k in range(4)])
 
 
@@ -46,8 +47,7 @@ def _edge_line(picture: Grey, a: Matrix, b: Matrix, half_window: int, end_gap: f
         return None
     u, v = np.array(points).T
     slope, offset = np.polyfit(v, u, 1)
-    line = np.array([1.0, -slope, offset]) if steep else np.array([-slope, 1.0, offset])
-    return line
+    return np.array([1.0, -slope, offset]) if steep else np.array([-slope, 1.0, offset])
 
 
 def _crossing(first: Matrix, second: Matrix) -> Matrix:
