@@ -1,4 +1,4 @@
-"""The result of a local calibration by motion: how camera axes lie in the base, and how well that is known."""
+"""The result of a local calibration: how camera axes lie in the base, and how well that is known."""
 
 import math
 from typing import NamedTuple

@@ -185,7 +185,7 @@ def _carried(R_BC0: Array, pair: TrajectoryPair, settings: TrajectorySettings) -
 def _refuse_poor_match(calibration: LocalCalibration, residuals: Array, settings: TrajectorySettings) -> None:
     outliers = 1.0 - calibration.inlier_share
     rms = float(np.sqrt((residuals**2).sum(axis=1).mean()))
-    # The paper's form is not refused for its spread: a mount rotation leaks into it, and the second look mends it.
+    # The paper's form is not refused for its spread: a mount rotation leaks into it, a second look mends it.
     std_deg = math.degrees(calibration.rotation_std()) if settings.method == "points" else 0.0
     for cause, what, value, limit in (
         ("match_lost", "outlier share", outliers, settings.outlier_share_limit),

@@ -1,0 +1,97 @@
+"""Best mode, part two: one look at the object, most of the way, then a correction by odometry.
+
+The object is looked at once. The arm drives the greater part of the way, settles, and odometry measures
+what it really did; the local map, with that motion added, gives the rest. A calibration error then
+multiplies the last tenth of the way instead of all of it. A look at the end is for the verdict alone.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from protocol.errors import MeasurementFailed
+from vision_pc.core.calibration.local_map import (
+    LocalMap,
+    LocalTrack,
+    extended,
+    fit_map,
+    solve_step,
+    watched_path,
+)
+from vision_pc.core.calibration.settings import LocalMapSettings, PositioningSettings
+from vision_pc.core.ports import Arm, Eyes, Report
+from vision_pc.core.positioning import PositioningResult, Step, judge, positioning_error
+from vision_pc.core.se3 import Array, local, transform
+from vision_pc.core.types import Look
+
+_STALE = 0.003  # m or rad: more than a settled arm creeps
+
+
+class CorrectedResult(NamedTuple):
+    """The result, the error (3,) m in K axes that odometry measured at the end, and the track so far."""
+
+    positioning: PositioningResult
+    measured_miss_m: Array
+    track: LocalTrack
+
+
+async def look_then_move_corrected(
+    arm: Arm,
+    eyes: Eyes,
+    report: Report,
+    settings: PositioningSettings,
+    map_settings: LocalMapSettings,
+    track: LocalTrack,
+) -> CorrectedResult:
+    """The result of one look, two drives with a correction between them, and a look for the verdict.
+
+    ``track`` must end where the arm stands. Raises MeasurementFailed when the arm was moved since
+    (``measurement.calibration_stale``), the step is too long, or odometry is lost; errors of arm and eyes
+    pass through.
+    """
+    report(0.0, "looking")
+    look = await eyes.look()
+    _refuse_stale(track, look)
+    p_CM = look.X_CM[:3, 3]
+    c_delta = positioning_error(look, settings.clearance_m)
+    goal_K = p_CM + c_delta  # where the marker shall be, in the camera frame of this look
+    steps: list[Step] = []
+    looks = [judge(look, settings)]
+    for share, note in ((map_settings.first_share, "driving most of the way"), (1.0, "driving the rest")):
+        fitted = fit_map(track, p_CM, map_settings)
+        x, std = solve_step(fitted, goal_K - p_CM, track.X_BT_now, map_settings)
+        steps.append(_step(look, track, fitted, share * x, std, settings))
+        report(0.2 + 0.3 * len(steps), note)
+        drive = await watched_path(arm, eyes, [steps[-1].X_BT_ref], map_settings)
+        X_KnewK = drive.X_KC[0]
+        goal_K = X_KnewK[:3, :3] @ goal_K + X_KnewK[:3, 3]
+        track = extended(track, drive)
+    report(0.9, "looking")
+    looks.append(judge(await eyes.look(), settings))
+    report(1.0, f"error {1e3 * looks[-1].error_m[0]:+.1f} {1e3 * looks[-1].error_m[1]:+.1f} mm")
+    ended = "inside_tolerance" if looks[-1].inside else "input_limit"
+    return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), goal_K - p_CM, track)
+
+
+def _step(
+    look: Look, track: LocalTrack, fitted: LocalMap, x: Array, std: float, settings: PositioningSettings
+) -> Step:
+    length = float(np.linalg.norm(x))
+    if not length <= settings.step_limit_m:
+        raise MeasurementFailed(
+            "measurement.step_too_large",
+            f"corrected move: step {length:.3f} m, limit {settings.step_limit_m:g} m",
+        )
+    X_BT = track.X_BT_now
+    known = look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + (std**2 + settings.servo_std_m**2) * np.eye(3)
+    return Step(x, transform(X_BT[:3, :3], X_BT[:3, 3] + x), np.sqrt(np.diag(known)))
+
+
+def _refuse_stale(track: LocalTrack, look: Look) -> None:
+    moved = local(track.X_BT_now, look.X_BT)
+    distance = float(np.linalg.norm(moved[:3]))
+    if distance > _STALE or np.linalg.norm(moved[3:]) > _STALE:
+        raise MeasurementFailed(
+            "measurement.calibration_stale",
+            f"corrected move: the arm stands {1e3 * distance:.1f} mm from where the track ended",
+        )
