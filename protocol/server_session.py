@@ -1,0 +1,279 @@
+"""The controller's end of the reference link, without input or output: datagrams and times in, events out."""
+
+import hashlib
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from protocol.channel import Channel, LinkStatistics
+from protocol.command_ledger import CommandLedger
+from protocol.datagram import Datagram, Header, decode
+from protocol.datagram_layout import HEADER_BYTES, VERSION_MINOR
+from protocol.errors import DatagramRefused
+from protocol.faults import Reason
+from protocol.reference_messages import (
+    CAPABILITY_PATHS,
+    Acknowledgement,
+    Bye,
+    Command,
+    Heartbeat,
+    HeartbeatReply,
+    Hello,
+    Message,
+    ReferencePath,
+    ReferencePose,
+    State,
+    UnusableRequest,
+    Welcome,
+)
+from protocol.session_events import (
+    DatagramDropped,
+    RequestReceived,
+    ServerEvent,
+    SessionClosed,
+    SessionOpened,
+)
+
+NS_PER_MS = 1_000_000
+REFUSAL_INTERVAL_NS = 50 * NS_PER_MS
+REMEMBERED_NONCES = 64
+Source = object
+
+
+@dataclass(slots=True)
+class _Session:
+    channel: Channel
+    ledger: CommandLedger
+    source: Source
+    welcome: Welcome
+    hello_sent_ns: int
+    next_state_ns: int
+
+
+class ReferenceServer:
+    """One active peer at a time. The shell gives every call its monotonic time and sends ``outgoing``.
+
+    ``link_timeout_ms`` of silence end the session. ``max_age_ms``: a datagram older than that when it is read
+    is not used (default: the link timeout).
+    """
+
+    def __init__(
+        self,
+        boot_id: int,
+        arm_hash: int,
+        cycle_ns: int,
+        link_timeout_ms: int,
+        max_age_ms: int | None = None,
+        capabilities: int = CAPABILITY_PATHS,
+        first_sequence: int = 1,
+    ) -> None:
+        self._boot_id = boot_id
+        self._arm_hash = arm_hash
+        self._cycle_ns = cycle_ns
+        self._link_timeout_ms = link_timeout_ms
+        self._max_age_ns = (link_timeout_ms if max_age_ms is None else max_age_ms) * NS_PER_MS
+        self._capabilities = capabilities
+        self._first_sequence = first_sequence
+        self._session: _Session | None = None
+        self._sessions_opened = 0
+        self._past_nonces: deque[int] = deque(maxlen=REMEMBERED_NONCES)
+        self._outbox: list[tuple[Message, Channel, Source, int]] = []
+        self._refused_at_ns: int | None = None
+        self._tally = LinkStatistics()
+
+    @property
+    def statistics(self) -> LinkStatistics:
+        """A copy of the counters."""
+        return replace(self._tally)
+
+    @property
+    def session(self) -> int | None:
+        """Number of the open session."""
+        return self._session.channel.session if self._session else None
+
+    def link_alive(self, now_ns: int) -> bool:
+        """Whether a peer is connected and was heard within the link timeout."""
+        heard_ns = self._session.channel.heard_ns if self._session else None
+        return heard_ns is not None and now_ns - heard_ns <= self._link_timeout_ms * NS_PER_MS
+
+    def tick(self, now_ns: int) -> list[ServerEvent]:
+        """Ends a session that has been silent for too long; to be called every cycle."""
+        if self._session is None or self.link_alive(now_ns):
+            return []
+        return [self._closed(Reason.LINK_TIMEOUT, now_ns, tell_peer=True)]
+
+    def receive(self, data: bytes, source: Source, now_ns: int) -> list[ServerEvent]:
+        """Events of one datagram read from ``source`` at ``now_ns``."""
+        events = self.tick(now_ns)
+        try:
+            datagram = decode(data)
+        except DatagramRefused as error:
+            self._tally.refused += 1
+            if error.cause == "datagram.wrong_major":
+                self._refuse(Reason.INCOMPATIBLE_VERSION, 0, source, now_ns)
+            return [*events, DatagramDropped(error.cause, f"{error} from {source}")]
+        if isinstance(datagram.message, Hello):
+            return events + self._greeted(datagram.header, datagram.message, source, now_ns)
+        return events + self._in_session(datagram, data, source, now_ns)
+
+    def receive_batch(self, datagrams: Iterable[tuple[bytes, Source]], now_ns: int) -> list[ServerEvent]:
+        """Events of all datagrams that were waiting in the socket at ``now_ns``.
+
+        Of several references for motion only the newest is handed over; the others are answered OVERTAKEN.
+        """
+        events = [event for data, source in datagrams for event in self.receive(data, source, now_ns)]
+        motions = [
+            i
+            for i, event in enumerate(events)
+            if isinstance(event, RequestReceived) and isinstance(event.message, ReferencePose | ReferencePath)
+        ]
+        for i in motions[:-1]:
+            request = events[i]
+            assert isinstance(request, RequestReceived)
+            command_id = request.message.command_id
+            self.acknowledge(Acknowledgement(command_id, Reason.OVERTAKEN, 0.0, 0.0), now_ns)
+        return [event for i, event in enumerate(events) if i not in motions[:-1]]
+
+    def acknowledge(self, acknowledgement: Acknowledgement, now_ns: int) -> None:
+        """Answers a request that was handed over; without effect if its session has ended since."""
+        if self._session and self._session.ledger.settle(acknowledgement):
+            self._send(acknowledgement, now_ns)
+
+    def publish(self, state: State, now_ns: int) -> None:
+        """Sends ``state`` if the period that the client asked for has passed; to be called every cycle."""
+        session = self._session
+        # Half a cycle of tolerance, lest jitter of the scan makes every other period a cycle longer.
+        if session is None or now_ns + self._cycle_ns // 2 < session.next_state_ns:
+            return
+        period_ns = session.welcome.state_period_ms * NS_PER_MS
+        session.next_state_ns = max(session.next_state_ns + period_ns, now_ns)
+        self._send(state, now_ns)
+
+    def close(self, now_ns: int, reason: Reason = Reason.SHUTDOWN) -> list[ServerEvent]:
+        """Ends the session, if there is one, and tells the peer why."""
+        return [self._closed(reason, now_ns, tell_peer=True)] if self._session else []
+
+    def outgoing(self, now_ns: int | None = None) -> list[tuple[bytes, Source]]:
+        """Datagrams to be sent now, in order, and where to; stamped ``now_ns``, else when queued."""
+        datagrams: list[tuple[bytes, Source]] = []
+        for message, channel, source, queued_ns in self._outbox:
+            sent_ns = queued_ns if now_ns is None else now_ns
+            if isinstance(message, HeartbeatReply):
+                message = message._replace(replied_ns=sent_ns)
+            datagrams.append((channel.sealed(message, sent_ns), source))
+        self._outbox.clear()
+        return datagrams
+
+    def _greeted(self, header: Header, hello: Hello, source: Source, now_ns: int) -> list[ServerEvent]:
+        session = self._session
+        if header.session != 0:
+            return [self._foreign("session.hello_in_session", f"HELLO in session {header.session:x}")]
+        if session and source == session.source and hello.client_nonce == session.welcome.client_nonce:
+            dropped = session.channel.hear(header, now_ns, self._max_age_ns, self._tally)
+            if dropped is None:
+                self._send(session.welcome, now_ns)
+            return [dropped] if dropped else []
+        delayed = session and source == session.source and header.sent_ns < session.hello_sent_ns
+        if delayed or hello.client_nonce in self._past_nonces:
+            return [self._foreign("session.hello_replayed", f"nonce {hello.client_nonce:x} from {source}")]
+        if hello.arm_hash not in (0, self._arm_hash):
+            self._refuse(Reason.WRONG_ARM, 0, source, now_ns)
+            return [self._foreign("session.wrong_arm", f"arm {hello.arm_hash:x}: this is {self._arm_hash:x}")]
+        if session and source != session.source:
+            self._refuse(Reason.SESSION_OCCUPIED, 0, source, now_ns)
+            return [self._foreign("session.occupied", f"HELLO from {source}: {session.source} is connected")]
+        events: list[ServerEvent] = []
+        if session:
+            events.append(self._closed(Reason.PEER_RESTARTED, now_ns, tell_peer=False))
+        return [*events, self._opened(header, hello, source, now_ns)]
+
+    def _opened(self, header: Header, hello: Hello, source: Source, now_ns: int) -> SessionOpened:
+        self._sessions_opened += 1
+        number = _session_number(self._boot_id, hello.client_nonce, self._sessions_opened)
+        channel = Channel(number, min(header.minor, VERSION_MINOR), self._first_sequence)
+        channel.hear(header, now_ns, None, self._tally)
+        welcome = Welcome(
+            hello.client_nonce,
+            hello.capabilities & self._capabilities,
+            self._arm_hash,
+            self._boot_id,
+            self._cycle_ns,
+            self._link_timeout_ms,
+            hello.state_period_ms,
+        )
+        self._session = _Session(channel, CommandLedger(), source, welcome, header.sent_ns, now_ns)
+        self._send(welcome, now_ns)
+        return SessionOpened(number, source)
+
+    def _in_session(self, datagram: Datagram, data: bytes, source: Source, now_ns: int) -> list[ServerEvent]:
+        header, message = datagram
+        session = self._session
+        if session is None or header.session != session.channel.session:
+            if not isinstance(message, Bye):
+                self._refuse(Reason.UNKNOWN_SESSION, header.session, source, now_ns)
+            return [self._foreign("session.unknown", f"session {header.session:x} from {source}")]
+        if source != session.source:
+            return [self._foreign("session.wrong_source", f"{source}: {session.source} is connected")]
+        if header.minor != session.channel.minor:
+            return [self._foreign("session.wrong_minor", f"minor {header.minor}: not the negotiated one")]
+        if isinstance(message, Bye):
+            return [self._closed(message.reason, now_ns, tell_peer=False)]
+        if not isinstance(message, Heartbeat | ReferencePose | ReferencePath | Command | UnusableRequest):
+            return [self._foreign("session.wrong_direction", f"{type(message).__name__} from a client")]
+        dropped = session.channel.hear(header, now_ns, self._max_age_ns, self._tally)
+        if dropped is not None:
+            return [dropped]
+        if isinstance(message, Heartbeat):
+            self._send(HeartbeatReply(message.sent_ns, now_ns, now_ns), now_ns)
+            return []
+        return self._requested(session, message, data[HEADER_BYTES:], now_ns)
+
+    def _requested(
+        self,
+        session: _Session,
+        request: ReferencePose | ReferencePath | Command | UnusableRequest,
+        payload: bytes,
+        now_ns: int,
+    ) -> list[ServerEvent]:
+        verdict = session.ledger.admit(request.command_id, payload)
+        if verdict.answer is not None:
+            self._send(verdict.answer, now_ns)
+        if not verdict.execute:
+            return []
+        if isinstance(request, UnusableRequest):
+            self.acknowledge(Acknowledgement(*request), now_ns)
+            return []
+        if isinstance(request, ReferencePath) and not session.welcome.capabilities & CAPABILITY_PATHS:
+            self.acknowledge(Acknowledgement(request.command_id, Reason.NOT_NEGOTIATED, 0.0, 0.0), now_ns)
+            return []
+        return [RequestReceived(request)]
+
+    def _send(self, message: Message, now_ns: int) -> None:
+        assert self._session is not None
+        self._outbox.append((message, self._session.channel, self._session.source, now_ns))
+
+    def _refuse(self, reason: Reason, session: int, source: Source, now_ns: int) -> None:
+        # A refusal outside a session answers anybody, so it is rationed.
+        if self._refused_at_ns is not None and now_ns - self._refused_at_ns < REFUSAL_INTERVAL_NS:
+            return
+        self._refused_at_ns = now_ns
+        self._outbox.append((Bye(reason), Channel(session, VERSION_MINOR, 0), source, now_ns))
+
+    def _closed(self, reason: Reason, now_ns: int, *, tell_peer: bool) -> SessionClosed:
+        session = self._session
+        assert session is not None
+        if tell_peer:
+            self._send(Bye(reason), now_ns)
+        self._past_nonces.append(session.welcome.client_nonce)
+        self._session = None
+        return SessionClosed(session.channel.session, reason)
+
+    def _foreign(self, cause: str, detail: str) -> DatagramDropped:
+        self._tally.foreign += 1
+        return DatagramDropped(cause, detail)
+
+
+def _session_number(boot_id: int, client_nonce: int, count: int) -> int:
+    """A number that no other session of this or another controller has, and that is never 0."""
+    seed = b"".join(number.to_bytes(8, "little") for number in (boot_id, client_nonce, count))
+    return int.from_bytes(hashlib.sha256(seed).digest()[:8], "little") or 1

@@ -1,0 +1,71 @@
+"""Events that the sessions of the reference link hand to their shells."""
+
+from typing import NamedTuple
+
+from protocol.faults import Reason
+from protocol.reference_messages import Acknowledgement, Request, State, Welcome
+
+
+class SessionOpened(NamedTuple):
+    """Server: a client was welcomed."""
+
+    session: int
+    source: object
+
+
+class SessionClosed(NamedTuple):
+    """Server: the session ended, and why."""
+
+    session: int
+    reason: Reason
+
+
+class RequestReceived(NamedTuple):
+    """Server: a request to execute, handed over once; every one is to be acknowledged."""
+
+    message: Request
+
+
+class DatagramDropped(NamedTuple):
+    """Either side: a datagram was not used; ``cause`` is a dotted slug."""
+
+    cause: str
+    detail: str
+
+
+class Connected(NamedTuple):
+    """Client: the session is open."""
+
+    session: int
+    welcome: Welcome
+
+
+class ConnectionDelayed(NamedTuple):
+    """Client: the controller refused for now (another client is connected); the client keeps asking."""
+
+    reason: Reason
+
+
+class AcknowledgementReceived(NamedTuple):
+    """Client: the one answer to a submitted request."""
+
+    acknowledgement: Acknowledgement
+
+
+class StateReceived(NamedTuple):
+    """Client: a fresh state of the controller."""
+
+    state: State
+
+
+class LinkLost(NamedTuple):
+    """Client: the session ended or was refused. Whether ``unanswered`` ids were executed is unknown."""
+
+    reason: Reason
+    unanswered: tuple[int, ...]
+
+
+ServerEvent = SessionOpened | SessionClosed | RequestReceived | DatagramDropped
+ClientEvent = (
+    Connected | ConnectionDelayed | AcknowledgementReceived | StateReceived | LinkLost | DatagramDropped
+)
