@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from plant_emulator.core.geometry import rotation_from_vector, transform
+from plant_emulator.core.truth import Mounts
 from plant_emulator.scene_config import MarkerConfig, ObjectConfig, PoseConfig, SceneConfig, ToolMarkerConfig
 
 Matrix = NDArray[np.float64]
@@ -37,31 +39,22 @@ class Plate(NamedTuple):
 
 def pose_matrix(pose: PoseConfig) -> Matrix:
     """4x4 homogeneous matrix of a configured pose."""
-    return transform(rotation_matrix(pose.rotation_deg), pose.position_m)
+    return transform(rotation_matrix(pose.rotation_deg), np.array(pose.position_m))
 
 
 def rotation_matrix(rotation_deg: tuple[float, float, float]) -> Matrix:
     """3x3 rotation matrix of a rotation vector given in degrees."""
-    rotation, _ = cv2.Rodrigues(np.radians(np.array(rotation_deg, dtype=np.float64)).reshape(3, 1))
-    return np.asarray(rotation, dtype=np.float64)
-
-
-def transform(rotation: Matrix, position: tuple[float, float, float] | Matrix) -> Matrix:
-    """4x4 homogeneous matrix from a 3x3 rotation and a position in metres."""
-    result = np.eye(4)
-    result[:3, :3] = rotation
-    result[:3, 3] = position
-    return result
+    return rotation_from_vector(np.radians(np.array(rotation_deg, dtype=np.float64)))
 
 
 def object_pose(config: ObjectConfig) -> Matrix:
     """X_WO (4x4): the nominal pose that faces the arm, tilted by ``tilt_deg`` in O's own axes."""
-    return transform(R_WO_FACING_ARM @ rotation_matrix(config.tilt_deg), config.position_m)
+    return transform(R_WO_FACING_ARM @ rotation_matrix(config.tilt_deg), np.array(config.position_m))
 
 
 def tool_marker_pose(config: ToolMarkerConfig) -> Matrix:
     """X_TM (4x4) as it truly is: nominal R = diag(1, -1, -1), then the misalignment in M's axes."""
-    return transform(R_TM_NOMINAL @ rotation_matrix(config.misalignment_deg), config.offset_m)
+    return transform(R_TM_NOMINAL @ rotation_matrix(config.misalignment_deg), np.array(config.offset_m))
 
 
 def printed_side(config: MarkerConfig) -> float:
@@ -93,20 +86,21 @@ def marker_plate(config: MarkerConfig, X_parent_plate: Matrix, lit_by_wall: bool
 
 
 class Scene:
-    """Everything visible, as poses and plates. Holds no state: what moves (camera, tool) is passed at each
-    picture.
+    """Everything visible, as poses and plates. Stateless: what moves is passed in for each picture.
 
-    ``X_WB`` base in world, ``X_WO`` object of interest in world, ``X_TC`` camera in tool centre point,
-    ``X_TM`` tool marker in tool centre point: all true, 4x4. ``wall_plates`` have parent O, ``tool_plates``
-    parent M; both in painting order.
+    ``mounts`` are the true poses (4x4) that the plant chains its own to: base and object in the world, camera
+    and tool marker in the tool centre point. ``wall_plates`` have parent O, ``tool_plates`` parent M; both in
+    painting order.
     """
 
     def __init__(self, config: SceneConfig) -> None:
         self.config = config
-        self.X_WB = pose_matrix(config.base)
-        self.X_WO = object_pose(config.object_of_interest)
-        self.X_TC = pose_matrix(config.mount)
-        self.X_TM = tool_marker_pose(config.tool_marker)
+        self.mounts = Mounts(
+            X_WB=pose_matrix(config.base),
+            X_TC=pose_matrix(config.mount),
+            X_TM=tool_marker_pose(config.tool_marker),
+            X_WO=object_pose(config.object_of_interest),
+        )
         self.wall_plates = tuple(
             marker_plate(marker, self._wall_marker_pose(marker.centre_m, marker.roll_deg), lit_by_wall=True)
             for marker in config.object_of_interest.markers
@@ -123,7 +117,7 @@ class Scene:
 
     @staticmethod
     def _wall_marker_pose(centre_m: tuple[float, float], roll_deg: float) -> Matrix:
-        return transform(rotation_matrix((0.0, 0.0, roll_deg)), (centre_m[0], centre_m[1], 0.0))
+        return transform(rotation_matrix((0.0, 0.0, roll_deg)), np.array([*centre_m, 0.0]))
 
     def _bracket(self) -> tuple[Plate, ...]:
         tool = self.config.tool_marker

@@ -5,8 +5,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.core import rasteriser, wall_painter
+from plant_emulator.core.geometry import transform
 from plant_emulator.core.lens import Lens
-from plant_emulator.core.scene import Plate, Scene, rotation_matrix, transform
+from plant_emulator.core.scene import Plate, Scene, rotation_matrix
 from plant_emulator.core.wall_texture import SIZE, SIZE_BITS, wall_texture
 from plant_emulator.scene_config import CameraConfig
 
@@ -61,7 +62,7 @@ class StereoCamera:
         """One eye's picture, (height, width) uint8; ``eye`` is LEFT or RIGHT."""
         X_WE = X_WC @ self.X_C_eye[eye]
         X_EW = np.linalg.inv(X_WE)
-        X_EO, X_EM = X_EW @ self.scene.X_WO, X_EW @ X_WM
+        X_EO, X_EM = X_EW @ self.scene.mounts.X_WO, X_EW @ X_WM
         picture = np.empty((self.config.height_px, self.config.width_px), dtype=np.uint8)
         self._paint_wall(picture, eye, X_EO)
         for plate in self.scene.wall_plates:
@@ -84,7 +85,7 @@ class StereoCamera:
         """Marker id → its four printed corners in (left, right) image coordinates, (4, 2) px each, ArUco
         order.
         """
-        parents = {"O": self.scene.X_WO, "M": X_WM}
+        parents = {"O": self.scene.mounts.X_WO, "M": X_WM}
         return {
             marker: self.project(X_WC, corners @ parents[parent][:3, :3].T + parents[parent][:3, 3])
             for marker, (parent, corners) in self.scene.marker_corners().items()
