@@ -1,6 +1,4 @@
-"""The visible world as rigid poses and flat plates: where wall, object of interest, tool marker and camera
-truly are.
-"""
+"""The visible world as rigid poses and flat plates: where wall, object, tool marker and camera truly are."""
 
 from typing import NamedTuple
 

@@ -36,10 +36,8 @@ class StereoCamera:
             Lens(config.lens),
             Lens(config.lens, -rectification.disparity_px, rectification.vertical_px),
         )
-        right = transform(
-            rotation_matrix(rectification.right_eye_rotation_deg), (config.baseline_m, 0.0, 0.0)
-        )
-        self.X_C_eye = (np.eye(4), right)
+        twist = rotation_matrix(rectification.right_eye_rotation_deg)
+        self.X_C_eye = (np.eye(4), transform(twist, np.array([config.baseline_m, 0.0, 0.0])))
         self._rays = tuple(lens.ray_map(config.width_px, config.height_px) for lens in self.lenses)
         wall = scene.config.wall
         levels = wall_texture(wall.texture_seed, wall.mean_grey, wall.contrast_grey)
