@@ -1,0 +1,156 @@
+"""A X = X B in dual quaternions: DQCR as published, its closed form, and the joint problem with its certificate.
+
+With x_i, y_i the motions of hand and camera and g + ε g' the unknown, R_i = A(x_i) − B(y_i) and D_i = A(x'_i) − B(y'_i):
+
+    problem 1 (27):   min Σ ‖R_i g‖²               gᵀg = 1
+    problem 2 (31):   min Σ ‖R_i g' + D_i g‖²      gᵀg' = 0, g from problem 1
+    joint:            min Σ ‖R_i g‖² + ‖R_i g' + D_i g‖²   over both, gᵀg = 1, gᵀg' = 0
+
+Source: Hua et al. 2024, section 4.2. Problem 1 is a 4×4 eigenvalue problem and problem 2 a linear least-squares
+problem, so the published relaxations are tight and `closed_form` gives the same X.
+"""
+
+from typing import NamedTuple
+
+import clarabel
+import numpy as np
+import scipy.sparse
+
+from vision_pc.core.hand_eye import rigid, sdp
+from vision_pc.core.hand_eye.moment_relaxation import Polynomial, Relaxation, monomial, relaxed
+from vision_pc.core.hand_eye.motions import DualQuaternions
+from vision_pc.core.hand_eye.result import Certificate
+from vision_pc.core.se3 import Array
+
+_NEWTON_STEPS = 8
+
+
+class Forms(NamedTuple):
+    """The quadratic forms of the joint objective over (g, g'): Σ RᵀR, Σ RᵀD and Σ DᵀD, (4, 4) each."""
+
+    RR: Array
+    RD: Array
+    DD: Array
+
+    def joint(self) -> Array:
+        """The joint objective's matrix (8, 8)."""
+        return np.block([[self.RR + self.DD, self.RD.T], [self.RD, self.RR]])
+
+
+def forms(motions: DualQuaternions) -> Forms:
+    """The quadratic forms of these motions."""
+    R, D = motions.rotation_rows(), motions.dual_rows()
+    return Forms(*(np.einsum("mij,mik->jk", first, second) for first, second in ((R, R), (R, D), (D, D))))
+
+
+def closed_form(f: Forms) -> tuple[Array, Certificate]:
+    """X (4, 4) by DQCR's two problems in closed form, and the certificate of problem 1."""
+    values, vectors = np.linalg.eigh(f.RR)
+    g = vectors[:, 0]
+    scale = float(np.trace(f.RR)) / 4.0
+    system = np.zeros((5, 5))
+    system[:4, :4] = f.RR / scale
+    system[:4, 4] = system[4, :4] = g
+    g_dual = np.linalg.solve(system, np.append(-f.RD @ g / scale, 0.0))[:4]
+    S = f.RR - values[0] * np.eye(4)
+    least, largest = float(np.linalg.eigvalsh(S)[0]), float(values[-1])
+    certificate = Certificate(
+        "eigenvalue problem, KKT", least / largest, float(np.abs(S @ g).max()) / largest, 0.0, rank=1
+    )
+    return _pose(g, g_dual), certificate
+
+
+class Published(NamedTuple):
+    """The outcome of both published relaxations."""
+
+    X: Array
+    rotation: Relaxation
+    translation: Relaxation
+    certificate: Certificate
+
+
+def published(f: Forms) -> Published:
+    """X (4, 4) by DQCR as published: both problems as order-2 moment relaxations.
+
+    Problem 1 is symmetric in g and −g, so its moment matrices have rank 2, equal at both orders; g is the principal
+    eigenvector of the second moments. Problem 2 has no bound on fourth moments, so its certificate is that the
+    order-1 matrix has rank 1. The dual part is scaled to the size of the motions, else metres or millimetres would
+    decide the solver's accuracy. Raises MeasurementFailed when the solver fails.
+    """
+    scale = float(np.trace(f.RR)) / 4.0
+    first_objective = np.zeros((5, 5))
+    first_objective[1:, 1:] = f.RR / scale
+    unit: Polynomial = {monomial(): 1.0} | {monomial(k, k): -1.0 for k in range(4)}
+    rotation = relaxed(first_objective, [unit])
+    g = np.linalg.eigh(rotation.second)[1][:, -1]
+    length = max(float(np.sqrt(np.trace(f.DD) / np.trace(f.RR))), 1e-9)
+    linear = f.RD @ g / (scale * length)
+    second_objective = np.zeros((5, 5))
+    second_objective[1:, 1:] = f.RR / scale
+    second_objective[0, 1:] = second_objective[1:, 0] = linear
+    second_objective[0, 0] = float(g @ f.DD @ g) / (scale * length**2)
+    orthogonal: Polynomial = {monomial(k): float(g[k]) for k in range(4)}
+    translation = relaxed(second_objective, [orthogonal])
+    values = np.linalg.eigvalsh(f.RR) / scale
+    reached = float(g @ f.RR @ g) / scale
+    certificate = Certificate(
+        "order-2 moment relaxations, rank and KKT",
+        least_eigenvalue=float(values[0] - reached) / float(values[-1]),
+        stationarity=float(np.abs(f.RR @ g / scale - reached * g).max()) / float(values[-1]),
+        gap=(reached - rotation.value) / float(values[-1]),
+        rank=rotation.rank_upper,
+    )
+    return Published(_pose(g, translation.first * length), rotation, translation, certificate)
+
+
+def joint(f: Forms) -> tuple[Array, Certificate]:
+    """X (4, 4) at the global optimum of the joint problem, by its Shor relaxation (8×8), with its certificate.
+
+    Raises MeasurementFailed (``measurement.hand_eye.sdp``) when the solver fails.
+    """
+    length = max(float(np.sqrt(np.trace(f.DD) / np.trace(f.RR))), 1e-9)  # columns of equal size: g' in these lengths
+    units = np.diag([1.0] * 4 + [length] * 4)
+    M = units @ f.joint() @ units
+    scale = float(np.linalg.eigvalsh(M)[-1])
+    M = M / scale
+    A_1, A_2 = _constraints()
+    A = scipy.sparse.csc_matrix(np.stack([sdp.svec(A_1), sdp.svec(A_2)], axis=1))
+    solution = sdp.solved(np.array([-1.0, 0.0]), A, sdp.svec(M), [clarabel.PSDTriangleConeT(8)])
+    values, vectors = np.linalg.eigh(sdp.smat(solution.dual, 8))
+    v = vectors[:, -1] / np.linalg.norm(vectors[:4, -1])
+    v, multipliers = _stationary(M, v, solution.primal)
+    S = M - multipliers[0] * A_1 - multipliers[1] * A_2
+    certificate = Certificate(
+        "Shor 8x8, KKT",
+        least_eigenvalue=float(np.linalg.eigvalsh(S)[0]),
+        stationarity=float(np.abs(S @ v).max()),
+        gap=float(v @ M @ v - multipliers[0]),
+        rank=int((values > 1e-4 * values[-1]).sum()),
+    )
+    return _pose(v[:4], v[4:] * length), certificate
+
+
+def _constraints() -> tuple[Array, Array]:
+    A_1, A_2 = np.zeros((8, 8)), np.zeros((8, 8))
+    A_1[:4, :4] = np.eye(4)
+    A_2[:4, 4:] = A_2[4:, :4] = 0.5 * np.eye(4)
+    return A_1, A_2
+
+
+def _stationary(M: Array, v: Array, multipliers: Array) -> tuple[Array, Array]:
+    """The exact stationary point and multipliers next to the relaxation's, by Newton on the KKT equations."""
+    A_1, A_2 = _constraints()
+    for _ in range(_NEWTON_STEPS):
+        S = M - multipliers[0] * A_1 - multipliers[1] * A_2
+        normals = np.stack([A_1 @ v, A_2 @ v], axis=1)
+        system = np.block([[S, -normals], [normals.T, np.zeros((2, 2))]])
+        defect = np.concatenate([S @ v, [0.5 * (v @ A_1 @ v - 1.0), 0.5 * (v @ A_2 @ v)]])
+        step = np.linalg.lstsq(system, -defect, rcond=1e-15)[0]
+        v, multipliers = v + step[:8], multipliers + step[8:]
+        if np.abs(step).max() < 1e-13:
+            break
+    return v, multipliers
+
+
+def _pose(g: Array, g_dual: Array) -> Array:
+    return rigid.pose(rigid.rotation_of_quaternion(g), rigid.translation_of_dual(g, g_dual))

@@ -1,0 +1,175 @@
+"""Maximum likelihood for H X P = Z on SE(3), with the residual where the measurement is made: in the camera.
+
+The camera's measurement P is compared with its prediction X⁻¹ H⁻¹ Z, translation and rotation in camera axes.
+Written as a product of all four poses instead, the lever arms mix rotation noise into translation and the result
+is an order of magnitude worse (measured, see docs/hand_eye.md).
+
+Perturbations are those of ``se3.retract``: [δp; δθ] in the outer frame's axes, here X first, then Z.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from protocol.errors import MeasurementFailed
+from vision_pc.core.hand_eye import rigid
+from vision_pc.core.hand_eye.samples import Setup
+from vision_pc.core.se3 import Array
+
+_STEPS = 60
+_CONVERGED = 1e-20  # squared length of a step in units of standard deviations
+
+
+class Noise(NamedTuple):
+    """Standard deviations a component, rad and m: of the camera's pose of the target, of the robot's pose of the hand."""
+
+    camera_rotation: float
+    camera_translation: float
+    robot_rotation: float = 0.0
+    robot_translation: float = 0.0
+
+
+class Equations(NamedTuple):
+    """H X P = Z over the samples: ``H``, ``P`` (n, 4, 4), ``weights`` (n,).
+
+    ``hand_at_origin`` says that the hand sits at the origin of H's outer frame (eye to hand), which moves the
+    lever arm of robot noise. ``tied`` means Z = X: the relative-motion form A X = X B with H = A⁻¹, P = B.
+    """
+
+    H: Array
+    P: Array
+    weights: Array
+    setup: Setup = Setup.EYE_IN_HAND
+    tied: bool = False
+
+
+class Estimate(NamedTuple):
+    """The most likely X and Z (4, 4), the information matrix of their perturbation (12, 12; 6, 6 if tied),
+
+    camera-frame residuals (n, 6) as [translation; rotation], and the weighted sum of squares ``cost``.
+    """
+
+    X: Array
+    Z: Array
+    information: Array
+    residuals: Array
+    cost: float
+
+
+def predicted(H: Array, X: Array, Z: Array) -> Array:
+    """The target in the camera, X⁻¹ H⁻¹ Z (n, 4, 4)."""
+    return rigid.inverse(X) @ rigid.inverse(H) @ Z
+
+
+def residuals(H: Array, P: Array, X: Array, Z: Array) -> Array:
+    """Measured minus predicted target poses in camera axes (n, 6): translation m, then rotation vector rad."""
+    expected = predicted(H, X, Z)
+    turned = P[:, :3, :3] @ np.swapaxes(expected[:, :3, :3], -1, -2)
+    return np.concatenate([P[:, :3, 3] - expected[:, :3, 3], rigid.rotation_log(turned)], axis=-1)
+
+
+def jacobian(equations: Equations, X: Array, Z: Array, r: Array) -> Array:
+    """The derivative (n, 6, 12) of ``residuals`` by [δp_X, δθ_X, δp_Z, δθ_Z]; (n, 6, 6) when tied."""
+    n = len(equations.H)
+    R_X_transposed = X[:3, :3].T
+    R_H_transposed = np.swapaxes(equations.H[:, :3, :3], -1, -2)
+    to_camera = R_X_transposed @ R_H_transposed
+    lever = (R_H_transposed @ (Z[:3, 3] - equations.H[:, :3, 3])[..., None])[..., 0] - X[:3, 3]
+    bend = rigid.skew(r[:, 3:])
+    log_slope = np.eye(3) + 0.5 * bend + (bend @ bend) / 12.0
+    J = np.zeros((n, 6, 12))
+    J[:, :3, 0:3] = R_X_transposed
+    J[:, :3, 3:6] = -R_X_transposed @ rigid.skew(lever)
+    J[:, 3:, 3:6] = log_slope @ R_X_transposed
+    J[:, :3, 6:9] = -to_camera
+    J[:, 3:, 9:12] = -log_slope @ to_camera
+    return J[..., :6] + J[..., 6:] if equations.tied else J
+
+
+def robot_levers(equations: Equations, X: Array, Z: Array) -> Array:
+    """How a hand perturbation (δp, δθ about the hand, camera axes) shows in the residual: (n, 6, 6), up to sign."""
+    to_camera = X[:3, :3].T @ np.swapaxes(equations.H[:, :3, :3], -1, -2)
+    hand = equations.H[:, :3, 3] if equations.setup is Setup.EYE_IN_HAND else np.zeros((len(equations.H), 3))
+    lever = (to_camera @ (Z[:3, 3] - hand)[..., None])[..., 0]
+    L = np.tile(np.eye(6), (len(lever), 1, 1))
+    L[:, :3, 3:] = -rigid.skew(lever)
+    return L
+
+
+def residual_covariances(equations: Equations, X: Array, Z: Array, noise: Noise) -> Array:
+    """The covariance of each sample's residual (n, 6, 6) from camera and robot noise."""
+    V = np.zeros((len(equations.H), 6, 6))
+    V[:] = np.diag([noise.camera_translation**2] * 3 + [noise.camera_rotation**2] * 3)
+    if noise.robot_rotation > 0.0 or noise.robot_translation > 0.0:
+        L = robot_levers(equations, X, Z)
+        scale = np.array([noise.robot_translation**2] * 3 + [noise.robot_rotation**2] * 3)
+        V += (L * scale) @ np.swapaxes(L, -1, -2)
+    return V
+
+
+def whitener(equations: Equations, X: Array, Z: Array, noise: Noise) -> Array:
+    """Matrices (n, 6, 6) that turn each residual into independent ones of unit variance, times √weight."""
+    root = np.sqrt(equations.weights)[:, None, None]
+    if noise.robot_rotation == 0.0 and noise.robot_translation == 0.0:
+        scale = np.array([1.0 / noise.camera_translation] * 3 + [1.0 / noise.camera_rotation] * 3)
+        plain: Array = root * np.diag(scale)
+        return plain
+    white: Array = root * np.linalg.inv(np.linalg.cholesky(residual_covariances(equations, X, Z, noise)))
+    return white
+
+
+def maximize(equations: Equations, X: Array, Z: Array, noise: Noise, steps: int = _STEPS) -> Estimate:
+    """The local maximum of the likelihood that Gauss-Newton with Levenberg damping reaches from X, Z (4, 4).
+
+    Raises MeasurementFailed (``measurement.hand_eye.singular``) when the information matrix has no inverse.
+    """
+    r, J, cost = _linearised(equations, X, Z, noise)
+    damping = 0.0
+    for _ in range(steps):
+        information, gradient = J.T @ J, J.T @ r
+        step = _solved(information, gradient, damping)
+        candidate_X, candidate_Z = _moved(X, Z, -step, equations.tied)
+        new_r, new_J, new_cost = _linearised(equations, candidate_X, candidate_Z, noise)
+        length = float(step @ information @ step)
+        if new_cost <= cost * (1.0 + 1e-12):
+            X, Z, r, J, cost = candidate_X, candidate_Z, new_r, new_J, new_cost
+            damping = 0.0 if damping < 1e-6 else damping / 10.0
+        elif length > 1e-9:
+            damping = max(10.0 * damping, 1e-4)
+            continue
+        if length < _CONVERGED * max(1.0, cost) or length <= 1e-9 and damping > 0.0:
+            break
+    return Estimate(X, Z, J.T @ J, residuals(equations.H, equations.P, X, Z), cost)
+
+
+def covariance_of_X(estimate: Estimate) -> Array:
+    """The covariance (6, 6) of X's perturbation [δp; δθ] in hand axes, m² and rad², with Z unknown."""
+    return np.asarray(np.linalg.inv(estimate.information)[:6, :6])
+
+
+def _linearised(equations: Equations, X: Array, Z: Array, noise: Noise) -> tuple[Array, Array, float]:
+    r = residuals(equations.H, equations.P, X, Z)
+    J = jacobian(equations, X, Z, r)
+    W = whitener(equations, X, Z, noise)
+    white_r = (W @ r[..., None]).reshape(-1)
+    return white_r, (W @ J).reshape(-1, J.shape[-1]), float(white_r @ white_r)
+
+
+def _solved(information: Array, gradient: Array, damping: float) -> Array:
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information / np.outer(scale, scale) + damping * np.eye(len(scale))
+    try:
+        return np.asarray(np.linalg.solve(scaled, gradient / scale) / scale)
+    except np.linalg.LinAlgError as error:
+        raise MeasurementFailed(
+            "measurement.hand_eye.singular", "the samples leave X undetermined: information matrix is singular"
+        ) from error
+
+
+def _moved(X: Array, Z: Array, step: Array, tied: bool) -> tuple[Array, Array]:
+    moved_X = _retracted(X, step[:6])
+    return moved_X, moved_X if tied else _retracted(Z, step[6:])
+
+
+def _retracted(X: Array, delta: Array) -> Array:
+    return rigid.pose(rigid.rotation_exp(delta[3:]) @ X[:3, :3], X[:3, 3] + delta[:3])

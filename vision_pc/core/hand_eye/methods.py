@@ -1,0 +1,140 @@
+"""One entrance to all hand-eye solvers: checked samples in, a calibration with its verdict out."""
+
+from enum import StrEnum
+
+import numpy as np
+
+from vision_pc.core.hand_eye import chordal, classical, dual_quaternion, rigid, robust
+from vision_pc.core.hand_eye import maximum_likelihood as ml
+from vision_pc.core.hand_eye import noise as noise_model
+from vision_pc.core.hand_eye.classical import Classical
+from vision_pc.core.hand_eye.maximum_likelihood import Equations, Noise
+from vision_pc.core.hand_eye.motions import Motions, all_motions, dual_quaternions
+from vision_pc.core.hand_eye.noise import NoiseSource
+from vision_pc.core.hand_eye.observability import Observability, ObservabilityLimits, verdict
+from vision_pc.core.hand_eye.result import Certificate, HandEyeResult
+from vision_pc.core.hand_eye.robust import RobustSettings
+from vision_pc.core.hand_eye.samples import PosePairs
+from vision_pc.core.se3 import Array
+
+
+class Method(StrEnum):
+    """All solvers. The equation that each one solves: ``Method.equation``."""
+
+    TSAI = "tsai"
+    PARK = "park"
+    HORAUD = "horaud"
+    ANDREFF = "andreff"
+    DANIILIDIS = "daniilidis"
+    LI = "li"
+    SHAH = "shah"
+    DQCR_PUBLISHED = "dqcr-published"
+    DQCR = "dqcr"
+    JOINT = "joint-dual-quaternion"
+    CHORDAL = "chordal"
+    MAXIMUM_LIKELIHOOD = "maximum-likelihood"
+    ROBUST = "robust"
+
+    @property
+    def equation(self) -> str:
+        """``AX=XB`` (relative motions) or ``AX=ZB`` (poses; X and Z together)."""
+        return "AX=ZB" if self in _POSE_METHODS else "AX=XB"
+
+
+_POSE_METHODS = {Method.LI, Method.SHAH, Method.CHORDAL, Method.MAXIMUM_LIKELIHOOD, Method.ROBUST}
+_CLASSICAL = {Method(c.value): c for c in Classical}
+
+
+def solve(
+    pairs: PosePairs,
+    method: Method = Method.ROBUST,
+    settings: RobustSettings | None = None,
+    limits: ObservabilityLimits | None = None,
+) -> HandEyeResult:
+    """The calibration of ``pairs`` by ``method``; the order of the samples does not change it by a bit.
+
+    ``settings`` concern ``robust``, ``maximum-likelihood`` and ``chordal``. Raises MeasurementFailed when X is not
+    observable (``measurement.hand_eye.too_few_samples``, ``.too_little_rotation``, ``.parallel_axes``) or the solver
+    has no proper answer (``.no_solution``, ``.left_handed``, ``.no_consensus``, ``.sdp``, ``.singular``).
+    """
+    settings = settings or RobustSettings()
+    motions = all_motions(pairs)
+    seen = verdict(len(pairs), motions, limits)
+    seen.demand()
+    if method in (Method.ROBUST, Method.MAXIMUM_LIKELIHOOD):
+        settings = settings if method is Method.ROBUST else settings._replace(reject=False)
+        found = robust.solve(pairs, motions, settings)
+        if not found.inliers.all():
+            seen = verdict(int(found.inliers.sum()), all_motions(pairs.subset(found.inliers)), limits)
+            seen.demand()
+        return _result(
+            pairs, method, seen, found.X, found.Z, found.notes, found.inliers, found.certificate, found.covariance, found.noise
+        )
+    if method is Method.CHORDAL:
+        noise = settings.noise or Noise(1.7e-3, 1e-3)
+        X, Z, certificate = chordal.solve(chordal.problem(pairs.H, pairs.P, np.ones(len(pairs)), noise))
+        return _result(pairs, method, seen, X, Z, certificate=certificate)
+    if method in _CLASSICAL:
+        answer = classical.from_poses(pairs, motions, _CLASSICAL[method])
+        return _result(pairs, method, seen, answer.X, answer.Z, answer.notes)
+    X, certificate, notes = _by_dual_quaternions(motions, method)
+    return _result(pairs, method, seen, X, None, notes, certificate=certificate)
+
+
+def solve_motions(motions: Motions, method: Method, noise: Noise | None = None) -> Array:
+    """X (4, 4) from bare relative motions A X = X B, each camera motion with its own noise.
+
+    ``maximum-likelihood`` and ``robust`` are the same here: maximum likelihood from the joint dual-quaternion optimum.
+    Raises MeasurementFailed like ``solve``, ValueError for methods that need poses.
+    """
+    verdict(len(motions.A) + 1, motions).demand()
+    if method in (Method.MAXIMUM_LIKELIHOOD, Method.ROBUST):
+        equations = Equations(rigid.inverse(motions.A), motions.B, np.ones(len(motions.A)), tied=True)
+        start = dual_quaternion.joint(dual_quaternion.forms(dual_quaternions(motions)))[0]
+        first = noise or Noise(1.7e-3, 1e-3)
+        estimate = ml.maximize(equations, start, start, first)
+        if noise is None:
+            estimate, _ = noise_model.estimated(equations, estimate, first, NoiseSource.CAMERA)
+        return estimate.X
+    if method in _CLASSICAL:
+        return classical.from_motions(motions, _CLASSICAL[method])
+    return _by_dual_quaternions(motions, method)[0]
+
+
+def _by_dual_quaternions(motions: Motions, method: Method) -> tuple[Array, Certificate, tuple[str, ...]]:
+    forms = dual_quaternion.forms(dual_quaternions(motions))
+    if method is Method.DQCR:
+        return *dual_quaternion.closed_form(forms), ()
+    if method is Method.JOINT:
+        return *dual_quaternion.joint(forms), ()
+    if method is Method.DQCR_PUBLISHED:
+        found = dual_quaternion.published(forms)
+        note = (
+            f"ranks of the moment matrices of order 1 and 2: rotation {found.rotation.rank_lower} and "
+            f"{found.rotation.rank_upper}, translation {found.translation.rank_lower} and {found.translation.rank_upper}"
+        )
+        return found.X, found.certificate, (note,)
+    raise ValueError(f"{method} needs poses")
+
+
+def _result(
+    pairs: PosePairs,
+    method: Method,
+    seen: Observability,
+    X: Array,
+    Z: Array | None,
+    notes: tuple[str, ...] = (),
+    inliers: Array | None = None,
+    certificate: Certificate | None = None,
+    covariance: Array | None = None,
+    noise: Noise | None = None,
+) -> HandEyeResult:
+    """The result in the caller's order; Z is the mean over the samples where the method does not estimate it."""
+    Z = rigid.mean_pose(pairs.H @ X @ pairs.P) if Z is None else Z
+    back = np.argsort(np.array(pairs.order))
+    inliers = np.ones(len(pairs), dtype=bool) if inliers is None else inliers
+    residuals = ml.residuals(pairs.H, pairs.P, X, Z)
+    names = tuple(pairs.names[k] for k in back)
+    return HandEyeResult(
+        method.value, pairs.setup, X, Z, names, residuals[back], inliers[back], seen, certificate, covariance, noise, notes
+    )

@@ -1,0 +1,85 @@
+"""Relative motions of hand and camera, A X = X B, and the quaternion matrices that the solvers share.
+
+From poses every pair i < j gives one motion, so no choice of pairs can depend on the order of the samples.
+Motions may also be given as such, with their own independent noise (the paper's simulation).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from vision_pc.core.hand_eye import rigid
+from vision_pc.core.hand_eye.samples import PosePairs
+from vision_pc.core.se3 import Array
+
+_SIGN_IN_DOUBT_COS = math.cos(math.radians(80.0))  # half angle: motions beyond 160 degrees
+
+
+class Motions(NamedTuple):
+    """Motions A (hand) and B (camera), (m, 4, 4) each, with A X = X B.
+
+    ``first`` and ``second`` (m,) index the samples that each motion joins; empty when motions came as such.
+    """
+
+    A: Array
+    B: Array
+    first: tuple[int, ...] = ()
+    second: tuple[int, ...] = ()
+
+
+class DualQuaternions(NamedTuple):
+    """The motions as unit dual quaternions: ``x`` + ε ``x_dual`` of A, ``y`` + ε ``y_dual`` of B, (m, 4) each.
+
+    Signs are consistent: x g = g y holds, not only up to sign.
+    """
+
+    x: Array
+    x_dual: Array
+    y: Array
+    y_dual: Array
+
+    def rotation_rows(self) -> Array:
+        """The matrices A(x) − B(y), (m, 4, 4), of the rotation equation (Hua et al. eq. 26)."""
+        return rigid.left_product_matrix(self.x) - rigid.right_product_matrix(self.y)
+
+    def dual_rows(self) -> Array:
+        """The matrices A(x') − B(y'), (m, 4, 4), of the dual equation (Hua et al. eq. 26)."""
+        return rigid.left_product_matrix(self.x_dual) - rigid.right_product_matrix(self.y_dual)
+
+
+def all_motions(pairs: PosePairs) -> Motions:
+    """The motions of all pairs of samples i < j: A = H_j⁻¹ H_i, B = P_j P_i⁻¹ (Hua et al. eq. 1)."""
+    i, j = np.triu_indices(len(pairs), k=1)
+    return _between(pairs, i, j)
+
+
+def consecutive_motions(pairs: PosePairs, order: tuple[int, ...]) -> Motions:
+    """The motions from each sample of ``order`` to the next, as a recording in time gives them."""
+    return _between(pairs, np.array(order[:-1]), np.array(order[1:]))
+
+
+def _between(pairs: PosePairs, i: np.ndarray, j: np.ndarray) -> Motions:  # type: ignore[type-arg]
+    A = rigid.inverse(pairs.H[j]) @ pairs.H[i]
+    B = pairs.P[j] @ rigid.inverse(pairs.P[i])
+    return Motions(A, B, tuple(map(int, i)), tuple(map(int, j)))
+
+
+def dual_quaternions(motions: Motions) -> DualQuaternions:
+    """The motions as unit dual quaternions with consistent signs.
+
+    Both scalar parts are made positive, which is right up to noise because hand and camera turn by the same angle.
+    Near a half turn noise can flip one of them; there the sign is taken that fits the rotation which the
+    unambiguous motions give (a defect of other tools: opencv issue 24871).
+    """
+    x, y = rigid.quaternion(motions.A[:, :3, :3]), rigid.quaternion(motions.B[:, :3, :3])
+    doubtful = (x[:, 0] < _SIGN_IN_DOUBT_COS) | (y[:, 0] < _SIGN_IN_DOUBT_COS)
+    if doubtful.any() and (~doubtful).sum() >= 2:
+        rows = rigid.left_product_matrix(x[~doubtful]) - rigid.right_product_matrix(y[~doubtful])
+        g = np.linalg.eigh(np.einsum("mij,mik->jk", rows, rows))[1][:, 0]
+        x_g, g_y = rigid.left_product_matrix(x) @ g, rigid.right_product_matrix(y) @ g
+        flip = doubtful & (np.sum(x_g * g_y, axis=-1) < 0.0)
+        y = np.where(flip[:, None], -y, y)
+    return DualQuaternions(
+        x, rigid.dual_part(x, motions.A[:, :3, 3]), y, rigid.dual_part(y, motions.B[:, :3, 3])
+    )

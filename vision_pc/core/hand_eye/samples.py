@@ -1,0 +1,170 @@
+"""Pose pairs as a hand-eye solver takes them: checked one by one, in an order that no caller can influence.
+
+One sample is the pose of the hand in the base, X_BH, and the pose of the target in the camera, X_CT.
+The target is fixed in the base and the camera in the hand (eye in hand), or the other way round (eye to hand):
+
+    eye in hand:  X_BH X_HC X_CT = X_BT        unknown X = X_HC, Z = X_BT
+    eye to hand:  X_HB X_BC X_CT = X_HT        unknown X = X_BC, Z = X_HT
+
+Both are H X P = Z with H = X_BH or its inverse, and P = X_CT; the solvers know only that form.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.errors import RequestRefused
+from vision_pc.core.hand_eye import rigid
+from vision_pc.core.se3 import Array
+
+
+class Setup(StrEnum):
+    """Where the camera is mounted."""
+
+    EYE_IN_HAND = "eye-in-hand"
+    EYE_TO_HAND = "eye-to-hand"
+
+
+class SampleLimits(NamedTuple):
+    """What a sample must keep to be believed.
+
+    ``longest_m`` questions the unit of a translation, ``skew`` bounds the largest entry of RᵀR − I (four printed
+    decimals pass), ``same_m`` and ``same_rad`` say when two poses are one and the same.
+    """
+
+    longest_m: float = 20.0
+    skew: float = 2e-3
+    same_m: float = 1e-7
+    same_rad: float = 1e-7
+
+
+class CornerViews(NamedTuple):
+    """The target's points as each picture shows them, for the image-space adjustment.
+
+    ``points_T`` (m, 3) metres in the target's axes; ``pixels`` (n, m, 2), NaN where a point was not seen;
+    ``K`` (3, 3) px and ``distortion`` (k,) of the camera (OpenCV's order).
+    """
+
+    points_T: Array
+    pixels: Array
+    K: Array
+    distortion: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PosePairs:
+    """Checked samples in canonical order. Build them with ``pose_pairs``.
+
+    ``H`` and ``P`` are (n, 4, 4) of the form H X P = Z; ``names`` are the caller's, in the same order;
+    ``order[k]`` is the caller's position of sample k.
+    """
+
+    setup: Setup
+    H: Array
+    P: Array
+    names: tuple[str, ...]
+    order: tuple[int, ...]
+    corners: CornerViews | None = None
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def X_BH(self) -> Array:
+        """The poses of the hand in the base (n, 4, 4)."""
+        return self.H if self.setup is Setup.EYE_IN_HAND else rigid.inverse(self.H)
+
+    def subset(self, keep: Array) -> "PosePairs":
+        """The samples whose flag in ``keep`` (n,) is set, still in canonical order."""
+        chosen = np.flatnonzero(keep)
+        corners = self.corners and self.corners._replace(pixels=self.corners.pixels[chosen])
+        names = tuple(self.names[k] for k in chosen)
+        return PosePairs(self.setup, self.H[chosen], self.P[chosen], names, tuple(range(len(chosen))), corners)
+
+
+def pose_pairs(
+    X_BH: Array,
+    X_CT: Array,
+    setup: Setup = Setup.EYE_IN_HAND,
+    names: tuple[str, ...] | None = None,
+    corners: CornerViews | None = None,
+    limits: SampleLimits | None = None,
+) -> PosePairs:
+    """The samples, checked, with exactly orthonormal rotations, in canonical order.
+
+    ``X_BH``, ``X_CT`` (n, 4, 4): hand in base, target in camera, metres. Raises RequestRefused naming the sample:
+    ``refused.hand_eye.count``, ``.not_finite``, ``.not_a_pose``, ``.left_handed``, ``.not_orthonormal``,
+    ``.units``, ``.duplicate``, ``.stale_camera``.
+    """
+    limits = limits or SampleLimits()
+    hand, target = np.asarray(X_BH, dtype=np.float64), np.asarray(X_CT, dtype=np.float64)
+    if hand.ndim != 3 or target.ndim != 3 or hand.shape[1:] != (4, 4) or target.shape[1:] != (4, 4):
+        raise RequestRefused("refused.hand_eye.count", f"poses must be (n, 4, 4), got {hand.shape} and {target.shape}")
+    if len(hand) != len(target):
+        raise RequestRefused("refused.hand_eye.count", f"{len(hand)} hand poses but {len(target)} camera poses")
+    names = names or tuple(str(k + 1) for k in range(len(hand)))
+    if len(names) != len(hand) or (corners is not None and len(corners.pixels) != len(hand)):
+        raise RequestRefused("refused.hand_eye.count", f"{len(hand)} poses but {len(names)} names or other corners")
+    for what, stack in (("hand", hand), ("camera", target)):
+        for name, X in zip(names, stack, strict=True):
+            _check_pose(X, f"sample {name}: {what} pose", limits)
+    hand, target = _exact(hand), _exact(target)
+    _check_repeats(hand, target, names, limits)
+    flat = np.concatenate([hand[:, :3].reshape(len(hand), 12), target[:, :3].reshape(len(hand), 12)], axis=1)
+    order = np.lexsort(flat.T[::-1])
+    H = hand if setup is Setup.EYE_IN_HAND else rigid.inverse(hand)
+    return PosePairs(
+        setup,
+        H[order],
+        target[order],
+        tuple(names[k] for k in order),
+        tuple(int(k) for k in order),
+        corners and corners._replace(pixels=corners.pixels[order]),
+    )
+
+
+def _exact(X: Array) -> Array:
+    return rigid.pose(rigid.nearest_rotation(X[:, :3, :3]), X[:, :3, 3])
+
+
+def _check_pose(X: Array, where: str, limits: SampleLimits) -> None:
+    if not np.isfinite(X).all():
+        raise RequestRefused("refused.hand_eye.not_finite", f"{where} holds a number that is not finite")
+    if np.abs(X[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
+        raise RequestRefused("refused.hand_eye.not_a_pose", f"{where}: last row is {X[3].tolist()}, not 0 0 0 1")
+    R, p = X[:3, :3], X[:3, 3]
+    defect = float(np.abs(R.T @ R - np.eye(3)).max())
+    if np.linalg.det(R) < 0.0:
+        raise RequestRefused("refused.hand_eye.left_handed", f"{where}: rotation is left-handed (det {np.linalg.det(R):.3f})")
+    if defect > limits.skew:
+        raise RequestRefused(
+            "refused.hand_eye.not_orthonormal", f"{where}: rotation is off orthonormal by {defect:.2g}, limit {limits.skew:g}"
+        )
+    if np.abs(p).max() > limits.longest_m:
+        raise RequestRefused(
+            "refused.hand_eye.units",
+            f"{where}: translation {np.abs(p).max():g} m is beyond {limits.longest_m:g} m; are these millimetres?",
+        )
+
+
+def _check_repeats(hand: Array, target: Array, names: tuple[str, ...], limits: SampleLimits) -> None:
+    """Refuse samples given twice, and camera poses that stayed the same to the last digit while the hand moved."""
+    for i in range(len(hand) - 1):
+        for j in i + 1 + np.flatnonzero(_same(target[i], target[i + 1 :], limits)):
+            pair = f"samples {names[i]} and {names[j]}"
+            if _same(hand[i], hand[j], limits):
+                raise RequestRefused("refused.hand_eye.duplicate", f"{pair} are the same sample twice")
+            raise RequestRefused(
+                "refused.hand_eye.stale_camera", f"{pair}: the hand moved but the camera pose is the very same"
+            )
+
+
+def _same(X: Array, Y: Array, limits: SampleLimits) -> NDArray[np.bool_]:
+    gap = np.abs(X - Y)
+    same: NDArray[np.bool_] = (gap[..., :3, 3].max(axis=-1) < limits.same_m) & (
+        gap[..., :3, :3].max(axis=(-2, -1)) < limits.same_rad
+    )
+    return same

@@ -1,0 +1,60 @@
+"""Semidefinite programs through Clarabel: one call, symmetric matrices as scaled triangles, failures as errors.
+
+    min qᵀx   subject to   b − A x in the cones
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import clarabel
+import numpy as np
+import scipy.sparse
+
+from protocol.errors import MeasurementFailed
+from vision_pc.core.se3 import Array
+
+ACCURACY = 1e-10
+UTMOST = 1e-14  # not reachable in double precision: the solver goes on until it makes no more progress
+
+
+class Solution(NamedTuple):
+    """``primal`` x and ``dual`` z of the program above, and the optimal value."""
+
+    primal: Array
+    dual: Array
+    value: float
+
+
+def svec(S: Array) -> Array:
+    """The upper triangle of a symmetric matrix, column by column, off-diagonals times √2 (an isometry)."""
+    j, i = np.tril_indices(len(S))
+    return np.asarray(np.where(i == j, 1.0, math.sqrt(2.0)) * S[i, j])
+
+
+def smat(s: Array, size: int) -> Array:
+    """The symmetric matrix of a scaled triangle; inverse of ``svec``."""
+    j, i = np.tril_indices(size)
+    S = np.zeros((size, size))
+    S[i, j] = s * np.where(i == j, 1.0, math.sqrt(0.5))
+    S[j, i] = S[i, j]
+    return S
+
+
+def solved(
+    q: Array, A: scipy.sparse.csc_matrix, b: Array, cones: list[Any], accuracy: float = ACCURACY
+) -> Solution:
+    """The optimum. Raises MeasurementFailed (``measurement.hand_eye.sdp``) when the solver does not reach it.
+
+    One thread, so that reruns are bit-identical; no dynamic regularisation, which costs four digits here.
+    """
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = accuracy
+    settings.max_threads = 1
+    settings.dynamic_regularization_enable = False
+    P = scipy.sparse.csc_matrix((len(q), len(q)))
+    result = clarabel.DefaultSolver(P, q, A, b, cones, settings).solve()
+    status = str(result.status)
+    if status not in ("Solved", "AlmostSolved"):
+        raise MeasurementFailed("measurement.hand_eye.sdp", f"the semidefinite program ended as {status}")
+    return Solution(np.array(result.x), np.array(result.z), float(result.obj_val))
