@@ -1,4 +1,4 @@
-"""Configuration of the arm and its oil: every number of plant.yaml, its bounds, and why a value would not be physical."""
+"""Configuration of the arm and its oil: every number of plant.yaml and its bounds."""
 
 import math
 from typing import Annotated
@@ -20,7 +20,7 @@ LITRE_PER_MINUTE = 1e-3 / 60.0
 
 
 class GeometryConfig(StrictModel):
-    """Pivots in the vertical plane of each link's own frame (x along the link, z up when the link lies level)."""
+    """Pivots in the vertical plane of each link's own frame (x along the link, z up when it lies level)."""
 
     lift_pivot_m: Point
     tilt_pivot_m: Point
@@ -39,7 +39,7 @@ class PartConfig(StrictModel):
 
 
 class WristBodyConfig(StrictModel):
-    """A compact wrist body: its centre ahead of the wrist's centre and its radii of gyration (forward, right, down)."""
+    """A compact wrist body: its centre ahead of the wrist centre, its radii of gyration."""
 
     mass_kg: Positive
     forward_m: Annotated[float, Field(ge=-2.0, le=2.0)]
@@ -58,7 +58,7 @@ class MassesConfig(StrictModel):
 
 
 class BeamConfig(StrictModel):
-    """Bending of one link, lumped into a vertical and a lateral hinge at a third of its length, K = 4 EI / (3 L)."""
+    """Bending of one link, lumped into two hinges at a third of its length, K = 4 EI / (3 L)."""
 
     length_m: Positive
     vertical_ei_n_m2: Positive
@@ -82,7 +82,7 @@ class PayloadConfig(StrictModel):
 
 def _static_not_below(value: float, coulomb: float) -> float:
     if value < coulomb:
-        raise ValueError(f"must not be below the Coulomb level {coulomb:g}: a moving seal cannot hold more than one at rest")
+        raise ValueError(f"must not be below the Coulomb level {coulomb:g}: a seal holds most at rest")
     return value
 
 
@@ -159,7 +159,7 @@ class CylinderConfig(StrictModel):
         known = info.data
         if "base_m" in known and "lever_m" in known and value <= abs(known["base_m"] - known["lever_m"]):
             least = abs(known["base_m"] - known["lever_m"])
-            raise ValueError(f"must be above {least:.5f} = |base_m - lever_m|: the retracted linkage would not close")
+            raise ValueError(f"must be above {least:.5f} = |base_m - lever_m|: the linkage would not close")
         return value
 
     @field_validator("stroke_m")
@@ -170,7 +170,7 @@ class CylinderConfig(StrictModel):
             return value
         stretched = known["base_m"] + known["lever_m"] - known["length_m"]
         if value >= stretched:
-            raise ValueError(f"must stay below {stretched:.5f}: there the linkage is stretched and its lever vanishes")
+            raise ValueError(f"must stay below {stretched:.5f}: there the linkage's lever vanishes")
         return value
 
 
@@ -233,13 +233,24 @@ class ValvesConfig(StrictModel):
     regularisation_bar: Annotated[float, Field(ge=0.1, le=20.0)]
 
 
+class CounterbalanceConfig(StrictModel):
+    """Load-holding valves at chamber a: they open with p_a + pilot_ratio p_b above the setting."""
+
+    lift: bool
+    tilt: bool
+    setting_bar: Positive
+    pilot_ratio: Annotated[float, Field(ge=1.0, le=20.0)]
+    range_bar: Positive
+
+
 class ProtectionConfig(StrictModel):
-    """Relief and anti-cavitation at every chamber: each passes the valve's rated flow at the pressure difference given."""
+    """Relief and anti-cavitation at every chamber, passing the valve's rated flow at the difference."""
 
     relief_bar: Positive
     relief_override_bar: Positive
     anticavitation: bool
     anticavitation_drop_bar: Positive
+    counterbalance: CounterbalanceConfig
 
 
 class OilConfig(StrictModel):
@@ -329,7 +340,7 @@ class ErrorsConfig(StrictModel):
 
 
 class PlantConfig(StrictModel):
-    """The whole plant except what the camera sees; see configs/plant.yaml for the provenance of each number."""
+    """The whole plant except what the camera sees; plant.yaml tells where each number comes from."""
 
     gravity_m_s2: Annotated[float, Field(ge=0.0, le=20.0)]
     start_pose_deg: tuple[float, float, float, float, float, float]

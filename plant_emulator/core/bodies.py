@@ -28,7 +28,7 @@ def together(lumps: list[Lump]) -> Lump:
     mass = sum(lump.mass for lump in lumps)
     if mass == 0.0:
         return NOTHING
-    centre = sum((lump.mass * lump.centre for lump in lumps), np.zeros(3)) / mass
+    centre = np.asarray(sum((lump.mass * lump.centre for lump in lumps), np.zeros(3)) / mass)
     inertia = np.zeros((3, 3))
     for lump in lumps:
         d = lump.centre - centre
@@ -53,7 +53,7 @@ def sphere(mass: float, centre: Array, radius: float) -> Lump:
 
 
 def _in_plane(point: tuple[float, float], origin: Array) -> Array:
-    return origin + np.array([point[0], 0.0, point[1]])
+    return np.asarray(origin + np.array([point[0], 0.0, point[1]]))
 
 
 def _split(parts: tuple[PartConfig, ...], origin: Array, beam: BeamConfig) -> tuple[Lump, Lump]:
@@ -85,12 +85,14 @@ def payload(mass: float, config: PlantConfig, chain: Chain) -> Lump:
 
 
 def build_bodies(config: PlantConfig, chain: Chain) -> list[Lump]:
-    """The ten bodies without payload, where the chain's deviations put them. The half-links between hinges are massless."""
+    """The ten bodies without payload, where the chain's deviations put them."""
     masses, origin = config.masses, chain.link_origin
     pillar = together(
-        [bar(part.mass_kg, _in_plane(part.from_m, origin[0]), _in_plane(part.to_m, origin[0]), part.width_m)
-         for part in masses.pillar]
-    )  # fmt: skip
+        [
+            bar(p.mass_kg, _in_plane(p.from_m, origin[0]), _in_plane(p.to_m, origin[0]), p.width_m)
+            for p in masses.pillar
+        ]
+    )
     boom_root, boom_far = _split(masses.boom, origin[1], config.flexibility.boom)
     arm_root, arm_far = _split(masses.arm, origin[4], config.flexibility.arm)
     wrist = [_wrist(body, origin[7]) for body in (masses.wrist1, masses.wrist2, masses.tool)]

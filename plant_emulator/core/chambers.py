@@ -1,8 +1,8 @@
-"""Oil in a closed volume: effective bulk modulus with entrained air, and what keeps its pressure within bounds.
+"""Oil in a closed volume: effective bulk modulus with entrained air, and what keeps pressure in bounds.
 
-Pressures are absolute and never clipped: oil that leaves a chamber must have been in it. What a real circuit does at
-the ends of the range is modelled as flow instead (relief, anti-cavitation), and entrained air softens the oil as the
-pressure falls, so that pressure approaches zero without crossing it.
+Pressures are absolute and never clipped: oil that leaves a chamber must have been in it. What a real circuit
+does at the ends of the range is modelled as flow instead (relief, anti-cavitation), and entrained air softens
+the oil as the pressure falls, so that pressure approaches zero without crossing it.
 """
 
 import math
@@ -14,11 +14,14 @@ FLOOR = 1_000.0  # Pa: below it the air term is held constant, so that the modul
 
 
 @njit(cache=True, error_model="numpy")
-def bulk_modulus(pressure: float, volume: float, oil: float, wall: float, air: float, exponent: float) -> float:
+def bulk_modulus(
+    pressure: float, volume: float, oil: float, wall: float, air: float, exponent: float
+) -> float:
     """Effective bulk modulus (Pa) of a chamber: 1/β = 1/β_oil + C_wall/V + α (p0/p)^(1/n)/(n p).
 
-    ``wall`` is the compliance of barrel and hose (m³/Pa), ``air`` the entrained volume fraction at atmospheric pressure.
-    Each term is a relative volume per pascal, hence mass is conserved whatever the pressure does.
+    ``wall`` is the compliance of barrel and hose (m³/Pa), ``air`` the entrained volume fraction at
+    atmospheric pressure. Each term is a relative volume per pascal, hence mass is conserved whatever the
+    pressure does.
     """
     p = max(pressure, FLOOR)
     softness = 1.0 / oil + wall / volume

@@ -1,11 +1,13 @@
-"""The state of rest from which a plant starts: hinges bent by gravity, oil carrying the load, nothing moving."""
+"""The state of rest from which a plant starts: hinges bent, oil carrying the load, nothing moving."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from plant_emulator.core import columns as col
 from plant_emulator.core.layout import (
     DRIVEN,
     FLEXIBLE,
+    JOINTS,
     N_ACTUATORS,
     N_COORDINATES,
     N_STATES,
@@ -18,13 +20,14 @@ from plant_emulator.core.layout import (
 from plant_emulator.core.linkage import actuator_lever
 from plant_emulator.core.model import Model
 from plant_emulator.core.multibody import Mechanism, forward_kinematics, multibody_work
+from plant_emulator.plant_config import BAR
 from protocol.errors import ConfigurationError
 
 Array = NDArray[np.float64]
 
 
 def gravity_torque(mechanism: Mechanism, q: Array) -> Array:
-    """Generalised gravity force (10,) on each coordinate at pose ``q``: Σ over the bodies behind it of axis · (r × m g)."""
+    """Generalised gravity force (10,) at pose ``q``: Σ axis · (r × m g) over the bodies behind."""
     work = multibody_work(N_COORDINATES)
     forward_kinematics(q, mechanism, work)
     rotation, origin = work.rotation, work.origin
@@ -51,7 +54,8 @@ def bent_pose(mechanism: Mechanism, q: Array) -> Array:
     if change < 1e-12:
         return q
     raise ConfigurationError(
-        "configuration.no_equilibrium", f"flexibility: the arm does not come to rest, its hinges still move by {change:g} rad"
+        "configuration.no_equilibrium",
+        f"flexibility: the arm does not come to rest, its hinges still move by {change:g} rad",
     )
 
 
@@ -64,11 +68,12 @@ def rest_state(model: Model, q: Array, temperature: float) -> Array:
     bent = bent_pose(model.mechanism, q)
     state[Q : Q + N_COORDINATES] = bent
     torque = -gravity_torque(model.mechanism, bent)[list(DRIVEN)]
-    low, high = float(model.hydraulics.supply[1]), float(model.hydraulics.supply[0])
+    low, high = float(model.circuit[col.C_RETURN]), float(model.circuit[col.C_SET])
     for i in range(N_ACTUATORS):
-        lever = actuator_lever(bent[DRIVEN[i]], *model.hydraulics.linkage[i])
+        row = model.actuators[i]
+        lever = actuator_lever(bent[DRIVEN[i]], *row[col.A_KIND : col.A_LENGTH0 + 1])
         force = torque[i] / lever
-        area_a, area_b = model.hydraulics.cylinder[i, :2]
+        area_a, area_b = row[col.A_AREA_A], row[col.A_AREA_B]
         # a matched valve at its centre shares the supply between both chambers
         p_a = (force + (low + high) * area_b) / (area_a + area_b)
         p_a = min(max(p_a, low, (force + low * area_b) / area_a), high)
@@ -76,7 +81,7 @@ def rest_state(model: Model, q: Array, temperature: float) -> Array:
         if not low * 0.999 <= p_b <= high * 1.001:
             raise ConfigurationError(
                 "configuration.overload",
-                f"start_pose_deg: actuator {i} would need {force:.0f} N (N m) at rest, beyond the supply's {high / 1e5:g} bar",
+                f"start_pose_deg: {JOINTS[i]} needs {force:.0f} N (N m), beyond {high / BAR:g} bar",
             )
         state[PRESSURE_A + i], state[PRESSURE_B + i] = p_a, p_b
     state[SUPPLY] = high

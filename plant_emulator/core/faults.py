@@ -34,7 +34,7 @@ def checked(fault: Fault) -> Fault:
     concerns_joint = fault.kind is not FaultKind.SUPPLY_LOST
     if concerns_joint != (0 <= fault.joint < len(JOINTS)):
         wanted = f"0 to {len(JOINTS) - 1}" if concerns_joint else "none"
-        raise RequestRefused("refused.fault_joint", f"{fault.kind.value}: joint {fault.joint}, wanted {wanted}")
+        raise RequestRefused("refused.fault_joint", f"{fault.kind.value}: joint {fault.joint}, want {wanted}")
     if fault.kind is FaultKind.VALVE_SLOW and not 0.01 <= fault.value <= 1.0:
         raise RequestRefused("refused.fault_value", f"valve_slow: fraction {fault.value:g}, wanted 0.01 to 1")
     if fault.kind is FaultKind.ENCODER_BIAS and not abs(fault.value) <= 1.0:

@@ -1,4 +1,4 @@
-"""LuGre seal friction (Canudas de Wit et al. 1995): stiction, Stribeck effect, pre-sliding and viscous drag in one state."""
+"""LuGre seal friction (Canudas de Wit et al. 1995): stiction, Stribeck, pre-sliding, viscous drag."""
 
 import math
 

@@ -1,7 +1,8 @@
 """The true arm as screw axes and a home pose, from the pivots of plant.yaml and its named geometric errors.
 
-Written without any Denavit-Hartenberg parameter: with all joints at zero, boom, arm and wrist lie along the base's x axis
-and each axis is simply where the drawing puts it. Geometric errors displace a joint and everything behind it.
+Written without any Denavit-Hartenberg parameter: with all joints at zero, boom, arm and wrist lie along the
+base's x axis and each axis is simply where the drawing puts it. An error displaces its joint and everything
+behind it.
 """
 
 from typing import NamedTuple
@@ -21,8 +22,11 @@ HOME_TOOL_AXES = np.column_stack((-LEFT, -UP, FORWARD))  # x_T right, y_T down, 
 
 
 class Chain(NamedTuple):
-    """Screw axes at home: unit ``axis`` and ``point`` on it (10, 3), nominal ``link_origin`` (10, 3) of each body's link,
-    ``deviation`` (10, 4, 4) that carries each body from its nominal home to its true one, ``X_BT_home`` (4, 4)."""
+    """Screw axes at home: unit ``axis`` and ``point`` on it (10, 3).
+
+    ``link_origin`` (10, 3) is the nominal origin of each body's link, ``deviation`` (10, 4, 4) carries each
+    body from its nominal home to its true one, ``X_BT_home`` (4, 4) is the tool's true pose there.
+    """
 
     axis: Array
     point: Array

@@ -7,8 +7,17 @@ friction bristle, then supply pressure and oil temperature.
 
 JOINTS = ("slew", "lift", "tilt", "wrist1", "wrist2", "wrist3")
 COORDINATES = (
-    "slew", "lift", "boom_vertical", "boom_lateral", "tilt", "arm_vertical", "arm_lateral", "wrist1", "wrist2", "wrist3",
-)  # fmt: skip
+    "slew",
+    "lift",
+    "boom_vertical",
+    "boom_lateral",
+    "tilt",
+    "arm_vertical",
+    "arm_lateral",
+    "wrist1",
+    "wrist2",
+    "wrist3",
+)
 HINGES = ("boom_vertical", "boom_lateral", "arm_vertical", "arm_lateral")
 
 DRIVEN = (0, 1, 4, 7, 8, 9)  # coordinate of each joint

@@ -1,4 +1,4 @@
-"""From joint angle to actuator position: cylinder linkages on lift and tilt, direct rotary actuators elsewhere.
+"""From joint angle to actuator position: cylinder linkages on lift and tilt, rotary actuators elsewhere.
 
 A cylinder spans the triangle of two sides ``base`` and ``lever`` about the joint's pivot:
 x = √(L² + l² + 2 L l cos(θ − θ0)) − x0 (geometry of the published HIAB XS 031 model).
@@ -13,7 +13,9 @@ ROTARY = 1.0
 
 
 @njit(cache=True, error_model="numpy")
-def actuator_position(angle: float, kind: float, base: float, lever: float, angle0: float, length0: float) -> float:
+def actuator_position(
+    angle: float, kind: float, base: float, lever: float, angle0: float, length0: float
+) -> float:
     """Piston position (m) or vane angle (rad) from its retracted end, at joint ``angle``."""
     if kind == ROTARY:
         return angle - angle0
@@ -21,7 +23,9 @@ def actuator_position(angle: float, kind: float, base: float, lever: float, angl
 
 
 @njit(cache=True, error_model="numpy")
-def actuator_lever(angle: float, kind: float, base: float, lever: float, angle0: float, length0: float) -> float:
+def actuator_lever(
+    angle: float, kind: float, base: float, lever: float, angle0: float, length0: float
+) -> float:
     """dx/dθ (m/rad for a cylinder, 1 for a rotary actuator) at joint ``angle``."""
     if kind == ROTARY:
         return 1.0
@@ -30,13 +34,8 @@ def actuator_lever(angle: float, kind: float, base: float, lever: float, angle0:
     return -base * lever * math.sin(reduced) / length
 
 
-def singular_position(base: float, lever: float, length0: float) -> float:
-    """The piston position (m) at which the linkage is stretched: its lever vanishes and no force turns the joint."""
-    return base + lever - length0
-
-
 def cylinder_angle(position: float, base: float, lever: float, angle0: float, length0: float) -> float:
-    """The joint angle (rad) that belongs to piston ``position``, on the branch where extension raises the angle."""
+    """The joint angle (rad) at piston ``position``, on the branch where extension raises the angle."""
     length = position + length0
     cosine = (length * length - base * base - lever * lever) / (2.0 * base * lever)
     return angle0 - math.acos(cosine)

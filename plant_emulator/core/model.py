@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from plant_emulator.core import columns as col
 from plant_emulator.core.bodies import Lump, build_bodies, payload, together
 from plant_emulator.core.geometry import Chain, base_tilt, build_chain
-from plant_emulator.core.layout import DRIVEN, FLEXIBLE, N_COORDINATES
+from plant_emulator.core.layout import DRIVEN, FLEXIBLE, N_ACTUATORS, N_COORDINATES
 from plant_emulator.core.linkage import CYLINDER, ROTARY
 from plant_emulator.core.multibody import Mechanism, forward_dynamics, multibody_work
 from plant_emulator.plant_config import BAR, LITRE, LITRE_PER_MINUTE, ActuatorConfig, PlantConfig
@@ -16,115 +17,131 @@ from plant_emulator.plant_config import BAR, LITRE, LITRE_PER_MINUTE, ActuatorCo
 Array = NDArray[np.float64]
 
 
-class Hydraulics(NamedTuple):
-    """Per actuator, one row each: ``linkage`` (6, 5) as linkage.py takes it, ``cylinder`` (6, 9) area a, area b, dead
-    volume a, dead volume b, stroke, leakage, stop stiffness, stop damping, wall compliance; ``valve`` (6, 7) orifice gain, deadband,
-    ω, ζ, slew limit, relief gain, anti-cavitation gain; ``friction`` (6, 6) Coulomb, static, Stribeck, stiffness, micro-damping,
-    viscous. ``oil`` (8): modulus, air, exponent, reference temperature, 1/K viscosity, 1/K modulus, cooling/heat capacity,
-    ambient; then ``supply`` (10): set pressure, return, flow limit, gain, volume, dump gain, running, relief setting,
-    regularisation, heat capacity (0 when the temperature is held)."""
-
-    linkage: Array
-    cylinder: Array
-    valve: Array
-    friction: Array
-    oil: Array
-    supply: Array
-
-
 class Model(NamedTuple):
-    """Everything that the right-hand side needs besides state and command."""
+    """Everything that the right-hand side needs besides state and command; see columns.py for the tables."""
 
     mechanism: Mechanism
-    hydraulics: Hydraulics
+    actuators: Array  # (6, A_COLUMNS)
+    circuit: Array  # (C_COLUMNS,)
 
 
 def orifice_gain(flow: float, drop: float) -> float:
-    """K_v (m³/s/√Pa) of an edge that passes ``flow`` (m³/s) at ``drop`` (Pa), well above the regularisation."""
+    """K_v (m³/s/√Pa) of an edge that passes ``flow`` (m³/s) at ``drop`` (Pa), far from zero."""
     return flow / math.sqrt(drop)
 
 
-def _actuator_rows(actuator: ActuatorConfig, wall: float) -> tuple[list[float], list[float], list[float]]:
-    """Rows of ``linkage``, ``cylinder`` and ``friction``."""
-    volumes = [actuator.dead_volume_a_l * LITRE, actuator.dead_volume_b_l * LITRE]
+def _describe_actuator(actuator: ActuatorConfig, row: Array) -> None:
+    """Fill linkage, areas, stops and friction of one row of the actuator table."""
     if actuator.cylinder is not None:
         c = actuator.cylinder
+        f, stop = c.friction, c.end_stop
         bore, rod = math.pi / 4.0 * (c.bore_mm * 1e-3) ** 2, math.pi / 4.0 * (c.rod_mm * 1e-3) ** 2
-        f = c.friction
-        return (
-            [CYLINDER, c.base_m, c.lever_m, c.angle_rad, c.length_m],
-            [bore, bore - rod, *volumes, c.stroke_m, actuator.leakage_m3_s_pa,
-             c.end_stop.stiffness_n_m, c.end_stop.damping_n_s_m, wall],
-            [f.coulomb_n, f.static_n, f.stribeck_m_s, f.bristle_n_m, f.bristle_damping_n_s_m, f.viscous_n_s_m],
-        )  # fmt: skip
-    r = actuator.rotary
-    assert r is not None  # the configuration allows exactly one of the two
-    g, first, last = r.friction, math.radians(r.from_deg), math.radians(r.to_deg)
-    return (
-        [ROTARY, 0.0, 0.0, first, 0.0],
-        [r.displacement_m3_rad, r.displacement_m3_rad, *volumes, last - first, actuator.leakage_m3_s_pa,
-         r.end_stop.stiffness_nm_rad, r.end_stop.damping_nm_s_rad, wall],
-        [g.coulomb_nm, g.static_nm, g.stribeck_rad_s, g.bristle_nm_rad, g.bristle_damping_nm_s_rad, g.viscous_nm_s_rad],
-    )  # fmt: skip
+        row[col.A_KIND : col.A_LENGTH0 + 1] = CYLINDER, c.base_m, c.lever_m, c.angle_rad, c.length_m
+        row[[col.A_AREA_A, col.A_AREA_B, col.A_STROKE]] = bore, bore - rod, c.stroke_m
+        row[[col.A_STOP_STIFFNESS, col.A_STOP_DAMPING]] = stop.stiffness_n_m, stop.damping_n_s_m
+        row[[col.A_COULOMB, col.A_STATIC, col.A_STRIBECK]] = f.coulomb_n, f.static_n, f.stribeck_m_s
+        row[[col.A_BRISTLE, col.A_BRISTLE_DAMPING]] = f.bristle_n_m, f.bristle_damping_n_s_m
+        row[col.A_VISCOUS] = f.viscous_n_s_m
+    if actuator.rotary is not None:
+        r = actuator.rotary
+        g, cushion = r.friction, r.end_stop
+        first, last = math.radians(r.from_deg), math.radians(r.to_deg)
+        row[col.A_KIND : col.A_LENGTH0 + 1] = ROTARY, 0.0, 0.0, first, 0.0
+        row[[col.A_AREA_A, col.A_AREA_B, col.A_STROKE]] = (
+            r.displacement_m3_rad,
+            r.displacement_m3_rad,
+            last - first,
+        )
+        row[[col.A_STOP_STIFFNESS, col.A_STOP_DAMPING]] = cushion.stiffness_nm_rad, cushion.damping_nm_s_rad
+        row[[col.A_COULOMB, col.A_STATIC, col.A_STRIBECK]] = g.coulomb_nm, g.static_nm, g.stribeck_rad_s
+        row[[col.A_BRISTLE, col.A_BRISTLE_DAMPING]] = g.bristle_nm_rad, g.bristle_damping_nm_s_rad
+        row[col.A_VISCOUS] = g.viscous_nm_s_rad
 
 
-def build_hydraulics(config: PlantConfig) -> Hydraulics:
-    """Valves, chambers, friction, oil and pump of ``config`` in SI units."""
-    actuators, valves, guard = config.actuators.in_order(), config.valves, config.protection
-    linkage, cylinder, valve, friction = [], [], [], []
-    for actuator in actuators:
-        rows = _actuator_rows(actuator, config.oil.wall_compliance_m3_pa)
-        linkage.append(rows[0])
-        cylinder.append(rows[1])
-        friction.append(rows[2])
+def build_actuators(config: PlantConfig) -> Array:
+    """The actuator table (6, A_COLUMNS) of ``config``."""
+    table = np.zeros((N_ACTUATORS, col.A_COLUMNS))
+    valves, guard = config.valves, config.protection
+    for row, actuator in zip(table, config.actuators.in_order(), strict=True):
+        _describe_actuator(actuator, row)
         flow = actuator.rated_flow_l_min * LITRE_PER_MINUTE
-        valve.append([
-            orifice_gain(flow, valves.rated_drop_bar * BAR), valves.deadband, 2.0 * math.pi * valves.bandwidth_hz,
-            valves.damping_ratio, valves.slew_limit_per_s, flow / (guard.relief_override_bar * BAR),
-            orifice_gain(flow, guard.anticavitation_drop_bar * BAR) if guard.anticavitation else 0.0,
-        ])  # fmt: skip
-    oil, pump = config.oil, config.pump
-    most = pump.flow_limit_l_min * LITRE_PER_MINUTE
-    capacity = oil.heat_capacity_kj_k * 1e3
-    return Hydraulics(
-        np.array(linkage), np.array(cylinder), np.array(valve), np.array(friction),
-        np.array([oil.bulk_modulus_mpa * 1e6, oil.air_fraction, oil.polytropic_exponent, oil.reference_degc,
-                  oil.viscosity_per_k, oil.modulus_per_k, oil.cooling_w_k / capacity, oil.ambient_degc]),
-        np.array([pump.pressure_bar * BAR, pump.return_bar * BAR, most, most / (pump.droop_bar * BAR),
-                  pump.line_volume_l * LITRE, orifice_gain(pump.dump_flow_l_min * LITRE_PER_MINUTE, 100.0 * BAR), 1.0,
-                  guard.relief_bar * BAR, valves.regularisation_bar * BAR, capacity if oil.thermal_drift else 0.0]),
-    )  # fmt: skip
+        row[col.A_DEAD_A], row[col.A_DEAD_B] = (
+            actuator.dead_volume_a_l * LITRE,
+            actuator.dead_volume_b_l * LITRE,
+        )
+        row[col.A_LEAKAGE] = actuator.leakage_m3_s_pa
+        row[col.A_GAIN] = orifice_gain(flow, valves.rated_drop_bar * BAR)
+        row[col.A_DEADBAND], row[col.A_ZETA] = valves.deadband, valves.damping_ratio
+        row[col.A_OMEGA] = 2.0 * math.pi * valves.bandwidth_hz
+        row[col.A_SLEW_LIMIT] = valves.slew_limit_per_s
+        row[col.A_RELIEF] = flow / (guard.relief_override_bar * BAR)
+        if guard.anticavitation:
+            row[col.A_ANTICAVITATION] = orifice_gain(flow, guard.anticavitation_drop_bar * BAR)
+    hold = guard.counterbalance
+    for i, fitted in ((1, hold.lift), (2, hold.tilt)):
+        table[i, col.A_COUNTERBALANCE] = 2.0 * table[i, col.A_GAIN] if fitted else 0.0
+    return table
+
+
+def build_circuit(config: PlantConfig) -> Array:
+    """The circuit vector (C_COLUMNS,) of ``config``: oil, supply and return."""
+    oil, pump, guard = config.oil, config.pump, config.protection
+    most, capacity = pump.flow_limit_l_min * LITRE_PER_MINUTE, oil.heat_capacity_kj_k * 1e3
+    c = np.zeros(col.C_COLUMNS)
+    c[col.C_MODULUS], c[col.C_WALL] = oil.bulk_modulus_mpa * 1e6, oil.wall_compliance_m3_pa
+    c[col.C_AIR], c[col.C_EXPONENT] = oil.air_fraction, oil.polytropic_exponent
+    c[col.C_REFERENCE], c[col.C_AMBIENT] = oil.reference_degc, oil.ambient_degc
+    c[col.C_VISCOSITY_DRIFT], c[col.C_MODULUS_DRIFT] = oil.viscosity_per_k, oil.modulus_per_k
+    c[col.C_COOLING] = oil.cooling_w_k / capacity
+    c[col.C_HEAT_CAPACITY] = capacity if oil.thermal_drift else 0.0
+    c[col.C_SET], c[col.C_RETURN] = pump.pressure_bar * BAR, pump.return_bar * BAR
+    c[col.C_FLOW_LIMIT], c[col.C_PUMP_GAIN] = most, most / (pump.droop_bar * BAR)
+    c[col.C_LINE_VOLUME], c[col.C_RUNNING] = pump.line_volume_l * LITRE, 1.0
+    c[col.C_DUMP] = orifice_gain(pump.dump_flow_l_min * LITRE_PER_MINUTE, 100.0 * BAR)
+    c[col.C_RELIEF], c[col.C_REGULARISATION] = guard.relief_bar * BAR, config.valves.regularisation_bar * BAR
+    hold = guard.counterbalance
+    c[col.C_HOLD], c[col.C_PILOT], c[col.C_HOLD_RANGE] = (
+        hold.setting_bar * BAR,
+        hold.pilot_ratio,
+        hold.range_bar * BAR,
+    )
+    return c
 
 
 def build_mechanism(config: PlantConfig, chain: Chain, bodies: list[Lump]) -> Mechanism:
-    """The true chain of ``config`` with the given ``bodies``; hinge damping from the outboard inertia at the start pose."""
+    """The true chain with ``bodies``; hinge damping follows from the inertia behind it at the start pose."""
     n = N_COORDINATES
     stiffness, free = np.zeros(n), np.ones(n)
-    flex = config.flexibility
-    for i, ei, beam in (
-        (2, flex.boom.vertical_ei_n_m2, flex.boom), (3, flex.boom.lateral_ei_n_m2, flex.boom),
-        (5, flex.arm.vertical_ei_n_m2, flex.arm), (6, flex.arm.lateral_ei_n_m2, flex.arm),
-    ):  # fmt: skip
-        stiffness[i] = 4.0 * ei / (3.0 * beam.length_m)
-        free[i] = 1.0 if flex.enabled else 0.0
+    boom, arm = config.flexibility.boom, config.flexibility.arm
+    beams = (boom, boom, arm, arm)
+    moduli = (boom.vertical_ei_n_m2, boom.lateral_ei_n_m2, arm.vertical_ei_n_m2, arm.lateral_ei_n_m2)
+    for i, beam, modulus in zip(FLEXIBLE, beams, moduli, strict=True):
+        stiffness[i] = 4.0 * modulus / (3.0 * beam.length_m)
+        free[i] = 1.0 if config.flexibility.enabled else 0.0
     gravity = base_tilt(config)[:3, :3].T @ np.array([0.0, 0.0, -config.gravity_m_s2])
     mechanism = Mechanism(
-        chain.axis, chain.point, np.array([b.mass for b in bodies]), np.array([b.centre for b in bodies]),
-        np.array([b.inertia for b in bodies]), free, stiffness, np.zeros(n), gravity,
-    )  # fmt: skip
-    for i, beam in zip(FLEXIBLE, (flex.boom, flex.boom, flex.arm, flex.arm), strict=True):
-        inertia = hinge_inertia(mechanism, start_coordinates(config), i)
+        axis=chain.axis,
+        point=chain.point,
+        mass=np.array([body.mass for body in bodies]),
+        centre=np.array([body.centre for body in bodies]),
+        inertia=np.array([body.inertia for body in bodies]),
+        free=free,
+        stiffness=stiffness,
+        damping=np.zeros(n),
+        gravity=gravity,
+    )
+    for i, beam in zip(FLEXIBLE, beams, strict=True):
+        inertia = outboard_inertia(mechanism, start_coordinates(config), i)
         mechanism.damping[i] = 2.0 * beam.damping_ratio * math.sqrt(stiffness[i] * inertia)
     return mechanism
 
 
-def hinge_inertia(mechanism: Mechanism, q: Array, coordinate: int) -> float:
-    """The inertia (kg m²) of everything behind ``coordinate`` about its axis at pose ``q``, all other coordinates locked."""
-    alone = mechanism._replace(
-        free=np.array([1.0 if i == coordinate else 0.0 for i in range(N_COORDINATES)]), gravity=np.zeros(3)
-    )
-    push, acceleration = np.zeros(N_COORDINATES), np.zeros(N_COORDINATES)
-    push[coordinate] = 1.0
+def outboard_inertia(mechanism: Mechanism, q: Array, coordinate: int) -> float:
+    """The inertia (kg m²) behind ``coordinate`` about its axis at pose ``q`` (10,), the others locked."""
+    free = np.zeros(N_COORDINATES)
+    free[coordinate] = 1.0
+    alone = mechanism._replace(free=free, gravity=np.zeros(3))
+    push, acceleration = free.copy(), np.zeros(N_COORDINATES)
     forward_dynamics(q, np.zeros(N_COORDINATES), push, alone, multibody_work(N_COORDINATES), acceleration)
     return 1.0 / float(acceleration[coordinate])
 
@@ -140,7 +157,8 @@ def build_model(config: PlantConfig) -> tuple[Model, Chain, Lump]:
     """The model without payload, its chain, and the bare tool body that a payload is added to."""
     chain = build_chain(config)
     bodies = build_bodies(config, chain)
-    return Model(build_mechanism(config, chain, bodies), build_hydraulics(config)), chain, bodies[-1]
+    mechanism = build_mechanism(config, chain, bodies)
+    return Model(mechanism, build_actuators(config), build_circuit(config)), chain, bodies[-1]
 
 
 def put_payload(model: Model, tool: Lump, mass: float, config: PlantConfig, chain: Chain) -> None:
@@ -149,4 +167,3 @@ def put_payload(model: Model, tool: Lump, mass: float, config: PlantConfig, chai
     model.mechanism.mass[-1] = loaded.mass
     model.mechanism.centre[-1] = loaded.centre
     model.mechanism.inertia[-1] = loaded.inertia
-

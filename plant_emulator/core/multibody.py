@@ -1,10 +1,11 @@
 """Articulated-body dynamics of the arm, by product of exponentials, in base-aligned axes.
 
 Every body frame coincides with the base frame when all coordinates are zero, so a pose is a plain product of
-exponentials T_i = e^[ξ1]q1 … e^[ξi]qi (Brockett; Lynch & Park, Modern Robotics, 4.1) and a mass property is a constant
-in base coordinates. Featherstone's articulated-body algorithm (Rigid Body Dynamics Algorithms, 2008, table 7.1) then runs
-without a single change of coordinates: all spatial vectors are written in base-aligned axes about one point, the
-present wrist centre, which keeps the light wrist bodies free of cancellation against the 5 m reach.
+exponentials T_i = e^[ξ1]q1 … e^[ξi]qi (Brockett; Lynch & Park, Modern Robotics, 4.1) and a mass property is a
+constant in base coordinates. Featherstone's articulated-body algorithm (Rigid Body Dynamics Algorithms, 2008,
+table 7.1) then runs without a single change of coordinates: all spatial vectors are written in base-aligned
+axes about one point, the present wrist centre, which keeps the light wrist bodies free of cancellation
+against the 5 m reach.
 
 Spatial motion vectors are [ω, v], forces [n, f].
 """
@@ -20,11 +21,11 @@ Array = NDArray[np.float64]
 
 
 class Mechanism(NamedTuple):
-    """A serial chain of ``n`` revolute coordinates and the body behind each, at the home pose in base coordinates.
+    """A serial chain of ``n`` revolute coordinates and the body behind each, at home in base coordinates.
 
-    ``axis`` (n, 3) unit, ``point`` (n, 3) on the axis, ``mass`` (n,), ``centre`` (n, 3), ``inertia`` (n, 3, 3) about the
-    centre, ``free`` (n,) 1 for a moving coordinate and 0 for a locked one, ``stiffness`` and ``damping`` (n,) of an
-    elastic hinge at zero angle, ``gravity`` (3,) in base coordinates.
+    ``axis`` (n, 3) unit, ``point`` (n, 3) on the axis, ``mass`` (n,), ``centre`` (n, 3), ``inertia`` (n, 3,
+    3) about the centre, ``free`` (n,) 1 for a moving coordinate and 0 for a locked one, ``stiffness`` and
+    ``damping`` (n,) of an elastic hinge at zero angle, ``gravity`` (3,) in base coordinates.
     """
 
     axis: Array
@@ -39,7 +40,7 @@ class Mechanism(NamedTuple):
 
 
 class MultibodyWork(NamedTuple):
-    """Scratch memory of the recursion, so that no evaluation allocates: see the code for each array's content."""
+    """Scratch memory of the recursion, so that no evaluation allocates."""
 
     rotation: Array  # (n + 1, 3, 3) of each body, base first
     origin: Array  # (n + 1, 3)
@@ -58,11 +59,19 @@ class MultibodyWork(NamedTuple):
 def multibody_work(n: int) -> MultibodyWork:
     """Scratch memory for a chain of ``n`` coordinates."""
     return MultibodyWork(
-        rotation=np.zeros((n + 1, 3, 3)), origin=np.zeros((n + 1, 3)), screw=np.zeros((n, 6)), bias=np.zeros((n, 6)),
-        velocity=np.zeros((n + 1, 6)), spatial_inertia=np.zeros((n, 6, 6)), wrench=np.zeros((n, 6)),
-        articulated=np.zeros((6, 6)), articulated_wrench=np.zeros(6), projected=np.zeros((n, 6)),
-        pivot_inertia=np.zeros(n), pivot_force=np.zeros(n),
-    )  # fmt: skip
+        rotation=np.zeros((n + 1, 3, 3)),
+        origin=np.zeros((n + 1, 3)),
+        screw=np.zeros((n, 6)),
+        bias=np.zeros((n, 6)),
+        velocity=np.zeros((n + 1, 6)),
+        spatial_inertia=np.zeros((n, 6, 6)),
+        wrench=np.zeros((n, 6)),
+        articulated=np.zeros((6, 6)),
+        articulated_wrench=np.zeros(6),
+        projected=np.zeros((n, 6)),
+        pivot_inertia=np.zeros(n),
+        pivot_force=np.zeros(n),
+    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -143,7 +152,7 @@ def _cross_blocks(out: Array, hx: float, hy: float, hz: float) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _screws(rate: Array, mech: Mechanism, work: MultibodyWork) -> None:
-    """Fill screws, body velocities, velocity-product accelerations, inertias and wrenches about the wrist centre."""
+    """Fill screws, velocities, velocity-product terms and inertias of all bodies about the wrist centre."""
     n = rate.shape[0]
     rot, at, home = work.rotation[n - 1], work.origin[n - 1], mech.point[n - 1]
     ox = rot[0, 0] * home[0] + rot[0, 1] * home[1] + rot[0, 2] * home[2] + at[0]
@@ -193,7 +202,7 @@ def _screws(rate: Array, mech: Mechanism, work: MultibodyWork) -> None:
 def forward_dynamics(
     q: Array, rate: Array, force: Array, mech: Mechanism, work: MultibodyWork, acceleration: Array
 ) -> None:
-    """Fill ``acceleration`` (n,) of the coordinates at angles ``q``, rates ``rate`` and generalised ``force`` (n,)."""
+    """Fill ``acceleration`` (n,) at angles ``q``, rates ``rate`` and generalised ``force``, all (n,)."""
     forward_kinematics(q, mech, work)
     _screws(rate, mech, work)
     n = q.shape[0]
@@ -204,7 +213,13 @@ def forward_dynamics(
             total[r, c] = 0.0
     for back in range(n):
         i = n - 1 - back
-        s, u, b, own, f = work.screw[i], work.projected[i], work.bias[i], work.spatial_inertia[i], work.wrench[i]
+        s, u, b, own, f = (
+            work.screw[i],
+            work.projected[i],
+            work.bias[i],
+            work.spatial_inertia[i],
+            work.wrench[i],
+        )
         for r in range(6):
             pull[r] += f[r]
             for c in range(6):

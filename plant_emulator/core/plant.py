@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from plant_emulator.core import columns as col
 from plant_emulator.core.equilibrium import rest_state
 from plant_emulator.core.faults import Fault, FaultKind, checked
 from plant_emulator.core.geometry import base_tilt, transform
@@ -25,7 +26,7 @@ from plant_emulator.core.layout import (
 )
 from plant_emulator.core.model import build_model, put_payload, start_coordinates
 from plant_emulator.core.multibody import forward_kinematics
-from plant_emulator.core.right_hand_side import FLOW_A, FLOW_B, advance, new_work
+from plant_emulator.core.right_hand_side import advance, new_work
 from plant_emulator.core.sensors import Encoders
 from plant_emulator.core.truth import Mounts, PlantTruth, inverse
 from plant_emulator.plant_config import BAR, PlantConfig
@@ -47,7 +48,9 @@ NOMINAL_MOUNTS = Mounts(
     X_WB=np.eye(4),
     X_TC=transform(np.eye(3), np.array([-0.20, -0.05, -0.40])),
     X_TM=transform(np.diag([1.0, -1.0, -1.0]), np.zeros(3)),
-    X_WO=transform(np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([4.7, 0.0, 1.0])),
+    X_WO=transform(
+        np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([4.7, 0.0, 1.0])
+    ),
 )
 
 
@@ -59,9 +62,10 @@ class _Pending(NamedTuple):
 
 
 class Plant:
-    """The arm, its oil and its sensors at simulated time ``time_ns``; no clock, no sockets, bit-identical for one seed.
+    """The arm, its oil and its sensors at simulated time ``time_ns``; bit-identical for one seed.
 
-    Starts at rest at the configured pose. The loop around it is ``write`` the valve image, ``advance``, ``read``.
+    Starts at rest at the configured pose. The loop around it is ``write`` the valve image, ``advance``,
+    ``read``.
     """
 
     def __init__(self, config: PlantConfig, seed: int, mounts: Mounts = NOMINAL_MOUNTS) -> None:
@@ -84,23 +88,25 @@ class Plant:
         self._target = np.zeros(N_ACTUATORS)
         self._pending: list[_Pending] = []
         self._faults: dict[str, Fault] = {}
-        self._valve_table = self._model.hydraulics.valve.copy()
+        self._healthy_omega = self._model.actuators[:, col.A_OMEGA].copy()
         self._image: ValveImage | None = None
         self._fresh_ns = 0
         self._tripped = False
         self._cycle = 0
 
     def write(self, image: ValveImage) -> None:
-        """Take the controller's valve image; valves act only while enabled and while the watchdog has not tripped.
+        """Take the controller's valve image; valves act while enabled and while the watchdog has not tripped.
 
         Raises ImageRefused when a valve command is not finite.
         """
         if not all(map(math.isfinite, image.valves)):
-            raise ImageRefused("image.not_finite", f"valve commands {image.valves}: finite numbers are wanted")
+            raise ImageRefused("image.not_finite", f"valve commands {image.valves}: want finite numbers")
         before = self._image
         if before is None or image.controller_cycle != before.controller_cycle:
             self._fresh_ns = self.time_ns + self._owed_ns
-        if image.control & CONTROL_RESET_WATCHDOG and not (before and before.control & CONTROL_RESET_WATCHDOG):
+        if image.control & CONTROL_RESET_WATCHDOG and not (
+            before and before.control & CONTROL_RESET_WATCHDOG
+        ):
             self._tripped = False
             self._fresh_ns = self.time_ns + self._owed_ns
         self._image = image
@@ -113,12 +119,21 @@ class Plant:
         self._owed_ns += duration_ns
         while self._owed_ns >= self._step_ns:
             self._events()
-            until = min([p.due_ns for p in self._pending] + [self._deadline_ns(), self.time_ns + self._owed_ns])
+            until = min(
+                [p.due_ns for p in self._pending] + [self._deadline_ns(), self.time_ns + self._owed_ns]
+            )
             steps = min(max(-(-(until - self.time_ns) // self._step_ns), 1), self._owed_ns // self._step_ns)
             advance(
-                self._state, self._drive, self._target, self._shaft, self._half_play, steps, self._step_ns * 1e-9,
-                self._model, self._work,
-            )  # fmt: skip
+                self._state,
+                self._drive,
+                self._target,
+                self._shaft,
+                self._half_play,
+                steps,
+                self._step_ns * 1e-9,
+                self._model,
+                self._work,
+            )
             self.time_ns += steps * self._step_ns
             self._owed_ns -= steps * self._step_ns
         self._events()
@@ -135,12 +150,12 @@ class Plant:
             encoder_counts=(a, b, c, d, e, f),
             pressures_bar=tuple((float(p[0]), float(p[1])) for p in pressures),
             supply_bar=float(self._state[SUPPLY]) / BAR,
-            return_bar=float(self._model.hydraulics.supply[1]) / BAR,
+            return_bar=float(self._model.circuit[col.C_RETURN]) / BAR,
             oil_temperature_degc=float(self._state[TEMPERATURE]),
         )
 
     def truth(self) -> PlantTruth:
-        """Where everything really is at this instant; for the plant's recording, never for another service."""
+        """Where everything really is now; for the plant's own recording, never for another service."""
         work, state = self._work, self._state
         forward_kinematics(state[Q : Q + N_COORDINATES], self._model.mechanism, work.multibody)
         X_BT = transform(work.multibody.rotation[-1], work.multibody.origin[-1]) @ self._chain.X_BT_home
@@ -151,14 +166,29 @@ class Plant:
         X_CM, X_CO = X_CW @ X_WM, X_CW @ mounts.X_WO
         driven, flexible = list(DRIVEN), list(FLEXIBLE)
         return PlantTruth(
-            time_ns=self.time_ns, q=state[driven], q_rate=state[RATE : RATE + N_COORDINATES][driven],
-            deflections=state[flexible], X_BT=X_BT, X_WB=mounts.X_WB, X_WT=X_WT, X_WC=X_WC, X_WM=X_WM, X_WO=mounts.X_WO,
-            p_CM=X_CM[:3, 3], p_CO=X_CO[:3, 3], R_CM=X_CM[:3, :3], R_CO=X_CO[:3, :3],
+            time_ns=self.time_ns,
+            q=state[driven],
+            q_rate=state[RATE : RATE + N_COORDINATES][driven],
+            deflections=state[flexible],
+            X_BT=X_BT,
+            X_WB=mounts.X_WB,
+            X_WT=X_WT,
+            X_WC=X_WC,
+            X_WM=X_WM,
+            X_WO=mounts.X_WO,
+            p_CM=X_CM[:3, 3],
+            p_CO=X_CO[:3, 3],
+            R_CM=X_CM[:3, :3],
+            R_CO=X_CO[:3, :3],
             pressures=state[PRESSURE_A : PRESSURE_B + N_ACTUATORS].reshape(2, N_ACTUATORS).T.copy(),
-            supply=float(state[SUPPLY]), oil_temperature_degc=float(state[TEMPERATURE]), payload_kg=self._payload_kg,
-            valves=self._target.copy(), spools=state[SPOOL : SPOOL + N_ACTUATORS].copy(),
-            flows=work.flows[:, [FLOW_A, FLOW_B]].copy(), faults=tuple(sorted(self._faults)),
-        )  # fmt: skip
+            supply=float(state[SUPPLY]),
+            oil_temperature_degc=float(state[TEMPERATURE]),
+            payload_kg=self._payload_kg,
+            valves=self._target.copy(),
+            spools=state[SPOOL : SPOOL + N_ACTUATORS].copy(),
+            flows=work.flows[:, [col.F_NET_A, col.F_NET_B]].copy(),
+            faults=tuple(sorted(self._faults)),
+        )
 
     def set_payload(self, mass_kg: float) -> None:
         """Change the load at the tool at this instant; velocities stay, as when a load is let go.
@@ -171,7 +201,7 @@ class Plant:
         put_payload(self._model, self._bare_tool, mass_kg, self.config, self._chain)
 
     def inject(self, fault: Fault) -> None:
-        """Break something from this instant on. Raises RequestRefused when the fault does not fit this plant."""
+        """Break something from now on. Raises RequestRefused when the fault does not fit this plant."""
         self._faults[checked(fault).name()] = fault
         if fault.kind is FaultKind.ENCODER_STUCK:
             self._encoders.hold(fault.joint)
@@ -184,18 +214,18 @@ class Plant:
         self._apply_faults()
 
     def _apply_faults(self) -> None:
-        hydraulics = self._model.hydraulics
-        hydraulics.valve[:] = self._valve_table
-        hydraulics.supply[6] = 1.0
+        omega, circuit = self._model.actuators[:, col.A_OMEGA], self._model.circuit
+        omega[:] = self._healthy_omega
+        circuit[col.C_RUNNING] = 1.0
         self._encoders.bias[:] = 0.0
         for fault in self._faults.values():
             if fault.kind is FaultKind.SUPPLY_LOST:
-                hydraulics.supply[6] = 0.0
+                circuit[col.C_RUNNING] = 0.0
             elif fault.kind is FaultKind.VALVE_STUCK:
-                hydraulics.valve[fault.joint, 2] = 0.0  # no drive: the spool rests where friction leaves it
+                omega[fault.joint] = 0.0
                 self._state[SPOOL_RATE + fault.joint] = 0.0
             elif fault.kind is FaultKind.VALVE_SLOW:
-                hydraulics.valve[fault.joint, 2] *= fault.value
+                omega[fault.joint] *= fault.value
             elif fault.kind is FaultKind.ENCODER_BIAS:
                 self._encoders.bias[fault.joint] = fault.value
 
@@ -223,7 +253,7 @@ class Plant:
     def _status(self) -> int:
         held_encoder = bool(self._encoders.held)
         return (
-            (STATUS_SUPPLY_ON if self._model.hydraulics.supply[6] > 0.0 else 0)
+            (STATUS_SUPPLY_ON if self._model.circuit[col.C_RUNNING] > 0.0 else 0)
             | (STATUS_VALVES_ENABLED if self._enabled() else 0)
             | (STATUS_WATCHDOG_TRIPPED if self._tripped else 0)
             | (STATUS_SENSOR_FAULT if held_encoder else 0)

@@ -1,4 +1,4 @@
-"""The plant's one right-hand side, and its fixed-step Runge-Kutta integration; compiled, on flat arrays, without allocation."""
+"""The plant's one right-hand side and its integration: compiled, on flat arrays, free of allocation."""
 
 import math
 from typing import NamedTuple
@@ -7,10 +7,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from plant_emulator.core import columns as col
 from plant_emulator.core.chambers import bulk_modulus, relief_flow
 from plant_emulator.core.friction import bristle_rate, friction_force, steady_level
 from plant_emulator.core.layout import (
     BRISTLE,
+    DRIVEN,
     N_ACTUATORS,
     N_COORDINATES,
     N_STATES,
@@ -26,25 +28,18 @@ from plant_emulator.core.layout import (
 from plant_emulator.core.linkage import actuator_lever, actuator_position
 from plant_emulator.core.model import Model
 from plant_emulator.core.multibody import MultibodyWork, forward_dynamics, multibody_work
-from plant_emulator.core.valves import opening, orifice_flow, slew_limited, spool_acceleration
+from plant_emulator.core.valves import held_gain, opening, orifice_flow, slew_limited, spool_acceleration
 
 Array = NDArray[np.float64]
 
-DRIVEN_INDEX = np.array([0, 1, 4, 7, 8, 9])
-
-# columns of Work.flows
-FLOW_A, FLOW_B, FLOW_SUPPLY, FORCE, FRICTION, POSITION, VELOCITY, STOP = range(8)
-N_FLOWS = 8
-
 
 class Work(NamedTuple):
-    """Scratch memory of one plant. After an evaluation ``flows`` (6, 8) holds, per actuator, net flow into chamber a and b
-    (m³/s), flow taken from the supply, pressure force, friction force, position, velocity and end-stop force."""
+    """Scratch memory of one plant; ``flows`` (6, F_COLUMNS) tells what the latest evaluation found."""
 
     multibody: MultibodyWork
     force: Array  # (10,)
     acceleration: Array  # (10,)
-    flows: Array  # (6, 8)
+    flows: Array  # (6, F_COLUMNS)
     slope: Array  # (4, N_STATES)
     stage: Array  # (N_STATES,)
 
@@ -52,94 +47,132 @@ class Work(NamedTuple):
 def new_work() -> Work:
     """Fresh scratch memory."""
     return Work(
-        multibody_work(N_COORDINATES), np.zeros(N_COORDINATES), np.zeros(N_COORDINATES),
-        np.zeros((N_ACTUATORS, N_FLOWS)), np.zeros((4, N_STATES)), np.zeros(N_STATES),
-    )  # fmt: skip
+        multibody=multibody_work(N_COORDINATES),
+        force=np.zeros(N_COORDINATES),
+        acceleration=np.zeros(N_COORDINATES),
+        flows=np.zeros((N_ACTUATORS, col.F_COLUMNS)),
+        slope=np.zeros((4, N_STATES)),
+        stage=np.zeros(N_STATES),
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _valve_flows(i: int, state: Array, thinner: float, model: Model, out: Array) -> None:
+    """Fill net chamber flows and supply flow of actuator ``i``: valve, leakage, relief, anti-cavitation."""
+    a, c = model.actuators[i], model.circuit
+    p_a, p_b, p_s, p_t = state[PRESSURE_A + i], state[PRESSURE_B + i], state[SUPPLY], c[col.C_RETURN]
+    soft, limit = c[col.C_REGULARISATION], c[col.C_RELIEF]
+    gain = a[col.A_GAIN] * opening(state[SPOOL + i], a[col.A_DEADBAND])
+    if gain >= 0.0:
+        in_a = orifice_flow(gain, p_s - p_a, soft)
+        in_b = -orifice_flow(gain, p_b - p_t, soft)
+        out[col.F_SUPPLY] = in_a
+    else:
+        release = -gain
+        if a[col.A_COUNTERBALANCE] > 0.0:
+            wish = p_a + c[col.C_PILOT] * p_b - c[col.C_HOLD]
+            release = held_gain(release, a[col.A_COUNTERBALANCE], wish, c[col.C_HOLD_RANGE])
+        in_a = -orifice_flow(release, p_a - p_t, soft)
+        in_b = -orifice_flow(gain, p_s - p_b, soft)
+        out[col.F_SUPPLY] = in_b
+    leak = a[col.A_LEAKAGE] * thinner * (p_a - p_b)
+    in_a -= leak + relief_flow(p_a, limit, a[col.A_RELIEF])
+    in_b += leak - relief_flow(p_b, limit, a[col.A_RELIEF])
+    if p_a < p_t:
+        in_a += orifice_flow(a[col.A_ANTICAVITATION], p_t - p_a, soft)
+    if p_b < p_t:
+        in_b += orifice_flow(a[col.A_ANTICAVITATION], p_t - p_b, soft)
+    out[col.F_NET_A], out[col.F_NET_B] = in_a, in_b
+
+
+@njit(cache=True, error_model="numpy")
+def _end_stop(y: float, v: float, a: Array) -> float:
+    """Force of the cushion at either end of the stroke; it pushes back and never pulls."""
+    over, push = y - a[col.A_STROKE], 0.0
+    if y < 0.0:
+        push = max(-a[col.A_STOP_STIFFNESS] * y - a[col.A_STOP_DAMPING] * v, 0.0)
+    elif over > 0.0:
+        push = -max(a[col.A_STOP_STIFFNESS] * over + a[col.A_STOP_DAMPING] * v, 0.0)
+    return push
 
 
 @njit(cache=True, error_model="numpy")
 def _actuator(i: int, state: Array, command: float, model: Model, work: Work, rate: Array) -> None:
     """Rates of spool, chambers and bristle of actuator ``i``, and its torque on the joint."""
-    oil, line, link = model.hydraulics.oil, model.hydraulics.supply, model.hydraulics.linkage[i]
-    body, valve, seal = model.hydraulics.cylinder[i], model.hydraulics.valve[i], model.hydraulics.friction[i]
-    joint, out = DRIVEN_INDEX[i], work.flows[i]
-    angle, turn = state[Q + joint], state[RATE + joint]
-    y = actuator_position(angle, link[0], link[1], link[2], link[3], link[4])
-    lever = actuator_lever(angle, link[0], link[1], link[2], link[3], link[4])
-    v = lever * turn
-    p_a, p_b, p_s, p_t, delta = state[PRESSURE_A + i], state[PRESSURE_B + i], state[SUPPLY], line[1], line[8]
-    warmer = state[TEMPERATURE] - oil[3]
-    thinner = math.exp(oil[4] * warmer)
-    modulus = oil[0] * (1.0 - oil[5] * warmer)
+    a, c, out, joint = model.actuators[i], model.circuit, work.flows[i], DRIVEN[i]
+    angle = state[Q + joint]
+    base, lever, angle0, length0 = a[col.A_BASE], a[col.A_LEVER], a[col.A_ANGLE0], a[col.A_LENGTH0]
+    y = actuator_position(angle, a[col.A_KIND], base, lever, angle0, length0)
+    ratio = actuator_lever(angle, a[col.A_KIND], base, lever, angle0, length0)
+    v = ratio * state[RATE + joint]
+    p_a, p_b = state[PRESSURE_A + i], state[PRESSURE_B + i]
+    area_a, area_b = a[col.A_AREA_A], a[col.A_AREA_B]
 
     spool, spool_rate = state[SPOOL + i], state[SPOOL_RATE + i]
     rate[SPOOL + i] = spool_rate
-    rate[SPOOL_RATE + i] = spool_acceleration(command, spool, spool_rate, valve[2], valve[3])
+    rate[SPOOL_RATE + i] = spool_acceleration(command, spool, spool_rate, a[col.A_OMEGA], a[col.A_ZETA])
 
-    gain = valve[0] * opening(spool, valve[1])
-    if gain >= 0.0:
-        in_a = orifice_flow(gain, p_s - p_a, delta)
-        in_b = -orifice_flow(gain, p_b - p_t, delta)
-        drawn = in_a
-    else:
-        in_a = orifice_flow(gain, p_a - p_t, delta)
-        in_b = -orifice_flow(gain, p_s - p_b, delta)
-        drawn = in_b
-    leak = body[5] * thinner * (p_a - p_b)
-    in_a -= leak + relief_flow(p_a, line[7], valve[5])
-    in_b += leak - relief_flow(p_b, line[7], valve[5])
-    if p_a < p_t:
-        in_a += orifice_flow(valve[6], p_t - p_a, delta)
-    if p_b < p_t:
-        in_b += orifice_flow(valve[6], p_t - p_b, delta)
-    volume_a = body[2] + body[0] * y
-    volume_b = body[3] + body[1] * (body[4] - y)
-    stiff_a = bulk_modulus(p_a, volume_a, modulus, body[8], oil[1], oil[2])
-    stiff_b = bulk_modulus(p_b, volume_b, modulus, body[8], oil[1], oil[2])
-    rate[PRESSURE_A + i] = stiff_a * (in_a - body[0] * v) / volume_a
-    rate[PRESSURE_B + i] = stiff_b * (in_b + body[1] * v) / volume_b
+    warmer = state[TEMPERATURE] - c[col.C_REFERENCE]
+    thinner = math.exp(c[col.C_VISCOSITY_DRIFT] * warmer)
+    _valve_flows(i, state, thinner, model, out)
+    volume_a = a[col.A_DEAD_A] + area_a * y
+    volume_b = a[col.A_DEAD_B] + area_b * (a[col.A_STROKE] - y)
+    oil = c[col.C_MODULUS] * (1.0 - c[col.C_MODULUS_DRIFT] * warmer)
+    wall, air, exponent = c[col.C_WALL], c[col.C_AIR], c[col.C_EXPONENT]
+    stiff_a = bulk_modulus(p_a, volume_a, oil, wall, air, exponent)
+    stiff_b = bulk_modulus(p_b, volume_b, oil, wall, air, exponent)
+    rate[PRESSURE_A + i] = stiff_a * (out[col.F_NET_A] - area_a * v) / volume_a
+    rate[PRESSURE_B + i] = stiff_b * (out[col.F_NET_B] + area_b * v) / volume_b
 
     bristle = state[BRISTLE + i]
-    z_rate = bristle_rate(v, bristle, steady_level(v, seal[0], seal[1], seal[2]), seal[3])
+    level = steady_level(v, a[col.A_COULOMB], a[col.A_STATIC], a[col.A_STRIBECK])
+    z_rate = bristle_rate(v, bristle, level, a[col.A_BRISTLE])
     rate[BRISTLE + i] = z_rate
-    friction = friction_force(v, bristle, z_rate, seal[3], seal[4], seal[5] / thinner)
-    stop = 0.0
-    if y < 0.0:
-        stop = max(-body[6] * y - body[7] * v, 0.0)
-    elif y > body[4]:
-        stop = -max(body[6] * (y - body[4]) + body[7] * v, 0.0)
-    push = p_a * body[0] - p_b * body[1]
-    work.force[joint] = (push - friction + stop) * lever
-    out[FLOW_A], out[FLOW_B], out[FLOW_SUPPLY], out[FORCE] = in_a, in_b, drawn, push
-    out[FRICTION], out[POSITION], out[VELOCITY], out[STOP] = friction, y, v, stop
+    viscous = a[col.A_VISCOUS] / thinner
+    friction = friction_force(v, bristle, z_rate, a[col.A_BRISTLE], a[col.A_BRISTLE_DAMPING], viscous)
+    stop = _end_stop(y, v, a)
+    push = p_a * area_a - p_b * area_b
+    work.force[joint] = (push - friction + stop) * ratio
+    out[col.F_PUSH], out[col.F_FRICTION], out[col.F_STOP] = push, friction, stop
+    out[col.F_POSITION], out[col.F_VELOCITY] = y, v
+
+
+@njit(cache=True, error_model="numpy")
+def pump_flow(supply: float, circuit: Array) -> float:
+    """What the pump delivers (m³/s) at ``supply`` pressure; once lost, what its dump orifice takes."""
+    if circuit[col.C_RUNNING] > 0.0:
+        wish: float = circuit[col.C_PUMP_GAIN] * (circuit[col.C_SET] - supply)
+        delivered: float = min(max(wish, 0.0), circuit[col.C_FLOW_LIMIT])
+        return delivered
+    return -orifice_flow(circuit[col.C_DUMP], supply - circuit[col.C_RETURN], circuit[col.C_REGULARISATION])
 
 
 @njit(cache=True, error_model="numpy")
 def _supply(state: Array, model: Model, work: Work, rate: Array) -> None:
     """Rates of supply pressure and oil temperature."""
-    oil, line = model.hydraulics.oil, model.hydraulics.supply
-    p_s, drawn, delivered = state[SUPPLY], 0.0, 0.0
+    c, supply = model.circuit, state[SUPPLY]
+    drawn = delivered = 0.0
     for i in range(N_ACTUATORS):
-        drawn += work.flows[i, FLOW_SUPPLY]
-        delivered += work.flows[i, FORCE] * work.flows[i, VELOCITY]
-    if line[6] > 0.0:
-        pumped = min(max(line[3] * (line[0] - p_s), 0.0), line[2])
-    else:
-        pumped = -orifice_flow(line[5], p_s - line[1], line[8])
-    net = pumped - drawn - relief_flow(p_s, line[7], line[3])
-    modulus = oil[0] * (1.0 - oil[5] * (state[TEMPERATURE] - oil[3]))
-    rate[SUPPLY] = bulk_modulus(p_s, line[4], modulus, 0.0, oil[1], oil[2]) * net / line[4]
+        drawn += work.flows[i, col.F_SUPPLY]
+        delivered += work.flows[i, col.F_PUSH] * work.flows[i, col.F_VELOCITY]
+    pumped = pump_flow(supply, c)
+    net = pumped - drawn - relief_flow(supply, c[col.C_RELIEF], c[col.C_PUMP_GAIN])
+    oil = c[col.C_MODULUS] * (1.0 - c[col.C_MODULUS_DRIFT] * (state[TEMPERATURE] - c[col.C_REFERENCE]))
+    volume = c[col.C_LINE_VOLUME]
+    stiff = bulk_modulus(supply, volume, oil, c[col.C_WALL], c[col.C_AIR], c[col.C_EXPONENT])
+    rate[SUPPLY] = stiff * net / volume
     rate[TEMPERATURE] = 0.0
-    if line[9] > 0.0:
-        heat = p_s * max(pumped, 0.0) - delivered
-        rate[TEMPERATURE] = heat / line[9] - oil[6] * (state[TEMPERATURE] - oil[7])
+    if c[col.C_HEAT_CAPACITY] > 0.0:
+        heat = supply * max(pumped, 0.0) - delivered
+        cooling = c[col.C_COOLING] * (state[TEMPERATURE] - c[col.C_AMBIENT])
+        rate[TEMPERATURE] = heat / c[col.C_HEAT_CAPACITY] - cooling
 
 
 @njit(cache=True, error_model="numpy")
 def right_hand_side(state: Array, command: Array, model: Model, work: Work, rate: Array) -> None:
     """Fill ``rate`` (N_STATES,) with d(state)/dt at ``state`` under spool ``command`` (6,)."""
-    mech, turn = model.mechanism, state[RATE : RATE + N_COORDINATES]
-    angle = state[Q : Q + N_COORDINATES]
+    mech = model.mechanism
+    angle, turn = state[Q : Q + N_COORDINATES], state[RATE : RATE + N_COORDINATES]
     for i in range(N_COORDINATES):
         work.force[i] = -mech.stiffness[i] * angle[i] - mech.damping[i] * turn[i]
     for i in range(N_ACTUATORS):
@@ -152,30 +185,40 @@ def right_hand_side(state: Array, command: Array, model: Model, work: Work, rate
 
 
 @njit(cache=True, error_model="numpy")
-def advance(
-    state: Array, drive: Array, target: Array, play: Array, half_play: Array, steps: int, h: float, model: Model, work: Work
-) -> None:
-    """Advance ``state`` in place by ``steps`` Runge-Kutta steps of ``h`` (s) under constant valve ``target`` (6,).
-
-    ``drive`` (6,) is the slew-limited command, ``play`` (6,) the angle of each encoder's shaft, which follows its joint
-    with a play of ``half_play``; both are updated once a step.
-    """
+def _runge_kutta_step(state: Array, drive: Array, h: float, model: Model, work: Work) -> None:
+    """One classical fourth-order step of ``state`` in place."""
     k, stage = work.slope, work.stage
+    right_hand_side(state, drive, model, work, k[0])
+    for stage_index in range(1, 4):
+        reach = h if stage_index == 3 else 0.5 * h
+        for j in range(N_STATES):
+            stage[j] = state[j] + reach * k[stage_index - 1, j]
+        right_hand_side(stage, drive, model, work, k[stage_index])
+    for j in range(N_STATES):
+        state[j] += h / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
+
+
+@njit(cache=True, error_model="numpy")
+def advance(
+    state: Array,
+    drive: Array,
+    target: Array,
+    shaft: Array,
+    half_play: Array,
+    steps: int,
+    h: float,
+    model: Model,
+    work: Work,
+) -> None:
+    """Advance ``state`` in place by ``steps`` steps of ``h`` (s) under constant valve ``target`` (6,).
+
+    ``drive`` (6,) is the slew-limited command; ``shaft`` (6,) the angle of each encoder's shaft, which its
+    joint drags along with a play of ``half_play`` (6,). Both are updated in place once a step.
+    """
     for _ in range(steps):
         for i in range(N_ACTUATORS):
-            drive[i] = slew_limited(drive[i], target[i], model.hydraulics.valve[i, 4] * h)
-        right_hand_side(state, drive, model, work, k[0])
-        for j in range(N_STATES):
-            stage[j] = state[j] + 0.5 * h * k[0, j]
-        right_hand_side(stage, drive, model, work, k[1])
-        for j in range(N_STATES):
-            stage[j] = state[j] + 0.5 * h * k[1, j]
-        right_hand_side(stage, drive, model, work, k[2])
-        for j in range(N_STATES):
-            stage[j] = state[j] + h * k[2, j]
-        right_hand_side(stage, drive, model, work, k[3])
-        for j in range(N_STATES):
-            state[j] += h / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
+            drive[i] = slew_limited(drive[i], target[i], model.actuators[i, col.A_SLEW_LIMIT] * h)
+        _runge_kutta_step(state, drive, h, model, work)
         for i in range(N_ACTUATORS):
-            angle = state[Q + DRIVEN_INDEX[i]]
-            play[i] = min(max(play[i], angle - half_play[i]), angle + half_play[i])
+            angle = state[Q + DRIVEN[i]]
+            shaft[i] = min(max(shaft[i], angle - half_play[i]), angle + half_play[i])

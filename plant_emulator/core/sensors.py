@@ -27,7 +27,7 @@ class Encoders:
         self.last: tuple[int, ...] = (0,) * N_ACTUATORS
 
     def read(self, shaft: Array) -> tuple[int, ...]:
-        """Six counts at encoder ``shaft`` angles (6,). The generator moves on by six draws at every reading."""
+        """Six counts at encoder ``shaft`` angles (6,); every reading draws six numbers from the generator."""
         noise = self._noise * self._rng.standard_normal(N_ACTUATORS)
         exact = (shaft + self._offset + self.bias) * COUNTS_PER_RADIAN + noise
         counts = [int(value) for value in np.rint(exact)]

@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 class Mounts(NamedTuple):
-    """True poses (4, 4) that the visible world gives: base in wall, camera and marker on the tool, object on the wall."""
+    """True poses (4, 4) from the visible world: base in W, camera and marker on the tool, object in W."""
 
     X_WB: Array
     X_TC: Array
@@ -20,9 +20,10 @@ class Mounts(NamedTuple):
 class PlantTruth(NamedTuple):
     """One instant of the plant. Poses are (4, 4), positions (3,), rotations (3, 3); SI units and radians.
 
-    ``q`` (6,) true joint angles, ``q_rate`` (6,), ``deflections`` (4,) of the hinges boom vertical, boom lateral, arm
-    vertical, arm lateral. ``pressures`` (6, 2) absolute Pa, chamber a and b. ``valves`` (6,) commands in force, ``spools`` (6,).
-    ``flows`` (6, 2) net into each chamber (m³/s). ``faults`` names what is broken at present.
+    ``q`` (6,) true joint angles, ``q_rate`` (6,), ``deflections`` (4,) of the hinges boom vertical, boom
+    lateral, arm vertical, arm lateral. ``pressures`` (6, 2) absolute, chamber a and b. ``valves`` (6,)
+    commands in force, ``spools`` (6,). ``flows`` (6, 2) net into each chamber (m³/s). ``faults`` names what
+    is broken at present.
     """
 
     time_ns: int

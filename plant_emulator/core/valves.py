@@ -33,3 +33,18 @@ def spool_acceleration(command: float, spool: float, rate: float, natural: float
 def slew_limited(previous: float, target: float, most: float) -> float:
     """``target``, but at most ``most`` away from ``previous``: the drive electronics' slew limit."""
     return previous + min(max(target - previous, -most), most)
+
+
+@njit(cache=True, error_model="numpy")
+def held_gain(release: float, hold: float, wish: float, span: float) -> float:
+    """Gain of a releasing edge in series with a counterbalance valve.
+
+    The latter opens with ``wish`` (Pa) above its setting, fully at ``span`` (Pa).
+
+    Two turbulent edges in series pass what one of gain K1 K2 / √(K1² + K2²) would; a closed one holds the
+    load.
+    """
+    if wish <= 0.0 or release <= 0.0:
+        return 0.0
+    other = hold * min(wish / span, 1.0)
+    return release * other / math.sqrt(release * release + other * other)
