@@ -21,11 +21,12 @@ from vision_pc.core.hand_eye.separable import Parts
 from vision_pc.core.se3 import Array
 
 LEAST_FOR_OUTLIERS = 5  # samples: with fewer, three that agree by chance outvote the others
-_TRIPLES = 400
-_BEST = 6
-_CONCENTRATIONS = 3
+_TRIPLES = 300
+_BEST = 4
+_CONCENTRATIONS = 2
 _MEDIAN_NORM = 1.5382  # median length of a 3-vector of unit normals
-_GROWTH = 1.6
+_GROWTH = 2.0
+_STEPS = 3  # of Gauss-Newton a round: the weights move on before more of them pay
 _ROUNDS = 80
 
 
@@ -73,18 +74,17 @@ def _refined(
 ) -> tuple[Array, Array]:
     """The weighted optimum from the closed-form start, or from the previous estimate if that is better."""
     equations = Equations(p.H, p.P, weights, setup)
-    starts = [separable.solve(p, weights)]
-    if previous is not None:
-        starts.append(previous)
-    estimates = [ml.maximize(equations, X, Z, noise, steps=6) for X, Z in starts]
-    best = min(estimates, key=lambda estimate: estimate.cost)
-    return best.X, best.Z
+    start = separable.solve(p, weights)
+    if previous is not None and ml.cost(equations, *previous, noise) < ml.cost(equations, *start, noise):
+        start = previous
+    estimate = ml.maximize(equations, *start, noise, steps=_STEPS)
+    return estimate.X, estimate.Z
 
 
 def normalised_squares(p: Parts, setup: ml.Setup, noise: Noise, X: Array, Z: Array) -> Array:
     """Each sample's squared residual in units of the noise (n,): χ² of 6 degrees of freedom for a good sample."""
     equations = Equations(p.H, p.P, np.ones(len(p.H)), setup)
-    white = ml.whitener(equations, X, Z, noise) @ ml.residuals(p.H, p.P, X, Z)[..., None]
+    white = ml.whitened(ml.whitener(equations, X, Z, noise), ml.residuals(p.H, p.P, X, Z)[..., None])
     return np.asarray(np.sum(white[..., 0] ** 2, axis=-1))
 
 
@@ -95,7 +95,6 @@ def guessed_noise(p: Parts, setup: ml.Setup, source: NoiseSource) -> Noise:
     """
     n = len(p.H)
     wanted = (n + 4) // 2
-    weights = np.zeros((0, n))
     triples = list(itertools.combinations(range(n), 3))
     triples = triples[:: max(1, math.ceil(len(triples) / _TRIPLES))]
     weights = np.zeros((len(triples), n))

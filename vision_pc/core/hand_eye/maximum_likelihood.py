@@ -108,14 +108,20 @@ def residual_covariances(equations: Equations, X: Array, Z: Array, noise: Noise)
 
 
 def whitener(equations: Equations, X: Array, Z: Array, noise: Noise) -> Array:
-    """Matrices (n, 6, 6) that turn each residual into independent ones of unit variance, times √weight."""
+    """Matrices (n, 6, 6) that turn each residual into independent ones of unit variance, times √weight.
+
+    For camera noise alone they are diagonal and come as that diagonal, (n, 6, 1).
+    """
     root = np.sqrt(equations.weights)[:, None, None]
     if noise.robot_rotation == 0.0 and noise.robot_translation == 0.0:
         scale = np.array([1.0 / noise.camera_translation] * 3 + [1.0 / noise.camera_rotation] * 3)
-        plain: Array = root * np.diag(scale)
-        return plain
-    white: Array = root * np.linalg.inv(np.linalg.cholesky(residual_covariances(equations, X, Z, noise)))
-    return white
+        return np.asarray(root * scale[:, None])
+    return np.asarray(root * np.linalg.inv(np.linalg.cholesky(residual_covariances(equations, X, Z, noise))))
+
+
+def whitened(W: Array, J: Array) -> Array:
+    """``W`` of ``whitener`` applied to ``J`` (n, 6, k)."""
+    return W * J if W.shape[-1] == 1 else W @ J
 
 
 def maximize(equations: Equations, X: Array, Z: Array, noise: Noise, steps: int = _STEPS) -> Estimate:
@@ -151,8 +157,15 @@ def _linearised(equations: Equations, X: Array, Z: Array, noise: Noise) -> tuple
     r = residuals(equations.H, equations.P, X, Z)
     J = jacobian(equations, X, Z, r)
     W = whitener(equations, X, Z, noise)
-    white_r = (W @ r[..., None]).reshape(-1)
-    return white_r, (W @ J).reshape(-1, J.shape[-1]), float(white_r @ white_r)
+    white_r = whitened(W, r[..., None]).reshape(-1)
+    return white_r, whitened(W, J).reshape(-1, J.shape[-1]), float(white_r @ white_r)
+
+
+def cost(equations: Equations, X: Array, Z: Array, noise: Noise) -> float:
+    """The weighted sum of squared normalised residuals."""
+    r = residuals(equations.H, equations.P, X, Z)
+    white = whitened(whitener(equations, X, Z, noise), r[..., None])
+    return float(np.sum(white * white))
 
 
 def _solved(information: Array, gradient: Array, damping: float) -> Array:

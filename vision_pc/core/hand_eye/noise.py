@@ -13,7 +13,7 @@ from vision_pc.core.hand_eye.maximum_likelihood import Equations, Estimate, Nois
 from vision_pc.core.se3 import Array
 
 _ROUNDS = 30
-_SETTLED = 1e-4
+_SETTLED = 1e-3
 LEAST = Noise(1e-9, 1e-9, 1e-9, 1e-9)  # rad and m: exact synthetic data still need finite weights
 
 
@@ -48,7 +48,7 @@ def estimated(equations: Equations, start: Estimate, noise: Noise, source: Noise
     estimate = start
     for _ in range(_ROUNDS):
         noise = from_scales(source, rotation, translation)
-        estimate = ml.maximize(equations, estimate.X, estimate.Z, noise, steps=8)
+        estimate = ml.maximize(equations, estimate.X, estimate.Z, noise, steps=3)
         shown = _shown_over_expected(equations, estimate, noise, source)
         rotation, translation = rotation * shown[1] ** 0.5, translation * shown[0] ** 0.5
         if np.abs(np.log(np.maximum(shown, 1e-30))).max() < _SETTLED or min(rotation, translation) < 1e-9:
@@ -73,12 +73,12 @@ def _components(equations: Equations, estimate: Estimate, noise: Noise, source: 
 def _shown_over_expected(equations: Equations, estimate: Estimate, noise: Noise, source: NoiseSource) -> Array:
     """For translation and rotation: squared residuals over their restricted expectation; 1 when the noise is right."""
     W = ml.whitener(equations, estimate.X, estimate.Z, noise)
-    J = W @ ml.jacobian(equations, estimate.X, estimate.Z, estimate.residuals)
-    r = (W @ estimate.residuals[..., None])[..., 0]
+    J = ml.whitened(W, ml.jacobian(equations, estimate.X, estimate.Z, estimate.residuals))
+    r = ml.whitened(W, estimate.residuals[..., None])[..., 0]
     covariance = np.linalg.inv(np.einsum("nij,nik->jk", J, J))
     ratios = []
     for share in _components(equations, estimate, noise, source):
-        K = W @ share @ np.swapaxes(W, -1, -2)
+        K = ml.whitened(W, np.swapaxes(ml.whitened(W, share), -1, -2))
         fitted = np.sum(np.einsum("nij,nik->jk", J, K @ J) * covariance)
         expected = np.einsum("nii->", K) - fitted
         ratios.append(float(np.einsum("ni,nij,nj->", r, K, r)) / max(float(expected), 1e-12))

@@ -17,15 +17,18 @@ from vision_pc.core.se3 import Array
 
 
 class ObservabilityLimits(NamedTuple):
-    """``samples`` at least; ``rotation`` at least between some two samples (rad); ``second_axis`` at least, rms about
+    """``samples`` at least; ``rotation`` at least between some two samples (rad).
 
-    axes other than the main one (rad), and ``above_noise`` times the rotation noise that the motions show.
+    About axes other than the main one the hand must turn ``second_axis`` rms at least (rad), ``above_noise`` times
+    the rotation noise that the motions show, and enough that this noise, averaged over the samples, leaves the
+    rotation of X known to ``uncertainty`` (rad).
     """
 
     samples: int = 3
     rotation: float = math.radians(1.0)
     second_axis: float = math.radians(0.3)
-    above_noise: float = 3.0
+    above_noise: float = 1.2
+    uncertainty: float = 0.1
 
 
 class Observability(NamedTuple):
@@ -61,11 +64,15 @@ def verdict(samples: int, motions: Motions, limits: ObservabilityLimits | None =
     difference = np.abs(hand_angles - np.linalg.norm(camera, axis=-1))
     mismatch = 1.4826 * float(np.median(difference))  # robust: a few bad samples do not count as noise
     cause, reason = None, "two or more axes, enough rotation"
+    needed = max(
+        limits.second_axis,
+        limits.above_noise * mismatch,
+        mismatch / (limits.uncertainty * math.sqrt(max(samples - 2, 1))),
+    )
     if largest < limits.rotation:
         cause = "measurement.hand_eye.too_little_rotation"
         reason = f"largest rotation between samples is {_deg(largest)}, at least {_deg(limits.rotation)} is needed"
-    elif second < max(limits.second_axis, limits.above_noise * mismatch):
-        needed = max(limits.second_axis, limits.above_noise * mismatch)
+    elif second < needed:
         cause = "measurement.hand_eye.parallel_axes"
         reason = (
             f"rotation axes are parallel: only {_deg(second)} rms about a second axis, {_deg(needed)} is needed; "

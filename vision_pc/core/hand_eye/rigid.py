@@ -10,6 +10,11 @@ import numpy as np
 from vision_pc.core.se3 import Array
 
 _SMALL_ANGLE = 1e-4
+_FAR_FROM_HALF_TURN = -0.9  # cosine; below it the antisymmetric part has too few digits left
+
+_GENERATORS = np.array(
+    [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], dtype=np.float64
+)
 
 
 def pose(R: Array, t: Array) -> Array:
@@ -29,11 +34,7 @@ def inverse(X: Array) -> Array:
 
 def skew(v: Array) -> Array:
     """Cross-product matrices (..., 3, 3) of vectors (..., 3)."""
-    S = np.zeros((*v.shape[:-1], 3, 3))
-    S[..., 0, 1], S[..., 0, 2] = -v[..., 2], v[..., 1]
-    S[..., 1, 0], S[..., 1, 2] = v[..., 2], -v[..., 0]
-    S[..., 2, 0], S[..., 2, 1] = -v[..., 1], v[..., 0]
-    return S
+    return (v @ _GENERATORS).reshape(*v.shape[:-1], 3, 3)
 
 
 def rotation_exp(v: Array) -> Array:
@@ -51,12 +52,20 @@ def rotation_exp(v: Array) -> Array:
 
 def rotation_log(R: Array) -> Array:
     """Rotation vectors (..., 3), radians, of rotations (..., 3, 3); exact up to and including a half turn."""
-    q = quaternion(R)
-    norm = np.linalg.norm(q[..., 1:], axis=-1)
-    small = norm < _SMALL_ANGLE
-    safe = np.where(small, 1.0, norm)
-    scale = np.where(small, 2.0 + norm**2 / 3.0, 2.0 * np.arctan2(norm, q[..., 0]) / safe)
-    vectors: Array = scale[..., None] * q[..., 1:]
+    cosine = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1.0)
+    if cosine.min(initial=1.0) > _FAR_FROM_HALF_TURN:
+        v = np.empty(R.shape[:-1])
+        for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
+            v[..., k] = 0.5 * (R[..., i, j] - R[..., j, i])
+        sine = np.sqrt(np.sum(v * v, axis=-1))
+        small = sine < _SMALL_ANGLE
+        scale = np.where(small, 1.0 + sine**2 / 6.0, np.arctan2(sine, cosine) / np.where(small, 1.0, sine))
+    else:
+        q = quaternion(R)
+        v, norm = q[..., 1:], np.linalg.norm(q[..., 1:], axis=-1)
+        small = norm < _SMALL_ANGLE
+        scale = np.where(small, 2.0 + norm**2 / 3.0, 2.0 * np.arctan2(norm, q[..., 0]) / np.where(small, 1.0, norm))
+    vectors: Array = scale[..., None] * v
     return vectors
 
 

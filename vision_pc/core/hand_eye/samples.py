@@ -32,13 +32,16 @@ class SampleLimits(NamedTuple):
     """What a sample must keep to be believed.
 
     ``longest_m`` questions the unit of a translation, ``skew`` bounds the largest entry of RᵀR − I (four printed
-    decimals pass), ``same_m`` and ``same_rad`` say when two poses are one and the same.
+    decimals pass). Two camera poses closer than ``same`` (m, and entries of R) are one and the same measurement;
+    if the hand moved meanwhile by less than ``still_m`` and ``still`` (entries of R) it is a duplicate, else a
+    camera that did not follow.
     """
 
     longest_m: float = 20.0
     skew: float = 2e-3
-    same_m: float = 1e-7
-    same_rad: float = 1e-7
+    same: float = 1e-7
+    still_m: float = 1e-3
+    still: float = 2e-3
 
 
 class CornerViews(NamedTuple):
@@ -153,18 +156,18 @@ def _check_pose(X: Array, where: str, limits: SampleLimits) -> None:
 def _check_repeats(hand: Array, target: Array, names: tuple[str, ...], limits: SampleLimits) -> None:
     """Refuse samples given twice, and camera poses that stayed the same to the last digit while the hand moved."""
     for i in range(len(hand) - 1):
-        for j in i + 1 + np.flatnonzero(_same(target[i], target[i + 1 :], limits)):
+        for j in i + 1 + np.flatnonzero(_same(target[i], target[i + 1 :], limits.same, limits.same)):
             pair = f"samples {names[i]} and {names[j]}"
-            if _same(hand[i], hand[j], limits):
+            if _same(hand[i], hand[j], limits.still_m, limits.still):
                 raise RequestRefused("refused.hand_eye.duplicate", f"{pair} are the same sample twice")
             raise RequestRefused(
                 "refused.hand_eye.stale_camera", f"{pair}: the hand moved but the camera pose is the very same"
             )
 
 
-def _same(X: Array, Y: Array, limits: SampleLimits) -> NDArray[np.bool_]:
+def _same(X: Array, Y: Array, within_m: float, within: float) -> NDArray[np.bool_]:
     gap = np.abs(X - Y)
-    same: NDArray[np.bool_] = (gap[..., :3, 3].max(axis=-1) < limits.same_m) & (
-        gap[..., :3, :3].max(axis=(-2, -1)) < limits.same_rad
+    same: NDArray[np.bool_] = (gap[..., :3, 3].max(axis=-1) < within_m) & (
+        gap[..., :3, :3].max(axis=(-2, -1)) < within
     )
     return same
