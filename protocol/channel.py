@@ -126,8 +126,8 @@ class Channel:
     ) -> DatagramDropped | None:
         """None if the datagram is to be used, else why not; the first one to come sets the start.
 
-        ``max_age_ns`` None: of any age. ``heard_ns`` becomes the time at which the newest one left the peer, as
-        far as the least transit tells.
+        ``max_age_ns`` None: of any age. ``heard_ns`` becomes the time at which the newest one left the
+        peer, as far as the least transit tells.
         """
         if self._window is None:
             self._window = SequenceWindow(header.sequence)
@@ -137,7 +137,8 @@ class Channel:
                 tally.duplicated += arrival is Arrival.DUPLICATE
                 tally.reordered += arrival is not Arrival.DUPLICATE
                 tally.lost -= arrival is Arrival.LATE
-                return DatagramDropped(arrival.value, f"{header.sequence}: at {self._window.newest}")
+                why = f"sequence {header.sequence} after {self._window.newest}"
+                return DatagramDropped(arrival.value, why)
             tally.lost += skipped
             tally.longest_gap = max(tally.longest_gap, skipped)
         age_ns = self._age.age_ns(header.sent_ns, now_ns)

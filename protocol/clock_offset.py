@@ -1,10 +1,10 @@
 """Offset between two monotonic clocks from the four times of each echo, with a bound that holds.
 
 A request left at t0 and its reply came back at t3 on the local clock; the peer received at t1 and replied at
-t2 on its own. No datagram arrives before it was sent, so  t2 − t3 ≤ offset ≤ t1 − t0.  Every echo gives such an
-interval; the intersection of the newest ones keeps the fastest way out and the fastest way back, whichever echo
-they came from, and its half width bounds the error under any asymmetry of the delays. (The intersection
-of intervals after Marzullo, RFC 5905 section 11.2.1, applied to one server over time.)
+t2 on its own. No datagram arrives before it was sent, so  t2 − t3 ≤ offset ≤ t1 − t0.  Every echo gives such
+an interval. The intersection of the newest ones keeps the fastest way out and the fastest way back, whichever
+echo they came from, and its half width bounds the error under any asymmetry of the delays.
+(Intersection of intervals after Marzullo, RFC 5905 section 11.2.1, applied to one server over time.)
 """
 
 from collections import deque

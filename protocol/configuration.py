@@ -25,8 +25,9 @@ class _UniqueKeyLoader(yaml.SafeLoader):
         keys = [self.construct_object(key, deep=True) for key, _ in node.value]
         for key in keys:
             if keys.count(key) > 1:
+                where = f"line {node.start_mark.line + 1}"
                 raise ConfigurationError(
-                    "configuration.duplicate_key", f"key '{key}' is written twice{node.start_mark}"
+                    "configuration.duplicate_key", f"{where}: key '{key}' is written twice"
                 )
         return super().construct_mapping(node, deep)
 
@@ -43,17 +44,23 @@ def read_yaml(path: Path) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise ConfigurationError("configuration.unreadable", f"{path}: {error.strerror}") from error
-    try:
-        data = yaml.load(text, Loader=_UniqueKeyLoader)
-    except yaml.YAMLError as error:
-        raise ConfigurationError(
-            "configuration.not_yaml", f"{path}: {' '.join(str(error).split())}"
-        ) from error
+    data = _parsed(text, str(path))
     if not isinstance(data, dict):
         raise ConfigurationError(
             "configuration.not_a_mapping", f"{path}: a mapping is wanted, got {type(data).__name__}"
         )
     return data
+
+
+def _parsed(text: str, where: str) -> Any:
+    try:
+        return yaml.load(text, Loader=_UniqueKeyLoader)
+    except yaml.YAMLError as error:
+        raise ConfigurationError(
+            "configuration.not_yaml", f"{where}: {' '.join(str(error).split())}"
+        ) from error
+    except ConfigurationError as error:
+        raise ConfigurationError(error.cause, f"{where}: {error}") from error
 
 
 def merged(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -102,11 +109,7 @@ def parse_overrides(assignments: Sequence[str]) -> dict[str, dict[str, Any]]:
         path = [part.strip() for part in dotted.split(".")]
         if not equals or len(path) < 2 or not all(path):
             raise ConfigurationError("configuration.bad_override", f"'{assignment}': wanted FILE.KEY…=VALUE")
-        try:
-            value = yaml.load(text, Loader=_UniqueKeyLoader)
-        except yaml.YAMLError as error:
-            why = " ".join(str(error).split())
-            raise ConfigurationError("configuration.not_yaml", f"'{assignment}': {why}") from error
+        value = _parsed(text, f"'{assignment}'")
         below: dict[str, Any] = overrides
         for part in path[:-1]:
             below = below.setdefault(part, {})

@@ -40,10 +40,10 @@ def encode_header(header: FrameHeader) -> bytes:
     Raises RequestRefused (``refused.not_encodable``) when a field does not fit.
     """
     try:
+        _check_size(header)
         packed = _LAYOUT.pack(MAGIC, VERSION, HEADER_BYTES, *header, 0)
-    except struct.error as error:
-        raise RequestRefused("refused.not_encodable", f"frame header {header}: {error}") from error
-    _check_size(header)
+    except (struct.error, FrameRefused) as error:
+        raise RequestRefused("refused.not_encodable", f"{header}: {error}") from error
     return packed[:_COVERED] + _CRC.pack(crc32(packed[:_COVERED]))
 
 

@@ -1,0 +1,118 @@
+"""Overrides from the command line, and the hash by which both sides know the arm."""
+
+from pathlib import Path
+
+import pytest
+
+from protocol.configuration import (
+    StrictModel,
+    configuration_hash,
+    load,
+    merged,
+    parse_overrides,
+    read_yaml,
+    validated,
+)
+from protocol.errors import ConfigurationError
+
+
+class Link(StrictModel):
+    length_m: float
+    tags: tuple[str, ...] = ()
+
+
+class Arm(StrictModel):
+    reach_m: float
+    links: tuple[Link, ...] = ()
+
+
+def cause_of_overrides(*assignments: str) -> str:
+    with pytest.raises(ConfigurationError) as caught:
+        parse_overrides(assignments)
+    assert "\n" not in str(caught.value)
+    return caught.value.cause
+
+
+def test_the_first_part_names_the_file_and_the_rest_the_key() -> None:
+    assert parse_overrides(
+        [
+            "plant.valves.deadband=0.03",
+            "plant.valves.lag_ms = 12",
+            "plant.seed=7",
+            "vision.look.frames=[1, 2]",
+        ]
+    ) == {
+        "plant": {"valves": {"deadband": 0.03, "lag_ms": 12}, "seed": 7},
+        "vision": {"look": {"frames": [1, 2]}},
+    }
+
+
+def test_values_are_yaml() -> None:
+    parsed = parse_overrides(["a.text=on the wall", "a.none=", "a.flag=true", "a.map={x: 1}", "a.sum=1=2"])
+    assert parsed == {"a": {"text": "on the wall", "none": None, "flag": True, "map": {"x": 1}, "sum": "1=2"}}
+
+
+@pytest.mark.parametrize(
+    "assignment", ["", "plant", "plant=1", "plant.seed", "=1", "plant.=1", ".seed=1", "a..b=1"]
+)
+def test_an_assignment_needs_a_file_a_key_and_a_value(assignment: str) -> None:
+    assert cause_of_overrides(assignment) == "configuration.bad_override"
+
+
+def test_a_value_that_is_not_yaml_is_refused() -> None:
+    assert cause_of_overrides("plant.seed=[1,") == "configuration.not_yaml"
+    assert cause_of_overrides("plant.map={a: 1, a: 2}") == "configuration.duplicate_key"
+
+
+@pytest.mark.parametrize(
+    "assignments", [("a.b=1", "a.b=2"), ("a.b=1", "a.b.c=2"), ("a.b.c=1", "a.b=2"), ("a.b={c: 1}", "a.b.c=2")]
+)
+def test_assignments_that_contradict_each_other_are_refused(assignments: tuple[str, ...]) -> None:
+    assert cause_of_overrides(*assignments) == "configuration.contradiction"
+
+
+def test_overrides_reach_the_model(tmp_path: Path) -> None:
+    (tmp_path / "arm.yaml").write_text("reach_m: 5.0\nlinks:\n  - {length_m: 1.0}\n")
+    overrides = parse_overrides(["arm.reach_m=4.5"])
+    assert load(Arm, tmp_path / "arm.yaml", overrides["arm"]) == Arm(reach_m=4.5, links=(Link(length_m=1.0),))
+
+
+@pytest.mark.parametrize(
+    ("text", "cause"),
+    [
+        ("reach_m: 5\nrech_m: 4\n", "configuration.unknown_key"),
+        ("links: []\n", "configuration.missing"),
+        ("reach_m: .nan\n", "configuration.finite_number"),
+        ("reach_m: 5\nreach_m: 4\n", "configuration.duplicate_key"),
+        ("- 5\n", "configuration.not_a_mapping"),
+        ("reach_m: [5\n", "configuration.not_yaml"),
+    ],
+)
+def test_each_fault_of_a_file_has_its_cause(tmp_path: Path, text: str, cause: str) -> None:
+    (tmp_path / "arm.yaml").write_text(text)
+    with pytest.raises(ConfigurationError) as caught:
+        load(Arm, tmp_path / "arm.yaml")
+    assert caught.value.cause == cause
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"arm\.yaml") as caught:
+        read_yaml(tmp_path / "arm.yaml")
+    assert caught.value.cause == "configuration.unreadable"
+
+
+def test_merging_goes_key_by_key_and_replaces_lists() -> None:
+    base = {"a": {"b": 1, "c": [1, 2]}, "d": 4}
+    assert merged(base, {"a": {"c": [3]}, "e": 5}) == {"a": {"b": 1, "c": [3]}, "d": 4, "e": 5}
+    assert base == {"a": {"b": 1, "c": [1, 2]}, "d": 4}
+
+
+def test_the_hash_follows_the_values_and_nothing_else() -> None:
+    arm = validated(Arm, {"reach_m": 5, "links": [{"length_m": 1.0, "tags": ["a"]}]}, "test")
+    same = validated(Arm, {"links": [{"tags": ["a"], "length_m": 1}], "reach_m": 5.0}, "test")
+    other = validated(Arm, {"reach_m": 5.0, "links": [{"length_m": 1.0, "tags": ["b"]}]}, "test")
+    assert configuration_hash(arm) == configuration_hash(same) != configuration_hash(other)
+    assert 0 < configuration_hash(arm) < 2**64
+    # The value itself is on the wire: it must be the same on every machine.
+    assert configuration_hash(Link(length_m=1.5)) == 0x78B3D2F0E9567012

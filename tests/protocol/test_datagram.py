@@ -1,0 +1,244 @@
+"""The codec of the reference link: what goes in comes out, and nothing that was touched on the way."""
+
+import json
+import math
+import struct
+from pathlib import Path
+from zlib import crc32
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from protocol.datagram_layout import PAYLOADS, Kind, offsets, size_of
+from protocol.errors import DatagramRefused, RequestRefused
+from protocol.faults import CommandCode, Reason
+from protocol.pose import IDENTITY, Pose
+from protocol.reference_link import (
+    HEADER_BYTES,
+    MAX_DATAGRAM_BYTES,
+    MAX_WAYPOINTS,
+    Acknowledgement,
+    Bye,
+    Command,
+    Datagram,
+    Header,
+    Hello,
+    Message,
+    ReferencePath,
+    ReferencePose,
+    UnusableRequest,
+    decode,
+    encode,
+)
+from tests.protocol.samples import HEADER, MESSAGES, POSE, headers, messages
+
+GOLDEN = json.loads((Path(__file__).parent / "golden_datagrams.json").read_text())
+by_name = pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
+
+
+def resealed(datagram: bytes) -> bytes:
+    """``datagram`` with its CRC made right again, to reach the checks behind it."""
+    checksum = crc32(datagram[16:], crc32(datagram[:12]))
+    return datagram[:12] + struct.pack("<I", checksum) + datagram[16:]
+
+
+def patched(datagram: bytes, offset: int, code: str, value: float) -> bytes:
+    """``datagram`` with one number replaced and the CRC made right again."""
+    data = bytearray(datagram)
+    struct.pack_into("<" + code, data, offset, value)
+    return resealed(bytes(data))
+
+
+def cause_of(datagram: bytes) -> str:
+    with pytest.raises(DatagramRefused) as caught:
+        decode(datagram)
+    return caught.value.cause
+
+
+@settings(max_examples=300)
+@given(messages, headers)
+def test_every_message_comes_back_as_it_was_sent(message: Message, header: Header) -> None:
+    assert decode(encode(message, header)) == Datagram(header, message)
+
+
+@by_name
+def test_the_bytes_on_the_wire_are_these(message: Message) -> None:
+    golden = bytes.fromhex(GOLDEN[type(message).__name__])
+    assert encode(message, HEADER) == golden
+    assert decode(golden) == Datagram(HEADER, message)
+
+
+def test_a_datagram_fits_an_ethernet_frame_unfragmented() -> None:
+    assert max(HEADER_BYTES + size_of(fields) for fields in PAYLOADS.values()) == MAX_DATAGRAM_BYTES <= 1472
+
+
+def test_numbers_sit_at_a_multiple_of_their_size() -> None:
+    assert HEADER_BYTES % 8 == 0
+    for fields in PAYLOADS.values():
+        assert size_of(fields) % 8 == 0
+        for field, offset in zip(fields, offsets(fields), strict=True):
+            assert offset % (field.size // field.count) == 0
+
+
+@by_name
+def test_truncated_at_every_byte_is_refused(message: Message) -> None:
+    datagram = encode(message, HEADER)
+    for length in range(len(datagram)):
+        cause = cause_of(datagram[:length])
+        assert cause == ("datagram.too_short" if length < HEADER_BYTES else "datagram.bad_length")
+
+
+@by_name
+def test_every_flipped_bit_is_refused(message: Message) -> None:
+    datagram = encode(message, HEADER)
+    for bit in range(8 * len(datagram)):
+        flipped = bytearray(datagram)
+        flipped[bit // 8] ^= 1 << bit % 8
+        assert cause_of(bytes(flipped)).startswith("datagram.")
+
+
+@by_name
+def test_trailing_bytes_are_refused(message: Message) -> None:
+    datagram = encode(message, HEADER)
+    longer = datagram + b"\0"
+    assert cause_of(longer) in ("datagram.bad_length", "datagram.too_long")
+    # The header may confess to the extra byte: then it is the kind that does not have it.
+    if len(longer) <= MAX_DATAGRAM_BYTES:
+        confessed = patched(longer, 10, "H", len(longer) - HEADER_BYTES)
+        assert cause_of(confessed) == "datagram.wrong_payload_length"
+
+
+def test_a_jumbo_datagram_is_refused_by_its_size_alone() -> None:
+    assert cause_of(encode(MESSAGES[5], HEADER) + bytes(65_507 - MAX_DATAGRAM_BYTES)) == "datagram.too_long"
+
+
+@pytest.mark.parametrize(
+    ("offset", "code", "value", "cause"),
+    [
+        (0, "I", 0x4B4C5253, "datagram.bad_magic"),
+        (4, "B", 0, "datagram.wrong_major"),
+        (4, "B", 2, "datagram.wrong_major"),
+        (6, "B", 0, "datagram.unknown_kind"),
+        (6, "B", 11, "datagram.unknown_kind"),
+        (6, "B", Kind.WELCOME, "datagram.wrong_payload_length"),
+        (8, "H", 1 << 8, "datagram.unknown_critical_flag"),
+        (8, "H", 1 << 15, "datagram.unknown_critical_flag"),
+        (HEADER_BYTES, "Q", 0, "datagram.bad_value"),
+        (HEADER_BYTES + 24, "I", 60_001, "datagram.bad_value"),
+    ],
+)
+def test_each_fault_has_its_cause(offset: int, code: str, value: int, cause: str) -> None:
+    hello = encode(Hello(1, 2, 3, 4), HEADER)
+    assert cause_of(patched(hello, offset, code, value)) == cause
+
+
+def test_the_crc_is_the_one_of_ethernet_over_all_but_itself() -> None:
+    datagram = encode(Bye(Reason.SHUTDOWN), HEADER)
+    without = datagram[:12] + datagram[16:]
+    register = 0xFFFFFFFF
+    for byte in without:
+        register ^= byte
+        for _ in range(8):
+            register = register >> 1 ^ (0xEDB88320 if register & 1 else 0)
+    assert struct.unpack_from("<I", datagram, 12)[0] == register ^ 0xFFFFFFFF
+
+
+@pytest.mark.parametrize("minor", [0, 1, 255])
+def test_a_newer_minor_version_and_unknown_optional_flags_are_read(minor: int) -> None:
+    header = HEADER._replace(minor=minor, flags=0x00FF)
+    assert decode(encode(MESSAGES[0], header)) == Datagram(header, MESSAGES[0])
+
+
+def test_padding_and_spare_are_ignored_on_receipt() -> None:
+    hello = encode(Hello(1, 2, 3, 4), HEADER)
+    assert decode(patched(patched(hello, 7, "B", 9), HEADER_BYTES + 28, "I", 9)).message == Hello(1, 2, 3, 4)
+
+
+@pytest.mark.parametrize("odd", [math.nan, math.inf, -math.inf, 5e-324, -0.0])
+def test_odd_floats_are_carried_so_that_the_controller_can_refuse_them_by_reason(odd: float) -> None:
+    sent = ReferencePose(1, Pose((odd, 0.0, 0.0), (1.0, 0.0, 0.0, odd)), odd)
+    got = decode(encode(sent, HEADER)).message
+    assert isinstance(got, ReferencePose)
+    assert [struct.pack("<d", x) for x in (got.X_BT_ref.p_m[0], got.X_BT_ref.q_wxyz[3], got.duration_s)] == [
+        struct.pack("<d", odd)
+    ] * 3
+
+
+@pytest.mark.parametrize("code", [0, 7, 99, 2**32 - 1])
+def test_an_unknown_command_is_decoded_as_unusable(code: int) -> None:
+    datagram = patched(encode(Command(9, CommandCode.STOP), HEADER), HEADER_BYTES + 8, "I", code)
+    assert decode(datagram).message == UnusableRequest(9, Reason.UNKNOWN_COMMAND, float(code), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("count", "answer"),
+    [
+        (0, UnusableRequest(9, Reason.EMPTY_PATH, 0.0, 1.0)),
+        (25, UnusableRequest(9, Reason.TOO_MANY_WAYPOINTS, 25.0, 24.0)),
+        (2**32 - 1, UnusableRequest(9, Reason.TOO_MANY_WAYPOINTS, float(2**32 - 1), 24.0)),
+    ],
+)
+def test_a_path_of_no_or_too_many_waypoints_is_unusable(count: int, answer: UnusableRequest) -> None:
+    path = encode(ReferencePath(9, (POSE,), 0.0, 0.0), HEADER)
+    assert decode(patched(path, HEADER_BYTES + 8, "I", count)).message == answer
+
+
+@pytest.mark.parametrize("count", range(1, MAX_WAYPOINTS + 1))
+def test_paths_of_every_length(count: int) -> None:
+    path = ReferencePath(
+        1, tuple(Pose((float(i), 0.0, 0.0), IDENTITY.q_wxyz) for i in range(count)), 0.0, 0.0
+    )
+    assert decode(encode(path, HEADER)).message == path
+
+
+@pytest.mark.parametrize("kind", [Kind.ACKNOWLEDGEMENT, Kind.STATE, Kind.BYE], ids=lambda k: k.name)
+def test_an_enumeration_beyond_its_members_is_refused(kind: Kind) -> None:
+    message = next(m for m in MESSAGES if m.__class__.__name__.upper() == kind.name)
+    fields = PAYLOADS[kind]
+    for field, offset in zip(fields, offsets(fields), strict=True):
+        if field.enum is not None:
+            assert cause_of(patched(encode(message, HEADER), HEADER_BYTES + offset, field.code, 999)) == (
+                "datagram.bad_value"
+            )
+
+
+@pytest.mark.parametrize(
+    ("message", "header", "named"),
+    [
+        (Hello(0, 0, 0, 0), HEADER, "client_nonce = 0"),
+        (Hello(1, 0, 0, 60_001), HEADER, "state_period_ms = 60001"),
+        (Hello(2**64, 0, 0, 0), HEADER, "client_nonce"),
+        (Acknowledgement(-1, Reason.ACCEPTED, 0.0, 0.0), HEADER, "command_id = -1"),
+        (ReferencePath(1, (), 0.0, 0.0), HEADER, "0 waypoints"),
+        (ReferencePath(1, (POSE,) * 25, 0.0, 0.0), HEADER, "25 waypoints"),
+        (Bye(Reason.SHUTDOWN), HEADER._replace(sequence=2**32), "4294967296"),
+        (Bye(Reason.SHUTDOWN), HEADER._replace(sent_ns=-1), "sent_ns=-1"),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_it_is_sent(message: Message, header: Header, named: str) -> None:
+    with pytest.raises(RequestRefused, match=named) as caught:
+        encode(message, header)
+    assert caught.value.cause == "refused.not_encodable"
+
+
+@settings(max_examples=500)
+@given(st.binary(max_size=MAX_DATAGRAM_BYTES + 8))
+@example(b"")
+def test_noise_raises_nothing_but_refusals(noise: bytes) -> None:
+    with pytest.raises(DatagramRefused):
+        decode(noise)
+
+
+@settings(max_examples=500)
+@given(st.sampled_from(MESSAGES), st.data())
+def test_noise_behind_a_right_crc_decodes_or_is_refused(message: Message, data: st.DataObject) -> None:
+    datagram = bytearray(encode(message, HEADER))
+    for _ in range(data.draw(st.integers(1, 4))):
+        datagram[data.draw(st.integers(0, len(datagram) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        got = decode(resealed(bytes(datagram)))
+    except DatagramRefused:
+        return
+    if not isinstance(got.message, UnusableRequest):
+        assert len(encode(got.message, got.header)) == len(datagram)
