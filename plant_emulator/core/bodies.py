@@ -5,9 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from plant_emulator.arm_config import BeamConfig, PartConfig, WristBodyConfig
 from plant_emulator.core.geometry import Chain
 from plant_emulator.core.layout import N_COORDINATES
-from plant_emulator.plant_config import BeamConfig, PartConfig, PlantConfig, WristBodyConfig
+from plant_emulator.plant_config import PlantConfig
 
 Array = NDArray[np.float64]
 
@@ -72,6 +73,11 @@ def _split(parts: tuple[PartConfig, ...], origin: Array, beam: BeamConfig) -> tu
     return together(root), together(far)
 
 
+def _moved_out(part: PartConfig, distance: float) -> PartConfig:
+    (a, b), (c, d) = part.from_m, part.to_m
+    return part.model_copy(update={"from_m": (a + distance, b), "to_m": (c + distance, d)})
+
+
 def _wrist(body: WristBodyConfig, origin: Array) -> Lump:
     forward, right, down = body.gyration_m
     squares = np.array([forward**2, right**2, down**2])
@@ -94,7 +100,8 @@ def build_bodies(config: PlantConfig, chain: Chain) -> list[Lump]:
         ]
     )
     boom_root, boom_far = _split(masses.boom, origin[1], config.flexibility.boom)
-    arm_root, arm_far = _split(masses.arm, origin[4], config.flexibility.arm)
+    telescope = tuple(_moved_out(part, config.geometry.telescope_m) for part in masses.telescope)
+    arm_root, arm_far = _split(masses.arm + telescope, origin[4], config.flexibility.arm)
     wrist = [_wrist(body, origin[7]) for body in (masses.wrist1, masses.wrist2, masses.tool)]
     nominal = [pillar, boom_root, NOTHING, boom_far, arm_root, NOTHING, arm_far, *wrist]
     bodies: list[Lump] = []

@@ -6,13 +6,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from plant_emulator.actuator_config import ActuatorConfig
 from plant_emulator.core import columns as col
 from plant_emulator.core.bodies import Lump, build_bodies, payload, together
 from plant_emulator.core.geometry import Chain, base_tilt, build_chain
 from plant_emulator.core.layout import DRIVEN, FLEXIBLE, N_ACTUATORS, N_COORDINATES
 from plant_emulator.core.linkage import CYLINDER, ROTARY
 from plant_emulator.core.multibody import Mechanism, forward_dynamics, multibody_work
-from plant_emulator.plant_config import BAR, LITRE, LITRE_PER_MINUTE, ActuatorConfig, PlantConfig
+from plant_emulator.plant_config import BAR, LITRE, LITRE_PER_MINUTE, PlantConfig
 
 Array = NDArray[np.float64]
 
@@ -32,6 +33,7 @@ def orifice_gain(flow: float, drop: float) -> float:
 
 def _describe_actuator(actuator: ActuatorConfig, row: Array) -> None:
     """Fill linkage, areas, stops and friction of one row of the actuator table."""
+    row[[col.A_AREA_A, col.A_AREA_B]] = actuator.areas()
     if actuator.cylinder is not None:
         c = actuator.cylinder
         f, stop = c.friction, c.end_stop
@@ -47,11 +49,7 @@ def _describe_actuator(actuator: ActuatorConfig, row: Array) -> None:
         g, cushion = r.friction, r.end_stop
         first, last = math.radians(r.from_deg), math.radians(r.to_deg)
         row[col.A_KIND : col.A_LENGTH0 + 1] = ROTARY, 0.0, 0.0, first, 0.0
-        row[[col.A_AREA_A, col.A_AREA_B, col.A_STROKE]] = (
-            r.displacement_m3_rad,
-            r.displacement_m3_rad,
-            last - first,
-        )
+        row[col.A_STROKE] = last - first
         row[[col.A_STOP_STIFFNESS, col.A_STOP_DAMPING]] = cushion.stiffness_nm_rad, cushion.damping_nm_s_rad
         row[[col.A_COULOMB, col.A_STATIC, col.A_STRIBECK]] = g.coulomb_nm, g.static_nm, g.stribeck_rad_s
         row[[col.A_BRISTLE, col.A_BRISTLE_DAMPING]] = g.bristle_nm_rad, g.bristle_damping_nm_s_rad
