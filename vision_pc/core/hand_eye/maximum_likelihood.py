@@ -134,7 +134,7 @@ def maximize(equations: Equations, X: Array, Z: Array, noise: Noise, steps: int 
     for _ in range(steps):
         information, gradient = J.T @ J, J.T @ r
         step = _solved(information, gradient, damping)
-        candidate_X, candidate_Z = _moved(X, Z, -step, equations.tied)
+        candidate_X, candidate_Z = moved(X, Z, -step, equations.tied)
         new_r, new_J, new_cost = _linearised(equations, candidate_X, candidate_Z, noise)
         length = float(step @ information @ step)
         if new_cost <= cost * (1.0 + 1e-12):
@@ -179,7 +179,8 @@ def _solved(information: Array, gradient: Array, damping: float) -> Array:
         ) from error
 
 
-def _moved(X: Array, Z: Array, step: Array, tied: bool) -> tuple[Array, Array]:
+def moved(X: Array, Z: Array, step: Array, tied: bool) -> tuple[Array, Array]:
+    """X and Z moved by ``step`` (12,), or (6,) when tied."""
     moved_X = _retracted(X, step[:6])
     return moved_X, moved_X if tied else _retracted(Z, step[6:])
 
