@@ -6,6 +6,7 @@ image and encodes the answers. Its own server is not used: it answers malformed 
 
 import asyncio
 import logging
+import socket
 import struct
 from collections.abc import Callable, Sequence
 from typing import Any, cast
@@ -58,9 +59,9 @@ class CouplerStatistics:
 class Coupler:
     """Serves the newest sensor words and hands whole valve images on; one master at a time may write.
 
-    ``sensor_words``: called for each read of the inputs, returns INPUT_WORDS words. ``on_valves``: called with
-    each whole image that a master wrote. ``release_ns``: a master that has not written for so long loses
-    the outputs to whoever writes next. ``clock_ns``: a monotonic clock.
+    ``sensor_words``: called for each read of the inputs, returns INPUT_WORDS words. ``on_valves``: called
+    with each whole image that a master wrote. ``release_ns``: a master that has not written for so long
+    loses the outputs to whoever writes next. ``clock_ns``: a monotonic clock.
     """
 
     def __init__(
@@ -82,12 +83,12 @@ class Coupler:
         self._connections: set[_Connection] = set()
         self._server: asyncio.Server | None = None
 
-    async def start(self, host: str, port: int) -> tuple[str, int]:
-        """Listen; returns the address obtained. Raises OSError when it is taken."""
+    async def start(self, bound: socket.socket) -> tuple[str, int]:
+        """Listen on a bound socket; returns its address. Raises OSError when somebody listens there."""
         loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(lambda: _Connection(self), host, port, reuse_address=True)
-        address = self._server.sockets[0].getsockname()
-        return str(address[0]), int(address[1])
+        self._server = await loop.create_server(lambda: _Connection(self), sock=bound)
+        host, port = bound.getsockname()
+        return str(host), int(port)
 
     async def stop(self) -> None:
         """Close the listener and every connection."""
@@ -117,7 +118,7 @@ class Coupler:
     async def async_setValues(
         self, device_id: int, func_code: int, address: int, values: Sequence[int]
     ) -> ExcCodes | None:
-        """Write outputs; called by pymodbus's requests, after validation. Whole images take effect at once."""
+        """Write outputs; called by pymodbus's requests, after validation. A whole image acts at once."""
         outputs = list(self._outputs)
         start = address - OUTPUT_ADDRESS
         outputs[start : start + len(values)] = values
@@ -156,7 +157,7 @@ class Coupler:
         request = self._decoder.decode(pdu)
         if request is None:
             return _exception(pdu[0], ILLEGAL_VALUE)
-        # The process image never waits, so the coroutine ends at its first step: no task, no turn of the loop.
+        # The process image never waits, so the coroutine ends at its first step: no task, no detour.
         execution = request.datastore_update(cast(Any, self), unit)
         try:
             execution.send(None)

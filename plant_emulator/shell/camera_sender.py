@@ -1,0 +1,97 @@
+"""The plant's end of the camera: starts the renderer process, hands it the poses at each capture instant."""
+
+import asyncio
+import contextlib
+import json
+import socket
+import subprocess
+import sys
+from typing import Any
+
+from plant_emulator.core.truth import PlantTruth
+from plant_emulator.scene_config import SceneConfig
+from plant_emulator.shell.renderer import Capture, encode_capture
+from protocol.errors import LinkLost
+
+_END_TIMEOUT_S = 1.0
+_REPORT_BYTES = 65536
+
+
+class CameraSender:
+    """A renderer process and the socket to it. ``statistics`` is its latest report."""
+
+    def __init__(self, scene: SceneConfig, listener: socket.socket, scheduling: str) -> None:
+        """Start the process; it takes over ``listener``, which is closed here."""
+        self.statistics: dict[str, Any] = {}
+        self.poses_dropped = 0
+        self.ended = asyncio.Event()
+        self._ready = asyncio.Event()
+        self._frame_id = 0
+        self._poses, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._poses.setblocking(False)
+        with listener, theirs:
+            inherited = (listener.fileno(), theirs.fileno())
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "plant_emulator.shell.renderer", *map(str, inherited), scheduling],
+                stdin=subprocess.PIPE,
+                pass_fds=inherited,
+            )
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError), self._process.stdin as stdin:
+            stdin.write(scene.model_dump_json().encode())
+        asyncio.get_running_loop().add_reader(self._poses.fileno(), self._report_arrived)
+
+    @property
+    def pid(self) -> int:
+        """Process number of the renderer."""
+        return self._process.pid
+
+    async def wait_ready(self) -> None:
+        """Return when the renderer can render. Raises LinkLost when it ended instead."""
+        waits = [asyncio.ensure_future(event.wait()) for event in (self._ready, self.ended)]
+        try:
+            await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for wait in waits:
+                wait.cancel()
+        if self.ended.is_set():
+            raise LinkLost("link.renderer_ended", f"the renderer ended with status {self._process.wait()}")
+
+    def capture(self, truth: PlantTruth, capture_ns: int) -> int:
+        """Number of the frame that is to show ``truth``; dropped and counted when the renderer hangs."""
+        self._frame_id += 1
+        try:
+            self._poses.send(encode_capture(Capture(self._frame_id, capture_ns, truth.X_WC, truth.X_WM)))
+        except OSError:
+            self.poses_dropped += 1
+        return self._frame_id
+
+    async def stop(self) -> None:
+        """End the renderer and wait for its last report."""
+        with contextlib.suppress(OSError):
+            self._poses.shutdown(socket.SHUT_WR)
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self.ended.wait(), _END_TIMEOUT_S)
+        asyncio.get_running_loop().remove_reader(self._poses.fileno())
+        self._poses.close()
+        try:
+            await asyncio.to_thread(self._process.wait, _END_TIMEOUT_S / 2)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _report_arrived(self) -> None:
+        try:
+            data = self._poses.recv(_REPORT_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            asyncio.get_running_loop().remove_reader(self._poses.fileno())
+            self.ended.set()
+            return
+        report = json.loads(data)
+        if report.pop("event") == "ready":
+            self._ready.set()
+        self.statistics = report

@@ -1,0 +1,169 @@
+"""The plant's own recording of the truth: MCAP with JSON messages that survives a kill, and its reader.
+
+Topics: ``/plant/truth`` (PlantTruth, regularly), ``/plant/capture`` (the same with the frame's number, at
+each capture instant), ``/plant/event`` (what happened, free form). ``log_time`` is the plant machine's
+monotonic clock, ``publish_time`` the plant's own simulated time; both in nanoseconds. Lengths in metres,
+angles in radians, pressures in Pa. The metadata record ``run`` holds the configuration as JSON.
+"""
+
+import json
+import struct
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+from mcap.exceptions import InvalidMagic, McapError
+from mcap.records import Channel, Message, Metadata
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
+
+from plant_emulator.core.truth import PlantTruth
+
+TRUTH, CAPTURE, EVENT = "/plant/truth", "/plant/capture", "/plant/event"
+_CHUNK_BYTES = 4096
+_SCHEMA = json.dumps(
+    {
+        "type": "object",
+        "title": "longreach.PlantTruth",
+        "description": "One instant of the plant. SI units and radians; poses are 4x4 rows; X_AB is B in A.",
+        "properties": {
+            name: {"type": "integer" if name == "time_ns" else ["number", "array"]}
+            for name in PlantTruth._fields
+        }
+        | {"frame_id": {"type": "integer"}},
+    }
+).encode()
+
+
+class TruthRecord(NamedTuple):
+    """One recorded instant. ``frame_id`` is None between captures."""
+
+    log_ns: int
+    frame_id: int | None
+    truth: PlantTruth
+
+
+class EventRecord(NamedTuple):
+    """One recorded event."""
+
+    log_ns: int
+    time_ns: int
+    fields: dict[str, Any]
+
+
+class Recording(NamedTuple):
+    """What a recording holds, in order of writing. ``complete``: the file was closed, not cut off."""
+
+    truths: tuple[TruthRecord, ...]
+    events: tuple[EventRecord, ...]
+    run: dict[str, Any]
+    complete: bool
+
+    def stacked(self, field: str) -> NDArray[np.float64]:
+        """One field of every truth as an array (n, …): ``p_CM`` gives (n, 3), ``X_BT`` (n, 4, 4)."""
+        return np.array([getattr(record.truth, field) for record in self.truths], dtype=np.float64)
+
+    def log_ns(self) -> NDArray[np.int64]:
+        """Monotonic times (n,) of the truths."""
+        return np.array([record.log_ns for record in self.truths], dtype=np.int64)
+
+
+class TruthRecorder:
+    """Writes a recording. Every capture and event is on its way to the disk when the call returns."""
+
+    def __init__(self, path: Path, run: Mapping[str, Any]) -> None:
+        """Create ``path``; ``run`` goes into the metadata. Raises OSError when it cannot be written."""
+        self.path = path
+        self._file = path.open("xb")
+        self._writer: Any = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.NONE)
+        self._writer.start(profile="", library="longreach")
+        truth_schema = self._writer.register_schema("longreach.PlantTruth", "jsonschema", _SCHEMA)
+        event_schema = self._writer.register_schema("longreach.Event", "jsonschema", b'{"type": "object"}')
+        schemas = {TRUTH: truth_schema, CAPTURE: truth_schema, EVENT: event_schema}
+        self._channels = {
+            topic: self._writer.register_channel(topic, "json", schema) for topic, schema in schemas.items()
+        }
+        self._writer.add_metadata("run", {"configuration": json.dumps(run)})
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self.written = 0
+
+    def truth(self, truth: PlantTruth, log_ns: int) -> None:
+        """Record the truth at ``log_ns``."""
+        self._add(TRUTH, _jsonable(truth), log_ns, truth.time_ns)
+
+    def capture(self, truth: PlantTruth, log_ns: int, frame_id: int) -> None:
+        """Record the truth at the instant at which frame ``frame_id`` is exposed."""
+        self._add(CAPTURE, {"frame_id": frame_id} | _jsonable(truth), log_ns, truth.time_ns)
+        self._writer.flush()
+
+    def event(self, fields: Mapping[str, Any], log_ns: int, time_ns: int) -> None:
+        """Record that something happened."""
+        self._add(EVENT, dict(fields), log_ns, time_ns)
+        self._writer.flush()
+
+    def close(self) -> None:
+        """Write the summary and close the file."""
+        self._writer.finish()
+        self._file.close()
+
+    def _add(self, topic: str, data: dict[str, Any], log_ns: int, time_ns: int) -> None:
+        self._writer.add_message(
+            self._channels[topic], log_ns, json.dumps(data, separators=(",", ":")).encode(), time_ns
+        )
+        self.written += 1
+
+
+def read_truth(path: Path) -> Recording:
+    """The recording at ``path``, also one that a kill cut off: everything up to the cut.
+
+    Raises OSError when the file cannot be read, InvalidMagic when it is not MCAP at all.
+    """
+    truths: list[TruthRecord] = []
+    events: list[EventRecord] = []
+    run: dict[str, Any] = {}
+    topics: dict[int, str] = {}
+    complete = False
+    with path.open("rb") as stream:
+        for record in _records(stream):
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, Metadata) and record.name == "run":
+                run = json.loads(record.metadata["configuration"])
+            elif isinstance(record, Message):
+                data = json.loads(record.data)
+                if topics[record.channel_id] == EVENT:
+                    events.append(EventRecord(record.log_time, record.publish_time, data))
+                else:
+                    truths.append(TruthRecord(record.log_time, data.pop("frame_id", None), _truth(data)))
+            elif record is None:
+                complete = True
+    return Recording(tuple(truths), tuple(events), run, complete)
+
+
+def _records(stream: BinaryIO) -> Iterator[Any]:
+    """Records up to the end or the cut; a final None tells that the end was reached in order."""
+    try:
+        yield from StreamReader(stream).records
+    except InvalidMagic:
+        raise
+    except (McapError, struct.error):
+        return  # a record that a kill cut off; all before it are whole
+    yield None
+
+
+def _jsonable(truth: PlantTruth) -> dict[str, Any]:
+    return {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in truth._asdict().items()
+    }
+
+
+def _truth(data: Mapping[str, Any]) -> PlantTruth:
+    values: dict[str, Any] = {
+        name: np.array(value, dtype=np.float64) if isinstance(value, list) and name != "faults" else value
+        for name, value in data.items()
+    }
+    values["faults"] = tuple(data["faults"])
+    return PlantTruth(**values)
