@@ -14,8 +14,9 @@ from rich.table import Table
 
 from protocol.errors import ConfigurationError
 
-out = Console()
-err = Console(stderr=True)
+_PLAIN_WIDTH = 130  # of a pipe or file, which has no width of its own
+out = Console(width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
+err = Console(stderr=True, width=None if sys.stderr.isatty() else _PLAIN_WIDTH)
 
 
 def plain(value: Any) -> Any:

@@ -1,0 +1,84 @@
+"""The `longreach` command: starts, shows and examines the parts put together."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from protocol.errors import LongreachError
+from testbed.console import err
+from testbed.settings import chosen_overrides
+
+app = typer.Typer(
+    name="longreach",
+    help="Vision-guided precise positioning of long-reach hydraulic manipulators: the testbed's command.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+)
+
+ConfigDir = Annotated[Path, typer.Option("--config-dir", help="Where the configuration files are.")]
+Scenario = Annotated[str, typer.Option(help="Which of CONFIG_DIR/scenarios to draw the world from.")]
+Seed = Annotated[int, typer.Option(min=0, help="The same seed is the same world.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Override one key, such as plant.payload.mass_kg=30; repeatable."),
+]
+JsonFile = Annotated[
+    Path | None, typer.Option("--json", help="Also write every printed figure to this file.")
+]
+FreePorts = Annotated[
+    bool, typer.Option("--free-ports", help="Use any free ports instead of the configured ones.")
+]
+Runs = Annotated[Path, typer.Option(help="Where directories of runs are made.")]
+
+DEFAULT_CONFIG = Path("configs")
+DEFAULT_RUNS = Path("runs")
+
+
+@app.command(epilog="Example: longreach doctor --json doctor.json")
+def doctor(
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    runs: Runs = DEFAULT_RUNS,
+    json_file: JsonFile = None,
+) -> None:
+    """Examine machine, ports and configuration; exit status 1 when something would not work."""
+    from testbed.examination import examine
+
+    raise typer.Exit(0 if examine(config_dir, settings or [], runs, json_file) else 1)
+
+
+@app.command(epilog="Example: longreach up --scenario standard --seed 3")
+def up(
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    scenario: Annotated[str | None, typer.Option(help="Draw the world from this scenario.")] = None,
+    seed: Seed = 1,
+    settings: Settings = None,
+    free_ports: FreePorts = False,
+    runs: Runs = DEFAULT_RUNS,
+) -> None:
+    """Start plant, controller and vision, watch them, and end them on Ctrl-C."""
+    from testbed.up import run_up
+
+    run_up(config_dir, chosen_overrides(config_dir, scenario, seed, settings or []), free_ports, runs)
+
+
+def main() -> None:
+    """Nothing; runs the command line, and turns expected trouble into one line and exit status 2."""
+    try:
+        app()
+    except LongreachError as error:
+        err.print(
+            f"longreach: {error.cause}: {error}",
+            style="bold red",
+            highlight=False,
+            soft_wrap=True,
+            markup=False,
+        )
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,251 @@
+"""Plant, controller and reference link in one simulated time: one thread, no sockets, bit-identical reruns.
+
+Everything passes through the real codecs: sensor and valve words each cycle, datagrams through both
+sessions, frame headers. Each part has a clock of its own, as three machines have, so that the clock mapping
+is at work here too. A cycle follows the real controller's: exchange with the plant, scan, publish; the valve
+image of a scan reaches the plant with the next exchange.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from controller.core.scan import scan
+from controller.core.scan_types import ScanInput, ScanOutput, initial_state
+from controller.core.settings import settings_from
+from plant_emulator.core.plant import Plant
+from plant_emulator.core.scene import Scene
+from plant_emulator.core.stereo_camera import StereoCamera
+from plant_emulator.core.truth import PlantTruth
+from protocol.configuration import configuration_hash
+from protocol.faults import FaultCode, GroupState
+from protocol.process_image import decode_sensors, decode_valves, encode_sensors, encode_valves
+from protocol.reference_messages import Acknowledgement, Request, State
+from protocol.reference_session import (
+    AcknowledgementReceived,
+    DatagramDropped,
+    LinkLost,
+    ReferenceClient,
+    ReferenceServer,
+    RequestReceived,
+    StateReceived,
+)
+from protocol.stereo_frame import FrameHeader, decode_header, encode_header
+from testbed.event_log import EventLog
+from testbed.settings import Settings
+from vision_pc.core.types import Image
+
+CONTROLLER_CLOCK_NS = 3_600_000_000_000  # the three clocks differ, as those of three machines do
+VISION_CLOCK_NS = 7_200_000_000_000
+TRUTH_PERIOD_NS = 20_000_000
+_VISION = "vision"
+
+
+class Frame(NamedTuple):
+    """A stereo pair as it arrives; the header's times are on the camera's clock, the simulated time."""
+
+    header: FrameHeader
+    left: Image
+    right: Image
+
+
+class ControllerSide:
+    """The controller's programs: the server session and the scan, on the controller's clock."""
+
+    def __init__(self, settings: Settings, seed: int) -> None:
+        config = settings.controller
+        self.cycle_ns = round(1e6 * config.cycle_ms)
+        self._settings = settings_from(settings.arm, config)
+        self._state = initial_state(self._settings)
+        self._server = ReferenceServer(
+            boot_id=seed + 1,
+            arm_hash=configuration_hash(settings.arm),
+            cycle_ns=self.cycle_ns,
+            link_timeout_ms=config.reference_link.link_timeout_ms,
+        )
+        self.valve_words: list[int] | None = None
+
+    def cycle(
+        self, sensor_words: list[int], datagrams: list[bytes], now_ns: int
+    ) -> tuple[ScanOutput, list[bytes]]:
+        """The scan's output and the datagrams to vision; ``valve_words`` are for the next exchange."""
+        events = self._server.receive_batch([(data, _VISION) for data in datagrams], now_ns)
+        events += self._server.tick(now_ns)
+        requests = tuple(event.message for event in events if isinstance(event, RequestReceived))
+        self._state, output = scan(
+            self._settings,
+            self._state,
+            ScanInput(
+                now_ns=now_ns,
+                dt_s=1e-9 * self.cycle_ns,
+                sensors=decode_sensors(sensor_words),
+                requests=requests,
+                reference_link_alive=self._server.link_alive(now_ns),
+            ),
+        )
+        for acknowledgement in output.acknowledgements:
+            self._server.acknowledge(acknowledgement, now_ns)
+        self._server.publish(self._state_message(output), now_ns)
+        self.valve_words = encode_valves(output.valves)
+        return output, [data for data, _ in self._server.outgoing(now_ns)]
+
+    def _state_message(self, output: ScanOutput) -> State:
+        """The state to publish: here no cycle is ever late."""
+        lost = self._server.statistics
+        return State(
+            **output.view._asdict(),
+            overruns=0,
+            lateness_p50_us=0,
+            lateness_p99_us=0,
+            lateness_max_us=0,
+            references_lost=lost.lost,
+            references_dropped=lost.stale,
+        )
+
+
+class World:
+    """The physical world, the controller, and vision's end of the reference link.
+
+    ``step`` lets one controller cycle pass. ``on_frame`` is called with each stereo pair while it is set; no
+    picture is rendered otherwise. ``on_state`` is called with each state of the controller and its time on
+    vision's clock.
+    """
+
+    def __init__(self, settings: Settings, seed: int, log: EventLog) -> None:
+        scene = Scene(settings.scene)
+        self.log = log
+        self.settings = settings
+        self.plant = Plant(settings.plant, seed, scene.mounts)
+        self.truths: list[PlantTruth] = []
+        self.states: list[State] = []
+        self.acknowledgements: dict[int, Acknowledgement] = {}
+        self.link_lost: LinkLost | None = None
+        self.on_frame: Callable[[Frame], None] | None = None
+        self._camera: StereoCamera | None = None
+        self._scene = scene
+        self._controller = ControllerSide(settings, seed)
+        self._client = ReferenceClient(
+            nonce=seed + 1,
+            arm_hash=configuration_hash(settings.arm),
+            state_period_ms=settings.vision.link.state_period_ms,
+        )
+        self._time_ns = 0
+        self._frame_period_ns = round(1e9 / settings.scene.camera.rate_hz)
+        self._client.connect(self.vision_ns)
+
+    @property
+    def time_ns(self) -> int:
+        """The simulated time; the plant's and the camera's clock."""
+        return self._time_ns
+
+    @property
+    def vision_ns(self) -> int:
+        """The time on vision's clock."""
+        return self._time_ns + VISION_CLOCK_NS
+
+    @property
+    def clock_offset_ns(self) -> int:
+        """The controller's clock minus vision's, as vision's session has estimated it."""
+        offset = self._client.clock_offset_ns
+        assert offset is not None, "no state can have arrived before the first echo"
+        return offset
+
+    @property
+    def connected(self) -> bool:
+        """Whether the reference link is open and its clocks are known."""
+        return self._client.connected and self._client.clock_offset_ns is not None and bool(self.states)
+
+    def submit(self, request: Request) -> int:
+        """The id under which vision's session sends ``request``."""
+        command_id = self._client.submit(request, self.vision_ns)
+        self.log.add(self._time_ns, "request", id=command_id, kind=type(request).__name__)
+        return command_id
+
+    def step(self) -> None:
+        """Nothing; one controller cycle has passed."""
+        self._client.tick(self.vision_ns)
+        datagrams = self._client.outgoing(self.vision_ns)
+        if self._controller.valve_words is not None:
+            self.plant.write(decode_valves(self._controller.valve_words))
+        sensor_words = encode_sensors(self.plant.read())
+        before = self.states[-1] if self.states else None
+        output, replies = self._controller.cycle(sensor_words, datagrams, self._time_ns + CONTROLLER_CLOCK_NS)
+        for event in output.events:
+            self.log.add(self._time_ns, "controller", what=event)
+        for data in replies:
+            self._received(data)
+        if self.states and (before is None or _noteworthy(before, self.states[-1])):
+            self._log_state(self.states[-1])
+        self._pass_time(self._time_ns + self._controller.cycle_ns)
+
+    def _received(self, data: bytes) -> None:
+        for event in self._client.receive(data, self.vision_ns):
+            if isinstance(event, StateReceived):
+                self.states.append(event.state)
+            elif isinstance(event, AcknowledgementReceived):
+                answer = event.acknowledgement
+                self.acknowledgements[answer.command_id] = answer
+                self.log.add(
+                    self._time_ns, "acknowledgement", id=answer.command_id, reason=answer.reason.name
+                )
+            elif isinstance(event, LinkLost):
+                self.link_lost = event
+                self.log.add(self._time_ns, "link_lost", reason=event.reason.name)
+            elif isinstance(event, DatagramDropped):
+                self.log.add(self._time_ns, "datagram_dropped", cause=event.cause)
+
+    def _log_state(self, state: State) -> None:
+        self.log.add(
+            self._time_ns,
+            "state",
+            group=GroupState(state.group_state).name,
+            fault=FaultCode(state.fault).name,
+            motion=state.motion_id,
+            segment=state.segment,
+            p_m=state.X_BT.p_m,
+        )
+
+    def _pass_time(self, until_ns: int) -> None:
+        """Nothing; the plant has reached ``until_ns``, with truth recorded and pictures taken on the way."""
+        while self._time_ns < until_ns:
+            stop_ns = min(until_ns, _next(self._time_ns, TRUTH_PERIOD_NS))
+            if self.on_frame is not None:
+                stop_ns = min(stop_ns, _next(self._time_ns, self._frame_period_ns))
+            self.plant.advance(stop_ns - self._time_ns)
+            self._time_ns = stop_ns
+            if stop_ns % TRUTH_PERIOD_NS == 0:
+                self.truths.append(self.plant.truth())
+            if self.on_frame is not None and stop_ns % self._frame_period_ns == 0:
+                self.on_frame(self._photograph(self.plant.truth()))
+
+    def _photograph(self, truth: PlantTruth) -> Frame:
+        config = self.settings.scene.camera
+        if self._camera is None:
+            self._camera = StereoCamera(config, self._scene, self.settings.scene.seed)
+        frame_id = self._time_ns // self._frame_period_ns
+        header = FrameHeader(
+            frame_id=frame_id,
+            capture_ns=self._time_ns,
+            send_ns=self._time_ns,
+            width=config.width_px,
+            height=config.height_px,
+            exposure_us=config.exposure_us,
+            flags=0,
+        )
+        left, right = self._camera.render(truth.X_WC, truth.X_WM, frame_id)
+        return Frame(decode_header(encode_header(header)), left, right)
+
+
+def _next(time_ns: int, period_ns: int) -> int:
+    """The first multiple of ``period_ns`` after ``time_ns``."""
+    return (time_ns // period_ns + 1) * period_ns
+
+
+def _noteworthy(before: State, after: State) -> bool:
+    """Whether something changed that a reader of the event log wants to know."""
+    return (before.group_state, before.fault, before.motion_id, before.motion_done, before.segment) != (
+        after.group_state,
+        after.fault,
+        after.motion_id,
+        after.motion_done,
+        after.segment,
+    )

@@ -1,0 +1,45 @@
+"""`longreach up`: the three services until somebody ends them."""
+
+import signal
+from pathlib import Path
+from types import FrameType
+
+from testbed.console import out, table
+from testbed.launch import Launch, prepare
+from testbed.report import run_directory
+from testbed.settings import Overrides
+from testbed.supervisor import Supervisor, supervised
+
+
+def run_up(config_dir: Path, overrides: Overrides, any_ports: bool, runs: Path) -> None:
+    """Nothing, once the services were ended by Ctrl-C or SIGTERM.
+
+    Raises ServiceFailed when one ends by itself.
+    """
+    launch = prepare(config_dir, overrides, run_directory(runs), any_ports=any_ports)
+    end_on_sigterm()
+    try:
+        with supervised(launch.services, launch.directory) as supervisor:
+            show(launch, supervisor)
+            supervisor.watch()
+    except KeyboardInterrupt:
+        out.print("ended")
+
+
+def show(launch: Launch, supervisor: Supervisor) -> None:
+    """Nothing; prints which service runs where."""
+    rows = [
+        (name, child.pid, (child.ready or {}).get("scheduling", ""), launch.directory / f"{name}.log")
+        for name, child in supervisor.children.items()
+    ]
+    out.print(table("running", ("service", "process", "scheduling", "log"), rows))
+    out.print(f"REST face: {launch.rest_url}/docs   end with Ctrl-C", highlight=False)
+
+
+def end_on_sigterm() -> None:
+    """Nothing; from now on SIGTERM ends this process as Ctrl-C does, with its services."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, interrupt)
