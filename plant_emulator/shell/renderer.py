@@ -116,9 +116,9 @@ class Renderer:
 
 def main() -> int:
     """Exit status of the renderer process."""
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # a terminal's Ctrl-C reaches the plant, which ends this process
+    # A signal to the whole process group reaches the plant too, which then closes its end of the socket.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
     listen_fd, pose_fd, scheduling = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
     os.sched_setscheduler(0, _POLICIES[scheduling], os.sched_param(0))
     cv2.setNumThreads(1)
