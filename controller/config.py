@@ -1,6 +1,5 @@
 """What arm.yaml and controller.yaml may say, with bounds on every number."""
 
-import zlib
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -62,6 +61,7 @@ class CylinderDrive(StrictModel):
     angle_offset_rad: float = Field(ge=-7.0, le=7.0)
     extend_m_s: float = Field(gt=0.0, le=5.0)
     retract_m_s: float = Field(gt=0.0, le=5.0)
+    area_ratio: float = Field(gt=0.0, le=1.0)
 
 
 Drive = Annotated[RotaryDrive | CylinderDrive, Field(discriminator="kind")]
@@ -84,6 +84,19 @@ class Workspace(StrictModel):
         return self
 
 
+class RatedSupply(StrictModel):
+    """The pressures at which the drives' speeds hold."""
+
+    supply_bar: float = Field(gt=0.0, le=400.0)
+    return_bar: float = Field(ge=0.0, le=100.0)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.supply_bar < 2.0 * self.return_bar + 10.0:
+            raise ValueError(f"supply_bar {self.supply_bar} leaves nothing over return_bar {self.return_bar}")
+        return self
+
+
 class ArmConfig(StrictModel):
     """The nominal arm: seven DH rows of the paper's structure, six joints and drives, the workspace."""
 
@@ -91,6 +104,7 @@ class ArmConfig(StrictModel):
     dh: tuple[DhRow, DhRow, DhRow, DhRow, DhRow, DhRow, DhRow]
     joints: tuple[JointConfig, JointConfig, JointConfig, JointConfig, JointConfig, JointConfig]
     drives: tuple[Drive, Drive, Drive, Drive, Drive, Drive]
+    rated: RatedSupply
     workspace: Workspace
 
     @model_validator(mode="after")
@@ -114,11 +128,6 @@ class ArmConfig(StrictModel):
         return self
 
 
-def arm_hash(arm: ArmConfig) -> int:
-    """CRC-32 of the arm's canonical JSON: 1…2³²−1 (0 is the link's word for "any arm")."""
-    return zlib.crc32(arm.model_dump_json().encode()) or 1
-
-
 class PoseServoConfig(StrictModel):
     """Gains of the Cartesian law (4), dead zone of its integral (5), damping near singularities."""
 
@@ -130,11 +139,14 @@ class PoseServoConfig(StrictModel):
 
 
 class JointControlConfig(StrictModel):
-    """Joint control (6), PT-1 (25) on lift and tilt, feed-forward and deadband compensation."""
+    """Joint control (6), PT-1 (25) on lift and tilt; feed-forward, pressure damping, deadband."""
 
     gain_1_s: tuple[Positive, Positive, Positive, Positive, Positive, Positive]
     pt1_time_constant_ms: float = Field(ge=0.0, le=2000.0)
     feed_forward: float = Field(ge=0.0, le=1.5)
+    load_compensation: bool
+    pressure_damping_mrad_s_bar: Sextuple
+    pressure_high_pass_ms: float = Field(gt=0.0, le=10_000.0)
     deadband_compensation: Sextuple
     deadband_blend: float = Field(gt=0.0, le=0.2)
     valve_limit: float = Field(gt=0.0, le=1.0)
@@ -143,6 +155,9 @@ class JointControlConfig(StrictModel):
     def _bounded(self) -> Self:
         if max(self.gain_1_s) > 50.0:
             raise ValueError(f"gain_1_s: {max(self.gain_1_s)} is above 50")
+        if not all(0.0 <= value <= 100.0 for value in self.pressure_damping_mrad_s_bar):
+            damping = self.pressure_damping_mrad_s_bar
+            raise ValueError(f"pressure_damping_mrad_s_bar: {damping} must lie in 0…100")
         if not all(0.0 <= value <= 0.3 for value in self.deadband_compensation):
             raise ValueError(f"deadband_compensation: {self.deadband_compensation} must lie in 0…0.3")
         return self
@@ -176,6 +191,7 @@ class SupervisionConfig(StrictModel):
     """When the controller stops by itself."""
 
     missed_exchanges: int = Field(ge=1, le=1000)
+    silence_ms: float = Field(gt=0.0, le=5000.0)
     frozen_exchanges: int = Field(ge=1, le=1000)
     echo_lag_cycles: int = Field(ge=1, le=1000)
     overrun_ms: float = Field(gt=0.0, le=5000.0)

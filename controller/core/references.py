@@ -1,0 +1,144 @@
+"""Admission of references: a path that the arm can follow, or a refusal with value and limit."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from controller.core.path_survey import JOINT_SPEED, Survey, survey
+from controller.core.paths import Desired, Path, duration, path_from
+from controller.core.rotations import Array
+from controller.core.settings import Settings
+from protocol.faults import Reason
+from protocol.pose import Pose
+from protocol.reference_link import MAX_WAYPOINTS, ReferencePath, ReferencePose
+
+QUATERNION_TOLERANCE = 1e-3
+# How much faster than its limit an explicitly timed path may be: the sampling error of its peaks.
+_SPEED_TOLERANCE = 2e-3
+# From a moving state the shape of a path depends on its duration, so that is found by steps of at least
+# this factor.
+_STRETCH = 1.15
+_STRETCHES = 24
+
+
+class Refusal(NamedTuple):
+    """Why a reference was refused: one reason, the value that offends, and the limit it breaks (SI)."""
+
+    reason: Reason
+    value: float
+    limit: float
+
+
+def admit(
+    settings: Settings, start: Desired, q_start: Array, request: ReferencePose | ReferencePath
+) -> Path | Refusal:
+    """The path that ``request`` asks for, from the desired motion ``start`` near joint angles ``q_start``.
+
+    A duration of 0 is replaced, segment by segment, by the shortest one inside the limits of speed and
+    acceleration.
+    """
+    poses: tuple[Pose, ...]
+    if isinstance(request, ReferencePose):
+        poses, wanted, dwell = (request.X_BT_ref,), request.duration_s, 0.0
+    else:
+        poses, wanted, dwell = request.waypoints, request.segment_s, request.dwell_s
+    refusal = _form(settings, poses, wanted, dwell)
+    if refusal is not None:
+        return refusal
+    p = np.array([pose.p_m for pose in poses])
+    quaternions = np.array([pose.q_wxyz for pose in poses])
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    distance = float(np.linalg.norm(p[0] - start.p))
+    furthest = settings.config.motion.first_point_distance_m
+    if distance > furthest:
+        return Refusal(Reason.TOO_FAR, distance, furthest)
+    if wanted > 0.0:
+        durations = np.full(len(poses), wanted)
+        found = _timed(settings, path_from(start, p, quaternions, durations, dwell), q_start)
+    else:
+        found = _shortest(settings, start, q_start, p, quaternions, dwell)
+    if isinstance(found, Path) and duration(found) > settings.config.motion.duration_max_s:
+        return Refusal(Reason.BAD_DURATION, duration(found), settings.config.motion.duration_max_s)
+    return found
+
+
+def _form(settings: Settings, poses: tuple[Pose, ...], wanted: float, dwell: float) -> Refusal | None:
+    """A refusal of what no arm could do: not finite, not a rotation, too many, no such duration."""
+    if not poses:
+        return Refusal(Reason.EMPTY_PATH, 0.0, 1.0)
+    if len(poses) > MAX_WAYPOINTS:
+        return Refusal(Reason.TOO_MANY_WAYPOINTS, float(len(poses)), float(MAX_WAYPOINTS))
+    for index, pose in enumerate(poses):
+        if not pose.is_finite():
+            return Refusal(Reason.NOT_FINITE, float(index), float(len(poses)))
+        norm = pose.quaternion_norm()
+        if abs(norm - 1.0) > QUATERNION_TOLERANCE:
+            return Refusal(Reason.NOT_UNIT_QUATERNION, norm, 1.0)
+    if not (math.isfinite(wanted) and math.isfinite(dwell)):
+        return Refusal(Reason.NOT_FINITE, 0.0, 0.0)
+    motion = settings.config.motion
+    if wanted != 0.0 and wanted < motion.duration_min_s:
+        return Refusal(Reason.BAD_DURATION, wanted, motion.duration_min_s)
+    for seconds in (wanted, dwell):
+        if seconds > motion.duration_max_s:
+            return Refusal(Reason.BAD_DURATION, seconds, motion.duration_max_s)
+    return Refusal(Reason.BAD_DURATION, dwell, 0.0) if dwell < 0.0 else None
+
+
+def _ratios(settings: Settings, found: Survey) -> Array:
+    """Peaks over limits, (n, 5)."""
+    ratios: Array = found.peaks / np.append(settings.motion_limits, 1.0)
+    return ratios
+
+
+def _timed(settings: Settings, path: Path, q_start: Array) -> Path | Refusal:
+    found = survey(settings, path, q_start)
+    if found.reason is not Reason.ACCEPTED:
+        return Refusal(found.reason, found.value, found.limit)
+    ratios = _ratios(settings, found)
+    segment, kind = np.unravel_index(int(ratios.argmax()), ratios.shape)
+    if ratios[segment, kind] > 1.0 + _SPEED_TOLERANCE:
+        limit = 1.0 if kind == JOINT_SPEED else float(settings.motion_limits[kind])
+        return Refusal(Reason.TOO_FAST, float(found.peaks[segment, kind]), limit)
+    return path
+
+
+def _stretch(settings: Settings, found: Survey) -> Array:
+    """Factors (n,) for the durations: speeds go with 1/T, accelerations with 1/T²."""
+    ratios = _ratios(settings, found)
+    ratios[:, 1:4:2] = np.sqrt(ratios[:, 1:4:2])
+    factors: Array = ratios.max(axis=1)
+    return factors
+
+
+def _shortest(
+    settings: Settings, start: Desired, q_start: Array, p: Array, quaternions: Array, dwell: float
+) -> Path | Refusal:
+    least = settings.config.motion.duration_min_s
+    moving = bool(np.any(start.v) or np.any(start.a) or np.any(start.omega) or np.any(start.alpha))
+    # From rest the shape does not depend on the duration: survey at 1 s a segment, then scale.
+    durations = np.full(len(p), 1.0)
+    if moving:
+        durations[0] = _rest_duration(settings, start, p[0])
+    for _ in range(_STRETCHES):
+        path = path_from(start, p, quaternions, durations, dwell)
+        found = survey(settings, path, q_start)
+        if found.reason is not Reason.ACCEPTED:
+            return Refusal(found.reason, found.value, found.limit)
+        factors = _stretch(settings, found)
+        if moving and factors[0] > 1.0 + _SPEED_TOLERANCE:
+            durations[0] *= max(factors[0], _STRETCH)
+            continue
+        factors[0] = 1.0 if moving else factors[0]
+        durations = np.maximum(durations * factors, least)
+        return path_from(start, p, quaternions, durations, dwell)
+    return Refusal(Reason.TOO_FAST, float(factors[0]), 1.0)
+
+
+def _rest_duration(settings: Settings, start: Desired, goal: Array) -> float:
+    """The first guess from a moving state: long enough to cover the way and to take the speed off."""
+    speed, acceleration, _, turn_acceleration = settings.motion_limits
+    way = float(np.linalg.norm(goal - start.p))
+    braking = max(np.linalg.norm(start.v) / acceleration, np.linalg.norm(start.omega) / turn_acceleration)
+    return float(max(1.875 * way / speed, braking, settings.config.motion.duration_min_s))

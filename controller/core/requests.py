@@ -1,0 +1,102 @@
+"""Commands and references, answered: each exactly once, from the transition table and the guards."""
+
+from controller.core.group_states import LIVE, Mode, Stimulus, transition
+from controller.core.motion import begun, holding, stopping
+from controller.core.plant_watch import link_lost
+from controller.core.references import Refusal, admit
+from controller.core.scan_types import NO_FAULT, ScanEvent, ScanInput, ScanState, idle
+from controller.core.settings import Settings
+from controller.core.supervision import RESTED, SEVERITY, Fault, plant_ready
+from protocol.faults import CommandCode, FaultCode, Reason, Severity
+from protocol.reference_link import Acknowledgement, Command, ReferencePath, ReferencePose
+
+
+def answered(
+    settings: Settings, state: ScanState, inputs: ScanInput, request: Command | ReferencePose | ReferencePath
+) -> tuple[ScanState, Acknowledgement]:
+    """The state after ``request``, and its acknowledgement."""
+    if isinstance(request, Command):
+        state, refusal = _commanded(settings, state, inputs, request)
+    else:
+        state, refusal = _referred(settings, state, inputs, request)
+    return state, Acknowledgement(request.command_id, *refusal)
+
+
+def entered(settings: Settings, state: ScanState, mode: Mode) -> ScanState:
+    """``state`` in ``mode``, with what belongs to the change: nothing jumps, stops begin, errors are
+    cleared."""
+    if mode is state.mode:
+        return state
+    if state.mode is Mode.DISABLED and mode is Mode.STANDBY:
+        hold = holding(state.tool.p_BT, state.tool.quaternion, state.motion.motion_id)
+        driven = idle(state.watch.q_meas)
+        state = state._replace(motion=hold, driven=driven, timers=RESTED, settled_s=0.0)
+    elif mode in (Mode.STOPPING, Mode.DISABLING, Mode.ERROR_RAMP):
+        state = state._replace(motion=stopping(settings, state.motion))
+    elif mode is Mode.DISABLED and state.mode is Mode.ERROR_HELD:
+        state = state._replace(fault=NO_FAULT, severity=Severity.NONE)
+    return state._replace(mode=mode)
+
+
+def faulted(settings: Settings, state: ScanState, fault: Fault) -> tuple[ScanState, ScanEvent]:
+    """``state`` after ``fault``: the reaction follows the gravest, the latched cause stays the first."""
+    severity = SEVERITY[fault.code]
+    if fault.code is FaultCode.EMERGENCY_STOP:
+        stimulus = Stimulus.EMERGENCY_STOP
+    else:
+        stimulus = Stimulus.FAULT_STOP if severity is Severity.STOP else Stimulus.FAULT_EMERGENCY
+    state = entered(settings, state, transition(state.mode, stimulus).mode)
+    if state.fault.code is FaultCode.NONE:
+        state = state._replace(fault=fault)
+    state = state._replace(severity=max(state.severity, severity))
+    return state, ScanEvent("fault", fault.code.name, fault.value, fault.limit)
+
+
+def _commanded(
+    settings: Settings, state: ScanState, inputs: ScanInput, command: Command
+) -> tuple[ScanState, Refusal]:
+    if command.code not in CommandCode.__members__.values():
+        return state, Refusal(Reason.UNKNOWN_COMMAND, float(command.code), float(max(CommandCode)))
+    step = transition(state.mode, Stimulus(command.code))
+    if step.reason is Reason.ACCEPTED:
+        reason = _guarded(settings, state, inputs, command.code)
+        if reason is not Reason.ACCEPTED:
+            return state, Refusal(reason, 0.0, 0.0)
+    if command.code is CommandCode.EMERGENCY_STOP and step.reason is Reason.ACCEPTED:
+        state, _ = faulted(settings, state, Fault(FaultCode.EMERGENCY_STOP, 0.0, 0.0))
+    else:
+        state = entered(settings, state, step.mode)
+    return state, Refusal(step.reason, 0.0, 0.0)
+
+
+def _guarded(settings: Settings, state: ScanState, inputs: ScanInput, code: CommandCode) -> Reason:
+    """What the table cannot know: whether links and plant allow an ENABLE or a RESET."""
+    if code not in (CommandCode.ENABLE, CommandCode.RESET):
+        return Reason.ACCEPTED
+    if link_lost(settings, state.watch) is not None:
+        return Reason.PLANT_LINK_DOWN
+    if not inputs.reference_link_alive:
+        return Reason.REFERENCE_LINK_DOWN
+    if code is CommandCode.ENABLE and not plant_ready(settings, state.watch):
+        return Reason.PLANT_NOT_READY
+    return Reason.ACCEPTED
+
+
+def _referred(
+    settings: Settings, state: ScanState, inputs: ScanInput, request: ReferencePose | ReferencePath
+) -> tuple[ScanState, Refusal]:
+    step = transition(state.mode, Stimulus.MOVE)
+    if step.mode is not Mode.MOVING:
+        return state, Refusal(step.reason, 0.0, 0.0)
+    if not inputs.reference_link_alive:
+        return state, Refusal(Reason.REFERENCE_LINK_DOWN, 0.0, 0.0)
+    found = admit(settings, state.motion.desired, state.watch.q_meas, request)
+    if isinstance(found, Refusal):
+        return state, found
+    state = state._replace(motion=begun(found, request.command_id), settled_s=0.0)
+    return entered(settings, state, Mode.MOVING), Refusal(Reason.ACCEPTED, 0.0, 0.0)
+
+
+def is_live(state: ScanState) -> bool:
+    """Whether the servo drives the valves."""
+    return state.mode in LIVE

@@ -1,0 +1,200 @@
+"""One scan of the controller: input image → output image, pure.
+
+Order: look at the plant, judge it, answer requests, advance the desired motion, drive the valves.
+"""
+
+import numpy as np
+
+from controller.core.drives import full_spool_speeds, load_pressures
+from controller.core.group_states import GROUP_STATE, Mode, Stimulus, transition
+from controller.core.joint_control import JointFilters, valve_commands
+from controller.core.motion import advanced, at_standstill
+from controller.core.plant_watch import cycle_frozen, link_lost, observed
+from controller.core.pose_servo import resolve, tool_state
+from controller.core.requests import answered, entered, faulted, is_live
+from controller.core.rotations import Array
+from controller.core.scan_types import (
+    ControllerView,
+    ScanEvent,
+    ScanInput,
+    ScanOutput,
+    ScanState,
+    Sextuple,
+    idle,
+)
+from controller.core.settings import Settings
+from controller.core.supervision import Driven, Fault, first_fault, timed
+from protocol.faults import FaultCode
+from protocol.pose import Pose
+from protocol.process_image import (
+    CONTROL_ENABLE,
+    CONTROL_RESET_WATCHDOG,
+    STATUS_WATCHDOG_TRIPPED,
+    ValveImage,
+)
+from protocol.reference_link import (
+    FLAG_EMERGENCY_LATCHED,
+    FLAG_PLANT_LINK_OK,
+    FLAG_SETTLED,
+    Acknowledgement,
+)
+
+# The plant may take the watchdog's reset on the edge or on the level: a slow square wave serves both.
+_RESET_HALF_PERIOD = 8
+
+
+def scan(settings: Settings, state: ScanState, inputs: ScanInput) -> tuple[ScanState, ScanOutput]:
+    """The state after this scan, and what it puts out. The same arguments give the same bits."""
+    events: list[ScanEvent] = []
+    mode_before = state.mode
+    watch = observed(state.watch, inputs.sensors, state.cycle, inputs.dt_s)
+    state = state._replace(cycle=state.cycle + 1, watch=watch, tool=tool_state(settings.table, watch.q_meas))
+    state = _supervised(settings, state, inputs, events)
+    acknowledgements: list[Acknowledgement] = []
+    for request in inputs.requests:
+        state, acknowledgement = answered(settings, state, inputs, request)
+        acknowledgements.append(acknowledgement)
+        events.append(_answer_event(request, acknowledgement))
+    state = _moved(settings, state, inputs.dt_s)
+    state = _driven(settings, state, inputs.dt_s, events)
+    if state.mode is not mode_before:
+        events.append(ScanEvent("mode", f"{mode_before.name} -> {state.mode.name}", 0.0, 0.0))
+    valves = _valve_image(state)
+    view = _view(settings, state, inputs.now_ns)
+    return state, ScanOutput(valves, tuple(acknowledgements), view, tuple(events))
+
+
+def _answer_event(request: object, answer: Acknowledgement) -> ScanEvent:
+    name = f"{type(request).__name__} {answer.command_id}"
+    return ScanEvent(name, answer.reason.name, answer.value, answer.limit)
+
+
+def _supervised(
+    settings: Settings, state: ScanState, inputs: ScanInput, events: list[ScanEvent]
+) -> ScanState:
+    """``state`` after judging the plant and the reference link; only while the valves are live."""
+    if not is_live(state):
+        return state
+    speed = float(np.linalg.norm(state.tool.J_BT[:3] @ state.watch.qd_meas))
+    timers = timed(settings, state.timers, state.watch, state.driven, speed, inputs.dt_s)
+    state = state._replace(timers=timers)
+    fault = first_fault(settings, state.watch, timers, state.driven, state.tool.p_BT, speed, inputs.dt_s)
+    if fault is not None:
+        state, event = faulted(settings, state, fault)
+        events.append(event)
+    if not inputs.reference_link_alive and is_live(state):
+        if state.mode is Mode.MOVING:  # a motion may not continue unattended
+            state, event = faulted(settings, state, Fault(FaultCode.REFERENCE_LINK_LOST, 0.0, 0.0))
+            events.append(event)
+        else:
+            state = entered(settings, state, transition(state.mode, Stimulus.UNATTENDED).mode)
+    return state
+
+
+def _moved(settings: Settings, state: ScanState, dt_s: float) -> ScanState:
+    """``state`` with the desired motion advanced, and the mode that follows when it comes to rest."""
+    if not is_live(state) or state.mode is Mode.STANDBY:
+        return state
+    state = state._replace(motion=advanced(state.motion, dt_s))
+    if at_standstill(state.motion):
+        state = entered(settings, state, transition(state.mode, Stimulus.STANDSTILL).mode)
+    return state
+
+
+def _driven(settings: Settings, state: ScanState, dt_s: float, events: list[ScanEvent]) -> ScanState:
+    """``state`` with new valve commands: (4), (5), (6), (25) while live, else centred."""
+    if not is_live(state):
+        return _centred(settings, state)
+    resolved = resolve(state.tool, state.motion.desired, settings.servo_gains)
+    q_meas = state.watch.q_meas
+    q_cmd = state.driven.q_cmd + dt_s * resolved.qd_cmd
+    valves, filters = valve_commands(
+        settings.joint_gains,
+        state.filters,
+        q_cmd - q_meas,
+        resolved.qd_cmd,
+        _load(settings, state),
+        full_spool_speeds(settings.drives, q_meas, settings.rated, _circuit(settings, state)),
+        dt_s,
+    )
+    if not np.isfinite(valves).all():
+        state, event = faulted(settings, state, Fault(FaultCode.NUMERIC, float("nan"), 0.0))
+        events.append(event)
+        return _centred(settings, state)
+    tolerance = settings.config.settled.tolerance_mrad * 1e-3
+    inside = state.motion.path is None and bool(np.abs(resolved.q_error).max() <= tolerance)
+    return state._replace(
+        driven=Driven(q_cmd, resolved.qd_cmd, valves, state.motion.desired.v),
+        filters=filters,
+        settled_s=state.settled_s + dt_s if inside else 0.0,
+    )
+
+
+def _load(settings: Settings, state: ScanState) -> Array:
+    sensors = state.watch.sensors
+    return state.filters.load if sensors is None else load_pressures(settings.drives, sensors.pressures_bar)
+
+
+def _circuit(settings: Settings, state: ScanState) -> Array:
+    """Supply, return and slow load pressures (bar), or the rated ones when no compensation is wanted."""
+    sensors = state.watch.sensors
+    if sensors is None or not settings.config.joint_control.load_compensation:
+        return settings.rated
+    return np.array([sensors.supply_bar, sensors.return_bar, *state.filters.load])
+
+
+def _centred(settings: Settings, state: ScanState) -> ScanState:
+    """``state`` at rest; the slow load pressure follows the load, so enabling starts without a kick."""
+    filters = JointFilters(np.zeros(6), _load(settings, state))
+    return state._replace(driven=idle(state.watch.q_meas), filters=filters, settled_s=0.0)
+
+
+def _valve_image(state: ScanState) -> ValveImage:
+    control = CONTROL_ENABLE if is_live(state) else 0
+    sensors = state.watch.sensors
+    tripped = sensors is not None and sensors.status & STATUS_WATCHDOG_TRIPPED
+    # While disabled nothing can move, so the plant's watchdog is re-armed without being asked.
+    if state.mode is Mode.DISABLED and tripped and state.cycle // _RESET_HALF_PERIOD % 2 == 0:
+        control |= CONTROL_RESET_WATCHDOG
+    return ValveImage(state.cycle, control, _six(state.driven.valves))
+
+
+def _six(values: np.ndarray) -> Sextuple:
+    a, b, c, d, e, f = values.tolist()
+    return a, b, c, d, e, f
+
+
+def _pose(p: np.ndarray, quaternion: np.ndarray) -> Pose:
+    x, y, z = p.tolist()
+    w, i, j, k = quaternion.tolist()
+    return Pose((x, y, z), (w, i, j, k))
+
+
+def _view(settings: Settings, state: ScanState, now_ns: int) -> ControllerView:
+    watch, motion = state.watch, state.motion
+    healthy = link_lost(settings, watch) is None and cycle_frozen(settings, watch) is None
+    settled = state.mode is Mode.STANDBY and state.settled_s * 1e3 >= settings.config.settled.time_ms
+    flags = (
+        (FLAG_PLANT_LINK_OK if healthy else 0)
+        | (FLAG_EMERGENCY_LATCHED if state.mode is Mode.EMERGENCY else 0)
+        | (FLAG_SETTLED if settled else 0)
+    )
+    X_BT = _pose(state.tool.p_BT, state.tool.quaternion)
+    return ControllerView(
+        time_ns=now_ns,
+        cycle=state.cycle,
+        group_state=GROUP_STATE[state.mode],
+        fault=state.fault.code,
+        severity=state.severity,
+        flags=flags,
+        motion_id=motion.motion_id,
+        motion_done=motion.done,
+        segment=motion.segment,
+        q_meas=_six(watch.q_meas),
+        q_cmd=_six(state.driven.q_cmd),
+        valves=_six(state.driven.valves),
+        X_BT=X_BT,
+        X_BT_cmd=_pose(motion.desired.p, motion.desired.quaternion) if is_live(state) else X_BT,
+        supply_bar=watch.sensors.supply_bar if watch.sensors is not None else 0.0,
+        plant_exchange_failures=watch.failures,
+    )

@@ -1,0 +1,116 @@
+"""What goes into a scan, what it keeps, and what comes out."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from controller.core.group_states import Mode
+from controller.core.joint_control import JointFilters
+from controller.core.motion import Motion, holding
+from controller.core.plant_watch import PlantWatch, unseen
+from controller.core.pose_servo import ToolState, tool_state
+from controller.core.rotations import Array
+from controller.core.settings import Settings
+from controller.core.supervision import RESTED, Driven, Fault, Timers
+from protocol.faults import FaultCode, GroupState, Severity
+from protocol.pose import Pose
+from protocol.process_image import SensorImage, ValveImage
+from protocol.reference_link import Acknowledgement, Command, ReferencePath, ReferencePose
+
+Sextuple = tuple[float, float, float, float, float, float]
+NO_FAULT = Fault(FaultCode.NONE, 0.0, 0.0)
+
+
+class ScanInput(NamedTuple):
+    """One scan's input image. ``dt_s``: since the scan before. ``sensors``: None when the exchange failed."""
+
+    now_ns: int
+    dt_s: float
+    sensors: SensorImage | None
+    requests: tuple[Command | ReferencePose | ReferencePath, ...]
+    reference_link_alive: bool
+
+
+class ScanEvent(NamedTuple):
+    """Something worth a line in a log: a name, a cause in words, and the number behind it with its limit
+    (SI)."""
+
+    name: str
+    cause: str
+    value: float
+    limit: float
+
+
+class ControllerView(NamedTuple):
+    """The controller's own view of the arm: what a State message says, as far as the core knows it."""
+
+    time_ns: int
+    cycle: int
+    group_state: GroupState
+    fault: FaultCode
+    severity: Severity
+    flags: int
+    motion_id: int
+    motion_done: bool
+    segment: int
+    q_meas: Sextuple
+    q_cmd: Sextuple
+    valves: Sextuple
+    X_BT: Pose
+    X_BT_cmd: Pose
+    supply_bar: float
+    plant_exchange_failures: int
+
+
+class ScanOutput(NamedTuple):
+    """One scan's output image."""
+
+    valves: ValveImage
+    acknowledgements: tuple[Acknowledgement, ...]
+    view: ControllerView
+    events: tuple[ScanEvent, ...]
+
+
+class ScanState(NamedTuple):
+    """What a scan leaves to the next. Arrays are never written to.
+
+    ``fault``: the first one since the last reset. ``settled_s``: how long the arm has been inside the
+    tolerance.
+    """
+
+    cycle: int
+    mode: Mode
+    fault: Fault
+    severity: Severity
+    watch: PlantWatch
+    timers: Timers
+    tool: ToolState
+    motion: Motion
+    driven: Driven
+    filters: JointFilters
+    settled_s: float
+
+
+def idle(q_meas: Array) -> Driven:
+    """Valves centred, the command on the measurement: nothing jumps when the group is enabled."""
+    zero = np.zeros(6)
+    return Driven(q_meas, zero, zero, np.zeros(3))
+
+
+def initial_state(settings: Settings) -> ScanState:
+    """The state before the first scan: disabled, nothing known of the plant."""
+    watch = unseen()
+    tool = tool_state(settings.table, watch.q_meas)
+    return ScanState(
+        cycle=0,
+        mode=Mode.DISABLED,
+        fault=NO_FAULT,
+        severity=Severity.NONE,
+        watch=watch,
+        timers=RESTED,
+        tool=tool,
+        motion=holding(tool.p_BT, tool.quaternion),
+        driven=idle(watch.q_meas),
+        filters=JointFilters(np.zeros(6), np.zeros(6)),
+        settled_s=0.0,
+    )
