@@ -1,8 +1,8 @@
 """Image-space adjustment: X and Z from the corners in the pictures themselves, robot noise included.
 
-A pose estimated from one small marker is far noisier along and about the line of sight than across it. Minimising
-pixels weighs that by itself. The robot's own noise enters as one unknown motion of the hand per sample, held
-by its standard deviation (six unknowns each, eliminated sample by sample).
+A pose estimated from one small marker is far noisier along and about the line of sight than across it.
+Minimising pixels weighs that by itself. The robot's own noise enters as one unknown motion of the hand per
+sample, held by its standard deviation (six unknowns each, eliminated sample by sample).
 """
 
 from typing import NamedTuple
@@ -59,20 +59,32 @@ def adjust(pairs: PosePairs, start: HandEyeResult, robot: RobotNoise | None = No
     ``.singular`` when they leave X undetermined.
     """
     if pairs.corners is None:
-        raise MeasurementFailed("measurement.hand_eye.no_corners", "image-space adjustment needs the corners of each sample")
+        raise MeasurementFailed(
+            "measurement.hand_eye.no_corners", "image-space adjustment needs the corners of each sample"
+        )
     used = start.inliers[np.array(pairs.order)]
     X, Z = start.X, start.Z
     sigma, hands = 1.0, np.zeros((len(pairs), 6))
     for step_number in range(_STEPS):
-        samples = [_sample(pairs, pairs.corners, k, X, Z, hands[k], sigma, robot) for k in np.flatnonzero(used)]
+        samples = [
+            _sample(pairs, pairs.corners, k, X, Z, hands[k], sigma, robot)
+            for k in map(int, np.flatnonzero(used))
+        ]
         information, gradient, eliminated = _reduced(samples, hands[used], robot)
         try:
-            step = -np.linalg.solve(information, gradient)
+            step = np.asarray(-np.linalg.solve(information, gradient), dtype=np.float64)
         except np.linalg.LinAlgError as error:
-            raise MeasurementFailed("measurement.hand_eye.singular", "the corners leave X undetermined") from error
+            raise MeasurementFailed(
+                "measurement.hand_eye.singular", "the corners leave X undetermined"
+            ) from error
         X, Z = ml.moved(X, Z, step, tied=False)
-        hands[used] = [_hand_update(e, step, hand, robot) for e, hand in zip(eliminated, hands[used], strict=True)]
-        new_sigma = max(_pixel_noise(samples, 12), _LEAST_PIXEL)
+        hands[used] = [
+            _hand_update(e, step, hand, robot) for e, hand in zip(eliminated, hands[used], strict=True)
+        ]
+        absorbed = sum(
+            float(np.sum(block * (s.L.T @ s.L))) for s, (block, _, _) in zip(samples, eliminated, strict=True)
+        )
+        new_sigma = max(_pixel_noise(samples, 12.0 + absorbed), _LEAST_PIXEL)
         settled = abs(new_sigma / sigma - 1.0) < 1e-6 and float(step @ information @ step) < 1e-12
         sigma = new_sigma
         if settled and step_number > 1:
@@ -99,7 +111,9 @@ def _sample(
     pose = ml.predicted(equations.H, X, Z)[0]
     seen = np.isfinite(corners.pixels[k]).all(axis=-1)
     if seen.sum() < 3:
-        raise MeasurementFailed("measurement.hand_eye.no_corners", f"sample {pairs.names[k]}: fewer than 3 corners")
+        raise MeasurementFailed(
+            "measurement.hand_eye.no_corners", f"sample {pairs.names[k]}: fewer than 3 corners"
+        )
     shift = levers @ hand if robot is not None else np.zeros(6)
     turned = corners.points_T[seen] @ pose[:3, :3].T
     turned = turned + np.cross(shift[3:], turned)
@@ -111,13 +125,15 @@ def _sample(
     sizes = np.repeat(np.linalg.norm(raw.reshape(-1, 2), axis=-1), 2) / sigma
     weight = np.sqrt(np.where(sizes > _HUBER, _HUBER / np.maximum(sizes, 1e-300), 1.0)) / sigma
     by_unknown = -ml.jacobian(equations, X, Z, np.zeros((1, 6)))[0]
-    return _Sample(weight * raw, weight[:, None] * (by_pose @ by_unknown), weight[:, None] * (by_pose @ levers), raw)
+    return _Sample(
+        weight * raw, weight[:, None] * (by_pose @ by_unknown), weight[:, None] * (by_pose @ levers), raw
+    )
 
 
 def _reduced(
     samples: list[_Sample], hands: Array, robot: RobotNoise | None
 ) -> tuple[Array, Array, list[tuple[Array, Array, Array]]]:
-    """Information and gradient over (X, Z) with the hands' own motions eliminated; and what restores those."""
+    """Information and gradient over (X, Z) without the hands' own motions; and what restores those."""
     information, gradient = np.zeros((12, 12)), np.zeros(12)
     eliminated = []
     for sample, hand in zip(samples, hands, strict=True):
@@ -127,7 +143,7 @@ def _reduced(
             eliminated.append((np.zeros((6, 6)), np.zeros((6, 12)), np.zeros(6)))
             continue
         prior = np.diag([robot.translation**-2.0] * 3 + [robot.rotation**-2.0] * 3)
-        block = np.linalg.inv(sample.L.T @ sample.L + prior)
+        block = np.asarray(np.linalg.inv(sample.L.T @ sample.L + prior), dtype=np.float64)
         cross = sample.L.T @ sample.J
         slope = sample.L.T @ sample.r + prior @ hand
         information -= cross.T @ block @ cross
@@ -143,7 +159,7 @@ def _hand_update(
     return hand if robot is None else hand - block @ (slope + cross @ step)
 
 
-def _pixel_noise(samples: list[_Sample], unknowns: int) -> float:
+def _pixel_noise(samples: list[_Sample], unknowns: float) -> float:
     """The pixel noise a coordinate, from the median residual: a few bad corners do not count."""
     sizes = np.concatenate([np.linalg.norm(s.raw.reshape(-1, 2), axis=-1) for s in samples])
     degrees = 2.0 * len(sizes)

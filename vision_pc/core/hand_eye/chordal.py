@@ -2,10 +2,10 @@
 
     min  Σ κ‖R_X R_P − R_Hᵀ R_Z‖² + τ‖R_X t_P + t_X − R_Hᵀ (t_Z − t_H)‖²   over R_X, R_Z in SO(3), t_X, t_Z
 
-Translations are eliminated, which leaves a quadratic form in v = (vec R_X, vec R_Z, 1), 19 numbers, under quadratic
-constraints (orthonormal rows and columns, handedness). Its Lagrangian dual is a semidefinite program with one
-19×19 cone; where the dual is tight, its multipliers prove that a stationary point is the global optimum:
-S = M − Σ λ_k A_k is positive semidefinite and S v = 0.
+Translations are eliminated, which leaves a quadratic form in v = (vec R_X, vec R_Z, 1), 19 numbers, under
+quadratic constraints (orthonormal rows and columns, handedness). Its Lagrangian dual is a semidefinite
+program with one 19×19 cone; where the dual is tight, its multipliers prove that a stationary point is the
+global optimum: S = M − Σ λ_k A_k is positive semidefinite and S v = 0.
 """
 
 import functools
@@ -14,6 +14,7 @@ from typing import NamedTuple
 import clarabel
 import numpy as np
 import scipy.sparse
+from numpy.typing import NDArray
 
 from protocol.errors import MeasurementFailed
 from vision_pc.core.hand_eye import rigid, sdp
@@ -21,13 +22,15 @@ from vision_pc.core.hand_eye.maximum_likelihood import Noise
 from vision_pc.core.hand_eye.result import Certificate
 from vision_pc.core.se3 import Array
 
+Indices = NDArray[np.int64]
+
 _SIZE = 19
 _ONE = 18  # the homogenising entry
 _NEWTON_STEPS = 12
 
 
 class ChordalProblem(NamedTuple):
-    """``M`` (19, 19), scaled to unit trace, over v = (vec R_X, vec R_Z, 1); ``recover`` (6, 19) gives (t_X, t_Z)."""
+    """``M`` (19, 19) over v = (vec R_X, vec R_Z, 1), of unit trace; ``recover`` (6, 19) gives (t_X, t_Z)."""
 
     M: Array
     recover: Array
@@ -92,7 +95,9 @@ def _rounded(moments: Array) -> tuple[Array, Array]:
     values, vectors = np.linalg.eigh(moments)
     v = vectors[:, -1] * np.sqrt(values[-1])
     if abs(v[_ONE]) < 1e-6:
-        raise MeasurementFailed("measurement.hand_eye.sdp", "the semidefinite relaxation has no usable first moment")
+        raise MeasurementFailed(
+            "measurement.hand_eye.sdp", "the semidefinite relaxation has no usable first moment"
+        )
     v = v / v[_ONE]
     return rigid.nearest_rotation(v[:9].reshape(3, 3)), rigid.nearest_rotation(v[9:18].reshape(3, 3))
 
@@ -109,9 +114,11 @@ def _polished(M: Array, R_X: Array, R_Z: Array) -> tuple[Array, Array]:
         gradient = J.T @ slope
         hessian = J.T @ M @ J
         for block, R in ((0, R_X), (3, R_Z)):
-            N = R @ slope[3 * block : 3 * block + 9].reshape(3, 3).T  # Σ slope·(a b + b a) R / 2 for generators a, b
+            N = (
+                R @ slope[3 * block : 3 * block + 9].reshape(3, 3).T
+            )  # Σ slope·(a b + b a) R / 2 for generators a, b
             hessian[block : block + 3, block : block + 3] += 0.5 * (N + N.T) - np.trace(N) * np.eye(3)
-        step = -np.linalg.solve(hessian, gradient)
+        step = np.asarray(-np.linalg.solve(hessian, gradient), dtype=np.float64)
         R_X, R_Z = rigid.rotation_exp(step[:3]) @ R_X, rigid.rotation_exp(step[3:]) @ R_Z
         if np.abs(step).max() < 1e-14:
             break
@@ -119,7 +126,7 @@ def _polished(M: Array, R_X: Array, R_Z: Array) -> tuple[Array, Array]:
 
 
 def _certificate(M: Array, v: Array, multipliers: Array, constraints: Array, moments: Array) -> Certificate:
-    """The KKT conditions at v, with the multipliers nearest to the solver's that make v exactly stationary."""
+    """The KKT conditions at v, with the multipliers nearest to the solver's that make v stationary."""
     S = M - np.tensordot(multipliers, constraints, axes=1)
     correction = np.linalg.lstsq((constraints @ v).T, S @ v, rcond=1e-12)[0]
     S = S - np.tensordot(correction, constraints, axes=1)
@@ -137,7 +144,7 @@ def _certificate(M: Array, v: Array, multipliers: Array, constraints: Array, mom
 
 @functools.cache
 def _constraints() -> tuple[scipy.sparse.csc_matrix, Array]:
-    """The constraint matrices A_k (m, 19, 19), vᵀ A_k v = 0 but for the last, v_18² = 1; and svec of them (190, m)."""
+    """The constraints vᵀ A_k v = 0, but for the last, v_18² = 1: svec A_k (190, m) and A_k (m, 19, 19)."""
     matrices: list[Array] = []
     for base in (0, 9):
         at = base + np.arange(9).reshape(3, 3)
@@ -151,7 +158,7 @@ def _constraints() -> tuple[scipy.sparse.csc_matrix, Array]:
     return scipy.sparse.csc_matrix(np.stack([sdp.svec(A) for A in stack], axis=1)), stack
 
 
-def _orthonormal(first: Array, second: Array, same: bool) -> Array:
+def _orthonormal(first: Indices, second: Indices, same: bool) -> Array:
     A = np.zeros((_SIZE, _SIZE))
     A[first, second] += 0.5
     A[second, first] += 0.5
@@ -159,7 +166,7 @@ def _orthonormal(first: Array, second: Array, same: bool) -> Array:
     return A
 
 
-def _handed(at: Array, column: int, axis: int) -> Array:
+def _handed(at: Indices, column: int, axis: int) -> Array:
     """column_i × column_j = column_k, component ``axis``, for the cyclic triple that ends in ``column``."""
     i, j = at[:, (column + 1) % 3], at[:, (column + 2) % 3]
     a, b = (axis + 1) % 3, (axis + 2) % 3

@@ -1,19 +1,21 @@
-"""The classical solvers: OpenCV's on poses, guarded against its defects, and the same on bare relative motions.
+"""The classical solvers: OpenCV's on poses, guarded against its defects, and the same on bare motions.
 
-OpenCV 4.14 returns NaN (Daniilidis), reflections (Park) or, after a line on standard error, a rotation that has
-nothing to do with the data (Tsai, which drops motions under 15 degrees). Here a result is a proper pose or an error.
+OpenCV 4.14 returns NaN (Daniilidis), reflections (Park) or, after a line on standard error, a rotation that
+has nothing to do with the data (Tsai, which drops motions under 15 degrees). Here a result is a proper pose
+or an error.
 """
 
 import math
+from collections.abc import Callable
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from protocol.errors import MeasurementFailed
 from vision_pc.core.hand_eye import dual_quaternion, rigid
-from vision_pc.core.hand_eye.motions import DualQuaternions, Motions
+from vision_pc.core.hand_eye.motions import DualQuaternions, Motions, dual_quaternions
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.se3 import Array
 
@@ -48,7 +50,7 @@ _AX_ZB = {
 
 
 class ClassicalResult(NamedTuple):
-    """X (4, 4); Z (4, 4) from the solvers that estimate it, else None; ``notes`` say what was done differently."""
+    """X (4, 4); Z (4, 4) from the solvers that estimate it, else None; ``notes`` on what was done."""
 
     X: Array
     Z: Array | None = None
@@ -58,8 +60,9 @@ class ClassicalResult(NamedTuple):
 def from_poses(pairs: PosePairs, motions: Motions, method: Classical) -> ClassicalResult:
     """X, and Z where the method estimates it, by OpenCV.
 
-    ``motions`` are those of all pairs of samples. Raises MeasurementFailed: ``measurement.hand_eye.no_solution``
-    (OpenCV gave up or returned NaN), ``.left_handed`` (it returned a reflection).
+    ``motions`` are those of all pairs of samples. Raises MeasurementFailed:
+    ``measurement.hand_eye.no_solution`` (OpenCV gave up or returned NaN), ``.left_handed`` (it returned a
+    reflection).
     """
     H, P = pairs.H, pairs.P
     if method in _AX_ZB:
@@ -73,30 +76,35 @@ def from_poses(pairs: PosePairs, motions: Motions, method: Classical) -> Classic
         X, Z = rigid.inverse(_proper(R_CX, t_CX, method)), rigid.inverse(_proper(R_TZ, t_TZ, method))
         return ClassicalResult(X, Z)
     if method is Classical.TSAI and not _enough_for_opencv_tsai(motions):
-        note = "OpenCV's Tsai drops rotations under 15 degrees and would have none left; solved without that filter"
+        note = "OpenCV's Tsai would drop these rotations under 15 degrees; solved without its filter"
         return ClassicalResult(from_motions(motions, method), notes=(note,))
     poses = (H[:, :3, :3], H[:, :3, 3], P[:, :3, :3], P[:, :3, 3])
     R, t = _called(cv2.calibrateHandEye, method, poses, _AX_XB[method])
     return ClassicalResult(_proper(R, t, method))
 
 
-def _called(function, method, arguments, flag):  # type: ignore[no-untyped-def]
+def _called(function: Callable[..., Any], method: Classical, poses: tuple[Array, ...], flag: int) -> Any:
     try:
-        return function(*arguments, method=flag)
+        return function(*poses, method=flag)
     except cv2.error as error:
         reason = " ".join(str(error).split())
-        raise MeasurementFailed("measurement.hand_eye.no_solution", f"{method}: OpenCV gave up: {reason}") from error
+        raise MeasurementFailed(
+            "measurement.hand_eye.no_solution", f"{method}: OpenCV gave up: {reason}"
+        ) from error
 
 
 def _proper(R: Array, t: Array, method: Classical) -> Array:
-    """The pose, or the error that it is none; a right-handed but slightly skewed rotation is made orthonormal."""
+    """The pose, a slightly skewed rotation made orthonormal, or the error that it is none."""
     R, t = np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64).reshape(-1)
     if not (np.isfinite(R).all() and np.isfinite(t).all()):
-        raise MeasurementFailed("measurement.hand_eye.no_solution", f"{method}: the solver returned NaN or infinity")
+        raise MeasurementFailed(
+            "measurement.hand_eye.no_solution", f"{method}: the solver returned NaN or infinity"
+        )
     determinant = float(np.linalg.det(R))
     if determinant <= 0.0:
         raise MeasurementFailed(
-            "measurement.hand_eye.left_handed", f"{method}: the solver returned a reflection (det {determinant:.3f})"
+            "measurement.hand_eye.left_handed",
+            f"{method}: the solver returned a reflection (det {determinant:.3f})",
         )
     return rigid.pose(rigid.nearest_rotation(R), t)
 
@@ -110,13 +118,13 @@ def _enough_for_opencv_tsai(motions: Motions) -> bool:
     return bool(np.sqrt(np.linalg.eigvalsh(kept.T @ kept / len(kept))[1]) > _TSAI_SECOND_AXIS)
 
 
-def from_motions(motions: Motions, method: Classical, dual: DualQuaternions | None = None) -> Array:
+def from_motions(motions: Motions, method: Classical) -> Array:
     """X (4, 4) from bare motions A X = X B, where no poses exist that OpenCV could take.
 
     Tsai, Park, Horaud and Daniilidis; on the motions of all pairs of samples they equal OpenCV's. Raises
     MeasurementFailed like ``from_poses``, ValueError for another method.
     """
-    dual = dual or _dual(motions)
+    dual = dual_quaternions(motions)
     if method is Classical.DANIILIDIS:
         return _daniilidis(dual)
     if method is Classical.TSAI:
@@ -130,12 +138,6 @@ def from_motions(motions: Motions, method: Classical, dual: DualQuaternions | No
     return _proper(R, _translation(motions, R), method)
 
 
-def _dual(motions: Motions) -> DualQuaternions:
-    from vision_pc.core.hand_eye.motions import dual_quaternions
-
-    return dual_quaternions(motions)
-
-
 def _translation(motions: Motions, R: Array) -> Array:
     """t from (R_A − I) t = R t_B − t_A, all motions at once."""
     rows = (motions.A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
@@ -144,7 +146,7 @@ def _translation(motions: Motions, R: Array) -> Array:
 
 
 def _tsai_rotation(dual: DualQuaternions) -> Array:
-    """Tsai and Lenz 1989, eq. (12) and (14): skew(a + b) p = b − a with a, b twice the quaternions' vector parts."""
+    """Tsai and Lenz 1989, eq. (12), (14): skew(a + b) p = b − a, a and b twice the vector parts."""
     a, b = 2.0 * dual.x[:, 1:], 2.0 * dual.y[:, 1:]
     p = np.linalg.lstsq(rigid.skew(a + b).reshape(-1, 3), (b - a).reshape(-1), rcond=None)[0]
     return rigid.rotation_of_quaternion(np.concatenate([[1.0], p]) / math.sqrt(1.0 + p @ p))
@@ -169,7 +171,9 @@ def _daniilidis(dual: DualQuaternions) -> Array:
     u, v = np.linalg.svd(S.reshape(-1, 8), full_matrices=True)[2][-2:]
     roots = np.roots([u[:4] @ u[4:], u[:4] @ v[4:] + v[:4] @ u[4:], v[:4] @ v[4:]])
     if np.abs(roots.imag).max(initial=0.0) > 0.0 or not len(roots):
-        raise MeasurementFailed("measurement.hand_eye.no_solution", "daniilidis: the null space holds no unit dual quaternion")
+        raise MeasurementFailed(
+            "measurement.hand_eye.no_solution", "daniilidis: the null space holds no unit dual quaternion"
+        )
     candidates = [s * u + v for s in roots.real]
     q = max(candidates, key=lambda c: float(c[:4] @ c[:4]))
     q = q / np.linalg.norm(q[:4])

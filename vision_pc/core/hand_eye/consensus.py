@@ -1,8 +1,9 @@
 """Which samples agree: graduated non-convexity, and a robust guess of the noise when nobody knows it.
 
-Truncated least squares, min Σ min(r_i², c²), reached by a sequence of problems that begins convex (Yang et al. 2020,
-"Graduated non-convexity for robust spatial perception"). The threshold c needs the noise; if it is not given, the
-least quantile of residuals over triples of samples gives it (Rousseeuw 1984), with no random choice of triples.
+Truncated least squares, min Σ min(r_i², c²), reached by a sequence of problems that begins convex (Yang et
+al. 2020, "Graduated non-convexity for robust spatial perception"). The threshold c needs the noise; if it
+is not given, the least quantile of residuals over triples of samples gives it (Rousseeuw 1984), with no
+random choice of triples.
 """
 
 import itertools
@@ -17,6 +18,7 @@ from vision_pc.core.hand_eye import noise as noise_model
 from vision_pc.core.hand_eye import rigid, separable
 from vision_pc.core.hand_eye.maximum_likelihood import Equations, Noise
 from vision_pc.core.hand_eye.noise import NoiseSource
+from vision_pc.core.hand_eye.samples import Setup
 from vision_pc.core.hand_eye.separable import Parts
 from vision_pc.core.se3 import Array
 
@@ -31,24 +33,23 @@ _ROUNDS = 80
 
 
 class Consensus(NamedTuple):
-    """Weights (n,), 1 for samples that agree and 0 for the others, the estimate they give and the rounds it took."""
+    """Weights (n,), 1 for samples that agree and 0 for the others, and the estimate they give."""
 
     weights: Array
     X: Array
     Z: Array
-    rounds: int
 
 
-def graduated(p: Parts, setup: ml.Setup, noise: Noise, threshold: float) -> Consensus:
+def graduated(p: Parts, setup: Setup, noise: Noise, threshold: float) -> Consensus:
     """The samples whose squared normalised residual stays below ``threshold`` at the truncated optimum."""
     n = len(p.H)
     X, Z = _refined(p, setup, noise, np.ones(n), None)
     squares = normalised_squares(p, setup, noise, X, Z)
     worst = float(squares.max())
     if worst <= threshold:
-        return Consensus(np.ones(n), X, Z, 0)
+        return Consensus(np.ones(n), X, Z)
     mu = threshold / (2.0 * worst - threshold)
-    for rounds in range(1, _ROUNDS):
+    for _ in range(_ROUNDS):
         weights = _truncated_weights(squares, threshold, mu)
         if (weights > 0.5).sum() < 3:  # the surrogate has let go of nearly all: keep the best half
             weights = (squares <= np.sort(squares)[(n + 4) // 2 - 1]).astype(float)
@@ -59,7 +60,7 @@ def graduated(p: Parts, setup: ml.Setup, noise: Noise, threshold: float) -> Cons
             break
         mu *= _GROWTH
     weights = (squares <= threshold).astype(float)
-    return Consensus(weights, X, Z, rounds)
+    return Consensus(weights, X, Z)
 
 
 def _truncated_weights(squares: Array, threshold: float, mu: float) -> Array:
@@ -70,7 +71,7 @@ def _truncated_weights(squares: Array, threshold: float, mu: float) -> Array:
 
 
 def _refined(
-    p: Parts, setup: ml.Setup, noise: Noise, weights: Array, previous: tuple[Array, Array] | None
+    p: Parts, setup: Setup, noise: Noise, weights: Array, previous: tuple[Array, Array] | None
 ) -> tuple[Array, Array]:
     """The weighted optimum from the closed-form start, or from the previous estimate if that is better."""
     equations = Equations(p.H, p.P, weights, setup)
@@ -81,14 +82,14 @@ def _refined(
     return estimate.X, estimate.Z
 
 
-def normalised_squares(p: Parts, setup: ml.Setup, noise: Noise, X: Array, Z: Array) -> Array:
-    """Each sample's squared residual in units of the noise (n,): χ² of 6 degrees of freedom for a good sample."""
+def normalised_squares(p: Parts, setup: Setup, noise: Noise, X: Array, Z: Array) -> Array:
+    """Each sample's squared residual in units of the noise (n,): χ² of 6 degrees for a good one."""
     equations = Equations(p.H, p.P, np.ones(len(p.H)), setup)
     white = ml.whitened(ml.whitener(equations, X, Z, noise), ml.residuals(p.H, p.P, X, Z)[..., None])
     return np.asarray(np.sum(white[..., 0] ** 2, axis=-1))
 
 
-def guessed_noise(p: Parts, setup: ml.Setup, source: NoiseSource) -> Noise:
+def guessed_noise(p: Parts, setup: Setup, source: NoiseSource) -> Noise:
     """The noise of a good sample, although up to almost half of the samples may be bad.
 
     Raises MeasurementFailed (``measurement.hand_eye.no_solution``) when no three samples determine a pose.
@@ -110,8 +111,8 @@ def guessed_noise(p: Parts, setup: ml.Setup, source: NoiseSource) -> Noise:
     return noise_model.from_scales(source, turn * small_sample, shift * small_sample)
 
 
-def _concentrated(p: Parts, setup: ml.Setup, X: Array, Z: Array, wanted: int) -> tuple[float, float]:
-    """The quantiles of turn and shift after refitting to the ``wanted`` samples that fit best, a few times."""
+def _concentrated(p: Parts, setup: Setup, X: Array, Z: Array, wanted: int) -> tuple[float, float]:
+    """The quantiles of turn and shift after refitting to the ``wanted`` best samples, a few times."""
     for _ in range(_CONCENTRATIONS):
         turns, shifts = _sizes(p, X, Z)
         turn, shift = _quantile(turns, wanted), _quantile(shifts, wanted)

@@ -1,13 +1,14 @@
-"""A X = X B in dual quaternions: DQCR as published, its closed form, and the joint problem with its certificate.
+"""A X = X B in dual quaternions: DQCR as published, its closed form, and the joint problem.
 
-With x_i, y_i the motions of hand and camera and g + ε g' the unknown, R_i = A(x_i) − B(y_i) and D_i = A(x'_i) − B(y'_i):
+With x_i, y_i the motions of hand and camera and g + ε g' the unknown, R_i = A(x_i) − B(y_i) and D_i =
+A(x'_i) − B(y'_i):
 
     problem 1 (27):   min Σ ‖R_i g‖²               gᵀg = 1
     problem 2 (31):   min Σ ‖R_i g' + D_i g‖²      gᵀg' = 0, g from problem 1
     joint:            min Σ ‖R_i g‖² + ‖R_i g' + D_i g‖²   over both, gᵀg = 1, gᵀg' = 0
 
-Source: Hua et al. 2024, section 4.2. Problem 1 is a 4×4 eigenvalue problem and problem 2 a linear least-squares
-problem, so the published relaxations are tight and `closed_form` gives the same X.
+Source: Hua et al. 2024, section 4.2. Problem 1 is a 4×4 eigenvalue problem and problem 2 a linear
+least-squares problem, so the published relaxations are tight and `closed_form` gives the same X.
 """
 
 from typing import NamedTuple
@@ -72,10 +73,11 @@ class Published(NamedTuple):
 def published(f: Forms) -> Published:
     """X (4, 4) by DQCR as published: both problems as order-2 moment relaxations.
 
-    Problem 1 is symmetric in g and −g, so its moment matrices have rank 2, equal at both orders; g is the principal
-    eigenvector of the second moments. Problem 2 has no bound on fourth moments, so its certificate is that the
-    order-1 matrix has rank 1. The dual part is scaled to the size of the motions, else metres or millimetres would
-    decide the solver's accuracy. Raises MeasurementFailed when the solver fails.
+    Problem 1 is symmetric in g and −g, so its moment matrices have rank 2, equal at both orders; g is the
+    principal eigenvector of the second moments. Problem 2 has no bound on fourth moments, so its
+    certificate is that the order-1 matrix has rank 1. The dual part is scaled to the size of the motions,
+    else metres or millimetres would decide the solver's accuracy. Raises MeasurementFailed when the solver
+    fails.
     """
     scale = float(np.trace(f.RR)) / 4.0
     first_objective = np.zeros((5, 5))
@@ -104,11 +106,13 @@ def published(f: Forms) -> Published:
 
 
 def joint(f: Forms) -> tuple[Array, Certificate]:
-    """X (4, 4) at the global optimum of the joint problem, by its Shor relaxation (8×8), with its certificate.
+    """X (4, 4) at the global optimum of the joint problem by its Shor relaxation (8×8), and the certificate.
 
     Raises MeasurementFailed (``measurement.hand_eye.sdp``) when the solver fails.
     """
-    length = max(float(np.sqrt(np.trace(f.DD) / np.trace(f.RR))), 1e-9)  # columns of equal size: g' in these lengths
+    length = max(
+        float(np.sqrt(np.trace(f.DD) / np.trace(f.RR))), 1e-9
+    )  # columns of equal size: g' in these lengths
     units = np.diag([1.0] * 4 + [length] * 4)
     M = units @ f.joint() @ units
     scale = float(np.linalg.eigvalsh(M)[-1])

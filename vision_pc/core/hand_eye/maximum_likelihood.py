@@ -1,8 +1,8 @@
 """Maximum likelihood for H X P = Z on SE(3), with the residual where the measurement is made: in the camera.
 
 The camera's measurement P is compared with its prediction X⁻¹ H⁻¹ Z, translation and rotation in camera axes.
-Written as a product of all four poses instead, the lever arms mix rotation noise into translation and the result
-is an order of magnitude worse (measured, see docs/hand_eye.md).
+Written as a product of all four poses instead, the lever arms mix rotation noise into translation and the
+result is an order of magnitude worse (measured, see docs/hand_eye.md).
 
 Perturbations are those of ``se3.retract``: [δp; δθ] in the outer frame's axes, here X first, then Z.
 """
@@ -21,7 +21,7 @@ _CONVERGED = 1e-20  # squared length of a step in units of standard deviations
 
 
 class Noise(NamedTuple):
-    """Standard deviations a component, rad and m: of the camera's pose of the target, of the robot's pose of the hand."""
+    """Standard deviations a component, rad and m: of the target in the camera, of the hand in the base."""
 
     camera_rotation: float
     camera_translation: float
@@ -62,7 +62,7 @@ def predicted(H: Array, X: Array, Z: Array) -> Array:
 
 
 def residuals(H: Array, P: Array, X: Array, Z: Array) -> Array:
-    """Measured minus predicted target poses in camera axes (n, 6): translation m, then rotation vector rad."""
+    """Measured minus predicted target poses in camera axes (n, 6): translation, then rotation vector."""
     expected = predicted(H, X, Z)
     turned = P[:, :3, :3] @ np.swapaxes(expected[:, :3, :3], -1, -2)
     return np.concatenate([P[:, :3, 3] - expected[:, :3, 3], rigid.rotation_log(turned)], axis=-1)
@@ -87,7 +87,7 @@ def jacobian(equations: Equations, X: Array, Z: Array, r: Array) -> Array:
 
 
 def robot_levers(equations: Equations, X: Array, Z: Array) -> Array:
-    """How a hand perturbation (δp, δθ about the hand, camera axes) shows in the residual: (n, 6, 6), up to sign."""
+    """How the hand's own [δp; δθ], in camera axes, shows in the residual: (n, 6, 6), up to sign."""
     to_camera = X[:3, :3].T @ np.swapaxes(equations.H[:, :3, :3], -1, -2)
     hand = equations.H[:, :3, 3] if equations.setup is Setup.EYE_IN_HAND else np.zeros((len(equations.H), 3))
     lever = (to_camera @ (Z[:3, 3] - hand)[..., None])[..., 0]
@@ -143,7 +143,7 @@ def maximize(equations: Equations, X: Array, Z: Array, noise: Noise, steps: int 
         elif length > 1e-9:
             damping = max(10.0 * damping, 1e-4)
             continue
-        if length < _CONVERGED * max(1.0, cost) or length <= 1e-9 and damping > 0.0:
+        if length < _CONVERGED * max(1.0, cost) or (length <= 1e-9 and damping > 0.0):
             break
     return Estimate(X, Z, J.T @ J, residuals(equations.H, equations.P, X, Z), cost)
 
@@ -175,7 +175,8 @@ def _solved(information: Array, gradient: Array, damping: float) -> Array:
         return np.asarray(np.linalg.solve(scaled, gradient / scale) / scale)
     except np.linalg.LinAlgError as error:
         raise MeasurementFailed(
-            "measurement.hand_eye.singular", "the samples leave X undetermined: information matrix is singular"
+            "measurement.hand_eye.singular",
+            "the samples leave X undetermined: information matrix is singular",
         ) from error
 
 

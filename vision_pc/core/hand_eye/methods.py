@@ -3,6 +3,7 @@
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vision_pc.core.hand_eye import chordal, classical, dual_quaternion, rigid, robust
 from vision_pc.core.hand_eye import maximum_likelihood as ml
@@ -53,9 +54,10 @@ def solve(
 ) -> HandEyeResult:
     """The calibration of ``pairs`` by ``method``; the order of the samples does not change it by a bit.
 
-    ``settings`` concern ``robust``, ``maximum-likelihood`` and ``chordal``. Raises MeasurementFailed when X is not
-    observable (``measurement.hand_eye.too_few_samples``, ``.too_little_rotation``, ``.parallel_axes``) or the solver
-    has no proper answer (``.no_solution``, ``.left_handed``, ``.no_consensus``, ``.sdp``, ``.singular``).
+    ``settings`` concern ``robust``, ``maximum-likelihood`` and ``chordal``. Raises MeasurementFailed when X
+    is not observable (``measurement.hand_eye.too_few_samples``, ``.too_little_rotation``,
+    ``.parallel_axes``) or the solver has no proper answer (``.no_solution``, ``.left_handed``,
+    ``.no_consensus``, ``.sdp``, ``.singular``).
     """
     settings = settings or RobustSettings()
     motions = all_motions(pairs)
@@ -68,7 +70,16 @@ def solve(
             seen = verdict(int(found.inliers.sum()), all_motions(pairs.subset(found.inliers)), limits)
             seen.demand()
         return _result(
-            pairs, method, seen, found.X, found.Z, found.notes, found.inliers, found.certificate, found.covariance, found.noise
+            pairs,
+            method,
+            seen,
+            found.X,
+            found.Z,
+            found.notes,
+            found.inliers,
+            found.certificate,
+            found.covariance,
+            found.noise,
         )
     if method is Method.CHORDAL:
         noise = settings.noise or Noise(1.7e-3, 1e-3)
@@ -84,8 +95,9 @@ def solve(
 def solve_motions(motions: Motions, method: Method, noise: Noise | None = None) -> Array:
     """X (4, 4) from bare relative motions A X = X B, each camera motion with its own noise.
 
-    ``maximum-likelihood`` and ``robust`` are the same here: maximum likelihood from the joint dual-quaternion optimum.
-    Raises MeasurementFailed like ``solve``, ValueError for methods that need poses.
+    ``maximum-likelihood`` and ``robust`` are the same here: maximum likelihood from the joint
+    dual-quaternion optimum. Raises MeasurementFailed like ``solve``, ValueError for methods that need
+    poses.
     """
     verdict(len(motions.A) + 1, motions).demand()
     if method in (Method.MAXIMUM_LIKELIHOOD, Method.ROBUST):
@@ -110,8 +122,9 @@ def _by_dual_quaternions(motions: Motions, method: Method) -> tuple[Array, Certi
     if method is Method.DQCR_PUBLISHED:
         found = dual_quaternion.published(forms)
         note = (
-            f"ranks of the moment matrices of order 1 and 2: rotation {found.rotation.rank_lower} and "
-            f"{found.rotation.rank_upper}, translation {found.translation.rank_lower} and {found.translation.rank_upper}"
+            "ranks of the moment matrices of order 1 and 2: "
+            f"rotation {found.rotation.rank_lower} and {found.rotation.rank_upper}, "
+            f"translation {found.translation.rank_lower} and {found.translation.rank_upper}"
         )
         return found.X, found.certificate, (note,)
     raise ValueError(f"{method} needs poses")
@@ -124,17 +137,28 @@ def _result(
     X: Array,
     Z: Array | None,
     notes: tuple[str, ...] = (),
-    inliers: Array | None = None,
+    inliers: NDArray[np.bool_] | None = None,
     certificate: Certificate | None = None,
     covariance: Array | None = None,
     noise: Noise | None = None,
 ) -> HandEyeResult:
-    """The result in the caller's order; Z is the mean over the samples where the method does not estimate it."""
+    """The result in the caller's order; Z is the samples' mean where the method does not give it."""
     Z = rigid.mean_pose(pairs.H @ X @ pairs.P) if Z is None else Z
     back = np.argsort(np.array(pairs.order))
     inliers = np.ones(len(pairs), dtype=bool) if inliers is None else inliers
     residuals = ml.residuals(pairs.H, pairs.P, X, Z)
     names = tuple(pairs.names[k] for k in back)
     return HandEyeResult(
-        method.value, pairs.setup, X, Z, names, residuals[back], inliers[back], seen, certificate, covariance, noise, notes
+        method.value,
+        pairs.setup,
+        X,
+        Z,
+        names,
+        residuals[back],
+        inliers[back],
+        seen,
+        certificate,
+        covariance,
+        noise,
+        notes,
     )

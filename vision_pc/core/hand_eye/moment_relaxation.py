@@ -1,8 +1,9 @@
 """Order-2 moment relaxation of a quadratic problem in four unknowns under quadratic equations (Lasserre).
 
-Every monomial up to degree 4 becomes one variable y_α; the moment matrix of all monomials up to degree 2 (15×15) is
-positive semidefinite; each equation h = 0 is multiplied by all monomials that keep the degree at 4 (the localising
-matrix must vanish). Hua et al. 2024, eq. (17) to (24); solved by Clarabel instead of their SeDuMi.
+Every monomial up to degree 4 becomes one variable y_α; the moment matrix of all monomials up to degree 2
+(15×15) is positive semidefinite; each equation h = 0 is multiplied by all monomials that keep the degree at
+4 (the localising matrix must vanish). Hua et al. 2024, eq. (17) to (24); solved by Clarabel instead of
+their SeDuMi.
 
 The equations force null vectors on the moment matrix, which then has no interior and makes solvers stall.
 Eliminating the equations and those null vectors gives the same problem in a form that reaches eight digits.
@@ -28,10 +29,10 @@ Polynomial = dict[Exponents, float]
 
 
 class Relaxation(NamedTuple):
-    """``value`` is the lower bound; ``first`` (4,) and ``second`` (4, 4) are the moments of degree one and two;
+    """``value`` is the lower bound; ``first`` (4,), ``second`` (4, 4) are the moments of degree 1 and 2;
 
-    ``rank_lower``, ``rank_upper`` are the ranks of the moment matrices of order 1 and 2 (equal: flat, hence exact);
-    ``purity`` is the share of the largest eigenvalue in ``second``.
+    ``rank_lower``, ``rank_upper`` are the ranks of the moment matrices of order 1 and 2 (equal: flat, hence
+    exact); ``purity`` is the share of the largest eigenvalue in ``second``.
     """
 
     value: float
@@ -48,7 +49,7 @@ def monomial(*variables: int) -> Exponents:
 
 
 def relaxed(objective: Array, equations: list[Polynomial]) -> Relaxation:
-    """The order-2 relaxation of min [1, x]ᵀ ``objective`` [1, x] (5, 5) under ``equations`` = 0, x of 4 unknowns.
+    """The order-2 relaxation of min [1, x]ᵀ ``objective`` [1, x] (5, 5) under ``equations`` = 0.
 
     Raises MeasurementFailed (``measurement.hand_eye.sdp``) when the solver fails.
     """

@@ -8,10 +8,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vision_pc.core.hand_eye import rigid
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.se3 import Array
+
+Indices = NDArray[np.int64]
 
 _SIGN_IN_DOUBT_COS = math.cos(math.radians(80.0))  # half angle: motions beyond 160 degrees
 
@@ -29,7 +32,7 @@ class Motions(NamedTuple):
 
 
 class DualQuaternions(NamedTuple):
-    """The motions as unit dual quaternions: ``x`` + ε ``x_dual`` of A, ``y`` + ε ``y_dual`` of B, (m, 4) each.
+    """The motions as unit dual quaternions ``x`` + ε ``x_dual`` of A, ``y`` + ε ``y_dual`` of B, (m, 4).
 
     Signs are consistent: x g = g y holds, not only up to sign.
     """
@@ -59,7 +62,7 @@ def consecutive_motions(pairs: PosePairs, order: tuple[int, ...]) -> Motions:
     return _between(pairs, np.array(order[:-1]), np.array(order[1:]))
 
 
-def _between(pairs: PosePairs, i: np.ndarray, j: np.ndarray) -> Motions:  # type: ignore[type-arg]
+def _between(pairs: PosePairs, i: Indices, j: Indices) -> Motions:
     A = rigid.inverse(pairs.H[j]) @ pairs.H[i]
     B = pairs.P[j] @ rigid.inverse(pairs.P[i])
     return Motions(A, B, tuple(map(int, i)), tuple(map(int, j)))
@@ -68,9 +71,9 @@ def _between(pairs: PosePairs, i: np.ndarray, j: np.ndarray) -> Motions:  # type
 def dual_quaternions(motions: Motions) -> DualQuaternions:
     """The motions as unit dual quaternions with consistent signs.
 
-    Both scalar parts are made positive, which is right up to noise because hand and camera turn by the same angle.
-    Near a half turn noise can flip one of them; there the sign is taken that fits the rotation which the
-    unambiguous motions give (a defect of other tools: opencv issue 24871).
+    Both scalar parts are made positive, which is right up to noise because hand and camera turn by the same
+    angle. Near a half turn noise can flip one of them; there the sign is taken that fits the rotation which
+    the unambiguous motions give (a defect of other tools: opencv issue 24871).
     """
     x, y = rigid.quaternion(motions.A[:, :3, :3]), rigid.quaternion(motions.B[:, :3, :3])
     doubtful = (x[:, 0] < _SIGN_IN_DOUBT_COS) | (y[:, 0] < _SIGN_IN_DOUBT_COS)

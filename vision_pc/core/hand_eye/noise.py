@@ -1,7 +1,8 @@
 """How noisy camera or robot were, from the residuals: restricted maximum likelihood of variance components.
 
 Plain sums of squares would call the noise too small (twelve unknowns were fitted) and could not tell rotation
-from translation noise; the restricted likelihood does both (Patterson and Thompson 1971; multiplicative updates).
+from translation noise; the restricted likelihood does both (Patterson and Thompson 1971; multiplicative
+updates).
 """
 
 from enum import StrEnum
@@ -26,7 +27,8 @@ class NoiseSource(StrEnum):
 
 def from_scales(source: NoiseSource, rotation: float, translation: float) -> Noise:
     """The noise of one source alone."""
-    rotation, translation = max(rotation, LEAST.camera_rotation), max(translation, LEAST.camera_translation)
+    rotation = max(float(rotation), LEAST.camera_rotation)
+    translation = max(float(translation), LEAST.camera_translation)
     if source is NoiseSource.CAMERA:
         return Noise(rotation, translation)
     return Noise(LEAST.camera_rotation, LEAST.camera_translation, rotation, translation)
@@ -39,7 +41,9 @@ def scales(source: NoiseSource, noise: Noise) -> tuple[float, float]:
     return noise.robot_rotation, noise.robot_translation
 
 
-def estimated(equations: Equations, start: Estimate, noise: Noise, source: NoiseSource) -> tuple[Estimate, Noise]:
+def estimated(
+    equations: Equations, start: Estimate, noise: Noise, source: NoiseSource
+) -> tuple[Estimate, Noise]:
     """The maximum-likelihood estimate and the noise of ``source`` that the residuals themselves show.
 
     ``noise`` is where the search begins; its other source is dropped.
@@ -70,8 +74,10 @@ def _components(equations: Equations, estimate: Estimate, noise: Noise, source: 
     return shares
 
 
-def _shown_over_expected(equations: Equations, estimate: Estimate, noise: Noise, source: NoiseSource) -> Array:
-    """For translation and rotation: squared residuals over their restricted expectation; 1 when the noise is right."""
+def _shown_over_expected(
+    equations: Equations, estimate: Estimate, noise: Noise, source: NoiseSource
+) -> Array:
+    """Squared translation and rotation residuals over their expectation; 1 when the noise is right."""
     W = ml.whitener(equations, estimate.X, estimate.Z, noise)
     J = ml.whitened(W, ml.jacobian(equations, estimate.X, estimate.Z, estimate.residuals))
     r = ml.whitened(W, estimate.residuals[..., None])[..., 0]

@@ -1,8 +1,8 @@
 """Can these samples determine X at all? A verdict before any number is given out.
 
-Rotation about one axis only leaves the position along it free; too little rotation leaves everything to noise.
-Both show in the scatter of the motions' rotation vectors: its second root-mean-square says how far the hand
-turned about any axis other than the main one.
+Rotation about one axis only leaves the position along it free; too little rotation leaves everything to
+noise. Both show in the scatter of the motions' rotation vectors: its second root-mean-square says how far
+the hand turned about any axis other than the main one.
 """
 
 import math
@@ -19,9 +19,9 @@ from vision_pc.core.se3 import Array
 class ObservabilityLimits(NamedTuple):
     """``samples`` at least; ``rotation`` at least between some two samples (rad).
 
-    About axes other than the main one the hand must turn ``second_axis`` rms at least (rad), ``above_noise`` times
-    the rotation noise that the motions show, and enough that this noise, averaged over the samples, leaves the
-    rotation of X known to ``uncertainty`` (rad).
+    About axes other than the main one the hand must turn ``second_axis`` rms at least (rad),
+    ``above_noise`` times the rotation noise that the motions show, and enough that this noise, averaged
+    over the samples, leaves the rotation of X known to ``uncertainty`` (rad).
     """
 
     samples: int = 3
@@ -32,7 +32,7 @@ class ObservabilityLimits(NamedTuple):
 
 
 class Observability(NamedTuple):
-    """What the samples offer. ``cause`` is None when X can be determined, else the error's cause; ``reason`` says why.
+    """What the samples offer; ``cause`` is None when X can be determined, and ``reason`` says why.
 
     ``largest_rotation`` between two samples, ``second_axis`` rms about axes other than the main one,
     ``mismatch`` rms of the difference between hand's and camera's rotation angle (a measure of noise), rad.
@@ -71,12 +71,14 @@ def verdict(samples: int, motions: Motions, limits: ObservabilityLimits | None =
     )
     if largest < limits.rotation:
         cause = "measurement.hand_eye.too_little_rotation"
-        reason = f"largest rotation between samples is {_deg(largest)}, at least {_deg(limits.rotation)} is needed"
+        reason = (
+            f"largest rotation between samples is {_deg(largest)}, at least {_deg(limits.rotation)} is needed"
+        )
     elif second < needed:
         cause = "measurement.hand_eye.parallel_axes"
         reason = (
-            f"rotation axes are parallel: only {_deg(second)} rms about a second axis, {_deg(needed)} is needed; "
-            "turn the hand about another axis too"
+            f"rotation axes are parallel: only {_deg(second)} rms about a second axis, "
+            f"{_deg(needed)} is needed; turn the hand about another axis too"
         )
     return Observability(samples, largest, second, mismatch, cause, reason)
 

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from vision_pc.core.hand_eye.maximum_likelihood import Noise
 from vision_pc.core.hand_eye.observability import Observability
 from vision_pc.core.hand_eye.samples import Setup
@@ -35,10 +38,10 @@ class Certificate:
 class HandEyeResult:
     """A calibration: X and Z (4, 4) of H X P = Z, with everything needed to believe or refuse it.
 
-    X is the camera in the hand (eye in hand) or in the base (eye to hand); Z the target in the base or in the hand.
-    Per sample, in the caller's order: ``residuals`` (n, 6) = [translation m; rotation rad] of the camera's
-    measurement minus prediction in camera axes, ``inliers`` (n,), ``names``.
-    ``covariance`` (6, 6) of X's perturbation [δp; δθ] in the axes of its outer frame (``se3.retract``).
+    X is the camera in the hand (eye in hand) or in the base (eye to hand); Z the target in the base or in
+    the hand. Per sample, in the caller's order: ``residuals`` (n, 6) = [translation m; rotation rad] of the
+    camera's measurement minus prediction in camera axes, ``inliers`` (n,), ``names``. ``covariance`` (6, 6)
+    of X's perturbation [δp; δθ] in the axes of its outer frame (``se3.retract``).
     """
 
     method: str
@@ -47,7 +50,7 @@ class HandEyeResult:
     Z: Array
     names: tuple[str, ...]
     residuals: Array
-    inliers: Array
+    inliers: NDArray[np.bool_]
     observability: Observability
     certificate: Certificate | None = None
     covariance: Array | None = None

@@ -1,4 +1,4 @@
-"""Stacks of rigid motions: exponentials, logarithms, quaternions and dual quaternions, vectorised over samples.
+"""Stacks of rigid motions: exponentials, logarithms, quaternions, dual quaternions, vectorised.
 
 ``vision_pc.core.se3`` treats one pose at a time; everything here takes leading batch dimensions, because a
 hand-eye solver treats all its samples (and all pairs of them) at once within a budget of milliseconds.
@@ -13,7 +13,8 @@ _SMALL_ANGLE = 1e-4
 _FAR_FROM_HALF_TURN = -0.9  # cosine; below it the antisymmetric part has too few digits left
 
 _GENERATORS = np.array(
-    [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], dtype=np.float64
+    [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]],
+    dtype=np.float64,
 )
 
 
@@ -64,7 +65,9 @@ def rotation_log(R: Array) -> Array:
         q = quaternion(R)
         v, norm = q[..., 1:], np.linalg.norm(q[..., 1:], axis=-1)
         small = norm < _SMALL_ANGLE
-        scale = np.where(small, 2.0 + norm**2 / 3.0, 2.0 * np.arctan2(norm, q[..., 0]) / np.where(small, 1.0, norm))
+        scale = np.where(
+            small, 2.0 + norm**2 / 3.0, 2.0 * np.arctan2(norm, q[..., 0]) / np.where(small, 1.0, norm)
+        )
     vectors: Array = scale[..., None] * v
     return vectors
 
@@ -121,7 +124,7 @@ def right_product_matrix(q: Array) -> Array:
 
 
 def dual_part(q: Array, t: Array) -> Array:
-    """Dual parts (..., 4) of the unit dual quaternions of rotation ``q`` (..., 4) and translation ``t`` (..., 3)."""
+    """Dual parts (..., 4) of the unit dual quaternions of ``q`` (..., 4) and translation ``t`` (..., 3)."""
     pure = np.concatenate([np.zeros((*t.shape[:-1], 1)), t], axis=-1)
     product: Array = 0.5 * (left_product_matrix(pure) @ q[..., None])[..., 0]
     return product

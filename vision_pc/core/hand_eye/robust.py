@@ -2,13 +2,15 @@
 
 1. Graduated non-convexity finds the samples that agree (``consensus``), with a robust guess of the noise.
 2. The chordal problem over those samples is solved globally and certified (``chordal``).
-3. Maximum likelihood from there, with the noise from the restricted likelihood and the covariance (``noise``).
-4. With that better noise the samples are tested again; 2 to 4 repeat until the set stays the same.
+3. Maximum likelihood from there, with the noise from the restricted likelihood and the covariance
+(``noise``). 4. With that better noise the samples are tested again; 2 to 4 repeat until the set stays the
+same.
 """
 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocol.errors import MeasurementFailed
 from vision_pc.core.hand_eye import chordal, consensus, separable
@@ -26,7 +28,7 @@ _PASSES = 4
 
 
 class RobustSettings(NamedTuple):
-    """``noise`` when it is known (else it is estimated), whose it is, and whether bad samples may be left out.
+    """``noise`` if it is known (else it is estimated), whose it is, whether bad samples are left out.
 
     ``least_share`` of the samples must agree, else there is no result.
     """
@@ -38,11 +40,11 @@ class RobustSettings(NamedTuple):
 
 
 class RobustEstimate(NamedTuple):
-    """X, Z (4, 4); ``inliers`` (n,) bool in canonical order; certificate; covariance (6, 6); noise; ``notes``."""
+    """X, Z (4, 4); ``inliers`` (n,) in canonical order; ``covariance`` (6, 6) of X's perturbation."""
 
     X: Array
     Z: Array
-    inliers: Array
+    inliers: NDArray[np.bool_]
     certificate: Certificate
     covariance: Array
     noise: Noise
@@ -63,7 +65,11 @@ def solve(pairs: PosePairs, motions: Motions, settings: RobustSettings) -> Robus
         notes.append(f"{n} samples are too few to tell a bad one; all are used")
     noise, weights = settings.noise, np.ones(n)
     if noise is None:
-        noise = consensus.guessed_noise(p, pairs.setup, settings.source) if reject else _first_noise(settings.source)
+        noise = (
+            consensus.guessed_noise(p, pairs.setup, settings.source)
+            if reject
+            else _first_noise(settings.source)
+        )
     if reject:
         weights = consensus.graduated(p, pairs.setup, noise, _THRESHOLD).weights
         _demand_consensus(weights, settings, pairs)
@@ -97,7 +103,7 @@ def _certified(
 
 
 def _first_noise(source: NoiseSource) -> Noise:
-    """A ratio of rotation to translation noise to begin with (0.1 degrees to 1 mm); its size does not matter."""
+    """A ratio of rotation to translation noise to begin with: 0.1 degrees to 1 mm."""
     return noise_model.from_scales(source, 1.7e-3, 1e-3)
 
 
@@ -116,4 +122,6 @@ def _noise_notes(cost: float, degrees: float) -> list[str]:
     ratio = float(np.sqrt(cost / max(degrees, 1.0)))
     if 0.5 < ratio < 2.0:
         return []
-    return [f"residuals are {ratio:.2g} times what the given noise explains; the covariance is off by as much"]
+    return [
+        f"residuals are {ratio:.2g} times what the given noise explains; the covariance is off by as much"
+    ]

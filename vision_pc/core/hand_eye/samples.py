@@ -1,7 +1,8 @@
 """Pose pairs as a hand-eye solver takes them: checked one by one, in an order that no caller can influence.
 
 One sample is the pose of the hand in the base, X_BH, and the pose of the target in the camera, X_CT.
-The target is fixed in the base and the camera in the hand (eye in hand), or the other way round (eye to hand):
+The target is fixed in the base and the camera in the hand (eye in hand), or the other way round (eye to
+hand):
 
     eye in hand:  X_BH X_HC X_CT = X_BT        unknown X = X_HC, Z = X_BT
     eye to hand:  X_HB X_BC X_CT = X_HT        unknown X = X_BC, Z = X_HT
@@ -31,10 +32,10 @@ class Setup(StrEnum):
 class SampleLimits(NamedTuple):
     """What a sample must keep to be believed.
 
-    ``longest_m`` questions the unit of a translation, ``skew`` bounds the largest entry of RᵀR − I (four printed
-    decimals pass). Two camera poses closer than ``same`` (m, and entries of R) are one and the same measurement;
-    if the hand moved meanwhile by less than ``still_m`` and ``still`` (entries of R) it is a duplicate, else a
-    camera that did not follow.
+    ``longest_m`` questions the unit of a translation, ``skew`` bounds the largest entry of RᵀR − I (four
+    printed decimals pass). Two camera poses closer than ``same`` (m, and entries of R) are one and the same
+    measurement; if the hand moved meanwhile by less than ``still_m`` and ``still`` (entries of R) it is a
+    duplicate, else a camera that did not follow.
     """
 
     longest_m: float = 20.0
@@ -80,12 +81,14 @@ class PosePairs:
         """The poses of the hand in the base (n, 4, 4)."""
         return self.H if self.setup is Setup.EYE_IN_HAND else rigid.inverse(self.H)
 
-    def subset(self, keep: Array) -> "PosePairs":
+    def subset(self, keep: NDArray[np.bool_]) -> "PosePairs":
         """The samples whose flag in ``keep`` (n,) is set, still in canonical order."""
         chosen = np.flatnonzero(keep)
         corners = self.corners and self.corners._replace(pixels=self.corners.pixels[chosen])
         names = tuple(self.names[k] for k in chosen)
-        return PosePairs(self.setup, self.H[chosen], self.P[chosen], names, tuple(range(len(chosen))), corners)
+        return PosePairs(
+            self.setup, self.H[chosen], self.P[chosen], names, tuple(range(len(chosen))), corners
+        )
 
 
 def pose_pairs(
@@ -98,19 +101,25 @@ def pose_pairs(
 ) -> PosePairs:
     """The samples, checked, with exactly orthonormal rotations, in canonical order.
 
-    ``X_BH``, ``X_CT`` (n, 4, 4): hand in base, target in camera, metres. Raises RequestRefused naming the sample:
-    ``refused.hand_eye.count``, ``.not_finite``, ``.not_a_pose``, ``.left_handed``, ``.not_orthonormal``,
-    ``.units``, ``.duplicate``, ``.stale_camera``.
+    ``X_BH``, ``X_CT`` (n, 4, 4): hand in base, target in camera, metres. Raises RequestRefused naming the
+    sample: ``refused.hand_eye.count``, ``.not_finite``, ``.not_a_pose``, ``.left_handed``,
+    ``.not_orthonormal``, ``.units``, ``.duplicate``, ``.stale_camera``.
     """
     limits = limits or SampleLimits()
     hand, target = np.asarray(X_BH, dtype=np.float64), np.asarray(X_CT, dtype=np.float64)
     if hand.ndim != 3 or target.ndim != 3 or hand.shape[1:] != (4, 4) or target.shape[1:] != (4, 4):
-        raise RequestRefused("refused.hand_eye.count", f"poses must be (n, 4, 4), got {hand.shape} and {target.shape}")
+        raise RequestRefused(
+            "refused.hand_eye.count", f"poses must be (n, 4, 4), got {hand.shape} and {target.shape}"
+        )
     if len(hand) != len(target):
-        raise RequestRefused("refused.hand_eye.count", f"{len(hand)} hand poses but {len(target)} camera poses")
+        raise RequestRefused(
+            "refused.hand_eye.count", f"{len(hand)} hand poses but {len(target)} camera poses"
+        )
     names = names or tuple(str(k + 1) for k in range(len(hand)))
     if len(names) != len(hand) or (corners is not None and len(corners.pixels) != len(hand)):
-        raise RequestRefused("refused.hand_eye.count", f"{len(hand)} poses but {len(names)} names or other corners")
+        raise RequestRefused(
+            "refused.hand_eye.count", f"{len(hand)} poses but {len(names)} names or other corners"
+        )
     for what, stack in (("hand", hand), ("camera", target)):
         for name, X in zip(names, stack, strict=True):
             _check_pose(X, f"sample {name}: {what} pose", limits)
@@ -137,31 +146,37 @@ def _check_pose(X: Array, where: str, limits: SampleLimits) -> None:
     if not np.isfinite(X).all():
         raise RequestRefused("refused.hand_eye.not_finite", f"{where} holds a number that is not finite")
     if np.abs(X[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
-        raise RequestRefused("refused.hand_eye.not_a_pose", f"{where}: last row is {X[3].tolist()}, not 0 0 0 1")
+        raise RequestRefused(
+            "refused.hand_eye.not_a_pose", f"{where}: last row is {X[3].tolist()}, not 0 0 0 1"
+        )
     R, p = X[:3, :3], X[:3, 3]
     defect = float(np.abs(R.T @ R - np.eye(3)).max())
     if np.linalg.det(R) < 0.0:
-        raise RequestRefused("refused.hand_eye.left_handed", f"{where}: rotation is left-handed (det {np.linalg.det(R):.3f})")
+        raise RequestRefused(
+            "refused.hand_eye.left_handed", f"{where}: rotation is left-handed (det {np.linalg.det(R):.3f})"
+        )
     if defect > limits.skew:
         raise RequestRefused(
-            "refused.hand_eye.not_orthonormal", f"{where}: rotation is off orthonormal by {defect:.2g}, limit {limits.skew:g}"
+            "refused.hand_eye.not_orthonormal",
+            f"{where}: rotation is off orthonormal by {defect:.2g}, limit {limits.skew:g}",
         )
     if np.abs(p).max() > limits.longest_m:
         raise RequestRefused(
             "refused.hand_eye.units",
-            f"{where}: translation {np.abs(p).max():g} m is beyond {limits.longest_m:g} m; are these millimetres?",
+            f"{where}: translation {np.abs(p).max():g} m, limit {limits.longest_m:g} m; in millimetres?",
         )
 
 
 def _check_repeats(hand: Array, target: Array, names: tuple[str, ...], limits: SampleLimits) -> None:
-    """Refuse samples given twice, and camera poses that stayed the same to the last digit while the hand moved."""
+    """Refuse samples given twice, and camera poses that stayed the very same while the hand moved."""
     for i in range(len(hand) - 1):
         for j in i + 1 + np.flatnonzero(_same(target[i], target[i + 1 :], limits.same, limits.same)):
             pair = f"samples {names[i]} and {names[j]}"
             if _same(hand[i], hand[j], limits.still_m, limits.still):
                 raise RequestRefused("refused.hand_eye.duplicate", f"{pair} are the same sample twice")
             raise RequestRefused(
-                "refused.hand_eye.stale_camera", f"{pair}: the hand moved but the camera pose is the very same"
+                "refused.hand_eye.stale_camera",
+                f"{pair}: the hand moved but the camera pose is the very same",
             )
 
 

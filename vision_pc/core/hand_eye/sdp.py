@@ -1,6 +1,6 @@
-"""Semidefinite programs through Clarabel: one call, symmetric matrices as scaled triangles, failures as errors.
+"""Semidefinite programs through Clarabel: symmetric matrices as scaled triangles, failures as errors.
 
-    min qᵀx   subject to   b − A x in the cones
+min qᵀx   subject to   b − A x in the cones
 """
 
 import math

@@ -1,8 +1,9 @@
 """Closed-form global start for H X P = Z with sample weights: rotations first, then translations.
 
-Rotation of X from the weighted 4×4 eigenvalue problem over all pairs of samples, rotation of Z as a chordal mean,
-both translations from linear least squares. Less exact than maximum likelihood, but it has no local minima, works in
-batches, and costs a fraction of a millisecond: what graduated non-convexity needs in its inner loop.
+Rotation of X from the weighted 4×4 eigenvalue problem over all pairs of samples, rotation of Z as a chordal
+mean, both translations from linear least squares. Less exact than maximum likelihood, but it has no local
+minima, works in batches, and costs a fraction of a millisecond: what graduated non-convexity needs in its
+inner loop.
 """
 
 from typing import NamedTuple
