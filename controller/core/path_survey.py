@@ -97,14 +97,33 @@ def _norm(x: Array) -> float:
 
 
 @njit(cache=True)
+def _nearest_angles(table: Array, R_BT: Array, p_BT: Array, before: Array) -> tuple[int, Array, float, float]:
+    """``joint_angles`` on whichever side of the wrist's singularity lies nearer to ``before``.
+
+    A tool that passes straight over the singularity changes sides without a flip; one that passes beside
+    it cannot.
+    """
+    verdict, q, value, limit = joint_angles(table, R_BT, p_BT, before)
+    if verdict == REACHED and np.abs(q - before).max() > _FLIP_RAD:
+        across = before.copy()
+        across[4] = -before[4] - 2.0 * table[4, 2]
+        _, other, _, _ = joint_angles(table, R_BT, p_BT, across)
+        other[4] -= 2.0 * math.pi * round((other[4] - before[4]) / (2.0 * math.pi))
+        if np.abs(other - before).max() < np.abs(q - before).max():
+            q = other
+    return verdict, q, value, limit
+
+
+@njit(cache=True)
 def _joint_obstacle(bounds: Array, q: Array, before: Array) -> tuple[int, float, float]:
+    for i in range(6):  # first of all, for a wrist that flips may well leave its range with it
+        if abs(q[i] - before[i]) > _FLIP_RAD:
+            return _SINGULAR, abs(q[i] - before[i]), _FLIP_RAD
     for i in range(6):
         if q[i] < bounds[0, i]:
             return _JOINT, q[i], bounds[0, i]
         if q[i] > bounds[1, i]:
             return _JOINT, q[i], bounds[1, i]
-        if abs(q[i] - before[i]) > _FLIP_RAD:
-            return _SINGULAR, abs(q[i] - before[i]), _FLIP_RAD
     return _ACCEPTED, 0.0, 0.0
 
 
@@ -137,7 +156,7 @@ def _survey(
             if value != limit:
                 return _WORKSPACE, value, limit, peaks
             before = q
-            verdict, q, value, limit = joint_angles(table, matrix_from_quaternion(quaternion), p, before)
+            verdict, q, value, limit = _nearest_angles(table, matrix_from_quaternion(quaternion), p, before)
             if verdict != REACHED:
                 return _REACH, value, limit, peaks
             code, value, limit = _joint_obstacle(bounds, q, before)

@@ -1,6 +1,7 @@
-"""The controller's core closed over the plant's core through the real process-image words; no sockets, no clock."""
+"""The controller's core closed over the plant's core through real process-image words; no sockets, no
+clock."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from controller.core.scan import scan
 from controller.core.scan_types import ControllerView, ScanInput, ScanOutput, initial_state
@@ -18,7 +19,7 @@ from protocol.reference_link import FLAG_SETTLED, Command, ReferencePath, Refere
 
 
 class ClosedLoop:
-    """Plant and controller stepping in turn, one FC 23 exchange a cycle: valves of the last scan out, sensors in."""
+    """Plant and controller in turn, one FC 23 exchange a cycle: the last scan's valves out, sensors in."""
 
     def __init__(self, settings: Settings, plant: Plant) -> None:
         self.settings = settings
@@ -78,5 +79,3 @@ class ClosedLoop:
                 return cycles * self.settings.cycle_s
             self.step()
         raise AssertionError(f"not settled within {timeout_s} s: {self.view}")
-
-

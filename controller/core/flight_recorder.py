@@ -1,0 +1,37 @@
+"""The last scans, kept for the moment after a fault."""
+
+from collections import deque
+from typing import Any
+
+from controller.core.scan_types import ScanInput, ScanOutput
+
+
+class FlightRecorder:
+    """A ring of the last ``scans`` scans; it keeps references to immutable images and copies nothing."""
+
+    def __init__(self, scans: int) -> None:
+        self._ring: deque[tuple[ScanInput, ScanOutput]] = deque(maxlen=scans)
+
+    def record(self, inputs: ScanInput, output: ScanOutput) -> None:
+        """Keep one scan; the oldest falls out when the ring is full."""
+        self._ring.append((inputs, output))
+
+    def entries(self) -> list[dict[str, Any]]:
+        """The scans kept, oldest first, as plain data; times in ns and s, angles in rad, pressures in bar."""
+        return [_plain(inputs, output) for inputs, output in self._ring]
+
+
+def _plain(inputs: ScanInput, output: ScanOutput) -> dict[str, Any]:
+    view = output.view._asdict()
+    view |= {name: int(view[name]) for name in ("group_state", "fault", "severity")}
+    view |= {name: view[name]._asdict() for name in ("X_BT", "X_BT_cmd")}
+    return {
+        "dt_s": inputs.dt_s,
+        "reference_link_alive": inputs.reference_link_alive,
+        "sensors": None if inputs.sensors is None else inputs.sensors._asdict(),
+        "requests": [{"kind": type(request).__name__, **request._asdict()} for request in inputs.requests],
+        "acknowledgements": [answer._asdict() for answer in output.acknowledgements],
+        "events": [event._asdict() for event in output.events],
+        "valve_image": output.valves._asdict(),
+        "view": view,
+    }

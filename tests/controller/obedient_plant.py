@@ -1,0 +1,119 @@
+"""A plant that does at once what it is told: joints stand where the controller's command stands.
+
+It serves tests of states and supervision, where physics would only be in the way; every duty of a real
+plant (cycle, echo, status bits) can be made to fail.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+from controller.core.scan import scan
+from controller.core.scan_types import ScanInput, ScanOutput, initial_state
+from controller.core.settings import Settings
+from protocol.faults import CommandCode, Reason
+from protocol.pose import Pose
+from protocol.process_image import (
+    CONTROL_ENABLE,
+    CONTROL_RESET_WATCHDOG,
+    COUNTS_PER_TURN,
+    STATUS_SUPPLY_ON,
+    STATUS_VALVES_ENABLED,
+    STATUS_WATCHDOG_TRIPPED,
+    SensorImage,
+)
+from protocol.reference_link import Acknowledgement, Command, ReferencePath, ReferencePose
+
+START_DEG = (0.0, 50.0, -75.0, 0.0, -25.0, 0.0)
+
+
+def counts(q: tuple[float, ...]) -> tuple[int, int, int, int, int, int]:
+    """Encoder counts of joint angles (rad)."""
+    a, b, c, d, e, f = (round(angle * COUNTS_PER_TURN / (2.0 * math.pi)) for angle in q)
+    return a, b, c, d, e, f
+
+
+@dataclass
+class Bench:
+    """A controller and an obedient plant; the fields below the line are the plant's misbehaviour."""
+
+    settings: Settings
+    q: tuple[float, ...] = tuple(math.radians(angle) for angle in START_DEG)
+    now_ns: int = 0
+    link_alive: bool = True
+    # ---
+    silent: bool = False
+    frozen: bool = False
+    deaf: bool = False
+    stuck: bool = False
+    enables: bool = True
+    status: int = STATUS_SUPPLY_ON
+    supply_bar: float = 190.0
+    late_s: float = 0.0
+    outputs: list[ScanOutput] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.state = initial_state(self.settings)
+        self.plant_cycle = 0
+        self.echo = 0
+
+    @property
+    def last(self) -> ScanOutput:
+        return self.outputs[-1]
+
+    def step(self, *requests: Command | ReferencePose | ReferencePath) -> ScanOutput:
+        """One scan."""
+        sensors = None if self.silent else self._exchange()
+        dt_s = self.settings.cycle_s + self.late_s
+        self.late_s = 0.0
+        self.now_ns += round(dt_s * 1e9)
+        inputs = ScanInput(self.now_ns, dt_s, sensors, requests, self.link_alive)
+        self.state, output = scan(self.settings, self.state, inputs)
+        self.outputs.append(output)
+        return output
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / self.settings.cycle_s)):
+            self.step()
+
+    def command(self, code: CommandCode) -> Reason:
+        return self.step(Command(len(self.outputs) + 1, code)).acknowledgements[0].reason
+
+    def refer(self, pose: Pose, duration_s: float = 0.0) -> Acknowledgement:
+        return self.step(ReferencePose(len(self.outputs) + 1, pose, duration_s)).acknowledgements[0]
+
+    def shifted(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Pose:
+        """The present tool pose, moved."""
+        here = self.last.view.X_BT
+        return Pose((here.p_m[0] + x, here.p_m[1] + y, here.p_m[2] + z), here.q_wxyz)
+
+    def enabled(self) -> "Bench":
+        """This bench, in standby."""
+        self.step()
+        assert self.command(CommandCode.ENABLE) is Reason.ACCEPTED
+        self.step()
+        return self
+
+    def moving(self) -> "Bench":
+        """This bench, in the middle of a motion of 0.3 m."""
+        self.enabled()
+        assert self.refer(self.shifted(z=0.3)).reason is Reason.ACCEPTED
+        self.run(1.0)
+        return self
+
+    def _exchange(self) -> SensorImage:
+        status = self.status
+        if self.outputs:
+            valves = self.last.valves
+            if valves.control & CONTROL_RESET_WATCHDOG:
+                self.status &= ~STATUS_WATCHDOG_TRIPPED
+            if not self.deaf:
+                self.echo = valves.controller_cycle
+            if valves.control & CONTROL_ENABLE:
+                status |= STATUS_VALVES_ENABLED if self.enables else 0
+                if not self.stuck:
+                    self.q = self.last.view.q_cmd
+        self.plant_cycle += 0 if self.frozen else 1
+        pressures = ((60.0, 60.0),) * 6
+        return SensorImage(
+            self.plant_cycle, self.echo, status, counts(self.q), pressures, self.supply_bar, 10.0, 40.0
+        )

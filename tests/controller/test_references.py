@@ -1,0 +1,174 @@
+"""Admission: what cannot be done is refused whole, with value and limit, and nothing moves."""
+
+import math
+
+import numpy as np
+import pytest
+
+from controller.config import ArmConfig, ControllerConfig
+from controller.core.settings import Settings, settings_from
+from protocol.faults import Reason
+from protocol.pose import Pose
+from protocol.reference_link import ReferencePath, ReferencePose
+from tests.controller.obedient_plant import Bench
+
+
+@pytest.fixture(scope="module")
+def settings(arm: ArmConfig, config: ControllerConfig) -> Settings:
+    return settings_from(arm, config)
+
+
+@pytest.fixture
+def bench(settings: Settings) -> Bench:
+    return Bench(settings).enabled()
+
+
+def _turned(pose: Pose, axis: int, angle: float) -> Pose:
+    """The pose turned about one of its own axes."""
+    w, x, y, z = pose.q_wxyz
+    s, c = math.sin(angle / 2), math.cos(angle / 2)
+    a, b, d = (s if axis == k else 0.0 for k in range(3))
+    turned = (w * c - x * a - y * b - z * d, w * a + x * c + y * d - z * b)
+    return Pose(pose.p_m, (*turned, w * b - x * d + y * c + z * a, w * d + x * b - y * a + z * c))
+
+
+def _assert_nothing_moves(bench: Bench) -> None:
+    before = bench.last.view.q_cmd
+    bench.run(0.5)
+    assert bench.last.view.q_cmd == pytest.approx(before, abs=1e-6)
+    assert bench.last.valves.valves == pytest.approx((0.0,) * 6, abs=1e-6)
+    assert bench.state.motion.path is None
+
+
+def test_not_finite_is_refused(bench: Bench) -> None:
+    here = bench.last.view.X_BT
+    for bad in (math.nan, math.inf, -math.inf):
+        assert bench.refer(Pose((bad, 0.0, 1.0), here.q_wxyz)).reason is Reason.NOT_FINITE
+        assert bench.refer(Pose(here.p_m, (bad, 0.0, 0.0, 0.0))).reason is Reason.NOT_FINITE
+        assert bench.refer(here, duration_s=bad).reason is Reason.NOT_FINITE
+    path = ReferencePath(77, (here, Pose((math.nan, 0.0, 1.0), here.q_wxyz)), 0.0, 0.0)
+    answer = bench.step(path).acknowledgements[0]
+    assert (answer.reason, answer.value) == (Reason.NOT_FINITE, 1.0)
+    _assert_nothing_moves(bench)
+
+
+def test_a_quaternion_far_from_unit_norm_is_refused_and_a_near_one_normalised(bench: Bench) -> None:
+    here = bench.shifted(z=0.05)
+    long = Pose(here.p_m, tuple(1.002 * c for c in here.q_wxyz))  # type: ignore[arg-type]
+    answer = bench.refer(long)
+    assert (answer.reason, answer.limit) == (Reason.NOT_UNIT_QUATERNION, 1.0)
+    assert answer.value == pytest.approx(1.002)
+    near = Pose(here.p_m, tuple(1.0005 * c for c in here.q_wxyz))  # type: ignore[arg-type]
+    assert bench.refer(near).reason is Reason.ACCEPTED
+    assert np.linalg.norm(bench.state.motion.desired.quaternion) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_outside_the_workspace_names_coordinate_and_bound(bench: Bench, arm: ArmConfig) -> None:
+    answer = bench.refer(bench.shifted(z=-2.5))
+    assert answer.reason is Reason.OUTSIDE_WORKSPACE
+    assert answer.limit == arm.workspace.z_m[0]
+    assert answer.value < answer.limit
+    _assert_nothing_moves(bench)
+
+
+def test_beyond_reach_names_distance_and_reach(bench: Bench) -> None:
+    wide = bench.refer(Pose((5.1, 1.0, 2.0), bench.last.view.X_BT.q_wxyz))
+    assert wide.reason is Reason.UNREACHABLE
+    assert wide.value > wide.limit > 4.0
+    _assert_nothing_moves(bench)
+
+
+def test_a_joint_beyond_its_range_names_angle_and_limit(bench: Bench, settings: Settings) -> None:
+    answer = bench.refer(_turned(bench.last.view.X_BT, 2, math.radians(100.0)))
+    assert answer.reason is Reason.JOINT_LIMIT
+    assert abs(answer.value) > abs(answer.limit)
+    assert answer.limit in settings.planned_range
+    _assert_nothing_moves(bench)
+
+
+def test_a_path_with_one_bad_waypoint_is_refused_whole(bench: Bench) -> None:
+    good = tuple(bench.shifted(y=0.01 * k) for k in range(1, 20))
+    answer = bench.step(ReferencePath(5, (*good, bench.shifted(z=-2.5)), 0.0, 0.0)).acknowledgements[0]
+    assert answer.reason is Reason.OUTSIDE_WORKSPACE
+    _assert_nothing_moves(bench)
+
+
+def test_the_wrist_singularity_is_refused(bench: Bench, config: ControllerConfig) -> None:
+    boom_pitch = math.radians(-25.0)  # tool axis along the boom: wrist 2 stretched
+    answer = bench.refer(_turned(bench.last.view.X_BT, 0, boom_pitch))
+    assert answer.reason is Reason.SINGULAR
+    near = bench.refer(_turned(bench.last.view.X_BT, 0, math.radians(-22.5)))
+    assert near.reason is Reason.SINGULAR
+    assert near.value < near.limit == config.motion.singular_value_min
+    _assert_nothing_moves(bench)
+
+
+def test_a_tool_that_passes_straight_over_the_singularity_is_followed(bench: Bench) -> None:
+    goal = _turned(bench.last.view.X_BT, 0, math.radians(-45.0))
+    assert bench.refer(goal).reason is Reason.ACCEPTED
+    begin = len(bench.outputs)
+    bench.run(8.0)
+    assert bench.last.view.motion_done
+    assert bench.last.view.q_meas[4] > math.radians(15.0)
+    lag = [math.dist(o.view.X_BT.p_m, o.view.X_BT_cmd.p_m) for o in bench.outputs[begin:]]
+    assert max(lag) < 5e-3
+    assert max(abs(o.view.q_meas[3]) for o in bench.outputs[begin:]) < math.radians(1.0)
+
+
+def test_counts_and_durations_are_checked(bench: Bench, config: ControllerConfig) -> None:
+    here = bench.shifted(z=0.05)
+    motion = config.motion
+    assert bench.step(ReferencePath(1, (), 0.0, 0.0)).acknowledgements[0].reason is Reason.EMPTY_PATH
+    many = bench.step(ReferencePath(2, (here,) * 25, 0.0, 0.0)).acknowledgements[0]
+    assert many[1:] == (Reason.TOO_MANY_WAYPOINTS, 25.0, 24.0)
+    assert bench.refer(here, -1.0)[1:] == (Reason.BAD_DURATION, -1.0, motion.duration_min_s)
+    assert bench.refer(here, 0.01)[1:] == (Reason.BAD_DURATION, 0.01, motion.duration_min_s)
+    assert bench.refer(here, 1e9)[1:] == (Reason.BAD_DURATION, 1e9, motion.duration_max_s)
+    dwell = bench.step(ReferencePath(3, (here,), 0.0, -0.1)).acknowledgements[0]
+    assert dwell[1:] == (Reason.BAD_DURATION, -0.1, 0.0)
+    _assert_nothing_moves(bench)
+
+
+def test_too_far_and_too_fast_name_value_and_limit(bench: Bench, config: ControllerConfig) -> None:
+    far = bench.refer(Pose((1.2, 3.5, 1.0), bench.last.view.X_BT.q_wxyz))
+    assert far.reason is Reason.TOO_FAR
+    assert far.value > far.limit == config.motion.first_point_distance_m
+    fast = bench.refer(bench.shifted(z=0.3), duration_s=1.0)
+    assert fast.reason is Reason.TOO_FAST
+    assert fast.value > fast.limit
+    _assert_nothing_moves(bench)
+
+
+def test_a_jump_within_a_path_is_slow_enough(bench: Bench, config: ControllerConfig, arm: ArmConfig) -> None:
+    """Durations chosen by the controller keep every limit: Cartesian and joint, speed and acceleration."""
+    first, second = bench.shifted(y=0.4, z=0.2), _turned(bench.shifted(y=-0.3, z=-0.2), 2, 0.5)
+    assert (
+        bench.step(ReferencePath(1, (first, second), 0.0, 0.0)).acknowledgements[0].reason is Reason.ACCEPTED
+    )
+    begin = len(bench.outputs)
+    while not bench.last.view.motion_done:
+        bench.step()
+    dt_s = config.cycle_ms * 1e-3
+    p = np.array([o.view.X_BT_cmd.p_m for o in bench.outputs[begin:]])
+    v = np.diff(p, axis=0) / dt_s
+    assert np.linalg.norm(v, axis=1).max() < 1.005 * config.motion.speed_m_s
+    assert np.linalg.norm(np.diff(v, axis=0) / dt_s, axis=1).max() < 1.01 * config.motion.acceleration_m_s2
+    q = np.array([o.view.q_cmd for o in bench.outputs[begin:]])
+    speeds = np.abs(np.diff(q, axis=0)).max(axis=0) / dt_s
+    assert np.all(speeds < 1.1 * np.radians([joint.speed_deg_s for joint in arm.joints]))
+
+
+def test_a_given_duration_is_kept(bench: Bench) -> None:
+    assert bench.refer(bench.shifted(z=0.1), duration_s=4.0).reason is Reason.ACCEPTED
+    bench.run(3.9)
+    assert not bench.last.view.motion_done
+    bench.run(0.15)
+    assert bench.last.view.motion_done
+
+
+def test_replanning_at_full_speed_against_the_motion_is_accepted(bench: Bench) -> None:
+    assert bench.refer(bench.shifted(z=0.4)).reason is Reason.ACCEPTED
+    bench.run(1.6)
+    assert (
+        bench.step(ReferencePose(9, bench.shifted(z=-0.1), 0.0)).acknowledgements[0].reason is Reason.ACCEPTED
+    )
