@@ -1,5 +1,7 @@
 """The stereo camera as it truly is: renders what its two eyes see, and projects points exactly."""
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +11,7 @@ from plant_emulator.core.geometry import transform
 from plant_emulator.core.lens import Lens
 from plant_emulator.core.scene import Plate, Scene, rotation_matrix
 from plant_emulator.core.wall_texture import SIZE, SIZE_BITS, wall_texture
-from plant_emulator.scene_config import CameraConfig
+from plant_emulator.scene_config import CameraConfig, WallConfig
 
 Grey = NDArray[np.uint8]
 Matrix = NDArray[np.float64]
@@ -39,10 +41,8 @@ class StereoCamera:
         twist = rotation_matrix(rectification.right_eye_rotation_deg)
         self.X_C_eye = (np.eye(4), transform(twist, np.array([config.baseline_m, 0.0, 0.0])))
         self._rays = tuple(lens.ray_map(config.width_px, config.height_px) for lens in self.lenses)
-        wall = scene.config.wall
-        levels = wall_texture(wall.texture_seed, wall.mean_grey, wall.contrast_grey)
-        self._texture = tuple(wall_painter.packed(level) for level in levels)
-        self._texels_per_m = 1000.0 / wall.texel_mm
+        self._texture = _packed_texture(scene.config.wall)
+        self._texels_per_m = 1000.0 / scene.config.wall.texel_mm
         generator = np.random.default_rng((seed, 0x6E6F697365))
         self._noise = np.clip(
             np.rint(
@@ -165,6 +165,13 @@ class StereoCamera:
             centre[1],
         )
         return picture
+
+
+@lru_cache(maxsize=1)
+def _packed_texture(wall: WallConfig) -> tuple[NDArray[np.int32], ...]:
+    """Packed mip levels, kept for the next camera before the same wall: they cost most of a second."""
+    levels = wall_texture(wall.texture_seed, wall.mean_grey, wall.contrast_grey)
+    return tuple(wall_painter.packed(level) for level in levels)
 
 
 def _ray_to_plane(X_EP: Matrix) -> Matrix:
