@@ -92,3 +92,85 @@ class Severity(IntEnum):
     WARNING = 1
     STOP = 2
     EMERGENCY = 3
+
+
+# What each number means; the written protocol and the faces for people take their words from here.
+
+COMMAND_TEXTS: dict[CommandCode, str] = {
+    CommandCode.ENABLE: "let the controller drive the valves; the arm holds where it is",
+    CommandCode.DISABLE: "ramp down, then centre the valves and drop the enable",
+    CommandCode.STOP: "ramp down and hold; always accepted",
+    CommandCode.RESET: "clear a latched fault once its cause has gone; moves nothing",
+    CommandCode.EMERGENCY_STOP: "centre the valves at once and latch",
+    CommandCode.EMERGENCY_RELEASE: "release the latched emergency stop; RESET and ENABLE must follow",
+}
+
+GROUP_STATE_TEXTS: dict[GroupState, str] = {
+    GroupState.DISABLED: "valves centred, enable dropped",
+    GroupState.STANDBY: "enabled, holding the commanded pose",
+    GroupState.MOVING: "following a reference",
+    GroupState.STOPPING: "ramping down",
+    GroupState.ERROR_STOP: "a fault or the emergency stop is latched",
+}
+
+SEVERITY_TEXTS: dict[Severity, str] = {
+    Severity.NONE: "no fault",
+    Severity.WARNING: "noted, the motion goes on",
+    Severity.STOP: "ramped down, then valves centred and enable dropped",
+    Severity.EMERGENCY: "valves centred and enable dropped in the same scan",
+}
+
+# "v" and "l" are the fields value and limit of the acknowledgement; where not named they are 0.
+REASON_TEXTS: dict[Reason, str] = {
+    Reason.ACCEPTED: "accepted; in BYE: no particular reason",
+    Reason.DISABLED: "the group is not enabled",
+    Reason.NOT_IN_ERROR: "nothing to reset",
+    Reason.ERROR_LATCHED: "a fault is latched: RESET first",
+    Reason.EMERGENCY_LATCHED: "the emergency stop is latched: EMERGENCY_RELEASE, then RESET",
+    Reason.STOPPING: "the arm is still ramping down",
+    Reason.ALREADY_DONE: "the group is already where the command leads; nothing changes",
+    Reason.NOT_FINITE: "NaN or infinity; v index of the pose, l number of poses, both 0 for a time",
+    Reason.NOT_UNIT_QUATERNION: "the norm is off 1 by more than 1e-3; v the norm, l 1",
+    Reason.OUTSIDE_WORKSPACE: "v the coordinate or radius in m, l its bound",
+    Reason.JOINT_LIMIT: "a joint would leave its range on the way; v its angle in rad, l the bound",
+    Reason.UNREACHABLE: "no joint angles lead there; v the distance in m, l the reach",
+    Reason.SINGULAR: "too near a singularity; v the smallest singular value, l the least allowed",
+    Reason.TOO_FAST: "the given time is too short; v the peak (SI) or its ratio to the limit, l the limit",
+    Reason.TOO_FAR: "the first pose is too far from the present one; v the distance in m, l the bound",
+    Reason.BAD_DURATION: "a time is negative, too short or too long; v the time in s, l the bound",
+    Reason.EMPTY_PATH: "a path without a waypoint; v 0, l 1",
+    Reason.TOO_MANY_WAYPOINTS: "v the number of waypoints, l the most allowed",
+    Reason.PLANT_LINK_DOWN: "the controller does not hear the plant",
+    Reason.REFERENCE_LINK_DOWN: "the reference link is not alive",
+    Reason.PLANT_NOT_READY: "the plant reports no supply, a tripped watchdog or a sensor fault",
+    Reason.UNKNOWN_COMMAND: "the command's code is not in the table; v the code",
+    Reason.REPEATED_COMMAND_ID: "the id was used for another request",
+    Reason.OVERTAKEN: "a newer request came first, so this one is not executed; v its id, l the newest id",
+    Reason.NOT_NEGOTIATED: "the request needs a capability that was not granted",
+    Reason.INCOMPATIBLE_VERSION: "in BYE: the major version is not spoken here",
+    Reason.WRONG_ARM: "in BYE: the hash of the arm's configuration is another",
+    Reason.SESSION_OCCUPIED: "in BYE: another client is connected; ask again",
+    Reason.UNKNOWN_SESSION: "in BYE: no such session, or no longer",
+    Reason.PEER_RESTARTED: "the client came back under a new nonce",
+    Reason.LINK_TIMEOUT: "in BYE: the peer was silent for longer than the link timeout",
+    Reason.SHUTDOWN: "in BYE: the sender ends in good order",
+}
+
+FAULT_TEXTS: dict[FaultCode, str] = {
+    FaultCode.NONE: "no fault",
+    FaultCode.PLANT_LINK_LOST: "the fieldbus did not answer, or did not echo the controller's cycle",
+    FaultCode.PLANT_CYCLE_FROZEN: "the plant answers but its cycle stands still",
+    FaultCode.REFERENCE_LINK_LOST: "the reference link fell silent while the arm moved",
+    FaultCode.FOLLOWING_ERROR: "a joint does not follow its command",
+    FaultCode.ENCODER_JUMP: "an encoder leapt further than the joint can turn",
+    FaultCode.ENCODER_STUCK: "an encoder stands still although its valve is open",
+    FaultCode.JOINT_LIMIT: "a joint left its range",
+    FaultCode.WORKSPACE_LIMIT: "the tool left the workspace",
+    FaultCode.OVERSPEED: "the tool is faster than allowed",
+    FaultCode.SUPPLY_PRESSURE_LOST: "the supply pressure is too low",
+    FaultCode.PLANT_WATCHDOG: "the plant's own watchdog closed the valves",
+    FaultCode.EMERGENCY_STOP: "the emergency stop was asked for",
+    FaultCode.NUMERIC: "the controller computed a number that is not finite",
+    FaultCode.OVERRUN: "the scan was too late",
+    FaultCode.PLANT_STATUS: "the plant reports a fault in its status word",
+}

@@ -1,6 +1,6 @@
 """Cost of one reference and one state, encode + decode, against two peers that others would reach for.
 
-``json``: the same header and fields as a JSON object, no checks, CRC left out. ``bare struct``: one hand-written
+``json``: the same header and fields as a JSON object, unchecked. ``bare struct``: one hand-written
 ``struct`` format and a CRC, no ranges, no named fields, no typed refusals: the floor for pure Python.
 """
 

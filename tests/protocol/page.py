@@ -1,0 +1,276 @@
+"""The tables of docs/protocol.md, made from the code; ``python -m tests.protocol.page`` writes them."""
+
+import json
+import re
+import textwrap
+from collections.abc import Callable, Iterable
+from enum import IntEnum
+from pathlib import Path
+
+from controller.core.group_states import TRANSITIONS, Mode, Stimulus
+from protocol import datagram_layout, process_image, reference_messages
+from protocol.channel import MAX_GAP_DATAGRAMS, WINDOW_DATAGRAMS
+from protocol.client_session import HELLO_PERIOD_NS, HELLOS_PER_NONCE, MIN_RESEND_NS, RESEND_CYCLES
+from protocol.clock_offset import DISPUTED_TO_RESET, DRIFT_PPM, WINDOW
+from protocol.command_ledger import REMEMBERED
+from protocol.datagram_layout import (
+    HEADER,
+    HEADER_BYTES,
+    MAX_DATAGRAM_BYTES,
+    MAX_WAYPOINTS,
+    PAYLOADS,
+    Field,
+    Kind,
+    offsets,
+    size_of,
+)
+from protocol.echo_clock import FIRST_HEARTBEATS, FIRST_PERIOD_NS, HEARTBEATS_PER_TIMEOUT
+from protocol.faults import (
+    COMMAND_TEXTS,
+    FAULT_TEXTS,
+    GROUP_STATE_TEXTS,
+    REASON_TEXTS,
+    SEVERITY_TEXTS,
+    CommandCode,
+    FaultCode,
+    GroupState,
+    Reason,
+    Severity,
+)
+from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
+from protocol.server_session import REFUSAL_INTERVAL_NS, REMEMBERED_NONCES
+from tests.protocol.session_tables import CLIENT_ROWS, SERVER_ROWS, Row
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "protocol.md"
+GOLDEN = Path(__file__).parent / "golden_datagrams.json"
+IEC = {"B": "USINT", "H": "UINT", "I": "UDINT", "Q": "ULINT", "d": "LREAL", "4s": "BYTE", "x": "BYTE"}
+IEC_WORDS = {"H": "UINT", "h": "INT", "i": "DINT"}
+# LIMIT is a standard function of IEC 61131-3, so it cannot name a member.
+IEC_NAMES = {"limit": "limit_value"}
+MS = 1_000_000
+
+
+def table(head: str, rows: Iterable[Iterable[object]]) -> str:
+    """A Markdown table."""
+    columns = [cell.strip() for cell in head.split("|")]
+    lines = [columns, ["---"] * len(columns), *([str(cell) for cell in row] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def datagram_table(fields: tuple[Field, ...]) -> str:
+    """Offset (from the start of these fields), type, unit, range and meaning of every field."""
+
+    def span(field: Field) -> str:
+        if field.enum is not None:
+            return f"see {field.enum.__name__}"
+        if field.code not in "BHIQ" or (field.low == 0 and field.high is None):
+            return "–" if field.code in ("x", "4s") else "any"
+        return f"{field.low}…{field.highest}" if field.low < field.highest else str(field.low)
+
+    rows = (
+        (offset, field.name, _counted(IEC[field.code], field), field.unit or "–", span(field), field.meaning)
+        for field, offset in zip(fields, offsets(fields), strict=True)
+    )
+    return table("offset | field | type | unit | range | meaning", rows)
+
+
+def _counted(kind: str, field: Field) -> str:
+    count = 4 if field.code == "4s" else field.count
+    return f"{kind}[{count}]" if count > 1 else kind
+
+
+def payload_tables() -> str:
+    """One table a kind."""
+    parts = []
+    for kind, fields in PAYLOADS.items():
+        size = size_of(fields)
+        parts.append(
+            f"**{kind.name}** (kind {kind.value}): payload {size} bytes, datagram {HEADER_BYTES + size}\n\n"
+            + datagram_table(fields)
+        )
+    return "\n\n".join(parts)
+
+
+def register_table(rows: tuple[Register, ...]) -> str:
+    """Address, type, unit, scale and meaning of every register."""
+
+    def span(row: Register) -> str:
+        if row.constant is not None:
+            return f"{row.constant:#06x}"
+        if row.reserved:
+            return "0"
+        return f"{row.low / row.scale:.10g}…{row.high / row.scale:.10g}"
+
+    return table(
+        "address | words | register | type | unit | 1 digit | range | meaning",
+        (
+            (
+                f"{row.address:#06x}", row.words, row.name,
+                IEC_WORDS[row.code] + (f"[{row.count}]" if row.count > 1 else ""),
+                row.unit or "–", f"1/{row.scale:g}" if row.scale != 1.0 else 1, span(row), row.meaning,
+            )
+            for row in rows
+        ),
+    )  # fmt: skip
+
+
+def enumeration(members: type[IntEnum], texts: dict[IntEnum, str]) -> str:
+    """Number, name and meaning of every member."""
+    return table("number | name | meaning", ((m.value, m.name, texts[m]) for m in members))
+
+
+def bits(prefix: str, texts: dict[str, str]) -> str:
+    """Bit, name and meaning of every constant of the process image or link that begins with ``prefix``."""
+    return table("bit | name | meaning", ((value.bit_length() - 1, name, text)
+                                          for name, text in texts.items()
+                                          for value in [_constant(prefix + name)]))  # fmt: skip
+
+
+def _constant(name: str) -> int:
+    for module in (process_image, reference_messages, datagram_layout):
+        if hasattr(module, name):
+            value = getattr(module, name)
+            assert isinstance(value, int)
+            return value
+    raise LookupError(name)
+
+
+def limits() -> str:
+    """Every time and count of the protocol, in milliseconds and in packets."""
+    rows = [
+        ("largest datagram", f"{MAX_DATAGRAM_BYTES} bytes", "–"),
+        ("waypoints in a path", MAX_WAYPOINTS, "–"),
+        ("HELLO repeated", f"every {HELLO_PERIOD_NS // MS} ms", f"new nonce after {HELLOS_PER_NONCE}"),
+        ("HEARTBEAT", f"every link_timeout_ms / {HEARTBEATS_PER_TIMEOUT}",
+         f"the first {FIRST_HEARTBEATS} at most {FIRST_PERIOD_NS // MS} ms apart"),
+        ("session ends by silence", "after more than link_timeout_ms",
+         f"{HEARTBEATS_PER_TIMEOUT - 1} heartbeats lost in a row are survived, one more is not"),
+        ("datagram is stale", "older than the controller's max_age_ms, by default link_timeout_ms", "–"),
+        ("request repeated", f"every {MIN_RESEND_NS // MS} ms or {RESEND_CYCLES} cycles, the longer",
+         "until answered"),
+        ("answers remembered", "for the session", f"the newest {REMEMBERED}"),
+        ("nonces remembered", "–", f"those of the last {REMEMBERED_NONCES} sessions"),
+        ("gap in the sequence", "–", f"at most {MAX_GAP_DATAGRAMS - 1} skipped; more is refused"),
+        ("late told from duplicate", "–", f"within the newest {WINDOW_DATAGRAMS} numbers"),
+        ("BYE to those without a session", f"at most one in {REFUSAL_INTERVAL_NS // MS} ms", "–"),
+        ("echoes kept for the clock", "–", f"the newest {WINDOW}"),
+        ("drift of a clock assumed", f"{DRIFT_PPM} ppm", "–"),
+        ("step of a clock followed", "–", f"after {DISPUTED_TO_RESET} echoes in a row that agree"),
+    ]  # fmt: skip
+    return table("what | limit in time or bytes | limit in packets", rows)
+
+
+def session_table(rows: tuple[Row, ...]) -> str:
+    """State, event, next state, reaction."""
+    return table("state | event | next state | sends", ((r.state, r.event, r.then, r.sends) for r in rows))
+
+
+def group_table() -> str:
+    """Every command and reference in every mode of the group: next mode and the reason that answers."""
+    stimuli = [s for s in Stimulus if s <= Stimulus.MOVE]
+    return table(
+        "in | " + " | ".join("reference" if s is Stimulus.MOVE else s.name for s in stimuli),
+        (
+            [mode.name, *(f"{t.mode.name}: {t.reason.name}" for t in (TRANSITIONS[mode, s] for s in stimuli))]
+            for mode in Mode
+        ),
+    )
+
+
+def structured_text() -> str:
+    """IEC 61131-3 types of every datagram and of both process images."""
+    parts = ["TYPE", "ST_LR_Pose : STRUCT  // of T in B; m, and a unit quaternion"]
+    parts += [f"    {name} : LREAL;" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
+    parts += ["END_STRUCT", "END_TYPE", ""]
+    parts += _struct("ST_LR_Header", HEADER)
+    for kind, fields in PAYLOADS.items():
+        name = "".join(word.capitalize() for word in kind.name.split("_"))
+        parts += _struct(f"ST_LR_{name}", fields, "    header : ST_LR_Header;")
+    for name, rows in (("ST_LR_Inputs", INPUT_TABLE), ("ST_LR_Outputs", OUTPUT_TABLE)):
+        parts += ["TYPE", f"{name} : STRUCT"]
+        parts += [f"    {row.name} : {_array(row.count, IEC_WORDS[row.code])};" for row in rows]
+        parts += ["END_STRUCT", "END_TYPE", ""]
+    return "```iecst\n" + "\n".join(parts).rstrip() + "\n```"
+
+
+def _struct(name: str, fields: tuple[Field, ...], first: str | None = None) -> list[str]:
+    members = [f"    {IEC_NAMES.get(field.name, field.name)} : {_iec_type(field)};" for field in fields]
+    return ["TYPE", f"{name} : STRUCT", *([first] if first else []), *members, "END_STRUCT", "END_TYPE", ""]
+
+
+def _iec_type(field: Field) -> str:
+    if field.code == "4s":
+        return "ARRAY[0..3] OF BYTE"
+    return _array(field.poses, "ST_LR_Pose") if field.poses else _array(field.count, IEC[field.code])
+
+
+def _array(count: int, kind: str) -> str:
+    return f"ARRAY[0..{count - 1}] OF {kind}" if count > 1 else kind
+
+
+def golden() -> str:
+    """One datagram of every kind, byte for byte."""
+    parts = []
+    for name, data in json.loads(GOLDEN.read_text()).items():
+        parts.append(f"{name}\n" + textwrap.indent("\n".join(textwrap.wrap(data, 96)), "  "))
+    return "```text\n" + "\n".join(parts) + "\n```"
+
+
+SECTIONS: dict[str, Callable[[], str]] = {
+    "header": lambda: datagram_table(HEADER),
+    "flags": lambda: bits("FLAG_", {"ECHO_VALID": "`echo_sequence` holds a number"}),
+    "capabilities": lambda: bits("CAPABILITY_", {"PATHS": "REFERENCE_PATH is understood"}),
+    "payloads": payload_tables,
+    "limits": limits,
+    "server states": lambda: session_table(SERVER_ROWS),
+    "client states": lambda: session_table(CLIENT_ROWS),
+    "kinds": lambda: table("kind | name", ((kind.value, kind.name) for kind in Kind)),
+    "commands": lambda: enumeration(CommandCode, COMMAND_TEXTS),
+    "group states": lambda: enumeration(GroupState, GROUP_STATE_TEXTS),
+    "group transitions": group_table,
+    "severities": lambda: enumeration(Severity, SEVERITY_TEXTS),
+    "reasons": lambda: enumeration(Reason, REASON_TEXTS),
+    "faults": lambda: enumeration(FaultCode, FAULT_TEXTS),
+    "state flags": lambda: bits(
+        "FLAG_",
+        {
+            "PLANT_LINK_OK": "the fieldbus is healthy",
+            "EMERGENCY_LATCHED": "the emergency stop is latched",
+            "SETTLED": "the arm has come to rest at its commanded pose",
+        },
+    ),
+    "inputs": lambda: register_table(INPUT_TABLE),
+    "outputs": lambda: register_table(OUTPUT_TABLE),
+    "status bits": lambda: bits(
+        "STATUS_",
+        {
+            "SUPPLY_ON": "the pump runs",
+            "VALVES_ENABLED": "the valves follow the commands",
+            "WATCHDOG_TRIPPED": "the motion watchdog closed the valves; latched",
+            "SENSOR_FAULT": "a sensor is known to be wrong",
+        },
+    ),
+    "control bits": lambda: bits(
+        "CONTROL_",
+        {
+            "ENABLE": "the valves may follow the commands",
+            "RESET_WATCHDOG": "a rising edge clears WATCHDOG_TRIPPED",
+        },
+    ),
+    "structured text": structured_text,
+    "golden": golden,
+}  # fmt: skip
+
+
+def rendered(page: str) -> str:
+    """``page`` with the content of every generated section made anew."""
+
+    def fill(match: re.Match[str]) -> str:
+        return f"{match[1]}\n{SECTIONS[match[2]]()}\n{match[3]}"
+
+    return re.sub(r"(<!-- generated: ([a-z ]+) -->)\n.*?(<!-- end -->)", fill, page, flags=re.DOTALL)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(rendered(PAGE.read_text()))
