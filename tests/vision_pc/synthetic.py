@@ -1,7 +1,7 @@
-"""A kinematic arm and its eyes in simulated time, for tests without pixels: it moves, bends and errs, but has no oil.
+"""A kinematic arm and its eyes in simulated time, for tests without pixels: it bends, but has no oil.
 
-The controller's model is rigid (nominal Denavit-Hartenberg at the encoders). The true arm adds encoder offsets, joint
-play in the slew, a bending hinge in each boom that gravity loads, a mount of the camera that nobody knows and noise.
+The controller's model is rigid (nominal Denavit-Hartenberg at the encoders). The true arm: encoder offsets,
+play in the slew, a hinge in each boom that gravity bends, a camera mount that nobody knows, and noise.
 Every measurement follows from the true pose; nothing is canned.
 """
 
@@ -53,7 +53,7 @@ class Truth(NamedTuple):
 
 
 def draw(rng: np.random.Generator, **changes: object) -> Truth:
-    """A random truth: mount to 10°, offsets to 5 mrad, load to 100 kg, object 0.3…0.9 m off; ``changes`` replace."""
+    """A random truth: mount to 10°, offsets to 5 mrad, object 0.3…0.9 m off; ``changes`` replace."""
     direction = rng.uniform(0.0, 2.0 * math.pi)
     across = rng.uniform(0.3, 0.9)
     X_BT0 = forward(Q_START)
@@ -83,7 +83,7 @@ def draw(rng: np.random.Generator, **changes: object) -> Truth:
 
 
 def chain(q: Array, bend: Array | None = None) -> list[Array]:
-    """Poses of the base and of every link's end; ``bend`` (2,) turns each boom about its joint after the encoder."""
+    """Poses of the base and of every link's end; ``bend`` (2,) turns each boom after its encoder."""
     X = np.eye(4)
     frames = [X]
     for i, (alpha, a, offset, d) in enumerate(_DH):
@@ -243,7 +243,9 @@ class SyntheticRig:
 
     async def look(self, frames: int | None = None) -> Look:
         if self.blind_object:
-            raise MeasurementFailed("measurement.object_not_seen", "object seen in 0 of 10 pictures, 5 are wanted")
+            raise MeasurementFailed(
+                "measurement.object_not_seen", "object seen in 0 of 10 pictures, 5 are wanted"
+            )
         t, n = self.truth, frames or 10
         X_CM = self._noisy(inverse(t.X_TC) @ t.X_TM, t.marker_std_m / n**0.5, t.marker_std / n**0.5)
         X_CO = self._noisy(inverse(self.X_BC_true()) @ t.X_BO, t.marker_std_m / n**0.5, t.marker_std / n**0.5)
@@ -252,7 +254,8 @@ class SyntheticRig:
         m, r = np.sqrt(np.diag(cov)[:3]), np.sqrt(np.diag(cov)[3:])
         fields = {
             "time_ns": self.time_ns, "X_CM": X_CM, "X_CO": X_CO, "X_BT": forward(self.q), "frames": n,
-            "failed_tool": 0, "failed_object": 0, "cov_CM": cov, "cov_CO": cov, "std_tool_m": m, "std_tool_rad": r,
+            "failed_tool": 0, "failed_object": 0, "cov_CM": cov, "cov_CO": cov, "std_tool_m": m,
+            "std_tool_rad": r,
             "std_object_m": m, "std_object_rad": r, "std_tool_frame_m": m * n**0.5,
             "std_object_frame_m": m * n**0.5, "offset": None,
         }  # fmt: skip

@@ -80,7 +80,8 @@ def solve(samples: tuple[WatchSample, ...], X_BT_init: Array, settings: LineEqua
     on_circle = np.hypot(along_n, along_s) > 0.8 * r
     _check_coverage(phi[on_circle])
     if settings.minimum == "fit":
-        p_u, d_min = _fitted_minimum(X_BT_init, phi[on_circle], d[on_circle], r)
+        across = np.column_stack([along_n, along_s])
+        p_u, d_min = _fitted_minimum(X_BT_init, across[on_circle], d[on_circle], r)
     else:
         least = int(np.argmin(d))
         if not on_circle[least]:
@@ -123,24 +124,25 @@ def _check_coverage(phi: Array) -> None:
         )
 
 
-def _fitted_minimum(X_BT_init: Array, phi: Array, d: Array, r: float) -> tuple[Array, float]:
-    """p_u and d_ε,min of d² = D² + r² − 2 D r cos(φ − φ_0) fitted robustly through all sightings."""
-    rows = np.column_stack([np.ones_like(phi), np.cos(phi), np.sin(phi)])
+def _fitted_minimum(X_BT_init: Array, across: Array, d: Array, r: float) -> tuple[Array, float]:
+    """p_u and d_ε,min of the one point o that the distances ``d`` (N,) from ``across`` (N, 2) fit best.
+
+    d² = ‖x‖² − 2 x·o + c is linear in o and c; x are the tool's coordinates along n and s from the centre.
+    """
+    rows = np.column_stack([-2.0 * across, np.ones(len(d))])
+    wanted = d**2 - (across**2).sum(axis=1)
     weight = np.ones_like(d)
-    c: Array = np.zeros(3)
+    o = np.zeros(3)
     for _ in range(10):
-        c = np.asarray(
-            np.linalg.lstsq(rows * weight[:, None], d**2 * weight, rcond=None)[0], dtype=np.float64
-        )
-        residual = np.abs(rows @ c - d**2)
+        o = np.linalg.lstsq(rows * weight[:, None], wanted * weight, rcond=None)[0].astype(np.float64)
+        residual = np.abs(rows @ o - wanted)
         scale = 1.4826 * float(np.median(residual)) + 1e-9
         weight = np.sqrt(1.0 / np.maximum(1.0, residual / (1.5 * scale)))
-    reach = math.hypot(c[1], c[2]) / (2.0 * r)  # D, the centre's distance from the object
+    reach = math.hypot(o[0], o[1])
     if reach < 1.1 * r:
         raise _inside(reach)
-    p_u = -(c[1] * X_BT_init[:3, 0] + c[2] * X_BT_init[:3, 1]) / math.hypot(c[1], c[2])
-    d_min = math.sqrt(max(float(c[0] - math.hypot(c[1], c[2])), 0.0))
-    return p_u, d_min
+    p_u: Array = (o[0] * X_BT_init[:3, 0] + o[1] * X_BT_init[:3, 1]) / reach
+    return p_u, reach - r
 
 
 def _inside(distance: float) -> MeasurementFailed:

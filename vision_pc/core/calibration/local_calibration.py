@@ -6,7 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.core.se3 import Array, hat
+from vision_pc.core.se3 import Array, angle_between, hat, local, retract
+
+AT_REST = 7  # the last samples of a watch, after the motion has settled
 
 
 class ResidualTable(NamedTuple):
@@ -58,6 +60,20 @@ class LocalCalibration(NamedTuple):
         length_squared = float(p_lc @ p_lc)
         covariance: Array = lever @ self.covariance @ lever.T + strain_std**2 * length_squared * np.eye(3)
         return covariance
+
+
+def settled_pose(X: Array) -> Array:
+    """The mean pose (4×4) of ``X`` (N, 4, 4), poses at rest, single glitches left out.
+
+    The poses within a centimetre and half a degree of the most central one are averaged.
+    """
+    apart = np.array(
+        [[angle_between(a[:3, :3], b[:3, :3]) + math.dist(a[:3, 3], b[:3, 3]) for b in X] for a in X]
+    )
+    centre = X[int(np.median(apart, axis=1).argmin())]
+    offsets = np.array([local(centre, Y) for Y in X])
+    near = (np.linalg.norm(offsets[:, :3], axis=1) < 0.01) & (np.linalg.norm(offsets[:, 3:], axis=1) < 0.01)
+    return retract(centre, offsets[near].mean(axis=0))
 
 
 def residual_table(residuals: Array) -> ResidualTable:

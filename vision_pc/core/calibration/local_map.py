@@ -12,14 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.core.calibration.local_calibration import rotation_information
+from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
 from vision_pc.core.calibration.settings import LocalMapSettings
 from vision_pc.core.ports import Arm, Eyes, Report
-from vision_pc.core.se3 import Array, inverse, local, nearest_rotation, retract, transform
+from vision_pc.core.se3 import Array, inverse, nearest_rotation, transform
 from vision_pc.core.types import WatchSample
 
 _OFFSET_STD_M = 1.0  # of the map's constant: free
-_AT_REST = 5  # the last samples of a watch, after the motion has settled
 
 
 class LocalTrack(NamedTuple):
@@ -86,14 +85,13 @@ async def watched_path(
 def track_of(samples: tuple[WatchSample, ...]) -> LocalTrack:
     """The track of a watch. Raises MeasurementFailed when odometry was lost at its end or over a fifth."""
     held = [s for s in samples if s.X_C0C is not None]
-    if len(held) < 0.8 * len(samples) or len(held) < _AT_REST or samples[-1].X_C0C is None:
+    if len(held) < 0.8 * len(samples) or len(held) < AT_REST or samples[-1].X_C0C is None:
         raise MeasurementFailed(
             "measurement.odometry_lost", f"local map: odometry held in {len(held)} of {len(samples)} pictures"
         )
     X_C0C = np.array([s.X_C0C for s in held])
     X_BT = np.array([s.X_BT for s in held])
-    X_KC0 = inverse(mean_pose(X_C0C[-_AT_REST:]))
-    X_BT[-1] = mean_pose(X_BT[-_AT_REST:])
+    X_KC0 = inverse(settled_pose(X_C0C[-AT_REST:]))
     X_KC = X_KC0 @ X_C0C
     X_KC[-1] = np.eye(4)
     return LocalTrack(X_KC, X_BT)
@@ -183,12 +181,6 @@ def play_states(slew: Array, half_play: float) -> Array:
     for i in range(1, len(slew)):
         states[i] = _play_after(float(states[i - 1]), float(slew[i] - slew[i - 1]), half_play)
     return states
-
-
-def mean_pose(X: Array) -> Array:
-    """The mean of nearby poses (N, 4, 4)."""
-    offsets = np.array([local(X[0], Y) for Y in X])
-    return retract(X[0], offsets.mean(axis=0))
 
 
 def _play_after(state: float, turn: float, half_play: float) -> float:

@@ -19,7 +19,7 @@ class OrientationSettings(StrictModel):
 
 
 class LineEquationSettings(StrictModel):
-    """Line equation (10)-(16). ``minimum``: the least sample (paper), or a circle fitted through all."""
+    """Line equation (10)-(16). ``minimum``: the least sample (paper), or a fit through all of them."""
 
     radius_m: float = Field(ge=0.02, le=0.6)
     points: int = Field(ge=6, le=24)

@@ -18,12 +18,14 @@ import numpy as np
 
 from protocol.errors import MeasurementFailed
 from vision_pc.core.calibration.local_calibration import (
+    AT_REST,
     LocalCalibration,
     residual_table,
     rotation_covariance,
+    settled_pose,
 )
 from vision_pc.core.calibration.settings import TrajectorySettings
-from vision_pc.core.point_set_matching.coarse import coarse_alignment, path_frame, path_shape
+from vision_pc.core.point_set_matching.coarse import asymmetry, coarse_alignment, path_frame
 from vision_pc.core.point_set_matching.hybrid_mixture import (
     MixtureMatch,
     full_poses,
@@ -31,7 +33,7 @@ from vision_pc.core.point_set_matching.hybrid_mixture import (
     positions_only,
 )
 from vision_pc.core.ports import Arm, Eyes, Report
-from vision_pc.core.se3 import Array, nearest_rotation, transform
+from vision_pc.core.se3 import Array, transform
 from vision_pc.core.types import WatchSample
 
 _UNASSOCIATED_POINTS = 120  # every point against every point: enough of them, and still quick
@@ -84,11 +86,10 @@ def refuse_poor_path(path: list[Array], settings: TrajectorySettings) -> None:
     """Raises MeasurementFailed when the planned path cannot fix a rotation: straight, closed or symmetric."""
     points = _along(np.array([X[:3, 3] for X in path]), 80)
     path_frame(points)
-    shape = path_shape(points)
-    if settings.association == "none" and shape.asymmetry < _TWIN_LIMIT:
+    if settings.association == "none" and asymmetry(points) < _TWIN_LIMIT:
         raise MeasurementFailed(
             "measurement.path_symmetric",
-            f"path: {shape.asymmetry:.3f} extents from its mirrored twin, at least {_TWIN_LIMIT:g} is wanted",
+            f"path: {asymmetry(points):.3f} extents from its mirrored twin, {_TWIN_LIMIT:g} is wanted",
         )
 
 
@@ -175,11 +176,10 @@ def _carried(R_BC0: Array, pair: TrajectoryPair, settings: TrajectorySettings) -
     """(R_BC at the path's end, R_TC): the paper takes the first for constant and has no second."""
     if settings.method == "paper":
         return R_BC0, None
-    last = slice(-min(5, len(pair.X_BT)), None)  # the arm comes to rest there
-    R_C0C = nearest_rotation(pair.X_C0C[last, :3, :3].mean(axis=0))
-    R_BT = nearest_rotation(pair.X_BT[last, :3, :3].mean(axis=0))
-    R_BC = R_BC0 @ R_C0C
-    return R_BC, R_BT.T @ R_BC
+    last = zip(pair.X_BT[-AT_REST:, :3, :3], pair.X_C0C[-AT_REST:, :3, :3], strict=True)
+    bodies = np.array([transform(R_BT.T @ R_BC0 @ R_C0C, np.zeros(3)) for R_BT, R_C0C in last])
+    R_TC: Array = settled_pose(bodies)[:3, :3]
+    return pair.X_BT[-1, :3, :3] @ R_TC, R_TC
 
 
 def _refuse_poor_match(calibration: LocalCalibration, residuals: Array, settings: TrajectorySettings) -> None:
@@ -188,9 +188,9 @@ def _refuse_poor_match(calibration: LocalCalibration, residuals: Array, settings
     # The paper's form is not refused for its spread: a mount rotation leaks into it, a second look mends it.
     std_deg = math.degrees(calibration.rotation_std()) if settings.method == "points" else 0.0
     for cause, what, value, limit in (
+        ("scale_mismatch", "scale error", abs(math.log(calibration.scale)), settings.scale_limit),
         ("match_lost", "outlier share", outliers, settings.outlier_share_limit),
         ("match_poor", "rms residual (m)", rms, settings.residual_limit_m),
-        ("scale_mismatch", "scale error", abs(math.log(calibration.scale)), settings.scale_limit),
         ("ill_conditioned", "condition", calibration.condition, settings.condition_limit),
         ("ill_conditioned", "rotation std (deg)", std_deg, settings.rotation_std_limit_deg),
     ):

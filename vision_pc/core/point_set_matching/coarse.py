@@ -12,7 +12,9 @@ import numpy as np
 from protocol.errors import MeasurementFailed
 from vision_pc.core.se3 import Array, exp_so3, nearest_rotation
 
-_SMOOTHING = 7  # samples of the running median that keeps single glitches out of end points and plane
+_SMOOTHING = (
+    7  # samples among which the medoid is sought that keeps single glitches out of end points and plane
+)
 _TWIN_STEP_RAD = np.deg2rad(5.0)
 
 
@@ -20,16 +22,13 @@ class PathShape(NamedTuple):
     """How well a trace fixes a rotation. All but ``extent_m`` are ratios to its extent (rms radius).
 
     ``straightness``: second principal spread over the first (0: a line). ``openness``: distance of the ends.
-    ``turning``: signed area between path and chord over chord times extent. ``asymmetry``: rms distance to
-    its nearest twin, the same set turned by 180° about any axis in its plane, or by any angle over 20°
-    within it.
+    ``turning``: signed area between path and chord over chord times extent.
     """
 
     extent_m: float
     straightness: float
     openness: float
     turning: float
-    asymmetry: float
 
 
 def path_shape(points: Array) -> PathShape:
@@ -41,18 +40,16 @@ def path_shape(points: Array) -> PathShape:
         raise MeasurementFailed(
             "measurement.too_few_samples", f"path: {len(points)} points, at least 4 are wanted"
         )
-    smooth = _running_median(points)
+    smooth = _without_glitches(points)
     centred = smooth - smooth.mean(axis=0)
-    extent = float(np.sqrt((centred**2).sum(axis=1).mean()))
+    extent = _extent(centred)
     if extent < 1e-6:
         raise MeasurementFailed("measurement.path_too_short", "path: all points are in one place")
     spreads = np.linalg.svd(centred, compute_uv=False)
     chord = smooth[-1] - smooth[0]
     openness = float(np.linalg.norm(chord)) / extent
     turning = float(np.linalg.norm(_area_vector(smooth))) / (extent * max(float(np.linalg.norm(chord)), 1e-9))
-    return PathShape(
-        extent, float(spreads[1] / spreads[0]), openness, turning, _twin_distance(centred) / extent
-    )
+    return PathShape(extent, float(spreads[1] / spreads[0]), openness, turning)
 
 
 def path_frame(points: Array) -> Array:
@@ -79,7 +76,7 @@ def path_frame(points: Array) -> Array:
             "measurement.path_symmetric",
             f"path: turning measure {shape.turning:.3f}, at least 0.02 is wanted",
         )
-    smooth = _running_median(points)
+    smooth = _without_glitches(points)
     normal = np.linalg.svd(smooth - smooth.mean(axis=0), full_matrices=False)[2][2]
     normal = normal * np.sign(normal @ _area_vector(smooth))
     chord = smooth[-1] - smooth[0]
@@ -108,28 +105,15 @@ def direction_alignment(directions_camera: Array, directions_base: Array) -> Arr
     return nearest_rotation(directions_base.mean(axis=0).T @ directions_camera.mean(axis=0))
 
 
-def _running_median(points: Array) -> Array:
-    """``points`` (N, 3) through a running median over a few neighbours, mirrored at the ends."""
-    if len(points) < 2 * _SMOOTHING:
-        return points
-    half = _SMOOTHING // 2
-    padded = np.pad(points, ((half, half), (0, 0)), mode="reflect")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, _SMOOTHING, axis=0)
-    smooth: Array = np.median(windows, axis=-1)
-    return smooth
+def asymmetry(points: Array) -> float:
+    """The rms distance, in extents, from ``points`` (N, 3) as an unordered set to the nearest of its twins.
 
-
-def _area_vector(points: Array) -> Array:
-    """The vector area (3,) between the path and its chord, right-handed in the direction of travel."""
-    from_start = points - points[0]
-    area: Array = 0.5 * np.cross(from_start[:-1], from_start[1:]).sum(axis=0)
-    return area
-
-
-def _twin_distance(centred: Array) -> float:
-    """The rms distance (m) from the centred trace to the nearest of its twins, as unordered sets."""
-    if len(centred) > 80:
-        centred = centred[np.linspace(0, len(centred) - 1, 80).astype(int)]
+    A twin is the set turned by 180° about any axis in its plane, or by any angle over 20° within it. At zero,
+    a match without time association has more than one answer.
+    """
+    if len(points) > 80:
+        points = points[np.linspace(0, len(points) - 1, 80).astype(int)]
+    centred = points - points.mean(axis=0)
     axes = np.linalg.svd(centred, full_matrices=False)[2]
     normal = axes[2] if np.linalg.det(axes) > 0 else -axes[2]
     turns = np.arange(np.deg2rad(20.0), np.deg2rad(340.1), _TWIN_STEP_RAD)
@@ -139,4 +123,31 @@ def _twin_distance(centred: Array) -> float:
         twins.append(2.0 * np.outer(axis, axis) - np.eye(3))
     turned = centred @ np.stack(twins).transpose(0, 2, 1)
     squared = ((turned[:, :, None, :] - centred[None, None, :, :]) ** 2).sum(axis=-1)
-    return float(np.sqrt(squared.min(axis=2).mean(axis=1).min()))
+    return float(np.sqrt(squared.min(axis=2).mean(axis=1).min())) / _extent(centred)
+
+
+def _extent(centred: Array) -> float:
+    """Rms distance (m) of ``centred`` (N, 3) from the origin."""
+    return float(np.sqrt((centred**2).sum(axis=1).mean()))
+
+
+def _without_glitches(points: Array) -> Array:
+    """``points`` (N, 3), each replaced by the medoid of its neighbours, mirrored at the ends.
+
+    The medoid, unlike the median of each coordinate, turns with the points.
+    """
+    if len(points) < 2 * _SMOOTHING:
+        return points
+    half = _SMOOTHING // 2
+    padded = np.pad(points, ((half, half), (0, 0)), mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, _SMOOTHING, axis=0).swapaxes(1, 2)
+    apart = np.linalg.norm(windows[:, :, None] - windows[:, None], axis=-1).sum(axis=-1)
+    smooth: Array = windows[np.arange(len(points)), apart.argmin(axis=1)]
+    return smooth
+
+
+def _area_vector(points: Array) -> Array:
+    """The vector area (3,) between the path and its chord, right-handed in the direction of travel."""
+    from_start = points - points[0]
+    area: Array = 0.5 * np.cross(from_start[:-1], from_start[1:]).sum(axis=0)
+    return area

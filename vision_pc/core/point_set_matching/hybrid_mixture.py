@@ -71,7 +71,7 @@ def match_trajectories(data: PoseSet, model: PoseSet, R_start: Array, *, associa
     variance = float(_squared_distances(x, y @ R.T + t, associated).mean()) / 3.0
     kappa = _start_concentration(data, model, R)
     share = _OUTLIERS_START
-    volume = float(np.prod(np.ptp(x, axis=0) + 3.0 * math.sqrt(variance)))
+    volume = float(np.linalg.norm(np.ptp(x, axis=0))) ** 3  # a cube: a planar set has no volume of its own
     previous, converged, iterations = -math.inf, False, 0
     while not converged and iterations < _ITERATIONS:
         iterations += 1
