@@ -1,0 +1,113 @@
+"""The arm over the reference link: the ``Arm`` port that calibration programs drive."""
+
+import asyncio
+from collections.abc import Sequence
+
+import numpy as np
+
+from protocol.errors import MeasurementFailed, RequestRefused
+from protocol.faults import CommandCode, GroupState
+from protocol.reference_link import FLAG_SETTLED, ReferencePath, ReferencePose, State
+from vision_pc.config import MotionSettings
+from vision_pc.core.ports import ArmView
+from vision_pc.core.se3 import Array, from_pose, to_pose
+from vision_pc.shell.controller_link import ControllerLink
+
+_BEGIN_STATES = 50  # states after the acknowledgement by which the motion must have begun
+
+
+class SocketArm:
+    """Implements ``vision_pc.core.ports.Arm``. Every motion returns at rest, or raises."""
+
+    def __init__(self, link: ControllerLink, settings: MotionSettings) -> None:
+        self._link = link
+        self._settings = settings
+
+    async def view(self) -> ArmView:
+        """The newest view. Raises LinkLost."""
+        return view_of(self._link.state, self._link)
+
+    async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
+        """The view after the point-to-point motion has settled. Raises RequestRefused or LinkLost."""
+        answer = await self._link.request(ReferencePose(0, to_pose(X_BT_ref), duration_s))
+        return await self._finished(answer.command_id)
+
+    async def follow(
+        self, waypoints: Sequence[Array], segment_s: float = 0.0, dwell_s: float = 0.0
+    ) -> ArmView:
+        """The view after the path has settled. Raises RequestRefused or LinkLost."""
+        poses = tuple(to_pose(X) for X in waypoints)
+        answer = await self._link.request(ReferencePath(0, poses, segment_s, dwell_s))
+        return await self._finished(answer.command_id)
+
+    async def stop(self) -> None:
+        """None, once the controller has accepted the stop. Raises LinkLost."""
+        await self._link.command(CommandCode.STOP)
+
+    async def halt(self) -> None:
+        """Stops the arm if it moves."""
+        if self._link.connected and self._link.state.group_state is GroupState.MOVING:
+            await self.stop()
+
+    async def _finished(self, command_id: int) -> ArmView:
+        """The view once motion ``command_id`` is done, settled and has rested.
+
+        Raises RequestRefused when it was stopped, overtaken or ended by a fault; MeasurementFailed
+        (``measurement.arm_not_settled``) when it is done but keeps moving.
+        """
+        begun = False
+        waited = 0
+        done_ns: int | None = None
+        while True:
+            state = await self._link.next_state()
+            refuse_broken(state)
+            if state.motion_id != command_id:
+                waited += 1
+                if begun or waited > _BEGIN_STATES:
+                    raise RequestRefused(
+                        "refused.overtaken", f"motion {command_id} gave way to {state.motion_id}"
+                    )
+                continue
+            begun = True
+            if not state.motion_done:
+                continue
+            done_ns = state.time_ns if done_ns is None else done_ns
+            if state.flags & FLAG_SETTLED:
+                await asyncio.sleep(self._settings.rest_s)
+                refuse_broken(self._link.state)
+                return await self.view()
+            if state.time_ns - done_ns > self._settings.settle_timeout_s * 1e9:
+                limit = self._settings.settle_timeout_s
+                raise MeasurementFailed(
+                    "measurement.arm_not_settled", f"arm not settled {limit:g} s after its motion"
+                )
+
+
+def refuse_broken(state: State) -> None:
+    """Raises RequestRefused when the group is not in a state in which a motion goes on."""
+    if state.group_state is GroupState.ERROR_STOP:
+        fault = state.fault.name.lower()
+        raise RequestRefused(
+            f"refused.fault_{fault}", f"the motion ended by a fault: {fault.replace('_', ' ')}"
+        )
+    if state.group_state is GroupState.DISABLED:
+        raise RequestRefused("refused.disabled", "the arm is disabled")
+    if state.group_state is GroupState.STOPPING:
+        raise RequestRefused("refused.stopped", "the motion was stopped")
+
+
+def view_of(state: State, link: ControllerLink) -> ArmView:
+    """A state of the link as programs see it, on our clock."""
+    return ArmView(
+        time_ns=link.local_time_ns(state.time_ns),
+        group_state=state.group_state,
+        fault=state.fault,
+        severity=state.severity,
+        motion_id=state.motion_id,
+        motion_done=state.motion_done,
+        settled=bool(state.flags & FLAG_SETTLED),
+        q_meas=np.array(state.q_meas),
+        q_cmd=np.array(state.q_cmd),
+        X_BT=from_pose(state.X_BT),
+        X_BT_cmd=from_pose(state.X_BT_cmd),
+    )
