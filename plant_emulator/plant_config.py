@@ -134,6 +134,8 @@ def _slowest_steps(
             volume = getattr(actuator, key) * LITRE
             rate = modulus * (gain + check) / (volume * soft)
             limits.append((RUNGE_KUTTA_REACH / rate, f"actuators.{name}.{key} = {getattr(actuator, key):g}"))
+            rate = modulus * flow / (guard.relief_override_bar * BAR) / volume
+            limits.append((RUNGE_KUTTA_REACH / rate, f"protection.relief_override_bar at actuators.{name}"))
         rate = _bristle_rate(actuator, gain, pump)
         limits.append((RUNGE_KUTTA_REACH / max(rate, 1e-9), f"the bristle stiffness of actuators.{name}"))
     most = pump.flow_limit_l_min * LITRE_PER_MINUTE

@@ -28,6 +28,7 @@ from plant_emulator.core.model import build_model, put_payload, start_coordinate
 from plant_emulator.core.multibody import forward_kinematics
 from plant_emulator.core.right_hand_side import advance, new_work
 from plant_emulator.core.sensors import Encoders
+from plant_emulator.core.stability import check_step
 from plant_emulator.core.truth import Mounts, PlantTruth, inverse
 from plant_emulator.plant_config import BAR, PlantConfig
 from protocol.errors import ImageRefused, RequestRefused
@@ -79,6 +80,7 @@ class Plant:
         self._payload_kg = config.payload.mass_kg
         put_payload(self._model, self._bare_tool, self._payload_kg, config, self._chain)
         self._state = rest_state(self._model, start_coordinates(config), config.oil.temperature_degc)
+        check_step(self._model, self._state, config.step_ms * 1e-3)
         self._work = new_work()
         self._encoders = Encoders(config.errors, self._rng)
         play = config.errors.backlash

@@ -40,6 +40,7 @@ class Work(NamedTuple):
     force: Array  # (10,)
     acceleration: Array  # (10,)
     flows: Array  # (6, F_COLUMNS)
+    command: Array  # (6,)
     slope: Array  # (4, N_STATES)
     stage: Array  # (N_STATES,)
 
@@ -51,6 +52,7 @@ def new_work() -> Work:
         force=np.zeros(N_COORDINATES),
         acceleration=np.zeros(N_COORDINATES),
         flows=np.zeros((N_ACTUATORS, col.F_COLUMNS)),
+        command=np.zeros(N_ACTUATORS),
         slope=np.zeros((4, N_STATES)),
         stage=np.zeros(N_STATES),
     )
@@ -132,7 +134,7 @@ def _actuator(i: int, state: Array, command: float, model: Model, work: Work, ra
     friction = friction_force(v, bristle, z_rate, a[col.A_BRISTLE], a[col.A_BRISTLE_DAMPING], viscous)
     stop = _end_stop(y, v, a)
     push = p_a * area_a - p_b * area_b
-    work.force[joint] = (push - friction + stop) * ratio
+    work.force[joint] += (push - friction + stop) * ratio
     out[col.F_PUSH], out[col.F_FRICTION], out[col.F_STOP] = push, friction, stop
     out[col.F_POSITION], out[col.F_VELOCITY] = y, v
 
@@ -185,15 +187,15 @@ def right_hand_side(state: Array, command: Array, model: Model, work: Work, rate
 
 
 @njit(cache=True, error_model="numpy")
-def _runge_kutta_step(state: Array, drive: Array, h: float, model: Model, work: Work) -> None:
+def runge_kutta_step(state: Array, command: Array, h: float, model: Model, work: Work) -> None:
     """One classical fourth-order step of ``state`` in place."""
     k, stage = work.slope, work.stage
-    right_hand_side(state, drive, model, work, k[0])
+    right_hand_side(state, command, model, work, k[0])
     for stage_index in range(1, 4):
         reach = h if stage_index == 3 else 0.5 * h
         for j in range(N_STATES):
             stage[j] = state[j] + reach * k[stage_index - 1, j]
-        right_hand_side(stage, drive, model, work, k[stage_index])
+        right_hand_side(stage, command, model, work, k[stage_index])
     for j in range(N_STATES):
         state[j] += h / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
 
@@ -217,8 +219,10 @@ def advance(
     """
     for _ in range(steps):
         for i in range(N_ACTUATORS):
-            drive[i] = slew_limited(drive[i], target[i], model.actuators[i, col.A_SLEW_LIMIT] * h)
-        _runge_kutta_step(state, drive, h, model, work)
+            drive[i], work.command[i] = slew_limited(
+                drive[i], target[i], model.actuators[i, col.A_SLEW_LIMIT], h
+            )
+        runge_kutta_step(state, work.command, h, model, work)
         for i in range(N_ACTUATORS):
             angle = state[Q + DRIVEN[i]]
             shaft[i] = min(max(shaft[i], angle - half_play[i]), angle + half_play[i])

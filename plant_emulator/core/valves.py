@@ -30,9 +30,17 @@ def spool_acceleration(command: float, spool: float, rate: float, natural: float
 
 
 @njit(cache=True, error_model="numpy")
-def slew_limited(previous: float, target: float, most: float) -> float:
-    """``target``, but at most ``most`` away from ``previous``: the drive electronics' slew limit."""
-    return previous + min(max(target - previous, -most), most)
+def slew_limited(previous: float, target: float, limit: float, h: float) -> tuple[float, float]:
+    """The drive's command after ``h`` seconds on its way to ``target``, and its mean over that time.
+
+    The electronics ramp at ``limit`` (1/s). A ramp may end inside the step: the mean carries its exact
+    impulse, so that the spool's response does not depend on the step size to first order.
+    """
+    way = target - previous
+    if abs(way) >= limit * h:
+        ramp = math.copysign(limit * h, way)
+        return previous + ramp, previous + 0.5 * ramp
+    return target, target - 0.5 * way * abs(way) / (limit * h)
 
 
 @njit(cache=True, error_model="numpy")

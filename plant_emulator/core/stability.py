@@ -1,0 +1,45 @@
+"""How fast the plant's fastest mode is, hence how long a Runge-Kutta step may be."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant_emulator.core.layout import N_ACTUATORS, N_STATES, PRESSURE_A, SUPPLY, TEMPERATURE
+from plant_emulator.core.model import Model
+from plant_emulator.core.right_hand_side import new_work, right_hand_side
+from plant_emulator.plant_config import RUNGE_KUTTA_REACH
+from protocol.errors import ConfigurationError
+
+Array = NDArray[np.float64]
+
+
+def linearised(model: Model, state: Array, command: Array) -> Array:
+    """The Jacobian (N_STATES, N_STATES) of the right-hand side at ``state``, by central differences."""
+    work, steps = new_work(), np.full(N_STATES, 1e-6)
+    steps[PRESSURE_A : PRESSURE_A + 2 * N_ACTUATORS] = 100.0
+    steps[SUPPLY] = 100.0
+    steps[TEMPERATURE] = 1e-3
+    jacobian, above, below = np.zeros((N_STATES, N_STATES)), np.zeros(N_STATES), np.zeros(N_STATES)
+    for j in range(N_STATES):
+        moved = state.copy()
+        moved[j] = state[j] + steps[j]
+        right_hand_side(moved, command, model, work, above)
+        moved[j] = state[j] - steps[j]
+        right_hand_side(moved, command, model, work, below)
+        jacobian[:, j] = (above - below) / (2.0 * steps[j])
+    return jacobian
+
+
+def modes(model: Model, state: Array) -> Array:
+    """The eigenvalues (N_STATES,) of the plant at ``state`` with its valves closed (1/s, complex)."""
+    return np.asarray(np.linalg.eigvals(linearised(model, state, np.zeros(N_ACTUATORS))))
+
+
+def check_step(model: Model, state: Array, step: float) -> None:
+    """Raise ConfigurationError when ``step`` (s) is too long for the arm's own vibrations at ``state``."""
+    fastest = float(np.max(np.abs(modes(model, state))))
+    limit = RUNGE_KUTTA_REACH / fastest
+    if step > limit:
+        raise ConfigurationError(
+            "configuration.unstable_step",
+            f"step_ms = {step * 1e3:g}: above {limit * 1e3:.4f}, the arm vibrates at {fastest:.0f} rad/s",
+        )

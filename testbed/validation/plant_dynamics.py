@@ -1,0 +1,153 @@
+"""Families 4, 5, 10 and 13: accelerations against two oracles, energy, vibration on oil and on beams."""
+
+import math
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant_emulator.core import columns as col
+from plant_emulator.core.layout import N_COORDINATES, RATE, Q
+from plant_emulator.core.model import outboard_inertia, put_payload
+from plant_emulator.core.multibody import forward_dynamics, multibody_work
+from plant_emulator.plant_config import PlantConfig
+from protocol.configuration import load
+from testbed.validation.case import Case
+from testbed.validation.oracles import MujocoArm, PinocchioArm
+from testbed.validation.plant_rig import LIFT, Stand, default_config, loaded_lift
+from testbed.validation.plant_statics import settle_lift
+
+Array = NDArray[np.float64]
+
+
+def accelerations(config_dir: Path) -> list[Case]:
+    """Family 4: 200 random states of the arm with all its geometric errors and a payload, both oracles."""
+    config = load(PlantConfig, config_dir / "plant.yaml")
+    stand = Stand(config)
+    put_payload(stand.model, stand.tool, 60.0, config, stand.chain)
+    mech = stand.model.mechanism
+    oracles: dict[str, MujocoArm | PinocchioArm] = {
+        "MuJoCo": MujocoArm(mech),
+        "Pinocchio": PinocchioArm(mech),
+    }
+    worst = dict.fromkeys(oracles, 0.0)
+    rng, own, work = np.random.default_rng(4), np.zeros(N_COORDINATES), multibody_work(N_COORDINATES)
+    reach = np.array([2.0, 1.0, 0.02, 0.02, 1.0, 0.02, 0.02, 1.5, 1.5, 1.5])
+    middle = np.array([0.0, 0.8, 0.0, 0.0, -1.4, 0.0, 0.0, 0.0, 0.0, 0.0])
+    torques = np.array([300.0, 1e3, 100.0, 100.0, 300.0, 30.0, 30.0, 10.0, 10.0, 10.0])
+    for _ in range(200):
+        q = middle + reach * rng.uniform(-1.0, 1.0, N_COORDINATES)
+        rate = rng.normal(0.0, 0.5, N_COORDINATES)
+        force = rng.normal(0.0, 1.0, N_COORDINATES) * torques
+        forward_dynamics(q, rate, force, mech, work, own)
+        for name, arm in oracles.items():
+            worst[name] = max(worst[name], float(np.abs(arm.acceleration(q, rate, force) - own).max()))
+    return [
+        Case(
+            4, f"accelerations against {name}", "rad/s²", 0.0, difference, 1e-10, f"{name}, 200 random states"
+        )
+        for name, difference in worst.items()
+    ]
+
+
+def energy_drift(config_dir: Path) -> list[Case]:
+    """Family 5: a free fall of the flexible arm for 10 s without oil or damping, energies by Pinocchio."""
+    stand = Stand(default_config(config_dir))
+    mech = stand.model.mechanism
+    mech.damping[:] = 0.0
+    stand.smooth(*range(6))
+    stand.model.actuators[:, [col.A_AREA_A, col.A_AREA_B, col.A_STOP_STIFFNESS, col.A_STOP_DAMPING]] = 0.0
+    oracle = PinocchioArm(mech)
+
+    def energy(s: Stand) -> tuple[float, float]:
+        q, rate = s.state[Q : Q + N_COORDINATES], s.state[RATE : RATE + N_COORDINATES]
+        kinetic, gravity = oracle.energies(q, rate)
+        return kinetic, kinetic + gravity + 0.5 * float(mech.stiffness @ (q * q))
+
+    seen = np.array(stand.run(10.0, 2e-4, energy))
+    drift = float(np.abs(seen[:, 1] - seen[0, 1]).max() / seen[:, 0].max())
+    source = "conservation; of the largest kinetic energy, by Pinocchio"
+    return [Case(5, "energy drift in 10 s of free fall", "", 0.0, drift, 1e-6, source)]
+
+
+def period(step: float, values: Array) -> float:
+    """The mean period (s) of an oscillation sampled every ``step``, from its upward crossings of its mean."""
+    x = values - values.mean()
+    up = np.nonzero((x[:-1] < 0.0) & (x[1:] >= 0.0))[0]
+    crossings = step * (up - x[up] / (x[up + 1] - x[up]))
+    return float((crossings[-1] - crossings[0]) / (len(crossings) - 1))
+
+
+def _swing(stand: Stand, seconds: float) -> float:
+    """The frequency (Hz) at which the lift vibrates on its oil after a nudge of 0.1 mrad."""
+    step = 5e-4
+    stand.state[Q + LIFT] += 1e-4
+    seen = np.array(stand.run(seconds, step, lambda s: float(s.state[Q + LIFT])))
+    return 1.0 / period(step, seen)
+
+
+def locked_lift(config_dir: Path) -> list[Case]:
+    """Family 10: the oil spring of the shut lift, and how the arm swings on it with and without 570 kg."""
+    stand = loaded_lift(config_dir)
+    stand.clamp_all_but(LIFT)
+    stand.smooth(1)
+    settle_lift(stand)
+    stand.state[RATE + LIFT] = 1e-6
+    rate = stand.rates()
+    row, velocity = stand.model.actuators[1], float(stand.work.flows[1, col.F_VELOCITY])
+    spring = -(row[col.A_AREA_A] * rate[33] - row[col.A_AREA_B] * rate[39]) / velocity / 1e6
+    stand.state[RATE + LIFT] = 0.0
+    loaded = _swing(stand, 20.0)
+    bare = loaded_lift(config_dir, 0.0)
+    bare.clamp_all_but(LIFT)
+    bare.smooth(1)
+    settle_lift(bare, rod_side=21e5)
+    return [
+        Case(10, "oil spring of the shut lift", "MN/m", 6.74, float(spring), 0.02, "β (A_a²/V_a + A_b²/V_b)"),
+        Case(10, "locked lift with 570 kg", "Hz", 1.8356, loaded, 0.0018, "oil spring, gravity, geometry"),
+        Case(
+            10,
+            "locked lift, bare",
+            "Hz",
+            7.57,
+            _swing(bare, 5.0),
+            0.08,
+            "rod side at 21 bar, softened by air; links' inertia estimated",
+        ),
+    ]
+
+
+def ring_down(config_dir: Path) -> list[Case]:
+    """Family 13: each hinge alone, let go from 1 mrad: frequency and decay."""
+    cases = []
+    for name, hinge in (("boom vertical", 2), ("boom lateral", 3), ("arm vertical", 5), ("arm lateral", 6)):
+        stand = Stand(default_config(config_dir, {"gravity_m_s2": 0.0}), np.radians([0, 50, -75, 0, -25, 0]))
+        stand.clamp_all_but(hinge)
+        mech = stand.model.mechanism
+        inertia = outboard_inertia(mech, stand.state[Q : Q + N_COORDINATES], hinge)
+        beam = stand.config.flexibility.boom if hinge < 4 else stand.config.flexibility.arm
+        zeta = beam.damping_ratio
+        frequency = math.sqrt(float(mech.stiffness[hinge]) / inertia) / (2.0 * math.pi)
+        stand.state[Q + hinge] = 1e-3
+        step = 2e-4
+        seen = np.array(stand.run(12.0 / frequency, step, partial(_angle, hinge)))
+        tops = np.nonzero((seen[1:-1] > seen[:-2]) & (seen[1:-1] >= seen[2:]))[0] + 1
+        heights = [_vertex(seen[k - 1 : k + 2]) for k in tops[:9]]
+        decay = math.log(heights[0] / heights[8]) / 8.0
+        expected = 2.0 * math.pi * zeta / math.sqrt(1.0 - zeta * zeta)
+        damped = frequency * math.sqrt(1.0 - zeta * zeta)
+        obtained = 1.0 / period(step, seen)
+        cases.append(Case(13, f"{name} ring-down", "Hz", damped, obtained, 0.002 * damped, "√(K/J) / 2π"))
+        cases.append(Case(13, f"{name} log decrement", "", expected, decay, 0.01 * expected, "2πζ/√(1 − ζ²)"))
+    return cases
+
+
+def _angle(coordinate: int, stand: Stand) -> float:
+    return float(stand.state[Q + coordinate])
+
+
+def _vertex(three: Array) -> float:
+    """The height of the parabola through three equidistant samples."""
+    left, top, right = (float(v) for v in three)
+    return top - (right - left) ** 2 / (8.0 * (left - 2.0 * top + right))

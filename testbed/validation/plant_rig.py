@@ -1,0 +1,166 @@
+"""Test stands for the plant's own compiled code: parts of the arm clamped, weights hung on, one cylinder laid bare."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant_emulator.core import columns as col
+from plant_emulator.core.bodies import Lump, sphere, together
+from plant_emulator.core.geometry import Chain
+from plant_emulator.core.layout import (
+    DRIVEN,
+    N_ACTUATORS,
+    N_COORDINATES,
+    N_STATES,
+    PRESSURE_A,
+    PRESSURE_B,
+    RATE,
+    SUPPLY,
+    TEMPERATURE,
+    Q,
+)
+from plant_emulator.core.linkage import ROTARY
+from plant_emulator.core.model import Model, build_model
+from plant_emulator.core.multibody import forward_kinematics
+from plant_emulator.core.right_hand_side import new_work, right_hand_side, runge_kutta_step
+from plant_emulator.plant_config import PlantConfig
+from protocol.configuration import load
+
+Array = NDArray[np.float64]
+
+NO_ERRORS: dict[str, Any] = {
+    "errors": {
+        "encoder_offsets": {"enabled": False},
+        "encoder_noise": {"enabled": False},
+        "backlash": {"enabled": False},
+        "geometry": {"enabled": False},
+        "base_tilt": {"enabled": False},
+    },
+    "oil": {"thermal_drift": False},
+}
+CHECK_POSE = np.radians([0.0, 45.0, -90.0, 0.0, 0.0, 0.0])  # the pose of the published model's checks
+CHECK_TELESCOPE = {"geometry": {"telescope_m": 0.5}}
+LIFT = 1
+TILT = 4
+ARM_END = 6  # the body beyond the arm's hinges
+STAND = 0  # the actuator that stands in for a bare cylinder
+END_MASS = 570.0  # kg of the published load cases
+
+
+def default_config(config_dir: Path, *changes: Mapping[str, Any]) -> PlantConfig:
+    """plant.yaml without its named errors, with ``changes`` laid over it in turn."""
+    overrides: dict[str, Any] = {}
+    for change in (NO_ERRORS, *changes):
+        for key, value in change.items():
+            known = overrides.get(key)
+            both = isinstance(known, dict) and isinstance(value, Mapping)
+            overrides[key] = {**known, **value} if both and isinstance(known, dict) else value
+    return load(PlantConfig, config_dir / "plant.yaml", overrides)
+
+
+class Stand:
+    """A model under test with its state and command, advanced by the plant's own step."""
+
+    def __init__(self, config: PlantConfig, pose: Array = CHECK_POSE) -> None:
+        self.config = config
+        self.model: Model
+        self.chain: Chain
+        self.model, self.chain, self.tool = build_model(config)
+        self.work = new_work()
+        self.state = np.zeros(N_STATES)
+        self.command = np.zeros(N_ACTUATORS)
+        self.state[[Q + joint for joint in DRIVEN]] = pose
+        self.state[PRESSURE_A : PRESSURE_B + N_ACTUATORS] = self.model.circuit[col.C_SET] / 2.0
+        self.state[SUPPLY] = self.model.circuit[col.C_SET]
+        self.state[TEMPERATURE] = config.oil.temperature_degc
+
+    def clamp_all_but(self, *coordinates: int) -> None:
+        """Lock every coordinate except the ones named."""
+        self.model.mechanism.free[:] = 0.0
+        self.model.mechanism.free[list(coordinates)] = 1.0
+
+    def hang(self, body: int, lumps: list[Lump]) -> None:
+        """Make ``body`` consist of ``lumps``, given at the home pose in base axes."""
+        whole = together(lumps)
+        mech = self.model.mechanism
+        mech.mass[body], mech.centre[body], mech.inertia[body] = whole
+
+    def body(self, index: int) -> Lump:
+        """The body's present mass properties."""
+        mech = self.model.mechanism
+        return Lump(float(mech.mass[index]), mech.centre[index].copy(), mech.inertia[index].copy())
+
+    def unload(self, *bodies: int) -> None:
+        """Take away all mass of ``bodies``."""
+        for i in bodies:
+            self.hang(i, [])
+
+    def smooth(self, *actuators: int) -> None:
+        """Take away friction and leakage of ``actuators``."""
+        columns = [col.A_COULOMB, col.A_STATIC, col.A_BRISTLE_DAMPING, col.A_VISCOUS, col.A_LEAKAGE]
+        for i in actuators:
+            self.model.actuators[i, columns] = 0.0
+
+    def place(self, body: int, point_home: Array) -> Array:
+        """Where the point of ``body`` that is at ``point_home`` (3,) in the home pose is now, in base axes."""
+        work = self.work.multibody
+        forward_kinematics(self.state[Q : Q + N_COORDINATES], self.model.mechanism, work)
+        return np.asarray(work.rotation[body + 1] @ point_home + work.origin[body + 1])
+
+    def rates(self) -> Array:
+        """d(state)/dt (N_STATES,) now; ``work.flows`` is filled as well."""
+        rate = np.zeros(N_STATES)
+        right_hand_side(self.state, self.command, self.model, self.work, rate)
+        return rate
+
+    def run(self, seconds: float, step: float, watch: Callable[["Stand"], Any] | None = None) -> list[Any]:
+        """Advance by ``seconds`` in steps of ``step`` (s); what ``watch`` returned before each step, and at the end."""
+        seen: list[Any] = []
+        for _ in range(round(seconds / step)):
+            if watch is not None:
+                seen.append(watch(self))
+            runge_kutta_step(self.state, self.command, step, self.model, self.work)
+        if watch is not None:
+            seen.append(watch(self))
+        return seen
+
+
+def loaded_lift(config_dir: Path, end_mass: float = END_MASS) -> Stand:
+    """The published load case: 45°, −90°, telescope 0.5 m, no wrist, ``end_mass`` at the telescope's end on the arm's axis.
+
+    The published expectations follow with the mass on the line through the tilt pivot (its offset of 0.15264
+    m left out).
+    """
+    stand = Stand(default_config(config_dir, CHECK_TELESCOPE))
+    stand.unload(7, 8, 9)
+    geometry = stand.config.geometry
+    end = stand.chain.point[TILT] + np.array([geometry.boom_tip_m[0] + geometry.telescope_m, 0.0, 0.0])
+    stand.hang(ARM_END, [stand.body(ARM_END), sphere(end_mass, end, 0.0)])
+    return stand
+
+
+def bare_cylinder(config_dir: Path, mass: float = 500.0) -> Stand:
+    """One free cylinder with the lift's oil: the slew joint, friction-free, its angle read as metres, moving ``mass``.
+
+    Supply of endless volume, so that its pressure stands; orifices all but unregularised; stroke 10 m.
+    """
+    stand = Stand(default_config(config_dir), np.zeros(6))
+    stand.clamp_all_but(0)
+    stand.unload(*range(N_COORDINATES))
+    stand.hang(0, [Lump(1.0, np.zeros(3), np.eye(3) * mass)])
+    table = stand.model.actuators
+    table[STAND] = table[1]
+    table[STAND, col.A_KIND], table[STAND, col.A_ANGLE0], table[STAND, col.A_STROKE] = ROTARY, -0.3, 10.0
+    table[STAND, col.A_DEADBAND] = 0.0
+    stand.smooth(STAND)
+    stand.model.circuit[[col.C_LINE_VOLUME, col.C_REGULARISATION]] = 1e9, 200.0
+    stand.model.circuit[col.C_AIR] = 0.0
+    return stand
+
+
+def rate_of(stand: Stand) -> float:
+    """The bare cylinder's velocity (m/s)."""
+    return float(stand.state[RATE])
