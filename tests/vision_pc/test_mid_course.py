@@ -1,0 +1,141 @@
+"""Best mode on the synthetic arm: local map, one look, mid-course correction."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from protocol.errors import MeasurementFailed
+from tests.vision_pc.program_settings import shipped
+from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward, inverse_kinematics, silent
+from vision_pc.core.calibration.local_map import (
+    fit_map,
+    play_states,
+    record_local_track,
+    refuse_poor_track,
+    slew_angles,
+    three_legs,
+    track_of,
+)
+from vision_pc.core.calibration.orientation import adjust_orientation
+from vision_pc.core.calibration.settings import LocalMapSettings
+from vision_pc.core.mid_course import look_then_move_corrected
+from vision_pc.core.se3 import transform
+from vision_pc.core.types import WatchSample
+
+PROGRAMS = shipped()
+MAP = PROGRAMS.local_map
+
+
+def changed(**changes: Any) -> LocalMapSettings:
+    return LocalMapSettings.model_validate(MAP.model_dump() | changes)
+
+
+def rig(seed: int, **changes: Any) -> SyntheticRig:
+    return SyntheticRig(draw(np.random.default_rng(seed), **changes), seed)
+
+
+async def one_look(seed: int, settings: LocalMapSettings, **changes: Any) -> tuple[SyntheticRig, Any]:
+    arm = rig(seed, **changes)
+    await adjust_orientation(arm, arm, silent, PROGRAMS.orientation)
+    track = await record_local_track(arm, arm, silent, settings)
+    result = await look_then_move_corrected(arm, arm, silent, PROGRAMS.positioning, settings, track)
+    return arm, result
+
+
+async def test_one_look_inside_5_mm_over_seeds_and_the_measured_miss_is_true() -> None:
+    errors, misses = [], []
+    for seed in range(20):
+        arm, result = await one_look(seed, MAP)
+        error = arm.true_error(PROGRAMS.positioning.clearance_m)
+        errors.append(np.abs(error[:2]).max())
+        misses.append(np.linalg.norm(result.measured_miss_m[:2] - error[:2]))
+        assert len(result.positioning.steps) == 2
+    assert np.median(errors) < 0.002
+    assert max(errors) < 0.005
+    assert np.median(misses) < 0.001
+
+
+async def test_the_correction_is_what_helps_with_bad_odometry_scale() -> None:
+    """Driven in one go, every error of the map counts for the whole way."""
+    corrected, single = [], []
+    for seed in range(10):
+        for errors, share in ((corrected, 0.9), (single, 0.3)):
+            arm, _ = await one_look(seed, changed(first_share=share), odometry_scale=1.003)
+            errors.append(np.abs(arm.true_error(PROGRAMS.positioning.clearance_m)[:2]).max())
+    assert np.median(corrected) < np.median(single)
+
+
+async def test_the_map_sees_what_a_rotation_cannot() -> None:
+    """Stretched kinematics: the map's coefficients are the stretch, and the step undoes it."""
+    X = forward(Q_START)
+    stretch = np.diag([0.01, -0.012, 0.008])
+    corners = np.array([P[:3, 3] for P in three_legs(X, 0.2)])
+    at = np.linspace(0.0, 3.0, 90)
+    p = np.column_stack([np.interp(at, range(4), corners[:, k]) for k in range(3)])
+    true = X[:3, 3] + (p - X[:3, 3]) @ (np.eye(3) + stretch)
+    X_BT = [transform(X[:3, :3], q) for q in p]
+    first = transform(X[:3, :3], true[0])
+    X_C0C = [np.linalg.inv(first) @ transform(X[:3, :3], q) for q in true]
+    samples = [WatchSample(i, b, c, None, None) for i, (b, c) in enumerate(zip(X_BT, X_C0C, strict=True))]
+    track = track_of(tuple(samples))
+    fitted = fit_map(track, np.zeros(3), changed(play_std_m=1e-6, noise_std_m=1e-4))
+    # a part of the stretch may hide in R; what counts is the map as a whole
+    whole = fitted.R.T @ (np.eye(3) + fitted.coefficients[:3].T)
+    assert np.allclose(whole, X[:3, :3].T @ (np.eye(3) + stretch), atol=1e-3)
+    assert fitted.residual_m < 5e-4
+
+
+def test_slew_angle_from_the_tools_pose() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        q = Q_START + rng.uniform(-0.3, 0.3, 6)
+        assert slew_angles(forward(q)[None], 0.35)[0] == pytest.approx(q[0], abs=1e-9)
+        assert inverse_kinematics(forward(q), q)[0] == pytest.approx(q[0])
+
+
+def test_play_follows_the_flanks() -> None:
+    slew = np.array([0.0, 1.0, 2.0, 1.9, 1.0, 1.05, 1.3]) * 1e-3
+    assert np.allclose(play_states(slew, 3e-4), [0.0, -1.0, -1.0, -2 / 3, 1.0, 5 / 6, 0.0])
+
+
+async def test_a_track_is_stale_once_the_arm_moved_elsewhere() -> None:
+    arm = rig(0)
+    track = await record_local_track(arm, arm, silent, MAP)
+    X = (await arm.view()).X_BT
+    await arm.move_to(transform(X[:3, :3], X[:3, 3] + np.array([0.0, 0.02, 0.0])))
+    before = arm.motions
+    with pytest.raises(MeasurementFailed) as refused:
+        await look_then_move_corrected(arm, arm, silent, PROGRAMS.positioning, MAP, track)
+    assert refused.value.cause == "measurement.calibration_stale"
+    assert arm.motions == before
+
+
+async def test_the_extended_track_serves_the_next_move() -> None:
+    arm, result = await one_look(3, MAP)
+    assert len(result.track.X_BT) > 60
+    again = await look_then_move_corrected(arm, arm, silent, PROGRAMS.positioning, MAP, result.track)
+    assert again.positioning.final.inside
+
+
+async def test_lost_odometry_is_refused() -> None:
+    arm = rig(1)
+    arm.lose_odometry_after = 40
+    with pytest.raises(MeasurementFailed) as refused:
+        await record_local_track(arm, arm, silent, MAP)
+    assert refused.value.cause == "measurement.odometry_lost"
+
+
+@pytest.mark.parametrize(
+    ("flat", "count", "cause"), [(0.0, 60, "ill_conditioned"), (1.0, 15, "too_few_samples")]
+)
+def test_flat_and_short_tracks_are_refused(flat: float, count: int, cause: str) -> None:
+    u = np.linspace(0.0, 1.0, count)
+    points = np.column_stack([0.2 * u, 0.1 * np.sin(6.0 * u), flat * 0.2 * u**3])
+    samples = [
+        WatchSample(i, transform(np.eye(3), p), transform(np.eye(3), p), None, None)
+        for i, p in enumerate(points)
+    ]
+    with pytest.raises(MeasurementFailed) as refused:
+        refuse_poor_track(track_of(tuple(samples)), MAP)
+    assert refused.value.cause == f"measurement.{cause}"
