@@ -27,7 +27,7 @@ class StereoPair(NamedTuple):
 class EyeModel(NamedTuple):
     """A pinhole with Brown-Conrady distortion.
 
-    ``K`` (3×3) px; ``distortion`` (5,) = k1 k2 p1 p2 k3, zeros when the pictures are rectified; ``X_CE`` this eye
+    ``K`` (3×3) px; ``distortion`` (5,) = k1 k2 p1 p2 k3, zeros for rectified pictures; ``X_CE`` this eye
     in C (C is the left eye: identity there).
     """
 
@@ -48,9 +48,9 @@ class CameraCalibration(NamedTuple):
 class MarkerObservation(NamedTuple):
     """One marker in one pair.
 
-    ``corners_left``/``corners_right`` (4, 2) distorted pixels in ArUco's order, right None where not found there;
-    ``X_CA`` the marker's own frame in C; ``residual_px`` the rms reprojection error over both eyes;
-    ``flip_ratio`` the rejected planar solution's residual over the accepted one's (large: no doubt).
+    ``corners_left``/``corners_right`` (4, 2) distorted pixels in ArUco's order, right None where not found;
+    ``X_CA`` the marker's own frame in C, from this marker alone; ``residual_px`` its rms reprojection error;
+    ``flip_margin`` by how much χ² of the other planar solution is larger (below about 9: ambiguous).
     """
 
     marker_id: int
@@ -60,7 +60,7 @@ class MarkerObservation(NamedTuple):
     X_CA: Array
     covariance: Array
     residual_px: float
-    flip_ratio: float
+    flip_margin: float
 
 
 class StereoOffset(NamedTuple):
@@ -75,15 +75,20 @@ class StereoOffset(NamedTuple):
 class FrameObservation(NamedTuple):
     """What one pair shows. A pose that was not measured is None, never a zero.
 
-    ``rejected`` counts what was seen and refused, by cause (``unknown_id``, ``ambiguous``, ``residual`` …).
+    ``cov_*`` is the whole covariance, ``bias_*`` the part of it that consecutive frames share
+    (rectification offset, print size) and that averaging does not remove. ``rejected`` counts what was seen
+    and refused, by cause (``unknown_id``, ``repeated_id``, ``edges``, ``residual``, ``wrong_size``,
+    ``ambiguous``).
     """
 
     capture_ns: int
     frame_id: int
     X_CM: Array | None
     cov_CM: Array | None
+    bias_CM: Array | None
     X_CO: Array | None
     cov_CO: Array | None
+    bias_CO: Array | None
     markers: tuple[MarkerObservation, ...]
     rejected: Mapping[str, int]
     offset: StereoOffset | None

@@ -1,0 +1,172 @@
+"""A frame observed, and several frames of an arm at rest combined into one robust look."""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from protocol.errors import MeasurementFailed
+from vision_pc.config import LookSettings, MarkerSettings
+from vision_pc.core import markers, object_of_interest, se3
+from vision_pc.core.markers import Region
+from vision_pc.core.se3 import Array
+from vision_pc.core.stereo_pose import Beliefs
+from vision_pc.core.types import CameraCalibration, FrameObservation, Image, Look, StereoOffset, StereoPair
+
+_FULL_SEARCH_EVERY = 10  # frames: so that a marker that comes into view is found while others are tracked
+_ROBUST_ROUNDS = 10
+_CHI2_MEDIAN_6 = 5.348  # median of χ² with six degrees of freedom
+
+
+def observe(
+    pair: StereoPair,
+    camera: CameraCalibration,
+    settings: MarkerSettings,
+    previous: FrameObservation | None = None,
+) -> FrameObservation:
+    """What ``pair`` shows of tool and object of interest.
+
+    ``previous`` is the frame before: where its markers were is searched first, its poses decide an
+    ambiguous marker, and its estimate of the right eye's offset is carried on.
+    """
+    offset = StereoOffset(0.0, 0.0, settings.offset_std_px, settings.offset_std_px)
+    if previous is not None and previous.offset is not None:
+        offset = previous.offset
+    beliefs = Beliefs(settings.corner_std_px, settings.print_size_std, offset)
+    rough, refused = _found(pair, settings, previous)
+    sightings, unfit = markers.sight(pair, rough, camera, settings, beliefs)
+    known = (None, None) if previous is None else (previous.X_CM, previous.X_CO)
+    scene = object_of_interest.locate(sightings, camera, settings, beliefs, known)
+    tool, target = scene.tool, scene.object
+    return FrameObservation(
+        pair.capture_ns,
+        pair.frame_id,
+        None if tool is None else tool.X,
+        None if tool is None else tool.covariance,
+        None if tool is None else tool.bias,
+        None if target is None else target.X,
+        None if target is None else target.covariance,
+        None if target is None else target.bias,
+        tuple(sighting.observation for sighting in sightings),
+        dict(refused + unfit + scene.refused),
+        scene.offset if scene.tool or scene.object or previous is not None else None,
+    )
+
+
+def _found(
+    pair: StereoPair, settings: MarkerSettings, previous: FrameObservation | None
+) -> tuple[dict[int, Array], Counter[str]]:
+    """Rough corners in the left picture: around the last frame's markers if all of them are there again,
+    else anywhere.
+    """
+    before = () if previous is None else previous.markers
+    complete = len(before) == len(settings.sizes)
+    if before and (complete or pair.frame_id % _FULL_SEARCH_EVERY != 0):
+        region = _region(
+            pair.left, np.concatenate([m.corners_left for m in before]), settings.region_margin_px
+        )
+        rough, refused = markers.detect(pair.left, settings, region)
+        if {m.marker_id for m in before} <= set(rough):
+            return rough, refused
+    return markers.detect(pair.left, settings)
+
+
+def _region(image: Image, corners: Array, margin: int) -> Region:
+    height, width = image.shape
+    x0, y0 = (corners.min(axis=0) - margin).astype(int)
+    x1, y1 = (corners.max(axis=0) + margin).astype(int)
+    return max(int(x0), 0), max(int(y0), 0), min(int(x1), width), min(int(y1), height)
+
+
+class _Mean(NamedTuple):
+    """A robust mean pose, the covariance of its noise and of a single frame's, and the bias all frames
+    share.
+    """
+
+    X: Array
+    noise: Array
+    frame_noise: Array
+    bias: Array
+
+
+def combine(
+    observations: Sequence[FrameObservation], X_BT: Array, time_ns: int, settings: LookSettings
+) -> Look:
+    """The look that ``observations`` (all tried frames, also those that show nothing) amount to.
+
+    Poses are averaged on SE(3), weighted with their covariances and by Huber's weights. Raises
+    MeasurementFailed when the tool (``measurement.tool_not_seen``) or the object
+    (``measurement.object_not_seen``) was seen in fewer frames than configured, or no frame was tried
+    (``measurement.no_frames``).
+    """
+    tried = len(observations)
+    if tried == 0:
+        raise MeasurementFailed("measurement.no_frames", "look: 0 frames arrived, at least 1 is wanted")
+    wanted = min(settings.minimum_frames, tried)
+    tool = [(o.X_CM, o.cov_CM, o.bias_CM) for o in observations]
+    target = [(o.X_CO, o.cov_CO, o.bias_CO) for o in observations]
+    tool_mean, tool_seen = _robust_mean(tool, wanted, "tool", settings.huber_sigmas)
+    target_mean, target_seen = _robust_mean(target, wanted, "object", settings.huber_sigmas)
+    cov_CM, cov_CO = tool_mean.noise + tool_mean.bias, target_mean.noise + target_mean.bias
+    std_tool, std_object = np.sqrt(np.diag(cov_CM)), np.sqrt(np.diag(cov_CO))
+    return Look(
+        time_ns=time_ns,
+        X_CM=tool_mean.X,
+        X_CO=target_mean.X,
+        X_BT=X_BT,
+        frames=tried,
+        failed_tool=tried - tool_seen,
+        failed_object=tried - target_seen,
+        cov_CM=cov_CM,
+        cov_CO=cov_CO,
+        std_tool_m=std_tool[:3],
+        std_tool_rad=std_tool[3:],
+        std_object_m=std_object[:3],
+        std_object_rad=std_object[3:],
+        std_tool_frame_m=np.sqrt(np.diag(tool_mean.frame_noise))[:3],
+        std_object_frame_m=np.sqrt(np.diag(target_mean.frame_noise))[:3],
+        offset=observations[-1].offset,
+    )
+
+
+def _robust_mean(
+    measured: list[tuple[Array | None, Array | None, Array | None]], wanted: int, what: str, huber: float
+) -> tuple[_Mean, int]:
+    """The mean of the poses that were measured, and how many they are; raises when fewer than ``wanted``."""
+    seen = [(X, C, B) for X, C, B in measured if X is not None and C is not None and B is not None]
+    if len(seen) < wanted:
+        raise MeasurementFailed(
+            f"measurement.{what}_not_seen",
+            f"look: {what} seen in {len(seen)} of {len(measured)} frames, at least {wanted} are wanted",
+        )
+    information = [np.asarray(np.linalg.inv(C), dtype=np.float64) for _, C, _ in seen]
+    X = _medoid([pose for pose, _, _ in seen], information)
+    weights, spread = np.ones(len(seen)), 1.0
+    for _ in range(_ROBUST_ROUNDS):
+        deltas = [se3.local(X, pose) for pose, _, _ in seen]
+        noise_distances = np.array(
+            [float(d @ np.linalg.solve(C - B, d)) for d, (_, C, B) in zip(deltas, seen, strict=True)]
+        )
+        spread = max(1.0, float(np.median(noise_distances)) / _CHI2_MEDIAN_6)
+        weights = np.minimum(1.0, huber * np.sqrt(6.0 * spread / np.maximum(noise_distances, 1e-12)))
+        total = np.sum([w * L for w, L in zip(weights, information, strict=True)], axis=0)
+        pull = np.sum([w * L @ d for w, L, d in zip(weights, information, deltas, strict=True)], axis=0)
+        X = se3.retract(X, np.linalg.solve(total, pull))
+    gains = [np.linalg.solve(total, w * L) for w, L in zip(weights, information, strict=True)]
+    noise = spread * np.sum([G @ (C - B) @ G.T for G, (_, C, B) in zip(gains, seen, strict=True)], axis=0)
+    bias = np.sum([G @ B for G, (_, _, B) in zip(gains, seen, strict=True)], axis=0)
+    frame_noise = spread * np.mean([C - B for _, C, B in seen], axis=0)
+    return _Mean(X, noise, frame_noise, 0.5 * (bias + bias.T)), len(seen)
+
+
+def _medoid(poses: list[Array], information: list[Array]) -> Array:
+    """The pose with the least sum of (unsquared) distances to all others: a start that no outlier can
+    pull.
+    """
+
+    def distance(X: Array) -> float:
+        deltas = [se3.local(X, Y) for Y in poses]
+        return sum(float(np.sqrt(d @ L @ d)) for d, L in zip(deltas, information, strict=True))
+
+    return min(poses, key=distance)
