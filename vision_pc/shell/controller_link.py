@@ -133,7 +133,7 @@ class ControllerLink(asyncio.DatagramProtocol):
         newer = self._states[-1]
         for older in reversed(self._states):
             if older.time_ns <= wanted:
-                return _between(older, newer, wanted)
+                return pose_between(older, newer, wanted)
             newer = older
         raise LinkLost("link.state_too_old", "the pose asked for is older than the states that are kept")
 
@@ -252,7 +252,8 @@ def _spoken(answer: Acknowledgement) -> dict[str, Any]:
     return {"command_id": answer.command_id, "reason": answer.reason.name.lower(), "value": answer.value}
 
 
-def _between(older: State, newer: State, wanted_ns: int) -> Array:
+def pose_between(older: State, newer: State, wanted_ns: int) -> Array:
+    """X_BT (4×4) at ``wanted_ns`` of the controller's clock, interpolated. Raises LinkLost across a gap."""
     span = newer.time_ns - older.time_ns
     if span > _GAP_NS:
         why = f"states {span / 1e6:.0f} ms apart, limit {_GAP_NS / 1e6:.0f} ms"

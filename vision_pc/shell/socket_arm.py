@@ -1,25 +1,44 @@
 """The arm over the reference link: the ``Arm`` port that calibration programs drive."""
 
-import asyncio
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
 from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.faults import CommandCode, GroupState
-from protocol.reference_link import FLAG_SETTLED, ReferencePath, ReferencePose, State
+from protocol.reference_link import (
+    FLAG_SETTLED,
+    Acknowledgement,
+    Command,
+    ReferencePath,
+    ReferencePose,
+    State,
+)
 from vision_pc.config import MotionSettings
 from vision_pc.core.ports import ArmView
 from vision_pc.core.se3 import Array, from_pose, to_pose
-from vision_pc.shell.controller_link import ControllerLink
 
 _BEGIN_STATES = 50  # states after the acknowledgement by which the motion must have begun
+
+
+class Link(Protocol):
+    """The reference link as the arm uses it; ``ControllerLink`` over UDP, and its like in lockstep."""
+
+    @property
+    def connected(self) -> bool: ...
+    @property
+    def state(self) -> State: ...
+    def local_time_ns(self, controller_ns: int) -> int: ...
+    async def next_state(self) -> State: ...
+    async def command(self, code: CommandCode) -> Acknowledgement: ...
+    async def request(self, request: Command | ReferencePose | ReferencePath) -> Acknowledgement: ...
 
 
 class SocketArm:
     """Implements ``vision_pc.core.ports.Arm``. Every motion returns at rest, or raises."""
 
-    def __init__(self, link: ControllerLink, settings: MotionSettings) -> None:
+    def __init__(self, link: Link, settings: MotionSettings) -> None:
         self._link = link
         self._settings = settings
 
@@ -73,14 +92,20 @@ class SocketArm:
                 continue
             done_ns = state.time_ns if done_ns is None else done_ns
             if state.flags & FLAG_SETTLED:
-                await asyncio.sleep(self._settings.rest_s)
-                refuse_broken(self._link.state)
-                return await self.view()
+                return await self._rested(state.time_ns)
             if state.time_ns - done_ns > self._settings.settle_timeout_s * 1e9:
                 limit = self._settings.settle_timeout_s
                 raise MeasurementFailed(
                     "measurement.arm_not_settled", f"arm not settled {limit:g} s after its motion"
                 )
+
+    async def _rested(self, settled_ns: int) -> ArmView:
+        """The view once the arm has rested; by the controller's clock, so that lockstep can use it too."""
+        while True:
+            state = await self._link.next_state()
+            refuse_broken(state)
+            if state.time_ns - settled_ns >= self._settings.rest_s * 1e9:
+                return view_of(state, self._link)
 
 
 def refuse_broken(state: State) -> None:
@@ -96,7 +121,7 @@ def refuse_broken(state: State) -> None:
         raise RequestRefused("refused.stopped", "the motion was stopped")
 
 
-def view_of(state: State, link: ControllerLink) -> ArmView:
+def view_of(state: State, link: Link) -> ArmView:
     """A state of the link as programs see it, on our clock."""
     return ArmView(
         time_ns=link.local_time_ns(state.time_ns),
