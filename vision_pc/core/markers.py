@@ -168,12 +168,18 @@ def _posed(
     beliefs: Beliefs,
 ) -> Sighting | str:
     """The sighting, or why it is refused. ``starts``: planar solutions worth pursuing."""
-    both = sorted((stereo_pose.solve([view], [X], camera, beliefs) for X in starts), key=lambda s: s.chi2[0])
+    both = _ranked(view, starts, camera, beliefs)
+    suspicious = _SUSPICIOUS * beliefs.corner_std_px
+    if both[0].residuals_px[0] > suspicious and view.seen[1].any():
+        free = stereo_pose.solve([view], both[0].X_CA, camera, beliefs._replace(print_size_std=1.0))
+        doubt = math.hypot(free.size_stds[0], beliefs.print_size_std)
+        if free.residuals_px[0] < suspicious and abs(free.sizes[0] - 1.0) > _SIZE_SIGMAS * doubt:
+            return "wrong_size"
+        view = view._replace(seen=np.stack([view.seen[0], np.zeros(4)]))  # half hidden in the right eye
+        both = _ranked(view, starts, camera, beliefs)
     best = both[0]
-    if best.residuals_px[0] > _SUSPICIOUS * beliefs.corner_std_px:
-        cause = _suspicion(view, best, camera, settings, beliefs)
-        if cause is not None:
-            return cause
+    if best.residuals_px[0] > settings.residual_limit_px:
+        return "residual"
     observation = MarkerObservation(
         number,
         settings.sizes[number],
@@ -187,22 +193,14 @@ def _posed(
     return Sighting(observation, view, both[-1].X_CA[0])
 
 
+def _ranked(view: View, starts: list[Array], camera: CameraCalibration, beliefs: Beliefs) -> list[Solution]:
+    return sorted(
+        (stereo_pose.solve([view], [X], camera, beliefs) for X in starts),
+        key=lambda solution: solution.chi2[0],
+    )
+
+
 def _are_twins(solutions: list[Solution]) -> bool:
     """Whether two different poses remain: with the right eye both starts often end in one."""
     R, S = solutions[0].X_CA[0][:3, :3], solutions[-1].X_CA[0][:3, :3]
     return se3.angle_between(R, S) > _SAME_POSE
-
-
-def _suspicion(
-    view: View, best: Solution, camera: CameraCalibration, settings: MarkerSettings, beliefs: Beliefs
-) -> str | None:
-    """What is wrong with a marker that fits badly; None if it fits well enough after all."""
-    if view.seen[1].any():
-        free = stereo_pose.solve([view], best.X_CA, camera, beliefs._replace(print_size_std=1.0))
-        doubt = math.hypot(free.size_stds[0], beliefs.print_size_std)
-        if (
-            free.residuals_px[0] < settings.residual_limit_px
-            and abs(free.sizes[0] - 1.0) > _SIZE_SIGMAS * doubt
-        ):
-            return "wrong_size"
-    return "residual" if best.residuals_px[0] > settings.residual_limit_px else None
