@@ -200,18 +200,19 @@ class SyntheticRig:
             for k in range(1, steps + 1):
                 u = k / steps
                 u = u * u * u * (10.0 + u * (6.0 * u - 15.0))
-                self._advance(inverse_kinematics(retract(X_from, u * local(X_from, X_goal)), q_from))
+                self.advance(inverse_kinematics(retract(X_from, u * local(X_from, X_goal)), q_from))
             for _ in range(int(dwell_s / self.period_s)):
-                self._advance(self.q)
-        self._advance(planned[-1] + self.rng.normal(0.0, self.truth.servo_std, 6))
+                self.advance(self.q)
+        self.advance(planned[-1] + self.rng.normal(0.0, self.truth.servo_std, 6))
         for _ in range(5):
-            self._advance(self.q)
+            self.advance(self.q)
         return await self.view()
 
     async def stop(self) -> None:
         return None
 
-    def _advance(self, q: Array) -> None:
+    def advance(self, q: Array) -> None:
+        """The encoders read ``q`` one picture period later; a watch takes its sample."""
         dq = q[0] - self.q[0]
         self.slew_play = float(np.clip(self.slew_play - dq, -self.truth.play, self.truth.play))
         self.q = q.copy()

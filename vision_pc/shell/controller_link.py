@@ -10,7 +10,7 @@ import secrets
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import CommandCode, Reason
@@ -168,8 +168,7 @@ class ControllerLink(asyncio.DatagramProtocol):
 
     # asyncio's side
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.DatagramTransport)
-        self._transport = transport
+        self._transport = cast(asyncio.DatagramTransport, transport)  # uvloop's is of no class of asyncio's
 
     def datagram_received(self, data: bytes, addr: Any) -> None:
         self._pump(self._session.receive(data, self._clock()))
