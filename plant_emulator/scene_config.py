@@ -139,6 +139,23 @@ class CameraConfig(StrictModel):
             raise ValueError("lens.cx_px, lens.cy_px: the principal point must lie inside the picture")
         return self
 
+    @model_validator(mode="after")
+    def _lens_does_not_fold(self) -> "CameraConfig":
+        lens, step, radius = self.lens, 0.01, 0.0
+        corner = math.hypot(
+            max(lens.cx_px, self.width_px - lens.cx_px) / lens.fx_px,
+            max(lens.cy_px, self.height_px - lens.cy_px) / lens.fy_px,
+        )
+        while True:
+            r2 = radius * radius
+            if 1.0 + r2 * (3.0 * lens.k1 + r2 * (5.0 * lens.k2 + r2 * 7.0 * lens.k3)) <= 0.0:
+                raise ValueError(
+                    f"lens.k1, k2, k3: the picture folds over at {radius:.2f}, within its corner's {corner:.2f}"
+                )
+            if radius * (1.0 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))) > corner:
+                return self
+            radius += step
+
 
 class SceneConfig(StrictModel):
     """``scene.yaml``: everything that the camera can see, and the camera."""

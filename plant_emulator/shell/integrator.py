@@ -33,7 +33,10 @@ class Integrator:
             self._timer = None
 
     def _tick(self, deadline_ns: int, missed: int) -> None:
-        self.lateness.add(time.monotonic_ns() - deadline_ns, missed)
+        first_missed_ns = (
+            deadline_ns - missed * self._period_ns
+        )  # late is late against the oldest one unserved
+        self.lateness.add(time.monotonic_ns() - first_missed_ns, missed)
         self._plant.advance(self._period_ns)
         self._after_step(deadline_ns)
 

@@ -1,0 +1,233 @@
+"""The coupler over real sockets, driven by two independent Modbus clients and by raw bytes."""
+
+import asyncio
+import socket
+import struct
+from collections.abc import AsyncIterator
+from typing import NamedTuple
+
+import pytest
+from pymodbus.client import AsyncModbusTcpClient
+from pyModbusTCP.client import ModbusClient
+
+from plant_emulator.shell.coupler import Coupler
+from protocol.process_image import (
+    CONTROL_ENABLE,
+    SensorImage,
+    ValveImage,
+    decode_sensors,
+    encode_sensors,
+    encode_valves,
+)
+
+SENSORS = SensorImage(
+    plant_cycle=70_001,
+    echo_cycle=17,
+    status=3,
+    encoder_counts=(-1, 2, -70_000, 65_536, 0, 123_456),
+    pressures_bar=((100.0, 50.25),) * 6,
+    supply_bar=190.0,
+    return_bar=10.0,
+    oil_temperature_degc=-3.5,
+)
+VALVES = ValveImage(controller_cycle=17, control=CONTROL_ENABLE, valves=(0.5, -0.25, 1.0, -1.0, 0.0, 0.125))
+RELEASE_NS = 1_000_000_000
+
+
+class Bench(NamedTuple):
+    """A coupler that listens, what it was told, and a clock to turn."""
+
+    coupler: Coupler
+    port: int
+    written: list[ValveImage]
+    clock: list[int]
+
+
+@pytest.fixture
+async def bench() -> AsyncIterator[Bench]:
+    written: list[ValveImage] = []
+    clock = [0]
+    coupler = Coupler(lambda: encode_sensors(SENSORS), written.append, RELEASE_NS, lambda: clock[0])
+    with socket.socket() as bound:
+        bound.bind(("127.0.0.1", 0))
+        _, port = await coupler.start(bound)
+        yield Bench(coupler, port, written, clock)
+        await coupler.stop()
+
+
+def same_sensors(words: list[int]) -> bool:
+    """Whether ``words`` are those of SENSORS, the cycle counter modulo 2^16."""
+    return decode_sensors(words) == decode_sensors(encode_sensors(SENSORS))
+
+
+def close_valves(image: ValveImage) -> bool:
+    """Whether ``image`` is VALVES to the resolution of a word."""
+    near = all(abs(a - b) < 1e-4 for a, b in zip(image.valves, VALVES.valves, strict=True))
+    return near and image[:2] == VALVES[:2]
+
+
+async def test_one_exchange_with_pymodbus(bench: Bench) -> None:
+    client = AsyncModbusTcpClient("127.0.0.1", port=bench.port, timeout=1, retries=0)
+    assert await client.connect()
+    answer = await client.readwrite_registers(
+        read_address=0, read_count=40, write_address=0x800, values=encode_valves(VALVES), device_id=1
+    )
+    assert not answer.isError()
+    assert same_sensors(answer.registers)
+    assert len(bench.written) == 1
+    assert close_valves(bench.written[0])
+    back = await client.read_holding_registers(0x800, count=12, device_id=1)
+    assert back.registers == encode_valves(VALVES)
+    client.close()
+
+
+async def test_separate_reads_and_writes_with_pymodbustcp(bench: Bench) -> None:
+    """Masters without FC 23 use FC 3 or 4 and FC 16; this client shares no code with the coupler."""
+
+    def talk() -> tuple[list[int] | None, list[int] | None, bool | None, list[int] | None, int]:
+        client = ModbusClient("127.0.0.1", bench.port, timeout=1.0, auto_open=True)
+        inputs, holding = client.read_input_registers(0, 40), client.read_holding_registers(0, 40)
+        wrote = client.write_multiple_registers(0x800, encode_valves(VALVES))
+        both = client.write_read_multiple_registers(0x800, encode_valves(VALVES), 0, 40)
+        client.read_holding_registers(0, 41)
+        exception = client.last_except
+        client.close()
+        return inputs, holding, wrote, both, exception
+
+    inputs, holding, wrote, both, exception = await asyncio.to_thread(talk)
+    for words in (inputs, holding, both):
+        assert words is not None
+        assert same_sensors(words)
+    assert wrote
+    assert [close_valves(image) for image in bench.written] == [True, True]
+    assert exception == 2
+
+
+class Raw:
+    """A master that sends exactly the bytes it is told to."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader, self.writer = reader, writer
+        self.transaction = 0
+
+    async def ask(self, pdu: bytes, unit: int = 1) -> bytes:
+        """The response PDU to ``pdu``."""
+        self.transaction += 1
+        self.writer.write(struct.pack(">HHHB", self.transaction, 0, len(pdu) + 1, unit) + pdu)
+        transaction, protocol, length, echoed = struct.unpack(">HHHB", await self.reader.readexactly(7))
+        assert (transaction, protocol, echoed) == (self.transaction, 0, unit)
+        return await self.reader.readexactly(length - 1)
+
+    async def close(self) -> None:
+        """Hang up."""
+        self.writer.close()
+        await self.writer.wait_closed()
+
+
+async def connected(bench: Bench) -> Raw:
+    """A connected raw master."""
+    return Raw(*await asyncio.open_connection("127.0.0.1", bench.port))
+
+
+def whole(image: ValveImage) -> bytes:
+    """FC 16 with a whole image."""
+    return struct.pack(">BHHB12H", 16, 0x800, 12, 24, *encode_valves(image))
+
+
+async def test_fc_23_answers_the_published_vector_in_form(bench: Bench) -> None:
+    """Read 2 at 0, write 3FFF 7FFF at 0x0800: four data bytes come back; half an image moves nothing."""
+    master = await connected(bench)
+    answer = await master.ask(bytes.fromhex("17 0000 0002 0800 0002 04 3FFF 7FFF"))
+    assert answer == b"\x17\x04" + struct.pack(">2H", *encode_sensors(SENSORS)[:2])
+    assert bench.written == []
+    assert bench.coupler.statistics.torn_images == 1
+    assert await master.ask(bytes.fromhex("03 0800 0002")) == bytes.fromhex("03 04 3FFF 7FFF")
+    await master.close()
+
+
+@pytest.mark.parametrize(
+    ("request_hex", "answer_hex"),
+    [
+        ("03 0000 0000", "83 03"),
+        ("03 0000 007E", "83 03"),
+        ("03 0028 0001", "83 02"),
+        ("10 0000 0001 02 0000", "90 02"),
+        ("10 0800 0002 02 0000", "90 03"),
+        ("17 0000 007E 0800 0001 02 0000", "97 03"),
+        ("05 0000 1234", "85 01"),
+        ("07", "87 01"),
+        ("63 0000", "E3 01"),
+        ("10 0802 0001 02 8000", "90 03"),
+    ],
+)
+async def test_answers_to_odd_requests(bench: Bench, request_hex: str, answer_hex: str) -> None:
+    master = await connected(bench)
+    assert await master.ask(bytes.fromhex(request_hex), unit=247) == bytes.fromhex(answer_hex)
+    assert bench.written == []
+    await master.close()
+
+
+async def test_a_whole_image_with_an_impossible_command_is_refused_whole(bench: Bench) -> None:
+    master = await connected(bench)
+    words = encode_valves(VALVES)
+    words[2] = 0x8000
+    assert await master.ask(struct.pack(">BHHB12H", 16, 0x800, 12, 24, *words)) == b"\x90\x03"
+    assert bench.written == []
+    assert await master.ask(bytes.fromhex("03 0800 000C")) == b"\x03\x18" + bytes(24)
+    await master.close()
+
+
+async def test_a_second_master_may_read_but_not_write(bench: Bench) -> None:
+    first, second = await connected(bench), await connected(bench)
+    assert (await first.ask(whole(VALVES)))[0] == 16
+    assert await second.ask(whole(VALVES)) == b"\x90\x06"
+    assert (await second.ask(bytes.fromhex("03 0000 0028")))[0] == 3
+    assert len(bench.written) == 1
+    await first.close()
+    for _ in range(100):
+        answer = await second.ask(whole(VALVES))
+        if answer[0] == 16:
+            break
+        await asyncio.sleep(0.01)
+    assert answer[0] == 16
+    await second.close()
+
+
+async def test_a_silent_master_loses_the_outputs(bench: Bench) -> None:
+    first, second = await connected(bench), await connected(bench)
+    await first.ask(whole(VALVES))
+    bench.clock[0] = RELEASE_NS - 1
+    assert await second.ask(whole(VALVES)) == b"\x90\x06"
+    bench.clock[0] = RELEASE_NS
+    assert (await second.ask(whole(VALVES)))[0] == 16
+    assert await first.ask(whole(VALVES)) == b"\x90\x06"
+    await first.close()
+    await second.close()
+
+
+async def test_partial_and_merged_frames_are_put_together(bench: Bench) -> None:
+    master = await connected(bench)
+    frame = struct.pack(">HHHB", 9, 0, 6, 1) + bytes.fromhex("03 0000 0028")
+    for byte in frame + frame[:5]:
+        master.writer.write(bytes([byte]))
+        await master.writer.drain()
+        await asyncio.sleep(0)
+    first = await master.reader.readexactly(9 + 80)
+    master.writer.write(frame[5:] + frame)
+    assert await master.reader.readexactly(9 + 80) == first
+    assert await master.reader.readexactly(9 + 80) == first
+    await master.close()
+
+
+@pytest.mark.parametrize(
+    "header", ["0001 0001 0006 01", "0001 0000 0001 01", "0001 0000 00FF 01", "0001 0000 FFFF 01"]
+)
+async def test_a_stream_that_lost_its_place_is_closed(bench: Bench, header: str) -> None:
+    master = await connected(bench)
+    master.writer.write(bytes.fromhex(header) + bytes.fromhex("03 0000 0028"))
+    assert await asyncio.wait_for(master.reader.read(), 2.0) == b""
+    assert bench.coupler.statistics.framing_errors == 1
+    other = await connected(bench)
+    assert (await other.ask(bytes.fromhex("03 0000 0028")))[0] == 3
+    await other.close()
+    await master.close()

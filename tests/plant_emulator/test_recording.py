@@ -1,0 +1,130 @@
+"""The truth recording: every number comes back, and what a kill leaves behind is read up to the cut."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.exceptions import InvalidMagic
+from mcap.reader import make_reader
+
+from plant_emulator.core.truth import PlantTruth
+from plant_emulator.shell.recording import CAPTURE, EVENT, TRUTH, TruthRecorder, read_truth
+
+RUN = {"plant": {"step_ms": 0.5}, "scene": {"seed": 7}}
+
+
+def truth(number: int) -> PlantTruth:
+    """A truth whose every number differs from every other's."""
+    generator = np.random.default_rng(number)
+    shapes = {
+        "q": 6, "q_rate": 6, "deflections": 4, "p_CM": 3, "p_CO": 3, "valves": 6, "spools": 6,
+        "X_BT": (4, 4), "X_WB": (4, 4), "X_WT": (4, 4), "X_WC": (4, 4), "X_WM": (4, 4), "X_WO": (4, 4),
+        "R_CM": (3, 3), "R_CO": (3, 3), "pressures": (6, 2), "flows": (6, 2),
+    }  # fmt: skip
+    return PlantTruth(
+        time_ns=number * 1_000_000,
+        supply=1.9e7 + number,
+        oil_temperature_degc=40.0 + 0.1 * number,
+        payload_kg=12.5,
+        faults=("supply_lost", "valve_stuck.lift") if number % 2 else (),
+        **{name: generator.standard_normal(shape) for name, shape in shapes.items()},
+    )
+
+
+def same(a: PlantTruth, b: PlantTruth) -> bool:
+    """Whether two truths are equal to the last bit."""
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in PlantTruth._fields)
+
+
+def write(path: Path, count: int = 50) -> TruthRecorder:
+    """A recorder that has written ``count`` truths, every fifth a capture, and an event."""
+    recorder = TruthRecorder(path, RUN)
+    for number in range(count):
+        if number % 5 == 4:
+            recorder.capture(truth(number), 1000 + number, number // 5)
+        else:
+            recorder.truth(truth(number), 1000 + number)
+    recorder.event({"event": "status", "status": 3}, 2000, 99)
+    return recorder
+
+
+def test_everything_comes_back(tmp_path: Path) -> None:
+    write(tmp_path / "truth.mcap").close()
+    recording = read_truth(tmp_path / "truth.mcap")
+    assert recording.complete
+    assert recording.run == RUN
+    assert [record.log_ns for record in recording.truths] == list(range(1000, 1050))
+    assert [record.frame_id for record in recording.truths[:10]] == [
+        None,
+        None,
+        None,
+        None,
+        0,
+        None,
+        None,
+        None,
+        None,
+        1,
+    ]
+    assert all(same(record.truth, truth(number)) for number, record in enumerate(recording.truths))
+    assert recording.events == ((2000, 99, {"event": "status", "status": 3}),)
+    assert recording.stacked("X_BT").shape == (50, 4, 4)
+    assert recording.stacked("p_CM").shape == (50, 3)
+    assert recording.log_ns()[-1] == 1049
+
+
+def test_another_reader_finds_the_topics(tmp_path: Path) -> None:
+    """The library's own indexed reader, as Foxglove and PlotJuggler use: schemas, topics and times."""
+    write(tmp_path / "truth.mcap").close()
+    with (tmp_path / "truth.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        counts: dict[str, int] = {}
+        for schema, channel, message in reader.iter_messages():
+            assert schema is not None
+            assert schema.encoding == "jsonschema"
+            assert channel.message_encoding == "json"
+            assert message.log_time >= 1000
+            counts[channel.topic] = counts.get(channel.topic, 0) + 1
+    assert counts == {TRUTH: 40, CAPTURE: 10, EVENT: 1}
+
+
+def test_a_recording_that_was_never_closed_holds_everything_up_to_the_last_capture(tmp_path: Path) -> None:
+    path = tmp_path / "truth.mcap"
+    recorder = TruthRecorder(path, RUN)
+    for number in range(20):
+        recorder.truth(truth(number), number)
+    recorder.capture(truth(20), 20, 0)
+    left_behind = path.read_bytes()  # what a kill at this instant leaves
+    recorder.close()
+    path.write_bytes(left_behind)
+    recording = read_truth(path)
+    assert not recording.complete
+    assert len(recording.truths) == 21
+    assert same(recording.truths[-1].truth, truth(20))
+
+
+def test_a_file_cut_anywhere_gives_a_prefix(tmp_path: Path) -> None:
+    write(tmp_path / "truth.mcap", 12).close()
+    whole = (tmp_path / "truth.mcap").read_bytes()
+    lengths = []
+    for cut in (*range(8, 64), *range(64, len(whole), 173)):
+        (tmp_path / "cut.mcap").write_bytes(whole[:cut])
+        recording = read_truth(tmp_path / "cut.mcap")
+        assert not recording.complete
+        assert all(same(record.truth, truth(number)) for number, record in enumerate(recording.truths))
+        lengths.append(len(recording.truths))
+    assert lengths == sorted(lengths)
+    assert lengths[0] == 0
+    assert lengths[-1] == 12
+
+
+def test_an_existing_recording_is_never_overwritten(tmp_path: Path) -> None:
+    write(tmp_path / "truth.mcap").close()
+    with pytest.raises(FileExistsError):
+        TruthRecorder(tmp_path / "truth.mcap", RUN)
+
+
+def test_what_is_not_a_recording_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "other").write_bytes(b"not an MCAP file at all")
+    with pytest.raises(InvalidMagic):
+        read_truth(tmp_path / "other")
