@@ -1,4 +1,4 @@
-"""Test stands for the plant's own compiled code: parts of the arm clamped, weights hung on, one cylinder laid bare."""
+"""Test stands for the plant's own compiled code: joints clamped, weights hung on, one cylinder laid bare."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -105,7 +105,7 @@ class Stand:
             self.model.actuators[i, columns] = 0.0
 
     def place(self, body: int, point_home: Array) -> Array:
-        """Where the point of ``body`` that is at ``point_home`` (3,) in the home pose is now, in base axes."""
+        """Where the point of ``body`` that is at ``point_home`` (3,) in the home pose is now."""
         work = self.work.multibody
         forward_kinematics(self.state[Q : Q + N_COORDINATES], self.model.mechanism, work)
         return np.asarray(work.rotation[body + 1] @ point_home + work.origin[body + 1])
@@ -117,7 +117,7 @@ class Stand:
         return rate
 
     def run(self, seconds: float, step: float, watch: Callable[["Stand"], Any] | None = None) -> list[Any]:
-        """Advance by ``seconds`` in steps of ``step`` (s); what ``watch`` returned before each step, and at the end."""
+        """Advance by ``seconds`` in steps of ``step``; what ``watch`` saw before each step and at the end."""
         seen: list[Any] = []
         for _ in range(round(seconds / step)):
             if watch is not None:
@@ -127,12 +127,33 @@ class Stand:
             seen.append(watch(self))
         return seen
 
+    def run_with_integrals(
+        self, seconds: float, step: float, integrand: Callable[["Stand", Array], Array], size: int
+    ) -> tuple[Array, Array]:
+        """Advance as ``run`` does; integrals (size,) of ``integrand`` by the same stages, and all states seen.
+
+        ``integrand`` gets the stand, its ``work.flows`` fresh, and the stage's state.
+        """
+        total, seen = np.zeros(size), [self.state.copy()]
+        slope, stage = np.zeros((4, N_STATES)), self.state.copy()
+        for _ in range(round(seconds / step)):
+            start, grown = self.state.copy(), np.zeros((4, size))
+            for k, reach in enumerate((0.0, 0.5, 0.5, 1.0)):
+                stage = start if k == 0 else start + reach * step * slope[k - 1]
+                right_hand_side(stage, self.command, self.model, self.work, slope[k])
+                grown[k] = integrand(self, stage)
+            weights = np.array([1.0, 2.0, 2.0, 1.0]) * step / 6.0
+            self.state[:] = start + weights @ slope
+            total += weights @ grown
+            seen.append(self.state.copy())
+        return total, np.array(seen)
+
 
 def loaded_lift(config_dir: Path, end_mass: float = END_MASS) -> Stand:
-    """The published load case: 45°, −90°, telescope 0.5 m, no wrist, ``end_mass`` at the telescope's end on the arm's axis.
+    """The published load case: 45°, −90°, telescope 0.5 m, no wrist, ``end_mass`` (kg) at the telescope's end.
 
-    The published expectations follow with the mass on the line through the tilt pivot (its offset of 0.15264
-    m left out).
+    The published expectations follow with the mass on the line through the tilt pivot: the tip's offset of
+    0.15264 m is left out.
     """
     stand = Stand(default_config(config_dir, CHECK_TELESCOPE))
     stand.unload(7, 8, 9)
@@ -143,7 +164,7 @@ def loaded_lift(config_dir: Path, end_mass: float = END_MASS) -> Stand:
 
 
 def bare_cylinder(config_dir: Path, mass: float = 500.0) -> Stand:
-    """One free cylinder with the lift's oil: the slew joint, friction-free, its angle read as metres, moving ``mass``.
+    """One free cylinder with the lift's oil: the frictionless slew joint, its angle read as metres.
 
     Supply of endless volume, so that its pressure stands; orifices all but unregularised; stroke 10 m.
     """

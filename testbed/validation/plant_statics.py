@@ -30,7 +30,7 @@ ROD_SIDE = 42e5  # Pa, with which the loaded lift's oil spring is 6.74e6 N/m
 
 
 def geometry(config_dir: Path) -> list[Case]:
-    """Family 1: piston positions and tip of the published model, and the start pose of the contract with the controller."""
+    """Family 1: piston positions and tip of the published model, and the nominal start pose."""
     stand = Stand(default_config(config_dir, CHECK_TELESCOPE))
     links = [row[: col.A_LENGTH0 + 1] for row in stand.model.actuators]
     wrist = stand.place(9, stand.chain.point[9])
@@ -71,9 +71,9 @@ def levers(config_dir: Path) -> list[Case]:
         cases.append(
             Case(2, f"{name} lever", "m", expected, float(actuator_lever(angle, *link)), 5e-5, PUBLISHED)
         )
-        span = np.radians([-9.0, 104.0] if name == "lift" else [-146.0, -19.5])
+        low, high = (-9.0, 104.0) if name == "lift" else (-146.0, -19.5)
         worst = 0.0
-        for theta in np.linspace(*span, 200):
+        for theta in np.radians(np.linspace(low, high, 200)):
             rise = actuator_position(theta + 1e-6, *link) - actuator_position(theta - 1e-6, *link)
             worst = max(worst, abs(rise / 2e-6 - actuator_lever(theta, *link)))
         cases.append(

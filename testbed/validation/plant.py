@@ -1,0 +1,51 @@
+"""The plant's validation: twenty families of cases with known answers, run as one table."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from testbed.validation.case import Case
+from testbed.validation.plant_balances import energy_balance, pump_saturation, sudden_stop
+from testbed.validation.plant_dynamics import accelerations, energy_drift, locked_lift, ring_down
+from testbed.validation.plant_friction import friction
+from testbed.validation.plant_hydraulics import blocked_piston, free_velocity, leakage_creep, orifice, spool
+from testbed.validation.plant_signals import convergence, encoders
+from testbed.validation.plant_statics import cantilevers, geometry, levers, static_forces, valve_shut_load
+
+Family = Callable[[Path], list[Case]]
+
+FAMILIES: dict[int, tuple[str, Family]] = {
+    1: ("geometry", geometry),
+    2: ("lever arms", levers),
+    3: ("static cylinder forces", static_forces),
+    4: ("accelerations against two oracles", accelerations),
+    5: ("energy drift", energy_drift),
+    6: ("orifice", orifice),
+    7: ("spool", spool),
+    8: ("free velocities", free_velocity),
+    9: ("blocked piston", blocked_piston),
+    10: ("locked lift on its oil", locked_lift),
+    11: ("more load on a shut valve", valve_shut_load),
+    12: ("cantilevers", cantilevers),
+    13: ("ring-down", ring_down),
+    14: ("friction", friction),
+    15: ("leakage creep", leakage_creep),
+    16: ("sudden stop", sudden_stop),
+    17: ("energy balance", energy_balance),
+    18: ("pump saturation", pump_saturation),
+    19: ("encoders", encoders),
+    20: ("convergence and replay", convergence),
+}
+
+
+def validation_steps(config_dir: Path) -> Iterator[tuple[int, str, list[Case]]]:
+    """Number, title and cases of each family, computed as they are asked for (for a progress bar)."""
+    for number, (title, family) in FAMILIES.items():
+        yield number, title, family(config_dir)
+
+
+def run_validation(config_dir: Path = Path("configs")) -> list[Case]:
+    """All cases of all twenty families, for the default arm in ``config_dir``.
+
+    Raises ConfigurationError when an oracle (mujoco, pin) is not installed.
+    """
+    return [case for _, _, cases in validation_steps(config_dir) for case in cases]
