@@ -1,0 +1,196 @@
+"""Faults: each is recognised in time, latched as the first, and answered as its severity says; judged at
+the valves."""
+
+from collections.abc import Callable
+
+import pytest
+
+from controller.config import ArmConfig, ControllerConfig
+from controller.core.group_states import Mode
+from controller.core.settings import Settings, settings_from
+from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
+from protocol.process_image import (
+    CONTROL_ENABLE,
+    STATUS_SENSOR_FAULT,
+    STATUS_SUPPLY_ON,
+    STATUS_WATCHDOG_TRIPPED,
+)
+from protocol.reference_link import FLAG_PLANT_LINK_OK
+from tests.controller.obedient_plant import Bench
+
+ZERO = (0.0,) * 6
+
+
+@pytest.fixture(scope="module")
+def settings(arm: ArmConfig, config: ControllerConfig) -> Settings:
+    return settings_from(arm, config)
+
+
+def _until_fault(bench: Bench, most_s: float) -> float:
+    """Seconds until a fault is latched."""
+    for scans in range(round(most_s / bench.settings.cycle_s)):
+        if bench.step().view.fault is not FaultCode.NONE:
+            return (scans + 1) * bench.settings.cycle_s
+    raise AssertionError("no fault")
+
+
+def _jump(bench: Bench) -> None:
+    bench.stuck = True
+    bench.q = (*bench.q[:5], bench.q[5] + 0.05)
+
+
+def _set(name: str, value: object) -> Callable[[Bench], None]:
+    return lambda bench: setattr(bench, name, value)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "fault", "within_s"),
+    [
+        (_set("silent", True), FaultCode.PLANT_LINK_LOST, 0.06),
+        (_set("deaf", True), FaultCode.PLANT_LINK_LOST, 0.06),
+        (_set("frozen", True), FaultCode.PLANT_CYCLE_FROZEN, 0.11),
+        (_set("stuck", True), FaultCode.FOLLOWING_ERROR, 2.0),
+        (_jump, FaultCode.ENCODER_JUMP, 0.01),
+        (_set("status", STATUS_SUPPLY_ON | STATUS_WATCHDOG_TRIPPED), FaultCode.PLANT_WATCHDOG, 0.01),
+        (_set("status", STATUS_SUPPLY_ON | STATUS_SENSOR_FAULT), FaultCode.PLANT_STATUS, 0.01),
+        (_set("status", 0), FaultCode.SUPPLY_PRESSURE_LOST, 0.21),
+        (_set("supply_bar", 40.0), FaultCode.SUPPLY_PRESSURE_LOST, 0.21),
+        (_set("enables", False), FaultCode.PLANT_STATUS, 0.26),
+        (_set("late_s", 0.2), FaultCode.OVERRUN, 0.01),
+    ],
+)
+def test_faults_centre_the_valves_in_the_same_scan(
+    settings: Settings, spoil: Callable[[Bench], None], fault: FaultCode, within_s: float
+) -> None:
+    bench = Bench(settings).moving()
+    spoil(bench)
+    assert _until_fault(bench, 3.0) <= within_s + 1e-9
+    view, valves = bench.last.view, bench.last.valves
+    assert (view.fault, view.severity) == (fault, Severity.EMERGENCY)
+    assert view.group_state is GroupState.ERROR_STOP
+    assert (valves.valves, valves.control) == (ZERO, 0)
+    assert any(event.name == "fault" and event.cause == fault.name for event in bench.last.events)
+
+
+def test_silence_is_measured_in_time_as_well_as_in_exchanges(settings: Settings) -> None:
+    bench = Bench(settings).enabled()
+    bench.silent = True
+    bench.late_s = 0.06
+    bench.step()
+    bench.late_s = 0.06
+    assert bench.step().view.fault is FaultCode.PLANT_LINK_LOST
+
+
+def test_a_few_missed_exchanges_are_survived_and_counted(settings: Settings) -> None:
+    bench = Bench(settings).moving()
+    for _ in range(3):
+        bench.silent = True
+        bench.run(0.02)
+        bench.silent = False
+        bench.run(0.1)
+    assert bench.last.view.fault is FaultCode.NONE
+    assert bench.last.view.plant_exchange_failures == 12
+    bench.run(6.0)
+    assert bench.last.view.motion_done
+
+
+def test_a_stale_reference_link_ramps_down_then_drops_the_enable(settings: Settings) -> None:
+    bench = Bench(settings).moving()
+    bench.link_alive = False
+    first = bench.step()
+    assert first.view.fault is FaultCode.REFERENCE_LINK_LOST
+    assert first.view.severity is Severity.STOP
+    assert first.view.group_state is GroupState.ERROR_STOP
+    assert first.valves.control & CONTROL_ENABLE  # the ramp is driven
+    assert any(first.valves.valves)
+    speeds = []
+    while bench.state.mode is Mode.ERROR_RAMP:
+        bench.step()
+        speeds.append(float(abs(bench.state.motion.desired.v).max()))
+    assert len(speeds) * settings.cycle_s < 1.5
+    assert speeds[-1] == 0.0
+    assert (bench.last.valves.valves, bench.last.valves.control) == (ZERO, 0)
+    assert not bench.last.view.motion_done
+    bench.link_alive = True
+    bench.run(0.5)
+    assert bench.last.valves.control == 0  # nothing resumes by itself
+    assert bench.command(CommandCode.RESET) is Reason.ACCEPTED
+    assert bench.command(CommandCode.ENABLE) is Reason.ACCEPTED
+    bench.run(0.5)
+    assert bench.last.view.group_state is GroupState.STANDBY
+
+
+def test_an_unattended_standby_is_disabled_without_a_fault(settings: Settings) -> None:
+    bench = Bench(settings).enabled()
+    bench.link_alive = False
+    bench.step()
+    assert bench.last.view.group_state is GroupState.DISABLED
+    assert bench.last.view.fault is FaultCode.NONE
+    bench.link_alive = True
+    bench.run(0.2)
+    assert bench.last.valves.control == 0
+
+
+def test_the_first_fault_stays_while_the_reaction_follows_the_gravest(settings: Settings) -> None:
+    bench = Bench(settings).moving()
+    bench.link_alive = False
+    bench.step()
+    assert bench.state.mode is Mode.ERROR_RAMP
+    bench.silent = True
+    bench.run(0.1)
+    assert bench.last.view.fault is FaultCode.REFERENCE_LINK_LOST
+    assert bench.last.view.severity is Severity.EMERGENCY
+    assert (bench.last.valves.valves, bench.last.valves.control) == (ZERO, 0)
+
+
+def test_a_stuck_encoder_with_an_open_valve_is_named(arm: ArmConfig, config: ControllerConfig) -> None:
+    wide = config.supervision.model_copy(update={"following_error_deg": (80.0,) * 6})
+    bench = Bench(settings_from(arm, config.model_copy(update={"supervision": wide}))).moving()
+    bench.stuck = True
+    _until_fault(bench, 5.0)
+    assert bench.last.view.fault is FaultCode.ENCODER_STUCK
+
+
+def test_a_tool_that_runs_away_is_overspeed(arm: ArmConfig, config: ControllerConfig) -> None:
+    wide = config.supervision.model_copy(update={"following_error_deg": (80.0,) * 6})
+    bench = Bench(settings_from(arm, config.model_copy(update={"supervision": wide}))).enabled()
+    bench.stuck = True
+    for _ in range(60):
+        bench.q = (bench.q[0] + 0.3 * bench.settings.cycle_s, *bench.q[1:])  # 0.3 rad/s at 4 m
+        bench.step()
+    assert bench.last.view.fault is FaultCode.OVERSPEED
+
+
+def test_link_flag_follows_the_link_while_disabled_and_nothing_latches(settings: Settings) -> None:
+    bench = Bench(settings)
+    bench.run(0.05)
+    assert bench.last.view.flags & FLAG_PLANT_LINK_OK
+    bench.silent = True
+    bench.run(0.5)
+    assert not bench.last.view.flags & FLAG_PLANT_LINK_OK
+    assert bench.last.view.fault is FaultCode.NONE
+    bench.silent = False
+    bench.run(0.05)
+    assert bench.last.view.flags & FLAG_PLANT_LINK_OK
+
+
+def test_a_restarted_echo_counts_as_a_dead_link_until_it_has_caught_up(settings: Settings) -> None:
+    bench = Bench(settings)
+    bench.run(0.5)
+    bench.deaf = True
+    bench.run(0.5)
+    assert not bench.last.view.flags & FLAG_PLANT_LINK_OK
+    assert bench.command(CommandCode.ENABLE) is Reason.PLANT_LINK_DOWN
+    bench.deaf = False
+    bench.step()
+    assert bench.command(CommandCode.ENABLE) is Reason.ACCEPTED
+
+
+def test_the_same_run_twice_gives_the_same_bits(settings: Settings) -> None:
+    def trace() -> list[object]:
+        bench = Bench(settings).moving()
+        bench.command(CommandCode.STOP)
+        bench.run(1.0)
+        return [(output.valves, output.view) for output in bench.outputs]
+
+    assert trace() == trace()
