@@ -1,5 +1,4 @@
-"""Faults: each is recognised in time, latched as the first, and answered as its severity says; judged at
-the valves."""
+"""Faults: recognised in time, latched as the first, answered as their severity says; judged at the valves."""
 
 from collections.abc import Callable
 
