@@ -24,6 +24,8 @@ from protocol.reference_session import (
     AcknowledgementReceived,
     DatagramDropped,
     LinkLost,
+    LinkStatistics,
+    OffsetEstimate,
     ReferenceClient,
     ReferenceServer,
     RequestReceived,
@@ -129,7 +131,7 @@ class World:
             state_period_ms=settings.vision.link.state_period_ms,
         )
         self._time_ns = 0
-        self._frame_period_ns = round(1e9 / settings.scene.camera.rate_hz)
+        self.frame_period_ns = round(1e9 / settings.scene.camera.rate_hz)
         self._client.connect(self.vision_ns)
 
     @property
@@ -143,16 +145,19 @@ class World:
         return self._time_ns + VISION_CLOCK_NS
 
     @property
-    def clock_offset_ns(self) -> int:
+    def clock(self) -> OffsetEstimate | None:
         """The controller's clock minus vision's, as vision's session has estimated it."""
-        offset = self._client.clock_offset_ns
-        assert offset is not None, "no state can have arrived before the first echo"
-        return offset
+        return self._client.clock
+
+    @property
+    def link_statistics(self) -> LinkStatistics:
+        """Counters of vision's session."""
+        return self._client.statistics
 
     @property
     def connected(self) -> bool:
         """Whether the reference link is open and its clocks are known."""
-        return self._client.connected and self._client.clock_offset_ns is not None and bool(self.states)
+        return self._client.connected and self._client.clock is not None and bool(self.states)
 
     def submit(self, request: Request) -> int:
         """The id under which vision's session sends ``request``."""
@@ -209,19 +214,19 @@ class World:
         while self._time_ns < until_ns:
             stop_ns = min(until_ns, _next(self._time_ns, TRUTH_PERIOD_NS))
             if self.on_frame is not None:
-                stop_ns = min(stop_ns, _next(self._time_ns, self._frame_period_ns))
+                stop_ns = min(stop_ns, _next(self._time_ns, self.frame_period_ns))
             self.plant.advance(stop_ns - self._time_ns)
             self._time_ns = stop_ns
             if stop_ns % TRUTH_PERIOD_NS == 0:
                 self.truths.append(self.plant.truth())
-            if self.on_frame is not None and stop_ns % self._frame_period_ns == 0:
+            if self.on_frame is not None and stop_ns % self.frame_period_ns == 0:
                 self.on_frame(self._photograph(self.plant.truth()))
 
     def _photograph(self, truth: PlantTruth) -> Frame:
         config = self.settings.scene.camera
         if self._camera is None:
             self._camera = StereoCamera(config, self._scene, self.settings.scene.seed)
-        frame_id = self._time_ns // self._frame_period_ns
+        frame_id = self._time_ns // self.frame_period_ns
         header = FrameHeader(
             frame_id=frame_id,
             capture_ns=self._time_ns,

@@ -1,0 +1,117 @@
+"""`longreach demo`: the whole loop in real time over the REST face, judged by the plant's recording."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from plant_emulator.shell.recording import read_truth
+from protocol.errors import LongreachError
+from testbed.console import Bars, bars
+from testbed.launch import PLANT, VISION, Launch, prepare
+from testbed.outcome import Outcome
+from testbed.presentation import Choice, present, read_events
+from testbed.report import run_directory
+from testbed.rest_rig import RestRig, StateSampler
+from testbed.sequence import JSON, Recorder, Rest, TimedTruth, View, demonstrate, stages, traces
+from testbed.settings import Overrides
+from testbed.supervisor import Supervisor
+from testbed.up import end_on_sigterm
+
+_HEALTHY_S = 60.0
+
+
+class Driven(NamedTuple):
+    """What the sequence left behind. ``failure`` stopped it; ``cycle`` is the controller's timing, newest."""
+
+    rests: list[Rest]
+    views: list[View]
+    cycle: JSON | None
+    failure: LongreachError | None
+
+
+def run_demo(
+    config_dir: Path,
+    overrides: Overrides,
+    choice: Choice,
+    any_ports: bool,
+    runs: Path,
+    json_file: Path | None,
+) -> bool:
+    """Whether the true error ended inside the limit; prints the table and writes the report.
+
+    Raises LongreachError when the services cannot be started.
+    """
+    began = time.monotonic()
+    end_on_sigterm()
+    launch = prepare(config_dir, overrides, run_directory(runs), any_ports=any_ports)
+    with bars() as shown, started(launch, shown) as supervisor:
+        driven = drive(launch, choice, shown, supervisor)
+    truths = recorded_truth(launch)
+    clearance_m = launch.settings.vision.programs.positioning.clearance_m
+    outcome = Outcome(
+        mode="real time",
+        scenario=choice.scenario,
+        seed=choice.seed,
+        looks=choice.looks,
+        stages=stages(driven.rests, truths, clearance_m),
+        wall_s=time.monotonic() - began,
+        simulated_s=1e-9 * (truths[-1].time_ns - truths[0].time_ns),
+        details=_details(launch, driven),
+    )
+    curves = traces(truths, driven.views, clearance_m)
+    pictures = [rest.picture for rest in driven.rests]
+    return present(
+        launch.directory, outcome, curves, pictures, read_events(launch.records(VISION)), json_file
+    )
+
+
+@contextmanager
+def started(launch: Launch, shown: Bars) -> Iterator[Supervisor]:
+    """The services running, each with a progress bar for its start, in a block that ends them."""
+    supervisor = Supervisor(launch.directory)
+    try:
+        with shown.step("starting three processes") as bar:
+            for number, service in enumerate(launch.services):
+                bar.update(number / len(launch.services), service.name)
+                supervisor.start(service)
+        yield supervisor
+    finally:
+        supervisor.stop()
+
+
+def drive(launch: Launch, choice: Choice, shown: Bars, supervisor: Supervisor) -> Driven:
+    """What the sequence left behind, however far it came.
+
+    Raises ServiceFailed when a service has ended by itself: that explains whatever else went wrong.
+    """
+    rig = RestRig(launch.rest_url)
+    recorder = Recorder(rig, shown)
+    failure: LongreachError | None = None
+    with StateSampler(launch.rest_url) as sampler:
+        try:
+            with shown.step("waiting for links and camera"):
+                rig.wait_healthy(_HEALTHY_S)
+            demonstrate(rig, recorder, choice.looks)
+        except LongreachError as error:
+            supervisor.check()
+            failure = error
+        finally:
+            rig.close()
+    return Driven(recorder.rests, sampler.views, sampler.cycle, failure)
+
+
+def recorded_truth(launch: Launch) -> list[TimedTruth]:
+    """The plant's recording; on one machine its monotonic clock is vision's too."""
+    recording = read_truth(launch.records(PLANT) / "truth.mcap")
+    return [TimedTruth(record.log_ns, record.truth) for record in recording.truths]
+
+
+def _details(launch: Launch, driven: Driven) -> dict[str, Any]:
+    details: dict[str, Any] = {"directory": launch.directory}
+    if driven.failure is not None:
+        details["failure"] = f"{driven.failure.cause}: {driven.failure}"
+    if driven.cycle is not None:
+        details["controller_cycle"] = driven.cycle
+    return details

@@ -1,0 +1,73 @@
+"""Eyes in lockstep: pictures are rendered at the camera's rate, and only while somebody looks."""
+
+import numpy as np
+
+from protocol.errors import LinkLost, RequestRefused
+from protocol.faults import GroupState
+from testbed.lockstep_world import VISION_CLOCK_NS, Frame, World
+from testbed.rig_lockstep import LockstepLink
+from vision_pc.config import VisionConfig
+from vision_pc.core.intrinsics import calibration
+from vision_pc.core.look import combine, observe
+from vision_pc.core.types import FrameObservation, Look, StereoPair
+from vision_pc.shell.annotate import annotated, png
+from vision_pc.shell.station import CameraStatus
+
+
+def pair_of(frame: Frame) -> StereoPair:
+    """A frame as vision's programs see it, on vision's clock; in lockstep it arrives when it is sent."""
+    return StereoPair(
+        frame.left, frame.right, frame.header.capture_ns + VISION_CLOCK_NS, frame.header.frame_id
+    )
+
+
+class LockstepEyes:
+    """Implements ``vision_pc.core.ports.Eyes`` by stepping the world, and the station's camera."""
+
+    def __init__(self, world: World, link: LockstepLink, config: VisionConfig) -> None:
+        self._world = world
+        self._link = link
+        self._config = config
+        self._camera = calibration(config.camera)
+        self._latest: tuple[StereoPair, FrameObservation] | None = None
+
+    async def look(self, frames: int | None = None) -> Look:
+        """A look over ``frames`` fresh pairs with the arm at rest."""
+        if self._link.state.group_state is GroupState.MOVING:
+            raise RequestRefused("refused.moving", "look: the arm is moving")
+        observations = [self._observed(pair) for pair in self._pairs(frames or self._config.look.frames)]
+        time_ns = int(np.mean([observation.capture_ns for observation in observations]))
+        look = combine(observations, await self._link.pose_at(time_ns), time_ns, self._config.look)
+        self._world.log.add(self._world.time_ns, "look", X_CM=look.X_CM, X_CO=look.X_CO, frames=look.frames)
+        return look
+
+    def status(self) -> CameraStatus:
+        """The camera is always there."""
+        return CameraStatus(True, 0.0, 0, self._world.settings.scene.camera.rate_hz)
+
+    async def latest_png(self) -> bytes:
+        """The newest picture with detections, PNG; a fresh one is taken where there is none."""
+        if self._latest is None:
+            self._observed(self._pairs(1)[0])
+        assert self._latest is not None
+        clearance_m = self._config.programs.positioning.clearance_m
+        return png(annotated(*self._latest, self._camera, clearance_m))
+
+    def _pairs(self, count: int) -> list[StereoPair]:
+        taken: list[StereoPair] = []
+        self._world.on_frame = lambda frame: taken.append(pair_of(frame))
+        try:
+            deadline_ns = self._world.time_ns + (count + 1) * self._world.frame_period_ns + 1_000_000_000
+            while len(taken) < count:
+                if self._world.time_ns > deadline_ns:
+                    raise LinkLost("link.camera_silent", f"{len(taken)} of {count} pictures came")
+                self._world.step()
+        finally:
+            self._world.on_frame = None
+        return taken
+
+    def _observed(self, pair: StereoPair) -> FrameObservation:
+        previous = self._latest[1] if self._latest else None
+        observation = observe(pair, self._camera, self._config.markers, previous)
+        self._latest = (pair, observation)
+        return observation

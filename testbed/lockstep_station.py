@@ -1,0 +1,106 @@
+"""Vision's station in lockstep: the same programs as behind the REST face, without the face."""
+
+import io
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from protocol.faults import CommandCode
+from testbed.console import Bar
+from testbed.event_log import EventLog
+from testbed.lockstep_eyes import LockstepEyes
+from testbed.lockstep_world import World
+from testbed.rig_lockstep import LockstepLink, run
+from testbed.sequence import JSON
+from testbed.settings import Settings
+from vision_pc.core.ports import Report
+from vision_pc.shell import event_log
+from vision_pc.shell.operation_routes import with_overrides
+from vision_pc.shell.schemas import (
+    LocalTrackBody,
+    LookBody,
+    LookThenMoveBody,
+    MoveBody,
+    OrientationBody,
+    TrajectoryBody,
+)
+from vision_pc.shell.socket_arm import SocketArm
+from vision_pc.shell.station import Station
+
+_CONNECT_NS = 5_000_000_000
+Program = Callable[[Report], Awaitable[JSON]]
+
+
+class StationLog(event_log.EventLog):
+    """The station's events, written to the run's log with simulated time."""
+
+    def __init__(self, world: World) -> None:
+        super().__init__(None, io.StringIO())
+        self._world = world
+
+    def write(self, event: str, **fields: Any) -> None:
+        """Appends one event."""
+        self._world.log.add(self._world.time_ns, event, **fields)
+
+
+class LockstepRig:
+    """Implements ``testbed.sequence.Rig`` over the station's programs in simulated time."""
+
+    def __init__(self, settings: Settings, seed: int, log: EventLog) -> None:
+        self.world = World(settings, seed, log)
+        self.link = LockstepLink(self.world)
+        eyes = LockstepEyes(self.world, self.link, settings.vision)
+        arm = SocketArm(self.link, settings.vision.motion)
+        self.station = Station(arm, eyes, self.link, eyes, settings.vision.programs, StationLog(self.world))
+        self._eyes = eyes
+        while not self.world.connected and self.world.time_ns < _CONNECT_NS:
+            self.world.step()
+
+    def command(self, name: str) -> None:
+        """Nothing; the command was accepted."""
+        run(self.link.command(CommandCode[name.upper().replace("-", "_")]))
+        run(self.link.next_state())
+
+    def operate(self, kind: str, body: JSON, bar: Bar) -> JSON:
+        """The result of an operation."""
+        self.station.refuse_now(kind, "calibrated" if kind == "look-then-move" else None)
+        self.world.log.add(self.world.time_ns, "operation", kind=kind, body=body)
+        result: JSON = run(_program(self.station, kind, body)(bar.update))
+        self.world.log.add(self.world.time_ns, "operation_ended", kind=kind, result=result)
+        return result
+
+    def latest_look(self) -> JSON:
+        """The latest look of any operation."""
+        return self.station.latest_look()
+
+    def picture(self) -> bytes:
+        """The newest picture with detections, PNG."""
+        return run(self._eyes.latest_png())
+
+    def now_ns(self) -> int:
+        """The time on vision's clock."""
+        return self.world.vision_ns
+
+
+def _program(station: Station, kind: str, body: JSON) -> Any:
+    """The station's program for an operation, its settings as the REST face would make them."""
+    programs = station.settings
+    if kind == "look":
+        frames = LookBody(**body).frames
+        return lambda report: station.look(frames, report)
+    if kind == "orientation-adjustment":
+        orientation = with_overrides(programs.orientation, OrientationBody(**body))
+        return lambda report: station.adjust_orientation(orientation, report)
+    if kind == "trajectory-matching":
+        trajectory = with_overrides(programs.trajectory, TrajectoryBody(**body))
+        return lambda report: station.trajectory_matching(trajectory, report)
+    if kind == "local-track":
+        local_map = with_overrides(programs.local_map, LocalTrackBody(**body))
+        return lambda report: station.local_track(local_map, report)
+    if kind == "look-then-move":
+        asked = LookThenMoveBody(**body)
+        positioning = with_overrides(programs.positioning, asked)
+        return lambda report: station.look_then_move(positioning, asked.method, report)
+    if kind == "move":
+        move = MoveBody(**body)
+        return lambda report: station.move(move, report)
+    raise ValueError(f"no operation '{kind}' in lockstep")
