@@ -18,6 +18,9 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 
+validate = typer.Typer(help="Compare parts with known answers.", no_args_is_help=True)
+app.add_typer(validate, name="validate")
+
 ConfigDir = Annotated[Path, typer.Option("--config-dir", help="Where the configuration files are.")]
 Scenario = Annotated[str, typer.Option(help="Which of CONFIG_DIR/scenarios to draw the world from.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed is the same world.")]
@@ -63,6 +66,42 @@ def up(
     from testbed.up import run_up
 
     run_up(config_dir, chosen_overrides(config_dir, scenario, seed, settings or []), free_ports, runs)
+
+
+@app.command(
+    epilog="Example: longreach demo --seed 3   or: longreach demo --lockstep --seed 3 --json demo.json"
+)
+def demo(
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="In simulated time, without sockets.")] = False,
+    looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 2,
+    scenario: Scenario = "standard",
+    seed: Seed = 1,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    free_ports: FreePorts = False,
+    runs: Runs = DEFAULT_RUNS,
+    json_file: JsonFile = None,
+) -> None:
+    """Bring the tool to the object; exit status 0 only within ±5 mm true error in x and y."""
+    from testbed.demo import run_demo
+    from testbed.lockstep_demo import run_lockstep_demo
+    from testbed.presentation import Choice
+
+    overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
+    choice = Choice(scenario, seed, looks)
+    if lockstep:
+        passed = run_lockstep_demo(config_dir, overrides, choice, runs, json_file)
+    else:
+        passed = run_demo(config_dir, overrides, choice, free_ports, runs, json_file)
+    raise typer.Exit(0 if passed else 1)
+
+
+@validate.command("plant", epilog="Example: longreach validate plant --json plant.json")
+def validate_plant_command(config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None) -> None:
+    """The plant against twenty families of known answers (geometry to energy balance)."""
+    from testbed.validate import validate_plant
+
+    raise typer.Exit(0 if validate_plant(config_dir, json_file) else 1)
 
 
 def main() -> None:
