@@ -7,7 +7,7 @@ against behaviour.
 
 import asyncio
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,14 @@ from tests.vision_pc.synthetic import SyntheticRig, forward, inverse_kinematics
 from vision_pc.core.se3 import Array, from_pose, local, retract, to_pose
 
 CYCLE_S = 0.01
+
+
+async def until(condition: Callable[[], object], limit_s: float = 3.0) -> None:
+    """Waits for ``condition``; fails the test when it does not come true in time."""
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < deadline, "did not happen in time"
+        await asyncio.sleep(0.005)
 
 
 class LoopbackController(asyncio.DatagramProtocol):

@@ -1,4 +1,4 @@
-"""The reference link's client on a real socket, and the arm over it, against the protocol's server session."""
+"""The reference link on a real socket, and the arm over it, against the protocol's own server session."""
 
 import asyncio
 import io
@@ -11,7 +11,7 @@ import pytest
 from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
 from protocol.faults import CommandCode, FaultCode, GroupState
 from protocol.reference_link import Command, ReferencePose
-from tests.vision_pc.loopback_controller import LoopbackController
+from tests.vision_pc.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward
 from vision_pc.config import LinkSettings, MotionSettings
 from vision_pc.core.se3 import Array, to_pose, transform
@@ -47,13 +47,6 @@ async def link(controller: LoopbackController) -> AsyncIterator[ControllerLink]:
 @pytest.fixture
 def arm(link: ControllerLink) -> SocketArm:
     return SocketArm(link, MotionSettings(settle_timeout_s=0.3, rest_s=0.02))
-
-
-async def until(condition: object, limit_s: float = 3.0) -> None:
-    deadline = time.monotonic() + limit_s
-    while not condition():  # type: ignore[operator]
-        assert time.monotonic() < deadline, "did not happen in time"
-        await asyncio.sleep(0.005)
 
 
 async def test_the_clock_offset_is_the_controllers(

@@ -33,10 +33,9 @@ def create_app(station: Station, operations: Operations) -> FastAPI:
         title="Longreach vision PC",
         version="1",
         description=DESCRIPTION,
-        max_body_size=MAX_BODY_BYTES,
         responses={"4XX": _PROBLEM, "5XX": _PROBLEM},
     )
-    problems.install(app)
+    problems.install(app, MAX_BODY_BYTES)
     _add_reading(app, station, operations)
     _add_commands(app, station, operations)
     add_operations(app, station, operations)

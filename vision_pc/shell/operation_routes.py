@@ -194,7 +194,7 @@ def _add_resources(app: FastAPI, operations: Operations) -> None:
         """409 when it has already ended."""
         return operation_view(await operations.cancel(operation.id))
 
-    @app.get("/operations/{operation_id}/events", tags=["operations"], summary="Follow it (server-sent events)",
+    @app.get("/operations/{operation_id}/events", tags=["operations"], summary="Follow it (event stream)",
              response_class=EventSourceResponse)  # fmt: skip
     async def events(operation: Found) -> AsyncIterable[ServerSentEvent]:
         """``progress`` events, then one ``ended`` with the whole operation."""

@@ -7,6 +7,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from protocol.errors import (
     ConfigurationError,
@@ -65,8 +66,41 @@ def respond(document: dict[str, Any]) -> JSONResponse:
     return JSONResponse(document, status_code=document["status"], media_type=MEDIA_TYPE)
 
 
-def install(app: FastAPI) -> None:
-    """Makes every error of ``app`` a problem document."""
+class BodyLimit:
+    """Refuses request bodies of more than ``limit`` bytes, announced or not, with a problem document."""
+
+    def __init__(self, app: ASGIApp, limit: int) -> None:
+        self._app = app
+        self._limit = limit
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One request."""
+        announced = dict(scope.get("headers", ())).get(b"content-length", b"0")
+        if announced.isdigit() and int(announced) > self._limit:
+            await respond(_too_large(scope["path"]))(scope, receive, send)
+            return
+        received = 0
+
+        async def counted() -> Message:
+            nonlocal received
+            message = await receive()
+            received += len(message.get("body", b""))
+            if received > self._limit:
+                raise HTTPException(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+            return message
+
+        await self._app(scope, counted, send)
+
+
+def _too_large(path: str) -> dict[str, Any]:
+    status = HTTPStatus.REQUEST_ENTITY_TOO_LARGE
+    return problem(status, "request.too_large", "the request's body is too large", instance=path)
+
+
+def install(app: FastAPI, max_body_bytes: int) -> None:
+    """Makes every error of ``app`` a problem document, and limits request bodies."""
+
+    app.add_middleware(BodyLimit, limit=max_body_bytes)
 
     @app.exception_handler(LongreachError)
     async def longreach_error(request: Request, error: LongreachError) -> JSONResponse:
@@ -84,6 +118,8 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     async def http_error(request: Request, error: HTTPException) -> JSONResponse:
+        if error.status_code == HTTPStatus.REQUEST_ENTITY_TOO_LARGE:
+            return respond(_too_large(request.url.path))
         cause = "request." + HTTPStatus(error.status_code).name.lower()
         document = problem(error.status_code, cause, str(error.detail), instance=request.url.path)
         response = respond(document)

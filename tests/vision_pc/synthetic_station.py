@@ -1,0 +1,116 @@
+"""A station for tests: the real controller link and socket arm over loopback, eyes on the synthetic arm."""
+
+import asyncio
+import io
+import json
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+
+from protocol.errors import RequestRefused
+from protocol.faults import GroupState
+from tests.vision_pc.loopback_controller import LoopbackController, until
+from tests.vision_pc.program_settings import shipped
+from tests.vision_pc.synthetic import SyntheticRig, SyntheticWatch, draw
+from vision_pc.config import LinkSettings, MotionSettings
+from vision_pc.core.calibration.settings import ProgramSettings
+from vision_pc.core.types import Look
+from vision_pc.shell.api import create_app
+from vision_pc.shell.controller_link import ControllerLink
+from vision_pc.shell.event_log import EventLog
+from vision_pc.shell.operations import Operations
+from vision_pc.shell.socket_arm import SocketArm
+from vision_pc.shell.station import CameraStatus, Station
+
+
+class SyntheticEyes:
+    """Eyes and camera over the synthetic arm that the loopback controller moves."""
+
+    def __init__(self, rig: SyntheticRig, controller: LoopbackController) -> None:
+        self.rig, self.controller = rig, controller
+        self.connected = True
+        self.look_s = 0.02
+
+    async def look(self, frames: int | None = None) -> Look:
+        if self.controller.group is GroupState.MOVING:
+            raise RequestRefused("refused.moving", "look: the arm is moving")
+        await asyncio.sleep(self.look_s)
+        return await self.rig.look(frames)
+
+    @asynccontextmanager
+    async def watch(self, *, markers: bool, odometry: bool) -> AsyncIterator[SyntheticWatch]:
+        async with self.rig.watch(markers=markers, odometry=odometry) as watch:
+            yield watch
+            await asyncio.sleep(0.1)  # pictures at rest
+
+    def status(self) -> CameraStatus:
+        return CameraStatus(self.connected, 10.0, 1, 100.0)
+
+    async def latest_png(self) -> bytes:
+        return b"\x89PNG\r\n\x1a\n" + bytes(8)
+
+
+class Bench:
+    """Everything a test of the REST face wants, over one synthetic arm."""
+
+    def __init__(self, client: httpx.AsyncClient, station: Station, operations: Operations,
+                 controller: LoopbackController, eyes: SyntheticEyes, log: io.StringIO) -> None:  # fmt: skip
+        self.client, self.station, self.operations = client, station, operations
+        self.controller, self.eyes, self.rig, self.log = controller, eyes, eyes.rig, log
+
+    async def post(self, path: str, body: Any = None, **headers: str) -> httpx.Response:
+        named = {name.replace("_", "-"): value for name, value in headers.items()}
+        return await self.client.post(path, json=body, headers=named)
+
+    async def run(self, kind: str, body: Any = None) -> dict[str, Any]:
+        """The operation, ended; follows Location as a client would."""
+        answer = await self.post(f"/operations/{kind}", body)
+        assert answer.status_code == 202, answer.text
+        return await self.ended(answer.headers["Location"])
+
+    async def ended(self, location: str) -> dict[str, Any]:
+        for _ in range(3000):
+            operation: dict[str, Any] = (await self.client.get(location)).json()
+            if operation["state"] in ("succeeded", "failed", "cancelled"):
+                return operation
+            await asyncio.sleep(0.01)
+        raise AssertionError(f"{location} did not end")
+
+    def events(self, name: str) -> list[dict[str, Any]]:
+        lines = [json.loads(line) for line in self.log.getvalue().splitlines()]
+        return [line for line in lines if line["event"] == name]
+
+
+def quick(settings: ProgramSettings) -> ProgramSettings:
+    """``settings`` with short rests at corners: this camera is fast."""
+    trajectory = settings.trajectory.model_copy(update={"dwell_s": 0.1})
+    local_map = settings.local_map.model_copy(update={"dwell_s": 0.1})
+    return settings.model_copy(update={"trajectory": trajectory, "local_map": local_map})
+
+
+@asynccontextmanager
+async def bench(seed: int = 0, record_dir: Path | None = None, **truth: Any) -> AsyncIterator[Bench]:
+    """A bench with the controller connected and disabled."""
+    rig = SyntheticRig(draw(np.random.default_rng(seed), **truth), seed, rate_hz=100.0)
+    controller = LoopbackController(rig)
+    await controller.start()
+    stream = io.StringIO()
+    log = EventLog(record_dir, stream)
+    link = ControllerLink(LinkSettings(port=controller.port, state_period_ms=10), log)
+    await link.start()
+    await until(lambda: link.connected and link.clock_offset)
+    arm = SocketArm(link, MotionSettings(settle_timeout_s=0.5, rest_s=0.01))
+    eyes = SyntheticEyes(rig, controller)
+    station = Station(arm, eyes, link, eyes, quick(shipped()), log)
+    operations = Operations(arm.halt, log)
+    transport = httpx.ASGITransport(app=create_app(station, operations), raise_app_exceptions=False)
+    async with httpx.AsyncClient(transport=transport, base_url="http://vision") as client:
+        yield Bench(client, station, operations, controller, eyes, stream)
+    await operations.close()
+    await link.close()
+    await controller.stop()
+    log.close()
