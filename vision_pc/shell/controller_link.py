@@ -110,13 +110,13 @@ class ControllerLink(asyncio.DatagramProtocol):
         """A time of the controller's clock on ours."""
         return controller_ns - (self._session.clock_offset_ns or 0)
 
-    async def next_state(self, timeout_s: float = _WAIT_FOR_STATE_S) -> State:
+    async def next_state(self) -> State:
         """The next state to come. Raises LinkLost when none comes in time."""
         self._new_state.clear()
         try:
-            await asyncio.wait_for(self._new_state.wait(), timeout_s)
+            await asyncio.wait_for(self._new_state.wait(), _WAIT_FOR_STATE_S)
         except TimeoutError as error:
-            why = f"no state from the controller within {timeout_s:g} s"
+            why = f"no state from the controller within {_WAIT_FOR_STATE_S:g} s"
             raise LinkLost("link.silent", why) from error
         return self.state
 
