@@ -48,17 +48,19 @@ class RotaryFrictionConfig(StrictModel):
 
 
 class CylinderStopConfig(StrictModel):
-    """Cushion at both ends of a cylinder's stroke."""
+    """A cushion over the last ``cushion_m`` at both ends of a cylinder's stroke, then a stiff stop."""
 
     stiffness_n_m: Positive
     damping_n_s_m: NotNegative
+    cushion_m: Positive
 
 
 class RotaryStopConfig(StrictModel):
-    """Cushion at both ends of a rotary actuator's range."""
+    """A cushion over the last ``cushion_deg`` at both ends of a rotary range, then a stiff stop."""
 
     stiffness_nm_rad: Positive
     damping_nm_s_rad: NotNegative
+    cushion_deg: Positive
 
 
 class CylinderConfig(StrictModel):

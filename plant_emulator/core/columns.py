@@ -8,14 +8,14 @@ actuators share, ``F_…`` a row of the flow table (6, F_COLUMNS) that every eva
 A_KIND, A_BASE, A_LEVER, A_ANGLE0, A_LENGTH0 = range(5)
 # chambers: areas (m², or m³/rad of a rotary actuator), dead volumes, stroke, leakage across the piston
 A_AREA_A, A_AREA_B, A_DEAD_A, A_DEAD_B, A_STROKE, A_LEAKAGE = range(5, 11)
-A_STOP_STIFFNESS, A_STOP_DAMPING = range(11, 13)
+A_STOP_STIFFNESS, A_STOP_DAMPING, A_CUSHION = range(11, 14)
 # valve: orifice gain (m³/s/√Pa), deadband, spool ω and ζ, slew limit (1/s)
-A_GAIN, A_DEADBAND, A_OMEGA, A_ZETA, A_SLEW_LIMIT = range(13, 18)
+A_GAIN, A_DEADBAND, A_OMEGA, A_ZETA, A_SLEW_LIMIT = range(14, 19)
 # what guards a chamber: relief (m³/s/Pa), anti-cavitation (m³/s/√Pa), counterbalance gain (0 without one)
-A_RELIEF, A_ANTICAVITATION, A_COUNTERBALANCE = range(18, 21)
+A_RELIEF, A_ANTICAVITATION, A_COUNTERBALANCE = range(19, 22)
 # LuGre friction
-A_COULOMB, A_STATIC, A_STRIBECK, A_BRISTLE, A_BRISTLE_DAMPING, A_VISCOUS = range(21, 27)
-A_COLUMNS = 27
+A_COULOMB, A_STATIC, A_STRIBECK, A_BRISTLE, A_BRISTLE_DAMPING, A_VISCOUS = range(22, 28)
+A_COLUMNS = 28
 
 # oil: modulus, wall compliance per chamber, air fraction, polytropic exponent
 C_MODULUS, C_WALL, C_AIR, C_EXPONENT = range(4)

@@ -41,6 +41,7 @@ def _describe_actuator(actuator: ActuatorConfig, row: Array) -> None:
         row[col.A_KIND : col.A_LENGTH0 + 1] = CYLINDER, c.base_m, c.lever_m, c.angle_rad, c.length_m
         row[[col.A_AREA_A, col.A_AREA_B, col.A_STROKE]] = bore, bore - rod, c.stroke_m
         row[[col.A_STOP_STIFFNESS, col.A_STOP_DAMPING]] = stop.stiffness_n_m, stop.damping_n_s_m
+        row[col.A_CUSHION] = stop.cushion_m
         row[[col.A_COULOMB, col.A_STATIC, col.A_STRIBECK]] = f.coulomb_n, f.static_n, f.stribeck_m_s
         row[[col.A_BRISTLE, col.A_BRISTLE_DAMPING]] = f.bristle_n_m, f.bristle_damping_n_s_m
         row[col.A_VISCOUS] = f.viscous_n_s_m
@@ -51,6 +52,7 @@ def _describe_actuator(actuator: ActuatorConfig, row: Array) -> None:
         row[col.A_KIND : col.A_LENGTH0 + 1] = ROTARY, 0.0, 0.0, first, 0.0
         row[col.A_STROKE] = last - first
         row[[col.A_STOP_STIFFNESS, col.A_STOP_DAMPING]] = cushion.stiffness_nm_rad, cushion.damping_nm_s_rad
+        row[col.A_CUSHION] = math.radians(cushion.cushion_deg)
         row[[col.A_COULOMB, col.A_STATIC, col.A_STRIBECK]] = g.coulomb_nm, g.static_nm, g.stribeck_rad_s
         row[[col.A_BRISTLE, col.A_BRISTLE_DAMPING]] = g.bristle_nm_rad, g.bristle_damping_nm_s_rad
         row[col.A_VISCOUS] = g.viscous_nm_s_rad

@@ -64,19 +64,15 @@ def _valve_flows(i: int, state: Array, thinner: float, model: Model, out: Array)
     a, c = model.actuators[i], model.circuit
     p_a, p_b, p_s, p_t = state[PRESSURE_A + i], state[PRESSURE_B + i], state[SUPPLY], c[col.C_RETURN]
     soft, limit = c[col.C_REGULARISATION], c[col.C_RELIEF]
-    gain = a[col.A_GAIN] * opening(state[SPOOL + i], a[col.A_DEADBAND])
-    if gain >= 0.0:
-        in_a = orifice_flow(gain, p_s - p_a, soft)
-        in_b = -orifice_flow(gain, p_b - p_t, soft)
-        out[col.F_SUPPLY] = in_a
-    else:
-        release = -gain
-        if a[col.A_COUNTERBALANCE] > 0.0:
-            wish = p_a + c[col.C_PILOT] * p_b - c[col.C_HOLD]
-            release = held_gain(release, a[col.A_COUNTERBALANCE], wish, c[col.C_HOLD_RANGE])
-        in_a = -orifice_flow(release, p_a - p_t, soft)
-        in_b = -orifice_flow(gain, p_s - p_b, soft)
-        out[col.F_SUPPLY] = in_b
+    open_by = opening(state[SPOOL + i], a[col.A_DEADBAND])
+    gain = a[col.A_GAIN] * abs(open_by)
+    drop_a, drop_b = (p_s - p_a, p_t - p_b) if open_by >= 0.0 else (p_t - p_a, p_s - p_b)
+    gain_a = gain
+    if drop_a < 0.0 and a[col.A_COUNTERBALANCE] > 0.0:
+        wish = p_a + c[col.C_PILOT] * p_b - c[col.C_HOLD]
+        gain_a = held_gain(gain, a[col.A_COUNTERBALANCE], wish, c[col.C_HOLD_RANGE])
+    in_a, in_b = orifice_flow(gain_a, drop_a, soft), orifice_flow(gain, drop_b, soft)
+    out[col.F_SUPPLY] = in_a if open_by >= 0.0 else in_b
     leak = a[col.A_LEAKAGE] * thinner * (p_a - p_b)
     in_a -= leak + relief_flow(p_a, limit, a[col.A_RELIEF])
     in_b += leak - relief_flow(p_b, limit, a[col.A_RELIEF])
@@ -89,12 +85,12 @@ def _valve_flows(i: int, state: Array, thinner: float, model: Model, out: Array)
 
 @njit(cache=True, error_model="numpy")
 def _end_stop(y: float, v: float, a: Array) -> float:
-    """Force of the cushion at either end of the stroke; it pushes back and never pulls."""
-    over, push = y - a[col.A_STROKE], 0.0
-    if y < 0.0:
-        push = max(-a[col.A_STOP_STIFFNESS] * y - a[col.A_STOP_DAMPING] * v, 0.0)
-    elif over > 0.0:
-        push = -max(a[col.A_STOP_STIFFNESS] * over + a[col.A_STOP_DAMPING] * v, 0.0)
+    """Force at either end of the stroke: a cushion brakes what enters it, behind it stands a stiff stop."""
+    side = 1.0 if 2.0 * y < a[col.A_STROKE] else -1.0
+    left = y if side > 0.0 else a[col.A_STROKE] - y  # of the stroke, ahead of the moving piston
+    entered = min(max(1.0 - left / a[col.A_CUSHION], 0.0), 1.0)
+    brake = a[col.A_STOP_DAMPING] * entered * max(-side * v, 0.0)
+    push: float = side * (brake + a[col.A_STOP_STIFFNESS] * max(-left, 0.0))
     return push
 
 

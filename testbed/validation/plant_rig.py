@@ -130,7 +130,7 @@ class Stand:
     def run_with_integrals(
         self, seconds: float, step: float, integrand: Callable[["Stand", Array], Array], size: int
     ) -> tuple[Array, Array]:
-        """Advance as ``run`` does; integrals (size,) of ``integrand`` by the same stages, and all states seen.
+        """Advance as ``run`` does; integrals (size,) of ``integrand`` by the same stages, and states seen.
 
         ``integrand`` gets the stand, its ``work.flows`` fresh, and the stage's state.
         """
@@ -150,7 +150,7 @@ class Stand:
 
 
 def loaded_lift(config_dir: Path, end_mass: float = END_MASS) -> Stand:
-    """The published load case: 45°, −90°, telescope 0.5 m, no wrist, ``end_mass`` (kg) at the telescope's end.
+    """The published load case: 45°, −90°, telescope 0.5 m, no wrist, ``end_mass`` at the telescope's end.
 
     The published expectations follow with the mass on the line through the tilt pivot: the tip's offset of
     0.15264 m is left out.

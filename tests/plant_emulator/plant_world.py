@@ -1,0 +1,34 @@
+"""Plants for the tests: the arm as shipped, with changes, driven for a while."""
+
+from pathlib import Path
+from typing import Any
+
+from plant_emulator.core.plant import Plant
+from plant_emulator.plant_config import PlantConfig
+from protocol.configuration import load
+from protocol.process_image import CONTROL_ENABLE, ValveImage
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+CYCLE_NS = 5_000_000
+Six = tuple[float, float, float, float, float, float]
+SHUT: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def plant_config(**changes: Any) -> PlantConfig:
+    """plant.yaml with ``changes`` laid over it."""
+    return load(PlantConfig, CONFIGS / "plant.yaml", changes)
+
+
+class Driver:
+    """A controller in miniature: counts its cycles and holds the valves it was told."""
+
+    def __init__(self, plant: Plant) -> None:
+        self.plant = plant
+        self.cycle = 0
+
+    def run(self, seconds: float, valves: Six = SHUT, control: int = CONTROL_ENABLE) -> None:
+        """Exchange images every 5 ms for ``seconds``."""
+        for _ in range(round(seconds / 5e-3)):
+            self.cycle += 1
+            self.plant.write(ValveImage(self.cycle, control, valves))
+            self.plant.advance(CYCLE_NS)

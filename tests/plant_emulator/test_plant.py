@@ -1,0 +1,295 @@
+"""The plant as its surroundings see it: at rest, driven, watched, broken, replayed."""
+
+import numpy as np
+import pytest
+from numba.core.runtime import _nrt_python, rtsys
+
+from controller.config import ArmConfig
+from controller.core.denavit_hartenberg import dh_table, tool_pose
+from plant_emulator.core.faults import Fault, FaultKind
+from plant_emulator.core.layout import N_STATES, RATE, Q
+from plant_emulator.core.plant import NOMINAL_MOUNTS, Plant
+from plant_emulator.core.right_hand_side import advance, new_work, right_hand_side
+from plant_emulator.core.truth import inverse, tool_error
+from protocol.configuration import load
+from protocol.errors import ConfigurationError, ImageRefused, RequestRefused
+from protocol.process_image import (
+    CONTROL_ENABLE,
+    CONTROL_RESET_WATCHDOG,
+    COUNTS_PER_TURN,
+    STATUS_SENSOR_FAULT,
+    STATUS_SUPPLY_ON,
+    STATUS_VALVES_ENABLED,
+    STATUS_WATCHDOG_TRIPPED,
+    ValveImage,
+)
+from testbed.validation.plant_rig import Stand, default_config
+from tests.plant_emulator.plant_world import CONFIGS, CYCLE_NS, SHUT, Driver, plant_config
+
+LIFT_UP = (0.0, 0.3, 0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.fixture
+def plant() -> Plant:
+    return Plant(plant_config(), seed=1)
+
+
+def test_starts_in_equilibrium(plant: Plant) -> None:
+    rate = np.zeros(N_STATES)
+    right_hand_side(plant._state, np.zeros(6), plant._model, new_work(), rate)
+    assert np.abs(rate[RATE : RATE + 10]).max() < 1e-9
+    start = plant.truth()
+    plant.advance(100_000_000)
+    assert np.linalg.norm(plant.truth().X_BT[:3, 3] - start.X_BT[:3, 3]) < 1e-5
+    assert start.deflections[0] < -1e-3  # the boom sags
+    assert start.deflections[2] < -1e-3
+
+
+def test_agrees_with_the_controllers_nominal_kinematics_without_errors() -> None:
+    table = dh_table(load(ArmConfig, CONFIGS / "arm.yaml").dh)
+    stand = Stand(default_config(CONFIGS))
+    rng = np.random.default_rng(5)
+    for _ in range(100):
+        q = rng.uniform([-2.0, -0.1, -2.5, -1.5, -1.5, -1.5], [2.0, 1.8, -0.4, 1.5, 1.5, 1.5])
+        stand.state[[Q + i for i in (0, 1, 4, 7, 8, 9)]] = q
+        position = stand.place(9, stand.chain.X_BT_home[:3, 3])
+        rotation = stand.work.multibody.rotation[-1] @ stand.chain.X_BT_home[:3, :3]
+        nominal = tool_pose(table, q)
+        np.testing.assert_allclose(position, nominal[:3, 3], atol=1e-9)
+        np.testing.assert_allclose(rotation, nominal[:3, :3], atol=1e-9)
+
+
+def test_positive_valves_raise_every_joint_angle(plant: Plant) -> None:
+    before = np.array(plant.read().encoder_counts)
+    Driver(plant).run(0.5, (0.1, 0.1, 0.1, 0.1, 0.1, 0.1))
+    assert (np.array(plant.read().encoder_counts) - before > 50).all()
+
+
+def test_named_errors_move_the_tool_by_centimetres_and_can_be_switched_off() -> None:
+    nominal = np.array([3.89355, 0.0, 1.00825])
+    errors = plant_config().model_dump()["errors"]
+    off = {name: {"enabled": False} for name in errors}
+    rigid = Plant(plant_config(errors=off, flexibility={"enabled": False}), seed=1).truth()
+    np.testing.assert_allclose(rigid.X_BT[:3, 3], nominal, atol=1e-5)
+    np.testing.assert_allclose(rigid.X_WB, np.eye(4))
+    real = Plant(plant_config(), seed=1).truth()
+    assert 5e-3 < np.linalg.norm(real.X_BT[:3, 3] - nominal) < 60e-3
+    assert 1e-3 < np.linalg.norm(real.X_WB[:3, :3] - np.eye(3)) < 20e-3
+
+
+def test_encoders_show_joint_plus_offset_and_never_the_sag(plant: Plant) -> None:
+    angles = np.array(plant.read().encoder_counts) * (2.0 * np.pi / COUNTS_PER_TURN)
+    offsets = np.array(plant.config.errors.encoder_offsets.mrad) * 1e-3
+    np.testing.assert_allclose(angles, plant.truth().q + offsets, atol=1e-4)
+    np.testing.assert_allclose(plant.truth().q, np.radians(plant.config.start_pose_deg), atol=1e-12)
+
+
+def test_truth_is_one_consistent_chain(plant: Plant) -> None:
+    truth = plant.truth()
+    X_CO = inverse(truth.X_WC) @ truth.X_WO
+    X_CM = inverse(truth.X_WC) @ truth.X_WM
+    np.testing.assert_allclose(truth.p_CO, X_CO[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(truth.R_CM, X_CM[:3, :3], atol=1e-12)
+    np.testing.assert_allclose(truth.p_CM, [0.20, 0.05, 0.40], atol=1e-12)
+    np.testing.assert_allclose(truth.X_WT, truth.X_WB @ truth.X_BT, atol=1e-12)
+    np.testing.assert_allclose(tool_error(truth, 0.1), truth.p_CO - truth.p_CM - [0.0, 0.0, 0.1], atol=1e-12)
+
+
+def test_mounts_are_the_callers(plant: Plant) -> None:
+    shifted = NOMINAL_MOUNTS.X_WO.copy()
+    shifted[1, 3] += 0.25
+    other = Plant(plant_config(), seed=1, mounts=NOMINAL_MOUNTS._replace(X_WO=shifted))
+    np.testing.assert_allclose(other.truth().X_WO[1, 3] - plant.truth().X_WO[1, 3], 0.25)
+
+
+def test_disabled_valves_stay_shut(plant: Plant) -> None:
+    Driver(plant).run(0.1, LIFT_UP, control=0)
+    assert np.abs(plant.truth().spools).max() == 0.0
+    assert not plant.read().status & STATUS_VALVES_ENABLED
+
+
+def test_commands_take_the_drives_delay_and_are_clipped() -> None:
+    plant = Plant(plant_config(valves={"delay_ms": 4.0}), seed=1)
+    plant.write(ValveImage(1, CONTROL_ENABLE, (0.0, 3.0, 0.0, 0.0, 0.0, 0.0)))
+    plant.advance(4_000_000)
+    assert plant.truth().spools[1] == 0.0
+    plant.advance(500_000)
+    assert plant.truth().spools[1] > 0.0
+    assert plant.truth().valves[1] == 1.0
+
+
+def test_watchdog_shuts_the_valves_when_the_controllers_cycle_stalls(plant: Plant) -> None:
+    driver = Driver(plant)
+    driver.run(0.2, LIFT_UP)
+    assert plant.read().status == STATUS_SUPPLY_ON | STATUS_VALVES_ENABLED
+    stalled = ValveImage(driver.cycle, CONTROL_ENABLE, LIFT_UP)
+    for _ in range(18):  # the last fresh image was taken 5 ms ago
+        plant.write(stalled)
+        plant.advance(CYCLE_NS)
+    assert not plant.read().status & STATUS_WATCHDOG_TRIPPED
+    for _ in range(12):
+        plant.write(stalled)
+        plant.advance(CYCLE_NS)
+    assert plant.read().status & STATUS_WATCHDOG_TRIPPED
+    assert not plant.read().status & STATUS_VALVES_ENABLED
+    assert np.abs(plant.truth().valves).max() == 0.0
+
+
+def test_watchdog_latches_until_the_rising_edge_of_its_reset(plant: Plant) -> None:
+    driver = Driver(plant)
+    driver.run(0.05, LIFT_UP)
+    plant.advance(150_000_000)
+    driver.run(0.1, LIFT_UP)
+    assert plant.read().status & STATUS_WATCHDOG_TRIPPED
+    driver.run(0.05, LIFT_UP, CONTROL_ENABLE | CONTROL_RESET_WATCHDOG)
+    assert plant.read().status == STATUS_SUPPLY_ON | STATUS_VALVES_ENABLED
+    plant.advance(150_000_000)
+    driver.run(0.05, LIFT_UP, CONTROL_ENABLE | CONTROL_RESET_WATCHDOG)  # held, no edge
+    assert plant.read().status & STATUS_WATCHDOG_TRIPPED
+
+
+def test_watchdog_waits_for_a_first_controller(plant: Plant) -> None:
+    plant.advance(1_000_000_000)
+    assert plant.read().status == STATUS_SUPPLY_ON
+
+
+def test_images_carry_both_cycle_counters(plant: Plant) -> None:
+    before = plant.read().plant_cycle
+    plant.write(ValveImage(77, 0, SHUT))
+    plant.advance(CYCLE_NS)
+    assert plant.read().echo_cycle == 77
+    assert plant.read().plant_cycle == before + 1
+
+
+def test_non_finite_valves_are_refused(plant: Plant) -> None:
+    with pytest.raises(ImageRefused, match="finite"):
+        plant.write(ValveImage(1, CONTROL_ENABLE, (0.0, float("nan"), 0.0, 0.0, 0.0, 0.0)))
+
+
+def test_time_advances_in_whole_steps_and_owes_the_rest(plant: Plant) -> None:
+    plant.advance(700_000)
+    assert plant.time_ns == 500_000
+    plant.advance(300_000)
+    assert plant.time_ns == 1_000_000
+    with pytest.raises(ValueError, match="backwards"):
+        plant.advance(-1)
+
+
+def test_splitting_an_advance_changes_nothing() -> None:
+    one, many = Plant(plant_config(), seed=3), Plant(plant_config(), seed=3)
+    for plant in (one, many):
+        plant.write(ValveImage(1, CONTROL_ENABLE, (0.1, 0.2, -0.1, 0.3, 0.1, -0.2)))
+    one.advance(50_000_000)
+    for _ in range(50):
+        many.advance(1_000_000)
+    np.testing.assert_array_equal(one._state, many._state)
+
+
+def test_payload_changes_while_running(plant: Plant) -> None:
+    driver = Driver(plant)
+    driver.run(0.5)
+    before = plant.truth()
+    plant.set_payload(100.0)
+    driver.run(0.5)
+    after = plant.truth()
+    assert after.payload_kg == 100.0
+    assert after.X_WT[2, 3] - before.X_WT[2, 3] < -10e-3
+    assert after.deflections[2] - before.deflections[2] < -2e-3  # unseen by any encoder
+    with pytest.raises(RequestRefused):
+        plant.set_payload(-1.0)
+
+
+def test_stuck_valve_keeps_its_opening(plant: Plant) -> None:
+    driver = Driver(plant)
+    driver.run(0.2, LIFT_UP)
+    plant.inject(Fault(FaultKind.VALVE_STUCK, joint=1))
+    driver.run(0.2)
+    assert plant.truth().spools[1] == pytest.approx(0.3, abs=0.01)
+    assert plant.truth().faults == ("valve_stuck.lift",)
+    plant.clear_faults()
+    driver.run(0.2)
+    assert plant.truth().spools[1] == pytest.approx(0.0, abs=1e-3)
+    assert plant.truth().faults == ()
+
+
+def test_slow_valve_lags(plant: Plant) -> None:
+    plant.inject(Fault(FaultKind.VALVE_SLOW, joint=1, value=0.1))
+    Driver(plant).run(0.03, LIFT_UP)
+    assert 0.0 < plant.truth().spools[1] < 0.1
+
+
+def test_lost_supply_shows_in_status_and_pressure(plant: Plant) -> None:
+    plant.inject(Fault(FaultKind.SUPPLY_LOST))
+    Driver(plant).run(0.5)
+    image = plant.read()
+    assert not image.status & STATUS_SUPPLY_ON
+    assert image.supply_bar < 20.0
+
+
+def test_encoder_faults(plant: Plant) -> None:
+    driver, before = Driver(plant), plant.read().encoder_counts
+    plant.inject(Fault(FaultKind.ENCODER_STUCK, joint=1))
+    plant.inject(Fault(FaultKind.ENCODER_BIAS, joint=2, value=0.1))
+    driver.run(0.5, LIFT_UP)
+    image = plant.read()
+    assert image.encoder_counts[1] == before[1]
+    assert image.encoder_counts[2] - before[2] == pytest.approx(0.1 * COUNTS_PER_TURN / (2 * np.pi), abs=60)
+    assert image.status & STATUS_SENSOR_FAULT
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        Fault(FaultKind.VALVE_STUCK),
+        Fault(FaultKind.ENCODER_STUCK, joint=6),
+        Fault(FaultKind.SUPPLY_LOST, joint=1),
+        Fault(FaultKind.VALVE_SLOW, joint=1, value=0.0),
+        Fault(FaultKind.ENCODER_BIAS, joint=1, value=float("nan")),
+    ],
+)
+def test_faults_that_do_not_fit_are_refused(plant: Plant, fault: Fault) -> None:
+    with pytest.raises(RequestRefused):
+        plant.inject(fault)
+
+
+def test_end_stops_hold_the_arm(plant: Plant) -> None:
+    driver = Driver(plant)
+    driver.run(4.0, (0.0, 1.0, 0.0, 0.0, 0.0, 0.0))
+    assert np.degrees(plant.truth().q[1]) == pytest.approx(104.7, abs=1.5)
+    driver.run(1.0)
+    assert np.abs(plant.truth().q_rate).max() < 0.05
+
+
+def test_counterbalance_valves_hold_the_load_when_the_supply_is_lost() -> None:
+    sink = {}
+    for fitted in (False, True):
+        guard = {"counterbalance": {"lift": fitted, "tilt": fitted}}
+        plant = Plant(plant_config(protection=guard, payload={"mass_kg": 150.0}), seed=1)
+        plant.inject(Fault(FaultKind.SUPPLY_LOST))
+        Driver(plant).run(1.0, (0.0, 0.5, 0.0, 0.0, 0.0, 0.0))
+        sink[fitted] = float(plant.truth().q[1] - np.radians(50.0))
+    assert sink[False] < -0.05
+    assert abs(sink[True]) < abs(sink[False])
+
+
+def test_the_hot_loop_allocates_nothing(plant: Plant) -> None:
+    arrays = (plant._state, np.zeros(6), np.full(6, 0.1), np.zeros(6), np.zeros(6))
+    work = new_work()
+    _nrt_python.memsys_enable_stats()
+    counts = []
+    for steps in (1, 1, 200):
+        before = rtsys.get_allocation_stats().alloc
+        advance(*arrays, steps, 5e-4, plant._model, work)
+        counts.append(rtsys.get_allocation_stats().alloc - before)
+    assert counts[2] == counts[1]  # a call wraps its argument arrays once, whatever the number of steps
+
+
+def test_overloaded_start_pose_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"start_pose_deg: .* beyond 190 bar"):
+        Plant(plant_config(payload={"mass_kg": 1000.0}, start_pose_deg=[0, 10, -20, 0, 0, 0]), seed=1)
+
+
+def test_step_too_long_for_the_arms_own_vibration_is_refused() -> None:
+    tool = {"tool": {"mass_kg": 0.05, "forward_m": 0.0, "gyration_m": [0.01, 0.01, 0.01]}}
+    with pytest.raises(ConfigurationError, match=r"step_ms = 0\.5: must not exceed"):
+        Plant(plant_config(masses=tool), seed=1)
