@@ -15,7 +15,7 @@ from controller.core.supervision import RESTED, Driven, Fault, Timers
 from protocol.faults import FaultCode, GroupState, Severity
 from protocol.pose import Pose
 from protocol.process_image import SensorImage, ValveImage
-from protocol.reference_link import Acknowledgement, Command, ReferencePath, ReferencePose
+from protocol.reference_link import Acknowledgement, Command, ReferencePath, ReferencePose, State
 
 Sextuple = tuple[float, float, float, float, float, float]
 NO_FAULT = Fault(FaultCode.NONE, 0.0, 0.0)
@@ -60,6 +60,23 @@ class ControllerView(NamedTuple):
     X_BT_cmd: Pose
     supply_bar: float
     plant_exchange_failures: int
+
+
+class Figures(NamedTuple):
+    """What a State message says beyond the core's own view: the cycle's lateness (µs) and the link's
+    losses."""
+
+    overruns: int
+    lateness_p50_us: int
+    lateness_p99_us: int
+    lateness_max_us: int
+    references_lost: int
+    references_dropped: int
+
+
+def to_state(view: ControllerView, figures: Figures) -> State:
+    """The State message of ``view`` and ``figures``."""
+    return State(**view._asdict(), **figures._asdict())
 
 
 class ScanOutput(NamedTuple):

@@ -1,0 +1,169 @@
+"""The UDP end of the reference link: datagrams are read as they arrive, requests wait for the next scan.
+
+Heartbeats are answered at once, so that the peer's clock estimate is not blurred by the scan's period.
+A flood is met by a budget of datagrams a cycle; what exceeds it stays in the kernel's buffer, which drops
+the rest.
+"""
+
+import asyncio
+import contextlib
+import errno
+import socket
+import time
+from collections import Counter, deque
+
+from controller.config import ReferenceLinkConfig
+from controller.shell.event_log import EventLog
+from protocol.errors import ConfigurationError
+from protocol.faults import Reason
+from protocol.reference_link import (
+    MAX_DATAGRAM_BYTES,
+    Acknowledgement,
+    Command,
+    ReferencePath,
+    ReferencePose,
+    State,
+)
+from protocol.reference_session import (
+    DatagramDropped,
+    ReferenceServer,
+    RequestReceived,
+    ServerEvent,
+    SessionClosed,
+    SessionOpened,
+)
+
+_DATAGRAMS_A_CYCLE = 96
+_STRANGERS_A_CYCLE = (
+    8  # while a session is open: enough to refuse a second client, too few to starve the first
+)
+_REQUESTS_A_SCAN = 8
+
+Request = Command | ReferencePose | ReferencePath
+
+
+class ReferencePort:
+    """A bound socket around the sans-IO ``server``.
+
+    ``drops``: datagrams that were not used, by cause; ``flooded``: those of strangers that were not even
+    looked at.
+    """
+
+    def __init__(self, server: ReferenceServer, config: ReferenceLinkConfig, log: EventLog) -> None:
+        """Bind. Raises ConfigurationError when the address is busy or not ours."""
+        self.server = server
+        self.flooded = 0
+        self.drops: Counter[str] = Counter()
+        self._log = log
+        self._requests: deque[Request] = deque()
+        self._last_words: tuple[Request, ...] | None = None
+        self._peer: object | None = None
+        self._budget = _DATAGRAMS_A_CYCLE
+        self._strangers = _STRANGERS_A_CYCLE
+        self._reading = False
+        self._socket = _bound(config)
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port, as bound."""
+        host, port = self._socket.getsockname()
+        return host, port
+
+    def open(self) -> None:
+        """Begin to read; needs a running loop."""
+        asyncio.get_running_loop().add_reader(self._socket.fileno(), self._readable)
+        self._reading = True
+
+    def close(self) -> None:
+        """Say goodbye to the peer and release the socket."""
+        now_ns = time.monotonic_ns()
+        self._told(self.server.close(now_ns, Reason.SHUTDOWN))
+        self._send()
+        self._pause()
+        self._socket.close()
+
+    def take(self, now_ns: int) -> tuple[tuple[Request, ...], bool]:
+        """Requests for the scan at ``now_ns``, in order of arrival, and whether the link is alive.
+
+        A session that ended counts as a dead link for one scan even if another one has begun: what the old
+        peer had set in motion is not the new one's. Also opens the next cycle's budget.
+        """
+        self._told(self.server.tick(now_ns))
+        self._budget, self._strangers = _DATAGRAMS_A_CYCLE, _STRANGERS_A_CYCLE
+        if not self._reading:
+            self.open()
+        if self._last_words is not None:
+            words, self._last_words = self._last_words, None
+            return words, False
+        count = min(len(self._requests), _REQUESTS_A_SCAN)
+        return tuple(self._requests.popleft() for _ in range(count)), self.server.link_alive(now_ns)
+
+    def publish(self, acknowledgements: tuple[Acknowledgement, ...], state: State, now_ns: int) -> None:
+        """Answer the scan's requests, and send ``state`` when the peer's period has passed."""
+        for acknowledgement in acknowledgements:
+            self.server.acknowledge(acknowledgement, now_ns)
+        self.server.publish(state, now_ns)
+        self._send()
+
+    def _readable(self) -> None:
+        arrived: list[tuple[bytes, object]] = []
+        while self._budget > 0:
+            try:
+                data, source = self._socket.recvfrom(MAX_DATAGRAM_BYTES + 1)
+            except BlockingIOError:
+                break
+            except OSError:  # an earlier answer met a closed port
+                continue
+            self._budget -= 1
+            if self._peer is not None and source != self._peer:
+                self._strangers -= 1
+                if self._strangers < 0:
+                    self.flooded += 1
+                    continue
+            arrived.append((data, source))
+        self._told(self.server.receive_batch(arrived, time.monotonic_ns()))
+        self._send()
+        if self._budget <= 0:
+            self._pause()
+
+    def _pause(self) -> None:
+        if self._reading:
+            asyncio.get_running_loop().remove_reader(self._socket.fileno())
+            self._reading = False
+
+    def _send(self) -> None:
+        for data, source in self.server.outgoing(time.monotonic_ns()):
+            with contextlib.suppress(OSError):  # the peer's absence is found by its silence
+                self._socket.sendto(data, source)  # type: ignore[call-overload]
+
+    def _told(self, events: list[ServerEvent]) -> None:
+        for event in events:
+            if isinstance(event, RequestReceived):
+                self._requests.append(event.message)
+            elif isinstance(event, SessionOpened):
+                self._peer = event.source
+                self._log.write("session_opened", session=f"{event.session:x}", peer=str(event.source))
+            elif isinstance(event, SessionClosed):
+                self._peer = None
+                # Commands, a stop above all, are still obeyed; motion is not begun for a peer that has gone.
+                self._last_words = tuple(r for r in self._requests if isinstance(r, Command))
+                self._requests.clear()
+                self._log.write("session_closed", session=f"{event.session:x}", reason=event.reason.name)
+            elif isinstance(event, DatagramDropped):
+                self.drops[event.cause] += 1
+                if self.drops[event.cause].bit_count() == 1:  # 1, 2, 4, … : a flood fills no disk
+                    fields = {"cause": event.cause, "detail": event.detail, "count": self.drops[event.cause]}
+                    self._log.write("datagram_dropped", "warning", **fields)
+
+
+def _bound(config: ReferenceLinkConfig) -> socket.socket:
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock.setblocking(False)
+    try:
+        sock.bind((config.host, config.port))
+    except OSError as error:
+        sock.close()
+        cause = "configuration.port_busy" if error.errno == errno.EADDRINUSE else "configuration.bad_address"
+        where = f"controller.reference_link = {config.host}:{config.port}"
+        raise ConfigurationError(cause, f"{where}: {error.strerror}") from error
+    return sock
