@@ -150,7 +150,7 @@ class CameraConfig(StrictModel):
             r2 = radius * radius
             if 1.0 + r2 * (3.0 * lens.k1 + r2 * (5.0 * lens.k2 + r2 * 7.0 * lens.k3)) <= 0.0:
                 raise ValueError(
-                    f"lens.k1, k2, k3: the picture folds over at {radius:.2f}, within its corner's {corner:.2f}"
+                    f"lens.k1, k2, k3: the picture folds over at {radius:.2f}, the corner is at {corner:.2f}"
                 )
             if radius * (1.0 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))) > corner:
                 return self

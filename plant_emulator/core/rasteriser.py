@@ -37,10 +37,11 @@ def paint_plate(
     """
     h = homography
     height, width = out.shape
-    weight_x = np.empty(edges_x.shape[0] - 1)
-    weight_y = np.empty(edges_y.shape[0] - 1)
+    cells_x, cells_y = edges_x.shape[0] - 1, edges_y.shape[0] - 1
+    weight_x, weight_y = np.empty(cells_x), np.empty(cells_y)
     for i in range(box[0], box[1]):
         i0, i1 = max(i - 1, 0), min(i + 1, height - 1)
+        column = row = 0  # cells change slowly along a line of pixels: the search starts where it ended
         for j in range(box[2], box[3]):
             j0, j1 = max(j - 1, 0), min(j + 1, width - 1)
             x, y = np.float64(ray_x[i, j]), np.float64(ray_y[i, j])
@@ -55,34 +56,53 @@ def paint_plate(
             dy_dv = (np.float64(ray_y[i1, j]) - ray_y[i0, j]) / (i1 - i0)
             s_x, s_y = (h[0, 0] - s * h[2, 0]) / w, (h[0, 1] - s * h[2, 1]) / w
             t_x, t_y = (h[1, 0] - t * h[2, 0]) / w, (h[1, 1] - t * h[2, 1]) / w
-            alpha = _cell_weights(s, s_x * dx_du + s_y * dy_du, s_x * dx_dv + s_y * dy_dv, edges_x, weight_x)
-            if alpha <= 0.0:
+            s_u, s_v = abs(s_x * dx_du + s_y * dy_du), abs(s_x * dx_dv + s_y * dy_dv)
+            t_u, t_v = abs(t_x * dx_du + t_y * dy_du), abs(t_x * dx_dv + t_y * dy_dv)
+            s_reach, t_reach = 0.5 * (s_u + s_v), 0.5 * (t_u + t_v)
+            column = _first_cell(edges_x, s - s_reach, column)
+            row = _first_cell(edges_y, t - t_reach, row)
+            bright = light[0] + light[1] * s + light[2] * t
+            within_x = edges_x[column] <= s - s_reach and s + s_reach <= edges_x[column + 1]
+            within_y = edges_y[row] <= t - t_reach and t + t_reach <= edges_y[row + 1]
+            if within_x and within_y:
+                out[i, j] = np.uint8(min(max(grey[row, column] * bright, 0.0), 255.0) + 0.5)
                 continue
-            alpha *= _cell_weights(t, t_x * dx_du + t_y * dy_du, t_x * dx_dv + t_y * dy_dv, edges_y, weight_y)
-            if alpha <= 0.0:
-                continue
-            total = 0.0
-            for row in range(weight_y.shape[0]):
-                if weight_y[row] > 0.0:
-                    for column in range(weight_x.shape[0]):
-                        total += weight_y[row] * weight_x[column] * grey[row, column]
-            total *= light[0] + light[1] * s + light[2] * t
-            value = total + (1.0 - alpha) * out[i, j]
+            last_column = _cell_weights(s, s_u, s_v, edges_x, column, weight_x)
+            last_row = _cell_weights(t, t_u, t_v, edges_y, row, weight_y)
+            total = alpha = 0.0
+            for k in range(row, last_row):
+                for m in range(column, last_column):
+                    alpha += weight_y[k] * weight_x[m]
+                    total += weight_y[k] * weight_x[m] * grey[k, m]
+            value = total * bright + (1.0 - alpha) * out[i, j]
             out[i, j] = np.uint8(min(max(value, 0.0), 255.0) + 0.5)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _cell_weights(centre: float, per_column: float, per_row: float, edges: Real64, weights: Real64) -> float:
-    """Share of the pixel in each strip between neighbouring ``edges``; returns their sum."""
-    a, b = abs(per_column), abs(per_row)
+def _first_cell(edges: Real64, place: float, guess: int) -> int:
+    """The cell that contains ``place``, the first or last one for places beyond the edges."""
+    while guess > 0 and edges[guess] > place:
+        guess -= 1
+    while guess < edges.shape[0] - 2 and edges[guess + 1] <= place:
+        guess += 1
+    return guess
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _cell_weights(centre: float, a: float, b: float, edges: Real64, first: int, weights: Real64) -> int:
+    """Fill ``weights`` from ``first`` on with the pixel's share in each strip; returns where that ends.
+
+    ``a`` and ``b`` are the pixel's extents across the strips along its two sides.
+    """
     long, short = max(a, b), min(a, b)
-    below = _share_below(edges[0] - centre, long, short)
-    first = below
-    for k in range(weights.shape[0]):
+    below = _share_below(edges[first] - centre, long, short)
+    k = first
+    while k < weights.shape[0] and (k == first or below < 1.0):
         above = _share_below(edges[k + 1] - centre, long, short)
         weights[k] = above - below
         below = above
-    return below - first
+        k += 1
+    return k
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -63,11 +63,12 @@ def paint_wall(
     h, row_of_light = homography.astype(np.float32), light.astype(np.float32)
     # The area of a pixel on the plane is area / w**3 with w the inverse depth; its root is the footprint.
     root_area = np.float32(np.sqrt(abs(np.linalg.det(homography)) * pixel_area))
-    words = np.empty(TILE_COLUMNS, dtype=np.int32)
-    part_x = np.empty(TILE_COLUMNS, dtype=np.float32)
-    part_y = np.empty(TILE_COLUMNS, dtype=np.float32)
-    fine = np.empty(TILE_COLUMNS, dtype=np.float32)
-    coarse = np.empty(TILE_COLUMNS, dtype=np.float32)
+    fine = np.empty(TILE_COLUMNS, dtype=np.int32)
+    coarse = np.empty(TILE_COLUMNS, dtype=np.int32)
+    parts = np.empty((4, TILE_COLUMNS), dtype=np.float32)
+    fine_x, fine_y, coarse_x, coarse_y = parts[0], parts[1], parts[2], parts[3]
+    fine_grey = np.empty(TILE_COLUMNS, dtype=np.float32)
+    coarse_grey = np.empty(TILE_COLUMNS, dtype=np.float32)
     for top in range(0, height, TILE_ROWS):
         bottom = min(top + TILE_ROWS, height)
         for left in range(0, width, TILE_COLUMNS):
@@ -75,16 +76,16 @@ def paint_wall(
             row, column = (top + bottom) // 2, (left + right) // 2
             w = max(h[2, 0] * ray_x[row, column] + h[2, 1] * ray_y[row, column] + h[2, 2], _NEAR)
             level = _level(root_area / (w * np.sqrt(w)), len(levels))
+            scale, bits = np.float32(1.0 / (1 << level)), finest_bits - level
+            fine_texture, coarse_texture = levels[level], levels[level + 1]
             for i in range(top, bottom):
                 xs, ys, target = ray_x[i, left:right], ray_y[i, left:right], out[i, left:right]
-                scale = np.float32(1.0 / (1 << level))
-                _locate(xs, ys, h, scale, finest_bits - level, words, part_x, part_y)
-                _load(levels[level], words, right - left)
-                _interpolate(words, part_x, part_y, fine)
-                _locate(xs, ys, h, scale * _HALF, finest_bits - level - 1, words, part_x, part_y)
-                _load(levels[level + 1], words, right - left)
-                _interpolate(words, part_x, part_y, coarse)
-                _blend(target, xs, ys, h[2], row_of_light, root_area * scale, fine, coarse, sky)
+                _locate(xs, ys, h, scale, bits, fine, coarse, fine_x, fine_y, coarse_x, coarse_y)
+                _load(fine_texture, fine, right - left)
+                _interpolate(fine, fine_x, fine_y, fine_grey)
+                _load(coarse_texture, coarse, right - left)
+                _interpolate(coarse, coarse_x, coarse_y, coarse_grey)
+                _blend(target, xs, ys, h[2], row_of_light, root_area * scale, fine_grey, coarse_grey, sky)
 
 
 @njit(cache=True, nogil=True)
@@ -104,22 +105,32 @@ def _locate(
     h: Real32,
     scale: Scalar32,
     bits: int,
-    words: Words,
-    part_x: Real32,
-    part_y: Real32,
+    fine: Words,
+    coarse: Words,
+    fine_x: Real32,
+    fine_y: Real32,
+    coarse_x: Real32,
+    coarse_y: Real32,
 ) -> None:
-    """Fill ``words`` with the index of the texel above and left of each sample, ``part_*`` with the rest."""
+    """Fill in, for two mip levels, each sample's texel above and left of it, and the parts beyond that."""
     mask, shift = np.int32((1 << bits) - 1), np.int32(bits)
+    half_mask, half_shift = np.int32((1 << (bits - 1)) - 1), np.int32(bits - 1)
     for j in range(xs.shape[0]):
         x, y = xs[j], ys[j]
         factor = scale / max(h[2, 0] * x + h[2, 1] * y + h[2, 2], _NEAR)
-        u = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) * factor - _HALF
-        v = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) * factor - _HALF
+        along = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) * factor
+        down = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) * factor
+        u, v = along - _HALF, down - _HALF
         column, row = np.floor(u), np.floor(v)
-        part_x[j], part_y[j] = u - column, v - row
-        words[j] = np.int32(
+        fine_x[j], fine_y[j] = u - column, v - row
+        fine[j] = np.int32(
             np.int32(np.int32(np.int32(row) & mask) << shift) | np.int32(np.int32(column) & mask)
         )
+        u, v = along * _HALF - _HALF, down * _HALF - _HALF
+        column, row = np.floor(u), np.floor(v)
+        coarse_x[j], coarse_y[j] = u - column, v - row
+        at_row = np.int32(np.int32(np.int32(row) & half_mask) << half_shift)
+        coarse[j] = np.int32(at_row | np.int32(np.int32(column) & half_mask))
 
 
 @njit(cache=True, nogil=True)
