@@ -1,0 +1,149 @@
+"""A controller on a real socket in a thread: the real session and scan, and an obedient plant."""
+
+import select
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+
+from controller.config import ArmConfig, ControllerConfig
+from controller.core.settings import Settings, settings_from
+from protocol.configuration import configuration_hash, load, parse_overrides
+from protocol.reference_link import Acknowledgement, Request, State
+from protocol.reference_session import ReferenceServer, RequestReceived
+from tests.controller.obedient_plant import Bench
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+LINK_TIMEOUT_MS = 200
+OVERRIDES = ["controller.supervision.overrun_ms=2000"]
+
+
+def settings() -> Settings:
+    """The shipped configuration, tolerant of a test machine's lateness."""
+    arm = load(ArmConfig, CONFIGS / "arm.yaml")
+    config = load(ControllerConfig, CONFIGS / "controller.yaml", parse_overrides(OVERRIDES)["controller"])
+    return settings_from(arm, config)
+
+
+class ThreadedController:
+    """Serves the reference link on a free port of loopback until it is left.
+
+    A mutant overrides one of the hooks ``make_server``, ``incoming``, ``judge``, ``shown``, ``outgoing``.
+    """
+
+    def __init__(self) -> None:
+        self.settings = settings()
+        self.cycle_ns = round(self.settings.cycle_s * 1e9)
+        self.bench = Bench(self.settings)
+        self.bench.step()
+        self.server = self.make_server()
+        self.requests: deque[Request] = deque()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.setblocking(False)
+        self.port: int = self._socket.getsockname()[1]
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self.failure: BaseException | None = None
+
+    def make_server(self) -> ReferenceServer:
+        """The server's end of the link."""
+        return ReferenceServer(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS)
+
+    def arm_hash(self) -> int:
+        """The hash of the shipped arm."""
+        return configuration_hash(load(ArmConfig, CONFIGS / "arm.yaml"))
+
+    def incoming(self, data: bytes) -> bytes | None:
+        """A datagram as the controller takes it in."""
+        return data
+
+    def judge(self, request: Request) -> Request:
+        """A request as the scan gets it."""
+        return request
+
+    def answered(self, acknowledgement: Acknowledgement) -> list[Acknowledgement]:
+        """What is sent for one answer of the scan."""
+        return [acknowledgement]
+
+    def shown(self, state: State) -> State:
+        """A state as it is published."""
+        return state
+
+    def outgoing(self, data: bytes) -> list[bytes]:
+        """What is sent for one datagram of the server."""
+        return [data]
+
+    def __enter__(self) -> "ThreadedController":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ending.set()
+        self._thread.join(5.0)
+        self._socket.close()
+        if self.failure is not None:
+            raise self.failure
+
+    def _serve(self) -> None:
+        try:
+            next_ns = time.monotonic_ns()
+            while not self._ending.is_set():
+                left_s = max(next_ns - time.monotonic_ns(), 0) / 1e9
+                if select.select([self._socket], [], [], left_s)[0]:
+                    self._read()
+                if time.monotonic_ns() >= next_ns:
+                    self._scan()
+                    next_ns = max(next_ns + self.cycle_ns, time.monotonic_ns())
+                self._send()
+        except BaseException as failure:
+            self.failure = failure
+
+    def _read(self) -> None:
+        batch = []
+        for _ in range(64):
+            try:
+                data, source = self._socket.recvfrom(65_535)
+            except BlockingIOError:
+                break
+            taken = self.incoming(data)
+            if taken is not None:
+                batch.append((taken, source))
+        now_ns = time.monotonic_ns()
+        for event in self.server.receive_batch(batch, now_ns):
+            if isinstance(event, RequestReceived):
+                self.requests.append(self.judge(event.message))
+
+    def _scan(self) -> None:
+        now_ns = time.monotonic_ns()
+        self.server.tick(now_ns)
+        self.bench.link_alive = self.server.link_alive(now_ns)
+        self.bench.now_ns = now_ns - self.cycle_ns  # the bench adds one cycle
+        output = self.bench.step(*self.requests)
+        del self.bench.outputs[:-1]
+        self.requests.clear()
+        for acknowledgement in output.acknowledgements:
+            for each in self.answered(acknowledgement):
+                self.server.acknowledge(each, now_ns)
+        tally = self.server.statistics
+        state = State(
+            **output.view._asdict(),
+            overruns=0,
+            lateness_p50_us=0,
+            lateness_p99_us=0,
+            lateness_max_us=0,
+            references_lost=tally.lost,
+            references_dropped=tally.dropped,
+        )
+        self.server.publish(self.shown(state), now_ns)
+
+    def _send(self) -> None:
+        for data, source in self.server.outgoing(time.monotonic_ns()):
+            for each in self.outgoing(data):
+                self._socket.sendto(each, source)
+
+
+Maker = Callable[[], ThreadedController]

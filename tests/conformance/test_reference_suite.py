@@ -1,0 +1,151 @@
+"""The conformance suite: a sound controller passes every case, and every broken one is caught by its own."""
+
+import json
+import re
+import socket
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from typer.testing import CliRunner
+
+from protocol.errors import ConfigurationError
+from testbed.conformance.case import Outcome, Register
+from testbed.conformance.command import app
+from testbed.conformance.records import write_records
+from testbed.conformance.runner import Summary, reference_cases, run_reference
+from tests.conformance.controllers import ThreadedController
+from tests.conformance.mutants import MUTANTS, Mutant
+
+PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
+# These drive the obedient plant for seconds, or wait for timeouts again and again.
+SLOW = {527, 529, 532}
+CONTROL = 101
+
+
+def failures(summary: Summary) -> list[str]:
+    return [
+        f"{r.case.number} {r.outcome.value}: {r.detail}"
+        for r in summary.results
+        if r.outcome is not Outcome.PASS
+    ]
+
+
+def test_a_sound_controller_passes_every_case() -> None:
+    numbers = [case.number for case in reference_cases() if case.number not in SLOW]
+    with ThreadedController() as controller:
+        summary = run_reference("127.0.0.1", controller.port, numbers=numbers, motion=True)
+    assert failures(summary) == []
+    assert len(summary.results) == len(numbers)
+    assert summary.passed
+
+
+@pytest.mark.experiment
+def test_a_sound_controller_passes_the_slow_cases() -> None:
+    with ThreadedController() as controller:
+        summary = run_reference("127.0.0.1", controller.port, numbers=SLOW, motion=True)
+    assert failures(summary) == []
+
+
+@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda m: f"{m.make.__name__}-{m.case}")
+def test_each_broken_controller_is_caught_by_the_case_meant_for_it(mutant: Mutant) -> None:
+    with mutant.make() as controller:
+        summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, mutant.case], motion=True)
+    outcomes = {result.case.number: result.outcome for result in summary.results}
+    assert outcomes == {CONTROL: Outcome.PASS, mutant.case: Outcome.FAIL}
+    assert not summary.passed
+
+
+def test_every_case_cites_a_clause_that_is_written() -> None:
+    text = PAGE.read_text()
+    clauses = set(re.findall(r"^\*\*(\d+\.\d+)\*\*", text, re.MULTILINE)) | {"8"}
+    assert {case.clause for case in reference_cases()} <= clauses
+    assert len(reference_cases()) >= 100
+
+
+def test_motion_is_unsupported_unless_it_is_allowed() -> None:
+    with ThreadedController() as controller:
+        summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 521])
+    assert [result.outcome for result in summary.results] == [Outcome.PASS, Outcome.UNSUPPORTED]
+    assert summary.passed
+
+
+def test_a_controller_that_cannot_be_enabled_is_unsupported_and_not_failed() -> None:
+    with ThreadedController() as controller:
+        controller.bench.status = 0
+        summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 521], motion=True)
+    assert [result.outcome for result in summary.results] == [Outcome.PASS, Outcome.UNSUPPORTED]
+
+
+def test_nobody_there_is_a_failure_with_its_reason() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reserved:
+        reserved.bind(("127.0.0.1", 0))
+        port = reserved.getsockname()[1]
+    summary = run_reference("127.0.0.1", port, numbers=[CONTROL])
+    assert summary.results[0].outcome is Outcome.FAIL
+    assert "nobody listens" in summary.results[0].detail
+    assert not summary.passed
+
+
+def test_records_tell_the_same_story(tmp_path: Path) -> None:
+    with ThreadedController() as controller:
+        controller.bench.status = 0
+        summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 123, 521], motion=True)
+    write_records(summary, tmp_path)
+    data = json.loads((tmp_path / "results.json").read_text())
+    assert (data["pass"], data["fail"], data["unsupported"]) == (2, 0, 1)
+    assert [case["number"] for case in data["cases"]] == [CONTROL, 123, 521]
+    suite = ElementTree.parse(tmp_path / "junit.xml").getroot()
+    assert (suite.get("tests"), suite.get("failures"), suite.get("skipped")) == ("3", "0", "1")
+    assert suite.findall("testcase/skipped")[0].get("message")
+    text = (tmp_path / "transcripts" / "101.txt").read_text()
+    assert "Hello" in text
+    assert "Acknowledgement" in text
+    sent = re.findall(r"→ (\d+) bytes", text)
+    assert sent[0] == "72"
+    assert "4c524c4b0100" in text
+
+
+def test_a_number_is_given_once() -> None:
+    register = Register()
+    register.case(1, "1.1", "one")(lambda peer: None)
+    with pytest.raises(ValueError, match="twice"):
+        register.case(1, "1.1", "one again")(lambda peer: None)
+
+
+def test_the_command_prints_writes_and_ends_with_its_verdict(tmp_path: Path) -> None:
+    runner = CliRunner()
+    with ThreadedController() as controller:
+        port = str(controller.port)
+        good = runner.invoke(
+            app,
+            [
+                "reference",
+                "--port",
+                port,
+                "--case",
+                "101",
+                "--case",
+                "521",
+                "--json",
+                str(tmp_path / "r.json"),
+            ],
+        )
+        controller.server.close(0)
+    assert good.exit_code == 0, good.output
+    assert "1 pass, 0 fail, 1 unsupported" in good.output
+    assert json.loads((tmp_path / "r.json").read_text())["pass"] == 1
+    bad = runner.invoke(
+        app, ["reference", "--port", port, "--case", "101", "--records", str(tmp_path / "out")]
+    )
+    assert bad.exit_code == 1
+    assert (tmp_path / "out" / "transcripts" / "101.txt").exists()
+
+
+def test_the_command_lists_cases_and_refuses_unknown_ones() -> None:
+    runner = CliRunner()
+    listed = runner.invoke(app, ["reference", "--list"])
+    assert listed.exit_code == 0
+    assert "COMMAND with any single bit flipped" in listed.output.replace("\n", " ")
+    unknown = runner.invoke(app, ["reference", "--case", "999"])
+    assert isinstance(unknown.exception, ConfigurationError)
