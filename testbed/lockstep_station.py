@@ -39,7 +39,8 @@ class StationLog(event_log.EventLog):
 
     def write(self, event: str, **fields: Any) -> None:
         """Appends one event."""
-        self._world.log.add(self._world.time_ns, event, **fields)
+        told = {("looked_ns" if key == "time_ns" else key): value for key, value in fields.items()}
+        self._world.log.add(self._world.time_ns, event, **told)
 
 
 class LockstepRig:

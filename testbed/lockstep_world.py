@@ -18,10 +18,11 @@ from plant_emulator.core.stereo_camera import StereoCamera
 from plant_emulator.core.truth import PlantTruth
 from protocol.configuration import configuration_hash
 from protocol.faults import FaultCode, GroupState
-from protocol.process_image import decode_sensors, decode_valves, encode_sensors, encode_valves
+from protocol.process_image import ValveImage, decode_sensors, decode_valves, encode_sensors, encode_valves
 from protocol.reference_messages import Acknowledgement, Request, State
 from protocol.reference_session import (
     AcknowledgementReceived,
+    ClientEvent,
     DatagramDropped,
     LinkLost,
     LinkStatistics,
@@ -64,7 +65,7 @@ class ControllerSide:
             cycle_ns=self.cycle_ns,
             link_timeout_ms=config.reference_link.link_timeout_ms,
         )
-        self.valve_words: list[int] | None = None
+        self.valve_words = encode_valves(ValveImage(0, 0, (0.0,) * 6))
 
     def cycle(
         self, sensor_words: list[int], datagrams: list[bytes], now_ns: int
@@ -100,7 +101,7 @@ class ControllerSide:
             lateness_p99_us=0,
             lateness_max_us=0,
             references_lost=lost.lost,
-            references_dropped=lost.stale,
+            references_dropped=lost.dropped,
         )
 
 
@@ -108,8 +109,7 @@ class World:
     """The physical world, the controller, and vision's end of the reference link.
 
     ``step`` lets one controller cycle pass. ``on_frame`` is called with each stereo pair while it is set; no
-    picture is rendered otherwise. ``on_state`` is called with each state of the controller and its time on
-    vision's clock.
+    picture is rendered otherwise. While ``cut_link`` is set no datagram arrives, either way.
     """
 
     def __init__(self, settings: Settings, seed: int, log: EventLog) -> None:
@@ -121,6 +121,7 @@ class World:
         self.states: list[State] = []
         self.acknowledgements: dict[int, Acknowledgement] = {}
         self.link_lost: LinkLost | None = None
+        self.cut_link = False
         self.on_frame: Callable[[Frame], None] | None = None
         self._camera: StereoCamera | None = None
         self._scene = scene
@@ -167,16 +168,16 @@ class World:
 
     def step(self) -> None:
         """Nothing; one controller cycle has passed."""
-        self._client.tick(self.vision_ns)
-        datagrams = self._client.outgoing(self.vision_ns)
-        if self._controller.valve_words is not None:
-            self.plant.write(decode_valves(self._controller.valve_words))
+        for event in self._client.tick(self.vision_ns):
+            self._noted(event)
+        datagrams = [] if self.cut_link else self._client.outgoing(self.vision_ns)
+        self.plant.write(decode_valves(self._controller.valve_words))
         sensor_words = encode_sensors(self.plant.read())
         before = self.states[-1] if self.states else None
         output, replies = self._controller.cycle(sensor_words, datagrams, self._time_ns + CONTROLLER_CLOCK_NS)
         for event in output.events:
             self.log.add(self._time_ns, "controller", what=event)
-        for data in replies:
+        for data in () if self.cut_link else replies:
             self._received(data)
         if self.states and (before is None or _noteworthy(before, self.states[-1])):
             self._log_state(self.states[-1])
@@ -184,19 +185,20 @@ class World:
 
     def _received(self, data: bytes) -> None:
         for event in self._client.receive(data, self.vision_ns):
-            if isinstance(event, StateReceived):
-                self.states.append(event.state)
-            elif isinstance(event, AcknowledgementReceived):
-                answer = event.acknowledgement
-                self.acknowledgements[answer.command_id] = answer
-                self.log.add(
-                    self._time_ns, "acknowledgement", id=answer.command_id, reason=answer.reason.name
-                )
-            elif isinstance(event, LinkLost):
-                self.link_lost = event
-                self.log.add(self._time_ns, "link_lost", reason=event.reason.name)
-            elif isinstance(event, DatagramDropped):
-                self.log.add(self._time_ns, "datagram_dropped", cause=event.cause)
+            self._noted(event)
+
+    def _noted(self, event: ClientEvent) -> None:
+        if isinstance(event, StateReceived):
+            self.states.append(event.state)
+        elif isinstance(event, AcknowledgementReceived):
+            answer = event.acknowledgement
+            self.acknowledgements[answer.command_id] = answer
+            self.log.add(self._time_ns, "acknowledgement", id=answer.command_id, reason=answer.reason.name)
+        elif isinstance(event, LinkLost):
+            self.link_lost = event
+            self.log.add(self._time_ns, "link_lost", reason=event.reason.name)
+        elif isinstance(event, DatagramDropped):
+            self.log.add(self._time_ns, "datagram_dropped", cause=event.cause)
 
     def _log_state(self, state: State) -> None:
         self.log.add(
