@@ -167,16 +167,22 @@ def _supply(state: Array, model: Model, work: Work, rate: Array) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def right_hand_side(state: Array, command: Array, model: Model, work: Work, rate: Array) -> None:
-    """Fill ``rate`` (N_STATES,) with d(state)/dt at ``state`` under spool ``command`` (6,)."""
+def hydraulic_rates(state: Array, command: Array, model: Model, work: Work, rate: Array) -> None:
+    """Fill the oil's part of ``rate`` and the generalised force (10,) of oil and hinges in ``work.force``."""
     mech = model.mechanism
-    angle, turn = state[Q : Q + N_COORDINATES], state[RATE : RATE + N_COORDINATES]
     for i in range(N_COORDINATES):
-        work.force[i] = -mech.stiffness[i] * angle[i] - mech.damping[i] * turn[i]
+        work.force[i] = -mech.stiffness[i] * state[Q + i] - mech.damping[i] * state[RATE + i]
     for i in range(N_ACTUATORS):
         _actuator(i, state, command[i], model, work, rate)
     _supply(state, model, work, rate)
-    forward_dynamics(angle, turn, work.force, mech, work.multibody, work.acceleration)
+
+
+@njit(cache=True, error_model="numpy")
+def right_hand_side(state: Array, command: Array, model: Model, work: Work, rate: Array) -> None:
+    """Fill ``rate`` (N_STATES,) with d(state)/dt at ``state`` under spool ``command`` (6,)."""
+    hydraulic_rates(state, command, model, work, rate)
+    angle, turn = state[Q : Q + N_COORDINATES], state[RATE : RATE + N_COORDINATES]
+    forward_dynamics(angle, turn, work.force, model.mechanism, work.multibody, work.acceleration)
     for i in range(N_COORDINATES):
         rate[Q + i] = turn[i]
         rate[RATE + i] = work.acceleration[i]
