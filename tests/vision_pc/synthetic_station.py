@@ -81,6 +81,7 @@ class Bench:
         raise AssertionError(f"{location} did not end")
 
     def events(self, name: str) -> list[dict[str, Any]]:
+        self.station.log.flush()
         lines = [json.loads(line) for line in self.log.getvalue().splitlines()]
         return [line for line in lines if line["event"] == name]
 

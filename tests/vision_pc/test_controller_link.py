@@ -224,11 +224,13 @@ async def test_commands_that_wait_end_with_the_link(
 
 async def test_the_log_tells_the_links_story(controller: LoopbackController) -> None:
     stream = io.StringIO()
-    link = ControllerLink(LinkSettings(port=controller.port), EventLog(None, stream))
+    log = EventLog(None, stream)
+    link = ControllerLink(LinkSettings(port=controller.port), log)
     await link.start()
     await until(lambda: link.connected)
     await link.command(CommandCode.ENABLE)
     await link.close()
+    log.flush()
     lines = stream.getvalue().splitlines()
     assert any('"link_connected"' in line for line in lines)
     assert any('"acknowledged"' in line and '"accepted"' in line for line in lines)

@@ -5,6 +5,7 @@ Whatever ends it early stops the arm. The same idempotency key gives the same op
 """
 
 import asyncio
+import contextlib
 import time
 import uuid
 from collections import OrderedDict
@@ -136,9 +137,10 @@ class Operations:
         return operation
 
     async def close(self) -> None:
-        """Cancels what runs."""
+        """Cancels what runs, if anything."""
         if self.current is not None:
-            await self.cancel(self.current.id)
+            with contextlib.suppress(RequestRefused):  # it ended just now
+                await self.cancel(self.current.id)
 
     async def _run(self, operation: Operation, program: Program) -> None:
         try:
