@@ -120,7 +120,11 @@ class ReferenceClient:
         return estimate.uncertainty_ns if estimate else None
 
     def connect(self, now_ns: int) -> None:
-        """Starts the handshake; ``tick`` repeats it until the controller answers."""
+        """Starts the handshake; ``tick`` repeats it until the controller answers.
+
+        A session that is still open is given up, and its unanswered requests with it.
+        """
+        self._unanswered.clear()
         self._phase = _Phase.CONNECTING
         self._hellos_sent = 0
         self._begin_attempt()

@@ -300,6 +300,16 @@ class TestRestarts:
         assert dropped_causes(wire.give_server(delayed)) == ["session.hello_replayed"]
         assert wire.server.link_alive(wire.server_ns)
 
+    def test_connecting_anew_gives_the_old_session_and_its_requests_up(self) -> None:
+        wire = Wire(answer=None).connect()
+        wire.client.submit(MOVE, wire.now_ns)
+        wire.run(10)
+        assert len(wire.requests()) == 1
+        wire.connect().run(300)
+        assert len(wire.requests()) == 1
+        assert answers(wire) == []
+        assert wire.client.connected
+
     def test_ids_of_two_runs_of_a_client_differ(self) -> None:
         def first_id(nonce: int) -> int:
             wire = Wire(client=ReferenceClient(nonce)).connect()
