@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from plant_emulator.core.truth import PlantTruth
 
 TRUTH, CAPTURE, EVENT = "/plant/truth", "/plant/capture", "/plant/event"
-_CHUNK_BYTES = 4096
+_CHUNK_BYTES = 1 << 16  # an upper bound: each capture closes its chunk
 _SCHEMA = json.dumps(
     {
         "type": "object",
@@ -77,7 +77,7 @@ class TruthRecorder:
         """Create ``path``; ``run`` goes into the metadata. Raises OSError when it cannot be written."""
         self.path = path
         self._file = path.open("xb")
-        self._writer: Any = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.NONE)
+        self._writer: Any = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library="longreach")
         truth_schema = self._writer.register_schema("longreach.PlantTruth", "jsonschema", _SCHEMA)
         event_schema = self._writer.register_schema("longreach.Event", "jsonschema", b'{"type": "object"}')
