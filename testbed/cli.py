@@ -21,6 +21,9 @@ app = typer.Typer(
 validate = typer.Typer(help="Compare parts with known answers.", no_args_is_help=True)
 app.add_typer(validate, name="validate")
 
+experiment = typer.Typer(help="Seeded experiments that write tables.", no_args_is_help=True)
+app.add_typer(experiment, name="experiment")
+
 ConfigDir = Annotated[Path, typer.Option("--config-dir", help="Where the configuration files are.")]
 Scenario = Annotated[str, typer.Option(help="Which of CONFIG_DIR/scenarios to draw the world from.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed is the same world.")]
@@ -102,6 +105,28 @@ def validate_plant_command(config_dir: ConfigDir = DEFAULT_CONFIG, json_file: Js
     from testbed.validate import validate_plant
 
     raise typer.Exit(0 if validate_plant(config_dir, json_file) else 1)
+
+
+@experiment.command(
+    "lockstep-demo", epilog="Example: longreach experiment lockstep-demo --runs 20 --json lockstep.json"
+)
+def lockstep_demo_command(
+    count: Annotated[int, typer.Option("--runs", min=1, help="How many seeds, from --seed on.")] = 20,
+    looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 2,
+    scenario: Scenario = "standard",
+    seed: Seed = 1,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    runs: Annotated[
+        Path, typer.Option("--directory", help="Where directories of runs are made.")
+    ] = DEFAULT_RUNS,
+    json_file: JsonFile = None,
+) -> None:
+    """Demonstrations in lockstep over many seeds; exit status 0 when 18 of 20 end under 10 mm."""
+    from testbed.experiments.lockstep_demo import run_experiment
+
+    passed = run_experiment(config_dir, scenario, seed, count, looks, settings or [], runs, json_file)
+    raise typer.Exit(0 if passed else 1)
 
 
 def main() -> None:

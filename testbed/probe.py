@@ -1,8 +1,8 @@
-"""Asks a running service whether it answers, without disturbing it: ``python -m testbed.probe WHAT HOST PORT``.
+"""Asks a service whether it answers, without disturbing it: ``python -m testbed.probe WHAT HOST PORT``.
 
-For health checks of containers: it starts quickly, prints one line, and its exit status says all. ``fieldbus``
-reads one register, ``reference`` sends a datagram of no session (the controller names the mistake), ``rest``
-wants the vision PC to have both controller and camera.
+For health checks of containers: it starts quickly, prints one line, and its exit status says all.
+``fieldbus`` reads one register, ``reference`` sends a datagram of no session (the controller names the
+mistake), ``rest`` wants the vision PC to have both controller and camera.
 """
 
 import argparse

@@ -1,0 +1,23 @@
+"""Compiles every numba kernel once, into its cache: ``python -m testbed.warm`` while an image is built."""
+
+import sys
+from pathlib import Path
+
+from testbed.console import bars
+from testbed.event_log import EventLog
+from testbed.lockstep_station import LockstepRig
+from testbed.settings import load_settings
+
+
+def main() -> int:
+    """Exit status 0; a short life of all three services in lockstep, with one look."""
+    rig = LockstepRig(load_settings(Path("configs"), {}), 1, EventLog())
+    rig.command("enable")
+    with bars(quiet=True) as shown, shown.step("look") as bar:
+        rig.operate("look", {"frames": 1}, bar)
+        rig.operate("move", {"offset_base_m": [0.0, 0.02, 0.0]}, bar)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
