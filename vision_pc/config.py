@@ -136,6 +136,8 @@ class OdometrySettings(StrictModel):
     minimum_eigenvalue: float = Field(gt=0.0, le=1.0)
     window_px: int = Field(ge=7, le=51)
     pyramid_levels: int = Field(ge=1, le=8)
+    patch_px: int = Field(ge=7, le=61)
+    likeness: float = Field(ge=0.0, lt=1.0)
     back_error_px: float = Field(gt=0.0, le=5.0)
     row_error_px: float = Field(gt=0.0, le=20.0)
     ransac_px: float = Field(gt=0.1, le=20.0)
@@ -155,11 +157,14 @@ class LinkSettings(StrictModel):
 
 
 class MotionSettings(StrictModel):
-    """When a motion counts as finished: settled within ``settle_timeout_s``, then at rest for ``rest_s``
-    more.
+    """When a motion counts as finished: settled by the controller's judgement, then ``rest_s`` more.
+
+    An arm that the joint servo leaves hanging beside its reference counts too, once ``settle_timeout_s``
+    have passed and no encoder moves by more than ``still_mrad``: where it stands is measured, not presumed.
     """
 
-    settle_timeout_s: float = Field(10.0, gt=0.0, le=120.0)
+    settle_timeout_s: float = Field(5.0, gt=0.0, le=120.0)
+    still_mrad: float = Field(1.0, gt=0.0, le=50.0)
     rest_s: float = Field(0.5, ge=0.0, le=30.0)
 
 

@@ -34,6 +34,14 @@ def inverse(X: Array) -> Array:
     return Y
 
 
+def inverse_covariance(X: Array, covariance: Array) -> Array:
+    """The covariance (6×6) of ``inverse(X)`` when ``covariance`` is that of X."""
+    J = np.zeros((6, 6))
+    J[:3, :3] = J[3:, 3:] = -X[:3, :3].T
+    J[:3, 3:] = -X[:3, :3].T @ hat(X[:3, 3])
+    return J @ covariance @ J.T
+
+
 def apply(X_AB: Array, points_B: Array) -> Array:
     """``points_B`` (n, 3) expressed in A."""
     return points_B @ X_AB[:3, :3].T + X_AB[:3, 3]

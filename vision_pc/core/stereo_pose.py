@@ -25,7 +25,8 @@ class View(NamedTuple):
     """A body's points and where the eyes see them.
 
     ``points`` (n, 3) in the body's frame; ``rays`` (2, n, 2) undistorted x/z, y/z in the left and right
-    eye's axes; ``seen`` (2, n) 1.0 where measured, else 0.0.
+    eye's axes; ``seen`` (2, n) 0 where not measured, 1 where measured with the usual noise, between where
+    with more.
     """
 
     points: Array
@@ -155,12 +156,18 @@ def _accumulate(
                 J[row, 7 + row] = float(eye)
                 residual = focal * (rays[eye, i, row] - ratio) - eye * offset[row]
                 sums[1] += residual * residual
-                chi2 += (residual / std_px) ** 2
-                J[row] /= std_px
-                rays_error = residual / std_px
-                weight = 1.0 if abs(rays_error) <= _HUBER else _HUBER / abs(rays_error)
-                H += weight * np.outer(J[row], J[row])
-                g += weight * rays_error * J[row]
+                error = seen[eye, i] * residual / std_px
+                chi2 += error * error
+                J[row] *= seen[eye, i] / std_px
+                weight = 1.0 if abs(error) <= _HUBER else _HUBER / abs(error)
+                for a in range(9):
+                    scaled = weight * J[row, a]
+                    g[a] += scaled * error
+                    for b in range(a + 1):
+                        H[a, b] += scaled * J[row, b]
             sums[0] += chi2 if chi2 <= _HUBER**2 else _HUBER * (2.0 * math.sqrt(chi2) - _HUBER)
             sums[2] += 2.0
+    for a in range(9):
+        for b in range(a):
+            H[b, a] = H[a, b]
     return H, g, sums

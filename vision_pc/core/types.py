@@ -143,7 +143,11 @@ class WatchSample(NamedTuple):
 
 
 class WatchHealth(NamedTuple):
-    """Counts over a watch. ``frames`` were processed; the others say in how many something was missing."""
+    """Counts over a watch: ``frames`` were processed; the others say in how many something wanted was
+    missing.
+
+    ``offset`` is the right eye's offset that was believed last, None if no marker ever told.
+    """
 
     frames: int
     odometry_lost: int
@@ -151,3 +155,4 @@ class WatchHealth(NamedTuple):
     object_missed: int
     median_inliers: int
     last_loss: str | None
+    offset: StereoOffset | None

@@ -1,0 +1,138 @@
+"""What odometry remembers: points of the static world, and keyframes that show them.
+
+A point is held as the inverse of its depth along the ray on which its first keyframe shows it: of all that
+is unknown about it, only that is uncertain, and about equally so for near and far points. Every later frame
+adds what it saw.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision_pc.core import se3
+from vision_pc.core.odometry.tracking import Flags
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraCalibration, EyeModel, Image
+
+Indices = NDArray[np.int64]
+
+_NEAR, _FAR = 0.1, 50.0  # m: depths outside are mismatches or tell nothing about position
+_LARGEST_TURN = np.radians(25.0)  # beyond it a keyframe's patches no longer look alike
+_LARGEST_ZOOM = 1.35
+_LEAST_STD_PX = 0.01  # of the right eye's view: bias of the matching keeps depths from being known better
+
+
+class Keyframe(NamedTuple):
+    """A remembered left picture, its pose, and the map points ``ids`` (n,) that it shows.
+
+    ``pixels`` (n, 2) where it shows them, ``rays`` (n, 2) the same undistorted, ``surfaces`` (n, 3) from
+    ``patches.planes``.
+    """
+
+    X_C0C: Array
+    left: Image
+    ids: Indices
+    pixels: Array
+    rays: Array
+    surfaces: Array
+
+    def only(self, chosen: Flags) -> "Keyframe":
+        """The keyframe with the ``chosen`` (n,) of its points."""
+        return self._replace(
+            ids=self.ids[chosen],
+            pixels=self.pixels[chosen],
+            rays=self.rays[chosen],
+            surfaces=self.surfaces[chosen],
+        )
+
+
+class KeyframeMap:
+    """Map points and the keyframes that show them. Grows only, so that points are found again on the way
+    back.
+
+    ``points`` (n, 3) in C0; ``stds`` (n,) of their inverse depths.
+    """
+
+    def __init__(self, camera: CameraCalibration) -> None:
+        self.keyframes: list[Keyframe] = []
+        self.points = np.zeros((0, 3))
+        self._eyes = (camera.left, camera.right)
+        self._least_std = _LEAST_STD_PX / (camera.right.K[0, 0] * np.linalg.norm(camera.right.X_CE[:3, 3]))
+        self._origins, self._directions = np.zeros((0, 3)), np.zeros((0, 3))
+        self._inverse_depths, self._information = np.zeros(0), np.zeros(0)
+
+    def add_points(self, X_C0C: Array, points_C: Array, noise_px: float) -> Indices:
+        """The numbers given to new ``points_C`` (n, 3), triangulated by a camera at ``X_C0C``."""
+        first, count = len(self.points), len(points_C)
+        inverse_depths = 1.0 / points_C[:, 2]
+        self._origins = np.vstack([self._origins, np.tile(X_C0C[:3, 3], (count, 1))])
+        self._directions = np.vstack(
+            [self._directions, (points_C * inverse_depths[:, None]) @ X_C0C[:3, :3].T]
+        )
+        self._inverse_depths = np.concatenate([self._inverse_depths, inverse_depths])
+        std = noise_px * self._least_std / _LEAST_STD_PX
+        self._information = np.concatenate([self._information, np.full(count, std**-2.0)])
+        self.points = np.vstack([self.points, se3.apply(X_C0C, points_C)])
+        return np.arange(first, first + count)
+
+    def sensitivity(self, ids: Indices, X_CC0: Array) -> Array:
+        """How far the eyes' views of points ``ids`` move with their inverse depths, px m (2, n, 2)."""
+        rates = -self._directions[ids] / self._inverse_depths[ids][:, None] ** 2
+        return np.stack([_image_rates(eye, X_CC0, self.points[ids], rates) for eye in self._eyes])
+
+    def stds(self, ids: Indices) -> Array:
+        """Standard deviations (n,) of the inverse depths, 1/m."""
+        return np.asarray(np.maximum(self._information[ids] ** -0.5, self._least_std))
+
+    def learn(self, ids: Indices, X_CC0: Array, errors_px: Array, weights: Array, noise_px: float) -> None:
+        """Correct the points ``ids`` by what a frame at ``X_CC0`` saw.
+
+        ``errors_px`` (2, n, 2) measured minus expected in both eyes, ``weights`` (2, n) 0…1, ``noise_px``
+        of one coordinate.
+        """
+        J = self.sensitivity(ids, X_CC0)
+        precision = weights[:, :, None] / noise_px**2
+        self._information[ids] += (precision * J * J).sum(axis=(0, 2))
+        step = (precision * J * errors_px).sum(axis=(0, 2)) / np.maximum(
+            self._information[ids], self.stds(ids) ** -2.0
+        )
+        limit = 3.0 * self.stds(ids)
+        self._inverse_depths[ids] += np.clip(step, -limit, limit)
+        self._information[ids] = np.minimum(self._information[ids], self._least_std**-2.0)
+        self.points[ids] = self._origins[ids] + self._directions[ids] / self._inverse_depths[ids][:, None]
+
+    def nearest(self, X_C0C: Array) -> list[Keyframe]:
+        """Keyframes, those first that look most like what a camera at ``X_C0C`` sees."""
+        likeness = [(self._unlikeness(keyframe, X_C0C), -k) for k, keyframe in enumerate(self.keyframes)]
+        return [self.keyframes[-k] for _, k in sorted(likeness)]
+
+    def _unlikeness(self, keyframe: Keyframe, X_C0C: Array) -> float:
+        """Shift of the picture from keyframe to camera as a share of its width, with turn and zoom added."""
+        depth = float(np.median(se3.apply(se3.inverse(keyframe.X_C0C), self.points[keyframe.ids])[:, 2]))
+        X = se3.inverse(keyframe.X_C0C) @ X_C0C
+        shift = np.linalg.norm(X[:2, 3] / depth + X[:2, 2])
+        zoom = abs(np.log(max(1.0 - X[2, 3] / depth, 0.05))) / np.log(_LARGEST_ZOOM)
+        turn = se3.angle_between(X[:3, :3], np.eye(3)) / _LARGEST_TURN
+        return float(shift + zoom + turn)
+
+
+def _image_rates(eye: EyeModel, X_CC0: Array, points: Array, rates: Array) -> Array:
+    """Velocity (n, 2) px of the image of ``points`` (n, 3) that move with ``rates`` (n, 3), both in C0."""
+    X_EC0 = se3.inverse(eye.X_CE) @ X_CC0
+    seen, moved = se3.apply(X_EC0, points), rates @ X_EC0[:3, :3].T
+    slopes = (moved[:, :2] - seen[:, :2] / seen[:, 2:] * moved[:, 2:]) / seen[:, 2:]
+    return np.asarray(slopes * (eye.K[0, 0], eye.K[1, 1]))
+
+
+def triangulated(left_rays: Array, right_rays: Array, camera: CameraCalibration) -> tuple[Array, Flags]:
+    """Points (n, 3) in C on the left eye's rays (n, 2) where the right eye's columns (n, 2) put them, and
+    which are at a sensible depth (n,).
+    """
+    X_RC = se3.inverse(camera.right.X_CE)
+    directions = np.column_stack([left_rays, np.ones(len(left_rays))])
+    a, b = directions @ X_RC[:3, :3].T, X_RC[:3, 3]
+    divisor = right_rays[:, 0] * a[:, 2] - a[:, 0]
+    usable = divisor < -1e-6 if b[0] < 0.0 else divisor > 1e-6
+    depth = (b[0] - right_rays[:, 0] * b[2]) / np.where(usable, divisor, 1.0)
+    return directions * depth[:, None], usable & (depth > _NEAR) & (depth < _FAR)
