@@ -101,15 +101,14 @@ def forward_kinematics(q: Array, mech: Mechanism, work: MultibodyWork) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _body_inertia(i: int, ox: float, oy: float, oz: float, mech: Mechanism, work: MultibodyWork) -> None:
-    """Fill the spatial inertia of body ``i`` about the point (ox, oy, oz), in base axes."""
-    rot, m = work.rotation[i + 1], mech.mass[i]
-    c0, c1, c2 = mech.centre[i, 0], mech.centre[i, 1], mech.centre[i, 2]
-    x = rot[0, 0] * c0 + rot[0, 1] * c1 + rot[0, 2] * c2 + work.origin[i + 1, 0] - ox
-    y = rot[1, 0] * c0 + rot[1, 1] * c1 + rot[1, 2] * c2 + work.origin[i + 1, 1] - oy
-    z = rot[2, 0] * c0 + rot[2, 1] * c1 + rot[2, 2] * c2 + work.origin[i + 1, 2] - oz
-    out = work.spatial_inertia[i]
-    home = mech.inertia[i]
+def _body_inertia(
+    rot: Array, at: Array, ox: float, oy: float, oz: float, m: float, centre: Array, home: Array, out: Array
+) -> None:
+    """Fill the spatial inertia ``out`` (6, 6) of a body at ``rot``, ``at``, about the point (ox, oy, oz)."""
+    c0, c1, c2 = centre[0], centre[1], centre[2]
+    x = rot[0, 0] * c0 + rot[0, 1] * c1 + rot[0, 2] * c2 + at[0] - ox
+    y = rot[1, 0] * c0 + rot[1, 1] * c1 + rot[1, 2] * c2 + at[1] - oy
+    z = rot[2, 0] * c0 + rot[2, 1] * c1 + rot[2, 2] * c2 + at[2] - oz
     for r in range(3):
         h0 = rot[r, 0] * home[0, 0] + rot[r, 1] * home[1, 0] + rot[r, 2] * home[2, 0]
         h1 = rot[r, 0] * home[0, 1] + rot[r, 1] * home[1, 1] + rot[r, 2] * home[2, 1]
@@ -180,8 +179,9 @@ def _screws(rate: Array, mech: Mechanism, work: MultibodyWork) -> None:
         b[3] = (v[1] * mz - v[2] * my + v[4] * az - v[5] * ay) * d
         b[4] = (v[2] * mx - v[0] * mz + v[5] * ax - v[3] * az) * d
         b[5] = (v[0] * my - v[1] * mx + v[3] * ay - v[4] * ax) * d
-        _body_inertia(i, ox, oy, oz, mech, work)
         inertia, f = work.spatial_inertia[i], work.wrench[i]
+        pose, place = work.rotation[i + 1], work.origin[i + 1]
+        _body_inertia(pose, place, ox, oy, oz, mech.mass[i], mech.centre[i], mech.inertia[i], inertia)
         m0 = m1 = m2 = m3 = m4 = m5 = 0.0
         for k in range(6):
             m0 += inertia[0, k] * w[k]

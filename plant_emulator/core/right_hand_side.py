@@ -59,9 +59,8 @@ def new_work() -> Work:
 
 
 @njit(cache=True, error_model="numpy")
-def _valve_flows(i: int, state: Array, thinner: float, model: Model, out: Array) -> None:
+def _valve_flows(i: int, state: Array, thinner: float, a: Array, c: Array, out: Array) -> None:
     """Fill net chamber flows and supply flow of actuator ``i``: valve, leakage, relief, anti-cavitation."""
-    a, c = model.actuators[i], model.circuit
     p_a, p_b, p_s, p_t = state[PRESSURE_A + i], state[PRESSURE_B + i], state[SUPPLY], c[col.C_RETURN]
     soft, limit = c[col.C_REGULARISATION], c[col.C_RELIEF]
     open_by = opening(state[SPOOL + i], a[col.A_DEADBAND])
@@ -95,9 +94,15 @@ def _end_stop(y: float, v: float, a: Array) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _actuator(i: int, state: Array, command: float, model: Model, work: Work, rate: Array) -> None:
-    """Rates of spool, chambers and bristle of actuator ``i``, and its torque on the joint."""
-    a, c, out, joint = model.actuators[i], model.circuit, work.flows[i], DRIVEN[i]
+def _actuator(
+    i: int, state: Array, command: float, thinner: float, a: Array, c: Array, out: Array, rate: Array
+) -> float:
+    """Rates of spool, chambers and bristle of actuator ``i``; returns its torque on the joint.
+
+    ``a`` is its row of the actuator table, ``c`` the circuit, ``out`` its row of the flow table, ``thinner`` the
+    viscosity at the reference temperature over the present one.
+    """
+    joint = DRIVEN[i]
     angle = state[Q + joint]
     base, lever, angle0, length0 = a[col.A_BASE], a[col.A_LEVER], a[col.A_ANGLE0], a[col.A_LENGTH0]
     y = actuator_position(angle, a[col.A_KIND], base, lever, angle0, length0)
@@ -111,8 +116,7 @@ def _actuator(i: int, state: Array, command: float, model: Model, work: Work, ra
     rate[SPOOL_RATE + i] = spool_acceleration(command, spool, spool_rate, a[col.A_OMEGA], a[col.A_ZETA])
 
     warmer = state[TEMPERATURE] - c[col.C_REFERENCE]
-    thinner = math.exp(c[col.C_VISCOSITY_DRIFT] * warmer)
-    _valve_flows(i, state, thinner, model, out)
+    _valve_flows(i, state, thinner, a, c, out)
     volume_a = a[col.A_DEAD_A] + area_a * y
     volume_b = a[col.A_DEAD_B] + area_b * (a[col.A_STROKE] - y)
     oil = c[col.C_MODULUS] * (1.0 - c[col.C_MODULUS_DRIFT] * warmer)
@@ -130,9 +134,10 @@ def _actuator(i: int, state: Array, command: float, model: Model, work: Work, ra
     friction = friction_force(v, bristle, z_rate, a[col.A_BRISTLE], a[col.A_BRISTLE_DAMPING], viscous)
     stop = _end_stop(y, v, a)
     push = p_a * area_a - p_b * area_b
-    work.force[joint] += (push - friction + stop) * ratio
     out[col.F_PUSH], out[col.F_FRICTION], out[col.F_STOP] = push, friction, stop
     out[col.F_POSITION], out[col.F_VELOCITY] = y, v
+    torque: float = (push - friction + stop) * ratio
+    return torque
 
 
 @njit(cache=True, error_model="numpy")
@@ -146,13 +151,13 @@ def pump_flow(supply: float, circuit: Array) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _supply(state: Array, model: Model, work: Work, rate: Array) -> None:
+def _supply(state: Array, c: Array, flows: Array, rate: Array) -> None:
     """Rates of supply pressure and oil temperature."""
-    c, supply = model.circuit, state[SUPPLY]
+    supply = state[SUPPLY]
     drawn = delivered = 0.0
     for i in range(N_ACTUATORS):
-        drawn += work.flows[i, col.F_SUPPLY]
-        delivered += work.flows[i, col.F_PUSH] * work.flows[i, col.F_VELOCITY]
+        drawn += flows[i, col.F_SUPPLY]
+        delivered += flows[i, col.F_PUSH] * flows[i, col.F_VELOCITY]
     pumped = pump_flow(supply, c)
     net = pumped - drawn - relief_flow(supply, c[col.C_RELIEF], c[col.C_PUMP_GAIN])
     oil = c[col.C_MODULUS] * (1.0 - c[col.C_MODULUS_DRIFT] * (state[TEMPERATURE] - c[col.C_REFERENCE]))
@@ -172,9 +177,12 @@ def hydraulic_rates(state: Array, command: Array, model: Model, work: Work, rate
     mech = model.mechanism
     for i in range(N_COORDINATES):
         work.force[i] = -mech.stiffness[i] * state[Q + i] - mech.damping[i] * state[RATE + i]
+    c = model.circuit
+    thinner = math.exp(c[col.C_VISCOSITY_DRIFT] * (state[TEMPERATURE] - c[col.C_REFERENCE]))
     for i in range(N_ACTUATORS):
-        _actuator(i, state, command[i], model, work, rate)
-    _supply(state, model, work, rate)
+        row, out = model.actuators[i], work.flows[i]
+        work.force[DRIVEN[i]] += _actuator(i, state, command[i], thinner, row, c, out, rate)
+    _supply(state, c, work.flows, rate)
 
 
 @njit(cache=True, error_model="numpy")

@@ -67,7 +67,7 @@ def own_engine(step: float) -> tuple[Array, float]:
 def oil_steps(
     state: Array, command: Array, steps: int, h: float, model: Model, work: Work, mean: Array
 ) -> None:
-    """Advance the oil by Euler steps while the joints move on at their rates; ``mean`` is their mean torque."""
+    """Advance the oil by Euler steps while the joints move on; ``mean`` (10,) is their mean torque."""
     rate = work.slope[0]
     for j in range(N_COORDINATES):
         mean[j] = 0.0
@@ -82,7 +82,7 @@ def oil_steps(
 
 
 def mujoco_engine(coupling: float, substep: float) -> tuple[Array, float]:
-    """The same of MuJoCo's multibody with the plant's oil in sub-steps, coupled every ``coupling`` seconds."""
+    """The same of MuJoCo's multibody with the oil in sub-steps, coupled every ``coupling`` seconds."""
     motion = Motion()
     mech = motion.model.mechanism
     options = f"timestep='{coupling!r}' integrator='implicitfast'"
