@@ -1,0 +1,89 @@
+"""The cycle: absolute deadlines, skipped and counted periods, honest figures."""
+
+import asyncio
+import os
+import time
+
+import pytest
+
+from controller.shell.cyclic_task import CyclicTask, real_time_scheduling
+from controller.shell.histogram import Histogram
+
+
+async def test_periods_are_absolute_and_none_is_lost() -> None:
+    stamps: list[int] = []
+
+    async def body(dt_ns: int) -> None:
+        stamps.append(time.monotonic_ns())
+        if len(stamps) == 40:
+            task.stop()
+
+    task = CyclicTask(5_000_000, body)
+    await task.run()
+    periods = 39 + task.overruns
+    assert (stamps[-1] - stamps[0]) / 5e6 == pytest.approx(periods, abs=3.0)
+    assert task.lateness.count == 40
+    assert task.lateness.percentiles_us(0.5)[0] < 5000
+
+
+async def test_missed_periods_are_skipped_counted_and_told() -> None:
+    told: list[int] = []
+
+    async def body(dt_ns: int) -> None:
+        told.append(dt_ns)
+        if len(told) == 3:
+            time.sleep(0.052)  # noqa: ASYNC251 - holds the loop for ten periods on purpose
+        if len(told) == 6:
+            task.stop()
+
+    task = CyclicTask(5_000_000, body)
+    await task.run()
+    assert task.overruns >= 9
+    assert told[3] >= 10 * 5_000_000
+    assert all(dt_ns % 5_000_000 == 0 for dt_ns in told)
+    assert sum(told) == (len(told) + task.overruns) * 5_000_000
+
+
+async def test_a_failing_body_ends_the_task_with_its_exception() -> None:
+    async def body(dt_ns: int) -> None:
+        raise ValueError("broken")
+
+    open_files = len(os.listdir("/proc/self/fd"))
+    with pytest.raises(ValueError, match="broken"):
+        await CyclicTask(1_000_000, body).run()
+    assert len(os.listdir("/proc/self/fd")) == open_files
+
+
+async def test_stop_from_outside_ends_a_waiting_task() -> None:
+    async def body(dt_ns: int) -> None:
+        return
+
+    task = CyclicTask(10_000_000_000, body)
+    running = asyncio.ensure_future(task.run())
+    await asyncio.sleep(0.02)
+    task.stop()
+    await asyncio.wait_for(running, 1.0)
+
+
+def test_histogram_percentiles_are_exact_to_the_microsecond() -> None:
+    histogram = Histogram()
+    assert histogram.percentiles_us(0.5, 0.99) == (0, 0)
+    for microseconds in range(1000):
+        histogram.add(microseconds * 1000)
+    assert histogram.percentiles_us(0.5, 0.99, 0.999) == (500, 990, 999)
+    histogram.add(3_000_000_000)
+    assert histogram.max_ns == 3_000_000_000
+    assert histogram.percentiles_us(1.0) == (3_000_000,)
+    assert histogram.as_dict("late")["late_max_us"] == 3_000_000
+
+
+def test_scheduling_tells_what_was_obtained() -> None:
+    before = os.sched_getscheduler(0)
+    try:
+        assert real_time_scheduling(0) == "normal"
+        assert os.sched_getscheduler(0) == before
+        obtained = real_time_scheduling(10)
+        policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+        assert (obtained == "fifo") == (policy == os.SCHED_FIFO)
+    finally:
+        os.sched_setscheduler(0, before, os.sched_param(0))

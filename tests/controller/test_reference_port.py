@@ -1,0 +1,186 @@
+"""The UDP port on loopback: answers between scans, one peer at a time, a flood survived, last words
+obeyed."""
+
+import asyncio
+import io
+import socket
+import time
+from collections.abc import AsyncIterator
+
+import pytest
+
+from controller.config import ReferenceLinkConfig
+from controller.shell.event_log import EventLog
+from controller.shell.reference_port import ReferencePort, Request
+from protocol.errors import ConfigurationError
+from protocol.faults import CommandCode, Reason
+from protocol.pose import IDENTITY
+from protocol.reference_link import Command, ReferencePose
+from protocol.reference_session import (
+    Connected,
+    ConnectionDelayed,
+    LinkLost,
+    ReferenceClient,
+    ReferenceServer,
+)
+
+TIMEOUT_MS = 300
+
+
+class Peer:
+    """A client session on a socket of its own."""
+
+    def __init__(self, address: tuple[str, int], nonce: int) -> None:
+        self.session = ReferenceClient(nonce=nonce, state_period_ms=10)
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.setblocking(False)
+        self.socket.connect(address)
+        self.events: list[object] = []
+
+    async def turn(self) -> None:
+        """Send what waits, let the port answer, receive."""
+        for data in self.session.outgoing(time.monotonic_ns()):
+            self.socket.send(data)
+        await asyncio.sleep(0.01)
+        while True:
+            try:
+                data = self.socket.recv(4096)
+            except BlockingIOError:
+                return
+            self.events += self.session.receive(data, time.monotonic_ns())
+
+    async def connect(self) -> None:
+        self.session.connect(time.monotonic_ns())
+        await self.turn()
+        assert any(isinstance(event, Connected) for event in self.events)
+
+    def submit(self, message: Request) -> int:
+        return self.session.submit(message, time.monotonic_ns())
+
+
+@pytest.fixture
+async def port() -> AsyncIterator[ReferencePort]:
+    server = ReferenceServer(boot_id=1, arm_hash=2, cycle_ns=5_000_000, link_timeout_ms=TIMEOUT_MS)
+    config = ReferenceLinkConfig(host="127.0.0.1", port=0, link_timeout_ms=TIMEOUT_MS)
+    opened = ReferencePort(server, config, EventLog(io.StringIO()))
+    opened.open()
+    yield opened
+    opened.close()
+
+
+def _take(port: ReferencePort) -> tuple[tuple[Request, ...], bool]:
+    return port.take(time.monotonic_ns())
+
+
+async def test_heartbeats_are_answered_without_a_scan(port: ReferencePort) -> None:
+    peer = Peer(port.address, nonce=1)
+    await peer.connect()
+    peer.session.tick(time.monotonic_ns() + 200_000_000)
+    await peer.turn()
+    assert peer.session.clock_offset_ns is not None
+    peer.socket.close()
+
+
+async def test_requests_wait_for_the_scan_in_order(port: ReferencePort) -> None:
+    assert _take(port) == ((), False)
+    peer = Peer(port.address, nonce=2)
+    await peer.connect()
+    peer.submit(Command(0, CommandCode.ENABLE))
+    peer.submit(ReferencePose(0, IDENTITY, 0.0))
+    peer.submit(Command(0, CommandCode.STOP))
+    await peer.turn()
+    requests, alive = _take(port)
+    assert alive
+    assert [type(request).__name__ for request in requests] == ["Command", "ReferencePose", "Command"]
+    assert _take(port) == ((), True)
+    peer.socket.close()
+
+
+async def test_a_silent_peer_is_gone_after_the_timeout(port: ReferencePort) -> None:
+    peer = Peer(port.address, nonce=3)
+    await peer.connect()
+    assert _take(port)[1]
+    await asyncio.sleep(TIMEOUT_MS * 1e-3 + 0.05)
+    assert not _take(port)[1]
+    peer.socket.close()
+
+
+async def test_a_second_client_is_refused_while_the_first_is_there(port: ReferencePort) -> None:
+    first, second = Peer(port.address, nonce=4), Peer(port.address, nonce=5)
+    await first.connect()
+    second.session.connect(time.monotonic_ns())
+    await second.turn()
+    assert [event.reason for event in second.events if isinstance(event, ConnectionDelayed)] == [
+        Reason.SESSION_OCCUPIED
+    ]
+    assert _take(port)[1]
+    first.socket.close()
+    second.socket.close()
+
+
+async def test_a_restarted_peer_does_not_inherit_what_the_old_one_had_set_in_motion(
+    port: ReferencePort,
+) -> None:
+    peer = Peer(port.address, nonce=6)
+    await peer.connect()
+    assert _take(port)[1]
+    peer.submit(Command(0, CommandCode.STOP))
+    peer.submit(ReferencePose(0, IDENTITY, 0.0))
+    await peer.turn()
+    peer.session = ReferenceClient(nonce=7, state_period_ms=10)  # a new run behind the same address
+    await peer.connect()
+    requests, alive = _take(port)
+    assert [type(request).__name__ for request in requests] == ["Command"]
+    assert not alive
+    assert _take(port) == ((), True)
+    peer.socket.close()
+
+
+async def test_a_flood_of_strangers_does_not_hold_up_a_stop(port: ReferencePort) -> None:
+    """250 datagrams a cycle of 5 ms are 50 000 a second."""
+    peer = Peer(port.address, nonce=8)
+    await peer.connect()
+    longest_s, stopped_after = 0.0, None
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.connect(port.address)
+        for cycle in range(60):
+            for _ in range(250):
+                stranger.send(b"noise" * 10)
+            if cycle == 20:
+                peer.submit(Command(0, CommandCode.STOP))
+            now_ns = time.monotonic_ns()
+            peer.session.tick(now_ns)
+            for data in peer.session.outgoing(now_ns):
+                peer.socket.send(data)
+            began_s = time.monotonic()
+            await asyncio.sleep(0.001)
+            requests, alive = _take(port)
+            longest_s = max(longest_s, time.monotonic() - began_s)
+            assert alive
+            if requests and stopped_after is None:
+                stopped_after = cycle - 20
+    assert port.flooded > 10_000
+    assert stopped_after is not None
+    assert stopped_after <= 4
+    assert longest_s < 0.05
+    peer.socket.close()
+
+
+async def test_closing_says_goodbye(port: ReferencePort) -> None:
+    peer = Peer(port.address, nonce=9)
+    await peer.connect()
+    port.server.close(time.monotonic_ns(), Reason.SHUTDOWN)
+    port.publish((), None, time.monotonic_ns())  # type: ignore[arg-type] - no session is left to publish to
+    await peer.turn()
+    assert any(isinstance(event, LinkLost) and event.reason is Reason.SHUTDOWN for event in peer.events)
+    peer.socket.close()
+
+
+async def test_a_busy_port_is_named(port: ReferencePort) -> None:
+    host, number = port.address
+    server = ReferenceServer(boot_id=1, arm_hash=2, cycle_ns=5_000_000, link_timeout_ms=TIMEOUT_MS)
+    config = ReferenceLinkConfig(host=host, port=number, link_timeout_ms=TIMEOUT_MS)
+    with pytest.raises(ConfigurationError) as caught:
+        ReferencePort(server, config, EventLog(io.StringIO()))
+    assert caught.value.cause == "configuration.port_busy"
+    assert str(number) in str(caught.value)

@@ -1,0 +1,281 @@
+"""The process: ready line, motion through real sockets, clean end, bad configuration, busy port, flight
+dump."""
+
+import asyncio
+import json
+import os
+import signal
+import socket
+import sys
+import time
+from collections.abc import AsyncIterator, Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from controller.config import ArmConfig
+from protocol.configuration import configuration_hash
+from protocol.faults import CommandCode, FaultCode, GroupState, Reason
+from protocol.pose import Pose
+from protocol.reference_link import FLAG_SETTLED, Acknowledgement, Command, ReferencePose, State
+from protocol.reference_session import AcknowledgementReceived, ReferenceClient, StateReceived
+from tests.controller.conftest import CONFIGS
+from tests.controller.plant_server import PlantServer, plant_server
+
+READY_S = 60.0  # a first start compiles
+
+
+class Controller:
+    """The controller as a child process."""
+
+    def __init__(self, process: asyncio.subprocess.Process) -> None:
+        self.process = process
+        self.ready: dict[str, Any] = {}
+
+    @classmethod
+    async def started(cls, *arguments: str) -> "Controller":
+        process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-m",
+            "controller",
+            "--config-dir",
+            str(CONFIGS),
+            "--set",
+            "controller.fifo_priority=0",
+            *arguments,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+        )
+        return cls(process)
+
+    async def wait_ready(self) -> None:
+        assert self.process.stdout is not None
+        self.ready = json.loads(await asyncio.wait_for(self.process.stdout.readline(), READY_S))
+        assert self.ready["event"] == "ready"
+
+    async def ended(self, number: signal.Signals | None = None) -> tuple[int, list[dict[str, Any]], float]:
+        """Exit status, log lines, and how long it took."""
+        began_s = time.monotonic()
+        if number is not None:
+            self.process.send_signal(number)
+        _, stderr = await asyncio.wait_for(self.process.communicate(), READY_S)
+        lines = [json.loads(line) for line in stderr.decode().splitlines()]
+        assert self.process.returncode is not None
+        return self.process.returncode, lines, time.monotonic() - began_s
+
+
+class Client:
+    """A vision PC: the client session on a real socket."""
+
+    def __init__(self, arm: ArmConfig, port: int) -> None:
+        self.session = ReferenceClient(
+            nonce=time.monotonic_ns(), arm_hash=configuration_hash(arm), state_period_ms=10
+        )
+        self.answers: dict[int, Acknowledgement] = {}
+        self.state: State | None = None
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._socket.connect(("127.0.0.1", port))
+        self.session.connect(time.monotonic_ns())
+
+    def close(self) -> None:
+        self._socket.close()
+
+    async def until(self, done: Callable[[], bool], timeout_s: float = 10.0) -> None:
+        """Run the session until ``done``."""
+        async with asyncio.timeout(timeout_s):
+            while not done():
+                self._turn()
+                await asyncio.sleep(0.002)
+
+    def _turn(self) -> None:
+        now_ns = time.monotonic_ns()
+        self.session.tick(now_ns)
+        for data in self.session.outgoing(now_ns):
+            self._socket.send(data)
+        while True:
+            try:
+                data = self._socket.recv(4096)
+            except (BlockingIOError, ConnectionRefusedError):
+                return
+            for event in self.session.receive(data, time.monotonic_ns()):
+                if isinstance(event, AcknowledgementReceived):
+                    self.answers[event.acknowledgement.command_id] = event.acknowledgement
+                elif isinstance(event, StateReceived):
+                    self.state = event.state
+
+    async def ask(self, message: Command | ReferencePose) -> Acknowledgement:
+        command_id = self.session.submit(message, time.monotonic_ns())
+        await self.until(lambda: command_id in self.answers)
+        return self.answers[command_id]
+
+    async def command(self, code: CommandCode) -> Reason:
+        return (await self.ask(Command(0, code))).reason
+
+    async def connected(self) -> None:
+        await self.until(lambda: self.session.connected and self.state is not None)
+
+    async def reaches(self, state: GroupState) -> None:
+        await self.until(lambda: self.state is not None and self.state.group_state is state)
+
+
+@pytest.fixture
+async def server() -> AsyncIterator[PlantServer]:
+    async with plant_server() as serving:
+        yield serving
+
+
+def _ports(server: PlantServer) -> tuple[str, ...]:
+    # The small plant answers in the loop of this test, beside everything else on the machine.
+    return (
+        "--set",
+        f"controller.plant_link.port={server.port}",
+        "controller.reference_link.port=0",
+        "controller.plant_link.timeout_ms=200",
+        "controller.supervision.overrun_ms=1000",
+        "controller.supervision.silence_ms=1000",
+    )
+
+
+async def test_a_motion_from_end_to_end_and_a_clean_exit(
+    server: PlantServer, arm: ArmConfig, tmp_path: Path
+) -> None:
+    figures = tmp_path / "figures.json"
+    child = await Controller.started(*_ports(server), "--statistics", str(figures))
+    await child.wait_ready()
+    client = Client(arm, child.ready["reference_link"]["port"])
+    await client.connected()
+    assert await client.command(CommandCode.ENABLE) is Reason.ACCEPTED
+    await client.reaches(GroupState.STANDBY)
+    assert client.state is not None
+    here = client.state.X_BT
+    goal = Pose((here.p_m[0] + 0.05, here.p_m[1] + 0.05, here.p_m[2] + 0.05), here.q_wxyz)
+    answer = await client.ask(ReferencePose(0, goal, 0.0))
+    assert answer.reason is Reason.ACCEPTED
+
+    def arrived() -> bool:
+        state = client.state
+        assert state is not None
+        return state.motion_id == answer.command_id and state.motion_done and bool(state.flags & FLAG_SETTLED)
+
+    await client.until(arrived, 20.0)
+    assert client.state.X_BT.p_m == pytest.approx(goal.p_m, abs=2e-3)
+    assert client.session.clock_offset_ns is not None
+    assert abs(client.session.clock_offset_ns) < 5_000_000  # one machine, one clock
+    status, lines, took_s = await child.ended(signal.SIGTERM)
+    client.close()
+    assert status == 0
+    assert took_s < 2.0
+    assert lines[-1]["event"] == "stopped"
+    assert server.written[-1].control == 0
+    assert server.written[-1].valves == (0.0,) * 6
+    written = json.loads(figures.read_text())
+    assert written["cycles"] > 100
+    assert written["plant_exchanges"] > 100
+    assert written["late_p999_us"] >= written["late_p50_us"] > 0
+    assert written["rss_mb"] > 10.0
+    assert written["scheduling"] in ("normal", "fifo")
+
+
+async def test_a_silent_client_stops_the_motion_and_the_flight_is_recorded(
+    server: PlantServer, arm: ArmConfig, tmp_path: Path
+) -> None:
+    child = await Controller.started(*_ports(server), "--record-dir", str(tmp_path / "flights"))
+    await child.wait_ready()
+    client = Client(arm, child.ready["reference_link"]["port"])
+    await client.connected()
+    assert await client.command(CommandCode.ENABLE) is Reason.ACCEPTED
+    await client.reaches(GroupState.STANDBY)
+    assert client.state is not None
+    here = client.state.X_BT
+    goal = Pose((here.p_m[0], here.p_m[1], here.p_m[2] + 0.4), here.q_wxyz)
+    assert (await client.ask(ReferencePose(0, goal, 0.0))).reason is Reason.ACCEPTED
+    await client.until(lambda: client.state is not None and abs(client.state.valves[1]) > 0.01)
+    client.close()  # no BYE: the vision PC has died
+    await asyncio.sleep(2.5)
+    assert server.written[-1].control == 0
+    second = Client(arm, child.ready["reference_link"]["port"])
+    await second.connected()
+    assert second.state is not None
+    assert second.state.fault is FaultCode.REFERENCE_LINK_LOST
+    assert second.state.group_state is GroupState.ERROR_STOP
+    assert await second.command(CommandCode.ENABLE) is Reason.ERROR_LATCHED
+    assert await second.command(CommandCode.RESET) is Reason.ACCEPTED
+    second.close()
+    status, lines, _ = await child.ended(signal.SIGINT)
+    assert status == 0
+    assert any(line["event"] == "fault" and line["cause"] == "REFERENCE_LINK_LOST" for line in lines)
+    (flight,) = (tmp_path / "flights").iterdir()
+    scans = [json.loads(line) for line in flight.read_text().splitlines()]
+    assert len(scans) > 100
+    cycles = [entry["view"]["cycle"] for entry in scans]
+    assert cycles == sorted(cycles)
+    faults = [entry["view"]["fault"] for entry in scans]
+    assert faults[0] == 0
+    assert faults[-1] == FaultCode.REFERENCE_LINK_LOST
+
+
+async def test_sigterm_while_moving_ramps_down_and_centres(server: PlantServer, arm: ArmConfig) -> None:
+    child = await Controller.started(*_ports(server))
+    await child.wait_ready()
+    client = Client(arm, child.ready["reference_link"]["port"])
+    await client.connected()
+    assert await client.command(CommandCode.ENABLE) is Reason.ACCEPTED
+    await client.reaches(GroupState.STANDBY)
+    assert client.state is not None
+    here = client.state.X_BT
+    goal = Pose((here.p_m[0], here.p_m[1], here.p_m[2] + 0.4), here.q_wxyz)
+    assert (await client.ask(ReferencePose(0, goal, 0.0))).reason is Reason.ACCEPTED
+    await client.until(lambda: client.state is not None and abs(client.state.valves[1]) > 0.02)
+    before = len(server.written)
+    os.kill(child.process.pid, signal.SIGTERM)
+    status, _, took_s = await child.ended()
+    client.close()
+    assert status == 0
+    assert took_s < 2.0
+    after = [image.valves[1] for image in server.written[before:]]
+    assert len(after) > 20  # a ramp, not a slam
+    assert max(abs(b - a) for a, b in pairwise(after)) < 0.02
+    assert (server.written[-1].control, server.written[-1].valves) == (0, (0.0,) * 6)
+
+
+@pytest.mark.parametrize(
+    ("setting", "cause"),
+    [
+        ("controller.cycle_ms=50", "configuration.less_than_equal"),
+        ("controller.cycle=5", "configuration.unknown_key"),
+        ("arm.joints=3", "configuration.tuple_type"),
+        ("controller", "configuration.bad_override"),
+    ],
+)
+async def test_bad_configuration_is_one_line_and_status_2(setting: str, cause: str) -> None:
+    child = await Controller.started("--set", setting)
+    _, stderr = await asyncio.wait_for(child.process.communicate(), READY_S)
+    assert child.process.returncode == 2
+    (line,) = stderr.decode().splitlines()
+    assert line.startswith(f"controller: {cause}: ")
+
+
+async def test_a_busy_port_is_one_line_and_status_2() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        child = await Controller.started("--set", f"controller.reference_link.port={port}")
+        _, stderr = await asyncio.wait_for(child.process.communicate(), READY_S)
+    assert child.process.returncode == 2
+    (line,) = stderr.decode().splitlines()
+    assert line.startswith("controller: configuration.port_busy: ")
+    assert str(port) in line
+
+
+async def test_an_unwritable_record_directory_is_refused(tmp_path: Path) -> None:
+    taken = tmp_path / "file"
+    taken.write_text("")
+    child = await Controller.started(
+        "--set", "controller.reference_link.port=0", "--record-dir", str(taken / "below")
+    )
+    _, stderr = await asyncio.wait_for(child.process.communicate(), READY_S)
+    assert child.process.returncode == 2
+    assert "configuration.record_dir_unwritable" in stderr.decode()
