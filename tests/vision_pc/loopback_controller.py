@@ -48,7 +48,7 @@ class LoopbackController(asyncio.DatagramProtocol):
         self.group, self.fault, self.emergency = GroupState.DISABLED, FaultCode.NONE, False
         self.motion: list[tuple[Array, Array, int]] = []  # X_from, X_goal, cycles
         self.motion_id, self.motion_done, self.cycle, self.step = 0, False, 0, 0
-        self.never_settles = False
+        self.never_settles, self.swing_rad = False, 0.0
         self.requests: list[Any] = []
         self.port = 0
         self._transport: asyncio.DatagramTransport | None = None
@@ -185,7 +185,8 @@ class LoopbackController(asyncio.DatagramProtocol):
         settled = self.group is GroupState.STANDBY and not self.never_settles
         flags = FLAG_PLANT_LINK_OK | (FLAG_SETTLED if settled else 0)
         flags |= FLAG_EMERGENCY_LATCHED if self.emergency else 0
-        q = tuple(float(v) for v in self.rig.q)
+        swing = self.swing_rad * (-1.0) ** self.cycle
+        q = tuple(float(v) + swing for v in self.rig.q)
         pose = to_pose(forward(self.rig.q))
         severity = Severity.STOP if self.fault is not FaultCode.NONE else Severity.NONE
         return State(

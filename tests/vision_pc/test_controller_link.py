@@ -156,13 +156,16 @@ async def test_another_motion_overtakes(link: ControllerLink, arm: SocketArm) ->
     assert refused.value.cause == "refused.overtaken"
 
 
-async def test_an_arm_that_never_settles_is_told(
+async def test_an_arm_that_swings_on_is_told_and_one_that_hangs_beside_its_reference_serves(
     link: ControllerLink, arm: SocketArm, controller: LoopbackController
 ) -> None:
     await link.command(CommandCode.ENABLE)
     controller.never_settles = True
+    view = await arm.move_to(shifted(0.0, 0.05, 0.0))
+    assert not view.settled
+    controller.swing_rad = 0.004
     with pytest.raises(MeasurementFailed) as failed:
-        await arm.move_to(shifted(0.0, 0.05, 0.0))
+        await arm.move_to(shifted(0.0, 0.0, 0.0))
     assert failed.value.cause == "measurement.arm_not_settled"
 
 

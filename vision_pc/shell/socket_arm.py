@@ -92,20 +92,29 @@ class SocketArm:
                 continue
             done_ns = state.time_ns if done_ns is None else done_ns
             if state.flags & FLAG_SETTLED:
-                return await self._rested(state.time_ns)
+                return view_of((await self._rested(state.time_ns))[-1], self._link)
             if state.time_ns - done_ns > self._settings.settle_timeout_s * 1e9:
-                limit = self._settings.settle_timeout_s
-                raise MeasurementFailed(
-                    "measurement.arm_not_settled", f"arm not settled {limit:g} s after its motion"
-                )
+                return view_of(self._still(await self._rested(state.time_ns)), self._link)
 
-    async def _rested(self, settled_ns: int) -> ArmView:
-        """The view once the arm has rested; by the controller's clock, so that lockstep can use it too."""
+    async def _rested(self, from_ns: int) -> list[State]:
+        """The states while the arm rests; by the controller's clock, so that lockstep can use it too."""
+        states = []
         while True:
-            state = await self._link.next_state()
-            refuse_broken(state)
-            if state.time_ns - settled_ns >= self._settings.rest_s * 1e9:
-                return view_of(state, self._link)
+            states.append(await self._link.next_state())
+            refuse_broken(states[-1])
+            if states[-1].time_ns - from_ns >= self._settings.rest_s * 1e9:
+                return states
+
+    def _still(self, states: list[State]) -> State:
+        """The last of ``states``, through which no encoder moved. Raises MeasurementFailed."""
+        moved_mrad = 1e3 * float(np.ptp([state.q_meas for state in states], axis=0).max())
+        if moved_mrad > self._settings.still_mrad:
+            raise MeasurementFailed(
+                "measurement.arm_not_settled",
+                f"arm still moves by {moved_mrad:.2f} mrad, limit {self._settings.still_mrad:g} mrad, "
+                f"{self._settings.settle_timeout_s:g} s after its motion",
+            )
+        return states[-1]
 
 
 def refuse_broken(state: State) -> None:
