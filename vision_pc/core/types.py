@@ -155,4 +155,4 @@ class WatchHealth(NamedTuple):
     object_missed: int
     median_inliers: int
     last_loss: str | None
-    offset: StereoOffset | None
+    offset: StereoOffset | None = None
