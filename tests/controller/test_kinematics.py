@@ -16,8 +16,7 @@ START = np.radians([0.0, 50.0, -75.0, 0.0, -25.0, 0.0])
 EXTENSION_M = 1.0
 
 
-@pytest.fixture(scope="module")
-def oracle() -> tuple[pin.Model, pin.Data, int]:
+def drawn_arm() -> tuple[pin.Model, pin.Data, int]:
     """The arm by joint axes and points at q = 0, where lift and tilt links are level and point along x."""
     pivots = np.array(
         [
@@ -38,6 +37,11 @@ def oracle() -> tuple[pin.Model, pin.Data, int]:
     tool = pin.SE3(R, np.array([0.35, 0.0, 0.0]))
     frame = model.addFrame(pin.Frame("T", parent, 0, tool, pin.FrameType.OP_FRAME))
     return model, model.createData(), frame
+
+
+@pytest.fixture(scope="module")
+def oracle() -> tuple[pin.Model, pin.Data, int]:
+    return drawn_arm()
 
 
 def test_spot_checks_of_the_drawing(arm: ArmConfig, table: Array) -> None:
