@@ -100,7 +100,7 @@ def _actuator(
     """Rates of spool, chambers and bristle of actuator ``i``; returns its torque on the joint.
 
     ``a`` is its row of the actuator table, ``c`` the circuit, ``out`` its row of the flow table, ``thinner`` the
-    viscosity at the reference temperature over the present one.
+    reference viscosity over the present one.
     """
     joint = DRIVEN[i]
     angle = state[Q + joint]
