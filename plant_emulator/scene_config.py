@@ -1,7 +1,7 @@
 """Configuration of the visible world, all of it truth: wall, object, tool marker, camera mount and camera."""
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -19,14 +19,30 @@ class PoseConfig(StrictModel):
     rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
+class DrillHoleConfig(StrictModel):
+    """A drill hole drawn on the wall, centre in O axes (x right, y up), with a broken, brighter rim."""
+
+    centre_m: tuple[float, float]
+    diameter_mm: float = Field(gt=1.0, le=500.0)
+    grey: int = Field(default=18, ge=0, le=255)
+    rim_grey: int = Field(default=165, ge=0, le=255)
+
+
 class WallConfig(StrictModel):
-    """The textured wall: the plane z_O = 0 of the object of interest, endless because its texture repeats."""
+    """The textured wall: the plane z_O = 0 of the object of interest, endless because its texture repeats.
+
+    ``undulation_mm`` is how far it rises and falls about that plane, over waves of ``undulation_length_m``;
+    the markers' plates stay flat.
+    """
 
     texture_seed: int = Field(ge=0, lt=2**63)
     texel_mm: float = Field(ge=0.5, le=4.0)
     mean_grey: float = Field(ge=10.0, le=230.0)
     contrast_grey: float = Field(ge=0.0, le=60.0)
     lighting_gradient_per_m: tuple[float, float] = (0.0, 0.0)
+    undulation_mm: float = Field(default=0.0, ge=0.0, le=50.0)
+    undulation_length_m: float = Field(default=1.0, ge=0.2, le=10.0)
+    drill_holes: tuple[DrillHoleConfig, ...] = Field(default=(), max_length=100)
 
     @model_validator(mode="after")
     def _gradient_keeps_light_positive(self) -> "WallConfig":
@@ -93,6 +109,19 @@ class ObjectConfig(StrictModel):
         return self
 
 
+class ObstacleConfig(StrictModel):
+    """A plain plate that hides what is behind it: on the wall (in O) or carried by the tool (in M).
+
+    ``rotation_deg`` is a rotation vector; the plate lies in its own x-y plane and is seen from its +z side.
+    """
+
+    parent: Literal["wall", "tool"]
+    centre_m: Vector3
+    rotation_deg: Angles = (0.0, 0.0, 0.0)
+    size_m: tuple[Annotated[float, Field(gt=0.0, le=5.0)], Annotated[float, Field(gt=0.0, le=5.0)]]
+    grey: float = Field(default=60.0, ge=0.0, le=255.0)
+
+
 class LensConfig(StrictModel):
     """True pinhole and Brown-Conrady coefficients (OpenCV's signs) of the left eye's pictures."""
 
@@ -119,7 +148,11 @@ class RectificationConfig(StrictModel):
 
 
 class CameraConfig(StrictModel):
-    """The stereo camera as it really is. Vision is told other, nominal numbers."""
+    """The stereo camera as it really is. Vision is told other, nominal numbers.
+
+    ``motion_blur_samples`` moments make one exposure (1: none). ``readout_ms`` is the time from the first to
+    the last row of a rolling shutter (0: global). ``dropped_frame_share`` of the frames never arrive.
+    """
 
     width_px: int = Field(default=1280, ge=64, le=4096)
     height_px: int = Field(default=720, ge=64, le=4096)
@@ -132,6 +165,9 @@ class CameraConfig(StrictModel):
     noise_grey: float = Field(default=0.0, ge=0.0, le=50.0)
     exposure_gain: float = Field(default=1.0, ge=0.0, le=16.0)
     vignetting: float = Field(default=0.0, ge=0.0, le=0.9)
+    motion_blur_samples: int = Field(default=1, ge=1, le=32)
+    readout_ms: float = Field(default=0.0, ge=0.0, le=100.0)
+    dropped_frame_share: float = Field(default=0.0, ge=0.0, le=1.0)
 
     @model_validator(mode="after")
     def _principal_point_inside(self) -> "CameraConfig":
@@ -165,5 +201,6 @@ class SceneConfig(StrictModel):
     wall: WallConfig
     object_of_interest: ObjectConfig
     tool_marker: ToolMarkerConfig
+    obstacles: tuple[ObstacleConfig, ...] = Field(default=(), max_length=32)
     mount: PoseConfig
     camera: CameraConfig

@@ -23,7 +23,7 @@ def paint_plate(
     out: Grey,
     ray_x: Real32,
     ray_y: Real32,
-    homography: Real64,
+    homographies: Real64,
     edges_x: Real64,
     edges_y: Real64,
     grey: Real32,
@@ -32,14 +32,15 @@ def paint_plate(
 ) -> None:
     """Paint one plate over ``out`` inside ``box`` (top, bottom, left, right); its rim blends with the rest.
 
-    ``homography`` maps (ray_x, ray_y, 1) to plate coordinates (x right, y down) in metres times the inverse
-    depth; ``light`` = (constant, per x, per y) multiplies the grey.
+    ``homographies`` (2, 3, 3) map (ray_x, ray_y, 1) to plate coordinates (x right, y down) in metres times
+    the inverse depth, at the picture's first and last row; ``light`` = (constant, per x, per y) multiplies
+    the grey.
     """
-    h = homography
     height, width = out.shape
     cells_x, cells_y = edges_x.shape[0] - 1, edges_y.shape[0] - 1
     weight_x, weight_y = np.empty(cells_x), np.empty(cells_y)
     for i in range(box[0], box[1]):
+        h = homographies[0] + (homographies[1] - homographies[0]) * (i / (height - 1))
         i0, i1 = max(i - 1, 0), min(i + 1, height - 1)
         column = row = 0  # cells change slowly along a line of pixels: the search starts where it ended
         for j in range(box[2], box[3]):
@@ -122,6 +123,20 @@ def _share_below(distance: float, long: float, short: float) -> float:
     if distance < -flat:
         return (reach + distance) ** 2 / (2.0 * long * short)
     return 0.5 + distance / long
+
+
+@njit(cache=True, nogil=True)
+def mean_of(pictures: Grey) -> Grey:
+    """Rounded mean (height, width) of pictures (n, height, width): one exposure made of moments."""
+    count, height, width = pictures.shape
+    result = np.empty((height, width), dtype=np.uint8)
+    for i in range(height):
+        for j in range(width):
+            total = count // 2
+            for k in range(count):
+                total += pictures[k, i, j]
+            result[i, j] = np.uint8(total // count)
+    return result
 
 
 @njit(cache=True, fastmath=True, nogil=True)

@@ -83,6 +83,14 @@ def marker_plate(config: MarkerConfig, X_parent_plate: Matrix, lit_by_wall: bool
     return Plate(X_parent_plate, edges, edges, grey, lit_by_wall)
 
 
+def plain_plate(
+    X_parent_plate: Matrix, edges_x: tuple[float, float], edges_y: tuple[float, float], grey: float
+) -> Plate:
+    """A plate of one grey between two edges across and two edges down, in metres."""
+    cell = np.full((1, 1), grey, dtype=np.float32)
+    return Plate(X_parent_plate, np.array(edges_x), np.array(edges_y), cell, lit_by_wall=False)
+
+
 class Scene:
     """Everything visible, as poses and plates. Stateless: what moves is passed in for each picture.
 
@@ -99,16 +107,18 @@ class Scene:
             X_TM=tool_marker_pose(config.tool_marker),
             X_WO=object_pose(config.object_of_interest),
         )
-        self.wall_plates = tuple(
+        self._wall_markers = tuple(
             marker_plate(marker, self._wall_marker_pose(marker.centre_m, marker.roll_deg), lit_by_wall=True)
             for marker in config.object_of_interest.markers
         )
-        self.tool_plates = (*self._bracket(), marker_plate(config.tool_marker, np.eye(4), lit_by_wall=False))
+        tool_marker = marker_plate(config.tool_marker, np.eye(4), lit_by_wall=False)
+        self.wall_plates = (*self._wall_markers, *self._obstacles("wall"))
+        self.tool_plates = (*self._bracket(), tool_marker, *self._obstacles("tool"))
 
     def marker_corners(self) -> dict[int, tuple[str, Matrix]]:
         """Marker id → (parent frame "O" or "M", 4x3 corners in it in metres, ArUco order)."""
         corners = {self.config.tool_marker.marker_id: ("M", corners_in_plate(self.config.tool_marker))}
-        for marker, plate in zip(self.config.object_of_interest.markers, self.wall_plates, strict=True):
+        for marker, plate in zip(self.config.object_of_interest.markers, self._wall_markers, strict=True):
             X_OP = plate.X_parent_plate
             corners[marker.marker_id] = ("O", corners_in_plate(marker) @ X_OP[:3, :3].T + X_OP[:3, 3])
         return corners
@@ -117,13 +127,23 @@ class Scene:
     def _wall_marker_pose(centre_m: tuple[float, float], roll_deg: float) -> Matrix:
         return transform(rotation_matrix((0.0, 0.0, roll_deg)), np.array([*centre_m, 0.0]))
 
+    def _obstacles(self, parent: str) -> tuple[Plate, ...]:
+        return tuple(
+            plain_plate(
+                transform(rotation_matrix(obstacle.rotation_deg), np.array(obstacle.centre_m)),
+                (-obstacle.size_m[0] / 2.0, obstacle.size_m[0] / 2.0),
+                (-obstacle.size_m[1] / 2.0, obstacle.size_m[1] / 2.0),
+                obstacle.grey,
+            )
+            for obstacle in self.config.obstacles
+            if obstacle.parent == parent
+        )
+
     def _bracket(self) -> tuple[Plate, ...]:
         tool = self.config.tool_marker
         if tool.bracket_width_m == 0.0 or tool.bracket_length_m == 0.0:
             return ()
         top = printed_side(tool) / 2.0 + tool.quiet_zone_m
         half = tool.bracket_width_m / 2.0
-        edges_x = np.array([-half, half])
-        edges_y = np.array([top, top + tool.bracket_length_m])
-        grey = np.full((1, 1), tool.bracket_grey, dtype=np.float32)
-        return (Plate(np.eye(4), edges_x, edges_y, grey, lit_by_wall=False),)
+        reach = (top, top + tool.bracket_length_m)
+        return (plain_plate(np.eye(4), (-half, half), reach, tool.bracket_grey),)

@@ -21,7 +21,9 @@ Scalar32 = Any  # np.float32 inside compiled code: type checkers see it as a pla
 TILE_ROWS = 16
 TILE_COLUMNS = 128
 _NEAR = np.float32(1e-6)  # smallest inverse depth, per metre, that still counts as in front
-_ZERO, _HALF, _ONE, _WHITE = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(255.0)
+_ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
+_EIGHT, _WHITE = np.float32(8.0), np.float32(255.0)
+_SECOND_WAVE, _SECOND_PHASE = np.float32(1.37), np.float32(0.3)
 
 
 @njit(cache=True, nogil=True)
@@ -45,30 +47,32 @@ def paint_wall(
     out: Grey,
     ray_x: Real32,
     ray_y: Real32,
-    homography: Real64,
+    homographies: Real64,
     pixel_area: float,
     levels: tuple[Words, ...],
     finest_bits: int,
     light: Real64,
+    relief: Real64,
     sky: int,
 ) -> None:
     """Fill ``out`` (height, width) with the wall as seen along the rays.
 
-    ``homography`` maps (ray_x, ray_y, 1) to (texel column, texel row, 1) of the finest level times the
-    inverse depth; ``pixel_area`` is one pixel's area in normalised coordinates; ``levels`` are packed mip
-    levels, the finest 2**finest_bits texels to a side; ``light`` is a row that maps the ray to brightness
-    times the inverse depth. Rays that miss the wall get the grey ``sky``.
+    ``homographies`` (2, 3, 3) map (ray_x, ray_y, 1) to (texel column, texel row, 1) of the finest level times
+    the inverse depth, at the first and the last row; ``pixel_area`` is one pixel's area in normalised
+    coordinates; ``levels`` are packed mip levels, the finest 2**finest_bits texels to a side; ``light`` =
+    (constant, per texel column, per texel row) multiplies the grey; ``relief`` = (height over the eye's
+    distance, waves per texel, the eye's foot on the wall: column, row). Rays that miss get the grey ``sky``.
     """
     height, width = out.shape
-    h, row_of_light = homography.astype(np.float32), light.astype(np.float32)
+    middle = 0.5 * (homographies[0] + homographies[1])
     # The area of a pixel on the plane is area / w**3 with w the inverse depth; its root is the footprint.
-    root_area = np.float32(np.sqrt(abs(np.linalg.det(homography)) * pixel_area))
-    fine = np.empty(TILE_COLUMNS, dtype=np.int32)
-    coarse = np.empty(TILE_COLUMNS, dtype=np.int32)
-    parts = np.empty((4, TILE_COLUMNS), dtype=np.float32)
-    fine_x, fine_y, coarse_x, coarse_y = parts[0], parts[1], parts[2], parts[3]
-    fine_grey = np.empty(TILE_COLUMNS, dtype=np.float32)
-    coarse_grey = np.empty(TILE_COLUMNS, dtype=np.float32)
+    root_area = np.float32(np.sqrt(abs(np.linalg.det(middle)) * pixel_area))
+    h, lamp, bump = middle.astype(np.float32), light.astype(np.float32), relief.astype(np.float32)
+    places = np.empty((4, TILE_COLUMNS), dtype=np.float32)
+    along, down, part_x, part_y = places[0], places[1], places[2], places[3]
+    words = np.empty(TILE_COLUMNS, dtype=np.int32)
+    fine = np.empty(TILE_COLUMNS, dtype=np.float32)
+    coarse = np.empty(TILE_COLUMNS, dtype=np.float32)
     for top in range(0, height, TILE_ROWS):
         bottom = min(top + TILE_ROWS, height)
         for left in range(0, width, TILE_COLUMNS):
@@ -76,16 +80,30 @@ def paint_wall(
             row, column = (top + bottom) // 2, (left + right) // 2
             w = max(h[2, 0] * ray_x[row, column] + h[2, 1] * ray_y[row, column] + h[2, 2], _NEAR)
             level = _level(root_area / (w * np.sqrt(w)), len(levels))
-            scale, bits = np.float32(1.0 / (1 << level)), finest_bits - level
+            scale, bits, count = np.float32(1.0 / (1 << level)), finest_bits - level, right - left
             fine_texture, coarse_texture = levels[level], levels[level + 1]
             for i in range(top, bottom):
-                xs, ys, target = ray_x[i, left:right], ray_y[i, left:right], out[i, left:right]
-                _locate(xs, ys, h, scale, bits, fine, coarse, fine_x, fine_y, coarse_x, coarse_y)
-                _load(fine_texture, fine, right - left)
-                _interpolate(fine, fine_x, fine_y, fine_grey)
-                _load(coarse_texture, coarse, right - left)
-                _interpolate(coarse, coarse_x, coarse_y, coarse_grey)
-                _blend(target, xs, ys, h[2], row_of_light, root_area * scale, fine_grey, coarse_grey, sky)
+                xs, ys = ray_x[i, left:right], ray_y[i, left:right]
+                _row_homography(homographies, i / (height - 1), h)
+                _meet(xs, ys, h, along, down)
+                if relief[0] != 0.0:
+                    _bend(along, down, bump, count)
+                _locate(along, down, scale, bits, words, part_x, part_y, count)
+                _load(fine_texture, words, count)
+                _interpolate(words, part_x, part_y, fine, count)
+                _locate(along, down, scale * _HALF, bits - 1, words, part_x, part_y, count)
+                _load(coarse_texture, words, count)
+                _interpolate(words, part_x, part_y, coarse, count)
+                _blend(out[i, left:right], xs, ys, h, along, down, lamp, root_area * scale, fine, coarse, sky)
+
+
+@njit(cache=True, nogil=True)
+def _row_homography(homographies: Real64, share: float, h: Real32) -> None:
+    """Fill ``h`` with the homography ``share`` of the way down the picture."""
+    for m in range(3):
+        for n in range(3):
+            first = homographies[0, m, n]
+            h[m, n] = np.float32(first + (homographies[1, m, n] - first) * share)
 
 
 @njit(cache=True, nogil=True)
@@ -99,38 +117,59 @@ def _level(footprint: Scalar32, count: int) -> int:
 
 
 @njit(cache=True, fastmath=True, error_model="numpy", nogil=True)
-def _locate(
-    xs: Real32,
-    ys: Real32,
-    h: Real32,
-    scale: Scalar32,
-    bits: int,
-    fine: Words,
-    coarse: Words,
-    fine_x: Real32,
-    fine_y: Real32,
-    coarse_x: Real32,
-    coarse_y: Real32,
-) -> None:
-    """Fill in, for two mip levels, each sample's texel above and left of it, and the parts beyond that."""
-    mask, shift = np.int32((1 << bits) - 1), np.int32(bits)
-    half_mask, half_shift = np.int32((1 << (bits - 1)) - 1), np.int32(bits - 1)
+def _meet(xs: Real32, ys: Real32, h: Real32, along: Real32, down: Real32) -> None:
+    """Fill in where the rays meet the plane, in finest texels."""
     for j in range(xs.shape[0]):
         x, y = xs[j], ys[j]
-        factor = scale / max(h[2, 0] * x + h[2, 1] * y + h[2, 2], _NEAR)
-        along = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) * factor
-        down = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) * factor
-        u, v = along - _HALF, down - _HALF
+        depth = _ONE / max(h[2, 0] * x + h[2, 1] * y + h[2, 2], _NEAR)
+        along[j] = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) * depth
+        down[j] = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) * depth
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _bend(along: Real32, down: Real32, relief: Real32, count: int) -> None:
+    """Move the meeting points from the plane to the undulating wall, by two steps along each ray."""
+    for j in range(count):
+        u, v = along[j], down[j]
+        bent_u, bent_v = u, v
+        for _ in range(2):
+            rise = relief[0] * _relief(bent_u * relief[1], bent_v * relief[1])
+            bent_u, bent_v = u + (relief[2] - u) * rise, v + (relief[3] - v) * rise
+        along[j], down[j] = bent_u, bent_v
+
+
+@njit(cache=True, fastmath=True, nogil=True, inline="always")
+def _relief(x: Scalar32, y: Scalar32) -> Scalar32:
+    """Height of the undulation, -1…1, at a place counted in wavelengths."""
+    return _HALF * (_wave(x) + _wave(_SECOND_WAVE * y + _SECOND_PHASE))
+
+
+@njit(cache=True, fastmath=True, nogil=True, inline="always")
+def _wave(turns: Scalar32) -> Scalar32:
+    """A sine made of parabolas, once continuously differentiable: compilers vectorise it."""
+    t = turns - np.floor(turns + _HALF)
+    return _EIGHT * t * (_ONE - _TWO * abs(t))
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _locate(
+    along: Real32,
+    down: Real32,
+    scale: Scalar32,
+    bits: int,
+    words: Words,
+    part_x: Real32,
+    part_y: Real32,
+    count: int,
+) -> None:
+    """Fill ``words`` with the index of the texel above and left of each place, ``part_*`` with the rest."""
+    mask, shift = np.int32((1 << bits) - 1), np.int32(bits)
+    for j in range(count):
+        u, v = along[j] * scale - _HALF, down[j] * scale - _HALF
         column, row = np.floor(u), np.floor(v)
-        fine_x[j], fine_y[j] = u - column, v - row
-        fine[j] = np.int32(
-            np.int32(np.int32(np.int32(row) & mask) << shift) | np.int32(np.int32(column) & mask)
-        )
-        u, v = along * _HALF - _HALF, down * _HALF - _HALF
-        column, row = np.floor(u), np.floor(v)
-        coarse_x[j], coarse_y[j] = u - column, v - row
-        at_row = np.int32(np.int32(np.int32(row) & half_mask) << half_shift)
-        coarse[j] = np.int32(at_row | np.int32(np.int32(column) & half_mask))
+        part_x[j], part_y[j] = u - column, v - row
+        at_row = np.int32(np.int32(np.int32(row) & mask) << shift)
+        words[j] = np.int32(at_row | np.int32(np.int32(column) & mask))
 
 
 @njit(cache=True, nogil=True)
@@ -141,9 +180,9 @@ def _load(texture: Words, words: Words, count: int) -> None:
 
 
 @njit(cache=True, fastmath=True, nogil=True)
-def _interpolate(words: Words, part_x: Real32, part_y: Real32, grey: Real32) -> None:
+def _interpolate(words: Words, part_x: Real32, part_y: Real32, grey: Real32, count: int) -> None:
     byte = np.int32(255)
-    for j in range(words.shape[0]):
+    for j in range(count):
         word, a = words[j], part_x[j]
         upper_left, upper_right = np.float32(word & byte), np.float32((word >> np.int32(8)) & byte)
         lower_left = np.float32((word >> np.int32(16)) & byte)
@@ -158,8 +197,10 @@ def _blend(
     target: Grey,
     xs: Real32,
     ys: Real32,
-    depth_row: Real32,
-    light_row: Real32,
+    h: Real32,
+    along: Real32,
+    down: Real32,
+    light: Real32,
     root_area: Scalar32,
     fine: Real32,
     coarse: Real32,
@@ -167,11 +208,10 @@ def _blend(
 ) -> None:
     """Blend the two levels by each pixel's own footprint, light them, round; the sky where the ray misses."""
     for j in range(xs.shape[0]):
-        x, y = xs[j], ys[j]
-        inverse_depth = depth_row[0] * x + depth_row[1] * y + depth_row[2]
+        inverse_depth = h[2, 0] * xs[j] + h[2, 1] * ys[j] + h[2, 2]
         w = max(inverse_depth, _NEAR)
         share = min(max(root_area / (w * np.sqrt(w)) - _ONE, _ZERO), _ONE)
-        light = (light_row[0] * x + light_row[1] * y + light_row[2]) / w
-        grey = (fine[j] + (coarse[j] - fine[j]) * share) * light
+        lit = light[0] + light[1] * along[j] + light[2] * down[j]
+        grey = (fine[j] + (coarse[j] - fine[j]) * share) * lit
         rounded = np.int32(min(max(grey, _ZERO), _WHITE) + _HALF)
         target[j] = np.uint8(rounded if inverse_depth > _NEAR else np.int32(sky))

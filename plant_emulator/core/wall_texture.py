@@ -4,6 +4,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from plant_emulator.core import wall_painter
+from plant_emulator.scene_config import WallConfig
+
 SIZE_BITS = 12
 SIZE = 1 << SIZE_BITS
 LEVELS = 5
@@ -17,14 +20,15 @@ _PATCH_DETAIL_BITS = 2  # patches are cut out at 4 x 4 samples a cell, so that t
 
 Grey = NDArray[np.uint8]
 Field = NDArray[np.float32]
+Texture = tuple[NDArray[np.int32], ...]
 
 
-def wall_texture(seed: int, mean_grey: float, contrast_grey: float) -> tuple[Grey, ...]:
-    """Mip levels of the wall, finest first: (4096, 4096), (2048, 2048) … uint8, periodic in both directions.
+def wall_texture(seed: int, mean_grey: float, contrast_grey: float) -> Grey:
+    """The wall's finest level, (4096, 4096) uint8, periodic in both directions.
 
-    ``mean_grey`` and ``contrast_grey`` are the mean and the standard deviation of the finest level in grey
-    levels. Texel (row, column) of a level is centred at (row + 0.5, column + 0.5) in units of that level's
-    texels, which is the half-texel shift that averaging two by two needs.
+    ``mean_grey`` and ``contrast_grey`` are its mean and standard deviation in grey levels. Texel (row,
+    column) of any level is centred at (row + 0.5, column + 0.5) in units of that level's texels, which is the
+    half-texel shift that averaging two by two needs.
     """
     generator = np.random.default_rng(seed)
     total = np.zeros((1 << _COARSEST_BITS, 1 << _COARSEST_BITS), dtype=np.float32)
@@ -40,7 +44,7 @@ def wall_texture(seed: int, mean_grey: float, contrast_grey: float) -> tuple[Gre
     mean, deviation = cv2.meanStdDev(total)
     scale = contrast_grey / float(deviation[0, 0])
     finest = cv2.convertScaleAbs(np.maximum(total * scale + (mean_grey - float(mean[0, 0]) * scale), 0.0))
-    return _mip_levels(np.asarray(finest, dtype=np.uint8))
+    return np.asarray(finest, dtype=np.uint8)
 
 
 def _patches(generator: np.random.Generator, bits: int) -> Field:
@@ -61,9 +65,24 @@ def _doubled(field: Field) -> Field:
     return np.ascontiguousarray(large[2 * margin : 2 * margin + size, 2 * margin : 2 * margin + size])
 
 
-def _mip_levels(finest: Grey) -> tuple[Grey, ...]:
+def drilled(finest: Grey, wall: WallConfig) -> Grey:
+    """The finest level with the wall's drill holes drawn into it, smooth-rimmed; ``finest`` itself stays."""
+    result = finest.copy()
+    per_m, fraction = 1000.0 / wall.texel_mm, 8
+    for hole in wall.drill_holes:
+        column = SIZE / 2.0 + per_m * hole.centre_m[0] - 0.5
+        row = SIZE / 2.0 - per_m * hole.centre_m[1] - 0.5
+        centre = (round(column * (1 << fraction)), round(row * (1 << fraction)))
+        for growth, grey in ((1.25, hole.rim_grey), (1.0, hole.grey)):
+            radius = round(growth * hole.diameter_mm / 2.0 / wall.texel_mm * (1 << fraction))
+            cv2.circle(result, centre, radius, grey, cv2.FILLED, cv2.LINE_AA, fraction)
+    return result
+
+
+def packed_levels(finest: Grey) -> Texture:
+    """The finest level and its mip levels, each packed for the painter."""
     levels = [finest]
     for _ in range(LEVELS - 1):
         coarser = cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         levels.append(np.asarray(coarser, dtype=np.uint8))
-    return tuple(levels)
+    return tuple(wall_painter.packed(level) for level in levels)

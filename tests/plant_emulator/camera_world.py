@@ -2,11 +2,12 @@
 
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from plant_emulator.core.camera_motion import View
 from plant_emulator.core.geometry import transform
 from plant_emulator.core.scene import Scene, rotation_matrix
 from plant_emulator.core.stereo_camera import StereoCamera
@@ -25,13 +26,6 @@ X_BT_START = transform(
 FACING = np.diag([1.0, -1.0, -1.0])  # a camera or marker that looks the other one in the face
 
 Matrix = NDArray[np.float64]
-
-
-class View(NamedTuple):
-    """Where camera and tool marker are in W."""
-
-    X_WC: Matrix
-    X_WM: Matrix
 
 
 def scene_config(overrides: dict[str, Any] | None = None) -> SceneConfig:

@@ -24,7 +24,7 @@ class WarpingPeer:
         self.scene, self.config = eyes.scene, eyes.config
         self._eyes = eyes
         wall = eyes.scene.config.wall
-        self._wall = wall_texture(wall.texture_seed, wall.mean_grey, wall.contrast_grey)[0]
+        self._wall = wall_texture(wall.texture_seed, wall.mean_grey, wall.contrast_grey)
         self._plates = {
             id(plate): painted(plate) for plate in (*eyes.scene.wall_plates, *eyes.scene.tool_plates)
         }
@@ -35,14 +35,15 @@ class WarpingPeer:
 
     def render(self, X_WC: Matrix, X_WM: Matrix, frame_id: int) -> tuple[np.ndarray, np.ndarray]:
         """A pair."""
-        return self.render_eye(LEFT, X_WC, X_WM, frame_id), self.render_eye(RIGHT, X_WC, X_WM, frame_id)
+        view = View(X_WC, X_WM)
+        return self.render_eye(LEFT, view, frame_id), self.render_eye(RIGHT, view, frame_id)
 
-    def render_eye(self, eye: int, X_WC: Matrix, X_WM: Matrix, frame_id: int) -> np.ndarray:
+    def render_eye(self, eye: int, view: View, frame_id: int) -> np.ndarray:
         """One picture, no noise."""
-        lens, size = self._eyes.lenses[eye], (self.config.width_px, self.config.height_px)
+        lens, size = self._eyes.eyes[eye].lens, (self.config.width_px, self.config.height_px)
         (fx, fy), (cx, cy) = lens.focal, lens.centre
         camera_matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-        X_EW = np.linalg.inv(X_WC @ self._eyes.X_C_eye[eye])
+        X_EW = np.linalg.inv(view.X_WC @ self._eyes.eyes[eye].X_CE)
         X_EO = X_EW @ self.scene.mounts.X_WO
         first = (0.5 - SIZE / 2) * 1e-3
         to_wall = np.array([[1e-3, 0, first], [0, 1e-3, first], [0, 0, 1]])
@@ -53,7 +54,7 @@ class WarpingPeer:
             flags=cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_WRAP,
         )
-        parents = [(X_EO, self.scene.wall_plates), (X_EW @ X_WM, self.scene.tool_plates)]
+        parents = [(X_EO, self.scene.wall_plates), (X_EW @ view.X_WM, self.scene.tool_plates)]
         for X_E_parent, plates in parents:
             for plate in plates:
                 X_EP = X_E_parent @ plate.X_parent_plate

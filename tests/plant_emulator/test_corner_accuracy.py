@@ -22,7 +22,7 @@ def corner_errors(eyes: StereoCamera, views: list[View]) -> Matrix:
     errors = []
     for frame_id, view in enumerate(views):
         eye = (LEFT, RIGHT)[frame_id % 2]
-        picture = eyes.render_eye(eye, view.X_WC, view.X_WM, frame_id)
+        picture = eyes.render_eye(eye, view, frame_id)
         projected = {key: pair[eye] for key, pair in eyes.project_corners(view.X_WC, view.X_WM).items()}
         tool = eyes.scene.config.tool_marker.marker_id
         for marker, corners in projected.items():
@@ -86,7 +86,7 @@ def test_the_estimator_sees_a_shift() -> None:
     shifted = camera(CLEAN | {"camera": CLEAN["camera"] | {"lens": lens}})
     (view,) = random_views(eyes, 1, seed=3)
     corners = eyes.project_corners(view.X_WC, view.X_WM)[eyes.scene.config.tool_marker.marker_id][LEFT]
-    before, after = (_found(e.render_eye(LEFT, view.X_WC, view.X_WM, 0), corners) for e in (eyes, shifted))
+    before, after = (_found(e.render_eye(LEFT, view, 0), corners) for e in (eyes, shifted))
     assert before is not None
     assert after is not None
     assert np.allclose(after - before, [0.05, 0.0], atol=0.01)

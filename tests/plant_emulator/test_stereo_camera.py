@@ -168,7 +168,7 @@ def test_the_wall_lies_where_its_texture_says_at_every_mip_level(distance: float
 @cache
 def the_texture(seed: int, mean_grey: float, contrast_grey: float) -> Grey:
     """The finest level of the wall's texture."""
-    return wall_texture(seed, mean_grey, contrast_grey)[0]
+    return wall_texture(seed, mean_grey, contrast_grey)
 
 
 def shift_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
@@ -226,7 +226,7 @@ def test_vignetting_darkens_the_corners_by_the_configured_share() -> None:
     bright = {"mean_grey": 120.0, "contrast_grey": 0.0, "lighting_gradient_per_m": [0.0, 0.0]}
     eyes = camera({"camera": {"vignetting": 0.3, "noise_grey": 0.0}, "wall": bright})
     picture = rendered(eyes, wall_view(eyes.scene, 1.0, (0.0, 0.0, 0.0)))[LEFT].astype(float)
-    centre = eyes.lenses[LEFT].centre
+    centre = eyes.eyes[LEFT].lens.centre
     corner_share = 1.0 - 0.3 * (centre @ centre) / (640.0**2 + 360.0**2)
     assert picture[0, 0] == pytest.approx(120.0 * corner_share, abs=1.0)
 
