@@ -16,6 +16,8 @@ from testbed.conformance.wire import MS, Unsupported, require
 
 case = reference.case
 STEP_M = 0.02
+# What an arm with centred valves may creep, and its encoders flicker, while it is looked at.
+DRIFT_M = 0.002
 
 
 def standby(peer: Peer) -> State:
@@ -159,7 +161,9 @@ def lost_in_motion(peer: Peer) -> None:
     require(state.fault is FaultCode.REFERENCE_LINK_LOST, f"fault {state.fault.name}")
     peer.collect(300)
     later = peer.state()
-    require(math.dist(state.X_BT_cmd.p_m, later.X_BT_cmd.p_m) < 1e-9, "it went on")
+    drift = math.dist(state.X_BT.p_m, later.X_BT.p_m)
+    require(later.valves == (0.0,) * 6, f"valves {later.valves}")
+    require(drift < DRIFT_M, f"it went on by {drift * 1e3:.1f} mm")
     wanted(peer, CommandCode.ENABLE, Reason.ERROR_LATCHED, "error")
     wanted(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
     reach(peer, GroupState.DISABLED, "after RESET")
