@@ -89,8 +89,8 @@ def normalised_squares(p: Parts, setup: Setup, noise: Noise, X: Array, Z: Array)
     return np.asarray(np.sum(white[..., 0] ** 2, axis=-1))
 
 
-def guessed_noise(p: Parts, setup: Setup, source: NoiseSource) -> Noise:
-    """The noise of a good sample, although up to almost half of the samples may be bad.
+def guessed_noise(p: Parts, setup: Setup) -> Noise:
+    """The noise of a good sample as the camera's, although up to almost half of the samples may be bad.
 
     Raises MeasurementFailed (``measurement.hand_eye.no_solution``) when no three samples determine a pose.
     """
@@ -108,7 +108,7 @@ def guessed_noise(p: Parts, setup: Setup, source: NoiseSource) -> Noise:
     if not math.isfinite(turn * shift):
         raise MeasurementFailed("measurement.hand_eye.no_solution", "no three samples determine the pose")
     small_sample = (1.0 + 5.0 / max(n - 2, 1)) / _MEDIAN_NORM
-    return noise_model.from_scales(source, turn * small_sample, shift * small_sample)
+    return noise_model.beginning(NoiseSource.CAMERA, turn * small_sample, shift * small_sample)
 
 
 def _concentrated(p: Parts, setup: Setup, X: Array, Z: Array, wanted: int) -> tuple[float, float]:

@@ -80,11 +80,7 @@ def published(f: Forms) -> Published:
     fails.
     """
     scale = float(np.trace(f.RR)) / 4.0
-    first_objective = np.zeros((5, 5))
-    first_objective[1:, 1:] = f.RR / scale
-    unit: Polynomial = {monomial(): 1.0} | {monomial(k, k): -1.0 for k in range(4)}
-    rotation = relaxed(first_objective, [unit])
-    g = np.linalg.eigh(rotation.second)[1][:, -1]
+    rotation, g = _relaxed_rotation(f.RR / scale)
     length = max(float(np.sqrt(np.trace(f.DD) / np.trace(f.RR))), 1e-9)
     linear = f.RD @ g / (scale * length)
     second_objective = np.zeros((5, 5))
@@ -103,6 +99,22 @@ def published(f: Forms) -> Published:
         rank=rotation.rank_upper,
     )
     return Published(_pose(g, translation.first * length), rotation, translation, certificate)
+
+
+def _relaxed_rotation(form: Array) -> tuple[Relaxation, Array]:
+    """Problem 1 relaxed, and g (4,).
+
+    It is solved a second time in the axes of its own first answer, which then lies on an axis: there the solver's
+    rounding is symmetric and no longer tilts it (1e-5 becomes 1e-8).
+    """
+    unit: Polynomial = {monomial(): 1.0} | {monomial(k, k): -1.0 for k in range(4)}
+    axes = np.eye(4)
+    for _ in range(2):
+        objective = np.zeros((5, 5))
+        objective[1:, 1:] = axes.T @ form @ axes
+        rotation = relaxed(objective, [unit])
+        axes = axes @ np.linalg.eigh(rotation.second)[1][:, ::-1]
+    return rotation, axes[:, 0]
 
 
 def joint(f: Forms) -> tuple[Array, Certificate]:

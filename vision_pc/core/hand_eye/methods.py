@@ -1,5 +1,6 @@
 """One entrance to all hand-eye solvers: checked samples in, a calibration with its verdict out."""
 
+import math
 from enum import StrEnum
 
 import numpy as np
@@ -61,12 +62,15 @@ def solve(
     """
     settings = settings or RobustSettings()
     motions = all_motions(pairs)
-    seen = verdict(len(pairs), motions, limits)
-    seen.demand()
+    if method is Method.ROBUST:  # bad samples look like noise, which can be judged only without them
+        verdict(len(pairs), motions, _whatever_the_noise(limits)).demand()
+    else:
+        seen = verdict(len(pairs), motions, limits)
+        seen.demand()
     if method in (Method.ROBUST, Method.MAXIMUM_LIKELIHOOD):
         settings = settings if method is Method.ROBUST else settings._replace(reject=False)
         found = robust.solve(pairs, motions, settings)
-        if not found.inliers.all():
+        if method is Method.ROBUST:
             seen = verdict(int(found.inliers.sum()), all_motions(pairs.subset(found.inliers)), limits)
             seen.demand()
         return _result(
@@ -82,7 +86,7 @@ def solve(
             found.noise,
         )
     if method is Method.CHORDAL:
-        noise = settings.noise or Noise(1.7e-3, 1e-3)
+        noise = settings.noise or Noise(*noise_model.USUAL_RATIO)
         X, Z, certificate = chordal.solve(chordal.problem(pairs.H, pairs.P, np.ones(len(pairs)), noise))
         return _result(pairs, method, seen, X, Z, certificate=certificate)
     if method in _CLASSICAL:
@@ -90,6 +94,10 @@ def solve(
         return _result(pairs, method, seen, answer.X, answer.Z, answer.notes)
     X, certificate, notes = _by_dual_quaternions(motions, method)
     return _result(pairs, method, seen, X, None, notes, certificate=certificate)
+
+
+def _whatever_the_noise(limits: ObservabilityLimits | None) -> ObservabilityLimits:
+    return (limits or ObservabilityLimits())._replace(above_noise=0.0, uncertainty=math.inf)
 
 
 def solve_motions(motions: Motions, method: Method, noise: Noise | None = None) -> Array:
@@ -103,7 +111,7 @@ def solve_motions(motions: Motions, method: Method, noise: Noise | None = None) 
     if method in (Method.MAXIMUM_LIKELIHOOD, Method.ROBUST):
         equations = Equations(rigid.inverse(motions.A), motions.B, np.ones(len(motions.A)), tied=True)
         start = dual_quaternion.joint(dual_quaternion.forms(dual_quaternions(motions)))[0]
-        first = noise or Noise(1.7e-3, 1e-3)
+        first = noise or Noise(*noise_model.USUAL_RATIO)
         estimate = ml.maximize(equations, start, start, first)
         if noise is None:
             estimate, _ = noise_model.estimated(equations, estimate, first, NoiseSource.CAMERA)

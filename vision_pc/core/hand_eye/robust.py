@@ -34,7 +34,7 @@ class RobustSettings(NamedTuple):
     """
 
     noise: Noise | None = None
-    source: NoiseSource = NoiseSource.CAMERA
+    source: NoiseSource = NoiseSource.BOTH
     reject: bool = True
     least_share: float = 0.5
 
@@ -65,11 +65,7 @@ def solve(pairs: PosePairs, motions: Motions, settings: RobustSettings) -> Robus
         notes.append(f"{n} samples are too few to tell a bad one; all are used")
     noise, weights = settings.noise, np.ones(n)
     if noise is None:
-        noise = (
-            consensus.guessed_noise(p, pairs.setup, settings.source)
-            if reject
-            else _first_noise(settings.source)
-        )
+        noise = consensus.guessed_noise(p, pairs.setup) if reject else Noise(*noise_model.USUAL_RATIO)
     if reject:
         weights = consensus.graduated(p, pairs.setup, noise, _THRESHOLD).weights
         _demand_consensus(weights, settings, pairs)
@@ -86,9 +82,10 @@ def solve(pairs: PosePairs, motions: Motions, settings: RobustSettings) -> Robus
     if settings.noise is not None:
         degrees = 6.0 * weights.sum() - 12.0
         notes += _noise_notes(estimate.cost, degrees)
-    return RobustEstimate(
-        estimate.X, estimate.Z, weights > 0.5, certificate, ml.covariance_of_X(estimate), noise, tuple(notes)
-    )
+    covariance = ml.covariance_of_X(estimate)
+    if settings.noise is None:
+        covariance = covariance * noise_model.few_sample_factor(int(weights.sum()))
+    return RobustEstimate(estimate.X, estimate.Z, weights > 0.5, certificate, covariance, noise, tuple(notes))
 
 
 def _certified(
@@ -100,11 +97,6 @@ def _certified(
     if settings.noise is None:
         estimate, noise = noise_model.estimated(equations, estimate, noise, settings.source)
     return estimate, noise, certificate
-
-
-def _first_noise(source: NoiseSource) -> Noise:
-    """A ratio of rotation to translation noise to begin with: 0.1 degrees to 1 mm."""
-    return noise_model.from_scales(source, 1.7e-3, 1e-3)
 
 
 def _demand_consensus(weights: Array, settings: RobustSettings, pairs: PosePairs) -> None:

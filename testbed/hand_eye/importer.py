@@ -1,0 +1,282 @@
+"""Pose pairs from JSON and CSV files; recordings in time are in ``trajectories``. Format: docs/hand_eye.md.
+
+Whatever is wrong with a file is said in one line with the file, the sample and the offending value. Nothing
+is repaired silently: quaternions far from unit norm are normalised only when that is asked for.
+"""
+
+import csv
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from protocol.errors import RequestRefused
+from vision_pc.core.hand_eye import rigid
+from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, Setup, pose_pairs
+from vision_pc.core.se3 import Array
+
+FORMAT = "longreach-hand-eye/1"
+_NORM_TOLERANCE = 0.02
+_UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
+
+
+class ImportOptions(NamedTuple):
+    """``setup``, ``marker_id`` override the file's; ``camera_in_target`` inverts the camera's poses.
+
+    ``normalise`` accepts quaternions of any norm, as printed tables need it.
+    """
+
+    setup: Setup | None = None
+    marker_id: int | None = None
+    camera_in_target: bool = False
+    normalise: bool = False
+
+
+def load(path: Path, options: ImportOptions | None = None) -> PosePairs:
+    """The samples of a ``.json`` or ``.csv`` file, checked.
+
+    Raises RequestRefused (``refused.hand_eye.…``) with file and sample for anything that cannot be believed.
+    """
+    options = options or ImportOptions()
+    text = _text(path)
+    try:
+        if path.suffix.lower() == ".csv":
+            return _from_csv(text, options)
+        return _from_json(text, options)
+    except RequestRefused as error:
+        raise RequestRefused(error.cause, f"{path.name}: {error}") from error
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RequestRefused("refused.hand_eye.unreadable", f"{path}: {error}") from error
+
+
+def _from_json(text: str, options: ImportOptions) -> PosePairs:
+    try:
+        data = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise RequestRefused("refused.hand_eye.unreadable", f"not JSON: {error}") from error
+    if isinstance(data, list):  # MoveIt's pose samples: [[hand in base, target in camera], ...] as 4×4
+        data = {"samples": [_bare_pair(pair, k) for k, pair in enumerate(data)]}
+    if not isinstance(data, dict) or not isinstance(data.get("samples"), list):
+        raise RequestRefused(
+            "refused.hand_eye.format", "a list of pose pairs or an object with 'samples' is wanted"
+        )
+    known = {
+        "format", "setup", "length_unit", "marker_id", "samples",
+        "camera_matrix", "distortion", "target_points_m",
+    }  # fmt: skip
+    _only(data, known, "the file")
+    if data.get("format", FORMAT) != FORMAT:
+        raise RequestRefused("refused.hand_eye.format", f"format is {data['format']!r}, known is {FORMAT!r}")
+    unit = _unit(data.get("length_unit", "m"))
+    setup = options.setup or _setup(data.get("setup", Setup.EYE_IN_HAND.value))
+    wanted = options.marker_id if options.marker_id is not None else data.get("marker_id")
+    names, hands, cameras, pixels = [], [], [], []
+    for k, sample in enumerate(data["samples"]):
+        name = str(sample.get("name", k + 1)) if isinstance(sample, dict) else str(k + 1)
+        where = f"sample {name}"
+        if not isinstance(sample, dict):
+            raise RequestRefused(
+                "refused.hand_eye.format", f"{where}: an object is wanted, got {type(sample).__name__}"
+            )
+        _only(sample, {"name", "hand", "camera", "settled", "marker_id", "corners_px"}, where)
+        _check_flags(sample.get("settled"), sample.get("marker_id"), wanted, where)
+        hands.append(_pose(sample.get("hand"), f"{where}: hand", unit, options))
+        cameras.append(_pose(sample.get("camera"), f"{where}: camera", unit, options))
+        names.append(name)
+        pixels.append(sample.get("corners_px"))
+    corners = _corners(data, pixels, names)
+    return _pairs(hands, cameras, setup, names, options, corners)
+
+
+def _bare_pair(pair: Any, k: int) -> dict[str, Any]:
+    if not isinstance(pair, list) or len(pair) != 2:
+        raise RequestRefused("refused.hand_eye.count", f"sample {k + 1}: a pair of poses is wanted")
+    return {"hand": pair[0], "camera": pair[1]}
+
+
+def _only(data: Mapping[str, Any], known: set[str], where: str) -> None:
+    unknown = sorted(set(data) - known)
+    if unknown:
+        raise RequestRefused("refused.hand_eye.format", f"{where}: unknown key '{unknown[0]}'")
+
+
+def _unit(name: Any) -> float:
+    if name not in _UNITS:
+        raise RequestRefused(
+            "refused.hand_eye.units", f"length_unit is {name!r}, known are {', '.join(_UNITS)}"
+        )
+    return _UNITS[name]
+
+
+def _setup(name: Any) -> Setup:
+    try:
+        return Setup(name)
+    except ValueError as error:
+        known = ", ".join(s.value for s in Setup)
+        raise RequestRefused("refused.hand_eye.format", f"setup is {name!r}, known are {known}") from error
+
+
+def _check_flags(settled: Any, marker_id: Any, wanted: Any, where: str) -> None:
+    if (
+        settled is not None
+        and settled is not True
+        and str(settled).strip().lower() not in ("true", "1", "yes")
+    ):
+        raise RequestRefused("refused.hand_eye.unsettled", f"{where}: taken before the arm had settled")
+    if wanted is not None and marker_id is not None and int(marker_id) != int(wanted):
+        raise RequestRefused(
+            "refused.hand_eye.marker_id", f"{where}: shows marker {marker_id}, marker {wanted} was asked for"
+        )
+
+
+def _pose(value: Any, where: str, unit: float, options: ImportOptions) -> Array:
+    """One pose written as a 4×4 matrix or as position with quaternion, rotation vector or matrix."""
+    if isinstance(value, dict):
+        _only(value, {"p", "q_wxyz", "q_xyzw", "rotation_vector_rad", "rotation_vector_deg", "R"}, where)
+        p = unit * _numbers(value.get("p"), 3, f"{where} p")
+        X = np.eye(4)
+        X[:3, :3], X[:3, 3] = _rotation(value, where, options), p
+        return X
+    X = _numbers(value, 16, where).reshape(4, 4)
+    X[:3, 3] *= unit
+    return X
+
+
+def _rotation(value: Mapping[str, Any], where: str, options: ImportOptions) -> Array:
+    given = sorted(set(value) - {"p"})
+    if len(given) != 1:
+        raise RequestRefused(
+            "refused.hand_eye.format", f"{where}: exactly one rotation is wanted, got {given or 'none'}"
+        )
+    key = given[0]
+    if key == "R":
+        return _numbers(value[key], 9, f"{where} R").reshape(3, 3)
+    if key.startswith("q_"):
+        q = _numbers(value[key], 4, f"{where} {key}")
+        return _from_quaternion(q if key == "q_wxyz" else q[[3, 0, 1, 2]], where, options)
+    v = _numbers(value[key], 3, f"{where} {key}")
+    return _from_vector(np.radians(v) if key.endswith("_deg") else v, where)
+
+
+def _from_quaternion(q_wxyz: Array, where: str, options: ImportOptions) -> Array:
+    norm = float(np.linalg.norm(q_wxyz))
+    if norm < 1e-6 or (abs(norm - 1.0) > _NORM_TOLERANCE and not options.normalise):
+        raise RequestRefused(
+            "refused.hand_eye.quaternion_norm",
+            f"{where}: quaternion has norm {norm:.3f}, not 1; ask to normalise it if it has few digits",
+        )
+    return rigid.rotation_of_quaternion(q_wxyz)
+
+
+def _from_vector(v: Array, where: str) -> Array:
+    if float(np.linalg.norm(v)) > 2.0 * math.pi:
+        raise RequestRefused(
+            "refused.hand_eye.units",
+            f"{where}: rotation vector of {np.linalg.norm(v):.1f} rad; is it in degrees?",
+        )
+    return rigid.rotation_exp(v)
+
+
+def _numbers(value: Any, count: int, where: str) -> Array:
+    try:
+        array = np.asarray(value, dtype=np.float64).ravel()
+    except (TypeError, ValueError) as error:
+        raise RequestRefused("refused.hand_eye.format", f"{where}: {count} numbers are wanted") from error
+    if array.size != count:
+        raise RequestRefused(
+            "refused.hand_eye.format", f"{where}: {count} numbers are wanted, got {array.size}"
+        )
+    return array
+
+
+def _corners(data: Mapping[str, Any], pixels: list[Any], names: list[str]) -> CornerViews | None:
+    given = [p is not None for p in pixels]
+    if not any(given):
+        return None
+    if not all(given):
+        missing = names[given.index(False)]
+        raise RequestRefused("refused.hand_eye.format", f"sample {missing}: corners_px is missing")
+    points = np.asarray(data.get("target_points_m", []), dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise RequestRefused(
+            "refused.hand_eye.format", "corners_px need target_points_m, a list of [x, y, z]"
+        )
+    K = _numbers(data.get("camera_matrix"), 9, "camera_matrix").reshape(3, 3)
+    distortion = np.asarray(data.get("distortion", [0.0] * 5), dtype=np.float64).ravel()
+    seen = []
+    for name, value in zip(names, pixels, strict=True):
+        flat = [[math.nan, math.nan] if pixel is None else pixel for pixel in value]
+        seen.append(_numbers(flat, 2 * len(points), f"sample {name}: corners_px").reshape(-1, 2))
+    return CornerViews(points, np.stack(seen), K, distortion)
+
+
+def _pairs(
+    hands: list[Array],
+    cameras: list[Array],
+    setup: Setup,
+    names: list[str],
+    options: ImportOptions,
+    corners: CornerViews | None = None,
+) -> PosePairs:
+    X_CT = np.stack(cameras) if cameras else np.zeros((0, 4, 4))
+    X_BH = np.stack(hands) if hands else np.zeros((0, 4, 4))
+    if options.camera_in_target:
+        X_CT = rigid.inverse(X_CT)
+    return pose_pairs(X_BH, X_CT, setup, tuple(names), corners)
+
+
+def _from_csv(text: str, options: ImportOptions) -> PosePairs:
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    reader = csv.DictReader(lines, skipinitialspace=True)
+    columns = [c.strip() for c in reader.fieldnames or []]
+    reader.fieldnames = columns
+    allowed = {"name", "settled", "marker_id"} | {
+        f"{side}_{axis}"
+        for side in ("hand", "camera")
+        for axis in (
+            [f"{a}_{unit}" for a in "xyz" for unit in _UNITS]
+            + [f"q{a}" for a in "wxyz"]
+            + [f"r{a}_{unit}" for a in "xyz" for unit in ("rad", "deg")]
+        )
+    }
+    _only(dict.fromkeys(columns), allowed, "the header")
+    names, hands, cameras = [], [], []
+    for k, record in enumerate(reader):
+        name = (record.get("name") or str(k + 1)).strip()
+        where = f"sample {name}"
+        if None in record or None in record.values():
+            raise RequestRefused("refused.hand_eye.format", f"{where}: {len(columns)} columns are wanted")
+        _check_flags(record.get("settled") or None, record.get("marker_id") or None, options.marker_id, where)
+        hands.append(_csv_pose(record, "hand", where, options))
+        cameras.append(_csv_pose(record, "camera", where, options))
+        names.append(name)
+    return _pairs(hands, cameras, options.setup or Setup.EYE_IN_HAND, names, options)
+
+
+def _csv_pose(record: Mapping[str, str], side: str, where: str, options: ImportOptions) -> Array:
+    where = f"{where}: {side}"
+    X = np.eye(4)
+    for unit, scale in _UNITS.items():
+        if f"{side}_x_{unit}" in record:
+            X[:3, 3] = scale * _numbers([record.get(f"{side}_{a}_{unit}") for a in "xyz"], 3, where)
+            break
+    else:
+        raise RequestRefused("refused.hand_eye.format", f"{where}: no column {side}_x_m")
+    if f"{side}_qw" in record:
+        q = _numbers([record.get(f"{side}_q{a}") for a in "wxyz"], 4, where)
+        X[:3, :3] = _from_quaternion(q, where, options)
+        return X
+    for unit, factor in (("rad", 1.0), ("deg", math.pi / 180.0)):
+        if f"{side}_rx_{unit}" in record:
+            v = factor * _numbers([record.get(f"{side}_r{a}_{unit}") for a in "xyz"], 3, where)
+            X[:3, :3] = _from_vector(v, where)
+            return X
+    raise RequestRefused("refused.hand_eye.format", f"{where}: no column {side}_qw or {side}_rx_rad")

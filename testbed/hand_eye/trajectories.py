@@ -1,0 +1,195 @@
+"""Pose pairs from two recordings in time: hand and camera trajectories in TUM form.
+
+A recording has hundreds of nearly equal poses, most of them taken in motion, where a few milliseconds between
+the clocks are worth a tenth of a degree. So the slowest moments are taken first, and each must differ from
+those already taken.
+"""
+
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.errors import RequestRefused
+from testbed.hand_eye.importer import ImportOptions, _text
+from vision_pc.core.hand_eye import rigid
+from vision_pc.core.hand_eye.samples import PosePairs, Setup, pose_pairs
+from vision_pc.core.se3 import Array
+
+_NORM_TOLERANCE = 0.02
+_RECORDING_HZ = 2.0  # a faster one is a recording in motion, a slower one a list of poses
+
+
+class Trajectory(NamedTuple):
+    """``time_s`` (n,) strictly increasing and ``X`` (n, 4, 4)."""
+
+    time_s: Array
+    X: Array
+
+
+class PairingOptions(NamedTuple):
+    """How moments are chosen: at least ``spacing_deg`` or ``spacing_m`` apart, at most ``most`` of them.
+
+    ``offset_s`` is added to the camera's clock; None estimates it from the turning speeds. ``gap_s`` is the
+    longest stretch of the hand's recording over which its pose is interpolated.
+    """
+
+    offset_s: float | None = 0.0
+    spacing_deg: float = 5.0
+    spacing_m: float = 0.05
+    most: int = 60
+    gap_s: float = 0.1
+
+
+def load_tum(path: Path, normalise: bool = False) -> Trajectory:
+    """A trajectory file: lines ``t x y z qx qy qz qw`` (s, m), blanks or commas between, ``#`` comments.
+
+    Lines are put in order of time, and of lines with the same time the first is kept. Raises RequestRefused
+    naming the line.
+    """
+    times, poses = [], []
+    for number, line in enumerate(_text(path).splitlines(), start=1):
+        content = line.split("#", 1)[0].replace(",", " ").split()
+        if not content:
+            continue
+        where = f"{path.name}: line {number}"
+        try:
+            values = np.array([float(word) for word in content])
+        except ValueError as error:
+            raise RequestRefused("refused.hand_eye.format", f"{where}: not a number: {error}") from error
+        if values.size != 8 or not np.isfinite(values).all():
+            raise RequestRefused(
+                "refused.hand_eye.format", f"{where}: 8 finite numbers are wanted, got {values.size}"
+            )
+        norm = float(np.linalg.norm(values[4:]))
+        if norm < 1e-6 or (abs(norm - 1.0) > _NORM_TOLERANCE and not normalise):
+            raise RequestRefused(
+                "refused.hand_eye.quaternion_norm", f"{where}: quaternion has norm {norm:.3f}, not 1"
+            )
+        times.append(values[0])
+        poses.append(rigid.pose(rigid.rotation_of_quaternion(values[[7, 4, 5, 6]]), values[1:4]))
+    if len(times) < 3:
+        raise RequestRefused(
+            "refused.hand_eye.count", f"{path.name}: {len(times)} poses, at least 3 are needed"
+        )
+    time_s, first = np.unique(np.array(times), return_index=True)
+    return Trajectory(time_s, np.stack(poses)[first])
+
+
+def pair(
+    hand: Trajectory,
+    camera: Trajectory,
+    pairing: PairingOptions | None = None,
+    options: ImportOptions | None = None,
+) -> tuple[PosePairs, float]:
+    """Samples at the camera's times, the hand interpolated, and the clock offset that was used (s).
+
+    Raises RequestRefused: ``refused.hand_eye.count`` when the recordings do not overlap.
+    """
+    pairing, options = pairing or PairingOptions(), options or ImportOptions()
+    offset = estimated_offset(hand, camera) if pairing.offset_s is None else pairing.offset_s
+    times = camera.time_s + offset
+    after = np.clip(np.searchsorted(hand.time_s, times), 1, len(hand.time_s) - 1)
+    width = hand.time_s[after] - hand.time_s[after - 1]
+    exact = np.isclose(times, hand.time_s[after]) | np.isclose(times, hand.time_s[after - 1])
+    usable = (times >= hand.time_s[0]) & (times <= hand.time_s[-1]) & ((width <= pairing.gap_s) | exact)
+    if usable.sum() < 3:
+        raise RequestRefused(
+            "refused.hand_eye.count",
+            f"only {int(usable.sum())} camera poses have a hand pose within {pairing.gap_s:g} s; "
+            "check the clocks or give an offset",
+        )
+    X_BH = interpolated(hand, times[usable])
+    X_CT = rigid.inverse(camera.X[usable]) if options.camera_in_target else camera.X[usable]
+    chosen = _chosen(times[usable], X_BH, X_CT, pairing)
+    names = tuple(f"t={camera.time_s[usable][k]:.3f}" for k in chosen)
+    return pose_pairs(X_BH[chosen], X_CT[chosen], options.setup or Setup.EYE_IN_HAND, names), offset
+
+
+def interpolated(trajectory: Trajectory, times: Array) -> Array:
+    """Poses (k, 4, 4) at ``times`` (k,) inside the trajectory, by straight lines and geodesics."""
+    after = np.clip(np.searchsorted(trajectory.time_s, times), 1, len(trajectory.time_s) - 1)
+    start, end = trajectory.X[after - 1], trajectory.X[after]
+    begin_s, width = trajectory.time_s[after - 1], trajectory.time_s[after] - trajectory.time_s[after - 1]
+    fraction = ((times - begin_s) / width)[:, None]
+    R_start = start[:, :3, :3]
+    turn = rigid.rotation_log(np.swapaxes(R_start, -1, -2) @ end[:, :3, :3])
+    R = R_start @ rigid.rotation_exp(fraction * turn)
+    return rigid.pose(R, start[:, :3, 3] + fraction * (end[:, :3, 3] - start[:, :3, 3]))
+
+
+def _speeds(time_s: Array, X: Array, window_s: float = 0.15) -> tuple[Array, Array]:
+    """Turning (rad/s) and moving (m/s) speed at each pose, over ``window_s`` to either side."""
+    low = np.searchsorted(time_s, time_s - window_s)
+    high = np.clip(np.searchsorted(time_s, time_s + window_s), 0, len(time_s) - 1)
+    step = rigid.inverse(X[low]) @ X[high]
+    duration = np.maximum(time_s[high] - time_s[low], 1e-6)
+    return rigid.rotation_angle(step[:, :3, :3]) / duration, np.linalg.norm(
+        step[:, :3, 3], axis=-1
+    ) / duration
+
+
+def _chosen(times: Array, X_BH: Array, X_CT: Array, pairing: PairingOptions) -> NDArray[np.intp]:
+    """Indices of the moments to use, in order of time."""
+    if 1.0 / float(np.median(np.diff(times))) < _RECORDING_HZ:
+        return np.arange(len(times))
+    spin_h, move_h = _speeds(times, X_BH)
+    spin_c, move_c = _speeds(times, X_CT)
+    limit = math.radians(pairing.spacing_deg)
+    restless = (spin_h + spin_c) / limit + (move_h + move_c) / pairing.spacing_m
+    taken: list[int] = []
+    for k in np.argsort(restless, kind="stable"):
+        others = X_BH[taken]
+        turned = rigid.rotation_angle(np.swapaxes(others[:, :3, :3], -1, -2) @ X_BH[k, :3, :3])
+        moved = np.linalg.norm(others[:, :3, 3] - X_BH[k, :3, 3], axis=-1)
+        if ((turned > limit) | (moved > pairing.spacing_m)).all():
+            taken.append(int(k))
+        if len(taken) == pairing.most:
+            break
+    return np.array(sorted(taken))
+
+
+def estimated_offset(hand: Trajectory, camera: Trajectory, longest_s: float = 2.0) -> float:
+    """What to add to the camera's clock so that hand and camera turn together (s), whatever X is.
+
+    The correlation of both turning speeds over offsets of 5 ms finds the neighbourhood. There the angles
+    turned in 0.7 s, which must be equal, decide to a millisecond: their mean squared difference is a
+    parabola in the offset.
+    """
+    step = 0.005
+    spin_h = _speeds(hand.time_s, hand.X)[0]
+    spin_c = _speeds(camera.time_s, camera.X)[0]
+    offsets = np.arange(-longest_s, longest_s + step, step)
+    scores = np.full(len(offsets), -1.0)
+    for k, offset in enumerate(offsets):
+        times = camera.time_s + offset
+        inside = (times >= hand.time_s[0]) & (times <= hand.time_s[-1])
+        if inside.sum() > 0.5 * len(times):
+            here = np.interp(times[inside], hand.time_s, spin_h)
+            if here.std() > 0.0 and spin_c[inside].std() > 0.0:
+                scores[k] = np.corrcoef(here, spin_c[inside])[0, 1]
+    best = int(np.argmax(scores))
+    if scores[best] < 0.5:
+        raise RequestRefused(
+            "refused.hand_eye.clocks",
+            f"hand and camera do not turn together (correlation {scores[best]:.2f})",
+        )
+    near = offsets[best] + np.linspace(-0.02, 0.02, 21)
+    mismatch = np.array([_angle_mismatch(hand, camera, float(offset)) for offset in near])
+    least = int(np.clip(np.argmin(mismatch), 3, len(near) - 4))
+    fit = np.polyfit(near[least - 3 : least + 4], mismatch[least - 3 : least + 4], 2)
+    return float(-0.5 * fit[1] / fit[0]) if fit[0] > 0.0 else float(near[least])
+
+
+def _angle_mismatch(hand: Trajectory, camera: Trajectory, offset: float, lag_s: float = 0.7) -> float:
+    """Mean squared difference (rad²) of the angles that hand and camera turned in ``lag_s``."""
+    times = camera.time_s + offset
+    inside = (times >= hand.time_s[0]) & (times <= hand.time_s[-1])
+    lag = max(1, int(lag_s / float(np.median(np.diff(camera.time_s)))))
+    turned = []
+    for X in (interpolated(hand, times[inside]), camera.X[inside]):
+        R = X[:, :3, :3]
+        turned.append(rigid.rotation_angle(np.swapaxes(R[:-lag], -1, -2) @ R[lag:]))
+    return float(np.mean((turned[0] - turned[1]) ** 2))
