@@ -7,6 +7,7 @@ the next one.
 
 import asyncio
 import contextlib
+import itertools
 import logging
 import time
 from collections import Counter
@@ -39,6 +40,7 @@ class PlantLink:
         self._log = log
         self._client: AsyncModbusTcpClient | None = None
         self._connecting: asyncio.Task[None] | None = None
+        self._closing = False
 
     def start(self) -> None:
         """Begin to connect; needs a running loop."""
@@ -46,6 +48,7 @@ class PlantLink:
 
     async def close(self) -> None:
         """Close the connection and stop connecting."""
+        self._closing = True  # pymodbus's connect() may swallow the cancellation
         if self._connecting is not None:
             self._connecting.cancel()
             with contextlib.suppress(asyncio.CancelledError):
@@ -100,7 +103,9 @@ class PlantLink:
 
     async def _connect(self) -> None:
         where = f"{self._config.host}:{self._config.port}"
-        for attempt in range(1 << 62):
+        for attempt in itertools.count():
+            if self._closing:
+                return
             client = AsyncModbusTcpClient(
                 self._config.host,
                 port=self._config.port,
