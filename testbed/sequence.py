@@ -113,6 +113,8 @@ def note_of(kind: str, result: JSON) -> str:
             f"{_xyz(result['residual_max_mm'])} mm"
         )
     if kind == "look-then-move":
+        if not result["steps"]:
+            return "already at the aim: no step was made"
         step = result["steps"][0]
         return (
             f"step {_xyz(step['p_lc_mm'])} mm in the base, expected to end within "

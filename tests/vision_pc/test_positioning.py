@@ -42,7 +42,7 @@ async def test_whole_procedure_over_seeds_two_looks_inside_5_mm() -> None:
         arm = rig(seed)
         await adjust_orientation(arm, arm, silent, PROGRAMS.orientation)
         calibration = await trajectory_matching(arm, arm, silent, PROGRAMS.trajectory)
-        one = changed(inputs=1)
+        one = changed(inputs=1, aim_m=0.0)
         result = await look_then_move(arm, arm, silent, one, calibration)
         error = arm.true_error(CLEARANCE)
         first.append(np.abs(error[:2]).max())
@@ -56,16 +56,31 @@ async def test_whole_procedure_over_seeds_two_looks_inside_5_mm() -> None:
     assert 0.4 < np.sqrt(np.mean(np.square(scores))) < 1.2  # the stated uncertainty is honest
 
 
-async def test_it_ends_inside_the_tolerance_and_says_so() -> None:
+async def test_it_ends_inside_the_aim_and_says_so_and_leaves_it_at_that() -> None:
     arm = rig(0)
     calibration = exact(arm)
     result = await look_then_move(arm, arm, silent, changed(inputs=5), calibration)
-    assert result.ended == "inside_tolerance"
+    assert result.ended == "reached"
     assert len(result.looks) == len(result.steps) + 1 <= 4
     assert result.final.inside
     assert result.final is result.looks[-1]
     assert np.abs(arm.true_error(CLEARANCE)[:2]).max() < 0.005
     assert abs(arm.true_error(CLEARANCE)[2]) < 0.01  # b is kept
+    before = arm.motions
+    again = await look_then_move(arm, arm, silent, changed(inputs=5), calibration)
+    assert (again.ended, again.steps, arm.motions) == ("reached", (), before)
+    faithful = await look_then_move(arm, arm, silent, changed(inputs=1, aim_m=0.0), calibration)
+    assert len(faithful.steps) == 1
+
+
+async def test_depth_counts_before_the_aim_is_reached() -> None:
+    arm = rig(0)
+    calibration = exact(arm)
+    await look_then_move(arm, arm, silent, changed(inputs=5), calibration)
+    nearer = await look_then_move(arm, arm, silent, changed(inputs=5, clearance_m=0.05), calibration)
+    assert nearer.ended == "reached"
+    assert len(nearer.steps) >= 1
+    assert abs(arm.true_error(0.05)[2]) < 0.01
 
 
 async def test_a_calibration_off_by_60_degrees_stops_when_it_does_not_improve() -> None:
@@ -80,9 +95,7 @@ async def test_a_calibration_off_by_60_degrees_stops_when_it_does_not_improve() 
 
 async def test_the_number_of_inputs_is_a_limit() -> None:
     arm = rig(2)
-    result = await look_then_move(
-        arm, arm, silent, changed(inputs=1, tolerance_m=1e-5), exact(arm, (0.2, 0.0, 0.0))
-    )
+    result = await look_then_move(arm, arm, silent, changed(inputs=1, aim_m=0.0), exact(arm, (0.2, 0.0, 0.0)))
     assert result.ended == "input_limit"
     assert len(result.steps) == 1
     assert len(result.looks) == 2

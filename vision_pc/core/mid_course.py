@@ -20,7 +20,7 @@ from vision_pc.core.calibration.local_map import (
 )
 from vision_pc.core.calibration.settings import LocalMapSettings, PositioningSettings
 from vision_pc.core.ports import Arm, Eyes, Report
-from vision_pc.core.positioning import PositioningResult, Step, judge, positioning_error
+from vision_pc.core.positioning import PositioningResult, Step, judge, positioning_error, reached
 from vision_pc.core.se3 import Array, local, transform
 from vision_pc.core.types import Look
 
@@ -69,7 +69,7 @@ async def look_then_move_corrected(
     report(0.9, "looking")
     looks.append(judge(await eyes.look(), settings))
     report(1.0, f"error {1e3 * looks[-1].error_m[0]:+.1f} {1e3 * looks[-1].error_m[1]:+.1f} mm")
-    ended = "inside_tolerance" if looks[-1].inside else "input_limit"
+    ended = "reached" if reached(looks[-1], settings) else "input_limit"
     return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), goal_K - p_CM, track)
 
 

@@ -48,7 +48,8 @@ class Step(NamedTuple):
 class PositioningResult(NamedTuple):
     """Looks and steps in order, a look before the first step and after every one.
 
-    ``ended`` says why no more followed: ``inside_tolerance``, ``not_improving`` or ``input_limit``.
+    ``ended`` says why no more followed: ``reached`` (inside the aim), ``not_improving`` or
+    ``input_limit``.
     """
 
     looks: tuple[LookVerdict, ...]
@@ -64,7 +65,7 @@ class PositioningResult(NamedTuple):
 async def look_then_move(
     arm: Arm, eyes: Eyes, report: Report, settings: PositioningSettings, calibration: LocalCalibration
 ) -> PositioningResult:
-    """Looks and inputs until the error is inside the tolerance, stops improving, or the inputs are used up.
+    """Looks and inputs until the error is inside ``aim_m``, stops improving, or the inputs are used up.
 
     Raises MeasurementFailed when a look fails or a step exceeds its limit (nothing moves then); errors of
     arm and eyes pass through. Source: Mäkinen et al. 2023, (20)-(22).
@@ -77,8 +78,8 @@ async def look_then_move(
         look = await eyes.look()
         looks.append(judge(look, settings))
         report((number + 0.3) / (settings.inputs + 0.3), f"look {number + 1}: {_in_words(looks[-1])}")
-        if number > 0 and looks[-1].inside:
-            ended = "inside_tolerance"
+        if reached(looks[-1], settings):
+            ended = "reached"
             break
         if number > 1 and not _improves(looks):
             ended = "not_improving"
@@ -127,6 +128,12 @@ def judge(look: Look, settings: PositioningSettings) -> LookVerdict:
         np.all(across + spread <= settings.tolerance_m) or np.any(across - spread > settings.tolerance_m)
     )
     return LookVerdict(error, std, settings.tolerance_m, settings.clearance_m, inside, certain)
+
+
+def reached(verdict: LookVerdict, settings: PositioningSettings) -> bool:
+    """Whether no further input is worth its risk: x, y inside ``aim_m`` and depth inside ``depth_aim_m``."""
+    across, depth = np.abs(verdict.error_m[:2]), abs(float(verdict.error_m[2]))
+    return bool(np.all(across <= settings.aim_m)) and depth <= settings.depth_aim_m
 
 
 def _improves(looks: list[LookVerdict]) -> bool:

@@ -77,10 +77,16 @@ class LocalMapSettings(StrictModel):
 
 
 class PositioningSettings(StrictModel):
-    """Look-then-move (20)-(22). ``strain_std`` and ``servo_std_m`` are what a rotation alone cannot know."""
+    """Look-then-move (20)-(22). ``strain_std`` and ``servo_std_m`` are what a rotation alone cannot know.
+
+    An error below ``aim_m`` in x and y and ``depth_aim_m`` in z is left alone: play and stiction make a
+    smaller step a gamble.
+    """
 
     clearance_m: float = Field(ge=0.0, le=1.0)
     tolerance_m: float = Field(gt=0.0, le=0.1)
+    aim_m: float = Field(ge=0.0, le=0.1)
+    depth_aim_m: float = Field(ge=0.0, le=0.5)
     inputs: int = Field(ge=1, le=10)
     step_limit_m: float = Field(gt=0.0, le=5.0)
     duration_s: Seconds
