@@ -52,6 +52,7 @@ class CameraSettings(StrictModel):
 
     source: Literal["stream", "uvc", "directory"] = "stream"
     stale_ms: float = Field(ge=10.0, le=60_000.0)
+    frozen_frames: int = Field(ge=0, le=1000)
     stream: StreamSettings = StreamSettings()
     uvc: UvcSettings = UvcSettings()
     directory: DirectorySettings = DirectorySettings()
@@ -164,7 +165,7 @@ class MotionSettings(StrictModel):
     """
 
     settle_timeout_s: float = Field(5.0, gt=0.0, le=120.0)
-    still_mrad: float = Field(1.0, gt=0.0, le=50.0)
+    still_mrad: float = Field(2.0, gt=0.0, le=50.0)
     rest_s: float = Field(0.5, ge=0.0, le=30.0)
 
 
