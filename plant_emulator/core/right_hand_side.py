@@ -99,8 +99,8 @@ def _actuator(
 ) -> float:
     """Rates of spool, chambers and bristle of actuator ``i``; returns its torque on the joint.
 
-    ``a`` is its row of the actuator table, ``c`` the circuit, ``out`` its row of the flow table, ``thinner`` the
-    reference viscosity over the present one.
+    ``a`` is its row of the actuator table, ``c`` the circuit, ``out`` its row of the flow table, ``thinner``
+    the reference viscosity over the present one.
     """
     joint = DRIVEN[i]
     angle = state[Q + joint]
