@@ -1,0 +1,323 @@
+"""Camera sources against a sender, a film and a directory; every kind of failure told by its cause."""
+
+import asyncio
+import socket
+import threading
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from protocol.errors import ConfigurationError, LinkLost
+from protocol.stereo_frame import FrameHeader, encode_header
+from vision_pc.config import CameraSettings, VisionConfig
+from vision_pc.core.types import StereoPair
+from vision_pc.shell.cameras import CameraSource, open_camera
+from vision_pc.shell.cameras.directory import Recorder, recorded, recorded_pairs
+from vision_pc.shell.cameras.stream import BufferPool, StreamClock
+
+WIDTH, HEIGHT = 96, 64
+HOUR_NS = 3_600_000_000_000
+
+
+class Sender:
+    """A camera stream that sends what a test asks for, on a clock one hour ahead."""
+
+    def __init__(self) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port = self._listener.getsockname()[1]
+        self._clients: list[socket.socket] = []
+        self._accepted = threading.Event()
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                client, _ = self._listener.accept()
+            except OSError:
+                return
+            self._clients.append(client)
+            self._accepted.set()
+
+    def wait(self) -> None:
+        assert self._accepted.wait(5.0)
+        self._accepted.clear()
+
+    def send(self, frame_id: int, grey: int | None = None, size: tuple[int, int] = (WIDTH, HEIGHT)) -> int:
+        """Send one frame, on average of value ``grey``; the time on this machine at which it was captured."""
+        captured_ns = time.monotonic_ns() - 20_000_000
+        header = FrameHeader(
+            frame_id, captured_ns + HOUR_NS, time.monotonic_ns() + HOUR_NS, *size, exposure_us=4000, flags=0
+        )
+        value = frame_id % 200 if grey is None else grey
+        self.send_bytes(
+            encode_header(header)
+            + bytes([value]) * (size[0] * size[1])
+            + bytes([value + 1]) * (size[0] * size[1])
+        )
+        return captured_ns
+
+    def send_bytes(self, data: bytes) -> None:
+        self._clients[-1].sendall(data)
+
+    def hang_up(self) -> None:
+        self._clients[-1].close()
+
+    def close(self) -> None:
+        self._listener.close()
+        for client in self._clients:
+            client.close()
+
+
+@pytest.fixture
+def sender() -> Iterator[Sender]:
+    it = Sender()
+    yield it
+    it.close()
+
+
+def settings(config: VisionConfig, source: str, **changes: object) -> CameraSettings:
+    base = config.camera.model_dump() | {
+        "source": source,
+        "width_px": WIDTH,
+        "height_px": HEIGHT,
+        "stale_ms": 400.0,
+        "frozen_frames": 3,
+    }
+    return CameraSettings.model_validate(base | changes)
+
+
+@asynccontextmanager
+async def opened(camera_settings: CameraSettings) -> AsyncIterator[CameraSource]:
+    camera = open_camera(camera_settings)
+    await camera.start()
+    try:
+        yield camera
+    finally:
+        began = time.monotonic()
+        await camera.close()
+        assert time.monotonic() - began < 1.0
+
+
+def stream_settings(config: VisionConfig, port: int) -> CameraSettings:
+    return settings(config, "stream", stream={"host": "127.0.0.1", "port": port, "reconnect_ms": 20})
+
+
+async def test_stream_gives_the_newest_pair_on_this_machines_clock(
+    config: VisionConfig, sender: Sender
+) -> None:
+    async with opened(stream_settings(config, sender.port)) as camera:
+        await asyncio.to_thread(sender.wait)
+        sender.send(7)
+        first = await camera.pair_after(0)
+        captured_ns = sender.send(11)
+        pair = await camera.pair_after(first.capture_ns)
+        assert (first.frame_id, pair.frame_id) == (7, 11)
+        assert abs(pair.capture_ns - captured_ns) < 5_000_000
+        assert pair.left.shape == (HEIGHT, WIDTH)
+        assert (pair.left == 11).all()
+        assert (pair.right == 12).all()
+        status = camera.status()
+        assert (status.connected, status.frames, status.dropped, status.reconnects) == (True, 2, 3, 0)
+        assert status.age_ms is not None
+        assert status.age_ms < 400.0
+
+
+async def test_held_pictures_are_not_written_over(config: VisionConfig, sender: Sender) -> None:
+    async with opened(stream_settings(config, sender.port)) as camera:
+        await asyncio.to_thread(sender.wait)
+        held: list[StereoPair] = []
+        for number in range(1, 7):
+            sender.send(number)
+            held.append(await camera.pair_after(held[-1].capture_ns if held else 0))
+        assert [int(pair.left[0, 0]) for pair in held] == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_buffer_is_used_again_only_when_nobody_reads_it() -> None:
+    pool = BufferPool()
+    first = pool.take(100)
+    view, address = first[:50], first.ctypes.data
+    del first
+    assert pool.take(100).ctypes.data != address
+    del view
+    assert pool.take(100).ctypes.data == address
+
+
+async def test_silent_stream_is_told_as_lost_and_found_again(config: VisionConfig, sender: Sender) -> None:
+    async with opened(stream_settings(config, sender.port)) as camera:
+        await asyncio.to_thread(sender.wait)
+        sender.send(1)
+        pair = await camera.pair_after(0)
+        with pytest.raises(LinkLost) as lost:
+            await camera.pair_after(pair.capture_ns)
+        assert lost.value.cause == "link.camera_silent"
+        assert camera.status().trouble == "link.camera_silent"
+        await asyncio.to_thread(sender.wait)  # it connects anew by itself
+        sender.send(2)
+        assert (await camera.pair_after(pair.capture_ns)).frame_id == 2
+        assert camera.status().reconnects == 1
+
+
+async def test_frozen_picture_is_told_although_frames_arrive(config: VisionConfig, sender: Sender) -> None:
+    async with opened(stream_settings(config, sender.port)) as camera:
+        await asyncio.to_thread(sender.wait)
+        sender.send(1)
+        pair = await camera.pair_after(0)
+
+        async def repeat() -> None:
+            for number in range(2, 40):
+                sender.send(number, grey=1)
+                await asyncio.sleep(0.02)
+
+        for number in range(2, 5):  # three more alike: the limit
+            sender.send(number, grey=1)
+        await asyncio.sleep(0.1)
+        repeating = asyncio.create_task(repeat())
+        with pytest.raises(LinkLost) as lost:
+            await camera.pair_after(pair.capture_ns)
+        assert lost.value.cause == "link.camera_frozen"
+        await repeating
+        sender.send(50, grey=2)
+        assert (await camera.pair_after(pair.capture_ns)).frame_id == 50
+
+
+@pytest.mark.parametrize(
+    ("data", "cause"),
+    [
+        (b"\x00" * 200, "frame.bad_magic"),
+        (
+            encode_header(FrameHeader(1, 1, 1, WIDTH, HEIGHT, 4000, 0))[:-1] + b"\x55",
+            "frame.bad_crc",
+        ),
+    ],
+)
+async def test_stream_that_lost_its_place_is_left(
+    config: VisionConfig, sender: Sender, data: bytes, cause: str
+) -> None:
+    async with opened(stream_settings(config, sender.port)) as camera:
+        await asyncio.to_thread(sender.wait)
+        sender.send_bytes(data)
+        await asyncio.to_thread(sender.wait)
+        sender.send(3)
+        assert (await camera.pair_after(0)).frame_id == 3
+        assert camera.status().reconnects == 1
+
+
+async def test_pictures_of_another_size_are_refused(config: VisionConfig, sender: Sender) -> None:
+    camera_settings = stream_settings(config, sender.port)
+    slow = camera_settings.stream.model_copy(update={"reconnect_ms": 10_000.0})
+    async with opened(camera_settings.model_copy(update={"stream": slow})) as camera:
+        await asyncio.to_thread(sender.wait)
+        sender.send(1, size=(WIDTH, 2 * HEIGHT))
+        with pytest.raises(LinkLost) as lost:
+            await camera.pair_after(0)
+        assert lost.value.cause == "frame.wrong_size"
+
+
+async def test_missing_camera_is_named(config: VisionConfig) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as unused:
+        port = unused.getsockname()[1]
+    async with opened(stream_settings(config, port)) as camera:
+        with pytest.raises(LinkLost) as lost:
+            await camera.pair_after(0)
+        assert lost.value.cause == "link.camera_missing"
+        assert not camera.status().connected
+
+
+def test_stream_clock_takes_off_every_delay_but_the_least() -> None:
+    clock = StreamClock()
+    generator = np.random.default_rng(4)
+    delays_ns = (300_000 + generator.exponential(5e6, 300)).astype(int)
+    errors = []
+    for k, delay_ns in enumerate(delays_ns.tolist()):
+        send_ns = 50_000_000 * k
+        local = clock.local_ns(send_ns - 7_000_000, send_ns, send_ns + HOUR_NS + delay_ns)
+        errors.append(local - (send_ns - 7_000_000 + HOUR_NS))
+    assert max(errors[50:]) < 1_000_000
+    assert min(errors) >= 300_000
+
+
+async def test_film_of_both_eyes_is_cut_in_two(config: VisionConfig, tmp_path: Path) -> None:
+    path = tmp_path / "film.avi"
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (2 * WIDTH, HEIGHT))
+    picture = np.zeros((HEIGHT, 2 * WIDTH, 3), np.uint8)
+    picture[:, :WIDTH], picture[:, WIDTH:] = 60, 180
+    for _ in range(5):
+        film.write(picture)
+    film.release()
+    async with opened(settings(config, "uvc", uvc={"device": str(path)}, frozen_frames=0)) as camera:
+        pair = await camera.pair_after(0)
+        assert abs(float(pair.left.mean()) - 60) < 3
+        assert abs(float(pair.right.mean()) - 180) < 3
+        assert pair.left.flags["C_CONTIGUOUS"]
+        assert abs(time.monotonic_ns() - pair.capture_ns - 30_000_000) < 1_000_000_000
+
+
+async def test_film_of_another_size_is_refused(config: VisionConfig, tmp_path: Path) -> None:
+    path = tmp_path / "film.avi"
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (WIDTH, HEIGHT))
+    film.write(np.zeros((HEIGHT, WIDTH, 3), np.uint8))
+    film.release()
+    async with opened(settings(config, "uvc", uvc={"device": str(path)})) as camera:
+        with pytest.raises(LinkLost) as lost:
+            await camera.pair_after(0)
+        assert lost.value.cause == "frame.wrong_size"
+
+
+def record(directory: Path, count: int = 4) -> list[StereoPair]:
+    generator = np.random.default_rng(1)
+    recorder = Recorder(directory)
+    pairs = []
+    for k in range(count):
+        left, right = generator.integers(0, 255, (2, HEIGHT, WIDTH), dtype=np.uint8)
+        pairs.append(StereoPair(left, right, 1_000_000_000 + 20_000_000 * k, k + 1))
+        recorder.add(pairs[-1])
+    recorder.close()
+    return pairs
+
+
+def test_a_recording_comes_back_bit_for_bit(tmp_path: Path) -> None:
+    written = record(tmp_path)
+    for before, after in zip(written, recorded_pairs(tmp_path), strict=True):
+        assert before[2:] == after[2:]
+        np.testing.assert_array_equal(before.left, after.left)
+        np.testing.assert_array_equal(before.right, after.right)
+
+
+async def test_directory_plays_at_the_recorded_pace(config: VisionConfig, tmp_path: Path) -> None:
+    written = record(tmp_path)
+    async with opened(
+        settings(config, "directory", directory={"path": str(tmp_path), "speed": 0.5})
+    ) as camera:
+        captures = []
+        capture_ns = 0
+        for _ in written:
+            pair = await camera.pair_after(capture_ns)
+            capture_ns = pair.capture_ns
+            captures.append((pair.frame_id, capture_ns))
+        spans = np.diff([capture for _, capture in captures])
+        np.testing.assert_array_equal(spans, 40_000_000)
+        with pytest.raises(LinkLost) as lost:
+            await camera.pair_after(capture_ns)
+        assert lost.value.cause == "link.recording_ended"
+
+
+@pytest.mark.parametrize(
+    ("table", "cause"),
+    [
+        (None, "configuration.no_recording"),
+        ("frame_id,capture_ns,left,right\n", "configuration.bad_recording"),
+        ("frame_id,when\n1,2\n", "configuration.bad_recording"),
+        ("frame_id,capture_ns,left,right\n1,soon,a.png,b.png\n", "configuration.bad_recording"),
+    ],
+)
+def test_a_bad_recording_is_refused(tmp_path: Path, table: str | None, cause: str) -> None:
+    if table is not None:
+        (tmp_path / "captures.csv").write_text(table, encoding="utf-8")
+    with pytest.raises(ConfigurationError) as refused:
+        recorded(tmp_path)
+    assert refused.value.cause == cause

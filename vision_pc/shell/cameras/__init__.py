@@ -1,0 +1,23 @@
+"""Stereo cameras behind one interface: the emulated stream, a side-by-side UVC device, a recorded
+directory.
+"""
+
+from collections.abc import Callable
+
+from vision_pc.config import CameraSettings
+from vision_pc.shell.cameras.directory import DirectoryCamera
+from vision_pc.shell.cameras.source import CameraSource
+from vision_pc.shell.cameras.stream import StreamCamera
+from vision_pc.shell.cameras.uvc import UvcCamera
+
+__all__ = ["CameraSource", "open_camera"]
+
+
+def open_camera(settings: CameraSettings) -> CameraSource:
+    """The camera that the configuration names; nothing is opened before its ``start``."""
+    kinds: dict[str, Callable[[CameraSettings], CameraSource]] = {
+        "stream": StreamCamera,
+        "uvc": UvcCamera,
+        "directory": DirectoryCamera,
+    }
+    return kinds[settings.source](settings)

@@ -1,0 +1,119 @@
+"""Recorded pairs: PNG pictures of both eyes in one directory, with a table of when they were taken."""
+
+import csv
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from protocol.errors import ConfigurationError
+from vision_pc.core.types import Image, StereoPair
+from vision_pc.shell.cameras.source import CameraSource
+
+TABLE = "captures.csv"
+_COLUMNS = ["frame_id", "capture_ns", "left", "right"]
+
+
+class Entry(NamedTuple):
+    """One row of the table: when a pair was taken and the files that hold it."""
+
+    frame_id: int
+    capture_ns: int
+    left: Path
+    right: Path
+
+
+class Recorder:
+    """Writes pairs into a directory that ``recorded_pairs`` and ``DirectoryCamera`` read."""
+
+    def __init__(self, directory: Path) -> None:
+        directory.mkdir(parents=True, exist_ok=True)
+        self._directory = directory
+        self._table = (directory / TABLE).open("w", newline="", encoding="utf-8")
+        self._rows = csv.writer(self._table)
+        self._rows.writerow(_COLUMNS)
+
+    def add(self, pair: StereoPair) -> None:
+        """None, after ``pair`` has been written."""
+        names = [f"{pair.frame_id:08d}_{eye}.png" for eye in ("left", "right")]
+        for name, picture in zip(names, (pair.left, pair.right), strict=True):
+            cv2.imwrite(str(self._directory / name), picture, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        self._rows.writerow([pair.frame_id, pair.capture_ns, *names])
+        self._table.flush()
+
+    def close(self) -> None:
+        """None, once the table is complete."""
+        self._table.close()
+
+
+def recorded(directory: Path) -> list[Entry]:
+    """The table of a recording, in order of time.
+
+    Raises ConfigurationError when it is missing, empty or not such a table.
+    """
+    path = directory / TABLE
+    try:
+        with path.open(newline="", encoding="utf-8") as table:
+            rows = list(csv.DictReader(table))
+        entries = [
+            Entry(int(r["frame_id"]), int(r["capture_ns"]), directory / r["left"], directory / r["right"])
+            for r in rows
+        ]
+    except OSError as error:
+        raise ConfigurationError("configuration.no_recording", f"{path}: {error.strerror}") from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigurationError(
+            "configuration.bad_recording",
+            f"{path}: columns {', '.join(_COLUMNS)} with numbers are wanted, not {error}",
+        ) from error
+    if not entries:
+        raise ConfigurationError("configuration.bad_recording", f"{path}: 0 pairs, at least 1 is wanted")
+    return sorted(entries, key=lambda entry: entry.capture_ns)
+
+
+def recorded_pairs(directory: Path) -> Iterator[StereoPair]:
+    """The pairs of a recording, one after another, with the times of the recording."""
+    for entry in recorded(directory):
+        yield StereoPair(read_grey(entry.left), read_grey(entry.right), entry.capture_ns, entry.frame_id)
+
+
+def read_grey(path: Path) -> Image:
+    """The picture in ``path``, (height, width) uint8. Raises ConfigurationError when there is none."""
+    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if picture is None:
+        raise ConfigurationError("configuration.bad_recording", f"{path}: no picture")
+    return np.asarray(picture, dtype=np.uint8)
+
+
+class DirectoryCamera(CameraSource):
+    """Plays a recording as if it happened now, once, ``speed`` times as fast (0: as fast as it can be
+    read).
+    """
+
+    def _produce(self) -> None:
+        settings = self._settings.directory
+        try:
+            entries = recorded(settings.path)
+            self._is_there()
+            began_ns, first_ns = time.monotonic_ns(), entries[0].capture_ns
+            for entry in entries:
+                left, right = read_grey(entry.left), read_grey(entry.right)
+                capture_ns = time.monotonic_ns()
+                if settings.speed > 0.0:
+                    capture_ns = began_ns + int((entry.capture_ns - first_ns) / settings.speed)
+                    self._stop.wait(max(capture_ns - time.monotonic_ns(), 0) / 1e9)
+                if self._stop.is_set():
+                    return
+                if (
+                    left.shape != (self._settings.height_px, self._settings.width_px)
+                    or right.shape != left.shape
+                ):
+                    self._is_gone("frame.wrong_size")
+                    return
+                self._deliver(StereoPair(left, right, capture_ns, entry.frame_id))
+            self._is_gone("link.recording_ended")
+        except ConfigurationError as error:
+            self._is_gone(error.cause)

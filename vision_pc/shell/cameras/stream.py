@@ -1,0 +1,116 @@
+"""The emulated camera: stereo frames over raw TCP, received into buffers that are used again."""
+
+import socket
+import sys
+import time
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.errors import FrameRefused, LinkLost
+from protocol.stereo_frame import HEADER_BYTES, FrameHeader, decode_header
+from vision_pc.config import CameraSettings
+from vision_pc.core.types import StereoPair
+from vision_pc.shell.cameras.source import CameraSource
+
+_RECEIVE_BUFFER_BYTES = 1 << 20
+_CLOCK_WINDOW = 200  # frames whose least delay gives the sender's clock
+_POLL_S = 0.2  # how soon the thread sees that it is to stop
+_UNUSED = 2  # references to a buffer that nobody else holds: the pool's and the question's
+
+
+class StreamClock:
+    """Maps the sender's clock to this machine's: the least of receive − send over the last frames.
+
+    The least delayed frame is late by the shortest way through the sockets (well under a millisecond on one
+    machine); every other frame's delay is then seen and taken off.
+    """
+
+    def __init__(self) -> None:
+        self._differences: deque[int] = deque(maxlen=_CLOCK_WINDOW)
+
+    def local_ns(self, sender_ns: int, send_ns: int, receive_ns: int) -> int:
+        """``sender_ns`` on this machine's clock, with one more pair of ``send_ns`` and ``receive_ns``
+        learnt.
+        """
+        self._differences.append(receive_ns - send_ns)
+        return sender_ns + min(self._differences)
+
+
+class BufferPool:
+    """Byte buffers of one size, each handed out again only when no picture made of it is left."""
+
+    def __init__(self) -> None:
+        self._buffers: list[NDArray[np.uint8]] = []
+
+    def take(self, size: int) -> NDArray[np.uint8]:
+        """A buffer (size,) that nobody reads."""
+        self._buffers = [buffer for buffer in self._buffers if len(buffer) == size]
+        for index in range(len(self._buffers)):
+            if sys.getrefcount(self._buffers[index]) == _UNUSED:
+                return self._buffers[index]
+        self._buffers.append(np.empty(size, dtype=np.uint8))
+        return self._buffers[-1]
+
+
+class StreamCamera(CameraSource):
+    """Connects to the stream, and again whenever it ends, is silent for too long or loses its place."""
+
+    def __init__(self, settings: CameraSettings) -> None:
+        super().__init__(settings)
+        self._pool = BufferPool()
+
+    def _produce(self) -> None:
+        stream = self._settings.stream
+        while not self._stop.is_set():
+            try:
+                with socket.create_connection((stream.host, stream.port), timeout=_POLL_S) as connection:
+                    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+                    self._is_there()
+                    self._receive(connection)
+            except (FrameRefused, LinkLost) as error:
+                self._is_gone(error.cause)
+            except OSError:
+                self._is_gone("link.camera_missing")
+            self._stop.wait(stream.reconnect_ms / 1e3)
+
+    def _receive(self, connection: socket.socket) -> None:
+        """Deliver frames until the connection ends; OSError, LinkLost or FrameRefused say why."""
+        clock, header_bytes, last_id = StreamClock(), np.empty(HEADER_BYTES, dtype=np.uint8), None
+        while not self._stop.is_set():
+            self._fill(connection, header_bytes.data)
+            receive_ns = time.monotonic_ns()
+            header = decode_header(header_bytes.tobytes())
+            self._check(header)
+            pixels = self._pool.take(header.payload_bytes)
+            self._fill(connection, pixels.data)
+            left, right = pixels.reshape(2, header.height, header.width)
+            capture_ns = clock.local_ns(header.capture_ns, header.send_ns, receive_ns)
+            dropped = 0 if last_id is None else max(header.frame_id - last_id - 1, 0)
+            if last_id is None or header.frame_id > last_id:
+                self._deliver(StereoPair(left, right, capture_ns, header.frame_id), dropped)
+            last_id = header.frame_id
+            del left, right, pixels  # or the pool would think them read
+
+    def _fill(self, connection: socket.socket, target: memoryview) -> None:
+        """Receive until ``target`` is full; raises LinkLost when the stream ends or is silent too long."""
+        received, last_ns = 0, time.monotonic_ns()
+        while received < len(target):
+            try:
+                count = connection.recv_into(target[received:])
+            except TimeoutError:
+                if self._stop.is_set() or time.monotonic_ns() - last_ns > self._settings.stale_ms * 1e6:
+                    raise LinkLost("link.camera_silent", "the stream stands but nothing comes") from None
+                continue
+            if count == 0:
+                raise LinkLost("link.camera_missing", "the camera closed the stream")
+            received, last_ns = received + count, time.monotonic_ns()
+
+    def _check(self, header: FrameHeader) -> None:
+        wanted = (self._settings.width_px, self._settings.height_px)
+        if (header.width, header.height) != wanted:
+            raise FrameRefused(
+                "frame.wrong_size",
+                f"pictures are {header.width}×{header.height} px, configured are {wanted[0]}×{wanted[1]}",
+            )
