@@ -1,5 +1,9 @@
 """Eyes in lockstep: pictures are rendered at the camera's rate, and only while somebody looks."""
 
+from collections import deque
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
 import numpy as np
 
 from protocol.errors import LinkLost, RequestRefused
@@ -9,7 +13,9 @@ from testbed.rig_lockstep import LockstepLink
 from vision_pc.config import VisionConfig
 from vision_pc.core.intrinsics import calibration
 from vision_pc.core.look import combine, observe
+from vision_pc.core.ports import Watch
 from vision_pc.core.types import FrameObservation, Look, StereoPair
+from vision_pc.core.watch import Watcher
 from vision_pc.shell.annotate import annotated, png
 from vision_pc.shell.station import CameraStatus
 
@@ -40,6 +46,29 @@ class LockstepEyes:
         look = combine(observations, await self._link.pose_at(time_ns), time_ns, self._config.look)
         self._world.log.add(self._world.time_ns, "look", X_CM=look.X_CM, X_CO=look.X_CO, frames=look.frames)
         return look
+
+    @asynccontextmanager
+    async def watch(self, *, markers: bool, odometry: bool) -> AsyncIterator[Watch]:
+        """A context that samples every pair until its exit. Raises MeasurementFailed on exit when in vain."""
+        previous = self._latest[1] if self._latest else None
+        watcher = Watcher(self._camera, self._config, markers=markers, odometry=odometry, previous=previous)
+        waiting: deque[StereoPair] = deque()
+
+        def arrived(frame: Frame) -> None:
+            waiting.append(pair_of(frame))
+            while waiting and self._link.known_until_ns >= waiting[0].capture_ns:
+                watcher.add(waiting[0], self._link.pose_known_at(waiting[0].capture_ns))
+                waiting.popleft()
+
+        self._world.on_frame = arrived
+        try:
+            yield watcher
+        finally:
+            self._world.on_frame = None
+        for pair in waiting:
+            watcher.add(pair, await self._link.pose_at(pair.capture_ns))
+        self._world.log.add(self._world.time_ns, "watch", health=watcher.health)
+        watcher.require()
 
     def status(self) -> CameraStatus:
         """The camera is always there."""

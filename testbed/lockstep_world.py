@@ -168,8 +168,8 @@ class World:
 
     def step(self) -> None:
         """Nothing; one controller cycle has passed."""
-        for event in self._client.tick(self.vision_ns):
-            self._noted(event)
+        for said in self._client.tick(self.vision_ns):
+            self._noted(said)
         datagrams = [] if self.cut_link else self._client.outgoing(self.vision_ns)
         self.plant.write(decode_valves(self._controller.valve_words))
         sensor_words = encode_sensors(self.plant.read())

@@ -74,10 +74,22 @@ class LockstepLink:
         self._until(lambda: len(self._world.states) > known, _STATE_TIMEOUT_NS, "link.silent", "state")
         return self.state
 
+    @property
+    def known_until_ns(self) -> int:
+        """The newest state's time on vision's clock."""
+        return self.local_time_ns(self.state.time_ns)
+
     async def pose_at(self, local_ns: int) -> Array:
         """X_BT (4×4) at ``local_ns`` of vision's clock, interpolated; waits for the state after it."""
-        while not self.local_time_ns(self.state.time_ns) >= local_ns:
+        while self.known_until_ns < local_ns:
             await self.next_state()
+        return self.pose_known_at(local_ns)
+
+    def pose_known_at(self, local_ns: int) -> Array:
+        """X_BT (4×4) at a time on vision's clock that the newest state has reached.
+
+        Raises LinkLost when it is older than the first state.
+        """
         wanted = local_ns - self.local_time_ns(0)
         states = self._world.states
         newer = states[-1]
