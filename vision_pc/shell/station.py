@@ -71,12 +71,15 @@ class StoppableArm(Arm, Protocol):
 
 
 class CameraStatus(NamedTuple):
-    """Whether fresh pairs come, and how."""
+    """Whether fresh pairs come, and how; ``trouble`` is the cause when they do not."""
 
     connected: bool
     age_ms: float | None
     frames: int
     rate_hz: float
+    dropped: int = 0
+    reconnects: int = 0
+    trouble: str | None = None
 
 
 class Camera(Protocol):
@@ -149,8 +152,9 @@ class Station:
     def refuse_now(self, kind: str, method: str | None = None) -> None:
         """Raises RequestRefused or LinkLost when operation ``kind`` cannot begin in the present state."""
         state = self.controller.state
-        if kind != "move" and not self.camera.status().connected:
-            raise LinkLost("link.camera_silent", "no fresh pictures from the camera")
+        camera = self.camera.status()
+        if kind != "move" and not camera.connected:
+            raise LinkLost(camera.trouble or "link.camera_silent", "no fresh pictures from the camera")
         if state.group_state is GroupState.MOVING:
             raise RequestRefused("refused.moving", f"{kind}: the arm is moving")
         if kind != "look":
