@@ -8,7 +8,7 @@ import subprocess
 import sys
 from typing import Any
 
-from plant_emulator.core.truth import PlantTruth
+from plant_emulator.core.camera_motion import Motion, View
 from plant_emulator.scene_config import SceneConfig
 from plant_emulator.shell.renderer import Capture, encode_capture
 from protocol.errors import LinkLost
@@ -57,11 +57,11 @@ class CameraSender:
         if self.ended.is_set():
             raise LinkLost("link.renderer_ended", f"the renderer ended with status {self._process.wait()}")
 
-    def capture(self, truth: PlantTruth, capture_ns: int) -> int:
-        """Number of the frame that is to show ``truth``; dropped and counted when the renderer hangs."""
+    def capture(self, view: View, motion: Motion, capture_ns: int) -> int:
+        """Number of the frame that is to show ``view``; dropped and counted when the renderer hangs."""
         self._frame_id += 1
         try:
-            self._poses.send(encode_capture(Capture(self._frame_id, capture_ns, truth.X_WC, truth.X_WM)))
+            self._poses.send(encode_capture(Capture(self._frame_id, capture_ns, view, motion)))
         except OSError:
             self.poses_dropped += 1
         return self._frame_id

@@ -17,37 +17,38 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from plant_emulator.core.camera_motion import Motion, View
 from plant_emulator.core.scene import Scene
 from plant_emulator.core.stereo_camera import StereoCamera
 from plant_emulator.scene_config import SceneConfig
 from plant_emulator.shell.frame_server import FrameServer, StereoFrame
 
-_POSES = struct.Struct("<QQ32d")
+_POSES = struct.Struct("<QQ44d")
 _REPORT_NS = 1_000_000_000
 _POLICIES = {"idle": os.SCHED_IDLE, "batch": os.SCHED_BATCH, "normal": os.SCHED_OTHER}
 
 
 class Capture(NamedTuple):
-    """One capture instant: poses (4, 4) of the left eye and the tool marker in W."""
+    """One capture instant: where eye and tool marker are, and how they move."""
 
     frame_id: int
     capture_ns: int
-    X_WC: NDArray[np.float64]
-    X_WM: NDArray[np.float64]
+    view: View
+    motion: Motion
 
 
 def encode_capture(capture: Capture) -> bytes:
     """The datagram that carries ``capture`` from the plant to the renderer."""
-    return _POSES.pack(capture.frame_id, capture.capture_ns, *capture.X_WC.flat, *capture.X_WM.flat)
+    numbers = (*capture.view.X_WC.flat, *capture.view.X_WM.flat, *capture.motion.rates.flat)
+    return _POSES.pack(capture.frame_id, capture.capture_ns, *numbers)
 
 
 def decode_capture(data: bytes) -> Capture:
     """The capture in a datagram."""
     frame_id, capture_ns, *numbers = _POSES.unpack(data)
-    poses = np.array(numbers).reshape(2, 4, 4)
-    return Capture(frame_id, capture_ns, poses[0], poses[1])
+    X_WC, X_WM = np.array(numbers[:32]).reshape(2, 4, 4)
+    return Capture(frame_id, capture_ns, View(X_WC, X_WM), Motion(np.array(numbers[32:]).reshape(2, 6)))
 
 
 class Renderer:
@@ -61,6 +62,7 @@ class Renderer:
         self._rendered = 0
         self._skipped = 0
         self._unwatched = 0
+        self._lost = 0
         self._render_ns: list[int] = []
 
     def run(self) -> None:
@@ -71,8 +73,10 @@ class Renderer:
         while (capture := self._newest()) is not None:
             if not self._server.watched:
                 self._unwatched += 1
-            else:
+            elif self._camera.delivers(capture.frame_id):
                 self._render(capture)
+            else:
+                self._lost += 1
             if time.monotonic_ns() >= next_report:
                 next_report = time.monotonic_ns() + _REPORT_NS
                 self._report("running")
@@ -92,7 +96,7 @@ class Renderer:
 
     def _render(self, capture: Capture) -> None:
         begun = time.thread_time_ns()
-        left, right = self._camera.render(capture.X_WC, capture.X_WM, capture.frame_id)
+        left, right = self._camera.render(*capture.view, capture.frame_id, capture.motion)
         self._render_ns = [*self._render_ns[-999:], time.thread_time_ns() - begun]
         self._rendered += 1
         self._server.publish(
@@ -106,6 +110,7 @@ class Renderer:
             "frames_rendered": self._rendered,
             "frames_skipped": self._skipped,
             "frames_unwatched": self._unwatched,
+            "frames_lost_on_purpose": self._lost,
             "render_cpu_p50_ms": float(np.percentile(times, 50)),
             "render_cpu_p99_ms": float(np.percentile(times, 99)),
             **self._server.statistics(),

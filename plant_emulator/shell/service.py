@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from plant_emulator.config import Endpoint, PlantSideConfig
+from plant_emulator.core.camera_motion import STILL, View, motion_between
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.scene import Scene
 from plant_emulator.shell.camera_sender import CameraSender
@@ -47,6 +48,10 @@ class PlantService:
         self._coupler = Coupler(self._sensor_words, self._plant.write, release_ns, time.monotonic_ns)
         self._captures = Beat(round(1e9 / config.scene.camera.rate_hz))
         self._truths = Beat(round(1e9 / service.truth_hz))
+        camera = config.scene.camera
+        self._shows_motion = camera.motion_blur_samples > 1 or camera.readout_ms > 0.0
+        self._period_s = 1e-3 * service.period_ms
+        self._view: View | None = None  # of the step before, kept only where the pictures show motion
         self._words: list[int] | None = None
         self._status = -1
         self._recorder: TruthRecorder | None = None
@@ -98,13 +103,22 @@ class PlantService:
 
     def _after_step(self, deadline_ns: int) -> None:
         self._words = None
-        if self._camera is not None and self._captures.due(deadline_ns):
-            truth = self._plant.truth()
-            frame_id = self._camera.capture(truth, deadline_ns)
+        capture = self._captures.due(deadline_ns)
+        record = self._recorder is not None and (capture or self._truths.due(deadline_ns))
+        if not (capture or record or self._shows_motion):
+            return
+        truth = self._plant.truth()
+        view = View(truth.X_WC, truth.X_WM)
+        if capture and self._camera is not None:
+            before = self._view
+            motion = STILL if before is None else motion_between(before, view, self._period_s)
+            frame_id = self._camera.capture(view, motion, deadline_ns)
             if self._recorder is not None:
                 self._recorder.capture(truth, deadline_ns, frame_id)
-        elif self._recorder is not None and self._truths.due(deadline_ns):
-            self._recorder.truth(self._plant.truth(), deadline_ns)
+        elif record and self._recorder is not None:
+            self._recorder.truth(truth, deadline_ns)
+        if self._shows_motion:
+            self._view = view
 
     def _sensor_words(self) -> list[int]:
         """The newest input image; encoded once a step, so that reading it in pieces is consistent."""
