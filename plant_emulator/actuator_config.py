@@ -8,6 +8,8 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from plant_emulator.arm_config import NotNegative, Positive
 from protocol.configuration import StrictModel
 
+LEAST_DEAD_VOLUME_L = 0.02
+
 
 def _static_not_below(value: float, coulomb: float) -> float:
     if value < coulomb:
@@ -127,10 +129,19 @@ class ActuatorConfig(StrictModel):
 
     cylinder: CylinderConfig | None = None
     rotary: RotaryConfig | None = None
-    dead_volume_a_l: Annotated[float, Field(ge=0.02, le=100.0)]
-    dead_volume_b_l: Annotated[float, Field(ge=0.02, le=100.0)]
+    dead_volume_a_l: Annotated[float, Field(le=100.0)]
+    dead_volume_b_l: Annotated[float, Field(le=100.0)]
     leakage_m3_s_pa: Annotated[float, Field(ge=0.0, le=1e-10)]
     rated_flow_l_min: Annotated[float, Field(gt=0.0, le=1000.0)]
+
+    @field_validator("dead_volume_a_l", "dead_volume_b_l")
+    @classmethod
+    def _holds_oil(cls, value: float) -> float:
+        if value < LEAST_DEAD_VOLUME_L:
+            raise ValueError(
+                f"must be at least {LEAST_DEAD_VOLUME_L:g}: a chamber without oil has no pressure"
+            )
+        return value
 
     @model_validator(mode="after")
     def _one_kind(self) -> "ActuatorConfig":

@@ -65,6 +65,7 @@ class PumpConfig(StrictModel):
     droop_bar: Positive
     line_volume_l: Annotated[float, Field(ge=0.3, le=100.0)]
     dump_flow_l_min: Positive
+    idle_loss_kw: NotNegative
 
     @field_validator("return_bar")
     @classmethod

@@ -26,7 +26,9 @@ C_SET, C_RETURN, C_FLOW_LIMIT, C_PUMP_GAIN, C_LINE_VOLUME, C_DUMP, C_RUNNING = r
 C_RELIEF, C_REGULARISATION = range(17, 19)
 # counterbalance: setting, pilot ratio, pressure from cracking to full opening
 C_HOLD, C_PILOT, C_HOLD_RANGE = range(19, 22)
-C_COLUMNS = 22
+# what the running pump loses as heat (W)
+C_IDLE_LOSS = 22
+C_COLUMNS = 23
 
 # net flow into each chamber, flow drawn from the supply, pressure force, friction, position, velocity, stop
 F_NET_A, F_NET_B, F_SUPPLY, F_PUSH, F_FRICTION, F_POSITION, F_VELOCITY, F_STOP = range(8)

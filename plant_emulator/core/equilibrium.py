@@ -1,5 +1,7 @@
 """The state of rest from which a plant starts: hinges bent, oil carrying the load, nothing moving."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +19,7 @@ from plant_emulator.core.layout import (
     TEMPERATURE,
     Q,
 )
-from plant_emulator.core.linkage import actuator_lever
+from plant_emulator.core.linkage import actuator_lever, actuator_position
 from plant_emulator.core.model import Model
 from plant_emulator.core.multibody import Mechanism, forward_kinematics, multibody_work
 from plant_emulator.plant_config import BAR
@@ -59,6 +61,20 @@ def bent_pose(mechanism: Mechanism, q: Array) -> Array:
     )
 
 
+def _check_stroke(row: Array, angle: float, joint: str) -> None:
+    """Raise ConfigurationError when the joint's actuator would stand outside its stroke."""
+    position, stroke = (
+        float(actuator_position(angle, *row[col.A_KIND : col.A_LENGTH0 + 1])),
+        float(row[col.A_STROKE]),
+    )
+    if not 0.0 <= position <= stroke:
+        raise ConfigurationError(
+            "configuration.outside_stroke",
+            f"start_pose_deg: {joint} at {math.degrees(angle):g} puts its actuator at {position:.4f}, "
+            f"outside its stroke of 0 to {stroke:.4f}",
+        )
+
+
 def rest_state(model: Model, q: Array, temperature: float) -> Array:
     """The full state (N_STATES,) at rest at pose ``q`` (10,), spools centred and friction unloaded.
 
@@ -71,6 +87,7 @@ def rest_state(model: Model, q: Array, temperature: float) -> Array:
     low, high = float(model.circuit[col.C_RETURN]), float(model.circuit[col.C_SET])
     for i in range(N_ACTUATORS):
         row = model.actuators[i]
+        _check_stroke(row, float(bent[DRIVEN[i]]), JOINTS[i])
         lever = actuator_lever(bent[DRIVEN[i]], *row[col.A_KIND : col.A_LENGTH0 + 1])
         force = torque[i] / lever
         area_a, area_b = row[col.A_AREA_A], row[col.A_AREA_B]

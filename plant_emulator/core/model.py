@@ -96,6 +96,7 @@ def build_circuit(config: PlantConfig) -> Array:
     c[col.C_HEAT_CAPACITY] = capacity if oil.thermal_drift else 0.0
     c[col.C_SET], c[col.C_RETURN] = pump.pressure_bar * BAR, pump.return_bar * BAR
     c[col.C_FLOW_LIMIT], c[col.C_PUMP_GAIN] = most, most / (pump.droop_bar * BAR)
+    c[col.C_IDLE_LOSS] = pump.idle_loss_kw * 1e3
     c[col.C_LINE_VOLUME], c[col.C_RUNNING] = pump.line_volume_l * LITRE, 1.0
     c[col.C_DUMP] = orifice_gain(pump.dump_flow_l_min * LITRE_PER_MINUTE, 100.0 * BAR)
     c[col.C_RELIEF], c[col.C_REGULARISATION] = guard.relief_bar * BAR, config.valves.regularisation_bar * BAR

@@ -166,7 +166,7 @@ def _supply(state: Array, c: Array, flows: Array, rate: Array) -> None:
     rate[SUPPLY] = stiff * net / volume
     rate[TEMPERATURE] = 0.0
     if c[col.C_HEAT_CAPACITY] > 0.0:
-        heat = supply * max(pumped, 0.0) - delivered
+        heat = supply * max(pumped, 0.0) - delivered + c[col.C_RUNNING] * c[col.C_IDLE_LOSS]
         cooling = c[col.C_COOLING] * (state[TEMPERATURE] - c[col.C_AMBIENT])
         rate[TEMPERATURE] = heat / c[col.C_HEAT_CAPACITY] - cooling
 

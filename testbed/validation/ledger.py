@@ -26,7 +26,7 @@ CHAMBERS = slice(PRESSURE_A, PRESSURE_B + N_ACTUATORS)  # bore pressures, then r
 
 
 class Balance(NamedTuple):
-    """Energy (J) that the supply gave and that is accounted for; worst relative error of a chamber's oil mass."""
+    """Energy (J) given by the supply and accounted for; worst relative error of a chamber's oil mass."""
 
     given: float
     accounted: float

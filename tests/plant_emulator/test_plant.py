@@ -293,3 +293,20 @@ def test_step_too_long_for_the_arms_own_vibration_is_refused() -> None:
     tool = {"tool": {"mass_kg": 0.05, "forward_m": 0.0, "gyration_m": [0.01, 0.01, 0.01]}}
     with pytest.raises(ConfigurationError, match=r"step_ms = 0\.5: must not exceed"):
         Plant(plant_config(masses=tool), seed=1)
+
+
+def test_start_pose_outside_a_stroke_is_refused() -> None:
+    with pytest.raises(
+        ConfigurationError, match=r"start_pose_deg: lift at 120 .* outside its stroke of 0 to 0\.5450"
+    ):
+        Plant(plant_config(start_pose_deg=[0, 120, -60, 0, 0, 0]), seed=1)
+
+
+def test_oil_warms_under_work_and_its_drift_can_be_switched_off() -> None:
+    warm, held = Plant(plant_config(), 1), Plant(plant_config(oil={"thermal_drift": False}), 1)
+    for plant in (warm, held):
+        driver = Driver(plant)
+        for k in range(8):
+            driver.run(0.5, (0.0, 0.5 * (-1) ** k, 0.0, 0.0, 0.0, 0.0))
+    assert warm.read().oil_temperature_degc > 40.01
+    assert held.read().oil_temperature_degc == 40.0

@@ -44,7 +44,7 @@ def rough_case(seed: int) -> tuple[Roughness, Plant]:
 
 
 def treat(seed: int) -> tuple[float, float, float]:
-    """Ten seconds with event ``seed % 4``; least and greatest pressure (Pa), and the speed at the end (rad/s)."""
+    """Ten seconds with event ``seed % 4``; least and greatest pressure (Pa), speed at the end (rad/s)."""
     case, plant = rough_case(seed)
     driver, event = Driver(plant), EVENTS[seed % 4]
     driver.run(1.0, case.valves)

@@ -15,7 +15,7 @@ from tests.plant_emulator.plant_world import CONFIGS, plant_config
     [
         (
             {"actuators": {"lift": {"dead_volume_a_l": -1.0}}},
-            ["actuators.lift.dead_volume_a_l", "-1.0", "0.02"],
+            ["actuators.lift.dead_volume_a_l", "-1.0", "0.02", "no pressure"],
         ),
         (
             {"actuators": {"lift": {"cylinder": {"stroke_m": 0.56}}}},
