@@ -49,6 +49,7 @@ class Bench:
     status: int = STATUS_SUPPLY_ON
     supply_bar: float = 190.0
     late_s: float = 0.0
+    offset: tuple[float, ...] = (0.0,) * 6
     outputs: list[ScanOutput] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -114,6 +115,7 @@ class Bench:
                     self.q = self.last.view.q_cmd
         self.plant_cycle += 0 if self.frozen else 1
         pressures = ((60.0, 60.0),) * 6
+        standing = tuple(map(sum, zip(self.q, self.offset, strict=True)))
         return SensorImage(
-            self.plant_cycle, self.echo, status, counts(self.q), pressures, self.supply_bar, 10.0, 40.0
+            self.plant_cycle, self.echo, status, counts(standing), pressures, self.supply_bar, 10.0, 40.0
         )

@@ -1,7 +1,9 @@
 """Faults: recognised in time, latched as the first, answered as their severity says; judged at the valves."""
 
+import math
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 from controller.config import ArmConfig, ControllerConfig
@@ -48,7 +50,7 @@ def _set(name: str, value: object) -> Callable[[Bench], None]:
         (_set("silent", True), FaultCode.PLANT_LINK_LOST, 0.06),
         (_set("deaf", True), FaultCode.PLANT_LINK_LOST, 0.06),
         (_set("frozen", True), FaultCode.PLANT_CYCLE_FROZEN, 0.11),
-        (_set("stuck", True), FaultCode.FOLLOWING_ERROR, 2.0),
+        (_set("stuck", True), FaultCode.ENCODER_STUCK, 2.0),
         (_jump, FaultCode.ENCODER_JUMP, 0.01),
         (_set("status", STATUS_SUPPLY_ON | STATUS_WATCHDOG_TRIPPED), FaultCode.PLANT_WATCHDOG, 0.01),
         (_set("status", STATUS_SUPPLY_ON | STATUS_SENSOR_FAULT), FaultCode.PLANT_STATUS, 0.01),
@@ -142,14 +144,6 @@ def test_the_first_fault_stays_while_the_reaction_follows_the_gravest(settings: 
     assert (bench.last.valves.valves, bench.last.valves.control) == (ZERO, 0)
 
 
-def test_a_stuck_encoder_with_an_open_valve_is_named(arm: ArmConfig, config: ControllerConfig) -> None:
-    wide = config.supervision.model_copy(update={"following_error_deg": (80.0,) * 6})
-    bench = Bench(settings_from(arm, config.model_copy(update={"supervision": wide}))).moving()
-    bench.stuck = True
-    _until_fault(bench, 5.0)
-    assert bench.last.view.fault is FaultCode.ENCODER_STUCK
-
-
 def test_a_tool_that_runs_away_is_overspeed(arm: ArmConfig, config: ControllerConfig) -> None:
     wide = config.supervision.model_copy(update={"following_error_deg": (80.0,) * 6})
     bench = Bench(settings_from(arm, config.model_copy(update={"supervision": wide}))).enabled()
@@ -158,6 +152,63 @@ def test_a_tool_that_runs_away_is_overspeed(arm: ArmConfig, config: ControllerCo
         bench.q = (bench.q[0] + 0.3 * bench.settings.cycle_s, *bench.q[1:])  # 0.3 rad/s at 4 m
         bench.step()
     assert bench.last.view.fault is FaultCode.OVERSPEED
+
+
+def _drifting(bench: Bench, joint: int, rad_per_scan: float) -> None:
+    """Scans in which the plant strays further and further above its command, until a fault."""
+    for scans in range(400):
+        stray = [0.0] * 6
+        stray[joint] = scans * rad_per_scan
+        bench.offset = tuple(stray)
+        if bench.step().view.fault is not FaultCode.NONE:
+            return
+    raise AssertionError("no fault")
+
+
+def test_a_joint_that_does_not_follow_is_a_following_error(settings: Settings) -> None:
+    bench = Bench(settings).moving()
+    _drifting(bench, 5, 2e-3)
+    fault = bench.state.fault
+    assert (fault.code, bench.last.view.severity) == (FaultCode.FOLLOWING_ERROR, Severity.EMERGENCY)
+    assert fault.value > fault.limit == settings.following_error[5]
+    assert (bench.last.valves.valves, bench.last.valves.control) == (ZERO, 0)
+
+
+def test_a_tool_that_strays_out_of_the_workspace_is_ramped_down(
+    arm: ArmConfig, config: ControllerConfig
+) -> None:
+    low = arm.workspace.model_copy(update={"z_m": (-1.0, 1.35)})
+    bench = Bench(settings_from(arm.model_copy(update={"workspace": low}), config)).moving()
+    _drifting(bench, 1, 3e-4)
+    view = bench.last.view
+    assert (view.fault, view.severity) == (FaultCode.WORKSPACE_LIMIT, Severity.STOP)
+    assert view.X_BT.p_m[2] > 1.35 + config.supervision.workspace_margin_m
+    assert bench.state.mode is Mode.ERROR_RAMP
+
+
+def test_a_joint_that_strays_beyond_its_range_is_ramped_down(
+    arm: ArmConfig, config: ControllerConfig
+) -> None:
+    lift = arm.joints[1].model_copy(update={"upper_deg": 55.5})
+    joints = (arm.joints[0], lift, *arm.joints[2:])
+    bench = Bench(settings_from(arm.model_copy(update={"joints": joints}), config)).moving()
+    _drifting(bench, 1, 3e-4)
+    fault = bench.state.fault
+    assert (fault.code, bench.last.view.severity) == (FaultCode.JOINT_LIMIT, Severity.STOP)
+    assert (
+        fault.value
+        > fault.limit
+        == pytest.approx(math.radians(55.5 + config.supervision.joint_overtravel_deg))
+    )
+
+
+def test_a_number_that_is_none_never_reaches_the_valves(settings: Settings) -> None:
+    bench = Bench(settings).moving()
+    poisoned = bench.state.driven._replace(q_cmd=np.full(6, math.nan))
+    bench.state = bench.state._replace(driven=poisoned)
+    bench.step()
+    assert bench.last.view.fault is FaultCode.NUMERIC
+    assert (bench.last.valves.valves, bench.last.valves.control) == (ZERO, 0)
 
 
 def test_link_flag_follows_the_link_while_disabled_and_nothing_latches(settings: Settings) -> None:
