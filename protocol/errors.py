@@ -25,6 +25,10 @@ class LongreachError(Exception):
         super().__init__(message)
         self.cause = cause
 
+    def __reduce__(self) -> tuple[type["LongreachError"], tuple[str, str]]:
+        """How to make it again in another process."""
+        return type(self), (self.cause, str(self))
+
 
 class ConfigurationError(LongreachError):
     """A configuration key is unknown, missing, of the wrong type or out of range."""
