@@ -14,13 +14,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from protocol.errors import RequestRefused
+from testbed.hand_eye.pose_text import (
+    UNITS,
+    file_text,
+    numbers,
+    rotation_of_quaternion,
+    rotation_of_vector,
+    unit_scale,
+)
 from vision_pc.core.hand_eye import rigid
 from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, Setup, pose_pairs
 from vision_pc.core.se3 import Array
 
 FORMAT = "longreach-hand-eye/1"
-_NORM_TOLERANCE = 0.02
-_UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
 
 
 class ImportOptions(NamedTuple):
@@ -41,20 +47,13 @@ def load(path: Path, options: ImportOptions | None = None) -> PosePairs:
     Raises RequestRefused (``refused.hand_eye.…``) with file and sample for anything that cannot be believed.
     """
     options = options or ImportOptions()
-    text = _text(path)
+    text = file_text(path)
     try:
         if path.suffix.lower() == ".csv":
             return _from_csv(text, options)
         return _from_json(text, options)
     except RequestRefused as error:
         raise RequestRefused(error.cause, f"{path.name}: {error}") from error
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RequestRefused("refused.hand_eye.unreadable", f"{path}: {error}") from error
 
 
 def _from_json(text: str, options: ImportOptions) -> PosePairs:
@@ -75,7 +74,7 @@ def _from_json(text: str, options: ImportOptions) -> PosePairs:
     _only(data, known, "the file")
     if data.get("format", FORMAT) != FORMAT:
         raise RequestRefused("refused.hand_eye.format", f"format is {data['format']!r}, known is {FORMAT!r}")
-    unit = _unit(data.get("length_unit", "m"))
+    unit = unit_scale(data.get("length_unit", "m"))
     setup = options.setup or _setup(data.get("setup", Setup.EYE_IN_HAND.value))
     wanted = options.marker_id if options.marker_id is not None else data.get("marker_id")
     names, hands, cameras, pixels = [], [], [], []
@@ -108,14 +107,6 @@ def _only(data: Mapping[str, Any], known: set[str], where: str) -> None:
         raise RequestRefused("refused.hand_eye.format", f"{where}: unknown key '{unknown[0]}'")
 
 
-def _unit(name: Any) -> float:
-    if name not in _UNITS:
-        raise RequestRefused(
-            "refused.hand_eye.units", f"length_unit is {name!r}, known are {', '.join(_UNITS)}"
-        )
-    return _UNITS[name]
-
-
 def _setup(name: Any) -> Setup:
     try:
         return Setup(name)
@@ -141,11 +132,11 @@ def _pose(value: Any, where: str, unit: float, options: ImportOptions) -> Array:
     """One pose written as a 4×4 matrix or as position with quaternion, rotation vector or matrix."""
     if isinstance(value, dict):
         _only(value, {"p", "q_wxyz", "q_xyzw", "rotation_vector_rad", "rotation_vector_deg", "R"}, where)
-        p = unit * _numbers(value.get("p"), 3, f"{where} p")
+        p = unit * numbers(value.get("p"), 3, f"{where} p")
         X = np.eye(4)
         X[:3, :3], X[:3, 3] = _rotation(value, where, options), p
         return X
-    X = _numbers(value, 16, where).reshape(4, 4)
+    X = numbers(value, 16, where).reshape(4, 4)
     X[:3, 3] *= unit
     return X
 
@@ -158,43 +149,12 @@ def _rotation(value: Mapping[str, Any], where: str, options: ImportOptions) -> A
         )
     key = given[0]
     if key == "R":
-        return _numbers(value[key], 9, f"{where} R").reshape(3, 3)
+        return numbers(value[key], 9, f"{where} R").reshape(3, 3)
     if key.startswith("q_"):
-        q = _numbers(value[key], 4, f"{where} {key}")
-        return _from_quaternion(q if key == "q_wxyz" else q[[3, 0, 1, 2]], where, options)
-    v = _numbers(value[key], 3, f"{where} {key}")
-    return _from_vector(np.radians(v) if key.endswith("_deg") else v, where)
-
-
-def _from_quaternion(q_wxyz: Array, where: str, options: ImportOptions) -> Array:
-    norm = float(np.linalg.norm(q_wxyz))
-    if norm < 1e-6 or (abs(norm - 1.0) > _NORM_TOLERANCE and not options.normalise):
-        raise RequestRefused(
-            "refused.hand_eye.quaternion_norm",
-            f"{where}: quaternion has norm {norm:.3f}, not 1; ask to normalise it if it has few digits",
-        )
-    return rigid.rotation_of_quaternion(q_wxyz)
-
-
-def _from_vector(v: Array, where: str) -> Array:
-    if float(np.linalg.norm(v)) > 2.0 * math.pi:
-        raise RequestRefused(
-            "refused.hand_eye.units",
-            f"{where}: rotation vector of {np.linalg.norm(v):.1f} rad; is it in degrees?",
-        )
-    return rigid.rotation_exp(v)
-
-
-def _numbers(value: Any, count: int, where: str) -> Array:
-    try:
-        array = np.asarray(value, dtype=np.float64).ravel()
-    except (TypeError, ValueError) as error:
-        raise RequestRefused("refused.hand_eye.format", f"{where}: {count} numbers are wanted") from error
-    if array.size != count:
-        raise RequestRefused(
-            "refused.hand_eye.format", f"{where}: {count} numbers are wanted, got {array.size}"
-        )
-    return array
+        q = numbers(value[key], 4, f"{where} {key}")
+        return rotation_of_quaternion(q if key == "q_wxyz" else q[[3, 0, 1, 2]], where, options.normalise)
+    v = numbers(value[key], 3, f"{where} {key}")
+    return rotation_of_vector(np.radians(v) if key.endswith("_deg") else v, where)
 
 
 def _corners(data: Mapping[str, Any], pixels: list[Any], names: list[str]) -> CornerViews | None:
@@ -209,12 +169,12 @@ def _corners(data: Mapping[str, Any], pixels: list[Any], names: list[str]) -> Co
         raise RequestRefused(
             "refused.hand_eye.format", "corners_px need target_points_m, a list of [x, y, z]"
         )
-    K = _numbers(data.get("camera_matrix"), 9, "camera_matrix").reshape(3, 3)
+    K = numbers(data.get("camera_matrix"), 9, "camera_matrix").reshape(3, 3)
     distortion = np.asarray(data.get("distortion", [0.0] * 5), dtype=np.float64).ravel()
     seen = []
     for name, value in zip(names, pixels, strict=True):
         flat = [[math.nan, math.nan] if pixel is None else pixel for pixel in value]
-        seen.append(_numbers(flat, 2 * len(points), f"sample {name}: corners_px").reshape(-1, 2))
+        seen.append(numbers(flat, 2 * len(points), f"sample {name}: corners_px").reshape(-1, 2))
     return CornerViews(points, np.stack(seen), K, distortion)
 
 
@@ -242,7 +202,7 @@ def _from_csv(text: str, options: ImportOptions) -> PosePairs:
         f"{side}_{axis}"
         for side in ("hand", "camera")
         for axis in (
-            [f"{a}_{unit}" for a in "xyz" for unit in _UNITS]
+            [f"{a}_{unit}" for a in "xyz" for unit in UNITS]
             + [f"q{a}" for a in "wxyz"]
             + [f"r{a}_{unit}" for a in "xyz" for unit in ("rad", "deg")]
         )
@@ -264,19 +224,19 @@ def _from_csv(text: str, options: ImportOptions) -> PosePairs:
 def _csv_pose(record: Mapping[str, str], side: str, where: str, options: ImportOptions) -> Array:
     where = f"{where}: {side}"
     X = np.eye(4)
-    for unit, scale in _UNITS.items():
+    for unit, scale in UNITS.items():
         if f"{side}_x_{unit}" in record:
-            X[:3, 3] = scale * _numbers([record.get(f"{side}_{a}_{unit}") for a in "xyz"], 3, where)
+            X[:3, 3] = scale * numbers([record.get(f"{side}_{a}_{unit}") for a in "xyz"], 3, where)
             break
     else:
         raise RequestRefused("refused.hand_eye.format", f"{where}: no column {side}_x_m")
     if f"{side}_qw" in record:
-        q = _numbers([record.get(f"{side}_q{a}") for a in "wxyz"], 4, where)
-        X[:3, :3] = _from_quaternion(q, where, options)
+        q = numbers([record.get(f"{side}_q{a}") for a in "wxyz"], 4, where)
+        X[:3, :3] = rotation_of_quaternion(q, where, options.normalise)
         return X
     for unit, factor in (("rad", 1.0), ("deg", math.pi / 180.0)):
         if f"{side}_rx_{unit}" in record:
-            v = factor * _numbers([record.get(f"{side}_r{a}_{unit}") for a in "xyz"], 3, where)
-            X[:3, :3] = _from_vector(v, where)
+            v = factor * numbers([record.get(f"{side}_r{a}_{unit}") for a in "xyz"], 3, where)
+            X[:3, :3] = rotation_of_vector(v, where)
             return X
     raise RequestRefused("refused.hand_eye.format", f"{where}: no column {side}_qw or {side}_rx_rad")

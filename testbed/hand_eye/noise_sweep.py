@@ -71,6 +71,11 @@ class SweepRow:
         """1 is as good as an unbiased estimator can be."""
         return self.rotation_deg / self.bound_rotation_deg
 
+    @property
+    def translation_over_bound(self) -> float:
+        """1 is as good as an unbiased estimator can be."""
+        return self.translation_mm / self.bound_translation_mm
+
 
 @dataclass(frozen=True)
 class Sweep:

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import RequestRefused
-from testbed.hand_eye.importer import ImportOptions, _text
+from testbed.hand_eye.importer import ImportOptions
+from testbed.hand_eye.pose_text import file_text, rotation_of_quaternion
 from vision_pc.core.hand_eye import rigid
 from vision_pc.core.hand_eye.samples import PosePairs, Setup, pose_pairs
 from vision_pc.core.se3 import Array
 
-_NORM_TOLERANCE = 0.02
 _RECORDING_HZ = 2.0  # a faster one is a recording in motion, a slower one a list of poses
 
 
@@ -50,7 +50,7 @@ def load_tum(path: Path, normalise: bool = False) -> Trajectory:
     naming the line.
     """
     times, poses = [], []
-    for number, line in enumerate(_text(path).splitlines(), start=1):
+    for number, line in enumerate(file_text(path).splitlines(), start=1):
         content = line.split("#", 1)[0].replace(",", " ").split()
         if not content:
             continue
@@ -63,13 +63,9 @@ def load_tum(path: Path, normalise: bool = False) -> Trajectory:
             raise RequestRefused(
                 "refused.hand_eye.format", f"{where}: 8 finite numbers are wanted, got {values.size}"
             )
-        norm = float(np.linalg.norm(values[4:]))
-        if norm < 1e-6 or (abs(norm - 1.0) > _NORM_TOLERANCE and not normalise):
-            raise RequestRefused(
-                "refused.hand_eye.quaternion_norm", f"{where}: quaternion has norm {norm:.3f}, not 1"
-            )
         times.append(values[0])
-        poses.append(rigid.pose(rigid.rotation_of_quaternion(values[[7, 4, 5, 6]]), values[1:4]))
+        R = rotation_of_quaternion(values[[7, 4, 5, 6]], where, normalise)
+        poses.append(rigid.pose(R, values[1:4]))
     if len(times) < 3:
         raise RequestRefused(
             "refused.hand_eye.count", f"{path.name}: {len(times)} poses, at least 3 are needed"

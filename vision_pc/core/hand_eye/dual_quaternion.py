@@ -104,8 +104,8 @@ def published(f: Forms) -> Published:
 def _relaxed_rotation(form: Array) -> tuple[Relaxation, Array]:
     """Problem 1 relaxed, and g (4,).
 
-    It is solved a second time in the axes of its own first answer, which then lies on an axis: there the solver's
-    rounding is symmetric and no longer tilts it (1e-5 becomes 1e-8).
+    It is solved a second time in the axes of its own first answer, which then lies on an axis: there the
+    solver's rounding is symmetric and no longer tilts it (1e-5 becomes 1e-8).
     """
     unit: Polynomial = {monomial(): 1.0} | {monomial(k, k): -1.0 for k in range(4)}
     axes = np.eye(4)

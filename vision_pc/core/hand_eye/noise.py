@@ -3,7 +3,8 @@
 Plain sums of squares would call the noise too small (twelve unknowns were fitted) and could not tell rotation
 from translation noise; the restricted likelihood (Patterson and Thompson 1971) does both.
 It also tells camera from robot noise: a hand that is turned wrongly moves the target by the lever arm.
-Taking both as unknown costs nothing measurable when only one is noisy; assuming the wrong one doubles the errors.
+Taking both as unknown costs nothing measurable when only one is noisy; assuming the wrong one doubles
+the errors.
 """
 
 from enum import StrEnum

@@ -1,0 +1,115 @@
+"""A calibration as tables for the terminal and figures for JSON."""
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from testbed.console import table
+from vision_pc.core import se3
+from vision_pc.core.hand_eye.result import HandEyeResult
+from vision_pc.core.hand_eye.samples import Setup
+from vision_pc.core.se3 import Array
+from vision_pc.core.zhang_intrinsics import Intrinsics
+
+
+def pose_figures(X: Array) -> dict[str, Any]:
+    """A pose for JSON: position, quaternion and matrix."""
+    pose = se3.to_pose(X)
+    return {"p_m": pose.p_m, "q_wxyz": pose.q_wxyz, "matrix": X}
+
+
+def result_figures(result: HandEyeResult) -> dict[str, Any]:
+    """All of a calibration for JSON; angles in degrees, residuals in mm and degrees."""
+    figures: dict[str, Any] = {
+        "method": result.method,
+        "setup": result.setup.value,
+        "X": pose_figures(result.X),
+        "Z": pose_figures(result.Z),
+        "observability": {
+            "samples": result.observability.samples,
+            "largest_rotation_deg": math.degrees(result.observability.largest_rotation),
+            "second_axis_deg": math.degrees(result.observability.second_axis),
+            "verdict": result.observability.reason,
+        },
+        "samples": [
+            {
+                "name": name,
+                "residual_mm": 1e3 * float(np.linalg.norm(r[:3])),
+                "residual_deg": math.degrees(float(np.linalg.norm(r[3:]))),
+                "used": bool(inlier),
+            }
+            for name, r, inlier in zip(result.names, result.residuals, result.inliers, strict=True)
+        ],
+        "notes": result.notes,
+    }
+    if result.certificate is not None:
+        figures["certificate"] = asdict(result.certificate) | {"holds": result.certificate.holds}
+    if result.covariance is not None:
+        std = np.sqrt(np.diag(result.covariance))
+        figures["covariance_p_theta"] = result.covariance
+        figures["std_mm"] = 1e3 * std[:3]
+        figures["std_deg"] = np.degrees(std[3:])
+    if result.noise is not None:
+        figures["noise"] = {
+            "camera_deg": math.degrees(result.noise.camera_rotation),
+            "camera_mm": 1e3 * result.noise.camera_translation,
+            "robot_deg": math.degrees(result.noise.robot_rotation),
+            "robot_mm": 1e3 * result.noise.robot_translation,
+        }
+    return figures
+
+
+def result_table(result: HandEyeResult) -> Table:
+    """What a person needs to believe a calibration: X, its certainty, where it is proven, what was seen."""
+    where = "in the hand" if result.setup is Setup.EYE_IN_HAND else "in the base"
+    pose = se3.to_pose(result.X)
+    rows = [
+        (f"camera {where}, mm", " ".join(f"{1e3 * p:.3f}" for p in pose.p_m)),
+        ("quaternion w x y z", " ".join(f"{q:.6f}" for q in pose.q_wxyz)),
+    ]
+    f = result_figures(result)
+    if "std_mm" in f:
+        rows.append(("standard deviation, mm", " ".join(f"{v:.3f}" for v in f["std_mm"])))
+        rows.append(("standard deviation, deg", " ".join(f"{v:.4f}" for v in f["std_deg"])))
+    if "noise" in f:
+        rows.append(
+            ("noise of camera", f"{f['noise']['camera_deg']:.4f} deg {f['noise']['camera_mm']:.3f} mm")
+        )
+        rows.append(("noise of robot", f"{f['noise']['robot_deg']:.4f} deg {f['noise']['robot_mm']:.3f} mm"))
+    if result.certificate is not None:
+        c = result.certificate
+        rows.append(
+            ("proof of global optimum", f"{'holds' if c.holds else 'FAILS'} ({c.least_eigenvalue:.1e})")
+        )
+    rows.append(("rotation seen", f"{f['observability']['largest_rotation_deg']:.1f} deg at most"))
+    rows.append(("about a second axis", f"{f['observability']['second_axis_deg']:.1f} deg rms"))
+    rows.append(("samples used", f"{int(result.inliers.sum())} of {len(result.names)}"))
+    return table(f"{result.method}, {result.setup}", ("", "value"), rows)
+
+
+def sample_table(result: HandEyeResult) -> Table:
+    """Residuals by sample, in the camera's axes."""
+    rows = []
+    for name, r, inlier in zip(result.names, result.residuals, result.inliers, strict=True):
+        shift, turn = 1e3 * float(np.linalg.norm(r[:3])), math.degrees(float(np.linalg.norm(r[3:])))
+        rows.append((name, f"{shift:.3f}", f"{turn:.4f}", "" if inlier else "left out"))
+    return table("residuals by sample", ("sample", "mm", "deg", ""), rows)
+
+
+def view_table(found: Intrinsics) -> Table:
+    """Reprojection error by view."""
+    rows = [
+        (name, f"{error:.3f}", "outlying" if name in found.outlying else "")
+        for name, error in zip(found.names, found.view_rms_px, strict=True)
+    ]
+    return table("views", ("view", "rms px", ""), rows)
+
+
+def coverage_table(found: Intrinsics) -> Table:
+    """How many corners fell into each part of the picture."""
+    rows = [(f"row {k + 1}", *map(int, line)) for k, line in enumerate(found.coverage)]
+    columns = ("", *(str(k + 1) for k in range(found.coverage.shape[1])))
+    return table("corners by part of the picture", columns, rows)
