@@ -28,7 +28,7 @@ from plant_emulator.core.model import build_model, put_payload, start_coordinate
 from plant_emulator.core.multibody import forward_kinematics
 from plant_emulator.core.right_hand_side import advance, new_work
 from plant_emulator.core.sensors import Encoders
-from plant_emulator.core.stability import check_step
+from plant_emulator.core.stability import check_step, modes
 from plant_emulator.core.truth import Mounts, PlantTruth, inverse
 from plant_emulator.plant_config import BAR, PlantConfig
 from protocol.errors import ImageRefused, RequestRefused
@@ -191,6 +191,10 @@ class Plant:
             flows=work.flows[:, [col.F_NET_A, col.F_NET_B]].copy(),
             faults=tuple(sorted(self._faults)),
         )
+
+    def vibrations(self) -> NDArray[np.complex128]:
+        """The eigenvalues (1/s) of the whole plant now with its valves shut; for surveys of the plant."""
+        return modes(self._model, self._state)
 
     def set_payload(self, mass_kg: float) -> None:
         """Change the load at the tool at this instant; velocities stay, as when a load is let go.

@@ -44,7 +44,7 @@ def linearised(model: Model, state: Array, command: Array) -> Array:
     return jacobian
 
 
-def modes(model: Model, state: Array) -> Array:
+def modes(model: Model, state: Array) -> NDArray[np.complex128]:
     """The eigenvalues (N_STATES,) of the plant at ``state`` with its valves closed (1/s, complex)."""
     return np.asarray(np.linalg.eigvals(linearised(model, state, np.zeros(N_ACTUATORS))))
 
