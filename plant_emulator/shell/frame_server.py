@@ -92,11 +92,11 @@ class FrameServer:
                     client.close()
                     return
                 self._clients.add(client)
-            self._spawn(self._serve, client)
+                seen = self._published
+            self._spawn(self._serve, client, seen)
 
-    def _serve(self, client: socket.socket) -> None:
+    def _serve(self, client: socket.socket, seen: int) -> None:
         with contextlib.suppress(OSError), client:
-            seen = self._published
             while True:
                 with self._changed:
                     self._changed.wait_for(lambda seen=seen: self._closing or self._published > seen)  # type: ignore[misc]

@@ -21,7 +21,7 @@ from plant_emulator.shell.coupler import Coupler
 from plant_emulator.shell.integrator import Beat, Integrator
 from plant_emulator.shell.recording import TruthRecorder
 from protocol.errors import ConfigurationError
-from protocol.process_image import encode_sensors
+from protocol.process_image import ValveImage, encode_sensors
 
 _FIFO_PRIORITY = 20
 _PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
@@ -45,7 +45,7 @@ class PlantService:
         self._plant = Plant(config.plant, config.scene.seed, Scene(config.scene).mounts)
         self._integrator = Integrator(self._plant, round(service.period_ms * 1e6), self._after_step)
         release_ns = round(service.writer_release_ms * 1e6)
-        self._coupler = Coupler(self._sensor_words, self._plant.write, release_ns, time.monotonic_ns)
+        self._coupler = Coupler(self._sensor_words, self._write, release_ns, time.monotonic_ns)
         self._captures = Beat(round(1e9 / config.scene.camera.rate_hz))
         self._truths = Beat(round(1e9 / service.truth_hz))
         camera = config.scene.camera
@@ -119,6 +119,10 @@ class PlantService:
             self._recorder.truth(truth, deadline_ns)
         if self._shows_motion:
             self._view = view
+
+    def _write(self, image: ValveImage) -> None:
+        self._plant.write(image)
+        self._words = None  # what is read in the same exchange already echoes this image's cycle
 
     def _sensor_words(self) -> list[int]:
         """The newest input image; encoded once a step, so that reading it in pieces is consistent."""
