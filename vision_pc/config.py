@@ -148,6 +148,11 @@ class OdometrySettings(StrictModel):
     keyframe_overlap: float = Field(gt=0.05, le=0.99)
     keyframes: int = Field(ge=2, le=1000)
 
+    @property
+    def noise_px(self) -> float:
+        """Standard deviation of one tracked coordinate that the robust weights go with."""
+        return self.huber_px / 3.0
+
 
 class LinkSettings(StrictModel):
     """Where the controller listens."""

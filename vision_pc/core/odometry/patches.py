@@ -12,6 +12,9 @@ import numba
 import numpy as np
 from scipy.spatial import cKDTree
 
+from vision_pc.config import OdometrySettings
+from vision_pc.core import se3
+from vision_pc.core.odometry.keyframe_map import Keyframe
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import EyeModel, Image
@@ -67,24 +70,25 @@ def distortions(rays: Array, surfaces: Array, X_EK: Array, keyframe_eye: EyeMode
     return np.asarray(J * np.diag(eye.K)[:2, None] / np.diag(keyframe_eye.K)[None, :2])
 
 
-def match(
-    keyframe: Image,
+def found(
+    keyframe: Keyframe,
     image: Image,
-    centres: Array,
     guess: Array,
-    warps: Array,
-    half: int,
-    least_likeness: float,
+    X_C0C: Array,
+    keyframe_eye: EyeModel,
+    eye: EyeModel,
+    settings: OdometrySettings,
 ) -> tuple[Array, Flags]:
-    """Where the patches of ``keyframe`` around ``centres`` (n, 2) are in ``image``, px (n, 2), and which
-    are believed.
+    """Where ``eye`` of a camera about at ``X_C0C`` sees the keyframe's points, px (n, 2), and which are
+    believed.
 
-    ``guess`` (n, 2) within about two pixels, ``warps`` (n, 2, 2) from ``distortions``, ``half`` the patch's
-    half size. Believed: converged near the guess, with a normalised cross-correlation of
-    ``least_likeness``.
+    ``image`` is what it sees, ``guess`` (n, 2) px within about two pixels. Believed: converged near the
+    guess, with the configured normalised cross-correlation.
     """
-    ends, likeness = _match(keyframe, image, centres, guess, warps, half)
-    return ends, likeness >= least_likeness
+    X_EK = se3.inverse(X_C0C @ eye.X_CE) @ keyframe.X_C0C
+    warps = distortions(keyframe.rays, keyframe.surfaces, X_EK, keyframe_eye, eye)
+    ends, likeness = _match(keyframe.left, image, keyframe.pixels, guess, warps, settings.patch_px // 2)
+    return ends, likeness >= settings.likeness
 
 
 @numba.njit(cache=True, nogil=True)

@@ -73,6 +73,19 @@ def grid_cells(points: Array, shape: tuple[int, ...], settings: OdometrySettings
     return cells
 
 
+def inside(pixels: Array, static: Flags) -> Flags:
+    """Which of ``pixels`` (n, 2) lie in the picture, where ``static`` (height, width) is True; NaN does
+    not.
+    """
+    height, width = static.shape
+    finite = np.isfinite(pixels).all(axis=1)
+    column, row = np.where(finite, pixels[:, 0], -1.0), np.where(finite, pixels[:, 1], -1.0)
+    within = (column >= 0) & (column < width - 1) & (row >= 0) & (row < height - 1)
+    return np.asarray(
+        within & static[np.where(within, row, 0).astype(int), np.where(within, column, 0).astype(int)]
+    )
+
+
 def track(
     before: Image, after: Image, points: Array, guess: Array, settings: OdometrySettings, two_way: bool
 ) -> Tracked:

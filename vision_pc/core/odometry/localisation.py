@@ -1,0 +1,160 @@
+"""The pose of one pair against a keyframe: patches found, a robust start, both eyes' residuals, and a bill
+of health.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from vision_pc.config import OdometrySettings
+from vision_pc.core import intrinsics, se3, stereo_pose
+from vision_pc.core.odometry import patches, tracking
+from vision_pc.core.odometry.keyframe_map import Indices, Keyframe, KeyframeMap
+from vision_pc.core.odometry.tracking import Flags
+from vision_pc.core.se3 import Array
+from vision_pc.core.stereo_pose import Beliefs, Solution, View
+from vision_pc.core.types import CameraCalibration, EyeModel, Image, StereoOffset, StereoPair
+
+_NO_OFFSET = StereoOffset(0.0, 0.0, 1e-9, 1e-9)
+_NO_SIZE_ERROR = 1e-9
+
+
+class Frame(NamedTuple):
+    """One pair in work, and where each eye may see the static world (height, width)."""
+
+    pair: StereoPair
+    left_static: Flags
+    right_static: Flags
+
+
+class Fix(NamedTuple):
+    """A pair's pose against the map, with the map points (n,) that hold it and where the left eye sees
+    them.
+    """
+
+    X_C0C: Array
+    covariance: Array
+    ids: Indices
+    pixels: Array
+    residual_px: float
+
+
+class Localiser:
+    """Finds the camera against the keyframes of ``keyframe_map``, whose points learn from every success."""
+
+    def __init__(
+        self, camera: CameraCalibration, settings: OdometrySettings, keyframe_map: KeyframeMap
+    ) -> None:
+        self._camera = camera
+        self._settings = settings
+        self._map = keyframe_map
+        self._noise_px = settings.noise_px
+
+    def against(self, frame: Frame, keyframe: Keyframe, expected: Array) -> Fix | str:
+        """The pose of ``frame``, expected about at ``expected`` (X_C0C), or why the keyframe's points do
+        not hold.
+        """
+        guess = intrinsics.project(
+            self._camera.left, se3.apply(se3.inverse(expected), self._map.points[keyframe.ids])
+        )
+        visible = tracking.inside(guess, frame.left_static)
+        part = keyframe.only(visible)
+        coarse = tracking.track(
+            keyframe.left, frame.pair.left, part.pixels, guess[visible], self._settings, two_way=False
+        )
+        pixels, good = self._found(part, frame.pair.left, coarse.points, expected, self._camera.left)
+        good &= coarse.good & tracking.inside(pixels, frame.left_static)
+        part, pixels = part.only(good), pixels[good]
+        if len(pixels) >= self._settings.minimum_inliers:
+            X_CC0, inliers = self._coarse_pose(self._map.points[part.ids], pixels, expected)
+            if int(inliers.sum()) >= self._settings.minimum_inliers:
+                return self._refined(frame, part.only(inliers), pixels[inliers], X_CC0)
+        return "too_few_points"
+
+    def _coarse_pose(self, points: Array, pixels: Array, expected: Array) -> tuple[Array, Flags]:
+        """X_CC0 from the left eye alone by RANSAC, and the points that agree with it."""
+        rays = intrinsics.normalised(self._camera.left, pixels)
+        X_CC0 = se3.inverse(expected)
+        found, rotation, position, inliers = cv2.solvePnPRansac(
+            points,
+            rays,
+            np.eye(3),
+            None,
+            rvec=se3.log_so3(X_CC0[:3, :3]).reshape(3, 1),
+            tvec=X_CC0[:3, 3].reshape(3, 1).copy(),
+            useExtrinsicGuess=True,
+            iterationsCount=100,
+            reprojectionError=self._settings.ransac_px / float(self._camera.left.K[0, 0]),
+            confidence=0.999,
+        )
+        flags = np.zeros(len(points), dtype=bool)
+        if found and inliers is not None:
+            flags[inliers.ravel()] = True
+            X_CC0 = se3.transform(se3.exp_so3(rotation.ravel()), position.ravel())
+        return X_CC0, flags
+
+    def _refined(self, frame: Frame, keyframe: Keyframe, pixels: Array, X_CC0: Array) -> Fix | str:
+        """The pose from both eyes' residuals, robustly, and its health."""
+        points = self._map.points[keyframe.ids]
+        guess = intrinsics.project(self._camera.right, se3.apply(X_CC0, points))
+        usable = tracking.inside(guess, frame.right_static)
+        right, matched = self._found(
+            keyframe,
+            frame.pair.right,
+            np.where(usable[:, None], guess, 0.0),
+            se3.inverse(X_CC0),
+            self._camera.right,
+        )
+        seen_right = usable & matched & (np.abs(right[:, 1] - guess[:, 1]) < self._settings.row_error_px)
+        rays = np.stack(
+            [
+                intrinsics.normalised(self._camera.left, pixels),
+                intrinsics.normalised(self._camera.right, right),
+            ]
+        )
+        seen = np.stack([np.ones(len(points)), seen_right.astype(np.float64)])
+        X_CC0 = self._solve(points, rays, seen * self._trust(keyframe.ids, X_CC0), X_CC0).X_CA[0]
+        errors = self._errors(points, rays, X_CC0)
+        size = np.max(np.linalg.norm(errors, axis=2) * seen, axis=0)
+        held = size < 3.0 * max(self._settings.huber_px, float(np.median(size)))
+        cells = tracking.grid_cells(pixels[held], frame.pair.left.shape, self._settings)
+        if int(held.sum()) < self._settings.minimum_inliers:
+            return "too_few_points"
+        if float(cells.mean()) < self._settings.minimum_coverage:
+            return "poor_coverage"
+        return self._settled(keyframe.ids[held], pixels[held], rays[:, held], seen[:, held], X_CC0)
+
+    def _settled(self, ids: Indices, pixels: Array, rays: Array, seen: Array, X_CC0: Array) -> Fix:
+        """The pose from the points that held, which in turn learn from it."""
+        points = self._map.points[ids]
+        solution = self._solve(points, rays, seen * self._trust(ids, X_CC0), X_CC0)
+        X_CC0 = solution.X_CA[0]
+        errors = self._errors(points, rays, X_CC0)
+        residual = float(np.sqrt((errors**2 * seen[:, :, None]).sum() / (2.0 * seen.sum())))
+        self._map.learn(ids, X_CC0, errors, seen, max(residual, self._noise_px))
+        covariance = se3.inverse_covariance(X_CC0, solution.covariances[0])
+        return Fix(se3.inverse(X_CC0), covariance, ids, pixels, residual)
+
+    def _trust(self, ids: Indices, X_CC0: Array) -> Array:
+        """Weights (2, n) 0…1 of the eyes' views: less where an uncertain depth moves the view."""
+        moved = np.linalg.norm(self._map.sensitivity(ids, X_CC0), axis=2) * self._map.stds(ids)
+        return np.asarray(self._noise_px / np.hypot(self._noise_px, moved))
+
+    def _solve(self, points: Array, rays: Array, weights: Array, X_CC0: Array) -> Solution:
+        return stereo_pose.solve(
+            [View(points, rays, weights)], [X_CC0], self._camera, Beliefs(self._noise_px, 1e-9, _NO_OFFSET)
+        )
+
+    def _errors(self, points: Array, rays: Array, X_CC0: Array) -> Array:
+        """Measured minus expected views in both eyes, px (2, n, 2)."""
+        errors = []
+        for eye, seen in zip((self._camera.left, self._camera.right), rays, strict=True):
+            in_eye = se3.apply(se3.inverse(eye.X_CE) @ X_CC0, points)
+            errors.append((seen - in_eye[:, :2] / in_eye[:, 2:]) * (eye.K[0, 0], eye.K[1, 1]))
+        return np.stack(errors)
+
+    def _found(
+        self, keyframe: Keyframe, image: Image, guess: Array, X_C0C: Array, eye: EyeModel
+    ) -> tuple[Array, Flags]:
+        return patches.found(keyframe, image, guess, X_C0C, self._camera.left, eye, self._settings)

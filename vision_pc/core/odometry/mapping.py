@@ -1,0 +1,105 @@
+"""New map points where a picture shows none yet, and new keyframes of them."""
+
+import cv2
+import numpy as np
+
+from vision_pc.config import OdometrySettings
+from vision_pc.core import intrinsics, se3
+from vision_pc.core.odometry import patches, tracking
+from vision_pc.core.odometry.keyframe_map import Indices, Keyframe, KeyframeMap, triangulated
+from vision_pc.core.odometry.localisation import Fix, Frame
+from vision_pc.core.odometry.tracking import Flags
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraCalibration, Image
+
+_COARSE = 4  # the coarse disparity is sought in pictures this much smaller
+_COARSE_DISPARITIES = 64
+_COARSE_BLOCK = 15
+
+
+class Mapper:
+    """Adds keyframes to ``keyframe_map``."""
+
+    def __init__(
+        self, camera: CameraCalibration, settings: OdometrySettings, keyframe_map: KeyframeMap
+    ) -> None:
+        self._camera = camera
+        self._settings = settings
+        self._map = keyframe_map
+
+    def begin(self, frame: Frame, X_C0C: Array) -> Fix | None:
+        """The first keyframe at ``X_C0C``, or None when the pair shows too little to hold on to."""
+        points_C, pixels = self._new_points(frame, np.zeros((0, 2)))
+        if len(pixels) < self._settings.minimum_inliers:
+            return None
+        ids = self._map.add_points(X_C0C, points_C, self._settings.noise_px)
+        self._add_keyframe(frame, X_C0C, ids, pixels)
+        return Fix(X_C0C, np.zeros((6, 6)), ids, pixels, 0.0)
+
+    def extend(self, frame: Frame, fix: Fix) -> None:
+        """Make ``frame`` a keyframe: the points that hold it, and new ones where there are none."""
+        if len(self._map.keyframes) < self._settings.keyframes:
+            points_C, pixels = self._new_points(frame, fix.pixels)
+            ids = self._map.add_points(fix.X_C0C, points_C, self._settings.noise_px)
+            self._add_keyframe(
+                frame, fix.X_C0C, np.concatenate([fix.ids, ids]), np.vstack([fix.pixels, pixels])
+            )
+
+    def _add_keyframe(self, frame: Frame, X_C0C: Array, ids: Indices, pixels: Array) -> None:
+        rays = intrinsics.normalised(self._camera.left, pixels)
+        depths = se3.apply(se3.inverse(X_C0C), self._map.points[ids])[:, 2]
+        surfaces = patches.planes(rays, depths)
+        self._map.keyframes.append(Keyframe(X_C0C, frame.pair.left.copy(), ids, pixels, rays, surfaces))
+
+    def _new_points(self, frame: Frame, taken: Array) -> tuple[Array, Array]:
+        """New points (m, 3) in C and their left pixels (m, 2), where the picture holds none of ``taken``
+        (n, 2).
+        """
+        left, right = frame.pair.left, frame.pair.right
+        pixels = tracking.features(left, frame.left_static, taken, self._settings)
+        guess = pixels - np.column_stack([self._coarse_disparity(left, right, pixels), np.zeros(len(pixels))])
+        coarse = tracking.track(left, right, pixels, guess, self._settings, two_way=True)
+        points_C, good = self._triangulated(frame, pixels, coarse.points)
+        good &= coarse.good
+        pixels, points_C, found = pixels[good], points_C[good], coarse.points[good]
+        rays = points_C[:, :2] / points_C[:, 2:]
+        patch = Keyframe(
+            se3.identity(), left, np.arange(len(rays)), pixels, rays, patches.planes(rays, points_C[:, 2])
+        )
+        found, matched = patches.found(
+            patch, right, found, se3.identity(), self._camera.left, self._camera.right, self._settings
+        )
+        points_C, good = self._triangulated(frame, pixels, found)
+        good &= matched
+        return points_C[good], pixels[good]
+
+    def _triangulated(self, frame: Frame, left: Array, right: Array) -> tuple[Array, Flags]:
+        """Points (n, 3) in C of matched pixels (n, 2) of both eyes, and which of them make sense (n,)."""
+        points_C, sensible = triangulated(
+            intrinsics.normalised(self._camera.left, left),
+            intrinsics.normalised(self._camera.right, right),
+            self._camera,
+        )
+        row_error = np.nan_to_num(
+            right[:, 1] - intrinsics.project(self._camera.right, points_C)[:, 1], nan=np.inf
+        )
+        on_row = np.abs(row_error) < self._settings.row_error_px
+        return points_C, sensible & on_row & tracking.inside(right, frame.right_static)
+
+    def _coarse_disparity(self, left: Image, right: Image, pixels: Array) -> Array:
+        """Roughly the disparity (n,) at ``pixels`` of the left picture, from block matching in small
+        pictures.
+        """
+        shape = (left.shape[1] // _COARSE, left.shape[0] // _COARSE)
+        small = [cv2.resize(image, shape, interpolation=cv2.INTER_AREA) for image in (left, right)]
+        blocks = (
+            cv2.StereoBM.create(_COARSE_DISPARITIES, _COARSE_BLOCK)
+            .compute(small[0], small[1])
+            .astype(np.float64)
+            / 16.0
+        )
+        known = blocks[blocks > 0.0]
+        blocks[blocks <= 0.0] = float(np.median(known)) if known.size else 0.0
+        column = np.clip(pixels[:, 0] / _COARSE, 0, shape[0] - 1).astype(int)
+        row = np.clip(pixels[:, 1] / _COARSE, 0, shape[1] - 1).astype(int)
+        return np.asarray(blocks[row, column] * _COARSE)
