@@ -1,0 +1,34 @@
+"""Small data sets for the tests, all from seeded generators."""
+
+import numpy as np
+
+from testbed.hand_eye import scenes
+from testbed.hand_eye.scenes import Scene
+from vision_pc.core.hand_eye import rigid
+from vision_pc.core.hand_eye.samples import PosePairs, Setup, pose_pairs
+from vision_pc.core.se3 import Array
+
+
+def random_poses(rng: np.random.Generator, count: int, turn: float = 1.0, shift: float = 0.5) -> Array:
+    return rigid.pose(
+        rigid.rotation_exp(rng.normal(size=(count, 3)) * turn), rng.normal(size=(count, 3)) * shift
+    )
+
+
+def random_scene(rng: np.random.Generator, count: int = 12) -> Scene:
+    X, Z = random_poses(rng, 2)
+    return Scene(random_poses(rng, count), X, Z)
+
+
+def exact_pairs(scene: Scene, setup: Setup = Setup.EYE_IN_HAND) -> PosePairs:
+    """Noise-free samples of ``scene``, whose H is the hand's pose or its inverse."""
+    X_BH = scene.X_BH if setup is Setup.EYE_IN_HAND else rigid.inverse(scene.X_BH)
+    return pose_pairs(X_BH, scene.P(), setup)
+
+
+def noisy_pairs(
+    seed: int, count: int = 15, rotation_deg: float = 0.1, translation_mm: float = 0.5
+) -> tuple[PosePairs, Scene]:
+    rng = np.random.default_rng(seed)
+    scene = scenes.viewing_scene(rng, count)
+    return scenes.measured(scene, scenes.noise(rotation_deg, translation_mm), rng), scene

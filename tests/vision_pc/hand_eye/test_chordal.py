@@ -1,0 +1,82 @@
+"""The chordal problem: proven, global, and not fooled where local searches are."""
+
+import numpy as np
+import pytest
+
+from testbed.hand_eye import scenes
+from tests.vision_pc.hand_eye.data import noisy_pairs, random_poses
+from vision_pc.core.hand_eye import chordal, rigid
+from vision_pc.core.hand_eye import maximum_likelihood as ml
+from vision_pc.core.hand_eye.maximum_likelihood import Equations, Noise
+from vision_pc.core.se3 import Array
+
+NOISE = scenes.noise(0.1, 0.5)
+
+
+def chordal_cost(H: Array, P: Array, X: Array, Z: Array, n: Noise) -> float:
+    R_H_transposed = np.swapaxes(H[:, :3, :3], -1, -2)
+    turn = X[:3, :3] @ P[:, :3, :3] - R_H_transposed @ Z[:3, :3]
+    here = P[:, :3, 3] @ X[:3, :3].T + X[:3, 3]
+    there = (R_H_transposed @ (Z[:3, 3] - H[:, :3, 3])[..., None])[..., 0]
+    return float(
+        np.sum(turn**2) / (2.0 * n.camera_rotation**2) + np.sum((here - there) ** 2) / n.camera_translation**2
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_optimum_is_proven_and_no_other_start_finds_better(seed: int) -> None:
+    pairs, _ = noisy_pairs(seed)
+    X, Z, certificate = chordal.solve(chordal.problem(pairs.H, pairs.P, np.ones(len(pairs)), NOISE))
+    assert certificate.holds
+    assert certificate.least_eigenvalue >= -1e-9
+    assert certificate.rank == 1
+    best = chordal_cost(pairs.H, pairs.P, X, Z, NOISE)
+    rng = np.random.default_rng(seed)
+    for X_start, Z_start in zip(random_poses(rng, 10, 2.0), random_poses(rng, 10, 2.0), strict=True):
+        other = ml.maximize(Equations(pairs.H, pairs.P, np.ones(len(pairs))), X_start, Z_start, NOISE)
+        assert chordal_cost(pairs.H, pairs.P, other.X, other.Z, NOISE) >= best * (1.0 - 1e-9)
+
+
+def test_form_is_the_cost_it_stands_for() -> None:
+    pairs, _ = noisy_pairs(7)
+    problem = chordal.problem(pairs.H, pairs.P, np.ones(len(pairs)), NOISE)
+    rng = np.random.default_rng(1)
+    values, costs = [], []
+    for R_X, R_Z in rigid.rotation_exp(rng.normal(size=(6, 2, 3))):
+        v = np.concatenate([R_X.ravel(), R_Z.ravel(), [1.0]])
+        t = problem.recover @ v
+        values.append(v @ problem.M @ v)
+        costs.append(chordal_cost(pairs.H, pairs.P, rigid.pose(R_X, t[:3]), rigid.pose(R_Z, t[3:]), NOISE))
+    np.testing.assert_allclose(np.array(values) / values[0], np.array(costs) / costs[0], rtol=1e-9)
+
+
+def test_translations_are_the_best_for_their_rotations() -> None:
+    pairs, _ = noisy_pairs(8)
+    X, Z, _ = chordal.solve(chordal.problem(pairs.H, pairs.P, np.ones(len(pairs)), NOISE))
+    best = chordal_cost(pairs.H, pairs.P, X, Z, NOISE)
+    rng = np.random.default_rng(2)
+    for _ in range(50):
+        moved_X, moved_Z = X.copy(), Z.copy()
+        moved_X[:3, 3] += rng.normal(size=3) * 1e-4
+        moved_Z[:3, 3] += rng.normal(size=3) * 1e-4
+        assert chordal_cost(pairs.H, pairs.P, moved_X, moved_Z, NOISE) >= best
+
+
+def test_weights_leave_samples_out() -> None:
+    pairs, _ = noisy_pairs(9)
+    keep = np.arange(len(pairs)) % 3 != 0
+    weighted = chordal.solve(chordal.problem(pairs.H, pairs.P, keep.astype(float), NOISE))
+    fewer = chordal.solve(chordal.problem(pairs.H[keep], pairs.P[keep], np.ones(int(keep.sum())), NOISE))
+    np.testing.assert_allclose(weighted[0], fewer[0], atol=1e-9)
+
+
+def test_proof_fails_at_another_stationary_point() -> None:
+    """Multipliers that make a wrong rotation stationary cannot also be positive semidefinite."""
+    pairs, _ = noisy_pairs(10)
+    problem = chordal.problem(pairs.H, pairs.P, np.ones(len(pairs)), NOISE)
+    X, Z, _ = chordal.solve(problem)
+    wrong = X[:3, :3] @ np.diag([1.0, -1.0, -1.0])
+    _, constraints = chordal._constraints()
+    v = np.concatenate([wrong.ravel(), Z[:3, :3].ravel(), [1.0]])
+    zero = np.zeros(len(constraints))
+    assert not chordal._certificate(problem.M, v, zero, constraints, np.eye(19)).holds

@@ -1,0 +1,168 @@
+"""All solvers through their one entrance: exact, order-free, guarded, and different from each other."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from protocol.errors import MeasurementFailed
+from testbed.hand_eye import scenes
+from tests.vision_pc.hand_eye.data import exact_pairs, noisy_pairs, random_poses, random_scene
+from vision_pc.core import se3
+from vision_pc.core.hand_eye import classical, methods, rigid
+from vision_pc.core.hand_eye.classical import Classical
+from vision_pc.core.hand_eye.methods import Method
+from vision_pc.core.hand_eye.motions import Motions, all_motions, dual_quaternions
+from vision_pc.core.hand_eye.samples import Setup, pose_pairs
+
+MOTION_METHODS = [
+    Method.TSAI, Method.PARK, Method.HORAUD, Method.DANIILIDIS,
+    Method.DQCR_PUBLISHED, Method.DQCR, Method.JOINT, Method.MAXIMUM_LIKELIHOOD,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("setup", list(Setup))
+@pytest.mark.parametrize("method", list(Method))
+def test_exact_samples_give_the_exact_pose(method: Method, setup: Setup) -> None:
+    scene = random_scene(np.random.default_rng(11))
+    result = methods.solve(exact_pairs(scene, setup), method)
+    limit = 1e-6 if method is Method.DQCR_PUBLISHED else 1e-9
+    np.testing.assert_allclose(result.X, scene.X, atol=limit)
+    np.testing.assert_allclose(result.Z, scene.Z, atol=limit)
+    assert result.setup is setup
+    assert result.observability.cause is None
+
+
+@pytest.mark.parametrize("method", list(Method))
+def test_order_of_samples_changes_nothing(method: Method) -> None:
+    pairs, _ = noisy_pairs(3, 12)
+    names = tuple(str(k) for k in range(12))
+    hand, camera = pairs.X_BH, pairs.P
+    one = methods.solve(pose_pairs(hand, camera, names=names), method)
+    shuffle = np.random.default_rng(5).permutation(12)
+    other = methods.solve(
+        pose_pairs(hand[shuffle], camera[shuffle], names=tuple(names[k] for k in shuffle)), method
+    )
+    assert np.array_equal(one.X, other.X)
+    assert np.array_equal(one.Z, other.Z)
+    assert np.array_equal(one.residuals[shuffle], other.residuals)
+    assert other.names == tuple(names[k] for k in shuffle)
+
+
+def test_no_method_stands_in_for_another() -> None:
+    pairs, _ = noisy_pairs(4, 12)
+    found = {m: methods.solve(pairs, m).X for m in Method}
+    same_by_nature = {
+        frozenset({Method.DQCR, Method.DQCR_PUBLISHED}),
+        frozenset({Method.ROBUST, Method.MAXIMUM_LIKELIHOOD}),
+    }
+    for first in Method:
+        for second in Method:
+            if first < second and frozenset({first, second}) not in same_by_nature:
+                assert np.abs(found[first] - found[second]).max() > 1e-8, (first, second)
+
+
+def test_residuals_are_in_the_callers_order_and_in_the_camera() -> None:
+    scene = random_scene(np.random.default_rng(12))
+    P = scene.P()
+    P[4, :3, 3] += (0.0, 0.0, 0.03)
+    result = methods.solve(pose_pairs(scene.X_BH, P), Method.ROBUST)
+    assert not result.inliers[4]
+    assert result.inliers.sum() == 11
+    np.testing.assert_allclose(result.residuals[4, :3], (0.0, 0.0, 0.03), atol=1e-6)
+    np.testing.assert_allclose(np.delete(result.residuals, 4, axis=0), 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("method", [Classical.TSAI, Classical.PARK, Classical.HORAUD, Classical.DANIILIDIS])
+def test_motion_solvers_equal_opencv(method: Classical) -> None:
+    rng = np.random.default_rng(13)
+    scene = random_scene(rng, 4)
+    turns = rigid.rotation_exp(np.radians(60.0) * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]))
+    scene = scene._replace(X_BH=rigid.pose(turns, scene.X_BH[:, :3, 3]))  # no motion that OpenCV's Tsai drops
+    pairs = scenes.measured(scene, scenes.noise(0.3, 2.0), rng)
+    motions = all_motions(pairs)
+    of_opencv = classical.from_poses(pairs, motions, method).X
+    assert np.abs(of_opencv - scene.X).max() > 1e-4
+    np.testing.assert_allclose(classical.from_motions(motions, method), of_opencv, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", MOTION_METHODS)
+def test_bare_motions_give_the_exact_pose(method: Method) -> None:
+    scene = random_scene(np.random.default_rng(15))
+    motions = scenes.measured_motions(scene, scenes.noise(0.0, 0.0), np.random.default_rng(0))
+    np.testing.assert_allclose(methods.solve_motions(motions, method), scene.X, atol=1e-6)
+
+
+def test_methods_that_need_poses_say_so() -> None:
+    scene = random_scene(np.random.default_rng(1))
+    motions = scenes.measured_motions(scene, scenes.noise(0.0, 0.0), np.random.default_rng(0))
+    for method in (Method.ANDREFF, Method.SHAH, Method.LI, Method.CHORDAL):
+        with pytest.raises(ValueError, match="needs poses"):
+            methods.solve_motions(motions, method)
+
+
+def test_tsai_survives_rotations_that_opencv_drops() -> None:
+    rng = np.random.default_rng(16)
+    scene = scenes.small_rotation_scene(rng, 15)
+    R, _ = cv2.calibrateHandEye(
+        scene.X_BH[:, :3, :3], scene.X_BH[:, :3, 3], scene.P()[:, :3, :3], scene.P()[:, :3, 3],
+        method=cv2.CALIB_HAND_EYE_TSAI,
+    )  # fmt: skip
+    assert se3.angle_between(np.asarray(R), scene.X[:3, :3]) > np.radians(
+        1.0
+    )  # OpenCV's silent failure, still there
+    result = methods.solve(exact_pairs(scene), Method.TSAI)
+    np.testing.assert_allclose(result.X, scene.X, atol=1e-8)
+    assert any("15 degrees" in note for note in result.notes)
+
+
+@pytest.mark.parametrize(
+    ("returned", "cause"),
+    [
+        (np.full((3, 3), np.nan), "measurement.hand_eye.no_solution"),
+        (np.diag([1.0, 1.0, -1.0]), "measurement.hand_eye.left_handed"),
+    ],
+)
+def test_an_improper_answer_of_opencv_is_an_error(
+    monkeypatch: pytest.MonkeyPatch, returned: Any, cause: str
+) -> None:
+    monkeypatch.setattr(cv2, "calibrateHandEye", lambda *_, **__: (returned, np.zeros((3, 1))))
+    pairs, _ = noisy_pairs(5)
+    with pytest.raises(MeasurementFailed, match="park") as caught:
+        methods.solve(pairs, Method.PARK)
+    assert caught.value.cause == cause
+
+
+def test_opencv_giving_up_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any, **__: Any) -> None:
+        raise cv2.error("determinant(R) is null")
+
+    monkeypatch.setattr(cv2, "calibrateHandEye", refuse)
+    with pytest.raises(MeasurementFailed, match="gave up") as caught:
+        methods.solve(noisy_pairs(5)[0], Method.ANDREFF)
+    assert caught.value.cause == "measurement.hand_eye.no_solution"
+
+
+def test_signs_agree_near_a_half_turn() -> None:
+    """Motions of almost 180°, where noise decides each quaternion's sign (opencv issue 24871)."""
+    rng = np.random.default_rng(17)
+    axes = rng.normal(size=(30, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    angles = np.concatenate([rng.uniform(0.5, 2.0, 15), np.pi + rng.normal(size=15) * 0.002])
+    X = random_poses(rng, 1)[0]
+    A = rigid.pose(rigid.rotation_exp(axes * angles[:, None]), rng.normal(size=(30, 3)))
+    B = rigid.inverse(X) @ A @ X
+    B = rigid.pose(rigid.rotation_exp(rng.normal(size=(30, 3)) * 0.003) @ B[:, :3, :3], B[:, :3, 3])
+    dual = dual_quaternions(Motions(A, B))
+    g = rigid.quaternion(X[:3, :3])
+    mismatch = np.linalg.norm(dual.rotation_rows() @ g, axis=-1)
+    assert mismatch.max() < 0.02  # a wrong sign gives 2
+    for method in (Method.HORAUD, Method.DQCR, Method.JOINT, Method.DANIILIDIS):
+        found = methods.solve_motions(Motions(A, B), method)
+        assert se3.angle_between(found[:3, :3], X[:3, :3]) < 0.01, method
+
+
+def test_equations_are_named() -> None:
+    assert Method.ROBUST.equation == Method.SHAH.equation == "AX=ZB"
+    assert Method.TSAI.equation == Method.DQCR.equation == "AX=XB"

@@ -1,0 +1,143 @@
+"""Residuals, derivatives and covariances against finite differences and the Cramér-Rao bound."""
+
+import numpy as np
+import pytest
+
+from protocol.errors import MeasurementFailed
+from testbed.hand_eye import scenes
+from tests.vision_pc.hand_eye.data import random_poses, random_scene
+from vision_pc.core import se3
+from vision_pc.core.hand_eye import maximum_likelihood as ml
+from vision_pc.core.hand_eye import noise as noise_model
+from vision_pc.core.hand_eye import rigid
+from vision_pc.core.hand_eye.maximum_likelihood import Equations, Noise
+from vision_pc.core.hand_eye.noise import NoiseSource
+from vision_pc.core.hand_eye.samples import Setup
+from vision_pc.core.se3 import Array
+
+STEP = 1e-6
+
+
+def disturbed(rng: np.random.Generator, X: Array) -> Array:
+    return X @ random_poses(rng, len(X), 0.2, 0.05)
+
+
+@pytest.mark.parametrize("tied", [False, True])
+def test_jacobian_equals_finite_differences(tied: bool) -> None:
+    rng = np.random.default_rng(1)
+    scene = random_scene(rng, 5)
+    X, Z = scene.X, scene.X if tied else scene.Z
+    P = disturbed(rng, ml.predicted(scene.X_BH, X, Z))
+    equations = Equations(scene.X_BH, P, np.ones(5), tied=tied)
+    J = ml.jacobian(equations, X, Z, ml.residuals(scene.X_BH, P, X, Z))
+    for k in range(J.shape[-1]):
+        step = np.zeros(J.shape[-1])
+        step[k] = STEP
+        after = ml.residuals(scene.X_BH, P, *ml.moved(X, Z, step, tied))
+        before = ml.residuals(scene.X_BH, P, *ml.moved(X, Z, -step, tied))
+        np.testing.assert_allclose(J[..., k], (after - before) / (2.0 * STEP), atol=1e-4)
+
+
+def test_steps_are_the_vision_sides_perturbation() -> None:
+    rng = np.random.default_rng(2)
+    X, Z = random_poses(rng, 2)
+    step = rng.normal(size=12) * 0.3
+    moved_X, moved_Z = ml.moved(X, Z, step, tied=False)
+    np.testing.assert_allclose(moved_X, se3.retract(X, step[:6]), atol=1e-14)
+    np.testing.assert_allclose(moved_Z, se3.retract(Z, step[6:]), atol=1e-14)
+
+
+@pytest.mark.parametrize("setup", list(Setup))
+def test_robot_levers_equal_moving_the_hand(setup: Setup) -> None:
+    rng = np.random.default_rng(3)
+    scene = random_scene(rng, 6)
+    H = scene.X_BH
+    P = scene.P()
+    levers = ml.robot_levers(Equations(H, P, np.ones(6), setup), scene.X, scene.Z)
+    to_camera = scene.X[:3, :3].T @ np.swapaxes(H[:, :3, :3], -1, -2)
+    X_BH = H if setup is Setup.EYE_IN_HAND else rigid.inverse(H)
+    for k in range(6):
+        delta = np.zeros(6)
+        delta[k] = STEP
+        about_hand = rigid.pose(rigid.rotation_exp(delta[3:]), delta[:3])  # in hand axes
+        moved = X_BH @ about_hand
+        H_moved = moved if setup is Setup.EYE_IN_HAND else rigid.inverse(moved)
+        r = ml.residuals(H_moved, P, scene.X, scene.Z) / STEP
+        of_hand = np.broadcast_to(scene.X[:3, :3].T, (6, 3, 3)) if setup is Setup.EYE_IN_HAND else to_camera
+        in_camera = np.concatenate([of_hand @ delta[:3] / STEP, of_hand @ delta[3:] / STEP], axis=-1)
+        expected = (levers @ in_camera[..., None])[..., 0]
+        sign = 1.0 if setup is Setup.EYE_IN_HAND else -1.0
+        np.testing.assert_allclose(r, sign * expected, atol=1e-4)
+
+
+def test_covariance_is_the_bound_and_the_errors_obey_it() -> None:
+    scene = scenes.table_1_scene()
+    n = scenes.noise(0.1, 0.2)
+    bound = scenes.bound(scene, n)
+    errors, nees = [], []
+    for run in range(100):
+        pairs = scenes.measured(scene, n, np.random.default_rng([8, run]))
+        equations = Equations(pairs.H, pairs.P, np.ones(len(pairs)))
+        estimate = ml.maximize(equations, scene.X, scene.Z, n)
+        covariance = ml.covariance_of_X(estimate)
+        error = se3.local(estimate.X, scene.X)
+        errors.append(error)
+        nees.append(error @ np.linalg.solve(covariance, error))
+        spread = np.degrees(np.sqrt(np.trace(covariance[3:, 3:])))
+        assert spread == pytest.approx(bound.rotation_deg, rel=0.02)
+    rms = np.sqrt(np.mean(np.sum(np.array(errors)[:, 3:] ** 2, axis=1)))
+    assert np.degrees(rms) < 1.15 * bound.rotation_deg
+    assert 5.0 < np.mean(nees) < 7.0
+
+
+def test_wrong_start_is_recovered_from_nearby() -> None:
+    rng = np.random.default_rng(9)
+    scene = random_scene(rng)
+    n = Noise(1e-3, 1e-3)
+    start_X, start_Z = se3.retract(scene.X, np.full(6, 0.2)), se3.retract(scene.Z, np.full(6, -0.2))
+    found = ml.maximize(Equations(scene.X_BH, scene.P(), np.ones(12)), start_X, start_Z, n)
+    np.testing.assert_allclose(found.X, scene.X, atol=1e-10)
+    assert found.cost < 1e-12
+
+
+def test_identical_poses_leave_it_singular() -> None:
+    H = np.tile(np.eye(4), (4, 1, 1))
+    with pytest.raises(MeasurementFailed) as caught:
+        ml.maximize(Equations(H, H + 0.0, np.ones(4)), np.eye(4), np.eye(4), Noise(1e-3, 1e-3))
+    assert caught.value.cause == "measurement.hand_eye.singular"
+
+
+@pytest.mark.parametrize(
+    ("truth", "louder"),
+    [
+        (Noise(1.7e-3, 5e-4, 1e-12, 1e-12), "camera"),
+        (Noise(1e-12, 1e-12, 1.7e-3, 5e-4), "robot"),
+    ],
+)
+def test_camera_and_robot_noise_are_told_apart(truth: Noise, louder: str) -> None:
+    found = []
+    for run in range(5):
+        rng = np.random.default_rng([10, run])
+        scene = scenes.viewing_scene(rng, 25)
+        pairs = scenes.measured(scene, truth, rng)
+        equations = Equations(pairs.H, pairs.P, np.ones(25))
+        start = ml.maximize(equations, scene.X, scene.Z, Noise(1e-3, 1e-3))
+        found.append(noise_model.estimated(equations, start, Noise(1e-3, 1e-3), NoiseSource.BOTH)[1])
+    camera = np.median([n.camera_rotation for n in found])
+    robot = np.median([n.robot_rotation for n in found])
+    loud, quiet = (camera, robot) if louder == "camera" else (robot, camera)
+    assert loud == pytest.approx(1.7e-3, rel=0.3)
+    assert quiet < 0.4 * loud
+
+
+def test_few_samples_do_not_call_their_noise_zero() -> None:
+    for count in (3, 4, 5):
+        rng = np.random.default_rng([11, count])
+        scene = scenes.viewing_scene(rng, count, tilt_deg=45.0)
+        pairs = scenes.measured(scene, Noise(1.7e-3, 1e-3), rng)
+        equations = Equations(pairs.H, pairs.P, np.ones(count))
+        start = ml.maximize(equations, scene.X, scene.Z, Noise(1e-3, 1e-3))
+        _, n = noise_model.estimated(equations, start, Noise(1e-3, 1e-3), NoiseSource.BOTH)
+        assert 3e-4 < n.camera_rotation < 8e-3
+        assert 2e-4 < n.camera_translation < 5e-3
+    assert noise_model.few_sample_factor(3) > noise_model.few_sample_factor(12) > 1.0
