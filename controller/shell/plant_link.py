@@ -19,8 +19,10 @@ from pymodbus.exceptions import ModbusException
 from controller.config import PlantLinkConfig
 from controller.shell.event_log import EventLog
 from controller.shell.histogram import Histogram
+from protocol.coupler_registers import RESET_WORDS, WATCHDOG_RESET
 from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS
 
+_WATCHDOG_EXPIRED = 4
 # pymodbus logs every failure once more, in lines of its own; they are counted and logged here.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL + 1)
 
@@ -80,12 +82,24 @@ class PlantLink:
         if response.isError():
             # The coupler answered, so the connection is sound: 6 means that another master owns the outputs.
             self._failed(f"exception_{response.exception_code}", str(response))
+            if response.exception_code == _WATCHDOG_EXPIRED:
+                await self._reset_coupler(client)
             return None
         if len(response.registers) != INPUT_WORDS:
             self._dropped("wrong_length", f"{len(response.registers)} words, wanted {INPUT_WORDS}")
             return None
         self.round_trip.add(time.monotonic_ns() - began_ns)
         return list(response.registers)
+
+    async def _reset_coupler(self, client: AsyncModbusTcpClient) -> None:
+        # Moves nothing: the plant's motion watchdog and our own fault stay latched above the coupler's.
+        try:
+            for word in RESET_WORDS:
+                await client.write_register(WATCHDOG_RESET, word, device_id=self._config.unit_id)
+        except (ModbusException, OSError) as error:
+            self._dropped("reset", str(error))
+            return
+        self._log.write("coupler_watchdog_reset", "warning", cause="plant_link.coupler_watchdog")
 
     def _failed(self, cause: str, detail: str) -> None:
         self.failures[cause] += 1

@@ -14,30 +14,31 @@ from typing import Any, cast
 from pymodbus.constants import ExcCodes
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 
+from plant_emulator.core.coupler_image import COUPLER_MAP, CouplerImage
+from plant_emulator.core.coupler_watchdog import CouplerWatchdog
 from plant_emulator.core.modbus_requests import (
+    CLEAR_COUNTERS,
+    COUNT_EXCEPTIONS,
+    COUNT_FRAMING_ERRORS,
+    DIAGNOSTICS,
+    ECHO,
     ILLEGAL_VALUE,
     MAX_PDU_BYTES,
-    OWNED_BY_ANOTHER,
-    RegisterMap,
-    Span,
+    READ_COILS,
+    READ_DISCRETE,
+    READ_STATUS,
+    WRITE_COIL,
+    WRITE_COILS,
+    WRITING,
     exception_for,
-    writes,
+    written,
 )
-from protocol.errors import ImageRefused
-from protocol.process_image import (
-    INPUT_ADDRESS,
-    INPUT_WORDS,
-    OUTPUT_ADDRESS,
-    OUTPUT_WORDS,
-    ValveImage,
-    decode_valves,
-)
+from protocol.coupler_registers import IDENTIFICATION
+from protocol.process_image import ValveImage
 
 _MBAP = struct.Struct(">HHHB")
-_MAP = RegisterMap(
-    readable=(Span(INPUT_ADDRESS, INPUT_WORDS), Span(OUTPUT_ADDRESS, OUTPUT_WORDS)),
-    writable=(Span(OUTPUT_ADDRESS, OUTPUT_WORDS),),
-)
+_BIT_FUNCTIONS = (READ_COILS, READ_DISCRETE, WRITE_COIL, WRITE_COILS)
+_CENTRED = ValveImage(0, 0, (0.0,) * 6)
 log = logging.getLogger(__name__)
 
 
@@ -50,6 +51,7 @@ class CouplerStatistics:
         self.torn_images = 0
         self.connections = 0
         self.framing_errors = 0
+        self.watchdog_expiries = 0
 
     def as_dict(self) -> dict[str, int]:
         """The counts by name."""
@@ -60,8 +62,9 @@ class Coupler:
     """Serves the newest sensor words and hands whole valve images on; one master at a time may write.
 
     ``sensor_words``: called for each read of the inputs, returns INPUT_WORDS words. ``on_valves``: called
-    with each whole image that a master wrote. ``release_ns``: a master that has not written for so long
-    loses the outputs to whoever writes next. ``clock_ns``: a monotonic clock.
+    with each whole image that a master wrote, and with a centred one when the watchdog expires.
+    ``release_ns``: a master that has not written for so long loses the outputs to whoever writes next.
+    ``clock_ns``: a monotonic clock.
     """
 
     def __init__(
@@ -72,16 +75,16 @@ class Coupler:
         clock_ns: Callable[[], int],
     ) -> None:
         self.statistics = CouplerStatistics()
-        self._sensor_words = sensor_words
         self._on_valves = on_valves
-        self._release_ns = release_ns
         self._clock_ns = clock_ns
-        self._outputs = [0] * OUTPUT_WORDS
+        self._watchdog = CouplerWatchdog(release_ns)
+        self._image = CouplerImage(sensor_words, self._watchdog)
         self._decoder = DecodePDU(is_server=True)
-        self._writer: object | None = None
-        self._written_ns = 0
+        self._asking: object = None
+        self._counted_from = dict(vars(self.statistics))
         self._connections: set[_Connection] = set()
         self._server: asyncio.Server | None = None
+        self._alarm: asyncio.TimerHandle | None = None
 
     async def start(self, bound: socket.socket) -> tuple[str, int]:
         """Listen on a bound socket; returns its address. Raises OSError when somebody listens there."""
@@ -92,6 +95,9 @@ class Coupler:
 
     async def stop(self) -> None:
         """Close the listener and every connection."""
+        if self._alarm is not None:
+            self._alarm.cancel()
+            self._alarm = None
         if self._server is not None:
             self._server.close()
         for connection in tuple(self._connections):
@@ -102,37 +108,50 @@ class Coupler:
     def answer(self, master: object, unit: int, pdu: bytes) -> bytes:
         """The response PDU to a request PDU; ``master`` is any object that stands for its connection."""
         self.statistics.requests += 1
-        code = exception_for(pdu, _MAP)
-        if code == 0 and writes(pdu) and not self._may_write(master):
-            code = OWNED_BY_ANOTHER
-        response = self._executed(pdu, unit) if code == 0 else _exception(pdu[0], code)
-        self.statistics.exceptions += response.isError()
+        now_ns = self._clock_ns()
+        self._look_at_watchdog(now_ns)
+        function = pdu[0]
+        code = exception_for(pdu, COUPLER_MAP)
+        if code == 0 and function == DIAGNOSTICS:
+            self._watchdog.obeyed(master, False, now_ns)
+            return self._diagnosed(pdu)
+        writes = function in WRITING
+        owns = code == 0 and _is_image(pdu, function, writes)
+        if owns:
+            code = self._watchdog.refusal(master, writes, now_ns)
+        self._asking = master
+        response = self._executed(pdu, unit) if code == 0 else _exception(function, code)
+        if response.isError():
+            self.statistics.exceptions += 1
+        else:
+            self._watchdog.obeyed(master, owns and writes, now_ns)
+            if owns and writes and self._alarm is None:
+                self._set_alarm(now_ns)
         return bytes([response.function_code]) + response.encode()
 
-    async def async_getValues(self, device_id: int, func_code: int, address: int, count: int) -> list[int]:
-        """Words of the process image; called by pymodbus's requests, after validation."""
-        if address >= OUTPUT_ADDRESS:
-            return self._outputs[address - OUTPUT_ADDRESS :][:count]
-        return list(self._sensor_words()[address - INPUT_ADDRESS :][:count])
+    async def async_getValues(
+        self, device_id: int, func_code: int, address: int, count: int
+    ) -> Sequence[int]:
+        """Words or bits of the process image; called by pymodbus's requests, after validation."""
+        if func_code in _BIT_FUNCTIONS:
+            return self._image.bits(func_code, address, count)
+        return self._image.words(address, count, self._clock_ns())
 
     async def async_setValues(
         self, device_id: int, func_code: int, address: int, values: Sequence[int]
     ) -> ExcCodes | None:
-        """Write outputs; called by pymodbus's requests, after validation. A whole image acts at once."""
-        outputs = list(self._outputs)
-        start = address - OUTPUT_ADDRESS
-        outputs[start : start + len(values)] = values
-        try:
-            image = decode_valves(outputs)
-        except ImageRefused as refusal:
-            if refusal.cause != "image.torn":
-                return ExcCodes(ILLEGAL_VALUE)
-            self._outputs = outputs
-            self.statistics.torn_images += 1
+        """Write; called by pymodbus's requests, after validation. A whole image acts at once."""
+        if func_code in _BIT_FUNCTIONS:
+            self._image.write_bits(address, [bool(value) for value in values])
             return None
-        self._outputs = outputs
-        self._on_valves(image)
-        return None
+        if address >= IDENTIFICATION:
+            code = self._configured(address, values)
+        else:
+            code, image, torn = self._image.write(address, values)
+            self.statistics.torn_images += torn
+            if image is not None:
+                self._on_valves(image)
+        return ExcCodes(code) if code else None
 
     def connected(self, connection: "_Connection") -> None:
         """A master has connected."""
@@ -140,18 +159,57 @@ class Coupler:
         self.statistics.connections += 1
 
     def disconnected(self, connection: "_Connection") -> None:
-        """A master has gone; the outputs keep their words until the plant's watchdog acts."""
+        """A master has gone; the outputs keep their words until a watchdog acts."""
         self._connections.discard(connection)
-        if self._writer is connection:
-            self._writer = None
+        self._watchdog.gone(connection)
 
-    def _may_write(self, master: object) -> bool:
-        now = self._clock_ns()
-        owned = self._writer is not None and now - self._written_ns < self._release_ns
-        if owned and self._writer is not master:
-            return False
-        self._writer, self._written_ns = master, now
-        return True
+    def _configured(self, address: int, values: Sequence[int]) -> int:
+        # Several registers are written one after another, up to the first that refuses.
+        now_ns = self._clock_ns()
+        for at, word in enumerate(values, address):
+            code = self._watchdog.configure(self._asking, at, word, now_ns)
+            if code:
+                return code
+        # The pending alarm was set by the old time.
+        if self._alarm is not None:
+            self._alarm.cancel()
+            self._set_alarm(now_ns)
+        return 0
+
+    def _look_at_watchdog(self, now_ns: int) -> None:
+        if not self._watchdog.look(now_ns):
+            return
+        log.warning("coupler: the watchdog expired after %d ms, outputs at zero", self._watchdog.time_ms)
+        self.statistics.watchdog_expiries += 1
+        self._image.clear_outputs()
+        self._on_valves(_CENTRED)
+
+    def _set_alarm(self, now_ns: int) -> None:
+        # One timer that looks again when the watchdog would expire, instead of one for every telegram.
+        self._alarm = None
+        if self._server is None or not self._watchdog.armed:
+            return
+        delay_s = max(self._watchdog.expires_at_ns() - now_ns, 1_000_000) * 1e-9
+        self._alarm = asyncio.get_running_loop().call_later(delay_s, self._alarmed)
+
+    def _alarmed(self) -> None:
+        now_ns = self._clock_ns()
+        self._look_at_watchdog(now_ns)
+        self._set_alarm(now_ns)
+
+    def _diagnosed(self, pdu: bytes) -> bytes:
+        sub_function = int.from_bytes(pdu[1:3], "big")
+        if sub_function in (ECHO, CLEAR_COUNTERS):
+            if sub_function == CLEAR_COUNTERS:
+                self._counted_from = dict(vars(self.statistics))
+            return pdu
+        name = {COUNT_EXCEPTIONS: "exceptions", COUNT_FRAMING_ERRORS: "framing_errors"}.get(
+            sub_function, "requests"
+        )
+        count = getattr(self.statistics, name) - self._counted_from[name]
+        return pdu[:3] + struct.pack(
+            ">H", self._image.status() if sub_function == READ_STATUS else count & 0xFFFF
+        )
 
     def _executed(self, pdu: bytes, unit: int) -> ModbusPDU:
         request = self._decoder.decode(pdu)
@@ -213,6 +271,13 @@ class _Connection(asyncio.Protocol):
             if answers:
                 self._transport.write(bytes(answers))
             self._transport.close()
+
+
+def _is_image(pdu: bytes, function: int, writes: bool) -> bool:
+    """Whether a sound request concerns terminals and not the coupler's own registers."""
+    if function in _BIT_FUNCTIONS:
+        return True
+    return (written(pdu).address if writes else int.from_bytes(pdu[1:3], "big")) < IDENTIFICATION
 
 
 def _exception(function_code: int, code: int) -> ModbusPDU:
