@@ -53,8 +53,8 @@ class CameraEyes:
         self.scheduling = self._worker.submit(_take_idle_time).result()
 
     def close(self) -> None:
-        """Ends the thread, once it has finished what it is at."""
-        self._worker.shutdown(cancel_futures=True)
+        """Ends the thread, once it has finished what it has begun and written the last picture."""
+        self._worker.shutdown()
 
     def status(self) -> CameraStatus:
         """How the camera is doing."""

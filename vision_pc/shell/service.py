@@ -54,8 +54,12 @@ class VisionService:
         """Binds the REST port. Raises ConfigurationError when it is busy, or the records unwritable."""
         self._config = config
         self._options = options
-        self._socket = bound(config.api)
         self.log = EventLog(options.record_dir)
+        try:
+            self._socket = bound(config.api)
+        except ConfigurationError:
+            self.log.close()
+            raise
 
     async def run(self) -> None:
         """Serves until SIGTERM or SIGINT, then ends the running operation and says goodbye."""
@@ -144,15 +148,11 @@ def bound(api: ApiSettings) -> socket.socket:
     """A listening socket at the REST address. Raises ConfigurationError when it is busy or not ours."""
     where = f"REST at {api.host}:{api.port}"
     try:
-        family, kind, number, _, address = socket.getaddrinfo(api.host, api.port, type=socket.SOCK_STREAM)[0]
-        listener = socket.socket(family, kind, number)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(address)
-        listener.listen(64)
+        return socket.create_server((api.host, api.port), backlog=64)
     except OSError as error:
-        cause = "port_busy" if error.errno == errno.EADDRINUSE else "bad_address"
-        raise ConfigurationError(f"configuration.{cause}", f"{where}: {error.strerror}") from error
-    return listener
+        busy = error.errno == errno.EADDRINUSE
+        cause, why = ("port_busy", "address in use") if busy else ("bad_address", str(error))
+        raise ConfigurationError(f"configuration.{cause}", f"{where}: {why}") from error
 
 
 def resident_mb() -> float:
