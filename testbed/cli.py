@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from protocol.configuration import merged, parse_overrides
 from protocol.errors import LongreachError
 from testbed.console import err
 from testbed.settings import chosen_overrides
@@ -97,6 +98,23 @@ def demo(
     else:
         passed = run_demo(config_dir, overrides, choice, free_ports, runs, json_file)
     raise typer.Exit(0 if passed else 1)
+
+
+@app.command(epilog="Example: longreach soak --minutes 10 --cycle-ms 2 --json soak.json")
+def soak(
+    minutes: Annotated[float, typer.Option(min=0.1, max=1440.0, help="How long.")] = 10.0,
+    cycle_ms: Annotated[float, typer.Option(min=1.0, max=10.0, help="The controller's cycle.")] = 5.0,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    free_ports: FreePorts = False,
+    runs: Runs = DEFAULT_RUNS,
+    json_file: JsonFile = None,
+) -> None:
+    """Run all three services at rest and in motion, vision looking; exit status 0 under 0.5 % overruns."""
+    from testbed.soak import run_soak
+
+    overrides = merged(parse_overrides(settings or []), {"controller": {"cycle_ms": cycle_ms}})
+    raise typer.Exit(0 if run_soak(config_dir, overrides, minutes, free_ports, runs, json_file) else 1)
 
 
 @validate.command("plant", epilog="Example: longreach validate plant --json plant.json")

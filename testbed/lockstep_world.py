@@ -43,6 +43,9 @@ TRUTH_PERIOD_NS = 20_000_000
 _VISION = "vision"
 
 
+Wire = Callable[[list[bytes]], list[bytes]]
+
+
 class Frame(NamedTuple):
     """A stereo pair as it arrives; the header's times are on the camera's clock, the simulated time."""
 
@@ -109,7 +112,8 @@ class World:
     """The physical world, the controller, and vision's end of the reference link.
 
     ``step`` lets one controller cycle pass. ``on_frame`` is called with each stereo pair while it is set; no
-    picture is rendered otherwise. While ``cut_link`` is set no datagram arrives, either way.
+    picture is rendered otherwise. ``to_controller`` and ``to_vision`` turn the datagrams sent in a cycle into
+    those that arrive in it: a wire that loses, repeats or reorders.
     """
 
     def __init__(self, settings: Settings, seed: int, log: EventLog) -> None:
@@ -121,7 +125,8 @@ class World:
         self.states: list[State] = []
         self.acknowledgements: dict[int, Acknowledgement] = {}
         self.link_lost: LinkLost | None = None
-        self.cut_link = False
+        self.to_controller: Wire = list
+        self.to_vision: Wire = list
         self.on_frame: Callable[[Frame], None] | None = None
         self._camera: StereoCamera | None = None
         self._scene = scene
@@ -170,14 +175,14 @@ class World:
         """Nothing; one controller cycle has passed."""
         for said in self._client.tick(self.vision_ns):
             self._noted(said)
-        datagrams = [] if self.cut_link else self._client.outgoing(self.vision_ns)
+        datagrams = self.to_controller(self._client.outgoing(self.vision_ns))
         self.plant.write(decode_valves(self._controller.valve_words))
         sensor_words = encode_sensors(self.plant.read())
         before = self.states[-1] if self.states else None
         output, replies = self._controller.cycle(sensor_words, datagrams, self._time_ns + CONTROLLER_CLOCK_NS)
         for event in output.events:
             self.log.add(self._time_ns, "controller", what=event)
-        for data in () if self.cut_link else replies:
+        for data in self.to_vision(replies):
             self._received(data)
         if self.states and (before is None or _noteworthy(before, self.states[-1])):
             self._log_state(self.states[-1])

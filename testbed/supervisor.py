@@ -127,6 +127,11 @@ class Child:
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGTERM)
 
+    def kill(self) -> None:
+        """Nothing; SIGKILL is sent, for trials of what the others then do."""
+        self._process.kill()
+        self._process.wait()
+
     def end(self, timeout_s: float = STOP_TIMEOUT_S) -> int:
         """The exit status, after SIGTERM and, where that does not help in time, SIGKILL."""
         self.ask_to_end()

@@ -126,11 +126,57 @@ def test_a_marker_out_of_view_fails_the_look_and_is_never_a_zero() -> None:
 
 def test_a_silent_controller_is_told_as_such() -> None:
     rig = rig_of(1)
-    rig.world.cut_link = True
+    rig.world.to_vision = lambda datagrams: []
+
+    async def wait() -> None:
+        while True:
+            await rig.link.next_state()
+
     with pytest.raises(LinkLost) as caught:
-        for _ in range(100):
-            run(rig.link.next_state())
+        run(wait())
     assert caught.value.cause in ("link.link_timeout", "link.silent")
+
+
+def test_repeated_and_reordered_datagrams_have_one_effect_in_order() -> None:
+    rig = rig_of(1)
+    rig.command("enable")
+    held: list[bytes] = []
+
+    def troubled(datagrams: list[bytes]) -> list[bytes]:
+        """Everything twice, and once more a cycle later, after what was sent since."""
+        late = [*datagrams, *datagrams, *held]
+        held[:] = datagrams
+        return late
+
+    rig.world.to_controller = troubled
+    first = rig.link.state.X_BT
+    result = operate(rig, "move", offset_base_m=[0.0, 0.04, 0.0])
+    answers = [
+        e for e in rig.world.log.events if e["event"] == "controller" and "Reference" in e["what"]["name"]
+    ]
+    assert len(answers) == 1, "a request that comes three times is executed once"
+    assert rig.link.state.references_dropped > 0
+    assert rig.link.state.motion_done
+    assert result["miss_mm"] < 4.0
+    assert rig.link.state.X_BT.p_m[1] - first.p_m[1] == pytest.approx(0.04, abs=0.004)
+
+
+def test_a_motion_that_nobody_attends_to_is_ended() -> None:
+    rig = rig_of(1)
+    rig.command("enable")
+    here = rig.link.state.X_BT
+    goal = here._replace(p_m=(here.p_m[0], here.p_m[1] + 0.3, here.p_m[2]))
+    run(rig.link.request(ReferencePose(0, goal, 6.0)))
+    rig.world.to_controller = lambda datagrams: []
+    for _ in range(600):
+        rig.world.step()
+    faults = [e["what"]["cause"] for e in rig.world.log.events if e["event"] == "controller"]
+    assert "REFERENCE_LINK_LOST" in faults
+    before = true_tool(rig)
+    for _ in range(200):
+        rig.world.step()
+    assert np.linalg.norm(true_tool(rig) - before) < LITTLE_M
+    assert before[1] < goal.p_m[1] - 0.1, "it must have stopped on its way"
 
 
 def test_the_arm_arrives_where_the_controller_was_told_to_go() -> None:

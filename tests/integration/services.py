@@ -1,0 +1,51 @@
+"""Real processes for the integration tests, on free ports."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import httpx
+
+from testbed.launch import Launch, prepare
+from testbed.settings import chosen_overrides
+from testbed.supervisor import Supervisor, supervised
+
+ROOT = Path(__file__).parents[2]
+CONFIG = ROOT / "configs"
+START_S = 60.0
+
+
+class Running(NamedTuple):
+    """Services that run, and vision's REST face."""
+
+    launch: Launch
+    supervisor: Supervisor
+    face: httpx.Client
+
+
+@contextmanager
+def running(directory: Path, *assignments: str, only: tuple[str, ...] = ()) -> Iterator[Running]:
+    """All three services (or ``only`` some) with free ports and the standard world of seed 1."""
+    overrides = chosen_overrides(CONFIG, "standard", 1, list(assignments))
+    launch = prepare(CONFIG, overrides, directory, any_ports=True)
+    services = [service for service in launch.services if not only or service.name in only]
+    with (
+        supervised(services, directory) as supervisor,
+        httpx.Client(base_url=launch.rest_url, timeout=10.0) as face,
+    ):
+        yield Running(launch, supervisor, face)
+
+
+def run_service(module: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """A service or command that is expected to end by itself."""
+    return subprocess.run(
+        [sys.executable, "-m", module, *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=START_S,
+        check=False,
+    )

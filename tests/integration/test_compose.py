@@ -1,0 +1,137 @@
+"""The containers: what the compose file promises and, where an engine runs, the tool at the object."""
+
+import json
+import shutil
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from plant_emulator.core.truth import tool_error
+from plant_emulator.shell.recording import read_truth
+from testbed.console import bars
+from testbed.rest_rig import RestRig
+from testbed.supervisor import free_port
+from tests.integration.services import ROOT
+
+PROJECT = "longreach-test"
+LIMIT_M = 0.005
+CLEARANCE_M = 0.10
+
+
+def compose_command() -> list[str] | None:
+    """Compose as it is called here, v1 or v2; None where there is none or no engine answers."""
+    if shutil.which("docker") is None or subprocess.run(["docker", "info"], capture_output=True).returncode:
+        return None
+    if shutil.which("docker-compose"):
+        return ["docker-compose"]
+    v2 = subprocess.run(["docker", "compose", "version"], capture_output=True)
+    return ["docker", "compose"] if v2.returncode == 0 else None
+
+
+def document() -> dict[str, Any]:
+    return dict(yaml.safe_load((ROOT / "docker-compose.yml").read_text()))
+
+
+def test_only_the_rest_port_is_published_and_only_on_loopback() -> None:
+    services = document()["services"]
+    assert set(services) == {"plant", "controller", "vision"}
+    published = {name: service.get("ports", []) for name, service in services.items()}
+    assert published == {"plant": [], "controller": [], "vision": ["127.0.0.1:${LONGREACH_PORT:-8000}:8000"]}
+
+
+def test_fieldbus_and_camera_are_on_an_internal_network() -> None:
+    compose = document()
+    assert compose["networks"]["machine"] == {"internal": True}
+    assert compose["services"]["plant"]["networks"] == ["machine"]
+    assert compose["services"]["controller"]["networks"] == ["machine"]
+
+
+def test_each_service_is_watched_and_waits_for_those_it_needs() -> None:
+    services = document()["services"]
+    assert all(service["healthcheck"]["test"][0] == "CMD" for service in services.values())
+    assert set(services["controller"]["depends_on"]) == {"plant"}
+    assert set(services["vision"]["depends_on"]) == {"plant", "controller"}
+    conditions = [need for service in services.values() for need in service.get("depends_on", {}).values()]
+    assert conditions == [{"condition": "service_healthy"}] * 3
+
+
+def test_the_image_runs_without_privileges_from_locked_dependencies() -> None:
+    lines = (ROOT / "Dockerfile").read_text().splitlines()
+    assert "ARG BASE=python:3.11-slim-bookworm" in lines
+    assert "USER longreach" in lines
+    assert any("--require-hashes" in line for line in lines)
+    assert all(service["cap_drop"] == ["ALL"] for service in document()["services"].values())
+
+
+def test_compose_accepts_the_file() -> None:
+    compose = compose_command()
+    if compose is None:
+        pytest.skip("no Docker engine with Compose answers here: the containers were not tried")
+    checked = subprocess.run([*compose, "config", "-q"], cwd=ROOT, capture_output=True, text=True)
+    assert checked.returncode == 0, checked.stderr
+
+
+@pytest.fixture
+def containers(tmp_path: Path) -> Iterator[tuple[str, Path]]:
+    """The REST face's address and the plant's record directory of three containers, healthy."""
+    compose = compose_command()
+    if compose is None:
+        pytest.fail("no Docker engine with Compose answers here")
+    records = tmp_path / "records"
+    records.mkdir()
+    records.chmod(0o777)  # the container's user is nobody here
+    override = tmp_path / "record.yml"
+    command = [*document()["services"]["plant"]["command"], "--record-dir", "/records/plant"]
+    plant = {"command": command, "volumes": [f"{records}:/records"]}
+    override.write_text(yaml.safe_dump({"services": {"plant": plant}}))
+    port = free_port()
+    files = ["-f", str(ROOT / "docker-compose.yml"), "-f", str(override)]
+    base = [*compose, "-p", PROJECT, "--project-directory", str(ROOT), *files]
+    environment = {"LONGREACH_PORT": str(port), "PATH": "/usr/local/bin:/usr/bin:/bin"}
+
+    def call(*arguments: str) -> str:
+        done = subprocess.run([*base, *arguments], env=environment, capture_output=True, text=True, cwd=ROOT)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    try:
+        call("up", "--build", "-d")
+        yield f"http://127.0.0.1:{port}", records / "plant"
+    finally:
+        print(call("logs", "--tail", "5"))
+        call("down", "-v")
+
+
+@pytest.mark.docker
+@pytest.mark.timeout(1800)
+def test_three_containers_bring_the_tool_to_the_object(containers: tuple[str, Path]) -> None:
+    url, records = containers
+    rig = RestRig(url)
+    rig.wait_healthy(180.0)
+    for port in (1502, 47100):
+        with (
+            pytest.raises(OSError, match=r"refused|timed out"),
+            socket.create_connection(("127.0.0.1", port), 1.0),
+        ):
+            pytest.fail(f"port {port} must not be published")
+    rig.command("enable")
+    with bars(quiet=True) as shown, shown.step("containers") as bar:
+        rig.operate("orientation-adjustment", {}, bar)
+        rig.operate("trajectory-matching", {}, bar)
+        for _ in range(2):
+            result = rig.operate("look-then-move", {"inputs": 1}, bar)
+    print(json.dumps(result["error_mm"]), json.dumps(rig.state()["cycle"]))
+    rig.close()
+    assert result["verdict"] == "inside"
+    time.sleep(1.0)
+    truths = [record.truth for record in read_truth(records / "truth.mcap").truths[-20:]]
+    error = np.mean([tool_error(truth, CLEARANCE_M) for truth in truths], axis=0)
+    print(f"true error {1e3 * error} mm")
+    assert np.all(np.abs(error[:2]) < LIMIT_M)

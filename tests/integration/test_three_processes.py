@@ -1,0 +1,146 @@
+"""Three real processes on real sockets: every refusal has its cause, and what is refused moves nothing."""
+
+import time
+from collections.abc import Iterator
+
+import httpx
+import numpy as np
+import pytest
+
+from plant_emulator.shell.recording import read_truth
+from testbed import probe
+from testbed.launch import PLANT
+from testbed.rest_rig import RestRig
+from tests.integration.services import Running, running
+
+HELD_M = 0.002  # what servo and leakage move the tool in the seconds of a test
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    with running(tmp_path_factory.mktemp("processes")) as started:
+        face = RestRig(started.launch.rest_url)
+        face.wait_healthy(60.0)
+        face.close()
+        yield started
+
+
+@pytest.fixture
+def face(rig: Running) -> httpx.Client:
+    rig.supervisor.check()
+    return rig.face
+
+
+def tool(face: httpx.Client) -> np.ndarray:
+    return np.array(face.get("/state").json()["X_BT"]["p_m"])
+
+
+def ended(face: httpx.Client, operation: dict[str, object], within_s: float = 40.0) -> dict[str, object]:
+    deadline = time.monotonic() + within_s
+    while time.monotonic() < deadline:
+        current = face.get(f"/operations/{operation['id']}").json()
+        if current["state"] not in ("queued", "running"):
+            return dict(current)
+        time.sleep(0.1)
+    raise AssertionError(f"operation still runs after {within_s} s")
+
+
+def enabled(face: httpx.Client) -> None:
+    assert face.post("/enable").status_code == 200
+
+
+def test_health_and_probes_find_everybody(rig: Running, face: httpx.Client) -> None:
+    assert face.get("/health").json()["status"] == "ok"
+    service, controller = rig.launch.settings.plant_service, rig.launch.settings.controller
+    assert "register 0" in probe.probe_fieldbus("127.0.0.1", service.modbus.port)
+    assert "UNKNOWN_SESSION" in probe.probe_reference("127.0.0.1", controller.reference_link.port)
+    assert probe.main(["rest", "127.0.0.1", str(rig.launch.settings.vision.api.port)]) == 0
+    assert face.get("/health").status_code == 200, "the probes must not have disturbed the link"
+
+
+def test_a_move_while_disabled_is_a_problem_and_nothing_moves(face: httpx.Client) -> None:
+    face.post("/disable")
+    before = tool(face)
+    answer = face.post("/operations/move", json={"offset_base_m": [0.0, 0.1, 0.0]})
+    assert answer.status_code == 409
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert answer.json()["cause"] == "refused.disabled"
+    time.sleep(0.5)
+    assert np.linalg.norm(tool(face) - before) < HELD_M
+
+
+@pytest.mark.parametrize(
+    ("body", "status"),
+    [
+        ('{"offset_base_m": [NaN, 0, 0]}', 422),
+        ('{"offset_base_m": [1e999, 0, 0]}', 422),
+        ('{"offset_base_m": [0, 0]}', 422),
+        ('{"X_BT": {"p_m": [4, 0, 1], "q_wxyz": [0.9, 0.9, 0, 0]}}', 422),
+        ('{"height_m": 3}', 422),
+        ("not JSON", 422),
+    ],
+)
+def test_a_reference_that_is_none_is_refused_at_the_door(face: httpx.Client, body: str, status: int) -> None:
+    enabled(face)
+    before = tool(face)
+    answer = face.post("/operations/move", content=body, headers={"content-type": "application/json"})
+    assert answer.status_code == status
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert answer.json()["cause"]
+    assert np.linalg.norm(tool(face) - before) < HELD_M
+
+
+def test_an_unreachable_reference_fails_with_the_controllers_reason(face: httpx.Client) -> None:
+    enabled(face)
+    before = tool(face)
+    answer = face.post("/operations/move", json={"offset_base_m": [2.5, 0.0, 0.0]})
+    assert answer.status_code == 202
+    operation = ended(face, answer.json())
+    assert operation["state"] == "failed"
+    problem = operation["problem"]
+    assert isinstance(problem, dict)
+    assert problem["cause"] in ("refused.unreachable", "refused.joint_limit", "refused.outside_workspace")
+    assert face.get("/state").json()["group_state"] == "standby"
+    assert np.linalg.norm(tool(face) - before) < HELD_M
+
+
+def test_looking_while_moving_is_refused_and_stop_ends_the_motion(face: httpx.Client) -> None:
+    enabled(face)
+    moving = face.post("/operations/move", json={"offset_base_m": [0.0, 0.2, 0.0], "duration_s": 8.0})
+    assert moving.status_code == 202
+    deadline = time.monotonic() + 5.0
+    while face.get("/state").json()["group_state"] != "moving":
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    refused = face.post("/operations/look", json={})
+    assert refused.status_code == 409
+    assert refused.json()["cause"] in ("refused.moving", "refused.busy")
+    assert face.post("/stop").status_code == 200
+    assert ended(face, moving.json())["state"] == "cancelled"
+    time.sleep(1.5)
+    before = tool(face)
+    time.sleep(0.5)
+    assert np.linalg.norm(tool(face) - before) < HELD_M
+
+
+def test_a_look_sees_tool_and_object_and_its_picture_can_be_had(face: httpx.Client) -> None:
+    operation = ended(face, face.post("/operations/look", json={"frames": 3}).json())
+    assert operation["state"] == "succeeded", operation["problem"]
+    assert face.get("/looks/latest").json()["frames"] == 3
+    picture = face.get("/camera/latest.png")
+    assert picture.content.startswith(b"\x89PNG")
+
+
+def test_a_move_moves_the_true_tool_as_far_as_asked(rig: Running, face: httpx.Client) -> None:
+    enabled(face)
+    began_ns = time.monotonic_ns()
+    operation = ended(face, face.post("/operations/move", json={"offset_base_m": [0, -0.06, 0.02]}).json())
+    assert operation["state"] == "succeeded", operation["problem"]
+    ended_ns = time.monotonic_ns()
+    time.sleep(0.3)
+    recording = read_truth(rig.launch.records(PLANT) / "truth.mcap")
+    tool_W = recording.stacked("X_WT")[:, :3, 3]
+    times = recording.log_ns()
+    first, last = np.searchsorted(times, [began_ns, ended_ns])
+    went = tool_W[min(int(last), len(tool_W) - 1)] - tool_W[int(first) - 1]
+    assert went == pytest.approx([0.0, -0.06, 0.02], abs=0.006)
