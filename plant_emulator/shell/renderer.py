@@ -65,9 +65,12 @@ class Renderer:
         self._lost = 0
         self._render_ns: list[int] = []
 
+    def warm_up(self) -> None:
+        """Compile the painters, or load what was compiled before; the first frame must not wait for that."""
+        self._camera.render(np.eye(4), np.eye(4), 0)
+
     def run(self) -> None:
-        """Serve until the plant closes its end."""
-        self._camera.render(np.eye(4), np.eye(4), 0)  # compiles, or loads what was compiled before
+        """Say that the renderer is ready, then serve until the plant closes its end."""
         self._report("ready")
         next_report = time.monotonic_ns() + _REPORT_NS
         while (capture := self._newest()) is not None:
@@ -125,7 +128,6 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     listen_fd, pose_fd, scheduling = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
-    os.sched_setscheduler(0, _POLICIES[scheduling], os.sched_param(0))
     cv2.setNumThreads(1)
     scene = SceneConfig.model_validate_json(sys.stdin.buffer.read())
     with socket.socket(fileno=pose_fd) as poses:
@@ -133,6 +135,8 @@ def main() -> int:
         renderer = Renderer(scene, poses, server)
         server.start()
         try:
+            renderer.warm_up()
+            os.sched_setscheduler(0, _POLICIES[scheduling], os.sched_param(0))
             renderer.run()
         except ConnectionError:
             pass  # the plant was killed: its end of the socket went with it

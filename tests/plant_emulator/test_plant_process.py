@@ -22,6 +22,9 @@ from protocol.stereo_frame import HEADER_BYTES, decode_header
 from tests.plant_emulator.camera_world import CONFIGS
 
 ANY_PORTS = ("plant_service.modbus.port=0", "plant_service.camera_stream.port=0")
+PATIENT = (
+    "plant_service.renderer_scheduling=normal",
+)  # the lowest priority may wait for ever on a busy machine
 READY_S = 60.0
 
 
@@ -36,7 +39,11 @@ def command(*arguments: str, settings: tuple[str, ...] = ANY_PORTS) -> list[str]
 def running(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
     """A plant that serves, and its ready line; ended at the latest when the block ends."""
     process = subprocess.Popen(
-        command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        command(*arguments, settings=(*ANY_PORTS, *PATIENT)),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     )
     try:
         assert process.stdout is not None
@@ -86,7 +93,7 @@ def test_serves_moves_records_and_ends(tmp_path: Path) -> None:
         assert ready["event"] == "ready"
         assert ready["scheduling"] in ("fifo", "normal")
         master = ModbusClient("127.0.0.1", ready["modbus"]["port"], timeout=2.0, auto_open=True)
-        with socket.create_connection(("127.0.0.1", ready["camera_stream"]["port"]), timeout=5.0) as stream:
+        with socket.create_connection(("127.0.0.1", ready["camera_stream"]["port"]), timeout=30.0) as stream:
             cycles = []
             for cycle in range(1, 60):
                 image = ValveImage(cycle, CONTROL_ENABLE, (0.4, 0.0, 0.0, 0.0, 0.0, 0.0))
