@@ -2,6 +2,7 @@
 
 import math
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -55,12 +56,25 @@ def hat(v: ArrayLike) -> Array:
 
 def exp_so3(w: ArrayLike) -> Array:
     """R (3×3) that turns by the rotation vector ``w`` (3,), rad."""
-    w = np.asarray(w, dtype=np.float64)
-    angle = float(np.linalg.norm(w))
-    W = hat(w)
+    return np.asarray(rodrigues(np.array(w, dtype=np.float64)))
+
+
+@numba.njit(cache=True, nogil=True)
+def rodrigues(w: Array) -> Array:
+    """R (3×3) of the rotation vector ``w`` (3,), for compiled callers; others want ``exp_so3``."""
+    x, y, z = w
+    angle = math.sqrt(x * x + y * y + z * z)
     if angle < _SMALL_ANGLE:
-        return np.eye(3) + W + 0.5 * (W @ W)
-    return np.eye(3) + (math.sin(angle) / angle) * W + ((1.0 - math.cos(angle)) / angle**2) * (W @ W)
+        a, b = 1.0, 0.5
+    else:
+        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2
+    return np.array(
+        [
+            [1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
+            [b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x],
+            [b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)],
+        ]
+    )
 
 
 def log_so3(R: Array) -> Array:

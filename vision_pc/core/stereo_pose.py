@@ -10,10 +10,13 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, StereoOffset
+
+Indices = NDArray[np.int64]
 
 _BODY = 7  # unknowns of a body: δp, δθ, relative size
 _ITERATIONS = 12
@@ -61,37 +64,32 @@ class Solution(NamedTuple):
 
 def solve(views: list[View], starts: list[Array], camera: CameraCalibration, beliefs: Beliefs) -> Solution:
     """The most probable poses of all ``views`` together, from ``starts`` (one 4×4 each)."""
-    eyes = _eyes(camera)
-    count = len(views)
-    poses, sizes = [X.copy() for X in starts], np.zeros(count)
-    offset = np.array([beliefs.offset.x_px, beliefs.offset.y_px])
-    believed = offset.copy()
-    prior = np.array([beliefs.offset.std_x_px, beliefs.offset.std_y_px]) ** -2.0
-    for _ in range(_ITERATIONS):
-        H, g, sums = _normal_equations(views, poses, sizes, offset, eyes, beliefs.corner_std_px)
-        H[np.diag_indices(count * _BODY)] += np.tile([0.0] * 6 + [beliefs.print_size_std**-2.0], count)
-        g[6 : count * _BODY : _BODY] -= sizes * beliefs.print_size_std**-2.0
-        H[[-2, -1], [-2, -1]] += prior
-        g[-2:] -= (offset - believed) * prior
-        step = np.linalg.solve(H, g)
-        for k in range(count):
-            poses[k] = se3.retract(poses[k], step[k * _BODY : k * _BODY + 6])
-        sizes += step[6 : count * _BODY : _BODY]
-        offset += step[-2:]
-        if np.abs(step[:-2]).max() < _CONVERGED:
-            break
+    count, offset = len(views), beliefs.offset
+    poses, sizes, shift, H, sums = _minimised(
+        np.concatenate([view.points for view in views]),
+        np.concatenate([view.rays for view in views], axis=1),
+        np.concatenate([view.seen for view in views], axis=1),
+        np.cumsum([0, *(len(view.points) for view in views)]),
+        np.stack(starts),
+        _eyes(camera),
+        np.array([offset.x_px, offset.y_px]),
+        np.array([offset.std_x_px, offset.std_y_px]) ** -2.0,
+        beliefs.print_size_std**-2.0,
+        beliefs.corner_std_px,
+    )
     covariance = _inverse(H)
     blocks = [slice(k * _BODY, k * _BODY + 6) for k in range(count)]
     noise = [_inverse(H[block, block]) for block in blocks]
+    stds = np.sqrt(np.diag(covariance)).tolist()
     return Solution(
-        poses,
+        list(poses),
         [covariance[block, block] for block in blocks],
         [covariance[block, block] - part for block, part in zip(blocks, noise, strict=True)],
-        [float(s[0]) for s in sums],
-        [math.sqrt(float(s[1]) / max(float(s[2]), 1.0)) for s in sums],
-        [1.0 + float(size) for size in sizes],
-        [math.sqrt(float(covariance[k * _BODY + 6, k * _BODY + 6])) for k in range(count)],
-        StereoOffset(float(offset[0]), float(offset[1]), *np.sqrt(np.diag(covariance)[-2:]).tolist()),
+        sums[:, 0].tolist(),
+        np.sqrt(sums[:, 1] / np.maximum(sums[:, 2], 1.0)).tolist(),
+        (1.0 + sizes).tolist(),
+        stds[6 : count * _BODY : _BODY],
+        StereoOffset(float(shift[0]), float(shift[1]), stds[-2], stds[-1]),
     )
 
 
@@ -108,19 +106,58 @@ def _eyes(camera: CameraCalibration) -> Array:
     return np.stack(rows)
 
 
-def _normal_equations(
-    views: list[View], poses: list[Array], sizes: Array, offset: Array, eyes: Array, std_px: float
-) -> tuple[Array, Array, list[Array]]:
-    """H and g of the step H x = g over all bodies and the offset, and each body's (χ², Σ px², count)."""
-    unknowns = len(views) * _BODY + 2
-    H, g, sums = np.zeros((unknowns, unknowns)), np.zeros(unknowns), []
-    for k, view in enumerate(views):
-        h, b, s = _accumulate(view.points, view.rays, view.seen, poses[k], sizes[k], offset, eyes, std_px)
-        rows = np.r_[k * _BODY : (k + 1) * _BODY, unknowns - 2 : unknowns]
-        H[np.ix_(rows, rows)] += h
-        g[rows] += b
-        sums.append(s)
-    return H, g, sums
+@numba.njit(cache=True, nogil=True)
+def _minimised(
+    points: Array,
+    rays: Array,
+    seen: Array,
+    ends: Indices,
+    starts: Array,
+    eyes: Array,
+    believed: Array,
+    offset_precision: Array,
+    size_precision: float,
+    std_px: float,
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Gauss-Newton over all bodies: poses (k, 4, 4), sizes (k,), offset (2,), information, (k, 3) sums.
+
+    Body k owns points ``ends[k]`` to ``ends[k + 1]``. The sums are robust χ², Σ residual² and count.
+    """
+    count = len(starts)
+    unknowns = count * _BODY + 2
+    poses, sizes, offset = starts.copy(), np.zeros(count), believed.copy()
+    H, sums = np.zeros((unknowns, unknowns)), np.zeros((count, 3))
+    for _ in range(_ITERATIONS):
+        H[:] = 0.0
+        g = np.zeros(unknowns)
+        for k in range(count):
+            own = slice(ends[k], ends[k + 1])
+            h, b, total = _accumulate(
+                points[own], rays[:, own], seen[:, own], poses[k], sizes[k], offset, eyes, std_px
+            )
+            first = k * _BODY
+            for i in range(_BODY + 2):
+                row = first + i if i < _BODY else unknowns - 2 + i - _BODY
+                g[row] += b[i]
+                for j in range(_BODY + 2):
+                    column = first + j if j < _BODY else unknowns - 2 + j - _BODY
+                    H[row, column] += h[i, j]
+            sums[k] = total
+            H[first + 6, first + 6] += size_precision
+            g[first + 6] -= sizes[k] * size_precision
+        for i in range(2):
+            H[unknowns - 2 + i, unknowns - 2 + i] += offset_precision[i]
+            g[unknowns - 2 + i] -= (offset[i] - believed[i]) * offset_precision[i]
+        step = np.linalg.solve(H, g).astype(np.float64)  # for the type checker alone
+        for k in range(count):
+            first = k * _BODY
+            poses[k, :3, :3] = se3.rodrigues(step[first + 3 : first + 6]) @ poses[k, :3, :3].copy()
+            poses[k, :3, 3] += step[first : first + 3]
+            sizes[k] += step[first + 6]
+        offset += step[-2:]
+        if np.abs(step[:-2]).max() < _CONVERGED:
+            break
+    return poses, sizes, offset, H, sums
 
 
 @numba.njit(cache=True, nogil=True)
