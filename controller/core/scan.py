@@ -51,10 +51,13 @@ def scan(settings: Settings, state: ScanState, inputs: ScanInput) -> tuple[ScanS
     state = state._replace(cycle=state.cycle + 1, watch=watch, tool=tool_state(settings.table, watch.q_meas))
     state = _supervised(settings, state, inputs, events)
     acknowledgements: list[Acknowledgement] = []
+    latched = state.fault
     for request in inputs.requests:
         state, acknowledgement = answered(settings, state, inputs, request)
         acknowledgements.append(acknowledgement)
         events.append(_answer_event(request, acknowledgement))
+    if state.fault is not latched and state.fault.code is not FaultCode.NONE:  # an emergency stop
+        events.append(ScanEvent("fault", state.fault.code.name, state.fault.value, state.fault.limit))
     state = _moved(settings, state, inputs.dt_s)
     state = _driven(settings, state, inputs.dt_s, events)
     if state.mode is not mode_before:
@@ -87,7 +90,10 @@ def _supervised(
             state, event = faulted(settings, state, Fault(FaultCode.REFERENCE_LINK_LOST, 0.0, 0.0))
             events.append(event)
         else:
-            state = entered(settings, state, transition(state.mode, Stimulus.UNATTENDED).mode)
+            after = transition(state.mode, Stimulus.UNATTENDED).mode
+            if after is not state.mode:
+                events.append(ScanEvent("unattended", FaultCode.REFERENCE_LINK_LOST.name, 0.0, 0.0))
+            state = entered(settings, state, after)
     return state
 
 

@@ -23,6 +23,7 @@ from protocol.process_image import (
 from tests.controller.obedient_plant import START_DEG, counts
 
 _SPEEDS = (2.67, 2.12, 2.16, 8.2, 8.2, 8.2)
+_DEADBAND = 0.005  # as the controller compensates
 
 
 class PlantServer(ModbusTcpServer):
@@ -68,8 +69,8 @@ class PlantServer(ModbusTcpServer):
         now_s = time.monotonic()
         dt_s, self._moved_at_s = now_s - self._moved_at_s, now_s
         if self._enabled():
-            valves = self.written[-1].valves
-            self._q = [q + u * v * dt_s for q, u, v in zip(self._q, valves, _SPEEDS, strict=True)]
+            openings = [math.copysign(max(abs(u) - _DEADBAND, 0.0), u) for u in self.written[-1].valves]
+            self._q = [q + u * v * dt_s for q, u, v in zip(self._q, openings, _SPEEDS, strict=True)]
 
     def _image(self) -> SensorImage:
         self._cycle += 1

@@ -162,6 +162,7 @@ def test_emergency_stop_centres_at_once_and_needs_release_reset_enable(settings:
     assert bench.last.valves.control == 0
     assert bench.last.view.flags & FLAG_EMERGENCY_LATCHED
     assert (bench.last.view.fault, bench.last.view.severity) == (FaultCode.EMERGENCY_STOP, Severity.EMERGENCY)
+    assert ("fault", "EMERGENCY_STOP") in [event[:2] for event in bench.last.events]
     assert bench.command(CommandCode.RESET) is Reason.EMERGENCY_LATCHED
     assert bench.command(CommandCode.ENABLE) is Reason.EMERGENCY_LATCHED
     assert bench.command(CommandCode.EMERGENCY_RELEASE) is Reason.ACCEPTED

@@ -125,6 +125,7 @@ def test_an_unattended_standby_is_disabled_without_a_fault(settings: Settings) -
     bench = Bench(settings).enabled()
     bench.link_alive = False
     bench.step()
+    assert "unattended" in [event.name for event in bench.last.events]
     assert bench.last.view.group_state is GroupState.DISABLED
     assert bench.last.view.fault is FaultCode.NONE
     bench.link_alive = True
