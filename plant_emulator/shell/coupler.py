@@ -164,17 +164,14 @@ class Coupler:
         self._watchdog.gone(connection)
 
     def _configured(self, address: int, values: Sequence[int]) -> int:
-        # Several registers are written one after another, up to the first that refuses.
         now_ns = self._clock_ns()
-        for at, word in enumerate(values, address):
-            code = self._watchdog.configure(self._asking, at, word, now_ns)
-            if code:
-                return code
+        # Each of these registers is a block of its own, so exactly one word comes.
+        code = self._watchdog.configure(self._asking, address, values[0], now_ns)
         # The pending alarm was set by the old time.
         if self._alarm is not None:
             self._alarm.cancel()
             self._set_alarm(now_ns)
-        return 0
+        return code
 
     def _look_at_watchdog(self, now_ns: int) -> None:
         if not self._watchdog.look(now_ns):

@@ -2,9 +2,12 @@
 
 from collections.abc import Callable
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
+from testbed.conformance.master import Master
 from testbed.conformance.peer import Peer
+
+P = TypeVar("P")
 
 
 class Outcome(Enum):
@@ -16,16 +19,17 @@ class Outcome(Enum):
 
 
 class Case(NamedTuple):
-    """One numbered question to the peer. ``motion``: it enables the group or moves the arm."""
+    """One numbered question to the peer. ``motion``: it enables the group, moves or writes outputs."""
 
     number: int
     clause: str
     title: str
     motion: bool
-    run: Callable[[Peer], None]
+    # Any: of the peer's class that the case's suite opens.
+    run: Callable[[Any], None]
 
 
-class Register:
+class Register(Generic[P]):
     """Cases in the order of their numbers, filled by decorators."""
 
     def __init__(self) -> None:
@@ -33,10 +37,10 @@ class Register:
 
     def case(
         self, number: int, clause: str, title: str, *, motion: bool = False
-    ) -> Callable[[Callable[[Peer], None]], Callable[[Peer], None]]:
+    ) -> Callable[[Callable[[P], None]], Callable[[P], None]]:
         """Decorator that enters a function; raises ValueError when the number is taken."""
 
-        def enter(run: Callable[[Peer], None]) -> Callable[[Peer], None]:
+        def enter(run: Callable[[P], None]) -> Callable[[P], None]:
             if number in self._cases:
                 raise ValueError(f"case {number} is there twice")
             self._cases[number] = Case(number, clause, title, motion, run)
@@ -50,4 +54,5 @@ class Register:
         return tuple(self._cases[number] for number in sorted(self._cases))
 
 
-reference = Register()
+reference = Register[Peer]()
+coupler = Register[Master]()

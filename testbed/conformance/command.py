@@ -1,6 +1,7 @@
 """``longreach conformance``: the suites at the terminal."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -11,53 +12,110 @@ from rich.progress import Progress
 from rich.table import Table
 
 from protocol.errors import ConfigurationError
-from testbed.conformance.case import Outcome
+from testbed.conformance.case import Case, Outcome
 from testbed.conformance.records import as_json, write_records
-from testbed.conformance.runner import Result, Summary, reference_cases, run_reference
+from testbed.conformance.runner import (
+    Result,
+    Summary,
+    coupler_cases,
+    reference_cases,
+    run_coupler,
+    run_reference,
+)
 
-app = typer.Typer(help="Numbered questions to any controller, each citing a clause of docs/protocol.md.")
+app = typer.Typer(help="Numbered questions to any controller or coupler, each citing a written clause.")
 
 _STYLES = {Outcome.PASS: "green", Outcome.FAIL: "bold red", Outcome.UNSUPPORTED: "yellow"}
 
 
 @app.callback()
 def conformance() -> None:
-    """Numbered questions to any controller, each citing a clause of docs/protocol.md."""
+    """Numbered questions to any controller or coupler, each citing a written clause."""
+
+
+Host = Annotated[str, typer.Option(help="Where it is.")]
+Cases = Annotated[list[int] | None, typer.Option("--case", help="Only this case; repeatable.")]
+ListCases = Annotated[bool, typer.Option("--list", help="List the cases and end.")]
+Records = Annotated[
+    Path | None, typer.Option(help="Write JUnit, JSON and the bytes of every case into this directory.")
+]
+JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the results to this file.")]
 
 
 @app.command(epilog="Example: longreach conformance reference --host 127.0.0.1 --port 47000 --records out")
 def reference(
-    host: Annotated[str, typer.Option(help="Where the controller is.")] = "127.0.0.1",
+    host: Host = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Its UDP port.")] = 47000,
-    case: Annotated[list[int] | None, typer.Option(help="Only this case; repeatable.")] = None,
+    case: Cases = None,
     motion: Annotated[
         bool, typer.Option("--motion", help="Also enable the group and move by 20 mm.")
     ] = False,
-    list_cases: Annotated[bool, typer.Option("--list", help="List the cases and end.")] = False,
-    records: Annotated[
-        Path | None, typer.Option(help="Write JUnit, JSON and the bytes of every case into this directory.")
-    ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the results to this file.")] = None,
+    list_cases: ListCases = False,
+    records: Records = None,
+    json_file: JsonFile = None,
     seed: Annotated[int, typer.Option(min=0, help="Start of nonces and ids; 0: from the clock.")] = 0,
 ) -> None:
     """Ask a controller on the reference link; exit status 1 unless every supported case passes."""
-    console = Console()
     if list_cases:
-        _list(console)
+        _list(reference_cases())
         return
-    wanted = set(case) if case else {c.number for c in reference_cases()}
-    unknown = wanted - {c.number for c in reference_cases()}
-    if unknown:
-        raise ConfigurationError("conformance.unknown_case", f"--case {min(unknown)}: see --list")
+    wanted = _wanted(case, reference_cases())
+
+    def run(show: Callable[[Result], None]) -> Summary:
+        return run_reference(host, port, numbers=wanted, motion=motion, seed=seed, on_result=show)
+
+    _finish(len(wanted), run, records, json_file)
+
+
+@app.command(epilog="Example: longreach conformance coupler --host 127.0.0.1 --port 1502 --outputs")
+def coupler(
+    host: Host = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Its Modbus TCP port.")] = 1502,
+    unit: Annotated[int, typer.Option(min=0, max=255, help="The unit id to address.")] = 1,
+    case: Cases = None,
+    outputs: Annotated[
+        bool, typer.Option("--outputs", help="Also write outputs and let the watchdog expire.")
+    ] = False,
+    list_cases: ListCases = False,
+    records: Records = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Ask a bus coupler over Modbus TCP; exit status 1 unless every supported case passes."""
+    if list_cases:
+        _list(coupler_cases())
+        return
+    wanted = _wanted(case, coupler_cases())
+
+    def run(show: Callable[[Result], None]) -> Summary:
+        return run_coupler(host, port, unit=unit, numbers=wanted, outputs=outputs, on_result=show)
+
+    _finish(len(wanted), run, records, json_file)
+
+
+def _wanted(chosen: list[int] | None, cases: tuple[Case, ...]) -> set[int]:
+    numbers = {case.number for case in cases}
+    wanted = set(chosen) if chosen else numbers
+    if wanted - numbers:
+        raise ConfigurationError("conformance.unknown_case", f"--case {min(wanted - numbers)}: see --list")
+    return wanted
+
+
+def _finish(
+    total: int,
+    run: Callable[[Callable[[Result], None]], Summary],
+    records: Path | None,
+    json_file: Path | None,
+) -> None:
+    console = Console()
     with Progress(console=console, transient=True) as progress:
-        task = progress.add_task("asking", total=len(wanted))
+        task = progress.add_task("asking", total=total)
 
         def show(result: Result) -> None:
             progress.advance(task)
             if result.outcome is Outcome.FAIL:
                 progress.console.print(_line(result))
 
-        summary = run_reference(host, port, numbers=wanted, motion=motion, seed=seed, on_result=show)
+        summary = run(show)
     _print(console, summary)
     if records is not None:
         write_records(summary, records)
@@ -66,11 +124,11 @@ def reference(
     raise typer.Exit(0 if summary.passed else 1)
 
 
-def _list(console: Console) -> None:
+def _list(cases: tuple[Case, ...]) -> None:
     table = Table("case", "clause", "moves", "question")
-    for case in reference_cases():
+    for case in cases:
         table.add_row(str(case.number), case.clause, "yes" if case.motion else "", escape(case.title))
-    console.print(table)
+    Console().print(table)
 
 
 def _line(result: Result) -> str:

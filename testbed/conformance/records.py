@@ -12,6 +12,7 @@ from testbed.conformance.runner import Result, Summary
 from testbed.conformance.wire import Line
 
 _BYTES_A_LINE = 32
+_MBAP_BYTES = 7
 
 
 def write_records(summary: Summary, directory: Path) -> None:
@@ -21,12 +22,13 @@ def write_records(summary: Summary, directory: Path) -> None:
     (directory / "junit.xml").write_bytes(junit(summary))
     (directory / "results.json").write_text(json.dumps(as_json(summary), indent=1) + "\n")
     for result in summary.results:
-        (transcripts / f"{result.case.number}.txt").write_text(transcript(result))
+        (transcripts / f"{result.case.number}.txt").write_text(transcript(result, summary.suite))
 
 
 def as_json(summary: Summary) -> dict[str, Any]:
     """The summary as plain data."""
     return {
+        "suite": summary.suite,
         "host": summary.host,
         "port": summary.port,
         **{outcome.value: summary.count(outcome) for outcome in Outcome},
@@ -48,7 +50,7 @@ def junit(summary: Summary) -> bytes:
     """The summary as JUnit XML; an unsupported case is a skipped one."""
     suite = ElementTree.Element(
         "testsuite",
-        name="reference link",
+        name=summary.suite,
         tests=str(len(summary.results)),
         failures=str(summary.count(Outcome.FAIL)),
         skipped=str(summary.count(Outcome.UNSUPPORTED)),
@@ -69,23 +71,35 @@ def junit(summary: Summary) -> bytes:
     return document
 
 
-def transcript(result: Result) -> str:
-    """Every datagram of a case: when, which way, what it says, and its bytes."""
+def transcript(result: Result, suite: str) -> str:
+    """Every datagram or frame of a case: when, which way, what it says, and its bytes."""
     case = result.case
+    says = _modbus if suite == "coupler" else _datagram
     head = [
         f"{case.number} (clause {case.clause}) {case.title}",
         f"{result.outcome.value} {result.detail}",
         "",
     ]
-    return "\n".join(head + [_spoken(line) for line in result.transcript]) + "\n"
+    return "\n".join(head + [_shown(line, says(line.data)) for line in result.transcript]) + "\n"
 
 
-def _spoken(line: Line) -> str:
+def _datagram(data: bytes) -> str:
     try:
-        header, message = decode(line.data)
-        what = f"{type(message).__name__} sequence {header.sequence} session {header.session:x}"
+        header, message = decode(data)
     except DatagramRefused as error:
-        what = error.cause
+        return error.cause
+    return f"{type(message).__name__} sequence {header.sequence} session {header.session:x}"
+
+
+def _modbus(data: bytes) -> str:
+    if len(data) < _MBAP_BYTES + 1:
+        return "part of a frame"
+    function = data[_MBAP_BYTES]
+    what = f"function {function & 0x7F}" + (f" exception {data[-1]}" if function & 0x80 else "")
+    return f"transaction {int.from_bytes(data[:2], 'big')} unit {data[6]} {what}"
+
+
+def _shown(line: Line, what: str) -> str:
     arrow = "→" if line.direction == "send" else "←"
     rows = [line.data[i : i + _BYTES_A_LINE].hex() for i in range(0, len(line.data), _BYTES_A_LINE)]
     return "\n    ".join([f"{line.at_ms:9.2f} ms {arrow} {len(line.data)} bytes, {what}", *rows])

@@ -1,15 +1,17 @@
-"""Runs the cases against a controller at a host and port, and tells what came of each."""
+"""Runs the cases against a controller or coupler at a host and port, and tells what came of each."""
 
 import time
 from collections.abc import Callable, Iterable
 from importlib import import_module
 from typing import NamedTuple
 
-from testbed.conformance.case import Case, Outcome, reference
+from testbed.conformance.case import Case, Outcome, coupler, reference
+from testbed.conformance.master import Master
 from testbed.conformance.peer import Peer
 from testbed.conformance.wire import Failed, Line, NonceSource, Unsupported
 
 # Loading a module enters its cases.
+_COUPLER_MODULES = ("coupler_frames", "coupler_registers", "coupler_outputs", "coupler_watchdog")
 _MODULES = ("framing", "sessions", "lifetime", "order", "requests", "group", "motion")
 
 
@@ -26,6 +28,7 @@ class Result(NamedTuple):
 class Summary(NamedTuple):
     """Results in the order of the cases."""
 
+    suite: str
     host: str
     port: int
     results: tuple[Result, ...]
@@ -71,23 +74,70 @@ def run_reference(
         result = _run(case, host, port, nonces, motion)
         results.append(result)
         on_result(result)
-    return Summary(host, port, tuple(results))
+    return Summary("reference link", host, port, tuple(results))
 
 
 def _run(case: Case, host: str, port: int, nonces: NonceSource, motion: bool) -> Result:
     if case.motion and not motion:
         return Result(case, Outcome.UNSUPPORTED, "moves the arm: not allowed in this run", 0.0, ())
-    peer = Peer(host, port, nonces)
+    return _ask(case, Peer(host, port, nonces))
+
+
+def coupler_cases() -> tuple[Case, ...]:
+    """All cases for the coupler, by number."""
+    for module in _COUPLER_MODULES:
+        import_module(f"testbed.conformance.{module}")
+    return coupler.cases
+
+
+def run_coupler(
+    host: str,
+    port: int,
+    *,
+    unit: int = 1,
+    numbers: Iterable[int] | None = None,
+    outputs: bool = False,
+    on_result: Callable[[Result], None] = lambda result: None,
+) -> Summary:
+    """Results of the coupler's cases against the Modbus TCP coupler at ``host``:``port``.
+
+    ``numbers``: only these cases. ``outputs``: also those that write outputs and let the watchdog expire;
+    without it they count as unsupported. ``on_result`` is called after every case.
+    """
+    wanted = None if numbers is None else set(numbers)
+    results = []
+    for case in coupler_cases():
+        if wanted is not None and case.number not in wanted:
+            continue
+        result = _run_coupler(case, host, port, unit, outputs)
+        results.append(result)
+        on_result(result)
+    return Summary("coupler", host, port, tuple(results))
+
+
+def _run_coupler(case: Case, host: str, port: int, unit: int, outputs: bool) -> Result:
+    if case.motion and not outputs:
+        return Result(case, Outcome.UNSUPPORTED, "writes outputs: not allowed in this run", 0.0, ())
+    try:
+        master = Master(host, port, unit, outputs=outputs)
+    except OSError as error:
+        detail = f"no connection: {error.strerror or error}"
+        return Result(case, Outcome.FAIL, detail, 0.0, ())
+    return _ask(case, master)
+
+
+def _ask(case: Case, peer: Peer | Master) -> Result:
     begin = time.monotonic()
     outcome, detail = Outcome.PASS, ""
     try:
-        case.run(peer)
+        try:
+            case.run(peer)
+        finally:
+            peer.close()
     except Unsupported as reason:
         outcome, detail = Outcome.UNSUPPORTED, str(reason)
     except Failed as reason:
         outcome, detail = Outcome.FAIL, str(reason)
     except OSError as error:
-        outcome, detail = Outcome.FAIL, f"the socket failed: {error.strerror}"
-    finally:
-        peer.close()
+        outcome, detail = Outcome.FAIL, f"the socket failed: {error.strerror or error}"
     return Result(case, outcome, detail, time.monotonic() - begin, tuple(peer.transcript))

@@ -107,7 +107,7 @@ def test_records_tell_the_same_story(tmp_path: Path) -> None:
 
 
 def test_a_number_is_given_once() -> None:
-    register = Register()
+    register = Register[None]()
     register.case(1, "1.1", "one")(lambda peer: None)
     with pytest.raises(ValueError, match="twice"):
         register.case(1, "1.1", "one again")(lambda peer: None)

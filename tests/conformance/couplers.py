@@ -1,0 +1,67 @@
+"""A coupler in a thread of its own, to be asked over a real socket; and ones with a fault each."""
+
+import asyncio
+import socket
+import threading
+import time
+from types import TracebackType
+from typing import Any
+
+from plant_emulator.shell.coupler import Coupler
+from protocol.process_image import SensorImage, ValveImage, encode_sensors
+
+RELEASE_NS = 60_000_000_000
+
+
+class ThreadedCoupler:
+    """Our own coupler; a mutant overrides what it gets wrong."""
+
+    def __init__(self) -> None:
+        self.written: list[ValveImage] = []
+        self.port = 0
+        self._ready = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()))
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._stop: asyncio.Event | None = None
+
+    def make(self) -> Coupler:
+        """The coupler to serve."""
+        return Coupler(self.sensors, self.written.append, RELEASE_NS, time.monotonic_ns)
+
+    def sensors(self) -> list[int]:
+        """The input image."""
+        return encode_sensors(SensorImage(7, 9, 5, (1, 2, 3, 4, 5, 6), ((1.0, 2.0),) * 6, 190.0, 10.0, 40.0))
+
+    def altered(self, coupler: Coupler, master: Any, unit: int, pdu: bytes, answer: Any) -> bytes:
+        """The answer to give; ``answer()`` makes the right one."""
+        right: bytes = answer(pdu)
+        return right
+
+    async def _serve(self) -> None:
+        self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
+        coupler = self.make()
+        right = coupler.answer
+
+        def answer(master: object, unit: int, pdu: bytes) -> bytes:
+            return self.altered(coupler, master, unit, pdu, lambda asked: right(master, unit, asked))
+
+        coupler.answer = answer  # type: ignore[method-assign]
+        with socket.socket() as bound:
+            bound.bind(("127.0.0.1", 0))
+            _, self.port = await coupler.start(bound)
+            self._ready.set()
+            await self._stop.wait()
+            await coupler.stop()
+
+    def __enter__(self) -> "ThreadedCoupler":
+        self._thread.start()
+        assert self._ready.wait(10.0)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        assert self._loop is not None
+        assert self._stop is not None
+        self._loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join(10.0)

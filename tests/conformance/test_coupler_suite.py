@@ -1,0 +1,89 @@
+"""The coupler's suite: our own coupler passes every case, and every broken one is caught by its own."""
+
+import json
+import re
+import socket
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from typer.testing import CliRunner
+
+from testbed.conformance.case import Outcome
+from testbed.conformance.command import app
+from testbed.conformance.records import write_records
+from testbed.conformance.runner import coupler_cases, run_coupler
+from tests.conformance.coupler_mutants import MUTANTS, Mutant
+from tests.conformance.couplers import ThreadedCoupler
+
+PAGE = Path(__file__).parents[2] / "docs" / "process_image.md"
+CONTROL = 601
+
+
+def test_our_own_coupler_passes_every_case() -> None:
+    with ThreadedCoupler() as coupler:
+        summary = run_coupler("127.0.0.1", coupler.port, outputs=True)
+    bad = [(r.case.number, r.outcome, r.detail) for r in summary.results if r.outcome is not Outcome.PASS]
+    assert bad == []
+    assert len(summary.results) == len(coupler_cases()) >= 70
+
+
+@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda m: f"{m.make.__name__}-{m.case}")
+def test_each_broken_coupler_is_caught_by_the_case_meant_for_it(mutant: Mutant) -> None:
+    with mutant.make() as coupler:
+        summary = run_coupler("127.0.0.1", coupler.port, numbers=[CONTROL, mutant.case], outputs=True)
+    outcomes = {result.case.number: result.outcome for result in summary.results}
+    assert outcomes == {CONTROL: Outcome.PASS, mutant.case: Outcome.FAIL}
+
+
+def test_every_case_cites_a_clause_that_is_written_and_every_section_is_asked_about() -> None:
+    clauses = set(re.findall(r"^\*\*(\d+\.\d+)\*\*", PAGE.read_text(), re.MULTILINE))
+    cited = {case.clause for case in coupler_cases()}
+    assert cited <= clauses
+    assert {clause.split(".")[0] for clause in cited} == {"1", "2", "3", "4", "5"}
+
+
+def test_without_leave_no_case_writes_outputs() -> None:
+    with ThreadedCoupler() as coupler:
+        summary = run_coupler("127.0.0.1", coupler.port)
+        assert coupler.written == []
+    assert summary.count(Outcome.FAIL) == 0
+    motion = {case.number for case in coupler_cases() if case.motion}
+    assert {r.case.number for r in summary.results if r.outcome is Outcome.UNSUPPORTED} == motion
+
+
+def test_a_coupler_that_another_master_drives_is_unsupported_not_failed() -> None:
+    with (
+        ThreadedCoupler() as coupler,
+        socket.create_connection(("127.0.0.1", coupler.port), timeout=2.0) as owner,
+    ):
+        owner.sendall(bytes.fromhex("0001 0000 0006 01 06 080C 0001"))
+        assert owner.recv(64)[7] == 6
+        summary = run_coupler("127.0.0.1", coupler.port, numbers=[CONTROL, 651], outputs=True)
+    assert [r.outcome for r in summary.results] == [Outcome.PASS, Outcome.UNSUPPORTED]
+
+
+def test_the_command_writes_records_and_ends_with_its_verdict(tmp_path: Path) -> None:
+    runner = CliRunner()
+    with ThreadedCoupler() as coupler:
+        arguments = ["coupler", "--port", str(coupler.port), "--case", "601", "--case", "651"]
+        good = runner.invoke(app, [*arguments, "--records", str(tmp_path)])
+    assert good.exit_code == 0, good.output
+    assert "1 pass, 0 fail, 1 unsupported" in good.output
+    assert json.loads((tmp_path / "results.json").read_text())["suite"] == "coupler"
+    assert ElementTree.parse(tmp_path / "junit.xml").getroot().get("name") == "coupler"
+    text = (tmp_path / "transcripts" / "601.txt").read_text()
+    assert "000100000006010300000001" in text
+    assert "transaction 1 unit 1 function 3" in text
+    bad = runner.invoke(app, arguments)
+    assert bad.exit_code == 1
+    assert "no connection" in bad.output.replace("\n", " ")
+
+
+def test_records_of_a_failure_name_it(tmp_path: Path) -> None:
+    mutant = MUTANTS[0]
+    with mutant.make() as coupler:
+        write_records(run_coupler("127.0.0.1", coupler.port, numbers=[mutant.case]), tmp_path)
+    failure = ElementTree.parse(tmp_path / "junit.xml").getroot().find("testcase/failure")
+    assert failure is not None
+    assert "wanted 8303" in (failure.get("message") or "")
