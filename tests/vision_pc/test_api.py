@@ -43,7 +43,7 @@ async def test_the_whole_procedure_brings_the_tool_inside_5_mm(station: Bench) -
     assert matched["state"] == "succeeded", matched["problem"]
     assert matched["result"]["rotation_std_deg"] < 2.0
     for _ in range(2):
-        moved = await station.run("look-then-move", {"inputs": 1, "tolerance_mm": 5.0})
+        moved = await station.run("look-then-move", {"inputs": 1, "tolerance_mm": 5.0, "aim_mm": 0.0})
         assert moved["state"] == "succeeded", moved["problem"]
     error = 1e3 * station.rig.true_error(0.1)
     assert np.abs(error[:2]).max() < 5.0 < 1e3 * before

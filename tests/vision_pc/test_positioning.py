@@ -53,7 +53,9 @@ async def test_whole_procedure_over_seeds_two_looks_inside_5_mm() -> None:
     assert np.median(first) < 0.008
     assert max(first) < 0.025
     assert max(second) < 0.005
-    assert 0.4 < np.sqrt(np.mean(np.square(scores))) < 1.2  # the stated uncertainty is honest
+    honesty = float(np.sqrt(np.mean(np.square(scores))))
+    print(f"normalised error after the first input: {honesty:.2f} rms")
+    assert 0.5 < honesty < 1.3
 
 
 async def test_it_ends_inside_the_aim_and_says_so_and_leaves_it_at_that() -> None:

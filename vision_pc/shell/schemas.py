@@ -80,11 +80,13 @@ class LookThenMoveBody(Body):
     inputs: int | None = Field(None, ge=1, le=10, examples=[1])
     clearance_m: float | None = Field(None, ge=0.0, le=1.0, examples=[0.1])
     tolerance_mm: float | None = Field(None, gt=0.0, le=100.0, examples=[5.0])
+    aim_mm: float | None = Field(None, ge=0.0, le=100.0, description="No input below this; 0: always one")
 
     def overrides(self) -> JSON:
         """The members that were given, as settings."""
-        given = self.model_dump(exclude_none=True, exclude={"method", "tolerance_mm"})
-        return given if self.tolerance_mm is None else given | {"tolerance_m": self.tolerance_mm / 1e3}
+        given = self.model_dump(exclude_none=True, exclude={"method", "tolerance_mm", "aim_mm"})
+        lengths = {"tolerance_m": self.tolerance_mm, "aim_m": self.aim_mm}
+        return given | {name: 1e-3 * value for name, value in lengths.items() if value is not None}
 
 
 class PoseBody(Body):
@@ -116,8 +118,33 @@ class MoveBody(Body):
         return self
 
 
+_OPERATION_EXAMPLE: JSON = {
+    "id": "5f0c2a9be1d4",
+    "kind": "look-then-move",
+    "state": "succeeded",
+    "progress": 1.0,
+    "note": "reached: error +0.5 +0.2 -1.0 mm, inside 5 mm",
+    "notes": [[0.0, "looking"], [0.23, "look 1: error -328.8 -65.0 +552.2 mm, outside 5 mm"]],
+    "request": {"method": "calibrated", "inputs": 1},
+    "created_at": 1.7e9,
+    "started_at": 1.7e9,
+    "ended_at": 1.700000012e9,
+    "result": {
+        "error_mm": {"x": 0.47, "y": 0.23, "z": -0.98},
+        "std_mm": {"x": 0.2, "y": 0.2, "z": 0.6},
+        "tolerance_mm": 5.0,
+        "verdict": "inside",
+        "certain": True,
+        "ended": "reached",
+    },
+    "problem": None,
+}
+
+
 class OperationView(BaseModel):
     """An operation resource. ``result`` once it has succeeded, ``problem`` (RFC 9457) once it has failed."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [_OPERATION_EXAMPLE]})
 
     id: str
     kind: str

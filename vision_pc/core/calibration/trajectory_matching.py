@@ -140,7 +140,8 @@ def calibrate(pair: TrajectoryPair, settings: TrajectorySettings) -> LocalCalibr
     moved = (x @ R_cfa.T - match.t) @ match.R
     residuals = y - moved
     weights = _inliers(residuals, match)
-    covariance, condition = rotation_covariance(y, residuals, weights, len(settings.segments_m) + 1)
+    independent = 2 * len(settings.segments_m) + 1  # a smooth error is new at every corner and half-way
+    covariance, condition = rotation_covariance(y, residuals, weights, independent)
     good = weights > 0.5
     scale = _extent(y[good]) / _extent(x[good])
     R_BC, R_TC = _carried(R_BC0, pair, settings)
