@@ -8,6 +8,7 @@ import typer
 
 from protocol.configuration import merged, parse_overrides
 from protocol.errors import LongreachError
+from testbed.conformance.command import app as conformance
 from testbed.console import err
 from testbed.settings import chosen_overrides
 
@@ -24,6 +25,8 @@ app.add_typer(validate, name="validate")
 
 experiment = typer.Typer(help="Seeded experiments that write tables.", no_args_is_help=True)
 app.add_typer(experiment, name="experiment")
+
+app.add_typer(conformance, name="conformance")
 
 ConfigDir = Annotated[Path, typer.Option("--config-dir", help="Where the configuration files are.")]
 Scenario = Annotated[str, typer.Option(help="Which of CONFIG_DIR/scenarios to draw the world from.")]
