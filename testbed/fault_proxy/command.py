@@ -1,0 +1,65 @@
+"""``longreach proxy``: stands between two peers at the terminal and spoils what passes."""
+
+import asyncio
+import json
+import signal
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from protocol.errors import ConfigurationError
+from testbed.fault_proxy.faults import Faults
+from testbed.fault_proxy.proxy import FaultProxy, Route, TcpProxy, UdpProxy
+
+Chance = Annotated[float, typer.Option(min=0.0, max=1.0)]
+Time = Annotated[float, typer.Option(min=0.0, max=60_000.0)]
+
+
+def proxy(
+    listen_port: Annotated[int, typer.Option(min=0, max=65535, help="Where to listen; 0: any port.")],
+    port: Annotated[int, typer.Option(min=1, max=65535, help="The port stood in front of.")],
+    host: Annotated[str, typer.Option(help="The host stood in front of.")] = "127.0.0.1",
+    listen_host: Annotated[str, typer.Option(help="The address to listen on.")] = "127.0.0.1",
+    tcp: Annotated[bool, typer.Option("--tcp", help="Streams instead of datagrams.")] = False,
+    loss: Chance = 0.0,
+    burst: Chance = 0.0,
+    burst_length: Annotated[int, typer.Option(min=1)] = 4,
+    delay_ms: Time = 0.0,
+    jitter_ms: Time = 0.0,
+    duplicate: Chance = 0.0,
+    reorder: Chance = 0.0,
+    reorder_ms: Time = 20.0,
+    truncate: Chance = 0.0,
+    corrupt: Chance = 0.0,
+    half_open_after_ms: Annotated[float, typer.Option(help="From then on nothing passes; -1: never.")] = -1.0,
+    only: Annotated[str, typer.Option(help="both, to-server or to-client.")] = "both",
+    seed: Annotated[int, typer.Option(min=0, help="The same seed is the same fate.")] = 1,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the counts to this file.")] = None,
+) -> None:
+    """Stand between two peers and lose, delay, reorder, cut or bend what passes, until Ctrl-C."""
+    if only not in ("both", "to-server", "to-client"):
+        raise ConfigurationError("proxy.direction", f"--only {only}: wanted both, to-server or to-client")
+    faults = Faults(loss, burst, burst_length, delay_ms, jitter_ms, duplicate, reorder, reorder_ms, truncate,
+                    corrupt, half_open_after_ms)  # fmt: skip
+    up, down = (faults if only in ("both", way) else Faults() for way in ("to-server", "to-client"))
+    kind = TcpProxy if tcp else UdpProxy
+    counts = asyncio.run(_serve(kind(Route(listen_host, listen_port, host, port), up, down, seed)))
+    text = json.dumps(counts)
+    typer.echo(text)
+    if json_file is not None:
+        json_file.write_text(text + "\n")
+
+
+async def _serve(chosen: FaultProxy) -> dict[str, dict[str, int]]:
+    stop = asyncio.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    where = f"{chosen.route.listen_host}:{chosen.route.listen_port}"
+    try:
+        async with chosen:
+            typer.echo(json.dumps({"event": "ready", "service": "fault_proxy", "port": chosen.port}))
+            await stop.wait()
+    except OSError as error:
+        raise ConfigurationError("configuration.port_busy", f"{where}: {error.strerror}") from error
+    return chosen.statistics()
