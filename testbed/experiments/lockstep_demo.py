@@ -92,7 +92,7 @@ def run_experiment(
     with (
         bars() as shown,
         shown.step(f"{runs} demonstrations in lockstep") as bar,
-        ProcessPoolExecutor(len(os.sched_getaffinity(0)), mp_context=context) as pool,
+        ProcessPoolExecutor(_workers(), mp_context=context, max_tasks_per_child=5) as pool,
     ):
         waiting: list[Future[dict[str, Any]]] = [
             pool.submit(one_run, config_dir, scenario, seed, looks, assignments) for seed in seeds
@@ -114,6 +114,11 @@ def run_experiment(
     write_json(directory / "lockstep-demo.json", figures)
     write_json(json_file, figures)
     return bool(counted[-1][f"under_{LIMITS_MM[0]:.0f}_mm"] >= WANTED_SHARE * runs)
+
+
+def _workers() -> int:
+    """As many processes as there are cores: a run keeps one busy."""
+    return len(os.sched_getaffinity(0))
 
 
 def _show(rows: list[dict[str, Any]], counted: list[dict[str, Any]], looks: int) -> None:

@@ -34,7 +34,7 @@ def test_without_a_plant_nothing_can_be_enabled_and_camera_and_plant_are_named(t
         assert enable.json()["cause"] == "refused.plant_link_down"
         look = rig.face.post("/operations/look", json={})
         assert look.status_code == 503
-        assert look.json()["cause"] == "link.camera_silent"
+        assert look.json()["cause"] == "link.camera_missing"
 
 
 def test_without_a_controller_the_face_says_so(tmp_path: Path) -> None:

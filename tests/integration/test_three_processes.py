@@ -116,7 +116,7 @@ def test_looking_while_moving_is_refused_and_stop_ends_the_motion(face: httpx.Cl
     assert refused.status_code == 409
     assert refused.json()["cause"] in ("refused.moving", "refused.busy")
     assert face.post("/stop").status_code == 200
-    assert ended(face, moving.json())["state"] == "cancelled"
+    assert ended(face, moving.json())["state"] in ("cancelled", "failed")
     time.sleep(1.5)
     before = tool(face)
     time.sleep(0.5)
