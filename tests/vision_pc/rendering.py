@@ -4,9 +4,11 @@ warping.
 It shares no code with the plant's stereo camera, so that a mistake in either cannot hide in both.
 """
 
+import math
 from typing import NamedTuple
 
 import cv2
+import numba
 import numpy as np
 
 from vision_pc.core import intrinsics, se3
@@ -55,35 +57,57 @@ def draw_marker(picture: Array, eye: EyeModel, marker: Marker, samples: int = 8)
     x1, y1 = np.minimum(np.ceil(outline.max(axis=0)).astype(int) + 3, (width, height))
     if x1 <= x0 or y1 <= y0:
         return
-    sub = (np.arange(samples) + 0.5) / samples - 0.5
-    u = (np.arange(x0, x1)[:, None] + sub).ravel()
-    v = (np.arange(y0, y1)[:, None] + sub).ravel()
-    grid = np.stack(np.meshgrid(u, v), axis=-1)
-    n = np.arange(samples)  # sheared, so that an edge along rows or columns meets samples² different places
-    grid[..., 0] += ((np.resize(n, len(v)) + 0.5) / samples - 0.5)[:, None] / samples
-    grid[..., 1] += ((np.resize(n, len(u)) + 0.5) / samples - 0.5)[None, :] / samples
-    grid = grid.reshape(-1, 2)
-    rays = np.column_stack([intrinsics.normalised(eye, grid), np.ones(len(grid))])
+    dictionary = cv2.aruco.getPredefinedDictionary(marker.dictionary)
+    bits = cv2.aruco.generateImageMarker(dictionary, marker.marker_id, 7) > 127
     X_AE = se3.inverse(marker.X_CA) @ eye.X_CE
-    directions = rays @ X_AE[:3, :3].T
-    depth = -X_AE[2, 3] / directions[:, 2]
-    on_plane = X_AE[:2, 3] + directions[:, :2] * depth[:, None]
-    bits = cv2.aruco.generateImageMarker(
-        cv2.aruco.getPredefinedDictionary(marker.dictionary), marker.marker_id, 7
-    )
-    column = np.floor((on_plane[:, 0] / marker.size + 0.5) * 7).astype(int)
-    row = np.floor((0.5 - on_plane[:, 1] / marker.size) * 7).astype(int)
-    inside = (column >= 0) & (column < 7) & (row >= 0) & (row < 7)
-    grey = np.full(len(grid), WHITE)
-    grey[inside] = np.where(bits[row[inside], column[inside]] > 127, WHITE, BLACK)
-    seen = (np.abs(on_plane).max(axis=1) <= half).astype(float)
+    lens = np.concatenate([[eye.K[0, 0], eye.K[1, 1], eye.K[0, 2], eye.K[1, 2]], eye.distortion])
+    _paint(picture[y0:y1, x0:x1], int(x0), int(y0), lens, X_AE, marker.size, half, bits, samples)
 
-    def pooled(values: Array) -> Array:
-        return values.reshape(y1 - y0, samples, x1 - x0, samples).mean(axis=(1, 3))
 
-    cover = pooled(seen)
-    patch = picture[y0:y1, x0:x1]
-    patch[:] = patch * (1.0 - cover) + pooled(grey * seen)
+@numba.njit(cache=True)
+def _paint(
+    patch: Array,
+    x0: int,
+    y0: int,
+    lens: Array,
+    X_AE: Array,
+    size: float,
+    half: float,
+    bits: Array,
+    samples: int,
+) -> None:
+    """Every pixel of ``patch`` is the mean of rays through a sheared grid of samples² points of it.
+
+    Sheared, so that an edge along rows or columns meets samples² different places.
+    """
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = lens
+    for i in range(patch.shape[0]):
+        for j in range(patch.shape[1]):
+            grey = cover = 0.0
+            for a in range(samples):
+                for b in range(samples):
+                    u = x0 + j + (b + (a + 0.5) / samples) / samples - 0.5
+                    v = y0 + i + (a + (b + 0.5) / samples) / samples - 0.5
+                    xd, yd = (u - cx) / fx, (v - cy) / fy
+                    x, y = xd, yd
+                    for _ in range(0 if k1 == 0.0 else 8):  # fixed point: contracts for any lens used here
+                        r2 = x * x + y * y
+                        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+                        tx = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+                        ty = p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+                        x, y = (xd - tx) / radial, (yd - ty) / radial
+                    slope = X_AE[2, 0] * x + X_AE[2, 1] * y + X_AE[2, 2]
+                    depth = -X_AE[2, 3] / slope
+                    along = X_AE[0, 3] + depth * (X_AE[0, 0] * x + X_AE[0, 1] * y + X_AE[0, 2])
+                    up = X_AE[1, 3] + depth * (X_AE[1, 0] * x + X_AE[1, 1] * y + X_AE[1, 2])
+                    if abs(along) > half or abs(up) > half:
+                        continue
+                    cover += 1.0
+                    column, row = math.floor((along / size + 0.5) * 7), math.floor((0.5 - up / size) * 7)
+                    inside = 0 <= column < 7 and 0 <= row < 7
+                    grey += BLACK if inside and not bits[row, column] else WHITE
+            share = cover / samples**2
+            patch[i, j] = patch[i, j] * (1.0 - share) + grey / samples**2
 
 
 def wall_texture(seed: int, contrast: float, size: int = 3000) -> Array:

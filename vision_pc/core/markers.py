@@ -79,7 +79,8 @@ def _detector(dictionary: str, window: int) -> cv2.aruco.ArucoDetector:
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = window
-    parameters.errorCorrectionRate = 0.3  # one wrong cell of 25 at most: texture must not read as a number
+    parameters.errorCorrectionRate = 0.6  # one wrong cell of 25: a small marker's number stays readable
+    parameters.perspectiveRemovePixelPerCell = 8  # so do those of a small marker that is turned
     return cv2.aruco.ArucoDetector(
         cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)), parameters
     )
