@@ -1,0 +1,107 @@
+"""The Lua dissector against the codec's tables, and in tshark where that is installed."""
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from protocol.datagram_layout import HEADER, PAYLOADS
+from protocol.reference_link import encode
+from testbed.conformance.bytes_of import with_bit_flipped, with_number
+from testbed.dissector.generate import SCRIPT, dissector
+from tests.dissector.captures import write_pcap
+from tests.protocol.samples import HEADER as SAMPLE_HEADER
+from tests.protocol.samples import MESSAGES
+
+TSHARK = shutil.which("tshark")
+needs_tshark = pytest.mark.skipif(TSHARK is None, reason="tshark is not installed: apt-get install tshark")
+DATAGRAMS = [encode(message, SAMPLE_HEADER) for message in MESSAGES]
+
+
+def test_the_script_is_the_one_of_the_tables() -> None:
+    assert SCRIPT.read_text(encoding="utf-8") == dissector(), "run: python -m testbed.dissector.generate"
+
+
+def test_every_field_of_every_kind_is_shown_once() -> None:
+    text = SCRIPT.read_text(encoding="utf-8")
+    wanted = {field.name for field in HEADER}
+    for kind, fields in PAYLOADS.items():
+        wanted |= {f"{kind.name.lower()}.{field.name}" for field in fields if field.code != "x"}
+    defined = re.findall(r'^f\["([^"]+)"\] = ', text, re.MULTILINE)
+    assert sorted(defined) == sorted(wanted)
+    assert sorted(re.findall(r'^  \{ f\["([^"]+)"\], ', text, re.MULTILINE)) == sorted(wanted)
+
+
+def dissected(path: Path, *arguments: str) -> list[dict[str, Any]]:
+    """What tshark says of every packet: lists of values by field name."""
+    assert TSHARK is not None
+    command = [TSHARK, "-X", f"lua_script:{SCRIPT}", "-r", str(path), "-T", "json", "--no-duplicate-keys"]
+    run = subprocess.run([*command, *arguments], capture_output=True, text=True, timeout=60, check=True)
+    assert "lua" not in run.stderr.lower() or "error" not in run.stderr.lower(), run.stderr
+    return [packet["_source"]["layers"] for packet in json.loads(run.stdout)]
+
+
+def found(layer: Any, name: str) -> list[str]:
+    """All values of a field, however deep."""
+    if isinstance(layer, list):
+        return [value for each in layer for value in found(each, name)]
+    if not isinstance(layer, dict):
+        return []
+    values = []
+    for key, value in layer.items():
+        if key == name and not isinstance(value, dict):
+            values += value if isinstance(value, list) else [value]
+        else:
+            values += found(value, name)
+    return values
+
+
+@needs_tshark
+@pytest.mark.parametrize("port", [47_000, 40_123])
+def test_tshark_reads_what_was_encoded(tmp_path: Path, port: int) -> None:
+    path = tmp_path / "all.pcap"
+    write_pcap(path, DATAGRAMS, port=port)
+    packets = dissected(path)
+    assert len(packets) == len(MESSAGES)
+    for number, (packet, message) in enumerate(zip(packets, MESSAGES, strict=True), 1):
+        assert found(packet, "lrlk.kind") == [str(number)]
+        assert int(found(packet, "lrlk.sequence")[0]) == SAMPLE_HEADER.sequence
+        assert int(found(packet, "lrlk.session")[0], 16) == SAMPLE_HEADER.session
+        assert "lrlk.bad_crc" not in json.dumps(packet)
+        assert "lrlk.malformed" not in json.dumps(packet)
+        kind = re.sub(r"(?<!^)(?=[A-Z])", "_", type(message).__name__).lower()
+        for name, value in message._asdict().items():
+            shown = found(packet, f"lrlk.{kind}.{name}")
+            flat = _numbers(value)
+            numbers = [float(int(v, 0)) if re.fullmatch(r"0x[0-9a-f]+|\d+", v) else float(v) for v in shown]
+            assert numbers[: len(flat)] == pytest.approx(flat, rel=1e-12), f"{kind}.{name}"
+
+
+def _numbers(value: Any) -> list[float]:
+    if isinstance(value, tuple):
+        return [number for part in value for number in _numbers(part)]
+    return [float(value)]
+
+
+@needs_tshark
+def test_tshark_tells_of_bad_crc_and_of_what_is_malformed(tmp_path: Path) -> None:
+    path = tmp_path / "bad.pcap"
+    stop = DATAGRAMS[6]
+    write_pcap(
+        path, [stop, with_bit_flipped(stop, 400), with_number(stop, 4, "B", 9), stop[:30], stop + b"\0" * 8]
+    )
+    packets = [json.dumps(packet) for packet in dissected(path)]
+    assert ["lrlk.bad_crc" in packet for packet in packets] == [False, True, False, False, True]
+    assert ["lrlk.malformed" in packet for packet in packets] == [False, False, True, True, True]
+
+
+@needs_tshark
+def test_tshark_filters_by_our_fields(tmp_path: Path) -> None:
+    path = tmp_path / "all.pcap"
+    write_pcap(path, DATAGRAMS)
+    assert len(dissected(path, "-Y", "lrlk.command.code == 3")) == 1
+    assert len(dissected(path, "-Y", "lrlk")) == len(DATAGRAMS)

@@ -1,0 +1,72 @@
+"""`longreach sniff`: captures read, datagrams spoken, unsound ones named with their cause."""
+
+import json
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from protocol.errors import ConfigurationError
+from protocol.reference_link import encode
+from testbed.conformance.bytes_of import with_bit_flipped
+from testbed.dissector.capture import from_file
+from testbed.dissector.command import sniff
+from tests.dissector.captures import frame, write_pcap
+from tests.protocol.samples import HEADER, MESSAGES
+
+DATAGRAMS = [encode(message, HEADER) for message in MESSAGES]
+app = typer.Typer()
+app.command()(sniff)
+
+
+def test_every_kind_is_spoken_on_a_line_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "all.pcap"
+    write_pcap(path, [*DATAGRAMS, b"something else"])
+    result = CliRunner().invoke(app, ["--pcap", str(path)])
+    assert result.exit_code == 0, result.output
+    lines = result.output.splitlines()
+    assert len(lines) == len(MESSAGES)
+    for line, message in zip(lines, MESSAGES, strict=True):
+        assert f" {type(message).__name__} seq={HEADER.sequence} " in line
+    assert "10.0.0.1:5000 → 10.0.0.2:47000" in lines[0]
+    assert lines[6].startswith("  0.006000 ")
+    assert "command_id=43 code=STOP" in lines[6]
+    assert "reason=JOINT_LIMIT value=1.75 limit=1.5" in lines[7]
+    assert "X_BT_ref=[3.8935 -0.125 1.0083][0.5 -0.5 0.5 -0.5] duration_s=2.5" in lines[4]
+
+
+def test_on_the_controller_s_port_unsound_datagrams_are_shown_with_their_cause(tmp_path: Path) -> None:
+    path = tmp_path / "bad.pcap"
+    write_pcap(path, [with_bit_flipped(DATAGRAMS[6], 400), b"something else", DATAGRAMS[6]])
+    result = CliRunner().invoke(app, ["--pcap", str(path), "--port", "47000", "--json-lines"])
+    told = [json.loads(line) for line in result.output.splitlines()]
+    assert [each.get("refused") for each in told] == ["datagram.bad_crc", "datagram.too_short", None]
+    assert told[2]["fields"] == {"command_id": 43, "code": "STOP"}
+    assert told[2]["session"] == "1122334455667788"
+    assert CliRunner().invoke(app, ["--pcap", str(path), "--port", "1"]).output == ""
+    assert len(CliRunner().invoke(app, ["--pcap", str(path), "--count", "1"]).output.splitlines()) == 1
+
+
+def test_only_whole_udp_over_ipv4_is_taken(tmp_path: Path) -> None:
+    path = tmp_path / "mixed.pcap"
+    write_pcap(path, [DATAGRAMS[0]])
+    head, good = path.read_bytes()[:24], path.read_bytes()[24:]
+    raw = bytearray(frame(DATAGRAMS[0], 1, 2))
+    raw[23] = 6  # TCP
+    other = good[:8] + len(raw).to_bytes(4, "little") * 2 + bytes(raw)
+    fragment = bytearray(frame(DATAGRAMS[0], 1, 2))
+    fragment[20] = 0x20  # more fragments follow
+    piece = good[:8] + len(fragment).to_bytes(4, "little") * 2 + bytes(fragment)
+    path.write_bytes(head + other + piece + good + good[:-1])
+    assert [packet.data for packet in from_file(path)] == [DATAGRAMS[0]]
+
+
+def test_what_is_no_capture_is_refused_with_its_cause(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError) as missing:
+        next(from_file(tmp_path / "none.pcap"))
+    assert missing.value.cause == "sniff.unreadable"
+    (tmp_path / "text").write_text("no capture at all, but long enough")
+    with pytest.raises(ConfigurationError) as text:
+        next(from_file(tmp_path / "text"))
+    assert text.value.cause == "sniff.not_pcap"
