@@ -10,6 +10,8 @@ from protocol.configuration import merged, parse_overrides
 from protocol.errors import LongreachError
 from testbed.conformance.command import app as conformance
 from testbed.console import err
+from testbed.dissector.command import sniff
+from testbed.fault_proxy.command import proxy
 from testbed.settings import chosen_overrides
 
 app = typer.Typer(
@@ -27,6 +29,9 @@ experiment = typer.Typer(help="Seeded experiments that write tables.", no_args_i
 app.add_typer(experiment, name="experiment")
 
 app.add_typer(conformance, name="conformance")
+
+app.command(epilog="Example: longreach sniff --interface lo --port 47000")(sniff)
+app.command(epilog="Example: longreach proxy --listen-port 47001 --port 47000 --loss 0.02")(proxy)
 
 ConfigDir = Annotated[Path, typer.Option("--config-dir", help="Where the configuration files are.")]
 Scenario = Annotated[str, typer.Option(help="Which of CONFIG_DIR/scenarios to draw the world from.")]
