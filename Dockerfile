@@ -27,3 +27,6 @@ RUN pip install --no-cache-dir --quiet --no-deps --no-build-isolation . && rm -r
 WORKDIR /srv/longreach
 COPY configs configs
 USER longreach
+
+# Compiled kernels are part of the image, so that a container starts at once.
+RUN python -m testbed.warm

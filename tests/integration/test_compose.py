@@ -89,7 +89,7 @@ def containers(tmp_path: Path) -> Iterator[tuple[str, Path]]:
     records.chmod(0o777)  # the container's user is nobody here
     override = tmp_path / "record.yml"
     command = [*document()["services"]["plant"]["command"], "--record-dir", "/records/plant"]
-    plant = {"command": command, "volumes": [f"{records}:/records"]}
+    plant = {"command": command, "volumes": ["/var/lib/longreach", f"{records}:/records"]}
     override.write_text(yaml.safe_dump({"services": {"plant": plant}}))
     port = free_port()
     files = ["-f", str(ROOT / "docker-compose.yml"), "-f", str(override)]
