@@ -71,9 +71,10 @@ async def test_the_fit_is_better_than_the_sample_in_the_mean_over_seeds() -> Non
     assert np.mean(errors["sample"]) > 0.005  # as in the paper: not reliably inside the tolerance
 
 
-async def test_an_object_within_the_circle_is_refused() -> None:
+@pytest.mark.parametrize("at", [(0.08, 0.05), (0.15, 0.0), (-0.08, -0.07), (-0.1, 0.15)])
+async def test_an_object_within_the_circle_is_refused(at: tuple[float, float]) -> None:
     for settings in (SETTINGS, FIT):
-        arm = perfect((0.08, 0.05))
+        arm = perfect(at)
         with pytest.raises(MeasurementFailed) as refused:
             await line_equation(arm, arm, silent, settings)
         assert refused.value.cause == "measurement.object_inside_circle"

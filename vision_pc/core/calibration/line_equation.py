@@ -77,15 +77,15 @@ def solve(samples: tuple[WatchSample, ...], X_BT_init: Array, settings: LineEqua
     d = np.array([picture_distance(s) for s in seen])
     along_n, along_s = (p - p_init) @ X_BT_init[:3, 0], (p - p_init) @ X_BT_init[:3, 1]
     phi = np.arctan2(along_s, along_n)
-    on_circle = np.hypot(along_n, along_s) > 0.8 * r
+    radius = np.hypot(along_n, along_s)
+    on_circle = radius > 0.8 * r
     _check_coverage(phi[on_circle])
+    _refuse_inside(d[radius < 0.1 * r], r)
     if settings.minimum == "fit":
         across = np.column_stack([along_n, along_s])
         p_u, d_min = _fitted_minimum(X_BT_init, across[on_circle], d[on_circle], r)
     else:
         least = int(np.argmin(d))
-        if not on_circle[least]:
-            raise _inside(float(d[least]))
         p_epsilon, d_min = p[least], float(d[least])
         p_u = (p_epsilon - p_init) / np.linalg.norm(p_epsilon - p_init)  # (15)
     step = r + d_min
@@ -139,14 +139,15 @@ def _fitted_minimum(X_BT_init: Array, across: Array, d: Array, r: float) -> tupl
         scale = 1.4826 * float(np.median(residual)) + 1e-9
         weight = np.sqrt(1.0 / np.maximum(1.0, residual / (1.5 * scale)))
     reach = math.hypot(o[0], o[1])
-    if reach < 1.1 * r:
-        raise _inside(reach)
     p_u: Array = (o[0] * X_BT_init[:3, 0] + o[1] * X_BT_init[:3, 1]) / reach
     return p_u, reach - r
 
 
-def _inside(distance: float) -> MeasurementFailed:
-    return MeasurementFailed(
-        "measurement.object_inside_circle",
-        f"line equation: object only {distance:.3f} m off; use a smaller circle",
-    )
+def _refuse_inside(d_centre: Array, r: float) -> None:
+    """Raises when the object is nearer to the centre than the circle: then (16) would overshoot."""
+    distance = float(np.median(d_centre)) if len(d_centre) else math.inf
+    if distance < r:
+        raise MeasurementFailed(
+            "measurement.object_inside_circle",
+            f"line equation: object {distance:.3f} m off, circle {r:g} m; use a smaller one",
+        )
