@@ -226,8 +226,7 @@ async def test_cancel_stops_the_arm_and_ends_once(station: Bench) -> None:
     await until(lambda: station.controller.group is GroupState.MOVING)
     cancelled = await station.post(f"{location}/cancel")
     assert cancelled.json()["state"] == "cancelled"
-    await asyncio.sleep(0.15)
-    assert station.controller.group is GroupState.STANDBY
+    await until(lambda: station.controller.group is GroupState.STANDBY)
     q = station.rig.q.copy()
     await asyncio.sleep(0.05)
     assert np.array_equal(station.rig.q, q)
