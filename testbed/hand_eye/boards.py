@@ -34,7 +34,7 @@ class BoardRenderer:
         u = np.arange(camera.width * _SUPER) * step + 0.5 * step - 0.5
         v = np.arange(camera.height * _SUPER) * step + 0.5 * step - 0.5
         grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 1, 2)
-        until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-9)
+        until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 12, 1e-9)
         rays = cv2.undistortPointsIter(grid, camera.K, camera.distortion, np.eye(3), np.eye(3), until)
         self._rays = np.asarray(rays, dtype=np.float64).reshape(-1, 2)
 

@@ -5,6 +5,7 @@ window of 11 px, whatever the size of the squares), ``fitted`` with the window k
 ``sectors``, which fits each corner's four sectors. A ChArUco board may be partly hidden.
 """
 
+import math
 from collections.abc import Sequence
 from enum import StrEnum
 from typing import Any, NamedTuple
@@ -23,6 +24,7 @@ _LEAST_VIEWS = 3
 _LEAST_CORNERS = 6
 _OUTLYING = 3.0  # times the median view's error
 _UNDETERMINED = 0.05  # relative standard deviation of the focal length
+_PARALLEL_COS = math.cos(math.radians(5.0))
 _CELLS = (6, 8)
 
 
@@ -168,6 +170,13 @@ def calibrate(views: Sequence[BoardView], width: int, height: int) -> Intrinsics
             "measurement.intrinsics.undetermined", f"the views determine no camera: {reason}"
         ) from error
     std_px = _doubles(std).ravel()[:4]
+    X_CB = np.stack([_board_pose(_doubles(r), _doubles(t)) for r, t in zip(turns, shifts, strict=True)])
+    cosines = X_CB[:, :3, 2] @ X_CB[:, :3, 2].T
+    if cosines.min() > _PARALLEL_COS:  # the fit's own standard deviation does not notice
+        raise MeasurementFailed(
+            "measurement.intrinsics.undetermined",
+            "the boards are parallel, which leaves the focal length open; tilt them differently",
+        )
     if not np.isfinite(std_px).all() or std_px[0] > _UNDETERMINED * K[0, 0]:
         raise MeasurementFailed(
             "measurement.intrinsics.undetermined",
@@ -182,7 +191,7 @@ def calibrate(views: Sequence[BoardView], width: int, height: int) -> Intrinsics
         float(rms),
         tuple(v.name for v in views),
         view_rms,
-        np.stack([_board_pose(_doubles(r), _doubles(t)) for r, t in zip(turns, shifts, strict=True)]),
+        X_CB,
         coverage(views, width, height),
         tuple(v.name for v, e in zip(views, view_rms, strict=True) if e > limit),
     )

@@ -65,7 +65,7 @@ def graduated(p: Parts, setup: Setup, noise: Noise, threshold: float) -> Consens
 
 def _truncated_weights(squares: Array, threshold: float, mu: float) -> Array:
     """Yang et al. 2020, eq. (14)."""
-    middle = np.sqrt(threshold * mu * (mu + 1.0) / np.maximum(squares, 1e-300)) - mu
+    middle = np.sqrt(threshold * mu * (mu + 1.0) / np.maximum(squares, 1e-12)) - mu
     upper, lower = (mu + 1.0) / mu * threshold, mu / (mu + 1.0) * threshold
     return np.where(squares >= upper, 0.0, np.where(squares <= lower, 1.0, np.clip(middle, 0.0, 1.0)))
 

@@ -24,6 +24,7 @@ from vision_pc.core.hand_eye.result import Certificate
 from vision_pc.core.se3 import Array
 
 _NEWTON_STEPS = 8
+_ENLARGE = (1.0, 1e-4)
 
 
 class Forms(NamedTuple):
@@ -82,13 +83,7 @@ def published(f: Forms) -> Published:
     scale = float(np.trace(f.RR)) / 4.0
     rotation, g = _relaxed_rotation(f.RR / scale)
     length = max(float(np.sqrt(np.trace(f.DD) / np.trace(f.RR))), 1e-9)
-    linear = f.RD @ g / (scale * length)
-    second_objective = np.zeros((5, 5))
-    second_objective[1:, 1:] = f.RR / scale
-    second_objective[0, 1:] = second_objective[1:, 0] = linear
-    second_objective[0, 0] = float(g @ f.DD @ g) / (scale * length**2)
-    orthogonal: Polynomial = {monomial(k): float(g[k]) for k in range(4)}
-    translation = relaxed(second_objective, [orthogonal])
+    translation, g_dual = _relaxed_translation(f.RR / scale, f.RD @ g / (scale * length), g)
     values = np.linalg.eigvalsh(f.RR) / scale
     reached = float(g @ f.RR @ g) / scale
     certificate = Certificate(
@@ -98,23 +93,51 @@ def published(f: Forms) -> Published:
         gap=(reached - rotation.value) / float(values[-1]),
         rank=rotation.rank_upper,
     )
-    return Published(_pose(g, translation.first * length), rotation, translation, certificate)
+    return Published(_pose(g, g_dual * length), rotation, translation, certificate)
 
 
 def _relaxed_rotation(form: Array) -> tuple[Relaxation, Array]:
-    """Problem 1 relaxed, and g (4,).
+    """Problem 1 relaxed as published, and g (4,).
 
-    It is solved a second time in the axes of its own first answer, which then lies on an axis: there the
-    solver's rounding is symmetric and no longer tilts it (1e-5 becomes 1e-8).
+    It is solved a second time in the axes of its own first answer, the unknowns across that answer enlarged
+    ten thousand times: the same problem, but the solver's few digits are then digits of what was left.
     """
-    unit: Polynomial = {monomial(): 1.0} | {monomial(k, k): -1.0 for k in range(4)}
     axes = np.eye(4)
-    for _ in range(2):
+    published_form: Relaxation | None = None
+    for across in _ENLARGE:
+        stretch = np.diag([1.0, across, across, across])
+        turned = axes.T @ form @ axes
+        turned = turned - (turned[0, 0] if across < 1.0 else 0.0) * np.eye(4)  # a constant on the sphere
         objective = np.zeros((5, 5))
-        objective[1:, 1:] = axes.T @ form @ axes
-        rotation = relaxed(objective, [unit])
-        axes = axes @ np.linalg.eigh(rotation.second)[1][:, ::-1]
-    return rotation, axes[:, 0]
+        objective[1:, 1:] = stretch @ turned @ stretch / across**2
+        unit: Polynomial = {monomial(): 1.0} | {monomial(k, k): -float(stretch[k, k] ** 2) for k in range(4)}
+        solved = relaxed(objective, [unit])
+        published_form = published_form or solved
+        h = stretch @ np.linalg.eigh(solved.second)[1][:, -1]
+        h = h / np.linalg.norm(h)
+        axes = axes @ np.linalg.qr(np.column_stack([h, np.eye(4)]))[0]
+    assert published_form is not None
+    return published_form, axes[:, 0]
+
+
+def _relaxed_translation(form: Array, linear: Array, g: Array) -> tuple[Relaxation, Array]:
+    """Problem 2 relaxed as published, and g' (4,): min g'ᵀ form g' + 2 linearᵀ g' with gᵀg' = 0.
+
+    It is solved a second time around its own first answer, enlarged in the same way.
+    """
+    g_dual = np.zeros(4)
+    published_form: Relaxation | None = None
+    for unit in _ENLARGE:
+        objective = np.zeros((5, 5))
+        objective[1:, 1:] = form
+        objective[0, 1:] = objective[1:, 0] = (linear + form @ g_dual) / unit
+        orthogonal: Polynomial = {monomial(k): float(g[k]) for k in range(4)}
+        orthogonal[monomial()] = float(g @ g_dual) / unit
+        solved = relaxed(objective, [orthogonal])
+        published_form = published_form or solved
+        g_dual = g_dual + unit * solved.first
+    assert published_form is not None
+    return published_form, g_dual
 
 
 def joint(f: Forms) -> tuple[Array, Certificate]:

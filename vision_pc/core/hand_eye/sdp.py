@@ -13,8 +13,7 @@ import scipy.sparse
 from protocol.errors import MeasurementFailed
 from vision_pc.core.se3 import Array
 
-ACCURACY = 1e-10
-UTMOST = 1e-14  # not reachable in double precision: the solver goes on until it makes no more progress
+_ACCURACY = 1e-10
 
 
 class Solution(NamedTuple):
@@ -40,20 +39,25 @@ def smat(s: Array, size: int) -> Array:
     return S
 
 
-def solved(
-    q: Array, A: scipy.sparse.csc_matrix, b: Array, cones: list[Any], accuracy: float = ACCURACY
-) -> Solution:
+def solved(q: Array, A: scipy.sparse.csc_matrix, b: Array, cones: list[Any]) -> Solution:
     """The optimum. Raises MeasurementFailed (``measurement.hand_eye.sdp``) when the solver does not reach it.
 
     One thread, so that reruns are bit-identical; no dynamic regularisation, which costs four digits here.
     """
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = accuracy
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _ACCURACY
     settings.max_threads = 1
     settings.dynamic_regularization_enable = False
     P = scipy.sparse.csc_matrix((len(q), len(q)))
-    result = clarabel.DefaultSolver(P, q, A, b, cones, settings).solve()
+    try:
+        result = clarabel.DefaultSolver(P, q, A, b, cones, settings).solve()
+    except BaseException as error:  # a panic of its Rust code is not an Exception
+        if type(error).__name__ != "PanicException":
+            raise
+        raise MeasurementFailed(
+            "measurement.hand_eye.sdp", f"the semidefinite solver broke: {error}"
+        ) from error
     status = str(result.status)
     if status not in ("Solved", "AlmostSolved"):
         raise MeasurementFailed("measurement.hand_eye.sdp", f"the semidefinite program ended as {status}")

@@ -1,0 +1,39 @@
+"""All hand-eye methods timed in one run: ``make bench ARGS="-k hand_eye"``."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from testbed.hand_eye import scenes
+from vision_pc.core.hand_eye import methods
+from vision_pc.core.hand_eye.methods import Method
+from vision_pc.core.hand_eye.samples import PosePairs
+
+pytestmark = pytest.mark.bench
+
+LIMIT_S = 0.150
+
+
+def samples(count: int, bad: int = 0) -> PosePairs:
+    rng = np.random.default_rng([70, count])
+    scene = scenes.viewing_scene(rng, count)
+    return scenes.measured_with_bad(scene, scenes.noise(0.1, 0.5), rng, bad)[0]
+
+
+@pytest.mark.benchmark(group="hand-eye, 15 poses")
+@pytest.mark.parametrize("method", list(Method))
+def test_bench_hand_eye_methods(benchmark: Callable[..., Any], method: Method) -> None:
+    pairs = samples(15)
+    result = benchmark(methods.solve, pairs, method)
+    assert np.isfinite(result.X).all()
+
+
+@pytest.mark.benchmark(group="hand-eye, robust with bad samples")
+@pytest.mark.parametrize(("count", "bad"), [(12, 2), (15, 2), (20, 4), (30, 6)])
+def test_bench_hand_eye_robust(benchmark: Any, count: int, bad: int) -> None:
+    pairs = samples(count, bad)
+    result = benchmark(methods.solve, pairs, Method.ROBUST)
+    assert (~result.inliers).sum() == bad
+    assert benchmark.stats is None or benchmark.stats["median"] <= LIMIT_S

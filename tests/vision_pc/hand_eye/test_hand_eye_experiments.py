@@ -1,0 +1,183 @@
+"""The experiments small, the command as a user calls it; the full experiments run with ``-m experiment``."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from protocol.errors import MeasurementFailed, RequestRefused
+from testbed.hand_eye import experiments, localisation, scenes, stress
+from testbed.hand_eye.boards import BoardCamera, BoardRenderer, random_board_pose
+from testbed.hand_eye.cli import app, register_experiments
+from testbed.hand_eye.noise_sweep import NoiseOn, noise_sweep
+from tests.vision_pc.hand_eye.data import random_scene
+from vision_pc.core.hand_eye.methods import Method
+from vision_pc.core.se3 import Array
+from vision_pc.core.zhang_intrinsics import Checkerboard
+
+
+def test_printed_pose_and_table_of_the_paper_are_proper() -> None:
+    scene = scenes.table_1_scene()
+    norms = np.linalg.norm(scenes.TABLE_1[:, :4], axis=1)
+    assert norms.min() == pytest.approx(0.48, abs=0.01)
+    assert norms.max() == pytest.approx(0.84, abs=0.01)
+    R = scenes.PRINTED_X[:3, :3]
+    assert np.linalg.det(R) == pytest.approx(1.0, abs=2e-3)
+    assert np.abs(scene.X[:3, :3] - R).max() < 2e-3
+
+
+def test_small_sweep_reaches_the_bound_and_repeats() -> None:
+    chosen = [Method.HORAUD, Method.DQCR, Method.DQCR_PUBLISHED, Method.ROBUST]
+    sweep = noise_sweep(runs=6, levels=[10], only=chosen)
+    assert sweep.dqcr_difference <= 1e-6
+    rows = {r.method: r for r in sweep.rows}
+    assert rows["dqcr"].rotation_deg == pytest.approx(rows["horaud"].rotation_deg, rel=0.1)
+    assert rows["robust"].rotation_deg < 0.4 * rows["dqcr"].rotation_deg
+    assert rows["robust"].rotation_over_bound < 1.6
+    assert noise_sweep(runs=6, levels=[10], only=chosen) == sweep
+
+
+@pytest.mark.parametrize("noise_on", [NoiseOn.ROBOT_POSES, NoiseOn.CAMERA_MOTIONS])
+def test_other_noise_is_told_apart(noise_on: NoiseOn) -> None:
+    sweep = noise_sweep(
+        noise_on, runs=2, levels=[5], only=[Method.DQCR, Method.MAXIMUM_LIKELIHOOD, Method.ROBUST]
+    )
+    assert {r.noise_on for r in sweep.rows} == {noise_on.value}
+    assert not any(r.failed for r in sweep.rows)
+    camera = scenes.bound(scenes.table_1_scene(), scenes.noise(0.05, 0.1))
+    assert sweep.rows[0].bound_rotation_deg != pytest.approx(camera.rotation_deg)
+
+
+def test_bounds_scale_with_the_noise() -> None:
+    scene = scenes.table_1_scene()
+    small, large = (scenes.bound(scene, scenes.noise(0.01 * d, 0.02 * d)) for d in (1, 10))
+    assert large.rotation_deg == pytest.approx(10.0 * small.rotation_deg)
+    assert large.rotation_deg == pytest.approx(0.0136, abs=5e-4)
+
+
+def test_small_localisation_favours_the_robust_solver() -> None:
+    rows = localisation.localisation(runs=2, repetitions=10)
+    everything = {(r.method, r.samples): r for r in rows if r.task == "all"}
+    robust = everything["robust", "all 17"]
+    assert robust.error_mm < everything["dqcr", "12 kept by hand"].error_mm
+    assert everything["dqcr", "12 kept by hand"].paper_mm == 2.9
+    assert everything["tsai", "12 kept by hand"].paper_recognised_percent == 79.0
+    assert everything["dqcr", "all 17"].error_mm > 5.0
+    assert {r.task for r in rows} == {"knob", "switch", "key hole", "all"}
+
+
+def test_small_stress_has_no_improper_answer() -> None:
+    bad = stress.outliers(4)
+    assert not any(r.improper for r in bad)
+    robust = next(r for r in bad if r.method == "robust")
+    assert robust.found == 1.0
+    assert robust.rotation_median_deg < 0.3
+    small = stress.small_rotations(4, only=[Method.ROBUST, Method.DQCR])
+    assert small[0].refused == 0
+
+
+def command() -> typer.Typer:
+    main = typer.Typer()
+    main.add_typer(app, name="hand-eye")
+    experiment = typer.Typer()
+    register_experiments(experiment)
+    main.add_typer(experiment, name="experiment")
+    return main
+
+
+def samples_file(tmp_path: Path) -> tuple[Path, Array]:
+    scene = random_scene(np.random.default_rng(60))
+    bare = [[H.tolist(), P.tolist()] for H, P in zip(scene.X_BH, scene.P(), strict=True)]
+    path = tmp_path / "samples.json"
+    path.write_text(json.dumps(bare), encoding="utf-8")
+    return path, scene.X
+
+
+def test_solve_writes_what_it_prints(tmp_path: Path) -> None:
+    path, X = samples_file(tmp_path)
+    report = tmp_path / "x.json"
+    result = CliRunner().invoke(command(), ["hand-eye", "solve", str(path), "--json", str(report)])
+    assert result.exit_code == 0, result.output
+    figures = json.loads(report.read_text(encoding="utf-8"))
+    np.testing.assert_allclose(figures["X"]["matrix"], X, atol=1e-9)
+    assert figures["certificate"]["holds"]
+    assert len(figures["samples"]) == 12
+    assert f"{1e3 * X[0, 3]:.3f}" in result.output
+
+
+def test_solve_says_what_is_wrong(tmp_path: Path) -> None:
+    result = CliRunner().invoke(command(), ["hand-eye", "solve", str(tmp_path / "absent.json")])
+    assert isinstance(result.exception, RequestRefused)
+    path, _ = samples_file(tmp_path)
+    pairs = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps(pairs[:2]), encoding="utf-8")
+    result = CliRunner().invoke(command(), ["hand-eye", "solve", str(path)])
+    assert isinstance(result.exception, MeasurementFailed)
+
+
+def test_compare_lists_every_method(tmp_path: Path) -> None:
+    path, _ = samples_file(tmp_path)
+    report = tmp_path / "all.json"
+    result = CliRunner().invoke(command(), ["hand-eye", "compare", str(path), "--json", str(report)])
+    assert result.exit_code == 0, result.output
+    rows = json.loads(report.read_text(encoding="utf-8"))["rows"]
+    assert {row["method"] for row in rows} == {m.value for m in Method}
+    assert max(row["hold_out_mm"] for row in rows) < 1e-3
+
+
+def test_intrinsics_of_pictures(tmp_path: Path) -> None:
+    camera = BoardCamera(
+        np.array([[300.0, 0.0, 150.0], [0.0, 300.0, 115.0], [0.0, 0.0, 1.0]]),
+        np.zeros(5),
+        300,
+        230,
+        noise_grey=1.0,
+    )
+    renderer, board, rng = BoardRenderer(camera), Checkerboard(5, 4, 0.03), np.random.default_rng(3)
+    files = []
+    for k in range(5):
+        files.append(tmp_path / f"b{k}.png")
+        cv2.imwrite(str(files[-1]), renderer.render(board, random_board_pose(camera, board, rng), rng))
+    report = tmp_path / "k.json"
+    options = ["--columns", "5", "--rows", "4", "--square-mm", "30", "--json", str(report)]
+    result = CliRunner().invoke(command(), ["hand-eye", "intrinsics", *map(str, files), *options])
+    assert result.exit_code == 0, result.output
+    figures = json.loads(report.read_text(encoding="utf-8"))
+    assert figures["K"][0][0] == pytest.approx(300.0, rel=0.02)
+    assert set(figures["view_rms_px"]) == {f"b{k}" for k in range(5)}
+
+
+def test_experiment_draws_and_writes(tmp_path: Path) -> None:
+    plot, report = tmp_path / "fig7.png", tmp_path / "fig7.json"
+    options = ["--runs", "1", "--largest", "2", "--plot", str(plot), "--json", str(report)]
+    result = CliRunner().invoke(command(), ["experiment", "hua-fig7", *options])
+    assert result.exit_code == 0, result.output
+    assert cv2.imread(str(plot)) is not None
+    figures = json.loads(report.read_text(encoding="utf-8"))
+    assert figures["passed"]
+    assert len(figures["rows"]) == 2 * len(Method)
+
+
+@pytest.mark.experiment
+@pytest.mark.parametrize("noise_on", list(NoiseOn))
+def test_noise_sweep_in_full(noise_on: NoiseOn, tmp_path: Path) -> None:
+    assert experiments.run_noise_sweep(noise_on, 200, 10, 1, tmp_path / "fig7.png", tmp_path / "fig7.json")
+
+
+@pytest.mark.experiment
+def test_stress_in_full(tmp_path: Path) -> None:
+    assert experiments.run_stress(1000, 1, tmp_path / "stress.json")
+
+
+@pytest.mark.experiment
+def test_localisation_in_full(tmp_path: Path) -> None:
+    assert experiments.run_localisation(50, 50, 1, tmp_path / "fig5.png", tmp_path / "fig5.json")
+
+
+@pytest.mark.experiment
+def test_intrinsics_in_full(tmp_path: Path) -> None:
+    assert experiments.run_intrinsics(3, 15, 1, tmp_path / "intrinsics.json")

@@ -1,0 +1,143 @@
+"""Intrinsics from rendered boards with known truth: each detector, what is refused, what is named."""
+
+import cv2
+import numpy as np
+import pytest
+
+from protocol.errors import MeasurementFailed, RequestRefused
+from testbed.hand_eye.boards import BoardCamera, BoardRenderer, random_board_pose
+from testbed.hand_eye.intrinsics_experiment import detect, row
+from vision_pc.core import zhang_intrinsics as zhang
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import Image
+from vision_pc.core.zhang_intrinsics import BoardView, Charuco, Checkerboard, Detector
+
+CAMERA = BoardCamera(
+    K=np.array([[440.0, 0.0, 210.0], [0.0, 441.0, 165.0], [0.0, 0.0, 1.0]]),
+    distortion=np.array([-0.08, 0.03, 0.001, -0.001, 0.0]),
+    width=420,
+    height=320,
+)
+BOARD = Checkerboard(8, 6, 0.024)
+CHARUCO = Charuco(7, 5, 0.030, 0.022, cv2.aruco.DICT_5X5_100)
+
+
+@pytest.fixture(scope="module")
+def renderer() -> BoardRenderer:
+    return BoardRenderer(CAMERA)
+
+
+@pytest.fixture(scope="module")
+def pictures(renderer: BoardRenderer) -> list[tuple[str, Image]]:
+    rng = np.random.default_rng(1)
+    poses = [random_board_pose(CAMERA, BOARD, rng) for _ in range(9)]
+    return [(f"v{k}", renderer.render(BOARD, X, rng)) for k, X in enumerate(poses)]
+
+
+def exact_view(name: str, X_CB: Array) -> BoardView:
+    """The board's corners as the camera projects them, without a picture."""
+    rows, columns = np.mgrid[0 : BOARD.rows, 0 : BOARD.columns]
+    points = np.stack([columns.ravel(), rows.ravel(), np.zeros(rows.size)], axis=1) * BOARD.square_m
+    turn = cv2.Rodrigues(X_CB[:3, :3])[0]
+    pixels = cv2.projectPoints(points, turn, X_CB[:3, 3], CAMERA.K, CAMERA.distortion)[0]
+    return BoardView(name, points, np.asarray(pixels, dtype=np.float64).reshape(-1, 2))
+
+
+@pytest.mark.parametrize("detector", list(Detector))
+def test_rendered_camera_is_found(pictures: list[tuple[str, Image]], detector: Detector) -> None:
+    views, missed = detect(pictures, BOARD, detector)
+    assert missed == ()
+    found = zhang.calibrate(views, CAMERA.width, CAMERA.height)
+    line = row("rendered", detector.value, found, missed, CAMERA)
+    assert line.fx_error_percent == pytest.approx(0.0, abs=0.6)
+    assert line.rms_px < (0.4 if detector is Detector.CLASSIC else 0.12)
+    assert abs(found.K[0, 0] - CAMERA.K[0, 0]) < 5.0 * found.std_px[0]
+    assert found.coverage.sum() == 9 * 48
+    assert line.empty_cells_percent == pytest.approx(100.0 * (found.coverage == 0).mean())
+
+
+def test_corners_lie_where_the_camera_projects_them(renderer: BoardRenderer) -> None:
+    rng = np.random.default_rng(2)
+    X_CB = random_board_pose(CAMERA, BOARD, rng)
+    image = renderer.render(BOARD, X_CB, rng)
+    truth = exact_view("", X_CB).pixels
+    for detector, limit in ((Detector.FITTED, 0.1), (Detector.SECTORS, 0.25)):
+        seen = zhang.find_checkerboard(image, BOARD, detector, "v").pixels
+        gaps = np.linalg.norm(seen[:, None] - truth[None], axis=2)  # the board reads the same turned round
+        assert np.sqrt(np.mean(gaps.min(axis=1) ** 2)) < limit
+        assert len(set(gaps.argmin(axis=1))) == 48
+
+
+def test_window_of_eleven_pixels_is_too_wide_for_small_squares(renderer: BoardRenderer) -> None:
+    rng = np.random.default_rng(5)
+    X_CB = random_board_pose(CAMERA, BOARD, rng)  # squares of 14 px
+    image = renderer.render(BOARD, X_CB, rng)
+    truth = exact_view("", X_CB).pixels
+    worst = {}
+    for detector in (Detector.CLASSIC, Detector.FITTED):
+        seen = zhang.find_checkerboard(image, BOARD, detector, "v").pixels
+        worst[detector] = np.linalg.norm(seen[:, None] - truth[None], axis=2).min(axis=1).max()
+    assert worst[Detector.CLASSIC] > 1.0
+    assert worst[Detector.FITTED] < 0.15
+
+
+def test_charuco_is_found_though_partly_hidden(renderer: BoardRenderer) -> None:
+    rng = np.random.default_rng(3)
+    views, counts = [], []
+    for k in range(8):
+        X_CB = random_board_pose(CAMERA, CHARUCO, rng)
+        image = renderer.render(CHARUCO, X_CB, rng)
+        corner = X_CB @ np.array([0.5 * CHARUCO.square_m, 0.5 * CHARUCO.square_m, 0.0, 1.0])
+        u, v, w = CAMERA.K @ corner[:3]
+        cv2.circle(image, (int(u / w), int(v / w)), 14, 128, -1)
+        views.append(zhang.find_charuco(image, CHARUCO, f"c{k}"))
+        counts.append(len(views[-1].pixels))
+    assert min(counts) < 24
+    found = zhang.calibrate(views, CAMERA.width, CAMERA.height)
+    assert found.K[0, 0] == pytest.approx(CAMERA.K[0, 0], rel=0.02)
+
+
+def test_a_picture_without_a_board_is_named() -> None:
+    empty = np.full((320, 420), 120, dtype=np.uint8)
+    for detector in Detector:
+        with pytest.raises(MeasurementFailed, match="view blank") as caught:
+            zhang.find_checkerboard(empty, BOARD, detector, "blank")
+        assert caught.value.cause == "measurement.intrinsics.no_board"
+    with pytest.raises(MeasurementFailed, match="view blank: 0 ChArUco corners"):
+        zhang.find_charuco(empty, CHARUCO, "blank")
+
+
+def test_two_views_and_parallel_boards_are_refused() -> None:
+    rng = np.random.default_rng(4)
+    views = [exact_view(str(k), random_board_pose(CAMERA, BOARD, rng)) for k in range(3)]
+    with pytest.raises(RequestRefused, match="2 views") as refused:
+        zhang.calibrate(views[:2], CAMERA.width, CAMERA.height)
+    assert refused.value.cause == "refused.intrinsics.too_few_views"
+    facing: list[BoardView] = []
+    for k in range(4):
+        X = np.eye(4)
+        X[:3, 3] = (-0.08 + 0.01 * k, -0.06, 0.35 + 0.02 * k)
+        view = exact_view(str(k), X)
+        facing.append(view._replace(pixels=view.pixels + rng.normal(size=view.pixels.shape) * 0.1))
+    with pytest.raises(MeasurementFailed, match=r"focal length") as failed:
+        zhang.calibrate(facing, CAMERA.width, CAMERA.height)
+    assert failed.value.cause == "measurement.intrinsics.undetermined"
+
+
+def test_an_outlying_view_is_named() -> None:
+    rng = np.random.default_rng(5)
+    views = []
+    for k in range(9):
+        view = exact_view(f"v{k}", random_board_pose(CAMERA, BOARD, rng))
+        noise = 0.1 if k != 6 else 1.5
+        views.append(view._replace(pixels=view.pixels + rng.normal(size=view.pixels.shape) * noise))
+    found = zhang.calibrate(views, CAMERA.width, CAMERA.height)
+    assert found.outlying == ("v6",)
+
+
+def test_board_poses_come_with_the_camera() -> None:
+    rng = np.random.default_rng(6)
+    poses = [random_board_pose(CAMERA, BOARD, rng) for _ in range(6)]
+    found = zhang.calibrate([exact_view(str(k), X) for k, X in enumerate(poses)], CAMERA.width, CAMERA.height)
+    np.testing.assert_allclose(found.X_CB, np.stack(poses), atol=1e-4)
+    assert found.rms_px < 1e-3
