@@ -16,7 +16,7 @@ from testbed.report import run_directory
 from testbed.rest_rig import RestRig, StateSampler
 from testbed.sequence import JSON, Recorder, Rest, TimedTruth, View, demonstrate, stages, traces
 from testbed.settings import Overrides
-from testbed.supervisor import Supervisor
+from testbed.supervisor import READY_TIMEOUT_S, Supervisor
 from testbed.up import end_on_sigterm
 
 _HEALTHY_S = 60.0
@@ -73,9 +73,10 @@ def started(launch: Launch, shown: Bars) -> Iterator[Supervisor]:
     supervisor = Supervisor(launch.directory)
     try:
         with shown.step("starting three processes") as bar:
-            for number, service in enumerate(launch.services):
-                bar.update(number / len(launch.services), service.name)
-                supervisor.start(service)
+            children = [supervisor.launch(service) for service in launch.services]
+            for number, child in enumerate(children):
+                bar.update(number / len(children), f"{child.name} (the first time ever it compiles)")
+                child.wait_ready(READY_TIMEOUT_S)
         yield supervisor
     finally:
         supervisor.stop()

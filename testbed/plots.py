@@ -121,7 +121,8 @@ def target_plot(stages: Sequence[Stage]) -> bytes:
                 axes.plot(*(1e3 * stage.image.p_m[:2]), "x", color=colour, label=f"{stage.label}, image")
         axes.set(xlim=(-reach, reach), ylim=(reach, -reach), xlabel="x / mm (right)", ylabel="y / mm (down)")
         axes.set_aspect("equal")
-        axes.legend(loc="upper left", fontsize=8)
+        if looks:
+            axes.legend(loc="upper left", fontsize=8)
         return _png(figure)
 
 

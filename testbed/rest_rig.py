@@ -66,11 +66,15 @@ class RestRig:
         return time.monotonic_ns()
 
     def wait_healthy(self, timeout_s: float) -> None:
-        """Nothing, once controller and camera answer. Raises LinkLost with what is missing."""
+        """Nothing, once controller and camera answer and a picture has come.
+
+        Raises LinkLost with what is missing.
+        """
         deadline = time.monotonic() + timeout_s
         while True:
             try:
                 self._ask("GET", "/health")
+                self.picture()
             except LinkLost as error:
                 if time.monotonic() > deadline:
                     raise LinkLost(error.cause, f"not healthy after {timeout_s:.0f} s: {error}") from error

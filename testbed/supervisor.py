@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from protocol.errors import LongreachError
 
-READY_TIMEOUT_S = 60.0  # a first start compiles the numba kernels
+READY_TIMEOUT_S = 180.0  # a first start compiles the numba kernels
 STOP_TIMEOUT_S = 4.0
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None, use_errno=True)
@@ -157,11 +157,16 @@ class Supervisor:
         self._log_dir = log_dir
         self.children: dict[str, Child] = {}
 
-    def start(self, service: Service, timeout_s: float = READY_TIMEOUT_S) -> dict[str, Any]:
-        """The ready line's fields of the service just started. Raises ServiceFailed."""
+    def launch(self, service: Service) -> Child:
+        """The service just started, not yet ready."""
         child = Child(service, self._log_dir / f"{service.name}.log")
         self.children[service.name] = child
-        return child.wait_ready(timeout_s)
+        return child
+
+    def start(self, *services: Service, timeout_s: float = READY_TIMEOUT_S) -> None:
+        """Nothing; the ``services``, started together, are ready. Raises ServiceFailed."""
+        for child in [self.launch(service) for service in services]:
+            child.wait_ready(timeout_s)
 
     def check(self) -> None:
         """Nothing. Raises ServiceFailed when a service has ended by itself."""
@@ -191,8 +196,7 @@ def supervised(services: Sequence[Service], log_dir: Path) -> Iterator[Superviso
     """
     supervisor = Supervisor(log_dir)
     try:
-        for service in services:
-            supervisor.start(service)
+        supervisor.start(*services)
         yield supervisor
     finally:
         supervisor.stop()
