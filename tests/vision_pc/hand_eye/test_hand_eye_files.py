@@ -218,6 +218,19 @@ def csv_text(scene: Scene) -> str:
     return "\n".join(lines)
 
 
+def test_the_documents_example_is_read(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[3] / "docs" / "hand_eye.md").read_text(encoding="utf-8")
+    example = text.split("```json\n")[1].split("```")[0]
+    pairs = load(saved(tmp_path, json.loads(example)))
+    assert pairs.names == ("pose 1",)
+    assert pairs.corners is not None
+    assert np.isnan(pairs.corners.pixels[0, 2]).all()
+    header = text.split("### CSV")[1].split("```\n")[1].split("\n")[0]
+    empty = tmp_path / "header.csv"
+    empty.write_text(header, encoding="utf-8")
+    assert len(load(empty)) == 0
+
+
 def test_csv_is_read_by_its_header(tmp_path: Path, scene: Scene) -> None:
     path = tmp_path / "samples.csv"
     path.write_text(csv_text(scene), encoding="utf-8")
