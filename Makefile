@@ -28,6 +28,8 @@ $(BIN)/python:
 $(RUN_STAMP): requirements.lock pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
+	@echo "compiling the kernels of plant, camera and odometry, once: about half a minute"
+	$(BIN)/python -m testbed.warm
 	@touch $@
 
 $(DEV_STAMP): requirements-dev.lock $(RUN_STAMP)

@@ -1,4 +1,4 @@
-"""Compiles every numba kernel once, into its cache: ``python -m testbed.warm`` while an image is built."""
+"""Compiles every numba kernel once, into its cache: ``python -m testbed.warm``, a part of set-up and of the image."""
 
 import sys
 from pathlib import Path
@@ -10,12 +10,12 @@ from testbed.settings import load_settings
 
 
 def main() -> int:
-    """Exit status 0; a short life of all three services in lockstep, with one look."""
+    """Exit status 0; a short life of all three services in lockstep: a look, and a short track with odometry."""
     rig = LockstepRig(load_settings(Path("configs"), {}), 1, EventLog())
     rig.command("enable")
     with bars(quiet=True) as shown, shown.step("look") as bar:
         rig.operate("look", {"frames": 1}, bar)
-        rig.operate("move", {"offset_base_m": [0.0, 0.02, 0.0]}, bar)
+        rig.operate("local-track", {"leg_m": 0.05}, bar)
     return 0
 
 

@@ -80,7 +80,7 @@ class CameraSource(ABC):
         trouble = self._trouble_now()
         span_ns = self._captures[-1] - self._captures[0] if len(self._captures) > 1 else 0
         return SourceStatus(
-            connected=trouble is None,
+            connected=trouble is None and self._newest is not None,
             age_ms=None if self._newest is None else (time.monotonic_ns() - self._newest.capture_ns) / 1e6,
             frames=self._frames,
             dropped=self._dropped,
