@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from testbed.report import run_directory
 from testbed.rest_rig import RestRig, StateSampler
 from testbed.sequence import JSON, Recorder, Rest, TimedTruth, View, demonstrate, stages, traces
 from testbed.settings import Overrides
-from testbed.supervisor import READY_TIMEOUT_S, Supervisor
+from testbed.supervisor import Supervisor, supervised
 from testbed.up import end_on_sigterm
 
 _HEALTHY_S = 60.0
@@ -69,17 +69,11 @@ def run_demo(
 
 @contextmanager
 def started(launch: Launch, shown: Bars) -> Iterator[Supervisor]:
-    """The services running, each with a progress bar for its start, in a block that ends them."""
-    supervisor = Supervisor(launch.directory)
-    try:
+    """The services running, with a progress bar for their start, in a block that ends them."""
+    with ExitStack() as stack:
         with shown.step("starting three processes") as bar:
-            children = [supervisor.launch(service) for service in launch.services]
-            for number, child in enumerate(children):
-                bar.update(number / len(children), f"{child.name} (the first time ever it compiles)")
-                child.wait_ready(READY_TIMEOUT_S)
+            supervisor = stack.enter_context(supervised(launch.services, launch.directory, bar.update))
         yield supervisor
-    finally:
-        supervisor.stop()
 
 
 def drive(launch: Launch, choice: Choice, shown: Bars, supervisor: Supervisor) -> Driven:

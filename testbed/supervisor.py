@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +23,9 @@ _LIBC = ctypes.CDLL(None, use_errno=True)
 
 class ServiceFailed(LongreachError):
     """A service did not start, or ended by itself; ``cause`` begins with ``service.``."""
+
+
+Report = Callable[[float, str], None]
 
 
 class Service(NamedTuple):
@@ -144,6 +147,10 @@ class Child:
         return self._process.returncode
 
 
+def _silent(_progress: float, _note: str) -> None:
+    """Nothing, for those who show no progress."""
+
+
 def _end_with_parent() -> None:
     """Nothing; runs in the child: it gets SIGTERM when the supervisor dies without having ended it."""
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
@@ -189,14 +196,18 @@ class Supervisor:
 
 
 @contextmanager
-def supervised(services: Sequence[Service], log_dir: Path) -> Iterator[Supervisor]:
+def supervised(services: Sequence[Service], log_dir: Path, report: Report = _silent) -> Iterator[Supervisor]:
     """The ``services`` running and ready, in a block that ends them however it is left.
 
-    Raises ServiceFailed with the last stderr line of the service that did not start.
+    The first is ready before the others, which need it, are started together. Raises ServiceFailed with the
+    last stderr line of the service that did not start.
     """
     supervisor = Supervisor(log_dir)
     try:
-        supervisor.start(*services)
+        report(0.0, "the first time ever it compiles for a while")
+        supervisor.start(*services[:1])
+        report(0.5, "")
+        supervisor.start(*services[1:])
         yield supervisor
     finally:
         supervisor.stop()

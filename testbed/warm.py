@@ -1,4 +1,4 @@
-"""Compiles every numba kernel once, into its cache: ``python -m testbed.warm``, a part of set-up and of the image."""
+"""Compiles every numba kernel once, into its cache: a part of set-up and of the image."""
 
 import sys
 from pathlib import Path
@@ -10,7 +10,7 @@ from testbed.settings import load_settings
 
 
 def main() -> int:
-    """Exit status 0; a short life of all three services in lockstep: a look, and a short track with odometry."""
+    """Exit status 0; a short life of all services in lockstep: a look, a short track with odometry."""
     rig = LockstepRig(load_settings(Path("configs"), {}), 1, EventLog())
     rig.command("enable")
     with bars(quiet=True) as shown, shown.step("look") as bar:
