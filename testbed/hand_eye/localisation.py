@@ -74,7 +74,7 @@ class LocalisationRow:
         return asdict(self)
 
 
-class _Session(NamedTuple):
+class Session(NamedTuple):
     """One calibration session: truth, all samples with corners, and which the authors would have kept."""
 
     scene: Scene
@@ -96,7 +96,7 @@ def localisation(
     failed: dict[tuple[str, str], int] = {}
     for run in range(runs):
         rng = np.random.default_rng([seed, run])
-        session = _session(rig, rng)
+        session = simulated_session(rig, rng)
         points = _repetitions(session.scene, rig, repetitions, rng)
         for name, samples, X in _calibrations(session, rig):
             key = (name, samples)
@@ -115,7 +115,7 @@ def localisation(
     )
 
 
-def _session(rig: Rig, rng: np.random.Generator) -> _Session:
+def simulated_session(rig: Rig, rng: np.random.Generator) -> Session:
     """17 views of the marker from about 0.4 m, 5 of them with a pose of the hand from another time."""
     scene = scenes.viewing_scene(rng, TAKEN, distance_m=0.4, tilt_deg=35.0)
     half = 0.5 * MARKER_M
@@ -136,7 +136,7 @@ def _session(rig: Rig, rng: np.random.Generator) -> _Session:
     kept = pose_pairs(
         X_BH[:KEPT], measured[:KEPT], Setup.EYE_IN_HAND, corners=corners._replace(pixels=pixels[:KEPT])
     )
-    return _Session(scene, taken, kept)
+    return Session(scene, taken, kept)
 
 
 def _projected(X_CT: Array, points: Array) -> Array:
@@ -157,7 +157,7 @@ def _pose_of(points: Array, pixels: Array) -> Array:
     )
 
 
-def _calibrations(session: _Session, rig: Rig) -> list[tuple[str, str, Array | None]]:
+def _calibrations(session: Session, rig: Rig) -> list[tuple[str, str, Array | None]]:
     """X of every method on the samples kept by hand, and of the robust ones on all samples too."""
     by_hand, everything = f"{KEPT} kept by hand", f"all {TAKEN}"
     found = [(m.value, by_hand, _solved(session.kept, m)) for m in Method]

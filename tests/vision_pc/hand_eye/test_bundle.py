@@ -1,12 +1,13 @@
 """Image-space adjustment: better than poses from pictures, honest, the robot's noise taken along."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed
-from testbed.hand_eye.localisation import Rig, _Session, _session
+from testbed.hand_eye.localisation import Rig, Session, simulated_session
 from tests.vision_pc.hand_eye.data import noisy_pairs
 from vision_pc.core import se3
 from vision_pc.core.hand_eye import bundle, methods
@@ -15,8 +16,8 @@ from vision_pc.core.hand_eye.bundle import RobotNoise
 RUNS = 8
 
 
-def sessions(rig: Rig) -> list[_Session]:
-    return [_session(rig, np.random.default_rng([40, run])) for run in range(RUNS)]
+def sessions(rig: Rig) -> list[Session]:
+    return [simulated_session(rig, np.random.default_rng([40, run])) for run in range(RUNS)]
 
 
 def test_corners_locate_better_than_poses_and_obey_the_covariance() -> None:
@@ -50,8 +51,6 @@ def test_exact_corners_give_the_exact_pose() -> None:
     rig = Rig(corner_px=0.0, robot_rotation_deg=0.0, robot_translation_mm=0.0)
     session = sessions(rig)[0]
     start = methods.solve(session.kept)
-    from dataclasses import replace
-
     nearby = replace(
         start, X=se3.retract(start.X, np.full(6, 0.01)), Z=se3.retract(start.Z, np.full(6, -0.01))
     )
@@ -83,8 +82,6 @@ def test_a_sample_with_too_few_corners_is_named() -> None:
     assert corners is not None
     pixels = corners.pixels.copy()
     pixels[3, :2] = np.nan
-    from dataclasses import replace
-
     blind = replace(session.kept, corners=corners._replace(pixels=pixels))
     with pytest.raises(MeasurementFailed, match=f"sample {blind.names[3]}") as caught:
         bundle.adjust(blind, methods.solve(session.kept))

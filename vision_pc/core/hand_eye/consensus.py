@@ -11,6 +11,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocol.errors import MeasurementFailed
 from vision_pc.core.hand_eye import maximum_likelihood as ml
@@ -96,10 +97,9 @@ def guessed_noise(p: Parts, setup: Setup) -> Noise:
     """
     n = len(p.H)
     wanted = (n + 4) // 2
-    triples = list(itertools.combinations(range(n), 3))
-    triples = triples[:: max(1, math.ceil(len(triples) / _TRIPLES))]
+    triples = _triples(n)
     weights = np.zeros((len(triples), n))
-    np.put_along_axis(weights, np.array(triples), 1.0, axis=-1)
+    np.put_along_axis(weights, triples, 1.0, axis=-1)
     X, Z = separable.solve(p, weights)
     turns, shifts = _sizes(p, X, Z)
     score = _quantile(turns, wanted) * _quantile(shifts, wanted)
@@ -109,6 +109,21 @@ def guessed_noise(p: Parts, setup: Setup) -> Noise:
         raise MeasurementFailed("measurement.hand_eye.no_solution", "no three samples determine the pose")
     small_sample = (1.0 + 5.0 / max(n - 2, 1)) / _MEDIAN_NORM
     return noise_model.beginning(NoiseSource.CAMERA, turn * small_sample, shift * small_sample)
+
+
+def _triples(n: int) -> NDArray[np.intp]:
+    """Triples of samples (about 300, 3): all of them, every few, or scattered ones where they are many.
+
+    Scattered by the three-dimensional golden ratio (Roberts' R3 sequence), which needs no random numbers.
+    """
+    if math.comb(n, 3) <= 10 * _TRIPLES:
+        every = list(itertools.combinations(range(n), 3))
+        return np.array(every[:: max(1, math.ceil(len(every) / _TRIPLES))])
+    ratio = 1.0 / 1.2207440846057596 ** np.arange(1, 4)
+    scattered = (n * np.modf(np.outer(np.arange(1, 2 * _TRIPLES), ratio))[0]).astype(np.intp)
+    distinct = np.array([len(set(triple)) == 3 for triple in scattered.tolist()])
+    chosen: NDArray[np.intp] = scattered[distinct][:_TRIPLES]
+    return chosen
 
 
 def _concentrated(p: Parts, setup: Setup, X: Array, Z: Array, wanted: int) -> tuple[float, float]:

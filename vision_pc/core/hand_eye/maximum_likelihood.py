@@ -1,8 +1,8 @@
 """Maximum likelihood for H X P = Z on SE(3), with the residual where the measurement is made: in the camera.
 
 The camera's measurement P is compared with its prediction X⁻¹ H⁻¹ Z, translation and rotation in camera axes.
-As the mismatch of H X P against Z in the base instead, the lever arms mix rotation noise into translation, and
-the result is five times worse (docs/hand_eye.md).
+As the mismatch of H X P against Z in the base instead, the lever arms mix rotation noise into translation,
+and the result is five times worse (docs/hand_eye.md).
 
 Perturbations are those of ``se3.retract``: [δp; δθ] in the outer frame's axes, here X first, then Z.
 """
