@@ -110,7 +110,7 @@ def _paint(
             patch[i, j] = patch[i, j] * (1.0 - share) + grey / samples**2
 
 
-def wall_texture(seed: int, contrast: float, size: int = 3000) -> Array:
+def wall_texture(seed: int, contrast: float, size: int = 2000) -> Array:
     """A band-limited random texture (size, size) with edges and blobs at several scales, about
     ±``contrast`` std.
     """
@@ -160,6 +160,7 @@ def render(
     wall: tuple[Array, float, Array] | None = None,
     capture_ns: int = 0,
     frame_id: int = 0,
+    samples: int = 8,
 ) -> StereoPair:
     """A stereo pair of ``markers`` (painted in order) over a plain or textured ``wall`` (texture, texel,
     X_CW).
@@ -169,6 +170,6 @@ def render(
         shape = (camera.height, camera.width)
         picture = np.full(shape, 118.0, np.float32) if wall is None else draw_wall(eye, shape, *wall)
         for marker in markers:
-            draw_marker(picture, eye, marker)
+            draw_marker(picture, eye, marker, samples)
         pictures.append(finish(picture, generator, noise, blur))
     return StereoPair(pictures[0], pictures[1], capture_ns, frame_id)

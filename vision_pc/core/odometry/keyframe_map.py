@@ -20,6 +20,7 @@ Indices = NDArray[np.int64]
 _NEAR, _FAR = 0.1, 50.0  # m: depths outside are mismatches or tell nothing about position
 _LARGEST_TURN = np.radians(25.0)  # beyond it a keyframe's patches no longer look alike
 _LARGEST_ZOOM = 1.35
+_LEAST_SCALE_STD = 2e-5
 _LEAST_STD_PX = 0.01  # of the right eye's view: bias of the matching keeps depths from being known better
 
 
@@ -51,7 +52,8 @@ class KeyframeMap:
     """Map points and the keyframes that show them. Grows only, so that points are found again on the way
     back.
 
-    ``points`` (n, 3) in C0; ``stds`` (n,) of their inverse depths.
+    ``points`` (n, 3) in C0. The error that all depths share is apart from their own: ``scale_std`` of the
+    whole map, relative.
     """
 
     def __init__(self, camera: CameraCalibration) -> None:
@@ -61,6 +63,7 @@ class KeyframeMap:
         self._least_std = _LEAST_STD_PX / (camera.right.K[0, 0] * np.linalg.norm(camera.right.X_CE[:3, 3]))
         self._origins, self._directions = np.zeros((0, 3)), np.zeros((0, 3))
         self._inverse_depths, self._information = np.zeros(0), np.zeros(0)
+        self.scale_std = 0.0
 
     def add_points(self, X_C0C: Array, points_C: Array, noise_px: float) -> Indices:
         """The numbers given to new ``points_C`` (n, 3), triangulated by a camera at ``X_C0C``."""
@@ -75,6 +78,24 @@ class KeyframeMap:
         self._information = np.concatenate([self._information, np.full(count, std**-2.0)])
         self.points = np.vstack([self.points, se3.apply(X_C0C, points_C)])
         return np.arange(first, first + count)
+
+    def trust_scale(self, ids: Indices) -> None:
+        """Take the scale of the whole map to be as certain as the depths of its first points ``ids`` make
+        it.
+        """
+        relative = self._inverse_depths[ids] / self.stds(ids)
+        self.scale_std = float((relative**2).sum() ** -0.5)
+
+    def rescale(self, factor: float, std: float) -> None:
+        """Stretch the whole map about C0 by ``factor``; its scale is then known to ``std``."""
+        self.scale_std = max(std, _LEAST_SCALE_STD)
+        self._origins *= factor
+        self._inverse_depths /= factor
+        self.points *= factor
+        for k, keyframe in enumerate(self.keyframes):
+            X_C0C = keyframe.X_C0C.copy()
+            X_C0C[:3, 3] *= factor
+            self.keyframes[k] = keyframe._replace(X_C0C=X_C0C, surfaces=keyframe.surfaces / factor)
 
     def sensitivity(self, ids: Indices, X_CC0: Array) -> Array:
         """How far the eyes' views of points ``ids`` move with their inverse depths, px m (2, n, 2)."""

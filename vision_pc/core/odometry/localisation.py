@@ -17,7 +17,8 @@ from vision_pc.core.stereo_pose import Beliefs, Solution, View
 from vision_pc.core.types import CameraCalibration, EyeModel, Image, StereoOffset, StereoPair
 
 _NO_OFFSET = StereoOffset(0.0, 0.0, 1e-9, 1e-9)
-_NO_SIZE_ERROR = 1e-9
+_SHARED = 2.0  # depths share the errors of the poses at which they were learnt: measured against the truth
+_LEAST_NOISE_PX = 0.03  # what matching leaves even in clean pictures
 
 
 class Frame(NamedTuple):
@@ -127,13 +128,14 @@ class Localiser:
 
     def _settled(self, ids: Indices, pixels: Array, rays: Array, seen: Array, X_CC0: Array) -> Fix:
         """The pose from the points that held, which in turn learn from it."""
-        points = self._map.points[ids]
-        solution = self._solve(points, rays, seen * self._trust(ids, X_CC0), X_CC0)
+        solution = self._solve(self._map.points[ids], rays, seen * self._trust(ids, X_CC0), X_CC0)
         X_CC0 = solution.X_CA[0]
-        errors = self._errors(points, rays, X_CC0)
+        self._map.rescale(solution.sizes[0], solution.size_stds[0])
+        errors = self._errors(self._map.points[ids], rays, X_CC0)
         residual = float(np.sqrt((errors**2 * seen[:, :, None]).sum() / (2.0 * seen.sum())))
-        self._map.learn(ids, X_CC0, errors, seen, max(residual, self._noise_px))
-        covariance = se3.inverse_covariance(X_CC0, solution.covariances[0])
+        self._map.learn(ids, X_CC0, errors, seen, self._noise_px)
+        self._noise_px = max(residual, _LEAST_NOISE_PX)
+        covariance = _SHARED * se3.inverse_covariance(X_CC0, solution.covariances[0])
         return Fix(se3.inverse(X_CC0), covariance, ids, pixels, residual)
 
     def _trust(self, ids: Indices, X_CC0: Array) -> Array:
@@ -143,7 +145,10 @@ class Localiser:
 
     def _solve(self, points: Array, rays: Array, weights: Array, X_CC0: Array) -> Solution:
         return stereo_pose.solve(
-            [View(points, rays, weights)], [X_CC0], self._camera, Beliefs(self._noise_px, 1e-9, _NO_OFFSET)
+            [View(points, rays, weights)],
+            [X_CC0],
+            self._camera,
+            Beliefs(self._noise_px, self._map.scale_std, _NO_OFFSET),
         )
 
     def _errors(self, points: Array, rays: Array, X_CC0: Array) -> Array:

@@ -33,6 +33,7 @@ class Mapper:
         if len(pixels) < self._settings.minimum_inliers:
             return None
         ids = self._map.add_points(X_C0C, points_C, self._settings.noise_px)
+        self._map.trust_scale(ids)
         self._add_keyframe(frame, X_C0C, ids, pixels)
         return Fix(X_C0C, np.zeros((6, 6)), ids, pixels, 0.0)
 

@@ -19,8 +19,8 @@ from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import EyeModel, Image
 
-_STEPS = 10
-_CONVERGED = 0.01  # px
+_STEPS = 20
+_CONVERGED = 0.002  # px
 _WANDERED = 4.0  # px from the guess, after which it is another patch
 _NEIGHBOURS = 10
 _SLANTED = (
