@@ -1,6 +1,6 @@
 """Maximum likelihood for H X P = Z on SE(3), with the residual where the measurement is made: in the camera.
 
-The camera's measurement P is compared with its prediction X⁻¹ H⁻¹ Z, translation and rotation in camera axes.
+The camera's measurement P is compared with its prediction X⁻¹ H⁻¹ Z, both parts in camera axes.
 As the mismatch of H X P against Z in the base instead, the lever arms mix rotation noise into translation,
 and the result is five times worse (docs/hand_eye.md).
 
@@ -32,8 +32,8 @@ class Noise(NamedTuple):
 class Equations(NamedTuple):
     """H X P = Z over the samples: ``H``, ``P`` (n, 4, 4), ``weights`` (n,).
 
-    ``hand_at_origin`` says that the hand sits at the origin of H's outer frame (eye to hand), which moves the
-    lever arm of robot noise. ``tied`` means Z = X: the relative-motion form A X = X B with H = A⁻¹, P = B.
+    ``setup`` says where the hand is, from which the lever arm of robot noise is counted. ``tied`` means Z = X:
+    the relative-motion form A X = X B with H = A⁻¹, P = B.
     """
 
     H: Array

@@ -2,9 +2,8 @@
 
 1. Graduated non-convexity finds the samples that agree (``consensus``), with a robust guess of the noise.
 2. The chordal problem over those samples is solved globally and certified (``chordal``).
-3. Maximum likelihood from there, with the noise from the restricted likelihood and the covariance
-(``noise``). 4. With that better noise the samples are tested again; 2 to 4 repeat until the set stays the
-same.
+3. Maximum likelihood from there, noise by the restricted likelihood (``noise``), and the covariance.
+4. With that better noise the samples are tested again; 2 to 4 repeat until the set stays the same.
 """
 
 from typing import NamedTuple
@@ -77,6 +76,8 @@ def solve(pairs: PosePairs, motions: Motions, settings: RobustSettings) -> Robus
             break
         _demand_consensus(again, settings, pairs)
         weights = again
+    else:
+        estimate, noise, certificate = _certified(pairs, weights, noise, settings)
     if not certificate.holds:
         notes.append("the global optimum is not proven: the relaxation is not tight for these samples")
     if settings.noise is not None:
