@@ -82,7 +82,7 @@ def test_every_state_answers_every_command_as_the_table_says(
 
 def test_enabling_moves_nothing(settings: Settings) -> None:
     bench = Bench(settings).enabled()
-    bench.run(1.0)
+    bench.run(2.0)
     assert all(output.valves.valves == pytest.approx(ZERO, abs=1e-6) for output in bench.outputs)
     assert bench.last.view.q_cmd == pytest.approx(bench.last.view.q_meas, abs=1e-6)
     assert bench.last.view.flags & FLAG_SETTLED
