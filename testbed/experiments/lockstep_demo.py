@@ -4,7 +4,7 @@ import csv
 import multiprocessing
 import os
 import time
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from testbed.scenario import load_scenario
 from testbed.settings import load_settings
 
 LIMITS_MM = (10.0, 5.0)
+_RUNS_A_WORKER = 5  # memory: a run holds its truth, states and pictures, and the allocator keeps what it had
 WANTED_SHARE = 0.9  # of the runs, under LIMITS_MM[0] after the last look: 18 of 20
 
 
@@ -53,6 +54,12 @@ def one_run(config_dir: Path, scenario: str, seed: int, looks: int, assignments:
     with bars(quiet=True) as shown:
         done = run_lockstep(config_dir, world, Choice(scenario, seed, looks), shown)
     return row_of(done.outcome, world)
+
+
+def _run_seed(
+    config_dir: Path, scenario: str, looks: int, assignments: list[str], seed: int
+) -> dict[str, Any]:
+    return one_run(config_dir, scenario, seed, looks, assignments)
 
 
 def counts(rows: list[dict[str, Any]], looks: int) -> list[dict[str, Any]]:
@@ -92,13 +99,12 @@ def run_experiment(
     with (
         bars() as shown,
         shown.step(f"{runs} demonstrations in lockstep") as bar,
-        ProcessPoolExecutor(_workers(), mp_context=context, max_tasks_per_child=5) as pool,
+        # concurrent.futures' executor deadlocks on Python 3.11 once its workers have had their share of tasks
+        context.Pool(_workers(), maxtasksperchild=_RUNS_A_WORKER) as pool,
     ):
-        waiting: list[Future[dict[str, Any]]] = [
-            pool.submit(one_run, config_dir, scenario, seed, looks, assignments) for seed in seeds
-        ]
-        for future in as_completed(waiting):
-            rows.append(future.result())
+        run_seed = partial(_run_seed, config_dir, scenario, looks, assignments)
+        for row in pool.imap_unordered(run_seed, seeds):
+            rows.append(row)
             bar.update(len(rows) / runs, f"seed {rows[-1]['seed']}")
     rows.sort(key=lambda row: int(row["seed"]))
     counted = counts(rows, looks)
