@@ -32,8 +32,8 @@ class Noise(NamedTuple):
 class Equations(NamedTuple):
     """H X P = Z over the samples: ``H``, ``P`` (n, 4, 4), ``weights`` (n,).
 
-    ``setup`` says where the hand is, from which the lever arm of robot noise is counted. ``tied`` means Z = X:
-    the relative-motion form A X = X B with H = A⁻¹, P = B.
+    ``setup`` says where the hand is, from which the lever arm of robot noise is counted. ``tied`` means
+    Z = X: the relative-motion form A X = X B with H = A⁻¹, P = B.
     """
 
     H: Array
