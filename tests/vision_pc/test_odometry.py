@@ -10,7 +10,7 @@ import pytest
 from tests.vision_pc.rendering import Marker, facing, finish, render, wall_texture
 from vision_pc.config import VisionConfig
 from vision_pc.core import intrinsics, se3
-from vision_pc.core.odometry import StereoOdometry, moving_regions, patches
+from vision_pc.core.odometry import StereoOdometry, moving_regions, patches, smoothing
 from vision_pc.core.odometry.keyframe_map import triangulated
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, StereoPair
@@ -196,7 +196,12 @@ def test_camera_that_jumped_while_blind_is_relocalised(
 
 @pytest.mark.parametrize(
     ("grey", "noise", "cause"),
-    [(118.0, 2.0, "no_texture"), (118.0, 0.0, "no_texture"), (2.0, 1.0, "too_dark")],
+    [
+        (118.0, 2.0, "no_texture"),
+        (118.0, 6.0, "no_texture"),
+        (118.0, 0.0, "no_texture"),
+        (2.0, 1.0, "too_dark"),
+    ],
 )
 def test_wall_without_texture_or_light_is_refused(
     camera: CameraCalibration, config: VisionConfig, grey: float, noise: float, cause: str
@@ -208,6 +213,16 @@ def test_wall_without_texture_or_light_is_refused(
         assert odometry.process(StereoPair(left, right, 0, 0)) is None
         assert odometry.last_loss == cause
     assert odometry.keyframes == 0
+
+
+@pytest.mark.parametrize(
+    ("contrast", "noise", "noisy"), [(1.0, 2.0, False), (1.0, 0.0, False), (0.2, 5.0, True), (0.0, 2.0, True)]
+)
+def test_noise_is_told_from_texture(
+    camera: CameraCalibration, texture: Array, contrast: float, noise: float, noisy: bool
+) -> None:
+    pale = 118.0 + contrast * (texture - 118.0)
+    assert smoothing.is_noisy(pair_at(camera, pale, np.eye(4), noise=noise).left) == noisy
 
 
 def test_triangulation_inverts_projection_for_any_pair_of_eyes(camera: CameraCalibration) -> None:

@@ -10,6 +10,7 @@ from vision_pc.core.odometry.localisation import Fix, Frame, Localiser
 from vision_pc.core.odometry.mapping import Mapper
 from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.odometry.relocalisation import relocalised
+from vision_pc.core.odometry.smoothing import is_noisy, smoothed
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, StereoPair
 
@@ -42,6 +43,7 @@ class StereoOdometry:
         self._static = (everything, everything)
         self._masked_for: Array | None = None
         self._lost_frames = 0
+        self._smooths = False
         self.last_loss: str | None = None
 
     @property
@@ -58,7 +60,9 @@ class StereoOdometry:
         if X_CM is not None and self._tool is not None and self._has_moved(X_CM):
             self._static = static_pixels(X_CM, self._tool, self._camera)
             self._masked_for = X_CM
-        frame = Frame(pair, *self._static)
+        if not self._map.keyframes:
+            self._smooths = is_noisy(pair.left)  # once for the whole map: patches are compared across frames
+        frame = Frame(smoothed(pair) if self._smooths else pair, *self._static)
         outcome = self._located(frame) if self._map.keyframes else self._begun(frame)
         if isinstance(outcome, str):
             dark = float(pair.left[::_DARK_STEP, ::_DARK_STEP].mean()) < _DARK
@@ -69,6 +73,7 @@ class StereoOdometry:
         self._motion = se3.identity() if self._lost_frames else se3.inverse(self._X_C0C) @ outcome.X_C0C
         self._X_C0C = outcome.X_C0C
         self._lost_frames = 0
+        self._smooths = False
         self.last_loss = None
         cells = tracking.grid_cells(outcome.pixels, pair.left.shape, self._settings)
         return OdometryPose(

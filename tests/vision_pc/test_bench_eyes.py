@@ -1,0 +1,200 @@
+"""What the eyes cost and how well they see, beside OpenCV's own corner refinement; `make bench` prints the
+figures.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+
+import cv2
+import numpy as np
+import pytest
+from pytest_benchmark.fixture import BenchmarkFixture
+
+from tests.vision_pc.rendering import facing, render, wall_texture
+from tests.vision_pc.test_markers import Corners, measured_corners, object_markers, tool_marker
+from tests.vision_pc.test_odometry import pair_at, poses
+from tests.vision_pc.test_watch import World
+from vision_pc.config import VisionConfig
+from vision_pc.core import look, se3
+from vision_pc.core.odometry import StereoOdometry
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraCalibration, OdometryPose, StereoPair
+
+pytestmark = [pytest.mark.bench, pytest.mark.benchmark(timer=time.process_time), pytest.mark.timeout(600)]
+
+
+@pytest.fixture(autouse=True)
+def one_core() -> Iterator[None]:
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    yield
+    cv2.setNumThreads(before)
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.mark.parametrize(("size", "z"), [(0.10, 0.5), (0.15, 1.0), (0.12, 1.1), (0.10, 2.0)])
+def test_corner_accuracy(
+    camera: CameraCalibration, generator: np.random.Generator, size: float, z: float
+) -> None:
+    corners: Corners = measured_corners(camera.left, size, z, 60, generator)
+    ours, peer = rms(corners.edges), rms(corners.opencv)
+    print(
+        f"\ncorners {1e3 * size:.0f} mm at {z:g} m: edge lines {ours:.4f} px rms,"
+        f" bias {corners.outward.mean():+.4f} px; cv2 SUBPIX {peer:.4f} px rms"
+    )
+    assert ours < 0.06
+    assert abs(corners.outward.mean()) < 0.02
+    assert ours < peer
+
+
+@pytest.mark.parametrize(("size", "z", "limit_mm"), [(0.15, 1.0, (0.2, 0.6)), (0.10, 2.0, (1.2, 4.0))])
+def test_pose_accuracy_of_one_marker(
+    camera: CameraCalibration,
+    config: VisionConfig,
+    generator: np.random.Generator,
+    size: float,
+    z: float,
+    limit_mm: tuple[float, float],
+) -> None:
+    settings = config.markers.model_copy(
+        update={"tool": config.markers.tool.model_copy(update={"size_m": size})}
+    )
+    errors, flips, missed = [], 0, 0
+    for _ in range(60):
+        x, y = generator.uniform(-0.3, 0.3, 2) * z
+        X_CM = facing(x, y, z, tuple(generator.uniform(-35, 35, 3)))
+        marker = tool_marker(X_CM)._replace(size=size)
+        seen = look.observe(render(camera, (marker,), generator), camera, settings)
+        if seen.X_CM is None:
+            missed += 1
+            continue
+        errors.append(se3.local(X_CM, seen.X_CM))
+        flips += int(np.degrees(np.linalg.norm(errors[-1][3:])) > 5.0)
+    lateral, depth = 1e3 * rms(np.array(errors)[:, :2]), 1e3 * rms(np.array(errors)[:, 2])
+    print(
+        f"\none marker {1e3 * size:.0f} mm at {z:g} m, both eyes: {lateral:.3f} / {depth:.3f} mm rms,"
+        f" rotation {np.degrees(rms(np.array(errors)[:, 3:])):.3f}°, {flips} flips, {missed} missed of 60"
+    )
+    assert lateral < limit_mm[0]
+    assert depth < limit_mm[1]
+    assert flips == 0
+    assert missed <= 2
+
+
+def test_pose_accuracy_of_the_object(
+    camera: CameraCalibration, config: VisionConfig, generator: np.random.Generator
+) -> None:
+    errors = []
+    for _ in range(40):
+        X_CO = facing(*(generator.uniform(-0.3, 0.3, 2) * 2.0), 2.0, tuple(generator.uniform(-25, 25, 3)))
+        seen = look.observe(render(camera, object_markers(X_CO), generator), camera, config.markers)
+        if seen.X_CO is not None and len(seen.markers) == 3:
+            errors.append(se3.local(X_CO, seen.X_CO))
+    found = np.array(errors)
+    lateral, depth = 1e3 * rms(found[:, :2]), 1e3 * rms(found[:, 2])
+    p95 = float(np.percentile(np.degrees(np.linalg.norm(found[:, 3:], axis=1)), 95))
+    print(
+        f"\nobject, twelve corners at 2 m: {lateral:.3f} / {depth:.3f} mm rms across / along,"
+        f" rotation p95 {p95:.3f}°, {len(found)} of 40"
+    )
+    assert lateral < 0.3
+    assert depth < 1.0
+    assert p95 < 0.5
+    assert len(found) >= 36
+
+
+@pytest.fixture(scope="module")
+def shipped_pair() -> StereoPair:
+    return World().shot((0.0, 0.0, 0.0), 1).pair
+
+
+def timed(benchmark: BenchmarkFixture, work: Callable[[], object], limit_ms: float, what: str) -> None:
+    work()
+    benchmark.pedantic(work, rounds=30)
+    assert benchmark.stats is not None
+    median_ms = 1e3 * benchmark.stats.stats.median
+    print(f"\n{what}: {median_ms:.1f} ms, limit {limit_ms:g} ms")
+    assert median_ms < limit_ms
+
+
+def test_time_of_a_full_frame(
+    benchmark: BenchmarkFixture, camera: CameraCalibration, config: VisionConfig, shipped_pair: StereoPair
+) -> None:
+    timed(
+        benchmark,
+        lambda: look.observe(shipped_pair, camera, config.markers),
+        30.0,
+        "full frame on the textured wall",
+    )
+
+
+def test_time_of_a_tracked_frame(
+    benchmark: BenchmarkFixture, camera: CameraCalibration, config: VisionConfig, shipped_pair: StereoPair
+) -> None:
+    before = look.observe(shipped_pair, camera, config.markers)
+    timed(
+        benchmark,
+        lambda: look.observe(shipped_pair, camera, config.markers, before),
+        10.0,
+        "tracked frame, four markers",
+    )
+
+
+def test_time_of_an_odometry_frame(
+    benchmark: BenchmarkFixture, camera: CameraCalibration, config: VisionConfig, shipped_pair: StereoPair
+) -> None:
+    odometry = StereoOdometry(camera, config.odometry, config.markers.tool)
+    odometry.process(shipped_pair, look.observe(shipped_pair, camera, config.markers).X_CM)
+    timed(benchmark, lambda: odometry.process(shipped_pair), 40.0, "odometry frame, both eyes")
+
+
+@pytest.mark.parametrize(
+    ("z", "contrast", "noise", "limit_mm"),
+    [
+        (1.5, 1.0, 2.0, 0.2),
+        (3.0, 1.0, 2.0, 0.2),
+        (3.0, 0.2, 2.0, 0.5),
+        (3.0, 0.2, 5.0, 1.0),
+    ],
+)
+def test_odometry_accuracy(
+    camera: CameraCalibration,
+    config: VisionConfig,
+    z: float,
+    contrast: float,
+    noise: float,
+    limit_mm: float,
+) -> None:
+    """Absolute trajectory error after the best rigid alignment, over 60 frames of a 1.1 m path."""
+    texture = 118.0 + contrast * (wall_texture(1, 22.0) - 118.0)
+    odometry = StereoOdometry(camera, config.odometry)
+    true, found, spent = list(poses(60)), [], []
+    for k, X in enumerate(true):
+        pair = pair_at(camera, texture, X, z=z, noise=noise, seed=k)
+        began = time.process_time()
+        pose = odometry.process(pair)
+        spent.append(time.process_time() - began)
+        assert pose is not None
+        found.append(pose)
+    error, scale = aligned_error(found, true)
+    print(
+        f"\nodometry at {z:g} m, contrast {contrast:g}, noise {noise:g}: ATE {1e3 * error:.3f} mm,"
+        f" scale {100 * scale:+.3f} %, {1e3 * float(np.median(spent)):.1f} ms a frame,"
+        f" {odometry.keyframes} keyframes"
+    )
+    assert 1e3 * error < limit_mm
+    assert 1e3 * float(np.median(spent)) < 40.0
+
+
+def aligned_error(found: list[OdometryPose], true: list[Array]) -> tuple[float, float]:
+    """RMS distance (m) after the best rigid alignment (Umeyama 1991), and what scale would still better
+    it.
+    """
+    a = np.array([pose.X_C0C[:3, 3] for pose in found])
+    b = np.array([X[:3, 3] for X in true])
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    R = se3.nearest_rotation(b.T @ a)
+    return rms(np.linalg.norm(b - a @ R.T, axis=1)), float((b * (a @ R.T)).sum() / (a * a).sum() - 1.0)
