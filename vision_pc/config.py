@@ -154,6 +154,17 @@ class OdometrySettings(StrictModel):
         return self.huber_px / 3.0
 
 
+class RectifiedPairSettings(StrictModel):
+    """Intrinsics of a recorded sequence of rectified pictures, one file beside it."""
+
+    fx_px: float = Field(ge=50.0, le=10_000.0)
+    fy_px: float = Field(ge=50.0, le=10_000.0)
+    cx_px: float = Field(ge=0.0, le=8192.0)
+    cy_px: float = Field(ge=0.0, le=8192.0)
+    right_cx_px: float | None = Field(None, ge=0.0, le=8192.0)
+    baseline_m: float = Field(gt=0.005, le=2.0)
+
+
 class LinkSettings(StrictModel):
     """Where the controller listens."""
 
