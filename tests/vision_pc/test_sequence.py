@@ -16,7 +16,10 @@ from vision_pc.core.types import CameraCalibration, StereoPair
 from vision_pc.shell import sequence
 
 YAML = "fx_px: 530.0\nfy_px: 530.0\ncx_px: 639.5\ncy_px: 359.5\nbaseline_m: 0.12\n"
-KITTI = "P0: 530.0 0 639.5 0 0 530.0 359.5 0 0 0 1 0\nP1: 530.0 0 639.5 -63.6 0 530.0 359.5 0 0 0 1 0\nTr: 1 0 0 0\n"
+KITTI = """P0: 530.0 0 639.5 0 0 530.0 359.5 0 0 0 1 0
+P1: 530.0 0 639.5 -63.6 0 530.0 359.5 0 0 0 1 0
+Tr: 1 0 0 0
+"""
 
 
 def written(directory: Path, pairs: list[StereoPair], names: list[str]) -> tuple[Path, Path]:
