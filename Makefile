@@ -71,6 +71,7 @@ lock:  ## resolve pyproject.toml again into both lock files
 	$(VENV)-lock/bin/python -m pip install --quiet uv
 	$(VENV)-lock/bin/uv pip compile pyproject.toml --group build $(LOCK_FLAGS) -o requirements.lock
 	$(VENV)-lock/bin/uv pip compile pyproject.toml --group build --group dev -c requirements.lock $(LOCK_FLAGS) -o requirements-dev.lock
+	$(VENV)-lock/bin/uv pip compile pyproject.toml --group peers -c requirements-dev.lock $(LOCK_FLAGS) -o requirements-peers.lock
 	rm -rf $(VENV)-lock
 
 clean:  ## remove the virtual environment and every cache
