@@ -12,6 +12,8 @@ from testbed.conformance.command import app as conformance
 from testbed.console import err
 from testbed.dissector.command import sniff
 from testbed.fault_proxy.command import proxy
+from testbed.hand_eye.cli import app as hand_eye
+from testbed.hand_eye.cli import register_experiments
 from testbed.settings import chosen_overrides
 
 app = typer.Typer(
@@ -28,7 +30,10 @@ app.add_typer(validate, name="validate")
 experiment = typer.Typer(help="Seeded experiments that write tables.", no_args_is_help=True)
 app.add_typer(experiment, name="experiment")
 
+register_experiments(experiment)
+
 app.add_typer(conformance, name="conformance")
+app.add_typer(hand_eye, name="hand-eye")
 
 app.command(epilog="Example: longreach sniff --interface lo --port 47000")(sniff)
 app.command(epilog="Example: longreach proxy --listen-port 47001 --port 47000 --loss 0.02")(proxy)
