@@ -63,7 +63,8 @@ class LockstepRig:
 
     def operate(self, kind: str, body: JSON, bar: Bar) -> JSON:
         """The result of an operation."""
-        self.station.refuse_now(kind, "calibrated" if kind == "look-then-move" else None)
+        method = LookThenMoveBody(**body).method if kind == "look-then-move" else None
+        self.station.refuse_now(kind, method)
         self.world.log.add(self.world.time_ns, "operation", kind=kind, body=body)
         result: JSON = run(_program(self.station, kind, body)(bar.update))
         self.world.log.add(self.world.time_ns, "operation_ended", kind=kind, result=result)
