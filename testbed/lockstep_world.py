@@ -9,6 +9,7 @@ image of a scan reaches the plant with the next exchange.
 from collections.abc import Callable
 from typing import NamedTuple
 
+from controller.core.inbox import Inbox
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput, ScanOutput, initial_state
 from controller.core.settings import settings_from
@@ -29,7 +30,6 @@ from protocol.reference_session import (
     OffsetEstimate,
     ReferenceClient,
     ReferenceServer,
-    RequestReceived,
     StateReceived,
 )
 from protocol.stereo_frame import FrameHeader, decode_header, encode_header
@@ -62,6 +62,7 @@ class ControllerSide:
         self.cycle_ns = round(1e6 * config.cycle_ms)
         self._settings = settings_from(settings.arm, config)
         self._state = initial_state(self._settings)
+        self._inbox = Inbox()
         self._server = ReferenceServer(
             boot_id=seed + 1,
             arm_hash=configuration_hash(settings.arm),
@@ -76,7 +77,8 @@ class ControllerSide:
         """The scan's output and the datagrams to vision; ``valve_words`` are for the next exchange."""
         events = self._server.receive_batch([(data, _VISION) for data in datagrams], now_ns)
         events += self._server.tick(now_ns)
-        requests = tuple(event.message for event in events if isinstance(event, RequestReceived))
+        self._inbox.put(events)
+        requests, alive = self._inbox.take(self._server.link_alive(now_ns))
         self._state, output = scan(
             self._settings,
             self._state,
@@ -85,7 +87,7 @@ class ControllerSide:
                 dt_s=1e-9 * self.cycle_ns,
                 sensors=decode_sensors(sensor_words),
                 requests=requests,
-                reference_link_alive=self._server.link_alive(now_ns),
+                reference_link_alive=alive,
             ),
         )
         for acknowledgement in output.acknowledgements:

@@ -10,24 +10,21 @@ import contextlib
 import errno
 import socket
 import time
-from collections import Counter, deque
+from collections import Counter
 
 from controller.config import ReferenceLinkConfig
+from controller.core.inbox import Inbox, Request
 from controller.shell.event_log import EventLog
 from protocol.errors import ConfigurationError
 from protocol.faults import Reason
 from protocol.reference_link import (
     MAX_DATAGRAM_BYTES,
     Acknowledgement,
-    Command,
-    ReferencePath,
-    ReferencePose,
     State,
 )
 from protocol.reference_session import (
     DatagramDropped,
     ReferenceServer,
-    RequestReceived,
     ServerEvent,
     SessionClosed,
     SessionOpened,
@@ -36,9 +33,6 @@ from protocol.reference_session import (
 _READS_A_CYCLE = 600  # about a millisecond; 50 000 datagrams a second are 250 in a cycle of 5 ms
 _DATAGRAMS_A_CYCLE = 96  # of those, decoded
 _STRANGERS_A_CYCLE = 8  # of those, while a session is open: enough to refuse a second client
-_REQUESTS_A_SCAN = 8
-
-Request = Command | ReferencePose | ReferencePath
 
 
 class ReferencePort:
@@ -54,8 +48,7 @@ class ReferencePort:
         self.flooded = 0
         self.drops: Counter[str] = Counter()
         self._log = log
-        self._requests: deque[Request] = deque()
-        self._last_words: tuple[Request, ...] | None = None
+        self._inbox = Inbox()
         self._peer: object | None = None
         self._reads = _READS_A_CYCLE
         self._datagrams = _DATAGRAMS_A_CYCLE
@@ -83,10 +76,9 @@ class ReferencePort:
         self._socket.close()
 
     def take(self, now_ns: int) -> tuple[tuple[Request, ...], bool]:
-        """Requests for the scan at ``now_ns``, in order of arrival, and whether the link is alive.
+        """Requests for the scan at ``now_ns`` and whether the link is alive, see Inbox.
 
-        A session that ended counts as a dead link for one scan even if another one has begun: what the old
-        peer had set in motion is not the new one's. Also opens the next cycle's budget.
+        Also opens the next cycle's budget.
         """
         self._told(self.server.tick(now_ns))
         self._reads = _READS_A_CYCLE
@@ -94,11 +86,7 @@ class ReferencePort:
         self._strangers = _STRANGERS_A_CYCLE
         if not self._reading:
             self.open()
-        if self._last_words is not None:
-            words, self._last_words = self._last_words, None
-            return words, False
-        count = min(len(self._requests), _REQUESTS_A_SCAN)
-        return tuple(self._requests.popleft() for _ in range(count)), self.server.link_alive(now_ns)
+        return self._inbox.take(self.server.link_alive(now_ns))
 
     def publish(self, acknowledgements: tuple[Acknowledgement, ...], state: State, now_ns: int) -> None:
         """Answer the scan's requests, and send ``state`` when the peer's period has passed."""
@@ -140,17 +128,13 @@ class ReferencePort:
                 self._socket.sendto(data, source)  # type: ignore[call-overload]
 
     def _told(self, events: list[ServerEvent]) -> None:
+        self._inbox.put(events)
         for event in events:
-            if isinstance(event, RequestReceived):
-                self._requests.append(event.message)
-            elif isinstance(event, SessionOpened):
+            if isinstance(event, SessionOpened):
                 self._peer = event.source
                 self._log.write("session_opened", session=f"{event.session:x}", peer=str(event.source))
             elif isinstance(event, SessionClosed):
                 self._peer = None
-                # Commands, a stop above all, are still obeyed; motion is not begun for a peer that has gone.
-                self._last_words = tuple(r for r in self._requests if isinstance(r, Command))
-                self._requests.clear()
                 self._log.write("session_closed", session=f"{event.session:x}", reason=event.reason.name)
             elif isinstance(event, DatagramDropped):
                 self.drops[event.cause] += 1

@@ -11,8 +11,9 @@ from collections.abc import AsyncIterator, Callable, Iterator
 import pytest
 
 from controller.config import ReferenceLinkConfig
+from controller.core.inbox import Request
 from controller.shell.event_log import EventLog
-from controller.shell.reference_port import ReferencePort, Request
+from controller.shell.reference_port import ReferencePort
 from protocol.errors import ConfigurationError
 from protocol.faults import CommandCode, Reason
 from protocol.pose import IDENTITY
