@@ -9,7 +9,7 @@ import numpy as np
 from protocol.errors import MeasurementFailed
 from vision_pc.config import LookSettings, MarkerSettings
 from vision_pc.core import markers, object_of_interest, se3
-from vision_pc.core.markers import Region
+from vision_pc.core.markers import Region, Sighting
 from vision_pc.core.se3 import Array
 from vision_pc.core.stereo_pose import Beliefs
 from vision_pc.core.types import CameraCalibration, FrameObservation, Image, Look, StereoOffset, StereoPair
@@ -30,18 +30,37 @@ def observe(
     ``previous`` is the frame before: where its markers were is searched first, its poses decide an
     ambiguous marker, and its estimate of the right eye's offset is carried on.
     """
+    beliefs = beliefs_after(previous, settings)
+    rough, refused = _found(pair, settings, previous)
+    sightings, unfit = markers.sight(pair, rough, camera, settings, beliefs)
+    return observation_of(
+        (pair.capture_ns, pair.frame_id), sightings, refused + unfit, camera, settings, beliefs, previous
+    )
+
+
+def beliefs_after(previous: FrameObservation | None, settings: MarkerSettings) -> Beliefs:
+    """What is taken for granted about the next frame, the offset as it was last estimated."""
     offset = StereoOffset(0.0, 0.0, settings.offset_std_px, settings.offset_std_px)
     if previous is not None and previous.offset is not None:
         offset = previous.offset
-    beliefs = Beliefs(settings.corner_std_px, settings.print_size_std, offset)
-    rough, refused = _found(pair, settings, previous)
-    sightings, unfit = markers.sight(pair, rough, camera, settings, beliefs)
+    return Beliefs(settings.corner_std_px, settings.print_size_std, offset)
+
+
+def observation_of(
+    frame: tuple[int, int],
+    sightings: list[Sighting],
+    refused: Counter[str],
+    camera: CameraCalibration,
+    settings: MarkerSettings,
+    beliefs: Beliefs,
+    previous: FrameObservation | None,
+) -> FrameObservation:
+    """What the ``sightings`` of one ``frame`` (capture_ns, frame_id) say about tool and object."""
     known = (None, None) if previous is None else (previous.X_CM, previous.X_CO)
     scene = object_of_interest.locate(sightings, camera, settings, beliefs, known)
     tool, target = scene.tool, scene.object
     return FrameObservation(
-        pair.capture_ns,
-        pair.frame_id,
+        *frame,
         None if tool is None else tool.X,
         None if tool is None else tool.covariance,
         None if tool is None else tool.bias,
@@ -49,7 +68,7 @@ def observe(
         None if target is None else target.covariance,
         None if target is None else target.bias,
         tuple(sighting.observation for sighting in sightings),
-        dict(refused + unfit + scene.refused),
+        dict(refused + scene.refused),
         scene.offset if scene.tool or scene.object or previous is not None else None,
     )
 

@@ -4,6 +4,7 @@ trusted.
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -105,18 +106,38 @@ def sight(
         if left is None:
             refused["edges"] += 1
             continue
-        starts, errors = _planar_solutions(left, settings.sizes[number])
-        right = _right_rays(pair, number, rough, starts[0], camera, corrected, settings)
-        rays = np.stack([left, left if right is None else right])
-        seen = np.stack([np.ones(4), np.full(4, float(right is not None))])
-        view = View(corner_points(settings.sizes[number]), rays, seen)
-        doubtful = (errors[-1] - errors[0]) * camera.left.K[0, 0] < _CLEAR_FLIP * beliefs.corner_std_px
-        outcome = _posed(number, view, starts if doubtful else starts[:1], camera, settings, beliefs)
+
+        def right_rays(X_CA: Array, number: int = number, rough: Array = rough) -> Array | None:
+            return _right_rays(pair, number, rough, X_CA, camera, corrected, settings)
+
+        outcome = from_rays(number, left, right_rays, camera, settings, beliefs)
         if isinstance(outcome, str):
             refused[outcome] += 1
         else:
             sightings.append(outcome)
     return sightings, refused
+
+
+def from_rays(
+    number: int,
+    left: Array,
+    right_rays: Callable[[Array], Array | None],
+    camera: CameraCalibration,
+    settings: MarkerSettings,
+    beliefs: Beliefs,
+) -> Sighting | str:
+    """The sighting of marker ``number`` whose corners the left eye sees along ``left`` (4, 2), or why it is
+    refused.
+
+    ``right_rays`` gives those of the right eye, or None, for about the pose X_CA that the left eye shows.
+    """
+    starts, errors = _planar_solutions(left, settings.sizes[number])
+    right = right_rays(starts[0])
+    rays = np.stack([left, left if right is None else right])
+    seen = np.stack([np.ones(4), np.full(4, float(right is not None))])
+    view = View(corner_points(settings.sizes[number]), rays, seen)
+    doubtful = (errors[-1] - errors[0]) * camera.left.K[0, 0] < _CLEAR_FLIP * beliefs.corner_std_px
+    return _posed(number, view, starts if doubtful else starts[:1], camera, settings, beliefs)
 
 
 def _refined(image: Image, rough: Array, eye: EyeModel) -> Array | None:

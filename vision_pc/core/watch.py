@@ -1,5 +1,7 @@
 """Samples along a motion: markers and odometry of every pair, beside where the arm said it was."""
 
+from typing import Protocol
+
 import numpy as np
 
 from protocol.errors import MeasurementFailed
@@ -17,6 +19,14 @@ from vision_pc.core.types import (
 )
 
 _MASK_EVERY = 10  # frames between looks at the tool marker when markers are not wanted for themselves
+
+
+class Odometry(Protocol):
+    """Where the camera is in its first frame, pair by pair; ``StereoOdometry`` finds it in the pictures."""
+
+    @property
+    def last_loss(self) -> str | None: ...
+    def process(self, pair: StereoPair, X_CM: Array | None = None) -> OdometryPose | None: ...
 
 
 class Watcher:
@@ -42,7 +52,7 @@ class Watcher:
         self._markers = markers
         self._wants_odometry = odometry
         self._observation = previous
-        self._odometry: StereoOdometry | None = None
+        self._odometry: Odometry | None = None
         self._samples: list[WatchSample] = []
         self._inliers: list[int] = []
         self._last_loss: str | None = None
@@ -69,9 +79,17 @@ class Watcher:
         due = self._wants_odometry and len(self._samples) % _MASK_EVERY == 0
         if not (self._markers or due):
             return None
-        observation = look.observe(pair, self._camera, self._config.markers, self._observation)
+        observation = self.observe(pair, self._observation)
         self._observation = observation
         return observation
+
+    def observe(self, pair: StereoPair, previous: FrameObservation | None) -> FrameObservation:
+        """What ``pair`` shows; a rig without pictures puts its own measurements here."""
+        return look.observe(pair, self._camera, self._config.markers, previous)
+
+    def new_odometry(self, camera: CameraCalibration) -> Odometry:
+        """The odometry of this watch, whose C0 is its first pair; likewise."""
+        return StereoOdometry(camera, self._config.odometry, self._config.markers.tool)
 
     def _tracked(self, pair: StereoPair, observation: FrameObservation | None) -> OdometryPose | None:
         if self._odometry is None:
@@ -81,7 +99,7 @@ class Watcher:
                 if offset is None
                 else intrinsics.with_offset(self._camera, offset.x_px, offset.y_px)
             )
-            self._odometry = StereoOdometry(camera, self._config.odometry, self._config.markers.tool)
+            self._odometry = self.new_odometry(camera)
         tracked = self._odometry.process(pair, None if observation is None else observation.X_CM)
         if tracked is None:
             self._last_loss = self._odometry.last_loss
