@@ -12,6 +12,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 RUN_STAMP := $(VENV)/.stamp-run
 DEV_STAMP := $(VENV)/.stamp-dev
+PEERS_STAMP := $(VENV)/.stamp-peers
 LOCK_FLAGS := --generate-hashes --no-emit-index-url --no-header --python-version 3.11
 ARGS ?=
 
@@ -36,6 +37,10 @@ $(DEV_STAMP): requirements-dev.lock $(RUN_STAMP)
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-dev.lock
 	@touch $@
 
+$(PEERS_STAMP): requirements-peers.lock $(DEV_STAMP)
+	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-peers.lock
+	@touch $@
+
 setup: $(RUN_STAMP)  ## virtual environment with what runs
 
 setup-dev: $(DEV_STAMP)  ## that and what tests
@@ -46,7 +51,7 @@ demo: $(RUN_STAMP)  ## the whole loop in real time: three processes, verdict aga
 test: $(DEV_STAMP)  ## all tests (ARGS="-k kinematics")
 	$(BIN)/python -m pytest $(ARGS)
 
-bench: $(DEV_STAMP)  ## benchmarks, with their limits
+bench: $(PEERS_STAMP)  ## benchmarks, with their limits and their peers (one of them GPL: never in a dependency)
 	$(BIN)/python -m pytest -m bench --benchmark-enable -s $(ARGS)
 
 experiments: $(DEV_STAMP)  ## long, seeded experiments
@@ -65,7 +70,8 @@ compose-test: $(DEV_STAMP)  ## build the image, bring the tool to the object wit
 	$(BIN)/python -m pytest -m docker --timeout 1800 -s $(ARGS)
 
 # The locks are made from pyproject.toml by uv, in an environment of its own. `requirements.lock` holds the
-# run-time dependencies and the build back end; `requirements-dev.lock` adds the tools of the tests.
+# run-time dependencies and the build back end; `requirements-dev.lock` adds the tools of the tests,
+# `requirements-peers.lock` what the benchmarks compare with.
 lock:  ## resolve pyproject.toml again into both lock files
 	"$(PYTHON)" -m venv $(VENV)-lock
 	$(VENV)-lock/bin/python -m pip install --quiet uv
