@@ -7,7 +7,8 @@ table 7.1) then runs without a single change of coordinates: all spatial vectors
 axes about one point, the present wrist centre, which keeps the light wrist bodies free of cancellation
 against the 5 m reach.
 
-Spatial motion vectors are [ω, v], forces [n, f].
+Spatial motion vectors are [ω, v], forces [n, f]. A symmetric spatial inertia is its three blocks: J (angular),
+H (coupling, upper right) and M (linear).
 """
 
 import math
@@ -17,13 +18,32 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from plant_emulator.core.spatial import (
+    Matrix,
+    Symmetric,
+    Vector,
+    cross,
+    dot,
+    less_outer,
+    less_square,
+    matrix,
+    minus,
+    plus,
+    product,
+    scaled,
+    stretched,
+    turned,
+    turned_back,
+    vector,
+)
+
 Array = NDArray[np.float64]
 
 
 class Mechanism(NamedTuple):
     """A serial chain of ``n`` revolute coordinates and the body behind each, at home in base coordinates.
 
-    ``axis`` (n, 3) unit, ``point`` (n, 3) on the axis, ``mass`` (n,), ``centre`` (n, 3), ``inertia`` (n, 3,
+    A body without mass has no inertia either. ``axis`` (n, 3) unit, ``point`` (n, 3) on the axis, ``mass`` (n,), ``centre`` (n, 3), ``inertia`` (n, 3,
     3) about the centre, ``free`` (n,) 1 for a moving coordinate and 0 for a locked one, ``stiffness`` and
     ``damping`` (n,) of an elastic hinge at zero angle, ``gravity`` (3,) in base coordinates.
     """
@@ -45,15 +65,10 @@ class MultibodyWork(NamedTuple):
     rotation: Array  # (n + 1, 3, 3) of each body, base first
     origin: Array  # (n + 1, 3)
     screw: Array  # (n, 6)
+    velocity: Array  # (n, 6)
     bias: Array  # (n, 6) velocity-product acceleration
-    velocity: Array  # (n + 1, 6)
-    spatial_inertia: Array  # (n, 6, 6)
-    wrench: Array  # (n, 6) velocity-product force
-    articulated: Array  # (6, 6)
-    articulated_wrench: Array  # (6,)
     projected: Array  # (n, 6) U = I_A S
-    pivot_inertia: Array  # (n,) D = S·U
-    pivot_force: Array  # (n,) u
+    pivot: Array  # (n, 2) D = S·U and u = τ − S·p_A
 
 
 def multibody_work(n: int) -> MultibodyWork:
@@ -62,140 +77,143 @@ def multibody_work(n: int) -> MultibodyWork:
         rotation=np.zeros((n + 1, 3, 3)),
         origin=np.zeros((n + 1, 3)),
         screw=np.zeros((n, 6)),
+        velocity=np.zeros((n, 6)),
         bias=np.zeros((n, 6)),
-        velocity=np.zeros((n + 1, 6)),
-        spatial_inertia=np.zeros((n, 6, 6)),
-        wrench=np.zeros((n, 6)),
-        articulated=np.zeros((6, 6)),
-        articulated_wrench=np.zeros(6),
         projected=np.zeros((n, 6)),
-        pivot_inertia=np.zeros(n),
-        pivot_force=np.zeros(n),
+        pivot=np.zeros((n, 2)),
     )
+
+
+@njit(cache=True, error_model="numpy")
+def _put_pose(work: MultibodyWork, i: int, rotation: Matrix, origin: Vector) -> None:
+    for k in range(9):
+        work.rotation[i, k // 3, k % 3] = rotation[k]
+    for k in range(3):
+        work.origin[i, k] = origin[k]
+
+
+@njit(cache=True, error_model="numpy")
+def _put(table: Array, i: int, angular: Vector, linear: Vector) -> None:
+    """Write a spatial vector into row ``i``."""
+    table[i, 0], table[i, 1], table[i, 2] = angular
+    table[i, 3], table[i, 4], table[i, 5] = linear
+
+
+@njit(cache=True, error_model="numpy")
+def _turn_less_one(axis: Vector, angle: float) -> Matrix:
+    """E − 1 with E the rotation by ``angle`` about ``axis`` (Rodrigues), 1 − cos without cancellation."""
+    sine, cosine = math.sin(0.5 * angle), math.cos(0.5 * angle)
+    s, c1 = 2.0 * sine * cosine, 2.0 * sine * sine
+    x, y, z = axis
+    return (
+        c1 * (x * x - 1.0), c1 * x * y - s * z, c1 * x * z + s * y,
+        c1 * x * y + s * z, c1 * (y * y - 1.0), c1 * y * z - s * x,
+        c1 * x * z - s * y, c1 * y * z + s * x, c1 * (z * z - 1.0),
+    )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
 def forward_kinematics(q: Array, mech: Mechanism, work: MultibodyWork) -> None:
     """Fill ``rotation`` and ``origin`` of every body: x_base = R_i x_home + t_i."""
-    for r in range(3):
-        work.origin[0, r] = 0.0
-        for c in range(3):
-            work.rotation[0, r, c] = 1.0 if r == c else 0.0
+    r = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    t = (0.0, 0.0, 0.0)
+    _put_pose(work, 0, r, t)
     for i in range(q.shape[0]):
-        s, c1 = math.sin(q[i]), 2.0 * math.sin(0.5 * q[i]) ** 2  # 1 − cos without cancellation
-        ax, ay, az = mech.axis[i, 0], mech.axis[i, 1], mech.axis[i, 2]
-        px, py, pz = mech.point[i, 0], mech.point[i, 1], mech.point[i, 2]
-        # E − 1 with E the rotation by q about the axis (Rodrigues)
-        e00, e01, e02 = c1 * (ax * ax - 1.0), c1 * ax * ay - s * az, c1 * ax * az + s * ay
-        e10, e11, e12 = c1 * ax * ay + s * az, c1 * (ay * ay - 1.0), c1 * ay * az - s * ax
-        e20, e21, e22 = c1 * ax * az - s * ay, c1 * ay * az + s * ax, c1 * (az * az - 1.0)
-        dx = -(e00 * px + e01 * py + e02 * pz)
-        dy = -(e10 * px + e11 * py + e12 * pz)
-        dz = -(e20 * px + e21 * py + e22 * pz)
-        for r in range(3):
-            r0, r1, r2 = work.rotation[i, r, 0], work.rotation[i, r, 1], work.rotation[i, r, 2]
-            work.rotation[i + 1, r, 0] = r0 + r0 * e00 + r1 * e10 + r2 * e20
-            work.rotation[i + 1, r, 1] = r1 + r0 * e01 + r1 * e11 + r2 * e21
-            work.rotation[i + 1, r, 2] = r2 + r0 * e02 + r1 * e12 + r2 * e22
-            work.origin[i + 1, r] = work.origin[i, r] + r0 * dx + r1 * dy + r2 * dz
+        turn = _turn_less_one(vector(mech.axis, i, 0), q[i])
+        t = minus(t, turned(r, turned(turn, vector(mech.point, i, 0))))
+        d = product(r, turn)
+        r = (
+            r[0] + d[0], r[1] + d[1], r[2] + d[2],
+            r[3] + d[3], r[4] + d[4], r[5] + d[5],
+            r[6] + d[6], r[7] + d[7], r[8] + d[8],
+        )  # fmt: skip
+        _put_pose(work, i + 1, r, t)
 
 
 @njit(cache=True, error_model="numpy")
-def _body_inertia(
-    rot: Array, at: Array, ox: float, oy: float, oz: float, m: float, centre: Array, home: Array, out: Array
-) -> None:
-    """Fill the spatial inertia ``out`` (6, 6) of a body at ``rot``, ``at``, about the point (ox, oy, oz)."""
-    c0, c1, c2 = centre[0], centre[1], centre[2]
-    x = rot[0, 0] * c0 + rot[0, 1] * c1 + rot[0, 2] * c2 + at[0] - ox
-    y = rot[1, 0] * c0 + rot[1, 1] * c1 + rot[1, 2] * c2 + at[1] - oy
-    z = rot[2, 0] * c0 + rot[2, 1] * c1 + rot[2, 2] * c2 + at[2] - oz
-    for r in range(3):
-        h0 = rot[r, 0] * home[0, 0] + rot[r, 1] * home[1, 0] + rot[r, 2] * home[2, 0]
-        h1 = rot[r, 0] * home[0, 1] + rot[r, 1] * home[1, 1] + rot[r, 2] * home[2, 1]
-        h2 = rot[r, 0] * home[0, 2] + rot[r, 1] * home[1, 2] + rot[r, 2] * home[2, 2]
-        for c in range(r + 1):
-            value = h0 * rot[c, 0] + h1 * rot[c, 1] + h2 * rot[c, 2]
-            out[r, c] = value
-            out[c, r] = value
-    out[0, 0] += m * (y * y + z * z)
-    out[1, 1] += m * (x * x + z * z)
-    out[2, 2] += m * (x * x + y * y)
-    out[0, 1] -= m * x * y
-    out[1, 0] -= m * x * y
-    out[0, 2] -= m * x * z
-    out[2, 0] -= m * x * z
-    out[1, 2] -= m * y * z
-    out[2, 1] -= m * y * z
-    for r in range(3):
-        for c in range(3):
-            out[r + 3, c + 3] = m if r == c else 0.0
-    _cross_blocks(out, m * x, m * y, m * z)
+def _place(work: MultibodyWork, i: int, home: Vector) -> Vector:
+    """Where the point of body ``i`` − 1 that is at ``home`` in the home pose is now; body −1 is the base."""
+    return plus(turned(matrix(work.rotation, i), home), vector(work.origin, i, 0))
 
 
 @njit(cache=True, error_model="numpy")
-def _cross_blocks(out: Array, hx: float, hy: float, hz: float) -> None:
-    """Fill the off-diagonal blocks [h]× and [h]×ᵀ of a spatial inertia with first moment h."""
-    for k in range(3):
-        out[k, k + 3] = 0.0
-        out[k + 3, k] = 0.0
-    out[0, 4] = -hz
-    out[0, 5] = hy
-    out[1, 3] = hz
-    out[1, 5] = -hx
-    out[2, 3] = -hy
-    out[2, 4] = hx
-    for r in range(3):
-        for c in range(3):
-            out[c + 3, r] = out[r, c + 3]
+def _body_inertia(r: Matrix, home: Matrix, mass: float, c: Vector) -> Symmetric:
+    """R J Rᵀ plus what ``mass`` at ``c`` adds (Steiner)."""
+    h = product(r, home)
+    x, y, z = c
+    return (
+        h[0] * r[0] + h[1] * r[1] + h[2] * r[2] + mass * (y * y + z * z),
+        h[0] * r[3] + h[1] * r[4] + h[2] * r[5] - mass * x * y,
+        h[0] * r[6] + h[1] * r[7] + h[2] * r[8] - mass * x * z,
+        h[3] * r[3] + h[4] * r[4] + h[5] * r[5] + mass * (x * x + z * z),
+        h[3] * r[6] + h[4] * r[7] + h[5] * r[8] - mass * y * z,
+        h[6] * r[6] + h[7] * r[7] + h[8] * r[8] + mass * (x * x + y * y),
+    )
 
 
 @njit(cache=True, error_model="numpy")
-def _screws(rate: Array, mech: Mechanism, work: MultibodyWork) -> None:
-    """Fill screws, velocities, velocity-product terms and inertias of all bodies about the wrist centre."""
-    n = rate.shape[0]
-    rot, at, home = work.rotation[n - 1], work.origin[n - 1], mech.point[n - 1]
-    ox = rot[0, 0] * home[0] + rot[0, 1] * home[1] + rot[0, 2] * home[2] + at[0]
-    oy = rot[1, 0] * home[0] + rot[1, 1] * home[1] + rot[1, 2] * home[2] + at[1]
-    oz = rot[2, 0] * home[0] + rot[2, 1] * home[1] + rot[2, 2] * home[2] + at[2]
-    for k in range(6):
-        work.velocity[0, k] = 0.0
-    for i in range(n):
-        r, t, a, p = work.rotation[i], work.origin[i], mech.axis[i], mech.point[i]
-        ax = r[0, 0] * a[0] + r[0, 1] * a[1] + r[0, 2] * a[2]
-        ay = r[1, 0] * a[0] + r[1, 1] * a[1] + r[1, 2] * a[2]
-        az = r[2, 0] * a[0] + r[2, 1] * a[1] + r[2, 2] * a[2]
-        px = r[0, 0] * p[0] + r[0, 1] * p[1] + r[0, 2] * p[2] + t[0] - ox
-        py = r[1, 0] * p[0] + r[1, 1] * p[1] + r[1, 2] * p[2] + t[1] - oy
-        pz = r[2, 0] * p[0] + r[2, 1] * p[1] + r[2, 2] * p[2] + t[2] - oz
-        mx, my, mz = py * az - pz * ay, pz * ax - px * az, px * ay - py * ax
-        s, v, w, d = work.screw[i], work.velocity[i], work.velocity[i + 1], rate[i]
-        s[0], s[1], s[2], s[3], s[4], s[5] = ax, ay, az, mx, my, mz
-        for k in range(6):
-            w[k] = v[k] + s[k] * d
-        b = work.bias[i]
-        b[0] = (v[1] * az - v[2] * ay) * d
-        b[1] = (v[2] * ax - v[0] * az) * d
-        b[2] = (v[0] * ay - v[1] * ax) * d
-        b[3] = (v[1] * mz - v[2] * my + v[4] * az - v[5] * ay) * d
-        b[4] = (v[2] * mx - v[0] * mz + v[5] * ax - v[3] * az) * d
-        b[5] = (v[0] * my - v[1] * mx + v[3] * ay - v[4] * ax) * d
-        inertia, f = work.spatial_inertia[i], work.wrench[i]
-        pose, place = work.rotation[i + 1], work.origin[i + 1]
-        _body_inertia(pose, place, ox, oy, oz, mech.mass[i], mech.centre[i], mech.inertia[i], inertia)
-        m0 = m1 = m2 = m3 = m4 = m5 = 0.0
-        for k in range(6):
-            m0 += inertia[0, k] * w[k]
-            m1 += inertia[1, k] * w[k]
-            m2 += inertia[2, k] * w[k]
-            m3 += inertia[3, k] * w[k]
-            m4 += inertia[4, k] * w[k]
-            m5 += inertia[5, k] * w[k]
-        f[0] = w[1] * m2 - w[2] * m1 + w[4] * m5 - w[5] * m4
-        f[1] = w[2] * m0 - w[0] * m2 + w[5] * m3 - w[3] * m5
-        f[2] = w[0] * m1 - w[1] * m0 + w[3] * m4 - w[4] * m3
-        f[3] = w[1] * m5 - w[2] * m4
-        f[4] = w[2] * m3 - w[0] * m5
-        f[5] = w[0] * m4 - w[1] * m3
+def _velocities(rate: Array, mech: Mechanism, work: MultibodyWork, centre: Vector) -> None:
+    """First pass, outward: screws, velocities and velocity-product accelerations about ``centre``."""
+    turn, speed = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for i in range(rate.shape[0]):
+        axis = turned(matrix(work.rotation, i), vector(mech.axis, i, 0))
+        moment = cross(minus(_place(work, i, vector(mech.point, i, 0)), centre), axis)
+        d = rate[i]
+        _put(work.screw, i, axis, moment)
+        linear = plus(cross(turn, moment), cross(speed, axis))
+        _put(work.bias, i, scaled(d, cross(turn, axis)), scaled(d, linear))
+        turn, speed = plus(turn, scaled(d, axis)), plus(speed, scaled(d, moment))
+        _put(work.velocity, i, turn, speed)
+
+
+@njit(cache=True, error_model="numpy")
+def _inertias(force: Array, mech: Mechanism, work: MultibodyWork, centre: Vector) -> None:
+    """Second pass, inward: articulated inertia and bias force, projected on each coordinate."""
+    J, M = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    H = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    n, f = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    for i in range(force.shape[0] - 1, -1, -1):
+        m = mech.mass[i]
+        if m > 0.0:
+            at = minus(_place(work, i + 1, vector(mech.centre, i, 0)), centre)
+            own = _body_inertia(matrix(work.rotation, i + 1), matrix(mech.inertia, i), m, at)
+            x, y, z = scaled(m, at)
+            turn, speed = vector(work.velocity, i, 0), vector(work.velocity, i, 3)
+            spin = plus(stretched(own, turn), cross((x, y, z), speed))
+            momentum = plus(scaled(m, speed), cross(turn, (x, y, z)))
+            n = plus(n, plus(cross(turn, spin), cross(speed, momentum)))
+            f = plus(f, cross(turn, momentum))
+            J = (J[0] + own[0], J[1] + own[1], J[2] + own[2], J[3] + own[3], J[4] + own[4], J[5] + own[5])
+            H = (H[0], H[1] - z, H[2] + y, H[3] + z, H[4], H[5] - x, H[6] - y, H[7] + x, H[8])
+            M = (M[0] + m, M[1], M[2], M[3] + m, M[4], M[5] + m)
+        if mech.free[i] == 0.0:
+            continue
+        axis, moment = vector(work.screw, i, 0), vector(work.screw, i, 3)
+        u, v = plus(stretched(J, axis), turned(H, moment)), plus(turned_back(H, axis), stretched(M, moment))
+        d, e = dot(axis, u) + dot(moment, v), force[i] - dot(axis, n) - dot(moment, f)
+        _put(work.projected, i, u, v)
+        work.pivot[i, 0], work.pivot[i, 1] = d, e
+        k = 1.0 / d
+        J, H, M = less_square(J, k, u), less_outer(H, k, u, v), less_square(M, k, v)
+        a, b = vector(work.bias, i, 0), vector(work.bias, i, 3)
+        n = plus(n, plus(scaled(k * e, u), plus(stretched(J, a), turned(H, b))))
+        f = plus(f, plus(scaled(k * e, v), plus(turned_back(H, a), stretched(M, b))))
+
+
+@njit(cache=True, error_model="numpy")
+def _accelerations(mech: Mechanism, work: MultibodyWork, acceleration: Array) -> None:
+    """Third pass, outward from the base, which accelerates upwards in place of gravity."""
+    a, b = (0.0, 0.0, 0.0), (-mech.gravity[0], -mech.gravity[1], -mech.gravity[2])
+    for i in range(acceleration.shape[0]):
+        if mech.free[i] == 0.0:
+            acceleration[i] = 0.0
+            continue
+        a, b = plus(a, vector(work.bias, i, 0)), plus(b, vector(work.bias, i, 3))
+        drag = dot(vector(work.projected, i, 0), a) + dot(vector(work.projected, i, 3), b)
+        d = (work.pivot[i, 1] - drag) / work.pivot[i, 0]
+        acceleration[i] = d
+        a = plus(a, scaled(d, vector(work.screw, i, 0)))
+        b = plus(b, scaled(d, vector(work.screw, i, 3)))
 
 
 @njit(cache=True, error_model="numpy")
@@ -204,74 +222,8 @@ def forward_dynamics(
 ) -> None:
     """Fill ``acceleration`` (n,) at angles ``q``, rates ``rate`` and generalised ``force``, all (n,)."""
     forward_kinematics(q, mech, work)
-    _screws(rate, mech, work)
     n = q.shape[0]
-    total, pull = work.articulated, work.articulated_wrench
-    for r in range(6):
-        pull[r] = 0.0
-        for c in range(6):
-            total[r, c] = 0.0
-    for back in range(n):
-        i = n - 1 - back
-        s, u, b, own, f = (
-            work.screw[i],
-            work.projected[i],
-            work.bias[i],
-            work.spatial_inertia[i],
-            work.wrench[i],
-        )
-        for r in range(6):
-            pull[r] += f[r]
-            for c in range(6):
-                total[r, c] += own[r, c]
-        if mech.free[i] == 0.0:
-            continue
-        d = 0.0
-        e = force[i]
-        for r in range(6):
-            value = 0.0
-            for c in range(6):
-                value += total[r, c] * s[c]
-            u[r] = value
-            d += value * s[r]
-            e -= pull[r] * s[r]
-        work.pivot_inertia[i] = d
-        work.pivot_force[i] = e
-        inverse = 1.0 / d
-        for r in range(6):
-            scaled = u[r] * inverse
-            for c in range(6):
-                total[r, c] -= scaled * u[c]
-        for r in range(6):
-            value = u[r] * e * inverse
-            for c in range(6):
-                value += total[r, c] * b[c]
-            pull[r] += value
-    _outward(mech, work, acceleration)
-
-
-@njit(cache=True, error_model="numpy")
-def _outward(mech: Mechanism, work: MultibodyWork, acceleration: Array) -> None:
-    """Third pass: accelerations from the base, which accelerates upwards in place of gravity."""
-    a0 = a1 = a2 = 0.0
-    a3, a4, a5 = -mech.gravity[0], -mech.gravity[1], -mech.gravity[2]
-    for i in range(acceleration.shape[0]):
-        if mech.free[i] == 0.0:
-            acceleration[i] = 0.0
-            continue
-        s, b, u = work.screw[i], work.bias[i], work.projected[i]
-        a0 += b[0]
-        a1 += b[1]
-        a2 += b[2]
-        a3 += b[3]
-        a4 += b[4]
-        a5 += b[5]
-        drag = u[0] * a0 + u[1] * a1 + u[2] * a2 + u[3] * a3 + u[4] * a4 + u[5] * a5
-        d = (work.pivot_force[i] - drag) / work.pivot_inertia[i]
-        acceleration[i] = d
-        a0 += s[0] * d
-        a1 += s[1] * d
-        a2 += s[2] * d
-        a3 += s[3] * d
-        a4 += s[4] * d
-        a5 += s[5] * d
+    wrist = _place(work, n, vector(mech.point, n - 1, 0))
+    _velocities(rate, mech, work, wrist)
+    _inertias(force, mech, work, wrist)
+    _accelerations(mech, work, acceleration)
