@@ -35,6 +35,33 @@ class ArmView(NamedTuple):
     X_BT_cmd: Array
 
 
+class ReferenceStream(Protocol):
+    """An open stream of references; the arm follows the newest one with bounded velocity, acceleration, jerk.
+
+    The controller wants a fresh reference before its silence limit (100 ms by default): one that is late makes
+    it centre the valves and latch REFERENCE_STALE. Nothing resumes by itself: RESET, ENABLE, a new stream.
+    """
+
+    async def send(
+        self, X_BT_ref: Array, measured_ns: int | None = None, twist_ref: Array | None = None
+    ) -> None:
+        """None, once the reference has been sent; it is never sent again, and never waited for.
+
+        ``X_BT_ref`` (4, 4) within the controller's distance from the pose that it commands at present.
+        ``measured_ns``: the instant of the picture that the reference rests on, on the vision PC's clock (None:
+        now); the controller refuses what is too old. ``twist_ref`` (6,): the reference's own velocity and
+        angular velocity in B (m/s, rad/s) when it is known to move, which takes the lag off; None: at rest.
+
+        Raises RequestRefused with the reason when the controller has refused an earlier reference or has ended
+        the stream, and LinkLost.
+        """
+        ...
+
+    async def view(self) -> ArmView:
+        """The newest view, without waiting for it. Raises as ``send`` does."""
+        ...
+
+
 class Arm(Protocol):
     """Motion through the reference link. Every call returns at rest, or raises with the arm holding still.
 
@@ -53,6 +80,16 @@ class Arm(Protocol):
         self, waypoints: Sequence[Array], segment_s: float = 0.0, dwell_s: float = 0.0
     ) -> ArmView:
         """The view after the path through ``waypoints`` (1…24, at rest at each) has settled."""
+        ...
+
+    def streaming(self) -> AbstractAsyncContextManager[ReferenceStream]:
+        """A context in which references are streamed; the arm must stand enabled and at rest to enter it.
+
+        Leaving it ends the stream: the arm goes on to the last accepted reference, and the exit returns once it
+        has settled there. An exception inside stops the arm instead, and is passed on.
+
+        Raises RequestRefused (``refused.not_negotiated`` when the controller streams none) or LinkLost.
+        """
         ...
 
     async def stop(self) -> None:
