@@ -52,6 +52,10 @@ FreePorts = Annotated[
     bool, typer.Option("--free-ports", help="Use any free ports instead of the configured ones.")
 ]
 Runs = Annotated[Path, typer.Option(help="Where directories of runs are made.")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(help="A Dask scheduler that is there, such as tcp://host:8786; else workers are started."),
+]
 
 DEFAULT_CONFIG = Path("configs")
 DEFAULT_RUNS = Path("runs")
@@ -148,15 +152,18 @@ def lockstep_demo_command(
     seed: Seed = 1,
     config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
-    runs: Annotated[
-        Path, typer.Option("--directory", help="Where directories of runs are made.")
-    ] = DEFAULT_RUNS,
+    scheduler: Scheduler = None,
+    directory: Annotated[
+        Path, typer.Option("--out", help="Rows, figures; what is there already is not run again.")
+    ] = DEFAULT_RUNS / "lockstep-demo",
     json_file: JsonFile = None,
 ) -> None:
     """Demonstrations in lockstep over many seeds; exit status 0 when 18 of 20 end under 10 mm."""
     from testbed.experiments.lockstep_demo import run_experiment
 
-    passed = run_experiment(config_dir, scenario, seed, count, looks, settings or [], runs, json_file)
+    passed = run_experiment(
+        config_dir, scenario, seed, count, looks, settings or [], directory, scheduler, json_file
+    )
     raise typer.Exit(0 if passed else 1)
 
 

@@ -1,28 +1,23 @@
 """Many demonstrations in lockstep: how many end under 10 and under 5 mm, after one look and after more."""
 
-import csv
-import multiprocessing
-import os
 import time
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from protocol.configuration import merged, parse_overrides
 from testbed import outcome as outcomes
-from testbed.console import bars, out, plain, table, write_json
+from testbed.campaign import run_campaign
+from testbed.console import bars, out, table, write_json
 from testbed.lockstep_demo import run_lockstep
 from testbed.outcome import Outcome
 from testbed.presentation import Choice
-from testbed.report import run_directory
 from testbed.scenario import load_scenario
 from testbed.settings import load_settings
 
 LIMITS_MM = (10.0, 5.0)
-_RUNS_A_WORKER = 5  # memory: a run holds its truth, states and pictures, and the allocator keeps what it had
 WANTED_SHARE = 0.9  # of the runs, under LIMITS_MM[0] after the last look: 18 of 20
 
 
@@ -47,26 +42,26 @@ def row_of(outcome: Outcome, world: dict[str, Any]) -> dict[str, Any]:
     return row
 
 
-def one_run(config_dir: Path, scenario: str, seed: int, looks: int, assignments: list[str]) -> dict[str, Any]:
-    """The row of one seeded demonstration; runs in a process of its own."""
-    cv2.setNumThreads(1)
-    world = merged(load_scenario(config_dir, scenario).world(seed), parse_overrides(assignments))
+def one_run(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
+    """The row of one seeded demonstration; ``task`` names its scenario, seed, looks and assignments."""
+    scenario, seed = task["scenario"], task["seed"]
+    world = merged(load_scenario(config_dir, scenario).world(seed), parse_overrides(task["assignments"]))
     with bars(quiet=True) as shown:
-        done = run_lockstep(config_dir, world, Choice(scenario, seed, looks), shown)
+        done = run_lockstep(config_dir, world, Choice(scenario, seed, task["looks"]), shown)
     return row_of(done.outcome, world)
 
 
-def _run_seed(
-    config_dir: Path, scenario: str, looks: int, assignments: list[str], seed: int
-) -> dict[str, Any]:
-    return one_run(config_dir, scenario, seed, looks, assignments)
+def _number(row: dict[str, Any], column: str) -> float:
+    """The figure, NaN where the run did not get there."""
+    value = row.get(column)
+    return float("nan") if value is None else float(value)
 
 
 def counts(rows: list[dict[str, Any]], looks: int) -> list[dict[str, Any]]:
     """For each number of looks, how many runs ended with true x and y under each limit; a failure is none."""
     table_rows = []
     for number in range(1, looks + 1):
-        worst = np.array([row[f"look{number}_worst_mm"] for row in rows])
+        worst = np.array([_number(row, f"look{number}_worst_mm") for row in rows])
         made: dict[str, Any] = {"looks": number, "runs": len(rows)}
         for limit in LIMITS_MM:
             made[f"under_{limit:.0f}_mm"] = int(np.count_nonzero(worst < limit))
@@ -85,31 +80,26 @@ def run_experiment(
     runs: int,
     looks: int,
     assignments: list[str],
-    runs_dir: Path,
+    directory: Path,
+    scheduler: str | None,
     json_file: Path | None,
 ) -> bool:
     """Whether enough runs ended under the first limit after the last look; rows go to CSV and JSON."""
     world = load_scenario(config_dir, scenario).world(first_seed)
     load_settings(config_dir, merged(world, parse_overrides(assignments)))  # what is wrong is told at once
     began = time.perf_counter()
-    directory = run_directory(runs_dir)
-    seeds = range(first_seed, first_seed + runs)
-    context = multiprocessing.get_context("spawn")
-    rows: list[dict[str, Any]] = []
-    with (
-        bars() as shown,
-        shown.step(f"{runs} demonstrations in lockstep") as bar,
-        # concurrent.futures' executor deadlocks on Python 3.11 once its workers have had their share of tasks
-        context.Pool(_workers(), maxtasksperchild=_RUNS_A_WORKER) as pool,
-    ):
-        run_seed = partial(_run_seed, config_dir, scenario, looks, assignments)
-        for row in pool.imap_unordered(run_seed, seeds):
-            rows.append(row)
-            bar.update(len(rows) / runs, f"seed {rows[-1]['seed']}")
-    rows.sort(key=lambda row: int(row["seed"]))
+    asked = {"scenario": scenario, "looks": looks, "assignments": assignments}
+    tasks = [{"key": f"seed-{seed}", "seed": seed} | asked for seed in range(first_seed, first_seed + runs)]
+    rows = run_campaign(
+        directory,
+        partial(one_run, config_dir),
+        tasks,
+        scheduler=scheduler,
+        title=f"{runs} demonstrations in lockstep",
+    )
+    rows = [row | {"seed": task["seed"]} for row, task in zip(rows, tasks, strict=True)]
     counted = counts(rows, looks)
     _show(rows, counted, looks)
-    _write_csv(directory / "lockstep-demo.csv", rows)
     figures = {
         "scenario": scenario,
         "limit_mm": 1e3 * outcomes.LIMIT_M,
@@ -119,12 +109,8 @@ def run_experiment(
     }
     write_json(directory / "lockstep-demo.json", figures)
     write_json(json_file, figures)
+    out.print(f"rows written to {directory / 'rows.csv'}", style="dim", highlight=False, soft_wrap=True)
     return bool(counted[-1][f"under_{LIMITS_MM[0]:.0f}_mm"] >= WANTED_SHARE * runs)
-
-
-def _workers() -> int:
-    """As many processes as there are cores: a run keeps one busy."""
-    return len(os.sched_getaffinity(0))
 
 
 def _show(rows: list[dict[str, Any]], counted: list[dict[str, Any]], looks: int) -> None:
@@ -133,14 +119,14 @@ def _show(rows: list[dict[str, Any]], counted: list[dict[str, Any]], looks: int)
     shown = [
         [
             row["seed"],
-            f"{row['payload_kg']:.0f}",
-            f"{row['mount_deg']:.1f}",
+            f"{_number(row, 'payload_kg'):.0f}",
+            f"{_number(row, 'mount_deg'):.1f}",
             *(
-                f"{row[f'look{number}_true_{axis}_mm']:+.1f}"
+                f"{_number(row, f'look{number}_true_{axis}_mm'):+.1f}"
                 for number in range(1, looks + 1)
                 for axis in "xyz"
             ),
-            row["failure"],
+            row["failure"] or "",
         ]
         for row in rows
     ]
@@ -159,11 +145,3 @@ def _show(rows: list[dict[str, Any]], counted: list[dict[str, Any]], looks: int)
         for made in counted
     ]
     out.print(table("worse of |x| and |y|, true", columns, cells))
-
-
-def _write_csv(path: Path, rows: list[dict[str, Any]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
-        writer.writeheader()
-        writer.writerows(plain(row) for row in rows)
-    out.print(f"rows written to {path}", style="dim", highlight=False, soft_wrap=True)
