@@ -8,40 +8,39 @@ import numpy as np
 
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import GroupState
-from testbed.lockstep_world import VISION_CLOCK_NS, Frame, World
+from testbed.lockstep_sight import PixelSight, Sight
+from testbed.lockstep_world import World
 from testbed.rig_lockstep import LockstepLink
 from vision_pc.config import VisionConfig
-from vision_pc.core.intrinsics import calibration
-from vision_pc.core.look import combine, observe
+from vision_pc.core.look import combine
 from vision_pc.core.ports import Watch
 from vision_pc.core.types import FrameObservation, Look, StereoPair
-from vision_pc.core.watch import Watcher
 from vision_pc.shell.annotate import annotated, png
 from vision_pc.shell.station import CameraStatus
 
 
-def pair_of(frame: Frame) -> StereoPair:
-    """A frame as vision's programs see it, on vision's clock; in lockstep it arrives when it is sent."""
-    return StereoPair(
-        frame.left, frame.right, frame.header.capture_ns + VISION_CLOCK_NS, frame.header.frame_id
-    )
-
-
 class LockstepEyes:
-    """Implements ``vision_pc.core.ports.Eyes`` by stepping the world, and the station's camera."""
+    """Implements ``vision_pc.core.ports.Eyes`` by stepping the world, and the station's camera.
 
-    def __init__(self, world: World, link: LockstepLink, config: VisionConfig) -> None:
+    ``sight`` says what is measured in place of rendered pictures; the picture to be looked at is rendered.
+    """
+
+    def __init__(
+        self, world: World, link: LockstepLink, config: VisionConfig, sight: Sight | None = None
+    ) -> None:
         self._world = world
         self._link = link
         self._config = config
-        self._camera = calibration(config.camera)
+        self._pixels = PixelSight(world, config)
+        self._sight = self._pixels if sight is None else sight
         self._latest: tuple[StereoPair, FrameObservation] | None = None
 
     async def look(self, frames: int | None = None) -> Look:
         """A look over ``frames`` fresh pairs with the arm at rest."""
         if self._link.state.group_state is GroupState.MOVING:
             raise RequestRefused("refused.moving", "look: the arm is moving")
-        observations = [self._observed(pair) for pair in self._pairs(frames or self._config.look.frames)]
+        pairs = self._pairs(frames or self._config.look.frames, self._sight)
+        observations = [self._observed(pair, self._sight) for pair in pairs]
         time_ns = int(np.mean([observation.capture_ns for observation in observations]))
         look = combine(observations, await self._link.pose_at(time_ns), time_ns, self._config.look)
         self._world.log.add(self._world.time_ns, "look", X_CM=look.X_CM, X_CO=look.X_CO, frames=look.frames)
@@ -51,20 +50,20 @@ class LockstepEyes:
     async def watch(self, *, markers: bool, odometry: bool) -> AsyncIterator[Watch]:
         """A context that samples every pair until its exit. Raises MeasurementFailed on exit when in vain."""
         previous = self._latest[1] if self._latest else None
-        watcher = Watcher(self._camera, self._config, markers=markers, odometry=odometry, previous=previous)
+        watcher = self._sight.watcher(markers=markers, odometry=odometry, previous=previous)
         waiting: deque[StereoPair] = deque()
 
-        def arrived(frame: Frame) -> None:
-            waiting.append(pair_of(frame))
+        def arrived(pair: StereoPair) -> None:
+            waiting.append(pair)
             while waiting and self._link.known_until_ns >= waiting[0].capture_ns:
                 watcher.add(waiting[0], self._link.pose_known_at(waiting[0].capture_ns))
                 waiting.popleft()
 
-        self._world.on_frame = arrived
+        self._sight.begin(arrived)
         try:
             yield watcher
         finally:
-            self._world.on_frame = None
+            self._sight.end()
         for pair in waiting:
             watcher.add(pair, await self._link.pose_at(pair.capture_ns))
         self._world.log.add(self._world.time_ns, "watch", health=watcher.health)
@@ -76,15 +75,15 @@ class LockstepEyes:
 
     async def latest_png(self) -> bytes:
         """The newest picture with detections, PNG; a fresh one is taken where there is none."""
-        if self._latest is None:
-            self._observed(self._pairs(1)[0])
+        if self._latest is None or self._sight is not self._pixels:
+            self._observed(self._pairs(1, self._pixels)[0], self._pixels)
         assert self._latest is not None
         clearance_m = self._config.programs.positioning.clearance_m
-        return png(annotated(*self._latest, self._camera, clearance_m))
+        return png(annotated(*self._latest, self._pixels.camera, clearance_m))
 
-    def _pairs(self, count: int) -> list[StereoPair]:
+    def _pairs(self, count: int, sight: Sight) -> list[StereoPair]:
         taken: list[StereoPair] = []
-        self._world.on_frame = lambda frame: taken.append(pair_of(frame))
+        sight.begin(taken.append)
         try:
             deadline_ns = self._world.time_ns + (count + 1) * self._world.frame_period_ns + 1_000_000_000
             while len(taken) < count:
@@ -92,11 +91,11 @@ class LockstepEyes:
                     raise LinkLost("link.camera_silent", f"{len(taken)} of {count} pictures came")
                 self._world.step()
         finally:
-            self._world.on_frame = None
+            sight.end()
         return taken
 
-    def _observed(self, pair: StereoPair) -> FrameObservation:
+    def _observed(self, pair: StereoPair, sight: Sight) -> FrameObservation:
         previous = self._latest[1] if self._latest else None
-        observation = observe(pair, self._camera, self._config.markers, previous)
+        observation = sight.observe(pair, previous)
         self._latest = (pair, observation)
         return observation

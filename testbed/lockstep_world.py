@@ -114,8 +114,9 @@ class World:
     """The physical world, the controller, and vision's end of the reference link.
 
     ``step`` lets one controller cycle pass. ``on_frame`` is called with each stereo pair while it is set; no
-    picture is rendered otherwise. ``to_controller`` and ``to_vision`` turn the datagrams sent in a cycle into
-    those that arrive in it: a wire that loses, repeats or reorders.
+    picture is rendered otherwise. ``on_exposure`` is called at the same instants with the frame's number and
+    the truth, for those who judge pictures or stand in for them. ``to_controller`` and ``to_vision`` turn the
+    datagrams sent in a cycle into those that arrive in it: a wire that loses, repeats or reorders.
     """
 
     def __init__(self, settings: Settings, seed: int, log: EventLog) -> None:
@@ -130,6 +131,7 @@ class World:
         self.to_controller: Wire = list
         self.to_vision: Wire = list
         self.on_frame: Callable[[Frame], None] | None = None
+        self.on_exposure: Callable[[int, PlantTruth], None] | None = None
         self._camera: StereoCamera | None = None
         self._scene = scene
         self._controller = ControllerSide(settings, seed)
@@ -222,14 +224,21 @@ class World:
         """Nothing; the plant has reached ``until_ns``, with truth recorded and pictures taken on the way."""
         while self._time_ns < until_ns:
             stop_ns = min(until_ns, _next(self._time_ns, TRUTH_PERIOD_NS))
-            if self.on_frame is not None:
+            exposes = self.on_frame is not None or self.on_exposure is not None
+            if exposes:
                 stop_ns = min(stop_ns, _next(self._time_ns, self.frame_period_ns))
             self.plant.advance(stop_ns - self._time_ns)
             self._time_ns = stop_ns
             if stop_ns % TRUTH_PERIOD_NS == 0:
                 self.truths.append(self.plant.truth())
-            if self.on_frame is not None and stop_ns % self.frame_period_ns == 0:
-                self.on_frame(self._photograph(self.plant.truth()))
+            if exposes and stop_ns % self.frame_period_ns == 0:
+                self._expose(self.plant.truth())
+
+    def _expose(self, truth: PlantTruth) -> None:
+        if self.on_exposure is not None:
+            self.on_exposure(self._time_ns // self.frame_period_ns, truth)
+        if self.on_frame is not None:
+            self.on_frame(self._photograph(truth))
 
     def _photograph(self, truth: PlantTruth) -> Frame:
         config = self.settings.scene.camera

@@ -34,17 +34,10 @@ class StereoCamera:
         self.config = config
         self.scene = scene
         self._seed = seed
-        rectification = config.rectification
-        twist = rotation_matrix(rectification.right_eye_rotation_deg)
-        poses = (np.eye(4), transform(twist, np.array([config.baseline_m, 0.0, 0.0])))
-        lenses = (
-            Lens(config.lens),
-            Lens(config.lens, -rectification.disparity_px, rectification.vertical_px),
-        )
         texture = _texture(scene.config.wall)
         self.eyes = tuple(
             Eye(lens, X_CE, config.width_px, config.height_px, scene, texture)
-            for lens, X_CE in zip(lenses, poses, strict=True)
+            for lens, X_CE in true_eyes(config)
         )
         generator = np.random.default_rng((seed, _NOISE_STREAM))
         grey = generator.standard_normal(rasteriser.NOISE_LENGTH) * config.noise_grey
@@ -99,6 +92,14 @@ class StereoCamera:
         key = (self._seed * 0x2545F4914F6CDD1D + frame_id * 2 + eye) & 0x7FFF_FFFF_FFFF_FFFF
         rasteriser.finish(picture, self._noise, key, config.exposure_gain, falloff, centre_u, centre_v)
         return picture
+
+
+def true_eyes(config: CameraConfig) -> tuple[tuple[Lens, Matrix], tuple[Lens, Matrix]]:
+    """(lens, pose X_CE) of the left and of the right eye as they truly are."""
+    rectification = config.rectification
+    twist = rotation_matrix(rectification.right_eye_rotation_deg)
+    right = Lens(config.lens, -rectification.disparity_px, rectification.vertical_px)
+    return (Lens(config.lens), np.eye(4)), (right, transform(twist, np.array([config.baseline_m, 0.0, 0.0])))
 
 
 @lru_cache(maxsize=1)
