@@ -1,8 +1,10 @@
 """The pose as it crosses process boundaries: position and unit quaternion, w first."""
 
 import math
+import sys
 from typing import NamedTuple
 
+_LEAST = sys.float_info.min
 
 class Pose(NamedTuple):
     """Pose of one frame in another (``X_BT``: T in B).
@@ -16,6 +18,13 @@ class Pose(NamedTuple):
     def is_finite(self) -> bool:
         """Whether all seven numbers are finite."""
         return all(map(math.isfinite, (*self.p_m, *self.q_wxyz)))
+
+    def is_usable(self) -> bool:
+        """Whether all seven numbers are finite and none is subnormal.
+
+        Nobody measures or asks for 1e-310 m: such a number is what misplaced bytes read as.
+        """
+        return self.is_finite() and all(x == 0.0 or abs(x) >= _LEAST for x in (*self.p_m, *self.q_wxyz))
 
     def quaternion_norm(self) -> float:
         """The norm of ``q_wxyz``: 1 for a proper pose."""

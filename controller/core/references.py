@@ -70,7 +70,7 @@ def _form(settings: Settings, poses: tuple[Pose, ...], wanted: float, dwell: flo
     if len(poses) > MAX_WAYPOINTS:
         return Refusal(Reason.TOO_MANY_WAYPOINTS, float(len(poses)), float(MAX_WAYPOINTS))
     for index, pose in enumerate(poses):
-        if not pose.is_finite():
+        if not pose.is_usable():
             return Refusal(Reason.NOT_FINITE, float(index), float(len(poses)))
         norm = pose.quaternion_norm()
         if abs(norm - 1.0) > QUATERNION_TOLERANCE:
