@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 _LEAST = sys.float_info.min
 
+
 class Pose(NamedTuple):
     """Pose of one frame in another (``X_BT``: T in B).
 
