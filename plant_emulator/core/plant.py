@@ -1,14 +1,19 @@
 """The plant: valve commands in, sensors out, physics in between, and the truth for its own recording only."""
 
-import math
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.core import columns as col
 from plant_emulator.core.equilibrium import rest_state
-from plant_emulator.core.faults import Fault, FaultKind, checked
+from plant_emulator.core.fault_effects import (
+    break_hydraulics,
+    encoder_shift,
+    load_kg,
+    sensor_fault_reported,
+    stuck_encoders,
+)
+from plant_emulator.core.fault_schedule import FaultSchedule, Injection
+from plant_emulator.core.faults import Fault
 from plant_emulator.core.geometry import base_tilt, transform
 from plant_emulator.core.layout import (
     DRIVEN,
@@ -19,7 +24,6 @@ from plant_emulator.core.layout import (
     PRESSURE_B,
     RATE,
     SPOOL,
-    SPOOL_RATE,
     SUPPLY,
     TEMPERATURE,
     Q,
@@ -30,11 +34,10 @@ from plant_emulator.core.right_hand_side import advance, new_work
 from plant_emulator.core.sensors import Encoders
 from plant_emulator.core.stability import check_step, modes
 from plant_emulator.core.truth import Mounts, PlantTruth, inverse
+from plant_emulator.core.valve_commands import ValveCommands
 from plant_emulator.plant_config import BAR, PlantConfig
-from protocol.errors import ImageRefused, RequestRefused
+from protocol.errors import RequestRefused
 from protocol.process_image import (
-    CONTROL_ENABLE,
-    CONTROL_RESET_WATCHDOG,
     STATUS_SENSOR_FAULT,
     STATUS_SUPPLY_ON,
     STATUS_VALVES_ENABLED,
@@ -53,13 +56,6 @@ NOMINAL_MOUNTS = Mounts(
         np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.array([4.7, 0.0, 1.0])
     ),
 )
-
-
-class _Pending(NamedTuple):
-    """A valve command on its way through the drive electronics."""
-
-    due_ns: int
-    valves: tuple[float, ...]
 
 
 class Plant:
@@ -87,13 +83,10 @@ class Plant:
         self._half_play = np.asarray(play.half_width_mrad) * 1e-3 if play.enabled else np.zeros(N_ACTUATORS)
         self._shaft = self._state[list(DRIVEN)].copy()
         self._drive = np.zeros(N_ACTUATORS)
-        self._target = np.zeros(N_ACTUATORS)
-        self._pending: list[_Pending] = []
-        self._faults: dict[str, Fault] = {}
+        delay_ns, watchdog_ns = round(config.valves.delay_ms * 1e6), round(config.watchdog_ms * 1e6)
+        self._commands = ValveCommands(delay_ns, watchdog_ns)
+        self.faults = FaultSchedule()
         self._healthy_omega = self._model.actuators[:, col.A_OMEGA].copy()
-        self._image: ValveImage | None = None
-        self._fresh_ns = 0
-        self._tripped = False
         self._cycle = 0
 
     def write(self, image: ValveImage) -> None:
@@ -101,18 +94,7 @@ class Plant:
 
         Raises ImageRefused when a valve command is not finite.
         """
-        if not all(map(math.isfinite, image.valves)):
-            raise ImageRefused("image.not_finite", f"valve commands {image.valves}: want finite numbers")
-        before = self._image
-        if before is None or image.controller_cycle != before.controller_cycle:
-            self._fresh_ns = self.time_ns + self._owed_ns
-        if image.control & CONTROL_RESET_WATCHDOG and not (
-            before and before.control & CONTROL_RESET_WATCHDOG
-        ):
-            self._tripped = False
-            self._fresh_ns = self.time_ns + self._owed_ns
-        self._image = image
-        self._command(tuple(image.valves) if self._enabled() else (0.0,) * N_ACTUATORS)
+        self._commands.write(image, self.time_ns + self._owed_ns)
 
     def advance(self, duration_ns: int) -> None:
         """Let ``duration_ns`` of simulated time pass; a remainder below one step is owed to the next call."""
@@ -121,14 +103,12 @@ class Plant:
         self._owed_ns += duration_ns
         while self._owed_ns >= self._step_ns:
             self._events()
-            until = min(
-                [p.due_ns for p in self._pending] + [self._deadline_ns(), self.time_ns + self._owed_ns]
-            )
+            until = min(self._commands.next_ns(), self.faults.next_ns(), self.time_ns + self._owed_ns)
             steps = min(max(-(-(until - self.time_ns) // self._step_ns), 1), self._owed_ns // self._step_ns)
             advance(
                 self._state,
                 self._drive,
-                self._target,
+                self._commands.target,
                 self._shaft,
                 self._half_play,
                 steps,
@@ -144,10 +124,10 @@ class Plant:
     def read(self) -> SensorImage:
         """The sensors at this instant, as the fieldbus carries them."""
         pressures = self._state[PRESSURE_A : PRESSURE_B + N_ACTUATORS].reshape(2, N_ACTUATORS).T / BAR
-        a, b, c, d, e, f = self._encoders.read(self._shaft)
+        a, b, c, d, e, f = self._encoders.read(self._shaft, encoder_shift(self.faults.active, self.time_ns))
         return SensorImage(
             plant_cycle=self._cycle,
-            echo_cycle=0 if self._image is None else self._image.controller_cycle,
+            echo_cycle=self._commands.echo_cycle,
             status=self._status(),
             encoder_counts=(a, b, c, d, e, f),
             pressures_bar=tuple((float(p[0]), float(p[1])) for p in pressures),
@@ -185,11 +165,11 @@ class Plant:
             pressures=state[PRESSURE_A : PRESSURE_B + N_ACTUATORS].reshape(2, N_ACTUATORS).T.copy(),
             supply=float(state[SUPPLY]),
             oil_temperature_degc=float(state[TEMPERATURE]),
-            payload_kg=self._payload_kg,
-            valves=self._target.copy(),
+            payload_kg=self._load_kg(),
+            valves=self._commands.target.copy(),
             spools=state[SPOOL : SPOOL + N_ACTUATORS].copy(),
             flows=work.flows[:, [col.F_NET_A, col.F_NET_B]].copy(),
-            faults=tuple(sorted(self._faults)),
+            faults=tuple(sorted(fault.name for fault in self.faults.in_force())),
         )
 
     def vibrations(self) -> NDArray[np.complex128]:
@@ -204,63 +184,52 @@ class Plant:
         if not 0.0 <= mass_kg <= 1000.0:
             raise RequestRefused("refused.payload", f"payload {mass_kg:g} kg, wanted 0 to 1000")
         self._payload_kg = mass_kg
-        put_payload(self._model, self._bare_tool, mass_kg, self.config, self._chain)
-
-    def inject(self, fault: Fault) -> None:
-        """Break something from now on. Raises RequestRefused when the fault does not fit this plant."""
-        self._faults[checked(fault).name()] = fault
-        if fault.kind is FaultKind.ENCODER_STUCK:
-            self._encoders.hold(fault.joint)
         self._apply_faults()
+
+    def inject(self, fault: Fault, start_ns: int | None = None, duration_ns: int | None = None) -> Injection:
+        """Break something from simulated time ``start_ns`` on (None: now), for ``duration_ns`` or for good.
+
+        What concerns camera and coupler is kept here too, for those who play them to ask. Raises
+        RequestRefused as FaultSchedule.inject does.
+        """
+        injection = self.faults.inject(fault, self.time_ns, start_ns, duration_ns)
+        self._settle_faults()
+        return injection
+
+    def clear(self, number: int) -> Injection:
+        """Mend the fault of this number. Raises RequestRefused when there is none."""
+        injection = self.faults.clear(number, self.time_ns)
+        self._apply_faults()
+        return injection
 
     def clear_faults(self) -> None:
-        """Mend everything."""
-        self._faults.clear()
-        self._encoders.held.clear()
+        """Mend everything, and forget what was planned."""
+        self.faults.clear_all(self.time_ns)
         self._apply_faults()
 
+    def _settle_faults(self) -> None:
+        if self.faults.settle(self.time_ns):
+            self._apply_faults()
+
     def _apply_faults(self) -> None:
-        omega, circuit = self._model.actuators[:, col.A_OMEGA], self._model.circuit
-        omega[:] = self._healthy_omega
-        circuit[col.C_RUNNING] = 1.0
-        self._encoders.bias[:] = 0.0
-        for fault in self._faults.values():
-            if fault.kind is FaultKind.SUPPLY_LOST:
-                circuit[col.C_RUNNING] = 0.0
-            elif fault.kind is FaultKind.VALVE_STUCK:
-                omega[fault.joint] = 0.0
-                self._state[SPOOL_RATE + fault.joint] = 0.0
-            elif fault.kind is FaultKind.VALVE_SLOW:
-                omega[fault.joint] *= fault.value
-            elif fault.kind is FaultKind.ENCODER_BIAS:
-                self._encoders.bias[fault.joint] = fault.value
+        """Bring everything that faults change to what those in force make of it."""
+        faults = self.faults.in_force()
+        break_hydraulics(faults, self._model, self._healthy_omega, self._state)
+        self._encoders.hold(stuck_encoders(faults), self._shaft)
+        put_payload(self._model, self._bare_tool, self._load_kg(), self.config, self._chain)
 
-    def _enabled(self) -> bool:
-        return self._image is not None and bool(self._image.control & CONTROL_ENABLE) and not self._tripped
-
-    def _deadline_ns(self) -> int:
-        """When the watchdog would trip; never, before the first image and once tripped."""
-        if self._image is None or self._tripped:
-            return 1 << 62
-        return self._fresh_ns + round(self.config.watchdog_ms * 1e6) + 1
-
-    def _command(self, valves: tuple[float, ...]) -> None:
-        due = self.time_ns + self._owed_ns + round(self.config.valves.delay_ms * 1e6)
-        self._pending = [p for p in self._pending if p.due_ns < due] + [_Pending(due, valves)]
+    def _load_kg(self) -> float:
+        return load_kg(self.faults.in_force(), self._payload_kg)
 
     def _events(self) -> None:
-        """Let what is due by now happen: the watchdog, then commands that leave the delay."""
-        if self.time_ns >= self._deadline_ns():
-            self._tripped = True
-            self._command((0.0,) * N_ACTUATORS)
-        while self._pending and self._pending[0].due_ns <= self.time_ns:
-            self._target[:] = np.clip(self._pending.pop(0).valves, -1.0, 1.0)
+        """Let what is due by now happen: faults, the watchdog, commands that leave the delay."""
+        self._settle_faults()
+        self._commands.settle(self.time_ns)
 
     def _status(self) -> int:
-        held_encoder = bool(self._encoders.held)
         return (
             (STATUS_SUPPLY_ON if self._model.circuit[col.C_RUNNING] > 0.0 else 0)
-            | (STATUS_VALVES_ENABLED if self._enabled() else 0)
-            | (STATUS_WATCHDOG_TRIPPED if self._tripped else 0)
-            | (STATUS_SENSOR_FAULT if held_encoder else 0)
+            | (STATUS_VALVES_ENABLED if self._commands.enabled else 0)
+            | (STATUS_WATCHDOG_TRIPPED if self._commands.tripped else 0)
+            | (STATUS_SENSOR_FAULT if sensor_fault_reported(self.faults.in_force()) else 0)
         )

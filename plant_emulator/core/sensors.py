@@ -1,6 +1,7 @@
 """What the fieldbus sees of the arm: 17-bit encoders on play-afflicted shafts, and pressure transducers."""
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,27 +16,32 @@ COUNTS_PER_RADIAN = COUNTS_PER_TURN / (2.0 * math.pi)
 
 
 class Encoders:
-    """Six absolute encoders, each with its zero offset, play and noise, and its faults."""
+    """Six absolute encoders, each with its zero offset, play and noise; ``hold`` freezes a count."""
 
     def __init__(self, errors: ErrorsConfig, rng: np.random.Generator) -> None:
         self._rng = rng
         self._noise = errors.encoder_noise.rms_lsb if errors.encoder_noise.enabled else 0.0
         off = errors.encoder_offsets
         self._offset = np.asarray(off.mrad) * 1e-3 if off.enabled else np.zeros(N_ACTUATORS)
-        self.bias = np.zeros(N_ACTUATORS)
-        self.held: dict[int, int] = {}
-        self.last: tuple[int, ...] = (0,) * N_ACTUATORS
+        self._held: dict[int, int] = {}
+        self._last: tuple[int, ...] | None = None
 
-    def read(self, shaft: Array) -> tuple[int, ...]:
-        """Six counts at encoder ``shaft`` angles (6,); every reading draws six numbers from the generator."""
+    def read(self, shaft: Array, shift: Array) -> tuple[int, ...]:
+        """Six counts at encoder ``shaft`` angles (6,) that are ``shift`` (6,) off.
+
+        Every reading draws six numbers from the generator, whatever is held.
+        """
         noise = self._noise * self._rng.standard_normal(N_ACTUATORS)
-        exact = (shaft + self._offset + self.bias) * COUNTS_PER_RADIAN + noise
-        counts = [int(value) for value in np.rint(exact)]
-        for joint, value in self.held.items():
+        counts = self._counts(shaft + shift, noise)
+        for joint, value in self._held.items():
             counts[joint] = value
-        self.last = tuple(counts)
-        return self.last
+        self._last = tuple(counts)
+        return self._last
 
-    def hold(self, joint: int) -> None:
-        """Freeze one encoder at its latest reading."""
-        self.held[joint] = self.last[joint]
+    def hold(self, joints: Collection[int], shaft: Array) -> None:
+        """Freeze exactly these, each at its latest reading, or at ``shaft`` (6,) before the first one."""
+        latest = self._last or self._counts(shaft, np.zeros(N_ACTUATORS))
+        self._held = {joint: self._held.get(joint, latest[joint]) for joint in joints}
+
+    def _counts(self, angle: Array, noise: Array) -> list[int]:
+        return [int(value) for value in np.rint((angle + self._offset) * COUNTS_PER_RADIAN + noise)]

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from controller.config import ArmConfig, ControllerConfig
 from controller.core.pose_servo import resolve, tool_state
 from controller.core.settings import Settings, settings_from
-from plant_emulator.core.faults import Fault, FaultKind
+from plant_emulator.core.faults import EncoderJump, EncoderStuck, Fault, SupplyLost, ValveStuck
 from plant_emulator.core.plant import Plant
 from plant_emulator.plant_config import PlantConfig
 from protocol.configuration import load
@@ -172,10 +172,10 @@ def test_emergency_stop_in_motion_closes_every_valve_within_a_cycle(settings: Se
 @pytest.mark.parametrize(
     ("fault", "expected"),
     [
-        (Fault(FaultKind.ENCODER_STUCK, 1), {FaultCode.PLANT_STATUS}),
-        (Fault(FaultKind.SUPPLY_LOST), {FaultCode.SUPPLY_PRESSURE_LOST, FaultCode.FOLLOWING_ERROR}),
-        (Fault(FaultKind.ENCODER_BIAS, 2, 0.03), {FaultCode.ENCODER_JUMP}),
-        (Fault(FaultKind.VALVE_STUCK, 1), {FaultCode.FOLLOWING_ERROR}),
+        (EncoderStuck(joint="lift"), {FaultCode.PLANT_STATUS}),
+        (SupplyLost(), {FaultCode.SUPPLY_PRESSURE_LOST, FaultCode.FOLLOWING_ERROR}),
+        (EncoderJump(joint="tilt", angle_mrad=30.0), {FaultCode.ENCODER_JUMP}),
+        (ValveStuck(joint="lift"), {FaultCode.FOLLOWING_ERROR}),
     ],
 )
 def test_faults_of_the_plant_end_the_motion_with_their_cause(

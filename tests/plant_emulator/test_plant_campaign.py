@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from plant_emulator.core import columns as col
-from plant_emulator.core.faults import Fault, FaultKind
+from plant_emulator.core.faults import SupplyLost
 from plant_emulator.core.layout import N_COORDINATES, RATE
 from plant_emulator.core.model import put_payload
 from plant_emulator.core.plant import Plant
@@ -53,7 +53,7 @@ def treat(seed: int) -> tuple[float, float, float]:
     elif event == "end-stop impact":
         driver.run(2.0, case.hard_over())
     elif event == "pump loss":
-        plant.inject(Fault(FaultKind.SUPPLY_LOST))
+        plant.inject(SupplyLost())
         driver.run(1.0, case.valves)
     least, most = np.inf, 0.0
     for _ in range(90):
