@@ -5,15 +5,13 @@ does at the ends of the range is modelled as flow instead (relief, anti-cavitati
 the oil as the pressure falls, so that pressure approaches zero without crossing it.
 """
 
-import math
-
-from numba import njit
+from plant_emulator.core.compiled import kernel
 
 ATMOSPHERE = 101_325.0  # Pa
 FLOOR = 1_000.0  # Pa: below it the air term is held constant, so that the modulus stays above zero
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def bulk_modulus(
     pressure: float, volume: float, oil: float, wall: float, air: float, exponent: float
 ) -> float:
@@ -26,11 +24,11 @@ def bulk_modulus(
     p = max(pressure, FLOOR)
     softness = 1.0 / oil + wall / volume
     if air > 0.0:
-        softness += air * math.exp(math.log(ATMOSPHERE / p) / exponent) / (exponent * p)
+        softness += air * (ATMOSPHERE / p) ** (1.0 / exponent) / (exponent * p)
     return 1.0 / softness
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def relief_flow(pressure: float, setting: float, gain: float) -> float:
     """Flow (m³/s) that a relief valve lets out: ``gain`` (m³/s/Pa) times the excess over ``setting``."""
     return gain * max(pressure - setting, 0.0)

@@ -6,32 +6,41 @@ x = √(L² + l² + 2 L l cos(θ − θ0)) − x0 (geometry of the published HIA
 
 import math
 
-from numba import njit
+from plant_emulator.core.compiled import kernel
 
 CYLINDER = 0.0
 ROTARY = 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
+def actuator_reach(
+    angle: float, kind: float, base: float, lever: float, angle0: float, length0: float
+) -> tuple[float, float]:
+    """Piston position (m) or vane angle (rad) from its retracted end at joint ``angle``, and its slope dx/dθ.
+
+    The slope is the lever arm of a cylinder (m/rad), and 1 for a rotary actuator.
+    """
+    if kind == ROTARY:
+        return angle - angle0, 1.0
+    reduced, sides = angle - angle0, base * lever
+    length = math.sqrt(base * base + lever * lever + 2.0 * sides * math.cos(reduced))
+    return length - length0, -sides * math.sin(reduced) / length
+
+
+@kernel
 def actuator_position(
     angle: float, kind: float, base: float, lever: float, angle0: float, length0: float
 ) -> float:
     """Piston position (m) or vane angle (rad) from its retracted end, at joint ``angle``."""
-    if kind == ROTARY:
-        return angle - angle0
-    return math.sqrt(base * base + lever * lever + 2.0 * base * lever * math.cos(angle - angle0)) - length0
+    return actuator_reach(angle, kind, base, lever, angle0, length0)[0]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def actuator_lever(
     angle: float, kind: float, base: float, lever: float, angle0: float, length0: float
 ) -> float:
     """dx/dθ (m/rad for a cylinder, 1 for a rotary actuator) at joint ``angle``."""
-    if kind == ROTARY:
-        return 1.0
-    reduced = angle - angle0
-    length = math.sqrt(base * base + lever * lever + 2.0 * base * lever * math.cos(reduced))
-    return -base * lever * math.sin(reduced) / length
+    return actuator_reach(angle, kind, base, lever, angle0, length0)[1]
 
 
 def cylinder_angle(position: float, base: float, lever: float, angle0: float, length0: float) -> float:

@@ -7,17 +7,17 @@ table 7.1) then runs without a single change of coordinates: all spatial vectors
 axes about one point, the present wrist centre, which keeps the light wrist bodies free of cancellation
 against the 5 m reach.
 
-Spatial motion vectors are [ω, v], forces [n, f]. A symmetric spatial inertia is its three blocks: J (angular),
-H (coupling, upper right) and M (linear).
+Spatial motion vectors are [ω, v], forces [n, f]; a spatial inertia is its three blocks: J (angular), H
+(coupling, upper right) and M (linear).
 """
 
 import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from plant_emulator.core.compiled import kernel
 from plant_emulator.core.spatial import (
     Matrix,
     Symmetric,
@@ -43,9 +43,10 @@ Array = NDArray[np.float64]
 class Mechanism(NamedTuple):
     """A serial chain of ``n`` revolute coordinates and the body behind each, at home in base coordinates.
 
-    A body without mass has no inertia either. ``axis`` (n, 3) unit, ``point`` (n, 3) on the axis, ``mass`` (n,), ``centre`` (n, 3), ``inertia`` (n, 3,
-    3) about the centre, ``free`` (n,) 1 for a moving coordinate and 0 for a locked one, ``stiffness`` and
-    ``damping`` (n,) of an elastic hinge at zero angle, ``gravity`` (3,) in base coordinates.
+    ``axis`` (n, 3) unit, ``point`` (n, 3) on the axis, ``mass`` (n,), ``centre`` (n, 3), ``inertia`` (n, 3,
+    3) about the centre (zero where the mass is), ``free`` (n,) 1 for a moving coordinate and 0 for a locked
+    one, ``stiffness`` and ``damping`` (n,) of an elastic hinge at zero angle, ``gravity`` (3,) in base
+    coordinates.
     """
 
     axis: Array
@@ -84,7 +85,7 @@ def multibody_work(n: int) -> MultibodyWork:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _put_pose(work: MultibodyWork, i: int, rotation: Matrix, origin: Vector) -> None:
     for k in range(9):
         work.rotation[i, k // 3, k % 3] = rotation[k]
@@ -92,14 +93,14 @@ def _put_pose(work: MultibodyWork, i: int, rotation: Matrix, origin: Vector) -> 
         work.origin[i, k] = origin[k]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _put(table: Array, i: int, angular: Vector, linear: Vector) -> None:
     """Write a spatial vector into row ``i``."""
     table[i, 0], table[i, 1], table[i, 2] = angular
     table[i, 3], table[i, 4], table[i, 5] = linear
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _turn_less_one(axis: Vector, angle: float) -> Matrix:
     """E − 1 with E the rotation by ``angle`` about ``axis`` (Rodrigues), 1 − cos without cancellation."""
     sine, cosine = math.sin(0.5 * angle), math.cos(0.5 * angle)
@@ -112,7 +113,7 @@ def _turn_less_one(axis: Vector, angle: float) -> Matrix:
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def forward_kinematics(q: Array, mech: Mechanism, work: MultibodyWork) -> None:
     """Fill ``rotation`` and ``origin`` of every body: x_base = R_i x_home + t_i."""
     r = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -130,13 +131,13 @@ def forward_kinematics(q: Array, mech: Mechanism, work: MultibodyWork) -> None:
         _put_pose(work, i + 1, r, t)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _place(work: MultibodyWork, i: int, home: Vector) -> Vector:
     """Where the point of body ``i`` − 1 that is at ``home`` in the home pose is now; body −1 is the base."""
     return plus(turned(matrix(work.rotation, i), home), vector(work.origin, i, 0))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _body_inertia(r: Matrix, home: Matrix, mass: float, c: Vector) -> Symmetric:
     """R J Rᵀ plus what ``mass`` at ``c`` adds (Steiner)."""
     h = product(r, home)
@@ -151,7 +152,7 @@ def _body_inertia(r: Matrix, home: Matrix, mass: float, c: Vector) -> Symmetric:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _velocities(rate: Array, mech: Mechanism, work: MultibodyWork, centre: Vector) -> None:
     """First pass, outward: screws, velocities and velocity-product accelerations about ``centre``."""
     turn, speed = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -166,7 +167,7 @@ def _velocities(rate: Array, mech: Mechanism, work: MultibodyWork, centre: Vecto
         _put(work.velocity, i, turn, speed)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _inertias(force: Array, mech: Mechanism, work: MultibodyWork, centre: Vector) -> None:
     """Second pass, inward: articulated inertia and bias force, projected on each coordinate."""
     J, M = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -200,7 +201,7 @@ def _inertias(force: Array, mech: Mechanism, work: MultibodyWork, centre: Vector
         f = plus(f, plus(scaled(k * e, v), plus(turned_back(H, a), stretched(M, b))))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _accelerations(mech: Mechanism, work: MultibodyWork, acceleration: Array) -> None:
     """Third pass, outward from the base, which accelerates upwards in place of gravity."""
     a, b = (0.0, 0.0, 0.0), (-mech.gravity[0], -mech.gravity[1], -mech.gravity[2])
@@ -216,7 +217,7 @@ def _accelerations(mech: Mechanism, work: MultibodyWork, acceleration: Array) ->
         b = plus(b, scaled(d, vector(work.screw, i, 3)))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def forward_dynamics(
     q: Array, rate: Array, force: Array, mech: Mechanism, work: MultibodyWork, acceleration: Array
 ) -> None:

@@ -4,11 +4,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from plant_emulator.core import columns as col
 from plant_emulator.core.chambers import bulk_modulus, relief_flow
+from plant_emulator.core.compiled import kernel
 from plant_emulator.core.friction import bristle_rate, friction_force, steady_level
 from plant_emulator.core.layout import (
     BRISTLE,
@@ -25,12 +25,14 @@ from plant_emulator.core.layout import (
     TEMPERATURE,
     Q,
 )
-from plant_emulator.core.linkage import actuator_lever, actuator_position
+from plant_emulator.core.linkage import actuator_reach
 from plant_emulator.core.model import Model
 from plant_emulator.core.multibody import MultibodyWork, forward_dynamics, multibody_work
 from plant_emulator.core.valves import held_gain, opening, orifice_flow, slew_limited, spool_acceleration
 
 Array = NDArray[np.float64]
+
+JOINT = np.array(DRIVEN)  # compiled code indexes an array, not a tuple, with a variable
 
 
 class Work(NamedTuple):
@@ -58,89 +60,93 @@ def new_work() -> Work:
     )
 
 
-@njit(cache=True, error_model="numpy")
-def _valve_flows(i: int, state: Array, thinner: float, a: Array, c: Array, out: Array) -> None:
+@kernel
+def _valve_flows(i: int, state: Array, thinner: float, a: Array, c: Array, flows: Array) -> None:
     """Fill net chamber flows and supply flow of actuator ``i``: valve, leakage, relief, anti-cavitation."""
     p_a, p_b, p_s, p_t = state[PRESSURE_A + i], state[PRESSURE_B + i], state[SUPPLY], c[col.C_RETURN]
     soft, limit = c[col.C_REGULARISATION], c[col.C_RELIEF]
-    open_by = opening(state[SPOOL + i], a[col.A_DEADBAND])
-    gain = a[col.A_GAIN] * abs(open_by)
+    open_by = opening(state[SPOOL + i], a[i, col.A_DEADBAND])
+    gain = a[i, col.A_GAIN] * abs(open_by)
     drop_a, drop_b = (p_s - p_a, p_t - p_b) if open_by >= 0.0 else (p_t - p_a, p_s - p_b)
     gain_a = gain
-    if drop_a < 0.0 and a[col.A_COUNTERBALANCE] > 0.0:
+    if drop_a < 0.0 and a[i, col.A_COUNTERBALANCE] > 0.0:
         wish = p_a + c[col.C_PILOT] * p_b - c[col.C_HOLD]
-        gain_a = held_gain(gain, a[col.A_COUNTERBALANCE], wish, c[col.C_HOLD_RANGE])
+        gain_a = held_gain(gain, a[i, col.A_COUNTERBALANCE], wish, c[col.C_HOLD_RANGE])
     in_a, in_b = orifice_flow(gain_a, drop_a, soft), orifice_flow(gain, drop_b, soft)
-    out[col.F_SUPPLY] = in_a if open_by >= 0.0 else in_b
-    leak = a[col.A_LEAKAGE] * thinner * (p_a - p_b)
-    in_a -= leak + relief_flow(p_a, limit, a[col.A_RELIEF])
-    in_b += leak - relief_flow(p_b, limit, a[col.A_RELIEF])
+    flows[i, col.F_SUPPLY] = in_a if open_by >= 0.0 else in_b
+    leak = a[i, col.A_LEAKAGE] * thinner * (p_a - p_b)
+    in_a -= leak + relief_flow(p_a, limit, a[i, col.A_RELIEF])
+    in_b += leak - relief_flow(p_b, limit, a[i, col.A_RELIEF])
     if p_a < p_t:
-        in_a += orifice_flow(a[col.A_ANTICAVITATION], p_t - p_a, soft)
+        in_a += orifice_flow(a[i, col.A_ANTICAVITATION], p_t - p_a, soft)
     if p_b < p_t:
-        in_b += orifice_flow(a[col.A_ANTICAVITATION], p_t - p_b, soft)
-    out[col.F_NET_A], out[col.F_NET_B] = in_a, in_b
+        in_b += orifice_flow(a[i, col.A_ANTICAVITATION], p_t - p_b, soft)
+    flows[i, col.F_NET_A], flows[i, col.F_NET_B] = in_a, in_b
 
 
-@njit(cache=True, error_model="numpy")
-def _end_stop(y: float, v: float, a: Array) -> float:
+@kernel
+def _end_stop(i: int, y: float, v: float, a: Array) -> float:
     """Force at either end of the stroke: a cushion brakes what enters it, behind it stands a stiff stop."""
-    side = 1.0 if 2.0 * y < a[col.A_STROKE] else -1.0
-    left = y if side > 0.0 else a[col.A_STROKE] - y  # of the stroke, ahead of the moving piston
-    entered = min(max(1.0 - left / a[col.A_CUSHION], 0.0), 1.0)
-    brake = a[col.A_STOP_DAMPING] * entered * max(-side * v, 0.0)
-    push: float = side * (brake + a[col.A_STOP_STIFFNESS] * max(-left, 0.0))
+    side = 1.0 if 2.0 * y < a[i, col.A_STROKE] else -1.0
+    left = y if side > 0.0 else a[i, col.A_STROKE] - y  # of the stroke, ahead of the moving piston
+    entered = min(max(1.0 - left / a[i, col.A_CUSHION], 0.0), 1.0)
+    brake = a[i, col.A_STOP_DAMPING] * entered * max(-side * v, 0.0)
+    push: float = side * (brake + a[i, col.A_STOP_STIFFNESS] * max(-left, 0.0))
     return push
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _actuator(
-    i: int, state: Array, command: float, thinner: float, a: Array, c: Array, out: Array, rate: Array
+    i: int, state: Array, command: float, thinner: float, a: Array, c: Array, flows: Array, rate: Array
 ) -> float:
     """Rates of spool, chambers and bristle of actuator ``i``; returns its torque on the joint.
 
-    ``a`` is its row of the actuator table, ``c`` the circuit, ``out`` its row of the flow table, ``thinner``
-    the reference viscosity over the present one.
+    ``a`` is the actuator table, ``c`` the circuit, ``flows`` the flow table, ``thinner`` the reference
+    viscosity over the present one.
     """
-    joint = DRIVEN[i]
-    angle = state[Q + joint]
-    base, lever, angle0, length0 = a[col.A_BASE], a[col.A_LEVER], a[col.A_ANGLE0], a[col.A_LENGTH0]
-    y = actuator_position(angle, a[col.A_KIND], base, lever, angle0, length0)
-    ratio = actuator_lever(angle, a[col.A_KIND], base, lever, angle0, length0)
+    joint = JOINT[i]
+    y, ratio = actuator_reach(
+        state[Q + joint],
+        a[i, col.A_KIND],
+        a[i, col.A_BASE],
+        a[i, col.A_LEVER],
+        a[i, col.A_ANGLE0],
+        a[i, col.A_LENGTH0],
+    )
     v = ratio * state[RATE + joint]
     p_a, p_b = state[PRESSURE_A + i], state[PRESSURE_B + i]
-    area_a, area_b = a[col.A_AREA_A], a[col.A_AREA_B]
+    area_a, area_b = a[i, col.A_AREA_A], a[i, col.A_AREA_B]
 
     spool, spool_rate = state[SPOOL + i], state[SPOOL_RATE + i]
     rate[SPOOL + i] = spool_rate
-    rate[SPOOL_RATE + i] = spool_acceleration(command, spool, spool_rate, a[col.A_OMEGA], a[col.A_ZETA])
+    rate[SPOOL_RATE + i] = spool_acceleration(command, spool, spool_rate, a[i, col.A_OMEGA], a[i, col.A_ZETA])
 
     warmer = state[TEMPERATURE] - c[col.C_REFERENCE]
-    _valve_flows(i, state, thinner, a, c, out)
-    volume_a = a[col.A_DEAD_A] + area_a * y
-    volume_b = a[col.A_DEAD_B] + area_b * (a[col.A_STROKE] - y)
+    _valve_flows(i, state, thinner, a, c, flows)
+    volume_a = a[i, col.A_DEAD_A] + area_a * y
+    volume_b = a[i, col.A_DEAD_B] + area_b * (a[i, col.A_STROKE] - y)
     oil = c[col.C_MODULUS] * (1.0 - c[col.C_MODULUS_DRIFT] * warmer)
     wall, air, exponent = c[col.C_WALL], c[col.C_AIR], c[col.C_EXPONENT]
     stiff_a = bulk_modulus(p_a, volume_a, oil, wall, air, exponent)
     stiff_b = bulk_modulus(p_b, volume_b, oil, wall, air, exponent)
-    rate[PRESSURE_A + i] = stiff_a * (out[col.F_NET_A] - area_a * v) / volume_a
-    rate[PRESSURE_B + i] = stiff_b * (out[col.F_NET_B] + area_b * v) / volume_b
+    rate[PRESSURE_A + i] = stiff_a * (flows[i, col.F_NET_A] - area_a * v) / volume_a
+    rate[PRESSURE_B + i] = stiff_b * (flows[i, col.F_NET_B] + area_b * v) / volume_b
 
     bristle = state[BRISTLE + i]
-    level = steady_level(v, a[col.A_COULOMB], a[col.A_STATIC], a[col.A_STRIBECK])
-    z_rate = bristle_rate(v, bristle, level, a[col.A_BRISTLE])
+    level = steady_level(v, a[i, col.A_COULOMB], a[i, col.A_STATIC], a[i, col.A_STRIBECK])
+    z_rate = bristle_rate(v, bristle, level, a[i, col.A_BRISTLE])
     rate[BRISTLE + i] = z_rate
-    viscous = a[col.A_VISCOUS] / thinner
-    friction = friction_force(v, bristle, z_rate, a[col.A_BRISTLE], a[col.A_BRISTLE_DAMPING], viscous)
-    stop = _end_stop(y, v, a)
+    viscous = a[i, col.A_VISCOUS] / thinner
+    friction = friction_force(v, bristle, z_rate, a[i, col.A_BRISTLE], a[i, col.A_BRISTLE_DAMPING], viscous)
+    stop = _end_stop(i, y, v, a)
     push = p_a * area_a - p_b * area_b
-    out[col.F_PUSH], out[col.F_FRICTION], out[col.F_STOP] = push, friction, stop
-    out[col.F_POSITION], out[col.F_VELOCITY] = y, v
+    flows[i, col.F_PUSH], flows[i, col.F_FRICTION], flows[i, col.F_STOP] = push, friction, stop
+    flows[i, col.F_POSITION], flows[i, col.F_VELOCITY] = y, v
     torque: float = (push - friction + stop) * ratio
     return torque
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def pump_flow(supply: float, circuit: Array) -> float:
     """What the pump delivers (m³/s) at ``supply`` pressure; once lost, what its dump orifice takes."""
     if circuit[col.C_RUNNING] > 0.0:
@@ -150,7 +156,7 @@ def pump_flow(supply: float, circuit: Array) -> float:
     return -orifice_flow(circuit[col.C_DUMP], supply - circuit[col.C_RETURN], circuit[col.C_REGULARISATION])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _supply(state: Array, c: Array, flows: Array, rate: Array) -> None:
     """Rates of supply pressure and oil temperature."""
     supply = state[SUPPLY]
@@ -171,7 +177,7 @@ def _supply(state: Array, c: Array, flows: Array, rate: Array) -> None:
         rate[TEMPERATURE] = heat / c[col.C_HEAT_CAPACITY] - cooling
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def hydraulic_rates(state: Array, command: Array, model: Model, work: Work, rate: Array) -> None:
     """Fill the oil's part of ``rate`` and the generalised force (10,) of oil and hinges in ``work.force``."""
     mech = model.mechanism
@@ -180,12 +186,11 @@ def hydraulic_rates(state: Array, command: Array, model: Model, work: Work, rate
     c = model.circuit
     thinner = math.exp(c[col.C_VISCOSITY_DRIFT] * (state[TEMPERATURE] - c[col.C_REFERENCE]))
     for i in range(N_ACTUATORS):
-        row, out = model.actuators[i], work.flows[i]
-        work.force[DRIVEN[i]] += _actuator(i, state, command[i], thinner, row, c, out, rate)
+        work.force[JOINT[i]] += _actuator(i, state, command[i], thinner, model.actuators, c, work.flows, rate)
     _supply(state, c, work.flows, rate)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def right_hand_side(state: Array, command: Array, model: Model, work: Work, rate: Array) -> None:
     """Fill ``rate`` (N_STATES,) with d(state)/dt at ``state`` under spool ``command`` (6,)."""
     hydraulic_rates(state, command, model, work, rate)
@@ -196,7 +201,7 @@ def right_hand_side(state: Array, command: Array, model: Model, work: Work, rate
         rate[RATE + i] = work.acceleration[i]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def runge_kutta_step(state: Array, command: Array, h: float, model: Model, work: Work) -> None:
     """One classical fourth-order step of ``state`` in place."""
     k, stage = work.slope, work.stage
@@ -210,7 +215,7 @@ def runge_kutta_step(state: Array, command: Array, h: float, model: Model, work:
         state[j] += h / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def advance(
     state: Array,
     drive: Array,
@@ -234,5 +239,5 @@ def advance(
             )
         runge_kutta_step(state, work.command, h, model, work)
         for i in range(N_ACTUATORS):
-            angle = state[Q + DRIVEN[i]]
+            angle = state[Q + JOINT[i]]
             shaft[i] = min(max(shaft[i], angle - half_play[i]), angle + half_play[i])
