@@ -16,8 +16,16 @@ from controller.core.settings import Settings
 from protocol.process_image import COUNTS_PER_TURN, CYCLE_MODULUS, SensorImage
 
 RAD_PER_COUNT = 2.0 * math.pi / COUNTS_PER_TURN
+# Another master owns the outputs, or the coupler is busy: it may pass, so it is asked again a few times.
+_BUSY = 6
 # Joint speeds for supervision only: long enough to hide the encoder's last digit, short against a fault.
 _SPEED_FILTER_S = 0.03
+
+
+class PlantRefusal(NamedTuple):
+    """The plant answered an exchange with this Modbus exception code, and took nothing of it."""
+
+    code: int
 
 
 class PlantWatch(NamedTuple):
@@ -26,7 +34,7 @@ class PlantWatch(NamedTuple):
     ``turned``: what the joints turned since the image before (rad), zero without a new one. ``missed``:
     failed exchanges in a row; ``frozen``: exchanges since the plant's cycle last advanced; ``echo_lag``:
     cycles by which its echo lags; ``silent_s``: time since the last good exchange; ``failures``: failed
-    exchanges in all.
+    exchanges in all; ``refusal``: the exception code of the last exchange, 0 for none.
     """
 
     sensors: SensorImage | None
@@ -38,26 +46,30 @@ class PlantWatch(NamedTuple):
     echo_lag: int
     silent_s: float
     failures: int
+    refusal: int
 
 
 def unseen() -> PlantWatch:
     """Before the first image."""
-    return PlantWatch(None, np.zeros(6), np.zeros(6), np.zeros(6), 0, 0, 0, 0.0, 0)
+    return PlantWatch(None, np.zeros(6), np.zeros(6), np.zeros(6), 0, 0, 0, 0.0, 0, 0)
 
 
-def observed(watch: PlantWatch, sensors: SensorImage | None, cycle: int, dt_s: float) -> PlantWatch:
+def observed(
+    watch: PlantWatch, sensors: SensorImage | PlantRefusal | None, cycle: int, dt_s: float
+) -> PlantWatch:
     """``watch`` after one exchange; ``sensors`` None when it failed; ``cycle`` the last one that was sent."""
-    if sensors is None:
+    if not isinstance(sensors, SensorImage):
         return watch._replace(
             turned=np.zeros(6),
             missed=watch.missed + 1,
             silent_s=watch.silent_s + dt_s,
             failures=watch.failures + 1,
+            refusal=0 if sensors is None else sensors.code,
         )
     q_meas = np.array(sensors.encoder_counts) * RAD_PER_COUNT
     before = watch.sensors
     if before is None:
-        return PlantWatch(sensors, q_meas, np.zeros(6), np.zeros(6), 0, 0, 0, 0.0, watch.failures)
+        return PlantWatch(sensors, q_meas, np.zeros(6), np.zeros(6), 0, 0, 0, 0.0, watch.failures, 0)
     turned = q_meas - watch.q_meas
     elapsed = dt_s + watch.silent_s
     keep = pt1_step(1.0, 0.0, _SPEED_FILTER_S, elapsed)
@@ -71,12 +83,15 @@ def observed(watch: PlantWatch, sensors: SensorImage | None, cycle: int, dt_s: f
         echo_lag=(cycle - sensors.echo_cycle) % CYCLE_MODULUS,
         silent_s=0.0,
         failures=watch.failures,
+        refusal=0,
     )
 
 
 def link_lost(settings: Settings, watch: PlantWatch) -> tuple[float, float] | None:
     """Value and limit of what says that the plant does not hear or answer; None while it does."""
     limits = settings.config.supervision
+    if watch.refusal not in (0, _BUSY):
+        return float(watch.refusal), 0.0
     if watch.sensors is None:
         return float(watch.missed), 0.0
     if watch.missed > limits.missed_exchanges:

@@ -7,7 +7,7 @@ import numpy as np
 from controller.core.group_states import Mode
 from controller.core.joint_control import JointFilters
 from controller.core.motion import Motion, holding
-from controller.core.plant_watch import PlantWatch, unseen
+from controller.core.plant_watch import PlantRefusal, PlantWatch, unseen
 from controller.core.pose_servo import ToolState, tool_state
 from controller.core.rotations import Array
 from controller.core.settings import Settings
@@ -26,7 +26,7 @@ class ScanInput(NamedTuple):
 
     now_ns: int
     dt_s: float
-    sensors: SensorImage | None
+    sensors: SensorImage | PlantRefusal | None
     requests: tuple[Command | ReferencePose | ReferencePath, ...]
     reference_link_alive: bool
 

@@ -17,6 +17,7 @@ from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
 from controller.config import PlantLinkConfig
+from controller.core.plant_watch import PlantRefusal
 from controller.shell.event_log import EventLog
 from controller.shell.histogram import Histogram
 from protocol.coupler_registers import RESET_WORDS, WATCHDOG_RESET
@@ -60,8 +61,8 @@ class PlantLink:
             self._client.close()
             self._client = None
 
-    async def exchange(self, valve_words: Sequence[int]) -> list[int] | None:
-        """The plant's words after it took ``valve_words``; None when that failed, and was counted."""
+    async def exchange(self, valve_words: Sequence[int]) -> list[int] | PlantRefusal | None:
+        """The plant's words after it took ``valve_words``; None or a refusal when not, and counted."""
         client = self._client
         if client is None:
             self.failures["not_connected"] += 1
@@ -84,7 +85,7 @@ class PlantLink:
             self._failed(f"exception_{response.exception_code}", str(response))
             if response.exception_code == _WATCHDOG_EXPIRED:
                 await self._reset_coupler(client)
-            return None
+            return PlantRefusal(response.exception_code)
         if len(response.registers) != INPUT_WORDS:
             self._dropped("wrong_length", f"{len(response.registers)} words, wanted {INPUT_WORDS}")
             return None

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from controller.config import ArmConfig, ControllerConfig
 from controller.core.flight_recorder import FlightRecorder
 from controller.core.requests import is_live
+from controller.core.plant_watch import PlantRefusal
 from controller.core.scan import scan
 from controller.core.scan_types import Figures, ScanInput, ScanOutput, ScanState, initial_state, to_state
 from controller.core.settings import settings_from
@@ -117,9 +118,9 @@ class ControllerService:
         self._recorder.record(inputs, output)
         self._follow_up(self._state, output, now_ns)
 
-    def _decoded(self, words: list[int] | None) -> SensorImage | None:
-        if words is None:
-            return None
+    def _decoded(self, words: list[int] | PlantRefusal | None) -> SensorImage | PlantRefusal | None:
+        if not isinstance(words, list):
+            return words
         try:
             return decode_sensors(words)
         except ImageRefused as refusal:

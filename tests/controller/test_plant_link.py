@@ -10,6 +10,7 @@ import pytest
 from pymodbus.constants import ExcCodes
 
 from controller.config import PlantLinkConfig
+from controller.core.plant_watch import PlantRefusal
 from controller.shell.event_log import EventLog
 from controller.shell.plant_link import PlantLink
 from protocol.process_image import ValveImage, decode_sensors, encode_valves
@@ -87,7 +88,7 @@ async def test_a_lost_answer_is_not_answered_by_a_second_write(server: PlantServ
     assert link.failures["timeout"] == 1
     await _connected(link, times=2)
     words = await link.exchange(encode_valves(ValveImage(42, 0, (0.0,) * 6)))
-    assert words is not None
+    assert isinstance(words, list)
     assert decode_sensors(words).echo_cycle == 42
     await asyncio.sleep(0.15)  # the late answer meets a closed connection
     words = await link.exchange(encode_valves(ValveImage(43, 0, (0.0,) * 6)))
@@ -104,7 +105,7 @@ async def test_an_exception_response_is_counted_by_its_code_and_keeps_the_connec
     link.start()
     await _connected(link)
     server.exception = ExcCodes.DEVICE_BUSY
-    assert await link.exchange(WORDS) is None
+    assert await link.exchange(WORDS) == PlantRefusal(6)
     assert link.failures == {"exception_6": 1}
     server.exception = None
     assert await link.exchange(WORDS) is not None
