@@ -23,3 +23,11 @@ class EventLog:
     def digest(self) -> str:
         """SHA-256 of all lines so far, in hexadecimal."""
         return self._hash.hexdigest()
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "EventLog":
+        """A log of its own that goes on from here: what a forked world writes to."""
+        other = EventLog()
+        other.events = list(self.events)
+        other._hash = self._hash.copy()
+        memo[id(self)] = other
+        return other
