@@ -9,6 +9,16 @@ numba keys its cache on the file of the compiled function alone: who changes a k
 ``right_hand_side.py`` too.
 """
 
+from collections.abc import Callable
+from typing import Any, TypeVar
+
 from numba import njit
 
-kernel = njit(cache=True, error_model="numpy", _nrt=False)
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def kernel(function: Function) -> Function:
+    """``function`` compiled to machine code when first called, and cached."""
+    options: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
+    compiled: Function = njit(**options)(function)
+    return compiled
