@@ -96,10 +96,10 @@ def _cell_weights(centre: float, a: float, b: float, edges: Real64, first: int, 
     ``a`` and ``b`` are the pixel's extents across the strips along its two sides.
     """
     long, short = max(a, b), min(a, b)
-    below = _share_below(edges[first] - centre, long, short)
+    below = share_below(edges[first] - centre, long, short)
     k = first
     while k < weights.shape[0] and (k == first or below < 1.0):
-        above = _share_below(edges[k + 1] - centre, long, short)
+        above = share_below(edges[k + 1] - centre, long, short)
         weights[k] = above - below
         below = above
         k += 1
@@ -107,7 +107,7 @@ def _cell_weights(centre: float, a: float, b: float, edges: Real64, first: int, 
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _share_below(distance: float, long: float, short: float) -> float:
+def share_below(distance: float, long: float, short: float) -> float:
     """Share of a pixel on the near side of a straight edge at ``distance`` from its centre.
 
     The pixel's extents across the edge along its two sides are ``long`` >= ``short``: the convolution of two
