@@ -2,6 +2,8 @@
 
 import asyncio
 import contextlib
+import socket
+import struct
 from types import TracebackType
 from typing import Any, NamedTuple, cast
 
@@ -135,6 +137,7 @@ class TcpProxy(FaultProxy):
 
     async def _open(self) -> None:
         self._pumps: set[asyncio.Task[None]] = set()
+        self._writers: set[asyncio.StreamWriter] = set()
         self._server = await asyncio.start_server(
             self._accepted, self.route.listen_host, self.route.listen_port
         )
@@ -147,6 +150,13 @@ class TcpProxy(FaultProxy):
         await asyncio.gather(*self._pumps, return_exceptions=True)
         await self._server.wait_closed()
 
+    def reset(self) -> None:
+        """Break every connection off at once, as a device that restarts: both ends get a TCP reset."""
+        for writer in tuple(self._writers):
+            sock = writer.get_extra_info("socket")
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            writer.transport.abort()
+
     async def _accepted(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
         assert task is not None
@@ -157,6 +167,8 @@ class TcpProxy(FaultProxy):
         except OSError:
             writer.close()
             return
+        ends = {writer, up_writer}
+        self._writers |= ends
         both = [
             asyncio.ensure_future(self._pump(reader, up_writer, self.to_server)),
             asyncio.ensure_future(self._pump(up_reader, writer, self.to_client)),
@@ -167,7 +179,8 @@ class TcpProxy(FaultProxy):
             for pump in both:
                 pump.cancel()
             await asyncio.gather(*both, return_exceptions=True)
-            for each in (writer, up_writer):
+            self._writers -= ends
+            for each in ends:
                 each.close()
                 with contextlib.suppress(OSError):
                     await each.wait_closed()
