@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from plant_emulator.board_config import AnyBoardConfig
 from protocol.configuration import StrictModel
 
 Vector3 = tuple[float, float, float]
@@ -151,7 +152,8 @@ class CameraConfig(StrictModel):
     """The stereo camera as it really is. Vision is told other, nominal numbers.
 
     ``motion_blur_samples`` moments make one exposure (1: none). ``readout_ms`` is the time from the first to
-    the last row of a rolling shutter (0: global). ``dropped_frame_share`` of the frames never arrive.
+    the last row of a rolling shutter (0: global). ``dropped_frame_share`` of the frames never arrive;
+    ``frozen_frame_share`` of them repeat the picture before under a number of their own.
     """
 
     width_px: int = Field(default=1280, ge=64, le=4096)
@@ -168,6 +170,7 @@ class CameraConfig(StrictModel):
     motion_blur_samples: int = Field(default=1, ge=1, le=32)
     readout_ms: float = Field(default=0.0, ge=0.0, le=100.0)
     dropped_frame_share: float = Field(default=0.0, ge=0.0, le=1.0)
+    frozen_frame_share: float = Field(default=0.0, ge=0.0, le=1.0)
 
     @model_validator(mode="after")
     def _principal_point_inside(self) -> "CameraConfig":
@@ -202,5 +205,6 @@ class SceneConfig(StrictModel):
     object_of_interest: ObjectConfig
     tool_marker: ToolMarkerConfig
     obstacles: tuple[ObstacleConfig, ...] = Field(default=(), max_length=32)
+    boards: tuple[AnyBoardConfig, ...] = Field(default=(), max_length=16)
     mount: PoseConfig
     camera: CameraConfig

@@ -32,6 +32,15 @@ class Motion(NamedTuple):
 STILL = Motion(np.zeros((2, 6)))
 
 
+class Capture(NamedTuple):
+    """A capture instant, mid-exposure: its number and time, where eye and marker are and how they move."""
+
+    frame_id: int
+    capture_ns: int
+    view: View
+    motion: Motion
+
+
 def motion_between(before: View, now: View, interval_s: float) -> Motion:
     """The motion that carries ``before`` into ``now`` in ``interval_s``."""
     return Motion(np.stack([_difference(a, b) / interval_s for a, b in zip(before, now, strict=True)]))

@@ -1,12 +1,15 @@
 """One eye: its exact lens, and the painting of everything that it sees, back to front."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.core import rasteriser, wall_painter
+from plant_emulator.core import panel_painter, rasteriser, wall_painter
 from plant_emulator.core.camera_motion import View
 from plant_emulator.core.lens import Lens
-from plant_emulator.core.scene import Plate, Scene
+from plant_emulator.core.plates import Plate
+from plant_emulator.core.scene import Cover, Scene
 from plant_emulator.core.wall_texture import SIZE, SIZE_BITS, Texture
 
 Grey = NDArray[np.uint8]
@@ -35,18 +38,23 @@ class Eye:
         X_WE = X_WC @ self.X_CE
         return self.lens.project((points - X_WE[:3, 3]) @ X_WE[:3, :3])
 
-    def painted(self, first: View, last: View) -> Grey:
-        """What the eye sees, without point spread and noise; first and last row exposed at the two views."""
+    def painted(self, first: View, last: View, covers: Sequence[Cover] = ()) -> Grey:
+        """What the eye sees, without point spread and noise; first and last row exposed at the two views.
+
+        ``covers`` lie over whatever else is on the wall, or on the tool.
+        """
         width, height = self._size
         picture = np.empty((height, width), dtype=np.uint8)
         X_EWs = [np.linalg.inv(view.X_WC @ self.X_CE) for view in (first, last)]
         X_EOs = [X_EW @ self._scene.mounts.X_WO for X_EW in X_EWs]
         X_EMs = [X_EW @ view.X_WM for X_EW, view in zip(X_EWs, (first, last), strict=True)]
         self._paint_wall(picture, X_EOs)
-        for plate in self._scene.wall_plates:
-            self._paint_plate(picture, X_EOs, plate)
-        for plate in self._scene.tool_plates:
-            self._paint_plate(picture, X_EMs, plate)
+        for parent, X_EPs, plates in (
+            ("O", X_EOs, self._scene.wall_plates),
+            ("M", X_EMs, self._scene.tool_plates),
+        ):
+            for plate in (*plates, *(cover.plate for cover in covers if cover.parent == parent)):
+                self._paint_plate(picture, X_EPs, plate)
         return picture
 
     def _paint_wall(self, picture: Grey, X_EOs: list[Matrix]) -> None:
@@ -97,6 +105,11 @@ class Eye:
         ray_x, ray_y = self._rays
         box = (int(top), int(bottom), int(left), int(right))
         homographies = np.stack([_ray_to_plane(X) for X in X_EPs])
+        if plate.levels:
+            panel_painter.paint_panel(
+                picture, ray_x, ray_y, homographies, plate.edges_x, plate.edges_y, plate.levels, box, light
+            )
+            return
         rasteriser.paint_plate(
             picture, ray_x, ray_y, homographies, plate.edges_x, plate.edges_y, plate.grey, box, light
         )

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.core import columns as col
+from plant_emulator.core.camera_motion import Motion, View, motion_between
 from plant_emulator.core.equilibrium import rest_state
 from plant_emulator.core.fault_effects import (
     break_hydraulics,
@@ -47,6 +48,8 @@ from protocol.process_image import (
 )
 
 Array = NDArray[np.float64]
+
+_INSTANT_S = 1e-4  # over which a velocity is a difference of poses
 
 NOMINAL_MOUNTS = Mounts(
     X_WB=np.eye(4),
@@ -138,10 +141,8 @@ class Plant:
 
     def truth(self) -> PlantTruth:
         """Where everything really is now; for the plant's own recording, never for another service."""
-        work, state = self._work, self._state
-        forward_kinematics(state[Q : Q + N_COORDINATES], self._model.mechanism, work.multibody)
-        X_BT = transform(work.multibody.rotation[-1], work.multibody.origin[-1]) @ self._chain.X_BT_home
-        mounts = self._mounts
+        work, state, mounts = self._work, self._state, self._mounts
+        X_BT = self._tool_pose(state[Q : Q + N_COORDINATES])
         X_WT = mounts.X_WB @ X_BT
         X_WC, X_WM = X_WT @ mounts.X_TC, X_WT @ mounts.X_TM
         X_CW = inverse(X_WC)
@@ -171,6 +172,21 @@ class Plant:
             flows=work.flows[:, [col.F_NET_A, col.F_NET_B]].copy(),
             faults=tuple(sorted(fault.name for fault in self.faults.in_force())),
         )
+
+    def motion(self) -> Motion:
+        """How camera and tool marker move now, for pictures of finite exposure."""
+        q, rate = self._state[Q : Q + N_COORDINATES], self._state[RATE : RATE + N_COORDINATES]
+        views = []
+        for offset_s in (-0.5 * _INSTANT_S, 0.5 * _INSTANT_S):
+            X_WT = self._mounts.X_WB @ self._tool_pose(q + offset_s * rate)
+            views.append(View(X_WT @ self._mounts.X_TC, X_WT @ self._mounts.X_TM))
+        return motion_between(views[0], views[1], _INSTANT_S)
+
+    def _tool_pose(self, q: Array) -> Array:
+        """X_BT (4, 4) at coordinates ``q`` (10,)."""
+        forward_kinematics(q, self._model.mechanism, self._work.multibody)
+        last = transform(self._work.multibody.rotation[-1], self._work.multibody.origin[-1])
+        return last @ self._chain.X_BT_home
 
     def vibrations(self) -> NDArray[np.complex128]:
         """The eigenvalues (1/s) of the whole plant now with its valves shut; for surveys of the plant."""

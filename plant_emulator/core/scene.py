@@ -6,9 +6,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from plant_emulator.core.boards import board_plates
+from plant_emulator.core.faults import MarkerCovered
 from plant_emulator.core.geometry import rotation_from_vector, transform
+from plant_emulator.core.plates import Plate as Plate
+from plant_emulator.core.plates import plain_plate
 from plant_emulator.core.truth import Mounts
 from plant_emulator.scene_config import MarkerConfig, ObjectConfig, PoseConfig, SceneConfig, ToolMarkerConfig
+from protocol.errors import RequestRefused
 
 Matrix = NDArray[np.float64]
 
@@ -17,22 +22,6 @@ R_TM_NOMINAL = np.diag([1.0, -1.0, -1.0])
 _QUIET_CELLS = 1
 _DICTIONARY = cv2.aruco.DICT_5X5_1000
 _CELLS = 7  # five data cells and the black border on either side
-
-
-class Plate(NamedTuple):
-    """A flat rectangle painted with a grid of uniform cells.
-
-    ``X_parent_plate``: pose in the parent (O for the wall's markers, M for what the tool carries), x right, y
-    up, z towards the viewer. ``edges_x`` and ``edges_y`` are the grid lines in metres, ascending; y here
-    counts **downwards**, so that ``grey[row, column]`` reads like a picture. ``lit_by_wall``: the wall's
-    lighting gradient applies.
-    """
-
-    X_parent_plate: Matrix
-    edges_x: Matrix
-    edges_y: Matrix
-    grey: NDArray[np.float32]
-    lit_by_wall: bool
 
 
 def pose_matrix(pose: PoseConfig) -> Matrix:
@@ -83,12 +72,24 @@ def marker_plate(config: MarkerConfig, X_parent_plate: Matrix, lit_by_wall: bool
     return Plate(X_parent_plate, edges, edges, grey, lit_by_wall)
 
 
-def plain_plate(
-    X_parent_plate: Matrix, edges_x: tuple[float, float], edges_y: tuple[float, float], grey: float
-) -> Plate:
-    """A plate of one grey between two edges across and two edges down, in metres."""
-    cell = np.full((1, 1), grey, dtype=np.float32)
-    return Plate(X_parent_plate, np.array(edges_x), np.array(edges_y), cell, lit_by_wall=False)
+class Cover(NamedTuple):
+    """A sheet over a marker, and the frame that it moves with: ``O`` on the wall, ``M`` on the tool."""
+
+    parent: str
+    plate: Plate
+
+
+def cover_over(plate: Plate, fault: MarkerCovered) -> Plate:
+    """The sheet that ``fault`` lays over a marker's ``plate``."""
+    (left, right), (top, bottom) = ((edges[0], edges[-1]) for edges in (plate.edges_x, plate.edges_y))
+    across, down = fault.share * (right - left), fault.share * (bottom - top)
+    edges_x, edges_y = {
+        "left": ((left, left + across), (top, bottom)),
+        "right": ((right - across, right), (top, bottom)),
+        "top": ((left, right), (top, top + down)),
+        "bottom": ((left, right), (bottom - down, bottom)),
+    }[fault.side]
+    return plain_plate(plate.X_parent_plate, edges_x, edges_y, fault.grey)
 
 
 class Scene:
@@ -112,7 +113,12 @@ class Scene:
             for marker in config.object_of_interest.markers
         )
         tool_marker = marker_plate(config.tool_marker, np.eye(4), lit_by_wall=False)
-        self.wall_plates = (*self._wall_markers, *self._obstacles("wall"))
+        self._marker_plates = {config.tool_marker.marker_id: ("M", tool_marker)} | {
+            marker.marker_id: ("O", plate)
+            for marker, plate in zip(config.object_of_interest.markers, self._wall_markers, strict=True)
+        }
+        boards = (plate for board in config.boards for plate in board_plates(board))
+        self.wall_plates = (*self._wall_markers, *boards, *self._obstacles("wall"))
         self.tool_plates = (*self._bracket(), tool_marker, *self._obstacles("tool"))
 
     def marker_corners(self) -> dict[int, tuple[str, Matrix]]:
@@ -122,6 +128,14 @@ class Scene:
             X_OP = plate.X_parent_plate
             corners[marker.marker_id] = ("O", corners_in_plate(marker) @ X_OP[:3, :3].T + X_OP[:3, 3])
         return corners
+
+    def cover(self, fault: MarkerCovered) -> Cover:
+        """What lies over a marker. Raises RequestRefused (``refused.unknown_marker``) when it is not here."""
+        if fault.marker_id not in self._marker_plates:
+            known = ", ".join(map(str, sorted(self._marker_plates)))
+            raise RequestRefused("refused.unknown_marker", f"marker_id = {fault.marker_id}: here are {known}")
+        parent, plate = self._marker_plates[fault.marker_id]
+        return Cover(parent, cover_over(plate, fault))
 
     @staticmethod
     def _wall_marker_pose(centre_m: tuple[float, float], roll_deg: float) -> Matrix:

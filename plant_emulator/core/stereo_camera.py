@@ -1,5 +1,6 @@
 """The stereo camera as it truly is: renders what its two eyes see, and projects points exactly."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import cv2
@@ -8,10 +9,11 @@ from numpy.typing import NDArray
 
 from plant_emulator.core import rasteriser
 from plant_emulator.core.camera_motion import STILL, Motion, View
+from plant_emulator.core.exposures import Shot
 from plant_emulator.core.eye import Eye
 from plant_emulator.core.geometry import transform
 from plant_emulator.core.lens import Lens
-from plant_emulator.core.scene import Scene, rotation_matrix
+from plant_emulator.core.scene import Cover, Scene, rotation_matrix
 from plant_emulator.core.wall_texture import Texture, drilled, packed_levels, wall_texture
 from plant_emulator.scene_config import CameraConfig, WallConfig
 
@@ -19,7 +21,7 @@ Grey = NDArray[np.uint8]
 Matrix = NDArray[np.float64]
 
 LEFT, RIGHT = 0, 1
-_NOISE_STREAM, _DELIVERY_STREAM = 0x6E6F697365, 0x64726F70
+_NOISE_STREAM = 0x6E6F697365
 
 
 class StereoCamera:
@@ -48,7 +50,18 @@ class StereoCamera:
         view = View(X_WC, X_WM)
         return self.render_eye(LEFT, view, frame_id, motion), self.render_eye(RIGHT, view, frame_id, motion)
 
-    def render_eye(self, eye: int, view: View, frame_id: int, motion: Motion = STILL) -> Grey:
+    def take(self, shot: Shot) -> tuple[Grey, Grey]:
+        """The two eyes' pictures of ``shot``. Raises RequestRefused when it covers a marker unknown here."""
+        frame_id, _, view, motion = shot.shown
+        if shot.blind is not None:
+            return self._even(shot.blind.grey, LEFT, frame_id), self._even(shot.blind.grey, RIGHT, frame_id)
+        covers = [self.scene.cover(fault) for fault in shot.covers]
+        left, right = (self.render_eye(eye, view, frame_id, motion, covers) for eye in (LEFT, RIGHT))
+        return left, right
+
+    def render_eye(
+        self, eye: int, view: View, frame_id: int, motion: Motion = STILL, covers: Sequence[Cover] = ()
+    ) -> Grey:
         """One eye's picture, (height, width) uint8; ``eye`` is LEFT or RIGHT."""
         samples = self.config.motion_blur_samples
         exposure_s, readout_s = 1e-6 * self.config.exposure_us, 1e-3 * self.config.readout_ms
@@ -56,16 +69,9 @@ class StereoCamera:
         for k in range(samples):
             middle_s = exposure_s * ((k + 0.5) / samples - 0.5)
             first, last = (motion.at(view, middle_s + side * readout_s) for side in (-0.5, 0.5))
-            pictures.append(self.eyes[eye].painted(first, last))
+            pictures.append(self.eyes[eye].painted(first, last, covers))
         picture = pictures[0] if samples == 1 else rasteriser.mean_of(np.stack(pictures))
         return self._exposed(picture, eye, frame_id)
-
-    def delivers(self, frame_id: int) -> bool:
-        """Whether the camera delivers this frame, or drops it as real ones sometimes do."""
-        if self.config.dropped_frame_share == 0.0:
-            return True
-        draw = np.random.default_rng((self._seed, _DELIVERY_STREAM, frame_id)).random()
-        return bool(draw >= self.config.dropped_frame_share)
 
     def project(self, X_WC: Matrix, points: Matrix) -> tuple[Matrix, Matrix]:
         """Exact image coordinates (left, right), each (n, 2) px, of points (n, 3) in W; NaN behind it."""
@@ -85,13 +91,24 @@ class StereoCamera:
         if config.blur_px > 0.0:
             size = 2 * int(np.ceil(2.5 * config.blur_px)) + 1
             cv2.GaussianBlur(picture, (size, size), config.blur_px, dst=picture)
-        if config.noise_grey == 0.0 and config.vignetting == 0.0 and config.exposure_gain == 1.0:
-            return picture
-        centre_u, centre_v = self.eyes[eye].lens.centre
-        falloff = config.vignetting / ((config.width_px / 2.0) ** 2 + (config.height_px / 2.0) ** 2)
-        key = (self._seed * 0x2545F4914F6CDD1D + frame_id * 2 + eye) & 0x7FFF_FFFF_FFFF_FFFF
-        rasteriser.finish(picture, self._noise, key, config.exposure_gain, falloff, centre_u, centre_v)
+        self._sense(picture, eye, frame_id, config.exposure_gain, config.vignetting)
         return picture
+
+    def _even(self, grey: int, eye: int, frame_id: int) -> Grey:
+        """A picture of one level and the sensor's noise."""
+        picture = np.full((self.config.height_px, self.config.width_px), grey, dtype=np.uint8)
+        self._sense(picture, eye, frame_id, 1.0, 0.0)
+        return picture
+
+    def _sense(self, picture: Grey, eye: int, frame_id: int, gain: float, vignetting: float) -> None:
+        """Apply gain, vignetting and noise to ``picture`` in place."""
+        config = self.config
+        if config.noise_grey == 0.0 and vignetting == 0.0 and gain == 1.0:
+            return
+        centre_u, centre_v = self.eyes[eye].lens.centre
+        falloff = vignetting / ((config.width_px / 2.0) ** 2 + (config.height_px / 2.0) ** 2)
+        key = (self._seed * 0x2545F4914F6CDD1D + frame_id * 2 + eye) & 0x7FFF_FFFF_FFFF_FFFF
+        rasteriser.finish(picture, self._noise, key, gain, falloff, centre_u, centre_v)
 
 
 def true_eyes(config: CameraConfig) -> tuple[tuple[Lens, Matrix], tuple[Lens, Matrix]]:

@@ -6,11 +6,14 @@ import json
 import socket
 import subprocess
 import sys
+from collections.abc import Sequence
 from typing import Any
 
-from plant_emulator.core.camera_motion import Motion, View
+from plant_emulator.core.camera_motion import Capture, Motion, View
+from plant_emulator.core.exposures import Exposures
+from plant_emulator.core.faults import Fault
 from plant_emulator.scene_config import SceneConfig
-from plant_emulator.shell.renderer import Capture, encode_capture
+from plant_emulator.shell.renderer import encode_shot
 from protocol.errors import LinkLost
 
 _END_TIMEOUT_S = 1.0
@@ -24,9 +27,11 @@ class CameraSender:
         """Start the process; it takes over ``listener``, which is closed here."""
         self.statistics: dict[str, Any] = {}
         self.poses_dropped = 0
+        self.frames_lost = 0
         self.ended = asyncio.Event()
         self._ready = asyncio.Event()
         self._frame_id = 0
+        self._exposures = Exposures(scene.camera, scene.seed)
         self._poses, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._poses.setblocking(False)
         with listener, theirs:
@@ -57,11 +62,18 @@ class CameraSender:
         if self.ended.is_set():
             raise LinkLost("link.renderer_ended", f"the renderer ended with status {self._process.wait()}")
 
-    def capture(self, view: View, motion: Motion, capture_ns: int) -> int:
-        """Number of the frame that is to show ``view``; dropped and counted when the renderer hangs."""
+    def capture(self, view: View, motion: Motion, capture_ns: int, faults: Sequence[Fault]) -> int:
+        """Number of the frame that is to show ``view``, unless one of the plant's ``faults`` forbids it.
+
+        It is dropped and counted when it is lost on purpose, and when the renderer hangs.
+        """
         self._frame_id += 1
+        shot = self._exposures.shot(Capture(self._frame_id, capture_ns, view, motion), faults)
+        if not shot.delivered:
+            self.frames_lost += 1
+            return self._frame_id
         try:
-            self._poses.send(encode_capture(Capture(self._frame_id, capture_ns, view, motion)))
+            self._poses.send(encode_shot(shot))
         except OSError:
             self.poses_dropped += 1
         return self._frame_id

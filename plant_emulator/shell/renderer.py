@@ -13,46 +13,51 @@ import socket
 import struct
 import sys
 import time
-from typing import NamedTuple
 
 import cv2
 import numpy as np
+from pydantic import BaseModel
 
-from plant_emulator.core.camera_motion import Motion, View
+from plant_emulator.core.camera_motion import Capture, Motion, View
+from plant_emulator.core.exposures import Shot
+from plant_emulator.core.faults import CameraBlind, MarkerCovered
 from plant_emulator.core.scene import Scene
 from plant_emulator.core.stereo_camera import StereoCamera
 from plant_emulator.scene_config import SceneConfig
 from plant_emulator.shell.frame_server import FrameServer, StereoFrame
 
-_POSES = struct.Struct("<QQ44d")
+_POSES = struct.Struct("<4Q44d")
+_MESSAGE_BYTES = 1 << 16
 _REPORT_NS = 1_000_000_000
 _POLICIES = {"idle": os.SCHED_IDLE, "batch": os.SCHED_BATCH, "normal": os.SCHED_OTHER}
 
 
-class Capture(NamedTuple):
-    """One capture instant: where eye and tool marker are, and how they move."""
+class _Sights(BaseModel):
+    """What hinders the camera's sight."""
 
-    frame_id: int
-    capture_ns: int
-    view: View
-    motion: Motion
+    blind: CameraBlind | None
+    covers: tuple[MarkerCovered, ...]
 
 
-def encode_capture(capture: Capture) -> bytes:
-    """The datagram that carries ``capture`` from the plant to the renderer."""
-    numbers = (*capture.view.X_WC.flat, *capture.view.X_WM.flat, *capture.motion.rates.flat)
-    return _POSES.pack(capture.frame_id, capture.capture_ns, *numbers)
+def encode_shot(shot: Shot) -> bytes:
+    """The datagram that carries ``shot`` to the renderer: numbers, then what hinders its sight as JSON."""
+    shown = shot.shown
+    numbers = (*shown.view.X_WC.flat, *shown.view.X_WM.flat, *shown.motion.rates.flat)
+    poses = _POSES.pack(shot.frame_id, shot.capture_ns, shown.frame_id, shown.capture_ns, *numbers)
+    return poses + _Sights(blind=shot.blind, covers=shot.covers).model_dump_json().encode()
 
 
-def decode_capture(data: bytes) -> Capture:
-    """The capture in a datagram."""
-    frame_id, capture_ns, *numbers = _POSES.unpack(data)
+def decode_shot(data: bytes) -> Shot:
+    """The shot in a datagram; what is sent is to be delivered."""
+    frame_id, capture_ns, shown_id, shown_ns, *numbers = _POSES.unpack_from(data)
     X_WC, X_WM = np.array(numbers[:32]).reshape(2, 4, 4)
-    return Capture(frame_id, capture_ns, View(X_WC, X_WM), Motion(np.array(numbers[32:]).reshape(2, 6)))
+    shown = Capture(shown_id, shown_ns, View(X_WC, X_WM), Motion(np.array(numbers[32:]).reshape(2, 6)))
+    sights = _Sights.model_validate_json(data[_POSES.size :])
+    return Shot(frame_id, capture_ns, shown, sights.blind, sights.covers, delivered=True)
 
 
 class Renderer:
-    """Renders the newest capture asked for, while anybody watches; older ones are skipped and counted."""
+    """Renders the newest shot asked for, while anybody watches; older ones are skipped and counted."""
 
     def __init__(self, scene: SceneConfig, poses: socket.socket, server: FrameServer) -> None:
         self._camera = StereoCamera(scene.camera, Scene(scene), scene.seed)
@@ -62,7 +67,6 @@ class Renderer:
         self._rendered = 0
         self._skipped = 0
         self._unwatched = 0
-        self._lost = 0
         self._render_ns: list[int] = []
 
     def warm_up(self) -> None:
@@ -73,38 +77,34 @@ class Renderer:
         """Say that the renderer is ready, then serve until the plant closes its end."""
         self._report("ready")
         next_report = time.monotonic_ns() + _REPORT_NS
-        while (capture := self._newest()) is not None:
-            if not self._server.watched:
-                self._unwatched += 1
-            elif self._camera.delivers(capture.frame_id):
-                self._render(capture)
+        while (shot := self._newest()) is not None:
+            if self._server.watched:
+                self._render(shot)
             else:
-                self._lost += 1
+                self._unwatched += 1
             if time.monotonic_ns() >= next_report:
                 next_report = time.monotonic_ns() + _REPORT_NS
                 self._report("running")
         self._report("ended")
 
-    def _newest(self) -> Capture | None:
-        """The newest capture waiting, after waiting for one; None when the plant has gone."""
-        data = self._poses.recv(_POSES.size)
+    def _newest(self) -> Shot | None:
+        """The newest shot waiting, after waiting for one; None when the plant has gone."""
+        data = self._poses.recv(_MESSAGE_BYTES)
         while data:
             try:
-                newer = self._poses.recv(_POSES.size, socket.MSG_DONTWAIT)
+                newer = self._poses.recv(_MESSAGE_BYTES, socket.MSG_DONTWAIT)
             except BlockingIOError:
-                return decode_capture(data)
+                return decode_shot(data)
             self._skipped += bool(newer)
             data = newer
         return None
 
-    def _render(self, capture: Capture) -> None:
+    def _render(self, shot: Shot) -> None:
         begun = time.thread_time_ns()
-        left, right = self._camera.render(*capture.view, capture.frame_id, capture.motion)
+        left, right = self._camera.take(shot)
         self._render_ns = [*self._render_ns[-999:], time.thread_time_ns() - begun]
         self._rendered += 1
-        self._server.publish(
-            StereoFrame(capture.frame_id, capture.capture_ns, self._exposure_us, left, right)
-        )
+        self._server.publish(StereoFrame(shot.frame_id, shot.capture_ns, self._exposure_us, left, right))
 
     def _report(self, event: str) -> None:
         times = np.array(self._render_ns or [0]) / 1e6
@@ -113,7 +113,6 @@ class Renderer:
             "frames_rendered": self._rendered,
             "frames_skipped": self._skipped,
             "frames_unwatched": self._unwatched,
-            "frames_lost_on_purpose": self._lost,
             "render_cpu_p50_ms": float(np.percentile(times, 50)),
             "render_cpu_p99_ms": float(np.percentile(times, 99)),
             **self._server.statistics(),

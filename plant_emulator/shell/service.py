@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from plant_emulator.config import Endpoint, PlantSideConfig
-from plant_emulator.core.camera_motion import STILL, View, motion_between
+from plant_emulator.core.camera_motion import STILL, View
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.scene import Scene
 from plant_emulator.shell.camera_sender import CameraSender
@@ -50,8 +50,6 @@ class PlantService:
         self._truths = Beat(round(1e9 / service.truth_hz))
         camera = config.scene.camera
         self._shows_motion = camera.motion_blur_samples > 1 or camera.readout_ms > 0.0
-        self._period_s = 1e-3 * service.period_ms
-        self._view: View | None = None  # of the step before, kept only where the pictures show motion
         self._words: list[int] | None = None
         self._status = -1
         self._recorder: TruthRecorder | None = None
@@ -105,20 +103,17 @@ class PlantService:
         self._words = None
         capture = self._captures.due(deadline_ns)
         record = self._recorder is not None and (capture or self._truths.due(deadline_ns))
-        if not (capture or record or self._shows_motion):
+        if not (capture or record):
             return
         truth = self._plant.truth()
-        view = View(truth.X_WC, truth.X_WM)
         if capture and self._camera is not None:
-            before = self._view
-            motion = STILL if before is None else motion_between(before, view, self._period_s)
-            frame_id = self._camera.capture(view, motion, deadline_ns)
+            motion = self._plant.motion() if self._shows_motion else STILL
+            view = View(truth.X_WC, truth.X_WM)
+            frame_id = self._camera.capture(view, motion, deadline_ns, self._plant.faults.in_force())
             if self._recorder is not None:
                 self._recorder.capture(truth, deadline_ns, frame_id)
         elif record and self._recorder is not None:
             self._recorder.truth(truth, deadline_ns)
-        if self._shows_motion:
-            self._view = view
 
     def _write(self, image: ValveImage) -> None:
         self._plant.write(image)
@@ -179,6 +174,7 @@ class PlantService:
             return
         assert self._camera is not None
         camera = {"captures_missed": self._captures.dropped, "poses_dropped": self._camera.poses_dropped}
+        camera["frames_lost_on_purpose"] = self._camera.frames_lost
         figures = {
             "service": "plant_emulator",
             "period_ms": self._config.service.period_ms,

@@ -188,15 +188,6 @@ def test_low_contrast_is_as_low_as_configured() -> None:
     assert patches[1].std() == pytest.approx(patches[0].std() / 5.0, rel=0.05)
 
 
-def test_lost_frames_are_lost_by_seed_and_number() -> None:
-    eyes = camera({"camera": {"dropped_frame_share": 0.2}})
-    delivered = [eyes.delivers(frame_id) for frame_id in range(2000)]
-    assert np.mean(delivered) == pytest.approx(0.8, abs=0.03)
-    again = camera({"camera": {"dropped_frame_share": 0.2}})
-    assert delivered == [again.delivers(frame_id) for frame_id in range(2000)]
-    assert all(clean_camera().delivers(k) for k in range(100))
-
-
 def test_still_is_still() -> None:
     view = start_view(clean_camera().scene)
     for X, Y in zip(STILL.at(view, 1.0), view, strict=True):
