@@ -98,7 +98,7 @@ def _region(image: Image, corners: Array, margin: int) -> Region:
     return max(int(x0), 0), max(int(y0), 0), min(int(x1), width), min(int(y1), height)
 
 
-class _Mean(NamedTuple):
+class MeanPose(NamedTuple):
     """A robust mean pose, the covariance of its noise and of a single frame's, and the bias all frames
     share.
     """
@@ -125,8 +125,8 @@ def combine(
     wanted = min(settings.minimum_frames, tried)
     tool = [(o.X_CM, o.cov_CM, o.bias_CM) for o in observations]
     target = [(o.X_CO, o.cov_CO, o.bias_CO) for o in observations]
-    tool_mean, tool_seen = _robust_mean(tool, wanted, "tool", settings.huber_sigmas)
-    target_mean, target_seen = _robust_mean(target, wanted, "object", settings.huber_sigmas)
+    tool_mean, tool_seen = robust_mean(tool, wanted, "tool", settings.huber_sigmas)
+    target_mean, target_seen = robust_mean(target, wanted, "object", settings.huber_sigmas)
     cov_CM, cov_CO = tool_mean.noise + tool_mean.bias, target_mean.noise + target_mean.bias
     std_tool, std_object = np.sqrt(np.diag(cov_CM)), np.sqrt(np.diag(cov_CO))
     return Look(
@@ -149,9 +149,9 @@ def combine(
     )
 
 
-def _robust_mean(
+def robust_mean(
     measured: list[tuple[Array | None, Array | None, Array | None]], wanted: int, what: str, huber: float
-) -> tuple[_Mean, int]:
+) -> tuple[MeanPose, int]:
     """The mean of the poses that were measured, and how many they are; raises when fewer than ``wanted``."""
     seen = [(X, C, B) for X, C, B in measured if X is not None and C is not None and B is not None]
     if len(seen) < wanted:
@@ -176,7 +176,7 @@ def _robust_mean(
     noise = spread * np.sum([G @ (C - B) @ G.T for G, (_, C, B) in zip(gains, seen, strict=True)], axis=0)
     bias = np.sum([G @ B for G, (_, _, B) in zip(gains, seen, strict=True)], axis=0)
     frame_noise = spread * np.mean([C - B for _, C, B in seen], axis=0)
-    return _Mean(X, noise, frame_noise, 0.5 * (bias + bias.T)), len(seen)
+    return MeanPose(X, noise, frame_noise, 0.5 * (bias + bias.T)), len(seen)
 
 
 def _medoid(poses: list[Array], information: list[Array]) -> Array:
