@@ -1,13 +1,21 @@
-"""Speed and accuracy of the plant, beside MuJoCo stepping the same arm with the same oil."""
+"""Speed and accuracy of the plant, beside MuJoCo stepping the same arm with the same oil.
 
-import math
+Both get the same valve commands, oil equations (the plant's kernels) and mechanical parameters. MuJoCo steps
+rigid bodies and elastic hinges by its implicit integrator; the oil advances by Euler sub-steps between the
+instants at which torques and joint motion are exchanged. Costs are processor time of one thread, the best of
+three rounds.
+"""
+
+import gc
 import time
-from typing import Any
+import tracemalloc
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 import pytest
 from numba import njit
+from numba.core.runtime import _nrt_python, rtsys
 from numpy.typing import NDArray
 
 from plant_emulator.core.equilibrium import rest_state
@@ -15,6 +23,7 @@ from plant_emulator.core.layout import DRIVEN, N_ACTUATORS, N_COORDINATES, N_STA
 from plant_emulator.core.model import Model, build_model, start_coordinates
 from plant_emulator.core.multibody import forward_kinematics, multibody_work
 from plant_emulator.core.right_hand_side import Work, advance, hydraulic_rates, new_work
+from testbed.console import out, table
 from testbed.validation.oracles import mujoco_xml
 from tests.plant_emulator.plant_world import plant_config
 
@@ -56,9 +65,9 @@ def own_engine(step: float) -> tuple[Array, float]:
     tips, spent = [], 0.0
     for k in range(SAMPLES):
         target, steps = commands(k), round(CYCLE / step)
-        begin = time.perf_counter()
+        begin = time.thread_time()
         advance(motion.state, drive, target, idle, idle, steps, step, motion.model, motion.work)
-        spent += time.perf_counter() - begin
+        spent += time.thread_time() - begin
         tips.append(motion.tip())
     return np.array(tips), spent / SECONDS * 1e3
 
@@ -92,7 +101,7 @@ def mujoco_engine(coupling: float, substep: float) -> tuple[Array, float]:
     torque, driven, tips, spent = np.zeros(N_COORDINATES), list(DRIVEN), [], 0.0
     for k in range(SAMPLES):
         command = commands(k)
-        begin = time.perf_counter()
+        begin = time.thread_time()
         for _ in range(round(CYCLE / coupling)):
             oil_steps(
                 motion.state, command, round(coupling / substep), substep, motion.model, motion.work, torque
@@ -101,38 +110,122 @@ def mujoco_engine(coupling: float, substep: float) -> tuple[Array, float]:
             mujoco.mj_step(model, data)
             motion.state[Q : Q + N_COORDINATES] = data.qpos
             motion.state[RATE : RATE + N_COORDINATES] = data.qvel
-        spent += time.perf_counter() - begin
+        spent += time.thread_time() - begin
         tips.append(motion.tip())
     return np.array(tips), spent / SECONDS * 1e3
 
 
+class Row(NamedTuple):
+    """One scheme's cost (µs per simulated ms) and worst tip errors (m).
+
+    ``error`` is against the scheme's own 25 µs run, ``apart`` against the plant's.
+    """
+
+    name: str
+    cost: float
+    error: float
+    apart: float
+
+
+PLANT = {"plant, 0.5 ms": 5e-4, "plant, 0.25 ms": 2.5e-4, "plant, 0.125 ms": 1.25e-4}
+PEER = {  # coupling and oil sub-step, s
+    "MuJoCo, coupled at 1 ms": (1e-3, 1e-4),
+    "MuJoCo, coupled at 0.5 ms": (5e-4, 1e-4),
+    "MuJoCo, coupled at 0.25 ms": (2.5e-4, 1.25e-4),
+    "MuJoCo, coupled at 0.1 ms": (1e-4, 1e-4),
+}
+FINEST = 2.5e-5
+LEAST_TIMES_REAL_TIME = 12.0
+GREATEST_ERROR = 1e-5  # m
+MOST_BYTES = 2000  # the call's own arguments and the counters read
+
+
+def worst(tips: Array, reference: Array) -> float:
+    """The greatest distance (m) between two tracks of the tip."""
+    return float(np.linalg.norm(tips - reference, axis=1).max())
+
+
 @pytest.fixture(scope="module")
-def reference() -> Array:
-    own_engine(5e-4)  # compile, outside of all timing
-    return own_engine(2.5e-5)[0]
+def references() -> tuple[Array, Array]:
+    """The tracks of plant and peer at 25 µs."""
+    return own_engine(FINEST)[0], mujoco_engine(FINEST, FINEST)[0]
 
 
-@pytest.mark.parametrize(
-    ("engine", "arguments"),
-    [
-        (own_engine, (5e-4,)),
-        (own_engine, (2.5e-4,)),
-        (mujoco_engine, (1e-3, 1e-4)),
-        (mujoco_engine, (1e-4, 1e-4)),
-    ],
-    ids=["own 0.5 ms", "own 0.25 ms", "mujoco coupled at 1 ms", "mujoco coupled at 0.1 ms"],
-)
-def test_four_seconds_of_motion(
-    benchmark: Any, reference: Array, engine: Any, arguments: tuple[float, ...]
-) -> None:
-    """4 s of all six axes; the worst tip error against 25 µs stands in the table's extra columns."""
-    tips, cost = benchmark.pedantic(engine, args=arguments, rounds=3, warmup_rounds=1)
-    worst = float(np.linalg.norm(tips - reference, axis=1).max())
-    benchmark.extra_info["us_per_simulated_ms"] = round(cost, 1)
-    benchmark.extra_info["times_real_time"] = round(1e3 / cost, 1)
-    benchmark.extra_info["tip_error_mm"] = round(worst * 1e3, 5)
-    print(f"{cost:7.1f} µs per simulated ms, {1e3 / cost:5.1f} × real time, tip error {worst * 1e3:.5f} mm")
-    assert math.isfinite(worst)
-    if engine is own_engine and arguments == (5e-4,):
-        assert worst < 1e-5
-        assert 1e3 / cost >= 12.0
+@pytest.fixture(scope="module")
+def rows() -> list[Row]:
+    return []
+
+
+def measure(
+    benchmark: Any, name: str, run: Any, arguments: tuple[float, ...], own: Array, plant: Array
+) -> Row:
+    rounds: list[tuple[Array, float]] = []
+    benchmark.pedantic(lambda: rounds.append(run(*arguments)), rounds=3, warmup_rounds=1)
+    tips, cost = rounds[-1][0], min(spent for _, spent in rounds)
+    row = Row(name, cost, worst(tips, own), worst(tips, plant))
+    benchmark.extra_info.update(row._asdict())
+    return row
+
+
+@pytest.mark.parametrize("name", PLANT)
+def test_plant(benchmark: Any, name: str, references: tuple[Array, Array], rows: list[Row]) -> None:
+    """Four seconds of all six axes by the plant's own engine."""
+    plant, _ = references
+    rows.append(measure(benchmark, name, own_engine, (PLANT[name],), plant, plant))
+
+
+@pytest.mark.parametrize("name", PEER)
+def test_peer(benchmark: Any, name: str, references: tuple[Array, Array], rows: list[Row]) -> None:
+    """The same four seconds by MuJoCo."""
+    plant, peer = references
+    rows.append(measure(benchmark, name, mujoco_engine, PEER[name], peer, plant))
+
+
+def allocations(steps: int) -> tuple[int, int]:
+    """What ``steps`` steps in one call take: blocks of numba's run-time system, bytes of Python's at most."""
+    motion = Motion()
+    arrays = [np.zeros(N_ACTUATORS), commands(10), np.zeros(N_ACTUATORS), np.zeros(N_ACTUATORS)]
+    advance(motion.state, *arrays, 1, 5e-4, motion.model, motion.work)
+    _nrt_python.memsys_enable_stats()
+    gc.disable()
+    tracemalloc.start()
+    blocks = rtsys.get_allocation_stats().alloc
+    advance(motion.state, *arrays, steps, 5e-4, motion.model, motion.work)
+    blocks, peak = rtsys.get_allocation_stats().alloc - blocks, tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    gc.enable()
+    return blocks, peak
+
+
+def test_limits(references: tuple[Array, Array], rows: list[Row]) -> None:
+    """The table of this run, and what is wanted of it."""
+    columns = (
+        "scheme",
+        "µs per simulated ms",
+        "times real time",
+        "error, mm (own 25 µs)",
+        "off the plant, mm",
+    )
+    lines: list[tuple[object, ...]] = [
+        (r.name, f"{r.cost:.1f}", f"{1e3 / r.cost:.1f}", f"{r.error * 1e3:.5f}", f"{r.apart * 1e3:.4f}")
+        for r in rows
+    ]
+    lines.append(
+        ("MuJoCo, coupled at 25 µs", "", "", "0", f"{worst(references[1], references[0]) * 1e3:.4f}")
+    )
+    out.print(table("4 s of all six axes: speed and worst tip error", columns, lines))
+    own = next(row for row in rows if row.name == "plant, 0.5 ms")
+    one, many = allocations(1), allocations(20_000)
+    verdicts = [
+        ("times real time at 0.5 ms, one core", f"≥ {LEAST_TIMES_REAL_TIME:g}", f"{1e3 / own.cost:.1f}",
+         1e3 / own.cost >= LEAST_TIMES_REAL_TIME),
+        ("worst tip error at 0.5 ms, mm", f"< {GREATEST_ERROR * 1e3:g}", f"{own.error * 1e3:.5f}",
+         own.error < GREATEST_ERROR),
+        ("blocks allocated by 20 000 steps, beyond those by one", "0", many[0] - one[0], many[0] == one[0]),
+        ("greatest number of Python's bytes in use by these steps", f"≤ {MOST_BYTES}", many[1],
+         many[1] <= MOST_BYTES),
+    ]  # fmt: skip
+    shown = [(*line[:3], "passed" if line[3] else "FAILED") for line in verdicts]
+    out.print(table("limits", ("figure", "limit", "obtained", "verdict"), shown))
+    failed = [line[0] for line in verdicts if not line[3]]
+    assert not failed
