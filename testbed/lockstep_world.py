@@ -13,6 +13,9 @@ from controller.core.inbox import Inbox
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput, ScanOutput, initial_state
 from controller.core.settings import settings_from
+from plant_emulator.core.camera_motion import STILL, Capture, View
+from plant_emulator.core.exposures import Exposures, Shot
+from plant_emulator.core.faults import CouplerSilent
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.scene import Scene
 from plant_emulator.core.stereo_camera import StereoCamera
@@ -72,9 +75,12 @@ class ControllerSide:
         self.valve_words = encode_valves(ValveImage(0, 0, (0.0,) * 6))
 
     def cycle(
-        self, sensor_words: list[int], datagrams: list[bytes], now_ns: int
+        self, sensor_words: list[int] | None, datagrams: list[bytes], now_ns: int
     ) -> tuple[ScanOutput, list[bytes]]:
-        """The scan's output and the datagrams to vision; ``valve_words`` are for the next exchange."""
+        """The scan's output and the datagrams to vision; ``valve_words`` are for the next exchange.
+
+        ``sensor_words`` is None when the plant did not answer.
+        """
         events = self._server.receive_batch([(data, _VISION) for data in datagrams], now_ns)
         events += self._server.tick(now_ns)
         self._inbox.put(events)
@@ -85,7 +91,7 @@ class ControllerSide:
             ScanInput(
                 now_ns=now_ns,
                 dt_s=1e-9 * self.cycle_ns,
-                sensors=decode_sensors(sensor_words),
+                sensors=None if sensor_words is None else decode_sensors(sensor_words),
                 requests=requests,
                 reference_link_alive=alive,
             ),
@@ -133,6 +139,7 @@ class World:
         self.on_frame: Callable[[Frame], None] | None = None
         self.on_exposure: Callable[[int, PlantTruth], None] | None = None
         self._camera: StereoCamera | None = None
+        self._exposures = Exposures(settings.scene.camera, settings.scene.seed)
         self._scene = scene
         self._controller = ControllerSide(settings, seed)
         self._client = ReferenceClient(
@@ -180,8 +187,7 @@ class World:
         for said in self._client.tick(self.vision_ns):
             self._noted(said)
         datagrams = self.to_controller(self._client.outgoing(self.vision_ns))
-        self.plant.write(decode_valves(self._controller.valve_words))
-        sensor_words = encode_sensors(self.plant.read())
+        sensor_words = self._exchanged()
         before = self.states[-1] if self.states else None
         output, replies = self._controller.cycle(sensor_words, datagrams, self._time_ns + CONTROLLER_CLOCK_NS)
         for event in output.events:
@@ -191,6 +197,13 @@ class World:
         if self.states and (before is None or _noteworthy(before, self.states[-1])):
             self._log_state(self.states[-1])
         self._pass_time(self._time_ns + self._controller.cycle_ns)
+
+    def _exchanged(self) -> list[int] | None:
+        """The plant's sensor words, after it was given the controller's valves; None while it is silent."""
+        if self.plant.faults.of_kind(CouplerSilent):
+            return None
+        self.plant.write(decode_valves(self._controller.valve_words))
+        return encode_sensors(self.plant.read())
 
     def _received(self, data: bytes) -> None:
         for event in self._client.receive(data, self.vision_ns):
@@ -223,38 +236,41 @@ class World:
     def _pass_time(self, until_ns: int) -> None:
         """Nothing; the plant has reached ``until_ns``, with truth recorded and pictures taken on the way."""
         while self._time_ns < until_ns:
-            stop_ns = min(until_ns, _next(self._time_ns, TRUTH_PERIOD_NS))
-            exposes = self.on_frame is not None or self.on_exposure is not None
-            if exposes:
-                stop_ns = min(stop_ns, _next(self._time_ns, self.frame_period_ns))
+            stop_ns = min(
+                until_ns, _next(self._time_ns, TRUTH_PERIOD_NS), _next(self._time_ns, self.frame_period_ns)
+            )
             self.plant.advance(stop_ns - self._time_ns)
             self._time_ns = stop_ns
             if stop_ns % TRUTH_PERIOD_NS == 0:
                 self.truths.append(self.plant.truth())
-            if exposes and stop_ns % self.frame_period_ns == 0:
+            if stop_ns % self.frame_period_ns == 0:
                 self._expose(self.plant.truth())
 
     def _expose(self, truth: PlantTruth) -> None:
+        frame_id, camera = self._time_ns // self.frame_period_ns, self.settings.scene.camera
+        shows_motion = camera.motion_blur_samples > 1 or camera.readout_ms > 0.0
+        motion = self.plant.motion() if shows_motion else STILL
+        capture = Capture(frame_id, self._time_ns, View(truth.X_WC, truth.X_WM), motion)
+        shot = self._exposures.shot(capture, self.plant.faults.in_force())
         if self.on_exposure is not None:
-            self.on_exposure(self._time_ns // self.frame_period_ns, truth)
-        if self.on_frame is not None:
-            self.on_frame(self._photograph(truth))
+            self.on_exposure(frame_id, truth)
+        if self.on_frame is not None and shot.delivered:
+            self.on_frame(self._photograph(shot))
 
-    def _photograph(self, truth: PlantTruth) -> Frame:
+    def _photograph(self, shot: Shot) -> Frame:
         config = self.settings.scene.camera
         if self._camera is None:
             self._camera = StereoCamera(config, self._scene, self.settings.scene.seed)
-        frame_id = self._time_ns // self.frame_period_ns
         header = FrameHeader(
-            frame_id=frame_id,
-            capture_ns=self._time_ns,
+            frame_id=shot.frame_id,
+            capture_ns=shot.capture_ns,
             send_ns=self._time_ns,
             width=config.width_px,
             height=config.height_px,
             exposure_us=config.exposure_us,
             flags=0,
         )
-        left, right = self._camera.render(truth.X_WC, truth.X_WM, frame_id)
+        left, right = self._camera.take(shot)
         return Frame(decode_header(encode_header(header)), left, right)
 
 
