@@ -22,6 +22,7 @@ from vision_pc.core.types import EyeModel, Image
 _STEPS = 20
 _CONVERGED = 0.002  # px
 _WANDERED = 4.0  # px from the guess, after which it is another patch
+_FLAT = 1e-3  # grey levels, the norm below which a patch has no texture
 _NEIGHBOURS = 10
 _SLANTED = (
     0.5  # share of the inverse depth that the fitted plane may miss by before it is thought a depth edge
@@ -96,13 +97,10 @@ def _match(
     keyframe: Image, image: Image, centres: Array, guess: Array, warps: Array, half: int
 ) -> tuple[Array, Array]:
     side = 2 * half + 1
-    patch, gx, gy, seen = np.empty((4, side, side))
+    patch, gx, gy = np.zeros((3, side, side))
     ends, likeness = guess.copy(), np.full(len(centres), -1.0)
     for n in range(len(centres)):
-        if not _sample(keyframe, centres[n, 0], centres[n, 1], 1.0, 0.0, 0.0, 1.0, half, patch):
-            continue
-        norm = _normalise(patch)
-        if norm < 1e-6:
+        if not _sample(keyframe, centres[n, 0], centres[n, 1], half, patch):
             continue
         hxx, hxy, hyy = _gradients(patch, gx, gy)
         determinant = hxx * hyy - hxy * hxy
@@ -111,72 +109,116 @@ def _match(
         a, b, c, d = warps[n, 0, 0], warps[n, 0, 1], warps[n, 1, 0], warps[n, 1, 1]
         x, y = guess[n]
         for _ in range(_STEPS):
-            if not _sample(image, x, y, a, b, c, d, half, seen) or _normalise(seen) < 1e-6:
+            if not _is_inside(image, x, y, a, b, c, d, half):
                 break
-            bx = by = 0.0
-            for i in range(1, side - 1):
-                for j in range(1, side - 1):
-                    error = seen[i, j] - patch[i, j]
-                    bx += gx[i, j] * error
-                    by += gy[i, j] * error
+            bx, by, alike = _compare(image, x, y, a, b, c, d, half, patch, gx, gy)
+            if alike < -1.0:
+                break
             u, v = (hyy * bx - hxy * by) / determinant, (hxx * by - hxy * bx) / determinant
             x, y = x - (a * u + b * v), y - (c * u + d * v)
             if not math.hypot(x - guess[n, 0], y - guess[n, 1]) < _WANDERED:
                 break
             if math.hypot(u, v) < _CONVERGED:
                 ends[n, 0], ends[n, 1] = x, y
-                likeness[n] = (seen * patch).sum()
+                likeness[n] = alike
                 break
     return ends, likeness
 
 
 @numba.njit(cache=True, nogil=True)
-def _sample(
-    image: Image, x: float, y: float, a: float, b: float, c: float, d: float, half: int, patch: Array
-) -> bool:
-    """Fill ``patch`` from ``image`` around (x, y) under the distortion [[a, b], [c, d]]; False if it leaves
-    it.
-    """
+def _is_inside(image: Image, x: float, y: float, a: float, b: float, c: float, d: float, half: int) -> bool:
+    """Whether a patch around (x, y) under the distortion [[a, b], [c, d]] stays in ``image``."""
     height, width = image.shape
     reach_x, reach_y = half * (abs(a) + abs(b)), half * (abs(c) + abs(d))
-    if not (
-        x - reach_x >= 0.0 and y - reach_y >= 0.0 and x + reach_x < width - 1 and y + reach_y < height - 1
-    ):
-        return False
-    for i in range(2 * half + 1):
-        v = i - half
-        for j in range(2 * half + 1):
-            u = j - half
-            column, row = x + a * u + b * v, y + c * u + d * v
-            left, top = int(column), int(row)
-            fx, fy = column - left, row - top
-            upper = image[top, left] + fx * (float(image[top, left + 1]) - image[top, left])
-            lower = image[top + 1, left] + fx * (float(image[top + 1, left + 1]) - image[top + 1, left])
-            patch[i, j] = upper + fy * (lower - upper)
-    return True
+    return x - reach_x >= 0.0 and y - reach_y >= 0.0 and x + reach_x < width - 1 and y + reach_y < height - 1
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _value(image: Image, column: float, row: float) -> float:
+    """The picture's grey level between pixels, bilinear."""
+    left, top = int(column), int(row)
+    fx, fy = column - left, row - top
+    corner = float(image[top, left])
+    upper = corner + fx * (float(image[top, left + 1]) - corner)
+    corner = float(image[top + 1, left])
+    lower = corner + fx * (float(image[top + 1, left + 1]) - corner)
+    return upper + fy * (lower - upper)
 
 
 @numba.njit(cache=True, nogil=True)
-def _normalise(patch: Array) -> float:
-    """The norm of ``patch`` about its mean; the patch is brought to mean 0 and norm 1."""
-    patch -= patch.mean()
-    norm = math.sqrt((patch * patch).sum())
-    if norm > 0.0:
-        patch /= norm
-    return norm
+def _sample(image: Image, x: float, y: float, half: int, patch: Array) -> bool:
+    """Fill ``patch`` from ``image`` around (x, y), of mean 0 and norm 1; False if it leaves it or is flat."""
+    if not _is_inside(image, x, y, 1.0, 0.0, 0.0, 1.0, half):
+        return False
+    side = 2 * half + 1
+    total = squares = 0.0
+    for i in range(side):
+        for j in range(side):
+            value = _value(image, x + (j - half), y + (i - half))
+            patch[i, j] = value
+            total += value
+            squares += value * value
+    mean = total / (side * side)
+    norm = math.sqrt(max(squares - total * mean, 0.0))
+    if norm < _FLAT:
+        return False
+    for i in range(side):
+        for j in range(side):
+            patch[i, j] = (patch[i, j] - mean) / norm
+    return True
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def _compare(
+    image: Image,
+    x: float,
+    y: float,
+    a: float,
+    b: float,
+    c: float,
+    d: float,
+    half: int,
+    patch: Array,
+    gx: Array,
+    gy: Array,
+) -> tuple[float, float, float]:
+    """What ``image`` shows, brought to mean 0 and norm 1, projected on ``gx``, ``gy`` and ``patch``: the
+    gradient-weighted difference, and the normalised cross-correlation; -2 for that where the picture is flat.
+
+    One pass without storing what is seen: all three patterns have mean 0, so its mean drops out.
+    """
+    side = 2 * half + 1
+    total = squares = alike = along_x = along_y = 0.0
+    for i in range(side):
+        v = i - half
+        column, row = x + b * v - a * half, y + d * v - c * half
+        for j in range(side):
+            value = _value(image, column + a * j, row + c * j)
+            total += value
+            squares += value * value
+            alike += value * patch[i, j]
+            along_x += value * gx[i, j]
+            along_y += value * gy[i, j]
+    norm = math.sqrt(max(squares - total * total / (side * side), 0.0))
+    if norm < _FLAT:
+        return 0.0, 0.0, -2.0
+    return along_x / norm, along_y / norm, alike / norm
 
 
 @numba.njit(cache=True, nogil=True)
 def _gradients(patch: Array, gx: Array, gy: Array) -> tuple[float, float, float]:
-    """Fill the central differences of ``patch`` and return their sums of squares xx, xy, yy over the inner
-    part.
+    """Fill the gradients of ``patch`` and return their sums of squares xx, xy, yy.
+
+    Central differences, zero at the rim, without what only changes brightness or contrast: orthogonal to 1
+    and to ``patch``, which is the derivative of a patch that is kept at mean 0 and norm 1.
     """
     side = patch.shape[0]
-    hxx = hxy = hyy = 0.0
     for i in range(1, side - 1):
         for j in range(1, side - 1):
-            x = 0.5 * (patch[i, j + 1] - patch[i, j - 1])
-            y = 0.5 * (patch[i + 1, j] - patch[i - 1, j])
-            gx[i, j], gy[i, j] = x, y
-            hxx, hxy, hyy = hxx + x * x, hxy + x * y, hyy + y * y
-    return hxx, hxy, hyy
+            gx[i, j] = 0.5 * (patch[i, j + 1] - patch[i, j - 1])
+            gy[i, j] = 0.5 * (patch[i + 1, j] - patch[i - 1, j])
+    for g in (gx, gy):
+        g[0], g[-1], g[:, 0], g[:, -1] = 0.0, 0.0, 0.0, 0.0
+        g -= g.mean()
+        g -= patch * (g * patch).sum()
+    return (gx * gx).sum(), (gx * gy).sum(), (gy * gy).sum()
