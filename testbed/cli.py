@@ -167,6 +167,25 @@ def lockstep_demo_command(
     raise typer.Exit(0 if passed else 1)
 
 
+@experiment.command(
+    "controller-kills", epilog="Example: longreach experiment controller-kills --runs 100 --seed 1"
+)
+def controller_kills_command(
+    count: Annotated[int, typer.Option("--runs", min=1, help="How many trials, half of them kills.")] = 100,
+    seed: Seed = 1,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    runs: Annotated[
+        Path, typer.Option("--directory", help="Where directories of runs are made.")
+    ] = DEFAULT_RUNS,
+    json_file: JsonFile = None,
+) -> None:
+    """Kill and suspend the controller at random points of motions: the plant must stop by itself."""
+    from testbed.experiments.controller_kills import run_experiment
+
+    raise typer.Exit(0 if run_experiment(config_dir, count, seed, settings or [], runs, json_file) else 1)
+
+
 def main() -> None:
     """Nothing; runs the command line, and turns expected trouble into one line and exit status 2."""
     try:
