@@ -8,6 +8,7 @@ rectification, prints and what hides what on one side; poses, covariances, offse
 
 from collections import Counter
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -43,15 +44,23 @@ class CornerNoise(StrictModel):
 
 
 class EyeModelConfig(StrictModel):
-    """``eye_model.yaml``: measured from rendered pictures."""
+    """What was measured under one condition of light and texture."""
 
     corners: CornerNoise
     tracking: TrackingNoise
 
 
-def load_eye_model(config_dir: Path) -> EyeModelConfig:
+class EyeModelFile(StrictModel):
+    """``eye_model.yaml``: measured in the pictures of ``usual`` scenarios and of ``harder`` ones."""
+
+    usual: EyeModelConfig
+    harder: EyeModelConfig
+
+
+def load_eye_model(config_dir: Path, condition: Literal["usual", "harder"] = "usual") -> EyeModelConfig:
     """The measured parameters. Raises ConfigurationError."""
-    return load(EyeModelConfig, config_dir / "eye_model.yaml")
+    measured = load(EyeModelFile, config_dir / "eye_model.yaml")
+    return measured.usual if condition == "usual" else measured.harder
 
 
 class ModelSight:

@@ -1,5 +1,6 @@
 """Vision's station in lockstep: the same programs as behind the REST face, without the face."""
 
+import copy
 import io
 from collections.abc import Awaitable, Callable
 from typing import Any
@@ -7,12 +8,13 @@ from typing import Any
 from protocol.faults import CommandCode
 from testbed.console import Bar
 from testbed.event_log import EventLog
-from testbed.eye_model import EyeModelConfig, ModelSight
 from testbed.lockstep_eyes import LockstepEyes
+from testbed.lockstep_sight import Sight
 from testbed.lockstep_world import World
 from testbed.rig_lockstep import LockstepLink, run
 from testbed.sequence import JSON
 from testbed.settings import Settings
+from vision_pc.config import VisionConfig
 from vision_pc.core.ports import Report
 from vision_pc.shell import event_log
 from vision_pc.shell.operation_routes import with_overrides
@@ -28,6 +30,7 @@ from vision_pc.shell.socket_arm import SocketArm
 from vision_pc.shell.station import Station
 
 _CONNECT_NS = 5_000_000_000
+SightMaker = Callable[[World, VisionConfig], Sight]
 Program = Callable[[Report], Awaitable[JSON]]
 
 
@@ -43,21 +46,25 @@ class StationLog(event_log.EventLog):
         told = {("looked_ns" if key == "time_ns" else key): value for key, value in fields.items()}
         self._world.log.add(self._world.time_ns, event, **told)
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> "StationLog":
+        """The log of a forked world: files and locks are left behind."""
+        return StationLog(copy.deepcopy(self._world, memo))
+
 
 class LockstepRig:
     """Implements ``testbed.sequence.Rig`` over the station's programs in simulated time.
 
-    With ``eye_model`` the eyes measure without pictures, which is several times as fast.
+    ``sight``: what the eyes measure with in place of rendered pictures, such as ``eye_model.ModelSight``
+    with its model and seed bound.
     """
 
     def __init__(
-        self, settings: Settings, seed: int, log: EventLog, eye_model: EyeModelConfig | None = None
+        self, settings: Settings, seed: int, log: EventLog, sight: SightMaker | None = None
     ) -> None:
         self.world = World(settings, seed, log)
         self.link = LockstepLink(self.world)
         vision = settings.vision
-        sight = None if eye_model is None else ModelSight(self.world, vision, eye_model, seed)
-        eyes = LockstepEyes(self.world, self.link, vision, sight)
+        eyes = LockstepEyes(self.world, self.link, vision, sight(self.world, vision) if sight else None)
         arm = SocketArm(self.link, settings.vision.motion)
         self.station = Station(arm, eyes, self.link, eyes, settings.vision.programs, StationLog(self.world))
         self._eyes = eyes

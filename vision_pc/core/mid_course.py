@@ -5,6 +5,7 @@ what it really did; the local map, with that motion added, gives the rest. A cal
 multiplies the last tenth of the way instead of all of it. A look at the end is for the verdict alone.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -57,20 +58,41 @@ async def look_then_move_corrected(
     goal_K = p_CM + c_delta  # where the marker shall be, in the camera frame of this look
     steps: list[Step] = []
     looks = [judge(look, settings)]
-    for share, note in ((map_settings.first_share, "driving most of the way"), (1.0, "driving the rest")):
+    misses = [goal_K - p_CM]
+    while _worth_driving(misses, settings):
         fitted = fit_map(track, p_CM, map_settings)
-        x, std = solve_step(fitted, goal_K - p_CM, track.X_BT_now, map_settings)
+        x, std = solve_step(fitted, misses[-1], track.X_BT_now, map_settings)
+        share = map_settings.first_share if not steps and settings.corrections else 1.0
         steps.append(_step(look, track, fitted, share * x, std, settings))
-        report(0.2 + 0.3 * len(steps), note)
+        report(0.2 + 0.6 * len(steps) / (settings.corrections + 1), _in_words(misses[-1]))
         drive = await watched_path(arm, eyes, [steps[-1].X_BT_ref], map_settings)
         X_KnewK = drive.X_KC[0]
         goal_K = X_KnewK[:3, :3] @ goal_K + X_KnewK[:3, 3]
         track = extended(track, drive)
+        misses.append(goal_K - p_CM)
     report(0.9, "looking")
     looks.append(judge(await eyes.look(), settings))
     report(1.0, f"error {1e3 * looks[-1].error_m[0]:+.1f} {1e3 * looks[-1].error_m[1]:+.1f} mm")
     ended = "reached" if reached(looks[-1], settings) else "input_limit"
-    return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), goal_K - p_CM, track)
+    return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), misses[-1], track)
+
+
+def _worth_driving(misses: list[Array], settings: PositioningSettings) -> bool:
+    """Whether a further drive is due after the ``misses`` (3,) before it, as odometry saw them.
+
+    The first drives, most of the way and the rest, always are. After them a nudge is, while the miss is
+    outside ``nudge_m`` and the last nudge was of use: play and stiction make a small step a gamble.
+    """
+    drives = len(misses) - 1
+    if drives < min(2, settings.corrections + 1):
+        return True
+    last, before = (math.hypot(miss[0], miss[1]) for miss in (misses[-1], misses[-2]))
+    of_use = drives == 2 or last < before
+    return drives <= settings.corrections and last > settings.nudge_m and of_use
+
+
+def _in_words(miss: Array) -> str:
+    return f"{1e3 * float(np.linalg.norm(miss)):.1f} mm to go"
 
 
 def _step(

@@ -81,6 +81,7 @@ class LookThenMoveBody(Body):
     clearance_m: float | None = Field(None, ge=0.0, le=1.0, examples=[0.1])
     tolerance_mm: float | None = Field(None, gt=0.0, le=100.0, examples=[5.0])
     aim_mm: float | None = Field(None, ge=0.0, le=100.0, description="No input below this; 0: always one")
+    corrections: int | None = Field(None, ge=0, le=10, description="Drives by odometry alone; 0: one shot")
 
     def overrides(self) -> JSON:
         """The members that were given, as settings."""

@@ -79,6 +79,8 @@ class LocalMapSettings(StrictModel):
 class PositioningSettings(StrictModel):
     """Look-then-move (20)-(22). ``strain_std`` and ``servo_std_m`` are what a rotation alone cannot know.
 
+    ``corrections``: drives after the first one that the corrected form may make by odometry alone; none: one
+    shot. Two and more of them are nudges, made while the error that odometry measures exceeds ``nudge_m``.
     An error below ``aim_m`` in x and y and ``depth_aim_m`` in z is left alone: play and stiction make a
     smaller step a gamble.
     """
@@ -92,6 +94,8 @@ class PositioningSettings(StrictModel):
     duration_s: Seconds
     strain_std: float = Field(ge=0.0, le=0.2)
     servo_std_m: float = Field(ge=0.0, le=0.05)
+    corrections: int = Field(ge=0, le=10)
+    nudge_m: float = Field(ge=0.0, le=0.1)
 
 
 class ProgramSettings(StrictModel):

@@ -1,0 +1,101 @@
+"""`longreach experiment …` of the eye model and the best mode, for the command to mount."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Count = Annotated[int, typer.Option("--runs", min=1, help="How many seeds, from --seed on.")]
+Seed = Annotated[int, typer.Option(min=0, help="The same seed is the same world.")]
+ConfigDir = Annotated[Path, typer.Option("--config-dir", help="Where the configuration files are.")]
+Directory = Annotated[Path, typer.Option(help="Where rows are kept; what is there is not run again.")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(help="A Dask scheduler that is there, such as tcp://host:8786; else workers are started."),
+]
+Settings = Annotated[list[str] | None, typer.Option("--set", help="Override one key; repeatable.")]
+JsonFile = Annotated[
+    Path | None, typer.Option("--json", help="Also write every printed figure to this file.")
+]
+Harder = Annotated[bool, typer.Option("--harder", help="Scale, drift, lens, print and play errors on top.")]
+
+
+class Eyes(StrEnum):
+    """What vision measures with."""
+
+    PIXELS = "pixels"
+    MODEL = "model"
+
+
+class Arm(StrEnum):
+    """Which arm runs."""
+
+    PLANT = "plant"
+    LONG_CRANE = "plant_long_crane"
+    BOTH = "both"
+
+
+ChosenEyes = Annotated[Eyes, typer.Option(help="Rendered pictures, or the model measured from them.")]
+CONFIG = Path("configs")
+
+
+def register_experiments(experiment: typer.Typer) -> None:
+    """Nothing; the commands are added to ``experiment``."""
+    experiment.command("eyes-measure", epilog="Example: longreach experiment eyes-measure --runs 8")(measure)
+    experiment.command("eyes-agree", epilog="Example: longreach experiment eyes-agree --runs 30")(agree)
+    experiment.command("best-mode", epilog="Example: longreach experiment best-mode --runs 200 --eyes model")(
+        best_mode
+    )
+
+
+def measure(
+    count: Count = 8,
+    seed: Seed = 1100,
+    config_dir: ConfigDir = CONFIG,
+    output: Annotated[Path, typer.Option(help="The file to write.")] = CONFIG / "eye_model.yaml",
+    directory: Directory = Path("runs/eyes-measure"),
+    scheduler: Scheduler = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Measure in rendered pictures what the eye model needs, and write its file."""
+    from testbed.experiments.eyes_measure import run_measure
+
+    raise typer.Exit(
+        0 if run_measure(config_dir, seed, count, directory, scheduler, output, json_file) else 1
+    )
+
+
+def agree(
+    count: Count = 30,
+    seed: Seed = 1,
+    harder: Harder = False,
+    config_dir: ConfigDir = CONFIG,
+    directory: Directory = Path("runs/eyes-agree"),
+    scheduler: Scheduler = None,
+    json_file: JsonFile = None,
+) -> None:
+    """The same seeds with pictures and with the eye model; exit status 0 when the errors agree."""
+    from testbed.experiments.eyes_agree import run_experiment
+
+    passed = run_experiment(config_dir, seed, count, harder, directory, scheduler, json_file)
+    raise typer.Exit(0 if passed else 1)
+
+
+def best_mode(
+    count: Count = 200,
+    seed: Seed = 1,
+    harder: Harder = False,
+    arm: Annotated[Arm, typer.Option(help="Which arm runs; both: in turn.")] = Arm.PLANT,
+    eyes: ChosenEyes = Eyes.MODEL,
+    config_dir: ConfigDir = CONFIG,
+    settings: Settings = None,
+    directory: Directory = Path("runs/best-mode"),
+    scheduler: Scheduler = None,
+    json_file: JsonFile = None,
+) -> None:
+    """One look, then ±5 mm: drawn scenarios, figures against their limits; exit status 0 when all are met."""
+    from testbed.experiments.best_mode import run_experiment, tasks_of
+
+    tasks = tasks_of(seed, count, arm, harder, eyes, settings or [])
+    raise typer.Exit(0 if run_experiment(config_dir, tasks, directory, scheduler, json_file) else 1)
