@@ -14,6 +14,9 @@ _TWISTS_DEG = (90.0, 0.0, 90.0, 90.0, -90.0, 90.0, 90.0)
 _LENGTH_ALLOWED = (True, True, True, False, False, False, False)
 _OFFSET_ALLOWED = (True, False, False, True, False, True, False)
 
+# How late a scan may be without breaking streaming.silence_ms.
+_STREAM_MARGIN_MS = 2.0
+
 Sextuple = tuple[float, float, float, float, float, float]
 Positive = Annotated[float, Field(gt=0.0)]
 
@@ -180,6 +183,24 @@ class MotionConfig(StrictModel):
     joint_margin_deg: float = Field(ge=0.0, le=10.0)
 
 
+class StreamingConfig(StrictModel):
+    """How streamed references are followed, what is refused of them, and when the arm stops without them."""
+
+    speed_m_s: float = Field(gt=0.0, le=3.0)
+    acceleration_m_s2: float = Field(gt=0.0, le=10.0)
+    jerk_m_s3: float = Field(gt=0.0, le=200.0)
+    turn_speed_deg_s: float = Field(gt=0.0, le=180.0)
+    turn_acceleration_deg_s2: float = Field(gt=0.0, le=720.0)
+    turn_jerk_deg_s3: float = Field(gt=0.0, le=20_000.0)
+    distance_m: float = Field(gt=0.0, le=5.0)
+    turn_deg: float = Field(gt=0.0, le=90.0)
+    max_age_ms: float = Field(gt=0.0, le=5000.0)
+    first_reference_ms: float = Field(ge=50.0, le=10_000.0)
+    silence_ms: float = Field(ge=20.0, le=1000.0)
+    ramp_ms: float = Field(ge=2.0, le=500.0)
+    recovery_ms: float = Field(ge=2.0, le=2000.0)
+
+
 class SettledConfig(StrictModel):
     """When the arm counts as settled: joint-equivalent error inside the tolerance for the whole time."""
 
@@ -239,6 +260,7 @@ class ControllerConfig(StrictModel):
     pose_servo: PoseServoConfig
     joint_control: JointControlConfig
     motion: MotionConfig
+    streaming: StreamingConfig
     settled: SettledConfig
     supervision: SupervisionConfig
     plant_link: PlantLinkConfig
@@ -252,5 +274,22 @@ class ControllerConfig(StrictModel):
             raise ValueError(
                 f"pose_servo.dead_zone_mrad = {self.pose_servo.dead_zone_mrad} must lie below "
                 f"settled.tolerance_mrad = {self.settled.tolerance_mrad}, or the arm never settles"
+            )
+        return self
+
+    @property
+    def stream_close_ms(self) -> float:
+        """Silence in a stream at which a scan centres the valves, so that the plant has it by silence_ms.
+
+        A scan's valve image reaches the plant with the next exchange and is in force until the one after it.
+        """
+        return self.streaming.silence_ms - 2.0 * self.cycle_ms - _STREAM_MARGIN_MS
+
+    @model_validator(mode="after")
+    def _closes_in_time(self) -> Self:
+        if self.stream_close_ms - self.streaming.ramp_ms < 2.0 * self.cycle_ms:
+            raise ValueError(
+                f"streaming.silence_ms = {self.streaming.silence_ms} leaves no time to wait for a reference "
+                f"before a ramp of {self.streaming.ramp_ms} ms and the way to the plant"
             )
         return self

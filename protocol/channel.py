@@ -110,6 +110,7 @@ class Channel:
         self.minor = minor
         self.next_sequence = next_sequence
         self.heard_ns: int | None = None
+        self.age_ns = 0
         self._window: SequenceWindow | None = None
         self._age = TransitAge()
 
@@ -126,8 +127,8 @@ class Channel:
     ) -> DatagramDropped | None:
         """None if the datagram is to be used, else why not; the first one to come sets the start.
 
-        ``max_age_ns`` None: of any age. ``heard_ns`` becomes the time at which the newest one left the
-        peer, as far as the least transit tells.
+        ``max_age_ns`` None: of any age. ``age_ns`` becomes its age; ``heard_ns`` the time at which the newest
+        one left the peer, as far as the least transit tells.
         """
         if self._window is None:
             self._window = SequenceWindow(header.sequence)
@@ -142,6 +143,7 @@ class Channel:
             tally.lost += skipped
             tally.longest_gap = max(tally.longest_gap, skipped)
         age_ns = self._age.age_ns(header.sent_ns, now_ns)
+        self.age_ns = age_ns
         left_ns = now_ns - age_ns
         self.heard_ns = left_ns if self.heard_ns is None else max(self.heard_ns, left_ns)
         if max_age_ns is not None and age_ns > max_age_ns:

@@ -13,16 +13,20 @@ from protocol.errors import LinkLost as LinkLostError
 from protocol.faults import Reason
 from protocol.reference_messages import (
     CAPABILITY_PATHS,
+    CAPABILITY_STREAMING,
     Acknowledgement,
     Bye,
+    Command,
     Heartbeat,
     HeartbeatReply,
     Hello,
     Message,
-    ReferencePath,
     Request,
     State,
+    StreamedPose,
+    StreamRefused,
     Welcome,
+    needed_capability,
 )
 from protocol.session_events import (
     AcknowledgementReceived,
@@ -32,6 +36,7 @@ from protocol.session_events import (
     DatagramDropped,
     LinkLost,
     StateReceived,
+    StreamRefusedReceived,
 )
 
 NS_PER_MS = 1_000_000
@@ -69,7 +74,7 @@ class ReferenceClient:
         nonce: int,
         arm_hash: int = 0,
         state_period_ms: int = 20,
-        capabilities: int = CAPABILITY_PATHS,
+        capabilities: int = CAPABILITY_PATHS | CAPABILITY_STREAMING,
         first_sequence: int = 1,
     ) -> None:
         self._nonce = nonce % 2**64 or 1
@@ -134,18 +139,26 @@ class ReferenceClient:
         """The id under which ``request`` is sent; the one it carries is replaced.
 
         Raises protocol.errors.LinkLost (``link.not_connected``), RequestRefused (``refused.not_negotiated``:
-        the controller takes no paths; ``refused.not_encodable``).
+        the controller does not do that; ``refused.not_encodable``).
         """
         if self._welcome is None or not self.connected:
             raise LinkLostError("link.not_connected", "no session with the controller is open")
-        if isinstance(request, ReferencePath) and not self._welcome.capabilities & CAPABILITY_PATHS:
-            raise RequestRefused("refused.not_negotiated", "this controller takes no paths")
+        if needed_capability(request) & ~self._welcome.capabilities:
+            what = request.code.name if isinstance(request, Command) else type(request).__name__
+            raise RequestRefused("refused.not_negotiated", f"this controller takes no {what}")
         numbered = request._replace(command_id=self._next_id)
         encode(numbered, Header(0, 0, now_ns))  # refuses what cannot be sent before it gets an id
         self._next_id += 1
         self._unanswered[numbered.command_id] = _Unanswered(numbered, now_ns)
         self._send(numbered, now_ns)
         return numbered.command_id
+
+    def stream(self, reference: StreamedPose, now_ns: int) -> None:
+        """Sends a streamed reference, once. Raises LinkLost and RequestRefused as ``submit`` does."""
+        if self._welcome is None or not self.connected:
+            raise LinkLostError("link.not_connected", "no session with the controller is open")
+        encode(reference, Header(0, 0, now_ns))
+        self._send(reference, now_ns)
 
     def disconnect(self, now_ns: int, reason: Reason = Reason.SHUTDOWN) -> list[ClientEvent]:
         """Ends the session, if there is one, and tells the controller why."""
@@ -252,7 +265,7 @@ class ReferenceClient:
             return [self._lost(message.reason)]
         if header.minor != self._channel.minor:
             return [self._foreign("session.wrong_minor", f"minor {header.minor}: not the negotiated one")]
-        if not isinstance(message, Welcome | HeartbeatReply | Acknowledgement | State):
+        if not isinstance(message, Welcome | HeartbeatReply | Acknowledgement | State | StreamRefused):
             return [self._foreign("session.wrong_direction", f"{type(message).__name__} from a controller")]
         max_age_ns = self._timeout_ns() if isinstance(message, State) else None
         dropped = self._channel.hear(header, now_ns, max_age_ns, self._tally)
@@ -262,6 +275,8 @@ class ReferenceClient:
             return [dropped]
         if isinstance(message, State):
             return [StateReceived(message)]
+        if isinstance(message, StreamRefused):
+            return [StreamRefusedReceived(message)]
         if isinstance(message, Acknowledgement) and message.command_id in self._unanswered:
             del self._unanswered[message.command_id]
             return [AcknowledgementReceived(message)]

@@ -19,6 +19,8 @@ from protocol.reference_messages import (
     ReferencePath,
     ReferencePose,
     State,
+    StreamedPose,
+    StreamRefused,
     Welcome,
 )
 
@@ -50,6 +52,8 @@ class Kind(IntEnum):
     ACKNOWLEDGEMENT = 8
     STATE = 9
     BYE = 10
+    STREAMED_POSE = 11
+    STREAM_REFUSED = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +125,7 @@ CRC_OFFSET = offsets(HEADER)[[f.name for f in HEADER].index("crc32")]
 CRC_BYTES = 4
 
 _COMMAND_ID = Field("command_id", "Q", 1, "", "number of the request, larger than all before it", 1)
+_STREAM_ID = Field("stream_id", "Q", 1, "", "command_id of the START_STREAM that opened the stream", 1)
 _DURATION_TEXT = "0: the controller chooses by its speed limits"
 
 # fmt: off
@@ -196,9 +201,24 @@ PAYLOADS: dict[Kind, tuple[Field, ...]] = {
         Field("references_lost", "I", 1, "", "datagrams of the client that never came"),
         Field("references_dropped", "I", 1, "", "datagrams that came and were not used, for any cause"),
         Field("plant_exchange_failures", "I", 1, "", "failed fieldbus exchanges since start"),
-        _padding(4),
+        Field("stream_number", "I", 1, "", "newest streamed reference accepted, if flag STREAMING is set"),
     ),
     Kind.BYE: (Field("reason", "I", 1, "", "why the session ends", enum=Reason), _padding(4)),
+    Kind.STREAMED_POSE: (
+        _STREAM_ID,
+        Field("number", "I", 1, "", "newer than all before it in the stream, modulo 2^32"),
+        _padding(4),
+        Field("time_ns", "Q", 1, "ns", "instant of the measurement that it rests on, client's clock"),
+        Field("X_BT_ref", "d", 7, "m, 1", f"pose of the tool T in the base B: {_POSE}", poses=1),
+        Field("twist_ref", "d", 6, "m/s, rad/s", "how X_BT_ref moves: velocity, then angular velocity, in B"),
+    ),
+    Kind.STREAM_REFUSED: (
+        _STREAM_ID,
+        Field("number", "I", 1, "", "repeated from the streamed reference"),
+        Field("reason", "I", 1, "", "why it was refused", enum=Reason),
+        Field("value", "d", 1, "SI", "the quantity that was refused, 0 where there is none"),
+        Field("limit", "d", 1, "SI", "the limit that it broke, 0 where there is none"),
+    ),
 }
 # fmt: on
 
@@ -214,5 +234,7 @@ MESSAGE_TYPES: dict[Kind, type[Any]] = {
     Kind.ACKNOWLEDGEMENT: Acknowledgement,
     Kind.STATE: State,
     Kind.BYE: Bye,
+    Kind.STREAMED_POSE: StreamedPose,
+    Kind.STREAM_REFUSED: StreamRefused,
 }
 MAX_DATAGRAM_BYTES = HEADER_BYTES + max(size_of(fields) for fields in PAYLOADS.values())

@@ -25,6 +25,8 @@ class CommandCode(IntEnum):
     RESET = 4
     EMERGENCY_STOP = 5
     EMERGENCY_RELEASE = 6
+    START_STREAM = 7
+    END_STREAM = 8
 
 
 class Reason(IntEnum):
@@ -55,6 +57,10 @@ class Reason(IntEnum):
     REPEATED_COMMAND_ID = 25
     OVERTAKEN = 26
     NOT_NEGOTIATED = 27
+    MOVING = 28
+    STREAMING = 29
+    NOT_STREAMING = 30
+    STALE = 31
     INCOMPATIBLE_VERSION = 40
     WRONG_ARM = 41
     SESSION_OCCUPIED = 42
@@ -83,6 +89,7 @@ class FaultCode(IntEnum):
     NUMERIC = 13
     OVERRUN = 14
     PLANT_STATUS = 15
+    REFERENCE_STALE = 16
 
 
 class Severity(IntEnum):
@@ -103,6 +110,8 @@ COMMAND_TEXTS: dict[CommandCode, str] = {
     CommandCode.RESET: "clear a latched fault once its cause has gone; moves nothing",
     CommandCode.EMERGENCY_STOP: "centre the valves at once and latch",
     CommandCode.EMERGENCY_RELEASE: "release the latched emergency stop; RESET and ENABLE must follow",
+    CommandCode.START_STREAM: "follow streamed references; the command's id names the stream",
+    CommandCode.END_STREAM: "go on to the newest streamed reference, rest there, follow no further ones",
 }
 
 GROUP_STATE_TEXTS: dict[GroupState, str] = {
@@ -145,8 +154,12 @@ REASON_TEXTS: dict[Reason, str] = {
     Reason.PLANT_NOT_READY: "the plant reports no supply, a tripped watchdog or a sensor fault",
     Reason.UNKNOWN_COMMAND: "the command's code is not in the table; v the code",
     Reason.REPEATED_COMMAND_ID: "the id was used for another request",
-    Reason.OVERTAKEN: "a newer request came first, so this one is not executed; v its id, l the newest id",
+    Reason.OVERTAKEN: "a newer request or streamed reference came first; v this one's number, l the newest",
     Reason.NOT_NEGOTIATED: "the request needs a capability that was not granted",
+    Reason.MOVING: "the arm is in another motion: STOP or wait first",
+    Reason.STREAMING: "streamed references are being followed: END_STREAM or STOP first",
+    Reason.NOT_STREAMING: "no such stream is open: START_STREAM first; v its id, l the open one's",
+    Reason.STALE: "what the reference rests on is too old; v its age in s, l the limit",
     Reason.INCOMPATIBLE_VERSION: "in BYE: the major version is not spoken here",
     Reason.WRONG_ARM: "in BYE: the hash of the arm's configuration is another",
     Reason.SESSION_OCCUPIED: "in BYE: another client is connected; ask again",
@@ -173,4 +186,5 @@ FAULT_TEXTS: dict[FaultCode, str] = {
     FaultCode.NUMERIC: "the controller computed a number that is not finite",
     FaultCode.OVERRUN: "the scan was too late",
     FaultCode.PLANT_STATUS: "the plant reports a fault in its status word",
+    FaultCode.REFERENCE_STALE: "no fresh reference came in time while streamed ones were followed",
 }

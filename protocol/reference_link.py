@@ -11,9 +11,11 @@ from protocol.datagram_layout import (
 )
 from protocol.reference_messages import (
     CAPABILITY_PATHS,
+    CAPABILITY_STREAMING,
     FLAG_EMERGENCY_LATCHED,
     FLAG_PLANT_LINK_OK,
     FLAG_SETTLED,
+    FLAG_STREAMING,
     Acknowledgement,
     Bye,
     Command,
@@ -25,15 +27,19 @@ from protocol.reference_messages import (
     ReferencePose,
     Request,
     State,
+    StreamedPose,
+    StreamRefused,
     UnusableRequest,
     Welcome,
 )
 
 __all__ = [
     "CAPABILITY_PATHS",
+    "CAPABILITY_STREAMING",
     "FLAG_EMERGENCY_LATCHED",
     "FLAG_PLANT_LINK_OK",
     "FLAG_SETTLED",
+    "FLAG_STREAMING",
     "HEADER_BYTES",
     "MAGIC",
     "MAX_DATAGRAM_BYTES",
@@ -53,6 +59,8 @@ __all__ = [
     "ReferencePose",
     "Request",
     "State",
+    "StreamRefused",
+    "StreamedPose",
     "UnusableRequest",
     "Welcome",
     "decode",

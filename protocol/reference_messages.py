@@ -58,6 +58,30 @@ class ReferencePath(NamedTuple):
     dwell_s: float
 
 
+class StreamedPose(NamedTuple):
+    """A reference of the stream ``stream_id``, the id of its START_STREAM; neither repeated nor acknowledged.
+
+    ``number`` rises modulo 2^32. ``time_ns``: the instant of the measurement behind it, vision PC's clock.
+    ``twist_ref``: velocity (m/s) and angular velocity (rad/s) in B with which X_BT_ref itself moves.
+    """
+
+    stream_id: int
+    number: int
+    time_ns: int
+    X_BT_ref: Pose
+    twist_ref: tuple[float, float, float, float, float, float] = (0.0,) * 6
+
+
+class StreamRefused(NamedTuple):
+    """Controller → vision PC: a streamed reference was refused, and why; the one before it stays in force."""
+
+    stream_id: int
+    number: int
+    reason: Reason
+    value: float
+    limit: float
+
+
 class Command(NamedTuple):
     """A command to the group state machine."""
 
@@ -99,6 +123,7 @@ class State(NamedTuple):
     references_lost: int
     references_dropped: int
     plant_exchange_failures: int
+    stream_number: int = 0
 
 
 class Bye(NamedTuple):
@@ -124,11 +149,26 @@ class UnusableRequest(NamedTuple):
 FLAG_PLANT_LINK_OK = 1 << 0
 FLAG_EMERGENCY_LATCHED = 1 << 1
 FLAG_SETTLED = 1 << 2
+FLAG_STREAMING = 1 << 3
 
 # bits of Hello.capabilities (offered) and Welcome.capabilities (granted)
 CAPABILITY_PATHS = 1 << 0
+CAPABILITY_STREAMING = 1 << 1
 
 Request = ReferencePose | ReferencePath | Command
+
+
+def needed_capability(request: Request) -> int:
+    """The capability bit without which ``request`` is refused; 0 when it needs none."""
+    if isinstance(request, ReferencePath):
+        return CAPABILITY_PATHS
+    streams = isinstance(request, Command) and request.code in (
+        CommandCode.START_STREAM,
+        CommandCode.END_STREAM,
+    )
+    return CAPABILITY_STREAMING if streams else 0
+
+
 Message = (
     Hello
     | Welcome
@@ -136,6 +176,8 @@ Message = (
     | HeartbeatReply
     | ReferencePose
     | ReferencePath
+    | StreamedPose
+    | StreamRefused
     | Command
     | Acknowledgement
     | State

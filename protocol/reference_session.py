@@ -16,6 +16,8 @@ from protocol.session_events import (
     SessionClosed,
     SessionOpened,
     StateReceived,
+    StreamedPoseReceived,
+    StreamRefusedReceived,
 )
 
 __all__ = [
@@ -34,4 +36,6 @@ __all__ = [
     "SessionClosed",
     "SessionOpened",
     "StateReceived",
+    "StreamRefusedReceived",
+    "StreamedPoseReceived",
 ]

@@ -13,18 +13,22 @@ from protocol.errors import DatagramRefused
 from protocol.faults import Reason
 from protocol.reference_messages import (
     CAPABILITY_PATHS,
+    CAPABILITY_STREAMING,
     Acknowledgement,
     Bye,
-    Command,
     Heartbeat,
     HeartbeatReply,
     Hello,
     Message,
     ReferencePath,
     ReferencePose,
+    Request,
     State,
+    StreamedPose,
+    StreamRefused,
     UnusableRequest,
     Welcome,
+    needed_capability,
 )
 from protocol.session_events import (
     DatagramDropped,
@@ -32,6 +36,7 @@ from protocol.session_events import (
     ServerEvent,
     SessionClosed,
     SessionOpened,
+    StreamedPoseReceived,
 )
 
 NS_PER_MS = 1_000_000
@@ -64,7 +69,7 @@ class ReferenceServer:
         cycle_ns: int,
         link_timeout_ms: int,
         max_age_ms: int | None = None,
-        capabilities: int = CAPABILITY_PATHS,
+        capabilities: int = CAPABILITY_PATHS | CAPABILITY_STREAMING,
         first_sequence: int = 1,
     ) -> None:
         self._boot_id = boot_id
@@ -138,6 +143,11 @@ class ReferenceServer:
         """Answers a request that was handed over; without effect if its session has ended since."""
         if self._session and self._session.ledger.settle(acknowledgement):
             self._send(acknowledgement, now_ns)
+
+    def refuse_streamed(self, refusal: StreamRefused, now_ns: int) -> None:
+        """Tells the client of a streamed reference that is not followed; without effect outside a session."""
+        if self._session:
+            self._send(refusal, now_ns)
 
     def publish(self, state: State, now_ns: int) -> None:
         """Sends ``state`` if the period that the client asked for has passed; to be called every cycle."""
@@ -218,7 +228,7 @@ class ReferenceServer:
             return [self._foreign("session.wrong_minor", f"minor {header.minor}: not the negotiated one")]
         if isinstance(message, Bye):
             return [self._closed(message.reason, now_ns, tell_peer=False)]
-        if not isinstance(message, Heartbeat | ReferencePose | ReferencePath | Command | UnusableRequest):
+        if not isinstance(message, Heartbeat | StreamedPose | Request | UnusableRequest):
             return [self._foreign("session.wrong_direction", f"{type(message).__name__} from a client")]
         dropped = session.channel.hear(header, now_ns, self._max_age_ns, self._tally)
         if dropped is not None:
@@ -226,12 +236,25 @@ class ReferenceServer:
         if isinstance(message, Heartbeat):
             self._send(HeartbeatReply(message.sent_ns, now_ns, now_ns), now_ns)
             return []
+        if isinstance(message, StreamedPose):
+            return self._streamed(session, header, message, now_ns)
         return self._requested(session, message, data[HEADER_BYTES:], now_ns)
+
+    def _streamed(
+        self, session: _Session, header: Header, message: StreamedPose, now_ns: int
+    ) -> list[ServerEvent]:
+        if not session.welcome.capabilities & CAPABILITY_STREAMING:
+            refusal = StreamRefused(message.stream_id, message.number, Reason.NOT_NEGOTIATED, 0.0, 0.0)
+            self.refuse_streamed(refusal, now_ns)
+            return []
+        transit_ns = session.channel.age_ns
+        before_sending_ns = max(header.sent_ns - message.time_ns, 0)
+        return [StreamedPoseReceived(message, now_ns - transit_ns, transit_ns + before_sending_ns)]
 
     def _requested(
         self,
         session: _Session,
-        request: ReferencePose | ReferencePath | Command | UnusableRequest,
+        request: Request | UnusableRequest,
         payload: bytes,
         now_ns: int,
     ) -> list[ServerEvent]:
@@ -243,7 +266,7 @@ class ReferenceServer:
         if isinstance(request, UnusableRequest):
             self.acknowledge(Acknowledgement(*request), now_ns)
             return []
-        if isinstance(request, ReferencePath) and not session.welcome.capabilities & CAPABILITY_PATHS:
+        if needed_capability(request) & ~session.welcome.capabilities:
             self.acknowledge(Acknowledgement(request.command_id, Reason.NOT_NEGOTIATED, 0.0, 0.0), now_ns)
             return []
         return [RequestReceived(request)]

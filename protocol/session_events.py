@@ -3,7 +3,14 @@
 from typing import NamedTuple
 
 from protocol.faults import Reason
-from protocol.reference_messages import Acknowledgement, Request, State, Welcome
+from protocol.reference_messages import (
+    Acknowledgement,
+    Request,
+    State,
+    StreamedPose,
+    StreamRefused,
+    Welcome,
+)
 
 
 class SessionOpened(NamedTuple):
@@ -24,6 +31,24 @@ class RequestReceived(NamedTuple):
     """Server: a request to execute, handed over once; every one is to be acknowledged."""
 
     message: Request
+
+
+class StreamedPoseReceived(NamedTuple):
+    """Server: a streamed reference to judge; on the controller's clock.
+
+    ``left_ns``: when it left the client, as far as the least transit tells. ``age_ns``: at receipt, of the
+    measurement behind it.
+    """
+
+    message: StreamedPose
+    left_ns: int
+    age_ns: int
+
+
+class StreamRefusedReceived(NamedTuple):
+    """Client: the controller has refused a streamed reference."""
+
+    refusal: StreamRefused
 
 
 class DatagramDropped(NamedTuple):
@@ -65,7 +90,13 @@ class LinkLost(NamedTuple):
     unanswered: tuple[int, ...]
 
 
-ServerEvent = SessionOpened | SessionClosed | RequestReceived | DatagramDropped
+ServerEvent = SessionOpened | SessionClosed | RequestReceived | StreamedPoseReceived | DatagramDropped
 ClientEvent = (
-    Connected | ConnectionDelayed | AcknowledgementReceived | StateReceived | LinkLost | DatagramDropped
+    Connected
+    | ConnectionDelayed
+    | AcknowledgementReceived
+    | StateReceived
+    | StreamRefusedReceived
+    | LinkLost
+    | DatagramDropped
 )

@@ -94,10 +94,13 @@ class ControllerSide:
                 sensors=None if sensor_words is None else decode_sensors(sensor_words),
                 requests=requests,
                 reference_link_alive=alive,
+                streamed=self._inbox.take_streamed(),
             ),
         )
         for acknowledgement in output.acknowledgements:
             self._server.acknowledge(acknowledgement, now_ns)
+        if output.refusal is not None:
+            self._server.refuse_streamed(output.refusal, now_ns)
         self._server.publish(self._state_message(output), now_ns)
         self.valve_words = encode_valves(output.valves)
         return output, [data for data, _ in self._server.outgoing(now_ns)]

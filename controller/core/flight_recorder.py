@@ -30,6 +30,8 @@ def _plain(inputs: ScanInput, output: ScanOutput) -> dict[str, Any]:
         "reference_link_alive": inputs.reference_link_alive,
         "sensors": None if inputs.sensors is None else inputs.sensors._asdict(),
         "requests": [{"kind": type(request).__name__, **request._asdict()} for request in inputs.requests],
+        "streamed": None if inputs.streamed is None else inputs.streamed.message._asdict(),
+        "refusal": None if output.refusal is None else output.refusal._asdict(),
         "acknowledgements": [answer._asdict() for answer in output.acknowledgements],
         "events": [event._asdict() for event in output.events],
         "valve_image": output.valves._asdict(),

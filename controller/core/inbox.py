@@ -2,12 +2,10 @@
 
 from collections import deque
 
-from protocol.reference_link import Command, ReferencePath, ReferencePose
-from protocol.reference_session import RequestReceived, ServerEvent, SessionClosed
+from protocol.reference_link import Command, Request
+from protocol.reference_session import RequestReceived, ServerEvent, SessionClosed, StreamedPoseReceived
 
 _REQUESTS_A_SCAN = 8
-
-Request = Command | ReferencePose | ReferencePath
 
 
 class Inbox:
@@ -15,6 +13,7 @@ class Inbox:
 
     def __init__(self) -> None:
         self._waiting: deque[Request] = deque()
+        self._streamed: StreamedPoseReceived | None = None
         self._last_words: tuple[Request, ...] | None = None
 
     def put(self, events: list[ServerEvent]) -> None:
@@ -22,10 +21,18 @@ class Inbox:
         for event in events:
             if isinstance(event, RequestReceived):
                 self._waiting.append(event.message)
+            elif isinstance(event, StreamedPoseReceived):
+                self._streamed = event  # the newest supersedes those that no scan has seen
             elif isinstance(event, SessionClosed):
                 # Commands, a stop above all, are still obeyed; motion is not begun for a peer that has gone.
                 self._last_words = tuple(r for r in self._waiting if isinstance(r, Command))
                 self._waiting.clear()
+                self._streamed = None
+
+    def take_streamed(self) -> StreamedPoseReceived | None:
+        """The newest streamed reference since the last call."""
+        streamed, self._streamed = self._streamed, None
+        return streamed
 
     def take(self, link_alive: bool) -> tuple[tuple[Request, ...], bool]:
         """Requests for the next scan, and whether the link counts as alive in it.

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from controller.core.approach import Approach, sample_approach
 from controller.core.paths import Desired, Path, at_rest, duration, sample
 from controller.core.rotations import Array
 from controller.core.settings import Settings
@@ -17,7 +18,7 @@ class Motion(NamedTuple):
     ``done``: it was passed to its end.
     """
 
-    path: Path | None
+    path: Path | Approach | None
     time_s: float
     ramp_s: float
     ramp_length_s: float
@@ -32,9 +33,9 @@ def holding(p: Array, quaternion: Array, motion_id: int = 0) -> Motion:
     return Motion(None, 0.0, -1.0, 0.0, at_rest(p, quaternion), 0, motion_id, False)
 
 
-def begun(path: Path, motion_id: int) -> Motion:
+def begun(path: Path | Approach, motion_id: int) -> Motion:
     """The start of ``path``."""
-    desired, segment = sample(path, 0.0)
+    desired, segment = _sampled(path, 0.0)
     return Motion(path, 0.0, -1.0, 0.0, desired, segment, motion_id, False)
 
 
@@ -70,20 +71,26 @@ def advanced(motion: Motion, dt_s: float) -> Motion:
     if motion.ramp_s >= 0.0:
         return _slowed(motion, motion.path, dt_s)
     time_s = motion.time_s + dt_s
-    desired, segment = sample(motion.path, time_s)
-    if time_s >= duration(motion.path):
+    desired, segment = _sampled(motion.path, time_s)
+    length_s = motion.path.duration_s if isinstance(motion.path, Approach) else duration(motion.path)
+    if time_s >= length_s:
         return motion._replace(path=None, time_s=time_s, desired=desired, segment=segment, done=True)
     return motion._replace(time_s=time_s, desired=desired, segment=segment)
 
 
-def _slowed(motion: Motion, path: Path, dt_s: float) -> Motion:
+def _sampled(path: Path | Approach, time_s: float) -> tuple[Desired, int]:
+    """The desired motion ``time_s`` after the start of ``path``, and the segment's index."""
+    return (sample_approach(path, time_s), 0) if isinstance(path, Approach) else sample(path, time_s)
+
+
+def _slowed(motion: Motion, path: Path | Approach, dt_s: float) -> Motion:
     length = motion.ramp_length_s
     before = motion.ramp_s / length
     after = min(before + dt_s / length, 1.0)
     time_s = motion.time_s + length * (_travelled(after) - _travelled(before))
     rate = 1.0 - 3.0 * after**2 + 2.0 * after**3
     slope = 6.0 * (after**2 - after) / length
-    on_path, segment = sample(path, time_s)
+    on_path, segment = _sampled(path, time_s)
     if after >= 1.0:
         rest = at_rest(on_path.p, on_path.quaternion)
         return motion._replace(path=None, time_s=time_s, ramp_s=-1.0, desired=rest, segment=segment)

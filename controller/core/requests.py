@@ -1,18 +1,31 @@
-"""Commands and references, answered: each exactly once, from the transition table and the guards."""
+"""Commands and references, answered: each exactly once, from the transition table and the guards.
 
+Streamed references are answered only when they are refused.
+"""
+
+from controller.core.approach import Approach
 from controller.core.group_states import LIVE, Mode, Stimulus, transition
 from controller.core.motion import begun, holding, stopping
 from controller.core.plant_watch import link_lost
 from controller.core.references import Refusal, admit
 from controller.core.scan_types import NO_FAULT, ScanEvent, ScanInput, ScanState, idle
 from controller.core.settings import Settings
+from controller.core.streaming import Stream, follow, last_way
 from controller.core.supervision import RESTED, SEVERITY, Fault, plant_ready
 from protocol.faults import CommandCode, FaultCode, Reason, Severity
-from protocol.reference_link import Acknowledgement, Command, ReferencePath, ReferencePose
+from protocol.reference_link import (
+    Acknowledgement,
+    Command,
+    ReferencePath,
+    ReferencePose,
+    Request,
+    StreamRefused,
+)
+from protocol.reference_session import StreamedPoseReceived
 
 
 def answered(
-    settings: Settings, state: ScanState, inputs: ScanInput, request: Command | ReferencePose | ReferencePath
+    settings: Settings, state: ScanState, inputs: ScanInput, request: Request
 ) -> tuple[ScanState, Acknowledgement]:
     """The state after ``request``, and its acknowledgement."""
     if isinstance(request, Command):
@@ -22,11 +35,28 @@ def answered(
     return state, Acknowledgement(request.command_id, *refusal)
 
 
+def followed(
+    settings: Settings, state: ScanState, arrival: StreamedPoseReceived
+) -> tuple[ScanState, StreamRefused | None]:
+    """The state after a streamed reference, and its refusal if it is not followed."""
+    step = transition(state.mode, Stimulus.STREAMED)
+    if state.stream is None:
+        found: Refusal | tuple[Stream, Approach] = Refusal(step.reason, 0.0, 0.0)
+    else:
+        found = follow(settings, state.stream, state.motion.desired, state.watch.q_meas, arrival)
+    if isinstance(found, Refusal):
+        return state, StreamRefused(arrival.message.stream_id, arrival.message.number, *found)
+    stream, way = found
+    return state._replace(stream=stream, motion=begun(way, stream.stream_id), settled_s=0.0), None
+
+
 def entered(settings: Settings, state: ScanState, mode: Mode) -> ScanState:
     """``state`` in ``mode``, with what belongs to the change: nothing jumps, stops begin, errors are
-    cleared."""
+    cleared, a stream that is left is closed."""
     if mode is state.mode:
         return state
+    if state.mode is Mode.STREAMING:
+        state = state._replace(stream=None)
     if state.mode is Mode.DISABLED and mode is Mode.STANDBY:
         hold = holding(state.tool.p_BT, state.tool.quaternion, state.motion.motion_id)
         driven = idle(state.watch.q_meas)
@@ -43,6 +73,8 @@ def faulted(settings: Settings, state: ScanState, fault: Fault) -> tuple[ScanSta
     severity = SEVERITY[fault.code]
     if fault.code is FaultCode.EMERGENCY_STOP:
         stimulus = Stimulus.EMERGENCY_STOP
+    elif fault.code is FaultCode.REFERENCE_STALE:  # the arm was slowed down while it waited
+        stimulus = Stimulus.FAULT_EMERGENCY
     else:
         stimulus = Stimulus.FAULT_STOP if severity is Severity.STOP else Stimulus.FAULT_EMERGENCY
     state = entered(settings, state, transition(state.mode, stimulus).mode)
@@ -64,13 +96,23 @@ def _commanded(
             return state, Refusal(reason, 0.0, 0.0)
     if command.code is CommandCode.EMERGENCY_STOP and step.reason is Reason.ACCEPTED:
         state, _ = faulted(settings, state, Fault(FaultCode.EMERGENCY_STOP, 0.0, 0.0))
+    elif command.code is CommandCode.START_STREAM and step.reason is Reason.ACCEPTED:
+        stream = Stream(command.command_id, True, inputs.now_ns)
+        hold = holding(state.motion.desired.p, state.motion.desired.quaternion, command.command_id)
+        state = entered(settings, state, step.mode)._replace(stream=stream, motion=hold, settled_s=0.0)
+    elif command.code is CommandCode.END_STREAM and step.reason is Reason.ACCEPTED:
+        state = entered(settings, _to_the_last(state), step.mode)
     else:
         state = entered(settings, state, step.mode)
     return state, Refusal(step.reason, 0.0, 0.0)
 
 
 def _guarded(settings: Settings, state: ScanState, inputs: ScanInput, code: CommandCode) -> Reason:
-    """What the table cannot know: whether links and plant allow an ENABLE or a RESET."""
+    """What the table cannot know: whether links and plant allow what would begin or clear something."""
+    if code is CommandCode.END_STREAM and state.stream is not None and not state.stream.attended:
+        return Reason.NOT_STREAMING
+    if code is CommandCode.START_STREAM and not inputs.reference_link_alive:
+        return Reason.REFERENCE_LINK_DOWN
     if code not in (CommandCode.ENABLE, CommandCode.RESET):
         return Reason.ACCEPTED
     if link_lost(settings, state.watch) is not None:
@@ -95,6 +137,15 @@ def _referred(
         return state, found
     state = state._replace(motion=begun(found, request.command_id), settled_s=0.0)
     return entered(settings, state, Mode.MOVING), Refusal(Reason.ACCEPTED, 0.0, 0.0)
+
+
+def _to_the_last(state: ScanState) -> ScanState:
+    """``state`` on its way to rest at the newest streamed reference; done at once when there was none."""
+    assert state.stream is not None
+    way = last_way(state.stream, state.motion.desired)
+    if way is None:
+        return state._replace(motion=state.motion._replace(done=True))
+    return state._replace(motion=begun(way, state.stream.stream_id))
 
 
 def is_live(state: ScanState) -> bool:

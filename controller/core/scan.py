@@ -1,6 +1,7 @@
 """One scan of the controller: input image → output image, pure.
 
-Order: look at the plant, judge it, answer requests, advance the desired motion, drive the valves.
+Order: look at the plant, judge it, answer requests, take the streamed reference or judge its absence,
+advance the desired motion, drive the valves.
 """
 
 import numpy as np
@@ -11,7 +12,7 @@ from controller.core.joint_control import JointFilters, valve_commands
 from controller.core.motion import advanced, at_standstill
 from controller.core.plant_watch import cycle_frozen, link_lost, observed
 from controller.core.pose_servo import resolve, tool_state
-from controller.core.requests import answered, entered, faulted, is_live
+from controller.core.requests import answered, entered, faulted, followed, is_live
 from controller.core.rotations import Array
 from controller.core.scan_types import (
     ControllerView,
@@ -23,6 +24,7 @@ from controller.core.scan_types import (
     idle,
 )
 from controller.core.settings import Settings
+from controller.core.streaming import at_pace, faded, pace, silence
 from controller.core.supervision import Driven, Fault, first_fault, timed
 from protocol.faults import FaultCode
 from protocol.pose import Pose
@@ -36,6 +38,7 @@ from protocol.reference_link import (
     FLAG_EMERGENCY_LATCHED,
     FLAG_PLANT_LINK_OK,
     FLAG_SETTLED,
+    FLAG_STREAMING,
     Acknowledgement,
 )
 
@@ -56,15 +59,21 @@ def scan(settings: Settings, state: ScanState, inputs: ScanInput) -> tuple[ScanS
         state, acknowledgement = answered(settings, state, inputs, request)
         acknowledgements.append(acknowledgement)
         events.append(_answer_event(request, acknowledgement))
+    refusal = None
+    if inputs.streamed is not None:
+        state, refusal = followed(settings, state, inputs.streamed)
+        if refusal is not None:
+            events.append(ScanEvent("streamed", refusal.reason.name, refusal.value, refusal.limit))
     if state.fault is not latched and state.fault.code is not FaultCode.NONE:  # an emergency stop
         events.append(ScanEvent("fault", state.fault.code.name, state.fault.value, state.fault.limit))
+    state = _awaited(settings, state, inputs, events)
     state = _moved(settings, state, inputs.dt_s)
     state = _driven(settings, state, inputs.dt_s, events)
     if state.mode is not mode_before:
         events.append(ScanEvent("mode", f"{mode_before.name} -> {state.mode.name}", 0.0, 0.0))
     valves = _valve_image(state)
     view = _view(settings, state, inputs.now_ns)
-    return state, ScanOutput(valves, tuple(acknowledgements), view, tuple(events))
+    return state, ScanOutput(valves, tuple(acknowledgements), refusal, view, tuple(events))
 
 
 def _answer_event(request: object, answer: Acknowledgement) -> ScanEvent:
@@ -94,14 +103,30 @@ def _supervised(
             if after is not state.mode:
                 events.append(ScanEvent("unattended", FaultCode.REFERENCE_LINK_LOST.name, 0.0, 0.0))
             state = entered(settings, state, after)
+            if state.stream is not None:
+                state = state._replace(stream=state.stream._replace(attended=False))
     return state
+
+
+def _awaited(settings: Settings, state: ScanState, inputs: ScanInput, events: list[ScanEvent]) -> ScanState:
+    """``state`` at the pace that the stream's silence leaves it; at the limit it ends in a fault."""
+    if state.stream is not None:
+        silent_s, limit_s = silence(settings, state.stream, inputs.now_ns)
+        if silent_s > limit_s:
+            state, event = faulted(settings, state, Fault(FaultCode.REFERENCE_STALE, silent_s, limit_s))
+            events.append(event)
+    fade = faded(settings, state.fade, state.stream, inputs.now_ns, inputs.dt_s)
+    return state if fade == state.fade else state._replace(fade=fade)
 
 
 def _moved(settings: Settings, state: ScanState, dt_s: float) -> ScanState:
     """``state`` with the desired motion advanced, and the mode that follows when it comes to rest."""
     if not is_live(state) or state.mode is Mode.STANDBY:
         return state
-    state = state._replace(motion=advanced(state.motion, dt_s))
+    motion = advanced(state.motion, dt_s * pace(state.fade))
+    if state.mode is Mode.STREAMING:  # a way that ends does not end the stream
+        motion = motion._replace(done=False)
+    state = state._replace(motion=motion)
     if at_standstill(state.motion):
         state = entered(settings, state, transition(state.mode, Stimulus.STANDSTILL).mode)
     return state
@@ -111,7 +136,8 @@ def _driven(settings: Settings, state: ScanState, dt_s: float, events: list[Scan
     """``state`` with new valve commands: (4), (5), (6), (25) while live, else centred."""
     if not is_live(state):
         return _centred(settings, state)
-    resolved = resolve(state.tool, state.motion.desired, settings.servo_gains)
+    share = pace(state.fade)
+    resolved = resolve(state.tool, at_pace(state.motion.desired, share), settings.servo_gains)
     q_meas = state.watch.q_meas
     q_cmd = state.driven.q_cmd + dt_s * resolved.qd_cmd
     valves, filters = valve_commands(
@@ -130,7 +156,7 @@ def _driven(settings: Settings, state: ScanState, dt_s: float, events: list[Scan
     tolerance = settings.config.settled.tolerance_mrad * 1e-3
     inside = state.motion.path is None and bool(np.abs(resolved.q_error).max() <= tolerance)
     return state._replace(
-        driven=Driven(q_cmd, resolved.qd_cmd, valves, state.motion.desired.v),
+        driven=Driven(q_cmd, resolved.qd_cmd, share * valves, state.motion.desired.v),
         filters=filters,
         settled_s=state.settled_s + dt_s if inside else 0.0,
     )
@@ -184,6 +210,7 @@ def _view(settings: Settings, state: ScanState, now_ns: int) -> ControllerView:
         (FLAG_PLANT_LINK_OK if healthy else 0)
         | (FLAG_EMERGENCY_LATCHED if state.mode is Mode.EMERGENCY else 0)
         | (FLAG_SETTLED if settled else 0)
+        | (FLAG_STREAMING if state.mode is Mode.STREAMING else 0)
     )
     X_BT = _pose(state.tool.p_BT, state.tool.quaternion)
     return ControllerView(
@@ -203,4 +230,5 @@ def _view(settings: Settings, state: ScanState, now_ns: int) -> ControllerView:
         X_BT_cmd=_pose(motion.desired.p, motion.desired.quaternion) if is_live(state) else X_BT,
         supply_bar=watch.sensors.supply_bar if watch.sensors is not None else 0.0,
         plant_exchange_failures=watch.failures,
+        stream_number=state.stream.number if state.stream is not None else 0,
     )

@@ -11,24 +11,30 @@ from controller.core.plant_watch import PlantRefusal, PlantWatch, unseen
 from controller.core.pose_servo import ToolState, tool_state
 from controller.core.rotations import Array
 from controller.core.settings import Settings
+from controller.core.streaming import Stream
 from controller.core.supervision import RESTED, Driven, Fault, Timers
 from protocol.faults import FaultCode, GroupState, Severity
 from protocol.pose import Pose
 from protocol.process_image import SensorImage, ValveImage
-from protocol.reference_link import Acknowledgement, Command, ReferencePath, ReferencePose, State
+from protocol.reference_link import Acknowledgement, Request, State, StreamRefused
+from protocol.reference_session import StreamedPoseReceived
 
 Sextuple = tuple[float, float, float, float, float, float]
 NO_FAULT = Fault(FaultCode.NONE, 0.0, 0.0)
 
 
 class ScanInput(NamedTuple):
-    """One scan's input image. ``dt_s``: since the scan before. ``sensors``: None when the exchange failed."""
+    """One scan's input image. ``dt_s``: since the scan before. ``sensors``: None when the exchange failed.
+
+    ``streamed``: the newest streamed reference that came since the scan before.
+    """
 
     now_ns: int
     dt_s: float
     sensors: SensorImage | PlantRefusal | None
-    requests: tuple[Command | ReferencePose | ReferencePath, ...]
+    requests: tuple[Request, ...]
     reference_link_alive: bool
+    streamed: StreamedPoseReceived | None = None
 
 
 class ScanEvent(NamedTuple):
@@ -60,6 +66,7 @@ class ControllerView(NamedTuple):
     X_BT_cmd: Pose
     supply_bar: float
     plant_exchange_failures: int
+    stream_number: int
 
 
 class Figures(NamedTuple):
@@ -80,10 +87,11 @@ def to_state(view: ControllerView, figures: Figures) -> State:
 
 
 class ScanOutput(NamedTuple):
-    """One scan's output image."""
+    """One scan's output image. ``refusal``: of the streamed reference, None when it is followed."""
 
     valves: ValveImage
     acknowledgements: tuple[Acknowledgement, ...]
+    refusal: StreamRefused | None
     view: ControllerView
     events: tuple[ScanEvent, ...]
 
@@ -92,7 +100,7 @@ class ScanState(NamedTuple):
     """What a scan leaves to the next. Arrays are never written to.
 
     ``fault``: the first one since the last reset. ``settled_s``: how long the arm has been inside the
-    tolerance.
+    tolerance. ``stream``: the open one, None in every mode but STREAMING. ``fade``: see streaming.faded.
     """
 
     cycle: int
@@ -106,6 +114,8 @@ class ScanState(NamedTuple):
     driven: Driven
     filters: JointFilters
     settled_s: float
+    stream: Stream | None
+    fade: float
 
 
 def idle(q_meas: Array) -> Driven:
@@ -130,4 +140,6 @@ def initial_state(settings: Settings) -> ScanState:
         driven=idle(watch.q_meas),
         filters=JointFilters(np.zeros(6), np.zeros(6)),
         settled_s=0.0,
+        stream=None,
+        fade=0.0,
     )

@@ -2,14 +2,35 @@
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from controller.config import ArmConfig, ControllerConfig
+from controller.core.approach import AxisLimits
 from controller.core.denavit_hartenberg import dh_table
 from controller.core.drives import drive_table, unloaded
 from controller.core.joint_control import JointGains
 from controller.core.rotations import Array
+
+
+class StreamLimits(NamedTuple):
+    """What bounds streamed references, SI and radians.
+
+    ``axes``: of the way to a reference. ``distance_m``, ``turn_rad``: of a reference from the commanded pose.
+    Silence (s) after which the arm is slowed down, ``slow_s``, over ``ramp_s``, and after which the valves
+    are centred, ``close_s``; ``first_s`` before the first reference. ``recovery_s``: back to full pace.
+    """
+
+    axes: AxisLimits
+    distance_m: float
+    turn_rad: float
+    max_age_s: float
+    first_s: float
+    slow_s: float
+    close_s: float
+    ramp_s: float
+    recovery_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +54,7 @@ class Settings:
     planned_range: Array
     joint_speeds: Array
     motion_limits: Array
+    streaming: StreamLimits
     workspace: Array
     following_error: Array
 
@@ -80,6 +102,32 @@ def settings_from(arm: ArmConfig, config: ControllerConfig) -> Settings:
                 math.radians(motion.turn_acceleration_deg_s2),
             ]
         ),
+        streaming=_stream_limits(config),
         workspace=np.array([*space.x_m, *space.y_m, *space.z_m, space.radius_min_m]),
         following_error=np.radians(config.supervision.following_error_deg),
+    )
+
+
+def _stream_limits(config: ControllerConfig) -> StreamLimits:
+    stream = config.streaming
+    share = 1.0 / math.sqrt(3.0)  # of a vector's bound that each of its axes has
+
+    def axes(linear: float, turning_deg: float) -> Array:
+        return share * np.repeat([linear, math.radians(turning_deg)], 3)
+
+    close_s, ramp_s = config.stream_close_ms * 1e-3, stream.ramp_ms * 1e-3
+    return StreamLimits(
+        axes=AxisLimits(
+            axes(stream.speed_m_s, stream.turn_speed_deg_s),
+            axes(stream.acceleration_m_s2, stream.turn_acceleration_deg_s2),
+            axes(stream.jerk_m_s3, stream.turn_jerk_deg_s3),
+        ),
+        distance_m=stream.distance_m,
+        turn_rad=math.radians(stream.turn_deg),
+        max_age_s=stream.max_age_ms * 1e-3,
+        first_s=stream.first_reference_ms * 1e-3,
+        slow_s=close_s - ramp_s,
+        close_s=close_s,
+        ramp_s=ramp_s,
+        recovery_s=stream.recovery_ms * 1e-3,
     )

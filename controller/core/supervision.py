@@ -27,6 +27,7 @@ SEVERITY = dict.fromkeys(FaultCode, Severity.EMERGENCY) | {
     FaultCode.REFERENCE_LINK_LOST: Severity.STOP,
     FaultCode.JOINT_LIMIT: Severity.STOP,
     FaultCode.WORKSPACE_LIMIT: Severity.STOP,
+    FaultCode.REFERENCE_STALE: Severity.STOP,
 }
 
 

@@ -13,14 +13,16 @@ import time
 from collections import Counter
 
 from controller.config import ReferenceLinkConfig
-from controller.core.inbox import Inbox, Request
+from controller.core.inbox import Inbox
 from controller.shell.event_log import EventLog
 from protocol.errors import ConfigurationError
 from protocol.faults import Reason
 from protocol.reference_link import (
     MAX_DATAGRAM_BYTES,
     Acknowledgement,
+    Request,
     State,
+    StreamRefused,
 )
 from protocol.reference_session import (
     DatagramDropped,
@@ -28,6 +30,7 @@ from protocol.reference_session import (
     ServerEvent,
     SessionClosed,
     SessionOpened,
+    StreamedPoseReceived,
 )
 
 _READS_A_CYCLE = 600  # about a millisecond; 50 000 datagrams a second are 250 in a cycle of 5 ms
@@ -88,10 +91,22 @@ class ReferencePort:
             self.open()
         return self._inbox.take(self.server.link_alive(now_ns))
 
-    def publish(self, acknowledgements: tuple[Acknowledgement, ...], state: State, now_ns: int) -> None:
-        """Answer the scan's requests, and send ``state`` when the peer's period has passed."""
+    def take_streamed(self) -> StreamedPoseReceived | None:
+        """The newest streamed reference since the last call."""
+        return self._inbox.take_streamed()
+
+    def publish(
+        self,
+        acknowledgements: tuple[Acknowledgement, ...],
+        state: State,
+        now_ns: int,
+        refusal: StreamRefused | None = None,
+    ) -> None:
+        """Answer what the scan has judged, and send ``state`` when the peer's period has passed."""
         for acknowledgement in acknowledgements:
             self.server.acknowledge(acknowledgement, now_ns)
+        if refusal is not None:
+            self.server.refuse_streamed(refusal, now_ns)
         self.server.publish(state, now_ns)
         self._send()
 

@@ -108,13 +108,16 @@ class ControllerService:
         if leaving:
             self._told_to_leave = True
             requests = (*requests, Command(0, CommandCode.DISABLE))
-        inputs = ScanInput(now_ns, dt_ns * 1e-9, sensors, requests, alive)
+        inputs = ScanInput(
+            now_ns, dt_ns * 1e-9, sensors, requests, alive, self._reference.take_streamed()
+        )
         began_ns = time.monotonic_ns()
         self._state, output = scan(self._settings, self._state, inputs)
         self._scan_times.add(time.monotonic_ns() - began_ns)
         self._valve_words = encode_valves(output.valves)
         answers = output.acknowledgements[:-1] if leaving else output.acknowledgements
-        self._reference.publish(answers, to_state(output.view, self._figures_at(now_ns)), now_ns)
+        shown = to_state(output.view, self._figures_at(now_ns))
+        self._reference.publish(answers, shown, now_ns, output.refusal)
         self._recorder.record(inputs, output)
         self._follow_up(self._state, output, now_ns)
 

@@ -10,7 +10,7 @@ local sizes = {}
 f["magic"] = ProtoField.string("lrlk.magic", "magic")
 f["major"] = ProtoField.uint8("lrlk.major", "major", base.DEC)
 f["minor"] = ProtoField.uint8("lrlk.minor", "minor", base.DEC)
-f["kind"] = ProtoField.uint8("lrlk.kind", "kind", base.DEC, { [1] = "HELLO", [2] = "WELCOME", [3] = "HEARTBEAT", [4] = "HEARTBEAT_REPLY", [5] = "REFERENCE_POSE", [6] = "REFERENCE_PATH", [7] = "COMMAND", [8] = "ACKNOWLEDGEMENT", [9] = "STATE", [10] = "BYE" })
+f["kind"] = ProtoField.uint8("lrlk.kind", "kind", base.DEC, { [1] = "HELLO", [2] = "WELCOME", [3] = "HEARTBEAT", [4] = "HEARTBEAT_REPLY", [5] = "REFERENCE_POSE", [6] = "REFERENCE_PATH", [7] = "COMMAND", [8] = "ACKNOWLEDGEMENT", [9] = "STATE", [10] = "BYE", [11] = "STREAMED_POSE", [12] = "STREAM_REFUSED" })
 f["spare"] = ProtoField.uint8("lrlk.spare", "spare", base.DEC)
 f["flags"] = ProtoField.uint16("lrlk.flags", "flags", base.HEX)
 f["payload_bytes"] = ProtoField.uint16("lrlk.payload_bytes", "payload_bytes (byte)", base.DEC)
@@ -106,7 +106,7 @@ layouts[6] = {
 names[7] = "COMMAND"
 sizes[7] = 16
 f["command.command_id"] = ProtoField.uint64("lrlk.command.command_id", "command_id", base.DEC)
-f["command.code"] = ProtoField.uint32("lrlk.command.code", "code", base.DEC, { [1] = "ENABLE", [2] = "DISABLE", [3] = "STOP", [4] = "RESET", [5] = "EMERGENCY_STOP", [6] = "EMERGENCY_RELEASE" })
+f["command.code"] = ProtoField.uint32("lrlk.command.code", "code", base.DEC, { [1] = "ENABLE", [2] = "DISABLE", [3] = "STOP", [4] = "RESET", [5] = "EMERGENCY_STOP", [6] = "EMERGENCY_RELEASE", [7] = "START_STREAM", [8] = "END_STREAM" })
 layouts[7] = {
   { f["command.command_id"], 0, 8, 1, nil },
   { f["command.code"], 8, 4, 1, nil },
@@ -114,7 +114,7 @@ layouts[7] = {
 names[8] = "ACKNOWLEDGEMENT"
 sizes[8] = 32
 f["acknowledgement.command_id"] = ProtoField.uint64("lrlk.acknowledgement.command_id", "command_id", base.DEC)
-f["acknowledgement.reason"] = ProtoField.uint32("lrlk.acknowledgement.reason", "reason", base.DEC, { [0] = "ACCEPTED", [1] = "DISABLED", [2] = "NOT_IN_ERROR", [3] = "ERROR_LATCHED", [4] = "EMERGENCY_LATCHED", [5] = "STOPPING", [6] = "ALREADY_DONE", [10] = "NOT_FINITE", [11] = "NOT_UNIT_QUATERNION", [12] = "OUTSIDE_WORKSPACE", [13] = "JOINT_LIMIT", [14] = "UNREACHABLE", [15] = "SINGULAR", [16] = "TOO_FAST", [17] = "TOO_FAR", [18] = "BAD_DURATION", [19] = "EMPTY_PATH", [20] = "TOO_MANY_WAYPOINTS", [21] = "PLANT_LINK_DOWN", [22] = "REFERENCE_LINK_DOWN", [23] = "PLANT_NOT_READY", [24] = "UNKNOWN_COMMAND", [25] = "REPEATED_COMMAND_ID", [26] = "OVERTAKEN", [27] = "NOT_NEGOTIATED", [40] = "INCOMPATIBLE_VERSION", [41] = "WRONG_ARM", [42] = "SESSION_OCCUPIED", [43] = "UNKNOWN_SESSION", [44] = "PEER_RESTARTED", [45] = "LINK_TIMEOUT", [46] = "SHUTDOWN" })
+f["acknowledgement.reason"] = ProtoField.uint32("lrlk.acknowledgement.reason", "reason", base.DEC, { [0] = "ACCEPTED", [1] = "DISABLED", [2] = "NOT_IN_ERROR", [3] = "ERROR_LATCHED", [4] = "EMERGENCY_LATCHED", [5] = "STOPPING", [6] = "ALREADY_DONE", [10] = "NOT_FINITE", [11] = "NOT_UNIT_QUATERNION", [12] = "OUTSIDE_WORKSPACE", [13] = "JOINT_LIMIT", [14] = "UNREACHABLE", [15] = "SINGULAR", [16] = "TOO_FAST", [17] = "TOO_FAR", [18] = "BAD_DURATION", [19] = "EMPTY_PATH", [20] = "TOO_MANY_WAYPOINTS", [21] = "PLANT_LINK_DOWN", [22] = "REFERENCE_LINK_DOWN", [23] = "PLANT_NOT_READY", [24] = "UNKNOWN_COMMAND", [25] = "REPEATED_COMMAND_ID", [26] = "OVERTAKEN", [27] = "NOT_NEGOTIATED", [28] = "MOVING", [29] = "STREAMING", [30] = "NOT_STREAMING", [31] = "STALE", [40] = "INCOMPATIBLE_VERSION", [41] = "WRONG_ARM", [42] = "SESSION_OCCUPIED", [43] = "UNKNOWN_SESSION", [44] = "PEER_RESTARTED", [45] = "LINK_TIMEOUT", [46] = "SHUTDOWN" })
 f["acknowledgement.value"] = ProtoField.double("lrlk.acknowledgement.value", "value (SI)")
 f["acknowledgement.limit"] = ProtoField.double("lrlk.acknowledgement.limit", "limit (SI)")
 layouts[8] = {
@@ -128,7 +128,7 @@ sizes[9] = 336
 f["state.time_ns"] = ProtoField.uint64("lrlk.state.time_ns", "time_ns (ns)", base.DEC)
 f["state.cycle"] = ProtoField.uint64("lrlk.state.cycle", "cycle", base.DEC)
 f["state.group_state"] = ProtoField.uint16("lrlk.state.group_state", "group_state", base.DEC, { [0] = "DISABLED", [1] = "STANDBY", [2] = "MOVING", [3] = "STOPPING", [4] = "ERROR_STOP" })
-f["state.fault"] = ProtoField.uint16("lrlk.state.fault", "fault", base.DEC, { [0] = "NONE", [1] = "PLANT_LINK_LOST", [2] = "PLANT_CYCLE_FROZEN", [3] = "REFERENCE_LINK_LOST", [4] = "FOLLOWING_ERROR", [5] = "ENCODER_JUMP", [6] = "ENCODER_STUCK", [7] = "JOINT_LIMIT", [8] = "WORKSPACE_LIMIT", [9] = "OVERSPEED", [10] = "SUPPLY_PRESSURE_LOST", [11] = "PLANT_WATCHDOG", [12] = "EMERGENCY_STOP", [13] = "NUMERIC", [14] = "OVERRUN", [15] = "PLANT_STATUS" })
+f["state.fault"] = ProtoField.uint16("lrlk.state.fault", "fault", base.DEC, { [0] = "NONE", [1] = "PLANT_LINK_LOST", [2] = "PLANT_CYCLE_FROZEN", [3] = "REFERENCE_LINK_LOST", [4] = "FOLLOWING_ERROR", [5] = "ENCODER_JUMP", [6] = "ENCODER_STUCK", [7] = "JOINT_LIMIT", [8] = "WORKSPACE_LIMIT", [9] = "OVERSPEED", [10] = "SUPPLY_PRESSURE_LOST", [11] = "PLANT_WATCHDOG", [12] = "EMERGENCY_STOP", [13] = "NUMERIC", [14] = "OVERRUN", [15] = "PLANT_STATUS", [16] = "REFERENCE_STALE" })
 f["state.severity"] = ProtoField.uint16("lrlk.state.severity", "severity", base.DEC, { [0] = "NONE", [1] = "WARNING", [2] = "STOP", [3] = "EMERGENCY" })
 f["state.flags"] = ProtoField.uint16("lrlk.state.flags", "flags", base.HEX)
 f["state.motion_id"] = ProtoField.uint64("lrlk.state.motion_id", "motion_id", base.DEC)
@@ -147,6 +147,7 @@ f["state.lateness_max_us"] = ProtoField.uint32("lrlk.state.lateness_max_us", "la
 f["state.references_lost"] = ProtoField.uint32("lrlk.state.references_lost", "references_lost", base.DEC)
 f["state.references_dropped"] = ProtoField.uint32("lrlk.state.references_dropped", "references_dropped", base.DEC)
 f["state.plant_exchange_failures"] = ProtoField.uint32("lrlk.state.plant_exchange_failures", "plant_exchange_failures", base.DEC)
+f["state.stream_number"] = ProtoField.uint32("lrlk.state.stream_number", "stream_number", base.DEC)
 layouts[9] = {
   { f["state.time_ns"], 0, 8, 1, nil },
   { f["state.cycle"], 8, 8, 1, nil },
@@ -170,12 +171,41 @@ layouts[9] = {
   { f["state.references_lost"], 320, 4, 1, nil },
   { f["state.references_dropped"], 324, 4, 1, nil },
   { f["state.plant_exchange_failures"], 328, 4, 1, nil },
+  { f["state.stream_number"], 332, 4, 1, nil },
 }
 names[10] = "BYE"
 sizes[10] = 8
-f["bye.reason"] = ProtoField.uint32("lrlk.bye.reason", "reason", base.DEC, { [0] = "ACCEPTED", [1] = "DISABLED", [2] = "NOT_IN_ERROR", [3] = "ERROR_LATCHED", [4] = "EMERGENCY_LATCHED", [5] = "STOPPING", [6] = "ALREADY_DONE", [10] = "NOT_FINITE", [11] = "NOT_UNIT_QUATERNION", [12] = "OUTSIDE_WORKSPACE", [13] = "JOINT_LIMIT", [14] = "UNREACHABLE", [15] = "SINGULAR", [16] = "TOO_FAST", [17] = "TOO_FAR", [18] = "BAD_DURATION", [19] = "EMPTY_PATH", [20] = "TOO_MANY_WAYPOINTS", [21] = "PLANT_LINK_DOWN", [22] = "REFERENCE_LINK_DOWN", [23] = "PLANT_NOT_READY", [24] = "UNKNOWN_COMMAND", [25] = "REPEATED_COMMAND_ID", [26] = "OVERTAKEN", [27] = "NOT_NEGOTIATED", [40] = "INCOMPATIBLE_VERSION", [41] = "WRONG_ARM", [42] = "SESSION_OCCUPIED", [43] = "UNKNOWN_SESSION", [44] = "PEER_RESTARTED", [45] = "LINK_TIMEOUT", [46] = "SHUTDOWN" })
+f["bye.reason"] = ProtoField.uint32("lrlk.bye.reason", "reason", base.DEC, { [0] = "ACCEPTED", [1] = "DISABLED", [2] = "NOT_IN_ERROR", [3] = "ERROR_LATCHED", [4] = "EMERGENCY_LATCHED", [5] = "STOPPING", [6] = "ALREADY_DONE", [10] = "NOT_FINITE", [11] = "NOT_UNIT_QUATERNION", [12] = "OUTSIDE_WORKSPACE", [13] = "JOINT_LIMIT", [14] = "UNREACHABLE", [15] = "SINGULAR", [16] = "TOO_FAST", [17] = "TOO_FAR", [18] = "BAD_DURATION", [19] = "EMPTY_PATH", [20] = "TOO_MANY_WAYPOINTS", [21] = "PLANT_LINK_DOWN", [22] = "REFERENCE_LINK_DOWN", [23] = "PLANT_NOT_READY", [24] = "UNKNOWN_COMMAND", [25] = "REPEATED_COMMAND_ID", [26] = "OVERTAKEN", [27] = "NOT_NEGOTIATED", [28] = "MOVING", [29] = "STREAMING", [30] = "NOT_STREAMING", [31] = "STALE", [40] = "INCOMPATIBLE_VERSION", [41] = "WRONG_ARM", [42] = "SESSION_OCCUPIED", [43] = "UNKNOWN_SESSION", [44] = "PEER_RESTARTED", [45] = "LINK_TIMEOUT", [46] = "SHUTDOWN" })
 layouts[10] = {
   { f["bye.reason"], 0, 4, 1, nil },
+}
+names[11] = "STREAMED_POSE"
+sizes[11] = 128
+f["streamed_pose.stream_id"] = ProtoField.uint64("lrlk.streamed_pose.stream_id", "stream_id", base.DEC)
+f["streamed_pose.number"] = ProtoField.uint32("lrlk.streamed_pose.number", "number", base.DEC)
+f["streamed_pose.time_ns"] = ProtoField.uint64("lrlk.streamed_pose.time_ns", "time_ns (ns)", base.DEC)
+f["streamed_pose.X_BT_ref"] = ProtoField.double("lrlk.streamed_pose.X_BT_ref", "X_BT_ref (m, 1)")
+f["streamed_pose.twist_ref"] = ProtoField.double("lrlk.streamed_pose.twist_ref", "twist_ref (m/s, rad/s)")
+layouts[11] = {
+  { f["streamed_pose.stream_id"], 0, 8, 1, nil },
+  { f["streamed_pose.number"], 8, 4, 1, nil },
+  { f["streamed_pose.time_ns"], 16, 8, 1, nil },
+  { f["streamed_pose.X_BT_ref"], 24, 8, 7, {"x", "y", "z", "qw", "qx", "qy", "qz"} },
+  { f["streamed_pose.twist_ref"], 80, 8, 6, nil },
+}
+names[12] = "STREAM_REFUSED"
+sizes[12] = 32
+f["stream_refused.stream_id"] = ProtoField.uint64("lrlk.stream_refused.stream_id", "stream_id", base.DEC)
+f["stream_refused.number"] = ProtoField.uint32("lrlk.stream_refused.number", "number", base.DEC)
+f["stream_refused.reason"] = ProtoField.uint32("lrlk.stream_refused.reason", "reason", base.DEC, { [0] = "ACCEPTED", [1] = "DISABLED", [2] = "NOT_IN_ERROR", [3] = "ERROR_LATCHED", [4] = "EMERGENCY_LATCHED", [5] = "STOPPING", [6] = "ALREADY_DONE", [10] = "NOT_FINITE", [11] = "NOT_UNIT_QUATERNION", [12] = "OUTSIDE_WORKSPACE", [13] = "JOINT_LIMIT", [14] = "UNREACHABLE", [15] = "SINGULAR", [16] = "TOO_FAST", [17] = "TOO_FAR", [18] = "BAD_DURATION", [19] = "EMPTY_PATH", [20] = "TOO_MANY_WAYPOINTS", [21] = "PLANT_LINK_DOWN", [22] = "REFERENCE_LINK_DOWN", [23] = "PLANT_NOT_READY", [24] = "UNKNOWN_COMMAND", [25] = "REPEATED_COMMAND_ID", [26] = "OVERTAKEN", [27] = "NOT_NEGOTIATED", [28] = "MOVING", [29] = "STREAMING", [30] = "NOT_STREAMING", [31] = "STALE", [40] = "INCOMPATIBLE_VERSION", [41] = "WRONG_ARM", [42] = "SESSION_OCCUPIED", [43] = "UNKNOWN_SESSION", [44] = "PEER_RESTARTED", [45] = "LINK_TIMEOUT", [46] = "SHUTDOWN" })
+f["stream_refused.value"] = ProtoField.double("lrlk.stream_refused.value", "value (SI)")
+f["stream_refused.limit"] = ProtoField.double("lrlk.stream_refused.limit", "limit (SI)")
+layouts[12] = {
+  { f["stream_refused.stream_id"], 0, 8, 1, nil },
+  { f["stream_refused.number"], 8, 4, 1, nil },
+  { f["stream_refused.reason"], 12, 4, 1, nil },
+  { f["stream_refused.value"], 16, 8, 1, nil },
+  { f["stream_refused.limit"], 24, 8, 1, nil },
 }
 
 local HEADER_BYTES = 40

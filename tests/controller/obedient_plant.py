@@ -6,6 +6,9 @@ plant (cycle, echo, status bits) can be made to fail.
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
 
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput, ScanOutput, initial_state
@@ -21,7 +24,15 @@ from protocol.process_image import (
     STATUS_WATCHDOG_TRIPPED,
     SensorImage,
 )
-from protocol.reference_link import Acknowledgement, Command, ReferencePath, ReferencePose
+from protocol.reference_link import (
+    Acknowledgement,
+    Command,
+    ReferencePose,
+    Request,
+    StreamedPose,
+    StreamRefused,
+)
+from protocol.reference_session import StreamedPoseReceived
 
 START_DEG = (0.0, 50.0, -75.0, 0.0, -25.0, 0.0)
 
@@ -61,13 +72,18 @@ class Bench:
     def last(self) -> ScanOutput:
         return self.outputs[-1]
 
-    def step(self, *requests: Command | ReferencePose | ReferencePath) -> ScanOutput:
-        """One scan."""
+    def step(
+        self, *requests: Request, streamed: StreamedPose | None = None, age_s: float = 0.0
+    ) -> ScanOutput:
+        """One scan; ``streamed`` arrives right before it, resting on a measurement ``age_s`` old."""
         sensors = None if self.silent else self._exchange()
         dt_s = self.settings.cycle_s + self.late_s
         self.late_s = 0.0
         self.now_ns += round(dt_s * 1e9)
-        inputs = ScanInput(self.now_ns, dt_s, sensors, requests, self.link_alive)
+        arrival = None
+        if streamed is not None:
+            arrival = StreamedPoseReceived(streamed, self.now_ns, round(1e9 * age_s))
+        inputs = ScanInput(self.now_ns, dt_s, sensors, requests, self.link_alive, arrival)
         self.state, output = scan(self.settings, self.state, inputs)
         self.outputs.append(output)
         return output
@@ -93,6 +109,29 @@ class Bench:
         assert self.command(CommandCode.ENABLE) is Reason.ACCEPTED
         self.step()
         return self
+
+    def streaming(self) -> "Bench":
+        """This bench, following a stream in the middle of a motion of 0.3 m; the next number is 1000."""
+        self.enabled()
+        self.open_stream()
+        goal = self.shifted(z=0.3)
+        for number in range(1, 1000):
+            if number > 50 and np.linalg.norm(self.state.motion.desired.v) > 0.1:
+                break
+            self.stream(number, goal)
+        return self
+
+    def open_stream(self) -> int:
+        """The id of a new stream."""
+        assert self.command(CommandCode.START_STREAM) is Reason.ACCEPTED
+        return self.last.acknowledgements[0].command_id
+
+    def stream(self, number: int, pose: Pose, **more: Any) -> StreamRefused | None:
+        """The refusal of a reference of the open stream; ``more``: stream_id, twist_ref, age_s."""
+        age_s = more.pop("age_s", 0.0)
+        stream_id = more.pop("stream_id", self.last.view.motion_id)
+        reference = StreamedPose(stream_id, number, self.now_ns, pose, **more)
+        return self.step(streamed=reference, age_s=age_s).refusal
 
     def moving(self) -> "Bench":
         """This bench, in the middle of a motion of 0.3 m."""

@@ -54,9 +54,24 @@ def test_only_enable_makes_a_dead_group_live() -> None:
 
 
 def test_only_a_reference_starts_motion_and_only_where_the_group_is_enabled() -> None:
+    begins = {
+        (mode, stimulus, step.mode)
+        for (mode, stimulus), step in TRANSITIONS.items()
+        if GROUP_STATE[mode] is not GroupState.MOVING and GROUP_STATE[step.mode] is GroupState.MOVING
+    }
+    assert begins == {
+        (Mode.STANDBY, Stimulus.MOVE, Mode.MOVING),
+        (Mode.STANDBY, Stimulus.START_STREAM, Mode.STREAMING),
+    }
+
+
+def test_a_stream_is_opened_by_its_command_alone_and_closed_by_what_ends_motion() -> None:
     for (mode, stimulus), step in TRANSITIONS.items():
-        if mode is not Mode.MOVING and step.mode is Mode.MOVING:
-            assert (mode, stimulus) == (Mode.STANDBY, Stimulus.MOVE)
+        if mode is not Mode.STREAMING and step.mode is Mode.STREAMING:
+            assert (mode, stimulus) == (Mode.STANDBY, Stimulus.START_STREAM)
+        if mode is not Mode.STREAMING and stimulus is Stimulus.STREAMED:
+            assert step.reason is not Reason.ACCEPTED
+            assert step.mode is mode
 
 
 @pytest.mark.parametrize("mode", [mode for mode in Mode if mode in LIVE])
@@ -70,5 +85,5 @@ def test_own_stimuli_never_enable_nor_move() -> None:
     for mode in Mode:
         for stimulus in OWN:
             after = transition(mode, stimulus).mode
-            assert after is not Mode.MOVING
+            assert GROUP_STATE[after] is not GroupState.MOVING or after is mode
             assert after not in LIVE or mode in LIVE

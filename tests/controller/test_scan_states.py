@@ -20,6 +20,7 @@ from protocol.process_image import (
 from protocol.reference_link import (
     FLAG_EMERGENCY_LATCHED,
     FLAG_SETTLED,
+    FLAG_STREAMING,
     Command,
     ReferencePath,
 )
@@ -40,6 +41,8 @@ def _brought_to(bench: Bench, mode: Mode) -> Bench:
         bench.step()
     elif mode is Mode.STANDBY:
         bench.enabled()
+    elif mode is Mode.STREAMING:
+        bench.streaming()
     else:
         bench.moving()
     if mode is Mode.STOPPING:
@@ -62,20 +65,24 @@ def _brought_to(bench: Bench, mode: Mode) -> Bench:
 
 
 @pytest.mark.parametrize("mode", Mode)
-@pytest.mark.parametrize("stimulus", [*(Stimulus(code) for code in CommandCode), Stimulus.MOVE])
+@pytest.mark.parametrize("stimulus", [s for s in Stimulus if s <= Stimulus.STREAMED])
 def test_every_state_answers_every_command_as_the_table_says(
     settings: Settings, mode: Mode, stimulus: Stimulus
 ) -> None:
     bench = _brought_to(Bench(settings), mode)
     if stimulus is Stimulus.MOVE:
         reason = bench.refer(bench.shifted(z=0.05)).reason
+    elif stimulus is Stimulus.STREAMED:
+        refusal = bench.stream(1000, bench.shifted(z=0.05))
+        reason = refusal.reason if refusal else Reason.ACCEPTED
     else:
         reason = bench.command(CommandCode(stimulus))
     want = transition(mode, stimulus)
     assert reason is want.reason
     assert bench.state.mode is want.mode
     assert bench.last.view.group_state is GROUP_STATE[want.mode]
-    live = want.mode in (Mode.STANDBY, Mode.MOVING, Mode.STOPPING, Mode.DISABLING, Mode.ERROR_RAMP)
+    assert bool(bench.last.view.flags & FLAG_STREAMING) == (want.mode is Mode.STREAMING)
+    live = want.mode not in (Mode.DISABLED, Mode.ERROR_HELD, Mode.EMERGENCY)
     assert bool(bench.last.valves.control & CONTROL_ENABLE) == live
     assert live or bench.last.valves.valves == ZERO
 
@@ -241,6 +248,8 @@ class GroupMachine(RuleBasedStateMachine):
                 return Reason.EMERGENCY_LATCHED
             known, self.error = self.error, False
             return Reason.ACCEPTED if known else Reason.NOT_IN_ERROR
+        if code is CommandCode.END_STREAM:
+            return Reason.NOT_STREAMING
         if code is CommandCode.DISABLE:
             known, self.enabled = self.enabled, False
             self.moving = self.slowing = False
@@ -250,7 +259,7 @@ class GroupMachine(RuleBasedStateMachine):
         known, self.enabled = self.enabled, True
         return Reason.ALREADY_DONE if known else Reason.ACCEPTED
 
-    @rule(code=st.sampled_from(CommandCode))
+    @rule(code=st.sampled_from([code for code in CommandCode if code is not CommandCode.START_STREAM]))
     def command(self, code: CommandCode) -> None:
         was_moving = self.moving
         assert self.bench.command(code) is self._oracle(code)

@@ -49,6 +49,11 @@ IEC_WORDS = {"H": "UINT", "h": "INT", "i": "DINT"}
 # LIMIT is a standard function of IEC 61131-3, so it cannot name a member.
 IEC_NAMES = {"limit": "limit_value"}
 MS = 1_000_000
+CAPABILITIES = {
+    "PATHS": "REFERENCE_PATH is understood",
+    "STREAMING": "START_STREAM, END_STREAM, STREAMED_POSE and STREAM_REFUSED are understood",
+}
+COLUMNS = {Stimulus.MOVE: "reference", Stimulus.STREAMED: "streamed reference"}
 
 
 def table(head: str, rows: Iterable[Iterable[object]]) -> str:
@@ -168,9 +173,9 @@ def session_table(rows: tuple[Row, ...]) -> str:
 
 def group_table() -> str:
     """Every command and reference in every mode of the group: next mode and the reason that answers."""
-    stimuli = [s for s in Stimulus if s <= Stimulus.MOVE]
+    stimuli = [s for s in Stimulus if s <= Stimulus.STREAMED]
     return table(
-        "in | " + " | ".join("reference" if s is Stimulus.MOVE else s.name for s in stimuli),
+        "in | " + " | ".join(COLUMNS.get(s, s.name) for s in stimuli),
         (
             [mode.name, *(f"{t.mode.name}: {t.reason.name}" for t in (TRANSITIONS[mode, s] for s in stimuli))]
             for mode in Mode
@@ -220,7 +225,7 @@ def golden() -> str:
 SECTIONS: dict[str, Callable[[], str]] = {
     "header": lambda: datagram_table(HEADER),
     "flags": lambda: bits("FLAG_", {"ECHO_VALID": "`echo_sequence` holds a number"}),
-    "capabilities": lambda: bits("CAPABILITY_", {"PATHS": "REFERENCE_PATH is understood"}),
+    "capabilities": lambda: bits("CAPABILITY_", CAPABILITIES),
     "payloads": payload_tables,
     "limits": limits,
     "server states": lambda: session_table(SERVER_ROWS),
@@ -238,6 +243,7 @@ SECTIONS: dict[str, Callable[[], str]] = {
             "PLANT_LINK_OK": "the fieldbus is healthy",
             "EMERGENCY_LATCHED": "the emergency stop is latched",
             "SETTLED": "the arm has come to rest at its commanded pose",
+            "STREAMING": "MOVING means: following streamed references",
         },
     ),
     "inputs": lambda: register_table(INPUT_TABLE),

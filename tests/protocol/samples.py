@@ -16,6 +16,8 @@ from protocol.reference_link import (
     ReferencePath,
     ReferencePose,
     State,
+    StreamedPose,
+    StreamRefused,
     Welcome,
 )
 
@@ -55,8 +57,11 @@ MESSAGES: tuple[Message, ...] = (
         references_lost=4,
         references_dropped=5,
         plant_exchange_failures=6,
+        stream_number=7,
     ),
     Bye(Reason.SHUTDOWN),
+    StreamedPose(44, 0xFFFFFFFE, 1_234_500_000_000, POSE, (0.01, -0.02, 0.03, -0.04, 0.05, -0.06)),
+    StreamRefused(44, 0xFFFFFFFF, Reason.TOO_FAR, 0.75, 0.5),
 )
 
 u16 = st.integers(0, 2**16 - 1)
@@ -83,6 +88,9 @@ messages = st.one_of(
     st.builds(
         State, u64, u64, st.sampled_from(GroupState), st.sampled_from(FaultCode), st.sampled_from(Severity),
         u16, u64, st.booleans(), u32, six, six, six, poses, poses, reals, u32, u32, u32, u32, u32, u32, u32,
+        u32,
     ),
     st.builds(Bye, st.sampled_from(Reason)),
+    st.builds(StreamedPose, positive_u64, u32, u64, poses, six),
+    st.builds(StreamRefused, positive_u64, u32, st.sampled_from(Reason), reals, reals),
 )  # fmt: skip

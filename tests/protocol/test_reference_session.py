@@ -12,6 +12,7 @@ from protocol.faults import CommandCode, Reason
 from protocol.pose import IDENTITY
 from protocol.reference_link import (
     CAPABILITY_PATHS,
+    CAPABILITY_STREAMING,
     Acknowledgement,
     Bye,
     Command,
@@ -72,7 +73,7 @@ class TestHandshake:
         welcome = connected.welcome
         assert (welcome.arm_hash, welcome.boot_id, welcome.cycle_ns) == (ARM, BOOT, CYCLE_NS)
         assert (welcome.link_timeout_ms, welcome.state_period_ms) == (TIMEOUT_MS, 20)
-        assert welcome.capabilities == CAPABILITY_PATHS
+        assert welcome.capabilities == CAPABILITY_PATHS | CAPABILITY_STREAMING
 
     def test_nothing_is_sent_before_the_client_asks(self) -> None:
         wire = Wire().run(1000)

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 
 from protocol.faults import FaultCode, GroupState, Severity
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import Look, WatchHealth, WatchSample
+from vision_pc.core.types import Look, StereoPair, WatchHealth, WatchSample
 
 Report = Callable[[float, str], None]
 """Called by programs as ``report(progress, note)`` with progress 0…1."""
@@ -36,10 +36,10 @@ class ArmView(NamedTuple):
 
 
 class ReferenceStream(Protocol):
-    """An open stream of references; the arm follows the newest one with bounded velocity, acceleration, jerk.
+    """An open stream of references; the arm follows the newest with bounded velocity, acceleration and jerk.
 
-    The controller wants a fresh reference before its silence limit (100 ms by default): one that is late makes
-    it centre the valves and latch REFERENCE_STALE. Nothing resumes by itself: RESET, ENABLE, a new stream.
+    The controller wants a fresh reference before its silence limit (100 ms by default): a late one makes it
+    centre the valves and latch REFERENCE_STALE. Nothing resumes by itself: RESET, ENABLE, a new stream.
     """
 
     async def send(
@@ -48,12 +48,12 @@ class ReferenceStream(Protocol):
         """None, once the reference has been sent; it is never sent again, and never waited for.
 
         ``X_BT_ref`` (4, 4) within the controller's distance from the pose that it commands at present.
-        ``measured_ns``: the instant of the picture that the reference rests on, on the vision PC's clock (None:
-        now); the controller refuses what is too old. ``twist_ref`` (6,): the reference's own velocity and
-        angular velocity in B (m/s, rad/s) when it is known to move, which takes the lag off; None: at rest.
+        ``measured_ns``: the instant of the picture that the reference rests on, on the vision PC's clock
+        (None: now); the controller refuses what is too old. ``twist_ref`` (6,): the reference's own velocity
+        and angular velocity in B (m/s, rad/s) when it is known to move, which takes the lag off; None: rest.
 
-        Raises RequestRefused with the reason when the controller has refused an earlier reference or has ended
-        the stream, and LinkLost.
+        Raises RequestRefused with the reason when the controller has refused an earlier reference or has
+        ended the stream, and LinkLost.
         """
         ...
 
@@ -85,8 +85,8 @@ class Arm(Protocol):
     def streaming(self) -> AbstractAsyncContextManager[ReferenceStream]:
         """A context in which references are streamed; the arm must stand enabled and at rest to enter it.
 
-        Leaving it ends the stream: the arm goes on to the last accepted reference, and the exit returns once it
-        has settled there. An exception inside stops the arm instead, and is passed on.
+        Leaving it ends the stream: the arm goes on to the last accepted reference, and the exit returns once
+        it has settled there. An exception inside stops the arm instead, and is passed on.
 
         Raises RequestRefused (``refused.not_negotiated`` when the controller streams none) or LinkLost.
         """
@@ -94,6 +94,21 @@ class Arm(Protocol):
 
     async def stop(self) -> None:
         """None, once the controller has accepted the stop."""
+        ...
+
+
+class PairsAtRest(NamedTuple):
+    """Stereo pairs taken with the arm at rest, and X_BT at their mean capture time."""
+
+    pairs: tuple[StereoPair, ...]
+    X_BT: Array
+
+
+class Photographer(Protocol):
+    """A camera that takes pictures of an arm at rest, for programs that look at other things than ``Eyes``."""
+
+    async def pairs_at_rest(self, frames: int) -> PairsAtRest:
+        """``frames`` fresh pairs. Raises RequestRefused while the arm moves, LinkLost as ``Eyes.look``."""
         ...
 
 

@@ -1,0 +1,156 @@
+"""Streamed references: which one is followed, and what happens when none comes.
+
+A reference is judged by itself (is it a pose, young enough, near enough, and can the arm go straight there?)
+and then approached with bounded speed, acceleration and jerk. When no fresh one has come for a while, the arm
+is slowed down; one that comes now is followed again, gently. At the silence limit the valves are centred and
+the fault is latched: it takes RESET, ENABLE and a new START_STREAM to move again.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from controller.core.approach import Approach, AxisLimits, approach, twist_limit
+from controller.core.path_survey import JOINT_SPEED, SPEED, TURN_SPEED, Survey, survey
+from controller.core.paths import Desired, at_rest, path_from
+from controller.core.references import QUATERNION_TOLERANCE, Refusal
+from controller.core.rotations import Array, orientation_error
+from controller.core.settings import Settings
+from protocol.faults import Reason
+from protocol.reference_link import StreamedPose
+from protocol.reference_session import StreamedPoseReceived
+
+_NUMBERS = 1 << 32
+_AT_REST = np.zeros(6)
+
+
+class Goal(NamedTuple):
+    """The newest accepted reference: p (3,), unit quaternion (4,), the axes' limits on the way there."""
+
+    p: Array
+    quaternion: Array
+    limits: AxisLimits
+
+
+class Stream(NamedTuple):
+    """An open stream. ``stream_id``: command id of its START_STREAM.
+
+    ``attended``: whether the session that opened it goes on. ``fresh_ns``: when the newest accepted reference
+    left the client, before the first one when the stream was opened; controller's clock. ``number`` and
+    ``goal``: of that reference.
+    """
+
+    stream_id: int
+    attended: bool
+    fresh_ns: int
+    number: int = 0
+    goal: Goal | None = None
+
+
+def follow(
+    settings: Settings, stream: Stream, desired: Desired, q_meas: Array, arrival: StreamedPoseReceived
+) -> tuple[Stream, Approach] | Refusal:
+    """The stream with this reference as its newest, and the way there from ``desired``, or why not."""
+    reference = arrival.message
+    refusal = _place(settings, stream, arrival) or _form(settings, reference)
+    if refusal is not None:
+        return refusal
+    p, quaternion = np.array(reference.X_BT_ref.p_m), np.array(reference.X_BT_ref.q_wxyz)
+    quaternion /= np.linalg.norm(quaternion)
+    refusal = _near(settings, desired, p, quaternion)
+    if refusal is not None:
+        return refusal
+    straight = path_from(at_rest(desired.p, desired.quaternion), p[None], quaternion[None], np.ones(1), 0.0)
+    found = survey(settings, straight, q_meas)
+    if found.reason is not Reason.ACCEPTED:
+        return Refusal(found.reason, found.value, found.limit)
+    limits = _within_joint_speeds(settings, found)
+    twist = np.array(reference.twist_ref)
+    excess = np.abs(twist) / twist_limit(limits)
+    axis = int(excess.argmax())
+    too_fast = Refusal(Reason.TOO_FAST, abs(float(twist[axis])), float(twist_limit(limits)[axis]))
+    if excess[axis] > 1.0:
+        return too_fast
+    way = approach(desired, p, quaternion, twist, limits)
+    if way is None:
+        return too_fast
+    goal = Goal(p, quaternion, limits)
+    fresh_ns = max(stream.fresh_ns, arrival.left_ns)
+    return stream._replace(fresh_ns=fresh_ns, number=reference.number, goal=goal), way
+
+
+def last_way(stream: Stream, desired: Desired) -> Approach | None:
+    """The way from ``desired`` to rest at the newest reference; None when there was none."""
+    if stream.goal is None:
+        return None
+    return approach(desired, stream.goal.p, stream.goal.quaternion, _AT_REST, stream.goal.limits)
+
+
+def silence(settings: Settings, stream: Stream, now_ns: int) -> tuple[float, float]:
+    """How long no fresh reference has come (s), and the limit at which the valves are centred."""
+    limit = settings.streaming.first_s if stream.goal is None else settings.streaming.close_s
+    return (now_ns - stream.fresh_ns) * 1e-9, limit
+
+
+def faded(settings: Settings, fade: float, stream: Stream | None, now_ns: int, dt_s: float) -> float:
+    """``fade`` after a scan: towards 1 (standing still) while a stream is silent, else to 0 (full pace)."""
+    limits = settings.streaming
+    waits = stream is not None and stream.goal is not None
+    if waits and stream is not None and silence(settings, stream, now_ns)[0] > limits.slow_s:
+        return min(fade + dt_s / limits.ramp_s, 1.0)
+    return max(fade - dt_s / limits.recovery_s, 0.0)
+
+
+def pace(fade: float) -> float:
+    """Rate of time along the way, and share of the valve commands: 1 − 3x² + 2x³, smooth at both ends."""
+    return 1.0 - 3.0 * fade**2 + 2.0 * fade**3
+
+
+def at_pace(desired: Desired, rate: float) -> Desired:
+    """``desired`` with its velocities at ``rate``; accelerations are left, the servo does not use them."""
+    return desired if rate == 1.0 else desired._replace(v=rate * desired.v, omega=rate * desired.omega)
+
+
+def _place(settings: Settings, stream: Stream, arrival: StreamedPoseReceived) -> Refusal | None:
+    """A refusal of a reference that is not the next one of this stream, or rests on something old."""
+    reference = arrival.message
+    if reference.stream_id != stream.stream_id or not stream.attended:
+        return Refusal(Reason.NOT_STREAMING, float(reference.stream_id), float(stream.stream_id))
+    ahead = (reference.number - stream.number) % _NUMBERS
+    if stream.goal is not None and not 0 < ahead < _NUMBERS // 2:
+        return Refusal(Reason.OVERTAKEN, float(reference.number), float(stream.number))
+    if arrival.age_ns * 1e-9 > settings.streaming.max_age_s:
+        return Refusal(Reason.STALE, arrival.age_ns * 1e-9, settings.streaming.max_age_s)
+    return None
+
+
+def _form(settings: Settings, reference: StreamedPose) -> Refusal | None:
+    """A refusal of what no arm could do."""
+    if not (reference.X_BT_ref.is_finite() and all(map(math.isfinite, reference.twist_ref))):
+        return Refusal(Reason.NOT_FINITE, 0.0, 1.0)
+    norm = reference.X_BT_ref.quaternion_norm()
+    if abs(norm - 1.0) > QUATERNION_TOLERANCE:
+        return Refusal(Reason.NOT_UNIT_QUATERNION, norm, 1.0)
+    return None
+
+
+def _near(settings: Settings, desired: Desired, p: Array, quaternion: Array) -> Refusal | None:
+    """A refusal of a jump: further from the pose that is commanded now than a stream may ask for."""
+    limits = settings.streaming
+    distance = float(np.linalg.norm(p - desired.p))
+    if distance > limits.distance_m:
+        return Refusal(Reason.TOO_FAR, distance, limits.distance_m)
+    turn = 2.0 * math.asin(min(1.0, float(np.linalg.norm(orientation_error(quaternion, desired.quaternion)))))
+    return Refusal(Reason.TOO_FAR, turn, limits.turn_rad) if turn > limits.turn_rad else None
+
+
+def _within_joint_speeds(settings: Settings, straight: Survey) -> AxisLimits:
+    """The axes' limits, slowed down so far that no joint is faster than it may be on the straight way."""
+    limits = settings.streaming.axes
+    tool = math.sqrt(3.0) * np.array([limits.speed[0], limits.speed[3]])
+    paces = straight.peaks[0, [SPEED, TURN_SPEED]] / tool
+    joints = straight.peaks[0, JOINT_SPEED]
+    if joints <= paces.max():
+        return limits
+    return limits._replace(speed=limits.speed * (paces.max() / joints))
