@@ -1,8 +1,9 @@
 """Eyes in lockstep: pictures are rendered at the camera's rate, and only while somebody looks."""
 
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,10 +14,13 @@ from testbed.lockstep_world import World
 from testbed.rig_lockstep import LockstepLink
 from vision_pc.config import VisionConfig
 from vision_pc.core.look import combine
-from vision_pc.core.ports import Watch
+from vision_pc.core.ports import PairsAtRest, Watch
 from vision_pc.core.types import FrameObservation, Look, StereoPair
 from vision_pc.shell.annotate import annotated, png
 from vision_pc.shell.station import CameraStatus
+
+
+T = TypeVar("T")
 
 
 class LockstepEyes:
@@ -45,6 +49,18 @@ class LockstepEyes:
         look = combine(observations, await self._link.pose_at(time_ns), time_ns, self._config.look)
         self._world.log.add(self._world.time_ns, "look", X_CM=look.X_CM, X_CO=look.X_CO, frames=look.frames)
         return look
+
+    async def pairs_at_rest(self, frames: int) -> PairsAtRest:
+        """Fresh rendered pairs with the arm at rest."""
+        if self._link.state.group_state is GroupState.MOVING:
+            raise RequestRefused("refused.moving", "pictures: the arm is moving")
+        pairs = self._pairs(frames, self._pixels)
+        time_ns = int(np.mean([pair.capture_ns for pair in pairs]))
+        return PairsAtRest(tuple(pairs), await self._link.pose_at(time_ns))
+
+    async def aside(self, work: Callable[[], T]) -> T:
+        """What ``work`` returns; computing takes no simulated time."""
+        return work()
 
     @asynccontextmanager
     async def watch(self, *, markers: bool, odometry: bool) -> AsyncIterator[Watch]:

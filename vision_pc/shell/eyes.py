@@ -19,6 +19,7 @@ from protocol.reference_link import State
 from vision_pc.config import VisionConfig
 from vision_pc.core.intrinsics import calibration
 from vision_pc.core.look import combine, observe
+from vision_pc.core.ports import PairsAtRest
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import FrameObservation, Look, StereoPair
 from vision_pc.core.watch import Watcher
@@ -79,6 +80,22 @@ class CameraEyes:
             self._keep_picture(pair, observations[-1])
         time_ns = int(np.mean([observation.capture_ns for observation in observations]))
         return combine(observations, await self._link.pose_at(time_ns), time_ns, self._config.look)
+
+    async def pairs_at_rest(self, frames: int) -> PairsAtRest:
+        """Fresh pairs with the arm at rest. Raises as ``look``, but measures nothing."""
+        pairs: list[StereoPair] = []
+        newest_ns = time.monotonic_ns()
+        for _ in range(frames):
+            self._refuse_moving()
+            pairs.append(await self._camera.pair_after(newest_ns))
+            newest_ns = pairs[-1].capture_ns
+        self._refuse_moving()
+        middle_ns = int(np.mean([pair.capture_ns for pair in pairs]))
+        return PairsAtRest(tuple(pairs), await self._link.pose_at(middle_ns))
+
+    async def aside(self, work: Callable[[], T]) -> T:
+        """What ``work`` returns, computed in the eyes' own thread: the event loop stays free for the link."""
+        return await self._in_thread(work)
 
     @asynccontextmanager
     async def watch(self, *, markers: bool, odometry: bool) -> AsyncIterator[Watcher]:

@@ -1,0 +1,67 @@
+"""A guided hand-eye session in lockstep: the vision PC's own steps over the simulated arm and its pictures."""
+
+from collections.abc import Awaitable
+from pathlib import Path
+from typing import TypeVar
+
+from plant_emulator.core.scene import Scene
+from protocol.faults import CommandCode
+from testbed.event_log import EventLog
+from testbed.lockstep_eyes import LockstepEyes
+from testbed.lockstep_station import StationLog
+from testbed.lockstep_world import World
+from testbed.rig_lockstep import LockstepLink, run
+from testbed.settings import Settings
+from vision_pc.core.se3 import Array
+from vision_pc.shell.guided_calibration import GuidedCalibration
+from vision_pc.shell.hand_eye_store import SessionStore
+from vision_pc.shell.schemas import JSON
+from vision_pc.shell.socket_arm import SocketArm
+
+T = TypeVar("T")
+_CONNECT_NS = 5_000_000_000
+
+
+class GuidedRig:
+    """World, arm, camera and session. The arm is enabled and at rest in its starting pose."""
+
+    def __init__(self, settings: Settings, seed: int, sessions: Path) -> None:
+        self.world = World(settings, seed, EventLog())
+        self.settings = settings
+        self.link = LockstepLink(self.world)
+        self.eyes = LockstepEyes(self.world, self.link, settings.vision)
+        self.arm = SocketArm(self.link, settings.vision.motion)
+        log = StationLog(self.world)
+        store = SessionStore(sessions)
+        self.guided = GuidedCalibration(self.arm, self.eyes, self.link, settings.vision, log, store)
+        while not self.world.connected and self.world.time_ns < _CONNECT_NS:
+            self.world.step()
+        self.run(self.link.command(CommandCode.ENABLE))
+        self.run(self.link.next_state())
+
+    @property
+    def X_TC(self) -> Array:
+        """The camera in the hand as it truly is."""
+        return Scene(self.settings.scene).mounts.X_TC
+
+    def run(self, program: Awaitable[T]) -> T:
+        """The result of a program in simulated time."""
+        return run(program)  # type: ignore[arg-type]
+
+
+def quiet(_progress: float, _note: str) -> None:
+    """A report that nobody reads."""
+
+
+def start(rig: GuidedRig, name: str, seed: int) -> JSON:
+    """Begins a session and takes its first sample where the arm stands."""
+    check: JSON = rig.run(rig.guided.start(name, rig.guided.defaults, seed, quiet))
+    rig.run(rig.guided.sample(quiet))
+    return check
+
+
+def take_all(rig: GuidedRig, informative: bool) -> None:
+    """Samples until the session is complete, each at the pose proposed."""
+    while not rig.guided.session.complete:
+        rig.run(rig.guided.next_pose(quiet, informative))
+        rig.run(rig.guided.sample(quiet))

@@ -1,0 +1,300 @@
+"""Where to put the hand for the next sample: the pose that tells most about X among those that can be seen.
+
+Each candidate is a view of the marker. What it would add is the Fisher information of the maximum-likelihood
+problem H X P = Z with the residual in the camera (``maximum_likelihood``), camera noise as a small marker has
+it (range and tilt worse than the rest), and robot noise. Chosen is the candidate that makes the information
+about X alone, Z unknown, greatest: the largest determinant (D-optimal design).
+
+Whether the arm can go there is the controller's to say. A refused pose is not proposed again, nor are its
+neighbours, nor what turns the hand the same way and as far.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from protocol.errors import MeasurementFailed
+from vision_pc.core import intrinsics, se3
+from vision_pc.core.hand_eye import maximum_likelihood as ml
+from vision_pc.core.hand_eye import rigid
+from vision_pc.core.hand_eye.guided_settings import GuidedSettings
+from vision_pc.core.hand_eye.maximum_likelihood import Equations, Noise
+from vision_pc.core.hand_eye.samples import PosePairs
+from vision_pc.core.markers import corner_points
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraCalibration
+
+_ROUNDS = 20
+_DOUBT = 16.8  # χ² with six degrees of freedom beyond which (1 %) a sample counts less in planning
+_LOOSE = 1e-6  # information that keeps Z invertible before the first sample
+_NEIGHBOUR_RAD, _NEIGHBOUR_M = math.radians(12.0), 0.10
+_SHADOW_COS, _SHADOW_SHARE = math.cos(math.radians(20.0)), 0.95
+
+
+class Belief(NamedTuple):
+    """What is believed while planning: X and Z (4, 4), and the information (12, 12) of their perturbation."""
+
+    X: Array
+    Z: Array
+    information: Array
+
+    @property
+    def std(self) -> tuple[float, float]:
+        """Standard deviation of X, root of the summed variances: metres, radians."""
+        variances = np.diag(np.linalg.inv(self.information))[:6]
+        return float(np.sqrt(variances[:3].sum())), float(np.sqrt(variances[3:].sum()))
+
+
+class Proposal(NamedTuple):
+    """The next pose: X_BT, the marker there as it will be seen X_CT, and what it is worth.
+
+    ``pixel`` (2,) of the marker's middle in the left picture; ``distance`` m, ``obliquity`` rad; ``gain`` in
+    nats of information about X; ``std`` of X afterwards (m, rad), by the planning noise; ``choices`` candidates
+    passed all bounds.
+    """
+
+    X_BT: Array
+    X_CT: Array
+    pixel: Array
+    distance: float
+    obliquity: float
+    gain: float
+    std: tuple[float, float]
+    choices: int
+
+
+class Surroundings(NamedTuple):
+    """What bounds the views: the camera, the starting pose of the hand, and what the tool hides.
+
+    ``hidden``: for each eye rectangles (u_min, v_min, u_max, v_max) px. ``tool_C`` (3,): the tool's middle in
+    the camera.
+    """
+
+    camera: CameraCalibration
+    X_BT_start: Array
+    hidden: tuple[tuple[tuple[float, float, float, float], ...], ...]
+    tool_C: Array
+
+
+def nominal_mount(settings: GuidedSettings) -> Array:
+    """X_TC (4, 4) as measured by tape."""
+    return se3.transform(
+        se3.exp_so3(np.radians(settings.mount_rotation_deg)), np.array(settings.mount_position_m)
+    )
+
+
+def surroundings(
+    camera: CameraCalibration,
+    X_BT_start: Array,
+    X_CM: Array | None,
+    carried: Sequence[tuple[float, float, float, float]],
+    settings: GuidedSettings,
+) -> Surroundings:
+    """The bounds at the starting pose.
+
+    ``X_CM`` is the tool marker as seen there (None: no tool in view), ``carried`` what moves with it:
+    rectangles x_min, y_min, x_max, y_max in its plane.
+    """
+    if X_CM is None:
+        return Surroundings(camera, X_BT_start, ((), ()), se3.inverse(nominal_mount(settings))[:3, 3])
+    hidden = []
+    for eye in (camera.left, camera.right):
+        rectangles = []
+        for x0, y0, x1, y1 in carried:
+            corners = np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
+            pixels = intrinsics.project(eye, se3.apply(X_CM, corners))
+            low, high = np.nanmin(pixels, axis=0), np.nanmax(pixels, axis=0)
+            rectangles.append((float(low[0]), float(low[1]), float(high[0]), float(high[1])))
+        hidden.append(tuple(rectangles))
+    return Surroundings(camera, X_BT_start, tuple(hidden), X_CM[:3, 3])
+
+
+def believed(pairs: PosePairs, camera: CameraCalibration, settings: GuidedSettings) -> Belief:
+    """X and Z most probable after ``pairs`` (one at least) and the tape measure, with their information.
+
+    Samples that disagree count less (Cauchy), so that one bad sample does not send the hand astray.
+    """
+    prior = nominal_mount(settings)
+    precision = np.zeros((12, 12))
+    precision[:6, :6] = np.diag(
+        [settings.mount_std_m**-2.0] * 3 + [math.radians(settings.mount_std_deg) ** -2.0] * 3
+    )
+    X, Z = prior, pairs.H[0] @ prior @ pairs.P[0]
+    weights = np.ones(len(pairs))
+    for _ in range(_ROUNDS):
+        V = _covariances(pairs.H, pairs.P, X, Z, camera, settings)
+        r = ml.residuals(pairs.H, pairs.P, X, Z)
+        J = ml.jacobian(Equations(pairs.H, pairs.P, weights), X, Z, r)
+        W = weights[:, None, None] * np.linalg.inv(V)
+        away = np.concatenate([se3.local(prior, X), np.zeros(6)])
+        information = np.einsum("nki,nkl,nlj->ij", J, W, J) + precision
+        gradient = np.einsum("nki,nkl,nl->i", J, W, r) + precision @ away
+        step = np.linalg.solve(information + _LOOSE * np.eye(12), gradient)
+        X, Z = ml.moved(X, Z, -step, tied=False)
+        squares = np.einsum("ni,nij,nj->n", r, np.linalg.inv(V), r)
+        weights = 1.0 / (1.0 + np.maximum(squares - _DOUBT, 0.0) / _DOUBT)
+        if float(step @ information @ step) < 1e-12:
+            break
+    return Belief(X, Z, information)
+
+
+def propose(
+    belief: Belief,
+    around: Surroundings,
+    settings: GuidedSettings,
+    rng: np.random.Generator,
+    refused: Sequence[Array] = (),
+    informative: bool = True,
+) -> Proposal:
+    """The best of ``settings.candidates`` random views, or with ``informative`` false any one that passes.
+
+    ``refused``: poses X_BT that the controller has refused. Raises MeasurementFailed
+    (``measurement.hand_eye.no_pose``) when no candidate passes the bounds.
+    """
+    X_CT = _views(settings, around.camera, rng)
+    X_BT = belief.Z @ rigid.inverse(X_CT) @ rigid.inverse(belief.X)
+    passes = _passes(X_BT, X_CT, around, settings)
+    passes &= ~_foreseeably_refused(X_BT, around.X_BT_start, refused)
+    choices = np.flatnonzero(passes)
+    if not len(choices):
+        raise MeasurementFailed(
+            "measurement.hand_eye.no_pose",
+            f"none of {settings.candidates} views of the marker keeps all bounds ({len(refused)} poses were "
+            "refused by the controller); begin elsewhere or widen turn_deg, reach_m, distance_m",
+        )
+    X_CT, X_BT = X_CT[choices], X_BT[choices]
+    added = _information(X_BT, X_CT, belief, around.camera, settings)
+    values = _about_X(belief.information + added)
+    best = int(np.argmax(values)) if informative else 0
+    after = belief._replace(information=belief.information + added[best])
+    return Proposal(
+        X_BT[best],
+        X_CT[best],
+        intrinsics.project(around.camera.left, X_CT[best, None, :3, 3])[0],
+        float(np.linalg.norm(X_CT[best, :3, 3])),
+        float(_obliquity(X_CT[best : best + 1])[0]),
+        float(values[best] - _about_X(belief.information[None])[0]),
+        after.std,
+        len(choices),
+    )
+
+
+def information_of(
+    proposal: Proposal, belief: Belief, camera: CameraCalibration, settings: GuidedSettings
+) -> Array:
+    """What a sample at ``proposal`` would add to the information (12, 12) about X and Z."""
+    return _information(proposal.X_BT[None], proposal.X_CT[None], belief, camera, settings)[0]
+
+
+def _views(settings: GuidedSettings, camera: CameraCalibration, rng: np.random.Generator) -> Array:
+    """Random poses X_CT (n, 4, 4) of the marker before the camera: place, distance, tilt, roll."""
+    n = settings.candidates
+    pixels = rng.uniform((0.0, 0.0), (camera.width, camera.height), (n, 2))
+    rays = np.c_[intrinsics.normalised(camera.left, pixels), np.ones(n)]
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    p = rays * rng.uniform(*settings.distance_m, n)[:, None]
+    azimuth = rng.uniform(0.0, 2.0 * math.pi, n)
+    # more than the sine of evenly spread normals: oblique views tell most, and are few in any case
+    tilt = math.radians(settings.obliquity_deg) * np.sqrt(rng.uniform(0.0, 1.0, n))
+    roll = math.radians(settings.roll_deg) * rng.uniform(-1.0, 1.0, n)
+    leaning = np.c_[np.cos(azimuth) * tilt, np.sin(azimuth) * tilt, np.zeros(n)]
+    facing = np.diag([1.0, -1.0, -1.0])
+    spin = rigid.rotation_exp(np.c_[np.zeros((n, 2)), roll])
+    return rigid.pose(_towards(rays) @ rigid.rotation_exp(leaning) @ facing @ spin, p)
+
+
+def _towards(rays: Array) -> Array:
+    """Rotations (n, 3, 3) that turn the optical axis onto ``rays``, without roll."""
+    axis = np.cross(np.array([0.0, 0.0, 1.0]), rays)
+    sine = np.linalg.norm(axis, axis=1)
+    angle = np.arctan2(sine, rays[:, 2])
+    return rigid.rotation_exp(axis * (angle / np.maximum(sine, 1e-12))[:, None])
+
+
+def _foreseeably_refused(X_BT: Array, X_BT_start: Array, refused: Sequence[Array]) -> Array:
+    """Which candidates (n,) the controller will likely refuse: beside a refused pose, or in its shadow.
+
+    Joint limits lie around the starting pose on all sides: what turns the hand the same way as a refused pose
+    and as far is beyond the same limit.
+    """
+    turns = rigid.rotation_log(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ X_BT_start[:3, :3])
+    angles = np.linalg.norm(turns, axis=1)
+    doomed = np.zeros(len(X_BT), dtype=bool)
+    for pose in refused:
+        turn = rigid.rotation_log(pose[:3, :3].T @ X_BT_start[:3, :3])
+        angle = float(np.linalg.norm(turn))
+        apart = rigid.rotation_angle(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ pose[:3, :3])
+        beside = np.linalg.norm(X_BT[:, :3, 3] - pose[:3, 3], axis=1) < _NEIGHBOUR_M
+        doomed |= (apart < _NEIGHBOUR_RAD) & beside
+        if angle > _NEIGHBOUR_RAD:
+            same_way = turns @ turn >= _SHADOW_COS * angle * angles
+            doomed |= same_way & (angles >= _SHADOW_SHARE * angle)
+    return doomed
+
+
+def _obliquity(X_CT: Array) -> Array:
+    """Angle (n,) between the line of sight and the marker's normal."""
+    p = X_CT[:, :3, 3]
+    cosine = -np.einsum("ni,ni->n", p, X_CT[:, :3, 2]) / np.linalg.norm(p, axis=1)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _passes(X_BT: Array, X_CT: Array, around: Surroundings, settings: GuidedSettings) -> Array:
+    """Which candidates keep view, clearance, turn and reach (n,)."""
+    n = len(X_BT)
+    start = around.X_BT_start
+    turned = rigid.rotation_angle(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ start[:3, :3])
+    moved = np.linalg.norm(X_BT[:, :3, 3] - start[:3, 3], axis=1)
+    ahead = np.einsum("ni,ni->n", around.tool_C - X_CT[:, :3, 3], X_CT[:, :3, 2])
+    keep: Array = (turned <= math.radians(settings.turn_deg)) & (moved <= settings.reach_m)
+    keep &= (ahead >= settings.clearance_m) & (_obliquity(X_CT) <= math.radians(settings.obliquity_deg) + 1e-9)
+    corners = corner_points(1.5 * settings.marker_size_m)  # with the quiet zone
+    points = (corners @ np.swapaxes(X_CT[:, :3, :3], -1, -2)) + X_CT[:, None, :3, 3]
+    size = (around.camera.width, around.camera.height)
+    for eye, hidden in zip((around.camera.left, around.camera.right), around.hidden, strict=True):
+        pixels = intrinsics.project(eye, points.reshape(-1, 3)).reshape(n, 4, 2)
+        low, high = pixels.min(axis=1), pixels.max(axis=1)  # NaN behind the camera: fails every comparison
+        m = settings.margin_px
+        keep &= (low >= m).all(axis=1) & (high <= np.array(size) - m).all(axis=1)
+        for u0, v0, u1, v1 in hidden:
+            beside = (high[:, 0] < u0 - m) | (low[:, 0] > u1 + m)
+            keep &= beside | (high[:, 1] < v0 - m) | (low[:, 1] > v1 + m)
+    return keep
+
+
+def _information(
+    X_BT: Array, X_CT: Array, belief: Belief, camera: CameraCalibration, settings: GuidedSettings
+) -> Array:
+    """What each sample would add to the information about X and Z, (n, 12, 12)."""
+    equations = Equations(X_BT, X_CT, np.ones(len(X_BT)))
+    J = ml.jacobian(equations, belief.X, belief.Z, np.zeros((len(X_BT), 6)))
+    V = _covariances(X_BT, X_CT, belief.X, belief.Z, camera, settings)
+    return np.asarray(np.swapaxes(J, -1, -2) @ np.linalg.solve(V, J))
+
+
+def _covariances(
+    X_BT: Array, X_CT: Array, X: Array, Z: Array, camera: CameraCalibration, settings: GuidedSettings
+) -> Array:
+    """Covariance (n, 6, 6) of each residual: robot noise, and what a small square gives at its distance.
+
+    Across the line of sight and about it a corner's noise acts as it is; along it, and as a tilt, magnified
+    by the distance over the stereo baseline.
+    """
+    robot = Noise(1e-6, 1e-6, math.radians(settings.robot_std_deg), settings.robot_std_m)
+    V = ml.residual_covariances(Equations(X_BT, X_CT, np.ones(len(X_BT))), X, Z, robot)
+    z = np.linalg.norm(X_CT[:, :3, 3], axis=1)
+    across = settings.corner_std_px * z / camera.left.K[0, 0]
+    along = across * z / float(np.linalg.norm(camera.right.X_CE[:3, 3]))
+    side = settings.marker_size_m
+    stds = np.stack([across, across, along, along / side, along / side, across / side], axis=1)
+    V[:, np.arange(6), np.arange(6)] += stds**2
+    return V
+
+
+def _about_X(information: Array) -> Array:
+    """Log-determinant (n,) of the information about X with Z unknown, for (n, 12, 12)."""
+    padded = information + _LOOSE * np.eye(12)
+    whole, of_Z = np.linalg.slogdet(padded)[1], np.linalg.slogdet(padded[:, 6:, 6:])[1]
+    return np.asarray(whole - of_Z)

@@ -1,0 +1,404 @@
+"""The guided hand-eye session: check, propose, go, sample, and solve, over the arm and its camera.
+
+Each step that changes the session writes it to the disk before it answers. A step that fails changes nothing
+but the list of refused poses.
+"""
+
+import math
+from collections.abc import Awaitable, Callable
+from dataclasses import asdict, replace
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from protocol.errors import MeasurementFailed, RequestRefused
+from vision_pc.config import VisionConfig
+from vision_pc.core import se3
+from vision_pc.core.hand_eye import bundle, guided_sampling, methods, target
+from vision_pc.core.hand_eye import maximum_likelihood as ml
+from vision_pc.core.hand_eye.bundle import RobotNoise
+from vision_pc.core.hand_eye.guided_sampling import Belief, Proposal
+from vision_pc.core.hand_eye.guided_settings import GuidedSettings
+from vision_pc.core.hand_eye.methods import Method
+from vision_pc.core.hand_eye.result import HandEyeResult
+from vision_pc.core.hand_eye.session import Sample, Session, proposal_json
+from vision_pc.core.hand_eye.target import TargetLook
+from vision_pc.core.intrinsics import calibration
+from vision_pc.core.ports import ArmView, Photographer, Report
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import FrameObservation
+from vision_pc.shell.event_log import EventLog
+from vision_pc.shell.hand_eye_store import SessionStore
+from vision_pc.shell.schemas import JSON, pose_json
+from vision_pc.shell.station import Controller, StoppableArm
+
+T = TypeVar("T")
+
+COMPARED = (Method.TSAI, Method.HORAUD, Method.DANIILIDIS, Method.DQCR, Method.MAXIMUM_LIKELIHOOD)
+WANTED_STD_M = 0.003
+_PATIENCE = 12  # refused proposals in a row before ``next_pose`` gives up
+
+
+class Pictures(Photographer, Protocol):
+    """The camera, and a place to compute that does not hold up the link."""
+
+    async def aside(self, work: Callable[[], T]) -> T: ...
+
+
+class GuidedCalibration:
+    """One session at a time, over one rig."""
+
+    def __init__(
+        self,
+        arm: StoppableArm,
+        pictures: Pictures,
+        controller: Controller,
+        config: VisionConfig,
+        log: EventLog,
+        store: SessionStore,
+    ) -> None:
+        self._arm = arm
+        self._pictures = pictures
+        self._controller = controller
+        self._config = config
+        self._camera = calibration(config.camera)
+        self._log = log
+        self.store = store
+        self.defaults = config.hand_eye
+        self._session: Session | None = None
+        self._last: FrameObservation | None = None
+
+    @property
+    def session(self) -> Session:
+        """The session that is open. Raises RequestRefused (``refused.hand_eye.no_session``)."""
+        if self._session is None:
+            raise RequestRefused("refused.hand_eye.no_session", "no session is open: start or resume one")
+        return self._session
+
+    async def start(self, name: str, settings: GuidedSettings, seed: int, report: Report) -> JSON:
+        """Checks the starting pose and opens a session there, with no sample yet.
+
+        Raises RequestRefused (``refused.hand_eye.session_exists``), MeasurementFailed when the marker is not
+        seen, stands too obliquely, or leaves too few poses to go to.
+        """
+        if self.store.path(name).exists():
+            raise RequestRefused(
+                "refused.hand_eye.session_exists", f"session '{name}' is on the disk: resume it, or take another"
+            )
+        report(0.1, "looking at the marker")
+        seen, view, _ = await self._look(settings)
+        report(0.6, "looking for poses")
+        around = guided_sampling.surroundings(
+            self._camera, view.X_BT, seen.X_CM, self._config.markers.tool.carried_m, settings
+        )
+        session = Session(name, seed, settings, around)
+        check = await self._pictures.aside(lambda: self._checked(session, view.X_BT, seen))
+        self._open(session)
+        self._log.write("hand_eye_started", session=name, **check)
+        return check | {"session": self.view()}
+
+    def _checked(self, session: Session, X_BT: Array, seen: TargetLook) -> JSON:
+        """The verdict on the starting pose: the view of the marker, and what the poses around it promise."""
+        settings = session.settings
+        here = Sample("start", X_BT, seen.X_CT, seen.covariance, seen.corners_left, settings.marker_id, True, 0.0)
+        planned = session.with_sample(here)
+        belief = guided_sampling.believed(planned.pairs(), self._camera, settings)
+        choices = 0
+        for number in range(settings.poses - 1):
+            proposal = guided_sampling.propose(
+                belief, session.around, settings, np.random.default_rng([session.seed, 1, number])
+            )
+            choices = choices or proposal.choices
+            added = guided_sampling.information_of(proposal, belief, self._camera, settings)
+            belief = belief._replace(information=belief.information + added)
+        return {
+            "marker": marker_json(seen),
+            "poses_in_view": f"{choices} of {settings.candidates}",
+            "promised_std_mm": 1e3 * belief.std[0],
+            "promised_std_deg": math.degrees(belief.std[1]),
+            "verdict": f"marker {settings.marker_id} seen, 0/{settings.poses}: ready",
+        }
+
+    def resume(self, name: str) -> JSON:
+        """Opens a session from the disk."""
+        self._session = self.store.load(name, self._camera)
+        self._last = None
+        self._log.write("hand_eye_resumed", session=name, samples=len(self._session.samples))
+        return self.view()
+
+    async def propose(self, informative: bool = True) -> JSON:
+        """The next pose: the most informative one, or any that passes the bounds."""
+        session = self.session
+        if not session.samples:
+            raise RequestRefused("refused.hand_eye.no_sample", "take a sample at the starting pose first")
+        proposal = await self._pictures.aside(lambda: self._proposal(session, informative))
+        self._open(replace(session, proposal=proposal, proposed=session.proposed + 1))
+        return proposal_json(proposal)
+
+    def _proposal(self, session: Session, informative: bool) -> Proposal:
+        rng = np.random.default_rng([session.seed, 2, session.proposed])
+        refused = [X for X, _ in session.refused]
+        belief = self._belief(session)
+        return guided_sampling.propose(belief, session.around, session.settings, rng, refused, informative)
+
+    async def go(self, report: Report) -> JSON:
+        """Drives to the proposed pose. A pose that the controller refuses is remembered, and the arm rests."""
+        proposal = self.session.proposal
+        if proposal is None:
+            raise RequestRefused("refused.hand_eye.no_proposal", "no pose is proposed: propose one first")
+        report(0.1, "moving")
+        view = await self._driven(proposal.X_BT, learn=True)
+        return {"X_BT": pose_json(view.X_BT), "settled": view.settled, "off": _off(view.X_BT, proposal.X_BT)}
+
+    async def sample(self, report: Report, name: str | None = None) -> JSON:
+        """Takes a sample where the arm stands, in the place of sample ``name`` if that is given."""
+        session = self.session
+        if name is not None:
+            session.sample(name)
+        elif session.complete:
+            raise RequestRefused(
+                "refused.hand_eye.complete",
+                f"{len(session.samples)}/{session.settings.poses} samples are taken: solve, or remove one",
+            )
+        report(0.2, "looking at the marker")
+        seen, view, moved = await self._look(session.settings)
+        if name is None:
+            session, name = session.next_name()
+        sample = Sample(
+            name, view.X_BT, seen.X_CT, seen.covariance, seen.corners_left, session.settings.marker_id,
+            view.settled, moved,
+        )  # fmt: skip
+        self._open(session.with_sample(sample))
+        told = {"marker": marker_json(seen), "count": len(self.session.samples), "moved_mrad": round(moved, 3)}
+        told |= await self._pictures.aside(lambda: self._judged(name))
+        self._log.write("hand_eye_sample", session=session.name, sample=name, **told)
+        return {"sample": name} | told
+
+    def _judged(self, name: str) -> JSON:
+        """The sample's residual by what is believed, and how well X is known."""
+        session = self.session
+        belief = self._belief(session)
+        row = next(row for row in self._residuals(session, belief) if row["name"] == name)
+        std_m, std_rad = belief.std
+        return {
+            "residual_mm": row["residual_mm"],
+            "residual_deg": row["residual_deg"],
+            "std_mm": 1e3 * std_m,
+            "std_deg": math.degrees(std_rad),
+        }
+
+    async def redo(self, name: str, report: Report) -> JSON:
+        """Drives back to a sample's pose and takes it again; the old one stays until the new one is there."""
+        old = self.session.sample(name)
+        report(0.1, f"moving back to sample {name}")
+        await self._driven(old.X_BT, learn=False)
+        return await self.sample(report, name)
+
+    def remove(self, name: str) -> JSON:
+        """Leaves out a sample for good."""
+        self._open(self.session.without(name))
+        self._log.write("hand_eye_removed", session=self.session.name, sample=name)
+        return self.view()
+
+    async def next_pose(self, report: Report, informative: bool = True) -> JSON:
+        """Proposes and drives until the controller accepts a pose. Raises what it said last."""
+        for left in reversed(range(_PATIENCE)):
+            proposal = await self.propose(informative)
+            try:
+                return proposal | await self.go(report)
+            except RequestRefused:
+                # Only what the path survey refused was remembered; anything else must not be tried again.
+                if left == 0 or self.session.proposal is not None:
+                    raise
+        raise AssertionError("unreachable")
+
+    async def solve(self) -> JSON:
+        """X by the certified robust solver with everything known about it, others beside it, and a verdict."""
+        session = self.session
+        if not session.samples:
+            raise MeasurementFailed("measurement.hand_eye.too_few_samples", "0 samples are too few: take some")
+        answer = await self._pictures.aside(lambda: solved_json(session))
+        self._log.write("hand_eye_solved", session=session.name, verdict=answer["verdict"])
+        return answer
+
+    def view(self) -> JSON:
+        """The open session: its samples with residuals, and the proposal."""
+        session = self.session
+        belief = self._belief(session) if session.samples else None
+        rows = [] if belief is None else self._residuals(session, belief)
+        return {
+            "name": session.name,
+            "count": f"{len(session.samples)}/{session.settings.poses}",
+            "complete": session.complete,
+            "marker_id": session.settings.marker_id,
+            "samples": rows,
+            "std_mm": None if belief is None else 1e3 * belief.std[0],
+            "std_deg": None if belief is None else math.degrees(belief.std[1]),
+            "proposal": None if session.proposal is None else proposal_json(session.proposal),
+            "refused": len(session.refused),
+        }
+
+    async def _look(self, settings: GuidedSettings) -> tuple[TargetLook, ArmView, float]:
+        """The marker, the arm there, and by how many mrad an encoder moved meanwhile.
+
+        Raises MeasurementFailed (``measurement.hand_eye.not_settled``, and what ``look_at_target`` raises).
+        """
+        before = await self._settled(settings)
+        pictures = await self._pictures.pairs_at_rest(settings.frames)
+        after = await self._arm.view()
+        moved = 1e3 * float(np.abs(after.q_meas - before.q_meas).max())
+        if moved > settings.moved_mrad or before.motion_id != after.motion_id:
+            raise MeasurementFailed(
+                "measurement.hand_eye.not_settled",
+                f"the arm moved by {moved:.2f} mrad while the sample was taken, limit {settings.moved_mrad:g} mrad",
+            )
+        known = target.target_settings(self._config.markers, settings)
+        seen = await self._pictures.aside(
+            lambda: target.look_at_target(
+                pictures.pairs, self._camera, known, self._config.look, settings, self._last
+            )
+        )
+        self._last = seen.last
+        return seen, after._replace(X_BT=pictures.X_BT), moved
+
+    async def _settled(self, settings: GuidedSettings) -> ArmView:
+        """The view once the controller's flag says settled, or the time for it has passed."""
+        view = await self._arm.view()
+        began_ns = view.time_ns
+        while not view.settled and view.time_ns - began_ns < 1e9 * settings.settle_timeout_s:
+            await self._controller.next_state()
+            view = await self._arm.view()
+        return view
+
+    async def _driven(self, X_BT: Array, learn: bool) -> ArmView:
+        session = self.session
+        try:
+            return await self._arm.move_to(X_BT)
+        except RequestRefused as error:
+            if learn and error.cause in _IMPOSSIBLE:
+                self._open(
+                    replace(session, proposal=None, refused=(*session.refused, (X_BT, str(error))))
+                )
+            raise
+
+    def _belief(self, session: Session) -> Belief:
+        return guided_sampling.believed(session.pairs(), self._camera, session.settings)
+
+    @staticmethod
+    def _residuals(session: Session, belief: Belief) -> list[JSON]:
+        """For each sample what its marker's pose differs by from the prediction, in camera axes."""
+        pairs = session.pairs()
+        r = ml.residuals(pairs.H, pairs.P, belief.X, belief.Z)
+        by_name = dict(zip(pairs.names, r, strict=True))
+        return [
+            {
+                "name": s.name,
+                "residual_mm": [round(1e3 * float(v), 3) for v in by_name[s.name][:3]],
+                "residual_deg": [round(math.degrees(float(v)), 4) for v in by_name[s.name][3:]],
+                "distance_m": round(float(np.linalg.norm(s.X_CT[:3, 3])), 3),
+                "settled": s.settled,
+            }
+            for s in session.samples
+        ]
+
+    def _open(self, session: Session) -> None:
+        self.store.save(session)
+        self._session = session
+
+
+_IMPOSSIBLE = {
+    f"refused.{reason}"
+    for reason in ("outside_workspace", "joint_limit", "unreachable", "singular", "too_fast", "too_far")
+}
+
+
+def _off(X: Array, Y: Array) -> JSON:
+    away = se3.local(X, Y)
+    return {
+        "mm": round(1e3 * float(np.linalg.norm(away[:3])), 2),
+        "deg": round(math.degrees(float(np.linalg.norm(away[3:]))), 3),
+    }
+
+
+def marker_json(seen: TargetLook) -> JSON:
+    """What one look at the marker gave."""
+    std = np.sqrt(np.diag(seen.covariance))
+    p = seen.X_CT[:3, 3]
+    cosine = -float(p @ seen.X_CT[:3, 2]) / float(np.linalg.norm(p))
+    return {
+        "X_CT": pose_json(seen.X_CT),
+        "std_mm": [round(1e3 * float(v), 3) for v in std[:3]],
+        "std_deg": [round(math.degrees(float(v)), 4) for v in std[3:]],
+        "distance_m": round(float(np.linalg.norm(p)), 4),
+        "obliquity_deg": round(math.degrees(math.acos(min(max(cosine, -1.0), 1.0))), 2),
+        "seen": f"{seen.seen}/{seen.frames}",
+    }
+
+
+def solved_json(session: Session) -> JSON:
+    """The robust solution of a session with covariance, residuals, proof and verdict, and others beside it."""
+    pairs = session.pairs()
+    result = methods.solve(pairs, Method.ROBUST)
+    answer = _result_json(result) | {"others": [_other(pairs, m, result) for m in COMPARED]}
+    noise = result.noise
+    robot = None
+    if noise is not None and min(noise.robot_rotation, noise.robot_translation) > 0.0:
+        robot = RobotNoise(noise.robot_rotation, noise.robot_translation)
+    try:
+        adjusted = bundle.adjust(pairs, result, robot)
+    except MeasurementFailed as error:
+        answer["others"].append({"method": "image-space", "failed": f"{error.cause}: {error}"})
+    else:
+        answer["others"].append(
+            {"method": "image-space", "p_mm": _mm(adjusted.X), "off": _off(adjusted.X, result.X)}
+        )
+    return answer
+
+
+def _other(pairs: methods.PosePairs, method: Method, result: HandEyeResult) -> JSON:
+    try:
+        X = methods.solve(pairs, method).X
+    except MeasurementFailed as error:
+        return {"method": method.value, "failed": f"{error.cause}: {error}"}
+    return {"method": method.value, "p_mm": _mm(X), "off": _off(X, result.X)}
+
+
+def _mm(X: Array) -> list[float]:
+    return [round(1e3 * float(v), 3) for v in X[:3, 3]]
+
+
+def _result_json(result: HandEyeResult) -> JSON:
+    assert result.covariance is not None
+    assert result.certificate is not None
+    std = np.sqrt(np.diag(result.covariance))
+    std_m = float(np.linalg.norm(std[:3]))
+    left_out = [name for name, inlier in zip(result.names, result.inliers, strict=True) if not inlier]
+    good = result.certificate.holds and std_m <= WANTED_STD_M
+    proof = "proven global" if result.certificate.holds else "not proven global"
+    verdict = (
+        f"{'good' if good else 'take more samples'}: X known to {1e3 * std_m:.2f} mm and "
+        f"{math.degrees(float(np.linalg.norm(std[3:]))):.3f}°, {proof}, {len(left_out)} of "
+        f"{len(result.names)} samples left out"
+    )
+    return {
+        "method": result.method,
+        "X_TC": pose_json(result.X),
+        "X_BT_target": pose_json(result.Z),
+        "std_mm": [round(1e3 * float(v), 4) for v in std[:3]],
+        "std_deg": [round(math.degrees(float(v)), 5) for v in std[3:]],
+        "covariance_p_theta": result.covariance.tolist(),
+        "left_out": left_out,
+        "residuals": [
+            {
+                "name": name,
+                "mm": [round(1e3 * float(v), 3) for v in r[:3]],
+                "deg": [round(math.degrees(float(v)), 4) for v in r[3:]],
+            }
+            for name, r in zip(result.names, result.residuals, strict=True)
+        ],
+        "certificate": asdict(result.certificate) | {"holds": result.certificate.holds},
+        "observability": result.observability.reason,
+        "notes": list(result.notes),
+        "good": good,
+        "verdict": verdict,
+    }
