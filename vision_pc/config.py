@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 
 from protocol.configuration import StrictModel
 from vision_pc.core.calibration.settings import ProgramSettings
+from vision_pc.core.hand_eye.guided_settings import GuidedSettings
 
 Positive = Annotated[float, Field(gt=0.0)]
 Port = Annotated[int, Field(ge=1, le=65535)]
@@ -202,4 +203,6 @@ class VisionConfig(StrictModel):
     link: LinkSettings = LinkSettings()
     motion: MotionSettings = MotionSettings()
     programs: ProgramSettings
+    hand_eye: GuidedSettings = GuidedSettings()
+    sessions_dir: Path = Path("runs/hand-eye")
     api: ApiSettings = ApiSettings()
