@@ -11,6 +11,8 @@ from protocol.faults import CommandCode
 from protocol.reference_link import FLAG_EMERGENCY_LATCHED, FLAG_PLANT_LINK_OK, FLAG_SETTLED, State
 from vision_pc.core.se3 import from_pose
 from vision_pc.shell import problems
+from vision_pc.shell.guided_calibration import GuidedCalibration
+from vision_pc.shell.hand_eye_routes import add_hand_eye
 from vision_pc.shell.operation_routes import add_operations
 from vision_pc.shell.operations import Operations
 from vision_pc.shell.schemas import JSON, calibration_json, pose_json
@@ -27,8 +29,10 @@ _EXAMPLE = problems.problem(409, "refused.disabled", "move: the arm is disabled;
 _PROBLEM: JSON = {"description": "A problem", "content": {problems.MEDIA_TYPE: {"example": _EXAMPLE}}}
 
 
-def create_app(station: Station, operations: Operations) -> FastAPI:
-    """The application over one station."""
+def create_app(
+    station: Station, operations: Operations, guided: GuidedCalibration | None = None
+) -> FastAPI:
+    """The application over one station, with guided hand-eye calibration if that is given."""
     app = FastAPI(
         title="Longreach vision PC",
         version="1",
@@ -39,6 +43,8 @@ def create_app(station: Station, operations: Operations) -> FastAPI:
     _add_reading(app, station, operations)
     _add_commands(app, station, operations)
     add_operations(app, station, operations)
+    if guided is not None:
+        add_hand_eye(app, station, operations, guided)
     return app
 
 
