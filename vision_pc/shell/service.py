@@ -23,6 +23,8 @@ from vision_pc.shell.cameras import open_camera
 from vision_pc.shell.controller_link import ControllerLink
 from vision_pc.shell.event_log import EventLog
 from vision_pc.shell.eyes import CameraEyes
+from vision_pc.shell.guided_calibration import GuidedCalibration
+from vision_pc.shell.hand_eye_store import SessionStore
 from vision_pc.shell.operations import Operations
 from vision_pc.shell.socket_arm import SocketArm
 from vision_pc.shell.station import Station
@@ -71,9 +73,10 @@ class VisionService:
         arm = SocketArm(link, config.motion)
         station = Station(arm, eyes, link, eyes, config.programs, log)
         operations = Operations(arm.halt, log)
+        guided = GuidedCalibration(arm, eyes, link, config, log, SessionStore(config.sessions_dir))
         server = _Server(
             uvicorn.Config(
-                create_app(station, operations),
+                create_app(station, operations, guided),
                 log_config=None,
                 access_log=False,
                 lifespan="off",
