@@ -11,6 +11,7 @@ from protocol.errors import LongreachError
 from testbed.conformance.command import app as conformance
 from testbed.console import err
 from testbed.dissector.command import sniff
+from testbed.experiments.commands import add_to
 from testbed.fault_proxy.command import proxy
 from testbed.hand_eye.cli import app as hand_eye
 from testbed.hand_eye.cli import register_experiments
@@ -29,6 +30,7 @@ app.add_typer(validate, name="validate")
 
 experiment = typer.Typer(help="Seeded experiments that write tables.", no_args_is_help=True)
 app.add_typer(experiment, name="experiment")
+add_to(experiment)
 
 register_experiments(experiment)
 
@@ -134,6 +136,30 @@ def soak(
     raise typer.Exit(0 if run_soak(config_dir, overrides, minutes, free_ports, runs, json_file) else 1)
 
 
+@app.command(
+    epilog="Example: longreach odometry --left image_0 --right image_1 --calib calib.txt --out path.tum"
+)
+def odometry(
+    left: Annotated[Path, typer.Option(help="Directory of the left eye's rectified pictures.")],
+    right: Annotated[Path, typer.Option(help="Directory of the right eye's.")],
+    calib: Annotated[Path, typer.Option(help="YAML with fx_px … baseline_m, or KITTI's calib.txt.")],
+    trajectory: Annotated[Path, typer.Option("--out", help="Where the TUM trajectory goes.")] = Path(
+        "trajectory.tum"
+    ),
+    rate_hz: Annotated[
+        float, typer.Option(min=0.1, help="Pairs a second, where neither times.txt nor names tell.")
+    ] = 10.0,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    json_file: JsonFile = None,
+) -> None:
+    """The camera's path from a directory of rectified pairs; exit status 1 when a pair was lost."""
+    from testbed.odometry import run_odometry
+
+    found_all = run_odometry(config_dir, left, right, calib, rate_hz, trajectory, settings or [], json_file)
+    raise typer.Exit(0 if found_all else 1)
+
+
 @validate.command("plant", epilog="Example: longreach validate plant --json plant.json")
 def validate_plant_command(config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None) -> None:
     """The plant against twenty families of known answers (geometry to energy balance)."""
@@ -184,6 +210,43 @@ def controller_kills_command(
     from testbed.experiments.controller_kills import run_experiment
 
     raise typer.Exit(0 if run_experiment(config_dir, count, seed, settings or [], runs, json_file) else 1)
+
+
+@experiment.command(
+    "plant-campaign",
+    epilog="Example: longreach experiment plant-campaign --runs 500 --seed 1 --json rough.json",
+)
+def plant_campaign_command(
+    count: Annotated[
+        int, typer.Option("--runs", min=4, help="How many runs, a quarter of each event.")
+    ] = 500,
+    seed: Seed = 1,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    scheduler: Scheduler = None,
+    directory: Annotated[
+        Path, typer.Option("--out", help="Rows, figures; what is there already is not run again.")
+    ] = DEFAULT_RUNS / "plant-campaign",
+    json_file: JsonFile = None,
+) -> None:
+    """Sudden stops, payload drops, end-stop impacts, pump losses: exit status 0 when all books balance."""
+    from testbed.experiments.plant_campaign import run_experiment
+
+    raise typer.Exit(0 if run_experiment(config_dir, count, seed, directory, scheduler, json_file) else 1)
+
+
+@validate.command(
+    "plant-survey", epilog="Example: longreach validate plant-survey --out runs/survey --json survey.json"
+)
+def plant_survey_command(
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    directory: Annotated[Path, typer.Option("--out", help="Where rows and plot go.")] = DEFAULT_RUNS
+    / "plant-survey",
+    json_file: JsonFile = None,
+) -> None:
+    """Sag, play, static error and free vibration of both arms over the workspace, beside stated figures."""
+    from testbed.validation.plant_survey import run_survey
+
+    run_survey(config_dir, directory, json_file)
 
 
 def main() -> None:

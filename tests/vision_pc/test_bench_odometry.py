@@ -86,7 +86,7 @@ def test_ahead_of_orb_slam3(
         before = [shot(truly, texture, true[0], 1000 + k, case, markers) for k in range(LOOKS)]
         told = learnt(before, camera, config)
     ours = follow(told, config, pairs)
-    peer = orb_slam3.follow(camera, words, pairs)
+    peer = one_map(orb_slam3.follow(camera, words, pairs))
     capfd.readouterr()  # what the peer tells of itself
     with capfd.disabled():
         print(
@@ -135,6 +135,14 @@ def follow(camera: CameraCalibration, config: VisionConfig, pairs: list[StereoPa
         if pose is not None:
             found.append(pose)
     return Followed(found, spent)
+
+
+def one_map(followed: Followed) -> Followed:
+    """The longest stretch without a loss: after one the peer begins a map of its own, elsewhere."""
+    ids = [pose.frame_id for pose in followed.poses]
+    stretches = np.split(np.arange(len(ids)), 1 + np.flatnonzero(np.diff(ids) != 1))
+    longest = max(stretches, key=len)
+    return followed._replace(poses=[followed.poses[k] for k in longest])
 
 
 def milliseconds(followed: Followed) -> float:

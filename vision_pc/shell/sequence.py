@@ -47,6 +47,11 @@ def read_pairs(left: Path, right: Path, rate_hz: float) -> Iterator[StereoPair]:
         yield pair
 
 
+def count_pairs(left: Path) -> int:
+    """How many pictures ``left`` holds. Raises ConfigurationError where there are none."""
+    return len(_pictures(left))
+
+
 def read_calibration(path: Path, pair: StereoPair) -> CameraCalibration:
     """The calibration in ``path`` for pictures like ``pair``'s.
 
