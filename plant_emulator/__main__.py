@@ -7,12 +7,13 @@ import logging
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import uvloop
 
 from plant_emulator.config import load_plant_side
 from plant_emulator.shell.service import Options, PlantService
-from protocol.configuration import parse_overrides
+from protocol.configuration import merged, parse_overrides
 from protocol.errors import LongreachError
 
 _EPILOG = (
@@ -51,6 +52,11 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--record-dir", type=Path, help="write the truth to truth.mcap in this directory")
     parser.add_argument("--statistics", type=Path, metavar="FILE", help="write figures as JSON at the end")
+    parser.add_argument(
+        "--allow-faults",
+        action="store_true",
+        help="let the HTTP face at plant_service.fault_face break things",
+    )
     return parser.parse_args(argv)
 
 
@@ -61,7 +67,10 @@ def main(argv: list[str] | None = None) -> int:
     handler.setFormatter(_JsonLines())
     logging.basicConfig(level=logging.INFO, handlers=[handler])
     try:
-        config = load_plant_side(arguments.config_dir, parse_overrides(arguments.set))
+        overrides: dict[str, Any] = parse_overrides(arguments.set)
+        if arguments.allow_faults:
+            overrides = merged(overrides, {"plant_service": {"fault_face": {"allowed": True}}})
+        config = load_plant_side(arguments.config_dir, overrides)
         options = Options(arguments.record_dir, arguments.statistics)
         with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
             return runner.run(PlantService(config, options).run())

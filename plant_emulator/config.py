@@ -18,11 +18,18 @@ class Endpoint(StrictModel):
     port: int = Field(ge=0, le=65535)
 
 
+class FaultFaceConfig(Endpoint):
+    """Where the HTTP face for faults listens, and whether it may break anything."""
+
+    allowed: bool
+
+
 class PlantServiceConfig(StrictModel):
     """``plant_service.yaml``: what the emulator's process does beside physics."""
 
     modbus: Endpoint
     camera_stream: Endpoint
+    fault_face: FaultFaceConfig
     period_ms: float = Field(gt=0.1, le=20.0)
     truth_hz: float = Field(ge=50.0, le=1000.0)
     scheduling: Literal["fifo_if_allowed", "normal"]

@@ -172,6 +172,11 @@ class CameraConfig(StrictModel):
     dropped_frame_share: float = Field(default=0.0, ge=0.0, le=1.0)
     frozen_frame_share: float = Field(default=0.0, ge=0.0, le=1.0)
 
+    @property
+    def shows_motion(self) -> bool:
+        """Whether its pictures depend on how it moves."""
+        return self.motion_blur_samples > 1 or self.readout_ms > 0.0
+
     @model_validator(mode="after")
     def _principal_point_inside(self) -> "CameraConfig":
         if not (self.lens.cx_px < self.width_px and self.lens.cy_px < self.height_px):

@@ -43,10 +43,14 @@ class Launch(NamedTuple):
 
 def free_ports() -> dict[str, Any]:
     """Overrides that give every listener a free port and tell its peers."""
-    modbus, camera, rest = (free_port() for _ in range(3))
+    modbus, camera, faults, rest = (free_port() for _ in range(4))
     reference = free_port(socket.SOCK_DGRAM)
     return {
-        "plant_service": {"modbus": {"port": modbus}, "camera_stream": {"port": camera}},
+        "plant_service": {
+            "modbus": {"port": modbus},
+            "camera_stream": {"port": camera},
+            "fault_face": {"port": faults},
+        },
         "controller": {"plant_link": {"port": modbus}, "reference_link": {"port": reference}},
         "vision": {
             "link": {"port": reference},
@@ -62,6 +66,7 @@ def ports_in_use(settings: Settings) -> tuple[PortUse, ...]:
     return (
         PortUse("fieldbus", service.modbus.host, service.modbus.port, socket.SOCK_STREAM),
         PortUse("camera", service.camera_stream.host, service.camera_stream.port, socket.SOCK_STREAM),
+        PortUse("faults", service.fault_face.host, service.fault_face.port, socket.SOCK_STREAM),
         PortUse("reference", link.host, link.port, socket.SOCK_DGRAM),
         PortUse("rest", api.host, api.port, socket.SOCK_STREAM),
     )

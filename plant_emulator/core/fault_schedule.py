@@ -21,6 +21,16 @@ class Injection(NamedTuple):
     start_ns: int
     end_ns: int | None
 
+    def as_dict(self) -> dict[str, Any]:
+        """What recording and HTTP face tell of it; times in nanoseconds of simulated time."""
+        return {
+            "number": self.number,
+            "name": self.fault.name,
+            "start_ns": self.start_ns,
+            "end_ns": self.end_ns,
+            "fault": self.fault.model_dump(mode="json"),
+        }
+
     def overlaps(self, other: "Injection") -> bool:
         """Whether the two are ever in force together."""
         ends = [NEVER_NS if one.end_ns is None else one.end_ns for one in (self, other)]
@@ -35,17 +45,8 @@ class FaultChange(NamedTuple):
     injection: Injection
 
     def as_dict(self) -> dict[str, Any]:
-        """What the recording and the HTTP face tell of it; times in nanoseconds of simulated time."""
-        number, fault, start_ns, end_ns = self.injection
-        return {
-            "number": number,
-            "name": fault.name,
-            "phase": self.phase,
-            "time_ns": self.time_ns,
-            "start_ns": start_ns,
-            "end_ns": end_ns,
-            "fault": fault.model_dump(mode="json"),
-        }
+        """What the recording tells of it; times in nanoseconds of simulated time."""
+        return {"phase": self.phase, "time_ns": self.time_ns} | self.injection.as_dict()
 
 
 class FaultSchedule:
@@ -75,7 +76,7 @@ class FaultSchedule:
         if duration_ns is not None and duration_ns <= 0:
             raise RequestRefused("refused.fault_time", f"duration {duration_ns} ns: wanted more than 0")
         end_ns = None if duration_ns is None else start_ns + duration_ns
-        known = self.active + self.planned
+        known = self.all()
         if len(known) >= MOST:
             raise RequestRefused("refused.too_many_faults", f"{len(known)} faults: at most {MOST}")
         injection = Injection(self._numbers + 1, fault, start_ns, end_ns)
@@ -92,7 +93,7 @@ class FaultSchedule:
 
     def clear(self, number: int, now_ns: int) -> Injection:
         """The fault of this number, which is over now. Raises RequestRefused (``refused.no_such_fault``)."""
-        for injection in self.active + self.planned:
+        for injection in self.all():
             if injection.number == number:
                 self._end(injection, now_ns)
                 return injection
@@ -100,7 +101,7 @@ class FaultSchedule:
 
     def clear_all(self, now_ns: int) -> None:
         """Everything is over now."""
-        for injection in self.active + self.planned:
+        for injection in self.all():
             self._end(injection, now_ns)
 
     def next_ns(self) -> int:
@@ -122,6 +123,10 @@ class FaultSchedule:
             self.active = (*self.active, injection)
             self._note(now_ns, "began", injection)
         return self.active != before
+
+    def all(self) -> tuple[Injection, ...]:
+        """Those in force and those planned."""
+        return self.active + self.planned
 
     def of_kind(self, kind: type[FaultT]) -> FaultT | None:
         """The latest fault of this kind in force, or None."""

@@ -23,7 +23,6 @@ from plant_emulator.core.modbus_requests import (
     DIAGNOSTICS,
     ECHO,
     ILLEGAL_VALUE,
-    MAX_PDU_BYTES,
     READ_COILS,
     READ_DISCRETE,
     READ_STATUS,
@@ -33,10 +32,10 @@ from plant_emulator.core.modbus_requests import (
     exception_for,
     written,
 )
+from plant_emulator.shell.coupler_connection import CouplerConnection
 from protocol.coupler_registers import IDENTIFICATION
 from protocol.process_image import ValveImage
 
-_MBAP = struct.Struct(">HHHB")
 _BIT_FUNCTIONS = (READ_COILS, READ_DISCRETE, WRITE_COIL, WRITE_COILS)
 _CENTRED = ValveImage(0, 0, (0.0,) * 6)
 log = logging.getLogger(__name__)
@@ -64,7 +63,8 @@ class Coupler:
     ``sensor_words``: called for each read of the inputs, returns INPUT_WORDS words. ``on_valves``: called
     with each whole image that a master wrote, and with a centred one when the watchdog expires.
     ``release_ns``: a master that has not written for so long loses the outputs to whoever writes next.
-    ``clock_ns``: a monotonic clock.
+    ``clock_ns``: a monotonic clock. ``silent``: while it returns True, requests are neither answered nor
+    carried out, and connections stay open.
     """
 
     def __init__(
@@ -73,23 +73,25 @@ class Coupler:
         on_valves: Callable[[ValveImage], None],
         release_ns: int,
         clock_ns: Callable[[], int],
+        silent: Callable[[], bool] = lambda: False,
     ) -> None:
         self.statistics = CouplerStatistics()
         self._on_valves = on_valves
         self._clock_ns = clock_ns
+        self.silent = silent
         self._watchdog = CouplerWatchdog(release_ns)
         self._image = CouplerImage(sensor_words, self._watchdog)
         self._decoder = DecodePDU(is_server=True)
         self._asking: object = None
         self._counted_from = dict(vars(self.statistics))
-        self._connections: set[_Connection] = set()
+        self._connections: set[CouplerConnection] = set()
         self._server: asyncio.Server | None = None
         self._alarm: asyncio.TimerHandle | None = None
 
     async def start(self, bound: socket.socket) -> tuple[str, int]:
         """Listen on a bound socket; returns its address. Raises OSError when somebody listens there."""
         loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(lambda: _Connection(self), sock=bound)
+        self._server = await loop.create_server(lambda: CouplerConnection(self), sock=bound)
         host, port = bound.getsockname()
         return str(host), int(port)
 
@@ -153,12 +155,16 @@ class Coupler:
                 self._on_valves(image)
         return ExcCodes(code) if code else None
 
-    def connected(self, connection: "_Connection") -> None:
+    def lost_its_place(self) -> None:
+        """A frame header made no sense; its connection ends."""
+        self.statistics.framing_errors += 1
+
+    def connected(self, connection: CouplerConnection) -> None:
         """A master has connected."""
         self._connections.add(connection)
         self.statistics.connections += 1
 
-    def disconnected(self, connection: "_Connection") -> None:
+    def disconnected(self, connection: CouplerConnection) -> None:
         """A master has gone; the outputs keep their words until a watchdog acts."""
         self._connections.discard(connection)
         self._watchdog.gone(connection)
@@ -219,55 +225,6 @@ class Coupler:
         except StopIteration as finished:
             return cast(ModbusPDU, finished.value)
         raise RuntimeError("a Modbus request waited inside the process image")
-
-
-class _Connection(asyncio.Protocol):
-    """One master's TCP connection: frames in, frames out, order kept."""
-
-    def __init__(self, coupler: Coupler) -> None:
-        self._coupler = coupler
-        self._buffer = bytearray()
-        self._transport: asyncio.Transport | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.Transport, transport)
-        self._coupler.connected(self)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._coupler.disconnected(self)
-
-    def close(self) -> None:
-        """Close the connection at once."""
-        if self._transport is not None:
-            self._transport.abort()
-
-    def data_received(self, data: bytes) -> None:
-        self._buffer += data
-        answers = bytearray()
-        while len(self._buffer) >= _MBAP.size:
-            transaction, protocol, length, unit = _MBAP.unpack_from(self._buffer)
-            if protocol != 0 or not 2 <= length <= MAX_PDU_BYTES + 1:
-                # The place in the stream is lost and cannot be found again.
-                log.warning("coupler: frame header %s refused, connection closed", self._buffer[:7].hex())
-                self._coupler.statistics.framing_errors += 1
-                self._buffer.clear()
-                self._close_after(answers)
-                return
-            end = _MBAP.size - 1 + length
-            if len(self._buffer) < end:
-                break
-            pdu = bytes(self._buffer[_MBAP.size : end])
-            del self._buffer[:end]
-            response = self._coupler.answer(self, unit, pdu)
-            answers += _MBAP.pack(transaction, 0, len(response) + 1, unit) + response
-        if answers and self._transport is not None:
-            self._transport.write(bytes(answers))
-
-    def _close_after(self, answers: bytearray) -> None:
-        if self._transport is not None:
-            if answers:
-                self._transport.write(bytes(answers))
-            self._transport.close()
 
 
 def _is_image(pdu: bytes, function: int, writes: bool) -> bool:

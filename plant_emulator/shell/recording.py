@@ -1,9 +1,6 @@
 """The plant's own recording of the truth: MCAP with JSON messages that survives a kill, and its reader.
 
-Topics: ``/plant/truth`` (PlantTruth, regularly), ``/plant/capture`` (the same with the frame's number, at
-each capture instant), ``/plant/event`` (what happened, free form). ``log_time`` is the plant machine's
-monotonic clock, ``publish_time`` the plant's own simulated time; both in nanoseconds. Lengths in metres,
-angles in radians, pressures in Pa. The metadata record ``run`` holds the configuration as JSON.
+docs/recording.md is the written format: channels, fields, units, frames.
 """
 
 import json
@@ -19,9 +16,10 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
+from plant_emulator.core.fault_schedule import FaultChange
 from plant_emulator.core.truth import PlantTruth
 
-TRUTH, CAPTURE, EVENT = "/plant/truth", "/plant/capture", "/plant/event"
+TRUTH, CAPTURE, FAULT, EVENT = "/plant/truth", "/plant/capture", "/plant/fault", "/plant/event"
 _CHUNK_BYTES = 1 << 16  # an upper bound: each capture closes its chunk
 _SCHEMA = json.dumps(
     {
@@ -35,6 +33,25 @@ _SCHEMA = json.dumps(
         | {"frame_id": {"type": "integer"}},
     }
 ).encode()
+
+
+_FAULT_SCHEMA = json.dumps(
+    {
+        "type": "object",
+        "title": "longreach.Fault",
+        "description": "One step in the life of a fault. Times in nanoseconds of simulated time.",
+        "properties": {
+            "number": {"type": "integer"},
+            "name": {"type": "string"},
+            "phase": {"enum": ["planned", "began", "ended", "withdrawn"]},
+            "time_ns": {"type": "integer"},
+            "start_ns": {"type": "integer"},
+            "end_ns": {"type": ["integer", "null"]},
+            "fault": {"type": "object"},
+        },
+    }
+).encode()
+_EVENT_SCHEMA = b'{"type": "object", "title": "longreach.Event"}'
 
 
 class TruthRecord(NamedTuple):
@@ -53,10 +70,26 @@ class EventRecord(NamedTuple):
     fields: dict[str, Any]
 
 
+class FaultRecord(NamedTuple):
+    """One fault of a run: its kind and parameters, and from when to when it was in force.
+
+    ``began_ns`` and ``ended_ns`` are simulated times, None where it did not; ``log_ns`` is the monotonic time
+    at which it began, or at which it was first heard of.
+    """
+
+    number: int
+    name: str
+    fault: dict[str, Any]
+    log_ns: int
+    began_ns: int | None
+    ended_ns: int | None
+
+
 class Recording(NamedTuple):
     """What a recording holds, in order of writing. ``complete``: the file was closed, not cut off."""
 
     truths: tuple[TruthRecord, ...]
+    faults: tuple[FaultRecord, ...]
     events: tuple[EventRecord, ...]
     run: dict[str, Any]
     complete: bool
@@ -71,7 +104,7 @@ class Recording(NamedTuple):
 
 
 class TruthRecorder:
-    """Writes a recording. Every capture and event is on its way to the disk when the call returns."""
+    """Writes a recording. Every capture, fault and event is on its way to the disk when the call returns."""
 
     def __init__(self, path: Path, run: Mapping[str, Any]) -> None:
         """Create ``path``; ``run`` goes into the metadata. Raises OSError when it cannot be written."""
@@ -80,8 +113,9 @@ class TruthRecorder:
         self._writer: Any = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library="longreach")
         truth_schema = self._writer.register_schema("longreach.PlantTruth", "jsonschema", _SCHEMA)
-        event_schema = self._writer.register_schema("longreach.Event", "jsonschema", b'{"type": "object"}')
-        schemas = {TRUTH: truth_schema, CAPTURE: truth_schema, EVENT: event_schema}
+        fault_schema = self._writer.register_schema("longreach.Fault", "jsonschema", _FAULT_SCHEMA)
+        event_schema = self._writer.register_schema("longreach.Event", "jsonschema", _EVENT_SCHEMA)
+        schemas = {TRUTH: truth_schema, CAPTURE: truth_schema, FAULT: fault_schema, EVENT: event_schema}
         self._channels = {
             topic: self._writer.register_channel(topic, "json", schema) for topic, schema in schemas.items()
         }
@@ -96,6 +130,11 @@ class TruthRecorder:
     def capture(self, truth: PlantTruth, log_ns: int, frame_id: int) -> None:
         """Record the truth at the instant at which frame ``frame_id`` is exposed."""
         self._add(CAPTURE, {"frame_id": frame_id} | _jsonable(truth), log_ns, truth.time_ns)
+        self._writer.flush()
+
+    def fault(self, change: FaultChange, log_ns: int) -> None:
+        """Record that a fault was planned, began, ended or was withdrawn."""
+        self._add(FAULT, change.as_dict(), log_ns, change.time_ns)
         self._writer.flush()
 
     def event(self, fields: Mapping[str, Any], log_ns: int, time_ns: int) -> None:
@@ -121,6 +160,7 @@ def read_truth(path: Path) -> Recording:
     Raises OSError when the file cannot be read, InvalidMagic when it is not MCAP at all.
     """
     truths: list[TruthRecord] = []
+    faults: dict[int, FaultRecord] = {}
     events: list[EventRecord] = []
     run: dict[str, Any] = {}
     topics: dict[int, str] = {}
@@ -133,13 +173,15 @@ def read_truth(path: Path) -> Recording:
                 run = json.loads(record.metadata["configuration"])
             elif isinstance(record, Message):
                 data = json.loads(record.data)
-                if topics[record.channel_id] == EVENT:
+                if topics[record.channel_id] == FAULT:
+                    faults[data["number"]] = _further(faults.get(data["number"]), data, record.log_time)
+                elif topics[record.channel_id] == EVENT:
                     events.append(EventRecord(record.log_time, record.publish_time, data))
                 else:
                     truths.append(TruthRecord(record.log_time, data.pop("frame_id", None), _truth(data)))
             elif record is None:
                 complete = True
-    return Recording(tuple(truths), tuple(events), run, complete)
+    return Recording(tuple(truths), tuple(faults.values()), tuple(events), run, complete)
 
 
 def _records(stream: BinaryIO) -> Iterator[Any]:
@@ -151,6 +193,14 @@ def _records(stream: BinaryIO) -> Iterator[Any]:
     except (McapError, struct.error):
         return  # a record that a kill cut off; all before it are whole
     yield None
+
+
+def _further(known: FaultRecord | None, change: Mapping[str, Any], log_ns: int) -> FaultRecord:
+    """What is known of a fault after one more change of it."""
+    known = known or FaultRecord(change["number"], change["name"], change["fault"], log_ns, None, None)
+    if change["phase"] == "began":
+        return known._replace(log_ns=log_ns, began_ns=change["time_ns"])
+    return known._replace(ended_ns=change["time_ns"]) if change["phase"] == "ended" else known
 
 
 def _jsonable(truth: PlantTruth) -> dict[str, Any]:

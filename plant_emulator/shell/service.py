@@ -1,30 +1,28 @@
 """The emulator's process: physics in real time, its fieldbus face, its camera, its recording."""
 
 import asyncio
-import contextlib
-import errno
 import json
 import logging
 import os
 import signal
-import socket
 import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from plant_emulator.config import Endpoint, PlantSideConfig
+from plant_emulator.config import PlantSideConfig
 from plant_emulator.core.camera_motion import STILL, View
+from plant_emulator.core.faults import CouplerSilent
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.scene import Scene
 from plant_emulator.shell.camera_sender import CameraSender
 from plant_emulator.shell.coupler import Coupler
+from plant_emulator.shell.fault_face import FaultFace
 from plant_emulator.shell.integrator import Beat, Integrator
+from plant_emulator.shell.machine import bound, resident_mb, scheduling
 from plant_emulator.shell.recording import TruthRecorder
 from protocol.errors import ConfigurationError
 from protocol.process_image import ValveImage, encode_sensors
 
-_FIFO_PRIORITY = 20
-_PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
 log = logging.getLogger(__name__)
 
 
@@ -42,14 +40,21 @@ class PlantService:
         self._config = config
         self._options = options
         service = config.service
-        self._plant = Plant(config.plant, config.scene.seed, Scene(config.scene).mounts)
+        scene = Scene(config.scene)
+        self._plant = Plant(config.plant, config.scene.seed, scene.mounts)
+        self._face = FaultFace(self._plant, scene, service.fault_face.allowed)
         self._integrator = Integrator(self._plant, round(service.period_ms * 1e6), self._after_step)
         release_ns = round(service.writer_release_ms * 1e6)
-        self._coupler = Coupler(self._sensor_words, self._write, release_ns, time.monotonic_ns)
+        self._coupler = Coupler(
+            self._sensor_words,
+            self._write,
+            release_ns,
+            time.monotonic_ns,
+            lambda: self._plant.faults.of_kind(CouplerSilent) is not None,
+        )
         self._captures = Beat(round(1e9 / config.scene.camera.rate_hz))
         self._truths = Beat(round(1e9 / service.truth_hz))
-        camera = config.scene.camera
-        self._shows_motion = camera.motion_blur_samples > 1 or camera.readout_ms > 0.0
+        self._changes_told = 0
         self._words: list[int] | None = None
         self._status = -1
         self._recorder: TruthRecorder | None = None
@@ -65,20 +70,24 @@ class PlantService:
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, stop.set)
         service = self._config.service
-        modbus = bound(service.modbus, "plant_service.modbus")
-        with modbus, bound(service.camera_stream, "plant_service.camera_stream") as stream:
-            stream_address = stream.getsockname()
+        with (
+            bound(service.modbus, "plant_service.modbus") as modbus,
+            bound(service.camera_stream, "plant_service.camera_stream") as stream,
+            bound(service.fault_face, "plant_service.fault_face") as face,
+        ):
+            addresses = {"camera_stream": stream.getsockname(), "fault_face": face.getsockname()}
             self._recorder = self._open_recording()
             self._camera = CameraSender(self._config.scene, stream, service.renderer_scheduling)
             failed, figures = False, None
             try:
                 self._warm_up()
                 if await _first(self._camera.wait_ready(), stop.wait()):
-                    address = await self._coupler.start(modbus)
+                    addresses["modbus"] = await self._coupler.start(modbus)
+                    self._face.start(face)
                     self._integrator.start()
                     obtained = scheduling(service.scheduling)
                     memory = self._memory()
-                    self._say_ready(address, stream_address, obtained)
+                    self._say_ready(addresses, obtained)
                     failed = await _first(self._camera.ended.wait(), stop.wait())
                     figures = {
                         "scheduling": obtained,
@@ -101,13 +110,14 @@ class PlantService:
 
     def _after_step(self, deadline_ns: int) -> None:
         self._words = None
+        self._tell_faults(deadline_ns)
         capture = self._captures.due(deadline_ns)
         record = self._recorder is not None and (capture or self._truths.due(deadline_ns))
         if not (capture or record):
             return
         truth = self._plant.truth()
         if capture and self._camera is not None:
-            motion = self._plant.motion() if self._shows_motion else STILL
+            motion = self._plant.motion() if self._config.scene.camera.shows_motion else STILL
             view = View(truth.X_WC, truth.X_WM)
             frame_id = self._camera.capture(view, motion, deadline_ns, self._plant.faults.in_force())
             if self._recorder is not None:
@@ -128,6 +138,14 @@ class PlantService:
                 self._status = image.status
                 self._event({"event": "status", "status": image.status})
         return self._words
+
+    def _tell_faults(self, log_ns: int) -> None:
+        changes = self._plant.faults.changes
+        for change in changes[self._changes_told :]:
+            log.info("%s", json.dumps({"event": "fault"} | change.as_dict()))
+            if self._recorder is not None:
+                self._recorder.fault(change, log_ns)
+        self._changes_told = len(changes)
 
     def _event(self, fields: dict[str, Any]) -> None:
         log.info("%s", json.dumps(fields))
@@ -151,13 +169,13 @@ class PlantService:
                 "configuration.recording", f"--record-dir {directory}: truth.mcap: {error.strerror}"
             ) from error
 
-    def _say_ready(self, modbus: tuple[str, int], stream: tuple[str, int], obtained: str) -> None:
+    def _say_ready(self, addresses: dict[str, tuple[str, int]], obtained: str) -> None:
         ready = {
             "event": "ready",
             "service": "plant_emulator",
             "pid": os.getpid(),
-            "modbus": {"host": modbus[0], "port": modbus[1]},
-            "camera_stream": {"host": stream[0], "port": stream[1]},
+            **{name: {"host": host, "port": port} for name, (host, port) in addresses.items()},
+            "faults_allowed": self._config.service.fault_face.allowed,
             "period_ms": self._config.service.period_ms,
             "scheduling": obtained,
             "renderer_scheduling": self._config.service.renderer_scheduling,
@@ -188,44 +206,13 @@ class PlantService:
 
     async def _shut_down(self) -> None:
         self._integrator.stop()
+        await self._face.stop()
         await self._coupler.stop()
         if self._camera is not None:
             await self._camera.stop()
+        self._tell_faults(time.monotonic_ns())
         if self._recorder is not None:
             self._recorder.close()
-
-
-def bound(endpoint: Endpoint, name: str) -> socket.socket:
-    """A TCP socket bound to ``endpoint``, not yet listening. Raises ConfigurationError when it cannot be."""
-    sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        sock.bind((endpoint.host, endpoint.port))
-    except OSError as error:
-        sock.close()
-        cause = "configuration.port_busy" if error.errno == errno.EADDRINUSE else "configuration.bad_address"
-        raise ConfigurationError(
-            cause, f"{name} = {endpoint.host}:{endpoint.port}: {error.strerror}"
-        ) from error
-    return sock
-
-
-def scheduling(wanted: str) -> str:
-    """The scheduling that this process now has: ``fifo`` where wanted and allowed, else ``normal``."""
-    if wanted == "fifo_if_allowed":
-        with contextlib.suppress(PermissionError):
-            parameters = os.sched_param(_FIFO_PRIORITY)
-            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, parameters)
-            return "fifo"
-    return "normal"
-
-
-def resident_mb(pid: int) -> float:
-    """Resident memory of a process in MB; 0 when it has gone."""
-    try:
-        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE_MB
-    except OSError:
-        return 0.0
 
 
 async def _first(wanted: Any, other: Any) -> bool:

@@ -42,7 +42,12 @@ def service(module: str, *overrides: str) -> Iterator[dict[str, Any]]:
 def test_our_own_controller_passes_every_case() -> None:
     with ExitStack() as stack:
         plant = stack.enter_context(
-            service("plant_emulator", "plant_service.modbus.port=0", "plant_service.camera_stream.port=0")
+            service(
+                "plant_emulator",
+                "plant_service.modbus.port=0",
+                "plant_service.camera_stream.port=0",
+                "plant_service.fault_face.port=0",
+            )
         )
         controller = stack.enter_context(
             service(

@@ -40,6 +40,7 @@ def test_a_key_unknown_or_out_of_range_is_named_with_its_value(service: str, set
     [
         ("plant_emulator", "plant_service.modbus.port", socket.SOCK_STREAM),
         ("plant_emulator", "plant_service.camera_stream.port", socket.SOCK_STREAM),
+        ("plant_emulator", "plant_service.fault_face.port", socket.SOCK_STREAM),
         ("controller", "controller.reference_link.port", socket.SOCK_DGRAM),
         ("vision_pc", "vision.api.port", socket.SOCK_STREAM),
     ],
@@ -50,7 +51,8 @@ def test_a_busy_port_is_named(service: str, key: str, kind: socket.SocketKind) -
         if kind == socket.SOCK_STREAM:
             holder.listen()
         port = holder.getsockname()[1]
-        others = ["plant_service.modbus.port=0", "plant_service.camera_stream.port=0"]
+        listeners = ("modbus", "camera_stream", "fault_face")
+        others = [f"plant_service.{listener}.port=0" for listener in listeners]
         settings = [f"{key}={port}", *(other for other in others if not other.startswith(key))]
         ended = run_service(service, *(word for setting in settings for word in ("--set", setting)))
     assert ended.returncode == 2

@@ -41,17 +41,20 @@ class Bench(NamedTuple):
     port: int
     written: list[ValveImage]
     clock: list[int]
+    silent: list[bool]
 
 
 @pytest.fixture
 async def bench() -> AsyncIterator[Bench]:
     written: list[ValveImage] = []
-    clock = [0]
-    coupler = Coupler(lambda: encode_sensors(SENSORS), written.append, RELEASE_NS, lambda: clock[0])
+    clock, silent = [0], [False]
+    coupler = Coupler(
+        lambda: encode_sensors(SENSORS), written.append, RELEASE_NS, lambda: clock[0], lambda: silent[0]
+    )
     with socket.socket() as bound:
         bound.bind(("127.0.0.1", 0))
         _, port = await coupler.start(bound)
-        yield Bench(coupler, port, written, clock)
+        yield Bench(coupler, port, written, clock, silent)
         await coupler.stop()
 
 
@@ -204,6 +207,25 @@ async def test_a_silent_master_loses_the_outputs(bench: Bench) -> None:
     assert await first.ask(whole(VALVES)) == b"\x90\x06"
     await first.close()
     await second.close()
+
+
+async def test_a_silent_coupler_swallows_whole_requests_and_keeps_its_place(bench: Bench) -> None:
+    master = await connected(bench)
+    write, read = whole(VALVES), bytes.fromhex("0300000001")
+    await master.ask(read)
+    bench.silent[0] = True
+    frames = [struct.pack(">HHHB", 9, 0, len(pdu) + 1, 1) + pdu for pdu in (write, read, read)]
+    master.writer.write(frames[0] + frames[1] + frames[2][:6])  # the last one comes in two pieces
+    with pytest.raises(TimeoutError):
+        await asyncio.wait_for(master.reader.read(1), 0.1)
+    assert bench.written == []
+    assert bench.coupler.statistics.requests == 1
+    bench.silent[0] = False
+    master.writer.write(frames[2][6:])  # it speaks again when the request is whole: this one is answered
+    assert (await master.reader.readexactly(11))[:2] == b"\x00\x09"
+    await master.ask(write)
+    assert close_valves(bench.written[0])
+    await master.close()
 
 
 async def test_partial_and_merged_frames_are_put_together(bench: Bench) -> None:

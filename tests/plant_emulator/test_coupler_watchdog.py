@@ -9,6 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from controller.config import PlantLinkConfig
+from controller.core.plant_watch import PlantRefusal
 from controller.shell.event_log import EventLog
 from controller.shell.plant_link import PlantLink
 from plant_emulator.core.coupler_image import COUPLER_MAP
@@ -274,7 +275,7 @@ async def test_the_controller_finds_its_way_back_after_an_expiry() -> None:
                 await asyncio.sleep(0.005)
         assert await link.exchange(encode_valves(IMAGE)) == SENSORS
         clock[0] += 5000 * MS  # the controller was suspended
-        assert await link.exchange(encode_valves(IMAGE)) is None
+        assert await link.exchange(encode_valves(IMAGE)) == PlantRefusal(4)
         assert link.failures == {"exception_4": 1}
         assert written[-1] == ValveImage(0, 0, (0.0,) * 6)
         assert await link.exchange(encode_valves(IMAGE)) == SENSORS

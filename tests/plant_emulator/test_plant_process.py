@@ -1,6 +1,7 @@
 """``python -m plant_emulator`` as a process: serves, ends cleanly, refuses bad starts with one line."""
 
 import contextlib
+import itertools
 import json
 import os
 import signal
@@ -12,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from pyModbusTCP.client import ModbusClient
 
@@ -21,7 +23,11 @@ from protocol.process_image import CONTROL_ENABLE, ValveImage, decode_sensors, e
 from protocol.stereo_frame import HEADER_BYTES, decode_header
 from tests.plant_emulator.camera_world import CONFIGS
 
-ANY_PORTS = ("plant_service.modbus.port=0", "plant_service.camera_stream.port=0")
+ANY_PORTS = (
+    "plant_service.modbus.port=0",
+    "plant_service.camera_stream.port=0",
+    "plant_service.fault_face.port=0",
+)
 PATIENT = (
     "plant_service.renderer_scheduling=normal",
 )  # the lowest priority may wait for ever on a busy machine
@@ -111,6 +117,10 @@ def test_serves_moves_records_and_ends(tmp_path: Path) -> None:
         assert ids == sorted(set(ids))
         assert all(header.send_ns > header.capture_ns for header in headers)
         assert frames[0][1] != frames[1][1]
+        face = f"http://127.0.0.1:{ready['fault_face']['port']}/faults"
+        assert httpx.get(face).json()["allowed"] is False
+        refusal = httpx.post(face, json={"fault": {"kind": "supply_lost"}})
+        assert (refusal.status_code, refusal.json()["cause"]) == (403, "refused.faults_not_allowed")
         time.sleep(0.3)  # no master writes: the plant's own watchdog must have closed the valves
         master.close()
         begun = time.monotonic()
@@ -127,6 +137,48 @@ def test_serves_moves_records_and_ends(tmp_path: Path) -> None:
     assert figures["camera"]["frames_sent"] >= 4
     assert figures["camera"]["frames_rendered"] >= 4
     assert figures["memory_at_end"]["plant_rss_mb"] > 10.0
+
+
+def test_faults_over_http_reach_fieldbus_camera_and_recording(tmp_path: Path) -> None:
+    with running("--allow-faults", "--record-dir", str(tmp_path)) as (process, ready):
+        assert ready["faults_allowed"] is True
+        face = f"http://127.0.0.1:{ready['fault_face']['port']}/faults"
+        address = ("127.0.0.1", ready["modbus"]["port"])
+        with (
+            socket.create_connection(address, timeout=5.0) as bus,
+            socket.create_connection(("127.0.0.1", ready["camera_stream"]["port"]), timeout=30.0) as stream,
+        ):
+            ask = bytes.fromhex("000100000006010300000001")
+            bus.sendall(ask)
+            assert len(bus.recv(64)) == 11
+            silence = httpx.post(face, json={"fault": {"kind": "coupler_silent"}}).json()
+            bus.sendall(ask)
+            bus.settimeout(0.5)
+            with pytest.raises(TimeoutError):
+                bus.recv(64)
+            assert httpx.delete(f"{face}/{silence['number']}").status_code == 200
+            bus.settimeout(5.0)
+            bus.sendall(b"\x00\x02" + ask[2:])
+            assert bus.recv(64)[:2] == b"\x00\x02"  # the swallowed request stays unanswered
+            frozen = httpx.post(face, json={"fault": {"kind": "camera_frozen"}, "duration_s": 60}).json()
+            frames = [receive_frame(stream) for _ in range(16)]  # the first ones had been sent before
+        same = [a[1] == b[1] for a, b in itertools.pairwise(frames)]
+        assert same[-3:] == [True, True, True]
+        assert not same[0]
+        assert len({header.frame_id for header, _ in frames}) == 16
+        refusal = httpx.post(face, json={"fault": {"kind": "marker_covered", "marker_id": 9}})
+        assert refusal.json()["cause"] == "refused.unknown_marker"
+        process.terminate()
+        assert process.wait(5.0) == 0
+    recording = read_truth(tmp_path / "truth.mcap")
+    assert recording.complete
+    first, second = recording.faults
+    assert (first.number, first.name, first.fault) == (1, "coupler_silent", {"kind": "coupler_silent"})
+    assert first.began_ns is not None
+    assert first.ended_ns is not None
+    assert 4e8 < first.ended_ns - first.began_ns < 3e9
+    assert (second.name, second.began_ns, second.ended_ns) == ("camera_frozen", frozen["start_ns"], None)
+    assert any(record.truth.faults == ("coupler_silent",) for record in recording.truths)
 
 
 def check_recording(path: Path, captured: dict[int, int]) -> None:
@@ -171,11 +223,12 @@ def refused(settings: tuple[str, ...], arguments: tuple[str, ...] = ()) -> str:
     return line
 
 
-@pytest.mark.parametrize(("listener", "other"), [("modbus", "camera_stream"), ("camera_stream", "modbus")])
-def test_a_busy_port_is_one_line(listener: str, other: str) -> None:
+@pytest.mark.parametrize("listener", ["modbus", "camera_stream", "fault_face"])
+def test_a_busy_port_is_one_line(listener: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        line = refused((f"plant_service.{listener}.port={port}", f"plant_service.{other}.port=0"))
+        others = [setting for setting in ANY_PORTS if listener not in setting]
+        line = refused((f"plant_service.{listener}.port={port}", *others))
     assert "configuration.port_busy" in line
     assert f"plant_service.{listener} = 127.0.0.1:{port}" in line
 

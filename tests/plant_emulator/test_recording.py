@@ -7,8 +7,18 @@ import pytest
 from mcap.exceptions import InvalidMagic
 from mcap.reader import make_reader
 
+from plant_emulator.core.fault_schedule import FaultSchedule
+from plant_emulator.core.faults import SupplyLost, ValveSlow
 from plant_emulator.core.truth import PlantTruth
-from plant_emulator.shell.recording import CAPTURE, EVENT, TRUTH, TruthRecorder, read_truth
+from plant_emulator.shell.recording import (
+    CAPTURE,
+    EVENT,
+    FAULT,
+    TRUTH,
+    FaultRecord,
+    TruthRecorder,
+    read_truth,
+)
 
 RUN = {"plant": {"step_ms": 0.5}, "scene": {"seed": 7}}
 
@@ -45,7 +55,22 @@ def write(path: Path, count: int = 50) -> TruthRecorder:
         else:
             recorder.truth(truth(number), 1000 + number)
     recorder.event({"event": "status", "status": 3}, 2000, 99)
+    for number, change in enumerate(troubled().changes):
+        recorder.fault(change, 3000 + number)
     return recorder
+
+
+def troubled() -> FaultSchedule:
+    """A schedule that has seen every phase: one fault over, one withdrawn, one in force."""
+    schedule = FaultSchedule()
+    schedule.inject(ValveSlow(joint="lift", bandwidth_share=0.25), 10, duration_ns=40)
+    schedule.inject(SupplyLost(), 10, 60)
+    schedule.settle(10)
+    schedule.settle(50)
+    schedule.clear(2, 55)
+    schedule.inject(SupplyLost(), 58)
+    schedule.settle(58)
+    return schedule
 
 
 def test_everything_comes_back(tmp_path: Path) -> None:
@@ -68,6 +93,13 @@ def test_everything_comes_back(tmp_path: Path) -> None:
     ]
     assert all(same(record.truth, truth(number)) for number, record in enumerate(recording.truths))
     assert recording.events == ((2000, 99, {"event": "status", "status": 3}),)
+    slow = {"kind": "valve_slow", "joint": "lift", "bandwidth_share": 0.25}
+    lost = {"kind": "supply_lost"}
+    assert recording.faults == (
+        FaultRecord(2, "supply_lost", lost, 3000, None, None),  # the first one heard of, as it was planned
+        FaultRecord(1, "valve_slow.lift", slow, 3001, 10, 50),
+        FaultRecord(3, "supply_lost", lost, 3004, 58, None),
+    )
     assert recording.stacked("X_BT").shape == (50, 4, 4)
     assert recording.stacked("p_CM").shape == (50, 3)
     assert recording.log_ns()[-1] == 1049
@@ -85,7 +117,7 @@ def test_another_reader_finds_the_topics(tmp_path: Path) -> None:
             assert channel.message_encoding == "json"
             assert message.log_time >= 1000
             counts[channel.topic] = counts.get(channel.topic, 0) + 1
-    assert counts == {TRUTH: 40, CAPTURE: 10, EVENT: 1}
+    assert counts == {TRUTH: 40, CAPTURE: 10, FAULT: 5, EVENT: 1}
 
 
 def test_a_recording_that_was_never_closed_holds_everything_up_to_the_last_capture(tmp_path: Path) -> None:

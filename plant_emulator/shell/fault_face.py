@@ -1,0 +1,194 @@
+"""The emulator's HTTP face for faults: what can break, what is broken, break it, mend it.
+
+Everyone may read. Breaking and mending is refused unless the emulator was started with ``--allow-faults``.
+Errors are problem documents (RFC 9457) with a machine-readable ``cause``.
+"""
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import Generator
+from http import HTTPStatus
+from typing import Annotated, Any
+
+import uvicorn
+from fastapi import Depends, FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from pydantic import Field
+from starlette.exceptions import HTTPException
+
+from plant_emulator.core.fault_schedule import Injection
+from plant_emulator.core.faults import FAULTS, Fault, MarkerCovered
+from plant_emulator.core.plant import Plant
+from plant_emulator.core.scene import Scene
+from protocol.configuration import StrictModel
+from protocol.errors import RequestRefused
+
+LONGEST_S = 3600.0
+_DRAIN_S = 1  # for answers under way at the end
+_PROBLEM = "application/problem+json"
+_STATUS_OF_CAUSE = {
+    "refused.faults_not_allowed": HTTPStatus.FORBIDDEN,
+    "refused.no_such_fault": HTTPStatus.NOT_FOUND,
+    "refused.unknown_fault": HTTPStatus.UNPROCESSABLE_ENTITY,
+    "refused.fault_parameter": HTTPStatus.UNPROCESSABLE_ENTITY,
+    "refused.unknown_marker": HTTPStatus.UNPROCESSABLE_ENTITY,
+}
+
+
+class FaultOrder(StrictModel):
+    """A fault, ``start_after_s`` of simulated time from now, for ``duration_s`` (null: until cleared)."""
+
+    fault: Annotated[Fault, Field(discriminator="kind")]
+    start_after_s: Annotated[float, Field(ge=0.0, le=LONGEST_S)] = 0.0
+    duration_s: Annotated[float, Field(gt=0.0, le=LONGEST_S)] | None = None
+
+
+class _Server(uvicorn.Server):
+    """Uvicorn that leaves the signals to the service."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Generator[None, None, None]:
+        yield
+
+
+class FaultFace:
+    """The face, served in the running event loop, which is the plant's own."""
+
+    def __init__(self, plant: Plant, scene: Scene, allowed: bool) -> None:
+        self._server = _Server(
+            uvicorn.Config(
+                create_app(plant, scene, allowed),
+                log_config=None,
+                access_log=False,
+                lifespan="off",
+                timeout_graceful_shutdown=_DRAIN_S,
+            )
+        )
+        self._serving: asyncio.Task[None] | None = None
+
+    def start(self, listener: socket.socket) -> None:
+        """Serve at ``listener``."""
+        self._serving = asyncio.get_running_loop().create_task(self._server.serve([listener]))
+
+    async def stop(self) -> None:
+        """Stop serving."""
+        if self._serving is not None:
+            self._server.should_exit = True
+            await self._serving
+
+
+def create_app(plant: Plant, scene: Scene, allowed: bool) -> FastAPI:
+    """The application over one running plant; it must be served in the plant's own event loop."""
+    app = FastAPI(title="Longreach plant emulator: faults", version="1")
+    _install_problems(app)
+
+    def permitted() -> None:
+        if not allowed:
+            raise RequestRefused(
+                "refused.faults_not_allowed", "this emulator was started without --allow-faults"
+            )
+
+    permission = [Depends(permitted)]
+
+    @app.get("/faults/kinds")
+    async def kinds() -> list[dict[str, Any]]:
+        """Every kind of fault: what it does, and the JSON schema of its parameters."""
+        return [
+            {"kind": kind, "description": model.__doc__, "schema": model.model_json_schema()}
+            for kind, model in FAULTS.items()
+        ]
+
+    @app.get("/faults")
+    async def faults() -> dict[str, Any]:
+        """The simulated time, and what is in force and planned."""
+        return {
+            "allowed": allowed,
+            "time_ns": plant.time_ns,
+            "active": [injection.as_dict() for injection in plant.faults.active],
+            "planned": [injection.as_dict() for injection in plant.faults.planned],
+        }
+
+    @app.post("/faults", status_code=HTTPStatus.CREATED, dependencies=permission)
+    async def inject(order: FaultOrder, response: Response) -> dict[str, Any]:
+        """Break something, now or later; the answer names its number."""
+        if isinstance(order.fault, MarkerCovered):
+            scene.cover(order.fault)
+        start_ns = plant.time_ns + round(1e9 * order.start_after_s)
+        duration_ns = None if order.duration_s is None else max(round(1e9 * order.duration_s), 1)
+        injection = plant.inject(order.fault, start_ns, duration_ns)
+        response.headers["location"] = f"/faults/{injection.number}"
+        return injection.as_dict()
+
+    @app.get("/faults/{number}")
+    async def fault(number: int) -> dict[str, Any]:
+        """One fault in force or planned."""
+        return _known(plant, number).as_dict()
+
+    @app.delete("/faults/{number}", dependencies=permission)
+    async def clear(number: int) -> dict[str, Any]:
+        """Mend one fault, or withdraw it before it begins."""
+        return plant.clear(number).as_dict()
+
+    @app.delete("/faults", dependencies=permission)
+    async def clear_all() -> list[dict[str, Any]]:
+        """Mend everything; what was mended and withdrawn."""
+        cleared = [injection.as_dict() for injection in plant.faults.all()]
+        plant.clear_faults()
+        return cleared
+
+    return app
+
+
+def _known(plant: Plant, number: int) -> Injection:
+    for injection in plant.faults.all():
+        if injection.number == number:
+            return injection
+    raise RequestRefused("refused.no_such_fault", f"number {number}: neither in force nor planned")
+
+
+def _problem(request: Request, status: int, cause: str, detail: str) -> JSONResponse:
+    document = {
+        "type": f"urn:longreach:{cause}",
+        "title": HTTPStatus(status).phrase,
+        "status": status,
+        "detail": detail,
+        "cause": cause,
+        "instance": request.url.path,
+    }
+    return JSONResponse(document, status, media_type=_PROBLEM)
+
+
+def _install_problems(app: FastAPI) -> None:
+    """Make every error of ``app`` a problem document."""
+
+    @app.exception_handler(RequestRefused)
+    async def refused(request: Request, error: RequestRefused) -> JSONResponse:
+        status = _STATUS_OF_CAUSE.get(error.cause, HTTPStatus.CONFLICT)
+        return _problem(request, status, error.cause, str(error))
+
+    @app.exception_handler(RequestValidationError)
+    async def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
+        first = error.errors()[0]
+        place = [str(part) for part in first["loc"]]
+        cause = "request.invalid"
+        if place[:2] == ["body", "fault"] and len(place) > 2:
+            cause = "refused.fault_parameter"
+        elif first["type"].startswith("union_tag"):
+            cause = "refused.unknown_fault"
+        status = HTTPStatus.UNPROCESSABLE_ENTITY
+        return _problem(request, status, cause, f"{'.'.join(place)}: {first['msg']}")
+
+    @app.exception_handler(HTTPException)
+    async def http_error(request: Request, error: HTTPException) -> JSONResponse:
+        cause = "request." + HTTPStatus(error.status_code).name.lower()
+        response = _problem(request, error.status_code, cause, str(error.detail))
+        response.headers.update(error.headers or {})
+        return response
+
+    @app.exception_handler(Exception)
+    async def broken(request: Request, _error: Exception) -> JSONResponse:
+        return _problem(
+            request, HTTPStatus.INTERNAL_SERVER_ERROR, "internal", "an internal error; see the log"
+        )
