@@ -247,9 +247,9 @@ class ReferenceServer:
             refusal = StreamRefused(message.stream_id, message.number, Reason.NOT_NEGOTIATED, 0.0, 0.0)
             self.refuse_streamed(refusal, now_ns)
             return []
-        transit_ns = session.channel.age_ns
+        left_ns = now_ns - session.channel.age_ns
         before_sending_ns = max(header.sent_ns - message.time_ns, 0)
-        return [StreamedPoseReceived(message, now_ns - transit_ns, transit_ns + before_sending_ns)]
+        return [StreamedPoseReceived(message, left_ns, left_ns - before_sending_ns)]
 
     def _requested(
         self,

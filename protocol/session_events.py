@@ -36,13 +36,13 @@ class RequestReceived(NamedTuple):
 class StreamedPoseReceived(NamedTuple):
     """Server: a streamed reference to judge; on the controller's clock.
 
-    ``left_ns``: when it left the client, as far as the least transit tells. ``age_ns``: at receipt, of the
-    measurement behind it.
+    As far as the least transit tells: ``left_ns``, when it left the client, and ``measured_ns``, the instant
+    of the measurement behind it.
     """
 
     message: StreamedPose
     left_ns: int
-    age_ns: int
+    measured_ns: int
 
 
 class StreamRefusedReceived(NamedTuple):

@@ -23,7 +23,7 @@ from plant_emulator.core.truth import PlantTruth
 from protocol.configuration import configuration_hash
 from protocol.faults import FaultCode, GroupState
 from protocol.process_image import ValveImage, decode_sensors, decode_valves, encode_sensors, encode_valves
-from protocol.reference_messages import Acknowledgement, Request, State
+from protocol.reference_messages import Acknowledgement, Request, State, StreamedPose, StreamRefused
 from protocol.reference_session import (
     AcknowledgementReceived,
     ClientEvent,
@@ -34,6 +34,7 @@ from protocol.reference_session import (
     ReferenceClient,
     ReferenceServer,
     StateReceived,
+    StreamRefusedReceived,
 )
 from protocol.stereo_frame import FrameHeader, decode_header, encode_header
 from testbed.event_log import EventLog
@@ -136,6 +137,7 @@ class World:
         self.truths: list[PlantTruth] = []
         self.states: list[State] = []
         self.acknowledgements: dict[int, Acknowledgement] = {}
+        self.refusals: dict[int, StreamRefused] = {}
         self.link_lost: LinkLost | None = None
         self.to_controller: Wire = list
         self.to_vision: Wire = list
@@ -185,6 +187,10 @@ class World:
         self.log.add(self._time_ns, "request", id=command_id, kind=type(request).__name__)
         return command_id
 
+    def stream(self, reference: StreamedPose) -> None:
+        """Sends a streamed reference with the next cycle. Raises LinkLost when there is no session."""
+        self._client.stream(reference, self.vision_ns)
+
     def step(self) -> None:
         """Nothing; one controller cycle has passed."""
         for said in self._client.tick(self.vision_ns):
@@ -219,6 +225,9 @@ class World:
             answer = event.acknowledgement
             self.acknowledgements[answer.command_id] = answer
             self.log.add(self._time_ns, "acknowledgement", id=answer.command_id, reason=answer.reason.name)
+        elif isinstance(event, StreamRefusedReceived):
+            self.refusals.setdefault(event.refusal.stream_id, event.refusal)
+            self.log.add(self._time_ns, "stream_refused", reason=event.refusal.reason.name)
         elif isinstance(event, LinkLost):
             self.link_lost = event
             self.log.add(self._time_ns, "link_lost", reason=event.reason.name)

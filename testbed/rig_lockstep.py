@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from protocol.errors import LinkLost
 from protocol.faults import CommandCode, Reason
-from protocol.reference_link import Acknowledgement, Command, ReferencePath, ReferencePose, State
+from protocol.reference_link import Acknowledgement, Command, Request, State, StreamedPose, StreamRefused
 from protocol.reference_session import LinkStatistics, OffsetEstimate
 from testbed.lockstep_world import World
 from vision_pc.core.se3 import Array
@@ -103,7 +103,20 @@ class LockstepLink:
         """The acknowledgement of a command. Raises RequestRefused or LinkLost."""
         return await self.request(Command(0, code))
 
-    async def request(self, request: Command | ReferencePose | ReferencePath) -> Acknowledgement:
+    @property
+    def now_ns(self) -> int:
+        """The time on vision's clock."""
+        return self._world.vision_ns
+
+    def stream(self, reference: StreamedPose) -> None:
+        """Sends a streamed reference with the next cycle. Raises LinkLost."""
+        self._world.stream(reference)
+
+    def refusal_of(self, stream_id: int) -> StreamRefused | None:
+        """The first refusal of a reference of this stream."""
+        return self._world.refusals.get(stream_id)
+
+    async def request(self, request: Request) -> Acknowledgement:
         """The acknowledgement of any request. Raises RequestRefused or LinkLost."""
         answers = self._world.acknowledgements
         command_id = self._world.submit(request)

@@ -26,7 +26,9 @@ from controller.core.rotations import (
 
 AXES = 6
 # Share of its speed limit that a moving reference may use: the planner needs some left to catch up.
-_TWIST_SHARE = 0.98
+_TWIST_SHARE = 0.8
+_MEETINGS = 12  # at most so many times is the meeting with a moving reference put off
+_MEETING_S = 1e-3
 
 
 class AxisLimits(NamedTuple):
@@ -53,9 +55,25 @@ def approach(
 ) -> Approach | None:
     """The way from ``start`` to the pose ``p`` (3,), ``quaternion`` (4,) that moves with ``twist`` (6,).
 
-    None when there is none inside the limits, which only a twist beyond ``twist_limit`` or limits that are
-    not positive can cause. The same arguments give the same bits.
+    A moving reference is met where it will be by then: to be where it is now, and as fast, the arm would
+    have to go back first. None when there is no way inside the limits, which only a twist beyond
+    ``twist_limit`` or limits that are not positive can cause. The same arguments give the same bits.
     """
+    if not np.any(twist):
+        return _planned(start, p, quaternion, twist, limits)
+    meeting_s = 0.0
+    for _ in range(_MEETINGS):
+        there = quaternion_product(quaternion_from_vector(meeting_s * twist[3:]), quaternion)
+        way = _planned(start, p + meeting_s * twist[:3], there, twist, limits)
+        if way is None or abs(way.trajectory.duration - meeting_s) < _MEETING_S:
+            break
+        meeting_s = way.trajectory.duration
+    return way
+
+
+def _planned(
+    start: Desired, p: Array, quaternion: Array, twist: Array, limits: AxisLimits
+) -> Approach | None:
     theta = vector_from_quaternion(quaternion_product(start.quaternion, conjugate(quaternion)))
     rate, bend = vector_rates(theta, start.omega, start.alpha)
     wanted = InputParameter(AXES)

@@ -36,14 +36,14 @@ def answered(
 
 
 def followed(
-    settings: Settings, state: ScanState, arrival: StreamedPoseReceived
+    settings: Settings, state: ScanState, arrival: StreamedPoseReceived, now_ns: int
 ) -> tuple[ScanState, StreamRefused | None]:
     """The state after a streamed reference, and its refusal if it is not followed."""
     step = transition(state.mode, Stimulus.STREAMED)
     if state.stream is None:
         found: Refusal | tuple[Stream, Approach] = Refusal(step.reason, 0.0, 0.0)
     else:
-        found = follow(settings, state.stream, state.motion.desired, state.watch.q_meas, arrival)
+        found = follow(settings, state.stream, state.motion.desired, state.watch.q_meas, arrival, now_ns)
     if isinstance(found, Refusal):
         return state, StreamRefused(arrival.message.stream_id, arrival.message.number, *found)
     stream, way = found

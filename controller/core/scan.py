@@ -61,7 +61,7 @@ def scan(settings: Settings, state: ScanState, inputs: ScanInput) -> tuple[ScanS
         events.append(_answer_event(request, acknowledgement))
     refusal = None
     if inputs.streamed is not None:
-        state, refusal = followed(settings, state, inputs.streamed)
+        state, refusal = followed(settings, state, inputs.streamed, inputs.now_ns)
         if refusal is not None:
             events.append(ScanEvent("streamed", refusal.reason.name, refusal.value, refusal.limit))
     if state.fault is not latched and state.fault.code is not FaultCode.NONE:  # an emergency stop

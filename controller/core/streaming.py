@@ -15,7 +15,12 @@ from controller.core.approach import Approach, AxisLimits, approach, twist_limit
 from controller.core.path_survey import JOINT_SPEED, SPEED, TURN_SPEED, Survey, survey
 from controller.core.paths import Desired, at_rest, path_from
 from controller.core.references import QUATERNION_TOLERANCE, Refusal
-from controller.core.rotations import Array, orientation_error
+from controller.core.rotations import (
+    Array,
+    orientation_error,
+    quaternion_from_vector,
+    quaternion_product,
+)
 from controller.core.settings import Settings
 from protocol.faults import Reason
 from protocol.reference_link import StreamedPose
@@ -49,15 +54,23 @@ class Stream(NamedTuple):
 
 
 def follow(
-    settings: Settings, stream: Stream, desired: Desired, q_meas: Array, arrival: StreamedPoseReceived
+    settings: Settings,
+    stream: Stream,
+    desired: Desired,
+    q_meas: Array,
+    arrival: StreamedPoseReceived,
+    now_ns: int,
 ) -> tuple[Stream, Approach] | Refusal:
     """The stream with this reference as its newest, and the way there from ``desired``, or why not."""
     reference = arrival.message
-    refusal = _place(settings, stream, arrival) or _form(settings, reference)
+    refusal = _place(settings, stream, arrival, now_ns) or _form(settings, reference)
     if refusal is not None:
         return refusal
-    p, quaternion = np.array(reference.X_BT_ref.p_m), np.array(reference.X_BT_ref.q_wxyz)
-    quaternion /= np.linalg.norm(quaternion)
+    twist = np.array(reference.twist_ref)
+    moved = (now_ns - arrival.measured_ns) * 1e-9 * twist
+    quaternion = np.array(reference.X_BT_ref.q_wxyz) / reference.X_BT_ref.quaternion_norm()
+    quaternion = quaternion_product(quaternion_from_vector(moved[3:]), quaternion)
+    p = np.array(reference.X_BT_ref.p_m) + moved[:3]
     refusal = _near(settings, desired, p, quaternion)
     if refusal is not None:
         return refusal
@@ -66,7 +79,6 @@ def follow(
     if found.reason is not Reason.ACCEPTED:
         return Refusal(found.reason, found.value, found.limit)
     limits = _within_joint_speeds(settings, found)
-    twist = np.array(reference.twist_ref)
     excess = np.abs(twist) / twist_limit(limits)
     axis = int(excess.argmax())
     too_fast = Refusal(Reason.TOO_FAST, abs(float(twist[axis])), float(twist_limit(limits)[axis]))
@@ -112,7 +124,9 @@ def at_pace(desired: Desired, rate: float) -> Desired:
     return desired if rate == 1.0 else desired._replace(v=rate * desired.v, omega=rate * desired.omega)
 
 
-def _place(settings: Settings, stream: Stream, arrival: StreamedPoseReceived) -> Refusal | None:
+def _place(
+    settings: Settings, stream: Stream, arrival: StreamedPoseReceived, now_ns: int
+) -> Refusal | None:
     """A refusal of a reference that is not the next one of this stream, or rests on something old."""
     reference = arrival.message
     if reference.stream_id != stream.stream_id or not stream.attended:
@@ -120,8 +134,9 @@ def _place(settings: Settings, stream: Stream, arrival: StreamedPoseReceived) ->
     ahead = (reference.number - stream.number) % _NUMBERS
     if stream.goal is not None and not 0 < ahead < _NUMBERS // 2:
         return Refusal(Reason.OVERTAKEN, float(reference.number), float(stream.number))
-    if arrival.age_ns * 1e-9 > settings.streaming.max_age_s:
-        return Refusal(Reason.STALE, arrival.age_ns * 1e-9, settings.streaming.max_age_s)
+    age_s = (now_ns - arrival.measured_ns) * 1e-9
+    if age_s > settings.streaming.max_age_s:
+        return Refusal(Reason.STALE, age_s, settings.streaming.max_age_s)
     return None
 
 

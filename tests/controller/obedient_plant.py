@@ -82,7 +82,7 @@ class Bench:
         self.now_ns += round(dt_s * 1e9)
         arrival = None
         if streamed is not None:
-            arrival = StreamedPoseReceived(streamed, self.now_ns, round(1e9 * age_s))
+            arrival = StreamedPoseReceived(streamed, self.now_ns, self.now_ns - round(1e9 * age_s))
         inputs = ScanInput(self.now_ns, dt_s, sensors, requests, self.link_alive, arrival)
         self.state, output = scan(self.settings, self.state, inputs)
         self.outputs.append(output)

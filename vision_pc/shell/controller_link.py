@@ -14,7 +14,7 @@ from typing import Any, cast
 
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import CommandCode, Reason
-from protocol.reference_link import Acknowledgement, Command, ReferencePath, ReferencePose, State
+from protocol.reference_link import Acknowledgement, Command, Request, State, StreamedPose, StreamRefused
 from protocol.reference_session import (
     AcknowledgementReceived,
     ClientEvent,
@@ -24,6 +24,7 @@ from protocol.reference_session import (
     OffsetEstimate,
     ReferenceClient,
     StateReceived,
+    StreamRefusedReceived,
 )
 from protocol.reference_session import LinkLost as LinkLostEvent
 from vision_pc.config import LinkSettings
@@ -51,6 +52,7 @@ class ControllerLink(asyncio.DatagramProtocol):
         self._received_ns = 0
         self._new_state = asyncio.Event()
         self._answers: dict[int, asyncio.Future[Acknowledgement]] = {}
+        self._refusal: StreamRefused | None = None
         self._transport: asyncio.DatagramTransport | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._lost_reason: Reason | None = None
@@ -144,7 +146,25 @@ class ControllerLink(asyncio.DatagramProtocol):
         """
         return await self.request(Command(0, code))
 
-    async def request(self, request: Command | ReferencePose | ReferencePath) -> Acknowledgement:
+    @property
+    def now_ns(self) -> int:
+        """The time on our clock."""
+        return self._clock()
+
+    def stream(self, reference: StreamedPose) -> None:
+        """Sends a streamed reference, once. Raises LinkLost, RequestRefused when it cannot be encoded."""
+        try:
+            self._session.stream(reference, self._clock())
+        except LinkLost as error:
+            raise self._not_connected() from error
+        self._pump([])
+
+    def refusal_of(self, stream_id: int) -> StreamRefused | None:
+        """The first refusal of a reference of this stream."""
+        refusal = self._refusal
+        return refusal if refusal is not None and refusal.stream_id == stream_id else None
+
+    async def request(self, request: Request) -> Acknowledgement:
         """The acknowledgement of any request. Raises RequestRefused or LinkLost."""
         try:
             command_id = self._session.submit(request, self._clock())
@@ -205,6 +225,10 @@ class ControllerLink(asyncio.DatagramProtocol):
             answer = self._answers.get(event.acknowledgement.command_id)
             if answer is not None and not answer.done():
                 answer.set_result(event.acknowledgement)
+        elif isinstance(event, StreamRefusedReceived):
+            if self.refusal_of(event.refusal.stream_id) is None:
+                self._refusal = event.refusal
+                self._log.write("stream_refused", **_refused(event.refusal))
         elif isinstance(event, Connected):
             self._lost_reason = None
             self._log.write("link_connected", session=f"{event.session:x}", cycle_ns=event.welcome.cycle_ns)
@@ -239,7 +263,7 @@ class ControllerLink(asyncio.DatagramProtocol):
         return LinkLost(f"link.{reason}", f"controller at {address}: {reason.replace('_', ' ')}")
 
 
-def refusal(request: Command | ReferencePose | ReferencePath, answer: Acknowledgement) -> RequestRefused:
+def refusal(request: Request, answer: Acknowledgement) -> RequestRefused:
     """The exception for a refusing acknowledgement; its cause is ``refused.`` and the controller's reason."""
     reason = answer.reason.name.lower()
     what = request.code.name.lower() if isinstance(request, Command) else type(request).__name__
@@ -249,6 +273,10 @@ def refusal(request: Command | ReferencePose | ReferencePath, answer: Acknowledg
 
 def _spoken(answer: Acknowledgement) -> dict[str, Any]:
     return {"command_id": answer.command_id, "reason": answer.reason.name.lower(), "value": answer.value}
+
+
+def _refused(refusal: StreamRefused) -> dict[str, Any]:
+    return {"number": refusal.number, "reason": refusal.reason.name.lower(), "value": refusal.value}
 
 
 def pose_between(older: State, newer: State, wanted_ns: int) -> Array:

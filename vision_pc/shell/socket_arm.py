@@ -1,38 +1,37 @@
 """The arm over the reference link: the ``Arm`` port that calibration programs drive."""
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import AsyncIterator, Sequence
 from typing import Protocol
 
 import numpy as np
 
-from protocol.errors import MeasurementFailed, RequestRefused
+from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
 from protocol.faults import CommandCode, GroupState
 from protocol.reference_link import (
     FLAG_SETTLED,
     Acknowledgement,
-    Command,
     ReferencePath,
     ReferencePose,
+    Request,
     State,
 )
 from vision_pc.config import MotionSettings
 from vision_pc.core.ports import ArmView
-from vision_pc.core.se3 import Array, from_pose, to_pose
+from vision_pc.core.se3 import Array, to_pose
+from vision_pc.shell.reference_stream import ArmStream, StreamLink, refuse_broken, view_of
 
 _BEGIN_STATES = 50  # states after the acknowledgement by which the motion must have begun
 
 
-class Link(Protocol):
+class Link(StreamLink, Protocol):
     """The reference link as the arm uses it; ``ControllerLink`` over UDP, and its like in lockstep."""
 
     @property
     def connected(self) -> bool: ...
-    @property
-    def state(self) -> State: ...
-    def local_time_ns(self, controller_ns: int) -> int: ...
     async def next_state(self) -> State: ...
     async def command(self, code: CommandCode) -> Acknowledgement: ...
-    async def request(self, request: Command | ReferencePose | ReferencePath) -> Acknowledgement: ...
+    async def request(self, request: Request) -> Acknowledgement: ...
 
 
 class SocketArm:
@@ -58,6 +57,21 @@ class SocketArm:
         poses = tuple(to_pose(X) for X in waypoints)
         answer = await self._link.request(ReferencePath(0, poses, segment_s, dwell_s))
         return await self._finished(answer.command_id)
+
+    @contextlib.asynccontextmanager
+    async def streaming(self) -> AsyncIterator[ArmStream]:
+        """A context in which references are streamed; its exit returns at rest. Raises as the port says."""
+        answer = await self._link.command(CommandCode.START_STREAM)
+        stream = ArmStream(self._link, answer.command_id)
+        try:
+            yield stream
+            stream.check()
+            await self._link.command(CommandCode.END_STREAM)
+        except BaseException:
+            with contextlib.suppress(LinkLost):
+                await self.stop()
+            raise
+        await self._finished(stream.stream_id)
 
     async def stop(self) -> None:
         """None, once the controller has accepted the stop. Raises LinkLost."""
@@ -115,33 +129,3 @@ class SocketArm:
                 f"{self._settings.settle_timeout_s:g} s after its motion",
             )
         return states[-1]
-
-
-def refuse_broken(state: State) -> None:
-    """Raises RequestRefused when the group is not in a state in which a motion goes on."""
-    if state.group_state is GroupState.ERROR_STOP:
-        fault = state.fault.name.lower()
-        raise RequestRefused(
-            f"refused.fault_{fault}", f"the motion ended by a fault: {fault.replace('_', ' ')}"
-        )
-    if state.group_state is GroupState.DISABLED:
-        raise RequestRefused("refused.disabled", "the arm is disabled")
-    if state.group_state is GroupState.STOPPING:
-        raise RequestRefused("refused.stopped", "the motion was stopped")
-
-
-def view_of(state: State, link: Link) -> ArmView:
-    """A state of the link as programs see it, on our clock."""
-    return ArmView(
-        time_ns=link.local_time_ns(state.time_ns),
-        group_state=state.group_state,
-        fault=state.fault,
-        severity=state.severity,
-        motion_id=state.motion_id,
-        motion_done=state.motion_done,
-        settled=bool(state.flags & FLAG_SETTLED),
-        q_meas=np.array(state.q_meas),
-        q_cmd=np.array(state.q_cmd),
-        X_BT=from_pose(state.X_BT),
-        X_BT_cmd=from_pose(state.X_BT_cmd),
-    )
