@@ -15,7 +15,7 @@ from testbed.experiments.commands import add_to
 from testbed.fault_proxy.command import proxy
 from testbed.hand_eye.cli import app as hand_eye
 from testbed.hand_eye.cli import register_experiments
-from testbed.settings import chosen_overrides
+from testbed.settings import chosen_overrides, with_faults
 
 app = typer.Typer(
     name="longreach",
@@ -53,6 +53,9 @@ JsonFile = Annotated[
 FreePorts = Annotated[
     bool, typer.Option("--free-ports", help="Use any free ports instead of the configured ones.")
 ]
+AllowFaults = Annotated[
+    bool, typer.Option("--allow-faults", help="Let the plant's HTTP face for faults break things.")
+]
 Runs = Annotated[Path, typer.Option(help="Where directories of runs are made.")]
 Scheduler = Annotated[
     str | None,
@@ -76,19 +79,21 @@ def doctor(
     raise typer.Exit(0 if examine(config_dir, settings or [], runs, json_file) else 1)
 
 
-@app.command(epilog="Example: longreach up --scenario standard --seed 3")
+@app.command(epilog="Example: longreach up --scenario standard --seed 3 --allow-faults")
 def up(
     config_dir: ConfigDir = DEFAULT_CONFIG,
     scenario: Annotated[str | None, typer.Option(help="Draw the world from this scenario.")] = None,
     seed: Seed = 1,
     settings: Settings = None,
     free_ports: FreePorts = False,
+    allow_faults: AllowFaults = False,
     runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Start plant, controller and vision, watch them, and end them on Ctrl-C."""
     from testbed.up import run_up
 
-    run_up(config_dir, chosen_overrides(config_dir, scenario, seed, settings or []), free_ports, runs)
+    overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
+    run_up(config_dir, with_faults(overrides, allow_faults), free_ports, runs)
 
 
 @app.command(
@@ -102,6 +107,7 @@ def demo(
     config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
     free_ports: FreePorts = False,
+    allow_faults: AllowFaults = False,
     runs: Runs = DEFAULT_RUNS,
     json_file: JsonFile = None,
 ) -> None:
@@ -110,7 +116,7 @@ def demo(
     from testbed.lockstep_demo import run_lockstep_demo
     from testbed.presentation import Choice
 
-    overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
+    overrides = with_faults(chosen_overrides(config_dir, scenario, seed, settings or []), allow_faults)
     choice = Choice(scenario, seed, looks)
     if lockstep:
         passed = run_lockstep_demo(config_dir, overrides, choice, runs, json_file)

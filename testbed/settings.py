@@ -67,3 +67,8 @@ def chosen_overrides(
     """
     world = load_scenario(config_dir, scenario).world(seed) if scenario else {}
     return merged(world, parse_overrides(assignments))
+
+
+def with_faults(overrides: Overrides, allowed: bool) -> Overrides:
+    """``overrides``, and the plant's HTTP face for faults allowed to break things where ``allowed``."""
+    return merged(overrides, {"plant_service": {"fault_face": {"allowed": True}}}) if allowed else overrides

@@ -33,6 +33,9 @@ def show(launch: Launch, supervisor: Supervisor) -> None:
         for name, child in supervisor.children.items()
     ]
     out.print(table("running", ("service", "process", "scheduling", "log"), rows))
+    face = launch.settings.plant_service.fault_face
+    if face.allowed:
+        out.print(f"faults: http://{face.host}:{face.port}/docs", highlight=False)
     out.print(f"REST face: {launch.rest_url}/docs   end with Ctrl-C", highlight=False)
 
 
