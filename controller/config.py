@@ -5,6 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from protocol.configuration import StrictModel
+from protocol.link_key import KeySource
 
 JOINT_COUNT = 6
 JOINT_NAMES = ("slew", "lift", "tilt", "wrist1", "wrist2", "wrist3")
@@ -246,11 +247,15 @@ class PlantLinkConfig(StrictModel):
 
 
 class ReferenceLinkConfig(StrictModel):
-    """Where the UDP reference server listens (port 0: any free one) and when its peer counts as gone."""
+    """Where the UDP reference server listens (port 0: any free one) and when its peer counts as gone.
+
+    ``link_key``: where the shared key is; with a key, only authenticated sessions are granted.
+    """
 
     host: str = Field(min_length=1)
     port: int = Field(ge=0, le=65535)
     link_timeout_ms: int = Field(ge=20, le=60_000)
+    link_key: KeySource = KeySource()
 
 
 class ControllerConfig(StrictModel):

@@ -3,7 +3,8 @@
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from protocol.channel import Channel, LinkStatistics
+from protocol.authentication import ChannelKeys, LinkKey
+from protocol.channel import Channel, LinkStatistics, unauthentic
 from protocol.clock_offset import OffsetEstimate
 from protocol.datagram import Datagram, Header, decode, encode
 from protocol.datagram_layout import VERSION_MINOR
@@ -12,6 +13,7 @@ from protocol.errors import DatagramRefused, RequestRefused
 from protocol.errors import LinkLost as LinkLostError
 from protocol.faults import Reason
 from protocol.reference_messages import (
+    CAPABILITY_AUTHENTICATION,
     CAPABILITY_PATHS,
     CAPABILITY_STREAMING,
     Acknowledgement,
@@ -67,6 +69,7 @@ class ReferenceClient:
 
     ``nonce`` is a random 64-bit number, new for every run of the program. A lost link is reported, never
     reopened on its own: call ``connect`` again. Requests are sent again under their id until answered.
+    With a ``key`` only a session in which every datagram is authenticated is opened.
     """
 
     def __init__(
@@ -76,14 +79,16 @@ class ReferenceClient:
         state_period_ms: int = 20,
         capabilities: int = CAPABILITY_PATHS | CAPABILITY_STREAMING,
         first_sequence: int = 1,
+        key: LinkKey | None = None,
     ) -> None:
+        self._key = key
         self._nonce = nonce % 2**64 or 1
         self._arm_hash = arm_hash
         self._state_period_ms = state_period_ms
-        self._capabilities = capabilities
+        self._capabilities = capabilities | (CAPABILITY_AUTHENTICATION if key else 0)
         self._next_id = ((nonce % 2**_RUN_BITS) << _COUNT_BITS) + 1
         self._phase = _Phase.CLOSED
-        self._channel = Channel(0, VERSION_MINOR, first_sequence)
+        self._channel = self._greeting_channel(first_sequence)
         self._welcome: Welcome | None = None
         self._echoes: EchoClock | None = None
         self._unanswered: dict[int, _Unanswered] = {}
@@ -96,6 +101,11 @@ class ReferenceClient:
     def connected(self) -> bool:
         """Whether a session is open."""
         return self._phase is _Phase.CONNECTED
+
+    @property
+    def authenticated(self) -> bool:
+        """Whether a session is open in which every datagram is signed."""
+        return self.connected and self._channel.keys is not None
 
     @property
     def welcome(self) -> Welcome | None:
@@ -203,15 +213,15 @@ class ReferenceClient:
         try:
             datagram = decode(data)
         except DatagramRefused as error:
-            self._tally.refused += 1
-            return [DatagramDropped(error.cause, str(error))]
+            return [self._tally.drop(error.cause, str(error))]
         if self._phase is _Phase.CONNECTING and datagram.header.session != self._channel.session:
-            return self._answered_hello(datagram, now_ns)
+            return self._answered_hello(datagram, data, now_ns)
         if self._phase is _Phase.CONNECTING and isinstance(datagram.message, Bye):
-            return self._refused(datagram.message.reason)
+            return self._refused(datagram.message.reason, datagram.header, data)
         if not self.connected or datagram.header.session != self._channel.session:
             return [self._foreign("session.unknown", f"session {datagram.header.session:x}")]
-        return self._in_session(datagram, now_ns)
+        forged = self._channel.unauthentic(data, datagram.header, self._tally)
+        return [forged] if forged else self._in_session(datagram, now_ns)
 
     def outgoing(self, now_ns: int | None = None) -> list[bytes]:
         """Datagrams to be sent now, in order; stamped ``now_ns``, else when they were queued."""
@@ -228,8 +238,12 @@ class ReferenceClient:
 
     def _begin_attempt(self) -> None:
         self._nonce = (self._nonce + 1) % 2**64 or 1
-        self._channel = Channel(0, VERSION_MINOR, self._channel.next_sequence)
+        self._channel = self._greeting_channel(self._channel.next_sequence)
         self._welcome = None
+
+    def _greeting_channel(self, next_sequence: int) -> Channel:
+        keys = ChannelKeys(self._key.of_hello(), self._key.of_hello()) if self._key else None
+        return Channel(0, VERSION_MINOR, next_sequence, keys)
 
     def _say_hello(self, now_ns: int) -> None:
         # A session that the controller opened and gave up again unheard has used its nonce up.
@@ -239,22 +253,32 @@ class ReferenceClient:
         self._next_hello_ns = now_ns + HELLO_PERIOD_NS
         self._send(Hello(self._nonce, self._capabilities, self._arm_hash, self._state_period_ms), now_ns)
 
-    def _answered_hello(self, datagram: Datagram, now_ns: int) -> list[ClientEvent]:
+    def _answered_hello(self, datagram: Datagram, data: bytes, now_ns: int) -> list[ClientEvent]:
         header, welcome = datagram
         if not isinstance(welcome, Welcome) or welcome.client_nonce != self._nonce:
             return [self._foreign("session.unknown", f"session {header.session:x} while connecting")]
+        keys = None
+        if self._key:
+            keys = self._key.of_client(self._nonce, header.session, welcome.boot_id)
+        forged = unauthentic(data, header, keys.receives if keys else None, self._tally)
+        if forged:
+            return [forged]
         if header.minor > VERSION_MINOR:
             return [self._lost(Reason.INCOMPATIBLE_VERSION)]
         if self._arm_hash not in (0, welcome.arm_hash):
             return [self._lost(Reason.WRONG_ARM)]
-        self._channel = Channel(header.session, header.minor, self._channel.next_sequence)
+        self._channel = Channel(header.session, header.minor, self._channel.next_sequence, keys)
         self._channel.hear(header, now_ns, None, self._tally)
         self._welcome = welcome
         self._echoes = EchoClock(self._timeout_ns(), now_ns)
         self._phase = _Phase.CONNECTED
         return [Connected(header.session, welcome)]
 
-    def _refused(self, reason: Reason) -> list[ClientEvent]:
+    def _refused(self, reason: Reason, header: Header, data: bytes) -> list[ClientEvent]:
+        # A refusal cannot be signed: there is no session. Who demands signatures takes it for a hint alone.
+        forged = self._channel.unauthentic(data, header, self._tally)
+        if forged:
+            return [forged, ConnectionDelayed(reason)]
         if reason is Reason.SESSION_OCCUPIED:
             return [ConnectionDelayed(reason)]
         return [self._lost(reason)]
@@ -271,6 +295,7 @@ class ReferenceClient:
         dropped = self._channel.hear(header, now_ns, max_age_ns, self._tally)
         if dropped is None and isinstance(message, HeartbeatReply) and self._echoes:
             dropped = self._echoes.returned(message, now_ns)
+            self._tally.echoes_refused += dropped is not None
         if dropped is not None:
             return [dropped]
         if isinstance(message, State):
@@ -290,8 +315,7 @@ class ReferenceClient:
         return LinkLost(reason, unanswered)
 
     def _foreign(self, cause: str, detail: str) -> DatagramDropped:
-        self._tally.foreign += 1
-        return DatagramDropped(cause, detail)
+        return self._tally.drop(cause, detail)
 
     def _send(self, message: Message, now_ns: int) -> None:
         self._outbox.append((message, self._channel, now_ns))

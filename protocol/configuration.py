@@ -89,7 +89,9 @@ def validated(model: type[ModelT], data: Mapping[str, Any], where: str) -> Model
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "(whole file)"
-        value = "" if first["type"] == "missing" else f" = {first['input']!r}"
+        # A key written where only its place may be named must not reach a log on top of it.
+        hidden = first["type"] == "missing" or "link_key" in first["loc"]
+        value = "" if hidden else f" = {first['input']!r}"
         more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
         cause = "unknown_key" if first["type"] == "extra_forbidden" else first["type"]
         raise ConfigurationError(

@@ -9,10 +9,12 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 from zlib import crc32
 
+from protocol.authentication import DirectionKey
 from protocol.datagram_layout import (
     CRC_BYTES,
     CRC_OFFSET,
     CRITICAL_FLAGS,
+    FLAG_AUTHENTICATED,
     HEADER,
     HEADER_BYTES,
     KNOWN_CRITICAL_FLAGS,
@@ -21,6 +23,7 @@ from protocol.datagram_layout import (
     MAX_WAYPOINTS,
     MESSAGE_TYPES,
     PAYLOADS,
+    TRAILER_BYTES,
     VERSION_MAJOR,
     VERSION_MINOR,
     Field,
@@ -34,11 +37,18 @@ from protocol.reference_messages import Command, Message, ReferencePath, Unusabl
 
 _HEADER_STRUCT = struct.Struct(struct_format(HEADER))
 _CRC_STRUCT = struct.Struct("<I")
+_TRAILER_START = struct.Struct("<II")
+_HALF = 32
+_LOWER_HALF = (1 << _HALF) - 1
 _CRC_END = CRC_OFFSET + CRC_BYTES
+_LENGTH_AT = CRC_OFFSET - 2
 
 
 class Header(NamedTuple):
-    """What every datagram carries; ``echo_sequence`` means something only with FLAG_ECHO_VALID."""
+    """What every datagram carries; ``echo_sequence`` means something only with FLAG_ECHO_VALID.
+
+    ``sequence`` has 32 bits, in an authenticated datagram 64, of which the upper ones travel in the trailer.
+    """
 
     session: int
     sequence: int
@@ -81,23 +91,30 @@ _MEMBERS = {
 _CODEC_OF_TYPE = {codec.type: codec for codec in _CODECS.values()}
 
 
-def encode(message: Message, header: Header) -> bytes:
-    """The bytes of one datagram.
+def encode(message: Message, header: Header, key: DirectionKey | None = None) -> bytes:
+    """The bytes of one datagram, signed with ``key`` if there is one.
 
     Raises RequestRefused (``refused.not_encodable``), naming the field, when a value does not fit its range.
     """
     codec = _CODEC_OF_TYPE[type(message)]
+    flags, sequence, trailer = header.flags & ~FLAG_AUTHENTICATED, header.sequence, b""
     try:
         payload = codec.layout.pack(*_flattened(message, codec))
+        if key is not None:
+            trailer = _TRAILER_START.pack(sequence >> _HALF, key.key_id)
+            flags, sequence = flags | FLAG_AUTHENTICATED, sequence & _LOWER_HALF
         head = _HEADER_STRUCT.pack(
-            MAGIC, VERSION_MAJOR, header.minor, codec.kind, 0, header.flags, len(payload), 0,
-            header.session, header.sequence, header.echo_sequence, header.sent_ns,
+            MAGIC, VERSION_MAJOR, header.minor, codec.kind, 0, flags, len(payload), 0,
+            header.session, sequence, header.echo_sequence, header.sent_ns,
         )  # fmt: skip
     except struct.error as error:
         why = f"{codec.kind.name}: {error} in {message} with {header}"
         raise RequestRefused("refused.not_encodable", why) from error
-    checksum = crc32(payload, crc32(head[_CRC_END:], crc32(head[:CRC_OFFSET])))
-    return head[:CRC_OFFSET] + _CRC_STRUCT.pack(checksum) + head[_CRC_END:] + payload
+    body = head[_CRC_END:] + payload
+    if key is not None:
+        body += trailer + key.tag(head + payload + trailer)
+    checksum = crc32(body, crc32(head[:CRC_OFFSET]))
+    return head[:CRC_OFFSET] + _CRC_STRUCT.pack(checksum) + body
 
 
 def decode(datagram: bytes) -> Datagram:
@@ -105,7 +122,8 @@ def decode(datagram: bytes) -> Datagram:
 
     Raises DatagramRefused for anything but an intact datagram of this major version with a known kind,
     exactly its length, and integers in range. The cause names the first check that failed, in the order
-    of docs/protocol.md.
+    of docs/protocol.md. Whether a tag is there and right is for the session to judge
+    (``protocol.authentication.fault_of``), which knows the key.
     """
     kind, header, payload = _opened(datagram)
     codec = _CODECS.get(kind)
@@ -117,6 +135,11 @@ def decode(datagram: bytes) -> Datagram:
     numbers = codec.layout.unpack(payload)
     message = _path(numbers) if codec.type is ReferencePath else _message(numbers, codec)
     return Datagram(header, message)
+
+
+def payload_of(datagram: bytes) -> bytes:
+    """The payload's bytes of a decoded datagram: what comes again under another number, tag and time."""
+    return datagram[HEADER_BYTES : HEADER_BYTES + int.from_bytes(datagram[_LENGTH_AT:CRC_OFFSET], "little")]
 
 
 def _opened(datagram: bytes) -> tuple[int, Header, bytes]:
@@ -144,14 +167,18 @@ def _opened(datagram: bytes) -> tuple[int, Header, bytes]:
         raise DatagramRefused("datagram.bad_magic", f"magic {magic.hex()}: wanted {MAGIC.hex()}")
     if major != VERSION_MAJOR:
         raise DatagramRefused("datagram.wrong_major", f"major version {major}: wanted {VERSION_MAJOR}")
-    if payload_bytes != size - HEADER_BYTES:
-        why = f"payload of {size - HEADER_BYTES} bytes: the header says {payload_bytes}"
+    after_payload = TRAILER_BYTES if flags & FLAG_AUTHENTICATED else 0
+    if payload_bytes != size - HEADER_BYTES - after_payload:
+        why = f"payload of {size - HEADER_BYTES - after_payload} bytes: the header says {payload_bytes}"
         raise DatagramRefused("datagram.bad_length", why)
     if checksum != crc32(datagram[_CRC_END:], crc32(datagram[:CRC_OFFSET])):
         raise DatagramRefused("datagram.bad_crc", f"CRC-32 {checksum:08x} does not match the content")
     if flags & CRITICAL_FLAGS & ~KNOWN_CRITICAL_FLAGS:
         raise DatagramRefused("datagram.unknown_critical_flag", f"flags {flags:04x}: unknown critical bit")
-    return kind, Header(session, sequence, sent_ns, echo_sequence, flags, minor), datagram[HEADER_BYTES:]
+    if after_payload:
+        sequence |= _TRAILER_START.unpack_from(datagram, HEADER_BYTES + payload_bytes)[0] << _HALF
+    payload = datagram[HEADER_BYTES : HEADER_BYTES + payload_bytes]
+    return kind, Header(session, sequence, sent_ns, echo_sequence, flags, minor), payload
 
 
 def _flattened(message: Message, codec: _Codec) -> list[Any]:

@@ -30,12 +30,13 @@ VERSION_MINOR = 0
 MAX_WAYPOINTS = 24
 
 # Bits 0…7 of the header's flags are optional (a receiver ignores those it does not know), 8…15 are critical
-# (a receiver refuses the datagram). Bit 8 is set aside for authentication.
+# (a receiver refuses the datagram).
 FLAG_ECHO_VALID = 1 << 0
+FLAG_AUTHENTICATED = 1 << 8
 CRITICAL_FLAGS = 0xFF00
-KNOWN_CRITICAL_FLAGS = 0x0000
+KNOWN_CRITICAL_FLAGS = FLAG_AUTHENTICATED
 
-_TYPE_BYTES = {"B": 1, "H": 2, "I": 4, "Q": 8, "d": 8, "4s": 4, "x": 1}
+_TYPE_BYTES = {"B": 1, "H": 2, "I": 4, "Q": 8, "d": 8, "4s": 4, "16s": 16, "x": 1}
 _POSE = "x, y, z, then quaternion w, x, y, z"
 
 
@@ -123,6 +124,17 @@ HEADER = (
 HEADER_BYTES = size_of(HEADER)
 CRC_OFFSET = offsets(HEADER)[[f.name for f in HEADER].index("crc32")]
 CRC_BYTES = 4
+TAG_BYTES = 16
+
+# Behind the payload of a datagram with FLAG_AUTHENTICATED.
+# fmt: off
+TRAILER = (
+    Field("sequence_high", "I", 1, "", "upper half of the 64-bit number whose lower half is sequence"),
+    Field("key_id", "I", 1, "", "tells one shared key from another (clause 11.4)"),
+    Field("tag", f"{TAG_BYTES}s", 1, "", "HMAC-SHA-256 over bytes 0…11 and 16…the byte before the tag"),
+)
+# fmt: on
+TRAILER_BYTES = size_of(TRAILER)
 
 _COMMAND_ID = Field("command_id", "Q", 1, "", "number of the request, larger than all before it", 1)
 _STREAM_ID = Field("stream_id", "Q", 1, "", "command_id of the START_STREAM that opened the stream", 1)
@@ -237,4 +249,4 @@ MESSAGE_TYPES: dict[Kind, type[Any]] = {
     Kind.STREAMED_POSE: StreamedPose,
     Kind.STREAM_REFUSED: StreamRefused,
 }
-MAX_DATAGRAM_BYTES = HEADER_BYTES + max(size_of(fields) for fields in PAYLOADS.values())
+MAX_DATAGRAM_BYTES = HEADER_BYTES + max(size_of(fields) for fields in PAYLOADS.values()) + TRAILER_BYTES

@@ -68,6 +68,10 @@ class Reason(IntEnum):
     PEER_RESTARTED = 44
     LINK_TIMEOUT = 45
     SHUTDOWN = 46
+    NOT_AUTHENTICATED = 47
+    KEY_NOT_CONFIGURED = 48
+    UNKNOWN_KEY = 49
+    BAD_TAG = 50
 
 
 class FaultCode(IntEnum):
@@ -167,6 +171,10 @@ REASON_TEXTS: dict[Reason, str] = {
     Reason.PEER_RESTARTED: "the client came back under a new nonce",
     Reason.LINK_TIMEOUT: "in BYE: the peer was silent for longer than the link timeout",
     Reason.SHUTDOWN: "in BYE: the sender ends in good order",
+    Reason.NOT_AUTHENTICATED: "in BYE: a key is configured here, and HELLO was not signed",
+    Reason.KEY_NOT_CONFIGURED: "in BYE: HELLO was signed, and no key is configured here",
+    Reason.UNKNOWN_KEY: "in BYE: HELLO was signed with another key than the one configured here",
+    Reason.BAD_TAG: "in BYE: the tag of HELLO is not the one of its content",
 }
 
 FAULT_TEXTS: dict[FaultCode, str] = {

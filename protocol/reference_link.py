@@ -10,6 +10,7 @@ from protocol.datagram_layout import (
     VERSION_MINOR,
 )
 from protocol.reference_messages import (
+    CAPABILITY_AUTHENTICATION,
     CAPABILITY_PATHS,
     CAPABILITY_STREAMING,
     FLAG_EMERGENCY_LATCHED,
@@ -34,6 +35,7 @@ from protocol.reference_messages import (
 )
 
 __all__ = [
+    "CAPABILITY_AUTHENTICATION",
     "CAPABILITY_PATHS",
     "CAPABILITY_STREAMING",
     "FLAG_EMERGENCY_LATCHED",

@@ -154,6 +154,7 @@ FLAG_STREAMING = 1 << 3
 # bits of Hello.capabilities (offered) and Welcome.capabilities (granted)
 CAPABILITY_PATHS = 1 << 0
 CAPABILITY_STREAMING = 1 << 1
+CAPABILITY_AUTHENTICATION = 1 << 2
 
 Request = ReferencePose | ReferencePath | Command
 

@@ -5,13 +5,15 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from protocol.channel import Channel, LinkStatistics
+from protocol.authentication import LinkKey
+from protocol.channel import Channel, LinkStatistics, unauthentic
 from protocol.command_ledger import CommandLedger
-from protocol.datagram import Datagram, Header, decode
-from protocol.datagram_layout import HEADER_BYTES, VERSION_MINOR
+from protocol.datagram import Datagram, Header, decode, payload_of
+from protocol.datagram_layout import VERSION_MINOR
 from protocol.errors import DatagramRefused
 from protocol.faults import Reason
 from protocol.reference_messages import (
+    CAPABILITY_AUTHENTICATION,
     CAPABILITY_PATHS,
     CAPABILITY_STREAMING,
     Acknowledgement,
@@ -42,6 +44,12 @@ from protocol.session_events import (
 NS_PER_MS = 1_000_000
 REFUSAL_INTERVAL_NS = 50 * NS_PER_MS
 REMEMBERED_NONCES = 64
+_REFUSALS = {
+    "authentication.missing": Reason.NOT_AUTHENTICATED,
+    "authentication.no_key": Reason.KEY_NOT_CONFIGURED,
+    "authentication.unknown_key": Reason.UNKNOWN_KEY,
+    "authentication.bad_tag": Reason.BAD_TAG,
+}
 Source = object
 
 
@@ -53,13 +61,16 @@ class _Session:
     welcome: Welcome
     hello_sent_ns: int
     next_state_ns: int
+    greeted_ns: int
 
 
 class ReferenceServer:
     """One active peer at a time. The shell gives every call its monotonic time and sends ``outgoing``.
 
     ``link_timeout_ms`` of silence end the session. ``max_age_ms``: a datagram older than that when it is read
-    is not used (default: the link timeout).
+    is not used (default: the link timeout). With a ``key`` only authenticated sessions are granted, and such
+    a session begins with the client's first datagram under its keys, not with HELLO, which could be a
+    recorded one.
     """
 
     def __init__(
@@ -71,15 +82,19 @@ class ReferenceServer:
         max_age_ms: int | None = None,
         capabilities: int = CAPABILITY_PATHS | CAPABILITY_STREAMING,
         first_sequence: int = 1,
+        key: LinkKey | None = None,
     ) -> None:
+        self._key = key
         self._boot_id = boot_id
         self._arm_hash = arm_hash
         self._cycle_ns = cycle_ns
         self._link_timeout_ms = link_timeout_ms
         self._max_age_ns = (link_timeout_ms if max_age_ms is None else max_age_ms) * NS_PER_MS
-        self._capabilities = capabilities
+        self._capabilities = capabilities & ~CAPABILITY_AUTHENTICATION
+        self._capabilities |= CAPABILITY_AUTHENTICATION if key else 0
         self._first_sequence = first_sequence
         self._session: _Session | None = None
+        self._unconfirmed: _Session | None = None
         self._sessions_opened = 0
         self._past_nonces: deque[int] = deque(maxlen=REMEMBERED_NONCES)
         self._outbox: list[tuple[Message, Channel, Source, int]] = []
@@ -103,6 +118,9 @@ class ReferenceServer:
 
     def tick(self, now_ns: int) -> list[ServerEvent]:
         """Ends a session that has been silent for too long; to be called every cycle."""
+        unconfirmed = self._unconfirmed
+        if unconfirmed and now_ns - unconfirmed.greeted_ns > self._link_timeout_ms * NS_PER_MS:
+            self._unconfirmed = None
         if self._session is None or self.link_alive(now_ns):
             return []
         return [self._closed(Reason.LINK_TIMEOUT, now_ns, tell_peer=True)]
@@ -113,11 +131,15 @@ class ReferenceServer:
         try:
             datagram = decode(data)
         except DatagramRefused as error:
-            self._tally.refused += 1
             if error.cause == "datagram.wrong_major":
                 self._refuse(Reason.INCOMPATIBLE_VERSION, 0, source, now_ns)
-            return [*events, DatagramDropped(error.cause, f"{error} from {source}")]
+            return [*events, self._tally.drop(error.cause, f"{error} from {source}")]
         if isinstance(datagram.message, Hello):
+            key = self._key.of_hello() if self._key else None
+            forged = unauthentic(data, datagram.header, key, self._tally)
+            if forged:
+                self._refuse(_REFUSALS[forged.cause], 0, source, now_ns)
+                return [*events, forged]
             return events + self._greeted(datagram.header, datagram.message, source, now_ns)
         return events + self._in_session(datagram, data, source, now_ns)
 
@@ -178,11 +200,12 @@ class ReferenceServer:
         session = self._session
         if header.session != 0:
             return [self._foreign("session.hello_in_session", f"HELLO in session {header.session:x}")]
-        if session and source == session.source and hello.client_nonce == session.welcome.client_nonce:
-            dropped = session.channel.hear(header, now_ns, self._max_age_ns, self._tally)
-            if dropped is None:
-                self._send(session.welcome, now_ns)
-            return [dropped] if dropped else []
+        for each in (session, self._unconfirmed):
+            if each and source == each.source and hello.client_nonce == each.welcome.client_nonce:
+                dropped = each.channel.hear(header, now_ns, self._max_age_ns, self._tally)
+                if dropped is None:
+                    self._post(each, each.welcome, now_ns)
+                return [dropped] if dropped else []
         delayed = session and source == session.source and header.sent_ns < session.hello_sent_ns
         if delayed or hello.client_nonce in self._past_nonces:
             return [self._foreign("session.hello_replayed", f"nonce {hello.client_nonce:x} from {source}")]
@@ -192,15 +215,26 @@ class ReferenceServer:
         if session and source != session.source:
             self._refuse(Reason.SESSION_OCCUPIED, 0, source, now_ns)
             return [self._foreign("session.occupied", f"HELLO from {source}: {session.source} is connected")]
-        events: list[ServerEvent] = []
-        if session:
-            events.append(self._closed(Reason.PEER_RESTARTED, now_ns, tell_peer=False))
-        return [*events, self._opened(header, hello, source, now_ns)]
+        self._unconfirmed = self._granted(header, hello, source, now_ns)
+        self._post(self._unconfirmed, self._unconfirmed.welcome, now_ns)
+        return [] if self._key else self._confirmed(now_ns)
 
-    def _opened(self, header: Header, hello: Hello, source: Source, now_ns: int) -> SessionOpened:
+    def _confirmed(self, now_ns: int) -> list[ServerEvent]:
+        """Makes the granted session the one in use, in the place of another one."""
+        granted = self._unconfirmed
+        assert granted is not None
+        events: list[ServerEvent] = []
+        if self._session:
+            events.append(self._closed(Reason.PEER_RESTARTED, now_ns, tell_peer=False))
+        self._session, self._unconfirmed = granted, None
+        return [*events, SessionOpened(granted.channel.session, granted.source)]
+
+    def _granted(self, header: Header, hello: Hello, source: Source, now_ns: int) -> _Session:
         self._sessions_opened += 1
-        number = _session_number(self._boot_id, hello.client_nonce, self._sessions_opened)
-        channel = Channel(number, min(header.minor, VERSION_MINOR), self._first_sequence)
+        nonce = hello.client_nonce
+        number = _session_number(self._boot_id, nonce, self._sessions_opened)
+        keys = self._key.of_controller(nonce, number, self._boot_id) if self._key else None
+        channel = Channel(number, min(header.minor, VERSION_MINOR), self._first_sequence, keys)
         channel.hear(header, now_ns, None, self._tally)
         welcome = Welcome(
             hello.client_nonce,
@@ -211,34 +245,43 @@ class ReferenceServer:
             self._link_timeout_ms,
             hello.state_period_ms,
         )
-        self._session = _Session(channel, CommandLedger(), source, welcome, header.sent_ns, now_ns)
-        self._send(welcome, now_ns)
-        return SessionOpened(number, source)
+        return _Session(channel, CommandLedger(), source, welcome, header.sent_ns, now_ns, now_ns)
 
     def _in_session(self, datagram: Datagram, data: bytes, source: Source, now_ns: int) -> list[ServerEvent]:
         header, message = datagram
-        session = self._session
-        if session is None or header.session != session.channel.session:
+        session = self._addressed(header.session)
+        if session is None:
             if not isinstance(message, Bye):
                 self._refuse(Reason.UNKNOWN_SESSION, header.session, source, now_ns)
             return [self._foreign("session.unknown", f"session {header.session:x} from {source}")]
         if source != session.source:
             return [self._foreign("session.wrong_source", f"{source}: {session.source} is connected")]
+        forged = session.channel.unauthentic(data, header, self._tally)
+        if forged:
+            return [forged]
         if header.minor != session.channel.minor:
             return [self._foreign("session.wrong_minor", f"minor {header.minor}: not the negotiated one")]
         if isinstance(message, Bye):
+            if session is self._unconfirmed:
+                self._unconfirmed = None
+                return []
             return [self._closed(message.reason, now_ns, tell_peer=False)]
         if not isinstance(message, Heartbeat | StreamedPose | Request | UnusableRequest):
             return [self._foreign("session.wrong_direction", f"{type(message).__name__} from a client")]
         dropped = session.channel.hear(header, now_ns, self._max_age_ns, self._tally)
         if dropped is not None:
             return [dropped]
+        events = self._confirmed(now_ns) if session is self._unconfirmed else []
         if isinstance(message, Heartbeat):
             self._send(HeartbeatReply(message.sent_ns, now_ns, now_ns), now_ns)
-            return []
+            return events
         if isinstance(message, StreamedPose):
-            return self._streamed(session, header, message, now_ns)
-        return self._requested(session, message, data[HEADER_BYTES:], now_ns)
+            return events + self._streamed(session, header, message, now_ns)
+        return events + self._requested(session, message, payload_of(data), now_ns)
+
+    def _addressed(self, number: int) -> _Session | None:
+        sessions = (self._session, self._unconfirmed)
+        return next((each for each in sessions if each and each.channel.session == number), None)
 
     def _streamed(
         self, session: _Session, header: Header, message: StreamedPose, now_ns: int
@@ -273,7 +316,10 @@ class ReferenceServer:
 
     def _send(self, message: Message, now_ns: int) -> None:
         assert self._session is not None
-        self._outbox.append((message, self._session.channel, self._session.source, now_ns))
+        self._post(self._session, message, now_ns)
+
+    def _post(self, session: _Session, message: Message, now_ns: int) -> None:
+        self._outbox.append((message, session.channel, session.source, now_ns))
 
     def _refuse(self, reason: Reason, session: int, source: Source, now_ns: int) -> None:
         # A refusal outside a session answers anybody, so it is rationed.
@@ -292,8 +338,7 @@ class ReferenceServer:
         return SessionClosed(session.channel.session, reason)
 
     def _foreign(self, cause: str, detail: str) -> DatagramDropped:
-        self._tally.foreign += 1
-        return DatagramDropped(cause, detail)
+        return self._tally.drop(cause, detail)
 
 
 def _session_number(boot_id: int, client_nonce: int, count: int) -> int:

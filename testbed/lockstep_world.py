@@ -22,6 +22,7 @@ from plant_emulator.core.stereo_camera import StereoCamera
 from plant_emulator.core.truth import PlantTruth
 from protocol.configuration import configuration_hash
 from protocol.faults import FaultCode, GroupState
+from protocol.link_key import read_key
 from protocol.process_image import ValveImage, decode_sensors, decode_valves, encode_sensors, encode_valves
 from protocol.reference_messages import Acknowledgement, Request, State, StreamedPose, StreamRefused
 from protocol.reference_session import (
@@ -72,6 +73,7 @@ class ControllerSide:
             arm_hash=configuration_hash(settings.arm),
             cycle_ns=self.cycle_ns,
             link_timeout_ms=config.reference_link.link_timeout_ms,
+            key=read_key(config.reference_link.link_key),
         )
         self.valve_words = encode_valves(ValveImage(0, 0, (0.0,) * 6))
 
@@ -151,6 +153,7 @@ class World:
             nonce=seed + 1,
             arm_hash=configuration_hash(settings.arm),
             state_period_ms=settings.vision.link.state_period_ms,
+            key=read_key(settings.vision.link.link_key),
         )
         self._time_ns = 0
         self.frame_period_ns = round(1e9 / settings.scene.camera.rate_hz)

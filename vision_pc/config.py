@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from protocol.configuration import StrictModel
+from protocol.link_key import KeySource
 from vision_pc.core.calibration.settings import ProgramSettings
 from vision_pc.core.hand_eye.guided_settings import GuidedSettings
 
@@ -167,11 +168,12 @@ class RectifiedPairSettings(StrictModel):
 
 
 class LinkSettings(StrictModel):
-    """Where the controller listens."""
+    """Where the controller listens, and where the key shared with it is (none: not authenticated)."""
 
     host: str = "127.0.0.1"
     port: Port = 47000
     state_period_ms: int = Field(20, ge=1, le=1000)
+    link_key: KeySource = KeySource()
 
 
 class MotionSettings(StrictModel):

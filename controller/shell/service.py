@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import json
 import os
+import secrets
 import signal
 import time
 from dataclasses import asdict
@@ -28,6 +29,7 @@ from controller.shell.rehearsal import rehearse
 from protocol.configuration import configuration_hash
 from protocol.errors import ImageRefused
 from protocol.faults import CommandCode, FaultCode
+from protocol.link_key import read_key
 from protocol.process_image import SensorImage, ValveImage, decode_sensors, encode_valves
 from protocol.reference_link import Command
 from protocol.reference_session import ReferenceServer
@@ -57,13 +59,14 @@ class ControllerService:
         self._record_dir = None if options.record_dir is None else checked_directory(options.record_dir)
         self._settings = settings_from(arm, config)
         self._state = initial_state(self._settings)
-        self._boot_id = time.time_ns()
+        self._boot_id = secrets.randbits(64) or 1
         cycle_ns = round(config.cycle_ms * _NS_PER_MS)
         server = ReferenceServer(
             boot_id=self._boot_id,
             arm_hash=configuration_hash(arm),
             cycle_ns=cycle_ns,
             link_timeout_ms=config.reference_link.link_timeout_ms,
+            key=read_key(config.reference_link.link_key),
         )
         self._reference = ReferencePort(server, config.reference_link, log)
         self._plant = PlantLink(config.plant_link, log)

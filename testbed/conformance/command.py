@@ -12,6 +12,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from protocol.errors import ConfigurationError
+from protocol.link_key import key_from_file
 from testbed.conformance.case import Case, Outcome
 from testbed.conformance.records import as_json, write_records
 from testbed.conformance.runner import (
@@ -54,15 +55,21 @@ def reference(
     records: Records = None,
     json_file: JsonFile = None,
     seed: Annotated[int, typer.Option(min=0, help="Start of nonces and ids; 0: from the clock.")] = 0,
+    key: Annotated[
+        Path | None, typer.Option(help="File with the shared key: every session is authenticated.")
+    ] = None,
 ) -> None:
     """Ask a controller on the reference link; exit status 1 unless every supported case passes."""
     if list_cases:
         _list(reference_cases())
         return
     wanted = _wanted(case, reference_cases())
+    link_key = None if key is None else key_from_file(key)
 
     def run(show: Callable[[Result], None]) -> Summary:
-        return run_reference(host, port, numbers=wanted, motion=motion, seed=seed, on_result=show)
+        return run_reference(
+            host, port, numbers=wanted, motion=motion, seed=seed, key=link_key, on_result=show
+        )
 
     _finish(len(wanted), run, records, json_file)
 

@@ -66,7 +66,7 @@ def started_again(peer: Peer) -> None:
 def leap(peer: Peer) -> None:
     peer.open()
     for ahead in (65_537, 2**20, 2**31 - 1):
-        ignored(peer, f"a leap of {ahead}", (peer.sequence + ahead) % SEQUENCES)
+        ignored(peer, f"a leap of {ahead}", (peer.sequence + ahead) % peer.sequences)
     used(peer, "the next number after a leap")
 
 
@@ -81,7 +81,7 @@ def greatest_gap(peer: Peer) -> None:
 def wraps(peer: Peer) -> None:
     peer.open(sequence=SEQUENCES - 4)
     for _ in range(8):
-        used(peer, f"sequence {(peer.sequence + 1) % SEQUENCES} at the wrap")
+        used(peer, f"sequence {(peer.sequence + 1) % peer.sequences} at the wrap")
 
 
 @case(308, "1.9", "a late datagram from before the wrap is not used")
@@ -125,7 +125,7 @@ def numbered(peer: Peer) -> None:
     for _ in range(5):
         peer.send(stop(peer))
         sequences += [d.header.sequence for d in peer.collect(40)]
-    steps = {(b - a) % SEQUENCES for a, b in itertools.pairwise(sequences)}
+    steps = {(b - a) % peer.sequences for a, b in itertools.pairwise(sequences)}
     require(steps == {1}, f"steps of {sorted(steps)} between {len(sequences)} datagrams")
 
 

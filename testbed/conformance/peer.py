@@ -14,7 +14,7 @@ from protocol.reference_link import (
     State,
     Welcome,
 )
-from testbed.conformance.wire import ANSWER_MS, MS, SEQUENCES, Failed, Wire
+from testbed.conformance.wire import ANSWER_MS, MS, Failed, Unsupported, Wire
 
 HELLO_MS = 100
 SESSION_MS = 6000
@@ -27,7 +27,8 @@ class Peer(Wire):
 
     def second(self) -> "Peer":
         """Another peer from another port, sharing the transcript."""
-        other = Peer(self.address[0], self.address[1], self._nonces)
+        other = Peer(self.address[0], self.address[1], self._nonces, self.link_key)
+        other._keys = self._keys
         other.transcript = self.transcript
         other._begin_ns = self._begin_ns
         self._others.append(other._socket)
@@ -44,9 +45,9 @@ class Peer(Wire):
         minor: int = 0,
     ) -> Welcome:
         """Opens a session, waiting while another one is still open. Raises Failed."""
-        hello = Hello(nonce or self.nonce(), capabilities, arm_hash, period_ms)
+        hello = Hello(nonce or self.nonce(), capabilities | self.required, arm_hash, period_ms)
         if sequence is not None:
-            self.sequence = (sequence - 1) % SEQUENCES
+            self.sequence = (sequence - 1) % self.sequences
         until_ns = self.now_ns + SESSION_MS * MS
         while self.now_ns < until_ns:
             self.send(hello, session=0, minor=minor)
@@ -57,9 +58,11 @@ class Peer(Wire):
                 self.session, self.minor = datagram.header.session, datagram.header.minor
                 self.welcome = datagram.message
                 self._heartbeat_ns = self.now_ns
+                if self.link_key is not None:  # the session begins when the client has shown its key (11.8)
+                    self.alive("the first heartbeat")
                 return datagram.message
-            if isinstance(datagram.message, Bye) and datagram.message.reason is not Reason.SESSION_OCCUPIED:
-                raise Failed(f"HELLO was refused with {datagram.message.reason.name}")
+            if isinstance(datagram.message, Bye):
+                _refused(datagram.message.reason)
             time.sleep(HELLO_MS / 1e3)
         raise Failed(f"no session within {SESSION_MS} ms")
 
@@ -112,3 +115,13 @@ class Peer(Wire):
         self.drain()
         self.expect(State, why, 1000)
         return self.expect(State, why, 1000)
+
+
+def _refused(reason: Reason) -> None:
+    """Nothing if HELLO is to be said again; raises Unsupported or Failed."""
+    if reason is Reason.NOT_AUTHENTICATED:
+        raise Unsupported("the controller demands authentication: --key")
+    if reason is Reason.KEY_NOT_CONFIGURED:
+        raise Unsupported("the controller has no key: authentication is not offered")
+    if reason is not Reason.SESSION_OCCUPIED:
+        raise Failed(f"HELLO was refused with {reason.name}")

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable
 from importlib import import_module
 from typing import NamedTuple
 
+from protocol.authentication import LinkKey
 from testbed.conformance.case import Case, Outcome, coupler, reference
 from testbed.conformance.master import Master
 from testbed.conformance.peer import Peer
@@ -12,7 +13,7 @@ from testbed.conformance.wire import Failed, Line, NonceSource, Unsupported
 
 # Loading a module enters its cases.
 _COUPLER_MODULES = ("coupler_frames", "coupler_registers", "coupler_outputs", "coupler_watchdog")
-_MODULES = ("framing", "sessions", "lifetime", "order", "requests", "group", "motion")
+_MODULES = ("framing", "sessions", "lifetime", "order", "requests", "group", "motion", "authentication")
 
 
 class Result(NamedTuple):
@@ -57,13 +58,15 @@ def run_reference(
     numbers: Iterable[int] | None = None,
     motion: bool = False,
     seed: int = 0,
+    key: LinkKey | None = None,
     on_result: Callable[[Result], None] = lambda result: None,
 ) -> Summary:
     """Results of the reference link's cases against the controller at ``host``:``port``.
 
     ``numbers``: only these cases. ``motion``: also those that enable the group and move the arm by 20 mm;
     without it they count as unsupported. ``seed`` 0 draws nonces from the clock; a controller remembers the
-    nonces of earlier runs, so another run needs another one. ``on_result`` is called after every case.
+    nonces of earlier runs, so another run needs another one. ``key``: every session is authenticated; without
+    one the cases about authentication are unsupported. ``on_result`` is called after every case.
     """
     wanted = None if numbers is None else set(numbers)
     nonces = NonceSource(seed or time.time_ns())
@@ -71,16 +74,17 @@ def run_reference(
     for case in reference_cases():
         if wanted is not None and case.number not in wanted:
             continue
-        result = _run(case, host, port, nonces, motion)
+        result = _run(case, Peer(host, port, nonces, key), motion)
         results.append(result)
         on_result(result)
     return Summary("reference link", host, port, tuple(results))
 
 
-def _run(case: Case, host: str, port: int, nonces: NonceSource, motion: bool) -> Result:
+def _run(case: Case, peer: Peer, motion: bool) -> Result:
     if case.motion and not motion:
+        peer.close()
         return Result(case, Outcome.UNSUPPORTED, "moves the arm: not allowed in this run", 0.0, ())
-    return _ask(case, Peer(host, port, nonces))
+    return _ask(case, peer)
 
 
 def coupler_cases() -> tuple[Case, ...]:

@@ -5,9 +5,11 @@ import socket
 import time
 from typing import NamedTuple, TypeVar
 
+from protocol.authentication import ChannelKeys, DirectionKey, LinkKey, fault_of
 from protocol.errors import DatagramRefused
 from protocol.faults import Reason
 from protocol.reference_link import (
+    CAPABILITY_AUTHENTICATION,
     MAX_DATAGRAM_BYTES,
     Bye,
     Datagram,
@@ -18,10 +20,15 @@ from protocol.reference_link import (
     decode,
     encode,
 )
+from testbed.conformance.bytes_of import resealed, with_number, with_payload_of
 
 MS = 1_000_000
 ANSWER_MS = 400
 SEQUENCES = 1 << 32
+_EXTENDED_SEQUENCES = 1 << 64
+_SESSION = slice(16, 24)
+# A session ends with these, so they are signed; the other reasons of BYE answer those who have no session.
+_ENDINGS = (Reason.ACCEPTED, Reason.PEER_RESTARTED, Reason.LINK_TIMEOUT, Reason.SHUTDOWN)
 
 M = TypeVar("M", bound=Message)
 
@@ -67,10 +74,15 @@ class NonceSource:
 
 
 class Wire:
-    """One UDP socket towards the controller under test, and the session that was opened over it."""
+    """One UDP socket towards the controller under test, and the session that was opened over it.
 
-    def __init__(self, host: str, port: int, nonces: NonceSource) -> None:
+    With a ``link_key`` everything is signed, and what comes must be.
+    """
+
+    def __init__(self, host: str, port: int, nonces: NonceSource, link_key: LinkKey | None = None) -> None:
         self.address = (host, port)
+        self.link_key = link_key
+        self._keys: dict[int, ChannelKeys] = {}
         self._nonces = nonces
         self.shift_ns = 0
         self._socket = self.new_socket()
@@ -118,6 +130,16 @@ class Wire:
         assert self.welcome is not None
         return max(3 * self.welcome.cycle_ns / MS, 20.0) + 20.0
 
+    @property
+    def sequences(self) -> int:
+        """The modulus of sequence numbers."""
+        return SEQUENCES if self.link_key is None else _EXTENDED_SEQUENCES
+
+    @property
+    def required(self) -> int:
+        """The capability bits that HELLO must carry."""
+        return 0 if self.link_key is None else CAPABILITY_AUTHENTICATION
+
     def nonce(self) -> int:
         """A nonce that this run has not used."""
         return self._nonces.draw()
@@ -138,17 +160,37 @@ class Wire:
                session: int | None = None, minor: int | None = None, flags: int = 0) -> bytes:  # fmt: skip
         """A datagram of this session; with ``sequence`` None it takes the next number."""
         if sequence is None:
-            self.sequence = sequence = (self.sequence + 1) % SEQUENCES
-        return encode(
-            message,
-            Header(
-                self.session if session is None else session,
-                sequence,
-                self.now_ns if sent_ns is None else sent_ns,
-                flags=flags,
-                minor=self.minor if minor is None else minor,
-            ),
+            self.sequence = sequence = (self.sequence + 1) % self.sequences
+        header = Header(
+            self.session if session is None else session,
+            sequence,
+            self.now_ns if sent_ns is None else sent_ns,
+            flags=flags,
+            minor=self.minor if minor is None else minor,
         )
+        return encode(message, header, self.signs(header.session))
+
+    def signs(self, session: int) -> DirectionKey | None:
+        """What the datagrams of a session are signed with; HELLO's key where there is none."""
+        if self.link_key is None:
+            return None
+        return self._keys[session].sends if session in self._keys else self.link_key.of_hello()
+
+    def keys_of(self, session: int) -> ChannelKeys:
+        """The keys of a session that this wire has opened."""
+        return self._keys[session]
+
+    def resealed(self, data: bytes) -> bytes:
+        """Bent ``data`` with CRC and tag made right."""
+        return resealed(data, self.signs(int.from_bytes(data[_SESSION], "little")))
+
+    def with_number(self, data: bytes, offset: int, code: str, value: float) -> bytes:
+        """``data`` with one number replaced and CRC and tag made right."""
+        return with_number(data, offset, code, value, self.signs(int.from_bytes(data[_SESSION], "little")))
+
+    def with_payload_of(self, data: bytes, size: int) -> bytes:
+        """``data`` with a payload of ``size`` bytes, and length, CRC and tag made to match."""
+        return with_payload_of(data, size, self.signs(int.from_bytes(data[_SESSION], "little")))
 
     def send(self, message: Message, *, sequence: int | None = None, sent_ns: int | None = None,
              session: int | None = None, minor: int | None = None, flags: int = 0) -> bytes:  # fmt: skip
@@ -194,9 +236,26 @@ class Wire:
         if len(data) > MAX_DATAGRAM_BYTES:
             raise Failed(f"a datagram of {len(data)} bytes came: the limit is {MAX_DATAGRAM_BYTES}")
         try:
-            return decode(data)
+            datagram = decode(data)
         except DatagramRefused as error:
             raise Failed(f"a datagram came that cannot be decoded: {error}") from error
+        self._authenticate(data, datagram)
+        return datagram
+
+    def _authenticate(self, data: bytes, datagram: Datagram) -> None:
+        header, message = datagram
+        key: DirectionKey | None = None
+        if self.link_key is not None:
+            if isinstance(message, Bye) and message.reason not in _ENDINGS:
+                return
+            if isinstance(message, Welcome):
+                keys = self.link_key.of_client(message.client_nonce, header.session, message.boot_id)
+                self._keys.setdefault(header.session, keys)
+            if header.session not in self._keys:
+                raise Failed(f"a {type(message).__name__} of session {header.session:x}, never opened, came")
+            key = self._keys[header.session].receives
+        fault = fault_of(data, header.flags, key)
+        require(fault is None, f"{type(message).__name__} came that a client must refuse: {fault}")
 
     def collect(self, wait_ms: float, *, beating: bool = True) -> list[Datagram]:
         """Everything that comes within ``wait_ms``."""

@@ -9,10 +9,13 @@ from pathlib import Path
 from protocol.datagram_layout import (
     CRC_BYTES,
     CRC_OFFSET,
+    FLAG_AUTHENTICATED,
     HEADER,
     HEADER_BYTES,
     MAGIC,
     PAYLOADS,
+    TRAILER,
+    TRAILER_BYTES,
     VERSION_MAJOR,
     Field,
     Kind,
@@ -22,8 +25,16 @@ from protocol.datagram_layout import (
 
 SCRIPT = Path(__file__).with_name("longreach.lua")
 PORT = 47_000
-_TYPES = {"B": "uint8", "H": "uint16", "I": "uint32", "Q": "uint64", "d": "double", "4s": "string"}
-_HEX = ("flags", "session", "crc32", "capabilities", "arm_hash", "boot_id", "client_nonce")
+_TYPES = {
+    "B": "uint8",
+    "H": "uint16",
+    "I": "uint32",
+    "Q": "uint64",
+    "d": "double",
+    "4s": "string",
+    "16s": "bytes",
+}
+_HEX = ("flags", "session", "crc32", "capabilities", "arm_hash", "boot_id", "client_nonce", "key_id")
 _POSE_PARTS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 _HEAD = """\
@@ -104,11 +115,18 @@ function lrlk.dissector(buffer, pinfo, tree)
     root:add_proto_expert_info(bad_crc)
   end
   local layout = layouts[kind]
-  if layout == nil or length ~= HEADER_BYTES + sizes[kind] then
+  local signed = bit.band(buffer(FLAGS_OFFSET, 2):le_uint(), AUTHENTICATED) ~= 0
+  local trailer = signed and TRAILER_BYTES or 0
+  if layout == nil or length ~= HEADER_BYTES + sizes[kind] + trailer then
     root:add_proto_expert_info(malformed, "kind " .. kind .. " with " .. length .. " bytes")
     return length
   end
-  show(root:add(lrlk, buffer(HEADER_BYTES), name), buffer, layout, HEADER_BYTES)
+  show(root:add(lrlk, buffer(HEADER_BYTES, sizes[kind]), name), buffer, layout, HEADER_BYTES)
+  if signed then
+    local at = HEADER_BYTES + sizes[kind]
+    pinfo.cols.info:append(" signed")
+    show(root:add(lrlk, buffer(at), "trailer"), buffer, trailer_layout, at)
+  end
   return length
 end
 
@@ -125,8 +143,8 @@ DissectorTable.get("udp.port"):add(PORT, lrlk)
 
 def dissector() -> str:
     """The whole script."""
-    sequence = dict(zip((field.name for field in HEADER), offsets(HEADER), strict=True))["sequence"]
-    lines = [_HEAD, *_layout("header_layout", "", HEADER)]
+    at = dict(zip((field.name for field in HEADER), offsets(HEADER), strict=True))
+    lines = [_HEAD, *_layout("header_layout", "", HEADER), *_layout("trailer_layout", "trailer.", TRAILER)]
     for kind, fields in PAYLOADS.items():
         name = kind.name.lower()
         lines += [
@@ -137,7 +155,10 @@ def dissector() -> str:
 
     constants = {
         "HEADER_BYTES": HEADER_BYTES,
-        "SEQUENCE_OFFSET": sequence,
+        "SEQUENCE_OFFSET": at["sequence"],
+        "FLAGS_OFFSET": at["flags"],
+        "AUTHENTICATED": FLAG_AUTHENTICATED,
+        "TRAILER_BYTES": TRAILER_BYTES,
         "CRC_OFFSET": CRC_OFFSET,
         "CRC_END": CRC_OFFSET + CRC_BYTES,
         "MAJOR": VERSION_MAJOR,
@@ -165,7 +186,7 @@ def _layout(target: str, prefix: str, fields: tuple[Field, ...]) -> list[str]:
 def _proto_field(key: str, field: Field) -> str:
     label = field.name + (f" ({field.unit})" if field.unit and field.unit != "bits" else "")
     kind = _TYPES[field.code]
-    if kind in ("double", "string"):
+    if kind in ("double", "string", "bytes"):
         return f'ProtoField.{kind}("lrlk.{key}", "{label}")'
     base = "base.HEX" if field.name in _HEX else "base.DEC"
     values = f", {_value_table(field.enum)}" if field.enum is not None else ""

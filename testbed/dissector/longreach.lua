@@ -33,6 +33,14 @@ local header_layout = {
   { f["echo_sequence"], 28, 4, 1, nil },
   { f["sent_ns"], 32, 8, 1, nil },
 }
+f["trailer.sequence_high"] = ProtoField.uint32("lrlk.trailer.sequence_high", "sequence_high", base.DEC)
+f["trailer.key_id"] = ProtoField.uint32("lrlk.trailer.key_id", "key_id", base.HEX)
+f["trailer.tag"] = ProtoField.bytes("lrlk.trailer.tag", "tag")
+local trailer_layout = {
+  { f["trailer.sequence_high"], 0, 4, 1, nil },
+  { f["trailer.key_id"], 4, 4, 1, nil },
+  { f["trailer.tag"], 8, 16, 1, nil },
+}
 names[1] = "HELLO"
 sizes[1] = 32
 f["hello.client_nonce"] = ProtoField.uint64("lrlk.hello.client_nonce", "client_nonce", base.HEX)
@@ -114,7 +122,7 @@ layouts[7] = {
 names[8] = "ACKNOWLEDGEMENT"
 sizes[8] = 32
 f["acknowledgement.command_id"] = ProtoField.uint64("lrlk.acknowledgement.command_id", "command_id", base.DEC)
-f["acknowledgement.reason"] = ProtoField.uint32("lrlk.acknowledgement.reason", "reason", base.DEC, { [0] = "ACCEPTED", [1] = "DISABLED", [2] = "NOT_IN_ERROR", [3] = "ERROR_LATCHED", [4] = "EMERGENCY_LATCHED", [5] = "STOPPING", [6] = "ALREADY_DONE", [10] = "NOT_FINITE", [11] = "NOT_UNIT_QUATERNION", [12] = "OUTSIDE_WORKSPACE", [13] = "JOINT_LIMIT", [14] = "UNREACHABLE", [15] = "SINGULAR", [16] = "TOO_FAST", [17] = "TOO_FAR", [18] = "BAD_DURATION", [19] = "EMPTY_PATH", [20] = "TOO_MANY_WAYPOINTS", [21] = "PLANT_LINK_DOWN", [22] = "REFERENCE_LINK_DOWN", [23] = "PLANT_NOT_READY", [24] = "UNKNOWN_COMMAND", [25] = "REPEATED_COMMAND_ID", [26] = "OVERTAKEN", [27] = "NOT_NEGOTIATED", [28] = "MOVING", [29] = "STREAMING", [30] = "NOT_STREAMING", [31] = "STALE", [40] = "INCOMPATIBLE_VERSION", [41] = "WRONG_ARM", [42] = "SESSION_OCCUPIED", [43] = "UNKNOWN_SESSION", [44] = "PEER_RESTARTED", [45] = "LINK_TIMEOUT", [46] = "SHUTDOWN" })
+f["acknowledgement.reason"] = ProtoField.uint32("lrlk.acknowledgement.reason", "reason", base.DEC, { [0] = "ACCEPTED", [1] = "DISABLED", [2] = "NOT_IN_ERROR", [3] = "ERROR_LATCHED", [4] = "EMERGENCY_LATCHED", [5] = "STOPPING", [6] = "ALREADY_DONE", [10] = "NOT_FINITE", [11] = "NOT_UNIT_QUATERNION", [12] = "OUTSIDE_WORKSPACE", [13] = "JOINT_LIMIT", [14] = "UNREACHABLE", [15] = "SINGULAR", [16] = "TOO_FAST", [17] = "TOO_FAR", [18] = "BAD_DURATION", [19] = "EMPTY_PATH", [20] = "TOO_MANY_WAYPOINTS", [21] = "PLANT_LINK_DOWN", [22] = "REFERENCE_LINK_DOWN", [23] = "PLANT_NOT_READY", [24] = "UNKNOWN_COMMAND", [25] = "REPEATED_COMMAND_ID", [26] = "OVERTAKEN", [27] = "NOT_NEGOTIATED", [28] = "MOVING", [29] = "STREAMING", [30] = "NOT_STREAMING", [31] = "STALE", [40] = "INCOMPATIBLE_VERSION", [41] = "WRONG_ARM", [42] = "SESSION_OCCUPIED", [43] = "UNKNOWN_SESSION", [44] = "PEER_RESTARTED", [45] = "LINK_TIMEOUT", [46] = "SHUTDOWN", [47] = "NOT_AUTHENTICATED", [48] = "KEY_NOT_CONFIGURED", [49] = "UNKNOWN_KEY", [50] = "BAD_TAG" })
 f["acknowledgement.value"] = ProtoField.double("lrlk.acknowledgement.value", "value (SI)")
 f["acknowledgement.limit"] = ProtoField.double("lrlk.acknowledgement.limit", "limit (SI)")
 layouts[8] = {
@@ -175,7 +183,7 @@ layouts[9] = {
 }
 names[10] = "BYE"
 sizes[10] = 8
-f["bye.reason"] = ProtoField.uint32("lrlk.bye.reason", "reason", base.DEC, { [0] = "ACCEPTED", [1] = "DISABLED", [2] = "NOT_IN_ERROR", [3] = "ERROR_LATCHED", [4] = "EMERGENCY_LATCHED", [5] = "STOPPING", [6] = "ALREADY_DONE", [10] = "NOT_FINITE", [11] = "NOT_UNIT_QUATERNION", [12] = "OUTSIDE_WORKSPACE", [13] = "JOINT_LIMIT", [14] = "UNREACHABLE", [15] = "SINGULAR", [16] = "TOO_FAST", [17] = "TOO_FAR", [18] = "BAD_DURATION", [19] = "EMPTY_PATH", [20] = "TOO_MANY_WAYPOINTS", [21] = "PLANT_LINK_DOWN", [22] = "REFERENCE_LINK_DOWN", [23] = "PLANT_NOT_READY", [24] = "UNKNOWN_COMMAND", [25] = "REPEATED_COMMAND_ID", [26] = "OVERTAKEN", [27] = "NOT_NEGOTIATED", [28] = "MOVING", [29] = "STREAMING", [30] = "NOT_STREAMING", [31] = "STALE", [40] = "INCOMPATIBLE_VERSION", [41] = "WRONG_ARM", [42] = "SESSION_OCCUPIED", [43] = "UNKNOWN_SESSION", [44] = "PEER_RESTARTED", [45] = "LINK_TIMEOUT", [46] = "SHUTDOWN" })
+f["bye.reason"] = ProtoField.uint32("lrlk.bye.reason", "reason", base.DEC, { [0] = "ACCEPTED", [1] = "DISABLED", [2] = "NOT_IN_ERROR", [3] = "ERROR_LATCHED", [4] = "EMERGENCY_LATCHED", [5] = "STOPPING", [6] = "ALREADY_DONE", [10] = "NOT_FINITE", [11] = "NOT_UNIT_QUATERNION", [12] = "OUTSIDE_WORKSPACE", [13] = "JOINT_LIMIT", [14] = "UNREACHABLE", [15] = "SINGULAR", [16] = "TOO_FAST", [17] = "TOO_FAR", [18] = "BAD_DURATION", [19] = "EMPTY_PATH", [20] = "TOO_MANY_WAYPOINTS", [21] = "PLANT_LINK_DOWN", [22] = "REFERENCE_LINK_DOWN", [23] = "PLANT_NOT_READY", [24] = "UNKNOWN_COMMAND", [25] = "REPEATED_COMMAND_ID", [26] = "OVERTAKEN", [27] = "NOT_NEGOTIATED", [28] = "MOVING", [29] = "STREAMING", [30] = "NOT_STREAMING", [31] = "STALE", [40] = "INCOMPATIBLE_VERSION", [41] = "WRONG_ARM", [42] = "SESSION_OCCUPIED", [43] = "UNKNOWN_SESSION", [44] = "PEER_RESTARTED", [45] = "LINK_TIMEOUT", [46] = "SHUTDOWN", [47] = "NOT_AUTHENTICATED", [48] = "KEY_NOT_CONFIGURED", [49] = "UNKNOWN_KEY", [50] = "BAD_TAG" })
 layouts[10] = {
   { f["bye.reason"], 0, 4, 1, nil },
 }
@@ -197,7 +205,7 @@ names[12] = "STREAM_REFUSED"
 sizes[12] = 32
 f["stream_refused.stream_id"] = ProtoField.uint64("lrlk.stream_refused.stream_id", "stream_id", base.DEC)
 f["stream_refused.number"] = ProtoField.uint32("lrlk.stream_refused.number", "number", base.DEC)
-f["stream_refused.reason"] = ProtoField.uint32("lrlk.stream_refused.reason", "reason", base.DEC, { [0] = "ACCEPTED", [1] = "DISABLED", [2] = "NOT_IN_ERROR", [3] = "ERROR_LATCHED", [4] = "EMERGENCY_LATCHED", [5] = "STOPPING", [6] = "ALREADY_DONE", [10] = "NOT_FINITE", [11] = "NOT_UNIT_QUATERNION", [12] = "OUTSIDE_WORKSPACE", [13] = "JOINT_LIMIT", [14] = "UNREACHABLE", [15] = "SINGULAR", [16] = "TOO_FAST", [17] = "TOO_FAR", [18] = "BAD_DURATION", [19] = "EMPTY_PATH", [20] = "TOO_MANY_WAYPOINTS", [21] = "PLANT_LINK_DOWN", [22] = "REFERENCE_LINK_DOWN", [23] = "PLANT_NOT_READY", [24] = "UNKNOWN_COMMAND", [25] = "REPEATED_COMMAND_ID", [26] = "OVERTAKEN", [27] = "NOT_NEGOTIATED", [28] = "MOVING", [29] = "STREAMING", [30] = "NOT_STREAMING", [31] = "STALE", [40] = "INCOMPATIBLE_VERSION", [41] = "WRONG_ARM", [42] = "SESSION_OCCUPIED", [43] = "UNKNOWN_SESSION", [44] = "PEER_RESTARTED", [45] = "LINK_TIMEOUT", [46] = "SHUTDOWN" })
+f["stream_refused.reason"] = ProtoField.uint32("lrlk.stream_refused.reason", "reason", base.DEC, { [0] = "ACCEPTED", [1] = "DISABLED", [2] = "NOT_IN_ERROR", [3] = "ERROR_LATCHED", [4] = "EMERGENCY_LATCHED", [5] = "STOPPING", [6] = "ALREADY_DONE", [10] = "NOT_FINITE", [11] = "NOT_UNIT_QUATERNION", [12] = "OUTSIDE_WORKSPACE", [13] = "JOINT_LIMIT", [14] = "UNREACHABLE", [15] = "SINGULAR", [16] = "TOO_FAST", [17] = "TOO_FAR", [18] = "BAD_DURATION", [19] = "EMPTY_PATH", [20] = "TOO_MANY_WAYPOINTS", [21] = "PLANT_LINK_DOWN", [22] = "REFERENCE_LINK_DOWN", [23] = "PLANT_NOT_READY", [24] = "UNKNOWN_COMMAND", [25] = "REPEATED_COMMAND_ID", [26] = "OVERTAKEN", [27] = "NOT_NEGOTIATED", [28] = "MOVING", [29] = "STREAMING", [30] = "NOT_STREAMING", [31] = "STALE", [40] = "INCOMPATIBLE_VERSION", [41] = "WRONG_ARM", [42] = "SESSION_OCCUPIED", [43] = "UNKNOWN_SESSION", [44] = "PEER_RESTARTED", [45] = "LINK_TIMEOUT", [46] = "SHUTDOWN", [47] = "NOT_AUTHENTICATED", [48] = "KEY_NOT_CONFIGURED", [49] = "UNKNOWN_KEY", [50] = "BAD_TAG" })
 f["stream_refused.value"] = ProtoField.double("lrlk.stream_refused.value", "value (SI)")
 f["stream_refused.limit"] = ProtoField.double("lrlk.stream_refused.limit", "limit (SI)")
 layouts[12] = {
@@ -210,6 +218,9 @@ layouts[12] = {
 
 local HEADER_BYTES = 40
 local SEQUENCE_OFFSET = 24
+local FLAGS_OFFSET = 8
+local AUTHENTICATED = 256
+local TRAILER_BYTES = 24
 local CRC_OFFSET = 12
 local CRC_END = 16
 local MAJOR = 1
@@ -282,11 +293,18 @@ function lrlk.dissector(buffer, pinfo, tree)
     root:add_proto_expert_info(bad_crc)
   end
   local layout = layouts[kind]
-  if layout == nil or length ~= HEADER_BYTES + sizes[kind] then
+  local signed = bit.band(buffer(FLAGS_OFFSET, 2):le_uint(), AUTHENTICATED) ~= 0
+  local trailer = signed and TRAILER_BYTES or 0
+  if layout == nil or length ~= HEADER_BYTES + sizes[kind] + trailer then
     root:add_proto_expert_info(malformed, "kind " .. kind .. " with " .. length .. " bytes")
     return length
   end
-  show(root:add(lrlk, buffer(HEADER_BYTES), name), buffer, layout, HEADER_BYTES)
+  show(root:add(lrlk, buffer(HEADER_BYTES, sizes[kind]), name), buffer, layout, HEADER_BYTES)
+  if signed then
+    local at = HEADER_BYTES + sizes[kind]
+    pinfo.cols.info:append(" signed")
+    show(root:add(lrlk, buffer(at), "trailer"), buffer, trailer_layout, at)
+  end
   return length
 end
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from controller.config import ArmConfig, ControllerConfig
 from controller.core.settings import Settings, settings_from
+from protocol.authentication import LinkKey
 from protocol.configuration import configuration_hash, load, parse_overrides
 from protocol.reference_link import Acknowledgement, Request, State
 from protocol.reference_session import ReferenceServer, RequestReceived
@@ -33,6 +34,8 @@ class ThreadedController:
     A mutant overrides one of the hooks ``make_server``, ``incoming``, ``judge``, ``shown``, ``outgoing``.
     """
 
+    link_key: LinkKey | None = None
+
     def __init__(self) -> None:
         self.settings = settings()
         self.cycle_ns = round(self.settings.cycle_s * 1e9)
@@ -51,7 +54,7 @@ class ThreadedController:
 
     def make_server(self) -> ReferenceServer:
         """The server's end of the link."""
-        return ReferenceServer(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS)
+        return ReferenceServer(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, key=self.link_key)
 
     def arm_hash(self) -> int:
         """The hash of the shipped arm."""

@@ -449,9 +449,9 @@ class KeepsItsSessionNumber(ThreadedController):
 
     def make_server(self) -> ReferenceServer:
         class Server(ReferenceServer):
-            def _opened(self, header: Header, hello: Hello, source: object, now_ns: int) -> Any:
+            def _granted(self, header: Header, hello: Hello, source: object, now_ns: int) -> Any:
                 self._sessions_opened = 0
-                return super()._opened(header, hello._replace(client_nonce=1), source, now_ns)
+                return super()._granted(header, hello._replace(client_nonce=1), source, now_ns)
 
             def outgoing(self, now_ns: int | None = None) -> list[tuple[bytes, object]]:
                 return [(reworked(d, Welcome, self._with_nonce), s) for d, s in super().outgoing(now_ns)]
@@ -528,24 +528,22 @@ def _sound_crc(data: bytes) -> bool:
 
 
 def _with_ledger(server: ReferenceServer, ledger: type[CommandLedger]) -> ReferenceServer:
-    def opened(*args: Any) -> Any:
-        event = original(*args)
-        assert server._session is not None
-        server._session.ledger = ledger()
-        return event
+    def granted(*args: Any) -> Any:
+        session = original(*args)
+        session.ledger = ledger()
+        return session
 
-    original = server._opened
-    server._opened = opened
+    original = server._granted
+    server._granted = granted
     return server
 
 
 def _with_window(server: ReferenceServer, window: type[channel.SequenceWindow]) -> ReferenceServer:
-    def opened(header: Header, *args: Any) -> Any:
-        event = original(header, *args)
-        assert server._session is not None
-        server._session.channel._window = window(header.sequence)
-        return event
+    def granted(header: Header, *args: Any) -> Any:
+        session = original(header, *args)
+        session.channel._window = window(header.sequence)
+        return session
 
-    original = server._opened
-    server._opened = opened
+    original = server._granted
+    server._granted = granted
     return server

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from protocol.datagram_layout import HEADER, PAYLOADS
+from protocol.authentication import LinkKey
+from protocol.datagram_layout import HEADER, PAYLOADS, TRAILER
 from protocol.reference_link import encode
 from testbed.conformance.bytes_of import with_bit_flipped, with_number
 from testbed.dissector.generate import SCRIPT, dissector
@@ -19,6 +20,7 @@ from tests.protocol.samples import MESSAGES
 
 TSHARK = shutil.which("tshark")
 needs_tshark = pytest.mark.skipif(TSHARK is None, reason="tshark is not installed: apt-get install tshark")
+KEY = LinkKey(bytes(range(32)))
 DATAGRAMS = [encode(message, SAMPLE_HEADER) for message in MESSAGES]
 
 
@@ -28,7 +30,7 @@ def test_the_script_is_the_one_of_the_tables() -> None:
 
 def test_every_field_of_every_kind_is_shown_once() -> None:
     text = SCRIPT.read_text(encoding="utf-8")
-    wanted = {field.name for field in HEADER}
+    wanted = {field.name for field in HEADER} | {f"trailer.{field.name}" for field in TRAILER}
     for kind, fields in PAYLOADS.items():
         wanted |= {f"{kind.name.lower()}.{field.name}" for field in fields if field.code != "x"}
     defined = re.findall(r'^f\["([^"]+)"\] = ', text, re.MULTILINE)
@@ -105,3 +107,32 @@ def test_tshark_filters_by_our_fields(tmp_path: Path) -> None:
     write_pcap(path, DATAGRAMS)
     assert len(dissected(path, "-Y", "lrlk.command.code == 3")) == 1
     assert len(dissected(path, "-Y", "lrlk")) == len(DATAGRAMS)
+
+
+@needs_tshark
+def test_tshark_shows_the_trailer_of_signed_datagrams(tmp_path: Path) -> None:
+    path = tmp_path / "signed.pcap"
+    header = SAMPLE_HEADER._replace(sequence=SAMPLE_HEADER.sequence + (7 << 32))
+    signed = [encode(message, header, KEY.of_hello()) for message in MESSAGES]
+    write_pcap(path, [*signed, DATAGRAMS[6], signed[6][:-8]])
+    *whole, plain, cut = dissected(path)
+    for packet, data in zip(whole, signed, strict=True):
+        assert "lrlk.bad_crc" not in json.dumps(packet)
+        assert "lrlk.malformed" not in json.dumps(packet)
+        assert found(packet, "lrlk.trailer.sequence_high") == ["7"]
+        assert int(found(packet, "lrlk.trailer.key_id")[0], 16) == KEY.key_id
+        assert found(packet, "lrlk.trailer.tag")[0].replace(":", "") == data[-16:].hex()
+    said = info_column(path)
+    assert all(line.endswith(" signed") for line in said[: len(signed)])
+    assert "signed" not in said[len(signed)]
+    assert found(plain, "lrlk.trailer.tag") == []
+    assert "lrlk.malformed" in json.dumps(cut)
+    assert len(dissected(path, "-Y", "lrlk.trailer.tag")) == len(signed)
+
+
+def info_column(path: Path) -> list[str]:
+    """The info column of every packet."""
+    assert TSHARK is not None
+    command = [TSHARK, "-X", f"lua_script:{SCRIPT}", "-r", str(path), "-T", "fields", "-e", "_ws.col.Info"]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    return run.stdout.splitlines()

@@ -7,6 +7,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from protocol.authentication import LinkKey
 from protocol.errors import ConfigurationError
 from protocol.reference_link import encode
 from testbed.conformance.bytes_of import with_bit_flipped
@@ -70,3 +71,33 @@ def test_what_is_no_capture_is_refused_with_its_cause(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError) as text:
         next(from_file(tmp_path / "text"))
     assert text.value.cause == "sniff.not_pcap"
+
+
+def test_tags_are_noted_and_with_the_key_judged(tmp_path: Path) -> None:
+    path, key_file = tmp_path / "signed.pcap", tmp_path / "key"
+    key_file.write_text(bytes(range(32)).hex())
+    key_file.chmod(0o600)
+    key = LinkKey(bytes(range(32)))
+    hello, welcome, beat, bye = (MESSAGES[i] for i in (0, 1, 2, 9))
+    keys = key.of_client(welcome.client_nonce, HEADER.session, welcome.boot_id)
+    datagrams = [
+        encode(beat, HEADER, keys.sends),  # before its session was seen to open
+        encode(hello, HEADER._replace(session=0), key.of_hello()),
+        encode(welcome, HEADER, keys.receives),
+        encode(beat, HEADER, keys.sends),
+        encode(beat, HEADER, keys.receives),
+        encode(bye, HEADER, keys.sends),
+        encode(bye, HEADER, keys.receives),
+        encode(bye, HEADER, key.of_hello()),
+        encode(bye, HEADER, LinkKey(bytes(32)).of_hello()),
+        DATAGRAMS[2],
+    ]
+    write_pcap(path, datagrams)
+    judged = CliRunner().invoke(app, ["--pcap", str(path), "--key", str(key_file), "--json-lines"])
+    told = [json.loads(line) for line in judged.output.splitlines()]
+    assert [each.get("tag") or each.get("refused") for each in told] == [
+        "not judged", "right", "right", "right", "authentication.bad_tag", "right", "right",
+        "authentication.bad_tag", "authentication.unknown_key", None,
+    ]  # fmt: skip
+    unjudged = CliRunner().invoke(app, ["--pcap", str(path)]).output.splitlines()
+    assert [" tag=not-judged " in line for line in unjudged] == [True] * 9 + [False]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from controller.core.group_states import TRANSITIONS, Mode, Stimulus
 from protocol import datagram_layout, process_image, reference_messages
+from protocol.authentication import LinkKey
 from protocol.channel import MAX_GAP_DATAGRAMS, WINDOW_DATAGRAMS
 from protocol.client_session import HELLO_PERIOD_NS, HELLOS_PER_NONCE, MIN_RESEND_NS, RESEND_CYCLES
 from protocol.clock_offset import DISPUTED_TO_RESET, DRIFT_PPM, WINDOW
@@ -19,6 +20,7 @@ from protocol.datagram_layout import (
     MAX_DATAGRAM_BYTES,
     MAX_WAYPOINTS,
     PAYLOADS,
+    TRAILER,
     Field,
     Kind,
     offsets,
@@ -38,20 +40,42 @@ from protocol.faults import (
     Severity,
 )
 from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
+from protocol.reference_link import Bye, Heartbeat, Hello, ReferencePose, Welcome, encode
 from protocol.server_session import REFUSAL_INTERVAL_NS, REMEMBERED_NONCES
+from tests.protocol.samples import HEADER as HEADER_SAMPLE
+from tests.protocol.samples import MESSAGES
 from tests.protocol.session_tables import CLIENT_ROWS, SERVER_ROWS, Row
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "protocol.md"
 GOLDEN = Path(__file__).parent / "golden_datagrams.json"
-IEC = {"B": "USINT", "H": "UINT", "I": "UDINT", "Q": "ULINT", "d": "LREAL", "4s": "BYTE", "x": "BYTE"}
+IEC = {"B": "USINT", "H": "UINT", "I": "UDINT", "Q": "ULINT", "d": "LREAL", "x": "BYTE"} | {
+    "4s": "BYTE",
+    "16s": "BYTE",
+}
 IEC_WORDS = {"H": "UINT", "h": "INT", "i": "DINT"}
 # LIMIT is a standard function of IEC 61131-3, so it cannot name a member.
 IEC_NAMES = {"limit": "limit_value"}
 MS = 1_000_000
+KEY_ROWS = (
+    ("K_hello", "`LRLK 1 hello`", "nothing", "HELLO"),
+    (
+        "K_client",
+        "`LRLK 1 client`",
+        "client_nonce ‖ session ‖ boot_id",
+        "what the client sends in the session",
+    ),
+    (
+        "K_controller",
+        "`LRLK 1 controller`",
+        "the same",
+        "WELCOME and what the controller sends in the session",
+    ),
+)
 CAPABILITIES = {
     "PATHS": "REFERENCE_PATH is understood",
     "STREAMING": "START_STREAM, END_STREAM, STREAMED_POSE and STREAM_REFUSED are understood",
+    "AUTHENTICATION": "every datagram of the session is signed (clause 11)",
 }
 COLUMNS = {Stimulus.MOVE: "reference", Stimulus.STREAMED: "streamed reference"}
 
@@ -70,7 +94,7 @@ def datagram_table(fields: tuple[Field, ...]) -> str:
         if field.enum is not None:
             return f"see {field.enum.__name__}"
         if field.code not in "BHIQ" or (field.low == 0 and field.high is None):
-            return "–" if field.code in ("x", "4s") else "any"
+            return "–" if field.code in ("x", "4s", "16s") else "any"
         return f"{field.low}…{field.highest}" if field.low < field.highest else str(field.low)
 
     rows = (
@@ -81,7 +105,7 @@ def datagram_table(fields: tuple[Field, ...]) -> str:
 
 
 def _counted(kind: str, field: Field) -> str:
-    count = 4 if field.code == "4s" else field.count
+    count = field.size if field.code.endswith("s") else field.count
     return f"{kind}[{count}]" if count > 1 else kind
 
 
@@ -144,7 +168,7 @@ def _constant(name: str) -> int:
 def limits() -> str:
     """Every time and count of the protocol, in milliseconds and in packets."""
     rows = [
-        ("largest datagram", f"{MAX_DATAGRAM_BYTES} bytes", "–"),
+        ("largest datagram", f"{MAX_DATAGRAM_BYTES} bytes, with its trailer", "–"),
         ("waypoints in a path", MAX_WAYPOINTS, "–"),
         ("HELLO repeated", f"every {HELLO_PERIOD_NS // MS} ms", f"new nonce after {HELLOS_PER_NONCE}"),
         ("HEARTBEAT", f"every link_timeout_ms / {HEARTBEATS_PER_TIMEOUT}",
@@ -157,6 +181,8 @@ def limits() -> str:
         ("answers remembered", "for the session", f"the newest {REMEMBERED}"),
         ("nonces remembered", "–", f"those of the last {REMEMBERED_NONCES} sessions"),
         ("gap in the sequence", "–", f"at most {MAX_GAP_DATAGRAMS - 1} skipped; more is refused"),
+        ("replay window", "–", f"the newest {WINDOW_DATAGRAMS} of 2^64 numbers"),
+        ("session that is not confirmed is forgotten", "after more than link_timeout_ms", "–"),
         ("late told from duplicate", "–", f"within the newest {WINDOW_DATAGRAMS} numbers"),
         ("BYE to those without a session", f"at most one in {REFUSAL_INTERVAL_NS // MS} ms", "–"),
         ("echoes kept for the clock", "–", f"the newest {WINDOW}"),
@@ -192,6 +218,7 @@ def structured_text() -> str:
     for kind, fields in PAYLOADS.items():
         name = "".join(word.capitalize() for word in kind.name.split("_"))
         parts += _struct(f"ST_LR_{name}", fields, "    header : ST_LR_Header;")
+    parts += _struct("ST_LR_Trailer", TRAILER)
     for name, rows in (("ST_LR_Inputs", INPUT_TABLE), ("ST_LR_Outputs", OUTPUT_TABLE)):
         parts += ["TYPE", f"{name} : STRUCT"]
         parts += [f"    {row.name} : {_array(row.count, IEC_WORDS[row.code])};" for row in rows]
@@ -205,8 +232,8 @@ def _struct(name: str, fields: tuple[Field, ...], first: str | None = None) -> l
 
 
 def _iec_type(field: Field) -> str:
-    if field.code == "4s":
-        return "ARRAY[0..3] OF BYTE"
+    if field.code.endswith("s"):
+        return _array(field.size, "BYTE")
     return _array(field.poses, "ST_LR_Pose") if field.poses else _array(field.count, IEC[field.code])
 
 
@@ -216,15 +243,45 @@ def _array(count: int, kind: str) -> str:
 
 def golden() -> str:
     """One datagram of every kind, byte for byte."""
+    return listing(json.loads(GOLDEN.read_text()))
+
+
+def signed_golden() -> dict[str, bytes]:
+    """Some of them signed with the key that the page gives: one of each direction, and HELLO."""
+    secret = LinkKey(bytes(range(32)))
+    welcome = next(message for message in MESSAGES if isinstance(message, Welcome))
+    keys = secret.of_client(welcome.client_nonce, HEADER_SAMPLE.session, welcome.boot_id)
+    header = HEADER_SAMPLE._replace(sequence=HEADER_SAMPLE.sequence + (7 << 32))
+    signed = {}
+    for message in MESSAGES:
+        if isinstance(message, Hello):
+            signed["Hello"] = encode(message, header._replace(session=0), secret.of_hello())
+        elif isinstance(message, Welcome | Heartbeat | ReferencePose | Bye):
+            key = keys.receives if isinstance(message, Welcome) else keys.sends
+            signed[type(message).__name__] = encode(message, header, key)
+    return signed
+
+
+def listing(datagrams: dict[str, str]) -> str:
+    """Hexadecimal datagrams under their names."""
     parts = []
-    for name, data in json.loads(GOLDEN.read_text()).items():
+    for name, data in datagrams.items():
         parts.append(f"{name}\n" + textwrap.indent("\n".join(textwrap.wrap(data, 96)), "  "))
     return "```text\n" + "\n".join(parts) + "\n```"
 
 
 SECTIONS: dict[str, Callable[[], str]] = {
     "header": lambda: datagram_table(HEADER),
-    "flags": lambda: bits("FLAG_", {"ECHO_VALID": "`echo_sequence` holds a number"}),
+    "flags": lambda: bits(
+        "FLAG_",
+        {
+            "ECHO_VALID": "`echo_sequence` holds a number",
+            "AUTHENTICATED": "critical: a trailer with a tag follows the payload (clause 11)",
+        },
+    ),
+    "trailer": lambda: datagram_table(TRAILER),
+    "keys": lambda: table("key | label | context | signs", KEY_ROWS),
+    "signed golden": lambda: listing({name: data.hex() for name, data in signed_golden().items()}),
     "capabilities": lambda: bits("CAPABILITY_", CAPABILITIES),
     "payloads": payload_tables,
     "limits": limits,

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from protocol.datagram_layout import PAYLOADS, Kind, offsets, size_of
+from protocol.datagram_layout import PAYLOADS, TRAILER, TRAILER_BYTES, Kind, offsets, size_of
 from protocol.errors import DatagramRefused, RequestRefused
 from protocol.faults import CommandCode, Reason
 from protocol.pose import IDENTITY, Pose
@@ -70,12 +70,13 @@ def test_the_bytes_on_the_wire_are_these(message: Message) -> None:
 
 
 def test_a_datagram_fits_an_ethernet_frame_unfragmented() -> None:
-    assert max(HEADER_BYTES + size_of(fields) for fields in PAYLOADS.values()) == MAX_DATAGRAM_BYTES <= 1472
+    largest = max(HEADER_BYTES + size_of(fields) for fields in PAYLOADS.values())
+    assert largest + TRAILER_BYTES == MAX_DATAGRAM_BYTES <= 1472
 
 
 def test_numbers_sit_at_a_multiple_of_their_size() -> None:
     assert HEADER_BYTES % 8 == 0
-    for fields in PAYLOADS.values():
+    for fields in (*PAYLOADS.values(), TRAILER):
         assert size_of(fields) % 8 == 0
         for field, offset in zip(fields, offsets(fields), strict=True):
             assert offset % (field.size // field.count) == 0
@@ -122,7 +123,8 @@ def test_a_jumbo_datagram_is_refused_by_its_size_alone() -> None:
         (6, "B", 0, "datagram.unknown_kind"),
         (6, "B", 13, "datagram.unknown_kind"),
         (6, "B", Kind.WELCOME, "datagram.wrong_payload_length"),
-        (8, "H", 1 << 8, "datagram.unknown_critical_flag"),
+        (8, "H", 1 << 8, "datagram.bad_length"),
+        (8, "H", 1 << 9, "datagram.unknown_critical_flag"),
         (8, "H", 1 << 15, "datagram.unknown_critical_flag"),
         (HEADER_BYTES, "Q", 0, "datagram.bad_value"),
         (HEADER_BYTES + 24, "I", 60_001, "datagram.bad_value"),

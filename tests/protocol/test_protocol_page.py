@@ -38,7 +38,7 @@ def test_clauses_are_numbered_in_order_and_those_cited_exist() -> None:
 
 def test_every_cause_of_a_drop_is_written_down_and_no_other() -> None:
     source = "".join(path.read_text() for path in (ROOT / "protocol").glob("*.py"))
-    pattern = r"[\"`]((?:datagram|session|sequence|clock)\.[a-z_]+)[\"`]"
+    pattern = r"[\"`]((?:datagram|authentication|session|sequence|clock)\.[a-z_]+)[\"`]"
     used = set(re.findall(pattern, source)) - {"datagram.", "sequence.new"}
     assert set(re.findall(pattern, TEXT)) == used
     images = set(re.findall(r"[\"`](image\.[a-z_]+)[\"`]", source))
@@ -177,7 +177,7 @@ RAW_FAULTS: list[tuple[str, Callable[[bytearray], None]]] = [
     ("datagram.wrong_major", lambda d: d.__setitem__(4, 2)),
     ("datagram.bad_length", lambda d: d.__setitem__(10, 33)),
     ("datagram.bad_crc", lambda d: d.__setitem__(12, d[12] ^ 1)),
-    ("datagram.unknown_critical_flag", lambda d: d.__setitem__(9, 1)),
+    ("datagram.unknown_critical_flag", lambda d: d.__setitem__(9, 2)),
     ("datagram.unknown_kind", lambda d: d.__setitem__(6, 200)),
     ("datagram.wrong_payload_length", lambda d: d.__setitem__(6, 2)),
     ("datagram.bad_value", lambda d: d.__setitem__(slice(40, 48), bytes(8))),

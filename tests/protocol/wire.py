@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from protocol.faults import Reason
 from protocol.reference_link import Acknowledgement, decode
@@ -21,7 +22,7 @@ ARM = 0xA12A
 BOOT = 0xB007
 
 
-def a_server(**overrides: int) -> ReferenceServer:
+def a_server(**overrides: Any) -> ReferenceServer:
     """A server with the values of this module."""
     settings = {"boot_id": BOOT, "arm_hash": ARM, "cycle_ns": CYCLE_NS, "link_timeout_ms": TIMEOUT_MS}
     return ReferenceServer(**settings | overrides)

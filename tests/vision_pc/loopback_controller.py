@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from protocol.authentication import LinkKey
 from protocol.errors import RequestRefused
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.reference_link import (
@@ -42,9 +43,15 @@ async def until(condition: Callable[[], object], limit_s: float = 3.0) -> None:
 class LoopbackController(asyncio.DatagramProtocol):
     """Serves on 127.0.0.1 at ``port`` (0: any) from ``start`` to ``stop``; ``speed`` in m/s."""
 
-    def __init__(self, rig: SyntheticRig, speed: float = 1.5, clock_ahead_ns: int = 7_000_000_000) -> None:
+    def __init__(
+        self,
+        rig: SyntheticRig,
+        speed: float = 1.5,
+        clock_ahead_ns: int = 7_000_000_000,
+        key: LinkKey | None = None,
+    ) -> None:
         self.rig, self.speed, self.clock_ahead_ns = rig, speed, clock_ahead_ns
-        self.session = ReferenceServer(1, 0xA12, int(CYCLE_S * 1e9), 500)
+        self.session = ReferenceServer(1, 0xA12, int(CYCLE_S * 1e9), 500, key=key)
         self.group, self.fault, self.emergency = GroupState.DISABLED, FaultCode.NONE, False
         self.motion: list[tuple[Array, Array, int]] = []  # X_from, X_goal, cycles
         self.motion_id, self.motion_done, self.cycle, self.step = 0, False, 0, 0

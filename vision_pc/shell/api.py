@@ -11,6 +11,7 @@ from protocol.faults import CommandCode
 from protocol.reference_link import FLAG_EMERGENCY_LATCHED, FLAG_PLANT_LINK_OK, FLAG_SETTLED, State
 from vision_pc.core.se3 import from_pose
 from vision_pc.shell import problems
+from vision_pc.shell.link_view import LinkView, link_view
 from vision_pc.shell.guided_calibration import GuidedCalibration
 from vision_pc.shell.hand_eye_routes import add_hand_eye
 from vision_pc.shell.operation_routes import add_operations
@@ -74,6 +75,11 @@ def _add_reading(app: FastAPI, station: Station, operations: Operations) -> None
             "operation": operations.current.id if operations.current else None,
             "calibration": None if station.calibration is None else calibration_json(station.calibration),
         }
+
+    @app.get("/link", tags=["state"], summary="The reference link in numbers, on both sides")
+    async def link() -> LinkView:
+        """Always answered: session, authentication, every counter of datagrams, and the clock's offset."""
+        return link_view(station.controller)
 
     @app.get("/looks/latest", tags=["looks"], summary="The latest look, with error, uncertainty and verdict")
     async def latest_look() -> JSON:

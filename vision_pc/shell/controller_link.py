@@ -14,6 +14,7 @@ from typing import Any, cast
 
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import CommandCode, Reason
+from protocol.link_key import read_key
 from protocol.reference_link import Acknowledgement, Command, Request, State, StreamedPose, StreamRefused
 from protocol.reference_session import (
     AcknowledgementReceived,
@@ -47,7 +48,9 @@ class ControllerLink(asyncio.DatagramProtocol):
         self._settings = settings
         self._log = log
         self._clock = clock
-        self._session = ReferenceClient(secrets.randbits(64), 0, settings.state_period_ms)
+        self._session = ReferenceClient(
+            secrets.randbits(64), 0, settings.state_period_ms, key=read_key(settings.link_key)
+        )
         self._states: deque[State] = deque(maxlen=int(1e3 * _HISTORY_S / settings.state_period_ms))
         self._received_ns = 0
         self._new_state = asyncio.Event()
@@ -90,6 +93,11 @@ class ControllerLink(asyncio.DatagramProtocol):
     def clock_offset(self) -> OffsetEstimate | None:
         """The controller's clock minus ours, with its bound."""
         return self._session.clock
+
+    @property
+    def authenticated(self) -> bool:
+        """Whether a session is open in which every datagram is signed."""
+        return self._session.authenticated
 
     @property
     def statistics(self) -> LinkStatistics:

@@ -1,0 +1,69 @@
+"""The suite with a key: a sound controller passes it, and every broken one is caught by its own case."""
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from testbed.conformance.case import Outcome
+from testbed.conformance.command import app
+from testbed.conformance.runner import reference_cases, run_reference
+from tests.conformance.controllers import ThreadedController
+from tests.conformance.key_mutants import KEY, KEY_MUTANTS, KeyedController
+from tests.conformance.mutants import Mutant
+from tests.conformance.test_reference_suite import CONTROL, SLOW, failures
+
+FOR_CONTROLLERS_WITHOUT_A_KEY = {722}
+OF_AUTHENTICATION = {case.number for case in reference_cases() if 700 < case.number < 800}
+
+
+def test_a_sound_controller_with_a_key_passes_every_case() -> None:
+    left_out = SLOW | FOR_CONTROLLERS_WITHOUT_A_KEY
+    numbers = [case.number for case in reference_cases() if case.number not in left_out]
+    with KeyedController() as controller:
+        summary = run_reference("127.0.0.1", controller.port, numbers=numbers, motion=True, key=KEY)
+    assert failures(summary) == []
+    assert len(summary.results) == len(numbers)
+
+
+@pytest.mark.parametrize("mutant", KEY_MUTANTS, ids=lambda m: f"{m.make.__name__}-{m.case}")
+def test_each_broken_controller_is_caught_by_the_case_meant_for_it(mutant: Mutant) -> None:
+    with mutant.make() as controller:
+        summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, mutant.case], key=KEY)
+    outcomes = {result.case.number: result.outcome for result in summary.results}
+    assert outcomes == {CONTROL: Outcome.PASS, mutant.case: Outcome.FAIL}
+
+
+def test_every_case_of_authentication_is_shown_to_be_able_to_fail() -> None:
+    caught = {mutant.case for mutant in KEY_MUTANTS}
+    # 710 and 712 need two faults at once; 720 is refused by its length; 722 is for those without a key.
+    assert caught | {710, 712, 720, 722} == OF_AUTHENTICATION
+    assert len(reference_cases()) >= 120
+
+
+def test_without_a_key_on_either_side_the_cases_are_unsupported_and_say_why() -> None:
+    with KeyedController() as controller:
+        keyless = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 704])
+    assert [r.outcome for r in keyless.results] == [Outcome.UNSUPPORTED] * 2
+    assert ["--key" in r.detail for r in keyless.results] == [True, True]
+    assert not keyless.passed
+    with ThreadedController() as controller:
+        keyed = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 704], key=KEY)
+        plain = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 704, 722])
+    assert [r.outcome for r in keyed.results] == [Outcome.UNSUPPORTED] * 2
+    assert "no key" in keyed.results[0].detail
+    assert [r.outcome for r in plain.results] == [Outcome.PASS, Outcome.UNSUPPORTED, Outcome.PASS]
+
+
+def test_the_command_takes_the_key_from_a_file_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "key"
+    path.write_text(bytes(range(32)).hex())
+    path.chmod(0o600)
+    arguments = ["reference", "--case", "101", "--case", "704", "--key", str(path)]
+    with KeyedController() as controller:
+        good = CliRunner().invoke(app, [*arguments, "--port", str(controller.port)])
+        path.chmod(0o644)
+        bad = CliRunner().invoke(app, [*arguments, "--port", str(controller.port)])
+    assert good.exit_code == 0, good.output
+    assert "2 pass, 0 fail, 0 unsupported" in good.output
+    assert getattr(bad.exception, "cause", "") == "configuration.key_exposed"

@@ -1,0 +1,91 @@
+"""The shared key: read from where the configuration says, refused with a cause, shown nowhere."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from controller.config import ReferenceLinkConfig
+from protocol.configuration import validated
+from protocol.errors import ConfigurationError
+from protocol.link_key import KeySource, key_from_text, read_key
+
+HEX = "00112233445566778899aabbccddeeff" * 2
+
+
+def key_file(path: Path, text: str = HEX + "\n", mode: int = 0o600) -> Path:
+    path.write_text(text)
+    path.chmod(mode)
+    return path
+
+
+def cause_of(source: KeySource, **environment: str) -> tuple[str, str]:
+    with pytest.raises(ConfigurationError) as caught:
+        read_key(source, environment)
+    return caught.value.cause, str(caught.value)
+
+
+def test_no_source_is_no_key() -> None:
+    assert read_key(KeySource()) is None
+
+
+def test_file_and_environment_give_the_same_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from_file = read_key(KeySource(file=key_file(tmp_path / "key")))
+    monkeypatch.setenv("LINK_KEY", f" {HEX.upper()}\n")
+    from_environment = read_key(KeySource(environment="LINK_KEY"))
+    assert from_file is not None
+    assert from_environment is not None
+    assert from_file.key_id == from_environment.key_id != key_from_text("ff" * 32, "test").key_id
+    tags = [key.of_client(1, 2, 3).sends.tag(bytes(64)) for key in (from_file, from_environment)]
+    assert tags[0] == tags[1]
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o660, 0o602, 0o610])
+def test_a_file_that_others_may_touch_is_refused(tmp_path: Path, mode: int) -> None:
+    cause, why = cause_of(KeySource(file=key_file(tmp_path / "key", mode=mode)))
+    assert cause == "configuration.key_exposed"
+    assert f"{mode:04o}" in why
+    assert "key" in why
+
+
+def test_what_is_no_key_is_refused_and_not_shown(tmp_path: Path) -> None:
+    almost = HEX[:-1] + "x"
+    cause, why = cause_of(KeySource(file=key_file(tmp_path / "key", almost)))
+    assert cause == "configuration.key_not_hex"
+    assert HEX[:8] not in why
+    cause, why = cause_of(KeySource(environment="K"), K=HEX[:62])
+    assert cause == "configuration.key_too_short"
+    assert "31 bytes" in why
+    assert HEX[:8] not in why
+    assert cause_of(KeySource(file=tmp_path / "none"))[0] == "configuration.key_missing"
+    assert cause_of(KeySource(environment="K"))[0] == "configuration.key_missing"
+    assert cause_of(KeySource(file=tmp_path))[0] == "configuration.key_unreadable"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
+def test_an_unreadable_file_is_refused(tmp_path: Path) -> None:
+    assert (
+        cause_of(KeySource(file=key_file(tmp_path / "key", mode=0o000)))[0] == "configuration.key_unreadable"
+    )
+
+
+def test_the_key_itself_in_the_configuration_is_refused_without_repeating_it() -> None:
+    base = {"host": "127.0.0.1", "port": 0, "link_timeout_ms": 250}
+    for wrong in (HEX, {"environment": HEX}, {"secret": HEX}, {"file": [HEX]}):
+        with pytest.raises(ConfigurationError) as caught:
+            validated(ReferenceLinkConfig, base | {"link_key": wrong}, "controller.yaml")
+        assert "link_key" in str(caught.value)
+        assert HEX[:8] not in str(caught.value)
+    with pytest.raises(ConfigurationError, match="name one of them"):
+        validated(
+            ReferenceLinkConfig, base | {"link_key": {"file": "a", "environment": "B"}}, "controller.yaml"
+        )
+
+
+def test_the_key_is_in_no_representation() -> None:
+    key = key_from_text(HEX, "test")
+    session = key.of_client(1, 2, 3)
+    secret = bytes.fromhex(HEX)
+    for shown in (repr(key), str(key), repr(key.of_hello()), repr(session), f"{key!r}"):
+        assert HEX[:8] not in shown
+        assert repr(secret[:8])[2:-1] not in shown
