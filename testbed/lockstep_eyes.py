@@ -15,12 +15,52 @@ from testbed.rig_lockstep import LockstepLink
 from vision_pc.config import VisionConfig
 from vision_pc.core.look import combine
 from vision_pc.core.ports import PairsAtRest, Watch
-from vision_pc.core.types import FrameObservation, Look, StereoPair
+from vision_pc.core.types import FrameObservation, Look, StereoPair, WatchHealth, WatchSample
+from vision_pc.core.watch import Watcher
 from vision_pc.shell.annotate import annotated, png
 from vision_pc.shell.station import CameraStatus
 
-
 T = TypeVar("T")
+
+
+class _LiveWatch:
+    """Implements ``vision_pc.core.ports.Watch``: samples as soon as the arm's pose at their capture is known."""
+
+    def __init__(self, watcher: Watcher, world: World, link: LockstepLink) -> None:
+        self.waiting: deque[StereoPair] = deque()
+        self._watcher = watcher
+        self._world = world
+        self._link = link
+
+    @property
+    def samples(self) -> tuple[WatchSample, ...]:
+        """One sample for every pair so far."""
+        return self._watcher.samples
+
+    @property
+    def health(self) -> WatchHealth:
+        """What was missed so far."""
+        return self._watcher.health
+
+    async def after(self, count: int, timeout_s: float) -> WatchSample | None:
+        """The newest sample once there are more than ``count``; None after ``timeout_s`` of simulated time."""
+        until_ns = self._world.time_ns + round(1e9 * timeout_s)
+        while self._world.time_ns < until_ns:
+            self._world.step()
+            self._sampled()
+            if self._watcher.count > count:
+                return self._watcher.samples[-1]
+        return None
+
+    def arrived(self, pair: StereoPair) -> None:
+        """Nothing; a pair was exposed."""
+        self.waiting.append(pair)
+        self._sampled()
+
+    def _sampled(self) -> None:
+        while self.waiting and self._link.known_until_ns >= self.waiting[0].capture_ns:
+            self._watcher.add(self.waiting[0], self._link.pose_known_at(self.waiting[0].capture_ns))
+            self.waiting.popleft()
 
 
 class LockstepEyes:
@@ -67,20 +107,13 @@ class LockstepEyes:
         """A context that samples every pair until its exit. Raises MeasurementFailed on exit when in vain."""
         previous = self._latest[1] if self._latest else None
         watcher = self._sight.watcher(markers=markers, odometry=odometry, previous=previous)
-        waiting: deque[StereoPair] = deque()
-
-        def arrived(pair: StereoPair) -> None:
-            waiting.append(pair)
-            while waiting and self._link.known_until_ns >= waiting[0].capture_ns:
-                watcher.add(waiting[0], self._link.pose_known_at(waiting[0].capture_ns))
-                waiting.popleft()
-
-        self._sight.begin(arrived)
+        watch = _LiveWatch(watcher, self._world, self._link)
+        self._sight.begin(watch.arrived)
         try:
-            yield watcher
+            yield watch
         finally:
             self._sight.end()
-        for pair in waiting:
+        for pair in watch.waiting:
             watcher.add(pair, await self._link.pose_at(pair.capture_ns))
         self._world.log.add(self._world.time_ns, "watch", health=watcher.health)
         watcher.require()

@@ -21,6 +21,7 @@ from vision_pc.shell.operation_routes import with_overrides
 from vision_pc.shell.schemas import (
     LocalTrackBody,
     LookBody,
+    LookingAndMovingBody,
     LookThenMoveBody,
     MoveBody,
     OrientationBody,
@@ -58,9 +59,7 @@ class LockstepRig:
     with its model and seed bound.
     """
 
-    def __init__(
-        self, settings: Settings, seed: int, log: EventLog, sight: SightMaker | None = None
-    ) -> None:
+    def __init__(self, settings: Settings, seed: int, log: EventLog, sight: SightMaker | None = None) -> None:
         self.world = World(settings, seed, log)
         self.link = LockstepLink(self.world)
         vision = settings.vision
@@ -117,6 +116,12 @@ def _program(station: Station, kind: str, body: JSON) -> Any:
         asked = LookThenMoveBody(**body)
         positioning = with_overrides(programs.positioning, asked)
         return lambda report: station.look_then_move(positioning, asked.method, report)
+    if kind == "looking-and-moving":
+        wanted = LookingAndMovingBody(**body)
+        loop = with_overrides(programs.looking_and_moving, wanted)
+        usual = programs.positioning.clearance_m
+        clearance_m = usual if wanted.clearance_m is None else wanted.clearance_m
+        return lambda report: station.looking_and_moving(loop, clearance_m, report)
     if kind == "move":
         move = MoveBody(**body)
         return lambda report: station.move(move, report)

@@ -122,9 +122,11 @@ def inverse_kinematics(X_BT: Array, q_near: Array) -> Array:
 class SyntheticWatch:
     """Samples between entering and leaving."""
 
-    def __init__(self, markers: bool, odometry: bool, X_BC0: Array) -> None:
+    def __init__(self, rig: "SyntheticRig", markers: bool, odometry: bool, X_BC0: Array) -> None:
         self.markers, self.odometry, self.X_BC0 = markers, odometry, X_BC0
         self.gathered: list[WatchSample] = []
+        self.rig = rig
+        self.waited_s = 0.0
 
     @property
     def samples(self) -> tuple[WatchSample, ...]:
@@ -134,6 +136,43 @@ class SyntheticWatch:
     def health(self) -> WatchHealth:
         lost = sum(s.X_C0C is None for s in self.gathered)
         return WatchHealth(len(self.gathered), lost, 0, 0, 200, None)
+
+    async def after(self, count: int, timeout_s: float) -> WatchSample | None:
+        """Lets time pass, in steps of a picture, as the port says."""
+        self.waited_s += timeout_s
+        if self.waited_s >= self.rig.period_s:
+            self.waited_s -= self.rig.period_s
+            if self.rig.stream is not None:
+                self.rig.stream.follow(self.rig.period_s)
+            else:
+                self.rig.advance(self.rig.q)
+        return self.gathered[-1] if len(self.gathered) > count else None
+
+
+class SyntheticStream:
+    """Implements the port's stream: the arm follows the newest reference with a lag and a bounded speed."""
+
+    def __init__(self, rig: "SyntheticRig") -> None:
+        self.rig = rig
+        self.sent: list[Array] = []
+        self.measured_ns: list[int | None] = []
+
+    async def send(
+        self, X_BT_ref: Array, measured_ns: int | None = None, twist_ref: Array | None = None
+    ) -> None:
+        self.sent.append(X_BT_ref)
+        self.measured_ns.append(measured_ns)
+
+    async def view(self) -> ArmView:
+        return await self.rig.view()
+
+    def follow(self, period_s: float) -> None:
+        """One picture period later."""
+        rig = self.rig
+        X = forward(rig.q)
+        way = np.zeros(6) if not self.sent else local(X, self.sent[-1])
+        way *= min(1.0, period_s / 0.3, rig.speed * period_s / max(float(np.linalg.norm(way[:3])), 1e-12))
+        rig.advance(inverse_kinematics(retract(X, way), rig.q))
 
 
 class SyntheticRig:
@@ -149,6 +188,9 @@ class SyntheticRig:
         self.watching: SyntheticWatch | None = None
         self.blind_object = False
         self.lose_odometry_after: int | None = None
+        self.blind_after = self.freeze_after = self.silent_after = math.inf  # pictures of a watch
+        self.stream: SyntheticStream | None = None
+        self.stopped = 0
 
     # what really is
     def X_BT_true(self) -> Array:
@@ -208,8 +250,20 @@ class SyntheticRig:
             self.advance(self.q)
         return await self.view()
 
+    @asynccontextmanager
+    async def streaming(self) -> AsyncIterator[SyntheticStream]:
+        self.stream = stream = SyntheticStream(self)
+        self.motions += 1
+        try:
+            yield stream
+        except BaseException:
+            self.stopped += 1
+            raise
+        finally:
+            self.stream = None
+
     async def stop(self) -> None:
-        return None
+        self.stopped += 1
 
     def advance(self, q: Array) -> None:
         """The encoders read ``q`` one picture period later; a watch takes its sample."""
@@ -217,7 +271,7 @@ class SyntheticRig:
         self.slew_play = float(np.clip(self.slew_play - dq, -self.truth.play, self.truth.play))
         self.q = q.copy()
         self.time_ns += int(self.period_s * 1e9)
-        if self.watching is not None:
+        if self.watching is not None and len(self.watching.gathered) < self.silent_after:
             self.watching.gathered.append(self._sample(self.watching))
 
     # the eyes
@@ -235,7 +289,11 @@ class SyntheticRig:
             X_C0C = self._noisy(X, t.odometry_std_m, t.odometry_std)
             if self.rng.random() < t.glitch_share:
                 X_C0C = self._noisy(X_C0C, 0.3, 0.3)
-        seen = watch.markers and self.rng.random() >= t.missed_share
+        count = len(watch.gathered)
+        if count >= self.freeze_after:
+            last = watch.gathered[-1]
+            return last._replace(time_ns=self.time_ns, X_BT=forward(self.q))
+        seen = watch.markers and self.rng.random() >= t.missed_share and count < self.blind_after
         X_CM = self._noisy(inverse(t.X_TC) @ t.X_TM, t.marker_std_m, t.marker_std) if seen else None
         X_CO = None
         if seen and not self.blind_object:
@@ -264,7 +322,7 @@ class SyntheticRig:
 
     @asynccontextmanager
     async def watch(self, *, markers: bool, odometry: bool) -> AsyncIterator[SyntheticWatch]:
-        self.watching = SyntheticWatch(markers, odometry, self.X_BC_true())
+        self.watching = SyntheticWatch(self, markers, odometry, self.X_BC_true())
         self.watching.gathered.append(self._sample(self.watching))
         try:
             yield self.watching

@@ -125,6 +125,10 @@ class Watch(Protocol):
         """What was missed; complete after the exit."""
         ...
 
+    async def after(self, count: int, timeout_s: float) -> WatchSample | None:
+        """The newest sample once there are more than ``count``, None when ``timeout_s`` have passed first."""
+        ...
+
 
 class Eyes(Protocol):
     """Measurements through the stereo camera."""

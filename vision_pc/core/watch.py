@@ -108,6 +108,11 @@ class Watcher:
         return tracked
 
     @property
+    def count(self) -> int:
+        """How many samples there are."""
+        return len(self._samples)
+
+    @property
     def samples(self) -> tuple[WatchSample, ...]:
         """One sample for every pair so far, in order."""
         return tuple(self._samples)

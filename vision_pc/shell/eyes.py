@@ -21,7 +21,7 @@ from vision_pc.core.intrinsics import calibration
 from vision_pc.core.look import combine, observe
 from vision_pc.core.ports import PairsAtRest
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import FrameObservation, Look, StereoPair
+from vision_pc.core.types import FrameObservation, Look, StereoPair, WatchHealth, WatchSample
 from vision_pc.core.watch import Watcher
 from vision_pc.shell.annotate import annotated, png
 from vision_pc.shell.cameras import CameraSource
@@ -29,6 +29,40 @@ from vision_pc.shell.event_log import EventLog
 from vision_pc.shell.station import CameraStatus
 
 T = TypeVar("T")
+_POLL_S = 0.005  # a new sample is noticed this late at most
+
+
+class LiveWatch:
+    """Implements ``vision_pc.core.ports.Watch`` over a watcher that a task fills."""
+
+    def __init__(self, watcher: Watcher, gathering: "asyncio.Task[None]") -> None:
+        self._watcher = watcher
+        self._gathering = gathering
+
+    @property
+    def samples(self) -> tuple[WatchSample, ...]:
+        """One sample for every pair so far."""
+        return self._watcher.samples
+
+    @property
+    def health(self) -> WatchHealth:
+        """What was missed so far."""
+        return self._watcher.health
+
+    async def after(self, count: int, timeout_s: float) -> WatchSample | None:
+        """The newest sample once there are more than ``count``, None after ``timeout_s``.
+
+        Raises what ended the gathering, such as LinkLost for a silent camera.
+        """
+        until_s = time.monotonic() + timeout_s
+        while self._watcher.count <= count:
+            if self._gathering.done():
+                self._gathering.result()
+                return None
+            if time.monotonic() >= until_s:
+                return None
+            await asyncio.sleep(_POLL_S)
+        return self._watcher.samples[-1]
 
 
 class PoseLink(Protocol):
@@ -98,7 +132,7 @@ class CameraEyes:
         return await self._in_thread(work)
 
     @asynccontextmanager
-    async def watch(self, *, markers: bool, odometry: bool) -> AsyncIterator[Watcher]:
+    async def watch(self, *, markers: bool, odometry: bool) -> AsyncIterator[LiveWatch]:
         """Samples of every pair that the thread can keep up with, until the exit.
 
         The first sample is taken before anything else happens: its camera frame is C0. The last one is of a
@@ -110,7 +144,7 @@ class CameraEyes:
         until_ns: list[int] = []
         gathering = asyncio.create_task(self._gather(watcher, last_ns, until_ns))
         try:
-            yield watcher
+            yield LiveWatch(watcher, gathering)
             until_ns.append(time.monotonic_ns())
             await gathering
         finally:

@@ -18,6 +18,7 @@ from vision_pc.shell.schemas import (
     LineEquationBody,
     LocalTrackBody,
     LookBody,
+    LookingAndMovingBody,
     LookThenMoveBody,
     MoveBody,
     OperationView,
@@ -159,6 +160,20 @@ def _add_moving(app: FastAPI, routes: OperationRoutes) -> None:
             return await station.look_then_move(settings, asked.method, report)
 
         return routes.start("look-then-move", asked, program, key, response, asked.method)
+
+    @_post(app, "looking-and-moving", "Drive the tool to the object in closed loop, at camera rate")
+    async def looking_and_moving(
+        response: Response, body: LookingAndMovingBody | None = None, key: Key = None
+    ) -> OperationView:
+        asked = body or LookingAndMovingBody()
+        settings = with_overrides(station.settings.looking_and_moving, asked)
+        usual = station.settings.positioning.clearance_m
+        clearance_m = usual if asked.clearance_m is None else asked.clearance_m
+
+        async def program(report: Report) -> JSON:
+            return await station.looking_and_moving(settings, clearance_m, report)
+
+        return routes.start("looking-and-moving", asked, program, key, response)
 
     @_post(app, "move", "Move the tool point to point")
     async def move(response: Response, body: MoveBody, key: Key = None) -> OperationView:

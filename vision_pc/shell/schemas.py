@@ -10,6 +10,7 @@ from vision_pc.core.calibration.line_equation import LineEquation
 from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.calibration.local_map import LocalTrack
 from vision_pc.core.calibration.orientation import OrientationResult
+from vision_pc.core.looking_and_moving import Approach
 from vision_pc.core.mid_course import CorrectedResult
 from vision_pc.core.positioning import LookVerdict, PositioningResult, Step
 from vision_pc.core.se3 import Array, to_pose
@@ -88,6 +89,21 @@ class LookThenMoveBody(Body):
         given = self.model_dump(exclude_none=True, exclude={"method", "tolerance_mm", "aim_mm"})
         lengths = {"tolerance_m": self.tolerance_mm, "aim_m": self.aim_mm}
         return given | {name: 1e-3 * value for name, value in lengths.items() if value is not None}
+
+
+class LookingAndMovingBody(Body):
+    """Looking and moving: closed loop at camera rate. Settings left out are as configured."""
+
+    gain: float | None = Field(None, gt=0.0, le=1.0, examples=[0.5])
+    integral_gain: float | None = Field(None, ge=0.0, le=0.5)
+    clearance_m: float | None = Field(None, ge=0.0, le=1.0, examples=[0.1])
+    settle_mm: float | None = Field(None, gt=0.0, le=50.0, examples=[1.0])
+    timeout_s: float | None = Field(None, gt=0.0, le=600.0)
+
+    def overrides(self) -> JSON:
+        """The members that were given, as settings."""
+        given = self.model_dump(exclude_none=True, exclude={"clearance_m", "settle_mm"})
+        return given if self.settle_mm is None else given | {"settle_m": 1e-3 * self.settle_mm}
 
 
 class PoseBody(Body):
@@ -277,6 +293,17 @@ def positioning_json(result: PositioningResult) -> JSON:
         "looks": [verdict_json(look) for look in result.looks],
         "steps": [step_json(step) for step in result.steps],
         "ended": result.ended,
+    }
+
+
+def approach_json(result: Approach) -> JSON:
+    """How looking and moving ended."""
+    return {
+        "error_mm": xyz(result.error_m),
+        "spread_mm": xyz(result.spread_m),
+        "time_s": round(result.time_s, 3),
+        "pictures": result.pictures,
+        "missed": result.missed,
     }
 
 

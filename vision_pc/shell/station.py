@@ -16,17 +16,19 @@ from protocol.reference_link import FLAG_EMERGENCY_LATCHED, Acknowledgement, Sta
 from protocol.reference_session import LinkStatistics, OffsetEstimate
 from vision_pc.core.calibration.line_equation import line_equation
 from vision_pc.core.calibration.local_calibration import LocalCalibration
-from vision_pc.core.calibration.local_map import LocalTrack, record_local_track
+from vision_pc.core.calibration.local_map import LocalTrack, camera_in_tool, record_local_track
 from vision_pc.core.calibration.orientation import adjust_orientation, orientation_error
 from vision_pc.core.calibration.settings import (
     LineEquationSettings,
     LocalMapSettings,
+    LookingAndMovingSettings,
     OrientationSettings,
     PositioningSettings,
     ProgramSettings,
     TrajectorySettings,
 )
 from vision_pc.core.calibration.trajectory_matching import trajectory_matching
+from vision_pc.core.looking_and_moving import look_and_move
 from vision_pc.core.mid_course import look_then_move_corrected
 from vision_pc.core.ports import Arm, Eyes, Report, Watch
 from vision_pc.core.positioning import LookVerdict, judge, look_then_move
@@ -36,6 +38,7 @@ from vision_pc.shell.event_log import EventLog
 from vision_pc.shell.schemas import (
     JSON,
     MoveBody,
+    approach_json,
     calibration_json,
     corrected_json,
     line_equation_json,
@@ -164,6 +167,9 @@ class Station:
         if method == "calibrated" and self.calibration is None:
             why = "no local calibration yet: run trajectory-matching first"
             raise RequestRefused("refused.not_calibrated", why)
+        if kind == "looking-and-moving" and self.track is None and self.calibration is None:
+            why = "no camera axes yet: run local-track or trajectory-matching first"
+            raise RequestRefused("refused.not_calibrated", why)
         if method == "corrected" and self.track is None:
             raise RequestRefused("refused.not_calibrated", "no local track yet: run local-track first")
 
@@ -206,6 +212,22 @@ class Station:
         if self.calibration is None:
             raise RequestRefused("refused.not_calibrated", "no local calibration yet")
         return positioning_json(await look_then_move(self.arm, self.eyes, report, settings, self.calibration))
+
+    async def looking_and_moving(
+        self, settings: LookingAndMovingSettings, clearance_m: float, report: Report
+    ) -> JSON:
+        """Looking and moving in the axes of the local track, or else of the calibration; then a look."""
+        look = await self.eyes.look()
+        if self.track is not None:
+            R_TC = camera_in_tool(self.track, look.X_CM[:3, 3])
+        elif self.calibration is not None and self.calibration.R_TC is not None:
+            R_TC = self.calibration.R_TC
+        else:
+            raise RequestRefused("refused.not_calibrated", "neither local track nor calibration of any mount")
+        self.track = None  # the arm leaves its end, unwatched by odometry
+        approach = await look_and_move(self.arm, self.eyes, report, settings, clearance_m, R_TC)
+        await self.eyes.look()
+        return approach_json(approach) | {"look": self.latest_look()}
 
     async def move(self, body: MoveBody, report: Report) -> JSON:
         """A point-to-point motion."""

@@ -169,6 +169,13 @@ def solve_step(fitted: LocalMap, d: Array, X_BT: Array, settings: LocalMapSettin
     return x, math.sqrt(float(row @ fitted.covariance @ row))
 
 
+def camera_in_tool(track: LocalTrack, p_CM: Array) -> Array:
+    """R_TC (3×3): camera axes in the tool's, from the track and the tool marker's ``p_CM`` (3,)."""
+    m = track.X_KC[:, :3, 3] + track.X_KC[:, :3, :3] @ p_CM
+    R: Array = track.X_BT_now[:3, :3].T @ _kabsch(m, track.X_BT[:, :3, 3])
+    return R
+
+
 def slew_angles(X_BT: Array, wrist_to_tool_m: float) -> Array:
     """Slew angles (N,) rad of poses (N, 4, 4): the wrist's centre lies on the slew plane."""
     wrist = X_BT[:, :3, 3] - wrist_to_tool_m * X_BT[:, :3, 2]

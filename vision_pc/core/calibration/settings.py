@@ -98,6 +98,33 @@ class PositioningSettings(StrictModel):
     nudge_m: float = Field(ge=0.0, le=0.1)
 
 
+class LookingAndMovingSettings(StrictModel):
+    """Looking and moving: closed loop at camera rate.
+
+    ``gain``: share of a picture's news that the target takes; ``integral_gain``: share of the error that is
+    added to the pull for every picture within ``near_m``; one picture moves either by ``step_m`` at most,
+    and the pull stays inside ``pull_m``. ``feed_s``: time between references, shorter than the controller's
+    silence limit. Settled: over ``settle_pictures`` the mean error is inside ``settle_m`` in x and y and
+    ``settle_depth_m`` in z, and changed by less than ``still_m``.
+    """
+
+    gain: float = Field(gt=0.0, le=1.0)
+    integral_gain: float = Field(ge=0.0, le=0.5)
+    step_m: float = Field(gt=0.0, le=0.5)
+    near_m: float = Field(gt=0.0, le=0.2)
+    pull_m: float = Field(ge=0.0, le=0.05)
+    lead_m: float = Field(gt=0.0, le=0.4)
+    feed_s: float = Field(ge=0.005, le=0.06)
+    lost_s: float = Field(ge=0.1, le=5.0)
+    frozen_pictures: int = Field(ge=2, le=100)
+    settle_m: float = Field(gt=0.0, le=0.05)
+    settle_depth_m: float = Field(gt=0.0, le=0.1)
+    still_m: float = Field(gt=0.0, le=0.01)
+    settle_pictures: int = Field(ge=4, le=200)
+    timeout_s: float = Field(gt=0.0, le=600.0)
+    step_limit_m: float = Field(gt=0.0, le=5.0)
+
+
 class ProgramSettings(StrictModel):
     """All programs' settings."""
 
@@ -106,3 +133,4 @@ class ProgramSettings(StrictModel):
     trajectory: TrajectorySettings
     local_map: LocalMapSettings
     positioning: PositioningSettings
+    looking_and_moving: LookingAndMovingSettings
