@@ -52,7 +52,7 @@ def board_plates(config: AnyBoardConfig) -> tuple[Plate, ...]:
         markers = [
             _marker(config, X_OP @ _shifted(x - 0.5 * width, 0.5 * height - y), config.dictionary, number,
                     config.marker_m)
-            for number, (x, y, _) in zip(board.getIds().ravel().tolist(), middles, strict=True)
+            for number, (x, y, _) in zip(np.ravel(board.getIds()).tolist(), middles, strict=True)
         ]  # fmt: skip
         return sheet, squares, *markers
     return (picture_plate(X_OP, 1e-3 * config.texel_mm, cabinet_front(config), lit_by_wall=True),)

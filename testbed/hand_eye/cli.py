@@ -6,11 +6,13 @@ from typing import Annotated
 import typer
 
 from testbed.hand_eye.noise_sweep import NoiseOn
+from testbed.hand_eye.session_cli import app as session
 from vision_pc.core.hand_eye.methods import Method
 from vision_pc.core.hand_eye.samples import Setup
 from vision_pc.core.zhang_intrinsics import Detector
 
 app = typer.Typer(help="Hand-eye calibration from files and pictures.", no_args_is_help=True)
+app.add_typer(session, name="session")
 
 JsonFile = Annotated[
     Path | None, typer.Option("--json", help="Also write every printed figure to this file.")

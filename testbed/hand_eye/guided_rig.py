@@ -1,4 +1,4 @@
-"""A guided hand-eye session in lockstep: the vision PC's own steps over the simulated arm and its pictures."""
+"""A guided hand-eye session in lockstep: the vision PC's own steps over the simulated arm and pictures."""
 
 from collections.abc import Awaitable
 from pathlib import Path

@@ -5,7 +5,7 @@ but the list of refused poses.
 """
 
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import Protocol, TypeVar
 
@@ -17,10 +17,11 @@ from vision_pc.core import se3
 from vision_pc.core.hand_eye import bundle, guided_sampling, methods, target
 from vision_pc.core.hand_eye import maximum_likelihood as ml
 from vision_pc.core.hand_eye.bundle import RobotNoise
-from vision_pc.core.hand_eye.guided_sampling import Belief, Proposal
+from vision_pc.core.hand_eye.guided_sampling import Belief, Proposal, arm_zero_covariance
 from vision_pc.core.hand_eye.guided_settings import GuidedSettings
 from vision_pc.core.hand_eye.methods import Method
 from vision_pc.core.hand_eye.result import HandEyeResult
+from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.session import Sample, Session, proposal_json
 from vision_pc.core.hand_eye.target import TargetLook
 from vision_pc.core.intrinsics import calibration
@@ -83,7 +84,8 @@ class GuidedCalibration:
         """
         if self.store.path(name).exists():
             raise RequestRefused(
-                "refused.hand_eye.session_exists", f"session '{name}' is on the disk: resume it, or take another"
+                "refused.hand_eye.session_exists",
+                f"session '{name}' is on the disk: resume it, or take another",
             )
         report(0.1, "looking at the marker")
         seen, view, _ = await self._look(settings)
@@ -100,7 +102,9 @@ class GuidedCalibration:
     def _checked(self, session: Session, X_BT: Array, seen: TargetLook) -> JSON:
         """The verdict on the starting pose: the view of the marker, and what the poses around it promise."""
         settings = session.settings
-        here = Sample("start", X_BT, seen.X_CT, seen.covariance, seen.corners_left, settings.marker_id, True, 0.0)
+        here = Sample(
+            "start", X_BT, seen.X_CT, seen.covariance, seen.corners_left, settings.marker_id, True, 0.0
+        )
         planned = session.with_sample(here)
         belief = guided_sampling.believed(planned.pairs(), self._camera, settings)
         choices = 0
@@ -142,7 +146,7 @@ class GuidedCalibration:
         return guided_sampling.propose(belief, session.around, session.settings, rng, refused, informative)
 
     async def go(self, report: Report) -> JSON:
-        """Drives to the proposed pose. A pose that the controller refuses is remembered, and the arm rests."""
+        """Drives to the proposed pose. One that the controller refuses is remembered, and the arm rests."""
         proposal = self.session.proposal
         if proposal is None:
             raise RequestRefused("refused.hand_eye.no_proposal", "no pose is proposed: propose one first")
@@ -164,12 +168,13 @@ class GuidedCalibration:
         seen, view, moved = await self._look(session.settings)
         if name is None:
             session, name = session.next_name()
-        sample = Sample(
-            name, view.X_BT, seen.X_CT, seen.covariance, seen.corners_left, session.settings.marker_id,
-            view.settled, moved,
-        )  # fmt: skip
+        sample = _sample_of(name, seen, view.X_BT, session.settings, view.settled, moved)
         self._open(session.with_sample(sample))
-        told = {"marker": marker_json(seen), "count": len(self.session.samples), "moved_mrad": round(moved, 3)}
+        told = {
+            "marker": marker_json(seen),
+            "count": len(self.session.samples),
+            "moved_mrad": round(moved, 3),
+        }
         told |= await self._pictures.aside(lambda: self._judged(name))
         self._log.write("hand_eye_sample", session=session.name, sample=name, **told)
         return {"sample": name} | told
@@ -213,10 +218,12 @@ class GuidedCalibration:
         raise AssertionError("unreachable")
 
     async def solve(self) -> JSON:
-        """X by the certified robust solver with everything known about it, others beside it, and a verdict."""
+        """X by the certified robust solver with all that is known about it, others beside it, a verdict."""
         session = self.session
         if not session.samples:
-            raise MeasurementFailed("measurement.hand_eye.too_few_samples", "0 samples are too few: take some")
+            raise MeasurementFailed(
+                "measurement.hand_eye.too_few_samples", "0 samples are too few: take some"
+            )
         answer = await self._pictures.aside(lambda: solved_json(session))
         self._log.write("hand_eye_solved", session=session.name, verdict=answer["verdict"])
         return answer
@@ -250,7 +257,8 @@ class GuidedCalibration:
         if moved > settings.moved_mrad or before.motion_id != after.motion_id:
             raise MeasurementFailed(
                 "measurement.hand_eye.not_settled",
-                f"the arm moved by {moved:.2f} mrad while the sample was taken, limit {settings.moved_mrad:g} mrad",
+                f"the arm moved by {moved:.2f} mrad while the sample was taken, "
+                f"limit {settings.moved_mrad:g} mrad",
             )
         known = target.target_settings(self._config.markers, settings)
         seen = await self._pictures.aside(
@@ -276,9 +284,7 @@ class GuidedCalibration:
             return await self._arm.move_to(X_BT)
         except RequestRefused as error:
             if learn and error.cause in _IMPOSSIBLE:
-                self._open(
-                    replace(session, proposal=None, refused=(*session.refused, (X_BT, str(error))))
-                )
+                self._open(replace(session, proposal=None, refused=(*session.refused, (X_BT, str(error)))))
             raise
 
     def _belief(self, session: Session) -> Belief:
@@ -312,6 +318,14 @@ _IMPOSSIBLE = {
 }
 
 
+def _sample_of(
+    name: str, seen: TargetLook, X_BT: Array, settings: GuidedSettings, settled: bool, moved: float
+) -> Sample:
+    return Sample(
+        name, X_BT, seen.X_CT, seen.covariance, seen.corners_left, settings.marker_id, settled, moved
+    )
+
+
 def _off(X: Array, Y: Array) -> JSON:
     away = se3.local(X, Y)
     return {
@@ -336,10 +350,10 @@ def marker_json(seen: TargetLook) -> JSON:
 
 
 def solved_json(session: Session) -> JSON:
-    """The robust solution of a session with covariance, residuals, proof and verdict, and others beside it."""
+    """The robust solution of a session with covariance, residuals, proof and verdict, others beside it."""
     pairs = session.pairs()
     result = methods.solve(pairs, Method.ROBUST)
-    answer = _result_json(result) | {"others": [_other(pairs, m, result) for m in COMPARED]}
+    answer = _result_json(result, session.settings) | {"others": [_other(pairs, m, result) for m in COMPARED]}
     noise = result.noise
     robot = None
     if noise is not None and min(noise.robot_rotation, noise.robot_translation) > 0.0:
@@ -355,7 +369,7 @@ def solved_json(session: Session) -> JSON:
     return answer
 
 
-def _other(pairs: methods.PosePairs, method: Method, result: HandEyeResult) -> JSON:
+def _other(pairs: PosePairs, method: Method, result: HandEyeResult) -> JSON:
     try:
         X = methods.solve(pairs, method).X
     except MeasurementFailed as error:
@@ -367,10 +381,12 @@ def _mm(X: Array) -> list[float]:
     return [round(1e3 * float(v), 3) for v in X[:3, 3]]
 
 
-def _result_json(result: HandEyeResult) -> JSON:
+def _result_json(result: HandEyeResult, settings: GuidedSettings) -> JSON:
     assert result.covariance is not None
     assert result.certificate is not None
     std = np.sqrt(np.diag(result.covariance))
+    whole = result.covariance + arm_zero_covariance(result.X, settings)
+    whole_std = np.sqrt(np.diag(whole))
     std_m = float(np.linalg.norm(std[:3]))
     left_out = [name for name, inlier in zip(result.names, result.inliers, strict=True) if not inlier]
     good = result.certificate.holds and std_m <= WANTED_STD_M
@@ -387,6 +403,11 @@ def _result_json(result: HandEyeResult) -> JSON:
         "std_mm": [round(1e3 * float(v), 4) for v in std[:3]],
         "std_deg": [round(math.degrees(float(v)), 5) for v in std[3:]],
         "covariance_p_theta": result.covariance.tolist(),
+        "with_arm_zero": {
+            "std_mm": [round(1e3 * float(v), 4) for v in whole_std[:3]],
+            "std_deg": [round(math.degrees(float(v)), 5) for v in whole_std[3:]],
+            "covariance_p_theta": whole.tolist(),
+        },
         "left_out": left_out,
         "residuals": [
             {

@@ -1,6 +1,7 @@
 """Routes of guided hand-eye calibration: the session as a resource, its long steps as operations."""
 
 from collections.abc import Awaitable, Callable
+from enum import Enum
 from http import HTTPStatus
 from typing import Annotated
 
@@ -20,7 +21,7 @@ Key = Annotated[
     str | None,
     Header(alias="Idempotency-Key", min_length=1, max_length=100, description="Same key, same operation"),
 ]
-_TAG = ["hand-eye"]
+_TAG: list[str | Enum] = ["hand-eye"]
 _STANDING = ("hand-eye-start", "hand-eye-sample", "hand-eye-solve")  # nothing moves: no need to be enabled
 
 
@@ -100,9 +101,7 @@ class SessionNames(BaseModel):
     names: list[str]
 
 
-def add_hand_eye(
-    app: FastAPI, station: Station, operations: Operations, guided: GuidedCalibration
-) -> None:
+def add_hand_eye(app: FastAPI, station: Station, operations: Operations, guided: GuidedCalibration) -> None:
     """Adds all routes of guided calibration to ``app``."""
     _add_session(app, operations, guided)
     _add_operations(app, station, operations, guided)
@@ -143,7 +142,11 @@ def _add_operations(
     app: FastAPI, station: Station, operations: Operations, guided: GuidedCalibration
 ) -> None:
     def begin(
-        kind: str, body: Body, program: Callable[[Report], Awaitable[JSON]], key: str | None, response: Response
+        kind: str,
+        body: Body,
+        program: Callable[[Report], Awaitable[JSON]],
+        key: str | None,
+        response: Response,
     ) -> OperationView:
         request: JSON = body.model_dump(mode="json", exclude_none=True)
         operation = operations.repeated(kind, request, key)
@@ -177,9 +180,7 @@ def _add_operations(
     @post("hand-eye-next", "Propose and drive until the controller accepts a pose")
     async def following(response: Response, body: NextBody | None = None, key: Key = None) -> OperationView:
         asked = body or NextBody()
-        return begin(
-            "hand-eye-next", asked, lambda r: guided.next_pose(r, asked.informative), key, response
-        )
+        return begin("hand-eye-next", asked, lambda r: guided.next_pose(r, asked.informative), key, response)
 
     @post("hand-eye-sample", "Take a sample where the arm stands, once it has settled")
     async def sample(response: Response, body: EmptyBody | None = None, key: Key = None) -> OperationView:

@@ -1,4 +1,4 @@
-"""Guided sessions on disk: one JSON file each, replaced whole, so that a power cut leaves the old or the new."""
+"""Guided sessions on disk: one JSON file each, replaced whole: a power cut leaves the old or the new."""
 
 import json
 import os
@@ -26,7 +26,8 @@ class SessionStore:
         """A session's file. Raises RequestRefused (``refused.hand_eye.name``) for what is no plain name."""
         if not _NAME.fullmatch(name):
             raise RequestRefused(
-                "refused.hand_eye.name", f"session name {name!r}: letters, digits, - and _ are wanted, 64 at most"
+                "refused.hand_eye.name",
+                f"session name {name!r}: letters, digits, - and _ are wanted, 64 at most",
             )
         return self.directory / f"{name}.json"
 

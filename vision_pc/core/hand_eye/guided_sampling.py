@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocol.errors import MeasurementFailed
 from vision_pc.core import intrinsics, se3
@@ -31,6 +32,9 @@ _DOUBT = 16.8  # χ² with six degrees of freedom beyond which (1 %) a sample co
 _LOOSE = 1e-6  # information that keeps Z invertible before the first sample
 _NEIGHBOUR_RAD, _NEIGHBOUR_M = math.radians(12.0), 0.10
 _SHADOW_COS, _SHADOW_SHARE = math.cos(math.radians(20.0)), 0.95
+
+
+Flags = NDArray[np.bool_]
 
 
 class Belief(NamedTuple):
@@ -51,8 +55,8 @@ class Proposal(NamedTuple):
     """The next pose: X_BT, the marker there as it will be seen X_CT, and what it is worth.
 
     ``pixel`` (2,) of the marker's middle in the left picture; ``distance`` m, ``obliquity`` rad; ``gain`` in
-    nats of information about X; ``std`` of X afterwards (m, rad), by the planning noise; ``choices`` candidates
-    passed all bounds.
+    nats of information about X; ``std`` of X afterwards (m, rad), by the planning noise; ``choices``
+    candidates passed all bounds.
     """
 
     X_BT: Array
@@ -83,6 +87,18 @@ def nominal_mount(settings: GuidedSettings) -> Array:
     return se3.transform(
         se3.exp_so3(np.radians(settings.mount_rotation_deg)), np.array(settings.mount_position_m)
     )
+
+
+def arm_zero_covariance(X_TC: Array, settings: GuidedSettings) -> Array:
+    """What the arm's own zeros add to the covariance (6, 6) of X_TC: one constant turn of the wrist.
+
+    A wrist whose encoders are off by a constant turns every X_BT by the same rotation about its centre,
+    behind T on its z axis. The samples fit as well with the camera turned the other way: they cannot know,
+    only someone who has measured the arm can.
+    """
+    lever = X_TC[:3, 3] - np.array([0.0, 0.0, -settings.wrist_to_tool_m])
+    J = np.concatenate([-se3.hat(lever), np.eye(3)])
+    return np.asarray((1e-3 * settings.arm_zero_std_mrad) ** 2 * J @ J.T)
 
 
 def surroundings(
@@ -185,7 +201,7 @@ def information_of(
     proposal: Proposal, belief: Belief, camera: CameraCalibration, settings: GuidedSettings
 ) -> Array:
     """What a sample at ``proposal`` would add to the information (12, 12) about X and Z."""
-    return _information(proposal.X_BT[None], proposal.X_CT[None], belief, camera, settings)[0]
+    return np.asarray(_information(proposal.X_BT[None], proposal.X_CT[None], belief, camera, settings)[0])
 
 
 def _views(settings: GuidedSettings, camera: CameraCalibration, rng: np.random.Generator) -> Array:
@@ -213,7 +229,7 @@ def _towards(rays: Array) -> Array:
     return rigid.rotation_exp(axis * (angle / np.maximum(sine, 1e-12))[:, None])
 
 
-def _foreseeably_refused(X_BT: Array, X_BT_start: Array, refused: Sequence[Array]) -> Array:
+def _foreseeably_refused(X_BT: Array, X_BT_start: Array, refused: Sequence[Array]) -> Flags:
     """Which candidates (n,) the controller will likely refuse: beside a refused pose, or in its shadow.
 
     Joint limits lie around the starting pose on all sides: what turns the hand the same way as a refused pose
@@ -241,15 +257,17 @@ def _obliquity(X_CT: Array) -> Array:
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def _passes(X_BT: Array, X_CT: Array, around: Surroundings, settings: GuidedSettings) -> Array:
+def _passes(X_BT: Array, X_CT: Array, around: Surroundings, settings: GuidedSettings) -> Flags:
     """Which candidates keep view, clearance, turn and reach (n,)."""
     n = len(X_BT)
     start = around.X_BT_start
     turned = rigid.rotation_angle(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ start[:3, :3])
     moved = np.linalg.norm(X_BT[:, :3, 3] - start[:3, 3], axis=1)
     ahead = np.einsum("ni,ni->n", around.tool_C - X_CT[:, :3, 3], X_CT[:, :3, 2])
-    keep: Array = (turned <= math.radians(settings.turn_deg)) & (moved <= settings.reach_m)
-    keep &= (ahead >= settings.clearance_m) & (_obliquity(X_CT) <= math.radians(settings.obliquity_deg) + 1e-9)
+    keep: Flags = (turned <= math.radians(settings.turn_deg)) & (moved <= settings.reach_m)
+    keep &= (ahead >= settings.clearance_m) & (
+        _obliquity(X_CT) <= math.radians(settings.obliquity_deg) + 1e-9
+    )
     corners = corner_points(1.5 * settings.marker_size_m)  # with the quiet zone
     points = (corners @ np.swapaxes(X_CT[:, :3, :3], -1, -2)) + X_CT[:, None, :3, 3]
     size = (around.camera.width, around.camera.height)

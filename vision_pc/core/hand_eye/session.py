@@ -119,6 +119,7 @@ def to_json(session: Session) -> JSON:
         "proposed": session.proposed,
         "numbered": session.numbered,
         "settings": session.settings.model_dump(mode="json"),
+        "camera": {"K": around.camera.left.K.tolist(), "distortion": around.camera.left.distortion.tolist()},
         "start": {
             "X_BT": around.X_BT_start.tolist(),
             "hidden_px": [[list(r) for r in eye] for eye in around.hidden],
@@ -172,7 +173,9 @@ def from_json(document: Mapping[str, Any], camera: CameraCalibration) -> Session
         session = _read(document, camera)
     except (KeyError, TypeError, ValueError, IndexError) as error:
         what = f"key {error}" if isinstance(error, KeyError) else " ".join(str(error).split())
-        raise RequestRefused("refused.hand_eye.format", f"session file: {what} is missing or wrong") from error
+        raise RequestRefused(
+            "refused.hand_eye.format", f"session file: {what} is missing or wrong"
+        ) from error
     for s in session.samples:
         if s.marker_id != session.settings.marker_id:
             raise RequestRefused(

@@ -1,4 +1,4 @@
-"""The calibration marker seen from rest: several stereo pairs, one robust pose with covariance and corners."""
+"""The calibration marker seen from rest: several pairs, one robust pose with covariance and corners."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -68,9 +68,7 @@ def look_at_target(
         _refuse(pairs, len(seen), wanted, markers, settings)
     measured = [(o.X_CO, o.cov_CO, o.bias_CO) for o in observations]
     mean, count = robust_mean(measured, wanted, "object", looks.huber_sigmas)
-    corners = [
-        m.corners_left for o in seen for m in o.markers if m.marker_id == settings.marker_id
-    ]
+    corners = [m.corners_left for o in seen for m in o.markers if m.marker_id == settings.marker_id]
     tools = [o.X_CM for o in observations if o.X_CM is not None]
     assert previous is not None
     return TargetLook(

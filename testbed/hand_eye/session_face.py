@@ -1,0 +1,48 @@
+"""The guided session of a running vision PC, over its REST face."""
+
+from collections.abc import Callable
+from typing import Any
+
+from testbed.console import bars
+from testbed.rest_rig import RestRig
+
+JSON = dict[str, Any]
+
+
+class SessionFace(RestRig):
+    """Commands of the session; each raises what the problem document says."""
+
+    def step(self, kind: str, body: JSON, what: str) -> JSON:
+        """The result of operation ``hand-eye-<kind>``, with its progress shown."""
+        with bars() as shown, shown.step(what) as bar:
+            return self.operate(f"hand-eye-{kind}", body, bar)
+
+    def view(self) -> JSON:
+        """The open session."""
+        return self._ask("GET", "/hand-eye/session")
+
+    def names(self) -> list[str]:
+        """The sessions on the vision PC's disk."""
+        names: list[str] = self._ask("GET", "/hand-eye/sessions")["names"]
+        return names
+
+    def resume(self, name: str) -> JSON:
+        """A session from the disk, opened."""
+        return self._ask("POST", "/hand-eye/session/resume", json={"name": name})
+
+    def propose(self, informative: bool = True) -> JSON:
+        """The next pose."""
+        return self._ask("POST", "/hand-eye/session/propose", json={"informative": informative})
+
+    def remove(self, name: str) -> JSON:
+        """The session without a sample."""
+        return self._ask("DELETE", f"/hand-eye/session/samples/{name}")
+
+
+def with_face(url: str, act: Callable[[SessionFace], None]) -> None:
+    """Nothing; ``act`` was done with the vision PC at ``url``."""
+    face = SessionFace(url)
+    try:
+        act(face)
+    finally:
+        face.close()
