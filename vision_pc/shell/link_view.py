@@ -5,7 +5,7 @@ from dataclasses import asdict
 from pydantic import BaseModel, Field
 
 from protocol.errors import LinkLost
-from vision_pc.shell.controller_link import ControllerLink
+from vision_pc.shell.station import Controller
 
 
 class LinkCounters(BaseModel):
@@ -55,7 +55,7 @@ class LinkView(BaseModel):
     controller: FarSide | None = Field(description="none without a session")
 
 
-def link_view(link: ControllerLink) -> LinkView:
+def link_view(link: Controller) -> LinkView:
     """The link as it is now; never raises, for it is asked when something is wrong."""
     tally, clock = link.statistics, link.clock_offset
     try:
