@@ -3,6 +3,7 @@
 A thread of its own writes stderr: a console that hangs loses lines, and nothing else stops.
 """
 
+import contextlib
 import json
 import queue
 import sys
@@ -43,6 +44,8 @@ class EventLog:
             try:
                 self._file.write(line + "\n")
             except OSError as error:
+                with contextlib.suppress(OSError):  # what is still buffered has no place either
+                    self._file.close()
                 self._file = None
                 self._show(json.dumps({"event": "recording_failed", "detail": error.strerror}))
 
