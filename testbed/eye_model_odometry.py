@@ -84,16 +84,21 @@ class ModelOdometry:
     ) -> OdometryPose | None:
         """The camera's pose in C0, or None when it is lost; then ``last_loss`` names the cause."""
         self._mask(X_CM)
-        if self._rng.random() < self._noise.lost_share:
-            return self._lost()
+        lost = self._rng.random() < self._noise.lost_share
+        pose = None if lost else self._located(truth, time_ns, number)
+        self.last_loss = "too_few_points" if pose is None else None
+        return pose
+
+    def _located(self, truth: PlantTruth, time_ns: int, number: int) -> OdometryPose | None:
         if not self._keyframes:
-            if self._new_keyframe(truth, np.zeros(0, dtype=np.int64)) < self._settings.minimum_inliers:
+            points = self._new_keyframe(truth, np.zeros(0, dtype=np.int64))
+            if points < self._settings.minimum_inliers:
                 self._keyframes.clear()
-                return self._lost()
-            return self._found(np.zeros((6, 6)), time_ns, number, len(self._keyframes[0]))
+                return None
+            return self._found(np.zeros((6, 6)), time_ns, number, points)
         best = max((self._seen(ids, truth) for ids in self._keyframes), key=lambda seen: len(seen.ids))
         if len(best.ids) < self._settings.minimum_inliers:
-            return self._lost()
+            return None
         covariance = self._solve(best)
         if len(best.ids) < self._settings.keyframe_overlap * best.of:
             self._new_keyframe(truth, best.ids)
@@ -154,9 +159,5 @@ class ModelOdometry:
         self._keyframes.append(np.concatenate([held, np.arange(first, len(self._map))]))
         return len(self._keyframes[-1])
 
-    def _lost(self) -> None:
-        self.last_loss = "too_few_points"
-
     def _found(self, covariance: Array, time_ns: int, number: int, points: int) -> OdometryPose:
-        self.last_loss = None
         return OdometryPose(time_ns, number, self._X_C0C, covariance, points, 1.0, self._noise.noise_px)

@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 class _LiveWatch:
-    """Implements ``vision_pc.core.ports.Watch``: samples as soon as the arm's pose at their capture is known."""
+    """Implements ``vision_pc.core.ports.Watch``: one comes once the arm's pose at its capture is known."""
 
     def __init__(self, watcher: Watcher, world: World, link: LockstepLink) -> None:
         self.waiting: deque[StereoPair] = deque()
@@ -43,7 +43,7 @@ class _LiveWatch:
         return self._watcher.health
 
     async def after(self, count: int, timeout_s: float) -> WatchSample | None:
-        """The newest sample once there are more than ``count``; None after ``timeout_s`` of simulated time."""
+        """The newest sample once there are more than ``count``; None after ``timeout_s``, simulated."""
         until_ns = self._world.time_ns + round(1e9 * timeout_s)
         while self._world.time_ns < until_ns:
             self._world.step()

@@ -141,7 +141,7 @@ def _show_errors(title: str, rows: list[JSON]) -> None:
     shown = []
     for name, what in BRANCHES.items():
         worst = worst_mm(rows, name)
-        z = np.abs([_number(row, f"{name}_true_z_mm") for row in rows])
+        z = np.abs(np.array([_number(row, f"{name}_true_z_mm") for row in rows]))
         apart = _columns(rows, f"{name}_measured_{{}}_mm") - _columns(rows, f"{name}_true_{{}}_mm")
         figures = [quantile(worst, q) for q in (50, 95, 100)] + [quantile(z, q) for q in (50, 95)]
         figures.append(float(np.sqrt(np.nanmean(apart**2))) if np.isfinite(apart).any() else float("nan"))

@@ -36,11 +36,8 @@ def run_experiment(
         )
     agreed, shown, figures = True, [], []
     for name, what in BRANCHES.items():
-        for quantity, of in (
-            ("worse of |x|, |y|", lambda made, name=name: worst_mm(made, name)),
-            ("odometry − true, x", lambda made, name=name: _apart(made, name)),
-        ):
-            pixels, model = (of(rows[eyes]) for eyes in ("pixels", "model"))
+        for quantity, of in (("worse of |x|, |y|", worst_mm), ("odometry − true, x", _apart)):
+            pixels, model = (of(rows[eyes], name) for eyes in ("pixels", "model"))
             compared = compare(pixels, model)
             agreed = agreed and compared["agree"]
             figures.append({"after": what, "quantity": quantity} | compared)

@@ -1,4 +1,4 @@
-"""Looking and moving: the tool driven by what each picture shows of it and of the object, while both are seen.
+"""Looking and moving: the tool driven by what each picture shows of it and of the object.
 
 Mäkinen et al. 2023 name closed-loop visual control as possible with an uninterrupted view; this is it. Every
 picture gives the error (21) at the instant of its exposure, the local map's rotation turns it into the base
@@ -213,7 +213,8 @@ class _Sight:
         if self._alike >= self.settings.frozen_pictures:
             raise MeasurementFailed(
                 "measurement.camera_frozen",
-                f"looking and moving: {self._alike + 1} pictures alike, limit {self.settings.frozen_pictures}",
+                f"looking and moving: {self._alike + 1} pictures alike, at most "
+                f"{self.settings.frozen_pictures} are believed",
             )
 
 
