@@ -200,6 +200,30 @@ def lockstep_demo_command(
 
 
 @experiment.command(
+    "stream-cuts", epilog="Example: longreach experiment stream-cuts --runs 459 --seed 1 --json cuts.json"
+)
+def stream_cuts_command(
+    count: Annotated[int, typer.Option("--runs", min=1, help="How many cuts, one a seed.")] = 459,
+    scenario: Scenario = "standard",
+    seed: Seed = 1,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    scheduler: Scheduler = None,
+    directory: Annotated[
+        Path, typer.Option("--out", help="Rows; what is there already is not run again.")
+    ] = DEFAULT_RUNS / "stream-cuts",
+    json_file: JsonFile = None,
+) -> None:
+    """Cut the reference stream at random moments: exit status 0 when valves and oil always stop in time."""
+    from testbed.experiments.stream_cuts import run_experiment
+
+    passed = run_experiment(
+        config_dir, scenario, seed, count, settings or [], directory, scheduler, json_file
+    )
+    raise typer.Exit(0 if passed else 1)
+
+
+@experiment.command(
     "controller-kills", epilog="Example: longreach experiment controller-kills --runs 100 --seed 1"
 )
 def controller_kills_command(

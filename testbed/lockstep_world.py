@@ -78,13 +78,13 @@ class ControllerSide:
         self.valve_words = encode_valves(ValveImage(0, 0, (0.0,) * 6))
 
     def cycle(
-        self, sensor_words: list[int] | None, datagrams: list[bytes], now_ns: int
+        self, sensor_words: list[int] | None, datagrams: list[bytes], arrival_ns: int, now_ns: int
     ) -> tuple[ScanOutput, list[bytes]]:
         """The scan's output and the datagrams to vision; ``valve_words`` are for the next exchange.
 
         ``sensor_words`` is None when the plant did not answer.
         """
-        events = self._server.receive_batch([(data, _VISION) for data in datagrams], now_ns)
+        events = self._server.receive_batch([(data, _VISION) for data in datagrams], arrival_ns)
         events += self._server.tick(now_ns)
         self._inbox.put(events)
         requests, alive = self._inbox.take(self._server.link_alive(now_ns))
@@ -128,7 +128,8 @@ class World:
     ``step`` lets one controller cycle pass. ``on_frame`` is called with each stereo pair while it is set; no
     picture is rendered otherwise. ``on_exposure`` is called at the same instants with the frame's number and
     the truth, for those who judge pictures or stand in for them. ``to_controller`` and ``to_vision`` turn the
-    datagrams sent in a cycle into those that arrive in it: a wire that loses, repeats or reorders.
+    datagrams sent in a cycle into those that arrive in it: a wire that loses, repeats or reorders. They are
+    sent and arrive ``lead_ns``, less than a cycle, before its scan.
     """
 
     def __init__(self, settings: Settings, seed: int, log: EventLog) -> None:
@@ -141,6 +142,7 @@ class World:
         self.acknowledgements: dict[int, Acknowledgement] = {}
         self.refusals: dict[int, StreamRefused] = {}
         self.link_lost: LinkLost | None = None
+        self.lead_ns = 0
         self.to_controller: Wire = list
         self.to_vision: Wire = list
         self.on_frame: Callable[[Frame], None] | None = None
@@ -194,14 +196,20 @@ class World:
         """Sends a streamed reference with the next cycle. Raises LinkLost when there is no session."""
         self._client.stream(reference, self.vision_ns)
 
+    def disconnect(self) -> None:
+        """Vision ends its session, and says so with the next cycle."""
+        for event in self._client.disconnect(self.vision_ns):
+            self._noted(event)
+
     def step(self) -> None:
         """Nothing; one controller cycle has passed."""
         for said in self._client.tick(self.vision_ns):
             self._noted(said)
-        datagrams = self.to_controller(self._client.outgoing(self.vision_ns))
+        datagrams = self.to_controller(self._client.outgoing(self.vision_ns - self.lead_ns))
         sensor_words = self._exchanged()
         before = self.states[-1] if self.states else None
-        output, replies = self._controller.cycle(sensor_words, datagrams, self._time_ns + CONTROLLER_CLOCK_NS)
+        scan_ns = self._time_ns + CONTROLLER_CLOCK_NS
+        output, replies = self._controller.cycle(sensor_words, datagrams, scan_ns - self.lead_ns, scan_ns)
         for event in output.events:
             self.log.add(self._time_ns, "controller", what=event)
         for data in self.to_vision(replies):
