@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import clarabel
 import numpy as np
+import scipy.optimize
 import scipy.sparse
 
 from vision_pc.core.hand_eye import rigid, sdp
@@ -23,7 +24,7 @@ from vision_pc.core.hand_eye.motions import DualQuaternions
 from vision_pc.core.hand_eye.result import Certificate
 from vision_pc.core.se3 import Array
 
-_NEWTON_STEPS = 8
+_BRACKET, _WIDEST = 1e-9, 10.0  # of the second multiplier; the matrix has norm 1
 _ENLARGE = (1.0, 1e-4)
 
 
@@ -155,9 +156,8 @@ def joint(f: Forms) -> tuple[Array, Certificate]:
     A_1, A_2 = _constraints()
     A = scipy.sparse.csc_matrix(np.stack([sdp.svec(A_1), sdp.svec(A_2)], axis=1))
     solution = sdp.solved(np.array([-1.0, 0.0]), A, sdp.svec(M), [clarabel.PSDTriangleConeT(8)])
-    values, vectors = np.linalg.eigh(sdp.smat(solution.dual, 8))
-    v = vectors[:, -1] / np.linalg.norm(vectors[:4, -1])
-    v, multipliers = _stationary(M, v, solution.primal)
+    values = np.linalg.eigvalsh(sdp.smat(solution.dual, 8))
+    v, multipliers = _stationary(M, float(solution.primal[1]))
     S = M - multipliers[0] * A_1 - multipliers[1] * A_2
     certificate = Certificate(
         "Shor 8x8, KKT",
@@ -176,19 +176,32 @@ def _constraints() -> tuple[Array, Array]:
     return A_1, A_2
 
 
-def _stationary(M: Array, v: Array, multipliers: Array) -> tuple[Array, Array]:
-    """The exact stationary point and multipliers next to the relaxation's, by Newton on the KKT equations."""
-    A_1, A_2 = _constraints()
-    for _ in range(_NEWTON_STEPS):
-        S = M - multipliers[0] * A_1 - multipliers[1] * A_2
-        normals = np.stack([A_1 @ v, A_2 @ v], axis=1)
-        system = np.block([[S, -normals], [normals.T, np.zeros((2, 2))]])
-        defect = np.concatenate([S @ v, [0.5 * (v @ A_1 @ v - 1.0), 0.5 * (v @ A_2 @ v)]])
-        step = np.linalg.lstsq(system, -defect, rcond=1e-15)[0]
-        v, multipliers = v + step[:8], multipliers + step[8:]
-        if np.abs(step).max() < 1e-13:
-            break
-    return v, multipliers
+def _stationary(M: Array, multiplier: float) -> tuple[Array, tuple[float, float]]:
+    """The exact stationary point (8,) and both multipliers next to the relaxation's second one.
+
+    With g' eliminated, the first multiplier is the least eigenvalue of a 4x4 matrix and concave in the
+    second one, with the slope g·g': its only root is bracketed, which Newton's steps on the KKT equations
+    may leave where almost nothing is noisy.
+    """
+
+    def at(second: float) -> tuple[float, Array]:
+        K = M[:4, 4:] - 0.5 * second * np.eye(4)
+        across = np.linalg.solve(M[4:, 4:], K.T)
+        values, vectors = np.linalg.eigh(M[:4, :4] - K @ across)
+        g = vectors[:, 0]
+        return float(values[0]), np.concatenate([g, -across @ g])
+
+    def slope(second: float) -> float:
+        _, v = at(second)
+        return float(v[:4] @ v[4:])
+
+    width = _BRACKET
+    while slope(multiplier - width) * slope(multiplier + width) > 0.0 and width < _WIDEST:
+        width *= 10.0
+    if width < _WIDEST:
+        multiplier = float(scipy.optimize.brentq(slope, multiplier - width, multiplier + width, xtol=1e-18))
+    first, v = at(multiplier)
+    return v, (first, multiplier)
 
 
 def _pose(g: Array, g_dual: Array) -> Array:
