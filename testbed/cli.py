@@ -15,6 +15,7 @@ from testbed.experiments.commands import add_to
 from testbed.fault_proxy.command import proxy
 from testbed.hand_eye.cli import app as hand_eye
 from testbed.hand_eye.cli import register_experiments
+from testbed.pictures.command import app as picture
 from testbed.settings import chosen_overrides, with_faults
 
 app = typer.Typer(
@@ -36,6 +37,7 @@ register_experiments(experiment)
 
 app.add_typer(conformance, name="conformance")
 app.add_typer(hand_eye, name="hand-eye")
+app.add_typer(picture, name="picture")
 
 app.command(epilog="Example: longreach sniff --interface lo --port 47000")(sniff)
 app.command(epilog="Example: longreach proxy --listen-port 47001 --port 47000 --loss 0.02")(proxy)

@@ -1,0 +1,59 @@
+"""`longreach picture effects`: what each effect of camera and scene does, in pictures and in grey levels."""
+
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+
+from plant_emulator.core.camera_motion import View
+from plant_emulator.core.plant import Plant
+from plant_emulator.core.scene import Scene
+from testbed.console import bars, out, table, write_json
+from testbed.pictures.effects import effects, pictured
+from testbed.pictures.sheet import Pair, contact_sheet
+from testbed.settings import load_settings
+
+app = typer.Typer(help="Pictures that explain.", no_args_is_help=True)
+_HEADINGS = ("effect", "switch in scene.yaml, or fault", "mean change, grey", "pixels changed, %")
+
+
+@app.callback()
+def _pictures() -> None:
+    """Pictures that explain."""
+
+
+@app.command("effects", epilog="Example: longreach picture effects --out runs/effects")
+def effects_command(
+    directory: Annotated[Path, typer.Option("--out", help="Where the pictures go.")],
+    config_dir: Annotated[
+        Path, typer.Option("--config-dir", help="Where the configuration files are.")
+    ] = Path("configs"),
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Also write every printed figure to this file.")
+    ] = None,
+) -> None:
+    """One picture per effect of camera and scene, off and on, and all of them on one sheet."""
+    settings = load_settings(config_dir, {})
+    truth = Plant(settings.plant, 1, Scene(settings.scene).mounts).truth()
+    view = View(truth.X_WC, truth.X_WM)
+    directory.mkdir(parents=True, exist_ok=True)
+    wanted, pairs, rows = effects(settings.scene), [], []
+    with bars() as shown, shown.step("rendering") as bar:
+        for number, effect in enumerate(wanted, 1):
+            off, on = pictured(effect, settings.scene, view)
+            stem = effect.name.replace(",", "").replace(" ", "_")
+            for state, picture in (("off", off), ("on", on)):
+                cv2.imwrite(str(directory / f"{stem}_{state}.png"), picture)
+            change = np.abs(on.astype(float) - off)
+            rows.append((effect.name, effect.switch, change.mean(), 100.0 * (change > 0.0).mean()))
+            pairs.append(Pair(effect.name, effect.switch, off, on))
+            bar.update(number / len(wanted), effect.name)
+    path = directory / "camera_effects.png"
+    cv2.imwrite(str(path), contact_sheet(pairs), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    shown_rows = [(name, switch, f"{mean:.2f}", f"{share:.1f}") for name, switch, mean, share in rows]
+    out.print(table("effects of camera and scene, off against on", _HEADINGS, shown_rows))
+    out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB", highlight=False)
+    keys = ("name", "switch", "mean_change_grey", "changed_percent")
+    write_json(json_file, {"effects": [dict(zip(keys, row, strict=True)) for row in rows]})

@@ -1,0 +1,180 @@
+"""Every effect of the emulated camera and its scene, off and on: what the switch is, and two pictures."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from plant_emulator.core.camera_motion import STILL, Capture, Motion, View
+from plant_emulator.core.exposures import Exposures
+from plant_emulator.core.faults import CameraBlind, CameraFrozen, Fault, FramesDropped, MarkerCovered
+from plant_emulator.core.geometry import transform
+from plant_emulator.core.scene import Scene
+from plant_emulator.core.stereo_camera import LEFT, RIGHT, StereoCamera
+from plant_emulator.scene_config import SceneConfig
+from protocol.configuration import merged, validated
+
+Grey = NDArray[np.uint8]
+
+CLEAN: dict[str, Any] = {
+    "wall": {"lighting_gradient_per_m": [0.0, 0.0], "undulation_mm": 0.0, "drill_holes": []},
+    "obstacles": [],
+    "camera": {
+        "blur_px": 0.0,
+        "noise_grey": 0.0,
+        "vignetting": 0.0,
+        "exposure_gain": 1.0,
+        "motion_blur_samples": 1,
+        "readout_ms": 0.0,
+        "dropped_frame_share": 0.0,
+        "frozen_frame_share": 0.0,
+        "rectification": {"vertical_px": 0.0, "disparity_px": 0.0, "right_eye_rotation_deg": [0.0, 0.0, 0.0]},
+        "lens": {"k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0, "k3": 0.0},
+    },
+}
+STRIP = 6  # frames in a row, for the effects that are seen only in time
+
+
+def _sideways(speed_m_s: float) -> Motion:
+    """The arm moving along the wall."""
+    return Motion(np.array([[0.0, -speed_m_s, 0.0, 0.0, 0.0, 0.0]] * 2))
+
+
+class Window(NamedTuple):
+    """The part of the picture to be shown: left, top, width, height in pixels."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+    def of(self, picture: Grey) -> Grey:
+        """That part."""
+        return picture[self.top : self.top + self.height, self.left : self.left + self.width]
+
+
+WHOLE = Window(0, 0, 1280, 720)
+OBJECT = Window(480, 180, 480, 270)
+MARKER = Window(557, 210, 192, 108)
+
+
+class Effect(NamedTuple):
+    """One effect. ``switch`` is what one sets, ``on`` the overrides of scene.yaml, or the ``fault`` in force.
+
+    ``off`` are overrides that hold for both pictures. ``in_time``: shown as a strip of successive frames.
+    """
+
+    name: str
+    switch: str
+    on: dict[str, Any]
+    off: Mapping[str, Any] = MappingProxyType({})
+    fault: Fault | None = None
+    window: Window = WHOLE
+    eye: int = LEFT
+    motion: Motion = STILL
+    in_time: bool = False
+
+
+def _markers(scene: SceneConfig, print_scale_error: float) -> dict[str, Any]:
+    """The object's markers, all printed with one scale error."""
+    rows = [marker.model_dump(mode="json") for marker in scene.object_of_interest.markers]
+    return {
+        "object_of_interest": {"markers": [row | {"print_scale_error": print_scale_error} for row in rows]}
+    }
+
+
+def _holes() -> list[dict[str, Any]]:
+    places = ((-0.36, 0.16), (-0.36, -0.14), (0.0, -0.16), (0.36, 0.16), (0.36, -0.14))
+    return [{"centre_m": list(place), "diameter_mm": 45.0} for place in places]
+
+
+def effects(scene: SceneConfig) -> tuple[Effect, ...]:
+    """Every effect, strong enough to be seen in a small picture."""
+    long_exposure = {"camera": {"exposure_us": 40_000}}
+    plate = {"parent": "wall", "centre_m": [-0.2, 0.03, 0.0], "size_m": [0.16, 0.09], "grey": 55.0}
+    return (
+        Effect("exposure", "camera.exposure_gain = 1.9", {"camera": {"exposure_gain": 1.9}}),
+        Effect("point spread", "camera.blur_px = 2.5", {"camera": {"blur_px": 2.5}}, window=OBJECT),
+        Effect("noise", "camera.noise_grey = 14", {"camera": {"noise_grey": 14.0}}, window=MARKER),
+        Effect("vignetting", "camera.vignetting = 0.6", {"camera": {"vignetting": 0.6}}),
+        Effect(
+            "motion blur", "camera.motion_blur_samples = 12 (40 ms at 0.6 m/s)",
+            {"camera": {"motion_blur_samples": 12}}, long_exposure, window=MARKER, motion=_sideways(0.6),
+        ),
+        Effect(
+            "rolling shutter", "camera.readout_ms = 100 (at 1.5 m/s)", {"camera": {"readout_ms": 100.0}},
+            window=OBJECT, motion=_sideways(1.5),
+        ),
+        Effect("lens distortion", "camera.lens.k1 = -0.06", {"camera": {"lens": {"k1": -0.06}}}),
+        Effect(
+            "rectification, vertical", "camera.rectification.vertical_px = 10",
+            {"camera": {"rectification": {"vertical_px": 10.0}}}, window=OBJECT, eye=RIGHT,
+        ),
+        Effect(
+            "rectification, disparity", "camera.rectification.disparity_px = 10",
+            {"camera": {"rectification": {"disparity_px": 10.0}}}, window=OBJECT, eye=RIGHT,
+        ),
+        Effect("lighting gradient", "wall.lighting_gradient_per_m = [0.3, -0.2]",
+               {"wall": {"lighting_gradient_per_m": [0.3, -0.2]}}),
+        Effect("low-contrast wall", "wall.contrast_grey = 3", {"wall": {"contrast_grey": 3.0}}),
+        Effect("wall not flat", "wall.undulation_mm = 40, waves of 0.3 m",
+               {"wall": {"undulation_mm": 40.0, "undulation_length_m": 0.3}}, window=OBJECT),
+        Effect("drill holes", "wall.drill_holes = [...]", {"wall": {"drill_holes": _holes()}}, window=OBJECT),
+        Effect("partial occlusion", "obstacles = [...]", {"obstacles": [plate]}, window=OBJECT),
+        Effect("print-size error", "markers[].print_scale_error = 0.05", _markers(scene, 0.05),
+               _markers(scene, 0.0), window=MARKER),
+        Effect("marker covered", "fault marker_covered, share 0.4", {}, window=OBJECT,
+               fault=MarkerCovered(marker_id=3, share=0.4, side="top")),
+        Effect("blind", "fault camera_blind, grey 30", {}, fault=CameraBlind(grey=30)),
+        Effect("dropped frames", "camera.dropped_frame_share = 0.4", {"camera": {"dropped_frame_share": 0.4}},
+               in_time=True),
+        Effect("frozen frames", "camera.frozen_frame_share = 0.5", {"camera": {"frozen_frame_share": 0.5}},
+               in_time=True),
+        Effect("frames lost", "fault frames_dropped, share 0.6", {}, fault=FramesDropped(share=0.6),
+               in_time=True),
+        Effect("camera frozen", "fault camera_frozen, from the third on", {}, fault=CameraFrozen(),
+               in_time=True),
+    )  # fmt: skip
+
+
+def pictured(effect: Effect, scene: SceneConfig, view: View) -> tuple[Grey, Grey]:
+    """Pictures without and with ``effect``, from the camera at ``view``, cut to what is to be seen."""
+    base = merged(scene.model_dump(mode="json"), merged(CLEAN, effect.off))
+    off, on = (
+        validated(SceneConfig, merged(base, overrides), f"effect '{effect.name}'")
+        for overrides in ({}, effect.on)
+    )
+    faults = [effect.fault] if effect.fault else []
+    if effect.in_time:
+        return _strip(off, view, []), _strip(on, view, faults)
+    capture = Capture(1, 0, view, effect.motion)
+    pictures = []
+    for config, in_force in ((off, []), (on, faults)):
+        camera = StereoCamera(config.camera, Scene(config), config.seed)
+        shot = Exposures(config.camera, config.seed).shot(capture, in_force)
+        pictures.append(effect.window.of(camera.take(shot)[effect.eye]))
+    return pictures[0], pictures[1]
+
+
+def _strip(config: SceneConfig, view: View, faults: Sequence[Fault]) -> Grey:
+    """Successive frames of an arm that moves sideways, side by side; a frame that never came is black."""
+    camera = StereoCamera(config.camera, Scene(config), config.seed)
+    exposures = Exposures(config.camera, config.seed)
+    frames: list[Grey] = []
+    for capture in _moving(view):
+        shot = exposures.shot(capture, faults if capture.frame_id >= 2 else [])
+        left = camera.take(shot)[LEFT] if shot.delivered else np.zeros((720, 1280), dtype=np.uint8)
+        small = cv2.resize(OBJECT.of(left), (160, 90), interpolation=cv2.INTER_AREA)
+        frames.append(cv2.copyMakeBorder(small, 2, 2, 2, 2, cv2.BORDER_CONSTANT, value=255))  # type: ignore[arg-type]
+    half = STRIP // 2
+    return np.vstack([np.hstack(frames[:half]), np.hstack(frames[half:])])
+
+
+def _moving(view: View) -> Iterator[Capture]:
+    step = transform(np.eye(3), np.array([0.06, 0.0, 0.0]))
+    for number in range(STRIP):
+        yield Capture(number, number, view, STILL)
+        view = View(view.X_WC @ step, view.X_WM @ step)
