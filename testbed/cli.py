@@ -249,10 +249,9 @@ def controller_kills_command(
     epilog="Example: longreach experiment plant-campaign --runs 500 --seed 1 --json rough.json",
 )
 def plant_campaign_command(
-    count: Annotated[
-        int, typer.Option("--runs", min=4, help="How many runs, a quarter of each event.")
-    ] = 500,
+    count: Annotated[int, typer.Option("--runs", min=4, help="How many, a quarter of each event.")] = 500,
     seed: Seed = 1,
+    step_ms: Annotated[float, typer.Option(min=0.01, max=0.5, help="Of the integration.")] = 0.25,
     config_dir: ConfigDir = DEFAULT_CONFIG,
     scheduler: Scheduler = None,
     directory: Annotated[
@@ -263,7 +262,8 @@ def plant_campaign_command(
     """Sudden stops, payload drops, end-stop impacts, pump losses: exit status 0 when all books balance."""
     from testbed.experiments.plant_campaign import run_experiment
 
-    raise typer.Exit(0 if run_experiment(config_dir, count, seed, directory, scheduler, json_file) else 1)
+    passed = run_experiment(config_dir, count, seed, step_ms, directory, scheduler, json_file)
+    raise typer.Exit(0 if passed else 1)
 
 
 @validate.command(
