@@ -89,6 +89,18 @@ def intrinsics(
     run_intrinsics_of_pictures(pictures, board, detector, marker, json_file)
 
 
+@app.command(epilog="Example: longreach hand-eye drawing configs/cabinet.png")
+def drawing(
+    file: Annotated[Path, typer.Argument(help="PNG to write.")],
+    scenario: Annotated[str, typer.Option(help="Whose cabinet.")] = "hand_eye",
+    config_dir: Annotated[Path, typer.Option("--config-dir", help="Configuration.")] = Path("configs"),
+) -> None:
+    """The emulated cabinet's front as its maker would draw it: what the vision PC is given to find it by."""
+    from testbed.hand_eye.commands import run_drawing
+
+    run_drawing(file, scenario, config_dir)
+
+
 @app.command("real-data", epilog="Example: longreach hand-eye real-data --json real.json")
 def real_data(json_file: JsonFile = None) -> None:
     """All methods on MoveIt's and ETH's recordings (LONGREACH_DATA names their directory)."""

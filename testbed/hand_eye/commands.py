@@ -6,12 +6,15 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from plant_emulator.board_config import CabinetConfig
+from plant_emulator.core.cabinet import cabinet_front
 from protocol.errors import RequestRefused
 from testbed.console import out, write_json
 from testbed.hand_eye import experiment_tables, intrinsics_experiment, presentation, trajectories
 from testbed.hand_eye.importer import ImportOptions, load
 from testbed.hand_eye.real_data import hold_out
 from testbed.hand_eye.trajectories import PairingOptions
+from testbed.settings import chosen_overrides, load_settings
 from vision_pc.core import zhang_intrinsics as zhang
 from vision_pc.core.hand_eye import bundle, methods
 from vision_pc.core.hand_eye.bundle import RobotNoise
@@ -144,6 +147,17 @@ def run_intrinsics_of_pictures(
             "coverage": found.coverage,
         },
     )
+
+
+def run_drawing(file: Path, scenario: str, config_dir: Path) -> None:
+    """Nothing; the front of the scenario's cabinet is in ``file``. Raises RequestRefused if there is none."""
+    scene = load_settings(config_dir, chosen_overrides(config_dir, scenario, 1, [])).scene
+    fronts = [board for board in scene.boards if isinstance(board, CabinetConfig)]
+    if not fronts:
+        raise RequestRefused("refused.hand_eye.no_drawing", f"scenario {scenario} has no cabinet")
+    if not cv2.imwrite(str(file), cabinet_front(fronts[0])):
+        raise RequestRefused("refused.hand_eye.no_drawing", f"{file}: cannot be written")
+    out.print(f"{file}: texels of {fronts[0].texel_mm} mm", highlight=False)
 
 
 def _picture(file: Path) -> Image:

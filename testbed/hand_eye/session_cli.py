@@ -142,6 +142,14 @@ def solve(url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
     raise typer.Exit(0 if verdicts[0] else 1)
 
 
+@app.command(epilog="Example: longreach hand-eye session locate   (after solve)")
+def locate(url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
+    """The control cabinet's knob, switch and key hole in hand and base."""
+    from testbed.hand_eye import session_text
+
+    _do(url, lambda face: session_text.located(face.step("locate", {}, "looking at the cabinet"), json_file))
+
+
 @app.command(epilog="Example: longreach hand-eye session resume monday")
 def resume(
     name: Annotated[str | None, typer.Argument(help="The session's name; none: list them.")] = None,

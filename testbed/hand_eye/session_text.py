@@ -104,6 +104,23 @@ def solved(answer: JSON, json_file: Path | None) -> bool:
     return bool(answer["good"])
 
 
+def located(found: JSON, json_file: Path | None) -> None:
+    """Nothing; the cabinet's targets are printed."""
+    rows = [
+        (
+            t["name"],
+            _three(t["p_T_m"], 4),
+            _three(t["p_B_m"], 4),
+            f"{t['correlation']:.3f}",
+            f"{t['gap_px']:.3f}",
+        )
+        for t in found["targets"]
+    ]
+    columns = ("target", "in the hand m", "in the base m", "correlation", "gap px")
+    out.print(table("control cabinet", columns, rows))
+    write_json(json_file, found)
+
+
 def named(names: Sequence[str]) -> None:
     """Nothing; the sessions on the vision PC's disk are printed."""
     _say(", ".join(names) or "no sessions")

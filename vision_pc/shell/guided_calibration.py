@@ -9,14 +9,17 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from typing import Protocol, TypeVar
 
+import cv2
 import numpy as np
 
 from protocol.errors import MeasurementFailed, RequestRefused
+from protocol.reference_link import State
 from vision_pc.config import VisionConfig
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import bundle, guided_sampling, methods, target
+from vision_pc.core.hand_eye import bundle, cabinet, guided_sampling, methods, target
 from vision_pc.core.hand_eye import maximum_likelihood as ml
 from vision_pc.core.hand_eye.bundle import RobotNoise
+from vision_pc.core.hand_eye.cabinet import Drawing, Located, Target
 from vision_pc.core.hand_eye.guided_sampling import Belief, Proposal, arm_zero_covariance
 from vision_pc.core.hand_eye.guided_settings import GuidedSettings
 from vision_pc.core.hand_eye.methods import Method
@@ -24,14 +27,15 @@ from vision_pc.core.hand_eye.result import HandEyeResult
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.session import Sample, Session, proposal_json
 from vision_pc.core.hand_eye.target import TargetLook
-from vision_pc.core.intrinsics import calibration
+from vision_pc.core.intrinsics import calibration, with_offset
+from vision_pc.core.look import observe
 from vision_pc.core.ports import ArmView, Photographer, Report
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import FrameObservation
+from vision_pc.core.types import FrameObservation, StereoPair
 from vision_pc.shell.event_log import EventLog
 from vision_pc.shell.hand_eye_store import SessionStore
 from vision_pc.shell.schemas import JSON, pose_json
-from vision_pc.shell.station import Controller, StoppableArm
+from vision_pc.shell.station import StoppableArm
 
 T = TypeVar("T")
 
@@ -46,6 +50,12 @@ class Pictures(Photographer, Protocol):
     async def aside(self, work: Callable[[], T]) -> T: ...
 
 
+class States(Protocol):
+    """The controller's states as they come."""
+
+    async def next_state(self) -> State: ...
+
+
 class GuidedCalibration:
     """One session at a time, over one rig."""
 
@@ -53,21 +63,24 @@ class GuidedCalibration:
         self,
         arm: StoppableArm,
         pictures: Pictures,
-        controller: Controller,
+        states: States,
         config: VisionConfig,
         log: EventLog,
         store: SessionStore,
     ) -> None:
         self._arm = arm
         self._pictures = pictures
-        self._controller = controller
+        self._states = states
         self._config = config
         self._camera = calibration(config.camera)
         self._log = log
         self.store = store
         self.defaults = config.hand_eye
         self._session: Session | None = None
+        self.X_TC: Array | None = None
         self._last: FrameObservation | None = None
+        self._offset: FrameObservation | None = None
+        self._loaded: Drawing | None = None
 
     @property
     def session(self) -> Session:
@@ -224,9 +237,59 @@ class GuidedCalibration:
             raise MeasurementFailed(
                 "measurement.hand_eye.too_few_samples", "0 samples are too few: take some"
             )
-        answer = await self._pictures.aside(lambda: solved_json(session))
+        answer, self.X_TC = await self._pictures.aside(lambda: solved(session))
         self._log.write("hand_eye_solved", session=session.name, verdict=answer["verdict"])
         return answer
+
+    async def locate(self, report: Report) -> JSON:
+        """The cabinet's targets in the hand and in the base, seen from here, with the X solved last.
+
+        Raises RequestRefused (``refused.hand_eye.not_solved``, ``.no_drawing``), MeasurementFailed as
+        ``cabinet.locate``.
+        """
+        if self.X_TC is None:
+            raise RequestRefused("refused.hand_eye.not_solved", "no X yet: solve first")
+        drawing = self._drawing()
+        report(0.2, "looking at the cabinet")
+        await self._settled(self.defaults)
+        pictures = await self._pictures.pairs_at_rest(1)
+        places = await self._pictures.aside(lambda: self._seen_targets(pictures.pairs[0], drawing))
+        X_BC = pictures.X_BT @ self.X_TC
+        return {
+            "X_BT": pose_json(pictures.X_BT),
+            "targets": [
+                {
+                    "name": t.name,
+                    "p_C_m": t.p_C.tolist(),
+                    "p_T_m": se3.apply(self.X_TC, t.p_C[None])[0].tolist(),
+                    "p_B_m": se3.apply(X_BC, t.p_C[None])[0].tolist(),
+                    "gap_px": t.gap_px,
+                    "correlation": t.correlation,
+                }
+                for t in places
+            ],
+        }
+
+    def _seen_targets(self, pair: StereoPair, drawing: Drawing) -> tuple[Located, ...]:
+        self._offset = observe(pair, self._camera, self._config.markers, self._offset)
+        offset = self._offset.offset
+        camera = self._camera
+        if offset is not None:
+            camera = with_offset(camera, offset.x_px, offset.y_px)
+        return cabinet.locate(pair, drawing, camera)
+
+    def _drawing(self) -> Drawing:
+        settings = self._config.cabinet
+        if settings is None:
+            raise RequestRefused("refused.hand_eye.no_drawing", "no cabinet is configured (vision.cabinet)")
+        if self._loaded is None:
+            picture = cv2.imread(str(settings.drawing), cv2.IMREAD_GRAYSCALE)
+            if picture is None:
+                why = f"cabinet.drawing {settings.drawing}: not a picture that can be read"
+                raise RequestRefused("refused.hand_eye.no_drawing", why)
+            targets = tuple(Target(name, x, y) for name, (x, y) in settings.targets_m.items())
+            self._loaded = Drawing(np.asarray(picture, dtype=np.uint8), 1e-3 * settings.texel_mm, targets)
+        return self._loaded
 
     def view(self) -> JSON:
         """The open session: its samples with residuals, and the proposal."""
@@ -274,7 +337,7 @@ class GuidedCalibration:
         view = await self._arm.view()
         began_ns = view.time_ns
         while not view.settled and view.time_ns - began_ns < 1e9 * settings.settle_timeout_s:
-            await self._controller.next_state()
+            await self._states.next_state()
             view = await self._arm.view()
         return view
 
@@ -349,7 +412,7 @@ def marker_json(seen: TargetLook) -> JSON:
     }
 
 
-def solved_json(session: Session) -> JSON:
+def solved(session: Session) -> tuple[JSON, Array]:
     """The robust solution of a session with covariance, residuals, proof and verdict, others beside it."""
     pairs = session.pairs()
     result = methods.solve(pairs, Method.ROBUST)
@@ -366,7 +429,7 @@ def solved_json(session: Session) -> JSON:
         answer["others"].append(
             {"method": "image-space", "p_mm": _mm(adjusted.X), "off": _off(adjusted.X, result.X)}
         )
-    return answer
+    return answer, result.X
 
 
 def _other(pairs: PosePairs, method: Method, result: HandEyeResult) -> JSON:

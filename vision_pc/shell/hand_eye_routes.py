@@ -22,7 +22,12 @@ Key = Annotated[
     Header(alias="Idempotency-Key", min_length=1, max_length=100, description="Same key, same operation"),
 ]
 _TAG: list[str | Enum] = ["hand-eye"]
-_STANDING = ("hand-eye-start", "hand-eye-sample", "hand-eye-solve")  # nothing moves: no need to be enabled
+_STANDING = (
+    "hand-eye-start",
+    "hand-eye-sample",
+    "hand-eye-solve",
+    "hand-eye-locate",
+)  # nothing moves: no need to be enabled
 
 
 class StartBody(Body):
@@ -189,6 +194,10 @@ def _add_operations(
     @post("hand-eye-redo", "Drive back to a sample's pose and take it again")
     async def redo(response: Response, body: RedoBody, key: Key = None) -> OperationView:
         return begin("hand-eye-redo", body, lambda r: guided.redo(body.sample, r), key, response)
+
+    @post("hand-eye-locate", "Knob, switch and key hole of the cabinet, in hand and base")
+    async def locate(response: Response, body: EmptyBody | None = None, key: Key = None) -> OperationView:
+        return begin("hand-eye-locate", body or EmptyBody(), guided.locate, key, response)
 
     @post("hand-eye-solve", "X with covariance, residuals, proof and verdict")
     async def solve(response: Response, body: EmptyBody | None = None, key: Key = None) -> OperationView:

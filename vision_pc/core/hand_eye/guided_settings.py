@@ -1,5 +1,6 @@
 """Settings of guided hand-eye sampling: section ``hand_eye`` of ``vision.yaml``."""
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -9,6 +10,17 @@ from protocol.configuration import StrictModel
 Degrees = Annotated[float, Field(gt=0.0, le=90.0)]
 Metres = Annotated[float, Field(gt=0.0, le=5.0)]
 Vector3 = tuple[float, float, float]
+
+
+class CabinetSettings(StrictModel):
+    """A control cabinet as its maker drew it: the picture of its front, and where the targets are on it.
+
+    ``targets_m``: name → place from the front's middle, x right and y up.
+    """
+
+    drawing: Path
+    texel_mm: float = Field(gt=0.05, le=5.0)
+    targets_m: dict[str, tuple[float, float]] = Field(min_length=1, max_length=32)
 
 
 class GuidedSettings(StrictModel):
