@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 from protocol.configuration import StrictModel
 from protocol.link_key import KeySource
 from vision_pc.core.calibration.settings import ProgramSettings
-from vision_pc.core.hand_eye.guided_settings import GuidedSettings
+from vision_pc.core.hand_eye.guided_settings import CabinetSettings, GuidedSettings
 
 Positive = Annotated[float, Field(gt=0.0)]
 Port = Annotated[int, Field(ge=1, le=65535)]
@@ -207,4 +207,5 @@ class VisionConfig(StrictModel):
     programs: ProgramSettings
     hand_eye: GuidedSettings = GuidedSettings()
     sessions_dir: Path = Path("runs/hand-eye")
+    cabinet: CabinetSettings | None = None
     api: ApiSettings = ApiSettings()
