@@ -10,21 +10,23 @@ import logging
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import dask
-import distributed
+import distributed as untyped
 import numba
-import psutil
-from distributed.comm import CommClosedError
+from distributed.comm.core import CommClosedError
 from distributed.scheduler import KilledWorker
 
 from protocol.errors import ConfigurationError, LinkLost, LongreachError
 from testbed.console import bars, err, plain
 from testbed.row_file import Row, RowFile
+
+distributed: Any = untyped  # it has types in part only
 
 Task = dict[str, Any]
 Run = Callable[[Task], Row]
@@ -60,6 +62,8 @@ def run_campaign(
     the cause and what happened), ``run_s`` and ``cpu_s``. A task whose key and configuration already have a
     row is not run again, unless it failed by no fault of its own (its worker died, or the program broke).
 
+    A value that is bytes becomes a file; its cell is the name, below ``directory``.
+
     Raises ConfigurationError for a key given twice or a malformed address, LinkLost when the scheduler does
     not answer, has no workers, or goes away; the rows done until then are kept.
     """
@@ -75,7 +79,8 @@ def run_campaign(
             err.print(f"{title}: {len(tasks) - len(to_do)} of {len(tasks)} already done", style="dim")
         for task, row in _results(function, to_do, scheduler, min(workers, len(to_do)), title):
             key = str(task["key"])
-            whole = {"key": key, "configuration": configurations[key], **row}
+            named = {"key": key, "configuration": configurations[key]}
+            whole = named | _files_written(directory, "-".join(named.values()), row)
             done[key, configurations[key]] = file.append(whole)
     return [{name: done[item].get(name) for name in file.columns} for item in configurations.items()]
 
@@ -83,7 +88,7 @@ def run_campaign(
 def configuration_of(function: Run, task: Mapping[str, Any]) -> str:
     """The hash of a run: of the function's name, what is bound to it, and the task. Twelve hex digits."""
     bound: dict[str, Any] = {}
-    while hasattr(function, "func"):  # functools.partial
+    while isinstance(function, partial):
         bound = {"args": function.args, "keywords": function.keywords, "of": bound}
         function = function.func
     name = f"{function.__module__}.{function.__qualname__}"
@@ -93,6 +98,17 @@ def configuration_of(function: Run, task: Mapping[str, Any]) -> str:
 
 def _conclusive(row: Row) -> bool:
     return not str(row.get("failure") or "").startswith(_AGAIN)
+
+
+def _files_written(directory: Path, stem: str, row: Row) -> Row:
+    """``row`` with the name of a file below ``directory`` in place of every value that is bytes."""
+    kept = dict(row)
+    for column, value in row.items():
+        if isinstance(value, bytes):
+            kept[column] = f"files/{stem}.{column}"
+            (directory / "files").mkdir(exist_ok=True)
+            (directory / kept[column]).write_bytes(value)
+    return kept
 
 
 def _note(
@@ -132,7 +148,8 @@ def _run(function: Run, task: Task) -> _Done:
     except Exception as error:
         row = {"failure": f"{_AGAIN}exception: {type(error).__name__}: {error}"}
     row |= {"run_s": round(time.perf_counter() - began, 3), "cpu_s": round(time.process_time() - cpu_s, 3)}
-    return _Done(row, distributed.get_worker().address, psutil.Process().memory_info().rss)
+    worker = distributed.get_worker()
+    return _Done(row, worker.address, worker.monitor.get_process_memory())
 
 
 class _Workforce(NamedTuple):

@@ -17,7 +17,7 @@ from testbed.outcome import LIMIT_M, Stage
 Array = NDArray[np.float64]
 
 JOINTS = ("slew", "lift", "tilt", "wrist 1", "wrist 2", "wrist 3")
-_STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {
     "axes.grid": True,
     "axes.spines.right": False,
     "axes.spines.top": False,
@@ -25,7 +25,7 @@ _STYLE: dict[Any, Any] = {
     "grid.alpha": 0.3,
     "legend.frameon": False,
 }
-_AXIS_COLOURS = ("#0072b2", "#d55e00", "#009e73")  # told apart by the colour-blind too
+AXIS_COLOURS = ("#0072b2", "#d55e00", "#009e73")  # told apart by the colour-blind too
 
 
 class Traces(NamedTuple):
@@ -45,7 +45,7 @@ class Traces(NamedTuple):
     q_meas_rad: Array
 
 
-def _png(figure: Figure) -> bytes:
+def png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110)
     return buffer.getvalue()
@@ -59,7 +59,7 @@ def _mark_stages(axes: Axes, stages: Sequence[Stage]) -> None:
 def path_plot(traces: Traces, stages: Sequence[Stage]) -> bytes:
     """The tool's way as it was (world) and as the controller's rigid model has it (base), from three sides;
     dots are where it rested."""
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(11.0, 3.8), layout="constrained")
         panels = figure.subplots(1, 3)
         views = ((0, 2, "side: x, z"), (0, 1, "above: x, y"), (1, 2, "front: y, z"))
@@ -69,23 +69,23 @@ def path_plot(traces: Traces, stages: Sequence[Stage]) -> bytes:
             axes.plot(
                 traces.view_p_m[:, i], traces.view_p_m[:, j], color="0.65", label="controller's rigid model"
             )
-            axes.plot(traces.true_p_m[:, i], traces.true_p_m[:, j], color=_AXIS_COLOURS[0], label="true")
+            axes.plot(traces.true_p_m[:, i], traces.true_p_m[:, j], color=AXIS_COLOURS[0], label="true")
             axes.plot(
                 traces.true_p_m[rests, i], traces.true_p_m[rests, j], "o", color="black", markersize=3.5
             )
             axes.set(title=title, xlabel=f"{'xyz'[i]} / m", ylabel=f"{'xyz'[j]} / m")
             axes.set_aspect("equal", adjustable="datalim")
         panels[0].legend(loc="best")
-        return _png(figure)
+        return png(figure)
 
 
 def error_plot(traces: Traces, stages: Sequence[Stage]) -> bytes:
     """The true error over time: all of it above, ±25 mm around zero below with the limit shaded."""
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(11.0, 5.6), layout="constrained")
         whole, close = figure.subplots(2, 1, sharex=True)
         for axes in (whole, close):
-            for axis, colour in enumerate(_AXIS_COLOURS):
+            for axis, colour in enumerate(AXIS_COLOURS):
                 axes.plot(
                     traces.true_time_s, 1e3 * traces.true_error_m[:, axis], color=colour, label="xyz"[axis]
                 )
@@ -99,13 +99,13 @@ def error_plot(traces: Traces, stages: Sequence[Stage]) -> bytes:
         top.tick_params(axis="x", labelrotation=20, labelsize=8)
         for label in top.get_xticklabels():
             label.set_horizontalalignment("left")
-        return _png(figure)
+        return png(figure)
 
 
 def target_plot(stages: Sequence[Stage]) -> bytes:
     """Where the tool stood beside the object in the camera's x-y plane after each look, true and measured."""
     looks = [stage for stage in stages if stage.look > 0]
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(5.0, 4.6), layout="constrained")
         axes = figure.subplots()
         limit = 1e3 * LIMIT_M
@@ -123,12 +123,12 @@ def target_plot(stages: Sequence[Stage]) -> bytes:
         axes.set_aspect("equal")
         if looks:
             axes.legend(loc="upper left", fontsize=8)
-        return _png(figure)
+        return png(figure)
 
 
 def joint_plot(traces: Traces, stages: Sequence[Stage]) -> bytes:
     """Joint tracking: commanded and measured angles, and their difference."""
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(11.0, 10.5), layout="constrained")
         panels = figure.subplots(6, 2, sharex=True)
         for joint, (angle, difference) in enumerate(panels):
@@ -139,13 +139,13 @@ def joint_plot(traces: Traces, stages: Sequence[Stage]) -> bytes:
             angle.plot(
                 traces.view_time_s,
                 np.degrees(measured),
-                color=_AXIS_COLOURS[1],
+                color=AXIS_COLOURS[1],
                 linewidth=0.9,
                 label="measured",
             )
             angle.set_ylabel(f"{JOINTS[joint]} / °")
             difference.plot(
-                traces.view_time_s, 1e3 * (command - measured), color=_AXIS_COLOURS[0], linewidth=0.9
+                traces.view_time_s, 1e3 * (command - measured), color=AXIS_COLOURS[0], linewidth=0.9
             )
             difference.set_ylabel("difference / mrad")
             _mark_stages(angle, stages)
@@ -153,4 +153,4 @@ def joint_plot(traces: Traces, stages: Sequence[Stage]) -> bytes:
         panels[0][0].legend(loc="best", ncols=2)
         for axes in panels[-1]:
             axes.set_xlabel("time / s")
-        return _png(figure)
+        return png(figure)
