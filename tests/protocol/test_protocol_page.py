@@ -1,15 +1,25 @@
 """The written protocol against the code: its tables, its causes, its PLC types, and its order of checks."""
 
+import hmac
 import itertools
 import json
 import re
 import struct
+import zlib
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from protocol.datagram_layout import HEADER_BYTES, PAYLOADS, Kind, offsets, size_of
+from protocol.datagram_layout import (
+    HEADER_BYTES,
+    PAYLOADS,
+    TRAILER,
+    TRAILER_BYTES,
+    Kind,
+    offsets,
+    size_of,
+)
 from protocol.errors import DatagramRefused
 from protocol.pose import Pose
 from protocol.process_image import INPUT_ADDRESS, INPUT_TABLE, OUTPUT_ADDRESS, OUTPUT_TABLE
@@ -93,6 +103,36 @@ def test_a_reader_with_the_page_alone_reads_every_datagram(message: Any) -> None
     assert data.hex() in re.sub(r"\s", "", TEXT)
 
 
+def derived(secret: bytes, label: str, *numbers: int) -> bytes:
+    """KDF of clause 11.6, from its words."""
+    context = b"".join(number.to_bytes(8, "little") for number in numbers)
+    text = b"\x00\x00\x00\x01" + label.encode() + b"\x00" + context + b"\x00\x00\x01\x00"
+    return hmac.new(secret, text, "sha256").digest()
+
+
+def test_a_reader_with_the_page_alone_verifies_every_signed_datagram() -> None:
+    labels = {row[0]: row[1].strip("`") for row in rows_after("<!-- generated: keys -->")}
+    secret = bytes(range(32))
+    numbers = (0x0102030405060708, 0x1122334455667788, 0xB1B2B3B4B5B6B7B8)
+    keys = {"Hello": derived(secret, labels["K_hello"])}
+    keys["Welcome"] = derived(secret, labels["K_controller"], *numbers)
+    of_client = derived(secret, labels["K_client"], *numbers)
+    listing = TEXT[TEXT.index("<!-- generated: signed golden -->") :].split("```")[1]
+    names = re.findall(r"^([A-Z]\w+)$", listing, re.MULTILINE)
+    assert {"Hello", "Welcome", "ReferencePose", "Bye"} <= set(names)
+    for name, body in zip(names, re.split(r"^[A-Z]\w+$", listing, flags=re.MULTILINE)[1:], strict=True):
+        data = bytes.fromhex("".join(body.split()))
+        end = HEADER_BYTES + struct.unpack_from("<H", data, 10)[0]
+        trailer = read_by_the_page("<!-- generated: trailer -->", data, end)
+        assert len(data) == end + TRAILER_BYTES
+        assert data[9] == 1
+        assert trailer["sequence_high"] == 7
+        assert trailer["key_id"] == int.from_bytes(derived(secret, "LRLK 1 key id")[:4], "little")
+        tag = hmac.new(keys.get(name, of_client), data[:12] + data[16:-16], "sha256").digest()[:16]
+        assert bytes(trailer["tag"]) == tag, name
+        assert zlib.crc32(data[16:], zlib.crc32(data[:12])) == struct.unpack_from("<I", data, 12)[0]
+
+
 def structures() -> dict[str, list[tuple[str, int, str]]]:
     """Members (name, count, type) of every structure in the page's IEC 61131-3 text."""
     found: dict[str, list[tuple[str, int, str]]] = {}
@@ -135,6 +175,9 @@ def test_the_plc_types_lie_as_the_codec_does(kind: Kind, pack: int) -> None:
         for field, offset in zip(fields, offsets(fields), strict=True)
     }
     assert laid_out("ST_LR_Header", pack)[1] == HEADER_BYTES
+    trailer, size, _ = laid_out("ST_LR_Trailer", pack)
+    assert size == TRAILER_BYTES
+    assert trailer == {f.name: at for f, at in zip(TRAILER, offsets(TRAILER), strict=True)}
     assert laid_out("ST_LR_Pose", pack)[1] == 56
 
 
