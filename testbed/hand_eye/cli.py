@@ -18,6 +18,10 @@ JsonFile = Annotated[
     Path | None, typer.Option("--json", help="Also write every printed figure to this file.")
 ]
 Plot = Annotated[Path | None, typer.Option("--plot", help="Also draw the figure, as PNG.")]
+Directory = Annotated[Path, typer.Option(help="Where rows are kept; the same one resumes.")]
+Scheduler = Annotated[
+    str | None, typer.Option(help="A Dask scheduler, such as tcp://host:8786; none: this machine.")
+]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed is the same noise.")]
 File = Annotated[Path, typer.Argument(help="Samples (.json, .csv), or the hand's recording (TUM).")]
 CameraFile = Annotated[Path | None, typer.Argument(help="The camera's recording (TUM).")]
@@ -159,6 +163,26 @@ def hand_eye_stress(
     raise typer.Exit(0 if run_stress(runs, seed, json_file) else 1)
 
 
+def hand_eye_guided(
+    runs: Annotated[int, typer.Option(min=1, help="How many worlds, from --seed on.")] = 10,
+    seed: Seed = 1,
+    repetitions: Annotated[int, typer.Option(min=0, help="Poses from which the targets are located.")] = 50,
+    against_random: Annotated[bool, typer.Option(help="Also take samples at random poses.")] = True,
+    scenario: Annotated[str, typer.Option(help="What the worlds are drawn from.")] = "hand_eye",
+    config_dir: Annotated[Path, typer.Option("--config-dir", help="Configuration.")] = Path("configs"),
+    directory: Directory = Path("runs/hand-eye-guided"),
+    scheduler: Scheduler = None,
+    plot: Plot = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Guided sessions on the emulated arm: error of X, its covariance, samples needed, located targets."""
+    from testbed.hand_eye.guided_campaign import run_guided
+    from testbed.hand_eye.guided_experiment import Choice
+
+    choice = Choice(str(config_dir), scenario, repetitions, against_random)
+    raise typer.Exit(0 if run_guided(choice, runs, seed, directory, scheduler, plot, json_file) else 1)
+
+
 def register_experiments(experiment: typer.Typer) -> None:
     """Nothing; ``longreach experiment`` has the four experiments of the paper and the stress test."""
     example = "Example: longreach experiment {} --runs 20 --json {}.json"
@@ -168,5 +192,6 @@ def register_experiments(experiment: typer.Typer) -> None:
         ("hua-fig7", hua_fig7),
         ("hua-intrinsics", hua_intrinsics),
         ("hand-eye-stress", hand_eye_stress),
+        ("hand-eye-guided", hand_eye_guided),
     ):
         experiment.command(name, epilog=example.format(name, name))(function)

@@ -1,12 +1,11 @@
 """The experiments as the command runs them: rows, tables, plots, and whether what was wanted was reached."""
 
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from protocol.errors import RequestRefused
-from testbed.console import bars, out, write_json
+from testbed.console import bars, out
 from testbed.hand_eye import (
     experiment_plots,
     experiment_tables,
@@ -16,19 +15,12 @@ from testbed.hand_eye import (
     real_data,
     stress,
 )
+from testbed.hand_eye.check import Check, concluded
 from testbed.hand_eye.noise_sweep import NoiseOn, Sweep
 from vision_pc.core.hand_eye.methods import Method
 
 _ENOUGH = 100  # runs: with fewer, chance decides whether a mean is inside its limits
 LARGEST_DQCR_DIFFERENCE = 1e-6
-
-
-class Check(NamedTuple):
-    """One thing that was wanted: what, what came out, and whether that is enough."""
-
-    what: str
-    value: str
-    passed: bool
 
 
 def run_noise_sweep(
@@ -42,7 +34,7 @@ def run_noise_sweep(
     checks = _sweep_checks(sweep, noise_on, runs)
     if plot is not None:
         experiment_plots.sweep_plot(sweep.rows, plot)
-    return _concluded(checks, sweep.as_json(), json_file)
+    return concluded(checks, sweep.as_json(), json_file)
 
 
 def _sweep_checks(sweep: Sweep, noise_on: NoiseOn, runs: int) -> list[Check]:
@@ -107,7 +99,7 @@ def run_localisation(
     ]
     if plot is not None:
         experiment_plots.localisation_plot(rows, plot)
-    return _concluded(checks, {"rows": [r.as_json() for r in rows]}, json_file)
+    return concluded(checks, {"rows": [r.as_json() for r in rows]}, json_file)
 
 
 def run_intrinsics(runs: int, views: int, seed: int, json_file: Path | None) -> bool:
@@ -129,7 +121,7 @@ def run_intrinsics(runs: int, views: int, seed: int, json_file: Path | None) -> 
             Check("fx of the real pictures within 0.3 % of OpenCV's", f"{off:+.3f} %", abs(off) <= 0.3)
         )
     out.print(experiment_tables.intrinsics_table(rows))
-    return _concluded(checks, {"rows": [r.as_json() for r in rows]}, json_file)
+    return concluded(checks, {"rows": [r.as_json() for r in rows]}, json_file)
 
 
 def run_stress(runs: int, seed: int, json_file: Path | None) -> bool:
@@ -150,7 +142,7 @@ def run_stress(runs: int, seed: int, json_file: Path | None) -> bool:
         _at_most("bad samples: median, mm", among_bad.translation_median_mm, 3.0),
         _at_most("small rotations: rms, mm", turning_little.translation_rms_mm, 7.0),
     ]
-    return _concluded(checks, {"rows": [r.as_json() for r in (*bad, *small)]}, json_file)
+    return concluded(checks, {"rows": [r.as_json() for r in (*bad, *small)]}, json_file)
 
 
 def run_real_data(json_file: Path | None) -> bool:
@@ -171,21 +163,8 @@ def run_real_data(json_file: Path | None) -> bool:
         ),
         Check("ethz_arm_sim hold-out ≤ 1.6 mm", f"{ethz.hold_out_mm:.3f} mm", ethz.hold_out_mm <= 1.6),
     ]
-    return _concluded(checks, {"rows": [r.as_json() for r in rows]}, json_file)
+    return concluded(checks, {"rows": [r.as_json() for r in rows]}, json_file)
 
 
 def _at_most(what: str, value: float, limit: float) -> Check:
     return Check(f"{what}, at most {limit:g}", f"{value:.4g}", value <= limit)
-
-
-def _concluded(checks: list[Check], figures: dict[str, Any], json_file: Path | None) -> bool:
-    for check in checks:
-        out.print(
-            f"{'reached' if check.passed else 'MISSED '}  {check.what}: {check.value}",
-            style="green" if check.passed else "bold red",
-            highlight=False,
-            soft_wrap=True,
-        )
-    passed = all(check.passed for check in checks)
-    write_json(json_file, figures | {"checks": [c._asdict() for c in checks], "passed": passed})
-    return passed

@@ -113,7 +113,7 @@ def _curve(kind: str, session: Session, X_TC: Array) -> dict[str, Any]:
 
 
 def needed(errors: list[float | None], limit: float = LIMIT_MM, first: int = _LEAST) -> int | None:
-    """The number of samples (``first`` for errors[0]) from which on every error is under ``limit``, or None."""
+    """With how many samples (``first`` for errors[0]) every error from there on is under ``limit``, or None."""
     good = [error is not None and error < limit for error in errors]
     for k in range(len(good)):
         if all(good[k:]):
@@ -156,14 +156,17 @@ def _localisation(rig: GuidedRig, session: Session, repetitions: int, seed: int)
             base.setdefault(name, []).append(float(np.linalg.norm(np.array(target["p_B_m"]) - true_B[name])))
     row: dict[str, Any] = {"located": done, "not_reached": refused, "not_seen": unseen}
     for (name, method), errors in hand.items():
-        row[f"{_word(name)}_{method}_mm"] = 1e3 * float(np.mean(errors))
+        row[f"{word_of(name)}_{method}_mm"] = 1e3 * float(np.mean(errors))
         if method == Method.ROBUST.value:
-            row[f"{_word(name)}_spread_mm"] = 1e3 * float(np.std(errors))
-            row[f"{_word(name)}_within_percent"] = 100.0 * float(np.mean(np.array(errors) < 1e-3 * LIMIT_MM))
-    return row | {f"{_word(name)}_base_mm": 1e3 * float(np.mean(errors)) for name, errors in base.items()}
+            row[f"{word_of(name)}_spread_mm"] = 1e3 * float(np.std(errors))
+            row[f"{word_of(name)}_within_percent"] = 100.0 * float(
+                np.mean(np.array(errors) < 1e-3 * LIMIT_MM)
+            )
+    return row | {f"{word_of(name)}_base_mm": 1e3 * float(np.mean(errors)) for name, errors in base.items()}
 
 
-def _word(target: str) -> str:
+def word_of(target: str) -> str:
+    """A target's name as rows have it."""
     return target.replace(" ", "_")
 
 

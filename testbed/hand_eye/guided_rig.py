@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from plant_emulator.core.scene import Scene
+from protocol.errors import MeasurementFailed
 from protocol.faults import CommandCode
 from testbed.event_log import EventLog
 from testbed.lockstep_eyes import LockstepEyes
@@ -20,6 +21,7 @@ from vision_pc.shell.socket_arm import SocketArm
 
 T = TypeVar("T")
 _CONNECT_NS = 5_000_000_000
+_PATIENCE = 10  # samples that may fail in a session
 
 
 class GuidedRig:
@@ -62,6 +64,12 @@ def start(rig: GuidedRig, name: str, seed: int) -> JSON:
 
 def take_all(rig: GuidedRig, informative: bool) -> None:
     """Samples until the session is complete, each at the pose proposed."""
+    spoiled = 0
     while not rig.guided.session.complete:
         rig.run(rig.guided.next_pose(quiet, informative))
-        rig.run(rig.guided.sample(quiet))
+        try:
+            rig.run(rig.guided.sample(quiet))
+        except MeasurementFailed:  # an arm that swings on, a marker that is hidden: the next pose then
+            spoiled += 1
+            if spoiled > _PATIENCE:
+                raise

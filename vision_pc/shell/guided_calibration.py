@@ -41,7 +41,7 @@ T = TypeVar("T")
 
 COMPARED = (Method.TSAI, Method.HORAUD, Method.DANIILIDIS, Method.DQCR, Method.MAXIMUM_LIKELIHOOD)
 WANTED_STD_M = 0.003
-_PATIENCE = 12  # refused proposals in a row before ``next_pose`` gives up
+_PATIENCE = 60  # refused proposals in a row before ``next_pose`` gives up
 
 
 class Pictures(Photographer, Protocol):
@@ -154,9 +154,10 @@ class GuidedCalibration:
 
     def _proposal(self, session: Session, informative: bool) -> Proposal:
         rng = np.random.default_rng([session.seed, 2, session.proposed])
-        refused = [X for X, _ in session.refused]
         belief = self._belief(session)
-        return guided_sampling.propose(belief, session.around, session.settings, rng, refused, informative)
+        return guided_sampling.propose(
+            belief, session.around, session.settings, rng, session.refused, informative
+        )
 
     async def go(self, report: Report) -> JSON:
         """Drives to the proposed pose. One that the controller refuses is remembered, and the arm rests."""

@@ -35,6 +35,7 @@ _SHADOW_COS, _SHADOW_SHARE = math.cos(math.radians(20.0)), 0.95
 
 
 Flags = NDArray[np.bool_]
+Refused = tuple[Array, str]  # a pose, and the controller's reason
 
 
 class Belief(NamedTuple):
@@ -161,12 +162,12 @@ def propose(
     around: Surroundings,
     settings: GuidedSettings,
     rng: np.random.Generator,
-    refused: Sequence[Array] = (),
+    refused: Sequence[Refused] = (),
     informative: bool = True,
 ) -> Proposal:
     """The best of ``settings.candidates`` random views, or with ``informative`` false any one that passes.
 
-    ``refused``: poses X_BT that the controller has refused. Raises MeasurementFailed
+    ``refused``: poses X_BT that the controller has refused, and why. Raises MeasurementFailed
     (``measurement.hand_eye.no_pose``) when no candidate passes the bounds.
     """
     X_CT = _views(settings, around.camera, rng)
@@ -229,7 +230,7 @@ def _towards(rays: Array) -> Array:
     return rigid.rotation_exp(axis * (angle / np.maximum(sine, 1e-12))[:, None])
 
 
-def _foreseeably_refused(X_BT: Array, X_BT_start: Array, refused: Sequence[Array]) -> Flags:
+def _foreseeably_refused(X_BT: Array, X_BT_start: Array, refused: Sequence[Refused]) -> Flags:
     """Which candidates (n,) the controller will likely refuse: beside a refused pose, or in its shadow.
 
     Joint limits lie around the starting pose on all sides: what turns the hand the same way as a refused pose
@@ -238,13 +239,13 @@ def _foreseeably_refused(X_BT: Array, X_BT_start: Array, refused: Sequence[Array
     turns = rigid.rotation_log(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ X_BT_start[:3, :3])
     angles = np.linalg.norm(turns, axis=1)
     doomed = np.zeros(len(X_BT), dtype=bool)
-    for pose in refused:
+    for pose, why in refused:
         turn = rigid.rotation_log(pose[:3, :3].T @ X_BT_start[:3, :3])
         angle = float(np.linalg.norm(turn))
         apart = rigid.rotation_angle(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ pose[:3, :3])
         beside = np.linalg.norm(X_BT[:, :3, 3] - pose[:3, 3], axis=1) < _NEIGHBOUR_M
         doomed |= (apart < _NEIGHBOUR_RAD) & beside
-        if angle > _NEIGHBOUR_RAD:
+        if "joint limit" in why and angle > _NEIGHBOUR_RAD:
             same_way = turns @ turn >= _SHADOW_COS * angle * angles
             doomed |= same_way & (angles >= _SHADOW_SHARE * angle)
     return doomed
