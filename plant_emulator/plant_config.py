@@ -69,14 +69,26 @@ class BaseTiltConfig(StrictModel):
     y_mrad: Small
 
 
+class SwitchConfig(StrictModel):
+    """Whether an error is there at all; its numbers stand with the part that has it."""
+
+    enabled: bool
+
+
 class ErrorsConfig(StrictModel):
-    """What makes the nominal rigid-body positioning wrong, each entry with a switch of its own."""
+    """What makes the nominal rigid-body positioning wrong, each entry with a switch of its own.
+
+    Two more switches stand with their parts: ``flexibility.enabled`` and ``oil.thermal_drift``.
+    """
 
     encoder_offsets: EncoderOffsetsConfig
     encoder_noise: EncoderNoiseConfig
     backlash: BacklashConfig
     geometry: GeometryErrorsConfig
     base_tilt: BaseTiltConfig
+    friction: SwitchConfig
+    leakage: SwitchConfig
+    valve_deadband: SwitchConfig
 
 
 class PlantConfig(StrictModel):

@@ -61,7 +61,7 @@ def _describe_actuator(actuator: ActuatorConfig, row: Array) -> None:
 def build_actuators(config: PlantConfig) -> Array:
     """The actuator table (6, A_COLUMNS) of ``config``."""
     table = np.zeros((N_ACTUATORS, col.A_COLUMNS))
-    valves, guard = config.valves, config.protection
+    valves, guard, errors = config.valves, config.protection, config.errors
     for row, actuator in zip(table, config.actuators.in_order(), strict=True):
         _describe_actuator(actuator, row)
         flow = actuator.rated_flow_l_min * LITRE_PER_MINUTE
@@ -69,9 +69,13 @@ def build_actuators(config: PlantConfig) -> Array:
             actuator.dead_volume_a_l * LITRE,
             actuator.dead_volume_b_l * LITRE,
         )
-        row[col.A_LEAKAGE] = actuator.leakage_m3_s_pa
+        if errors.leakage.enabled:
+            row[col.A_LEAKAGE] = actuator.leakage_m3_s_pa
+        if not errors.friction.enabled:
+            row[[col.A_COULOMB, col.A_STATIC, col.A_BRISTLE_DAMPING, col.A_VISCOUS]] = 0.0
         row[col.A_GAIN] = orifice_gain(flow, valves.rated_drop_bar * BAR)
-        row[col.A_DEADBAND], row[col.A_ZETA] = valves.deadband, valves.damping_ratio
+        row[col.A_DEADBAND] = valves.deadband if errors.valve_deadband.enabled else 0.0
+        row[col.A_ZETA] = valves.damping_ratio
         row[col.A_OMEGA] = 2.0 * math.pi * valves.bandwidth_hz
         row[col.A_SLEW_LIMIT] = valves.slew_limit_per_s
         row[col.A_RELIEF] = flow / (guard.relief_override_bar * BAR)
