@@ -61,9 +61,9 @@ async def look_then_move_corrected(
     misses = [goal_K - p_CM]
     while _worth_driving(misses, settings):
         fitted = fit_map(track, p_CM, map_settings)
-        x, std = solve_step(fitted, misses[-1], track.X_BT_now, map_settings)
+        x, covariance = solve_step(fitted, misses[-1], map_settings)
         share = map_settings.first_share if not steps and settings.corrections else 1.0
-        steps.append(_step(look, track, fitted, share * x, std, settings))
+        steps.append(_step(look, fitted, x, covariance, share, settings, map_settings))
         report(0.2 + 0.6 * len(steps) / (settings.corrections + 1), _in_words(misses[-1]))
         drive = await watched_path(arm, eyes, [steps[-1].X_BT_ref], map_settings)
         X_KnewK = drive.X_KC[0]
@@ -96,17 +96,39 @@ def _in_words(miss: Array) -> str:
 
 
 def _step(
-    look: Look, track: LocalTrack, fitted: LocalMap, x: Array, std: float, settings: PositioningSettings
+    look: Look,
+    fitted: LocalMap,
+    x: Array,
+    covariance: Array,
+    share: float,
+    settings: PositioningSettings,
+    map_settings: LocalMapSettings,
 ) -> Step:
+    """The drive over ``share`` of ``x``, with the error expected at the end of all drives.
+
+    What the map does not know counts for the rest of the way alone when a correction follows; then odometry
+    counts for all of it. Raises MeasurementFailed for a step too long, or a goal that is not known.
+    """
     length = float(np.linalg.norm(x))
     if not length <= settings.step_limit_m:
         raise MeasurementFailed(
             "measurement.step_too_large",
             f"corrected move: step {length:.3f} m, limit {settings.step_limit_m:g} m",
         )
-    X_BT = track.X_BT_now
-    known = look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + (std**2 + settings.servo_std_m**2) * np.eye(3)
-    return Step(x, transform(X_BT[:3, :3], X_BT[:3, 3] + x), np.sqrt(np.diag(known)))
+    worst = math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))
+    if worst > map_settings.goal_std_limit_m:
+        raise MeasurementFailed(
+            "measurement.ill_conditioned",
+            f"corrected move: the goal is known to {1e3 * worst:.1f} mm, "
+            f"limit {1e3 * map_settings.goal_std_limit_m:g} mm",
+        )
+    in_camera = (fitted.R.T @ covariance @ fitted.R) * (1.0 if share == 1.0 else (1.0 - share) ** 2)
+    way = np.hypot(map_settings.odometry_std_m, map_settings.odometry_scale_std * length)
+    in_camera += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
+    in_camera += (way**2 + map_settings.servo_std_m**2) * np.eye(3)
+    X_BT = fitted.X_BT
+    X_BT_ref = transform(X_BT[:3, :3], X_BT[:3, 3] + share * x)
+    return Step(share * x, X_BT_ref, np.sqrt(np.diag(in_camera)))
 
 
 def _refuse_stale(track: LocalTrack, look: Look) -> None:

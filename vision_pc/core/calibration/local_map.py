@@ -1,34 +1,40 @@
-"""Best mode, part one: a local affine map from what the camera measures to what the arm must be told.
+"""Best mode, part one: a local map from what the camera measures to what the arm must be told.
 
-Three legs along the tool's own axes, ending where the look will be, show how the arm's rigid model
-stretches and shears space nearby (bending, encoder offsets) and how much the slew's play shifts it. A
-rotation alone, as in trajectory matching, cannot know either. Source: the local-calibration study,
-"formulas (affine map with play)".
+Three legs along the tool's own axes, ending where the look will be, show how the arm's rigid model turns,
+stretches and bends space nearby, and how much the slew's play shifts it. A rotation alone, as in trajectory
+matching, cannot know that. The map is linear in its unknowns: a rotation, a scale, the fields of the arm's
+usual errors (``arm_fields``), the slew's play, and a small strain for all the rest, each with a prior. The
+fields carry on beyond the path, where a straight line misses by millimetres.
+Source: the local-calibration study, "formulas (affine map with play)" and its 13-parameter model.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from protocol.errors import MeasurementFailed
+from vision_pc.core.calibration.arm_fields import FIELDS, ArmShape, error_fields
 from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
 from vision_pc.core.calibration.settings import LocalMapSettings
 from vision_pc.core.ports import Arm, Eyes, Report
-from vision_pc.core.se3 import Array, inverse, nearest_rotation, transform
+from vision_pc.core.se3 import Array, hat, inverse, nearest_rotation, transform
 from vision_pc.core.types import WatchSample
 
 _OFFSET_STD_M = 1.0  # of the map's constant: free
+_ROUNDS = 5  # of reweighting
+_FIELDS_FROM = 16  # columns before those of ``arm_fields``: rotation, scale, strain, offset
 
 
 class LocalTrack(NamedTuple):
     """Camera and tool poses along a path: ``X_KC`` and ``X_BT``, each (N, 4, 4), in time order.
 
-    K is the camera frame where the path ended, which is where the arm stands now.
+    K is the camera frame where the path ended, which is where the arm stands now. ``speed`` (N,) m/s of the
+    tool: a boom that moves sways, and its encoders do not see it.
     """
 
     X_KC: Array
     X_BT: Array
+    speed: Array
 
     @property
     def X_BT_now(self) -> Array:
@@ -38,15 +44,16 @@ class LocalTrack(NamedTuple):
 
 
 class LocalMap(NamedTuple):
-    """y = (I + E) x + v (h − h_n) + c about the present pose n; y: marker steps, x: nominal TCP steps.
+    """How far marker steps ``R`` d differ from nominal TCP steps x about the present pose ``X_BT``.
 
-    ``R`` (3×3) turns the axes of K into B; ``coefficients`` (5, 3) are the rows of [Eᵀ; vᵀ; cᵀ],
-    ``covariance`` (5×5) that of each column; ``residual_m`` the rms misfit, ``condition`` that of the
-    track's spread.
+    R d = x + Φ(x) θ with the columns Φ (3, K) of ``_columns``; ``R`` (3×3) turns the axes of K into B.
+    ``theta`` (K,), ``covariance`` (K, K); ``residual_m`` the rms misfit, ``condition`` that of the track's
+    spread; ``play_now``: on which flank of its play the slew stands, −1…1.
     """
 
     R: Array
-    coefficients: Array
+    X_BT: Array
+    theta: Array
     covariance: Array
     residual_m: float
     condition: float
@@ -94,14 +101,16 @@ def track_of(samples: tuple[WatchSample, ...]) -> LocalTrack:
     X_KC0 = inverse(settled_pose(X_C0C[-AT_REST:]))
     X_KC = X_KC0 @ X_C0C
     X_KC[-1] = np.eye(4)
-    return LocalTrack(X_KC, X_BT)
+    return LocalTrack(X_KC, X_BT, _speeds(X_BT[:, :3, 3], 1e-9 * np.array([float(s.time_ns) for s in held])))
 
 
 def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
     """``track`` followed by ``further``, which began where it ended; all in the new end's camera frame."""
     X_KnewK = further.X_KC[0]
     return LocalTrack(
-        np.concatenate([X_KnewK @ track.X_KC, further.X_KC]), np.concatenate([track.X_BT, further.X_BT])
+        np.concatenate([X_KnewK @ track.X_KC, further.X_KC]),
+        np.concatenate([track.X_BT, further.X_BT]),
+        np.concatenate([track.speed, further.speed]),
     )
 
 
@@ -125,48 +134,86 @@ def fit_map(track: LocalTrack, p_CM: Array, settings: LocalMapSettings) -> Local
 
     Raises MeasurementFailed (``measurement.match_poor``) when the misfit exceeds its limit.
     """
-    m = track.X_KC[:, :3, 3] + track.X_KC[:, :3, :3] @ p_CM  # 1: marker points, the lever arm is gone
+    m = track.X_KC[:, :3, 3] + track.X_KC[:, :3, :3] @ p_CM  # marker points: the lever arm is gone
     p = track.X_BT[:, :3, 3]
-    R = _kabsch(m, p)  # 2
-    h = play_states(slew_angles(track.X_BT, settings.wrist_to_tool_m), settings.play_rad)  # 3
-    x, y = p - p[-1], (m - m[-1]) @ R.T  # 4
-    rows = np.column_stack([x, h - h[-1], np.ones(len(x))])
-    prior = np.array([settings.strain_std] * 3 + [settings.play_std_m, _OFFSET_STD_M])
-    weights = np.ones(len(x))
-    coefficients: Array = np.zeros((5, 3))
-    covariance: Array = np.zeros((5, 5))
-    misfit = np.zeros(len(x))
-    for _ in range(5):  # reweighted: a glitch of odometry must not bend the map
-        weighted = rows * weights[:, None]
-        covariance = np.linalg.inv(weighted.T @ rows / settings.noise_std_m**2 + np.diag(prior**-2.0))
-        coefficients = covariance @ (weighted.T @ (y - x)) / settings.noise_std_m**2
-        misfit = np.linalg.norm(y - x - rows @ coefficients, axis=1)
-        weights = 1.0 / np.maximum(1.0, misfit / (3.0 * settings.noise_std_m))
-    residual = float(np.sqrt((weights * misfit**2).mean()))
+    R = _kabsch(m, p)
+    shape = settings.arm.shape
+    h = play_states(slew_angles(track.X_BT, shape.tool), settings.play_rad)
+    columns = _columns(track.X_BT, h, track.X_BT_now, float(h[-1]), shape)
+    Phi = columns.reshape(-1, columns.shape[2])
+    wanted = ((m - m[-1]) @ R.T - (p - p[-1])).ravel()
+    std = np.repeat(np.hypot(settings.noise_std_m, settings.sway_s * track.speed), 3)
+    precision = np.diag(_prior(settings) ** -2.0)
+    weights = np.ones(len(p))
+    for _ in range(_ROUNDS):  # reweighted: a glitch of odometry must not bend the map
+        weighted = Phi * (np.repeat(weights, 3) / std**2)[:, None]
+        covariance = np.asarray(np.linalg.inv(weighted.T @ Phi + precision), dtype=np.float64)
+        theta = covariance @ (weighted.T @ wanted)
+        misfit = (wanted - Phi @ theta).reshape(-1, 3)
+        weights = 1.0 / np.maximum(1.0, np.linalg.norm(misfit / std.reshape(-1, 3), axis=1) / 4.0)
+    residual = float(np.sqrt((weights * (misfit**2).sum(axis=1)).mean()))
     if residual > settings.residual_limit_m:
         raise MeasurementFailed(
             "measurement.match_poor",
             f"local map: misfit {residual:.4f} m, limit {settings.residual_limit_m:g} m",
         )
     information = np.linalg.eigvalsh(rotation_information(p, np.ones(len(p))))
-    return LocalMap(
-        R, coefficients, covariance, residual, float(information[-1] / information[0]), float(h[-1])
+    condition = float(information[-1] / information[0])
+    return LocalMap(R, track.X_BT_now, theta, covariance, residual, condition, float(h[-1]))
+
+
+def solve_step(fitted: LocalMap, d: Array, settings: LocalMapSettings) -> tuple[Array, Array]:
+    """(x (3,): the nominal step in B that moves the marker by ``d`` (3,) in K, its covariance (3×3) in B)."""
+    wanted = fitted.R @ d
+    shape = settings.arm.shape
+    here = fitted.X_BT
+    x, columns = wanted, np.zeros((3, len(fitted.theta)))
+    for _ in range(20):
+        goal = transform(here[:3, :3], here[:3, 3] + x)
+        slew = slew_angles(np.stack([here, goal]), shape.tool)
+        play = _play_after(fitted.play_now, float(slew[1] - slew[0]), settings.play_rad)
+        columns = _columns(goal[None], np.array([play]), here, fitted.play_now, shape)[0]
+        columns[:, 13:16] = 0.0  # the constant is the error of the track's end alone
+        x = wanted - columns @ fitted.theta
+    return x, columns @ fitted.covariance @ columns.T
+
+
+def _columns(X_BT: Array, play: Array, X_BT_now: Array, play_now: float, shape: ArmShape) -> Array:
+    """Φ (n, 3, K) at the poses (n, 4, 4), zero at the present one but for the constant.
+
+    Columns: rotation (3), scale (1), strain row by row (9), constant (3), the fields (4), the slew's play.
+    """
+    n = len(X_BT)
+    x = X_BT[:, :3, 3] - X_BT_now[:3, 3]
+    Phi = np.zeros((n, 3, _FIELDS_FROM + len(FIELDS) + 1))
+    Phi[:, :, 0:3] = -np.array([hat(step) for step in x])
+    Phi[:, :, 3] = x
+    for axis in range(3):
+        Phi[:, axis, 4 + 3 * axis : 7 + 3 * axis] = x
+        Phi[:, axis, 13 + axis] = 1.0
+    fields = error_fields(np.concatenate([X_BT, X_BT_now[None]]), shape)
+    Phi[:, :, _FIELDS_FROM:-1] = fields[:-1] - fields[-1]
+    p = X_BT[:, :3, 3]
+    Phi[:, 0, -1] = -p[:, 1] * (play - play_now)  # the slew turns about z
+    Phi[:, 1, -1] = p[:, 0] * (play - play_now)
+    return Phi
+
+
+def _prior(settings: LocalMapSettings) -> Array:
+    """Standard deviations (K,) of θ."""
+    return np.array(
+        [settings.rotation_std] * 3
+        + [settings.scale_std]
+        + [settings.strain_std] * 9
+        + [_OFFSET_STD_M] * 3
+        + [*settings.field_stds, settings.play_std]
     )
 
 
-def solve_step(fitted: LocalMap, d: Array, X_BT: Array, settings: LocalMapSettings) -> tuple[Array, float]:
-    """(x (3,): the nominal step in B that moves the marker by ``d`` (3,) in K, its std (m) per axis)."""
-    E, v = fitted.coefficients[:3].T, fitted.coefficients[3]
-    wanted = fitted.R @ d
-    slew_now = float(slew_angles(X_BT[None], settings.wrist_to_tool_m)[0])
-    x, play = wanted, fitted.play_now
-    for _ in range(20):  # 5
-        goal = transform(X_BT[:3, :3], X_BT[:3, 3] + x)
-        slew = float(slew_angles(goal[None], settings.wrist_to_tool_m)[0])
-        play = _play_after(fitted.play_now, slew - slew_now, settings.play_rad)
-        x = wanted - E @ x - v * (play - fitted.play_now)
-    row = np.array([*x, play - fitted.play_now, 0.0])
-    return x, math.sqrt(float(row @ fitted.covariance @ row))
+def _speeds(p: Array, time_s: Array) -> Array:
+    """Speed (n,) m/s of points (n, 3): the larger of before and after."""
+    between = np.linalg.norm(np.diff(p, axis=0), axis=1) / np.maximum(np.diff(time_s), 1e-6)
+    return np.maximum(np.append(between, 0.0), np.insert(between, 0, 0.0))
 
 
 def camera_in_tool(track: LocalTrack, p_CM: Array) -> Array:

@@ -5,8 +5,10 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from protocol.configuration import StrictModel
+from vision_pc.core.calibration.arm_fields import ArmShape
 
 Length = Annotated[float, Field(ge=0.01, le=1.5)]
+Small = Annotated[float, Field(gt=0.0, le=0.1)]
 Seconds = Annotated[float, Field(ge=0.0, le=60.0)]
 
 
@@ -55,22 +57,47 @@ class TrajectorySettings(StrictModel):
     rotation_std_limit_deg: float = Field(gt=0.0, le=45.0)
 
 
-class LocalMapSettings(StrictModel):
-    """Best mode: three legs along n, s and a, a local affine map with slew play, and a mid-course correction.
+class ArmShapeSettings(StrictModel):
+    """The boom as its drawing says: see ``arm_fields.ArmShape``."""
 
-    ``strain_std``, ``play_std_m`` and ``noise_std_m`` are the prior of the map; ``play_rad`` half the
-    slew's play; ``wrist_to_tool_m`` the distance along the tool axis from the wrist's centre, on the slew
-    plane, to the TCP.
+    lift_pivot_m: tuple[float, float]
+    boom_m: float = Field(gt=0.1, le=30.0)
+    forearm_m: float = Field(gt=0.1, le=30.0)
+    wrist_to_tool_m: float = Field(ge=-2.0, le=2.0)
+
+    @property
+    def shape(self) -> ArmShape:
+        """The same as the map uses it."""
+        return ArmShape(self.lift_pivot_m, self.boom_m, self.forearm_m, self.wrist_to_tool_m)
+
+
+class LocalMapSettings(StrictModel):
+    """Best mode: three legs along n, s and a, a local map, and mid-course corrections.
+
+    Priors of the map: ``rotation_std`` (rad), ``scale_std`` and ``strain_std`` (relative), ``field_stds``
+    (lift and tilt offset, rad; boom and forearm bending, rad per metre of reach), ``play_std`` (rad).
+    ``play_rad``: half the slew's play, by which its flank is followed. ``noise_std_m`` of one sample at rest,
+    ``sway_s`` metres more for every m/s. ``goal_std_limit_m``: a goal known worse is refused before moving.
+    ``odometry_std_m`` and ``odometry_scale_std`` (relative): of the way that odometry measures;
+    ``servo_std_m``: what the joints leave.
     """
 
     leg_m: float = Field(ge=0.05, le=0.5)
     segment_s: Seconds
     dwell_s: Seconds
+    rotation_std: float = Field(gt=0.0, le=1.0)
+    scale_std: float = Field(gt=0.0, le=0.2)
     strain_std: float = Field(gt=0.0, le=0.2)
-    play_std_m: float = Field(gt=0.0, le=0.05)
+    field_stds: tuple[Small, Small, Small, Small]
+    play_std: Small
     play_rad: float = Field(gt=0.0, le=0.02)
     noise_std_m: float = Field(gt=0.0, le=0.05)
-    wrist_to_tool_m: float = Field(ge=-2.0, le=2.0)
+    sway_s: float = Field(ge=0.0, le=1.0)
+    odometry_std_m: float = Field(ge=0.0, le=0.05)
+    odometry_scale_std: float = Field(ge=0.0, le=0.1)
+    servo_std_m: float = Field(ge=0.0, le=0.05)
+    goal_std_limit_m: float = Field(gt=0.0, le=1.0)
+    arm: ArmShapeSettings
     first_share: float = Field(ge=0.3, le=0.98)
     minimum_samples: int = Field(ge=8, le=10_000)
     residual_limit_m: float = Field(gt=0.0, le=1.0)
