@@ -18,6 +18,8 @@ from controller.core.rotations import (
     Array,
     angular_motion,
     conjugate,
+    cross,
+    matrix_from_quaternion,
     quaternion_from_vector,
     quaternion_product,
     vector_from_quaternion,
@@ -25,10 +27,8 @@ from controller.core.rotations import (
 )
 
 AXES = 6
-# Share of its speed limit that a moving reference may use: the planner needs some left to catch up.
+# Share of its speed limit that a moving reference may use: the rest is for catching up with it.
 _TWIST_SHARE = 0.8
-_MEETINGS = 12  # at most so many times is the meeting with a moving reference put off
-_MEETING_S = 1e-3
 
 
 class AxisLimits(NamedTuple):
@@ -40,13 +40,16 @@ class AxisLimits(NamedTuple):
 
 
 class Approach(NamedTuple):
-    """A planned way to a pose. ``trajectory`` is never written to; ``goal``: unit quaternion (4,).
+    """A planned way to a reference: the pose ``p`` (3,), ``quaternion`` (4,), moving with ``twist`` (6,).
 
-    ``duration_s`` is infinite when the reference moves: the way then goes on with the reference's velocity.
+    ``trajectory``: towards the reference and seen from it, never written to. ``duration_s``: infinite when
+    the reference moves, for the way then goes on with it.
     """
 
     trajectory: Trajectory
-    goal: Array
+    p: Array
+    quaternion: Array
+    twist: Array
     duration_s: float
 
 
@@ -55,42 +58,31 @@ def approach(
 ) -> Approach | None:
     """The way from ``start`` to the pose ``p`` (3,), ``quaternion`` (4,) that moves with ``twist`` (6,).
 
-    A moving reference is met where it will be by then: to be where it is now, and as fast, the arm would
-    have to go back first. None when there is no way inside the limits, which only a twist beyond
-    ``twist_limit`` or limits that are not positive can cause. The same arguments give the same bits.
+    A moving reference is approached in its own frame, in which it stands: so it is met where it will be by
+    then, and the arm never goes back to get up speed. None when there is no way inside the limits, which only
+    a twist beyond ``twist_limit`` or limits that are not positive can cause. The same arguments give the same
+    bits.
     """
-    if not np.any(twist):
-        return _planned(start, p, quaternion, twist, limits)
-    meeting_s = 0.0
-    for _ in range(_MEETINGS):
-        there = quaternion_product(quaternion_from_vector(meeting_s * twist[3:]), quaternion)
-        way = _planned(start, p + meeting_s * twist[:3], there, twist, limits)
-        if way is None or abs(way.trajectory.duration - meeting_s) < _MEETING_S:
-            break
-        meeting_s = way.trajectory.duration
-    return way
-
-
-def _planned(
-    start: Desired, p: Array, quaternion: Array, twist: Array, limits: AxisLimits
-) -> Approach | None:
     theta = vector_from_quaternion(quaternion_product(start.quaternion, conjugate(quaternion)))
-    rate, bend = vector_rates(theta, start.omega, start.alpha)
+    carried = matrix_from_quaternion(quaternion_from_vector(theta)) @ twist[3:]
+    turning = start.omega - carried
+    rate, bend = vector_rates(theta, turning, start.alpha - cross(turning, carried))
     wanted = InputParameter(AXES)
     wanted.synchronization = Synchronization.Phase
-    wanted.current_position = [*start.p.tolist(), *theta.tolist()]
-    wanted.current_velocity = [*start.v.tolist(), *rate.tolist()]
+    wanted.current_position = [*(start.p - p).tolist(), *theta.tolist()]
+    wanted.current_velocity = [*(start.v - twist[:3]).tolist(), *rate.tolist()]
     wanted.current_acceleration = [*start.a.tolist(), *bend.tolist()]
-    wanted.target_position = [*p.tolist(), 0.0, 0.0, 0.0]
-    wanted.target_velocity = twist.tolist()
-    wanted.max_velocity = limits.speed.tolist()
+    wanted.target_position = [0.0] * AXES
+    wanted.max_velocity = (limits.speed - twist).tolist()
+    wanted.min_velocity = (-limits.speed - twist).tolist()
     wanted.max_acceleration = limits.acceleration.tolist()
     wanted.max_jerk = limits.jerk.tolist()
     trajectory = Trajectory(AXES)
     planner = Ruckig(AXES)
     if planner.calculate(wanted, trajectory) is not Result.Working:
         return None
-    return Approach(trajectory, quaternion, math.inf if np.any(twist) else trajectory.duration)
+    duration_s = math.inf if np.any(twist) else trajectory.duration
+    return Approach(trajectory, p, quaternion, twist, duration_s)
 
 
 def twist_limit(limits: AxisLimits) -> Array:
@@ -101,16 +93,18 @@ def twist_limit(limits: AxisLimits) -> Array:
 
 def sample_approach(way: Approach, time_s: float) -> Desired:
     """The desired motion ``time_s`` after the start; at rest on the goal, exactly, once it is reached."""
-    position, velocity, acceleration = way.trajectory.at_time(min(time_s, way.duration_s))
-    p, theta = np.array(position[:3]), np.array(position[3:])
     if time_s >= way.duration_s:
-        return at_rest(p, way.goal)
-    omega, alpha = angular_motion(theta, np.array(velocity[3:]), np.array(acceleration[3:]))
+        return at_rest(way.p, way.quaternion)
+    position, velocity, acceleration = map(np.array, way.trajectory.at_time(time_s))
+    turn = quaternion_from_vector(position[3:])
+    carried = matrix_from_quaternion(turn) @ way.twist[3:]
+    turning, bending = angular_motion(position[3:], velocity[3:], acceleration[3:])
+    there = quaternion_product(quaternion_from_vector(time_s * way.twist[3:]), way.quaternion)
     return Desired(
-        p,
-        np.array(velocity[:3]),
-        np.array(acceleration[:3]),
-        quaternion_product(quaternion_from_vector(theta), way.goal),
-        omega,
-        alpha,
+        way.p + time_s * way.twist[:3] + position[:3],
+        way.twist[:3] + velocity[:3],
+        acceleration[:3],
+        quaternion_product(turn, there),
+        turning + carried,
+        bending + cross(turning, carried),
     )

@@ -43,7 +43,8 @@ def followed(
     if state.stream is None:
         found: Refusal | tuple[Stream, Approach] = Refusal(step.reason, 0.0, 0.0)
     else:
-        found = follow(settings, state.stream, state.motion.desired, state.watch.q_meas, arrival, now_ns)
+        stands = state.watch.q_meas, state.tool.J_BT
+        found = follow(settings, state.stream, state.motion.desired, *stands, arrival, now_ns)
     if isinstance(found, Refusal):
         return state, StreamRefused(arrival.message.stream_id, arrival.message.number, *found)
     stream, way = found

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.core.approach import Approach, AxisLimits, approach, twist_limit
-from controller.core.path_survey import JOINT_SPEED, SPEED, TURN_SPEED, Survey, survey
+from controller.core.jacobian import damped_inverse
+from controller.core.path_survey import survey
 from controller.core.paths import Desired, at_rest, path_from
 from controller.core.references import QUATERNION_TOLERANCE, Refusal
 from controller.core.rotations import (
@@ -58,10 +59,14 @@ def follow(
     stream: Stream,
     desired: Desired,
     q_meas: Array,
+    J_BT: Array,
     arrival: StreamedPoseReceived,
     now_ns: int,
 ) -> tuple[Stream, Approach] | Refusal:
-    """The stream with this reference as its newest, and the way there from ``desired``, or why not."""
+    """The stream with this reference as its newest, and the way there from ``desired``, or why not.
+
+    ``q_meas`` (6,), ``J_BT`` (6, 6): joint angles and Jacobian of the arm as it stands.
+    """
     reference = arrival.message
     refusal = _place(settings, stream, arrival, now_ns) or _form(settings, reference)
     if refusal is not None:
@@ -78,7 +83,7 @@ def follow(
     found = survey(settings, straight, q_meas)
     if found.reason is not Reason.ACCEPTED:
         return Refusal(found.reason, found.value, found.limit)
-    limits = _within_joint_speeds(settings, found)
+    limits = _within_joint_speeds(settings, J_BT)
     excess = np.abs(twist) / twist_limit(limits)
     axis = int(excess.argmax())
     too_fast = Refusal(Reason.TOO_FAST, abs(float(twist[axis])), float(twist_limit(limits)[axis]))
@@ -160,12 +165,9 @@ def _near(settings: Settings, desired: Desired, p: Array, quaternion: Array) -> 
     return Refusal(Reason.TOO_FAR, turn, limits.turn_rad) if turn > limits.turn_rad else None
 
 
-def _within_joint_speeds(settings: Settings, straight: Survey) -> AxisLimits:
-    """The axes' limits, slowed down so far that no joint is faster than it may be on the straight way."""
+def _within_joint_speeds(settings: Settings, J_BT: Array) -> AxisLimits:
+    """The axes' limits, slowed down so far that no joint can be too fast at this pose, whatever they do."""
     limits = settings.streaming.axes
-    tool = math.sqrt(3.0) * np.array([limits.speed[0], limits.speed[3]])
-    paces = straight.peaks[0, [SPEED, TURN_SPEED]] / tool
-    joints = straight.peaks[0, JOINT_SPEED]
-    if joints <= paces.max():
-        return limits
-    return limits._replace(speed=limits.speed * (paces.max() / joints))
+    inverse, _, _ = damped_inverse(J_BT, settings.servo_gains[3], settings.servo_gains[4])
+    share = float((settings.joint_speeds / (np.abs(inverse) @ limits.speed)).min())
+    return limits if share >= 1.0 else limits._replace(speed=share * limits.speed)
