@@ -22,11 +22,13 @@ _LIBC = ctypes.CDLL(None, use_errno=True)
 class CyclicTask:
     """Awaits ``body(dt_ns)`` once a period; ``dt_ns`` is the whole number of periods since the call before.
 
-    ``lateness``: how late after its deadline each call began. ``overruns``: periods skipped.
+    ``lateness``: how late after its deadline each call began, since the start; ``recent``: the same since
+    whoever reads it cleared it last. ``overruns``: periods skipped.
     """
 
     def __init__(self, period_ns: int, body: Callable[[int], Awaitable[None]]) -> None:
         self.lateness = Histogram()
+        self.recent = Histogram()
         self.overruns = 0
         self._period_ns = period_ns
         self._body = body
@@ -53,7 +55,9 @@ class CyclicTask:
                     await self._wake
                     continue
                 next_ns += expired * self._period_ns
-                self.lateness.add(time.monotonic_ns() - (next_ns - self._period_ns))
+                late_ns = time.monotonic_ns() - (next_ns - self._period_ns)
+                self.lateness.add(late_ns)
+                self.recent.add(late_ns)
                 self.overruns += expired - 1
                 await self._body(expired * self._period_ns)
         finally:

@@ -21,6 +21,11 @@ class Histogram:
         self.max_ns = max(self.max_ns, duration_ns)
         self._counts[min(max(duration_ns, 0) // 1000, _BINS)] += 1
 
+    def clear(self) -> None:
+        """Forget everything."""
+        self.count = self.max_ns = 0
+        self._counts[:] = 0
+
     def percentiles_us(self, *shares: float) -> tuple[int, ...]:
         """For each of ``shares`` (0…1) the duration in µs that this share does not exceed; 0 when empty."""
         if self.count == 0:

@@ -35,6 +35,8 @@ from protocol.reference_session import (
 
 _READS_A_CYCLE = 600  # about a millisecond; 50 000 datagrams a second are 250 in a cycle of 5 ms
 _DATAGRAMS_A_CYCLE = 96  # of those, decoded
+# Room for what a flood leaves between two cycles; the kernel grants what it is allowed to.
+_RECEIVE_BUFFER_BYTES = 1 << 20
 _STRANGERS_A_CYCLE = 8  # of those, while a session is open: enough to refuse a second client
 
 
@@ -129,7 +131,8 @@ class ReferencePort:
             arrived.append((data, source))
         self._told(self.server.receive_batch(arrived, time.monotonic_ns()))
         self._send()
-        if self._reads <= 0 or self._datagrams <= 0:
+        # Under a flood reading waits for the next cycle: a batch costs far less than a wake-up for each.
+        if self._reads <= 0 or self._datagrams <= 0 or self._strangers < 0:
             self._pause()
 
     def _pause(self) -> None:
@@ -161,6 +164,8 @@ class ReferencePort:
 def _bound(config: ReferenceLinkConfig) -> socket.socket:
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sock.setblocking(False)
+    with contextlib.suppress(OSError):
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
     try:
         sock.bind((config.host, config.port))
     except OSError as error:

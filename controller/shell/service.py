@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 from controller.config import ArmConfig, ControllerConfig
 from controller.core.flight_recorder import FlightRecorder
-from controller.core.requests import is_live
 from controller.core.plant_watch import PlantRefusal
+from controller.core.requests import is_live
 from controller.core.scan import scan
 from controller.core.scan_types import Figures, ScanInput, ScanOutput, ScanState, initial_state, to_state
 from controller.core.settings import settings_from
@@ -35,7 +35,7 @@ from protocol.reference_link import Command
 from protocol.reference_session import ReferenceServer
 
 _STATISTICS_PERIOD_NS = 10_000_000_000
-_FIGURES_PERIOD_NS = 1_000_000_000  # percentiles in the state message are at most this old
+_FIGURES_PERIOD_NS = 1_000_000_000  # the window of the percentiles in the state message
 _SHUTDOWN_S = 1.4  # to ramp down after SIGTERM; the process must be gone within 2 s
 _AFTER_FAULT_NS = 300_000_000  # the flight recorder also keeps what followed
 _NS_PER_MS = 1_000_000
@@ -111,9 +111,7 @@ class ControllerService:
         if leaving:
             self._told_to_leave = True
             requests = (*requests, Command(0, CommandCode.DISABLE))
-        inputs = ScanInput(
-            now_ns, dt_ns * 1e-9, sensors, requests, alive, self._reference.take_streamed()
-        )
+        inputs = ScanInput(now_ns, dt_ns * 1e-9, sensors, requests, alive, self._reference.take_streamed())
         began_ns = time.monotonic_ns()
         self._state, output = scan(self._settings, self._state, inputs)
         self._scan_times.add(time.monotonic_ns() - began_ns)
@@ -136,10 +134,11 @@ class ControllerService:
             return None
 
     def _figures_at(self, now_ns: int) -> Figures:
-        """Figures for the state message; the percentiles are renewed once a second."""
+        """Figures for the state message; the percentiles are those of the last second."""
         if now_ns >= self._figures_due_ns:
             self._figures_due_ns = now_ns + _FIGURES_PERIOD_NS
-            self._late_p50_us, self._late_p99_us = self._task.lateness.percentiles_us(0.5, 0.99)
+            self._late_p50_us, self._late_p99_us = self._task.recent.percentiles_us(0.5, 0.99)
+            self._task.recent.clear()
         link = self._reference.server.statistics
         return Figures(
             overruns=self._task.overruns,

@@ -185,7 +185,8 @@ class Judge:
 
 
 @contextmanager
-def _rig(config_dir: Path, assignments: list[str], directory: Path) -> Iterator[tuple[Launch, Rig]]:
+def trial_rig(config_dir: Path, assignments: list[str], directory: Path) -> Iterator[tuple[Launch, Rig]]:
+    """Plant and controller running, without anybody at the camera, and a client that is not yet connected."""
     overrides = merged(
         {
             "plant_service": {"truth_hz": _TRUTH_HZ, "renderer_scheduling": "normal"},
@@ -218,7 +219,7 @@ def run_trials(
     with (
         bars() as shown,
         shown.step("kills and suspensions") as bar,
-        _rig(config_dir, assignments, directory) as (launch, rig),
+        trial_rig(config_dir, assignments, directory) as (launch, rig),
     ):
         for number, kind in enumerate(kinds):
             bar.update(number / len(kinds), f"{kind}, {number + 1} of {len(kinds)}")
