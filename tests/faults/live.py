@@ -35,14 +35,15 @@ from vision_pc.shell.station import Station
 
 _CYCLES_AT_ONCE = 2
 _PAUSE_S = 0.004
-_SESSION_PEER = "vision"
+# The link's own timeouts are tried elsewhere; here a machine that is busy for a moment shall not end a session.
+_PATIENT = ("controller.reference_link.link_timeout_ms=5000",)
 
 
 class Machine(asyncio.DatagramProtocol):
     """Controller and plant behind one UDP port."""
 
     def __init__(self) -> None:
-        settings = settings_of(1, ())
+        settings = settings_of(1, _PATIENT)
         self.registers = Registers(Plant(settings.plant, 1))
         self._side = ControllerSide(settings, 1)
         self._arrived: list[bytes] = []
@@ -83,7 +84,8 @@ class Machine(asyncio.DatagramProtocol):
         self.registers.write(decode_valves(self._side.valve_words))
         words = encode_sensors(self.registers.read())
         datagrams, self._arrived = self._arrived, []
-        output, replies = self._side.cycle(words, datagrams, time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+        output, replies = self._side.cycle(words, datagrams, now_ns, now_ns)
         if output.view.group_state is GroupState.MOVING:
             self.motions.add(output.view.motion_id)
         assert self._transport is not None
@@ -149,7 +151,7 @@ Act = Callable[[], Awaitable[None]]
 @asynccontextmanager
 async def live(record_dir: Path | None = None, stream: Any = None) -> AsyncIterator[LiveRig]:
     """A rig; ``stream``: where vision's log lines go."""
-    settings = settings_of(1, ())
+    settings = settings_of(1, _PATIENT)
     machine = Machine()
     await machine.start()
     log = EventLog(record_dir, stream if stream is not None else io.StringIO())

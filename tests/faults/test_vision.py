@@ -160,7 +160,7 @@ async def test_case_37_a_post_repeated_with_one_key_is_one_motion() -> None:
 async def test_case_38_a_cancel_that_races_with_completion_leaves_exactly_one_end_state() -> None:
     stream = io.StringIO()
     async with live(stream=stream) as rig:
-        body = {"offset_base_m": [0.0, 0.01, 0.0], "duration_s": 0.5}
+        body = {"offset_base_m": [0.0, 0.01, 0.0], "duration_s": 1.0}
         began = asyncio.get_running_loop().time()
         await rig.ended((await rig.post("/operations/move", body)).headers["Location"])
         takes_s = asyncio.get_running_loop().time() - began
