@@ -113,7 +113,7 @@ def _curve(kind: str, session: Session, X_TC: Array) -> dict[str, Any]:
 
 
 def needed(errors: list[float | None], limit: float = LIMIT_MM, first: int = _LEAST) -> int | None:
-    """With how many samples (``first`` for errors[0]) every error from there on is under ``limit``, or None."""
+    """With how many samples (``first`` for errors[0]) the errors come under ``limit`` and stay, or None."""
     good = [error is not None and error < limit for error in errors]
     for k in range(len(good)):
         if all(good[k:]):

@@ -105,7 +105,7 @@ class PairsAtRest(NamedTuple):
 
 
 class Photographer(Protocol):
-    """A camera that takes pictures of an arm at rest, for programs that look at other things than ``Eyes``."""
+    """A camera that takes pictures of an arm at rest, for programs that look at other things than eyes."""
 
     async def pairs_at_rest(self, frames: int) -> PairsAtRest:
         """``frames`` fresh pairs. Raises RequestRefused while the arm moves, LinkLost as ``Eyes.look``."""

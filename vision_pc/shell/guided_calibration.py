@@ -327,7 +327,13 @@ class GuidedCalibration:
         known = target.target_settings(self._config.markers, settings)
         seen = await self._pictures.aside(
             lambda: target.look_at_target(
-                pictures.pairs, self._camera, known, self._config.look, settings, self._last
+                pictures.pairs,
+                self._camera,
+                known,
+                self._config.look,
+                settings,
+                self._last,
+                frozenset(self._config.markers.sizes),
             )
         )
         self._last = seen.last

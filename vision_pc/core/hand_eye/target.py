@@ -50,8 +50,11 @@ def look_at_target(
     looks: LookSettings,
     settings: GuidedSettings,
     previous: FrameObservation | None = None,
+    expected: frozenset[int] = frozenset(),
 ) -> TargetLook:
     """The marker as ``pairs``, taken at rest, show it; ``markers`` as of ``target_settings``.
+
+    ``expected``: numbers of other markers that may be in view.
 
     Raises MeasurementFailed: ``measurement.hand_eye.wrong_marker`` when another marker is there in its place,
     ``.marker_not_seen`` when it is seen in too few pairs.
@@ -65,7 +68,7 @@ def look_at_target(
     seen = [o for o in observations if o.X_CO is not None]
     wanted = min(settings.minimum_frames, len(pairs))
     if previous is None or len(seen) < wanted:
-        _refuse(pairs, len(seen), wanted, markers, settings)
+        _refuse(pairs, len(seen), wanted, expected | markers.sizes.keys(), settings)
     measured = [(o.X_CO, o.cov_CO, o.bias_CO) for o in observations]
     mean, count = robust_mean(measured, wanted, "object", looks.huber_sigmas)
     corners = [m.corners_left for o in seen for m in o.markers if m.marker_id == settings.marker_id]
@@ -83,10 +86,10 @@ def look_at_target(
 
 
 def _refuse(
-    pairs: Sequence[StereoPair], seen: int, wanted: int, markers: MarkerSettings, settings: GuidedSettings
+    pairs: Sequence[StereoPair], seen: int, wanted: int, expected: frozenset[int], settings: GuidedSettings
 ) -> None:
     counts = f"marker {settings.marker_id} seen in {seen} of {len(pairs)} pictures, {wanted} are wanted"
-    others = sorted(markers_in(pairs[-1].left, settings.dictionary) - set(markers.sizes)) if pairs else []
+    others = sorted(markers_in(pairs[-1].left, settings.dictionary) - expected) if pairs else []
     if seen == 0 and others:
         numbers = ", ".join(map(str, others))
         raise MeasurementFailed("measurement.hand_eye.wrong_marker", f"{counts}; seen instead: {numbers}")

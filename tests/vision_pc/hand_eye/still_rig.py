@@ -1,0 +1,106 @@
+"""A rig for guided sessions that is always at rest: an arm where it was told, the emulator's pictures."""
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from plant_emulator.core.scene import Scene
+from plant_emulator.core.stereo_camera import StereoCamera
+from protocol.configuration import merged
+from protocol.errors import RequestRefused
+from protocol.faults import FaultCode, GroupState, Severity
+from testbed.settings import Settings, chosen_overrides, load_settings
+from vision_pc.core import se3
+from vision_pc.core.ports import ArmView, PairsAtRest
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import StereoPair
+from vision_pc.shell.event_log import EventLog
+from vision_pc.shell.guided_calibration import GuidedCalibration
+from vision_pc.shell.hand_eye_store import SessionStore
+
+T = TypeVar("T")
+CONFIGS = Path(__file__).resolve().parents[3] / "configs"
+X_BT_START = se3.transform(
+    np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.array([3.89355, 0.0, 1.00825])
+)
+
+
+def still_settings(seed: int = 1, **overrides: Any) -> Settings:
+    """The hand-eye scenario's world; ``overrides`` by file."""
+    drawn = chosen_overrides(CONFIGS, "hand_eye", seed, [])
+    cabinet = {"vision": {"cabinet": {"drawing": str(CONFIGS / "cabinet.png")}}}
+    return load_settings(CONFIGS, merged(merged(drawn, cabinet), overrides))
+
+
+class StillRig:
+    """Implements the arm, the camera and the states that ``GuidedCalibration`` works with.
+
+    ``refuse``: says why a pose is refused (None: it is not). ``settled``, ``drift_mrad``: how the arm stands;
+    it drifts by as much between two views. ``robot_m``, ``robot_rad``: how wrong its pose is, a component.
+    """
+
+    def __init__(
+        self, settings: Settings, sessions: Path, robot_m: float = 0.0, robot_rad: float = 0.0
+    ) -> None:
+        self.settings = settings
+        self.scene = Scene(settings.scene)
+        self.camera = StereoCamera(settings.scene.camera, self.scene, settings.scene.seed)
+        self.X_BT, self.X_BT_true = X_BT_START, X_BT_START
+        self.refuse: Callable[[Array], str | None] = lambda _pose: None
+        self.settled, self.drift_mrad = True, 0.0
+        self.moves: list[Array] = []
+        self._robot = (robot_m, robot_rad)
+        self._rng = np.random.default_rng(5)
+        self._time_ns = self._frame = self._views = 0
+        self.log = EventLog(None, io.StringIO())
+        self.guided = GuidedCalibration(self, self, self, settings.vision, self.log, SessionStore(sessions))
+
+    @property
+    def X_TC(self) -> Array:
+        """The camera in the hand as it truly is."""
+        return self.scene.mounts.X_TC
+
+    async def view(self) -> ArmView:
+        self._views += 1
+        q = np.full(6, 1e-3 * self.drift_mrad * self._views)
+        return ArmView(
+            self._time_ns, GroupState.STANDBY, FaultCode.NONE, Severity.NONE, len(self.moves), True,
+            self.settled, q, q, self.X_BT, self.X_BT,
+        )  # fmt: skip
+
+    async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
+        why = self.refuse(X_BT_ref)
+        if why is not None:
+            raise RequestRefused(f"refused.{why}", f"ReferencePose refused: {why.replace('_', ' ')}")
+        self.moves.append(X_BT_ref)
+        self.X_BT = X_BT_ref
+        noise = self._rng.normal(size=6) * np.repeat(self._robot, 3)
+        self.X_BT_true = se3.retract(X_BT_ref, noise)
+        return await self.view()
+
+    async def halt(self) -> None:
+        pass
+
+    async def next_state(self) -> Any:
+        self._time_ns += 100_000_000
+
+    async def pairs_at_rest(self, frames: int) -> PairsAtRest:
+        X_WT = self.scene.mounts.X_WB @ self.X_BT_true
+        pairs = []
+        for _ in range(frames):
+            self._frame += 1
+            left, right = self.camera.render(
+                X_WT @ self.scene.mounts.X_TC, X_WT @ self.scene.mounts.X_TM, self._frame
+            )
+            pairs.append(StereoPair(left, right, self._frame * 100_000_000, self._frame))
+        return PairsAtRest(tuple(pairs), self.X_BT)
+
+    async def aside(self, work: Callable[[], T]) -> T:
+        return work()
+
+
+def quiet(_progress: float, _note: str) -> None:
+    """A report that nobody reads."""

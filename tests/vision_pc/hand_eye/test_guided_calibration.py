@@ -1,0 +1,255 @@
+"""The guided session step by step, on the emulator's pictures and an arm that is always where it was told."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+from protocol.errors import MeasurementFailed, RequestRefused
+from testbed.hand_eye import session_text
+from testbed.hand_eye.importer import load
+from tests.vision_pc.hand_eye.still_rig import X_BT_START, StillRig, quiet, still_settings
+from vision_pc.core import se3
+from vision_pc.core.hand_eye import methods
+from vision_pc.shell.api import create_app
+from vision_pc.shell.operations import Operations
+
+QUICK = {"vision": {"hand_eye": {"frames": 1, "minimum_frames": 1, "poses": 6, "candidates": 300}}}
+
+
+def quick_rig(sessions: Path, robot_m: float = 0.0, robot_rad: float = 0.0, **overrides: Any) -> StillRig:
+    """A rig whose samples take one picture, in a session of six."""
+    return StillRig(still_settings(**(QUICK | overrides)), sessions, robot_m, robot_rad)
+
+
+async def begun(rig: StillRig, name: str = "monday") -> None:
+    """A session with its first sample."""
+    await rig.guided.start(name, rig.guided.defaults, 1, quiet)
+    await rig.guided.sample(quiet)
+
+
+async def test_a_whole_session_finds_the_camera_in_the_hand(tmp_path: Path) -> None:
+    rig = quick_rig(tmp_path, robot_m=0.0003, robot_rad=0.0003)
+    check = await rig.guided.start("monday", rig.guided.defaults, 1, quiet)
+    assert check["verdict"] == "marker 582 seen, 0/6: ready"
+    assert 0.1 < check["promised_std_mm"] < 20.0
+    await rig.guided.sample(quiet)
+    stds = []
+    while not rig.guided.session.complete:
+        proposal = await rig.guided.propose()
+        await rig.guided.go(quiet)
+        done = await rig.guided.sample(quiet)
+        seen_at = np.array(rig.guided.session.samples[-1].corners_left).mean(axis=0)
+        if len(stds) > 2:  # once X is known roughly, the marker is where it was expected
+            assert np.abs(seen_at - proposal["pixel"]).max() < 25.0
+        stds.append(done["std_mm"])
+    assert stds == sorted(stds, reverse=True)
+    answer = await rig.guided.solve()
+    assert answer["certificate"]["holds"]
+    assert answer["left_out"] == []
+    X = methods.solve(rig.guided.session.pairs()).X
+    off = se3.local(X, rig.X_TC)
+    assert 1e3 * np.linalg.norm(off[:3]) < 3.0
+    assert np.degrees(np.linalg.norm(off[3:])) < 0.25
+    assert {o["method"] for o in answer["others"]} >= {"tsai", "horaud", "daniilidis", "dqcr", "image-space"}
+    await rig.move_to(X_BT_START)
+    seen = await rig.guided.locate(quiet)
+    assert [t["name"] for t in seen["targets"]] == ["knob", "switch", "key hole"]
+
+
+async def test_samples_are_removed_redone_and_resumed_from_the_disk(tmp_path: Path) -> None:
+    rig = quick_rig(tmp_path)
+    await begun(rig)
+    for _ in range(2):
+        await rig.guided.next_pose(quiet)
+        await rig.guided.sample(quiet)
+    pose = rig.guided.session.sample("2").X_BT
+    assert [s["name"] for s in rig.guided.remove("1")["samples"]] == ["2", "3"]
+    await rig.guided.redo("2", quiet)
+    assert np.allclose(rig.moves[-1], pose)
+    assert [s.name for s in rig.guided.session.samples] == ["2", "3"]
+    await rig.guided.next_pose(quiet)
+    before = rig.guided.view()
+
+    again = quick_rig(tmp_path)
+    assert again.guided.store.names() == ["monday"]
+    assert again.guided.resume("monday") == before
+    await again.guided.go(quiet)
+    assert (await again.guided.sample(quiet))["sample"] == "4"
+    assert [s.name for s in again.guided.session.samples] == ["2", "3", "4"]
+
+
+async def test_a_session_is_exported_for_the_file_solver(tmp_path: Path) -> None:
+    rig = quick_rig(tmp_path)
+    await begun(rig)
+    for _ in range(4):
+        await rig.guided.next_pose(quiet)
+        await rig.guided.sample(quiet)
+    session_text.exported(tmp_path / "monday.json", tmp_path / "samples.json")
+    from_file = methods.solve(load(tmp_path / "samples.json"))
+    assert np.allclose(from_file.X, methods.solve(rig.guided.session.pairs()).X, atol=1e-9)
+
+
+async def test_refused_poses_are_remembered_and_others_are_found(tmp_path: Path) -> None:
+    rig = quick_rig(tmp_path)
+    start = rig.X_BT
+    await begun(rig)
+    rig.refuse = lambda X: (
+        "joint_limit" if (start[:3, :3].T @ X[:3, :3])[1, 0] > 0.1 else None
+    )  # one roll only
+    await rig.guided.next_pose(quiet)
+    assert all("joint limit" in why for _, why in rig.guided.session.refused)
+    rig.refuse = lambda X: "joint_limit"
+    await rig.guided.propose()
+    moves, samples = len(rig.moves), len(rig.guided.session.samples)
+    refused = len(rig.guided.session.refused)
+    with pytest.raises(RequestRefused) as told:
+        await rig.guided.go(quiet)
+    assert told.value.cause == "refused.joint_limit"
+    assert (len(rig.moves), len(rig.guided.session.samples)) == (moves, samples)
+    assert len(rig.guided.session.refused) == refused + 1
+    assert rig.guided.session.proposal is None
+    with pytest.raises(RequestRefused, match="no pose is proposed"):
+        await rig.guided.go(quiet)
+
+
+async def test_an_arm_that_moves_on_spoils_the_sample(tmp_path: Path) -> None:
+    rig = quick_rig(tmp_path)
+    await begun(rig)
+    rig.settled, rig.drift_mrad = False, 3.0
+    with pytest.raises(MeasurementFailed) as told:
+        await rig.guided.sample(quiet)
+    assert told.value.cause == "measurement.hand_eye.not_settled"
+    assert "limit 1 mrad" in str(told.value)
+    assert len(rig.guided.session.samples) == 1
+
+
+@pytest.mark.parametrize(
+    ("boards", "cause", "what"),
+    [
+        ([], "measurement.hand_eye.marker_not_seen", "marker 582 seen in 0 of 1 pictures, 1 are wanted"),
+        ([{"kind": "marker", "marker_id": 583, "position_m": [0.0, 0.0, 0.001]}],
+         "measurement.hand_eye.wrong_marker", "583"),
+    ],
+)  # fmt: skip
+async def test_no_marker_or_another_one_is_said(
+    tmp_path: Path, boards: list[dict[str, Any]], cause: str, what: str
+) -> None:
+    settings = still_settings(**QUICK)
+    settings = settings._replace(
+        scene=type(settings.scene).model_validate(settings.scene.model_dump() | {"boards": boards})
+    )
+    rig = StillRig(settings, tmp_path)
+    with pytest.raises(MeasurementFailed, match=what) as told:
+        await rig.guided.start("monday", rig.guided.defaults, 1, quiet)
+    assert told.value.cause == cause
+    assert rig.guided.store.names() == []
+
+
+async def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
+    rig = quick_rig(tmp_path)
+    with pytest.raises(RequestRefused, match="no session is open"):
+        rig.guided.view()
+    with pytest.raises(RequestRefused, match="letters, digits"):
+        await rig.guided.start("../escape", rig.guided.defaults, 1, quiet)
+    await rig.guided.start("monday", rig.guided.defaults, 1, quiet)
+    with pytest.raises(RequestRefused, match="take a sample at the starting pose first"):
+        await rig.guided.propose()
+    with pytest.raises(RequestRefused, match="is on the disk"):
+        await rig.guided.start("monday", rig.guided.defaults, 1, quiet)
+    with pytest.raises(RequestRefused, match="no sample '7'; there are: none"):
+        rig.guided.remove("7")
+    with pytest.raises(RequestRefused, match="no session 'sunday'; there are: monday"):
+        rig.guided.resume("sunday")
+    with pytest.raises(RequestRefused, match="solve first"):
+        await rig.guided.locate(quiet)
+    tool = rig.guided.defaults.model_copy(update={"marker_id": 0})
+    with pytest.raises(RequestRefused, match="marker 0 is the tool's"):
+        await rig.guided.start("tuesday", tool, 1, quiet)
+    await rig.guided.sample(quiet)
+    with pytest.raises(RequestRefused, match="the same sample twice") as told:
+        rig.guided.session.with_sample(rig.guided.session.samples[0]._replace(name="2"))
+    assert told.value.cause == "refused.hand_eye.duplicate"
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (lambda d: d.update(format="longreach-hand-eye-session/9"), "format is"),
+        (lambda d: d["samples"][0].pop("hand"), "key 'hand'"),
+        (lambda d: d["samples"][0].update(camera=[[1.0, 0.0], [0.0, 1.0]]), "shape"),
+        (lambda d: d["samples"][0].update(marker_id=17), "sample 1: marker 17, but 582"),
+        (lambda d: d["samples"][0]["hand"][0].__setitem__(3, 3894.0), "sample 1.*in millimetres"),
+        (lambda d: d["samples"][0]["hand"].reverse(), "sample 1"),
+        (lambda d: d["settings"].update(poses=2), "poses"),
+        (lambda d: d["samples"].append(dict(d["samples"][0])), "a name given twice"),
+    ],
+)
+async def test_a_spoiled_session_file_is_refused_by_name(tmp_path: Path, change: Any, what: str) -> None:
+    rig = quick_rig(tmp_path)
+    await begun(rig)
+    file = tmp_path / "monday.json"
+    document = json.loads(file.read_text())
+    change(document)
+    file.write_text(json.dumps(document))
+    with pytest.raises(RequestRefused, match=what) as told:
+        rig.guided.resume("monday")
+    assert told.value.cause.startswith("refused.hand_eye.")
+    assert rig.guided.session.samples[0].name == "1"  # what was open stays open
+
+
+async def test_an_interrupted_write_leaves_the_session_before(tmp_path: Path) -> None:
+    rig = quick_rig(tmp_path)
+    await begun(rig)
+    (tmp_path / "monday.part").write_text('{"format": "longreach-hand-e')
+    assert rig.guided.resume("monday")["count"] == "1/6"
+
+
+class _Station:
+    """As much of a station as the routes of guided calibration ask for."""
+
+    def refuse_now(self, kind: str, method: str | None = None) -> None:
+        pass
+
+
+async def test_the_session_over_rest(tmp_path: Path) -> None:
+    rig = quick_rig(tmp_path)
+    operations = Operations(rig.halt, rig.log)
+    app = create_app(_Station(), operations, rig.guided)  # type: ignore[arg-type]
+    transport = httpx.ASGITransport(app=app, raise_app_exceptions=False)
+    async with httpx.AsyncClient(transport=transport, base_url="http://vision") as client:
+
+        async def done(kind: str, body: dict[str, Any] | None = None) -> dict[str, Any]:
+            answer = await client.post(f"/operations/hand-eye-{kind}", json=body)
+            assert answer.status_code == 202, answer.text
+            operation = operations.get(answer.json()["id"])
+            while not operation.state.ended:
+                await operation.changed(operation.revision)
+            return (await client.get(f"/operations/{operation.id}")).json()
+
+        assert (await client.get("/hand-eye/session")).json()["cause"] == "refused.hand_eye.no_session"
+        started = await done("start", {"name": "rest", "poses": 5})
+        assert started["result"]["verdict"] == "marker 582 seen, 0/5: ready"
+        assert (await done("sample"))["result"]["sample"] == "1"
+        proposal = (await client.post("/hand-eye/session/propose")).json()
+        assert proposal["choices"] > 5
+        assert (await done("go"))["state"] == "succeeded"
+        rig.drift_mrad, rig.settled = 5.0, False
+        failed = await done("sample")
+        assert (failed["state"], failed["problem"]["cause"]) == ("failed", "measurement.hand_eye.not_settled")
+        rig.drift_mrad, rig.settled = 0.0, True
+        assert (await done("sample"))["result"]["count"] == 2
+        assert (await done("next"))["state"] == "succeeded"
+        assert (await done("sample"))["state"] == "succeeded"
+        assert (await client.delete("/hand-eye/session/samples/2")).json()["count"] == "2/5"
+        assert (await done("redo", {"sample": "3"}))["result"]["sample"] == "3"
+        too_few = await done("solve")
+        assert too_few["problem"]["cause"] == "measurement.hand_eye.too_few_samples"
+        assert (await client.get("/hand-eye/sessions")).json() == {"names": ["rest"]}
+        view = (await client.post("/hand-eye/session/resume", json={"name": "rest"})).json()
+        assert [s["name"] for s in view["samples"]] == ["1", "3"]
+        bad = await client.post("/operations/hand-eye-start", json={"name": "x", "poses": 2})
+        assert bad.status_code == 422
