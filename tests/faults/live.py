@@ -35,7 +35,7 @@ from vision_pc.shell.station import Station
 
 _CYCLES_AT_ONCE = 2
 _PAUSE_S = 0.004
-# The link's own timeouts are tried elsewhere; here a machine that is busy for a moment shall not end a session.
+# The link's own timeouts are tried elsewhere; here a busy machine shall not end a session.
 _PATIENT = ("controller.reference_link.link_timeout_ms=5000",)
 
 
