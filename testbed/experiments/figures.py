@@ -38,35 +38,43 @@ def _fig5(traced: Trace, rows: Sequence[Row]) -> bytes:
     given = float(traced["input_s"][0])
     until = float(traced["input_s"][1])
     _curves(over_time, traced, "turn_deg", until, 1.0)
+    at_rest = traced["look_s"] < until
+    for axis, colour in enumerate(AXIS_COLOURS):
+        turn = traced["look_turn_deg"][at_rest, axis]
+        over_time.plot(traced["look_s"][at_rest], turn, "o", color=colour, markersize=7, fillstyle="none")
     _failed(over_time, traced, until)
     _mark_inputs(over_time, [given])
-    over_time.set(xlabel="time / s", ylabel="Euler angle / °", title="one measurement; ticks: nothing seen")
+    over_time.set(
+        xlabel="time / s",
+        ylabel="Euler angle / °",
+        title="one measurement; rings: looks at rest; ticks: nothing seen",
+    )
     _boxes(spread, rows, ("start", "oriented"), "r", "deg", "|Euler angle| / °")
     return png(figure)
 
 
 def _fig6(traced: Trace, rows: Sequence[Row]) -> bytes:
-    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
-    space = figure.add_subplot(1, 2, 1, projection="3d")
-    wanted, goal = traced["corners_1"], traced["corners_2"]
-    driven = traced["path_p_BT"]
-    after = traced["p_BT"][traced["time_s"] > traced["input_s"][2]]
-    space.plot(*wanted.T, color="black", linewidth=1.0, label="wanted")
-    space.plot(*driven.T, color=AXIS_COLOURS[1], linewidth=1.0, label="driven, by the encoders")
-    space.plot(*goal.T, color="black", linewidth=1.0)
-    space.plot(*after[: _arrival(after)].T, color=AXIS_COLOURS[1], linewidth=1.0)
-    space.set(xlabel="x / m", ylabel="y / m", zlabel="z / m")
-    space.set_aspect("equal")
-    space.legend(loc="upper left", fontsize=8)
-    flat = figure.add_subplot(1, 2, 2)
+    figure, (front, flat) = _panels()
+    wanted, driven = traced["corners_1"], traced["path_p_BT"]
+    begun = traced["input_s"][2]
+    last = traced["input_s"][3]
+    after = traced["p_BT"][(traced["time_s"] > begun) & (traced["time_s"] < last)]
+    for label, points, colour in (
+        ("wanted", wanted, "black"),
+        ("driven, by the encoders", np.vstack([driven, after]), AXIS_COLOURS[1]),
+    ):
+        front.plot(-points[:, 1], points[:, 2], color=colour, linewidth=1.0, label=label)
+    front.plot(-traced["corners_2"][:, 1], traced["corners_2"][:, 2], color="black", linewidth=1.0)
+    front.plot(-traced["corners_2"][-1, 1], traced["corners_2"][-1, 2], "o", color="black", label="reference")
+    _front(front)
     normal = _normal(wanted)
     for label, points, colour in (
-        ("driven, by the encoders", driven, AXIS_COLOURS[1]),
-        ("driven, truly", _true_between(traced, 1, 2), AXIS_COLOURS[0]),
+        ("by the encoders", driven, AXIS_COLOURS[1]),
+        ("truly", _true_between(traced, 1, 2), AXIS_COLOURS[0]),
     ):
         off = 1e3 * (points - points.mean(axis=0)) @ normal
         flat.plot(np.linspace(0.0, 1.0, len(off)), off, color=colour, label=label)
-    flat.set(xlabel="share of the path", ylabel="out of the plane / mm", title="how planar the circle is")
+    flat.set(xlabel="share of the circle's path", ylabel="out of its plane / mm", title="how planar it is")
     flat.legend()
     return png(figure)
 
@@ -82,18 +90,17 @@ def _fig7(traced: Trace, rows: Sequence[Row]) -> bytes:
 
 
 def _fig8(traced: Trace, rows: Sequence[Row]) -> bytes:
-    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
-    space = figure.add_subplot(1, 2, 1, projection="3d")
-    wanted, tool = traced["corners_1"], traced["path_p_BT"]
+    figure, (front, spread) = _panels()
+    tool = traced["path_p_BT"]
     camera = traced["path_p_C0C"] @ traced["R_BC"].T
     camera = camera - camera.mean(axis=0) + tool.mean(axis=0)
-    space.plot(*wanted.T, color=AXIS_COLOURS[2], label="wanted")
-    space.plot(*tool.T, color="black", linewidth=1.0, label="tool, by the encoders")
-    space.plot(*camera.T, color=AXIS_COLOURS[1], linewidth=1.0, label="camera, after the match")
-    space.set(xlabel="x / m", ylabel="y / m", zlabel="z / m")
-    space.set_aspect("equal")
-    space.legend(loc="upper left", fontsize=8)
-    spread = figure.add_subplot(1, 2, 2)
+    for label, points, colour in (
+        ("wanted", traced["corners_1"], AXIS_COLOURS[2]),
+        ("tool, by the encoders", tool, "black"),
+        ("camera, after the match", camera, AXIS_COLOURS[1]),
+    ):
+        front.plot(-points[:, 1], points[:, 2], color=colour, linewidth=1.0, label=label)
+    _front(front)
     error, residual = values(rows, "rotation_error_deg"), values(rows, "residual_mm")
     spread.plot(residual, error, "o", markersize=4, color=AXIS_COLOURS[0], alpha=0.7)
     spread.set(
@@ -117,6 +124,13 @@ def _fig9(traced: Trace, rows: Sequence[Row]) -> bytes:
     return png(figure)
 
 
+def _front(axes: Axes) -> None:
+    """The arm's front view: the tool's plane of motion as the camera sees it."""
+    axes.set(xlabel="right / m", ylabel="up / m", title="one measurement, from behind the tool")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.legend(loc="best")
+
+
 def _panels() -> tuple[Figure, tuple[Axes, Axes]]:
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -130,7 +144,7 @@ def _curves(axes: Axes, traced: Trace, name: str, until_s: float, scale: float) 
             traced["time_s"][shown], scale * traced[name][shown, axis], ".-", markersize=3, linewidth=0.8,
             color=colour, label="xyz"[axis],
         )  # fmt: skip
-    axes.legend(ncols=3)
+    axes.legend(ncols=3, frameon=True, loc="best")
 
 
 def _failed(axes: Axes, traced: Trace, until_s: float) -> None:

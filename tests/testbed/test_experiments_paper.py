@@ -153,7 +153,8 @@ def test_each_figure_is_drawn_from_a_trace(tmp_path: Path) -> None:
     traced = {
         "time_s": times, "p_BT": around, "error_m": 0.1 * around,
         "turn_deg": np.where(times[:, None] < 1, np.nan, around),
-        "input_s": np.array([5.0, 15.0, 40.0, 50.0]), "true_s": times, "true_p_WT": around,
+        "input_s": np.array([5.0, 15.0, 40.0, 50.0]), "look_s": times[::50], "look_turn_deg": around[::50],
+        "true_s": times, "true_p_WT": around,
         "path_p_BT": around, "path_p_C0C": around, "R_BC": np.eye(3),
         **{f"corners_{n}": around[:: 20 + n] for n in range(4)},
     }  # fmt: skip
