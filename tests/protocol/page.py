@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from enum import IntEnum
 from pathlib import Path
 
+from controller.config import ControllerConfig
 from controller.core.group_states import TRANSITIONS, Mode, Stimulus
 from protocol import datagram_layout, process_image, reference_messages
 from protocol.authentication import LinkKey
@@ -14,6 +15,7 @@ from protocol.channel import MAX_GAP_DATAGRAMS, WINDOW_DATAGRAMS
 from protocol.client_session import HELLO_PERIOD_NS, HELLOS_PER_NONCE, MIN_RESEND_NS, RESEND_CYCLES
 from protocol.clock_offset import DISPUTED_TO_RESET, DRIFT_PPM, WINDOW
 from protocol.command_ledger import REMEMBERED
+from protocol.configuration import load
 from protocol.datagram_layout import (
     HEADER,
     HEADER_BYTES,
@@ -192,6 +194,35 @@ def limits() -> str:
     return table("what | limit in time or bytes | limit in packets", rows)
 
 
+def stream_limits() -> str:
+    """What bounds streamed references, as the controller is configured when it is delivered."""
+    config = load(ControllerConfig, ROOT / "configs" / "controller.yaml")
+    stream, close_ms = config.streaming, config.stream_close_ms
+    slow_ms = close_ms - stream.ramp_ms
+
+    def lost_before(limit_ms: float) -> str:
+        """References lost in a row whose successor still comes in time, at three rates."""
+        return ", ".join(f"{int(limit_ms * rate / 1e3) - 1} at {rate} Hz" for rate in (15, 30, 60))
+
+    rows = [
+        ("`silence_ms`", f"{stream.silence_ms:g} ms", "–"),
+        ("the arm is slowed down after", f"{slow_ms:g} ms at a cycle of {config.cycle_ms:g} ms",
+         f"lost in a row without it: {lost_before(slow_ms)}"),
+        ("the valves are centred after", f"{close_ms:g} ms at a cycle of {config.cycle_ms:g} ms",
+         f"lost in a row and survived: {lost_before(close_ms)}"),
+        ("`ramp_ms`, `recovery_ms`", f"{stream.ramp_ms:g} ms, {stream.recovery_ms:g} ms", "–"),
+        ("`first_reference_ms`", f"{stream.first_reference_ms:g} ms", "–"),
+        ("greatest age (12.6)", f"{stream.max_age_ms:g} ms", "–"),
+        ("distance, angle (12.4)", f"{stream.distance_m:g} m, {stream.turn_deg:g}°", "–"),
+        ("speed, of T and in turning", f"{stream.speed_m_s:g} m/s, {stream.turn_speed_deg_s:g} °/s", "–"),
+        ("acceleration",
+         f"{stream.acceleration_m_s2:g} m/s², {stream.turn_acceleration_deg_s2:g} °/s²", "–"),
+        ("jerk", f"{stream.jerk_m_s3:g} m/s³, {stream.turn_jerk_deg_s3:g} °/s³", "–"),
+        ("`twist_ref`, each axis", "0.8 / √3 of the speed", "–"),
+    ]  # fmt: skip
+    return table("what | as delivered | in packets", rows)
+
+
 def session_table(rows: tuple[Row, ...]) -> str:
     """State, event, next state, reaction."""
     return table("state | event | next state | sends", ((r.state, r.event, r.then, r.sends) for r in rows))
@@ -323,6 +354,7 @@ SECTIONS: dict[str, Callable[[], str]] = {
     ),
     "structured text": structured_text,
     "golden": golden,
+    "stream limits": stream_limits,
 }  # fmt: skip
 
 
