@@ -106,8 +106,9 @@ class Peer(Wire):
     def answers(self, why: str) -> list[Acknowledgement]:
         """All acknowledgements that come while the controller had time to decide; the session must live."""
         fence = self.collect(self.grace_ms)
+        self.passed_over.clear()
         self.alive(why)
-        fence += self.collect(1.0)
+        fence += self.passed_over + self.collect(1.0)
         return [d.message for d in fence if isinstance(d.message, Acknowledgement)]
 
     def state(self, why: str = "STATE is sent") -> State:

@@ -93,6 +93,7 @@ class Wire:
         self.minor = 0
         self.sequence = 0
         self.welcome: Welcome | None = None
+        self.passed_over: list[Datagram] = []
         self._heartbeat_ns = 0
 
     def new_socket(self) -> socket.socket:
@@ -273,12 +274,14 @@ class Wire:
             pass
 
     def expect(self, kind: type[M], why: str, wait_ms: float = ANSWER_MS, *, beating: bool = True) -> M:
-        """The next message of ``kind`` within ``wait_ms``, passing over others. Raises Failed."""
+        """The next message of ``kind`` within ``wait_ms``; others go to ``passed_over``. Raises Failed."""
         until_ns = self.now_ns + int(wait_ms * MS)
         while (left_ns := until_ns - self.now_ns) > 0:
             datagram = self.receive(left_ns / MS, beating=beating)
             if datagram is not None and isinstance(datagram.message, kind):
                 return datagram.message
+            if datagram is not None:
+                self.passed_over.append(datagram)
         raise Failed(f"{why}: no {kind.__name__} within {wait_ms:g} ms")
 
     def expect_bye(self, reason: Reason, why: str, wait_ms: float = ANSWER_MS) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from protocol.link_key import key_from_file
 from testbed.conformance.case import Outcome
 from testbed.conformance.runner import run_reference
 
@@ -38,8 +39,12 @@ def service(module: str, *overrides: str) -> Iterator[dict[str, Any]]:
 
 
 @pytest.mark.experiment
-@pytest.mark.timeout(300)
-def test_our_own_controller_passes_every_case() -> None:
+@pytest.mark.timeout(400)
+@pytest.mark.parametrize("authenticated", [False, True], ids=["plain", "authenticated"])
+def test_our_own_controller_passes_every_case(authenticated: bool, tmp_path: Path) -> None:
+    key_file = tmp_path / "link.key"
+    key_file.write_text("b7" * 32)
+    key_file.chmod(0o600)
     with ExitStack() as stack:
         plant = stack.enter_context(
             service(
@@ -55,9 +60,20 @@ def test_our_own_controller_passes_every_case() -> None:
                 f"controller.plant_link.port={plant['modbus']['port']}",
                 "controller.reference_link.port=0",
                 "controller.reference_link.link_timeout_ms=250",
+                *([f"controller.reference_link.link_key.file={key_file}"] if authenticated else []),
             )
         )
-        summary = run_reference("127.0.0.1", controller["reference_link"]["port"], motion=True)
-    assert [
-        (r.case.number, r.outcome.value, r.detail) for r in summary.results if r.outcome is not Outcome.PASS
-    ] == []
+        summary = run_reference(
+            "127.0.0.1",
+            controller["reference_link"]["port"],
+            motion=True,
+            key=key_from_file(key_file) if authenticated else None,
+        )
+    not_passed = {
+        r.case.number: (r.outcome.value, r.detail) for r in summary.results if r.outcome is not Outcome.PASS
+    }
+    # Of authentication all cases, or the one about its absence, are not for this controller.
+    other = {number for number in not_passed if number == 722 or (700 < number < 722 and not authenticated)}
+    assert {number: why for number, why in not_passed.items() if number not in other} == {}
+    assert other == ({722} if authenticated else set(range(701, 722)))
+    assert all(not_passed[number][0] == "unsupported" for number in other)
