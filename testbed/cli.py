@@ -176,6 +176,18 @@ def validate_plant_command(config_dir: ConfigDir = DEFAULT_CONFIG, json_file: Js
     raise typer.Exit(0 if validate_plant(config_dir, json_file) else 1)
 
 
+@validate.command(
+    "error-sources", epilog="Example: longreach validate error-sources --json error_sources.json"
+)
+def validate_error_sources_command(
+    config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None
+) -> None:
+    """Each source of error switched on alone: where its number comes from, and what it does."""
+    from testbed.validate import validate_error_sources
+
+    raise typer.Exit(0 if validate_error_sources(config_dir, json_file) else 1)
+
+
 @experiment.command(
     "lockstep-demo", epilog="Example: longreach experiment lockstep-demo --runs 20 --json lockstep.json"
 )

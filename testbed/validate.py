@@ -5,8 +5,10 @@ from pathlib import Path
 from rich.table import Table
 from rich.text import Text
 
-from testbed.console import bars, out, write_json
+from testbed.console import bars, out, table, write_json
+from testbed.settings import load_settings
 from testbed.validation.case import Case
+from testbed.validation.error_sources import Finding, findings, sources
 from testbed.validation.plant import FAMILIES, validation_steps
 
 _RELATIONS = {"near": "", "at_most": "≤ ", "at_least": "≥ "}
@@ -40,3 +42,23 @@ def _table(cases: list[Case]) -> Table:
             verdict, case.source,
         )  # fmt: skip
     return table
+
+
+def validate_error_sources(config_dir: Path, json_file: Path | None) -> bool:
+    """Whether every source of error has a provenance and an effect of its own; prints what each alone does.
+
+    Raises ConfigurationError when a number has no provenance.
+    """
+    nominal = load_settings(config_dir, {}).vision.camera.left.model_dump(exclude={"distortion"})
+    count = len(sources(nominal))
+    found: list[Finding] = []
+    with bars() as shown, shown.step("switching on one by one") as bar:
+        for finding in findings(config_dir, nominal):
+            found.append(finding)
+            bar.update(len(found) / count, finding.name)
+    rows = [(f.name, f.key, f.provenance, f.effect, f"{f.value:.3g}", f.unit) for f in found]
+    headings = ("source of error", "key", "from", "alone", "value", "unit")
+    out.print(table("sources of error, each switched on alone", headings, rows))
+    passed = all(f.value != 0.0 for f in found)
+    write_json(json_file, {"error_sources": [f._asdict() for f in found], "passed": passed})
+    return passed
