@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates
 
 from plant_emulator.core.camera_motion import STILL, Motion, View, motion_between
 from plant_emulator.core.geometry import rotation_from_vector, transform
-from plant_emulator.core.stereo_camera import LEFT, StereoCamera
+from plant_emulator.core.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.wall_texture import SIZE, wall_texture
 from tests.plant_emulator.camera_world import CLEAN, Matrix, camera, clean_camera, start_view, wall_view
 from tests.plant_emulator.corner_oracle import refined_corners
@@ -85,6 +85,52 @@ def test_motion_blur_smears_along_the_motion_by_the_way_gone() -> None:
     assert widths[1] == pytest.approx(way_px, rel=0.1)
     middles = [centre - 25.5 + (220.0 - profile.astype(float)).sum() / 160.0 for profile in profiles]
     assert middles[1] == pytest.approx(middles[0], abs=0.1)  # smeared evenly about the capture instant
+
+
+@pytest.mark.parametrize("width_px", [0.6, 1.5])
+def test_the_point_spread_is_as_wide_as_configured(width_px: float) -> None:
+    plate = {"parent": "wall", "centre_m": [-0.4, 0.0, 0.0], "size_m": [0.3, 0.3], "grey": 220.0}
+    plain = CLEAN | {"obstacles": [plate], "wall": CLEAN["wall"] | {"contrast_grey": 0.0, "mean_grey": 60.0}}
+    eyes = camera(plain | {"camera": CLEAN["camera"] | {"blur_px": width_px}})
+    view = wall_view(eyes.scene, 1.0)
+    X_WO = eyes.scene.mounts.X_WO
+    (corner,), _ = eyes.project(view.X_WC, (X_WO @ [[-0.55], [0.0], [0.0], [1.0]])[:3].T)
+    column, row = np.rint(corner).astype(int)
+    profile = eyes.render_eye(LEFT, view, 1)[row, column - 12 : column + 13]
+    pixel = 1.0 / 12.0  # variance of the pixel's own width
+    assert spread(profile) / np.sqrt(12.0) == pytest.approx(np.sqrt(width_px**2 + pixel), rel=0.05)
+
+
+def test_a_misprinted_marker_is_as_large_as_it_was_printed() -> None:
+    view = start_view(clean_camera().scene)
+    sides = []
+    for scale_error in (0.0, 0.03):
+        eyes = clean(tool_marker={"print_scale_error": scale_error, "quiet_zone_m": 0.02})
+        corners = refined_corners(
+            eyes.render_eye(LEFT, view, 1), eyes.project_corners(*view)[0][LEFT], 4, 6.0
+        )
+        assert corners is not None
+        sides.append(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))
+    np.testing.assert_allclose(sides[1] / sides[0], 1.03, atol=1e-3)
+
+
+def test_a_turned_right_eye_sees_a_turned_picture() -> None:
+    view = start_view(clean_camera().scene)
+    level, turned = (
+        clean(camera={"rectification": {"right_eye_rotation_deg": [0.0, 0.0, roll_deg]}})
+        for roll_deg in (0.0, 1.0)
+    )
+    found = [
+        refined_corners(eyes.render_eye(RIGHT, view, 1), eyes.project_corners(*view)[3][RIGHT], 4, 6.0)
+        for eyes in (level, turned)
+    ]
+    before, after = found
+    assert before is not None
+    assert after is not None
+    way = [corners[1] - corners[0] for corners in (before, after)]
+    angles = np.degrees([np.arctan2(w[1], w[0]) for w in way])
+    assert angles[1] - angles[0] == pytest.approx(-1.0, abs=0.05)
+    assert np.array_equal(level.render_eye(LEFT, view, 1), turned.render_eye(LEFT, view, 1))
 
 
 def spread(profile: np.ndarray) -> float:
