@@ -172,6 +172,7 @@ async def test_case_38_a_cancel_that_races_with_completion_leaves_exactly_one_en
             final = await rig.ended(location)
             states.add(final["state"])
             assert cancelled.status_code == 409 or cancelled.json()["state"] == final["state"]
+            await asyncio.sleep(0.2)
             await rig.rest()
             assert await rig.ended(location) == final
             assert rig.station.controller.state.group_state is GroupState.STANDBY

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
-from protocol.faults import CommandCode, GroupState
+from protocol.faults import CommandCode
 from protocol.reference_link import (
     FLAG_SETTLED,
     Acknowledgement,
@@ -78,8 +78,8 @@ class SocketArm:
         await self._link.command(CommandCode.STOP)
 
     async def halt(self) -> None:
-        """Stops the arm if it moves."""
-        if self._link.connected and self._link.state.group_state is GroupState.MOVING:
+        """Stops the arm, also where the newest state shows it at rest: a motion may be on its way to it."""
+        if self._link.connected:
             await self.stop()
 
     async def _finished(self, command_id: int) -> ArmView:
