@@ -122,7 +122,9 @@ def parameters(rows: list[JSON]) -> JSON:
     def mean(column: str) -> float:
         return float(np.mean([row[column] for row in good]))
 
-    noise_px = _KNOWN_PX * (mean("pixels_jitter2") / mean("noise_jitter2")) ** 0.5
+    still = mean("exact_jitter2")  # what the camera's true geometry alone makes of a moving camera
+    jitter = max(mean("pixels_jitter2") - still, 0.0) / (mean("noise_jitter2") - still)
+    noise_px = _KNOWN_PX * jitter**0.5
     floor = mean("exact_error2")
     by_noise = (mean("noise_error2") - floor) * (noise_px / _KNOWN_PX) ** 2
     left = max(mean("pixels_error2") - floor - by_noise, 0.0)
