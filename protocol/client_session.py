@@ -1,19 +1,19 @@
 """The vision PC's end of the reference link, without input or output: datagrams and times in, events out."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 
-from protocol.authentication import ChannelKeys, LinkKey
-from protocol.channel import Channel, LinkStatistics, unauthentic
+from protocol.authentication import LinkKey
+from protocol.channel import Channel, LinkStatistics
 from protocol.clock_offset import OffsetEstimate
 from protocol.datagram import Datagram, Header, decode, encode
-from protocol.datagram_layout import VERSION_MINOR
 from protocol.echo_clock import EchoClock
 from protocol.errors import DatagramRefused, RequestRefused
 from protocol.errors import LinkLost as LinkLostError
 from protocol.faults import Reason
+from protocol.greeting import Greeting
+from protocol.open_requests import OpenRequests
 from protocol.reference_messages import (
-    CAPABILITY_AUTHENTICATION,
     CAPABILITY_PATHS,
     CAPABILITY_STREAMING,
     Acknowledgement,
@@ -21,7 +21,6 @@ from protocol.reference_messages import (
     Command,
     Heartbeat,
     HeartbeatReply,
-    Hello,
     Message,
     Request,
     State,
@@ -42,26 +41,14 @@ from protocol.session_events import (
 )
 
 NS_PER_MS = 1_000_000
-HELLO_PERIOD_NS = 100 * NS_PER_MS
-HELLOS_PER_NONCE = 10
 RESEND_CYCLES = 4
 MIN_RESEND_NS = 20 * NS_PER_MS
-# Ids of two runs of a client must differ: the controller's STATE may still name a motion of the run before.
-# 21 bits of the nonce above a 32-bit count keep the id below 2^53, where every JSON reader holds it exactly.
-_RUN_BITS = 21
-_COUNT_BITS = 32
 
 
 class _Phase(Enum):
     CLOSED = "closed"
     CONNECTING = "connecting"
     CONNECTED = "connected"
-
-
-@dataclass(slots=True)
-class _Unanswered:
-    request: Request
-    sent_ns: int
 
 
 class ReferenceClient:
@@ -81,19 +68,12 @@ class ReferenceClient:
         first_sequence: int = 1,
         key: LinkKey | None = None,
     ) -> None:
-        self._key = key
-        self._nonce = nonce % 2**64 or 1
-        self._arm_hash = arm_hash
-        self._state_period_ms = state_period_ms
-        self._capabilities = capabilities | (CAPABILITY_AUTHENTICATION if key else 0)
-        self._next_id = ((nonce % 2**_RUN_BITS) << _COUNT_BITS) + 1
         self._phase = _Phase.CLOSED
-        self._channel = self._greeting_channel(first_sequence)
+        self._greeting = Greeting(nonce, arm_hash, state_period_ms, capabilities, first_sequence, key)
+        self._requests = OpenRequests(nonce)
+        self._channel = self._greeting.channel
         self._welcome: Welcome | None = None
         self._echoes: EchoClock | None = None
-        self._unanswered: dict[int, _Unanswered] = {}
-        self._hellos_sent = 0
-        self._next_hello_ns = 0
         self._outbox: list[tuple[Message, Channel, int]] = []
         self._tally = LinkStatistics()
 
@@ -139,10 +119,10 @@ class ReferenceClient:
 
         A session that is still open is given up, and its unanswered requests with it.
         """
-        self._unanswered.clear()
+        self._requests.give_up()
+        self._welcome = None
         self._phase = _Phase.CONNECTING
-        self._hellos_sent = 0
-        self._begin_attempt()
+        self._greeting.begin(self._channel.next_sequence)
         self._say_hello(now_ns)
 
     def submit(self, request: Request, now_ns: int) -> int:
@@ -156,10 +136,9 @@ class ReferenceClient:
         if needed_capability(request) & ~self._welcome.capabilities:
             what = request.code.name if isinstance(request, Command) else type(request).__name__
             raise RequestRefused("refused.not_negotiated", f"this controller takes no {what}")
-        numbered = request._replace(command_id=self._next_id)
-        encode(numbered, Header(0, 0, now_ns))  # refuses what cannot be sent before it gets an id
-        self._next_id += 1
-        self._unanswered[numbered.command_id] = _Unanswered(numbered, now_ns)
+        numbered = self._requests.numbered(request)
+        encode(numbered, Header(0, 0, now_ns))  # refuses what cannot be sent before it uses an id up
+        self._requests.enter(numbered, now_ns)
         self._send(numbered, now_ns)
         return numbered.command_id
 
@@ -183,7 +162,7 @@ class ReferenceClient:
 
         Read the socket empty first: what waits there is not yet heard.
         """
-        if self._phase is _Phase.CONNECTING and now_ns >= self._next_hello_ns:
+        if self._phase is _Phase.CONNECTING and now_ns >= self._greeting.due_ns:
             self._say_hello(now_ns)
         if self._echoes is None or not self.connected:
             return []
@@ -193,10 +172,8 @@ class ReferenceClient:
         if now_ns >= self._echoes.due_ns:
             self._echoes.schedule_next(now_ns)
             self._send(Heartbeat(now_ns), now_ns)
-        for unanswered in self._unanswered.values():
-            if now_ns - unanswered.sent_ns >= self._resend_ns():
-                unanswered.sent_ns = now_ns
-                self._send(unanswered.request, now_ns)
+        for request in self._requests.due(now_ns, self._resend_ns()):
+            self._send(request, now_ns)
         return []
 
     def next_deadline_ns(self) -> int | None:
@@ -204,8 +181,8 @@ class ReferenceClient:
         if self._phase is _Phase.CLOSED:
             return None
         if self._echoes is None or not self.connected:
-            return self._next_hello_ns
-        resends = [unanswered.sent_ns + self._resend_ns() for unanswered in self._unanswered.values()]
+            return self._greeting.due_ns
+        resends = self._requests.due_ns(self._resend_ns())
         return min(self._echoes.due_ns, self._silent_at_ns() + 1, *resends)
 
     def receive(self, data: bytes, now_ns: int) -> list[ClientEvent]:
@@ -236,38 +213,20 @@ class ReferenceClient:
         self._outbox.clear()
         return datagrams
 
-    def _begin_attempt(self) -> None:
-        self._nonce = (self._nonce + 1) % 2**64 or 1
-        self._channel = self._greeting_channel(self._channel.next_sequence)
-        self._welcome = None
-
-    def _greeting_channel(self, next_sequence: int) -> Channel:
-        keys = ChannelKeys(self._key.of_hello(), self._key.of_hello()) if self._key else None
-        return Channel(0, VERSION_MINOR, next_sequence, keys)
-
     def _say_hello(self, now_ns: int) -> None:
-        # A session that the controller opened and gave up again unheard has used its nonce up.
-        if self._hellos_sent and self._hellos_sent % HELLOS_PER_NONCE == 0:
-            self._begin_attempt()
-        self._hellos_sent += 1
-        self._next_hello_ns = now_ns + HELLO_PERIOD_NS
-        self._send(Hello(self._nonce, self._capabilities, self._arm_hash, self._state_period_ms), now_ns)
+        hello = self._greeting.hello(now_ns)
+        self._channel = self._greeting.channel
+        self._send(hello, now_ns)
 
     def _answered_hello(self, datagram: Datagram, data: bytes, now_ns: int) -> list[ClientEvent]:
         header, welcome = datagram
-        if not isinstance(welcome, Welcome) or welcome.client_nonce != self._nonce:
-            return [self._foreign("session.unknown", f"session {header.session:x} while connecting")]
-        keys = None
-        if self._key:
-            keys = self._key.of_client(self._nonce, header.session, welcome.boot_id)
-        forged = unauthentic(data, header, keys.receives if keys else None, self._tally)
-        if forged:
-            return [forged]
-        if header.minor > VERSION_MINOR:
-            return [self._lost(Reason.INCOMPATIBLE_VERSION)]
-        if self._arm_hash not in (0, welcome.arm_hash):
-            return [self._lost(Reason.WRONG_ARM)]
-        self._channel = Channel(header.session, header.minor, self._channel.next_sequence, keys)
+        answer = self._greeting.answered(header, welcome, data, self._tally)
+        if isinstance(answer, DatagramDropped):
+            return [answer]
+        if isinstance(answer, Reason):
+            return [self._lost(answer)]
+        assert isinstance(welcome, Welcome)
+        self._channel = answer
         self._channel.hear(header, now_ns, None, self._tally)
         self._welcome = welcome
         self._echoes = EchoClock(self._timeout_ns(), now_ns)
@@ -302,17 +261,14 @@ class ReferenceClient:
             return [StateReceived(message)]
         if isinstance(message, StreamRefused):
             return [StreamRefusedReceived(message)]
-        if isinstance(message, Acknowledgement) and message.command_id in self._unanswered:
-            del self._unanswered[message.command_id]
+        if isinstance(message, Acknowledgement) and self._requests.settle(message.command_id):
             return [AcknowledgementReceived(message)]
         return []
 
     def _lost(self, reason: Reason) -> LinkLost:
-        unanswered = tuple(self._unanswered)
-        self._unanswered.clear()
         self._welcome = None
         self._phase = _Phase.CLOSED
-        return LinkLost(reason, unanswered)
+        return LinkLost(reason, self._requests.give_up())
 
     def _foreign(self, cause: str, detail: str) -> DatagramDropped:
         return self._tally.drop(cause, detail)

@@ -12,7 +12,7 @@ from controller.core.group_states import TRANSITIONS, Mode, Stimulus
 from protocol import datagram_layout, process_image, reference_messages
 from protocol.authentication import LinkKey
 from protocol.channel import MAX_GAP_DATAGRAMS, WINDOW_DATAGRAMS
-from protocol.client_session import HELLO_PERIOD_NS, HELLOS_PER_NONCE, MIN_RESEND_NS, RESEND_CYCLES
+from protocol.client_session import MIN_RESEND_NS, RESEND_CYCLES
 from protocol.clock_offset import DISPUTED_TO_RESET, DRIFT_PPM, WINDOW
 from protocol.command_ledger import REMEMBERED
 from protocol.configuration import load
@@ -41,6 +41,7 @@ from protocol.faults import (
     Reason,
     Severity,
 )
+from protocol.greeting import HELLO_PERIOD_NS, HELLOS_PER_NONCE
 from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
 from protocol.reference_link import Bye, Heartbeat, Hello, ReferencePose, Welcome, encode
 from protocol.server_session import REFUSAL_INTERVAL_NS, REMEMBERED_NONCES
