@@ -133,11 +133,16 @@ def hua_fig7(
     seed: Seed = 1,
     plot: Plot = None,
     json_file: JsonFile = None,
+    scheduler: Annotated[str | None, typer.Option(help="A Dask scheduler that is there.")] = None,
+    directory: Annotated[Path, typer.Option("--out", help="Levels; those there are not made again.")] = Path(
+        "runs/hua-fig7"
+    ),
 ) -> None:
     """Error of X against the noise level, every method, with the Cramér-Rao bound."""
     from testbed.hand_eye.experiments import run_noise_sweep
 
-    raise typer.Exit(0 if run_noise_sweep(noise_on, runs, largest, seed, plot, json_file) else 1)
+    passed = run_noise_sweep(noise_on, runs, largest, seed, plot, json_file, directory, scheduler)
+    raise typer.Exit(0 if passed else 1)
 
 
 def hua_intrinsics(

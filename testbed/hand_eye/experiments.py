@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from protocol.errors import RequestRefused
+from protocol.errors import MeasurementFailed, RequestRefused
+from testbed.campaign import run_campaign
 from testbed.console import bars, out
 from testbed.hand_eye import (
     experiment_plots,
@@ -24,11 +25,26 @@ LARGEST_DQCR_DIFFERENCE = 1e-6
 
 
 def run_noise_sweep(
-    noise_on: NoiseOn, runs: int, largest: int, seed: int, plot: Path | None, json_file: Path | None
+    noise_on: NoiseOn,
+    runs: int,
+    largest: int,
+    seed: int,
+    plot: Path | None,
+    json_file: Path | None,
+    directory: Path,
+    scheduler: str | None = None,
 ) -> bool:
-    """Whether the sweep (Fig. 7) came out as wanted."""
-    with bars() as shown, shown.step(f"noise on {noise_on}") as bar:
-        sweep = noise_sweep.noise_sweep(noise_on, runs, range(1, largest + 1), seed, progress=bar.update)
+    """Whether the sweep (Fig. 7) came out as wanted; levels that ``directory`` holds are not made again.
+
+    Raises MeasurementFailed with the cause of the first level that could not be made.
+    """
+    asked = {"noise_on": noise_on.value, "runs": runs, "seed": seed}
+    tasks = [{"key": f"{noise_on}-{runs}-{seed}-{d}", "level": d} | asked for d in range(1, largest + 1)]
+    title = f"noise on {noise_on}"
+    levels = run_campaign(directory, noise_sweep.level_of, tasks, scheduler=scheduler, title=title)
+    if failed := next((level["failure"] for level in levels if level["failure"]), None):
+        raise MeasurementFailed("measurement.level_failed", f"{title}: {failed}")
+    sweep = noise_sweep.gathered(levels)
     for level in sorted({1, largest}):
         out.print(experiment_tables.sweep_table(sweep.rows, level))
     checks = _sweep_checks(sweep, noise_on, runs)

@@ -5,10 +5,10 @@ writes "the camera motion"; absolute poses of camera or robot are what a real se
 """
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,7 +34,6 @@ MOTION_METHODS = (
     Method.JOINT,
     Method.MAXIMUM_LIKELIHOOD,
 )
-Progress = Callable[[float, str], None]
 
 
 class NoiseOn(StrEnum):
@@ -89,15 +88,23 @@ class Sweep:
         return {"rows": [asdict(row) for row in self.rows], "dqcr_largest_difference": self.dqcr_difference}
 
 
+@dataclass
 class _Tally:
-    """Errors of one method over the runs of a level."""
+    """Errors (6,) of one method over the runs of a level, and what else was told of them."""
 
-    def __init__(self) -> None:
-        self.errors: list[Array] = []
-        self.nees: list[float] = []
-        self.eigenvalues: list[float] = []
-        self.failed = 0
-        self.dropped = 0
+    errors: list[Any] = field(default_factory=list)
+    nees: list[float] = field(default_factory=list)
+    eigenvalues: list[float] = field(default_factory=list)
+    failed: int = 0
+    dropped: int = 0
+
+    def add(self, other: "_Tally") -> None:
+        """The other's runs too."""
+        self.errors += other.errors
+        self.nees += other.nees
+        self.eigenvalues += other.eigenvalues
+        self.failed += other.failed
+        self.dropped += other.dropped
 
     def row(self, noise_on: NoiseOn, level: int, method: str, bound: scenes.Bound) -> SweepRow:
         E = np.array(self.errors).reshape(-1, 6)
@@ -127,28 +134,83 @@ def noise_sweep(
     seed: int = 1,
     only: Iterable[Method] | None = None,
     scene: Scene | None = None,
-    progress: Progress | None = None,
 ) -> Sweep:
     """Errors of every method, or ``only`` some, at each level over ``runs`` seeded runs."""
     scene = scene or scenes.table_1_scene()
-    levels = tuple(levels)
     chosen = tuple(only) if only is not None else tuple(Method)
-    rows: list[SweepRow] = []
+    blocks = [(level, _block(scene, noise_on, level, range(runs), seed, chosen)) for level in levels]
+    return _gathered(scene, noise_on, blocks)
+
+
+class Block(NamedTuple):
+    """Some runs at one level: tallies by method, and the largest difference between the two forms of DQCR."""
+
+    tallies: dict[str, "_Tally"]
+    difference: float
+
+
+def block_row(task: dict[str, Any]) -> dict[str, Any]:
+    """A campaign's row: ``count`` runs from ``first`` on at one ``level`` with noise on ``noise_on``."""
+    runs = range(int(task["first"]), int(task["first"]) + int(task["count"]))
+    noise_on = NoiseOn(task["noise_on"])
+    block = _block(scenes.table_1_scene(), noise_on, int(task["level"]), runs, int(task["seed"]), tuple(Method))
+    return {
+        "level": task["level"],
+        "difference": block.difference,
+        "tallies": {name: vars(tally) for name, tally in block.tallies.items()},
+    }
+
+
+def sweep_of(noise_on: NoiseOn, rows: Iterable[dict[str, Any]]) -> Sweep:
+    """The sweep that the rows of ``block_row`` amount to."""
+    blocks = [
+        (
+            int(row["level"]),
+            Block({name: _Tally(**kept) for name, kept in row["tallies"].items()}, float(row["difference"])),
+        )
+        for row in rows
+    ]
+    return _gathered(scenes.table_1_scene(), noise_on, blocks)
+
+
+def _block(
+    scene: Scene, noise_on: NoiseOn, level: int, runs: range, seed: int, chosen: tuple[Method, ...]
+) -> Block:
+    n = scenes.noise(ROTATION_DEG * level, TRANSLATION_MM * level, noise_on is NoiseOn.ROBOT_POSES)
+    tallies: dict[str, _Tally] = {}
     difference = 0.0
-    for position, level in enumerate(levels):
+    for run in runs:
+        found = _run(scene, n, noise_on, np.random.default_rng([seed, level, run]), chosen, tallies)
+        if Method.DQCR in found and Method.DQCR_PUBLISHED in found:
+            gap = np.abs(found[Method.DQCR] - found[Method.DQCR_PUBLISHED]).max()
+            difference = max(difference, float(gap))
+    return Block(tallies, difference)
+
+
+def _gathered(scene: Scene, noise_on: NoiseOn, blocks: list[tuple[int, Block]]) -> Sweep:
+    rows: list[SweepRow] = []
+    for level in dict.fromkeys(level for level, _ in blocks):
         n = scenes.noise(ROTATION_DEG * level, TRANSLATION_MM * level, noise_on is NoiseOn.ROBOT_POSES)
         bound = scenes.bound(scene, n, noise_on is NoiseOn.CAMERA_MOTIONS)
         tallies: dict[str, _Tally] = {}
-        for run in range(runs):
-            rng = np.random.default_rng([seed, level, run])
-            found = _run(scene, n, noise_on, rng, chosen, tallies)
-            if Method.DQCR in found and Method.DQCR_PUBLISHED in found:
-                gap = np.abs(found[Method.DQCR] - found[Method.DQCR_PUBLISHED]).max()
-                difference = max(difference, float(gap))
-            if progress is not None:
-                progress((position * runs + run + 1) / (len(levels) * runs), f"d = {level}")
+        for of_level, block in blocks:
+            if of_level == level:
+                for name, tally in block.tallies.items():
+                    tallies.setdefault(name, _Tally()).add(tally)
         rows += [tally.row(noise_on, level, name, bound) for name, tally in tallies.items()]
-    return Sweep(tuple(rows), difference)
+    return Sweep(tuple(rows), max((block.difference for _, block in blocks), default=0.0))
+
+
+def level_of(task: dict[str, Any]) -> dict[str, Any]:
+    """One level as the run of a campaign: ``rows``, and ``dqcr_largest_difference``."""
+    return noise_sweep(NoiseOn(task["noise_on"]), task["runs"], [task["level"]], task["seed"]).as_json()
+
+
+def gathered(levels: Iterable[dict[str, Any]]) -> Sweep:
+    """The sweep whose levels a campaign has made."""
+    levels = tuple(levels)
+    rows = tuple(SweepRow(**row) for level in levels for row in level["rows"])
+    return Sweep(rows, max(level["dqcr_largest_difference"] for level in levels))
 
 
 def _run(

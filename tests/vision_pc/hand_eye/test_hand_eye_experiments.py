@@ -13,7 +13,8 @@ from protocol.errors import MeasurementFailed, RequestRefused
 from testbed.hand_eye import experiments, localisation, scenes, stress
 from testbed.hand_eye.boards import BoardCamera, BoardRenderer, random_board_pose
 from testbed.hand_eye.cli import app, register_experiments
-from testbed.hand_eye.noise_sweep import NoiseOn, noise_sweep
+from testbed.hand_eye.noise_sweep import NoiseOn, gathered, level_of, noise_sweep
+from testbed.row_file import RowFile
 from tests.vision_pc.hand_eye.data import random_scene
 from vision_pc.core.hand_eye.methods import Method
 from vision_pc.core.se3 import Array
@@ -39,6 +40,13 @@ def test_small_sweep_reaches_the_bound_and_repeats() -> None:
     assert rows["robust"].rotation_deg < 0.4 * rows["dqcr"].rotation_deg
     assert rows["robust"].rotation_over_bound < 1.6
     assert noise_sweep(runs=6, levels=[10], only=chosen) == sweep
+
+
+def test_levels_of_a_campaign_make_the_same_sweep(tmp_path: Path) -> None:
+    asked = {"noise_on": "camera-motions", "runs": 2, "seed": 1}
+    file = RowFile(tmp_path / "rows.csv")
+    levels = [file.append(level_of(asked | {"level": level})) for level in (1, 2)]
+    assert gathered(levels) == noise_sweep(NoiseOn.CAMERA_MOTIONS, 2, (1, 2), 1)
 
 
 @pytest.mark.parametrize("noise_on", [NoiseOn.ROBOT_POSES, NoiseOn.CAMERA_MOTIONS])
@@ -154,6 +162,7 @@ def test_intrinsics_of_pictures(tmp_path: Path) -> None:
 def test_experiment_draws_and_writes(tmp_path: Path) -> None:
     plot, report = tmp_path / "fig7.png", tmp_path / "fig7.json"
     options = ["--runs", "1", "--largest", "2", "--plot", str(plot), "--json", str(report)]
+    options += ["--out", str(tmp_path)]
     result = CliRunner().invoke(command(), ["experiment", "hua-fig7", *options])
     assert result.exit_code == 0, result.output
     assert cv2.imread(str(plot)) is not None
@@ -165,7 +174,8 @@ def test_experiment_draws_and_writes(tmp_path: Path) -> None:
 @pytest.mark.experiment
 @pytest.mark.parametrize("noise_on", list(NoiseOn))
 def test_noise_sweep_in_full(noise_on: NoiseOn, tmp_path: Path) -> None:
-    assert experiments.run_noise_sweep(noise_on, 200, 10, 1, tmp_path / "fig7.png", tmp_path / "fig7.json")
+    files = (tmp_path / "fig7.png", tmp_path / "fig7.json")
+    assert experiments.run_noise_sweep(noise_on, 200, 10, 1, *files, tmp_path)
 
 
 @pytest.mark.experiment
