@@ -12,6 +12,7 @@ from testbed.conformance.command import app as conformance
 from testbed.console import err
 from testbed.dissector.command import sniff
 from testbed.experiments.commands import add_to
+from testbed.experiments.vision_commands import register_experiments as register_vision_experiments
 from testbed.fault_proxy.command import proxy
 from testbed.hand_eye.cli import app as hand_eye
 from testbed.hand_eye.cli import register_experiments
@@ -34,6 +35,7 @@ app.add_typer(experiment, name="experiment")
 add_to(experiment)
 
 register_experiments(experiment)
+register_vision_experiments(experiment)
 
 app.add_typer(conformance, name="conformance")
 app.add_typer(hand_eye, name="hand-eye")
@@ -288,7 +290,7 @@ def plant_survey_command(
     json_file: JsonFile = None,
 ) -> None:
     """Sag, play, static error and free vibration of both arms over the workspace, beside stated figures."""
-    from testbed.validation.plant_survey import run_survey
+    from testbed.validation.plant_survey_report import run_survey
 
     run_survey(config_dir, directory, json_file)
 

@@ -47,6 +47,29 @@ def register_experiments(experiment: typer.Typer) -> None:
     experiment.command("best-mode", epilog="Example: longreach experiment best-mode --runs 200 --eyes model")(
         best_mode
     )
+    experiment.command(
+        "looking-and-moving", epilog="Example: longreach experiment looking-and-moving --runs 60"
+    )(looking_and_moving)
+
+
+def looking_and_moving(
+    count: Count = 60,
+    seed: Seed = 1,
+    harder: Harder = False,
+    arm: Annotated[Arm, typer.Option(help="Which arm runs; both: in turn.")] = Arm.PLANT,
+    eyes: ChosenEyes = Eyes.MODEL,
+    config_dir: ConfigDir = CONFIG,
+    settings: Settings = None,
+    directory: Directory = Path("runs/looking-and-moving"),
+    scheduler: Scheduler = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Closed loop at camera rate beside look-then-move; exit status 0 when it ends under 2 mm in 95 %."""
+    from testbed.experiments.best_mode import tasks_of
+    from testbed.experiments.looking_and_moving import run_experiment
+
+    tasks = tasks_of(seed, count, arm, harder, eyes, settings or [])
+    raise typer.Exit(0 if run_experiment(config_dir, tasks, directory, scheduler, json_file) else 1)
 
 
 def measure(
