@@ -3,9 +3,10 @@
 Mäkinen et al. 2023 name closed-loop visual control as possible with an uninterrupted view; this is it. Every
 picture gives the error (21) at the instant of its exposure, the local map's rotation turns it into the base
 (20), and the pose that the controller had at that instant makes it a target (22). The arm follows the
-filtered target as a stream of references that runs at most ``lead_m`` ahead. An error that stays, as the
-joint servo leaves one, is integrated once the tool is near. What the loop may do to the reference with one
-picture is bounded; without a fresh sight of both it stops.
+filtered target as a stream of references that runs at most ``lead_m`` ahead. The error that the joint servo
+leaves is added to the reference once the tool has come to rest, and only then: an integral that went on
+while play and stiction hold the tool would hunt. What the loop may do to the reference with one picture is
+bounded; without a fresh sight of both it stops.
 """
 
 import math
@@ -50,6 +51,7 @@ class Loop:
         self._target: Array | None = None
         self._pull = np.zeros(3)
         self._errors: deque[Array] = deque(maxlen=settings.settle_pictures)
+        self._left: deque[Array] = deque(maxlen=settings.settle_pictures)
 
     @property
     def errors(self) -> Array:
@@ -68,9 +70,13 @@ class Loop:
             self._target = measured
         else:
             self._target = self._target + _bounded(s.gain * (measured - self._target), s.step_m)
-        if np.linalg.norm(left) < s.near_m:
-            self._pull = _bounded(self._pull + _bounded(s.integral_gain * left, s.step_m), s.pull_m)
         self._errors.append(c_delta)
+        self._left.append(left)
+        if self._still and not self.settled:
+            rest = np.mean(self._left, axis=0)
+            self._pull = _bounded(self._pull + _bounded(s.pull_gain * rest, s.step_m), s.pull_m)
+            self._errors.clear()
+            self._left.clear()
 
     def reference(self, X_BT_cmd: Array) -> Array:
         """X_BT_ref: the target, no farther than ``lead_m`` from the pose that is commanded at present."""
@@ -81,13 +87,20 @@ class Loop:
     @property
     def settled(self) -> bool:
         """Whether the last pictures agree that the tool is there, and that it rests."""
+        if not self._still:
+            return False
+        mean = np.abs(self.errors.mean(axis=0))
+        return bool(max(mean[:2]) <= self._settings.settle_m and mean[2] <= self._settings.settle_depth_m)
+
+    @property
+    def _still(self) -> bool:
+        """Whether the tool rests, at the object or not."""
         if len(self._errors) < self._settings.settle_pictures:
             return False
-        errors = self.errors
-        inside = np.abs(errors.mean(axis=0)[:2]).max() <= self._settings.settle_m
-        moved = np.linalg.norm(errors[-3:].mean(axis=0) - errors[:3].mean(axis=0))
-        depth = abs(float(errors[:, 2].mean())) <= self._settings.settle_depth_m
-        return bool(inside and depth and moved <= self._settings.still_m)
+        errors, part = self.errors, self._settings.settle_pictures // 3
+        moved = float(np.linalg.norm(errors[-part:].mean(axis=0) - errors[:part].mean(axis=0)))
+        spread = float(errors[:, :2].std(axis=0).max())
+        return max(moved, spread) <= self._settings.still_m
 
 
 async def look_and_move(

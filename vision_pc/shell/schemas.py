@@ -95,7 +95,7 @@ class LookingAndMovingBody(Body):
     """Looking and moving: closed loop at camera rate. Settings left out are as configured."""
 
     gain: float | None = Field(None, gt=0.0, le=1.0, examples=[0.5])
-    integral_gain: float | None = Field(None, ge=0.0, le=0.5)
+    pull_gain: float | None = Field(None, ge=0.0, le=1.0)
     clearance_m: float | None = Field(None, ge=0.0, le=1.0, examples=[0.1])
     settle_mm: float | None = Field(None, gt=0.0, le=50.0, examples=[1.0])
     timeout_s: float | None = Field(None, gt=0.0, le=600.0)

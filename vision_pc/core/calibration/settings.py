@@ -128,17 +128,16 @@ class PositioningSettings(StrictModel):
 class LookingAndMovingSettings(StrictModel):
     """Looking and moving: closed loop at camera rate.
 
-    ``gain``: share of a picture's news that the target takes; ``integral_gain``: share of the error that is
-    added to the pull for every picture within ``near_m``; one picture moves either by ``step_m`` at most,
-    and the pull stays inside ``pull_m``. ``feed_s``: time between references, shorter than the controller's
-    silence limit. Settled: over ``settle_pictures`` the mean error is inside ``settle_m`` in x and y and
-    ``settle_depth_m`` in z, and changed by less than ``still_m``.
+    ``gain``: share of a picture's news that the target takes; ``pull_gain``: share of the remaining error
+    that is added to the pull whenever the tool rests; one picture moves either by ``step_m`` at most, and
+    the pull stays inside ``pull_m``. ``feed_s``: time between references, shorter than the controller's
+    silence limit. At rest: over ``settle_pictures`` the error spread and changed by less than ``still_m``;
+    settled: its mean is also inside ``settle_m`` in x and y and ``settle_depth_m`` in z.
     """
 
     gain: float = Field(gt=0.0, le=1.0)
-    integral_gain: float = Field(ge=0.0, le=0.5)
+    pull_gain: float = Field(ge=0.0, le=1.0)
     step_m: float = Field(gt=0.0, le=0.5)
-    near_m: float = Field(gt=0.0, le=0.2)
     pull_m: float = Field(ge=0.0, le=0.05)
     lead_m: float = Field(gt=0.0, le=0.4)
     feed_s: float = Field(ge=0.005, le=0.06)
