@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+from protocol.datagram_layout import FLAG_AUTHENTICATED
 from protocol.errors import DatagramRefused
 from protocol.reference_link import decode
 from testbed.conformance.case import Outcome
@@ -88,7 +89,8 @@ def _datagram(data: bytes) -> str:
         header, message = decode(data)
     except DatagramRefused as error:
         return error.cause
-    return f"{type(message).__name__} sequence {header.sequence} session {header.session:x}"
+    signed = " signed" if header.flags & FLAG_AUTHENTICATED else ""
+    return f"{type(message).__name__} sequence {header.sequence} session {header.session:x}{signed}"
 
 
 def _modbus(data: bytes) -> str:

@@ -10,16 +10,19 @@ import pytest
 from typer.testing import CliRunner
 
 from protocol.errors import ConfigurationError
+from protocol.reference_link import CAPABILITY_PATHS
+from protocol.reference_session import ReferenceServer
 from testbed.conformance.case import Outcome, Register
 from testbed.conformance.command import app
 from testbed.conformance.records import write_records
 from testbed.conformance.runner import Summary, reference_cases, run_reference
-from tests.conformance.controllers import ThreadedController
+from tests.conformance.controllers import LINK_TIMEOUT_MS, ThreadedController
 from tests.conformance.mutants import MUTANTS, Mutant
+from tests.conformance.stream_mutants import STREAM_MUTANTS
 
 PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
 # These drive the obedient plant for seconds, or wait for timeouts again and again.
-SLOW = {527, 529, 532}
+SLOW = {527, 529, 532, 611}
 CONTROL = 101
 # Cases about authentication; test_key_suite asks them.
 WITH_A_KEY = set(range(701, 722))
@@ -49,7 +52,7 @@ def test_a_sound_controller_passes_the_slow_cases() -> None:
     assert failures(summary) == []
 
 
-@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda m: f"{m.make.__name__}-{m.case}")
+@pytest.mark.parametrize("mutant", [*MUTANTS, *STREAM_MUTANTS], ids=lambda m: f"{m.make.__name__}-{m.case}")
 def test_each_broken_controller_is_caught_by_the_case_meant_for_it(mutant: Mutant) -> None:
     with mutant.make() as controller:
         summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, mutant.case], motion=True)
@@ -65,6 +68,27 @@ def test_every_case_cites_a_clause_that_is_written() -> None:
     assert len(reference_cases()) >= 120
 
 
+# Why no case asks for them; the others are asked for.
+NOT_ASKED = {
+    **dict.fromkeys(
+        ("1.1", "1.2", "1.3", "1.4", "1.6", "3.8", "3.9", "7.1", "7.2", "7.6"), "every case rests on it"
+    ),
+    **dict.fromkeys(("2.1", "2.2", "3.3", "9.1", "9.2", "11.1", "11.4"), "without it no case gets an answer"),
+    **dict.fromkeys(("2.4", "5.6"), "shows in what 5.3 and 5.5 ask for, or on the client's side"),
+    **dict.fromkeys(("4.8", "4.10", "8.1"), "binds the client"),
+    **dict.fromkeys(("6.11", "7.8"), "asked with each refusal, and with each motion"),
+    "11.11": "says what is not promised",
+}
+
+
+def test_every_clause_of_the_link_is_asked_for_or_it_is_said_why_not() -> None:
+    written = set(re.findall(r"^\*\*(\d+\.\d+)\*\*", PAGE.read_text(), re.MULTILINE))
+    of_the_link = {clause for clause in written if not clause.startswith("10.")}  # 10 is the process image's
+    asked = {case.clause for case in reference_cases()}
+    assert not asked & set(NOT_ASKED)
+    assert of_the_link - set(NOT_ASKED) <= asked
+
+
 def test_motion_is_unsupported_unless_it_is_allowed() -> None:
     with ThreadedController() as controller:
         summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 521])
@@ -77,6 +101,19 @@ def test_a_controller_that_cannot_be_enabled_is_unsupported_and_not_failed() -> 
         controller.bench.status = 0
         summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 521], motion=True)
     assert [result.outcome for result in summary.results] == [Outcome.PASS, Outcome.UNSUPPORTED]
+
+
+def test_a_controller_that_does_not_stream_is_unsupported_and_not_failed() -> None:
+    class Streamless(ThreadedController):
+        def make_server(self) -> ReferenceServer:
+            return ReferenceServer(
+                77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, capabilities=CAPABILITY_PATHS
+            )
+
+    numbers = [CONTROL, *range(601, 617)]
+    with Streamless() as controller:
+        summary = run_reference("127.0.0.1", controller.port, numbers=numbers, motion=True)
+    assert [r.outcome for r in summary.results] == [Outcome.PASS] + [Outcome.UNSUPPORTED] * 16
 
 
 def test_nobody_there_is_a_failure_with_its_reason() -> None:
