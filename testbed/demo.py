@@ -1,12 +1,12 @@
 """`longreach demo`: the whole loop in real time over the REST face, judged by the plant's recording."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from plant_emulator.shell.recording import read_truth
+from plant_emulator.shell.recording import FaultRecord, read_truth
 from protocol.errors import LongreachError
 from testbed.console import Bars, bars
 from testbed.launch import PLANT, VISION, Launch, prepare
@@ -17,7 +17,7 @@ from testbed.rest_rig import RestRig, StateSampler
 from testbed.sequence import JSON, Recorder, Rest, TimedTruth, View, demonstrate, stages, traces
 from testbed.settings import Overrides
 from testbed.supervisor import Supervisor, supervised
-from testbed.up import end_on_sigterm
+from testbed.up import end_on_sigterm, show_fault_face
 
 _HEALTHY_S = 60.0
 
@@ -47,8 +47,11 @@ def run_demo(
     end_on_sigterm()
     launch = prepare(config_dir, overrides, run_directory(runs), any_ports=any_ports)
     with bars() as shown, started(launch, shown) as supervisor:
+        show_fault_face(launch)
         driven = drive(launch, choice, shown, supervisor)
-    truths = recorded_truth(launch)
+    recording = read_truth(launch.records(PLANT) / "truth.mcap")
+    # On one machine the plant's monotonic clock is vision's too.
+    truths = [TimedTruth(record.log_ns, record.truth) for record in recording.truths]
     clearance_m = launch.settings.vision.programs.positioning.clearance_m
     outcome = Outcome(
         mode="real time",
@@ -58,7 +61,7 @@ def run_demo(
         stages=stages(driven.rests, truths, clearance_m),
         wall_s=time.monotonic() - began,
         simulated_s=1e-9 * (truths[-1].time_ns - truths[0].time_ns),
-        details=_details(launch, driven),
+        details=_details(launch, driven, recording.faults),
     )
     curves = traces(truths, driven.views, clearance_m)
     pictures = [rest.picture for rest in driven.rests]
@@ -97,16 +100,12 @@ def drive(launch: Launch, choice: Choice, shown: Bars, supervisor: Supervisor) -
     return Driven(recorder.rests, sampler.views, sampler.cycle, failure)
 
 
-def recorded_truth(launch: Launch) -> list[TimedTruth]:
-    """The plant's recording; on one machine its monotonic clock is vision's too."""
-    recording = read_truth(launch.records(PLANT) / "truth.mcap")
-    return [TimedTruth(record.log_ns, record.truth) for record in recording.truths]
-
-
-def _details(launch: Launch, driven: Driven) -> dict[str, Any]:
+def _details(launch: Launch, driven: Driven, faults: Sequence[FaultRecord]) -> dict[str, Any]:
     details: dict[str, Any] = {"directory": launch.directory}
     if driven.failure is not None:
         details["failure"] = f"{driven.failure.cause}: {driven.failure}"
     if driven.cycle is not None:
         details["controller_cycle"] = driven.cycle
+    if faults:
+        details["faults"] = [fault._asdict() for fault in faults]
     return details

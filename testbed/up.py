@@ -33,10 +33,15 @@ def show(launch: Launch, supervisor: Supervisor) -> None:
         for name, child in supervisor.children.items()
     ]
     out.print(table("running", ("service", "process", "scheduling", "log"), rows))
+    show_fault_face(launch)
+    out.print(f"REST face: {launch.rest_url}/docs   end with Ctrl-C", highlight=False)
+
+
+def show_fault_face(launch: Launch) -> None:
+    """Nothing; prints where things can be broken, if they can."""
     face = launch.settings.plant_service.fault_face
     if face.allowed:
         out.print(f"faults: http://{face.host}:{face.port}/docs", highlight=False)
-    out.print(f"REST face: {launch.rest_url}/docs   end with Ctrl-C", highlight=False)
 
 
 def end_on_sigterm() -> None:
