@@ -47,7 +47,7 @@ from protocol.reference_link import Bye, Heartbeat, Hello, ReferencePose, Welcom
 from protocol.server_session import REFUSAL_INTERVAL_NS, REMEMBERED_NONCES
 from tests.protocol.samples import HEADER as HEADER_SAMPLE
 from tests.protocol.samples import MESSAGES
-from tests.protocol.session_tables import CLIENT_ROWS, SERVER_ROWS, Row
+from tests.protocol.session_tables import CLIENT_ROWS, KEY_SERVER_ROWS, SERVER_ROWS, Row
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "protocol.md"
@@ -311,6 +311,7 @@ SECTIONS: dict[str, Callable[[], str]] = {
             "AUTHENTICATED": "critical: a trailer with a tag follows the payload (clause 11)",
         },
     ),
+    "key states": lambda: session_table(KEY_SERVER_ROWS),
     "trailer": lambda: datagram_table(TRAILER),
     "keys": lambda: table("key | label | context | signs", KEY_ROWS),
     "signed golden": lambda: listing({name: data.hex() for name, data in signed_golden().items()}),

@@ -54,3 +54,19 @@ CLIENT_ROWS = (
     Row("CONNECTED", "silence for more than link_timeout_ms", "CLOSED", "BYE LINK_TIMEOUT"),
     Row("CONNECTED", "asked to disconnect", "CLOSED", "BYE SHUTDOWN"),
 )
+
+# What differs at the controller's end where a key is configured.
+KEY_SERVER_ROWS = (
+    Row("CLOSED", "HELLO, signed", "CLOSED", "WELCOME"),
+    Row("CLOSED", "HELLO, not signed", "CLOSED", "BYE NOT_AUTHENTICATED"),
+    Row("CLOSED", "HELLO, signed with another key", "CLOSED", "BYE UNKNOWN_KEY"),
+    Row("CLOSED", "HELLO, with a wrong tag", "CLOSED", "BYE BAD_TAG"),
+    Row("CLOSED", "first HEARTBEAT under the keys of WELCOME", "OPEN", "HEARTBEAT_REPLY"),
+    Row("CLOSED", "first HEARTBEAT later than link_timeout_ms", "CLOSED", "BYE UNKNOWN_SESSION"),
+    Row("OPEN", "HELLO, signed, same source, new nonce", "OPEN", "WELCOME"),
+    Row("OPEN", "first HEARTBEAT under the keys of that WELCOME", "OPEN, new session", "HEARTBEAT_REPLY"),
+    Row("OPEN", "datagram not signed, of another key or with a wrong tag", "OPEN", "–"),
+    Row("OPEN", "replay, or number behind the window", "OPEN", "–"),
+    Row("OPEN", "BYE not signed", "OPEN", "–"),
+    Row("OPEN", "BYE", "CLOSED", "–"),
+)
