@@ -27,6 +27,7 @@ from protocol.errors import RequestRefused
 
 LONGEST_S = 3600.0
 _DRAIN_S = 1  # for answers under way at the end
+_SHOWN = 80  # characters of a value that is refused
 _PROBLEM = "application/problem+json"
 _STATUS_OF_CAUSE = {
     "refused.faults_not_allowed": HTTPStatus.FORBIDDEN,
@@ -177,8 +178,9 @@ def _install_problems(app: FastAPI) -> None:
             cause = "refused.fault_parameter"
         elif first["type"].startswith("union_tag"):
             cause = "refused.unknown_fault"
-        status = HTTPStatus.UNPROCESSABLE_ENTITY
-        return _problem(request, status, cause, f"{'.'.join(place)}: {first['msg']}")
+        value = "" if first["type"] == "missing" else f" = {first['input']!r}"[:_SHOWN]
+        detail = f"{'.'.join(place)}{value}: {first['msg']}"
+        return _problem(request, HTTPStatus.UNPROCESSABLE_ENTITY, cause, detail)
 
     @app.exception_handler(HTTPException)
     async def http_error(request: Request, error: HTTPException) -> JSONResponse:

@@ -1,29 +1,21 @@
-"""docs/recording.md says what the code does: channels, fields and shapes, faults and parameters."""
+"""docs/recording.md says what the code does: channels, fields and their shapes."""
 
 import contextlib
 import io
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from plant_emulator.core.faults import FAULTS, SupplyLost
+from plant_emulator.core.faults import SupplyLost
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth
 from plant_emulator.shell.recording import CAPTURE, EVENT, FAULT, TRUTH, TruthRecorder
+from tests.plant_emulator.pages import page, rows
 from tests.plant_emulator.plant_world import Driver, plant_config
 
-PAGE = (Path(__file__).parents[2] / "docs" / "recording.md").read_text(encoding="utf-8")
-
-
-def rows(first_column: str) -> dict[str, list[str]]:
-    """The table whose first column has this heading: its first cell, bare, → the other cells."""
-    _, _, after = PAGE.partition(f"| {first_column} |")
-    table = after[after.index("\n") :].lstrip("\n").split("\n\n")[0].splitlines()[1:]
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
-    return {row[0].strip("`"): row[1:] for row in cells}
+PAGE = page("recording.md")
 
 
 @pytest.fixture
@@ -45,7 +37,7 @@ def recording(tmp_path: Path) -> Path:
 
 
 def test_every_field_of_the_truth_is_there_with_its_shape() -> None:
-    table = rows("field | shape")
+    table = rows(PAGE, "field | shape")
     assert tuple(table) == PlantTruth._fields
     truth = Plant(plant_config(), seed=1).truth()
     for name, (shape, *_) in table.items():
@@ -57,7 +49,7 @@ def test_every_field_of_the_truth_is_there_with_its_shape() -> None:
 
 
 def test_every_channel_is_there_with_its_schema(recording: Path) -> None:
-    table = rows("channel")
+    table = rows(PAGE, "channel")
     assert set(table) == {TRUTH, CAPTURE, FAULT, EVENT}
     with recording.open("rb") as stream:
         reader = make_reader(stream)
@@ -70,21 +62,7 @@ def test_every_channel_is_there_with_its_schema(recording: Path) -> None:
 def test_every_field_of_a_fault_is_there() -> None:
     plant = Plant(plant_config(), seed=1)
     plant.inject(SupplyLost())
-    assert set(rows("field | unit")) == set(plant.faults.changes[0].as_dict())
-
-
-def test_every_kind_of_fault_is_there_with_all_its_parameters() -> None:
-    table = rows("kind")
-    assert list(table) == list(FAULTS)
-    for kind, (parameters, _) in table.items():
-        named = re.findall(r"`(\w+)`(?:\s*\(([^)]*)\))?", re.sub(r"`advance` or `hold`", "", parameters))
-        fields = {name for name in FAULTS[kind].model_fields if name != "kind"}
-        assert {name for name, _ in named} == fields, kind
-        for name, default in named:
-            if default:
-                value = FAULTS[kind].model_fields[name].default
-                shown = f"{value:g}" if type(value) in (int, float) else str(value).lower()
-                assert default == shown, (kind, name)
+    assert set(rows(PAGE, "field | unit")) == set(plant.faults.changes[0].as_dict())
 
 
 def test_the_ten_lines_run(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
