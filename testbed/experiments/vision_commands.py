@@ -47,9 +47,23 @@ def register_experiments(experiment: typer.Typer) -> None:
     experiment.command("best-mode", epilog="Example: longreach experiment best-mode --runs 200 --eyes model")(
         best_mode
     )
+    experiment.command("path-information", epilog="Example: longreach experiment path-information")(
+        path_information
+    )
     experiment.command(
         "looking-and-moving", epilog="Example: longreach experiment looking-and-moving --runs 60"
     )(looking_and_moving)
+
+
+def path_information(
+    arm: Annotated[Arm, typer.Option(help="Whose start pose and shape.")] = Arm.PLANT,
+    config_dir: ConfigDir = CONFIG,
+    json_file: JsonFile = None,
+) -> None:
+    """What each candidate calibration path leaves unknown of a goal, from its information matrix."""
+    from testbed.experiments.path_information import run_experiment
+
+    raise typer.Exit(0 if run_experiment(config_dir, arm, json_file) else 1)
 
 
 def looking_and_moving(

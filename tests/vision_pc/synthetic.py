@@ -171,6 +171,7 @@ class SyntheticStream:
         rig = self.rig
         X = forward(rig.q)
         way = np.zeros(6) if not self.sent else local(X, self.sent[-1])
+        way[:3] += rig.hangs
         way *= min(1.0, period_s / 0.3, rig.speed * period_s / max(float(np.linalg.norm(way[:3])), 1e-12))
         rig.advance(inverse_kinematics(retract(X, way), rig.q))
 
@@ -190,6 +191,7 @@ class SyntheticRig:
         self.lose_odometry_after: int | None = None
         self.blind_after = self.freeze_after = self.silent_after = math.inf  # pictures of a watch
         self.stream: SyntheticStream | None = None
+        self.hangs = np.zeros(3)  # how far beside a streamed reference the servo leaves the arm
         self.stopped = 0
 
     # what really is

@@ -56,6 +56,16 @@ async def test_a_calibration_off_by_20_degrees_still_settles() -> None:
     assert np.abs(arm.true_error(CLEARANCE)[:2]).max() < 0.002
 
 
+async def test_what_the_servo_leaves_is_pulled_in() -> None:
+    arm = rig(2)
+    R_TC = await calibrated(arm)
+    arm.hangs = np.array([0.002, -0.003, 0.002])
+    with pytest.raises(MeasurementFailed, match="off after"):
+        await approached(arm, R_TC, pull_gain=0.0, timeout_s=20.0)
+    result = await approached(arm, R_TC)
+    assert np.abs(result.error_m[:2]).max() <= SETTINGS.settle_m
+
+
 async def test_the_orientation_is_held() -> None:
     arm = rig(4)
     R_TC = await calibrated(arm)

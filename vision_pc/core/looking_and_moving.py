@@ -50,12 +50,13 @@ class Loop:
         self._settings = settings
         self._target: Array | None = None
         self._pull = np.zeros(3)
+        self.newest = np.zeros(3)  # error (3,) in camera axes that the last picture showed
         self._errors: deque[Array] = deque(maxlen=settings.settle_pictures)
         self._left: deque[Array] = deque(maxlen=settings.settle_pictures)
 
     @property
     def errors(self) -> Array:
-        """The newest errors (n, 3) in camera axes, at most ``settle_pictures``."""
+        """The errors (n, 3) in camera axes since the last pull, at most ``settle_pictures``."""
         return np.array(self._errors).reshape(-1, 3)
 
     def seen(self, sample: WatchSample) -> None:
@@ -70,6 +71,7 @@ class Loop:
             self._target = measured
         else:
             self._target = self._target + _bounded(s.gain * (measured - self._target), s.step_m)
+        self.newest = c_delta
         self._errors.append(c_delta)
         self._left.append(left)
         if self._still and not self.settled:
@@ -123,7 +125,7 @@ async def look_and_move(
         first = await sight.awaited()
         loop = Loop(R_TC, first.X_BT[:3, :3], clearance_m, settings)
         loop.seen(first)
-        start = float(np.linalg.norm(loop.errors[0]))
+        start = float(np.linalg.norm(loop.newest))
         if not start <= settings.step_limit_m:
             raise MeasurementFailed(
                 "measurement.step_too_large",
@@ -150,7 +152,7 @@ async def _followed(
             continue
         loop.seen(sample)
         seen_ns = sample.time_ns
-        left = float(np.linalg.norm(loop.errors[-1]))
+        left = float(np.linalg.norm(loop.newest))
         report(min(0.95, max(0.0, 1.0 - left / max(start, 1e-3))), f"{1e3 * left:.1f} mm to go")
         if 1e-9 * (seen_ns - first.time_ns) > settings.timeout_s:
             raise MeasurementFailed(

@@ -216,6 +216,24 @@ def _speeds(p: Array, time_s: Array) -> Array:
     return np.maximum(np.append(between, 0.0), np.insert(between, 0, 0.0))
 
 
+def planned_covariance(X_BT: Array, speed: Array, steps: Array, settings: LocalMapSettings) -> Array:
+    """Covariances (m, 3, 3) m² in B of the ends of ``steps`` (m, 3) that a track would leave.
+
+    ``X_BT`` (n, 4, 4) and ``speed`` (n,) as ``LocalTrack`` would have them; no measurement is needed: the
+    information matrix depends on the path alone.
+    """
+    shape, here = settings.arm.shape, X_BT[-1]
+    h = play_states(slew_angles(X_BT, shape.tool), settings.play_rad)
+    columns = _columns(X_BT, h, here, float(h[-1]), shape)
+    Phi = columns.reshape(-1, columns.shape[2])
+    std = np.repeat(np.hypot(settings.noise_std_m, settings.sway_s * speed), 3)
+    information = Phi.T @ (Phi / std[:, None] ** 2) + np.diag(_prior(settings) ** -2.0)
+    blank = LocalMap(
+        np.eye(3), here, np.zeros(len(information)), np.linalg.inv(information), 0.0, 1.0, float(h[-1])
+    )
+    return np.array([solve_step(blank, step, settings)[1] for step in steps])
+
+
 def camera_in_tool(track: LocalTrack, p_CM: Array) -> Array:
     """R_TC (3×3): camera axes in the tool's, from the track and the tool marker's ``p_CM`` (3,)."""
     m = track.X_KC[:, :3, 3] + track.X_KC[:, :3, :3] @ p_CM
