@@ -149,6 +149,7 @@ class World:
         self.on_exposure: Callable[[int, PlantTruth], None] | None = None
         self._camera: StereoCamera | None = None
         self._exposures = Exposures(settings.scene.camera, settings.scene.seed)
+        self._fault_changes_told = 0
         self._scene = scene
         self._controller = ControllerSide(settings, seed)
         self._client = ReferenceClient(
@@ -264,15 +265,20 @@ class World:
             )
             self.plant.advance(stop_ns - self._time_ns)
             self._time_ns = stop_ns
+            self._tell_faults()
             if stop_ns % TRUTH_PERIOD_NS == 0:
                 self.truths.append(self.plant.truth())
             if stop_ns % self.frame_period_ns == 0:
                 self._expose(self.plant.truth())
 
+    def _tell_faults(self) -> None:
+        for change in self.plant.faults.changes[self._fault_changes_told :]:
+            self.log.add(change.time_ns, "fault", **change.injection.as_dict(), phase=change.phase)
+            self._fault_changes_told += 1
+
     def _expose(self, truth: PlantTruth) -> None:
-        frame_id, camera = self._time_ns // self.frame_period_ns, self.settings.scene.camera
-        shows_motion = camera.motion_blur_samples > 1 or camera.readout_ms > 0.0
-        motion = self.plant.motion() if shows_motion else STILL
+        frame_id = self._time_ns // self.frame_period_ns
+        motion = self.plant.motion() if self.settings.scene.camera.shows_motion else STILL
         capture = Capture(frame_id, self._time_ns, View(truth.X_WC, truth.X_WM), motion)
         shot = self._exposures.shot(capture, self.plant.faults.in_force())
         if self.on_exposure is not None:

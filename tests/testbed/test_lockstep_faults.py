@@ -120,6 +120,8 @@ def test_planned_faults_rerun_to_the_last_bit() -> None:
             (phase, at) for phase, at in (("planned", 500 * MS), ("began", 613 * MS), ("ended", 1014 * MS))
             for _ in planned
         ]  # fmt: skip
+        told = [(e["phase"], e["name"]) for e in world.log.events if e["event"] == "fault"]
+        assert told == [(c.phase, c.injection.fault.name) for c in world.plant.faults.changes]
     assert seen[0] == seen[1]
     assert seen[0][1] != seen[2][1]
 
