@@ -5,6 +5,7 @@ import math
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.pose import Pose
 from protocol.reference_link import (
+    CAPABILITY_PATHS,
     FLAG_EMERGENCY_LATCHED,
     Acknowledgement,
     Command,
@@ -37,9 +38,9 @@ def reach(peer: Peer, state: GroupState, why: str, wait_ms: float = SETTLE_MS) -
     return seen
 
 
-def disabled(peer: Peer) -> None:
+def disabled(peer: Peer, capabilities: int = CAPABILITY_PATHS) -> None:
     """Opens a session and brings the group to DISABLED. Raises Unsupported when it cannot be."""
-    peer.open(period_ms=20)
+    peer.open(period_ms=20, capabilities=capabilities)
     state = peer.state()
     if state.flags & FLAG_EMERGENCY_LATCHED:
         peer.command(CommandCode.EMERGENCY_RELEASE)

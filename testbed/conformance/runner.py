@@ -13,7 +13,9 @@ from testbed.conformance.wire import Failed, Line, NonceSource, Unsupported
 
 # Loading a module enters its cases.
 _COUPLER_MODULES = ("coupler_frames", "coupler_registers", "coupler_outputs", "coupler_watchdog")
-_MODULES = ("framing", "sessions", "lifetime", "order", "requests", "group", "motion", "authentication")
+_MODULES = (
+    "framing", "sessions", "lifetime", "order", "requests", "group", "motion", "streaming", "authentication",
+)  # fmt: skip
 
 
 class Result(NamedTuple):

@@ -4,27 +4,28 @@ import select
 import socket
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
 from controller.config import ArmConfig, ControllerConfig
+from controller.core.inbox import Inbox
 from controller.core.settings import Settings, settings_from
 from protocol.authentication import LinkKey
 from protocol.configuration import configuration_hash, load, parse_overrides
 from protocol.reference_link import Acknowledgement, Request, State
-from protocol.reference_session import ReferenceServer, RequestReceived
+from protocol.reference_session import ReferenceServer, RequestReceived, ServerEvent, StreamedPoseReceived
 from tests.controller.obedient_plant import Bench
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 LINK_TIMEOUT_MS = 200
-OVERRIDES = ["controller.supervision.overrun_ms=2000"]
+OVERRIDES = ["controller.supervision.overrun_ms=2000", "controller.streaming.silence_ms=200"]
 
 
-def settings() -> Settings:
-    """The shipped configuration, tolerant of a test machine's lateness."""
+def settings(*more: str) -> Settings:
+    """The shipped configuration, tolerant of a test machine's lateness, with further overrides."""
     arm = load(ArmConfig, CONFIGS / "arm.yaml")
-    config = load(ControllerConfig, CONFIGS / "controller.yaml", parse_overrides(OVERRIDES)["controller"])
+    overrides = parse_overrides([*OVERRIDES, *more])["controller"]
+    config = load(ControllerConfig, CONFIGS / "controller.yaml", overrides)
     return settings_from(arm, config)
 
 
@@ -37,12 +38,12 @@ class ThreadedController:
     link_key: LinkKey | None = None
 
     def __init__(self) -> None:
-        self.settings = settings()
+        self.settings = self.configured()
         self.cycle_ns = round(self.settings.cycle_s * 1e9)
         self.bench = Bench(self.settings)
         self.bench.step()
         self.server = self.make_server()
-        self.requests: deque[Request] = deque()
+        self.inbox = Inbox()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
         self._socket.bind(("127.0.0.1", 0))
@@ -51,6 +52,10 @@ class ThreadedController:
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self.failure: BaseException | None = None
+
+    def configured(self) -> Settings:
+        """The settings of the scan."""
+        return settings()
 
     def make_server(self) -> ReferenceServer:
         """The server's end of the link."""
@@ -67,6 +72,10 @@ class ThreadedController:
     def judge(self, request: Request) -> Request:
         """A request as the scan gets it."""
         return request
+
+    def judge_streamed(self, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
+        """A streamed reference as the scan gets it."""
+        return arrival
 
     def answered(self, acknowledgement: Acknowledgement) -> list[Acknowledgement]:
         """What is sent for one answer of the scan."""
@@ -116,18 +125,22 @@ class ThreadedController:
             if taken is not None:
                 batch.append((taken, source))
         now_ns = time.monotonic_ns()
-        for event in self.server.receive_batch(batch, now_ns):
-            if isinstance(event, RequestReceived):
-                self.requests.append(self.judge(event.message))
+        self.inbox.put([self._judged(event) for event in self.server.receive_batch(batch, now_ns)])
+
+    def _judged(self, event: ServerEvent) -> ServerEvent:
+        if isinstance(event, RequestReceived):
+            return RequestReceived(self.judge(event.message))
+        return self.judge_streamed(event) if isinstance(event, StreamedPoseReceived) else event
 
     def _scan(self) -> None:
         now_ns = time.monotonic_ns()
-        self.server.tick(now_ns)
-        self.bench.link_alive = self.server.link_alive(now_ns)
+        self.inbox.put(self.server.tick(now_ns))
+        requests, self.bench.link_alive = self.inbox.take(self.server.link_alive(now_ns))
         self.bench.now_ns = now_ns - self.cycle_ns  # the bench adds one cycle
-        output = self.bench.step(*self.requests)
+        output = self.bench.step(*requests, arrival=self.inbox.take_streamed())
+        if output.refusal is not None:
+            self.server.refuse_streamed(output.refusal, now_ns)
         del self.bench.outputs[:-1]
-        self.requests.clear()
         for acknowledgement in output.acknowledgements:
             for each in self.answered(acknowledgement):
                 self.server.acknowledge(each, now_ns)

@@ -432,7 +432,9 @@ class GoesOnUnattended(ThreadedController):
                 return True
 
             def tick(self, now_ns: int) -> list[ServerEvent]:
-                return [] if super().link_alive(now_ns) or not self._session else self.close(now_ns)
+                if self._session and not super().link_alive(now_ns):
+                    self.close(now_ns)
+                return []
 
         return Server(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS)
 

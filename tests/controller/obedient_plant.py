@@ -72,17 +72,12 @@ class Bench:
     def last(self) -> ScanOutput:
         return self.outputs[-1]
 
-    def step(
-        self, *requests: Request, streamed: StreamedPose | None = None, age_s: float = 0.0
-    ) -> ScanOutput:
-        """One scan; ``streamed`` arrives right before it, resting on a measurement ``age_s`` old."""
+    def step(self, *requests: Request, arrival: StreamedPoseReceived | None = None) -> ScanOutput:
+        """One scan, in which ``arrival`` is the newest streamed reference."""
         sensors = None if self.silent else self._exchange()
         dt_s = self.settings.cycle_s + self.late_s
         self.late_s = 0.0
         self.now_ns += round(dt_s * 1e9)
-        arrival = None
-        if streamed is not None:
-            arrival = StreamedPoseReceived(streamed, self.now_ns, self.now_ns - round(1e9 * age_s))
         inputs = ScanInput(self.now_ns, dt_s, sensors, requests, self.link_alive, arrival)
         self.state, output = scan(self.settings, self.state, inputs)
         self.outputs.append(output)
@@ -131,7 +126,8 @@ class Bench:
         age_s = more.pop("age_s", 0.0)
         stream_id = more.pop("stream_id", self.last.view.motion_id)
         reference = StreamedPose(stream_id, number, self.now_ns, pose, **more)
-        return self.step(streamed=reference, age_s=age_s).refusal
+        now_ns = self.now_ns + round(1e9 * self.settings.cycle_s)  # it comes right before the next scan
+        return self.step(arrival=StreamedPoseReceived(reference, now_ns, now_ns - round(1e9 * age_s))).refusal
 
     def moving(self) -> "Bench":
         """This bench, in the middle of a motion of 0.3 m."""

@@ -1,0 +1,74 @@
+"""Controllers that stream wrongly, each caught by the case meant for it."""
+
+from controller.core.settings import Settings
+from protocol.reference_link import State
+from protocol.reference_session import StreamedPoseReceived
+from tests.conformance.controllers import ThreadedController, settings
+from tests.conformance.mutants import Mutant
+
+
+class WaitsForReferences(ThreadedController):
+    """Goes on for most of a second without a reference."""
+
+    def configured(self) -> Settings:
+        return settings("controller.streaming.silence_ms=900")
+
+
+class TakesNanForTheLast(ThreadedController):
+    """Takes the reference before for one that is not finite, and so for a fresh one."""
+
+    good: StreamedPoseReceived | None = None
+
+    def judge_streamed(self, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
+        if arrival.message.X_BT_ref.is_finite():
+            self.good = arrival
+            return arrival
+        if self.good is None:
+            return arrival
+        pose = self.good.message.X_BT_ref
+        return arrival._replace(message=arrival.message._replace(X_BT_ref=pose))
+
+
+class FollowsAnyStream(ThreadedController):
+    """Does not look at the stream that a reference belongs to."""
+
+    def judge_streamed(self, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
+        stream = self.bench.state.stream
+        if stream is None:
+            return arrival
+        return arrival._replace(message=arrival.message._replace(stream_id=stream.stream_id))
+
+
+class TakesOlderNumbers(ThreadedController):
+    """Does not look at the number."""
+
+    def judge_streamed(self, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
+        stream = self.bench.state.stream
+        if stream is None:
+            return arrival
+        return arrival._replace(message=arrival.message._replace(number=(stream.number + 1) % 2**32))
+
+
+class IgnoresTheMeasurement(ThreadedController):
+    """Does not look at how old the measurement behind a reference is."""
+
+    def judge_streamed(self, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
+        return arrival._replace(measured_ns=arrival.left_ns)
+
+
+class StandsStill(ThreadedController):
+    """Accepts streamed references, and shows another number than that of the newest."""
+
+    def shown(self, state: State) -> State:
+        return state._replace(stream_number=0)
+
+
+STREAM_MUTANTS = (
+    Mutant(WaitsForReferences, 612),
+    Mutant(TakesNanForTheLast, 606),
+    Mutant(TakesNanForTheLast, 613),
+    Mutant(FollowsAnyStream, 614),
+    Mutant(TakesOlderNumbers, 608),
+    Mutant(IgnoresTheMeasurement, 609),
+    Mutant(StandsStill, 610),
+)
