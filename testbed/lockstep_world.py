@@ -178,6 +178,11 @@ class World:
         return self._client.clock
 
     @property
+    def authenticated(self) -> bool:
+        """Whether vision's session is authenticated."""
+        return self._client.authenticated
+
+    @property
     def link_statistics(self) -> LinkStatistics:
         """Counters of vision's session."""
         return self._client.statistics

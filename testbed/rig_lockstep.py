@@ -59,6 +59,11 @@ class LockstepLink:
         return self._world.vision_ns - self.local_time_ns(self.state.time_ns)
 
     @property
+    def authenticated(self) -> bool:
+        """Whether every datagram of the session is signed."""
+        return self._world.authenticated
+
+    @property
     def statistics(self) -> LinkStatistics:
         """Counters of vision's session."""
         return self._world.link_statistics

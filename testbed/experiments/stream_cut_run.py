@@ -126,10 +126,11 @@ def one_cut(settings: Settings, seed: int) -> dict[str, Any]:
         stream.send_due()
         world.step()
     speed = _speed(world)
-    row = {"rate_hz": rate_hz, "motion": kind, "cut": cut, "speed_m_s": speed} | _watched(stream, cut)
-    late = row["command_ms"] > COMMAND_MS or row["flow_ms"] > FLOW_MS
-    row["pass"] = not late and not row["resumed"] and row["fault"] == FaultCode.REFERENCE_STALE.name
-    return row
+    drawn = {"rate_hz": rate_hz, "motion": kind, "cut": cut, "speed_m_s": speed}
+    seen = _watched(stream, cut)
+    in_time = seen["command_ms"] <= COMMAND_MS and seen["flow_ms"] <= FLOW_MS
+    sound = in_time and not seen["resumed"] and seen["fault"] == FaultCode.REFERENCE_STALE.name
+    return drawn | seen | {"pass": sound}
 
 
 def _watched(stream: CutStream, cut: str) -> dict[str, Any]:
