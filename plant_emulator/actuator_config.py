@@ -17,6 +17,13 @@ def _static_not_below(value: float, coulomb: float) -> float:
     return value
 
 
+def _cushion_fits(cushion: float, stroke: float, key: str) -> None:
+    if 2.0 * cushion > stroke:
+        raise ValueError(
+            f"{key} = {cushion:g} must not exceed {stroke / 2.0:g}, half the stroke: cushions would meet"
+        )
+
+
 class CylinderFrictionConfig(StrictModel):
     """LuGre seal friction of a cylinder."""
 
@@ -106,6 +113,12 @@ class CylinderConfig(StrictModel):
             raise ValueError(f"must stay below {stretched:.5f}: there the linkage's lever vanishes")
         return value
 
+    @field_validator("end_stop")
+    @classmethod
+    def _cushions_apart(cls, value: CylinderStopConfig, info: ValidationInfo) -> CylinderStopConfig:
+        _cushion_fits(value.cushion_m, info.data.get("stroke_m", math.inf), "cushion_m")
+        return value
+
 
 class RotaryConfig(StrictModel):
     """A vane or rack actuator on the joint's own axis."""
@@ -121,6 +134,13 @@ class RotaryConfig(StrictModel):
     def _has_range(cls, value: float, info: ValidationInfo) -> float:
         if value <= info.data.get("from_deg", -1.0):
             raise ValueError("must be above from_deg: the actuator would have no range")
+        return value
+
+    @field_validator("end_stop")
+    @classmethod
+    def _cushions_apart(cls, value: RotaryStopConfig, info: ValidationInfo) -> RotaryStopConfig:
+        if {"from_deg", "to_deg"} <= info.data.keys():
+            _cushion_fits(value.cushion_deg, info.data["to_deg"] - info.data["from_deg"], "cushion_deg")
         return value
 
 

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from protocol.configuration import StrictModel
 
@@ -36,6 +36,15 @@ class WristBodyConfig(StrictModel):
     mass_kg: Positive
     forward_m: Annotated[float, Field(ge=-2.0, le=2.0)]
     gyration_m: tuple[Positive, Positive, Positive]
+
+    @field_validator("gyration_m")
+    @classmethod
+    def _is_a_body(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
+        small, middle, great = sorted(value)
+        if great * great > small * small + middle * middle:
+            limit = (small * small + middle * middle) ** 0.5
+            raise ValueError(f"the greatest must not exceed {limit:.4f}: no body has such moments of inertia")
+        return value
 
 
 class MassesConfig(StrictModel):

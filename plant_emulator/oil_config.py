@@ -8,6 +8,9 @@ from pydantic import Field, ValidationInfo, field_validator
 from plant_emulator.arm_config import NotNegative, Positive
 from protocol.configuration import StrictModel
 
+HOTTEST_DEGC = 110.0
+MOST_SOFTENING = 0.8  # of the bulk modulus, up to the hottest oil
+
 
 class ValvesConfig(StrictModel):
     """What all six servo valves share; their sizes stand with the actuators."""
@@ -47,13 +50,23 @@ class OilConfig(StrictModel):
     air_fraction: Annotated[float, Field(ge=0.0, le=0.1)]
     polytropic_exponent: Annotated[float, Field(ge=1.0, le=1.7)]
     thermal_drift: bool
-    temperature_degc: Annotated[float, Field(ge=-30.0, le=110.0)]
+    temperature_degc: Annotated[float, Field(ge=-30.0, le=HOTTEST_DEGC)]
     ambient_degc: Annotated[float, Field(ge=-50.0, le=60.0)]
     heat_capacity_kj_k: Positive
     cooling_w_k: NotNegative
-    reference_degc: Annotated[float, Field(ge=-30.0, le=110.0)]
+    reference_degc: Annotated[float, Field(ge=-30.0, le=HOTTEST_DEGC)]
     viscosity_per_k: Annotated[float, Field(ge=0.0, le=0.1)]
     modulus_per_k: Annotated[float, Field(ge=0.0, le=0.01)]
+
+    @field_validator("modulus_per_k")
+    @classmethod
+    def _stays_stiff(cls, value: float, info: ValidationInfo) -> float:
+        warmth = HOTTEST_DEGC - info.data.get("reference_degc", HOTTEST_DEGC)
+        if value * warmth > MOST_SOFTENING:
+            raise ValueError(
+                f"must not exceed {MOST_SOFTENING / warmth:.5f}: at {HOTTEST_DEGC:g} °C oil would turn soft"
+            )
+        return value
 
 
 class PumpConfig(StrictModel):

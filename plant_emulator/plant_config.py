@@ -109,6 +109,17 @@ class PlantConfig(StrictModel):
     errors: ErrorsConfig
     step_ms: Annotated[float, Field(gt=0.0, le=2.0)]
 
+    @field_validator("pump")
+    @classmethod
+    def _below_the_relief(cls, value: PumpConfig, info: ValidationInfo) -> PumpConfig:
+        guard = info.data.get("protection")
+        if guard is not None and value.pressure_bar >= guard.relief_bar:
+            raise ValueError(
+                f"pressure_bar = {value.pressure_bar:g} must be below protection.relief_bar = "
+                f"{guard.relief_bar:g}: the relief valves would never close"
+            )
+        return value
+
     @field_validator("step_ms")
     @classmethod
     def _integrates_stably(cls, value: float, info: ValidationInfo) -> float:

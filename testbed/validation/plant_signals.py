@@ -78,8 +78,8 @@ def convergence(config_dir: Path) -> list[Case]:
     errors = [float(np.linalg.norm(ends[step] - ends[3.125e-5])) for step in (1e-3, 5e-4, 2.5e-4)]
     first, again, other = _words(config_dir, 7), _words(config_dir, 7), _words(config_dir, 8)
     return [
-        Case(20, "error ratio of 1 ms to 0.5 ms", "", 16.0, errors[0] / errors[1], 4.0, "fourth order"),
-        Case(20, "error ratio of 0.5 ms to 0.25 ms", "", 16.0, errors[1] / errors[2], 4.0, "fourth order"),
+        Case(20, "error ratio of 1 ms to 0.5 ms", "", 16.0, errors[0] / errors[1], 1.0, "fourth order"),
+        Case(20, "error ratio of 0.5 ms to 0.25 ms", "", 16.0, errors[1] / errors[2], 1.0, "fourth order"),
         Case(20, "replay of a seed", "differences", 0.0, float(first != again), 0.0, "bit for bit"),
         Case(20, "another seed differs", "", 1.0, float(first != other), 0.0, "encoder noise"),
     ]

@@ -64,7 +64,7 @@ def _print(arm: Arm, rows: list[SurveyRow]) -> None:
     out.print(table(f"{arm.name}, tool level: millimetres at the tool", columns, lines))
     out.print(
         "sag under what hangs beyond the wrist; play of the slew; true tool off where encoders and nominal\n"
-        "geometry place it; where u = K (q_d - q) rests by its own reading, then with the deadband compensated",
+        "geometry place it; where u = K (q_d - q) rests by its reading, then with the deadband compensated",
         style="dim", highlight=False,
     )  # fmt: skip
 

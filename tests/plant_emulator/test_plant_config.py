@@ -36,6 +36,29 @@ from tests.plant_emulator.plant_world import CONFIGS, plant_config
         ({"actuators": {"slew": {"rotary": {"to_deg": 0.0, "from_deg": 0.0}}}}, ["to_deg", "above from_deg"]),
         ({"actuators": {"slew": {"rotary": None}}}, ["actuators.slew", "exactly one of cylinder and rotary"]),
         ({"pump": {"pressure_bar": 25.0, "return_bar": 30.0}}, ["return_bar", "30.0", "below pressure_bar"]),
+        (
+            {"actuators": {"lift": {"cylinder": {"end_stop": {"cushion_m": 0.3}}}}},
+            ["actuators.lift.cylinder.end_stop", "cushion_m = 0.3", "0.2725", "would meet"],
+        ),
+        (
+            {"actuators": {"wrist1": {"rotary": {"end_stop": {"cushion_deg": 100.0}}}}},
+            ["actuators.wrist1.rotary.end_stop", "cushion_deg = 100", "90", "would meet"],
+        ),
+        (
+            {"masses": {"tool": {"gyration_m": [0.05, 0.05, 0.2]}}},
+            ["masses.tool.gyration_m", "0.2", "0.0707", "no body"],
+        ),
+        ({"masses": {"wrist1": {"mass_kg": 0.0}}}, ["masses.wrist1.mass_kg", "0", "greater than 0"]),
+        (
+            {"oil": {"reference_degc": -30.0, "modulus_per_k": 0.009}},
+            ["oil.modulus_per_k", "0.009", "0.00571", "110 °C"],
+        ),
+        (
+            {"pump": {"pressure_bar": 240.0}},
+            ["pump", "pressure_bar = 240", "protection.relief_bar = 230", "never close"],
+        ),
+        ({"oil": {"bulk_modulus_mpa": -800.0}}, ["oil.bulk_modulus_mpa", "-800", "50"]),
+        ({"actuators": {"tilt": {"leakage_m3_s_pa": -1e-13}}}, ["tilt.leakage_m3_s_pa", "-1e-13", "0"]),
         ({"step_ms": 0.7}, ["step_ms", "0.7", "0.598", "dead_volume", "diverge"]),
         ({"actuators": {"wrist1": {"dead_volume_a_l": 0.1}}}, ["step_ms", "0.120", "wrist1.dead_volume_a_l"]),
         ({"pump": {"droop_bar": 0.1}}, ["step_ms", "pump.droop_bar"]),
