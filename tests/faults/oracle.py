@@ -21,7 +21,7 @@ class Doing(Enum):
     FAILING = "failing"  # ramps down on a fault
 
 
-_BUSY = (Doing.MOVING, Doing.STREAMING, Doing.STOPPING)
+_RAMPS = (Doing.MOVING, Doing.STOPPING)  # a stream to which no reference came stands still already
 
 
 @dataclass
@@ -130,12 +130,14 @@ class Oracle:
             return Reason.ERROR_LATCHED
         if self.doing in (Doing.OFF, Doing.DISABLING):
             return Reason.ALREADY_DONE
-        self.doing = Doing.DISABLING if self.doing in _BUSY else Doing.OFF
+        self.doing = Doing.DISABLING if self.doing in _RAMPS else Doing.OFF
         return Reason.ACCEPTED
 
     def _stop(self, _plant: bool, _link: bool) -> Reason:
-        if self.doing in (Doing.MOVING, Doing.STREAMING):
+        if self.doing is Doing.MOVING:
             self.doing = Doing.STOPPING
+        elif self.doing is Doing.STREAMING:
+            self.doing = Doing.HOLDING
         return Reason.ACCEPTED
 
     def _reset(self, plant: bool, link: bool) -> Reason:

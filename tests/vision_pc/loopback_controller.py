@@ -49,9 +49,10 @@ class LoopbackController(asyncio.DatagramProtocol):
         speed: float = 1.5,
         clock_ahead_ns: int = 7_000_000_000,
         key: LinkKey | None = None,
+        link_timeout_ms: int = 500,
     ) -> None:
         self.rig, self.speed, self.clock_ahead_ns = rig, speed, clock_ahead_ns
-        self.session = ReferenceServer(1, 0xA12, int(CYCLE_S * 1e9), 500, key=key)
+        self.session = ReferenceServer(1, 0xA12, int(CYCLE_S * 1e9), link_timeout_ms, key=key)
         self.group, self.fault, self.emergency = GroupState.DISABLED, FaultCode.NONE, False
         self.motion: list[tuple[Array, Array, int]] = []  # X_from, X_goal, cycles
         self.motion_id, self.motion_done, self.cycle, self.step = 0, False, 0, 0

@@ -94,10 +94,12 @@ def quick(settings: ProgramSettings) -> ProgramSettings:
 
 
 @asynccontextmanager
-async def bench(seed: int = 0, record_dir: Path | None = None, **truth: Any) -> AsyncIterator[Bench]:
+async def bench(
+    seed: int = 0, record_dir: Path | None = None, link_timeout_ms: int = 500, **truth: Any
+) -> AsyncIterator[Bench]:
     """A bench with the controller connected and disabled."""
     rig = SyntheticRig(draw(np.random.default_rng(seed), **truth), seed, rate_hz=100.0)
-    controller = LoopbackController(rig)
+    controller = LoopbackController(rig, link_timeout_ms=link_timeout_ms)
     await controller.start()
     stream = io.StringIO()
     log = EventLog(record_dir, stream)
