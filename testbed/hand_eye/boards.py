@@ -1,17 +1,24 @@
-"""Pictures of boards as a distorted camera sees them: every pixel's ray back to the board's plane."""
+"""Pictures of boards taken by the emulator's camera: its exact lens, point spread and noise."""
 
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
+from plant_emulator.board_config import AnyBoardConfig, CharucoConfig, CheckerboardConfig
+from plant_emulator.core.boards import board_pose
+from plant_emulator.core.camera_motion import View
+from plant_emulator.core.scene import Scene
+from plant_emulator.core.stereo_camera import LEFT, StereoCamera
+from plant_emulator.scene_config import SceneConfig
+from vision_pc.core import se3
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
-from vision_pc.core.zhang_intrinsics import Charuco, Checkerboard, charuco_board
+from vision_pc.core.zhang_intrinsics import Charuco, Checkerboard
 
-_SUPER = 3  # samples a pixel and axis
-_PAPER, _INK = 225.0, 35.0
-_TEXTURE_PX_A_SQUARE = 60
+_BEHIND = se3.transform(np.eye(3), (0.0, 0.0, -5.0))  # the tool marker, out of the camera's sight
+_DICTIONARIES = {cv2.aruco.DICT_5X5_100: "DICT_5X5_100", cv2.aruco.DICT_5X5_1000: "DICT_5X5_1000"}
 
 
 class BoardCamera(NamedTuple):
@@ -26,53 +33,78 @@ class BoardCamera(NamedTuple):
 
 
 class BoardRenderer:
-    """Renders boards through one camera; the rays are computed once."""
+    """Photographs boards with the emulator's left eye, given the lens of ``camera``."""
 
     def __init__(self, camera: BoardCamera) -> None:
         self.camera = camera
-        step = 1.0 / _SUPER
-        u = np.arange(camera.width * _SUPER) * step + 0.5 * step - 0.5
-        v = np.arange(camera.height * _SUPER) * step + 0.5 * step - 0.5
-        grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 1, 2)
-        until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 12, 1e-9)
-        rays = cv2.undistortPointsIter(grid, camera.K, camera.distortion, np.eye(3), np.eye(3), until)
-        self._rays = np.asarray(rays, dtype=np.float64).reshape(-1, 2)
 
     def render(self, board: Checkerboard | Charuco, X_CB: Array, rng: np.random.Generator) -> Image:
-        """The grey picture (height, width) of ``board`` at ``X_CB`` (4, 4), its corner grid's origin at B."""
-        x, y = self._on_board(X_CB)
-        fine = _checker(board, x, y) if isinstance(board, Checkerboard) else _charuco(board, x, y)
-        c = self.camera
-        grey = fine.reshape(c.height, _SUPER, c.width, _SUPER).mean(axis=(1, 3))
-        grey = cv2.GaussianBlur(grey, (0, 0), c.blur_px) if c.blur_px > 0.0 else grey
-        grey = grey + rng.normal(size=grey.shape) * c.noise_grey
-        picture: Image = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
-        return picture
+        """The grey picture (height, width) of ``board`` at ``X_CB`` (4, 4).
 
-    def _on_board(self, X_CB: Array) -> tuple[Array, Array]:
-        to_board = np.linalg.inv(np.stack([X_CB[:3, 0], X_CB[:3, 1], X_CB[:3, 3]], axis=1))
-        h = self._rays @ to_board[:, :2].T + to_board[:, 2]
-        return h[:, 0] / h[:, 2], h[:, 1] / h[:, 2]
+        B is OpenCV's board frame: x right, y down, z away; its origin the first inner corner of a
+        checkerboard, the corner of a ChArUco board. ``rng`` gives the noise.
+        """
+        shown = _shown(_plain(self.camera), board)
+        X_WB = (
+            shown.scene.mounts.X_WO @ board_pose(shown.scene.config.boards[0]) @ se3.inverse(_middle(board))
+        )
+        X_WC = X_WB @ se3.inverse(X_CB)
+        frame_id = int(rng.integers(1 << 40))
+        return shown.render_eye(LEFT, View(X_WC, X_WC @ _BEHIND), frame_id)
 
 
-def _checker(board: Checkerboard, x: Array, y: Array) -> Array:
-    """Squares around the inner corners, a white rim of one square; grey table beyond."""
-    i, j = np.floor(x / board.square_m), np.floor(y / board.square_m)
-    inside = (i >= -1) & (i < board.columns) & (j >= -1) & (j < board.rows)
-    rim = (i >= -2) & (i < board.columns + 1) & (j >= -2) & (j < board.rows + 1)
-    dark = inside & ((i + j) % 2 == 0)
-    return np.where(dark, _INK, np.where(rim, _PAPER, 120.0))
+def _middle(board: Checkerboard | Charuco) -> Array:
+    """X_BP: the emulator's frame of the board (in its middle, y up, z towards the viewer) in OpenCV's."""
+    squares = np.array([board.columns, board.rows])
+    middle = 0.5 * board.square_m * (squares - 1 if isinstance(board, Checkerboard) else squares)
+    return se3.transform(np.diag([1.0, -1.0, -1.0]), (*middle, 0.0))
 
 
-def _charuco(board: Charuco, x: Array, y: Array) -> Array:
-    """OpenCV's own picture of the board, looked up without blur of its own."""
-    size = (board.columns * _TEXTURE_PX_A_SQUARE, board.rows * _TEXTURE_PX_A_SQUARE)
-    texture = np.asarray(charuco_board(board).generateImage(size, marginSize=0), dtype=np.float64)
-    u = np.floor(x / board.square_m * _TEXTURE_PX_A_SQUARE).astype(int)
-    v = np.floor(y / board.square_m * _TEXTURE_PX_A_SQUARE).astype(int)
-    inside = (u >= 0) & (u < size[0]) & (v >= 0) & (v < size[1])
-    value = texture[np.clip(v, 0, size[1] - 1), np.clip(u, 0, size[0] - 1)]
-    return np.where(inside, _INK + (_PAPER - _INK) * value / 255.0, _PAPER)
+def _plain(camera: BoardCamera) -> tuple[Any, ...]:
+    """A camera as numbers, for the cache."""
+    lens = (*camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist(), *camera.distortion.tolist())
+    return (*lens, camera.width, camera.height, camera.blur_px, camera.noise_grey)
+
+
+@lru_cache(maxsize=4)
+def _shown(camera: tuple[Any, ...], board: Checkerboard | Charuco) -> StereoCamera:
+    """The emulator's camera before a wall with that board."""
+    names = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
+    width, height, blur, noise = camera[9:]
+    marker = {"marker_id": 1, "side_m": 0.1, "quiet_zone_m": 0.01}
+    config = SceneConfig.model_validate(
+        {
+            "seed": 1,
+            "wall": {"texture_seed": 7, "texel_mm": 1.0, "mean_grey": 118.0, "contrast_grey": 22.0},
+            "object_of_interest": {
+                "position_m": (4.0, 0.0, 1.0),
+                "markers": [marker | {"centre_m": (40.0, 40.0)}],
+            },
+            "tool_marker": marker | {"marker_id": 0},
+            "boards": [_config(board)],
+            "mount": {},
+            "camera": {
+                "width_px": width,
+                "height_px": height,
+                "rate_hz": 10.0,
+                "exposure_us": 4000,
+                "baseline_m": 0.12,
+                "lens": dict(zip(names, camera, strict=False)),
+                "blur_px": blur,
+                "noise_grey": noise,
+            },
+        }
+    )
+    return StereoCamera(config.camera, Scene(config), config.seed)
+
+
+def _config(board: Checkerboard | Charuco) -> AnyBoardConfig:
+    where: dict[str, Any] = {"position_m": (0.0, 0.0, 0.05)}
+    size = {"columns": board.columns, "rows": board.rows, "square_m": board.square_m}
+    if isinstance(board, Checkerboard):
+        return CheckerboardConfig(kind="checkerboard", **where, **size)
+    name = _DICTIONARIES[board.dictionary]
+    return CharucoConfig(kind="charuco", **where, **size, marker_m=board.marker_m, dictionary=name)
 
 
 def random_board_pose(camera: BoardCamera, board: Checkerboard | Charuco, rng: np.random.Generator) -> Array:

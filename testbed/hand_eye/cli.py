@@ -119,11 +119,15 @@ def hua_fig5(
     seed: Seed = 1,
     plot: Plot = None,
     json_file: JsonFile = None,
+    directory: Directory = Path("runs/hua-fig5"),
+    scheduler: Scheduler = None,
 ) -> None:
     """Localisation of knob, switch and key hole with every method, beside the paper's errors and rates."""
     from testbed.hand_eye.experiments import run_localisation
 
-    raise typer.Exit(0 if run_localisation(runs, repetitions, seed, plot, json_file) else 1)
+    raise typer.Exit(
+        0 if run_localisation(runs, repetitions, seed, plot, json_file, directory, scheduler) else 1
+    )
 
 
 def hua_fig7(
@@ -133,10 +137,8 @@ def hua_fig7(
     seed: Seed = 1,
     plot: Plot = None,
     json_file: JsonFile = None,
-    scheduler: Annotated[str | None, typer.Option(help="A Dask scheduler that is there.")] = None,
-    directory: Annotated[Path, typer.Option("--out", help="Levels; those there are not made again.")] = Path(
-        "runs/hua-fig7"
-    ),
+    directory: Directory = Path("runs/hua-fig7"),
+    scheduler: Scheduler = None,
 ) -> None:
     """Error of X against the noise level, every method, with the Cramér-Rao bound."""
     from testbed.hand_eye.experiments import run_noise_sweep
@@ -149,23 +151,28 @@ def hua_intrinsics(
     runs: Annotated[int, typer.Option(min=1, help="How many calibrations.")] = 2,
     views: Annotated[int, typer.Option(min=3, help="Pictures of each.")] = 15,
     seed: Seed = 1,
+    plot: Plot = None,
     json_file: JsonFile = None,
+    directory: Directory = Path("runs/hua-intrinsics"),
+    scheduler: Scheduler = None,
 ) -> None:
-    """Zhang's method on the paper's camera, rendered, and on OpenCV's real pictures."""
+    """Zhang's method on boards that the emulator shows the paper's camera, and on OpenCV's real pictures."""
     from testbed.hand_eye.experiments import run_intrinsics
 
-    raise typer.Exit(0 if run_intrinsics(runs, views, seed, json_file) else 1)
+    raise typer.Exit(0 if run_intrinsics(runs, views, seed, plot, json_file, directory, scheduler) else 1)
 
 
 def hand_eye_stress(
     runs: Annotated[int, typer.Option(min=1, help="How many runs of each scenario.")] = 200,
     seed: Seed = 1,
     json_file: JsonFile = None,
+    directory: Directory = Path("runs/hand-eye-stress"),
+    scheduler: Scheduler = None,
 ) -> None:
     """Two bad samples of fifteen, and rotations under 5°, with every method."""
     from testbed.hand_eye.experiments import run_stress
 
-    raise typer.Exit(0 if run_stress(runs, seed, json_file) else 1)
+    raise typer.Exit(0 if run_stress(runs, seed, json_file, directory, scheduler) else 1)
 
 
 def hand_eye_guided(

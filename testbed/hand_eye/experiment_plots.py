@@ -68,6 +68,24 @@ def localisation_plot(rows: Sequence[LocalisationRow], path: Path) -> None:
     _save(figure, path)
 
 
+def intrinsics_plot(maps: Sequence[dict[str, Any]], path: Path) -> None:
+    """Fig. 4 as a picture: for each detector where corners fell, and the error of each view."""
+    figure = Figure(figsize=(3.4 * len(maps), 5.6), layout="constrained")
+    axes = figure.subplots(2, len(maps), squeeze=False)
+    most = max(np.max(kept["coverage"]) for kept in maps)
+    for kept, above, below in zip(maps, axes[0], axes[1], strict=True):
+        image = above.imshow(kept["coverage"], vmin=0, vmax=most, cmap="viridis", extent=(0, 640, 480, 0))
+        above.set_title(f"{kept['detector']}: corners a cell", fontsize=9)
+        for (i, j), count in np.ndenumerate(np.array(kept["coverage"])):
+            above.text(80 * j + 40, 80 * i + 40, count, ha="center", va="center", color="w", fontsize=7)
+        below.bar(kept["names"], kept["view_rms_px"], color="#0072b2")
+        below.axhline(3.0 * float(np.median(kept["view_rms_px"])), color="0.4", ls="--", lw=1.0)
+        below.set(xlabel="view (dashed: named as outlying above)", ylabel="rms error / px")
+        below.tick_params(axis="x", rotation=90, labelsize=7)
+    figure.colorbar(image, ax=axes[0], shrink=0.8)
+    _save(figure, path)
+
+
 def _save(figure: Figure, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=120)

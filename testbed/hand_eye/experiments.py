@@ -1,11 +1,12 @@
 """The experiments as the command runs them: rows, tables, plots, and whether what was wanted was reached."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from protocol.errors import MeasurementFailed, RequestRefused
-from testbed.campaign import run_campaign
+from testbed.campaign import Run, run_campaign
 from testbed.console import bars, out
 from testbed.hand_eye import (
     experiment_plots,
@@ -41,9 +42,7 @@ def run_noise_sweep(
     asked = {"noise_on": noise_on.value, "runs": runs, "seed": seed}
     tasks = [{"key": f"{noise_on}-{runs}-{seed}-{d}", "level": d} | asked for d in range(1, largest + 1)]
     title = f"noise on {noise_on}"
-    levels = run_campaign(directory, noise_sweep.level_of, tasks, scheduler=scheduler, title=title)
-    if failed := next((level["failure"] for level in levels if level["failure"]), None):
-        raise MeasurementFailed("measurement.level_failed", f"{title}: {failed}")
+    levels = _made(directory, noise_sweep.level_of, tasks, scheduler, title)
     sweep = noise_sweep.gathered(levels)
     for level in sorted({1, largest}):
         out.print(experiment_tables.sweep_table(sweep.rows, level))
@@ -97,11 +96,19 @@ def _sweep_checks(sweep: Sweep, noise_on: NoiseOn, runs: int) -> list[Check]:
 
 
 def run_localisation(
-    runs: int, repetitions: int, seed: int, plot: Path | None, json_file: Path | None
+    runs: int,
+    repetitions: int,
+    seed: int,
+    plot: Path | None,
+    json_file: Path | None,
+    directory: Path,
+    scheduler: str | None = None,
 ) -> bool:
     """Whether the robust solver, bad samples included, locates better than the paper's best (Fig. 5, 6)."""
-    with bars() as shown, shown.step("localisation") as bar:
-        rows = localisation.localisation(runs, repetitions, seed, progress=bar.update)
+    asked = {"repetitions": repetitions, "seed": seed}
+    tasks = [{"key": f"{seed}-{repetitions}-{run}", "run": run} | asked for run in range(runs)]
+    made = _made(directory, localisation.calibration_row, tasks, scheduler, f"{runs} calibrations")
+    rows = localisation.rows_of([localisation.entries_of(row) for row in made])
     out.print(experiment_tables.localisation_table(rows))
     everything = {(r.method, r.samples): r for r in rows if r.task == "all"}
     robust = everything.get((Method.ROBUST.value, f"all {localisation.TAKEN}"))
@@ -118,14 +125,24 @@ def run_localisation(
     return concluded(checks, {"rows": [r.as_json() for r in rows]}, json_file)
 
 
-def run_intrinsics(runs: int, views: int, seed: int, json_file: Path | None) -> bool:
-    """Whether Zhang's method finds the rendered camera and, where its pictures are, OpenCV's real one."""
-    with bars() as shown, shown.step("paper's camera, rendered") as bar:
-        rows = list(intrinsics_experiment.paper_camera(runs, views, seed, progress=bar.update))
+def run_intrinsics(
+    runs: int,
+    views: int,
+    seed: int,
+    plot: Path | None,
+    json_file: Path | None,
+    directory: Path,
+    scheduler: str | None = None,
+) -> bool:
+    """Whether Zhang's method finds the emulated camera and, where its pictures are, OpenCV's real one."""
+    asked = {"views": views, "seed": seed}
+    tasks = [{"key": f"{seed}-{views}-{run}", "run": run} | asked for run in range(runs)]
+    made = _made(directory, intrinsics_experiment.calibration_row, tasks, scheduler, f"{runs} calibrations")
+    rows = intrinsics_experiment.rows_of(made)
     boards = [
         abs(r.fx_error_percent) for r in rows if r.fx_error_percent is not None and r.detector != "charuco"
     ]
-    checks = [Check("fx of the rendered camera within 0.3 %", f"{max(boards):.3f} %", max(boards) <= 0.3)]
+    checks = [Check("fx of the emulated camera within 0.3 %", f"{max(boards):.3f} %", max(boards) <= 0.3)]
     try:
         rows += real_data.checkerboards()
     except RequestRefused as error:
@@ -137,16 +154,23 @@ def run_intrinsics(runs: int, views: int, seed: int, json_file: Path | None) -> 
             Check("fx of the real pictures within 0.3 % of OpenCV's", f"{off:+.3f} %", abs(off) <= 0.3)
         )
     out.print(experiment_tables.intrinsics_table(rows))
+    if plot is not None:
+        experiment_plots.intrinsics_plot(made[0]["maps"], plot)
     return concluded(checks, {"rows": [r.as_json() for r in rows]}, json_file)
 
 
-def run_stress(runs: int, seed: int, json_file: Path | None) -> bool:
+def run_stress(
+    runs: int, seed: int, json_file: Path | None, directory: Path, scheduler: str | None = None
+) -> bool:
     """Whether bad samples and small rotations leave the robust solver usable, and no method improper."""
-    with bars() as shown:
-        with shown.step("bad samples") as bar:
-            bad = stress.outliers(runs, seed=seed, progress=bar.update)
-        with shown.step("small rotations") as bar:
-            small = stress.small_rotations(runs, seed=seed, progress=bar.update)
+    tasks = [
+        {"key": f"{trial.name}-{seed}-{first}-{count}", "trial": trial.name, "seed": seed, "first": first,
+         "count": count}
+        for trial in (stress.BAD_SAMPLES, stress.SMALL_ROTATIONS)
+        for first, count in _blocks(runs)
+    ]  # fmt: skip
+    made = _made(directory, stress.block_row, tasks, scheduler, f"2 × {runs} runs")
+    bad, small = (stress.rows_of(trial, made) for trial in (stress.BAD_SAMPLES, stress.SMALL_ROTATIONS))
     for rows in (bad, small):
         out.print(experiment_tables.stress_table(rows))
     among_bad = next(r for r in bad if r.method == Method.ROBUST.value)
@@ -159,6 +183,21 @@ def run_stress(runs: int, seed: int, json_file: Path | None) -> bool:
         _at_most("small rotations: rms, mm", turning_little.translation_rms_mm, 7.0),
     ]
     return concluded(checks, {"rows": [r.as_json() for r in (*bad, *small)]}, json_file)
+
+
+def _blocks(runs: int, size: int = 25) -> list[tuple[int, int]]:
+    """First run and count of each block of at most ``size`` runs."""
+    return [(first, min(size, runs - first)) for first in range(0, runs, size)]
+
+
+def _made(
+    directory: Path, function: Run, tasks: list[dict[str, Any]], scheduler: str | None, title: str
+) -> list[dict[str, Any]]:
+    """A campaign's rows. Raises MeasurementFailed with the cause of the first run that failed."""
+    rows = run_campaign(directory, function, tasks, scheduler=scheduler, title=title)
+    if failed := next((row["failure"] for row in rows if row["failure"]), None):
+        raise MeasurementFailed("measurement.run_failed", f"{title}: {failed}")
+    return rows
 
 
 def run_real_data(json_file: Path | None) -> bool:

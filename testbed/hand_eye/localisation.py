@@ -8,7 +8,6 @@ truth is known.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
@@ -30,7 +29,6 @@ PAPER_K = np.array([[881.21, 0.0, 640.0], [0.0, 884.22, 360.0], [0.0, 0.0, 1.0]]
 MARKER_M = 0.05
 KEPT, TAKEN = 12, 17
 BUNDLE = "image-space adjustment"
-Progress = Callable[[float, str], None]
 
 
 class Rig(NamedTuple):
@@ -87,31 +85,68 @@ def localisation(
     repetitions: int = 50,
     seed: int = 1,
     rig: Rig | None = None,
-    progress: Progress | None = None,
 ) -> tuple[LocalisationRow, ...]:
     """Errors of all methods over ``runs`` simulated calibrations with ``repetitions`` of each task."""
     rig = rig or Rig()
+    return rows_of([_calibration(run, repetitions, seed, rig) for run in range(runs)], rig)
+
+
+class Entry(NamedTuple):
+    """One method in one calibration: errors of the whole chain and of X alone (tasks, repetitions), mm.
+
+    Both are None when the method failed.
+    """
+
+    method: str
+    samples: str
+    total: Any
+    bias: Any
+
+
+def calibration_row(task: dict[str, Any]) -> dict[str, Any]:
+    """A campaign's row: calibration number ``run`` with ``repetitions`` of each task."""
+    entries = _calibration(int(task["run"]), int(task["repetitions"]), int(task["seed"]), Rig())
+    return {
+        "entries": [
+            [e.method, e.samples, None if e.total is None else np.round(e.total, 5).tolist(),
+             None if e.bias is None else np.round(e.bias, 5).tolist()]
+            for e in entries
+        ]
+    }  # fmt: skip
+
+
+def entries_of(row: dict[str, Any]) -> list[Entry]:
+    """What ``calibration_row`` has kept."""
+    return [Entry(*kept) for kept in row["entries"]]
+
+
+def _calibration(run: int, repetitions: int, seed: int, rig: Rig) -> list[Entry]:
+    rng = np.random.default_rng([seed, run])
+    session = simulated_session(rig, rng)
+    points = _repetitions(session.scene, rig, repetitions, rng)
+    entries = []
+    for name, samples, X in _calibrations(session, rig):
+        errors = (None, None) if X is None else _located(points, X, session.scene.X)
+        entries.append(Entry(name, samples, *errors))
+    return entries
+
+
+def rows_of(calibrations: list[list[Entry]], rig: Rig | None = None) -> tuple[LocalisationRow, ...]:
+    """The rows that all calibrations amount to."""
     errors: dict[tuple[str, str], list[Array]] = {}
     biases: dict[tuple[str, str], list[Array]] = {}
     failed: dict[tuple[str, str], int] = {}
-    for run in range(runs):
-        rng = np.random.default_rng([seed, run])
-        session = simulated_session(rig, rng)
-        points = _repetitions(session.scene, rig, repetitions, rng)
-        for name, samples, X in _calibrations(session, rig):
-            key = (name, samples)
-            if X is None:
-                failed[key] = failed.get(key, 0) + 1
-                continue
-            total, bias = _located(points, X, session.scene.X)
-            errors.setdefault(key, []).append(total)
-            biases.setdefault(key, []).append(bias)
-        if progress is not None:
-            progress((run + 1) / runs, f"calibration {run + 1}")
+    for entry in (entry for entries in calibrations for entry in entries):
+        key = (entry.method, entry.samples)
+        if entry.total is None:
+            failed[key] = failed.get(key, 0) + 1
+            continue
+        errors.setdefault(key, []).append(np.array(entry.total))
+        biases.setdefault(key, []).append(np.array(entry.bias))
     return tuple(
         row
         for key, values in errors.items()
-        for row in _rows(key, values, biases[key], failed.get(key, 0), rig)
+        for row in _rows(key, values, biases[key], failed.get(key, 0), rig or Rig())
     )
 
 

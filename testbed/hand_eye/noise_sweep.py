@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -92,19 +92,11 @@ class Sweep:
 class _Tally:
     """Errors (6,) of one method over the runs of a level, and what else was told of them."""
 
-    errors: list[Any] = field(default_factory=list)
+    errors: list[Array] = field(default_factory=list)
     nees: list[float] = field(default_factory=list)
     eigenvalues: list[float] = field(default_factory=list)
     failed: int = 0
     dropped: int = 0
-
-    def add(self, other: "_Tally") -> None:
-        """The other's runs too."""
-        self.errors += other.errors
-        self.nees += other.nees
-        self.eigenvalues += other.eigenvalues
-        self.failed += other.failed
-        self.dropped += other.dropped
 
     def row(self, noise_on: NoiseOn, level: int, method: str, bound: scenes.Bound) -> SweepRow:
         E = np.array(self.errors).reshape(-1, 6)
@@ -138,67 +130,19 @@ def noise_sweep(
     """Errors of every method, or ``only`` some, at each level over ``runs`` seeded runs."""
     scene = scene or scenes.table_1_scene()
     chosen = tuple(only) if only is not None else tuple(Method)
-    blocks = [(level, _block(scene, noise_on, level, range(runs), seed, chosen)) for level in levels]
-    return _gathered(scene, noise_on, blocks)
-
-
-class Block(NamedTuple):
-    """Some runs at one level: tallies by method, and the largest difference between the two forms of DQCR."""
-
-    tallies: dict[str, "_Tally"]
-    difference: float
-
-
-def block_row(task: dict[str, Any]) -> dict[str, Any]:
-    """A campaign's row: ``count`` runs from ``first`` on at one ``level`` with noise on ``noise_on``."""
-    runs = range(int(task["first"]), int(task["first"]) + int(task["count"]))
-    noise_on = NoiseOn(task["noise_on"])
-    block = _block(scenes.table_1_scene(), noise_on, int(task["level"]), runs, int(task["seed"]), tuple(Method))
-    return {
-        "level": task["level"],
-        "difference": block.difference,
-        "tallies": {name: vars(tally) for name, tally in block.tallies.items()},
-    }
-
-
-def sweep_of(noise_on: NoiseOn, rows: Iterable[dict[str, Any]]) -> Sweep:
-    """The sweep that the rows of ``block_row`` amount to."""
-    blocks = [
-        (
-            int(row["level"]),
-            Block({name: _Tally(**kept) for name, kept in row["tallies"].items()}, float(row["difference"])),
-        )
-        for row in rows
-    ]
-    return _gathered(scenes.table_1_scene(), noise_on, blocks)
-
-
-def _block(
-    scene: Scene, noise_on: NoiseOn, level: int, runs: range, seed: int, chosen: tuple[Method, ...]
-) -> Block:
-    n = scenes.noise(ROTATION_DEG * level, TRANSLATION_MM * level, noise_on is NoiseOn.ROBOT_POSES)
-    tallies: dict[str, _Tally] = {}
-    difference = 0.0
-    for run in runs:
-        found = _run(scene, n, noise_on, np.random.default_rng([seed, level, run]), chosen, tallies)
-        if Method.DQCR in found and Method.DQCR_PUBLISHED in found:
-            gap = np.abs(found[Method.DQCR] - found[Method.DQCR_PUBLISHED]).max()
-            difference = max(difference, float(gap))
-    return Block(tallies, difference)
-
-
-def _gathered(scene: Scene, noise_on: NoiseOn, blocks: list[tuple[int, Block]]) -> Sweep:
     rows: list[SweepRow] = []
-    for level in dict.fromkeys(level for level, _ in blocks):
+    difference = 0.0
+    for level in levels:
         n = scenes.noise(ROTATION_DEG * level, TRANSLATION_MM * level, noise_on is NoiseOn.ROBOT_POSES)
         bound = scenes.bound(scene, n, noise_on is NoiseOn.CAMERA_MOTIONS)
         tallies: dict[str, _Tally] = {}
-        for of_level, block in blocks:
-            if of_level == level:
-                for name, tally in block.tallies.items():
-                    tallies.setdefault(name, _Tally()).add(tally)
+        for run in range(runs):
+            found = _run(scene, n, noise_on, np.random.default_rng([seed, level, run]), chosen, tallies)
+            if Method.DQCR in found and Method.DQCR_PUBLISHED in found:
+                gap = np.abs(found[Method.DQCR] - found[Method.DQCR_PUBLISHED]).max()
+                difference = max(difference, float(gap))
         rows += [tally.row(noise_on, level, name, bound) for name, tally in tallies.items()]
-    return Sweep(tuple(rows), max((block.difference for _, block in blocks), default=0.0))
+    return Sweep(tuple(rows), difference)
 
 
 def level_of(task: dict[str, Any]) -> dict[str, Any]:

@@ -1,9 +1,9 @@
 """Where hand-eye calibrations break: bad samples among the good, and booms that hardly turn."""
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from vision_pc.core.hand_eye.methods import Method
 from vision_pc.core.hand_eye.result import HandEyeResult
 from vision_pc.core.se3 import Array
 
-Progress = Callable[[float, str], None]
+_FLAGS = ("selects", "certifies")
 
 
 @dataclass(frozen=True)
@@ -50,12 +50,24 @@ class StressRow:
         return asdict(self)
 
 
+@dataclass
 class _Tally:
-    def __init__(self) -> None:
-        self.errors: list[Array] = []
-        self.refused = self.improper = self.uncertified = 0
-        self.flagged_bad = self.flagged_good = 0
-        self.selects = self.certifies = False
+    """One method over some runs; ``errors`` (6,) each."""
+
+    errors: list[Any] = field(default_factory=list)
+    refused: int = 0
+    improper: int = 0
+    uncertified: int = 0
+    flagged_bad: int = 0
+    flagged_good: int = 0
+    selects: bool = False
+    certifies: bool = False
+
+    def add(self, other: "_Tally") -> None:
+        """The other's runs too."""
+        for name, value in vars(other).items():
+            mine = getattr(self, name)
+            setattr(self, name, (mine or value) if name in _FLAGS else mine + value)
 
     def enter(self, result: HandEyeResult, truth: Array, bad: set[str]) -> None:
         R = result.X[:3, :3]
@@ -101,77 +113,95 @@ class _Tally:
         )
 
 
-def outliers(
-    runs: int = 200,
-    samples: int = 15,
-    bad: int = 2,
-    rotation_deg: float = 0.1,
-    translation_mm: float = 1.0,
-    seed: int = 1,
-    only: Iterable[Method] | None = None,
-    progress: Progress | None = None,
-) -> tuple[StressRow, ...]:
-    """Every method with ``bad`` of ``samples`` grossly wrong; the bound is that of the good samples alone."""
+class Trial(NamedTuple):
+    """One way to break calibrations: noise, how many samples and bad ones, how little the hand turns."""
 
-    def scene(rng: np.random.Generator) -> Scene:
-        return scenes.viewing_scene(rng, samples)
+    name: str
+    samples: int
+    bad: int
+    rotation_deg: float
+    translation_mm: float
+    largest_deg: float | None = None  # None: views from all sides
 
-    return _stress(
-        f"{bad} of {samples} bad", scene, bad, rotation_deg, translation_mm, runs, seed, only, progress
-    )
+    def scene(self, rng: np.random.Generator) -> Scene:
+        """A scene drawn for it."""
+        if self.largest_deg is None:
+            return scenes.viewing_scene(rng, self.samples)
+        return scenes.small_rotation_scene(rng, self.samples, self.largest_deg)
+
+
+BAD_SAMPLES = Trial("2 of 15 bad", 15, 2, 0.1, 1.0)
+SMALL_ROTATIONS = Trial("rotations under 5 deg", 20, 0, 0.05, 0.5, 5.0)
+TRIALS = {trial.name: trial for trial in (BAD_SAMPLES, SMALL_ROTATIONS)}
+
+
+class Block(NamedTuple):
+    """Some runs of a trial: tallies by method, and the Cramér-Rao bound of each run (deg, mm)."""
+
+    tallies: dict[str, _Tally]
+    bounds: list[Any]
+
+
+def outliers(runs: int = 200, seed: int = 1, only: Iterable[Method] | None = None) -> tuple[StressRow, ...]:
+    """Every method with 2 of 15 samples grossly wrong; the bound is that of the good samples alone."""
+    return _rows(BAD_SAMPLES, [_block(BAD_SAMPLES, range(runs), seed, _chosen(only))])
 
 
 def small_rotations(
-    runs: int = 200,
-    samples: int = 20,
-    largest_deg: float = 5.0,
-    rotation_deg: float = 0.05,
-    translation_mm: float = 0.5,
-    seed: int = 1,
-    only: Iterable[Method] | None = None,
-    progress: Progress | None = None,
+    runs: int = 200, seed: int = 1, only: Iterable[Method] | None = None
 ) -> tuple[StressRow, ...]:
-    """Every method where no two poses differ by more than ``largest_deg``, target 1 m before the camera."""
-
-    def scene(rng: np.random.Generator) -> Scene:
-        return scenes.small_rotation_scene(rng, samples, largest_deg)
-
-    name = f"rotations under {largest_deg:g} deg"
-    return _stress(name, scene, 0, rotation_deg, translation_mm, runs, seed, only, progress)
+    """Every method where no two poses differ by more than 5°, target 1 m before the camera."""
+    return _rows(SMALL_ROTATIONS, [_block(SMALL_ROTATIONS, range(runs), seed, _chosen(only))])
 
 
-def _stress(
-    scenario: str,
-    make: Callable[[np.random.Generator], Scene],
-    bad: int,
-    rotation_deg: float,
-    translation_mm: float,
-    runs: int,
-    seed: int,
-    only: Iterable[Method] | None,
-    progress: Progress | None,
-) -> tuple[StressRow, ...]:
-    n = scenes.noise(rotation_deg, translation_mm)
-    chosen = tuple(only) if only is not None else tuple(Method)
-    tallies = {method: _Tally() for method in chosen}
-    bounds: list[scenes.Bound] = []
-    count = 0
-    for run in range(runs):
+def block_row(task: dict[str, Any]) -> dict[str, Any]:
+    """A campaign's row: ``count`` runs of the trial ``trial`` from ``first`` on."""
+    runs = range(int(task["first"]), int(task["first"]) + int(task["count"]))
+    block = _block(TRIALS[task["trial"]], runs, int(task["seed"]), tuple(Method))
+    tallies = {name: vars(tally) for name, tally in block.tallies.items()}
+    return {"trial": task["trial"], "tallies": tallies, "bounds": block.bounds}
+
+
+def rows_of(trial: Trial, rows: Iterable[dict[str, Any]]) -> tuple[StressRow, ...]:
+    """What the rows of ``block_row`` for ``trial`` amount to."""
+    blocks = [
+        Block({name: _Tally(**kept) for name, kept in row["tallies"].items()}, row["bounds"])
+        for row in rows
+        if row["trial"] == trial.name
+    ]
+    return _rows(trial, blocks)
+
+
+def _chosen(only: Iterable[Method] | None) -> tuple[Method, ...]:
+    return tuple(only) if only is not None else tuple(Method)
+
+
+def _block(trial: Trial, runs: range, seed: int, chosen: tuple[Method, ...]) -> Block:
+    n = scenes.noise(trial.rotation_deg, trial.translation_mm)
+    tallies = {method.value: _Tally() for method in chosen}
+    bounds = []
+    for run in runs:
         rng = np.random.default_rng([seed, run])
-        scene = make(rng)
-        count = len(scene.X_BH)
-        pairs, spoiled = scenes.measured_with_bad(scene, n, rng, bad)
-        good = np.array([k for k in range(count) if str(k + 1) not in spoiled])
-        bounds.append(scenes.bound(scene._replace(X_BH=scene.X_BH[good]), n))
-        for method, tally in tallies.items():
+        scene = trial.scene(rng)
+        pairs, spoiled = scenes.measured_with_bad(scene, n, rng, trial.bad)
+        good = np.array([k for k in range(trial.samples) if str(k + 1) not in spoiled])
+        bounds.append(tuple(scenes.bound(scene._replace(X_BH=scene.X_BH[good]), n)))
+        for method in chosen:
             try:
-                tally.enter(methods.solve(pairs, method), scene.X, spoiled)
+                tallies[method.value].enter(methods.solve(pairs, method), scene.X, spoiled)
             except MeasurementFailed:
-                tally.refused += 1
-        if progress is not None:
-            progress((run + 1) / runs, scenario)
+                tallies[method.value].refused += 1
+    return Block(tallies, bounds)
+
+
+def _rows(trial: Trial, blocks: list[Block]) -> tuple[StressRow, ...]:
+    bounds = [bound for block in blocks for bound in block.bounds]
     if not bounds:
         raise LongreachError("refused.runs", "at least one run is needed")
-    squares = np.mean(np.square(np.array(bounds)), axis=0)
-    bound = scenes.Bound(float(np.sqrt(squares[0])), float(np.sqrt(squares[1])))
-    return tuple(tally.row(scenario, m.value, bound, bad, count - bad) for m, tally in tallies.items())
+    bound = scenes.Bound(*(float(v) for v in np.sqrt(np.mean(np.square(np.array(bounds)), axis=0))))
+    tallies: dict[str, _Tally] = {}
+    for block in blocks:
+        for name, tally in block.tallies.items():
+            tallies.setdefault(name, _Tally()).add(tally)
+    good = trial.samples - trial.bad
+    return tuple(tally.row(trial.name, name, bound, trial.bad, good) for name, tally in tallies.items())

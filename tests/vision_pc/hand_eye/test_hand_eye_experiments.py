@@ -162,7 +162,7 @@ def test_intrinsics_of_pictures(tmp_path: Path) -> None:
 def test_experiment_draws_and_writes(tmp_path: Path) -> None:
     plot, report = tmp_path / "fig7.png", tmp_path / "fig7.json"
     options = ["--runs", "1", "--largest", "2", "--plot", str(plot), "--json", str(report)]
-    options += ["--out", str(tmp_path)]
+    options += ["--directory", str(tmp_path)]
     result = CliRunner().invoke(command(), ["experiment", "hua-fig7", *options])
     assert result.exit_code == 0, result.output
     assert cv2.imread(str(plot)) is not None
@@ -180,14 +180,14 @@ def test_noise_sweep_in_full(noise_on: NoiseOn, tmp_path: Path) -> None:
 
 @pytest.mark.experiment
 def test_stress_in_full(tmp_path: Path) -> None:
-    assert experiments.run_stress(1000, 1, tmp_path / "stress.json")
+    assert experiments.run_stress(1000, 1, tmp_path / "stress.json", tmp_path)
 
 
 @pytest.mark.experiment
 def test_localisation_in_full(tmp_path: Path) -> None:
-    assert experiments.run_localisation(50, 50, 1, tmp_path / "fig5.png", tmp_path / "fig5.json")
+    assert experiments.run_localisation(50, 50, 1, None, tmp_path / "fig5.json", tmp_path)
 
 
 @pytest.mark.experiment
 def test_intrinsics_in_full(tmp_path: Path) -> None:
-    assert experiments.run_intrinsics(3, 15, 1, tmp_path / "intrinsics.json")
+    assert experiments.run_intrinsics(3, 15, 1, None, tmp_path / "intrinsics.json", tmp_path)

