@@ -1,13 +1,17 @@
 """The HTTP face for faults: everything it offers, everything it refuses, always as a problem with a cause."""
 
 import asyncio
+import json
 from typing import Any
 
 import httpx
 import pytest
 from fastapi import FastAPI
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from plant_emulator.core.faults import FAULTS
+from plant_emulator.core.layout import JOINTS
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.scene import Scene
 from plant_emulator.shell.fault_face import create_app
@@ -57,6 +61,13 @@ def face(plant: Plant) -> Client:
     return Client(create_app(plant, Scene(scene_config()), True))
 
 
+@pytest.fixture(scope="module")
+def whole() -> tuple[Client, Plant]:
+    """A face and its plant for tests that break nothing, nor mend."""
+    plant = Plant(plant_config(), seed=1)
+    return Client(create_app(plant, Scene(scene_config()), True)), plant
+
+
 def problem(response: httpx.Response, status: int, cause: str) -> str:
     """The detail of a problem document, whose every member is checked."""
     document = response.json()
@@ -68,23 +79,21 @@ def problem(response: httpx.Response, status: int, cause: str) -> str:
     return str(document["detail"])
 
 
-@pytest.mark.parametrize("data", EVERY)
-def test_every_fault_can_be_injected_seen_and_mended(
-    face: Client, plant: Plant, data: dict[str, Any]
-) -> None:
-    created = face.post("/faults", json={"fault": data})
-    assert created.status_code == 201
-    body = created.json()
-    assert body["fault"].items() >= data.items()
-    assert plant.truth().faults == (body["name"],)
-    assert face.get(created.headers["location"]).json() == body
-    assert face.get("/faults").json() == {
-        "allowed": True, "time_ns": plant.time_ns, "active": [body], "planned": []
-    }  # fmt: skip
-    assert face.delete(created.headers["location"]).json() == body
-    assert plant.truth().faults == ()
-    problem(face.get(created.headers["location"]), 404, "refused.no_such_fault")
-    problem(face.delete(created.headers["location"]), 404, "refused.no_such_fault")
+def test_every_fault_can_be_injected_seen_and_mended(face: Client, plant: Plant) -> None:
+    for data in EVERY:
+        created = face.post("/faults", json={"fault": data})
+        assert created.status_code == 201
+        body = created.json()
+        assert body["fault"].items() >= data.items()
+        assert plant.truth().faults == (body["name"],)
+        assert face.get(created.headers["location"]).json() == body
+        assert face.get("/faults").json() == {
+            "allowed": True, "time_ns": plant.time_ns, "active": [body], "planned": []
+        }  # fmt: skip
+        assert face.delete(created.headers["location"]).json() == body
+        assert plant.truth().faults == ()
+        problem(face.get(created.headers["location"]), 404, "refused.no_such_fault")
+        problem(face.delete(created.headers["location"]), 404, "refused.no_such_fault")
 
 
 def test_kinds_come_with_their_schema(face: Client) -> None:
@@ -139,15 +148,17 @@ def test_everything_is_mended_at_once(face: Client, plant: Plant) -> None:
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused_and_nothing_breaks(
-    face: Client, plant: Plant, body: dict[str, Any], cause: str, named: str
+    whole: tuple[Client, Plant], body: dict[str, Any], cause: str, named: str
 ) -> None:
+    face, plant = whole
     assert named in problem(face.post("/faults", json=body), 422, cause)
     assert not plant.faults.all()
     assert not plant.faults.changes
 
 
 @pytest.mark.parametrize("body", [b"", b"{", b"[]", b"\xff\xfe", b'{"fault": NaN}', b"null"])
-def test_what_is_not_an_order_at_all_is_refused(face: Client, plant: Plant, body: bytes) -> None:
+def test_what_is_not_an_order_at_all_is_refused(whole: tuple[Client, Plant], body: bytes) -> None:
+    face, plant = whole
     problem(face.post("/faults", content=body), 422, "request.invalid")
     assert not plant.faults.all()
 
@@ -189,3 +200,30 @@ def test_without_permission_everything_can_be_read_and_nothing_broken_or_mended(
 def test_breaking_down_inside_tells_nothing_of_the_inside(plant: Plant, face: Client) -> None:
     plant.faults = None  # type: ignore[assignment]
     assert problem(face.get("/faults"), 500, "internal") == "an internal error; see the log"
+
+
+_VALUES = (
+    st.none() | st.booleans() | st.integers(-2000, 2000) | st.floats() | st.sampled_from(JOINTS) | st.text()
+)
+_PARAMETERS = sorted({name for model in FAULTS.values() for name in model.model_fields} - {"kind"})
+_FAULTS = st.builds(
+    lambda kind, more: {"kind": kind} | more,
+    st.sampled_from(sorted(FAULTS)),
+    st.dictionaries(st.sampled_from(_PARAMETERS), _VALUES, max_size=3),
+)
+_JSON = st.recursive(_VALUES, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner), max_leaves=8)
+_TIMES = st.dictionaries(st.sampled_from(["start_after_s", "duration_s", "when"]), _VALUES, max_size=2)
+
+
+@settings(max_examples=50, deadline=None)
+@given(body=st.builds(lambda fault, times: {"fault": fault} | times, _FAULTS | _JSON, _TIMES) | _JSON)
+def test_whatever_is_sent_is_obeyed_or_refused_with_a_cause(whole: tuple[Client, Plant], body: Any) -> None:
+    face, plant = whole
+    before = plant.faults.all()
+    response = face.post("/faults", content=json.dumps(body).encode())
+    assert response.status_code in (201, 409, 422)
+    if response.status_code == 201:
+        face.delete(response.headers["location"])
+    else:
+        assert problem(response, response.status_code, response.json()["cause"])
+    assert plant.faults.all() == before
