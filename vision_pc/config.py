@@ -148,6 +148,7 @@ class OdometrySettings(StrictModel):
     minimum_inliers: int = Field(ge=6, le=1000)
     minimum_coverage: float = Field(ge=0.0, le=1.0)
     keyframe_overlap: float = Field(gt=0.05, le=0.99)
+    adjusted_keyframes: int = Field(ge=0, le=20)
     keyframes: int = Field(ge=2, le=1000)
 
     @property

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision_pc.core import se3
+from vision_pc.core.odometry import bundle_adjustment
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, EyeModel, Image
@@ -20,6 +21,7 @@ Indices = NDArray[np.int64]
 _NEAR, _FAR = 0.1, 50.0  # m: depths outside are mismatches or tell nothing about position
 _LARGEST_TURN = np.radians(25.0)  # beyond it a keyframe's patches no longer look alike
 _LARGEST_ZOOM = 1.35
+_LEAST_SHARED = 15  # points with the window, for a keyframe to hold it
 _LEAST_SCALE_STD = 2e-5
 _LEAST_STD_PX = 0.01  # of the right eye's view: bias of the matching keeps depths from being known better
 
@@ -28,15 +30,19 @@ class Keyframe(NamedTuple):
     """A remembered left picture, its pose, and the map points ``ids`` (n,) that it shows.
 
     ``pixels`` (n, 2) where it shows them, ``rays`` (n, 2) the same undistorted, ``surfaces`` (n, 3) from
-    ``patches.planes``.
+    ``patches.planes``; ``right_rays`` (n, 2) in the right eye, where ``seen_right`` (n,). Keyframes are
+    numbered in the order in which they were made.
     """
 
+    number: int
     X_C0C: Array
     left: Image
     ids: Indices
     pixels: Array
     rays: Array
     surfaces: Array
+    right_rays: Array
+    seen_right: Flags
 
     def only(self, chosen: Flags) -> "Keyframe":
         """The keyframe with the ``chosen`` (n,) of its points."""
@@ -45,12 +51,13 @@ class Keyframe(NamedTuple):
             pixels=self.pixels[chosen],
             rays=self.rays[chosen],
             surfaces=self.surfaces[chosen],
+            right_rays=self.right_rays[chosen],
+            seen_right=self.seen_right[chosen],
         )
 
 
 class KeyframeMap:
-    """Map points and the keyframes that show them. Grows only, so that points are found again on the way
-    back.
+    """Map points and the keyframes that show them, kept so that they are found again on the way back.
 
     ``points`` (n, 3) in C0. The error that all depths share is apart from their own: ``scale_std`` of the
     whole map, relative.
@@ -63,10 +70,13 @@ class KeyframeMap:
         self._least_std = _LEAST_STD_PX / (camera.right.K[0, 0] * np.linalg.norm(camera.right.X_CE[:3, 3]))
         self._origins, self._directions = np.zeros((0, 3)), np.zeros((0, 3))
         self._inverse_depths, self._information = np.zeros(0), np.zeros(0)
+        self._first = np.zeros(0, dtype=np.int64)  # number of the keyframe that first shows each point
         self.scale_std = 0.0
 
     def add_points(self, X_C0C: Array, points_C: Array, noise_px: float) -> Indices:
-        """The numbers given to new ``points_C`` (n, 3), triangulated by a camera at ``X_C0C``."""
+        """The numbers given to new ``points_C`` (n, 3), triangulated by a camera at ``X_C0C``, which becomes
+        the next keyframe.
+        """
         first, count = len(self.points), len(points_C)
         inverse_depths = 1.0 / points_C[:, 2]
         self._origins = np.vstack([self._origins, np.tile(X_C0C[:3, 3], (count, 1))])
@@ -76,8 +86,14 @@ class KeyframeMap:
         self._inverse_depths = np.concatenate([self._inverse_depths, inverse_depths])
         std = noise_px * self._least_std / _LEAST_STD_PX
         self._information = np.concatenate([self._information, np.full(count, std**-2.0)])
+        self._first = np.concatenate([self._first, np.full(count, self.next_number)])
         self.points = np.vstack([self.points, se3.apply(X_C0C, points_C)])
         return np.arange(first, first + count)
+
+    @property
+    def next_number(self) -> int:
+        """The number of the next keyframe."""
+        return self.keyframes[-1].number + 1 if self.keyframes else 0
 
     def trust_scale(self, ids: Indices) -> None:
         """Take the scale of the whole map to be as certain as the depths of its first points ``ids`` make
@@ -122,6 +138,77 @@ class KeyframeMap:
         self._inverse_depths[ids] += np.clip(step, -limit, limit)
         self._information[ids] = np.minimum(self._information[ids], self._least_std**-2.0)
         self.points[ids] = self._origins[ids] + self._directions[ids] / self._inverse_depths[ids][:, None]
+
+    def forget(self, keyframe: Keyframe) -> None:
+        """Leave ``keyframe`` out of the map; its points stay for those that share them."""
+        self.keyframes = [kept for kept in self.keyframes if kept is not keyframe]
+
+    def adjust(self, window: int, noise_px: float, huber_px: float) -> None:
+        """Bring the newest ``window`` keyframes and the points that they share with others into agreement.
+
+        Held by what stays: the first keyframe, and up to ``window`` older ones that show the same points.
+        """
+        free = [keyframe for keyframe in self.keyframes[-window:] if keyframe is not self.keyframes[0]]
+        shown = np.unique(np.concatenate([keyframe.ids for keyframe in free])) if free else np.zeros(0, int)
+        older = self.keyframes[: len(self.keyframes) - len(free)]
+        shares = [int(np.isin(keyframe.ids, shown).sum()) for keyframe in older]
+        held = [older[k] for k in np.argsort(shares, kind="stable")[-window:] if shares[k] >= _LEAST_SHARED]
+        if not held:
+            return
+        problem, ids = self._problem(held, free, shown)
+        found = bundle_adjustment.adjusted(problem, self._eyes, noise_px, huber_px)
+        for keyframe, X_CC0 in zip(free, found.X_CC0[len(held) :], strict=True):
+            self._move(keyframe, se3.inverse(X_CC0))
+        lengths = np.linalg.norm(self._directions[ids], axis=1)
+        away = found.points - self._origins[ids]
+        self._inverse_depths[ids] = lengths / np.linalg.norm(away, axis=1)
+        self._directions[ids] = away * self._inverse_depths[ids][:, None]
+        self.points[ids] = found.points
+
+    def _problem(
+        self, held: list[Keyframe], free: list[Keyframe], shown: Indices
+    ) -> tuple[bundle_adjustment.Problem, Indices]:
+        """The problem of ``held`` and ``free`` keyframes, and the map points (m,) of it: those ``shown`` by
+        at least two of them.
+        """
+        chosen = [*held, *free]
+        every = np.concatenate([keyframe.ids for keyframe in chosen])
+        ids, counts = np.unique(every[np.isin(every, shown)], return_counts=True)
+        ids = ids[counts > 1]
+        cameras, numbers, eyes, rays = [], [], [], []
+        depths: list[tuple[Array, Array]] = []
+        for k, keyframe in enumerate(chosen):
+            mine = np.isin(keyframe.ids, ids)
+            first = self._first[keyframe.ids] == keyframe.number
+            for eye, seen, there in (
+                (0, mine, keyframe.rays),
+                (1, mine & keyframe.seen_right & ~first, keyframe.right_rays),  # its depth says that already
+            ):
+                numbers.append(np.searchsorted(ids, keyframe.ids[seen]))
+                cameras.append(np.full(len(numbers[-1]), k))
+                eyes.append(np.full(len(numbers[-1]), eye))
+                rays.append(there[seen])
+            own = np.searchsorted(ids, keyframe.ids[mine & first])
+            depths.append((np.full(len(own), k), own))
+        views = bundle_adjustment.Views(
+            np.concatenate(cameras), np.concatenate(numbers), np.concatenate(eyes), np.concatenate(rays)
+        )
+        camera, point = (np.concatenate(part) for part in zip(*depths, strict=True))
+        known = bundle_adjustment.Depths(
+            camera, point, self._inverse_depths[ids[point]], self.stds(ids[point])
+        )
+        X_CC0 = np.stack([se3.inverse(keyframe.X_C0C) for keyframe in chosen])
+        return bundle_adjustment.Problem(X_CC0, len(held), self.points[ids], views, known), ids
+
+    def _move(self, keyframe: Keyframe, X_C0C: Array) -> None:
+        """Put ``keyframe`` at ``X_C0C``, and with it the points that it was the first to show."""
+        moved = X_C0C @ se3.inverse(keyframe.X_C0C)
+        own = self._first == keyframe.number
+        self._origins[own] = X_C0C[:3, 3]
+        self._directions[own] = self._directions[own] @ moved[:3, :3].T
+        self.points[own] = self._origins[own] + self._directions[own] / self._inverse_depths[own][:, None]
+        position = next(k for k, kept in enumerate(self.keyframes) if kept is keyframe)
+        self.keyframes[position] = keyframe._replace(X_C0C=X_C0C)
 
     def nearest(self, X_C0C: Array) -> list[Keyframe]:
         """Keyframes, those first that look most like what a camera at ``X_C0C`` sees."""

@@ -30,14 +30,16 @@ class Frame(NamedTuple):
 
 
 class Fix(NamedTuple):
-    """A pair's pose against the map, with the map points (n,) that hold it and where the left eye sees
-    them.
+    """A pair's pose against the map, with the map points (n,) that hold it, where the left eye sees them,
+    and the right eye's rays (n, 2) to those that it sees (n,).
     """
 
     X_C0C: Array
     covariance: Array
     ids: Indices
     pixels: Array
+    right_rays: Array
+    seen_right: Flags
     residual_px: float
 
 
@@ -136,7 +138,7 @@ class Localiser:
         self._map.learn(ids, X_CC0, errors, seen, self._noise_px)
         self._noise_px = max(residual, _LEAST_NOISE_PX)
         covariance = _SHARED * se3.inverse_covariance(X_CC0, solution.covariances[0])
-        return Fix(se3.inverse(X_CC0), covariance, ids, pixels, residual)
+        return Fix(se3.inverse(X_CC0), covariance, ids, pixels, rays[1], seen[1] > 0.0, residual)
 
     def _trust(self, ids: Indices, X_CC0: Array) -> Array:
         """Weights (2, n) 0…1 of the eyes' views: less where an uncertain depth moves the view."""

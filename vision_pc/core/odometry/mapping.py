@@ -6,7 +6,7 @@ import numpy as np
 from vision_pc.config import OdometrySettings
 from vision_pc.core import intrinsics, se3
 from vision_pc.core.odometry import patches, tracking
-from vision_pc.core.odometry.keyframe_map import Indices, Keyframe, KeyframeMap, triangulated
+from vision_pc.core.odometry.keyframe_map import Keyframe, KeyframeMap, triangulated
 from vision_pc.core.odometry.localisation import Fix, Frame
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
@@ -29,32 +29,57 @@ class Mapper:
 
     def begin(self, frame: Frame, X_C0C: Array) -> Fix | None:
         """The first keyframe at ``X_C0C``, or None when the pair shows too little to hold on to."""
-        points_C, pixels = self._new_points(frame, np.zeros((0, 2)))
+        points_C, pixels, right_rays = self._new_points(frame, np.zeros((0, 2)))
         if len(pixels) < self._settings.minimum_inliers:
             return None
         ids = self._map.add_points(X_C0C, points_C, self._settings.noise_px)
         self._map.trust_scale(ids)
-        self._add_keyframe(frame, X_C0C, ids, pixels)
-        return Fix(X_C0C, np.zeros((6, 6)), ids, pixels, 0.0)
+        fix = Fix(X_C0C, np.zeros((6, 6)), ids, pixels, right_rays, np.ones(len(ids), dtype=bool), 0.0)
+        self._add_keyframe(frame, fix)
+        return fix
 
-    def extend(self, frame: Frame, fix: Fix) -> None:
-        """Make ``frame`` a keyframe: the points that hold it, and new ones where there are none."""
-        if len(self._map.keyframes) < self._settings.keyframes:
-            points_C, pixels = self._new_points(frame, fix.pixels)
-            ids = self._map.add_points(fix.X_C0C, points_C, self._settings.noise_px)
-            self._add_keyframe(
-                frame, fix.X_C0C, np.concatenate([fix.ids, ids]), np.vstack([fix.pixels, pixels])
+    def extend(self, frame: Frame, fix: Fix) -> Fix:
+        """``frame``'s pose after it has become a keyframe, adjusted together with the newest ones: with the
+        points that hold it, and new ones where there are none. Where the map is full, the keyframe least
+        like it is forgotten.
+        """
+        if len(self._map.keyframes) >= self._settings.keyframes:
+            self._map.forget(self._map.nearest(fix.X_C0C)[-1])
+        points_C, pixels, right_rays = self._new_points(frame, fix.pixels)
+        ids = self._map.add_points(fix.X_C0C, points_C, self._settings.noise_px)
+        grown = fix._replace(
+            ids=np.concatenate([fix.ids, ids]),
+            pixels=np.vstack([fix.pixels, pixels]),
+            right_rays=np.vstack([fix.right_rays, right_rays]),
+            seen_right=np.concatenate([fix.seen_right, np.ones(len(ids), dtype=bool)]),
+        )
+        self._add_keyframe(frame, grown)
+        if self._settings.adjusted_keyframes:
+            self._map.adjust(
+                self._settings.adjusted_keyframes, self._settings.noise_px, self._settings.huber_px
             )
+        return fix._replace(X_C0C=self._map.keyframes[-1].X_C0C)
 
-    def _add_keyframe(self, frame: Frame, X_C0C: Array, ids: Indices, pixels: Array) -> None:
-        rays = intrinsics.normalised(self._camera.left, pixels)
-        depths = se3.apply(se3.inverse(X_C0C), self._map.points[ids])[:, 2]
-        surfaces = patches.planes(rays, depths)
-        self._map.keyframes.append(Keyframe(X_C0C, frame.pair.left.copy(), ids, pixels, rays, surfaces))
+    def _add_keyframe(self, frame: Frame, fix: Fix) -> None:
+        rays = intrinsics.normalised(self._camera.left, fix.pixels)
+        depths = se3.apply(se3.inverse(fix.X_C0C), self._map.points[fix.ids])[:, 2]
+        self._map.keyframes.append(
+            Keyframe(
+                self._map.next_number,
+                fix.X_C0C,
+                frame.pair.left.copy(),
+                fix.ids,
+                fix.pixels,
+                rays,
+                patches.planes(rays, depths),
+                fix.right_rays,
+                fix.seen_right,
+            )
+        )
 
-    def _new_points(self, frame: Frame, taken: Array) -> tuple[Array, Array]:
-        """New points (m, 3) in C and their left pixels (m, 2), where the picture holds none of ``taken``
-        (n, 2).
+    def _new_points(self, frame: Frame, taken: Array) -> tuple[Array, Array, Array]:
+        """New points (m, 3) in C, their left pixels (m, 2) and right rays (m, 2), where the picture holds
+        none of ``taken`` (n, 2).
         """
         left, right = frame.pair.left, frame.pair.right
         pixels = tracking.features(left, frame.left_static, taken, self._settings)
@@ -65,14 +90,22 @@ class Mapper:
         pixels, points_C, found = pixels[good], points_C[good], coarse.points[good]
         rays = points_C[:, :2] / points_C[:, 2:]
         patch = Keyframe(
-            se3.identity(), left, np.arange(len(rays)), pixels, rays, patches.planes(rays, points_C[:, 2])
+            0,
+            se3.identity(),
+            left,
+            np.arange(len(rays)),
+            pixels,
+            rays,
+            patches.planes(rays, points_C[:, 2]),
+            rays,
+            np.zeros(len(rays), dtype=bool),
         )
         found, matched = patches.found(
             patch, right, found, se3.identity(), self._camera.left, self._camera.right, self._settings
         )
         points_C, good = self._triangulated(frame, pixels, found)
         good &= matched
-        return points_C[good], pixels[good]
+        return points_C[good], pixels[good], intrinsics.normalised(self._camera.right, found)[good]
 
     def _triangulated(self, frame: Frame, left: Array, right: Array) -> tuple[Array, Flags]:
         """Points (n, 3) in C of matched pixels (n, 2) of both eyes, and which of them make sense (n,)."""

@@ -43,7 +43,6 @@ class StereoOdometry:
         self._static = (everything, everything)
         self._masked_for: Array | None = None
         self._lost_frames = 0
-        self._smooths = False
         self.last_loss: str | None = None
 
     @property
@@ -73,7 +72,6 @@ class StereoOdometry:
         self._motion = se3.identity() if self._lost_frames else se3.inverse(self._X_C0C) @ outcome.X_C0C
         self._X_C0C = outcome.X_C0C
         self._lost_frames = 0
-        self._smooths = False
         self.last_loss = None
         cells = tracking.grid_cells(outcome.pixels, pair.left.shape, self._settings)
         return OdometryPose(
@@ -106,7 +104,7 @@ class StereoOdometry:
                 outcome = self._localiser.against(frame, keyframe, expected)
                 if isinstance(outcome, Fix):
                     if len(outcome.ids) < self._settings.keyframe_overlap * len(keyframe.ids):
-                        self._mapper.extend(frame, outcome)
+                        return self._mapper.extend(frame, outcome)
                     return outcome
         keyframe = self._map.keyframes[
             self._lost_frames % len(self._map.keyframes)
