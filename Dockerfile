@@ -6,6 +6,8 @@ RUN /usr/sbin/useradd --create-home --uid 10001 longreach \
     && python -m venv /opt/longreach \
     && install -d -o longreach -g longreach /var/lib/longreach
 ENV PATH=/opt/longreach/bin:$PATH \
+    OMP_NUM_THREADS=1 \
+    OPENBLAS_NUM_THREADS=1 \
     PYTHONUNBUFFERED=1 \
     PYTHONDONTWRITEBYTECODE=1 \
     NUMBA_CACHE_DIR=/var/lib/longreach/numba \
