@@ -1,19 +1,17 @@
 """The controller's end of the reference link, without input or output: datagrams and times in, events out."""
 
-import hashlib
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from protocol.authentication import LinkKey
 from protocol.channel import Channel, LinkStatistics, unauthentic
-from protocol.command_ledger import CommandLedger
 from protocol.datagram import Datagram, Header, decode, payload_of
 from protocol.datagram_layout import VERSION_MINOR
 from protocol.errors import DatagramRefused
 from protocol.faults import Reason
+from protocol.grants import Grants, Session, Source
 from protocol.reference_messages import (
-    CAPABILITY_AUTHENTICATION,
     CAPABILITY_PATHS,
     CAPABILITY_STREAMING,
     Acknowledgement,
@@ -29,7 +27,6 @@ from protocol.reference_messages import (
     StreamedPose,
     StreamRefused,
     UnusableRequest,
-    Welcome,
     needed_capability,
 )
 from protocol.session_events import (
@@ -50,18 +47,6 @@ _REFUSALS = {
     "authentication.unknown_key": Reason.UNKNOWN_KEY,
     "authentication.bad_tag": Reason.BAD_TAG,
 }
-Source = object
-
-
-@dataclass(slots=True)
-class _Session:
-    channel: Channel
-    ledger: CommandLedger
-    source: Source
-    welcome: Welcome
-    hello_sent_ns: int
-    next_state_ns: int
-    greeted_ns: int
 
 
 class ReferenceServer:
@@ -84,18 +69,14 @@ class ReferenceServer:
         first_sequence: int = 1,
         key: LinkKey | None = None,
     ) -> None:
+        self._grants = Grants(boot_id, arm_hash, cycle_ns, link_timeout_ms, capabilities, first_sequence, key)
         self._key = key
-        self._boot_id = boot_id
         self._arm_hash = arm_hash
         self._cycle_ns = cycle_ns
         self._link_timeout_ms = link_timeout_ms
         self._max_age_ns = (link_timeout_ms if max_age_ms is None else max_age_ms) * NS_PER_MS
-        self._capabilities = capabilities & ~CAPABILITY_AUTHENTICATION
-        self._capabilities |= CAPABILITY_AUTHENTICATION if key else 0
-        self._first_sequence = first_sequence
-        self._session: _Session | None = None
-        self._unconfirmed: _Session | None = None
-        self._sessions_opened = 0
+        self._session: Session | None = None
+        self._unconfirmed: Session | None = None
         self._past_nonces: deque[int] = deque(maxlen=REMEMBERED_NONCES)
         self._outbox: list[tuple[Message, Channel, Source, int]] = []
         self._refused_at_ns: int | None = None
@@ -201,7 +182,7 @@ class ReferenceServer:
         if header.session != 0:
             return [self._foreign("session.hello_in_session", f"HELLO in session {header.session:x}")]
         for each in (session, self._unconfirmed):
-            if each and source == each.source and hello.client_nonce == each.welcome.client_nonce:
+            if each and each.is_of(hello, source):
                 dropped = each.channel.hear(header, now_ns, self._max_age_ns, self._tally)
                 if dropped is None:
                     self._post(each, each.welcome, now_ns)
@@ -229,23 +210,8 @@ class ReferenceServer:
         self._session, self._unconfirmed = granted, None
         return [*events, SessionOpened(granted.channel.session, granted.source)]
 
-    def _granted(self, header: Header, hello: Hello, source: Source, now_ns: int) -> _Session:
-        self._sessions_opened += 1
-        nonce = hello.client_nonce
-        number = _session_number(self._boot_id, nonce, self._sessions_opened)
-        keys = self._key.of_controller(nonce, number, self._boot_id) if self._key else None
-        channel = Channel(number, min(header.minor, VERSION_MINOR), self._first_sequence, keys)
-        channel.hear(header, now_ns, None, self._tally)
-        welcome = Welcome(
-            hello.client_nonce,
-            hello.capabilities & self._capabilities,
-            self._arm_hash,
-            self._boot_id,
-            self._cycle_ns,
-            self._link_timeout_ms,
-            hello.state_period_ms,
-        )
-        return _Session(channel, CommandLedger(), source, welcome, header.sent_ns, now_ns, now_ns)
+    def _granted(self, header: Header, hello: Hello, source: Source, now_ns: int) -> Session:
+        return self._grants.grant(header, hello, source, now_ns, self._tally)
 
     def _in_session(self, datagram: Datagram, data: bytes, source: Source, now_ns: int) -> list[ServerEvent]:
         header, message = datagram
@@ -279,12 +245,12 @@ class ReferenceServer:
             return events + self._streamed(session, header, message, now_ns)
         return events + self._requested(session, message, payload_of(data), now_ns)
 
-    def _addressed(self, number: int) -> _Session | None:
+    def _addressed(self, number: int) -> Session | None:
         sessions = (self._session, self._unconfirmed)
         return next((each for each in sessions if each and each.channel.session == number), None)
 
     def _streamed(
-        self, session: _Session, header: Header, message: StreamedPose, now_ns: int
+        self, session: Session, header: Header, message: StreamedPose, now_ns: int
     ) -> list[ServerEvent]:
         if not session.welcome.capabilities & CAPABILITY_STREAMING:
             refusal = StreamRefused(message.stream_id, message.number, Reason.NOT_NEGOTIATED, 0.0, 0.0)
@@ -296,7 +262,7 @@ class ReferenceServer:
 
     def _requested(
         self,
-        session: _Session,
+        session: Session,
         request: Request | UnusableRequest,
         payload: bytes,
         now_ns: int,
@@ -318,7 +284,7 @@ class ReferenceServer:
         assert self._session is not None
         self._post(self._session, message, now_ns)
 
-    def _post(self, session: _Session, message: Message, now_ns: int) -> None:
+    def _post(self, session: Session, message: Message, now_ns: int) -> None:
         self._outbox.append((message, session.channel, session.source, now_ns))
 
     def _refuse(self, reason: Reason, session: int, source: Source, now_ns: int) -> None:
@@ -339,9 +305,3 @@ class ReferenceServer:
 
     def _foreign(self, cause: str, detail: str) -> DatagramDropped:
         return self._tally.drop(cause, detail)
-
-
-def _session_number(boot_id: int, client_nonce: int, count: int) -> int:
-    """A number that no other session of this or another controller has, and that is never 0."""
-    seed = b"".join(number.to_bytes(8, "little") for number in (boot_id, client_nonce, count))
-    return int.from_bytes(hashlib.sha256(seed).digest()[:8], "little") or 1
