@@ -11,7 +11,7 @@ from controller.config import ArmConfig, ControllerConfig
 from controller.core.inbox import Inbox
 from controller.core.settings import Settings, settings_from
 from protocol.authentication import LinkKey
-from protocol.configuration import configuration_hash, load, parse_overrides
+from protocol.configuration import configuration_hash, load, merged, parse_overrides
 from protocol.reference_link import Acknowledgement, Request, State
 from protocol.reference_session import ReferenceServer, RequestReceived, ServerEvent, StreamedPoseReceived
 from tests.controller.obedient_plant import Bench
@@ -24,7 +24,7 @@ OVERRIDES = ["controller.supervision.overrun_ms=2000", "controller.streaming.sil
 def settings(*more: str) -> Settings:
     """The shipped configuration, tolerant of a test machine's lateness, with further overrides."""
     arm = load(ArmConfig, CONFIGS / "arm.yaml")
-    overrides = parse_overrides([*OVERRIDES, *more])["controller"]
+    overrides = merged(parse_overrides(OVERRIDES), parse_overrides(more))["controller"]
     config = load(ControllerConfig, CONFIGS / "controller.yaml", overrides)
     return settings_from(arm, config)
 
