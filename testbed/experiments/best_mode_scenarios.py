@@ -84,7 +84,7 @@ def arm_files(config_dir: Path, arm: str) -> JSON:
     suffix = arm.removeprefix("plant_")
     return {
         name: yaml.safe_load((config_dir / f"{name}_{suffix}.yaml").read_text(encoding="utf-8"))
-        for name in ("plant", "arm", "controller")
+        for name in ("plant", "arm", "controller", "vision")
     }
 
 
