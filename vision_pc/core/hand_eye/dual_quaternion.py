@@ -176,6 +176,10 @@ def _constraints() -> tuple[Array, Array]:
     return A_1, A_2
 
 
+# Without any noise the block of g' has no inverse: g' along g costs nothing, and is excluded by gᵀg' = 0.
+_RIDGE = 1e-15
+
+
 def _stationary(M: Array, multiplier: float) -> tuple[Array, tuple[float, float]]:
     """The exact stationary point (8,) and both multipliers next to the relaxation's second one.
 
@@ -186,7 +190,7 @@ def _stationary(M: Array, multiplier: float) -> tuple[Array, tuple[float, float]
 
     def at(second: float) -> tuple[float, Array]:
         K = M[:4, 4:] - 0.5 * second * np.eye(4)
-        across = np.linalg.solve(M[4:, 4:], K.T)
+        across = np.linalg.solve(M[4:, 4:] + _RIDGE * np.eye(4), K.T)
         values, vectors = np.linalg.eigh(M[:4, :4] - K @ across)
         g = vectors[:, 0]
         return float(values[0]), np.concatenate([g, -across @ g])
