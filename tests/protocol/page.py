@@ -45,6 +45,7 @@ from protocol.greeting import HELLO_PERIOD_NS, HELLOS_PER_NONCE
 from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
 from protocol.reference_link import Bye, Heartbeat, Hello, ReferencePose, Welcome, encode
 from protocol.server_session import REFUSAL_INTERVAL_NS, REMEMBERED_NONCES
+from testbed.conformance.runner import reference_cases
 from tests.protocol.samples import HEADER as HEADER_SAMPLE
 from tests.protocol.samples import MESSAGES
 from tests.protocol.session_tables import CLIENT_ROWS, KEY_SERVER_ROWS, SERVER_ROWS, Row
@@ -353,6 +354,10 @@ SECTIONS: dict[str, Callable[[], str]] = {
             "ENABLE": "the valves may follow the commands",
             "RESET_WATCHDOG": "a rising edge clears WATCHDOG_TRIPPED",
         },
+    ),
+    "cases": lambda: table(
+        "case | clause | moves | question",
+        ((case.number, case.clause, "yes" if case.motion else "", case.title) for case in reference_cases()),
     ),
     "structured text": structured_text,
     "golden": golden,
