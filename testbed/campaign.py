@@ -42,6 +42,7 @@ _QUIET = {
     "distributed.worker.memory.pause": False,  # a paused worker would wait for ever: its memory is one run's
     "distributed.scheduler.allowed-failures": 1,  # a run that ends its worker twice would do so again
     "distributed.scheduler.worker-ttl": None,  # compiled kernels may keep a worker from answering for long
+    "distributed.comm.timeouts.connect": "120s",  # on a busy machine a worker takes its time to start
     "distributed.admin.large-graph-warning-threshold": "1GiB",
 }
 
@@ -210,23 +211,31 @@ def _workforce(scheduler: str | None, workers: int) -> Iterator[_Workforce]:
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_QUIET))
         if scheduler is None:
-            cluster = stack.enter_context(
-                distributed.LocalCluster(
-                    n_workers=workers,
-                    threads_per_worker=1,
-                    processes=True,
-                    host="127.0.0.1",
-                    dashboard_address="127.0.0.1:0",
-                    scheduler_kwargs={"dashboard": False},
-                    memory_limit=_MEMORY_LIMIT,
-                    silence_logs=logging.CRITICAL,
-                )
-            )
+            cluster = stack.enter_context(_started(workers))
             client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
             yield _Workforce(client, workers, True)
         else:
             client = stack.enter_context(_reached(scheduler))
             yield _Workforce(client, 2 * sum(client.nthreads().values()), False)
+
+
+def _started(workers: int) -> Any:
+    """A cluster of worker processes on loopback. Raises LinkLost (``link.workers_not_started``)."""
+    try:
+        return distributed.LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False},
+            memory_limit=_MEMORY_LIMIT,
+            silence_logs=logging.CRITICAL,
+        )
+    except (OSError, RuntimeError) as error:
+        raise LinkLost(
+            "link.workers_not_started", f"{workers} workers could not be started: {error}"
+        ) from error
 
 
 @contextmanager

@@ -16,6 +16,8 @@ from testbed.console import plain
 
 Row = dict[str, Any]
 
+csv.field_size_limit(1 << 26)  # a cell may hold a list
+
 
 def cell(value: Any) -> str:
     """``value`` as a cell."""

@@ -23,7 +23,8 @@ def measured(task: dict[str, Any]) -> dict[str, Any]:
         raise ZeroDivisionError("a bug")
     if task.get("dies"):
         os._exit(1)
-    return {"twice": 2 * task["number"], "process": os.getpid(), "nothing": math.nan}
+    file = bytes([task["number"]])
+    return {"twice": 2 * task["number"], "process": os.getpid(), "nothing": math.nan, "trace.bin": file}
 
 
 def scaled(factor: float, task: dict[str, Any]) -> dict[str, Any]:
@@ -41,6 +42,7 @@ def test_a_campaign_runs_in_processes_of_its_own_resumes_and_tells_failures(tmp_
     assert rows[1]["failure"] == "measurement.object_not_seen: seen in 0 of 10 pictures\nand no more"
     assert rows[0]["failure"] is None
     assert rows[0]["nothing"] is None
+    assert (tmp_path / rows[2]["trace.bin"]).read_bytes() == b"\x02"
     assert rows[0]["process"] != os.getpid()
     assert all(row["run_s"] >= 0.0 and row["cpu_s"] >= 0.0 for row in rows)
     assert sorted(RowFile(tmp_path / "rows.csv").rows, key=lambda row: row["key"]) == rows
@@ -127,6 +129,12 @@ def test_a_line_that_was_cut_off_is_dropped_and_overwritten(tmp_path: Path) -> N
     assert [row["key"] for row in file.rows] == ["a"]
     file.append({"key": "c", "value": 3})
     assert path.read_text() == "key,value\na,1\nc,3\n"
+
+
+def test_a_long_list_fits_into_a_cell(tmp_path: Path) -> None:
+    long = [float(n) for n in range(50_000)]
+    RowFile(tmp_path / "rows.csv").append({"key": "a", "values": long})
+    assert RowFile(tmp_path / "rows.csv").rows[0]["values"] == long
 
 
 def test_what_is_not_finite_is_nothing() -> None:

@@ -10,7 +10,7 @@ import pytest
 from testbed.experiments import ablation, comparison, figures, published, sweep
 from testbed.experiments.comparison import TABLES, compared, conclusions
 from testbed.experiments.measurement import bench, measured_on
-from testbed.experiments.paper import Asked, comparison_cells, costs, task
+from testbed.experiments.paper import Asked, comparison_cells, costs, show, task
 from testbed.experiments.report import write_comparison
 from testbed.experiments.tracing import Tracer
 from testbed.rig_lockstep import run
@@ -166,6 +166,12 @@ def test_each_figure_is_drawn_from_a_trace(tmp_path: Path) -> None:
     for name in figures.KINDS:
         drawn = figures.draw(name, figures.load_trace(tmp_path / "trace.npz"), rows)
         assert drawn.startswith(b"\x89PNG")
+
+
+@pytest.mark.experiment
+def test_the_papers_tables_in_full(tmp_path: Path) -> None:
+    asked = ASKED._replace(runs=30, directory=tmp_path, workers=2)
+    assert show(("table2", "table3", "table4"), asked, tmp_path / "tables.json")
 
 
 def test_the_papers_eyes_see_what_is_there_but_worse_than_ours() -> None:
