@@ -166,7 +166,8 @@ class GuidedCalibration:
             raise RequestRefused("refused.hand_eye.no_proposal", "no pose is proposed: propose one first")
         report(0.1, "moving")
         view = await self._driven(proposal.X_BT, learn=True)
-        return {"X_BT": pose_json(view.X_BT), "settled": view.settled, "off": _off(view.X_BT, proposal.X_BT)}
+        off = _off(view.X_BT, proposal.X_BT)
+        return {"X_BT_reached": pose_json(view.X_BT), "settled": view.settled, "off": off}
 
     async def sample(self, report: Report, name: str | None = None) -> JSON:
         """Takes a sample where the arm stands, in the place of sample ``name`` if that is given."""
