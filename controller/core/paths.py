@@ -3,6 +3,11 @@
 Source: Mäkinen et al. 2023, motion control: quintic polynomials at rest at both ends, orientation about
 one axis by one angle with the same quintic. From a moving state the general quintic starts at the present
 velocity and acceleration, of the position and of the rotation vector to the goal alike.
+
+Jerk is not limited but bounded: from rest to rest over a distance d in T it is 60 d/T³ at both ends, the peak
+acceleration 5.77 d/T² (10/√3), so jerk ≤ 10.4 · acceleration / T, and T is at least ``duration_min_s``: 5.2
+m/s³ with 0.25 m/s² and 0.5 s. Acceleration is continuous, jerk steps at the ends. Streamed references are
+limited in jerk itself (``approach``).
 """
 
 from typing import NamedTuple

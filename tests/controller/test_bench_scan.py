@@ -14,7 +14,8 @@ from controller.core.rotations import Array
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput
 from controller.core.settings import Settings, settings_from
-from protocol.reference_link import ReferencePath
+from protocol.reference_link import ReferencePath, StreamedPose
+from protocol.reference_session import StreamedPoseReceived
 from tests.controller.obedient_plant import Bench
 from tests.controller.test_kinematics import START, drawn_arm
 
@@ -37,6 +38,26 @@ def test_scan_in_motion(benchmark, settings: Settings) -> None:
     bench = Bench(settings).moving()
     inputs = _next_input(bench)
     benchmark(scan, settings, bench.state, inputs)
+
+
+@pytest.mark.benchmark(group="scan")
+def test_scan_in_a_stream(benchmark, settings: Settings) -> None:
+    bench = Bench(settings).streaming()
+    inputs = _next_input(bench)
+    benchmark(scan, settings, bench.state, inputs)
+
+
+@pytest.mark.benchmark(group="scan")
+def test_scan_with_a_streamed_reference(benchmark, settings: Settings) -> None:
+    """Judged, surveyed and planned anew: what a reference costs in the one scan that takes it."""
+    bench = Bench(settings).streaming()
+    inputs = _next_input(bench)
+    number, now_ns = bench.last.view.stream_number + 1, inputs.now_ns
+    twist = (0.0, 0.05, 0.0, 0.0, 0.0, 0.05)
+    reference = StreamedPose(bench.last.view.motion_id, number, now_ns, bench.shifted(y=0.1, z=0.1), twist)
+    inputs = inputs._replace(streamed=StreamedPoseReceived(reference, now_ns, now_ns))
+    _, output = benchmark(scan, settings, bench.state, inputs)
+    assert output.refusal is None
 
 
 @pytest.mark.benchmark(group="scan")

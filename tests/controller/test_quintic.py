@@ -27,6 +27,14 @@ def test_rest_to_rest_is_the_10_15_6_polynomial() -> None:
     assert evaluate(c, 1.0)[1] == pytest.approx(1.875 / 2.0)
 
 
+def test_jerk_from_rest_to_rest_is_what_the_documentation_says() -> None:
+    c = coefficients(np.zeros(3), np.array([0.3, 0.0, 0.0]), 2.0)
+    jerk = np.polynomial.Polynomial(c).deriv(3)(np.linspace(0.0, 2.0, 2001))
+    bend = [evaluate(c, t)[2] for t in np.linspace(0.0, 2.0, 2001)]
+    assert np.abs(jerk).max() == pytest.approx(60.0 * 0.3 / 2.0**3)
+    assert np.abs(bend).max() == pytest.approx(10.0 / np.sqrt(3.0) * 0.3 / 2.0**2, rel=1e-5)
+
+
 def test_derivatives_equal_numpy() -> None:
     c = np.array([0.3, -1.2, 0.7, 2.0, -0.4, 0.05])
     p = np.polynomial.Polynomial(c)
