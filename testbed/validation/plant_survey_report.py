@@ -1,5 +1,6 @@
 """`longreach validate plant-survey`: both arms over their workspace as tables and a plot."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,8 @@ def run_survey(config_dir: Path, directory: Path, json_file: Path | None) -> lis
             rows += survey(config_dir, arm)
     for arm in ARMS:
         _print(arm, [row for row in rows if row.arm == arm.name])
+    names = [f"{arm.name}, {arm.loads_kg[0]:g} to {arm.loads_kg[-1]:g} kg" for arm in ARMS]
+    out.print(table("least / median / greatest over the workspace, mm", ("", *names), spreads(rows)))
     stated = beside_stated([row for row in rows if row.arm == ARMS[0].name])
     out.print(table("default arm beside stated figures", ("figure", "stated", "obtained"), stated))
     picture = directory / "plant_survey.png"
@@ -67,6 +70,25 @@ def _print(arm: Arm, rows: list[SurveyRow]) -> None:
         "geometry place it; where u = K (q_d - q) rests by its reading, then with the deadband compensated",
         style="dim", highlight=False,
     )  # fmt: skip
+
+
+def spreads(rows: list[SurveyRow]) -> list[tuple[str, ...]]:
+    """For each figure, each arm's least, median and greatest value."""
+    figures: dict[str, Callable[[SurveyRow], float]] = {
+        "sag, lightest load": lambda row: row.sag_mm[0],
+        "sag, heaviest load": lambda row: row.sag_mm[-1],
+        "play of the slew, ±": lambda row: row.play_mm,
+        "believed against true": lambda row: row.believed_mm,
+        "rest of a proportional servo": lambda row: row.servo_mm[0],
+        "the same, deadband compensated": lambda row: row.servo_mm[1],
+        "lowest mode, Hz": lambda row: row.lowest_hz,
+        "its damping, %": lambda row: 100.0 * row.damping,
+    }
+    lines = []
+    for name, figure in figures.items():
+        values = [[figure(row) for row in rows if row.arm == arm.name] for arm in ARMS]
+        lines.append((name, *(f"{min(v):.3g} / {np.median(v):.3g} / {max(v):.3g}" for v in values)))
+    return lines
 
 
 def beside_stated(rows: list[SurveyRow]) -> list[tuple[str, str, str]]:
