@@ -119,14 +119,14 @@ class GuidedCalibration:
             "start", X_BT, seen.X_CT, seen.covariance, seen.corners_left, settings.marker_id, True, 0.0
         )
         planned = session.with_sample(here)
-        belief = guided_sampling.believed(planned.pairs(), self._camera, settings)
+        belief = guided_sampling.believed(planned.pairs(), session.around, settings)
         choices = 0
         for number in range(settings.poses - 1):
             proposal = guided_sampling.propose(
                 belief, session.around, settings, np.random.default_rng([session.seed, 1, number])
             )
             choices = choices or proposal.choices
-            added = guided_sampling.information_of(proposal, belief, self._camera, settings)
+            added = guided_sampling.information_of(proposal, belief, session.around, settings)
             belief = belief._replace(information=belief.information + added)
         return {
             "marker": marker_json(seen),
@@ -359,7 +359,7 @@ class GuidedCalibration:
             raise
 
     def _belief(self, session: Session) -> Belief:
-        return guided_sampling.believed(session.pairs(), self._camera, session.settings)
+        return guided_sampling.believed(session.pairs(), session.around, session.settings)
 
     @staticmethod
     def _residuals(session: Session, belief: Belief) -> list[JSON]:

@@ -29,6 +29,7 @@ _SMOOTHING = 0.8  # px that pictures are blurred by, so that neither is sharper 
 _WINDOW_M = 0.032  # half a side of the patch around a target
 _UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-5)
 _CORRELATION = 0.8
+_MISPLACED_M = 0.003
 _ROW_GAP_PX = 1.0  # between the two lines of sight, at most
 
 
@@ -86,10 +87,30 @@ def locate(pair: StereoPair, drawing: Drawing, camera: CameraCalibration) -> tup
     """All targets of ``drawing`` in C; ``camera`` with the right eye's offset taken into account.
 
     Raises MeasurementFailed: ``measurement.hand_eye.cabinet_not_seen`` when the drawing is not found in the
-    left picture, ``.target_not_seen`` naming the target that is hidden or out of either picture.
+    left picture, ``.target_not_seen`` naming the target that is hidden, out of either picture, or misplaced.
     """
     X_CB = _front_pose(pair.left, drawing, camera.left)
-    return tuple(_located(pair, drawing, target, X_CB, camera) for target in drawing.targets)
+    found = tuple(_located(pair, drawing, target, X_CB, camera) for target in drawing.targets)
+    _refuse_strangers(found, drawing)
+    return found
+
+
+def _refuse_strangers(found: tuple[Located, ...], drawing: Drawing) -> None:
+    """Raise when a target is not as far from the others as on the drawing: something like it was aligned."""
+    drawn = np.array([[t.x_m, t.y_m] for t in drawing.targets])
+    seen = np.array([t.p_C for t in found])
+    off = np.abs(_distances(seen) - _distances(drawn))
+    worst = int(np.argmax(off.sum(axis=0)))
+    if off.max() > _MISPLACED_M:
+        raise MeasurementFailed(
+            "measurement.hand_eye.target_not_seen",
+            f"{found[worst].name}: {1e3 * off.max():.1f} mm nearer to or farther from another target than on "
+            f"the drawing, limit {1e3 * _MISPLACED_M:g} mm",
+        )
+
+
+def _distances(points: Array) -> Array:
+    return np.asarray(np.linalg.norm(points[:, None] - points[None], axis=-1))
 
 
 def _front_pose(image: Image, drawing: Drawing, eye: EyeModel) -> Array:

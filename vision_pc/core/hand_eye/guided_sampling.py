@@ -21,7 +21,7 @@ from vision_pc.core import intrinsics, se3
 from vision_pc.core.hand_eye import maximum_likelihood as ml
 from vision_pc.core.hand_eye import rigid
 from vision_pc.core.hand_eye.guided_settings import GuidedSettings
-from vision_pc.core.hand_eye.maximum_likelihood import Equations, Noise
+from vision_pc.core.hand_eye.maximum_likelihood import Equations
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.markers import corner_points
 from vision_pc.core.se3 import Array
@@ -128,7 +128,7 @@ def surroundings(
     return Surroundings(camera, X_BT_start, tuple(hidden), X_CM[:3, 3])
 
 
-def believed(pairs: PosePairs, camera: CameraCalibration, settings: GuidedSettings) -> Belief:
+def believed(pairs: PosePairs, around: Surroundings, settings: GuidedSettings) -> Belief:
     """X and Z most probable after ``pairs`` (one at least) and the tape measure, with their information.
 
     Samples that disagree count less (Cauchy), so that one bad sample does not send the hand astray.
@@ -141,7 +141,7 @@ def believed(pairs: PosePairs, camera: CameraCalibration, settings: GuidedSettin
     X, Z = prior, pairs.H[0] @ prior @ pairs.P[0]
     weights = np.ones(len(pairs))
     for _ in range(_ROUNDS):
-        V = _covariances(pairs.H, pairs.P, X, Z, camera, settings)
+        V = _covariances(pairs.H, pairs.P, X, Z, around, settings)
         r = ml.residuals(pairs.H, pairs.P, X, Z)
         J = ml.jacobian(Equations(pairs.H, pairs.P, weights), X, Z, r)
         W = weights[:, None, None] * np.linalg.inv(V)
@@ -182,7 +182,7 @@ def propose(
             "refused by the controller); begin elsewhere or widen turn_deg, reach_m, distance_m",
         )
     X_CT, X_BT = X_CT[choices], X_BT[choices]
-    added = _information(X_BT, X_CT, belief, around.camera, settings)
+    added = _information(X_BT, X_CT, belief, around, settings)
     values = _about_X(belief.information + added)
     best = int(np.argmax(values)) if informative else 0
     after = belief._replace(information=belief.information + added[best])
@@ -199,10 +199,10 @@ def propose(
 
 
 def information_of(
-    proposal: Proposal, belief: Belief, camera: CameraCalibration, settings: GuidedSettings
+    proposal: Proposal, belief: Belief, around: Surroundings, settings: GuidedSettings
 ) -> Array:
     """What a sample at ``proposal`` would add to the information (12, 12) about X and Z."""
-    return np.asarray(_information(proposal.X_BT[None], proposal.X_CT[None], belief, camera, settings)[0])
+    return np.asarray(_information(proposal.X_BT[None], proposal.X_CT[None], belief, around, settings)[0])
 
 
 def _views(settings: GuidedSettings, camera: CameraCalibration, rng: np.random.Generator) -> Array:
@@ -284,32 +284,39 @@ def _passes(X_BT: Array, X_CT: Array, around: Surroundings, settings: GuidedSett
 
 
 def _information(
-    X_BT: Array, X_CT: Array, belief: Belief, camera: CameraCalibration, settings: GuidedSettings
+    X_BT: Array, X_CT: Array, belief: Belief, around: Surroundings, settings: GuidedSettings
 ) -> Array:
     """What each sample would add to the information about X and Z, (n, 12, 12)."""
     equations = Equations(X_BT, X_CT, np.ones(len(X_BT)))
     J = ml.jacobian(equations, belief.X, belief.Z, np.zeros((len(X_BT), 6)))
-    V = _covariances(X_BT, X_CT, belief.X, belief.Z, camera, settings)
+    V = _covariances(X_BT, X_CT, belief.X, belief.Z, around, settings)
     return np.asarray(np.swapaxes(J, -1, -2) @ np.linalg.solve(V, J))
 
 
 def _covariances(
-    X_BT: Array, X_CT: Array, X: Array, Z: Array, camera: CameraCalibration, settings: GuidedSettings
+    X_BT: Array, X_CT: Array, X: Array, Z: Array, around: Surroundings, settings: GuidedSettings
 ) -> Array:
     """Covariance (n, 6, 6) of each residual: robot noise, and what a small square gives at its distance.
 
-    Across the line of sight and about it a corner's noise acts as it is; along it, and as a tilt, magnified
-    by the distance over the stereo baseline.
+    The robot's share grows with the turn and the way from the starting pose: encoder zeros and bending are
+    alike in neighbouring poses, and differ in distant ones. Of the camera's noise a corner's acts as it is
+    across the line of sight and about it; along it, and as a tilt, magnified by the distance over the stereo
+    baseline.
     """
-    robot = Noise(1e-6, 1e-6, math.radians(settings.robot_std_deg), settings.robot_std_m)
-    V = ml.residual_covariances(Equations(X_BT, X_CT, np.ones(len(X_BT))), X, Z, robot)
+    start, camera = around.X_BT_start, around.camera
+    turn = rigid.rotation_angle(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ start[:3, :3])
+    way = np.linalg.norm(X_BT[:, :3, 3] - start[:3, 3], axis=1)
+    shift = settings.robot_std_m**2 + (settings.robot_strain * way) ** 2
+    twist = math.radians(settings.robot_std_deg) ** 2 + (settings.robot_twist * turn) ** 2
+    L = ml.robot_levers(Equations(X_BT, X_CT, np.ones(len(X_BT))), X, Z)
+    V = (L * np.stack([shift] * 3 + [twist] * 3, axis=1)[:, None, :]) @ np.swapaxes(L, -1, -2)
     z = np.linalg.norm(X_CT[:, :3, 3], axis=1)
     across = settings.corner_std_px * z / camera.left.K[0, 0]
     along = across * z / float(np.linalg.norm(camera.right.X_CE[:3, 3]))
     side = settings.marker_size_m
     stds = np.stack([across, across, along, along / side, along / side, across / side], axis=1)
     V[:, np.arange(6), np.arange(6)] += stds**2
-    return V
+    return np.asarray(V)
 
 
 def _about_X(information: Array) -> Array:

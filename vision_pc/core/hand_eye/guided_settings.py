@@ -28,8 +28,9 @@ class GuidedSettings(StrictModel):
 
     ``mount_*`` is the camera in the hand as measured by tape, with its standard deviation a component: it
     only plans, it never enters the result. ``robot_*``, ``corner_std_px``: noise a component assumed in
-    planning. ``arm_zero_std_mrad``: how wrong the arm's zeros may be, as one constant turn about each axis of
-    the wrist, ``wrist_to_tool_m`` behind the tool centre point; no sample tells it from a turned camera.
+    planning, ``robot_strain`` (m/m) and ``robot_twist`` (rad/rad) what is added away from the starting pose.
+    ``arm_zero_std_mrad``: how wrong the arm's zeros may be, as one constant turn about each axis of the
+    wrist, ``wrist_to_tool_m`` behind the tool centre point; no sample tells it from a turned camera.
     ``distance_m``, ``obliquity_deg``, ``roll_deg`` bound the view of the marker, ``turn_deg`` and ``reach_m``
     the hand about its starting pose; ``margin_px`` keeps the marker off the picture's rim and off what the
     tool hides, ``clearance_m`` the tool off the marker's plane. ``moved_mrad``: an encoder that moves by more
@@ -50,8 +51,10 @@ class GuidedSettings(StrictModel):
     mount_rotation_deg: Vector3 = (0.0, 0.0, 0.0)
     mount_std_m: Metres = 0.02
     mount_std_deg: Degrees = 6.0
-    robot_std_m: Metres = 0.002
+    robot_std_m: Metres = 0.001
     robot_std_deg: Degrees = 0.1
+    robot_strain: float = Field(0.006, ge=0.0, le=0.1)
+    robot_twist: float = Field(0.004, ge=0.0, le=0.1)
     arm_zero_std_mrad: float = Field(3.0, ge=0.0, le=50.0)
     wrist_to_tool_m: float = Field(0.35, ge=0.0, le=5.0)
     corner_std_px: float = Field(0.05, gt=0.0, le=5.0)

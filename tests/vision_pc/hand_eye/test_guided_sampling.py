@@ -1,0 +1,172 @@
+"""Where to sample next: bounds kept, information maximised, refusals learned from; the experiment's tally."""
+
+import math
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+
+from protocol.errors import MeasurementFailed
+from testbed.hand_eye.commands import run_drawing
+from testbed.hand_eye.guided_experiment import needed
+from tests.vision_pc.hand_eye.still_rig import CONFIGS, X_BT_START, still_settings
+from vision_pc.core import intrinsics, se3
+from vision_pc.core.hand_eye import guided_sampling, rigid
+from vision_pc.core.hand_eye.guided_sampling import Belief, Surroundings
+from vision_pc.core.hand_eye.guided_settings import GuidedSettings
+from vision_pc.core.hand_eye.maximum_likelihood import predicted
+from vision_pc.core.hand_eye.samples import pose_pairs
+from vision_pc.core.se3 import Array
+
+SETTINGS = GuidedSettings()
+CAMERA = intrinsics.calibration(still_settings().vision.camera)
+X_TC = guided_sampling.nominal_mount(SETTINGS) @ se3.transform(
+    se3.exp_so3([0.05, -0.04, 0.03]), [0.01, -0.01, 0.005]
+)
+X_CT_START = se3.transform(np.diag([1.0, -1.0, -1.0]), [-0.05, 0.02, 0.8])
+Z = X_BT_START @ X_TC @ X_CT_START
+AROUND = guided_sampling.surroundings(
+    CAMERA, X_BT_START, se3.transform(np.diag([1.0, -1.0, -1.0]), [0.2, 0.05, 0.4]),
+    still_settings().vision.markers.tool.carried_m, SETTINGS,
+)  # fmt: skip
+
+
+class Taken(NamedTuple):
+    """A belief after a session without noise, and the poses it went to."""
+
+    belief: Belief
+    poses: list[Array]
+
+
+def session(samples: int, informative: bool, seed: int = 1) -> Taken:
+    """Exact samples, each at the pose proposed."""
+    poses = [X_BT_START]
+    while True:
+        H = np.stack(poses)
+        belief = guided_sampling.believed(pose_pairs(H, predicted(H, X_TC, Z)), AROUND, SETTINGS)
+        if len(poses) == samples:
+            return Taken(belief, poses)
+        rng = np.random.default_rng([seed, len(poses)])
+        poses.append(guided_sampling.propose(belief, AROUND, SETTINGS, rng, informative=informative).X_BT)
+
+
+def test_every_proposal_keeps_view_turn_reach_and_clearance() -> None:
+    belief = session(4, True).belief
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        proposal = guided_sampling.propose(belief, AROUND, SETTINGS, rng, informative=seed % 2 == 0)
+        X_CT = predicted(proposal.X_BT[None], belief.X, belief.Z)[0]
+        assert np.allclose(X_CT, proposal.X_CT, atol=1e-9)
+        assert 0.55 <= np.linalg.norm(X_CT[:3, 3]) <= 0.85
+        assert math.degrees(proposal.obliquity) <= 40.001
+        assert math.degrees(se3.angle_between(proposal.X_BT[:3, :3], X_BT_START[:3, :3])) <= 60.001
+        assert np.linalg.norm(proposal.X_BT[:3, 3] - X_BT_START[:3, 3]) <= 0.6
+        tool_above_plane = (np.array([0.2, 0.05, 0.4]) - X_CT[:3, 3]) @ X_CT[:3, 2]
+        assert tool_above_plane >= 0.08
+        corners = np.array([[x, y, 0.0] for x in (-0.0375, 0.0375) for y in (-0.0375, 0.0375)])
+        for eye, hidden in zip((CAMERA.left, CAMERA.right), AROUND.hidden, strict=True):
+            pixels = intrinsics.project(eye, se3.apply(X_CT, corners))
+            assert (pixels > 39.9).all()
+            assert (pixels < np.array([1240.1, 680.1])).all()
+            for u0, v0, u1, v1 in hidden:
+                outside = (
+                    (pixels[:, 0] < u0) | (pixels[:, 0] > u1) | (pixels[:, 1] < v0) | (pixels[:, 1] > v1)
+                )
+                assert outside.all()
+
+
+def test_informative_poses_tell_more_than_random_ones() -> None:
+    guided = session(6, True).belief.std
+    others = np.array([session(6, False, seed).belief.std for seed in range(5)])
+    assert guided[0] < 0.8 * np.median(others[:, 0])
+    assert guided[1] < np.median(others[:, 1])
+
+
+def test_the_proposal_is_the_best_of_its_candidates() -> None:
+    """By the definition: no other candidate of the same draw leaves X better determined."""
+    belief = session(4, True).belief
+    best = guided_sampling.propose(belief, AROUND, SETTINGS, np.random.default_rng(3))
+    other = guided_sampling.propose(belief, AROUND, SETTINGS, np.random.default_rng(3), informative=False)
+
+    def volume(proposal: guided_sampling.Proposal) -> float:
+        added = guided_sampling.information_of(proposal, belief, AROUND, SETTINGS)
+        return float(np.linalg.slogdet(np.linalg.inv(belief.information + added)[:6, :6])[1])
+
+    before = float(np.linalg.slogdet(np.linalg.inv(belief.information)[:6, :6])[1])
+    assert volume(best) < volume(other) < before
+    assert best.gain == pytest.approx(before - volume(best), rel=1e-3)
+
+
+def test_belief_finds_the_mount_and_forgives_one_bad_sample() -> None:
+    taken = session(8, True)
+    assert np.linalg.norm(taken.belief.X[:3, 3] - X_TC[:3, 3]) < 1e-4
+    H = np.stack(taken.poses)
+    P = predicted(H, X_TC, Z)
+    P[3] = se3.retract(P[3], [0.15, 0.0, 0.1, 0.2, 0.3, 0.0])
+    spoiled = guided_sampling.believed(pose_pairs(H, P), AROUND, SETTINGS)
+    assert np.linalg.norm(spoiled.X[:3, 3] - X_TC[:3, 3]) < 0.01
+
+
+def test_refused_poses_cast_a_shadow_for_joint_limits_only() -> None:
+    belief = session(3, True).belief
+    best = guided_sampling.propose(belief, AROUND, SETTINGS, np.random.default_rng(7))
+    half_way = se3.interpolate(X_BT_START, best.X_BT, 0.6)
+
+    def again(refused: Array, why: str) -> guided_sampling.Proposal:
+        rng = np.random.default_rng(7)
+        return guided_sampling.propose(belief, AROUND, SETTINGS, rng, [(refused, why)])
+
+    assert not np.allclose(again(best.X_BT, "singular").X_BT, best.X_BT)
+    assert np.allclose(again(half_way, "singular: 0.7, limit 0.6").X_BT, best.X_BT)
+    shaded = again(half_way, "joint limit: 1.7, limit 1.56")
+    assert shaded.choices < best.choices
+    turns = [rigid.rotation_log(X[:3, :3].T @ X_BT_START[:3, :3]) for X in (half_way, shaded.X_BT)]
+    lengths = [float(np.linalg.norm(turn)) for turn in turns]
+    same_way = turns[0] @ turns[1] > math.cos(math.radians(20.0)) * lengths[0] * lengths[1]
+    assert not (same_way and lengths[1] >= 0.95 * lengths[0])
+
+
+def test_no_pose_left_is_said() -> None:
+    tight = SETTINGS.model_copy(update={"clearance_m": 1.0})
+    with pytest.raises(MeasurementFailed, match="none of 800 views") as told:
+        guided_sampling.propose(session(2, True).belief, AROUND, tight, np.random.default_rng(1))
+    assert told.value.cause == "measurement.hand_eye.no_pose"
+
+
+def test_a_wrist_turned_by_its_zeros_looks_like_a_turned_camera() -> None:
+    """Poses reported with a constant turn of the wrist fit exactly, X off by what the covariance says."""
+    turn = se3.exp_so3([0.002, -0.003, 0.004])
+    wrist = se3.transform(np.eye(3), [0.0, 0.0, -SETTINGS.wrist_to_tool_m])
+    E = wrist @ se3.transform(turn, np.zeros(3)) @ se3.inverse(wrist)  # true tool in reported tool
+    off = se3.local(X_TC, E @ X_TC)
+    lever = X_TC[:3, 3] - wrist[:3, 3]
+    assert np.allclose(off[:3], np.cross([0.002, -0.003, 0.004], lever), atol=1e-5)
+    covariance = guided_sampling.arm_zero_covariance(X_TC, SETTINGS)
+    assert np.allclose(np.sqrt(np.diag(covariance)[3:]), 0.003)
+    fits = np.linalg.lstsq(covariance, off, rcond=1e-9)[0]
+    assert np.allclose(covariance @ fits, off, atol=2e-5)  # it lies in what the covariance spans
+    assert float(off @ fits) == pytest.approx(29e-6 / 9e-6, rel=0.02)
+
+
+def test_the_hidden_regions_are_those_of_both_eyes() -> None:
+    assert isinstance(AROUND, Surroundings)
+    (left, *_), (right, *_) = AROUND.hidden
+    assert left[0] - right[0] == pytest.approx(530.0 * 0.12 / 0.4, abs=2.0)
+
+
+def test_samples_needed_are_counted_to_the_last_relapse() -> None:
+    assert needed([4.0, 2.0, 3.5, 2.9, 2.0]) == 6
+    assert needed([2.0, 2.0]) == 3
+    assert needed([None, 2.0, None]) is None
+    assert needed([2.0, 3.0]) is None
+
+
+def test_the_cabinets_drawing_is_the_one_that_is_printed(tmp_path: object) -> None:
+    run_drawing(path := tmp_path / "front.png", "hand_eye", CONFIGS)  # type: ignore[operator]
+    fresh = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    shipped = cv2.imread(str(CONFIGS / "cabinet.png"), cv2.IMREAD_GRAYSCALE)
+    assert fresh is not None
+    assert shipped is not None
+    assert np.abs(fresh.astype(int) - shipped).max() <= 8
+    assert still_settings().vision.cabinet is not None
