@@ -73,8 +73,8 @@ async def test_a_target_in_the_wrong_place_is_refused(tmp_path: Path) -> None:
     honest = drawing()
     knob, *others = honest.targets
     found = cabinet.locate(pair, honest, camera)
-    moved = (found[0]._replace(p_C=found[0].p_C + [0.0, 0.0, 0.02]), *found[1:])
-    with pytest.raises(MeasurementFailed, match="knob: .* mm nearer to or farther") as told:
+    moved = (found[0]._replace(p_C=found[0].p_C + np.array([0.01, 0.0, 0.0])), *found[1:])
+    with pytest.raises(MeasurementFailed, match=r"knob: .* mm nearer to or farther") as told:
         cabinet._refuse_strangers(moved, honest._replace(targets=(knob, *others)))
     assert told.value.cause == "measurement.hand_eye.target_not_seen"
 
