@@ -1,4 +1,4 @@
-"""Cases 601…: streamed references (clause 12). Most enable the group, and many move the arm."""
+"""Cases 541…: streamed references (clause 12). Most enable the group, and many move the arm."""
 
 import math
 from itertools import pairwise
@@ -89,7 +89,7 @@ def opened(peer: Peer) -> tuple[Stream, State]:
     return Stream(peer, request.command_id), reach(peer, GroupState.MOVING, "after START_STREAM")
 
 
-@case(601, "12.1", "streaming that was not negotiated: NOT_NEGOTIATED")
+@case(541, "12.1", "streaming that was not negotiated: NOT_NEGOTIATED")
 def not_negotiated(peer: Peer) -> None:
     streamless(peer)
     peer.leave()
@@ -100,7 +100,7 @@ def not_negotiated(peer: Peer) -> None:
     Stream(peer, peer.new_id()).refused(here, Reason.NOT_NEGOTIATED, "a streamed reference")
 
 
-@case(602, "7.3", "streaming in DISABLED is refused as the table says")
+@case(542, "7.3", "streaming in DISABLED is refused as the table says")
 def in_disabled(peer: Peer) -> None:
     here = streamless(peer).X_BT
     wanted(peer, CommandCode.START_STREAM, Reason.DISABLED, "DISABLED")
@@ -108,14 +108,14 @@ def in_disabled(peer: Peer) -> None:
     Stream(peer, peer.new_id()).refused(here, Reason.DISABLED, "a streamed reference in DISABLED")
 
 
-@case(603, "12.4", "the group's state is judged before the content of a streamed reference")
+@case(543, "12.4", "the group's state is judged before the content of a streamed reference")
 def state_first(peer: Peer) -> None:
     streamless(peer)
     nan = Pose((math.nan, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     Stream(peer, peer.new_id()).refused(nan, Reason.DISABLED, "NaN in DISABLED")
 
 
-@case(604, "12.2", "START_STREAM in STANDBY: MOVING with the flag, named by its id, and at rest", motion=True)
+@case(544, "12.2", "START_STREAM in STANDBY: MOVING with the flag, named by its id, and at rest", motion=True)
 def starts(peer: Peer) -> None:
     stream, state = opened(peer)
     require(bool(state.flags & FLAG_STREAMING), "the flag STREAMING is not set")
@@ -127,7 +127,7 @@ def starts(peer: Peer) -> None:
     peer.command(CommandCode.STOP)
 
 
-@case(605, "7.3", "requests in a stream are answered as the table says", motion=True)
+@case(545, "7.3", "requests in a stream are answered as the table says", motion=True)
 def in_stream(peer: Peer) -> None:
     _, state = opened(peer)
     wanted(peer, CommandCode.ENABLE, Reason.ALREADY_DONE, "a stream")
@@ -140,7 +140,7 @@ def in_stream(peer: Peer) -> None:
     wanted(peer, CommandCode.END_STREAM, Reason.NOT_STREAMING, "STANDBY")
 
 
-@case(606, "12.4", "NaN, infinity and a norm off 1 are refused in a streamed reference", motion=True)
+@case(546, "12.4", "NaN, infinity and a norm off 1 are refused in a streamed reference", motion=True)
 def form(peer: Peer) -> None:
     stream, state = opened(peer)
     here = state.X_BT_cmd
@@ -160,7 +160,7 @@ def form(peer: Peer) -> None:
 
 
 @case(
-    607, "12.4", "a jump, and a reference that runs away: TOO_FAR and TOO_FAST with the values", motion=True
+    547, "12.4", "a jump, and a reference that runs away: TOO_FAR and TOO_FAST with the values", motion=True
 )
 def jump(peer: Peer) -> None:
     stream, state = opened(peer)
@@ -174,7 +174,7 @@ def jump(peer: Peer) -> None:
     peer.command(CommandCode.STOP)
 
 
-@case(608, "12.5", "numbers that are not newer are refused, and the wrap is not noticed", motion=True)
+@case(548, "12.5", "numbers that are not newer are refused, and the wrap is not noticed", motion=True)
 def numbers(peer: Peer) -> None:
     stream, state = opened(peer)
     here = state.X_BT_cmd
@@ -188,7 +188,7 @@ def numbers(peer: Peer) -> None:
     peer.command(CommandCode.STOP)
 
 
-@case(609, "12.6", "a reference that rests on an old measurement: STALE", motion=True)
+@case(549, "12.6", "a reference that rests on an old measurement: STALE", motion=True)
 def old_measurement(peer: Peer) -> None:
     stream, state = opened(peer)
     long_ago = peer.now_ns - 10_000 * MS
@@ -199,7 +199,7 @@ def old_measurement(peer: Peer) -> None:
     peer.command(CommandCode.STOP)
 
 
-@case(610, "12.3", "what is followed is not acknowledged; STATE names the newest", motion=True)
+@case(550, "12.3", "what is followed is not acknowledged; STATE names the newest", motion=True)
 def not_acknowledged(peer: Peer) -> None:
     stream, state = opened(peer)
     peer.passed_over.clear()
@@ -212,7 +212,7 @@ def not_acknowledged(peer: Peer) -> None:
     peer.command(CommandCode.STOP)
 
 
-@case(611, "12.7", "the commanded pose goes to the reference without a step and rests there", motion=True)
+@case(551, "12.7", "the commanded pose goes to the reference without a step and rests there", motion=True)
 def follows(peer: Peer) -> None:
     stream, state = opened(peer)
     goal = moved(state.X_BT_cmd, dz=STEP_M)
@@ -246,14 +246,14 @@ def silenced(peer: Peer) -> tuple[Stream, State, float]:
     raise AssertionError
 
 
-@case(612, "12.8", "silence: valves centred within 100 ms, REFERENCE_STALE latched", motion=True)
+@case(552, "12.8", "silence: valves centred within 100 ms, REFERENCE_STALE latched", motion=True)
 def silence(peer: Peer) -> None:
     _, state, after_ms = silenced(peer)
     require(state.fault is FaultCode.REFERENCE_STALE, f"fault {state.fault.name}")
     require(after_ms < SILENCE_MS + SLACK_MS, f"stopped {after_ms:.0f} ms after the last reference")
 
 
-@case(613, "12.4", "references that are refused do not keep a stream alive", motion=True)
+@case(553, "12.4", "references that are refused do not keep a stream alive", motion=True)
 def refused_is_silence(peer: Peer) -> None:
     stream, state = opened(peer)
     stream.feed(state.X_BT_cmd, 200.0)
@@ -266,7 +266,7 @@ def refused_is_silence(peer: Peer) -> None:
     require(seen.fault is FaultCode.REFERENCE_STALE, f"fault {seen.fault.name} after a second of NaN")
 
 
-@case(614, "12.9", "after silence nothing resumes: not by references, not by RESET and ENABLE", motion=True)
+@case(554, "12.9", "after silence nothing resumes: not by references, not by RESET and ENABLE", motion=True)
 def no_resume(peer: Peer) -> None:
     stream, state, _ = silenced(peer)
     ahead = moved(state.X_BT_cmd, dz=STEP_M)
@@ -283,7 +283,7 @@ def no_resume(peer: Peer) -> None:
     peer.command(CommandCode.STOP)
 
 
-@case(615, "12.10", "END_STREAM leads to the newest reference, and the motion is done there", motion=True)
+@case(555, "12.10", "END_STREAM leads to the newest reference, and the motion is done there", motion=True)
 def ends(peer: Peer) -> None:
     stream, state = opened(peer)
     goal = moved(state.X_BT_cmd, dz=STEP_M)
@@ -298,7 +298,7 @@ def ends(peer: Peer) -> None:
     require(math.dist(seen.X_BT_cmd.p_m, goal.p_m) < 1e-6, "it is not where the newest reference was")
 
 
-@case(616, "12.2", "a stream closes with its session", motion=True)
+@case(556, "12.2", "a stream closes with its session", motion=True)
 def closes(peer: Peer) -> None:
     stream, state = opened(peer)
     stream.feed(moved(state.X_BT_cmd, dz=STEP_M), 200.0)

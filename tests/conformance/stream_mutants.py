@@ -64,11 +64,11 @@ class StandsStill(ThreadedController):
 
 
 STREAM_MUTANTS = (
-    Mutant(WaitsForReferences, 612),
-    Mutant(TakesNanForTheLast, 606),
-    Mutant(TakesNanForTheLast, 613),
-    Mutant(FollowsAnyStream, 614),
-    Mutant(TakesOlderNumbers, 608),
-    Mutant(IgnoresTheMeasurement, 609),
-    Mutant(StandsStill, 610),
+    Mutant(WaitsForReferences, 552),
+    Mutant(TakesNanForTheLast, 546),
+    Mutant(TakesNanForTheLast, 553),
+    Mutant(FollowsAnyStream, 554),
+    Mutant(TakesOlderNumbers, 548),
+    Mutant(IgnoresTheMeasurement, 549),
+    Mutant(StandsStill, 550),
 )
