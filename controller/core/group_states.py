@@ -37,9 +37,7 @@ GROUP_STATE = {
 }
 
 # Modes in which the servo drives the valves; in all others they are centred and the enable is dropped.
-LIVE = frozenset(
-    {Mode.STANDBY, Mode.MOVING, Mode.STREAMING, Mode.STOPPING, Mode.DISABLING, Mode.ERROR_RAMP}
-)
+LIVE = frozenset({Mode.STANDBY, Mode.MOVING, Mode.STREAMING, Mode.STOPPING, Mode.DISABLING, Mode.ERROR_RAMP})
 
 
 class Stimulus(IntEnum):

@@ -129,9 +129,7 @@ def at_pace(desired: Desired, rate: float) -> Desired:
     return desired if rate == 1.0 else desired._replace(v=rate * desired.v, omega=rate * desired.omega)
 
 
-def _place(
-    settings: Settings, stream: Stream, arrival: StreamedPoseReceived, now_ns: int
-) -> Refusal | None:
+def _place(settings: Settings, stream: Stream, arrival: StreamedPoseReceived, now_ns: int) -> Refusal | None:
     """A refusal of a reference that is not the next one of this stream, or rests on something old."""
     reference = arrival.message
     if reference.stream_id != stream.stream_id or not stream.attended:

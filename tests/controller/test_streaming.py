@@ -64,9 +64,7 @@ def commanded(bench: Bench) -> Array:
 def turns(bench: Bench) -> Array:
     """Mean angular velocities of the desired tool (n − 1, 3), one between every two scans."""
     q = np.array([output.view.X_BT_cmd.q_wxyz for output in bench.outputs])
-    steps = [
-        vector_from_quaternion(quaternion_product(b, conjugate(a))) for a, b in pairwise(q)
-    ]
+    steps = [vector_from_quaternion(quaternion_product(b, conjugate(a))) for a, b in pairwise(q)]
     return np.array(steps) / CYCLE_S
 
 
