@@ -9,10 +9,11 @@ import numpy as np
 
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import GroupState
-from testbed.lockstep_sight import PixelSight, Sight
+from testbed.lockstep_sight import Deliver, PixelSight, Sight
 from testbed.lockstep_world import World
 from testbed.rig_lockstep import LockstepLink
-from vision_pc.config import VisionConfig
+from vision_pc.config import CameraSettings, VisionConfig
+from vision_pc.core.freshness import Repeats
 from vision_pc.core.look import combine
 from vision_pc.core.ports import PairsAtRest, Watch
 from vision_pc.core.types import FrameObservation, Look, StereoPair, WatchHealth, WatchSample
@@ -21,6 +22,49 @@ from vision_pc.shell.annotate import annotated, png
 from vision_pc.shell.station import CameraStatus
 
 T = TypeVar("T")
+
+
+class _Arrivals:
+    """What the camera's source is to the real eyes: it hands on what is new and alive, and tells why nothing
+    came for too long.
+    """
+
+    def __init__(self, world: World, camera: CameraSettings, repeats: Repeats, deliver: Deliver) -> None:
+        self._world = world
+        self._stale_ns = round(1e6 * camera.stale_ms)
+        self._repeats = repeats
+        self._deliver = deliver
+        self._newest_ns = world.vision_ns
+        self._lost: LinkLost | None = None
+
+    def take(self, pair: StereoPair) -> None:
+        """Nothing; ``pair`` was exposed, and is handed on unless it is old, frozen, or comes too late."""
+        self._judge()
+        self._repeats.add(pair.left)
+        if self._lost is None and not self._repeats.frozen and pair.capture_ns > self._newest_ns:
+            self._newest_ns = pair.capture_ns
+            self._deliver(pair)
+
+    @property
+    def live(self) -> bool:
+        """Whether the newest picture is a new one, and came when one was due."""
+        age_ns = self._world.vision_ns - self._newest_ns
+        return self._repeats.count == 0 and age_ns <= 2 * self._world.frame_period_ns
+
+    def require(self) -> None:
+        """None; raises LinkLost (``link.camera_silent``, ``.camera_frozen``) when nothing came for too
+        long.
+        """
+        self._judge()
+        if self._lost is not None:
+            raise self._lost
+
+    def _judge(self) -> None:
+        age_ns = self._world.vision_ns - self._newest_ns
+        if self._lost is None and age_ns > self._stale_ns:
+            cause = "link.camera_frozen" if self._repeats.frozen else "link.camera_silent"
+            why = f"newest picture is {1e-6 * age_ns:.0f} ms old, limit {1e-6 * self._stale_ns:g} ms"
+            self._lost = LinkLost(cause, f"camera (lockstep): {why}")
 
 
 class _LiveWatch:
@@ -78,6 +122,7 @@ class LockstepEyes:
         self._pixels = PixelSight(world, config)
         self._sight = self._pixels if sight is None else sight
         self._latest: tuple[StereoPair, FrameObservation] | None = None
+        self._repeats = Repeats(config.camera.frozen_frames)
 
     async def look(self, frames: int | None = None) -> Look:
         """A look over ``frames`` fresh pairs with the arm at rest."""
@@ -104,13 +149,21 @@ class LockstepEyes:
 
     @asynccontextmanager
     async def watch(self, *, markers: bool, odometry: bool) -> AsyncIterator[Watch]:
-        """A context that samples every pair until its exit. Raises MeasurementFailed on exit when in vain."""
+        """A context that samples every pair until its exit.
+
+        Raises on exit: LinkLost when the camera was silent or frozen, MeasurementFailed when in vain.
+        """
         previous = self._latest[1] if self._latest else None
         watcher = self._sight.watcher(markers=markers, odometry=odometry, previous=previous)
         watch = _LiveWatch(watcher, self._world, self._link)
-        self._sight.begin(watch.arrived)
+        arrivals = self._arrivals(watch.arrived)
+        self._sight.begin(arrivals.take)
         try:
             yield watch
+            while not arrivals.live:  # a picture of the arm at rest, or the cause why there is none
+                arrivals.require()
+                self._world.step()
+            arrivals.require()
         finally:
             self._sight.end()
         for pair in watch.waiting:
@@ -132,16 +185,18 @@ class LockstepEyes:
 
     def _pairs(self, count: int, sight: Sight) -> list[StereoPair]:
         taken: list[StereoPair] = []
-        sight.begin(taken.append)
+        arrivals = self._arrivals(taken.append)
+        sight.begin(arrivals.take)
         try:
-            deadline_ns = self._world.time_ns + (count + 1) * self._world.frame_period_ns + 1_000_000_000
             while len(taken) < count:
-                if self._world.time_ns > deadline_ns:
-                    raise LinkLost("link.camera_silent", f"{len(taken)} of {count} pictures came")
+                arrivals.require()
                 self._world.step()
         finally:
             sight.end()
         return taken
+
+    def _arrivals(self, deliver: Deliver) -> _Arrivals:
+        return _Arrivals(self._world, self._config.camera, self._repeats, deliver)
 
     def _observed(self, pair: StereoPair, sight: Sight) -> FrameObservation:
         previous = self._latest[1] if self._latest else None

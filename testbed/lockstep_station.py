@@ -1,10 +1,12 @@
 """Vision's station in lockstep: the same programs as behind the REST face, without the face."""
 
+import contextlib
 import copy
 import io
 from collections.abc import Awaitable, Callable
 from typing import Any
 
+from protocol.errors import LinkLost, LongreachError
 from protocol.faults import CommandCode
 from testbed.console import Bar
 from testbed.event_log import EventLog
@@ -76,11 +78,17 @@ class LockstepRig:
         run(self.link.next_state())
 
     def operate(self, kind: str, body: JSON, bar: Bar) -> JSON:
-        """The result of an operation."""
+        """The result of an operation; whatever ends it early stops the arm, as behind the REST face."""
         method = LookThenMoveBody(**body).method if kind == "look-then-move" else None
         self.station.refuse_now(kind, method)
         self.world.log.add(self.world.time_ns, "operation", kind=kind, body=body)
-        result: JSON = run(_program(self.station, kind, body)(bar.update))
+        try:
+            result: JSON = run(_program(self.station, kind, body)(bar.update))
+        except LongreachError as error:
+            with contextlib.suppress(LinkLost):
+                run(self.station.arm.halt())
+            self.world.log.add(self.world.time_ns, "operation_failed", kind=kind, cause=error.cause)
+            raise
         self.world.log.add(self.world.time_ns, "operation_ended", kind=kind, result=result)
         return result
 

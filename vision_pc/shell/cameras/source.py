@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 from protocol.errors import LinkLost
 from vision_pc.config import CameraSettings
+from vision_pc.core.freshness import Repeats
 from vision_pc.core.types import StereoPair
 
 _RATE_OVER = 20  # pairs over which the rate is measured
-_FINGERPRINT_STEP = 32  # px: a picture is compared by every such pixel of every such row
 _JOIN_S = 1.0
 
 
@@ -55,8 +55,7 @@ class CameraSource(ABC):
         self._reconnects = -1
         self._started_ns = 0
         self._trouble: str | None = "link.camera_missing"
-        self._fingerprint: bytes = b""
-        self._repeated = 0
+        self._repeats = Repeats(settings.frozen_frames)
 
     async def start(self) -> None:
         """None, at once; pairs come as soon as the camera is there."""
@@ -182,10 +181,8 @@ class CameraSource(ABC):
         self._frames += 1
         self._dropped += dropped
         self._captures.append(pair.capture_ns)
-        fingerprint = pair.left[::_FINGERPRINT_STEP, ::_FINGERPRINT_STEP].tobytes()
-        self._repeated = self._repeated + 1 if fingerprint == self._fingerprint else 0
-        self._fingerprint = fingerprint
-        if 0 < self._settings.frozen_frames <= self._repeated:
+        self._repeats.add(pair.left)
+        if self._repeats.frozen:
             self._trouble = "link.camera_frozen"
         elif self._trouble == "link.camera_frozen":
             self._trouble = None

@@ -1,0 +1,27 @@
+"""Whether pictures are live: a camera that hands out one picture again and again has frozen."""
+
+from vision_pc.core.types import Image
+
+_STEP = 32  # px: a picture is compared by every such pixel of every such row
+
+
+class Repeats:
+    """Counts how often a picture repeated the one before to the last grey level, which noise forbids in live
+    ones. ``limit``: so many repetitions, and the camera counts as frozen; 0: never.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._fingerprint = b""
+        self.count = 0
+
+    def add(self, image: Image) -> None:
+        """Nothing; ``image`` is the newest one. One without pixels says nothing."""
+        fingerprint = image[::_STEP, ::_STEP].tobytes()
+        self.count = self.count + 1 if fingerprint and fingerprint == self._fingerprint else 0
+        self._fingerprint = fingerprint
+
+    @property
+    def frozen(self) -> bool:
+        """Whether the newest picture is not to be believed."""
+        return 0 < self._limit <= self.count
