@@ -144,7 +144,7 @@ def test_one_picture_moves_the_reference_by_a_bounded_step_whatever_it_shows() -
 
 
 def test_the_pull_is_bounded_and_only_acts_at_rest() -> None:
-    still, near = np.eye(4), np.array([0.004, 0.0, 0.0])
+    still, near = np.eye(4), np.array([0.012, 0.0, 0.0])
     loop = Loop(np.eye(3), np.eye(3), CLEARANCE, changed(gain=1.0))
     for k in range(100):  # never at rest
         moving = transform(np.eye(3), np.array([0.002 * k, 0.0, 0.0]))
@@ -154,5 +154,17 @@ def test_the_pull_is_bounded_and_only_acts_at_rest() -> None:
     for k in range(1000):  # stuck
         loop.seen(sample(near, still))
         if k == SETTINGS.settle_pictures:
-            assert loop.reference(still)[0, 3] == pytest.approx(0.008)
-    assert loop.reference(still)[0, 3] == pytest.approx(0.004 + SETTINGS.pull_m)
+            assert loop.reference(still)[0, 3] == pytest.approx(0.012 + min(0.012, SETTINGS.pull_m))
+    assert loop.reference(still)[0, 3] == pytest.approx(0.012 + SETTINGS.pull_m)
+
+
+def test_near_the_object_the_target_does_not_chase_encoders_that_move_in_their_play() -> None:
+    """The encoders move, the tool does not: the picture stays as it is, and so must the reference."""
+    loop = Loop(np.eye(3), np.eye(3), CLEARANCE, SETTINGS)
+    left, start = np.array([0.004, 0.0, 0.0]), np.eye(4)
+    loop.seen(sample(left, start))
+    before = loop.reference(start)[:3, 3]
+    for k in range(5):
+        played = transform(np.eye(3), np.array([3e-4 * (k + 1), 0.0, 0.0]))
+        loop.seen(sample(left, played))
+    assert np.allclose(loop.reference(start)[:3, 3], before)

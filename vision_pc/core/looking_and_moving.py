@@ -3,10 +3,11 @@
 Mäkinen et al. 2023 name closed-loop visual control as possible with an uninterrupted view; this is it. Every
 picture gives the error (21) at the instant of its exposure, the local map's rotation turns it into the base
 (20), and the pose that the controller had at that instant makes it a target (22). The arm follows the
-filtered target as a stream of references that runs at most ``lead_m`` ahead. The error that the joint servo
-leaves is added to the reference once the tool has come to rest, and only then: an integral that went on
-while play and stiction hold the tool would hunt. What the loop may do to the reference with one picture is
-bounded; without a fresh sight of both it stops.
+filtered target as a stream of references that runs at most ``lead_m`` ahead. Near the object the target is
+held, and what is left is added to the reference whenever the tool has come to rest, and only then: in the
+joints' play the encoders move and the tool does not, so that a target that followed every picture would
+chase them for ever. What the loop may do to the reference with one picture is bounded; without a fresh sight
+of both it stops.
 """
 
 import math
@@ -49,10 +50,10 @@ class Loop:
         self._clearance = np.array([0.0, 0.0, clearance_m])
         self._settings = settings
         self._target: Array | None = None
-        self._pull = np.zeros(3)
         self.newest = np.zeros(3)  # error (3,) in camera axes that the last picture showed
         self._errors: deque[Array] = deque(maxlen=settings.settle_pictures)
         self._left: deque[Array] = deque(maxlen=settings.settle_pictures)
+        self._measured: deque[Array] = deque(maxlen=settings.settle_pictures)
 
     @property
     def errors(self) -> Array:
@@ -69,21 +70,23 @@ class Loop:
         measured = sample.X_BT[:3, 3] + left
         if self._target is None:
             self._target = measured
-        else:
+        elif np.linalg.norm(left) > s.near_m:
             self._target = self._target + _bounded(s.gain * (measured - self._target), s.step_m)
         self.newest = c_delta
         self._errors.append(c_delta)
         self._left.append(left)
+        self._measured.append(measured)
         if self._still and not self.settled:
-            rest = np.mean(self._left, axis=0)
-            self._pull = _bounded(self._pull + _bounded(s.pull_gain * rest, s.step_m), s.pull_m)
-            self._errors.clear()
-            self._left.clear()
+            left, there = np.mean(self._left, axis=0), np.mean(self._measured, axis=0)
+            pulled = self._target + _bounded(s.pull_gain * left, s.step_m)
+            self._target = there + _bounded(pulled - there, s.pull_m)
+            for kept in (self._errors, self._left, self._measured):
+                kept.clear()
 
     def reference(self, X_BT_cmd: Array) -> Array:
         """X_BT_ref: the target, no farther than ``lead_m`` from the pose that is commanded at present."""
         assert self._target is not None
-        ahead = self._target + self._pull - X_BT_cmd[:3, 3]
+        ahead = self._target - X_BT_cmd[:3, 3]
         return transform(self._hold, X_BT_cmd[:3, 3] + _bounded(ahead, self._settings.lead_m))
 
     @property

@@ -25,6 +25,7 @@ from vision_pc.core.positioning import PositioningResult, Step, judge, positioni
 from vision_pc.core.se3 import Array, local, transform
 from vision_pc.core.types import Look
 
+_USELESS = 2  # nudges in a row that brought no improvement
 _STALE = 0.003  # m or rad: more than a settled arm creeps
 
 
@@ -59,10 +60,12 @@ async def look_then_move_corrected(
     steps: list[Step] = []
     looks = [judge(look, settings)]
     misses = [goal_K - p_CM]
-    while _worth_driving(misses, settings):
+    far = float(np.linalg.norm(misses[0])) > map_settings.near_m
+    parts = 2 if far and settings.corrections else 1
+    while _worth_driving(misses, parts, settings):
         fitted = fit_map(track, p_CM, map_settings)
         x, covariance = solve_step(fitted, misses[-1], map_settings)
-        share = map_settings.first_share if not steps and settings.corrections else 1.0
+        share = map_settings.first_share if len(steps) + 1 < parts else 1.0
         steps.append(_step(look, fitted, x, covariance, share, settings, map_settings))
         report(0.2 + 0.6 * len(steps) / (settings.corrections + 1), _in_words(misses[-1]))
         drive = await watched_path(arm, eyes, [steps[-1].X_BT_ref], map_settings)
@@ -77,18 +80,18 @@ async def look_then_move_corrected(
     return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), misses[-1], track)
 
 
-def _worth_driving(misses: list[Array], settings: PositioningSettings) -> bool:
+def _worth_driving(misses: list[Array], parts: int, settings: PositioningSettings) -> bool:
     """Whether a further drive is due after the ``misses`` (3,) before it, as odometry saw them.
 
-    The first drives, most of the way and the rest, always are. After them a nudge is, while the miss is
-    outside ``nudge_m`` and the last nudge was of use: play and stiction make a small step a gamble.
+    The first ``parts`` drives make up the whole way. After them a nudge is due while the miss is outside
+    ``nudge_m``, until two in a row were of no use: the first of them may have gone into the joints' play.
     """
     drives = len(misses) - 1
-    if drives < min(2, settings.corrections + 1):
+    if drives < parts:
         return True
-    last, before = (math.hypot(miss[0], miss[1]) for miss in (misses[-1], misses[-2]))
-    of_use = drives == 2 or last < before
-    return drives <= settings.corrections and last > settings.nudge_m and of_use
+    sizes = [math.hypot(miss[0], miss[1]) for miss in misses[parts:]]
+    useless = len(sizes) - 1 - int(np.argmin(sizes))
+    return drives <= settings.corrections and sizes[-1] > settings.nudge_m and useless < _USELESS
 
 
 def _in_words(miss: Array) -> str:

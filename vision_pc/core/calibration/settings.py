@@ -78,6 +78,7 @@ class LocalMapSettings(StrictModel):
     (lift and tilt offset, rad; boom and forearm bending, rad per metre of reach), ``play_std`` (rad).
     ``play_rad``: half the slew's play, by which its flank is followed. ``noise_std_m`` of one sample at rest,
     ``sway_s`` metres more for every m/s. ``goal_std_limit_m``: a goal known worse is refused before moving.
+    ``first_share`` of a way longer than ``near_m`` is driven before the first correction.
     ``odometry_std_m`` and ``odometry_scale_std`` (relative): of the way that odometry measures;
     ``servo_std_m``: what the joints leave.
     """
@@ -99,6 +100,7 @@ class LocalMapSettings(StrictModel):
     goal_std_limit_m: float = Field(gt=0.0, le=1.0)
     arm: ArmShapeSettings
     first_share: float = Field(ge=0.3, le=0.98)
+    near_m: float = Field(ge=0.0, le=1.0)
     minimum_samples: int = Field(ge=8, le=10_000)
     residual_limit_m: float = Field(gt=0.0, le=1.0)
 
@@ -107,7 +109,8 @@ class PositioningSettings(StrictModel):
     """Look-then-move (20)-(22). ``strain_std`` and ``servo_std_m`` are what a rotation alone cannot know.
 
     ``corrections``: drives after the first one that the corrected form may make by odometry alone; none: one
-    shot. Two and more of them are nudges, made while the error that odometry measures exceeds ``nudge_m``.
+    shot. Beyond the rest of the way they are nudges, while the error that odometry measures exceeds
+    ``nudge_m``.
     An error below ``aim_m`` in x and y and ``depth_aim_m`` in z is left alone: play and stiction make a
     smaller step a gamble.
     """
@@ -128,16 +131,18 @@ class PositioningSettings(StrictModel):
 class LookingAndMovingSettings(StrictModel):
     """Looking and moving: closed loop at camera rate.
 
-    ``gain``: share of a picture's news that the target takes; ``pull_gain``: share of the remaining error
-    that is added to the pull whenever the tool rests; one picture moves either by ``step_m`` at most, and
-    the pull stays inside ``pull_m``. ``feed_s``: time between references, shorter than the controller's
-    silence limit. At rest: over ``settle_pictures`` the error spread and changed by less than ``still_m``;
-    settled: its mean is also inside ``settle_m`` in x and y and ``settle_depth_m`` in z.
+    ``gain``: share of a picture's news that the target takes, farther than ``near_m`` from the object;
+    ``pull_gain``: share of the remaining error that it takes whenever the tool rests. Either is ``step_m`` at
+    most; a rest leaves the target within ``pull_m`` of where the pictures see the object. ``feed_s``: time
+    between references, shorter than the controller's silence limit. At rest: over ``settle_pictures`` the
+    error spread and changed by less than ``still_m``; settled: its mean is also inside ``settle_m`` in x
+    and y and ``settle_depth_m`` in z.
     """
 
     gain: float = Field(gt=0.0, le=1.0)
     pull_gain: float = Field(ge=0.0, le=1.0)
     step_m: float = Field(gt=0.0, le=0.5)
+    near_m: float = Field(ge=0.0, le=0.2)
     pull_m: float = Field(ge=0.0, le=0.05)
     lead_m: float = Field(gt=0.0, le=0.4)
     feed_s: float = Field(ge=0.005, le=0.06)
