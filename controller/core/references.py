@@ -63,6 +63,16 @@ def admit(
     return found
 
 
+def unusable(pose: Pose, index: int = 0, count: int = 1) -> Refusal | None:
+    """A refusal of numbers that are no pose; ``index`` of ``count`` poses."""
+    if not pose.is_usable():
+        return Refusal(Reason.NOT_FINITE, float(index), float(count))
+    norm = pose.quaternion_norm()
+    if abs(norm - 1.0) > QUATERNION_TOLERANCE:
+        return Refusal(Reason.NOT_UNIT_QUATERNION, norm, 1.0)
+    return None
+
+
 def _form(settings: Settings, poses: tuple[Pose, ...], wanted: float, dwell: float) -> Refusal | None:
     """A refusal of what no arm could do: not finite, not a rotation, too many, no such duration."""
     if not poses:
@@ -70,11 +80,9 @@ def _form(settings: Settings, poses: tuple[Pose, ...], wanted: float, dwell: flo
     if len(poses) > MAX_WAYPOINTS:
         return Refusal(Reason.TOO_MANY_WAYPOINTS, float(len(poses)), float(MAX_WAYPOINTS))
     for index, pose in enumerate(poses):
-        if not pose.is_usable():
-            return Refusal(Reason.NOT_FINITE, float(index), float(len(poses)))
-        norm = pose.quaternion_norm()
-        if abs(norm - 1.0) > QUATERNION_TOLERANCE:
-            return Refusal(Reason.NOT_UNIT_QUATERNION, norm, 1.0)
+        refusal = unusable(pose, index, len(poses))
+        if refusal is not None:
+            return refusal
     if not (math.isfinite(wanted) and math.isfinite(dwell)):
         return Refusal(Reason.NOT_FINITE, 0.0, 0.0)
     motion = settings.config.motion

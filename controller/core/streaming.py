@@ -15,7 +15,7 @@ from controller.core.approach import Approach, AxisLimits, approach, twist_limit
 from controller.core.jacobian import damped_inverse
 from controller.core.path_survey import survey
 from controller.core.paths import Desired, at_rest, path_from
-from controller.core.references import QUATERNION_TOLERANCE, Refusal
+from controller.core.references import Refusal, unusable
 from controller.core.rotations import (
     Array,
     orientation_error,
@@ -24,7 +24,6 @@ from controller.core.rotations import (
 )
 from controller.core.settings import Settings
 from protocol.faults import Reason
-from protocol.reference_link import StreamedPose
 from protocol.reference_session import StreamedPoseReceived
 
 _NUMBERS = 1 << 32
@@ -68,10 +67,15 @@ def follow(
     ``q_meas`` (6,), ``J_BT`` (6, 6): joint angles and Jacobian of the arm as it stands.
     """
     reference = arrival.message
-    refusal = _place(settings, stream, arrival, now_ns) or _form(settings, reference)
+    limits = _within_joint_speeds(settings, J_BT)
+    twist = np.array(reference.twist_ref)
+    refusal = (
+        _place(settings, stream, arrival, now_ns)
+        or unusable(reference.X_BT_ref)
+        or _runs_away(twist, twist_limit(limits))
+    )
     if refusal is not None:
         return refusal
-    twist = np.array(reference.twist_ref)
     moved = (now_ns - arrival.measured_ns) * 1e-9 * twist
     quaternion = np.array(reference.X_BT_ref.q_wxyz) / reference.X_BT_ref.quaternion_norm()
     quaternion = quaternion_product(quaternion_from_vector(moved[3:]), quaternion)
@@ -83,15 +87,9 @@ def follow(
     found = survey(settings, straight, q_meas)
     if found.reason is not Reason.ACCEPTED:
         return Refusal(found.reason, found.value, found.limit)
-    limits = _within_joint_speeds(settings, J_BT)
-    excess = np.abs(twist) / twist_limit(limits)
-    axis = int(excess.argmax())
-    too_fast = Refusal(Reason.TOO_FAST, abs(float(twist[axis])), float(twist_limit(limits)[axis]))
-    if excess[axis] > 1.0:
-        return too_fast
     way = approach(desired, p, quaternion, twist, limits)
     if way is None:
-        return too_fast
+        return Refusal(Reason.TOO_FAST, float(np.abs(twist).max()), float(twist_limit(limits).max()))
     goal = Goal(p, quaternion, limits)
     fresh_ns = max(stream.fresh_ns, arrival.left_ns)
     return stream._replace(fresh_ns=fresh_ns, number=reference.number, goal=goal), way
@@ -143,13 +141,13 @@ def _place(settings: Settings, stream: Stream, arrival: StreamedPoseReceived, no
     return None
 
 
-def _form(settings: Settings, reference: StreamedPose) -> Refusal | None:
-    """A refusal of what no arm could do."""
-    if not (reference.X_BT_ref.is_finite() and all(map(math.isfinite, reference.twist_ref))):
+def _runs_away(twist: Array, most: Array) -> Refusal | None:
+    """A refusal of a reference that itself moves faster than may be followed, or by no number."""
+    if not np.isfinite(twist).all():
         return Refusal(Reason.NOT_FINITE, 0.0, 1.0)
-    norm = reference.X_BT_ref.quaternion_norm()
-    if abs(norm - 1.0) > QUATERNION_TOLERANCE:
-        return Refusal(Reason.NOT_UNIT_QUATERNION, norm, 1.0)
+    axis = int((np.abs(twist) / most).argmax())
+    if abs(twist[axis]) > most[axis]:
+        return Refusal(Reason.TOO_FAST, abs(float(twist[axis])), float(most[axis]))
     return None
 
 

@@ -26,6 +26,9 @@ def test_shipped_files_load(arm: ArmConfig, config: ControllerConfig) -> None:
         ({"motion": {"speed_m_s": float("nan")}}, "motion.speed_m_s", "configuration.finite_number"),
         ({"joint_control": {"gain_1_s": [1, 2, 3]}}, "joint_control.gain_1_s", "configuration.missing"),
         ({"pose_servo": {"dead_zone_mrad": 0.4}}, "settled.tolerance_mrad", "configuration.value_error"),
+        ({"streaming": {"silence_ms": 30.0}}, "streaming.silence_ms", "configuration.value_error"),
+        ({"cycle_ms": 10, "streaming": {"silence_ms": 53.0}}, "silence_ms", "configuration.value_error"),
+        ({"streaming": {"jerk_m_s3": 0.0}}, "streaming.jerk_m_s3", "configuration.greater_than"),
         ({"plant_link": {"port": 70000}}, "plant_link.port", "configuration.less_than_equal"),
     ],
 )

@@ -231,6 +231,7 @@ def edge(settings: Settings) -> float:
 
 REFUSED = [
     (lambda p, s: p._replace(p_m=(math.nan, 0.0, 0.0)), {}, Reason.NOT_FINITE, None),
+    (lambda p, s: p._replace(p_m=(p.p_m[0], 1e-310, p.p_m[2])), {}, Reason.NOT_FINITE, None),
     (lambda p, s: p._replace(q_wxyz=(math.inf, 0.0, 0.0, 0.0)), {}, Reason.NOT_FINITE, None),
     (lambda p, s: p, {"twist_ref": (0.0, math.nan, 0.0, 0.0, 0.0, 0.0)}, Reason.NOT_FINITE, None),
     (
