@@ -104,7 +104,7 @@ def sweep(
     settings: Settings = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Both methods over payload, mount, distance, noise, texture, flexibility and latency."""
+    """Both methods over payload, mount, distance, noise, texture, play, flexibility and latency."""
     from testbed.experiments.paper import Asked
     from testbed.experiments.sweep import SWEEPS, run_sweep
 

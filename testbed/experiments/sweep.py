@@ -1,4 +1,4 @@
-"""The paper's methods over payload, mount angle, distance, noise, texture, bending and delay."""
+"""The paper's methods over payload, mount angle, distance, noise, texture, play, bending and delay."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -49,6 +49,11 @@ def _distance(depth_m: float, world: World) -> list[str]:
     return [f"scene.object_of_interest.position_m=[{_START_X_M + depth_m}, {y}, {z}]"]
 
 
+def _play(half_width_mrad: float, world: World) -> list[str]:
+    """The slew's play; that of the other joints as in plant.yaml."""
+    return [f"plant.errors.backlash.half_width_mrad=[{half_width_mrad}, 0.05, 0.05, 0.1, 0.1, 0.1]"]
+
+
 def _bending(times: float, world: World) -> list[str]:
     """Booms that bend so many times as much; 0: not at all."""
     if times == 0.0:
@@ -69,6 +74,7 @@ SWEEPS = {
     "texture": Sweep(
         "wall's contrast / grey levels", (22.0, 10.0, 4.0, 2.0), _key("scene.wall.contrast_grey")
     ),
+    "play": Sweep("half the slew's play / mrad", (0.0, 0.3, 0.6, 1.0), _play),
     "flexibility": Sweep("bending / times as much", (0.0, 1.0, 2.0, 4.0), _bending),
     "latency": Sweep("valve delay / ms", (1.0, 10.0, 20.0, 30.0), _key("plant.valves.delay_ms")),
 }
