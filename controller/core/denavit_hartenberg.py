@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numba import njit
 
-from controller.config import DhRow
+from controller.arm_config import DhRow
 from controller.core.rotations import Array
 
 LINKS = 7

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
-from controller.config import CylinderDrive, Drive, RatedSupply
+from controller.arm_config import CylinderDrive, Drive, RatedSupply
 from controller.core.rotations import Array
 
 # A cylinder's lever arm vanishes at the ends of a linkage; below this the map is held constant.
