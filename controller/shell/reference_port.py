@@ -1,8 +1,8 @@
 """The UDP end of the reference link: datagrams are read as they arrive, requests wait for the next scan.
 
 Heartbeats are answered at once, so that the peer's clock estimate is not blurred by the scan's period.
-A flood is met by a budget of datagrams a cycle; what exceeds it stays in the kernel's buffer, which drops
-the rest.
+While a session is open its peer has a socket of its own, connected on the same port: the kernel sorts, and
+what strangers send can neither fill the peer's buffer nor cost the scan more than a few datagrams a cycle.
 """
 
 import asyncio
@@ -33,18 +33,15 @@ from protocol.reference_session import (
     StreamedPoseReceived,
 )
 
-_READS_A_CYCLE = 600  # about a millisecond; 50 000 datagrams a second are 250 in a cycle of 5 ms
-_DATAGRAMS_A_CYCLE = 96  # of those, decoded
-# Room for what a flood leaves between two cycles; the kernel grants what it is allowed to.
-_RECEIVE_BUFFER_BYTES = 1 << 20
-_STRANGERS_A_CYCLE = 8  # of those, while a session is open: enough to refuse a second client
+_DATAGRAMS_A_CYCLE = 96  # from the peer, or from anybody while there is none
+_STRANGERS_A_CYCLE = 8  # while there is one: enough to refuse a second client
+_RECEIVE_BUFFER_BYTES = 1 << 20  # the kernel grants what it is allowed to
 
 
 class ReferencePort:
     """A bound socket around the sans-IO ``server``.
 
-    ``drops``: datagrams that were not used, by cause; ``flooded``: those of strangers that were not even
-    looked at.
+    ``drops``: datagrams that were not used, by cause; ``flooded``: cycles in which more came than was read.
     """
 
     def __init__(self, server: ReferenceServer, config: ReferenceLinkConfig, log: EventLog) -> None:
@@ -54,11 +51,9 @@ class ReferencePort:
         self.drops: Counter[str] = Counter()
         self._log = log
         self._inbox = Inbox()
-        self._peer: object | None = None
-        self._reads = _READS_A_CYCLE
-        self._datagrams = _DATAGRAMS_A_CYCLE
-        self._strangers = _STRANGERS_A_CYCLE
-        self._reading = False
+        self._left: dict[socket.socket, int] = {}  # datagrams that may still be read in this cycle
+        self._paused: set[socket.socket] = set()
+        self._peers: socket.socket | None = None
         self._socket = _bound(config)
 
     @property
@@ -69,16 +64,15 @@ class ReferencePort:
 
     def open(self) -> None:
         """Begin to read; needs a running loop."""
-        asyncio.get_running_loop().add_reader(self._socket.fileno(), self._readable)
-        self._reading = True
+        self._watch(self._socket)
 
     def close(self) -> None:
-        """Say goodbye to the peer and release the socket."""
+        """Say goodbye to the peer and release the port."""
         now_ns = time.monotonic_ns()
         self._told(self.server.close(now_ns, Reason.SHUTDOWN))
         self._send()
-        self._pause()
-        self._socket.close()
+        self._rejoin()
+        self._unwatch(self._socket)
 
     def take(self, now_ns: int) -> tuple[tuple[Request, ...], bool]:
         """Requests for the scan at ``now_ns`` and whether the link is alive, see Inbox.
@@ -86,11 +80,12 @@ class ReferencePort:
         Also opens the next cycle's budget.
         """
         self._told(self.server.tick(now_ns))
-        self._reads = _READS_A_CYCLE
-        self._datagrams = _DATAGRAMS_A_CYCLE
-        self._strangers = _STRANGERS_A_CYCLE
-        if not self._reading:
-            self.open()
+        self.flooded += bool(self._paused)
+        for sock in self._left:
+            self._left[sock] = self._budget(sock)
+        for sock in tuple(self._paused):
+            self._paused.discard(sock)
+            asyncio.get_running_loop().add_reader(sock.fileno(), self._readable, sock)
         return self._inbox.take(self.server.link_alive(now_ns))
 
     def take_streamed(self) -> StreamedPoseReceived | None:
@@ -112,33 +107,36 @@ class ReferencePort:
         self.server.publish(state, now_ns)
         self._send()
 
-    def _readable(self) -> None:
+    def _budget(self, sock: socket.socket) -> int:
+        strangers = self._peers is not None and sock is self._socket
+        return _STRANGERS_A_CYCLE if strangers else _DATAGRAMS_A_CYCLE
+
+    def _watch(self, sock: socket.socket) -> None:
+        self._left[sock] = self._budget(sock)
+        asyncio.get_running_loop().add_reader(sock.fileno(), self._readable, sock)
+
+    def _unwatch(self, sock: socket.socket) -> None:
+        self._left.pop(sock, None)
+        if sock not in self._paused:
+            asyncio.get_running_loop().remove_reader(sock.fileno())
+        self._paused.discard(sock)
+        sock.close()
+
+    def _readable(self, sock: socket.socket) -> None:
         arrived: list[tuple[bytes, object]] = []
-        while self._reads > 0 and self._datagrams > 0:
-            self._reads -= 1
+        while self._left[sock] > 0:
+            self._left[sock] -= 1
             try:
-                data, source = self._socket.recvfrom(MAX_DATAGRAM_BYTES + 1)
+                arrived.append(sock.recvfrom(MAX_DATAGRAM_BYTES + 1))
             except BlockingIOError:
                 break
             except OSError:  # an earlier answer met a closed port
                 continue
-            if self._peer is not None and source != self._peer:
-                self._strangers -= 1
-                if self._strangers < 0:
-                    self.flooded += 1
-                    continue
-            self._datagrams -= 1
-            arrived.append((data, source))
+        if self._left[sock] <= 0:  # the rest waits for the next cycle, or is dropped by the kernel
+            asyncio.get_running_loop().remove_reader(sock.fileno())
+            self._paused.add(sock)
         self._told(self.server.receive_batch(arrived, time.monotonic_ns()))
         self._send()
-        # Under a flood reading waits for the next cycle: a batch costs far less than a wake-up for each.
-        if self._reads <= 0 or self._datagrams <= 0 or self._strangers < 0:
-            self._pause()
-
-    def _pause(self) -> None:
-        if self._reading:
-            asyncio.get_running_loop().remove_reader(self._socket.fileno())
-            self._reading = False
 
     def _send(self) -> None:
         for data, source in self.server.outgoing(time.monotonic_ns()):
@@ -149,10 +147,10 @@ class ReferencePort:
         self._inbox.put(events)
         for event in events:
             if isinstance(event, SessionOpened):
-                self._peer = event.source
+                self._part(event.source)
                 self._log.write("session_opened", session=f"{event.session:x}", peer=str(event.source))
             elif isinstance(event, SessionClosed):
-                self._peer = None
+                self._rejoin()
                 self._log.write("session_closed", session=f"{event.session:x}", reason=event.reason.name)
             elif isinstance(event, DatagramDropped):
                 self.drops[event.cause] += 1
@@ -160,12 +158,42 @@ class ReferencePort:
                     fields = {"cause": event.cause, "detail": event.detail, "count": self.drops[event.cause]}
                     self._log.write("datagram_dropped", "warning", **fields)
 
+    def _part(self, peer: object) -> None:
+        """A socket of the peer's own, from now on; without one all share the first, as before."""
+        self._rejoin()
+        own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        own.setblocking(False)
+        _enlarge(own)
+        try:
+            # Two sockets may have one port only while both agree; a second controller shall not get it.
+            for each in (self._socket, own):
+                each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            own.bind(self._socket.getsockname())
+            own.connect(peer)  # type: ignore[arg-type]
+        except OSError as error:
+            own.close()
+            self._log.write("peer_not_parted", "warning", cause="link.shared_socket", detail=str(error))
+        else:
+            self._peers = own
+            self._watch(own)
+        finally:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
+
+    def _rejoin(self) -> None:
+        if self._peers is not None:
+            own, self._peers = self._peers, None
+            self._unwatch(own)
+
+
+def _enlarge(sock: socket.socket) -> None:
+    with contextlib.suppress(OSError):
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+
 
 def _bound(config: ReferenceLinkConfig) -> socket.socket:
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sock.setblocking(False)
-    with contextlib.suppress(OSError):
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+    _enlarge(sock)
     try:
         sock.bind((config.host, config.port))
     except OSError as error:

@@ -170,7 +170,8 @@ async def test_a_flood_of_strangers_does_not_hold_up_a_stop(port: ReferencePort,
             longest_s = max(longest_s, time.monotonic() - began_s)
             if requests and stopped_after is None:
                 stopped_after = cycle - 20
-    assert port.flooded > 10_000
+    assert port.flooded > 50  # of 60 cycles
+    assert port.server.statistics.refused <= 96 + 8 * 60  # no more were looked at
     assert stopped_after is not None
     assert stopped_after <= 10
     assert longest_s < 0.2
