@@ -102,8 +102,8 @@ class Rig:
         state = client.state if client.connected and client.state is not None else client.connect()
         if state.group_state is GroupState.ERROR_STOP:
             client.until(lambda s: s.group_state is GroupState.ERROR_STOP, 5.0)
-            _insist(client, CommandCode.RESET)
-        _insist(client, CommandCode.ENABLE)
+            insist(client, CommandCode.RESET)
+        insist(client, CommandCode.ENABLE)
         state = client.until(lambda s: s.group_state is GroupState.STANDBY, 5.0)
         y, z = state.X_BT.p_m[1], state.X_BT.p_m[2]
         aim = (rng.uniform(0.15, 0.3) * (-1.0 if y > 0.0 else 1.0), rng.uniform(0.9, 1.3) - z)
@@ -119,7 +119,7 @@ class Rig:
         self.client.__exit__(None, None, None)
 
 
-def _insist(client: LiveClient, code: CommandCode) -> None:
+def insist(client: LiveClient, code: CommandCode) -> None:
     """Nothing; the command was accepted, within the time that a watchdog takes to be armed again."""
     deadline_s = time.monotonic() + 3.0
     while (reason := client.command(code)) not in (Reason.ACCEPTED, Reason.ALREADY_DONE, Reason.NOT_IN_ERROR):

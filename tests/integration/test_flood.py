@@ -11,7 +11,7 @@ import pytest
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.process_image import STATUS_VALVES_ENABLED
 from protocol.reference_link import State
-from testbed.experiments.controller_kills import Rig, trial_rig
+from testbed.experiments.controller_kills import Rig, insist, trial_rig
 from tests.integration.flood import flooding
 
 CONFIG = Path(__file__).parents[2] / "configs"
@@ -29,7 +29,7 @@ def test_case_19_a_flood_leaves_the_motion_alone_and_stop_works(tmp_path: Path) 
     with trial_rig(CONFIG, [], tmp_path) as (launch, rig):
         client, port = rig.client, launch.settings.controller.reference_link.port
         client.connect()
-        assert client.command(CommandCode.ENABLE) is Reason.ACCEPTED
+        insist(client, CommandCode.ENABLE)
         client.until(lambda s: s.group_state is GroupState.STANDBY, 5.0)
         with flooding(port, RATE_HZ, 4.0):
             client.pump(0.7)  # the flood's process starts
