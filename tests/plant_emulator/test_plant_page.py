@@ -45,7 +45,8 @@ def test_the_number_of_states_is_right() -> None:
 
 @pytest.mark.parametrize("name", ["plant.yaml", "plant_long_crane.yaml"])
 def test_every_switch_is_a_key_of_both_files(name: str) -> None:
-    keys = [key for row in rows("What makes rigid-body positioning wrong") for key in re.findall(r"`([a-z_.]+)`", row[0])]
+    table = rows("What makes rigid-body positioning wrong")
+    keys = [key for row in table for key in re.findall(r"`([a-z_.]+)`", row[0])]
     assert len(keys) > 6
     for key in keys:
         place: Any = yaml.safe_load((CONFIGS / name).read_text(encoding="utf-8"))
