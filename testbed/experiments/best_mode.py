@@ -124,8 +124,8 @@ def normalised(rows: list[JSON], name: str) -> tuple[float, tuple[float, float]]
     ratios = (errors / stds) ** 2
     ratios = ratios[np.isfinite(ratios).all(axis=1)]
     freedom = max(2 * len(ratios), 1)
-    low, high = stats.chi2.ppf([0.025, 0.975], freedom) / freedom
-    return float(ratios.mean()) if len(ratios) else float("nan"), (float(low), float(high))
+    low, high = (float(stats.chi2.ppf(side, freedom)) / freedom for side in (0.025, 0.975))
+    return float(ratios.mean()) if len(ratios) else float("nan"), (low, high)
 
 
 def _columns(rows: list[JSON], pattern: str) -> Array:

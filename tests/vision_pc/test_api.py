@@ -159,6 +159,8 @@ async def test_move_by_offsets_and_to_a_pose(station: Bench) -> None:
         ("line-equation", {"points": 500}),
         ("look-then-move", {"tolerance_mm": -1.0}),
         ("orientation-adjustment", {"form": 7}),
+        ("looking-and-moving", {"gain": 2.0}),
+        ("looking-and-moving", {"settle_mm": -1.0}),
     ],
 )
 async def test_bad_bodies_are_named(station: Bench, kind: str, body: Any) -> None:

@@ -158,6 +158,17 @@ def test_the_pull_is_bounded_and_only_acts_at_rest() -> None:
     assert loop.reference(still)[0, 3] == pytest.approx(0.012 + SETTINGS.pull_m)
 
 
+def test_while_the_servo_still_works_nothing_is_settled_and_nothing_pulled() -> None:
+    """The tool may stick where it should be with the integral wound up: it will move again."""
+    still, left = np.eye(4), np.array([0.0002, 0.0, 0.0])
+    loop = Loop(np.eye(3), np.eye(3), CLEARANCE, SETTINGS)
+    for _ in range(3 * SETTINGS.settle_pictures):
+        loop.seen(sample(left, still), servo_gap_m=2.0 * SETTINGS.servo_gap_m)
+    assert not loop.settled
+    loop.seen(sample(left, still), servo_gap_m=0.5 * SETTINGS.servo_gap_m)
+    assert loop.settled
+
+
 def test_near_the_object_the_target_does_not_chase_encoders_that_move_in_their_play() -> None:
     """The encoders move, the tool does not: the picture stays as it is, and so must the reference."""
     loop = Loop(np.eye(3), np.eye(3), CLEARANCE, SETTINGS)

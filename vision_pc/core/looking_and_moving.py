@@ -50,6 +50,7 @@ class Loop:
         self._clearance = np.array([0.0, 0.0, clearance_m])
         self._settings = settings
         self._target: Array | None = None
+        self._gap_m = 0.0
         self.newest = np.zeros(3)  # error (3,) in camera axes that the last picture showed
         self._errors: deque[Array] = deque(maxlen=settings.settle_pictures)
         self._left: deque[Array] = deque(maxlen=settings.settle_pictures)
@@ -60,8 +61,12 @@ class Loop:
         """The errors (n, 3) in camera axes since the last pull, at most ``settle_pictures``."""
         return np.array(self._errors).reshape(-1, 3)
 
-    def seen(self, sample: WatchSample) -> None:
-        """Nothing; the target has been moved by what this sample, which shows tool and object, says."""
+    def seen(self, sample: WatchSample, servo_gap_m: float = 0.0) -> None:
+        """Nothing; the target has been moved by what this sample, which shows tool and object, says.
+
+        ``servo_gap_m``: how far the encoders are from what is commanded; while the joint servo still works
+        at that, the tool will move again.
+        """
         assert sample.X_CM is not None
         assert sample.X_CO is not None
         s = self._settings
@@ -76,6 +81,7 @@ class Loop:
         self._errors.append(c_delta)
         self._left.append(left)
         self._measured.append(measured)
+        self._gap_m = servo_gap_m
         if self._still and not self.settled:
             left, there = np.mean(self._left, axis=0), np.mean(self._measured, axis=0)
             pulled = self._target + _bounded(s.pull_gain * left, s.step_m)
@@ -99,8 +105,8 @@ class Loop:
 
     @property
     def _still(self) -> bool:
-        """Whether the tool rests, at the object or not."""
-        if len(self._errors) < self._settings.settle_pictures:
+        """Whether the tool rests, at the object or not, and the joint servo has done what it can."""
+        if len(self._errors) < self._settings.settle_pictures or self._gap_m > self._settings.servo_gap_m:
             return False
         errors, part = self.errors, self._settings.settle_pictures // 3
         moved = float(np.linalg.norm(errors[-part:].mean(axis=0) - errors[:part].mean(axis=0)))
@@ -153,7 +159,7 @@ async def _followed(
         sample = await sight.next()
         if sample is None:
             continue
-        loop.seen(sample)
+        loop.seen(sample, float(np.linalg.norm(view.X_BT_cmd[:3, 3] - view.X_BT[:3, 3])))
         seen_ns = sample.time_ns
         left = float(np.linalg.norm(loop.newest))
         report(min(0.95, max(0.0, 1.0 - left / max(start, 1e-3))), f"{1e3 * left:.1f} mm to go")

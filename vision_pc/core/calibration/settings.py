@@ -135,8 +135,8 @@ class LookingAndMovingSettings(StrictModel):
     ``pull_gain``: share of the remaining error that it takes whenever the tool rests. Either is ``step_m`` at
     most; a rest leaves the target within ``pull_m`` of where the pictures see the object. ``feed_s``: time
     between references, shorter than the controller's silence limit. At rest: over ``settle_pictures`` the
-    error spread and changed by less than ``still_m``; settled: its mean is also inside ``settle_m`` in x
-    and y and ``settle_depth_m`` in z.
+    error spread and changed by less than ``still_m``, and the encoders are within ``servo_gap_m`` of what is
+    commanded; settled: its mean is also inside ``settle_m`` in x and y and ``settle_depth_m`` in z.
     """
 
     gain: float = Field(gt=0.0, le=1.0)
@@ -151,6 +151,7 @@ class LookingAndMovingSettings(StrictModel):
     settle_m: float = Field(gt=0.0, le=0.05)
     settle_depth_m: float = Field(gt=0.0, le=0.1)
     still_m: float = Field(gt=0.0, le=0.01)
+    servo_gap_m: float = Field(gt=0.0, le=0.1)
     settle_pictures: int = Field(ge=4, le=200)
     timeout_s: float = Field(gt=0.0, le=600.0)
     step_limit_m: float = Field(gt=0.0, le=5.0)
