@@ -36,7 +36,7 @@ from vision_pc.shell.station import Station
 _CYCLES_AT_ONCE = 2
 _PAUSE_S = 0.004
 # The link's own timeouts are tried elsewhere; here a busy machine shall not end a session.
-_PATIENT = ("controller.reference_link.link_timeout_ms=5000",)
+_PATIENT = ("controller.reference_link.link_timeout_ms=5000", "controller.settled.time_ms=800")
 
 
 class Machine(asyncio.DatagramProtocol):

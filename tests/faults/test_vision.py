@@ -84,7 +84,7 @@ def test_case_31_a_marker_lost_while_looking_fails_the_operation_and_no_error_is
     ("assignment", "causes"),
     [
         ("vision.markers.tool.id=7", ("measurement.tool_not_seen",)),
-        ("vision.markers.tool.size_m=0.13", ("measurement.tool_not_seen",)),
+        ("vision.markers.tool.size_m=0.13", ("measurement.tool_not_seen", "measurement.tool_wrong_size")),
     ],
 )
 def test_case_32_a_marker_of_the_wrong_id_or_size_is_refused(
@@ -95,7 +95,8 @@ def test_case_32_a_marker_of_the_wrong_id_or_size_is_refused(
 
 
 def test_case_34_an_ill_conditioned_calibration_fails_with_its_condition_and_nothing_is_built_on_it() -> None:
-    settings = settings_of(1, ("vision.programs.trajectory.condition_limit=1.5",))
+    quick = ("controller.settled.time_ms=200", "vision.programs.trajectory.dwell_s=0.3")
+    settings = settings_of(1, (*quick, "vision.programs.trajectory.condition_limit=1.5"))
     model = load_eye_model(CONFIG)
     rig = LockstepRig(settings, 1, EventLog(), lambda world, vision: ModelSight(world, vision, model, 1))
     rig.command("enable")
@@ -165,7 +166,7 @@ async def test_case_38_a_cancel_that_races_with_completion_leaves_exactly_one_en
         await rig.ended((await rig.post("/operations/move", body)).headers["Location"])
         takes_s = asyncio.get_running_loop().time() - began
         states = set()
-        for share in (0.0, 0.5, 0.95, 1.0, 1.05):
+        for share in (0.0, 0.5, 0.97, 1.03):
             location = (await rig.post("/operations/move", body)).headers["Location"]
             await asyncio.sleep(share * takes_s)
             cancelled = await rig.post(f"{location}/cancel")
@@ -179,7 +180,7 @@ async def test_case_38_a_cancel_that_races_with_completion_leaves_exactly_one_en
         assert states <= {"cancelled", "succeeded"}
         assert "cancelled" in states
         rig.log.flush()
-        assert stream.getvalue().count('"event": "operation_ended"') == 6
+        assert stream.getvalue().count('"event": "operation_ended"') == 5
 
 
 class HangingPipe(io.TextIOBase):
@@ -202,7 +203,8 @@ async def test_case_39_hanging_consoles_are_left_behind_and_the_motion_goes_on()
         before = rig.tool()
         started = await rig.post("/operations/move", MOVE)
         listeners += [hanging_listener(port, f"{started.headers['Location']}/events") for _ in range(5)]
-        assert (await rig.ended(started.headers["Location"]))["state"] == "succeeded"
+        ended = await rig.ended(started.headers["Location"])
+        assert ended["state"] == "succeeded", ended["problem"]
         assert rig.tool()[1] - before[1] == pytest.approx(0.05, abs=0.008)
         cycles = [row.image.controller_cycle for row in rig.registers.written]
         assert cycles == list(range(cycles[0], cycles[0] + len(cycles))), "no scan waited for a console"
@@ -271,7 +273,8 @@ async def test_case_40_a_running_motion_ends_when_the_disk_fills_up(tmp_path: Pa
         rig.log._file.close()
         rig.log._file = open("/dev/full", "w", buffering=1)  # noqa: SIM115, ASYNC230 - the log closes it
         rig.log.write("something")
-        assert (await rig.ended(started.headers["Location"]))["state"] == "succeeded"
+        ended = await rig.ended(started.headers["Location"])
+        assert ended["state"] == "succeeded", ended["problem"]
         assert rig.tool()[1] - before[1] == pytest.approx(0.05, abs=0.008)
         again = await rig.post("/operations/move", MOVE)
         assert again.json()["cause"] == "refused.recording_failed"
