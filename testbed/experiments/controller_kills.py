@@ -40,7 +40,7 @@ CLOSING_MS = 30.0  # drive electronics and servo valve, from the centred word to
 KILL, SUSPEND, SUSPEND_LONG = "kill", "suspend", "suspend 5 s"
 _STATUS_AFTER_S = 0.3  # the registers are asked: after the motion watchdog, before the coupler's of 1 s
 _QUIET_S = 0.5  # how long nothing may happen once the controller is back
-_TRUTH_HZ = 500.0
+_TRUTH_HZ = 250.0
 
 
 @dataclass(frozen=True)
