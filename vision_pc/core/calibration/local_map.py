@@ -213,7 +213,8 @@ def _prior(settings: LocalMapSettings) -> Array:
 def _speeds(p: Array, time_s: Array) -> Array:
     """Speed (n,) m/s of points (n, 3): the larger of before and after."""
     between = np.linalg.norm(np.diff(p, axis=0), axis=1) / np.maximum(np.diff(time_s), 1e-6)
-    return np.maximum(np.append(between, 0.0), np.insert(between, 0, 0.0))
+    speeds: Array = np.maximum(np.append(between, 0.0), np.insert(between, 0, 0.0))
+    return speeds
 
 
 def planned_covariance(X_BT: Array, speed: Array, steps: Array, settings: LocalMapSettings) -> Array:
