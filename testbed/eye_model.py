@@ -98,7 +98,7 @@ class ModelSight:
         """What vision makes of the corners that this pair would show."""
         settings = self._config.markers
         beliefs = beliefs_after(previous, settings)
-        sightings, refused = [], Counter[str]()
+        sightings, unfit = [], dict[int, str]()
         truth = self._truths[pair.frame_id]
         for number, seen in sorted(self._view.markers(truth.X_WC, truth.X_WM).items()):
             if number not in settings.sizes or seen.left is None or self._misses():
@@ -107,11 +107,11 @@ class ModelSight:
             right = None if seen.right is None else self._rays(number, 1, seen.right)
             outcome = markers.from_rays(number, left, _Same(right), self._camera, settings, beliefs)
             if isinstance(outcome, str):
-                refused[outcome] += 1
+                unfit[number] = outcome
             else:
                 sightings.append(outcome)
         frame = (pair.capture_ns, pair.frame_id)
-        return observation_of(frame, sightings, refused, self._camera, settings, beliefs, previous)
+        return observation_of(frame, sightings, Counter(), unfit, self._camera, settings, beliefs, previous)
 
     def watcher(self, *, markers: bool, odometry: bool, previous: FrameObservation | None) -> Watcher:
         """A watcher over this sight's measurements."""

@@ -1,7 +1,7 @@
 """A frame observed, and several frames of an arm at rest combined into one robust look."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +34,7 @@ def observe(
     rough, refused = _found(pair, settings, previous)
     sightings, unfit = markers.sight(pair, rough, camera, settings, beliefs)
     return observation_of(
-        (pair.capture_ns, pair.frame_id), sightings, refused + unfit, camera, settings, beliefs, previous
+        (pair.capture_ns, pair.frame_id), sightings, refused, unfit, camera, settings, beliefs, previous
     )
 
 
@@ -50,12 +50,16 @@ def observation_of(
     frame: tuple[int, int],
     sightings: list[Sighting],
     refused: Counter[str],
+    unfit: Mapping[int, str],
     camera: CameraCalibration,
     settings: MarkerSettings,
     beliefs: Beliefs,
     previous: FrameObservation | None,
 ) -> FrameObservation:
-    """What the ``sightings`` of one ``frame`` (capture_ns, frame_id) say about tool and object."""
+    """What the ``sightings`` of one ``frame`` (capture_ns, frame_id) say about tool and object.
+
+    ``refused`` counts what is no marker of theirs, ``unfit`` says of those that are why they were refused.
+    """
     known = (None, None) if previous is None else (previous.X_CM, previous.X_CO)
     scene = object_of_interest.locate(sightings, camera, settings, beliefs, known)
     tool, target = scene.tool, scene.object
@@ -68,9 +72,22 @@ def observation_of(
         None if target is None else target.covariance,
         None if target is None else target.bias,
         tuple(sighting.observation for sighting in sightings),
-        dict(refused + scene.refused),
+        dict(refused + Counter(unfit.values()) + scene.refused),
         scene.offset if scene.tool or scene.object or previous is not None else None,
+        _missing(tool, {settings.tool.id}, sightings, unfit),
+        _missing(target, {marker.id for marker in settings.object}, sightings, unfit),
     )
+
+
+def _missing(
+    body: object_of_interest.Body | None, ids: set[int], sightings: list[Sighting], unfit: Mapping[int, str]
+) -> str | None:
+    """Why ``body``, which bears the markers ``ids``, has no pose; None when it has one."""
+    if body is not None:
+        return None
+    if any(sighting.observation.marker_id in ids for sighting in sightings):
+        return "ambiguous"
+    return "wrong_size" if any(unfit.get(number) == "wrong_size" for number in ids) else "not_seen"
 
 
 def _found(
@@ -117,16 +134,23 @@ def combine(
     Poses are averaged on SE(3), weighted with their covariances and by Huber's weights. Raises
     MeasurementFailed when the tool (``measurement.tool_not_seen``) or the object
     (``measurement.object_not_seen``) was seen in fewer frames than configured, or no frame was tried
-    (``measurement.no_frames``).
+    (``measurement.no_frames``). Where most frames showed a marker that could not be believed, the cause ends
+    in ``_wrong_size`` or ``_ambiguous`` instead.
     """
     tried = len(observations)
     if tried == 0:
         raise MeasurementFailed("measurement.no_frames", "look: 0 frames arrived, at least 1 is wanted")
-    wanted = min(settings.minimum_frames, tried)
+    least = min(settings.minimum_frames, tried)
+    tool_missing = [o.missing_tool for o in observations]
+    target_missing = [o.missing_object for o in observations]
     tool = [(o.X_CM, o.cov_CM, o.bias_CM) for o in observations]
     target = [(o.X_CO, o.cov_CO, o.bias_CO) for o in observations]
-    tool_mean, tool_seen = robust_mean(tool, wanted, "tool", settings.huber_sigmas)
-    target_mean, target_seen = robust_mean(target, wanted, "object", settings.huber_sigmas)
+    tool_mean, tool_seen = robust_mean(
+        tool, _wanted(least, tool_missing), "tool", settings.huber_sigmas, usual_reason(tool_missing)
+    )
+    target_mean, target_seen = robust_mean(
+        target, _wanted(least, target_missing), "object", settings.huber_sigmas, usual_reason(target_missing)
+    )
     cov_CM, cov_CO = tool_mean.noise + tool_mean.bias, target_mean.noise + target_mean.bias
     std_tool, std_object = np.sqrt(np.diag(cov_CM)), np.sqrt(np.diag(cov_CO))
     return Look(
@@ -149,15 +173,39 @@ def combine(
     )
 
 
+def _wanted(least: int, missing: Sequence[str | None]) -> int:
+    """How many frames must show what was ``missing`` in others: more than those that tell a wrong size, which
+    the left eye alone, where the right one failed, cannot tell.
+    """
+    return max(least, missing.count("wrong_size") + 1)
+
+
+def usual_reason(missing: Iterable[str | None]) -> str:
+    """The most frequent reason why what was ``missing`` in frames could not be believed, else ``not_seen``.
+
+    A marker refused once is searched for again only every few frames, and counts as not seen between.
+    """
+    reasons = Counter(reason for reason in missing if reason is not None and reason != "not_seen")
+    return reasons.most_common(1)[0][0] if reasons else "not_seen"
+
+
 def robust_mean(
-    measured: list[tuple[Array | None, Array | None, Array | None]], wanted: int, what: str, huber: float
+    measured: list[tuple[Array | None, Array | None, Array | None]],
+    wanted: int,
+    what: str,
+    huber: float,
+    reason: str = "not_seen",
 ) -> tuple[MeanPose, int]:
-    """The mean of the poses that were measured, and how many they are; raises when fewer than ``wanted``."""
+    """The mean of the poses that were measured, and how many they are; raises when fewer than ``wanted``.
+
+    Raises MeasurementFailed: ``measurement.{what}_{reason}``.
+    """
     seen = [(X, C, B) for X, C, B in measured if X is not None and C is not None and B is not None]
     if len(seen) < wanted:
         raise MeasurementFailed(
-            f"measurement.{what}_not_seen",
-            f"look: {what} seen in {len(seen)} of {len(measured)} frames, at least {wanted} are wanted",
+            f"measurement.{what}_{reason}",
+            f"look: {what} seen in {len(seen)} of {len(measured)} frames, at least {wanted} are wanted"
+            + ("" if reason == "not_seen" else f"; elsewhere {reason.replace('_', ' ')}"),
         )
     information = [np.asarray(np.linalg.inv(C), dtype=np.float64) for _, C, _ in seen]
     X = _medoid([pose for pose, _, _ in seen], information)

@@ -24,6 +24,9 @@ AMBIGUOUS_BELOW = 9.0  # χ² between the two planar solutions: three standard d
 _SIZE_SIGMAS = 5.0
 _SUSPICIOUS = 4.0  # rms residual in corner standard deviations above which the cause is looked for
 _SAME_POSE = 1e-3  # rad
+_ALIKE = 0.6  # correlation of a marker's cells between the eyes; a quad displaced by two cells has 0.2
+_UNIT_SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+_SAMPLES = ((np.mgrid[0:14, 0:14].T.reshape(1, -1, 2) + 0.5) / 14.0).astype(np.float32)
 _CLEAR_FLIP = 20.0  # the same for the second planar solution, above which it is not pursued
 
 
@@ -93,18 +96,19 @@ def sight(
     camera: CameraCalibration,
     settings: MarkerSettings,
     beliefs: Beliefs,
-) -> tuple[list[Sighting], Counter[str]]:
-    """Every marker of ``rough_left`` refined in both eyes and posed by itself, and counts of the refused.
+) -> tuple[list[Sighting], dict[int, str]]:
+    """Every marker of ``rough_left`` refined in both eyes and posed by itself, and why others were refused.
 
-    Causes: ``edges`` (an edge could not be followed), ``residual`` (it is no flat square of this size
+    By number: ``edges`` (an edge could not be followed), ``residual`` (it is no flat square of this size
     anywhere), ``wrong_size`` (monocular and stereo range disagree).
     """
-    sightings, refused = [], Counter[str]()
+    sightings: list[Sighting] = []
+    refused: dict[int, str] = {}
     corrected = intrinsics.with_offset(camera, beliefs.offset.x_px, beliefs.offset.y_px)
     for number, rough in sorted(rough_left.items()):
         left = _refined(pair.left, rough, camera.left)
         if left is None:
-            refused["edges"] += 1
+            refused[number] = "edges"
             continue
 
         def right_rays(X_CA: Array, number: int = number, rough: Array = rough) -> Array | None:
@@ -112,7 +116,7 @@ def sight(
 
         outcome = from_rays(number, left, right_rays, camera, settings, beliefs)
         if isinstance(outcome, str):
-            refused[outcome] += 1
+            refused[number] = outcome
         else:
             sightings.append(outcome)
     return sightings, refused
@@ -167,11 +171,11 @@ def _right_rays(
     settings: MarkerSettings,
 ) -> Array | None:
     """Refined rays (4, 2) in the right eye, or None: predicted from the left eye, searched along the rows
-    if that fails.
+    if that fails. A prediction that a wrong size misplaced may meet a plate's rim: the pattern decides.
     """
     predicted = intrinsics.project(corrected.right, se3.apply(X_CA, corner_points(settings.sizes[number])))
     rays = _refined(pair.right, predicted, camera.right) if np.isfinite(predicted).all() else None
-    if rays is not None:
+    if rays is not None and _alike(pair, rough, intrinsics.distorted(camera.right, rays)):
         return rays
     height, width = pair.right.shape
     margin = settings.region_margin_px
@@ -179,6 +183,21 @@ def _right_rays(
     region = (0, max(top, 0), min(int(rough[:, 0].max()) + margin, width), min(bottom, height))
     found, _ = detect(pair.right, settings, region)
     return _refined(pair.right, found[number], camera.right) if number in found else None
+
+
+def _alike(pair: StereoPair, left: Array, right: Array) -> bool:
+    """Whether the quads ``left`` and ``right`` (4, 2) px of the two pictures hold the same pattern."""
+    cells = []
+    for image, quad in ((pair.left, left), (pair.right, right)):
+        H = cv2.getPerspectiveTransform(_UNIT_SQUARE, quad.astype(np.float32))
+        at = cv2.perspectiveTransform(_SAMPLES, H)
+        cells.append(cv2.remap(image, at, None, cv2.INTER_LINEAR).ravel().astype(np.float64))
+    spreads = [float(values.std()) for values in cells]
+    if min(spreads) < 1.0:
+        return False
+    return bool(
+        np.mean((cells[0] - cells[0].mean()) * (cells[1] - cells[1].mean())) > _ALIKE * math.prod(spreads)
+    )
 
 
 def _posed(

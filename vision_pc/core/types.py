@@ -78,7 +78,7 @@ class FrameObservation(NamedTuple):
     ``cov_*`` is the whole covariance, ``bias_*`` the part of it that consecutive frames share
     (rectification offset, print size) and that averaging does not remove. ``rejected`` counts what was seen
     and refused, by cause (``unknown_id``, ``repeated_id``, ``edges``, ``residual``, ``wrong_size``,
-    ``ambiguous``).
+    ``ambiguous``). ``missing_*`` says why a pose is None: ``wrong_size``, ``ambiguous`` or ``not_seen``.
     """
 
     capture_ns: int
@@ -92,6 +92,8 @@ class FrameObservation(NamedTuple):
     markers: tuple[MarkerObservation, ...]
     rejected: Mapping[str, int]
     offset: StereoOffset | None
+    missing_tool: str | None = None
+    missing_object: str | None = None
 
 
 class Look(NamedTuple):

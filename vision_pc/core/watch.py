@@ -55,6 +55,7 @@ class Watcher:
         self._odometry: Odometry | None = None
         self._samples: list[WatchSample] = []
         self._inliers: list[int] = []
+        self._missing: dict[str, list[str | None]] = {"tool": [], "object": []}
         self._last_loss: str | None = None
 
     def add(self, pair: StereoPair, X_BT: Array) -> WatchSample:
@@ -72,6 +73,9 @@ class Watcher:
             None if seen is None else seen.X_CO,
         )
         self._samples.append(sample)
+        if seen is not None:
+            self._missing["tool"].append(seen.missing_tool)
+            self._missing["object"].append(seen.missing_object)
         return sample
 
     def _observed(self, pair: StereoPair) -> FrameObservation | None:
@@ -138,10 +142,11 @@ class Watcher:
         )
 
     def require(self) -> None:
-        """None; raises MeasurementFailed when no pair came or something wanted was never measured.
+        """None; raises MeasurementFailed when no pair came or something wanted was not measured at all, or
+        its markers were of the wrong size more often than not.
 
         Causes: ``measurement.no_frames``, ``measurement.odometry_lost``, ``measurement.tool_not_seen``,
-        ``measurement.object_not_seen``.
+        ``measurement.object_not_seen`` (``…_wrong_size``, ``…_ambiguous``).
         """
         health = self.health
         if health.frames == 0:
@@ -151,8 +156,10 @@ class Watcher:
                 "measurement.odometry_lost",
                 f"watch: odometry lost in all {health.frames} frames, last cause {health.last_loss}",
             )
-        for what, missed in (("tool", health.tool_missed), ("object", health.object_missed)):
-            if self._markers and missed == health.frames:
+        for what, missing in self._missing.items():
+            seen = missing.count(None)
+            if self._markers and seen <= missing.count("wrong_size"):
                 raise MeasurementFailed(
-                    f"measurement.{what}_not_seen", f"watch: {what} seen in 0 of {health.frames} frames"
+                    f"measurement.{what}_{look.usual_reason(missing)}",
+                    f"watch: {what} seen in {seen} of {health.frames} frames",
                 )
