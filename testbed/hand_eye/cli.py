@@ -177,7 +177,7 @@ def hand_eye_stress(
 
 def hand_eye_guided(
     runs: Annotated[int, typer.Option(min=1, help="How many worlds, from --seed on.")] = 10,
-    seed: Seed = 1,
+    seed: Seed = 301,
     repetitions: Annotated[int, typer.Option(min=0, help="Poses from which the targets are located.")] = 50,
     against_random: Annotated[bool, typer.Option(help="Also take samples at random poses.")] = True,
     scenario: Annotated[str, typer.Option(help="What the worlds are drawn from.")] = "hand_eye",

@@ -5,8 +5,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
 
 from testbed.campaign import run_campaign
 from testbed.console import out, table
@@ -126,7 +126,8 @@ def _checks(rows: list[Row]) -> list[Check]:
     ]
     if "random_needed" in rows[0]:
         guided, anyhow = _median(rows, "guided_needed"), _median(rows, "random_needed")
-        text = f"median {guided:.0f} against {anyhow:.0f}"
+        told = ["never" if np.isinf(n) else f"{n:.0f}" for n in (guided, anyhow)]
+        text = f"median {told[0]} against {told[1]}"
         checks.append(Check("guided needs no more samples than random poses", text, guided <= anyhow))
     if "located" in rows[0]:
         keys = [f"{word_of(name)}_{Method.ROBUST.value}_mm" for name in TARGETS]
@@ -138,10 +139,8 @@ def _checks(rows: list[Row]) -> list[Check]:
 
 def draw(rows: list[Row], path: Path) -> None:
     """Nothing; the figure is in ``path``: error of X over samples, and errors of the located targets."""
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, (left, right) = pyplot.subplots(1, 2, figsize=(11.0, 4.2))
+    figure = Figure(figsize=(11.0, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
     counts = np.arange(3, 18)
     for kind, colour in (("guided", "tab:blue"), ("random", "tab:orange")):
         curves = np.array([[row.get(f"{kind}_{n}_mm") for n in counts] for row in rows], dtype=float)
@@ -164,10 +163,9 @@ def draw(rows: list[Row], path: Path) -> None:
         right.axhline(_PAPER_MM, color="grey", linestyle=":", label="paper, DQCR")
         right.set_xticks(range(len(TARGETS)), TARGETS)
         right.set(ylabel="error in the hand, mm")
-        right.legend(fontsize=8)
+        right.set_ylim(top=1.35 * right.get_ylim()[1])
+        right.legend(fontsize=8, ncol=3, loc="upper center")
     figure.suptitle(f"{len(rows)} guided sessions on the emulated arm")
-    figure.tight_layout()
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=120)
-    pyplot.close(figure)
     out.print(f"figure written to {path}", style="dim", highlight=False, soft_wrap=True)
