@@ -112,9 +112,16 @@ def _failed(done: dict[tuple[str, str], list[Row]], name: str) -> int:
 
 def _print(chosen: dict[str, Variant], means: dict[str, dict[str, float]], failed: dict[str, int]) -> None:
     headings = list(next(iter(means.values())))
+    pairs = list(zip(headings[:-1:2], headings[1:-1:2], strict=True))  # x and y of each block in one cell
     cells = [
-        [variant.words, *(f"{means[name][heading]:.1f}" for heading in headings), str(failed[name])]
+        [
+            variant.words,
+            *(f"{means[name][x]:.1f} / {means[name][y]:.1f}" for x, y in pairs),
+            f"{means[name][headings[-1]]:.1f}",
+            str(failed[name]),
+        ]
         for name, variant in chosen.items()
     ]
-    title = "means of absolute errors, one thing changed at a time"
-    out.print(table(title, ["", *headings, "failed"], cells))
+    title = "means of absolute errors, x / y, one thing changed at a time"
+    columns = [x.replace(" x ", " ") for x, _ in pairs]
+    out.print(table(title, ["", *columns, headings[-1], "failed"], cells))
