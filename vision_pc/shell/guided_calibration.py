@@ -6,25 +6,19 @@ but the list of refused poses.
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Protocol, TypeVar
 
-import cv2
 import numpy as np
 
 from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.reference_link import State
 from vision_pc.config import VisionConfig
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import bundle, cabinet, guided_sampling, methods, target
-from vision_pc.core.hand_eye import maximum_likelihood as ml
-from vision_pc.core.hand_eye.bundle import RobotNoise
-from vision_pc.core.hand_eye.cabinet import Drawing, Located, Target
-from vision_pc.core.hand_eye.guided_sampling import Belief, Proposal, arm_zero_covariance
+from vision_pc.core.hand_eye import cabinet, guided_sampling, target
+from vision_pc.core.hand_eye.cabinet import Drawing, Located
+from vision_pc.core.hand_eye.guided_sampling import Belief, Proposal
 from vision_pc.core.hand_eye.guided_settings import GuidedSettings
-from vision_pc.core.hand_eye.methods import Method
-from vision_pc.core.hand_eye.result import HandEyeResult
-from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.session import Sample, Session, proposal_json
 from vision_pc.core.hand_eye.target import TargetLook
 from vision_pc.core.intrinsics import calibration, with_offset
@@ -33,14 +27,13 @@ from vision_pc.core.ports import ArmView, Photographer, Report
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import FrameObservation, StereoPair
 from vision_pc.shell.event_log import EventLog
-from vision_pc.shell.hand_eye_store import SessionStore
+from vision_pc.shell.hand_eye_answers import marker_json, off, residuals, solved
+from vision_pc.shell.hand_eye_store import SessionStore, load_drawing
 from vision_pc.shell.schemas import JSON, pose_json
 from vision_pc.shell.station import StoppableArm
 
 T = TypeVar("T")
 
-COMPARED = (Method.TSAI, Method.HORAUD, Method.DANIILIDIS, Method.DQCR, Method.MAXIMUM_LIKELIHOOD)
-WANTED_STD_M = 0.003
 _PATIENCE = 60  # refused proposals in a row before ``next_pose`` gives up
 
 
@@ -109,6 +102,7 @@ class GuidedCalibration:
         session = Session(name, seed, settings, around)
         check = await self._pictures.aside(lambda: self._checked(session, view.X_BT, seen))
         self._open(session)
+        self.X_TC = None
         self._log.write("hand_eye_started", session=name, **check)
         return check | {"session": self.view()}
 
@@ -139,7 +133,7 @@ class GuidedCalibration:
     def resume(self, name: str) -> JSON:
         """Opens a session from the disk."""
         self._session = self.store.load(name, self._camera)
-        self._last = None
+        self._last = self.X_TC = None
         self._log.write("hand_eye_resumed", session=name, samples=len(self._session.samples))
         return self.view()
 
@@ -149,7 +143,8 @@ class GuidedCalibration:
         if not session.samples:
             raise RequestRefused("refused.hand_eye.no_sample", "take a sample at the starting pose first")
         proposal = await self._pictures.aside(lambda: self._proposal(session, informative))
-        self._open(replace(session, proposal=proposal, proposed=session.proposed + 1))
+        now = self.session  # it may have lost a sample meanwhile
+        self._open(replace(now, proposal=proposal, proposed=now.proposed + 1))
         return proposal_json(proposal)
 
     def _proposal(self, session: Session, informative: bool) -> Proposal:
@@ -166,8 +161,11 @@ class GuidedCalibration:
             raise RequestRefused("refused.hand_eye.no_proposal", "no pose is proposed: propose one first")
         report(0.1, "moving")
         view = await self._driven(proposal.X_BT, learn=True)
-        off = _off(view.X_BT, proposal.X_BT)
-        return {"X_BT_reached": pose_json(view.X_BT), "settled": view.settled, "off": off}
+        return {
+            "X_BT_reached": pose_json(view.X_BT),
+            "settled": view.settled,
+            "off": off(view.X_BT, proposal.X_BT),
+        }
 
     async def sample(self, report: Report, name: str | None = None) -> JSON:
         """Takes a sample where the arm stands, in the place of sample ``name`` if that is given."""
@@ -181,6 +179,7 @@ class GuidedCalibration:
             )
         report(0.2, "looking at the marker")
         seen, view, moved = await self._look(session.settings)
+        session = self.session
         if name is None:
             session, name = session.next_name()
         sample = _sample_of(name, seen, view.X_BT, session.settings, view.settled, moved)
@@ -198,7 +197,7 @@ class GuidedCalibration:
         """The sample's residual by what is believed, and how well X is known."""
         session = self.session
         belief = self._belief(session)
-        row = next(row for row in self._residuals(session, belief) if row["name"] == name)
+        row = next(row for row in residuals(session, belief) if row["name"] == name)
         std_m, std_rad = belief.std
         return {
             "residual_mm": row["residual_mm"],
@@ -281,23 +280,15 @@ class GuidedCalibration:
         return cabinet.locate(pair, drawing, camera)
 
     def _drawing(self) -> Drawing:
-        settings = self._config.cabinet
-        if settings is None:
-            raise RequestRefused("refused.hand_eye.no_drawing", "no cabinet is configured (vision.cabinet)")
         if self._loaded is None:
-            picture = cv2.imread(str(settings.drawing), cv2.IMREAD_GRAYSCALE)
-            if picture is None:
-                why = f"cabinet.drawing {settings.drawing}: not a picture that can be read"
-                raise RequestRefused("refused.hand_eye.no_drawing", why)
-            targets = tuple(Target(name, x, y) for name, (x, y) in settings.targets_m.items())
-            self._loaded = Drawing(np.asarray(picture, dtype=np.uint8), 1e-3 * settings.texel_mm, targets)
+            self._loaded = load_drawing(self._config.cabinet)
         return self._loaded
 
     def view(self) -> JSON:
         """The open session: its samples with residuals, and the proposal."""
         session = self.session
         belief = self._belief(session) if session.samples else None
-        rows = [] if belief is None else self._residuals(session, belief)
+        rows = [] if belief is None else residuals(session, belief)
         return {
             "name": session.name,
             "count": f"{len(session.samples)}/{session.settings.poses}",
@@ -361,23 +352,6 @@ class GuidedCalibration:
     def _belief(self, session: Session) -> Belief:
         return guided_sampling.believed(session.pairs(), session.around, session.settings)
 
-    @staticmethod
-    def _residuals(session: Session, belief: Belief) -> list[JSON]:
-        """For each sample what its marker's pose differs by from the prediction, in camera axes."""
-        pairs = session.pairs()
-        r = ml.residuals(pairs.H, pairs.P, belief.X, belief.Z)
-        by_name = dict(zip(pairs.names, r, strict=True))
-        return [
-            {
-                "name": s.name,
-                "residual_mm": [round(1e3 * float(v), 3) for v in by_name[s.name][:3]],
-                "residual_deg": [round(math.degrees(float(v)), 4) for v in by_name[s.name][3:]],
-                "distance_m": round(float(np.linalg.norm(s.X_CT[:3, 3])), 3),
-                "settled": s.settled,
-            }
-            for s in session.samples
-        ]
-
     def _open(self, session: Session) -> None:
         self.store.save(session)
         self._session = session
@@ -395,102 +369,3 @@ def _sample_of(
     return Sample(
         name, X_BT, seen.X_CT, seen.covariance, seen.corners_left, settings.marker_id, settled, moved
     )
-
-
-def _off(X: Array, Y: Array) -> JSON:
-    away = se3.local(X, Y)
-    return {
-        "mm": round(1e3 * float(np.linalg.norm(away[:3])), 2),
-        "deg": round(math.degrees(float(np.linalg.norm(away[3:]))), 3),
-    }
-
-
-def marker_json(seen: TargetLook) -> JSON:
-    """What one look at the marker gave."""
-    std = np.sqrt(np.diag(seen.covariance))
-    p = seen.X_CT[:3, 3]
-    cosine = -float(p @ seen.X_CT[:3, 2]) / float(np.linalg.norm(p))
-    return {
-        "X_CT": pose_json(seen.X_CT),
-        "std_mm": [round(1e3 * float(v), 3) for v in std[:3]],
-        "std_deg": [round(math.degrees(float(v)), 4) for v in std[3:]],
-        "distance_m": round(float(np.linalg.norm(p)), 4),
-        "obliquity_deg": round(math.degrees(math.acos(min(max(cosine, -1.0), 1.0))), 2),
-        "seen": f"{seen.seen}/{seen.frames}",
-    }
-
-
-def solved(session: Session) -> tuple[JSON, Array]:
-    """The robust solution of a session with covariance, residuals, proof and verdict, others beside it."""
-    pairs = session.pairs()
-    result = methods.solve(pairs, Method.ROBUST)
-    answer = _result_json(result, session.settings) | {"others": [_other(pairs, m, result) for m in COMPARED]}
-    noise = result.noise
-    robot = None
-    if noise is not None and min(noise.robot_rotation, noise.robot_translation) > 0.0:
-        robot = RobotNoise(noise.robot_rotation, noise.robot_translation)
-    try:
-        adjusted = bundle.adjust(pairs, result, robot)
-    except MeasurementFailed as error:
-        answer["others"].append({"method": "image-space", "failed": f"{error.cause}: {error}"})
-    else:
-        answer["others"].append(
-            {"method": "image-space", "p_mm": _mm(adjusted.X), "off": _off(adjusted.X, result.X)}
-        )
-    return answer, result.X
-
-
-def _other(pairs: PosePairs, method: Method, result: HandEyeResult) -> JSON:
-    try:
-        X = methods.solve(pairs, method).X
-    except MeasurementFailed as error:
-        return {"method": method.value, "failed": f"{error.cause}: {error}"}
-    return {"method": method.value, "p_mm": _mm(X), "off": _off(X, result.X)}
-
-
-def _mm(X: Array) -> list[float]:
-    return [round(1e3 * float(v), 3) for v in X[:3, 3]]
-
-
-def _result_json(result: HandEyeResult, settings: GuidedSettings) -> JSON:
-    assert result.covariance is not None
-    assert result.certificate is not None
-    std = np.sqrt(np.diag(result.covariance))
-    whole = result.covariance + arm_zero_covariance(result.X, settings)
-    whole_std = np.sqrt(np.diag(whole))
-    std_m = float(np.linalg.norm(std[:3]))
-    left_out = [name for name, inlier in zip(result.names, result.inliers, strict=True) if not inlier]
-    good = result.certificate.holds and std_m <= WANTED_STD_M
-    proof = "proven global" if result.certificate.holds else "not proven global"
-    verdict = (
-        f"{'good' if good else 'take more samples'}: X known to {1e3 * std_m:.2f} mm and "
-        f"{math.degrees(float(np.linalg.norm(std[3:]))):.3f}°, {proof}, {len(left_out)} of "
-        f"{len(result.names)} samples left out"
-    )
-    return {
-        "method": result.method,
-        "X_TC": pose_json(result.X),
-        "X_BT_target": pose_json(result.Z),
-        "std_mm": [round(1e3 * float(v), 4) for v in std[:3]],
-        "std_deg": [round(math.degrees(float(v)), 5) for v in std[3:]],
-        "covariance_p_theta": result.covariance.tolist(),
-        "with_arm_zero": {
-            "std_mm": [round(1e3 * float(v), 4) for v in whole_std[:3]],
-            "std_deg": [round(math.degrees(float(v)), 5) for v in whole_std[3:]],
-            "covariance_p_theta": whole.tolist(),
-        },
-        "left_out": left_out,
-        "residuals": [
-            {
-                "name": name,
-                "mm": [round(1e3 * float(v), 3) for v in r[:3]],
-                "deg": [round(math.degrees(float(v)), 4) for v in r[3:]],
-            }
-            for name, r in zip(result.names, result.residuals, strict=True)
-        ],
-        "certificate": asdict(result.certificate) | {"holds": result.certificate.holds},
-        "observability": result.observability.reason,
-        "notes": list(result.notes),
-        "good": good,
-        "verdict": verdict,
-    }

@@ -1,11 +1,19 @@
-"""Guided sessions on disk: one JSON file each, replaced whole: a power cut leaves the old or the new."""
+"""Guided sessions on disk: one JSON file each, replaced whole, so that a power cut leaves the old or new one.
+
+The cabinet's drawing is read here too.
+"""
 
 import json
 import os
 import re
 from pathlib import Path
 
+import cv2
+import numpy as np
+
 from protocol.errors import LongreachError, RequestRefused
+from vision_pc.core.hand_eye.cabinet import Drawing, Target
+from vision_pc.core.hand_eye.guided_settings import CabinetSettings
 from vision_pc.core.hand_eye.session import Session, from_json, to_json
 from vision_pc.core.types import CameraCalibration
 
@@ -66,3 +74,15 @@ class SessionStore:
         if not isinstance(document, dict):
             raise RequestRefused("refused.hand_eye.format", f"{path.name}: an object is wanted")
         return from_json(document, camera)
+
+
+def load_drawing(settings: CabinetSettings | None) -> Drawing:
+    """The cabinet's drawing from its file. Raises RequestRefused (``refused.hand_eye.no_drawing``)."""
+    if settings is None:
+        raise RequestRefused("refused.hand_eye.no_drawing", "no cabinet is configured (vision.cabinet)")
+    picture = cv2.imread(str(settings.drawing), cv2.IMREAD_GRAYSCALE)
+    if picture is None:
+        why = f"cabinet.drawing {settings.drawing}: not a picture that can be read"
+        raise RequestRefused("refused.hand_eye.no_drawing", why)
+    targets = tuple(Target(name, x, y) for name, (x, y) in settings.targets_m.items())
+    return Drawing(np.asarray(picture, dtype=np.uint8), 1e-3 * settings.texel_mm, targets)

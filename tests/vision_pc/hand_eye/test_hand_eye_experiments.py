@@ -13,6 +13,8 @@ from protocol.errors import MeasurementFailed, RequestRefused
 from testbed.hand_eye import experiments, localisation, scenes, stress
 from testbed.hand_eye.boards import BoardCamera, BoardRenderer, random_board_pose
 from testbed.hand_eye.cli import app, register_experiments
+from testbed.hand_eye.guided_campaign import run_guided
+from testbed.hand_eye.guided_experiment import Choice
 from testbed.hand_eye.noise_sweep import NoiseOn, gathered, level_of, noise_sweep
 from testbed.row_file import RowFile
 from tests.vision_pc.hand_eye.data import random_scene
@@ -191,3 +193,10 @@ def test_localisation_in_full(tmp_path: Path) -> None:
 @pytest.mark.experiment
 def test_intrinsics_in_full(tmp_path: Path) -> None:
     assert experiments.run_intrinsics(3, 15, 1, None, tmp_path / "intrinsics.json", tmp_path)
+
+
+@pytest.mark.experiment
+@pytest.mark.timeout(7200)
+def test_guided_sessions_in_full(tmp_path: Path) -> None:
+    choice = Choice("configs", "hand_eye", 50)
+    assert run_guided(choice, 6, 301, tmp_path, None, tmp_path / "guided.png", tmp_path / "guided.json")
