@@ -191,7 +191,7 @@ def _alike(pair: StereoPair, left: Array, right: Array) -> bool:
     for image, quad in ((pair.left, left), (pair.right, right)):
         H = cv2.getPerspectiveTransform(_UNIT_SQUARE, quad.astype(np.float32))
         at = cv2.perspectiveTransform(_SAMPLES, H)
-        cells.append(cv2.remap(image, at, None, cv2.INTER_LINEAR).ravel().astype(np.float64))
+        cells.append(cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR).ravel().astype(np.float64))
     spreads = [float(values.std()) for values in cells]
     if min(spreads) < 1.0:
         return False
