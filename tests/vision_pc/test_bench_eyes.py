@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from protocol.errors import RequestRefused
+from testbed.hand_eye import real_data
 from tests.vision_pc.rendering import facing, render
 from tests.vision_pc.test_markers import Corners, measured_corners, object_markers, tool_marker
 from tests.vision_pc.test_watch import World
 from vision_pc.config import VisionConfig
-from vision_pc.core import look, se3
+from vision_pc.core import intrinsics, look, marker_edges, markers, se3
 from vision_pc.core.odometry import StereoOdometry
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, StereoPair
@@ -28,6 +30,9 @@ def one_core() -> Iterator[None]:
     cv2.setNumThreads(1)
     yield
     cv2.setNumThreads(before)
+
+
+_POSES = 300  # of one marker: enough for a share of flips of 1 %
 
 
 def rms(values: Array) -> float:
@@ -62,7 +67,7 @@ def test_pose_accuracy_of_one_marker(
         update={"tool": config.markers.tool.model_copy(update={"size_m": size})}
     )
     errors, flips, missed = [], 0, 0
-    for _ in range(60):
+    for _ in range(_POSES):
         x, y = generator.uniform(-0.3, 0.3, 2) * z
         X_CM = facing(x, y, z, tuple(generator.uniform(-35, 35, 3)))
         marker = tool_marker(X_CM)._replace(size=size)
@@ -75,12 +80,13 @@ def test_pose_accuracy_of_one_marker(
     lateral, depth = 1e3 * rms(np.array(errors)[:, :2]), 1e3 * rms(np.array(errors)[:, 2])
     print(
         f"\none marker {1e3 * size:.0f} mm at {z:g} m, both eyes: {lateral:.3f} / {depth:.3f} mm rms,"
-        f" rotation {np.degrees(rms(np.array(errors)[:, 3:])):.3f}°, {flips} flips, {missed} missed of 60"
+        f" rotation {np.degrees(rms(np.array(errors)[:, 3:])):.3f}°, {flips} flips, {missed} missed of"
+        f" {_POSES}; limits {limit_mm[0]:g} / {limit_mm[1]:g} mm, 1 % flips"
     )
     assert lateral < limit_mm[0]
     assert depth < limit_mm[1]
-    assert flips == 0
-    assert missed <= 2
+    assert flips <= 0.01 * _POSES
+    assert missed <= 0.03 * _POSES
 
 
 def test_pose_accuracy_of_the_object(
@@ -103,6 +109,40 @@ def test_pose_accuracy_of_the_object(
     assert depth < 1.0
     assert p95 < 0.5
     assert len(found) >= 36
+
+
+@pytest.mark.parametrize(
+    ("name", "dictionary", "count"),
+    [
+        ("test_aruco_marker_detection.png", "DICT_4X4_250", 12),
+        ("test_charuco_board_detection.jpg", "DICT_5X5_250", 17),
+    ],
+)
+def test_every_marker_of_moveits_pictures_is_found_and_refined(
+    camera: CameraCalibration, config: VisionConfig, name: str, dictionary: str, count: int
+) -> None:
+    """Real photographs; they are no part of the repository, and their absence is told."""
+    try:
+        file = real_data.data_directory() / "moveit" / name
+    except RequestRefused as absent:
+        pytest.skip(str(absent))
+    picture = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+    if picture is None:
+        pytest.skip(f"{name} is absent")
+    board = tuple(config.markers.object[0].model_copy(update={"id": number}) for number in range(1, count))
+    settings = config.markers.model_copy(update={"dictionary": dictionary, "object": board})
+    found, refused = markers.detect(picture, settings)
+    refined = [
+        marker_edges.refine(picture, quad, lambda pixels: intrinsics.normalised(camera.left, pixels))
+        for quad in found.values()
+    ]
+    done = sum(corners is not None for corners in refined)
+    print(
+        f"\n{name}: {len(found)} of {count} markers found, {done} refined by edge lines,"
+        f" refused {dict(refused)}"
+    )
+    assert set(found) == set(range(count))
+    assert not refused
 
 
 @pytest.fixture(scope="module")
