@@ -74,8 +74,11 @@ class Watcher:
         )
         self._samples.append(sample)
         if seen is not None:
-            self._missing["tool"].append(seen.missing_tool)
-            self._missing["object"].append(seen.missing_object)
+            for what, X, reason in (
+                ("tool", seen.X_CM, seen.missing_tool),
+                ("object", seen.X_CO, seen.missing_object),
+            ):
+                self._missing[what].append(None if X is not None else reason or "not_seen")
         return sample
 
     def _observed(self, pair: StereoPair) -> FrameObservation | None:
