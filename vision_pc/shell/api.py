@@ -11,9 +11,9 @@ from protocol.faults import CommandCode
 from protocol.reference_link import FLAG_EMERGENCY_LATCHED, FLAG_PLANT_LINK_OK, FLAG_SETTLED, State
 from vision_pc.core.se3 import from_pose
 from vision_pc.shell import problems
-from vision_pc.shell.link_view import LinkView, link_view
 from vision_pc.shell.guided_calibration import GuidedCalibration
 from vision_pc.shell.hand_eye_routes import add_hand_eye
+from vision_pc.shell.link_view import LinkView, link_view
 from vision_pc.shell.operation_routes import add_operations
 from vision_pc.shell.operations import Operations
 from vision_pc.shell.schemas import JSON, calibration_json, pose_json
