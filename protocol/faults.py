@@ -142,7 +142,9 @@ REASON_TEXTS: dict[Reason, str] = {
     Reason.EMERGENCY_LATCHED: "the emergency stop is latched: EMERGENCY_RELEASE, then RESET",
     Reason.STOPPING: "the arm is still ramping down",
     Reason.ALREADY_DONE: "the group is already where the command leads; nothing changes",
-    Reason.NOT_FINITE: "NaN, infinity or a subnormal; v index of the pose, l number of poses, 0 and 0 for a time",
+    Reason.NOT_FINITE: (
+        "NaN, infinity or a subnormal; v index of the pose, l number of poses, 0 and 0 for a time"
+    ),
     Reason.NOT_UNIT_QUATERNION: "the norm is off 1 by more than 1e-3; v the norm, l 1",
     Reason.OUTSIDE_WORKSPACE: "v the coordinate or radius in m, l its bound",
     Reason.JOINT_LIMIT: "a joint would leave its range on the way; v its angle in rad, l the bound",
