@@ -66,7 +66,7 @@ def test_without_fresh_sight_it_stops_on_its_way(calibrated: LockstepRig, troubl
     with pytest.raises(MeasurementFailed) as failed:
         operate(rig, "looking-and-moving", {})
     assert failed.value.cause == f"measurement.{trouble}"
-    for _ in range(300):
+    for _ in range(1200):  # 6 s: booms and slew ring on
         rig.world.step()
     assert rig.link.state.group_state is GroupState.STANDBY
     stood = rig.world.plant.truth().X_WT[:3, 3]

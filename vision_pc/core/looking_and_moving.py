@@ -151,11 +151,20 @@ async def look_and_move(
 async def _followed(
     stream: ReferenceStream, sight: "_Sight", loop: Loop, first: WatchSample, start: float, report: Report
 ) -> None:
-    """Nothing, once the loop has settled; a reference goes out with every picture, and between them."""
+    """Nothing, once the loop has settled; a reference goes out with every picture, and between them.
+
+    When the newest sight is older than ``hold_s``, the arm is held where it is until there is another.
+    """
     settings, seen_ns = sight.settings, first.time_ns
+    held: Array | None = None
     while not loop.settled:
         view = await stream.view()
-        await stream.send(loop.reference(view.X_BT_cmd), measured_ns=seen_ns)
+        if 1e-9 * (view.time_ns - seen_ns) > settings.hold_s:
+            held = view.X_BT_cmd if held is None else held
+            await stream.send(held)
+        else:
+            held = None
+            await stream.send(loop.reference(view.X_BT_cmd), measured_ns=seen_ns)
         sample = await sight.next()
         if sample is None:
             continue

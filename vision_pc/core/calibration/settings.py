@@ -134,9 +134,10 @@ class LookingAndMovingSettings(StrictModel):
     ``gain``: share of a picture's news that the target takes, farther than ``near_m`` from the object;
     ``pull_gain``: share of the remaining error that it takes whenever the tool rests. Either is ``step_m`` at
     most; a rest leaves the target within ``pull_m`` of where the pictures see the object. ``feed_s``: time
-    between references, shorter than the controller's silence limit. At rest: over ``settle_pictures`` the
-    error spread and changed by less than ``still_m``, and the encoders are within ``servo_gap_m`` of what is
-    commanded; settled: its mean is also inside ``settle_m`` in x and y and ``settle_depth_m`` in z.
+    between references, shorter than the controller's silence limit; with no sight for ``hold_s`` the arm is
+    held, for ``lost_s`` it is given up. At rest: over ``settle_pictures`` the error spread and changed by
+    less than ``still_m``, and the encoders are within ``servo_gap_m`` of what is commanded; settled: its mean is
+    also inside ``settle_m`` in x and y and ``settle_depth_m`` in z.
     """
 
     gain: float = Field(gt=0.0, le=1.0)
@@ -146,6 +147,7 @@ class LookingAndMovingSettings(StrictModel):
     pull_m: float = Field(ge=0.0, le=0.05)
     lead_m: float = Field(gt=0.0, le=0.4)
     feed_s: float = Field(ge=0.005, le=0.06)
+    hold_s: float = Field(ge=0.05, le=0.25)
     lost_s: float = Field(ge=0.1, le=5.0)
     frozen_pictures: int = Field(ge=2, le=100)
     settle_m: float = Field(gt=0.0, le=0.05)
