@@ -136,8 +136,8 @@ class LookingAndMovingSettings(StrictModel):
     most; a rest leaves the target within ``pull_m`` of where the pictures see the object. ``feed_s``: time
     between references, shorter than the controller's silence limit; with no sight for ``hold_s`` the arm is
     held, for ``lost_s`` it is given up. At rest: over ``settle_pictures`` the error spread and changed by
-    less than ``still_m``, and the encoders are within ``servo_gap_m`` of what is commanded; settled: its mean is
-    also inside ``settle_m`` in x and y and ``settle_depth_m`` in z.
+    less than ``still_m``, and the encoders are within ``servo_gap_m`` of what is commanded; settled: its mean
+    is also inside ``settle_m`` in x and y and ``settle_depth_m`` in z.
     """
 
     gain: float = Field(gt=0.0, le=1.0)
