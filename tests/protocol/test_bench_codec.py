@@ -50,8 +50,6 @@ def through_bare_struct(message: Message) -> Any:
             numbers += (n for part in value for n in part) if isinstance(value[0], tuple) else value
         else:
             numbers.append(value)
-    if isinstance(message, State):
-        numbers.append(0)
     head = (b"LRLK", 1, 0, 5, 0, 0, 0, 0, HEADER.session, HEADER.sequence, 0, HEADER.sent_ns)
     data = layout.pack(*head, *numbers)
     crc32(data)
