@@ -179,7 +179,8 @@ class ControllerService:
         cycle = self._state.cycle + 1
         self._valve_words = encode_valves(ValveImage(cycle, 0, (0.0,) * 6))
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._plant.exchange(self._valve_words), 0.1)
+            async with asyncio.timeout(0.1):
+                await self._plant.exchange(self._valve_words)
         await self._plant.close()
         self._reference.close()
         await asyncio.gather(*self._dumps)

@@ -83,7 +83,8 @@ class CameraSender:
         with contextlib.suppress(OSError):
             self._poses.shutdown(socket.SHUT_WR)
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self.ended.wait(), _END_TIMEOUT_S)
+            async with asyncio.timeout(_END_TIMEOUT_S):
+                await self.ended.wait()
         asyncio.get_running_loop().remove_reader(self._poses.fileno())
         self._poses.close()
         try:

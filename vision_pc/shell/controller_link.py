@@ -124,7 +124,8 @@ class ControllerLink(asyncio.DatagramProtocol):
         """The next state to come. Raises LinkLost when none comes in time."""
         self._new_state.clear()
         try:
-            await asyncio.wait_for(self._new_state.wait(), _WAIT_FOR_STATE_S)
+            async with asyncio.timeout(_WAIT_FOR_STATE_S):
+                await self._new_state.wait()
         except TimeoutError as error:
             why = f"no state from the controller within {_WAIT_FOR_STATE_S:g} s"
             raise LinkLost("link.silent", why) from error
@@ -182,7 +183,9 @@ class ControllerLink(asyncio.DatagramProtocol):
         self._answers[command_id] = answer
         self._pump([])
         try:
-            acknowledgement = await asyncio.wait_for(answer, _ACKNOWLEDGEMENT_S)
+            # Not wait_for: it swallows a cancellation that comes together with the answer (Python < 3.12).
+            async with asyncio.timeout(_ACKNOWLEDGEMENT_S):
+                acknowledgement = await answer
         except TimeoutError as error:
             why = f"no acknowledgement within {_ACKNOWLEDGEMENT_S:g} s"
             raise LinkLost("link.unanswered", why) from error

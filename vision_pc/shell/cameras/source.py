@@ -101,7 +101,8 @@ class CameraSource(ABC):
             if left_s <= 0.0:
                 raise self._lost()
             try:
-                await asyncio.wait_for(self._arrived.wait(), left_s)
+                async with asyncio.timeout(left_s):
+                    await self._arrived.wait()
             except TimeoutError:
                 continue  # judge once more: the loop above raises
         assert self._newest is not None
