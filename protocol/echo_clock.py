@@ -20,7 +20,7 @@ class EchoClock:
         self._sent = 0
         self._open: dict[int, None] = {}
         self._offset = ClockOffset()
-        self._estimated_ns = now_ns
+        self._estimate: OffsetEstimate | None = None
 
     def schedule_next(self, now_ns: int) -> None:
         """Notes that a heartbeat was queued; missed ones are not made up for."""
@@ -41,11 +41,12 @@ class EchoClock:
         if reply.sent_ns not in self._open:
             return DatagramDropped("clock.unexpected_echo", f"heartbeat of {reply.sent_ns} ns is not open")
         del self._open[reply.sent_ns]
-        self._estimated_ns = now_ns
-        if self._offset.add(reply.sent_ns, reply.received_ns, reply.replied_ns, now_ns):
+        taken = self._offset.add(reply.sent_ns, reply.received_ns, reply.replied_ns, now_ns)
+        self._estimate = self._offset.estimate(now_ns)
+        if taken:
             return None
         return DatagramDropped("clock.outlier", "the echo contradicts those before it")
 
     def estimate(self) -> OffsetEstimate | None:
         """Controller's clock minus the client's, as of the newest echo; None before the first."""
-        return self._offset.estimate(self._estimated_ns)
+        return self._estimate
