@@ -138,6 +138,7 @@ class OdometrySettings(StrictModel):
     quality: float = Field(gt=0.0, lt=1.0)
     minimum_eigenvalue: float = Field(gt=0.0, le=1.0)
     window_px: int = Field(ge=7, le=51)
+    halved_window_px: int = Field(ge=5, le=51)
     pyramid_levels: int = Field(ge=1, le=8)
     patch_px: int = Field(ge=7, le=61)
     likeness: float = Field(ge=0.0, lt=1.0)
@@ -150,6 +151,7 @@ class OdometrySettings(StrictModel):
     keyframe_overlap: float = Field(gt=0.05, le=0.99)
     adjusted_keyframes: int = Field(ge=0, le=20)
     keyframes: int = Field(ge=2, le=1000)
+    right_every: int = Field(ge=0, le=1000)
 
     @property
     def noise_px(self) -> float:

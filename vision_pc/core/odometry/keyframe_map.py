@@ -27,7 +27,7 @@ _LEAST_STD_PX = 0.01  # of the right eye's view: bias of the matching keeps dept
 
 
 class Keyframe(NamedTuple):
-    """A remembered left picture, its pose, and the map points ``ids`` (n,) that it shows.
+    """A remembered left picture (also ``halved``), its pose, and the map points ``ids`` (n,) that it shows.
 
     ``pixels`` (n, 2) where it shows them, ``rays`` (n, 2) the same undistorted, ``surfaces`` (n, 3) from
     ``patches.planes``; ``right_rays`` (n, 2) in the right eye, where ``seen_right`` (n,). Keyframes are
@@ -37,6 +37,7 @@ class Keyframe(NamedTuple):
     number: int
     X_C0C: Array
     left: Image
+    halved: Image
     ids: Indices
     pixels: Array
     rays: Array

@@ -22,9 +22,12 @@ _LEAST_NOISE_PX = 0.03  # what matching leaves even in clean pictures
 
 
 class Frame(NamedTuple):
-    """One pair in work, and where each eye may see the static world (height, width)."""
+    """One pair in work, its left picture ``halved``, and where each eye may see the static world (height,
+    width).
+    """
 
     pair: StereoPair
+    halved: Image
     left_static: Flags
     right_static: Flags
 
@@ -54,17 +57,17 @@ class Localiser:
         self._map = keyframe_map
         self._noise_px = settings.noise_px
 
-    def against(self, frame: Frame, keyframe: Keyframe, expected: Array) -> Fix | str:
+    def against(self, frame: Frame, keyframe: Keyframe, expected: Array, both_eyes: bool) -> Fix | str:
         """The pose of ``frame``, expected about at ``expected`` (X_C0C), or why the keyframe's points do
-        not hold.
+        not hold. Of both eyes, or of the left one alone: quicker, and it teaches less about depths.
         """
         guess = intrinsics.project(
             self._camera.left, se3.apply(se3.inverse(expected), self._map.points[keyframe.ids])
         )
         visible = tracking.inside(guess, frame.left_static)
         part = keyframe.only(visible)
-        coarse = tracking.track(
-            keyframe.left, frame.pair.left, part.pixels, guess[visible], self._settings, two_way=False
+        coarse = tracking.track_halved(
+            keyframe.halved, frame.halved, part.pixels, guess[visible], self._settings
         )
         pixels, good = self._found(part, frame.pair.left, coarse.points, expected, self._camera.left)
         good &= coarse.good & tracking.inside(pixels, frame.left_static)
@@ -72,7 +75,7 @@ class Localiser:
         if len(pixels) >= self._settings.minimum_inliers:
             X_CC0, inliers = self._coarse_pose(self._map.points[part.ids], pixels, expected)
             if int(inliers.sum()) >= self._settings.minimum_inliers:
-                return self._refined(frame, part.only(inliers), pixels[inliers], X_CC0)
+                return self._refined(frame, part.only(inliers), pixels[inliers], X_CC0, both_eyes)
         return "too_few_points"
 
     def _coarse_pose(self, points: Array, pixels: Array, expected: Array) -> tuple[Array, Flags]:
@@ -97,19 +100,15 @@ class Localiser:
             X_CC0 = se3.transform(se3.exp_so3(rotation.ravel()), position.ravel())
         return X_CC0, flags
 
-    def _refined(self, frame: Frame, keyframe: Keyframe, pixels: Array, X_CC0: Array) -> Fix | str:
-        """The pose from both eyes' residuals, robustly, and its health."""
+    def _refined(
+        self, frame: Frame, keyframe: Keyframe, pixels: Array, X_CC0: Array, both_eyes: bool
+    ) -> Fix | str:
+        """The pose from the eyes' residuals, robustly, and its health."""
         points = self._map.points[keyframe.ids]
-        guess = intrinsics.project(self._camera.right, se3.apply(X_CC0, points))
-        usable = tracking.inside(guess, frame.right_static)
-        right, matched = self._found(
-            keyframe,
-            frame.pair.right,
-            np.where(usable[:, None], guess, 0.0),
-            se3.inverse(X_CC0),
-            self._camera.right,
-        )
-        seen_right = usable & matched & (np.abs(right[:, 1] - guess[:, 1]) < self._settings.row_error_px)
+        right = intrinsics.project(self._camera.right, se3.apply(X_CC0, points))
+        seen_right = np.zeros(len(points), dtype=bool)
+        if both_eyes:
+            right, seen_right = self._seen_right(frame, keyframe, right, X_CC0)
         rays = np.stack(
             [
                 intrinsics.normalised(self._camera.left, pixels),
@@ -127,6 +126,21 @@ class Localiser:
         if float(cells.mean()) < self._settings.minimum_coverage:
             return "poor_coverage"
         return self._settled(keyframe.ids[held], pixels[held], rays[:, held], seen[:, held], X_CC0)
+
+    def _seen_right(
+        self, frame: Frame, keyframe: Keyframe, guess: Array, X_CC0: Array
+    ) -> tuple[Array, Flags]:
+        """Where the right eye sees the keyframe's points, px (n, 2), expected at ``guess``; and which."""
+        usable = tracking.inside(guess, frame.right_static)
+        right, matched = self._found(
+            keyframe,
+            frame.pair.right,
+            np.where(usable[:, None], guess, 0.0),
+            se3.inverse(X_CC0),
+            self._camera.right,
+        )
+        on_row = np.abs(right[:, 1] - guess[:, 1]) < self._settings.row_error_px
+        return right, usable & matched & on_row
 
     def _settled(self, ids: Indices, pixels: Array, rays: Array, seen: Array, X_CC0: Array) -> Fix:
         """The pose from the points that held, which in turn learn from it."""

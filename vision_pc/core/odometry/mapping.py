@@ -68,6 +68,7 @@ class Mapper:
                 self._map.next_number,
                 fix.X_C0C,
                 frame.pair.left.copy(),
+                frame.halved,
                 fix.ids,
                 fix.pixels,
                 rays,
@@ -84,7 +85,7 @@ class Mapper:
         left, right = frame.pair.left, frame.pair.right
         pixels = tracking.features(left, frame.left_static, taken, self._settings)
         guess = pixels - np.column_stack([self._coarse_disparity(left, right, pixels), np.zeros(len(pixels))])
-        coarse = tracking.track(left, right, pixels, guess, self._settings, two_way=True)
+        coarse = tracking.track(left, right, pixels, guess, self._settings)
         points_C, good = self._triangulated(frame, pixels, coarse.points)
         good &= coarse.good
         pixels, points_C, found = pixels[good], points_C[good], coarse.points[good]
@@ -93,6 +94,7 @@ class Mapper:
             0,
             se3.identity(),
             left,
+            frame.halved,
             np.arange(len(rays)),
             pixels,
             rays,

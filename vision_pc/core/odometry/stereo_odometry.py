@@ -5,7 +5,7 @@ import numpy as np
 from vision_pc.config import OdometrySettings, ToolMarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import tracking
-from vision_pc.core.odometry.keyframe_map import KeyframeMap
+from vision_pc.core.odometry.keyframe_map import Keyframe, KeyframeMap
 from vision_pc.core.odometry.localisation import Fix, Frame, Localiser
 from vision_pc.core.odometry.mapping import Mapper
 from vision_pc.core.odometry.moving_regions import static_pixels
@@ -42,7 +42,7 @@ class StereoOdometry:
         everything = np.ones((camera.height, camera.width), dtype=bool)
         self._static = (everything, everything)
         self._masked_for: Array | None = None
-        self._lost_frames = 0
+        self._lost_frames = self._frames = 0
         self.last_loss: str | None = None
 
     @property
@@ -61,8 +61,10 @@ class StereoOdometry:
             self._masked_for = X_CM
         if not self._map.keyframes:
             self._smooths = is_noisy(pair.left)  # once for the whole map: patches are compared across frames
-        frame = Frame(smoothed(pair) if self._smooths else pair, *self._static)
+        used = smoothed(pair) if self._smooths else pair
+        frame = Frame(used, tracking.halved(used.left), *self._static)
         outcome = self._located(frame) if self._map.keyframes else self._begun(frame)
+        self._frames += 1
         if isinstance(outcome, str):
             dark = float(pair.left[::_DARK_STEP, ::_DARK_STEP].mean()) < _DARK
             self.last_loss = "too_dark" if dark else outcome
@@ -101,13 +103,27 @@ class StereoOdometry:
         outcome: Fix | str = "too_few_points"
         for expected in (self._X_C0C @ self._motion, self._X_C0C):
             for keyframe in self._map.nearest(expected)[:_TRIES]:
-                outcome = self._localiser.against(frame, keyframe, expected)
+                outcome = self._localiser.against(frame, keyframe, expected, self._both_eyes())
                 if isinstance(outcome, Fix):
                     if len(outcome.ids) < self._settings.keyframe_overlap * len(keyframe.ids):
-                        return self._mapper.extend(frame, outcome)
+                        return self._extended(frame, keyframe, outcome)
                     return outcome
         keyframe = self._map.keyframes[
             self._lost_frames % len(self._map.keyframes)
         ]  # a different one each time
         found = relocalised(frame.pair.left, frame.left_static, keyframe, self._camera, self._settings)
-        return outcome if found is None else self._localiser.against(frame, keyframe, found)
+        return outcome if found is None else self._localiser.against(frame, keyframe, found, both_eyes=True)
+
+    def _both_eyes(self) -> bool:
+        """Whether the right eye's turn has come."""
+        every = self._settings.right_every
+        return every > 0 and self._frames % every == 0
+
+    def _extended(self, frame: Frame, keyframe: Keyframe, fix: Fix) -> Fix | str:
+        """The pose with a new keyframe made, which takes both eyes."""
+        if not fix.seen_right.any():
+            both = self._localiser.against(frame, keyframe, fix.X_C0C, both_eyes=True)
+            if isinstance(both, str):
+                return both
+            fix = both
+        return self._mapper.extend(frame, fix)

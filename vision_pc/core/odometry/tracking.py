@@ -1,4 +1,4 @@
-"""Points followed from picture to picture: good features spread over a grid, and two-way Lucas-Kanade
+"""Points followed from picture to picture: good features spread over a grid, and Lucas-Kanade
 tracking.
 """
 
@@ -16,6 +16,7 @@ Flags = NDArray[np.bool_]
 
 _BLOCK = 7  # px: neighbourhood whose gradients make a feature good
 _STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.003)
+_COARSE_STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 _BORDER = 8  # px: a window this close to the rim has lost too much of itself
 
 
@@ -86,28 +87,58 @@ def inside(pixels: Array, static: Flags) -> Flags:
     )
 
 
-def track(
-    before: Image, after: Image, points: Array, guess: Array, settings: OdometrySettings, two_way: bool
-) -> Tracked:
+def track(before: Image, after: Image, points: Array, guess: Array, settings: OdometrySettings) -> Tracked:
     """``points`` (n, 2) of ``before`` found in ``after``, starting at ``guess`` (n, 2).
 
-    Believed when found inside the picture and, if ``two_way``, the way back ends where it began.
+    Believed when found inside the picture and the way back ends where it began.
     """
     if len(points) == 0:
         return Tracked(np.zeros((0, 2)), np.zeros(0, dtype=bool))
-    start = np.ascontiguousarray(points, dtype=np.float32).reshape(-1, 1, 2)
-    there, found = _flow(
-        before, after, start, np.asarray(guess, dtype=np.float32).reshape(-1, 1, 2), settings
+    start, window = _as_flow(points), settings.window_px
+    levels = settings.pyramid_levels
+    there, found = _flow(before, after, start, _as_flow(guess), window, levels, _STEPS)
+    back, returned = _flow(after, before, there, start.copy(), window, levels, _STEPS)
+    error = np.linalg.norm((back - start).reshape(-1, 2), axis=1)
+    return Tracked(
+        there.reshape(-1, 2).astype(np.float64),
+        found & _within(there, after) & returned & (error < settings.back_error_px),
     )
-    height, width = after.shape
-    ends = there.reshape(-1, 2).astype(np.float64)
-    inside = ((ends >= _BORDER) & (ends < (width - _BORDER, height - _BORDER))).all(axis=1)
-    good = found & inside
-    if two_way:
-        back, returned = _flow(after, before, there, start.copy(), settings)
-        error = np.linalg.norm((back - start).reshape(-1, 2), axis=1)
-        good &= returned & (error < settings.back_error_px)
-    return Tracked(ends, good)
+
+
+def halved(image: Image) -> Image:
+    """``image`` at half its width and height, each pixel the mean of four; an odd last row or column is left
+    out.
+    """
+    height, width = image.shape[0] // 2, image.shape[1] // 2
+    whole = image[: 2 * height, : 2 * width]
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def track_halved(
+    before: Image, after: Image, points: Array, guess: Array, settings: OdometrySettings
+) -> Tracked:
+    """``points`` (n, 2) px of a whole picture found in another to within about a pixel, from both ``halved``.
+
+    Starts at ``guess`` (n, 2) px of the whole picture. One way only: for who matches patches afterwards.
+    """
+    if len(points) == 0:
+        return Tracked(np.zeros((0, 2)), np.zeros(0, dtype=bool))
+    # a pixel's middle is at whole numbers: that of four pixels lies half a pixel from their first
+    start, there = _as_flow(0.5 * points - 0.25), _as_flow(0.5 * guess - 0.25)
+    window, levels = settings.halved_window_px, settings.pyramid_levels
+    there, found = _flow(before, after, start, there, window, levels, _COARSE_STEPS)
+    return Tracked(2.0 * there.reshape(-1, 2).astype(np.float64) + 0.5, found & _within(there, after))
+
+
+def _as_flow(points: Array) -> NDArray[np.float32]:
+    return np.ascontiguousarray(points, dtype=np.float32).reshape(-1, 1, 2)
+
+
+def _within(points: NDArray[np.float32], image: Image) -> Flags:
+    """Which of ``points`` (n, 1, 2) keep off the rim of ``image``."""
+    height, width = image.shape
+    ends = points.reshape(-1, 2)
+    return np.asarray(((ends >= _BORDER) & (ends < (width - _BORDER, height - _BORDER))).all(axis=1))
 
 
 def _flow(
@@ -115,17 +146,19 @@ def _flow(
     after: Image,
     points: NDArray[np.float32],
     guess: NDArray[np.float32],
-    settings: OdometrySettings,
+    window_px: int,
+    levels: int,
+    steps: tuple[int, int, float],
 ) -> tuple[NDArray[np.float32], Flags]:
-    window = (settings.window_px, settings.window_px)
+    window = (window_px, window_px)
     ends, status, _ = cv2.calcOpticalFlowPyrLK(
         before,
         after,
         points,
         guess,
         winSize=window,
-        maxLevel=settings.pyramid_levels - 1,
-        criteria=_STEPS,
+        maxLevel=levels - 1,
+        criteria=steps,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         minEigThreshold=1e-4,
     )
