@@ -86,7 +86,7 @@ def demands_of(rows: list[JSON], harder: bool) -> list[Demand]:
     one, shot, two = (worst_mm(rows, name) for name in ("look1", "one_shot", "look2"))
     floor = np.abs(_columns(rows, "look2_servo_{}_mm")).max(axis=1)
     limit = 1e3 * LIMIT_M
-    nees, band = normalised(rows, "look1")
+    (nees, band), (shot_nees, _) = (normalised(rows, name) for name in ("look1", "one_shot"))
     return [
         Demand("one look: share within 5 mm", share(one, limit), "≥", 0.95 if harder else 0.98, ""),
         Demand("one shot: share within 5 mm", share(shot, limit), "≥", None if harder else 0.90, ""),
@@ -96,6 +96,9 @@ def demands_of(rows: list[JSON], harder: bool) -> list[Demand]:
         Demand("the servo's floor alone after two: median", quantile(floor, 50), "≤", None, "mm"),
         Demand("the servo's floor alone after two: 95 %", quantile(floor, 95), "≤", None, "mm"),
         Demand("one look: error² over predicted variance, mean", nees, "in", None if harder else band, ""),
+        Demand("one look: share inside the predicted 95 % ellipse", covered(rows, "look1"), "≥", None, ""),
+        Demand("one shot: error² over predicted variance, mean", shot_nees, "in", None, ""),
+        Demand("one shot: share inside the predicted 95 % ellipse", covered(rows, "one_shot"), "≥", None, ""),
     ]
 
 
@@ -120,12 +123,23 @@ def normalised(rows: list[JSON], name: str) -> tuple[float, tuple[float, float]]
 
     The band is that of χ² with two degrees of freedom a run, divided by their number.
     """
-    errors, stds = _columns(rows, f"{name}_true_{{}}_mm"), _columns(rows, f"{name}_std_{{}}_mm")
-    ratios = (errors / stds) ** 2
-    ratios = ratios[np.isfinite(ratios).all(axis=1)]
+    ratios = _ratios(rows, name)
     freedom = max(2 * len(ratios), 1)
     low, high = (float(stats.chi2.ppf(side, freedom)) / freedom for side in (0.025, 0.975))
     return float(ratios.mean()) if len(ratios) else float("nan"), (low, high)
+
+
+def covered(rows: list[JSON], name: str) -> float:
+    """How many of the runs that came to an end lie inside their predicted 95 % ellipse; NaN without any."""
+    inside = _ratios(rows, name).sum(axis=1) <= stats.chi2.ppf(0.95, 2)
+    return float(inside.mean()) if len(inside) else float("nan")
+
+
+def _ratios(rows: list[JSON], name: str) -> Array:
+    """(x/σx)² and (y/σy)² (n, 2) of the runs that came to an end."""
+    errors, stds = _columns(rows, f"{name}_true_{{}}_mm"), _columns(rows, f"{name}_std_{{}}_mm")
+    ratios = (errors / stds) ** 2
+    return np.asarray(ratios[np.isfinite(ratios).all(axis=1)])
 
 
 def _columns(rows: list[JSON], pattern: str) -> Array:

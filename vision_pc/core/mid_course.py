@@ -14,6 +14,7 @@ from protocol.errors import MeasurementFailed
 from vision_pc.core.calibration.local_map import (
     LocalMap,
     LocalTrack,
+    end_scatter,
     extended,
     fit_map,
     solve_step,
@@ -26,6 +27,7 @@ from vision_pc.core.se3 import Array, local, transform
 from vision_pc.core.types import Look
 
 _USELESS = 2  # nudges in a row that brought no improvement
+_KEPT = 0.85  # of ``nudge_m``: width of the bell that stands for its edge
 _STALE = 0.003  # m or rad: more than a settled arm creeps
 
 
@@ -109,8 +111,9 @@ def _step(
 ) -> Step:
     """The drive over ``share`` of ``x``, with the error expected at the end of all drives.
 
-    What the map does not know counts for the rest of the way alone when a correction follows; then odometry
-    counts for all of it. Raises MeasurementFailed for a step too long, or a goal that is not known.
+    A map's error counts for the rest of the way alone when a correction follows. What a drive's end leaves is
+    then drawn again until odometry finds it small, and odometry's own error counts for all of the way.
+    Raises MeasurementFailed for a step too long, or a goal that is not known.
     """
     length = float(np.linalg.norm(x))
     if not length <= settings.step_limit_m:
@@ -125,13 +128,26 @@ def _step(
             f"corrected move: the goal is known to {1e3 * worst:.1f} mm, "
             f"limit {1e3 * map_settings.goal_std_limit_m:g} mm",
         )
-    in_camera = (fitted.R.T @ covariance @ fitted.R) * (1.0 if share == 1.0 else (1.0 - share) ** 2)
-    way = np.hypot(map_settings.odometry_std_m, map_settings.odometry_scale_std * length)
-    in_camera += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
-    in_camera += (way**2 + map_settings.servo_std_m**2) * np.eye(3)
+    rest = 1.0 if share == 1.0 else (1.0 - share) ** 2
+    missed = fitted.R.T @ (rest * covariance + end_scatter(fitted, x, map_settings)) @ fitted.R
+    if settings.corrections:
+        missed = _after_nudges(missed, settings) + _odometry_covariance(length, map_settings)
+    missed += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
     X_BT = fitted.X_BT
     X_BT_ref = transform(X_BT[:3, :3], X_BT[:3, 3] + share * x)
-    return Step(share * x, X_BT_ref, np.sqrt(np.diag(in_camera)))
+    return Step(share * x, X_BT_ref, np.sqrt(np.diag(missed)))
+
+
+def _after_nudges(missed: Array, settings: PositioningSettings) -> Array:
+    """The covariance (3×3) in C of a drive's end, drawn again while outside ``nudge_m`` in x and y."""
+    kept = np.diag([1.0, 1.0, 0.0]) / (_KEPT * settings.nudge_m) ** 2
+    return np.asarray(np.linalg.inv(np.linalg.inv(missed) + kept), dtype=np.float64)
+
+
+def _odometry_covariance(length: float, settings: LocalMapSettings) -> Array:
+    """Covariance (3×3) of a way of ``length`` as odometry measures it."""
+    covariance: Array = (settings.odometry_std_m**2 + (settings.odometry_scale_std * length) ** 2) * np.eye(3)
+    return covariance
 
 
 def _refuse_stale(track: LocalTrack, look: Look) -> None:

@@ -138,7 +138,7 @@ def fit_map(track: LocalTrack, p_CM: Array, settings: LocalMapSettings) -> Local
     p = track.X_BT[:, :3, 3]
     R = _kabsch(m, p)
     shape = settings.arm.shape
-    h = play_states(slew_angles(track.X_BT, shape.tool), settings.play_rad)
+    h = play_states(slew_angles(track.X_BT, shape.tool), settings.reversal_rad)
     columns = _columns(track.X_BT, h, track.X_BT_now, float(h[-1]), shape)
     Phi = columns.reshape(-1, columns.shape[2])
     wanted = ((m - m[-1]) @ R.T - (p - p[-1])).ravel()
@@ -171,11 +171,23 @@ def solve_step(fitted: LocalMap, d: Array, settings: LocalMapSettings) -> tuple[
     for _ in range(20):
         goal = transform(here[:3, :3], here[:3, 3] + x)
         slew = slew_angles(np.stack([here, goal]), shape.tool)
-        play = _play_after(fitted.play_now, float(slew[1] - slew[0]), settings.play_rad)
+        play = _flank_at_end(fitted.play_now, float(slew[1] - slew[0]), settings)
         columns = _columns(goal[None], np.array([play]), here, fitted.play_now, shape)[0]
         columns[:, 13:16] = 0.0  # the constant is the error of the track's end alone
         x = wanted - columns @ fitted.theta
     return x, columns @ fitted.covariance @ columns.T
+
+
+def end_scatter(fitted: LocalMap, x: Array, settings: LocalMapSettings) -> Array:
+    """Covariance (3×3) m² in B of where a drive by ``x`` (3,) ends, however well the map is known.
+
+    What the joint servo leaves, and the slew's play: the encoder does not see on which flank a drive comes
+    to rest, and tells that of the rests before it by the sign of its last counts alone.
+    """
+    goal = fitted.X_BT[:3, 3] + x
+    across = settings.play_rad * np.array([-goal[1], goal[0], 0.0])
+    scatter: Array = settings.servo_std_m**2 * np.eye(3) + 2.0 * np.outer(across, across)
+    return scatter
 
 
 def _columns(X_BT: Array, play: Array, X_BT_now: Array, play_now: float, shape: ArmShape) -> Array:
@@ -224,7 +236,7 @@ def planned_covariance(X_BT: Array, speed: Array, steps: Array, settings: LocalM
     information matrix depends on the path alone.
     """
     shape, here = settings.arm.shape, X_BT[-1]
-    h = play_states(slew_angles(X_BT, shape.tool), settings.play_rad)
+    h = play_states(slew_angles(X_BT, shape.tool), settings.reversal_rad)
     columns = _columns(X_BT, h, here, float(h[-1]), shape)
     Phi = columns.reshape(-1, columns.shape[2])
     std = np.repeat(np.hypot(settings.noise_std_m, settings.sway_s * speed), 3)
@@ -248,12 +260,21 @@ def slew_angles(X_BT: Array, wrist_to_tool_m: float) -> Array:
     return np.asarray(np.unwrap(np.arctan2(wrist[:, 1], wrist[:, 0])))
 
 
-def play_states(slew: Array, half_play: float) -> Array:
-    """h (N,) in −1…1: on which flank of the play the slew's load side lies."""
+def play_states(slew: Array, reversal: float) -> Array:
+    """h (N,) in −1…1: on which flank of the play the slew's load side lies.
+
+    A joint that drags its encoder along has crossed its whole play before the encoder turns back at all;
+    ``reversal`` is half of what the encoder must turn back (rad) to be believed.
+    """
     states = np.zeros(len(slew))
     for i in range(1, len(slew)):
-        states[i] = _play_after(float(states[i - 1]), float(slew[i] - slew[i - 1]), half_play)
+        states[i] = _play_after(float(states[i - 1]), float(slew[i] - slew[i - 1]), reversal)
     return states
+
+
+def _flank_at_end(state: float, turn: float, settings: LocalMapSettings) -> float:
+    """The flank expected at rest after ``turn``: a long one overshoots, and may end on either."""
+    return 0.0 if abs(turn) > settings.swing_rad else _play_after(state, turn, settings.play_rad)
 
 
 def _play_after(state: float, turn: float, half_play: float) -> float:
