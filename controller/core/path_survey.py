@@ -2,7 +2,12 @@
 of it.
 
 Every segment is sampled at SAMPLES instants: workspace, reach, joint range, wrist flips, and the peaks of
-speed and acceleration in Cartesian and in joint terms.
+speed and acceleration in Cartesian and in joint terms. Beside the stretched wrist, where wrist 1 and 3 turn
+fast, each of the steps is sampled _PARTS times.
+
+While the wrist is as good as stretched, its servo is damped and lets wrist 1 rest. The survey does so too:
+it passes from the angles with which the path goes in to those with which it comes out, and refuses what
+wrist 1 would have to swing between them.
 """
 
 import math
@@ -24,6 +29,11 @@ SAMPLES = (
 )
 # Between two samples of a smooth joint path no joint turns this far; a wrist that flips does.
 _FLIP_RAD = 0.6
+# Sines of wrist 2 from stretched: damped below the first, where the least singular value is 0.05; within the
+# second the next of SAMPLES may lie beyond the singularity.
+_DAMPED, _BESIDE = math.sin(math.radians(4.5)), math.sin(math.radians(25.0))
+_PARTS = 8
+_SWING_RAD = 0.2  # of wrist 1, left to the servo while damped
 
 SPEED, ACCELERATION, TURN_SPEED, TURN_ACCELERATION, JOINT_SPEED = range(5)
 
@@ -115,6 +125,12 @@ def _nearest_angles(table: Array, R_BT: Array, p_BT: Array, before: Array) -> tu
 
 
 @njit(cache=True)
+def _stretch(table: Array, q: Array) -> float:
+    """0 where the wrist is stretched, and wrist 1 and 3 turn about one axis."""
+    return abs(math.sin(q[4] + table[4, 2]))
+
+
+@njit(cache=True)
 def _joint_obstacle(bounds: Array, q: Array, before: Array) -> tuple[int, float, float]:
     for i in range(6):  # first of all, for a wrist that flips may well leave its range with it
         if abs(q[i] - before[i]) > _FLIP_RAD:
@@ -148,27 +164,49 @@ def _survey(
     bounds = planned_range.copy()
     bounds[0] = np.minimum(bounds[0], q)
     bounds[1] = np.maximum(bounds[1], q)
+    for n in range(durations.shape[0]):  # first what is out of reach, whatever would stop the arm on the way
+        p, _, _, quaternion, _, _ = segment_motion(polynomials[n], goals[n], durations[n])
+        value, limit = outside(space, p)
+        if value != limit:
+            return _WORKSPACE, value, limit, peaks
+        verdict, _, value, limit = joint_angles(table, matrix_from_quaternion(quaternion), p, q)
+        if verdict != REACHED:
+            return _REACH, value, limit, peaks
+    held = 0.0  # for how long (s) wrist 1 and 3 have rested beside the singularity
     for n in range(durations.shape[0]):
-        step = durations[n] / SAMPLES
-        for k in range(1, SAMPLES + 1):
-            p, v, a, quaternion, omega, alpha = segment_motion(polynomials[n], goals[n], k * step)
-            value, limit = outside(space, p)
-            if value != limit:
-                return _WORKSPACE, value, limit, peaks
-            before = q
-            verdict, q, value, limit = _nearest_angles(table, matrix_from_quaternion(quaternion), p, before)
-            if verdict != REACHED:
-                return _REACH, value, limit, peaks
-            code, value, limit = _joint_obstacle(bounds, q, before)
-            if code != _ACCEPTED:
-                return code, value, limit, peaks
-            peaks[n, SPEED] = max(peaks[n, SPEED], _norm(v))
-            peaks[n, ACCELERATION] = max(peaks[n, ACCELERATION], _norm(a))
-            peaks[n, TURN_SPEED] = max(peaks[n, TURN_SPEED], _norm(omega))
-            peaks[n, TURN_ACCELERATION] = max(peaks[n, TURN_ACCELERATION], _norm(alpha))
-            for i in range(6):
-                ratio = abs(q[i] - before[i]) / (step * joint_speeds[i])
-                peaks[n, JOINT_SPEED] = max(peaks[n, JOINT_SPEED], ratio)
+        for k in range(SAMPLES):
+            parts = _PARTS if _stretch(table, q) < _BESIDE else 1
+            step = durations[n] / (SAMPLES * parts)
+            for part in range(1, parts + 1):
+                p, v, a, quaternion, omega, alpha = segment_motion(
+                    polynomials[n], goals[n], (k * parts + part) * step
+                )
+                value, limit = outside(space, p)
+                if value != limit:
+                    return _WORKSPACE, value, limit, peaks
+                before = q
+                verdict, q, value, limit = _nearest_angles(
+                    table, matrix_from_quaternion(quaternion), p, before
+                )
+                if verdict != REACHED:
+                    return _REACH, value, limit, peaks
+                damped = _stretch(table, q) < _DAMPED
+                if damped:
+                    q[3], q[5] = before[3], before[5]
+                elif held > 0.0 and abs(q[3] - before[3]) > _SWING_RAD:
+                    return _SINGULAR, abs(q[3] - before[3]), _SWING_RAD, peaks
+                code, value, limit = _joint_obstacle(bounds, q, before)
+                if code != _ACCEPTED:
+                    return code, value, limit, peaks
+                peaks[n, SPEED] = max(peaks[n, SPEED], _norm(v))
+                peaks[n, ACCELERATION] = max(peaks[n, ACCELERATION], _norm(a))
+                peaks[n, TURN_SPEED] = max(peaks[n, TURN_SPEED], _norm(omega))
+                peaks[n, TURN_ACCELERATION] = max(peaks[n, TURN_ACCELERATION], _norm(alpha))
+                for i in range(6):
+                    taken = step + held if i == 3 or i == 5 else step
+                    ratio = abs(q[i] - before[i]) / (taken * joint_speeds[i])
+                    peaks[n, JOINT_SPEED] = max(peaks[n, JOINT_SPEED], ratio)
+                held = held + step if damped else 0.0
         _, least, _ = damped_inverse(geometric_jacobian(chain(table, q)), 0.0, 0.0)
         if least < singular_min:
             return _SINGULAR, least, singular_min, peaks

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from controller.config import ArmConfig, ControllerConfig
+from controller.core.pose_servo import tool_state
+from controller.core.rotations import quaternion_from_matrix
 from controller.core.settings import Settings, settings_from
-from protocol.faults import Reason
+from protocol.faults import FaultCode, Reason
 from protocol.pose import Pose
 from protocol.reference_link import ReferencePath, ReferencePose
 from tests.controller.obedient_plant import Bench
@@ -113,6 +115,38 @@ def test_a_tool_that_passes_straight_over_the_singularity_is_followed(bench: Ben
     lag = [math.dist(o.view.X_BT.p_m, o.view.X_BT_cmd.p_m) for o in bench.outputs[begin:]]
     assert max(lag) < 5e-3
     assert max(abs(o.view.q_meas[3]) for o in bench.outputs[begin:]) < math.radians(1.0)
+
+
+def _pose_at(settings: Settings, degrees: tuple[float, ...]) -> Pose:
+    tool = tool_state(settings.table, np.radians(degrees))
+    return Pose(tuple(tool.p_BT), tuple(tool.quaternion))
+
+
+def test_a_tool_that_passes_beside_the_singularity_is_refused_before_a_joint_runs_out(
+    settings: Settings,
+) -> None:
+    """Between two samples of its way wrist 3 left its range, and the servo with it: 90.5° at 90.5."""
+    bench = Bench(settings, tuple(np.radians((2.9, 47.0, -68.5, 89.4, -52.5, 79.7)))).enabled()
+    R_BT = np.array(
+        [[0.63842, -0.36260, 0.67892], [-0.76551, -0.20736, 0.60910], [-0.08007, -0.90859, -0.40995]]
+    )
+    goal = Pose((4.19083, 0.06496, 0.92851), tuple(quaternion_from_matrix(R_BT)))
+    assert bench.refer(goal).reason in (Reason.SINGULAR, Reason.JOINT_LIMIT)
+    _assert_nothing_moves(bench)
+
+
+def test_what_is_accepted_near_the_singularity_is_followed_to_its_end(settings: Settings) -> None:
+    answers = []
+    for swing in (0.0, 4.0, 32.0):
+        bench = Bench(settings, tuple(np.radians((1.0, 47.0, -68.0, 55.0 + swing, -30.0, 70.0)))).enabled()
+        answers.append(bench.refer(_pose_at(settings, (1.0, 47.0, -68.0, 55.0, 25.0, 70.0))).reason)
+        if answers[-1] is Reason.ACCEPTED:
+            bench.run(9.0)
+            assert bench.last.view.motion_done
+            assert bench.last.view.fault is FaultCode.NONE
+            assert bench.last.view.q_meas[4] == pytest.approx(math.radians(25.0), abs=1e-2)
+    assert answers[0] is Reason.ACCEPTED
+    assert answers[-1] in (Reason.SINGULAR, Reason.JOINT_LIMIT)
 
 
 def test_counts_and_durations_are_checked(bench: Bench, config: ControllerConfig) -> None:
