@@ -144,7 +144,9 @@ def test_camera_and_robot_noise_are_told_apart(truth: Noise, louder: str) -> Non
         pairs = scenes.measured(scene, truth, rng)
         equations = Equations(pairs.H, pairs.P, np.ones(25))
         start = ml.maximize(equations, scene.X, scene.Z, Noise(1e-3, 1e-3))
-        found.append(noise_model.estimated(equations, start, Noise(1e-3, 1e-3), NoiseSource.BOTH)[1])
+        found.append(
+            noise_model.estimated(equations, start.X, start.Z, Noise(1e-3, 1e-3), NoiseSource.BOTH)[1]
+        )
     camera = np.median([n.camera_rotation for n in found])
     robot = np.median([n.robot_rotation for n in found])
     loud, quiet = (camera, robot) if louder == "camera" else (robot, camera)
@@ -159,7 +161,7 @@ def test_few_samples_do_not_call_their_noise_zero() -> None:
         pairs = scenes.measured(scene, Noise(1.7e-3, 1e-3), rng)
         equations = Equations(pairs.H, pairs.P, np.ones(count))
         start = ml.maximize(equations, scene.X, scene.Z, Noise(1e-3, 1e-3))
-        _, n = noise_model.estimated(equations, start, Noise(1e-3, 1e-3), NoiseSource.BOTH)
+        _, n = noise_model.estimated(equations, start.X, start.Z, Noise(1e-3, 1e-3), NoiseSource.BOTH)
         assert 3e-4 < n.camera_rotation < 8e-3
         assert 2e-4 < n.camera_translation < 5e-3
     assert noise_model.few_sample_factor(3) > noise_model.few_sample_factor(12) > 1.0

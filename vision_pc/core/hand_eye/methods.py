@@ -112,10 +112,9 @@ def solve_motions(motions: Motions, method: Method, noise: Noise | None = None) 
         equations = Equations(rigid.inverse(motions.A), motions.B, np.ones(len(motions.A)), tied=True)
         start = dual_quaternion.joint(dual_quaternion.forms(dual_quaternions(motions)))[0]
         first = noise or Noise(*noise_model.USUAL_RATIO)
-        estimate = ml.maximize(equations, start, start, first)
         if noise is None:
-            estimate, _ = noise_model.estimated(equations, estimate, first, NoiseSource.CAMERA)
-        return estimate.X
+            return noise_model.estimated(equations, start, start, first, NoiseSource.CAMERA)[0].X
+        return ml.maximize(equations, start, start, first).X
     if method in _CLASSICAL:
         return classical.from_motions(motions, _CLASSICAL[method])
     return _by_dual_quaternions(motions, method)[0]

@@ -8,6 +8,7 @@ the errors.
 """
 
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from vision_pc.core.hand_eye.maximum_likelihood import Equations, Estimate, Nois
 from vision_pc.core.se3 import Array
 
 _ROUNDS = 40
+_LINEARISATIONS = 2
+_STEPS = 4  # of Gauss-Newton before each
 _FOR_RATIO = 6  # samples: with fewer the unknowns can fit all translations and call their noise zero
 _FOR_SOURCE = 8  # samples: with fewer camera and robot noise cannot be told apart
 _SETTLED = 1e-3
@@ -51,9 +54,9 @@ def beginning(source: NoiseSource, rotation: float, translation: float) -> Noise
 
 
 def estimated(
-    equations: Equations, start: Estimate, noise: Noise, source: NoiseSource
+    equations: Equations, X: Array, Z: Array, noise: Noise, source: NoiseSource
 ) -> tuple[Estimate, Noise]:
-    """The maximum-likelihood estimate and the noise of ``source`` that the residuals themselves show.
+    """The maximum-likelihood estimate from X, Z (4, 4), and the noise of ``source`` that its residuals show.
 
     ``noise`` gives the size from which to search. Under 8 samples all of it is taken as the
     camera's, and under 6 the ratio of rotation to translation is kept.
@@ -66,45 +69,74 @@ def estimated(
     size = float(np.hypot(noise.camera_rotation, noise.robot_rotation))
     shift = float(np.hypot(noise.camera_translation, noise.robot_translation))
     noise = beginning(source, size, shift)
-    estimate = start
+    for _ in range(_LINEARISATIONS):
+        estimate = ml.maximize(equations, X, Z, noise, steps=_STEPS)
+        X, Z = estimate.X, estimate.Z
+        noise = _shown(_linearised(equations, estimate, _FIELDS[source]), noise, samples < _FOR_RATIO)
+    return ml.maximize(equations, X, Z, noise), noise
+
+
+class _Linear(NamedTuple):
+    """The samples that count, linear about an estimate: residuals (n, 6), their slope (n, 6, k), and the
+
+    covariances (c, n, 6, 6) that unit variances of ``fields`` give them. The estimate's own motion is a
+    linear regression here, which costs next to nothing beside exponentials and logarithms.
+    """
+
+    residuals: Array
+    slope: Array
+    units: Array
+    fields: tuple[str, ...]
+
+
+def _linearised(equations: Equations, estimate: Estimate, fields: tuple[str, ...]) -> _Linear:
+    used = equations.weights > 0.5
+    kept = equations._replace(H=equations.H[used], P=equations.P[used], weights=equations.weights[used])
+    r = estimate.residuals[used]
+    nothing = Noise(0.0, 0.0)
+    units = [
+        ml.residual_covariances(kept, estimate.X, estimate.Z, nothing._replace(**{name: 1.0}))
+        for name in fields
+    ]
+    return _Linear(r, ml.jacobian(kept, estimate.X, estimate.Z, r), np.stack(units), fields)
+
+
+def _shown(linear: _Linear, noise: Noise, keep_ratio: bool) -> Noise:
+    """The noise whose every component explains the residuals: each is scaled by what they show of it."""
+    sizes = np.array([getattr(noise, name) for name in linear.fields])
     for _ in range(_ROUNDS):
-        estimate = ml.maximize(equations, estimate.X, estimate.Z, noise, steps=2)
-        shown, share = _shown_over_expected(equations, estimate, noise, _FIELDS[source])
-        if samples < _FOR_RATIO:
+        shown, share = _shown_over_expected(linear, sizes)
+        if keep_ratio:
             shown = np.full(len(shown), float(shown @ share))
-        noise = noise._replace(
-            **{
-                name: max(float(getattr(noise, name) * np.sqrt(ratio)), _LEAST)
-                for name, ratio in zip(_FIELDS[source], shown, strict=True)
-            }
-        )
+        sizes = np.maximum(sizes * np.sqrt(shown), _LEAST)
         open_still = (share > _NEGLIGIBLE) & (np.abs(np.log(np.maximum(shown, 1e-30))) > _SETTLED)
         if not open_still.any():
             break
-    return ml.maximize(equations, estimate.X, estimate.Z, noise), noise
+    return noise._replace(**dict(zip(linear.fields, sizes.tolist(), strict=True)))
 
 
-def _shown_over_expected(
-    equations: Equations, estimate: Estimate, noise: Noise, fields: tuple[str, ...]
-) -> tuple[Array, Array]:
-    """For each field: squared residuals over their expectation, and its share of the total expectation.
+def _shown_over_expected(linear: _Linear, sizes: Array) -> tuple[Array, Array]:
+    """For each component: squared residuals over their expectation, and its share of the total expectation.
 
     The first is 1 when the noise is right. A share is 0 for a component that has shrunk to nothing.
     """
-    W = ml.whitener(equations, estimate.X, estimate.Z, noise)
-    J = ml.whitened(W, ml.jacobian(equations, estimate.X, estimate.Z, estimate.residuals))
-    r = ml.whitened(W, estimate.residuals[..., None])[..., 0]
-    covariance = np.linalg.inv(np.einsum("nij,nik->jk", J, J))
-    ratios, expectations = [], []
-    for name in fields:
-        part = Noise(0.0, 0.0)._replace(**{name: getattr(noise, name)})
-        V = ml.residual_covariances(equations, estimate.X, estimate.Z, part)
-        K = ml.whitened(W, np.swapaxes(ml.whitened(W, V), -1, -2))
-        fitted = np.sum(np.einsum("nij,nik->jk", J, K @ J) * covariance)
-        expected = max(float(np.einsum("nii->", K) - fitted), 1e-12)
-        ratios.append(float(np.einsum("ni,nij,nj->", r, K, r)) / expected)
-        expectations.append(0.0 if getattr(noise, name) <= _LEAST else expected)
-    return np.array(ratios), np.array(expectations) / max(sum(expectations), 1e-12)
+    parts = sizes[:, None, None, None] ** 2 * linear.units
+    W = np.linalg.inv(np.linalg.cholesky(parts.sum(axis=0)))
+    K = W @ parts @ np.swapaxes(W, -1, -2)
+    J = (W @ linear.slope).reshape(-1, linear.slope.shape[-1])
+    r = (W @ linear.residuals[..., None]).reshape(-1)
+    covariance = np.linalg.inv(J.T @ J)
+    r = r - J @ (covariance @ (J.T @ r))
+
+    def across(columns: Array) -> Array:
+        """columnsᵀ K columns for each component, (c, k, k)."""
+        turned = K @ columns.reshape(*K.shape[1:3], -1)
+        return np.asarray(columns.T @ turned.reshape(len(K), len(columns), -1))
+
+    fitted = np.sum(across(J) * covariance, axis=(-2, -1))
+    expected = np.maximum(np.trace(K, axis1=-2, axis2=-1).sum(axis=-1) - fitted, 1e-12)
+    living = np.where(sizes <= _LEAST, 0.0, expected)
+    return across(r[:, None])[:, 0, 0] / expected, living / max(float(living.sum()), 1e-12)
 
 
 def few_sample_factor(samples: int) -> float:

@@ -94,10 +94,9 @@ def _certified(
 ) -> tuple[ml.Estimate, Noise, Certificate]:
     X, Z, certificate = chordal.solve(chordal.problem(pairs.H, pairs.P, weights, noise))
     equations = Equations(pairs.H, pairs.P, weights, pairs.setup)
-    estimate = ml.maximize(equations, X, Z, noise)
     if settings.noise is None:
-        estimate, noise = noise_model.estimated(equations, estimate, noise, settings.source)
-    return estimate, noise, certificate
+        return *noise_model.estimated(equations, X, Z, noise, settings.source), certificate
+    return ml.maximize(equations, X, Z, noise), noise, certificate
 
 
 def _demand_consensus(weights: Array, settings: RobustSettings, pairs: PosePairs) -> None:
