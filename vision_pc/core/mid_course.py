@@ -27,7 +27,7 @@ from vision_pc.core.se3 import Array, local, transform
 from vision_pc.core.types import Look
 
 _USELESS = 2  # nudges in a row that brought no improvement
-_KEPT = 0.85  # of ``nudge_m``: width of the bell that stands for its edge
+_KEPT = 2.0 / 3.0  # of ``nudge_m``: width of the bell that stands for its edge
 _STALE = 0.003  # m or rad: more than a settled arm creeps
 
 
@@ -131,16 +131,20 @@ def _step(
     rest = 1.0 if share == 1.0 else (1.0 - share) ** 2
     missed = fitted.R.T @ (rest * covariance + end_scatter(fitted, x, map_settings)) @ fitted.R
     if settings.corrections:
-        missed = _after_nudges(missed, settings) + _odometry_covariance(length, map_settings)
+        missed = _after_nudges(missed, settings.nudge_m, map_settings.servo_std_m)
+        missed += _odometry_covariance(length, map_settings)
     missed += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
     X_BT = fitted.X_BT
     X_BT_ref = transform(X_BT[:3, :3], X_BT[:3, 3] + share * x)
     return Step(share * x, X_BT_ref, np.sqrt(np.diag(missed)))
 
 
-def _after_nudges(missed: Array, settings: PositioningSettings) -> Array:
-    """The covariance (3×3) in C of a drive's end, drawn again while outside ``nudge_m`` in x and y."""
-    kept = np.diag([1.0, 1.0, 0.0]) / (_KEPT * settings.nudge_m) ** 2
+def _after_nudges(missed: Array, nudge_m: float, servo_std_m: float) -> Array:
+    """The covariance (3×3) in C of a drive's end, drawn again while outside ``nudge_m`` in x and y.
+
+    No finer than the joint servo: what it leaves, a nudge leaves too.
+    """
+    kept = np.diag([1.0, 1.0, 0.0]) / ((_KEPT * nudge_m) ** 2 + servo_std_m**2)
     return np.asarray(np.linalg.inv(np.linalg.inv(missed) + kept), dtype=np.float64)
 
 
