@@ -1,8 +1,9 @@
 """One measurement of the paper's, in lockstep: orientation adjustment, then one of both range adjustments.
 
-A task is flat: ``key``, ``kind`` (``line`` or ``match``), ``scenario``, ``seed``, ``eyes``, ``variant``,
-``assignments`` and ``files`` (a hash of the configuration files, so that a resumed campaign knows old rows
-from new). Each measurement begins anew, at the start pose of a world drawn from the seed, as the paper's did.
+A task is flat: ``key``, ``kind`` (``line``, ``match``, or ``turn``: the adjustment alone), ``scenario``,
+``seed``, ``eyes``, ``variant``, ``assignments`` and ``files`` (a hash of the configuration files, so that a
+resumed campaign knows old rows from new). Each measurement begins anew, at the start pose of a world drawn
+from the seed, as the paper's did.
 """
 
 import math
@@ -41,18 +42,34 @@ from vision_pc.shell.socket_arm import SocketArm
 EYES = ("pixels", "opencv", "model")
 _AROUND_NS = 250_000_000  # truth is averaged over so much on either side of a look
 _CONNECT_NS = 5_000_000_000
+_LOOKS = 5
+_UNSEEN = ("measurement.tool_not_seen", "measurement.object_not_seen")
 
 
 class RememberingEyes:
-    """Implements ``Eyes``; ``looks`` are those that were taken, by whatever program."""
+    """Implements ``Eyes``; ``looks`` are those that were taken, by whatever program.
+
+    A look that shows no tool or no object is taken again, up to ``_LOOKS`` times, and counted in
+    ``unseen``: the paper's inputs were given by hand (5.2.2), and nobody gives one on a failed sample.
+    """
 
     def __init__(self, eyes: Eyes) -> None:
         self._eyes = eyes
         self.looks: list[Look] = []
+        self.unseen = 0
 
     async def look(self, frames: int | None = None) -> Look:
-        """A look of the eyes."""
-        look = await self._eyes.look(frames)
+        """A look of the eyes. Raises MeasurementFailed when none of them shows tool and object."""
+        for _ in range(_LOOKS - 1):
+            try:
+                return self._kept(await self._eyes.look(frames))
+            except MeasurementFailed as failed:
+                if failed.cause not in _UNSEEN:
+                    raise
+                self.unseen += 1
+        return self._kept(await self._eyes.look(frames))
+
+    def _kept(self, look: Look) -> Look:
         self.looks.append(look)
         return look
 
@@ -94,8 +111,10 @@ def bench(config_dir: Path, task: Row, tracer: Tracer | None = None) -> Bench:
 
 def measure(config_dir: Path, task: Row) -> Row:
     """The row of one measurement; one that ends early tells why, and keeps what it had until then."""
-    with _kept_to_its_end(row := {"seed": task["seed"], "variant": task.get("variant", "")}):
-        measured_on(bench(config_dir, task), task["kind"], row)
+    row: Row = {"seed": task["seed"], "variant": task.get("variant", "")}
+    rig = bench(config_dir, task)
+    with _kept_to_its_end(row):
+        measured_on(rig, task["kind"], row)
     return row
 
 
@@ -127,9 +146,15 @@ def measured_on(rig: Bench, kind: str, row: Row) -> Traced:
         row["tool_shift_mm"] = 1e3 * turned.tool_shift_m[-1]
         _note(rig, "start", rig.eyes.looks[0], row)
         _note(rig, "oriented", rig.eyes.looks[-1], row)
-        return _line(rig, row) if kind == "line" else _match(rig, row)
+        return {"turn": _turned_only, "line": _line, "match": _match}[kind](rig, row)
     finally:
+        row["unseen"] = rig.eyes.unseen
         row["simulated_s"] = 1e-9 * rig.world.time_ns
+
+
+def _turned_only(rig: Bench, row: Row) -> Traced:
+    """3.1 alone, which the rotations of Table 2 are of."""
+    return Traced()
 
 
 def _line(rig: Bench, row: Row) -> Traced:

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from protocol.errors import MeasurementFailed
 from testbed.experiments import ablation, comparison, figures, published, sweep
 from testbed.experiments.comparison import TABLES, compared, conclusions
-from testbed.experiments.measurement import bench, measured_on
+from testbed.experiments.measurement import RememberingEyes, bench, measured_on
 from testbed.experiments.paper import Asked, comparison_cells, costs, show, task
 from testbed.experiments.report import write_comparison
 from testbed.experiments.tracing import Tracer
@@ -105,7 +106,8 @@ def test_keys_and_hashes_tell_measurements_apart() -> None:
 
 def test_every_variant_and_every_swept_value_is_a_configuration() -> None:
     for name, variant in ablation.VARIANTS.items():
-        assert task("match", ASKED, 1, name, variant.assignments)["variant"] == name
+        for kind in variant.kinds:
+            assert task(kind, ASKED, 1, name, variant.assignments)["variant"] == name
     world = load_scenario(CONFIGS, "paper").world(1)
     for name, swept in sweep.SWEEPS.items():
         changed = [swept.assignments(value, world) for value in swept.values]
@@ -123,14 +125,17 @@ def test_a_swept_mount_keeps_its_axis() -> None:
 
 
 def test_the_ablation_tells_x_and_y_of_every_tables_means() -> None:
-    rows = {("", "line"): [line_row(1, 40.0, -70.0)], ("", "match"): [match_row(1, 3.0, 4.0, 20.0, 2.0)]}
-    means = ablation._means(rows, "")
+    line, match = line_row(1, 40.0, -70.0), match_row(1, 3.0, 4.0, 20.0, 2.0)
+    means = ablation._means({("", "turn"): [line], ("", "line"): [line], ("", "match"): [match]}, "")
     assert means == {
         "T2 turn x °": 1.5, "T2 turn y °": 1.5, "T2 1st x mm": 40.0, "T2 1st y mm": 70.0,
         "T3 match x mm": 3.0, "T3 match y mm": 3.0,
         "T4 1st x mm": 20.0, "T4 1st y mm": 20.0, "T4 2nd x mm": 2.0, "T4 2nd y mm": 2.0,
         "rotation error °": 4.0,
     }  # fmt: skip
+    unborne = ablation._means({("more_noise", "turn"): [line]}, "more_noise")
+    assert unborne["T2 turn x °"] == 1.5
+    assert math.isnan(unborne["T2 1st x mm"])
 
 
 def test_the_report_has_every_figure_verdict_and_run_and_needs_nothing_beside_it(tmp_path: Path) -> None:
@@ -199,3 +204,25 @@ def test_a_traced_measurement_notes_inputs_and_pictures(tmp_path: Path) -> None:
     assert np.isfinite(traced["error_m"]).all(axis=1).mean() > 0.9
     assert row["input1_x_mm"] == pytest.approx(1e3 * traced["look_error_m"][-2][0])
     assert comparison.worst(row, "input1") < 60.0
+
+
+class BlinkingEyes:
+    """Eyes that fail for ``causes`` in turn before they see."""
+
+    def __init__(self, *causes: str) -> None:
+        self._causes = list(causes)
+
+    async def look(self, frames: int | None = None) -> Any:
+        if self._causes:
+            raise MeasurementFailed(self._causes.pop(0), "look")
+        return "seen"
+
+
+def test_a_failed_sample_is_looked_at_again_and_any_other_failure_is_not_hidden() -> None:
+    eyes = RememberingEyes(BlinkingEyes("measurement.tool_not_seen", "measurement.object_not_seen"))  # type: ignore[arg-type]
+    assert run(eyes.look()) == "seen"
+    assert (eyes.unseen, eyes.looks) == (2, ["seen"])
+    for causes in (["measurement.tool_not_seen"] * 5, ["measurement.no_frames"]):
+        with pytest.raises(MeasurementFailed) as failed:
+            run(RememberingEyes(BlinkingEyes(*causes)).look())  # type: ignore[arg-type]
+        assert failed.value.cause == causes[-1]
