@@ -8,7 +8,7 @@ import pytest
 
 from plant_emulator.core.scene import Scene
 from protocol.errors import ConfigurationError
-from testbed.experiments.best_mode import demands_of, normalised, share, tasks_of, worst_mm
+from testbed.experiments.best_mode import covered, demands_of, normalised, share, tasks_of, worst_mm
 from testbed.experiments.best_mode_scenarios import ARMS, draw
 from testbed.experiments.path_information import run_experiment as path_information
 from testbed.eye_model_view import TrueView
@@ -83,6 +83,11 @@ def test_the_verdict_fails_where_a_figure_is_outside_and_only_there() -> None:
     assert "two looks: 95 %" in failed
     relaxed = {d.what for d in demands_of(vain, harder=True) if d.met is False}
     assert "two looks: 95 %" not in relaxed
+
+
+def test_the_share_inside_the_ellipse_counts_runs_that_ended() -> None:
+    rows = [row(0.5)] * 19 + [row(2.0), row(0.5, look1_true_x_mm=None)]
+    assert covered(rows, "look1") == pytest.approx(0.95)
 
 
 def test_an_overcautious_prediction_is_no_honest_one_either() -> None:

@@ -9,6 +9,8 @@ from protocol.errors import MeasurementFailed
 from tests.vision_pc.program_settings import shipped
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward, inverse_kinematics, silent
 from vision_pc.core.calibration.local_map import (
+    LocalMap,
+    end_scatter,
     fit_map,
     play_states,
     record_local_track,
@@ -158,6 +160,38 @@ def test_slew_angle_from_the_tools_pose() -> None:
 def test_play_follows_the_flanks() -> None:
     slew = np.array([0.0, 1.0, 2.0, 1.9, 1.0, 1.05, 1.3]) * 1e-3
     assert np.allclose(play_states(slew, 3e-4), [0.0, -1.0, -1.0, -2 / 3, 1.0, 5 / 6, 0.0])
+
+
+def fitted_at(p: tuple[float, float, float], play_now: float = -1.0) -> LocalMap:
+    theta = np.zeros(21)
+    theta[-1] = -3e-4  # rad of slew a flank
+    X_BT = transform(np.diag([1.0, -1.0, -1.0]), np.array(p))
+    return LocalMap(np.eye(3), X_BT, theta, np.zeros((21, 21)), 0.0, 1.0, play_now)
+
+
+def test_play_makes_a_goal_uncertain_across_the_boom_and_in_proportion_to_its_reach() -> None:
+    near, far = (
+        end_scatter(fitted_at((reach, 0.0, 1.0)), np.zeros(3), MAP) - MAP.servo_std_m**2 * np.eye(3)
+        for reach in (2.0, 4.0)
+    )
+    assert near[1, 1] == pytest.approx(2.0 * (2.0 * MAP.play_rad) ** 2)
+    assert far[1, 1] == pytest.approx(4.0 * near[1, 1])
+    assert np.count_nonzero(np.abs(far) > 1e-15) == 1
+
+
+def test_after_a_long_turn_neither_flank_is_reckoned_with() -> None:
+    """A drive across the boom of 0.4 m starts on a flank: half the play's width is all that it is off."""
+    for play_now in (-1.0, 1.0):
+        x, _ = solve_step(fitted_at((4.0, 0.0, 1.0), play_now), np.array([0.0, 0.4, 0.0]), MAP)
+        assert x[1] - 0.4 == pytest.approx(-play_now * 3e-4 * 4.0, abs=1e-4)
+
+
+async def test_what_is_expected_after_corrections_is_less_than_after_one_shot() -> None:
+    for seed in range(3):
+        (_, corrected), (_, single) = [await one_look(seed, MAP, k) for k in (None, 0)]
+        expected = [result.positioning.steps[0].expected_std_m[:2] for result in (corrected, single)]
+        assert np.all(expected[0] < expected[1])
+        assert np.all(expected[0] > MAP.odometry_std_m)
 
 
 async def test_a_track_is_stale_once_the_arm_moved_elsewhere() -> None:
