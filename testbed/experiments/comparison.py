@@ -187,13 +187,18 @@ def _of_residuals(rows: Sequence[Row]) -> list[Conclusion]:
     residual, error = values(reached, "residual_mm"), values(reached, "rotation_error_deg")
     by_residual = float(stats.spearmanr(residual, error).statistic)
     first = [row for row in reached if np.isfinite(worst(row, "input1"))]
-    by_error = stats.spearmanr(values(first, "rotation_error_deg"), [worst(row, "input1") for row in first])
+    missed = [worst(row, "input1") for row in first]
+    by_error, blind = (
+        float(stats.spearmanr(values(first, column), missed).statistic)
+        for column in ("rotation_error_deg", "residual_mm")
+    )
     return [
         Conclusion(
             "small residuals of the match do not reveal the rotation's error",
-            f"rank correlation {by_residual:+.2f} (of rotation error and first position error "
-            f"{float(by_error.statistic):+.2f}); residual {np.median(residual):.1f} mm, rotation error "
-            f"{np.median(error):.1f}° at the median, {np.percentile(error, 95):.1f}° at 95 %",
+            f"rank correlation {by_residual:+.2f}, limit {_REVEALS:g} either way (of the error after the "
+            f"first input with the residual {blind:+.2f}, with the rotation error {by_error:+.2f}); residual "
+            f"{np.median(residual):.1f} mm, rotation error {np.median(error):.1f}° at the median, "
+            f"{np.percentile(error, 95):.1f}° at 95 %",
             abs(by_residual) < _REVEALS,
         )
     ]

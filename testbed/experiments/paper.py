@@ -18,7 +18,7 @@ from testbed.console import out, table, write_json
 from testbed.experiments import comparison, figures, published
 from testbed.experiments.comparison import TABLES, Compared, Conclusion
 from testbed.experiments.measurement import measure, trace
-from testbed.experiments.report import write_comparison
+from testbed.experiments.report import EYES, write_comparison
 from testbed.row_file import Row
 from testbed.scenario import load_scenario
 from testbed.settings import load_settings
@@ -61,6 +61,7 @@ def show(names: Sequence[str], asked: Asked, json_file: Path | None) -> bool:
         out.print(f"{name}: {published.FIGURES[name]}", highlight=False)
         out.print(f"  ours: {path}", style="dim", highlight=False, soft_wrap=True)
     print_cost(rows)
+    out.print(f"eyes: {EYES[asked.eyes]}", highlight=False, soft_wrap=True)
     report = write_comparison(asked, beside, concluded, pictures, rows)
     out.print(f"report: {report}", highlight=False, soft_wrap=True)
     passed = all(_reached(beside[name], concluded[name]) for name in tables) and all(rows.values())

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from testbed.console import out, table, write_json
 from testbed.experiments.comparison import SUB_CENTIMETRE_MM, worst
 from testbed.experiments.paper import Asked, print_cost, run_tasks, seeds, task
+from testbed.experiments.report import EYES
 from testbed.plots import AXIS_COLOURS, STYLE, png
 from testbed.row_file import Row
 from testbed.scenario import load_scenario
@@ -107,7 +108,8 @@ def run_sweep(names: Sequence[str], asked: Asked, json_file: Path | None) -> boo
     print_cost(
         {kind: [row for (_, _, k), rows in done.items() if k == kind for row in rows] for kind in kinds}
     )
-    write_json(json_file, {"sweeps": figures, "runs": asked.runs})
+    out.print(f"eyes: {EYES[asked.eyes]}", highlight=False, soft_wrap=True)
+    write_json(json_file, {"sweeps": figures, "eyes": asked.eyes, "runs": asked.runs})
     return all(done.values())
 
 
