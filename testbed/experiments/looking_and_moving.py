@@ -19,11 +19,7 @@ from testbed.lockstep_station import LockstepRig
 JSON = dict[str, Any]
 LIMIT_MM = 2.0
 WANTED_SHARE = 0.95
-FORMS: dict[str, tuple[str, list[JSON]]] = {
-    "closed_loop": ("looking-and-moving", [{}]),
-    "corrected": ("look-then-move", [{"method": "corrected", "aim_mm": 0.0}]),
-    "two_looks": ("look-then-move", [{"method": "corrected", "aim_mm": 0.0}] * 2),
-}
+CORRECTED: tuple[str, JSON] = ("look-then-move", {"method": "corrected", "aim_mm": 0.0})
 WORDS = {
     "closed_loop": "looking and moving",
     "corrected": "look then move, corrected",
@@ -32,23 +28,28 @@ WORDS = {
 
 
 def one_run(config_dir: Path, task: JSON) -> JSON:
-    """The row of one seed: true error and time to the target of each form, from forks of the same world."""
+    """The row of one seed: true error and time to the target of each form, from the same world.
+
+    The second of two looks carries on where the corrected one ended.
+    """
     row: JSON = {"seed": task["seed"]}
     row |= draw(config_dir, task["seed"], task["arm"], task["harder"]).shown
     try:
         rig = prepared(config_dir, task)
     except LongreachError as error:
         return row | {"stopped": f"{error.cause}: {error}"}
-    for name, (kind, bodies) in FORMS.items():
-        row |= _form(copy.deepcopy(rig), name, kind, bodies)
-    return row
-
-
-def _form(rig: LockstepRig, name: str, kind: str, bodies: list[JSON]) -> JSON:
     begin_ns = rig.world.time_ns
+    row |= _form(copy.deepcopy(rig), begin_ns, "closed_loop", "looking-and-moving", {})
+    row |= _form(rig, begin_ns, "corrected", *CORRECTED)
+    if "corrected_stopped" in row:
+        return row | {"two_looks_stopped": row["corrected_stopped"]}
+    return row | _form(rig, begin_ns, "two_looks", *CORRECTED)
+
+
+def _form(rig: LockstepRig, begin_ns: int, name: str, kind: str, body: JSON) -> JSON:
+    """Columns ``name``_… of an operation: true error, and time to the target since ``begin_ns``."""
     try:
-        for body in bodies:
-            result = operate(rig, kind, body)
+        result = operate(rig, kind, body)
     except LongreachError as error:
         return {f"{name}_stopped": f"{error.cause}: {error}"}
     time_s = 1e-9 * (rig.world.time_ns - begin_ns)
@@ -78,7 +79,7 @@ def run_experiment(
     stops = Counter(
         (name, str(row[f"{name}_stopped"]).split(":")[0])
         for row in rows
-        for name in FORMS
+        for name in WORDS
         if row.get(f"{name}_stopped")
     )
     for (name, cause), count in sorted(stops.items()):
