@@ -35,6 +35,7 @@ REACH_S = 3.0  # a scheduler that does not answer by then is not there
 _WORKERS_S = 20.0  # for the first worker of a scheduler to be there
 _MEMORY_LIMIT = "4GiB"  # of one embedded worker; beyond it is ended, and the run begun again
 _WORN_BYTES = 3 << 29  # of an embedded worker between two runs; beyond it, a new one takes over
+_RESTART_S = 600.0  # a worker that has not restarted by then stays away for the rest of the campaign
 _AGAIN = "campaign."  # causes that say nothing about the run itself: a resumed campaign tries it again
 _QUIET = {
     "distributed.worker.memory.target": False,
@@ -181,7 +182,7 @@ def _results(
             task = under_way.pop(future)
             done = _outcome(future)
             if force.ours and done.memory > _WORN_BYTES:
-                force.client.restart_workers([done.worker], timeout=60, raise_for_error=False)
+                force.client.restart_workers([done.worker], timeout=_RESTART_S, raise_for_error=False)
             start(1)
             spent.append(done.row.get("run_s") or 0.0)
             failed += bool(done.row["failure"])
