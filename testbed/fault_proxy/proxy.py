@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import socket
 import struct
+from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Any, NamedTuple, cast
 
@@ -22,7 +23,7 @@ class Route(NamedTuple):
     port: int
 
 
-class FaultProxy:
+class FaultProxy(ABC):
     """Both directions of one proxied service; ``port`` is where it listens once it has started.
 
     ``to_server`` and ``to_client`` decide and count; the same seed gives the n-th packet of a direction the
@@ -53,11 +54,13 @@ class FaultProxy:
         """Counts by direction."""
         return {"to_server": self.to_server.as_dict(), "to_client": self.to_client.as_dict()}
 
+    @abstractmethod
     async def _open(self) -> None:
-        raise NotImplementedError
+        """Listen, and set ``port``."""
 
+    @abstractmethod
     async def _close(self) -> None:
-        raise NotImplementedError
+        """Stop listening, and end what is under way."""
 
     def _now_ns(self) -> int:
         return round(self._loop.time() * 1e9)
