@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.stats import chi2
 
 from testbed.campaign import run_campaign
 from testbed.console import out, table
@@ -58,7 +59,7 @@ def run_guided(
 
 def _sessions(rows: list[Row]) -> Any:
     columns = ("seed", "error mm", "error °", "± mm", "± °", "± mm with zeros", "± ° with zeros", "NEES",
-               "NEES with zeros", "left out", "refused poses", "s")  # fmt: skip
+               "NEES with zeros", "left out", "refused poses", "faults", "s")  # fmt: skip
     keys = ("error_mm", "error_deg", "std_mm", "std_deg", "std_zero_mm", "std_zero_deg", "nees", "nees_zero")
     digits = (2, 3, 2, 3, 2, 3, 1, 1)
     cells = [
@@ -67,12 +68,13 @@ def _sessions(rows: list[Row]) -> Any:
             *(f"{row[key]:.{n}f}" for key, n in zip(keys, digits, strict=True)),
             row["left_out"],
             row["guided_refused"],
+            row["faults"],
             f"{row['run_s']:.0f}",
         )
         for row in rows
     ]
     medians = (f"{np.median([row[key] for row in rows]):.{n}f}" for key, n in zip(keys, digits, strict=True))
-    return table("guided sessions: true error of X", columns, [*cells, ("median", *medians, "", "", "")])
+    return table("guided sessions: true error of X", columns, [*cells, ("median", *medians, "", "", "", "")])
 
 
 def _needed(rows: list[Row]) -> Any:
@@ -120,6 +122,13 @@ def _of(rows: list[Row], key: str) -> np.ndarray:
 def _checks(rows: list[Row]) -> list[Check]:
     proven = sum(bool(row["certified"]) for row in rows)
     error = float(np.median(_of(rows, "error_mm")))
+    band = _nees_band(len(rows))
+    mean = float(np.mean(_of(rows, "nees_zero")))
+    out.print(
+        f"mean NEES with the arm's zeros: {mean:.1f}; 6 ideal, 95 % of honest campaigns of {len(rows)} in "
+        f"{band[0]:.1f} … {band[1]:.1f}",
+        highlight=False,
+    )
     checks = [
         Check("global optimum proven", f"{proven} of {len(rows)}", proven == len(rows)),
         Check(f"median true error of X ≤ {LIMIT_MM:g} mm", f"{error:.2f} mm", error <= LIMIT_MM),
@@ -135,6 +144,12 @@ def _checks(rows: list[Row]) -> list[Check]:
         what = f"targets in the hand, mean error ≤ {_PAPER_MM} mm (the paper's DQCR)"
         checks.append(Check(what, f"{mean:.2f} mm", mean <= _PAPER_MM))
     return checks
+
+
+def _nees_band(runs: int) -> tuple[float, float]:
+    """Where the mean of ``runs`` squared errors of six honest components lies in 95 % of campaigns."""
+    low, high = (float(chi2.ppf(q, 6 * runs)) / runs for q in (0.025, 0.975))
+    return low, high
 
 
 def draw(rows: list[Row], path: Path) -> None:

@@ -27,6 +27,7 @@ from vision_pc.core.hand_eye.methods import Method
 from vision_pc.core.hand_eye.result import HandEyeResult
 from vision_pc.core.hand_eye.session import Session
 from vision_pc.core.se3 import Array
+from vision_pc.shell.hand_eye_ways import ended_in_fault
 
 TARGETS = ("knob", "switch", "key hole")
 LIMIT_MM = 3.0
@@ -58,19 +59,18 @@ def one_run(choice: Choice, task: dict[str, Any]) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as sessions:
         rig = GuidedRig(settings, seed, Path(sessions))
         check = guided_rig.start(rig, "guided", seed)
-        guided_rig.take_all(rig, informative=True)
+        faults = guided_rig.take_all(rig, informative=True)
         session = rig.guided.session
         rig.run(rig.guided.solve())
         row: dict[str, Any] = {"seed": seed, "promised_mm": check["promised_std_mm"]}
         row |= _judged(session, rig.X_TC) | _curve("guided", session, rig.X_TC)
-        row["guided_refused"] = len(session.refused)
         row |= _localisation(rig, session, choice.repetitions, seed)
         if choice.against_random:
             other = GuidedRig(settings, seed, Path(sessions))
             guided_rig.start(other, "random", seed)
-            guided_rig.take_all(other, informative=False)
+            faults += guided_rig.take_all(other, informative=False)
             row |= _curve("random", other.guided.session, rig.X_TC)
-    return row
+    return row | {"guided_refused": len(session.refused), "faults": faults + row.get("locating_faults", 0)}
 
 
 def _solved(session: Session, count: int, method: Method = Method.ROBUST) -> HandEyeResult | None:
@@ -131,7 +131,8 @@ def _localisation(rig: GuidedRig, session: Session, repetitions: int, seed: int)
     start = session.around.X_BT_start
     hand: dict[tuple[str, str], list[float]] = {}
     base: dict[str, list[float]] = {}
-    done = refused = unseen = 0
+    done = refused = unseen = faults = 0
+    rig.run(rig.guided.back(quiet))
     for _ in range(math.ceil(_TRIES * repetitions)):
         if done == repetitions:
             break
@@ -140,8 +141,11 @@ def _localisation(rig: GuidedRig, session: Session, repetitions: int, seed: int)
         try:
             rig.run(rig.arm.move_to(pose))
             seen = rig.run(rig.guided.locate(quiet))
-        except RequestRefused:
+        except RequestRefused as error:
             refused += 1
+            if ended_in_fault(error):
+                faults += 1
+                guided_rig.recover(rig)
             continue
         except MeasurementFailed:
             unseen += 1
@@ -154,7 +158,9 @@ def _localisation(rig: GuidedRig, session: Session, repetitions: int, seed: int)
                 in_hand = se3.apply(X, np.array([target["p_C_m"]]))[0]
                 hand.setdefault((name, method), []).append(float(np.linalg.norm(in_hand - true_T[name])))
             base.setdefault(name, []).append(float(np.linalg.norm(np.array(target["p_B_m"]) - true_B[name])))
-    row: dict[str, Any] = {"located": done, "not_reached": refused, "not_seen": unseen}
+    row: dict[str, Any] = {
+        "located": done, "not_reached": refused, "not_seen": unseen, "locating_faults": faults,
+    }  # fmt: skip
     for (name, method), errors in hand.items():
         row[f"{word_of(name)}_{method}_mm"] = 1e3 * float(np.mean(errors))
         if method == Method.ROBUST.value:

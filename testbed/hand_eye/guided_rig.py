@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from plant_emulator.core.scene import Scene
-from protocol.errors import MeasurementFailed
+from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.faults import CommandCode
 from testbed.event_log import EventLog
 from testbed.lockstep_eyes import LockstepEyes
@@ -16,6 +16,7 @@ from testbed.settings import Settings
 from vision_pc.core.se3 import Array
 from vision_pc.shell.guided_calibration import GuidedCalibration
 from vision_pc.shell.hand_eye_store import SessionStore
+from vision_pc.shell.hand_eye_ways import ended_in_fault
 from vision_pc.shell.schemas import JSON
 from vision_pc.shell.socket_arm import SocketArm
 
@@ -62,14 +63,28 @@ def start(rig: GuidedRig, name: str, seed: int) -> JSON:
     return check
 
 
-def take_all(rig: GuidedRig, informative: bool) -> None:
-    """Samples until the session is complete, each at the pose proposed."""
-    spoiled = 0
+def take_all(rig: GuidedRig, informative: bool) -> int:
+    """Samples until the session is complete, each at the pose proposed; how many faults interrupted it."""
+    spoiled = faults = 0
     while not rig.guided.session.complete:
-        rig.run(rig.guided.next_pose(quiet, informative))
         try:
+            rig.run(rig.guided.next_pose(quiet, informative))
             rig.run(rig.guided.sample(quiet))
         except MeasurementFailed:  # an arm that swings on, a marker that is hidden: the next pose then
             spoiled += 1
             if spoiled > _PATIENCE:
                 raise
+        except RequestRefused as error:
+            faults += 1
+            if not ended_in_fault(error) or faults > _PATIENCE:
+                raise
+            recover(rig)
+    return faults
+
+
+def recover(rig: GuidedRig) -> None:
+    """What an operator does after a fault, the arm at rest: RESET, ENABLE."""
+    rig.run(rig.link.command(CommandCode.RESET))
+    rig.run(rig.link.next_state())
+    rig.run(rig.link.command(CommandCode.ENABLE))
+    rig.run(rig.link.next_state())

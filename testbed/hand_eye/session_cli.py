@@ -78,6 +78,14 @@ def following(url: Url = DEFAULT_URL, anywhere: Anywhere = False, json_file: Jso
     _do(url, act)
 
 
+@app.command(epilog="Example: longreach hand-eye session back")
+def back(url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
+    """Drive back to the starting pose, over the samples where the straight way is refused."""
+    from testbed.hand_eye import session_text
+
+    _do(url, lambda face: session_text.gone(face.step("back", {}, "moving back"), json_file))
+
+
 @app.command(epilog="Example: longreach hand-eye session sample")
 def sample(url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
     """Take a sample where the arm stands."""

@@ -1,27 +1,90 @@
 """What a guided session answers: looks at the marker, residuals, the solution with its proof and verdict."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
 
 from protocol.errors import MeasurementFailed
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import bundle, methods
+from vision_pc.core.hand_eye import bundle, guided_sampling, methods
 from vision_pc.core.hand_eye import maximum_likelihood as ml
 from vision_pc.core.hand_eye.bundle import RobotNoise
+from vision_pc.core.hand_eye.cabinet import Located
 from vision_pc.core.hand_eye.guided_sampling import Belief, arm_zero_covariance
 from vision_pc.core.hand_eye.guided_settings import GuidedSettings
 from vision_pc.core.hand_eye.methods import Method
 from vision_pc.core.hand_eye.result import HandEyeResult
 from vision_pc.core.hand_eye.samples import PosePairs
-from vision_pc.core.hand_eye.session import Session
+from vision_pc.core.hand_eye.session import Sample, Session, proposal_json
 from vision_pc.core.hand_eye.target import TargetLook
 from vision_pc.core.se3 import Array
 from vision_pc.shell.schemas import JSON, pose_json
 
 COMPARED = (Method.TSAI, Method.HORAUD, Method.DANIILIDIS, Method.DQCR, Method.MAXIMUM_LIKELIHOOD)
 WANTED_STD_M = 0.003
+
+
+def believed(session: Session) -> Belief:
+    """What the session's samples and the tape measure say of X and Z."""
+    return guided_sampling.believed(session.pairs(), session.around, session.settings)
+
+
+def checked(session: Session, X_BT: Array, seen: TargetLook) -> JSON:
+    """The verdict on the starting pose: the view of the marker, and what the poses around it promise."""
+    settings = session.settings
+    here = Sample("start", X_BT, seen.X_CT, seen.covariance, seen.corners_left, settings.marker_id, True, 0.0)
+    belief = believed(session.with_sample(here))
+    choices = 0
+    for number in range(settings.poses - 1):
+        proposal = guided_sampling.propose(
+            belief, session.around, settings, np.random.default_rng([session.seed, 1, number])
+        )
+        choices = choices or proposal.choices
+        added = guided_sampling.information_of(proposal, belief, session.around, settings)
+        belief = belief._replace(information=belief.information + added)
+    return {
+        "marker": marker_json(seen),
+        "poses_in_view": f"{choices} of {settings.candidates}",
+        "promised_std_mm": 1e3 * belief.std[0],
+        "promised_std_deg": math.degrees(belief.std[1]),
+        "verdict": f"marker {settings.marker_id} seen, 0/{settings.poses}: ready",
+    }
+
+
+def session_json(session: Session) -> JSON:
+    """The session: its samples with residuals, and the proposal."""
+    belief = believed(session) if session.samples else None
+    return {
+        "name": session.name,
+        "count": f"{len(session.samples)}/{session.settings.poses}",
+        "complete": session.complete,
+        "marker_id": session.settings.marker_id,
+        "samples": [] if belief is None else residuals(session, belief),
+        "std_mm": None if belief is None else 1e3 * belief.std[0],
+        "std_deg": None if belief is None else math.degrees(belief.std[1]),
+        "proposal": None if session.proposal is None else proposal_json(session.proposal),
+        "refused": len(session.refused),
+    }
+
+
+def located(X_BT: Array, X_TC: Array, places: Sequence[Located]) -> JSON:
+    """Targets seen from X_BT in the camera, in the hand by X_TC, and in the base."""
+    return {
+        "X_BT": pose_json(X_BT),
+        "targets": [
+            {
+                "name": t.name,
+                "p_C_m": t.p_C.tolist(),
+                "p_T_m": se3.apply(X_TC, t.p_C[None])[0].tolist(),
+                "p_B_m": se3.apply(X_BT @ X_TC, t.p_C[None])[0].tolist(),
+                "gap_px": t.gap_px,
+                "correlation": t.correlation,
+            }
+            for t in places
+        ],
+    }
 
 
 def residuals(session: Session, belief: Belief) -> list[JSON]:

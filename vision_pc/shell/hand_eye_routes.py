@@ -187,6 +187,10 @@ def _add_operations(
         asked = body or NextBody()
         return begin("hand-eye-next", asked, lambda r: guided.next_pose(r, asked.informative), key, response)
 
+    @post("hand-eye-back", "Drive back to the starting pose, over the samples where need be")
+    async def back(response: Response, body: EmptyBody | None = None, key: Key = None) -> OperationView:
+        return begin("hand-eye-back", body or EmptyBody(), guided.back, key, response)
+
     @post("hand-eye-sample", "Take a sample where the arm stands, once it has settled")
     async def sample(response: Response, body: EmptyBody | None = None, key: Key = None) -> OperationView:
         return begin("hand-eye-sample", body or EmptyBody(), guided.sample, key, response)

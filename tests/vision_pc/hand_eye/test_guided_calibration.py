@@ -116,6 +116,35 @@ async def test_refused_poses_are_remembered_and_others_are_found(tmp_path: Path)
         await rig.guided.go(quiet)
 
 
+async def test_an_arm_stuck_in_a_corner_goes_back_to_the_start(tmp_path: Path) -> None:
+    rig = quick_rig(tmp_path)
+    start = rig.X_BT
+    await begun(rig)
+    await rig.guided.next_pose(quiet)
+    await rig.guided.sample(quiet)
+    corner = rig.X_BT
+    rig.refuse = lambda X: "singular" if rig.X_BT is corner and not np.array_equal(X, start) else None
+    await rig.guided.next_pose(quiet)
+    assert np.array_equal(rig.moves[-2], start)
+    assert len(rig.guided.session.refused) == 6
+
+    rig.refuse = lambda X: "joint_limit" if np.array_equal(X, start) and rig.X_BT is not corner else None
+    back = await rig.guided.back(quiet)  # the straight way is refused: over the sample
+    assert back["off"]["mm"] == 0.0
+    assert np.array_equal(rig.moves[-2], corner)
+
+
+async def test_after_a_fault_nothing_more_is_tried_and_the_pose_is_not_proposed_again(tmp_path: Path) -> None:
+    rig = quick_rig(tmp_path)
+    await begun(rig)
+    rig.refuse = lambda X: "fault_joint_limit"
+    with pytest.raises(RequestRefused) as told:
+        await rig.guided.next_pose(quiet)
+    assert told.value.cause == "refused.fault_joint_limit"
+    assert len(rig.guided.session.refused) == 1
+    assert rig.guided.session.proposal is None
+
+
 async def test_an_arm_that_moves_on_spoils_the_sample(tmp_path: Path) -> None:
     rig = quick_rig(tmp_path)
     await begun(rig)

@@ -12,21 +12,22 @@ from testbed.hand_eye.commands import run_drawing
 from testbed.hand_eye.guided_experiment import needed
 from tests.vision_pc.hand_eye.still_rig import CONFIGS, X_BT_START, still_settings
 from vision_pc.core import intrinsics, se3
-from vision_pc.core.hand_eye import guided_sampling, rigid
-from vision_pc.core.hand_eye.guided_sampling import Belief, Surroundings
+from vision_pc.core.hand_eye import guided_sampling, guided_views, rigid
+from vision_pc.core.hand_eye.guided_sampling import Belief
 from vision_pc.core.hand_eye.guided_settings import GuidedSettings
+from vision_pc.core.hand_eye.guided_views import Surroundings
 from vision_pc.core.hand_eye.maximum_likelihood import predicted
 from vision_pc.core.hand_eye.samples import pose_pairs
 from vision_pc.core.se3 import Array
 
 SETTINGS = GuidedSettings()
 CAMERA = intrinsics.calibration(still_settings().vision.camera)
-X_TC = guided_sampling.nominal_mount(SETTINGS) @ se3.transform(
+X_TC = guided_views.nominal_mount(SETTINGS) @ se3.transform(
     se3.exp_so3([0.05, -0.04, 0.03]), [0.01, -0.01, 0.005]
 )
 X_CT_START = se3.transform(np.diag([1.0, -1.0, -1.0]), [-0.05, 0.02, 0.8])
 Z = X_BT_START @ X_TC @ X_CT_START
-AROUND = guided_sampling.surroundings(
+AROUND = guided_views.surroundings(
     CAMERA, X_BT_START, se3.transform(np.diag([1.0, -1.0, -1.0]), [0.2, 0.05, 0.4]),
     still_settings().vision.markers.tool.carried_m, SETTINGS,
 )  # fmt: skip

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from protocol.errors import RequestRefused
-from vision_pc.core.hand_eye.guided_sampling import Proposal, Surroundings
+from vision_pc.core.hand_eye.guided_sampling import Proposal
 from vision_pc.core.hand_eye.guided_settings import GuidedSettings
+from vision_pc.core.hand_eye.guided_views import Surroundings
 from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, Setup, pose_pairs
 from vision_pc.core.markers import corner_points
 from vision_pc.core.se3 import Array
