@@ -149,7 +149,7 @@ REASON_TEXTS: dict[Reason, str] = {
     Reason.OUTSIDE_WORKSPACE: "v the coordinate or radius in m, l its bound",
     Reason.JOINT_LIMIT: "a joint would leave its range on the way; v its angle in rad, l the bound",
     Reason.UNREACHABLE: "no joint angles lead there; v the distance in m, l the reach",
-    Reason.SINGULAR: "too near a singularity; v the smallest singular value, l the least allowed",
+    Reason.SINGULAR: "too near a singularity; v the singular value or a joint's turn in rad, l the limit",
     Reason.TOO_FAST: "the given time is too short; v the peak (SI) or its ratio to the limit, l the limit",
     Reason.TOO_FAR: "the first pose is too far from the present one; v the distance in m, l the bound",
     Reason.BAD_DURATION: "a time is negative, too short or too long; v the time in s, l the bound",
