@@ -19,6 +19,7 @@ import cv2
 import dask
 import distributed as untyped
 import numba
+from distributed.client import FuturesCancelledError
 from distributed.comm.core import CommClosedError
 from distributed.scheduler import KilledWorker
 
@@ -35,6 +36,7 @@ REACH_S = 3.0  # a scheduler that does not answer by then is not there
 _WORKERS_S = 20.0  # for the first worker of a scheduler to be there
 _MEMORY_LIMIT = "4GiB"  # of one embedded worker; beyond it is ended, and the run begun again
 _WORN_BYTES = 3 << 29  # of an embedded worker between two runs; beyond it, a new one takes over
+_PATIENCE_S = 60.0  # without a result until somebody asks whether anyone is working
 _RESTART_S = 600.0  # a worker that has not restarted by then stays away for the rest of the campaign
 _AGAIN = "campaign."  # causes that say nothing about the run itself: a resumed campaign tries it again
 _QUIET = {
@@ -167,18 +169,16 @@ def _results(
     with _workforce(scheduler, workers) as force, bars() as shown, shown.step(title) as bar:
         waiting = iter(tasks)
         under_way: dict[Any, Task] = {}
-        completed = distributed.as_completed(loop=force.client.loop)
 
         def start(count: int) -> None:
             for task in islice(waiting, count):
-                future = force.client.submit(_run, function, task, pure=False)
-                under_way[future] = task
-                completed.add(future)
+                under_way[force.client.submit(_run, function, task, pure=False)] = task
 
         start(force.places)
         spent: list[float] = []
         failed = 0
-        for future in completed:
+        while under_way:
+            future = _first_done(force.client, list(under_way))
             task = under_way.pop(future)
             done = _outcome(future)
             if force.ours and done.memory > _WORN_BYTES:
@@ -191,6 +191,21 @@ def _results(
                 f"{len(spent)} of {len(tasks)}, {sum(spent) / len(spent):.1f} s a run, {failed} failed",
             )
             yield task, done.row
+
+
+def _first_done(client: Any, futures: Sequence[Any]) -> Any:
+    """The first of ``futures`` that has ended, however. Raises LinkLost when nobody works on them."""
+    while True:
+        ended = [future for future in futures if future.status != "pending"]
+        if ended:
+            return ended[0]
+        try:
+            with client.as_current():
+                distributed.wait(futures, timeout=_PATIENCE_S, return_when="FIRST_COMPLETED")
+        except (TimeoutError, FuturesCancelledError):  # cancelled: the loop above sees which
+            if not client.scheduler_info(n_workers=-1)["workers"]:
+                why = "no worker is left; the rows done until then are kept"
+                raise LinkLost("link.workers_lost", why) from None
 
 
 def _outcome(future: Any) -> _Done:

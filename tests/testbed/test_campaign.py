@@ -11,6 +11,7 @@ import distributed
 import pytest
 
 from protocol.errors import ConfigurationError, LinkLost, MeasurementFailed
+from testbed import campaign
 from testbed.campaign import REACH_S, configuration_of, run_campaign
 from testbed.row_file import RowFile, cell
 
@@ -25,6 +26,14 @@ def measured(task: dict[str, Any]) -> dict[str, Any]:
         os._exit(1)
     file = bytes([task["number"]])
     return {"twice": 2 * task["number"], "process": os.getpid(), "nothing": math.nan, "trace.bin": file}
+
+
+def resigning(task: dict[str, Any]) -> dict[str, Any]:
+    """A run during which its worker leaves the cluster for good."""
+    worker = distributed.get_worker()
+    worker.loop.add_callback(worker.close)
+    time.sleep(1.0)
+    return {}
 
 
 def scaled(factor: float, task: dict[str, Any]) -> dict[str, Any]:
@@ -68,6 +77,18 @@ def test_an_existing_scheduler_does_the_runs(tmp_path: Path) -> None:
         address = cluster.scheduler_address
         rows = run_campaign(tmp_path, partial(scaled, 0.5), tasks(3), scheduler=address, title="three")
         assert [row["value"] for row in rows] == [0.0, 0.5, 1.0]
+
+
+def test_workers_that_are_all_gone_are_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(campaign, "_PATIENCE_S", 1.0)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0",
+        protocol="tcp", host="127.0.0.1",
+    ) as cluster, pytest.raises(LinkLost) as told:  # fmt: skip
+        run_campaign(tmp_path, resigning, tasks(3), scheduler=cluster.scheduler_address, title="three")
+    assert told.value.cause == "link.workers_lost"
 
 
 @pytest.mark.parametrize(
