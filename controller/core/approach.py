@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from ruckig import InputParameter, Result, Ruckig, Synchronization, Trajectory
+from ruckig import InputParameter, Result, Ruckig, RuckigError, Synchronization, Trajectory
 
 from controller.core.paths import Desired, at_rest
 from controller.core.rotations import (
@@ -68,7 +68,6 @@ def approach(
     turning = start.omega - carried
     rate, bend = vector_rates(theta, turning, start.alpha - cross(turning, carried))
     wanted = InputParameter(AXES)
-    wanted.synchronization = Synchronization.Phase
     wanted.current_position = [*(start.p - p).tolist(), *theta.tolist()]
     wanted.current_velocity = [*(start.v - twist[:3]).tolist(), *rate.tolist()]
     wanted.current_acceleration = [*start.a.tolist(), *bend.tolist()]
@@ -77,12 +76,29 @@ def approach(
     wanted.min_velocity = (-limits.speed - twist).tolist()
     wanted.max_acceleration = limits.acceleration.tolist()
     wanted.max_jerk = limits.jerk.tolist()
-    trajectory = Trajectory(AXES)
-    planner = Ruckig(AXES)
-    if planner.calculate(wanted, trajectory) is not Result.Working:
+    trajectory = _planned(wanted)
+    if trajectory is None:
         return None
     duration_s = math.inf if np.any(twist) else trajectory.duration
     return Approach(trajectory, p, quaternion, twist, duration_s)
+
+
+def _planned(wanted: InputParameter) -> Trajectory | None:
+    """The trajectory that ``wanted`` asks for, axes in step where Ruckig can; None when there is none.
+
+    With some tens of nanometres left, Ruckig's sum of times may be off by more than the way takes, and axes
+    that were to arrive together have no solution (its issue 160). Each by itself has one, inside the same
+    limits, and so short a way need not be straight.
+    """
+    for synchronization in (Synchronization.Phase, Synchronization.No):
+        wanted.synchronization = synchronization
+        trajectory = Trajectory(AXES)
+        try:
+            if Ruckig(AXES).calculate(wanted, trajectory) is Result.Working:
+                return trajectory
+        except RuckigError:
+            continue
+    return None
 
 
 def twist_limit(limits: AxisLimits) -> Array:
