@@ -199,11 +199,11 @@ def test_11_odometry_is_lost_on_the_local_track() -> None:
     ("kind", "body", "cause"),
     [
         ("trajectory-matching", {"segments_m": [1.5, 1.0], "heading_deg": 90.0}, "refused.outside_workspace"),
-        ("trajectory-matching", {"segments_m": [1.5, 1.5]}, "refused.joint_limit"),
+        ("trajectory-matching", {"segments_m": [1.5, 1.5]}, "refused.unreachable"),
         (
             "trajectory-matching",
             {"segments_m": [1.5, 1.5], "placement": "ends_here"},
-            "refused.joint_limit",
+            "refused.unreachable",
         ),
         ("move", {"offset_base_m": [0.0, 0.0, -2.5]}, "refused.outside_workspace"),
     ],

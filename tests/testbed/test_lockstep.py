@@ -76,7 +76,7 @@ def test_the_controller_itself_refuses_to_move_while_disabled() -> None:
         ((float("nan"), 0.0, 1.0), 1.0, "refused.not_finite"),
         ((float("inf"), 0.0, 1.0), 1.0, "refused.not_finite"),
         ((3.9, 0.0, 1.0), 1.1, "refused.not_unit_quaternion"),
-        ((5.6, 0.0, 1.0), 1.0, "refused.joint_limit"),
+        ((5.6, 0.0, 1.0), 1.0, "refused.outside_workspace"),
         ((3.9, 0.0, -2.0), 1.0, "refused.outside_workspace"),
         ((5.15, 1.2, 2.4), 1.0, "refused."),
     ],
