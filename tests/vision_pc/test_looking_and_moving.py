@@ -179,3 +179,24 @@ def test_near_the_object_the_target_does_not_chase_encoders_that_move_in_their_p
         played = transform(np.eye(3), np.array([3e-4 * (k + 1), 0.0, 0.0]))
         loop.seen(sample(left, played))
     assert np.allclose(loop.reference(start)[:3, 3], before)
+
+
+@pytest.mark.parametrize(("growth", "pulls"), [(0.1, 4), (0.0, None)])
+def test_a_rest_that_comes_no_nearer_is_accepted_the_sooner_the_wider_it_may_be(
+    growth: float, pulls: int | None
+) -> None:
+    """Play leaves the tool at 1.1 mm whatever the loop does; 0.8 mm are wanted, 1.4 mm are the most."""
+    loop = Loop(np.eye(3), np.eye(3), CLEARANCE, changed(settle_growth=growth, settle_m=0.0008))
+    rests = 0
+    for number in range(20 * SETTINGS.settle_pictures):
+        loop.seen(sample(np.array([0.0011, 0.0, 0.0]), np.eye(4), number))
+        if loop.settled:
+            break
+        rests += len(loop.errors) == 0
+    assert loop.settled == (pulls is not None)
+    assert pulls is None or rests == pulls
+
+    far = Loop(np.eye(3), np.eye(3), CLEARANCE, changed(settle_growth=growth, settle_m=0.0008))
+    for number in range(20 * SETTINGS.settle_pictures):
+        far.seen(sample(np.array([0.0015, 0.0, 0.0]), np.eye(4), number))
+        assert not far.settled

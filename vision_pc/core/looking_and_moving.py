@@ -51,6 +51,7 @@ class Loop:
         self._settings = settings
         self._target: Array | None = None
         self._gap_m = 0.0
+        self._pulls = 0
         self.newest = np.zeros(3)  # error (3,) in camera axes that the last picture showed
         self._errors: deque[Array] = deque(maxlen=settings.settle_pictures)
         self._left: deque[Array] = deque(maxlen=settings.settle_pictures)
@@ -86,6 +87,7 @@ class Loop:
             left, there = np.mean(self._left, axis=0), np.mean(self._measured, axis=0)
             pulled = self._target + _bounded(s.pull_gain * left, s.step_m)
             self._target = there + _bounded(pulled - there, s.pull_m)
+            self._pulls += 1
             for kept in (self._errors, self._left, self._measured):
                 kept.clear()
 
@@ -100,8 +102,11 @@ class Loop:
         """Whether the last pictures agree that the tool is there, and that it rests."""
         if not self._still:
             return False
-        mean = np.abs(self.errors.mean(axis=0))
-        return bool(max(mean[:2]) <= self._settings.settle_m and mean[2] <= self._settings.settle_depth_m)
+        s, mean = self._settings, np.abs(self.errors.mean(axis=0))
+        # Each pull draws anew from what the joints' play leaves: where the play is wider than what is wanted,
+        # waiting for a better draw could go on for ever.
+        inside_m = s.settle_m * min(1.0 + s.settle_growth * self._pulls, s.settle_most)
+        return bool(max(mean[:2]) <= inside_m and mean[2] <= s.settle_depth_m)
 
     @property
     def _still(self) -> bool:

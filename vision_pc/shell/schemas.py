@@ -103,7 +103,8 @@ class LookingAndMovingBody(Body):
     def overrides(self) -> JSON:
         """The members that were given, as settings."""
         given = self.model_dump(exclude_none=True, exclude={"clearance_m", "settle_mm"})
-        return given if self.settle_mm is None else given | {"settle_m": 1e-3 * self.settle_mm}
+        asked = {} if self.settle_mm is None else {"settle_m": 1e-3 * self.settle_mm, "settle_growth": 0.0}
+        return given | asked
 
 
 class PoseBody(Body):

@@ -140,7 +140,8 @@ class LookingAndMovingSettings(StrictModel):
     between references, shorter than the controller's silence limit; with no sight for ``hold_s`` the arm is
     held, for ``lost_s`` it is given up. At rest: over ``settle_pictures`` the error spread and changed by
     less than ``still_m``, and the encoders are within ``servo_gap_m`` of what is commanded; settled: its mean
-    is also inside ``settle_m`` in x and y and ``settle_depth_m`` in z.
+    is also inside ``settle_m`` in x and y and ``settle_depth_m`` in z. Every rest outside widens ``settle_m``
+    by the share ``settle_growth`` of it, to ``settle_most`` times it at most.
     """
 
     gain: float = Field(gt=0.0, le=1.0)
@@ -154,6 +155,8 @@ class LookingAndMovingSettings(StrictModel):
     lost_s: float = Field(ge=0.1, le=5.0)
     frozen_pictures: int = Field(ge=2, le=100)
     settle_m: float = Field(gt=0.0, le=0.05)
+    settle_growth: float = Field(ge=0.0, le=1.0)
+    settle_most: float = Field(ge=1.0, le=10.0)
     settle_depth_m: float = Field(gt=0.0, le=0.1)
     still_m: float = Field(gt=0.0, le=0.01)
     servo_gap_m: float = Field(gt=0.0, le=0.1)
