@@ -124,6 +124,7 @@ class ControllerLink(asyncio.DatagramProtocol):
         """The next state to come. Raises LinkLost when none comes in time."""
         self._new_state.clear()
         try:
+            # Not wait_for: it swallows a cancellation that comes together with the state (Python < 3.12).
             async with asyncio.timeout(_WAIT_FOR_STATE_S):
                 await self._new_state.wait()
         except TimeoutError as error:
@@ -183,7 +184,6 @@ class ControllerLink(asyncio.DatagramProtocol):
         self._answers[command_id] = answer
         self._pump([])
         try:
-            # Not wait_for: it swallows a cancellation that comes together with the answer (Python < 3.12).
             async with asyncio.timeout(_ACKNOWLEDGEMENT_S):
                 acknowledgement = await answer
         except TimeoutError as error:
