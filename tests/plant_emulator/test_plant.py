@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from numba.core.runtime import _nrt_python, rtsys
 
 from controller.config import ArmConfig
 from controller.core.denavit_hartenberg import dh_table, tool_pose
 from plant_emulator.core.faults import SupplyLost
 from plant_emulator.core.layout import N_STATES, RATE, Q
 from plant_emulator.core.plant import NOMINAL_MOUNTS, Plant
-from plant_emulator.core.right_hand_side import new_work, right_hand_side
+from plant_emulator.core.right_hand_side import advance, new_work, right_hand_side
 from plant_emulator.core.truth import inverse, tool_error
 from protocol.configuration import load
 from protocol.errors import ConfigurationError, ImageRefused, RequestRefused
@@ -226,6 +227,18 @@ def test_counterbalance_valves_hold_the_load_when_the_supply_is_lost() -> None:
         sink[fitted] = float(plant.truth().q[1] - np.radians(50.0))
     assert sink[False] < -0.05
     assert abs(sink[True]) < abs(sink[False])
+
+
+def test_the_hot_loop_allocates_nothing(plant: Plant) -> None:
+    arrays = (plant._state, np.zeros(6), np.full(6, 0.1), np.zeros(6), np.zeros(6))
+    work = new_work()
+    _nrt_python.memsys_enable_stats()
+    counts = []
+    for steps in (1, 1, 200):
+        before = rtsys.get_allocation_stats().alloc
+        advance(*arrays, steps, 5e-4, plant._model, work)
+        counts.append(rtsys.get_allocation_stats().alloc - before)
+    assert counts[2] == counts[1]  # a call wraps its argument arrays once, whatever the number of steps
 
 
 def test_overloaded_start_pose_is_refused() -> None:
