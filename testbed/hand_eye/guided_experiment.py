@@ -21,8 +21,7 @@ from testbed.hand_eye import guided_rig
 from testbed.hand_eye.guided_rig import GuidedRig, quiet
 from testbed.settings import chosen_overrides, load_settings
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import methods
-from vision_pc.core.hand_eye.guided_sampling import arm_zero_covariance
+from vision_pc.core.hand_eye import guided_solution, methods
 from vision_pc.core.hand_eye.methods import Method
 from vision_pc.core.hand_eye.result import HandEyeResult
 from vision_pc.core.hand_eye.session import Session
@@ -50,8 +49,9 @@ def one_run(choice: Choice, task: dict[str, Any]) -> dict[str, Any]:
     """The row of one seeded world; importable by a campaign's workers.
 
     ``guided_<n>_mm`` and ``random_<n>_mm``: error of X after n samples (None: no answer); ``*_needed``: with
-    how many it came under 3 mm and stayed there (None: never); ``nees`` by the samples' covariance, and with
-    the arm's zeros; per target the mean error in the hand by each method, and in the base by the robust one.
+    how many it came under 3 mm and stayed there (None: never); ``nees`` by the samples' noise alone, and
+    ``nees_arm`` with arm and camera; per target the mean error in the hand by each method, and in the base by
+    the robust one.
     """
     seed = int(task["seed"])
     config_dir = Path(choice.config_dir)
@@ -74,28 +74,34 @@ def one_run(choice: Choice, task: dict[str, Any]) -> dict[str, Any]:
 
 
 def _solved(session: Session, count: int, method: Method = Method.ROBUST) -> HandEyeResult | None:
+    """The answer of the first ``count`` samples: the session's own (robust, with the arm), or another's."""
+    first = replace(session, samples=session.samples[:count])
     try:
-        return methods.solve(replace(session, samples=session.samples[:count]).pairs(), method)
+        if method is Method.ROBUST:
+            return guided_solution.solve(first).result
+        return methods.solve(first.pairs(), method)
     except MeasurementFailed:
         return None
 
 
 def _judged(session: Session, X_TC: Array) -> dict[str, Any]:
-    """Error of X over all samples, its predicted standard deviation, and how the two agree."""
-    result = _solved(session, len(session.samples))
-    if result is None or result.covariance is None:
-        raise MeasurementFailed("measurement.hand_eye.no_solution", "the whole session has no solution")
+    """Error of X over all samples, its predicted standard deviation, and how the two agree.
+
+    X is the camera against the tool's true frame. What turns the reported frame against that one (the last
+    joint's zero, the tool bolted on askew) is part of the error, and by its prior part of the covariance.
+    """
+    result, whole, _, _ = guided_solution.solve(session)
+    assert result.covariance is not None
     error = se3.local(result.X, X_TC)
-    whole = result.covariance + arm_zero_covariance(result.X, session.settings)
     return {
         "error_mm": 1e3 * float(np.linalg.norm(error[:3])),
         "error_deg": math.degrees(float(np.linalg.norm(error[3:]))),
         "std_mm": 1e3 * float(np.sqrt(np.trace(result.covariance[:3, :3]))),
         "std_deg": math.degrees(float(np.sqrt(np.trace(result.covariance[3:, 3:])))),
-        "std_zero_mm": 1e3 * float(np.sqrt(np.trace(whole[:3, :3]))),
-        "std_zero_deg": math.degrees(float(np.sqrt(np.trace(whole[3:, 3:])))),
+        "std_arm_mm": 1e3 * float(np.sqrt(np.trace(whole[:3, :3]))),
+        "std_arm_deg": math.degrees(float(np.sqrt(np.trace(whole[3:, 3:])))),
         "nees": float(error @ np.linalg.solve(result.covariance, error)),
-        "nees_zero": float(error @ np.linalg.solve(whole, error)),
+        "nees_arm": float(error @ np.linalg.solve(whole, error)),
         "left_out": int((~result.inliers).sum()),
         "certified": bool(result.certificate is not None and result.certificate.holds),
     }

@@ -79,8 +79,14 @@ def solved(answer: JSON, json_file: Path | None) -> bool:
     p, q = answer["X_TC"]["p_m"], answer["X_TC"]["q_wxyz"]
     quaternion = " ".join(f"{v:.6f}" for v in q)
     _say(f"X_TC (camera in hand): {_three([1e3 * v for v in p], 3)} mm, q_wxyz {quaternion}")
-    for what, doubt in (("samples' noise", answer), ("noise and the arm's zeros", answer["with_arm_zero"])):
+    for what, doubt in (("samples' noise alone", answer), ("arm and the camera as well", answer["with_arm"])):
         _say(f"± by the {what}: {_three(doubt['std_mm'], 3)} mm, {_three(doubt['std_deg'], 4)}°")
+    arm = answer["arm"]
+    if arm is not None:
+        told = ", ".join(
+            f"{v:+.1f} ± {s:.1f}" for v, s in zip(arm["zeros_mrad"], arm["std_mrad"], strict=True)
+        )
+        _say(f"joint zeros, to be added to the encoders: {told} mrad")
     certificate = answer["certificate"]
     proof = "proven" if certificate["holds"] else "NOT proven"
     _say(f"global optimum {proof}: least eigenvalue {certificate['least_eigenvalue']:.1e}")

@@ -141,7 +141,7 @@ class GuidedCalibration:
         session = self.session
         if name is None:
             session, name = session.next_name()
-        sample = _sample_of(name, seen, view.X_BT, session.settings, view.settled, moved)
+        sample = _sample_of(name, seen, view, session.settings, moved)
         self._open(session.with_sample(sample))
         told = {
             "marker": marker_json(seen),
@@ -243,12 +243,11 @@ class GuidedCalibration:
         self._session = session
 
 
-def _sample_of(
-    name: str, seen: TargetLook, X_BT: Array, settings: GuidedSettings, settled: bool, moved: float
-) -> Sample:
+def _sample_of(name: str, seen: TargetLook, view: ArmView, settings: GuidedSettings, moved: float) -> Sample:
     return Sample(
-        name, X_BT, seen.X_CT, seen.covariance, seen.corners_left, settings.marker_id, settled, moved
-    )
+        name, view.X_BT, seen.X_CT, seen.covariance, seen.corners_left, settings.marker_id, view.settled,
+        moved, view.q_meas,
+    )  # fmt: skip
 
 
 def _arrived(view: ArmView, X_BT: Array) -> JSON:

@@ -8,12 +8,12 @@ import numpy as np
 
 from protocol.errors import MeasurementFailed
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import bundle, guided_sampling, methods
+from vision_pc.core.hand_eye import bundle, guided_sampling, guided_solution, methods
 from vision_pc.core.hand_eye import maximum_likelihood as ml
 from vision_pc.core.hand_eye.bundle import RobotNoise
 from vision_pc.core.hand_eye.cabinet import Located
-from vision_pc.core.hand_eye.guided_sampling import Belief, arm_zero_covariance
-from vision_pc.core.hand_eye.guided_settings import GuidedSettings
+from vision_pc.core.hand_eye.guided_sampling import Belief
+from vision_pc.core.hand_eye.guided_solution import GuidedSolution
 from vision_pc.core.hand_eye.methods import Method
 from vision_pc.core.hand_eye.result import HandEyeResult
 from vision_pc.core.hand_eye.samples import PosePairs
@@ -129,16 +129,20 @@ def marker_json(seen: TargetLook) -> JSON:
 
 
 def solved(session: Session) -> tuple[JSON, Array]:
-    """The robust solution of a session with covariance, residuals, proof and verdict, others beside it."""
+    """The solution of a session with covariance, residuals, proof and verdict; others beside it.
+
+    The image-space adjustment takes the hand's poses as the solution has corrected them, others as reported.
+    """
     pairs = session.pairs()
-    result = methods.solve(pairs, Method.ROBUST)
-    answer = _result_json(result, session.settings) | {"others": [_other(pairs, m, result) for m in COMPARED]}
+    solution = guided_solution.solve(session)
+    result = solution.result
+    answer = _solution_json(solution) | {"others": [_other(pairs, m, result) for m in COMPARED]}
     noise = result.noise
     robot = None
     if noise is not None and min(noise.robot_rotation, noise.robot_translation) > 0.0:
         robot = RobotNoise(noise.robot_rotation, noise.robot_translation)
     try:
-        adjusted = bundle.adjust(pairs, result, robot)
+        adjusted = bundle.adjust(solution.pairs, result, robot)
     except MeasurementFailed as error:
         answer["others"].append({"method": "image-space", "failed": f"{error.cause}: {error}"})
     else:
@@ -160,19 +164,19 @@ def _mm(X: Array) -> list[float]:
     return [round(1e3 * float(v), 3) for v in X[:3, 3]]
 
 
-def _result_json(result: HandEyeResult, settings: GuidedSettings) -> JSON:
+def _solution_json(solution: GuidedSolution) -> JSON:
+    result, whole, arm = solution.result, solution.covariance, solution.arm
     assert result.covariance is not None
     assert result.certificate is not None
     std = np.sqrt(np.diag(result.covariance))
-    whole = result.covariance + arm_zero_covariance(result.X, settings)
     whole_std = np.sqrt(np.diag(whole))
-    std_m = float(np.linalg.norm(std[:3]))
+    std_m, std_rad = float(np.linalg.norm(whole_std[:3])), float(np.linalg.norm(whole_std[3:]))
     left_out = [name for name, inlier in zip(result.names, result.inliers, strict=True) if not inlier]
     good = result.certificate.holds and std_m <= WANTED_STD_M
     proof = "proven global" if result.certificate.holds else "not proven global"
     verdict = (
         f"{'good' if good else 'take more samples'}: X known to {1e3 * std_m:.2f} mm and "
-        f"{math.degrees(float(np.linalg.norm(std[3:]))):.3f}°, {proof}, {len(left_out)} of "
+        f"{math.degrees(std_rad):.3f}°, {proof}, {len(left_out)} of "
         f"{len(result.names)} samples left out"
     )
     return {
@@ -182,10 +186,17 @@ def _result_json(result: HandEyeResult, settings: GuidedSettings) -> JSON:
         "std_mm": [round(1e3 * float(v), 4) for v in std[:3]],
         "std_deg": [round(math.degrees(float(v)), 5) for v in std[3:]],
         "covariance_p_theta": result.covariance.tolist(),
-        "with_arm_zero": {
+        "with_arm": {
             "std_mm": [round(1e3 * float(v), 4) for v in whole_std[:3]],
             "std_deg": [round(math.degrees(float(v)), 5) for v in whole_std[3:]],
             "covariance_p_theta": whole.tolist(),
+        },
+        "arm": arm
+        and {
+            "zeros_mrad": [round(1e3 * float(v), 3) for v in arm.zeros],
+            "std_mrad": [round(1e3 * float(v), 3) for v in arm.std],
+            "camera_noise": round(arm.camera_noise, 3),
+            "play": round(arm.play, 3),
         },
         "left_out": left_out,
         "residuals": [

@@ -7,6 +7,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from controller.core.denavit_hartenberg import dh_table
+from controller.core.inverse_kinematics import joint_angles
 from plant_emulator.core.scene import Scene
 from plant_emulator.core.stereo_camera import StereoCamera
 from protocol.configuration import merged
@@ -23,6 +25,7 @@ from vision_pc.shell.hand_eye_store import SessionStore
 
 T = TypeVar("T")
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
+START_RAD = np.radians([0.0, 50.0, -75.0, 0.0, -25.0, 0.0])
 X_BT_START = se3.transform(
     np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.array([3.89355, 0.0, 1.00825])
 )
@@ -52,6 +55,7 @@ class StillRig:
         self.refuse: Callable[[Array], str | None] = lambda _pose: None
         self.settled, self.drift_mrad = True, 0.0
         self.moves: list[Array] = []
+        self._table = dh_table(settings.arm.dh)
         self._robot = (robot_m, robot_rad)
         self._rng = np.random.default_rng(5)
         self._time_ns = self._frame = self._views = 0
@@ -65,7 +69,8 @@ class StillRig:
 
     async def view(self) -> ArmView:
         self._views += 1
-        q = np.full(6, 1e-3 * self.drift_mrad * self._views)
+        _, q, _, _ = joint_angles(self._table, self.X_BT[:3, :3], self.X_BT[:3, 3], START_RAD)
+        q = q + 1e-3 * self.drift_mrad * self._views
         return ArmView(
             self._time_ns, GroupState.STANDBY, FaultCode.NONE, Severity.NONE, len(self.moves), True,
             self.settled, q, q, self.X_BT, self.X_BT,

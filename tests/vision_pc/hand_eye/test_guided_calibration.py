@@ -13,7 +13,7 @@ from testbed.hand_eye import session_text
 from testbed.hand_eye.importer import load
 from tests.vision_pc.hand_eye.still_rig import X_BT_START, StillRig, quiet, still_settings
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import methods
+from vision_pc.core.hand_eye import guided_solution, methods
 from vision_pc.shell.api import create_app
 from vision_pc.shell.operations import Operations
 
@@ -50,7 +50,9 @@ async def test_a_whole_session_finds_the_camera_in_the_hand(tmp_path: Path) -> N
     answer = await rig.guided.solve()
     assert answer["certificate"]["holds"]
     assert answer["left_out"] == []
-    X = methods.solve(rig.guided.session.pairs()).X
+    assert len(answer["arm"]["zeros_mrad"]) == 6
+    X = guided_solution.solve(rig.guided.session).result.X
+    assert np.allclose(answer["X_TC"]["p_m"], X[:3, 3])
     off = se3.local(X, rig.X_TC)
     assert 1e3 * np.linalg.norm(off[:3]) < 3.0
     assert np.degrees(np.linalg.norm(off[3:])) < 0.25

@@ -9,7 +9,7 @@ import numpy as np
 
 from protocol.errors import RequestRefused
 from vision_pc.core.hand_eye.guided_sampling import Proposal
-from vision_pc.core.hand_eye.guided_settings import GuidedSettings
+from vision_pc.core.hand_eye.guided_settings import JOINTS, GuidedSettings
 from vision_pc.core.hand_eye.guided_views import Surroundings
 from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, Setup, pose_pairs
 from vision_pc.core.markers import corner_points
@@ -24,7 +24,8 @@ class Sample(NamedTuple):
     """One sample: the hand X_BT by the controller's model, the marker X_CT with covariance (6, 6).
 
     ``corners_left`` (4, 2) px in the left picture; ``marker_id``; ``settled`` by the controller's flag (else
-    the encoders alone said so); ``moved_mrad`` by the encoders while it was taken.
+    the encoders alone said so); ``moved_mrad`` by the encoders while it was taken. ``q`` (6,) rad: the joints
+    by the encoders, None in files that have none.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Sample(NamedTuple):
     marker_id: int
     settled: bool
     moved_mrad: float
+    q: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +144,7 @@ def _sample_json(s: Sample) -> JSON:
         "marker_id": s.marker_id,
         "settled": s.settled,
         "moved_mrad": s.moved_mrad,
+        "joints_rad": None if s.q is None else s.q.tolist(),
     }
 
 
@@ -201,6 +204,7 @@ def _read(document: Mapping[str, Any], camera: CameraCalibration) -> Session:
             int(s["marker_id"]),
             bool(s["settled"]),
             float(s["moved_mrad"]),
+            None if s.get("joints_rad") is None else _matrix(s["joints_rad"], (JOINTS,)),
         )
         for s in document["samples"]
     )
