@@ -31,7 +31,9 @@ async def begun(rig: StillRig, name: str = "monday") -> None:
     await rig.guided.sample(quiet)
 
 
-async def test_a_whole_session_finds_the_camera_in_the_hand(tmp_path: Path) -> None:
+async def test_a_whole_session_finds_the_camera_in_the_hand(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     rig = quick_rig(tmp_path, robot_m=0.0003, robot_rad=0.0003)
     check = await rig.guided.start("monday", rig.guided.defaults, 1, quiet)
     assert check["verdict"] == "marker 582 seen, 0/6: ready"
@@ -50,7 +52,11 @@ async def test_a_whole_session_finds_the_camera_in_the_hand(tmp_path: Path) -> N
     answer = await rig.guided.solve()
     assert answer["certificate"]["holds"]
     assert answer["left_out"] == []
-    assert len(answer["arm"]["zeros_mrad"]) == 6
+    assert np.all(np.array(answer["with_arm"]["std_mm"]) > answer["std_mm"])
+    assert session_text.solved(answer, None) == answer["good"]
+    printed = " ".join(capsys.readouterr().out.split())
+    zeros = zip(answer["arm"]["zeros_mrad"], answer["arm"]["std_mrad"], strict=True)
+    assert ", ".join(f"{zero:+.1f} ± {std:.1f}" for zero, std in zeros) + " mrad" in printed
     X = guided_solution.solve(rig.guided.session).result.X
     assert np.allclose(answer["X_TC"]["p_m"], X[:3, 3])
     off = se3.local(X, rig.X_TC)
