@@ -58,7 +58,8 @@ def draw(config_dir: Path, seed: int, arm: str, harder: bool) -> Drawn:
     for _ in range(_TRIES):
         pose = _posed(rng, settings)
         scene = _scene(rng, pose, harder)
-        if _reached(pose, settings.arm) and _in_view(pose, settings.scene, scene):
+        leg_m = settings.vision.programs.local_map.leg_m
+        if _reached(pose, settings.arm, leg_m) and _in_view(pose, settings.scene, scene):
             break
     else:
         why = f"seed {seed}: none of {_TRIES} draws can be done"
@@ -185,12 +186,12 @@ def _goal(pose: _Pose, X_TM: Array) -> tuple[Array, Array]:
     return turned, transform(R_WT, pose.X_WO[:3, 3] - clearance)
 
 
-def _reached(pose: _Pose, arm: ArmConfig) -> bool:
+def _reached(pose: _Pose, arm: ArmConfig, leg_m: float) -> bool:
     table, branch = dh_table(arm.dh), np.radians(pose.start_deg)
     limits = np.radians([[joint.lower_deg, joint.upper_deg] for joint in arm.joints])
     turned, goal = _goal(pose, transform(np.diag([1.0, -1.0, -1.0]), np.zeros(3)))
     back = turned.copy()
-    back[:3, 3] -= turned[:3, :3] @ np.full(3, 0.2)
+    back[:3, 3] -= turned[:3, :3] @ np.full(3, leg_m)
     for X in (turned, back, goal):
         verdict, q, _, _ = joint_angles(table, X[:3, :3].copy(), X[:3, 3].copy(), branch)
         if verdict != REACHED or np.any(q < limits[:, 0] + _JOINT_MARGIN):

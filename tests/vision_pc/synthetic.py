@@ -174,6 +174,7 @@ class SyntheticStream:
         way[:3] += rig.hangs
         way *= min(1.0, period_s / 0.3, rig.speed * period_s / max(float(np.linalg.norm(way[:3])), 1e-12))
         rig.advance(inverse_kinematics(retract(X, way), rig.q))
+        rig.q_cmd = rig.q
 
 
 class SyntheticRig:
@@ -192,6 +193,9 @@ class SyntheticRig:
         self.blind_after = self.freeze_after = self.silent_after = math.inf  # pictures of a watch
         self.stream: SyntheticStream | None = None
         self.hangs = np.zeros(3)  # how far beside a streamed reference the servo leaves the arm
+        self.q_cmd = self.q
+        self.slew_runs_on = 0.0  # rad: how much farther than told the slew turns at the end of every motion
+        self.slew_swings = 0.0  # rad: how far a motion at full pace runs over its end, and comes back
         self.stopped = 0
 
     # what really is
@@ -220,14 +224,14 @@ class SyntheticRig:
 
     # the arm
     async def view(self) -> ArmView:
-        X = forward(self.q)
+        X, X_cmd = forward(self.q), forward(self.q_cmd)
         return ArmView(
             self.time_ns, GroupState.STANDBY, FaultCode.NONE, Severity.NONE, self.motions, True, True,
-            self.q.copy(), self.q.copy(), X, X,
+            self.q.copy(), self.q_cmd.copy(), X, X_cmd,
         )  # fmt: skip
 
     async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
-        return await self.follow([X_BT_ref])
+        return await self.follow([X_BT_ref], duration_s)
 
     async def follow(
         self, waypoints: Sequence[Array], segment_s: float = 0.0, dwell_s: float = 0.0
@@ -247,7 +251,11 @@ class SyntheticRig:
                 self.advance(inverse_kinematics(retract(X_from, u * local(X_from, X_goal)), q_from))
             for _ in range(int(dwell_s / self.period_s)):
                 self.advance(self.q)
-        self.advance(planned[-1] + self.rng.normal(0.0, self.truth.servo_std, 6))
+        turned = np.eye(6)[0] * np.sign(planned[-1][0] - q_from[0])
+        if self.slew_swings and not segment_s:
+            self.advance(planned[-1] + turned * self.slew_swings)
+        self.q_cmd = planned[-1]
+        self.advance(planned[-1] + turned * self.slew_runs_on + self.rng.normal(0.0, self.truth.servo_std, 6))
         for _ in range(5):
             self.advance(self.q)
         return await self.view()

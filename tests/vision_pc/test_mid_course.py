@@ -9,19 +9,16 @@ from protocol.errors import MeasurementFailed
 from tests.vision_pc.program_settings import shipped
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward, inverse_kinematics, silent
 from vision_pc.core.calibration.local_map import (
-    LocalMap,
-    end_scatter,
     fit_map,
-    play_states,
     record_local_track,
     refuse_poor_track,
-    slew_angles,
     solve_step,
     three_legs,
     track_of,
 )
 from vision_pc.core.calibration.orientation import adjust_orientation
 from vision_pc.core.calibration.settings import LocalMapSettings
+from vision_pc.core.calibration.slew_play import play_states, slew_angles, taken_up
 from vision_pc.core.mid_course import look_then_move_corrected
 from vision_pc.core.se3 import transform
 from vision_pc.core.types import WatchSample
@@ -61,15 +58,15 @@ async def test_one_look_inside_5_mm_over_seeds_and_the_measured_miss_is_true() -
         assert 2 <= len(result.positioning.steps) <= PROGRAMS.positioning.corrections + 1
     assert np.median(errors) < 0.002
     assert max(errors) < 0.005
-    assert np.median(misses) < 0.001
+    assert np.median(misses) < 0.0012  # odometry's scale is off by up to 0.1 %
 
 
-async def test_the_correction_is_what_helps_with_bad_odometry_scale() -> None:
+async def test_the_correction_is_what_helps_with_a_poor_map() -> None:
     """Driven in one go, every error of the map counts for the whole way."""
     corrected, single = [], []
     for seed in range(10):
         for errors, corrections in ((corrected, 1), (single, 0)):
-            arm, _ = await one_look(seed, MAP, corrections, odometry_scale=1.003)
+            arm, _ = await one_look(seed, changed(leg_m=0.06, goal_std_limit_m=1.0), corrections)
             errors.append(np.abs(arm.true_error(PROGRAMS.positioning.clearance_m)[:2]).max())
     assert np.median(corrected) < np.median(single)
 
@@ -89,7 +86,7 @@ async def test_the_map_sees_what_a_rotation_cannot() -> None:
     samples = [
         WatchSample(i * second, b, c, None, None) for i, (b, c) in enumerate(zip(X_BT, X_C0C, strict=True))
     ]
-    track = track_of(tuple(samples))
+    track = track_of(tuple(samples), 0.0)
     settings = changed(play_std=1e-6, noise_std_m=1e-4, strain_std=0.02, sway_s=0.0)
     fitted = fit_map(track, np.zeros(3), settings)
     assert fitted.residual_m < 5e-4
@@ -138,15 +135,13 @@ async def test_one_shot_is_one_drive_and_nudges_end_when_odometry_sees_no_miss()
     nudged, left = [], []
     for seed in range(6):
         for corrections, errors in ((1, left), (4, nudged)):
-            positioning = PROGRAMS.positioning.model_copy(
-                update={"corrections": corrections, "nudge_m": 5e-4}
-            )
-            arm = rig(seed)
+            positioning = PROGRAMS.positioning.model_copy(update={"corrections": corrections})
+            arm = rig(seed, servo_std=5e-4)
             track = await record_local_track(arm, arm, silent, MAP)
             result = await look_then_move_corrected(arm, arm, silent, positioning, MAP, track)
             assert len(result.positioning.steps) <= corrections + 1
             errors.append(float(np.abs(arm.true_error(PROGRAMS.positioning.clearance_m)[:2]).max()))
-    assert np.median(nudged) < np.median(left)
+    assert np.mean(nudged) < 0.7 * np.mean(left)
 
 
 def test_slew_angle_from_the_tools_pose() -> None:
@@ -162,28 +157,49 @@ def test_play_follows_the_flanks() -> None:
     assert np.allclose(play_states(slew, 3e-4), [0.0, -1.0, -1.0, -2 / 3, 1.0, 5 / 6, 0.0])
 
 
-def fitted_at(p: tuple[float, float, float], play_now: float = -1.0) -> LocalMap:
-    theta = np.zeros(21)
-    theta[-1] = -3e-4  # rad of slew a flank
-    X_BT = transform(np.diag([1.0, -1.0, -1.0]), np.array(p))
-    return LocalMap(np.eye(3), X_BT, theta, np.zeros((21, 21)), 0.0, 1.0, play_now)
+def test_the_play_is_taken_up_by_a_turn_of_the_slew_alone() -> None:
+    X = forward(Q_START)
+    before = taken_up(X, 1e-3)
+    turn = slew_angles(np.stack([before, X]), 0.35)
+    assert turn[1] - turn[0] == pytest.approx(1e-3, rel=0.15)  # the wrist is nearer than the tool
+    assert before[2, 3] == pytest.approx(X[2, 3])
+    assert np.array_equal(before[:3, :3], X[:3, :3])
+    assert play_states(turn, 2e-4)[-1] == -1.0
 
 
-def test_play_makes_a_goal_uncertain_across_the_boom_and_in_proportion_to_its_reach() -> None:
-    near, far = (
-        end_scatter(fitted_at((reach, 0.0, 1.0)), np.zeros(3), MAP) - MAP.servo_std_m**2 * np.eye(3)
-        for reach in (2.0, 4.0)
-    )
-    assert near[1, 1] == pytest.approx(2.0 * (2.0 * MAP.play_rad) ** 2)
-    assert far[1, 1] == pytest.approx(4.0 * near[1, 1])
-    assert np.count_nonzero(np.abs(far) > 1e-15) == 1
+async def test_every_drive_ends_on_the_same_flank_of_the_slews_play_although_it_swings() -> None:
+    """A run over the end and back again crosses the play; at a slow pace there is none."""
+
+    async def flanks(settings: LocalMapSettings) -> set[float]:
+        ends = set()
+        for seed in range(4):
+            arm = rig(seed, servo_std=0.0)
+            arm.slew_swings = 8e-4
+            track = await record_local_track(arm, arm, silent, settings)
+            ends.add(round(arm.slew_play, 9))
+            for corrections in (0, 1):
+                positioning = PROGRAMS.positioning.model_copy(update={"corrections": corrections})
+                result = await look_then_move_corrected(arm, arm, silent, positioning, settings, track)
+                track = result.track
+                ends.add(round(arm.slew_play, 9))
+        return ends
+
+    assert len(await flanks(MAP)) == 1
+    assert len(await flanks(changed(take_up_rad=0.0))) > 1
 
 
-def test_after_a_long_turn_neither_flank_is_reckoned_with() -> None:
-    """A drive across the boom of 0.4 m starts on a flank: half the play's width is all that it is off."""
-    for play_now in (-1.0, 1.0):
-        x, _ = solve_step(fitted_at((4.0, 0.0, 1.0), play_now), np.array([0.0, 0.4, 0.0]), MAP)
-        assert x[1] - 0.4 == pytest.approx(-play_now * 3e-4 * 4.0, abs=1e-4)
+async def test_what_the_slews_servo_leaves_at_every_end_is_reckoned_with() -> None:
+    """A slew that always runs on by 0.4 mrad, 1.6 mm: seen once, half of it is believed."""
+    positioning = PROGRAMS.positioning.model_copy(update={"corrections": 0})
+    for seed in range(3):
+        errors = []
+        for runs_on in (0.0, 4e-4):
+            arm = rig(seed, servo_std=0.0, odometry_std_m=0.0, odometry_std=0.0)
+            arm.slew_runs_on = runs_on
+            track = await record_local_track(arm, arm, silent, MAP)
+            await look_then_move_corrected(arm, arm, silent, positioning, MAP, track)
+            errors.append(arm.true_error(positioning.clearance_m))
+        assert np.linalg.norm(errors[1] - errors[0]) < 1e-3
 
 
 async def test_what_is_expected_after_corrections_is_less_than_after_one_shot() -> None:
@@ -232,5 +248,5 @@ def test_flat_and_short_tracks_are_refused(flat: float, count: int, cause: str) 
         for i, p in enumerate(points)
     ]
     with pytest.raises(MeasurementFailed) as refused:
-        refuse_poor_track(track_of(tuple(samples)), MAP)
+        refuse_poor_track(track_of(tuple(samples), 0.0), MAP)
     assert refused.value.cause == f"measurement.{cause}"

@@ -14,13 +14,13 @@ from protocol.errors import MeasurementFailed
 from vision_pc.core.calibration.local_map import (
     LocalMap,
     LocalTrack,
-    end_scatter,
     extended,
     fit_map,
     solve_step,
     watched_path,
 )
 from vision_pc.core.calibration.settings import LocalMapSettings, PositioningSettings
+from vision_pc.core.calibration.slew_play import slew_lever
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.positioning import PositioningResult, Step, judge, positioning_error, reached
 from vision_pc.core.se3 import Array, local, transform
@@ -68,7 +68,7 @@ async def look_then_move_corrected(
         fitted = fit_map(track, p_CM, map_settings)
         x, covariance = solve_step(fitted, misses[-1], map_settings)
         share = map_settings.first_share if len(steps) + 1 < parts else 1.0
-        steps.append(_step(look, fitted, x, covariance, share, settings, map_settings))
+        steps.append(_step(look, fitted, track.overrun, x, covariance, share, settings, map_settings))
         report(0.2 + 0.6 * len(steps) / (settings.corrections + 1), _in_words(misses[-1]))
         drive = await watched_path(arm, eyes, [steps[-1].X_BT_ref], map_settings)
         X_KnewK = drive.X_KC[0]
@@ -103,6 +103,7 @@ def _in_words(miss: Array) -> str:
 def _step(
     look: Look,
     fitted: LocalMap,
+    overrun: Array,
     x: Array,
     covariance: Array,
     share: float,
@@ -129,13 +130,15 @@ def _step(
             f"limit {1e3 * map_settings.goal_std_limit_m:g} mm",
         )
     rest = 1.0 if share == 1.0 else (1.0 - share) ** 2
-    missed = fitted.R.T @ (rest * covariance + end_scatter(fitted, x, map_settings)) @ fitted.R
+    servo = map_settings.servo_std_m**2 * np.eye(3)
+    missed = fitted.R.T @ (rest * covariance + servo) @ fitted.R
     if settings.corrections:
         missed = _after_nudges(missed, settings.nudge_m, map_settings.servo_std_m)
         missed += _odometry_covariance(length, map_settings)
     missed += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
     X_BT = fitted.X_BT
-    X_BT_ref = transform(X_BT[:3, :3], X_BT[:3, 3] + share * x)
+    expected = slew_lever(X_BT) * overrun.sum() / (len(overrun) + 1)  # the mean, shrunk: half of it is chance
+    X_BT_ref = transform(X_BT[:3, :3], X_BT[:3, 3] + share * x - expected)
     return Step(share * x, X_BT_ref, np.sqrt(np.diag(missed)))
 
 

@@ -16,6 +16,7 @@ from protocol.errors import MeasurementFailed
 from vision_pc.core.calibration.arm_fields import FIELDS, ArmShape, error_fields
 from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
 from vision_pc.core.calibration.settings import LocalMapSettings
+from vision_pc.core.calibration.slew_play import play_states, slew_angles, slew_between, slew_lever, taken_up
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.se3 import Array, hat, inverse, nearest_rotation, transform
 from vision_pc.core.types import WatchSample
@@ -23,18 +24,21 @@ from vision_pc.core.types import WatchSample
 _OFFSET_STD_M = 1.0  # of the map's constant: free
 _ROUNDS = 5  # of reweighting
 _FIELDS_FROM = 16  # columns before those of ``arm_fields``: rotation, scale, strain, offset
+_TAKEN_UP = np.array([-1.0])  # the flank on which a positive turn leaves the slew
 
 
 class LocalTrack(NamedTuple):
     """Camera and tool poses along a path: ``X_KC`` and ``X_BT``, each (N, 4, 4), in time order.
 
     K is the camera frame where the path ended, which is where the arm stands now. ``speed`` (N,) m/s of the
-    tool: a boom that moves sways, and its encoders do not see it.
+    tool: a boom that moves sways, and its encoders do not see it. ``overrun`` (P,) rad: how far beyond what
+    was asked the slew came to rest at the end of each of the paths so far.
     """
 
     X_KC: Array
     X_BT: Array
     speed: Array
+    overrun: Array
 
     @property
     def X_BT_now(self) -> Array:
@@ -48,7 +52,7 @@ class LocalMap(NamedTuple):
 
     R d = x + Φ(x) θ with the columns Φ (3, K) of ``_columns``; ``R`` (3×3) turns the axes of K into B.
     ``theta`` (K,), ``covariance`` (K, K); ``residual_m`` the rms misfit, ``condition`` that of the track's
-    spread; ``play_now``: on which flank of its play the slew stands, −1…1.
+    spread. Holds for steps that end as the track did, with the slew's play taken up.
     """
 
     R: Array
@@ -57,7 +61,6 @@ class LocalMap(NamedTuple):
     covariance: Array
     residual_m: float
     condition: float
-    play_now: float
 
 
 async def record_local_track(arm: Arm, eyes: Eyes, report: Report, settings: LocalMapSettings) -> LocalTrack:
@@ -74,7 +77,7 @@ async def record_local_track(arm: Arm, eyes: Eyes, report: Report, settings: Loc
 
 
 def three_legs(X_BT: Array, leg_m: float) -> list[Array]:
-    """Four waypoints: back along all axes at once, which reverses the slew, then n, s, a to ``X_BT``."""
+    """Four waypoints: back along all axes at once, then n, s, a to ``X_BT``."""
     n, s, a = (leg_m * X_BT[:3, axis] for axis in range(3))
     p = X_BT[:3, 3]
     return [transform(X_BT[:3, :3], corner) for corner in (p - n - s - a, p - s - a, p - a, p)]
@@ -83,13 +86,19 @@ def three_legs(X_BT: Array, leg_m: float) -> list[Array]:
 async def watched_path(
     arm: Arm, eyes: Eyes, waypoints: list[Array], settings: LocalMapSettings
 ) -> LocalTrack:
-    """The track of one path through ``waypoints``, in the camera frame of its end."""
+    """The track of one path through ``waypoints``, in the camera frame of its end.
+
+    The last one is reached by a turn of the slew that takes up its play, after the arm has settled before it.
+    """
+    *on_the_way, end = waypoints
+    before = taken_up(end, settings.take_up_rad)
     async with eyes.watch(markers=False, odometry=True) as watch:
-        await arm.follow(waypoints, segment_s=settings.segment_s, dwell_s=settings.dwell_s)
-    return track_of(watch.samples)
+        await arm.follow([*on_the_way, before], segment_s=settings.segment_s, dwell_s=settings.dwell_s)
+        view = await arm.move_to(end, duration_s=settings.take_up_s)
+    return track_of(watch.samples, slew_between(view.X_BT_cmd, view.X_BT))
 
 
-def track_of(samples: tuple[WatchSample, ...]) -> LocalTrack:
+def track_of(samples: tuple[WatchSample, ...], overrun: float) -> LocalTrack:
     """The track of a watch. Raises MeasurementFailed when odometry was lost at its end or over a fifth."""
     held = [s for s in samples if s.X_C0C is not None]
     if len(held) < 0.8 * len(samples) or len(held) < AT_REST or samples[-1].X_C0C is None:
@@ -101,7 +110,8 @@ def track_of(samples: tuple[WatchSample, ...]) -> LocalTrack:
     X_KC0 = inverse(settled_pose(X_C0C[-AT_REST:]))
     X_KC = X_KC0 @ X_C0C
     X_KC[-1] = np.eye(4)
-    return LocalTrack(X_KC, X_BT, _speeds(X_BT[:, :3, 3], 1e-9 * np.array([float(s.time_ns) for s in held])))
+    time_s = 1e-9 * np.array([float(s.time_ns) for s in held])
+    return LocalTrack(X_KC, X_BT, _speeds(X_BT[:, :3, 3], time_s), np.array([overrun]))
 
 
 def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
@@ -111,6 +121,7 @@ def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
         np.concatenate([X_KnewK @ track.X_KC, further.X_KC]),
         np.concatenate([track.X_BT, further.X_BT]),
         np.concatenate([track.speed, further.speed]),
+        np.concatenate([track.overrun, further.overrun]),
     )
 
 
@@ -139,7 +150,7 @@ def fit_map(track: LocalTrack, p_CM: Array, settings: LocalMapSettings) -> Local
     R = _kabsch(m, p)
     shape = settings.arm.shape
     h = play_states(slew_angles(track.X_BT, shape.tool), settings.reversal_rad)
-    columns = _columns(track.X_BT, h, track.X_BT_now, float(h[-1]), shape)
+    columns = _columns(track.X_BT, h, track.X_BT_now, shape)
     Phi = columns.reshape(-1, columns.shape[2])
     wanted = ((m - m[-1]) @ R.T - (p - p[-1])).ravel()
     std = np.repeat(np.hypot(settings.noise_std_m, settings.sway_s * track.speed), 3)
@@ -159,7 +170,7 @@ def fit_map(track: LocalTrack, p_CM: Array, settings: LocalMapSettings) -> Local
         )
     information = np.linalg.eigvalsh(rotation_information(p, np.ones(len(p))))
     condition = float(information[-1] / information[0])
-    return LocalMap(R, track.X_BT_now, theta, covariance, residual, condition, float(h[-1]))
+    return LocalMap(R, track.X_BT_now, theta, covariance, residual, condition)
 
 
 def solve_step(fitted: LocalMap, d: Array, settings: LocalMapSettings) -> tuple[Array, Array]:
@@ -170,28 +181,16 @@ def solve_step(fitted: LocalMap, d: Array, settings: LocalMapSettings) -> tuple[
     x, columns = wanted, np.zeros((3, len(fitted.theta)))
     for _ in range(20):
         goal = transform(here[:3, :3], here[:3, 3] + x)
-        slew = slew_angles(np.stack([here, goal]), shape.tool)
-        play = _flank_at_end(fitted.play_now, float(slew[1] - slew[0]), settings)
-        columns = _columns(goal[None], np.array([play]), here, fitted.play_now, shape)[0]
+        columns = _columns(goal[None], _TAKEN_UP, here, shape)[0]
         columns[:, 13:16] = 0.0  # the constant is the error of the track's end alone
         x = wanted - columns @ fitted.theta
     return x, columns @ fitted.covariance @ columns.T
 
 
-def end_scatter(fitted: LocalMap, x: Array, settings: LocalMapSettings) -> Array:
-    """Covariance (3×3) m² in B of where a drive by ``x`` (3,) ends, however well the map is known.
+def _columns(X_BT: Array, play: Array, X_BT_now: Array, shape: ArmShape) -> Array:
+    """Φ (n, 3, K) at the poses (n, 4, 4) with the slew on flanks ``play`` (n,), at the present one taken up.
 
-    What the joint servo leaves, and the slew's play: the encoder does not see on which flank a drive comes
-    to rest, and tells that of the rests before it by the sign of its last counts alone.
-    """
-    goal = fitted.X_BT[:3, 3] + x
-    across = settings.play_rad * np.array([-goal[1], goal[0], 0.0])
-    scatter: Array = settings.servo_std_m**2 * np.eye(3) + 2.0 * np.outer(across, across)
-    return scatter
-
-
-def _columns(X_BT: Array, play: Array, X_BT_now: Array, play_now: float, shape: ArmShape) -> Array:
-    """Φ (n, 3, K) at the poses (n, 4, 4), zero at the present one but for the constant.
+    Zero at the present pose, but for the constant.
 
     Columns: rotation (3), scale (1), strain row by row (9), constant (3), the fields (4), the slew's play.
     """
@@ -205,9 +204,8 @@ def _columns(X_BT: Array, play: Array, X_BT_now: Array, play_now: float, shape: 
         Phi[:, axis, 13 + axis] = 1.0
     fields = error_fields(np.concatenate([X_BT, X_BT_now[None]]), shape)
     Phi[:, :, _FIELDS_FROM:-1] = fields[:-1] - fields[-1]
-    p = X_BT[:, :3, 3]
-    Phi[:, 0, -1] = -p[:, 1] * (play - play_now)  # the slew turns about z
-    Phi[:, 1, -1] = p[:, 0] * (play - play_now)
+    levers = np.array([slew_lever(X) for X in X_BT])
+    Phi[:, :, -1] = levers * (play - _TAKEN_UP)[:, None]
     return Phi
 
 
@@ -237,13 +235,11 @@ def planned_covariance(X_BT: Array, speed: Array, steps: Array, settings: LocalM
     """
     shape, here = settings.arm.shape, X_BT[-1]
     h = play_states(slew_angles(X_BT, shape.tool), settings.reversal_rad)
-    columns = _columns(X_BT, h, here, float(h[-1]), shape)
+    columns = _columns(X_BT, h, here, shape)
     Phi = columns.reshape(-1, columns.shape[2])
     std = np.repeat(np.hypot(settings.noise_std_m, settings.sway_s * speed), 3)
     information = Phi.T @ (Phi / std[:, None] ** 2) + np.diag(_prior(settings) ** -2.0)
-    blank = LocalMap(
-        np.eye(3), here, np.zeros(len(information)), np.linalg.inv(information), 0.0, 1.0, float(h[-1])
-    )
+    blank = LocalMap(np.eye(3), here, np.zeros(len(information)), np.linalg.inv(information), 0.0, 1.0)
     return np.array([solve_step(blank, step, settings)[1] for step in steps])
 
 
@@ -252,33 +248,6 @@ def camera_in_tool(track: LocalTrack, p_CM: Array) -> Array:
     m = track.X_KC[:, :3, 3] + track.X_KC[:, :3, :3] @ p_CM
     R: Array = track.X_BT_now[:3, :3].T @ _kabsch(m, track.X_BT[:, :3, 3])
     return R
-
-
-def slew_angles(X_BT: Array, wrist_to_tool_m: float) -> Array:
-    """Slew angles (N,) rad of poses (N, 4, 4): the wrist's centre lies on the slew plane."""
-    wrist = X_BT[:, :3, 3] - wrist_to_tool_m * X_BT[:, :3, 2]
-    return np.asarray(np.unwrap(np.arctan2(wrist[:, 1], wrist[:, 0])))
-
-
-def play_states(slew: Array, reversal: float) -> Array:
-    """h (N,) in −1…1: on which flank of the play the slew's load side lies.
-
-    A joint that drags its encoder along has crossed its whole play before the encoder turns back at all;
-    ``reversal`` is half of what the encoder must turn back (rad) to be believed.
-    """
-    states = np.zeros(len(slew))
-    for i in range(1, len(slew)):
-        states[i] = _play_after(float(states[i - 1]), float(slew[i] - slew[i - 1]), reversal)
-    return states
-
-
-def _flank_at_end(state: float, turn: float, settings: LocalMapSettings) -> float:
-    """The flank expected at rest after ``turn``: a long one overshoots, and may end on either."""
-    return 0.0 if abs(turn) > settings.swing_rad else _play_after(state, turn, settings.play_rad)
-
-
-def _play_after(state: float, turn: float, half_play: float) -> float:
-    return min(max(state - turn / half_play, -1.0), 1.0)
 
 
 def _kabsch(m: Array, p: Array) -> Array:

@@ -76,9 +76,10 @@ class LocalMapSettings(StrictModel):
 
     Priors of the map: ``rotation_std`` (rad), ``scale_std`` and ``strain_std`` (relative), ``field_stds``
     (lift and tilt offset, rad; boom and forearm bending, rad per metre of reach), ``play_std`` (rad).
-    ``play_rad``: half the slew's play; its encoder turning back by twice ``reversal_rad`` tells the other
-    flank, and a turn longer than ``swing_rad`` may end on either. ``noise_std_m`` of one sample at rest,
-    ``sway_s`` metres more for every m/s. ``goal_std_limit_m``: a goal known worse is refused before moving.
+    A drive ends with a turn of the slew by ``take_up_rad`` within ``take_up_s``: it takes up the play, and
+    is slow enough not to swing back through it. The encoder turning back by twice ``reversal_rad`` tells the
+    other flank. ``noise_std_m`` of one sample at rest, ``sway_s`` metres more for every m/s.
+    ``goal_std_limit_m``: a goal known worse is refused before moving.
     ``first_share`` of a way longer than ``near_m`` is driven before the first correction.
     ``odometry_std_m`` and ``odometry_scale_std`` (relative): of the way that odometry measures;
     ``servo_std_m``: what the joints leave.
@@ -92,9 +93,9 @@ class LocalMapSettings(StrictModel):
     strain_std: float = Field(gt=0.0, le=0.2)
     field_stds: tuple[Small, Small, Small, Small]
     play_std: Small
-    play_rad: float = Field(gt=0.0, le=0.02)
+    take_up_rad: float = Field(ge=0.0, le=0.02)
+    take_up_s: Seconds
     reversal_rad: float = Field(gt=0.0, le=0.02)
-    swing_rad: float = Field(ge=0.0, le=0.1)
     noise_std_m: float = Field(gt=0.0, le=0.05)
     sway_s: float = Field(ge=0.0, le=1.0)
     odometry_std_m: float = Field(ge=0.0, le=0.05)
