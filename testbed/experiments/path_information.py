@@ -19,6 +19,7 @@ from vision_pc.core.calibration.line_equation import circle
 from vision_pc.core.calibration.local_calibration import rotation_information
 from vision_pc.core.calibration.local_map import planned_covariance, three_legs
 from vision_pc.core.calibration.settings import ProgramSettings
+from vision_pc.core.calibration.slew_play import taken_up
 from vision_pc.core.calibration.trajectory_matching import asymmetric_path
 from vision_pc.core.se3 import Array, transform
 
@@ -49,9 +50,9 @@ CANDIDATES: dict[str, Waypoints] = {
     "planar, the paper's zigzag": lambda X, s: asymmetric_path(X, s.trajectory),
     "two legs, planar": lambda X, s: _moved(X, (-0.3, -0.3, 0.0), (0.0, -0.3, 0.0)),
     "three legs of 0.1 m": lambda X, s: three_legs(X, 0.1),
-    "three legs of 0.2 m (used)": lambda X, s: three_legs(X, 0.2),
+    "three legs of 0.2 m": lambda X, s: three_legs(X, 0.2),
     "three legs of 0.3 m": lambda X, s: three_legs(X, 0.3),
-    "the same without the slew's reversal": lambda X, s: _moved(
+    "six legs of 0.2 m": lambda X, s: _moved(
         X, (0.0, 0.0, -0.2), (-0.2, 0.0, -0.2), (-0.2, -0.2, -0.2), (-0.2, -0.2, 0.0), (-0.2, 0.0, 0.0)
     ),
     "three legs, there and back": lambda X, s: [*three_legs(X, 0.2), *three_legs(X, 0.2)[::-1], X],
@@ -86,14 +87,17 @@ def run_experiment(config_dir: Path, arm: str, json_file: Path | None) -> bool:
     X_BT = tool_pose(dh_table(settings.arm.dh), np.radians(settings.plant.start_pose_deg))
     steps = _goals()
     figures: list[dict[str, Any]] = []
+    used_name = f"three legs of {programs.local_map.leg_m:.1f} m"
     for name, waypoints in CANDIDATES.items():
-        track = driven(X_BT, waypoints(X_BT, programs), programs.local_map.dwell_s)
+        *corners, end = waypoints(X_BT, programs)
+        path = [*corners, taken_up(end, programs.local_map.take_up_rad), end]
+        track = driven(X_BT, path, programs.local_map.dwell_s)
         covariances = planned_covariance(track.X_BT, track.speed, steps, programs.local_map)
         worst_mm = 1e3 * np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
         turn = np.linalg.eigvalsh(rotation_information(track.X_BT[:, :3, 3], np.ones(len(track.X_BT))))
         figures.append(
             {
-                "path": name,
+                "path": name + (" (used)" if name == used_name else ""),
                 "length_m": float(np.linalg.norm(np.diff(track.X_BT[:, :3, 3], axis=0), axis=1).sum()),
                 "time_s": track.time_s,
                 "least_information": float(turn[0] / len(track.X_BT)),
