@@ -16,6 +16,7 @@ from testbed.experiments.vision_commands import register_experiments as register
 from testbed.fault_proxy.command import proxy
 from testbed.hand_eye.cli import app as hand_eye
 from testbed.hand_eye.cli import register_experiments
+from testbed.options import DEFAULT_CONFIG, ConfigDir, Count, JsonFile, Scenario, Scheduler, Seed, Settings
 from testbed.pictures.command import app as picture
 from testbed.settings import chosen_overrides, with_faults
 
@@ -44,16 +45,6 @@ app.add_typer(picture, name="picture")
 app.command(epilog="Example: longreach sniff --interface lo --port 47000")(sniff)
 app.command(epilog="Example: longreach proxy --listen-port 47001 --port 47000 --loss 0.02")(proxy)
 
-ConfigDir = Annotated[Path, typer.Option("--config-dir", help="Where the configuration files are.")]
-Scenario = Annotated[str, typer.Option(help="Which of CONFIG_DIR/scenarios to draw the world from.")]
-Seed = Annotated[int, typer.Option(min=0, help="The same seed is the same world.")]
-Settings = Annotated[
-    list[str] | None,
-    typer.Option("--set", help="Override one key, such as plant.payload.mass_kg=30; repeatable."),
-]
-JsonFile = Annotated[
-    Path | None, typer.Option("--json", help="Also write every printed figure to this file.")
-]
 FreePorts = Annotated[
     bool, typer.Option("--free-ports", help="Use any free ports instead of the configured ones.")
 ]
@@ -61,12 +52,7 @@ AllowFaults = Annotated[
     bool, typer.Option("--allow-faults", help="Let the plant's HTTP face for faults break things.")
 ]
 Runs = Annotated[Path, typer.Option(help="Where directories of runs are made.")]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(help="A Dask scheduler that is there, such as tcp://host:8786; else workers are started."),
-]
 
-DEFAULT_CONFIG = Path("configs")
 DEFAULT_RUNS = Path("runs")
 
 
@@ -194,7 +180,7 @@ def validate_error_sources_command(
     "lockstep-demo", epilog="Example: longreach experiment lockstep-demo --runs 20 --json lockstep.json"
 )
 def lockstep_demo_command(
-    count: Annotated[int, typer.Option("--runs", min=1, help="How many seeds, from --seed on.")] = 20,
+    count: Count = 20,
     looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 2,
     scenario: Scenario = "standard",
     seed: Seed = 1,

@@ -69,6 +69,8 @@ def run_experiment(
         _show_errors(f"{title}, arm {arm}", own)
         _show_stops(own)
         demands += [(arm, demand) for demand in demands_of(own, harder)]
+    if len({task["arm"] for task in tasks}) > 1:
+        demands += [("all", demand) for demand in demands_of(rows, harder)]
     shown = [
         [arm, d.what, f"{d.value:.3f} {d.unit}", _limit(d), {True: "met", False: "NOT met", None: ""}[d.met]]
         for arm, d in demands

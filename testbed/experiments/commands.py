@@ -7,20 +7,19 @@ from typing import Annotated
 
 import typer
 
-ConfigDir = Annotated[Path, typer.Option("--config-dir", help="Where the configuration files are.")]
-Scenario = Annotated[str, typer.Option(help="Which of CONFIG_DIR/scenarios to draw the worlds from.")]
-Count = Annotated[int, typer.Option("--runs", min=1, help="How many seeds, from --seed on.")]
-Seed = Annotated[int, typer.Option(min=0, help="The first seed.")]
-Settings = Annotated[list[str] | None, typer.Option("--set", help="Override one key; repeatable.")]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(help="A Dask scheduler that is there, such as tcp://host:8786; else workers are started."),
-]
+from testbed.options import (
+    DEFAULT_CONFIG,
+    ConfigDir,
+    Count,
+    JsonFile,
+    Out,
+    Scenario,
+    Scheduler,
+    Seed,
+    Settings,
+)
+
 Workers = Annotated[int, typer.Option(min=1, max=64, help="How many workers to start.")]
-Out = Annotated[Path, typer.Option("--out", help="Rows, figures, report; rows there are not measured again.")]
-JsonFile = Annotated[
-    Path | None, typer.Option("--json", help="Also write every printed figure to this file.")
-]
 
 
 class Eyes(StrEnum):
@@ -74,7 +73,7 @@ def ablation(
     workers: Workers = 2,
     directory: Out = Path("runs/paper"),
     scenario: Scenario = "paper",
-    config_dir: ConfigDir = Path("configs"),
+    config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
     json_file: JsonFile = None,
 ) -> None:
@@ -100,7 +99,7 @@ def sweep(
     workers: Workers = 2,
     directory: Out = Path("runs/paper"),
     scenario: Scenario = "paper",
-    config_dir: ConfigDir = Path("configs"),
+    config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
     json_file: JsonFile = None,
 ) -> None:
@@ -125,7 +124,7 @@ def _paper_command(names: tuple[str, ...]) -> Callable[..., None]:
         workers: Workers = 2,
         directory: Out = Path("runs/paper"),
         scenario: Scenario = "paper",
-        config_dir: ConfigDir = Path("configs"),
+        config_dir: ConfigDir = DEFAULT_CONFIG,
         settings: Settings = None,
         json_file: JsonFile = None,
     ) -> None:

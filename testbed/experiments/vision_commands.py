@@ -6,18 +6,8 @@ from typing import Annotated
 
 import typer
 
-Count = Annotated[int, typer.Option("--runs", min=1, help="How many seeds, from --seed on.")]
-Seed = Annotated[int, typer.Option(min=0, help="The same seed is the same world.")]
-ConfigDir = Annotated[Path, typer.Option("--config-dir", help="Where the configuration files are.")]
-Directory = Annotated[Path, typer.Option(help="Where rows are kept; what is there is not run again.")]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(help="A Dask scheduler that is there, such as tcp://host:8786; else workers are started."),
-]
-Settings = Annotated[list[str] | None, typer.Option("--set", help="Override one key; repeatable.")]
-JsonFile = Annotated[
-    Path | None, typer.Option("--json", help="Also write every printed figure to this file.")
-]
+from testbed.options import DEFAULT_CONFIG, ConfigDir, Count, Directory, JsonFile, Scheduler, Seed, Settings
+
 Harder = Annotated[bool, typer.Option("--harder", help="Scale, drift, lens, print and play errors on top.")]
 
 
@@ -37,7 +27,6 @@ class Arm(StrEnum):
 
 
 ChosenEyes = Annotated[Eyes, typer.Option(help="Rendered pictures, or the model measured from them.")]
-CONFIG = Path("configs")
 
 
 def register_experiments(experiment: typer.Typer) -> None:
@@ -57,7 +46,7 @@ def register_experiments(experiment: typer.Typer) -> None:
 
 def path_information(
     arm: Annotated[Arm, typer.Option(help="Whose start pose and shape.")] = Arm.PLANT,
-    config_dir: ConfigDir = CONFIG,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
     json_file: JsonFile = None,
 ) -> None:
     """What each candidate calibration path leaves unknown of a goal, from its information matrix."""
@@ -72,7 +61,7 @@ def looking_and_moving(
     harder: Harder = False,
     arm: Annotated[Arm, typer.Option(help="Which arm runs; both: in turn.")] = Arm.PLANT,
     eyes: ChosenEyes = Eyes.MODEL,
-    config_dir: ConfigDir = CONFIG,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
     directory: Directory = Path("runs/looking-and-moving"),
     scheduler: Scheduler = None,
@@ -89,8 +78,8 @@ def looking_and_moving(
 def measure(
     count: Count = 8,
     seed: Seed = 1100,
-    config_dir: ConfigDir = CONFIG,
-    output: Annotated[Path, typer.Option(help="The file to write.")] = CONFIG / "eye_model.yaml",
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    output: Annotated[Path, typer.Option(help="The file to write.")] = DEFAULT_CONFIG / "eye_model.yaml",
     directory: Directory = Path("runs/eyes-measure"),
     scheduler: Scheduler = None,
     json_file: JsonFile = None,
@@ -107,7 +96,7 @@ def agree(
     count: Count = 30,
     seed: Seed = 1,
     harder: Harder = False,
-    config_dir: ConfigDir = CONFIG,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
     directory: Directory = Path("runs/eyes-agree"),
     scheduler: Scheduler = None,
     json_file: JsonFile = None,
@@ -125,7 +114,7 @@ def best_mode(
     harder: Harder = False,
     arm: Annotated[Arm, typer.Option(help="Which arm runs; both: in turn.")] = Arm.PLANT,
     eyes: ChosenEyes = Eyes.MODEL,
-    config_dir: ConfigDir = CONFIG,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
     directory: Directory = Path("runs/best-mode"),
     scheduler: Scheduler = None,
