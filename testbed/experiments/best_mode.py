@@ -10,6 +10,7 @@ from scipy import stats
 
 from testbed.campaign import run_campaign
 from testbed.console import out, table, write_json
+from testbed.experiments.best_mode_plot import errors_plot
 from testbed.experiments.best_mode_run import one_run
 from testbed.experiments.best_mode_scenarios import ARMS
 from testbed.outcome import LIMIT_M
@@ -59,17 +60,20 @@ def run_experiment(
     scheduler: str | None,
     json_file: Path | None,
 ) -> bool:
-    """Whether every demand was met; the rows go to ``directory/rows.csv``."""
+    """Whether every demand was met; rows and a picture go to ``directory``: rows.csv, errors.png."""
     harder = bool(tasks[0]["harder"])
     title = f"best mode, {len(tasks)} {'harder' if harder else 'usual'} runs, eyes: {tasks[0]['eyes']}"
     rows = run_campaign(directory, partial(one_run, config_dir), tasks, scheduler=scheduler, title=title)
     demands = []
-    for arm in sorted({task["arm"] for task in tasks}):
-        own = [row for row, task in zip(rows, tasks, strict=True) if task["arm"] == arm]
+    arms = {
+        arm: [row for row, task in zip(rows, tasks, strict=True) if task["arm"] == arm]
+        for arm in sorted({task["arm"] for task in tasks})
+    }
+    for arm, own in arms.items():
         _show_errors(f"{title}, arm {arm}", own)
         _show_stops(own)
         demands += [(arm, demand) for demand in demands_of(own, harder)]
-    if len({task["arm"] for task in tasks}) > 1:
+    if len(arms) > 1:
         demands += [("all", demand) for demand in demands_of(rows, harder)]
     shown = [
         [arm, d.what, f"{d.value:.3f} {d.unit}", _limit(d), {True: "met", False: "NOT met", None: ""}[d.met]]
@@ -78,6 +82,9 @@ def run_experiment(
     out.print(table("verdict", ["arm", "figure", "found", "asked", ""], shown))
     seconds = [float(row["cpu_s"]) for row in rows if row.get("cpu_s") is not None]
     out.print(f"{np.mean(seconds):.1f} CPU seconds a run" if seconds else "", highlight=False)
+    plot = directory / "errors.png"
+    plot.write_bytes(errors_plot(arms, BRANCHES, 1e3 * LIMIT_M, title))
+    out.print(f"picture: {plot}", style="dim", highlight=False, soft_wrap=True)
     figures = [{"arm": arm, **d._asdict(), "met": d.met} for arm, d in demands]
     write_json(json_file, {"title": title, "demands": figures, "rows": rows})
     return all(demand.met is not False for _, demand in demands)

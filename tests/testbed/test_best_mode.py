@@ -8,7 +8,16 @@ import pytest
 
 from plant_emulator.core.scene import Scene
 from protocol.errors import ConfigurationError
-from testbed.experiments.best_mode import covered, demands_of, normalised, share, tasks_of, worst_mm
+from testbed.experiments.best_mode import (
+    BRANCHES,
+    covered,
+    demands_of,
+    normalised,
+    share,
+    tasks_of,
+    worst_mm,
+)
+from testbed.experiments.best_mode_plot import errors_plot
 from testbed.experiments.best_mode_scenarios import ARMS, draw
 from testbed.experiments.path_information import run_experiment as path_information
 from testbed.eye_model_view import TrueView
@@ -99,3 +108,9 @@ def test_an_overcautious_prediction_is_no_honest_one_either() -> None:
 
 def test_the_used_path_is_not_beaten_by_a_shorter_one() -> None:
     assert path_information(CONFIG, "plant", None)
+
+
+def test_the_picture_counts_runs_that_failed() -> None:
+    rows: list[dict[str, Any]] = [{f"{name}_worst_mm": 1.0 + k} for k, name in enumerate(BRANCHES)]
+    figure = errors_plot({"plant": rows, "plant_long_crane": [{"stopped": "why"}]}, BRANCHES, 5.0, "title")
+    assert figure.startswith(b"\x89PNG") and len(figure) > 10_000
