@@ -9,7 +9,7 @@ import json
 import logging
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -235,10 +235,11 @@ def _workforce(scheduler: str | None, workers: int) -> Iterator[_Workforce]:
             yield _Workforce(client, 2 * sum(client.nthreads().values()), False)
 
 
-def _started(workers: int) -> Any:
+@contextmanager
+def _started(workers: int) -> Iterator[Any]:
     """A cluster of worker processes on loopback. Raises LinkLost (``link.workers_not_started``)."""
     try:
-        return distributed.LocalCluster(
+        cluster = distributed.LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
@@ -252,6 +253,11 @@ def _started(workers: int) -> Any:
         raise LinkLost(
             "link.workers_not_started", f"{workers} workers could not be started: {error}"
         ) from error
+    try:
+        yield cluster
+    finally:
+        with suppress(TimeoutError):  # a worker that will not end does so with this process
+            cluster.close()
 
 
 @contextmanager
