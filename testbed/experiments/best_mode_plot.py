@@ -25,7 +25,8 @@ def errors_plot(
         faces = np.atleast_1d(figure.subplots(1, len(arms), sharey=True))
         for axes, (arm, rows) in zip(faces, arms.items(), strict=True):
             for (name, words), colour in zip(branches.items(), AXIS_COLOURS, strict=True):
-                worst = np.sort([row[f"{name}_worst_mm"] for row in rows if row.get(f"{name}_worst_mm")])
+                ended = [row[f"{name}_worst_mm"] for row in rows if row.get(f"{name}_worst_mm") is not None]
+                worst = np.sort(ended)
                 share = 100.0 * np.arange(1, len(worst) + 1) / len(rows)
                 axes.step(
                     np.append(0.0, worst), np.append(0.0, share), where="post", color=colour, label=words

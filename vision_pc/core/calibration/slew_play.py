@@ -1,4 +1,4 @@
-"""The slew's play: the tool moves by centimetres of it at the end of a long boom, and the encoder sees none.
+"""The slew's play: it moves the tool by millimetres at the end of a long boom, and the encoder sees none.
 
 A joint drags its encoder along, so that after a turn in one sense it stands half the play ahead of what the
 encoder tells, and after a turn in the other as much behind. Which of the two a long drive leaves is chance:
