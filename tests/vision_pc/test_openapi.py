@@ -1,0 +1,30 @@
+"""The REST API as a document, pinned byte for byte: what a client relies on changes on purpose or not at all.
+
+``python -m tests.vision_pc.test_openapi`` writes it anew.
+"""
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Any, cast
+
+from tests.vision_pc.synthetic_station import bench
+from vision_pc.shell.api import create_app
+
+PINNED = Path(__file__).parent / "openapi.json"
+
+
+async def document() -> str:
+    async with bench() as made:
+        app = create_app(
+            made.station, made.operations, cast(Any, object())
+        )  # guided routes are there, unasked
+        return json.dumps(app.openapi(), indent=1, ensure_ascii=False) + "\n"
+
+
+async def test_the_api_is_the_pinned_one() -> None:
+    assert await document() == PINNED.read_text(encoding="utf-8")
+
+
+if __name__ == "__main__":
+    PINNED.write_text(asyncio.run(document()), encoding="utf-8")
