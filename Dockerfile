@@ -19,10 +19,14 @@ COPY requirements.lock ./
 RUN pip install --no-cache-dir --quiet --require-hashes -r requirements.lock
 
 COPY pyproject.toml README.md LICENSE ./
+COPY foundation foundation
 COPY protocol protocol
+COPY nominal_arm nominal_arm
 COPY controller controller
 COPY plant_emulator plant_emulator
 COPY vision_pc vision_pc
+COPY conformance conformance
+COPY dissector dissector
 COPY testbed testbed
 RUN pip install --no-cache-dir --quiet --no-deps --no-build-isolation . && rm -rf /build/*
 
@@ -31,4 +35,4 @@ COPY configs configs
 USER longreach
 
 # Compiled kernels are part of the image, so that a container starts at once.
-RUN python -m testbed.warm
+RUN python -m testbed.lockstep.warm_up

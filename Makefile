@@ -30,7 +30,7 @@ $(RUN_STAMP): requirements.lock pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	@echo "compiling the kernels of plant, camera and odometry, once: about half a minute"
-	$(BIN)/python -m testbed.warm
+	$(BIN)/python -m testbed.lockstep.warm_up
 	@touch $@
 
 $(DEV_STAMP): requirements-dev.lock $(RUN_STAMP)

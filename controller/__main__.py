@@ -10,7 +10,7 @@ import uvloop
 from controller.config import ArmConfig, ControllerConfig
 from controller.shell.event_log import EventLog
 from controller.shell.service import ControllerService, Options
-from protocol.configuration import load, parse_overrides
+from foundation.configuration import load, parse_overrides
 from protocol.errors import LongreachError
 
 _EPILOG = "example: python -m controller --config-dir configs --set controller.cycle_ms=2 --record-dir run"

@@ -4,9 +4,9 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from controller.arm_config import ArmConfig
-from protocol.configuration import StrictModel
-from protocol.link_key import KeySource
+from foundation.configuration import StrictModel
+from foundation.link_key import KeySource
+from nominal_arm.description import ArmConfig
 
 __all__ = ["ArmConfig", "ControllerConfig", "PlantLinkConfig", "ReferenceLinkConfig"]
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import uvloop
 
-from plant_emulator.config import load_plant_side
+from foundation.configuration import merged, parse_overrides
+from plant_emulator.config.service import load_plant_side
 from plant_emulator.shell.service import Options, PlantService
-from protocol.configuration import merged, parse_overrides
 from protocol.errors import LongreachError
 
 _EPILOG = (

@@ -3,14 +3,7 @@
 from typing import NamedTuple
 
 from protocol.faults import Reason
-from protocol.reference_messages import (
-    Acknowledgement,
-    Request,
-    State,
-    StreamedPose,
-    StreamRefused,
-    Welcome,
-)
+from protocol.reference_messages import Acknowledgement, Request, State, StreamedPose, StreamRefused, Welcome
 
 
 class SessionOpened(NamedTuple):

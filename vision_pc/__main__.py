@@ -7,9 +7,9 @@ from pathlib import Path
 
 import uvloop
 
-from protocol.configuration import load, parse_overrides
+from foundation.configuration import load, parse_overrides
 from protocol.errors import LongreachError
-from vision_pc.config import VisionConfig
+from vision_pc.config.vision import VisionConfig
 from vision_pc.shell.service import Options, VisionService
 
 _EPILOG = "example: python -m vision_pc --config-dir configs --set vision.api.port=8010 --record-dir run"

@@ -2,8 +2,8 @@
 
 from collections import deque
 
-from protocol.reference_link import Command, Request
-from protocol.reference_session import RequestReceived, ServerEvent, SessionClosed, StreamedPoseReceived
+from protocol.reference_messages import Command, Request
+from protocol.session_events import RequestReceived, ServerEvent, SessionClosed, StreamedPoseReceived
 
 _REQUESTS_A_SCAN = 8
 

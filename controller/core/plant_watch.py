@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.core.joint_control import pt1_step
-from controller.core.rotations import Array
+from controller.core.kinematics.rotations import Array
+from controller.core.servo.joint_control import pt1_step
 from controller.core.settings import Settings
 from protocol.process_image import COUNTS_PER_TURN, CYCLE_MODULUS, SensorImage
 

@@ -5,13 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.core.path_survey import JOINT_SPEED, Survey, survey
-from controller.core.paths import Desired, Path, duration, path_from
-from controller.core.rotations import Array
+from controller.core.kinematics.rotations import Array
 from controller.core.settings import Settings
+from controller.core.trajectories.path_survey import JOINT_SPEED, Survey, survey
+from controller.core.trajectories.paths import Desired, Path, duration, path_from
+from protocol.datagram_layout import MAX_WAYPOINTS
 from protocol.faults import Reason
 from protocol.pose import Pose
-from protocol.reference_link import MAX_WAYPOINTS, ReferencePath, ReferencePose
+from protocol.reference_messages import ReferencePath, ReferencePose
 
 QUATERNION_TOLERANCE = 1e-3
 # How much faster than its limit an explicitly timed path may be: the sampling error of its peaks.

@@ -3,17 +3,17 @@
 Streamed references are answered only when they are refused.
 """
 
-from controller.core.approach import Approach
 from controller.core.group_states import LIVE, Mode, Stimulus, transition
-from controller.core.motion import begun, holding, stopping
 from controller.core.plant_watch import link_lost
 from controller.core.references import Refusal, admit
 from controller.core.scan_types import NO_FAULT, ScanEvent, ScanInput, ScanState, idle
+from controller.core.servo.streaming import Stream, follow, last_way
 from controller.core.settings import Settings
-from controller.core.streaming import Stream, follow, last_way
 from controller.core.supervision import RESTED, SEVERITY, Fault, plant_ready
+from controller.core.trajectories.approach import Approach
+from controller.core.trajectories.motion import begun, holding, stopping
 from protocol.faults import CommandCode, FaultCode, Reason, Severity
-from protocol.reference_link import (
+from protocol.reference_messages import (
     Acknowledgement,
     Command,
     ReferencePath,
@@ -21,7 +21,7 @@ from protocol.reference_link import (
     Request,
     StreamRefused,
 )
-from protocol.reference_session import StreamedPoseReceived
+from protocol.session_events import StreamedPoseReceived
 
 
 def answered(

@@ -6,14 +6,10 @@ advance the desired motion, drive the valves.
 
 import numpy as np
 
-from controller.core.drives import full_spool_speeds, load_pressures
 from controller.core.group_states import GROUP_STATE, Mode, Stimulus, transition
-from controller.core.joint_control import JointFilters, valve_commands
-from controller.core.motion import advanced, at_standstill
+from controller.core.kinematics.rotations import Array
 from controller.core.plant_watch import cycle_frozen, link_lost, observed
-from controller.core.pose_servo import resolve, tool_state
 from controller.core.requests import answered, entered, faulted, followed, is_live
-from controller.core.rotations import Array
 from controller.core.scan_types import (
     ControllerView,
     ScanEvent,
@@ -23,18 +19,17 @@ from controller.core.scan_types import (
     Sextuple,
     idle,
 )
+from controller.core.servo.drives import full_spool_speeds, load_pressures
+from controller.core.servo.joint_control import JointFilters, valve_commands
+from controller.core.servo.pose_servo import resolve, tool_state
+from controller.core.servo.streaming import at_pace, faded, pace, silence
 from controller.core.settings import Settings
-from controller.core.streaming import at_pace, faded, pace, silence
 from controller.core.supervision import Driven, Fault, first_fault, timed
+from controller.core.trajectories.motion import advanced, at_standstill
 from protocol.faults import FaultCode
 from protocol.pose import Pose
-from protocol.process_image import (
-    CONTROL_ENABLE,
-    CONTROL_RESET_WATCHDOG,
-    STATUS_WATCHDOG_TRIPPED,
-    ValveImage,
-)
-from protocol.reference_link import (
+from protocol.process_image import CONTROL_ENABLE, CONTROL_RESET_WATCHDOG, STATUS_WATCHDOG_TRIPPED, ValveImage
+from protocol.reference_messages import (
     FLAG_EMERGENCY_LATCHED,
     FLAG_PLANT_LINK_OK,
     FLAG_SETTLED,

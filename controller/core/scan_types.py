@@ -5,19 +5,19 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.core.group_states import Mode
-from controller.core.joint_control import JointFilters
-from controller.core.motion import Motion, holding
+from controller.core.kinematics.rotations import Array
 from controller.core.plant_watch import PlantRefusal, PlantWatch, unseen
-from controller.core.pose_servo import ToolState, tool_state
-from controller.core.rotations import Array
+from controller.core.servo.joint_control import JointFilters
+from controller.core.servo.pose_servo import ToolState, tool_state
+from controller.core.servo.streaming import Stream
 from controller.core.settings import Settings
-from controller.core.streaming import Stream
 from controller.core.supervision import RESTED, Driven, Fault, Timers
+from controller.core.trajectories.motion import Motion, holding
 from protocol.faults import FaultCode, GroupState, Severity
 from protocol.pose import Pose
 from protocol.process_image import SensorImage, ValveImage
-from protocol.reference_link import Acknowledgement, Request, State, StreamRefused
-from protocol.reference_session import StreamedPoseReceived
+from protocol.reference_messages import Acknowledgement, Request, State, StreamRefused
+from protocol.session_events import StreamedPoseReceived
 
 Sextuple = tuple[float, float, float, float, float, float]
 NO_FAULT = Fault(FaultCode.NONE, 0.0, 0.0)

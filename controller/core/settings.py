@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.config import ArmConfig, ControllerConfig
-from controller.core.approach import AxisLimits
-from controller.core.denavit_hartenberg import dh_table
-from controller.core.drives import drive_table, unloaded
-from controller.core.joint_control import JointGains
-from controller.core.rotations import Array
+from controller.core.kinematics.denavit_hartenberg import dh_table
+from controller.core.kinematics.rotations import Array
+from controller.core.servo.drives import drive_table, unloaded
+from controller.core.servo.joint_control import JointGains
+from controller.core.trajectories.approach import AxisLimits
 
 
 class StreamLimits(NamedTuple):

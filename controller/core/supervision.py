@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.core.path_survey import outside
+from controller.core.kinematics.rotations import Array
 from controller.core.plant_watch import PlantWatch, cycle_frozen, link_lost
-from controller.core.rotations import Array
 from controller.core.settings import Settings
+from controller.core.trajectories.path_survey import outside
 from protocol.faults import FaultCode, Severity
 from protocol.process_image import (
     STATUS_SENSOR_FAULT,

@@ -15,18 +15,13 @@ from collections import Counter
 from controller.config import ReferenceLinkConfig
 from controller.core.inbox import Inbox
 from controller.shell.event_log import EventLog
+from protocol.datagram_layout import MAX_DATAGRAM_BYTES
 from protocol.errors import ConfigurationError
 from protocol.faults import Reason
-from protocol.reference_link import (
-    MAX_DATAGRAM_BYTES,
-    Acknowledgement,
-    Request,
-    State,
-    StreamRefused,
-)
-from protocol.reference_session import (
+from protocol.reference_messages import Acknowledgement, Request, State, StreamRefused
+from protocol.server_session import ReferenceServer
+from protocol.session_events import (
     DatagramDropped,
-    ReferenceServer,
     ServerEvent,
     SessionClosed,
     SessionOpened,

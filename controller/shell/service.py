@@ -25,14 +25,14 @@ from controller.shell.flight_dump import checked_directory, dump
 from controller.shell.histogram import Histogram
 from controller.shell.plant_link import PlantLink
 from controller.shell.reference_port import ReferencePort
-from controller.shell.rehearsal import rehearse
-from protocol.configuration import configuration_hash
+from controller.shell.warm_up import rehearse
+from foundation.configuration import configuration_hash
+from foundation.link_key import read_key
 from protocol.errors import ImageRefused
 from protocol.faults import CommandCode, FaultCode
-from protocol.link_key import read_key
 from protocol.process_image import SensorImage, ValveImage, decode_sensors, encode_valves
-from protocol.reference_link import Command
-from protocol.reference_session import ReferenceServer
+from protocol.reference_messages import Command
+from protocol.server_session import ReferenceServer
 
 _STATISTICS_PERIOD_NS = 10_000_000_000
 _FIGURES_PERIOD_NS = 1_000_000_000  # the window of the percentiles in the state message

@@ -6,14 +6,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.actuator_config import ActuatorConfig
+from plant_emulator.config.actuators import ActuatorConfig
+from plant_emulator.config.plant import BAR, LITRE, LITRE_PER_MINUTE, PlantConfig
 from plant_emulator.core import columns as col
-from plant_emulator.core.bodies import Lump, build_bodies, payload, together
-from plant_emulator.core.geometry import Chain, base_tilt, build_chain
 from plant_emulator.core.layout import DRIVEN, FLEXIBLE, N_ACTUATORS, N_COORDINATES
-from plant_emulator.core.linkage import CYLINDER, ROTARY
-from plant_emulator.core.multibody import Mechanism, forward_dynamics, multibody_work
-from plant_emulator.plant_config import BAR, LITRE, LITRE_PER_MINUTE, PlantConfig
+from plant_emulator.core.mechanics.bodies import Lump, build_bodies, payload, together
+from plant_emulator.core.mechanics.geometry import Chain, base_tilt, build_chain
+from plant_emulator.core.mechanics.linkage import CYLINDER, ROTARY
+from plant_emulator.core.mechanics.multibody import Mechanism, forward_dynamics, multibody_work
 
 Array = NDArray[np.float64]
 

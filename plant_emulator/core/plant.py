@@ -3,19 +3,19 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from plant_emulator.config.plant import BAR, PlantConfig
 from plant_emulator.core import columns as col
-from plant_emulator.core.camera_motion import Motion, View, motion_between
-from plant_emulator.core.equilibrium import rest_state
-from plant_emulator.core.fault_effects import (
+from plant_emulator.core.camera.camera_motion import Motion, View, motion_between
+from plant_emulator.core.faults.effects import (
     break_hydraulics,
     encoder_shift,
     load_kg,
     sensor_fault_reported,
     stuck_encoders,
 )
-from plant_emulator.core.fault_schedule import FaultSchedule, Injection
-from plant_emulator.core.faults import Fault
-from plant_emulator.core.geometry import base_tilt, transform
+from plant_emulator.core.faults.kinds import Fault
+from plant_emulator.core.faults.schedule import FaultSchedule, Injection
+from plant_emulator.core.hydraulics.valve_commands import ValveCommands
 from plant_emulator.core.layout import (
     DRIVEN,
     FLEXIBLE,
@@ -29,14 +29,14 @@ from plant_emulator.core.layout import (
     TEMPERATURE,
     Q,
 )
+from plant_emulator.core.mechanics.equilibrium import rest_state
+from plant_emulator.core.mechanics.geometry import base_tilt, transform
+from plant_emulator.core.mechanics.multibody import forward_kinematics
 from plant_emulator.core.model import build_model, put_payload, start_coordinates
-from plant_emulator.core.multibody import forward_kinematics
 from plant_emulator.core.right_hand_side import advance, new_work
 from plant_emulator.core.sensors import Encoders
 from plant_emulator.core.stability import check_step, modes
 from plant_emulator.core.truth import Mounts, PlantTruth, inverse
-from plant_emulator.core.valve_commands import ValveCommands
-from plant_emulator.plant_config import BAR, PlantConfig
 from protocol.errors import RequestRefused
 from protocol.process_image import (
     STATUS_SENSOR_FAULT,

@@ -7,9 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.core import columns as col
-from plant_emulator.core.chambers import bulk_modulus, relief_flow
 from plant_emulator.core.compiled import kernel
-from plant_emulator.core.friction import bristle_rate, friction_force, steady_level
+from plant_emulator.core.hydraulics.chambers import bulk_modulus, relief_flow
+from plant_emulator.core.hydraulics.valves import (
+    held_gain,
+    opening,
+    orifice_flow,
+    slew_limited,
+    spool_acceleration,
+)
 from plant_emulator.core.layout import (
     BRISTLE,
     DRIVEN,
@@ -25,10 +31,10 @@ from plant_emulator.core.layout import (
     TEMPERATURE,
     Q,
 )
-from plant_emulator.core.linkage import actuator_reach
+from plant_emulator.core.mechanics.friction import bristle_rate, friction_force, steady_level
+from plant_emulator.core.mechanics.linkage import actuator_reach
+from plant_emulator.core.mechanics.multibody import MultibodyWork, forward_dynamics, multibody_work
 from plant_emulator.core.model import Model
-from plant_emulator.core.multibody import MultibodyWork, forward_dynamics, multibody_work
-from plant_emulator.core.valves import held_gain, opening, orifice_flow, slew_limited, spool_acceleration
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
+from plant_emulator.config.plant import ErrorsConfig
 from plant_emulator.core.layout import N_ACTUATORS
-from plant_emulator.plant_config import ErrorsConfig
 from protocol.process_image import COUNTS_PER_TURN
 
 Array = NDArray[np.float64]

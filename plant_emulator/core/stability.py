@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from plant_emulator.config.plant import RUNGE_KUTTA_REACH
 from plant_emulator.core import columns as col
 from plant_emulator.core.layout import (
     DRIVEN,
@@ -17,11 +18,10 @@ from plant_emulator.core.layout import (
     TEMPERATURE,
     Q,
 )
-from plant_emulator.core.linkage import ROTARY
+from plant_emulator.core.mechanics.linkage import ROTARY
+from plant_emulator.core.mechanics.multibody import forward_dynamics, multibody_work
 from plant_emulator.core.model import Model
-from plant_emulator.core.multibody import forward_dynamics, multibody_work
 from plant_emulator.core.right_hand_side import new_work, right_hand_side
-from plant_emulator.plant_config import RUNGE_KUTTA_REACH
 from protocol.errors import ConfigurationError
 
 Array = NDArray[np.float64]

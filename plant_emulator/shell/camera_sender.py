@@ -9,10 +9,10 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from plant_emulator.core.camera_motion import Capture, Motion, View
-from plant_emulator.core.exposures import Exposures
-from plant_emulator.core.faults import Fault
-from plant_emulator.scene_config import SceneConfig
+from plant_emulator.config.scene import SceneConfig
+from plant_emulator.core.camera.camera_motion import Capture, Motion, View
+from plant_emulator.core.camera.exposures import Exposures
+from plant_emulator.core.faults.kinds import Fault
 from plant_emulator.shell.renderer import encode_shot
 from protocol.errors import LinkLost
 

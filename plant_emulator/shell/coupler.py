@@ -14,9 +14,8 @@ from typing import Any, cast
 from pymodbus.constants import ExcCodes
 from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
 
-from plant_emulator.core.coupler_image import COUPLER_MAP, CouplerImage
-from plant_emulator.core.coupler_watchdog import CouplerWatchdog
-from plant_emulator.core.modbus_requests import (
+from plant_emulator.core.coupler.image import COUPLER_MAP, CouplerImage
+from plant_emulator.core.coupler.modbus_requests import (
     CLEAR_COUNTERS,
     COUNT_EXCEPTIONS,
     COUNT_FRAMING_ERRORS,
@@ -32,6 +31,7 @@ from plant_emulator.core.modbus_requests import (
     exception_for,
     written,
 )
+from plant_emulator.core.coupler.watchdog import CouplerWatchdog
 from plant_emulator.shell.coupler_connection import CouplerConnection
 from protocol.coupler_registers import IDENTIFICATION
 from protocol.process_image import ValveImage

@@ -5,7 +5,7 @@ import logging
 import struct
 from typing import Protocol, cast
 
-from plant_emulator.core.modbus_requests import MAX_PDU_BYTES
+from plant_emulator.core.coupler.modbus_requests import MAX_PDU_BYTES
 
 _MBAP = struct.Struct(">HHHB")
 log = logging.getLogger(__name__)

@@ -18,11 +18,11 @@ from fastapi.responses import JSONResponse
 from pydantic import Field
 from starlette.exceptions import HTTPException
 
-from plant_emulator.core.fault_schedule import Injection
-from plant_emulator.core.faults import FAULTS, Fault, MarkerCovered
+from foundation.configuration import StrictModel
+from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.faults.kinds import FAULTS, Fault, MarkerCovered
+from plant_emulator.core.faults.schedule import Injection
 from plant_emulator.core.plant import Plant
-from plant_emulator.core.scene import Scene
-from protocol.configuration import StrictModel
 from protocol.errors import RequestRefused
 
 LONGEST_S = 3600.0

@@ -6,7 +6,7 @@ import os
 import socket
 from pathlib import Path
 
-from plant_emulator.config import Endpoint
+from plant_emulator.config.service import Endpoint
 from protocol.errors import ConfigurationError
 
 _FIFO_PRIORITY = 20

@@ -16,7 +16,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from plant_emulator.core.fault_schedule import FaultChange
+from plant_emulator.core.faults.schedule import FaultChange
 from plant_emulator.core.truth import PlantTruth
 
 TRUTH, CAPTURE, FAULT, EVENT = "/plant/truth", "/plant/capture", "/plant/fault", "/plant/event"

@@ -18,12 +18,12 @@ import cv2
 import numpy as np
 from pydantic import BaseModel
 
-from plant_emulator.core.camera_motion import Capture, Motion, View
-from plant_emulator.core.exposures import Shot
-from plant_emulator.core.faults import CameraBlind, MarkerCovered
-from plant_emulator.core.scene import Scene
-from plant_emulator.core.stereo_camera import StereoCamera
-from plant_emulator.scene_config import SceneConfig
+from plant_emulator.config.scene import SceneConfig
+from plant_emulator.core.camera.camera_motion import Capture, Motion, View
+from plant_emulator.core.camera.exposures import Shot
+from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.camera.stereo_camera import StereoCamera
+from plant_emulator.core.faults.kinds import CameraBlind, MarkerCovered
 from plant_emulator.shell.frame_server import FrameServer, StereoFrame
 
 _POSES = struct.Struct("<4Q44d")

@@ -9,11 +9,11 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from plant_emulator.config import PlantSideConfig
-from plant_emulator.core.camera_motion import STILL, View
-from plant_emulator.core.faults import CouplerSilent
+from plant_emulator.config.service import PlantSideConfig
+from plant_emulator.core.camera.camera_motion import STILL, View
+from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.faults.kinds import CouplerSilent
 from plant_emulator.core.plant import Plant
-from plant_emulator.core.scene import Scene
 from plant_emulator.shell.camera_sender import CameraSender
 from plant_emulator.shell.coupler import Coupler
 from plant_emulator.shell.fault_face import FaultFace

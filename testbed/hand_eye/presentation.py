@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from testbed.console import table
+from testbed.reporting.console import table
 from vision_pc.core import se3
-from vision_pc.core.hand_eye.result import HandEyeResult
 from vision_pc.core.hand_eye.samples import Setup
+from vision_pc.core.hand_eye.solvers.result import HandEyeResult
+from vision_pc.core.perception.zhang_intrinsics import Intrinsics
 from vision_pc.core.se3 import Array
-from vision_pc.core.zhang_intrinsics import Intrinsics
 
 
 def pose_figures(X: Array) -> dict[str, Any]:

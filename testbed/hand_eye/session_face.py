@@ -3,8 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
-from testbed.console import bars
-from testbed.rest_rig import RestRig
+from testbed.realtime.rest_rig import RestRig
+from testbed.reporting.console import bars
 
 JSON = dict[str, Any]
 

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from protocol.errors import RequestRefused
-from testbed.console import out, table, write_json
 from testbed.hand_eye.importer import FORMAT
 from testbed.hand_eye.pose_text import file_text
-from vision_pc.core.hand_eye import session as sessions
-from vision_pc.core.markers import corner_points
+from testbed.reporting.console import out, table, write_json
+from vision_pc.core.hand_eye.guided import session as sessions
+from vision_pc.core.perception.markers import corner_points
 
 JSON = dict[str, Any]
 

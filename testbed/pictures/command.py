@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 import typer
 
-from plant_emulator.core.camera_motion import View
+from plant_emulator.core.camera.camera_motion import View
+from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.plant import Plant
-from plant_emulator.core.scene import Scene
-from testbed.console import bars, out, table, write_json
 from testbed.pictures.effects import effects, pictured
 from testbed.pictures.sheet import Pair, contact_sheet
-from testbed.settings import load_settings
+from testbed.reporting.console import bars, out, table, write_json
+from testbed.scenarios.settings import load_settings
 
 app = typer.Typer(help="Pictures that explain.", no_args_is_help=True)
 _HEADINGS = ("effect", "switch in scene.yaml, or fault", "mean change, grey", "pixels changed, %")

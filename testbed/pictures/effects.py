@@ -8,14 +8,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.core.camera_motion import STILL, Capture, Motion, View
-from plant_emulator.core.exposures import Exposures
-from plant_emulator.core.faults import CameraBlind, CameraFrozen, Fault, FramesDropped, MarkerCovered
-from plant_emulator.core.geometry import transform
-from plant_emulator.core.scene import Scene
-from plant_emulator.core.stereo_camera import LEFT, RIGHT, StereoCamera
-from plant_emulator.scene_config import SceneConfig
-from protocol.configuration import merged, validated
+from foundation.configuration import merged, validated
+from plant_emulator.config.scene import SceneConfig
+from plant_emulator.core.camera.camera_motion import STILL, Capture, Motion, View
+from plant_emulator.core.camera.exposures import Exposures
+from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
+from plant_emulator.core.faults.kinds import CameraBlind, CameraFrozen, Fault, FramesDropped, MarkerCovered
+from plant_emulator.core.mechanics.geometry import transform
 
 Grey = NDArray[np.uint8]
 

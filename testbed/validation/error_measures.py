@@ -5,12 +5,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from plant_emulator.config.plant import PlantConfig
+from plant_emulator.config.scene import SceneConfig
+from plant_emulator.core.camera.scene import Scene, printed_side
+from plant_emulator.core.camera.stereo_camera import LEFT, StereoCamera, true_eyes
 from plant_emulator.core.plant import NOMINAL_MOUNTS, Plant
-from plant_emulator.core.scene import Scene, printed_side
-from plant_emulator.core.stereo_camera import LEFT, StereoCamera, true_eyes
 from plant_emulator.core.truth import inverse
-from plant_emulator.plant_config import PlantConfig
-from plant_emulator.scene_config import SceneConfig
 from protocol.process_image import CONTROL_ENABLE, COUNTS_PER_TURN, ValveImage
 
 Array = NDArray[np.float64]

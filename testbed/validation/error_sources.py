@@ -13,10 +13,10 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from foundation.configuration import load, merged
+from plant_emulator.config.plant import PlantConfig
+from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.plant import NOMINAL_MOUNTS
-from plant_emulator.plant_config import PlantConfig
-from plant_emulator.scene_config import SceneConfig
-from protocol.configuration import load, merged
 from protocol.errors import ConfigurationError
 from testbed.validation import error_measures as measure
 

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.core import columns as col
-from plant_emulator.core.chambers import ATMOSPHERE
 from plant_emulator.core.compiled import kernel
+from plant_emulator.core.hydraulics.chambers import ATMOSPHERE
+from plant_emulator.core.hydraulics.valves import slew_limited
 from plant_emulator.core.layout import (
     N_ACTUATORS,
     N_COORDINATES,
@@ -27,7 +28,6 @@ from plant_emulator.core.layout import (
 )
 from plant_emulator.core.model import Model
 from plant_emulator.core.right_hand_side import Work, right_hand_side
-from plant_emulator.core.valves import slew_limited
 from testbed.validation.oracles import PinocchioArm
 from testbed.validation.plant_rig import Stand
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.core.layout import COORDINATES, N_COORDINATES
-from plant_emulator.core.multibody import Mechanism
+from plant_emulator.core.mechanics.multibody import Mechanism
 from protocol.errors import ConfigurationError
 
 Array = NDArray[np.float64]

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.configuration import load
+from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core import columns as col
 from plant_emulator.core.layout import N_COORDINATES, RATE, Q
+from plant_emulator.core.mechanics.multibody import forward_dynamics, multibody_work
 from plant_emulator.core.model import outboard_inertia, put_payload
-from plant_emulator.core.multibody import forward_dynamics, multibody_work
-from plant_emulator.plant_config import PlantConfig
-from protocol.configuration import load
 from testbed.validation.case import Case
 from testbed.validation.oracles import MujocoArm, PinocchioArm
 from testbed.validation.plant_rig import LIFT, Stand, default_config, loaded_lift

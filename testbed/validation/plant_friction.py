@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.core import columns as col
-from plant_emulator.core.friction import bristle_rate, friction_force, steady_level
+from plant_emulator.core.mechanics.friction import bristle_rate, friction_force, steady_level
 from testbed.validation.case import Case
 from testbed.validation.plant_rig import Stand, default_config
 

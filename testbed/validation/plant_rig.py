@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.configuration import load
+from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core import columns as col
-from plant_emulator.core.bodies import Lump, sphere, together
-from plant_emulator.core.geometry import Chain
 from plant_emulator.core.layout import (
     DRIVEN,
     N_ACTUATORS,
@@ -22,12 +22,12 @@ from plant_emulator.core.layout import (
     TEMPERATURE,
     Q,
 )
-from plant_emulator.core.linkage import ROTARY
+from plant_emulator.core.mechanics.bodies import Lump, sphere, together
+from plant_emulator.core.mechanics.geometry import Chain
+from plant_emulator.core.mechanics.linkage import ROTARY
+from plant_emulator.core.mechanics.multibody import forward_kinematics
 from plant_emulator.core.model import Model, build_model
-from plant_emulator.core.multibody import forward_kinematics
 from plant_emulator.core.right_hand_side import new_work, right_hand_side, runge_kutta_step
-from plant_emulator.plant_config import PlantConfig
-from protocol.configuration import load
 
 Array = NDArray[np.float64]
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.configuration import load
+from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core.layout import Q
 from plant_emulator.core.plant import Plant
-from plant_emulator.plant_config import PlantConfig
-from protocol.configuration import load
 from protocol.process_image import CONTROL_ENABLE, COUNTS_PER_TURN, ValveImage
 from testbed.validation.case import Case
 from testbed.validation.plant_balances import resting_arm

@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.configuration import load, merged
+from plant_emulator.config.plant import BAR, LITRE_PER_MINUTE, PlantConfig
 from plant_emulator.core.layout import DRIVEN, N_COORDINATES
-from plant_emulator.core.linkage import actuator_lever
+from plant_emulator.core.mechanics.linkage import actuator_lever
+from plant_emulator.core.mechanics.multibody import forward_kinematics, multibody_work
 from plant_emulator.core.model import build_model, orifice_gain
-from plant_emulator.core.multibody import forward_kinematics, multibody_work
 from plant_emulator.core.plant import Plant
-from plant_emulator.plant_config import BAR, LITRE_PER_MINUTE, PlantConfig
-from protocol.configuration import load, merged
 from protocol.errors import ConfigurationError
 from protocol.process_image import CONTROL_ENABLE, COUNTS_PER_TURN, ValveImage
 from testbed.validation.plant_rig import NO_ERRORS

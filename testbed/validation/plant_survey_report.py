@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from protocol.errors import ConfigurationError
-from testbed.console import bars, out, table, write_json
-from testbed.plots import AXIS_COLOURS
+from testbed.reporting.console import bars, out, table, write_json
+from testbed.reporting.plots import AXIS_COLOURS
 from testbed.validation.plant_survey import (
     ARMS,
     STATED_PLAY_MM,

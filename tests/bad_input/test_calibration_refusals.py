@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from plant_emulator.core.faults import CameraBlind, CameraFrozen, Fault, FramesDropped, MarkerCovered
+from plant_emulator.core.faults.kinds import CameraBlind, CameraFrozen, Fault, FramesDropped, MarkerCovered
 from protocol.errors import LinkLost, LongreachError, RequestRefused
 from protocol.faults import FaultCode, GroupState
-from testbed.campaign import run_campaign
-from testbed.console import bars
-from testbed.event_log import EventLog
-from testbed.lockstep_station import LockstepRig
+from testbed.campaigns.campaign import run_campaign
+from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.rig import LockstepRig
+from testbed.reporting.console import bars
 from tests.faults.rig import settings_of
 
 MS = 1_000_000

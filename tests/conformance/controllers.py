@@ -11,11 +11,12 @@ from pathlib import Path
 from controller.config import ArmConfig, ControllerConfig
 from controller.core.inbox import Inbox
 from controller.core.settings import Settings, settings_from
-from controller.shell.rehearsal import rehearse
+from controller.shell.warm_up import rehearse
+from foundation.configuration import configuration_hash, load, merged, parse_overrides
 from protocol.authentication import LinkKey
-from protocol.configuration import configuration_hash, load, merged, parse_overrides
-from protocol.reference_link import Acknowledgement, Request, State
-from protocol.reference_session import ReferenceServer, RequestReceived, ServerEvent, StreamedPoseReceived
+from protocol.reference_messages import Acknowledgement, Request, State
+from protocol.server_session import ReferenceServer
+from protocol.session_events import RequestReceived, ServerEvent, StreamedPoseReceived
 from tests.controller.obedient_plant import Bench
 
 CONFIGS = Path(__file__).parents[2] / "configs"

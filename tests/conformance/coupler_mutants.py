@@ -2,8 +2,8 @@
 
 from typing import Any, NamedTuple
 
-from plant_emulator.core.coupler_watchdog import CouplerWatchdog
-from plant_emulator.core.modbus_requests import WRITING
+from plant_emulator.core.coupler.modbus_requests import WRITING
+from plant_emulator.core.coupler.watchdog import CouplerWatchdog
 from plant_emulator.shell.coupler import Coupler
 from protocol.coupler_registers import WATCHDOG_TIME_MS
 from tests.conformance.couplers import ThreadedCoupler

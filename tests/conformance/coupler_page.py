@@ -4,12 +4,12 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from plant_emulator.core import modbus_requests as requests
-from plant_emulator.core.coupler_image import COUPLER_MAP
-from plant_emulator.core.modbus_requests import Span
+from conformance.runner import coupler_cases
+from plant_emulator.core.coupler import modbus_requests as requests
+from plant_emulator.core.coupler.image import COUPLER_MAP
+from plant_emulator.core.coupler.modbus_requests import Span
 from protocol import coupler_registers as registers
 from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS, OUTPUT_WORDS
-from testbed.conformance.runner import coupler_cases
 from tests.protocol.page import table
 
 PAGE = Path(__file__).parents[2] / "docs" / "process_image.md"

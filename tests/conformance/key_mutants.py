@@ -1,14 +1,15 @@
 """Controllers with a key and one thing wrong with it each, and the cases meant to catch them."""
 
+from conformance.bytes_of import resealed, with_bit_flipped
 from protocol import channel
 from protocol.authentication import DirectionKey, LinkKey, fault_of
 from protocol.channel import LinkStatistics
-from protocol.datagram import Header, decode
+from protocol.datagram import Header, decode, encode
 from protocol.datagram_layout import HEADER_BYTES, TAG_BYTES, TRAILER_BYTES, Kind
 from protocol.errors import DatagramRefused
-from protocol.reference_link import Hello, State, encode
-from protocol.reference_session import DatagramDropped, ReferenceServer, ServerEvent
-from testbed.conformance.bytes_of import resealed, with_bit_flipped
+from protocol.reference_messages import Hello, State
+from protocol.server_session import ReferenceServer
+from protocol.session_events import DatagramDropped, ServerEvent
 from tests.conformance.controllers import LINK_TIMEOUT_MS, ThreadedController
 from tests.conformance.mutants import Mutant, _NoDuplicates, _with_window
 

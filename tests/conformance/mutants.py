@@ -3,12 +3,13 @@
 import struct
 from typing import Any, NamedTuple
 
+from conformance.bytes_of import resealed, with_number
 from protocol import channel
 from protocol.command_ledger import CommandLedger, Verdict
-from protocol.datagram import Header
+from protocol.datagram import Header, decode, encode
 from protocol.errors import DatagramRefused
 from protocol.faults import CommandCode, Reason
-from protocol.reference_link import (
+from protocol.reference_messages import (
     Acknowledgement,
     Bye,
     Command,
@@ -19,11 +20,9 @@ from protocol.reference_link import (
     Request,
     State,
     Welcome,
-    decode,
-    encode,
 )
-from protocol.reference_session import ReferenceServer, ServerEvent
-from testbed.conformance.bytes_of import resealed, with_number
+from protocol.server_session import ReferenceServer
+from protocol.session_events import ServerEvent
 from tests.conformance.controllers import LINK_TIMEOUT_MS, ThreadedController
 
 MAJOR, MINOR, FLAGS, LENGTH, SEQUENCE, ECHO, HEADER_BYTES = 4, 5, 8, 10, 24, 28, 40

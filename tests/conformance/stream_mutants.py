@@ -1,8 +1,8 @@
 """Controllers that stream wrongly, each caught by the case meant for it."""
 
 from controller.core.settings import Settings
-from protocol.reference_link import State
-from protocol.reference_session import StreamedPoseReceived
+from protocol.reference_messages import State
+from protocol.session_events import StreamedPoseReceived
 from tests.conformance.controllers import ThreadedController, settings
 from tests.conformance.mutants import Mutant
 

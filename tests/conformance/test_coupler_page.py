@@ -3,8 +3,8 @@
 import itertools
 import re
 
-from plant_emulator.core.coupler_image import COUPLER_MAP
-from plant_emulator.core.modbus_requests import exception_for
+from plant_emulator.core.coupler.image import COUPLER_MAP
+from plant_emulator.core.coupler.modbus_requests import exception_for
 from tests.conformance.coupler_page import DIAGNOSTICS, PAGE, rendered, sections
 
 TEXT = PAGE.read_text()

@@ -9,10 +9,10 @@ from xml.etree import ElementTree
 import pytest
 from typer.testing import CliRunner
 
-from testbed.conformance.case import Outcome
-from testbed.conformance.command import app
-from testbed.conformance.records import write_records
-from testbed.conformance.runner import coupler_cases, run_coupler
+from conformance.case import Outcome
+from conformance.command import app
+from conformance.records import write_records
+from conformance.runner import coupler_cases, run_coupler
 from tests.conformance.coupler_mutants import MUTANTS, Mutant
 from tests.conformance.couplers import ThreadedCoupler
 

@@ -1,12 +1,13 @@
-"""The suites are a product: they run wherever ``protocol`` and two libraries for a terminal are installed."""
+"""The suites are a product: they run wherever ``protocol``, the floor under it and two libraries for a
+terminal are installed."""
 
 import ast
 import sys
 from pathlib import Path
 
-import testbed.conformance
+import conformance
 
-ALLOWED = {"protocol", "typer", "rich"}
+ALLOWED = {"protocol", "foundation", "typer", "rich"}
 
 
 def imported(path: Path) -> set[str]:
@@ -21,11 +22,11 @@ def imported(path: Path) -> set[str]:
     return names
 
 
-def test_the_suites_import_the_protocol_and_themselves() -> None:
-    modules = sorted(Path(testbed.conformance.__file__).parent.glob("*.py"))
+def test_the_suites_import_the_protocol_the_floor_and_themselves() -> None:
+    modules = sorted(Path(conformance.__file__).parent.rglob("*.py"))
     assert len(modules) > 15
     for path in modules:
         for name in imported(path):
             top = name.partition(".")[0]
-            own = name == "testbed.conformance" or name.startswith("testbed.conformance.")
+            own = name == "conformance" or name.startswith("conformance.")
             assert own or top in ALLOWED or top in sys.stdlib_module_names, f"{path.name} imports {name}"

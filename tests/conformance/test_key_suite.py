@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from testbed.conformance.case import Outcome
-from testbed.conformance.command import app
-from testbed.conformance.runner import reference_cases, run_reference
+from conformance.case import Outcome
+from conformance.command import app
+from conformance.runner import reference_cases, run_reference
 from tests.conformance.controllers import ThreadedController
 from tests.conformance.key_mutants import KEY, KEY_MUTANTS, KeyedController
 from tests.conformance.mutants import Mutant

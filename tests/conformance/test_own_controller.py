@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from protocol.link_key import key_from_file
-from testbed.conformance.case import Outcome
-from testbed.conformance.runner import run_reference
+from conformance.case import Outcome
+from conformance.runner import run_reference
+from foundation.link_key import key_from_file
 
 ROOT = Path(__file__).parents[2]
 START_S = 90.0

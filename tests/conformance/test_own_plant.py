@@ -2,8 +2,8 @@
 
 import pytest
 
-from testbed.conformance.case import Outcome
-from testbed.conformance.runner import run_coupler
+from conformance.case import Outcome
+from conformance.runner import run_coupler
 from tests.conformance.test_own_controller import service
 
 

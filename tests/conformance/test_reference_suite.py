@@ -9,13 +9,13 @@ from xml.etree import ElementTree
 import pytest
 from typer.testing import CliRunner
 
+from conformance.case import Outcome, Register
+from conformance.command import app
+from conformance.records import write_records
+from conformance.runner import Summary, reference_cases, run_reference
 from protocol.errors import ConfigurationError
-from protocol.reference_link import CAPABILITY_PATHS
-from protocol.reference_session import ReferenceServer
-from testbed.conformance.case import Outcome, Register
-from testbed.conformance.command import app
-from testbed.conformance.records import write_records
-from testbed.conformance.runner import Summary, reference_cases, run_reference
+from protocol.reference_messages import CAPABILITY_PATHS
+from protocol.server_session import ReferenceServer
 from tests.conformance.controllers import LINK_TIMEOUT_MS, ThreadedController
 from tests.conformance.mutants import MUTANTS, Mutant
 from tests.conformance.stream_mutants import STREAM_MUTANTS

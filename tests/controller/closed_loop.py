@@ -8,14 +8,8 @@ from controller.core.scan_types import ControllerView, ScanInput, ScanOutput, in
 from controller.core.settings import Settings
 from plant_emulator.core.plant import Plant
 from protocol.faults import CommandCode, Reason
-from protocol.process_image import (
-    SensorImage,
-    decode_sensors,
-    decode_valves,
-    encode_sensors,
-    encode_valves,
-)
-from protocol.reference_link import FLAG_SETTLED, Command, ReferencePath, ReferencePose
+from protocol.process_image import SensorImage, decode_sensors, decode_valves, encode_sensors, encode_valves
+from protocol.reference_messages import FLAG_SETTLED, Command, ReferencePath, ReferencePose
 
 
 class ClosedLoop:

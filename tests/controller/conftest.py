@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from controller.config import ArmConfig, ControllerConfig
-from controller.core.denavit_hartenberg import dh_table
-from controller.core.rotations import Array
-from protocol.configuration import load
+from controller.core.kinematics.denavit_hartenberg import dh_table
+from controller.core.kinematics.rotations import Array
+from foundation.configuration import load
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 

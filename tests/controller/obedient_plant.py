@@ -24,7 +24,7 @@ from protocol.process_image import (
     STATUS_WATCHDOG_TRIPPED,
     SensorImage,
 )
-from protocol.reference_link import (
+from protocol.reference_messages import (
     Acknowledgement,
     Command,
     ReferencePose,
@@ -32,7 +32,7 @@ from protocol.reference_link import (
     StreamedPose,
     StreamRefused,
 )
-from protocol.reference_session import StreamedPoseReceived
+from protocol.session_events import StreamedPoseReceived
 
 START_DEG = (0.0, 50.0, -75.0, 0.0, -25.0, 0.0)
 

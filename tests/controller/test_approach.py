@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from ruckig import InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
 
-from controller.core.approach import AXES, AxisLimits, approach, sample_approach
-from controller.core.paths import Desired
+from controller.core.trajectories.approach import AXES, AxisLimits, approach, sample_approach
+from controller.core.trajectories.paths import Desired
 
 # What was left of a way in the closed loop at camera rate, in one run of thirty: nanometres, nearly in phase.
 LEFT = np.array([-5.300421879184114e-08, 5.295023078333294e-08, -5.295023730589321e-08])

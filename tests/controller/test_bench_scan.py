@@ -7,15 +7,15 @@ import pinocchio as pin
 import pytest
 
 from controller.config import ArmConfig, ControllerConfig
-from controller.core.denavit_hartenberg import JOINTS, LINKS
-from controller.core.pose_servo import tool_state
+from controller.core.kinematics.denavit_hartenberg import JOINTS, LINKS
+from controller.core.kinematics.rotations import Array
 from controller.core.references import admit
-from controller.core.rotations import Array
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput
+from controller.core.servo.pose_servo import tool_state
 from controller.core.settings import Settings, settings_from
-from protocol.reference_link import ReferencePath, StreamedPose
-from protocol.reference_session import StreamedPoseReceived
+from protocol.reference_messages import ReferencePath, StreamedPose
+from protocol.session_events import StreamedPoseReceived
 from tests.controller.obedient_plant import Bench
 from tests.controller.test_kinematics import START, drawn_arm
 

@@ -11,16 +11,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from controller.config import ArmConfig, ControllerConfig
-from controller.core.pose_servo import resolve, tool_state
+from controller.core.servo.pose_servo import resolve, tool_state
 from controller.core.settings import Settings, settings_from
-from plant_emulator.core.faults import EncoderJump, EncoderStuck, Fault, SupplyLost, ValveStuck
+from foundation.configuration import load
+from plant_emulator.config.plant import PlantConfig
+from plant_emulator.core.faults.kinds import EncoderJump, EncoderStuck, Fault, SupplyLost, ValveStuck
 from plant_emulator.core.plant import Plant
-from plant_emulator.plant_config import PlantConfig
-from protocol.configuration import load
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
 from protocol.process_image import CONTROL_ENABLE
-from protocol.reference_link import ReferencePath, ReferencePose
+from protocol.reference_messages import ReferencePath, ReferencePose
 from tests.controller.closed_loop import ClosedLoop
 from tests.controller.conftest import CONFIGS
 

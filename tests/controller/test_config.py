@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from controller.config import ArmConfig, ControllerConfig
-from protocol.configuration import load
+from foundation.configuration import load
 from protocol.errors import ConfigurationError
 from tests.controller.conftest import CONFIGS
 

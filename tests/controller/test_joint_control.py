@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from controller.config import ArmConfig
-from controller.core.drives import drive_table, full_spool_speeds, load_pressures, unloaded
-from controller.core.joint_control import JointFilters, JointGains, pt1_step, valve_commands
-from controller.core.paths import at_rest
-from controller.core.pose_servo import resolve, tool_state
-from controller.core.rotations import Array, quaternion_from_vector, quaternion_product
+from controller.core.kinematics.rotations import Array, quaternion_from_vector, quaternion_product
+from controller.core.servo.drives import drive_table, full_spool_speeds, load_pressures, unloaded
+from controller.core.servo.joint_control import JointFilters, JointGains, pt1_step, valve_commands
+from controller.core.servo.pose_servo import resolve, tool_state
+from controller.core.trajectories.paths import at_rest
 
 ONES = np.ones(6)
 REST = JointFilters(np.zeros(6), np.zeros(6))

@@ -7,10 +7,10 @@ import pinocchio as pin
 import pytest
 
 from controller.config import ArmConfig
-from controller.core.denavit_hartenberg import chain, tool_pose
-from controller.core.inverse_kinematics import REACHED, TOO_FAR, joint_angles
-from controller.core.jacobian import damped_inverse, geometric_jacobian
-from controller.core.rotations import Array
+from controller.core.kinematics.denavit_hartenberg import chain, tool_pose
+from controller.core.kinematics.inverse_kinematics import REACHED, TOO_FAR, joint_angles
+from controller.core.kinematics.jacobian import damped_inverse, geometric_jacobian
+from controller.core.kinematics.rotations import Array
 
 START = np.radians([0.0, 50.0, -75.0, 0.0, -25.0, 0.0])
 EXTENSION_M = 1.0

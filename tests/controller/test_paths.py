@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from controller.config import ArmConfig, ControllerConfig
-from controller.core.motion import advanced, at_standstill, begun, stopping
-from controller.core.paths import Desired, Path, at_rest, duration, path_from, sample
 from controller.core.settings import settings_from
+from controller.core.trajectories.motion import advanced, at_standstill, begun, stopping
+from controller.core.trajectories.paths import Desired, Path, at_rest, duration, path_from, sample
 
 
 def _wxyz(rotation: Rotation) -> np.ndarray:

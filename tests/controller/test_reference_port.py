@@ -14,17 +14,13 @@ from controller.config import ReferenceLinkConfig
 from controller.core.inbox import Request
 from controller.shell.event_log import EventLog
 from controller.shell.reference_port import ReferencePort
+from protocol.client_session import ReferenceClient
 from protocol.errors import ConfigurationError
 from protocol.faults import CommandCode, Reason
 from protocol.pose import IDENTITY
-from protocol.reference_link import Command, ReferencePose
-from protocol.reference_session import (
-    Connected,
-    ConnectionDelayed,
-    LinkLost,
-    ReferenceClient,
-    ReferenceServer,
-)
+from protocol.reference_messages import Command, ReferencePose
+from protocol.server_session import ReferenceServer
+from protocol.session_events import Connected, ConnectionDelayed, LinkLost
 
 TIMEOUT_MS = 400
 

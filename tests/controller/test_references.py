@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from controller.config import ArmConfig, ControllerConfig
-from controller.core.pose_servo import tool_state
-from controller.core.rotations import quaternion_from_matrix
+from controller.core.kinematics.rotations import quaternion_from_matrix
+from controller.core.servo.pose_servo import tool_state
 from controller.core.settings import Settings, settings_from
 from protocol.faults import FaultCode, Reason
 from protocol.pose import Pose
-from protocol.reference_link import ReferencePath, ReferencePose
+from protocol.reference_messages import ReferencePath, ReferencePose
 from tests.controller.obedient_plant import Bench
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from controller.core.rotations import (
+from controller.core.kinematics.rotations import (
     angular_motion,
     matrix_from_quaternion,
     orientation_error,

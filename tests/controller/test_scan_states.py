@@ -9,7 +9,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from controller.config import ArmConfig, ControllerConfig
 from controller.core.group_states import GROUP_STATE, Mode, Stimulus, transition
 from controller.core.settings import Settings, settings_from
-from protocol.configuration import load
+from foundation.configuration import load
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.process_image import (
     CONTROL_ENABLE,
@@ -17,7 +17,7 @@ from protocol.process_image import (
     STATUS_SUPPLY_ON,
     STATUS_WATCHDOG_TRIPPED,
 )
-from protocol.reference_link import (
+from protocol.reference_messages import (
     FLAG_EMERGENCY_LATCHED,
     FLAG_SETTLED,
     FLAG_STREAMING,

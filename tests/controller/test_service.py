@@ -16,11 +16,12 @@ from typing import Any
 import pytest
 
 from controller.config import ArmConfig
-from protocol.configuration import configuration_hash
+from foundation.configuration import configuration_hash
+from protocol.client_session import ReferenceClient
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.pose import Pose
-from protocol.reference_link import FLAG_SETTLED, Acknowledgement, Command, ReferencePose, State
-from protocol.reference_session import AcknowledgementReceived, ReferenceClient, StateReceived
+from protocol.reference_messages import FLAG_SETTLED, Acknowledgement, Command, ReferencePose, State
+from protocol.session_events import AcknowledgementReceived, StateReceived
 from tests.controller.conftest import CONFIGS
 from tests.controller.plant_server import PlantServer, plant_server
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from testbed.experiments.stream_cut_run import COMMAND_MS, FLOW_MS, one_cut
-from testbed.settings import chosen_overrides, load_settings
+from testbed.experiments.robustness.stream_cut_run import COMMAND_MS, FLOW_MS, one_cut
+from testbed.scenarios.settings import chosen_overrides, load_settings
 
 CONFIG = Path(__file__).parents[2] / "configs"
 

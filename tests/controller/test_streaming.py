@@ -9,12 +9,12 @@ import pytest
 
 from controller.config import ArmConfig, ControllerConfig
 from controller.core.group_states import Mode
-from controller.core.rotations import Array, conjugate, quaternion_product, vector_from_quaternion
+from controller.core.kinematics.rotations import Array, conjugate, quaternion_product, vector_from_quaternion
 from controller.core.settings import Settings, settings_from
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
 from protocol.process_image import CONTROL_ENABLE
-from protocol.reference_link import FLAG_SETTLED, FLAG_STREAMING, StreamRefused
+from protocol.reference_messages import FLAG_SETTLED, FLAG_STREAMING, StreamRefused
 from tests.controller.obedient_plant import Bench
 
 ZERO = (0.0,) * 6

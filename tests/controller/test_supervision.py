@@ -16,7 +16,7 @@ from protocol.process_image import (
     STATUS_SUPPLY_ON,
     STATUS_WATCHDOG_TRIPPED,
 )
-from protocol.reference_link import FLAG_PLANT_LINK_OK
+from protocol.reference_messages import FLAG_PLANT_LINK_OK
 from tests.controller.obedient_plant import Bench
 
 ZERO = (0.0,) * 6

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
+from conformance.bytes_of import with_bit_flipped, with_number
+from dissector.generate import SCRIPT, dissector
 from protocol.authentication import LinkKey
+from protocol.datagram import encode
 from protocol.datagram_layout import HEADER, PAYLOADS, TRAILER
-from protocol.reference_link import encode
-from testbed.conformance.bytes_of import with_bit_flipped, with_number
-from testbed.dissector.generate import SCRIPT, dissector
 from tests.dissector.captures import write_pcap
 from tests.protocol.samples import HEADER as SAMPLE_HEADER
 from tests.protocol.samples import MESSAGES
@@ -25,7 +25,7 @@ DATAGRAMS = [encode(message, SAMPLE_HEADER) for message in MESSAGES]
 
 
 def test_the_script_is_the_one_of_the_tables() -> None:
-    assert SCRIPT.read_text(encoding="utf-8") == dissector(), "run: python -m testbed.dissector.generate"
+    assert SCRIPT.read_text(encoding="utf-8") == dissector(), "run: python -m dissector.generate"
 
 
 def test_every_field_of_every_kind_is_shown_once() -> None:

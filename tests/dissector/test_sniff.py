@@ -7,12 +7,12 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from conformance.bytes_of import with_bit_flipped
+from dissector.capture import from_file
+from dissector.command import sniff
 from protocol.authentication import LinkKey
+from protocol.datagram import encode
 from protocol.errors import ConfigurationError
-from protocol.reference_link import encode
-from testbed.conformance.bytes_of import with_bit_flipped
-from testbed.dissector.capture import from_file
-from testbed.dissector.command import sniff
 from tests.dissector.captures import frame, write_pcap
 from tests.protocol.samples import HEADER, MESSAGES
 

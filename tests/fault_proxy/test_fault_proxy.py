@@ -14,9 +14,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from conformance.case import Outcome
+from conformance.runner import run_coupler
 from protocol.errors import ConfigurationError
-from testbed.conformance.case import Outcome
-from testbed.conformance.runner import run_coupler
 from testbed.fault_proxy.faults import Event, FaultLine, Faults
 from testbed.fault_proxy.proxy import FaultProxy, Route, TcpProxy, UdpProxy
 from tests.conformance.couplers import ThreadedCoupler

@@ -24,7 +24,7 @@ from protocol.errors import ImageRefused
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.pose import Pose
 from protocol.process_image import decode_sensors, encode_valves
-from protocol.reference_link import Acknowledgement, Command, ReferencePose
+from protocol.reference_messages import Acknowledgement, Command, ReferencePose
 from testbed.fault_proxy.faults import Delivery, FaultLine, Faults
 from testbed.fault_proxy.proxy import Route, TcpProxy
 from tests.faults.registers import Registers, assert_shut

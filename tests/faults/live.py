@@ -19,19 +19,19 @@ from fastapi import FastAPI
 from plant_emulator.core.plant import Plant
 from protocol.faults import GroupState
 from protocol.process_image import decode_valves, encode_sensors
-from testbed.lockstep_world import ControllerSide
+from testbed.lockstep.world import ControllerSide
 from tests.faults.registers import SHUT, Registers
 from tests.faults.rig import settings_of
 from tests.vision_pc.loopback_controller import until
+from vision_pc.application.eyes import CameraEyes
+from vision_pc.application.link_arm import SocketArm
+from vision_pc.application.operations import Operations
+from vision_pc.application.station import Station
 from vision_pc.core.types import StereoPair
-from vision_pc.shell.api import create_app
 from vision_pc.shell.cameras import CameraSource
-from vision_pc.shell.controller_link import ControllerLink
 from vision_pc.shell.event_log import EventLog
-from vision_pc.shell.eyes import CameraEyes
-from vision_pc.shell.operations import Operations
-from vision_pc.shell.socket_arm import SocketArm
-from vision_pc.shell.station import Station
+from vision_pc.shell.link.controller_link import ControllerLink
+from vision_pc.shell.rest.api import create_app
 
 _CYCLES_AT_ONCE = 2
 _PAUSE_S = 0.004

@@ -3,19 +3,13 @@
 from functools import cache
 from pathlib import Path
 
+from protocol.client_session import ReferenceClient
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
-from protocol.reference_link import (
-    Acknowledgement,
-    Command,
-    ReferencePath,
-    ReferencePose,
-    State,
-)
-from protocol.reference_session import ReferenceClient
-from testbed.event_log import EventLog
-from testbed.lockstep_world import Wire, World
-from testbed.settings import Settings, chosen_overrides, load_settings
+from protocol.reference_messages import Acknowledgement, Command, ReferencePath, ReferencePose, State
+from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.world import Wire, World
+from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
 from tests.faults.registers import Registers, assert_shut
 
 CONFIG = Path(__file__).parents[2] / "configs"

@@ -5,12 +5,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from protocol.client_session import ReferenceClient
 from protocol.datagram import decode, encode
 from protocol.datagram_layout import HEADER_BYTES
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
-from protocol.reference_link import Command, ReferencePose
-from protocol.reference_session import ReferenceClient
-from testbed.lockstep_world import CONTROLLER_CLOCK_NS
+from protocol.reference_messages import Command, ReferencePose
+from testbed.lockstep.world import CONTROLLER_CLOCK_NS
 from tests.faults.registers import assert_driving, assert_shut
 from tests.faults.rig import CLOSING_NS, MS, FaultRig
 

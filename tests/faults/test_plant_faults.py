@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plant_emulator.core.faults import EncoderJump, EncoderStuck, SupplyLost, ValveStuck
+from plant_emulator.core.faults.kinds import EncoderJump, EncoderStuck, SupplyLost, ValveStuck
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from tests.faults.registers import SHUT
 from tests.faults.rig import CLOSING_NS, FaultRig

@@ -11,7 +11,7 @@ from protocol.datagram_layout import HEADER_BYTES
 from protocol.faults import GroupState, Reason
 from protocol.pose import Pose
 from protocol.process_image import ValveImage
-from protocol.reference_link import Acknowledgement, ReferencePath, ReferencePose
+from protocol.reference_messages import Acknowledgement, ReferencePath, ReferencePose
 from tests.faults.registers import assert_driving
 from tests.faults.rig import FaultRig
 from tests.protocol.test_datagram import resealed

@@ -18,7 +18,7 @@ from hypothesis.stateful import (
 from controller.core.settings import Settings, settings_from
 from protocol.faults import CommandCode, FaultCode
 from protocol.process_image import CONTROL_ENABLE, STATUS_SENSOR_FAULT
-from protocol.reference_link import FLAG_EMERGENCY_LATCHED
+from protocol.reference_messages import FLAG_EMERGENCY_LATCHED
 from tests.controller.obedient_plant import Bench
 from tests.faults.oracle import Doing, Oracle
 from tests.faults.rig import settings_of

@@ -8,7 +8,7 @@ import pytest
 from protocol.datagram_layout import Kind
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.pose import Pose
-from protocol.reference_link import Command, StreamedPose
+from protocol.reference_messages import Command, StreamedPose
 from tests.faults.registers import SHUT, assert_driving, shut_since
 from tests.faults.rig import MS, FaultRig
 

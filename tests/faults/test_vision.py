@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 import uvicorn
 
-from plant_emulator.core.faults import MarkerCovered
+from plant_emulator.core.faults.kinds import MarkerCovered
 from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.faults import GroupState
-from testbed.console import bars
-from testbed.event_log import EventLog
-from testbed.eye_model import ModelSight, load_eye_model
-from testbed.lockstep_station import LockstepRig
+from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.rig import LockstepRig
+from testbed.lockstep.simulated_measurements import ModelSight, load_eye_model
+from testbed.reporting.console import bars
 from tests.faults.live import LiveRig, live
 from tests.faults.registers import Registers
 from tests.faults.rig import CONFIG, settings_of

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Callable
 from zlib import crc32
 
-from plant_emulator.core.modbus_requests import MAX_PDU_BYTES
+from plant_emulator.core.coupler.modbus_requests import MAX_PDU_BYTES
 from plant_emulator.shell.coupler import Coupler
 from plant_emulator.shell.coupler_connection import CouplerConnection
 from protocol.datagram import Header, decode, encode

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import httpx
 
-from testbed.launch import Launch, prepare
-from testbed.settings import chosen_overrides
-from testbed.supervisor import Supervisor, supervised
+from testbed.realtime.launch import Launch, prepare
+from testbed.realtime.supervisor import Supervisor, supervised
+from testbed.scenarios.settings import chosen_overrides
 
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / "configs"

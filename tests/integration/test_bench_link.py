@@ -30,9 +30,9 @@ from protocol.process_image import (
     encode_sensors,
     encode_valves,
 )
-from protocol.reference_link import Command, ReferencePose
-from testbed.experiments.controller_kills import insist, trial_rig
-from testbed.live_client import LiveClient
+from protocol.reference_messages import Command, ReferencePose
+from testbed.experiments.robustness.controller_kills import insist, trial_rig
+from testbed.realtime.live_client import LiveClient
 from tests.conformance.couplers import RELEASE_NS, ThreadedCoupler
 from tests.controller.obedient_plant import START_DEG, counts
 from tests.controller.plant_server import plant_server

@@ -15,9 +15,9 @@ import yaml
 
 from plant_emulator.core.truth import tool_error
 from plant_emulator.shell.recording import read_truth
-from testbed.console import bars
-from testbed.rest_rig import RestRig
-from testbed.supervisor import free_port
+from testbed.realtime.rest_rig import RestRig
+from testbed.realtime.supervisor import free_port
+from testbed.reporting.console import bars
 from tests.integration.services import ROOT
 
 PROJECT = "longreach-test"

@@ -10,8 +10,8 @@ import pytest
 
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.process_image import STATUS_VALVES_ENABLED
-from protocol.reference_link import State
-from testbed.experiments.controller_kills import Rig, insist, trial_rig
+from protocol.reference_messages import State
+from testbed.experiments.robustness.controller_kills import Rig, insist, trial_rig
 from tests.integration.flood import flooding
 
 CONFIG = Path(__file__).parents[2] / "configs"

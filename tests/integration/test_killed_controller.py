@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from testbed.experiments.controller_kills import KILL, SUSPEND_LONG, run_trials
+from testbed.experiments.robustness.controller_kills import KILL, SUSPEND_LONG, run_trials
 
 CONFIG = Path(__file__).parents[2] / "configs"
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import httpx
 
-from testbed.launch import CONTROLLER, PLANT, VISION
+from testbed.realtime.launch import CONTROLLER, PLANT, VISION
 from tests.integration.services import ROOT, running
 
 

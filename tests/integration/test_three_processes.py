@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from plant_emulator.shell.recording import read_truth
-from testbed import probe
-from testbed.launch import PLANT
-from testbed.rest_rig import RestRig
+from testbed.realtime import probe
+from testbed.realtime.launch import PLANT
+from testbed.realtime.rest_rig import RestRig
 from tests.integration.services import Running, running
 
 HELD_M = 0.002  # what servo and leakage move the tool in the seconds of a test

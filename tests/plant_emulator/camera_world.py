@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.core.camera_motion import View
-from plant_emulator.core.geometry import transform
-from plant_emulator.core.scene import Scene, rotation_matrix
-from plant_emulator.core.stereo_camera import StereoCamera
-from plant_emulator.scene_config import SceneConfig
-from protocol.configuration import load
+from foundation.configuration import load
+from plant_emulator.config.scene import SceneConfig
+from plant_emulator.core.camera.camera_motion import View
+from plant_emulator.core.camera.scene import Scene, rotation_matrix
+from plant_emulator.core.camera.stereo_camera import StereoCamera
+from plant_emulator.core.mechanics.geometry import transform
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 CLEAN: dict[str, Any] = {

@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
+from foundation.configuration import load
+from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core.plant import Plant
-from plant_emulator.plant_config import PlantConfig
-from protocol.configuration import load
 from protocol.process_image import CONTROL_ENABLE, ValveImage
 
 CONFIGS = Path(__file__).parents[2] / "configs"

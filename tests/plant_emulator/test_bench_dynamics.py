@@ -18,12 +18,12 @@ from numba import njit
 from numba.core.runtime import _nrt_python, rtsys
 from numpy.typing import NDArray
 
-from plant_emulator.core.equilibrium import rest_state
 from plant_emulator.core.layout import DRIVEN, N_ACTUATORS, N_COORDINATES, N_STATES, RATE, Q
+from plant_emulator.core.mechanics.equilibrium import rest_state
+from plant_emulator.core.mechanics.multibody import forward_kinematics, multibody_work
 from plant_emulator.core.model import Model, build_model, start_coordinates
-from plant_emulator.core.multibody import forward_kinematics, multibody_work
 from plant_emulator.core.right_hand_side import Work, advance, hydraulic_rates, new_work
-from testbed.console import out, table
+from testbed.reporting.console import out, table
 from testbed.validation.oracles import mujoco_xml
 from tests.plant_emulator.plant_world import plant_config
 

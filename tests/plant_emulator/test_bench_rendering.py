@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from plant_emulator.core.scene import Plate
-from plant_emulator.core.stereo_camera import LEFT, RIGHT, StereoCamera
-from plant_emulator.core.wall_texture import SIZE, wall_texture
+from plant_emulator.core.camera.scene import Plate
+from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
+from plant_emulator.core.camera.wall_texture import SIZE, wall_texture
 from tests.plant_emulator.camera_world import CLEAN, Matrix, View, camera, shipped_camera, start_view
 from tests.plant_emulator.test_corner_accuracy import corner_errors, random_views, rms
 

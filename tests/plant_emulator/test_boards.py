@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from plant_emulator.board_config import AnyBoardConfig, CabinetConfig
-from plant_emulator.core.boards import board_points, board_pose
-from plant_emulator.core.cabinet import cabinet_front
-from plant_emulator.core.camera_motion import View
-from plant_emulator.core.geometry import rotation_from_vector, transform
-from plant_emulator.core.scene import Scene
-from plant_emulator.core.stereo_camera import LEFT, RIGHT, StereoCamera
-from plant_emulator.scene_config import SceneConfig
+from plant_emulator.config.boards import AnyBoardConfig, CabinetConfig
+from plant_emulator.config.scene import SceneConfig
+from plant_emulator.core.camera.boards import board_points, board_pose
+from plant_emulator.core.camera.cabinet import cabinet_front
+from plant_emulator.core.camera.camera_motion import View
+from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
+from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
 from tests.plant_emulator.camera_world import scene_config
-from vision_pc.core import zhang_intrinsics as zhang
 from vision_pc.core.hand_eye.rigid import inverse
-from vision_pc.core.marker_edges import refine
+from vision_pc.core.perception import zhang_intrinsics as zhang
+from vision_pc.core.perception.marker_edges import refine
 
 FAR = transform(np.eye(3), np.array([0.0, 0.0, -5.0]))  # the tool marker, out of sight behind the camera
 

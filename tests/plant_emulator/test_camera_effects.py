@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from plant_emulator.core.camera_motion import STILL, Motion, View, motion_between
-from plant_emulator.core.geometry import rotation_from_vector, transform
-from plant_emulator.core.stereo_camera import LEFT, RIGHT, StereoCamera
-from plant_emulator.core.wall_texture import SIZE, wall_texture
+from plant_emulator.core.camera.camera_motion import STILL, Motion, View, motion_between
+from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
+from plant_emulator.core.camera.wall_texture import SIZE, wall_texture
+from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
 from tests.plant_emulator.camera_world import CLEAN, Matrix, camera, clean_camera, start_view, wall_view
 from tests.plant_emulator.corner_oracle import refined_corners
 from tests.plant_emulator.test_stereo_camera import seen_ids, shift_between

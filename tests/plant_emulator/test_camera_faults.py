@@ -8,9 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from plant_emulator.core.camera_motion import STILL, Capture, View
-from plant_emulator.core.exposures import Exposures, Shot
-from plant_emulator.core.faults import (
+from plant_emulator.core.camera.camera_motion import STILL, Capture, View
+from plant_emulator.core.camera.exposures import Exposures, Shot
+from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT
+from plant_emulator.core.faults.kinds import (
     CameraBlind,
     CameraFrozen,
     Fault,
@@ -19,17 +20,11 @@ from plant_emulator.core.faults import (
     Side,
     SupplyLost,
 )
-from plant_emulator.core.geometry import transform
+from plant_emulator.core.mechanics.geometry import transform
 from plant_emulator.core.plant import Plant
-from plant_emulator.core.stereo_camera import LEFT, RIGHT
 from plant_emulator.shell.renderer import decode_shot, encode_shot
 from protocol.errors import RequestRefused
-from tests.plant_emulator.camera_world import (
-    clean_camera,
-    scene_config,
-    shipped_camera,
-    start_view,
-)
+from tests.plant_emulator.camera_world import clean_camera, scene_config, shipped_camera, start_view
 from tests.plant_emulator.plant_world import Driver, plant_config
 from tests.plant_emulator.test_stereo_camera import seen_ids
 

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from plant_emulator.core.lens import Lens
-from plant_emulator.core.stereo_camera import LEFT, RIGHT, StereoCamera
-from plant_emulator.scene_config import LensConfig
+from plant_emulator.config.scene import LensConfig
+from plant_emulator.core.camera.lens import Lens
+from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from tests.plant_emulator.camera_world import CLEAN, Matrix, View, camera, clean_camera, random_view
 from tests.plant_emulator.corner_oracle import refined_corners
 

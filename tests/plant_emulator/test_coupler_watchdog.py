@@ -12,8 +12,8 @@ from controller.config import PlantLinkConfig
 from controller.core.plant_watch import PlantRefusal
 from controller.shell.event_log import EventLog
 from controller.shell.plant_link import PlantLink
-from plant_emulator.core.coupler_image import COUPLER_MAP
-from plant_emulator.core.modbus_requests import Span
+from plant_emulator.core.coupler.image import COUPLER_MAP
+from plant_emulator.core.coupler.modbus_requests import Span
 from plant_emulator.shell.coupler import Coupler
 from protocol import coupler_registers
 from protocol.process_image import CONTROL_ENABLE, SensorImage, ValveImage, encode_sensors, encode_valves

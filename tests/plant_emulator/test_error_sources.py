@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from plant_emulator.config.plant import ErrorsConfig
 from plant_emulator.core import columns as col
 from plant_emulator.core.layout import PRESSURE_A, RATE, TEMPERATURE
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.right_hand_side import hydraulic_rates, new_work
-from plant_emulator.plant_config import ErrorsConfig
 from protocol.errors import ConfigurationError
-from testbed.settings import load_settings
+from testbed.scenarios.settings import load_settings
 from testbed.validation.error_sources import Finding, findings, provenance, sources
 from tests.plant_emulator.plant_world import CONFIGS, plant_config
 

@@ -10,10 +10,10 @@ from fastapi import FastAPI
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from plant_emulator.core.faults import FAULTS
+from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.faults.kinds import FAULTS
 from plant_emulator.core.layout import JOINTS
 from plant_emulator.core.plant import Plant
-from plant_emulator.core.scene import Scene
 from plant_emulator.shell.fault_face import create_app
 from tests.plant_emulator.camera_world import scene_config
 from tests.plant_emulator.plant_world import plant_config

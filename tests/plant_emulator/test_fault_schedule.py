@@ -7,8 +7,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from plant_emulator.core.fault_schedule import FaultSchedule, Injection
-from plant_emulator.core.faults import (
+from plant_emulator.core.faults.kinds import (
     CameraFrozen,
     EncoderStuck,
     Fault,
@@ -16,6 +15,7 @@ from plant_emulator.core.faults import (
     SupplyLost,
     ValveStuck,
 )
+from plant_emulator.core.faults.schedule import FaultSchedule, Injection
 from protocol.errors import RequestRefused
 
 FEW: list[Fault] = [

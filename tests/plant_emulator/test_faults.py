@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from plant_emulator.config.plant import BAR
 from plant_emulator.core import columns as col
-from plant_emulator.core.fault_schedule import FaultSchedule
-from plant_emulator.core.faults import (
+from plant_emulator.core.faults.kinds import (
     FAULTS,
     CouplerSilent,
     EncoderBias,
@@ -21,10 +21,10 @@ from plant_emulator.core.faults import (
     ValveStuck,
     fault_from,
 )
+from plant_emulator.core.faults.schedule import FaultSchedule
+from plant_emulator.core.hydraulics.valves import orifice_flow
 from plant_emulator.core.layout import JOINTS
 from plant_emulator.core.plant import Plant
-from plant_emulator.core.valves import orifice_flow
-from plant_emulator.plant_config import BAR
 from protocol.errors import RequestRefused
 from protocol.process_image import (
     CONTROL_ENABLE,

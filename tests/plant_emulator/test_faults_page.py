@@ -5,12 +5,12 @@ from typing import get_args
 
 from fastapi.routing import APIRoute
 
-from plant_emulator.config import PlantServiceConfig
-from plant_emulator.core.faults import FAULTS, Joint, Side
+from foundation.configuration import load
+from plant_emulator.config.service import PlantServiceConfig
+from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.faults.kinds import FAULTS, Joint, Side
 from plant_emulator.core.plant import Plant
-from plant_emulator.core.scene import Scene
 from plant_emulator.shell import fault_face
-from protocol.configuration import load
 from tests.plant_emulator.camera_world import CONFIGS, scene_config
 from tests.plant_emulator.pages import page, rows
 from tests.plant_emulator.plant_world import plant_config

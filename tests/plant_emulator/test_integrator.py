@@ -7,12 +7,12 @@ from itertools import pairwise
 
 import pytest
 
+from foundation.configuration import load
+from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core.plant import Plant
-from plant_emulator.plant_config import PlantConfig
 from plant_emulator.shell.integrator import Beat, Integrator
 from plant_emulator.shell.lateness import Lateness
 from plant_emulator.shell.timer import PeriodicTimer
-from protocol.configuration import load
 from tests.plant_emulator.camera_world import CONFIGS
 
 PERIOD_NS = 2_000_000

@@ -8,9 +8,8 @@ from numba.core.errors import NumbaError
 from numba.core.runtime import _nrt_python, rtsys
 
 from plant_emulator.core.compiled import kernel
-from plant_emulator.core.multibody import forward_dynamics, multibody_work
-from plant_emulator.core.right_hand_side import advance, new_work
-from plant_emulator.core.spatial import (
+from plant_emulator.core.mechanics.multibody import forward_dynamics, multibody_work
+from plant_emulator.core.mechanics.spatial import (
     cross,
     dot,
     less_outer,
@@ -20,6 +19,7 @@ from plant_emulator.core.spatial import (
     turned,
     turned_back,
 )
+from plant_emulator.core.right_hand_side import advance, new_work
 from testbed.validation.plant_balances import resting_arm
 from tests.plant_emulator.plant_world import CONFIGS
 

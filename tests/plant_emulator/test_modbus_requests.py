@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from plant_emulator.core.modbus_requests import RegisterMap, Span, exception_for, written
+from plant_emulator.core.coupler.modbus_requests import RegisterMap, Span, exception_for, written
 
 IN, OUT, CONFIGURATION = Span(0, 40), Span(0x800, 12), Span(0x1120, 3)
 MAP = RegisterMap(

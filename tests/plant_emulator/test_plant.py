@@ -5,13 +5,13 @@ import pytest
 from numba.core.runtime import _nrt_python, rtsys
 
 from controller.config import ArmConfig
-from controller.core.denavit_hartenberg import dh_table, tool_pose
-from plant_emulator.core.faults import SupplyLost
+from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
+from foundation.configuration import load
+from plant_emulator.core.faults.kinds import SupplyLost
 from plant_emulator.core.layout import N_STATES, RATE, Q
 from plant_emulator.core.plant import NOMINAL_MOUNTS, Plant
 from plant_emulator.core.right_hand_side import advance, new_work, right_hand_side
 from plant_emulator.core.truth import inverse, tool_error
-from protocol.configuration import load
 from protocol.errors import ConfigurationError, ImageRefused, RequestRefused
 from protocol.process_image import (
     CONTROL_ENABLE,

@@ -9,7 +9,7 @@ import pytest
 
 from plant_emulator.core.layout import PRESSURE_A
 from plant_emulator.core.right_hand_side import advance, new_work
-from testbed.experiments.plant_campaign import (
+from testbed.experiments.robustness.plant_campaign import (
     ENERGY_LIMIT,
     EVENTS,
     MASS_LIMIT,

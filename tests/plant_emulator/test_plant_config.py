@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 import yaml
 
-from plant_emulator.core.geometry import build_chain
+from plant_emulator.core.mechanics.geometry import build_chain
 from protocol.errors import ConfigurationError
 from tests.plant_emulator.plant_world import CONFIGS, plant_config
 

@@ -9,7 +9,7 @@ import yaml
 from typer.testing import CliRunner
 
 from plant_emulator.core.layout import N_STATES
-from testbed.cli import app
+from testbed.cli.main import app
 from testbed.validation.plant import FAMILIES
 from tests.plant_emulator.plant_world import CONFIGS
 from tests.plant_emulator.test_validation import LEAST_CASES

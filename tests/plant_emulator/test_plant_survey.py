@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from plant_emulator.plant_config import PlantConfig
-from protocol.configuration import load
+from foundation.configuration import load
+from plant_emulator.config.plant import PlantConfig
 from testbed.validation import plant_survey, plant_survey_report
 from testbed.validation.plant_survey import ARMS, STATED_SAG_MM, Arm, survey
 from testbed.validation.plant_survey_report import run_survey

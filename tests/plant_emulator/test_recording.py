@@ -7,8 +7,8 @@ import pytest
 from mcap.exceptions import InvalidMagic
 from mcap.reader import make_reader
 
-from plant_emulator.core.fault_schedule import FaultSchedule
-from plant_emulator.core.faults import SupplyLost, ValveSlow
+from plant_emulator.core.faults.kinds import SupplyLost, ValveSlow
+from plant_emulator.core.faults.schedule import FaultSchedule
 from plant_emulator.core.truth import PlantTruth
 from plant_emulator.shell.recording import (
     CAPTURE,

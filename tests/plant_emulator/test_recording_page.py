@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from plant_emulator.core.faults import SupplyLost
+from plant_emulator.core.faults.kinds import SupplyLost
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth
 from plant_emulator.shell.recording import CAPTURE, EVENT, FAULT, TRUTH, TruthRecorder

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from plant_emulator.core.geometry import transform
-from plant_emulator.core.scene import rotation_matrix
-from plant_emulator.core.stereo_camera import LEFT, RIGHT, StereoCamera
-from plant_emulator.core.wall_texture import SIZE, wall_texture
+from plant_emulator.core.camera.scene import rotation_matrix
+from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
+from plant_emulator.core.camera.wall_texture import SIZE, wall_texture
+from plant_emulator.core.mechanics.geometry import transform
 from tests.plant_emulator.camera_world import (
     CLEAN,
     FACING,

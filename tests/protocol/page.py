@@ -7,15 +7,17 @@ from collections.abc import Callable, Iterable
 from enum import IntEnum
 from pathlib import Path
 
+from conformance.runner import reference_cases
 from controller.config import ControllerConfig
 from controller.core.group_states import TRANSITIONS, Mode, Stimulus
+from foundation.configuration import load
 from protocol import datagram_layout, process_image, reference_messages
 from protocol.authentication import LinkKey
 from protocol.channel import MAX_GAP_DATAGRAMS, WINDOW_DATAGRAMS
 from protocol.client_session import MIN_RESEND_NS, RESEND_CYCLES
 from protocol.clock_offset import DISPUTED_TO_RESET, DRIFT_PPM, WINDOW
 from protocol.command_ledger import REMEMBERED
-from protocol.configuration import load
+from protocol.datagram import encode
 from protocol.datagram_layout import (
     HEADER,
     HEADER_BYTES,
@@ -43,9 +45,8 @@ from protocol.faults import (
 )
 from protocol.greeting import HELLO_PERIOD_NS, HELLOS_PER_NONCE
 from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
-from protocol.reference_link import Bye, Heartbeat, Hello, ReferencePose, Welcome, encode
+from protocol.reference_messages import Bye, Heartbeat, Hello, ReferencePose, Welcome
 from protocol.server_session import REFUSAL_INTERVAL_NS, REMEMBERED_NONCES
-from testbed.conformance.runner import reference_cases
 from tests.protocol.samples import HEADER as HEADER_SAMPLE
 from tests.protocol.samples import MESSAGES
 from tests.protocol.session_tables import CLIENT_ROWS, KEY_SERVER_ROWS, SERVER_ROWS, Row

@@ -2,13 +2,13 @@
 
 from hypothesis import strategies as st
 
+from protocol.datagram import Header
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
-from protocol.reference_link import (
+from protocol.reference_messages import (
     Acknowledgement,
     Bye,
     Command,
-    Header,
     Heartbeat,
     HeartbeatReply,
     Hello,

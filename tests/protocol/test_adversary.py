@@ -10,19 +10,14 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conformance.bytes_of import resealed
 from protocol.authentication import LinkKey
+from protocol.client_session import ReferenceClient
 from protocol.datagram import Header, encode
 from protocol.faults import Reason
 from protocol.pose import Pose
-from protocol.reference_link import Acknowledgement, Bye, Heartbeat, Hello, ReferencePose
-from protocol.reference_session import (
-    AcknowledgementReceived,
-    ReferenceClient,
-    RequestReceived,
-    SessionClosed,
-    SessionOpened,
-)
-from testbed.conformance.bytes_of import resealed
+from protocol.reference_messages import Acknowledgement, Bye, Heartbeat, Hello, ReferencePose
+from protocol.session_events import AcknowledgementReceived, RequestReceived, SessionClosed, SessionOpened
 from tests.protocol.wire import ARM, MS, TIMEOUT_MS, Wire, a_server
 
 KEY = LinkKey(bytes(range(32)))

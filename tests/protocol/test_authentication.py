@@ -6,34 +6,31 @@ from typing import Any
 
 import pytest
 
+from conformance.bytes_of import resealed
 from protocol.authentication import DirectionKey, LinkKey, fault_of
 from protocol.channel import MAX_GAP_DATAGRAMS, WINDOW_DATAGRAMS, Arrival, SequenceWindow
-from protocol.datagram import payload_of
+from protocol.client_session import ReferenceClient
+from protocol.datagram import Header, decode, encode, payload_of
 from protocol.datagram_layout import HEADER_BYTES, TRAILER_BYTES
 from protocol.errors import DatagramRefused
 from protocol.faults import CommandCode, Reason
-from protocol.reference_link import (
+from protocol.reference_messages import (
     CAPABILITY_AUTHENTICATION,
     Bye,
     Command,
-    Header,
     Heartbeat,
     Hello,
     Message,
     Welcome,
-    decode,
-    encode,
 )
-from protocol.reference_session import (
+from protocol.session_events import (
     Connected,
     ConnectionDelayed,
     DatagramDropped,
     LinkLost,
-    ReferenceClient,
     SessionClosed,
     SessionOpened,
 )
-from testbed.conformance.bytes_of import resealed
 from tests.protocol.samples import HEADER, MESSAGES
 from tests.protocol.wire import ARM, MS, TIMEOUT_MS, Wire, a_server, kind_of
 

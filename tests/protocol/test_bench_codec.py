@@ -20,7 +20,8 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 from protocol.authentication import LinkKey, fault_of
 from protocol.channel import EXTENDED_MODULUS, SEQUENCE_MODULUS, Arrival, SequenceWindow
-from protocol.reference_link import Message, ReferencePose, State, decode, encode
+from protocol.datagram import decode, encode
+from protocol.reference_messages import Message, ReferencePose, State
 from tests.protocol.samples import HEADER, MESSAGES
 
 BATCHES, EXCHANGES_A_BATCH = 60, 200

@@ -13,7 +13,8 @@ from protocol.channel import (
     SequenceWindow,
     TransitAge,
 )
-from protocol.reference_link import Header, Heartbeat, decode
+from protocol.datagram import Header, decode
+from protocol.reference_messages import Heartbeat
 
 MS = 1_000_000
 

@@ -6,7 +6,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from protocol.command_ledger import REMEMBERED, CommandLedger
 from protocol.faults import Reason
-from protocol.reference_link import Acknowledgement
+from protocol.reference_messages import Acknowledgement
 
 
 def accepted(command_id: int) -> Acknowledgement:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.configuration import (
+from foundation.configuration import (
     StrictModel,
     configuration_hash,
     load,

@@ -10,26 +10,30 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from protocol.datagram_layout import PAYLOADS, TRAILER, TRAILER_BYTES, Kind, offsets, size_of
-from protocol.errors import DatagramRefused, RequestRefused
-from protocol.faults import CommandCode, Reason
-from protocol.pose import IDENTITY, Pose
-from protocol.reference_link import (
+from protocol.datagram import Datagram, Header, decode, encode
+from protocol.datagram_layout import (
     HEADER_BYTES,
     MAX_DATAGRAM_BYTES,
     MAX_WAYPOINTS,
+    PAYLOADS,
+    TRAILER,
+    TRAILER_BYTES,
+    Kind,
+    offsets,
+    size_of,
+)
+from protocol.errors import DatagramRefused, RequestRefused
+from protocol.faults import CommandCode, Reason
+from protocol.pose import IDENTITY, Pose
+from protocol.reference_messages import (
     Acknowledgement,
     Bye,
     Command,
-    Datagram,
-    Header,
     Hello,
     Message,
     ReferencePath,
     ReferencePose,
     UnusableRequest,
-    decode,
-    encode,
 )
 from tests.protocol.samples import HEADER, MESSAGES, POSE, headers, messages
 

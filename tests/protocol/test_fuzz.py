@@ -6,10 +6,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from protocol.client_session import ReferenceClient
+from protocol.datagram import decode, encode
 from protocol.errors import DatagramRefused, FrameRefused, ImageRefused
 from protocol.process_image import decode_sensors, decode_valves, encode_sensors, encode_valves
-from protocol.reference_link import decode, encode
-from protocol.reference_session import ReferenceClient
 from protocol.stereo_frame import decode_header, encode_header
 from tests.protocol.samples import HEADER, MESSAGES
 from tests.protocol.test_datagram import resealed

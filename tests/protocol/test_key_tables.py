@@ -4,11 +4,12 @@ from collections.abc import Callable
 
 import pytest
 
+from conformance.bytes_of import resealed, with_bit_flipped
 from protocol.authentication import DirectionKey, LinkKey
+from protocol.datagram import Header, decode, encode
 from protocol.datagram_layout import HEADER_BYTES
 from protocol.faults import Reason
-from protocol.reference_link import Bye, Header, Heartbeat, Hello, Message, Welcome, decode, encode
-from testbed.conformance.bytes_of import resealed, with_bit_flipped
+from protocol.reference_messages import Bye, Heartbeat, Hello, Message, Welcome
 from tests.protocol.session_tables import KEY_SERVER_ROWS, Row
 from tests.protocol.test_session_tables import T0, spoken
 from tests.protocol.wire import ARM, MS, TIMEOUT_MS, a_server

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from controller.config import ReferenceLinkConfig
-from protocol.configuration import validated
+from foundation.configuration import validated
+from foundation.link_key import KeySource, key_from_text, read_key
 from protocol.errors import ConfigurationError
-from protocol.link_key import KeySource, key_from_text, read_key
 
 HEX = "00112233445566778899aabbccddeeff" * 2
 

@@ -11,8 +11,10 @@ from typing import Any
 
 import pytest
 
+from protocol.datagram import decode, encode
 from protocol.datagram_layout import (
     HEADER_BYTES,
+    MAX_DATAGRAM_BYTES,
     PAYLOADS,
     TRAILER,
     TRAILER_BYTES,
@@ -23,7 +25,7 @@ from protocol.datagram_layout import (
 from protocol.errors import DatagramRefused
 from protocol.pose import Pose
 from protocol.process_image import INPUT_ADDRESS, INPUT_TABLE, OUTPUT_ADDRESS, OUTPUT_TABLE
-from protocol.reference_link import MAX_DATAGRAM_BYTES, Hello, decode, encode
+from protocol.reference_messages import Hello
 from tests.protocol.page import GOLDEN, IEC_NAMES, PAGE, ROOT, SECTIONS, rendered
 from tests.protocol.samples import HEADER, MESSAGES
 from tests.protocol.test_datagram import resealed

@@ -8,31 +8,29 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol import errors
+from protocol.client_session import ReferenceClient
+from protocol.datagram import Header, decode, encode
 from protocol.faults import CommandCode, Reason
 from protocol.pose import IDENTITY
-from protocol.reference_link import (
+from protocol.reference_messages import (
     CAPABILITY_PATHS,
     CAPABILITY_STREAMING,
     Acknowledgement,
     Bye,
     Command,
-    Header,
     HeartbeatReply,
     Hello,
     Message,
     ReferencePath,
     ReferencePose,
     State,
-    decode,
-    encode,
 )
-from protocol.reference_session import (
+from protocol.session_events import (
     AcknowledgementReceived,
     Connected,
     ConnectionDelayed,
     DatagramDropped,
     LinkLost,
-    ReferenceClient,
     RequestReceived,
     SessionClosed,
     SessionOpened,

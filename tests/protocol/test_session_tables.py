@@ -4,22 +4,22 @@ from collections.abc import Callable
 
 import pytest
 
+from protocol.client_session import ReferenceClient
+from protocol.datagram import Header, decode, encode
 from protocol.faults import CommandCode, Reason
-from protocol.reference_link import (
+from protocol.reference_messages import (
     Acknowledgement,
     Bye,
     Command,
-    Header,
     Heartbeat,
     Hello,
     Message,
     ReferencePose,
     State,
     Welcome,
-    decode,
-    encode,
 )
-from protocol.reference_session import ReferenceClient, ReferenceServer, RequestReceived
+from protocol.server_session import ReferenceServer
+from protocol.session_events import RequestReceived
 from tests.protocol.samples import MESSAGES, POSE
 from tests.protocol.session_tables import CLIENT_ROWS, SERVER_ROWS, Row
 from tests.protocol.test_datagram import patched

@@ -2,25 +2,19 @@
 
 import pytest
 
+from protocol.client_session import ReferenceClient
+from protocol.datagram import Header, decode, encode
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import CommandCode, Reason
 from protocol.pose import Pose
-from protocol.reference_link import (
+from protocol.reference_messages import (
     CAPABILITY_PATHS,
     CAPABILITY_STREAMING,
     Command,
-    Header,
     StreamedPose,
     StreamRefused,
-    decode,
-    encode,
 )
-from protocol.reference_session import (
-    DatagramDropped,
-    ReferenceClient,
-    StreamedPoseReceived,
-    StreamRefusedReceived,
-)
+from protocol.session_events import DatagramDropped, StreamedPoseReceived, StreamRefusedReceived
 from tests.protocol.wire import MS, Wire, a_server
 
 POSE = Pose((4.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0))

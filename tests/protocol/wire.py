@@ -4,16 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from protocol.client_session import ReferenceClient
+from protocol.datagram import decode
 from protocol.faults import Reason
-from protocol.reference_link import Acknowledgement, decode
-from protocol.reference_session import (
-    ClientEvent,
-    Connected,
-    ReferenceClient,
-    ReferenceServer,
-    RequestReceived,
-    ServerEvent,
-)
+from protocol.reference_messages import Acknowledgement
+from protocol.server_session import ReferenceServer
+from protocol.session_events import ClientEvent, Connected, RequestReceived, ServerEvent
 
 MS = 1_000_000
 CYCLE_NS = 5 * MS

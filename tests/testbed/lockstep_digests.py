@@ -12,14 +12,14 @@ from typing import NamedTuple
 
 import llvmlite.binding
 
-from testbed.console import bars
-from testbed.event_log import EventLog
-from testbed.experiments.best_mode_run import operate, prepared
-from testbed.hand_eye import guided_rig
-from testbed.hand_eye.guided_rig import GuidedRig, quiet
-from testbed.lockstep_station import LockstepRig
-from testbed.sequence import Recorder, demonstrate
-from testbed.settings import chosen_overrides, load_settings
+from testbed.demonstration.sequence import Recorder, demonstrate
+from testbed.experiments.positioning.corrected_run import operate, prepared
+from testbed.lockstep import guided_rig
+from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.guided_rig import GuidedRig, quiet
+from testbed.lockstep.rig import LockstepRig
+from testbed.reporting.console import bars
+from testbed.scenarios.settings import chosen_overrides, load_settings
 from tests.vision_pc.hand_eye.still_rig import still_settings
 
 CONFIGS = Path(__file__).parents[2] / "configs"

@@ -7,13 +7,13 @@ import pytest
 
 from protocol.errors import LongreachError, RequestRefused
 from protocol.faults import CommandCode, FaultCode, GroupState
-from testbed.event_log import EventLog
-from testbed.lockstep_world import World
-from testbed.rig_lockstep import LockstepLink, run
-from testbed.settings import chosen_overrides, load_settings
+from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.link import LockstepLink, run
+from testbed.lockstep.world import World
+from testbed.scenarios.settings import chosen_overrides, load_settings
+from vision_pc.application.link_arm import SocketArm
 from vision_pc.core.ports import ReferenceStream
 from vision_pc.core.se3 import Array
-from vision_pc.shell.socket_arm import SocketArm
 
 CONFIG = Path(__file__).parents[2] / "configs"
 PERIOD_NS = 33_000_000

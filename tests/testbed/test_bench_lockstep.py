@@ -8,9 +8,9 @@ import pytest
 
 from protocol.faults import CommandCode, GroupState
 from protocol.reference_messages import Command, ReferencePath
-from testbed.event_log import EventLog
-from testbed.lockstep_world import World
-from testbed.settings import chosen_overrides, load_settings
+from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.world import World
+from testbed.scenarios.settings import chosen_overrides, load_settings
 
 CONFIG = Path(__file__).parents[2] / "configs"
 WANTED = 8.0

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from plant_emulator.core.scene import Scene
+from plant_emulator.core.camera.scene import Scene
 from protocol.errors import ConfigurationError
-from testbed.experiments.best_mode import (
+from testbed.experiments.positioning.corrected import (
     BRANCHES,
     covered,
     demands_of,
@@ -17,11 +17,11 @@ from testbed.experiments.best_mode import (
     tasks_of,
     worst_mm,
 )
-from testbed.experiments.best_mode_plot import errors_plot
-from testbed.experiments.best_mode_scenarios import ARMS, draw
-from testbed.experiments.path_information import run_experiment as path_information
-from testbed.eye_model_view import TrueView
-from testbed.settings import load_settings
+from testbed.experiments.positioning.corrected_plot import errors_plot
+from testbed.experiments.positioning.path_information import run_experiment as path_information
+from testbed.experiments.positioning.scenarios import ARMS, draw
+from testbed.lockstep.true_view import TrueView
+from testbed.scenarios.settings import load_settings
 
 CONFIG = Path(__file__).parents[2] / "configs"
 

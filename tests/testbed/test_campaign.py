@@ -11,9 +11,9 @@ import distributed
 import pytest
 
 from protocol.errors import ConfigurationError, LinkLost, MeasurementFailed
-from testbed import campaign
-from testbed.campaign import REACH_S, configuration_of, run_campaign
-from testbed.row_file import RowFile, cell
+from testbed.campaigns import campaign
+from testbed.campaigns.campaign import REACH_S, configuration_of, run_campaign
+from testbed.campaigns.row_file import RowFile, cell
 
 
 def measured(task: dict[str, Any]) -> dict[str, Any]:

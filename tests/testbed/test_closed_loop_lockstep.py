@@ -10,11 +10,11 @@ import pytest
 
 from protocol.errors import MeasurementFailed
 from protocol.faults import GroupState
-from testbed.event_log import EventLog
-from testbed.experiments.best_mode_run import operate, true_error_mm
-from testbed.eye_model import ModelSight, load_eye_model
-from testbed.lockstep_station import LockstepRig
-from testbed.settings import chosen_overrides, load_settings
+from testbed.experiments.positioning.corrected_run import operate, true_error_mm
+from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.rig import LockstepRig
+from testbed.lockstep.simulated_measurements import ModelSight, load_eye_model
+from testbed.scenarios.settings import chosen_overrides, load_settings
 from vision_pc.core.types import FrameObservation, StereoPair
 
 CONFIG = Path(__file__).parents[2] / "configs"

@@ -3,8 +3,8 @@
 import socket
 from pathlib import Path
 
-from protocol.configuration import read_yaml
-from testbed import doctor
+from foundation.configuration import read_yaml
+from testbed.realtime import doctor
 
 ROOT = Path(__file__).parents[2]
 

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from testbed.experiments.lockstep_demo import counts, row_of
-from testbed.outcome import Errors, Outcome, Stage
+from testbed.experiments.positioning.lockstep_demo import counts, row_of
+from testbed.reporting.outcome import Errors, Outcome, Stage
 
 
 def outcome(seed: int, *after_looks_mm: tuple[float, float]) -> Outcome:

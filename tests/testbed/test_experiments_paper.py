@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed
-from testbed.experiments import ablation, comparison, figures, published, sweep
-from testbed.experiments.comparison import TABLES, compared, conclusions
-from testbed.experiments.measurement import RememberingEyes, bench, measured_on
-from testbed.experiments.paper import Asked, comparison_cells, costs, show, task
-from testbed.experiments.report import write_comparison
-from testbed.experiments.tracing import Tracer
-from testbed.rig_lockstep import run
-from testbed.scenario import load_scenario
+from testbed.experiments.paper import ablation, comparison, figures, published, sweep
+from testbed.experiments.paper.campaign import Asked, comparison_cells, costs, show, task
+from testbed.experiments.paper.comparison import TABLES, compared, conclusions
+from testbed.experiments.paper.measurement import RememberingEyes, bench, measured_on
+from testbed.experiments.paper.report import write_comparison
+from testbed.experiments.paper.tracing import Tracer
+from testbed.lockstep.link import run
+from testbed.scenarios.scenario import load_scenario
 
 CONFIGS = Path("configs")
 ASKED = Asked(CONFIGS, "paper", 2, 1, "opencv", [], Path("unused"), None, 1)

@@ -7,19 +7,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from foundation.configuration import merged
+from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.plant import Plant
-from plant_emulator.core.scene import Scene
-from plant_emulator.core.stereo_camera import StereoCamera
 from plant_emulator.core.truth import PlantTruth
-from protocol.configuration import merged
 from protocol.errors import ConfigurationError, MeasurementFailed
-from testbed.experiments.eyes_agree import compare
-from testbed.experiments.eyes_measure import parameters
-from testbed.eye_model import CornerNoise, EyeModelConfig, ModelSight, load_eye_model
-from testbed.eye_model_odometry import TrackingNoise
-from testbed.eye_model_view import TrueView
-from testbed.settings import Settings, load_settings
-from vision_pc.core.look import combine
+from testbed.experiments.positioning.eyes_agree import compare
+from testbed.experiments.positioning.eyes_measure import parameters
+from testbed.lockstep.simulated_measurements import CornerNoise, EyeModelConfig, ModelSight, load_eye_model
+from testbed.lockstep.simulated_odometry import TrackingNoise
+from testbed.lockstep.true_view import TrueView
+from testbed.scenarios.settings import Settings, load_settings
+from vision_pc.core.perception.look import combine
 from vision_pc.core.se3 import angle_between, inverse, transform
 from vision_pc.core.types import Look, StereoPair
 

@@ -9,13 +9,13 @@ from protocol.errors import LinkLost, LongreachError, RequestRefused
 from protocol.faults import GroupState
 from protocol.pose import Pose
 from protocol.reference_messages import ReferencePose
-from testbed.console import bars
-from testbed.event_log import EventLog
-from testbed.lockstep_station import LockstepRig
-from testbed.rig_lockstep import run
-from testbed.settings import chosen_overrides, load_settings
+from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.link import run
+from testbed.lockstep.rig import LockstepRig
+from testbed.reporting.console import bars
+from testbed.scenarios.settings import chosen_overrides, load_settings
+from vision_pc.application.link_arm import SocketArm
 from vision_pc.core.se3 import from_pose
-from vision_pc.shell.socket_arm import SocketArm
 
 CONFIG = Path(__file__).parents[2] / "configs"
 LITTLE_M = 1e-3  # what leakage past shut valves, and the servo against it, move the tool within a second

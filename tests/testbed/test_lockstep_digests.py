@@ -1,7 +1,7 @@
 """Lockstep repeats to the last bit over changes of the code: event logs against pinned digests.
 
-On another processor or with other libraries the last bits may differ; there the number of events and the place
-where the tool truly ended must agree.
+On another processor or with other libraries the last bits may differ; there the number of events and the
+place where the tool truly ended must agree.
 """
 
 import json

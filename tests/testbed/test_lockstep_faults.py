@@ -5,19 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plant_emulator.core.faults import (
-    CameraFrozen,
-    CouplerSilent,
-    Fault,
-    FramesDropped,
-    ValveSlow,
-)
+from plant_emulator.core.faults.kinds import CameraFrozen, CouplerSilent, Fault, FramesDropped, ValveSlow
 from protocol.faults import CommandCode, FaultCode, GroupState
 from protocol.process_image import STATUS_WATCHDOG_TRIPPED
 from protocol.reference_messages import Command, ReferencePose
-from testbed.event_log import EventLog
-from testbed.lockstep_world import Frame, World
-from testbed.settings import chosen_overrides, load_settings
+from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.world import Frame, World
+from testbed.scenarios.settings import chosen_overrides, load_settings
 
 CONFIG = Path(__file__).parents[2] / "configs"
 MS = 1_000_000

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from conformance.bytes_of import resealed
+from protocol.datagram import decode
 from protocol.faults import CommandCode, GroupState, Reason
-from protocol.reference_link import decode
 from protocol.reference_messages import Command, ReferencePose
-from testbed.conformance.bytes_of import resealed
-from testbed.event_log import EventLog
-from testbed.lockstep_world import World
-from testbed.settings import chosen_overrides, load_settings
+from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.world import World
+from testbed.scenarios.settings import chosen_overrides, load_settings
 
 CONFIG = Path(__file__).parents[2] / "configs"
 MS = 1_000_000

@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from protocol.configuration import load
+from foundation.configuration import load
 from protocol.errors import ConfigurationError
-from testbed.cli import app
+from testbed.cli.main import app
 from tests.vision_pc.rendering import wall_texture
 from tests.vision_pc.test_odometry import pair_at
 from tests.vision_pc.test_sequence import YAML, written
-from vision_pc.config import VisionConfig
-from vision_pc.core import intrinsics, se3
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core import se3
+from vision_pc.core.perception import intrinsics
 
 
 @pytest.fixture

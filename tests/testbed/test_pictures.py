@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from plant_emulator.core.faults import FAULTS
-from plant_emulator.scene_config import SceneConfig
-from protocol.configuration import load
-from testbed.cli import app
+from foundation.configuration import load
+from plant_emulator.config.scene import SceneConfig
+from plant_emulator.core.faults.kinds import FAULTS
+from testbed.cli.main import app
 from testbed.pictures import command
 from testbed.pictures.effects import CLEAN, Effect, effects
 from testbed.pictures.sheet import COLUMNS, Pair, contact_sheet

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from testbed import outcome as outcomes
-from testbed import plots
-from testbed.outcome import Errors, Outcome, Stage
-from testbed.report import Picture, run_directory, write_report
+from testbed.reporting import outcome as outcomes
+from testbed.reporting import plots
+from testbed.reporting.outcome import Errors, Outcome, Stage
+from testbed.reporting.report import Picture, run_directory, write_report
 
 
 def errors(x_mm: float, y_mm: float, z_mm: float) -> Errors:

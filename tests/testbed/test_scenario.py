@@ -8,9 +8,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.configuration import validated
+from foundation.configuration import validated
 from protocol.errors import ConfigurationError
-from testbed.scenario import Scenario, flattened, load_scenario, names
+from testbed.scenarios.scenario import Scenario, flattened, load_scenario, names
 
 DRAWS = {
     "plant.payload_kg": {"kind": "uniform", "low": 0.0, "high": 100.0},

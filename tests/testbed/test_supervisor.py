@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from testbed.supervisor import Service, ServiceFailed, Supervisor, free_port, supervised
+from testbed.realtime.supervisor import Service, ServiceFailed, Supervisor, free_port, supervised
 
 
 def service(how: str, name: str = "service") -> Service:
@@ -71,7 +71,7 @@ def test_a_stubborn_service_is_killed(tmp_path: Path) -> None:
 
 def test_services_do_not_outlive_a_killed_supervisor(tmp_path: Path) -> None:
     program = (
-        "import time; from pathlib import Path; from testbed.supervisor import *\n"
+        "import time; from pathlib import Path; from testbed.realtime.supervisor import *\n"
         f"s = Supervisor(Path({str(tmp_path)!r}))\n"
         "s.start(Service('x', 'tests.testbed.child_service', ('good',)))\n"
         "print(s.children['x'].pid, flush=True); time.sleep(60)"

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from protocol.configuration import load
-from vision_pc.config import VisionConfig
-from vision_pc.core import intrinsics
+from foundation.configuration import load
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core.perception import intrinsics
 from vision_pc.core.types import CameraCalibration
 
 VISION_YAML = Path(__file__).resolve().parents[2] / "configs" / "vision.yaml"

@@ -15,7 +15,7 @@ import numpy as np
 from protocol.authentication import LinkKey
 from protocol.errors import RequestRefused
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
-from protocol.reference_link import (
+from protocol.reference_messages import (
     FLAG_EMERGENCY_LATCHED,
     FLAG_PLANT_LINK_OK,
     FLAG_SETTLED,
@@ -25,7 +25,8 @@ from protocol.reference_link import (
     ReferencePose,
     State,
 )
-from protocol.reference_session import ReferenceServer, RequestReceived, SessionClosed
+from protocol.server_session import ReferenceServer
+from protocol.session_events import RequestReceived, SessionClosed
 from tests.vision_pc.synthetic import SyntheticRig, forward, inverse_kinematics
 from vision_pc.core.se3 import Array, from_pose, local, retract, to_pose
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import yaml
 
-from vision_pc.core.calibration.settings import ProgramSettings
+from vision_pc.config.programs import ProgramSettings
 
 CONFIG = Path(__file__).parents[2] / "configs" / "vision.yaml"
 

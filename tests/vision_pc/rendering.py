@@ -11,7 +11,8 @@ import cv2
 import numba
 import numpy as np
 
-from vision_pc.core import intrinsics, se3
+from vision_pc.core import se3
+from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, EyeModel, Image, StereoPair
 

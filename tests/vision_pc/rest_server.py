@@ -10,7 +10,7 @@ from typing import Any
 import uvicorn
 
 from tests.vision_pc.synthetic_station import bench
-from vision_pc.shell.api import create_app
+from vision_pc.shell.rest.api import create_app
 
 
 class _Server(uvicorn.Server):

@@ -16,15 +16,15 @@ from protocol.faults import GroupState
 from tests.vision_pc.loopback_controller import LoopbackController, until
 from tests.vision_pc.program_settings import shipped
 from tests.vision_pc.synthetic import SyntheticRig, SyntheticWatch, draw
-from vision_pc.config import LinkSettings, MotionSettings
-from vision_pc.core.calibration.settings import ProgramSettings
+from vision_pc.application.link_arm import SocketArm
+from vision_pc.application.operations import Operations
+from vision_pc.application.station import CameraStatus, Station
+from vision_pc.config.programs import ProgramSettings
+from vision_pc.config.vision import LinkSettings, MotionSettings
 from vision_pc.core.types import Look
-from vision_pc.shell.api import create_app
-from vision_pc.shell.controller_link import ControllerLink
 from vision_pc.shell.event_log import EventLog
-from vision_pc.shell.operations import Operations
-from vision_pc.shell.socket_arm import SocketArm
-from vision_pc.shell.station import CameraStatus, Station
+from vision_pc.shell.link.controller_link import ControllerLink
+from vision_pc.shell.rest.api import create_app
 
 
 class SyntheticEyes:

@@ -3,9 +3,9 @@
 import cv2
 import numpy as np
 
+from vision_pc.application.annotate import annotated, in_words, png
 from vision_pc.core.se3 import transform
 from vision_pc.core.types import CameraCalibration, FrameObservation, MarkerObservation, StereoPair
-from vision_pc.shell.annotate import annotated, in_words, png
 
 CORNERS = np.array([[600.0, 300.0], [700.0, 300.0], [700.0, 400.0], [600.0, 400.0]])
 

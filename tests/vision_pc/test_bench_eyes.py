@@ -11,13 +11,14 @@ import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from protocol.errors import RequestRefused
-from testbed.hand_eye import real_data
+from testbed.experiments.hand_eye import real_data
 from tests.vision_pc.rendering import facing, render
 from tests.vision_pc.test_markers import Corners, measured_corners, object_markers, tool_marker
 from tests.vision_pc.test_watch import World
-from vision_pc.config import VisionConfig
-from vision_pc.core import intrinsics, look, marker_edges, markers, se3
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core import se3
 from vision_pc.core.odometry import StereoOdometry
+from vision_pc.core.perception import intrinsics, look, marker_edges, markers
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, StereoPair
 

@@ -16,9 +16,10 @@ from tests.vision_pc.orb_slam3 import Followed
 from tests.vision_pc.rendering import Marker, facing, wall_texture
 from tests.vision_pc.test_markers import object_markers
 from tests.vision_pc.test_odometry import pair_at, poses
-from vision_pc.config import VisionConfig
-from vision_pc.core import intrinsics, look, se3
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core import se3
 from vision_pc.core.odometry import StereoOdometry
+from vision_pc.core.perception import intrinsics, look
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, FrameObservation, OdometryPose, StereoPair
 

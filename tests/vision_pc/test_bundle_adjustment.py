@@ -7,7 +7,7 @@ import pytest
 
 from tests.vision_pc.rendering import wall_texture
 from tests.vision_pc.test_odometry import pair_at
-from vision_pc.config import VisionConfig
+from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.odometry import StereoOdometry, bundle_adjustment
 from vision_pc.core.odometry.bundle_adjustment import Depths, Problem, Views

@@ -14,7 +14,7 @@ import pytest
 
 from protocol.errors import ConfigurationError, LinkLost
 from protocol.stereo_frame import FrameHeader, encode_header
-from vision_pc.config import CameraSettings, VisionConfig
+from vision_pc.config.vision import CameraSettings, VisionConfig
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras import CameraSource, open_camera
 from vision_pc.shell.cameras.directory import Recorder, recorded, recorded_pairs

@@ -10,14 +10,14 @@ import pytest
 
 from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
 from protocol.faults import CommandCode, FaultCode, GroupState
-from protocol.reference_link import Command, ReferencePose
+from protocol.reference_messages import Command, ReferencePose
 from tests.vision_pc.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward
-from vision_pc.config import LinkSettings, MotionSettings
+from vision_pc.application.link_arm import SocketArm
+from vision_pc.config.vision import LinkSettings, MotionSettings
 from vision_pc.core.se3 import Array, to_pose, transform
-from vision_pc.shell.controller_link import ControllerLink
 from vision_pc.shell.event_log import EventLog
-from vision_pc.shell.socket_arm import SocketArm
+from vision_pc.shell.link.controller_link import ControllerLink
 
 X_START = forward(Q_START)
 

@@ -11,21 +11,21 @@ import cv2
 import numpy as np
 import pytest
 
-from protocol.configuration import load
+from foundation.configuration import load
 from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
 from protocol.faults import CommandCode, GroupState
 from tests.vision_pc.conftest import VISION_YAML
 from tests.vision_pc.loopback_controller import LoopbackController, until
 from tests.vision_pc.rendering import Marker, draw_marker, draw_wall, facing, finish, wall_texture
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward
-from vision_pc.config import LinkSettings, VisionConfig
-from vision_pc.core.intrinsics import calibration
+from vision_pc.application.eyes import CameraEyes
+from vision_pc.config.vision import LinkSettings, VisionConfig
+from vision_pc.core.perception.intrinsics import calibration
 from vision_pc.core.se3 import transform
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras import CameraSource
-from vision_pc.shell.controller_link import ControllerLink
 from vision_pc.shell.event_log import EventLog
-from vision_pc.shell.eyes import CameraEyes
+from vision_pc.shell.link.controller_link import ControllerLink
 
 X_CM = facing(0.15, 0.05, 0.5)
 X_CO = facing(-0.1, -0.05, 1.0)

@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from vision_pc.config import VisionConfig
-from vision_pc.core import intrinsics, se3
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core import se3
+from vision_pc.core.perception import intrinsics
 from vision_pc.core.types import CameraCalibration, EyeModel
 
 STRONG = np.array([-0.17, 0.025, 0.001, -0.0005, 0.0])

@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from foundation.link_key import KeySource, key_from_file
 from protocol.channel import LinkStatistics
 from protocol.errors import ConfigurationError, LinkLost
 from protocol.faults import CommandCode, Reason
-from protocol.link_key import KeySource, key_from_file
 from tests.vision_pc.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import SyntheticRig, draw
 from tests.vision_pc.synthetic_station import bench
-from vision_pc.config import LinkSettings
-from vision_pc.shell.controller_link import ControllerLink
+from vision_pc.config.vision import LinkSettings
 from vision_pc.shell.event_log import EventLog
-from vision_pc.shell.link_view import LinkCounters, link_view
+from vision_pc.shell.link.controller_link import ControllerLink
+from vision_pc.shell.rest.link_view import LinkCounters, link_view
 
 
 @pytest.fixture

@@ -10,8 +10,9 @@ import pytest
 from protocol.errors import MeasurementFailed
 from tests.vision_pc.rendering import facing, render
 from tests.vision_pc.test_markers import object_markers, tool_marker
-from vision_pc.config import LookSettings, VisionConfig
-from vision_pc.core import look, markers, se3
+from vision_pc.config.vision import LookSettings, VisionConfig
+from vision_pc.core import se3
+from vision_pc.core.perception import look, markers
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, FrameObservation, StereoOffset
 

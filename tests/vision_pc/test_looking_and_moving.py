@@ -8,9 +8,9 @@ import pytest
 from protocol.errors import MeasurementFailed
 from tests.vision_pc.program_settings import shipped
 from tests.vision_pc.synthetic import SyntheticRig, draw, forward, silent
-from vision_pc.core.calibration.local_map import camera_in_tool, record_local_track
-from vision_pc.core.calibration.settings import LookingAndMovingSettings
-from vision_pc.core.looking_and_moving import Approach, Loop, look_and_move
+from vision_pc.config.programs import LookingAndMovingSettings
+from vision_pc.core.calibration.local_error_model import camera_in_tool, record_local_track
+from vision_pc.core.positioning.visual_servoing import Approach, Loop, look_and_move
 from vision_pc.core.se3 import Array, angle_between, exp_so3, transform
 from vision_pc.core.types import WatchSample
 

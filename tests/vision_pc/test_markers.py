@@ -8,17 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.vision_pc.rendering import (
-    DICTIONARY,
-    Marker,
-    draw_marker,
-    exact_corners,
-    facing,
-    finish,
-    render,
-)
-from vision_pc.config import MarkerSettings, VisionConfig
-from vision_pc.core import intrinsics, look, marker_edges, markers, se3
+from tests.vision_pc.rendering import DICTIONARY, Marker, draw_marker, exact_corners, facing, finish, render
+from vision_pc.config.vision import MarkerSettings, VisionConfig
+from vision_pc.core import se3
+from vision_pc.core.perception import intrinsics, look, marker_edges, markers
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, EyeModel, FrameObservation
 

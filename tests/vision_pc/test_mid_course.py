@@ -8,7 +8,9 @@ import pytest
 from protocol.errors import MeasurementFailed
 from tests.vision_pc.program_settings import shipped
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward, inverse_kinematics, silent
-from vision_pc.core.calibration.local_map import (
+from vision_pc.config.programs import LocalMapSettings
+from vision_pc.core.calibration.backlash import play_states, slew_angles, taken_up
+from vision_pc.core.calibration.local_error_model import (
     fit_map,
     record_local_track,
     refuse_poor_track,
@@ -17,9 +19,7 @@ from vision_pc.core.calibration.local_map import (
     track_of,
 )
 from vision_pc.core.calibration.orientation import adjust_orientation
-from vision_pc.core.calibration.settings import LocalMapSettings
-from vision_pc.core.calibration.slew_play import play_states, slew_angles, taken_up
-from vision_pc.core.mid_course import look_then_move_corrected
+from vision_pc.core.positioning.corrected_positioning import look_then_move_corrected
 from vision_pc.core.se3 import transform
 from vision_pc.core.types import WatchSample
 

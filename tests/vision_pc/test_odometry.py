@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from tests.vision_pc.rendering import Marker, facing, finish, render, wall_texture
-from vision_pc.config import VisionConfig
-from vision_pc.core import intrinsics, se3
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core import se3
 from vision_pc.core.odometry import StereoOdometry, moving_regions, patches, smoothing
 from vision_pc.core.odometry.keyframe_map import triangulated
+from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, StereoPair
 

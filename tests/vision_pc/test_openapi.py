@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from tests.vision_pc.synthetic_station import bench
-from vision_pc.shell.api import create_app
+from vision_pc.shell.rest.api import create_app
 
 PINNED = Path(__file__).parent / "openapi.json"
 

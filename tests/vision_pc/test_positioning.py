@@ -8,11 +8,11 @@ import pytest
 from protocol.errors import MeasurementFailed, RequestRefused
 from tests.vision_pc.program_settings import shipped
 from tests.vision_pc.synthetic import SyntheticRig, draw, silent
+from vision_pc.config.programs import PositioningSettings
 from vision_pc.core.calibration.local_calibration import LocalCalibration, ResidualTable
 from vision_pc.core.calibration.orientation import adjust_orientation
-from vision_pc.core.calibration.settings import PositioningSettings
 from vision_pc.core.calibration.trajectory_matching import trajectory_matching
-from vision_pc.core.positioning import judge, look_then_move, positioning_error, step
+from vision_pc.core.positioning.look_then_move import judge, look_then_move, positioning_error, step
 from vision_pc.core.se3 import exp_so3
 
 PROGRAMS = shipped()

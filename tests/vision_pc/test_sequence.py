@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from protocol.errors import ConfigurationError, MeasurementFailed
 from tests.vision_pc.rendering import wall_texture
 from tests.vision_pc.test_odometry import pair_at
-from vision_pc.config import VisionConfig
+from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.types import CameraCalibration, StereoPair
-from vision_pc.shell import sequence
+from vision_pc.shell.cameras import sequence
 
 YAML = "fx_px: 530.0\nfy_px: 530.0\ncx_px: 639.5\ncy_px: 359.5\nbaseline_m: 0.12\n"
 KITTI = """P0: 530.0 0 639.5 0 0 530.0 359.5 0 0 0 1 0

@@ -11,11 +11,11 @@ from protocol.errors import RequestRefused
 from protocol.faults import CommandCode, GroupState
 from tests.conformance.controllers import ThreadedController
 from tests.vision_pc.loopback_controller import until
-from vision_pc.config import LinkSettings, MotionSettings
+from vision_pc.application.link_arm import SocketArm
+from vision_pc.config.vision import LinkSettings, MotionSettings
 from vision_pc.core.se3 import Array
-from vision_pc.shell.controller_link import ControllerLink
 from vision_pc.shell.event_log import EventLog
-from vision_pc.shell.socket_arm import SocketArm
+from vision_pc.shell.link.controller_link import ControllerLink
 
 
 @pytest.fixture

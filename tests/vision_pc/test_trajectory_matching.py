@@ -9,8 +9,8 @@ import pytest
 from protocol.errors import MeasurementFailed
 from tests.vision_pc.program_settings import shipped
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, Truth, draw, forward, silent
+from vision_pc.config.programs import TrajectorySettings
 from vision_pc.core.calibration.local_calibration import LocalCalibration
-from vision_pc.core.calibration.settings import TrajectorySettings
 from vision_pc.core.calibration.trajectory_matching import (
     associated_trajectories,
     asymmetric_path,

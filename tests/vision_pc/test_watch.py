@@ -7,17 +7,18 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from plant_emulator.core.scene import Scene
-from plant_emulator.core.stereo_camera import StereoCamera
-from plant_emulator.scene_config import SceneConfig
-from protocol.configuration import load
+from foundation.configuration import load
+from plant_emulator.config.scene import SceneConfig
+from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.camera.stereo_camera import StereoCamera
 from protocol.errors import MeasurementFailed
 from tests.vision_pc.conftest import VISION_YAML
-from vision_pc.config import EyeSettings, VisionConfig
-from vision_pc.core import intrinsics, look, se3
+from vision_pc.config.vision import EyeSettings, VisionConfig
+from vision_pc.core import se3
+from vision_pc.core.perception import intrinsics, look
+from vision_pc.core.perception.watch import Watcher
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, FrameObservation, StereoPair
-from vision_pc.core.watch import Watcher
 
 X_BT_START = se3.transform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), (3.89355, 0.0, 1.00825))
 

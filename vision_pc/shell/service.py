@@ -17,17 +17,17 @@ import cv2
 import uvicorn
 
 from protocol.errors import ConfigurationError
-from vision_pc.config import ApiSettings, VisionConfig
-from vision_pc.shell.api import create_app
+from vision_pc.application.eyes import CameraEyes
+from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
+from vision_pc.application.hand_eye.store import SessionStore
+from vision_pc.application.link_arm import SocketArm
+from vision_pc.application.operations import Operations
+from vision_pc.application.station import Station
+from vision_pc.config.vision import ApiSettings, VisionConfig
 from vision_pc.shell.cameras import open_camera
-from vision_pc.shell.controller_link import ControllerLink
 from vision_pc.shell.event_log import EventLog
-from vision_pc.shell.eyes import CameraEyes
-from vision_pc.shell.guided_calibration import GuidedCalibration
-from vision_pc.shell.hand_eye_store import SessionStore
-from vision_pc.shell.operations import Operations
-from vision_pc.shell.socket_arm import SocketArm
-from vision_pc.shell.station import Station
+from vision_pc.shell.link.controller_link import ControllerLink
+from vision_pc.shell.rest.api import create_app
 
 _STATISTICS_S = 10.0
 _DRAIN_S = 1  # for answers under way at the end; the process must be gone within 2 s

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from testbed.hand_eye import scenes
-from testbed.hand_eye.scenes import Scene
+from testbed.experiments.hand_eye import scenes
+from testbed.experiments.hand_eye.scenes import Scene
 from vision_pc.core.hand_eye import rigid
 from vision_pc.core.hand_eye.samples import PosePairs, Setup, pose_pairs
 from vision_pc.core.se3 import Array

@@ -7,21 +7,21 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from controller.core.denavit_hartenberg import dh_table
-from controller.core.inverse_kinematics import joint_angles
-from plant_emulator.core.scene import Scene
-from plant_emulator.core.stereo_camera import StereoCamera
-from protocol.configuration import merged
+from controller.core.kinematics.denavit_hartenberg import dh_table
+from controller.core.kinematics.inverse_kinematics import joint_angles
+from foundation.configuration import merged
+from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.camera.stereo_camera import StereoCamera
 from protocol.errors import RequestRefused
 from protocol.faults import FaultCode, GroupState, Severity
-from testbed.settings import Settings, chosen_overrides, load_settings
+from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
+from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
+from vision_pc.application.hand_eye.store import SessionStore
 from vision_pc.core import se3
 from vision_pc.core.ports import ArmView, PairsAtRest
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.event_log import EventLog
-from vision_pc.shell.guided_calibration import GuidedCalibration
-from vision_pc.shell.hand_eye_store import SessionStore
 
 T = TypeVar("T")
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from testbed.hand_eye import scenes
-from vision_pc.core.hand_eye import methods
-from vision_pc.core.hand_eye.methods import Method
+from testbed.experiments.hand_eye import scenes
 from vision_pc.core.hand_eye.samples import PosePairs
+from vision_pc.core.hand_eye.solvers import methods
+from vision_pc.core.hand_eye.solvers.methods import Method
 
 pytestmark = pytest.mark.bench
 

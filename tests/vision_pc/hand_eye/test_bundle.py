@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed
-from testbed.hand_eye.localisation import Rig, Session, simulated_session
+from testbed.experiments.hand_eye.localisation import Rig, Session, simulated_session
 from tests.vision_pc.hand_eye.data import noisy_pairs
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import bundle, methods
-from vision_pc.core.hand_eye.bundle import RobotNoise
+from vision_pc.core.hand_eye.solvers import bundle, methods
+from vision_pc.core.hand_eye.solvers.bundle import RobotNoise
 
 RUNS = 8
 

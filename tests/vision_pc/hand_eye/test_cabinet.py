@@ -6,12 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from plant_emulator.core.boards import board_points, board_pose
+from plant_emulator.core.camera.boards import board_points, board_pose
 from protocol.errors import MeasurementFailed
 from tests.vision_pc.hand_eye.still_rig import CONFIGS, X_BT_START, StillRig, still_settings
-from vision_pc.core import intrinsics, se3
-from vision_pc.core.hand_eye import cabinet
-from vision_pc.core.hand_eye.cabinet import Drawing, Target
+from vision_pc.core import se3
+from vision_pc.core.hand_eye.guided import cabinet
+from vision_pc.core.hand_eye.guided.cabinet import Drawing, Target
+from vision_pc.core.perception import intrinsics
 from vision_pc.core.types import CameraCalibration, StereoPair
 
 EXACT = {  # a camera that is as vision believes

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from testbed.hand_eye import scenes
+from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import noisy_pairs, random_poses
-from vision_pc.core.hand_eye import chordal, rigid
-from vision_pc.core.hand_eye import maximum_likelihood as ml
-from vision_pc.core.hand_eye.maximum_likelihood import Equations, Noise
+from vision_pc.core.hand_eye import rigid
+from vision_pc.core.hand_eye.solvers import chordal
+from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
+from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
 from vision_pc.core.se3 import Array
 
 NOISE = scenes.noise(0.1, 0.5)

@@ -5,12 +5,13 @@ import pytest
 import scipy.optimize
 
 from protocol.errors import MeasurementFailed
-from testbed.hand_eye import scenes
-from vision_pc.core.hand_eye import dual_quaternion, rigid, sdp
-from vision_pc.core.hand_eye.dual_quaternion import Forms
-from vision_pc.core.hand_eye.moment_relaxation import monomial, relaxed
-from vision_pc.core.hand_eye.motions import all_motions, dual_quaternions
-from vision_pc.core.hand_eye.result import Certificate
+from testbed.experiments.hand_eye import scenes
+from vision_pc.core.hand_eye import rigid
+from vision_pc.core.hand_eye.solvers import dual_quaternion, sdp
+from vision_pc.core.hand_eye.solvers.dual_quaternion import Forms
+from vision_pc.core.hand_eye.solvers.moment_relaxation import monomial, relaxed
+from vision_pc.core.hand_eye.solvers.motions import all_motions, dual_quaternions
+from vision_pc.core.hand_eye.solvers.result import Certificate
 
 
 def forms(seed: int, level: float = 10.0) -> Forms:

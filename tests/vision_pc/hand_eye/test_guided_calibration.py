@@ -12,10 +12,11 @@ from protocol.errors import MeasurementFailed, RequestRefused
 from testbed.hand_eye import session_text
 from testbed.hand_eye.importer import load
 from tests.vision_pc.hand_eye.still_rig import X_BT_START, StillRig, quiet, still_settings
+from vision_pc.application.operations import Operations
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import guided_solution, methods
-from vision_pc.shell.api import create_app
-from vision_pc.shell.operations import Operations
+from vision_pc.core.hand_eye.guided import solution as guided_solution
+from vision_pc.core.hand_eye.solvers import methods
+from vision_pc.shell.rest.api import create_app
 
 QUICK = {"vision": {"hand_eye": {"frames": 1, "minimum_frames": 1, "poses": 6, "candidates": 300}}}
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from protocol.errors import RequestRefused
-from protocol.reference_link import ReferencePose
-from testbed.hand_eye import guided_rig
-from testbed.hand_eye.guided_rig import GuidedRig, quiet
+from protocol.reference_messages import ReferencePose
+from testbed.lockstep import guided_rig
+from testbed.lockstep.guided_rig import GuidedRig, quiet
 from tests.vision_pc.hand_eye.still_rig import still_settings
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import arm_drawing
+from vision_pc.core.hand_eye.guided import nominal_model as arm_drawing
 
 
 def test_two_samples_on_the_hydraulic_arm_and_none_while_it_moves(tmp_path: Path) -> None:

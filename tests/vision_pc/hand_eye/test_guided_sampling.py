@@ -8,16 +8,19 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed
-from testbed.hand_eye.commands import run_drawing
-from testbed.hand_eye.guided_experiment import needed
+from testbed.cli.hand_eye_files import run_drawing
+from testbed.experiments.hand_eye.guided_experiment import needed
 from tests.vision_pc.hand_eye.still_rig import CONFIGS, X_BT_START, still_settings
-from vision_pc.core import intrinsics, se3
-from vision_pc.core.hand_eye import guided_sampling, guided_views, rigid
-from vision_pc.core.hand_eye.guided_sampling import Belief
-from vision_pc.core.hand_eye.guided_settings import GuidedSettings
-from vision_pc.core.hand_eye.guided_views import Surroundings
-from vision_pc.core.hand_eye.maximum_likelihood import predicted
+from vision_pc.config.hand_eye import GuidedSettings
+from vision_pc.core import se3
+from vision_pc.core.hand_eye import rigid
+from vision_pc.core.hand_eye.guided import sampling as guided_sampling
+from vision_pc.core.hand_eye.guided import views as guided_views
+from vision_pc.core.hand_eye.guided.sampling import Belief
+from vision_pc.core.hand_eye.guided.views import Surroundings
 from vision_pc.core.hand_eye.samples import pose_pairs
+from vision_pc.core.hand_eye.solvers.maximum_likelihood import predicted
+from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 
 SETTINGS = GuidedSettings()

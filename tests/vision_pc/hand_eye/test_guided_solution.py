@@ -7,17 +7,23 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from controller.core.denavit_hartenberg import dh_table, tool_pose
-from controller.core.inverse_kinematics import joint_angles
+from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
+from controller.core.kinematics.inverse_kinematics import joint_angles
 from tests.vision_pc.hand_eye.still_rig import START_RAD as START
 from tests.vision_pc.hand_eye.still_rig import still_settings
-from vision_pc.core import intrinsics, se3
-from vision_pc.core.hand_eye import arm_drawing, guided_solution, guided_views, methods, rigid, shared_errors
-from vision_pc.core.hand_eye import session as sessions
-from vision_pc.core.hand_eye.guided_settings import ArmDrawing
-from vision_pc.core.hand_eye.guided_views import Surroundings
-from vision_pc.core.hand_eye.maximum_likelihood import predicted
-from vision_pc.core.hand_eye.session import Sample, Session
+from vision_pc.config.hand_eye import ArmDrawing
+from vision_pc.core import se3
+from vision_pc.core.hand_eye import rigid
+from vision_pc.core.hand_eye.guided import nominal_model as arm_drawing
+from vision_pc.core.hand_eye.guided import session as sessions
+from vision_pc.core.hand_eye.guided import shared_errors
+from vision_pc.core.hand_eye.guided import solution as guided_solution
+from vision_pc.core.hand_eye.guided import views as guided_views
+from vision_pc.core.hand_eye.guided.session import Sample, Session
+from vision_pc.core.hand_eye.guided.views import Surroundings
+from vision_pc.core.hand_eye.solvers import methods
+from vision_pc.core.hand_eye.solvers.maximum_likelihood import predicted
+from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 
 SETTINGS = still_settings()

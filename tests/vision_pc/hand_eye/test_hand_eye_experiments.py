@@ -10,17 +10,17 @@ import typer
 from typer.testing import CliRunner
 
 from protocol.errors import MeasurementFailed, RequestRefused
-from testbed.hand_eye import experiments, localisation, scenes, stress
-from testbed.hand_eye.boards import BoardCamera, BoardRenderer, random_board_pose
-from testbed.hand_eye.cli import app, register_experiments
-from testbed.hand_eye.guided_campaign import run_guided
-from testbed.hand_eye.guided_experiment import Choice
-from testbed.hand_eye.noise_sweep import NoiseOn, gathered, level_of, noise_sweep
-from testbed.row_file import RowFile
+from testbed.campaigns.row_file import RowFile
+from testbed.cli.hand_eye import app, register_experiments
+from testbed.experiments.hand_eye import experiments, localisation, scenes, stress
+from testbed.experiments.hand_eye.boards import BoardCamera, BoardRenderer, random_board_pose
+from testbed.experiments.hand_eye.guided_campaign import run_guided
+from testbed.experiments.hand_eye.guided_experiment import Choice
+from testbed.experiments.hand_eye.noise_sweep import NoiseOn, gathered, level_of, noise_sweep
 from tests.vision_pc.hand_eye.data import random_scene
-from vision_pc.core.hand_eye.methods import Method
+from vision_pc.core.hand_eye.solvers.methods import Method
+from vision_pc.core.perception.zhang_intrinsics import Checkerboard
 from vision_pc.core.se3 import Array
-from vision_pc.core.zhang_intrinsics import Checkerboard
 
 
 def test_printed_pose_and_table_of_the_paper_are_proper() -> None:

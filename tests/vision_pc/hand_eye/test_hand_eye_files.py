@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from protocol.errors import RequestRefused
+from testbed.experiments.hand_eye.scenes import Scene
 from testbed.hand_eye import trajectories
 from testbed.hand_eye.importer import FORMAT, ImportOptions, load
-from testbed.hand_eye.scenes import Scene
 from testbed.hand_eye.trajectories import PairingOptions, Trajectory
 from tests.vision_pc.hand_eye.data import exact_pairs, random_scene
-from vision_pc.core.hand_eye import methods, rigid
+from vision_pc.core.hand_eye import rigid
 from vision_pc.core.hand_eye.samples import Setup
+from vision_pc.core.hand_eye.solvers import methods
 from vision_pc.core.se3 import Array
 
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from protocol.errors import RequestRefused
-from testbed.hand_eye import real_data
+from testbed.experiments.hand_eye import real_data
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import methods
-from vision_pc.core.hand_eye.methods import Method
 from vision_pc.core.hand_eye.samples import pose_pairs
+from vision_pc.core.hand_eye.solvers import methods
+from vision_pc.core.hand_eye.solvers.methods import Method
 
 try:
     real_data.data_directory()

@@ -5,15 +5,15 @@ import pytest
 import scipy.optimize
 
 from protocol.errors import MeasurementFailed
-from testbed.hand_eye import scenes
+from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import random_poses, random_scene
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import maximum_likelihood as ml
-from vision_pc.core.hand_eye import noise as noise_model
 from vision_pc.core.hand_eye import rigid
-from vision_pc.core.hand_eye.maximum_likelihood import Equations, Noise
-from vision_pc.core.hand_eye.noise import NoiseSource
 from vision_pc.core.hand_eye.samples import Setup
+from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
+from vision_pc.core.hand_eye.solvers import noise as noise_model
+from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
+from vision_pc.core.hand_eye.solvers.noise import NoiseSource
 from vision_pc.core.se3 import Array
 
 STEP = 1e-6

@@ -4,16 +4,17 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed
-from testbed.hand_eye import scenes
+from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import noisy_pairs, random_poses
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import consensus, methods, rigid
-from vision_pc.core.hand_eye.methods import Method
-from vision_pc.core.hand_eye.motions import Motions, all_motions
-from vision_pc.core.hand_eye.noise import NoiseSource
-from vision_pc.core.hand_eye.observability import ObservabilityLimits, verdict
-from vision_pc.core.hand_eye.robust import RobustSettings
+from vision_pc.core.hand_eye import rigid
 from vision_pc.core.hand_eye.samples import pose_pairs
+from vision_pc.core.hand_eye.solvers import consensus, methods
+from vision_pc.core.hand_eye.solvers.methods import Method
+from vision_pc.core.hand_eye.solvers.motions import Motions, all_motions
+from vision_pc.core.hand_eye.solvers.noise import NoiseSource
+from vision_pc.core.hand_eye.solvers.observability import ObservabilityLimits, verdict
+from vision_pc.core.hand_eye.solvers.robust import RobustSettings
 
 
 @pytest.mark.parametrize(("samples", "bad"), [(15, 2), (15, 5), (30, 12)])

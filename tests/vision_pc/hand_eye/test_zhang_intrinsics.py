@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed, RequestRefused
-from testbed.hand_eye.boards import BoardCamera, BoardRenderer, random_board_pose
-from testbed.hand_eye.intrinsics_experiment import detect, row
-from vision_pc.core import zhang_intrinsics as zhang
+from testbed.experiments.hand_eye.boards import BoardCamera, BoardRenderer, random_board_pose
+from testbed.experiments.hand_eye.intrinsics_experiment import detect, row
+from vision_pc.core.perception import zhang_intrinsics as zhang
+from vision_pc.core.perception.zhang_intrinsics import BoardView, Charuco, Checkerboard, Detector
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
-from vision_pc.core.zhang_intrinsics import BoardView, Charuco, Checkerboard, Detector
 
 CAMERA = BoardCamera(
     K=np.array([[440.0, 0.0, 210.0], [0.0, 441.0, 165.0], [0.0, 0.0, 1.0]]),

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.core.calibration.settings import LineEquationSettings
+from vision_pc.config.programs import LineEquationSettings
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.se3 import Array, transform
 from vision_pc.core.types import WatchSample

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.core.calibration.settings import OrientationSettings
+from vision_pc.config.programs import OrientationSettings
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.se3 import Array, angle_between, euler_xyz, nearest_rotation, transform
 from vision_pc.core.types import Look

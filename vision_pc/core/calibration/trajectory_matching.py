@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
+from vision_pc.config.programs import TrajectorySettings
 from vision_pc.core.calibration.local_calibration import (
     AT_REST,
     LocalCalibration,
@@ -24,7 +25,6 @@ from vision_pc.core.calibration.local_calibration import (
     rotation_covariance,
     settled_pose,
 )
-from vision_pc.core.calibration.settings import TrajectorySettings
 from vision_pc.core.point_set_matching.coarse import asymmetry, coarse_alignment, path_frame
 from vision_pc.core.point_set_matching.hybrid_mixture import (
     MixtureMatch,

@@ -7,13 +7,14 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from vision_pc.config import OdometrySettings
-from vision_pc.core import intrinsics, se3, stereo_pose
+from vision_pc.config.vision import OdometrySettings
+from vision_pc.core import se3
 from vision_pc.core.odometry import patches, tracking
 from vision_pc.core.odometry.keyframe_map import Indices, Keyframe, KeyframeMap
 from vision_pc.core.odometry.tracking import Flags
+from vision_pc.core.perception import intrinsics, stereo_pose
+from vision_pc.core.perception.stereo_pose import Beliefs, Solution, View
 from vision_pc.core.se3 import Array
-from vision_pc.core.stereo_pose import Beliefs, Solution, View
 from vision_pc.core.types import CameraCalibration, EyeModel, Image, StereoOffset, StereoPair
 
 _NO_OFFSET = StereoOffset(0.0, 0.0, 1e-9, 1e-9)

@@ -3,9 +3,10 @@
 import cv2
 import numpy as np
 
-from vision_pc.config import ToolMarkerSettings
-from vision_pc.core import intrinsics, se3
+from vision_pc.config.vision import ToolMarkerSettings
+from vision_pc.core import se3
 from vision_pc.core.odometry.tracking import Flags
+from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, EyeModel
 

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vision_pc.config import OdometrySettings
+from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry.keyframe_map import Keyframe
 from vision_pc.core.odometry.tracking import Flags

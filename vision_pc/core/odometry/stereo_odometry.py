@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vision_pc.config import OdometrySettings, ToolMarkerSettings
+from vision_pc.config.vision import OdometrySettings, ToolMarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import tracking
 from vision_pc.core.odometry.keyframe_map import Keyframe, KeyframeMap

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vision_pc.config import OdometrySettings
+from vision_pc.config.vision import OdometrySettings
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
 

@@ -11,8 +11,8 @@ from collections.abc import AsyncIterator
 from typing import NamedTuple
 
 from protocol.errors import LinkLost
-from vision_pc.config import CameraSettings
-from vision_pc.core.freshness import Repeats
+from vision_pc.config.vision import CameraSettings
+from vision_pc.core.perception.freshness import Repeats
 from vision_pc.core.types import StereoPair
 
 _RATE_OVER = 20  # pairs over which the rate is measured

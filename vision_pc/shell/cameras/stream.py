@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from protocol.errors import FrameRefused, LinkLost
 from protocol.stereo_frame import HEADER_BYTES, FrameHeader, decode_header
-from vision_pc.config import CameraSettings
+from vision_pc.config.vision import CameraSettings
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras.source import CameraSource
 

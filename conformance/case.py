@@ -1,0 +1,58 @@
+"""What a conformance case is, and the register of all of them."""
+
+from collections.abc import Callable
+from enum import Enum
+from typing import Any, Generic, NamedTuple, TypeVar
+
+from conformance.master import Master
+from conformance.peer import Peer
+
+P = TypeVar("P")
+
+
+class Outcome(Enum):
+    """How a case ended. UNSUPPORTED: the peer lacks an optional part, or may not be asked to use it."""
+
+    PASS = "pass"
+    FAIL = "fail"
+    UNSUPPORTED = "unsupported"
+
+
+class Case(NamedTuple):
+    """One numbered question to the peer. ``motion``: it enables the group, moves or writes outputs."""
+
+    number: int
+    clause: str
+    title: str
+    motion: bool
+    # Any: of the peer's class that the case's suite opens.
+    run: Callable[[Any], None]
+
+
+class Register(Generic[P]):
+    """Cases in the order of their numbers, filled by decorators."""
+
+    def __init__(self) -> None:
+        self._cases: dict[int, Case] = {}
+
+    def case(
+        self, number: int, clause: str, title: str, *, motion: bool = False
+    ) -> Callable[[Callable[[P], None]], Callable[[P], None]]:
+        """Decorator that enters a function; raises ValueError when the number is taken."""
+
+        def enter(run: Callable[[P], None]) -> Callable[[P], None]:
+            if number in self._cases:
+                raise ValueError(f"case {number} is there twice")
+            self._cases[number] = Case(number, clause, title, motion, run)
+            return run
+
+        return enter
+
+    @property
+    def cases(self) -> tuple[Case, ...]:
+        """All cases, by number."""
+        return tuple(self._cases[number] for number in sorted(self._cases))
+
+
+reference = Register[Peer]()
+coupler = Register[Master]()

@@ -1,0 +1,212 @@
+"""Cases 520…: references and what becomes of them. They enable the group, most of them move the arm."""
+
+import math
+
+from conformance.case import reference
+from conformance.peer import Peer
+from conformance.reference.group import disabled, expect_reason, reach, reference_reason, wanted
+from conformance.wire import MS, Unsupported, require
+from protocol.faults import CommandCode, FaultCode, GroupState, Reason
+from protocol.pose import Pose
+from protocol.reference_messages import ReferencePath, ReferencePose, State
+
+case = reference.case
+STEP_M = 0.02
+# What an arm with centred valves may creep, and its encoders flicker, while it is looked at.
+DRIFT_M = 0.002
+
+
+def standby(peer: Peer) -> State:
+    """Opens a session and enables the group; its STATE. Raises Unsupported when it cannot be enabled."""
+    disabled(peer)
+    reason = peer.command(CommandCode.ENABLE)
+    if reason is not Reason.ACCEPTED:
+        raise Unsupported(f"ENABLE was refused: {reason.name}")
+    return reach(peer, GroupState.STANDBY, "after ENABLE")
+
+
+def moved(pose: Pose, dx: float = 0.0, dy: float = 0.0, dz: float = 0.0) -> Pose:
+    """``pose`` at another position."""
+    x, y, z = pose.p_m
+    return pose._replace(p_m=(x + dx, y + dy, z + dz))
+
+
+def scaled(pose: Pose, scale: float) -> Pose:
+    """``pose`` with its quaternion multiplied."""
+    w, x, y, z = pose.q_wxyz
+    return pose._replace(q_wxyz=(scale * w, scale * x, scale * y, scale * z))
+
+
+@case(520, "7.3", "commands in STANDBY are answered as the table says", motion=True)
+def in_standby(peer: Peer) -> None:
+    standby(peer)
+    wanted(peer, CommandCode.ENABLE, Reason.ALREADY_DONE, "STANDBY")
+    wanted(peer, CommandCode.RESET, Reason.NOT_IN_ERROR, "STANDBY")
+    wanted(peer, CommandCode.EMERGENCY_RELEASE, Reason.ALREADY_DONE, "STANDBY")
+    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "STANDBY")
+    require(peer.state().group_state is GroupState.STANDBY, "STANDBY was left")
+    wanted(peer, CommandCode.DISABLE, Reason.ACCEPTED, "STANDBY")
+    reach(peer, GroupState.DISABLED, "after DISABLE")
+
+
+@case(521, "3.7", "NaN and infinity in a reference: NOT_FINITE", motion=True)
+def not_finite(peer: Peer) -> None:
+    here = standby(peer).X_BT_cmd
+    for odd in (math.nan, math.inf, -math.inf):
+        for place in range(8):
+            numbers = [*here.p_m, *here.q_wxyz, 0.0]
+            numbers[place] = odd
+            x, y, z, qw, qx, qy, qz, duration = numbers
+            got = reference_reason(peer, Pose((x, y, z), (qw, qx, qy, qz)), duration)
+            expect_reason(got, Reason.NOT_FINITE, f"{odd} at place {place}")
+    require(peer.state().group_state is GroupState.STANDBY, "the arm moves")
+
+
+@case(522, "1.5", "a quaternion whose norm is off by more than 1e-3: NOT_UNIT_QUATERNION", motion=True)
+def not_unit(peer: Peer) -> None:
+    here = standby(peer).X_BT_cmd
+    for scale in (0.0, 0.5, 1.0 - 2e-3, 1.0 + 2e-3, 2.0):
+        got = reference_reason(peer, scaled(here, scale))
+        expect_reason(got, Reason.NOT_UNIT_QUATERNION, f"a norm of {scale:g}")
+        require(abs(got.value - scale * here.quaternion_norm()) < 1e-9, f"value {got.value:g}")
+
+
+@case(523, "1.5", "a norm off by less, and the negative of a quaternion, are accepted", motion=True)
+def nearly_unit(peer: Peer) -> None:
+    here = standby(peer).X_BT_cmd
+    for scale in (1.0 - 5e-4, 1.0 + 5e-4, -1.0):
+        expect_reason(
+            reference_reason(peer, scaled(here, scale)), Reason.ACCEPTED, f"a quaternion times {scale:g}"
+        )
+    state = reach(peer, GroupState.STANDBY, "a motion to where it is", 20_000)
+    turned = abs(sum(a * b for a, b in zip(state.X_BT_cmd.q_wxyz, here.q_wxyz, strict=True)))
+    require(turned > 1.0 - 1e-6, "the tool turned although the orientation is the same")
+
+
+@case(524, "6.7", "a negative, a too short and a too long time: BAD_DURATION", motion=True)
+def bad_duration(peer: Peer) -> None:
+    here = standby(peer).X_BT_cmd
+    for duration in (-1.0, 1e-6, 1e9):
+        expect_reason(reference_reason(peer, here, duration), Reason.BAD_DURATION, f"{duration:g} s")
+
+
+@case(525, "6.9", "a pose far out of reach is refused with value and limit", motion=True)
+def out_of_reach(peer: Peer) -> None:
+    here = standby(peer).X_BT_cmd
+    for pose in (moved(here, dx=100.0), moved(here, dz=1000.0), Pose((0.0, 0.0, -50.0), here.q_wxyz)):
+        got = reference_reason(peer, pose)
+        accepted = (Reason.TOO_FAR, Reason.UNREACHABLE, Reason.OUTSIDE_WORKSPACE, Reason.JOINT_LIMIT)
+        require(got.reason in accepted, f"{pose.p_m}: {got.reason.name}")
+        require(got.value != got.limit, "value and limit explain nothing")
+    require(peer.state().group_state is GroupState.STANDBY, "the arm moves")
+
+
+@case(526, "6.9", "a path with one waypoint out of reach is refused whole", motion=True)
+def refused_whole(peer: Peer) -> None:
+    here = standby(peer).X_BT_cmd
+    path = ReferencePath(peer.new_id(), (here, moved(here, dz=STEP_M), moved(here, dz=50.0)), 0.0, 0.0)
+    require(peer.ask(path, "a path").reason is not Reason.ACCEPTED, "it was accepted")
+    require(peer.state().group_state is GroupState.STANDBY, "the arm moves")
+
+
+@case(527, "6.7", "a small motion is made, done, and ends where it was asked to", motion=True)
+def small_motion(peer: Peer) -> None:
+    here = standby(peer).X_BT_cmd
+    goal = moved(here, dz=STEP_M)
+    request = ReferencePose(peer.new_id(), goal, 2.0)
+    expect_reason(peer.ask(request, "a motion"), Reason.ACCEPTED, "a motion of 20 mm")
+    first = peer.state()
+    require(first.motion_id == request.command_id, "motion_id is not the request's")
+    require(not first.motion_done, "done before it began")
+    until_ns = peer.now_ns + 30_000 * MS
+    last = first
+    while peer.now_ns < until_ns and not last.motion_done:
+        before, last = last, peer.state()
+        jump = math.dist(before.X_BT_cmd.p_m, last.X_BT_cmd.p_m)
+        require(jump < STEP_M, f"the commanded pose jumped by {jump * 1e3:.1f} mm")
+    require(last.motion_done, "not done within 30 s")
+    require(math.dist(last.X_BT_cmd.p_m, goal.p_m) < 1e-6, "the commanded pose is not the goal")
+    require(math.dist(last.X_BT.p_m, goal.p_m) < 5e-3, "the arm is more than 5 mm from the goal")
+    expect_reason(reference_reason(peer, here, 2.0), Reason.ACCEPTED, "the way back")
+    peer.collect(2500)
+
+
+@case(528, "7.3", "STOP in motion ramps down to STANDBY", motion=True)
+def stopped(peer: Peer) -> None:
+    here = standby(peer).X_BT_cmd
+    expect_reason(reference_reason(peer, moved(here, dz=STEP_M), 5.0), Reason.ACCEPTED, "a motion")
+    reach(peer, GroupState.MOVING, "after a reference")
+    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "MOVING")
+    reach(peer, GroupState.STANDBY, "after STOP")
+    a = peer.state()
+    peer.collect(300)
+    b = peer.state()
+    require(math.dist(a.X_BT_cmd.p_m, b.X_BT_cmd.p_m) < 1e-9, "the commanded pose still moves")
+
+
+@case(529, "7.5", "a lost link in motion stops the arm; nothing resumes by itself", motion=True)
+def lost_in_motion(peer: Peer) -> None:
+    here = standby(peer).X_BT_cmd
+    expect_reason(reference_reason(peer, moved(here, dz=STEP_M), 5.0), Reason.ACCEPTED, "a motion")
+    reach(peer, GroupState.MOVING, "after a reference")
+    peer.collect(peer.timeout_ms + 1500, beating=False)
+    peer.session = 0
+    peer.open(period_ms=20)
+    state = peer.state()
+    require(state.group_state is GroupState.ERROR_STOP, f"{state.group_state.name} after a lost link")
+    require(state.fault is FaultCode.REFERENCE_LINK_LOST, f"fault {state.fault.name}")
+    peer.collect(300)
+    later = peer.state()
+    drift = math.dist(state.X_BT.p_m, later.X_BT.p_m)
+    require(later.valves == (0.0,) * 6, f"valves {later.valves}")
+    require(drift < DRIFT_M, f"it went on by {drift * 1e3:.1f} mm")
+    wanted(peer, CommandCode.ENABLE, Reason.ERROR_LATCHED, "error")
+    wanted(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
+    reach(peer, GroupState.DISABLED, "after RESET")
+
+
+@case(530, "7.4", "EMERGENCY_STOP in motion centres the valves in the next scans", motion=True)
+def emergency_in_motion(peer: Peer) -> None:
+    here = standby(peer).X_BT_cmd
+    expect_reason(reference_reason(peer, moved(here, dz=STEP_M), 5.0), Reason.ACCEPTED, "a motion")
+    reach(peer, GroupState.MOVING, "after a reference")
+    wanted(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
+    state = peer.state()
+    require(state.valves == (0.0,) * 6, f"valves {state.valves}")
+    require(state.group_state is GroupState.ERROR_STOP, state.group_state.name)
+
+
+@case(531, "6.6", "of references that wait at once only the newest is executed", motion=True)
+def newest_of_a_backlog(peer: Peer) -> None:
+    here = standby(peer).X_BT_cmd
+    ids = [peer.new_id() for _ in range(6)]
+    sealed = [peer.sealed(ReferencePose(i, moved(here, dz=STEP_M), 3.0)) for i in ids]
+    for data in sealed:
+        peer.send_raw(data)
+    answers = {a.command_id: a.reason for a in peer.answers("six references at once")}
+    require(sorted(answers) == ids, f"{len(answers)} answers to six references")
+    require(answers[ids[-1]] is Reason.ACCEPTED, f"the newest: {answers[ids[-1]].name}")
+    others = {answers[i] for i in ids[:-1]}
+    require(others <= {Reason.OVERTAKEN, Reason.ACCEPTED}, f"the others: {others}")
+    require(peer.state().motion_id == ids[-1], "the motion is not the newest one")
+    peer.command(CommandCode.STOP)
+
+
+@case(532, "6.8", "a path is driven through its waypoints in order", motion=True)
+def path(peer: Peer) -> None:
+    here = standby(peer).X_BT_cmd
+    points = (moved(here, dz=STEP_M), moved(here, dz=STEP_M, dx=-STEP_M), here)
+    request = ReferencePath(peer.new_id(), points, 1.5, 0.2)
+    expect_reason(peer.ask(request, "a path"), Reason.ACCEPTED, "a path of three waypoints")
+    segments, nearest = [], [math.inf] * len(points)
+    until_ns = peer.now_ns + 40_000 * MS
+    while peer.now_ns < until_ns:
+        state = peer.state()
+        segments.append(state.segment)
+        for i, point in enumerate(points):
+            nearest[i] = min(nearest[i], math.dist(state.X_BT_cmd.p_m, point.p_m))
+        if state.motion_done:
+            break
+    require(state.motion_done, "not done within 40 s")
+    require(segments == sorted(segments), f"segments {segments}")
+    require(max(nearest) < 1e-3, f"a waypoint was missed by {max(nearest) * 1e3:.1f} mm")

@@ -1,0 +1,235 @@
+"""Cases 201…: opening, keeping and ending a session (clauses 2, 4 and 5.4)."""
+
+from conformance.case import reference
+from conformance.peer import RATION_MS, Peer
+from conformance.reference.framing import stop
+from conformance.wire import ANSWER_MS, MS, Failed, require
+from protocol.faults import Reason
+from protocol.pose import IDENTITY
+from protocol.reference_messages import (
+    CAPABILITY_PATHS,
+    CAPABILITY_STREAMING,
+    Acknowledgement,
+    Bye,
+    HeartbeatReply,
+    Hello,
+    Message,
+    ReferencePath,
+    State,
+    Welcome,
+)
+
+case = reference.case
+# What a busy machine may add to a deadline before it counts as missed.
+SLACK_MS = 100
+TABLED = CAPABILITY_PATHS | CAPABILITY_STREAMING
+
+
+def hello(peer: Peer, nonce: int, **header: int) -> bytes:
+    """Sends HELLO for any arm."""
+    return peer.send(Hello(nonce, 1, 0, 50), session=0, minor=0, **header)
+
+
+def welcomes(peer: Peer, wait_ms: float = 100) -> list[Welcome]:
+    """All WELCOMEs that come within ``wait_ms``."""
+    return [d.message for d in peer.collect(wait_ms, beating=False) if isinstance(d.message, Welcome)]
+
+
+def silent(peer: Peer, wait_ms: float, *, but: type[Message] = State) -> None:
+    """Nothing comes but ``but``."""
+    got = [
+        type(d.message).__name__
+        for d in peer.collect(wait_ms, beating=False)
+        if not isinstance(d.message, but)
+    ]
+    require(not got, f"came unasked: {', '.join(got)}")
+
+
+@case(201, "4.2", "WELCOME repeats the nonce, and numbers, times and hash are in range")
+def handshake(peer: Peer) -> None:
+    nonce = peer.nonce()
+    welcome = peer.open(nonce=nonce)
+    require(peer.session != 0, "the session's number is 0")
+    require(welcome.client_nonce == nonce, "WELCOME has another nonce")
+    require(welcome.boot_id != 0, "boot_id is 0")
+    require(welcome.cycle_ns <= 100 * MS, f"cycle of {welcome.cycle_ns / MS:g} ms")
+
+
+@case(202, "4.2", "sessions have different numbers, the controller keeps its boot_id")
+def numbers_differ(peer: Peer) -> None:
+    seen = []
+    for _ in range(3):
+        welcome = peer.open()
+        seen.append((peer.session, welcome.boot_id))
+        peer.leave()
+    require(len({session for session, _ in seen}) == 3, "a session's number was used twice")
+    require(len({boot_id for _, boot_id in seen}) == 1, "boot_id changed without a restart")
+
+
+@case(203, "4.2", "no capability is granted that was not offered")
+def none_offered(peer: Peer) -> None:
+    granted = peer.open(capabilities=0).capabilities
+    require(granted & ~peer.required == 0, f"granted {granted:#x} of nothing")
+
+
+@case(204, "4.3", "reserved capability bits are not granted")
+def reserved_offered(peer: Peer) -> None:
+    granted = peer.open(capabilities=2**64 - 1).capabilities
+    require(granted & ~(TABLED | peer.required) == 0, f"granted {granted:#x}: bits that are not in the table")
+
+
+@case(205, "6.8", "a path without the capability is acknowledged with NOT_NEGOTIATED")
+def path_not_negotiated(peer: Peer) -> None:
+    peer.open(capabilities=0)
+    answer = peer.ask(ReferencePath(peer.new_id(), (IDENTITY,), 0.0, 0.0), "a path that was not negotiated")
+    require(answer.reason is Reason.NOT_NEGOTIATED, f"answered {answer.reason.name}")
+
+
+@case(206, "4.1", "the hash of another arm is refused with WRONG_ARM")
+def wrong_arm(peer: Peer) -> None:
+    right = peer.open().arm_hash
+    peer.leave()
+    peer.collect(RATION_MS, beating=False)
+    peer.send(Hello(peer.nonce(), 1, right ^ 1 or 2, 50), session=0)
+    peer.expect_bye(Reason.WRONG_ARM, "HELLO for another arm")
+
+
+@case(207, "4.1", "the hash of this arm is welcome")
+def right_arm(peer: Peer) -> None:
+    right = peer.open().arm_hash
+    peer.leave()
+    require(peer.open(arm_hash=right).arm_hash == right, "the hash changed")
+
+
+@case(208, "4.6", "a repeated HELLO is answered with the same session")
+def repeated_hello(peer: Peer) -> None:
+    nonce = peer.nonce()
+    first = peer.open(nonce=nonce)
+    session = peer.session
+    for _ in range(3):
+        hello(peer, nonce)
+    again = [d for d in peer.collect(100) if isinstance(d.message, Welcome)]
+    require(len(again) == 3, f"{len(again)} WELCOMEs for 3 repeated HELLOs")
+    require(all(d.header.session == session and d.message == first for d in again), "another WELCOME")
+    peer.alive("after repeated HELLOs")
+
+
+@case(209, "5.2", "the very same HELLO datagram twice is answered once")
+def duplicated_hello(peer: Peer) -> None:
+    nonce = peer.nonce()
+    peer.open(nonce=nonce)
+    data = hello(peer, nonce)
+    peer.send_raw(data)
+    require(len(welcomes(peer)) == 1, "a duplicated datagram was answered twice")
+
+
+@case(210, "4.6", "the nonce of a session that has ended opens nothing")
+def replayed_hello(peer: Peer) -> None:
+    nonce = peer.nonce()
+    peer.open(nonce=nonce)
+    peer.leave()
+    hello(peer, nonce)
+    require(not welcomes(peer), "a recorded HELLO opened a session")
+
+
+@case(211, "4.5", "a second client is refused with SESSION_OCCUPIED and the first does not notice")
+def second_client(peer: Peer) -> None:
+    peer.open()
+    other = peer.second()
+    peer.collect(RATION_MS)
+    hello(other, other.nonce())
+    other.expect_bye(Reason.SESSION_OCCUPIED, "HELLO of a second client")
+    peer.alive("after a second client's HELLO")
+
+
+@case(212, "4.5", "once the first client has left, the second is welcome")
+def second_after_first(peer: Peer) -> None:
+    peer.open()
+    other = peer.second()
+    peer.leave()
+    other.open()
+    other.alive("the second client's session")
+    other.leave()
+
+
+@case(213, "4.5", "a client that restarts at the same address gets a new session at once")
+def restart_in_place(peer: Peer) -> None:
+    peer.open()
+    old = peer.session
+    begin_ns = peer.now_ns
+    peer.open()
+    require(peer.session != old, "the old session's number was given again")
+    require((peer.now_ns - begin_ns) / MS < peer.timeout_ms, "only after the link timeout")
+    peer.alive("the new session")
+    refused = peer.send(stop(peer), session=old)
+    require(
+        not peer.answers("a request of the old session"), f"{len(refused)} bytes of the old session were used"
+    )
+
+
+@case(214, "4.5", "a client that restarts at another address gets in after the link timeout")
+def restart_elsewhere(peer: Peer) -> None:
+    timeout_ms = peer.open().link_timeout_ms
+    other = peer.second()
+    begin_ns = peer.now_ns
+    other.open()
+    waited_ms = (peer.now_ns - begin_ns) / MS
+    require(waited_ms > timeout_ms * 0.8 - SLACK_MS, f"after {waited_ms:.0f} ms: the first was still alive")
+    require(waited_ms < timeout_ms + 3 * 200 + SLACK_MS, f"only after {waited_ms:.0f} ms")
+    other.leave()
+
+
+@case(215, "4.5", "a HELLO that was sent before the one in use does not end the session")
+def delayed_hello(peer: Peer) -> None:
+    before_ns = peer.now_ns
+    peer.open()
+    hello(peer, peer.nonce(), sent_ns=before_ns - MS)
+    require(not welcomes(peer, 60), "a delayed HELLO opened a session")
+    peer.alive("after a delayed HELLO")
+
+
+@case(216, "4.4", "a request of a session that does not exist is told UNKNOWN_SESSION")
+def unknown_session(peer: Peer) -> None:
+    peer.collect(RATION_MS, beating=False)
+    peer.send(stop(peer), session=0x1234)
+    datagram = peer.receive(ANSWER_MS, beating=False)
+    if datagram is None or datagram.message != Bye(Reason.UNKNOWN_SESSION):
+        raise Failed(f"came {datagram.message if datagram else 'nothing'}")
+    require(datagram.header.session == 0x1234, "BYE does not name the session that was asked for")
+
+
+@case(217, "3.5", "requests of another session, and of session 0, are not used")
+def wrong_session(peer: Peer) -> None:
+    peer.open()
+    for session in (0, 1, peer.session ^ 1, peer.session ^ 1 << 63):
+        peer.send(stop(peer), session=session)
+    require(not peer.answers("requests of other sessions"), "a request of another session was answered")
+
+
+@case(218, "3.5", "a request of this session from another port is not used")
+def wrong_source(peer: Peer) -> None:
+    peer.open()
+    other = peer.second()
+    other.send_raw(peer.sealed(stop(peer)))
+    answered = [d for d in other.collect(60, beating=False) if not isinstance(d.message, Bye)]
+    require(not answered, "another source was answered")
+    require(not peer.answers("a request from another port"), "another source's request was executed")
+
+
+@case(219, "3.5", "HELLO inside a session is dropped")
+def hello_in_session(peer: Peer) -> None:
+    peer.open()
+    peer.send(Hello(peer.nonce(), 1, 0, 50))
+    require(not welcomes(peer, 60), "a HELLO with a session was answered")
+    peer.alive("after a HELLO with a session")
+
+
+@case(220, "3.5", "messages that only a controller sends are dropped")
+def wrong_direction(peer: Peer) -> None:
+    welcome = peer.open()
+    peer.send(welcome)
+    peer.send(HeartbeatReply(1, 2, 3))
+    peer.send(Acknowledgement(peer.new_id(), Reason.ACCEPTED, 0.0, 0.0))
+    got = [d.message for d in peer.collect(60, beating=False) if not isinstance(d.message, State)]
+    require(not got, f"came {got}")
+    peer.alive("after messages of the wrong direction")

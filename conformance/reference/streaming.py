@@ -1,0 +1,314 @@
+"""Cases 541…: streamed references (clause 12). Most enable the group, and many move the arm."""
+
+import math
+from itertools import pairwise
+from typing import Any
+
+from conformance.case import reference
+from conformance.peer import Peer
+from conformance.reference.group import disabled, expect_reason, reach, reference_reason, wanted
+from conformance.reference.motion import DRIFT_M, STEP_M, moved, scaled
+from conformance.wire import ANSWER_MS, MS, Unsupported, require
+from protocol.faults import CommandCode, FaultCode, GroupState, Reason
+from protocol.pose import Pose
+from protocol.reference_messages import (
+    CAPABILITY_PATHS,
+    CAPABILITY_STREAMING,
+    FLAG_STREAMING,
+    Acknowledgement,
+    Command,
+    State,
+    StreamedPose,
+    StreamRefused,
+)
+
+case = reference.case
+BOTH = CAPABILITY_PATHS | CAPABILITY_STREAMING
+FEED_MS = 10.0  # between references: so often that a busy tester's hiccups are not a silence
+SILENCE_MS = 100.0
+SLACK_MS = 150.0  # what a busy machine may add
+NUMBERS = 1 << 32
+
+
+class Stream:
+    """A stream of the tester's: its id, and the number of its next reference."""
+
+    def __init__(self, peer: Peer, stream_id: int, number: int = 1) -> None:
+        self.peer = peer
+        self.stream_id = stream_id
+        self.number = number
+
+    def give(self, pose: Pose, **more: Any) -> None:
+        """Sends the next reference; ``more`` overrides fields of it."""
+        fields = {"stream_id": self.stream_id, "number": self.number, "time_ns": self.peer.now_ns}
+        self.peer.send(StreamedPose(X_BT_ref=pose, **(fields | more)))
+        self.number = (self.number + 1) % NUMBERS
+
+    def feed(self, pose: Pose, wait_ms: float) -> list[State]:
+        """References to ``pose`` for ``wait_ms``, none of them refused; the states that came meanwhile."""
+        states = []
+        until_ns = self.peer.now_ns + int(wait_ms * MS)
+        while self.peer.now_ns < until_ns:
+            self.give(pose)
+            for datagram in self.peer.collect(FEED_MS):
+                message = datagram.message
+                if isinstance(message, StreamRefused):
+                    require(False, f"reference {message.number} was refused: {message.reason.name}")
+                if isinstance(message, State):
+                    states.append(message)
+        return states
+
+    def refused(self, pose: Pose, reason: Reason, what: str, **more: Any) -> StreamRefused:
+        """The answer to a reference that is refused with ``reason``."""
+        number = more.get("number", self.number)
+        self.give(pose, **more)
+        got = self.peer.expect(StreamRefused, what, ANSWER_MS)
+        require(got.number == number, f"{what}: the refusal names {got.number}, wanted {number}")
+        require(got.reason is reason, f"{what}: {got.reason.name}, wanted {reason.name}")
+        return got
+
+
+def streamless(peer: Peer) -> State:
+    """A session with the capability, the group DISABLED; its STATE. Raises Unsupported without it."""
+    disabled(peer, capabilities=BOTH)
+    assert peer.welcome is not None
+    if not peer.welcome.capabilities & CAPABILITY_STREAMING:
+        raise Unsupported("STREAMING is not granted")
+    return peer.state()
+
+
+def opened(peer: Peer) -> tuple[Stream, State]:
+    """An open stream without a reference yet, and a STATE in it. Raises Unsupported when it cannot be."""
+    streamless(peer)
+    reason = peer.command(CommandCode.ENABLE)
+    if reason is not Reason.ACCEPTED:
+        raise Unsupported(f"ENABLE was refused: {reason.name}")
+    reach(peer, GroupState.STANDBY, "after ENABLE")
+    request = Command(peer.new_id(), CommandCode.START_STREAM)
+    expect_reason(peer.ask(request, "START_STREAM"), Reason.ACCEPTED, "START_STREAM in STANDBY")
+    return Stream(peer, request.command_id), reach(peer, GroupState.MOVING, "after START_STREAM")
+
+
+@case(541, "12.1", "streaming that was not negotiated: NOT_NEGOTIATED")
+def not_negotiated(peer: Peer) -> None:
+    streamless(peer)
+    peer.leave()
+    peer.open(capabilities=CAPABILITY_PATHS, period_ms=20)
+    here = peer.state().X_BT
+    wanted(peer, CommandCode.START_STREAM, Reason.NOT_NEGOTIATED, "a session without the capability")
+    wanted(peer, CommandCode.END_STREAM, Reason.NOT_NEGOTIATED, "a session without the capability")
+    Stream(peer, peer.new_id()).refused(here, Reason.NOT_NEGOTIATED, "a streamed reference")
+
+
+@case(542, "7.3", "streaming in DISABLED is refused as the table says")
+def in_disabled(peer: Peer) -> None:
+    here = streamless(peer).X_BT
+    wanted(peer, CommandCode.START_STREAM, Reason.DISABLED, "DISABLED")
+    wanted(peer, CommandCode.END_STREAM, Reason.NOT_STREAMING, "DISABLED")
+    Stream(peer, peer.new_id()).refused(here, Reason.DISABLED, "a streamed reference in DISABLED")
+
+
+@case(543, "12.4", "the group's state is judged before the content of a streamed reference")
+def state_first(peer: Peer) -> None:
+    streamless(peer)
+    nan = Pose((math.nan, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    Stream(peer, peer.new_id()).refused(nan, Reason.DISABLED, "NaN in DISABLED")
+
+
+@case(544, "12.2", "START_STREAM in STANDBY: MOVING with the flag, named by its id, and at rest", motion=True)
+def starts(peer: Peer) -> None:
+    stream, state = opened(peer)
+    require(bool(state.flags & FLAG_STREAMING), "the flag STREAMING is not set")
+    require(state.motion_id == stream.stream_id, "motion_id is not the stream's")
+    require(not state.motion_done, "done before it began")
+    peer.collect(200)
+    later = peer.state()
+    require(later.X_BT_cmd == state.X_BT_cmd, "the commanded pose moves without a reference")
+    peer.command(CommandCode.STOP)
+
+
+@case(545, "7.3", "requests in a stream are answered as the table says", motion=True)
+def in_stream(peer: Peer) -> None:
+    _, state = opened(peer)
+    wanted(peer, CommandCode.ENABLE, Reason.ALREADY_DONE, "a stream")
+    wanted(peer, CommandCode.RESET, Reason.NOT_IN_ERROR, "a stream")
+    wanted(peer, CommandCode.EMERGENCY_RELEASE, Reason.ALREADY_DONE, "a stream")
+    wanted(peer, CommandCode.START_STREAM, Reason.STREAMING, "a stream")
+    expect_reason(reference_reason(peer, state.X_BT_cmd), Reason.STREAMING, "a reference in a stream")
+    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
+    reach(peer, GroupState.STANDBY, "after STOP")
+    wanted(peer, CommandCode.END_STREAM, Reason.NOT_STREAMING, "STANDBY")
+
+
+@case(546, "12.4", "NaN, infinity and a norm off 1 are refused in a streamed reference", motion=True)
+def form(peer: Peer) -> None:
+    stream, state = opened(peer)
+    here = state.X_BT_cmd
+    for odd in (math.nan, math.inf, -math.inf):
+        for place in range(7):
+            numbers = [*here.p_m, *here.q_wxyz]
+            numbers[place] = odd
+            x, y, z, qw, qx, qy, qz = numbers
+            bad = Pose((x, y, z), (qw, qx, qy, qz))
+            stream.refused(bad, Reason.NOT_FINITE, f"{odd} at place {place}")
+        twist = (0.0, 0.0, odd, 0.0, 0.0, 0.0)
+        stream.refused(here, Reason.NOT_FINITE, f"{odd} in the twist", twist_ref=twist)
+    for scale in (0.0, 1.0 - 2e-3, 1.0 + 2e-3):
+        stream.refused(scaled(here, scale), Reason.NOT_UNIT_QUATERNION, f"a norm of {scale:g}")
+    require(peer.state().X_BT_cmd == here, "the commanded pose moved")
+    peer.command(CommandCode.STOP)
+
+
+@case(
+    547, "12.4", "a jump, and a reference that runs away: TOO_FAR and TOO_FAST with the values", motion=True
+)
+def jump(peer: Peer) -> None:
+    stream, state = opened(peer)
+    here = state.X_BT_cmd
+    got = stream.refused(moved(here, dz=100.0), Reason.TOO_FAR, "100 m away")
+    require(abs(got.value - 100.0) < 1e-3, f"value {got.value:g}, wanted the measured jump of 100 m")
+    require(0.0 < got.limit < 100.0, f"limit {got.limit:g}")
+    got = stream.refused(here, Reason.TOO_FAST, "50 m/s", twist_ref=(0.0, 50.0, 0.0, 0.0, 0.0, 0.0))
+    require(abs(got.value - 50.0) < 1e-9, f"value {got.value:g}, wanted 50 m/s")
+    require(peer.state().X_BT_cmd == here, "the commanded pose moved")
+    peer.command(CommandCode.STOP)
+
+
+@case(548, "12.5", "numbers that are not newer are refused, and the wrap is not noticed", motion=True)
+def numbers(peer: Peer) -> None:
+    stream, state = opened(peer)
+    here = state.X_BT_cmd
+    stream.number = NUMBERS - 4
+    stream.feed(here, 10 * FEED_MS)
+    newest = (stream.number - 1) % NUMBERS
+    require(newest < NUMBERS // 2, "the tester did not wrap")
+    for number in (newest, newest - 1, NUMBERS - 2):
+        got = stream.refused(here, Reason.OVERTAKEN, f"number {number % NUMBERS}", number=number % NUMBERS)
+        require(got.limit == newest, f"the newest is said to be {got.limit:g}, it is {newest}")
+    peer.command(CommandCode.STOP)
+
+
+@case(549, "12.6", "a reference that rests on an old measurement: STALE", motion=True)
+def old_measurement(peer: Peer) -> None:
+    stream, state = opened(peer)
+    long_ago = peer.now_ns - 10_000 * MS
+    got = stream.refused(state.X_BT_cmd, Reason.STALE, "10 s old", time_ns=long_ago)
+    require(9.0 < got.value < 12.0, f"its age is said to be {got.value:g} s")
+    require(0.0 < got.limit < 9.0, f"limit {got.limit:g} s")
+    stream.feed(state.X_BT_cmd, 5 * FEED_MS)
+    peer.command(CommandCode.STOP)
+
+
+@case(550, "12.3", "what is followed is not acknowledged; STATE names the newest", motion=True)
+def not_acknowledged(peer: Peer) -> None:
+    stream, state = opened(peer)
+    peer.passed_over.clear()
+    states = stream.feed(state.X_BT_cmd, 400.0)
+    require(len(states) > 2, "no STATE while references came")
+    require(states[-1].stream_number > states[0].stream_number, "stream_number stands still")
+    require(states[-1].stream_number < stream.number, "stream_number is ahead of what was sent")
+    answers = [d for d in peer.passed_over if isinstance(d.message, Acknowledgement)]
+    require(not answers, "a streamed reference was acknowledged")
+    peer.command(CommandCode.STOP)
+
+
+@case(551, "12.7", "the commanded pose goes to the reference without a step and rests there", motion=True)
+def follows(peer: Peer) -> None:
+    stream, state = opened(peer)
+    goal = moved(state.X_BT_cmd, dz=STEP_M)
+    states = stream.feed(goal, 2500.0)
+    steps = [math.dist(a.X_BT_cmd.p_m, b.X_BT_cmd.p_m) for a, b in pairwise(states)]
+    require(max(steps) < STEP_M, f"the commanded pose jumped by {max(steps) * 1e3:.1f} mm")
+    require(math.dist(states[-1].X_BT_cmd.p_m, goal.p_m) < 1e-6, "it is not where the reference is")
+    require(states[-1].group_state is GroupState.MOVING, "the stream ended by itself")
+    require(not states[-1].motion_done, "a stream that is open is done")
+    stream.feed(state.X_BT_cmd, 2500.0)
+    peer.command(CommandCode.STOP)
+
+
+def silenced(peer: Peer) -> tuple[Stream, State, float]:
+    """A stream that was followed and then fell silent: the STATE of its end, and when (ms) that was.
+
+    Counted on the controller's clock from the first STATE that names the last reference.
+    """
+    stream, state = opened(peer)
+    stream.feed(moved(state.X_BT_cmd, dz=STEP_M), 300.0)
+    last = stream.number - 1
+    named_ns: int | None = None
+    until_ns = peer.now_ns + 2000 * MS
+    while peer.now_ns < until_ns:
+        seen = peer.expect(State, "STATE", 500)
+        if seen.stream_number == last and named_ns is None:
+            named_ns = seen.time_ns
+        if seen.group_state is GroupState.ERROR_STOP and not any(seen.valves):
+            return stream, seen, (seen.time_ns - (named_ns or seen.time_ns)) / MS
+    require(False, "the arm was not stopped within 2 s of silence")
+    raise AssertionError
+
+
+@case(552, "12.8", "silence: valves centred within 100 ms, REFERENCE_STALE latched", motion=True)
+def silence(peer: Peer) -> None:
+    _, state, after_ms = silenced(peer)
+    require(state.fault is FaultCode.REFERENCE_STALE, f"fault {state.fault.name}")
+    require(after_ms < SILENCE_MS + SLACK_MS, f"stopped {after_ms:.0f} ms after the last reference")
+
+
+@case(553, "12.4", "references that are refused do not keep a stream alive", motion=True)
+def refused_is_silence(peer: Peer) -> None:
+    stream, state = opened(peer)
+    stream.feed(state.X_BT_cmd, 200.0)
+    nan = Pose((math.nan, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    until_ns = peer.now_ns + 1000 * MS
+    while peer.now_ns < until_ns:
+        stream.give(nan)
+        peer.collect(FEED_MS)
+    seen = peer.state()
+    require(seen.fault is FaultCode.REFERENCE_STALE, f"fault {seen.fault.name} after a second of NaN")
+
+
+@case(554, "12.9", "after silence nothing resumes: not by references, not by RESET and ENABLE", motion=True)
+def no_resume(peer: Peer) -> None:
+    stream, state, _ = silenced(peer)
+    ahead = moved(state.X_BT_cmd, dz=STEP_M)
+    stream.refused(ahead, Reason.ERROR_LATCHED, "a reference after the stop")
+    wanted(peer, CommandCode.START_STREAM, Reason.ERROR_LATCHED, "error")
+    wanted(peer, CommandCode.RESET, Reason.ACCEPTED, "error")
+    stream.refused(ahead, Reason.DISABLED, "a reference after RESET")
+    wanted(peer, CommandCode.ENABLE, Reason.ACCEPTED, "DISABLED")
+    stream.refused(ahead, Reason.NOT_STREAMING, "a reference after ENABLE")
+    wanted(peer, CommandCode.START_STREAM, Reason.ACCEPTED, "STANDBY")
+    stream.refused(ahead, Reason.NOT_STREAMING, "a reference of the old stream in a new one")
+    drift = math.dist(peer.state().X_BT.p_m, state.X_BT.p_m)
+    require(drift < DRIFT_M, f"the arm went on by {drift * 1e3:.1f} mm")
+    peer.command(CommandCode.STOP)
+
+
+@case(555, "12.10", "END_STREAM leads to the newest reference, and the motion is done there", motion=True)
+def ends(peer: Peer) -> None:
+    stream, state = opened(peer)
+    goal = moved(state.X_BT_cmd, dz=STEP_M)
+    stream.feed(goal, 300.0)
+    wanted(peer, CommandCode.END_STREAM, Reason.ACCEPTED, "a stream")
+    stream.refused(state.X_BT_cmd, Reason.NOT_STREAMING, "a reference after END_STREAM")
+    until_ns = peer.now_ns + 20_000 * MS
+    while peer.now_ns < until_ns and not (seen := peer.state()).motion_done:
+        require(not seen.flags & FLAG_STREAMING, "the flag STREAMING is still set")
+    require(seen.motion_done, "not done within 20 s")
+    require(seen.motion_id == stream.stream_id, "motion_id is not the stream's")
+    require(math.dist(seen.X_BT_cmd.p_m, goal.p_m) < 1e-6, "it is not where the newest reference was")
+
+
+@case(556, "12.2", "a stream closes with its session", motion=True)
+def closes(peer: Peer) -> None:
+    stream, state = opened(peer)
+    stream.feed(moved(state.X_BT_cmd, dz=STEP_M), 200.0)
+    peer.leave()
+    peer.open(period_ms=20, capabilities=BOTH)
+    stream.give(state.X_BT_cmd)
+    got = peer.expect(StreamRefused, "a reference of a stream of another session", ANSWER_MS)
+    known = (Reason.NOT_STREAMING, Reason.ERROR_LATCHED, Reason.DISABLED)
+    require(got.reason in known, f"a stream of another session: {got.reason.name}")
+    peer.collect(300)
+    seen = peer.state()
+    require(not any(seen.valves), f"valves {seen.valves}")
+    require(seen.group_state is not GroupState.MOVING, "the arm still follows the stream")

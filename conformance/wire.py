@@ -1,0 +1,284 @@
+"""The tester's socket: datagrams sound and unsound out, decoded ones in, all of them on the record."""
+
+import select
+import socket
+import time
+from typing import NamedTuple, TypeVar
+
+from conformance.bytes_of import resealed, with_number, with_payload_of
+from protocol.authentication import ChannelKeys, DirectionKey, LinkKey, fault_of
+from protocol.datagram import Datagram, Header, decode, encode
+from protocol.datagram_layout import MAX_DATAGRAM_BYTES
+from protocol.errors import DatagramRefused
+from protocol.faults import Reason
+from protocol.reference_messages import CAPABILITY_AUTHENTICATION, Bye, Heartbeat, Message, Welcome
+
+MS = 1_000_000
+ANSWER_MS = 400
+SEQUENCES = 1 << 32
+_EXTENDED_SEQUENCES = 1 << 64
+_SESSION = slice(16, 24)
+# A session ends with these, so they are signed; the other reasons of BYE answer those who have no session.
+_ENDINGS = (Reason.ACCEPTED, Reason.PEER_RESTARTED, Reason.LINK_TIMEOUT, Reason.SHUTDOWN)
+
+M = TypeVar("M", bound=Message)
+
+
+class Failed(Exception):
+    """The peer did what the clause forbids, or not what it demands."""
+
+
+class Unsupported(Exception):
+    """The peer lacks an optional part, or is in no state to show it."""
+
+
+class Line(NamedTuple):
+    """One datagram of a transcript; ``at_ms`` since the case began."""
+
+    at_ms: float
+    direction: str
+    data: bytes
+
+
+def require(condition: bool, why: str) -> None:
+    """Nothing; raises Failed with ``why`` unless ``condition`` holds."""
+    if not condition:
+        raise Failed(why)
+
+
+class NonceSource:
+    """Nonces and command ids that rise through a whole run, from a random start."""
+
+    def __init__(self, start: int) -> None:
+        self._nonce = start % 2**62 + 1
+        self._command_id = ((start % 2**21) << 32) + 1
+
+    def draw(self) -> int:
+        """The next nonce."""
+        self._nonce += 1
+        return self._nonce
+
+    def next_id(self) -> int:
+        """The next command id."""
+        self._command_id += 1
+        return self._command_id
+
+
+class Wire:
+    """One UDP socket towards the controller under test, and the session that was opened over it.
+
+    With a ``link_key`` everything is signed, and what comes must be.
+    """
+
+    def __init__(self, host: str, port: int, nonces: NonceSource, link_key: LinkKey | None = None) -> None:
+        self.address = (host, port)
+        self.link_key = link_key
+        self._keys: dict[int, ChannelKeys] = {}
+        self._nonces = nonces
+        self.shift_ns = 0
+        self._socket = self.new_socket()
+        self._others: list[socket.socket] = []
+        self._begin_ns = time.monotonic_ns()
+        self.transcript: list[Line] = []
+        self.session = 0
+        self.minor = 0
+        self.sequence = 0
+        self.welcome: Welcome | None = None
+        self.passed_over: list[Datagram] = []
+        self._heartbeat_ns = 0
+
+    def new_socket(self) -> socket.socket:
+        """A socket from another port, towards the same controller."""
+        family, _, _, _, address = socket.getaddrinfo(*self.address, type=socket.SOCK_DGRAM)[0]
+        other = socket.socket(family, socket.SOCK_DGRAM)
+        other.connect(address)
+        other.setblocking(False)
+        return other
+
+    def close(self) -> None:
+        """Ends the session politely and closes the sockets."""
+        try:
+            if self.session:
+                self.send(Bye(Reason.SHUTDOWN))
+        except OSError:
+            pass
+        for each in (self._socket, *self._others):
+            each.close()
+
+    @property
+    def now_ns(self) -> int:
+        """The tester's clock, ``shift_ns`` away from the machine's."""
+        return time.monotonic_ns() + self.shift_ns
+
+    @property
+    def timeout_ms(self) -> int:
+        """The link timeout that the controller announced."""
+        assert self.welcome is not None
+        return self.welcome.link_timeout_ms
+
+    @property
+    def grace_ms(self) -> float:
+        """How long a decision of the controller may take: three scans, and what a busy machine adds."""
+        assert self.welcome is not None
+        return max(3 * self.welcome.cycle_ns / MS, 20.0) + 20.0
+
+    @property
+    def sequences(self) -> int:
+        """The modulus of sequence numbers."""
+        return SEQUENCES if self.link_key is None else _EXTENDED_SEQUENCES
+
+    @property
+    def required(self) -> int:
+        """The capability bits that HELLO must carry."""
+        return 0 if self.link_key is None else CAPABILITY_AUTHENTICATION
+
+    def nonce(self) -> int:
+        """A nonce that this run has not used."""
+        return self._nonces.draw()
+
+    def new_id(self) -> int:
+        """A command id above all of this run."""
+        return self._nonces.next_id()
+
+    # sending
+
+    def send_raw(self, data: bytes) -> bytes:
+        """Sends these bytes as they are."""
+        self._note("send", data)
+        self._socket.send(data)
+        return data
+
+    def sealed(self, message: Message, *, sequence: int | None = None, sent_ns: int | None = None,
+               session: int | None = None, minor: int | None = None, flags: int = 0) -> bytes:  # fmt: skip
+        """A datagram of this session; with ``sequence`` None it takes the next number."""
+        if sequence is None:
+            self.sequence = sequence = (self.sequence + 1) % self.sequences
+        header = Header(
+            self.session if session is None else session,
+            sequence,
+            self.now_ns if sent_ns is None else sent_ns,
+            flags=flags,
+            minor=self.minor if minor is None else minor,
+        )
+        return encode(message, header, self.signs(header.session))
+
+    def signs(self, session: int) -> DirectionKey | None:
+        """What the datagrams of a session are signed with; HELLO's key where there is none."""
+        if self.link_key is None:
+            return None
+        return self._keys[session].sends if session in self._keys else self.link_key.of_hello()
+
+    def keys_of(self, session: int) -> ChannelKeys:
+        """The keys of a session that this wire has opened."""
+        return self._keys[session]
+
+    def resealed(self, data: bytes) -> bytes:
+        """Bent ``data`` with CRC and tag made right."""
+        return resealed(data, self.signs(int.from_bytes(data[_SESSION], "little")))
+
+    def with_number(self, data: bytes, offset: int, code: str, value: float) -> bytes:
+        """``data`` with one number replaced and CRC and tag made right."""
+        return with_number(data, offset, code, value, self.signs(int.from_bytes(data[_SESSION], "little")))
+
+    def with_payload_of(self, data: bytes, size: int) -> bytes:
+        """``data`` with a payload of ``size`` bytes, and length, CRC and tag made to match."""
+        return with_payload_of(data, size, self.signs(int.from_bytes(data[_SESSION], "little")))
+
+    def send(self, message: Message, *, sequence: int | None = None, sent_ns: int | None = None,
+             session: int | None = None, minor: int | None = None, flags: int = 0) -> bytes:  # fmt: skip
+        """Seals and sends."""
+        return self.send_raw(
+            self.sealed(
+                message, sequence=sequence, sent_ns=sent_ns, session=session, minor=minor, flags=flags
+            )
+        )
+
+    def beat(self) -> None:
+        """Sends a heartbeat when one is due."""
+        if self.session and self.now_ns >= self._heartbeat_ns:
+            now_ns = self.now_ns
+            self._heartbeat_ns = now_ns + self.timeout_ms * MS // 5
+            self.send(Heartbeat(now_ns), sent_ns=now_ns)
+
+    # receiving
+
+    def receive(self, wait_ms: float, *, beating: bool = True) -> Datagram | None:
+        """The next datagram within ``wait_ms``, or None; keeps the session alive meanwhile.
+
+        Raises Failed when the controller sends what no receiver can decode.
+        """
+        until_ns = self.now_ns + int(wait_ms * MS)
+        while True:
+            if beating:
+                self.beat()
+            left_ns = until_ns - self.now_ns
+            wake_ns = min(left_ns, self._heartbeat_ns - self.now_ns) if beating and self.session else left_ns
+            ready, _, _ = select.select([self._socket], [], [], max(wake_ns, 0) / 1e9)
+            if ready:
+                return self._read()
+            if self.now_ns >= until_ns:
+                return None
+
+    def _read(self) -> Datagram | None:
+        try:
+            data = self._socket.recv(65_535)
+        except ConnectionRefusedError as error:
+            raise Failed("nobody listens on the port") from error
+        self._note("receive", data)
+        if len(data) > MAX_DATAGRAM_BYTES:
+            raise Failed(f"a datagram of {len(data)} bytes came: the limit is {MAX_DATAGRAM_BYTES}")
+        try:
+            datagram = decode(data)
+        except DatagramRefused as error:
+            raise Failed(f"a datagram came that cannot be decoded: {error}") from error
+        self._authenticate(data, datagram)
+        return datagram
+
+    def _authenticate(self, data: bytes, datagram: Datagram) -> None:
+        header, message = datagram
+        key: DirectionKey | None = None
+        if self.link_key is not None:
+            if isinstance(message, Bye) and message.reason not in _ENDINGS:
+                return
+            if isinstance(message, Welcome):
+                keys = self.link_key.of_client(message.client_nonce, header.session, message.boot_id)
+                self._keys.setdefault(header.session, keys)
+            if header.session not in self._keys:
+                raise Failed(f"a {type(message).__name__} of session {header.session:x}, never opened, came")
+            key = self._keys[header.session].receives
+        fault = fault_of(data, header.flags, key)
+        require(fault is None, f"{type(message).__name__} came that a client must refuse: {fault}")
+
+    def collect(self, wait_ms: float, *, beating: bool = True) -> list[Datagram]:
+        """Everything that comes within ``wait_ms``."""
+        until_ns = self.now_ns + int(wait_ms * MS)
+        found = []
+        while (left_ns := until_ns - self.now_ns) > 0:
+            datagram = self.receive(left_ns / MS, beating=beating)
+            if datagram is not None:
+                found.append(datagram)
+        return found
+
+    def drain(self) -> None:
+        """Forgets what has come so far."""
+        while self.receive(0.0, beating=False) is not None:
+            pass
+
+    def expect(self, kind: type[M], why: str, wait_ms: float = ANSWER_MS, *, beating: bool = True) -> M:
+        """The next message of ``kind`` within ``wait_ms``; others go to ``passed_over``. Raises Failed."""
+        until_ns = self.now_ns + int(wait_ms * MS)
+        while (left_ns := until_ns - self.now_ns) > 0:
+            datagram = self.receive(left_ns / MS, beating=beating)
+            if datagram is not None and isinstance(datagram.message, kind):
+                return datagram.message
+            if datagram is not None:
+                self.passed_over.append(datagram)
+        raise Failed(f"{why}: no {kind.__name__} within {wait_ms:g} ms")
+
+    def expect_bye(self, reason: Reason, why: str, wait_ms: float = ANSWER_MS) -> None:
+        """A BYE with ``reason``; raises Failed."""
+        got = self.expect(Bye, why, wait_ms, beating=False).reason
+        require(got is reason, f"{why}: BYE {got.name}, wanted {reason.name}")
+
+    def _note(self, direction: str, data: bytes) -> None:
+        self.transcript.append(Line((time.monotonic_ns() - self._begin_ns) / MS, direction, data))

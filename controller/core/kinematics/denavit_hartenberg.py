@@ -1,0 +1,55 @@
+"""Forward kinematics by Denavit-Hartenberg parameters, rigid and nominal.
+
+Source: Mäkinen et al. 2023, (23) and (24), Table 1.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from controller.core.kinematics.rotations import Array
+from nominal_arm.description import DhRow
+
+LINKS = 7
+JOINTS = 6
+
+
+def dh_table(rows: tuple[DhRow, ...]) -> Array:
+    """Array (7, 4) with columns alpha, a, theta offset, d in radians and metres."""
+    return np.array(
+        [[math.radians(row.alpha_deg), row.a_m, math.radians(row.theta_offset_deg), row.d_m] for row in rows]
+    )
+
+
+@njit(cache=True)
+def chain(table: Array, q: Array) -> Array:
+    """Frames 0…7 of the arm in B as an array (8, 3, 4) of [R | p]; frame 0 is B, frame 7 is T.
+
+    ``table``: (7, 4) from ``dh_table``; ``q``: six joint angles (the seventh link is a mock
+    frame without a joint).
+    Source: (23), T_i = Rz(θ_i) Tz(d_i) Tx(a_i) Rx(α_i); (24), X_BT = T_1 … T_7.
+    """
+    frames = np.zeros((LINKS + 1, 3, 4))
+    for axis in range(3):
+        frames[0, axis, axis] = 1.0
+    for i in range(LINKS):
+        theta = table[i, 2] + (q[i] if i < JOINTS else 0.0)
+        st, ct = math.sin(theta), math.cos(theta)
+        sa, ca = math.sin(table[i, 0]), math.cos(table[i, 0])
+        a, d = table[i, 1], table[i, 3]
+        for row in range(3):
+            x, y, z, p = frames[i, row, 0], frames[i, row, 1], frames[i, row, 2], frames[i, row, 3]
+            turned = y * ct - x * st
+            frames[i + 1, row, 0] = x * ct + y * st
+            frames[i + 1, row, 1] = turned * ca + z * sa
+            frames[i + 1, row, 2] = z * ca - turned * sa
+            frames[i + 1, row, 3] = (x * ct + y * st) * a + z * d + p
+    return frames
+
+
+def tool_pose(table: Array, q: Array) -> Array:
+    """X_BT as a homogeneous matrix (4, 4) for six joint angles. Source: (24)."""
+    X_BT = np.eye(4)
+    X_BT[:3] = chain(table, q)[LINKS]
+    return X_BT

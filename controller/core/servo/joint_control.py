@@ -1,0 +1,102 @@
+"""Joint control: from desired joint motion to spool commands.
+
+Source: Mäkinen et al. 2023, (6) u = K_v (q_d − q), and (25), the PT-1 element on lift and tilt.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from controller.core.kinematics.rotations import Array
+
+
+@njit(cache=True)
+def pt1_step(value: float, target: float, time_constant: float, dt_s: float) -> float:
+    """The output one sample later of G(s) = 1/(τ s + 1), its input ``target`` held over the sample.
+
+    Exact for a zero-order hold: y⁺ = e^(−T/τ) y + (1 − e^(−T/τ)) u. A time constant of 0 passes the input on.
+    """
+    if time_constant <= 0.0:
+        return target
+    decay = math.exp(-dt_s / time_constant)
+    return decay * value + (1.0 - decay) * target
+
+
+class JointFilters(NamedTuple):
+    """What joint control keeps between scans, each (6,): PT-1 elements (rad/s), slow load pressures (bar)."""
+
+    pt1: Array
+    load: Array
+
+
+class JointGains(NamedTuple):
+    """Constants of joint control; arrays are (6,).
+
+    ``gain`` k (1/s); ``time_constant`` of the PT-1 (s, 0 for none); ``damping`` (rad/s per bar) behind a
+    high pass of
+    ``high_pass`` (s); ``deadband`` of spool, faded in over ``blend``; ``limit`` of spool.
+    """
+
+    gain: Array
+    time_constant: Array
+    feed_forward: float
+    damping: Array
+    high_pass: float
+    deadband: Array
+    blend: float
+    limit: float
+
+
+def valve_commands(
+    gains: JointGains,
+    filters: JointFilters,
+    error: Array,
+    qd_cmd: Array,
+    load: Array,
+    speeds: Array,
+    dt_s: float,
+) -> tuple[Array, JointFilters]:
+    """Spool commands (6,) and the filters for the next sample.
+
+    ``error`` is q_d − q (rad), ``qd_cmd`` the desired joint speed (rad/s), ``load`` the load pressure (bar),
+    ``speeds`` (6, 2) the nominal joint speed at full spool in the raising and the lowering sense: K_v = k
+    / speed, so the loop keeps its bandwidth over the workspace although the cylinders' levers change.
+    Source: (6), (25). Valve practice, not in the paper: feed-forward of the desired speed; damping of the
+    oil's spring by the load pressure behind a high pass (dynamic pressure feedback); the deadband added in
+    the direction of the command.
+    """
+    commands, pt1, slow = _valve_commands(*gains, *filters, error, qd_cmd, load, speeds, dt_s)
+    return commands, JointFilters(pt1, slow)
+
+
+@njit(cache=True)
+def _valve_commands(
+    gain: Array,
+    time_constant: Array,
+    feed_forward: float,
+    damping: Array,
+    high_pass: float,
+    deadband: Array,
+    blend: float,
+    limit: float,
+    pt1: Array,
+    slow: Array,
+    error: Array,
+    qd_cmd: Array,
+    load: Array,
+    speeds: Array,
+    dt_s: float,
+) -> tuple[Array, Array, Array]:
+    commands, pt1_next, slow_next = np.empty(6), np.empty(6), np.empty(6)
+    for i in range(6):
+        proportional = gain[i] * error[i]
+        pt1_next[i] = pt1_step(pt1[i], proportional, time_constant[i], dt_s)
+        slow_next[i] = pt1_step(slow[i], load[i], high_pass, dt_s)
+        demand = pt1[i] if time_constant[i] > 0.0 else proportional
+        demand += feed_forward * qd_cmd[i] - damping[i] * (load[i] - slow[i])
+        spool = demand / (speeds[i, 0] if demand >= 0.0 else speeds[i, 1])
+        spool += deadband[i] * max(-1.0, min(1.0, spool / blend))
+        commands[i] = max(-limit, min(limit, spool))
+    return commands, pt1_next, slow_next

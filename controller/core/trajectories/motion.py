@@ -1,0 +1,110 @@
+"""Where the desired motion stands: on a path, slowing down along it, or at rest."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from controller.core.kinematics.rotations import Array
+from controller.core.settings import Settings
+from controller.core.trajectories.approach import Approach, sample_approach
+from controller.core.trajectories.paths import Desired, Path, at_rest, duration, sample
+
+
+class Motion(NamedTuple):
+    """Progress along ``path`` (None: holding ``desired``).
+
+    ``time_s``: path time. ``ramp_s``: seconds since a stop began, negative when none did;
+    ``ramp_length_s``: how long that stop takes. ``motion_id``: command id of the last accepted reference;
+    ``done``: it was passed to its end.
+    """
+
+    path: Path | Approach | None
+    time_s: float
+    ramp_s: float
+    ramp_length_s: float
+    desired: Desired
+    segment: int
+    motion_id: int
+    done: bool
+
+
+def holding(p: Array, quaternion: Array, motion_id: int = 0) -> Motion:
+    """Rest at a pose."""
+    return Motion(None, 0.0, -1.0, 0.0, at_rest(p, quaternion), 0, motion_id, False)
+
+
+def begun(path: Path | Approach, motion_id: int) -> Motion:
+    """The start of ``path``."""
+    desired, segment = _sampled(path, 0.0)
+    return Motion(path, 0.0, -1.0, 0.0, desired, segment, motion_id, False)
+
+
+def stopping(settings: Settings, motion: Motion) -> Motion:
+    """``motion`` with a smooth stop begun: path time slows from 1 to 0, so the tool stays on its path.
+
+    The rate is 1 − 3x² + 2x³, steepest with 1.5 over the stop's length; that gives the length its
+    deceleration limit.
+    """
+    if motion.path is None or motion.ramp_s >= 0.0:
+        return motion
+    limits = settings.config.motion
+    desired = motion.desired
+    speed = float(np.linalg.norm(desired.v) + limits.stop_min_s * np.linalg.norm(desired.a))
+    turn = float(np.linalg.norm(desired.omega) + limits.stop_min_s * np.linalg.norm(desired.alpha))
+    length = max(
+        limits.stop_min_s,
+        1.5 * speed / limits.stop_acceleration_m_s2,
+        1.5 * turn / np.radians(limits.stop_turn_acceleration_deg_s2),
+    )
+    return motion._replace(ramp_s=0.0, ramp_length_s=length)
+
+
+def at_standstill(motion: Motion) -> bool:
+    """Whether the desired motion has come to rest, by the path's end or by a stop."""
+    return motion.path is None
+
+
+def advanced(motion: Motion, dt_s: float) -> Motion:
+    """``motion`` after ``dt_s``; at the end of the path or of a stop it holds there."""
+    if motion.path is None:
+        return motion
+    if motion.ramp_s >= 0.0:
+        return _slowed(motion, motion.path, dt_s)
+    time_s = motion.time_s + dt_s
+    desired, segment = _sampled(motion.path, time_s)
+    length_s = motion.path.duration_s if isinstance(motion.path, Approach) else duration(motion.path)
+    if time_s >= length_s:
+        return motion._replace(path=None, time_s=time_s, desired=desired, segment=segment, done=True)
+    return motion._replace(time_s=time_s, desired=desired, segment=segment)
+
+
+def _sampled(path: Path | Approach, time_s: float) -> tuple[Desired, int]:
+    """The desired motion ``time_s`` after the start of ``path``, and the segment's index."""
+    return (sample_approach(path, time_s), 0) if isinstance(path, Approach) else sample(path, time_s)
+
+
+def _slowed(motion: Motion, path: Path | Approach, dt_s: float) -> Motion:
+    length = motion.ramp_length_s
+    before = motion.ramp_s / length
+    after = min(before + dt_s / length, 1.0)
+    time_s = motion.time_s + length * (_travelled(after) - _travelled(before))
+    rate = 1.0 - 3.0 * after**2 + 2.0 * after**3
+    slope = 6.0 * (after**2 - after) / length
+    on_path, segment = _sampled(path, time_s)
+    if after >= 1.0:
+        rest = at_rest(on_path.p, on_path.quaternion)
+        return motion._replace(path=None, time_s=time_s, ramp_s=-1.0, desired=rest, segment=segment)
+    desired = Desired(
+        on_path.p,
+        on_path.v * rate,
+        on_path.a * rate**2 + on_path.v * slope,
+        on_path.quaternion,
+        on_path.omega * rate,
+        on_path.alpha * rate**2 + on_path.omega * slope,
+    )
+    return motion._replace(time_s=time_s, ramp_s=after * length, desired=desired, segment=segment)
+
+
+def _travelled(x: float) -> float:
+    """The integral of the rate 1 − 3x² + 2x³."""
+    return x - x**3 + 0.5 * x**4

@@ -1,0 +1,133 @@
+"""Paths of the tool: point to point and through waypoints, quintic in time, geodesic in orientation.
+
+Source: Mäkinen et al. 2023, motion control: quintic polynomials at rest at both ends, orientation about
+one axis by one angle with the same quintic. From a moving state the general quintic starts at the present
+velocity and acceleration, of the position and of the rotation vector to the goal alike.
+
+Jerk is not limited but bounded: from rest to rest over a distance d in T it is 60 d/T³ at both ends, the peak
+acceleration 5.77 d/T² (10/√3), so jerk ≤ 10.4 · acceleration / T, and T is at least ``duration_min_s``: 5.2
+m/s³ with 0.25 m/s² and 0.5 s. Acceleration is continuous, jerk steps at the ends. Streamed references are
+limited in jerk itself (``approach``).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from controller.core.kinematics.rotations import (
+    Array,
+    angular_motion,
+    conjugate,
+    quaternion_from_vector,
+    quaternion_product,
+    vector_from_quaternion,
+    vector_rates,
+)
+from controller.core.trajectories.quintic import coefficients, evaluate
+
+
+class Desired(NamedTuple):
+    """Desired motion of T in B: p, v, a (3,), unit quaternion (4,), angular velocity, acceleration (3,)."""
+
+    p: Array
+    v: Array
+    a: Array
+    quaternion: Array
+    omega: Array
+    alpha: Array
+
+
+class Path(NamedTuple):
+    """Quintic segments, at rest between them.
+
+    ``polynomials``: (n, 6, 6), rows x, y, z and the rotation vector from the segment's goal (base frame).
+    ``goals``: (n, 4) unit quaternions. ``durations``: (n,) seconds. ``dwell``: seconds at rest between
+    segments.
+    """
+
+    polynomials: Array
+    goals: Array
+    durations: Array
+    dwell: float
+
+
+def at_rest(p: Array, quaternion: Array) -> Desired:
+    """Standing still at a pose."""
+    zero = np.zeros(3)
+    return Desired(p, zero, zero, quaternion, zero, zero)
+
+
+def path_from(start: Desired, p: Array, quaternions: Array, durations: Array, dwell: float) -> Path:
+    """The path from ``start`` through waypoints ``p`` (n, 3), ``quaternions`` (n, 4), each reached at rest.
+
+    From rest, every segment is a straight line and one turn about one axis, the short way round.
+    """
+    polynomials = _polynomials(*start, p, quaternions, durations)
+    return Path(polynomials, quaternions, durations, dwell)
+
+
+def duration(path: Path) -> float:
+    """Seconds from the start to the last waypoint."""
+    return float(path.durations.sum()) + path.dwell * (len(path.durations) - 1)
+
+
+def sample(path: Path, time_s: float) -> tuple[Desired, int]:
+    """The desired motion ``time_s`` after the start (clamped to the ends), and the segment's index."""
+    segment, *desired = _sample(path.polynomials, path.goals, path.durations, path.dwell, time_s)
+    return Desired(*desired), segment
+
+
+@njit(cache=True)
+def _polynomials(
+    p: Array,
+    v: Array,
+    a: Array,
+    quaternion: Array,
+    omega: Array,
+    alpha: Array,
+    way_p: Array,
+    way_q: Array,
+    T: Array,
+) -> Array:
+    count = way_p.shape[0]
+    result = np.empty((count, 6, 6))
+    for n in range(count):
+        theta = vector_from_quaternion(quaternion_product(quaternion, conjugate(way_q[n])))
+        rate, bend = vector_rates(theta, omega, alpha)
+        for k in range(3):
+            result[n, k] = coefficients(np.array([p[k], v[k], a[k]]), np.array([way_p[n, k], 0.0, 0.0]), T[n])
+            result[n, k + 3] = coefficients(np.array([theta[k], rate[k], bend[k]]), np.zeros(3), T[n])
+        p, quaternion = way_p[n], way_q[n]
+        v, a, omega, alpha = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
+    return result
+
+
+@njit(cache=True)
+def segment_motion(
+    polynomials: Array, goal: Array, t: float
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """p, v, a, quaternion, ω, α of one segment, ``polynomials`` (6, 6), at its own time ``t``."""
+    values = np.empty((3, 6))
+    for row in range(6):
+        values[0, row], values[1, row], values[2, row] = evaluate(polynomials[row], t)
+    theta = values[0, 3:].copy()
+    omega, alpha = angular_motion(theta, values[1, 3:].copy(), values[2, 3:].copy())
+    quaternion = quaternion_product(quaternion_from_vector(theta), goal)
+    return values[0, :3].copy(), values[1, :3].copy(), values[2, :3].copy(), quaternion, omega, alpha
+
+
+@njit(cache=True)
+def _sample(
+    polynomials: Array, goals: Array, durations: Array, dwell: float, time_s: float
+) -> tuple[int, Array, Array, Array, Array, Array, Array]:
+    last = durations.shape[0] - 1
+    n, t = 0, max(time_s, 0.0)
+    while n < last and t >= durations[n] + dwell:
+        t -= durations[n] + dwell
+        n += 1
+    p, v, a, quaternion, omega, alpha = segment_motion(polynomials[n], goals[n], min(t, durations[n]))
+    if t >= durations[n]:  # at rest on the waypoint, exactly
+        zero = np.zeros(3)
+        return n, p, zero, zero, goals[n].copy(), zero, zero
+    return n, p, v, a, quaternion, omega, alpha

@@ -1,0 +1,200 @@
+"""Configuration of the hydraulic actuators: linkage, areas, dead volumes, friction and end stops."""
+
+import math
+from typing import Annotated
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from foundation.configuration import StrictModel
+from plant_emulator.config.structure import NotNegative, Positive
+
+LEAST_DEAD_VOLUME_L = 0.02
+
+
+def _static_not_below(value: float, coulomb: float) -> float:
+    if value < coulomb:
+        raise ValueError(f"must not be below the Coulomb level {coulomb:g}: a seal holds most at rest")
+    return value
+
+
+def _cushion_fits(cushion: float, stroke: float, key: str) -> None:
+    if 2.0 * cushion > stroke:
+        raise ValueError(
+            f"{key} = {cushion:g} must not exceed {stroke / 2.0:g}, half the stroke: cushions would meet"
+        )
+
+
+class CylinderFrictionConfig(StrictModel):
+    """LuGre seal friction of a cylinder."""
+
+    coulomb_n: NotNegative
+    static_n: NotNegative
+    stribeck_m_s: Positive
+    bristle_n_m: NotNegative
+    bristle_damping_n_s_m: NotNegative
+    viscous_n_s_m: NotNegative
+
+    @field_validator("static_n")
+    @classmethod
+    def _order(cls, value: float, info: ValidationInfo) -> float:
+        return _static_not_below(value, info.data.get("coulomb_n", 0.0))
+
+
+class RotaryFrictionConfig(StrictModel):
+    """LuGre seal friction of a rotary actuator."""
+
+    coulomb_nm: NotNegative
+    static_nm: NotNegative
+    stribeck_rad_s: Positive
+    bristle_nm_rad: NotNegative
+    bristle_damping_nm_s_rad: NotNegative
+    viscous_nm_s_rad: NotNegative
+
+    @field_validator("static_nm")
+    @classmethod
+    def _order(cls, value: float, info: ValidationInfo) -> float:
+        return _static_not_below(value, info.data.get("coulomb_nm", 0.0))
+
+
+class CylinderStopConfig(StrictModel):
+    """A cushion over the last ``cushion_m`` at both ends of a cylinder's stroke, then a stiff stop."""
+
+    stiffness_n_m: Positive
+    damping_n_s_m: NotNegative
+    cushion_m: Positive
+
+
+class RotaryStopConfig(StrictModel):
+    """A cushion over the last ``cushion_deg`` at both ends of a rotary range, then a stiff stop."""
+
+    stiffness_nm_rad: Positive
+    damping_nm_s_rad: NotNegative
+    cushion_deg: Positive
+
+
+class CylinderConfig(StrictModel):
+    """A cylinder across a triangle: x = √(L² + l² + 2 L l cos(θ − θ0)) − x0."""
+
+    bore_mm: Positive
+    rod_mm: Positive
+    base_m: Positive
+    lever_m: Positive
+    angle_rad: float
+    length_m: Positive
+    stroke_m: Positive
+    friction: CylinderFrictionConfig
+    end_stop: CylinderStopConfig
+
+    @field_validator("rod_mm")
+    @classmethod
+    def _rod_fits(cls, value: float, info: ValidationInfo) -> float:
+        bore = info.data.get("bore_mm", math.inf)
+        if value >= bore:
+            raise ValueError(f"must be below bore_mm = {bore:g}: the rod side would have no area")
+        return value
+
+    @field_validator("length_m")
+    @classmethod
+    def _closes(cls, value: float, info: ValidationInfo) -> float:
+        known = info.data
+        if "base_m" in known and "lever_m" in known and value <= abs(known["base_m"] - known["lever_m"]):
+            least = abs(known["base_m"] - known["lever_m"])
+            raise ValueError(f"must be above {least:.5f} = |base_m - lever_m|: the linkage would not close")
+        return value
+
+    @field_validator("stroke_m")
+    @classmethod
+    def _stays_below_singularity(cls, value: float, info: ValidationInfo) -> float:
+        known = info.data
+        if not {"base_m", "lever_m", "length_m"} <= known.keys():
+            return value
+        stretched = known["base_m"] + known["lever_m"] - known["length_m"]
+        if value >= stretched:
+            raise ValueError(f"must stay below {stretched:.5f}: there the linkage's lever vanishes")
+        return value
+
+    @field_validator("end_stop")
+    @classmethod
+    def _cushions_apart(cls, value: CylinderStopConfig, info: ValidationInfo) -> CylinderStopConfig:
+        _cushion_fits(value.cushion_m, info.data.get("stroke_m", math.inf), "cushion_m")
+        return value
+
+
+class RotaryConfig(StrictModel):
+    """A vane or rack actuator on the joint's own axis."""
+
+    displacement_m3_rad: Positive
+    from_deg: Annotated[float, Field(ge=-360.0, le=0.0)]
+    to_deg: Annotated[float, Field(ge=0.0, le=360.0)]
+    friction: RotaryFrictionConfig
+    end_stop: RotaryStopConfig
+
+    @field_validator("to_deg")
+    @classmethod
+    def _has_range(cls, value: float, info: ValidationInfo) -> float:
+        if value <= info.data.get("from_deg", -1.0):
+            raise ValueError("must be above from_deg: the actuator would have no range")
+        return value
+
+    @field_validator("end_stop")
+    @classmethod
+    def _cushions_apart(cls, value: RotaryStopConfig, info: ValidationInfo) -> RotaryStopConfig:
+        if {"from_deg", "to_deg"} <= info.data.keys():
+            _cushion_fits(value.cushion_deg, info.data["to_deg"] - info.data["from_deg"], "cushion_deg")
+        return value
+
+
+class ActuatorConfig(StrictModel):
+    """One hydraulic actuator with its valve's size; exactly one of ``cylinder`` and ``rotary``."""
+
+    cylinder: CylinderConfig | None = None
+    rotary: RotaryConfig | None = None
+    dead_volume_a_l: Annotated[float, Field(le=100.0)]
+    dead_volume_b_l: Annotated[float, Field(le=100.0)]
+    leakage_m3_s_pa: Annotated[float, Field(ge=0.0, le=1e-10)]
+    rated_flow_l_min: Annotated[float, Field(gt=0.0, le=1000.0)]
+
+    @field_validator("dead_volume_a_l", "dead_volume_b_l")
+    @classmethod
+    def _holds_oil(cls, value: float) -> float:
+        if value < LEAST_DEAD_VOLUME_L:
+            raise ValueError(
+                f"must be at least {LEAST_DEAD_VOLUME_L:g}: a chamber without oil has no pressure"
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> "ActuatorConfig":
+        if (self.cylinder is None) == (self.rotary is None):
+            raise ValueError("exactly one of cylinder and rotary is wanted")
+        return self
+
+    def areas(self) -> tuple[float, float]:
+        """Working areas of chamber a and b: m², or m³/rad of a rotary actuator."""
+        if self.cylinder is not None:
+            bore, rod = (
+                math.pi / 4.0 * (d * 1e-3) ** 2 for d in (self.cylinder.bore_mm, self.cylinder.rod_mm)
+            )
+            return bore, bore - rod
+        assert self.rotary is not None  # by the validator above
+        return self.rotary.displacement_m3_rad, self.rotary.displacement_m3_rad
+
+    def bristle(self) -> tuple[float, float]:
+        """Bristle stiffness and Coulomb level: N/m and N, or N m/rad and N m."""
+        if self.cylinder is not None:
+            return self.cylinder.friction.bristle_n_m, self.cylinder.friction.coulomb_n
+        assert self.rotary is not None  # by the validator above
+        return self.rotary.friction.bristle_nm_rad, self.rotary.friction.coulomb_nm
+
+
+class ActuatorsConfig(StrictModel):
+    slew: ActuatorConfig
+    lift: ActuatorConfig
+    tilt: ActuatorConfig
+    wrist1: ActuatorConfig
+    wrist2: ActuatorConfig
+    wrist3: ActuatorConfig
+
+    def in_order(self) -> tuple[ActuatorConfig, ...]:
+        """The six actuators, slew first."""
+        return (self.slew, self.lift, self.tilt, self.wrist1, self.wrist2, self.wrist3)

@@ -1,0 +1,215 @@
+"""Configuration of the visible world, all of it truth: wall, object, tool marker, camera mount and camera."""
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from foundation.configuration import StrictModel
+from plant_emulator.config.boards import AnyBoardConfig
+
+Vector3 = tuple[float, float, float]
+SmallAngle = Annotated[float, Field(ge=-90.0, le=90.0)]
+Angles = tuple[SmallAngle, SmallAngle, SmallAngle]
+
+
+class PoseConfig(StrictModel):
+    """A rigid pose: position, and the rotation vector (axis times angle) from the parent's axes."""
+
+    position_m: Vector3 = (0.0, 0.0, 0.0)
+    rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class DrillHoleConfig(StrictModel):
+    """A drill hole drawn on the wall, centre in O axes (x right, y up), with a broken, brighter rim."""
+
+    centre_m: tuple[float, float]
+    diameter_mm: float = Field(gt=1.0, le=500.0)
+    grey: int = Field(default=18, ge=0, le=255)
+    rim_grey: int = Field(default=165, ge=0, le=255)
+
+
+class WallConfig(StrictModel):
+    """The textured wall: the plane z_O = 0 of the object of interest, endless because its texture repeats.
+
+    ``undulation_mm`` is how far it rises and falls about that plane, over waves of ``undulation_length_m``;
+    the markers' plates stay flat.
+    """
+
+    texture_seed: int = Field(ge=0, lt=2**63)
+    texel_mm: float = Field(ge=0.5, le=4.0)
+    mean_grey: float = Field(ge=10.0, le=230.0)
+    contrast_grey: float = Field(ge=0.0, le=60.0)
+    lighting_gradient_per_m: tuple[float, float] = (0.0, 0.0)
+    undulation_mm: float = Field(default=0.0, ge=0.0, le=50.0)
+    undulation_length_m: float = Field(default=1.0, ge=0.2, le=10.0)
+    drill_holes: tuple[DrillHoleConfig, ...] = Field(default=(), max_length=100)
+
+    @model_validator(mode="after")
+    def _gradient_keeps_light_positive(self) -> "WallConfig":
+        if math.hypot(*self.lighting_gradient_per_m) > 0.4:
+            raise ValueError(
+                "lighting_gradient_per_m: more than 0.4 per metre darkens the wall to black within reach"
+            )
+        return self
+
+
+class MarkerConfig(StrictModel):
+    """One ArUco marker (DICT_5X5_1000) on a white plate that leaves a quiet zone all round.
+
+    ``print_scale_error`` makes the printed side ``side_m * (1 + print_scale_error)`` while vision believes
+    ``side_m``.
+    """
+
+    marker_id: int = Field(ge=0, lt=1000)
+    side_m: float = Field(gt=0.005, le=1.0)
+    quiet_zone_m: float = Field(ge=0.0, le=0.5)
+    print_scale_error: float = Field(default=0.0, ge=-0.05, le=0.05)
+    black_grey: float = Field(default=22.0, ge=0.0, le=255.0)
+    white_grey: float = Field(default=208.0, ge=0.0, le=255.0)
+
+
+class WallMarkerConfig(MarkerConfig):
+    """A marker pasted on the wall, centre in O axes (x right, y up), turned by ``roll_deg`` about z_O."""
+
+    centre_m: tuple[float, float]
+    roll_deg: SmallAngle = 0.0
+
+
+class ToolMarkerConfig(MarkerConfig):
+    """The tool marker: nominal X_TM has R = diag(1, -1, -1); ``offset_m`` and ``misalignment_deg`` are what
+    is wrong with it.
+
+    ``misalignment_deg`` is a rotation vector in M's own axes. The bracket is a plain plate below the marker.
+    """
+
+    offset_m: Vector3 = (0.0, 0.0, 0.0)
+    misalignment_deg: Angles = (0.0, 0.0, 0.0)
+    bracket_width_m: float = Field(default=0.05, ge=0.0, le=0.3)
+    bracket_length_m: float = Field(default=0.35, ge=0.0, le=1.0)
+    bracket_grey: float = Field(default=70.0, ge=0.0, le=255.0)
+
+
+class ObjectConfig(StrictModel):
+    """Pose of the object of interest in W, and the markers that define it.
+
+    With all angles zero O faces the arm: x_O = -y_W (right as seen from the arm), y_O = z_W (up),
+    z_O = -x_W (out of the wall).
+    ``tilt_deg`` is a rotation vector in O's own axes.
+    """
+
+    position_m: Vector3
+    tilt_deg: Angles = (0.0, 0.0, 0.0)
+    markers: tuple[WallMarkerConfig, ...] = Field(min_length=1, max_length=16)
+
+    @model_validator(mode="after")
+    def _ids_differ(self) -> "ObjectConfig":
+        ids = [marker.marker_id for marker in self.markers]
+        if len(set(ids)) != len(ids):
+            raise ValueError(f"markers: marker_id must differ, got {ids}")
+        return self
+
+
+class ObstacleConfig(StrictModel):
+    """A plain plate that hides what is behind it: on the wall (in O) or carried by the tool (in M).
+
+    ``rotation_deg`` is a rotation vector; the plate lies in its own x-y plane and is seen from its +z side.
+    """
+
+    parent: Literal["wall", "tool"]
+    centre_m: Vector3
+    rotation_deg: Angles = (0.0, 0.0, 0.0)
+    size_m: tuple[Annotated[float, Field(gt=0.0, le=5.0)], Annotated[float, Field(gt=0.0, le=5.0)]]
+    grey: float = Field(default=60.0, ge=0.0, le=255.0)
+
+
+class LensConfig(StrictModel):
+    """True pinhole and Brown-Conrady coefficients (OpenCV's signs) of the left eye's pictures."""
+
+    fx_px: float = Field(ge=100.0, le=5000.0)
+    fy_px: float = Field(ge=100.0, le=5000.0)
+    cx_px: float = Field(ge=0.0, le=4000.0)
+    cy_px: float = Field(ge=0.0, le=4000.0)
+    k1: float = Field(default=0.0, ge=-0.5, le=0.5)
+    k2: float = Field(default=0.0, ge=-0.5, le=0.5)
+    p1: float = Field(default=0.0, ge=-0.05, le=0.05)
+    p2: float = Field(default=0.0, ge=-0.05, le=0.05)
+    k3: float = Field(default=0.0, ge=-0.5, le=0.5)
+
+
+class RectificationConfig(StrictModel):
+    """What the vendor's rectification leaves: a shift of the right picture, and a rotation of the right eye.
+
+    ``disparity_px`` is added to every disparity u_left - u_right, ``vertical_px`` to v_right - v_left.
+    """
+
+    vertical_px: float = Field(default=0.0, ge=-10.0, le=10.0)
+    disparity_px: float = Field(default=0.0, ge=-10.0, le=10.0)
+    right_eye_rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class CameraConfig(StrictModel):
+    """The stereo camera as it really is. Vision is told other, nominal numbers.
+
+    ``motion_blur_samples`` moments make one exposure (1: none). ``readout_ms`` is the time from the first to
+    the last row of a rolling shutter (0: global). ``dropped_frame_share`` of the frames never arrive;
+    ``frozen_frame_share`` of them repeat the picture before under a number of their own.
+    """
+
+    width_px: int = Field(default=1280, ge=64, le=4096)
+    height_px: int = Field(default=720, ge=64, le=4096)
+    rate_hz: float = Field(gt=0.0, le=120.0)
+    exposure_us: int = Field(ge=0, le=100_000)
+    baseline_m: float = Field(gt=0.0, le=1.0)
+    lens: LensConfig
+    rectification: RectificationConfig = RectificationConfig()
+    blur_px: float = Field(default=0.0, ge=0.0, le=5.0)
+    noise_grey: float = Field(default=0.0, ge=0.0, le=50.0)
+    exposure_gain: float = Field(default=1.0, ge=0.0, le=16.0)
+    vignetting: float = Field(default=0.0, ge=0.0, le=0.9)
+    motion_blur_samples: int = Field(default=1, ge=1, le=32)
+    readout_ms: float = Field(default=0.0, ge=0.0, le=100.0)
+    dropped_frame_share: float = Field(default=0.0, ge=0.0, le=1.0)
+    frozen_frame_share: float = Field(default=0.0, ge=0.0, le=1.0)
+
+    @property
+    def shows_motion(self) -> bool:
+        """Whether its pictures depend on how it moves."""
+        return self.motion_blur_samples > 1 or self.readout_ms > 0.0
+
+    @model_validator(mode="after")
+    def _principal_point_inside(self) -> "CameraConfig":
+        if not (self.lens.cx_px < self.width_px and self.lens.cy_px < self.height_px):
+            raise ValueError("lens.cx_px, lens.cy_px: the principal point must lie inside the picture")
+        return self
+
+    @model_validator(mode="after")
+    def _lens_does_not_fold(self) -> "CameraConfig":
+        lens, step, radius = self.lens, 0.01, 0.0
+        corner = math.hypot(
+            max(lens.cx_px, self.width_px - lens.cx_px) / lens.fx_px,
+            max(lens.cy_px, self.height_px - lens.cy_px) / lens.fy_px,
+        )
+        while True:
+            r2 = radius * radius
+            if 1.0 + r2 * (3.0 * lens.k1 + r2 * (5.0 * lens.k2 + r2 * 7.0 * lens.k3)) <= 0.0:
+                raise ValueError(
+                    f"lens.k1, k2, k3: the picture folds over at {radius:.2f}, the corner is at {corner:.2f}"
+                )
+            if radius * (1.0 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))) > corner:
+                return self
+            radius += step
+
+
+class SceneConfig(StrictModel):
+    """``scene.yaml``: everything that the camera can see, and the camera."""
+
+    seed: int = Field(ge=0, lt=2**63)
+    base: PoseConfig = PoseConfig()
+    wall: WallConfig
+    object_of_interest: ObjectConfig
+    tool_marker: ToolMarkerConfig
+    obstacles: tuple[ObstacleConfig, ...] = Field(default=(), max_length=32)
+    boards: tuple[AnyBoardConfig, ...] = Field(default=(), max_length=16)
+    mount: PoseConfig
+    camera: CameraConfig

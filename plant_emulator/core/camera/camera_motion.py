@@ -1,0 +1,55 @@
+"""Where camera and tool marker are during an exposure: constant body velocities about the capture instant."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
+
+Matrix = NDArray[np.float64]
+
+
+class View(NamedTuple):
+    """Poses (4x4) in W of the left eye and of the tool marker."""
+
+    X_WC: Matrix
+    X_WM: Matrix
+
+
+class Motion(NamedTuple):
+    """Velocities of both, (2, 6): velocity in W (m/s), then rotation vector in the body's axes (rad/s)."""
+
+    rates: Matrix
+
+    def at(self, view: View, offset_s: float) -> View:
+        """The view ``offset_s`` after (or, negative, before) the instant of ``view``."""
+        X_WC, X_WM = (_moved(X, rate * offset_s) for X, rate in zip(view, self.rates, strict=True))
+        return View(X_WC, X_WM)
+
+
+STILL = Motion(np.zeros((2, 6)))
+
+
+class Capture(NamedTuple):
+    """A capture instant, mid-exposure: its number and time, where eye and marker are and how they move."""
+
+    frame_id: int
+    capture_ns: int
+    view: View
+    motion: Motion
+
+
+def motion_between(before: View, now: View, interval_s: float) -> Motion:
+    """The motion that carries ``before`` into ``now`` in ``interval_s``."""
+    return Motion(np.stack([_difference(a, b) / interval_s for a, b in zip(before, now, strict=True)]))
+
+
+def _moved(X: Matrix, step: Matrix) -> Matrix:
+    return transform(X[:3, :3] @ rotation_from_vector(step[3:]), X[:3, 3] + step[:3])
+
+
+def _difference(a: Matrix, b: Matrix) -> Matrix:
+    turn, _ = cv2.Rodrigues(a[:3, :3].T @ b[:3, :3])
+    return np.concatenate([b[:3, 3] - a[:3, 3], turn[:, 0]])

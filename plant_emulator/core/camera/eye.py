@@ -1,0 +1,139 @@
+"""One eye: its exact lens, and the painting of everything that it sees, back to front."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant_emulator.core.camera import panel_painter, rasteriser, wall_painter
+from plant_emulator.core.camera.camera_motion import View
+from plant_emulator.core.camera.lens import Lens
+from plant_emulator.core.camera.plates import Plate
+from plant_emulator.core.camera.scene import Cover, Scene
+from plant_emulator.core.camera.wall_texture import SIZE, SIZE_BITS, Texture
+
+Grey = NDArray[np.uint8]
+Matrix = NDArray[np.float64]
+
+_SKY_GREY = 90  # what rays that never meet the wall show
+_RIM_PX = 2  # a plate's rim touches pixels this far outside its projected corners
+_NEAREST_M = 0.02
+
+
+class Eye:
+    """``X_CE``: pose (4x4) of this eye in the left one. Paints (height, width) uint8 pictures."""
+
+    def __init__(
+        self, lens: Lens, X_CE: Matrix, width: int, height: int, scene: Scene, texture: Texture
+    ) -> None:
+        self.lens = lens
+        self.X_CE = X_CE
+        self._size = (width, height)
+        self._rays = lens.ray_map(width, height)
+        self._scene = scene
+        self._texture = texture
+
+    def project(self, X_WC: Matrix, points: Matrix) -> Matrix:
+        """Exact image coordinates (n, 2) px of points (n, 3) in W; NaN behind the eye."""
+        X_WE = X_WC @ self.X_CE
+        return self.lens.project((points - X_WE[:3, 3]) @ X_WE[:3, :3])
+
+    def painted(self, first: View, last: View, covers: Sequence[Cover] = ()) -> Grey:
+        """What the eye sees, without point spread and noise; first and last row exposed at the two views.
+
+        ``covers`` lie over whatever else is on the wall, or on the tool.
+        """
+        width, height = self._size
+        picture = np.empty((height, width), dtype=np.uint8)
+        X_EWs = [np.linalg.inv(view.X_WC @ self.X_CE) for view in (first, last)]
+        X_EOs = [X_EW @ self._scene.mounts.X_WO for X_EW in X_EWs]
+        X_EMs = [X_EW @ view.X_WM for X_EW, view in zip(X_EWs, (first, last), strict=True)]
+        self._paint_wall(picture, X_EOs)
+        for parent, X_EPs, plates in (
+            ("O", X_EOs, self._scene.wall_plates),
+            ("M", X_EMs, self._scene.tool_plates),
+        ):
+            for plate in (*plates, *(cover.plate for cover in covers if cover.parent == parent)):
+                self._paint_plate(picture, X_EPs, plate)
+        return picture
+
+    def _paint_wall(self, picture: Grey, X_EOs: list[Matrix]) -> None:
+        wall = self._scene.config.wall
+        per_m = 1000.0 / wall.texel_mm
+        to_texels = np.array([[per_m, 0.0, SIZE / 2.0], [0.0, per_m, SIZE / 2.0], [0.0, 0.0, 1.0]])
+        homographies = np.stack([to_texels @ _ray_to_plane(X_EO) for X_EO in X_EOs])
+        along, down = wall.lighting_gradient_per_m[0] / per_m, -wall.lighting_gradient_per_m[1] / per_m
+        light = np.array([1.0 - (along + down) * SIZE / 2.0, along, down])
+        centre_O = -X_EOs[0][:3, :3].T @ X_EOs[0][:3, 3]
+        relief = np.array(
+            [
+                wall.undulation_mm / 1000.0 / centre_O[2],  # height over the eye's distance from the wall
+                1.0 / (wall.undulation_length_m * per_m),
+                per_m * centre_O[0] + SIZE / 2.0,
+                SIZE / 2.0 - per_m * centre_O[1],
+            ]
+        )
+        pixel_area = 1.0 / float(np.prod(self.lens.focal))
+        ray_x, ray_y = self._rays
+        wall_painter.paint_wall(
+            picture,
+            ray_x,
+            ray_y,
+            homographies,
+            pixel_area,
+            self._texture,
+            SIZE_BITS,
+            light,
+            relief,
+            _SKY_GREY,
+        )
+
+    def _paint_plate(self, picture: Grey, X_E_parents: list[Matrix], plate: Plate) -> None:
+        X_EPs = [X @ plate.X_parent_plate for X in X_E_parents]
+        if any(X[:3, 2] @ X[:3, 3] >= 0.0 for X in X_EPs):
+            return  # seen from behind, where no plate of this scene has anything to show
+        boxes = np.array([self._bounds(X, plate) for X in X_EPs])
+        top, left = boxes[:, [0, 2]].min(axis=0)
+        bottom, right = boxes[:, [1, 3]].max(axis=0)
+        if top >= bottom or left >= right:
+            return
+        light = np.array([1.0, 0.0, 0.0])
+        if plate.lit_by_wall:
+            gradient = np.array(self._scene.config.wall.lighting_gradient_per_m)
+            R, p = plate.X_parent_plate[:2, :2], plate.X_parent_plate[:2, 3]
+            light = np.array([1.0 + gradient @ p, gradient @ R[:, 0], -(gradient @ R[:, 1])])
+        ray_x, ray_y = self._rays
+        box = (int(top), int(bottom), int(left), int(right))
+        homographies = np.stack([_ray_to_plane(X) for X in X_EPs])
+        if plate.levels:
+            panel_painter.paint_panel(
+                picture, ray_x, ray_y, homographies, plate.edges_x, plate.edges_y, plate.levels, box, light
+            )
+            return
+        rasteriser.paint_plate(
+            picture, ray_x, ray_y, homographies, plate.edges_x, plate.edges_y, plate.grey, box, light
+        )
+
+    def _bounds(self, X_EP: Matrix, plate: Plate) -> tuple[int, int, int, int]:
+        """Pixel rows and columns (top, bottom, left, right; half open) that the plate may touch."""
+        width, height = self._size
+        x0, x1, y0, y1 = plate.edges_x[0], plate.edges_x[-1], -plate.edges_y[-1], -plate.edges_y[0]
+        corners = np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
+        in_eye = corners @ X_EP[:3, :3].T + X_EP[:3, 3]
+        if (in_eye[:, 2] <= _NEAREST_M).all():
+            return (0, 0, 0, 0)
+        if (in_eye[:, 2] <= _NEAREST_M).any():
+            return (0, height, 0, width)
+        image = self.lens.project(in_eye)
+        low = np.clip(np.floor(image.min(axis=0)) - _RIM_PX, 0, [width, height]).astype(int)
+        high = np.clip(np.ceil(image.max(axis=0)) + _RIM_PX + 1, 0, [width, height]).astype(int)
+        return (int(low[1]), int(high[1]), int(low[0]), int(high[0]))
+
+
+def _ray_to_plane(X_EP: Matrix) -> Matrix:
+    """Homography (3x3) from a normalised ray (x, y, 1) to coordinates (x right, y down) on the plane z_P = 0.
+
+    Its third component is 1/depth: positive where the ray meets the plane in front of the eye.
+    """
+    columns = np.stack([X_EP[:3, 0], -X_EP[:3, 1], X_EP[:3, 3]], axis=1)
+    return np.asarray(np.linalg.inv(columns), dtype=np.float64)

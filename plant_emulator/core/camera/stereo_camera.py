@@ -1,0 +1,126 @@
+"""The stereo camera as it truly is: renders what its two eyes see, and projects points exactly."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from plant_emulator.config.scene import CameraConfig, WallConfig
+from plant_emulator.core.camera import rasteriser
+from plant_emulator.core.camera.camera_motion import STILL, Motion, View
+from plant_emulator.core.camera.exposures import Shot
+from plant_emulator.core.camera.eye import Eye
+from plant_emulator.core.camera.lens import Lens
+from plant_emulator.core.camera.scene import Cover, Scene, rotation_matrix
+from plant_emulator.core.camera.wall_texture import Texture, drilled, packed_levels, wall_texture
+from plant_emulator.core.mechanics.geometry import transform
+
+Grey = NDArray[np.uint8]
+Matrix = NDArray[np.float64]
+
+LEFT, RIGHT = 0, 1
+_NOISE_STREAM = 0x6E6F697365
+
+
+class StereoCamera:
+    """Renders stereo pairs by projective geometry, anti-aliased. Deterministic for each (seed, frame_id).
+
+    Poses are 4x4: ``X_WC`` of the left eye and ``X_WM`` of the tool marker in the world W, OpenCV axes for
+    the camera. ``motion`` matters only with motion blur or a rolling shutter; the poses are those at the
+    middle of the exposure of the middle row.
+    """
+
+    def __init__(self, config: CameraConfig, scene: Scene, seed: int) -> None:
+        self.config = config
+        self.scene = scene
+        self._seed = seed
+        texture = _texture(scene.config.wall)
+        self.eyes = tuple(
+            Eye(lens, X_CE, config.width_px, config.height_px, scene, texture)
+            for lens, X_CE in true_eyes(config)
+        )
+        generator = np.random.default_rng((seed, _NOISE_STREAM))
+        grey = generator.standard_normal(rasteriser.NOISE_LENGTH) * config.noise_grey
+        self._noise = np.clip(np.rint(grey * rasteriser.NOISE_UNIT), -32768, 32767).astype(np.int16)
+
+    def render(self, X_WC: Matrix, X_WM: Matrix, frame_id: int, motion: Motion = STILL) -> tuple[Grey, Grey]:
+        """The two eyes' pictures (left, right), each (height, width) uint8."""
+        view = View(X_WC, X_WM)
+        return self.render_eye(LEFT, view, frame_id, motion), self.render_eye(RIGHT, view, frame_id, motion)
+
+    def take(self, shot: Shot) -> tuple[Grey, Grey]:
+        """The two eyes' pictures of ``shot``. Raises RequestRefused when it covers a marker unknown here."""
+        frame_id, _, view, motion = shot.shown
+        if shot.blind is not None:
+            return self._even(shot.blind.grey, LEFT, frame_id), self._even(shot.blind.grey, RIGHT, frame_id)
+        covers = [self.scene.cover(fault) for fault in shot.covers]
+        left, right = (self.render_eye(eye, view, frame_id, motion, covers) for eye in (LEFT, RIGHT))
+        return left, right
+
+    def render_eye(
+        self, eye: int, view: View, frame_id: int, motion: Motion = STILL, covers: Sequence[Cover] = ()
+    ) -> Grey:
+        """One eye's picture, (height, width) uint8; ``eye`` is LEFT or RIGHT."""
+        samples = self.config.motion_blur_samples
+        exposure_s, readout_s = 1e-6 * self.config.exposure_us, 1e-3 * self.config.readout_ms
+        pictures = []
+        for k in range(samples):
+            middle_s = exposure_s * ((k + 0.5) / samples - 0.5)
+            first, last = (motion.at(view, middle_s + side * readout_s) for side in (-0.5, 0.5))
+            pictures.append(self.eyes[eye].painted(first, last, covers))
+        picture = pictures[0] if samples == 1 else rasteriser.mean_of(np.stack(pictures))
+        return self._exposed(picture, eye, frame_id)
+
+    def project(self, X_WC: Matrix, points: Matrix) -> tuple[Matrix, Matrix]:
+        """Exact image coordinates (left, right), each (n, 2) px, of points (n, 3) in W; NaN behind it."""
+        return self.eyes[LEFT].project(X_WC, points), self.eyes[RIGHT].project(X_WC, points)
+
+    def project_corners(self, X_WC: Matrix, X_WM: Matrix) -> dict[int, tuple[Matrix, Matrix]]:
+        """Marker id → its four printed corners in (left, right), (4, 2) px each, in ArUco's order."""
+        parents = {"O": self.scene.mounts.X_WO, "M": X_WM}
+        return {
+            marker: self.project(X_WC, corners @ parents[parent][:3, :3].T + parents[parent][:3, 3])
+            for marker, (parent, corners) in self.scene.marker_corners().items()
+        }
+
+    def _exposed(self, picture: Grey, eye: int, frame_id: int) -> Grey:
+        """The picture after point spread, exposure, vignetting and noise."""
+        config = self.config
+        if config.blur_px > 0.0:
+            size = 2 * int(np.ceil(2.5 * config.blur_px)) + 1
+            cv2.GaussianBlur(picture, (size, size), config.blur_px, dst=picture)
+        self._sense(picture, eye, frame_id, config.exposure_gain, config.vignetting)
+        return picture
+
+    def _even(self, grey: int, eye: int, frame_id: int) -> Grey:
+        """A picture of one level and the sensor's noise."""
+        picture = np.full((self.config.height_px, self.config.width_px), grey, dtype=np.uint8)
+        self._sense(picture, eye, frame_id, 1.0, 0.0)
+        return picture
+
+    def _sense(self, picture: Grey, eye: int, frame_id: int, gain: float, vignetting: float) -> None:
+        """Apply gain, vignetting and noise to ``picture`` in place."""
+        config = self.config
+        if config.noise_grey == 0.0 and vignetting == 0.0 and gain == 1.0:
+            return
+        centre_u, centre_v = self.eyes[eye].lens.centre
+        falloff = vignetting / ((config.width_px / 2.0) ** 2 + (config.height_px / 2.0) ** 2)
+        key = (self._seed * 0x2545F4914F6CDD1D + frame_id * 2 + eye) & 0x7FFF_FFFF_FFFF_FFFF
+        rasteriser.finish(picture, self._noise, key, gain, falloff, centre_u, centre_v)
+
+
+def true_eyes(config: CameraConfig) -> tuple[tuple[Lens, Matrix], tuple[Lens, Matrix]]:
+    """(lens, pose X_CE) of the left and of the right eye as they truly are."""
+    rectification = config.rectification
+    twist = rotation_matrix(rectification.right_eye_rotation_deg)
+    right = Lens(config.lens, -rectification.disparity_px, rectification.vertical_px)
+    return (Lens(config.lens), np.eye(4)), (right, transform(twist, np.array([config.baseline_m, 0.0, 0.0])))
+
+
+@lru_cache(maxsize=1)
+def _texture(wall: WallConfig) -> Texture:
+    """Packed mip levels, kept for the next camera before the same wall: they cost most of a second."""
+    plain = wall_texture(wall.texture_seed, wall.mean_grey, wall.contrast_grey)
+    return packed_levels(drilled(plain, wall))

@@ -1,0 +1,88 @@
+"""Procedural wall texture: seeded, periodic, rich at every scale the camera resolves; its mip levels."""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from plant_emulator.config.scene import WallConfig
+from plant_emulator.core.camera import wall_painter
+
+SIZE_BITS = 12
+SIZE = 1 << SIZE_BITS
+LEVELS = 5
+_COARSEST_BITS = 3
+# Weight of the noise that is added at 2**3, 2**4 … 2**11 cells to the period.
+_CLOUD_WEIGHTS = (0.15, 0.20, 0.25, 0.30, 0.35, 0.40, 0.45, 0.45, 0.30)
+# Cells to the period (as a power of two) of the sharp-edged stones and pits, which make good corners.
+_PATCH_BITS = (7, 8, 9, 10)
+_PATCH_WEIGHT = 0.9
+_PATCH_DETAIL_BITS = 2  # patches are cut out at 4 x 4 samples a cell, so that their rims are steep
+
+Grey = NDArray[np.uint8]
+Field = NDArray[np.float32]
+Texture = tuple[NDArray[np.int32], ...]
+
+
+def wall_texture(seed: int, mean_grey: float, contrast_grey: float) -> Grey:
+    """The wall's finest level, (4096, 4096) uint8, periodic in both directions.
+
+    ``mean_grey`` and ``contrast_grey`` are its mean and standard deviation in grey levels. Texel (row,
+    column) of any level is centred at (row + 0.5, column + 0.5) in units of that level's texels, which is the
+    half-texel shift that averaging two by two needs.
+    """
+    generator = np.random.default_rng(seed)
+    total = np.zeros((1 << _COARSEST_BITS, 1 << _COARSEST_BITS), dtype=np.float32)
+    for bits in range(_COARSEST_BITS, SIZE_BITS + 1):
+        octave = bits - _COARSEST_BITS
+        if octave < len(_CLOUD_WEIGHTS):
+            cells = generator.standard_normal(total.shape, dtype=np.float32)
+            total += np.float32(_CLOUD_WEIGHTS[octave]) * cells
+        if bits - _PATCH_DETAIL_BITS in _PATCH_BITS:
+            total += np.float32(_PATCH_WEIGHT) * _patches(generator, bits - _PATCH_DETAIL_BITS)
+        if bits < SIZE_BITS:
+            total = _doubled(total)
+    mean, deviation = cv2.meanStdDev(total)
+    scale = contrast_grey / float(deviation[0, 0])
+    finest = cv2.convertScaleAbs(np.maximum(total * scale + (mean_grey - float(mean[0, 0]) * scale), 0.0))
+    return np.asarray(finest, dtype=np.uint8)
+
+
+def _patches(generator: np.random.Generator, bits: int) -> Field:
+    """Stones and pits: noise pressed towards -1.5, 0 and 1.5, the flat ground covering about four fifths."""
+    field = generator.standard_normal((1 << bits, 1 << bits), dtype=np.float32)
+    for _ in range(_PATCH_DETAIL_BITS):
+        field = _doubled(field)
+    raised = np.clip((np.abs(field) - np.float32(1.0)) * np.float32(6.0), 0.0, 1.5)
+    return np.asarray(np.copysign(raised, field), dtype=np.float32)
+
+
+def _doubled(field: Field) -> Field:
+    """The periodic field interpolated to twice the samples a side."""
+    margin = 4
+    wrapped = np.pad(field, margin, mode="wrap")
+    large = cv2.resize(wrapped, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC)
+    size = 2 * field.shape[0]
+    return np.ascontiguousarray(large[2 * margin : 2 * margin + size, 2 * margin : 2 * margin + size])
+
+
+def drilled(finest: Grey, wall: WallConfig) -> Grey:
+    """The finest level with the wall's drill holes drawn into it, smooth-rimmed; ``finest`` itself stays."""
+    result = finest.copy()
+    per_m, fraction = 1000.0 / wall.texel_mm, 8
+    for hole in wall.drill_holes:
+        column = SIZE / 2.0 + per_m * hole.centre_m[0] - 0.5
+        row = SIZE / 2.0 - per_m * hole.centre_m[1] - 0.5
+        centre = (round(column * (1 << fraction)), round(row * (1 << fraction)))
+        for growth, grey in ((1.25, hole.rim_grey), (1.0, hole.grey)):
+            radius = round(growth * hole.diameter_mm / 2.0 / wall.texel_mm * (1 << fraction))
+            cv2.circle(result, centre, radius, grey, cv2.FILLED, cv2.LINE_AA, fraction)
+    return result
+
+
+def packed_levels(finest: Grey) -> Texture:
+    """The finest level and its mip levels, each packed for the painter."""
+    levels = [finest]
+    for _ in range(LEVELS - 1):
+        coarser = cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        levels.append(np.asarray(coarser, dtype=np.uint8))
+    return tuple(wall_painter.packed(level) for level in levels)

@@ -1,0 +1,184 @@
+"""What can break while the plant runs, as data: every kind of fault with its parameters and their ranges.
+
+A fault says *what* is wrong; ``fault_schedule`` says from when to when. Units are in the names, as on every
+boundary: the same models are the body of the emulator's HTTP face and the ``fault`` of its recording.
+"""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from foundation.configuration import StrictModel
+from plant_emulator.core.layout import JOINTS
+from protocol.errors import RequestRefused
+
+Joint = Literal["slew", "lift", "tilt", "wrist1", "wrist2", "wrist3"]
+Side = Literal["left", "right", "top", "bottom"]
+Grey = Annotated[int, Field(ge=0, le=255)]
+Share = Annotated[float, Field(gt=0.0, le=1.0)]
+LeapMrad = Annotated[float, Field(ge=-1000.0, le=1000.0)]
+
+
+class BaseFault(StrictModel):
+    """What all faults have in common: a kind, and a name that tells two of one kind apart."""
+
+    kind: str
+
+    @property
+    def name(self) -> str:
+        """Its name in the truth record, such as ``valve_stuck.lift``."""
+        return self.kind
+
+
+class JointFault(BaseFault):
+    """A fault of one joint's valve or encoder."""
+
+    joint: Joint
+
+    @property
+    def index(self) -> int:
+        """The joint's place in every array of six."""
+        return JOINTS.index(self.joint)
+
+    @property
+    def name(self) -> str:
+        """Its name in the truth record, such as ``valve_stuck.lift``."""
+        return f"{self.kind}.{self.joint}"
+
+
+class ValveStuck(JointFault):
+    """The spool stays where it is, whatever the command."""
+
+    kind: Literal["valve_stuck"] = "valve_stuck"
+
+
+class ValveSlow(JointFault):
+    """The spool's bandwidth falls to this share of the healthy one: sticky oil, a worn pilot stage."""
+
+    kind: Literal["valve_slow"] = "valve_slow"
+    bandwidth_share: Annotated[float, Field(ge=0.01, le=1.0)]
+
+
+class SupplyLost(BaseFault):
+    """The pump stops and its line is dumped to tank; the status word says so."""
+
+    kind: Literal["supply_lost"] = "supply_lost"
+
+
+class EncoderStuck(JointFault):
+    """The count stays where it is. ``reported``: the status word's sensor bit says so."""
+
+    kind: Literal["encoder_stuck"] = "encoder_stuck"
+    reported: bool = True
+
+
+class EncoderJump(JointFault):
+    """The count leaps by this angle at once and stays off by it: a slipped coupling, lost turns."""
+
+    kind: Literal["encoder_jump"] = "encoder_jump"
+    angle_mrad: LeapMrad
+
+
+class EncoderBias(JointFault):
+    """The count creeps off by this angle over ``ramp_s``, too slowly for a watch on leaps to notice."""
+
+    kind: Literal["encoder_bias"] = "encoder_bias"
+    angle_mrad: LeapMrad
+    ramp_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 2.0
+
+
+class PayloadDrop(BaseFault):
+    """The load falls off the tool; its end puts it back."""
+
+    kind: Literal["payload_drop"] = "payload_drop"
+
+
+class PayloadChange(BaseFault):
+    """The load becomes this mass at once; its end restores the former one."""
+
+    kind: Literal["payload_change"] = "payload_change"
+    mass_kg: Annotated[float, Field(ge=0.0, le=1000.0)]
+
+
+class CameraFrozen(BaseFault):
+    """The same picture again and again: the last one taken before the fault.
+
+    ``stamps`` ``advance``: under new frame numbers and capture times, as a driver does that stamps a stale
+    buffer; only the content betrays it. ``hold``: under the old ones, so that age betrays it too.
+    """
+
+    kind: Literal["camera_frozen"] = "camera_frozen"
+    stamps: Literal["advance", "hold"] = "advance"
+
+
+class CameraBlind(BaseFault):
+    """Both eyes see one even grey level and their noise: 0 a cap on the lens, 255 the sun in it."""
+
+    kind: Literal["camera_blind"] = "camera_blind"
+    grey: Grey = 0
+
+
+class FramesDropped(BaseFault):
+    """This share of the frames never arrives, drawn by seed and frame number."""
+
+    kind: Literal["frames_dropped"] = "frames_dropped"
+    share: Share = 1.0
+
+
+class MarkerCovered(BaseFault):
+    """A plain sheet lies over this share of a marker's plate, from one side on: dirt, a rag, a hose."""
+
+    kind: Literal["marker_covered"] = "marker_covered"
+    marker_id: Annotated[int, Field(ge=0, lt=1000)]
+    share: Share = 0.5
+    side: Side = "left"
+    grey: Grey = 60
+
+    @property
+    def name(self) -> str:
+        """Its name in the truth record, such as ``marker_covered.3``."""
+        return f"{self.kind}.{self.marker_id}"
+
+
+class CouplerSilent(BaseFault):
+    """The fieldbus face answers nothing and carries out nothing; its connections stay open."""
+
+    kind: Literal["coupler_silent"] = "coupler_silent"
+
+
+CameraFault = CameraFrozen | CameraBlind | FramesDropped | MarkerCovered
+Fault = (
+    ValveStuck
+    | ValveSlow
+    | SupplyLost
+    | EncoderStuck
+    | EncoderJump
+    | EncoderBias
+    | PayloadDrop
+    | PayloadChange
+    | CameraFrozen
+    | CameraBlind
+    | FramesDropped
+    | MarkerCovered
+    | CouplerSilent
+)
+FAULTS: dict[str, type[BaseFault]] = {kind.model_fields["kind"].default: kind for kind in get_args(Fault)}
+_ADAPTER: TypeAdapter[Fault] = TypeAdapter(Annotated[Fault, Field(discriminator="kind")])
+
+
+def fault_from(data: Mapping[str, Any]) -> Fault:
+    """The fault that ``data`` describes: its ``kind`` and that kind's parameters.
+
+    Raises RequestRefused: ``refused.unknown_fault``, or ``refused.fault_parameter`` with key, value, limit.
+    """
+    kind = data.get("kind")
+    if not isinstance(kind, str) or kind not in FAULTS:
+        raise RequestRefused("refused.unknown_fault", f"kind = {kind!r}: wanted one of {', '.join(FAULTS)}")
+    try:
+        return _ADAPTER.validate_python(dict(data))
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"][1:])
+        value = "" if first["type"] == "missing" else f" = {first['input']!r}"
+        raise RequestRefused("refused.fault_parameter", f"{kind}: {key}{value}: {first['msg']}") from error

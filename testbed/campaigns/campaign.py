@@ -1,0 +1,284 @@
+"""Many runs of one function over Dask's workers: resumable, one row a run, a failure never a zero.
+
+By default the workers are processes of this machine, started for the campaign; with ``scheduler`` they are
+those of a Dask cluster that is already there, whose workers have Longreach installed.
+"""
+
+import hashlib
+import json
+import logging
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import dask
+import distributed as untyped
+import numba
+from distributed.client import FuturesCancelledError
+from distributed.comm.core import CommClosedError
+from distributed.scheduler import KilledWorker
+
+from protocol.errors import ConfigurationError, LinkLost, LongreachError
+from testbed.campaigns.row_file import Row, RowFile
+from testbed.reporting.console import bars, err, plain
+
+distributed: Any = untyped  # it has types in part only
+
+Task = dict[str, Any]
+Run = Callable[[Task], Row]
+
+REACH_S = 3.0  # a scheduler that does not answer by then is not there
+_WORKERS_S = 20.0  # for the first worker of a scheduler to be there
+_MEMORY_LIMIT = "4GiB"  # of one embedded worker; beyond it is ended, and the run begun again
+_WORN_BYTES = 3 << 29  # of an embedded worker between two runs; beyond it, a new one takes over
+_PATIENCE_S = 60.0  # without a result until somebody asks whether anyone is working
+_RESTART_S = 600.0  # a worker that has not restarted by then stays away for the rest of the campaign
+_AGAIN = "campaign."  # causes that say nothing about the run itself: a resumed campaign tries it again
+_QUIET = {
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,  # a paused worker would wait for ever: its memory is one run's
+    "distributed.scheduler.allowed-failures": 1,  # a run that ends its worker twice would do so again
+    "distributed.scheduler.worker-ttl": None,  # compiled kernels may keep a worker from answering for long
+    "distributed.comm.timeouts.connect": "120s",  # on a busy machine a worker takes its time to start
+    "distributed.admin.large-graph-warning-threshold": "1GiB",
+}
+
+
+def run_campaign(
+    directory: Path,
+    function: Run,
+    tasks: Sequence[Task],
+    *,
+    scheduler: str | None,
+    workers: int = 2,
+    title: str,
+) -> list[Row]:
+    """One row for each of ``tasks``, in their order; those that ``directory/rows.csv`` lacks are run now.
+
+    ``function`` (importable by name, or a partial of such) turns a flat task with a unique ``key`` into a
+    flat row. Each row gets ``key``, ``configuration`` (the hash of function and task), ``failure`` (None, or
+    the cause and what happened), ``run_s`` and ``cpu_s``. A task whose key and configuration already have a
+    row is not run again, unless it failed by no fault of its own (its worker died, or the program broke).
+
+    A value that is bytes becomes a file; its cell is the name, below ``directory``.
+
+    Raises ConfigurationError for a key given twice or a malformed address, LinkLost when the scheduler does
+    not answer, has no workers, or goes away; the rows done until then are kept.
+    """
+    configurations = {str(task["key"]): configuration_of(function, task) for task in tasks}
+    if len(configurations) != len(tasks):
+        raise ConfigurationError("configuration.duplicate_task", f"{title}: two tasks have the same key")
+    file = RowFile(directory / "rows.csv")
+    done = {(str(row["key"]), str(row["configuration"])): row for row in file.rows if _conclusive(row)}
+    to_do = [task for task in tasks if (str(task["key"]), configurations[str(task["key"])]) not in done]
+    _note(directory, function, title, {key: configurations[key] for key in configurations}, tasks)
+    if to_do:
+        if len(to_do) < len(tasks):
+            err.print(f"{title}: {len(tasks) - len(to_do)} of {len(tasks)} already done", style="dim")
+        for task, row in _results(function, to_do, scheduler, min(workers, len(to_do)), title):
+            key = str(task["key"])
+            named = {"key": key, "configuration": configurations[key]}
+            whole = named | _files_written(directory, "-".join(named.values()), row)
+            done[key, configurations[key]] = file.append(whole)
+    return [{name: done[item].get(name) for name in file.columns} for item in configurations.items()]
+
+
+def configuration_of(function: Run, task: Mapping[str, Any]) -> str:
+    """The hash of a run: of the function's name, what is bound to it, and the task. Twelve hex digits."""
+    bound: dict[str, Any] = {}
+    while isinstance(function, partial):
+        bound = {"args": function.args, "keywords": function.keywords, "of": bound}
+        function = function.func
+    name = f"{function.__module__}.{function.__qualname__}"
+    text = json.dumps(plain({"function": name, "bound": bound, "task": task}), sort_keys=True, default=repr)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def _conclusive(row: Row) -> bool:
+    return not str(row.get("failure") or "").startswith(_AGAIN)
+
+
+def _files_written(directory: Path, stem: str, row: Row) -> Row:
+    """``row`` with the name of a file below ``directory`` in place of every value that is bytes."""
+    kept = dict(row)
+    for column, value in row.items():
+        if isinstance(value, bytes):
+            kept[column] = f"files/{stem}.{column}"
+            (directory / "files").mkdir(exist_ok=True)
+            (directory / kept[column]).write_bytes(value)
+    return kept
+
+
+def _note(
+    directory: Path, function: Run, title: str, configurations: dict[str, str], tasks: Sequence[Task]
+) -> None:
+    """Writes what the configurations' hashes stand for."""
+    directory.mkdir(parents=True, exist_ok=True)
+    path = directory / "tasks.jsonl"
+    known = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    lines = [
+        json.dumps(
+            plain({"configuration": configurations[str(task["key"])], "title": title, "task": task}),
+            sort_keys=True,
+            default=repr,
+        )
+        for task in tasks
+    ]
+    path.write_text("".join(f"{line}\n" for line in dict.fromkeys(known + lines)), encoding="utf-8")
+
+
+class _Done(NamedTuple):
+    row: Row
+    worker: str
+    memory: int  # bytes that the worker's process holds after the run
+
+
+def _run(function: Run, task: Task) -> _Done:
+    """One run, on the worker; whatever it raises becomes its row's failure."""
+    cv2.setNumThreads(1)
+    numba.set_num_threads(1)
+    began, cpu_s = time.perf_counter(), time.process_time()
+    row: Row
+    try:
+        row = {"failure": "", **function(task)}
+    except LongreachError as error:
+        row = {"failure": f"{error.cause}: {error}"}
+    except Exception as error:
+        row = {"failure": f"{_AGAIN}exception: {type(error).__name__}: {error}"}
+    row |= {"run_s": round(time.perf_counter() - began, 3), "cpu_s": round(time.process_time() - cpu_s, 3)}
+    worker = distributed.get_worker()
+    return _Done(row, worker.address, worker.monitor.get_process_memory())
+
+
+class _Workforce(NamedTuple):
+    client: Any
+    places: int  # runs at once
+    ours: bool  # whether the workers were started here, and may be replaced
+
+
+def _results(
+    function: Run, tasks: Sequence[Task], scheduler: str | None, workers: int, title: str
+) -> Iterator[tuple[Task, Row]]:
+    """Each task with its row, as they are done."""
+    with _workforce(scheduler, workers) as force, bars() as shown, shown.step(title) as bar:
+        waiting = iter(tasks)
+        under_way: dict[Any, Task] = {}
+
+        def start(count: int) -> None:
+            for task in islice(waiting, count):
+                under_way[force.client.submit(_run, function, task, pure=False)] = task
+
+        start(force.places)
+        spent: list[float] = []
+        failed = 0
+        while under_way:
+            future = _first_done(force.client, list(under_way))
+            task = under_way.pop(future)
+            done = _outcome(future)
+            if force.ours and done.memory > _WORN_BYTES:
+                force.client.restart_workers([done.worker], timeout=_RESTART_S, raise_for_error=False)
+            start(1)
+            spent.append(done.row.get("run_s") or 0.0)
+            failed += bool(done.row["failure"])
+            bar.update(
+                len(spent) / len(tasks),
+                f"{len(spent)} of {len(tasks)}, {sum(spent) / len(spent):.1f} s a run, {failed} failed",
+            )
+            yield task, done.row
+
+
+def _first_done(client: Any, futures: Sequence[Any]) -> Any:
+    """The first of ``futures`` that has ended, however. Raises LinkLost when nobody works on them."""
+    while True:
+        ended = [future for future in futures if future.status != "pending"]
+        if ended:
+            return ended[0]
+        try:
+            with client.as_current():
+                distributed.wait(futures, timeout=_PATIENCE_S, return_when="FIRST_COMPLETED")
+        except (TimeoutError, FuturesCancelledError):  # cancelled: the loop above sees which
+            if not client.scheduler_info(n_workers=-1)["workers"]:
+                why = "no worker is left; the rows done until then are kept"
+                raise LinkLost("link.workers_lost", why) from None
+
+
+def _outcome(future: Any) -> _Done:
+    """What a finished future holds. Raises LinkLost when its scheduler has gone away."""
+    if future.status in ("cancelled", "lost"):
+        raise LinkLost("link.scheduler_lost", "the scheduler went away; the rows done until then are kept")
+    try:
+        done: _Done = future.result(timeout=REACH_S)
+    except KilledWorker as error:
+        return _Done({"failure": f"{_AGAIN}worker_lost: {error}"}, "", 0)
+    except (OSError, CommClosedError) as error:
+        raise LinkLost("link.scheduler_lost", f"the scheduler went away: {error}") from error
+    return done
+
+
+@contextmanager
+def _workforce(scheduler: str | None, workers: int) -> Iterator[_Workforce]:
+    """Workers that are there, with a client of their scheduler; those started here are ended again."""
+    with ExitStack() as stack:
+        stack.enter_context(dask.config.set(_QUIET))
+        if scheduler is None:
+            cluster = stack.enter_context(_started(workers))
+            client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
+            yield _Workforce(client, workers, True)
+        else:
+            client = stack.enter_context(_reached(scheduler))
+            yield _Workforce(client, 2 * sum(client.nthreads().values()), False)
+
+
+@contextmanager
+def _started(workers: int) -> Iterator[Any]:
+    """A cluster of worker processes on loopback. Raises LinkLost (``link.workers_not_started``)."""
+    try:
+        cluster = distributed.LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False},
+            memory_limit=_MEMORY_LIMIT,
+            silence_logs=logging.CRITICAL,
+        )
+    except (OSError, RuntimeError) as error:
+        raise LinkLost(
+            "link.workers_not_started", f"{workers} workers could not be started: {error}"
+        ) from error
+    try:
+        yield cluster
+    finally:
+        with suppress(TimeoutError):  # a worker that will not end does so with this process
+            cluster.close()
+
+
+@contextmanager
+def _reached(scheduler: str) -> Iterator[Any]:
+    """A client of the scheduler at ``scheduler``, which has at least one worker."""
+    try:
+        client = distributed.Client(scheduler, timeout=REACH_S, set_as_default=False)
+    except ValueError as error:
+        raise ConfigurationError(
+            "configuration.bad_address", f"scheduler '{scheduler}': {error}; wanted such as tcp://host:8786"
+        ) from error
+    except OSError as error:
+        raise LinkLost(
+            "link.scheduler_unreachable", f"scheduler {scheduler} does not answer within {REACH_S:g} s"
+        ) from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_WORKERS_S)
+        except TimeoutError as error:
+            raise LinkLost(
+                "link.scheduler_without_workers",
+                f"scheduler {scheduler} has no worker after {_WORKERS_S:g} s",
+            ) from error
+        yield client

@@ -1,0 +1,176 @@
+"""What `longreach hand-eye` does with files: solve, compare, intrinsics."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from plant_emulator.config.boards import CabinetConfig
+from plant_emulator.core.camera.cabinet import cabinet_front
+from protocol.errors import RequestRefused
+from testbed.experiments.hand_eye import intrinsics_experiment
+from testbed.experiments.hand_eye import tables as experiment_tables
+from testbed.experiments.hand_eye.real_data import hold_out
+from testbed.hand_eye import presentation, trajectories
+from testbed.hand_eye.importer import ImportOptions, load
+from testbed.hand_eye.trajectories import PairingOptions
+from testbed.reporting.console import out, write_json
+from testbed.scenarios.settings import chosen_overrides, load_settings
+from vision_pc.core.hand_eye.samples import PosePairs, Setup
+from vision_pc.core.hand_eye.solvers import bundle, methods
+from vision_pc.core.hand_eye.solvers.bundle import RobotNoise
+from vision_pc.core.hand_eye.solvers.methods import Method
+from vision_pc.core.hand_eye.solvers.result import HandEyeResult
+from vision_pc.core.perception import zhang_intrinsics as zhang
+from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard, Detector
+from vision_pc.core.types import Image
+
+
+class Source(NamedTuple):
+    """Where samples come from, as the command line says it."""
+
+    file: Path
+    camera_file: Path | None
+    setup: Setup | None
+    camera_in_target: bool
+    normalise: bool
+    offset_s: str
+    marker_id: int | None
+
+    def read(self) -> PosePairs:
+        """The samples. Raises RequestRefused naming what cannot be believed."""
+        options = ImportOptions(self.setup, self.marker_id, self.camera_in_target, self.normalise)
+        if self.camera_file is None:
+            return load(self.file, options)
+        hand = trajectories.load_tum(self.file, self.normalise)
+        camera = trajectories.load_tum(self.camera_file, self.normalise)
+        pairs, offset = trajectories.pair(hand, camera, PairingOptions(offset_s=self._offset()), options)
+        out.print(f"{len(pairs)} moments chosen, camera clock {offset:+.4f} s", highlight=False)
+        return pairs
+
+    def _offset(self) -> float | None:
+        if self.offset_s == "estimate":
+            return None
+        try:
+            return float(self.offset_s)
+        except ValueError as error:
+            raise RequestRefused(
+                "refused.hand_eye.format", f"--offset-s is {self.offset_s!r}: seconds or 'estimate' is wanted"
+            ) from error
+
+
+def run_solve(source: Source, method: Method, json_file: Path | None) -> None:
+    """Nothing; X and all that is known about it are printed. Raises where there is none."""
+    pairs = source.read()
+    result = methods.solve(pairs, method)
+    out.print(presentation.result_table(result))
+    out.print(presentation.sample_table(result))
+    for note in result.notes:
+        out.print(f"note: {note}", style="yellow", highlight=False, soft_wrap=True)
+    figures = presentation.result_figures(result)
+    if pairs.corners is not None:
+        figures["image_space"] = _adjusted(pairs, result)
+    write_json(json_file, figures)
+
+
+def _adjusted(pairs: PosePairs, result: HandEyeResult) -> dict[str, object]:
+    noise = result.noise
+    robot = None
+    if noise is not None and noise.robot_rotation > 0.0 and noise.robot_translation > 0.0:
+        robot = RobotNoise(noise.robot_rotation, noise.robot_translation)
+    found = bundle.adjust(pairs, result, robot)
+    std = 1e3 * np.sqrt(np.diag(found.covariance)[:3])
+    x, y, z = 1e3 * found.X[:3, 3]
+    out.print(
+        f"image-space adjustment: {x:.3f} {y:.3f} {z:.3f} mm, standard deviation {std[0]:.3f} {std[1]:.3f} "
+        f"{std[2]:.3f} mm, corner noise {found.pixel_noise:.3f} px",
+        highlight=False,
+        soft_wrap=True,
+    )
+    return {
+        "X": presentation.pose_figures(found.X),
+        "Z": presentation.pose_figures(found.Z),
+        "covariance_p_theta": found.covariance,
+        "corner_noise_px": found.pixel_noise,
+        "sample_rms_px": found.sample_rms_px,
+    }
+
+
+def run_compare(source: Source, json_file: Path | None) -> None:
+    """Nothing; the hold-out errors of all methods are printed."""
+    pairs = source.read()
+    rows = hold_out(source.file.stem, pairs)
+    out.print(experiment_tables.hold_out_table(rows))
+    write_json(json_file, {"rows": [row.as_json() for row in rows]})
+
+
+def run_intrinsics_of_pictures(
+    files: list[Path],
+    board: Checkerboard,
+    detector: Detector,
+    marker: tuple[float, str] | None,
+    json_file: Path | None,
+) -> None:
+    """Nothing; the camera is printed. ``marker`` (side in m, dictionary) makes the board ChArUco."""
+    pictures = [(file.stem, _picture(file)) for file in files]
+    sizes = {image.shape for _, image in pictures}
+    if len(sizes) != 1:
+        raise RequestRefused(
+            "refused.intrinsics.sizes", f"pictures of {len(sizes)} sizes; one camera has one"
+        )
+    chosen: Checkerboard | Charuco = board
+    if marker is not None:
+        chosen = Charuco(board.columns, board.rows, board.square_m, marker[0], _dictionary(marker[1]))
+    views, missed = intrinsics_experiment.detect(pictures, chosen, detector)
+    for name in missed:
+        out.print(f"no board in {name}", style="yellow", highlight=False)
+    height, width = pictures[0][1].shape
+    found = zhang.calibrate(views, width, height)
+    name = "charuco" if marker is not None else detector.value
+    row = intrinsics_experiment.row(files[0].parent.name or ".", name, found, missed)
+    out.print(experiment_tables.intrinsics_table([row]))
+    out.print(presentation.view_table(found))
+    out.print(presentation.coverage_table(found))
+    K, k = found.K, " ".join(f"{value:.6f}" for value in found.distortion)
+    out.print(
+        f"fx {K[0, 0]:.4f} fy {K[1, 1]:.4f} cx {K[0, 2]:.4f} cy {K[1, 2]:.4f} px; k1 k2 p1 p2 k3 {k}",
+        highlight=False,
+        soft_wrap=True,
+    )
+    write_json(
+        json_file,
+        row.as_json()
+        | {
+            "K": K,
+            "distortion": found.distortion,
+            "std_px": found.std_px,
+            "view_rms_px": dict(zip(found.names, found.view_rms_px.tolist(), strict=True)),
+            "coverage": found.coverage,
+        },
+    )
+
+
+def run_drawing(file: Path, scenario: str, config_dir: Path) -> None:
+    """Nothing; the front of the scenario's cabinet is in ``file``. Raises RequestRefused if there is none."""
+    scene = load_settings(config_dir, chosen_overrides(config_dir, scenario, 1, [])).scene
+    fronts = [board for board in scene.boards if isinstance(board, CabinetConfig)]
+    if not fronts:
+        raise RequestRefused("refused.hand_eye.no_drawing", f"scenario {scenario} has no cabinet")
+    if not cv2.imwrite(str(file), cabinet_front(fronts[0])):
+        raise RequestRefused("refused.hand_eye.no_drawing", f"{file}: cannot be written")
+    out.print(f"{file}: texels of {fronts[0].texel_mm} mm", highlight=False)
+
+
+def _picture(file: Path) -> Image:
+    image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise RequestRefused("refused.intrinsics.unreadable", f"{file}: not a picture")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def _dictionary(name: str) -> int:
+    value = getattr(cv2.aruco, name, None)
+    if not name.startswith("DICT_") or not isinstance(value, int):
+        raise RequestRefused("refused.intrinsics.dictionary", f"OpenCV has no dictionary {name!r}")
+    return value

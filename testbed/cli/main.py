@@ -1,0 +1,309 @@
+"""The `longreach` command: starts, shows and examines the parts put together."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from conformance.command import app as conformance
+from dissector.command import sniff
+from foundation.configuration import merged, parse_overrides
+from protocol.errors import LongreachError
+from testbed.cli.hand_eye import app as hand_eye
+from testbed.cli.hand_eye import register_experiments
+from testbed.cli.options import (
+    DEFAULT_CONFIG,
+    ConfigDir,
+    Count,
+    JsonFile,
+    Scenario,
+    Scheduler,
+    Seed,
+    Settings,
+)
+from testbed.cli.paper import add_to
+from testbed.cli.positioning import register_experiments as register_vision_experiments
+from testbed.fault_proxy.command import proxy
+from testbed.pictures.command import app as picture
+from testbed.reporting.console import err
+from testbed.scenarios.settings import chosen_overrides, with_faults
+
+app = typer.Typer(
+    name="longreach",
+    help="Vision-guided precise positioning of long-reach hydraulic manipulators: the testbed's command.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="rich",
+)
+
+validate = typer.Typer(help="Compare parts with known answers.", no_args_is_help=True)
+app.add_typer(validate, name="validate")
+
+experiment = typer.Typer(help="Seeded experiments that write tables.", no_args_is_help=True)
+app.add_typer(experiment, name="experiment")
+add_to(experiment)
+
+register_experiments(experiment)
+register_vision_experiments(experiment)
+
+app.add_typer(conformance, name="conformance")
+app.add_typer(hand_eye, name="hand-eye")
+app.add_typer(picture, name="picture")
+
+app.command(epilog="Example: longreach sniff --interface lo --port 47000")(sniff)
+app.command(epilog="Example: longreach proxy --listen-port 47001 --port 47000 --loss 0.02")(proxy)
+
+FreePorts = Annotated[
+    bool, typer.Option("--free-ports", help="Use any free ports instead of the configured ones.")
+]
+AllowFaults = Annotated[
+    bool, typer.Option("--allow-faults", help="Let the plant's HTTP face for faults break things.")
+]
+Runs = Annotated[Path, typer.Option(help="Where directories of runs are made.")]
+
+DEFAULT_RUNS = Path("runs")
+
+
+@app.command(epilog="Example: longreach doctor --json doctor.json")
+def doctor(
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    runs: Runs = DEFAULT_RUNS,
+    json_file: JsonFile = None,
+) -> None:
+    """Examine machine, ports and configuration; exit status 1 when something would not work."""
+    from testbed.cli.doctor import examine
+
+    raise typer.Exit(0 if examine(config_dir, settings or [], runs, json_file) else 1)
+
+
+@app.command(epilog="Example: longreach up --scenario standard --seed 3 --allow-faults")
+def up(
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    scenario: Annotated[str | None, typer.Option(help="Draw the world from this scenario.")] = None,
+    seed: Seed = 1,
+    settings: Settings = None,
+    free_ports: FreePorts = False,
+    allow_faults: AllowFaults = False,
+    runs: Runs = DEFAULT_RUNS,
+) -> None:
+    """Start plant, controller and vision, watch them, and end them on Ctrl-C."""
+    from testbed.realtime.up import run_up
+
+    overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
+    run_up(config_dir, with_faults(overrides, allow_faults), free_ports, runs)
+
+
+@app.command(
+    epilog="Example: longreach demo --seed 3   or: longreach demo --lockstep --seed 3 --json demo.json"
+)
+def demo(
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="In simulated time, without sockets.")] = False,
+    looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 2,
+    scenario: Scenario = "standard",
+    seed: Seed = 1,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    free_ports: FreePorts = False,
+    allow_faults: AllowFaults = False,
+    runs: Runs = DEFAULT_RUNS,
+    json_file: JsonFile = None,
+) -> None:
+    """Bring the tool to the object; exit status 0 only within ±5 mm true error in x and y."""
+    from testbed.demonstration.lockstep import run_lockstep_demo
+    from testbed.demonstration.realtime import run_demo
+    from testbed.reporting.presentation import Choice
+
+    overrides = with_faults(chosen_overrides(config_dir, scenario, seed, settings or []), allow_faults)
+    choice = Choice(scenario, seed, looks)
+    if lockstep:
+        passed = run_lockstep_demo(config_dir, overrides, choice, runs, json_file)
+    else:
+        passed = run_demo(config_dir, overrides, choice, free_ports, runs, json_file)
+    raise typer.Exit(0 if passed else 1)
+
+
+@app.command(epilog="Example: longreach soak --minutes 10 --cycle-ms 2 --json soak.json")
+def soak(
+    minutes: Annotated[float, typer.Option(min=0.1, max=1440.0, help="How long.")] = 10.0,
+    cycle_ms: Annotated[float, typer.Option(min=1.0, max=10.0, help="The controller's cycle.")] = 5.0,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    free_ports: FreePorts = False,
+    runs: Runs = DEFAULT_RUNS,
+    json_file: JsonFile = None,
+) -> None:
+    """Run all three services at rest and in motion, vision looking; exit status 0 under 0.5 % overruns."""
+    from testbed.experiments.robustness.soak import run_soak
+
+    overrides = merged(parse_overrides(settings or []), {"controller": {"cycle_ms": cycle_ms}})
+    raise typer.Exit(0 if run_soak(config_dir, overrides, minutes, free_ports, runs, json_file) else 1)
+
+
+@app.command(
+    epilog="Example: longreach odometry --left image_0 --right image_1 --calib calib.txt --out path.tum"
+)
+def odometry(
+    left: Annotated[Path, typer.Option(help="Directory of the left eye's rectified pictures.")],
+    right: Annotated[Path, typer.Option(help="Directory of the right eye's.")],
+    calib: Annotated[Path, typer.Option(help="YAML with fx_px … baseline_m, or KITTI's calib.txt.")],
+    trajectory: Annotated[Path, typer.Option("--out", help="Where the TUM trajectory goes.")] = Path(
+        "trajectory.tum"
+    ),
+    rate_hz: Annotated[
+        float, typer.Option(min=0.1, help="Pairs a second, where neither times.txt nor names tell.")
+    ] = 10.0,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    json_file: JsonFile = None,
+) -> None:
+    """The camera's path from a directory of rectified pairs; exit status 1 when a pair was lost."""
+    from testbed.cli.odometry import run_odometry
+
+    found_all = run_odometry(config_dir, left, right, calib, rate_hz, trajectory, settings or [], json_file)
+    raise typer.Exit(0 if found_all else 1)
+
+
+@validate.command("plant", epilog="Example: longreach validate plant --json plant.json")
+def validate_plant_command(config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None) -> None:
+    """The plant against twenty families of known answers (geometry to energy balance)."""
+    from testbed.cli.validate import validate_plant
+
+    raise typer.Exit(0 if validate_plant(config_dir, json_file) else 1)
+
+
+@validate.command(
+    "error-sources", epilog="Example: longreach validate error-sources --json error_sources.json"
+)
+def validate_error_sources_command(
+    config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None
+) -> None:
+    """Each source of error switched on alone: where its number comes from, and what it does."""
+    from testbed.cli.validate import validate_error_sources
+
+    raise typer.Exit(0 if validate_error_sources(config_dir, json_file) else 1)
+
+
+@experiment.command(
+    "lockstep-demo", epilog="Example: longreach experiment lockstep-demo --runs 20 --json lockstep.json"
+)
+def lockstep_demo_command(
+    count: Count = 20,
+    looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 2,
+    scenario: Scenario = "standard",
+    seed: Seed = 1,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    scheduler: Scheduler = None,
+    directory: Annotated[
+        Path, typer.Option("--out", help="Rows, figures; what is there already is not run again.")
+    ] = DEFAULT_RUNS / "lockstep-demo",
+    json_file: JsonFile = None,
+) -> None:
+    """Demonstrations in lockstep over many seeds; exit status 0 when 18 of 20 end under 10 mm."""
+    from testbed.experiments.positioning.lockstep_demo import run_experiment
+
+    passed = run_experiment(
+        config_dir, scenario, seed, count, looks, settings or [], directory, scheduler, json_file
+    )
+    raise typer.Exit(0 if passed else 1)
+
+
+@experiment.command(
+    "stream-cuts", epilog="Example: longreach experiment stream-cuts --runs 459 --seed 1 --json cuts.json"
+)
+def stream_cuts_command(
+    count: Annotated[int, typer.Option("--runs", min=1, help="How many cuts, one a seed.")] = 459,
+    scenario: Scenario = "standard",
+    seed: Seed = 1,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    scheduler: Scheduler = None,
+    directory: Annotated[
+        Path, typer.Option("--out", help="Rows; what is there already is not run again.")
+    ] = DEFAULT_RUNS / "stream-cuts",
+    json_file: JsonFile = None,
+) -> None:
+    """Cut the reference stream at random moments: exit status 0 when valves and oil always stop in time."""
+    from testbed.experiments.robustness.stream_cuts import run_experiment
+
+    passed = run_experiment(
+        config_dir, scenario, seed, count, settings or [], directory, scheduler, json_file
+    )
+    raise typer.Exit(0 if passed else 1)
+
+
+@experiment.command(
+    "controller-kills", epilog="Example: longreach experiment controller-kills --runs 100 --seed 1"
+)
+def controller_kills_command(
+    count: Annotated[int, typer.Option("--runs", min=1, help="How many trials, half of them kills.")] = 100,
+    seed: Seed = 1,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    runs: Annotated[
+        Path, typer.Option("--directory", help="Where directories of runs are made.")
+    ] = DEFAULT_RUNS,
+    json_file: JsonFile = None,
+) -> None:
+    """Kill and suspend the controller at random points of motions: the plant must stop by itself."""
+    from testbed.experiments.robustness.controller_kills import run_experiment
+
+    raise typer.Exit(0 if run_experiment(config_dir, count, seed, settings or [], runs, json_file) else 1)
+
+
+@experiment.command(
+    "plant-campaign",
+    epilog="Example: longreach experiment plant-campaign --runs 500 --seed 1 --json rough.json",
+)
+def plant_campaign_command(
+    count: Annotated[int, typer.Option("--runs", min=4, help="How many, a quarter of each event.")] = 500,
+    seed: Seed = 1,
+    step_ms: Annotated[float, typer.Option(min=0.01, max=0.5, help="Of the integration.")] = 0.25,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    scheduler: Scheduler = None,
+    directory: Annotated[
+        Path, typer.Option("--out", help="Rows, figures; what is there already is not run again.")
+    ] = DEFAULT_RUNS / "plant-campaign",
+    json_file: JsonFile = None,
+) -> None:
+    """Sudden stops, payload drops, end-stop impacts, pump losses: exit status 0 when all books balance."""
+    from testbed.experiments.robustness.plant_campaign import run_experiment
+
+    passed = run_experiment(config_dir, count, seed, step_ms, directory, scheduler, json_file)
+    raise typer.Exit(0 if passed else 1)
+
+
+@validate.command(
+    "plant-survey", epilog="Example: longreach validate plant-survey --out runs/survey --json survey.json"
+)
+def plant_survey_command(
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    directory: Annotated[Path, typer.Option("--out", help="Where rows and plot go.")] = DEFAULT_RUNS
+    / "plant-survey",
+    json_file: JsonFile = None,
+) -> None:
+    """Sag, play, static error and free vibration of both arms over the workspace, beside stated figures."""
+    from testbed.validation.plant_survey_report import run_survey
+
+    run_survey(config_dir, directory, json_file)
+
+
+def main() -> None:
+    """Nothing; runs the command line, and turns expected trouble into one line and exit status 2."""
+    try:
+        app()
+    except LongreachError as error:
+        err.print(
+            f"longreach: {error.cause}: {error}",
+            style="bold red",
+            highlight=False,
+            soft_wrap=True,
+            markup=False,
+        )
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,75 @@
+"""`longreach demo --lockstep`: the same sequence in simulated time, bit-identical for a seed."""
+
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+from protocol.errors import LongreachError
+from testbed.demonstration.sequence import Recorder, Rest, TimedTruth, View, demonstrate, stages, traces
+from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.rig import LockstepRig
+from testbed.lockstep.world import CONTROLLER_CLOCK_NS, VISION_CLOCK_NS
+from testbed.reporting.console import Bars, bars
+from testbed.reporting.outcome import Outcome
+from testbed.reporting.presentation import Choice, present
+from testbed.reporting.report import run_directory
+from testbed.scenarios.settings import Overrides, load_settings
+
+
+class LockstepRun(NamedTuple):
+    """One run: its outcome, and what a report is made of."""
+
+    outcome: Outcome
+    rests: list[Rest]
+    truths: list[TimedTruth]
+    views: list[View]
+    log: EventLog
+
+
+def run_lockstep(config_dir: Path, overrides: Overrides, choice: Choice, shown: Bars) -> LockstepRun:
+    """A whole demonstration in lockstep; a step that fails ends it and is told in the outcome's details.
+
+    Raises ConfigurationError.
+    """
+    began = time.perf_counter()
+    settings = load_settings(config_dir, overrides)
+    log = EventLog()
+    log.add(0, "run", scenario=choice.scenario, seed=choice.seed, overrides=overrides)
+    rig = LockstepRig(settings, choice.seed, log)
+    recorder = Recorder(rig, shown)
+    details = {}
+    try:
+        demonstrate(rig, recorder, choice.looks)
+    except LongreachError as error:
+        details["failure"] = f"{error.cause}: {error}"
+        log.add(rig.world.time_ns, "failure", cause=error.cause, message=str(error))
+    truths = [TimedTruth(truth.time_ns + VISION_CLOCK_NS, truth) for truth in rig.world.truths]
+    views = [
+        View(s.time_ns - CONTROLLER_CLOCK_NS + VISION_CLOCK_NS, s.X_BT.p_m, s.q_cmd, s.q_meas)
+        for s in rig.world.states
+    ]
+    clearance_m = settings.vision.programs.positioning.clearance_m
+    outcome = Outcome(
+        mode="lockstep",
+        scenario=choice.scenario,
+        seed=choice.seed,
+        looks=choice.looks,
+        stages=stages(recorder.rests, truths, clearance_m),
+        wall_s=time.perf_counter() - began,
+        simulated_s=1e-9 * rig.world.time_ns,
+        details=details | {"event_log_sha256": log.digest()},
+    )
+    return LockstepRun(outcome, recorder.rests, truths, views, log)
+
+
+def run_lockstep_demo(
+    config_dir: Path, overrides: Overrides, choice: Choice, runs: Path, json_file: Path | None
+) -> bool:
+    """Whether the true error ended inside the limit; prints the table and writes the report."""
+    directory = run_directory(runs)
+    with bars() as shown:
+        done = run_lockstep(config_dir, overrides, choice, shown)
+    clearance_m = load_settings(config_dir, overrides).vision.programs.positioning.clearance_m
+    curves = traces(done.truths, done.views, clearance_m)
+    pictures = [rest.picture for rest in done.rests]
+    return present(directory, done.outcome, curves, pictures, done.log.events, json_file)

@@ -1,0 +1,111 @@
+"""`longreach demo`: the whole loop in real time over the REST face, judged by the plant's recording."""
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from plant_emulator.shell.recording import FaultRecord, read_truth
+from protocol.errors import LongreachError
+from testbed.demonstration.sequence import JSON, Recorder, Rest, TimedTruth, View, demonstrate, stages, traces
+from testbed.realtime.launch import PLANT, VISION, Launch, prepare
+from testbed.realtime.rest_rig import RestRig, StateSampler
+from testbed.realtime.supervisor import Supervisor, supervised
+from testbed.realtime.up import end_on_sigterm, show_fault_face
+from testbed.reporting.console import Bars, bars
+from testbed.reporting.outcome import Outcome
+from testbed.reporting.presentation import Choice, present, read_events
+from testbed.reporting.report import run_directory
+from testbed.scenarios.settings import Overrides
+
+_HEALTHY_S = 60.0
+
+
+class Driven(NamedTuple):
+    """What the sequence left behind. ``failure`` stopped it; ``cycle`` is the controller's timing, newest."""
+
+    rests: list[Rest]
+    views: list[View]
+    cycle: JSON | None
+    failure: LongreachError | None
+
+
+def run_demo(
+    config_dir: Path,
+    overrides: Overrides,
+    choice: Choice,
+    any_ports: bool,
+    runs: Path,
+    json_file: Path | None,
+) -> bool:
+    """Whether the true error ended inside the limit; prints the table and writes the report.
+
+    Raises LongreachError when the services cannot be started.
+    """
+    began = time.monotonic()
+    end_on_sigterm()
+    launch = prepare(config_dir, overrides, run_directory(runs), any_ports=any_ports)
+    with bars() as shown, started(launch, shown) as supervisor:
+        show_fault_face(launch)
+        driven = drive(launch, choice, shown, supervisor)
+    recording = read_truth(launch.records(PLANT) / "truth.mcap")
+    # On one machine the plant's monotonic clock is vision's too.
+    truths = [TimedTruth(record.log_ns, record.truth) for record in recording.truths]
+    clearance_m = launch.settings.vision.programs.positioning.clearance_m
+    outcome = Outcome(
+        mode="real time",
+        scenario=choice.scenario,
+        seed=choice.seed,
+        looks=choice.looks,
+        stages=stages(driven.rests, truths, clearance_m),
+        wall_s=time.monotonic() - began,
+        simulated_s=1e-9 * (truths[-1].time_ns - truths[0].time_ns),
+        details=_details(launch, driven, recording.faults),
+    )
+    curves = traces(truths, driven.views, clearance_m)
+    pictures = [rest.picture for rest in driven.rests]
+    return present(
+        launch.directory, outcome, curves, pictures, read_events(launch.records(VISION)), json_file
+    )
+
+
+@contextmanager
+def started(launch: Launch, shown: Bars) -> Iterator[Supervisor]:
+    """The services running, with a progress bar for their start, in a block that ends them."""
+    with ExitStack() as stack:
+        with shown.step("starting three processes") as bar:
+            supervisor = stack.enter_context(supervised(launch.services, launch.directory, bar.update))
+        yield supervisor
+
+
+def drive(launch: Launch, choice: Choice, shown: Bars, supervisor: Supervisor) -> Driven:
+    """What the sequence left behind, however far it came.
+
+    Raises ServiceFailed when a service has ended by itself: that explains whatever else went wrong.
+    """
+    rig = RestRig(launch.rest_url)
+    recorder = Recorder(rig, shown)
+    failure: LongreachError | None = None
+    with StateSampler(launch.rest_url) as sampler:
+        try:
+            with shown.step("waiting for links and camera"):
+                rig.wait_healthy(_HEALTHY_S)
+            demonstrate(rig, recorder, choice.looks)
+        except LongreachError as error:
+            supervisor.check()
+            failure = error
+        finally:
+            rig.close()
+    return Driven(recorder.rests, sampler.views, sampler.cycle, failure)
+
+
+def _details(launch: Launch, driven: Driven, faults: Sequence[FaultRecord]) -> dict[str, Any]:
+    details: dict[str, Any] = {"directory": launch.directory}
+    if driven.failure is not None:
+        details["failure"] = f"{driven.failure.cause}: {driven.failure}"
+    if driven.cycle is not None:
+        details["controller_cycle"] = driven.cycle
+    if faults:
+        details["faults"] = [fault._asdict() for fault in faults]
+    return details

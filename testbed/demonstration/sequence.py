@@ -1,0 +1,193 @@
+"""The demonstration as a sequence of operations, the same over the REST face and in lockstep.
+
+Orientation adjustment, local calibration by trajectory matching, then look-then-moves, with a look wherever
+the arm comes to rest. What was true at those times is found out afterwards, from the plant's own recording.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plant_emulator.core.truth import PlantTruth, tool_error
+from protocol.errors import MeasurementFailed
+from protocol.pose import Pose
+from testbed.reporting.console import Bar, Bars
+from testbed.reporting.outcome import Array, Errors, Stage
+from testbed.reporting.plots import Traces
+from testbed.reporting.report import Picture
+from vision_pc.core.se3 import angle_between, from_pose
+
+JSON = dict[str, Any]
+_AROUND_NS = 250_000_000  # truth is averaged over a quarter of a second on either side of a look's time
+
+
+class Rig(Protocol):
+    """What the sequence drives: vision's REST face, or the same programs in lockstep.
+
+    Every method raises LongreachError with the cause that the face would give.
+    """
+
+    def command(self, name: str) -> None:
+        """Nothing; a command of the REST face, such as ``enable``, was accepted."""
+        ...
+
+    def operate(self, kind: str, body: JSON, bar: Bar) -> JSON:
+        """The result of an operation, once it has succeeded."""
+        ...
+
+    def latest_look(self) -> JSON:
+        """The latest look of any operation."""
+        ...
+
+    def picture(self) -> bytes:
+        """The newest picture with detections, PNG."""
+        ...
+
+    def now_ns(self) -> int:
+        """The time on vision's clock."""
+        ...
+
+
+class Rest(NamedTuple):
+    """The arm at rest at ``time_ns`` of vision's clock; ``look`` None where the look failed."""
+
+    label: str
+    look_number: int
+    time_ns: int
+    look: JSON | None
+    note: str
+    picture: Picture
+
+
+class TimedTruth(NamedTuple):
+    """What was true at ``time_ns`` of vision's clock."""
+
+    time_ns: int
+    truth: PlantTruth
+
+
+class Recorder:
+    """Gathers where the arm rested, step by step, so that a run that fails still shows how far it came."""
+
+    def __init__(self, rig: Rig, bars: Bars) -> None:
+        self.rests: list[Rest] = []
+        self._rig = rig
+        self._bars = bars
+
+    def step(self, label: str, kind: str, body: JSON, *, look_number: int = 0) -> None:
+        """Nothing; ``kind`` was operated and what a look shows after it is noted under ``label``."""
+        with self._bars.step(label) as bar:
+            result = self._rig.operate(kind, body, bar)
+            looks_itself = kind in ("look", "look-then-move")
+            look = self._rig.latest_look() if looks_itself else self._look(bar)
+            time_ns = self._rig.now_ns() if look is None else int(look["time_ns"])
+            picture = Picture(f"after: {label}", self._rig.picture())
+            self.rests.append(Rest(label, look_number, time_ns, look, note_of(kind, result), picture))
+
+    def _look(self, bar: Bar) -> JSON | None:
+        try:
+            self._rig.operate("look", {}, bar)
+        except MeasurementFailed:
+            return None
+        return self._rig.latest_look()
+
+
+def demonstrate(rig: Rig, recorder: Recorder, looks: int) -> None:
+    """Nothing; the whole sequence is done and noted in ``recorder``. Raises what stopped it."""
+    rig.command("enable")
+    recorder.step("start", "look", {})
+    recorder.step("orientation adjustment", "orientation-adjustment", {})
+    recorder.step("trajectory matching", "trajectory-matching", {})
+    for number in range(1, looks + 1):
+        recorder.step(f"look {number}", "look-then-move", {"inputs": 1}, look_number=number)
+
+
+def note_of(kind: str, result: JSON) -> str:
+    """What an operation says about its own quality, in words."""
+    if kind == "trajectory-matching":
+        return (
+            f"{result['samples']} samples, rotation known to {result['rotation_std_deg']:.2f}°, residuals "
+            f"along the base's axes: mean {_xyz(result['residual_mean_mm'])} mm, greatest "
+            f"{_xyz(result['residual_max_mm'])} mm"
+        )
+    if kind == "look-then-move":
+        if not result["steps"]:
+            return "already at the aim: no step was made"
+        step = result["steps"][0]
+        return (
+            f"step {_xyz(step['p_lc_mm'])} mm in the base, expected to end within "
+            f"{_xyz(step['expected_std_mm'])} mm (1 σ, camera axes); found {result['verdict']} the "
+            f"tolerance, {'certainly' if result['certain'] else 'not certainly'}"
+        )
+    if kind == "orientation-adjustment":
+        return f"Euler angles {_xyz(result['before_deg'])}° before, {_xyz(result['after_deg'])}° after"
+    return ""
+
+
+def _xyz(values: JSON) -> str:
+    return "/".join(f"{values[axis]:.1f}" for axis in "xyz")
+
+
+def stages(rests: Sequence[Rest], truths: Sequence[TimedTruth], clearance_m: float) -> tuple[Stage, ...]:
+    """The rests with what was true then; times count from the first truth."""
+    times_ns = np.array([truth.time_ns for truth in truths], dtype=np.int64)
+    return tuple(
+        Stage(
+            rest.label,
+            rest.look_number,
+            1e-9 * (rest.time_ns - int(times_ns[0])),
+            None if rest.look is None else _seen(rest.look, clearance_m),
+            _true(rest.time_ns, times_ns, truths, clearance_m),
+            rest.note,
+        )
+        for rest in rests
+    )
+
+
+def _seen(look: JSON, clearance_m: float) -> Errors:
+    X_CM, X_CO = _matrix(look["X_CM"]), _matrix(look["X_CO"])
+    p = X_CO[:3, 3] - X_CM[:3, 3] - np.array([0.0, 0.0, clearance_m])
+    return Errors(p, angle_between(X_CM[:3, :3], X_CO[:3, :3]))
+
+
+def _matrix(pose: JSON) -> Array:
+    x, y, z = pose["p_m"]
+    w, i, j, k = pose["q_wxyz"]
+    return from_pose(Pose((x, y, z), (w, i, j, k)))
+
+
+def _true(
+    time_ns: int, times_ns: NDArray[np.int64], truths: Sequence[TimedTruth], clearance_m: float
+) -> Errors:
+    """The mean of the truths around ``time_ns``; NaN, which passes no limit, where there are none."""
+    around = [truths[int(i)].truth for i in np.flatnonzero(np.abs(times_ns - time_ns) <= _AROUND_NS)]
+    if not around:
+        return Errors(np.full(3, np.nan), float("nan"))
+    errors = np.array([tool_error(truth, clearance_m) for truth in around])
+    angles = [angle_between(truth.R_CM, truth.R_CO) for truth in around]
+    return Errors(errors.mean(axis=0), float(np.mean(angles)))
+
+
+class View(NamedTuple):
+    """The controller's own view at ``time_ns`` of vision's clock, for the report's curves."""
+
+    time_ns: int
+    p_m: Sequence[float]
+    q_cmd_rad: Sequence[float]
+    q_meas_rad: Sequence[float]
+
+
+def traces(truths: Sequence[TimedTruth], views: Sequence[View], clearance_m: float) -> Traces:
+    """The run's curves; times count from the first truth."""
+    begin_ns = truths[0].time_ns
+    return Traces(
+        true_time_s=np.array([1e-9 * (truth.time_ns - begin_ns) for truth in truths]),
+        true_p_m=np.array([truth.truth.X_WT[:3, 3] for truth in truths]),
+        true_error_m=np.array([tool_error(truth.truth, clearance_m) for truth in truths]),
+        view_time_s=np.array([1e-9 * (view.time_ns - begin_ns) for view in views]),
+        view_p_m=np.array([view.p_m for view in views]).reshape(-1, 3),
+        q_cmd_rad=np.array([view.q_cmd_rad for view in views]).reshape(-1, 6),
+        q_meas_rad=np.array([view.q_meas_rad for view in views]).reshape(-1, 6),
+    )

@@ -1,0 +1,201 @@
+"""Hua et al. 2024, Fig. 7: error of X against the noise level d, every method and the Cramér-Rao bound.
+
+Level d means 0.01 d degrees and 0.02 d millimetres a component. ``NoiseOn`` says what is noisy: the paper
+writes "the camera motion"; absolute poses of camera or robot are what a real session has.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from protocol.errors import MeasurementFailed
+from testbed.experiments.hand_eye import scenes
+from testbed.experiments.hand_eye.scenes import Scene
+from vision_pc.core import se3
+from vision_pc.core.hand_eye.solvers import methods
+from vision_pc.core.hand_eye.solvers.methods import Method
+from vision_pc.core.hand_eye.solvers.noise import NoiseSource
+from vision_pc.core.hand_eye.solvers.robust import RobustSettings
+from vision_pc.core.se3 import Array
+
+ROTATION_DEG, TRANSLATION_MM = 0.01, 0.02
+CAMERA_ONLY = "robust (camera noise assumed)"
+MOTION_METHODS = (
+    Method.TSAI,
+    Method.PARK,
+    Method.HORAUD,
+    Method.DANIILIDIS,
+    Method.DQCR_PUBLISHED,
+    Method.DQCR,
+    Method.JOINT,
+    Method.MAXIMUM_LIKELIHOOD,
+)
+
+
+class NoiseOn(StrEnum):
+    """What is noisy."""
+
+    CAMERA_POSES = "camera-poses"
+    ROBOT_POSES = "robot-poses"
+    CAMERA_MOTIONS = "camera-motions"
+
+
+@dataclass(frozen=True)
+class SweepRow:
+    """One method at one noise level: root-mean-square errors; ``failed`` runs raised an error.
+
+    ``nees`` is the mean normalised squared error by the method's own covariance (6 when honest);
+    ``least_eigenvalue`` the worst certificate; ``dropped`` the good samples it left out, over all runs.
+    """
+
+    noise_on: str
+    level: int
+    method: str
+    rotation_deg: float
+    translation_mm: float
+    bound_rotation_deg: float
+    bound_translation_mm: float
+    runs: int
+    failed: int
+    nees: float | None = None
+    least_eigenvalue: float | None = None
+    dropped: int | None = None
+
+    @property
+    def rotation_over_bound(self) -> float:
+        """1 is as good as an unbiased estimator can be."""
+        return self.rotation_deg / self.bound_rotation_deg
+
+    @property
+    def translation_over_bound(self) -> float:
+        """1 is as good as an unbiased estimator can be."""
+        return self.translation_mm / self.bound_translation_mm
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """All rows, and the largest difference between DQCR as published and in closed form over all runs."""
+
+    rows: tuple[SweepRow, ...]
+    dqcr_difference: float
+
+    def as_json(self) -> dict[str, Any]:
+        """For ``--json``."""
+        return {"rows": [asdict(row) for row in self.rows], "dqcr_largest_difference": self.dqcr_difference}
+
+
+@dataclass
+class _Tally:
+    """Errors (6,) of one method over the runs of a level, and what else was told of them."""
+
+    errors: list[Array] = field(default_factory=list)
+    nees: list[float] = field(default_factory=list)
+    eigenvalues: list[float] = field(default_factory=list)
+    failed: int = 0
+    dropped: int = 0
+
+    def row(self, noise_on: NoiseOn, level: int, method: str, bound: scenes.Bound) -> SweepRow:
+        E = np.array(self.errors).reshape(-1, 6)
+        rms = (
+            np.sqrt(np.mean(np.sum(E.reshape(-1, 2, 3) ** 2, axis=-1), axis=0)) if len(E) else [math.nan] * 2
+        )
+        return SweepRow(
+            noise_on.value,
+            level,
+            method,
+            math.degrees(rms[1]),
+            1e3 * float(rms[0]),
+            bound.rotation_deg,
+            bound.translation_mm,
+            len(E) + self.failed,
+            self.failed,
+            float(np.mean(self.nees)) if self.nees else None,
+            min(self.eigenvalues) if self.eigenvalues else None,
+            self.dropped if self.nees else None,
+        )
+
+
+def noise_sweep(
+    noise_on: NoiseOn = NoiseOn.CAMERA_POSES,
+    runs: int = 200,
+    levels: Iterable[int] = range(1, 11),
+    seed: int = 1,
+    only: Iterable[Method] | None = None,
+    scene: Scene | None = None,
+) -> Sweep:
+    """Errors of every method, or ``only`` some, at each level over ``runs`` seeded runs."""
+    scene = scene or scenes.table_1_scene()
+    chosen = tuple(only) if only is not None else tuple(Method)
+    rows: list[SweepRow] = []
+    difference = 0.0
+    for level in levels:
+        n = scenes.noise(ROTATION_DEG * level, TRANSLATION_MM * level, noise_on is NoiseOn.ROBOT_POSES)
+        bound = scenes.bound(scene, n, noise_on is NoiseOn.CAMERA_MOTIONS)
+        tallies: dict[str, _Tally] = {}
+        for run in range(runs):
+            found = _run(scene, n, noise_on, np.random.default_rng([seed, level, run]), chosen, tallies)
+            if Method.DQCR in found and Method.DQCR_PUBLISHED in found:
+                gap = np.abs(found[Method.DQCR] - found[Method.DQCR_PUBLISHED]).max()
+                difference = max(difference, float(gap))
+        rows += [tally.row(noise_on, level, name, bound) for name, tally in tallies.items()]
+    return Sweep(tuple(rows), difference)
+
+
+def level_of(task: dict[str, Any]) -> dict[str, Any]:
+    """One level as the run of a campaign: ``rows``, and ``dqcr_largest_difference``."""
+    return noise_sweep(NoiseOn(task["noise_on"]), task["runs"], [task["level"]], task["seed"]).as_json()
+
+
+def gathered(levels: Iterable[dict[str, Any]]) -> Sweep:
+    """The sweep whose levels a campaign has made."""
+    levels = tuple(levels)
+    rows = tuple(SweepRow(**row) for level in levels for row in level["rows"])
+    return Sweep(rows, max(level["dqcr_largest_difference"] for level in levels))
+
+
+def _run(
+    scene: Scene,
+    n: Any,
+    noise_on: NoiseOn,
+    rng: np.random.Generator,
+    chosen: tuple[Method, ...],
+    tallies: dict[str, _Tally],
+) -> dict[Method, Array]:
+    """All methods on one noisy data set, entered into ``tallies``; X by method."""
+    found: dict[Method, Array] = {}
+    if noise_on is NoiseOn.CAMERA_MOTIONS:
+        motions = scenes.measured_motions(scene, n, rng)
+        for method in MOTION_METHODS:
+            if method in chosen:
+                tally = tallies.setdefault(method.value, _Tally())
+                try:
+                    found[method] = methods.solve_motions(motions, method)
+                    tally.errors.append(se3.local(found[method], scene.X))
+                except MeasurementFailed:
+                    tally.failed += 1
+        return found
+    pairs = scenes.measured(scene, n, rng)
+    variants = [(m.value, m, RobustSettings()) for m in chosen]
+    if noise_on is NoiseOn.ROBOT_POSES and Method.ROBUST in chosen:
+        variants.append((CAMERA_ONLY, Method.ROBUST, RobustSettings(source=NoiseSource.CAMERA)))
+    for name, method, settings in variants:
+        tally = tallies.setdefault(name, _Tally())
+        try:
+            result = methods.solve(pairs, method, settings)
+        except MeasurementFailed:
+            tally.failed += 1
+            continue
+        if name == method.value:
+            found[method] = result.X
+        error = se3.local(result.X, scene.X)
+        tally.errors.append(error)
+        if result.certificate is not None:
+            tally.eigenvalues.append(result.certificate.least_eigenvalue)
+        if result.covariance is not None:
+            tally.nees.append(float(error @ np.linalg.solve(result.covariance, error)))
+            tally.dropped += int((~result.inliers).sum())
+    return found

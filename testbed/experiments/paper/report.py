@@ -1,0 +1,53 @@
+"""The comparison with the paper as one HTML file with everything in it."""
+
+import base64
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader
+
+from testbed.campaigns.row_file import Row
+from testbed.experiments.paper import published
+from testbed.experiments.paper.comparison import TABLES, Compared, Conclusion
+
+EYES = {
+    "opencv": "rendered pictures, markers by OpenCV from the left lens as in the paper",
+    "pixels": "rendered pictures, markers by Longreach's own stereo edges",
+    "model": "no pictures: an eye model whose noise and failures were measured from pictures",
+}
+
+
+def write_comparison(
+    asked: Any,
+    beside: Mapping[str, Sequence[Compared]],
+    concluded: Mapping[str, Sequence[Conclusion]],
+    pictures: Mapping[str, bytes],
+    rows: Mapping[str, Sequence[Row]],
+) -> Path:
+    """The HTML file in ``asked.directory``: tables side by side, conclusions, figures, and every run."""
+    environment = Environment(loader=PackageLoader("testbed.reporting"), autoescape=True)
+    html = environment.get_template("comparison.html.j2").render(
+        asked=asked,
+        eyes=EYES[asked.eyes],
+        tables=[(TABLES[name].title, beside[name], concluded[name]) for name in beside],
+        figures=[(name, published.FIGURES[name], _data_uri(png)) for name, png in pictures.items()],
+        kinds=[(kind, _columns(done), done) for kind, done in rows.items()],
+        written=time.strftime("%Y-%m-%d %H:%M:%S"),
+    )
+    path: Path = asked.directory / f"{'-'.join([*beside, *pictures])}.html"
+    path.write_text(html, encoding="utf-8")
+    return path
+
+
+def _columns(rows: Sequence[Row]) -> list[str]:
+    """What is told of every run: its seed, its errors after each input, and what stopped it."""
+    wanted = ["seed", "configuration", "payload_kg", "mount_deg", "rotation_error_deg"]
+    wanted += [f"{stage}_{axis}_mm" for stage in ("input1", "input2") for axis in "xyz"]
+    wanted += ["run_s", "failure"]
+    return [column for column in wanted if any(row.get(column) is not None for row in rows)]
+
+
+def _data_uri(png: bytes) -> str:
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")

@@ -1,0 +1,103 @@
+"""One run of the best mode: turn parallel, three legs, then the same look driven in one go and corrected.
+
+The world is forked after the calibration, so that the strictly one-shot drive, the corrected one and the
+second look begin from the very same arm, oil and noise.
+"""
+
+import copy
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from foundation.configuration import merged, parse_overrides
+from plant_emulator.core.truth import tool_error
+from protocol.errors import LongreachError
+from testbed.experiments.positioning.scenarios import draw
+from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.rig import LockstepRig, SightMaker
+from testbed.lockstep.simulated_measurements import ModelSight, load_eye_model
+from testbed.reporting.console import bars
+from testbed.scenarios.settings import load_settings
+
+_AVERAGED = 25  # truths at 50 Hz: half a second at rest
+JSON = dict[str, Any]
+
+
+def one_run(config_dir: Path, task: JSON) -> JSON:
+    """The row of one seeded run; ``task`` has seed, arm, harder, eyes, assignments.
+
+    A program that refuses or fails ends its branch; what it said is in the row, and no figure stands for it.
+    """
+    began = time.perf_counter()
+    drawn = draw(config_dir, task["seed"], task["arm"], task["harder"])
+    row: JSON = {"seed": task["seed"], "arm": task["arm"], **drawn.shown}
+    try:
+        rig = prepared(config_dir, task)
+        row["start_mm"] = float(np.linalg.norm(true_error_mm(rig)[:2]))
+    except LongreachError as error:
+        return row | {"stopped": f"{error.cause}: {error}"}
+    calibrated = rig
+    one_shot = copy.deepcopy(calibrated)
+    for name, branch, body in (("one_shot", one_shot, {"corrections": 0}), ("look1", rig, {})):
+        row |= driven(branch, name, body)
+    if not row.get("look1_stopped"):
+        row |= driven(rig, "look2", {})
+    row["simulated_s"] = 1e-9 * rig.world.time_ns
+    row["wall_s"] = time.perf_counter() - began
+    return row
+
+
+def prepared(config_dir: Path, task: JSON, sight: SightMaker | None = None) -> LockstepRig:
+    """The rig of a scenario, turned parallel to the object, its local track recorded.
+
+    ``sight`` overrules what ``task`` says of the eyes.
+    """
+    drawn = draw(config_dir, task["seed"], task["arm"], task["harder"])
+    settings = load_settings(config_dir, merged(drawn.overrides, parse_overrides(task["assignments"])))
+    if sight is None and task["eyes"] == "model":
+        model = load_eye_model(config_dir, "harder" if task["harder"] else "usual")
+        sight = partial(ModelSight, model=model, seed=task["seed"])
+    rig = LockstepRig(settings, task["seed"], EventLog(), sight)
+    rig.command("enable")
+    operate(rig, "orientation-adjustment", {})
+    operate(rig, "local-track", {})
+    return rig
+
+
+def driven(rig: LockstepRig, name: str, body: JSON) -> JSON:
+    """Columns ``name``_… of one look and its drive: true error, what was predicted and measured, floor."""
+    try:
+        result = operate(rig, "look-then-move", {"method": "corrected", "aim_mm": 0.0} | body)
+    except LongreachError as error:
+        return {f"{name}_stopped": f"{error.cause}: {error}"}
+    error_mm = true_error_mm(rig)
+    state = rig.link.state
+    off_mm = 1e3 * (np.array(state.X_BT.p_m) - np.array(result["steps"][-1]["X_BT_ref"]["p_m"]))
+    X_BC = np.linalg.inv(rig.world.plant.truth().X_WB) @ rig.world.plant.truth().X_WC
+    row: JSON = {}
+    for axis, true, floor in zip("xyz", error_mm, X_BC[:3, :3].T @ off_mm, strict=True):
+        row[f"{name}_true_{axis}_mm"] = float(true)
+        row[f"{name}_servo_{axis}_mm"] = float(floor)
+        row[f"{name}_std_{axis}_mm"] = result["steps"][0]["expected_std_mm"][axis]
+        row[f"{name}_measured_{axis}_mm"] = result["measured_miss_mm"][axis]
+        row[f"{name}_look_{axis}_mm"] = result["error_mm"][axis]
+    row[f"{name}_worst_mm"] = float(np.abs(error_mm[:2]).max())
+    row[f"{name}_steps"] = len(result["steps"])
+    row[f"{name}_ended"] = result["ended"]
+    return row
+
+
+def operate(rig: LockstepRig, kind: str, body: JSON) -> JSON:
+    """The result of one of the station's programs."""
+    with bars(quiet=True) as shown, shown.step(kind) as bar:
+        return rig.operate(kind, body, bar)
+
+
+def true_error_mm(rig: LockstepRig) -> Any:
+    """The true error (3,) in camera axes over the last half second, in which nothing moved."""
+    clearance_m = rig.world.settings.vision.programs.positioning.clearance_m
+    truths = rig.world.truths[-_AVERAGED:]
+    return 1e3 * np.mean([tool_error(truth, clearance_m) for truth in truths], axis=0)

@@ -1,0 +1,141 @@
+"""`longreach experiment path-information`: which calibration path tells most about where a goal will be hit.
+
+For a map that is linear in its unknowns the information matrix depends on the path alone. It is computed for
+each candidate, together with the prior, and carried to goals all round: what the path leaves unknown of them
+is what counts, not the residuals along it.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
+from testbed.experiments.positioning.scenarios import arm_files
+from testbed.reporting.console import out, table, write_json
+from testbed.scenarios.settings import load_settings
+from vision_pc.config.programs import ProgramSettings
+from vision_pc.core.calibration.backlash import taken_up
+from vision_pc.core.calibration.line_equation import circle
+from vision_pc.core.calibration.local_calibration import rotation_information
+from vision_pc.core.calibration.local_error_model import planned_covariance, three_legs
+from vision_pc.core.calibration.trajectory_matching import asymmetric_path
+from vision_pc.core.se3 import Array, transform
+
+RATE_HZ = 10.0
+SPEED_M_S = 0.25
+ACCELERATION_M_S2 = 0.25
+GOAL_M = 0.6
+Waypoints = Callable[[Array, ProgramSettings], list[Array]]
+
+
+class Track(NamedTuple):
+    """Poses (n, 4, 4) at the camera's rate, the tool's speed (n,) there, and the time it takes."""
+
+    X_BT: Array
+    speed: Array
+    time_s: float
+
+
+def _moved(X_BT: Array, *corners: tuple[float, float, float]) -> list[Array]:
+    """Waypoints at offsets along the tool's axes, and back to where it stands."""
+    R, p = X_BT[:3, :3], X_BT[:3, 3]
+    return [transform(R, p + R @ np.array(corner)) for corner in (*corners, (0.0, 0.0, 0.0))]
+
+
+CANDIDATES: dict[str, Waypoints] = {
+    "straight, 0.6 m": lambda X, s: _moved(X, (-0.6, 0.0, 0.0)),
+    "circle of the line equation, 0.2 m": lambda X, s: circle(X, 0.2, 18),
+    "planar, the paper's zigzag": lambda X, s: asymmetric_path(X, s.trajectory),
+    "two legs, planar": lambda X, s: _moved(X, (-0.3, -0.3, 0.0), (0.0, -0.3, 0.0)),
+    "three legs of 0.1 m": lambda X, s: three_legs(X, 0.1),
+    "three legs of 0.2 m": lambda X, s: three_legs(X, 0.2),
+    "three legs of 0.3 m": lambda X, s: three_legs(X, 0.3),
+    "six legs of 0.2 m": lambda X, s: _moved(
+        X, (0.0, 0.0, -0.2), (-0.2, 0.0, -0.2), (-0.2, -0.2, -0.2), (-0.2, -0.2, 0.0), (-0.2, 0.0, 0.0)
+    ),
+    "three legs, there and back": lambda X, s: [*three_legs(X, 0.2), *three_legs(X, 0.2)[::-1], X],
+}
+
+
+def driven(start: Array, waypoints: list[Array], dwell_s: float) -> Track:
+    """The track from ``start`` through ``waypoints``: quintic in time, at rest for ``dwell_s`` at each."""
+    poses, speeds, time_s = [start], [0.0], 0.0
+    for begin, end in zip([start, *waypoints], waypoints, strict=False):
+        way = end[:3, 3] - begin[:3, 3]
+        length = float(np.linalg.norm(way))
+        duration_s = max(
+            1.875 * length / SPEED_M_S, (5.7735 * length / ACCELERATION_M_S2) ** 0.5, 1.0 / RATE_HZ
+        )
+        for u in np.linspace(0.0, 1.0, max(round(duration_s * RATE_HZ), 1) + 1)[1:]:
+            share = u**3 * (10.0 + u * (6.0 * u - 15.0))
+            rate = 30.0 * u**2 * (1.0 - u) ** 2 / duration_s
+            poses.append(transform(begin[:3, :3], begin[:3, 3] + share * way))
+            speeds.append(rate * length)
+        resting = round(dwell_s * RATE_HZ)
+        poses += [end] * resting
+        speeds += [0.0] * resting
+        time_s += duration_s + dwell_s
+    return Track(np.array(poses), np.array(speeds), time_s)
+
+
+def run_experiment(config_dir: Path, arm: str, json_file: Path | None) -> bool:
+    """Whether no candidate of the used path's length and time beats it by more than a tenth; prints all."""
+    settings = load_settings(config_dir, arm_files(config_dir, arm))
+    programs = settings.vision.programs
+    X_BT = tool_pose(dh_table(settings.arm.dh), np.radians(settings.plant.start_pose_deg))
+    steps = _goals()
+    figures: list[dict[str, Any]] = []
+    used_name = f"three legs of {programs.local_map.leg_m:.1f} m"
+    for name, waypoints in CANDIDATES.items():
+        *corners, end = waypoints(X_BT, programs)
+        path = [*corners, taken_up(end, programs.local_map.take_up_rad), end]
+        track = driven(X_BT, path, programs.local_map.dwell_s)
+        covariances = planned_covariance(track.X_BT, track.speed, steps, programs.local_map)
+        worst_mm = 1e3 * np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
+        turn = np.linalg.eigvalsh(rotation_information(track.X_BT[:, :3, 3], np.ones(len(track.X_BT))))
+        figures.append(
+            {
+                "path": name + (" (used)" if name == used_name else ""),
+                "length_m": float(np.linalg.norm(np.diff(track.X_BT[:, :3, 3], axis=0), axis=1).sum()),
+                "time_s": track.time_s,
+                "least_information": float(turn[0] / len(track.X_BT)),
+                "condition": float(turn[-1] / max(turn[0], 1e-12)),
+                "goal_rms_mm": float(np.sqrt(np.mean(worst_mm**2))),
+                "goal_worst_mm": float(worst_mm.max()),
+            }
+        )
+    shown = [
+        [
+            f["path"],
+            f"{f['length_m']:.2f}",
+            f"{f['time_s']:.1f}",
+            f"{f['condition']:.1f}" if f["condition"] < 1e6 else "∞",
+            f"{f['goal_rms_mm']:.2f}",
+            f"{f['goal_worst_mm']:.2f}",
+        ]
+        for f in figures
+    ]
+    headings = ["path", "length m", "time s", "condition", "rms mm", "worst mm"]
+    out.print(table(f"σ that each path leaves of a goal {GOAL_M:g} m off, {arm}", headings, shown))
+    used = next(f for f in figures if "used" in f["path"])
+    better = [
+        f["path"]
+        for f in figures
+        if f["length_m"] <= used["length_m"] + 1e-3
+        and f["time_s"] <= used["time_s"] + 0.1
+        and f["goal_rms_mm"] < 0.9 * used["goal_rms_mm"]
+    ]
+    out.print("no candidate as short is better by a tenth" if not better else f"better: {', '.join(better)}")
+    write_json(json_file, {"arm": arm, "goal_m": GOAL_M, "paths": figures, "better": better})
+    return not better
+
+
+def _goals() -> Array:
+    """Steps (n, 3) in B, evenly over a sphere."""
+    count = 60
+    z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    turn = np.pi * (1.0 + 5.0**0.5) * np.arange(count)
+    r = np.sqrt(1.0 - z**2)
+    return GOAL_M * np.column_stack([r * np.cos(turn), r * np.sin(turn), z])

@@ -1,0 +1,257 @@
+"""Kills and suspensions of the controller at random points of random motions, three real processes.
+
+What is shown: the plant closes its valves by its own watchdog, and nothing moves again by itself, neither
+when a suspended controller goes on nor when a new one starts. Judged by the plant's own recording of the
+true spools, on the plant's clock, and by the status bits in its registers.
+"""
+
+import os
+import signal
+import struct
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conformance.master import READ_HOLDING, Master, read_request
+from foundation.configuration import merged, parse_overrides
+from plant_emulator.shell.recording import Recording, read_truth
+from protocol.errors import LinkLost
+from protocol.faults import CommandCode, FaultCode, GroupState, Reason
+from protocol.process_image import (
+    INPUT_ADDRESS,
+    INPUT_WORDS,
+    STATUS_VALVES_ENABLED,
+    STATUS_WATCHDOG_TRIPPED,
+    decode_sensors,
+)
+from testbed.realtime.launch import CONTROLLER, PLANT, Launch, prepare
+from testbed.realtime.live_client import LiveClient
+from testbed.realtime.supervisor import Service, Supervisor, supervised
+from testbed.reporting.console import bars, out, table, write_json
+
+SHUT = 2e-3  # of spool: within the overlap, where no oil flows
+CLOSING_MS = 30.0  # drive electronics and servo valve, from the centred word to the shut spool
+KILL, SUSPEND, SUSPEND_LONG = "kill", "suspend", "suspend 5 s"
+_STATUS_AFTER_S = 0.3  # the registers are asked: after the motion watchdog, before the coupler's of 1 s
+_QUIET_S = 0.5  # how long nothing may happen once the controller is back
+_TRUTH_HZ = 250.0
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One kill or suspension. Times are of the monotonic clock; ``fault``: what the controller then said."""
+
+    kind: str
+    signal_ns: int
+    end_ns: int
+    tripped: bool
+    disabled: bool
+    group: str
+    fault: str
+
+
+class Onlooker:
+    """A second master that only reads."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._master = Master(host, port, 1, outputs=False)
+
+    def status(self) -> int:
+        """The plant's status bits."""
+        answer = self._master.ask(read_request(READ_HOLDING, INPUT_ADDRESS, INPUT_WORDS))
+        return decode_sensors(list(struct.unpack(f">{INPUT_WORDS}H", answer[2:]))).status
+
+    def close(self) -> None:
+        """Hang up."""
+        self._master.hang_up()
+
+
+class Rig:
+    """A plant that stays up, and controllers that come and go."""
+
+    def __init__(self, launch: Launch, supervisor: Supervisor) -> None:
+        self._supervisor = supervisor
+        services = {service.name: service for service in launch.services}
+        self._controller: Service = services[CONTROLLER]
+        modbus, link = launch.settings.plant_service.modbus, launch.settings.controller.reference_link
+        self.onlooker = Onlooker(modbus.host, modbus.port)
+        self.client = LiveClient(link.host, link.port)
+
+    @property
+    def pid(self) -> int:
+        """The controller's process number."""
+        return self._supervisor.children[CONTROLLER].pid
+
+    def kill(self) -> None:
+        """SIGKILL, and the remains are cleared away."""
+        self._supervisor.children[CONTROLLER].kill()
+
+    def start(self) -> None:
+        """A controller that is ready."""
+        self._supervisor.start(self._controller)
+
+    def moving(self, rng: np.random.Generator) -> None:
+        """The arm in the middle of a random motion."""
+        client = self.client
+        state = client.state if client.connected and client.state is not None else client.connect()
+        if state.group_state is GroupState.ERROR_STOP:
+            client.until(lambda s: s.group_state is GroupState.ERROR_STOP, 5.0)
+            insist(client, CommandCode.RESET)
+        insist(client, CommandCode.ENABLE)
+        state = client.until(lambda s: s.group_state is GroupState.STANDBY, 5.0)
+        y, z = state.X_BT.p_m[1], state.X_BT.p_m[2]
+        aim = (rng.uniform(0.15, 0.3) * (-1.0 if y > 0.0 else 1.0), rng.uniform(0.9, 1.3) - z)
+        answer = client.move_by((0.0, *aim))
+        if answer.reason is not Reason.ACCEPTED:
+            raise LinkLost("link.refused", f"a motion by {aim} m was refused: {answer}")
+        client.until(lambda s: max(map(abs, s.valves)) > 0.01, 2.0)
+        client.pump(rng.uniform(0.0, 1.0))
+
+    def close(self) -> None:
+        """Hang up."""
+        self.onlooker.close()
+        self.client.__exit__(None, None, None)
+
+
+def insist(client: LiveClient, code: CommandCode) -> None:
+    """Nothing; the command was accepted, within the time that a watchdog takes to be armed again."""
+    deadline_s = time.monotonic() + 3.0
+    while (reason := client.command(code)) not in (Reason.ACCEPTED, Reason.ALREADY_DONE, Reason.NOT_IN_ERROR):
+        if time.monotonic() > deadline_s:
+            raise LinkLost("link.refused", f"{code.name} is refused: {reason.name}")
+        client.pump(0.05)
+
+
+def one_trial(rig: Rig, kind: str, rng: np.random.Generator) -> Trial:
+    """A kill or a suspension within a motion, and what the registers said before the controller was back."""
+    rig.moving(rng)
+    signal_ns = time.monotonic_ns()
+    if kind == KILL:
+        rig.kill()
+    else:
+        os.kill(rig.pid, signal.SIGSTOP)
+    rig.client.pump(_STATUS_AFTER_S)  # vision is there all the while, and may see no loss
+    status = rig.onlooker.status()
+    if kind == KILL:
+        rig.start()
+    else:
+        rig.client.pump(5.0 if kind == SUSPEND_LONG else rng.uniform(0.0, 0.5))
+        os.kill(rig.pid, signal.SIGCONT)
+    rig.client.pump(_QUIET_S)
+    if not rig.client.connected or kind == KILL:
+        rig.client.connect()
+    state = rig.client.until(lambda s: True, 2.0)
+    return Trial(
+        kind=kind,
+        signal_ns=signal_ns,
+        end_ns=time.monotonic_ns(),
+        tripped=bool(status & STATUS_WATCHDOG_TRIPPED),
+        disabled=not status & STATUS_VALVES_ENABLED,
+        group=GroupState(state.group_state).name,
+        fault=FaultCode(state.fault).name,
+    )
+
+
+class Judge:
+    """The plant's recording, asked about one trial after the other."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._log_ns = recording.log_ns()
+        self._plant_ns: NDArray[np.float64] = recording.stacked("time_ns")
+        self._opening = np.abs(recording.stacked("spools")).max(axis=1)
+
+    def row(self, trial: Trial, limit_ms: float) -> dict[str, Any]:
+        """The trial with its figures: ms on the plant's clock from the signal to the shut spool, and after.
+
+        ``resumed``: whether any spool opened again before somebody asked for it.
+        """
+        begin, end = np.searchsorted(self._log_ns, [trial.signal_ns, trial.end_ns])
+        opening, at_ms = self._opening[begin:end], 1e-6 * (self._plant_ns[begin:end] - self._plant_ns[begin])
+        shut_ms = float(at_ms[np.flatnonzero(opening > SHUT)[-1]]) if (opening > SHUT).any() else 0.0
+        resumed = bool((opening[at_ms > limit_ms] > SHUT).any())
+        row = asdict(trial) | {
+            "opening_at_signal": float(self._opening[max(begin - 1, 0)]),
+            "shut_ms": shut_ms,
+            "resumed": resumed or trial.group in ("STANDBY", "MOVING", "STOPPING"),
+        }
+        row["pass"] = shut_ms <= limit_ms and not row["resumed"] and trial.tripped and trial.disabled
+        return row
+
+
+@contextmanager
+def trial_rig(config_dir: Path, assignments: list[str], directory: Path) -> Iterator[tuple[Launch, Rig]]:
+    """Plant and controller running, without anybody at the camera, and a client that is not yet connected."""
+    overrides = merged(
+        {
+            "plant_service": {"truth_hz": _TRUTH_HZ, "renderer_scheduling": "normal"},
+            "scene": {"camera": {"rate_hz": 1.0}},  # nobody looks
+        },
+        parse_overrides(assignments),
+    )
+    launch = prepare(config_dir, overrides, directory, any_ports=True)
+    services = [service for service in launch.services if service.name in (PLANT, CONTROLLER)]
+    with supervised(services, directory) as supervisor:
+        rig = Rig(launch, supervisor)
+        try:
+            yield launch, rig
+        finally:
+            rig.close()
+
+
+def drawn_kinds(runs: int, rng: np.random.Generator) -> list[str]:
+    """Half kills, half suspensions, one in ten of them long, in random order."""
+    suspensions = [SUSPEND_LONG if k % 10 == 9 else SUSPEND for k in range(runs // 2)]
+    return [str(kind) for kind in rng.permutation([KILL] * (runs - len(suspensions)) + suspensions)]
+
+
+def run_trials(
+    config_dir: Path, assignments: list[str], kinds: Sequence[str], seed: int, directory: Path
+) -> tuple[list[dict[str, Any]], float]:
+    """One row a trial, and the limit (ms) they were judged by."""
+    rng = np.random.default_rng(seed)
+    trials = []
+    with (
+        bars() as shown,
+        shown.step("kills and suspensions") as bar,
+        trial_rig(config_dir, assignments, directory) as (launch, rig),
+    ):
+        for number, kind in enumerate(kinds):
+            bar.update(number / len(kinds), f"{kind}, {number + 1} of {len(kinds)}")
+            trials.append(one_trial(rig, kind, rng))
+        limit_ms = launch.settings.plant.watchdog_ms + CLOSING_MS
+    judge = Judge(read_truth(launch.records(PLANT) / "truth.mcap"))
+    return [judge.row(trial, limit_ms) for trial in trials], limit_ms
+
+
+def run_experiment(
+    config_dir: Path, runs: int, seed: int, assignments: list[str], runs_dir: Path, json_file: Path | None
+) -> bool:
+    """Whether every trial passed; prints the distribution of the time to zero flow."""
+    directory = runs_dir / f"controller-kills-{time.strftime('%Y%m%d-%H%M%S')}"
+    kinds = drawn_kinds(runs, np.random.default_rng(seed))
+    rows, limit_ms = run_trials(config_dir, assignments, kinds, seed, directory)
+    shown = []
+    for kind in (KILL, SUSPEND, SUSPEND_LONG):
+        of_kind = [row for row in rows if row["kind"] == kind]
+        if not of_kind:
+            continue
+        low, half, high, top = np.percentile([row["shut_ms"] for row in of_kind], [0, 50, 95, 100])
+        resumed = sum(row["resumed"] for row in of_kind)
+        untripped = sum(not (row["tripped"] and row["disabled"]) for row in of_kind)
+        verdict = "pass" if all(row["pass"] for row in of_kind) else "FAIL"
+        cells = (f"{value:.0f}" for value in (low, half, high, top, limit_ms))
+        shown.append((kind, len(of_kind), *cells, resumed, untripped, verdict))
+    columns = ("", "trials", "min", "p50", "p95", "max", "limit", "resumed", "watchdog silent", "verdict")
+    title = f"signal to shut valves, ms on the plant's clock (seed {seed}, random points of random motions)"
+    out.print(table(title, columns, shown))
+    for row in rows:
+        if not row["pass"]:
+            out.print(f"FAIL {row}", highlight=False)
+    write_json(json_file, {"seed": seed, "limit_ms": limit_ms, "rows": rows})
+    return all(row["pass"] for row in rows)

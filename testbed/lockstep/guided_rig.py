@@ -1,0 +1,90 @@
+"""A guided hand-eye session in lockstep: the vision PC's own steps over the simulated arm and pictures."""
+
+from collections.abc import Awaitable
+from pathlib import Path
+from typing import TypeVar
+
+from plant_emulator.core.camera.scene import Scene
+from protocol.errors import MeasurementFailed, RequestRefused
+from protocol.faults import CommandCode
+from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.eyes import LockstepEyes
+from testbed.lockstep.link import LockstepLink, run
+from testbed.lockstep.rig import StationLog
+from testbed.lockstep.world import World
+from testbed.scenarios.settings import Settings
+from vision_pc.application.hand_eye.driving import ended_in_fault
+from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
+from vision_pc.application.hand_eye.store import SessionStore
+from vision_pc.application.link_arm import SocketArm
+from vision_pc.application.schemas import JSON
+from vision_pc.core.se3 import Array
+
+T = TypeVar("T")
+_CONNECT_NS = 5_000_000_000
+_PATIENCE = 10  # samples that may fail in a session
+
+
+class GuidedRig:
+    """World, arm, camera and session. The arm is enabled and at rest in its starting pose."""
+
+    def __init__(self, settings: Settings, seed: int, sessions: Path) -> None:
+        self.world = World(settings, seed, EventLog())
+        self.settings = settings
+        self.link = LockstepLink(self.world)
+        self.eyes = LockstepEyes(self.world, self.link, settings.vision)
+        self.arm = SocketArm(self.link, settings.vision.motion)
+        log = StationLog(self.world)
+        store = SessionStore(sessions)
+        self.guided = GuidedCalibration(self.arm, self.eyes, self.link, settings.vision, log, store)
+        while not self.world.connected and self.world.time_ns < _CONNECT_NS:
+            self.world.step()
+        self.run(self.link.command(CommandCode.ENABLE))
+        self.run(self.link.next_state())
+
+    @property
+    def X_TC(self) -> Array:
+        """The camera in the hand as it truly is."""
+        return Scene(self.settings.scene).mounts.X_TC
+
+    def run(self, program: Awaitable[T]) -> T:
+        """The result of a program in simulated time."""
+        return run(program)  # type: ignore[arg-type]
+
+
+def quiet(_progress: float, _note: str) -> None:
+    """A report that nobody reads."""
+
+
+def start(rig: GuidedRig, name: str, seed: int) -> JSON:
+    """Begins a session and takes its first sample where the arm stands."""
+    check: JSON = rig.run(rig.guided.start(name, rig.guided.defaults, seed, quiet))
+    rig.run(rig.guided.sample(quiet))
+    return check
+
+
+def take_all(rig: GuidedRig, informative: bool) -> int:
+    """Samples until the session is complete, each at the pose proposed; how many faults interrupted it."""
+    spoiled = faults = 0
+    while not rig.guided.session.complete:
+        try:
+            rig.run(rig.guided.next_pose(quiet, informative))
+            rig.run(rig.guided.sample(quiet))
+        except MeasurementFailed:  # an arm that swings on, a marker that is hidden: the next pose then
+            spoiled += 1
+            if spoiled > _PATIENCE:
+                raise
+        except RequestRefused as error:
+            faults += 1
+            if not ended_in_fault(error) or faults > _PATIENCE:
+                raise
+            recover(rig)
+    return faults
+
+
+def recover(rig: GuidedRig) -> None:
+    """What an operator does after a fault, the arm at rest: RESET, ENABLE."""
+    rig.run(rig.link.command(CommandCode.RESET))
+    rig.run(rig.link.next_state())
+    rig.run(rig.link.command(CommandCode.ENABLE))
+    rig.run(rig.link.next_state())

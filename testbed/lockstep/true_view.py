@@ -1,0 +1,90 @@
+"""What the true camera would see, without painting it: corners, wall points, and what hides what."""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from plant_emulator.config.scene import CameraConfig
+from plant_emulator.core.camera.lens import Lens
+from plant_emulator.core.camera.scene import Plate, Scene
+from plant_emulator.core.camera.stereo_camera import true_eyes
+from vision_pc.core.se3 import Array, apply, inverse
+
+_RIM_PX = 3.0  # OpenCV's detector leaves out what is nearer to the picture's rim
+
+
+class SeenMarker(NamedTuple):
+    """The exact corners (4, 2) px of one marker in each eye; None where it is out of view or hidden."""
+
+    left: Array | None
+    right: Array | None
+
+
+class TrueView:
+    """Projections of the true scene through the true camera. In view is what is ``rim_px`` from the rim."""
+
+    def __init__(self, camera: CameraConfig, scene: Scene, rim_px: float = _RIM_PX) -> None:
+        self._rim_px = rim_px
+        self._eyes = true_eyes(camera)
+        self._size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
+        self._scene = scene
+        self._outlines = [_outline(plate) for plate in scene.tool_plates]
+
+    def markers(self, X_WC: Array, X_WM: Array) -> dict[int, SeenMarker]:
+        """Every marker's exact corners in both eyes, for camera and tool marker at these poses."""
+        parents = {"O": self._scene.mounts.X_WO, "M": X_WM}
+        hiding = [self._hiding(eye, X_WC, X_WM) for eye in (0, 1)]
+        seen = {}
+        for number, (parent, corners) in self._scene.marker_corners().items():
+            points = apply(parents[parent], corners)
+            both = [
+                self._whole(pixels, hiding[eye] if parent == "O" else [])
+                for eye, pixels in enumerate(self.project(X_WC, points))
+            ]
+            seen[number] = SeenMarker(*both)
+        return seen
+
+    def project(self, X_WC: Array, points_W: Array) -> tuple[Array, Array]:
+        """Exact (left, right) pixels (n, 2) of ``points_W`` (n, 3); NaN behind the eye."""
+        left, right = (self._seen_by(eye, X_WC, points_W) for eye in self._eyes)
+        return left, right
+
+    def inside(self, pixels: Array) -> Array:
+        """Which ``pixels`` (n, 2) lie in the picture; NaN does not."""
+        with np.errstate(invalid="ignore"):
+            low, high = self._rim_px, self._size - 1.0 - self._rim_px
+            return np.asarray(np.all((pixels >= low) & (pixels <= high), axis=1))
+
+    def on_wall(self, X_WC: Array, rays: Array) -> Array:
+        """Points (m, 3) in W where ``rays`` (n, 2) = x/z, y/z of the left eye meet the wall, m ≤ n."""
+        X_OW = inverse(self._scene.mounts.X_WO)
+        directions = np.column_stack([rays, np.ones(len(rays))]) @ (X_OW[:3, :3] @ X_WC[:3, :3]).T
+        start = apply(X_OW, X_WC[None, :3, 3])[0]
+        towards = directions[:, 2] < -1e-6
+        along = -start[2] / directions[towards, 2]
+        return apply(self._scene.mounts.X_WO, start + directions[towards] * along[:, None])
+
+    def _whole(self, pixels: Array, hiding: list[Array]) -> Array | None:
+        if not self.inside(pixels).all():
+            return None
+        quad = pixels.astype(np.float32)
+        hidden = any(cv2.intersectConvexConvex(quad, other)[0] > 0.0 for other in hiding)
+        return None if hidden else pixels
+
+    def _hiding(self, eye: int, X_WC: Array, X_WM: Array) -> list[Array]:
+        outlines = [self._seen_by(self._eyes[eye], X_WC, apply(X_WM, o)) for o in self._outlines]
+        return [o.astype(np.float32) for o in outlines if np.isfinite(o).all()]
+
+    @staticmethod
+    def _seen_by(eye: tuple[Lens, Array], X_WC: Array, points_W: Array) -> Array:
+        lens, X_CE = eye
+        X_WE = X_WC @ X_CE
+        return np.asarray(lens.project((points_W - X_WE[:3, 3]) @ X_WE[:3, :3]))
+
+
+def _outline(plate: Plate) -> Array:
+    """Corners (4, 3) of a plate in its parent's axes; its y counts downwards."""
+    x0, x1 = plate.edges_x[0], plate.edges_x[-1]
+    y0, y1 = -plate.edges_y[0], -plate.edges_y[-1]
+    return apply(plate.X_parent_plate, np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]]))

@@ -1,0 +1,93 @@
+"""The three services as the supervisor starts them: their command lines, ports and files."""
+
+import socket
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from foundation.configuration import merged
+from testbed.realtime.supervisor import Service, free_port
+from testbed.scenarios.scenario import flattened
+from testbed.scenarios.settings import Overrides, Settings, load_settings
+
+PLANT, CONTROLLER, VISION = "plant_emulator", "controller", "vision_pc"
+
+
+class PortUse(NamedTuple):
+    """A port that a service listens on."""
+
+    name: str
+    host: str
+    port: int
+    kind: socket.SocketKind
+
+
+class Launch(NamedTuple):
+    """What is to be started, in order, and where its results will be.
+
+    ``directory`` gets the services' logs, records and statistics.
+    """
+
+    services: tuple[Service, ...]
+    settings: Settings
+    rest_url: str
+    directory: Path
+
+    def statistics(self, service: str) -> Path:
+        """The file in which ``service`` leaves its figures when it ends."""
+        return self.directory / f"{service}.statistics.json"
+
+    def records(self, service: str) -> Path:
+        """The directory into which ``service`` records."""
+        return self.directory / service
+
+
+def free_ports() -> dict[str, Any]:
+    """Overrides that give every listener a free port and tell its peers."""
+    modbus, camera, faults, rest = (free_port() for _ in range(4))
+    reference = free_port(socket.SOCK_DGRAM)
+    return {
+        "plant_service": {
+            "modbus": {"port": modbus},
+            "camera_stream": {"port": camera},
+            "fault_face": {"port": faults},
+        },
+        "controller": {"plant_link": {"port": modbus}, "reference_link": {"port": reference}},
+        "vision": {
+            "link": {"port": reference},
+            "camera": {"stream": {"port": camera}},
+            "api": {"port": rest},
+        },
+    }
+
+
+def ports_in_use(settings: Settings) -> tuple[PortUse, ...]:
+    """Every port that the services will listen on."""
+    service, link, api = settings.plant_service, settings.controller.reference_link, settings.vision.api
+    return (
+        PortUse("fieldbus", service.modbus.host, service.modbus.port, socket.SOCK_STREAM),
+        PortUse("camera", service.camera_stream.host, service.camera_stream.port, socket.SOCK_STREAM),
+        PortUse("faults", service.fault_face.host, service.fault_face.port, socket.SOCK_STREAM),
+        PortUse("reference", link.host, link.port, socket.SOCK_DGRAM),
+        PortUse("rest", api.host, api.port, socket.SOCK_STREAM),
+    )
+
+
+def prepare(config_dir: Path, overrides: Overrides, directory: Path, *, any_ports: bool) -> Launch:
+    """The launch of all three services with ``overrides``, checked before anything is started.
+
+    Raises ConfigurationError.
+    """
+    if any_ports:
+        overrides = merged(overrides, free_ports())
+    settings = load_settings(config_dir, overrides)
+    api = settings.vision.api
+    launch = Launch((), settings, f"http://{api.host}:{api.port}", directory)
+    common = ["--config-dir", str(config_dir)]
+    for setting in flattened(overrides):
+        common += ["--set", setting]
+
+    def service(name: str) -> Service:
+        records = ["--record-dir", str(launch.records(name))]
+        return Service(name, name, (*common, *records, "--statistics", str(launch.statistics(name))))
+
+    return launch._replace(services=tuple(map(service, (PLANT, CONTROLLER, VISION))))

@@ -1,0 +1,53 @@
+"""`longreach up`: the three services until somebody ends them."""
+
+import signal
+from pathlib import Path
+from types import FrameType
+
+from testbed.realtime.launch import Launch, prepare
+from testbed.realtime.supervisor import Supervisor, supervised
+from testbed.reporting.console import out, table
+from testbed.reporting.report import run_directory
+from testbed.scenarios.settings import Overrides
+
+
+def run_up(config_dir: Path, overrides: Overrides, any_ports: bool, runs: Path) -> None:
+    """Nothing, once the services were ended by Ctrl-C or SIGTERM.
+
+    Raises ServiceFailed when one ends by itself.
+    """
+    launch = prepare(config_dir, overrides, run_directory(runs), any_ports=any_ports)
+    end_on_sigterm()
+    try:
+        with supervised(launch.services, launch.directory) as supervisor:
+            show(launch, supervisor)
+            supervisor.watch()
+    except KeyboardInterrupt:
+        out.print("ended")
+
+
+def show(launch: Launch, supervisor: Supervisor) -> None:
+    """Nothing; prints which service runs where."""
+    rows = [
+        (name, child.pid, (child.ready or {}).get("scheduling", ""), launch.directory / f"{name}.log")
+        for name, child in supervisor.children.items()
+    ]
+    out.print(table("running", ("service", "process", "scheduling", "log"), rows))
+    show_fault_face(launch)
+    out.print(f"REST face: {launch.rest_url}/docs   end with Ctrl-C", highlight=False)
+
+
+def show_fault_face(launch: Launch) -> None:
+    """Nothing; prints where things can be broken, if they can."""
+    face = launch.settings.plant_service.fault_face
+    if face.allowed:
+        out.print(f"faults: http://{face.host}:{face.port}/docs", highlight=False)
+
+
+def end_on_sigterm() -> None:
+    """Nothing; from now on SIGTERM ends this process as Ctrl-C does, with its services."""
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, interrupt)

@@ -1,0 +1,145 @@
+"""Named scenarios: overrides of the truth's configuration, drawn from distributions by a seed.
+
+A scenario is one YAML file: fixed ``overrides`` of configuration files, and ``draws``, which give one dotted
+key each a distribution. The same scenario with the same seed is the same world; a draw depends on its own key
+and the seed only, so that adding one draw leaves all others as they were.
+"""
+
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import Field, model_validator
+
+from foundation.configuration import StrictModel, load, merged
+from protocol.errors import ConfigurationError
+
+Value = float | list[float]
+
+
+class Uniform(StrictModel):
+    """Evenly between ``low`` and ``high``; lists draw one number for each entry."""
+
+    kind: Literal["uniform"]
+    low: Value
+    high: Value
+
+    @model_validator(mode="after")
+    def _ordered(self) -> "Uniform":
+        if np.shape(self.low) != np.shape(self.high):
+            raise ValueError("low and high are of different length")
+        if np.any(np.asarray(self.low) > np.asarray(self.high)):
+            raise ValueError("low is above high")
+        return self
+
+    def draw(self, generator: np.random.Generator) -> Any:
+        """The number, or list of numbers."""
+        return (
+            generator.uniform(self.low, self.high).tolist()
+            if _many(self.low)
+            else float(generator.uniform(self.low, self.high))
+        )
+
+
+class Normal(StrictModel):
+    """Gaussian around ``mean``, cut off at three standard deviations so that no world leaves its bounds."""
+
+    kind: Literal["normal"]
+    mean: Value
+    std: Value
+
+    def draw(self, generator: np.random.Generator) -> Any:
+        """The number, or list of numbers."""
+        deviation = np.clip(generator.standard_normal(np.shape(self.mean)), -3.0, 3.0)
+        drawn = np.asarray(self.mean) + np.asarray(self.std) * deviation
+        return drawn.tolist() if _many(self.mean) else float(drawn)
+
+
+class Ball(StrictModel):
+    """A vector of random direction and a length evenly between 0 and ``radius`` (say, a rotation vector)."""
+
+    kind: Literal["ball"]
+    radius: float = Field(ge=0.0)
+    dimensions: int = Field(default=3, ge=1, le=3)
+
+    def draw(self, generator: np.random.Generator) -> list[float]:
+        """The vector as a list."""
+        direction = generator.standard_normal(self.dimensions)
+        scaled = direction * (generator.uniform(0.0, self.radius) / np.linalg.norm(direction))
+        return [float(value) for value in scaled]
+
+
+class SeedDraw(StrictModel):
+    """An integer seed for somebody else's generator."""
+
+    kind: Literal["seed"]
+
+    def draw(self, generator: np.random.Generator) -> int:
+        """A whole number below 2**31."""
+        return int(generator.integers(2**31))
+
+
+Distribution = Annotated[Uniform | Normal | Ball | SeedDraw, Field(discriminator="kind")]
+
+
+class Scenario(StrictModel):
+    """What ``configs/scenarios/NAME.yaml`` holds.
+
+    ``overrides``: file name → nested keys, fixed. ``draws``: dotted key, file name first → distribution.
+    """
+
+    description: str
+    overrides: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    draws: dict[str, Distribution] = Field(default_factory=dict)
+
+    def world(self, seed: int) -> dict[str, dict[str, Any]]:
+        """The overrides of configuration files (file name → nested keys) that ``seed`` makes of it."""
+        result: dict[str, Any] = dict(self.overrides)
+        for key, distribution in self.draws.items():
+            stream = np.random.default_rng([seed, zlib.crc32(key.encode())])
+            result = merged(result, nested(key, distribution.draw(stream)))
+        return result
+
+
+def _many(value: Value) -> bool:
+    return isinstance(value, list)
+
+
+def nested(key: str, value: Any) -> dict[str, Any]:
+    """``value`` below the parts of the dotted ``key``, outermost first."""
+    for part in reversed(key.split(".")):
+        value = {part: value}
+    return dict(value)
+
+
+def flattened(overrides: Mapping[str, Any], prefix: str = "") -> list[str]:
+    """``overrides`` as ``a.b.c=value`` strings, the form that ``--set`` of every service takes."""
+    settings: list[str] = []
+    for key, value in overrides.items():
+        if isinstance(value, Mapping):
+            settings += flattened(value, f"{prefix}{key}.")
+        else:
+            text = yaml.safe_dump(value, default_flow_style=True, width=1 << 20)
+            settings.append(f"{prefix}{key}={text.removesuffix('...' + chr(10)).strip()}")
+    return settings
+
+
+def names(config_dir: Path) -> list[str]:
+    """The scenarios that ``config_dir`` holds, sorted."""
+    return sorted(path.stem for path in (config_dir / "scenarios").glob("*.yaml"))
+
+
+def load_scenario(config_dir: Path, name: str) -> Scenario:
+    """The scenario called ``name``.
+
+    Raises ConfigurationError when there is none, or its file is wrong.
+    """
+    if name not in names(config_dir):
+        known = ", ".join(names(config_dir)) or "none"
+        raise ConfigurationError(
+            "configuration.unknown_scenario", f"no scenario '{name}' in {config_dir}; known: {known}"
+        )
+    return load(Scenario, config_dir / "scenarios" / f"{name}.yaml")

@@ -1,0 +1,88 @@
+"""Guided sessions on disk: one JSON file each, replaced whole, so that a power cut leaves the old or new one.
+
+The cabinet's drawing is read here too.
+"""
+
+import json
+import os
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from protocol.errors import LongreachError, RequestRefused
+from vision_pc.config.hand_eye import CabinetSettings
+from vision_pc.core.hand_eye.guided.cabinet import Drawing, Target
+from vision_pc.core.hand_eye.guided.session import Session, from_json, to_json
+from vision_pc.core.types import CameraCalibration
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+
+
+class SessionStore:
+    """The sessions in one directory."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+
+    def names(self) -> list[str]:
+        """All sessions, sorted."""
+        return sorted(path.stem for path in self.directory.glob("*.json"))
+
+    def path(self, name: str) -> Path:
+        """A session's file. Raises RequestRefused (``refused.hand_eye.name``) for what is no plain name."""
+        if not _NAME.fullmatch(name):
+            raise RequestRefused(
+                "refused.hand_eye.name",
+                f"session name {name!r}: letters, digits, - and _ are wanted, 64 at most",
+            )
+        return self.directory / f"{name}.json"
+
+    def save(self, session: Session) -> None:
+        """Nothing, once the session is on the disk. Raises LongreachError (``hand_eye.unwritable``)."""
+        path = self.path(session.name)
+        partial = path.with_suffix(".part")
+        try:
+            self.directory.mkdir(parents=True, exist_ok=True)
+            with partial.open("w", encoding="utf-8") as file:
+                json.dump(to_json(session), file, indent=1)
+                file.write("\n")
+                file.flush()
+                os.fsync(file.fileno())
+            partial.replace(path)
+        except OSError as error:
+            raise LongreachError("hand_eye.unwritable", f"{path}: {error.strerror}") from error
+
+    def load(self, name: str, camera: CameraCalibration) -> Session:
+        """A session from the disk.
+
+        Raises RequestRefused: ``refused.hand_eye.unknown_session``, or what is wrong with its file.
+        """
+        path = self.path(name)
+        try:
+            document = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            known = ", ".join(self.names()) or "none"
+            raise RequestRefused(
+                "refused.hand_eye.unknown_session", f"no session '{name}'; there are: {known}"
+            ) from None
+        except OSError as error:
+            raise RequestRefused("refused.hand_eye.format", f"{path}: {error.strerror}") from error
+        except ValueError as error:
+            raise RequestRefused("refused.hand_eye.format", f"{path.name}: not JSON: {error}") from error
+        if not isinstance(document, dict):
+            raise RequestRefused("refused.hand_eye.format", f"{path.name}: an object is wanted")
+        return from_json(document, camera)
+
+
+def load_drawing(settings: CabinetSettings | None) -> Drawing:
+    """The cabinet's drawing from its file. Raises RequestRefused (``refused.hand_eye.no_drawing``)."""
+    if settings is None:
+        raise RequestRefused("refused.hand_eye.no_drawing", "no cabinet is configured (vision.cabinet)")
+    picture = cv2.imread(str(settings.drawing), cv2.IMREAD_GRAYSCALE)
+    if picture is None:
+        why = f"cabinet.drawing {settings.drawing}: not a picture that can be read"
+        raise RequestRefused("refused.hand_eye.no_drawing", why)
+    targets = tuple(Target(name, x, y) for name, (x, y) in settings.targets_m.items())
+    return Drawing(np.asarray(picture, dtype=np.uint8), 1e-3 * settings.texel_mm, targets)

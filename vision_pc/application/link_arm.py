@@ -1,0 +1,131 @@
+"""The arm over the reference link: the ``Arm`` port that calibration programs drive."""
+
+import contextlib
+from collections.abc import AsyncIterator, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
+from protocol.faults import CommandCode
+from protocol.reference_messages import (
+    FLAG_SETTLED,
+    Acknowledgement,
+    ReferencePath,
+    ReferencePose,
+    Request,
+    State,
+)
+from vision_pc.application.reference_stream import ArmStream, StreamLink, refuse_broken, view_of
+from vision_pc.config.vision import MotionSettings
+from vision_pc.core.ports import ArmView
+from vision_pc.core.se3 import Array, to_pose
+
+_BEGIN_STATES = 50  # states after the acknowledgement by which the motion must have begun
+
+
+class Link(StreamLink, Protocol):
+    """The reference link as the arm uses it; ``ControllerLink`` over UDP, and its like in lockstep."""
+
+    @property
+    def connected(self) -> bool: ...
+    async def next_state(self) -> State: ...
+    async def command(self, code: CommandCode) -> Acknowledgement: ...
+    async def request(self, request: Request) -> Acknowledgement: ...
+
+
+class SocketArm:
+    """Implements ``vision_pc.core.ports.Arm``. Every motion returns at rest, or raises."""
+
+    def __init__(self, link: Link, settings: MotionSettings) -> None:
+        self._link = link
+        self._settings = settings
+
+    async def view(self) -> ArmView:
+        """The newest view. Raises LinkLost."""
+        return view_of(self._link.state, self._link)
+
+    async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
+        """The view after the point-to-point motion has settled. Raises RequestRefused or LinkLost."""
+        answer = await self._link.request(ReferencePose(0, to_pose(X_BT_ref), duration_s))
+        return await self._finished(answer.command_id)
+
+    async def follow(
+        self, waypoints: Sequence[Array], segment_s: float = 0.0, dwell_s: float = 0.0
+    ) -> ArmView:
+        """The view after the path has settled. Raises RequestRefused or LinkLost."""
+        poses = tuple(to_pose(X) for X in waypoints)
+        answer = await self._link.request(ReferencePath(0, poses, segment_s, dwell_s))
+        return await self._finished(answer.command_id)
+
+    @contextlib.asynccontextmanager
+    async def streaming(self) -> AsyncIterator[ArmStream]:
+        """A context in which references are streamed; its exit returns at rest. Raises as the port says."""
+        answer = await self._link.command(CommandCode.START_STREAM)
+        stream = ArmStream(self._link, answer.command_id)
+        try:
+            yield stream
+            stream.check()
+            await self._link.command(CommandCode.END_STREAM)
+        except BaseException:
+            with contextlib.suppress(LinkLost):
+                await self.stop()
+            raise
+        await self._finished(stream.stream_id)
+
+    async def stop(self) -> None:
+        """None, once the controller has accepted the stop. Raises LinkLost."""
+        await self._link.command(CommandCode.STOP)
+
+    async def halt(self) -> None:
+        """Stops the arm, also where the newest state shows it at rest: a motion may be on its way to it."""
+        if self._link.connected:
+            await self.stop()
+
+    async def _finished(self, command_id: int) -> ArmView:
+        """The view once motion ``command_id`` is done, settled and has rested.
+
+        Raises RequestRefused when it was stopped, overtaken or ended by a fault; MeasurementFailed
+        (``measurement.arm_not_settled``) when it is done but keeps moving.
+        """
+        begun = False
+        waited = 0
+        done_ns: int | None = None
+        while True:
+            state = await self._link.next_state()
+            refuse_broken(state)
+            if state.motion_id != command_id:
+                waited += 1
+                if begun or waited > _BEGIN_STATES:
+                    raise RequestRefused(
+                        "refused.overtaken", f"motion {command_id} gave way to {state.motion_id}"
+                    )
+                continue
+            begun = True
+            if not state.motion_done:
+                continue
+            done_ns = state.time_ns if done_ns is None else done_ns
+            if state.flags & FLAG_SETTLED:
+                return view_of((await self._rested(state.time_ns))[-1], self._link)
+            if state.time_ns - done_ns > self._settings.settle_timeout_s * 1e9:
+                return view_of(self._still(await self._rested(state.time_ns)), self._link)
+
+    async def _rested(self, from_ns: int) -> list[State]:
+        """The states while the arm rests; by the controller's clock, so that lockstep can use it too."""
+        states = []
+        while True:
+            states.append(await self._link.next_state())
+            refuse_broken(states[-1])
+            if states[-1].time_ns - from_ns >= self._settings.rest_s * 1e9:
+                return states
+
+    def _still(self, states: list[State]) -> State:
+        """The last of ``states``, through which no encoder moved. Raises MeasurementFailed."""
+        moved_mrad = 1e3 * float(np.ptp([state.q_meas for state in states], axis=0).max())
+        if moved_mrad > self._settings.still_mrad:
+            raise MeasurementFailed(
+                "measurement.arm_not_settled",
+                f"arm still moves by {moved_mrad:.2f} mrad, limit {self._settings.still_mrad:g} mrad, "
+                f"{self._settings.settle_timeout_s:g} s after its motion",
+            )
+        return states[-1]

@@ -1,0 +1,202 @@
+"""Operations: long work as resources. One runs at a time; every one ends in exactly one end state.
+
+An operation is queued when it is accepted, runs as a task, and ends succeeded, failed or cancelled.
+Whatever ends it early stops the arm. The same idempotency key gives the same operation again.
+"""
+
+import asyncio
+import contextlib
+import time
+import uuid
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from protocol.errors import LongreachError, RequestRefused
+from vision_pc.core.ports import Report
+from vision_pc.shell.event_log import EventLog
+from vision_pc.shell.rest.problems import problem_of
+
+_REMEMBERED = 200
+Program = Callable[[Report], Awaitable[dict[str, Any]]]
+
+
+class OperationState(StrEnum):
+    """Where an operation stands."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing will change any more."""
+        return self in (OperationState.SUCCEEDED, OperationState.FAILED, OperationState.CANCELLED)
+
+
+@dataclass
+class Operation:
+    """One operation. ``revision`` counts its changes; ``notes`` are (progress, note) in order."""
+
+    kind: str
+    request: dict[str, Any]
+    id: str = field(default_factory=lambda: uuid.uuid4().hex[:12])
+    state: OperationState = OperationState.QUEUED
+    progress: float = 0.0
+    note: str = "queued"
+    notes: list[tuple[float, str]] = field(default_factory=list)
+    created_at: float = field(default_factory=time.time)
+    started_at: float | None = None
+    ended_at: float | None = None
+    result: dict[str, Any] | None = None
+    problem: dict[str, Any] | None = None
+    revision: int = 0
+    _change: asyncio.Event = field(default_factory=asyncio.Event, repr=False)
+
+    def report(self, progress: float, note: str) -> None:
+        """Notes progress 0…1; without effect once ended."""
+        if not self.state.ended:
+            self.progress, self.note = min(max(progress, 0.0), 1.0), note
+            self.notes.append((self.progress, note))
+            self.touch()
+
+    def touch(self) -> None:
+        """Wakes everybody who waits for a change."""
+        self.revision += 1
+        self._change.set()
+        self._change = asyncio.Event()
+
+    async def changed(self, seen: int) -> int:
+        """The revision, once it is beyond ``seen``."""
+        while self.revision <= seen:
+            await self._change.wait()
+        return self.revision
+
+
+class Operations:
+    """Runs one operation at a time. ``halt`` is awaited after an early end, to stop the arm."""
+
+    def __init__(self, halt: Callable[[], Awaitable[None]], log: EventLog) -> None:
+        self._halt = halt
+        self._log = log
+        self._all: OrderedDict[str, Operation] = OrderedDict()
+        self._keys: dict[str, str] = {}
+        self._task: asyncio.Task[None] | None = None
+        self.current: Operation | None = None
+
+    def list(self) -> list[Operation]:
+        """All that are remembered, oldest first."""
+        return [*self._all.values()]
+
+    def get(self, operation_id: str) -> Operation:
+        """One operation. Raises RequestRefused (``refused.unknown_operation``)."""
+        if operation_id not in self._all:
+            raise RequestRefused("refused.unknown_operation", f"no operation '{operation_id}'")
+        return self._all[operation_id]
+
+    def repeated(self, kind: str, request: dict[str, Any], key: str | None) -> Operation | None:
+        """The operation that ``key`` already stands for.
+
+        Raises RequestRefused (``refused.key_reused``) when that was another request.
+        """
+        earlier = self._all.get(self._keys.get(key, "")) if key else None
+        if earlier is not None and (earlier.kind != kind or earlier.request != request):
+            why = f"Idempotency-Key '{key}' stands for another request ({earlier.kind})"
+            raise RequestRefused("refused.key_reused", why)
+        return earlier
+
+    def start(
+        self, kind: str, request: dict[str, Any], program: Program, key: str | None = None
+    ) -> Operation:
+        """A new operation that runs ``program``. Raises RequestRefused (``refused.busy``) while one runs."""
+        if self.current is not None:
+            why = f"operation {self.current.id} ({self.current.kind}) is still running"
+            raise RequestRefused("refused.busy", why)
+        operation = self.current = Operation(kind, request)
+        self._all[operation.id] = operation
+        if key:
+            self._keys[key] = operation.id
+        self._forget_old()
+        self._log.write("operation_queued", id=operation.id, kind=kind, request=request)
+        self._task = asyncio.create_task(self._run(operation, program), name=f"operation {operation.id}")
+        return operation
+
+    async def cancel(self, operation_id: str) -> Operation:
+        """The operation, ended. Raises RequestRefused (``refused.already_ended``) if it had ended."""
+        operation = self.get(operation_id)
+        if operation.state.ended or operation is not self.current or self._task is None:
+            raise RequestRefused("refused.already_ended", f"operation {operation_id} has {operation.state}")
+        self._task.cancel()
+        await asyncio.wait([self._task])
+        if not operation.state.ended:  # cancelled before its first step
+            self._end(operation, OperationState.CANCELLED, note="cancelled")
+        return operation
+
+    async def close(self) -> None:
+        """Cancels what runs, if anything."""
+        if self.current is not None:
+            with contextlib.suppress(RequestRefused):  # it ended just now
+                await self.cancel(self.current.id)
+
+    async def _run(self, operation: Operation, program: Program) -> None:
+        try:
+            operation.state, operation.started_at = OperationState.RUNNING, time.time()
+            operation.touch()
+            result = await program(operation.report)
+        except asyncio.CancelledError:
+            await self._stop_arm(operation)
+            self._end(operation, OperationState.CANCELLED, note="cancelled")
+        except LongreachError as error:
+            await self._stop_arm(operation)
+            self._end(operation, OperationState.FAILED, problem=problem_of(error), note=str(error))
+        except Exception as error:
+            await self._stop_arm(operation)
+            self._log.write("operation_broke", id=operation.id, error=repr(error))
+            self._end(operation, OperationState.FAILED, problem=problem_of(error), note="internal error")
+        else:
+            operation.progress = 1.0
+            self._end(operation, OperationState.SUCCEEDED, result=result)
+
+    async def _stop_arm(self, operation: Operation) -> None:
+        # Shielded: a second cancellation must not leave the arm moving.
+        stopping = asyncio.ensure_future(self._halt())
+        try:
+            await asyncio.shield(stopping)
+        except asyncio.CancelledError:
+            await asyncio.wait([stopping])
+        except LongreachError as error:
+            self._log.write("stop_failed", id=operation.id, cause=error.cause, detail=str(error))
+
+    def _end(
+        self,
+        operation: Operation,
+        state: OperationState,
+        *,
+        result: dict[str, Any] | None = None,
+        problem: dict[str, Any] | None = None,
+        note: str | None = None,
+    ) -> None:
+        operation.state, operation.ended_at = state, time.time()
+        operation.result, operation.problem = result, problem
+        if note is not None:
+            operation.note = note
+            operation.notes.append((operation.progress, note))
+        self.current, self._task = None, None
+        self._log.write(
+            "operation_ended",
+            id=operation.id,
+            kind=operation.kind,
+            state=state,
+            result=result,
+            problem=problem,
+        )
+        operation.touch()
+
+    def _forget_old(self) -> None:
+        while len(self._all) > _REMEMBERED:
+            old, _ = self._all.popitem(last=False)
+            self._keys = {key: of for key, of in self._keys.items() if of != old}

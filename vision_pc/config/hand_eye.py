@@ -1,0 +1,113 @@
+"""Settings of guided hand-eye sampling: section ``hand_eye`` of ``vision.yaml``."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from foundation.configuration import StrictModel
+
+Degrees = Annotated[float, Field(gt=0.0, le=90.0)]
+Metres = Annotated[float, Field(gt=0.0, le=5.0)]
+Vector3 = tuple[float, float, float]
+Small = Annotated[float, Field(ge=0.0, le=50.0)]
+SixSmall = tuple[Small, Small, Small, Small, Small, Small]
+JOINTS = 6
+
+
+class CabinetSettings(StrictModel):
+    """A control cabinet as its maker drew it: the picture of its front, and where the targets are on it.
+
+    ``targets_m``: name → place from the front's middle, x right and y up.
+    """
+
+    drawing: Path
+    texel_mm: float = Field(gt=0.05, le=5.0)
+    targets_m: dict[str, tuple[float, float]] = Field(min_length=1, max_length=32)
+
+
+class LinkDrawing(StrictModel):
+    """One row of the arm's Denavit-Hartenberg table: Rz(theta) Tz(d) Tx(a) Rx(alpha)."""
+
+    alpha_deg: float = Field(ge=-180.0, le=180.0)
+    a_m: float = Field(ge=-30.0, le=30.0)
+    theta_offset_deg: float = Field(ge=-360.0, le=360.0)
+    d_m: float = Field(ge=-30.0, le=30.0)
+
+
+class ArmDrawing(StrictModel):
+    """The arm's drawing, and how far the arm may be off it (standard deviations).
+
+    ``links``: one row for each of the six joints, then fixed ones up to the hand. ``zero_std_mrad`` of each
+    encoder's zero; for each joint ``play_mrad`` that it may turn by unseen, anew in each pose, and
+    ``bending_mrad_m`` by which it gives for each metre that the hand is out. ``link_*``: an axis, of the end
+    of the link that each joint carries; the last one's is the hand. A drawing that puts the hand more than
+    ``fit_m``, ``fit_mrad`` off what the controller reports is not this arm's.
+    """
+
+    links: tuple[LinkDrawing, ...] = Field(min_length=JOINTS, max_length=JOINTS + 4)
+    zero_std_mrad: Small
+    play_mrad: SixSmall
+    bending_mrad_m: SixSmall
+    link_offset_std_mm: SixSmall
+    link_tilt_std_mrad: SixSmall
+    fit_m: float = Field(0.005, gt=0.0, le=0.1)
+    fit_mrad: float = Field(3.0, gt=0.0, le=50.0)
+
+
+class GuidedSettings(StrictModel):
+    """What is looked at, how many samples, from where, and what is assumed while planning.
+
+    ``mount_*`` is the camera in the hand as measured by tape, with its standard deviation a component: it
+    only plans, it never enters the result. ``robot_*``, ``corner_std_px``: noise a component assumed in
+    planning, ``robot_strain`` (m/m) and ``robot_twist`` (rad/rad) what is added away from the starting pose.
+    ``arm_zero_std_mrad``: how wrong the arm's zeros may be, as one constant turn about each axis of the
+    wrist, ``wrist_to_tool_m`` behind the tool centre point; no sample tells it from a turned camera.
+    ``arm``: the drawing that tells the zeros of the single joints apart; none: the constant turn above.
+    ``principal_point_std_px``, ``focal_std`` (relative): what the camera's own calibration may be off by.
+    ``distance_m``, ``obliquity_deg``, ``roll_deg`` bound the view of the marker, ``turn_deg`` and ``reach_m``
+    the hand about its starting pose; ``margin_px`` keeps the marker off the picture's rim and off what the
+    tool hides, ``clearance_m`` the tool off the marker's plane. ``moved_mrad``: an encoder that moves by more
+    while the sample is taken spoils it.
+    """
+
+    marker_id: int = Field(582, ge=0, le=1023)
+    marker_size_m: float = Field(0.05, gt=0.005, le=2.0)
+    dictionary: Literal[
+        "DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL"
+    ] = "DICT_5X5_1000"
+    poses: int = Field(17, ge=5, le=100)
+    frames: int = Field(5, ge=1, le=100)
+    minimum_frames: int = Field(3, ge=1, le=100)
+    settle_timeout_s: float = Field(5.0, ge=0.0, le=60.0)
+    moved_mrad: float = Field(1.0, gt=0.0, le=50.0)
+    mount_position_m: Vector3 = (-0.20, -0.05, -0.40)
+    mount_rotation_deg: Vector3 = (0.0, 0.0, 0.0)
+    mount_std_m: Metres = 0.02
+    mount_std_deg: Degrees = 6.0
+    robot_std_m: Metres = 0.001
+    robot_std_deg: Degrees = 0.1
+    robot_strain: float = Field(0.006, ge=0.0, le=0.1)
+    robot_twist: float = Field(0.004, ge=0.0, le=0.1)
+    arm_zero_std_mrad: float = Field(3.0, ge=0.0, le=50.0)
+    wrist_to_tool_m: float = Field(0.35, ge=0.0, le=5.0)
+    arm: ArmDrawing | None = None
+    principal_point_std_px: float = Field(0.7, ge=0.0, le=50.0)
+    focal_std: float = Field(0.001, ge=0.0, le=0.1)
+    corner_std_px: float = Field(0.05, gt=0.0, le=5.0)
+    distance_m: tuple[Metres, Metres] = (0.55, 0.85)
+    obliquity_deg: Degrees = 40.0
+    roll_deg: float = Field(60.0, ge=0.0, le=180.0)
+    turn_deg: float = Field(60.0, gt=0.0, le=180.0)
+    reach_m: Metres = 0.6
+    margin_px: float = Field(40.0, ge=0.0, le=500.0)
+    clearance_m: float = Field(0.08, ge=0.0, le=1.0)
+    candidates: int = Field(800, ge=20, le=20_000)
+
+    @model_validator(mode="after")
+    def _ranges_ascend(self) -> "GuidedSettings":
+        if not self.distance_m[0] < self.distance_m[1]:
+            raise ValueError(f"distance_m {self.distance_m}: the first must be below the second")
+        if self.minimum_frames > self.frames:
+            raise ValueError(f"minimum_frames {self.minimum_frames} must not exceed frames {self.frames}")
+        return self

@@ -1,0 +1,177 @@
+"""Settings of the calibration and positioning programs: section ``programs`` of ``vision.yaml``."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from foundation.configuration import StrictModel
+from vision_pc.core.calibration.arm_fields import ArmShape
+
+Length = Annotated[float, Field(ge=0.01, le=1.5)]
+Small = Annotated[float, Field(gt=0.0, le=0.1)]
+Seconds = Annotated[float, Field(ge=0.0, le=60.0)]
+
+
+class OrientationSettings(StrictModel):
+    """Orientation adjustment (7)(8). ``form``: the paper's, or the one that is right in any frame."""
+
+    form: Literal["frame_true", "paper"]
+    repetitions: int = Field(ge=1, le=5)
+    limit_deg: float = Field(gt=0.0, le=90.0)
+
+
+class LineEquationSettings(StrictModel):
+    """Line equation (10)-(16). ``minimum``: the least sample (paper), or a fit through all of them."""
+
+    radius_m: float = Field(ge=0.02, le=0.6)
+    points: int = Field(ge=6, le=24)
+    segment_s: Seconds
+    minimum: Literal["sample", "fit"]
+    seen_share: float = Field(gt=0.0, le=1.0)
+    step_limit_m: float = Field(gt=0.0, le=5.0)
+
+
+class TrajectorySettings(StrictModel):
+    """Trajectory matching (17)-(19) and the match.
+
+    ``heading_deg`` turns the whole path in the n-s plane; ``turn_deg`` is the paper's π/4. ``placement``:
+    the path starts where the arm stands (paper) or ends there, so that the object is in view again.
+    ``method``: ``points`` matches the marker's positions (the lever arm between camera and tool removed),
+    ``paper`` the camera's poses.
+    """
+
+    segments_m: tuple[Length, ...] = Field(min_length=2, max_length=23)
+    turn_deg: float = Field(ge=5.0, le=175.0)
+    heading_deg: float = Field(ge=-180.0, le=180.0)
+    placement: Literal["ends_here", "starts_here"]
+    segment_s: Seconds
+    dwell_s: Seconds
+    method: Literal["points", "paper"]
+    association: Literal["time", "none"]
+    minimum_samples: int = Field(ge=8, le=10_000)
+    lost_share_limit: float = Field(ge=0.0, le=0.9)
+    outlier_share_limit: float = Field(gt=0.0, le=0.9)
+    residual_limit_m: float = Field(gt=0.0, le=1.0)
+    scale_limit: float = Field(gt=0.0, le=1.0)
+    condition_limit: float = Field(ge=1.0)
+    rotation_std_limit_deg: float = Field(gt=0.0, le=45.0)
+
+
+class ArmShapeSettings(StrictModel):
+    """The boom as its drawing says: see ``arm_fields.ArmShape``."""
+
+    lift_pivot_m: tuple[float, float]
+    boom_m: float = Field(gt=0.1, le=30.0)
+    forearm_m: float = Field(gt=0.1, le=30.0)
+    wrist_to_tool_m: float = Field(ge=-2.0, le=2.0)
+
+    @property
+    def shape(self) -> ArmShape:
+        """The same as the map uses it."""
+        return ArmShape(self.lift_pivot_m, self.boom_m, self.forearm_m, self.wrist_to_tool_m)
+
+
+class LocalMapSettings(StrictModel):
+    """Best mode: three legs along n, s and a, a local map, and mid-course corrections.
+
+    Priors of the map: ``rotation_std`` (rad), ``scale_std`` and ``strain_std`` (relative), ``field_stds``
+    (lift and tilt offset, rad; boom and forearm bending, rad per metre of reach), ``play_std`` (rad).
+    A drive ends with a turn of the slew by ``take_up_rad`` within ``take_up_s``: it takes up the play, and
+    is slow enough not to swing back through it. The encoder turning back by twice ``reversal_rad`` tells the
+    other flank. ``noise_std_m`` of one sample at rest, ``sway_s`` metres more for every m/s.
+    ``goal_std_limit_m``: a goal known worse is refused before moving.
+    ``first_share`` of a way longer than ``near_m`` is driven before the first correction.
+    ``odometry_std_m`` and ``odometry_scale_std`` (relative): of the way that odometry measures;
+    ``servo_std_m``: what the joints leave.
+    """
+
+    leg_m: float = Field(ge=0.05, le=0.5)
+    segment_s: Seconds
+    dwell_s: Seconds
+    rotation_std: float = Field(gt=0.0, le=1.0)
+    scale_std: float = Field(gt=0.0, le=0.2)
+    strain_std: float = Field(gt=0.0, le=0.2)
+    field_stds: tuple[Small, Small, Small, Small]
+    play_std: Small
+    take_up_rad: float = Field(ge=0.0, le=0.02)
+    take_up_s: Seconds
+    reversal_rad: float = Field(gt=0.0, le=0.02)
+    noise_std_m: float = Field(gt=0.0, le=0.05)
+    sway_s: float = Field(ge=0.0, le=1.0)
+    odometry_std_m: float = Field(ge=0.0, le=0.05)
+    odometry_scale_std: float = Field(ge=0.0, le=0.1)
+    servo_std_m: float = Field(ge=0.0, le=0.05)
+    goal_std_limit_m: float = Field(gt=0.0, le=1.0)
+    arm: ArmShapeSettings
+    first_share: float = Field(ge=0.3, le=0.98)
+    near_m: float = Field(ge=0.0, le=1.0)
+    minimum_samples: int = Field(ge=8, le=10_000)
+    residual_limit_m: float = Field(gt=0.0, le=1.0)
+
+
+class PositioningSettings(StrictModel):
+    """Look-then-move (20)-(22). ``strain_std`` and ``servo_std_m`` are what a rotation alone cannot know.
+
+    ``corrections``: drives after the first one that the corrected form may make by odometry alone; none: one
+    shot. Beyond the rest of the way they are nudges, while the error that odometry measures exceeds
+    ``nudge_m``.
+    An error below ``aim_m`` in x and y and ``depth_aim_m`` in z is left alone: play and stiction make a
+    smaller step a gamble.
+    """
+
+    clearance_m: float = Field(ge=0.0, le=1.0)
+    tolerance_m: float = Field(gt=0.0, le=0.1)
+    aim_m: float = Field(ge=0.0, le=0.1)
+    depth_aim_m: float = Field(ge=0.0, le=0.5)
+    inputs: int = Field(ge=1, le=10)
+    step_limit_m: float = Field(gt=0.0, le=5.0)
+    duration_s: Seconds
+    strain_std: float = Field(ge=0.0, le=0.2)
+    servo_std_m: float = Field(ge=0.0, le=0.05)
+    corrections: int = Field(ge=0, le=10)
+    nudge_m: float = Field(ge=0.0, le=0.1)
+
+
+class LookingAndMovingSettings(StrictModel):
+    """Looking and moving: closed loop at camera rate.
+
+    ``gain``: share of a picture's news that the target takes, farther than ``near_m`` from the object;
+    ``pull_gain``: share of the remaining error that it takes whenever the tool rests. Either is ``step_m`` at
+    most; a rest leaves the target within ``pull_m`` of where the pictures see the object. ``feed_s``: time
+    between references, shorter than the controller's silence limit; with no sight for ``hold_s`` the arm is
+    held, for ``lost_s`` it is given up. At rest: over ``settle_pictures`` the error spread and changed by
+    less than ``still_m``, and the encoders are within ``servo_gap_m`` of what is commanded; settled: its mean
+    is also inside ``settle_m`` in x and y and ``settle_depth_m`` in z. Every rest outside widens ``settle_m``
+    by the share ``settle_growth`` of it, to ``settle_most`` times it at most.
+    """
+
+    gain: float = Field(gt=0.0, le=1.0)
+    pull_gain: float = Field(ge=0.0, le=1.0)
+    step_m: float = Field(gt=0.0, le=0.5)
+    near_m: float = Field(ge=0.0, le=0.2)
+    pull_m: float = Field(ge=0.0, le=0.05)
+    lead_m: float = Field(gt=0.0, le=0.4)
+    feed_s: float = Field(ge=0.005, le=0.06)
+    hold_s: float = Field(ge=0.05, le=0.25)
+    lost_s: float = Field(ge=0.1, le=5.0)
+    frozen_pictures: int = Field(ge=2, le=100)
+    settle_m: float = Field(gt=0.0, le=0.05)
+    settle_growth: float = Field(ge=0.0, le=1.0)
+    settle_most: float = Field(ge=1.0, le=10.0)
+    settle_depth_m: float = Field(gt=0.0, le=0.1)
+    still_m: float = Field(gt=0.0, le=0.01)
+    servo_gap_m: float = Field(gt=0.0, le=0.1)
+    settle_pictures: int = Field(ge=4, le=200)
+    timeout_s: float = Field(gt=0.0, le=600.0)
+    step_limit_m: float = Field(gt=0.0, le=5.0)
+
+
+class ProgramSettings(StrictModel):
+    """All programs' settings."""
+
+    orientation: OrientationSettings
+    line_equation: LineEquationSettings
+    trajectory: TrajectorySettings
+    local_map: LocalMapSettings
+    positioning: PositioningSettings
+    looking_and_moving: LookingAndMovingSettings

@@ -1,0 +1,214 @@
+"""Configuration of the vision PC: cameras, markers, looks, odometry and the addresses it talks to."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from foundation.configuration import StrictModel
+from foundation.link_key import KeySource
+from vision_pc.config.hand_eye import CabinetSettings, GuidedSettings
+from vision_pc.config.programs import ProgramSettings
+
+Positive = Annotated[float, Field(gt=0.0)]
+Port = Annotated[int, Field(ge=1, le=65535)]
+
+
+class EyeSettings(StrictModel):
+    """Pinhole of one eye, pixel centres at integers; distortion k1 k2 p1 p2 k3, zeros for rectified
+    pictures.
+    """
+
+    fx_px: float = Field(ge=50.0, le=10_000.0)
+    fy_px: float = Field(ge=50.0, le=10_000.0)
+    cx_px: float = Field(ge=0.0, le=8192.0)
+    cy_px: float = Field(ge=0.0, le=8192.0)
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class StreamSettings(StrictModel):
+    """Raw TCP stream of stereo frames."""
+
+    host: str = "127.0.0.1"
+    port: Port = 47100
+    reconnect_ms: float = Field(500.0, ge=10.0, le=60_000.0)
+
+
+class UvcSettings(StrictModel):
+    """A side-by-side UVC camera, such as a ZED2."""
+
+    device: int | str = 0
+    frame_rate_hz: float = Field(60.0, ge=1.0, le=240.0)
+    latency_ms: float = Field(30.0, ge=0.0, le=500.0)
+
+
+class DirectorySettings(StrictModel):
+    """A recorded directory of left/right PNG pairs with ``captures.csv``."""
+
+    path: Path = Path("recording")
+    speed: float = Field(1.0, ge=0.0, le=1000.0)
+
+
+class CameraSettings(StrictModel):
+    """The stereo camera: where its pictures come from and its calibration."""
+
+    source: Literal["stream", "uvc", "directory"] = "stream"
+    stale_ms: float = Field(ge=10.0, le=60_000.0)
+    frozen_frames: int = Field(ge=0, le=1000)
+    stream: StreamSettings = StreamSettings()
+    uvc: UvcSettings = UvcSettings()
+    directory: DirectorySettings = DirectorySettings()
+    width_px: int = Field(ge=64, le=8192)
+    height_px: int = Field(ge=64, le=8192)
+    left: EyeSettings
+    right: EyeSettings
+    baseline_m: float = Field(gt=0.005, le=2.0)
+    right_rotation_vector_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class ToolMarkerSettings(StrictModel):
+    """The marker on the tool, and what moves with the camera around it.
+
+    ``carried_m``: rectangles in the marker's plane, each x_min, y_min, x_max, y_max (x right, y up), that
+    odometry must not take for the world.
+    """
+
+    id: int = Field(ge=0, le=999)
+    size_m: float = Field(gt=0.005, le=2.0)
+    carried_m: tuple[tuple[float, float, float, float], ...] = ()
+
+
+class ObjectMarkerSettings(StrictModel):
+    """One marker of the object of interest: its centre in O; its axes are parallel to O's."""
+
+    id: int = Field(ge=0, le=999)
+    size_m: float = Field(gt=0.005, le=2.0)
+    x_m: float = Field(ge=-5.0, le=5.0)
+    y_m: float = Field(ge=-5.0, le=5.0)
+
+
+class MarkerSettings(StrictModel):
+    """Detection, refinement and what is taken for granted about noise and printing."""
+
+    dictionary: Literal["DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000"]
+    tool: ToolMarkerSettings
+    object: tuple[ObjectMarkerSettings, ...] = Field(min_length=1)
+    threshold_window_px: int = Field(ge=3, le=101)
+    region_margin_px: int = Field(ge=10, le=500)
+    corner_std_px: float = Field(gt=0.0, le=2.0)
+    residual_limit_px: float = Field(gt=0.0, le=10.0)
+    print_size_std: float = Field(gt=0.0, le=0.05)
+    offset_std_px: float = Field(gt=0.0, le=5.0)
+    offset_floor_px: float = Field(gt=0.0, le=1.0)
+    focal_std: float = Field(ge=0.0, le=0.05)
+
+    @model_validator(mode="after")
+    def _ids_differ(self) -> "MarkerSettings":
+        ids = [self.tool.id, *(marker.id for marker in self.object)]
+        if len(set(ids)) != len(ids):
+            raise ValueError(f"marker ids must differ, got {ids}")
+        return self
+
+    @property
+    def sizes(self) -> dict[int, float]:
+        """Side of every known marker, by id, in metres."""
+        return {self.tool.id: self.tool.size_m} | {marker.id: marker.size_m for marker in self.object}
+
+
+class LookSettings(StrictModel):
+    """How many pairs a look takes, and of how many tool and object must each be seen."""
+
+    frames: int = Field(ge=1, le=1000)
+    minimum_frames: int = Field(ge=1, le=1000)
+    huber_sigmas: float = Field(ge=0.5, le=10.0)
+
+    @model_validator(mode="after")
+    def _minimum_fits(self) -> "LookSettings":
+        if self.minimum_frames > self.frames:
+            raise ValueError(f"minimum_frames {self.minimum_frames} must not exceed frames {self.frames}")
+        return self
+
+
+class OdometrySettings(StrictModel):
+    """Stereo odometry against a persistent keyframe map."""
+
+    features: int = Field(ge=30, le=5000)
+    grid_columns: int = Field(ge=2, le=100)
+    grid_rows: int = Field(ge=2, le=100)
+    quality: float = Field(gt=0.0, lt=1.0)
+    minimum_eigenvalue: float = Field(gt=0.0, le=1.0)
+    window_px: int = Field(ge=7, le=51)
+    halved_window_px: int = Field(ge=5, le=51)
+    pyramid_levels: int = Field(ge=1, le=8)
+    patch_px: int = Field(ge=7, le=61)
+    likeness: float = Field(ge=0.0, lt=1.0)
+    back_error_px: float = Field(gt=0.0, le=5.0)
+    row_error_px: float = Field(gt=0.0, le=20.0)
+    ransac_px: float = Field(gt=0.1, le=20.0)
+    huber_px: float = Field(gt=0.01, le=10.0)
+    minimum_inliers: int = Field(ge=6, le=1000)
+    minimum_coverage: float = Field(ge=0.0, le=1.0)
+    keyframe_overlap: float = Field(gt=0.05, le=0.99)
+    adjusted_keyframes: int = Field(ge=0, le=20)
+    keyframes: int = Field(ge=2, le=1000)
+    right_every: int = Field(ge=0, le=1000)
+
+    @property
+    def noise_px(self) -> float:
+        """Standard deviation of one tracked coordinate that the robust weights go with."""
+        return self.huber_px / 3.0
+
+
+class RectifiedPairSettings(StrictModel):
+    """Intrinsics of a recorded sequence of rectified pictures, one file beside it."""
+
+    fx_px: float = Field(ge=50.0, le=10_000.0)
+    fy_px: float = Field(ge=50.0, le=10_000.0)
+    cx_px: float = Field(ge=0.0, le=8192.0)
+    cy_px: float = Field(ge=0.0, le=8192.0)
+    right_cx_px: float | None = Field(None, ge=0.0, le=8192.0)
+    baseline_m: float = Field(gt=0.005, le=2.0)
+
+
+class LinkSettings(StrictModel):
+    """Where the controller listens, and where the key shared with it is (none: not authenticated)."""
+
+    host: str = "127.0.0.1"
+    port: Port = 47000
+    state_period_ms: int = Field(20, ge=1, le=1000)
+    link_key: KeySource = KeySource()
+
+
+class MotionSettings(StrictModel):
+    """When a motion counts as finished: settled by the controller's judgement, then ``rest_s`` more.
+
+    An arm that the joint servo leaves hanging beside its reference counts too, once ``settle_timeout_s``
+    have passed and no encoder moves by more than ``still_mrad``: where it stands is measured, not presumed.
+    """
+
+    settle_timeout_s: float = Field(5.0, gt=0.0, le=120.0)
+    still_mrad: float = Field(2.0, gt=0.0, le=50.0)
+    rest_s: float = Field(0.5, ge=0.0, le=30.0)
+
+
+class ApiSettings(StrictModel):
+    """Where the REST face listens."""
+
+    host: str = "127.0.0.1"
+    port: Port = 8000
+
+
+class VisionConfig(StrictModel):
+    """Everything in ``vision.yaml``."""
+
+    camera: CameraSettings
+    markers: MarkerSettings
+    look: LookSettings
+    odometry: OdometrySettings
+    link: LinkSettings = LinkSettings()
+    motion: MotionSettings = MotionSettings()
+    programs: ProgramSettings
+    hand_eye: GuidedSettings = GuidedSettings()
+    sessions_dir: Path = Path("runs/hand-eye")
+    cabinet: CabinetSettings | None = None
+    api: ApiSettings = ApiSettings()

@@ -1,0 +1,263 @@
+"""Best mode, part one: a local map from what the camera measures to what the arm must be told.
+
+Three legs along the tool's own axes, ending where the look will be, show how the arm's rigid model turns,
+stretches and bends space nearby, and how much the slew's play shifts it. A rotation alone, as in trajectory
+matching, cannot know that. The map is linear in its unknowns: a rotation, a scale, the fields of the arm's
+usual errors (``arm_fields``), the slew's play, and a small strain for all the rest, each with a prior. The
+fields carry on beyond the path, where a straight line misses by millimetres.
+Source: the local-calibration study, "formulas (affine map with play)" and its 13-parameter model.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from protocol.errors import MeasurementFailed
+from vision_pc.config.programs import LocalMapSettings
+from vision_pc.core.calibration.arm_fields import FIELDS, ArmShape, error_fields
+from vision_pc.core.calibration.backlash import play_states, slew_angles, slew_between, slew_lever, taken_up
+from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
+from vision_pc.core.ports import Arm, Eyes, Report
+from vision_pc.core.se3 import Array, hat, inverse, nearest_rotation, transform
+from vision_pc.core.types import WatchSample
+
+_OFFSET_STD_M = 1.0  # of the map's constant: free
+_ROUNDS = 5  # of reweighting
+_FIELDS_FROM = 16  # columns before those of ``arm_fields``: rotation, scale, strain, offset
+_TAKEN_UP = np.array([-1.0])  # the flank on which a positive turn leaves the slew
+
+
+class LocalTrack(NamedTuple):
+    """Camera and tool poses along a path: ``X_KC`` and ``X_BT``, each (N, 4, 4), in time order.
+
+    K is the camera frame where the path ended, which is where the arm stands now. ``speed`` (N,) m/s of the
+    tool: a boom that moves sways, and its encoders do not see it. ``overrun`` (P,) rad: how far beyond what
+    was asked the slew came to rest at the end of each of the paths so far.
+    """
+
+    X_KC: Array
+    X_BT: Array
+    speed: Array
+    overrun: Array
+
+    @property
+    def X_BT_now(self) -> Array:
+        """The tool's pose at the path's end."""
+        X: Array = self.X_BT[-1]
+        return X
+
+
+class LocalMap(NamedTuple):
+    """How far marker steps ``R`` d differ from nominal TCP steps x about the present pose ``X_BT``.
+
+    R d = x + Φ(x) θ with the columns Φ (3, K) of ``_columns``; ``R`` (3×3) turns the axes of K into B.
+    ``theta`` (K,), ``covariance`` (K, K); ``residual_m`` the rms misfit, ``condition`` that of the track's
+    spread. Holds for steps that end as the track did, with the slew's play taken up.
+    """
+
+    R: Array
+    X_BT: Array
+    theta: Array
+    covariance: Array
+    residual_m: float
+    condition: float
+
+
+async def record_local_track(arm: Arm, eyes: Eyes, report: Report, settings: LocalMapSettings) -> LocalTrack:
+    """The track of three legs along n, s and a, behind the present pose and back to it.
+
+    Raises MeasurementFailed for lost odometry or too few samples; errors of arm and eyes pass through.
+    """
+    X_BT = (await arm.view()).X_BT
+    report(0.05, f"three legs of {settings.leg_m:g} m")
+    track = await watched_path(arm, eyes, three_legs(X_BT, settings.leg_m), settings)
+    refuse_poor_track(track, settings)
+    report(1.0, f"{len(track.X_BT)} samples")
+    return track
+
+
+def three_legs(X_BT: Array, leg_m: float) -> list[Array]:
+    """Four waypoints: back along all axes at once, then n, s, a to ``X_BT``."""
+    n, s, a = (leg_m * X_BT[:3, axis] for axis in range(3))
+    p = X_BT[:3, 3]
+    return [transform(X_BT[:3, :3], corner) for corner in (p - n - s - a, p - s - a, p - a, p)]
+
+
+async def watched_path(
+    arm: Arm, eyes: Eyes, waypoints: list[Array], settings: LocalMapSettings
+) -> LocalTrack:
+    """The track of one path through ``waypoints``, in the camera frame of its end.
+
+    The last one is reached by a turn of the slew that takes up its play, after the arm has settled before it.
+    """
+    *on_the_way, end = waypoints
+    before = taken_up(end, settings.take_up_rad)
+    async with eyes.watch(markers=False, odometry=True) as watch:
+        await arm.follow([*on_the_way, before], segment_s=settings.segment_s, dwell_s=settings.dwell_s)
+        view = await arm.move_to(end, duration_s=settings.take_up_s)
+    return track_of(watch.samples, slew_between(view.X_BT_cmd, view.X_BT))
+
+
+def track_of(samples: tuple[WatchSample, ...], overrun: float) -> LocalTrack:
+    """The track of a watch. Raises MeasurementFailed when odometry was lost at its end or over a fifth."""
+    held = [s for s in samples if s.X_C0C is not None]
+    if len(held) < 0.8 * len(samples) or len(held) < AT_REST or samples[-1].X_C0C is None:
+        raise MeasurementFailed(
+            "measurement.odometry_lost", f"local map: odometry held in {len(held)} of {len(samples)} pictures"
+        )
+    X_C0C = np.array([s.X_C0C for s in held])
+    X_BT = np.array([s.X_BT for s in held])
+    X_KC0 = inverse(settled_pose(X_C0C[-AT_REST:]))
+    X_KC = X_KC0 @ X_C0C
+    X_KC[-1] = np.eye(4)
+    time_s = 1e-9 * np.array([float(s.time_ns) for s in held])
+    return LocalTrack(X_KC, X_BT, _speeds(X_BT[:, :3, 3], time_s), np.array([overrun]))
+
+
+def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
+    """``track`` followed by ``further``, which began where it ended; all in the new end's camera frame."""
+    X_KnewK = further.X_KC[0]
+    return LocalTrack(
+        np.concatenate([X_KnewK @ track.X_KC, further.X_KC]),
+        np.concatenate([track.X_BT, further.X_BT]),
+        np.concatenate([track.speed, further.speed]),
+        np.concatenate([track.overrun, further.overrun]),
+    )
+
+
+def refuse_poor_track(track: LocalTrack, settings: LocalMapSettings) -> None:
+    """Raises MeasurementFailed (``measurement.too_few_samples``, ``.ill_conditioned``)."""
+    if len(track.X_BT) < settings.minimum_samples:
+        raise MeasurementFailed(
+            "measurement.too_few_samples",
+            f"local map: {len(track.X_BT)} samples, at least {settings.minimum_samples} are wanted",
+        )
+    spread = np.linalg.svd(track.X_BT[:, :3, 3] - track.X_BT[:, :3, 3].mean(axis=0), compute_uv=False)
+    if spread[2] < 0.1 * spread[0]:
+        raise MeasurementFailed(
+            "measurement.ill_conditioned",
+            f"local map: the path is flat, spread ratio {spread[2] / spread[0]:.3f}, at least 0.1 is wanted",
+        )
+
+
+def fit_map(track: LocalTrack, p_CM: Array, settings: LocalMapSettings) -> LocalMap:
+    """The map about the track's end, from the tool marker's position ``p_CM`` (3,) in the camera.
+
+    Raises MeasurementFailed (``measurement.match_poor``) when the misfit exceeds its limit.
+    """
+    m = track.X_KC[:, :3, 3] + track.X_KC[:, :3, :3] @ p_CM  # marker points: the lever arm is gone
+    p = track.X_BT[:, :3, 3]
+    R = _kabsch(m, p)
+    shape = settings.arm.shape
+    h = play_states(slew_angles(track.X_BT, shape.tool), settings.reversal_rad)
+    columns = _columns(track.X_BT, h, track.X_BT_now, shape)
+    Phi = columns.reshape(-1, columns.shape[2])
+    wanted = ((m - m[-1]) @ R.T - (p - p[-1])).ravel()
+    std = np.repeat(np.hypot(settings.noise_std_m, settings.sway_s * track.speed), 3)
+    precision = np.diag(_prior(settings) ** -2.0)
+    weights = np.ones(len(p))
+    for _ in range(_ROUNDS):  # reweighted: a glitch of odometry must not bend the map
+        weighted = Phi * (np.repeat(weights, 3) / std**2)[:, None]
+        covariance = np.asarray(np.linalg.inv(weighted.T @ Phi + precision), dtype=np.float64)
+        theta = covariance @ (weighted.T @ wanted)
+        misfit = (wanted - Phi @ theta).reshape(-1, 3)
+        weights = 1.0 / np.maximum(1.0, np.linalg.norm(misfit / std.reshape(-1, 3), axis=1) / 4.0)
+    residual = float(np.sqrt((weights * (misfit**2).sum(axis=1)).mean()))
+    if residual > settings.residual_limit_m:
+        raise MeasurementFailed(
+            "measurement.match_poor",
+            f"local map: misfit {residual:.4f} m, limit {settings.residual_limit_m:g} m",
+        )
+    information = np.linalg.eigvalsh(rotation_information(p, np.ones(len(p))))
+    condition = float(information[-1] / information[0])
+    return LocalMap(R, track.X_BT_now, theta, covariance, residual, condition)
+
+
+def solve_step(fitted: LocalMap, d: Array, settings: LocalMapSettings) -> tuple[Array, Array]:
+    """(x (3,): the nominal step in B that moves the marker by ``d`` (3,) in K, its covariance (3×3) in B)."""
+    wanted = fitted.R @ d
+    shape = settings.arm.shape
+    here = fitted.X_BT
+    x, columns = wanted, np.zeros((3, len(fitted.theta)))
+    for _ in range(20):
+        goal = transform(here[:3, :3], here[:3, 3] + x)
+        columns = _columns(goal[None], _TAKEN_UP, here, shape)[0]
+        columns[:, 13:16] = 0.0  # the constant is the error of the track's end alone
+        x = wanted - columns @ fitted.theta
+    return x, columns @ fitted.covariance @ columns.T
+
+
+def _columns(X_BT: Array, play: Array, X_BT_now: Array, shape: ArmShape) -> Array:
+    """Φ (n, 3, K) at the poses (n, 4, 4) with the slew on flanks ``play`` (n,), at the present one taken up.
+
+    Zero at the present pose, but for the constant.
+
+    Columns: rotation (3), scale (1), strain row by row (9), constant (3), the fields (4), the slew's play.
+    """
+    n = len(X_BT)
+    x = X_BT[:, :3, 3] - X_BT_now[:3, 3]
+    Phi = np.zeros((n, 3, _FIELDS_FROM + len(FIELDS) + 1))
+    Phi[:, :, 0:3] = -np.array([hat(step) for step in x])
+    Phi[:, :, 3] = x
+    for axis in range(3):
+        Phi[:, axis, 4 + 3 * axis : 7 + 3 * axis] = x
+        Phi[:, axis, 13 + axis] = 1.0
+    fields = error_fields(np.concatenate([X_BT, X_BT_now[None]]), shape)
+    Phi[:, :, _FIELDS_FROM:-1] = fields[:-1] - fields[-1]
+    levers = np.array([slew_lever(X) for X in X_BT])
+    Phi[:, :, -1] = levers * (play - _TAKEN_UP)[:, None]
+    return Phi
+
+
+def _prior(settings: LocalMapSettings) -> Array:
+    """Standard deviations (K,) of θ."""
+    return np.array(
+        [settings.rotation_std] * 3
+        + [settings.scale_std]
+        + [settings.strain_std] * 9
+        + [_OFFSET_STD_M] * 3
+        + [*settings.field_stds, settings.play_std]
+    )
+
+
+def _speeds(p: Array, time_s: Array) -> Array:
+    """Speed (n,) m/s of points (n, 3): the larger of before and after."""
+    between = np.linalg.norm(np.diff(p, axis=0), axis=1) / np.maximum(np.diff(time_s), 1e-6)
+    speeds: Array = np.maximum(np.append(between, 0.0), np.insert(between, 0, 0.0))
+    return speeds
+
+
+def planned_covariance(X_BT: Array, speed: Array, steps: Array, settings: LocalMapSettings) -> Array:
+    """Covariances (m, 3, 3) m² in B of the ends of ``steps`` (m, 3) that a track would leave.
+
+    ``X_BT`` (n, 4, 4) and ``speed`` (n,) as ``LocalTrack`` would have them; no measurement is needed: the
+    information matrix depends on the path alone.
+    """
+    shape, here = settings.arm.shape, X_BT[-1]
+    h = play_states(slew_angles(X_BT, shape.tool), settings.reversal_rad)
+    columns = _columns(X_BT, h, here, shape)
+    Phi = columns.reshape(-1, columns.shape[2])
+    std = np.repeat(np.hypot(settings.noise_std_m, settings.sway_s * speed), 3)
+    information = Phi.T @ (Phi / std[:, None] ** 2) + np.diag(_prior(settings) ** -2.0)
+    blank = LocalMap(np.eye(3), here, np.zeros(len(information)), np.linalg.inv(information), 0.0, 1.0)
+    return np.array([solve_step(blank, step, settings)[1] for step in steps])
+
+
+def camera_in_tool(track: LocalTrack, p_CM: Array) -> Array:
+    """R_TC (3×3): camera axes in the tool's, from the track and the tool marker's ``p_CM`` (3,)."""
+    m = track.X_KC[:, :3, 3] + track.X_KC[:, :3, :3] @ p_CM
+    R: Array = track.X_BT_now[:3, :3].T @ _kabsch(m, track.X_BT[:, :3, 3])
+    return R
+
+
+def _kabsch(m: Array, p: Array) -> Array:
+    """R (3×3) that turns the points ``m`` into ``p``, in association, far points reweighted."""
+    weights = np.ones(len(m))
+    R = np.eye(3)
+    for _ in range(5):
+        m0, p0 = weights @ m / weights.sum(), weights @ p / weights.sum()
+        R = nearest_rotation((p - p0).T @ ((m - m0) * weights[:, None]))
+        misfit = np.linalg.norm(p - p0 - (m - m0) @ R.T, axis=1)
+        scale = 3.0 * 1.4826 * float(np.median(misfit)) + 1e-9
+        weights = 1.0 / np.maximum(1.0, misfit / scale) ** 2
+    return R

@@ -1,0 +1,253 @@
+"""A guided session as data: samples taken, the proposed pose, what was refused; to and from its JSON form."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from protocol.errors import RequestRefused
+from vision_pc.config.hand_eye import JOINTS, GuidedSettings
+from vision_pc.core.hand_eye.guided.sampling import Proposal
+from vision_pc.core.hand_eye.guided.views import Surroundings
+from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, Setup, pose_pairs
+from vision_pc.core.perception.markers import corner_points
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraCalibration
+
+FORMAT = "longreach-hand-eye-session/1"
+JSON = dict[str, Any]
+
+
+class Sample(NamedTuple):
+    """One sample: the hand X_BT by the controller's model, the marker X_CT with covariance (6, 6).
+
+    ``corners_left`` (4, 2) px in the left picture; ``marker_id``; ``settled`` by the controller's flag (else
+    the encoders alone said so); ``moved_mrad`` by the encoders while it was taken. ``q`` (6,) rad: the joints
+    by the encoders, None in files that have none.
+    """
+
+    name: str
+    X_BT: Array
+    X_CT: Array
+    covariance: Array
+    corners_left: Array
+    marker_id: int
+    settled: bool
+    moved_mrad: float
+    q: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A session at one instant; every change makes a new one.
+
+    ``seed`` of the proposals; ``proposed`` how many were made; ``refused`` poses X_BT that the controller
+    refused, with its reason; ``proposal`` the one to go to, None once a sample was taken there.
+    """
+
+    name: str
+    seed: int
+    settings: GuidedSettings
+    around: Surroundings
+    samples: tuple[Sample, ...] = ()
+    proposal: Proposal | None = None
+    proposed: int = 0
+    numbered: int = 0
+    refused: tuple[tuple[Array, str], ...] = field(default=())
+
+    @property
+    def complete(self) -> bool:
+        """Whether as many samples as wanted are there."""
+        return len(self.samples) >= self.settings.poses
+
+    def sample(self, name: str) -> Sample:
+        """The sample of that name. Raises RequestRefused (``refused.hand_eye.unknown_sample``)."""
+        for sample in self.samples:
+            if sample.name == name:
+                return sample
+        known = ", ".join(s.name for s in self.samples) or "none"
+        raise RequestRefused("refused.hand_eye.unknown_sample", f"no sample '{name}'; there are: {known}")
+
+    def without(self, name: str) -> "Session":
+        """The session without a sample."""
+        self.sample(name)
+        return replace(self, samples=tuple(s for s in self.samples if s.name != name))
+
+    def with_sample(self, sample: Sample) -> "Session":
+        """The session with a sample, in the place of one of the same name if there is one.
+
+        Raises RequestRefused (``refused.hand_eye.…``) when the sample cannot be believed beside the others.
+        """
+        names = [s.name for s in self.samples]
+        if sample.name in names:
+            samples = tuple(sample if s.name == sample.name else s for s in self.samples)
+        else:
+            samples = (*self.samples, sample)
+        changed = replace(self, samples=samples, proposal=None)
+        changed.pairs()
+        return changed
+
+    def next_name(self) -> tuple["Session", str]:
+        """The session that has given out a number, and the number: none is used twice."""
+        changed = replace(self, numbered=self.numbered + 1)
+        return changed, str(changed.numbered)
+
+    def pairs(self) -> PosePairs:
+        """The samples as a solver takes them, with corners of the left eye."""
+        camera = self.around.camera
+        corners = CornerViews(
+            corner_points(self.settings.marker_size_m),
+            np.stack([s.corners_left for s in self.samples]),
+            camera.left.K,
+            camera.left.distortion,
+        )
+        return pose_pairs(
+            np.stack([s.X_BT for s in self.samples]),
+            np.stack([s.X_CT for s in self.samples]),
+            Setup.EYE_IN_HAND,
+            tuple(s.name for s in self.samples),
+            corners,
+        )
+
+
+def to_json(session: Session) -> JSON:
+    """The session's file: plain numbers, metres, radians and pixels; poses as rows of 4×4."""
+    around, p = session.around, session.proposal
+    return {
+        "format": FORMAT,
+        "name": session.name,
+        "seed": session.seed,
+        "proposed": session.proposed,
+        "numbered": session.numbered,
+        "settings": session.settings.model_dump(mode="json"),
+        "camera": {"K": around.camera.left.K.tolist(), "distortion": around.camera.left.distortion.tolist()},
+        "start": {
+            "X_BT": around.X_BT_start.tolist(),
+            "hidden_px": [[list(r) for r in eye] for eye in around.hidden],
+            "tool_in_camera_m": around.tool_C.tolist(),
+        },
+        "samples": [_sample_json(s) for s in session.samples],
+        "proposal": None if p is None else proposal_json(p),
+        "refused": [{"X_BT": X.tolist(), "reason": why} for X, why in session.refused],
+    }
+
+
+def _sample_json(s: Sample) -> JSON:
+    return {
+        "name": s.name,
+        "hand": s.X_BT.tolist(),
+        "camera": s.X_CT.tolist(),
+        "covariance_p_theta": s.covariance.tolist(),
+        "corners_px": s.corners_left.tolist(),
+        "marker_id": s.marker_id,
+        "settled": s.settled,
+        "moved_mrad": s.moved_mrad,
+        "joints_rad": None if s.q is None else s.q.tolist(),
+    }
+
+
+def proposal_json(p: Proposal) -> JSON:
+    """A proposal's figures."""
+    return {
+        "X_BT": p.X_BT.tolist(),
+        "X_CT": p.X_CT.tolist(),
+        "pixel": [round(float(v), 1) for v in p.pixel],
+        "distance_m": round(p.distance, 4),
+        "obliquity_deg": round(math.degrees(p.obliquity), 2),
+        "gain_nats": p.gain,
+        "std_after_mm": 1e3 * p.std[0],
+        "std_after_deg": math.degrees(p.std[1]),
+        "choices": p.choices,
+    }
+
+
+def from_json(document: Mapping[str, Any], camera: CameraCalibration) -> Session:
+    """The session of a file, seen with ``camera``.
+
+    Raises RequestRefused: ``refused.hand_eye.format`` naming the key that is missing or wrong, and what
+    ``pose_pairs`` refuses, naming the sample.
+    """
+    if document.get("format") != FORMAT:
+        raise RequestRefused(
+            "refused.hand_eye.format", f"format is {document.get('format')!r}, {FORMAT!r} is wanted"
+        )
+    try:
+        session = _read(document, camera)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        what = f"key {error}" if isinstance(error, KeyError) else " ".join(str(error).split())
+        raise RequestRefused(
+            "refused.hand_eye.format", f"session file: {what} is missing or wrong"
+        ) from error
+    for s in session.samples:
+        if s.marker_id != session.settings.marker_id:
+            raise RequestRefused(
+                "refused.hand_eye.marker_id",
+                f"sample {s.name}: marker {s.marker_id}, but {session.settings.marker_id} is asked for",
+            )
+    if session.samples:
+        session.pairs()
+    return session
+
+
+def _read(document: Mapping[str, Any], camera: CameraCalibration) -> Session:
+    start, p = document["start"], document["proposal"]
+    hidden = tuple(tuple(_rectangle(r) for r in eye) for eye in start["hidden_px"])
+    samples = tuple(
+        Sample(
+            str(s["name"]),
+            _matrix(s["hand"], (4, 4)),
+            _matrix(s["camera"], (4, 4)),
+            _matrix(s["covariance_p_theta"], (6, 6)),
+            _matrix(s["corners_px"], (4, 2)),
+            int(s["marker_id"]),
+            bool(s["settled"]),
+            float(s["moved_mrad"]),
+            None if s.get("joints_rad") is None else _matrix(s["joints_rad"], (JOINTS,)),
+        )
+        for s in document["samples"]
+    )
+    names = [s.name for s in samples]
+    if len(set(names)) != len(names):
+        raise ValueError(f"sample names {names}: a name given twice")
+    if len(hidden) != 2:
+        raise ValueError(f"hidden_px of {len(hidden)} eyes")
+    return Session(
+        name=str(document["name"]),
+        seed=int(document["seed"]),
+        settings=GuidedSettings.model_validate(document["settings"]),
+        around=Surroundings(
+            camera, _matrix(start["X_BT"], (4, 4)), hidden, _matrix(start["tool_in_camera_m"], (3,))
+        ),
+        samples=samples,
+        proposal=None if p is None else _proposal(p),
+        proposed=int(document["proposed"]),
+        numbered=int(document["numbered"]),
+        refused=tuple((_matrix(r["X_BT"], (4, 4)), str(r["reason"])) for r in document["refused"]),
+    )
+
+
+def _proposal(p: Mapping[str, Any]) -> Proposal:
+    return Proposal(
+        _matrix(p["X_BT"], (4, 4)),
+        _matrix(p["X_CT"], (4, 4)),
+        _matrix(p["pixel"], (2,)),
+        float(p["distance_m"]),
+        math.radians(float(p["obliquity_deg"])),
+        float(p["gain_nats"]),
+        (1e-3 * float(p["std_after_mm"]), math.radians(float(p["std_after_deg"]))),
+        int(p["choices"]),
+    )
+
+
+def _matrix(rows: Any, shape: tuple[int, ...]) -> Array:
+    value = np.array(rows, dtype=np.float64)
+    if value.shape != shape or not np.isfinite(value).all():
+        raise ValueError(f"finite numbers of shape {shape} are wanted, got shape {value.shape}")
+    return value
+
+
+def _rectangle(values: Any) -> tuple[float, float, float, float]:
+    a, b, c, d = (float(v) for v in values)
+    return a, b, c, d

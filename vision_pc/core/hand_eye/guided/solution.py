@@ -1,0 +1,130 @@
+"""X of a guided session: the certified robust solver, and what the arm's drawing lets one know beside it.
+
+With a drawing the samples tell the zeros of the joints from a turned camera as far as they can:
+
+1. The robust solver finds the samples that agree, on the poses as reported.
+2. Shared errors of arm and camera are fitted with X and Z (``shared_errors``).
+3. The robust solver once more on the poses without them: bad samples stand out better, and the certificate
+   is that of the poses corrected.
+4. The fit over the samples that agree now is the answer.
+
+Without one, the arm's zeros are one constant turn of the wrist that the covariance takes in.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from vision_pc.config.hand_eye import ArmDrawing, GuidedSettings
+from vision_pc.core.hand_eye.guided import nominal_model as arm_drawing
+from vision_pc.core.hand_eye.guided import shared_errors
+from vision_pc.core.hand_eye.guided.sampling import arm_zero_covariance
+from vision_pc.core.hand_eye.guided.session import Sample, Session
+from vision_pc.core.hand_eye.guided.shared_errors import Doubts, SharedFit
+from vision_pc.core.hand_eye.samples import PosePairs
+from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
+from vision_pc.core.hand_eye.solvers import methods
+from vision_pc.core.hand_eye.solvers.methods import Method
+from vision_pc.core.hand_eye.solvers.result import HandEyeResult
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import EyeModel
+
+
+class ArmFound(NamedTuple):
+    """What the samples, and what was said of it before, tell of the arm.
+
+    ``zeros`` (6,) to be added to what the encoders say, and their ``std`` (6,), rad. ``camera_noise`` and
+    ``play``: the samples' noise over what was said of it.
+    """
+
+    zeros: Array
+    std: Array
+    camera_noise: float
+    play: float
+
+
+class GuidedSolution(NamedTuple):
+    """``result``, whose covariance is by the samples' noise alone; ``covariance`` (6, 6) with arm and camera.
+
+    ``pairs`` as the result rests on them, shared errors taken off; ``arm``: None without a drawing.
+    """
+
+    result: HandEyeResult
+    covariance: Array
+    pairs: PosePairs
+    arm: ArmFound | None
+
+
+def solve(session: Session) -> GuidedSolution:
+    """The session's calibration. Raises MeasurementFailed as ``methods.solve``."""
+    pairs = session.pairs()
+    result = methods.solve(pairs, Method.ROBUST)
+    drawing, why = _usable(session)
+    if drawing is None:
+        result = replace(result, notes=(*result.notes, f"{why}: its zeros count as one turn of the wrist"))
+        assert result.covariance is not None
+        whole = result.covariance + arm_zero_covariance(result.X, session.settings)
+        return GuidedSolution(result, whole, pairs, None)
+    samples = [session.samples[k] for k in pairs.order]
+    doubts = doubts_of(samples, drawing, session.settings, session.around.camera.left)
+    first = _fit(pairs, result, doubts)
+    corrected = replace(pairs, H=first.H, P=first.P)
+    agreed = methods.solve(corrected, Method.ROBUST)
+    found = _fit(pairs, agreed, doubts)
+    corrected = replace(pairs, H=found.H, P=found.P)
+    back = np.argsort(np.array(pairs.order))
+    residuals = ml.residuals(found.H, found.P, found.X, found.Z)[back]
+    result = replace(agreed, X=found.X, Z=found.Z, residuals=residuals, covariance=found.by_noise)
+    scale = 1e-3 * drawing.zero_std_mrad
+    std = np.sqrt(np.diag(found.covariance)[12:][arm_drawing.ZEROS])
+    arm = ArmFound(scale * found.errors[arm_drawing.ZEROS], scale * std, *found.factors)
+    return GuidedSolution(result, found.covariance[:6, :6], corrected, arm)
+
+
+def doubts_of(
+    samples: Sequence[Sample], drawing: ArmDrawing, settings: GuidedSettings, eye: EyeModel
+) -> Doubts:
+    """What may be wrong with ``samples`` that all have their joints' angles."""
+    q = np.stack([s.q for s in samples if s.q is not None])
+    of_arm = arm_drawing.shared_errors(drawing, q)
+    of_camera = _lens_errors(np.stack([s.X_CT for s in samples]), settings, eye)
+    nothing = np.zeros_like(of_arm[..., :1])
+    hand = np.concatenate([of_arm, np.repeat(nothing, of_camera.shape[-1], axis=2)], axis=2)
+    camera = np.concatenate([np.repeat(nothing, of_arm.shape[-1], axis=2), of_camera], axis=2)
+    return Doubts(hand, camera, arm_drawing.play(drawing, q), np.stack([s.covariance for s in samples]))
+
+
+def _lens_errors(X_CT: Array, settings: GuidedSettings, eye: EyeModel) -> Array:
+    """Principal point (two) and focal length: how they move the target, by its distance (n, 6, 3)."""
+    p = X_CT[:, :3, 3]
+    columns = np.zeros((len(p), 6, 3))
+    columns[:, 0, 0] = settings.principal_point_std_px / eye.K[0, 0] * p[:, 2]
+    columns[:, 1, 1] = settings.principal_point_std_px / eye.K[1, 1] * p[:, 2]
+    columns[:, :3, 2] = settings.focal_std * p
+    return columns
+
+
+def _fit(pairs: PosePairs, result: HandEyeResult, doubts: Doubts) -> SharedFit:
+    weights = result.inliers[np.array(pairs.order)].astype(float)
+    return shared_errors.fit(pairs.H, pairs.P, weights, doubts, result.X, result.Z)
+
+
+def _usable(session: Session) -> tuple[ArmDrawing | None, str]:
+    """The arm's drawing if it can be used, else why not."""
+    drawing = session.settings.arm
+    if drawing is None:
+        return None, "the arm has no drawing (hand_eye.arm)"
+    without = [s.name for s in session.samples if s.q is None]
+    if without:
+        return None, f"joint angles of sample {', '.join(without)} are not known"
+    q = np.stack([s.q for s in session.samples if s.q is not None])
+    way, turn = arm_drawing.mismatch(drawing, q, np.stack([s.X_BT for s in session.samples]))
+    worst = int(np.argmax(np.maximum(way / drawing.fit_m, 1e3 * turn / drawing.fit_mrad)))
+    if way[worst] > drawing.fit_m or 1e3 * turn[worst] > drawing.fit_mrad:
+        return None, (
+            f"the drawing is not this arm's: it puts the hand of sample {session.samples[worst].name} "
+            f"{1e3 * way[worst]:.1f} mm and {1e3 * turn[worst]:.1f} mrad off where the controller reports it"
+        )
+    return drawing, ""

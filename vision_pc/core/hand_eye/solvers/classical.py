@@ -1,0 +1,181 @@
+"""The classical solvers: OpenCV's on poses, guarded against its defects, and the same on bare motions.
+
+OpenCV 4.14 returns NaN (Daniilidis), reflections (Park) or, after a line on standard error, a rotation that
+has nothing to do with the data (Tsai, which drops motions under 15 degrees). Here a result is a proper pose
+or an error.
+"""
+
+import math
+from collections.abc import Callable
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from protocol.errors import MeasurementFailed
+from vision_pc.core.hand_eye import rigid
+from vision_pc.core.hand_eye.samples import PosePairs
+from vision_pc.core.hand_eye.solvers import dual_quaternion
+from vision_pc.core.hand_eye.solvers.motions import DualQuaternions, Motions, dual_quaternions
+from vision_pc.core.se3 import Array
+
+_TSAI_LEAST = math.radians(15.0)  # OpenCV's Tsai drops motions outside these
+_TSAI_MOST = math.pi - _TSAI_LEAST
+_TSAI_SECOND_AXIS = math.radians(1.0)
+
+
+class Classical(StrEnum):
+    """Solvers from the literature, in order of publication."""
+
+    TSAI = "tsai"
+    PARK = "park"
+    HORAUD = "horaud"
+    ANDREFF = "andreff"
+    DANIILIDIS = "daniilidis"
+    LI = "li"
+    SHAH = "shah"
+
+
+_AX_XB = {
+    Classical.TSAI: cv2.CALIB_HAND_EYE_TSAI,
+    Classical.PARK: cv2.CALIB_HAND_EYE_PARK,
+    Classical.HORAUD: cv2.CALIB_HAND_EYE_HORAUD,
+    Classical.ANDREFF: cv2.CALIB_HAND_EYE_ANDREFF,
+    Classical.DANIILIDIS: cv2.CALIB_HAND_EYE_DANIILIDIS,
+}
+_AX_ZB = {
+    Classical.LI: cv2.CALIB_ROBOT_WORLD_HAND_EYE_LI,
+    Classical.SHAH: cv2.CALIB_ROBOT_WORLD_HAND_EYE_SHAH,
+}
+
+
+class ClassicalResult(NamedTuple):
+    """X (4, 4); Z (4, 4) from the solvers that estimate it, else None; ``notes`` on what was done."""
+
+    X: Array
+    Z: Array | None = None
+    notes: tuple[str, ...] = ()
+
+
+def from_poses(pairs: PosePairs, motions: Motions, method: Classical) -> ClassicalResult:
+    """X, and Z where the method estimates it, by OpenCV.
+
+    ``motions`` are those of all pairs of samples. Raises MeasurementFailed:
+    ``measurement.hand_eye.no_solution`` (OpenCV gave up or returned NaN), ``.left_handed`` (it returned a
+    reflection).
+    """
+    H, P = pairs.H, pairs.P
+    if method in _AX_ZB:
+        H_inverse = rigid.inverse(H)
+        R_TZ, t_TZ, R_CX, t_CX = _called(
+            cv2.calibrateRobotWorldHandEye,
+            method,
+            (P[:, :3, :3], P[:, :3, 3], H_inverse[:, :3, :3], H_inverse[:, :3, 3]),
+            _AX_ZB[method],
+        )
+        X, Z = rigid.inverse(_proper(R_CX, t_CX, method)), rigid.inverse(_proper(R_TZ, t_TZ, method))
+        return ClassicalResult(X, Z)
+    if method is Classical.TSAI and not _enough_for_opencv_tsai(motions):
+        note = "OpenCV's Tsai would drop these rotations under 15 degrees; solved without its filter"
+        return ClassicalResult(from_motions(motions, method), notes=(note,))
+    poses = (H[:, :3, :3], H[:, :3, 3], P[:, :3, :3], P[:, :3, 3])
+    R, t = _called(cv2.calibrateHandEye, method, poses, _AX_XB[method])
+    return ClassicalResult(_proper(R, t, method))
+
+
+def _called(function: Callable[..., Any], method: Classical, poses: tuple[Array, ...], flag: int) -> Any:
+    try:
+        return function(*poses, method=flag)
+    except cv2.error as error:
+        reason = " ".join(str(error).split())
+        raise MeasurementFailed(
+            "measurement.hand_eye.no_solution", f"{method}: OpenCV gave up: {reason}"
+        ) from error
+
+
+def _proper(R: Array, t: Array, method: Classical) -> Array:
+    """The pose, a slightly skewed rotation made orthonormal, or the error that it is none."""
+    R, t = np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64).reshape(-1)
+    if not (np.isfinite(R).all() and np.isfinite(t).all()):
+        raise MeasurementFailed(
+            "measurement.hand_eye.no_solution", f"{method}: the solver returned NaN or infinity"
+        )
+    determinant = float(np.linalg.det(R))
+    if determinant <= 0.0:
+        raise MeasurementFailed(
+            "measurement.hand_eye.left_handed",
+            f"{method}: the solver returned a reflection (det {determinant:.3f})",
+        )
+    return rigid.pose(rigid.nearest_rotation(R), t)
+
+
+def _enough_for_opencv_tsai(motions: Motions) -> bool:
+    vectors = rigid.rotation_log(motions.A[:, :3, :3])
+    angles = np.linalg.norm(vectors, axis=-1)
+    kept = vectors[(angles > _TSAI_LEAST) & (angles < _TSAI_MOST)]
+    if len(kept) < 2:
+        return False
+    return bool(np.sqrt(np.linalg.eigvalsh(kept.T @ kept / len(kept))[1]) > _TSAI_SECOND_AXIS)
+
+
+def from_motions(motions: Motions, method: Classical) -> Array:
+    """X (4, 4) from bare motions A X = X B, where no poses exist that OpenCV could take.
+
+    Tsai, Park, Horaud and Daniilidis; on the motions of all pairs of samples they equal OpenCV's. Raises
+    MeasurementFailed like ``from_poses``, ValueError for another method.
+    """
+    dual = dual_quaternions(motions)
+    if method is Classical.DANIILIDIS:
+        return _daniilidis(dual)
+    if method is Classical.TSAI:
+        R = _tsai_rotation(dual)
+    elif method is Classical.PARK:
+        R = _park_rotation(motions)
+    elif method is Classical.HORAUD:
+        R = rigid.rotation_of_quaternion(np.linalg.eigh(dual_quaternion.forms(dual).RR)[1][:, 0])
+    else:
+        raise ValueError(f"{method} needs poses")
+    return _proper(R, _translation(motions, R), method)
+
+
+def _translation(motions: Motions, R: Array) -> Array:
+    """t from (R_A − I) t = R t_B − t_A, all motions at once."""
+    rows = (motions.A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
+    right = (motions.B[:, :3, 3] @ R.T - motions.A[:, :3, 3]).reshape(-1)
+    return np.asarray(np.linalg.lstsq(rows, right, rcond=None)[0])
+
+
+def _tsai_rotation(dual: DualQuaternions) -> Array:
+    """Tsai and Lenz 1989, eq. (12), (14): skew(a + b) p = b − a, a and b twice the vector parts."""
+    a, b = 2.0 * dual.x[:, 1:], 2.0 * dual.y[:, 1:]
+    p = np.linalg.lstsq(rigid.skew(a + b).reshape(-1, 3), (b - a).reshape(-1), rcond=None)[0]
+    return rigid.rotation_of_quaternion(np.concatenate([[1.0], p]) / math.sqrt(1.0 + p @ p))
+
+
+def _park_rotation(motions: Motions) -> Array:
+    """Park and Martin 1994: R = (MᵀM)^(−1/2) Mᵀ with M = Σ b aᵀ of the rotation vectors."""
+    M = rigid.rotation_log(motions.B[:, :3, :3]).T @ rigid.rotation_log(motions.A[:, :3, :3])
+    U, _, Vt = np.linalg.svd(M)
+    return np.asarray((U @ Vt).T)
+
+
+def _daniilidis(dual: DualQuaternions) -> Array:
+    """Daniilidis 1999, eq. (31) to (35): the null space of the stacked screw equations, then a quadratic."""
+    a, b = dual.x[:, 1:], dual.y[:, 1:]
+    a_dual, b_dual = dual.x_dual[:, 1:], dual.y_dual[:, 1:]
+    S = np.zeros((len(a), 6, 8))
+    S[:, :3, 0] = S[:, 3:, 4] = a - b
+    S[:, :3, 1:4] = S[:, 3:, 5:] = rigid.skew(a + b)
+    S[:, 3:, 0] = a_dual - b_dual
+    S[:, 3:, 1:4] = rigid.skew(a_dual + b_dual)
+    u, v = np.linalg.svd(S.reshape(-1, 8), full_matrices=True)[2][-2:]
+    roots = np.roots([u[:4] @ u[4:], u[:4] @ v[4:] + v[:4] @ u[4:], v[:4] @ v[4:]])
+    if np.abs(roots.imag).max(initial=0.0) > 0.0 or not len(roots):
+        raise MeasurementFailed(
+            "measurement.hand_eye.no_solution", "daniilidis: the null space holds no unit dual quaternion"
+        )
+    candidates = [s * u + v for s in roots.real]
+    q = max(candidates, key=lambda c: float(c[:4] @ c[:4]))
+    q = q / np.linalg.norm(q[:4])
+    return rigid.pose(rigid.rotation_of_quaternion(q[:4]), rigid.translation_of_dual(q[:4], q[4:]))

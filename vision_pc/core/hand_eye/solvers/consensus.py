@@ -1,0 +1,153 @@
+"""Which samples agree: graduated non-convexity, and a robust guess of the noise when nobody knows it.
+
+Truncated least squares, min Σ min(r_i², c²), reached by a sequence of problems that begins convex (Yang et
+al. 2020, "Graduated non-convexity for robust spatial perception"). The threshold c needs the noise; if it
+is not given, the least quantile of residuals over triples of samples gives it (Rousseeuw 1984), with no
+random choice of triples.
+"""
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.errors import MeasurementFailed
+from vision_pc.core.hand_eye import rigid
+from vision_pc.core.hand_eye.samples import Setup
+from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
+from vision_pc.core.hand_eye.solvers import noise as noise_model
+from vision_pc.core.hand_eye.solvers import separable
+from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
+from vision_pc.core.hand_eye.solvers.noise import NoiseSource
+from vision_pc.core.hand_eye.solvers.separable import Parts
+from vision_pc.core.se3 import Array
+
+LEAST_FOR_OUTLIERS = 5  # samples: with fewer, three that agree by chance outvote the others
+_TRIPLES = 300
+_BEST = 4
+_CONCENTRATIONS = 2
+_MEDIAN_NORM = 1.5382  # median length of a 3-vector of unit normals
+_GROWTH = 2.0
+_STEPS = 3  # of Gauss-Newton a round: the weights move on before more of them pay
+_ROUNDS = 80
+
+
+class Consensus(NamedTuple):
+    """Weights (n,), 1 for samples that agree and 0 for the others, and the estimate they give."""
+
+    weights: Array
+    X: Array
+    Z: Array
+
+
+def graduated(p: Parts, setup: Setup, noise: Noise, threshold: float) -> Consensus:
+    """The samples whose squared normalised residual stays below ``threshold`` at the truncated optimum."""
+    n = len(p.H)
+    X, Z = _refined(p, setup, noise, np.ones(n), None)
+    squares = normalised_squares(p, setup, noise, X, Z)
+    worst = float(squares.max())
+    if worst <= threshold:
+        return Consensus(np.ones(n), X, Z)
+    mu = threshold / (2.0 * worst - threshold)
+    for _ in range(_ROUNDS):
+        weights = _truncated_weights(squares, threshold, mu)
+        if (weights > 0.5).sum() < 3:  # the surrogate has let go of nearly all: keep the best half
+            weights = (squares <= np.sort(squares)[(n + 4) // 2 - 1]).astype(float)
+        X, Z = _refined(p, setup, noise, weights, (X, Z))
+        squares = normalised_squares(p, setup, noise, X, Z)
+        settled = bool(((weights < 1e-9) | (weights > 1.0 - 1e-9)).all())
+        if settled and ((squares <= threshold) == (weights > 0.5)).all():
+            break
+        mu *= _GROWTH
+    weights = (squares <= threshold).astype(float)
+    return Consensus(weights, X, Z)
+
+
+def _truncated_weights(squares: Array, threshold: float, mu: float) -> Array:
+    """Yang et al. 2020, eq. (14)."""
+    middle = np.sqrt(threshold * mu * (mu + 1.0) / np.maximum(squares, 1e-12)) - mu
+    upper, lower = (mu + 1.0) / mu * threshold, mu / (mu + 1.0) * threshold
+    return np.where(squares >= upper, 0.0, np.where(squares <= lower, 1.0, np.clip(middle, 0.0, 1.0)))
+
+
+def _refined(
+    p: Parts, setup: Setup, noise: Noise, weights: Array, previous: tuple[Array, Array] | None
+) -> tuple[Array, Array]:
+    """The weighted optimum from the closed-form start, or from the previous estimate if that is better."""
+    equations = Equations(p.H, p.P, weights, setup)
+    start = separable.solve(p, weights)
+    if previous is not None and ml.cost(equations, *previous, noise) < ml.cost(equations, *start, noise):
+        start = previous
+    estimate = ml.maximize(equations, *start, noise, steps=_STEPS)
+    return estimate.X, estimate.Z
+
+
+def normalised_squares(p: Parts, setup: Setup, noise: Noise, X: Array, Z: Array) -> Array:
+    """Each sample's squared residual in units of the noise (n,): χ² of 6 degrees for a good one."""
+    equations = Equations(p.H, p.P, np.ones(len(p.H)), setup)
+    white = ml.whitened(ml.whitener(equations, X, Z, noise), ml.residuals(p.H, p.P, X, Z)[..., None])
+    return np.asarray(np.sum(white[..., 0] ** 2, axis=-1))
+
+
+def guessed_noise(p: Parts, setup: Setup) -> Noise:
+    """The noise of a good sample as the camera's, although up to almost half of the samples may be bad.
+
+    Raises MeasurementFailed (``measurement.hand_eye.no_solution``) when no three samples determine a pose.
+    """
+    n = len(p.H)
+    wanted = (n + 4) // 2
+    triples = _triples(n)
+    weights = np.zeros((len(triples), n))
+    np.put_along_axis(weights, triples, 1.0, axis=-1)
+    X, Z = separable.solve(p, weights)
+    turns, shifts = _sizes(p, X, Z)
+    score = _quantile(turns, wanted) * _quantile(shifts, wanted)
+    best = [_concentrated(p, setup, X[k], Z[k], wanted) for k in np.argsort(score, kind="stable")[:_BEST]]
+    turn, shift = min(best, key=lambda sizes: sizes[0] * sizes[1])
+    if not math.isfinite(turn * shift):
+        raise MeasurementFailed("measurement.hand_eye.no_solution", "no three samples determine the pose")
+    small_sample = (1.0 + 5.0 / max(n - 2, 1)) / _MEDIAN_NORM
+    return noise_model.beginning(NoiseSource.CAMERA, turn * small_sample, shift * small_sample)
+
+
+def _triples(n: int) -> NDArray[np.intp]:
+    """Triples of samples (about 300, 3): all of them, every few, or scattered ones where they are many.
+
+    Scattered by the three-dimensional golden ratio (Roberts' R3 sequence), which needs no random numbers.
+    """
+    if math.comb(n, 3) <= 10 * _TRIPLES:
+        every = list(itertools.combinations(range(n), 3))
+        return np.array(every[:: max(1, math.ceil(len(every) / _TRIPLES))])
+    ratio = 1.0 / 1.2207440846057596 ** np.arange(1, 4)
+    scattered = (n * np.modf(np.outer(np.arange(1, 2 * _TRIPLES), ratio))[0]).astype(np.intp)
+    distinct = np.array([len(set(triple)) == 3 for triple in scattered.tolist()])
+    chosen: NDArray[np.intp] = scattered[distinct][:_TRIPLES]
+    return chosen
+
+
+def _concentrated(p: Parts, setup: Setup, X: Array, Z: Array, wanted: int) -> tuple[float, float]:
+    """The quantiles of turn and shift after refitting to the ``wanted`` best samples, a few times."""
+    for _ in range(_CONCENTRATIONS):
+        turns, shifts = _sizes(p, X, Z)
+        turn, shift = _quantile(turns, wanted), _quantile(shifts, wanted)
+        noise = Noise(max(float(turn), 1e-9), max(float(shift), 1e-9))
+        size = (turns / noise.camera_rotation) ** 2 + (shifts / noise.camera_translation) ** 2
+        weights = np.zeros(len(size))
+        weights[np.argsort(size, kind="stable")[:wanted]] = 1.0
+        X, Z = _refined(p, setup, noise, weights, (X, Z))
+    turns, shifts = _sizes(p, X, Z)
+    return float(_quantile(turns, wanted)), float(_quantile(shifts, wanted))
+
+
+def _sizes(p: Parts, X: Array, Z: Array) -> tuple[Array, Array]:
+    """Rotation (rad, chordal) and translation (m) sizes of the residuals (..., n)."""
+    expected = rigid.inverse(X)[..., None, :, :] @ rigid.inverse(p.H) @ Z[..., None, :, :]
+    gap = p.P - expected
+    chord = np.sqrt(0.5 * np.sum(gap[..., :3, :3] ** 2, axis=(-2, -1)))
+    return chord, np.linalg.norm(gap[..., :3, 3], axis=-1)
+
+
+def _quantile(sizes: Array, wanted: int) -> Array:
+    return np.asarray(np.sort(sizes, axis=-1)[..., wanted - 1])

@@ -1,0 +1,172 @@
+"""One entrance to all hand-eye solvers: checked samples in, a calibration with its verdict out."""
+
+import math
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision_pc.core.hand_eye import rigid
+from vision_pc.core.hand_eye.samples import PosePairs
+from vision_pc.core.hand_eye.solvers import chordal, classical, dual_quaternion, robust
+from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
+from vision_pc.core.hand_eye.solvers import noise as noise_model
+from vision_pc.core.hand_eye.solvers.classical import Classical
+from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
+from vision_pc.core.hand_eye.solvers.motions import Motions, all_motions, dual_quaternions
+from vision_pc.core.hand_eye.solvers.noise import NoiseSource
+from vision_pc.core.hand_eye.solvers.observability import Observability, ObservabilityLimits, verdict
+from vision_pc.core.hand_eye.solvers.result import Certificate, HandEyeResult
+from vision_pc.core.hand_eye.solvers.robust import RobustSettings
+from vision_pc.core.se3 import Array
+
+
+class Method(StrEnum):
+    """All solvers. The equation that each one solves: ``Method.equation``."""
+
+    TSAI = "tsai"
+    PARK = "park"
+    HORAUD = "horaud"
+    ANDREFF = "andreff"
+    DANIILIDIS = "daniilidis"
+    LI = "li"
+    SHAH = "shah"
+    DQCR_PUBLISHED = "dqcr-published"
+    DQCR = "dqcr"
+    JOINT = "joint-dual-quaternion"
+    CHORDAL = "chordal"
+    MAXIMUM_LIKELIHOOD = "maximum-likelihood"
+    ROBUST = "robust"
+
+    @property
+    def equation(self) -> str:
+        """``AX=XB`` (relative motions) or ``AX=ZB`` (poses; X and Z together)."""
+        return "AX=ZB" if self in _POSE_METHODS else "AX=XB"
+
+
+_POSE_METHODS = {Method.LI, Method.SHAH, Method.CHORDAL, Method.MAXIMUM_LIKELIHOOD, Method.ROBUST}
+_CLASSICAL = {Method(c.value): c for c in Classical}
+
+
+def solve(
+    pairs: PosePairs,
+    method: Method = Method.ROBUST,
+    settings: RobustSettings | None = None,
+    limits: ObservabilityLimits | None = None,
+) -> HandEyeResult:
+    """The calibration of ``pairs`` by ``method``; the order of the samples does not change it by a bit.
+
+    ``settings`` concern ``robust``, ``maximum-likelihood`` and ``chordal``. Raises MeasurementFailed when X
+    is not observable (``measurement.hand_eye.too_few_samples``, ``.too_little_rotation``,
+    ``.parallel_axes``) or the solver has no proper answer (``.no_solution``, ``.left_handed``,
+    ``.no_consensus``, ``.sdp``, ``.singular``).
+    """
+    settings = settings or RobustSettings()
+    motions = all_motions(pairs)
+    if method is Method.ROBUST:  # bad samples look like noise, which can be judged only without them
+        verdict(len(pairs), motions, _whatever_the_noise(limits)).demand()
+    else:
+        seen = verdict(len(pairs), motions, limits)
+        seen.demand()
+    if method in (Method.ROBUST, Method.MAXIMUM_LIKELIHOOD):
+        settings = settings if method is Method.ROBUST else settings._replace(reject=False)
+        found = robust.solve(pairs, motions, settings)
+        if method is Method.ROBUST:
+            seen = verdict(int(found.inliers.sum()), all_motions(pairs.subset(found.inliers)), limits)
+            seen.demand()
+        return _result(
+            pairs,
+            method,
+            seen,
+            found.X,
+            found.Z,
+            found.notes,
+            found.inliers,
+            found.certificate,
+            found.covariance,
+            found.noise,
+        )
+    if method is Method.CHORDAL:
+        noise = settings.noise or Noise(*noise_model.USUAL_RATIO)
+        X, Z, certificate = chordal.solve(chordal.problem(pairs.H, pairs.P, np.ones(len(pairs)), noise))
+        return _result(pairs, method, seen, X, Z, certificate=certificate)
+    if method in _CLASSICAL:
+        answer = classical.from_poses(pairs, motions, _CLASSICAL[method])
+        return _result(pairs, method, seen, answer.X, answer.Z, answer.notes)
+    X, certificate, notes = _by_dual_quaternions(motions, method)
+    return _result(pairs, method, seen, X, None, notes, certificate=certificate)
+
+
+def _whatever_the_noise(limits: ObservabilityLimits | None) -> ObservabilityLimits:
+    return (limits or ObservabilityLimits())._replace(above_noise=0.0, uncertainty=math.inf)
+
+
+def solve_motions(motions: Motions, method: Method, noise: Noise | None = None) -> Array:
+    """X (4, 4) from bare relative motions A X = X B, each camera motion with its own noise.
+
+    ``maximum-likelihood`` and ``robust`` are the same here: maximum likelihood from the joint
+    dual-quaternion optimum. Raises MeasurementFailed like ``solve``, ValueError for methods that need
+    poses.
+    """
+    verdict(len(motions.A) + 1, motions).demand()
+    if method in (Method.MAXIMUM_LIKELIHOOD, Method.ROBUST):
+        equations = Equations(rigid.inverse(motions.A), motions.B, np.ones(len(motions.A)), tied=True)
+        start = dual_quaternion.joint(dual_quaternion.forms(dual_quaternions(motions)))[0]
+        first = noise or Noise(*noise_model.USUAL_RATIO)
+        if noise is None:
+            return noise_model.estimated(equations, start, start, first, NoiseSource.CAMERA)[0].X
+        return ml.maximize(equations, start, start, first).X
+    if method in _CLASSICAL:
+        return classical.from_motions(motions, _CLASSICAL[method])
+    return _by_dual_quaternions(motions, method)[0]
+
+
+def _by_dual_quaternions(motions: Motions, method: Method) -> tuple[Array, Certificate, tuple[str, ...]]:
+    forms = dual_quaternion.forms(dual_quaternions(motions))
+    if method is Method.DQCR:
+        return *dual_quaternion.closed_form(forms), ()
+    if method is Method.JOINT:
+        return *dual_quaternion.joint(forms), ()
+    if method is Method.DQCR_PUBLISHED:
+        found = dual_quaternion.published(forms)
+        note = (
+            "ranks of the moment matrices of order 1 and 2: "
+            f"rotation {found.rotation.rank_lower} and {found.rotation.rank_upper}, "
+            f"translation {found.translation.rank_lower} and {found.translation.rank_upper}"
+        )
+        return found.X, found.certificate, (note,)
+    raise ValueError(f"{method} needs poses")
+
+
+def _result(
+    pairs: PosePairs,
+    method: Method,
+    seen: Observability,
+    X: Array,
+    Z: Array | None,
+    notes: tuple[str, ...] = (),
+    inliers: NDArray[np.bool_] | None = None,
+    certificate: Certificate | None = None,
+    covariance: Array | None = None,
+    noise: Noise | None = None,
+) -> HandEyeResult:
+    """The result in the caller's order; Z is the samples' mean where the method does not give it."""
+    Z = rigid.mean_pose(pairs.H @ X @ pairs.P) if Z is None else Z
+    back = np.argsort(np.array(pairs.order))
+    inliers = np.ones(len(pairs), dtype=bool) if inliers is None else inliers
+    residuals = ml.residuals(pairs.H, pairs.P, X, Z)
+    names = tuple(pairs.names[k] for k in back)
+    return HandEyeResult(
+        method.value,
+        pairs.setup,
+        X,
+        Z,
+        names,
+        residuals[back],
+        inliers[back],
+        seen,
+        certificate,
+        covariance,
+        noise,
+        notes,
+    )

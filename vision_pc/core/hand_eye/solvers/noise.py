@@ -1,0 +1,148 @@
+"""How noisy camera and robot were, from the residuals: restricted maximum likelihood of variance components.
+
+Plain sums of squares would call the noise too small (twelve unknowns were fitted) and could not tell rotation
+from translation noise; the restricted likelihood (Patterson and Thompson 1971) does both.
+It also tells camera from robot noise: a hand that is turned wrongly moves the target by the lever arm.
+Taking both as unknown costs nothing measurable when only one is noisy; assuming the wrong one doubles
+the errors.
+"""
+
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
+from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Estimate, Noise
+from vision_pc.core.se3 import Array
+
+_ROUNDS = 40
+_LINEARISATIONS = 2
+_STEPS = 4  # of Gauss-Newton before each
+_FOR_RATIO = 6  # samples: with fewer the unknowns can fit all translations and call their noise zero
+_FOR_SOURCE = 8  # samples: with fewer camera and robot noise cannot be told apart
+_SETTLED = 1e-3
+_NEGLIGIBLE = 1e-3  # of the residuals' total: a component below it is done
+USUAL_RATIO = (1.7e-3, 1e-3)  # 0.1 degrees to 1 mm
+_LEAST = 1e-9  # rad and m: exact synthetic data still need finite weights
+
+
+class NoiseSource(StrEnum):
+    """Whose noise the residuals show."""
+
+    CAMERA = "camera"
+    ROBOT = "robot"
+    BOTH = "both"
+
+
+_FIELDS = {
+    NoiseSource.CAMERA: ("camera_rotation", "camera_translation"),
+    NoiseSource.ROBOT: ("robot_rotation", "robot_translation"),
+    NoiseSource.BOTH: Noise._fields,
+}
+
+
+def beginning(source: NoiseSource, rotation: float, translation: float) -> Noise:
+    """Noise of that size (rad, m) from which to search; of both, when the source is both."""
+    rotation, translation = max(float(rotation), _LEAST), max(float(translation), _LEAST)
+    if source is NoiseSource.BOTH:
+        share = 0.5**0.5
+        return Noise(share * rotation, share * translation, share * rotation, share * translation)
+    if source is NoiseSource.ROBOT:
+        return Noise(_LEAST, _LEAST, rotation, translation)
+    return Noise(rotation, translation)
+
+
+def estimated(
+    equations: Equations, X: Array, Z: Array, noise: Noise, source: NoiseSource
+) -> tuple[Estimate, Noise]:
+    """The maximum-likelihood estimate from X, Z (4, 4), and the noise of ``source`` that its residuals show.
+
+    ``noise`` gives the size from which to search. Under 8 samples all of it is taken as the
+    camera's, and under 6 the ratio of rotation to translation is kept.
+    """
+    samples = int((equations.weights > 0.5).sum())
+    if source is NoiseSource.BOTH and (equations.tied or samples < _FOR_SOURCE):
+        source = NoiseSource.CAMERA
+    if samples < _FOR_RATIO:
+        noise = beginning(source, *USUAL_RATIO)
+    size = float(np.hypot(noise.camera_rotation, noise.robot_rotation))
+    shift = float(np.hypot(noise.camera_translation, noise.robot_translation))
+    noise = beginning(source, size, shift)
+    for _ in range(_LINEARISATIONS):
+        estimate = ml.maximize(equations, X, Z, noise, steps=_STEPS)
+        X, Z = estimate.X, estimate.Z
+        noise = _shown(_linearised(equations, estimate, _FIELDS[source]), noise, samples < _FOR_RATIO)
+    return ml.maximize(equations, X, Z, noise), noise
+
+
+class _Linear(NamedTuple):
+    """The samples that count, linear about an estimate: residuals (n, 6), their slope (n, 6, k), and the
+
+    covariances (c, n, 6, 6) that unit variances of ``fields`` give them. The estimate's own motion is a
+    linear regression here, which costs next to nothing beside exponentials and logarithms.
+    """
+
+    residuals: Array
+    slope: Array
+    units: Array
+    fields: tuple[str, ...]
+
+
+def _linearised(equations: Equations, estimate: Estimate, fields: tuple[str, ...]) -> _Linear:
+    used = equations.weights > 0.5
+    kept = equations._replace(H=equations.H[used], P=equations.P[used], weights=equations.weights[used])
+    r = estimate.residuals[used]
+    nothing = Noise(0.0, 0.0)
+    units = [
+        ml.residual_covariances(kept, estimate.X, estimate.Z, nothing._replace(**{name: 1.0}))
+        for name in fields
+    ]
+    return _Linear(r, ml.jacobian(kept, estimate.X, estimate.Z, r), np.stack(units), fields)
+
+
+def _shown(linear: _Linear, noise: Noise, keep_ratio: bool) -> Noise:
+    """The noise whose every component explains the residuals: each is scaled by what they show of it."""
+    sizes = np.array([getattr(noise, name) for name in linear.fields])
+    for _ in range(_ROUNDS):
+        shown, share = _shown_over_expected(linear, sizes)
+        if keep_ratio:
+            shown = np.full(len(shown), float(shown @ share))
+        sizes = np.maximum(sizes * np.sqrt(shown), _LEAST)
+        open_still = (share > _NEGLIGIBLE) & (np.abs(np.log(np.maximum(shown, 1e-30))) > _SETTLED)
+        if not open_still.any():
+            break
+    return noise._replace(**dict(zip(linear.fields, sizes.tolist(), strict=True)))
+
+
+def _shown_over_expected(linear: _Linear, sizes: Array) -> tuple[Array, Array]:
+    """For each component: squared residuals over their expectation, and its share of the total expectation.
+
+    The first is 1 when the noise is right. A share is 0 for a component that has shrunk to nothing.
+    """
+    parts = sizes[:, None, None, None] ** 2 * linear.units
+    W = np.linalg.inv(np.linalg.cholesky(parts.sum(axis=0)))
+    K = W @ parts @ np.swapaxes(W, -1, -2)
+    J = (W @ linear.slope).reshape(-1, linear.slope.shape[-1])
+    r = (W @ linear.residuals[..., None]).reshape(-1)
+    covariance = np.linalg.inv(J.T @ J)
+    r = r - J @ (covariance @ (J.T @ r))
+
+    def across(columns: Array) -> Array:
+        """columnsᵀ K columns for each component, (c, k, k)."""
+        turned = K @ columns.reshape(*K.shape[1:3], -1)
+        return np.asarray(columns.T @ turned.reshape(len(K), len(columns), -1))
+
+    fitted = np.sum(across(J) * covariance, axis=(-2, -1))
+    expected = np.maximum(np.trace(K, axis1=-2, axis2=-1).sum(axis=-1) - fitted, 1e-12)
+    living = np.where(sizes <= _LEAST, 0.0, expected)
+    return across(r[:, None])[:, 0, 0] / expected, living / max(float(living.sum()), 1e-12)
+
+
+def few_sample_factor(samples: int) -> float:
+    """What a covariance must be multiplied by because the noise was itself estimated from few samples.
+
+    ν/(ν − 2) of Student's distribution, ν = 3 n − 6 for each component, 6 n − 12 for both together.
+    """
+    degrees = (6.0 * samples - 12.0) if samples < _FOR_RATIO else (3.0 * samples - 6.0)
+    return degrees / (degrees - 2.0)

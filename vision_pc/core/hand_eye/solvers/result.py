@@ -1,0 +1,59 @@
+"""What a hand-eye calibration returns."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision_pc.core.hand_eye.samples import Setup
+from vision_pc.core.hand_eye.solvers.maximum_likelihood import Noise
+from vision_pc.core.hand_eye.solvers.observability import Observability
+from vision_pc.core.se3 import Array
+
+LEAST_EIGENVALUE = -1e-9  # relative; what counts as positive semidefinite in double precision
+STATIONARITY = 1e-8  # relative; an interior-point solver's digits: the objective is off by its square
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Proof of global optimality by the KKT conditions, relative to the objective's largest eigenvalue.
+
+    ``least_eigenvalue`` of the Lagrangian's matrix (0 up to rounding when it proves the optimum);
+    ``stationarity`` the largest entry of its product with the solution; ``gap`` objective minus lower bound;
+    ``rank`` of the relaxation's moment matrix (1, or 2 where a solution and its negative are the same).
+    """
+
+    kind: str
+    least_eigenvalue: float
+    stationarity: float
+    gap: float
+    rank: int
+
+    @property
+    def holds(self) -> bool:
+        """Whether the solution is proven to be the global optimum of its problem."""
+        return self.least_eigenvalue >= LEAST_EIGENVALUE and abs(self.stationarity) <= STATIONARITY
+
+
+@dataclass(frozen=True, eq=False)
+class HandEyeResult:
+    """A calibration: X and Z (4, 4) of H X P = Z, with everything needed to believe or refuse it.
+
+    X is the camera in the hand (eye in hand) or in the base (eye to hand); Z the target in the base or in
+    the hand. Per sample, in the caller's order: ``residuals`` (n, 6) = [translation m; rotation rad] of the
+    camera's measurement minus prediction in camera axes, ``inliers`` (n,), ``names``. ``covariance`` (6, 6)
+    of X's perturbation [δp; δθ] in the axes of its outer frame (``se3.retract``).
+    """
+
+    method: str
+    setup: Setup
+    X: Array
+    Z: Array
+    names: tuple[str, ...]
+    residuals: Array
+    inliers: NDArray[np.bool_]
+    observability: Observability
+    certificate: Certificate | None = None
+    covariance: Array | None = None
+    noise: Noise | None = None
+    notes: tuple[str, ...] = field(default=())

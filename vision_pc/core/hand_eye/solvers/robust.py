@@ -1,0 +1,119 @@
+"""The certified robust solver: agree on the good samples, prove the global optimum, then maximum likelihood.
+
+1. Graduated non-convexity finds the samples that agree (``consensus``), with a robust guess of the noise.
+2. The chordal problem over those samples is solved globally and certified (``chordal``).
+3. Maximum likelihood from there, noise by the restricted likelihood (``noise``), and the covariance.
+4. With that better noise the samples are tested again; 2 to 4 repeat until the set stays the same.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.errors import MeasurementFailed
+from vision_pc.core.hand_eye.samples import PosePairs
+from vision_pc.core.hand_eye.solvers import chordal, consensus, separable
+from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
+from vision_pc.core.hand_eye.solvers import noise as noise_model
+from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
+from vision_pc.core.hand_eye.solvers.motions import Motions
+from vision_pc.core.hand_eye.solvers.noise import NoiseSource
+from vision_pc.core.hand_eye.solvers.result import Certificate
+from vision_pc.core.se3 import Array
+
+_THRESHOLD = 24.1  # 99.95 % of χ² with 6 degrees of freedom
+_PASSES = 4
+
+
+class RobustSettings(NamedTuple):
+    """``noise`` if it is known (else it is estimated), whose it is, whether bad samples are left out.
+
+    ``least_share`` of the samples must agree, else there is no result.
+    """
+
+    noise: Noise | None = None
+    source: NoiseSource = NoiseSource.BOTH
+    reject: bool = True
+    least_share: float = 0.5
+
+
+class RobustEstimate(NamedTuple):
+    """X, Z (4, 4); ``inliers`` (n,) in canonical order; ``covariance`` (6, 6) of X's perturbation."""
+
+    X: Array
+    Z: Array
+    inliers: NDArray[np.bool_]
+    certificate: Certificate
+    covariance: Array
+    noise: Noise
+    notes: tuple[str, ...]
+
+
+def solve(pairs: PosePairs, motions: Motions, settings: RobustSettings) -> RobustEstimate:
+    """The calibration; see the module's steps.
+
+    Raises MeasurementFailed: ``measurement.hand_eye.no_consensus`` when too few samples agree, ``.sdp``,
+    ``.no_solution``, ``.singular`` from the steps.
+    """
+    n = len(pairs)
+    p = separable.parts(pairs, motions)
+    notes: list[str] = []
+    reject = settings.reject and n >= consensus.LEAST_FOR_OUTLIERS
+    if settings.reject and not reject:
+        notes.append(f"{n} samples are too few to tell a bad one; all are used")
+    noise, weights = settings.noise, np.ones(n)
+    if noise is None:
+        noise = consensus.guessed_noise(p, pairs.setup) if reject else Noise(*noise_model.USUAL_RATIO)
+    if reject:
+        weights = consensus.graduated(p, pairs.setup, noise, _THRESHOLD).weights
+        _demand_consensus(weights, settings, pairs)
+    for _ in range(_PASSES):
+        estimate, noise, certificate = _certified(pairs, weights, noise, settings)
+        squares = consensus.normalised_squares(p, pairs.setup, noise, estimate.X, estimate.Z)
+        again = (squares <= _THRESHOLD).astype(float) if reject else weights
+        if (again == weights).all():
+            break
+        _demand_consensus(again, settings, pairs)
+        weights = again
+    else:
+        estimate, noise, certificate = _certified(pairs, weights, noise, settings)
+    if not certificate.holds:
+        notes.append("the global optimum is not proven: the relaxation is not tight for these samples")
+    if settings.noise is not None:
+        degrees = 6.0 * weights.sum() - 12.0
+        notes += _noise_notes(estimate.cost, degrees)
+    covariance = ml.covariance_of_X(estimate)
+    if settings.noise is None:
+        covariance = covariance * noise_model.few_sample_factor(int(weights.sum()))
+    return RobustEstimate(estimate.X, estimate.Z, weights > 0.5, certificate, covariance, noise, tuple(notes))
+
+
+def _certified(
+    pairs: PosePairs, weights: Array, noise: Noise, settings: RobustSettings
+) -> tuple[ml.Estimate, Noise, Certificate]:
+    X, Z, certificate = chordal.solve(chordal.problem(pairs.H, pairs.P, weights, noise))
+    equations = Equations(pairs.H, pairs.P, weights, pairs.setup)
+    if settings.noise is None:
+        return *noise_model.estimated(equations, X, Z, noise, settings.source), certificate
+    return ml.maximize(equations, X, Z, noise), noise, certificate
+
+
+def _demand_consensus(weights: Array, settings: RobustSettings, pairs: PosePairs) -> None:
+    agree, n = int(weights.sum()), len(weights)
+    if agree < max(3, settings.least_share * n):
+        good = ", ".join(name for name, w in zip(pairs.names, weights, strict=True) if w > 0.5) or "none"
+        raise MeasurementFailed(
+            "measurement.hand_eye.no_consensus",
+            f"only {agree} of {n} samples agree on one calibration ({good}); "
+            "check units, frames (eye in hand or to hand) and that hand and camera poses belong together",
+        )
+
+
+def _noise_notes(cost: float, degrees: float) -> list[str]:
+    ratio = float(np.sqrt(cost / max(degrees, 1.0)))
+    if 0.5 < ratio < 2.0:
+        return []
+    return [
+        f"residuals are {ratio:.2g} times what the given noise explains; the covariance is off by as much"
+    ]

@@ -1,0 +1,65 @@
+"""From pixels to rays and back: the camera calibration, undistortion and projection of points."""
+
+import math
+
+import cv2
+import numpy as np
+
+from vision_pc.config.vision import CameraSettings, EyeSettings
+from vision_pc.core import se3
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraCalibration, EyeModel
+
+_UNDISTORT_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
+
+
+def calibration(settings: CameraSettings) -> CameraCalibration:
+    """The calibration that the configuration describes."""
+    R_CR = se3.exp_so3(np.radians(settings.right_rotation_vector_deg))
+    return CameraCalibration(
+        settings.width_px,
+        settings.height_px,
+        _eye(settings.left, se3.identity()),
+        _eye(settings.right, se3.transform(R_CR, (settings.baseline_m, 0.0, 0.0))),
+    )
+
+
+def _eye(settings: EyeSettings, X_CE: Array) -> EyeModel:
+    K = np.diag([settings.fx_px, settings.fy_px, 1.0])
+    K[:2, 2] = settings.cx_px, settings.cy_px
+    return EyeModel(K, np.array(settings.distortion), X_CE)
+
+
+def with_offset(camera: CameraCalibration, x_px: float, y_px: float) -> CameraCalibration:
+    """``camera`` with the right eye's principal point moved by an offset (right picture minus model)."""
+    K = camera.right.K.copy()
+    K[0, 2] += x_px
+    K[1, 2] += y_px
+    return camera._replace(right=camera.right._replace(K=K))
+
+
+def normalised(eye: EyeModel, pixels: Array) -> Array:
+    """Undistorted image coordinates x/z, y/z (n, 2) in the eye's axes of distorted ``pixels`` (n, 2)."""
+    if not eye.distortion.any():
+        return np.asarray((pixels - eye.K[:2, 2]) / (eye.K[0, 0], eye.K[1, 1]))
+    points = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
+    found = cv2.undistortPointsIter(points, eye.K, eye.distortion, np.eye(3), np.eye(3), _UNDISTORT_UNTIL)
+    return np.asarray(found, dtype=np.float64).reshape(-1, 2)
+
+
+def distorted(eye: EyeModel, rays: Array) -> Array:
+    """Pixels (n, 2) of image coordinates x/z, y/z (n, 2) in the eye's axes; inverse of ``normalised``."""
+    x, y = rays[:, 0], rays[:, 1]
+    k1, k2, p1, p2, k3 = eye.distortion
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+    v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    return np.stack([eye.K[0, 0] * u + eye.K[0, 2], eye.K[1, 1] * v + eye.K[1, 2]], axis=1)
+
+
+def project(eye: EyeModel, points_C: Array) -> Array:
+    """Pixels (n, 2) at which ``eye`` sees ``points_C`` (n, 3); NaN for points not in front of it."""
+    points = se3.apply(se3.inverse(eye.X_CE), points_C)
+    z = np.where(points[:, 2] > 1e-6, points[:, 2], math.nan)
+    return distorted(eye, points[:, :2] / z[:, None])

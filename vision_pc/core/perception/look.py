@@ -1,0 +1,240 @@
+"""A frame observed, and several frames of an arm at rest combined into one robust look."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from protocol.errors import MeasurementFailed
+from vision_pc.config.vision import LookSettings, MarkerSettings
+from vision_pc.core import se3
+from vision_pc.core.perception import markers, object_of_interest
+from vision_pc.core.perception.markers import Region, Sighting
+from vision_pc.core.perception.stereo_pose import Beliefs
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraCalibration, FrameObservation, Image, Look, StereoOffset, StereoPair
+
+_FULL_SEARCH_EVERY = 10  # frames: so that a marker that comes into view is found while others are tracked
+_ROBUST_ROUNDS = 10
+_CHI2_MEDIAN_6 = 5.348  # median of χ² with six degrees of freedom
+
+
+def observe(
+    pair: StereoPair,
+    camera: CameraCalibration,
+    settings: MarkerSettings,
+    previous: FrameObservation | None = None,
+) -> FrameObservation:
+    """What ``pair`` shows of tool and object of interest.
+
+    ``previous`` is the frame before: where its markers were is searched first, its poses decide an
+    ambiguous marker, and its estimate of the right eye's offset is carried on.
+    """
+    beliefs = beliefs_after(previous, settings)
+    rough, refused = _found(pair, settings, previous)
+    sightings, unfit = markers.sight(pair, rough, camera, settings, beliefs)
+    return observation_of(
+        (pair.capture_ns, pair.frame_id), sightings, refused, unfit, camera, settings, beliefs, previous
+    )
+
+
+def beliefs_after(previous: FrameObservation | None, settings: MarkerSettings) -> Beliefs:
+    """What is taken for granted about the next frame, the offset as it was last estimated."""
+    offset = StereoOffset(0.0, 0.0, settings.offset_std_px, settings.offset_std_px)
+    if previous is not None and previous.offset is not None:
+        offset = previous.offset
+    return Beliefs(settings.corner_std_px, settings.print_size_std, offset)
+
+
+def observation_of(
+    frame: tuple[int, int],
+    sightings: list[Sighting],
+    refused: Counter[str],
+    unfit: Mapping[int, str],
+    camera: CameraCalibration,
+    settings: MarkerSettings,
+    beliefs: Beliefs,
+    previous: FrameObservation | None,
+) -> FrameObservation:
+    """What the ``sightings`` of one ``frame`` (capture_ns, frame_id) say about tool and object.
+
+    ``refused`` counts what is no marker of theirs, ``unfit`` says of those that are why they were refused.
+    """
+    known = (None, None) if previous is None else (previous.X_CM, previous.X_CO)
+    scene = object_of_interest.locate(sightings, camera, settings, beliefs, known)
+    tool, target = scene.tool, scene.object
+    return FrameObservation(
+        *frame,
+        None if tool is None else tool.X,
+        None if tool is None else tool.covariance,
+        None if tool is None else tool.bias,
+        None if target is None else target.X,
+        None if target is None else target.covariance,
+        None if target is None else target.bias,
+        tuple(sighting.observation for sighting in sightings),
+        dict(refused + Counter(unfit.values()) + scene.refused),
+        scene.offset if scene.tool or scene.object or previous is not None else None,
+        _missing(tool, {settings.tool.id}, sightings, unfit),
+        _missing(target, {marker.id for marker in settings.object}, sightings, unfit),
+    )
+
+
+def _missing(
+    body: object_of_interest.Body | None, ids: set[int], sightings: list[Sighting], unfit: Mapping[int, str]
+) -> str | None:
+    """Why ``body``, which bears the markers ``ids``, has no pose; None when it has one."""
+    if body is not None:
+        return None
+    if any(sighting.observation.marker_id in ids for sighting in sightings):
+        return "ambiguous"
+    return "wrong_size" if any(unfit.get(number) == "wrong_size" for number in ids) else "not_seen"
+
+
+def _found(
+    pair: StereoPair, settings: MarkerSettings, previous: FrameObservation | None
+) -> tuple[dict[int, Array], Counter[str]]:
+    """Rough corners in the left picture: around the last frame's markers if all of them are there again,
+    else anywhere.
+    """
+    before = () if previous is None else previous.markers
+    complete = len(before) == len(settings.sizes)
+    if before and (complete or pair.frame_id % _FULL_SEARCH_EVERY != 0):
+        region = _region(
+            pair.left, np.concatenate([m.corners_left for m in before]), settings.region_margin_px
+        )
+        rough, refused = markers.detect(pair.left, settings, region)
+        if {m.marker_id for m in before} <= set(rough):
+            return rough, refused
+    return markers.detect(pair.left, settings)
+
+
+def _region(image: Image, corners: Array, margin: int) -> Region:
+    height, width = image.shape
+    x0, y0 = (corners.min(axis=0) - margin).astype(int)
+    x1, y1 = (corners.max(axis=0) + margin).astype(int)
+    return max(int(x0), 0), max(int(y0), 0), min(int(x1), width), min(int(y1), height)
+
+
+class MeanPose(NamedTuple):
+    """A robust mean pose, the covariance of its noise and of a single frame's, and the bias all frames
+    share.
+    """
+
+    X: Array
+    noise: Array
+    frame_noise: Array
+    bias: Array
+
+
+def combine(
+    observations: Sequence[FrameObservation], X_BT: Array, time_ns: int, settings: LookSettings
+) -> Look:
+    """The look that ``observations`` (all tried frames, also those that show nothing) amount to.
+
+    Poses are averaged on SE(3), weighted with their covariances and by Huber's weights. Raises
+    MeasurementFailed when the tool (``measurement.tool_not_seen``) or the object
+    (``measurement.object_not_seen``) was seen in fewer frames than configured, or no frame was tried
+    (``measurement.no_frames``). Where most frames showed a marker that could not be believed, the cause ends
+    in ``_wrong_size`` or ``_ambiguous`` instead.
+    """
+    tried = len(observations)
+    if tried == 0:
+        raise MeasurementFailed("measurement.no_frames", "look: 0 frames arrived, at least 1 is wanted")
+    least = min(settings.minimum_frames, tried)
+    tool_missing = [o.missing_tool for o in observations]
+    target_missing = [o.missing_object for o in observations]
+    tool = [(o.X_CM, o.cov_CM, o.bias_CM) for o in observations]
+    target = [(o.X_CO, o.cov_CO, o.bias_CO) for o in observations]
+    tool_mean, tool_seen = robust_mean(
+        tool, _wanted(least, tool_missing), "tool", settings.huber_sigmas, usual_reason(tool_missing)
+    )
+    target_mean, target_seen = robust_mean(
+        target, _wanted(least, target_missing), "object", settings.huber_sigmas, usual_reason(target_missing)
+    )
+    cov_CM, cov_CO = tool_mean.noise + tool_mean.bias, target_mean.noise + target_mean.bias
+    std_tool, std_object = np.sqrt(np.diag(cov_CM)), np.sqrt(np.diag(cov_CO))
+    return Look(
+        time_ns=time_ns,
+        X_CM=tool_mean.X,
+        X_CO=target_mean.X,
+        X_BT=X_BT,
+        frames=tried,
+        failed_tool=tried - tool_seen,
+        failed_object=tried - target_seen,
+        cov_CM=cov_CM,
+        cov_CO=cov_CO,
+        std_tool_m=std_tool[:3],
+        std_tool_rad=std_tool[3:],
+        std_object_m=std_object[:3],
+        std_object_rad=std_object[3:],
+        std_tool_frame_m=np.sqrt(np.diag(tool_mean.frame_noise))[:3],
+        std_object_frame_m=np.sqrt(np.diag(target_mean.frame_noise))[:3],
+        offset=observations[-1].offset,
+    )
+
+
+def _wanted(least: int, missing: Sequence[str | None]) -> int:
+    """How many frames must show what was ``missing`` in others: more than those that tell a wrong size, which
+    the left eye alone, where the right one failed, cannot tell.
+    """
+    return max(least, missing.count("wrong_size") + 1)
+
+
+def usual_reason(missing: Iterable[str | None]) -> str:
+    """The most frequent reason why what was ``missing`` in frames could not be believed, else ``not_seen``.
+
+    A marker refused once is searched for again only every few frames, and counts as not seen between.
+    """
+    reasons = Counter(reason for reason in missing if reason is not None and reason != "not_seen")
+    return reasons.most_common(1)[0][0] if reasons else "not_seen"
+
+
+def robust_mean(
+    measured: list[tuple[Array | None, Array | None, Array | None]],
+    wanted: int,
+    what: str,
+    huber: float,
+    reason: str = "not_seen",
+) -> tuple[MeanPose, int]:
+    """The mean of the poses that were measured, and how many they are; raises when fewer than ``wanted``.
+
+    Raises MeasurementFailed: ``measurement.{what}_{reason}``.
+    """
+    seen = [(X, C, B) for X, C, B in measured if X is not None and C is not None and B is not None]
+    if len(seen) < wanted:
+        raise MeasurementFailed(
+            f"measurement.{what}_{reason}",
+            f"look: {what} seen in {len(seen)} of {len(measured)} frames, at least {wanted} are wanted"
+            + ("" if reason == "not_seen" else f"; elsewhere {reason.replace('_', ' ')}"),
+        )
+    information = [np.asarray(np.linalg.inv(C), dtype=np.float64) for _, C, _ in seen]
+    X = _medoid([pose for pose, _, _ in seen], information)
+    weights, spread = np.ones(len(seen)), 1.0
+    for _ in range(_ROBUST_ROUNDS):
+        deltas = [se3.local(X, pose) for pose, _, _ in seen]
+        noise_distances = np.array(
+            [float(d @ np.linalg.solve(C - B, d)) for d, (_, C, B) in zip(deltas, seen, strict=True)]
+        )
+        spread = max(1.0, float(np.median(noise_distances)) / _CHI2_MEDIAN_6)
+        weights = np.minimum(1.0, huber * np.sqrt(6.0 * spread / np.maximum(noise_distances, 1e-12)))
+        total = np.sum([w * L for w, L in zip(weights, information, strict=True)], axis=0)
+        pull = np.sum([w * L @ d for w, L, d in zip(weights, information, deltas, strict=True)], axis=0)
+        X = se3.retract(X, np.linalg.solve(total, pull))
+    gains = [np.linalg.solve(total, w * L) for w, L in zip(weights, information, strict=True)]
+    noise = spread * np.sum([G @ (C - B) @ G.T for G, (_, C, B) in zip(gains, seen, strict=True)], axis=0)
+    bias = np.sum([G @ B for G, (_, _, B) in zip(gains, seen, strict=True)], axis=0)
+    frame_noise = spread * np.mean([C - B for _, C, B in seen], axis=0)
+    return MeanPose(X, noise, frame_noise, 0.5 * (bias + bias.T)), len(seen)
+
+
+def _medoid(poses: list[Array], information: list[Array]) -> Array:
+    """The pose with the least sum of (unsquared) distances to all others: a start that no outlier can
+    pull.
+    """
+
+    def distance(X: Array) -> float:
+        deltas = [se3.local(X, Y) for Y in poses]
+        return sum(float(np.sqrt(d @ L @ d)) for d, L in zip(deltas, information, strict=True))
+
+    return min(poses, key=distance)

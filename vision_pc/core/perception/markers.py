@@ -1,0 +1,248 @@
+"""Square markers in a stereo pair: found, refined, posed, and refused with a cause where they cannot be
+trusted.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from functools import lru_cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from vision_pc.config.vision import MarkerSettings
+from vision_pc.core import se3
+from vision_pc.core.perception import intrinsics, marker_edges, stereo_pose
+from vision_pc.core.perception.stereo_pose import Beliefs, Solution, View
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraCalibration, EyeModel, Image, MarkerObservation, StereoPair
+
+Region = tuple[int, int, int, int]
+"""x_min, y_min, x_max, y_max in pixels, maxima exclusive."""
+
+AMBIGUOUS_BELOW = 9.0  # χ² between the two planar solutions: three standard deviations
+_SIZE_SIGMAS = 5.0
+_SUSPICIOUS = 4.0  # rms residual in corner standard deviations above which the cause is looked for
+_SAME_POSE = 1e-3  # rad
+_ALIKE = 0.6  # correlation of a marker's cells between the eyes; a quad displaced by two cells has 0.2
+_UNIT_SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+_SAMPLES = ((np.mgrid[0:14, 0:14].T.reshape(1, -1, 2) + 0.5) / 14.0).astype(np.float32)
+_CLEAR_FLIP = 20.0  # the same for the second planar solution, above which it is not pursued
+
+
+class Sighting(NamedTuple):
+    """A marker that passed every test, its corners in both eyes, and the planar solution X_CA that was not
+    taken.
+    """
+
+    observation: MarkerObservation
+    view: View
+    other: Array
+
+
+def corner_points(size: float) -> Array:
+    """Corners (4, 3) of a marker of side ``size`` in its own frame (x right, y up), in ArUco's order."""
+    h = 0.5 * size
+    return np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
+
+
+def detect(
+    image: Image, settings: MarkerSettings, region: Region | None = None
+) -> tuple[dict[int, Array], Counter[str]]:
+    """Known markers in ``image`` by number, (4, 2) rough pixels (half a pixel and more), and counts of
+    refusals.
+
+    Only inside ``region`` if one is given. Markers of other numbers are counted as ``unknown_id``; a number
+    that appears twice is trusted in neither place and counted as ``repeated_id``.
+    """
+    x0, y0, x1, y1 = region or (0, 0, image.shape[1], image.shape[0])
+    if x1 - x0 < 16 or y1 - y0 < 16:
+        return {}, Counter()
+    found, ids, _ = _detector(settings.dictionary, settings.threshold_window_px).detectMarkers(
+        image[y0:y1, x0:x1]
+    )
+    refused: Counter[str] = Counter()
+    if ids is None:
+        return {}, refused
+    numbers = [int(number) for number in ids.ravel()]
+    times = Counter(numbers)
+    known = settings.sizes
+    corners = {}
+    for number, quad in zip(numbers, found, strict=True):
+        if number not in known:
+            refused["unknown_id"] += 1
+        elif times[number] > 1:
+            refused["repeated_id"] += 1
+        else:
+            corners[number] = quad.reshape(4, 2).astype(np.float64) + np.array([x0, y0])
+    return corners, refused
+
+
+@lru_cache(maxsize=8)
+def _detector(dictionary: str, window: int) -> cv2.aruco.ArucoDetector:
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+    parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = window
+    parameters.errorCorrectionRate = 0.6  # one wrong cell of 25: a small marker's number stays readable
+    parameters.perspectiveRemovePixelPerCell = 8  # so do those of a small marker that is turned
+    return cv2.aruco.ArucoDetector(
+        cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)), parameters
+    )
+
+
+def sight(
+    pair: StereoPair,
+    rough_left: dict[int, Array],
+    camera: CameraCalibration,
+    settings: MarkerSettings,
+    beliefs: Beliefs,
+) -> tuple[list[Sighting], dict[int, str]]:
+    """Every marker of ``rough_left`` refined in both eyes and posed by itself, and why others were refused.
+
+    By number: ``edges`` (an edge could not be followed), ``residual`` (it is no flat square of this size
+    anywhere), ``wrong_size`` (monocular and stereo range disagree).
+    """
+    sightings: list[Sighting] = []
+    refused: dict[int, str] = {}
+    corrected = intrinsics.with_offset(camera, beliefs.offset.x_px, beliefs.offset.y_px)
+    for number, rough in sorted(rough_left.items()):
+        left = _refined(pair.left, rough, camera.left)
+        if left is None:
+            refused[number] = "edges"
+            continue
+
+        def right_rays(X_CA: Array, number: int = number, rough: Array = rough) -> Array | None:
+            return _right_rays(pair, number, rough, X_CA, camera, corrected, settings)
+
+        outcome = from_rays(number, left, right_rays, camera, settings, beliefs)
+        if isinstance(outcome, str):
+            refused[number] = outcome
+        else:
+            sightings.append(outcome)
+    return sightings, refused
+
+
+def from_rays(
+    number: int,
+    left: Array,
+    right_rays: Callable[[Array], Array | None],
+    camera: CameraCalibration,
+    settings: MarkerSettings,
+    beliefs: Beliefs,
+) -> Sighting | str:
+    """The sighting of marker ``number`` whose corners the left eye sees along ``left`` (4, 2), or why it is
+    refused.
+
+    ``right_rays`` gives those of the right eye, or None, for about the pose X_CA that the left eye shows.
+    """
+    starts, errors = _planar_solutions(left, settings.sizes[number])
+    right = right_rays(starts[0])
+    rays = np.stack([left, left if right is None else right])
+    seen = np.stack([np.ones(4), np.full(4, float(right is not None))])
+    view = View(corner_points(settings.sizes[number]), rays, seen)
+    doubtful = (errors[-1] - errors[0]) * camera.left.K[0, 0] < _CLEAR_FLIP * beliefs.corner_std_px
+    return _posed(number, view, starts if doubtful else starts[:1], camera, settings, beliefs)
+
+
+def _refined(image: Image, rough: Array, eye: EyeModel) -> Array | None:
+    return marker_edges.refine(image, rough, lambda pixels: intrinsics.normalised(eye, pixels))
+
+
+def _planar_solutions(rays: Array, size: float) -> tuple[list[Array], Array]:
+    """Both poses X_EA that explain a flat square (Collins and Bartoli 2014), better one first, and their
+    rms errors.
+    """
+    _, rotations, positions, errors = cv2.solvePnPGeneric(
+        corner_points(size), rays, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE_SQUARE
+    )
+    poses = [
+        se3.transform(se3.exp_so3(r.ravel()), p.ravel()) for r, p in zip(rotations, positions, strict=True)
+    ]
+    return poses, np.asarray(errors, dtype=np.float64).ravel()
+
+
+def _right_rays(
+    pair: StereoPair,
+    number: int,
+    rough: Array,
+    X_CA: Array,
+    camera: CameraCalibration,
+    corrected: CameraCalibration,
+    settings: MarkerSettings,
+) -> Array | None:
+    """Refined rays (4, 2) in the right eye, or None: predicted from the left eye, searched along the rows
+    if that fails. A prediction that a wrong size misplaced may meet a plate's rim: the pattern decides.
+    """
+    predicted = intrinsics.project(corrected.right, se3.apply(X_CA, corner_points(settings.sizes[number])))
+    rays = _refined(pair.right, predicted, camera.right) if np.isfinite(predicted).all() else None
+    if rays is not None and _alike(pair, rough, intrinsics.distorted(camera.right, rays)):
+        return rays
+    height, width = pair.right.shape
+    margin = settings.region_margin_px
+    top, bottom = int(rough[:, 1].min()) - margin, int(rough[:, 1].max()) + margin
+    region = (0, max(top, 0), min(int(rough[:, 0].max()) + margin, width), min(bottom, height))
+    found, _ = detect(pair.right, settings, region)
+    return _refined(pair.right, found[number], camera.right) if number in found else None
+
+
+def _alike(pair: StereoPair, left: Array, right: Array) -> bool:
+    """Whether the quads ``left`` and ``right`` (4, 2) px of the two pictures hold the same pattern."""
+    cells = []
+    for image, quad in ((pair.left, left), (pair.right, right)):
+        H = cv2.getPerspectiveTransform(_UNIT_SQUARE, quad.astype(np.float32))
+        at = cv2.perspectiveTransform(_SAMPLES, H)
+        cells.append(cv2.remap(image, at[..., 0], at[..., 1], cv2.INTER_LINEAR).ravel().astype(np.float64))
+    spreads = [float(values.std()) for values in cells]
+    if min(spreads) < 1.0:
+        return False
+    return bool(
+        np.mean((cells[0] - cells[0].mean()) * (cells[1] - cells[1].mean())) > _ALIKE * math.prod(spreads)
+    )
+
+
+def _posed(
+    number: int,
+    view: View,
+    starts: list[Array],
+    camera: CameraCalibration,
+    settings: MarkerSettings,
+    beliefs: Beliefs,
+) -> Sighting | str:
+    """The sighting, or why it is refused. ``starts``: planar solutions worth pursuing."""
+    both = _ranked(view, starts, camera, beliefs)
+    suspicious = _SUSPICIOUS * beliefs.corner_std_px
+    if both[0].residuals_px[0] > suspicious and view.seen[1].any():
+        free = stereo_pose.solve([view], both[0].X_CA, camera, beliefs._replace(print_size_std=1.0))
+        doubt = math.hypot(free.size_stds[0], beliefs.print_size_std)
+        if free.residuals_px[0] < suspicious and abs(free.sizes[0] - 1.0) > _SIZE_SIGMAS * doubt:
+            return "wrong_size"
+        view = view._replace(seen=np.stack([view.seen[0], np.zeros(4)]))  # half hidden in the right eye
+        both = _ranked(view, starts, camera, beliefs)
+    best = both[0]
+    if best.residuals_px[0] > settings.residual_limit_px:
+        return "residual"
+    observation = MarkerObservation(
+        number,
+        settings.sizes[number],
+        intrinsics.distorted(camera.left, view.rays[0]),
+        intrinsics.distorted(camera.right, view.rays[1]) if view.seen[1].any() else None,
+        best.X_CA[0],
+        best.covariances[0],
+        best.residuals_px[0],
+        both[-1].chi2[0] - best.chi2[0] if _are_twins(both) else math.inf,
+    )
+    return Sighting(observation, view, both[-1].X_CA[0])
+
+
+def _ranked(view: View, starts: list[Array], camera: CameraCalibration, beliefs: Beliefs) -> list[Solution]:
+    return sorted(
+        (stereo_pose.solve([view], [X], camera, beliefs) for X in starts),
+        key=lambda solution: solution.chi2[0],
+    )
+
+
+def _are_twins(solutions: list[Solution]) -> bool:
+    """Whether two different poses remain: with the right eye both starts often end in one."""
+    R, S = solutions[0].X_CA[0][:3, :3], solutions[-1].X_CA[0][:3, :3]
+    return se3.angle_between(R, S) > _SAME_POSE

@@ -1,0 +1,168 @@
+"""Samples along a motion: markers and odometry of every pair, beside where the arm said it was."""
+
+from typing import Protocol
+
+import numpy as np
+
+from protocol.errors import MeasurementFailed
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core.odometry import StereoOdometry
+from vision_pc.core.perception import intrinsics, look
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import (
+    CameraCalibration,
+    FrameObservation,
+    OdometryPose,
+    StereoPair,
+    WatchHealth,
+    WatchSample,
+)
+
+_MASK_EVERY = 10  # frames between looks at the tool marker when markers are not wanted for themselves
+
+
+class Odometry(Protocol):
+    """Where the camera is in its first frame, pair by pair; ``StereoOdometry`` finds it in the pictures."""
+
+    @property
+    def last_loss(self) -> str | None: ...
+    def process(self, pair: StereoPair, X_CM: Array | None = None) -> OdometryPose | None: ...
+
+
+class Watcher:
+    """Gathers a ``WatchSample`` from every pair given to it. Both rigs use it, each feeding it in its own
+    way.
+
+    ``previous``: the newest observation before the watch; what it knows of the right eye's offset and of
+    where the markers are is carried on. Without one the first pair is searched. The first tracked camera
+    frame is C0.
+    """
+
+    def __init__(
+        self,
+        camera: CameraCalibration,
+        config: VisionConfig,
+        *,
+        markers: bool,
+        odometry: bool,
+        previous: FrameObservation | None = None,
+    ) -> None:
+        self._camera = camera
+        self._config = config
+        self._markers = markers
+        self._wants_odometry = odometry
+        self._observation = previous
+        self._odometry: Odometry | None = None
+        self._samples: list[WatchSample] = []
+        self._inliers: list[int] = []
+        self._missing: dict[str, list[str | None]] = {"tool": [], "object": []}
+        self._last_loss: str | None = None
+
+    def add(self, pair: StereoPair, X_BT: Array) -> WatchSample:
+        """The sample of ``pair``, which has been added to ``samples``; ``X_BT`` is the controller's at its
+        capture.
+        """
+        observation = self._observed(pair)
+        tracked = self._tracked(pair, observation) if self._wants_odometry else None
+        seen = observation if self._markers else None
+        sample = WatchSample(
+            pair.capture_ns,
+            X_BT,
+            None if tracked is None else tracked.X_C0C,
+            None if seen is None else seen.X_CM,
+            None if seen is None else seen.X_CO,
+        )
+        self._samples.append(sample)
+        if seen is not None:
+            for what, X, reason in (
+                ("tool", seen.X_CM, seen.missing_tool),
+                ("object", seen.X_CO, seen.missing_object),
+            ):
+                self._missing[what].append(None if X is not None else reason or "not_seen")
+        return sample
+
+    def _observed(self, pair: StereoPair) -> FrameObservation | None:
+        """Markers of this pair, where they are wanted or the odometry needs them."""
+        due = self._wants_odometry and len(self._samples) % _MASK_EVERY == 0
+        if not (self._markers or due):
+            return None
+        observation = self.observe(pair, self._observation)
+        self._observation = observation
+        return observation
+
+    def observe(self, pair: StereoPair, previous: FrameObservation | None) -> FrameObservation:
+        """What ``pair`` shows; a rig without pictures puts its own measurements here."""
+        return look.observe(pair, self._camera, self._config.markers, previous)
+
+    def new_odometry(self, camera: CameraCalibration) -> Odometry:
+        """The odometry of this watch, whose C0 is its first pair; likewise."""
+        return StereoOdometry(camera, self._config.odometry, self._config.markers.tool)
+
+    def _tracked(self, pair: StereoPair, observation: FrameObservation | None) -> OdometryPose | None:
+        if self._odometry is None:
+            offset = None if self._observation is None else self._observation.offset
+            camera = (
+                self._camera
+                if offset is None
+                else intrinsics.with_offset(self._camera, offset.x_px, offset.y_px)
+            )
+            self._odometry = self.new_odometry(camera)
+        tracked = self._odometry.process(pair, None if observation is None else observation.X_CM)
+        if tracked is None:
+            self._last_loss = self._odometry.last_loss
+        else:
+            self._inliers.append(tracked.inliers)
+        return tracked
+
+    @property
+    def count(self) -> int:
+        """How many samples there are."""
+        return len(self._samples)
+
+    @property
+    def samples(self) -> tuple[WatchSample, ...]:
+        """One sample for every pair so far, in order."""
+        return tuple(self._samples)
+
+    @property
+    def observation(self) -> FrameObservation | None:
+        """The newest observation of markers, for whoever looks next."""
+        return self._observation
+
+    @property
+    def health(self) -> WatchHealth:
+        """What was missed so far."""
+        frames = len(self._samples)
+        tracked = len(self._inliers)
+        return WatchHealth(
+            frames=frames,
+            odometry_lost=frames - tracked if self._wants_odometry else 0,
+            tool_missed=sum(s.X_CM is None for s in self._samples) if self._markers else 0,
+            object_missed=sum(s.X_CO is None for s in self._samples) if self._markers else 0,
+            median_inliers=int(np.median(self._inliers)) if self._inliers else 0,
+            last_loss=self._last_loss,
+            offset=None if self._observation is None else self._observation.offset,
+        )
+
+    def require(self) -> None:
+        """None; raises MeasurementFailed when no pair came or something wanted was not measured at all, or
+        its markers were of the wrong size more often than not.
+
+        Causes: ``measurement.no_frames``, ``measurement.odometry_lost``, ``measurement.tool_not_seen``,
+        ``measurement.object_not_seen`` (``…_wrong_size``, ``…_ambiguous``).
+        """
+        health = self.health
+        if health.frames == 0:
+            raise MeasurementFailed("measurement.no_frames", "watch: 0 frames arrived, at least 1 is wanted")
+        if self._wants_odometry and health.odometry_lost == health.frames:
+            raise MeasurementFailed(
+                "measurement.odometry_lost",
+                f"watch: odometry lost in all {health.frames} frames, last cause {health.last_loss}",
+            )
+        for what, missing in self._missing.items():
+            seen = missing.count(None)
+            if self._markers and seen <= missing.count("wrong_size"):
+                raise MeasurementFailed(
+                    f"measurement.{what}_{look.usual_reason(missing)}",
+                    f"watch: {what} seen in {seen} of {health.frames} frames",
+                )

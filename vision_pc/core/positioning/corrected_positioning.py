@@ -1,0 +1,173 @@
+"""Best mode, part two: one look at the object, most of the way, then a correction by odometry.
+
+The object is looked at once. The arm drives the greater part of the way, settles, and odometry measures
+what it really did; the local map, with that motion added, gives the rest. A calibration error then
+multiplies the last tenth of the way instead of all of it. A look at the end is for the verdict alone.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from protocol.errors import MeasurementFailed
+from vision_pc.config.programs import LocalMapSettings, PositioningSettings
+from vision_pc.core.calibration.backlash import slew_lever
+from vision_pc.core.calibration.local_error_model import (
+    LocalMap,
+    LocalTrack,
+    extended,
+    fit_map,
+    solve_step,
+    watched_path,
+)
+from vision_pc.core.ports import Arm, Eyes, Report
+from vision_pc.core.positioning.look_then_move import (
+    PositioningResult,
+    Step,
+    judge,
+    positioning_error,
+    reached,
+)
+from vision_pc.core.se3 import Array, local, transform
+from vision_pc.core.types import Look
+
+_USELESS = 2  # nudges in a row that brought no improvement
+_KEPT = 2.0 / 3.0  # of ``nudge_m``: width of the bell that stands for its edge
+_STALE = 0.003  # m or rad: more than a settled arm creeps
+
+
+class CorrectedResult(NamedTuple):
+    """The result, the error (3,) m in K axes that odometry measured at the end, and the track so far."""
+
+    positioning: PositioningResult
+    measured_miss_m: Array
+    track: LocalTrack
+
+
+async def look_then_move_corrected(
+    arm: Arm,
+    eyes: Eyes,
+    report: Report,
+    settings: PositioningSettings,
+    map_settings: LocalMapSettings,
+    track: LocalTrack,
+) -> CorrectedResult:
+    """The result of one look, two drives with a correction between them, and a look for the verdict.
+
+    ``track`` must end where the arm stands. Raises MeasurementFailed when the arm was moved since
+    (``measurement.calibration_stale``), the step is too long, or odometry is lost; errors of arm and eyes
+    pass through.
+    """
+    report(0.0, "looking")
+    look = await eyes.look()
+    _refuse_stale(track, look)
+    p_CM = look.X_CM[:3, 3]
+    c_delta = positioning_error(look, settings.clearance_m)
+    goal_K = p_CM + c_delta  # where the marker shall be, in the camera frame of this look
+    steps: list[Step] = []
+    looks = [judge(look, settings)]
+    misses = [goal_K - p_CM]
+    far = float(np.linalg.norm(misses[0])) > map_settings.near_m
+    parts = 2 if far and settings.corrections else 1
+    while _worth_driving(misses, parts, settings):
+        fitted = fit_map(track, p_CM, map_settings)
+        x, covariance = solve_step(fitted, misses[-1], map_settings)
+        share = map_settings.first_share if len(steps) + 1 < parts else 1.0
+        steps.append(_step(look, fitted, track.overrun, x, covariance, share, settings, map_settings))
+        report(0.2 + 0.6 * len(steps) / (settings.corrections + 1), _in_words(misses[-1]))
+        drive = await watched_path(arm, eyes, [steps[-1].X_BT_ref], map_settings)
+        X_KnewK = drive.X_KC[0]
+        goal_K = X_KnewK[:3, :3] @ goal_K + X_KnewK[:3, 3]
+        track = extended(track, drive)
+        misses.append(goal_K - p_CM)
+    report(0.9, "looking")
+    looks.append(judge(await eyes.look(), settings))
+    report(1.0, f"error {1e3 * looks[-1].error_m[0]:+.1f} {1e3 * looks[-1].error_m[1]:+.1f} mm")
+    ended = "reached" if reached(looks[-1], settings) else "input_limit"
+    return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), misses[-1], track)
+
+
+def _worth_driving(misses: list[Array], parts: int, settings: PositioningSettings) -> bool:
+    """Whether a further drive is due after the ``misses`` (3,) before it, as odometry saw them.
+
+    The first ``parts`` drives make up the whole way. After them a nudge is due while the miss is outside
+    ``nudge_m``, until two in a row were of no use: the first of them may have gone into the joints' play.
+    """
+    drives = len(misses) - 1
+    if drives < parts:
+        return True
+    sizes = [math.hypot(miss[0], miss[1]) for miss in misses[parts:]]
+    useless = len(sizes) - 1 - int(np.argmin(sizes))
+    return drives <= settings.corrections and sizes[-1] > settings.nudge_m and useless < _USELESS
+
+
+def _in_words(miss: Array) -> str:
+    return f"{1e3 * float(np.linalg.norm(miss)):.1f} mm to go"
+
+
+def _step(
+    look: Look,
+    fitted: LocalMap,
+    overrun: Array,
+    x: Array,
+    covariance: Array,
+    share: float,
+    settings: PositioningSettings,
+    map_settings: LocalMapSettings,
+) -> Step:
+    """The drive over ``share`` of ``x``, with the error expected at the end of all drives.
+
+    A map's error counts for the rest of the way alone when a correction follows. What a drive's end leaves is
+    then drawn again until odometry finds it small, and odometry's own error counts for all of the way.
+    Raises MeasurementFailed for a step too long, or a goal that is not known.
+    """
+    length = float(np.linalg.norm(x))
+    if not length <= settings.step_limit_m:
+        raise MeasurementFailed(
+            "measurement.step_too_large",
+            f"corrected move: step {length:.3f} m, limit {settings.step_limit_m:g} m",
+        )
+    worst = math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))
+    if worst > map_settings.goal_std_limit_m:
+        raise MeasurementFailed(
+            "measurement.ill_conditioned",
+            f"corrected move: the goal is known to {1e3 * worst:.1f} mm, "
+            f"limit {1e3 * map_settings.goal_std_limit_m:g} mm",
+        )
+    rest = 1.0 if share == 1.0 else (1.0 - share) ** 2
+    servo = map_settings.servo_std_m**2 * np.eye(3)
+    missed = fitted.R.T @ (rest * covariance + servo) @ fitted.R
+    if settings.corrections:
+        missed = _after_nudges(missed, settings.nudge_m, map_settings.servo_std_m)
+        missed += _odometry_covariance(length, map_settings)
+    missed += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
+    X_BT = fitted.X_BT
+    expected = slew_lever(X_BT) * overrun.sum() / (len(overrun) + 1)  # the mean, shrunk: half of it is chance
+    X_BT_ref = transform(X_BT[:3, :3], X_BT[:3, 3] + share * x - expected)
+    return Step(share * x, X_BT_ref, np.sqrt(np.diag(missed)))
+
+
+def _after_nudges(missed: Array, nudge_m: float, servo_std_m: float) -> Array:
+    """The covariance (3×3) in C of a drive's end, drawn again while outside ``nudge_m`` in x and y.
+
+    No finer than the joint servo: what it leaves, a nudge leaves too.
+    """
+    kept = np.diag([1.0, 1.0, 0.0]) / ((_KEPT * nudge_m) ** 2 + servo_std_m**2)
+    return np.asarray(np.linalg.inv(np.linalg.inv(missed) + kept), dtype=np.float64)
+
+
+def _odometry_covariance(length: float, settings: LocalMapSettings) -> Array:
+    """Covariance (3×3) of a way of ``length`` as odometry measures it."""
+    covariance: Array = (settings.odometry_std_m**2 + (settings.odometry_scale_std * length) ** 2) * np.eye(3)
+    return covariance
+
+
+def _refuse_stale(track: LocalTrack, look: Look) -> None:
+    moved = local(track.X_BT_now, look.X_BT)
+    distance = float(np.linalg.norm(moved[:3]))
+    if distance > _STALE or np.linalg.norm(moved[3:]) > _STALE:
+        raise MeasurementFailed(
+            "measurement.calibration_stale",
+            f"corrected move: the arm stands {1e3 * distance:.1f} mm from where the track ended",
+        )

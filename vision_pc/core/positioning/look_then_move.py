@@ -1,0 +1,147 @@
+"""Look-then-move: drive the tool to the object by what a look says, in the axes a local calibration gives.
+
+Mäkinen et al. 2023, (20)-(22). Every look measures again and uses the same calibration; between looks the arm
+moves by its own joint control. Each look says how large the error is, how well it is known and whether it is
+inside the tolerance; each move says beforehand how far off it is expected to end.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from protocol.errors import MeasurementFailed
+from vision_pc.config.programs import PositioningSettings
+from vision_pc.core.calibration.local_calibration import LocalCalibration
+from vision_pc.core.ports import Arm, Eyes, Report
+from vision_pc.core.se3 import Array, transform
+from vision_pc.core.types import Look
+
+_SIGMAS_95 = 1.96
+_IMPROVEMENT = 0.8  # a further input must bring the error below this share of the last, or it is no use
+
+
+class LookVerdict(NamedTuple):
+    """One look against the tolerance.
+
+    ``error_m`` (3,) = p_CO − p_CM − [0, 0, b] in camera axes, ``std_m`` (3,) its standard deviation.
+    ``inside``: |e_x| and |e_y| within ``tolerance_m``; ``certain``: so also at every point of the 95 %
+    intervals (or at none).
+    """
+
+    error_m: Array
+    std_m: Array
+    tolerance_m: float
+    clearance_m: float
+    inside: bool
+    certain: bool
+
+
+class Step(NamedTuple):
+    """One input: the step p_lc (3,) in B, its reference, and the error std (3,) in C expected after it."""
+
+    p_lc: Array
+    X_BT_ref: Array
+    expected_std_m: Array
+
+
+class PositioningResult(NamedTuple):
+    """Looks and steps in order, a look before the first step and after every one.
+
+    ``ended`` says why no more followed: ``reached`` (inside the aim), ``not_improving`` or
+    ``input_limit``.
+    """
+
+    looks: tuple[LookVerdict, ...]
+    steps: tuple[Step, ...]
+    ended: str
+
+    @property
+    def final(self) -> LookVerdict:
+        """The verdict of the last look."""
+        return self.looks[-1]
+
+
+async def look_then_move(
+    arm: Arm, eyes: Eyes, report: Report, settings: PositioningSettings, calibration: LocalCalibration
+) -> PositioningResult:
+    """Looks and inputs until the error is inside ``aim_m``, stops improving, or the inputs are used up.
+
+    Raises MeasurementFailed when a look fails or a step exceeds its limit (nothing moves then); errors of
+    arm and eyes pass through. Source: Mäkinen et al. 2023, (20)-(22).
+    """
+    looks: list[LookVerdict] = []
+    steps: list[Step] = []
+    ended = "input_limit"
+    report(0.0, "looking")
+    for number in range(settings.inputs + 1):
+        look = await eyes.look()
+        looks.append(judge(look, settings))
+        report((number + 0.3) / (settings.inputs + 0.3), f"look {number + 1}: {_in_words(looks[-1])}")
+        if reached(looks[-1], settings):
+            ended = "reached"
+            break
+        if number > 1 and not _improves(looks):
+            ended = "not_improving"
+            break
+        if number == settings.inputs:
+            break
+        steps.append(step(look, settings, calibration))
+        await arm.move_to(steps[-1].X_BT_ref, duration_s=settings.duration_s)
+    report(1.0, f"{ended.replace('_', ' ')}: {_in_words(looks[-1])}")
+    return PositioningResult(tuple(looks), tuple(steps), ended)
+
+
+def positioning_error(look: Look, clearance_m: float) -> Array:
+    """The error (3,) that a look shows in camera axes: what is left of (21)."""
+    error: Array = look.X_CO[:3, 3] - look.X_CM[:3, 3] - np.array([0.0, 0.0, clearance_m])
+    return error
+
+
+def step(look: Look, settings: PositioningSettings, calibration: LocalCalibration) -> Step:
+    """The input that this look asks for.
+
+    Raises MeasurementFailed (``measurement.step_too_large``) when it is longer than ``step_limit_m``.
+    """
+    c_delta = positioning_error(look, settings.clearance_m)  # (21)
+    R_BC = calibration.rotation_at(look.X_BT)
+    p_lc = R_BC @ c_delta  # (20), R_BC = R_fm R_cfa
+    length = float(np.linalg.norm(p_lc))
+    if not length <= settings.step_limit_m:
+        raise MeasurementFailed(
+            "measurement.step_too_large",
+            f"look-then-move: step {length:.3f} m, limit {settings.step_limit_m:g} m",
+        )
+    X_BT_ref = transform(look.X_BT[:3, :3], look.X_BT[:3, 3] + p_lc)  # (22)
+    in_base = calibration.goal_covariance(p_lc, settings.strain_std) + settings.servo_std_m**2 * np.eye(3)
+    in_camera = R_BC.T @ in_base @ R_BC + look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
+    return Step(p_lc, X_BT_ref, np.sqrt(np.diag(in_camera)))
+
+
+def judge(look: Look, settings: PositioningSettings) -> LookVerdict:
+    """A look's error against the tolerance in x and y, with its uncertainty."""
+    error = positioning_error(look, settings.clearance_m)
+    std = np.sqrt(np.diag(look.cov_CM)[:3] + np.diag(look.cov_CO)[:3])
+    across, spread = np.abs(error[:2]), _SIGMAS_95 * std[:2]
+    inside = bool(np.all(across <= settings.tolerance_m))
+    certain = bool(
+        np.all(across + spread <= settings.tolerance_m) or np.any(across - spread > settings.tolerance_m)
+    )
+    return LookVerdict(error, std, settings.tolerance_m, settings.clearance_m, inside, certain)
+
+
+def reached(verdict: LookVerdict, settings: PositioningSettings) -> bool:
+    """Whether no further input is worth its risk: x, y inside ``aim_m`` and depth inside ``depth_aim_m``."""
+    across, depth = np.abs(verdict.error_m[:2]), abs(float(verdict.error_m[2]))
+    return bool(np.all(across <= settings.aim_m)) and depth <= settings.depth_aim_m
+
+
+def _improves(looks: list[LookVerdict]) -> bool:
+    last, before = (math.hypot(*verdict.error_m[:2]) for verdict in (looks[-1], looks[-2]))
+    return last < _IMPROVEMENT * before
+
+
+def _in_words(verdict: LookVerdict) -> str:
+    x, y, z = 1e3 * verdict.error_m
+    where = "inside" if verdict.inside else "outside"
+    return f"error {x:+.1f} {y:+.1f} {z:+.1f} mm, {where} {1e3 * verdict.tolerance_m:g} mm"

@@ -1,0 +1,262 @@
+"""Looking and moving: the tool driven by what each picture shows of it and of the object.
+
+Mäkinen et al. 2023 name closed-loop visual control as possible with an uninterrupted view; this is it. Every
+picture gives the error (21) at the instant of its exposure, the local map's rotation turns it into the base
+(20), and the pose that the controller had at that instant makes it a target (22). The arm follows the
+filtered target as a stream of references that runs at most ``lead_m`` ahead. Near the object the target is
+held, and what is left is added to the reference whenever the tool has come to rest, and only then: in the
+joints' play the encoders move and the tool does not, so that a target that followed every picture would
+chase them for ever. What the loop may do to the reference with one picture is bounded; without a fresh sight
+of both it stops.
+"""
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from protocol.errors import MeasurementFailed
+from vision_pc.config.programs import LookingAndMovingSettings
+from vision_pc.core.ports import Arm, Eyes, ReferenceStream, Report, Watch
+from vision_pc.core.se3 import Array, transform
+from vision_pc.core.types import WatchSample
+
+
+class Approach(NamedTuple):
+    """How looking and moving ended.
+
+    ``error_m`` (3,) mean error in camera axes over the last pictures, ``spread_m`` (3,) their standard
+    deviation; ``time_s`` from the first picture to the last; ``pictures`` showed tool and object,
+    ``missed`` did not.
+    """
+
+    error_m: Array
+    spread_m: Array
+    time_s: float
+    pictures: int
+    missed: int
+
+
+class Loop:
+    """The law itself, picture by picture: pure, its time is that of the pictures.
+
+    ``R_TC`` (3×3) turns camera axes into the tool's; ``hold`` the tool's orientation (3×3) in B, kept.
+    """
+
+    def __init__(self, R_TC: Array, hold: Array, clearance_m: float, settings: LookingAndMovingSettings):
+        self._R_TC = R_TC
+        self._hold = hold
+        self._clearance = np.array([0.0, 0.0, clearance_m])
+        self._settings = settings
+        self._target: Array | None = None
+        self._gap_m = 0.0
+        self._pulls = 0
+        self.newest = np.zeros(3)  # error (3,) in camera axes that the last picture showed
+        self._errors: deque[Array] = deque(maxlen=settings.settle_pictures)
+        self._left: deque[Array] = deque(maxlen=settings.settle_pictures)
+        self._measured: deque[Array] = deque(maxlen=settings.settle_pictures)
+
+    @property
+    def errors(self) -> Array:
+        """The errors (n, 3) in camera axes since the last pull, at most ``settle_pictures``."""
+        return np.array(self._errors).reshape(-1, 3)
+
+    def seen(self, sample: WatchSample, servo_gap_m: float = 0.0) -> None:
+        """Nothing; the target has been moved by what this sample, which shows tool and object, says.
+
+        ``servo_gap_m``: how far the encoders are from what is commanded; while the joint servo still works
+        at that, the tool will move again.
+        """
+        assert sample.X_CM is not None
+        assert sample.X_CO is not None
+        s = self._settings
+        c_delta = sample.X_CO[:3, 3] - sample.X_CM[:3, 3] - self._clearance  # (21)
+        left = sample.X_BT[:3, :3] @ self._R_TC @ c_delta  # (20)
+        measured = sample.X_BT[:3, 3] + left
+        if self._target is None:
+            self._target = measured
+        elif np.linalg.norm(left) > s.near_m:
+            self._target = self._target + _bounded(s.gain * (measured - self._target), s.step_m)
+        self.newest = c_delta
+        self._errors.append(c_delta)
+        self._left.append(left)
+        self._measured.append(measured)
+        self._gap_m = servo_gap_m
+        if self._still and not self.settled:
+            left, there = np.mean(self._left, axis=0), np.mean(self._measured, axis=0)
+            pulled = self._target + _bounded(s.pull_gain * left, s.step_m)
+            self._target = there + _bounded(pulled - there, s.pull_m)
+            self._pulls += 1
+            for kept in (self._errors, self._left, self._measured):
+                kept.clear()
+
+    def reference(self, X_BT_cmd: Array) -> Array:
+        """X_BT_ref: the target, no farther than ``lead_m`` from the pose that is commanded at present."""
+        assert self._target is not None
+        ahead = self._target - X_BT_cmd[:3, 3]
+        return transform(self._hold, X_BT_cmd[:3, 3] + _bounded(ahead, self._settings.lead_m))
+
+    @property
+    def settled(self) -> bool:
+        """Whether the last pictures agree that the tool is there, and that it rests."""
+        if not self._still:
+            return False
+        s, mean = self._settings, np.abs(self.errors.mean(axis=0))
+        # Each pull draws anew from what the joints' play leaves: where the play is wider than what is wanted,
+        # waiting for a better draw could go on for ever.
+        inside_m = s.settle_m * min(1.0 + s.settle_growth * self._pulls, s.settle_most)
+        return bool(max(mean[:2]) <= inside_m and mean[2] <= s.settle_depth_m)
+
+    @property
+    def _still(self) -> bool:
+        """Whether the tool rests, at the object or not, and the joint servo has done what it can."""
+        if len(self._errors) < self._settings.settle_pictures or self._gap_m > self._settings.servo_gap_m:
+            return False
+        errors, part = self.errors, self._settings.settle_pictures // 3
+        moved = float(np.linalg.norm(errors[-part:].mean(axis=0) - errors[:part].mean(axis=0)))
+        spread = float(errors[:, :2].std(axis=0).max())
+        return max(moved, spread) <= self._settings.still_m
+
+
+async def look_and_move(
+    arm: Arm,
+    eyes: Eyes,
+    report: Report,
+    settings: LookingAndMovingSettings,
+    clearance_m: float,
+    R_TC: Array,
+) -> Approach:
+    """The approach, once the error has settled inside ``settle_m`` in x and y.
+
+    ``R_TC`` from a local calibration or map. Raises MeasurementFailed with the arm stopped: ``view_lost``
+    (tool or object unseen for ``lost_s``), ``camera_silent``, ``camera_frozen``, ``step_too_large``,
+    ``not_settled`` after ``timeout_s``; errors of arm and eyes pass through.
+    """
+    report(0.0, "looking")
+    async with eyes.watch(markers=True, odometry=False) as watch:
+        sight = _Sight(watch, settings)
+        first = await sight.awaited()
+        loop = Loop(R_TC, first.X_BT[:3, :3], clearance_m, settings)
+        loop.seen(first)
+        start = float(np.linalg.norm(loop.newest))
+        if not start <= settings.step_limit_m:
+            raise MeasurementFailed(
+                "measurement.step_too_large",
+                f"looking and moving: {start:.3f} m to go, limit {settings.step_limit_m:g} m",
+            )
+        async with arm.streaming() as stream:
+            await _followed(stream, sight, loop, first, start, report)
+    errors = loop.errors
+    report(1.0, f"settled: error {1e3 * errors.mean(axis=0)[0]:+.1f} {1e3 * errors.mean(axis=0)[1]:+.1f} mm")
+    time_s = 1e-9 * (sight.newest_ns - first.time_ns)
+    return Approach(errors.mean(axis=0), errors.std(axis=0), time_s, sight.pictures, sight.missed)
+
+
+async def _followed(
+    stream: ReferenceStream, sight: "_Sight", loop: Loop, first: WatchSample, start: float, report: Report
+) -> None:
+    """Nothing, once the loop has settled; a reference goes out with every picture, and between them.
+
+    When the newest sight is older than ``hold_s``, the arm is held where it is until there is another.
+    """
+    settings, seen_ns = sight.settings, first.time_ns
+    held: Array | None = None
+    while not loop.settled:
+        view = await stream.view()
+        if 1e-9 * (view.time_ns - seen_ns) > settings.hold_s:
+            held = view.X_BT_cmd if held is None else held
+            await stream.send(held)
+        else:
+            held = None
+            await stream.send(loop.reference(view.X_BT_cmd), measured_ns=seen_ns)
+        sample = await sight.next()
+        if sample is None:
+            continue
+        loop.seen(sample, float(np.linalg.norm(view.X_BT_cmd[:3, 3] - view.X_BT[:3, 3])))
+        seen_ns = sample.time_ns
+        left = float(np.linalg.norm(loop.newest))
+        report(min(0.95, max(0.0, 1.0 - left / max(start, 1e-3))), f"{1e3 * left:.1f} mm to go")
+        if 1e-9 * (seen_ns - first.time_ns) > settings.timeout_s:
+            raise MeasurementFailed(
+                "measurement.not_settled",
+                f"looking and moving: {1e3 * left:.1f} mm off after {settings.timeout_s:g} s",
+            )
+
+
+class _Sight:
+    """The watch's samples one by one, with what is wrong with them."""
+
+    def __init__(self, watch: Watch, settings: LookingAndMovingSettings) -> None:
+        self.settings = settings
+        self.newest_ns = 0
+        self.pictures = 0
+        self.missed = 0
+        self._watch = watch
+        self._taken = 0
+        self._silent_s = 0.0
+        self._blind_since_ns: int | None = None
+        self._alike = 0
+        self._last: WatchSample | None = None
+
+    async def awaited(self) -> WatchSample:
+        """The first sample that shows tool and object. Raises as ``next`` does."""
+        while (sample := await self.next()) is None:
+            pass
+        return sample
+
+    async def next(self) -> WatchSample | None:
+        """The next sample with tool and object, None when it is time for another reference without one.
+
+        Raises MeasurementFailed for a view lost, and a camera that is silent or frozen.
+        """
+        sample = await self._watch.after(self._taken, self.settings.feed_s)
+        if sample is None:
+            self._silent_s += self.settings.feed_s
+            if self._silent_s > self.settings.lost_s:
+                raise MeasurementFailed(
+                    "measurement.camera_silent",
+                    f"looking and moving: no picture for {self._silent_s:.2f} s, "
+                    f"limit {self.settings.lost_s:g} s",
+                )
+            return None
+        self._taken, self._silent_s = len(self._watch.samples), 0.0
+        self.newest_ns = sample.time_ns
+        if sample.X_CM is None or sample.X_CO is None:
+            self._blind(sample)
+            return None
+        self._refuse_frozen(sample)
+        self.pictures += 1
+        self._blind_since_ns = None
+        self._last = sample
+        return sample
+
+    def _blind(self, sample: WatchSample) -> None:
+        self.missed += 1
+        if self._blind_since_ns is None:
+            self._blind_since_ns = sample.time_ns if self._last is None else self._last.time_ns
+        blind_s = 1e-9 * (sample.time_ns - self._blind_since_ns)
+        if blind_s > self.settings.lost_s:
+            what = "tool" if sample.X_CM is None else "object"
+            raise MeasurementFailed(
+                "measurement.view_lost",
+                f"looking and moving: {what} unseen for {blind_s:.2f} s, limit {self.settings.lost_s:g} s",
+            )
+
+    def _refuse_frozen(self, sample: WatchSample) -> None:
+        """Raises when pictures repeat themselves to the last digit: noise forbids it in live ones."""
+        last = self._last
+        same = last is not None and np.array_equal(sample.X_CO, last.X_CO)  # type: ignore[arg-type]
+        self._alike = self._alike + 1 if same else 0
+        if self._alike >= self.settings.frozen_pictures:
+            raise MeasurementFailed(
+                "measurement.camera_frozen",
+                f"looking and moving: {self._alike + 1} pictures alike, at most "
+                f"{self.settings.frozen_pictures} are believed",
+            )
+
+
+def _bounded(step: Array, limit: float) -> Array:
+    """``step`` (3,), shortened to ``limit``."""
+    length = math.sqrt(float(step @ step))
+    return step if length <= limit else step * (limit / length)

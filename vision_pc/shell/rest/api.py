@@ -1,0 +1,168 @@
+"""The REST face: state, looks, commands, and every long step as an operation resource."""
+
+import math
+from collections.abc import Awaitable, Callable
+from http import HTTPStatus
+
+from fastapi import FastAPI, Request, Response
+from fastapi.responses import JSONResponse
+
+from protocol.faults import CommandCode
+from protocol.reference_messages import FLAG_EMERGENCY_LATCHED, FLAG_PLANT_LINK_OK, FLAG_SETTLED, State
+from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
+from vision_pc.application.operations import Operations
+from vision_pc.application.schemas import JSON, calibration_json, pose_json
+from vision_pc.application.station import Station
+from vision_pc.core.se3 import from_pose
+from vision_pc.shell.rest import problems
+from vision_pc.shell.rest.hand_eye_routes import add_hand_eye
+from vision_pc.shell.rest.link_view import LinkView, link_view
+from vision_pc.shell.rest.operation_routes import add_operations
+
+MAX_BODY_BYTES = 16_384
+DESCRIPTION = """
+Drives the tool to the object: orientation adjustment, local calibration by motion, look-then-move.
+
+Every long step is `202` with an operation resource (`Location`). Errors are RFC 9457 problem documents with a
+machine-readable `cause`. Nothing moves before `POST /enable`; `POST /stop` is always accepted.
+"""
+_EXAMPLE = problems.problem(409, "refused.disabled", "move: the arm is disabled; enable first")
+_PROBLEM: JSON = {"description": "A problem", "content": {problems.MEDIA_TYPE: {"example": _EXAMPLE}}}
+
+
+def create_app(station: Station, operations: Operations, guided: GuidedCalibration | None = None) -> FastAPI:
+    """The application over one station, with guided hand-eye calibration if that is given."""
+    app = FastAPI(
+        title="Longreach vision PC",
+        version="1",
+        description=DESCRIPTION,
+        responses={"4XX": _PROBLEM, "5XX": _PROBLEM},
+    )
+    problems.install(app, MAX_BODY_BYTES)
+    _add_reading(app, station, operations)
+    _add_commands(app, station, operations)
+    add_operations(app, station, operations)
+    if guided is not None:
+        add_hand_eye(app, station, operations, guided)
+    return app
+
+
+def _add_reading(app: FastAPI, station: Station, operations: Operations) -> None:
+    @app.get("/health", tags=["state"], summary="Whether controller and camera answer")
+    async def health(request: Request) -> Response:
+        """200 when both answer, else a 503 problem that says which does not."""
+        controller, camera = station.controller, station.camera.status()
+        parts = {
+            "controller": controller.connected,
+            "camera": camera.connected,
+            "recording": station.log.healthy,
+        }
+        if all(parts.values()):
+            return JSONResponse({"status": "ok"} | parts)
+        missing = ", ".join(name for name, answers in parts.items() if not answers)
+        status = HTTPStatus.SERVICE_UNAVAILABLE
+        document = problems.problem(
+            status, "link.degraded", f"not answering: {missing}", instance=request.url.path
+        )
+        return problems.respond(document | parts)
+
+    @app.get("/state", tags=["state"], summary="The arm as the controller sees it, links and operation")
+    async def state() -> JSON:
+        """Group state, fault, joints, poses, timing, links, and what has been calibrated."""
+        return state_json(station) | {
+            "operation": operations.current.id if operations.current else None,
+            "calibration": None if station.calibration is None else calibration_json(station.calibration),
+        }
+
+    @app.get("/link", tags=["state"], summary="The reference link in numbers, on both sides")
+    async def link() -> LinkView:
+        """Always answered: session, authentication, every counter of datagrams, and the clock's offset."""
+        return link_view(station.controller)
+
+    @app.get("/looks/latest", tags=["looks"], summary="The latest look, with error, uncertainty and verdict")
+    async def latest_look() -> JSON:
+        """404 until something was looked at."""
+        return station.latest_look()
+
+    @app.get("/camera/latest.png", tags=["looks"], summary="The newest picture with detections drawn in",
+             response_class=Response, responses={200: {"content": {"image/png": {}}}})  # fmt: skip
+    async def latest_picture() -> Response:
+        """The left eye's newest picture."""
+        return Response(
+            await station.camera.latest_png(), media_type="image/png", headers={"Cache-Control": "no-store"}
+        )
+
+
+def _add_commands(app: FastAPI, station: Station, operations: Operations) -> None:
+    async def commanded(code: CommandCode) -> JSON:
+        answer = await station.controller.command(code)
+        await station.controller.next_state()
+        return {"accepted": True, "reason": answer.reason.name.lower()} | state_json(station)
+
+    async def ending(code: CommandCode) -> JSON:
+        """The command first, then the end of the running operation, answered or not."""
+        try:
+            return await commanded(code)
+        finally:
+            await operations.close()
+
+    def add(path: str, code: CommandCode, act: Callable[[CommandCode], Awaitable[JSON]], what: str) -> None:
+        async def endpoint() -> JSON:
+            return await act(code)
+
+        name = path.strip("/").replace("-", "_")
+        app.post(path, tags=["commands"], name=name, operation_id=name, summary=what)(endpoint)
+
+    add("/enable", CommandCode.ENABLE, commanded, "Enable the arm: without it nothing moves")
+    add("/disable", CommandCode.DISABLE, ending, "Stop, end the running operation, disable")
+    add("/stop", CommandCode.STOP, ending, "Stop and end the running operation; always accepted")
+    add("/reset", CommandCode.RESET, commanded, "Clear a latched fault")
+    add("/emergency-stop", CommandCode.EMERGENCY_STOP, ending, "Latch the emergency stop")
+    add("/emergency-release", CommandCode.EMERGENCY_RELEASE, commanded, "Release it; a reset must follow")
+
+
+def state_json(station: Station) -> JSON:
+    """The controller's newest state, the links and the camera. Raises LinkLost without a controller."""
+    state = station.controller.state
+    clock = station.controller.clock_offset
+    camera = station.camera.status()
+    return _arm_json(state) | {
+        "link": {
+            "age_ms": round(station.controller.state_age_ns / 1e6, 3),
+            "clock_offset_ns": None if clock is None else clock.offset_ns,
+            "clock_uncertainty_ns": None if clock is None else clock.uncertainty_ns,
+            "round_trip_us": None if clock is None else clock.round_trip_ns / 1e3,
+        },
+        "camera": camera._asdict(),
+    }
+
+
+def _arm_json(state: State) -> JSON:
+    def joints_deg(values: tuple[float, ...]) -> list[float]:
+        return [round(math.degrees(v), 5) for v in values]
+
+    return {
+        "group_state": state.group_state.name.lower(),
+        "fault": state.fault.name.lower(),
+        "severity": state.severity.name.lower(),
+        "emergency_latched": bool(state.flags & FLAG_EMERGENCY_LATCHED),
+        "plant_link_ok": bool(state.flags & FLAG_PLANT_LINK_OK),
+        "settled": bool(state.flags & FLAG_SETTLED),
+        "motion": {"id": state.motion_id, "done": state.motion_done, "segment": state.segment},
+        "q_meas_deg": joints_deg(state.q_meas),
+        "q_cmd_deg": joints_deg(state.q_cmd),
+        "valves": list(state.valves),
+        "X_BT": pose_json(from_pose(state.X_BT)),
+        "X_BT_cmd": pose_json(from_pose(state.X_BT_cmd)),
+        "supply_bar": state.supply_bar,
+        "cycle": {
+            "count": state.cycle,
+            "overruns": state.overruns,
+            "lateness_p50_us": state.lateness_p50_us,
+            "lateness_p99_us": state.lateness_p99_us,
+            "lateness_max_us": state.lateness_max_us,
+            "plant_exchange_failures": state.plant_exchange_failures,
+        },
+        "references_lost": state.references_lost,
+        "references_dropped": state.references_dropped,
+    }
