@@ -12,7 +12,7 @@ from conformance.wire import Failed, Line, NonceSource, Unsupported
 from protocol.authentication import LinkKey
 
 # Loading a module enters its cases.
-_COUPLER_MODULES = ("coupler.frames", "coupler.registers", "coupler.outputs", "coupler.watchdog")
+_COUPLER_MODULES = ("frames", "registers", "outputs", "watchdog")
 _MODULES = (
     "framing", "sessions", "lifetime", "order", "requests", "group", "motion", "streaming", "authentication",
 )  # fmt: skip
