@@ -119,7 +119,7 @@ class Peer(Wire):
 
 
 def _refused(reason: Reason) -> None:
-    """Nothing if HELLO is to be said again; raises Unsupported or Failed."""
+    """Return if HELLO is to be sent again; else raise Unsupported or Failed."""
     if reason is Reason.NOT_AUTHENTICATED:
         raise Unsupported("the controller demands authentication: --key")
     if reason is Reason.KEY_NOT_CONFIGURED:

@@ -41,7 +41,7 @@ class Line(NamedTuple):
 
 
 def require(condition: bool, why: str) -> None:
-    """Nothing; raises Failed with ``why`` unless ``condition`` holds."""
+    """Raise Failed with ``why`` unless ``condition`` holds."""
     if not condition:
         raise Failed(why)
 

@@ -55,4 +55,4 @@ class LinkLost(LongreachError):
 
 
 class MeasurementFailed(LongreachError):
-    """Nothing could be measured; ``cause`` begins with ``measurement.``. Never replaced by a zero."""
+    """A measurement failed; ``cause`` begins with ``measurement.``. Never replaced by a zero."""

@@ -36,7 +36,7 @@ def welcomes(peer: Peer, wait_ms: float = 100) -> list[Welcome]:
 
 
 def silent(peer: Peer, wait_ms: float, *, but: type[Message] = State) -> None:
-    """Nothing comes but ``but``."""
+    """Require that nothing comes but ``but``."""
     got = [
         type(d.message).__name__
         for d in peer.collect(wait_ms, beating=False)

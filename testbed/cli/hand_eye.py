@@ -196,7 +196,7 @@ def hand_eye_guided(
 
 
 def register_experiments(experiment: typer.Typer) -> None:
-    """Nothing; ``longreach experiment`` has the four experiments of the paper and the stress test."""
+    """Add the four experiments of the paper and the stress test to ``longreach experiment``."""
     example = "Example: longreach experiment {} --runs 20 --json {}.json"
     for name, function in (
         ("hua-fig5", hua_fig5),

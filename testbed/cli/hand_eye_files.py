@@ -61,7 +61,7 @@ class Source(NamedTuple):
 
 
 def run_solve(source: Source, method: Method, json_file: Path | None) -> None:
-    """Nothing; X and all that is known about it are printed. Raises where there is none."""
+    """Print X and all that is known about it. Raises LongreachError where there is no solution."""
     pairs = source.read()
     result = methods.solve(pairs, method)
     out.print(presentation.result_table(result))
@@ -98,7 +98,7 @@ def _adjusted(pairs: PosePairs, result: HandEyeResult) -> dict[str, object]:
 
 
 def run_compare(source: Source, json_file: Path | None) -> None:
-    """Nothing; the hold-out errors of all methods are printed."""
+    """Print the hold-out errors of all methods."""
     pairs = source.read()
     rows = hold_out(source.file.stem, pairs)
     out.print(experiment_tables.hold_out_table(rows))
@@ -112,7 +112,7 @@ def run_intrinsics_of_pictures(
     marker: tuple[float, str] | None,
     json_file: Path | None,
 ) -> None:
-    """Nothing; the camera is printed. ``marker`` (side in m, dictionary) makes the board ChArUco."""
+    """Print the camera's intrinsics. ``marker`` (side in m, dictionary) makes the board ChArUco."""
     pictures = [(file.stem, _picture(file)) for file in files]
     sizes = {image.shape for _, image in pictures}
     if len(sizes) != 1:
@@ -152,7 +152,7 @@ def run_intrinsics_of_pictures(
 
 
 def run_drawing(file: Path, scenario: str, config_dir: Path) -> None:
-    """Nothing; the front of the scenario's cabinet is in ``file``. Raises RequestRefused if there is none."""
+    """Write the front of the scenario's cabinet to ``file``. Raises RequestRefused if there is none."""
     scene = load_settings(config_dir, chosen_overrides(config_dir, scenario, 1, [])).scene
     fronts = [board for board in scene.boards if isinstance(board, CabinetConfig)]
     if not fronts:

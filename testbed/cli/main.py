@@ -291,7 +291,7 @@ def plant_survey_command(
 
 
 def main() -> None:
-    """Nothing; runs the command line, and turns expected trouble into one line and exit status 2."""
+    """Run the command line. An expected error becomes one line and exit status 2."""
     try:
         app()
     except LongreachError as error:

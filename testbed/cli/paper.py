@@ -51,7 +51,7 @@ _PAPER = {
 
 
 def add_to(experiment: typer.Typer) -> None:
-    """Nothing; the paper's commands are in ``experiment``."""
+    """Add the paper's commands to ``experiment``."""
     for name, words in _PAPER.items():
         epilog = f"Example: longreach experiment {name} --runs 20 --seed 1"
         experiment.command(name, help=words, epilog=epilog)(_paper_command((name,)))

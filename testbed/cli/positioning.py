@@ -39,7 +39,7 @@ ChosenEyes = Annotated[Eyes, typer.Option(help="Rendered pictures, or the model 
 
 
 def register_experiments(experiment: typer.Typer) -> None:
-    """Nothing; the commands are added to ``experiment``."""
+    """Add the commands to ``experiment``."""
     experiment.command("eyes-measure", epilog="Example: longreach experiment eyes-measure --runs 8")(measure)
     experiment.command("eyes-agree", epilog="Example: longreach experiment eyes-agree --runs 30")(agree)
     experiment.command("best-mode", epilog="Example: longreach experiment best-mode --runs 200 --eyes model")(

@@ -30,7 +30,7 @@ class Rig(Protocol):
     """
 
     def command(self, name: str) -> None:
-        """Nothing; a command of the REST face, such as ``enable``, was accepted."""
+        """Send a command of the REST API, such as ``enable``. Returns when it is accepted."""
         ...
 
     def operate(self, kind: str, body: JSON, bar: Bar) -> JSON:
@@ -77,7 +77,7 @@ class Recorder:
         self._bars = bars
 
     def step(self, label: str, kind: str, body: JSON, *, look_number: int = 0) -> None:
-        """Nothing; ``kind`` was operated and what a look shows after it is noted under ``label``."""
+        """Run the operation ``kind``, look, and note the result under ``label``."""
         with self._bars.step(label) as bar:
             result = self._rig.operate(kind, body, bar)
             looks_itself = kind in ("look", "look-then-move")
@@ -95,7 +95,7 @@ class Recorder:
 
 
 def demonstrate(rig: Rig, recorder: Recorder, looks: int) -> None:
-    """Nothing; the whole sequence is done and noted in ``recorder``. Raises what stopped it."""
+    """Run the whole sequence and note it in ``recorder``. Raises what stopped it."""
     rig.command("enable")
     recorder.step("start", "look", {})
     recorder.step("orientation adjustment", "orientation-adjustment", {})

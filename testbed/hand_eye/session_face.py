@@ -40,7 +40,7 @@ class SessionFace(RestRig):
 
 
 def with_face(url: str, act: Callable[[SessionFace], None]) -> None:
-    """Nothing; ``act`` was done with the vision PC at ``url``."""
+    """Call ``act`` with a connection to the vision PC at ``url``, and close it."""
     face = SessionFace(url)
     try:
         act(face)

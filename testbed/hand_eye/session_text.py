@@ -16,7 +16,7 @@ JSON = dict[str, Any]
 
 
 def started(check: JSON, json_file: Path | None) -> None:
-    """Nothing; the verdict on the starting pose is printed."""
+    """Print the verdict on the starting pose."""
     _marker(check["marker"])
     _say(f"poses in view and in bounds: {check['poses_in_view']}")
     _say(
@@ -28,7 +28,7 @@ def started(check: JSON, json_file: Path | None) -> None:
 
 
 def proposed(proposal: JSON, json_file: Path | None) -> None:
-    """Nothing; the proposed pose is printed."""
+    """Print the proposed pose."""
     x, y, z = (row[3] for row in proposal["X_BT"][:3])
     u, v = proposal["pixel"]
     _say(
@@ -41,14 +41,14 @@ def proposed(proposal: JSON, json_file: Path | None) -> None:
 
 
 def gone(done: JSON, json_file: Path | None) -> None:
-    """Nothing; where the arm stands now is printed."""
+    """Print where the arm stands now."""
     how = "settled" if done["settled"] else "still, beside its reference"
     _say(f"there: {how}, off by {done['off']['mm']:.2f} mm, {done['off']['deg']:.3f}°", "green")
     write_json(json_file, done)
 
 
 def sampled(done: JSON, json_file: Path | None) -> None:
-    """Nothing; the new sample with its residual is printed."""
+    """Print the new sample with its residual."""
     _marker(done["marker"])
     _say(
         f"sample {done['sample']} ({done['count']} taken): residual {_three(done['residual_mm'], 2)} mm, "
@@ -59,7 +59,7 @@ def sampled(done: JSON, json_file: Path | None) -> None:
 
 
 def listed(view: JSON, json_file: Path | None) -> None:
-    """Nothing; the session is printed."""
+    """Print the session."""
     rows = [
         (s["name"], f"{s['distance_m']:.2f}", _three(s["residual_mm"], 2), _three(s["residual_deg"], 3),
          "settled" if s["settled"] else "still")
@@ -111,7 +111,7 @@ def solved(answer: JSON, json_file: Path | None) -> bool:
 
 
 def located(found: JSON, json_file: Path | None) -> None:
-    """Nothing; the cabinet's targets are printed."""
+    """Print the cabinet's targets."""
     rows = [
         (
             t["name"],
@@ -128,12 +128,12 @@ def located(found: JSON, json_file: Path | None) -> None:
 
 
 def named(names: Sequence[str]) -> None:
-    """Nothing; the sessions on the vision PC's disk are printed."""
+    """Print the sessions on the vision PC's disk."""
     _say(", ".join(names) or "no sessions")
 
 
 def exported(session: Path, samples: Path) -> None:
-    """Nothing; the samples of a session's file are in ``samples``, in the importer's format.
+    """Write the samples of a session's file to ``samples``, in the importer's format.
 
     Raises RequestRefused (``refused.hand_eye.format``).
     """

@@ -15,7 +15,7 @@ class EventLog:
         self._hash = hashlib.sha256()
 
     def add(self, time_ns: int, event: str, **fields: Any) -> None:
-        """Nothing; the event is in the log. Floats enter the hash with all their digits."""
+        """Append the event to the log. Floats enter the hash with all their digits."""
         entry = {"time_ns": time_ns, "event": event, **plain(fields)}
         self.events.append(entry)
         self._hash.update(json.dumps(entry, sort_keys=True).encode() + b"\n")

@@ -38,7 +38,7 @@ class _Arrivals:
         self._lost: LinkLost | None = None
 
     def take(self, pair: StereoPair) -> None:
-        """Nothing; ``pair`` was exposed, and is handed on unless it is old, frozen, or comes too late."""
+        """Hand on the new ``pair`` unless it is old, frozen, or comes too late."""
         self._judge()
         self._repeats.add(pair.left)
         if self._lost is None and not self._repeats.frozen and pair.capture_ns > self._newest_ns:
@@ -52,9 +52,7 @@ class _Arrivals:
         return self._repeats.count == 0 and age_ns <= 2 * self._world.frame_period_ns
 
     def require(self) -> None:
-        """None; raises LinkLost (``link.camera_silent``, ``.camera_frozen``) when nothing came for too
-        long.
-        """
+        """Raise LinkLost (``link.camera_silent``, ``.camera_frozen``) when nothing came for too long."""
         self._judge()
         if self._lost is not None:
             raise self._lost
@@ -97,7 +95,7 @@ class _LiveWatch:
         return None
 
     def arrived(self, pair: StereoPair) -> None:
-        """Nothing; a pair was exposed."""
+        """Take a pair that was just exposed."""
         self.waiting.append(pair)
         self._sampled()
 

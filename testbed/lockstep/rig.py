@@ -73,7 +73,7 @@ class LockstepRig:
             self.world.step()
 
     def command(self, name: str) -> None:
-        """Nothing; the command was accepted."""
+        """Send the command. Returns when it is accepted."""
         run(self.link.command(CommandCode[name.upper().replace("-", "_")]))
         run(self.link.next_state())
 

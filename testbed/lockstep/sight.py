@@ -17,11 +17,11 @@ class Sight(Protocol):
     """Frames at the camera's rate while somebody wants them, and what can be measured in them."""
 
     def begin(self, deliver: Deliver) -> None:
-        """Nothing; from now on every pair is handed to ``deliver`` when it is exposed."""
+        """Start to hand every pair to ``deliver`` when it is exposed."""
         ...
 
     def end(self) -> None:
-        """Nothing; no more pairs come."""
+        """Stop handing on pairs."""
         ...
 
     def observe(self, pair: StereoPair, previous: FrameObservation | None) -> FrameObservation:
@@ -42,11 +42,11 @@ class PixelSight:
         self.camera = calibration(config.camera)
 
     def begin(self, deliver: Deliver) -> None:
-        """Nothing; pictures are rendered from now on."""
+        """Start to render pictures."""
         self._world.on_frame = lambda frame: deliver(pair_of(frame))
 
     def end(self) -> None:
-        """Nothing; no picture is rendered any more."""
+        """Stop rendering pictures."""
         self._world.on_frame = None
 
     def observe(self, pair: StereoPair, previous: FrameObservation | None) -> FrameObservation:

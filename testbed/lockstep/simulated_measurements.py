@@ -81,7 +81,7 @@ class ModelSight:
         self._truths: dict[int, PlantTruth] = {}
 
     def begin(self, deliver: Deliver) -> None:
-        """Nothing; every exposure is handed on from now on."""
+        """Start to hand on every exposure."""
         self._truths.clear()
 
         def exposed(number: int, truth: PlantTruth) -> None:
@@ -91,7 +91,7 @@ class ModelSight:
         self._world.on_exposure = exposed
 
     def end(self) -> None:
-        """Nothing; exposures go unnoticed from now on."""
+        """Stop handing on exposures."""
         self._world.on_exposure = None
 
     def observe(self, pair: StereoPair, previous: FrameObservation | None) -> FrameObservation:

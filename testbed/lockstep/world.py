@@ -208,7 +208,7 @@ class World:
             self._noted(event)
 
     def step(self) -> None:
-        """Nothing; one controller cycle has passed."""
+        """Advance the world by one controller cycle."""
         for said in self._client.tick(self.vision_ns):
             self._noted(said)
         datagrams = self.to_controller(self._client.outgoing(self.vision_ns - self.lead_ns))
@@ -263,7 +263,7 @@ class World:
         )
 
     def _pass_time(self, until_ns: int) -> None:
-        """Nothing; the plant has reached ``until_ns``, with truth recorded and pictures taken on the way."""
+        """Advance the plant to ``until_ns``; record truth and take pictures on the way."""
         while self._time_ns < until_ns:
             stop_ns = min(
                 until_ns, _next(self._time_ns, TRUTH_PERIOD_NS), _next(self._time_ns, self.frame_period_ns)

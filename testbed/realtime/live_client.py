@@ -60,7 +60,7 @@ class LiveClient:
         return self.state
 
     def pump(self, seconds: float) -> None:
-        """Nothing; the session was kept alive for ``seconds``, or until it ended."""
+        """Keep the session alive for ``seconds``, or until it ends."""
         until_s = time.monotonic() + seconds
         while time.monotonic() < until_s:
             self._turn()

@@ -28,11 +28,11 @@ class RestRig:
         self._client = httpx.Client(base_url=url, timeout=_TIMEOUT_S)
 
     def close(self) -> None:
-        """Nothing; the connection is closed."""
+        """Close the connection."""
         self._client.close()
 
     def command(self, name: str) -> None:
-        """Nothing; the command was accepted. Raises what the problem document says."""
+        """Send the command. Returns when it is accepted; raises what the problem document says."""
         self._ask("POST", f"/{name}")
 
     def operate(self, kind: str, body: JSON, bar: Bar) -> JSON:
@@ -66,7 +66,7 @@ class RestRig:
         return time.monotonic_ns()
 
     def wait_healthy(self, timeout_s: float) -> None:
-        """Nothing, once controller and camera answer and a picture has come.
+        """Wait until controller and camera respond and a picture has come.
 
         Raises LinkLost with what is missing.
         """

@@ -117,7 +117,7 @@ class Child:
         )
 
     def _settle(self) -> None:
-        """Nothing; after it, exit status and last line of an ended process are known."""
+        """Wait until exit status and last line of an ended process are known."""
         try:
             self._process.wait(STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:
@@ -126,12 +126,12 @@ class Child:
             reader.join(1.0)
 
     def ask_to_end(self) -> None:
-        """Nothing; SIGTERM is sent where it still runs."""
+        """Send SIGTERM if the process still runs."""
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        """Nothing; SIGKILL is sent, for trials of what the others then do."""
+        """Send SIGKILL, for trials of what the others then do."""
         self._process.kill()
         self._process.wait()
 
@@ -148,11 +148,11 @@ class Child:
 
 
 def _silent(_progress: float, _note: str) -> None:
-    """Nothing, for those who show no progress."""
+    """Ignore progress, for callers that show none."""
 
 
 def _end_with_parent() -> None:
-    """Nothing; runs in the child: it gets SIGTERM when the supervisor dies without having ended it."""
+    """Ask the kernel, in the child, for SIGTERM when the supervisor dies without having ended it."""
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
@@ -171,19 +171,19 @@ class Supervisor:
         return child
 
     def start(self, *services: Service, timeout_s: float = READY_TIMEOUT_S) -> None:
-        """Nothing; the ``services``, started together, are ready. Raises ServiceFailed."""
+        """Start the ``services`` together and wait until all are ready. Raises ServiceFailed."""
         for child in [self.launch(service) for service in services]:
             child.wait_ready(timeout_s)
 
     def check(self) -> None:
-        """Nothing. Raises ServiceFailed when a service has ended by itself."""
+        """Raise ServiceFailed when a service has ended by itself."""
         for child in self.children.values():
             if child.exit_status is not None:
                 child._settle()
                 raise child.failure("by itself")
 
     def watch(self, seconds: float | None = None, interval_s: float = 0.25) -> None:
-        """Nothing, after ``seconds`` (None: never) in which all went on running. Raises ServiceFailed."""
+        """Watch the services for ``seconds`` (None: for ever). Raises ServiceFailed when one ends."""
         until = None if seconds is None else time.monotonic() + seconds
         while until is None or time.monotonic() < until:
             self.check()

@@ -12,7 +12,7 @@ from testbed.scenarios.settings import Overrides
 
 
 def run_up(config_dir: Path, overrides: Overrides, any_ports: bool, runs: Path) -> None:
-    """Nothing, once the services were ended by Ctrl-C or SIGTERM.
+    """Run the services until Ctrl-C or SIGTERM ends them.
 
     Raises ServiceFailed when one ends by itself.
     """
@@ -27,7 +27,7 @@ def run_up(config_dir: Path, overrides: Overrides, any_ports: bool, runs: Path) 
 
 
 def show(launch: Launch, supervisor: Supervisor) -> None:
-    """Nothing; prints which service runs where."""
+    """Print which service runs where."""
     rows = [
         (name, child.pid, (child.ready or {}).get("scheduling", ""), launch.directory / f"{name}.log")
         for name, child in supervisor.children.items()
@@ -38,14 +38,14 @@ def show(launch: Launch, supervisor: Supervisor) -> None:
 
 
 def show_fault_face(launch: Launch) -> None:
-    """Nothing; prints where things can be broken, if they can."""
+    """Print the address of the plant's fault API, if it is allowed."""
     face = launch.settings.plant_service.fault_face
     if face.allowed:
         out.print(f"faults: http://{face.host}:{face.port}/docs", highlight=False)
 
 
 def end_on_sigterm() -> None:
-    """Nothing; from now on SIGTERM ends this process as Ctrl-C does, with its services."""
+    """Let SIGTERM end this process as Ctrl-C does, with its services."""
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt

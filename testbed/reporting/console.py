@@ -37,7 +37,7 @@ def plain(value: Any) -> Any:
 
 
 def write_json(path: Path | None, figures: Mapping[str, Any]) -> None:
-    """Nothing; ``figures`` are in the file at ``path``, where one was asked for.
+    """Write ``figures`` to the file at ``path``, where one was asked for.
 
     Raises ConfigurationError when the file cannot be written.
     """
@@ -69,7 +69,7 @@ class Bar:
         self._task = task
 
     def update(self, fraction: float, note: str = "") -> None:
-        """Nothing; the bar stands at ``fraction`` (0…1) with ``note`` beside it."""
+        """Set the bar to ``fraction`` (0…1) with ``note`` beside it."""
         self._progress.update(self._task, completed=min(max(fraction, 0.0), 1.0), note=note)
 
 

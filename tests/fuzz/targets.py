@@ -107,7 +107,7 @@ class _Sink:
         self.closed = False
 
     def write(self, data: bytes) -> None:
-        """Nothing."""
+        """Ignore it."""
 
     def close(self) -> None:
         """The coupler has had enough."""
@@ -116,10 +116,10 @@ class _Sink:
     abort = close
 
     def set_write_buffer_limits(self, **_: object) -> None:
-        """Nothing."""
+        """Ignore it."""
 
     def get_extra_info(self, _: str) -> None:
-        """Nothing."""
+        """Ignore it."""
 
 
 def stream(data: bytes) -> bool:

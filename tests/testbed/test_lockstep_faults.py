@@ -27,7 +27,7 @@ def world_of(seed: int, *assignments: str) -> World:
 
 
 def until(world: World, time_ns: int) -> None:
-    """Nothing; the world has reached ``time_ns``."""
+    """Step the world until it has reached ``time_ns``."""
     while world.time_ns < time_ns:
         world.step()
 

@@ -65,7 +65,7 @@ class Followed(NamedTuple):
 
 
 def vocabulary(pictures: list[NDArray[np.uint8]], path: Path) -> None:
-    """None, after ``path`` holds a vocabulary of the descriptors in ``pictures``."""
+    """Write a vocabulary of the descriptors in ``pictures`` to ``path``."""
     orb = cv2.ORB_create(2000, fastThreshold=5)
     found = np.concatenate([orb.detectAndCompute(picture, None)[1] for picture in pictures])
     lines = [f"{_BRANCHES} {_LEVELS} 0 0"]

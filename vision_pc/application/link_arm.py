@@ -74,7 +74,7 @@ class SocketArm:
         await self._finished(stream.stream_id)
 
     async def stop(self) -> None:
-        """None, once the controller has accepted the stop. Raises LinkLost."""
+        """Stop the arm. Returns when the controller has accepted the stop. Raises LinkLost."""
         await self._link.command(CommandCode.STOP)
 
     async def halt(self) -> None:

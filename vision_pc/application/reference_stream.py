@@ -37,7 +37,7 @@ class ArmStream:
     async def send(
         self, X_BT_ref: Array, measured_ns: int | None = None, twist_ref: Array | None = None
     ) -> None:
-        """None, once the reference has been sent. Raises as the port says."""
+        """Send one reference. Raises as the port says."""
         self.check()
         self._sent = (self._sent + 1) % _NUMBERS
         twist = np.zeros(6) if twist_ref is None else np.asarray(twist_ref, dtype=float)
@@ -53,7 +53,7 @@ class ArmStream:
         return view_of(self._link.state, self._link)
 
     def check(self) -> None:
-        """Nothing while the stream is open and no reference of it was refused; else raises RequestRefused.
+        """Raise RequestRefused when the stream is closed or one of its references was refused.
 
         A state that does not name the stream's motion was under way when the stream was opened.
         """

@@ -45,7 +45,7 @@ class ReferenceStream(Protocol):
     async def send(
         self, X_BT_ref: Array, measured_ns: int | None = None, twist_ref: Array | None = None
     ) -> None:
-        """None, once the reference has been sent; it is never sent again, and never waited for.
+        """Send one reference, once. Does not wait for the controller.
 
         ``X_BT_ref`` (4, 4) within the controller's distance from the pose that it commands at present.
         ``measured_ns``: the instant of the picture that the reference rests on, on the vision PC's clock
@@ -93,7 +93,7 @@ class Arm(Protocol):
         ...
 
     async def stop(self) -> None:
-        """None, once the controller has accepted the stop."""
+        """Stop the arm. Returns when the controller has accepted the stop."""
         ...
 
 

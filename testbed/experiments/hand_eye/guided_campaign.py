@@ -161,7 +161,7 @@ def _nees_band(runs: int) -> tuple[float, float]:
 
 
 def draw(rows: list[Row], path: Path) -> None:
-    """Nothing; the figure is in ``path``: error of X over samples, and errors of the located targets."""
+    """Write the figure to ``path``: error of X over samples, and errors of the located targets."""
     figure = Figure(figsize=(11.0, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2)
     counts = np.arange(3, 18)

@@ -135,7 +135,7 @@ def _reached(beside: list[Compared], concluded: list[Conclusion]) -> bool:
 
 
 def print_compared(title: str, beside: list[Compared], concluded: list[Conclusion]) -> None:
-    """Nothing; the paper's figures and ours are on the console, side by side."""
+    """Print the paper's figures and ours, side by side."""
     columns = ["", "figure", "paper", "std", "5 %", "95 %", "ours", "std", "5 %", "95 %", "runs", "ratio", ""]
     out.print(table(title, columns, comparison_cells(beside)))
     for conclusion in concluded:
@@ -167,7 +167,7 @@ def comparison_cells(beside: list[Compared]) -> list[list[str]]:
 
 
 def print_cost(rows: Measured) -> None:
-    """Nothing; how long the runs took and what stopped those that failed is on the console."""
+    """Print how long the runs took, and what stopped those that failed."""
     for line in costs(rows):
         out.print(line, highlight=False, soft_wrap=True)
 

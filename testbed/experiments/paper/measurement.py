@@ -200,7 +200,7 @@ def _at_rest(rig: Bench, stage: str, row: Row) -> Look:
 
 
 def _note(rig: Bench, stage: str, look: Look, row: Row) -> None:
-    """Nothing; the errors of ``look`` are in ``row``, and the true ones beside them.
+    """Write the errors of ``look`` into ``row``, and the true ones beside them.
 
     ``STAGE_x_mm`` … are those of Tables 2 and 4: what the picture shows between tool marker and object, the
     depth with the clearance in it.

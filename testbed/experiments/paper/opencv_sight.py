@@ -42,7 +42,7 @@ class OpencvSight(PixelSight):
         self._around: Array | None = None  # corners (n, 2) of the last picture that showed every marker
 
     def begin(self, deliver: Deliver) -> None:
-        """Nothing; pictures are rendered from now on, the left eye's alone unless odometry waits."""
+        """Start to render pictures: the left eye's alone unless odometry waits."""
         if self._both:
             super().begin(deliver)
             return
@@ -54,7 +54,7 @@ class OpencvSight(PixelSight):
         self._world.on_exposure = exposed
 
     def end(self) -> None:
-        """Nothing; no picture is rendered any more."""
+        """Stop rendering pictures."""
         super().end()
         self._world.on_exposure = None
         self._both = False

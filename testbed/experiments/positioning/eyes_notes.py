@@ -60,13 +60,13 @@ class NotingSight:
         self.truths: dict[int, PlantTruth] = {}
 
     def begin(self, deliver: Deliver) -> None:
-        """Nothing; pictures are rendered, and their truths kept, from now on."""
+        """Start to render pictures and to keep their true values."""
         self.truths.clear()
         self._world.on_exposure = self.truths.__setitem__
         self._pixels.begin(deliver)
 
     def end(self) -> None:
-        """Nothing; no more pictures come."""
+        """Stop rendering pictures."""
         self._pixels.end()
         self._world.on_exposure = None
 

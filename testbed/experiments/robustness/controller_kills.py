@@ -120,7 +120,7 @@ class Rig:
 
 
 def insist(client: LiveClient, code: CommandCode) -> None:
-    """Nothing; the command was accepted, within the time that a watchdog takes to be armed again."""
+    """Repeat the command until it is accepted, for at most the time that arming a watchdog takes."""
     deadline_s = time.monotonic() + 3.0
     while (reason := client.command(code)) not in (Reason.ACCEPTED, Reason.ALREADY_DONE, Reason.NOT_IN_ERROR):
         if time.monotonic() > deadline_s:

@@ -105,7 +105,7 @@ class _Overall(Bar):
         self._seconds = seconds
 
     def update(self, fraction: float, note: str = "") -> None:
-        """Nothing; the bar stands at the share of the time that has passed."""
+        """Set the bar to the share of the time that has passed."""
         self._bar.update((time.monotonic() - self._began) / self._seconds, note)
 
 

@@ -90,7 +90,7 @@ class HandEyeSight:
         return pictures.X_BT, places
 
     def forget(self) -> None:
-        """Nothing; the next marker is looked for in the whole picture."""
+        """Forget the last marker: the next one is looked for in the whole picture."""
         self._last = None
 
     def _targets(self, pair: StereoPair, drawing: Drawing) -> tuple[Located, ...]:

@@ -40,7 +40,7 @@ class SessionStore:
         return self.directory / f"{name}.json"
 
     def save(self, session: Session) -> None:
-        """Nothing, once the session is on the disk. Raises LongreachError (``hand_eye.unwritable``)."""
+        """Save the session on the disk. Raises LongreachError (``hand_eye.unwritable``)."""
         path = self.path(session.name)
         partial = path.with_suffix(".part")
         try:

@@ -16,7 +16,7 @@ class Repeats:
         self.count = 0
 
     def add(self, image: Image) -> None:
-        """Nothing; ``image`` is the newest one. One without pixels says nothing."""
+        """Take ``image`` as the newest one. An image without pixels is not compared."""
         fingerprint = image[::_STEP, ::_STEP].tobytes()
         self.count = self.count + 1 if fingerprint and fingerprint == self._fingerprint else 0
         self._fingerprint = fingerprint

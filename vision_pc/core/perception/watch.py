@@ -145,7 +145,7 @@ class Watcher:
         )
 
     def require(self) -> None:
-        """None; raises MeasurementFailed when no pair came or something wanted was not measured at all, or
+        """Raise MeasurementFailed when no pair came, when something wanted was not measured at all, or when
         its markers were of the wrong size more often than not.
 
         Causes: ``measurement.no_frames``, ``measurement.odometry_lost``, ``measurement.tool_not_seen``,

@@ -63,7 +63,7 @@ class Loop:
         return np.array(self._errors).reshape(-1, 3)
 
     def seen(self, sample: WatchSample, servo_gap_m: float = 0.0) -> None:
-        """Nothing; the target has been moved by what this sample, which shows tool and object, says.
+        """Move the target by what this sample shows, which has both tool and object.
 
         ``servo_gap_m``: how far the encoders are from what is commanded; while the joint servo still works
         at that, the tool will move again.
@@ -156,7 +156,7 @@ async def look_and_move(
 async def _followed(
     stream: ReferenceStream, sight: "_Sight", loop: Loop, first: WatchSample, start: float, report: Report
 ) -> None:
-    """Nothing, once the loop has settled; a reference goes out with every picture, and between them.
+    """Follow the object until the loop has settled: one reference with every picture, and more between.
 
     When the newest sight is older than ``hold_s``, the arm is held where it is until there is another.
     """

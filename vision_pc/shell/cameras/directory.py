@@ -37,7 +37,7 @@ class Recorder:
         self._rows.writerow(_COLUMNS)
 
     def add(self, pair: StereoPair) -> None:
-        """None, after ``pair`` has been written."""
+        """Write ``pair`` to the recording."""
         names = [f"{pair.frame_id:08d}_{eye}.png" for eye in ("left", "right")]
         for name, picture in zip(names, (pair.left, pair.right), strict=True):
             cv2.imwrite(str(self._directory / name), picture, [cv2.IMWRITE_PNG_COMPRESSION, 1])
@@ -45,7 +45,7 @@ class Recorder:
         self._table.flush()
 
     def close(self) -> None:
-        """None, once the table is complete."""
+        """Complete and close the table."""
         self._table.close()
 
 

@@ -108,9 +108,7 @@ def follow(
 
 
 def write_tum(path: Path, poses: list[OdometryPose]) -> None:
-    """None, after ``path`` holds the trajectory: seconds, x y z in metres, quaternion x y z w, one pose a
-    line.
-    """
+    """Write the trajectory to ``path``: seconds, x y z in metres, quaternion x y z w, one pose a line."""
     lines = []
     for pose in poses:
         (x, y, z), (qw, qx, qy, qz) = se3.to_pose(pose.X_C0C)

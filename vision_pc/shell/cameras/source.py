@@ -58,13 +58,13 @@ class CameraSource(ABC):
         self._repeats = Repeats(settings.frozen_frames)
 
     async def start(self) -> None:
-        """None, at once; pairs come as soon as the camera is there."""
+        """Start the camera's thread and return at once. Pairs come as soon as the camera is there."""
         self._loop = asyncio.get_running_loop()
         self._started_ns = time.monotonic_ns()
         self._thread.start()
 
     async def close(self) -> None:
-        """None, once the thread has ended."""
+        """End the thread. Returns when it has ended."""
         self._stop.set()
         if self._thread.is_alive():
             await asyncio.to_thread(self._thread.join, _JOIN_S)
