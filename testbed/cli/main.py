@@ -303,7 +303,3 @@ def main() -> None:
             markup=False,
         )
         sys.exit(2)
-
-
-if __name__ == "__main__":
-    main()

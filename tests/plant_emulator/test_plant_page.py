@@ -59,7 +59,7 @@ def test_every_switch_is_a_key_of_both_files(name: str) -> None:
 
 def test_modules_and_pages_exist() -> None:
     for row in rows("## The model"):
-        for module in re.findall(r"`(\w+\.py)`", row[3]):
+        for module in re.findall(r"`([\w/]+\.py)`", row[3]):
             assert (ROOT / "plant_emulator" / "core" / module).is_file()
     for link in re.findall(r"\]\(([\w/]+\.\w+)\)", PAGE):
         assert (ROOT / "docs" / link).is_file(), link
