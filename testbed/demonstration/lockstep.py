@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 from protocol.errors import LongreachError
 from testbed.demonstration.sequence import Recorder, Rest, TimedTruth, View, demonstrate, stages, traces
-from testbed.lockstep.event_log import EventLog
 from testbed.lockstep.rig import LockstepRig
+from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import CONTROLLER_CLOCK_NS, VISION_CLOCK_NS
 from testbed.reporting.console import Bars, bars
 from testbed.reporting.outcome import Outcome
@@ -23,7 +23,7 @@ class LockstepRun(NamedTuple):
     rests: list[Rest]
     truths: list[TimedTruth]
     views: list[View]
-    log: EventLog
+    log: RunLog
 
 
 def run_lockstep(config_dir: Path, overrides: Overrides, choice: Choice, shown: Bars) -> LockstepRun:
@@ -33,7 +33,7 @@ def run_lockstep(config_dir: Path, overrides: Overrides, choice: Choice, shown: 
     """
     began = time.perf_counter()
     settings = load_settings(config_dir, overrides)
-    log = EventLog()
+    log = RunLog()
     log.add(0, "run", scenario=choice.scenario, seed=choice.seed, overrides=overrides)
     rig = LockstepRig(settings, choice.seed, log)
     recorder = Recorder(rig, shown)

@@ -7,10 +7,10 @@ from typing import TypeVar
 from plant_emulator.core.camera.scene import Scene
 from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.faults import CommandCode
-from testbed.lockstep.event_log import EventLog
 from testbed.lockstep.eyes import LockstepEyes
 from testbed.lockstep.link import LockstepLink, run
 from testbed.lockstep.rig import StationLog
+from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import World
 from testbed.scenarios.settings import Settings
 from vision_pc.application.hand_eye.driving import ended_in_fault
@@ -29,7 +29,7 @@ class GuidedRig:
     """World, arm, camera and session. The arm is enabled and at rest in its starting pose."""
 
     def __init__(self, settings: Settings, seed: int, sessions: Path) -> None:
-        self.world = World(settings, seed, EventLog())
+        self.world = World(settings, seed, RunLog())
         self.settings = settings
         self.link = LockstepLink(self.world)
         self.eyes = LockstepEyes(self.world, self.link, settings.vision)

@@ -9,9 +9,9 @@ from typing import Any
 from protocol.errors import LinkLost, LongreachError
 from protocol.faults import CommandCode
 from testbed.demonstration.sequence import JSON
-from testbed.lockstep.event_log import EventLog
 from testbed.lockstep.eyes import LockstepEyes
 from testbed.lockstep.link import LockstepLink, run
+from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.sight import Sight
 from testbed.lockstep.world import World
 from testbed.reporting.console import Bar
@@ -61,7 +61,7 @@ class LockstepRig:
     with its model and seed bound.
     """
 
-    def __init__(self, settings: Settings, seed: int, log: EventLog, sight: SightMaker | None = None) -> None:
+    def __init__(self, settings: Settings, seed: int, log: RunLog, sight: SightMaker | None = None) -> None:
         self.world = World(settings, seed, log)
         self.link = LockstepLink(self.world)
         vision = settings.vision

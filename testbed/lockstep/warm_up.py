@@ -3,15 +3,15 @@
 import sys
 from pathlib import Path
 
-from testbed.lockstep.event_log import EventLog
 from testbed.lockstep.rig import LockstepRig
+from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import bars
 from testbed.scenarios.settings import load_settings
 
 
 def main() -> int:
     """Exit status 0; a short life of all services in lockstep: a look, a short track with odometry."""
-    rig = LockstepRig(load_settings(Path("configs"), {}), 1, EventLog())
+    rig = LockstepRig(load_settings(Path("configs"), {}), 1, RunLog())
     rig.command("enable")
     with bars(quiet=True) as shown, shown.step("look") as bar:
         rig.operate("look", {"frames": 1}, bar)

@@ -38,7 +38,7 @@ from protocol.session_events import (
     StreamRefusedReceived,
 )
 from protocol.stereo_frame import FrameHeader, decode_header, encode_header
-from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.run_log import RunLog
 from testbed.scenarios.settings import Settings
 from vision_pc.core.types import Image
 
@@ -132,7 +132,7 @@ class World:
     sent and arrive ``lead_ns``, less than a cycle, before its scan.
     """
 
-    def __init__(self, settings: Settings, seed: int, log: EventLog) -> None:
+    def __init__(self, settings: Settings, seed: int, log: RunLog) -> None:
         scene = Scene(settings.scene)
         self.log = log
         self.settings = settings

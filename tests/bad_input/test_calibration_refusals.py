@@ -15,8 +15,8 @@ from plant_emulator.core.faults.kinds import CameraBlind, CameraFrozen, Fault, F
 from protocol.errors import LinkLost, LongreachError, RequestRefused
 from protocol.faults import FaultCode, GroupState
 from testbed.campaigns.campaign import run_campaign
-from testbed.lockstep.event_log import EventLog
 from testbed.lockstep.rig import LockstepRig
+from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import bars
 from tests.faults.rig import settings_of
 
@@ -39,7 +39,7 @@ MID_PATH_MS = 2_000  # after the path was asked for, of the six seconds that it 
 
 def station(*assignments: str) -> LockstepRig:
     """A station in simulated time, enabled and at rest."""
-    rig = LockstepRig(settings_of(1, (*QUICK, *assignments)), 1, EventLog())
+    rig = LockstepRig(settings_of(1, (*QUICK, *assignments)), 1, RunLog())
     rig.command("enable")
     pass_time(rig, 200 * MS)
     return rig

@@ -7,7 +7,7 @@ from protocol.client_session import ReferenceClient
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
 from protocol.reference_messages import Acknowledgement, Command, ReferencePath, ReferencePose, State
-from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import Wire, World
 from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
 from tests.faults.registers import Registers, assert_shut
@@ -27,7 +27,7 @@ class FaultRig:
     """World, registers and vision's session, connected over ``wire``; ``assignments`` as for ``--set``."""
 
     def __init__(self, *assignments: str, seed: int = 1, wire: Wire = list) -> None:
-        self.world = World(settings_of(seed, assignments), seed, EventLog())
+        self.world = World(settings_of(seed, assignments), seed, RunLog())
         self.registers = Registers(self.world.plant)
         self.world.plant = self.registers  # type: ignore[assignment]
         self.world.to_controller = wire

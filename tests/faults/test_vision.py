@@ -16,8 +16,8 @@ import uvicorn
 from plant_emulator.core.faults.kinds import MarkerCovered
 from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.faults import GroupState
-from testbed.lockstep.event_log import EventLog
 from testbed.lockstep.rig import LockstepRig
+from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import ModelSight, load_eye_model
 from testbed.reporting.console import bars
 from tests.faults.live import LiveRig, live
@@ -31,7 +31,7 @@ TOOL_MARKER = 0
 
 def lockstep(*assignments: str) -> tuple[LockstepRig, Registers]:
     """A station in simulated time, enabled and held for a moment, its plant behind the coupler."""
-    rig = LockstepRig(settings_of(1, assignments), 1, EventLog())
+    rig = LockstepRig(settings_of(1, assignments), 1, RunLog())
     registers = Registers(rig.world.plant)
     rig.world.plant = registers  # type: ignore[assignment]
     rig.command("enable")
@@ -98,7 +98,7 @@ def test_case_34_an_ill_conditioned_calibration_fails_with_its_condition_and_not
     quick = ("controller.settled.time_ms=200", "vision.programs.trajectory.dwell_s=0.3")
     settings = settings_of(1, (*quick, "vision.programs.trajectory.condition_limit=1.5"))
     model = load_eye_model(CONFIG)
-    rig = LockstepRig(settings, 1, EventLog(), lambda world, vision: ModelSight(world, vision, model, 1))
+    rig = LockstepRig(settings, 1, RunLog(), lambda world, vision: ModelSight(world, vision, model, 1))
     rig.command("enable")
     with bars(quiet=True) as shown, shown.step("matching") as bar:
         with pytest.raises(MeasurementFailed) as caught:

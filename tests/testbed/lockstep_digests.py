@@ -15,9 +15,9 @@ import llvmlite.binding
 from testbed.demonstration.sequence import Recorder, demonstrate
 from testbed.experiments.positioning.corrected_run import operate, prepared
 from testbed.lockstep import guided_rig
-from testbed.lockstep.event_log import EventLog
 from testbed.lockstep.guided_rig import GuidedRig, quiet
 from testbed.lockstep.rig import LockstepRig
+from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import bars
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from tests.vision_pc.hand_eye.still_rig import still_settings
@@ -46,7 +46,7 @@ def ran(recipe: str, seed: int) -> Ran:
 
 def _demonstration(scenario: str, seed: int) -> LockstepRig:
     settings = load_settings(CONFIGS, chosen_overrides(CONFIGS, scenario, seed, []))
-    rig = LockstepRig(settings, seed, EventLog())
+    rig = LockstepRig(settings, seed, RunLog())
     with bars(quiet=True) as shown:
         demonstrate(rig, Recorder(rig, shown), 1)
     return rig

@@ -7,8 +7,8 @@ import pytest
 
 from protocol.errors import LongreachError, RequestRefused
 from protocol.faults import CommandCode, FaultCode, GroupState
-from testbed.lockstep.event_log import EventLog
 from testbed.lockstep.link import LockstepLink, run
+from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import World
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from vision_pc.application.link_arm import SocketArm
@@ -24,7 +24,7 @@ class Streamer:
 
     def __init__(self) -> None:
         settings = load_settings(CONFIG, chosen_overrides(CONFIG, None, 1, []))
-        self.world = World(settings, 1, EventLog())
+        self.world = World(settings, 1, RunLog())
         self.link = LockstepLink(self.world)
         self.arm = SocketArm(self.link, settings.vision.motion)
         while not self.world.connected:

@@ -8,7 +8,7 @@ import pytest
 
 from protocol.faults import CommandCode, GroupState
 from protocol.reference_messages import Command, ReferencePath
-from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import World
 from testbed.scenarios.settings import chosen_overrides, load_settings
 
@@ -20,7 +20,7 @@ SECONDS = 20.0
 @pytest.fixture
 def moving_world() -> Iterator[World]:
     settings = load_settings(CONFIG, chosen_overrides(CONFIG, "standard", 1, ["controller.cycle_ms=5.0"]))
-    world = World(settings, 1, EventLog())
+    world = World(settings, 1, RunLog())
     while not world.connected:
         world.step()
     world.submit(Command(0, CommandCode.ENABLE))

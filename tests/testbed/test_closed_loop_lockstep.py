@@ -11,8 +11,8 @@ import pytest
 from protocol.errors import MeasurementFailed
 from protocol.faults import GroupState
 from testbed.experiments.positioning.corrected_run import operate, true_error_mm
-from testbed.lockstep.event_log import EventLog
 from testbed.lockstep.rig import LockstepRig
+from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import ModelSight, load_eye_model
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from vision_pc.core.types import FrameObservation, StereoPair
@@ -26,7 +26,7 @@ Observe = Callable[[StereoPair, FrameObservation | None], FrameObservation]
 def calibrated() -> LockstepRig:
     settings = load_settings(CONFIG, chosen_overrides(CONFIG, "standard", SEED, []))
     sight = partial(ModelSight, model=load_eye_model(CONFIG), seed=SEED)
-    rig = LockstepRig(settings, SEED, EventLog(), sight)
+    rig = LockstepRig(settings, SEED, RunLog(), sight)
     rig.command("enable")
     operate(rig, "look", {"frames": 3})
     operate(rig, "local-track", {})

@@ -9,9 +9,9 @@ from protocol.errors import LinkLost, LongreachError, RequestRefused
 from protocol.faults import GroupState
 from protocol.pose import Pose
 from protocol.reference_messages import ReferencePose
-from testbed.lockstep.event_log import EventLog
 from testbed.lockstep.link import run
 from testbed.lockstep.rig import LockstepRig
+from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import bars
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from vision_pc.application.link_arm import SocketArm
@@ -23,7 +23,7 @@ LITTLE_M = 1e-3  # what leakage past shut valves, and the servo against it, move
 
 def rig_of(seed: int, *assignments: str) -> LockstepRig:
     settings = load_settings(CONFIG, chosen_overrides(CONFIG, "standard", seed, list(assignments)))
-    return LockstepRig(settings, seed, EventLog())
+    return LockstepRig(settings, seed, RunLog())
 
 
 def operate(rig: LockstepRig, kind: str, **body: object) -> dict[str, object]:

@@ -9,7 +9,7 @@ from plant_emulator.core.faults.kinds import CameraFrozen, CouplerSilent, Fault,
 from protocol.faults import CommandCode, FaultCode, GroupState
 from protocol.process_image import STATUS_WATCHDOG_TRIPPED
 from protocol.reference_messages import Command, ReferencePose
-from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import Frame, World
 from testbed.scenarios.settings import chosen_overrides, load_settings
 
@@ -20,7 +20,7 @@ MS = 1_000_000
 def world_of(seed: int, *assignments: str) -> World:
     """A world that has connected."""
     settings = load_settings(CONFIG, chosen_overrides(CONFIG, "standard", seed, list(assignments)))
-    world = World(settings, seed, EventLog())
+    world = World(settings, seed, RunLog())
     while not world.connected:
         world.step()
     return world

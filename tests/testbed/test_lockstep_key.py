@@ -9,7 +9,7 @@ from conformance.bytes_of import resealed
 from protocol.datagram import decode
 from protocol.faults import CommandCode, GroupState, Reason
 from protocol.reference_messages import Command, ReferencePose
-from testbed.lockstep.event_log import EventLog
+from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import World
 from testbed.scenarios.settings import chosen_overrides, load_settings
 
@@ -19,7 +19,7 @@ MS = 1_000_000
 
 def world_of(*assignments: str) -> World:
     settings = load_settings(CONFIG, chosen_overrides(CONFIG, "standard", 1, list(assignments)))
-    return World(settings, 1, EventLog())
+    return World(settings, 1, RunLog())
 
 
 @pytest.fixture

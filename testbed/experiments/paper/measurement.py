@@ -21,9 +21,9 @@ from protocol.faults import CommandCode
 from testbed.campaigns.row_file import Row
 from testbed.experiments.paper.opencv_sight import OpencvSight
 from testbed.experiments.paper.tracing import Traced, Tracer
-from testbed.lockstep.event_log import EventLog
 from testbed.lockstep.eyes import LockstepEyes
 from testbed.lockstep.link import LockstepLink, run
+from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.sight import Sight
 from testbed.lockstep.simulated_measurements import ModelSight, load_eye_model
 from testbed.lockstep.world import VISION_CLOCK_NS, World
@@ -91,7 +91,7 @@ def bench(config_dir: Path, task: Row, tracer: Tracer | None = None) -> Bench:
     """The world that ``task`` asks for, its arm enabled. Raises ConfigurationError."""
     drawn = load_scenario(config_dir, task["scenario"]).world(task["seed"])
     settings = load_settings(config_dir, merged(drawn, parse_overrides(task["assignments"])))
-    world = World(settings, task["seed"], EventLog())
+    world = World(settings, task["seed"], RunLog())
     link = LockstepLink(world)
     sight: Sight | None = None
     if task["eyes"] == "opencv":

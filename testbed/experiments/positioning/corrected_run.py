@@ -16,8 +16,8 @@ from foundation.configuration import merged, parse_overrides
 from plant_emulator.core.truth import tool_error
 from protocol.errors import LongreachError
 from testbed.experiments.positioning.scenarios import draw
-from testbed.lockstep.event_log import EventLog
 from testbed.lockstep.rig import LockstepRig, SightMaker
+from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import ModelSight, load_eye_model
 from testbed.reporting.console import bars
 from testbed.scenarios.settings import load_settings
@@ -60,7 +60,7 @@ def prepared(config_dir: Path, task: JSON, sight: SightMaker | None = None) -> L
     if sight is None and task["eyes"] == "model":
         model = load_eye_model(config_dir, "harder" if task["harder"] else "usual")
         sight = partial(ModelSight, model=model, seed=task["seed"])
-    rig = LockstepRig(settings, task["seed"], EventLog(), sight)
+    rig = LockstepRig(settings, task["seed"], RunLog(), sight)
     rig.command("enable")
     operate(rig, "orientation-adjustment", {})
     operate(rig, "local-track", {})

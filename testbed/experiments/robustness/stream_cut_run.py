@@ -14,8 +14,8 @@ from protocol.errors import LinkLost
 from protocol.faults import CommandCode, FaultCode, GroupState
 from protocol.process_image import STATUS_VALVES_ENABLED
 from protocol.reference_messages import StreamedPose
-from testbed.lockstep.event_log import EventLog
 from testbed.lockstep.link import LockstepLink, run
+from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import World
 from testbed.scenarios.settings import Settings
 from vision_pc.core.se3 import Array, exp_so3, from_pose, to_pose
@@ -68,7 +68,7 @@ class CutStream:
 
     def __init__(self, settings: Settings, seed: int, rate_hz: float, motion: Motion) -> None:
         self.rng = np.random.default_rng([seed, 2])
-        self.world = World(settings, seed, EventLog())
+        self.world = World(settings, seed, RunLog())
         self.world.lead_ns = int(self.rng.integers(0, round(1e6 * settings.controller.cycle_ms)))
         self.reached_ns = 0
         self.begun_ns = 0

@@ -1,4 +1,4 @@
-"""The event log of a run: JSON lines with simulated time, and their hash."""
+"""The event log of a lockstep run: JSON lines with simulated time, and their hash."""
 
 import hashlib
 import json
@@ -7,7 +7,7 @@ from typing import Any
 from testbed.reporting.console import plain
 
 
-class EventLog:
+class RunLog:
     """Events in order. Two runs are the same exactly when their digests are."""
 
     def __init__(self) -> None:
@@ -24,9 +24,9 @@ class EventLog:
         """SHA-256 of all lines so far, in hexadecimal."""
         return self._hash.hexdigest()
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> "EventLog":
+    def __deepcopy__(self, memo: dict[int, Any]) -> "RunLog":
         """A log of its own that goes on from here: what a forked world writes to."""
-        other = EventLog()
+        other = RunLog()
         other.events = list(self.events)
         other._hash = self._hash.copy()
         memo[id(self)] = other
