@@ -7,10 +7,11 @@ from pathlib import Path
 
 import uvloop
 
-from controller.config import ArmConfig, ControllerConfig
+from controller.config import ControllerConfig
 from controller.shell.event_log import EventLog
 from controller.shell.service import ControllerService, Options
 from foundation.configuration import load, parse_overrides
+from nominal_arm.description import NominalArm
 from protocol.errors import LongreachError
 
 _EPILOG = "example: python -m controller --config-dir configs --set controller.cycle_ms=2 --record-dir run"
@@ -41,7 +42,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments = _arguments(argv)
     try:
         overrides = parse_overrides(arguments.set)
-        arm = load(ArmConfig, arguments.config_dir / "arm.yaml", overrides.get("arm"))
+        arm = load(NominalArm, arguments.config_dir / "arm.yaml", overrides.get("arm"))
         config = load(ControllerConfig, arguments.config_dir / "controller.yaml", overrides.get("controller"))
         log = EventLog()
         service = ControllerService(arm, config, Options(arguments.record_dir, arguments.statistics), log)

@@ -1,4 +1,4 @@
-"""What controller.yaml may say, with bounds on every number; the arm's part is beside it."""
+"""What controller.yaml may say, with bounds on every number."""
 
 from typing import Annotated, Self
 
@@ -6,9 +6,6 @@ from pydantic import Field, model_validator
 
 from foundation.configuration import StrictModel
 from foundation.link_key import KeySource
-from nominal_arm.description import ArmConfig
-
-__all__ = ["ArmConfig", "ControllerConfig", "PlantLinkConfig", "ReferenceLinkConfig"]
 
 # How late a scan may be without breaking streaming.silence_ms.
 _STREAM_MARGIN_MS = 2.0

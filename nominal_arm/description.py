@@ -93,7 +93,7 @@ class RatedSupply(StrictModel):
         return self
 
 
-class ArmConfig(StrictModel):
+class NominalArm(StrictModel):
     """The nominal arm: seven DH rows of the paper's structure, six joints and drives, the workspace."""
 
     name: str

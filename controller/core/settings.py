@@ -6,12 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.config import ArmConfig, ControllerConfig
+from controller.config import ControllerConfig
 from controller.core.kinematics.denavit_hartenberg import dh_table
 from controller.core.kinematics.rotations import Array
 from controller.core.servo.drives import drive_table, unloaded
 from controller.core.servo.joint_control import JointGains
 from controller.core.trajectories.approach import AxisLimits
+from nominal_arm.description import NominalArm
 
 
 class StreamLimits(NamedTuple):
@@ -59,7 +60,7 @@ class Settings:
     following_error: Array
 
 
-def settings_from(arm: ArmConfig, config: ControllerConfig) -> Settings:
+def settings_from(arm: NominalArm, config: ControllerConfig) -> Settings:
     """The Settings that ``arm`` and ``config`` describe."""
     servo, joint, motion = config.pose_servo, config.joint_control, config.motion
     joint_range = np.radians([[j.lower_deg for j in arm.joints], [j.upper_deg for j in arm.joints]])

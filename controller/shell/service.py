@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from controller.config import ArmConfig, ControllerConfig
+from controller.config import ControllerConfig
 from controller.core.flight_recorder import FlightRecorder
 from controller.core.plant_watch import PlantRefusal
 from controller.core.requests import is_live
@@ -28,6 +28,7 @@ from controller.shell.reference_port import ReferencePort
 from controller.shell.warm_up import rehearse
 from foundation.configuration import configuration_hash
 from foundation.link_key import read_key
+from nominal_arm.description import NominalArm
 from protocol.errors import ImageRefused
 from protocol.faults import CommandCode, FaultCode
 from protocol.process_image import SensorImage, ValveImage, decode_sensors, encode_valves
@@ -51,7 +52,7 @@ class Options(NamedTuple):
 class ControllerService:
     """One running controller."""
 
-    def __init__(self, arm: ArmConfig, config: ControllerConfig, options: Options, log: EventLog) -> None:
+    def __init__(self, arm: NominalArm, config: ControllerConfig, options: Options, log: EventLog) -> None:
         """Bind the reference port. Raises ConfigurationError when that or the record directory fails."""
         self._config = config
         self._options = options

@@ -4,8 +4,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from controller.config import ArmConfig, ControllerConfig
+from controller.config import ControllerConfig
 from foundation.configuration import StrictModel, load, merged, parse_overrides
+from nominal_arm.description import NominalArm
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.config.service import PlantServiceConfig
@@ -14,7 +15,7 @@ from testbed.scenarios.scenario import load_scenario
 from vision_pc.config.vision import VisionConfig
 
 MODELS: dict[str, type[StrictModel]] = {
-    "arm": ArmConfig,
+    "arm": NominalArm,
     "controller": ControllerConfig,
     "plant": PlantConfig,
     "plant_service": PlantServiceConfig,
@@ -28,7 +29,7 @@ Overrides = Mapping[str, Mapping[str, Any]]
 class Settings(NamedTuple):
     """Every configuration file, validated."""
 
-    arm: ArmConfig
+    arm: NominalArm
     controller: ControllerConfig
     plant: PlantConfig
     plant_service: PlantServiceConfig

@@ -8,11 +8,12 @@ from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
-from controller.config import ArmConfig, ControllerConfig
+from controller.config import ControllerConfig
 from controller.core.inbox import Inbox
 from controller.core.settings import Settings, settings_from
 from controller.shell.warm_up import rehearse
 from foundation.configuration import configuration_hash, load, merged, parse_overrides
+from nominal_arm.description import NominalArm
 from protocol.authentication import LinkKey
 from protocol.reference_messages import Acknowledgement, Request, State
 from protocol.server_session import ReferenceServer
@@ -26,7 +27,7 @@ OVERRIDES = ["controller.supervision.overrun_ms=2000", "controller.streaming.sil
 
 def settings(*more: str) -> Settings:
     """The shipped configuration, tolerant of a test machine's lateness, with further overrides."""
-    arm = load(ArmConfig, CONFIGS / "arm.yaml")
+    arm = load(NominalArm, CONFIGS / "arm.yaml")
     overrides = merged(parse_overrides(OVERRIDES), parse_overrides(more))["controller"]
     config = load(ControllerConfig, CONFIGS / "controller.yaml", overrides)
     return settings_from(arm, config)
@@ -73,7 +74,7 @@ class ThreadedController:
 
     def arm_hash(self) -> int:
         """The hash of the shipped arm."""
-        return configuration_hash(load(ArmConfig, CONFIGS / "arm.yaml"))
+        return configuration_hash(load(NominalArm, CONFIGS / "arm.yaml"))
 
     def incoming(self, data: bytes) -> bytes | None:
         """A datagram as the controller takes it in."""

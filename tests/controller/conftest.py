@@ -5,17 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from controller.config import ArmConfig, ControllerConfig
+from controller.config import ControllerConfig
 from controller.core.kinematics.denavit_hartenberg import dh_table
 from controller.core.kinematics.rotations import Array
 from foundation.configuration import load
+from nominal_arm.description import NominalArm
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 @pytest.fixture(scope="session")
-def arm() -> ArmConfig:
-    return load(ArmConfig, CONFIGS / "arm.yaml")
+def arm() -> NominalArm:
+    return load(NominalArm, CONFIGS / "arm.yaml")
 
 
 @pytest.fixture(scope="session")
@@ -24,11 +25,11 @@ def config() -> ControllerConfig:
 
 
 @pytest.fixture(scope="session")
-def table(arm: ArmConfig) -> Array:
+def table(arm: NominalArm) -> Array:
     return dh_table(arm.dh)
 
 
 @pytest.fixture(scope="session")
-def joint_range(arm: ArmConfig) -> tuple[Array, Array]:
+def joint_range(arm: NominalArm) -> tuple[Array, Array]:
     lower = np.radians([joint.lower_deg for joint in arm.joints])
     return lower, np.radians([joint.upper_deg for joint in arm.joints])

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from controller.config import ArmConfig, ControllerConfig
+from controller.config import ControllerConfig
 from controller.core.kinematics.denavit_hartenberg import JOINTS, LINKS
 from controller.core.kinematics.rotations import Array
 from controller.core.references import admit
@@ -14,6 +14,7 @@ from controller.core.scan import scan
 from controller.core.scan_types import ScanInput
 from controller.core.servo.pose_servo import tool_state
 from controller.core.settings import Settings, settings_from
+from nominal_arm.description import NominalArm
 from protocol.reference_messages import ReferencePath, StreamedPose
 from protocol.session_events import StreamedPoseReceived
 from tests.controller.obedient_plant import Bench
@@ -23,7 +24,7 @@ pytestmark = pytest.mark.bench
 
 
 @pytest.fixture(scope="module")
-def settings(arm: ArmConfig, config: ControllerConfig) -> Settings:
+def settings(arm: NominalArm, config: ControllerConfig) -> Settings:
     return settings_from(arm, config)
 
 

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from controller.config import ArmConfig, ControllerConfig
+from controller.config import ControllerConfig
 from controller.core.servo.pose_servo import resolve, tool_state
 from controller.core.settings import Settings, settings_from
 from foundation.configuration import load
+from nominal_arm.description import NominalArm
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core.faults.kinds import EncoderJump, EncoderStuck, Fault, SupplyLost, ValveStuck
 from plant_emulator.core.plant import Plant
@@ -29,7 +30,7 @@ HOLD_S = 4.0
 
 
 @pytest.fixture(scope="module")
-def settings(arm: ArmConfig, config: ControllerConfig) -> Settings:
+def settings(arm: NominalArm, config: ControllerConfig) -> Settings:
     return settings_from(arm, config)
 
 

@@ -5,13 +5,14 @@ from typing import Any
 
 import pytest
 
-from controller.config import ArmConfig, ControllerConfig
+from controller.config import ControllerConfig
 from foundation.configuration import load
+from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError
 from tests.controller.conftest import CONFIGS
 
 
-def test_shipped_files_load(arm: ArmConfig, config: ControllerConfig) -> None:
+def test_shipped_files_load(arm: NominalArm, config: ControllerConfig) -> None:
     assert [joint.name for joint in arm.joints] == ["slew", "lift", "tilt", "wrist1", "wrist2", "wrist3"]
     assert config.cycle_ms == 5.0
 
@@ -41,7 +42,7 @@ def test_bad_controller_values_are_named(overrides: dict[str, Any], key: str, ca
 
 
 def _rows(**changes: Any) -> list[dict[str, Any]]:
-    arm = load(ArmConfig, CONFIGS / "arm.yaml").model_dump(mode="json")
+    arm = load(NominalArm, CONFIGS / "arm.yaml").model_dump(mode="json")
     for where, value in changes.items():
         index, field = where.split("__")
         arm["dh"][int(index[1:])][field] = value
@@ -59,10 +60,10 @@ def _rows(**changes: Any) -> list[dict[str, Any]]:
 )
 def test_an_arm_of_another_structure_is_refused(change: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
-        load(ArmConfig, CONFIGS / "arm.yaml", {"dh": _rows(**change)})
+        load(NominalArm, CONFIGS / "arm.yaml", {"dh": _rows(**change)})
 
 
 def test_a_file_that_is_not_there_is_named() -> None:
     with pytest.raises(ConfigurationError) as caught:
-        load(ArmConfig, Path("nowhere") / "arm.yaml")
+        load(NominalArm, Path("nowhere") / "arm.yaml")
     assert caught.value.cause == "configuration.unreadable"

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from controller.config import ArmConfig
 from controller.core.kinematics.rotations import Array, quaternion_from_vector, quaternion_product
 from controller.core.servo.drives import drive_table, full_spool_speeds, load_pressures, unloaded
 from controller.core.servo.joint_control import JointFilters, JointGains, pt1_step, valve_commands
 from controller.core.servo.pose_servo import resolve, tool_state
 from controller.core.trajectories.paths import at_rest
+from nominal_arm.description import NominalArm
 
 ONES = np.ones(6)
 REST = JointFilters(np.zeros(6), np.zeros(6))
@@ -93,7 +93,7 @@ def test_commands_stay_inside_the_valve_limit() -> None:
     assert u == pytest.approx(0.8 * ONES)
 
 
-def test_speed_map_equals_the_derivative_of_the_linkage(arm: ArmConfig) -> None:
+def test_speed_map_equals_the_derivative_of_the_linkage(arm: NominalArm) -> None:
     drives, rated = drive_table(arm.drives), unloaded(arm.rated)
     q = np.radians([0.0, 45.0, -90.0, 0.0, 0.0, 0.0])
     speeds = full_spool_speeds(drives, q, rated, rated)
@@ -109,7 +109,7 @@ def test_speed_map_equals_the_derivative_of_the_linkage(arm: ArmConfig) -> None:
         assert speeds[i] == pytest.approx([0.660 / lever, 0.534 / lever], rel=1e-6)
 
 
-def test_speed_map_follows_the_load_as_the_free_velocities_do(arm: ArmConfig) -> None:
+def test_speed_map_follows_the_load_as_the_free_velocities_do(arm: NominalArm) -> None:
     """The plant's validation case 8: 54.7 kN slows extension from 0.660 to 0.421 m/s."""
     drives, rated = drive_table(arm.drives), unloaded(arm.rated)
     q = np.radians([0.0, 45.0, -90.0, 0.0, 0.0, 0.0])
@@ -120,7 +120,7 @@ def test_speed_map_follows_the_load_as_the_free_velocities_do(arm: ArmConfig) ->
     assert loaded / free * [0.660, 0.534] == pytest.approx([0.421, 0.738], abs=2e-3)
 
 
-def test_load_pressure_weighs_the_annulus(arm: ArmConfig) -> None:
+def test_load_pressure_weighs_the_annulus(arm: NominalArm) -> None:
     load = load_pressures(drive_table(arm.drives), ((100.0, 50.0),) * 6)
     assert load == pytest.approx([50.0, 100.0 - 0.68359 * 50.0, 100.0 - 0.68359 * 50.0, 50.0, 50.0, 50.0])
 

@@ -6,11 +6,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from controller.config import ArmConfig
 from controller.core.kinematics.denavit_hartenberg import chain, tool_pose
 from controller.core.kinematics.inverse_kinematics import REACHED, TOO_FAR, joint_angles
 from controller.core.kinematics.jacobian import damped_inverse, geometric_jacobian
 from controller.core.kinematics.rotations import Array
+from nominal_arm.description import NominalArm
 
 START = np.radians([0.0, 50.0, -75.0, 0.0, -25.0, 0.0])
 EXTENSION_M = 1.0
@@ -44,7 +44,7 @@ def oracle() -> tuple[pin.Model, pin.Data, int]:
     return drawn_arm()
 
 
-def test_spot_checks_of_the_drawing(arm: ArmConfig, table: Array) -> None:
+def test_spot_checks_of_the_drawing(arm: NominalArm, table: Array) -> None:
     X_BT = tool_pose(table, START)
     assert X_BT[:3, 3] == pytest.approx([3.89355, 0.0, 1.00825], abs=5e-6)
     assert X_BT[:3, :3] == pytest.approx(np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]]), abs=1e-12)

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from controller.config import ArmConfig, ControllerConfig
+from controller.config import ControllerConfig
 from controller.core.settings import settings_from
 from controller.core.trajectories.motion import advanced, at_standstill, begun, stopping
 from controller.core.trajectories.paths import Desired, Path, at_rest, duration, path_from, sample
+from nominal_arm.description import NominalArm
 
 
 def _wxyz(rotation: Rotation) -> np.ndarray:
@@ -116,7 +117,7 @@ def test_replanning_is_continuous_up_to_acceleration(seed: int, when: float, sec
 
 @pytest.mark.parametrize("when", [0.05, 0.5, 1.0, 1.7, 3.1])
 def test_a_stop_slows_along_the_path_without_a_step(
-    arm: ArmConfig, config: ControllerConfig, when: float
+    arm: NominalArm, config: ControllerConfig, when: float
 ) -> None:
     settings_ = settings_from(arm, config)
     motion = begun(_random_path(5, waypoints=3), 7)
@@ -141,7 +142,7 @@ def test_a_stop_slows_along_the_path_without_a_step(
         assert after.p - before.p == pytest.approx(middle * dt_s, abs=1e-8)
 
 
-def test_a_second_stop_changes_nothing(arm: ArmConfig, config: ControllerConfig) -> None:
+def test_a_second_stop_changes_nothing(arm: NominalArm, config: ControllerConfig) -> None:
     settings_ = settings_from(arm, config)
     motion = advanced(begun(_random_path(6), 1), 0.7)
     once = advanced(stopping(settings_, motion), 0.1)

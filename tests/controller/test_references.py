@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from controller.config import ArmConfig, ControllerConfig
+from controller.config import ControllerConfig
 from controller.core.kinematics.rotations import quaternion_from_matrix
 from controller.core.servo.pose_servo import tool_state
 from controller.core.settings import Settings, settings_from
+from nominal_arm.description import NominalArm
 from protocol.faults import FaultCode, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import ReferencePath, ReferencePose
@@ -16,7 +17,7 @@ from tests.controller.obedient_plant import Bench
 
 
 @pytest.fixture(scope="module")
-def settings(arm: ArmConfig, config: ControllerConfig) -> Settings:
+def settings(arm: NominalArm, config: ControllerConfig) -> Settings:
     return settings_from(arm, config)
 
 
@@ -65,7 +66,7 @@ def test_a_quaternion_far_from_unit_norm_is_refused_and_a_near_one_normalised(be
     assert np.linalg.norm(bench.state.motion.desired.quaternion) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_outside_the_workspace_names_coordinate_and_bound(bench: Bench, arm: ArmConfig) -> None:
+def test_outside_the_workspace_names_coordinate_and_bound(bench: Bench, arm: NominalArm) -> None:
     answer = bench.refer(bench.shifted(z=-2.5))
     assert answer.reason is Reason.OUTSIDE_WORKSPACE
     assert answer.limit == arm.workspace.z_m[0]
@@ -173,7 +174,7 @@ def test_too_far_and_too_fast_name_value_and_limit(bench: Bench, config: Control
     _assert_nothing_moves(bench)
 
 
-def test_a_jump_within_a_path_is_slow_enough(bench: Bench, config: ControllerConfig, arm: ArmConfig) -> None:
+def test_a_jump_within_a_path_is_slow_enough(bench: Bench, config: ControllerConfig, arm: NominalArm) -> None:
     """Durations chosen by the controller keep every limit: Cartesian and joint, speed and acceleration."""
     first, second = bench.shifted(y=0.4, z=0.2), _turned(bench.shifted(y=-0.3, z=-0.2), 2, 0.5)
     assert (

@@ -6,10 +6,11 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from controller.config import ArmConfig, ControllerConfig
+from controller.config import ControllerConfig
 from controller.core.group_states import GROUP_STATE, Mode, Stimulus, transition
 from controller.core.settings import Settings, settings_from
 from foundation.configuration import load
+from nominal_arm.description import NominalArm
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.process_image import (
     CONTROL_ENABLE,
@@ -31,7 +32,7 @@ ZERO = (0.0,) * 6
 
 
 @pytest.fixture(scope="module")
-def settings(arm: ArmConfig, config: ControllerConfig) -> Settings:
+def settings(arm: NominalArm, config: ControllerConfig) -> Settings:
     return settings_from(arm, config)
 
 
@@ -223,7 +224,7 @@ class GroupMachine(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        arm = load(ArmConfig, CONFIGS / "arm.yaml")
+        arm = load(NominalArm, CONFIGS / "arm.yaml")
         self.bench = Bench(settings_from(arm, load(ControllerConfig, CONFIGS / "controller.yaml")))
         self.enabled = self.moving = self.slowing = self.error = self.latched = False
 

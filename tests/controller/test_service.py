@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
-from controller.config import ArmConfig
 from foundation.configuration import configuration_hash
+from nominal_arm.description import NominalArm
 from protocol.client_session import ReferenceClient
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.pose import Pose
@@ -69,7 +69,7 @@ class Controller:
 class Client:
     """A vision PC: the client session on a real socket."""
 
-    def __init__(self, arm: ArmConfig, port: int) -> None:
+    def __init__(self, arm: NominalArm, port: int) -> None:
         self.session = ReferenceClient(
             nonce=time.monotonic_ns(), arm_hash=configuration_hash(arm), state_period_ms=10
         )
@@ -148,7 +148,7 @@ async def start() -> AsyncIterator[Start]:
 
 
 @pytest.fixture
-async def connect(arm: ArmConfig) -> AsyncIterator[Connect]:
+async def connect(arm: NominalArm) -> AsyncIterator[Connect]:
     """Connects clients, and closes their sockets in the end."""
     with contextlib.ExitStack() as sockets:
 

@@ -7,10 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from controller.config import ArmConfig, ControllerConfig
+from controller.config import ControllerConfig
 from controller.core.group_states import Mode
 from controller.core.kinematics.rotations import Array, conjugate, quaternion_product, vector_from_quaternion
 from controller.core.settings import Settings, settings_from
+from nominal_arm.description import NominalArm
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
 from protocol.process_image import CONTROL_ENABLE
@@ -22,7 +23,7 @@ SLOWS_S, CLOSES_S, CYCLE_S = 0.076, 0.088, 0.005
 
 
 @pytest.fixture(scope="module")
-def settings(arm: ArmConfig, config: ControllerConfig) -> Settings:
+def settings(arm: NominalArm, config: ControllerConfig) -> Settings:
     return settings_from(arm, config)
 
 

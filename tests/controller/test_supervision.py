@@ -6,9 +6,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from controller.config import ArmConfig, ControllerConfig
+from controller.config import ControllerConfig
 from controller.core.group_states import Mode
 from controller.core.settings import Settings, settings_from
+from nominal_arm.description import NominalArm
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.process_image import (
     CONTROL_ENABLE,
@@ -23,7 +24,7 @@ ZERO = (0.0,) * 6
 
 
 @pytest.fixture(scope="module")
-def settings(arm: ArmConfig, config: ControllerConfig) -> Settings:
+def settings(arm: NominalArm, config: ControllerConfig) -> Settings:
     return settings_from(arm, config)
 
 
@@ -145,7 +146,7 @@ def test_the_first_fault_stays_while_the_reaction_follows_the_gravest(settings: 
     assert (bench.last.valves.valves, bench.last.valves.control) == (ZERO, 0)
 
 
-def test_a_tool_that_runs_away_is_overspeed(arm: ArmConfig, config: ControllerConfig) -> None:
+def test_a_tool_that_runs_away_is_overspeed(arm: NominalArm, config: ControllerConfig) -> None:
     wide = config.supervision.model_copy(update={"following_error_deg": (80.0,) * 6})
     bench = Bench(settings_from(arm, config.model_copy(update={"supervision": wide}))).enabled()
     bench.stuck = True
@@ -176,7 +177,7 @@ def test_a_joint_that_does_not_follow_is_a_following_error(settings: Settings) -
 
 
 def test_a_tool_that_strays_out_of_the_workspace_is_ramped_down(
-    arm: ArmConfig, config: ControllerConfig
+    arm: NominalArm, config: ControllerConfig
 ) -> None:
     low = arm.workspace.model_copy(update={"z_m": (-1.0, 1.35)})
     bench = Bench(settings_from(arm.model_copy(update={"workspace": low}), config)).moving()
@@ -188,7 +189,7 @@ def test_a_tool_that_strays_out_of_the_workspace_is_ramped_down(
 
 
 def test_a_joint_that_strays_beyond_its_range_is_ramped_down(
-    arm: ArmConfig, config: ControllerConfig
+    arm: NominalArm, config: ControllerConfig
 ) -> None:
     lift = arm.joints[1].model_copy(update={"upper_deg": 55.5})
     joints = (arm.joints[0], lift, *arm.joints[2:])

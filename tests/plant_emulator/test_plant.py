@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numba.core.runtime import _nrt_python, rtsys
 
-from controller.config import ArmConfig
 from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
 from foundation.configuration import load
+from nominal_arm.description import NominalArm
 from plant_emulator.core.faults.kinds import SupplyLost
 from plant_emulator.core.layout import N_STATES, RATE, Q
 from plant_emulator.core.plant import NOMINAL_MOUNTS, Plant
@@ -45,7 +45,7 @@ def test_starts_in_equilibrium(plant: Plant) -> None:
 
 
 def test_agrees_with_the_controllers_nominal_kinematics_without_errors() -> None:
-    table = dh_table(load(ArmConfig, CONFIGS / "arm.yaml").dh)
+    table = dh_table(load(NominalArm, CONFIGS / "arm.yaml").dh)
     stand = Stand(default_config(CONFIGS))
     rng = np.random.default_rng(5)
     for _ in range(100):

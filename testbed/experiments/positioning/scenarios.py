@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from controller.config import ArmConfig
 from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
 from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
 from foundation.configuration import merged
+from nominal_arm.description import NominalArm
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.camera.scene import R_WO_FACING_ARM, Scene
 from protocol.errors import ConfigurationError
@@ -186,7 +186,7 @@ def _goal(pose: _Pose, X_TM: Array) -> tuple[Array, Array]:
     return turned, transform(R_WT, pose.X_WO[:3, 3] - clearance)
 
 
-def _reached(pose: _Pose, arm: ArmConfig, leg_m: float) -> bool:
+def _reached(pose: _Pose, arm: NominalArm, leg_m: float) -> bool:
     table, branch = dh_table(arm.dh), np.radians(pose.start_deg)
     limits = np.radians([[joint.lower_deg, joint.upper_deg] for joint in arm.joints])
     turned, goal = _goal(pose, transform(np.diag([1.0, -1.0, -1.0]), np.zeros(3)))

@@ -1,0 +1,50 @@
+"""What computations need of the nominal arm, derived once from its description: SI units, no YAML types."""
+
+import math
+from typing import NamedTuple
+
+from nominal_arm.description import NominalArm
+
+_LIFT_PIVOT, _BOOM, _ELBOW, _FOREARM, _TOOL = 0, 1, 2, 3, 5  # rows of Table 1
+
+
+class DhLink(NamedTuple):
+    """One link, Rz(theta) Tz(d) Tx(a) Rx(alpha) with theta = q + theta_offset; radians and metres."""
+
+    alpha: float
+    a: float
+    theta_offset: float
+    d: float
+
+
+class BoomDimensions(NamedTuple):
+    """The boom in its slewing plane, metres.
+
+    ``pivot`` (forward, up) of the lift in B; ``boom`` from there to the tilt, ``forearm`` from there to the
+    wrist's centre, straight lines both; ``tool`` from the wrist's centre to the TCP along the tool's z axis.
+    """
+
+    pivot: tuple[float, float]
+    boom: float
+    forearm: float
+    tool: float
+
+
+def dh_links(arm: NominalArm) -> tuple[DhLink, ...]:
+    """The seven links of Mäkinen et al. 2023, Table 1; the last is a mock link without a joint."""
+    return tuple(
+        DhLink(math.radians(row.alpha_deg), row.a_m, math.radians(row.theta_offset_deg), row.d_m)
+        for row in arm.dh
+    )
+
+
+def boom_dimensions(arm: NominalArm) -> BoomDimensions:
+    """The boom of the arm's structure.
+
+    Between tilt and wrist the chain steps a₃ across and d₄ along, so that they are √(a₃² + d₄²) apart. Of the
+    last links d₆ alone is not zero; the tool's z axis, after the mock link, points against it.
+    """
+    dh = arm.dh
+    pivot = (dh[_LIFT_PIVOT].a_m, dh[_LIFT_PIVOT].d_m)
+    forearm = math.hypot(dh[_ELBOW].a_m, dh[_FOREARM].d_m)
+    return BoomDimensions(pivot, abs(dh[_BOOM].a_m), forearm, -dh[_TOOL].d_m)
