@@ -1,15 +1,16 @@
 """Many runs of one function over Dask's workers: resumable, one row a run, a failure never a zero.
 
 By default the workers are processes of this machine, started for the campaign; with ``scheduler`` they are
-those of a Dask cluster that is already there, whose workers have Longreach installed.
+those of a Dask cluster that is already there, whose workers have Longreach installed. With no ``workers`` at
+all the runs are made in this process, one after the other.
 """
 
 import hashlib
 import json
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -24,8 +25,9 @@ from distributed.comm.core import CommClosedError
 from distributed.scheduler import KilledWorker
 
 from protocol.errors import ConfigurationError, LinkLost, LongreachError
+from testbed.campaigns.provenance import content_hash, provenance_of
 from testbed.campaigns.row_file import Row, RowFile
-from testbed.reporting.console import bars, err, plain
+from testbed.reporting.console import bars, out, plain
 
 distributed: Any = untyped  # it has types in part only
 
@@ -58,30 +60,41 @@ def run_campaign(
     scheduler: str | None,
     workers: int = 2,
     title: str,
+    fresh: bool = False,
 ) -> list[Row]:
     """One row for each of ``tasks``, in their order; those that ``directory/rows.csv`` lacks are run now.
 
     ``function`` (importable by name, or a partial of such) turns a flat task with a unique ``key`` into a
-    flat row. Each row gets ``key``, ``configuration`` (the hash of function and task), ``failure`` (None, or
-    the cause and what happened), ``run_s`` and ``cpu_s``. A task whose key and configuration already have a
-    row is not run again, unless it failed by no fault of its own (its worker died, or the program broke).
+    flat row. Each row gets ``key``, ``configuration``, ``failure`` (None, or the cause and what happened),
+    ``run_s`` and ``cpu_s``. A row is reused when key and configuration are the same, unless it failed by no
+    fault of its own (its worker died, or the program broke); with ``fresh`` none is.
 
     A value that is bytes becomes a file; its cell is the name, below ``directory``.
 
     Raises ConfigurationError for a key given twice or a malformed address, LinkLost when the scheduler does
     not answer, has no workers, or goes away; the rows done until then are kept.
     """
-    configurations = {str(task["key"]): configuration_of(function, task) for task in tasks}
+    evidence = {scenario: evidence_of(function, scenario) for scenario in {_scenario(task) for task in tasks}}
+    configurations = {str(task["key"]): configuration_of(evidence[_scenario(task)], task) for task in tasks}
     if len(configurations) != len(tasks):
         raise ConfigurationError("configuration.duplicate_task", f"{title}: two tasks have the same key")
     file = RowFile(directory / "rows.csv")
-    done = {(str(row["key"]), str(row["configuration"])): row for row in file.rows if _conclusive(row)}
+    kept = [] if fresh else [row for row in file.rows if _conclusive(row)]
+    done = {(str(row["key"]), str(row["configuration"])): row for row in kept}
     to_do = [task for task in tasks if (str(task["key"]), configurations[str(task["key"])]) not in done]
-    _note(directory, function, title, {key: configurations[key] for key in configurations}, tasks)
+    _note(
+        directory,
+        [
+            {"configuration": configurations[str(task["key"])], "title": title, "task": task}
+            | evidence[_scenario(task)]
+            for task in tasks
+        ],
+    )
+    told = f"{title}: {len(tasks) - len(to_do)} rows reused, {len(to_do)} measured now"
+    out.print(told, style="dim", highlight=False, soft_wrap=True)
     if to_do:
-        if len(to_do) < len(tasks):
-            err.print(f"{title}: {len(tasks) - len(to_do)} of {len(tasks)} already done", style="dim")
-        for task, row in _results(function, to_do, scheduler, min(workers, len(to_do)), title):
+        checked = partial(_on_same_evidence, function, evidence)
+        for task, row in _results(checked, to_do, scheduler, min(workers, len(to_do)), title):
             key = str(task["key"])
             named = {"key": key, "configuration": configurations[key]}
             whole = named | _files_written(directory, "-".join(named.values()), row)
@@ -89,15 +102,44 @@ def run_campaign(
     return [{name: done[item].get(name) for name in file.columns} for item in configurations.items()]
 
 
-def configuration_of(function: Run, task: Mapping[str, Any]) -> str:
-    """The hash of a run: of the function's name, what is bound to it, and the task. Twelve hex digits."""
-    bound: dict[str, Any] = {}
-    while isinstance(function, partial):
-        bound = {"args": function.args, "keywords": function.keywords, "of": bound}
-        function = function.func
-    name = f"{function.__module__}.{function.__qualname__}"
-    text = json.dumps(plain({"function": name, "bound": bound, "task": task}), sort_keys=True, default=repr)
+def configuration_of(evidence: Mapping[str, Any], task: Mapping[str, Any]) -> str:
+    """Twelve hex digits: the hash of a task and of all that its run depends on beside it."""
+    text = json.dumps(plain({"evidence": evidence, "task": task}), sort_keys=True, default=repr)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def evidence_of(function: Run, scenario: str | None = None) -> dict[str, Any]:
+    """What a run depends on beside its task: sources, versions, and what is bound to ``function``.
+
+    A bound path counts by its content; of a directory's scenarios only ``scenario``, where one is named.
+    """
+    bound: list[Any] = []
+    whole: Any = function
+    while isinstance(whole, partial):
+        bound.append([*whole.args, *sorted(whole.keywords.items())])
+        whole = whole.func
+
+    def by_content(value: Any) -> Any:
+        if isinstance(value, Path):
+            return content_hash(value, scenario)
+        return [by_content(item) for item in value] if isinstance(value, (list, tuple)) else plain(value)
+
+    return {**provenance_of(function)._asdict(), "bound": by_content(bound)}
+
+
+def _scenario(task: Task) -> str | None:
+    named = task.get("scenario")
+    return None if named is None else str(named)
+
+
+def _on_same_evidence(function: Run, evidence: Mapping[str | None, Mapping[str, Any]], task: Task) -> Row:
+    """The run, on a worker whose sources, files and libraries are those of the campaign's client."""
+    wanted, here = evidence[_scenario(task)], evidence_of(function, _scenario(task))
+    if other := [name for name in wanted if wanted[name] != here[name]]:
+        raise LinkLost(
+            f"{_AGAIN}other_worker", f"the worker's {', '.join(other)} are not those of the client"
+        )
+    return function(task)
 
 
 def _conclusive(row: Row) -> bool:
@@ -115,21 +157,12 @@ def _files_written(directory: Path, stem: str, row: Row) -> Row:
     return kept
 
 
-def _note(
-    directory: Path, function: Run, title: str, configurations: dict[str, str], tasks: Sequence[Task]
-) -> None:
-    """Writes what the configurations' hashes stand for."""
+def _note(directory: Path, entries: Sequence[Mapping[str, Any]]) -> None:
+    """Write what the configurations' hashes stand for to ``tasks.jsonl``."""
     directory.mkdir(parents=True, exist_ok=True)
     path = directory / "tasks.jsonl"
     known = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
-    lines = [
-        json.dumps(
-            plain({"configuration": configurations[str(task["key"])], "title": title, "task": task}),
-            sort_keys=True,
-            default=repr,
-        )
-        for task in tasks
-    ]
+    lines = [json.dumps(plain(entry), sort_keys=True, default=repr) for entry in entries]
     path.write_text("".join(f"{line}\n" for line in dict.fromkeys(known + lines)), encoding="utf-8")
 
 
@@ -139,8 +172,13 @@ class _Done(NamedTuple):
     memory: int  # bytes that the worker's process holds after the run
 
 
-def _run(function: Run, task: Task) -> _Done:
-    """One run, on the worker; whatever it raises becomes its row's failure."""
+def _run_on_worker(function: Run, task: Task) -> _Done:
+    row, worker = _run(function, task), distributed.get_worker()
+    return _Done(row, worker.address, worker.monitor.get_process_memory())
+
+
+def _run(function: Run, task: Task) -> Row:
+    """One run; whatever it raises becomes its row's failure."""
     cv2.setNumThreads(1)
     numba.set_num_threads(1)
     began, cpu_s = time.perf_counter(), time.process_time()
@@ -151,9 +189,8 @@ def _run(function: Run, task: Task) -> _Done:
         row = {"failure": f"{error.cause}: {error}"}
     except Exception as error:
         row = {"failure": f"{_AGAIN}exception: {type(error).__name__}: {error}"}
-    row |= {"run_s": round(time.perf_counter() - began, 3), "cpu_s": round(time.process_time() - cpu_s, 3)}
-    worker = distributed.get_worker()
-    return _Done(row, worker.address, worker.monitor.get_process_memory())
+    times = {"run_s": time.perf_counter() - began, "cpu_s": time.process_time() - cpu_s}
+    return row | {name: round(value, 3) for name, value in times.items()}
 
 
 class _Workforce(NamedTuple):
@@ -166,17 +203,34 @@ def _results(
     function: Run, tasks: Sequence[Task], scheduler: str | None, workers: int, title: str
 ) -> Iterator[tuple[Task, Row]]:
     """Each task with its row, as they are done."""
-    with _workforce(scheduler, workers) as force, bars() as shown, shown.step(title) as bar:
+    if scheduler is None and workers == 0:
+        made: Generator[tuple[Task, Row], None, None] = ((task, _run(function, task)) for task in tasks)
+    else:
+        made = _distributed(function, tasks, scheduler, workers)
+    spent: list[float] = []
+    failed = 0
+    with bars() as shown, shown.step(title) as bar, closing(made):
+        for task, row in made:
+            spent.append(row.get("run_s") or 0.0)
+            failed += bool(row["failure"])
+            mean_s = sum(spent) / len(spent)
+            note = f"{len(spent)} of {len(tasks)}, {mean_s:.1f} s a run, {failed} failed"
+            bar.update(len(spent) / len(tasks), note)
+            yield task, row
+
+
+def _distributed(
+    function: Run, tasks: Sequence[Task], scheduler: str | None, workers: int
+) -> Generator[tuple[Task, Row], None, None]:
+    with _workforce(scheduler, workers) as force:
         waiting = iter(tasks)
         under_way: dict[Any, Task] = {}
 
         def start(count: int) -> None:
             for task in islice(waiting, count):
-                under_way[force.client.submit(_run, function, task, pure=False)] = task
+                under_way[force.client.submit(_run_on_worker, function, task, pure=False)] = task
 
         start(force.places)
-        spent: list[float] = []
-        failed = 0
         while under_way:
             future = _first_done(force.client, list(under_way))
             task = under_way.pop(future)
@@ -184,12 +238,6 @@ def _results(
             if force.ours and done.memory > _WORN_BYTES:
                 force.client.restart_workers([done.worker], timeout=_RESTART_S, raise_for_error=False)
             start(1)
-            spent.append(done.row.get("run_s") or 0.0)
-            failed += bool(done.row["failure"])
-            bar.update(
-                len(spent) / len(tasks),
-                f"{len(spent)} of {len(tasks)}, {sum(spent) / len(spent):.1f} s a run, {failed} failed",
-            )
             yield task, done.row
 
 

@@ -2,8 +2,13 @@
 
 import math
 import os
+import shutil
+import subprocess
+import sys
 import time
+import tomllib
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +16,9 @@ import distributed
 import pytest
 
 from protocol.errors import ConfigurationError, LinkLost, MeasurementFailed
-from testbed.campaigns import campaign
-from testbed.campaigns.campaign import REACH_S, configuration_of, run_campaign
+from testbed.campaigns import campaign, provenance
+from testbed.campaigns.campaign import REACH_S, configuration_of, evidence_of, run_campaign
+from testbed.campaigns.provenance import PACKAGES, imported_sources
 from testbed.campaigns.row_file import RowFile, cell
 
 
@@ -112,14 +118,143 @@ def test_a_key_given_twice_is_refused(tmp_path: Path) -> None:
 
 def test_the_configuration_is_the_function_what_is_bound_to_it_and_the_task() -> None:
     task = {"key": "a", "number": 1}
-    assert configuration_of(partial(scaled, 0.5), task) == configuration_of(partial(scaled, 0.5), dict(task))
+
+    def hashed(function: Any, task: dict[str, Any] = task) -> str:
+        return configuration_of(evidence_of(function), task)
+
+    assert hashed(partial(scaled, 0.5)) == hashed(partial(scaled, 0.5), dict(task))
     others = {
-        configuration_of(partial(scaled, 0.5), task),
-        configuration_of(partial(scaled, 0.6), task),
-        configuration_of(measured, task),
-        configuration_of(measured, task | {"number": 2}),
+        hashed(partial(scaled, 0.5)),
+        hashed(partial(scaled, 0.6)),
+        hashed(measured),
+        hashed(measured, task | {"number": 2}),
     }
     assert len(others) == 4
+
+
+def read(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
+    """A run that reads a configuration file."""
+    return {"value": (config_dir / "plant.yaml").read_text()}
+
+
+MEASURES = "nonsense://x"
+"""A scheduler that is refused as soon as anything is to be measured."""
+
+
+@pytest.fixture
+def configured(tmp_path: Path) -> Path:
+    """A configuration directory with two scenarios."""
+    config_dir = tmp_path / "configs"
+    (config_dir / "scenarios").mkdir(parents=True)
+    (config_dir / "plant.yaml").write_text("mass_kg: 1.0\n")
+    (config_dir / "scenarios" / "one.yaml").write_text("a: 1\n")
+    (config_dir / "scenarios" / "two.yaml").write_text("a: 2\n")
+    return config_dir
+
+
+@pytest.mark.parametrize(
+    ("edited", "measured_anew"),
+    [("plant.yaml", True), ("scenarios/one.yaml", True), ("scenarios/two.yaml", False), ("new.yaml", True)],
+)
+def test_an_edited_configuration_file_measures_anew(
+    tmp_path: Path, configured: Path, edited: str, measured_anew: bool
+) -> None:
+    asked = tasks(1, scenario="one")
+    function = partial(read, configured)
+    rows = run_campaign(tmp_path, function, asked, scheduler=None, workers=0, title="one")
+    assert run_campaign(tmp_path, function, asked, scheduler=MEASURES, title="one") == rows
+    (configured / edited).write_text("mass_kg: 2.0\n")
+    if measured_anew:
+        with pytest.raises(ConfigurationError):
+            run_campaign(tmp_path, function, asked, scheduler=MEASURES, title="one")
+    else:
+        assert run_campaign(tmp_path, function, asked, scheduler=MEASURES, title="one") == rows
+
+
+def test_the_same_files_elsewhere_are_the_same_evidence(tmp_path: Path, configured: Path) -> None:
+    copied = shutil.copytree(configured, tmp_path / "elsewhere")
+    assert evidence_of(partial(read, configured)) == evidence_of(partial(read, copied))
+
+
+def test_an_edited_source_file_measures_anew_however_far_it_is_imported_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "source_tree"
+    package.mkdir()
+    for name, text in {
+        "__init__": "",
+        "run": "from source_tree import near\ndef run(task):\n    return {'value': near.value()}\n",
+        "near": "def value():\n    from source_tree.far import VALUE\n    return VALUE\n",
+        "far": "VALUE = 1\n",
+        "other": "",
+    }.items():
+        (package / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    run = import_module("source_tree.run").run
+    directory = tmp_path / "rows"
+
+    def campaign_now(scheduler: str | None) -> list[dict[str, Any]]:
+        provenance.sources_hash.cache_clear()  # a process reads its own sources once
+        return run_campaign(directory, run, tasks(1), scheduler=scheduler, workers=1, title="one")
+
+    assert [row["value"] for row in campaign_now(None)] == [1]
+    (package / "other.py").write_text("# what is not imported does not count\n")
+    assert [row["value"] for row in campaign_now(MEASURES)] == [1]
+    (package / "far.py").write_text("VALUE = 22\n")
+    assert [row["value"] for row in campaign_now(None)] == [22]
+
+
+def test_the_sources_of_a_run_are_all_of_ours_that_it_loads() -> None:
+    root = Path(provenance.__file__).parents[2]
+    module = "testbed.experiments.robustness.stream_cuts"
+    found = imported_sources(module, {name: root / name for name in PACKAGES})
+    loading = (
+        f"import sys, {module}\n"
+        f"for name in {PACKAGES!r}:\n"
+        "    print(*(m for m in sys.modules if m.partition('.')[0] == name), sep='\\n')"
+    )
+    loaded = subprocess.run([sys.executable, "-c", loading], capture_output=True, text=True, check=True)
+    assert set(loaded.stdout.split()) <= set(found)
+    assert {"plant_emulator.core.right_hand_side", "controller.core.scan"} <= set(found)
+
+
+def test_every_package_that_is_shipped_counts_as_a_source() -> None:
+    project = tomllib.loads((Path(provenance.__file__).parents[2] / "pyproject.toml").read_text())
+    assert list(PACKAGES) == project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
+
+
+def test_another_version_of_a_library_measures_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = evidence_of(measured)
+    monkeypatch.setattr(provenance, "library_versions", lambda: {"numpy": "0.1"})
+    assert evidence_of(measured) != before
+
+
+def test_a_worker_with_other_sources_or_files_makes_no_rows(
+    tmp_path: Path, configured: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    function = partial(read, configured)
+    evidence = evidence_of(function)
+    monkeypatch.setattr(campaign, "evidence_of", lambda function, scenario=None: evidence | {"sources": "0"})
+    (row,) = run_campaign(tmp_path, function, tasks(1), scheduler=None, workers=1, title="one")
+    assert row["failure"] == "campaign.other_worker: the worker's sources are not those of the client"
+
+
+def test_fresh_measures_what_is_there(tmp_path: Path) -> None:
+    run_campaign(tmp_path, measured, tasks(1), scheduler=None, workers=0, title="one")
+    (second,) = run_campaign(tmp_path, measured, tasks(1), scheduler=None, workers=0, title="one", fresh=True)
+    assert second["run_s"] is not None
+    assert len(RowFile(tmp_path / "rows.csv").rows) == 2
+    assert run_campaign(tmp_path, measured, tasks(1), scheduler=MEASURES, title="one") == [second]
+
+
+def test_the_report_says_how_many_rows_were_reused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run_campaign(tmp_path, measured, tasks(2), scheduler=None, workers=0, title="some")
+    run_campaign(tmp_path, measured, tasks(3), scheduler=None, workers=0, title="some")
+    said = capsys.readouterr().out
+    assert "some: 0 rows reused, 2 measured now" in said
+    assert "some: 2 rows reused, 1 measured now" in said
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ All of them share one directory of rows. A table or a figure asks for the measur
 or ``match``, and those that are there are not measured again: what `table4` measured serves `table3`, `fig9`.
 """
 
-import hashlib
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -104,14 +103,7 @@ def task(kind: str, asked: Asked, seed: int, variant: str = "", assignments: Seq
         "eyes": asked.eyes,
         "variant": variant,
         "assignments": chosen,
-        "files": _files_hash(asked.config_dir, asked.scenario),
     }
-
-
-def _files_hash(config_dir: Path, scenario: str) -> str:
-    """Of what a measurement reads: every configuration file, and the scenario."""
-    files = [*sorted(config_dir.glob("*.yaml")), config_dir / "scenarios" / f"{scenario}.yaml"]
-    return hashlib.sha256(b"\0".join(path.read_bytes() for path in files)).hexdigest()[:12]
 
 
 def _drawn(name: str, asked: Asked, rows: list[Row]) -> bytes:

@@ -1,9 +1,8 @@
 """One measurement of the paper's, in lockstep: orientation adjustment, then one of both range adjustments.
 
 A task is flat: ``key``, ``kind`` (``line``, ``match``, or ``turn``: the adjustment alone), ``scenario``,
-``seed``, ``eyes``, ``variant``, ``assignments`` and ``files`` (a hash of the configuration files, so that a
-resumed campaign knows old rows from new). Each measurement begins anew, at the start pose of a world drawn
-from the seed, as the paper's did.
+``seed``, ``eyes``, ``variant`` and ``assignments``. Each measurement begins anew, at the start pose of a
+world drawn from the seed, as the paper's did.
 """
 
 import math
