@@ -82,4 +82,5 @@ lock:  ## resolve pyproject.toml again into both lock files
 
 clean:  ## remove the virtual environment and every cache
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis .benchmarks
+	rm -rf "$${NUMBA_CACHE_DIR:-$${XDG_CACHE_HOME:-$$HOME/.cache}/longreach/kernels}"
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.compiled import allocation_free
 from plant_emulator.core import columns as col
-from plant_emulator.core.compiled import kernel
 from plant_emulator.core.hydraulics.chambers import bulk_modulus, relief_flow
 from plant_emulator.core.hydraulics.valves import (
     held_gain,
@@ -66,7 +66,7 @@ def new_work() -> Work:
     )
 
 
-@kernel
+@allocation_free
 def _valve_flows(i: int, state: Array, thinner: float, a: Array, c: Array, flows: Array) -> None:
     """Fill net chamber flows and supply flow of actuator ``i``: valve, leakage, relief, anti-cavitation."""
     p_a, p_b, p_s, p_t = state[PRESSURE_A + i], state[PRESSURE_B + i], state[SUPPLY], c[col.C_RETURN]
@@ -90,7 +90,7 @@ def _valve_flows(i: int, state: Array, thinner: float, a: Array, c: Array, flows
     flows[i, col.F_NET_A], flows[i, col.F_NET_B] = in_a, in_b
 
 
-@kernel
+@allocation_free
 def _end_stop(i: int, y: float, v: float, a: Array) -> float:
     """Force at either end of the stroke: a cushion brakes what enters it, behind it stands a stiff stop."""
     side = 1.0 if 2.0 * y < a[i, col.A_STROKE] else -1.0
@@ -101,7 +101,7 @@ def _end_stop(i: int, y: float, v: float, a: Array) -> float:
     return push
 
 
-@kernel
+@allocation_free
 def _actuator(
     i: int, state: Array, command: float, thinner: float, a: Array, c: Array, flows: Array, rate: Array
 ) -> float:
@@ -152,7 +152,7 @@ def _actuator(
     return torque
 
 
-@kernel
+@allocation_free
 def pump_flow(supply: float, circuit: Array) -> float:
     """What the pump delivers (m³/s) at ``supply`` pressure; once lost, what its dump orifice takes."""
     if circuit[col.C_RUNNING] > 0.0:
@@ -162,7 +162,7 @@ def pump_flow(supply: float, circuit: Array) -> float:
     return -orifice_flow(circuit[col.C_DUMP], supply - circuit[col.C_RETURN], circuit[col.C_REGULARISATION])
 
 
-@kernel
+@allocation_free
 def _supply(state: Array, c: Array, flows: Array, rate: Array) -> None:
     """Rates of supply pressure and oil temperature."""
     supply = state[SUPPLY]
@@ -183,7 +183,7 @@ def _supply(state: Array, c: Array, flows: Array, rate: Array) -> None:
         rate[TEMPERATURE] = heat / c[col.C_HEAT_CAPACITY] - cooling
 
 
-@kernel
+@allocation_free
 def hydraulic_rates(state: Array, command: Array, model: Model, work: Work, rate: Array) -> None:
     """Fill the oil's part of ``rate`` and the generalised force (10,) of oil and hinges in ``work.force``."""
     mech = model.mechanism
@@ -196,7 +196,7 @@ def hydraulic_rates(state: Array, command: Array, model: Model, work: Work, rate
     _supply(state, c, work.flows, rate)
 
 
-@kernel
+@allocation_free
 def right_hand_side(state: Array, command: Array, model: Model, work: Work, rate: Array) -> None:
     """Fill ``rate`` (N_STATES,) with d(state)/dt at ``state`` under spool ``command`` (6,)."""
     hydraulic_rates(state, command, model, work, rate)
@@ -207,7 +207,7 @@ def right_hand_side(state: Array, command: Array, model: Model, work: Work, rate
         rate[RATE + i] = work.acceleration[i]
 
 
-@kernel
+@allocation_free
 def runge_kutta_step(state: Array, command: Array, h: float, model: Model, work: Work) -> None:
     """One classical fourth-order step of ``state`` in place."""
     k, stage = work.slope, work.stage
@@ -221,7 +221,7 @@ def runge_kutta_step(state: Array, command: Array, h: float, model: Model, work:
         state[j] += h / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
 
 
-@kernel
+@allocation_free
 def advance(
     state: Array,
     drive: Array,

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.compiled import allocation_free
 from plant_emulator.core import columns as col
-from plant_emulator.core.compiled import kernel
 from plant_emulator.core.hydraulics.chambers import ATMOSPHERE
 from plant_emulator.core.hydraulics.valves import slew_limited
 from plant_emulator.core.layout import (
@@ -80,13 +80,13 @@ def compression(circuit: Array) -> Compression:
     return Compression(np.concatenate(([0.0], np.cumsum(steps))), modulus, air, n)
 
 
-@kernel
+@allocation_free
 def density(pressure: float, oil: Compression) -> float:
     """Density of oil with entrained air over that of oil without pressure: exp ∫ dp/β."""
     return math.exp(pressure / oil.modulus - oil.air * pressure ** (-1.0 / oil.exponent))
 
 
-@kernel
+@allocation_free
 def stored(pressure: float, oil: Compression) -> float:
     """Energy of compression (J) of the oil that takes 1 m³ without pressure."""
     place = max(math.log(pressure / FIRST) * PER_LOG, 0.0)
@@ -96,7 +96,7 @@ def stored(pressure: float, oil: Compression) -> float:
     return energy
 
 
-@kernel
+@allocation_free
 def _powers(state: Array, model: Model, work: Work, oil: Compression, out: Array) -> None:
     """Fill the rates (N_INTEGRALS,) of all integrals from the latest evaluation, at ``state``."""
     for k in range(N_INTEGRALS):
@@ -120,7 +120,7 @@ def _powers(state: Array, model: Model, work: Work, oil: Compression, out: Array
         out[HINGES] += model.mechanism.damping[j] * state[RATE + j] ** 2
 
 
-@kernel
+@allocation_free
 def _watch(state: Array, model: Model, work: Work, seen: Array) -> None:
     """Widen the extremes ``seen`` (3,) by ``state``."""
     for k in range(PRESSURE_A, PRESSURE_B + N_ACTUATORS):
@@ -131,7 +131,7 @@ def _watch(state: Array, model: Model, work: Work, seen: Array) -> None:
         seen[DEEPEST] = max(seen[DEEPEST], max(-y, y - stroke) / stroke)
 
 
-@kernel
+@allocation_free
 def booked_steps(
     state: Array,
     drive: Array,

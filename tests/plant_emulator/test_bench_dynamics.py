@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 import pytest
-from numba import njit
 from numba.core.runtime import _nrt_python, rtsys
 from numpy.typing import NDArray
 
+from foundation.compiled import kernel
 from plant_emulator.core.layout import DRIVEN, N_ACTUATORS, N_COORDINATES, N_STATES, RATE, Q
 from plant_emulator.core.mechanics.equilibrium import rest_state
 from plant_emulator.core.mechanics.multibody import forward_kinematics, multibody_work
@@ -72,7 +72,7 @@ def own_engine(step: float) -> tuple[Array, float]:
     return np.array(tips), spent / SECONDS * 1e3
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def oil_steps(
     state: Array, command: Array, steps: int, h: float, model: Model, work: Work, mean: Array
 ) -> None:

@@ -8,9 +8,9 @@ import math
 from typing import NamedTuple
 
 import cv2
-import numba
 import numpy as np
 
+from foundation.compiled import kernel
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
@@ -65,7 +65,7 @@ def draw_marker(picture: Array, eye: EyeModel, marker: Marker, samples: int = 8)
     _paint(picture[y0:y1, x0:x1], int(x0), int(y0), lens, X_AE, marker.size, half, bits, samples)
 
 
-@numba.njit(cache=True)
+@kernel
 def _paint(
     patch: Array,
     x0: int,

@@ -2,10 +2,10 @@
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from foundation.compiled import kernel
 from protocol.pose import Pose
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ def exp_so3(w: ArrayLike) -> Array:
     return np.asarray(rodrigues(np.array(w, dtype=np.float64)))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def rodrigues(w: Array) -> Array:
     """R (3×3) of the rotation vector ``w`` (3,), for compiled callers; others want ``exp_so3``."""
     x, y, z = w

@@ -6,9 +6,9 @@ Source: Mäkinen et al. 2023, (23) and (24), Table 1.
 import math
 
 import numpy as np
-from numba import njit
 
 from controller.core.kinematics.rotations import Array
+from foundation.compiled import kernel
 from nominal_arm.description import DhRow
 
 LINKS = 7
@@ -22,7 +22,7 @@ def dh_table(rows: tuple[DhRow, ...]) -> Array:
     )
 
 
-@njit(cache=True)
+@kernel
 def chain(table: Array, q: Array) -> Array:
     """Frames 0…7 of the arm in B as an array (8, 3, 4) of [R | p]; frame 0 is B, frame 7 is T.
 

@@ -7,21 +7,21 @@ be reached.
 import math
 
 import numpy as np
-from numba import njit
 
 from controller.core.kinematics.rotations import Array
+from foundation.compiled import kernel
 
 REACHED = 0
 TOO_FAR = 1  # the wrist centre lies beyond the outstretched boom, or inside its folded reach
 
 
-@njit(cache=True)
+@kernel
 def _near(angle: float, branch: float) -> float:
     """``angle`` plus the whole turns that bring it nearest to ``branch``."""
     return angle - 2.0 * math.pi * round((angle - branch) / (2.0 * math.pi))
 
 
-@njit(cache=True)
+@kernel
 def joint_angles(table: Array, R_BT: Array, p_BT: Array, branch: Array) -> tuple[int, Array, float, float]:
     """(verdict, q, value, limit): the joint angles (6,) of X_BT on the branch of the joint angles ``branch``.
 

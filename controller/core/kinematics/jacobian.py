@@ -4,14 +4,14 @@ Source: Mäkinen et al. 2023, (2) and (3); variable damping after Chiaverini, IE
 """
 
 import numpy as np
-from numba import njit
 
 from controller.core.kinematics.rotations import Array
+from foundation.compiled import kernel
 
 JOINTS = 6
 
 
-@njit(cache=True)
+@kernel
 def geometric_jacobian(frames: Array) -> Array:
     """J_BT, (6, 6): rows linear, then angular velocity of T in B (m and rad per rad); columns joints.
 
@@ -31,7 +31,7 @@ def geometric_jacobian(frames: Array) -> Array:
     return J
 
 
-@njit(cache=True)
+@kernel
 def damped_inverse(J: Array, onset: float, damping_max: float) -> tuple[Array, float, float]:
     """The inverse (6, 6), the least singular value σ, and the squared damping λ² that was used.
 

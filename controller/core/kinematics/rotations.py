@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from foundation.compiled import kernel
 
 Array = npt.NDArray[np.float64]
 
@@ -12,13 +13,13 @@ Array = npt.NDArray[np.float64]
 _SMALL_ANGLE = 0.02
 
 
-@njit(cache=True)
+@kernel
 def cross(a: Array, b: Array) -> Array:
     """The vector product a × b, both of shape (3,)."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-@njit(cache=True)
+@kernel
 def quaternion_product(a: Array, b: Array) -> Array:
     """The product a ⊗ b: rotation b first, then a; each of shape (4,), w first."""
     return np.array(
@@ -31,13 +32,13 @@ def quaternion_product(a: Array, b: Array) -> Array:
     )
 
 
-@njit(cache=True)
+@kernel
 def conjugate(q: Array) -> Array:
     """The inverse of a unit quaternion."""
     return np.array([q[0], -q[1], -q[2], -q[3]])
 
 
-@njit(cache=True)
+@kernel
 def matrix_from_quaternion(q: Array) -> Array:
     """The rotation matrix, (3, 3), of a unit quaternion (4,)."""
     w, x, y, z = q[0], q[1], q[2], q[3]
@@ -50,7 +51,7 @@ def matrix_from_quaternion(q: Array) -> Array:
     )
 
 
-@njit(cache=True)
+@kernel
 def quaternion_from_matrix(R: Array) -> Array:
     """The unit quaternion (4,), w ≥ 0, of a rotation matrix (3, 3); after Shepperd."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
@@ -66,7 +67,7 @@ def quaternion_from_matrix(R: Array) -> Array:
     return q / norm if q[0] >= 0.0 else -q / norm
 
 
-@njit(cache=True)
+@kernel
 def orientation_error(desired: Array, actual: Array) -> Array:
     """δr = η ε_d − η_d ε − ε_d × ε, (3,), base frame: sin(angle/2) · axis, actual to desired, the short way.
 
@@ -81,7 +82,7 @@ def orientation_error(desired: Array, actual: Array) -> Array:
     return sign * error
 
 
-@njit(cache=True)
+@kernel
 def quaternion_from_vector(theta: Array) -> Array:
     """exp: the unit quaternion (4,) of a rotation vector (3,)."""
     angle = math.sqrt(theta[0] * theta[0] + theta[1] * theta[1] + theta[2] * theta[2])
@@ -89,7 +90,7 @@ def quaternion_from_vector(theta: Array) -> Array:
     return np.array([math.cos(0.5 * angle), factor * theta[0], factor * theta[1], factor * theta[2]])
 
 
-@njit(cache=True)
+@kernel
 def vector_from_quaternion(q: Array) -> Array:
     """log: the rotation vector (3,), no longer than π, of a unit quaternion (4,); q and −q give the same."""
     s = math.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
@@ -99,7 +100,7 @@ def vector_from_quaternion(q: Array) -> Array:
     return sign * factor * q[1:4]
 
 
-@njit(cache=True)
+@kernel
 def angular_motion(theta: Array, theta_dot: Array, theta_ddot: Array) -> tuple[Array, Array]:
     """Angular velocity ω and acceleration α, base frame, of exp(θ(t)) R_0 with θ a rotation vector.
 
@@ -128,7 +129,7 @@ def angular_motion(theta: Array, theta_dot: Array, theta_ddot: Array) -> tuple[A
     return omega, alpha + along * (a_slope * first + b_slope * second)
 
 
-@njit(cache=True)
+@kernel
 def vector_rates(theta: Array, omega: Array, alpha: Array) -> tuple[Array, Array]:
     """θ̇ and θ̈ that give ω and α: the inverse of ``angular_motion``, valid for |θ| < 2π."""
     theta_dot = _inverse_left_jacobian(theta, omega)
@@ -136,7 +137,7 @@ def vector_rates(theta: Array, omega: Array, alpha: Array) -> tuple[Array, Array
     return theta_dot, _inverse_left_jacobian(theta, alpha - bias)
 
 
-@njit(cache=True)
+@kernel
 def _inverse_left_jacobian(theta: Array, vector: Array) -> Array:
     square = theta[0] * theta[0] + theta[1] * theta[1] + theta[2] * theta[2]
     phi = math.sqrt(square)

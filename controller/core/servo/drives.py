@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 
 from controller.core.kinematics.rotations import Array
+from foundation.compiled import kernel
 from nominal_arm.description import CylinderDrive, Drive, RatedSupply
 
 # A cylinder's lever arm vanishes at the ends of a linkage; below this the map is held constant.
@@ -38,7 +38,7 @@ def load_pressures(drives: Array, pressures_bar: tuple[tuple[float, float], ...]
     return load
 
 
-@njit(cache=True)
+@kernel
 def full_spool_speeds(drives: Array, q: Array, rated: Array, circuit: Array) -> Array:
     """Joint speeds (6, 2), rad/s, at full spool, raising and lowering, at joint angles q (6,).
 

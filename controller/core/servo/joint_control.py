@@ -7,12 +7,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from controller.core.kinematics.rotations import Array
+from foundation.compiled import kernel
 
 
-@njit(cache=True)
+@kernel
 def pt1_step(value: float, target: float, time_constant: float, dt_s: float) -> float:
     """The output one sample later of G(s) = 1/(τ s + 1), its input ``target`` held over the sample.
 
@@ -71,7 +71,7 @@ def valve_commands(
     return commands, JointFilters(pt1, slow)
 
 
-@njit(cache=True)
+@kernel
 def _valve_commands(
     gain: Array,
     time_constant: Array,

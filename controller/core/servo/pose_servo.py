@@ -7,12 +7,12 @@ joint command.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from controller.core.kinematics.denavit_hartenberg import chain
 from controller.core.kinematics.jacobian import damped_inverse, geometric_jacobian
 from controller.core.kinematics.rotations import Array, orientation_error, quaternion_from_matrix
 from controller.core.trajectories.paths import Desired
+from foundation.compiled import kernel
 
 
 class ToolState(NamedTuple):
@@ -54,14 +54,14 @@ def resolve(tool: ToolState, desired: Desired, gains: Array) -> Resolved:
     return Resolved(*_resolve(*tool, p_d, v_d, quaternion_d, omega_d, gains))
 
 
-@njit(cache=True)
+@kernel
 def _tool_state(table: Array, q: Array) -> tuple[Array, Array, Array]:
     frames = chain(table, q)
     tip = frames[frames.shape[0] - 1]
     return tip[:, 3].copy(), quaternion_from_matrix(tip[:, :3].copy()), geometric_jacobian(frames)
 
 
-@njit(cache=True)
+@kernel
 def _resolve(
     p: Array,
     quaternion: Array,

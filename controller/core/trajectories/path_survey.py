@@ -14,7 +14,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from controller.core.kinematics.denavit_hartenberg import chain
 from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
@@ -22,6 +21,7 @@ from controller.core.kinematics.jacobian import damped_inverse, geometric_jacobi
 from controller.core.kinematics.rotations import Array, matrix_from_quaternion
 from controller.core.settings import Settings
 from controller.core.trajectories.paths import Path, segment_motion
+from foundation.compiled import kernel
 from protocol.faults import Reason
 
 SAMPLES = (
@@ -75,7 +75,7 @@ def survey(settings: Settings, path: Path, q_start: Array) -> Survey:
     return Survey(Reason(code), value, limit, peaks)
 
 
-@njit(cache=True)
+@kernel
 def outside(workspace: Array, p: Array) -> tuple[float, float]:
     """The coordinate of ``p`` that leaves the workspace, and its bound (m); equal when it is inside."""
     for axis in range(3):
@@ -90,7 +90,7 @@ def outside(workspace: Array, p: Array) -> tuple[float, float]:
     return 0.0, 0.0
 
 
-@njit(cache=True)
+@kernel
 def _opened(bounds: Array, p: Array) -> Array:
     """The workspace, widened to contain ``p``: an arm that stands outside may come back, no further out."""
     wide = bounds.copy()
@@ -101,12 +101,12 @@ def _opened(bounds: Array, p: Array) -> Array:
     return wide
 
 
-@njit(cache=True)
+@kernel
 def _norm(x: Array) -> float:
     return math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
 
 
-@njit(cache=True)
+@kernel
 def _nearest_angles(table: Array, R_BT: Array, p_BT: Array, before: Array) -> tuple[int, Array, float, float]:
     """``joint_angles`` on whichever side of the wrist's singularity lies nearer to ``before``.
 
@@ -124,13 +124,13 @@ def _nearest_angles(table: Array, R_BT: Array, p_BT: Array, before: Array) -> tu
     return verdict, q, value, limit
 
 
-@njit(cache=True)
+@kernel
 def _stretch(table: Array, q: Array) -> float:
     """0 where the wrist is stretched, and wrist 1 and 3 turn about one axis."""
     return abs(math.sin(q[4] + table[4, 2]))
 
 
-@njit(cache=True)
+@kernel
 def _joint_obstacle(bounds: Array, q: Array, before: Array) -> tuple[int, float, float]:
     for i in range(6):  # first of all, for a wrist that flips may well leave its range with it
         if abs(q[i] - before[i]) > _FLIP_RAD:
@@ -143,7 +143,7 @@ def _joint_obstacle(bounds: Array, q: Array, before: Array) -> tuple[int, float,
     return _ACCEPTED, 0.0, 0.0
 
 
-@njit(cache=True)
+@kernel
 def _survey(
     table: Array,
     planned_range: Array,

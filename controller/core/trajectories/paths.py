@@ -13,7 +13,6 @@ limited in jerk itself (``approach``).
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from controller.core.kinematics.rotations import (
     Array,
@@ -25,6 +24,7 @@ from controller.core.kinematics.rotations import (
     vector_rates,
 )
 from controller.core.trajectories.quintic import coefficients, evaluate
+from foundation.compiled import kernel
 
 
 class Desired(NamedTuple):
@@ -78,7 +78,7 @@ def sample(path: Path, time_s: float) -> tuple[Desired, int]:
     return Desired(*desired), segment
 
 
-@njit(cache=True)
+@kernel
 def _polynomials(
     p: Array,
     v: Array,
@@ -103,7 +103,7 @@ def _polynomials(
     return result
 
 
-@njit(cache=True)
+@kernel
 def segment_motion(
     polynomials: Array, goal: Array, t: float
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
@@ -117,7 +117,7 @@ def segment_motion(
     return values[0, :3].copy(), values[1, :3].copy(), values[2, :3].copy(), quaternion, omega, alpha
 
 
-@njit(cache=True)
+@kernel
 def _sample(
     polynomials: Array, goals: Array, durations: Array, dwell: float, time_s: float
 ) -> tuple[int, Array, Array, Array, Array, Array, Array]:

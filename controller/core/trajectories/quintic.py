@@ -4,12 +4,12 @@ Source: Mäkinen et al. 2023, section on motion control; the general form for re
 """
 
 import numpy as np
-from numba import njit
 
 from controller.core.kinematics.rotations import Array
+from foundation.compiled import kernel
 
 
-@njit(cache=True)
+@kernel
 def coefficients(start: Array, end: Array, duration: float) -> Array:
     """Coefficients c (6,) of x(t) = Σ c_k t^k with ``start`` at 0 and ``end`` at ``duration`` (s).
 
@@ -31,7 +31,7 @@ def coefficients(start: Array, end: Array, duration: float) -> Array:
     )
 
 
-@njit(cache=True)
+@kernel
 def evaluate(c: Array, t: float) -> tuple[float, float, float]:
     """Value, first and second derivative at time ``t`` of the polynomial with coefficients ``c`` (6,)."""
     value = ((((c[5] * t + c[4]) * t + c[3]) * t + c[2]) * t + c[1]) * t + c[0]

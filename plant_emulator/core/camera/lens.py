@@ -1,9 +1,9 @@
 """The true lens of one eye: exact projection, and the ray map that inverts it for every pixel."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from foundation.compiled import kernel
 from plant_emulator.config.scene import LensConfig
 
 Real64 = NDArray[np.float64]
@@ -40,7 +40,7 @@ class Lens:
         return ray_x, ray_y
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _distort(x: float, y: float, k: Real64) -> tuple[float, float]:
     """Brown-Conrady distortion of a normalised point; ``k`` = (k1, k2, p1, p2, k3) as in OpenCV."""
     r2 = x * x + y * y
@@ -51,7 +51,7 @@ def _distort(x: float, y: float, k: Real64) -> tuple[float, float]:
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _distort_all(points: Real64, k: Real64) -> Real64:
     result = np.empty_like(points)
     for i in range(points.shape[0]):
@@ -59,7 +59,7 @@ def _distort_all(points: Real64, k: Real64) -> Real64:
     return result
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _invert(ray_x: Real32, ray_y: Real32, focal: Real64, centre: Real64, k: Real64) -> float:
     """Fill the ray map; returns the worst remaining distance, infinity where the polynomial folds over."""
     worst = 0.0

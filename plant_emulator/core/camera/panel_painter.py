@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from foundation.compiled import kernel
 from plant_emulator.core.camera.rasteriser import share_below
 
 Grey = NDArray[np.uint8]
@@ -13,7 +13,7 @@ Real32 = NDArray[np.float32]
 Real64 = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def paint_panel(
     out: Grey,
     ray_x: Real32,
@@ -59,14 +59,14 @@ def paint_panel(
             out[i, j] = np.uint8(min(max(value, 0.0), 255.0) + 0.5)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(nogil=True, inline="always")
 def _within(centre: float, a: float, b: float, edges: Real64) -> float:
     """The pixel's share between the two edges; ``a`` and ``b`` are its extents across them."""
     long, short = max(a, b), min(a, b)
     return share_below(edges[1] - centre, long, short) - share_below(edges[0] - centre, long, short)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _sampled(levels: tuple[Grey, ...], column: float, row: float, footprint: float) -> float:
     """The picture at a place in finest texels (their corners at integers), blurred to the footprint."""
     fine, share = 0, 0.0
@@ -82,7 +82,7 @@ def _sampled(levels: tuple[Grey, ...], column: float, row: float, footprint: flo
     return value
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(nogil=True, inline="always")
 def _bilinear(picture: Grey, column: float, row: float) -> float:
     height, width = picture.shape
     column, row = min(max(column, 0.0), width - 1.0), min(max(row, 0.0), height - 1.0)

@@ -7,8 +7,9 @@ exactly and not to a fraction of a sample grid.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from foundation.compiled import kernel
 
 Grey = NDArray[np.uint8]
 Real32 = NDArray[np.float32]
@@ -18,7 +19,7 @@ NOISE_LENGTH = 1 << 20
 NOISE_UNIT = 256.0  # noise is kept in 1/256 grey levels
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def paint_plate(
     out: Grey,
     ray_x: Real32,
@@ -79,7 +80,7 @@ def paint_plate(
             out[i, j] = np.uint8(min(max(value, 0.0), 255.0) + 0.5)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(nogil=True, inline="always")
 def _first_cell(edges: Real64, place: float, guess: int) -> int:
     """The cell that contains ``place``, the first or last one for places beyond the edges."""
     while guess > 0 and edges[guess] > place:
@@ -89,7 +90,7 @@ def _first_cell(edges: Real64, place: float, guess: int) -> int:
     return guess
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(nogil=True, inline="always")
 def _cell_weights(centre: float, a: float, b: float, edges: Real64, first: int, weights: Real64) -> int:
     """Fill ``weights`` from ``first`` on with the pixel's share in each strip; returns where that ends.
 
@@ -106,7 +107,7 @@ def _cell_weights(centre: float, a: float, b: float, edges: Real64, first: int, 
     return k
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(nogil=True, inline="always")
 def share_below(distance: float, long: float, short: float) -> float:
     """Share of a pixel on the near side of a straight edge at ``distance`` from its centre.
 
@@ -125,7 +126,7 @@ def share_below(distance: float, long: float, short: float) -> float:
     return 0.5 + distance / long
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def mean_of(pictures: Grey) -> Grey:
     """Rounded mean (height, width) of pictures (n, height, width): one exposure made of moments."""
     count, height, width = pictures.shape
@@ -139,7 +140,7 @@ def mean_of(pictures: Grey) -> Grey:
     return result
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@kernel(fastmath=True, nogil=True)
 def finish(
     picture: Grey,
     noise: NDArray[np.int16],
@@ -169,7 +170,7 @@ def finish(
             row[j] = np.uint8(min(max(value + np.float32(0.5), np.float32(0.0)), np.float32(255.0)))
 
 
-@njit(cache=True, nogil=True, inline="always")
+@kernel(nogil=True, inline="always")
 def _mixed(value: np.uint64) -> np.uint64:
     """The splitmix64 finaliser."""
     value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

@@ -9,8 +9,9 @@ compilers vectorise those and leave only the loads scalar.
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from foundation.compiled import kernel
 
 Grey = NDArray[np.uint8]
 Words = NDArray[np.int32]
@@ -26,7 +27,7 @@ _EIGHT, _WHITE = np.float32(8.0), np.float32(255.0)
 _SECOND_WAVE, _SECOND_PHASE = np.float32(1.37), np.float32(0.3)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def packed(texture: Grey) -> Words:
     """Flat words of a periodic square texture: texel, right, lower and lower right neighbour, 8 bits each."""
     size = texture.shape[0]
@@ -42,7 +43,7 @@ def packed(texture: Grey) -> Words:
     return words
 
 
-@njit(cache=True, fastmath=True, error_model="numpy", nogil=True)
+@kernel(fastmath=True, error_model="numpy", nogil=True)
 def paint_wall(
     out: Grey,
     ray_x: Real32,
@@ -97,7 +98,7 @@ def paint_wall(
                 _blend(out[i, left:right], xs, ys, h, along, down, lamp, root_area * scale, fine, coarse, sky)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _row_homography(homographies: Real64, share: float, h: Real32) -> None:
     """Fill ``h`` with the homography ``share`` of the way down the picture."""
     for m in range(3):
@@ -106,7 +107,7 @@ def _row_homography(homographies: Real64, share: float, h: Real32) -> None:
             h[m, n] = np.float32(first + (homographies[1, m, n] - first) * share)
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _level(footprint: Scalar32, count: int) -> int:
     """The finer of the two mip levels between which a footprint in finest texels lies."""
     level = 0
@@ -116,7 +117,7 @@ def _level(footprint: Scalar32, count: int) -> int:
     return level
 
 
-@njit(cache=True, fastmath=True, error_model="numpy", nogil=True)
+@kernel(fastmath=True, error_model="numpy", nogil=True)
 def _meet(xs: Real32, ys: Real32, h: Real32, along: Real32, down: Real32) -> None:
     """Fill in where the rays meet the plane, in finest texels."""
     for j in range(xs.shape[0]):
@@ -126,7 +127,7 @@ def _meet(xs: Real32, ys: Real32, h: Real32, along: Real32, down: Real32) -> Non
         down[j] = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) * depth
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@kernel(fastmath=True, nogil=True)
 def _bend(along: Real32, down: Real32, relief: Real32, count: int) -> None:
     """Move the meeting points from the plane to the undulating wall, by two steps along each ray."""
     for j in range(count):
@@ -138,20 +139,20 @@ def _bend(along: Real32, down: Real32, relief: Real32, count: int) -> None:
         along[j], down[j] = bent_u, bent_v
 
 
-@njit(cache=True, fastmath=True, nogil=True, inline="always")
+@kernel(fastmath=True, nogil=True, inline="always")
 def _relief(x: Scalar32, y: Scalar32) -> Scalar32:
     """Height of the undulation, -1…1, at a place counted in wavelengths."""
     return _HALF * (_wave(x) + _wave(_SECOND_WAVE * y + _SECOND_PHASE))
 
 
-@njit(cache=True, fastmath=True, nogil=True, inline="always")
+@kernel(fastmath=True, nogil=True, inline="always")
 def _wave(turns: Scalar32) -> Scalar32:
     """A sine made of parabolas, once continuously differentiable: compilers vectorise it."""
     t = turns - np.floor(turns + _HALF)
     return _EIGHT * t * (_ONE - _TWO * abs(t))
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@kernel(fastmath=True, nogil=True)
 def _locate(
     along: Real32,
     down: Real32,
@@ -172,14 +173,14 @@ def _locate(
         words[j] = np.int32(at_row | np.int32(np.int32(column) & mask))
 
 
-@njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _load(texture: Words, words: Words, count: int) -> None:
     """Replace each index in ``words`` by the texel word found there."""
     for j in range(count):
         words[j] = texture[np.uint32(words[j])]
 
 
-@njit(cache=True, fastmath=True, nogil=True)
+@kernel(fastmath=True, nogil=True)
 def _interpolate(words: Words, part_x: Real32, part_y: Real32, grey: Real32, count: int) -> None:
     byte = np.int32(255)
     for j in range(count):
@@ -192,7 +193,7 @@ def _interpolate(words: Words, part_x: Real32, part_y: Real32, grey: Real32, cou
         grey[j] = upper + (lower - upper) * part_y[j]
 
 
-@njit(cache=True, fastmath=True, error_model="numpy", nogil=True)
+@kernel(fastmath=True, error_model="numpy", nogil=True)
 def _blend(
     target: Grey,
     xs: Real32,

@@ -5,13 +5,13 @@ does at the ends of the range is modelled as flow instead (relief, anti-cavitati
 the oil as the pressure falls, so that pressure approaches zero without crossing it.
 """
 
-from plant_emulator.core.compiled import kernel
+from foundation.compiled import allocation_free
 
 ATMOSPHERE = 101_325.0  # Pa
 FLOOR = 1_000.0  # Pa: below it the air term is held constant, so that the modulus stays above zero
 
 
-@kernel
+@allocation_free
 def bulk_modulus(
     pressure: float, volume: float, oil: float, wall: float, air: float, exponent: float
 ) -> float:
@@ -28,7 +28,7 @@ def bulk_modulus(
     return 1.0 / softness
 
 
-@kernel
+@allocation_free
 def relief_flow(pressure: float, setting: float, gain: float) -> float:
     """Flow (m³/s) that a relief valve lets out: ``gain`` (m³/s/Pa) times the excess over ``setting``."""
     return gain * max(pressure - setting, 0.0)

@@ -2,10 +2,10 @@
 
 import math
 
-from plant_emulator.core.compiled import kernel
+from foundation.compiled import allocation_free
 
 
-@kernel
+@allocation_free
 def opening(spool: float, deadband: float) -> float:
     """Effective opening −1…1: zero inside the deadband, rescaled so that full spool is full opening."""
     size = abs(spool) - deadband
@@ -14,7 +14,7 @@ def opening(spool: float, deadband: float) -> float:
     return math.copysign(size / (1.0 - deadband), spool)
 
 
-@kernel
+@allocation_free
 def orifice_flow(gain: float, drop: float, regularisation: float) -> float:
     """Turbulent flow (m³/s) through an edge of ``gain`` (m³/s/√Pa) at pressure ``drop`` (Pa).
 
@@ -23,13 +23,13 @@ def orifice_flow(gain: float, drop: float, regularisation: float) -> float:
     return gain * drop / math.sqrt(math.sqrt(drop * drop + regularisation * regularisation))
 
 
-@kernel
+@allocation_free
 def spool_acceleration(command: float, spool: float, rate: float, natural: float, damping: float) -> float:
     """Second-order spool, ẍ = ω²(u − x) − 2ζω ẋ (1/s²)."""
     return natural * natural * (command - spool) - 2.0 * damping * natural * rate
 
 
-@kernel
+@allocation_free
 def slew_limited(previous: float, target: float, limit: float, h: float) -> tuple[float, float]:
     """The drive's command after ``h`` seconds on its way to ``target``, and its mean over that time.
 
@@ -43,7 +43,7 @@ def slew_limited(previous: float, target: float, limit: float, h: float) -> tupl
     return target, target - 0.5 * way * abs(way) / (limit * h)
 
 
-@kernel
+@allocation_free
 def held_gain(release: float, hold: float, wish: float, span: float) -> float:
     """Gain of a releasing edge in series with a counterbalance valve.
 

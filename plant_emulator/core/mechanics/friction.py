@@ -2,17 +2,17 @@
 
 import math
 
-from plant_emulator.core.compiled import kernel
+from foundation.compiled import allocation_free
 
 
-@kernel
+@allocation_free
 def steady_level(velocity: float, coulomb: float, static: float, stribeck: float) -> float:
     """g(v) = F_c + (F_s − F_c) exp(−(v/v_s)²): the bristles' force in steady sliding."""
     ratio = velocity / stribeck
     return coulomb + (static - coulomb) * math.exp(-ratio * ratio)
 
 
-@kernel
+@allocation_free
 def bristle_rate(velocity: float, bristle: float, level: float, stiffness: float) -> float:
     """ż = v − σ0 |v| z / g(v), with g(v) given as ``level``; zero friction keeps the bristles at rest."""
     if level <= 0.0:
@@ -20,7 +20,7 @@ def bristle_rate(velocity: float, bristle: float, level: float, stiffness: float
     return velocity - stiffness * abs(velocity) * bristle / level
 
 
-@kernel
+@allocation_free
 def friction_force(
     velocity: float, bristle: float, rate: float, stiffness: float, micro_damping: float, viscous: float
 ) -> float:

@@ -6,13 +6,13 @@ x = √(L² + l² + 2 L l cos(θ − θ0)) − x0 (geometry of the published HIA
 
 import math
 
-from plant_emulator.core.compiled import kernel
+from foundation.compiled import allocation_free
 
 CYLINDER = 0.0
 ROTARY = 1.0
 
 
-@kernel
+@allocation_free
 def actuator_reach(
     angle: float, kind: float, base: float, lever: float, angle0: float, length0: float
 ) -> tuple[float, float]:
@@ -27,7 +27,7 @@ def actuator_reach(
     return length - length0, -sides * math.sin(reduced) / length
 
 
-@kernel
+@allocation_free
 def actuator_position(
     angle: float, kind: float, base: float, lever: float, angle0: float, length0: float
 ) -> float:
@@ -35,7 +35,7 @@ def actuator_position(
     return actuator_reach(angle, kind, base, lever, angle0, length0)[0]
 
 
-@kernel
+@allocation_free
 def actuator_lever(
     angle: float, kind: float, base: float, lever: float, angle0: float, length0: float
 ) -> float:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.core.compiled import kernel
+from foundation.compiled import allocation_free
 from plant_emulator.core.mechanics.spatial import (
     Matrix,
     Symmetric,
@@ -85,7 +85,7 @@ def multibody_work(n: int) -> MultibodyWork:
     )
 
 
-@kernel
+@allocation_free
 def _put_pose(work: MultibodyWork, i: int, rotation: Matrix, origin: Vector) -> None:
     for k in range(9):
         work.rotation[i, k // 3, k % 3] = rotation[k]
@@ -93,14 +93,14 @@ def _put_pose(work: MultibodyWork, i: int, rotation: Matrix, origin: Vector) -> 
         work.origin[i, k] = origin[k]
 
 
-@kernel
+@allocation_free
 def _put(table: Array, i: int, angular: Vector, linear: Vector) -> None:
     """Write a spatial vector into row ``i``."""
     table[i, 0], table[i, 1], table[i, 2] = angular
     table[i, 3], table[i, 4], table[i, 5] = linear
 
 
-@kernel
+@allocation_free
 def _turn_less_one(axis: Vector, angle: float) -> Matrix:
     """E − 1 with E the rotation by ``angle`` about ``axis`` (Rodrigues), 1 − cos without cancellation."""
     sine, cosine = math.sin(0.5 * angle), math.cos(0.5 * angle)
@@ -113,7 +113,7 @@ def _turn_less_one(axis: Vector, angle: float) -> Matrix:
     )  # fmt: skip
 
 
-@kernel
+@allocation_free
 def forward_kinematics(q: Array, mech: Mechanism, work: MultibodyWork) -> None:
     """Fill ``rotation`` and ``origin`` of every body: x_base = R_i x_home + t_i."""
     r = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -131,13 +131,13 @@ def forward_kinematics(q: Array, mech: Mechanism, work: MultibodyWork) -> None:
         _put_pose(work, i + 1, r, t)
 
 
-@kernel
+@allocation_free
 def _place(work: MultibodyWork, i: int, home: Vector) -> Vector:
     """Where the point of body ``i`` − 1 that is at ``home`` in the home pose is now; body −1 is the base."""
     return plus(turned(matrix(work.rotation, i), home), vector(work.origin, i, 0))
 
 
-@kernel
+@allocation_free
 def _body_inertia(r: Matrix, home: Matrix, mass: float, c: Vector) -> Symmetric:
     """R J Rᵀ plus what ``mass`` at ``c`` adds (Steiner)."""
     h = product(r, home)
@@ -152,7 +152,7 @@ def _body_inertia(r: Matrix, home: Matrix, mass: float, c: Vector) -> Symmetric:
     )
 
 
-@kernel
+@allocation_free
 def _velocities(rate: Array, mech: Mechanism, work: MultibodyWork, centre: Vector) -> None:
     """First pass, outward: screws, velocities and velocity-product accelerations about ``centre``."""
     turn, speed = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -167,7 +167,7 @@ def _velocities(rate: Array, mech: Mechanism, work: MultibodyWork, centre: Vecto
         _put(work.velocity, i, turn, speed)
 
 
-@kernel
+@allocation_free
 def _inertias(force: Array, mech: Mechanism, work: MultibodyWork, centre: Vector) -> None:
     """Second pass, inward: articulated inertia and bias force, projected on each coordinate."""
     J, M = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -201,7 +201,7 @@ def _inertias(force: Array, mech: Mechanism, work: MultibodyWork, centre: Vector
         f = plus(f, plus(scaled(k * e, v), plus(turned_back(H, a), stretched(M, b))))
 
 
-@kernel
+@allocation_free
 def _accelerations(mech: Mechanism, work: MultibodyWork, acceleration: Array) -> None:
     """Third pass, outward from the base, which accelerates upwards in place of gravity."""
     a, b = (0.0, 0.0, 0.0), (-mech.gravity[0], -mech.gravity[1], -mech.gravity[2])
@@ -217,7 +217,7 @@ def _accelerations(mech: Mechanism, work: MultibodyWork, acceleration: Array) ->
         b = plus(b, scaled(d, vector(work.screw, i, 3)))
 
 
-@kernel
+@allocation_free
 def forward_dynamics(
     q: Array, rate: Array, force: Array, mech: Mechanism, work: MultibodyWork, acceleration: Array
 ) -> None:

@@ -8,7 +8,7 @@ tables.
 from numpy import float64
 from numpy.typing import NDArray
 
-from plant_emulator.core.compiled import kernel
+from foundation.compiled import allocation_free
 
 Array = NDArray[float64]
 Vector = tuple[float, float, float]
@@ -16,13 +16,13 @@ Symmetric = tuple[float, float, float, float, float, float]
 Matrix = tuple[float, float, float, float, float, float, float, float, float]
 
 
-@kernel
+@allocation_free
 def vector(table: Array, row: int, first: int) -> Vector:
     """Three numbers of ``row`` of ``table``, from column ``first`` on."""
     return table[row, first], table[row, first + 1], table[row, first + 2]
 
 
-@kernel
+@allocation_free
 def matrix(table: Array, i: int) -> Matrix:
     """Entry ``i`` of ``table`` (n, 3, 3)."""
     return (
@@ -32,37 +32,37 @@ def matrix(table: Array, i: int) -> Matrix:
     )  # fmt: skip
 
 
-@kernel
+@allocation_free
 def plus(a: Vector, b: Vector) -> Vector:
     """a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-@kernel
+@allocation_free
 def minus(a: Vector, b: Vector) -> Vector:
     """a − b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@kernel
+@allocation_free
 def scaled(k: float, a: Vector) -> Vector:
     """k a."""
     return k * a[0], k * a[1], k * a[2]
 
 
-@kernel
+@allocation_free
 def dot(a: Vector, b: Vector) -> float:
     """a · b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@kernel
+@allocation_free
 def cross(a: Vector, b: Vector) -> Vector:
     """a × b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@kernel
+@allocation_free
 def turned(m: Matrix, a: Vector) -> Vector:
     """M a."""
     return (
@@ -72,7 +72,7 @@ def turned(m: Matrix, a: Vector) -> Vector:
     )
 
 
-@kernel
+@allocation_free
 def turned_back(m: Matrix, a: Vector) -> Vector:
     """Mᵀ a."""
     return (
@@ -82,7 +82,7 @@ def turned_back(m: Matrix, a: Vector) -> Vector:
     )
 
 
-@kernel
+@allocation_free
 def stretched(s: Symmetric, a: Vector) -> Vector:
     """S a."""
     return (
@@ -92,7 +92,7 @@ def stretched(s: Symmetric, a: Vector) -> Vector:
     )
 
 
-@kernel
+@allocation_free
 def product(a: Matrix, b: Matrix) -> Matrix:
     """A B."""
     x = turned_back(b, (a[0], a[1], a[2]))
@@ -101,7 +101,7 @@ def product(a: Matrix, b: Matrix) -> Matrix:
     return x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
 
 
-@kernel
+@allocation_free
 def less_square(s: Symmetric, k: float, a: Vector) -> Symmetric:
     """S − k a aᵀ."""
     x, y, z = scaled(k, a)
@@ -111,7 +111,7 @@ def less_square(s: Symmetric, k: float, a: Vector) -> Symmetric:
     )  # fmt: skip
 
 
-@kernel
+@allocation_free
 def less_outer(m: Matrix, k: float, a: Vector, b: Vector) -> Matrix:
     """M − k a bᵀ."""
     x, y, z = scaled(k, a)

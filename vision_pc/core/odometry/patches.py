@@ -8,10 +8,10 @@ contrast normalised out.
 
 import math
 
-import numba
 import numpy as np
 from scipy.spatial import cKDTree
 
+from foundation.compiled import kernel
 from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry.keyframe_map import Keyframe
@@ -92,7 +92,7 @@ def found(
     return ends, likeness >= settings.likeness
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _match(
     keyframe: Image, image: Image, centres: Array, guess: Array, warps: Array, half: int
 ) -> tuple[Array, Array]:
@@ -125,7 +125,7 @@ def _match(
     return ends, likeness
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _is_inside(image: Image, x: float, y: float, a: float, b: float, c: float, d: float, half: int) -> bool:
     """Whether a patch around (x, y) under the distortion [[a, b], [c, d]] stays in ``image``."""
     height, width = image.shape
@@ -133,7 +133,7 @@ def _is_inside(image: Image, x: float, y: float, a: float, b: float, c: float, d
     return x - reach_x >= 0.0 and y - reach_y >= 0.0 and x + reach_x < width - 1 and y + reach_y < height - 1
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(nogil=True, inline="always")
 def _value(image: Image, column: float, row: float) -> float:
     """The picture's grey level between pixels, bilinear."""
     left, top = int(column), int(row)
@@ -145,7 +145,7 @@ def _value(image: Image, column: float, row: float) -> float:
     return upper + fy * (lower - upper)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _sample(image: Image, x: float, y: float, half: int, patch: Array) -> bool:
     """Fill ``patch`` from ``image`` around (x, y), of mean 0 and norm 1; False if it leaves it or is flat."""
     if not _is_inside(image, x, y, 1.0, 0.0, 0.0, 1.0, half):
@@ -168,7 +168,7 @@ def _sample(image: Image, x: float, y: float, half: int, patch: Array) -> bool:
     return True
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+@kernel(nogil=True, fastmath={"contract", "reassoc"})
 def _compare(
     image: Image,
     x: float,
@@ -205,7 +205,7 @@ def _compare(
     return along_x / norm, along_y / norm, alike / norm
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _gradients(patch: Array, gx: Array, gy: Array) -> tuple[float, float, float]:
     """Fill the gradients of ``patch`` and return their sums of squares xx, xy, yy.
 

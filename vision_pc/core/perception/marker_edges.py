@@ -8,9 +8,9 @@ of its gradient), a robust line is laid through each edge's points, and neighbou
 import math
 from collections.abc import Callable
 
-import numba
 import numpy as np
 
+from foundation.compiled import kernel
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
 
@@ -45,7 +45,7 @@ def refine(image: Image, corners: Array, undistort: Callable[[Array], Array]) ->
     return np.asarray(_corners_from_points(undistort(points.reshape(-1, 2)).reshape(points.shape), weights))
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _edge_points(image: Image, corners: Array) -> tuple[Array, Array]:
     """Edge points (4, samples, 2) in pixels and their weights (4, samples), 0 for unusable ones."""
     points = np.zeros((4, _SAMPLES, 2))
@@ -84,7 +84,7 @@ def _edge_points(image: Image, corners: Array) -> tuple[Array, Array]:
     return points, weights
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _profile_centroid(
     image: Image, cx: float, cy: float, nx: float, ny: float, steps: int
 ) -> tuple[float, float]:
@@ -109,7 +109,7 @@ def _profile_centroid(
     return moment / rise, rise
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _corners_from_points(points: Array, weights: Array) -> Array:
     """Corners (4, 2): corner i is where edge i−1 meets edge i; NaN when an edge has too few points."""
     lines = np.empty((4, 3))
@@ -128,7 +128,7 @@ def _corners_from_points(points: Array, weights: Array) -> Array:
     return corners
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _robust_line(points: Array, weights: Array) -> Array:
     """(a, b, c) with a x + b y + c = 0, a² + b² = 1: total least squares with Tukey weights."""
     used = weights > 0.0

@@ -8,10 +8,10 @@ stereo range on the offset, and with both the weaker belief gives way.
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.compiled import kernel
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, StereoOffset
@@ -106,7 +106,7 @@ def _eyes(camera: CameraCalibration) -> Array:
     return np.stack(rows)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _minimised(
     points: Array,
     rays: Array,
@@ -160,7 +160,7 @@ def _minimised(
     return poses, sizes, offset, H, sums
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _accumulate(
     points: Array, rays: Array, seen: Array, X: Array, size: float, offset: Array, eyes: Array, std_px: float
 ) -> tuple[Array, Array, Array]:
