@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Callable
 from functools import lru_cache
-from pathlib import Path
 
 from controller.config import ControllerConfig
 from controller.core.inbox import Inbox
@@ -19,8 +18,8 @@ from protocol.reference_messages import Acknowledgement, Request, State
 from protocol.server_session import ReferenceServer
 from protocol.session_events import RequestReceived, ServerEvent, StreamedPoseReceived
 from tests.controller.obedient_plant import Bench
+from tests.support.paths import CONFIGS
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 LINK_TIMEOUT_MS = 200
 OVERRIDES = ["controller.supervision.overrun_ms=2000", "controller.streaming.silence_ms=200"]
 

@@ -15,8 +15,9 @@ from conformance.records import write_records
 from conformance.runner import coupler_cases, run_coupler
 from tests.conformance.coupler_mutants import MUTANTS, Mutant
 from tests.conformance.couplers import ThreadedCoupler
+from tests.support.paths import DOCS
 
-PAGE = Path(__file__).parents[2] / "docs" / "process_image.md"
+PAGE = DOCS / "process_image.md"
 CONTROL = 601
 
 

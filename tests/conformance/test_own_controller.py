@@ -14,15 +14,15 @@ import pytest
 from conformance.case import Outcome
 from conformance.runner import run_reference
 from foundation.link_key import key_from_file
+from tests.support.paths import CONFIGS, ROOT
 
-ROOT = Path(__file__).parents[2]
 START_S = 90.0
 
 
 @contextmanager
 def service(module: str, *overrides: str) -> Iterator[dict[str, Any]]:
     """What a service says when it is ready; it is ended at the end."""
-    command = [sys.executable, "-m", module, "--config-dir", str(ROOT / "configs"), "--set", *overrides]
+    command = [sys.executable, "-m", module, "--config-dir", str(CONFIGS), "--set", *overrides]
     process = subprocess.Popen(
         command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )

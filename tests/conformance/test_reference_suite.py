@@ -19,8 +19,9 @@ from protocol.server_session import ReferenceServer
 from tests.conformance.controllers import LINK_TIMEOUT_MS, ThreadedController
 from tests.conformance.mutants import MUTANTS, Mutant
 from tests.conformance.stream_mutants import STREAM_MUTANTS
+from tests.support.paths import DOCS
 
-PAGE = Path(__file__).parents[2] / "docs" / "protocol.md"
+PAGE = DOCS / "protocol.md"
 # These drive the obedient plant for seconds, or wait for timeouts again and again.
 SLOW = {527, 529, 532, 551}
 CONTROL = 101

@@ -1,7 +1,5 @@
 """The configuration files as shipped, read once."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -10,8 +8,7 @@ from controller.core.kinematics.denavit_hartenberg import dh_table
 from controller.core.kinematics.rotations import Array
 from foundation.configuration import load
 from nominal_arm.description import NominalArm
-
-CONFIGS = Path(__file__).parents[2] / "configs"
+from tests.support.paths import CONFIGS
 
 
 @pytest.fixture(scope="session")

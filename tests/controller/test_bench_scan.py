@@ -17,8 +17,8 @@ from controller.core.settings import Settings, settings_from
 from nominal_arm.description import NominalArm
 from protocol.reference_messages import ReferencePath, StreamedPose
 from protocol.session_events import StreamedPoseReceived
+from tests.controller.kinematics.test_kinematics import START, drawn_arm
 from tests.controller.obedient_plant import Bench
-from tests.controller.test_kinematics import START, drawn_arm
 
 pytestmark = pytest.mark.bench
 

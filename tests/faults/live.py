@@ -22,7 +22,7 @@ from protocol.process_image import decode_valves, encode_sensors
 from testbed.lockstep.world import ControllerSide
 from tests.faults.registers import SHUT, Registers
 from tests.faults.rig import settings_of
-from tests.vision_pc.loopback_controller import until
+from tests.vision_pc.shell.loopback_controller import until
 from vision_pc.application.eyes import CameraEyes
 from vision_pc.application.link_arm import SocketArm
 from vision_pc.application.operations import Operations

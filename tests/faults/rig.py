@@ -1,7 +1,6 @@
 """The fault cases' bench in simulated time: lockstep's world with its plant behind a coupler."""
 
 from functools import cache
-from pathlib import Path
 
 from protocol.client_session import ReferenceClient
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
@@ -11,8 +10,8 @@ from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import Wire, World
 from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
 from tests.faults.registers import Registers, assert_shut
+from tests.support.paths import CONFIGS
 
-CONFIG = Path(__file__).parents[2] / "configs"
 MS = 1_000_000
 CLOSING_NS = 120 * MS  # from the centred word to the shut spool: delay, servo valve, and its last per mille
 
@@ -20,7 +19,7 @@ CLOSING_NS = 120 * MS  # from the centred word to the shut spool: delay, servo v
 @cache
 def settings_of(seed: int, assignments: tuple[str, ...]) -> Settings:
     """The settings of the standard world of ``seed``; parsed once, for that takes longer than most cases."""
-    return load_settings(CONFIG, chosen_overrides(CONFIG, "standard", seed, list(assignments)))
+    return load_settings(CONFIGS, chosen_overrides(CONFIGS, "standard", seed, list(assignments)))
 
 
 class FaultRig:

@@ -22,8 +22,9 @@ from testbed.lockstep.simulated_measurements import ModelSight, load_eye_model
 from testbed.reporting.console import bars
 from tests.faults.live import LiveRig, live
 from tests.faults.registers import Registers
-from tests.faults.rig import CONFIG, settings_of
-from tests.vision_pc.loopback_controller import until
+from tests.faults.rig import settings_of
+from tests.support.paths import CONFIGS
+from tests.vision_pc.shell.loopback_controller import until
 
 HELD_M = 2e-3
 TOOL_MARKER = 0
@@ -97,7 +98,7 @@ def test_case_32_a_marker_of_the_wrong_id_or_size_is_refused(
 def test_case_34_an_ill_conditioned_calibration_fails_with_its_condition_and_nothing_is_built_on_it() -> None:
     quick = ("controller.settled.time_ms=200", "vision.programs.trajectory.dwell_s=0.3")
     settings = settings_of(1, (*quick, "vision.programs.trajectory.condition_limit=1.5"))
-    model = load_eye_model(CONFIG)
+    model = load_eye_model(CONFIGS)
     rig = LockstepRig(settings, 1, RunLog(), lambda world, vision: ModelSight(world, vision, model, 1))
     rig.command("enable")
     with bars(quiet=True) as shown, shown.step("matching") as bar:

@@ -11,7 +11,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from tests.support.paths import ROOT
+
 _NAMES = ("datagram", "session", "image", "modbus", "stream", "frame")
 _INSTRUMENTED = ["protocol", "plant_emulator.core", "plant_emulator.shell"]
 

@@ -24,7 +24,7 @@ from protocol.process_image import (
 )
 from protocol.stereo_frame import HEADER_BYTES as FRAME_BYTES
 from protocol.stereo_frame import FrameHeader, decode_header, encode_header
-from tests.protocol.samples import MESSAGES
+from testbed.pages.sample_messages import MESSAGES
 from tests.protocol.wire import Wire
 
 _SENSORS = encode_sensors(SensorImage(7, 9, 3, (1, -2, 3, -4, 5, 6), ((50.0, 60.0),) * 6, 190.0, 10.0, 40.0))

@@ -6,7 +6,8 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
+
+from tests.support.paths import ROOT
 
 _BATCH = 50
 
@@ -37,7 +38,7 @@ def flooding(port: int, rate_hz: float, seconds: float) -> Iterator[None]:
     """A flood while the block lasts, for ``seconds`` at most; prints the rate that it reached."""
     process = subprocess.Popen(
         [sys.executable, "-m", "tests.integration.flood", str(port), str(rate_hz), str(seconds)],
-        cwd=Path(__file__).parents[2],
+        cwd=ROOT,
     )
     try:
         yield

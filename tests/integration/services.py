@@ -12,9 +12,8 @@ import httpx
 from testbed.realtime.launch import Launch, prepare
 from testbed.realtime.supervisor import Supervisor, supervised
 from testbed.scenarios.settings import chosen_overrides
+from tests.support.paths import CONFIGS, ROOT
 
-ROOT = Path(__file__).parents[2]
-CONFIG = ROOT / "configs"
 START_S = 60.0
 
 
@@ -29,8 +28,8 @@ class Running(NamedTuple):
 @contextmanager
 def running(directory: Path, *assignments: str, only: tuple[str, ...] = ()) -> Iterator[Running]:
     """All three services (or ``only`` some) with free ports and the standard world of seed 1."""
-    overrides = chosen_overrides(CONFIG, "standard", 1, list(assignments))
-    launch = prepare(CONFIG, overrides, directory, any_ports=True)
+    overrides = chosen_overrides(CONFIGS, "standard", 1, list(assignments))
+    launch = prepare(CONFIGS, overrides, directory, any_ports=True)
     services = [service for service in launch.services if not only or service.name in only]
     with (
         supervised(services, directory) as supervisor,

@@ -35,11 +35,11 @@ from testbed.experiments.robustness.controller_kills import insist, trial_rig
 from testbed.realtime.live_client import LiveClient
 from tests.conformance.couplers import RELEASE_NS, ThreadedCoupler
 from tests.controller.obedient_plant import START_DEG, counts
-from tests.controller.plant_server import plant_server
+from tests.controller.shell.plant_server import plant_server
 from tests.integration.flood import flooding
+from tests.support.paths import CONFIGS
 
 pytestmark = pytest.mark.bench
-ROOT = Path(__file__).parents[2]
 CYCLE_MS = 5.0
 REFERENCES = 100
 EXCHANGES = 5000
@@ -80,7 +80,7 @@ class StillPlant(ThreadedCoupler):
 def controller(plant_port: int) -> Iterator[LiveClient]:
     """A client connected to a controller of its own."""
     ports = [f"controller.plant_link.port={plant_port}", "controller.reference_link.port=0"]
-    command = [sys.executable, "-m", "controller", "--config-dir", str(ROOT / "configs"), "--set", *ports]
+    command = [sys.executable, "-m", "controller", "--config-dir", str(CONFIGS), "--set", *ports]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         try:
             assert process.stdout is not None
@@ -191,7 +191,7 @@ def test_an_exchange_of_function_code_23_beside_peers() -> None:
 def test_a_flood_does_not_make_the_scan_late_and_stop_works(tmp_path: Path) -> None:
     windows, stops_ms = [], []
     patient = ["controller.reference_link.link_timeout_ms=2000"]  # of a client that this machine may starve
-    with trial_rig(ROOT / "configs", patient, tmp_path) as (launch, rig):
+    with trial_rig(CONFIGS, patient, tmp_path) as (launch, rig):
         client = rig.client
         client.connect()
         client.pump(3.0)

@@ -13,8 +13,8 @@ from protocol.process_image import STATUS_VALVES_ENABLED
 from protocol.reference_messages import State
 from testbed.experiments.robustness.controller_kills import Rig, insist, trial_rig
 from tests.integration.flood import flooding
+from tests.support.paths import CONFIGS
 
-CONFIG = Path(__file__).parents[2] / "configs"
 RATE_HZ = 50_000.0
 
 
@@ -26,7 +26,7 @@ def moved(rig: Rig, offset_m: tuple[float, float, float]) -> State:
 
 @pytest.mark.timeout(300)
 def test_case_19_a_flood_leaves_the_motion_alone_and_stop_works(tmp_path: Path) -> None:
-    with trial_rig(CONFIG, [], tmp_path) as (launch, rig):
+    with trial_rig(CONFIGS, [], tmp_path) as (launch, rig):
         client, port = rig.client, launch.settings.controller.reference_link.port
         client.connect()
         insist(client, CommandCode.ENABLE)

@@ -2,20 +2,18 @@
 plant's recording and registers. `longreach experiment controller-kills --runs 100` does it a hundred times.
 """
 
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from testbed.experiments.robustness.controller_kills import KILL, SUSPEND_LONG, run_trials
-
-CONFIG = Path(__file__).parents[2] / "configs"
+from tests.support.paths import CONFIGS
 
 
 @pytest.fixture(scope="module")
 def rows(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     directory = tmp_path_factory.mktemp("kills")
-    made, limit_ms = run_trials(CONFIG, [], [KILL, SUSPEND_LONG, KILL], 7, directory)
+    made, limit_ms = run_trials(CONFIGS, [], [KILL, SUSPEND_LONG, KILL], 7, directory)
     assert limit_ms == 130.0
     assert all(row["opening_at_signal"] > 0.005 for row in made), "the arm must have been moving"
     return made

@@ -1,7 +1,6 @@
 """What is derived from arm.yaml, against the controller's kinematics on random arms and joint angles."""
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,8 @@ from controller.core.kinematics.denavit_hartenberg import chain, dh_table
 from foundation.configuration import load, validated
 from nominal_arm.description import NominalArm
 from nominal_arm.dimensions import boom_dimensions, dh_links
+from tests.support.paths import CONFIGS
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 SHIPPED = load(NominalArm, CONFIGS / "arm.yaml")
 LENGTHS = {"a_m": (0, 1, 2), "d_m": (0, 3, 5)}  # rows in which Table 1 has a length
 Angles = st.tuples(*[st.floats(-math.pi, math.pi)] * 6).map(np.array)

@@ -1,14 +1,13 @@
 """Plants for the tests: the arm as shipped, with changes, driven for a while."""
 
-from pathlib import Path
 from typing import Any
 
 from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core.plant import Plant
 from protocol.process_image import CONTROL_ENABLE, ValveImage
+from tests.support.paths import CONFIGS
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 CYCLE_NS = 5_000_000
 Six = tuple[float, float, float, float, float, float]
 SHUT: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -31,7 +31,7 @@ from protocol.session_events import (
     SessionClosed,
     SessionOpened,
 )
-from tests.protocol.samples import HEADER, MESSAGES
+from testbed.pages.sample_messages import HEADER, MESSAGES
 from tests.protocol.wire import ARM, MS, TIMEOUT_MS, Wire, a_server, kind_of
 
 SECRET = bytes(range(32))

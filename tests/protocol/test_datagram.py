@@ -3,7 +3,6 @@
 import json
 import math
 import struct
-from pathlib import Path
 from zlib import crc32
 
 import pytest
@@ -35,9 +34,11 @@ from protocol.reference_messages import (
     ReferencePose,
     UnusableRequest,
 )
-from tests.protocol.samples import HEADER, MESSAGES, POSE, headers, messages
+from testbed.pages.protocol_page import GOLDEN as GOLDEN_FILE
+from testbed.pages.sample_messages import HEADER, MESSAGES, POSE
+from tests.protocol.strategies import headers, messages
 
-GOLDEN = json.loads((Path(__file__).parent / "golden_datagrams.json").read_text())
+GOLDEN = json.loads(GOLDEN_FILE.read_text())
 by_name = pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
 
 

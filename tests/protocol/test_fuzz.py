@@ -11,7 +11,7 @@ from protocol.datagram import decode, encode
 from protocol.errors import DatagramRefused, FrameRefused, ImageRefused
 from protocol.process_image import decode_sensors, decode_valves, encode_sensors, encode_valves
 from protocol.stereo_frame import decode_header, encode_header
-from tests.protocol.samples import HEADER, MESSAGES
+from testbed.pages.sample_messages import HEADER, MESSAGES
 from tests.protocol.test_datagram import resealed
 from tests.protocol.test_process_image import SENSORS, VALVES
 from tests.protocol.test_stereo_frame import HEADER as FRAME

@@ -10,7 +10,7 @@ from protocol.datagram import Header, decode, encode
 from protocol.datagram_layout import HEADER_BYTES
 from protocol.faults import Reason
 from protocol.reference_messages import Bye, Heartbeat, Hello, Message, Welcome
-from tests.protocol.session_tables import KEY_SERVER_ROWS, Row
+from testbed.pages.session_tables import KEY_SERVER_ROWS, Row
 from tests.protocol.test_session_tables import T0, spoken
 from tests.protocol.wire import ARM, MS, TIMEOUT_MS, a_server
 

@@ -36,7 +36,7 @@ from protocol.session_events import (
     SessionOpened,
     StateReceived,
 )
-from tests.protocol.samples import MESSAGES
+from testbed.pages.sample_messages import MESSAGES
 from tests.protocol.test_datagram import patched
 from tests.protocol.wire import ARM, BOOT, CYCLE_NS, MS, TIMEOUT_MS, Wire, a_server, kind_of
 

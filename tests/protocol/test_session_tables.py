@@ -20,8 +20,8 @@ from protocol.reference_messages import (
 )
 from protocol.server_session import ReferenceServer
 from protocol.session_events import RequestReceived
-from tests.protocol.samples import MESSAGES, POSE
-from tests.protocol.session_tables import CLIENT_ROWS, SERVER_ROWS, Row
+from testbed.pages.sample_messages import MESSAGES, POSE
+from testbed.pages.session_tables import CLIENT_ROWS, SERVER_ROWS, Row
 from tests.protocol.test_datagram import patched
 from tests.protocol.wire import ARM, MS, TIMEOUT_MS, a_server
 

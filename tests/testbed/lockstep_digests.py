@@ -20,9 +20,9 @@ from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import bars
 from testbed.scenarios.settings import chosen_overrides, load_settings
+from tests.support.paths import CONFIGS
 from tests.vision_pc.hand_eye.still_rig import still_settings
 
-CONFIGS = Path(__file__).parents[2] / "configs"
 RECIPES = ("standard", "paper", "hand_eye", "crane", "servoing")
 SEEDS = (1, 2, 3)
 PINNED = Path(__file__).parent / "lockstep_digests.json"

@@ -1,16 +1,15 @@
 """What the vision tests share: the shipped configuration, its camera, and a seeded generator."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from foundation.configuration import load
+from tests.support.paths import CONFIGS
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.types import CameraCalibration
 
-VISION_YAML = Path(__file__).resolve().parents[2] / "configs" / "vision.yaml"
+VISION_YAML = CONFIGS / "vision.yaml"
 
 
 @pytest.fixture(scope="session")

@@ -1,14 +1,13 @@
 """The programs' settings as shipped, for tests."""
 
-from pathlib import Path
-
 import yaml
 
+from tests.support.paths import CONFIGS
 from vision_pc.config.programs import ProgramSettings
-
-CONFIG = Path(__file__).parents[2] / "configs" / "vision.yaml"
 
 
 def shipped() -> ProgramSettings:
     """Section ``programs`` of configs/vision.yaml."""
-    return ProgramSettings.model_validate(yaml.safe_load(CONFIG.read_text(encoding="utf-8"))["programs"])
+    return ProgramSettings.model_validate(
+        yaml.safe_load((CONFIGS / "vision.yaml").read_text(encoding="utf-8"))["programs"]
+    )

@@ -13,8 +13,8 @@ import numpy as np
 
 from protocol.errors import RequestRefused
 from protocol.faults import GroupState
-from tests.vision_pc.loopback_controller import LoopbackController, until
 from tests.vision_pc.program_settings import shipped
+from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import SyntheticRig, SyntheticWatch, draw
 from vision_pc.application.link_arm import SocketArm
 from vision_pc.application.operations import Operations

@@ -15,6 +15,7 @@ from plant_emulator.core.camera.stereo_camera import StereoCamera
 from protocol.errors import RequestRefused
 from protocol.faults import FaultCode, GroupState, Severity
 from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
+from tests.support.paths import CONFIGS
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.hand_eye.store import SessionStore
 from vision_pc.core import se3
@@ -24,7 +25,6 @@ from vision_pc.core.types import StereoPair
 from vision_pc.shell.event_log import EventLog
 
 T = TypeVar("T")
-CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 START_RAD = np.radians([0.0, 50.0, -75.0, 0.0, -25.0, 0.0])
 X_BT_START = se3.transform(
     np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), np.array([3.89355, 0.0, 1.00825])

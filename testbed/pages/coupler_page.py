@@ -1,0 +1,113 @@
+"""The generated tables of docs/process_image.md; ``python -m testbed.pages.coupler_page`` writes them."""
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from conformance.runner import coupler_cases
+from plant_emulator.core.coupler import modbus_requests as requests
+from plant_emulator.core.coupler.image import COUPLER_MAP
+from plant_emulator.core.coupler.modbus_requests import Span
+from protocol import coupler_registers as registers
+from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS, OUTPUT_WORDS
+from testbed.pages.protocol_page import table
+
+PAGE = Path(__file__).parents[2] / "docs" / "process_image.md"
+_READ, _BITS, _NONE = requests.MAX_READ, requests.MAX_READ_BITS, "–"
+FUNCTIONS = {
+    requests.READ_COILS: ("read digital outputs", _BITS, _NONE),
+    requests.READ_DISCRETE: ("read digital inputs", _BITS, _NONE),
+    requests.READ_HOLDING: ("read inputs, outputs, own registers", _READ, _NONE),
+    requests.READ_INPUT: ("read inputs, own registers", _READ, _NONE),
+    requests.WRITE_COIL: ("write a digital output", _NONE, 1),
+    requests.WRITE_SINGLE: ("write an output word or own register", _NONE, 1),
+    requests.DIAGNOSTICS: ("diagnostics", _NONE, _NONE),
+    requests.WRITE_COILS: ("write digital outputs", _NONE, requests.MAX_WRITE_BITS),
+    requests.WRITE_MULTIPLE: ("write outputs or own registers", _NONE, requests.MAX_WRITE),
+    requests.READ_WRITE_MULTIPLE: ("write outputs, then read", _READ, requests.MAX_WRITE_OF_23),
+}
+EXCEPTIONS = {
+    requests.ILLEGAL_FUNCTION: "function code or sub-function that is not served",
+    requests.ILLEGAL_ADDRESS: "address",
+    requests.ILLEGAL_VALUE: "quantity, length or value",
+    requests.WATCHDOG_EXPIRED: "the watchdog has expired, or is active and cannot be set",
+    requests.OWNED_BY_ANOTHER: "the outputs belong to another master",
+}
+DIAGNOSTICS = {
+    requests.ECHO: "the same data",
+    requests.READ_STATUS: "the status word (3.3)",
+    requests.CLEAR_COUNTERS: "clears the counters, the same data",
+    requests.COUNT_MESSAGES: "requests received",
+    requests.COUNT_FRAMING_ERRORS: "frames that ended a connection (1.4)",
+    requests.COUNT_EXCEPTIONS: "exceptions answered",
+    requests.COUNT_ADDRESSED: "requests addressed to this coupler: all of them",
+}
+STATUS = (
+    (0, registers.STATUS_TERMINAL_BUS, "terminal bus error (never on this plant)"),
+    (1, registers.STATUS_CONFIGURATION, "configuration error (never on this plant)"),
+    (15, registers.STATUS_FIELDBUS, "fieldbus error: the watchdog has expired"),
+)
+
+
+def _codes(allowed: dict[int, tuple[Span, ...]], span: Span) -> str:
+    """Function codes whose blocks hold all of ``span``."""
+    return ", ".join(
+        str(code)
+        for code, blocks in allowed.items()
+        if any(b.address <= span.address and span.address + span.words <= b.address + b.words for b in blocks)
+    ) or _NONE  # fmt: skip
+
+
+def _word_codes(allowed: dict[int, tuple[Span, ...]], span: Span) -> str:
+    bits = (requests.READ_COILS, requests.READ_DISCRETE, requests.WRITE_COIL, requests.WRITE_COILS)
+    return _codes({code: blocks for code, blocks in allowed.items() if code not in bits}, span)
+
+
+def _block(name: str, address: int, words: int) -> Iterable[object]:
+    span = Span(address, words)
+    return (f"{address:#06x}", words, name, _word_codes(COUPLER_MAP.reads, span),
+            _word_codes(COUPLER_MAP.writes, span))  # fmt: skip
+
+
+def sections() -> dict[str, str]:
+    """Every generated section by its name."""
+    assert set(FUNCTIONS) == set(COUPLER_MAP.reads) | set(COUPLER_MAP.writes) | {requests.DIAGNOSTICS}
+    blocks = (
+        _block("analog inputs", INPUT_ADDRESS, INPUT_WORDS),
+        _block("digital inputs", registers.DIGITAL_INPUT_ADDRESS, registers.DIGITAL_INPUTS // 16),
+        _block("analog outputs", OUTPUT_ADDRESS, OUTPUT_WORDS),
+        _block("digital outputs", registers.DIGITAL_OUTPUT_ADDRESS, registers.DIGITAL_OUTPUTS // 16),
+    )
+    own = (
+        (*_block(row.name, row.address, row.words), row.unit or _NONE, row.meaning)
+        for row in registers.COUPLER_TABLE
+    )
+    return {
+        "functions": table(
+            "code | what it does | reads at most | writes at most",
+            ((code, *row) for code, row in FUNCTIONS.items()),
+        ),
+        "exceptions": table("code | what is wrong", EXCEPTIONS.items()),
+        "diagnostics": table("sub-function | answer", DIAGNOSTICS.items()),
+        "blocks": table("address | words | block | read with | write with", blocks),
+        "registers": table("address | words | register | read with | write with | unit | meaning", own),
+        "status": table("bit | mask | meaning", ((bit, f"{mask:#06x}", text) for bit, mask, text in STATUS)),
+        "cases": table(
+            "case | clause | writes | question",
+            ((c.number, c.clause, "yes" if c.motion else "", c.title) for c in coupler_cases()),
+        ),
+    }
+
+
+def rendered(text: str) -> str:
+    """``text`` with every generated section made anew."""
+    tables = sections()
+
+    def fill(match: re.Match[str]) -> str:
+        return f"{match[1]}\n{tables[match[2]]}\n{match[3]}"
+
+    return re.sub(r"(<!-- generated: ([a-z]+) -->)\n.*?(<!-- end -->)", fill, text, flags=re.DOTALL)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(rendered(PAGE.read_text()))

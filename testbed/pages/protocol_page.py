@@ -1,0 +1,381 @@
+"""The generated tables of docs/protocol.md; ``python -m testbed.pages.protocol_page`` writes them."""
+
+import json
+import re
+import textwrap
+from collections.abc import Callable, Iterable
+from enum import IntEnum
+from pathlib import Path
+from typing import TypeVar
+
+from conformance.runner import reference_cases
+from controller.config import ControllerConfig
+from controller.core.group_states import TRANSITIONS, Mode, Stimulus
+from foundation.configuration import load
+from protocol import datagram_layout, process_image, reference_messages
+from protocol.authentication import LinkKey
+from protocol.channel import MAX_GAP_DATAGRAMS, WINDOW_DATAGRAMS
+from protocol.client_session import MIN_RESEND_NS, RESEND_CYCLES
+from protocol.clock_offset import DISPUTED_TO_RESET, DRIFT_PPM, WINDOW
+from protocol.command_ledger import REMEMBERED
+from protocol.datagram import encode
+from protocol.datagram_layout import (
+    HEADER,
+    HEADER_BYTES,
+    MAX_DATAGRAM_BYTES,
+    MAX_WAYPOINTS,
+    PAYLOADS,
+    TRAILER,
+    Field,
+    Kind,
+    offsets,
+    size_of,
+)
+from protocol.echo_clock import FIRST_HEARTBEATS, FIRST_PERIOD_NS, HEARTBEATS_PER_TIMEOUT
+from protocol.faults import (
+    COMMAND_TEXTS,
+    FAULT_TEXTS,
+    GROUP_STATE_TEXTS,
+    REASON_TEXTS,
+    SEVERITY_TEXTS,
+    CommandCode,
+    FaultCode,
+    GroupState,
+    Reason,
+    Severity,
+)
+from protocol.greeting import HELLO_PERIOD_NS, HELLOS_PER_NONCE
+from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
+from protocol.reference_messages import Bye, Heartbeat, Hello, ReferencePose, Welcome
+from protocol.server_session import REFUSAL_INTERVAL_NS, REMEMBERED_NONCES
+from testbed.pages.sample_messages import HEADER as HEADER_SAMPLE
+from testbed.pages.sample_messages import MESSAGES
+from testbed.pages.session_tables import CLIENT_ROWS, KEY_SERVER_ROWS, SERVER_ROWS, Row
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "protocol.md"
+GOLDEN = Path(__file__).parent / "golden_datagrams.json"
+IEC = {"B": "USINT", "H": "UINT", "I": "UDINT", "Q": "ULINT", "d": "LREAL", "x": "BYTE"} | {
+    "4s": "BYTE",
+    "16s": "BYTE",
+}
+IEC_WORDS = {"H": "UINT", "h": "INT", "i": "DINT"}
+# LIMIT is a standard function of IEC 61131-3, so it cannot name a member.
+IEC_NAMES = {"limit": "limit_value"}
+MS = 1_000_000
+Member = TypeVar("Member", bound=IntEnum)
+KEY_ROWS = (
+    ("K_hello", "`LRLK 1 hello`", "nothing", "HELLO"),
+    (
+        "K_client",
+        "`LRLK 1 client`",
+        "client_nonce ‖ session ‖ boot_id",
+        "what the client sends in the session",
+    ),
+    (
+        "K_controller",
+        "`LRLK 1 controller`",
+        "the same",
+        "WELCOME and what the controller sends in the session",
+    ),
+)
+CAPABILITIES = {
+    "PATHS": "REFERENCE_PATH is understood",
+    "STREAMING": "START_STREAM, END_STREAM, STREAMED_POSE and STREAM_REFUSED are understood",
+    "AUTHENTICATION": "every datagram of the session is signed (clause 11)",
+}
+COLUMNS = {Stimulus.MOVE: "reference", Stimulus.STREAMED: "streamed reference"}
+
+
+def table(head: str, rows: Iterable[Iterable[object]]) -> str:
+    """A Markdown table."""
+    columns = [cell.strip() for cell in head.split("|")]
+    lines = [columns, ["---"] * len(columns), *([str(cell) for cell in row] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def datagram_table(fields: tuple[Field, ...]) -> str:
+    """Offset (from the start of these fields), type, unit, range and meaning of every field."""
+
+    def span(field: Field) -> str:
+        if field.enum is not None:
+            return f"see {field.enum.__name__}"
+        if field.code not in "BHIQ" or (field.low == 0 and field.high is None):
+            return "–" if field.code in ("x", "4s", "16s") else "any"
+        return f"{field.low}…{field.highest}" if field.low < field.highest else str(field.low)
+
+    rows = (
+        (offset, field.name, _counted(IEC[field.code], field), field.unit or "–", span(field), field.meaning)
+        for field, offset in zip(fields, offsets(fields), strict=True)
+    )
+    return table("offset | field | type | unit | range | meaning", rows)
+
+
+def _counted(kind: str, field: Field) -> str:
+    count = field.size if field.code.endswith("s") else field.count
+    return f"{kind}[{count}]" if count > 1 else kind
+
+
+def payload_tables() -> str:
+    """One table a kind."""
+    parts = []
+    for kind, fields in PAYLOADS.items():
+        size = size_of(fields)
+        parts.append(
+            f"**{kind.name}** (kind {kind.value}): payload {size} bytes, datagram {HEADER_BYTES + size}\n\n"
+            + datagram_table(fields)
+        )
+    return "\n\n".join(parts)
+
+
+def register_table(rows: tuple[Register, ...]) -> str:
+    """Address, type, unit, scale and meaning of every register."""
+
+    def span(row: Register) -> str:
+        if row.constant is not None:
+            return f"{row.constant:#06x}"
+        if row.reserved:
+            return "0"
+        return f"{row.low / row.scale:.10g}…{row.high / row.scale:.10g}"
+
+    return table(
+        "address | words | register | type | unit | 1 digit | range | meaning",
+        (
+            (
+                f"{row.address:#06x}", row.words, row.name,
+                IEC_WORDS[row.code] + (f"[{row.count}]" if row.count > 1 else ""),
+                row.unit or "–", f"1/{row.scale:g}" if row.scale != 1.0 else 1, span(row), row.meaning,
+            )
+            for row in rows
+        ),
+    )  # fmt: skip
+
+
+def enumeration(members: type[Member], texts: dict[Member, str]) -> str:
+    """Number, name and meaning of every member."""
+    return table("number | name | meaning", ((m.value, m.name, texts[m]) for m in members))
+
+
+def bits(prefix: str, texts: dict[str, str]) -> str:
+    """Bit, name and meaning of every constant of the process image or link that begins with ``prefix``."""
+    return table("bit | name | meaning", ((value.bit_length() - 1, name, text)
+                                          for name, text in texts.items()
+                                          for value in [_constant(prefix + name)]))  # fmt: skip
+
+
+def _constant(name: str) -> int:
+    for module in (process_image, reference_messages, datagram_layout):
+        if hasattr(module, name):
+            value = getattr(module, name)
+            assert isinstance(value, int)
+            return value
+    raise LookupError(name)
+
+
+def limits() -> str:
+    """Every time and count of the protocol, in milliseconds and in packets."""
+    rows = [
+        ("largest datagram", f"{MAX_DATAGRAM_BYTES} bytes, with its trailer", "–"),
+        ("waypoints in a path", MAX_WAYPOINTS, "–"),
+        ("HELLO repeated", f"every {HELLO_PERIOD_NS // MS} ms", f"new nonce after {HELLOS_PER_NONCE}"),
+        ("HEARTBEAT", f"every link_timeout_ms / {HEARTBEATS_PER_TIMEOUT}",
+         f"the first {FIRST_HEARTBEATS} at most {FIRST_PERIOD_NS // MS} ms apart"),
+        ("session ends by silence", "after more than link_timeout_ms",
+         f"{HEARTBEATS_PER_TIMEOUT - 1} heartbeats lost in a row are survived, one more is not"),
+        ("datagram is stale", "older than the controller's max_age_ms, by default link_timeout_ms", "–"),
+        ("request repeated", f"every {MIN_RESEND_NS // MS} ms or {RESEND_CYCLES} cycles, the longer",
+         "until answered"),
+        ("answers remembered", "for the session", f"the newest {REMEMBERED}"),
+        ("nonces remembered", "–", f"those of the last {REMEMBERED_NONCES} sessions"),
+        ("gap in the sequence", "–", f"at most {MAX_GAP_DATAGRAMS - 1} skipped; more is refused"),
+        ("replay window", "–", f"the newest {WINDOW_DATAGRAMS} of 2^64 numbers"),
+        ("session that is not confirmed is forgotten", "after more than link_timeout_ms", "–"),
+        ("late told from duplicate", "–", f"within the newest {WINDOW_DATAGRAMS} numbers"),
+        ("BYE to those without a session", f"at most one in {REFUSAL_INTERVAL_NS // MS} ms", "–"),
+        ("echoes kept for the clock", "–", f"the newest {WINDOW}"),
+        ("drift of a clock assumed", f"{DRIFT_PPM} ppm", "–"),
+        ("step of a clock followed", "–", f"after {DISPUTED_TO_RESET} echoes in a row that agree"),
+    ]  # fmt: skip
+    return table("what | limit in time or bytes | limit in packets", rows)
+
+
+def stream_limits() -> str:
+    """What bounds streamed references, as the controller is configured when it is delivered."""
+    config = load(ControllerConfig, ROOT / "configs" / "controller.yaml")
+    stream, close_ms = config.streaming, config.stream_close_ms
+    slow_ms = close_ms - stream.ramp_ms
+
+    def lost_before(limit_ms: float) -> str:
+        """References lost in a row whose successor still comes in time, at three rates."""
+        return ", ".join(f"{int(limit_ms * rate / 1e3) - 1} at {rate} Hz" for rate in (15, 30, 60))
+
+    rows = [
+        ("`silence_ms`", f"{stream.silence_ms:g} ms", "–"),
+        ("the arm is slowed down after", f"{slow_ms:g} ms at a cycle of {config.cycle_ms:g} ms",
+         f"lost in a row without it: {lost_before(slow_ms)}"),
+        ("the valves are centred after", f"{close_ms:g} ms at a cycle of {config.cycle_ms:g} ms",
+         f"lost in a row and survived: {lost_before(close_ms)}"),
+        ("`ramp_ms`, `recovery_ms`", f"{stream.ramp_ms:g} ms, {stream.recovery_ms:g} ms", "–"),
+        ("`first_reference_ms`", f"{stream.first_reference_ms:g} ms", "–"),
+        ("greatest age (12.6)", f"{stream.max_age_ms:g} ms", "–"),
+        ("distance, angle (12.4)", f"{stream.distance_m:g} m, {stream.turn_deg:g}°", "–"),
+        ("speed, of T and in turning", f"{stream.speed_m_s:g} m/s, {stream.turn_speed_deg_s:g} °/s", "–"),
+        ("acceleration",
+         f"{stream.acceleration_m_s2:g} m/s², {stream.turn_acceleration_deg_s2:g} °/s²", "–"),
+        ("jerk", f"{stream.jerk_m_s3:g} m/s³, {stream.turn_jerk_deg_s3:g} °/s³", "–"),
+        ("`twist_ref`, each axis", "0.8 / √3 of the speed", "–"),
+    ]  # fmt: skip
+    return table("what | as delivered | in packets", rows)
+
+
+def session_table(rows: tuple[Row, ...]) -> str:
+    """State, event, next state, reaction."""
+    return table("state | event | next state | sends", ((r.state, r.event, r.then, r.sends) for r in rows))
+
+
+def group_table() -> str:
+    """Every command and reference in every mode of the group: next mode and the reason that answers."""
+    stimuli = [s for s in Stimulus if s <= Stimulus.STREAMED]
+    return table(
+        "in | " + " | ".join(COLUMNS.get(s, s.name) for s in stimuli),
+        (
+            [mode.name, *(f"{t.mode.name}: {t.reason.name}" for t in (TRANSITIONS[mode, s] for s in stimuli))]
+            for mode in Mode
+        ),
+    )
+
+
+def structured_text() -> str:
+    """IEC 61131-3 types of every datagram and of both process images."""
+    parts = ["TYPE", "ST_LR_Pose : STRUCT  // of T in B; m, and a unit quaternion"]
+    parts += [f"    {name} : LREAL;" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
+    parts += ["END_STRUCT", "END_TYPE", ""]
+    parts += _struct("ST_LR_Header", HEADER)
+    for kind, fields in PAYLOADS.items():
+        name = "".join(word.capitalize() for word in kind.name.split("_"))
+        parts += _struct(f"ST_LR_{name}", fields, "    header : ST_LR_Header;")
+    parts += _struct("ST_LR_Trailer", TRAILER)
+    for name, rows in (("ST_LR_Inputs", INPUT_TABLE), ("ST_LR_Outputs", OUTPUT_TABLE)):
+        parts += ["TYPE", f"{name} : STRUCT"]
+        parts += [f"    {row.name} : {_array(row.count, IEC_WORDS[row.code])};" for row in rows]
+        parts += ["END_STRUCT", "END_TYPE", ""]
+    return "```iecst\n" + "\n".join(parts).rstrip() + "\n```"
+
+
+def _struct(name: str, fields: tuple[Field, ...], first: str | None = None) -> list[str]:
+    members = [f"    {IEC_NAMES.get(field.name, field.name)} : {_iec_type(field)};" for field in fields]
+    return ["TYPE", f"{name} : STRUCT", *([first] if first else []), *members, "END_STRUCT", "END_TYPE", ""]
+
+
+def _iec_type(field: Field) -> str:
+    if field.code.endswith("s"):
+        return _array(field.size, "BYTE")
+    return _array(field.poses, "ST_LR_Pose") if field.poses else _array(field.count, IEC[field.code])
+
+
+def _array(count: int, kind: str) -> str:
+    return f"ARRAY[0..{count - 1}] OF {kind}" if count > 1 else kind
+
+
+def golden() -> str:
+    """One datagram of every kind, byte for byte."""
+    return listing(json.loads(GOLDEN.read_text()))
+
+
+def signed_golden() -> dict[str, bytes]:
+    """Some of them signed with the key that the page gives: one of each direction, and HELLO."""
+    secret = LinkKey(bytes(range(32)))
+    welcome = next(message for message in MESSAGES if isinstance(message, Welcome))
+    keys = secret.of_client(welcome.client_nonce, HEADER_SAMPLE.session, welcome.boot_id)
+    header = HEADER_SAMPLE._replace(sequence=HEADER_SAMPLE.sequence + (7 << 32))
+    signed = {}
+    for message in MESSAGES:
+        if isinstance(message, Hello):
+            signed["Hello"] = encode(message, header._replace(session=0), secret.of_hello())
+        elif isinstance(message, Welcome | Heartbeat | ReferencePose | Bye):
+            key = keys.receives if isinstance(message, Welcome) else keys.sends
+            signed[type(message).__name__] = encode(message, header, key)
+    return signed
+
+
+def listing(datagrams: dict[str, str]) -> str:
+    """Hexadecimal datagrams under their names."""
+    parts = []
+    for name, data in datagrams.items():
+        parts.append(f"{name}\n" + textwrap.indent("\n".join(textwrap.wrap(data, 96)), "  "))
+    return "```text\n" + "\n".join(parts) + "\n```"
+
+
+SECTIONS: dict[str, Callable[[], str]] = {
+    "header": lambda: datagram_table(HEADER),
+    "flags": lambda: bits(
+        "FLAG_",
+        {
+            "ECHO_VALID": "`echo_sequence` holds a number",
+            "AUTHENTICATED": "critical: a trailer with a tag follows the payload (clause 11)",
+        },
+    ),
+    "key states": lambda: session_table(KEY_SERVER_ROWS),
+    "trailer": lambda: datagram_table(TRAILER),
+    "keys": lambda: table("key | label | context | signs", KEY_ROWS),
+    "signed golden": lambda: listing({name: data.hex() for name, data in signed_golden().items()}),
+    "capabilities": lambda: bits("CAPABILITY_", CAPABILITIES),
+    "payloads": payload_tables,
+    "limits": limits,
+    "server states": lambda: session_table(SERVER_ROWS),
+    "client states": lambda: session_table(CLIENT_ROWS),
+    "kinds": lambda: table("kind | name", ((kind.value, kind.name) for kind in Kind)),
+    "commands": lambda: enumeration(CommandCode, COMMAND_TEXTS),
+    "group states": lambda: enumeration(GroupState, GROUP_STATE_TEXTS),
+    "group transitions": group_table,
+    "severities": lambda: enumeration(Severity, SEVERITY_TEXTS),
+    "reasons": lambda: enumeration(Reason, REASON_TEXTS),
+    "faults": lambda: enumeration(FaultCode, FAULT_TEXTS),
+    "state flags": lambda: bits(
+        "FLAG_",
+        {
+            "PLANT_LINK_OK": "the fieldbus is healthy",
+            "EMERGENCY_LATCHED": "the emergency stop is latched",
+            "SETTLED": "the arm has come to rest at its commanded pose",
+            "STREAMING": "MOVING means: following streamed references",
+        },
+    ),
+    "inputs": lambda: register_table(INPUT_TABLE),
+    "outputs": lambda: register_table(OUTPUT_TABLE),
+    "status bits": lambda: bits(
+        "STATUS_",
+        {
+            "SUPPLY_ON": "the pump runs",
+            "VALVES_ENABLED": "the valves follow the commands",
+            "WATCHDOG_TRIPPED": "the motion watchdog closed the valves; latched",
+            "SENSOR_FAULT": "a sensor is known to be wrong",
+        },
+    ),
+    "control bits": lambda: bits(
+        "CONTROL_",
+        {
+            "ENABLE": "the valves may follow the commands",
+            "RESET_WATCHDOG": "a rising edge clears WATCHDOG_TRIPPED",
+        },
+    ),
+    "cases": lambda: table(
+        "case | clause | moves | question",
+        ((case.number, case.clause, "yes" if case.motion else "", case.title) for case in reference_cases()),
+    ),
+    "structured text": structured_text,
+    "golden": golden,
+    "stream limits": stream_limits,
+}  # fmt: skip
+
+
+def rendered(page: str) -> str:
+    """``page`` with the content of every generated section made anew."""
+
+    def fill(match: re.Match[str]) -> str:
+        return f"{match[1]}\n{SECTIONS[match[2]]()}\n{match[3]}"
+
+    return re.sub(r"(<!-- generated: ([a-z ]+) -->)\n.*?(<!-- end -->)", fill, page, flags=re.DOTALL)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(rendered(PAGE.read_text()))

@@ -1,0 +1,247 @@
+"""Each effect of the camera and the wall does what its name says, and no more."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+from plant_emulator.core.camera.camera_motion import STILL, Motion, View, motion_between
+from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
+from plant_emulator.core.camera.wall_texture import SIZE, wall_texture
+from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
+from tests.plant_emulator.camera.camera_world import (
+    CLEAN,
+    Matrix,
+    camera,
+    clean_camera,
+    start_view,
+    wall_view,
+)
+from tests.plant_emulator.camera.corner_oracle import refined_corners
+from tests.plant_emulator.camera.test_stereo_camera import seen_ids, shift_between
+
+
+def clean(**sections: dict[str, Any]) -> StereoCamera:
+    """The camera without disturbances, with more keys in the scene's sections."""
+    return camera(
+        {name: CLEAN.get(name, {}) | keys for name, keys in ({k: {} for k in CLEAN} | sections).items()}
+    )
+
+
+def sideways(speed_m_s: float, turn_rad_s: float = 0.0) -> Motion:
+    """The camera moving along the wall and turning about its y axis, the marker with it."""
+    return Motion(np.array([[0.0, -speed_m_s, 0.0, 0.0, turn_rad_s, 0.0]] * 2))
+
+
+def test_motion_carries_one_view_into_the_next() -> None:
+    before = start_view(clean_camera().scene)
+    turn = rotation_from_vector(np.array([0.01, -0.02, 0.005]))
+    now = View(*(X @ transform(turn, np.array([0.002, 0.001, -0.003])) for X in before))
+    motion = motion_between(before, now, 0.02)
+    for reached, wanted in zip(motion.at(before, 0.02), now, strict=True):
+        assert np.allclose(reached, wanted, atol=1e-12)
+    assert np.allclose(
+        motion.at(before, 0.01).X_WC[:3, 3], (before.X_WC[:3, 3] + now.X_WC[:3, 3]) / 2.0, atol=1e-12
+    )
+
+
+def test_a_still_camera_shows_neither_blur_nor_skew() -> None:
+    view = start_view(clean_camera().scene)
+    effects = clean(camera={"motion_blur_samples": 3, "readout_ms": 20.0})
+    assert np.array_equal(effects.render_eye(LEFT, view, 1), clean_camera().render_eye(LEFT, view, 1))
+
+
+def test_a_rolling_shutter_shows_each_row_at_its_own_time() -> None:
+    eyes = clean(camera={"readout_ms": 30.0})
+    view, motion = start_view(eyes.scene), sideways(0.3, 0.05)
+    picture = eyes.render_eye(LEFT, view, 1, motion)
+    checked = 0
+    for marker, (static, _) in eyes.project_corners(*view).items():
+        corners = static
+        for _ in range(5):  # each corner is exposed when its own row is read
+            offsets = 0.03 * (corners[:, 1] / 719.0 - 0.5)
+            moments = [eyes.project_corners(*motion.at(view, offset))[marker][LEFT] for offset in offsets]
+            corners = np.array([moment[k] for k, moment in enumerate(moments)])
+        found = refined_corners(picture, corners, 4, 6.0)
+        assert found is not None
+        assert np.abs(found - corners).max() < 0.03
+        checked += np.abs(corners - static).max() > 0.5  # the skew itself is not small
+    assert checked >= 1
+
+
+def test_motion_blur_smears_along_the_motion_by_the_way_gone() -> None:
+    plate = {"parent": "wall", "centre_m": [-0.4, 0.0, 0.0], "size_m": [0.3, 0.3], "grey": 220.0}
+    plain = CLEAN | {"obstacles": [plate], "wall": CLEAN["wall"] | {"contrast_grey": 0.0, "mean_grey": 60.0}}
+    exposure = {"motion_blur_samples": 12, "exposure_us": 20_000}
+    view = wall_view(clean_camera().scene, 1.0)
+    motion = Motion(np.array([[0.0, -0.8, 0.0, 0.0, 0.0, 0.0], [0.0] * 6]))
+    X_WO = clean_camera().scene.mounts.X_WO
+    (corner,), _ = clean_camera().project(view.X_WC, (X_WO @ [[-0.55], [0.0], [0.0], [1.0]])[:3].T)
+    centre = round(float(corner[0]))
+    profiles = [
+        camera(plain | {"camera": CLEAN["camera"] | extra}).render_eye(LEFT, view, 1, motion)[
+            round(float(corner[1])), centre - 25 : centre + 26
+        ]
+        for extra in ({}, exposure)
+    ]
+    widths = [spread(profile) for profile in profiles]
+    assert widths[0] < 1.5
+    way_px = 0.8 * 0.02 * clean_camera().config.lens.fx_px  # the wall is 1 m away
+    assert widths[1] == pytest.approx(way_px, rel=0.1)
+    middles = [centre - 25.5 + (220.0 - profile.astype(float)).sum() / 160.0 for profile in profiles]
+    assert middles[1] == pytest.approx(middles[0], abs=0.1)  # smeared evenly about the capture instant
+
+
+@pytest.mark.parametrize("width_px", [0.6, 1.5])
+def test_the_point_spread_is_as_wide_as_configured(width_px: float) -> None:
+    plate = {"parent": "wall", "centre_m": [-0.4, 0.0, 0.0], "size_m": [0.3, 0.3], "grey": 220.0}
+    plain = CLEAN | {"obstacles": [plate], "wall": CLEAN["wall"] | {"contrast_grey": 0.0, "mean_grey": 60.0}}
+    eyes = camera(plain | {"camera": CLEAN["camera"] | {"blur_px": width_px}})
+    view = wall_view(eyes.scene, 1.0)
+    X_WO = eyes.scene.mounts.X_WO
+    (corner,), _ = eyes.project(view.X_WC, (X_WO @ [[-0.55], [0.0], [0.0], [1.0]])[:3].T)
+    column, row = np.rint(corner).astype(int)
+    profile = eyes.render_eye(LEFT, view, 1)[row, column - 12 : column + 13]
+    pixel = 1.0 / 12.0  # variance of the pixel's own width
+    assert spread(profile) / np.sqrt(12.0) == pytest.approx(np.sqrt(width_px**2 + pixel), rel=0.05)
+
+
+def test_a_misprinted_marker_is_as_large_as_it_was_printed() -> None:
+    view = start_view(clean_camera().scene)
+    sides = []
+    for scale_error in (0.0, 0.03):
+        eyes = clean(tool_marker={"print_scale_error": scale_error, "quiet_zone_m": 0.02})
+        corners = refined_corners(
+            eyes.render_eye(LEFT, view, 1), eyes.project_corners(*view)[0][LEFT], 4, 6.0
+        )
+        assert corners is not None
+        sides.append(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))
+    np.testing.assert_allclose(sides[1] / sides[0], 1.03, atol=1e-3)
+
+
+def test_a_turned_right_eye_sees_a_turned_picture() -> None:
+    view = start_view(clean_camera().scene)
+    level, turned = (
+        clean(camera={"rectification": {"right_eye_rotation_deg": [0.0, 0.0, roll_deg]}})
+        for roll_deg in (0.0, 1.0)
+    )
+    found = [
+        refined_corners(eyes.render_eye(RIGHT, view, 1), eyes.project_corners(*view)[3][RIGHT], 4, 6.0)
+        for eyes in (level, turned)
+    ]
+    before, after = found
+    assert before is not None
+    assert after is not None
+    way = [corners[1] - corners[0] for corners in (before, after)]
+    angles = np.degrees([np.arctan2(w[1], w[0]) for w in way])
+    assert angles[1] - angles[0] == pytest.approx(-1.0, abs=0.05)
+    assert np.array_equal(level.render_eye(LEFT, view, 1), turned.render_eye(LEFT, view, 1))
+
+
+def spread(profile: np.ndarray) -> float:
+    """Width in pixels of a ramp between two levels: sqrt(12) times its standard deviation."""
+    slope = np.diff(profile.astype(float))
+    places = np.arange(slope.size)
+    mean = (slope * places).sum() / slope.sum()
+    return float(np.sqrt(12.0 * (slope * (places - mean) ** 2).sum() / slope.sum()))
+
+
+@pytest.mark.parametrize("centre", [(-0.45, 0.1), (0.31, -0.22)])
+def test_a_drill_hole_is_where_it_was_drilled(centre: tuple[float, float]) -> None:
+    hole = {"centre_m": list(centre), "diameter_mm": 50.0, "grey": 0, "rim_grey": 200}
+    eyes = clean(wall={"drill_holes": [hole], "contrast_grey": 0.0, "mean_grey": 120.0})
+    view = wall_view(eyes.scene, 1.0)
+    picture = eyes.render_eye(LEFT, view, 1).astype(float)
+    X_WO = eyes.scene.mounts.X_WO
+    (where,), _ = eyes.project(view.X_WC, np.array([[*centre, 0.0]]) @ X_WO[:3, :3].T + X_WO[:3, 3])
+    column, row = np.rint(where).astype(int)
+    around = picture[row - 30 : row + 31, column - 30 : column + 31]
+    dark = np.clip(1.0 - around / 120.0, 0.0, 1.0)
+    v, u = np.mgrid[row - 30 : row + 31, column - 30 : column + 31]
+    assert (dark * u).sum() / dark.sum() == pytest.approx(where[0], abs=0.1)
+    assert (dark * v).sum() / dark.sum() == pytest.approx(where[1], abs=0.1)
+    area = np.pi / 4.0 * (0.05 * eyes.config.lens.fx_px) ** 2
+    assert dark.sum() == pytest.approx(area, rel=0.05)
+    assert around.max() > 180.0
+
+
+def relief_height(x: Matrix, y: Matrix, amplitude: float, length: float) -> Matrix:
+    """The undulation as documented: half of each of two parabola waves, counted from the texture's corner."""
+
+    def wave(turns: Matrix) -> Matrix:
+        t = turns - np.floor(turns + 0.5)
+        return 8.0 * t * (1.0 - 2.0 * np.abs(t))
+
+    along, down = (x + SIZE / 2000.0) / length, (SIZE / 2000.0 - y) / length
+    return amplitude * 0.5 * (wave(along) + wave(1.37 * down + 0.3))
+
+
+@pytest.mark.parametrize("offset", [-0.4, 0.4])
+def test_an_undulating_wall_is_a_rigid_surface(offset: float) -> None:
+    """From either side, the texture lies at the projections of the points of one and the same surface."""
+    eyes = clean(wall={"undulation_mm": 20.0, "undulation_length_m": 0.8})
+    wall = eyes.scene.config.wall
+    side = np.arange(-60, 61) / 800.0
+    x, y = np.meshgrid(0.35 + side, 0.05 - side)
+    z = relief_height(x, y, 0.02, 0.8)
+    X_WO = eyes.scene.mounts.X_WO
+    straight = wall_view(eyes.scene, 1.1)
+    view = View(straight.X_WC @ transform(np.eye(3), np.array([offset, 0.0, 0.0])), straight.X_WM)
+    points = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1) @ X_WO[:3, :3].T + X_WO[:3, 3]
+    image, _ = eyes.project(view.X_WC, points)
+    texture = wall_texture(wall.texture_seed, wall.mean_grey, wall.contrast_grey)[1700:2300, 2100:2750]
+    places = [SIZE / 2 - 1000.0 * y - 0.5 - 1700, SIZE / 2 + 1000.0 * x - 0.5 - 2100]
+    truth = map_coordinates(cv2.GaussianBlur(texture.astype(float), (0, 0), 4.0), places, order=3)
+    pixel_m = 1.1 / eyes.config.lens.fx_px
+    picture = eyes.render_eye(LEFT, view, 1).astype(float)
+    blurred = cv2.GaussianBlur(picture, (0, 0), 4e-3 / pixel_m)
+    seen = map_coordinates(blurred, [image[:, 1].reshape(x.shape), image[:, 0].reshape(x.shape)], order=3)
+    assert np.abs(shift_between(truth, seen)).max() / (800.0 * pixel_m) < 0.05
+    flat, _ = eyes.project(
+        view.X_WC, (points - X_WO[:3, 3]) @ X_WO[:3, :3] * [1, 1, 0] @ X_WO[:3, :3].T + X_WO[:3, 3]
+    )
+    assert np.abs(image - flat).max() > 0.5  # the relief moves the picture, so the above is a test
+
+
+def test_an_obstacle_on_the_tool_hides_a_marker() -> None:
+    view = start_view(clean_camera().scene)
+    assert seen_ids(clean_camera().render_eye(LEFT, view, 1)) == {0, 1, 2, 3}
+    X_MO = np.linalg.inv(view.X_WM) @ clean_camera().scene.mounts.X_WO
+    X_MC = np.linalg.inv(view.X_WM) @ view.X_WC
+    on_the_way = 0.5 * (X_MO @ [0.0, 0.2, 0.0, 1.0])[:3] + 0.5 * X_MC[:3, 3]
+    obstacle = {"parent": "tool", "centre_m": on_the_way.tolist(), "size_m": [0.05, 0.05]}
+    eyes = camera(CLEAN | {"obstacles": [obstacle]})
+    assert seen_ids(eyes.render_eye(LEFT, view, 1)) == {0, 1, 2}
+
+
+def test_an_obstacle_on_the_wall_lies_over_the_marker_and_under_the_tool() -> None:
+    plate = {"parent": "wall", "centre_m": [-0.2, 0.0, 0.0], "size_m": [0.2, 0.2], "grey": 77.0}
+    eyes = camera(CLEAN | {"obstacles": [plate]})
+    view = start_view(eyes.scene)
+    picture = eyes.render_eye(LEFT, view, 1)
+    corners = eyes.project_corners(*view)[1][LEFT]
+    column, row = np.rint(corners.mean(axis=0)).astype(int)
+    assert (picture[row - 20 : row + 20, column - 20 : column + 20] == 77).all()
+    assert seen_ids(picture) == {0, 2, 3}
+
+
+def test_exposure_scales_and_saturates() -> None:
+    view = start_view(clean_camera().scene)
+    plain = clean_camera().render_eye(LEFT, view, 1).astype(float)
+    dim, bright = (clean(camera={"exposure_gain": gain}).render_eye(LEFT, view, 1) for gain in (0.5, 4.0))
+    assert np.abs(dim - plain * 0.5).max() <= 1.0
+    assert (bright[plain > 64] == 255).all()
+
+
+def test_low_contrast_is_as_low_as_configured() -> None:
+    view = wall_view(clean_camera().scene, 0.5)
+    patches = [clean(wall={"contrast_grey": c}).render_eye(LEFT, view, 1)[600:, 100:500] for c in (20.0, 4.0)]
+    assert patches[1].std() == pytest.approx(patches[0].std() / 5.0, rel=0.05)
+
+
+def test_still_is_still() -> None:
+    view = start_view(clean_camera().scene)
+    for X, Y in zip(STILL.at(view, 1.0), view, strict=True):
+        assert np.array_equal(X, Y)

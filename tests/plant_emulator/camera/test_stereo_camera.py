@@ -1,0 +1,267 @@
+"""What the rendered pictures must be besides sharp: reproducible, consistent, occluding, detectable."""
+
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+from plant_emulator.core.camera.scene import rotation_matrix
+from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
+from plant_emulator.core.camera.wall_texture import SIZE, wall_texture
+from plant_emulator.core.mechanics.geometry import transform
+from tests.plant_emulator.camera.camera_world import (
+    CLEAN,
+    FACING,
+    View,
+    camera,
+    clean_camera,
+    shipped_camera,
+    start_view,
+    wall_view,
+)
+
+DETECTOR = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000))
+Grey = np.ndarray
+
+
+def seen_ids(picture: Grey) -> set[int]:
+    """Ids of the markers that OpenCV detects."""
+    _, ids, _ = DETECTOR.detectMarkers(picture)
+    return set() if ids is None else {int(i) for i in ids.ravel()}
+
+
+def rendered(eyes: StereoCamera, view: View, frame_id: int = 1) -> tuple[Grey, Grey]:
+    """A stereo pair of ``view``."""
+    return eyes.render(view.X_WC, view.X_WM, frame_id)
+
+
+def test_a_pair_is_two_mono8_pictures() -> None:
+    for picture in rendered(shipped_camera(), start_view(shipped_camera().scene)):
+        assert picture.shape == (720, 1280)
+        assert picture.dtype == np.uint8
+        assert picture.flags.c_contiguous
+
+
+def test_same_seed_and_frame_give_the_same_picture() -> None:
+    view = start_view(shipped_camera().scene)
+    first = rendered(shipped_camera(), view, 7)
+    rendered(shipped_camera(), view, 8)
+    again, fresh = rendered(shipped_camera(), view, 7), rendered(camera(), view, 7)
+    for k in (LEFT, RIGHT):
+        assert np.array_equal(first[k], again[k])
+        assert np.array_equal(first[k], fresh[k])
+
+
+def test_noise_has_the_configured_strength_and_no_memory() -> None:
+    eyes = camera({"camera": {"vignetting": 0.0}})
+    view = start_view(eyes.scene)
+    quiet = camera({"camera": {"vignetting": 0.0, "noise_grey": 0.0}})
+    still = rendered(quiet, view)[LEFT].astype(np.float64)
+    noise = [rendered(eyes, view, frame)[LEFT] - still for frame in (1, 2)]
+    noise.append(rendered(eyes, view, 1)[RIGHT] - rendered(quiet, view)[RIGHT].astype(np.float64))
+    for one in noise:
+        assert one.mean() == pytest.approx(0.0, abs=0.02)
+        assert one.std() == pytest.approx(np.hypot(2.0, 1.0 / np.sqrt(12.0)), rel=0.02)
+    for other in noise[1:]:
+        assert abs(np.corrcoef(noise[0].ravel(), other.ravel())[0, 1]) < 0.01
+    rows = noise[0]
+    assert abs(np.corrcoef(rows[:-1].ravel(), rows[1:].ravel())[0, 1]) < 0.01
+
+
+def test_another_seed_gives_other_noise() -> None:
+    view = start_view(shipped_camera().scene)
+    assert not np.array_equal(rendered(shipped_camera(), view)[0], rendered(camera({"seed": 5}), view)[0])
+
+
+def test_the_picture_moves_with_the_camera() -> None:
+    eyes = clean_camera()
+    view = start_view(eyes.scene)
+    still = rendered(eyes, view)[LEFT]
+    moved = rendered(eyes, View(view.X_WC @ transform(np.eye(3), np.array([1e-4, 0.0, 0.0])), view.X_WM))[
+        LEFT
+    ]
+    assert (
+        still != moved
+    ).mean() > 0.05  # a tenth of a millimetre is a fraction of a grey level, but not nothing
+
+
+def test_the_shipped_start_pose_shows_all_markers() -> None:
+    left, right = rendered(shipped_camera(), start_view(shipped_camera().scene))
+    assert seen_ids(left) == {0, 1, 2, 3}
+    assert seen_ids(right) >= {0, 1, 3}  # the tool hides the second one from the right eye
+
+
+@pytest.mark.parametrize("distance", [0.7, 1.0, 1.5, 2.0])
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (10.0, -8.0, 30.0)])
+def test_wall_markers_are_detected_in_both_eyes(distance: float, turn: tuple[float, float, float]) -> None:
+    eyes = shipped_camera()
+    for picture in rendered(eyes, wall_view(eyes.scene, distance, turn)):
+        assert seen_ids(picture) >= {1, 2, 3}
+
+
+def test_the_tool_marker_hides_what_is_behind_it() -> None:
+    eyes = clean_camera()
+    view = wall_view(eyes.scene, 1.0)
+    assert 1 in seen_ids(rendered(eyes, view)[LEFT])
+    X_CO = np.linalg.inv(view.X_WC) @ eyes.scene.mounts.X_WO
+    marker_1 = (X_CO @ [-0.2, 0.0, 0.0, 1.0])[:3]
+    covered = View(view.X_WC, view.X_WC @ transform(FACING, 0.5 * marker_1))
+    seen = seen_ids(rendered(eyes, covered)[LEFT])
+    assert 1 not in seen
+    assert 0 in seen
+
+
+def test_a_plate_reaches_exactly_as_far_as_its_edge() -> None:
+    """Outside the projected plate nothing of the wall changes; inside nothing of it is left."""
+    eyes = clean_camera()
+    view = start_view(eyes.scene)
+    away = View(view.X_WC, view.X_WC @ transform(FACING, np.array([0.0, 0.0, -1.0])))
+    difference = rendered(eyes, view)[LEFT] != rendered(eyes, away)[LEFT]
+    tool = eyes.scene.config.tool_marker
+    outer = tool.side_m * (1.0 + tool.print_scale_error) / 2.0 + tool.quiet_zone_m
+    corners = np.array(
+        [[-outer, outer, 0.0], [outer, outer, 0.0], [outer, -outer, 0.0], [-outer, -outer, 0.0]]
+    )
+    image, _ = eyes.project(view.X_WC, corners @ view.X_WM[:3, :3].T + view.X_WM[:3, 3])
+    columns = np.flatnonzero(difference.any(axis=0))
+    rows = np.flatnonzero(difference.any(axis=1))
+    assert columns[0] == pytest.approx(image[:, 0].min(), abs=1.5)
+    assert columns[-1] == pytest.approx(image[:, 0].max(), abs=1.5)
+    assert rows[0] == pytest.approx(image[:, 1].min(), abs=1.5)
+    inner = image.mean(axis=0) + 0.95 * (image - image.mean(axis=0))
+    mask = cv2.fillConvexPoly(np.zeros((720, 1280), np.uint8), np.rint(inner).astype(np.int32), 1).astype(
+        bool
+    )
+    assert set(np.unique(rendered(eyes, view)[LEFT][mask])) >= {22, 208}
+    assert difference[mask].mean() > 0.98
+
+
+@pytest.mark.parametrize("distance", [0.5, 0.9, 1.7, 3.2])
+def test_the_wall_lies_where_its_texture_says_at_every_mip_level(distance: float) -> None:
+    """A patch looked up through the projection matches the texture itself, to a fiftieth of a pixel."""
+    eyes = clean_camera()
+    wall = eyes.scene.config.wall
+    side = np.arange(-80, 81) / 800.0
+    x, y = np.meshgrid(0.42 + side, 0.05 - side)
+    X_WO, view = eyes.scene.mounts.X_WO, wall_view(eyes.scene, distance)
+    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1) @ X_WO[:3, :3].T + X_WO[:3, 3]
+    image, _ = eyes.project(view.X_WC, points)
+    coarse = 2.0 * distance  # millimetres: a blur that is the same on the wall for both
+    top, left = 1700, 2200
+    texture = the_texture(wall.texture_seed, wall.mean_grey, wall.contrast_grey)[top:2300, left:2750]
+    truth = map_coordinates(
+        cv2.GaussianBlur(texture.astype(np.float64), (0, 0), 2.0 * coarse),
+        [SIZE / 2 - 1000.0 * y - 0.5 - top, SIZE / 2 + 1000.0 * x - 0.5 - left],
+        order=3,
+    )
+    pixel_m = distance / eyes.config.lens.fx_px
+    blurred = cv2.GaussianBlur(
+        rendered(eyes, view)[LEFT].astype(np.float64), (0, 0), 2.0 * coarse * 1e-3 / pixel_m
+    )
+    seen = map_coordinates(blurred, [image[:, 1].reshape(x.shape), image[:, 0].reshape(x.shape)], order=3)
+    shift_px = shift_between(truth, seen) / (800.0 * pixel_m)
+    assert np.abs(shift_px).max() < 0.02
+
+
+@cache
+def the_texture(seed: int, mean_grey: float, contrast_grey: float) -> Grey:
+    """The finest level of the wall's texture."""
+    return wall_texture(seed, mean_grey, contrast_grey)
+
+
+def shift_between(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Shift (x, y) in samples of ``after`` against ``before``, by least squares on the gradient."""
+    inner = (slice(20, -20), slice(20, -20))
+    gradients = [np.gradient(before, axis=axis)[inner].ravel() for axis in (1, 0)]
+    system = np.stack([-gradients[0], -gradients[1], np.ones(gradients[0].size)], axis=1)
+    solution = np.linalg.lstsq(system, (after - before)[inner].ravel(), rcond=None)[0]
+    return np.asarray(solution[:2])
+
+
+@pytest.mark.parametrize("distance", [0.5, 1.0, 2.0])
+def test_optical_flow_on_the_noisy_wall_is_the_true_flow(distance: float) -> None:
+    """A grid of points tracked over 15 mm of sideways motion lands where projective geometry says."""
+    eyes = shipped_camera()
+    before = wall_view(eyes.scene, distance, (5.0, -4.0, 2.0))
+    after = View(before.X_WC @ transform(np.eye(3), np.array([0.015, 0.005, 0.0])), before.X_WM)
+    first, second = rendered(eyes, before, 1)[LEFT], rendered(eyes, after, 2)[LEFT]
+    x, y = np.meshgrid(np.linspace(-0.8, 0.8, 15), np.linspace(-0.45, -0.15, 7))
+    X_WO = eyes.scene.mounts.X_WO
+    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1) * distance
+    points = points @ X_WO[:3, :3].T + X_WO[:3, 3]
+    (start, _), (end, _) = eyes.project(before.X_WC, points), eyes.project(after.X_WC, points)
+    inside = ((start > 40.0) & (start < [1240.0, 680.0])).all(axis=1)
+    found, status, _ = cv2.calcOpticalFlowPyrLK(
+        first, second, start[inside].astype(np.float32)[:, None], None, winSize=(21, 21), maxLevel=3
+    )
+    error = np.linalg.norm(found[:, 0] - end[inside], axis=1)
+    assert inside.sum() > 40
+    assert status.mean() == 1.0
+    assert np.median(error) < 0.06
+    assert np.percentile(error, 95) < 0.2
+
+
+def test_rays_beside_the_wall_see_the_sky() -> None:
+    eyes = clean_camera()
+    view = wall_view(eyes.scene, 1.0, (0.0, 75.0, 0.0))
+    picture = rendered(eyes, view)[LEFT]
+    assert picture[:, 0].std() == 0.0 or picture[:, -1].std() == 0.0
+
+
+def test_disparity_and_vertical_offset_are_those_configured() -> None:
+    offsets = {"vertical_px": 0.2, "disparity_px": 0.3, "right_eye_rotation_deg": [0.0, 0.0, 0.0]}
+    lens = {"k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0}
+    eyes = camera(CLEAN | {"camera": CLEAN["camera"] | {"rectification": offsets, "lens": lens}})
+    points = np.array([[0.1, -0.05, 0.7], [-0.3, 0.2, 1.9]])
+    left, right = eyes.project(np.eye(4), points)
+    config = eyes.config
+    expected = config.lens.fx_px * config.baseline_m / points[:, 2] + 0.3
+    assert np.allclose(left[:, 0] - right[:, 0], expected, atol=1e-9)
+    assert np.allclose(right[:, 1] - left[:, 1], 0.2, atol=1e-9)
+
+
+def test_vignetting_darkens_the_corners_by_the_configured_share() -> None:
+    bright = {"mean_grey": 120.0, "contrast_grey": 0.0, "lighting_gradient_per_m": [0.0, 0.0]}
+    eyes = camera({"camera": {"vignetting": 0.3, "noise_grey": 0.0}, "wall": bright})
+    picture = rendered(eyes, wall_view(eyes.scene, 1.0, (0.0, 0.0, 0.0)))[LEFT].astype(float)
+    centre = eyes.eyes[LEFT].lens.centre
+    corner_share = 1.0 - 0.3 * (centre @ centre) / (640.0**2 + 360.0**2)
+    assert picture[0, 0] == pytest.approx(120.0 * corner_share, abs=1.0)
+
+
+def test_lighting_changes_along_the_wall() -> None:
+    flat = {"mean_grey": 100.0, "contrast_grey": 0.0, "lighting_gradient_per_m": [0.2, 0.0]}
+    eyes = camera({"camera": {"vignetting": 0.0, "noise_grey": 0.0}, "wall": flat})
+    view = wall_view(eyes.scene, 1.0)
+    picture = rendered(eyes, view)[LEFT].astype(float)
+    X_WO = eyes.scene.mounts.X_WO
+    for x in (-0.8, 0.8):
+        (where,), _ = eyes.project(view.X_WC, np.array([[x, -0.3, 0.0]]) @ X_WO[:3, :3].T + X_WO[:3, 3])
+        column, row = np.rint(where).astype(int)
+        assert picture[row, column] == pytest.approx(100.0 * (1.0 + 0.2 * x), abs=1.0)
+
+
+def mount_turned(eyes: StereoCamera, rotation_deg: tuple[float, float, float]) -> View:
+    """The start pose with a camera mount turned about its nominal place."""
+    X_TC = transform(rotation_matrix(rotation_deg), np.array([-0.20, -0.05, -0.40]))
+    view = start_view(eyes.scene)
+    X_WT = view.X_WC @ np.linalg.inv(eyes.scene.mounts.X_TC)
+    return View(X_WT @ X_TC, view.X_WM)
+
+
+@pytest.mark.parametrize(
+    "axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 0), (1, 1, 1), (-1, 1, 1)]
+)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_tool_marker_stays_in_view_with_the_mount_turned_by_ten_degrees(
+    axis: tuple[int, int, int], sign: float
+) -> None:
+    eyes = clean_camera()
+    x, y, z = sign * 10.0 * np.array(axis) / np.linalg.norm(axis)
+    view = mount_turned(eyes, (x, y, z))
+    left, right = eyes.project_corners(view.X_WC, view.X_WM)[0]
+    for corners in (left, right):
+        assert (corners > 10.0).all()
+        assert (corners < [1270.0, 710.0]).all()

@@ -1,0 +1,229 @@
+"""The HTTP face for faults: everything it offers, everything it refuses, always as a problem with a cause."""
+
+import asyncio
+import json
+from typing import Any
+
+import httpx
+import pytest
+from fastapi import FastAPI
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.faults.kinds import FAULTS
+from plant_emulator.core.layout import JOINTS
+from plant_emulator.core.plant import Plant
+from plant_emulator.shell.fault_face import create_app
+from tests.plant_emulator.camera.camera_world import scene_config
+from tests.plant_emulator.faults.test_faults import EVERY
+from tests.plant_emulator.plant_world import plant_config
+
+MS = 1_000_000
+
+
+class Client:
+    """Asks an application without a socket."""
+
+    def __init__(self, app: FastAPI) -> None:
+        self._app = app
+
+    def request(self, method: str, path: str, **content: Any) -> httpx.Response:
+        """The response to one request."""
+
+        async def asked() -> httpx.Response:
+            transport = httpx.ASGITransport(self._app, raise_app_exceptions=False)
+            async with httpx.AsyncClient(transport=transport, base_url="http://plant") as client:
+                return await client.request(method, path, **content)
+
+        return asyncio.run(asked())
+
+    def get(self, path: str) -> httpx.Response:
+        """The response to GET."""
+        return self.request("GET", path)
+
+    def post(self, path: str, **content: Any) -> httpx.Response:
+        """The response to POST."""
+        return self.request("POST", path, **content)
+
+    def delete(self, path: str) -> httpx.Response:
+        """The response to DELETE."""
+        return self.request("DELETE", path)
+
+
+@pytest.fixture
+def plant() -> Plant:
+    return Plant(plant_config(), seed=1)
+
+
+@pytest.fixture
+def face(plant: Plant) -> Client:
+    return Client(create_app(plant, Scene(scene_config()), True))
+
+
+@pytest.fixture(scope="module")
+def whole() -> tuple[Client, Plant]:
+    """A face and its plant for tests that break nothing, nor mend."""
+    plant = Plant(plant_config(), seed=1)
+    return Client(create_app(plant, Scene(scene_config()), True)), plant
+
+
+def problem(response: httpx.Response, status: int, cause: str) -> str:
+    """The detail of a problem document, whose every member is checked."""
+    document = response.json()
+    assert response.headers["content-type"] == "application/problem+json"
+    assert set(document) == {"type", "title", "status", "detail", "cause", "instance"}
+    assert (response.status_code, document["status"], document["cause"]) == (status, status, cause)
+    assert document["type"] == f"urn:longreach:{cause}"
+    assert document["instance"] == response.request.url.path
+    return str(document["detail"])
+
+
+def test_every_fault_can_be_injected_seen_and_mended(face: Client, plant: Plant) -> None:
+    for data in EVERY:
+        created = face.post("/faults", json={"fault": data})
+        assert created.status_code == 201
+        body = created.json()
+        assert body["fault"].items() >= data.items()
+        assert plant.truth().faults == (body["name"],)
+        assert face.get(created.headers["location"]).json() == body
+        assert face.get("/faults").json() == {
+            "allowed": True, "time_ns": plant.time_ns, "active": [body], "planned": []
+        }  # fmt: skip
+        assert face.delete(created.headers["location"]).json() == body
+        assert plant.truth().faults == ()
+        problem(face.get(created.headers["location"]), 404, "refused.no_such_fault")
+        problem(face.delete(created.headers["location"]), 404, "refused.no_such_fault")
+
+
+def test_kinds_come_with_their_schema(face: Client) -> None:
+    kinds = {row["kind"]: row for row in face.get("/faults/kinds").json()}
+    assert set(kinds) == set(FAULTS)
+    slow = kinds["valve_slow"]["schema"]
+    assert slow["properties"]["bandwidth_share"]["minimum"] == 0.01
+    assert slow["properties"]["joint"]["enum"] == ["slew", "lift", "tilt", "wrist1", "wrist2", "wrist3"]
+    assert slow["additionalProperties"] is False
+    assert all(row["description"] for row in kinds.values())
+
+
+def test_faults_are_planned_in_simulated_time(face: Client, plant: Plant) -> None:
+    plant.advance(100 * MS)
+    order = {"fault": {"kind": "supply_lost"}, "start_after_s": 0.5, "duration_s": 0.25}
+    body = face.post("/faults", json=order).json()
+    assert (body["start_ns"], body["end_ns"]) == (600 * MS, 850 * MS)
+    assert face.get("/faults").json()["planned"] == [body]
+    plant.advance(500 * MS)
+    assert face.get("/faults").json()["active"] == [body]
+    plant.advance(250 * MS)
+    assert face.get("/faults").json()["active"] == []
+
+
+def test_everything_is_mended_at_once(face: Client, plant: Plant) -> None:
+    first = face.post("/faults", json={"fault": {"kind": "supply_lost"}}).json()
+    later = face.post("/faults", json={"fault": {"kind": "coupler_silent"}, "start_after_s": 9}).json()
+    assert face.delete("/faults").json() == [first, later]
+    assert face.get("/faults").json()["planned"] == []
+    assert plant.truth().faults == ()
+
+
+@pytest.mark.parametrize(
+    ("body", "cause", "named"),
+    [
+        ({}, "request.invalid", "body.fault: Field required"),
+        ({"fault": {}}, "refused.unknown_fault", "kind"),
+        ({"fault": {"kind": "gremlins"}}, "refused.unknown_fault", "'valve_stuck'"),
+        ({"fault": "supply_lost"}, "request.invalid", "body.fault = 'supply_lost'"),
+        ({"fault": {"kind": "valve_stuck", "joint": "elbow"}}, "refused.fault_parameter", "joint = 'elbow'"),
+        (
+            {"fault": {"kind": "valve_slow", "joint": "lift", "bandwidth_share": 2}},
+            "refused.fault_parameter",
+            "less than or equal to 1",
+        ),
+        ({"fault": {"kind": "supply_lost", "force": 1}}, "refused.fault_parameter", "force = 1: Extra"),
+        ({"fault": {"kind": "marker_covered", "marker_id": 17}}, "refused.unknown_marker", "0, 1, 2, 3"),
+        ({"fault": {"kind": "supply_lost"}, "start_after_s": -1}, "request.invalid", "start_after_s"),
+        ({"fault": {"kind": "supply_lost"}, "duration_s": 0}, "request.invalid", "duration_s"),
+        ({"fault": {"kind": "supply_lost"}, "duration_s": 1e9}, "request.invalid", "3600"),
+        ({"fault": {"kind": "supply_lost"}, "when": "now"}, "request.invalid", "when"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused_and_nothing_breaks(
+    whole: tuple[Client, Plant], body: dict[str, Any], cause: str, named: str
+) -> None:
+    face, plant = whole
+    assert named in problem(face.post("/faults", json=body), 422, cause)
+    assert not plant.faults.all()
+    assert not plant.faults.changes
+
+
+@pytest.mark.parametrize("body", [b"", b"{", b"[]", b"\xff\xfe", b'{"fault": NaN}', b"null"])
+def test_what_is_not_an_order_at_all_is_refused(whole: tuple[Client, Plant], body: bytes) -> None:
+    face, plant = whole
+    problem(face.post("/faults", content=body), 422, "request.invalid")
+    assert not plant.faults.all()
+
+
+def test_a_nan_is_no_angle(face: Client) -> None:
+    body = b'{"fault": {"kind": "encoder_jump", "joint": "lift", "angle_mrad": NaN}}'
+    problem(
+        face.post("/faults", content=body, headers={"content-type": "application/json"}),
+        422,
+        "refused.fault_parameter",
+    )
+
+
+def test_the_same_fault_twice_is_a_conflict(face: Client) -> None:
+    order = {"fault": {"kind": "valve_stuck", "joint": "lift"}}
+    number = face.post("/faults", json=order).json()["number"]
+    assert f"number {number}" in problem(face.post("/faults", json=order), 409, "refused.fault_present")
+
+
+def test_unknown_ways_are_problems_too(face: Client) -> None:
+    problem(face.get("/nowhere"), 404, "request.not_found")
+    problem(face.request("PUT", "/faults", json={}), 405, "request.method_not_allowed")
+    problem(face.get("/faults/seven"), 422, "request.invalid")
+    problem(face.get("/faults/7"), 404, "refused.no_such_fault")
+
+
+def test_without_permission_everything_can_be_read_and_nothing_broken_or_mended(plant: Plant) -> None:
+    planned = plant.inject(FAULTS["supply_lost"]())  # type: ignore[arg-type]
+    face = Client(create_app(plant, Scene(scene_config()), False))
+    assert face.get("/faults").json()["allowed"] is False
+    assert face.get(f"/faults/{planned.number}").status_code == 200
+    assert len(face.get("/faults/kinds").json()) == len(FAULTS)
+    for method, path in (("POST", "/faults"), ("DELETE", "/faults"), ("DELETE", "/faults/1")):
+        response = face.request(method, path, json={"fault": {"kind": "payload_drop"}})
+        assert "--allow-faults" in problem(response, 403, "refused.faults_not_allowed")
+    assert plant.truth().faults == ("supply_lost",)
+
+
+def test_breaking_down_inside_tells_nothing_of_the_inside(plant: Plant, face: Client) -> None:
+    plant.faults = None  # type: ignore[assignment]
+    assert problem(face.get("/faults"), 500, "internal") == "an internal error; see the log"
+
+
+_VALUES = (
+    st.none() | st.booleans() | st.integers(-2000, 2000) | st.floats() | st.sampled_from(JOINTS) | st.text()
+)
+_PARAMETERS = sorted({name for model in FAULTS.values() for name in model.model_fields} - {"kind"})
+_FAULTS = st.builds(
+    lambda kind, more: {"kind": kind} | more,
+    st.sampled_from(sorted(FAULTS)),
+    st.dictionaries(st.sampled_from(_PARAMETERS), _VALUES, max_size=3),
+)
+_JSON = st.recursive(_VALUES, lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner), max_leaves=8)
+_TIMES = st.dictionaries(st.sampled_from(["start_after_s", "duration_s", "when"]), _VALUES, max_size=2)
+
+
+@settings(max_examples=50, deadline=None)
+@given(body=st.builds(lambda fault, times: {"fault": fault} | times, _FAULTS | _JSON, _TIMES) | _JSON)
+def test_whatever_is_sent_is_obeyed_or_refused_with_a_cause(whole: tuple[Client, Plant], body: Any) -> None:
+    face, plant = whole
+    before = plant.faults.all()
+    response = face.post("/faults", content=json.dumps(body).encode())
+    assert response.status_code in (201, 409, 422)
+    if response.status_code == 201:
+        face.delete(response.headers["location"])
+    else:
+        assert problem(response, response.status_code, response.json()["cause"])
+    assert plant.faults.all() == before

@@ -1,0 +1,77 @@
+"""docs/recording.md says what the code does: channels, fields and their shapes."""
+
+import contextlib
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from plant_emulator.core.faults.kinds import SupplyLost
+from plant_emulator.core.plant import Plant
+from plant_emulator.core.truth import PlantTruth
+from plant_emulator.shell.recording import CAPTURE, EVENT, FAULT, TRUTH, TruthRecorder
+from tests.plant_emulator.plant_world import Driver, plant_config
+from tests.support.pages import page, rows
+
+PAGE = page("recording.md")
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """A short recording of a plant that loses its supply."""
+    plant = Plant(plant_config(), seed=1)
+    plant.inject(SupplyLost(), start_ns=20_000_000)
+    recorder = TruthRecorder(tmp_path / "truth.mcap", {"plant": {}, "scene": {}, "plant_service": {}})
+    driver = Driver(plant)
+    for number in range(4):
+        driver.run(0.01)
+        recorder.truth(plant.truth(), plant.time_ns)
+        recorder.capture(plant.truth(), plant.time_ns, number)
+    recorder.event({"event": "status", "status": 1}, plant.time_ns, plant.time_ns)
+    for change in plant.faults.changes:
+        recorder.fault(change, plant.time_ns)
+    recorder.close()
+    return tmp_path / "truth.mcap"
+
+
+def test_every_field_of_the_truth_is_there_with_its_shape() -> None:
+    table = rows(PAGE, "field | shape")
+    assert tuple(table) == PlantTruth._fields
+    truth = Plant(plant_config(), seed=1).truth()
+    for name, (shape, *_) in table.items():
+        value = getattr(truth, name)
+        if name == "faults":
+            assert shape == "any"
+        else:
+            assert shape == ("×".join(map(str, np.shape(value))) or "–"), name
+
+
+def test_every_channel_is_there_with_its_schema(recording: Path) -> None:
+    table = rows(PAGE, "channel")
+    assert set(table) == {TRUTH, CAPTURE, FAULT, EVENT}
+    with recording.open("rb") as stream:
+        reader = make_reader(stream)
+        found = {channel.topic: schema.name for schema, channel, _ in reader.iter_messages() if schema}
+        metadata = {record.name: set(record.metadata) for record in reader.iter_metadata()}
+    assert found == {topic: cells[0].strip("`") for topic, cells in table.items()}
+    assert metadata == {"run": {"configuration"}}
+
+
+def test_every_field_of_a_fault_is_there() -> None:
+    plant = Plant(plant_config(), seed=1)
+    plant.inject(SupplyLost())
+    assert set(rows(PAGE, "field | unit")) == set(plant.faults.changes[0].as_dict())
+
+
+def test_the_ten_lines_run(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = PAGE.partition("```python\n")[2].partition("```")[0]
+    assert len([line for line in code.splitlines() if line]) == 9
+    monkeypatch.chdir(recording.parent)
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        exec(code, {})
+    assert "8 truths" in said.getvalue()
+    assert "supply_lost {'kind': 'supply_lost'} 20000000 None" in said.getvalue()
+    assert said.getvalue().endswith("complete\n")

@@ -1,0 +1,16 @@
+"""The written pages, table by table."""
+
+from tests.support.paths import DOCS
+
+
+def page(name: str) -> str:
+    """The text of docs/``name``."""
+    return (DOCS / name).read_text(encoding="utf-8")
+
+
+def rows(text: str, first_columns: str) -> dict[str, list[str]]:
+    """The table whose heading begins so: each row's first cell, bare, with its other cells."""
+    _, _, after = text.partition(f"| {first_columns} |")
+    table = after[after.index("\n") :].lstrip("\n").split("\n\n")[0].splitlines()[1:]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
+    return {row[0].strip("`"): row[1:] for row in cells}

@@ -1,0 +1,49 @@
+"""`longreach odometry` on a short recording: a trajectory that fits the truth, and refusals that name the
+directory.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from foundation.configuration import load
+from protocol.errors import ConfigurationError
+from testbed.cli.main import app
+from tests.vision_pc.odometry.test_odometry import pair_at
+from tests.vision_pc.rendering import wall_texture
+from tests.vision_pc.shell.test_sequence import YAML, written
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core import se3
+from vision_pc.core.perception import intrinsics
+
+
+@pytest.fixture
+def vision_config() -> VisionConfig:
+    return load(VisionConfig, Path("configs/vision.yaml"))
+
+
+def test_a_recording_becomes_a_trajectory(vision_config: VisionConfig, tmp_path: Path) -> None:
+    camera = intrinsics.calibration(vision_config.camera)
+    true = [se3.transform(np.eye(3), (0.04 * k, 0.01 * k, 0.0)) for k in range(3)]
+    texture = wall_texture(1, 22.0, 1000)
+    left, right = written(
+        tmp_path, [pair_at(camera, texture, X, seed=k) for k, X in enumerate(true)], ["0", "1", "2"]
+    )
+    (tmp_path / "calib.yaml").write_text(YAML)
+    path = tmp_path / "path.tum"
+    arguments = ["--left", left, "--right", right, "--calib", tmp_path / "calib.yaml", "--out", path]
+    result = CliRunner().invoke(app, ["odometry", *map(str, arguments)])
+    assert result.exit_code == 0, result.output
+    assert "3 pairs, none lost" in result.output
+    rows = np.loadtxt(path)
+    np.testing.assert_allclose(rows[:, 1:4], [X[:3, 3] for X in true], atol=0.2e-3)
+
+
+def test_a_directory_that_is_not_there_is_named(tmp_path: Path) -> None:
+    nowhere = str(tmp_path / "nowhere")
+    result = CliRunner().invoke(app, ["odometry", "--left", nowhere, "--right", nowhere, "--calib", nowhere])
+    assert isinstance(result.exception, ConfigurationError)
+    assert result.exception.cause == "configuration.bad_sequence"
+    assert "nowhere" in str(result.exception)

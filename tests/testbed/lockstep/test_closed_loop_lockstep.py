@@ -1,0 +1,75 @@
+"""Looking and moving on the whole emulator: oil, play and booms below, the eye model above."""
+
+import copy
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+import pytest
+
+from protocol.errors import MeasurementFailed
+from protocol.faults import GroupState
+from testbed.experiments.positioning.corrected_run import operate, true_error_mm
+from testbed.lockstep.rig import LockstepRig
+from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.simulated_measurements import ModelSight, load_eye_model
+from testbed.scenarios.settings import chosen_overrides, load_settings
+from tests.support.paths import CONFIGS
+from vision_pc.core.types import FrameObservation, StereoPair
+
+SEED = 3
+Observe = Callable[[StereoPair, FrameObservation | None], FrameObservation]
+
+
+@pytest.fixture(scope="module")
+def calibrated() -> LockstepRig:
+    settings = load_settings(CONFIGS, chosen_overrides(CONFIGS, "standard", SEED, []))
+    sight = partial(ModelSight, model=load_eye_model(CONFIGS), seed=SEED)
+    rig = LockstepRig(settings, SEED, RunLog(), sight)
+    rig.command("enable")
+    operate(rig, "look", {"frames": 3})
+    operate(rig, "local-track", {})
+    return rig
+
+
+@pytest.mark.experiment
+@pytest.mark.timeout(600)
+def test_it_settles_under_2_mm_and_the_arm_rests_there(calibrated: LockstepRig) -> None:
+    rig = copy.deepcopy(calibrated)
+    before_mm = float(np.linalg.norm(true_error_mm(rig)))
+    result = operate(rig, "looking-and-moving", {})
+    assert before_mm > 300.0
+    assert np.abs(true_error_mm(rig)[:2]).max() < 2.0
+    assert rig.link.state.group_state is GroupState.STANDBY
+    assert result["missed"] <= 3, "of some hundred pictures, as the eye model misses markers now and then"
+    assert result["look"]["verdict"] == "inside"
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("trouble", ["view_lost", "camera_frozen"])
+def test_without_fresh_sight_it_stops_on_its_way(calibrated: LockstepRig, trouble: str) -> None:
+    rig = copy.deepcopy(calibrated)
+    sight = rig._eyes._sight
+    measured: Observe = sight.observe
+    seen: list[FrameObservation] = []
+
+    def troubled(pair: StereoPair, previous: FrameObservation | None) -> FrameObservation:
+        seen.append(measured(pair, previous))
+        if len(seen) < 30:
+            return seen[-1]
+        if trouble == "camera_frozen":
+            return seen[29]._replace(capture_ns=pair.capture_ns, frame_id=pair.frame_id)
+        return seen[-1]._replace(X_CO=None, cov_CO=None, bias_CO=None)
+
+    sight.observe = troubled  # type: ignore[method-assign]
+    with pytest.raises(MeasurementFailed) as failed:
+        operate(rig, "looking-and-moving", {})
+    assert failed.value.cause == f"measurement.{trouble}"
+    for _ in range(1200):  # 6 s: booms and slew ring on
+        rig.world.step()
+    assert rig.link.state.group_state is GroupState.STANDBY
+    stood = rig.world.plant.truth().X_WT[:3, 3]
+    for _ in range(100):
+        rig.world.step()
+    assert np.linalg.norm(rig.world.plant.truth().X_WT[:3, 3] - stood) < 1e-3
+    assert np.linalg.norm(true_error_mm(rig)) > 50.0, "it must have stopped short of the object"

@@ -1,0 +1,127 @@
+"""Faults of the plant planned in simulated time: what controller and camera get, the same in every rerun."""
+
+import numpy as np
+import pytest
+
+from plant_emulator.core.faults.kinds import CameraFrozen, CouplerSilent, Fault, FramesDropped, ValveSlow
+from protocol.faults import CommandCode, FaultCode, GroupState
+from protocol.process_image import STATUS_WATCHDOG_TRIPPED
+from protocol.reference_messages import Command, ReferencePose
+from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.world import Frame, World
+from testbed.scenarios.settings import chosen_overrides, load_settings
+from tests.support.paths import CONFIGS
+
+MS = 1_000_000
+
+
+def world_of(seed: int, *assignments: str) -> World:
+    """A world that has connected."""
+    settings = load_settings(CONFIGS, chosen_overrides(CONFIGS, "standard", seed, list(assignments)))
+    world = World(settings, seed, RunLog())
+    while not world.connected:
+        world.step()
+    return world
+
+
+def until(world: World, time_ns: int) -> None:
+    """Step the world until it has reached ``time_ns``."""
+    while world.time_ns < time_ns:
+        world.step()
+
+
+def moving(seed: int) -> World:
+    """A world whose arm is on its way, 500 ms after its start."""
+    world = world_of(seed)
+    world.submit(Command(0, CommandCode.ENABLE))
+    until(world, 200 * MS)
+    here = world.states[-1].X_BT
+    x, y, z = here.p_m
+    world.submit(ReferencePose(0, here._replace(p_m=(x, y + 0.5, z - 0.2)), 0.0))
+    until(world, 500 * MS)
+    assert world.states[-1].group_state is GroupState.MOVING
+    return world
+
+
+def test_a_silent_coupler_faults_the_controller_and_the_plants_own_watchdog_shuts_the_valves() -> None:
+    world = moving(1)
+    assert np.abs(world.plant.truth().valves).max() > 0.0
+    world.plant.inject(CouplerSilent(), start_ns=600 * MS, duration_ns=500 * MS)
+    until(world, 595 * MS)
+    assert world.states[-1].fault is FaultCode.NONE
+    shut_ns = 0
+    while world.time_ns < 1_000 * MS:
+        world.step()
+        if shut_ns == 0 and not world.plant.truth().valves.any():
+            shut_ns = world.time_ns
+    assert 600 * MS < shut_ns <= (600 + 100 + 5 + 5) * MS  # silence, watchdog, drive's delay, one cycle
+    assert world.states[-1].fault is FaultCode.PLANT_LINK_LOST
+    assert world.states[-1].group_state is GroupState.ERROR_STOP
+    assert world.plant.read().status & STATUS_WATCHDOG_TRIPPED
+    resting = world.plant.truth().X_WT[:3, 3]
+    until(world, 2_000 * MS)  # it speaks again: nothing moves by itself
+    assert world.states[-1].group_state is GroupState.ERROR_STOP
+    assert np.linalg.norm(world.plant.truth().X_WT[:3, 3] - resting) < 5e-3
+
+
+@pytest.mark.parametrize(("stamps", "ages"), [("advance", False), ("hold", True)])
+def test_a_frozen_camera_repeats_the_picture_of_before(stamps: str, ages: bool) -> None:
+    world = moving(1)
+    frames: list[Frame] = []
+    world.plant.inject(CameraFrozen.model_validate({"stamps": stamps}), start_ns=750 * MS)
+    until(world, 650 * MS)
+    world.on_frame = frames.append
+    until(world, 950 * MS)
+    assert len(frames) == 3  # 700, and 800 and 900 frozen
+    for left, right in (frame[1:] for frame in frames[1:]):
+        assert np.array_equal(left, frames[0].left)
+        assert np.array_equal(right, frames[0].right)
+    stamped = [frame.header.capture_ns for frame in frames]
+    assert stamped == ([700 * MS] * 3 if ages else [700 * MS, 800 * MS, 900 * MS])
+
+
+def test_a_camera_that_froze_unwatched_shows_what_it_saw_last() -> None:
+    frozen, healthy = moving(1), moving(1)
+    frozen.plant.inject(CameraFrozen(), start_ns=620 * MS)
+    frames: list[Frame] = []
+    until(healthy, 550 * MS)
+    healthy.on_frame = frames.append
+    until(healthy, 600 * MS)
+    until(frozen, 850 * MS)
+    frozen.on_frame = frames.append
+    until(frozen, 900 * MS)
+    assert [frame.header.frame_id for frame in frames] == [6, 9]
+    assert np.array_equal(frames[0].left, frames[1].left)
+
+
+def test_planned_faults_rerun_to_the_last_bit() -> None:
+    faults: list[Fault] = [ValveSlow(joint="lift", bandwidth_share=0.2), FramesDropped(share=0.5)]
+    seen = []
+    for planned in (faults, faults, []):
+        world = moving(2)
+        frames: list[int] = []
+        world.on_exposure = lambda frame_id, _truth, frames=frames: frames.append(frame_id)  # type: ignore[misc]
+        for fault in planned:
+            world.plant.inject(fault, start_ns=613 * MS, duration_ns=401 * MS)
+        until(world, 1_500 * MS)
+        seen.append(
+            (world.log.digest(), world.plant.truth().q.tolist(), world.plant.truth().pressures.tolist())
+        )
+        changes = [(c.phase, c.time_ns) for c in world.plant.faults.changes]
+        assert changes == [
+            (phase, at) for phase, at in (("planned", 500 * MS), ("began", 613 * MS), ("ended", 1014 * MS))
+            for _ in planned
+        ]  # fmt: skip
+        told = [(e["phase"], e["name"]) for e in world.log.events if e["event"] == "fault"]
+        assert told == [(c.phase, c.injection.fault.name) for c in world.plant.faults.changes]
+    assert seen[0] == seen[1]
+    assert seen[0][1] != seen[2][1]
+
+
+def test_dropped_frames_never_arrive() -> None:
+    world = moving(1)
+    frames: list[Frame] = []
+    world.on_frame = frames.append
+    world.plant.inject(FramesDropped(), start_ns=650 * MS, duration_ns=300 * MS)
+    until(world, 1_000 * MS)
+    assert [frame.header.frame_id for frame in frames] == [6, 10]

@@ -1,0 +1,260 @@
+"""The written protocol against the code: its tables, its causes, its PLC types, and its order of checks."""
+
+import hmac
+import itertools
+import json
+import re
+import struct
+import zlib
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from protocol.datagram import decode, encode
+from protocol.datagram_layout import (
+    HEADER_BYTES,
+    MAX_DATAGRAM_BYTES,
+    PAYLOADS,
+    TRAILER,
+    TRAILER_BYTES,
+    Kind,
+    offsets,
+    size_of,
+)
+from protocol.errors import DatagramRefused
+from protocol.pose import Pose
+from protocol.process_image import INPUT_ADDRESS, INPUT_TABLE, OUTPUT_ADDRESS, OUTPUT_TABLE
+from protocol.reference_messages import Hello
+from testbed.pages.protocol_page import GOLDEN, IEC_NAMES, PAGE, ROOT, SECTIONS, rendered
+from testbed.pages.sample_messages import HEADER, MESSAGES
+from tests.protocol.test_datagram import resealed
+
+TEXT = PAGE.read_text()
+STRUCT_CODES = {"USINT": "B", "BYTE": "B", "UINT": "H", "UDINT": "I", "ULINT": "Q", "LREAL": "d"}
+IEC_BYTES = {"USINT": 1, "BYTE": 1, "UINT": 2, "INT": 2, "UDINT": 4, "DINT": 4, "ULINT": 8, "LREAL": 8}
+
+
+def test_the_tables_are_those_of_the_code() -> None:
+    assert rendered(TEXT) == TEXT, "run: python -m testbed.pages.protocol_page"
+    assert set(re.findall(r"<!-- generated: ([a-z ]+) -->", TEXT)) == set(SECTIONS)
+
+
+def test_clauses_are_numbered_in_order_and_those_cited_exist() -> None:
+    clauses = [tuple(map(int, c.split("."))) for c in re.findall(r"^\*\*(\d+\.\d+)\*\*", TEXT, re.MULTILINE)]
+    for (major, minor), (next_major, next_minor) in itertools.pairwise(clauses):
+        assert (next_major, next_minor) in ((major, minor + 1), (major + 1, 1))
+    cited = re.findall(r"\((?:see )?(\d+\.\d+)\)|in (\d+\.\d+)", TEXT)
+    assert {tuple(map(int, (a or b).split("."))) for a, b in cited} <= set(clauses)
+
+
+def test_every_cause_of_a_drop_is_written_down_and_no_other() -> None:
+    source = "".join(path.read_text() for path in (ROOT / "protocol").glob("*.py"))
+    pattern = r"[\"`]((?:datagram|authentication|session|sequence|clock)\.[a-z_]+)[\"`]"
+    used = set(re.findall(pattern, source)) - {"datagram.", "sequence.new"}
+    assert set(re.findall(pattern, TEXT)) == used
+    images = set(re.findall(r"[\"`](image\.[a-z_]+)[\"`]", source))
+    assert set(re.findall(r"`(image\.[a-z_]+)`", TEXT)) == images
+
+
+def rows_after(heading: str) -> list[list[str]]:
+    """Cells of the first table behind ``heading`` in the page."""
+    lines = TEXT[TEXT.index(heading) :].splitlines()
+    begin = next(i for i, line in enumerate(lines) if line.startswith("| ---"))
+    table = itertools.takewhile(lambda line: line.startswith("|"), lines[begin + 1 :])
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
+
+
+def read_by_the_page(heading: str, data: bytes, base: int) -> dict[str, Any]:
+    """Fields of ``data`` by offset and type of the page alone."""
+    fields: dict[str, Any] = {}
+    for offset, name, kind, *_ in rows_after(heading):
+        match = re.fullmatch(r"(\w+)(?:\[(\d+)\])?", kind)
+        assert match is not None
+        count = int(match[2] or 1)
+        values = struct.unpack_from(f"<{count}{STRUCT_CODES[match[1]]}", data, base + int(offset))
+        fields[name] = values[0] if count == 1 else values
+    return fields
+
+
+def flat(value: Any) -> Any:
+    """A message's field as the page's table lists it."""
+    if isinstance(value, Pose):
+        return (*value.p_m, *value.q_wxyz)
+    return value
+
+
+@pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
+def test_a_reader_with_the_page_alone_reads_every_datagram(message: Any) -> None:
+    name = type(message).__name__
+    data = bytes.fromhex(json.loads(GOLDEN.read_text())[name])
+    head = read_by_the_page("**3.1**", data, 0)
+    assert bytes(head["magic"]) == b"LRLK"
+    assert {key: head[key] for key in HEADER._asdict()} == HEADER._asdict()
+    assert head["payload_bytes"] == len(data) - HEADER_BYTES
+    kind = Kind(head["kind"])
+    assert kind.name.replace("_", "") == name.upper()
+    fields = read_by_the_page(f"**{kind.name}** (kind {kind.value})", data, HEADER_BYTES)
+    for key, value in message._asdict().items():
+        if key == "waypoints":
+            numbers = [number for pose in value for number in flat(pose)]
+            assert fields["waypoint_count"] == len(value)
+            assert list(fields[key]) == numbers + [0.0] * (168 - len(numbers))
+        else:
+            assert fields[key] == flat(value)
+    assert data.hex() in re.sub(r"\s", "", TEXT)
+
+
+def derived(secret: bytes, label: str, *numbers: int) -> bytes:
+    """KDF of clause 11.6, from its words."""
+    context = b"".join(number.to_bytes(8, "little") for number in numbers)
+    text = b"\x00\x00\x00\x01" + label.encode() + b"\x00" + context + b"\x00\x00\x01\x00"
+    return hmac.new(secret, text, "sha256").digest()
+
+
+def test_a_reader_with_the_page_alone_verifies_every_signed_datagram() -> None:
+    labels = {row[0]: row[1].strip("`") for row in rows_after("<!-- generated: keys -->")}
+    secret = bytes(range(32))
+    numbers = (0x0102030405060708, 0x1122334455667788, 0xB1B2B3B4B5B6B7B8)
+    keys = {"Hello": derived(secret, labels["K_hello"])}
+    keys["Welcome"] = derived(secret, labels["K_controller"], *numbers)
+    of_client = derived(secret, labels["K_client"], *numbers)
+    listing = TEXT[TEXT.index("<!-- generated: signed golden -->") :].split("```")[1]
+    names = re.findall(r"^([A-Z]\w+)$", listing, re.MULTILINE)
+    assert {"Hello", "Welcome", "ReferencePose", "Bye"} <= set(names)
+    for name, body in zip(names, re.split(r"^[A-Z]\w+$", listing, flags=re.MULTILINE)[1:], strict=True):
+        data = bytes.fromhex("".join(body.split()))
+        end = HEADER_BYTES + struct.unpack_from("<H", data, 10)[0]
+        trailer = read_by_the_page("<!-- generated: trailer -->", data, end)
+        assert len(data) == end + TRAILER_BYTES
+        assert data[9] == 1
+        assert trailer["sequence_high"] == 7
+        assert trailer["key_id"] == int.from_bytes(derived(secret, "LRLK 1 key id")[:4], "little")
+        tag = hmac.new(keys.get(name, of_client), data[:12] + data[16:-16], "sha256").digest()[:16]
+        assert bytes(trailer["tag"]) == tag, name
+        assert zlib.crc32(data[16:], zlib.crc32(data[:12])) == struct.unpack_from("<I", data, 12)[0]
+
+
+def structures() -> dict[str, list[tuple[str, int, str]]]:
+    """Members (name, count, type) of every structure in the page's IEC 61131-3 text."""
+    found: dict[str, list[tuple[str, int, str]]] = {}
+    for name, body in re.findall(r"TYPE\n(\w+) : STRUCT[^\n]*\n(.*?)END_STRUCT\nEND_TYPE", TEXT, re.DOTALL):
+        members = []
+        for line in body.strip().splitlines():
+            match = re.fullmatch(r"\s*(\w+) : (?:ARRAY\[0\.\.(\d+)\] OF )?(\w+);", line)
+            assert match is not None, line
+            members.append((match[1], int(match[2] or 0) + 1, match[3]))
+        found[name] = members
+    return found
+
+
+def laid_out(name: str, pack: int) -> tuple[dict[str, int], int, int]:
+    """Offset of every member of a structure, its size and its alignment, as a PLC compiler lays it out."""
+    at, widest, places = 0, 1, {}
+    for member, count, kind in structures()[name]:
+        if kind in IEC_BYTES:
+            size = alignment = IEC_BYTES[kind]
+        else:
+            _, size, alignment = laid_out(kind, pack)
+        alignment = min(alignment, pack)
+        at += -at % alignment
+        places[member] = at
+        at += size * count
+        widest = max(widest, alignment)
+    return places, at + -at % widest, widest
+
+
+@pytest.mark.parametrize("pack", [1, 2, 4, 8])
+@pytest.mark.parametrize("kind", Kind, ids=lambda kind: kind.name)
+def test_the_plc_types_lie_as_the_codec_does(kind: Kind, pack: int) -> None:
+    name = "ST_LR_" + "".join(word.capitalize() for word in kind.name.split("_"))
+    places, size, _ = laid_out(name, pack)
+    fields = PAYLOADS[kind]
+    assert size == HEADER_BYTES + size_of(fields)
+    assert places.pop("header") == 0
+    assert places == {
+        IEC_NAMES.get(field.name, field.name): HEADER_BYTES + offset
+        for field, offset in zip(fields, offsets(fields), strict=True)
+    }
+    assert laid_out("ST_LR_Header", pack)[1] == HEADER_BYTES
+    trailer, size, _ = laid_out("ST_LR_Trailer", pack)
+    assert size == TRAILER_BYTES
+    assert trailer == {f.name: at for f, at in zip(TRAILER, offsets(TRAILER), strict=True)}
+    assert laid_out("ST_LR_Pose", pack)[1] == 56
+
+
+@pytest.mark.parametrize("pack", [1, 8])
+@pytest.mark.parametrize(
+    ("name", "table", "start"),
+    [("ST_LR_Inputs", INPUT_TABLE, INPUT_ADDRESS), ("ST_LR_Outputs", OUTPUT_TABLE, OUTPUT_ADDRESS)],
+)
+def test_the_plc_images_lie_as_the_registers_do(name: str, table: Any, start: int, pack: int) -> None:
+    places, size, _ = laid_out(name, pack)
+    assert places == {row.name: 2 * (row.address - start) for row in table}
+    assert size == 2 * sum(row.words for row in table)
+
+
+def test_no_member_of_a_plc_type_is_a_word_of_the_language() -> None:
+    words = {
+        "limit",
+        "mod",
+        "type",
+        "array",
+        "time",
+        "date",
+        "max",
+        "min",
+        "sel",
+        "mux",
+        "len",
+        "left",
+        "right",
+        "ton",
+    }
+    for members in structures().values():
+        names = [name.lower() for name, _, _ in members]
+        assert not words & set(names)
+        assert len(set(names)) == len(names)
+
+
+RAW_FAULTS: list[tuple[str, Callable[[bytearray], None]]] = [
+    ("datagram.bad_magic", lambda d: d.__setitem__(0, 0)),
+    ("datagram.wrong_major", lambda d: d.__setitem__(4, 2)),
+    ("datagram.bad_length", lambda d: d.__setitem__(10, 33)),
+    ("datagram.bad_crc", lambda d: d.__setitem__(12, d[12] ^ 1)),
+    ("datagram.unknown_critical_flag", lambda d: d.__setitem__(9, 2)),
+    ("datagram.unknown_kind", lambda d: d.__setitem__(6, 200)),
+    ("datagram.wrong_payload_length", lambda d: d.__setitem__(6, 2)),
+    ("datagram.bad_value", lambda d: d.__setitem__(slice(40, 48), bytes(8))),
+]
+
+
+def test_the_first_check_that_fails_names_the_cause_in_the_order_of_the_page() -> None:
+    written = [row[1].strip("`") for row in rows_after("**3.5**")]
+    order = [cause for cause, _ in RAW_FAULTS]
+    assert [cause for cause in written if cause in order] == order
+    for (first, spoil_first), (second, spoil_second) in itertools.combinations(RAW_FAULTS, 2):
+        if {first, second} == {"datagram.unknown_kind", "datagram.wrong_payload_length"}:
+            continue  # both are written in the same byte
+        data = bytearray(encode(Hello(1, 2, 3, 4), HEADER))
+        spoil_second(data)
+        if "datagram.bad_crc" not in (first, second):
+            data = bytearray(resealed(bytes(data)))
+        spoil_first(data)
+        if order.index(first) > order.index("datagram.bad_crc"):
+            data = bytearray(resealed(bytes(data)))
+        with pytest.raises(DatagramRefused) as caught:
+            decode(bytes(data))
+        assert caught.value.cause == first, (first, second)
+
+
+def test_size_is_checked_before_anything_else() -> None:
+    assert written_causes()[:2] == ["datagram.too_short", "datagram.too_long"]
+    for size, cause in [(39, "datagram.too_short"), (MAX_DATAGRAM_BYTES + 1, "datagram.too_long")]:
+        with pytest.raises(DatagramRefused) as caught:
+            decode(bytes(size))
+        assert caught.value.cause == cause
+
+
+def written_causes() -> list[str]:
+    return [row[1].strip("`") for row in rows_after("**3.5**")]

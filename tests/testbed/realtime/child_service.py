@@ -1,0 +1,34 @@
+"""A process that behaves as a service, or not: ``python -m tests.testbed.realtime.child_service HOW``."""
+
+import json
+import signal
+import sys
+import threading
+from types import FrameType
+
+
+def main(how: str) -> int:
+    ended = threading.Event()
+
+    def on_term(_signal: int, _frame: FrameType | None) -> None:
+        if how != "stubborn":
+            ended.set()
+
+    signal.signal(signal.SIGTERM, on_term)
+    if how == "refuses":
+        print("configuration.unknown_key: plant.yaml: colour: extra inputs", file=sys.stderr)
+        return 2
+    if how == "silent":
+        ended.wait()
+        return 0
+    print("a line that is not JSON")
+    print(json.dumps({"event": "ready", "port": 1234}), flush=True)
+    if how == "dies":
+        print("oil.lost: the pump ran dry", file=sys.stderr)
+        return 3
+    ended.wait()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))

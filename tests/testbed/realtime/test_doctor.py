@@ -1,0 +1,52 @@
+"""The doctor finds what is there and names what is wrong."""
+
+import socket
+from pathlib import Path
+
+from foundation.configuration import read_yaml
+from testbed.realtime import doctor
+from tests.support.paths import ROOT
+
+
+def test_this_machine_is_examined_without_a_failure(tmp_path: Path) -> None:
+    checks = {
+        check.name: check for check in doctor.machine_checks(ROOT / "requirements.lock", tmp_path / "runs")
+    }
+    assert [name for name, check in checks.items() if check.verdict == "failed"] == []
+    assert "as locked" in checks["packages"].found
+    assert "p50/p99" in checks["timer"].found
+
+
+def test_a_package_of_another_version_is_named(tmp_path: Path) -> None:
+    lock = tmp_path / "requirements.lock"
+    lock.write_text("numpy==0.0.1 \\\n    --hash=sha256:00\nno-such-package==1.0 \\\n    --hash=sha256:00\n")
+    check = doctor.versions_check(lock)
+    assert check.verdict == "failed"
+    assert "instead of 0.0.1" in check.found
+    assert "no-such-package missing" in check.found
+
+
+def test_a_missing_lock_is_a_warning(tmp_path: Path) -> None:
+    assert doctor.versions_check(tmp_path / "requirements.lock").verdict == "warning"
+
+
+def test_a_taken_port_is_named_with_its_kind() -> None:
+    for kind, word in ((socket.SOCK_STREAM, "tcp"), (socket.SOCK_DGRAM, "udp")):
+        with socket.socket(socket.AF_INET, kind) as holder:
+            holder.bind(("127.0.0.1", 0))
+            if kind == socket.SOCK_STREAM:
+                holder.listen()
+            port = holder.getsockname()[1]
+            taken = doctor.port_check("rest", "127.0.0.1", port, kind)
+            assert taken.verdict == "failed"
+            assert f"127.0.0.1:{port}/{word}: Address already in use" in taken.found
+        assert doctor.port_check("rest", "127.0.0.1", port, kind).verdict == "ok"
+
+
+def test_a_wrong_configuration_file_is_quoted(tmp_path: Path) -> None:
+    path = tmp_path / "plant.yaml"
+    path.write_text("a: [1\n")
+    check = doctor.configuration_check("plant", lambda: read_yaml(path))
+    assert check.verdict == "failed"
+    assert "plant.yaml" in check.found
+    assert "\n" not in check.found

@@ -1,0 +1,40 @@
+"""Each family of the validation product, as a test; and the product's own arithmetic."""
+
+import pytest
+
+from testbed.validation.case import Case
+from testbed.validation.plant import FAMILIES
+from tests.support.paths import CONFIGS
+
+LEAST_CASES = {1: 8, 2: 4, 3: 2, 4: 2, 5: 1, 6: 4, 7: 4, 8: 6, 9: 2, 10: 3, 11: 5, 12: 4, 13: 8, 14: 3, 15: 2,
+               16: 3, 17: 1, 18: 3, 19: 4, 20: 4}  # fmt: skip
+
+
+@pytest.mark.parametrize("number", FAMILIES)
+def test_family_is_inside_its_tolerances(number: int) -> None:
+    _, family = FAMILIES[number]
+    cases = family(CONFIGS)
+    failed = [
+        f"{case.name}: expected {case.expected}, got {case.obtained}" for case in cases if not case.passed
+    ]
+    assert not failed
+    assert len(cases) >= LEAST_CASES[number]
+    assert all(case.family == number for case in cases)
+
+
+def test_a_case_passes_only_inside_its_tolerance() -> None:
+    case = Case(1, "x", "m", 1.0, 1.009, 0.01, "made up")
+    assert case.passed
+    assert not case._replace(obtained=1.011).passed
+    assert not case._replace(obtained=0.989).passed
+    assert not case._replace(obtained=float("nan")).passed
+
+
+def test_bounds_are_one_sided() -> None:
+    most = Case(1, "x", "m", 1.0, 0.2, 0.0, "made up", "at_most")
+    assert most.passed
+    assert not most._replace(obtained=1.1).passed
+    assert not most._replace(obtained=float("nan")).passed
+    least = most._replace(relation="at_least")
+    assert not least.passed
+    assert least._replace(obtained=1.0).passed

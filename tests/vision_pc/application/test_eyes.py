@@ -1,0 +1,246 @@
+"""Eyes on a camera: fresh pairs only, at rest only, in a thread of their own; failures by name."""
+
+import asyncio
+import io
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+
+from foundation.configuration import load
+from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
+from protocol.faults import CommandCode, GroupState
+from tests.vision_pc.conftest import VISION_YAML
+from tests.vision_pc.rendering import Marker, draw_marker, draw_wall, facing, finish, wall_texture
+from tests.vision_pc.shell.loopback_controller import LoopbackController, until
+from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward
+from vision_pc.application.eyes import CameraEyes
+from vision_pc.config.vision import LinkSettings, VisionConfig
+from vision_pc.core.perception.intrinsics import calibration
+from vision_pc.core.se3 import transform
+from vision_pc.core.types import StereoPair
+from vision_pc.shell.cameras import CameraSource
+from vision_pc.shell.event_log import EventLog
+from vision_pc.shell.link.controller_link import ControllerLink
+
+X_CM = facing(0.15, 0.05, 0.5)
+X_CO = facing(-0.1, -0.05, 1.0)
+PERIOD_S = 0.05
+
+
+def object_markers(X_CO: np.ndarray) -> tuple[Marker, ...]:
+    places = ((1, -0.2, 0.0), (2, 0.2, 0.0), (3, 0.0, 0.2))
+    return tuple(Marker(i, 0.12, X_CO @ transform(np.eye(3), [x, y, 0.0])) for i, x, y in places)
+
+
+class PlayedCamera(CameraSource):
+    """Plays ``pairs`` round and round at 20 a second, stamped as they come, until ``silent`` is set."""
+
+    silent = False
+
+    def play(self, pairs: list[StereoPair]) -> None:
+        self.pairs_to_play = pairs
+
+    def _produce(self) -> None:
+        self._is_there()
+        count = 0
+        while not self._stop.wait(PERIOD_S):
+            if not self.silent:
+                pair = self.pairs_to_play[count % len(self.pairs_to_play)]
+                self._deliver(pair._replace(capture_ns=time.monotonic_ns(), frame_id=count))
+            count += 1
+
+
+class Pictures(NamedTuple):
+    """Pairs at rest with and without the object, and a camera that moves 10 mm a picture along the wall."""
+
+    both: list[StereoPair]
+    alone: list[StereoPair]
+    moving: list[StereoPair]
+
+
+@pytest.fixture(scope="module")
+def pictures() -> Pictures:
+    """Noise is drawn anew in each pair."""
+    camera = calibration(load(VisionConfig, VISION_YAML).camera)
+    generator = np.random.default_rng(5)
+    texture = wall_texture(1, 30.0, 1500)
+    tool = Marker(0, 0.1, X_CM)
+
+    def render(markers: tuple[Marker, ...], moved: float = 0.0) -> StereoPair:
+        X_CW = transform(np.diag([1.0, -1.0, -1.0]), [-moved, 0.0, 1.005])
+        eyes = []
+        for eye in (camera.left, camera.right):
+            picture = draw_wall(eye, (camera.height, camera.width), texture, 0.002, X_CW)
+            for marker in markers:
+                draw_marker(picture, eye, marker, samples=2)
+            eyes.append(finish(picture, generator))
+        return StereoPair(eyes[0], eyes[1], 0, 0)
+
+    return Pictures(
+        [render((*object_markers(X_CO), tool)) for _ in range(3)],
+        [render((tool,)) for _ in range(2)],
+        [render((), 0.01 * k) for k in range(6)],
+    )
+
+
+class Bench:
+    def __init__(self, camera: PlayedCamera, controller: LoopbackController, link: ControllerLink,
+                 eyes: CameraEyes) -> None:  # fmt: skip
+        self.camera, self.controller, self.link, self.eyes = camera, controller, link, eyes
+
+
+@pytest.fixture
+async def bench(config: VisionConfig, pictures: Pictures, tmp_path: Path) -> AsyncIterator[Bench]:
+    controller = LoopbackController(SyntheticRig(draw(np.random.default_rng(0)), 0, rate_hz=100.0))
+    await controller.start()
+    log = EventLog(tmp_path, io.StringIO())
+    link = ControllerLink(LinkSettings(port=controller.port, state_period_ms=10), log)
+    await link.start()
+    played = PlayedCamera(config.camera.model_copy(update={"stale_ms": 400.0}))
+    played.play(pictures.both)
+    await played.start()
+    eyes = CameraEyes(played, link, config, log)
+    await until(lambda: link.connected and link.clock_offset and played.newest)
+    yield Bench(played, controller, link, eyes)
+    eyes.close()
+    await played.close()
+    await link.close()
+    await controller.stop()
+    log.close()
+
+
+async def test_a_look_measures_fresh_pairs_and_keeps_a_picture(bench: Bench, tmp_path: Path) -> None:
+    began_ns = time.monotonic_ns()
+    look = await bench.eyes.look(4)
+    assert look.time_ns > began_ns
+    assert np.allclose(look.X_CM[:3, 3], X_CM[:3, 3], atol=1e-3)
+    assert np.allclose(look.X_CO[:3, 3], X_CO[:3, 3], atol=3e-3)
+    assert np.allclose(look.X_BT, forward(Q_START), atol=1e-9)
+    assert (look.frames, look.failed_tool, look.failed_object) == (4, 0, 0)
+    await asyncio.to_thread(bench.eyes.close)
+    kept = cv2.imread(str(tmp_path / "look-0001.png"))
+    assert kept is not None
+    assert kept.shape == (720, 1280, 3)
+
+
+async def test_the_loop_stays_free_while_the_thread_looks(bench: Bench) -> None:
+    ticks = 0
+
+    async def tick() -> None:
+        nonlocal ticks
+        while True:
+            await asyncio.sleep(0.01)
+            ticks += 1
+
+    ticking = asyncio.create_task(tick())
+    began = time.monotonic()
+    await bench.eyes.look(6)
+    took_s = time.monotonic() - began
+    ticking.cancel()
+    assert ticks > 0.3 * took_s / 0.01
+    assert bench.link.state_age_ns < 200_000_000
+
+
+async def test_looks_are_refused_while_the_arm_moves(bench: Bench) -> None:
+    await bench.link.command(CommandCode.ENABLE)
+    bench.controller.group = GroupState.MOVING
+    bench.controller.motion = [(forward(Q_START), forward(Q_START), 10_000)]
+    await bench.link.next_state()
+    await bench.link.next_state()
+    with pytest.raises(RequestRefused) as refused:
+        await bench.eyes.look(2)
+    assert refused.value.cause == "refused.moving"
+
+
+async def test_what_is_not_there_is_not_seen(bench: Bench, pictures: Pictures) -> None:
+    bench.camera.play(pictures.alone)
+    await asyncio.sleep(2 * PERIOD_S)
+    with pytest.raises(MeasurementFailed) as failed:
+        await bench.eyes.look(3)
+    assert failed.value.cause == "measurement.object_not_seen"
+
+
+async def test_a_silent_camera_is_told_and_no_old_picture_is_used(bench: Bench) -> None:
+    bench.camera.silent = True
+    with pytest.raises(LinkLost) as lost:
+        await bench.eyes.look(3)
+    assert lost.value.cause == "link.camera_silent"
+    assert not bench.eyes.status().connected
+    bench.camera.silent = False
+    await until(lambda: bench.eyes.status().connected)
+    await bench.eyes.look(2)
+
+
+async def test_a_frozen_camera_is_told(bench: Bench, pictures: Pictures) -> None:
+    bench.camera.play(pictures.both[:1])
+    with pytest.raises(LinkLost) as lost:
+        await bench.eyes.look(60)
+    assert lost.value.cause == "link.camera_frozen"
+
+
+async def test_a_watch_begins_before_its_body_and_ends_after_it(bench: Bench) -> None:
+    async with bench.eyes.watch(markers=True, odometry=True) as watch:
+        assert len(watch.samples) == 1
+        await asyncio.sleep(0.4)
+        left_ns = time.monotonic_ns()
+    samples = watch.samples
+    assert samples[-1].time_ns >= left_ns
+    assert samples[-2].time_ns < left_ns
+    assert len(samples) >= 3
+    times = [sample.time_ns for sample in samples]
+    assert times == sorted(set(times))
+    for sample in samples:
+        assert sample.X_C0C is not None
+        assert np.allclose(sample.X_C0C, np.eye(4), atol=1e-3)
+        assert sample.X_CM is not None
+        assert np.allclose(sample.X_CM[:3, 3], X_CM[:3, 3], atol=2e-3)
+    health = watch.health
+    assert (health.frames, health.odometry_lost) == (len(samples), 0)
+
+
+async def test_a_moving_camera_is_followed_with_the_arms_pose_at_each_picture(
+    bench: Bench, pictures: Pictures
+) -> None:
+    bench.camera.play(pictures.moving)
+    await until(lambda: bench.camera.newest is not None and bench.camera.newest.frame_id % 6 == 5)
+    async with bench.eyes.watch(markers=False, odometry=True) as watch:
+        await asyncio.sleep(0.6)
+    places = np.array([s.X_C0C[:3, 3] for s in watch.samples if s.X_C0C is not None])
+    steps = np.round((places[:, 0] - places[0, 0]) / 0.01)
+    assert np.ptp(steps) >= 3
+    assert np.allclose(places[:, 0] - places[0, 0], 0.01 * steps, atol=5e-4)
+    assert all(np.allclose(s.X_BT, forward(Q_START), atol=1e-9) for s in watch.samples)
+
+
+async def test_an_error_in_the_body_ends_the_watch_at_once(bench: Bench) -> None:
+    async def watch() -> None:
+        async with bench.eyes.watch(markers=False, odometry=True):
+            raise RequestRefused("refused.stopped", "the motion was stopped")
+
+    with pytest.raises(RequestRefused):
+        await watch()
+    assert not [task for task in asyncio.all_tasks() if "_gather" in repr(task)]
+
+
+async def test_a_camera_lost_during_a_watch_fails_it(bench: Bench) -> None:
+    async def watch() -> None:
+        async with bench.eyes.watch(markers=False, odometry=True):
+            bench.camera.silent = True
+            await asyncio.sleep(0.6)
+
+    with pytest.raises(LinkLost) as lost:
+        await watch()
+    assert lost.value.cause == "link.camera_silent"
+
+
+async def test_the_picture_is_the_newest_one_with_its_detections(bench: Bench) -> None:
+    shown = cv2.imdecode(np.frombuffer(await bench.eyes.latest_png(), np.uint8), cv2.IMREAD_COLOR)
+    assert shown.shape == (720, 1280, 3)
+    centre = np.round(530.0 * X_CM[:2, 3] / X_CM[2, 3] + [639.5, 359.5]).astype(int)
+    around = shown[centre[1] - 60 : centre[1] + 60, centre[0] - 60 : centre[0] + 60].astype(int)
+    assert np.any(np.ptp(around, axis=2) > 60)  # coloured lines over a grey picture

@@ -1,0 +1,110 @@
+"""Keyframes and points adjusted together: the truth is found again, noise is spread as it should be, and a
+full map forgets what lies farthest behind.
+"""
+
+import numpy as np
+import pytest
+
+from tests.vision_pc.odometry.test_odometry import pair_at
+from tests.vision_pc.rendering import wall_texture
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core import se3
+from vision_pc.core.odometry import StereoOdometry, bundle_adjustment
+from vision_pc.core.odometry.bundle_adjustment import Depths, Problem, Views
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraCalibration
+
+POINTS, CAMERAS, FIXED = 120, 5, 1
+
+
+def true_poses() -> Array:
+    """X_CC0 of cameras that go forwards and turn."""
+    turns = [se3.exp_so3([0.01 * k, -0.03 * k, 0.02 * k]) for k in range(CAMERAS)]
+    return np.stack([se3.transform(R, (0.1 * k, 0.02 * k, -0.3 * k)) for k, R in enumerate(turns)])
+
+
+def problem(
+    camera: CameraCalibration, generator: np.random.Generator, noise_px: float
+) -> tuple[Problem, Array]:
+    """A problem at the truth, seen with ``noise_px``, and its points (m, 3)."""
+    points = generator.uniform((-2.0, -1.0, 4.0), (2.0, 1.0, 12.0), (POINTS, 3))
+    poses = true_poses()
+    k, m, eye = (index.ravel() for index in np.indices((CAMERAS, POINTS, 2)))
+    X_EC = np.stack([se3.inverse(e.X_CE) for e in (camera.left, camera.right)])
+    X = X_EC[eye] @ poses[k]
+    seen = np.einsum("nij,nj->ni", X[:, :3, :3], points[m]) + X[:, :3, 3]
+    rays = seen[:, :2] / seen[:, 2:] + generator.normal(0.0, noise_px / camera.left.K[0, 0], (len(k), 2))
+    depths = Depths(
+        np.zeros(POINTS, dtype=np.int64), np.arange(POINTS), 1.0 / points[:, 2], np.full(POINTS, 1e-3)
+    )
+    return Problem(poses, FIXED, points, Views(k, m, eye, rays), depths), points
+
+
+def disturbed(at: Problem, generator: np.random.Generator) -> Problem:
+    """``at`` with free poses and all points off by centimetres and tenths of degrees."""
+    poses = at.X_CC0.copy()
+    for k in range(FIXED, CAMERAS):
+        turn = se3.exp_so3(generator.normal(0.0, 5e-3, 3))
+        poses[k] = se3.transform(turn, generator.normal(0.0, 0.02, 3)) @ poses[k]
+    return at._replace(X_CC0=poses, points=at.points + generator.normal(0.0, 0.02, at.points.shape))
+
+
+def test_the_truth_is_found_again(camera: CameraCalibration, generator: np.random.Generator) -> None:
+    exact, points = problem(camera, generator, 0.0)
+    found = bundle_adjustment.adjusted(disturbed(exact, generator), (camera.left, camera.right), 0.1, 50.0)
+    np.testing.assert_allclose(found.X_CC0, exact.X_CC0, atol=1e-7)
+    np.testing.assert_allclose(found.points, points, atol=1e-6)
+    assert found.cost_after < 1e-6 < 1e3 < found.cost_before
+
+
+def test_cost_of_noise_is_its_degrees_of_freedom(
+    camera: CameraCalibration, generator: np.random.Generator
+) -> None:
+    noisy, _ = problem(camera, generator, 0.1)
+    found = bundle_adjustment.adjusted(disturbed(noisy, generator), (camera.left, camera.right), 0.1, 50.0)
+    free = 2 * len(noisy.views.eye) + POINTS - 3 * POINTS - 6 * (CAMERAS - FIXED)
+    exact_depths = POINTS  # drawn without noise: they add little
+    assert abs(found.cost_after - free) < exact_depths + 4.0 * np.sqrt(2.0 * free)
+    np.testing.assert_array_equal(found.X_CC0[:FIXED], noisy.X_CC0[:FIXED])
+
+
+def test_wild_views_do_not_bend_it(camera: CameraCalibration, generator: np.random.Generator) -> None:
+    exact, _ = problem(camera, generator, 0.02)
+    rays = exact.views.rays.copy()
+    rays[::23] += 0.03
+    wild = exact._replace(views=exact.views._replace(rays=rays))
+    found = bundle_adjustment.adjusted(wild, (camera.left, camera.right), 0.02, 0.06)
+    off = [np.linalg.norm((a @ se3.inverse(b))[:3, 3]) for a, b in zip(found.X_CC0, exact.X_CC0, strict=True)]
+    assert max(off) < 2e-3
+
+
+def test_nothing_changes_where_no_step_helps(
+    camera: CameraCalibration, generator: np.random.Generator
+) -> None:
+    exact, points = problem(camera, generator, 0.0)
+    found = bundle_adjustment.adjusted(exact, (camera.left, camera.right), 0.1, 50.0)
+    np.testing.assert_allclose(found.X_CC0, exact.X_CC0, atol=1e-9)
+    np.testing.assert_allclose(found.points, points, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def long_way() -> list[Array]:
+    return [se3.transform(np.eye(3), (0.35 * k, 0.0, 0.0)) for k in range(9)]
+
+
+def test_a_full_map_goes_on(
+    camera: CameraCalibration, config: VisionConfig, long_way: list[Array], texture: Array
+) -> None:
+    settings = config.odometry.model_copy(update={"keyframes": 3})
+    odometry = StereoOdometry(camera, settings)
+    for k, X in enumerate(long_way):
+        pose = odometry.process(pair_at(camera, texture, X, seed=k))
+        assert pose is not None, odometry.last_loss
+        assert odometry.keyframes <= 3
+        assert np.linalg.norm(se3.local(X, pose.X_C0C)[:3]) < 1e-3
+    assert odometry.keyframes == 3
+
+
+@pytest.fixture(scope="module")
+def texture() -> Array:
+    return wall_texture(1, 22.0, 3200)

@@ -1,0 +1,239 @@
+"""The reference link on a real socket, and the arm over it, against the protocol's own server session."""
+
+import asyncio
+import io
+import time
+from collections.abc import AsyncIterator
+
+import numpy as np
+import pytest
+
+from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
+from protocol.faults import CommandCode, FaultCode, GroupState
+from protocol.reference_messages import Command, ReferencePose
+from tests.vision_pc.shell.loopback_controller import LoopbackController, until
+from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward
+from vision_pc.application.link_arm import SocketArm
+from vision_pc.config.vision import LinkSettings, MotionSettings
+from vision_pc.core.se3 import Array, to_pose, transform
+from vision_pc.shell.event_log import EventLog
+from vision_pc.shell.link.controller_link import ControllerLink
+
+X_START = forward(Q_START)
+
+
+def shifted(x: float, y: float, z: float) -> Array:
+    return transform(X_START[:3, :3], X_START[:3, 3] + np.array([x, y, z]))
+
+
+@pytest.fixture
+async def controller() -> AsyncIterator[LoopbackController]:
+    controller = LoopbackController(SyntheticRig(draw(np.random.default_rng(0)), 0, rate_hz=100.0))
+    await controller.start()
+    yield controller
+    await controller.stop()
+
+
+@pytest.fixture
+async def link(controller: LoopbackController) -> AsyncIterator[ControllerLink]:
+    log = EventLog(None, io.StringIO())
+    link = ControllerLink(LinkSettings(port=controller.port, state_period_ms=10), log)
+    await link.start()
+    await until(lambda: link.connected and link.clock_offset is not None)
+    yield link
+    await link.close()
+
+
+@pytest.fixture
+def arm(link: ControllerLink) -> SocketArm:
+    return SocketArm(link, MotionSettings(settle_timeout_s=0.3, rest_s=0.02))
+
+
+async def test_the_clock_offset_is_the_controllers(
+    link: ControllerLink, controller: LoopbackController
+) -> None:
+    await asyncio.sleep(0.1)
+    clock = link.clock_offset
+    assert clock is not None
+    assert clock.offset_ns == pytest.approx(controller.clock_ahead_ns, abs=5_000_000)
+    assert abs(clock.offset_ns - controller.clock_ahead_ns) <= clock.uncertainty_ns
+    assert link.state_age_ns < 200_000_000
+
+
+async def test_a_command_is_acknowledged_and_a_repeated_one_counts_as_accepted(link: ControllerLink) -> None:
+    await link.command(CommandCode.ENABLE)
+    assert (await link.next_state()).group_state is GroupState.STANDBY
+    await link.command(CommandCode.ENABLE)
+
+
+@pytest.mark.parametrize(
+    ("prepare", "cause"),
+    [([], "disabled"), ([CommandCode.EMERGENCY_STOP], "emergency_latched"),
+     ([CommandCode.EMERGENCY_STOP, CommandCode.EMERGENCY_RELEASE], "error_latched")],
+)  # fmt: skip
+async def test_refusals_are_typed(link: ControllerLink, prepare: list[CommandCode], cause: str) -> None:
+    for code in prepare:
+        await link.command(code)
+    with pytest.raises(RequestRefused) as refused:
+        await link.request(ReferencePose(0, to_pose(X_START), 0.0))
+    assert refused.value.cause == f"refused.{cause}"
+
+
+async def test_a_motion_returns_at_rest_where_it_was_sent(link: ControllerLink, arm: SocketArm) -> None:
+    await link.command(CommandCode.ENABLE)
+    goal = shifted(0.0, 0.2, 0.1)
+    view = await arm.move_to(goal)
+    assert view.settled
+    assert view.group_state is GroupState.STANDBY
+    assert np.allclose(view.X_BT, goal, atol=1e-6)
+    assert abs(view.time_ns - time.monotonic_ns()) < 300_000_000  # on our clock
+
+
+async def test_a_path_passes_its_waypoints(
+    link: ControllerLink, arm: SocketArm, controller: LoopbackController
+) -> None:
+    await link.command(CommandCode.ENABLE)
+    corners = [shifted(0.0, 0.1, 0.0), shifted(0.0, 0.1, 0.1), shifted(0.0, 0.0, 0.0)]
+    view = await arm.follow(corners, dwell_s=0.05)
+    assert np.allclose(view.X_BT, X_START, atol=1e-6)
+    path = controller.requests[-1]
+    assert len(path.waypoints) == 3
+    assert path.dwell_s == 0.05
+
+
+async def test_the_pose_at_a_picture_is_interpolated_on_the_controllers_clock(
+    link: ControllerLink, arm: SocketArm, controller: LoopbackController
+) -> None:
+    await link.command(CommandCode.ENABLE)
+    true: list[tuple[int, Array]] = []
+    moving = asyncio.create_task(arm.move_to(shifted(0.0, 0.3, 0.0)))
+    found = []
+    while not moving.done():
+        true.append((time.monotonic_ns(), forward(controller.rig.q)[:3, 3]))
+        await asyncio.sleep(0.02)
+        found.append((await link.pose_at(true[-1][0]))[:3, 3])
+    await moving
+    errors = np.linalg.norm(np.array(found) - np.array([p for _, p in true]), axis=1)
+    assert np.ptp(np.array(found)[:, 1]) > 0.25
+    assert np.median(errors) < 0.01  # the arm steps every 10 ms at up to 1.5 m/s
+
+
+async def test_a_pose_older_than_the_history_is_not_made_up(link: ControllerLink) -> None:
+    with pytest.raises(LinkLost) as lost:
+        await link.pose_at(time.monotonic_ns() - 60_000_000_000)
+    assert lost.value.cause == "link.state_too_old"
+
+
+async def test_stop_ends_a_motion_with_its_cause(link: ControllerLink, arm: SocketArm) -> None:
+    await link.command(CommandCode.ENABLE)
+    moving = asyncio.create_task(arm.move_to(shifted(-0.5, 0.5, 0.5)))
+    await until(lambda: link.state.group_state is GroupState.MOVING)
+    await arm.stop()
+    with pytest.raises(RequestRefused) as refused:
+        await moving
+    assert refused.value.cause == "refused.stopped"
+
+
+async def test_a_fault_in_motion_is_named(
+    link: ControllerLink, arm: SocketArm, controller: LoopbackController
+) -> None:
+    await link.command(CommandCode.ENABLE)
+    moving = asyncio.create_task(arm.move_to(shifted(-0.5, 0.5, 0.5)))
+    await until(lambda: link.state.group_state is GroupState.MOVING)
+    controller.break_down(FaultCode.FOLLOWING_ERROR)
+    with pytest.raises(RequestRefused) as refused:
+        await moving
+    assert refused.value.cause == "refused.fault_following_error"
+
+
+async def test_another_motion_overtakes(link: ControllerLink, arm: SocketArm) -> None:
+    await link.command(CommandCode.ENABLE)
+    first = asyncio.create_task(arm.move_to(shifted(-0.5, 0.5, 0.5)))
+    await until(lambda: link.state.group_state is GroupState.MOVING)
+    await arm.move_to(shifted(0.0, 0.0, 0.05))
+    with pytest.raises(RequestRefused) as refused:
+        await first
+    assert refused.value.cause == "refused.overtaken"
+
+
+async def test_an_arm_that_swings_on_is_told_and_one_that_hangs_beside_its_reference_serves(
+    link: ControllerLink, arm: SocketArm, controller: LoopbackController
+) -> None:
+    await link.command(CommandCode.ENABLE)
+    controller.never_settles = True
+    view = await arm.move_to(shifted(0.0, 0.05, 0.0))
+    assert not view.settled
+    controller.swing_rad = 0.004
+    with pytest.raises(MeasurementFailed) as failed:
+        await arm.move_to(shifted(0.0, 0.0, 0.0))
+    assert failed.value.cause == "measurement.arm_not_settled"
+
+
+async def test_unreachable_is_refused_whole(
+    link: ControllerLink, arm: SocketArm, controller: LoopbackController
+) -> None:
+    await link.command(CommandCode.ENABLE)
+    before = controller.rig.q.copy()
+    with pytest.raises(RequestRefused) as refused:
+        await arm.follow([shifted(0.0, 0.1, 0.0), shifted(9.0, 0.0, 0.0)])
+    assert refused.value.cause == "refused.unreachable"
+    await asyncio.sleep(0.05)
+    assert np.array_equal(controller.rig.q, before)
+
+
+async def test_a_controller_that_is_not_there_is_named_and_found_when_it_comes() -> None:
+    rig = SyntheticRig(draw(np.random.default_rng(0)), 0, rate_hz=100.0)
+    first = LoopbackController(rig)
+    await first.start()
+    port = first.port
+    await first.stop()
+    link = ControllerLink(LinkSettings(port=port, state_period_ms=10), EventLog(None, io.StringIO()))
+    await link.start()
+    with pytest.raises(LinkLost) as lost:
+        await link.command(CommandCode.ENABLE)
+    assert lost.value.cause == "link.not_connected"
+    late = LoopbackController(rig)
+    await late.start(port)
+    await until(lambda: link.connected)
+    await link.command(CommandCode.ENABLE)
+    await link.close()
+    await late.stop()
+
+
+async def test_a_controller_that_restarts_is_found_again_and_a_waiting_motion_fails(
+    link: ControllerLink, arm: SocketArm, controller: LoopbackController
+) -> None:
+    await link.command(CommandCode.ENABLE)
+    moving = asyncio.create_task(arm.move_to(shifted(-0.5, 0.5, 0.5)))
+    await until(lambda: link.state.group_state is GroupState.MOVING)
+    await controller.stop(say_goodbye=False)
+    with pytest.raises(LinkLost):
+        await moving
+    again = LoopbackController(controller.rig)
+    await again.start(controller.port)
+    await until(lambda: link.connected)
+    assert link.state.group_state is GroupState.DISABLED  # nothing resumes by itself
+    await again.stop()
+
+
+async def test_commands_that_wait_end_with_the_link(
+    link: ControllerLink, controller: LoopbackController
+) -> None:
+    controller.datagram_received = lambda data, addr: None  # type: ignore[method-assign]
+    with pytest.raises(LinkLost) as lost:
+        await link.request(Command(0, CommandCode.ENABLE))
+    assert lost.value.cause in {"link.link_timeout", "link.unanswered"}
+
+
+async def test_the_log_tells_the_links_story(controller: LoopbackController) -> None:
+    stream = io.StringIO()
+    log = EventLog(None, stream)
+    link = ControllerLink(LinkSettings(port=controller.port), log)
+    await link.start()
+    await until(lambda: link.connected)
+    await link.command(CommandCode.ENABLE)
+    await link.close()
+    log.flush()
+    lines = stream.getvalue().splitlines()
+    assert any('"link_connected"' in line for line in lines)
+    assert any('"acknowledged"' in line and '"accepted"' in line for line in lines)

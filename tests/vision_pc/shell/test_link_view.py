@@ -1,0 +1,119 @@
+"""The reference link in numbers, and with a key: real sockets, and the protocol's own server session."""
+
+import dataclasses
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from foundation.link_key import KeySource, key_from_file
+from protocol.channel import LinkStatistics
+from protocol.errors import ConfigurationError, LinkLost
+from protocol.faults import CommandCode, Reason
+from tests.vision_pc.shell.loopback_controller import LoopbackController, until
+from tests.vision_pc.synthetic import SyntheticRig, draw
+from tests.vision_pc.synthetic_station import bench
+from vision_pc.config.vision import LinkSettings
+from vision_pc.shell.event_log import EventLog
+from vision_pc.shell.link.controller_link import ControllerLink
+from vision_pc.shell.rest.link_view import LinkCounters, link_view
+
+
+@pytest.fixture
+def key_file(tmp_path: Path) -> Path:
+    path = tmp_path / "link.key"
+    path.write_text("5a" * 32)
+    path.chmod(0o600)
+    return path
+
+
+def a_controller(key_file: Path | None = None) -> LoopbackController:
+    rig = SyntheticRig(draw(np.random.default_rng(0)), 0, rate_hz=100.0)
+    return LoopbackController(rig, key=key_from_file(key_file) if key_file else None)
+
+
+def a_link(port: int, stream: io.StringIO, key_file: Path | None = None) -> ControllerLink:
+    settings = LinkSettings(port=port, state_period_ms=10, link_key=KeySource(file=key_file))
+    return ControllerLink(settings, EventLog(None, stream))
+
+
+def test_every_counter_is_shown_with_its_unit() -> None:
+    assert set(LinkCounters.model_fields) == {field.name for field in dataclasses.fields(LinkStatistics)}
+    for name, field in LinkCounters.model_fields.items():
+        described = field.description or ""
+        assert described.startswith(("datagrams: ", "answers ")), name
+        assert len(described) > 20, name
+
+
+async def test_the_rest_face_shows_the_link() -> None:
+    async with bench() as made:
+        seen = (await made.client.get("/link")).json()
+        assert seen["connected"] is True
+        assert seen["authenticated"] is False
+        assert seen["datagrams"]["received"] >= 1
+        assert seen["dropped"] == 0
+        assert seen["clock"]["uncertainty_ns"] > 0
+        assert seen["controller"] == {"references_lost": 0, "references_dropped": 0}
+        made.station.controller.datagram_received(b"nonsense", None)  # type: ignore[attr-defined]
+        later = (await made.client.get("/link")).json()
+        assert later["datagrams"]["refused"] == later["dropped"] == 1
+        assert later["datagrams"]["received"] >= seen["datagrams"]["received"]
+        document = (await made.client.get("/openapi.json")).json()
+        counters = document["components"]["schemas"]["LinkCounters"]["properties"]
+        assert all("description" in field for field in counters.values())
+        await made.controller.stop(say_goodbye=False)
+        await until(lambda: not made.station.controller.connected)
+        gone = (await made.client.get("/link")).json()
+        assert gone["connected"] is False
+        assert gone["controller"] is None
+
+
+async def test_with_the_same_key_the_link_is_authenticated(key_file: Path) -> None:
+    controller, stream = a_controller(key_file), io.StringIO()
+    await controller.start()
+    link = a_link(controller.port, stream, key_file)
+    await link.start()
+    await until(lambda: link.connected and link.clock_offset is not None)
+    assert (await link.command(CommandCode.ENABLE)).reason is Reason.ACCEPTED
+    view = link_view(link)
+    assert view.authenticated
+    assert view.dropped == 0
+    await link.close()
+    await controller.stop()
+    assert "5a5a" not in stream.getvalue()
+
+
+async def test_a_link_without_the_key_is_told_why_and_moves_nothing(key_file: Path) -> None:
+    controller = a_controller(key_file)
+    await controller.start()
+    link = a_link(controller.port, io.StringIO())
+    await link.start()
+    await until(lambda: "not authenticated" in str(link._not_connected()))
+    with pytest.raises(LinkLost) as refused:
+        await link.command(CommandCode.ENABLE)
+    assert refused.value.cause == "link.not_authenticated"
+    assert controller.requests == []
+    assert controller.session.statistics.not_authenticated > 0
+    await link.close()
+    await controller.stop()
+
+
+async def test_a_key_that_the_controller_does_not_have_is_told_and_not_given_up(key_file: Path) -> None:
+    controller = a_controller()
+    await controller.start()
+    link = a_link(controller.port, io.StringIO(), key_file)
+    await link.start()
+    await until(lambda: "key not configured" in str(link._not_connected()))
+    assert not link.connected
+    assert link_view(link).datagrams.not_authenticated > 0  # the hint itself is not signed
+    assert controller.session.session is None
+    await link.close()
+    await controller.stop()
+
+
+def test_a_key_file_that_others_may_read_stops_the_start(key_file: Path) -> None:
+    key_file.chmod(0o644)
+    with pytest.raises(ConfigurationError) as refused:
+        a_link(1, io.StringIO(), key_file)
+    assert refused.value.cause == "configuration.key_exposed"

@@ -1,0 +1,101 @@
+"""Sequences from disk: calibrations, times and refusals, and a trajectory that a TUM reader understands."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from protocol.errors import ConfigurationError, MeasurementFailed
+from tests.vision_pc.odometry.test_odometry import pair_at
+from tests.vision_pc.rendering import wall_texture
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core import se3
+from vision_pc.core.types import CameraCalibration, StereoPair
+from vision_pc.shell.cameras import sequence
+
+YAML = "fx_px: 530.0\nfy_px: 530.0\ncx_px: 639.5\ncy_px: 359.5\nbaseline_m: 0.12\n"
+KITTI = """P0: 530.0 0 639.5 0 0 530.0 359.5 0 0 0 1 0
+P1: 530.0 0 639.5 -63.6 0 530.0 359.5 0 0 0 1 0
+Tr: 1 0 0 0
+"""
+
+
+def written(directory: Path, pairs: list[StereoPair], names: list[str]) -> tuple[Path, Path]:
+    for eye in ("left", "right"):
+        (directory / eye).mkdir()
+        for pair, name in zip(pairs, names, strict=True):
+            cv2.imwrite(str(directory / eye / f"{name}.png"), getattr(pair, eye))
+    return directory / "left", directory / "right"
+
+
+def test_sequence_is_followed_and_written(
+    camera: CameraCalibration, config: VisionConfig, tmp_path: Path
+) -> None:
+    texture = wall_texture(1, 22.0, 1000)
+    true = [se3.transform(se3.exp_so3([0.0, 0.0, 0.02 * k]), (0.05 * k, 0.0, 0.02 * k)) for k in range(3)]
+    pairs = [pair_at(camera, texture, X, seed=k) for k, X in enumerate(true)]
+    left, right = written(
+        tmp_path, pairs, [str(1_700_000_000_000_000_000 + 50_000_000 * k) for k in range(3)]
+    )
+    calibration = tmp_path / "camera.yaml"
+    calibration.write_text(YAML, encoding="utf-8")
+    heard: list[int] = []
+    outcome = sequence.follow(left, right, calibration, config.odometry, report=lambda k, _: heard.append(k))
+    assert (outcome.frames, outcome.lost, outcome.last_loss, heard) == (3, 0, None, [0, 1, 2])
+    sequence.write_tum(tmp_path / "path.tum", outcome.poses)
+    table = np.loadtxt(tmp_path / "path.tum")
+    np.testing.assert_allclose(np.diff(table[:, 0]), 0.05, atol=1e-6)
+    for row, X in zip(table, true, strict=True):
+        np.testing.assert_allclose(row[1:4], X[:3, 3], atol=0.2e-3)
+        np.testing.assert_allclose(Rotation.from_quat(row[4:]).as_matrix(), X[:3, :3], atol=5e-4)
+
+
+@pytest.mark.parametrize(("name", "text"), [("camera.yaml", YAML), ("calib.txt", KITTI)])
+def test_calibrations_agree(camera: CameraCalibration, tmp_path: Path, name: str, text: str) -> None:
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    blank = np.zeros((720, 1280), np.uint8)
+    found = sequence.read_calibration(tmp_path / name, StereoPair(blank, blank, 0, 0))
+    assert (found.width, found.height) == (1280, 720)
+    for ours, theirs in ((camera.left, found.left), (camera.right, found.right)):
+        np.testing.assert_allclose(theirs.K, ours.K)
+        np.testing.assert_allclose(theirs.X_CE, ours.X_CE)
+
+
+def test_times_come_from_the_table_beside(tmp_path: Path) -> None:
+    blank = StereoPair(np.zeros((8, 8), np.uint8), np.zeros((8, 8), np.uint8), 0, 0)
+    left, right = written(tmp_path, [blank] * 3, ["000000", "000001", "000002"])
+    assert [pair.capture_ns for pair in sequence.read_pairs(left, right, 20.0)] == [
+        0,
+        50_000_000,
+        100_000_000,
+    ]
+    (tmp_path / "times.txt").write_text("0.0\n1.5e-01\n2.5e-01\n", encoding="ascii")
+    assert [pair.capture_ns for pair in sequence.read_pairs(left, right, 20.0)] == [
+        0,
+        150_000_000,
+        250_000_000,
+    ]
+    (tmp_path / "times.txt").write_text("0.0\n", encoding="ascii")
+    with pytest.raises(ConfigurationError, match="1 times for 3 pictures"):
+        next(sequence.read_pairs(left, right, 20.0))
+
+
+def test_bad_sequences_are_refused(config: VisionConfig, tmp_path: Path) -> None:
+    blank = StereoPair(np.zeros((64, 64), np.uint8), np.zeros((64, 64), np.uint8), 0, 0)
+    left, right = written(tmp_path, [blank] * 2, ["0", "1"])
+    calibration = tmp_path / "calib.txt"
+    with pytest.raises(ConfigurationError, match="no such directory"):
+        next(sequence.read_pairs(left, tmp_path / "nowhere", 10.0))
+    with pytest.raises(ConfigurationError, match=r"calib\.txt"):
+        sequence.follow(left, right, calibration, config.odometry)
+    calibration.write_text("P0: 1 2 3\n", encoding="ascii")
+    with pytest.raises(ConfigurationError, match="P0: and P1: are wanted"):
+        sequence.follow(left, right, calibration, config.odometry)
+    calibration.write_text(KITTI, encoding="ascii")
+    with pytest.raises(MeasurementFailed, match="all 2 pairs lost, last cause too_dark"):
+        sequence.follow(left, right, calibration, config.odometry)
+    (right / "1.png").unlink()
+    with pytest.raises(ConfigurationError, match="2 pictures, but 1"):
+        next(sequence.read_pairs(left, right, 10.0))

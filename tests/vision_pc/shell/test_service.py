@@ -1,0 +1,105 @@
+"""The vision PC as a process: ready line, exit statuses, a clean end; nobody else need be there."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import httpx
+import pytest
+
+from tests.support.paths import CONFIGS
+from vision_pc.__main__ import main
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def arguments(*settings: str) -> list[str]:
+    sets = [word for setting in settings for word in ("--set", setting)]
+    return ["--config-dir", str(CONFIGS), *sets]
+
+
+def test_it_says_ready_serves_and_ends_when_told(tmp_path: Path) -> None:
+    port = free_port()
+    settings = [
+        f"vision.api.port={port}",
+        f"vision.link.port={free_port()}",
+        f"vision.camera.stream.port={free_port()}",
+    ]
+    command = [
+        sys.executable,
+        "-m",
+        "vision_pc",
+        *arguments(*settings),
+        "--record-dir",
+        str(tmp_path),
+        "--statistics",
+        str(tmp_path / "figures.json"),
+    ]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        ready = json.loads(process.stdout.readline())
+        assert ready["event"] == "ready"
+        assert ready["rest"]["port"] == port
+        health = httpx.get(f"http://127.0.0.1:{port}/health")
+        assert health.status_code == 503
+        assert health.json()["cause"] == "link.degraded"
+        assert httpx.get(f"http://127.0.0.1:{port}/docs").status_code == 200
+        process.send_signal(signal.SIGTERM)
+        told_ns = time.monotonic_ns()
+        assert process.wait(timeout=10) == 0
+    finally:
+        process.kill()
+        process.communicate()
+    figures = json.loads((tmp_path / "figures.json").read_text())
+    assert figures["camera"]["connected"] is False
+    assert 20.0 < figures["memory_mb"] < 1000.0
+    last = json.loads((tmp_path / "events.jsonl").read_text().splitlines()[-1])
+    assert last["event"] == "stopped"
+    assert last["time_ns"] - told_ns < 1_500_000_000  # the interpreter's own end comes on top
+
+
+def test_a_busy_port_ends_it_with_status_2_and_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket() as occupant:
+        occupant.bind(("127.0.0.1", 0))
+        occupant.listen()
+        port = occupant.getsockname()[1]
+        assert main(arguments(f"vision.api.port={port}")) == 2
+    told = capsys.readouterr()
+    assert told.err.startswith("vision_pc: configuration.port_busy: REST at 127.0.0.1:")
+    assert told.err.count("\n") == 1
+    assert told.out == ""
+
+
+@pytest.mark.parametrize(
+    ("setting", "cause"),
+    [
+        ("vision.programs.positioning.tolerance_m=-1", "configuration.greater_than"),
+        ("vision.nonsense=1", "configuration.unknown_key"),
+        ("vision.api.port", "configuration.bad_override"),
+    ],
+)
+def test_a_bad_configuration_ends_it_with_status_2_and_one_line(
+    setting: str, cause: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments(setting)) == 2
+    told = capsys.readouterr()
+    assert told.err.startswith(f"vision_pc: {cause}: ")
+    assert told.err.count("\n") == 1
+
+
+def test_a_record_directory_that_cannot_be_written_ends_it_with_status_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    where = str(tmp_path / "file" / "records")
+    assert main([*arguments(f"vision.api.port={free_port()}"), "--record-dir", where]) == 2
+    assert capsys.readouterr().err.startswith("vision_pc: configuration.record_dir_unwritable: ")
