@@ -8,8 +8,7 @@ from protocol.channel import Channel, LinkStatistics
 from protocol.clock_offset import OffsetEstimate
 from protocol.datagram import Datagram, Header, decode, encode
 from protocol.echo_clock import EchoClock
-from protocol.errors import DatagramRefused, RequestRefused
-from protocol.errors import LinkLost as LinkLostError
+from protocol.errors import DatagramRefused, LinkLost, RequestRefused
 from protocol.faults import Reason
 from protocol.greeting import Greeting
 from protocol.open_requests import OpenRequests
@@ -35,7 +34,7 @@ from protocol.session_events import (
     Connected,
     ConnectionDelayed,
     DatagramDropped,
-    LinkLost,
+    SessionLost,
     StateReceived,
     StreamRefusedReceived,
 )
@@ -132,7 +131,7 @@ class ReferenceClient:
         the controller does not do that; ``refused.not_encodable``).
         """
         if self._welcome is None or not self.connected:
-            raise LinkLostError("link.not_connected", "no session with the controller is open")
+            raise LinkLost("link.not_connected", "no session with the controller is open")
         if needed_capability(request) & ~self._welcome.capabilities:
             what = request.code.name if isinstance(request, Command) else type(request).__name__
             raise RequestRefused("refused.not_negotiated", f"this controller takes no {what}")
@@ -145,7 +144,7 @@ class ReferenceClient:
     def stream(self, reference: StreamedPose, now_ns: int) -> None:
         """Sends a streamed reference, once. Raises LinkLost and RequestRefused as ``submit`` does."""
         if self._welcome is None or not self.connected:
-            raise LinkLostError("link.not_connected", "no session with the controller is open")
+            raise LinkLost("link.not_connected", "no session with the controller is open")
         encode(reference, Header(0, 0, now_ns))
         self._send(reference, now_ns)
 
@@ -265,10 +264,10 @@ class ReferenceClient:
             return [AcknowledgementReceived(message)]
         return []
 
-    def _lost(self, reason: Reason) -> LinkLost:
+    def _lost(self, reason: Reason) -> SessionLost:
         self._welcome = None
         self._phase = _Phase.CLOSED
-        return LinkLost(reason, self._requests.give_up())
+        return SessionLost(reason, self._requests.give_up())
 
     def _foreign(self, cause: str, detail: str) -> DatagramDropped:
         return self._tally.drop(cause, detail)

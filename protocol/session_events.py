@@ -76,7 +76,7 @@ class StateReceived(NamedTuple):
     state: State
 
 
-class LinkLost(NamedTuple):
+class SessionLost(NamedTuple):
     """Client: the session ended or was refused. Whether ``unanswered`` ids were executed is unknown."""
 
     reason: Reason
@@ -90,6 +90,6 @@ ClientEvent = (
     | AcknowledgementReceived
     | StateReceived
     | StreamRefusedReceived
-    | LinkLost
+    | SessionLost
     | DatagramDropped
 )

@@ -9,10 +9,11 @@ import numpy as np
 
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import GroupState
-from testbed.lockstep.link import LockstepLink
+from testbed.lockstep.clock import run
 from testbed.lockstep.sight import Deliver, PixelSight, Sight
 from testbed.lockstep.world import World
 from vision_pc.application.annotate import annotated, png
+from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.application.station import CameraStatus
 from vision_pc.config.vision import CameraSettings, VisionConfig
 from vision_pc.core.perception.freshness import Repeats
@@ -68,7 +69,7 @@ class _Arrivals:
 class _LiveWatch:
     """Implements ``vision_pc.core.ports.Watch``: one comes once the arm's pose at its capture is known."""
 
-    def __init__(self, watcher: Watcher, world: World, link: LockstepLink) -> None:
+    def __init__(self, watcher: Watcher, world: World, link: ReferenceLink) -> None:
         self.waiting: deque[StereoPair] = deque()
         self._watcher = watcher
         self._world = world
@@ -88,7 +89,7 @@ class _LiveWatch:
         """The newest sample once there are more than ``count``; None after ``timeout_s``, simulated."""
         until_ns = self._world.time_ns + round(1e9 * timeout_s)
         while self._world.time_ns < until_ns:
-            self._world.step()
+            self._world.clock.advance()
             self._sampled()
             if self._watcher.count > count:
                 return self._watcher.samples[-1]
@@ -99,9 +100,13 @@ class _LiveWatch:
         self.waiting.append(pair)
         self._sampled()
 
+    @property
+    def _known_ns(self) -> int:
+        return self._link.local_time_ns(self._link.state.time_ns)
+
     def _sampled(self) -> None:
-        while self.waiting and self._link.known_until_ns >= self.waiting[0].capture_ns:
-            self._watcher.add(self.waiting[0], self._link.pose_known_at(self.waiting[0].capture_ns))
+        while self.waiting and self._known_ns >= self.waiting[0].capture_ns:
+            self._watcher.add(self.waiting[0], run(self._link.pose_at(self.waiting[0].capture_ns)))
             self.waiting.popleft()
 
 
@@ -112,7 +117,7 @@ class LockstepEyes:
     """
 
     def __init__(
-        self, world: World, link: LockstepLink, config: VisionConfig, sight: Sight | None = None
+        self, world: World, link: ReferenceLink, config: VisionConfig, sight: Sight | None = None
     ) -> None:
         self._world = world
         self._link = link
@@ -160,7 +165,7 @@ class LockstepEyes:
             yield watch
             while not arrivals.live:  # a picture of the arm at rest, or the cause why there is none
                 arrivals.require()
-                self._world.step()
+                self._world.clock.advance()
             arrivals.require()
         finally:
             self._sight.end()
@@ -188,7 +193,7 @@ class LockstepEyes:
         try:
             while len(taken) < count:
                 arrivals.require()
-                self._world.step()
+                self._world.clock.advance()
         finally:
             sight.end()
         return taken

@@ -7,8 +7,8 @@ from typing import TypeVar
 from plant_emulator.core.camera.scene import Scene
 from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.faults import CommandCode
+from testbed.lockstep.clock import run
 from testbed.lockstep.eyes import LockstepEyes
-from testbed.lockstep.link import LockstepLink, run
 from testbed.lockstep.rig import StationLog
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import World
@@ -16,12 +16,11 @@ from testbed.scenarios.settings import Settings
 from vision_pc.application.hand_eye.driving import ended_in_fault
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.hand_eye.store import SessionStore
-from vision_pc.application.link_arm import SocketArm
+from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.schemas import JSON
 from vision_pc.core.se3 import Array
 
 T = TypeVar("T")
-_CONNECT_NS = 5_000_000_000
 _PATIENCE = 10  # samples that may fail in a session
 
 
@@ -31,14 +30,13 @@ class GuidedRig:
     def __init__(self, settings: Settings, seed: int, sessions: Path) -> None:
         self.world = World(settings, seed, RunLog())
         self.settings = settings
-        self.link = LockstepLink(self.world)
+        self.link = self.world.link
         self.eyes = LockstepEyes(self.world, self.link, settings.vision)
-        self.arm = SocketArm(self.link, settings.vision.motion)
+        self.arm = LinkArm(self.link, settings.vision.motion)
         log = StationLog(self.world)
         store = SessionStore(sessions)
         self.guided = GuidedCalibration(self.arm, self.eyes, self.link, settings.vision, log, store)
-        while not self.world.connected and self.world.time_ns < _CONNECT_NS:
-            self.world.step()
+        self.world.connect()
         self.run(self.link.command(CommandCode.ENABLE))
         self.run(self.link.next_state())
 

@@ -9,14 +9,14 @@ from typing import Any
 from protocol.errors import LinkLost, LongreachError
 from protocol.faults import CommandCode
 from testbed.demonstration.sequence import JSON
+from testbed.lockstep.clock import run
 from testbed.lockstep.eyes import LockstepEyes
-from testbed.lockstep.link import LockstepLink, run
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.sight import Sight
 from testbed.lockstep.world import World
 from testbed.reporting.console import Bar
 from testbed.scenarios.settings import Settings
-from vision_pc.application.link_arm import SocketArm
+from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.schemas import (
     LocalTrackBody,
     LookBody,
@@ -32,7 +32,6 @@ from vision_pc.core.ports import Report
 from vision_pc.shell import event_log
 from vision_pc.shell.rest.operation_routes import with_overrides
 
-_CONNECT_NS = 5_000_000_000
 SightMaker = Callable[[World, VisionConfig], Sight]
 Program = Callable[[Report], Awaitable[JSON]]
 
@@ -63,14 +62,13 @@ class LockstepRig:
 
     def __init__(self, settings: Settings, seed: int, log: RunLog, sight: SightMaker | None = None) -> None:
         self.world = World(settings, seed, log)
-        self.link = LockstepLink(self.world)
+        self.link = self.world.link
         vision = settings.vision
         eyes = LockstepEyes(self.world, self.link, vision, sight(self.world, vision) if sight else None)
-        arm = SocketArm(self.link, settings.vision.motion)
+        arm = LinkArm(self.link, settings.vision.motion)
         self.station = Station(arm, eyes, self.link, eyes, settings.vision.programs, StationLog(self.world))
         self._eyes = eyes
-        while not self.world.connected and self.world.time_ns < _CONNECT_NS:
-            self.world.step()
+        self.world.connect()
 
     def command(self, name: str) -> None:
         """Send the command. Returns when it is accepted."""

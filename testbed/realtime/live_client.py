@@ -12,8 +12,7 @@ from protocol.errors import LinkLost
 from protocol.faults import CommandCode, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import Acknowledgement, Command, ReferencePose, Request, State
-from protocol.session_events import AcknowledgementReceived, ClientEvent, StateReceived
-from protocol.session_events import LinkLost as SessionLost
+from protocol.session_events import AcknowledgementReceived, ClientEvent, SessionLost, StateReceived
 
 _TURN_S = 0.002
 

@@ -48,7 +48,7 @@ def station(*assignments: str) -> LockstepRig:
 def pass_time(rig: LockstepRig, duration_ns: int) -> None:
     until_ns = rig.world.time_ns + duration_ns
     while rig.world.time_ns < until_ns:
-        rig.world.step()
+        rig.world.clock.advance()
 
 
 def operate(rig: LockstepRig, kind: str, **body: Any) -> Any:

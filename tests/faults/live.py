@@ -24,13 +24,14 @@ from tests.faults.registers import SHUT, Registers
 from tests.faults.rig import settings_of
 from tests.vision_pc.shell.loopback_controller import until
 from vision_pc.application.eyes import CameraEyes
-from vision_pc.application.link_arm import SocketArm
+from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.operations import Operations
 from vision_pc.application.station import Station
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras import CameraSource
 from vision_pc.shell.event_log import EventLog
-from vision_pc.shell.link.controller_link import ControllerLink
+from vision_pc.shell.link.udp_endpoint import UdpEndpoint
+from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.rest.api import create_app
 
 _CYCLES_AT_ONCE = 2
@@ -158,12 +159,13 @@ async def live(record_dir: Path | None = None, stream: Any = None) -> AsyncItera
     vision = settings.vision.model_copy(
         update={"link": settings.vision.link.model_copy(update={"port": machine.port})}
     )
-    link = ControllerLink(vision.link, log)
-    await link.start()
+    endpoint = UdpEndpoint(vision.link, log, MonotonicClock())
+    link = endpoint.link
+    await endpoint.start()
     camera = ScriptedCamera(vision.camera)
     await camera.start()
     eyes = CameraEyes(camera, link, vision, log)
-    arm = SocketArm(link, vision.motion)
+    arm = LinkArm(link, vision.motion)
     station = Station(arm, eyes, link, eyes, vision.programs, log)
     operations = Operations(arm.halt, log)
     app = create_app(station, operations)
@@ -175,7 +177,7 @@ async def live(record_dir: Path | None = None, stream: Any = None) -> AsyncItera
             yield LiveRig(client, app, station, operations, machine, camera, log)
     finally:
         await operations.close()
-        await link.close()
+        await endpoint.close()
         await camera.close()
         eyes.close()
         await machine.stop()

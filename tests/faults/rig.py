@@ -2,10 +2,10 @@
 
 from functools import cache
 
-from protocol.client_session import ReferenceClient
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
 from protocol.reference_messages import Acknowledgement, Command, ReferencePath, ReferencePose, State
+from testbed.lockstep.clock import run
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import Wire, World
 from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
@@ -42,14 +42,14 @@ class FaultRig:
         """Let ``seconds`` pass, in whole cycles."""
         end_ns = self.now_ns + round(seconds * 1e9)
         while self.now_ns < end_ns:
-            self.world.step()
+            self.world.clock.advance()
 
     def until(self, done: object, limit_s: float = 12.0) -> float:
         """Seconds until ``done()``; asserts that it comes to that."""
         began_ns = self.now_ns
         while not done():  # type: ignore[operator]
             assert self.now_ns - began_ns < limit_s * 1e9, "did not happen in time"
-            self.world.step()
+            self.world.clock.advance()
         return (self.now_ns - began_ns) / 1e9
 
     # vision's side
@@ -60,9 +60,7 @@ class FaultRig:
 
     def ask(self, request: Command | ReferencePose | ReferencePath) -> Acknowledgement:
         """The answer to a request."""
-        command_id = self.world.submit(request)
-        self.until(lambda: command_id in self.world.acknowledgements, 2.0)
-        return self.world.acknowledgements[command_id]
+        return run(self.world.link.ask(request))
 
     def command(self, code: CommandCode) -> Reason:
         """The reason that answers a command."""
@@ -98,10 +96,7 @@ class FaultRig:
         """A new run of the client, on a sound wire, with a session of its own."""
         world = self.world
         world.to_controller = world.to_vision = list
-        world._client = ReferenceClient(nonce=nonce, state_period_ms=5)
-        world.states.clear()
-        world.link_lost = None
-        world._client.connect(world.vision_ns)
+        world.open_link(nonce)
         self.until(lambda: world.connected, 2.0)
 
     def assert_safe(self, fault: FaultCode, since_ns: int, within_s: float) -> None:
@@ -113,7 +108,7 @@ class FaultRig:
             r for r in self.registers.written if r.time_ns > limit_ns and (r.image.control & 1 or r.drives)
         ]
         assert not late, f"{(late[-1].time_ns - since_ns) / 1e6} ms after the fault: {late[-1]}"
-        if not self.world.connected or self.world.link_lost is not None:
+        if not self.world.connected:
             self.reconnect()
         self.run(0.5)
         assert (self.state.group_state, self.state.fault) == (GroupState.ERROR_STOP, fault)

@@ -10,6 +10,7 @@ from protocol.datagram import decode, encode
 from protocol.datagram_layout import HEADER_BYTES
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.reference_messages import Command, ReferencePose
+from testbed.lockstep.clock import run
 from testbed.lockstep.world import CONTROLLER_CLOCK_NS
 from tests.faults.registers import assert_driving, assert_shut
 from tests.faults.rig import CLOSING_NS, MS, FaultRig
@@ -43,18 +44,18 @@ def test_case_05_reordered_the_older_is_dropped_and_a_late_motion_does_not_overt
         return []
 
     world.to_controller = wire
-    world.submit(ReferencePose(0, rig.shifted(z=0.3), 0.0))
+    world.link.submit(ReferencePose(0, rig.shifted(z=0.3), 0.0))
     rig.run(0.01)
-    stop = world.submit(Command(0, CommandCode.STOP))
+    stop = world.link.submit(Command(0, CommandCode.STOP))
     rig.run(0.01)
     motion, *_, last = [data for data in kept if len(data) > HEADER_BYTES + 8]
     before = world._controller._server.statistics
     world.to_controller = lambda _: [last, motion]
-    world.step()
+    world.clock.advance()
     world.to_controller = list
     after = world._controller._server.statistics
     assert after.reordered == before.reordered + 1
-    rig.until(lambda: stop in world.acknowledgements)
+    assert run(world.link.answer(stop)).reason is Reason.ACCEPTED
     rig.run(2.5)
     assert rig.state.group_state is GroupState.STANDBY
     rested_ns = rig.now_ns
@@ -83,20 +84,18 @@ def test_case_06_one_datagram_a_hundred_times_has_one_effect() -> None:
 
 def test_case_07_the_sequence_wraps_within_a_motion() -> None:
     rig = FaultRig()
-    rig.world._client = ReferenceClient(nonce=5, state_period_ms=5, first_sequence=2**32 - 9)
-    rig.world.states.clear()
-    rig.world._client.connect(rig.world.vision_ns)
+    rig.world.open_link(nonce=5, first_sequence=2**32 - 9)
     rig.until(lambda: rig.world.connected)
     rig.moving()
     rig.assert_completes()
-    assert rig.world._client._channel.next_sequence < 2**31  # it has wrapped
+    assert rig.world.link._session._channel.next_sequence < 2**31  # it has wrapped
     assert rig.world._controller._server.statistics.dropped == 0
 
 
 def test_case_08_a_sequence_reset_within_a_session_is_refused() -> None:
     rig = FaultRig().moving()
     began_ns, server = rig.now_ns, rig.world._controller._server
-    rig.world._client._channel.next_sequence = 1
+    rig.world.link._session._channel.next_sequence = 1
     rig.run(2.0)
     assert server.statistics.dropped > 3
     rig.assert_safe(FaultCode.REFERENCE_LINK_LOST, began_ns, SESSION_END_S)
@@ -120,7 +119,7 @@ def test_case_09_vision_restarts_and_nothing_moves_until_it_is_armed_again() -> 
 
 def references_at_60_hz(rig: FaultRig, seconds: float) -> list[bytes]:
     """What a client sends that goes on for ``seconds`` from now, in order and without a gap."""
-    channel, first_ns = rig.world._client._channel, rig.world.vision_ns
+    channel, first_ns = rig.world.link._session._channel, rig.world.vision_ns
     datagrams = []
     for k in range(round(60 * seconds)):
         message = ReferencePose(2**60 + k, rig.shifted(z=0.3), 0.0)
@@ -136,7 +135,7 @@ def test_case_10_a_backlog_of_2_s_is_dropped_whole() -> None:
     rig.run(2.0)
     before = server.statistics
     rig.world.to_controller = lambda _: backlog
-    rig.world.step()
+    rig.world.clock.advance()
     rig.world.to_controller = list
     assert server.statistics.received == before.received
     assert server.statistics.dropped - before.dropped == len(backlog) == 120
@@ -154,7 +153,7 @@ def test_case_10_a_backlog_in_a_session_that_lives_is_dropped_by_its_age() -> No
     rig.run(2.0)
     before = server.statistics
     rig.world.to_controller = lambda _: backlog
-    rig.world.step()
+    rig.world.clock.advance()
     fresh = server.statistics.received - before.received
     assert fresh == 15  # those of the last 250 ms
     assert server.statistics.stale - before.stale == len(backlog) - fresh

@@ -53,7 +53,7 @@ class StreamingRig(FaultRig):
         end_ns = self.now_ns + round(seconds * 1e9)
         while self.now_ns < end_ns:
             t = (self.now_ns - self._began_ns) / 1e9
-            if t * RATE_HZ >= self.sent and self.world.link_lost is None:
+            if t * RATE_HZ >= self.sent and self.world.connected:
                 self.sent += 1
                 sway, speed = REACH_M * math.sin(OMEGA * t), REACH_M * OMEGA * math.cos(OMEGA * t)
                 x, y, z = self._start.p_m
@@ -64,8 +64,8 @@ class StreamingRig(FaultRig):
                     Pose((x, y + sway, z), self._start.q_wxyz),
                     (0.0, speed, 0.0, 0.0, 0.0, 0.0),
                 )
-                self.world.stream(reference)
-            self.world.step()
+                self.world.link.stream(reference)
+            self.world.clock.advance()
 
     def assert_following(self) -> None:
         """Asserts that the arm moves, driven through the registers, without a fault."""
@@ -139,7 +139,7 @@ def test_case_10_streamed_references_that_waited_for_2_s_are_dropped_and_the_arm
     rig.world.to_controller = frozen
     rig.stream(0.45)  # as long as the session lives
     rig.world.to_controller = lambda _: backlog
-    rig.world.step()
+    rig.world.clock.advance()
     rig.world.to_controller = list
     rig.run(0.5)
     opening = [row.opening for row in rig.registers.spools if row.time_ns > last_ns + 130 * MS]

@@ -37,7 +37,7 @@ def lockstep(*assignments: str) -> tuple[LockstepRig, Registers]:
     rig.world.plant = registers  # type: ignore[assignment]
     rig.command("enable")
     for _ in range(100):
-        rig.world.step()
+        rig.world.clock.advance()
     return rig, registers
 
 

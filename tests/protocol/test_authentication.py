@@ -27,8 +27,8 @@ from protocol.session_events import (
     Connected,
     ConnectionDelayed,
     DatagramDropped,
-    LinkLost,
     SessionClosed,
+    SessionLost,
     SessionOpened,
 )
 from testbed.pages.sample_messages import HEADER, MESSAGES
@@ -221,7 +221,7 @@ class TestSessions:
         assert not any(isinstance(event, SessionOpened) for event in wire.server_events)
         assert getattr(wire.server.statistics, counter) >= 1
         if client is None:
-            assert wire.client_events == [LinkLost(reason, ())]
+            assert wire.client_events == [SessionLost(reason, ())]
         else:  # it keeps asking, and says what it was told
             assert ConnectionDelayed(reason) in wire.client_events
             assert wire.client.statistics.not_authenticated >= 1

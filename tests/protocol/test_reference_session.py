@@ -30,9 +30,9 @@ from protocol.session_events import (
     Connected,
     ConnectionDelayed,
     DatagramDropped,
-    LinkLost,
     RequestReceived,
     SessionClosed,
+    SessionLost,
     SessionOpened,
     StateReceived,
 )
@@ -109,7 +109,7 @@ class TestHandshake:
         wire = Wire(client=ReferenceClient(7, arm_hash=ARM + 1))
         wire.client.connect(wire.now_ns)
         wire.run(20)
-        assert wire.client_events == [LinkLost(Reason.WRONG_ARM, ())]
+        assert wire.client_events == [SessionLost(Reason.WRONG_ARM, ())]
         assert dropped_causes(wire.server_events) == ["session.wrong_arm"]
         assert wire.server.session is None
 
@@ -121,7 +121,7 @@ class TestHandshake:
         assert dropped_causes(events) == ["datagram.wrong_major"]
         wire.post()
         wire.run(5)
-        assert wire.client_events == [LinkLost(Reason.INCOMPATIBLE_VERSION, ())]
+        assert wire.client_events == [SessionLost(Reason.INCOMPATIBLE_VERSION, ())]
 
     def test_a_newer_minor_version_is_met_with_ours(self) -> None:
         wire = Wire()
@@ -175,7 +175,7 @@ class TestClosing:
     def test_bye_of_the_client_ends_the_session_at_once(self) -> None:
         wire = Wire().connect()
         session = wire.server.session
-        assert wire.client.disconnect(wire.now_ns) == [LinkLost(Reason.SHUTDOWN, ())]
+        assert wire.client.disconnect(wire.now_ns) == [SessionLost(Reason.SHUTDOWN, ())]
         wire.run(2)
         assert wire.server_events[-1] == SessionClosed(session or 0, Reason.SHUTDOWN)
         assert wire.client.disconnect(wire.now_ns) == []
@@ -184,7 +184,9 @@ class TestClosing:
         wire = Wire().connect()
         wire.server.close(wire.server_ns)
         wire.run(3)
-        assert [e for e in wire.client_events if isinstance(e, LinkLost)] == [LinkLost(Reason.SHUTDOWN, ())]
+        assert [e for e in wire.client_events if isinstance(e, SessionLost)] == [
+            SessionLost(Reason.SHUTDOWN, ())
+        ]
         assert wire.server.close(wire.server_ns) == []
 
     def test_silence_ends_the_session_on_both_sides_within_the_timeout(self) -> None:
@@ -196,7 +198,7 @@ class TestClosing:
         assert TIMEOUT_MS - 51 <= (wire.now_ns - cut_ns) // MS <= TIMEOUT_MS + 1
         wire.run(60)
         assert not wire.client.connected
-        assert isinstance(wire.client_events[-1], LinkLost)
+        assert isinstance(wire.client_events[-1], SessionLost)
         assert wire.server_events[-1] == SessionClosed(
             next(e.session for e in wire.server_events if isinstance(e, SessionOpened)), Reason.LINK_TIMEOUT
         )
@@ -225,7 +227,7 @@ class TestClosing:
         wire = Wire().connect()
         wire.loses = lambda direction, data: direction == "up"
         wire.run(TIMEOUT_MS + 20)
-        assert wire.client_events[-1] == LinkLost(Reason.LINK_TIMEOUT, ())
+        assert wire.client_events[-1] == SessionLost(Reason.LINK_TIMEOUT, ())
 
     def test_the_link_stays_up_for_minutes(self) -> None:
         wire = Wire(step_ns=5 * MS).connect().run(120_000)
@@ -265,7 +267,7 @@ class TestRestarts:
         wire.server = a_server(boot_id=BOOT + 1)
         wire.run(100)
         assert len(wire.requests()) == 1
-        assert wire.client_events[-1] == LinkLost(Reason.UNKNOWN_SESSION, (asked,))
+        assert wire.client_events[-1] == SessionLost(Reason.UNKNOWN_SESSION, (asked,))
         assert not wire.client.connected
         wire.connect().run(100)
         assert len(wire.requests()) == 1
@@ -481,7 +483,7 @@ class TestRequests:
         executed = [request.command_id for request in wire.requests()]
         assert executed == sorted(set(executed))
         answered = [a.command_id for a in answers(wire)]
-        lost = [i for e in wire.client_events if isinstance(e, LinkLost) for i in e.unanswered]
+        lost = [i for e in wire.client_events if isinstance(e, SessionLost) for i in e.unanswered]
         assert sorted(answered + lost) == asked
         for answer in answers(wire):
             assert (answer.reason is Reason.ACCEPTED) == (answer.command_id in executed)

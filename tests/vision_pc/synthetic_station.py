@@ -16,14 +16,15 @@ from protocol.faults import GroupState
 from tests.vision_pc.program_settings import shipped
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import SyntheticRig, SyntheticWatch, draw
-from vision_pc.application.link_arm import SocketArm
+from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.operations import Operations
 from vision_pc.application.station import CameraStatus, Station
 from vision_pc.config.programs import ProgramSettings
 from vision_pc.config.vision import LinkSettings, MotionSettings
 from vision_pc.core.types import Look
 from vision_pc.shell.event_log import EventLog
-from vision_pc.shell.link.controller_link import ControllerLink
+from vision_pc.shell.link.udp_endpoint import UdpEndpoint
+from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.rest.api import create_app
 
 
@@ -103,10 +104,11 @@ async def bench(
     await controller.start()
     stream = io.StringIO()
     log = EventLog(record_dir, stream)
-    link = ControllerLink(LinkSettings(port=controller.port, state_period_ms=10), log)
-    await link.start()
+    endpoint = UdpEndpoint(LinkSettings(port=controller.port, state_period_ms=10), log, MonotonicClock())
+    link = endpoint.link
+    await endpoint.start()
     await until(lambda: link.connected and link.clock_offset)
-    arm = SocketArm(link, MotionSettings(settle_timeout_s=0.5, rest_s=0.01))
+    arm = LinkArm(link, MotionSettings(settle_timeout_s=0.5, rest_s=0.01))
     eyes = SyntheticEyes(rig, controller)
     station = Station(arm, eyes, link, eyes, quick(shipped()), log)
     operations = Operations(arm.halt, log)
@@ -114,6 +116,6 @@ async def bench(
     async with httpx.AsyncClient(transport=transport, base_url="http://vision") as client:
         yield Bench(client, station, operations, controller, eyes, stream)
     await operations.close()
-    await link.close()
+    await endpoint.close()
     await controller.stop()
     log.close()

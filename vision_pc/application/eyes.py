@@ -66,7 +66,7 @@ class LiveWatch:
 
 
 class PoseLink(Protocol):
-    """What the eyes want from the reference link; ``ControllerLink`` implements it."""
+    """What the eyes want from the reference link; ``ReferenceLink`` implements it."""
 
     @property
     def state(self) -> State: ...

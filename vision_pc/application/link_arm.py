@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import AsyncIterator, Sequence
-from typing import Protocol
 
 import numpy as np
 
@@ -10,13 +9,12 @@ from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
 from protocol.faults import CommandCode
 from protocol.reference_messages import (
     FLAG_SETTLED,
-    Acknowledgement,
     ReferencePath,
     ReferencePose,
-    Request,
     State,
 )
-from vision_pc.application.reference_stream import ArmStream, StreamLink, refuse_broken, view_of
+from vision_pc.application.reference_link import ReferenceLink
+from vision_pc.application.reference_stream import ArmStream, refuse_broken, view_of
 from vision_pc.config.vision import MotionSettings
 from vision_pc.core.ports import ArmView
 from vision_pc.core.se3 import Array, to_pose
@@ -24,20 +22,10 @@ from vision_pc.core.se3 import Array, to_pose
 _BEGIN_STATES = 50  # states after the acknowledgement by which the motion must have begun
 
 
-class Link(StreamLink, Protocol):
-    """The reference link as the arm uses it; ``ControllerLink`` over UDP, and its like in lockstep."""
-
-    @property
-    def connected(self) -> bool: ...
-    async def next_state(self) -> State: ...
-    async def command(self, code: CommandCode) -> Acknowledgement: ...
-    async def request(self, request: Request) -> Acknowledgement: ...
-
-
-class SocketArm:
+class LinkArm:
     """Implements ``vision_pc.core.ports.Arm``. Every motion returns at rest, or raises."""
 
-    def __init__(self, link: Link, settings: MotionSettings) -> None:
+    def __init__(self, link: ReferenceLink, settings: MotionSettings) -> None:
         self._link = link
         self._settings = settings
 

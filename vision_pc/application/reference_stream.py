@@ -1,34 +1,21 @@
 """An open stream of references over the reference link, and the arm's view that programs get from it."""
 
-from typing import Protocol
-
 import numpy as np
 
 from protocol.errors import RequestRefused
 from protocol.faults import GroupState
-from protocol.reference_messages import FLAG_SETTLED, FLAG_STREAMING, State, StreamedPose, StreamRefused
+from protocol.reference_messages import FLAG_SETTLED, FLAG_STREAMING, State, StreamedPose
+from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.core.ports import ArmView
 from vision_pc.core.se3 import Array, from_pose, to_pose
 
 _NUMBERS = 1 << 32
 
 
-class StreamLink(Protocol):
-    """The reference link as a stream uses it."""
-
-    @property
-    def state(self) -> State: ...
-    @property
-    def now_ns(self) -> int: ...
-    def local_time_ns(self, controller_ns: int) -> int: ...
-    def stream(self, reference: StreamedPose) -> None: ...
-    def refusal_of(self, stream_id: int) -> StreamRefused | None: ...
-
-
 class ArmStream:
     """Implements ``vision_pc.core.ports.ReferenceStream``; nothing here waits."""
 
-    def __init__(self, link: StreamLink, stream_id: int) -> None:
+    def __init__(self, link: ReferenceLink, stream_id: int) -> None:
         self.stream_id = stream_id
         self._link = link
         self._sent = 0
@@ -86,7 +73,7 @@ def refuse_broken(state: State) -> None:
         raise RequestRefused("refused.stopped", "the motion was stopped")
 
 
-def view_of(state: State, link: StreamLink) -> ArmView:
+def view_of(state: State, link: ReferenceLink) -> ArmView:
     """A state of the link as programs see it, on our clock."""
     return ArmView(
         time_ns=link.local_time_ns(state.time_ns),

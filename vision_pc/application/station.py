@@ -52,7 +52,7 @@ from vision_pc.shell.event_log import EventLog
 
 
 class Controller(Protocol):
-    """The controller as the REST face sees it; ``ControllerLink`` implements it."""
+    """The controller as the REST face sees it; ``ReferenceLink`` implements it."""
 
     @property
     def connected(self) -> bool: ...

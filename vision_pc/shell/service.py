@@ -20,13 +20,15 @@ from protocol.errors import ConfigurationError
 from vision_pc.application.eyes import CameraEyes
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.hand_eye.store import SessionStore
-from vision_pc.application.link_arm import SocketArm
+from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.operations import Operations
+from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.application.station import Station
 from vision_pc.config.vision import ApiSettings, VisionConfig
 from vision_pc.shell.cameras import open_camera
 from vision_pc.shell.event_log import EventLog
-from vision_pc.shell.link.controller_link import ControllerLink
+from vision_pc.shell.link.udp_endpoint import UdpEndpoint
+from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.rest.api import create_app
 
 _STATISTICS_S = 10.0
@@ -67,10 +69,11 @@ class VisionService:
         """Serves until SIGTERM or SIGINT, then ends the running operation and says goodbye."""
         cv2.setNumThreads(1)  # one core is for the controller and the plant
         config, log = self._config, self.log
-        link = ControllerLink(config.link, log)
+        endpoint = UdpEndpoint(config.link, log, MonotonicClock())
+        link = endpoint.link
         camera = open_camera(config.camera)
         eyes = CameraEyes(camera, link, config, log)
-        arm = SocketArm(link, config.motion)
+        arm = LinkArm(link, config.motion)
         station = Station(arm, eyes, link, eyes, config.programs, log)
         operations = Operations(arm.halt, log)
         guided = GuidedCalibration(arm, eyes, link, config, log, SessionStore(config.sessions_dir))
@@ -92,7 +95,7 @@ class VisionService:
 
         for number in (signal.SIGTERM, signal.SIGINT):
             asyncio.get_running_loop().add_signal_handler(number, leave)
-        await link.start()
+        await endpoint.start()
         await camera.start()
         figures = asyncio.create_task(self._write_figures(link, eyes))
         self._say_ready(eyes)
@@ -101,7 +104,7 @@ class VisionService:
         finally:
             figures.cancel()
             await operations.close()
-            await link.close()
+            await endpoint.close()
             await camera.close()
             eyes.close()
             self._write_statistics(link, eyes)
@@ -121,12 +124,12 @@ class VisionService:
         }
         print(json.dumps(ready), flush=True)
 
-    async def _write_figures(self, link: ControllerLink, eyes: CameraEyes) -> None:
+    async def _write_figures(self, link: ReferenceLink, eyes: CameraEyes) -> None:
         while True:
             await asyncio.sleep(_STATISTICS_S)
             self._write_statistics(link, eyes)
 
-    def _write_statistics(self, link: ControllerLink, eyes: CameraEyes) -> None:
+    def _write_statistics(self, link: ReferenceLink, eyes: CameraEyes) -> None:
         path = self._options.statistics
         if path is None:
             return

@@ -20,15 +20,15 @@ from protocol.faults import CommandCode
 from testbed.campaigns.row_file import Row
 from testbed.experiments.paper.opencv_sight import OpencvSight
 from testbed.experiments.paper.tracing import Traced, Tracer
+from testbed.lockstep.clock import run
 from testbed.lockstep.eyes import LockstepEyes
-from testbed.lockstep.link import LockstepLink, run
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.sight import Sight
 from testbed.lockstep.simulated_measurements import ModelSight, load_eye_model
 from testbed.lockstep.world import VISION_CLOCK_NS, World
 from testbed.scenarios.scenario import load_scenario
 from testbed.scenarios.settings import Settings, load_settings
-from vision_pc.application.link_arm import SocketArm
+from vision_pc.application.link_arm import LinkArm
 from vision_pc.core.calibration.line_equation import line_equation
 from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.calibration.orientation import adjust_orientation, orientation_error
@@ -40,7 +40,6 @@ from vision_pc.core.types import Look
 
 EYES = ("pixels", "opencv", "model")
 _AROUND_NS = 250_000_000  # truth is averaged over so much on either side of a look
-_CONNECT_NS = 5_000_000_000
 _LOOKS = 5
 _UNSEEN = ("measurement.tool_not_seen", "measurement.object_not_seen")
 
@@ -91,16 +90,15 @@ def bench(config_dir: Path, task: Row, tracer: Tracer | None = None) -> Bench:
     drawn = load_scenario(config_dir, task["scenario"]).world(task["seed"])
     settings = load_settings(config_dir, merged(drawn, parse_overrides(task["assignments"])))
     world = World(settings, task["seed"], RunLog())
-    link = LockstepLink(world)
+    link = world.link
     sight: Sight | None = None
     if task["eyes"] == "opencv":
         sight = OpencvSight(world, settings.vision)
     elif task["eyes"] == "model":
         sight = ModelSight(world, settings.vision, load_eye_model(config_dir), task["seed"])
     eyes: Eyes = LockstepEyes(world, link, settings.vision, sight)
-    arm: Arm = SocketArm(link, settings.vision.motion)
-    while not world.connected and world.time_ns < _CONNECT_NS:
-        world.step()
+    arm: Arm = LinkArm(link, settings.vision.motion)
+    world.connect()
     run(link.command(CommandCode.ENABLE))
     run(link.next_state())
     if tracer is not None:

@@ -14,7 +14,7 @@ from protocol.errors import LinkLost
 from protocol.faults import CommandCode, FaultCode, GroupState
 from protocol.process_image import STATUS_VALVES_ENABLED
 from protocol.reference_messages import StreamedPose
-from testbed.lockstep.link import LockstepLink, run
+from testbed.lockstep.clock import run
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import World
 from testbed.scenarios.settings import Settings
@@ -72,16 +72,14 @@ class CutStream:
         self.world.lead_ns = int(self.rng.integers(0, round(1e6 * settings.controller.cycle_ms)))
         self.reached_ns = 0
         self.begun_ns = 0
-        self._link = LockstepLink(self.world)
         self._rate_hz = rate_hz
         self._motion = motion
         self._sent = 0
-        while not self.world.connected:
-            self.world.step()
-        run(self._link.command(CommandCode.ENABLE))
-        run(self._link.next_state())
+        self.world.connect()
+        run(self.world.link.command(CommandCode.ENABLE))
+        run(self.world.link.next_state())
         self._start = from_pose(self.world.states[-1].X_BT)
-        self.stream_id = run(self._link.command(CommandCode.START_STREAM)).command_id
+        self.stream_id = run(self.world.link.command(CommandCode.START_STREAM)).command_id
         self.begun_ns = self.world.time_ns
         self.world.to_controller = self._noting
 
@@ -100,7 +98,7 @@ class CutStream:
         reference = StreamedPose(
             self.stream_id, self._sent, self.world.vision_ns, to_pose(X), (a, b, c, d, e, f)
         )
-        self.world.stream(reference)
+        self.world.link.stream(reference)
 
     def _noting(self, datagrams: list[bytes]) -> list[bytes]:
         """All that was sent arrives; when a reference does is noted."""
@@ -124,7 +122,7 @@ def one_cut(settings: Settings, seed: int) -> dict[str, Any]:
         if stream.running_s > _LONGEST_S:
             raise LinkLost("link.no_motion", f"seed {seed}: the {kind} came to rest before its cut")
         stream.send_due()
-        world.step()
+        world.clock.advance()
     speed = _speed(world)
     drawn = {"rate_hz": rate_hz, "motion": kind, "cut": cut, "speed_m_s": speed}
     seen = _watched(stream, cut)
@@ -139,7 +137,7 @@ def _watched(stream: CutStream, cut: str) -> dict[str, Any]:
     if cut == "link":
         world.to_controller = lambda datagrams: []
     elif cut == "bye":
-        world.disconnect()
+        world.link.disconnect()
     deadband = world.settings.plant.valves.deadband
     command_ms = flow_ms = 0.0
     resumed = False
@@ -148,7 +146,7 @@ def _watched(stream: CutStream, cut: str) -> dict[str, Any]:
         opening = float(np.abs(world.plant.truth().spools).max())
         if cut == "stream" and world.time_ns - reached_ns > _RETURNS_S * 1e9:
             stream.send_due()
-        world.step()
+        world.clock.advance()
         until_ms = 1e-6 * (world.time_ns - reached_ns)
         truth = world.plant.truth()
         if np.any(truth.valves):

@@ -20,7 +20,7 @@ from protocol.faults import CommandCode, Reason
 from protocol.pose import IDENTITY
 from protocol.reference_messages import Command, ReferencePose
 from protocol.server_session import ReferenceServer
-from protocol.session_events import Connected, ConnectionDelayed, LinkLost
+from protocol.session_events import Connected, ConnectionDelayed, SessionLost
 
 TIMEOUT_MS = 400
 
@@ -179,7 +179,7 @@ async def test_closing_says_goodbye(port: ReferencePort, meet: Meet) -> None:
     port.server.close(time.monotonic_ns(), Reason.SHUTDOWN)
     port.publish((), None, time.monotonic_ns())  # type: ignore[arg-type] - no session is left to publish to
     await peer.turn()
-    assert any(isinstance(event, LinkLost) and event.reason is Reason.SHUTDOWN for event in peer.events)
+    assert any(isinstance(event, SessionLost) and event.reason is Reason.SHUTDOWN for event in peer.events)
 
 
 async def test_a_busy_port_is_named(port: ReferencePort) -> None:

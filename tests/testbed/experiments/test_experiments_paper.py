@@ -14,7 +14,7 @@ from testbed.experiments.paper.comparison import TABLES, compared, conclusions
 from testbed.experiments.paper.measurement import RememberingEyes, bench, measured_on
 from testbed.experiments.paper.report import write_comparison
 from testbed.experiments.paper.tracing import Tracer
-from testbed.lockstep.link import run
+from testbed.lockstep.clock import run
 from testbed.scenarios.scenario import load_scenario
 
 CONFIGS = Path("configs")

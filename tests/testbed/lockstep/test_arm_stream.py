@@ -5,12 +5,12 @@ import pytest
 
 from protocol.errors import LongreachError, RequestRefused
 from protocol.faults import CommandCode, FaultCode, GroupState
-from testbed.lockstep.link import LockstepLink, run
+from testbed.lockstep.clock import run
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import World
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
-from vision_pc.application.link_arm import SocketArm
+from vision_pc.application.link_arm import LinkArm
 from vision_pc.core.ports import ReferenceStream
 from vision_pc.core.se3 import Array
 
@@ -23,10 +23,9 @@ class Streamer:
     def __init__(self) -> None:
         settings = load_settings(CONFIGS, chosen_overrides(CONFIGS, None, 1, []))
         self.world = World(settings, 1, RunLog())
-        self.link = LockstepLink(self.world)
-        self.arm = SocketArm(self.link, settings.vision.motion)
-        while not self.world.connected:
-            self.world.step()
+        self.link = self.world.link
+        self.arm = LinkArm(self.link, settings.vision.motion)
+        self.world.connect()
         run(self.link.command(CommandCode.ENABLE))
         run(self.link.next_state())
         self.home = run(self.arm.view()).X_BT
@@ -44,12 +43,12 @@ class Streamer:
             if self.world.time_ns >= next_ns:
                 await stream.send(X)
                 next_ns += PERIOD_NS
-            self.world.step()
+            self.world.clock.advance()
 
     def at_rest(self) -> bool:
         """Whether the arm comes to rest within two seconds."""
         for _ in range(400):
-            self.world.step()
+            self.world.clock.advance()
         before, now = self.world.states[-20], self.world.states[-1]
         return bool(np.allclose(before.X_BT_cmd.p_m, now.X_BT_cmd.p_m, atol=2e-3))
 
@@ -93,7 +92,7 @@ def test_a_program_that_pauses_too_long_is_told_so(streamer: Streamer) -> None:
         async with streamer.arm.streaming() as stream:
             await streamer.send(stream, streamer.ahead(0.1), 1.0)
             for _ in range(40):
-                streamer.world.step()
+                streamer.world.clock.advance()
             await stream.send(streamer.ahead(0.1))
 
     with pytest.raises(RequestRefused) as caught:
@@ -120,7 +119,7 @@ def test_an_old_measurement_is_refused(streamer: Streamer) -> None:
         async with streamer.arm.streaming() as stream:
             for _ in range(20):
                 await stream.send(streamer.ahead(0.1), measured_ns=streamer.world.vision_ns - 300_000_000)
-                streamer.world.step()
+                streamer.world.clock.advance()
 
     with pytest.raises(RequestRefused) as caught:
         run(program())
@@ -139,6 +138,6 @@ def test_a_stream_needs_an_enabled_arm_and_a_link(streamer: Streamer) -> None:
 
     run(streamer.link.command(CommandCode.DISABLE))
     assert cause() == "refused.disabled"
-    streamer.world.disconnect()
-    streamer.world.step()
+    streamer.world.link.disconnect()
+    streamer.world.clock.advance()
     assert cause() == "link.not_connected"

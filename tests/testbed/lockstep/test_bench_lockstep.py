@@ -20,17 +20,16 @@ SECONDS = 20.0
 def moving_world() -> Iterator[World]:
     settings = load_settings(CONFIGS, chosen_overrides(CONFIGS, "standard", 1, ["controller.cycle_ms=5.0"]))
     world = World(settings, 1, RunLog())
-    while not world.connected:
-        world.step()
-    world.submit(Command(0, CommandCode.ENABLE))
+    world.connect()
+    world.link.submit(Command(0, CommandCode.ENABLE))
     for _ in range(100):
-        world.step()
+        world.clock.advance()
     here = world.states[-1].X_BT
     x, y, z = here.p_m
     corners = [(x, y + 0.2, z), (x, y - 0.2, z)] * 12
-    world.submit(ReferencePath(0, tuple(here._replace(p_m=corner) for corner in corners), 0.0, 0.0))
+    world.link.submit(ReferencePath(0, tuple(here._replace(p_m=corner) for corner in corners), 0.0, 0.0))
     for _ in range(20):
-        world.step()
+        world.clock.advance()
     yield world
     assert world.states[-1].group_state is GroupState.MOVING, "the arm must have been moving all the time"
 
@@ -42,7 +41,7 @@ def test_lockstep_without_pixels_is_eight_times_real_time(moving_world: World) -
     for _ in range(3):  # the best of three: the others tell of other work on the machine
         began_ns, began = moving_world.time_ns, time.process_time()
         for _ in range(cycles // 4):
-            moving_world.step()
+            moving_world.clock.advance()
         best = max(best, 1e-9 * (moving_world.time_ns - began_ns) / (time.process_time() - began))
     print(
         f"\nlockstep without pixels, 5 ms cycle, one core: {best:.1f} times real time (wanted {WANTED:.0f})"

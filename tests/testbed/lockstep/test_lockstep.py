@@ -7,13 +7,13 @@ from protocol.errors import LinkLost, LongreachError, RequestRefused
 from protocol.faults import GroupState
 from protocol.pose import Pose
 from protocol.reference_messages import ReferencePose
-from testbed.lockstep.link import run
+from testbed.lockstep.clock import run
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import bars
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
-from vision_pc.application.link_arm import SocketArm
+from vision_pc.application.link_arm import LinkArm
 from vision_pc.core.se3 import from_pose
 
 LITTLE_M = 1e-3  # what leakage past shut valves, and the servo against it, move the tool within a second
@@ -57,7 +57,7 @@ def test_a_move_while_disabled_is_refused_and_nothing_moves() -> None:
         operate(rig, "move", offset_base_m=[0.0, 0.05, 0.0])
     assert caught.value.cause == "refused.disabled"
     for _ in range(200):
-        rig.world.step()
+        rig.world.clock.advance()
     assert np.linalg.norm(true_tool(rig) - before) < LITTLE_M
 
 
@@ -85,7 +85,7 @@ def test_a_reference_that_cannot_be_is_refused_whole(
     rig = rig_of(1)
     rig.command("enable")
     for _ in range(200):
-        rig.world.step()
+        rig.world.clock.advance()
     before = true_tool(rig)
     w, x, y, z = (q_scale * value for value in rig.link.state.X_BT.q_wxyz)
     with pytest.raises(RequestRefused) as caught:
@@ -93,7 +93,7 @@ def test_a_reference_that_cannot_be_is_refused_whole(
     assert caught.value.cause.startswith(cause)
     assert "\n" not in str(caught.value)
     for _ in range(200):
-        rig.world.step()
+        rig.world.clock.advance()
     assert rig.link.state.group_state is GroupState.STANDBY
     assert np.linalg.norm(true_tool(rig) - before) < LITTLE_M
 
@@ -167,12 +167,12 @@ def test_a_motion_that_nobody_attends_to_is_ended() -> None:
     run(rig.link.request(ReferencePose(0, goal, 6.0)))
     rig.world.to_controller = lambda datagrams: []
     for _ in range(600):
-        rig.world.step()
+        rig.world.clock.advance()
     faults = [e["what"]["cause"] for e in rig.world.log.events if e["event"] == "controller"]
     assert "REFERENCE_LINK_LOST" in faults
     before = true_tool(rig)
     for _ in range(200):
-        rig.world.step()
+        rig.world.clock.advance()
     assert np.linalg.norm(true_tool(rig) - before) < LITTLE_M
     assert before[1] < goal.p_m[1] - 0.1, "it must have stopped on its way"
 
@@ -180,7 +180,7 @@ def test_a_motion_that_nobody_attends_to_is_ended() -> None:
 def test_the_arm_arrives_where_the_controller_was_told_to_go() -> None:
     rig = rig_of(2)
     rig.command("enable")
-    arm = SocketArm(rig.link, rig.world.settings.vision.motion)
+    arm = LinkArm(rig.link, rig.world.settings.vision.motion)
     target = from_pose(rig.link.state.X_BT)
     target[:3, 3] += [0.05, 0.03, -0.04]
     view = run(arm.move_to(target))

@@ -19,25 +19,24 @@ def world_of(seed: int, *assignments: str) -> World:
     """A world that has connected."""
     settings = load_settings(CONFIGS, chosen_overrides(CONFIGS, "standard", seed, list(assignments)))
     world = World(settings, seed, RunLog())
-    while not world.connected:
-        world.step()
+    world.connect()
     return world
 
 
 def until(world: World, time_ns: int) -> None:
     """Step the world until it has reached ``time_ns``."""
     while world.time_ns < time_ns:
-        world.step()
+        world.clock.advance()
 
 
 def moving(seed: int) -> World:
     """A world whose arm is on its way, 500 ms after its start."""
     world = world_of(seed)
-    world.submit(Command(0, CommandCode.ENABLE))
+    world.link.submit(Command(0, CommandCode.ENABLE))
     until(world, 200 * MS)
     here = world.states[-1].X_BT
     x, y, z = here.p_m
-    world.submit(ReferencePose(0, here._replace(p_m=(x, y + 0.5, z - 0.2)), 0.0))
+    world.link.submit(ReferencePose(0, here._replace(p_m=(x, y + 0.5, z - 0.2)), 0.0))
     until(world, 500 * MS)
     assert world.states[-1].group_state is GroupState.MOVING
     return world
@@ -51,7 +50,7 @@ def test_a_silent_coupler_faults_the_controller_and_the_plants_own_watchdog_shut
     assert world.states[-1].fault is FaultCode.NONE
     shut_ns = 0
     while world.time_ns < 1_000 * MS:
-        world.step()
+        world.clock.advance()
         if shut_ns == 0 and not world.plant.truth().valves.any():
             shut_ns = world.time_ns
     assert 600 * MS < shut_ns <= (600 + 100 + 5 + 5) * MS  # silence, watchdog, drive's delay, one cycle

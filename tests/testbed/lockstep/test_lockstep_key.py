@@ -36,16 +36,16 @@ def keyed(tmp_path: Path) -> tuple[str, str]:
 
 def until(world: World, time_ns: int) -> World:
     while world.time_ns < time_ns:
-        world.step()
+        world.clock.advance()
     return world
 
 
 def driven(world: World) -> World:
     """``world`` after enabling at 200 ms and a reference at 300 ms; half a second later."""
-    until(world, 200 * MS).submit(Command(0, CommandCode.ENABLE))
+    until(world, 200 * MS).link.submit(Command(0, CommandCode.ENABLE))
     here = until(world, 300 * MS).states[-1].X_BT
     x, y, z = here.p_m
-    world.submit(ReferencePose(0, here._replace(p_m=(x, y + 0.2, z)), 0.0))
+    world.link.submit(ReferencePose(0, here._replace(p_m=(x, y + 0.2, z)), 0.0))
     return until(world, 800 * MS)
 
 
@@ -53,7 +53,7 @@ def test_an_authenticated_loop_moves_as_the_plain_one_does(keyed: tuple[str, str
     signed, plain = driven(world_of(*keyed)), driven(world_of())
     assert signed.states[-1].group_state is plain.states[-1].group_state is GroupState.MOVING
     assert np.array_equal(signed.plant.truth().X_WT, plain.plant.truth().X_WT)
-    assert signed.link_statistics.dropped == 0
+    assert signed.link.statistics.dropped == 0
     assert signed.states[-1].references_dropped == 0
 
 
@@ -71,7 +71,8 @@ def test_replays_and_forgeries_on_the_wire_change_nothing_but_the_counters(keyed
     driven(world)
     assert world.states[-1].group_state is GroupState.MOVING
     assert np.array_equal(world.plant.truth().X_WT, clean.plant.truth().X_WT)
-    assert {a.reason for a in world.acknowledgements.values()} == {Reason.ACCEPTED}
+    answers = [event for event in world.log.events if event["event"] == "acknowledgement"]
+    assert {event["reason"] for event in answers} == {Reason.ACCEPTED.name}
     assert world.states[-1].references_dropped > 2 * len(heard) - 50
     assert world.states[-1].references_lost == 0
     assert all(decode(data).header.flags & 0x100 for data in heard)

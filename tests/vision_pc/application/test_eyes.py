@@ -19,13 +19,15 @@ from tests.vision_pc.rendering import Marker, draw_marker, draw_wall, facing, fi
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward
 from vision_pc.application.eyes import CameraEyes
+from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.config.vision import LinkSettings, VisionConfig
 from vision_pc.core.perception.intrinsics import calibration
 from vision_pc.core.se3 import transform
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras import CameraSource
 from vision_pc.shell.event_log import EventLog
-from vision_pc.shell.link.controller_link import ControllerLink
+from vision_pc.shell.link.udp_endpoint import UdpEndpoint
+from vision_pc.shell.monotonic_clock import MonotonicClock
 
 X_CM = facing(0.15, 0.05, 0.5)
 X_CO = facing(-0.1, -0.05, 1.0)
@@ -89,7 +91,7 @@ def pictures() -> Pictures:
 
 
 class Bench:
-    def __init__(self, camera: PlayedCamera, controller: LoopbackController, link: ControllerLink,
+    def __init__(self, camera: PlayedCamera, controller: LoopbackController, link: ReferenceLink,
                  eyes: CameraEyes) -> None:  # fmt: skip
         self.camera, self.controller, self.link, self.eyes = camera, controller, link, eyes
 
@@ -99,8 +101,9 @@ async def bench(config: VisionConfig, pictures: Pictures, tmp_path: Path) -> Asy
     controller = LoopbackController(SyntheticRig(draw(np.random.default_rng(0)), 0, rate_hz=100.0))
     await controller.start()
     log = EventLog(tmp_path, io.StringIO())
-    link = ControllerLink(LinkSettings(port=controller.port, state_period_ms=10), log)
-    await link.start()
+    endpoint = UdpEndpoint(LinkSettings(port=controller.port, state_period_ms=10), log, MonotonicClock())
+    link = endpoint.link
+    await endpoint.start()
     played = PlayedCamera(config.camera.model_copy(update={"stale_ms": 400.0}))
     played.play(pictures.both)
     await played.start()
@@ -109,7 +112,7 @@ async def bench(config: VisionConfig, pictures: Pictures, tmp_path: Path) -> Asy
     yield Bench(played, controller, link, eyes)
     eyes.close()
     await played.close()
-    await link.close()
+    await endpoint.close()
     await controller.stop()
     log.close()
 

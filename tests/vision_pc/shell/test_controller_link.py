@@ -13,11 +13,13 @@ from protocol.faults import CommandCode, FaultCode, GroupState
 from protocol.reference_messages import Command, ReferencePose
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward
-from vision_pc.application.link_arm import SocketArm
+from vision_pc.application.link_arm import LinkArm
+from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.config.vision import LinkSettings, MotionSettings
 from vision_pc.core.se3 import Array, to_pose, transform
 from vision_pc.shell.event_log import EventLog
-from vision_pc.shell.link.controller_link import ControllerLink
+from vision_pc.shell.link.udp_endpoint import UdpEndpoint
+from vision_pc.shell.monotonic_clock import MonotonicClock
 
 X_START = forward(Q_START)
 
@@ -35,22 +37,23 @@ async def controller() -> AsyncIterator[LoopbackController]:
 
 
 @pytest.fixture
-async def link(controller: LoopbackController) -> AsyncIterator[ControllerLink]:
+async def link(controller: LoopbackController) -> AsyncIterator[ReferenceLink]:
     log = EventLog(None, io.StringIO())
-    link = ControllerLink(LinkSettings(port=controller.port, state_period_ms=10), log)
-    await link.start()
+    endpoint = UdpEndpoint(LinkSettings(port=controller.port, state_period_ms=10), log, MonotonicClock())
+    link = endpoint.link
+    await endpoint.start()
     await until(lambda: link.connected and link.clock_offset is not None)
     yield link
-    await link.close()
+    await endpoint.close()
 
 
 @pytest.fixture
-def arm(link: ControllerLink) -> SocketArm:
-    return SocketArm(link, MotionSettings(settle_timeout_s=0.3, rest_s=0.02))
+def arm(link: ReferenceLink) -> LinkArm:
+    return LinkArm(link, MotionSettings(settle_timeout_s=0.3, rest_s=0.02))
 
 
 async def test_the_clock_offset_is_the_controllers(
-    link: ControllerLink, controller: LoopbackController
+    link: ReferenceLink, controller: LoopbackController
 ) -> None:
     await asyncio.sleep(0.1)
     clock = link.clock_offset
@@ -60,7 +63,7 @@ async def test_the_clock_offset_is_the_controllers(
     assert link.state_age_ns < 200_000_000
 
 
-async def test_a_command_is_acknowledged_and_a_repeated_one_counts_as_accepted(link: ControllerLink) -> None:
+async def test_a_command_is_acknowledged_and_a_repeated_one_counts_as_accepted(link: ReferenceLink) -> None:
     await link.command(CommandCode.ENABLE)
     assert (await link.next_state()).group_state is GroupState.STANDBY
     await link.command(CommandCode.ENABLE)
@@ -71,7 +74,7 @@ async def test_a_command_is_acknowledged_and_a_repeated_one_counts_as_accepted(l
     [([], "disabled"), ([CommandCode.EMERGENCY_STOP], "emergency_latched"),
      ([CommandCode.EMERGENCY_STOP, CommandCode.EMERGENCY_RELEASE], "error_latched")],
 )  # fmt: skip
-async def test_refusals_are_typed(link: ControllerLink, prepare: list[CommandCode], cause: str) -> None:
+async def test_refusals_are_typed(link: ReferenceLink, prepare: list[CommandCode], cause: str) -> None:
     for code in prepare:
         await link.command(code)
     with pytest.raises(RequestRefused) as refused:
@@ -79,7 +82,7 @@ async def test_refusals_are_typed(link: ControllerLink, prepare: list[CommandCod
     assert refused.value.cause == f"refused.{cause}"
 
 
-async def test_a_motion_returns_at_rest_where_it_was_sent(link: ControllerLink, arm: SocketArm) -> None:
+async def test_a_motion_returns_at_rest_where_it_was_sent(link: ReferenceLink, arm: LinkArm) -> None:
     await link.command(CommandCode.ENABLE)
     goal = shifted(0.0, 0.2, 0.1)
     view = await arm.move_to(goal)
@@ -90,7 +93,7 @@ async def test_a_motion_returns_at_rest_where_it_was_sent(link: ControllerLink, 
 
 
 async def test_a_path_passes_its_waypoints(
-    link: ControllerLink, arm: SocketArm, controller: LoopbackController
+    link: ReferenceLink, arm: LinkArm, controller: LoopbackController
 ) -> None:
     await link.command(CommandCode.ENABLE)
     corners = [shifted(0.0, 0.1, 0.0), shifted(0.0, 0.1, 0.1), shifted(0.0, 0.0, 0.0)]
@@ -102,7 +105,7 @@ async def test_a_path_passes_its_waypoints(
 
 
 async def test_the_pose_at_a_picture_is_interpolated_on_the_controllers_clock(
-    link: ControllerLink, arm: SocketArm, controller: LoopbackController
+    link: ReferenceLink, arm: LinkArm, controller: LoopbackController
 ) -> None:
     await link.command(CommandCode.ENABLE)
     true: list[tuple[int, Array]] = []
@@ -118,13 +121,13 @@ async def test_the_pose_at_a_picture_is_interpolated_on_the_controllers_clock(
     assert np.median(errors) < 0.01  # the arm steps every 10 ms at up to 1.5 m/s
 
 
-async def test_a_pose_older_than_the_history_is_not_made_up(link: ControllerLink) -> None:
+async def test_a_pose_older_than_the_history_is_not_made_up(link: ReferenceLink) -> None:
     with pytest.raises(LinkLost) as lost:
         await link.pose_at(time.monotonic_ns() - 60_000_000_000)
     assert lost.value.cause == "link.state_too_old"
 
 
-async def test_stop_ends_a_motion_with_its_cause(link: ControllerLink, arm: SocketArm) -> None:
+async def test_stop_ends_a_motion_with_its_cause(link: ReferenceLink, arm: LinkArm) -> None:
     await link.command(CommandCode.ENABLE)
     moving = asyncio.create_task(arm.move_to(shifted(-0.5, 0.5, 0.5)))
     await until(lambda: link.state.group_state is GroupState.MOVING)
@@ -135,7 +138,7 @@ async def test_stop_ends_a_motion_with_its_cause(link: ControllerLink, arm: Sock
 
 
 async def test_a_fault_in_motion_is_named(
-    link: ControllerLink, arm: SocketArm, controller: LoopbackController
+    link: ReferenceLink, arm: LinkArm, controller: LoopbackController
 ) -> None:
     await link.command(CommandCode.ENABLE)
     moving = asyncio.create_task(arm.move_to(shifted(-0.5, 0.5, 0.5)))
@@ -146,7 +149,7 @@ async def test_a_fault_in_motion_is_named(
     assert refused.value.cause == "refused.fault_following_error"
 
 
-async def test_another_motion_overtakes(link: ControllerLink, arm: SocketArm) -> None:
+async def test_another_motion_overtakes(link: ReferenceLink, arm: LinkArm) -> None:
     await link.command(CommandCode.ENABLE)
     first = asyncio.create_task(arm.move_to(shifted(-0.5, 0.5, 0.5)))
     await until(lambda: link.state.group_state is GroupState.MOVING)
@@ -157,7 +160,7 @@ async def test_another_motion_overtakes(link: ControllerLink, arm: SocketArm) ->
 
 
 async def test_an_arm_that_swings_on_is_told_and_one_that_hangs_beside_its_reference_serves(
-    link: ControllerLink, arm: SocketArm, controller: LoopbackController
+    link: ReferenceLink, arm: LinkArm, controller: LoopbackController
 ) -> None:
     await link.command(CommandCode.ENABLE)
     controller.never_settles = True
@@ -170,7 +173,7 @@ async def test_an_arm_that_swings_on_is_told_and_one_that_hangs_beside_its_refer
 
 
 async def test_unreachable_is_refused_whole(
-    link: ControllerLink, arm: SocketArm, controller: LoopbackController
+    link: ReferenceLink, arm: LinkArm, controller: LoopbackController
 ) -> None:
     await link.command(CommandCode.ENABLE)
     before = controller.rig.q.copy()
@@ -187,8 +190,10 @@ async def test_a_controller_that_is_not_there_is_named_and_found_when_it_comes()
     await first.start()
     port = first.port
     await first.stop()
-    link = ControllerLink(LinkSettings(port=port, state_period_ms=10), EventLog(None, io.StringIO()))
-    await link.start()
+    settings = LinkSettings(port=port, state_period_ms=10)
+    endpoint = UdpEndpoint(settings, EventLog(None, io.StringIO()), MonotonicClock())
+    link = endpoint.link
+    await endpoint.start()
     with pytest.raises(LinkLost) as lost:
         await link.command(CommandCode.ENABLE)
     assert lost.value.cause == "link.not_connected"
@@ -196,12 +201,12 @@ async def test_a_controller_that_is_not_there_is_named_and_found_when_it_comes()
     await late.start(port)
     await until(lambda: link.connected)
     await link.command(CommandCode.ENABLE)
-    await link.close()
+    await endpoint.close()
     await late.stop()
 
 
 async def test_a_controller_that_restarts_is_found_again_and_a_waiting_motion_fails(
-    link: ControllerLink, arm: SocketArm, controller: LoopbackController
+    link: ReferenceLink, arm: LinkArm, controller: LoopbackController
 ) -> None:
     await link.command(CommandCode.ENABLE)
     moving = asyncio.create_task(arm.move_to(shifted(-0.5, 0.5, 0.5)))
@@ -217,7 +222,7 @@ async def test_a_controller_that_restarts_is_found_again_and_a_waiting_motion_fa
 
 
 async def test_commands_that_wait_end_with_the_link(
-    link: ControllerLink, controller: LoopbackController
+    link: ReferenceLink, controller: LoopbackController
 ) -> None:
     controller.datagram_received = lambda data, addr: None  # type: ignore[method-assign]
     with pytest.raises(LinkLost) as lost:
@@ -228,11 +233,11 @@ async def test_commands_that_wait_end_with_the_link(
 async def test_the_log_tells_the_links_story(controller: LoopbackController) -> None:
     stream = io.StringIO()
     log = EventLog(None, stream)
-    link = ControllerLink(LinkSettings(port=controller.port), log)
-    await link.start()
-    await until(lambda: link.connected)
-    await link.command(CommandCode.ENABLE)
-    await link.close()
+    endpoint = UdpEndpoint(LinkSettings(port=controller.port), log, MonotonicClock())
+    await endpoint.start()
+    await until(lambda: endpoint.link.connected)
+    await endpoint.link.command(CommandCode.ENABLE)
+    await endpoint.close()
     log.flush()
     lines = stream.getvalue().splitlines()
     assert any('"link_connected"' in line for line in lines)

@@ -16,7 +16,8 @@ from tests.vision_pc.synthetic import SyntheticRig, draw
 from tests.vision_pc.synthetic_station import bench
 from vision_pc.config.vision import LinkSettings
 from vision_pc.shell.event_log import EventLog
-from vision_pc.shell.link.controller_link import ControllerLink
+from vision_pc.shell.link.udp_endpoint import UdpEndpoint
+from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.rest.link_view import LinkCounters, link_view
 
 
@@ -33,9 +34,9 @@ def a_controller(key_file: Path | None = None) -> LoopbackController:
     return LoopbackController(rig, key=key_from_file(key_file) if key_file else None)
 
 
-def a_link(port: int, stream: io.StringIO, key_file: Path | None = None) -> ControllerLink:
+def a_link(port: int, stream: io.StringIO, key_file: Path | None = None) -> UdpEndpoint:
     settings = LinkSettings(port=port, state_period_ms=10, link_key=KeySource(file=key_file))
-    return ControllerLink(settings, EventLog(None, stream))
+    return UdpEndpoint(settings, EventLog(None, stream), MonotonicClock())
 
 
 def test_every_counter_is_shown_with_its_unit() -> None:
@@ -55,7 +56,7 @@ async def test_the_rest_face_shows_the_link() -> None:
         assert seen["dropped"] == 0
         assert seen["clock"]["uncertainty_ns"] > 0
         assert seen["controller"] == {"references_lost": 0, "references_dropped": 0}
-        made.station.controller.datagram_received(b"nonsense", None)  # type: ignore[attr-defined]
+        made.station.controller.receive(b"nonsense")  # type: ignore[attr-defined]
         later = (await made.client.get("/link")).json()
         assert later["datagrams"]["refused"] == later["dropped"] == 1
         assert later["datagrams"]["received"] >= seen["datagrams"]["received"]
@@ -72,14 +73,15 @@ async def test_the_rest_face_shows_the_link() -> None:
 async def test_with_the_same_key_the_link_is_authenticated(key_file: Path) -> None:
     controller, stream = a_controller(key_file), io.StringIO()
     await controller.start()
-    link = a_link(controller.port, stream, key_file)
-    await link.start()
+    endpoint = a_link(controller.port, stream, key_file)
+    link = endpoint.link
+    await endpoint.start()
     await until(lambda: link.connected and link.clock_offset is not None)
     assert (await link.command(CommandCode.ENABLE)).reason is Reason.ACCEPTED
     view = link_view(link)
     assert view.authenticated
     assert view.dropped == 0
-    await link.close()
+    await endpoint.close()
     await controller.stop()
     assert "5a5a" not in stream.getvalue()
 
@@ -87,28 +89,30 @@ async def test_with_the_same_key_the_link_is_authenticated(key_file: Path) -> No
 async def test_a_link_without_the_key_is_told_why_and_moves_nothing(key_file: Path) -> None:
     controller = a_controller(key_file)
     await controller.start()
-    link = a_link(controller.port, io.StringIO())
-    await link.start()
-    await until(lambda: "not authenticated" in str(link._not_connected()))
+    endpoint = a_link(controller.port, io.StringIO())
+    link = endpoint.link
+    await endpoint.start()
+    await until(lambda: "not authenticated" in str(link.not_connected()))
     with pytest.raises(LinkLost) as refused:
         await link.command(CommandCode.ENABLE)
     assert refused.value.cause == "link.not_authenticated"
     assert controller.requests == []
     assert controller.session.statistics.not_authenticated > 0
-    await link.close()
+    await endpoint.close()
     await controller.stop()
 
 
 async def test_a_key_that_the_controller_does_not_have_is_told_and_not_given_up(key_file: Path) -> None:
     controller = a_controller()
     await controller.start()
-    link = a_link(controller.port, io.StringIO(), key_file)
-    await link.start()
-    await until(lambda: "key not configured" in str(link._not_connected()))
+    endpoint = a_link(controller.port, io.StringIO(), key_file)
+    link = endpoint.link
+    await endpoint.start()
+    await until(lambda: "key not configured" in str(link.not_connected()))
     assert not link.connected
     assert link_view(link).datagrams.not_authenticated > 0  # the hint itself is not signed
     assert controller.session.session is None
-    await link.close()
+    await endpoint.close()
     await controller.stop()
 
 

@@ -11,24 +11,27 @@ from protocol.errors import RequestRefused
 from protocol.faults import CommandCode, GroupState
 from tests.conformance.controllers import ThreadedController
 from tests.vision_pc.shell.loopback_controller import until
-from vision_pc.application.link_arm import SocketArm
+from vision_pc.application.link_arm import LinkArm
+from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.config.vision import LinkSettings, MotionSettings
 from vision_pc.core.se3 import Array
 from vision_pc.shell.event_log import EventLog
-from vision_pc.shell.link.controller_link import ControllerLink
+from vision_pc.shell.link.udp_endpoint import UdpEndpoint
+from vision_pc.shell.monotonic_clock import MonotonicClock
 
 
 @pytest.fixture
-async def link() -> AsyncIterator[ControllerLink]:
+async def link() -> AsyncIterator[ReferenceLink]:
     with ThreadedController() as controller:
         settings = LinkSettings(port=controller.port, state_period_ms=10)
-        link = ControllerLink(settings, EventLog(None, io.StringIO()))
-        await link.start()
+        endpoint = UdpEndpoint(settings, EventLog(None, io.StringIO()), MonotonicClock())
+        link = endpoint.link
+        await endpoint.start()
         await until(lambda: link.connected and link.clock_offset is not None)
         await link.command(CommandCode.ENABLE)
         await link.next_state()
         yield link
-        await link.close()
+        await endpoint.close()
 
 
 def raised(X_BT: Array, z: float) -> Array:
@@ -37,8 +40,8 @@ def raised(X_BT: Array, z: float) -> Array:
     return X
 
 
-async def test_a_stream_is_followed_to_its_newest_reference(link: ControllerLink) -> None:
-    arm = SocketArm(link, MotionSettings())
+async def test_a_stream_is_followed_to_its_newest_reference(link: ReferenceLink) -> None:
+    arm = LinkArm(link, MotionSettings())
     home = (await arm.view()).X_BT
     goal = raised(home, 0.02)
     async with arm.streaming() as stream:
@@ -52,8 +55,8 @@ async def test_a_stream_is_followed_to_its_newest_reference(link: ControllerLink
     assert view.X_BT[:3, 3] == pytest.approx(goal[:3, 3], abs=2e-3)
 
 
-async def test_a_refusal_comes_back_by_name_and_stops_the_arm(link: ControllerLink) -> None:
-    arm = SocketArm(link, MotionSettings())
+async def test_a_refusal_comes_back_by_name_and_stops_the_arm(link: ReferenceLink) -> None:
+    arm = LinkArm(link, MotionSettings())
     home = (await arm.view()).X_BT
 
     async def jumping() -> None:

@@ -1,0 +1,77 @@
+"""The controller's programs in simulated time: the server session and the scan, on the controller's clock."""
+
+from controller.core.inbox import Inbox
+from controller.core.scan import scan
+from controller.core.scan_types import ScanInput, ScanOutput, initial_state
+from controller.core.settings import settings_from
+from foundation.configuration import configuration_hash
+from foundation.link_key import read_key
+from protocol.process_image import ValveImage, decode_sensors, encode_valves
+from protocol.reference_messages import State
+from protocol.server_session import ReferenceServer
+from testbed.scenarios.settings import Settings
+
+_VISION = "vision"
+
+
+class ControllerSide:
+    """The controller's programs: the server session and the scan, on the controller's clock."""
+
+    def __init__(self, settings: Settings, seed: int) -> None:
+        config = settings.controller
+        self.cycle_ns = round(1e6 * config.cycle_ms)
+        self._settings = settings_from(settings.arm, config)
+        self._state = initial_state(self._settings)
+        self._inbox = Inbox()
+        self._server = ReferenceServer(
+            boot_id=seed + 1,
+            arm_hash=configuration_hash(settings.arm),
+            cycle_ns=self.cycle_ns,
+            link_timeout_ms=config.reference_link.link_timeout_ms,
+            key=read_key(config.reference_link.link_key),
+        )
+        self.valve_words = encode_valves(ValveImage(0, 0, (0.0,) * 6))
+
+    def cycle(
+        self, sensor_words: list[int] | None, datagrams: list[bytes], arrival_ns: int, now_ns: int
+    ) -> tuple[ScanOutput, list[bytes]]:
+        """The scan's output and the datagrams to vision; ``valve_words`` are for the next exchange.
+
+        ``sensor_words`` is None when the plant did not answer.
+        """
+        events = self._server.receive_batch([(data, _VISION) for data in datagrams], arrival_ns)
+        events += self._server.tick(now_ns)
+        self._inbox.put(events)
+        requests, alive = self._inbox.take(self._server.link_alive(now_ns))
+        self._state, output = scan(
+            self._settings,
+            self._state,
+            ScanInput(
+                now_ns=now_ns,
+                dt_s=1e-9 * self.cycle_ns,
+                sensors=None if sensor_words is None else decode_sensors(sensor_words),
+                requests=requests,
+                reference_link_alive=alive,
+                streamed=self._inbox.take_streamed(),
+            ),
+        )
+        for acknowledgement in output.acknowledgements:
+            self._server.acknowledge(acknowledgement, now_ns)
+        if output.refusal is not None:
+            self._server.refuse_streamed(output.refusal, now_ns)
+        self._server.publish(self._state_message(output), now_ns)
+        self.valve_words = encode_valves(output.valves)
+        return output, [data for data, _ in self._server.outgoing(now_ns)]
+
+    def _state_message(self, output: ScanOutput) -> State:
+        """The state to publish: here no cycle is ever late."""
+        lost = self._server.statistics
+        return State(
+            **output.view._asdict(),
+            overruns=0,
+            lateness_p50_us=0,
+            lateness_p99_us=0,
+            lateness_max_us=0,
+            references_lost=lost.lost,
+            references_dropped=lost.dropped,
+        )

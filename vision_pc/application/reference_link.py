@@ -1,0 +1,268 @@
+"""The vision PC's end of the reference link, awaitable: the service and lockstep run this same class.
+
+Requests are awaited until the controller's acknowledgement; a refusal is raised with the controller's reason.
+The newest states are kept, on the controller's clock, so that the tool's pose at a picture's capture time can
+be interpolated through the link's clock offset. Datagrams are carried by a transport and time is a clock's:
+nothing here opens a socket or waits anywhere else.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from protocol.channel import LinkStatistics
+from protocol.client_session import ReferenceClient
+from protocol.clock_offset import OffsetEstimate
+from protocol.errors import LinkLost, RequestRefused
+from protocol.faults import CommandCode, Reason
+from protocol.reference_messages import Acknowledgement, Command, Request, State, StreamedPose, StreamRefused
+from protocol.session_events import (
+    AcknowledgementReceived,
+    ClientEvent,
+    Connected,
+    ConnectionDelayed,
+    SessionLost,
+    StateReceived,
+    StreamRefusedReceived,
+)
+from vision_pc.application.ports import Clock, LinkTransport
+from vision_pc.application.state_history import StateHistory
+from vision_pc.core.se3 import Array
+
+_WAIT_FOR_STATE_S = 1.0
+_ACKNOWLEDGEMENT_S = 2.0
+_RECONNECT_NS = 500_000_000
+
+
+class Submitted(NamedTuple):
+    """A request was handed to the session, under an id of its own."""
+
+    command_id: int
+    request: Request
+
+
+Journal = Callable[[Submitted | ClientEvent], None]
+"""Is told everything that happens on the link, for logs and recordings."""
+
+
+class ReferenceLink:
+    """One link to the controller; it reconnects on its own from ``connect`` until ``disconnect``.
+
+    ``peer`` names the controller in messages.
+    """
+
+    def __init__(
+        self, session: ReferenceClient, clock: Clock, transport: LinkTransport, journal: Journal, peer: str
+    ) -> None:
+        self._session = session
+        self._clock = clock
+        self._transport = transport
+        self._journal = journal
+        self._peer = peer
+        self._history = StateHistory()
+        self._received = 0
+        self._received_ns = 0
+        self._losses = 0
+        self._answers: dict[int, Acknowledgement | LinkLost | None] = {}
+        self._refusal: StreamRefused | None = None
+        self._lost_reason: Reason | None = None
+        self._reconnect_ns: int | None = None
+
+    # The transport's side.
+    def connect(self) -> None:
+        """Begin to connect; does not wait for the controller."""
+        self._reconnect_ns = None
+        self._session.connect(self._clock.now_ns)
+        self._transport.flush()
+
+    def disconnect(self) -> None:
+        """End the session, and tell the controller; the link stays closed."""
+        for event in self._session.disconnect(self._clock.now_ns):
+            self._handle(event)
+        self._reconnect_ns = self._lost_reason = None
+        self._transport.flush()
+
+    def receive(self, data: bytes) -> None:
+        """Handle one datagram from the controller."""
+        for event in self._session.receive(data, self._clock.now_ns):
+            self._handle(event)
+
+    def tick(self) -> None:
+        """Do what is due: heartbeats, requests once more, a silent controller, a lost session once more."""
+        now_ns = self._clock.now_ns
+        if self._reconnect_ns is not None and now_ns >= self._reconnect_ns:
+            self._reconnect_ns = None
+            self._session.connect(now_ns)
+        for event in self._session.tick(now_ns):
+            self._handle(event)
+
+    def outgoing(self, now_ns: int) -> list[bytes]:
+        """Datagrams to be sent now, in order, stamped ``now_ns``."""
+        return self._session.outgoing(now_ns)
+
+    def next_deadline_ns(self) -> int | None:
+        """When ``tick`` has something to do next; None while closed."""
+        return self._session.next_deadline_ns() or self._reconnect_ns
+
+    # What is known.
+    @property
+    def connected(self) -> bool:
+        """Return True if a session is open and a state has come in it."""
+        return self._session.connected and bool(self._history)
+
+    @property
+    def clock_offset(self) -> OffsetEstimate | None:
+        """The controller's clock minus ours, with its bound."""
+        return self._session.clock
+
+    @property
+    def authenticated(self) -> bool:
+        """Return True if a session is open in which every datagram is signed."""
+        return self._session.authenticated
+
+    @property
+    def statistics(self) -> LinkStatistics:
+        """Counters of the session."""
+        return self._session.statistics
+
+    @property
+    def state(self) -> State:
+        """The newest state. Raises LinkLost when there is no session."""
+        if not self.connected:
+            raise self.not_connected()
+        return self._history.newest
+
+    @property
+    def state_age_ns(self) -> int:
+        """Time since the newest state was received."""
+        return self._clock.now_ns - self._received_ns
+
+    @property
+    def now_ns(self) -> int:
+        """The time on our clock."""
+        return self._clock.now_ns
+
+    def local_time_ns(self, controller_ns: int) -> int:
+        """A time of the controller's clock on ours."""
+        return controller_ns - (self._session.clock_offset_ns or 0)
+
+    def not_connected(self) -> LinkLost:
+        """The error that says why there is no session."""
+        if self._lost_reason is None:
+            return LinkLost("link.not_connected", f"{self._peer} does not answer")
+        reason = self._lost_reason.name.lower()
+        return LinkLost(f"link.{reason}", f"{self._peer}: {reason.replace('_', ' ')}")
+
+    # Programs wait here.
+    async def next_state(self) -> State:
+        """The next state to come. Raises LinkLost when the session is lost first, or none comes in time."""
+        received, losses = self._received, self._losses
+        if not await self._clock.until(
+            lambda: self._received > received or self._losses > losses, _WAIT_FOR_STATE_S
+        ):
+            raise LinkLost("link.silent", f"no state from the controller within {_WAIT_FOR_STATE_S:g} s")
+        return self.state
+
+    async def pose_at(self, local_ns: int) -> Array:
+        """X_BT (4, 4) at ``local_ns`` of our clock, interpolated; waits for the state after it.
+
+        Raises LinkLost when the time is older than what is kept, falls into a gap, or no newer state comes.
+        """
+        if self._session.clock_offset_ns is None:
+            raise LinkLost("link.no_clock", "the controller's clock is not known yet")
+        wanted_ns = local_ns + self._session.clock_offset_ns
+        while not self._history.reaches(wanted_ns):
+            await self.next_state()
+        return self._history.pose_at(wanted_ns)
+
+    async def command(self, code: CommandCode) -> Acknowledgement:
+        """The acknowledgement of a command; asking for what already is so counts as accepted.
+
+        Raises RequestRefused with the controller's reason, or LinkLost.
+        """
+        return await self.request(Command(0, code))
+
+    async def request(self, request: Request) -> Acknowledgement:
+        """The acknowledgement of any request. Raises RequestRefused or LinkLost."""
+        acknowledgement = await self.ask(request)
+        already = isinstance(request, Command) and acknowledgement.reason is Reason.ALREADY_DONE
+        if acknowledgement.reason is not Reason.ACCEPTED and not already:
+            raise refusal(request, acknowledgement)
+        return acknowledgement
+
+    async def ask(self, request: Request) -> Acknowledgement:
+        """The acknowledgement of any request, also one that refuses it. Raises LinkLost."""
+        return await self.answer(self.submit(request))
+
+    def submit(self, request: Request) -> int:
+        """Send a request. Return the id under which ``answer`` finds its acknowledgement.
+
+        Raises LinkLost, or RequestRefused when this controller does not take such a request.
+        """
+        try:
+            command_id = self._session.submit(request, self._clock.now_ns)
+        except LinkLost as error:
+            raise self.not_connected() from error
+        self._answers[command_id] = None
+        self._journal(Submitted(command_id, request))
+        self._transport.flush()
+        return command_id
+
+    async def answer(self, command_id: int) -> Acknowledgement:
+        """The acknowledgement of a submitted request. Raises LinkLost when none comes in time."""
+        try:
+            await self._clock.until(lambda: self._answers[command_id] is not None, _ACKNOWLEDGEMENT_S)
+        finally:
+            answer = self._answers.pop(command_id)
+        if answer is None:
+            raise LinkLost("link.unanswered", f"no acknowledgement within {_ACKNOWLEDGEMENT_S:g} s")
+        if isinstance(answer, LinkLost):
+            raise answer
+        return answer
+
+    def stream(self, reference: StreamedPose) -> None:
+        """Send a streamed reference, once. Raises LinkLost, RequestRefused when it cannot be encoded."""
+        try:
+            self._session.stream(reference, self._clock.now_ns)
+        except LinkLost as error:
+            raise self.not_connected() from error
+        self._transport.flush()
+
+    def refusal_of(self, stream_id: int) -> StreamRefused | None:
+        """The first refusal of a reference of this stream."""
+        refused = self._refusal
+        return refused if refused is not None and refused.stream_id == stream_id else None
+
+    def _handle(self, event: ClientEvent) -> None:
+        if isinstance(event, StateReceived):
+            self._history.add(event.state)
+            self._received += 1
+            self._received_ns = self._clock.now_ns
+        elif isinstance(event, AcknowledgementReceived):
+            if event.acknowledgement.command_id in self._answers:
+                self._answers[event.acknowledgement.command_id] = event.acknowledgement
+        elif isinstance(event, StreamRefusedReceived):
+            self._refusal = self.refusal_of(event.refusal.stream_id) or event.refusal
+        elif isinstance(event, Connected):
+            self._lost_reason = None
+        elif isinstance(event, SessionLost):
+            self._lost(event)
+        elif isinstance(event, ConnectionDelayed):
+            self._lost_reason = event.reason
+        self._journal(event)
+        self._clock.wake()
+
+    def _lost(self, event: SessionLost) -> None:
+        self._lost_reason = event.reason
+        self._losses += 1
+        self._history.clear()
+        self._reconnect_ns = self._clock.now_ns + _RECONNECT_NS
+        for command_id, answer in self._answers.items():
+            self._answers[command_id] = self.not_connected() if answer is None else answer
+
+
+def refusal(request: Request, answer: Acknowledgement) -> RequestRefused:
+    """The exception for a refusing acknowledgement; its cause is ``refused.`` and the controller's reason."""
+    reason = answer.reason.name.lower()
+    what = request.code.name.lower() if isinstance(request, Command) else type(request).__name__
+    numbers = f": {answer.value:g}, limit {answer.limit:g}" if answer.value or answer.limit else ""
+    return RequestRefused(f"refused.{reason}", f"{what} refused: {reason.replace('_', ' ')}{numbers}")
