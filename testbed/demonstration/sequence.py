@@ -4,6 +4,7 @@ Orientation adjustment, local calibration by trajectory matching, then look-then
 the arm comes to rest. What was true at those times is found out afterwards, from the plant's own recording.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -12,15 +13,29 @@ from numpy.typing import NDArray
 
 from plant_emulator.core.truth import PlantTruth, tool_error
 from protocol.errors import MeasurementFailed
-from protocol.pose import Pose
 from testbed.reporting.console import Bar, Bars
 from testbed.reporting.outcome import Array, Errors, Stage
 from testbed.reporting.plots import Traces
 from testbed.reporting.report import Picture
-from vision_pc.core.se3 import angle_between, from_pose
+from vision_pc.core.calibration.local_calibration import LocalCalibration
+from vision_pc.core.calibration.orientation import OrientationResult
+from vision_pc.core.positioning.corrected_positioning import CorrectedResult
+from vision_pc.core.positioning.look_then_move import PositioningResult
+from vision_pc.core.se3 import angle_between
 
 JSON = dict[str, Any]
 _AROUND_NS = 250_000_000  # truth is averaged over a quarter of a second on either side of a look's time
+
+
+class SeenPoses(Protocol):
+    """Tool marker and object in the camera at ``time_ns`` of vision's clock, as a ``Look`` has them."""
+
+    @property
+    def time_ns(self) -> int: ...
+    @property
+    def X_CM(self) -> Array: ...
+    @property
+    def X_CO(self) -> Array: ...
 
 
 class Rig(Protocol):
@@ -33,12 +48,12 @@ class Rig(Protocol):
         """Send a command of the REST API, such as ``enable``. Returns when it is accepted."""
         ...
 
-    def operate(self, kind: str, body: JSON, bar: Bar) -> JSON:
-        """The result of an operation, once it has succeeded."""
+    def operate(self, kind: str, body: JSON, bar: Bar) -> Any:
+        """The typed result of a program, once it has succeeded."""
         ...
 
-    def latest_look(self) -> JSON:
-        """The latest look of any operation."""
+    def latest_look(self) -> SeenPoses:
+        """The latest look of any program."""
         ...
 
     def picture(self) -> bytes:
@@ -56,7 +71,7 @@ class Rest(NamedTuple):
     label: str
     look_number: int
     time_ns: int
-    look: JSON | None
+    look: SeenPoses | None
     note: str
     picture: Picture
 
@@ -82,11 +97,11 @@ class Recorder:
             result = self._rig.operate(kind, body, bar)
             looks_itself = kind in ("look", "look-then-move")
             look = self._rig.latest_look() if looks_itself else self._look(bar)
-            time_ns = self._rig.now_ns() if look is None else int(look["time_ns"])
+            time_ns = self._rig.now_ns() if look is None else look.time_ns
             picture = Picture(f"after: {label}", self._rig.picture())
-            self.rests.append(Rest(label, look_number, time_ns, look, note_of(kind, result), picture))
+            self.rests.append(Rest(label, look_number, time_ns, look, note_of(result), picture))
 
-    def _look(self, bar: Bar) -> JSON | None:
+    def _look(self, bar: Bar) -> SeenPoses | None:
         try:
             self._rig.operate("look", {}, bar)
         except MeasurementFailed:
@@ -104,30 +119,38 @@ def demonstrate(rig: Rig, recorder: Recorder, looks: int) -> None:
         recorder.step(f"look {number}", "look-then-move", {"inputs": 1}, look_number=number)
 
 
-def note_of(kind: str, result: JSON) -> str:
-    """What an operation says about its own quality, in words."""
-    if kind == "trajectory-matching":
+def note_of(result: Any) -> str:
+    """What a program's result says about its own quality, in words."""
+    if isinstance(result, LocalCalibration):
         return (
-            f"{result['samples']} samples, rotation known to {result['rotation_std_deg']:.2f}°, residuals "
-            f"along the base's axes: mean {_xyz(result['residual_mean_mm'])} mm, greatest "
-            f"{_xyz(result['residual_max_mm'])} mm"
+            f"{result.samples} samples, rotation known to {math.degrees(result.rotation_std()):.2f}°, "
+            f"residuals along the base's axes: mean {_mm(result.residuals.mean_m)} mm, greatest "
+            f"{_mm(result.residuals.maximum_m)} mm"
         )
-    if kind == "look-then-move":
-        if not result["steps"]:
+    if isinstance(result, CorrectedResult):
+        return note_of(result.positioning)
+    if isinstance(result, PositioningResult):
+        if not result.steps:
             return "already at the aim: no step was made"
-        step = result["steps"][0]
+        step, verdict = result.steps[0], result.final
+        where = "inside" if verdict.inside else "outside"
         return (
-            f"step {_xyz(step['p_lc_mm'])} mm in the base, expected to end within "
-            f"{_xyz(step['expected_std_mm'])} mm (1 σ, camera axes); found {result['verdict']} the "
-            f"tolerance, {'certainly' if result['certain'] else 'not certainly'}"
+            f"step {_mm(step.p_lc)} mm in the base, expected to end within "
+            f"{_mm(step.expected_std_m)} mm (1 σ, camera axes); found {where} the "
+            f"tolerance, {'certainly' if verdict.certain else 'not certainly'}"
         )
-    if kind == "orientation-adjustment":
-        return f"Euler angles {_xyz(result['before_deg'])}° before, {_xyz(result['after_deg'])}° after"
+    if isinstance(result, OrientationResult):
+        before, after = (_xyz(np.degrees(errors)) for errors in (result.errors[0], result.errors[-1]))
+        return f"Euler angles {before}° before, {after}° after"
     return ""
 
 
-def _xyz(values: JSON) -> str:
-    return "/".join(f"{values[axis]:.1f}" for axis in "xyz")
+def _mm(lengths_m: Array) -> str:
+    return _xyz(1e3 * lengths_m)
+
+
+def _xyz(values: Array) -> str:
+    return "/".join(f"{value:.1f}" for value in values)
 
 
 def stages(rests: Sequence[Rest], truths: Sequence[TimedTruth], clearance_m: float) -> tuple[Stage, ...]:
@@ -146,16 +169,9 @@ def stages(rests: Sequence[Rest], truths: Sequence[TimedTruth], clearance_m: flo
     )
 
 
-def _seen(look: JSON, clearance_m: float) -> Errors:
-    X_CM, X_CO = _matrix(look["X_CM"]), _matrix(look["X_CO"])
-    p = X_CO[:3, 3] - X_CM[:3, 3] - np.array([0.0, 0.0, clearance_m])
-    return Errors(p, angle_between(X_CM[:3, :3], X_CO[:3, :3]))
-
-
-def _matrix(pose: JSON) -> Array:
-    x, y, z = pose["p_m"]
-    w, i, j, k = pose["q_wxyz"]
-    return from_pose(Pose((x, y, z), (w, i, j, k)))
+def _seen(look: SeenPoses, clearance_m: float) -> Errors:
+    p = look.X_CO[:3, 3] - look.X_CM[:3, 3] - np.array([0.0, 0.0, clearance_m])
+    return Errors(p, angle_between(look.X_CM[:3, :3], look.X_CO[:3, :3]))
 
 
 def _true(

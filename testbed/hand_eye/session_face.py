@@ -15,7 +15,7 @@ class SessionFace(RestRig):
     def step(self, kind: str, body: JSON, what: str) -> JSON:
         """The result of operation ``hand-eye-<kind>``, with its progress shown."""
         with bars() as shown, shown.step(what) as bar:
-            return self.operate(f"hand-eye-{kind}", body, bar)
+            return self.result(f"hand-eye-{kind}", body, bar)
 
     def view(self) -> JSON:
         """The open session."""

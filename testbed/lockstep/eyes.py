@@ -13,8 +13,8 @@ from testbed.lockstep.clock import run
 from testbed.lockstep.sight import Deliver, PixelSight, Sight
 from testbed.lockstep.world import World
 from vision_pc.application.annotate import annotated, png
+from vision_pc.application.ports import CameraStatus
 from vision_pc.application.reference_link import ReferenceLink
-from vision_pc.application.station import CameraStatus
 from vision_pc.config.vision import CameraSettings, VisionConfig
 from vision_pc.core.perception.freshness import Repeats
 from vision_pc.core.perception.look import combine

@@ -9,7 +9,7 @@ from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.faults import CommandCode
 from testbed.lockstep.clock import run
 from testbed.lockstep.eyes import LockstepEyes
-from testbed.lockstep.rig import StationLog
+from testbed.lockstep.rig import SimulatedTimeLog
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import World
 from testbed.scenarios.settings import Settings
@@ -17,7 +17,7 @@ from vision_pc.application.hand_eye.driving import ended_in_fault
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.hand_eye.store import SessionStore
 from vision_pc.application.link_arm import LinkArm
-from vision_pc.application.schemas import JSON
+from vision_pc.application.results import JSON
 from vision_pc.core.se3 import Array
 
 T = TypeVar("T")
@@ -33,7 +33,7 @@ class GuidedRig:
         self.link = self.world.link
         self.eyes = LockstepEyes(self.world, self.link, settings.vision)
         self.arm = LinkArm(self.link, settings.vision.motion)
-        log = StationLog(self.world)
+        log = SimulatedTimeLog(self.world)
         store = SessionStore(sessions)
         self.guided = GuidedCalibration(self.arm, self.eyes, self.link, settings.vision, log, store)
         self.world.connect()

@@ -10,6 +10,7 @@ import numpy as np
 
 from protocol.errors import LinkLost, LongreachError, MeasurementFailed, RequestRefused
 from testbed.demonstration.sequence import JSON, View
+from testbed.realtime.parsed_results import RESULT_OF, ReportedLook, look_of
 from testbed.reporting.console import Bar
 
 _POLL_S = 0.2
@@ -35,8 +36,12 @@ class RestRig:
         """Send the command. Returns when it is accepted; raises what the problem document says."""
         self._ask("POST", f"/{name}")
 
-    def operate(self, kind: str, body: JSON, bar: Bar) -> JSON:
-        """The result of an operation. Raises what its problem document says."""
+    def operate(self, kind: str, body: JSON, bar: Bar) -> Any:
+        """The typed result of a program. Raises what its problem document says."""
+        return RESULT_OF.get(kind, dict)(self.result(kind, body, bar))
+
+    def result(self, kind: str, body: JSON, bar: Bar) -> JSON:
+        """The result of an operation as the API gives it. Raises what its problem document says."""
         key = {"Idempotency-Key": uuid.uuid4().hex}
         operation = self._ask("POST", f"/operations/{kind}", json=body, headers=key)
         while operation["state"] in ("queued", "running"):
@@ -49,9 +54,9 @@ class RestRig:
         problem = operation["problem"] or {"cause": "refused.cancelled", "detail": f"{kind} was cancelled"}
         raise error_of(problem)
 
-    def latest_look(self) -> JSON:
-        """The latest look of any operation."""
-        return self._ask("GET", "/looks/latest")
+    def latest_look(self) -> ReportedLook:
+        """The latest look of any program."""
+        return look_of(self._ask("GET", "/looks/latest"))
 
     def state(self) -> JSON:
         """The controller's newest state."""

@@ -97,8 +97,8 @@ def assert_at_rest(rig: LockstepRig) -> None:
 
 def assert_no_numbers(rig: LockstepRig, kind: str, cause: str) -> None:
     """Asserts that neither station nor log holds a result of what failed."""
-    assert rig.station.calibration is None
-    assert rig.station.track is None
+    assert rig.application.calibration is None
+    assert rig.application.track is None
     with pytest.raises(RequestRefused) as none_yet:
         rig.latest_look()
     assert none_yet.value.cause == "refused.no_look_yet"

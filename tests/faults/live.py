@@ -23,16 +23,16 @@ from testbed.lockstep.world import ControllerSide
 from tests.faults.registers import SHUT, Registers
 from tests.faults.rig import settings_of
 from tests.vision_pc.shell.loopback_controller import until
+from vision_pc.application.application import VisionApplication
 from vision_pc.application.eyes import CameraEyes
 from vision_pc.application.link_arm import LinkArm
-from vision_pc.application.operations import Operations
-from vision_pc.application.station import Station
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras import CameraSource
 from vision_pc.shell.event_log import EventLog
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.rest.api import create_app
+from vision_pc.shell.rest.operations import Operations
 
 _CYCLES_AT_ONCE = 2
 _PAUSE_S = 0.004
@@ -115,8 +115,9 @@ class ScriptedCamera(CameraSource):
 class LiveRig:
     """Everything a case wants, connected and enabled."""
 
-    def __init__(self, client: httpx.AsyncClient, app: FastAPI, station: Station, operations: Operations,
-                 machine: Machine, camera: ScriptedCamera, log: EventLog) -> None:  # fmt: skip
+    def __init__(self, client: httpx.AsyncClient, app: FastAPI, station: VisionApplication,
+                 operations: Operations, machine: Machine, camera: ScriptedCamera,
+                 log: EventLog) -> None:  # fmt: skip
         self.client, self.app, self.station, self.operations = client, app, station, operations
         self.machine, self.camera, self.log = machine, camera, log
         self.registers = machine.registers
@@ -166,7 +167,7 @@ async def live(record_dir: Path | None = None, stream: Any = None) -> AsyncItera
     await camera.start()
     eyes = CameraEyes(camera, link, vision, log)
     arm = LinkArm(link, vision.motion)
-    station = Station(arm, eyes, link, eyes, vision.programs, log)
+    station = VisionApplication(arm, eyes, link, eyes, vision.programs, log)
     operations = Operations(arm.halt, log)
     app = create_app(station, operations)
     transport = httpx.ASGITransport(app=app, raise_app_exceptions=False)

@@ -107,7 +107,7 @@ def test_case_34_an_ill_conditioned_calibration_fails_with_its_condition_and_not
         assert caught.value.cause == "measurement.ill_conditioned"
         assert "condition" in str(caught.value)
         assert "limit 1.5" in str(caught.value)
-        assert rig.station.calibration is None
+        assert rig.application.calibration is None
         motion = rig.link.state.motion_id
         with pytest.raises(RequestRefused) as refused:
             rig.operate("look-then-move", {}, bar)

@@ -127,9 +127,9 @@ def test_three_containers_bring_the_tool_to_the_object(containers: tuple[str, Pa
         rig.operate("trajectory-matching", {}, bar)
         for _ in range(2):
             result = rig.operate("look-then-move", {"inputs": 1}, bar)
-    print(json.dumps(result["error_mm"]), json.dumps(rig.state()["cycle"]))
+    print(json.dumps(result.final.error_m.tolist()), json.dumps(rig.state()["cycle"]))
     rig.close()
-    assert result["verdict"] == "inside"
+    assert result.final.inside
     time.sleep(1.0)
     truths = [record.truth for record in read_truth(records / "truth.mcap").truths[-20:]]
     error = np.mean([tool_error(truth, CLEARANCE_M) for truth in truths], axis=0)

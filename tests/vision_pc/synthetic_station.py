@@ -16,9 +16,9 @@ from protocol.faults import GroupState
 from tests.vision_pc.program_settings import shipped
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import SyntheticRig, SyntheticWatch, draw
+from vision_pc.application.application import VisionApplication
 from vision_pc.application.link_arm import LinkArm
-from vision_pc.application.operations import Operations
-from vision_pc.application.station import CameraStatus, Station
+from vision_pc.application.ports import CameraStatus
 from vision_pc.config.programs import ProgramSettings
 from vision_pc.config.vision import LinkSettings, MotionSettings
 from vision_pc.core.types import Look
@@ -26,6 +26,7 @@ from vision_pc.shell.event_log import EventLog
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.rest.api import create_app
+from vision_pc.shell.rest.operations import Operations
 
 
 class SyntheticEyes:
@@ -58,7 +59,7 @@ class SyntheticEyes:
 class Bench:
     """Everything a test of the REST face wants, over one synthetic arm."""
 
-    def __init__(self, client: httpx.AsyncClient, station: Station, operations: Operations,
+    def __init__(self, client: httpx.AsyncClient, station: VisionApplication, operations: Operations,
                  controller: LoopbackController, eyes: SyntheticEyes, log: io.StringIO) -> None:  # fmt: skip
         self.client, self.station, self.operations = client, station, operations
         self.controller, self.eyes, self.rig, self.log = controller, eyes, eyes.rig, log
@@ -110,7 +111,7 @@ async def bench(
     await until(lambda: link.connected and link.clock_offset)
     arm = LinkArm(link, MotionSettings(settle_timeout_s=0.5, rest_s=0.01))
     eyes = SyntheticEyes(rig, controller)
-    station = Station(arm, eyes, link, eyes, quick(shipped()), log)
+    station = VisionApplication(arm, eyes, link, eyes, quick(shipped()), log)
     operations = Operations(arm.halt, log)
     transport = httpx.ASGITransport(app=create_app(station, operations), raise_app_exceptions=False)
     async with httpx.AsyncClient(transport=transport, base_url="http://vision") as client:

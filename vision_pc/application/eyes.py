@@ -17,7 +17,7 @@ from protocol.errors import RequestRefused
 from protocol.faults import GroupState
 from protocol.reference_messages import State
 from vision_pc.application.annotate import annotated, png
-from vision_pc.application.station import CameraStatus
+from vision_pc.application.ports import CameraStatus
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.perception.intrinsics import calibration
 from vision_pc.core.perception.look import combine, observe

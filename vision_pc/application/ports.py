@@ -1,11 +1,17 @@
-"""What eyes and link need from outside: a clock that can wait, a transport for datagrams, a log.
+"""What the application needs from outside: a clock, a transport, a log, an arm, a camera and a controller.
 
 The service implements these ports with an event loop, sockets and threads; lockstep implements them by
 letting simulated time pass. Everything above them is the same code.
 """
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
+
+from protocol.channel import LinkStatistics
+from protocol.clock_offset import OffsetEstimate
+from protocol.faults import CommandCode
+from protocol.reference_messages import Acknowledgement, State
+from vision_pc.core.ports import Arm
 
 
 class Clock(Protocol):
@@ -39,3 +45,54 @@ class Log(Protocol):
     def write(self, event: str, **fields: Any) -> None:
         """Write one event."""
         ...
+
+
+class HealthyLog(Log, Protocol):
+    """A log that says whether events can still be recorded."""
+
+    @property
+    def healthy(self) -> bool: ...
+
+
+class Controller(Protocol):
+    """The controller behind the reference link; ``ReferenceLink`` implements it."""
+
+    @property
+    def connected(self) -> bool: ...
+    @property
+    def state(self) -> State: ...
+    @property
+    def state_age_ns(self) -> int: ...
+    @property
+    def clock_offset(self) -> OffsetEstimate | None: ...
+    @property
+    def authenticated(self) -> bool: ...
+    @property
+    def statistics(self) -> LinkStatistics: ...
+    async def command(self, code: CommandCode) -> Acknowledgement: ...
+    async def next_state(self) -> State: ...
+
+
+class StoppableArm(Arm, Protocol):
+    """An arm that can be halted after a program ended early."""
+
+    async def halt(self) -> None: ...
+
+
+class CameraStatus(NamedTuple):
+    """Whether fresh pairs come, and how; ``trouble`` is the cause when they do not."""
+
+    connected: bool
+    age_ms: float | None
+    frames: int
+    rate_hz: float
+    dropped: int = 0
+    reconnects: int = 0
+    trouble: str | None = None
+
+
+class Camera(Protocol):
+    """The stereo camera's health, and its newest picture."""
+
+    def status(self) -> CameraStatus: ...
+    async def latest_png(self) -> bytes: ...

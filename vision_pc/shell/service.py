@@ -17,19 +17,19 @@ import cv2
 import uvicorn
 
 from protocol.errors import ConfigurationError
+from vision_pc.application.application import VisionApplication
 from vision_pc.application.eyes import CameraEyes
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.hand_eye.store import SessionStore
 from vision_pc.application.link_arm import LinkArm
-from vision_pc.application.operations import Operations
 from vision_pc.application.reference_link import ReferenceLink
-from vision_pc.application.station import Station
 from vision_pc.config.vision import ApiSettings, VisionConfig
 from vision_pc.shell.cameras import open_camera
 from vision_pc.shell.event_log import EventLog
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.rest.api import create_app
+from vision_pc.shell.rest.operations import Operations
 
 _STATISTICS_S = 10.0
 _DRAIN_S = 1  # for answers under way at the end; the process must be gone within 2 s
@@ -74,12 +74,12 @@ class VisionService:
         camera = open_camera(config.camera)
         eyes = CameraEyes(camera, link, config, log)
         arm = LinkArm(link, config.motion)
-        station = Station(arm, eyes, link, eyes, config.programs, log)
-        operations = Operations(arm.halt, log)
         guided = GuidedCalibration(arm, eyes, link, config, log, SessionStore(config.sessions_dir))
+        application = VisionApplication(arm, eyes, link, eyes, config.programs, log, guided)
+        operations = Operations(arm.halt, log)
         server = _Server(
             uvicorn.Config(
-                create_app(station, operations, guided),
+                create_app(application, operations),
                 log_config=None,
                 access_log=False,
                 lifespan="off",

@@ -21,6 +21,7 @@ from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import ModelSight, load_eye_model
 from testbed.reporting.console import bars
 from testbed.scenarios.settings import load_settings
+from vision_pc.core.positioning.corrected_positioning import CorrectedResult
 
 _AVERAGED = 25  # truths at 50 Hz: half a second at rest
 JSON = dict[str, Any]
@@ -70,28 +71,30 @@ def prepared(config_dir: Path, task: JSON, sight: SightMaker | None = None) -> L
 def driven(rig: LockstepRig, name: str, body: JSON) -> JSON:
     """Columns ``name``_… of one look and its drive: true error, what was predicted and measured, floor."""
     try:
-        result = operate(rig, "look-then-move", {"method": "corrected", "aim_mm": 0.0} | body)
+        result: CorrectedResult = operate(
+            rig, "look-then-move", {"method": "corrected", "aim_mm": 0.0} | body
+        )
     except LongreachError as error:
         return {f"{name}_stopped": f"{error.cause}: {error}"}
     error_mm = true_error_mm(rig)
-    state = rig.link.state
-    off_mm = 1e3 * (np.array(state.X_BT.p_m) - np.array(result["steps"][-1]["X_BT_ref"]["p_m"]))
+    steps, final = result.positioning.steps, result.positioning.final
+    off_mm = 1e3 * (np.array(rig.link.state.X_BT.p_m) - steps[-1].X_BT_ref[:3, 3])
     X_BC = np.linalg.inv(rig.world.plant.truth().X_WB) @ rig.world.plant.truth().X_WC
     row: JSON = {}
-    for axis, true, floor in zip("xyz", error_mm, X_BC[:3, :3].T @ off_mm, strict=True):
-        row[f"{name}_true_{axis}_mm"] = float(true)
-        row[f"{name}_servo_{axis}_mm"] = float(floor)
-        row[f"{name}_std_{axis}_mm"] = result["steps"][0]["expected_std_mm"][axis]
-        row[f"{name}_measured_{axis}_mm"] = result["measured_miss_mm"][axis]
-        row[f"{name}_look_{axis}_mm"] = result["error_mm"][axis]
+    for i, axis in enumerate("xyz"):
+        row[f"{name}_true_{axis}_mm"] = float(error_mm[i])
+        row[f"{name}_servo_{axis}_mm"] = float((X_BC[:3, :3].T @ off_mm)[i])
+        row[f"{name}_std_{axis}_mm"] = 1e3 * float(steps[0].expected_std_m[i])
+        row[f"{name}_measured_{axis}_mm"] = 1e3 * float(result.measured_miss_m[i])
+        row[f"{name}_look_{axis}_mm"] = 1e3 * float(final.error_m[i])
     row[f"{name}_worst_mm"] = float(np.abs(error_mm[:2]).max())
-    row[f"{name}_steps"] = len(result["steps"])
-    row[f"{name}_ended"] = result["ended"]
+    row[f"{name}_steps"] = len(steps)
+    row[f"{name}_ended"] = result.positioning.ended
     return row
 
 
-def operate(rig: LockstepRig, kind: str, body: JSON) -> JSON:
-    """The result of one of the station's programs."""
+def operate(rig: LockstepRig, kind: str, body: JSON) -> Any:
+    """The typed result of one of the programs."""
     with bars(quiet=True) as shown, shown.step(kind) as bar:
         return rig.operate(kind, body, bar)
 

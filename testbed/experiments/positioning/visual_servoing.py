@@ -57,7 +57,7 @@ def _form(rig: LockstepRig, begin_ns: int, name: str, kind: str, body: JSON) -> 
     row: JSON = {f"{name}_true_{axis}_mm": float(value) for axis, value in zip("xyz", error_mm, strict=True)}
     row |= {f"{name}_worst_mm": float(np.abs(error_mm[:2]).max()), f"{name}_time_s": time_s}
     if name == "closed_loop":
-        row |= {f"{name}_loop_s": result["time_s"], f"{name}_missed": result["missed"]}
+        row |= {f"{name}_loop_s": result.approach.time_s, f"{name}_missed": result.approach.missed}
     return row
 
 

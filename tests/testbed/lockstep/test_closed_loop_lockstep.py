@@ -41,8 +41,10 @@ def test_it_settles_under_2_mm_and_the_arm_rests_there(calibrated: LockstepRig) 
     assert before_mm > 300.0
     assert np.abs(true_error_mm(rig)[:2]).max() < 2.0
     assert rig.link.state.group_state is GroupState.STANDBY
-    assert result["missed"] <= 3, "of some hundred pictures, as the eye model misses markers now and then"
-    assert result["look"]["verdict"] == "inside"
+    assert result.approach.missed <= 3, (
+        "of some hundred pictures, as the eye model misses markers now and then"
+    )
+    assert result.look.verdict.inside
 
 
 @pytest.mark.timeout(600)

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -9,14 +10,17 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed, RequestRefused
+from protocol.faults import GroupState
 from testbed.hand_eye import session_text
 from testbed.hand_eye.importer import load
 from tests.vision_pc.hand_eye.still_rig import X_BT_START, StillRig, quiet, still_settings
-from vision_pc.application.operations import Operations
+from vision_pc.application.application import VisionApplication
+from vision_pc.application.ports import CameraStatus
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.guided import solution as guided_solution
 from vision_pc.core.hand_eye.solvers import methods
 from vision_pc.shell.rest.api import create_app
+from vision_pc.shell.rest.operations import Operations
 
 QUICK = {"vision": {"hand_eye": {"frames": 1, "minimum_frames": 1, "poses": 6, "candidates": 300}}}
 
@@ -246,17 +250,21 @@ async def test_an_interrupted_write_leaves_the_session_before(tmp_path: Path) ->
     assert rig.guided.resume("monday")["count"] == "1/6"
 
 
-class _Station:
-    """As much of a station as the routes of guided calibration ask for."""
+class _Camera:
+    """A camera whose pictures come."""
 
-    def refuse_now(self, kind: str, method: str | None = None) -> None:
-        pass
+    def status(self) -> CameraStatus:
+        return CameraStatus(True, 0.0, 1, 10.0)
 
 
 async def test_the_session_over_rest(tmp_path: Path) -> None:
     rig = quick_rig(tmp_path)
     operations = Operations(rig.halt, rig.log)
-    app = create_app(_Station(), operations, rig.guided)  # type: ignore[arg-type]
+    controller: Any = SimpleNamespace(state=SimpleNamespace(group_state=GroupState.STANDBY, flags=0))
+    programs = rig.settings.vision.programs
+    eyes: Any = rig
+    application = VisionApplication(rig, eyes, controller, _Camera(), programs, rig.log, rig.guided)  # type: ignore[arg-type]
+    app = create_app(application, operations)
     transport = httpx.ASGITransport(app=app, raise_app_exceptions=False)
     async with httpx.AsyncClient(transport=transport, base_url="http://vision") as client:
 

@@ -23,8 +23,8 @@ from vision_pc.application.hand_eye.responses import (
 )
 from vision_pc.application.hand_eye.sensing import HandEyeSight, Pictures, States
 from vision_pc.application.hand_eye.store import SessionStore
-from vision_pc.application.schemas import JSON, pose_json
-from vision_pc.application.station import StoppableArm
+from vision_pc.application.ports import Log, StoppableArm
+from vision_pc.application.results import JSON, pose_json
 from vision_pc.config.hand_eye import GuidedSettings
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.hand_eye.guided import sampling as guided_sampling
@@ -34,7 +34,6 @@ from vision_pc.core.hand_eye.guided.session import Sample, Session, proposal_jso
 from vision_pc.core.hand_eye.guided.target import TargetLook
 from vision_pc.core.ports import ArmView, Report
 from vision_pc.core.se3 import Array
-from vision_pc.shell.event_log import EventLog
 
 _PATIENCE = 60  # refused proposals in a row before ``next_pose`` gives up
 _STUCK = 6  # and before it goes back to the start
@@ -49,7 +48,7 @@ class GuidedCalibration:
         pictures: Pictures,
         states: States,
         config: VisionConfig,
-        log: EventLog,
+        log: Log,
         store: SessionStore,
     ) -> None:
         self._arm = arm

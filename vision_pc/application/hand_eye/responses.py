@@ -7,7 +7,7 @@ from dataclasses import asdict
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.application.schemas import JSON, pose_json
+from vision_pc.application.results import JSON, pose_json
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.guided import sampling as guided_sampling
 from vision_pc.core.hand_eye.guided import solution as guided_solution

@@ -8,7 +8,7 @@ import numpy as np
 from protocol.errors import MeasurementFailed
 from protocol.reference_messages import State
 from vision_pc.application.hand_eye.store import load_drawing
-from vision_pc.application.station import StoppableArm
+from vision_pc.application.ports import StoppableArm
 from vision_pc.config.hand_eye import GuidedSettings
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.hand_eye.guided import cabinet, target

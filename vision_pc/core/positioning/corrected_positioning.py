@@ -23,6 +23,7 @@ from vision_pc.core.calibration.local_error_model import (
 )
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.positioning.look_then_move import (
+    Ended,
     PositioningResult,
     Step,
     judge,
@@ -84,7 +85,7 @@ async def look_then_move_corrected(
     report(0.9, "looking")
     looks.append(judge(await eyes.look(), settings))
     report(1.0, f"error {1e3 * looks[-1].error_m[0]:+.1f} {1e3 * looks[-1].error_m[1]:+.1f} mm")
-    ended = "reached" if reached(looks[-1], settings) else "input_limit"
+    ended = Ended.REACHED if reached(looks[-1], settings) else Ended.INPUT_LIMIT
     return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), misses[-1], track)
 
 

@@ -6,6 +6,7 @@ inside the tolerance; each move says beforehand how far off it is expected to en
 """
 
 import math
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -45,16 +46,20 @@ class Step(NamedTuple):
     expected_std_m: Array
 
 
-class PositioningResult(NamedTuple):
-    """Looks and steps in order, a look before the first step and after every one.
+class Ended(StrEnum):
+    """Why no further input followed: inside the aim, no use, or the inputs are used up."""
 
-    ``ended`` says why no more followed: ``reached`` (inside the aim), ``not_improving`` or
-    ``input_limit``.
-    """
+    REACHED = "reached"
+    NOT_IMPROVING = "not_improving"
+    INPUT_LIMIT = "input_limit"
+
+
+class PositioningResult(NamedTuple):
+    """Looks and steps in order, a look before the first step and after every one."""
 
     looks: tuple[LookVerdict, ...]
     steps: tuple[Step, ...]
-    ended: str
+    ended: Ended
 
     @property
     def final(self) -> LookVerdict:
@@ -72,17 +77,17 @@ async def look_then_move(
     """
     looks: list[LookVerdict] = []
     steps: list[Step] = []
-    ended = "input_limit"
+    ended = Ended.INPUT_LIMIT
     report(0.0, "looking")
     for number in range(settings.inputs + 1):
         look = await eyes.look()
         looks.append(judge(look, settings))
         report((number + 0.3) / (settings.inputs + 0.3), f"look {number + 1}: {_in_words(looks[-1])}")
         if reached(looks[-1], settings):
-            ended = "reached"
+            ended = Ended.REACHED
             break
         if number > 1 and not _improves(looks):
-            ended = "not_improving"
+            ended = Ended.NOT_IMPROVING
             break
         if number == settings.inputs:
             break

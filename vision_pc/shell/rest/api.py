@@ -1,23 +1,26 @@
 """The REST face: state, looks, commands, and every long step as an operation resource."""
 
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from http import HTTPStatus
+from typing import Any
 
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 
 from protocol.faults import CommandCode
 from protocol.reference_messages import FLAG_EMERGENCY_LATCHED, FLAG_PLANT_LINK_OK, FLAG_SETTLED, State
-from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
-from vision_pc.application.operations import Operations
-from vision_pc.application.schemas import JSON, calibration_json, pose_json
-from vision_pc.application.station import Station
+from vision_pc.application.application import VisionApplication
+from vision_pc.application.hand_eye.programs import HAND_EYE
+from vision_pc.application.program import Program
+from vision_pc.application.programs import PROGRAMS
+from vision_pc.application.results import JSON, calibration_json, look_json, pose_json
 from vision_pc.core.se3 import from_pose
 from vision_pc.shell.rest import problems
-from vision_pc.shell.rest.hand_eye_routes import add_hand_eye
+from vision_pc.shell.rest.hand_eye_routes import add_session
 from vision_pc.shell.rest.link_view import LinkView, link_view
-from vision_pc.shell.rest.operation_routes import add_operations
+from vision_pc.shell.rest.operation_routes import add_programs, add_resources
+from vision_pc.shell.rest.operations import Operations
 
 MAX_BODY_BYTES = 16_384
 DESCRIPTION = """
@@ -30,8 +33,12 @@ _EXAMPLE = problems.problem(409, "refused.disabled", "move: the arm is disabled;
 _PROBLEM: JSON = {"description": "A problem", "content": {problems.MEDIA_TYPE: {"example": _EXAMPLE}}}
 
 
-def create_app(station: Station, operations: Operations, guided: GuidedCalibration | None = None) -> FastAPI:
-    """The application over one station, with guided hand-eye calibration if that is given."""
+def create_app(
+    application: VisionApplication,
+    operations: Operations,
+    programs: Sequence[Program[Any, Any]] = PROGRAMS,
+) -> FastAPI:
+    """The API over one application; guided hand-eye calibration is there when the application has it."""
     app = FastAPI(
         title="Longreach vision PC",
         version="1",
@@ -39,23 +46,26 @@ def create_app(station: Station, operations: Operations, guided: GuidedCalibrati
         responses={"4XX": _PROBLEM, "5XX": _PROBLEM},
     )
     problems.install(app, MAX_BODY_BYTES)
-    _add_reading(app, station, operations)
-    _add_commands(app, station, operations)
-    add_operations(app, station, operations)
-    if guided is not None:
-        add_hand_eye(app, station, operations, guided)
+    _add_reading(app, application, operations)
+    _add_commands(app, application, operations)
+    session_steps = [program for program in programs if program.tag == HAND_EYE]
+    add_programs(app, application, operations, (p for p in programs if p not in session_steps))
+    add_resources(app, operations)
+    if application.hand_eye is not None:
+        add_session(app, operations, application.hand_eye)
+        add_programs(app, application, operations, session_steps)
     return app
 
 
-def _add_reading(app: FastAPI, station: Station, operations: Operations) -> None:
+def _add_reading(app: FastAPI, application: VisionApplication, operations: Operations) -> None:
     @app.get("/health", tags=["state"], summary="Whether controller and camera answer")
     async def health(request: Request) -> Response:
         """200 when both answer, else a 503 problem that says which does not."""
-        controller, camera = station.controller, station.camera.status()
+        controller, camera = application.controller, application.camera.status()
         parts = {
             "controller": controller.connected,
             "camera": camera.connected,
-            "recording": station.log.healthy,
+            "recording": application.log.healthy,
         }
         if all(parts.values()):
             return JSONResponse({"status": "ok"} | parts)
@@ -69,35 +79,39 @@ def _add_reading(app: FastAPI, station: Station, operations: Operations) -> None
     @app.get("/state", tags=["state"], summary="The arm as the controller sees it, links and operation")
     async def state() -> JSON:
         """Group state, fault, joints, poses, timing, links, and what has been calibrated."""
-        return state_json(station) | {
+        return state_json(application) | {
             "operation": operations.current.id if operations.current else None,
-            "calibration": None if station.calibration is None else calibration_json(station.calibration),
+            "calibration": None
+            if application.calibration is None
+            else calibration_json(application.calibration),
         }
 
     @app.get("/link", tags=["state"], summary="The reference link in numbers, on both sides")
     async def link() -> LinkView:
         """Always answered: session, authentication, every counter of datagrams, and the clock's offset."""
-        return link_view(station.controller)
+        return link_view(application.controller)
 
     @app.get("/looks/latest", tags=["looks"], summary="The latest look, with error, uncertainty and verdict")
     async def latest_look() -> JSON:
         """404 until something was looked at."""
-        return station.latest_look()
+        return look_json(application.latest_look)
 
     @app.get("/camera/latest.png", tags=["looks"], summary="The newest picture with detections drawn in",
              response_class=Response, responses={200: {"content": {"image/png": {}}}})  # fmt: skip
     async def latest_picture() -> Response:
         """The left eye's newest picture."""
         return Response(
-            await station.camera.latest_png(), media_type="image/png", headers={"Cache-Control": "no-store"}
+            await application.camera.latest_png(),
+            media_type="image/png",
+            headers={"Cache-Control": "no-store"},
         )
 
 
-def _add_commands(app: FastAPI, station: Station, operations: Operations) -> None:
+def _add_commands(app: FastAPI, application: VisionApplication, operations: Operations) -> None:
     async def commanded(code: CommandCode) -> JSON:
-        answer = await station.controller.command(code)
-        await station.controller.next_state()
-        return {"accepted": True, "reason": answer.reason.name.lower()} | state_json(station)
+        answer = await application.controller.command(code)
+        await application.controller.next_state()
+        return {"accepted": True, "reason": answer.reason.name.lower()} | state_json(application)
 
     async def ending(code: CommandCode) -> JSON:
         """The command first, then the end of the running operation, answered or not."""
@@ -121,14 +135,14 @@ def _add_commands(app: FastAPI, station: Station, operations: Operations) -> Non
     add("/emergency-release", CommandCode.EMERGENCY_RELEASE, commanded, "Release it; a reset must follow")
 
 
-def state_json(station: Station) -> JSON:
+def state_json(application: VisionApplication) -> JSON:
     """The controller's newest state, the links and the camera. Raises LinkLost without a controller."""
-    state = station.controller.state
-    clock = station.controller.clock_offset
-    camera = station.camera.status()
+    state = application.controller.state
+    clock = application.controller.clock_offset
+    camera = application.camera.status()
     return _arm_json(state) | {
         "link": {
-            "age_ms": round(station.controller.state_age_ns / 1e6, 3),
+            "age_ms": round(application.controller.state_age_ns / 1e6, 3),
             "clock_offset_ns": None if clock is None else clock.offset_ns,
             "clock_uncertainty_ns": None if clock is None else clock.uncertainty_ns,
             "round_trip_us": None if clock is None else clock.round_trip_ns / 1e3,

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from pydantic import BaseModel, Field
 
 from protocol.errors import LinkLost
-from vision_pc.application.station import Controller
+from vision_pc.application.ports import Controller
 
 
 class LinkCounters(BaseModel):

@@ -15,12 +15,16 @@ from enum import StrEnum
 from typing import Any
 
 from protocol.errors import LongreachError, RequestRefused
+from vision_pc.application.application import VisionApplication
+from vision_pc.application.bodies import RequestBody
+from vision_pc.application.ports import HealthyLog
+from vision_pc.application.program import Program
+from vision_pc.application.results import JSON
 from vision_pc.core.ports import Report
-from vision_pc.shell.event_log import EventLog
 from vision_pc.shell.rest.problems import problem_of
 
 _REMEMBERED = 200
-Program = Callable[[Report], Awaitable[dict[str, Any]]]
+Work = Callable[[Report], Awaitable[JSON]]
 
 
 class OperationState(StrEnum):
@@ -43,7 +47,7 @@ class Operation:
     """One operation. ``revision`` counts its changes; ``notes`` are (progress, note) in order."""
 
     kind: str
-    request: dict[str, Any]
+    request: JSON
     id: str = field(default_factory=lambda: uuid.uuid4().hex[:12])
     state: OperationState = OperationState.QUEUED
     progress: float = 0.0
@@ -52,8 +56,8 @@ class Operation:
     created_at: float = field(default_factory=time.time)
     started_at: float | None = None
     ended_at: float | None = None
-    result: dict[str, Any] | None = None
-    problem: dict[str, Any] | None = None
+    result: JSON | None = None
+    problem: JSON | None = None
     revision: int = 0
     _change: asyncio.Event = field(default_factory=asyncio.Event, repr=False)
 
@@ -80,7 +84,7 @@ class Operation:
 class Operations:
     """Runs one operation at a time. ``halt`` is awaited after an early end, to stop the arm."""
 
-    def __init__(self, halt: Callable[[], Awaitable[None]], log: EventLog) -> None:
+    def __init__(self, halt: Callable[[], Awaitable[None]], log: HealthyLog) -> None:
         self._halt = halt
         self._log = log
         self._all: OrderedDict[str, Operation] = OrderedDict()
@@ -98,31 +102,53 @@ class Operations:
             raise RequestRefused("refused.unknown_operation", f"no operation '{operation_id}'")
         return self._all[operation_id]
 
-    def repeated(self, kind: str, request: dict[str, Any], key: str | None) -> Operation | None:
-        """The operation that ``key`` already stands for.
+    def start(
+        self,
+        program: Program[Any, Any],
+        application: VisionApplication,
+        body: RequestBody,
+        key: str | None = None,
+    ) -> Operation:
+        """A new operation that runs ``program``, or the one that ``key`` already stands for.
 
-        Raises RequestRefused (``refused.key_reused``) when that was another request.
+        Raises ConfigurationError for settings out of range, RequestRefused or LinkLost when the program
+        cannot begin now (``refused.busy`` while one runs), ``refused.key_reused`` for a key of another
+        request.
         """
+        settings = program.requested(application, body)
+        request = body.model_dump(mode="json", exclude_none=True)
+        earlier = self._repeated(program.name, request, key)
+        if earlier is not None:
+            return earlier
+        program.refuse_now(application, settings)
+        self.refuse_busy()
+
+        async def work(report: Report) -> JSON:
+            return program.to_json(await program.run(application, settings, report))
+
+        return self._started(Operation(program.name, request), work, key)
+
+    def refuse_busy(self) -> None:
+        """Raises RequestRefused (``refused.busy``) while an operation runs."""
+        if self.current is not None:
+            why = f"operation {self.current.id} ({self.current.kind}) is still running"
+            raise RequestRefused("refused.busy", why)
+
+    def _repeated(self, kind: str, request: JSON, key: str | None) -> Operation | None:
+        """The operation that ``key`` already stands for. Raises RequestRefused (``refused.key_reused``)."""
         earlier = self._all.get(self._keys.get(key, "")) if key else None
         if earlier is not None and (earlier.kind != kind or earlier.request != request):
             why = f"Idempotency-Key '{key}' stands for another request ({earlier.kind})"
             raise RequestRefused("refused.key_reused", why)
         return earlier
 
-    def start(
-        self, kind: str, request: dict[str, Any], program: Program, key: str | None = None
-    ) -> Operation:
-        """A new operation that runs ``program``. Raises RequestRefused (``refused.busy``) while one runs."""
-        if self.current is not None:
-            why = f"operation {self.current.id} ({self.current.kind}) is still running"
-            raise RequestRefused("refused.busy", why)
-        operation = self.current = Operation(kind, request)
-        self._all[operation.id] = operation
+    def _started(self, operation: Operation, work: Work, key: str | None) -> Operation:
+        self.current = self._all[operation.id] = operation
         if key:
             self._keys[key] = operation.id
         self._forget_old()
-        self._log.write("operation_queued", id=operation.id, kind=kind, request=request)
-        self._task = asyncio.create_task(self._run(operation, program), name=f"operation {operation.id}")
+        self._log.write("operation_queued", id=operation.id, kind=operation.kind, request=operation.request)
+        self._task = asyncio.create_task(self._run(operation, work), name=f"operation {operation.id}")
         return operation
 
     async def cancel(self, operation_id: str) -> Operation:
@@ -142,11 +168,11 @@ class Operations:
             with contextlib.suppress(RequestRefused):  # it ended just now
                 await self.cancel(self.current.id)
 
-    async def _run(self, operation: Operation, program: Program) -> None:
+    async def _run(self, operation: Operation, work: Work) -> None:
         try:
             operation.state, operation.started_at = OperationState.RUNNING, time.time()
             operation.touch()
-            result = await program(operation.report)
+            result = await work(operation.report)
         except asyncio.CancelledError:
             await self._stop_arm(operation)
             self._end(operation, OperationState.CANCELLED, note="cancelled")
@@ -176,8 +202,8 @@ class Operations:
         operation: Operation,
         state: OperationState,
         *,
-        result: dict[str, Any] | None = None,
-        problem: dict[str, Any] | None = None,
+        result: JSON | None = None,
+        problem: JSON | None = None,
         note: str | None = None,
     ) -> None:
         operation.state, operation.ended_at = state, time.time()

@@ -1,0 +1,92 @@
+"""Results of programs read from the API's JSON, once, into the types that the programs return."""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from protocol.pose import Pose
+from vision_pc.application.results import JSON
+from vision_pc.core.calibration.local_calibration import LocalCalibration, ResidualTable
+from vision_pc.core.calibration.orientation import OrientationResult
+from vision_pc.core.positioning.look_then_move import Ended, LookVerdict, PositioningResult, Step
+from vision_pc.core.se3 import Array, from_pose
+
+
+class ReportedLook(NamedTuple):
+    """Tool marker and object in the camera, as the API reports a look."""
+
+    time_ns: int
+    X_CM: Array
+    X_CO: Array
+
+
+def look_of(told: JSON) -> ReportedLook:
+    """The poses of a look."""
+    return ReportedLook(int(told["time_ns"]), _pose(told["X_CM"]), _pose(told["X_CO"]))
+
+
+def orientation_of(told: JSON) -> OrientationResult:
+    """The errors of an orientation adjustment; the API does not report its references."""
+    shifts = tuple(1e-3 * shift for shift in told["tool_shift_mm"])
+    return OrientationResult(tuple(np.radians(_xyz(e)) for e in told["errors_deg"]), (), shifts)
+
+
+def calibration_of(told: JSON) -> LocalCalibration:
+    """A local calibration. The API reports the largest standard deviation: taken about every axis here."""
+    return LocalCalibration(
+        R_BC=np.array(told["R_BC"]),
+        R_TC=None if told["R_TC"] is None else np.array(told["R_TC"]),
+        covariance=math.radians(told["rotation_std_deg"]) ** 2 * np.eye(3),
+        residuals=ResidualTable(_metres(told["residual_mean_mm"]), _metres(told["residual_max_mm"])),
+        condition=told["condition"],
+        method=told["method"],
+        samples=told["samples"],
+        inlier_share=told["inlier_share"],
+        extent_m=1e-3 * told["extent_mm"],
+        scale=told["scale"],
+    )
+
+
+def positioning_of(told: JSON) -> PositioningResult:
+    """Looks and steps of a look-then-move."""
+    steps = tuple(
+        Step(_metres(s["p_lc_mm"]), _pose(s["X_BT_ref"]), _metres(s["expected_std_mm"]))
+        for s in told["steps"]
+    )
+    return PositioningResult(tuple(_verdict(look) for look in told["looks"]), steps, Ended(told["ended"]))
+
+
+RESULT_OF: dict[str, Callable[[JSON], Any]] = {
+    "look": look_of,
+    "orientation-adjustment": orientation_of,
+    "trajectory-matching": calibration_of,
+    "look-then-move": positioning_of,
+}
+"""By program; what is not here stays JSON."""
+
+
+def _verdict(told: JSON) -> LookVerdict:
+    return LookVerdict(
+        _metres(told["error_mm"]),
+        _metres(told["std_mm"]),
+        1e-3 * told["tolerance_mm"],
+        told["clearance_m"],
+        told["verdict"] == "inside",
+        told["certain"],
+    )
+
+
+def _pose(told: JSON) -> Array:
+    x, y, z = told["p_m"]
+    w, i, j, k = told["q_wxyz"]
+    return from_pose(Pose((x, y, z), (w, i, j, k)))
+
+
+def _xyz(told: JSON) -> Array:
+    return np.array([told[axis] for axis in "xyz"])
+
+
+def _metres(told: JSON) -> Array:
+    return 1e-3 * _xyz(told)

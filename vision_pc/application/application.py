@@ -1,0 +1,85 @@
+"""The vision application: arm, eyes, controller and camera put together, and what programs have found out.
+
+The programs themselves are rows of ``programs.PROGRAMS``. Nothing here reads a socket, a file or a clock.
+"""
+
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
+
+from protocol.errors import RequestRefused
+from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
+from vision_pc.application.ports import Camera, Controller, HealthyLog, StoppableArm
+from vision_pc.application.results import JudgedLook, look_json
+from vision_pc.config.programs import ProgramSettings
+from vision_pc.core.calibration.local_calibration import LocalCalibration
+from vision_pc.core.calibration.local_error_model import LocalTrack
+from vision_pc.core.ports import Eyes, Watch
+from vision_pc.core.positioning.look_then_move import judge
+from vision_pc.core.types import Look
+
+
+class ReportingEyes:
+    """Eyes that call ``on_look`` with every look before the program gets it."""
+
+    def __init__(self, eyes: Eyes, on_look: Callable[[Look], None]) -> None:
+        self._eyes = eyes
+        self._on_look = on_look
+
+    async def look(self, frames: int | None = None) -> Look:
+        """Take a look, report it and return it."""
+        look = await self._eyes.look(frames)
+        self._on_look(look)
+        return look
+
+    def watch(self, *, markers: bool, odometry: bool) -> AbstractAsyncContextManager[Watch]:
+        """A watch of the eyes themselves."""
+        return self._eyes.watch(markers=markers, odometry=odometry)
+
+
+class VisionApplication:
+    """One rig, and what its programs have learned since the start.
+
+    ``calibration`` and ``track`` are the newest local calibration and local track, None before the first.
+    ``positioning`` are the settings by which looks are judged. ``hand_eye`` is the guided session, if there
+    is one on this rig.
+    """
+
+    def __init__(
+        self,
+        arm: StoppableArm,
+        eyes: Eyes,
+        controller: Controller,
+        camera: Camera,
+        settings: ProgramSettings,
+        log: HealthyLog,
+        hand_eye: GuidedCalibration | None = None,
+    ) -> None:
+        self.arm = arm
+        self.eyes = ReportingEyes(eyes, self._remember)
+        self.controller = controller
+        self.camera = camera
+        self.settings = settings
+        self.log = log
+        self.hand_eye = hand_eye
+        self.calibration: LocalCalibration | None = None
+        self.track: LocalTrack | None = None
+        self.positioning = settings.positioning
+        self._latest: JudgedLook | None = None
+
+    @property
+    def guided(self) -> GuidedCalibration:
+        """The guided hand-eye session. Raises RequestRefused (``refused.hand_eye.none``) without one."""
+        if self.hand_eye is None:
+            raise RequestRefused("refused.hand_eye.none", "this rig has no guided hand-eye calibration")
+        return self.hand_eye
+
+    @property
+    def latest_look(self) -> JudgedLook:
+        """The latest look of any program. Raises RequestRefused (``refused.no_look_yet``)."""
+        if self._latest is None:
+            raise RequestRefused("refused.no_look_yet", "nothing was looked at since the service started")
+        return self._latest
+
+    def _remember(self, look: Look) -> None:
+        self._latest = JudgedLook(look, judge(look, self.positioning))
+        self.log.write("look", **look_json(self._latest))

@@ -1,0 +1,229 @@
+"""What a request may say of a program: its settings' own fields, made optional, with the settings' ranges.
+
+A body lays what was given over the settings as configured. Lengths of a few millimetres are asked for in mm:
+that is stated once, in ``_UNITS``.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import astuple
+from enum import StrEnum
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import BaseModel, ConfigDict, Field, create_model, model_validator
+from pydantic.fields import FieldInfo
+
+from vision_pc.config.programs import (
+    LineEquationSettings,
+    LocalMapSettings,
+    LookingAndMovingSettings,
+    OrientationSettings,
+    PositioningSettings,
+    TrajectorySettings,
+)
+
+_UNITS = {"_mm": ("_m", 1e-3)}
+"""Suffix of a member → suffix of the settings' field, and one unit of the member in the field's unit."""
+Metres = Annotated[float, Field(ge=-10.0, le=10.0)]
+Vector = tuple[Metres, Metres, Metres]
+Unit = Annotated[float, Field(ge=-1.001, le=1.001)]
+
+
+class Given(NamedTuple):
+    """How a member of a body reaches the settings: field, scale, and what else it sets."""
+
+    field: str
+    scale: float
+    also: Mapping[str, Any]
+
+
+class RequestBody(BaseModel):
+    """Base of request bodies: unknown members, NaN and infinity are refused; None means as configured."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    reaches: ClassVar[dict[str, Given]] = {}
+
+    def overrides(self) -> dict[str, Any]:
+        """The members that were given, as fields of the settings."""
+        laid: dict[str, Any] = {}
+        for name, value in self.model_dump(exclude_none=True).items():
+            given = self.reaches.get(name, Given(name, 1.0, {}))
+            laid[given.field] = value if given.scale == 1.0 else given.scale * value
+            laid |= given.also
+        return laid
+
+
+class Copy(NamedTuple):
+    """A settings' field that a request may give; ``also``: settings that go with it when it is given."""
+
+    example: Any = None
+    description: str | None = None
+    also: Mapping[str, Any] = MappingProxyType({})
+
+
+Member = Copy | tuple[Any, Any]
+"""A copy of a settings' field, or the type and field of what the settings do not have."""
+
+
+def body_of(name: str, doc: str, settings: type[BaseModel], /, **members: Member) -> type[RequestBody]:
+    """The body ``name``: members in this order, each a field of ``settings`` made optional, or its own."""
+    fields: dict[str, Any] = {}
+    reaches: dict[str, Given] = {}
+    for member, chosen in members.items():
+        if not isinstance(chosen, Copy):
+            fields[member] = chosen
+            continue
+        field, scale = _origin(member, settings)
+        reaches[member] = Given(field, scale, chosen.also)
+        examples = None if chosen.example is None else [chosen.example]
+        type_ = _optional(settings.model_fields[field], scale)
+        fields[member] = (type_, Field(None, examples=examples, description=chosen.description))
+    made: type[RequestBody] = create_model(name, __base__=RequestBody, __doc__=doc, **fields)
+    made.reaches = reaches
+    return made
+
+
+def _origin(member: str, settings: type[BaseModel]) -> tuple[str, float]:
+    """The settings' field that ``member`` copies, and one unit of the member in the field's unit."""
+    if member in settings.model_fields:
+        return member, 1.0
+    for suffix, (within, scale) in _UNITS.items():
+        if member.endswith(suffix):
+            return member.removesuffix(suffix) + within, scale
+    raise KeyError(f"{settings.__name__} has no field for {member}")
+
+
+def _optional(field: FieldInfo, scale: float) -> Any:
+    """The field's type and limits in the member's unit, or None; an enum as its values, written in place."""
+    type_: Any = field.annotation
+    if isinstance(type_, type) and issubclass(type_, StrEnum):
+        type_ = Literal[tuple(member.value for member in type_)]
+    for limit in field.metadata:
+        type_ = Annotated[type_, limit if scale == 1.0 else _in_unit(limit, scale)]
+    return type_ | None
+
+
+def _in_unit(limit: Any, scale: float) -> Any:
+    """A number's bound in the member's unit. Raises TypeError for another constraint."""
+    if not isinstance(limit, Gt | Ge | Lt | Le):
+        raise TypeError(f"{limit} is no bound of a number")
+    (bound,) = astuple(limit)
+    return type(limit)(round(bound / scale, 9))
+
+
+class LookBody(RequestBody):
+    """A look: ``frames`` pairs with the arm at rest."""
+
+    # Explicit: a request's look is shorter than the section ``look`` of vision.yaml allows.
+    frames: int | None = Field(None, ge=1, le=100, examples=[10])
+
+
+OrientationBody = body_of(
+    "OrientationBody",
+    "Orientation adjustment (7)(8).",
+    OrientationSettings,
+    form=Copy("frame_true"),
+    repetitions=Copy(1),
+    limit_deg=Copy(),
+)
+LineEquationBody = body_of(
+    "LineEquationBody",
+    "Line equation (10)-(16): circle and one input.",
+    LineEquationSettings,
+    radius_m=Copy(0.2),
+    points=Copy(18),
+    minimum=Copy(),
+)
+TrajectoryBody = body_of(
+    "TrajectoryBody",
+    "Trajectory matching (17)-(19) and the match.",
+    TrajectorySettings,
+    segments_m=Copy([0.30, 0.10, 0.05, 0.30]),
+    turn_deg=Copy(),
+    heading_deg=Copy(),
+    placement=Copy(),
+    method=Copy(),
+    association=Copy(),
+)
+LocalTrackBody = body_of(
+    "LocalTrackBody",
+    "Three legs along the tool's axes, for the corrected look-then-move.",
+    LocalMapSettings,
+    leg_m=Copy(0.2),
+)
+
+
+class PositioningMethod(StrEnum):
+    """By which calibration look-then-move drives: the local rotation, or the local map with corrections."""
+
+    CALIBRATED = "calibrated"
+    CORRECTED = "corrected"
+
+
+class LookThenMoveSettings(PositioningSettings):
+    """Look-then-move, and by which calibration."""
+
+    method: PositioningMethod = PositioningMethod.CALIBRATED
+
+
+LookThenMoveBody = body_of(
+    "LookThenMoveBody",
+    "Look-then-move (20)-(22). ``method``: by local calibration, or by local map, corrected mid-course.",
+    LookThenMoveSettings,
+    # Explicit: it has a default of its own, because no configuration chooses it.
+    method=(Literal["calibrated", "corrected"], Field("calibrated")),
+    inputs=Copy(1),
+    clearance_m=Copy(0.1),
+    tolerance_mm=Copy(5.0),
+    aim_mm=Copy(description="No input below this; 0: always one"),
+    corrections=Copy(description="Drives by odometry alone; 0: one shot"),
+)
+
+
+class ServoingSettings(LookingAndMovingSettings):
+    """Visual servoing, and the distance to the object that it shall leave: as for look-then-move."""
+
+    clearance_m: Annotated[float, *PositioningSettings.model_fields["clearance_m"].metadata]
+
+
+LookingAndMovingBody = body_of(
+    "LookingAndMovingBody",
+    "Looking and moving: closed loop at camera rate. Settings left out are as configured.",
+    ServoingSettings,
+    gain=Copy(0.5),
+    pull_gain=Copy(),
+    clearance_m=Copy(0.1),
+    settle_mm=Copy(1.0, also={"settle_growth": 0.0}),  # asked for by name, it is not to be widened
+    timeout_s=Copy(),
+)
+
+
+class PoseBody(RequestBody):
+    """A pose in B."""
+
+    p_m: Vector = Field(examples=[[3.9, 0.0, 1.0]])
+    q_wxyz: tuple[Unit, Unit, Unit, Unit] = Field(examples=[[0.5, -0.5, 0.5, -0.5]])
+
+    @model_validator(mode="after")
+    def _unit(self) -> "PoseBody":
+        norm = math.sqrt(sum(c * c for c in self.q_wxyz))
+        if abs(norm - 1.0) > 1e-3:
+            raise ValueError(f"q_wxyz has norm {norm:.4f}, must be 1 within 0.001")
+        return self
+
+
+class MoveBody(RequestBody):
+    """A point-to-point motion: to ``X_BT``, or by an offset along the axes of base or tool (just one)."""
+
+    X_BT: PoseBody | None = None
+    offset_base_m: Vector | None = None
+    offset_tool_m: Vector | None = Field(None, examples=[[0.05, 0.0, 0.0]])
+    duration_s: float = Field(0.0, ge=0.0, le=60.0)
+
+    @model_validator(mode="after")
+    def _one_target(self) -> "MoveBody":
+        if sum(t is not None for t in (self.X_BT, self.offset_base_m, self.offset_tool_m)) != 1:
+            raise ValueError("exactly one of X_BT, offset_base_m and offset_tool_m is wanted")
+        return self

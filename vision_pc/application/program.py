@@ -1,0 +1,100 @@
+"""What a program is: one row that says everything which the API, lockstep and the page need to know of it."""
+
+from collections.abc import Callable, Coroutine
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from foundation.configuration import StrictModel, validated
+from protocol.errors import LinkLost, RequestRefused
+from protocol.faults import FaultCode, GroupState
+from protocol.reference_messages import FLAG_EMERGENCY_LATCHED
+from vision_pc.application.application import VisionApplication
+from vision_pc.application.bodies import RequestBody
+from vision_pc.application.results import JSON
+from vision_pc.core.ports import Report
+
+SettingsT = TypeVar("SettingsT")
+ResultT = TypeVar("ResultT")
+Need = Callable[[VisionApplication, str, Any], None]
+"""A condition: called with the application, the program's name and its settings, it raises when unmet."""
+
+
+@dataclass(frozen=True)
+class Program(Generic[SettingsT, ResultT]):
+    """One program.
+
+    ``name`` is its address in the API and its name in logs, ``title`` what it does in one line. ``run`` is
+    called with the application, the settings of this request and a report; it returns a typed result, of
+    which ``to_json`` makes what the API answers (mm, degrees). ``body`` is what a request may say, laid over
+    ``settings`` (None: the body itself is what ``run`` gets). ``needs`` must all be met before it begins, in
+    this order. ``core`` is the function to read, ``source`` where its method comes from, ``tag`` its group.
+    """
+
+    name: str
+    title: str
+    run: Callable[[VisionApplication, SettingsT, Report], Coroutine[Any, Any, ResultT]]
+    to_json: Callable[[ResultT], JSON]
+    body: type[RequestBody] = RequestBody
+    settings: Callable[[VisionApplication], SettingsT] | None = None
+    needs: tuple[Need, ...] = ()
+    core: Callable[..., Any] | None = None
+    source: str = "–"
+    tag: str = "operations"
+
+    def requested(self, application: VisionApplication, body: RequestBody) -> Any:
+        """The settings of one request.
+
+        Raises ConfigurationError (a 422 problem) when the combination is out of range.
+        """
+        if self.settings is None:
+            return body
+        configured = self.settings(application)
+        assert isinstance(configured, StrictModel)
+        return validated(type(configured), configured.model_dump() | body.overrides(), "request")
+
+    def refuse_now(self, application: VisionApplication, settings: Any) -> None:
+        """Raises RequestRefused or LinkLost when the program cannot begin in the present state."""
+        _ = application.controller.state  # without a controller, that is the cause
+        for need in self.needs:
+            need(application, self.name, settings)
+
+
+def camera(application: VisionApplication, name: str, settings: Any) -> None:
+    """Fresh pictures come."""
+    status = application.camera.status()
+    if not status.connected:
+        raise LinkLost(status.trouble or "link.camera_silent", "no fresh pictures from the camera")
+
+
+def at_rest(application: VisionApplication, name: str, settings: Any) -> None:
+    """The arm does not move."""
+    if application.controller.state.group_state is GroupState.MOVING:
+        raise RequestRefused("refused.moving", f"{name}: the arm is moving")
+
+
+def enabled(application: VisionApplication, name: str, settings: Any) -> None:
+    """The arm may move: it is enabled, without a latched stop or fault."""
+    state = application.controller.state
+    if state.flags & FLAG_EMERGENCY_LATCHED:
+        raise RequestRefused("refused.emergency_latched", f"{name}: the emergency stop is latched")
+    if state.group_state is GroupState.ERROR_STOP:
+        fault = "" if state.fault is FaultCode.NONE else f" ({state.fault.name.lower()})"
+        raise RequestRefused("refused.error_latched", f"{name}: a fault is latched{fault}; reset first")
+    if state.group_state is GroupState.DISABLED:
+        raise RequestRefused("refused.disabled", f"{name}: the arm is disabled; enable first")
+    if state.group_state is GroupState.STOPPING:
+        raise RequestRefused("refused.stopping", f"{name}: the arm is stopping")
+
+
+def recording(application: VisionApplication, name: str, settings: Any) -> None:
+    """Events can be recorded."""
+    if not application.log.healthy:
+        raise RequestRefused("refused.recording_failed", f"{name}: events can no longer be recorded")
+
+
+STANDING: tuple[Need, ...] = (camera, at_rest)
+"""What a program needs that looks and moves nothing."""
+MOVING: tuple[Need, ...] = (camera, at_rest, enabled, recording)
+"""What a program needs that looks and moves."""
+BLIND: tuple[Need, ...] = (at_rest, enabled, recording)
+"""What a program needs that moves without looking."""

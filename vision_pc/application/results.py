@@ -1,0 +1,192 @@
+"""What programs return, and its form at the boundaries (API, event logs): mm and degrees, units in the keys.
+
+Only the boundaries call the ``…_json`` functions.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vision_pc.core.calibration.line_equation import LineEquation
+from vision_pc.core.calibration.local_calibration import LocalCalibration
+from vision_pc.core.calibration.local_error_model import LocalTrack
+from vision_pc.core.calibration.orientation import OrientationResult, orientation_error
+from vision_pc.core.positioning.corrected_positioning import CorrectedResult
+from vision_pc.core.positioning.look_then_move import LookVerdict, PositioningResult, Step
+from vision_pc.core.positioning.visual_servoing import Approach
+from vision_pc.core.se3 import Array, to_pose
+from vision_pc.core.types import Look
+
+JSON = dict[str, Any]
+
+
+class JudgedLook(NamedTuple):
+    """A look with its verdict."""
+
+    look: Look
+    verdict: LookVerdict
+
+
+class LineEquationResult(NamedTuple):
+    """The line equation, and a look after its one input."""
+
+    equation: LineEquation
+    look: JudgedLook
+
+
+class ServoingResult(NamedTuple):
+    """How visual servoing ended, and a look after it."""
+
+    approach: Approach
+    look: JudgedLook
+
+
+class MoveResult(NamedTuple):
+    """The commanded and the reached pose of a point-to-point motion."""
+
+    X_BT_ref: Array
+    X_BT: Array
+
+    @property
+    def miss_m(self) -> float:
+        """Distance between the two, m."""
+        return float(np.linalg.norm(self.X_BT[:3, 3] - self.X_BT_ref[:3, 3]))
+
+
+def pose_json(X: Array) -> JSON:
+    """A pose as position and quaternion."""
+    pose = to_pose(X)
+    return {"p_m": list(pose.p_m), "q_wxyz": list(pose.q_wxyz)}
+
+
+def xyz(values: Array, scale: float = 1e3, digits: int = 3) -> JSON:
+    """Three numbers by axis, scaled (default: metres to millimetres)."""
+    return {axis: round(scale * float(value), digits) for axis, value in zip("xyz", values, strict=True)}
+
+
+def degrees(values: Array) -> JSON:
+    """Three angles by axis in degrees."""
+    return xyz(values, math.degrees(1.0), 4)
+
+
+def verdict_json(verdict: LookVerdict) -> JSON:
+    """Error, uncertainty, tolerance and verdict of a look."""
+    return {
+        "error_mm": xyz(verdict.error_m),
+        "std_mm": xyz(verdict.std_m),
+        "tolerance_mm": 1e3 * verdict.tolerance_m,
+        "clearance_m": verdict.clearance_m,
+        "verdict": "inside" if verdict.inside else "outside",
+        "certain": verdict.certain,
+    }
+
+
+def look_json(judged: JudgedLook) -> JSON:
+    """A look with its verdict."""
+    look, verdict = judged
+    return verdict_json(verdict) | {
+        "time_ns": look.time_ns,
+        "X_CM": pose_json(look.X_CM),
+        "X_CO": pose_json(look.X_CO),
+        "X_BT": pose_json(look.X_BT),
+        "orientation_error_deg": degrees(orientation_error(look)),
+        "frames": look.frames,
+        "failed_tool": look.failed_tool,
+        "failed_object": look.failed_object,
+        "std_tool_mm": xyz(look.std_tool_m),
+        "std_object_mm": xyz(look.std_object_m),
+        "std_tool_deg": degrees(look.std_tool_rad),
+        "std_object_deg": degrees(look.std_object_rad),
+        "stereo_offset_px": None if look.offset is None else [look.offset.x_px, look.offset.y_px],
+    }
+
+
+def orientation_json(result: OrientationResult) -> JSON:
+    """Euler XYZ errors before and after each input."""
+    return {
+        "errors_deg": [degrees(e) for e in result.errors],
+        "before_deg": degrees(result.errors[0]),
+        "after_deg": degrees(result.errors[-1]),
+        "inputs": len(result.references),
+        "tool_shift_mm": [round(1e3 * shift, 3) for shift in result.tool_shift_m],
+    }
+
+
+def line_equation_json(result: LineEquationResult) -> JSON:
+    """Direction, distance, reference, and the look at the result."""
+    line = result.equation
+    return {
+        "p_u": [float(v) for v in line.p_u],
+        "phi_deg": math.degrees(line.phi),
+        "distance_mm": 1e3 * line.distance_m,
+        "X_BT_ref": pose_json(line.X_BT_ref),
+        "samples": line.samples,
+        "seen": line.seen,
+        "look": look_json(result.look),
+    }
+
+
+def calibration_json(calibration: LocalCalibration) -> JSON:
+    """Rotation, its uncertainty, and the residuals by the axes of B (Table 3)."""
+    return {
+        "method": calibration.method,
+        "R_BC": [[float(v) for v in row] for row in calibration.R_BC],
+        "R_TC": None if calibration.R_TC is None else [[float(v) for v in row] for row in calibration.R_TC],
+        "rotation_std_deg": math.degrees(calibration.rotation_std()),
+        "residual_mean_mm": xyz(calibration.residuals.mean_m),
+        "residual_max_mm": xyz(calibration.residuals.maximum_m),
+        "condition": calibration.condition,
+        "scale": calibration.scale,
+        "samples": calibration.samples,
+        "inlier_share": calibration.inlier_share,
+        "extent_mm": 1e3 * calibration.extent_m,
+    }
+
+
+def track_json(track: LocalTrack) -> JSON:
+    """Size and extent of a local track."""
+    spread = np.ptp(track.X_BT[:, :3, 3], axis=0)
+    return {"samples": len(track.X_BT), "extent_mm": xyz(spread), "X_BT": pose_json(track.X_BT_now)}
+
+
+def step_json(step: Step) -> JSON:
+    """One input."""
+    return {
+        "p_lc_mm": xyz(step.p_lc),
+        "X_BT_ref": pose_json(step.X_BT_ref),
+        "expected_std_mm": xyz(step.expected_std_m),
+    }
+
+
+def positioning_json(result: PositioningResult | CorrectedResult) -> JSON:
+    """All looks and steps, the last look's verdict, and what odometry measured at the end if it did."""
+    if isinstance(result, CorrectedResult):
+        return positioning_json(result.positioning) | {"measured_miss_mm": xyz(result.measured_miss_m)}
+    return verdict_json(result.final) | {
+        "looks": [verdict_json(look) for look in result.looks],
+        "steps": [step_json(step) for step in result.steps],
+        "ended": result.ended,
+    }
+
+
+def servoing_json(result: ServoingResult) -> JSON:
+    """How visual servoing ended, and the look after it."""
+    approach = result.approach
+    return {
+        "error_mm": xyz(approach.error_m),
+        "spread_mm": xyz(approach.spread_m),
+        "time_s": round(approach.time_s, 3),
+        "pictures": approach.pictures,
+        "missed": approach.missed,
+        "look": look_json(result.look),
+    }
+
+
+def move_json(result: MoveResult) -> JSON:
+    """The commanded and the reached pose, and their distance."""
+    return {
+        "X_BT_ref": pose_json(result.X_BT_ref),
+        "X_BT": pose_json(result.X_BT),
+        "miss_mm": round(1e3 * result.miss_m, 3),
+    }
