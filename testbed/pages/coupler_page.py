@@ -1,6 +1,5 @@
 """The generated tables of docs/process_image.md; ``python -m testbed.pages.coupler_page`` writes them."""
 
-import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from plant_emulator.core.coupler.image import COUPLER_MAP
 from plant_emulator.core.coupler.modbus_requests import Span
 from protocol import coupler_registers as registers
 from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS, OUTPUT_WORDS
-from testbed.pages.protocol_page import table
+from testbed.pages.protocol_page import filled, table
 
 PAGE = Path(__file__).parents[2] / "docs" / "process_image.md"
 _READ, _BITS, _NONE = requests.MAX_READ, requests.MAX_READ_BITS, "–"
@@ -101,12 +100,7 @@ def sections() -> dict[str, str]:
 
 def rendered(text: str) -> str:
     """``text`` with every generated section made anew."""
-    tables = sections()
-
-    def fill(match: re.Match[str]) -> str:
-        return f"{match[1]}\n{tables[match[2]]}\n{match[3]}"
-
-    return re.sub(r"(<!-- generated: ([a-z]+) -->)\n.*?(<!-- end -->)", fill, text, flags=re.DOTALL)
+    return filled(text, sections())
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 import json
 import re
 import textwrap
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
 from pathlib import Path
 from typing import TypeVar
@@ -92,6 +92,15 @@ def table(head: str, rows: Iterable[Iterable[object]]) -> str:
     columns = [cell.strip() for cell in head.split("|")]
     lines = [columns, ["---"] * len(columns), *([str(cell) for cell in row] for row in rows)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def filled(page: str, sections: Mapping[str, str]) -> str:
+    """``page`` with ``sections`` between their marks."""
+
+    def fill(match: re.Match[str]) -> str:
+        return f"{match[1]}\n{sections[match[2]]}\n{match[3]}"
+
+    return re.sub(r"(<!-- generated: ([a-z ]+) -->)\n.*?(<!-- end -->)", fill, page, flags=re.DOTALL)
 
 
 def datagram_table(fields: tuple[Field, ...]) -> str:
@@ -370,11 +379,7 @@ SECTIONS: dict[str, Callable[[], str]] = {
 
 def rendered(page: str) -> str:
     """``page`` with the content of every generated section made anew."""
-
-    def fill(match: re.Match[str]) -> str:
-        return f"{match[1]}\n{SECTIONS[match[2]]()}\n{match[3]}"
-
-    return re.sub(r"(<!-- generated: ([a-z ]+) -->)\n.*?(<!-- end -->)", fill, page, flags=re.DOTALL)
+    return filled(page, {name: made() for name, made in SECTIONS.items()})
 
 
 if __name__ == "__main__":

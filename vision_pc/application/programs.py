@@ -229,7 +229,7 @@ PROGRAMS: tuple[Program[Any, Any], ...] = (
         settings=lambda application: LookThenMoveSettings(**application.settings.positioning.model_dump()),
         needs=(*MOVING, calibration_of_the_method),
         core=look_then_move.look_then_move,
-        source="Mäkinen et al. 2023, (20)-(22); `method: corrected`: the best mode, part two (below)",
+        source="Mäkinen et al. 2023, (20)-(22); `corrected_positioning.py`: the best mode, part two (below)",
     ),
     Program(
         "looking-and-moving",

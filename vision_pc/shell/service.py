@@ -8,7 +8,7 @@ import os
 import signal
 import socket
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,6 +22,8 @@ from vision_pc.application.eyes import CameraEyes
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.hand_eye.store import SessionStore
 from vision_pc.application.link_arm import LinkArm
+from vision_pc.application.program import Program
+from vision_pc.application.programs import PROGRAMS
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.config.vision import ApiSettings, VisionConfig
 from vision_pc.shell.cameras import open_camera
@@ -54,10 +56,13 @@ class _Server(uvicorn.Server):
 class VisionService:
     """One running vision PC."""
 
-    def __init__(self, config: VisionConfig, options: Options) -> None:
+    def __init__(
+        self, config: VisionConfig, options: Options, programs: Sequence[Program[Any, Any]] = PROGRAMS
+    ) -> None:
         """Binds the REST port. Raises ConfigurationError when it is busy, or the records unwritable."""
         self._config = config
         self._options = options
+        self._programs = programs
         self.log = EventLog(options.record_dir)
         try:
             self._socket = bound(config.api)
@@ -79,7 +84,7 @@ class VisionService:
         operations = Operations(arm.halt, log)
         server = _Server(
             uvicorn.Config(
-                create_app(application, operations),
+                create_app(application, operations, self._programs),
                 log_config=None,
                 access_log=False,
                 lifespan="off",

@@ -67,10 +67,10 @@ def _row(
     settings: Callable[[VisionApplication], Any] | None = None,
 ) -> Program[Any, JSON]:
     """A row whose coroutine makes the JSON itself, as the session's file and log have it."""
+    core = getattr(GuidedCalibration, name, GuidedCalibration.next_pose)
     return Program(
-        f"{HAND_EYE}-{name}", title, run, dict, body, settings, needs, getattr(GuidedCalibration, name, None),
-        "docs/hand_eye.md", HAND_EYE,
-    )  # fmt: skip
+        f"{HAND_EYE}-{name}", title, run, dict, body, settings, needs, core, "docs/hand_eye.md", HAND_EYE
+    )
 
 
 HAND_EYE_PROGRAMS = (

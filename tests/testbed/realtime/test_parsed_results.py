@@ -1,0 +1,54 @@
+"""What a program returns and what is read from the API's answer of it are the same."""
+
+import numpy as np
+
+from testbed.demonstration.sequence import note_of
+from testbed.realtime.parsed_results import RESULT_OF, look_of
+from vision_pc.application.results import calibration_json, orientation_json, pose_json, positioning_json
+from vision_pc.core.calibration.local_calibration import LocalCalibration, ResidualTable
+from vision_pc.core.calibration.orientation import OrientationResult
+from vision_pc.core.positioning.look_then_move import Ended, LookVerdict, PositioningResult, Step
+from vision_pc.core.se3 import transform
+
+X = transform(np.diag([1.0, -1.0, -1.0]), np.array([0.1, -0.2, 1.3]))
+LENGTHS_M = np.array([0.012, -0.0035, 0.4])
+VERDICT = LookVerdict(LENGTHS_M, np.abs(LENGTHS_M) / 10, 0.005, 0.1, inside=False, certain=True)
+
+
+def test_the_poses_of_a_look() -> None:
+    read = look_of({"time_ns": 7, "X_CM": pose_json(X), "X_CO": pose_json(np.eye(4))})
+    assert read.time_ns == 7
+    assert np.allclose(read.X_CM, X)
+    assert np.allclose(read.X_CO, np.eye(4))
+
+
+def test_a_look_then_move() -> None:
+    step = Step(LENGTHS_M, X, np.abs(LENGTHS_M))
+    result = PositioningResult((VERDICT, VERDICT), (step,), Ended.INPUT_LIMIT)
+    read = RESULT_OF["look-then-move"](positioning_json(result))
+    assert read.ended is Ended.INPUT_LIMIT
+    assert (len(read.looks), len(read.steps)) == (2, 1)
+    assert np.allclose(read.steps[0].p_lc, step.p_lc)
+    assert np.allclose(read.steps[0].X_BT_ref, X)
+    assert np.allclose(read.final.error_m, VERDICT.error_m)
+    assert (read.final.inside, read.final.certain, read.final.tolerance_m) == (False, True, 0.005)
+    assert note_of(read) == note_of(result) != ""
+
+
+def test_an_orientation_adjustment() -> None:
+    result = OrientationResult((0.1 * LENGTHS_M, 0.01 * LENGTHS_M), (np.eye(3),), (0.002,))
+    read = RESULT_OF["orientation-adjustment"](orientation_json(result))
+    assert np.allclose(read.errors, result.errors, atol=1e-6)
+    assert np.allclose(read.tool_shift_m, result.tool_shift_m)
+    assert note_of(read) == note_of(result) != ""
+
+
+def test_a_local_calibration() -> None:
+    covariance = np.diag([1e-6, 2e-6, 4e-6])
+    table = ResidualTable(LENGTHS_M, 2.0 * LENGTHS_M)
+    result = LocalCalibration(np.eye(3), None, covariance, table, 9.0, "points/time", 90, 0.9, 0.75, 1.01)
+    read = RESULT_OF["trajectory-matching"](calibration_json(result))
+    assert np.isclose(read.rotation_std(), 2e-3)
+    assert np.allclose(read.residuals.maximum_m, table.maximum_m)
+    assert (read.R_TC, read.samples, read.method) == (None, 90, "points/time")
+    assert note_of(read) == note_of(result) != ""

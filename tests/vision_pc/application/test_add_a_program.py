@@ -1,0 +1,86 @@
+"""docs/how_to/add_a_program.md does what it says: its own blocks are run, in lockstep and over the API."""
+
+import os
+import re
+import signal
+import socket
+import threading
+import time
+from types import ModuleType
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.support.pages import page
+from tests.support.paths import ROOT
+from tests.vision_pc.synthetic_station import bench
+from vision_pc.application.programs import PROGRAMS
+from vision_pc.shell.rest.api import create_app
+
+TEXT = page("how_to/add_a_program.md")
+BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
+
+
+@pytest.fixture
+def there_and_back(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The page's first two blocks as the module that it says to save them as."""
+    monkeypatch.chdir(ROOT)
+    module = ModuleType("there_and_back")
+    for block in BLOCKS[:2]:
+        exec(block, module.__dict__)
+    return module
+
+
+def test_the_page_s_program_runs_in_lockstep(there_and_back: Any) -> None:
+    exec(BLOCKS[2], there_and_back.__dict__)
+    rig = there_and_back.rig
+    assert 0.0 < max(abs(there_and_back.result.shift_m)) < 5e-3
+    ended = [event for event in rig.world.log.events if event["event"] == "operation_ended"]
+    assert ended[-1]["kind"] == "there-and-back"
+    assert 0.0 < ended[-1]["result"]["shift_mm"] < 5.0
+
+
+async def test_the_page_s_program_is_served_with_its_guards_and_ranges(there_and_back: Any) -> None:
+    async with bench(link_timeout_ms=30_000) as made:
+        app = create_app(made.station, made.operations, (*PROGRAMS, there_and_back.THERE_AND_BACK))
+        made.client = httpx.AsyncClient(transport=httpx.ASGITransport(app=app), base_url="http://vision")
+        async with made.client:
+            refused = await made.post("/operations/there-and-back")
+            assert (refused.status_code, refused.json()["cause"]) == (409, "refused.disabled")
+            await made.post("/enable")
+            too_far = await made.post("/operations/there-and-back", {"stroke_mm": 301.0})
+            assert (too_far.status_code, too_far.json()["cause"]) == (422, "request.invalid")
+            ended = await made.run("there-and-back", {"stroke_mm": 30.0})
+            assert ended["state"] == "succeeded", ended["problem"]
+            assert ended["result"]["shift_mm"] < 5.0
+            member = app.openapi()["components"]["schemas"]["StrokeBody"]["properties"]["stroke_mm"]
+            assert member["anyOf"][0] == {"type": "number", "maximum": 300.0, "exclusiveMinimum": 0.0}
+
+
+def test_the_page_s_service_serves_it(there_and_back: Any) -> None:
+    """The page's own service, on a free port, without controller and camera."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    exec(BLOCKS[2].split("rig =")[0], there_and_back.__dict__)
+    at_port = BLOCKS[3].replace('vision.yaml"))', f'vision.yaml"), {{"api": {{"port": {port}}}}})')
+    assert at_port != BLOCKS[3]
+    exec(at_port, there_and_back.__dict__)
+    served: list[Any] = []
+
+    def ask() -> None:
+        answer = httpx.HTTPTransport(retries=0)
+        with httpx.Client(transport=answer, base_url=f"http://127.0.0.1:{port}") as client:
+            while not served:
+                try:
+                    served.append(client.get("/openapi.json").json()["paths"])
+                except httpx.TransportError:
+                    time.sleep(0.05)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    there_and_back.serve()
+    asking.join()
+    assert "/operations/there-and-back" in served[0]
+    assert "/operations/hand-eye-start" in served[0]
