@@ -107,8 +107,8 @@ def _actuator(
 ) -> float:
     """Rates of spool, chambers and bristle of actuator ``i``; returns its torque on the joint.
 
-    ``a`` is the actuator table, ``c`` the circuit, ``flows`` the flow table, ``thinner`` the reference
-    viscosity over the present one.
+    ``a`` is the actuator table, ``c`` the circuit, ``flows`` the flow table, ``thinner`` the
+    reference viscosity over the present one.
     """
     joint = JOINT[i]
     y, ratio = actuator_reach(
