@@ -148,7 +148,7 @@ class Wire:
         self._socket.send(data)
         return data
 
-    def sealed(self, message: Message, *, sequence: int | None = None, sent_ns: int | None = None,
+    def encoded(self, message: Message, *, sequence: int | None = None, sent_ns: int | None = None,
                session: int | None = None, minor: int | None = None, flags: int = 0) -> bytes:  # fmt: skip
         """A datagram of this session; with ``sequence`` None it takes the next number."""
         if sequence is None:
@@ -188,7 +188,7 @@ class Wire:
              session: int | None = None, minor: int | None = None, flags: int = 0) -> bytes:  # fmt: skip
         """Seals and sends."""
         return self.send_raw(
-            self.sealed(
+            self.encoded(
                 message, sequence=sequence, sent_ns=sent_ns, session=session, minor=minor, flags=flags
             )
         )

@@ -168,7 +168,7 @@ class Channel:
         self._window: SequenceWindow | None = None
         self._age = TransitAge()
 
-    def sealed(self, message: Message, now_ns: int) -> bytes:
+    def encoded(self, message: Message, now_ns: int) -> bytes:
         """The datagram that carries ``message`` next on this channel."""
         flags, echo = (FLAG_ECHO_VALID, self._window.newest % SEQUENCE_MODULUS) if self._window else (0, 0)
         number = self.next_sequence % self._modulus
@@ -176,12 +176,12 @@ class Channel:
         self.next_sequence = number + 1
         return encode(message, header, self.keys.sends if self.keys else None)
 
-    def unauthentic(self, data: bytes, header: Header, tally: LinkStatistics) -> DatagramDropped | None:
+    def unauthentic(self, data: bytes, header: Header, statistics: LinkStatistics) -> DatagramDropped | None:
         """None if a datagram of this session carries the tag that it must, else why not; it is counted."""
-        return unauthentic(data, header, self.keys.receives if self.keys else None, tally)
+        return unauthentic(data, header, self.keys.receives if self.keys else None, statistics)
 
     def hear(
-        self, header: Header, now_ns: int, max_age_ns: int | None, tally: LinkStatistics
+        self, header: Header, now_ns: int, max_age_ns: int | None, statistics: LinkStatistics
     ) -> DatagramDropped | None:
         """None if the datagram is to be used, else why not; the first one to come sets the start.
 
@@ -193,26 +193,26 @@ class Channel:
         else:
             arrival, skipped = self._window.arrive(header.sequence)
             if arrival is not Arrival.NEW:
-                tally.lost -= arrival is Arrival.LATE
+                statistics.lost -= arrival is Arrival.LATE
                 cause = _AUTHENTICATED_CAUSES.get(arrival) if self.keys else None
-                return tally.drop(
+                return statistics.drop(
                     cause or arrival.value, f"sequence {header.sequence} after {self._window.newest}"
                 )
-            tally.lost += skipped
-            tally.longest_gap = max(tally.longest_gap, skipped)
+            statistics.lost += skipped
+            statistics.longest_gap = max(statistics.longest_gap, skipped)
         age_ns = self._age.age_ns(header.sent_ns, now_ns)
         self.age_ns = age_ns
         left_ns = now_ns - age_ns
         self.heard_ns = left_ns if self.heard_ns is None else max(self.heard_ns, left_ns)
         if max_age_ns is not None and age_ns > max_age_ns:
-            return tally.drop("datagram.stale", f"{age_ns // _NS_PER_MS} ms old when it was read")
-        tally.received += 1
+            return statistics.drop("datagram.stale", f"{age_ns // _NS_PER_MS} ms old when it was read")
+        statistics.received += 1
         return None
 
 
 def unauthentic(
-    data: bytes, header: Header, key: DirectionKey | None, tally: LinkStatistics
+    data: bytes, header: Header, key: DirectionKey | None, statistics: LinkStatistics
 ) -> DatagramDropped | None:
     """None if ``data`` carries the tag that ``key`` demands (None: no tag), else the refusal, counted."""
     cause = fault_of(data, header.flags, key)
-    return None if cause is None else tally.drop(cause, f"sequence {header.sequence}")
+    return None if cause is None else statistics.drop(cause, f"sequence {header.sequence}")

@@ -5,12 +5,12 @@ from enum import Enum
 
 from protocol.authentication import LinkKey
 from protocol.channel import Channel, LinkStatistics
+from protocol.client_handshake import ClientHandshake
 from protocol.clock_offset import OffsetEstimate
 from protocol.datagram import Datagram, Header, decode, encode
-from protocol.echo_clock import EchoClock
 from protocol.errors import DatagramRefused, LinkLost, RequestRefused
 from protocol.faults import Reason
-from protocol.greeting import Greeting
+from protocol.heartbeat_tracker import HeartbeatTracker
 from protocol.open_requests import OpenRequests
 from protocol.reference_messages import (
     CAPABILITY_PATHS,
@@ -68,11 +68,11 @@ class ReferenceClient:
         key: LinkKey | None = None,
     ) -> None:
         self._phase = _Phase.CLOSED
-        self._greeting = Greeting(nonce, arm_hash, state_period_ms, capabilities, first_sequence, key)
+        self._handshake = ClientHandshake(nonce, arm_hash, state_period_ms, capabilities, first_sequence, key)
         self._requests = OpenRequests(nonce)
-        self._channel = self._greeting.channel
+        self._channel = self._handshake.channel
         self._welcome: Welcome | None = None
-        self._echoes: EchoClock | None = None
+        self._echoes: HeartbeatTracker | None = None
         self._outbox: list[tuple[Message, Channel, int]] = []
         self._tally = LinkStatistics()
 
@@ -121,7 +121,7 @@ class ReferenceClient:
         self._requests.give_up()
         self._welcome = None
         self._phase = _Phase.CONNECTING
-        self._greeting.begin(self._channel.next_sequence)
+        self._handshake.begin(self._channel.next_sequence)
         self._say_hello(now_ns)
 
     def submit(self, request: Request, now_ns: int) -> int:
@@ -161,7 +161,7 @@ class ReferenceClient:
 
         Read the socket empty first: what waits there is not yet heard.
         """
-        if self._phase is _Phase.CONNECTING and now_ns >= self._greeting.due_ns:
+        if self._phase is _Phase.CONNECTING and now_ns >= self._handshake.due_ns:
             self._say_hello(now_ns)
         if self._echoes is None or not self.connected:
             return []
@@ -180,7 +180,7 @@ class ReferenceClient:
         if self._phase is _Phase.CLOSED:
             return None
         if self._echoes is None or not self.connected:
-            return self._greeting.due_ns
+            return self._handshake.due_ns
         resends = self._requests.due_ns(self._resend_ns())
         return min(self._echoes.due_ns, self._silent_at_ns() + 1, *resends)
 
@@ -208,18 +208,18 @@ class ReferenceClient:
                 message = Heartbeat(sent_ns)
                 if self._echoes:
                     self._echoes.sent(sent_ns)
-            datagrams.append(channel.sealed(message, sent_ns))
+            datagrams.append(channel.encoded(message, sent_ns))
         self._outbox.clear()
         return datagrams
 
     def _say_hello(self, now_ns: int) -> None:
-        hello = self._greeting.hello(now_ns)
-        self._channel = self._greeting.channel
+        hello = self._handshake.hello(now_ns)
+        self._channel = self._handshake.channel
         self._send(hello, now_ns)
 
     def _answered_hello(self, datagram: Datagram, data: bytes, now_ns: int) -> list[ClientEvent]:
         header, welcome = datagram
-        answer = self._greeting.answered(header, welcome, data, self._tally)
+        answer = self._handshake.answered(header, welcome, data, self._tally)
         if isinstance(answer, DatagramDropped):
             return [answer]
         if isinstance(answer, Reason):
@@ -228,7 +228,7 @@ class ReferenceClient:
         self._channel = answer
         self._channel.hear(header, now_ns, None, self._tally)
         self._welcome = welcome
-        self._echoes = EchoClock(self._timeout_ns(), now_ns)
+        self._echoes = HeartbeatTracker(self._timeout_ns(), now_ns)
         self._phase = _Phase.CONNECTED
         return [Connected(header.session, welcome)]
 

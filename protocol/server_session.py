@@ -10,7 +10,6 @@ from protocol.datagram import Datagram, Header, decode, payload_of
 from protocol.datagram_layout import VERSION_MINOR
 from protocol.errors import DatagramRefused
 from protocol.faults import Reason
-from protocol.grants import Grants, Session, Source
 from protocol.reference_messages import (
     CAPABILITY_PATHS,
     CAPABILITY_STREAMING,
@@ -37,6 +36,7 @@ from protocol.session_events import (
     SessionOpened,
     StreamedPoseReceived,
 )
+from protocol.session_factory import LinkSession, SessionFactory, Source
 
 NS_PER_MS = 1_000_000
 REFUSAL_INTERVAL_NS = 50 * NS_PER_MS
@@ -69,14 +69,16 @@ class ReferenceServer:
         first_sequence: int = 1,
         key: LinkKey | None = None,
     ) -> None:
-        self._grants = Grants(boot_id, arm_hash, cycle_ns, link_timeout_ms, capabilities, first_sequence, key)
+        self._factory = SessionFactory(
+            boot_id, arm_hash, cycle_ns, link_timeout_ms, capabilities, first_sequence, key
+        )
         self._key = key
         self._arm_hash = arm_hash
         self._cycle_ns = cycle_ns
         self._link_timeout_ms = link_timeout_ms
         self._max_age_ns = (link_timeout_ms if max_age_ms is None else max_age_ms) * NS_PER_MS
-        self._session: Session | None = None
-        self._unconfirmed: Session | None = None
+        self._session: LinkSession | None = None
+        self._unconfirmed: LinkSession | None = None
         self._past_nonces: deque[int] = deque(maxlen=REMEMBERED_NONCES)
         self._outbox: list[tuple[Message, Channel, Source, int]] = []
         self._refused_at_ns: int | None = None
@@ -173,7 +175,7 @@ class ReferenceServer:
             sent_ns = queued_ns if now_ns is None else now_ns
             if isinstance(message, HeartbeatReply):
                 message = message._replace(replied_ns=sent_ns)
-            datagrams.append((channel.sealed(message, sent_ns), source))
+            datagrams.append((channel.encoded(message, sent_ns), source))
         self._outbox.clear()
         return datagrams
 
@@ -210,8 +212,8 @@ class ReferenceServer:
         self._session, self._unconfirmed = granted, None
         return [*events, SessionOpened(granted.channel.session, granted.source)]
 
-    def _granted(self, header: Header, hello: Hello, source: Source, now_ns: int) -> Session:
-        return self._grants.grant(header, hello, source, now_ns, self._tally)
+    def _granted(self, header: Header, hello: Hello, source: Source, now_ns: int) -> LinkSession:
+        return self._factory.grant(header, hello, source, now_ns, self._tally)
 
     def _in_session(self, datagram: Datagram, data: bytes, source: Source, now_ns: int) -> list[ServerEvent]:
         header, message = datagram
@@ -245,12 +247,12 @@ class ReferenceServer:
             return events + self._streamed(session, header, message, now_ns)
         return events + self._requested(session, message, payload_of(data), now_ns)
 
-    def _addressed(self, number: int) -> Session | None:
+    def _addressed(self, number: int) -> LinkSession | None:
         sessions = (self._session, self._unconfirmed)
         return next((each for each in sessions if each and each.channel.session == number), None)
 
     def _streamed(
-        self, session: Session, header: Header, message: StreamedPose, now_ns: int
+        self, session: LinkSession, header: Header, message: StreamedPose, now_ns: int
     ) -> list[ServerEvent]:
         if not session.welcome.capabilities & CAPABILITY_STREAMING:
             refusal = StreamRefused(message.stream_id, message.number, Reason.NOT_NEGOTIATED, 0.0, 0.0)
@@ -262,7 +264,7 @@ class ReferenceServer:
 
     def _requested(
         self,
-        session: Session,
+        session: LinkSession,
         request: Request | UnusableRequest,
         payload: bytes,
         now_ns: int,
@@ -284,7 +286,7 @@ class ReferenceServer:
         assert self._session is not None
         self._post(self._session, message, now_ns)
 
-    def _post(self, session: Session, message: Message, now_ns: int) -> None:
+    def _post(self, session: LinkSession, message: Message, now_ns: int) -> None:
         self._outbox.append((message, session.channel, session.source, now_ns))
 
     def _refuse(self, reason: Reason, session: int, source: Source, now_ns: int) -> None:

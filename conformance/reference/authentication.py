@@ -72,7 +72,7 @@ def hello_with_bad_tag(peer: Peer) -> None:
 @case(704, "11.5", "a tag of which any single bit is wrong is refused")
 def flipped_tag(peer: Peer) -> None:
     opened(peer)
-    data = peer.sealed(stop(peer))
+    data = peer.encoded(stop(peer))
     bits = range(8 * (len(data) - TAG_BYTES), 8 * len(data))
     refused(peer, [resealed(with_bit_flipped(data, bit)) for bit in bits], "a tag with a flipped bit")
 
@@ -80,7 +80,7 @@ def flipped_tag(peer: Peer) -> None:
 @case(705, "11.5", "a datagram of which any single bit was changed behind its signature is refused")
 def flipped_content(peer: Peer) -> None:
     opened(peer)
-    data = peer.sealed(stop(peer))
+    data = peer.encoded(stop(peer))
     bits = range(8 * (len(data) - TAG_BYTES))
     bent = [resealed(with_bit_flipped(data, bit)) for bit in bits if bit // 8 not in CRC]
     refused(peer, bent, "a changed bit, its CRC made right")
@@ -112,7 +112,7 @@ def other_keys(peer: Peer) -> None:
 def replayed(peer: Peer) -> None:
     opened(peer)
     request = stop(peer)
-    data = peer.sealed(request)
+    data = peer.encoded(request)
     used(peer, data, request.command_id, "the request itself")
     refused(peer, [data] * 3, "its replay")
     for _ in range(5):
@@ -123,7 +123,7 @@ def replayed(peer: Peer) -> None:
 @case(710, "11.7", "a replay far behind the window is not used")
 def replayed_late(peer: Peer) -> None:
     opened(peer)
-    data = peer.sealed(stop(peer))
+    data = peer.encoded(stop(peer))
     peer.send_raw(data)
     peer.answers("the request itself")
     peer.sequence += 200
@@ -137,7 +137,7 @@ def extended(peer: Peer) -> None:
     key = peer.keys_of(peer.session).sends
     for _ in range(8):
         request = stop(peer)
-        used(peer, peer.sealed(request), request.command_id, "a request at 2^32")
+        used(peer, peer.encoded(request), request.command_id, "a request at 2^32")
     newest = peer.sequence
     require(newest > SEQUENCES, "2^32 was not reached")
     wrapped = encode(
@@ -222,7 +222,7 @@ def forged_moves_nothing(peer: Peer) -> None:
         peer.sequence = before
         refused(peer, [forged], "a forged datagram")
         request = stop(peer)
-        used(peer, peer.sealed(request), request.command_id, "the next number after a forged one")
+        used(peer, peer.encoded(request), request.command_id, "the next number after a forged one")
 
 
 @case(717, "11.10", "refused datagrams are counted in STATE as dropped, and not as lost")
@@ -263,7 +263,7 @@ def unsigned_bye(peer: Peer) -> None:
 @case(720, "11.3", "the flag without a trailer, and a trailer without the flag, are dropped")
 def flag_and_trailer(peer: Peer) -> None:
     opened(peer)
-    data = peer.sealed(stop(peer))
+    data = peer.encoded(stop(peer))
     bare = resealed(data[:-TRAILER_BYTES])
     unflagged = bytearray(data)
     unflagged[FLAGS + 1] = 0
@@ -274,7 +274,7 @@ def flag_and_trailer(peer: Peer) -> None:
 def late_is_no_replay(peer: Peer) -> None:
     opened(peer, period_ms=20)
     before = peer.state()
-    held = [peer.sealed(stop(peer)) for _ in range(3)]
+    held = [peer.encoded(stop(peer)) for _ in range(3)]
     peer.alive("after a gap of 3")
     for _ in range(3):
         peer.send_raw(held[1])

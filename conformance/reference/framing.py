@@ -49,11 +49,11 @@ def used(peer: Peer, data: bytes, command_id: int, what: str) -> None:
 def in_a_session(message: Callable[[Peer], Message]) -> Callable[[Peer], bytes]:
     """Opens a session and seals a message in it."""
 
-    def sealed(peer: Peer) -> bytes:
+    def encoded(peer: Peer) -> bytes:
         peer.open()
-        return peer.sealed(message(peer))
+        return peer.encoded(message(peer))
 
-    return sealed
+    return encoded
 
 
 a_stop = in_a_session(stop)
@@ -65,7 +65,7 @@ a_path = in_a_session(lambda peer: ReferencePath(peer.new_id(), (IDENTITY,) * 3,
 def sound(peer: Peer) -> None:
     peer.open()
     request = stop(peer)
-    used(peer, peer.sealed(request), request.command_id, "STOP")
+    used(peer, peer.encoded(request), request.command_id, "STOP")
 
 
 @case(102, "3.5", "every other magic is dropped")
@@ -138,7 +138,7 @@ def other_crc(peer: Peer) -> None:
 
 @case(112, "4.4", "another major version is told INCOMPATIBLE_VERSION")
 def major(peer: Peer) -> None:
-    hello = peer.sealed(Hello(peer.nonce(), 1, 0, 50), session=0)
+    hello = peer.encoded(Hello(peer.nonce(), 1, 0, 50), session=0)
     for version in (0, 2, 255):
         peer.collect(RATION_MS)
         peer.send_raw(peer.with_number(hello, MAJOR, "B", version))
@@ -165,7 +165,7 @@ def newer_minor(peer: Peer) -> None:
 @case(115, "3.5", "a minor version that was not negotiated is dropped")
 def wrong_minor(peer: Peer) -> None:
     peer.open()
-    refused(peer, [peer.sealed(stop(peer), minor=peer.minor + n) for n in (1, 7)], "another minor version")
+    refused(peer, [peer.encoded(stop(peer), minor=peer.minor + n) for n in (1, 7)], "another minor version")
 
 
 @case(116, "3.4", "each unknown critical flag is refused")
@@ -180,7 +180,7 @@ def optional(peer: Peer) -> None:
     peer.open()
     for bit in range(1, 8):
         request = stop(peer)
-        used(peer, peer.sealed(request, flags=1 << bit), request.command_id, f"optional flag {bit}")
+        used(peer, peer.encoded(request, flags=1 << bit), request.command_id, f"optional flag {bit}")
 
 
 @case(118, "3.5", "unknown kinds are dropped")
@@ -204,7 +204,7 @@ def padding(peer: Peer) -> None:
     peer.open()
     for offset in (SPARE, HEADER_BYTES + 12, HEADER_BYTES + 15):
         request = stop(peer)
-        data = peer.with_number(peer.sealed(request), offset, "B", 0xA5)
+        data = peer.with_number(peer.encoded(request), offset, "B", 0xA5)
         used(peer, data, request.command_id, f"byte {offset} not zero")
 
 
@@ -215,7 +215,7 @@ def id_zero(peer: Peer) -> None:
 
 @case(122, "3.5", "HELLO with a nonce of 0 or a STATE period above the range is dropped")
 def bad_hello(peer: Peer) -> None:
-    hello = peer.sealed(Hello(peer.nonce(), 1, 0, 50), session=0)
+    hello = peer.encoded(Hello(peer.nonce(), 1, 0, 50), session=0)
     peer.send_raw(peer.with_number(hello, HEADER_BYTES, "Q", 0))
     peer.send_raw(peer.with_number(hello, HEADER_BYTES + 24, "I", 60_001))
     got = [d.message for d in peer.collect(100) if isinstance(d.message, Welcome | Bye)]
@@ -227,7 +227,7 @@ def unknown_command(peer: Peer) -> None:
     peer.open()
     for code in (0, 100, 1000, 2**32 - 1):
         request = stop(peer)
-        peer.send_raw(peer.with_number(peer.sealed(request), HEADER_BYTES + 8, "I", code))
+        peer.send_raw(peer.with_number(peer.encoded(request), HEADER_BYTES + 8, "I", code))
         answer = peer.answer_to(request.command_id, f"command code {code}")
         _reason(answer, Reason.UNKNOWN_COMMAND, f"command code {code}")
         require(answer.value == code, f"command code {code}: value {answer.value:g}, wanted the code")
@@ -272,7 +272,7 @@ def path_of(peer: Peer, count: int, reason: Reason) -> None:
     if not peer.session:
         peer.open()
     path = ReferencePath(peer.new_id(), (IDENTITY,), 0.0, 0.0)
-    peer.send_raw(peer.with_number(peer.sealed(path), HEADER_BYTES + 8, "I", count))
+    peer.send_raw(peer.with_number(peer.encoded(path), HEADER_BYTES + 8, "I", count))
     _reason(peer.answer_to(path.command_id, f"{count} waypoints"), reason, f"{count} waypoints")
 
 

@@ -180,8 +180,8 @@ def emergency_in_motion(peer: Peer) -> None:
 def newest_of_a_backlog(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     ids = [peer.new_id() for _ in range(6)]
-    sealed = [peer.sealed(ReferencePose(i, moved(here, dz=STEP_M), 3.0)) for i in ids]
-    for data in sealed:
+    encoded = [peer.encoded(ReferencePose(i, moved(here, dz=STEP_M), 3.0)) for i in ids]
+    for data in encoded:
         peer.send_raw(data)
     answers = {a.command_id: a.reason for a in peer.answers("six references at once")}
     require(sorted(answers) == ids, f"{len(answers)} answers to six references")

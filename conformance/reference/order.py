@@ -43,7 +43,7 @@ def duplicates(peer: Peer) -> None:
 @case(302, "5.2", "a late datagram is not used")
 def late(peer: Peer) -> None:
     peer.open()
-    held = peer.sealed(stop(peer))
+    held = peer.encoded(stop(peer))
     used(peer, "the datagram after it")
     peer.send_raw(held)
     require(not peer.answers("a late datagram"), "a datagram older than the newest was used")
@@ -87,7 +87,7 @@ def wraps(peer: Peer) -> None:
 @case(308, "1.9", "a late datagram from before the wrap is not used")
 def late_over_the_wrap(peer: Peer) -> None:
     peer.open(sequence=SEQUENCES - 3)
-    held = peer.sealed(stop(peer))
+    held = peer.encoded(stop(peer))
     for _ in range(4):
         used(peer, "a datagram at the wrap")
     peer.send_raw(held)
@@ -106,7 +106,7 @@ def any_start(peer: Peer) -> None:
 def losses_counted(peer: Peer) -> None:
     peer.open(period_ms=20)
     before = peer.state()
-    held = [peer.sealed(stop(peer)) for _ in range(3)]
+    held = [peer.encoded(stop(peer)) for _ in range(3)]
     peer.alive("after a gap")
     after = peer.state()
     require(after.references_lost - before.references_lost == 3, "a gap of 3 was not counted as 3")

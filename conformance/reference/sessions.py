@@ -210,7 +210,7 @@ def wrong_session(peer: Peer) -> None:
 def wrong_source(peer: Peer) -> None:
     peer.open()
     other = peer.second()
-    other.send_raw(peer.sealed(stop(peer)))
+    other.send_raw(peer.encoded(stop(peer)))
     answered = [d for d in other.collect(60, beating=False) if not isinstance(d.message, Bye)]
     require(not answered, "another source was answered")
     require(not peer.answers("a request from another port"), "another source's request was executed")

@@ -12,7 +12,7 @@ import numpy as np
 
 from controller.core.kinematics.rotations import Array
 from controller.core.servo.joint_control import pt1_step
-from controller.core.settings import Settings
+from controller.core.settings import ScanSettings
 from protocol.process_image import COUNTS_PER_TURN, CYCLE_MODULUS, SensorImage
 
 RAD_PER_COUNT = 2.0 * math.pi / COUNTS_PER_TURN
@@ -54,7 +54,7 @@ def unseen() -> PlantWatch:
     return PlantWatch(None, np.zeros(6), np.zeros(6), np.zeros(6), 0, 0, 0, 0.0, 0, 0)
 
 
-def observed(
+def update_watch(
     watch: PlantWatch, sensors: SensorImage | PlantRefusal | None, cycle: int, dt_s: float
 ) -> PlantWatch:
     """``watch`` after one exchange; ``sensors`` None when it failed; ``cycle`` the last one that was sent."""
@@ -87,7 +87,7 @@ def observed(
     )
 
 
-def link_lost(settings: Settings, watch: PlantWatch) -> tuple[float, float] | None:
+def link_lost(settings: ScanSettings, watch: PlantWatch) -> tuple[float, float] | None:
     """Value and limit of what says that the plant does not hear or answer; None while it does."""
     limits = settings.config.supervision
     if watch.refusal not in (0, _BUSY):
@@ -103,7 +103,7 @@ def link_lost(settings: Settings, watch: PlantWatch) -> tuple[float, float] | No
     return None
 
 
-def cycle_frozen(settings: Settings, watch: PlantWatch) -> tuple[float, float] | None:
+def cycle_frozen(settings: ScanSettings, watch: PlantWatch) -> tuple[float, float] | None:
     """Value and limit of a plant that answers but stands still; None while its cycle advances."""
     limit = settings.config.supervision.frozen_exchanges
     return (float(watch.frozen), float(limit)) if watch.frozen > limit else None

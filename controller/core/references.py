@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.core.kinematics.rotations import Array
-from controller.core.settings import Settings
+from controller.core.settings import ScanSettings
 from controller.core.trajectories.path_survey import JOINT_SPEED, Survey, survey
 from controller.core.trajectories.paths import Desired, Path, duration, path_from
 from protocol.datagram_layout import MAX_WAYPOINTS
@@ -32,7 +32,7 @@ class Refusal(NamedTuple):
 
 
 def admit(
-    settings: Settings, start: Desired, q_start: Array, request: ReferencePose | ReferencePath
+    settings: ScanSettings, start: Desired, q_start: Array, request: ReferencePose | ReferencePath
 ) -> Path | Refusal:
     """The path that ``request`` asks for, from the desired motion ``start`` near joint angles ``q_start``.
 
@@ -74,7 +74,7 @@ def unusable(pose: Pose, index: int = 0, count: int = 1) -> Refusal | None:
     return None
 
 
-def _form(settings: Settings, poses: tuple[Pose, ...], wanted: float, dwell: float) -> Refusal | None:
+def _form(settings: ScanSettings, poses: tuple[Pose, ...], wanted: float, dwell: float) -> Refusal | None:
     """A refusal of what no arm could do: not finite, not a rotation, too many, no such duration."""
     if not poses:
         return Refusal(Reason.EMPTY_PATH, 0.0, 1.0)
@@ -95,13 +95,13 @@ def _form(settings: Settings, poses: tuple[Pose, ...], wanted: float, dwell: flo
     return Refusal(Reason.BAD_DURATION, dwell, 0.0) if dwell < 0.0 else None
 
 
-def _ratios(settings: Settings, found: Survey) -> Array:
+def _ratios(settings: ScanSettings, found: Survey) -> Array:
     """Peaks over limits, (n, 5)."""
     ratios: Array = found.peaks / np.append(settings.motion_limits, 1.0)
     return ratios
 
 
-def _timed(settings: Settings, path: Path, q_start: Array) -> Path | Refusal:
+def _timed(settings: ScanSettings, path: Path, q_start: Array) -> Path | Refusal:
     found = survey(settings, path, q_start)
     if found.reason is not Reason.ACCEPTED:
         return Refusal(found.reason, found.value, found.limit)
@@ -113,7 +113,7 @@ def _timed(settings: Settings, path: Path, q_start: Array) -> Path | Refusal:
     return path
 
 
-def _stretch(settings: Settings, found: Survey) -> Array:
+def _stretch(settings: ScanSettings, found: Survey) -> Array:
     """Factors (n,) for the durations: speeds go with 1/T, accelerations with 1/T²."""
     ratios = _ratios(settings, found)
     ratios[:, 1:4:2] = np.sqrt(ratios[:, 1:4:2])
@@ -122,7 +122,7 @@ def _stretch(settings: Settings, found: Survey) -> Array:
 
 
 def _shortest(
-    settings: Settings, start: Desired, q_start: Array, p: Array, quaternions: Array, dwell: float
+    settings: ScanSettings, start: Desired, q_start: Array, p: Array, quaternions: Array, dwell: float
 ) -> Path | Refusal:
     least = settings.config.motion.duration_min_s
     moving = bool(np.any(start.v) or np.any(start.a) or np.any(start.omega) or np.any(start.alpha))
@@ -145,7 +145,7 @@ def _shortest(
     return Refusal(Reason.TOO_FAST, float(factors[0]), 1.0)
 
 
-def _rest_duration(settings: Settings, start: Desired, goal: Array) -> float:
+def _rest_duration(settings: ScanSettings, start: Desired, goal: Array) -> float:
     """The first guess from a moving state: long enough to cover the way and to take the speed off."""
     speed, acceleration, _, turn_acceleration = settings.motion_limits
     way = float(np.linalg.norm(goal - start.p))

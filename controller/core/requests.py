@@ -7,11 +7,11 @@ from controller.core.group_states import LIVE, Mode, Stimulus, transition
 from controller.core.plant_watch import link_lost
 from controller.core.references import Refusal, admit
 from controller.core.scan_types import NO_FAULT, ScanEvent, ScanInput, ScanState, idle
-from controller.core.servo.streaming import Stream, follow, last_way
-from controller.core.settings import Settings
+from controller.core.servo.streaming import OpenStream, follow, last_approach
+from controller.core.settings import ScanSettings
 from controller.core.supervision import RESTED, SEVERITY, Fault, plant_ready
 from controller.core.trajectories.approach import Approach
-from controller.core.trajectories.motion import begun, holding, stopping
+from controller.core.trajectories.motion import holding, start_motion, start_stop
 from protocol.faults import CommandCode, FaultCode, Reason, Severity
 from protocol.reference_messages import (
     Acknowledgement,
@@ -24,34 +24,34 @@ from protocol.reference_messages import (
 from protocol.session_events import StreamedPoseReceived
 
 
-def answered(
-    settings: Settings, state: ScanState, inputs: ScanInput, request: Request
+def answer_request(
+    settings: ScanSettings, state: ScanState, inputs: ScanInput, request: Request
 ) -> tuple[ScanState, Acknowledgement]:
     """The state after ``request``, and its acknowledgement."""
     if isinstance(request, Command):
-        state, refusal = _commanded(settings, state, inputs, request)
+        state, refusal = _obey_command(settings, state, inputs, request)
     else:
-        state, refusal = _referred(settings, state, inputs, request)
+        state, refusal = _accept_reference(settings, state, inputs, request)
     return state, Acknowledgement(request.command_id, *refusal)
 
 
-def followed(
-    settings: Settings, state: ScanState, arrival: StreamedPoseReceived, now_ns: int
+def follow_reference(
+    settings: ScanSettings, state: ScanState, arrival: StreamedPoseReceived, now_ns: int
 ) -> tuple[ScanState, StreamRefused | None]:
     """The state after a streamed reference, and its refusal if it is not followed."""
     step = transition(state.mode, Stimulus.STREAMED)
     if state.stream is None:
-        found: Refusal | tuple[Stream, Approach] = Refusal(step.reason, 0.0, 0.0)
+        found: Refusal | tuple[OpenStream, Approach] = Refusal(step.reason, 0.0, 0.0)
     else:
         stands = state.watch.q_meas, state.tool.J_BT
         found = follow(settings, state.stream, state.motion.desired, *stands, arrival, now_ns)
     if isinstance(found, Refusal):
         return state, StreamRefused(arrival.message.stream_id, arrival.message.number, *found)
-    stream, way = found
-    return state._replace(stream=stream, motion=begun(way, stream.stream_id), settled_s=0.0), None
+    stream, planned = found
+    return state._replace(stream=stream, motion=start_motion(planned, stream.stream_id), settled_s=0.0), None
 
 
-def entered(settings: Settings, state: ScanState, mode: Mode) -> ScanState:
+def enter_mode(settings: ScanSettings, state: ScanState, mode: Mode) -> ScanState:
     """``state`` in ``mode``, with what belongs to the change: nothing jumps, stops begin, errors are
     cleared, a stream that is left is closed."""
     if mode is state.mode:
@@ -60,16 +60,16 @@ def entered(settings: Settings, state: ScanState, mode: Mode) -> ScanState:
         state = state._replace(stream=None)
     if state.mode is Mode.DISABLED and mode is Mode.STANDBY:
         hold = holding(state.tool.p_BT, state.tool.quaternion, state.motion.motion_id)
-        driven = idle(state.watch.q_meas)
-        state = state._replace(motion=hold, driven=driven, timers=RESTED, settled_s=0.0)
+        servo = idle(state.watch.q_meas)
+        state = state._replace(motion=hold, servo=servo, timers=RESTED, settled_s=0.0)
     elif mode in (Mode.STOPPING, Mode.DISABLING, Mode.ERROR_RAMP):
-        state = state._replace(motion=stopping(settings, state.motion))
+        state = state._replace(motion=start_stop(settings, state.motion))
     elif mode is Mode.DISABLED and state.mode is Mode.ERROR_HELD:
         state = state._replace(fault=NO_FAULT, severity=Severity.NONE)
     return state._replace(mode=mode)
 
 
-def faulted(settings: Settings, state: ScanState, fault: Fault) -> tuple[ScanState, ScanEvent]:
+def react_to_fault(settings: ScanSettings, state: ScanState, fault: Fault) -> tuple[ScanState, ScanEvent]:
     """``state`` after ``fault``: the reaction follows the gravest, the latched cause stays the first."""
     severity = SEVERITY[fault.code]
     if fault.code is FaultCode.EMERGENCY_STOP:
@@ -78,37 +78,37 @@ def faulted(settings: Settings, state: ScanState, fault: Fault) -> tuple[ScanSta
         stimulus = Stimulus.FAULT_EMERGENCY
     else:
         stimulus = Stimulus.FAULT_STOP if severity is Severity.STOP else Stimulus.FAULT_EMERGENCY
-    state = entered(settings, state, transition(state.mode, stimulus).mode)
+    state = enter_mode(settings, state, transition(state.mode, stimulus).mode)
     if state.fault.code is FaultCode.NONE:
         state = state._replace(fault=fault)
     state = state._replace(severity=max(state.severity, severity))
     return state, ScanEvent("fault", fault.code.name, fault.value, fault.limit)
 
 
-def _commanded(
-    settings: Settings, state: ScanState, inputs: ScanInput, command: Command
+def _obey_command(
+    settings: ScanSettings, state: ScanState, inputs: ScanInput, command: Command
 ) -> tuple[ScanState, Refusal]:
     if command.code not in CommandCode.__members__.values():
         return state, Refusal(Reason.UNKNOWN_COMMAND, float(command.code), float(max(CommandCode)))
     step = transition(state.mode, Stimulus(command.code))
     if step.reason is Reason.ACCEPTED:
-        reason = _guarded(settings, state, inputs, command.code)
+        reason = _guard(settings, state, inputs, command.code)
         if reason is not Reason.ACCEPTED:
             return state, Refusal(reason, 0.0, 0.0)
     if command.code is CommandCode.EMERGENCY_STOP and step.reason is Reason.ACCEPTED:
-        state, _ = faulted(settings, state, Fault(FaultCode.EMERGENCY_STOP, 0.0, 0.0))
+        state, _ = react_to_fault(settings, state, Fault(FaultCode.EMERGENCY_STOP, 0.0, 0.0))
     elif command.code is CommandCode.START_STREAM and step.reason is Reason.ACCEPTED:
-        stream = Stream(command.command_id, True, inputs.now_ns)
+        stream = OpenStream(command.command_id, True, inputs.now_ns)
         hold = holding(state.motion.desired.p, state.motion.desired.quaternion, command.command_id)
-        state = entered(settings, state, step.mode)._replace(stream=stream, motion=hold, settled_s=0.0)
+        state = enter_mode(settings, state, step.mode)._replace(stream=stream, motion=hold, settled_s=0.0)
     elif command.code is CommandCode.END_STREAM and step.reason is Reason.ACCEPTED:
-        state = entered(settings, _to_the_last(state), step.mode)
+        state = enter_mode(settings, _to_last_reference(state), step.mode)
     else:
-        state = entered(settings, state, step.mode)
+        state = enter_mode(settings, state, step.mode)
     return state, Refusal(step.reason, 0.0, 0.0)
 
 
-def _guarded(settings: Settings, state: ScanState, inputs: ScanInput, code: CommandCode) -> Reason:
+def _guard(settings: ScanSettings, state: ScanState, inputs: ScanInput, code: CommandCode) -> Reason:
     """What the table cannot know: whether links and plant allow what would begin or clear something."""
     if code is CommandCode.END_STREAM and state.stream is not None and not state.stream.attended:
         return Reason.NOT_STREAMING
@@ -125,8 +125,8 @@ def _guarded(settings: Settings, state: ScanState, inputs: ScanInput, code: Comm
     return Reason.ACCEPTED
 
 
-def _referred(
-    settings: Settings, state: ScanState, inputs: ScanInput, request: ReferencePose | ReferencePath
+def _accept_reference(
+    settings: ScanSettings, state: ScanState, inputs: ScanInput, request: ReferencePose | ReferencePath
 ) -> tuple[ScanState, Refusal]:
     step = transition(state.mode, Stimulus.MOVE)
     if step.mode is not Mode.MOVING:
@@ -136,17 +136,17 @@ def _referred(
     found = admit(settings, state.motion.desired, state.watch.q_meas, request)
     if isinstance(found, Refusal):
         return state, found
-    state = state._replace(motion=begun(found, request.command_id), settled_s=0.0)
-    return entered(settings, state, Mode.MOVING), Refusal(Reason.ACCEPTED, 0.0, 0.0)
+    state = state._replace(motion=start_motion(found, request.command_id), settled_s=0.0)
+    return enter_mode(settings, state, Mode.MOVING), Refusal(Reason.ACCEPTED, 0.0, 0.0)
 
 
-def _to_the_last(state: ScanState) -> ScanState:
+def _to_last_reference(state: ScanState) -> ScanState:
     """``state`` on its way to rest at the newest streamed reference; done at once when there was none."""
     assert state.stream is not None
-    way = last_way(state.stream, state.motion.desired)
-    if way is None:
+    planned = last_approach(state.stream, state.motion.desired)
+    if planned is None:
         return state._replace(motion=state.motion._replace(done=True))
-    return state._replace(motion=begun(way, state.stream.stream_id))
+    return state._replace(motion=start_motion(planned, state.stream.stream_id))
 
 
 def is_live(state: ScanState) -> bool:

@@ -8,8 +8,8 @@ import numpy as np
 
 from controller.core.group_states import GROUP_STATE, Mode, Stimulus, transition
 from controller.core.kinematics.rotations import Array
-from controller.core.plant_watch import cycle_frozen, link_lost, observed
-from controller.core.requests import answered, entered, faulted, followed, is_live
+from controller.core.plant_watch import cycle_frozen, link_lost, update_watch
+from controller.core.requests import answer_request, enter_mode, follow_reference, is_live, react_to_fault
 from controller.core.scan_types import (
     ControllerView,
     ScanEvent,
@@ -22,10 +22,10 @@ from controller.core.scan_types import (
 from controller.core.servo.drives import full_spool_speeds, load_pressures
 from controller.core.servo.joint_control import JointFilters, valve_commands
 from controller.core.servo.pose_servo import resolve, tool_state
-from controller.core.servo.streaming import at_pace, faded, pace, silence
-from controller.core.settings import Settings
-from controller.core.supervision import Driven, Fault, first_fault, timed
-from controller.core.trajectories.motion import advanced, at_standstill
+from controller.core.servo.streaming import at_pace, pace, silence, update_fade
+from controller.core.settings import ScanSettings
+from controller.core.supervision import Fault, ServoOutput, first_fault, update_timers
+from controller.core.trajectories.motion import advance, at_standstill
 from protocol.faults import FaultCode
 from protocol.pose import Pose
 from protocol.process_image import CONTROL_ENABLE, CONTROL_RESET_WATCHDOG, STATUS_WATCHDOG_TRIPPED, ValveImage
@@ -41,29 +41,29 @@ from protocol.reference_messages import (
 _RESET_HALF_PERIOD = 8
 
 
-def scan(settings: Settings, state: ScanState, inputs: ScanInput) -> tuple[ScanState, ScanOutput]:
+def scan(settings: ScanSettings, state: ScanState, inputs: ScanInput) -> tuple[ScanState, ScanOutput]:
     """The state after this scan, and what it puts out. The same arguments give the same bits."""
     events: list[ScanEvent] = []
     mode_before = state.mode
-    watch = observed(state.watch, inputs.sensors, state.cycle, inputs.dt_s)
+    watch = update_watch(state.watch, inputs.sensors, state.cycle, inputs.dt_s)
     state = state._replace(cycle=state.cycle + 1, watch=watch, tool=tool_state(settings.table, watch.q_meas))
-    state = _supervised(settings, state, inputs, events)
+    state = _supervise(settings, state, inputs, events)
     acknowledgements: list[Acknowledgement] = []
     latched = state.fault
     for request in inputs.requests:
-        state, acknowledgement = answered(settings, state, inputs, request)
+        state, acknowledgement = answer_request(settings, state, inputs, request)
         acknowledgements.append(acknowledgement)
         events.append(_answer_event(request, acknowledgement))
     refusal = None
     if inputs.streamed is not None:
-        state, refusal = followed(settings, state, inputs.streamed, inputs.now_ns)
+        state, refusal = follow_reference(settings, state, inputs.streamed, inputs.now_ns)
         if refusal is not None:
             events.append(ScanEvent("streamed", refusal.reason.name, refusal.value, refusal.limit))
     if state.fault is not latched and state.fault.code is not FaultCode.NONE:  # an emergency stop
         events.append(ScanEvent("fault", state.fault.code.name, state.fault.value, state.fault.limit))
-    state = _awaited(settings, state, inputs, events)
-    state = _moved(settings, state, inputs.dt_s)
-    state = _driven(settings, state, inputs.dt_s, events)
+    state = _watch_stream(settings, state, inputs, events)
+    state = _advance_motion(settings, state, inputs.dt_s)
+    state = _drive_valves(settings, state, inputs.dt_s, events)
     if state.mode is not mode_before:
         events.append(ScanEvent("mode", f"{mode_before.name} -> {state.mode.name}", 0.0, 0.0))
     valves = _valve_image(state)
@@ -76,65 +76,71 @@ def _answer_event(request: object, answer: Acknowledgement) -> ScanEvent:
     return ScanEvent(name, answer.reason.name, answer.value, answer.limit)
 
 
-def _supervised(
-    settings: Settings, state: ScanState, inputs: ScanInput, events: list[ScanEvent]
+def _supervise(
+    settings: ScanSettings, state: ScanState, inputs: ScanInput, events: list[ScanEvent]
 ) -> ScanState:
     """``state`` after judging the plant and the reference link; only while the valves are live."""
     if not is_live(state):
         return state
     speed = float(np.linalg.norm(state.tool.J_BT[:3] @ state.watch.qd_meas))
-    timers = timed(settings, state.timers, state.watch, state.driven, speed, inputs.dt_s)
+    timers = update_timers(settings, state.timers, state.watch, state.servo, speed, inputs.dt_s)
     state = state._replace(timers=timers)
-    fault = first_fault(settings, state.watch, timers, state.driven, state.tool.p_BT, speed, inputs.dt_s)
+    fault = first_fault(settings, state.watch, timers, state.servo, state.tool.p_BT, speed, inputs.dt_s)
     if fault is not None:
-        state, event = faulted(settings, state, fault)
+        state, event = react_to_fault(settings, state, fault)
         events.append(event)
     if not inputs.reference_link_alive and is_live(state):
         if state.mode is Mode.MOVING:  # a motion may not continue unattended
-            state, event = faulted(settings, state, Fault(FaultCode.REFERENCE_LINK_LOST, 0.0, 0.0))
+            state, event = react_to_fault(settings, state, Fault(FaultCode.REFERENCE_LINK_LOST, 0.0, 0.0))
             events.append(event)
         else:
             after = transition(state.mode, Stimulus.UNATTENDED).mode
             if after is not state.mode:
                 events.append(ScanEvent("unattended", FaultCode.REFERENCE_LINK_LOST.name, 0.0, 0.0))
-            state = entered(settings, state, after)
+            state = enter_mode(settings, state, after)
             if state.stream is not None:
                 state = state._replace(stream=state.stream._replace(attended=False))
     return state
 
 
-def _awaited(settings: Settings, state: ScanState, inputs: ScanInput, events: list[ScanEvent]) -> ScanState:
+def _watch_stream(
+    settings: ScanSettings, state: ScanState, inputs: ScanInput, events: list[ScanEvent]
+) -> ScanState:
     """``state`` at the pace that the stream's silence leaves it; at the limit it ends in a fault."""
     if state.stream is not None:
         silent_s, limit_s = silence(settings, state.stream, inputs.now_ns)
         if silent_s > limit_s:
-            state, event = faulted(settings, state, Fault(FaultCode.REFERENCE_STALE, silent_s, limit_s))
+            state, event = react_to_fault(
+                settings, state, Fault(FaultCode.REFERENCE_STALE, silent_s, limit_s)
+            )
             events.append(event)
-    fade = faded(settings, state.fade, state.stream, inputs.now_ns, inputs.dt_s)
+    fade = update_fade(settings, state.fade, state.stream, inputs.now_ns, inputs.dt_s)
     return state if fade == state.fade else state._replace(fade=fade)
 
 
-def _moved(settings: Settings, state: ScanState, dt_s: float) -> ScanState:
+def _advance_motion(settings: ScanSettings, state: ScanState, dt_s: float) -> ScanState:
     """``state`` with the desired motion advanced, and the mode that follows when it comes to rest."""
     if not is_live(state) or state.mode is Mode.STANDBY:
         return state
-    motion = advanced(state.motion, dt_s * pace(state.fade))
+    motion = advance(state.motion, dt_s * pace(state.fade))
     if state.mode is Mode.STREAMING:  # a way that ends does not end the stream
         motion = motion._replace(done=False)
     state = state._replace(motion=motion)
     if at_standstill(state.motion):
-        state = entered(settings, state, transition(state.mode, Stimulus.STANDSTILL).mode)
+        state = enter_mode(settings, state, transition(state.mode, Stimulus.STANDSTILL).mode)
     return state
 
 
-def _driven(settings: Settings, state: ScanState, dt_s: float, events: list[ScanEvent]) -> ScanState:
+def _drive_valves(
+    settings: ScanSettings, state: ScanState, dt_s: float, events: list[ScanEvent]
+) -> ScanState:
     """``state`` with new valve commands: (4), (5), (6), (25) while live, else centred."""
     if not is_live(state):
-        return _centred(settings, state)
+        return _centre_valves(settings, state)
     share = pace(state.fade)
     resolved = resolve(state.tool, at_pace(state.motion.desired, share), settings.servo_gains)
     q_meas = state.watch.q_meas
-    q_cmd = state.driven.q_cmd + dt_s * resolved.qd_cmd
+    q_cmd = state.servo.q_cmd + dt_s * resolved.qd_cmd
     valves, filters = valve_commands(
         settings.joint_gains,
         state.filters,
@@ -145,24 +151,24 @@ def _driven(settings: Settings, state: ScanState, dt_s: float, events: list[Scan
         dt_s,
     )
     if not np.isfinite(valves).all():
-        state, event = faulted(settings, state, Fault(FaultCode.NUMERIC, float("nan"), 0.0))
+        state, event = react_to_fault(settings, state, Fault(FaultCode.NUMERIC, float("nan"), 0.0))
         events.append(event)
-        return _centred(settings, state)
+        return _centre_valves(settings, state)
     tolerance = settings.config.settled.tolerance_mrad * 1e-3
     inside = state.motion.path is None and bool(np.abs(resolved.q_error).max() <= tolerance)
     return state._replace(
-        driven=Driven(q_cmd, resolved.qd_cmd, share * valves, state.motion.desired.v),
+        servo=ServoOutput(q_cmd, resolved.qd_cmd, share * valves, state.motion.desired.v),
         filters=filters,
         settled_s=state.settled_s + dt_s if inside else 0.0,
     )
 
 
-def _load(settings: Settings, state: ScanState) -> Array:
+def _load(settings: ScanSettings, state: ScanState) -> Array:
     sensors = state.watch.sensors
     return state.filters.load if sensors is None else load_pressures(settings.drives, sensors.pressures_bar)
 
 
-def _circuit(settings: Settings, state: ScanState) -> Array:
+def _circuit(settings: ScanSettings, state: ScanState) -> Array:
     """Supply, return and slow load pressures (bar), or the rated ones when no compensation is wanted."""
     sensors = state.watch.sensors
     if sensors is None or not settings.config.joint_control.load_compensation:
@@ -170,10 +176,10 @@ def _circuit(settings: Settings, state: ScanState) -> Array:
     return np.array([sensors.supply_bar, sensors.return_bar, *state.filters.load])
 
 
-def _centred(settings: Settings, state: ScanState) -> ScanState:
+def _centre_valves(settings: ScanSettings, state: ScanState) -> ScanState:
     """``state`` at rest; the slow load pressure follows the load, so enabling starts without a kick."""
     filters = JointFilters(np.zeros(6), _load(settings, state))
-    return state._replace(driven=idle(state.watch.q_meas), filters=filters, settled_s=0.0)
+    return state._replace(servo=idle(state.watch.q_meas), filters=filters, settled_s=0.0)
 
 
 def _valve_image(state: ScanState) -> ValveImage:
@@ -183,7 +189,7 @@ def _valve_image(state: ScanState) -> ValveImage:
     # While disabled nothing can move, so the plant's watchdog is re-armed without being asked.
     if state.mode is Mode.DISABLED and tripped and state.cycle // _RESET_HALF_PERIOD % 2 == 0:
         control |= CONTROL_RESET_WATCHDOG
-    return ValveImage(state.cycle, control, _six(state.driven.valves))
+    return ValveImage(state.cycle, control, _six(state.servo.valves))
 
 
 def _six(values: np.ndarray) -> Sextuple:
@@ -197,7 +203,7 @@ def _pose(p: np.ndarray, quaternion: np.ndarray) -> Pose:
     return Pose((x, y, z), (w, i, j, k))
 
 
-def _view(settings: Settings, state: ScanState, now_ns: int) -> ControllerView:
+def _view(settings: ScanSettings, state: ScanState, now_ns: int) -> ControllerView:
     watch, motion = state.watch, state.motion
     healthy = link_lost(settings, watch) is None and cycle_frozen(settings, watch) is None
     settled = state.mode is Mode.STANDBY and state.settled_s * 1e3 >= settings.config.settled.time_ms
@@ -219,8 +225,8 @@ def _view(settings: Settings, state: ScanState, now_ns: int) -> ControllerView:
         motion_done=motion.done,
         segment=motion.segment,
         q_meas=_six(watch.q_meas),
-        q_cmd=_six(state.driven.q_cmd),
-        valves=_six(state.driven.valves),
+        q_cmd=_six(state.servo.q_cmd),
+        valves=_six(state.servo.valves),
         X_BT=X_BT,
         X_BT_cmd=_pose(motion.desired.p, motion.desired.quaternion) if is_live(state) else X_BT,
         supply_bar=watch.sensors.supply_bar if watch.sensors is not None else 0.0,

@@ -9,10 +9,10 @@ from controller.core.kinematics.rotations import Array
 from controller.core.plant_watch import PlantRefusal, PlantWatch, unseen
 from controller.core.servo.joint_control import JointFilters
 from controller.core.servo.pose_servo import ToolState, tool_state
-from controller.core.servo.streaming import Stream
-from controller.core.settings import Settings
-from controller.core.supervision import RESTED, Driven, Fault, Timers
-from controller.core.trajectories.motion import Motion, holding
+from controller.core.servo.streaming import OpenStream
+from controller.core.settings import ScanSettings
+from controller.core.supervision import RESTED, Fault, ServoOutput, Timers
+from controller.core.trajectories.motion import DesiredMotion, holding
 from protocol.faults import FaultCode, GroupState, Severity
 from protocol.pose import Pose
 from protocol.process_image import SensorImage, ValveImage
@@ -69,7 +69,7 @@ class ControllerView(NamedTuple):
     stream_number: int
 
 
-class Figures(NamedTuple):
+class RuntimeStatistics(NamedTuple):
     """What a State message says beyond the core's own view: the cycle's lateness (µs) and the link's
     losses."""
 
@@ -81,7 +81,7 @@ class Figures(NamedTuple):
     references_dropped: int
 
 
-def to_state(view: ControllerView, figures: Figures) -> State:
+def to_state(view: ControllerView, figures: RuntimeStatistics) -> State:
     """The State message of ``view`` and ``figures``."""
     return State(**view._asdict(), **figures._asdict())
 
@@ -110,21 +110,21 @@ class ScanState(NamedTuple):
     watch: PlantWatch
     timers: Timers
     tool: ToolState
-    motion: Motion
-    driven: Driven
+    motion: DesiredMotion
+    servo: ServoOutput
     filters: JointFilters
     settled_s: float
-    stream: Stream | None
+    stream: OpenStream | None
     fade: float
 
 
-def idle(q_meas: Array) -> Driven:
+def idle(q_meas: Array) -> ServoOutput:
     """Valves centred, the command on the measurement: nothing jumps when the group is enabled."""
     zero = np.zeros(6)
-    return Driven(q_meas, zero, zero, np.zeros(3))
+    return ServoOutput(q_meas, zero, zero, np.zeros(3))
 
 
-def initial_state(settings: Settings) -> ScanState:
+def initial_state(settings: ScanSettings) -> ScanState:
     """The state before the first scan: disabled, nothing known of the plant."""
     watch = unseen()
     tool = tool_state(settings.table, watch.q_meas)
@@ -137,7 +137,7 @@ def initial_state(settings: Settings) -> ScanState:
         timers=RESTED,
         tool=tool,
         motion=holding(tool.p_BT, tool.quaternion),
-        driven=idle(watch.q_meas),
+        servo=idle(watch.q_meas),
         filters=JointFilters(np.zeros(6), np.zeros(6)),
         settled_s=0.0,
         stream=None,

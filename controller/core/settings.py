@@ -35,7 +35,7 @@ class StreamLimits(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class ScanSettings:
     """Constants of a scan: SI and radians; arrays are never written to.
 
     ``servo_gains``: as ``pose_servo.resolve`` takes them. ``workspace``: (7,) x, y, z intervals and least
@@ -60,14 +60,14 @@ class Settings:
     following_error: Array
 
 
-def settings_from(arm: NominalArm, config: ControllerConfig) -> Settings:
+def settings_from(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
     """The Settings that ``arm`` and ``config`` describe."""
     servo, joint, motion = config.pose_servo, config.joint_control, config.motion
     joint_range = np.radians([[j.lower_deg for j in arm.joints], [j.upper_deg for j in arm.joints]])
     margin = math.radians(motion.joint_margin_deg)
     tau = joint.pt1_time_constant_ms * 1e-3
     space = arm.workspace
-    return Settings(
+    return ScanSettings(
         config=config,
         cycle_s=config.cycle_ms * 1e-3,
         table=dh_table(arm.dh),

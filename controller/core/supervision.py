@@ -11,7 +11,7 @@ import numpy as np
 
 from controller.core.kinematics.rotations import Array
 from controller.core.plant_watch import PlantWatch, cycle_frozen, link_lost
-from controller.core.settings import Settings
+from controller.core.settings import ScanSettings
 from controller.core.trajectories.path_survey import outside
 from protocol.faults import FaultCode, Severity
 from protocol.process_image import (
@@ -51,7 +51,7 @@ class Timers(NamedTuple):
 RESTED = Timers(0.0, 0.0, 0.0, (0.0,) * 6)
 
 
-class Driven(NamedTuple):
+class ServoOutput(NamedTuple):
     """What the servo did in the last scan; supervision judges the plant's answer against it."""
 
     q_cmd: Array
@@ -60,7 +60,7 @@ class Driven(NamedTuple):
     v_desired: Array
 
 
-def plant_ready(settings: Settings, watch: PlantWatch) -> bool:
+def plant_ready(settings: ScanSettings, watch: PlantWatch) -> bool:
     """Whether the plant may be enabled: supply on, no sensor fault, no tripped watchdog."""
     if watch.sensors is None:
         return False
@@ -72,8 +72,8 @@ def plant_ready(settings: Settings, watch: PlantWatch) -> bool:
     )
 
 
-def timed(
-    settings: Settings, timers: Timers, watch: PlantWatch, driven: Driven, speed: float, dt_s: float
+def update_timers(
+    settings: ScanSettings, timers: Timers, watch: PlantWatch, servo: ServoOutput, speed: float, dt_s: float
 ) -> Timers:
     """``timers`` after a scan with the valves live; ``speed`` is the tool's (m/s)."""
     limits, sensors = settings.config.supervision, watch.sensors
@@ -81,7 +81,7 @@ def timed(
         return timers
     enabled = sensors.status & STATUS_VALVES_ENABLED
     low = not sensors.status & STATUS_SUPPLY_ON or sensors.supply_bar < limits.supply_min_bar
-    still = (watch.turned == 0.0) & (np.abs(driven.valves) > limits.encoder_stuck_valve)
+    still = (watch.turned == 0.0) & (np.abs(servo.valves) > limits.encoder_stuck_valve)
     return Timers(
         timers.supply_low + dt_s if low else 0.0,
         0.0 if enabled else timers.not_enabled + dt_s,
@@ -94,10 +94,10 @@ def timed(
 
 
 def first_fault(
-    settings: Settings,
+    settings: ScanSettings,
     watch: PlantWatch,
     timers: Timers,
-    driven: Driven,
+    servo: ServoOutput,
     p_BT: Array,
     speed: float,
     dt_s: float,
@@ -106,12 +106,12 @@ def first_fault(
     return (
         _of_links(settings, watch, dt_s)
         or _of_plant(settings, watch, timers)
-        or _of_joints(settings, watch, timers, driven)
-        or _of_tool(settings, timers, driven, p_BT, speed)
+        or _of_joints(settings, watch, timers, servo)
+        or _of_tool(settings, timers, servo, p_BT, speed)
     )
 
 
-def _of_links(settings: Settings, watch: PlantWatch, dt_s: float) -> Fault | None:
+def _of_links(settings: ScanSettings, watch: PlantWatch, dt_s: float) -> Fault | None:
     limit = settings.config.supervision.overrun_ms * 1e-3
     if dt_s > limit:
         return Fault(FaultCode.OVERRUN, dt_s, limit)
@@ -122,7 +122,7 @@ def _of_links(settings: Settings, watch: PlantWatch, dt_s: float) -> Fault | Non
     return None if frozen is None else Fault(FaultCode.PLANT_CYCLE_FROZEN, *frozen)
 
 
-def _of_plant(settings: Settings, watch: PlantWatch, timers: Timers) -> Fault | None:
+def _of_plant(settings: ScanSettings, watch: PlantWatch, timers: Timers) -> Fault | None:
     limits, sensors = settings.config.supervision, watch.sensors
     if sensors is None:
         return None
@@ -137,23 +137,23 @@ def _of_plant(settings: Settings, watch: PlantWatch, timers: Timers) -> Fault | 
     return None
 
 
-def _of_joints(settings: Settings, watch: PlantWatch, timers: Timers, driven: Driven) -> Fault | None:
+def _of_joints(settings: ScanSettings, watch: PlantWatch, timers: Timers, servo: ServoOutput) -> Fault | None:
     limits = settings.config.supervision
-    if not (np.isfinite(driven.q_cmd).all() and np.isfinite(driven.valves).all()):
+    if not (np.isfinite(servo.q_cmd).all() and np.isfinite(servo.valves).all()):
         return Fault(FaultCode.NUMERIC, math.nan, 0.0)
     jump, most = float(np.abs(watch.turned).max()), math.radians(limits.encoder_jump_deg)
     if jump > most:
         return Fault(FaultCode.ENCODER_JUMP, jump, most)
     if max(timers.stuck) * 1e3 > limits.encoder_stuck_ms:
         return Fault(FaultCode.ENCODER_STUCK, max(timers.stuck), limits.encoder_stuck_ms * 1e-3)
-    behind = np.abs(driven.q_cmd - watch.q_meas)
+    behind = np.abs(servo.q_cmd - watch.q_meas)
     worst = int((behind / settings.following_error).argmax())
     if behind[worst] > settings.following_error[worst]:
         return Fault(FaultCode.FOLLOWING_ERROR, float(behind[worst]), float(settings.following_error[worst]))
     over = math.radians(limits.joint_overtravel_deg)
     lower, upper = settings.joint_range[0] - over, settings.joint_range[1] + over
-    outward = ((watch.q_meas < lower) & (driven.qd_cmd < 0.0)) | (
-        (watch.q_meas > upper) & (driven.qd_cmd > 0.0)
+    outward = ((watch.q_meas < lower) & (servo.qd_cmd < 0.0)) | (
+        (watch.q_meas > upper) & (servo.qd_cmd > 0.0)
     )
     if outward.any():
         i = int(outward.argmax())
@@ -162,7 +162,9 @@ def _of_joints(settings: Settings, watch: PlantWatch, timers: Timers, driven: Dr
     return None
 
 
-def _of_tool(settings: Settings, timers: Timers, driven: Driven, p_BT: Array, speed: float) -> Fault | None:
+def _of_tool(
+    settings: ScanSettings, timers: Timers, servo: ServoOutput, p_BT: Array, speed: float
+) -> Fault | None:
     limits = settings.config.supervision
     if timers.overspeed * 1e3 > limits.overspeed_ms:
         return Fault(FaultCode.OVERSPEED, speed, limits.overspeed_m_s)
@@ -170,7 +172,7 @@ def _of_tool(settings: Settings, timers: Timers, driven: Driven, p_BT: Array, sp
     wide = settings.workspace + margin * np.array([-1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
     value, limit = outside(wide, p_BT)
     if value != limit:
-        ahead, bound = outside(wide, p_BT + 0.1 * driven.v_desired)
+        ahead, bound = outside(wide, p_BT + 0.1 * servo.v_desired)
         if abs(ahead - bound) > abs(value - limit):  # a tool that stands outside may come back
             return Fault(FaultCode.WORKSPACE_LIMIT, value, limit)
     return None

@@ -16,7 +16,14 @@ from controller.core.flight_recorder import FlightRecorder
 from controller.core.plant_watch import PlantRefusal
 from controller.core.requests import is_live
 from controller.core.scan import scan
-from controller.core.scan_types import Figures, ScanInput, ScanOutput, ScanState, initial_state, to_state
+from controller.core.scan_types import (
+    RuntimeStatistics,
+    ScanInput,
+    ScanOutput,
+    ScanState,
+    initial_state,
+    to_state,
+)
 from controller.core.settings import settings_from
 from controller.shell.cyclic_task import CyclicTask, real_time_scheduling
 from controller.shell.event_log import EventLog
@@ -25,7 +32,7 @@ from controller.shell.flight_dump import checked_directory, dump
 from controller.shell.histogram import Histogram
 from controller.shell.plant_link import PlantLink
 from controller.shell.reference_port import ReferencePort
-from controller.shell.warm_up import rehearse
+from controller.shell.warm_up import warm_up
 from foundation.configuration import configuration_hash
 from foundation.link_key import read_key
 from nominal_arm.description import NominalArm
@@ -91,7 +98,7 @@ class ControllerService:
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self._asked_to_stop)
-        rehearse(self._settings)
+        warm_up(self._settings)
         self._reference.open()
         self._plant.start()
         self._scheduling = real_time_scheduling(self._config.fifo_priority)
@@ -118,7 +125,7 @@ class ControllerService:
         self._scan_times.add(time.monotonic_ns() - began_ns)
         self._valve_words = encode_valves(output.valves)
         answers = output.acknowledgements[:-1] if leaving else output.acknowledgements
-        shown = to_state(output.view, self._figures_at(now_ns))
+        shown = to_state(output.view, self._statistics_at(now_ns))
         self._reference.publish(answers, shown, now_ns, output.refusal)
         self._recorder.record(inputs, output)
         self._follow_up(self._state, output, now_ns)
@@ -134,14 +141,14 @@ class ControllerService:
                 self._log.write("image_refused", "warning", cause=refusal.cause, detail=str(refusal))
             return None
 
-    def _figures_at(self, now_ns: int) -> Figures:
+    def _statistics_at(self, now_ns: int) -> RuntimeStatistics:
         """Figures for the state message; the percentiles are those of the last second."""
         if now_ns >= self._figures_due_ns:
             self._figures_due_ns = now_ns + _FIGURES_PERIOD_NS
             self._late_p50_us, self._late_p99_us = self._task.recent.percentiles_us(0.5, 0.99)
             self._task.recent.clear()
         link = self._reference.server.statistics
-        return Figures(
+        return RuntimeStatistics(
             overruns=self._task.overruns,
             lateness_p50_us=self._late_p50_us,
             lateness_p99_us=self._late_p99_us,

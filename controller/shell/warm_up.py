@@ -2,7 +2,7 @@
 
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput, initial_state
-from controller.core.settings import Settings
+from controller.core.settings import ScanSettings
 from protocol.faults import CommandCode
 from protocol.pose import Pose
 from protocol.process_image import COUNTS_PER_TURN, STATUS_SUPPLY_ON, STATUS_VALVES_ENABLED, SensorImage
@@ -12,7 +12,7 @@ from protocol.session_events import StreamedPoseReceived
 _POSE_DEG = (0.0, 50.0, -75.0, 0.0, -25.0, 0.0)
 
 
-def rehearse(settings: Settings) -> None:
+def warm_up(settings: ScanSettings) -> None:
     """Enable, follow streamed references, move, re-plan, stop."""
     state = initial_state(settings)
     a, b, c, d, e, f = (round(angle / 360.0 * COUNTS_PER_TURN) for angle in _POSE_DEG)

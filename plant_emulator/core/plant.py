@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from plant_emulator.config.plant import BAR, PlantConfig
 from plant_emulator.core import columns as col
-from plant_emulator.core.camera.camera_motion import Motion, View, motion_between
+from plant_emulator.core.camera.camera_motion import CameraMotion, CameraView, motion_between
 from plant_emulator.core.faults.effects import (
     break_hydraulics,
     encoder_shift,
@@ -173,13 +173,13 @@ class Plant:
             faults=tuple(sorted(fault.name for fault in self.faults.in_force())),
         )
 
-    def motion(self) -> Motion:
+    def motion(self) -> CameraMotion:
         """How camera and tool marker move now, for pictures of finite exposure."""
         q, rate = self._state[Q : Q + N_COORDINATES], self._state[RATE : RATE + N_COORDINATES]
         views = []
         for offset_s in (-0.5 * _INSTANT_S, 0.5 * _INSTANT_S):
             X_WT = self._mounts.X_WB @ self._tool_pose(q + offset_s * rate)
-            views.append(View(X_WT @ self._mounts.X_TC, X_WT @ self._mounts.X_TM))
+            views.append(CameraView(X_WT @ self._mounts.X_TC, X_WT @ self._mounts.X_TM))
         return motion_between(views[0], views[1], _INSTANT_S)
 
     def _tool_pose(self, q: Array) -> Array:

@@ -67,7 +67,7 @@ def new_work() -> Work:
 
 
 @allocation_free
-def _valve_flows(i: int, state: Array, thinner: float, a: Array, c: Array, flows: Array) -> None:
+def _valve_flows(i: int, state: Array, viscosity_ratio: float, a: Array, c: Array, flows: Array) -> None:
     """Fill net chamber flows and supply flow of actuator ``i``: valve, leakage, relief, anti-cavitation."""
     p_a, p_b, p_s, p_t = state[PRESSURE_A + i], state[PRESSURE_B + i], state[SUPPLY], c[col.C_RETURN]
     soft, limit = c[col.C_REGULARISATION], c[col.C_RELIEF]
@@ -80,7 +80,7 @@ def _valve_flows(i: int, state: Array, thinner: float, a: Array, c: Array, flows
         gain_a = held_gain(gain, a[i, col.A_COUNTERBALANCE], wish, c[col.C_HOLD_RANGE])
     in_a, in_b = orifice_flow(gain_a, drop_a, soft), orifice_flow(gain, drop_b, soft)
     flows[i, col.F_SUPPLY] = in_a if open_by >= 0.0 else in_b
-    leak = a[i, col.A_LEAKAGE] * thinner * (p_a - p_b)
+    leak = a[i, col.A_LEAKAGE] * viscosity_ratio * (p_a - p_b)
     in_a -= leak + relief_flow(p_a, limit, a[i, col.A_RELIEF])
     in_b += leak - relief_flow(p_b, limit, a[i, col.A_RELIEF])
     if p_a < p_t:
@@ -103,11 +103,18 @@ def _end_stop(i: int, y: float, v: float, a: Array) -> float:
 
 @allocation_free
 def _actuator(
-    i: int, state: Array, command: float, thinner: float, a: Array, c: Array, flows: Array, rate: Array
+    i: int,
+    state: Array,
+    command: float,
+    viscosity_ratio: float,
+    a: Array,
+    c: Array,
+    flows: Array,
+    rate: Array,
 ) -> float:
     """Rates of spool, chambers and bristle of actuator ``i``; returns its torque on the joint.
 
-    ``a`` is the actuator table, ``c`` the circuit, ``flows`` the flow table, ``thinner`` the
+    ``a`` is the actuator table, ``c`` the circuit, ``flows`` the flow table, ``viscosity_ratio`` the
     reference viscosity over the present one.
     """
     joint = JOINT[i]
@@ -128,7 +135,7 @@ def _actuator(
     rate[SPOOL_RATE + i] = spool_acceleration(command, spool, spool_rate, a[i, col.A_OMEGA], a[i, col.A_ZETA])
 
     warmer = state[TEMPERATURE] - c[col.C_REFERENCE]
-    _valve_flows(i, state, thinner, a, c, flows)
+    _valve_flows(i, state, viscosity_ratio, a, c, flows)
     volume_a = a[i, col.A_DEAD_A] + area_a * y
     volume_b = a[i, col.A_DEAD_B] + area_b * (a[i, col.A_STROKE] - y)
     oil = c[col.C_MODULUS] * (1.0 - c[col.C_MODULUS_DRIFT] * warmer)
@@ -142,7 +149,7 @@ def _actuator(
     level = steady_level(v, a[i, col.A_COULOMB], a[i, col.A_STATIC], a[i, col.A_STRIBECK])
     z_rate = bristle_rate(v, bristle, level, a[i, col.A_BRISTLE])
     rate[BRISTLE + i] = z_rate
-    viscous = a[i, col.A_VISCOUS] / thinner
+    viscous = a[i, col.A_VISCOUS] / viscosity_ratio
     friction = friction_force(v, bristle, z_rate, a[i, col.A_BRISTLE], a[i, col.A_BRISTLE_DAMPING], viscous)
     stop = _end_stop(i, y, v, a)
     push = p_a * area_a - p_b * area_b
@@ -190,9 +197,11 @@ def hydraulic_rates(state: Array, command: Array, model: Model, work: Work, rate
     for i in range(N_COORDINATES):
         work.force[i] = -mech.stiffness[i] * state[Q + i] - mech.damping[i] * state[RATE + i]
     c = model.circuit
-    thinner = math.exp(c[col.C_VISCOSITY_DRIFT] * (state[TEMPERATURE] - c[col.C_REFERENCE]))
+    viscosity_ratio = math.exp(c[col.C_VISCOSITY_DRIFT] * (state[TEMPERATURE] - c[col.C_REFERENCE]))
     for i in range(N_ACTUATORS):
-        work.force[JOINT[i]] += _actuator(i, state, command[i], thinner, model.actuators, c, work.flows, rate)
+        work.force[JOINT[i]] += _actuator(
+            i, state, command[i], viscosity_ratio, model.actuators, c, work.flows, rate
+        )
     _supply(state, c, work.flows, rate)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.camera.camera_motion import Capture, Motion, View
+from plant_emulator.core.camera.camera_motion import CameraMotion, CameraView, Capture
 from plant_emulator.core.camera.exposures import Exposures
 from plant_emulator.core.faults.kinds import Fault
 from plant_emulator.shell.renderer import encode_shot
@@ -62,7 +62,9 @@ class CameraSender:
         if self.ended.is_set():
             raise LinkLost("link.renderer_ended", f"the renderer ended with status {self._process.wait()}")
 
-    def capture(self, view: View, motion: Motion, capture_ns: int, faults: Sequence[Fault]) -> int:
+    def capture(
+        self, view: CameraView, motion: CameraMotion, capture_ns: int, faults: Sequence[Fault]
+    ) -> int:
         """Number of the frame that is to show ``view``, unless one of the plant's ``faults`` forbids it.
 
         It is dropped and counted when it is lost on purpose, and when the renderer hangs.

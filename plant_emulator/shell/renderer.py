@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.camera.camera_motion import Capture, Motion, View
+from plant_emulator.core.camera.camera_motion import CameraMotion, CameraView, Capture
 from plant_emulator.core.camera.exposures import Shot
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
@@ -51,7 +51,9 @@ def decode_shot(data: bytes) -> Shot:
     """The shot in a datagram; what is sent is to be delivered."""
     frame_id, capture_ns, shown_id, shown_ns, *numbers = _POSES.unpack_from(data)
     X_WC, X_WM = np.array(numbers[:32]).reshape(2, 4, 4)
-    shown = Capture(shown_id, shown_ns, View(X_WC, X_WM), Motion(np.array(numbers[32:]).reshape(2, 6)))
+    shown = Capture(
+        shown_id, shown_ns, CameraView(X_WC, X_WM), CameraMotion(np.array(numbers[32:]).reshape(2, 6))
+    )
     sights = _Sights.model_validate_json(data[_POSES.size :])
     return Shot(frame_id, capture_ns, shown, sights.blind, sights.covers, delivered=True)
 

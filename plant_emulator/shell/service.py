@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from plant_emulator.config.service import PlantSideConfig
-from plant_emulator.core.camera.camera_motion import STILL, View
+from plant_emulator.core.camera.camera_motion import STILL, CameraView
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import CouplerSilent
 from plant_emulator.core.plant import Plant
@@ -118,7 +118,7 @@ class PlantService:
         truth = self._plant.truth()
         if capture and self._camera is not None:
             motion = self._plant.motion() if self._config.scene.camera.shows_motion else STILL
-            view = View(truth.X_WC, truth.X_WM)
+            view = CameraView(truth.X_WC, truth.X_WM)
             frame_id = self._camera.capture(view, motion, deadline_ns, self._plant.faults.in_force())
             if self._recorder is not None:
                 self._recorder.capture(truth, deadline_ns, frame_id)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from foundation.configuration import configuration_hash
 from foundation.link_key import read_key
-from plant_emulator.core.camera.camera_motion import STILL, Capture, View
+from plant_emulator.core.camera.camera_motion import STILL, CameraView, Capture
 from plant_emulator.core.camera.exposures import Exposures, Shot
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
@@ -158,7 +158,7 @@ class World:
     def _expose(self, truth: PlantTruth) -> None:
         frame_id = self._time_ns // self.frame_period_ns
         motion = self.plant.motion() if self.settings.scene.camera.shows_motion else STILL
-        capture = Capture(frame_id, self._time_ns, View(truth.X_WC, truth.X_WM), motion)
+        capture = Capture(frame_id, self._time_ns, CameraView(truth.X_WC, truth.X_WM), motion)
         shot = self._exposures.shot(capture, self.plant.faults.in_force())
         if self.on_exposure is not None:
             self.on_exposure(frame_id, truth)

@@ -15,6 +15,7 @@ from foundation.configuration import load
 from protocol import datagram_layout, process_image, reference_messages
 from protocol.authentication import LinkKey
 from protocol.channel import MAX_GAP_DATAGRAMS, WINDOW_DATAGRAMS
+from protocol.client_handshake import HELLO_PERIOD_NS, HELLOS_PER_NONCE
 from protocol.client_session import MIN_RESEND_NS, RESEND_CYCLES
 from protocol.clock_offset import DISPUTED_TO_RESET, DRIFT_PPM, WINDOW
 from protocol.command_ledger import REMEMBERED
@@ -31,7 +32,6 @@ from protocol.datagram_layout import (
     offsets,
     size_of,
 )
-from protocol.echo_clock import FIRST_HEARTBEATS, FIRST_PERIOD_NS, HEARTBEATS_PER_TIMEOUT
 from protocol.faults import (
     COMMAND_TEXTS,
     FAULT_TEXTS,
@@ -44,7 +44,7 @@ from protocol.faults import (
     Reason,
     Severity,
 )
-from protocol.greeting import HELLO_PERIOD_NS, HELLOS_PER_NONCE
+from protocol.heartbeat_tracker import FIRST_HEARTBEATS, FIRST_PERIOD_NS, HEARTBEATS_PER_TIMEOUT
 from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
 from protocol.reference_messages import Bye, Heartbeat, Hello, ReferencePose, Welcome
 from protocol.server_session import REFUSAL_INTERVAL_NS, REMEMBERED_NONCES

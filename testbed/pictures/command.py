@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import typer
 
-from plant_emulator.core.camera.camera_motion import View
+from plant_emulator.core.camera.camera_motion import CameraView
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.plant import Plant
 from testbed.pictures.effects import effects, pictured
@@ -37,7 +37,7 @@ def effects_command(
     """One picture per effect of camera and scene, off and on, and all of them on one sheet."""
     settings = load_settings(config_dir, {})
     truth = Plant(settings.plant, 1, Scene(settings.scene).mounts).truth()
-    view = View(truth.X_WC, truth.X_WM)
+    view = CameraView(truth.X_WC, truth.X_WM)
     directory.mkdir(parents=True, exist_ok=True)
     wanted, pairs, rows = effects(settings.scene), [], []
     with bars() as shown, shown.step("rendering") as bar:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from foundation.configuration import merged, validated
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.camera.camera_motion import STILL, Capture, Motion, View
+from plant_emulator.core.camera.camera_motion import STILL, CameraMotion, CameraView, Capture
 from plant_emulator.core.camera.exposures import Exposures
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
@@ -38,9 +38,9 @@ CLEAN: dict[str, Any] = {
 STRIP = 6  # frames in a row, for the effects that are seen only in time
 
 
-def _sideways(speed_m_s: float) -> Motion:
+def _sideways(speed_m_s: float) -> CameraMotion:
     """The arm moving along the wall."""
-    return Motion(np.array([[0.0, -speed_m_s, 0.0, 0.0, 0.0, 0.0]] * 2))
+    return CameraMotion(np.array([[0.0, -speed_m_s, 0.0, 0.0, 0.0, 0.0]] * 2))
 
 
 class Window(NamedTuple):
@@ -74,7 +74,7 @@ class Effect(NamedTuple):
     fault: Fault | None = None
     window: Window = WHOLE
     eye: int = LEFT
-    motion: Motion = STILL
+    motion: CameraMotion = STILL
     in_time: bool = False
 
 
@@ -140,7 +140,7 @@ def effects(scene: SceneConfig) -> tuple[Effect, ...]:
     )  # fmt: skip
 
 
-def pictured(effect: Effect, scene: SceneConfig, view: View) -> tuple[Grey, Grey]:
+def pictured(effect: Effect, scene: SceneConfig, view: CameraView) -> tuple[Grey, Grey]:
     """Pictures without and with ``effect``, from the camera at ``view``, cut to what is to be seen."""
     base = merged(scene.model_dump(mode="json"), merged(CLEAN, effect.off))
     off, on = (
@@ -159,7 +159,7 @@ def pictured(effect: Effect, scene: SceneConfig, view: View) -> tuple[Grey, Grey
     return pictures[0], pictures[1]
 
 
-def _strip(config: SceneConfig, view: View, faults: Sequence[Fault]) -> Grey:
+def _strip(config: SceneConfig, view: CameraView, faults: Sequence[Fault]) -> Grey:
     """Successive frames of an arm that moves sideways, side by side; a frame that never came is black."""
     camera = StereoCamera(config.camera, Scene(config), config.seed)
     exposures = Exposures(config.camera, config.seed)
@@ -173,8 +173,8 @@ def _strip(config: SceneConfig, view: View, faults: Sequence[Fault]) -> Grey:
     return np.vstack([np.hstack(frames[:half]), np.hstack(frames[half:])])
 
 
-def _moving(view: View) -> Iterator[Capture]:
+def _moving(view: CameraView) -> Iterator[Capture]:
     step = transform(np.eye(3), np.array([0.06, 0.0, 0.0]))
     for number in range(STRIP):
         yield Capture(number, number, view, STILL)
-        view = View(view.X_WC @ step, view.X_WM @ step)
+        view = CameraView(view.X_WC @ step, view.X_WM @ step)

@@ -9,8 +9,8 @@ from functools import lru_cache
 
 from controller.config import ControllerConfig
 from controller.core.inbox import Inbox
-from controller.core.settings import Settings, settings_from
-from controller.shell.warm_up import rehearse
+from controller.core.settings import ScanSettings, settings_from
+from controller.shell.warm_up import warm_up
 from foundation.configuration import configuration_hash, load, merged, parse_overrides
 from nominal_arm.description import NominalArm
 from protocol.authentication import LinkKey
@@ -24,7 +24,7 @@ LINK_TIMEOUT_MS = 200
 OVERRIDES = ["controller.supervision.overrun_ms=2000", "controller.streaming.silence_ms=200"]
 
 
-def settings(*more: str) -> Settings:
+def settings(*more: str) -> ScanSettings:
     """The shipped configuration, tolerant of a test machine's lateness, with further overrides."""
     arm = load(NominalArm, CONFIGS / "arm.yaml")
     overrides = merged(parse_overrides(OVERRIDES), parse_overrides(more))["controller"]
@@ -35,7 +35,7 @@ def settings(*more: str) -> Settings:
 @lru_cache(maxsize=1)
 def rehearsed() -> None:
     """Once a process: the kernels are there before a link timeout of 200 ms counts."""
-    rehearse(settings())
+    warm_up(settings())
 
 
 class ThreadedController:
@@ -63,7 +63,7 @@ class ThreadedController:
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self.failure: BaseException | None = None
 
-    def configured(self) -> Settings:
+    def configured(self) -> ScanSettings:
         """The settings of the scan."""
         return settings()
 

@@ -451,7 +451,7 @@ class KeepsItsSessionNumber(ThreadedController):
     def make_server(self) -> ReferenceServer:
         class Server(ReferenceServer):
             def _granted(self, header: Header, hello: Hello, source: object, now_ns: int) -> Any:
-                self._grants.count = 0
+                self._factory.count = 0
                 return super()._granted(header, hello._replace(client_nonce=1), source, now_ns)
 
             def outgoing(self, now_ns: int | None = None) -> list[tuple[bytes, object]]:

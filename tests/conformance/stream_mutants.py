@@ -1,6 +1,6 @@
 """Controllers that stream wrongly, each caught by the case meant for it."""
 
-from controller.core.settings import Settings
+from controller.core.settings import ScanSettings
 from protocol.reference_messages import State
 from protocol.session_events import StreamedPoseReceived
 from tests.conformance.controllers import ThreadedController, settings
@@ -10,7 +10,7 @@ from tests.conformance.mutants import Mutant
 class WaitsForReferences(ThreadedController):
     """Goes on for most of a second without a reference."""
 
-    def configured(self) -> Settings:
+    def configured(self) -> ScanSettings:
         return settings("controller.streaming.silence_ms=900")
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from controller.core.scan import scan
 from controller.core.scan_types import ControllerView, ScanInput, ScanOutput, initial_state
-from controller.core.settings import Settings
+from controller.core.settings import ScanSettings
 from plant_emulator.core.plant import Plant
 from protocol.faults import CommandCode, Reason
 from protocol.process_image import SensorImage, decode_sensors, decode_valves, encode_sensors, encode_valves
@@ -15,7 +15,7 @@ from protocol.reference_messages import FLAG_SETTLED, Command, ReferencePath, Re
 class ClosedLoop:
     """Plant and controller in turn, one FC 23 exchange a cycle: the last scan's valves out, sensors in."""
 
-    def __init__(self, settings: Settings, plant: Plant) -> None:
+    def __init__(self, settings: ScanSettings, plant: Plant) -> None:
         self.settings = settings
         self.plant = plant
         self.state = initial_state(settings)

@@ -12,7 +12,7 @@ import numpy as np
 
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput, ScanOutput, initial_state
-from controller.core.settings import Settings
+from controller.core.settings import ScanSettings
 from protocol.faults import CommandCode, Reason
 from protocol.pose import Pose
 from protocol.process_image import (
@@ -47,7 +47,7 @@ def counts(q: tuple[float, ...]) -> tuple[int, int, int, int, int, int]:
 class Bench:
     """A controller and an obedient plant; the fields below the line are the plant's misbehaviour."""
 
-    settings: Settings
+    settings: ScanSettings
     q: tuple[float, ...] = tuple(math.radians(angle) for angle in START_DEG)
     now_ns: int = 0
     link_alive: bool = True

@@ -13,7 +13,7 @@ from controller.core.references import admit
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput
 from controller.core.servo.pose_servo import tool_state
-from controller.core.settings import Settings, settings_from
+from controller.core.settings import ScanSettings, settings_from
 from nominal_arm.description import NominalArm
 from protocol.reference_messages import ReferencePath, StreamedPose
 from protocol.session_events import StreamedPoseReceived
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.bench
 
 
 @pytest.fixture(scope="module")
-def settings(arm: NominalArm, config: ControllerConfig) -> Settings:
+def settings(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
     return settings_from(arm, config)
 
 
@@ -35,21 +35,21 @@ def _next_input(bench: Bench) -> ScanInput:
 
 
 @pytest.mark.benchmark(group="scan")
-def test_scan_in_motion(benchmark, settings: Settings) -> None:
+def test_scan_in_motion(benchmark, settings: ScanSettings) -> None:
     bench = Bench(settings).moving()
     inputs = _next_input(bench)
     benchmark(scan, settings, bench.state, inputs)
 
 
 @pytest.mark.benchmark(group="scan")
-def test_scan_in_a_stream(benchmark, settings: Settings) -> None:
+def test_scan_in_a_stream(benchmark, settings: ScanSettings) -> None:
     bench = Bench(settings).streaming()
     inputs = _next_input(bench)
     benchmark(scan, settings, bench.state, inputs)
 
 
 @pytest.mark.benchmark(group="scan")
-def test_scan_with_a_streamed_reference(benchmark, settings: Settings) -> None:
+def test_scan_with_a_streamed_reference(benchmark, settings: ScanSettings) -> None:
     """Judged, surveyed and planned anew: what a reference costs in the one scan that takes it."""
     bench = Bench(settings).streaming()
     inputs = _next_input(bench)
@@ -62,7 +62,7 @@ def test_scan_with_a_streamed_reference(benchmark, settings: Settings) -> None:
 
 
 @pytest.mark.benchmark(group="scan")
-def test_scan_disabled(benchmark, settings: Settings) -> None:
+def test_scan_disabled(benchmark, settings: ScanSettings) -> None:
     bench = Bench(settings)
     bench.run(0.1)
     inputs = _next_input(bench)
@@ -70,7 +70,7 @@ def test_scan_disabled(benchmark, settings: Settings) -> None:
 
 
 @pytest.mark.benchmark(group="admission")
-def test_admission_of_24_waypoints(benchmark, settings: Settings) -> None:
+def test_admission_of_24_waypoints(benchmark, settings: ScanSettings) -> None:
     bench = Bench(settings).enabled()
     path = ReferencePath(
         1, tuple(bench.shifted(y=0.02 * (k % 5), z=0.01 * k) for k in range(1, 25)), 0.0, 0.0

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from controller.config import ControllerConfig
 from controller.core.servo.pose_servo import resolve, tool_state
-from controller.core.settings import Settings, settings_from
+from controller.core.settings import ScanSettings, settings_from
 from foundation.configuration import load
 from nominal_arm.description import NominalArm
 from plant_emulator.config.plant import PlantConfig
@@ -30,11 +30,11 @@ HOLD_S = 4.0
 
 
 @pytest.fixture(scope="module")
-def settings(arm: NominalArm, config: ControllerConfig) -> Settings:
+def settings(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
     return settings_from(arm, config)
 
 
-def _loop(settings: Settings, payload_kg: float, seed: int = 1) -> ClosedLoop:
+def _loop(settings: ScanSettings, payload_kg: float, seed: int = 1) -> ClosedLoop:
     plant = load(PlantConfig, CONFIGS / "plant.yaml", {"payload": {"mass_kg": payload_kg}})
     loop = ClosedLoop(settings, Plant(plant, seed))
     loop.enable()
@@ -96,7 +96,7 @@ def _judge(arrivals: list[Arrival], heading: str) -> None:
 
 @pytest.mark.parametrize("payload_kg", [0.0, 100.0])
 def test_settles_within_a_third_of_a_milliradian_and_does_not_hunt(
-    settings: Settings, payload_kg: float
+    settings: ScanSettings, payload_kg: float
 ) -> None:
     loop = _loop(settings, payload_kg)
     targets = _targets(round(payload_kg))
@@ -104,7 +104,7 @@ def test_settles_within_a_third_of_a_milliradian_and_does_not_hunt(
 
 
 @pytest.mark.experiment
-def test_settles_everywhere_with_any_payload(settings: Settings) -> None:
+def test_settles_everywhere_with_any_payload(settings: ScanSettings) -> None:
     rng = np.random.default_rng(20)
     arrivals = []
     for seed in range(12):
@@ -113,7 +113,7 @@ def test_settles_everywhere_with_any_payload(settings: Settings) -> None:
     _judge(arrivals, f"{len(arrivals)} arrivals")
 
 
-def test_enabling_and_holding_do_not_move_a_loaded_arm(settings: Settings) -> None:
+def test_enabling_and_holding_do_not_move_a_loaded_arm(settings: ScanSettings) -> None:
     loop = _loop(settings, 50.0)
     before = loop.plant.truth().X_BT
     loop.run(5.0)
@@ -121,7 +121,7 @@ def test_enabling_and_holding_do_not_move_a_loaded_arm(settings: Settings) -> No
     assert loop.view.group_state is GroupState.STANDBY
 
 
-def test_a_circle_of_waypoints_is_tracked(settings: Settings) -> None:
+def test_a_circle_of_waypoints_is_tracked(settings: ScanSettings) -> None:
     loop = _loop(settings, 30.0)
     centre = loop.view.X_BT
     angles = np.linspace(0.0, 2.0 * np.pi, 17)[:-1]
@@ -139,7 +139,7 @@ def test_a_circle_of_waypoints_is_tracked(settings: Settings) -> None:
     assert max(lag) < 30.0
 
 
-def test_stop_in_full_motion_stays_on_the_path_and_holds(settings: Settings) -> None:
+def test_stop_in_full_motion_stays_on_the_path_and_holds(settings: ScanSettings) -> None:
     loop = _loop(settings, 80.0)
     here = loop.view.X_BT
     goal = Pose((here.p_m[0], here.p_m[1], here.p_m[2] + 0.5), here.q_wxyz)
@@ -154,7 +154,7 @@ def test_stop_in_full_motion_stays_on_the_path_and_holds(settings: Settings) -> 
     assert loop.view.X_BT.p_m == pytest.approx(loop.view.X_BT_cmd.p_m, abs=4e-3)
 
 
-def test_emergency_stop_in_motion_closes_every_valve_within_a_cycle(settings: Settings) -> None:
+def test_emergency_stop_in_motion_closes_every_valve_within_a_cycle(settings: ScanSettings) -> None:
     loop = _loop(settings, 100.0)
     here = loop.view.X_BT
     goal = Pose((here.p_m[0], here.p_m[1], here.p_m[2] - 0.4), here.q_wxyz)
@@ -180,7 +180,7 @@ def test_emergency_stop_in_motion_closes_every_valve_within_a_cycle(settings: Se
     ],
 )
 def test_faults_of_the_plant_end_the_motion_with_their_cause(
-    settings: Settings, fault: Fault, expected: set[FaultCode]
+    settings: ScanSettings, fault: Fault, expected: set[FaultCode]
 ) -> None:
     loop = _loop(settings, 20.0)
     here = loop.view.X_BT

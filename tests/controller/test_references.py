@@ -8,7 +8,7 @@ import pytest
 from controller.config import ControllerConfig
 from controller.core.kinematics.rotations import quaternion_from_matrix
 from controller.core.servo.pose_servo import tool_state
-from controller.core.settings import Settings, settings_from
+from controller.core.settings import ScanSettings, settings_from
 from nominal_arm.description import NominalArm
 from protocol.faults import FaultCode, Reason
 from protocol.pose import Pose
@@ -17,12 +17,12 @@ from tests.controller.obedient_plant import Bench
 
 
 @pytest.fixture(scope="module")
-def settings(arm: NominalArm, config: ControllerConfig) -> Settings:
+def settings(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
     return settings_from(arm, config)
 
 
 @pytest.fixture
-def bench(settings: Settings) -> Bench:
+def bench(settings: ScanSettings) -> Bench:
     return Bench(settings).enabled()
 
 
@@ -81,7 +81,7 @@ def test_beyond_reach_names_distance_and_reach(bench: Bench) -> None:
     _assert_nothing_moves(bench)
 
 
-def test_a_joint_beyond_its_range_names_angle_and_limit(bench: Bench, settings: Settings) -> None:
+def test_a_joint_beyond_its_range_names_angle_and_limit(bench: Bench, settings: ScanSettings) -> None:
     answer = bench.refer(_turned(bench.last.view.X_BT, 2, math.radians(100.0)))
     assert answer.reason is Reason.JOINT_LIMIT
     assert abs(answer.value) > abs(answer.limit)
@@ -118,13 +118,13 @@ def test_a_tool_that_passes_straight_over_the_singularity_is_followed(bench: Ben
     assert max(abs(o.view.q_meas[3]) for o in bench.outputs[begin:]) < math.radians(1.0)
 
 
-def _pose_at(settings: Settings, degrees: tuple[float, ...]) -> Pose:
+def _pose_at(settings: ScanSettings, degrees: tuple[float, ...]) -> Pose:
     tool = tool_state(settings.table, np.radians(degrees))
     return Pose(tuple(tool.p_BT), tuple(tool.quaternion))
 
 
 def test_a_tool_that_passes_beside_the_singularity_is_refused_before_a_joint_runs_out(
-    settings: Settings,
+    settings: ScanSettings,
 ) -> None:
     """Between two samples of its way wrist 3 left its range, and the servo with it: 90.5° at 90.5."""
     bench = Bench(settings, tuple(np.radians((2.9, 47.0, -68.5, 89.4, -52.5, 79.7)))).enabled()
@@ -136,7 +136,7 @@ def test_a_tool_that_passes_beside_the_singularity_is_refused_before_a_joint_run
     _assert_nothing_moves(bench)
 
 
-def test_what_is_accepted_near_the_singularity_is_followed_to_its_end(settings: Settings) -> None:
+def test_what_is_accepted_near_the_singularity_is_followed_to_its_end(settings: ScanSettings) -> None:
     answers = []
     for swing in (0.0, 4.0, 32.0):
         bench = Bench(settings, tuple(np.radians((1.0, 47.0, -68.0, 55.0 + swing, -30.0, 70.0)))).enabled()

@@ -8,7 +8,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from controller.config import ControllerConfig
 from controller.core.group_states import GROUP_STATE, Mode, Stimulus, transition
-from controller.core.settings import Settings, settings_from
+from controller.core.settings import ScanSettings, settings_from
 from foundation.configuration import load
 from nominal_arm.description import NominalArm
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
@@ -32,7 +32,7 @@ ZERO = (0.0,) * 6
 
 
 @pytest.fixture(scope="module")
-def settings(arm: NominalArm, config: ControllerConfig) -> Settings:
+def settings(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
     return settings_from(arm, config)
 
 
@@ -68,7 +68,7 @@ def _brought_to(bench: Bench, mode: Mode) -> Bench:
 @pytest.mark.parametrize("mode", Mode)
 @pytest.mark.parametrize("stimulus", [s for s in Stimulus if s <= Stimulus.STREAMED])
 def test_every_state_answers_every_command_as_the_table_says(
-    settings: Settings, mode: Mode, stimulus: Stimulus
+    settings: ScanSettings, mode: Mode, stimulus: Stimulus
 ) -> None:
     bench = _brought_to(Bench(settings), mode)
     if stimulus is Stimulus.MOVE:
@@ -88,7 +88,7 @@ def test_every_state_answers_every_command_as_the_table_says(
     assert live or bench.last.valves.valves == ZERO
 
 
-def test_enabling_moves_nothing(settings: Settings) -> None:
+def test_enabling_moves_nothing(settings: ScanSettings) -> None:
     bench = Bench(settings).enabled()
     bench.run(2.0)
     assert all(output.valves.valves == pytest.approx(ZERO, abs=1e-6) for output in bench.outputs)
@@ -96,7 +96,7 @@ def test_enabling_moves_nothing(settings: Settings) -> None:
     assert bench.last.view.flags & FLAG_SETTLED
 
 
-def test_a_reference_is_followed_to_its_end_and_settles(settings: Settings) -> None:
+def test_a_reference_is_followed_to_its_end_and_settles(settings: ScanSettings) -> None:
     bench = Bench(settings).enabled()
     goal = bench.shifted(x=0.1, y=0.2, z=-0.1)
     command_id = bench.refer(goal).command_id
@@ -111,7 +111,7 @@ def test_a_reference_is_followed_to_its_end_and_settles(settings: Settings) -> N
     assert view.X_BT.p_m == pytest.approx(goal.p_m, abs=5e-4)
 
 
-def test_a_path_counts_its_segments(settings: Settings) -> None:
+def test_a_path_counts_its_segments(settings: ScanSettings) -> None:
     bench = Bench(settings).enabled()
     waypoints = tuple(bench.shifted(y=0.02 * k) for k in range(1, 25))
     answer = bench.step(ReferencePath(900, waypoints, 0.0, 0.1)).acknowledgements[0]
@@ -124,7 +124,7 @@ def test_a_path_counts_its_segments(settings: Settings) -> None:
     assert seen == sorted(seen)
 
 
-def test_a_new_reference_takes_over_without_a_jump(settings: Settings) -> None:
+def test_a_new_reference_takes_over_without_a_jump(settings: ScanSettings) -> None:
     bench = Bench(settings).moving()
     assert bench.refer(bench.shifted(y=0.2)).reason is Reason.ACCEPTED
     bench.run(8.0)
@@ -135,7 +135,7 @@ def test_a_new_reference_takes_over_without_a_jump(settings: Settings) -> None:
     assert bench.last.view.motion_done
 
 
-def test_stop_ramps_down_and_holds(settings: Settings) -> None:
+def test_stop_ramps_down_and_holds(settings: ScanSettings) -> None:
     bench = Bench(settings).moving()
     speed_before = np.linalg.norm(bench.state.motion.desired.v)
     assert speed_before > 0.05
@@ -153,7 +153,7 @@ def test_stop_ramps_down_and_holds(settings: Settings) -> None:
     assert bench.last.valves.control & CONTROL_ENABLE
 
 
-def test_disable_ramps_down_then_drops_the_enable(settings: Settings) -> None:
+def test_disable_ramps_down_then_drops_the_enable(settings: ScanSettings) -> None:
     bench = Bench(settings).moving()
     assert bench.command(CommandCode.DISABLE) is Reason.ACCEPTED
     assert bench.last.valves.control & CONTROL_ENABLE
@@ -162,7 +162,7 @@ def test_disable_ramps_down_then_drops_the_enable(settings: Settings) -> None:
     assert bench.last.valves.control == 0
 
 
-def test_emergency_stop_centres_at_once_and_needs_release_reset_enable(settings: Settings) -> None:
+def test_emergency_stop_centres_at_once_and_needs_release_reset_enable(settings: ScanSettings) -> None:
     bench = Bench(settings).moving()
     assert any(bench.last.valves.valves)
     assert bench.command(CommandCode.EMERGENCY_STOP) is Reason.ACCEPTED
@@ -189,7 +189,7 @@ def test_emergency_stop_centres_at_once_and_needs_release_reset_enable(settings:
         (lambda b: setattr(b, "status", 0), Reason.PLANT_NOT_READY),
     ],
 )
-def test_enable_is_guarded(settings: Settings, spoil: object, reason: Reason) -> None:
+def test_enable_is_guarded(settings: ScanSettings, spoil: object, reason: Reason) -> None:
     bench = Bench(settings)
     spoil(bench)  # type: ignore[operator]
     bench.step()
@@ -197,13 +197,13 @@ def test_enable_is_guarded(settings: Settings, spoil: object, reason: Reason) ->
     assert bench.state.mode is Mode.DISABLED
 
 
-def test_enable_without_a_plant_is_refused(settings: Settings) -> None:
+def test_enable_without_a_plant_is_refused(settings: ScanSettings) -> None:
     bench = Bench(settings, silent=True)
     bench.step()
     assert bench.command(CommandCode.ENABLE) is Reason.PLANT_LINK_DOWN
 
 
-def test_a_tripped_plant_watchdog_is_rearmed_while_disabled(settings: Settings) -> None:
+def test_a_tripped_plant_watchdog_is_rearmed_while_disabled(settings: ScanSettings) -> None:
     bench = Bench(settings, status=STATUS_SUPPLY_ON | STATUS_WATCHDOG_TRIPPED)
     bench.step()
     assert bench.command(CommandCode.ENABLE) is Reason.PLANT_NOT_READY
@@ -213,7 +213,7 @@ def test_a_tripped_plant_watchdog_is_rearmed_while_disabled(settings: Settings) 
     assert bench.command(CommandCode.ENABLE) is Reason.ACCEPTED
 
 
-def test_an_unknown_command_is_refused(settings: Settings) -> None:
+def test_an_unknown_command_is_refused(settings: ScanSettings) -> None:
     bench = Bench(settings).enabled()
     answer = bench.step(Command(5, 77)).acknowledgements[0]  # type: ignore[arg-type]
     assert (answer.reason, answer.value) == (Reason.UNKNOWN_COMMAND, 77.0)

@@ -10,7 +10,7 @@ import pytest
 from controller.config import ControllerConfig
 from controller.core.group_states import Mode
 from controller.core.kinematics.rotations import Array, conjugate, quaternion_product, vector_from_quaternion
-from controller.core.settings import Settings, settings_from
+from controller.core.settings import ScanSettings, settings_from
 from nominal_arm.description import NominalArm
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
@@ -23,11 +23,11 @@ SLOWS_S, CLOSES_S, CYCLE_S = 0.076, 0.088, 0.005
 
 
 @pytest.fixture(scope="module")
-def settings(arm: NominalArm, config: ControllerConfig) -> Settings:
+def settings(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
     return settings_from(arm, config)
 
 
-def opened(settings: Settings) -> Bench:
+def opened(settings: ScanSettings) -> Bench:
     """A bench with an open stream that no reference has come in yet."""
     bench = Bench(settings).enabled()
     bench.open_stream()
@@ -76,7 +76,7 @@ def longest(rows: Array) -> float:
 @pytest.mark.parametrize("rate_hz", [15.0, 30.0, 60.0])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_limits_hold_at_every_scan_whatever_the_references_do(
-    settings: Settings, rate_hz: float, seed: int
+    settings: ScanSettings, rate_hz: float, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
     bench = opened(settings)
@@ -107,7 +107,7 @@ def test_limits_hold_at_every_scan_whatever_the_references_do(
 
 @pytest.mark.parametrize("rate_hz", [15.0, 30.0])
 def test_a_moving_reference_is_followed_without_lag_and_without_ripple(
-    settings: Settings, rate_hz: float
+    settings: ScanSettings, rate_hz: float
 ) -> None:
     bench = opened(settings)
     home, speed = bench.shifted(), 0.08
@@ -123,7 +123,7 @@ def test_a_moving_reference_is_followed_without_lag_and_without_ripple(
     assert v.min() > 0.0
 
 
-def test_a_reference_at_rest_is_reached_without_going_past_it(settings: Settings) -> None:
+def test_a_reference_at_rest_is_reached_without_going_past_it(settings: ScanSettings) -> None:
     bench = opened(settings)
     goal = bench.shifted(y=0.3)
     streamed(bench, 30.0, 5.0, lambda t: goal)
@@ -136,7 +136,7 @@ def test_a_reference_at_rest_is_reached_without_going_past_it(settings: Settings
     assert not bench.last.view.motion_done
 
 
-def test_a_silent_stream_is_slowed_down_then_centred_and_latched(settings: Settings) -> None:
+def test_a_silent_stream_is_slowed_down_then_centred_and_latched(settings: ScanSettings) -> None:
     bench = Bench(settings).streaming()
     speed = np.linalg.norm(np.diff(commanded(bench)[-2:], axis=0)) / CYCLE_S
     assert speed > 0.09
@@ -163,7 +163,7 @@ def test_a_silent_stream_is_slowed_down_then_centred_and_latched(settings: Setti
     assert event.limit == pytest.approx(CLOSES_S)
 
 
-def test_four_lost_in_a_row_at_60_hz_are_survived(settings: Settings) -> None:
+def test_four_lost_in_a_row_at_60_hz_are_survived(settings: ScanSettings) -> None:
     bench = Bench(settings).streaming()
     goal = bench.shifted(z=0.2)
     number = bench.last.view.stream_number
@@ -183,7 +183,7 @@ def test_four_lost_in_a_row_at_60_hz_are_survived(settings: Settings) -> None:
     assert v[-1] > 0.9 * v.max()
 
 
-def test_nothing_resumes_by_itself_and_a_new_stream_starts_from_rest(settings: Settings) -> None:
+def test_nothing_resumes_by_itself_and_a_new_stream_starts_from_rest(settings: ScanSettings) -> None:
     bench = Bench(settings).streaming()
     old, goal = bench.last.view.motion_id, bench.shifted(z=0.2)
     bench.run(0.2)
@@ -212,7 +212,7 @@ def test_nothing_resumes_by_itself_and_a_new_stream_starts_from_rest(settings: S
     assert np.abs(np.diff(v)).max() / CYCLE_S <= settings.config.streaming.acceleration_m_s2
 
 
-def test_numbers_rise_and_wrap(settings: Settings) -> None:
+def test_numbers_rise_and_wrap(settings: ScanSettings) -> None:
     bench = opened(settings)
     here = bench.shifted(y=0.01)
     assert bench.stream(2**32 - 2, here) is None
@@ -226,7 +226,7 @@ def test_numbers_rise_and_wrap(settings: Settings) -> None:
     assert bench.last.view.stream_number == 5
 
 
-def edge(settings: Settings) -> float:
+def edge(settings: ScanSettings) -> float:
     return settings.streaming.distance_m
 
 
@@ -256,8 +256,8 @@ def moved(pose: Pose, y: float) -> Pose:
 
 @pytest.mark.parametrize(("spoil", "more", "reason", "value"), REFUSED)
 def test_what_is_refused_changes_nothing(
-    settings: Settings,
-    spoil: Callable[[Pose, Settings], Pose],
+    settings: ScanSettings,
+    spoil: Callable[[Pose, ScanSettings], Pose],
     more: dict[str, object],
     reason: Reason,
     value: float | None,
@@ -276,7 +276,7 @@ def test_what_is_refused_changes_nothing(
     assert ("streamed", reason.name) in [event[:2] for event in bench.last.events]
 
 
-def test_just_inside_the_limits_is_followed(settings: Settings) -> None:
+def test_just_inside_the_limits_is_followed(settings: ScanSettings) -> None:
     bench = opened(settings)
     here = bench.shifted()
     assert bench.stream(1, moved(here, 0.999 * edge(settings)), age_s=0.24) is None
@@ -293,7 +293,7 @@ def test_just_inside_the_limits_is_followed(settings: Settings) -> None:
     [((1.0, 0.0, 0.0), Reason.OUTSIDE_WORKSPACE), ((0.0, 0.0, -1.0), Reason.OUTSIDE_WORKSPACE)],
 )
 def test_references_that_lead_out_are_refused_on_the_way(
-    settings: Settings, way: tuple[float, float, float], reason: Reason
+    settings: ScanSettings, way: tuple[float, float, float], reason: Reason
 ) -> None:
     bench = opened(settings)
     for number in range(1, 4000):
@@ -309,7 +309,7 @@ def test_references_that_lead_out_are_refused_on_the_way(
     assert bench.last.view.fault is FaultCode.REFERENCE_STALE  # and not a limit that was run into
 
 
-def test_refused_references_do_not_keep_a_stream_alive(settings: Settings) -> None:
+def test_refused_references_do_not_keep_a_stream_alive(settings: ScanSettings) -> None:
     bench = Bench(settings).streaming()
     number = bench.last.view.stream_number
     nan = bench.shifted()._replace(p_m=(math.nan, 0.0, 0.0))
@@ -318,7 +318,7 @@ def test_refused_references_do_not_keep_a_stream_alive(settings: Settings) -> No
     assert bench.last.view.fault is FaultCode.REFERENCE_STALE
 
 
-def test_the_end_of_a_stream_leads_to_its_newest_reference(settings: Settings) -> None:
+def test_the_end_of_a_stream_leads_to_its_newest_reference(settings: ScanSettings) -> None:
     bench = Bench(settings).streaming()
     goal = bench.shifted(z=0.1)
     stream_id = bench.last.view.motion_id
@@ -336,14 +336,14 @@ def test_the_end_of_a_stream_leads_to_its_newest_reference(settings: Settings) -
     assert view.group_state is GroupState.STANDBY
 
 
-def test_a_stream_without_references_ends_at_once(settings: Settings) -> None:
+def test_a_stream_without_references_ends_at_once(settings: ScanSettings) -> None:
     bench = opened(settings)
     assert bench.command(CommandCode.END_STREAM) is Reason.ACCEPTED
     assert bench.last.view.group_state is GroupState.STANDBY
     assert bench.last.view.motion_done
 
 
-def test_the_end_of_a_moving_reference_comes_to_rest(settings: Settings) -> None:
+def test_the_end_of_a_moving_reference_comes_to_rest(settings: ScanSettings) -> None:
     bench = opened(settings)
     home = bench.shifted()
     streamed(bench, 30.0, 1.5, lambda t: moved(home, 0.08 * t), (0.0, 0.08, 0.0, 0.0, 0.0, 0.0))
@@ -354,7 +354,7 @@ def test_the_end_of_a_moving_reference_comes_to_rest(settings: Settings) -> None
     assert bench.last.view.X_BT_cmd.p_m == pytest.approx(last.tolist(), abs=1e-9)
 
 
-def test_a_stop_ends_a_stream(settings: Settings) -> None:
+def test_a_stop_ends_a_stream(settings: ScanSettings) -> None:
     bench = Bench(settings).streaming()
     number, goal = bench.last.view.stream_number + 1, bench.shifted(z=0.2)
     assert bench.command(CommandCode.STOP) is Reason.ACCEPTED
@@ -369,7 +369,7 @@ def test_a_stop_ends_a_stream(settings: Settings) -> None:
     assert refusal.reason is Reason.NOT_STREAMING
 
 
-def test_the_first_reference_is_waited_for_at_rest(settings: Settings) -> None:
+def test_the_first_reference_is_waited_for_at_rest(settings: ScanSettings) -> None:
     bench = opened(settings)
     held = bench.last.view.X_BT_cmd
     bench.run(settings.streaming.first_s - 0.02)
@@ -379,7 +379,7 @@ def test_the_first_reference_is_waited_for_at_rest(settings: Settings) -> None:
     assert bench.last.view.fault is FaultCode.REFERENCE_STALE
 
 
-def test_the_end_of_the_session_closes_its_stream_to_the_next_one(settings: Settings) -> None:
+def test_the_end_of_the_session_closes_its_stream_to_the_next_one(settings: ScanSettings) -> None:
     bench = Bench(settings).streaming()
     number, goal = bench.last.view.stream_number + 1, bench.shifted(z=0.2)
     bench.link_alive = False
@@ -394,7 +394,7 @@ def test_the_end_of_the_session_closes_its_stream_to_the_next_one(settings: Sett
     assert bench.last.valves.valves == ZERO
 
 
-def test_supervision_goes_on_in_a_stream(settings: Settings) -> None:
+def test_supervision_goes_on_in_a_stream(settings: ScanSettings) -> None:
     bench = Bench(settings).streaming()
     number, goal = bench.last.view.stream_number, bench.shifted(z=0.2)
     bench.stuck = True
@@ -407,7 +407,7 @@ def test_supervision_goes_on_in_a_stream(settings: Settings) -> None:
     assert bench.state.stream is None
 
 
-def test_the_same_references_give_the_same_bits(settings: Settings) -> None:
+def test_the_same_references_give_the_same_bits(settings: ScanSettings) -> None:
     def outputs() -> list[object]:
         bench = opened(settings)
         rng = np.random.default_rng(5)

@@ -8,7 +8,7 @@ import pytest
 
 from controller.config import ControllerConfig
 from controller.core.group_states import Mode
-from controller.core.settings import Settings, settings_from
+from controller.core.settings import ScanSettings, settings_from
 from nominal_arm.description import NominalArm
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.process_image import (
@@ -24,7 +24,7 @@ ZERO = (0.0,) * 6
 
 
 @pytest.fixture(scope="module")
-def settings(arm: NominalArm, config: ControllerConfig) -> Settings:
+def settings(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
     return settings_from(arm, config)
 
 
@@ -62,7 +62,7 @@ def _set(name: str, value: object) -> Callable[[Bench], None]:
     ],
 )
 def test_faults_centre_the_valves_in_the_same_scan(
-    settings: Settings, spoil: Callable[[Bench], None], fault: FaultCode, within_s: float
+    settings: ScanSettings, spoil: Callable[[Bench], None], fault: FaultCode, within_s: float
 ) -> None:
     bench = Bench(settings).moving()
     spoil(bench)
@@ -74,7 +74,7 @@ def test_faults_centre_the_valves_in_the_same_scan(
     assert any(event.name == "fault" and event.cause == fault.name for event in bench.last.events)
 
 
-def test_silence_is_measured_in_time_as_well_as_in_exchanges(settings: Settings) -> None:
+def test_silence_is_measured_in_time_as_well_as_in_exchanges(settings: ScanSettings) -> None:
     bench = Bench(settings).enabled()
     bench.silent = True
     bench.late_s = 0.06
@@ -83,7 +83,7 @@ def test_silence_is_measured_in_time_as_well_as_in_exchanges(settings: Settings)
     assert bench.step().view.fault is FaultCode.PLANT_LINK_LOST
 
 
-def test_a_few_missed_exchanges_are_survived_and_counted(settings: Settings) -> None:
+def test_a_few_missed_exchanges_are_survived_and_counted(settings: ScanSettings) -> None:
     bench = Bench(settings).moving()
     for _ in range(3):
         bench.silent = True
@@ -96,7 +96,7 @@ def test_a_few_missed_exchanges_are_survived_and_counted(settings: Settings) -> 
     assert bench.last.view.motion_done
 
 
-def test_a_stale_reference_link_ramps_down_then_drops_the_enable(settings: Settings) -> None:
+def test_a_stale_reference_link_ramps_down_then_drops_the_enable(settings: ScanSettings) -> None:
     bench = Bench(settings).moving()
     bench.link_alive = False
     first = bench.step()
@@ -122,7 +122,7 @@ def test_a_stale_reference_link_ramps_down_then_drops_the_enable(settings: Setti
     assert bench.last.view.group_state is GroupState.STANDBY
 
 
-def test_an_unattended_standby_is_disabled_without_a_fault(settings: Settings) -> None:
+def test_an_unattended_standby_is_disabled_without_a_fault(settings: ScanSettings) -> None:
     bench = Bench(settings).enabled()
     bench.link_alive = False
     bench.step()
@@ -134,7 +134,7 @@ def test_an_unattended_standby_is_disabled_without_a_fault(settings: Settings) -
     assert bench.last.valves.control == 0
 
 
-def test_the_first_fault_stays_while_the_reaction_follows_the_gravest(settings: Settings) -> None:
+def test_the_first_fault_stays_while_the_reaction_follows_the_gravest(settings: ScanSettings) -> None:
     bench = Bench(settings).moving()
     bench.link_alive = False
     bench.step()
@@ -167,7 +167,7 @@ def _drifting(bench: Bench, joint: int, rad_per_scan: float) -> None:
     raise AssertionError("no fault")
 
 
-def test_a_joint_that_does_not_follow_is_a_following_error(settings: Settings) -> None:
+def test_a_joint_that_does_not_follow_is_a_following_error(settings: ScanSettings) -> None:
     bench = Bench(settings).moving()
     _drifting(bench, 5, 2e-3)
     fault = bench.state.fault
@@ -204,16 +204,16 @@ def test_a_joint_that_strays_beyond_its_range_is_ramped_down(
     )
 
 
-def test_a_number_that_is_none_never_reaches_the_valves(settings: Settings) -> None:
+def test_a_number_that_is_none_never_reaches_the_valves(settings: ScanSettings) -> None:
     bench = Bench(settings).moving()
-    poisoned = bench.state.driven._replace(q_cmd=np.full(6, math.nan))
-    bench.state = bench.state._replace(driven=poisoned)
+    poisoned = bench.state.servo._replace(q_cmd=np.full(6, math.nan))
+    bench.state = bench.state._replace(servo=poisoned)
     bench.step()
     assert bench.last.view.fault is FaultCode.NUMERIC
     assert (bench.last.valves.valves, bench.last.valves.control) == (ZERO, 0)
 
 
-def test_link_flag_follows_the_link_while_disabled_and_nothing_latches(settings: Settings) -> None:
+def test_link_flag_follows_the_link_while_disabled_and_nothing_latches(settings: ScanSettings) -> None:
     bench = Bench(settings)
     bench.run(0.05)
     assert bench.last.view.flags & FLAG_PLANT_LINK_OK
@@ -226,7 +226,7 @@ def test_link_flag_follows_the_link_while_disabled_and_nothing_latches(settings:
     assert bench.last.view.flags & FLAG_PLANT_LINK_OK
 
 
-def test_a_restarted_echo_counts_as_a_dead_link_until_it_has_caught_up(settings: Settings) -> None:
+def test_a_restarted_echo_counts_as_a_dead_link_until_it_has_caught_up(settings: ScanSettings) -> None:
     bench = Bench(settings)
     bench.run(0.5)
     bench.deaf = True
@@ -238,7 +238,7 @@ def test_a_restarted_echo_counts_as_a_dead_link_until_it_has_caught_up(settings:
     assert bench.command(CommandCode.ENABLE) is Reason.ACCEPTED
 
 
-def test_the_same_run_twice_gives_the_same_bits(settings: Settings) -> None:
+def test_the_same_run_twice_gives_the_same_bits(settings: ScanSettings) -> None:
     def trace() -> list[object]:
         bench = Bench(settings).moving()
         bench.command(CommandCode.STOP)

@@ -123,7 +123,7 @@ def references_at_60_hz(rig: FaultRig, seconds: float) -> list[bytes]:
     datagrams = []
     for k in range(round(60 * seconds)):
         message = ReferencePose(2**60 + k, rig.shifted(z=0.3), 0.0)
-        datagrams.append(channel.sealed(message, first_ns + k * 1_000_000_000 // 60))
+        datagrams.append(channel.encoded(message, first_ns + k * 1_000_000_000 // 60))
     return datagrams
 
 

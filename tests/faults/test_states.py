@@ -15,7 +15,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from controller.core.settings import Settings, settings_from
+from controller.core.settings import ScanSettings, settings_from
 from protocol.faults import CommandCode, FaultCode
 from protocol.process_image import CONTROL_ENABLE, STATUS_SENSOR_FAULT
 from protocol.reference_messages import FLAG_EMERGENCY_LATCHED
@@ -41,7 +41,7 @@ RUNS = {"checked": 0, "steps": 0}
 
 
 @cache
-def quick() -> Settings:
+def quick() -> ScanSettings:
     """A controller whose ramps and motions are short: the states are the same, and sooner."""
     settings = settings_of(1, (*_QUICK, f"controller.motion.duration_min_s={_MOTION_S - 0.02}"))
     return settings_from(settings.arm, settings.controller)

@@ -119,14 +119,14 @@ class TestTag:
         for bit in range(8 * len(data)):
             bent = bytearray(data)
             bent[bit // 8] ^= 1 << bit % 8
-            sealed = resealed(bytes(bent))
-            if sealed == data:  # the bit was one of the CRC's
+            encoded = resealed(bytes(bent))
+            if encoded == data:  # the bit was one of the CRC's
                 continue
             try:
-                flags = decode(sealed).header.flags
+                flags = decode(encoded).header.flags
             except DatagramRefused:
                 continue
-            fault = fault_of(sealed, flags, key)
+            fault = fault_of(encoded, flags, key)
             assert fault in ("authentication.bad_tag", "authentication.unknown_key"), bit
 
     def test_a_truncated_guess_is_not_enough(self) -> None:

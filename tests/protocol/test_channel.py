@@ -80,10 +80,10 @@ def test_the_longest_gap_is_remembered() -> None:
 
 def test_the_sender_numbers_wraps_and_echoes() -> None:
     channel = Channel(5, 0, SEQUENCE_MODULUS - 1)
-    first = decode(channel.sealed(Heartbeat(1), 1)).header
+    first = decode(channel.encoded(Heartbeat(1), 1)).header
     assert (first.sequence, first.flags, first.echo_sequence) == (SEQUENCE_MODULUS - 1, 0, 0)
     channel.hear(Header(5, 99, 0), 0, None, LinkStatistics())
-    second = decode(channel.sealed(Heartbeat(1), 1)).header
+    second = decode(channel.encoded(Heartbeat(1), 1)).header
     assert (second.sequence, second.flags, second.echo_sequence) == (0, 1, 99)
 
 

@@ -68,9 +68,9 @@ def test_sessions() -> None:
     for message in MESSAGES:
         sound = encode(message, HEADER._replace(session=session))
         for data in bent(rng, sound, 20_000):
-            sealed = resealed(data) if len(data) > 40 else data
-            wire.server.receive(sealed, wire.source, wire.server_ns)
-            wire.client.receive(sealed, wire.now_ns)
+            encoded = resealed(data) if len(data) > 40 else data
+            wire.server.receive(encoded, wire.source, wire.server_ns)
+            wire.client.receive(encoded, wire.now_ns)
             wire.server.outgoing(wire.server_ns)
             wire.client.outgoing(wire.now_ns)
 

@@ -19,7 +19,7 @@ from controller.core.kinematics.rotations import (
     quaternion_product,
 )
 from controller.core.references import Refusal, unusable
-from controller.core.settings import Settings
+from controller.core.settings import ScanSettings
 from controller.core.trajectories.approach import Approach, AxisLimits, approach, twist_limit
 from controller.core.trajectories.path_survey import survey
 from controller.core.trajectories.paths import Desired, at_rest, path_from
@@ -38,7 +38,7 @@ class Goal(NamedTuple):
     limits: AxisLimits
 
 
-class Stream(NamedTuple):
+class OpenStream(NamedTuple):
     """An open stream. ``stream_id``: command id of its START_STREAM.
 
     ``attended``: whether the session that opened it goes on. ``fresh_ns``: when the newest accepted reference
@@ -54,14 +54,14 @@ class Stream(NamedTuple):
 
 
 def follow(
-    settings: Settings,
-    stream: Stream,
+    settings: ScanSettings,
+    stream: OpenStream,
     desired: Desired,
     q_meas: Array,
     J_BT: Array,
     arrival: StreamedPoseReceived,
     now_ns: int,
-) -> tuple[Stream, Approach] | Refusal:
+) -> tuple[OpenStream, Approach] | Refusal:
     """The stream with this reference as its newest, and the way there from ``desired``, or why not.
 
     ``q_meas`` (6,), ``J_BT`` (6, 6): joint angles and Jacobian of the arm as it stands.
@@ -87,28 +87,30 @@ def follow(
     found = survey(settings, straight, q_meas)
     if found.reason is not Reason.ACCEPTED:
         return Refusal(found.reason, found.value, found.limit)
-    way = approach(desired, p, quaternion, twist, limits)
-    if way is None:
+    planned = approach(desired, p, quaternion, twist, limits)
+    if planned is None:
         return Refusal(Reason.TOO_FAST, float(np.abs(twist).max()), float(twist_limit(limits).max()))
     goal = Goal(p, quaternion, limits)
     fresh_ns = max(stream.fresh_ns, arrival.left_ns)
-    return stream._replace(fresh_ns=fresh_ns, number=reference.number, goal=goal), way
+    return stream._replace(fresh_ns=fresh_ns, number=reference.number, goal=goal), planned
 
 
-def last_way(stream: Stream, desired: Desired) -> Approach | None:
+def last_approach(stream: OpenStream, desired: Desired) -> Approach | None:
     """The way from ``desired`` to rest at the newest reference; None when there was none."""
     if stream.goal is None:
         return None
     return approach(desired, stream.goal.p, stream.goal.quaternion, _AT_REST, stream.goal.limits)
 
 
-def silence(settings: Settings, stream: Stream, now_ns: int) -> tuple[float, float]:
+def silence(settings: ScanSettings, stream: OpenStream, now_ns: int) -> tuple[float, float]:
     """How long no fresh reference has come (s), and the limit at which the valves are centred."""
     limit = settings.streaming.first_s if stream.goal is None else settings.streaming.close_s
     return (now_ns - stream.fresh_ns) * 1e-9, limit
 
 
-def faded(settings: Settings, fade: float, stream: Stream | None, now_ns: int, dt_s: float) -> float:
+def update_fade(
+    settings: ScanSettings, fade: float, stream: OpenStream | None, now_ns: int, dt_s: float
+) -> float:
     """``fade`` after a scan: towards 1 (standing still) while a stream is silent, else to 0 (full pace)."""
     limits = settings.streaming
     waits = stream is not None and stream.goal is not None
@@ -127,7 +129,9 @@ def at_pace(desired: Desired, rate: float) -> Desired:
     return desired if rate == 1.0 else desired._replace(v=rate * desired.v, omega=rate * desired.omega)
 
 
-def _place(settings: Settings, stream: Stream, arrival: StreamedPoseReceived, now_ns: int) -> Refusal | None:
+def _place(
+    settings: ScanSettings, stream: OpenStream, arrival: StreamedPoseReceived, now_ns: int
+) -> Refusal | None:
     """A refusal of a reference that is not the next one of this stream, or rests on something old."""
     reference = arrival.message
     if reference.stream_id != stream.stream_id or not stream.attended:
@@ -151,7 +155,7 @@ def _runs_away(twist: Array, most: Array) -> Refusal | None:
     return None
 
 
-def _near(settings: Settings, desired: Desired, p: Array, quaternion: Array) -> Refusal | None:
+def _near(settings: ScanSettings, desired: Desired, p: Array, quaternion: Array) -> Refusal | None:
     """A refusal of a jump: further from the pose that is commanded now than a stream may ask for."""
     limits = settings.streaming
     distance = float(np.linalg.norm(p - desired.p))
@@ -161,7 +165,7 @@ def _near(settings: Settings, desired: Desired, p: Array, quaternion: Array) -> 
     return Refusal(Reason.TOO_FAR, turn, limits.turn_rad) if turn > limits.turn_rad else None
 
 
-def _within_joint_speeds(settings: Settings, J_BT: Array) -> AxisLimits:
+def _within_joint_speeds(settings: ScanSettings, J_BT: Array) -> AxisLimits:
     """The axes' limits, slowed down so far that no joint can be too fast at this pose, whatever they do."""
     limits = settings.streaming.axes
     inverse, _, _ = damped_inverse(J_BT, settings.servo_gains[3], settings.servo_gains[4])

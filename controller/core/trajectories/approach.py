@@ -107,18 +107,18 @@ def twist_limit(limits: AxisLimits) -> Array:
     return most
 
 
-def sample_approach(way: Approach, time_s: float) -> Desired:
+def sample_approach(planned: Approach, time_s: float) -> Desired:
     """The desired motion ``time_s`` after the start; at rest on the goal, exactly, once it is reached."""
-    if time_s >= way.duration_s:
-        return at_rest(way.p, way.quaternion)
-    position, velocity, acceleration = map(np.array, way.trajectory.at_time(time_s))
+    if time_s >= planned.duration_s:
+        return at_rest(planned.p, planned.quaternion)
+    position, velocity, acceleration = map(np.array, planned.trajectory.at_time(time_s))
     turn = quaternion_from_vector(position[3:])
-    carried = matrix_from_quaternion(turn) @ way.twist[3:]
+    carried = matrix_from_quaternion(turn) @ planned.twist[3:]
     turning, bending = angular_motion(position[3:], velocity[3:], acceleration[3:])
-    there = quaternion_product(quaternion_from_vector(time_s * way.twist[3:]), way.quaternion)
+    there = quaternion_product(quaternion_from_vector(time_s * planned.twist[3:]), planned.quaternion)
     return Desired(
-        way.p + time_s * way.twist[:3] + position[:3],
-        way.twist[:3] + velocity[:3],
+        planned.p + time_s * planned.twist[:3] + position[:3],
+        planned.twist[:3] + velocity[:3],
         acceleration[:3],
         quaternion_product(turn, there),
         turning + carried,

@@ -5,12 +5,12 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.core.kinematics.rotations import Array
-from controller.core.settings import Settings
+from controller.core.settings import ScanSettings
 from controller.core.trajectories.approach import Approach, sample_approach
 from controller.core.trajectories.paths import Desired, Path, at_rest, duration, sample
 
 
-class Motion(NamedTuple):
+class DesiredMotion(NamedTuple):
     """Progress along ``path`` (None: holding ``desired``).
 
     ``time_s``: path time. ``ramp_s``: seconds since a stop began, negative when none did;
@@ -28,18 +28,18 @@ class Motion(NamedTuple):
     done: bool
 
 
-def holding(p: Array, quaternion: Array, motion_id: int = 0) -> Motion:
+def holding(p: Array, quaternion: Array, motion_id: int = 0) -> DesiredMotion:
     """Rest at a pose."""
-    return Motion(None, 0.0, -1.0, 0.0, at_rest(p, quaternion), 0, motion_id, False)
+    return DesiredMotion(None, 0.0, -1.0, 0.0, at_rest(p, quaternion), 0, motion_id, False)
 
 
-def begun(path: Path | Approach, motion_id: int) -> Motion:
+def start_motion(path: Path | Approach, motion_id: int) -> DesiredMotion:
     """The start of ``path``."""
     desired, segment = _sampled(path, 0.0)
-    return Motion(path, 0.0, -1.0, 0.0, desired, segment, motion_id, False)
+    return DesiredMotion(path, 0.0, -1.0, 0.0, desired, segment, motion_id, False)
 
 
-def stopping(settings: Settings, motion: Motion) -> Motion:
+def start_stop(settings: ScanSettings, motion: DesiredMotion) -> DesiredMotion:
     """``motion`` with a smooth stop begun: path time slows from 1 to 0, so the tool stays on its path.
 
     The rate is 1 − 3x² + 2x³, steepest with 1.5 over the stop's length; that gives the length its
@@ -59,17 +59,17 @@ def stopping(settings: Settings, motion: Motion) -> Motion:
     return motion._replace(ramp_s=0.0, ramp_length_s=length)
 
 
-def at_standstill(motion: Motion) -> bool:
+def at_standstill(motion: DesiredMotion) -> bool:
     """Whether the desired motion has come to rest, by the path's end or by a stop."""
     return motion.path is None
 
 
-def advanced(motion: Motion, dt_s: float) -> Motion:
+def advance(motion: DesiredMotion, dt_s: float) -> DesiredMotion:
     """``motion`` after ``dt_s``; at the end of the path or of a stop it holds there."""
     if motion.path is None:
         return motion
     if motion.ramp_s >= 0.0:
-        return _slowed(motion, motion.path, dt_s)
+        return _advance_stop(motion, motion.path, dt_s)
     time_s = motion.time_s + dt_s
     desired, segment = _sampled(motion.path, time_s)
     length_s = motion.path.duration_s if isinstance(motion.path, Approach) else duration(motion.path)
@@ -83,7 +83,7 @@ def _sampled(path: Path | Approach, time_s: float) -> tuple[Desired, int]:
     return (sample_approach(path, time_s), 0) if isinstance(path, Approach) else sample(path, time_s)
 
 
-def _slowed(motion: Motion, path: Path | Approach, dt_s: float) -> Motion:
+def _advance_stop(motion: DesiredMotion, path: Path | Approach, dt_s: float) -> DesiredMotion:
     length = motion.ramp_length_s
     before = motion.ramp_s / length
     after = min(before + dt_s / length, 1.0)

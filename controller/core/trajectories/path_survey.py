@@ -19,7 +19,7 @@ from controller.core.kinematics.denavit_hartenberg import chain
 from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
 from controller.core.kinematics.jacobian import damped_inverse, geometric_jacobian
 from controller.core.kinematics.rotations import Array, matrix_from_quaternion
-from controller.core.settings import Settings
+from controller.core.settings import ScanSettings
 from controller.core.trajectories.paths import Path, segment_motion
 from foundation.compiled import kernel
 from protocol.faults import Reason
@@ -59,7 +59,7 @@ class Survey(NamedTuple):
     peaks: Array
 
 
-def survey(settings: Settings, path: Path, q_start: Array) -> Survey:
+def survey(settings: ScanSettings, path: Path, q_start: Array) -> Survey:
     """The Survey of ``path``, followed on the branch of the joint angles ``q_start``."""
     code, value, limit, peaks = _survey(
         settings.table,

@@ -11,25 +11,25 @@ from plant_emulator.core.mechanics.geometry import rotation_from_vector, transfo
 Matrix = NDArray[np.float64]
 
 
-class View(NamedTuple):
+class CameraView(NamedTuple):
     """Poses (4x4) in W of the left eye and of the tool marker."""
 
     X_WC: Matrix
     X_WM: Matrix
 
 
-class Motion(NamedTuple):
+class CameraMotion(NamedTuple):
     """Velocities of both, (2, 6): velocity in W (m/s), then rotation vector in the body's axes (rad/s)."""
 
     rates: Matrix
 
-    def at(self, view: View, offset_s: float) -> View:
+    def at(self, view: CameraView, offset_s: float) -> CameraView:
         """The view ``offset_s`` after (or, negative, before) the instant of ``view``."""
         X_WC, X_WM = (_moved(X, rate * offset_s) for X, rate in zip(view, self.rates, strict=True))
-        return View(X_WC, X_WM)
+        return CameraView(X_WC, X_WM)
 
 
-STILL = Motion(np.zeros((2, 6)))
+STILL = CameraMotion(np.zeros((2, 6)))
 
 
 class Capture(NamedTuple):
@@ -37,13 +37,13 @@ class Capture(NamedTuple):
 
     frame_id: int
     capture_ns: int
-    view: View
-    motion: Motion
+    view: CameraView
+    motion: CameraMotion
 
 
-def motion_between(before: View, now: View, interval_s: float) -> Motion:
+def motion_between(before: CameraView, now: CameraView, interval_s: float) -> CameraMotion:
     """The motion that carries ``before`` into ``now`` in ``interval_s``."""
-    return Motion(np.stack([_difference(a, b) / interval_s for a, b in zip(before, now, strict=True)]))
+    return CameraMotion(np.stack([_difference(a, b) / interval_s for a, b in zip(before, now, strict=True)]))
 
 
 def _moved(X: Matrix, step: Matrix) -> Matrix:

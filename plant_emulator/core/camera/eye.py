@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.core.camera import panel_painter, rasteriser, wall_painter
-from plant_emulator.core.camera.camera_motion import View
+from plant_emulator.core.camera.camera_motion import CameraView
 from plant_emulator.core.camera.lens import Lens
 from plant_emulator.core.camera.plates import Plate
 from plant_emulator.core.camera.scene import Cover, Scene
@@ -38,7 +38,7 @@ class Eye:
         X_WE = X_WC @ self.X_CE
         return self.lens.project((points - X_WE[:3, 3]) @ X_WE[:3, :3])
 
-    def painted(self, first: View, last: View, covers: Sequence[Cover] = ()) -> Grey:
+    def painted(self, first: CameraView, last: CameraView, covers: Sequence[Cover] = ()) -> Grey:
         """What the eye sees, without point spread and noise; first and last row exposed at the two views.
 
         ``covers`` lie over whatever else is on the wall, or on the tool.

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from plant_emulator.config.scene import CameraConfig, WallConfig
 from plant_emulator.core.camera import rasteriser
-from plant_emulator.core.camera.camera_motion import STILL, Motion, View
+from plant_emulator.core.camera.camera_motion import STILL, CameraMotion, CameraView
 from plant_emulator.core.camera.exposures import Shot
 from plant_emulator.core.camera.eye import Eye
 from plant_emulator.core.camera.lens import Lens
@@ -45,9 +45,11 @@ class StereoCamera:
         grey = generator.standard_normal(rasteriser.NOISE_LENGTH) * config.noise_grey
         self._noise = np.clip(np.rint(grey * rasteriser.NOISE_UNIT), -32768, 32767).astype(np.int16)
 
-    def render(self, X_WC: Matrix, X_WM: Matrix, frame_id: int, motion: Motion = STILL) -> tuple[Grey, Grey]:
+    def render(
+        self, X_WC: Matrix, X_WM: Matrix, frame_id: int, motion: CameraMotion = STILL
+    ) -> tuple[Grey, Grey]:
         """The two eyes' pictures (left, right), each (height, width) uint8."""
-        view = View(X_WC, X_WM)
+        view = CameraView(X_WC, X_WM)
         return self.render_eye(LEFT, view, frame_id, motion), self.render_eye(RIGHT, view, frame_id, motion)
 
     def take(self, shot: Shot) -> tuple[Grey, Grey]:
@@ -60,7 +62,12 @@ class StereoCamera:
         return left, right
 
     def render_eye(
-        self, eye: int, view: View, frame_id: int, motion: Motion = STILL, covers: Sequence[Cover] = ()
+        self,
+        eye: int,
+        view: CameraView,
+        frame_id: int,
+        motion: CameraMotion = STILL,
+        covers: Sequence[Cover] = (),
     ) -> Grey:
         """One eye's picture, (height, width) uint8; ``eye`` is LEFT or RIGHT."""
         samples = self.config.motion_blur_samples

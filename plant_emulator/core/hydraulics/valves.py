@@ -44,15 +44,15 @@ def slew_limited(previous: float, target: float, limit: float, h: float) -> tupl
 
 
 @allocation_free
-def held_gain(release: float, hold: float, wish: float, span: float) -> float:
+def held_gain(release: float, hold: float, pilot: float, span: float) -> float:
     """Gain of a releasing edge in series with a counterbalance valve.
 
-    The latter opens with ``wish`` (Pa) above its setting, fully at ``span`` (Pa).
+    The latter opens with ``pilot`` (Pa) above its setting, fully at ``span`` (Pa).
 
     Two turbulent edges in series pass what one of gain K1 K2 / √(K1² + K2²) would; a closed one holds the
     load.
     """
-    if wish <= 0.0 or release <= 0.0:
+    if pilot <= 0.0 or release <= 0.0:
         return 0.0
-    other = hold * min(wish / span, 1.0)
+    other = hold * min(pilot / span, 1.0)
     return release * other / math.sqrt(release * release + other * other)

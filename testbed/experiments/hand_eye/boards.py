@@ -9,7 +9,7 @@ import numpy as np
 from plant_emulator.config.boards import AnyBoardConfig, CharucoConfig, CheckerboardConfig
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.camera.boards import board_pose
-from plant_emulator.core.camera.camera_motion import View
+from plant_emulator.core.camera.camera_motion import CameraView
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import LEFT, StereoCamera
 from vision_pc.core import se3
@@ -50,7 +50,7 @@ class BoardRenderer:
         )
         X_WC = X_WB @ se3.inverse(X_CB)
         frame_id = int(rng.integers(1 << 40))
-        return shown.render_eye(LEFT, View(X_WC, X_WC @ _BEHIND), frame_id)
+        return shown.render_eye(LEFT, CameraView(X_WC, X_WC @ _BEHIND), frame_id)
 
 
 def _middle(board: Checkerboard | Charuco) -> Array:

@@ -11,7 +11,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from plant_emulator.core.camera.camera_motion import View
+from plant_emulator.core.camera.camera_motion import CameraView
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import LEFT, StereoCamera
 from plant_emulator.core.truth import PlantTruth
@@ -48,7 +48,7 @@ class OpencvSight(PixelSight):
             return
 
         def exposed(number: int, truth: PlantTruth) -> None:
-            left = self._eye.render_eye(LEFT, View(truth.X_WC, truth.X_WM), number)
+            left = self._eye.render_eye(LEFT, CameraView(truth.X_WC, truth.X_WM), number)
             deliver(StereoPair(left, _NO_PICTURE, truth.time_ns + VISION_CLOCK_NS, number))
 
         self._world.on_exposure = exposed

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from controller.config import ControllerConfig
 from controller.core.settings import settings_from
-from controller.core.trajectories.motion import advanced, at_standstill, begun, stopping
+from controller.core.trajectories.motion import advance, at_standstill, start_motion, start_stop
 from controller.core.trajectories.paths import Desired, Path, at_rest, duration, path_from, sample
 from nominal_arm.description import NominalArm
 
@@ -120,16 +120,16 @@ def test_a_stop_slows_along_the_path_without_a_step(
     arm: NominalArm, config: ControllerConfig, when: float
 ) -> None:
     settings_ = settings_from(arm, config)
-    motion = begun(_random_path(5, waypoints=3), 7)
+    motion = start_motion(_random_path(5, waypoints=3), 7)
     dt_s = 0.001
     for _ in range(round(when / dt_s)):
-        motion = advanced(motion, dt_s)
+        motion = advance(motion, dt_s)
     path = motion.path
     assert path is not None
-    motion = stopping(settings_, motion)
+    motion = start_stop(settings_, motion)
     trace = [motion.desired]
     while not at_standstill(motion):
-        motion = advanced(motion, dt_s)
+        motion = advance(motion, dt_s)
         trace.append(motion.desired)
         on_path, _ = sample(path, motion.time_s)
         assert motion.desired.p == pytest.approx(on_path.p, abs=1e-12)
@@ -144,6 +144,6 @@ def test_a_stop_slows_along_the_path_without_a_step(
 
 def test_a_second_stop_changes_nothing(arm: NominalArm, config: ControllerConfig) -> None:
     settings_ = settings_from(arm, config)
-    motion = advanced(begun(_random_path(6), 1), 0.7)
-    once = advanced(stopping(settings_, motion), 0.1)
-    assert stopping(settings_, once) is once
+    motion = advance(start_motion(_random_path(6), 1), 0.7)
+    once = advance(start_stop(settings_, motion), 0.1)
+    assert start_stop(settings_, once) is once

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from foundation.configuration import load
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.camera.camera_motion import View
+from plant_emulator.core.camera.camera_motion import CameraView
 from plant_emulator.core.camera.scene import Scene, rotation_matrix
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.mechanics.geometry import transform
@@ -50,22 +50,22 @@ def shipped_camera() -> StereoCamera:
     return camera()
 
 
-def start_view(scene: Scene, X_BT: Matrix = X_BT_START) -> View:
+def start_view(scene: Scene, X_BT: Matrix = X_BT_START) -> CameraView:
     """Camera and marker with the tool at ``X_BT``."""
     X_WT = scene.mounts.X_WB @ X_BT
-    return View(X_WT @ scene.mounts.X_TC, X_WT @ scene.mounts.X_TM)
+    return CameraView(X_WT @ scene.mounts.X_TC, X_WT @ scene.mounts.X_TM)
 
 
 def wall_view(
     scene: Scene, distance: float, angles_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-) -> View:
+) -> CameraView:
     """The camera ``distance`` metres in front of O, and no tool marker in sight."""
     X_OC = transform(FACING @ rotation_matrix(angles_deg), np.array([0.0, 0.05, distance]))
     X_WC = scene.mounts.X_WO @ X_OC
-    return View(X_WC, X_WC @ transform(FACING, np.array([0.0, 0.0, -1.0])))
+    return CameraView(X_WC, X_WC @ transform(FACING, np.array([0.0, 0.0, -1.0])))
 
 
-def random_view(scene: Scene, generator: np.random.Generator) -> View:
+def random_view(scene: Scene, generator: np.random.Generator) -> CameraView:
     """A random camera 0.5 to 2 m from the wall at any roll, and the tool marker somewhere before it."""
     turn = generator.uniform([-25.0, -25.0, -180.0], [25.0, 25.0, 180.0])
     distance = generator.uniform(0.5, 2.0)
@@ -74,6 +74,6 @@ def random_view(scene: Scene, generator: np.random.Generator) -> View:
     )
     X_WC = scene.mounts.X_WO @ transform(FACING @ rotation_matrix(tuple(turn)), place)
     marker = generator.uniform([-0.25, -0.1, 0.3], [0.25, 0.1, 0.6])
-    return View(
+    return CameraView(
         X_WC, X_WC @ transform(FACING @ rotation_matrix(tuple(generator.uniform(-30, 30, 3))), marker)
     )

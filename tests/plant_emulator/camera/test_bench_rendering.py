@@ -9,7 +9,14 @@ import pytest
 from plant_emulator.core.camera.scene import Plate
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.camera.wall_texture import SIZE, wall_texture
-from tests.plant_emulator.camera.camera_world import CLEAN, Matrix, View, camera, shipped_camera, start_view
+from tests.plant_emulator.camera.camera_world import (
+    CLEAN,
+    CameraView,
+    Matrix,
+    camera,
+    shipped_camera,
+    start_view,
+)
 from tests.plant_emulator.camera.test_corner_accuracy import corner_errors, random_views, rms
 
 LIMIT_MS = 32.0
@@ -35,10 +42,10 @@ class WarpingPeer:
 
     def render(self, X_WC: Matrix, X_WM: Matrix, frame_id: int) -> tuple[np.ndarray, np.ndarray]:
         """A pair."""
-        view = View(X_WC, X_WM)
+        view = CameraView(X_WC, X_WM)
         return self.render_eye(LEFT, view, frame_id), self.render_eye(RIGHT, view, frame_id)
 
-    def render_eye(self, eye: int, view: View, frame_id: int) -> np.ndarray:
+    def render_eye(self, eye: int, view: CameraView, frame_id: int) -> np.ndarray:
         """One picture, no noise."""
         lens, size = self._eyes.eyes[eye].lens, (self.config.width_px, self.config.height_px)
         (fx, fy), (cx, cy) = lens.focal, lens.centre
@@ -99,7 +106,7 @@ def plane(X_EP: Matrix) -> Matrix:
     return np.stack([X_EP[:3, 0], -X_EP[:3, 1], X_EP[:3, 3]], axis=1)
 
 
-def milliseconds_a_pair(eyes: StereoCamera | WarpingPeer, view: View, rounds: int = 40) -> float:
+def milliseconds_a_pair(eyes: StereoCamera | WarpingPeer, view: CameraView, rounds: int = 40) -> float:
     """Median CPU time of one thread for a stereo pair."""
     times = []
     for frame_id in range(rounds):

@@ -11,7 +11,7 @@ from plant_emulator.config.boards import AnyBoardConfig, CabinetConfig
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.camera.boards import board_points, board_pose
 from plant_emulator.core.camera.cabinet import cabinet_front
-from plant_emulator.core.camera.camera_motion import View
+from plant_emulator.core.camera.camera_motion import CameraView
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
@@ -42,7 +42,7 @@ def pictured(
     facing = np.diag([1.0, -1.0, -1.0])
     X_CB = transform(rotation_from_vector(np.radians(turn_deg)) @ facing, np.array(place))
     X_WC = X_WB @ inverse(X_CB)
-    picture = camera.render_eye(eye, View(X_WC, X_WC @ FAR), frame_id=1)
+    picture = camera.render_eye(eye, CameraView(X_WC, X_WC @ FAR), frame_id=1)
     points = board_points(config.boards[0])
     if beside is not None:
         points = points[:, None, :] + beside

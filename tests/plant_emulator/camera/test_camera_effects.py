@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from plant_emulator.core.camera.camera_motion import STILL, Motion, View, motion_between
+from plant_emulator.core.camera.camera_motion import STILL, CameraMotion, CameraView, motion_between
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.camera.wall_texture import SIZE, wall_texture
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
@@ -30,15 +30,15 @@ def clean(**sections: dict[str, Any]) -> StereoCamera:
     )
 
 
-def sideways(speed_m_s: float, turn_rad_s: float = 0.0) -> Motion:
+def sideways(speed_m_s: float, turn_rad_s: float = 0.0) -> CameraMotion:
     """The camera moving along the wall and turning about its y axis, the marker with it."""
-    return Motion(np.array([[0.0, -speed_m_s, 0.0, 0.0, turn_rad_s, 0.0]] * 2))
+    return CameraMotion(np.array([[0.0, -speed_m_s, 0.0, 0.0, turn_rad_s, 0.0]] * 2))
 
 
 def test_motion_carries_one_view_into_the_next() -> None:
     before = start_view(clean_camera().scene)
     turn = rotation_from_vector(np.array([0.01, -0.02, 0.005]))
-    now = View(*(X @ transform(turn, np.array([0.002, 0.001, -0.003])) for X in before))
+    now = CameraView(*(X @ transform(turn, np.array([0.002, 0.001, -0.003])) for X in before))
     motion = motion_between(before, now, 0.02)
     for reached, wanted in zip(motion.at(before, 0.02), now, strict=True):
         assert np.allclose(reached, wanted, atol=1e-12)
@@ -76,7 +76,7 @@ def test_motion_blur_smears_along_the_motion_by_the_way_gone() -> None:
     plain = CLEAN | {"obstacles": [plate], "wall": CLEAN["wall"] | {"contrast_grey": 0.0, "mean_grey": 60.0}}
     exposure = {"motion_blur_samples": 12, "exposure_us": 20_000}
     view = wall_view(clean_camera().scene, 1.0)
-    motion = Motion(np.array([[0.0, -0.8, 0.0, 0.0, 0.0, 0.0], [0.0] * 6]))
+    motion = CameraMotion(np.array([[0.0, -0.8, 0.0, 0.0, 0.0, 0.0], [0.0] * 6]))
     X_WO = clean_camera().scene.mounts.X_WO
     (corner,), _ = clean_camera().project(view.X_WC, (X_WO @ [[-0.55], [0.0], [0.0], [1.0]])[:3].T)
     centre = round(float(corner[0]))
@@ -188,7 +188,7 @@ def test_an_undulating_wall_is_a_rigid_surface(offset: float) -> None:
     z = relief_height(x, y, 0.02, 0.8)
     X_WO = eyes.scene.mounts.X_WO
     straight = wall_view(eyes.scene, 1.1)
-    view = View(straight.X_WC @ transform(np.eye(3), np.array([offset, 0.0, 0.0])), straight.X_WM)
+    view = CameraView(straight.X_WC @ transform(np.eye(3), np.array([offset, 0.0, 0.0])), straight.X_WM)
     points = np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1) @ X_WO[:3, :3].T + X_WO[:3, 3]
     image, _ = eyes.project(view.X_WC, points)
     texture = wall_texture(wall.texture_seed, wall.mean_grey, wall.contrast_grey)[1700:2300, 2100:2750]

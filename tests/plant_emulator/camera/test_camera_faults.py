@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from plant_emulator.core.camera.camera_motion import STILL, Capture, View
+from plant_emulator.core.camera.camera_motion import STILL, CameraView, Capture
 from plant_emulator.core.camera.exposures import Exposures, Shot
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT
 from plant_emulator.core.faults.kinds import (
@@ -41,7 +41,7 @@ def captures(count: int) -> list[Capture]:
     taken = []
     for number in range(1, count + 1):
         taken.append(Capture(number, number * 100, view, STILL))
-        view = View(view.X_WC @ step, view.X_WM @ step)
+        view = CameraView(view.X_WC @ step, view.X_WM @ step)
     return taken
 
 
@@ -188,7 +188,7 @@ def test_the_plant_knows_how_its_camera_moves() -> None:
     before = (now.X_WC, now.X_WM)
     plant.advance(2_000_000)
     after = plant.truth()
-    reached = motion.at(View(*before), 2e-3)
+    reached = motion.at(CameraView(*before), 2e-3)
     for X, Y in zip(reached, (after.X_WC, after.X_WM), strict=True):
         np.testing.assert_allclose(X, Y, atol=2e-5)  # what it accelerates in 2 ms
     assert np.abs(after.X_WC - before[0]).max() > 1e-4

@@ -9,7 +9,14 @@ import pytest
 from plant_emulator.config.scene import LensConfig
 from plant_emulator.core.camera.lens import Lens
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
-from tests.plant_emulator.camera.camera_world import CLEAN, Matrix, View, camera, clean_camera, random_view
+from tests.plant_emulator.camera.camera_world import (
+    CLEAN,
+    CameraView,
+    Matrix,
+    camera,
+    clean_camera,
+    random_view,
+)
 from tests.plant_emulator.camera.corner_oracle import refined_corners
 
 POSES = 200
@@ -17,7 +24,7 @@ LIMIT_PX = 0.02
 _BORDER_PX = 20
 
 
-def corner_errors(eyes: StereoCamera, views: list[View]) -> Matrix:
+def corner_errors(eyes: StereoCamera, views: list[CameraView]) -> Matrix:
     """Found minus projected corners (n, 2) px, left and right eye in turn; hidden markers are left out."""
     errors = []
     for frame_id, view in enumerate(views):
@@ -57,7 +64,7 @@ def rms(errors: Matrix) -> float:
     return float(np.sqrt(np.mean(errors**2)))
 
 
-def random_views(eyes: StereoCamera, count: int, seed: int) -> list[View]:
+def random_views(eyes: StereoCamera, count: int, seed: int) -> list[CameraView]:
     """Seeded random views."""
     generator = np.random.default_rng(seed)
     return [random_view(eyes.scene, generator) for _ in range(count)]

@@ -14,7 +14,7 @@ from plant_emulator.core.mechanics.geometry import transform
 from tests.plant_emulator.camera.camera_world import (
     CLEAN,
     FACING,
-    View,
+    CameraView,
     camera,
     clean_camera,
     shipped_camera,
@@ -32,7 +32,7 @@ def seen_ids(picture: Grey) -> set[int]:
     return set() if ids is None else {int(i) for i in ids.ravel()}
 
 
-def rendered(eyes: StereoCamera, view: View, frame_id: int = 1) -> tuple[Grey, Grey]:
+def rendered(eyes: StereoCamera, view: CameraView, frame_id: int = 1) -> tuple[Grey, Grey]:
     """A stereo pair of ``view``."""
     return eyes.render(view.X_WC, view.X_WM, frame_id)
 
@@ -79,9 +79,9 @@ def test_the_picture_moves_with_the_camera() -> None:
     eyes = clean_camera()
     view = start_view(eyes.scene)
     still = rendered(eyes, view)[LEFT]
-    moved = rendered(eyes, View(view.X_WC @ transform(np.eye(3), np.array([1e-4, 0.0, 0.0])), view.X_WM))[
-        LEFT
-    ]
+    moved = rendered(
+        eyes, CameraView(view.X_WC @ transform(np.eye(3), np.array([1e-4, 0.0, 0.0])), view.X_WM)
+    )[LEFT]
     assert (
         still != moved
     ).mean() > 0.05  # a tenth of a millimetre is a fraction of a grey level, but not nothing
@@ -107,7 +107,7 @@ def test_the_tool_marker_hides_what_is_behind_it() -> None:
     assert 1 in seen_ids(rendered(eyes, view)[LEFT])
     X_CO = np.linalg.inv(view.X_WC) @ eyes.scene.mounts.X_WO
     marker_1 = (X_CO @ [-0.2, 0.0, 0.0, 1.0])[:3]
-    covered = View(view.X_WC, view.X_WC @ transform(FACING, 0.5 * marker_1))
+    covered = CameraView(view.X_WC, view.X_WC @ transform(FACING, 0.5 * marker_1))
     seen = seen_ids(rendered(eyes, covered)[LEFT])
     assert 1 not in seen
     assert 0 in seen
@@ -117,7 +117,7 @@ def test_a_plate_reaches_exactly_as_far_as_its_edge() -> None:
     """Outside the projected plate nothing of the wall changes; inside nothing of it is left."""
     eyes = clean_camera()
     view = start_view(eyes.scene)
-    away = View(view.X_WC, view.X_WC @ transform(FACING, np.array([0.0, 0.0, -1.0])))
+    away = CameraView(view.X_WC, view.X_WC @ transform(FACING, np.array([0.0, 0.0, -1.0])))
     difference = rendered(eyes, view)[LEFT] != rendered(eyes, away)[LEFT]
     tool = eyes.scene.config.tool_marker
     outer = tool.side_m * (1.0 + tool.print_scale_error) / 2.0 + tool.quiet_zone_m
@@ -185,7 +185,7 @@ def test_optical_flow_on_the_noisy_wall_is_the_true_flow(distance: float) -> Non
     """A grid of points tracked over 15 mm of sideways motion lands where projective geometry says."""
     eyes = shipped_camera()
     before = wall_view(eyes.scene, distance, (5.0, -4.0, 2.0))
-    after = View(before.X_WC @ transform(np.eye(3), np.array([0.015, 0.005, 0.0])), before.X_WM)
+    after = CameraView(before.X_WC @ transform(np.eye(3), np.array([0.015, 0.005, 0.0])), before.X_WM)
     first, second = rendered(eyes, before, 1)[LEFT], rendered(eyes, after, 2)[LEFT]
     x, y = np.meshgrid(np.linspace(-0.8, 0.8, 15), np.linspace(-0.45, -0.15, 7))
     X_WO = eyes.scene.mounts.X_WO
@@ -243,12 +243,12 @@ def test_lighting_changes_along_the_wall() -> None:
         assert picture[row, column] == pytest.approx(100.0 * (1.0 + 0.2 * x), abs=1.0)
 
 
-def mount_turned(eyes: StereoCamera, rotation_deg: tuple[float, float, float]) -> View:
+def mount_turned(eyes: StereoCamera, rotation_deg: tuple[float, float, float]) -> CameraView:
     """The start pose with a camera mount turned about its nominal place."""
     X_TC = transform(rotation_matrix(rotation_deg), np.array([-0.20, -0.05, -0.40]))
     view = start_view(eyes.scene)
     X_WT = view.X_WC @ np.linalg.inv(eyes.scene.mounts.X_TC)
-    return View(X_WT @ X_TC, view.X_WM)
+    return CameraView(X_WT @ X_TC, view.X_WM)
 
 
 @pytest.mark.parametrize(

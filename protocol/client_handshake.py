@@ -12,7 +12,7 @@ HELLO_PERIOD_NS = 100_000_000
 HELLOS_PER_NONCE = 10
 
 
-class Greeting:
+class ClientHandshake:
     """Attempts to connect, each under another nonce. ``channel`` carries HELLO, signed if there is a key."""
 
     def __init__(
@@ -49,15 +49,15 @@ class Greeting:
         return Hello(self._nonce, self._capabilities, self._arm_hash, self._state_period_ms)
 
     def answered(
-        self, header: Header, welcome: object, data: bytes, tally: LinkStatistics
+        self, header: Header, welcome: object, data: bytes, statistics: LinkStatistics
     ) -> Channel | Reason | DatagramDropped:
         """The session's channel; or why this one is not to be entered; or why it is no answer to HELLO."""
         if not isinstance(welcome, Welcome) or welcome.client_nonce != self._nonce:
-            return tally.drop("session.unknown", f"session {header.session:x} while connecting")
+            return statistics.drop("session.unknown", f"session {header.session:x} while connecting")
         keys = None
         if self._key:
             keys = self._key.of_client(self._nonce, header.session, welcome.boot_id)
-        forged = unauthentic(data, header, keys.receives if keys else None, tally)
+        forged = unauthentic(data, header, keys.receives if keys else None, statistics)
         if forged:
             return forged
         if header.minor > VERSION_MINOR:

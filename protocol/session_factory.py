@@ -14,7 +14,7 @@ Source = object
 
 
 @dataclass(slots=True)
-class Session:
+class LinkSession:
     """One granted session; ``greeted_ns``, ``next_state_ns``: times of the controller's clock."""
 
     channel: Channel
@@ -30,7 +30,7 @@ class Session:
         return source == self.source and hello.client_nonce == self.welcome.client_nonce
 
 
-class Grants:
+class SessionFactory:
     """Makes the sessions of one controller, from its start on; parameters as those of ReferenceServer."""
 
     def __init__(
@@ -54,14 +54,14 @@ class Grants:
         self._key = key
 
     def grant(
-        self, header: Header, hello: Hello, source: Source, now_ns: int, tally: LinkStatistics
-    ) -> Session:
+        self, header: Header, hello: Hello, source: Source, now_ns: int, statistics: LinkStatistics
+    ) -> LinkSession:
         """The session that ``hello`` opens; its sequence numbers begin with HELLO's."""
         self.count += 1
         number = _session_number(self._boot_id, hello.client_nonce, self.count)
         keys = self._key.of_controller(hello.client_nonce, number, self._boot_id) if self._key else None
         channel = Channel(number, min(header.minor, VERSION_MINOR), self._first_sequence, keys)
-        channel.hear(header, now_ns, None, tally)
+        channel.hear(header, now_ns, None, statistics)
         welcome = Welcome(
             hello.client_nonce,
             hello.capabilities & self._capabilities,
@@ -71,7 +71,7 @@ class Grants:
             self._link_timeout_ms,
             hello.state_period_ms,
         )
-        return Session(channel, source, welcome, header.sent_ns, now_ns, now_ns)
+        return LinkSession(channel, source, welcome, header.sent_ns, now_ns, now_ns)
 
 
 def _session_number(boot_id: int, client_nonce: int, count: int) -> int:

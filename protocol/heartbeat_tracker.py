@@ -11,7 +11,7 @@ FIRST_PERIOD_NS = 10_000_000
 REMEMBERED = 64
 
 
-class EchoClock:
+class HeartbeatTracker:
     """One session's heartbeats; ``now_ns`` is the client's clock throughout."""
 
     def __init__(self, link_timeout_ns: int, now_ns: int) -> None:
