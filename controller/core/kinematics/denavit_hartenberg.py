@@ -49,7 +49,7 @@ def chain(table: Array, q: Array) -> Array:
 
 
 def tool_pose(table: Array, q: Array) -> Array:
-    """X_BT as a homogeneous matrix (4, 4) for six joint angles. Source: (24)."""
+    """X_BT as a homogeneous matrix (4, 4) for six joint angles. Source: (1), (24)."""
     X_BT = np.eye(4)
     X_BT[:3] = chain(table, q)[LINKS]
     return X_BT

@@ -35,6 +35,8 @@ def geometric_jacobian(frames: Array) -> Array:
 def damped_inverse(J: Array, onset: float, damping_max: float) -> tuple[Array, float, float]:
     """The inverse (6, 6), the least singular value σ, and the squared damping λ² that was used.
 
+    Source: (3), q̇ = J⁻¹ ẋ.
+
     λ² = λ_max² (1 − (σ/σ_onset)²) below the onset; exactly 0 at and above it, where the result is J⁻¹ itself.
     Lengths count in metres and turns in radians, so at 1 m of lever both weigh alike.
     """

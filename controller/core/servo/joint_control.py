@@ -14,7 +14,7 @@ from foundation.compiled import kernel
 
 @kernel
 def pt1_step(value: float, target: float, time_constant: float, dt_s: float) -> float:
-    """The output one sample later of G(s) = 1/(τ s + 1), its input ``target`` held over the sample.
+    """The output one sample later of (25), G(s) = 1/(τ s + 1), its input ``target`` held over the sample.
 
     Exact for a zero-order hold: y⁺ = e^(−T/τ) y + (1 − e^(−T/τ)) u. A time constant of 0 passes the input on.
     """

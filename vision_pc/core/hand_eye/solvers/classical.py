@@ -161,7 +161,7 @@ def _park_rotation(motions: Motions) -> Array:
 
 
 def _daniilidis(dual: DualQuaternions) -> Array:
-    """Daniilidis 1999, eq. (31) to (35): the null space of the stacked screw equations, then a quadratic."""
+    """Daniilidis 1999, (31) to (35), Hua et al. 2024, (13) to (16): null space of stacked screw equations."""
     a, b = dual.x[:, 1:], dual.y[:, 1:]
     a_dual, b_dual = dual.x_dual[:, 1:], dual.y_dual[:, 1:]
     S = np.zeros((len(a), 6, 8))

@@ -99,7 +99,7 @@ def published(f: Forms) -> Published:
 
 
 def _relaxed_rotation(form: Array) -> tuple[Relaxation, Array]:
-    """Problem 1 relaxed as published, and g (4,).
+    """Problem 1, (27), relaxed as published, and g (4,).
 
     It is solved a second time in the axes of its own first answer, the unknowns across that answer enlarged
     ten thousand times: the same problem, but the solver's few digits are then digits of what was left.
@@ -123,7 +123,7 @@ def _relaxed_rotation(form: Array) -> tuple[Relaxation, Array]:
 
 
 def _relaxed_translation(form: Array, linear: Array, g: Array) -> tuple[Relaxation, Array]:
-    """Problem 2 relaxed as published, and g' (4,): min g'ᵀ form g' + 2 linearᵀ g' with gᵀg' = 0.
+    """Problem 2, (31), relaxed as published, and g' (4,): min g'ᵀ form g' + 2 linearᵀ g' with gᵀg' = 0.
 
     It is solved a second time around its own first answer, enlarged in the same way.
     """

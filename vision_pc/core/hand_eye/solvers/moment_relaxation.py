@@ -49,7 +49,7 @@ def monomial(*variables: int) -> Exponents:
 
 
 def relaxed(objective: Array, equations: list[Polynomial]) -> Relaxation:
-    """The order-2 relaxation of min [1, x]ᵀ ``objective`` [1, x] (5, 5) under ``equations`` = 0.
+    """The order-2 relaxation, (17) to (24), of min [1, x]ᵀ ``objective`` [1, x] (5, 5), ``equations`` = 0.
 
     Raises MeasurementFailed (``measurement.hand_eye.sdp``) when the solver fails.
     """
