@@ -89,15 +89,15 @@ def update_watch(
 
 def link_lost(settings: ScanSettings, watch: PlantWatch) -> tuple[float, float] | None:
     """Value and limit of what says that the plant does not hear or answer; None while it does."""
-    limits = settings.config.supervision
+    limits = settings.supervision
     if watch.refusal not in (0, _BUSY):
         return float(watch.refusal), 0.0
     if watch.sensors is None:
         return float(watch.missed), 0.0
     if watch.missed > limits.missed_exchanges:
         return float(watch.missed), float(limits.missed_exchanges)
-    if watch.silent_s > limits.silence_ms * 1e-3:
-        return watch.silent_s, limits.silence_ms * 1e-3
+    if watch.silent_s > limits.silence:
+        return watch.silent_s, limits.silence
     if watch.echo_lag > limits.echo_lag_cycles:
         return float(watch.echo_lag), float(limits.echo_lag_cycles)
     return None
@@ -105,5 +105,5 @@ def link_lost(settings: ScanSettings, watch: PlantWatch) -> tuple[float, float] 
 
 def cycle_frozen(settings: ScanSettings, watch: PlantWatch) -> tuple[float, float] | None:
     """Value and limit of a plant that answers but stands still; None while its cycle advances."""
-    limit = settings.config.supervision.frozen_exchanges
+    limit = settings.supervision.frozen_exchanges
     return (float(watch.frozen), float(limit)) if watch.frozen > limit else None

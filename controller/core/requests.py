@@ -5,12 +5,12 @@ Streamed references are answered only when they are refused.
 
 from controller.core.group_states import LIVE, Mode, Stimulus, transition
 from controller.core.plant_watch import link_lost
-from controller.core.references import Refusal, admit
+from controller.core.references.admission import Refusal, admit
+from controller.core.references.streaming import OpenStream, follow, last_approach
 from controller.core.scan_types import NO_FAULT, ScanEvent, ScanInput, ScanState, idle
-from controller.core.servo.streaming import OpenStream, follow, last_approach
 from controller.core.settings import ScanSettings
-from controller.core.supervision import RESTED, SEVERITY, Fault, plant_ready
-from controller.core.trajectories.approach import Approach
+from controller.core.supervision import REACTIONS, RESTED, Fault, plant_ready
+from controller.core.trajectories.approach import ApproachTrajectory
 from controller.core.trajectories.motion import holding, start_motion, start_stop
 from protocol.faults import CommandCode, FaultCode, Reason, Severity
 from protocol.reference_messages import (
@@ -41,7 +41,7 @@ def follow_reference(
     """The state after a streamed reference, and its refusal if it is not followed."""
     step = transition(state.mode, Stimulus.STREAMED)
     if state.stream is None:
-        found: Refusal | tuple[OpenStream, Approach] = Refusal(step.reason, 0.0, 0.0)
+        found: Refusal | tuple[OpenStream, ApproachTrajectory] = Refusal(step.reason, 0.0, 0.0)
     else:
         stands = state.watch.q_meas, state.tool.J_BT
         found = follow(settings, state.stream, state.motion.desired, *stands, arrival, now_ns)
@@ -63,7 +63,7 @@ def enter_mode(settings: ScanSettings, state: ScanState, mode: Mode) -> ScanStat
         servo = idle(state.watch.q_meas)
         state = state._replace(motion=hold, servo=servo, timers=RESTED, settled_s=0.0)
     elif mode in (Mode.STOPPING, Mode.DISABLING, Mode.ERROR_RAMP):
-        state = state._replace(motion=start_stop(settings, state.motion))
+        state = state._replace(motion=start_stop(settings.stop, state.motion))
     elif mode is Mode.DISABLED and state.mode is Mode.ERROR_HELD:
         state = state._replace(fault=NO_FAULT, severity=Severity.NONE)
     return state._replace(mode=mode)
@@ -71,13 +71,7 @@ def enter_mode(settings: ScanSettings, state: ScanState, mode: Mode) -> ScanStat
 
 def react_to_fault(settings: ScanSettings, state: ScanState, fault: Fault) -> tuple[ScanState, ScanEvent]:
     """``state`` after ``fault``: the reaction follows the gravest, the latched cause stays the first."""
-    severity = SEVERITY[fault.code]
-    if fault.code is FaultCode.EMERGENCY_STOP:
-        stimulus = Stimulus.EMERGENCY_STOP
-    elif fault.code is FaultCode.REFERENCE_STALE:  # the arm was slowed down while it waited
-        stimulus = Stimulus.FAULT_EMERGENCY
-    else:
-        stimulus = Stimulus.FAULT_STOP if severity is Severity.STOP else Stimulus.FAULT_EMERGENCY
+    severity, stimulus = REACTIONS[fault.code]
     state = enter_mode(settings, state, transition(state.mode, stimulus).mode)
     if state.fault.code is FaultCode.NONE:
         state = state._replace(fault=fault)

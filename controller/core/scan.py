@@ -9,6 +9,7 @@ import numpy as np
 from controller.core.group_states import GROUP_STATE, Mode, Stimulus, transition
 from controller.core.kinematics.rotations import Array
 from controller.core.plant_watch import cycle_frozen, link_lost, update_watch
+from controller.core.references.streaming import at_pace, pace, silence, update_fade
 from controller.core.requests import answer_request, enter_mode, follow_reference, is_live, react_to_fault
 from controller.core.scan_types import (
     ControllerView,
@@ -19,12 +20,11 @@ from controller.core.scan_types import (
     Sextuple,
     idle,
 )
-from controller.core.servo.drives import full_spool_speeds, load_pressures
+from controller.core.servo.drives import Circuit, full_spool_speeds, load_pressures
 from controller.core.servo.joint_control import JointFilters, valve_commands
 from controller.core.servo.pose_servo import resolve, tool_state
-from controller.core.servo.streaming import at_pace, pace, silence, update_fade
 from controller.core.settings import ScanSettings
-from controller.core.supervision import Fault, ServoOutput, first_fault, update_timers
+from controller.core.supervision import Evidence, Fault, ServoOutput, first_fault, update_timers
 from controller.core.trajectories.motion import advance, at_standstill
 from protocol.faults import FaultCode
 from protocol.pose import Pose
@@ -85,7 +85,8 @@ def _supervise(
     speed = float(np.linalg.norm(state.tool.J_BT[:3] @ state.watch.qd_meas))
     timers = update_timers(settings, state.timers, state.watch, state.servo, speed, inputs.dt_s)
     state = state._replace(timers=timers)
-    fault = first_fault(settings, state.watch, timers, state.servo, state.tool.p_BT, speed, inputs.dt_s)
+    evidence = Evidence(settings, state.watch, timers, state.servo, state.tool.p_BT, speed, inputs.dt_s)
+    fault = first_fault(evidence)
     if fault is not None:
         state, event = react_to_fault(settings, state, fault)
         events.append(event)
@@ -154,8 +155,8 @@ def _drive_valves(
         state, event = react_to_fault(settings, state, Fault(FaultCode.NUMERIC, float("nan"), 0.0))
         events.append(event)
         return _centre_valves(settings, state)
-    tolerance = settings.config.settled.tolerance_mrad * 1e-3
-    inside = state.motion.path is None and bool(np.abs(resolved.q_error).max() <= tolerance)
+    error = np.abs(resolved.q_error).max()
+    inside = state.motion.path is None and bool(error <= settings.settled.tolerance)
     return state._replace(
         servo=ServoOutput(q_cmd, resolved.qd_cmd, share * valves, state.motion.desired.v),
         filters=filters,
@@ -168,12 +169,12 @@ def _load(settings: ScanSettings, state: ScanState) -> Array:
     return state.filters.load if sensors is None else load_pressures(settings.drives, sensors.pressures_bar)
 
 
-def _circuit(settings: ScanSettings, state: ScanState) -> Array:
-    """Supply, return and slow load pressures (bar), or the rated ones when no compensation is wanted."""
+def _circuit(settings: ScanSettings, state: ScanState) -> Circuit:
+    """The circuit with slow load pressures, or the rated one when no compensation is wanted."""
     sensors = state.watch.sensors
-    if sensors is None or not settings.config.joint_control.load_compensation:
+    if sensors is None or not settings.load_compensation:
         return settings.rated
-    return np.array([sensors.supply_bar, sensors.return_bar, *state.filters.load])
+    return Circuit(sensors.supply_bar, sensors.return_bar, state.filters.load)
 
 
 def _centre_valves(settings: ScanSettings, state: ScanState) -> ScanState:
@@ -206,7 +207,7 @@ def _pose(p: np.ndarray, quaternion: np.ndarray) -> Pose:
 def _view(settings: ScanSettings, state: ScanState, now_ns: int) -> ControllerView:
     watch, motion = state.watch, state.motion
     healthy = link_lost(settings, watch) is None and cycle_frozen(settings, watch) is None
-    settled = state.mode is Mode.STANDBY and state.settled_s * 1e3 >= settings.config.settled.time_ms
+    settled = state.mode is Mode.STANDBY and state.settled_s >= settings.settled.time
     flags = (
         (FLAG_PLANT_LINK_OK if healthy else 0)
         | (FLAG_EMERGENCY_LATCHED if state.mode is Mode.EMERGENCY else 0)

@@ -7,9 +7,9 @@ import numpy as np
 from controller.core.group_states import Mode
 from controller.core.kinematics.rotations import Array
 from controller.core.plant_watch import PlantRefusal, PlantWatch, unseen
+from controller.core.references.streaming import OpenStream
 from controller.core.servo.joint_control import JointFilters
 from controller.core.servo.pose_servo import ToolState, tool_state
-from controller.core.servo.streaming import OpenStream
 from controller.core.settings import ScanSettings
 from controller.core.supervision import RESTED, Fault, ServoOutput, Timers
 from controller.core.trajectories.motion import DesiredMotion, holding
@@ -100,7 +100,7 @@ class ScanState(NamedTuple):
     """What a scan leaves to the next. Arrays are never written to.
 
     ``fault``: the first one since the last reset. ``settled_s``: how long the arm has been inside the
-    tolerance. ``stream``: the open one, None in every mode but STREAMING. ``fade``: see streaming.faded.
+    tolerance. ``stream``: the open one, None in every mode but STREAMING. ``fade``: see ``update_fade``.
     """
 
     cycle: int

@@ -1,4 +1,4 @@
-"""The controller's configuration in the units and arrays that a scan works with."""
+"""The controller's configuration as a scan works with it: SI and radians, pressures in bar, typed fields."""
 
 import math
 from dataclasses import dataclass
@@ -9,10 +9,33 @@ import numpy as np
 from controller.config import ControllerConfig
 from controller.core.kinematics.denavit_hartenberg import dh_table
 from controller.core.kinematics.rotations import Array
-from controller.core.servo.drives import drive_table, unloaded
+from controller.core.servo.drives import Circuit, Drives, drive_table, unloaded
 from controller.core.servo.joint_control import JointGains
+from controller.core.servo.pose_servo import ServoGains
 from controller.core.trajectories.approach import AxisLimits
+from controller.core.trajectories.motion import StopLimits
+from controller.core.trajectories.path_survey import PlanningLimits
+from controller.core.trajectories.workspace import Workspace, widened
 from nominal_arm.description import NominalArm
+
+_MS = 1e-3
+_MRAD = 1e-3
+
+
+class MotionLimits(NamedTuple):
+    """What bounds planned motion: tool speeds, accelerations, durations (s), way to the first point (m)."""
+
+    speed: float
+    acceleration: float
+    turn_speed: float
+    turn_acceleration: float
+    duration_min: float
+    duration_max: float
+    first_point_distance: float
+
+    def of_peaks(self) -> Array:
+        """The limits (5,) of the columns of ``Survey.peaks``."""
+        return np.array([self.speed, self.acceleration, self.turn_speed, self.turn_acceleration, 1.0])
 
 
 class StreamLimits(NamedTuple):
@@ -34,78 +57,126 @@ class StreamLimits(NamedTuple):
     recovery_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class ScanSettings:
-    """Constants of a scan: SI and radians; arrays are never written to.
+class SettledLimits(NamedTuple):
+    """The arm counts as settled inside this joint-equivalent error (rad) for this time (s)."""
 
-    ``servo_gains``: as ``pose_servo.resolve`` takes them. ``workspace``: (7,) x, y, z intervals and least
-    radius.
-    ``planned_range``: (2, 6) joint range less the margin; ``joint_range`` (2, 6) the range itself.
-    ``motion_limits``: (4,) TCP speed, acceleration, turning speed, turning acceleration.
+    tolerance: float
+    time: float
+
+
+class SupervisionLimits(NamedTuple):
+    """When the controller stops by itself: exchanges and cycles, s, rad, m, m/s, bar where it says so.
+
+    ``overtravel_range`` (2, 6): joint angles beyond which no joint may be driven further out;
+    ``workspace``: the tool's, likewise. ``following_error``: (6,) rad.
     """
 
-    config: ControllerConfig
+    missed_exchanges: int
+    silence: float
+    frozen_exchanges: int
+    echo_lag_cycles: int
+    overrun: float
+    following_error: Array
+    encoder_jump: float
+    encoder_stuck_valve: float
+    encoder_stuck: float
+    overspeed: float
+    overspeed_time: float
+    supply_min_bar: float
+    supply_low: float
+    valves_enable: float
+    overtravel_range: Array
+    workspace: Workspace
+
+
+@dataclass(frozen=True, slots=True)
+class ScanSettings:
+    """Constants of a scan; arrays are never written to. ``rated``: the circuit of the drives' speeds.
+
+    ``load_compensation``: whether the drives' speeds are taken at the present circuit.
+    """
+
     cycle_s: float
     table: Array
-    drives: Array
-    rated: Array
-    servo_gains: Array
+    drives: Drives
+    rated: Circuit
+    load_compensation: bool
+    servo_gains: ServoGains
     joint_gains: JointGains
-    joint_range: Array
-    planned_range: Array
-    joint_speeds: Array
-    motion_limits: Array
+    planning: PlanningLimits
+    motion: MotionLimits
+    stop: StopLimits
     streaming: StreamLimits
-    workspace: Array
-    following_error: Array
+    settled: SettledLimits
+    supervision: SupervisionLimits
 
 
 def settings_from(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
-    """The Settings that ``arm`` and ``config`` describe."""
-    servo, joint, motion = config.pose_servo, config.joint_control, config.motion
+    """The ScanSettings that ``arm`` and ``config`` describe."""
+    motion, settled = config.motion, config.settled
+    table, space = dh_table(arm.dh), arm.workspace
+    low, high = np.transpose([space.x_m, space.y_m, space.z_m])
+    workspace = Workspace(low.copy(), high.copy(), space.radius_min_m)
     joint_range = np.radians([[j.lower_deg for j in arm.joints], [j.upper_deg for j in arm.joints]])
     margin = math.radians(motion.joint_margin_deg)
-    tau = joint.pt1_time_constant_ms * 1e-3
-    space = arm.workspace
     return ScanSettings(
-        config=config,
-        cycle_s=config.cycle_ms * 1e-3,
-        table=dh_table(arm.dh),
+        cycle_s=config.cycle_ms * _MS,
+        table=table,
         drives=drive_table(arm.drives),
         rated=unloaded(arm.rated),
-        servo_gains=np.array(
-            [
-                servo.position_gain_1_s,
-                servo.orientation_gain_1_s,
-                servo.dead_zone_mrad * 1e-3,
-                servo.damping_onset,
-                servo.damping_max,
-            ]
+        load_compensation=config.joint_control.load_compensation,
+        servo_gains=_servo_gains(config),
+        joint_gains=_joint_gains(config),
+        planning=PlanningLimits(
+            table=table,
+            planned_range=joint_range + np.array([[margin], [-margin]]),
+            joint_speeds=np.radians([j.speed_deg_s for j in arm.joints]),
+            workspace=workspace,
+            singular_value_min=motion.singular_value_min,
         ),
-        joint_gains=JointGains(
-            gain=np.array(joint.gain_1_s),
-            time_constant=np.array([0.0, tau, tau, 0.0, 0.0, 0.0]),  # (25) is for lift and tilt alone
-            feed_forward=joint.feed_forward,
-            damping=np.array(joint.pressure_damping_mrad_s_bar) * 1e-3,
-            high_pass=joint.pressure_high_pass_ms * 1e-3,
-            deadband=np.array(joint.deadband_compensation),
-            blend=joint.deadband_blend,
-            limit=joint.valve_limit,
+        motion=MotionLimits(
+            speed=motion.speed_m_s,
+            acceleration=motion.acceleration_m_s2,
+            turn_speed=math.radians(motion.turn_speed_deg_s),
+            turn_acceleration=math.radians(motion.turn_acceleration_deg_s2),
+            duration_min=motion.duration_min_s,
+            duration_max=motion.duration_max_s,
+            first_point_distance=motion.first_point_distance_m,
         ),
-        joint_range=joint_range,
-        planned_range=joint_range + np.array([[margin], [-margin]]),
-        joint_speeds=np.radians([j.speed_deg_s for j in arm.joints]),
-        motion_limits=np.array(
-            [
-                motion.speed_m_s,
-                motion.acceleration_m_s2,
-                math.radians(motion.turn_speed_deg_s),
-                math.radians(motion.turn_acceleration_deg_s2),
-            ]
+        stop=StopLimits(
+            acceleration=motion.stop_acceleration_m_s2,
+            turn_acceleration=math.radians(motion.stop_turn_acceleration_deg_s2),
+            time_min=motion.stop_min_s,
         ),
         streaming=_stream_limits(config),
-        workspace=np.array([*space.x_m, *space.y_m, *space.z_m, space.radius_min_m]),
-        following_error=np.radians(config.supervision.following_error_deg),
+        settled=SettledLimits(settled.tolerance_mrad * _MRAD, settled.time_ms * _MS),
+        supervision=_supervision_limits(config, joint_range, workspace),
+    )
+
+
+def _servo_gains(config: ControllerConfig) -> ServoGains:
+    servo = config.pose_servo
+    return ServoGains(
+        position=servo.position_gain_1_s,
+        orientation=servo.orientation_gain_1_s,
+        dead_zone=servo.dead_zone_mrad * _MRAD,
+        damping_onset=servo.damping_onset,
+        damping_max=servo.damping_max,
+    )
+
+
+def _joint_gains(config: ControllerConfig) -> JointGains:
+    joint = config.joint_control
+    tau = joint.pt1_time_constant_ms * _MS
+    return JointGains(
+        gain=np.array(joint.gain_1_s),
+        time_constant=np.array([0.0, tau, tau, 0.0, 0.0, 0.0]),  # (25) is for lift and tilt alone
+        feed_forward=joint.feed_forward,
+        damping=np.array(joint.pressure_damping_mrad_s_bar) * _MRAD,
+        high_pass=joint.pressure_high_pass_ms * _MS,
+        deadband=np.array(joint.deadband_compensation),
+        blend=joint.deadband_blend,
+        limit=joint.valve_limit,
     )
 
 
@@ -116,7 +187,7 @@ def _stream_limits(config: ControllerConfig) -> StreamLimits:
     def axes(linear: float, turning_deg: float) -> Array:
         return share * np.repeat([linear, math.radians(turning_deg)], 3)
 
-    close_s, ramp_s = config.stream_close_ms * 1e-3, stream.ramp_ms * 1e-3
+    close_s, ramp_s = config.stream_close_ms * _MS, stream.ramp_ms * _MS
     return StreamLimits(
         axes=AxisLimits(
             axes(stream.speed_m_s, stream.turn_speed_deg_s),
@@ -125,10 +196,35 @@ def _stream_limits(config: ControllerConfig) -> StreamLimits:
         ),
         distance_m=stream.distance_m,
         turn_rad=math.radians(stream.turn_deg),
-        max_age_s=stream.max_age_ms * 1e-3,
-        first_s=stream.first_reference_ms * 1e-3,
+        max_age_s=stream.max_age_ms * _MS,
+        first_s=stream.first_reference_ms * _MS,
         slow_s=close_s - ramp_s,
         close_s=close_s,
         ramp_s=ramp_s,
-        recovery_s=stream.recovery_ms * 1e-3,
+        recovery_s=stream.recovery_ms * _MS,
+    )
+
+
+def _supervision_limits(
+    config: ControllerConfig, joint_range: Array, workspace: Workspace
+) -> SupervisionLimits:
+    watch = config.supervision
+    over = math.radians(watch.joint_overtravel_deg)
+    return SupervisionLimits(
+        missed_exchanges=watch.missed_exchanges,
+        silence=watch.silence_ms * _MS,
+        frozen_exchanges=watch.frozen_exchanges,
+        echo_lag_cycles=watch.echo_lag_cycles,
+        overrun=watch.overrun_ms * _MS,
+        following_error=np.radians(watch.following_error_deg),
+        encoder_jump=math.radians(watch.encoder_jump_deg),
+        encoder_stuck_valve=watch.encoder_stuck_valve,
+        encoder_stuck=watch.encoder_stuck_ms * _MS,
+        overspeed=watch.overspeed_m_s,
+        overspeed_time=watch.overspeed_ms * _MS,
+        supply_min_bar=watch.supply_min_bar,
+        supply_low=watch.supply_low_ms * _MS,
+        valves_enable=watch.valves_enable_ms * _MS,
+        overtravel_range=joint_range + np.array([[-over], [over]]),
+        workspace=widened(workspace, watch.workspace_margin_m),
     )

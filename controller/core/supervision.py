@@ -1,18 +1,20 @@
 """Faults: what the controller watches while it drives the valves, and how it reacts to each.
 
-Source: the fault cases of a safe reference link: ramp down or centre the valves, drop the enable, latch
-the first cause.
+FAULTS has one row a fault: what gives it away with which limit, and the reaction. Every reaction drops the
+enable in the end; the first cause is latched.
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from controller.core.group_states import Stimulus
 from controller.core.kinematics.rotations import Array
 from controller.core.plant_watch import PlantWatch, cycle_frozen, link_lost
 from controller.core.settings import ScanSettings
-from controller.core.trajectories.path_survey import outside
+from controller.core.trajectories.workspace import outside
 from protocol.faults import FaultCode, Severity
 from protocol.process_image import (
     STATUS_SENSOR_FAULT,
@@ -21,14 +23,10 @@ from protocol.process_image import (
     STATUS_WATCHDOG_TRIPPED,
 )
 
-# STOP: the servo is trusted to ramp down before the valves are centred. All others: centred in the same scan.
-SEVERITY = dict.fromkeys(FaultCode, Severity.EMERGENCY) | {
-    FaultCode.NONE: Severity.NONE,
-    FaultCode.REFERENCE_LINK_LOST: Severity.STOP,
-    FaultCode.JOINT_LIMIT: Severity.STOP,
-    FaultCode.WORKSPACE_LIMIT: Severity.STOP,
-    FaultCode.REFERENCE_STALE: Severity.STOP,
-}
+_PA_PER_BAR = 1e5
+_AHEAD_S = 0.1  # a tool outside the workspace that is nearer to it after this time comes back
+
+ValueAndLimit = tuple[float, float]
 
 
 class Fault(NamedTuple):
@@ -52,12 +50,41 @@ RESTED = Timers(0.0, 0.0, 0.0, (0.0,) * 6)
 
 
 class ServoOutput(NamedTuple):
-    """What the servo did in the last scan; supervision judges the plant's answer against it."""
+    """What the servo commanded in the last scan; supervision judges the plant's answer against it."""
 
     q_cmd: Array
     qd_cmd: Array
     valves: Array
     v_desired: Array
+
+
+class Evidence(NamedTuple):
+    """What one scan is judged by. ``p_BT`` (3,) and ``speed`` (m/s) are the tool's."""
+
+    settings: ScanSettings
+    watch: PlantWatch
+    timers: Timers
+    servo: ServoOutput
+    p_BT: Array
+    speed: float
+    dt_s: float
+
+
+class Reaction(NamedTuple):
+    """The severity that is reported, and what happens to the group's state."""
+
+    severity: Severity
+    stimulus: Stimulus
+
+
+class FaultRow(NamedTuple):
+    """One fault. ``found``: value and limit while the fault is present, else None; where there is no such
+    function, the scan finds the fault elsewhere (a command, a silent link).
+    """
+
+    code: FaultCode
+    reaction: Reaction
+    found: Callable[[Evidence], ValueAndLimit | None] | None = None
 
 
 def plant_ready(settings: ScanSettings, watch: PlantWatch) -> bool:
@@ -68,7 +95,7 @@ def plant_ready(settings: ScanSettings, watch: PlantWatch) -> bool:
     return bool(
         status & STATUS_SUPPLY_ON
         and not status & (STATUS_SENSOR_FAULT | STATUS_WATCHDOG_TRIPPED)
-        and watch.sensors.supply_bar >= settings.config.supervision.supply_min_bar
+        and watch.sensors.supply_bar >= settings.supervision.supply_min_bar
     )
 
 
@@ -76,7 +103,7 @@ def update_timers(
     settings: ScanSettings, timers: Timers, watch: PlantWatch, servo: ServoOutput, speed: float, dt_s: float
 ) -> Timers:
     """``timers`` after a scan with the valves live; ``speed`` is the tool's (m/s)."""
-    limits, sensors = settings.config.supervision, watch.sensors
+    limits, sensors = settings.supervision, watch.sensors
     if sensors is None:
         return timers
     enabled = sensors.status & STATUS_VALVES_ENABLED
@@ -85,7 +112,7 @@ def update_timers(
     return Timers(
         timers.supply_low + dt_s if low else 0.0,
         0.0 if enabled else timers.not_enabled + dt_s,
-        timers.overspeed + dt_s if speed > limits.overspeed_m_s else 0.0,
+        timers.overspeed + dt_s if speed > limits.overspeed else 0.0,
         tuple(
             stuck + dt_s if is_still else 0.0
             for stuck, is_still in zip(timers.stuck, still.tolist(), strict=True)
@@ -93,86 +120,124 @@ def update_timers(
     )
 
 
-def first_fault(
-    settings: ScanSettings,
-    watch: PlantWatch,
-    timers: Timers,
-    servo: ServoOutput,
-    p_BT: Array,
-    speed: float,
-    dt_s: float,
-) -> Fault | None:
+def first_fault(evidence: Evidence) -> Fault | None:
     """The gravest fault present, None when all is well; to be asked while the valves are live."""
-    return (
-        _of_links(settings, watch, dt_s)
-        or _of_plant(settings, watch, timers)
-        or _of_joints(settings, watch, timers, servo)
-        or _of_tool(settings, timers, servo, p_BT, speed)
-    )
+    for row in FAULTS:
+        if row.found is not None:
+            found = row.found(evidence)
+            if found is not None:
+                return Fault(row.code, *found)
+    return None
 
 
-def _of_links(settings: ScanSettings, watch: PlantWatch, dt_s: float) -> Fault | None:
-    limit = settings.config.supervision.overrun_ms * 1e-3
-    if dt_s > limit:
-        return Fault(FaultCode.OVERRUN, dt_s, limit)
-    lost = link_lost(settings, watch)
-    if lost is not None:
-        return Fault(FaultCode.PLANT_LINK_LOST, *lost)
-    frozen = cycle_frozen(settings, watch)
-    return None if frozen is None else Fault(FaultCode.PLANT_CYCLE_FROZEN, *frozen)
+def _above(value: float, limit: float) -> ValueAndLimit | None:
+    return (value, limit) if value > limit else None
 
 
-def _of_plant(settings: ScanSettings, watch: PlantWatch, timers: Timers) -> Fault | None:
-    limits, sensors = settings.config.supervision, watch.sensors
-    if sensors is None:
+def _overrun(e: Evidence) -> ValueAndLimit | None:
+    return _above(e.dt_s, e.settings.supervision.overrun)
+
+
+def _link_lost(e: Evidence) -> ValueAndLimit | None:
+    return link_lost(e.settings, e.watch)
+
+
+def _frozen(e: Evidence) -> ValueAndLimit | None:
+    return cycle_frozen(e.settings, e.watch)
+
+
+def _status(e: Evidence, bit: int) -> ValueAndLimit | None:
+    sensors = e.watch.sensors
+    return (float(sensors.status), 0.0) if sensors is not None and sensors.status & bit else None
+
+
+def _tripped(e: Evidence) -> ValueAndLimit | None:
+    return _status(e, STATUS_WATCHDOG_TRIPPED)
+
+
+def _sensor_fault(e: Evidence) -> ValueAndLimit | None:
+    return _status(e, STATUS_SENSOR_FAULT)
+
+
+def _supply_low(e: Evidence) -> ValueAndLimit | None:
+    limits, sensors = e.settings.supervision, e.watch.sensors
+    if sensors is None or e.timers.supply_low <= limits.supply_low:
         return None
-    if sensors.status & STATUS_WATCHDOG_TRIPPED:
-        return Fault(FaultCode.PLANT_WATCHDOG, float(sensors.status), 0.0)
-    if sensors.status & STATUS_SENSOR_FAULT:
-        return Fault(FaultCode.PLANT_STATUS, float(sensors.status), 0.0)
-    if timers.supply_low * 1e3 > limits.supply_low_ms:
-        return Fault(FaultCode.SUPPLY_PRESSURE_LOST, sensors.supply_bar * 1e5, limits.supply_min_bar * 1e5)
-    if timers.not_enabled * 1e3 > limits.valves_enable_ms:
-        return Fault(FaultCode.PLANT_STATUS, timers.not_enabled, limits.valves_enable_ms * 1e-3)
-    return None
+    return sensors.supply_bar * _PA_PER_BAR, limits.supply_min_bar * _PA_PER_BAR
 
 
-def _of_joints(settings: ScanSettings, watch: PlantWatch, timers: Timers, servo: ServoOutput) -> Fault | None:
-    limits = settings.config.supervision
-    if not (np.isfinite(servo.q_cmd).all() and np.isfinite(servo.valves).all()):
-        return Fault(FaultCode.NUMERIC, math.nan, 0.0)
-    jump, most = float(np.abs(watch.turned).max()), math.radians(limits.encoder_jump_deg)
-    if jump > most:
-        return Fault(FaultCode.ENCODER_JUMP, jump, most)
-    if max(timers.stuck) * 1e3 > limits.encoder_stuck_ms:
-        return Fault(FaultCode.ENCODER_STUCK, max(timers.stuck), limits.encoder_stuck_ms * 1e-3)
-    behind = np.abs(servo.q_cmd - watch.q_meas)
-    worst = int((behind / settings.following_error).argmax())
-    if behind[worst] > settings.following_error[worst]:
-        return Fault(FaultCode.FOLLOWING_ERROR, float(behind[worst]), float(settings.following_error[worst]))
-    over = math.radians(limits.joint_overtravel_deg)
-    lower, upper = settings.joint_range[0] - over, settings.joint_range[1] + over
-    outward = ((watch.q_meas < lower) & (servo.qd_cmd < 0.0)) | (
-        (watch.q_meas > upper) & (servo.qd_cmd > 0.0)
-    )
-    if outward.any():
-        i = int(outward.argmax())
-        limit = lower[i] if watch.q_meas[i] < lower[i] else upper[i]
-        return Fault(FaultCode.JOINT_LIMIT, float(watch.q_meas[i]), float(limit))
-    return None
+def _not_enabled(e: Evidence) -> ValueAndLimit | None:
+    return _above(e.timers.not_enabled, e.settings.supervision.valves_enable)
 
 
-def _of_tool(
-    settings: ScanSettings, timers: Timers, servo: ServoOutput, p_BT: Array, speed: float
-) -> Fault | None:
-    limits = settings.config.supervision
-    if timers.overspeed * 1e3 > limits.overspeed_ms:
-        return Fault(FaultCode.OVERSPEED, speed, limits.overspeed_m_s)
-    margin = limits.workspace_margin_m
-    wide = settings.workspace + margin * np.array([-1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
-    value, limit = outside(wide, p_BT)
-    if value != limit:
-        ahead, bound = outside(wide, p_BT + 0.1 * servo.v_desired)
-        if abs(ahead - bound) > abs(value - limit):  # a tool that stands outside may come back
-            return Fault(FaultCode.WORKSPACE_LIMIT, value, limit)
-    return None
+def _not_finite(e: Evidence) -> ValueAndLimit | None:
+    finite = np.isfinite(e.servo.q_cmd).all() and np.isfinite(e.servo.valves).all()
+    return None if finite else (math.nan, 0.0)
+
+
+def _jumped(e: Evidence) -> ValueAndLimit | None:
+    return _above(float(np.abs(e.watch.turned).max()), e.settings.supervision.encoder_jump)
+
+
+def _stuck(e: Evidence) -> ValueAndLimit | None:
+    return _above(max(e.timers.stuck), e.settings.supervision.encoder_stuck)
+
+
+def _behind(e: Evidence) -> ValueAndLimit | None:
+    limits = e.settings.supervision.following_error
+    behind = np.abs(e.servo.q_cmd - e.watch.q_meas)
+    worst = int((behind / limits).argmax())
+    return _above(float(behind[worst]), float(limits[worst]))
+
+
+def _overtravel(e: Evidence) -> ValueAndLimit | None:
+    (lower, upper), q, qd = e.settings.supervision.overtravel_range, e.watch.q_meas, e.servo.qd_cmd
+    outward = ((q < lower) & (qd < 0.0)) | ((q > upper) & (qd > 0.0))
+    if not outward.any():
+        return None
+    i = int(outward.argmax())
+    return float(q[i]), float(lower[i] if q[i] < lower[i] else upper[i])
+
+
+def _overspeed(e: Evidence) -> ValueAndLimit | None:
+    limits = e.settings.supervision
+    return (e.speed, limits.overspeed) if e.timers.overspeed > limits.overspeed_time else None
+
+
+def _leaves(e: Evidence) -> ValueAndLimit | None:
+    space = e.settings.supervision.workspace
+    value, limit = outside(space, e.p_BT)
+    if value == limit:
+        return None
+    ahead, bound = outside(space, e.p_BT + _AHEAD_S * e.servo.v_desired)
+    return (value, limit) if abs(ahead - bound) > abs(value - limit) else None
+
+
+# The servo is trusted to ramp down before the valves are centred.
+_RAMP = Reaction(Severity.STOP, Stimulus.FAULT_STOP)
+# The arm was slowed down while it waited: its ramp is over.
+_RAMPED = Reaction(Severity.STOP, Stimulus.FAULT_EMERGENCY)
+# The valves are centred in the same scan.
+_CENTRE = Reaction(Severity.EMERGENCY, Stimulus.FAULT_EMERGENCY)
+
+# The gravest first.
+FAULTS = (
+    FaultRow(FaultCode.EMERGENCY_STOP, Reaction(Severity.EMERGENCY, Stimulus.EMERGENCY_STOP)),
+    FaultRow(FaultCode.OVERRUN, _CENTRE, _overrun),
+    FaultRow(FaultCode.PLANT_LINK_LOST, _CENTRE, _link_lost),
+    FaultRow(FaultCode.PLANT_CYCLE_FROZEN, _CENTRE, _frozen),
+    FaultRow(FaultCode.PLANT_WATCHDOG, _CENTRE, _tripped),
+    FaultRow(FaultCode.PLANT_STATUS, _CENTRE, _sensor_fault),
+    FaultRow(FaultCode.SUPPLY_PRESSURE_LOST, _CENTRE, _supply_low),
+    FaultRow(FaultCode.PLANT_STATUS, _CENTRE, _not_enabled),
+    FaultRow(FaultCode.NUMERIC, _CENTRE, _not_finite),
+    FaultRow(FaultCode.ENCODER_JUMP, _CENTRE, _jumped),
+    FaultRow(FaultCode.ENCODER_STUCK, _CENTRE, _stuck),
+    FaultRow(FaultCode.FOLLOWING_ERROR, _CENTRE, _behind),
+    FaultRow(FaultCode.JOINT_LIMIT, _RAMP, _overtravel),
+    FaultRow(FaultCode.OVERSPEED, _CENTRE, _overspeed),
+    FaultRow(FaultCode.WORKSPACE_LIMIT, _RAMP, _leaves),
+    FaultRow(FaultCode.REFERENCE_LINK_LOST, _RAMP),
+    FaultRow(FaultCode.REFERENCE_STALE, _RAMPED),
+)
+REACTIONS = {row.code: row.reaction for row in FAULTS}

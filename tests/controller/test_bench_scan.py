@@ -9,7 +9,7 @@ import pytest
 from controller.config import ControllerConfig
 from controller.core.kinematics.denavit_hartenberg import JOINTS, LINKS
 from controller.core.kinematics.rotations import Array
-from controller.core.references import admit
+from controller.core.references.admission import admit
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput
 from controller.core.servo.pose_servo import tool_state

@@ -85,7 +85,7 @@ def test_a_joint_beyond_its_range_names_angle_and_limit(bench: Bench, settings: 
     answer = bench.refer(_turned(bench.last.view.X_BT, 2, math.radians(100.0)))
     assert answer.reason is Reason.JOINT_LIMIT
     assert abs(answer.value) > abs(answer.limit)
-    assert answer.limit in settings.planned_range
+    assert answer.limit in settings.planning.planned_range
     _assert_nothing_moves(bench)
 
 

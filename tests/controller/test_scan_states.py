@@ -130,7 +130,7 @@ def test_a_new_reference_takes_over_without_a_jump(settings: ScanSettings) -> No
     bench.run(8.0)
     p = np.array([output.view.X_BT_cmd.p_m for output in bench.outputs])
     acceleration = np.diff(p, n=2, axis=0) / settings.cycle_s**2
-    limit = settings.config.motion.acceleration_m_s2
+    limit = settings.motion.acceleration
     assert np.linalg.norm(acceleration, axis=1).max() < 1.2 * limit
     assert bench.last.view.motion_done
 

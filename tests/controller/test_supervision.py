@@ -9,6 +9,7 @@ import pytest
 from controller.config import ControllerConfig
 from controller.core.group_states import Mode
 from controller.core.settings import ScanSettings, settings_from
+from controller.core.supervision import FAULTS, REACTIONS
 from nominal_arm.description import NominalArm
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.process_image import (
@@ -172,7 +173,7 @@ def test_a_joint_that_does_not_follow_is_a_following_error(settings: ScanSetting
     _drifting(bench, 5, 2e-3)
     fault = bench.state.fault
     assert (fault.code, bench.last.view.severity) == (FaultCode.FOLLOWING_ERROR, Severity.EMERGENCY)
-    assert fault.value > fault.limit == settings.following_error[5]
+    assert fault.value > fault.limit == settings.supervision.following_error[5]
     assert (bench.last.valves.valves, bench.last.valves.control) == (ZERO, 0)
 
 
@@ -246,3 +247,15 @@ def test_the_same_run_twice_gives_the_same_bits(settings: ScanSettings) -> None:
         return [(output.valves, output.view) for output in bench.outputs]
 
     assert trace() == trace()
+
+
+def test_every_fault_has_one_reaction() -> None:
+    assert set(REACTIONS) == set(FaultCode) - {FaultCode.NONE}
+    assert all(REACTIONS[row.code] == row.reaction for row in FAULTS)  # also those with two rows
+
+
+def test_a_scan_works_in_si_alone(settings: ScanSettings) -> None:
+    for group in (settings.motion, settings.stop, settings.settled, settings.streaming, settings.supervision):
+        units = {name.rsplit("_", 1)[-1] for name in group._fields}
+        assert not units & {"ms", "deg", "mrad", "mm"}, group
+    assert not any("config" in name for name in ScanSettings.__slots__)

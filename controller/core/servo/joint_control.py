@@ -49,6 +49,7 @@ class JointGains(NamedTuple):
     limit: float
 
 
+@kernel
 def valve_commands(
     gains: JointGains,
     filters: JointFilters,
@@ -67,36 +68,14 @@ def valve_commands(
     oil's spring by the load pressure behind a high pass (dynamic pressure feedback); the deadband added in
     the direction of the command.
     """
-    commands, pt1, slow = _valve_commands(*gains, *filters, error, qd_cmd, load, speeds, dt_s)
-    return commands, JointFilters(pt1, slow)
-
-
-@kernel
-def _valve_commands(
-    gain: Array,
-    time_constant: Array,
-    feed_forward: float,
-    damping: Array,
-    high_pass: float,
-    deadband: Array,
-    blend: float,
-    limit: float,
-    pt1: Array,
-    slow: Array,
-    error: Array,
-    qd_cmd: Array,
-    load: Array,
-    speeds: Array,
-    dt_s: float,
-) -> tuple[Array, Array, Array]:
-    commands, pt1_next, slow_next = np.empty(6), np.empty(6), np.empty(6)
+    commands, pt1, slow = np.empty(6), np.empty(6), np.empty(6)
     for i in range(6):
-        proportional = gain[i] * error[i]
-        pt1_next[i] = pt1_step(pt1[i], proportional, time_constant[i], dt_s)
-        slow_next[i] = pt1_step(slow[i], load[i], high_pass, dt_s)
-        demand = pt1[i] if time_constant[i] > 0.0 else proportional
-        demand += feed_forward * qd_cmd[i] - damping[i] * (load[i] - slow[i])
+        proportional = gains.gain[i] * error[i]
+        pt1[i] = pt1_step(filters.pt1[i], proportional, gains.time_constant[i], dt_s)
+        slow[i] = pt1_step(filters.load[i], load[i], gains.high_pass, dt_s)
+        demand = filters.pt1[i] if gains.time_constant[i] > 0.0 else proportional
+        demand += gains.feed_forward * qd_cmd[i] - gains.damping[i] * (load[i] - filters.load[i])
         spool = demand / (speeds[i, 0] if demand >= 0.0 else speeds[i, 1])
-        spool += deadband[i] * max(-1.0, min(1.0, spool / blend))
-        commands[i] = max(-limit, min(limit, spool))
-    return commands, pt1_next, slow_next
+        spool += gains.deadband[i] * max(-1.0, min(1.0, spool / gains.blend))
+        commands[i] = max(-gains.limit, min(gains.limit, spool))
+    return commands, JointFilters(pt1, slow)

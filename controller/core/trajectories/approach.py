@@ -39,7 +39,7 @@ class AxisLimits(NamedTuple):
     jerk: Array
 
 
-class Approach(NamedTuple):
+class ApproachTrajectory(NamedTuple):
     """A planned way to a reference: the pose ``p`` (3,), ``quaternion`` (4,), moving with ``twist`` (6,).
 
     ``trajectory``: towards the reference and seen from it, never written to. ``duration_s``: infinite when
@@ -52,10 +52,29 @@ class Approach(NamedTuple):
     twist: Array
     duration_s: float
 
+    def sample(self, time_s: float) -> tuple[Desired, int]:
+        """The desired motion ``time_s`` after the start, at rest from ``duration_s`` on; segment 0."""
+        if time_s >= self.duration_s:
+            return at_rest(self.p, self.quaternion), 0
+        position, velocity, acceleration = map(np.array, self.trajectory.at_time(time_s))
+        turn = quaternion_from_vector(position[3:])
+        carried = matrix_from_quaternion(turn) @ self.twist[3:]
+        turning, bending = angular_motion(position[3:], velocity[3:], acceleration[3:])
+        there = quaternion_product(quaternion_from_vector(time_s * self.twist[3:]), self.quaternion)
+        desired = Desired(
+            self.p + time_s * self.twist[:3] + position[:3],
+            self.twist[:3] + velocity[:3],
+            acceleration[:3],
+            quaternion_product(turn, there),
+            turning + carried,
+            bending + cross(turning, carried),
+        )
+        return desired, 0
+
 
 def approach(
     start: Desired, p: Array, quaternion: Array, twist: Array, limits: AxisLimits
-) -> Approach | None:
+) -> ApproachTrajectory | None:
     """The way from ``start`` to the pose ``p`` (3,), ``quaternion`` (4,) that moves with ``twist`` (6,).
 
     A moving reference is approached in its own frame, in which it stands: so it is met where it will be by
@@ -80,7 +99,7 @@ def approach(
     if trajectory is None:
         return None
     duration_s = math.inf if np.any(twist) else trajectory.duration
-    return Approach(trajectory, p, quaternion, twist, duration_s)
+    return ApproachTrajectory(trajectory, p, quaternion, twist, duration_s)
 
 
 def _planned(wanted: InputParameter) -> Trajectory | None:
@@ -105,22 +124,3 @@ def twist_limit(limits: AxisLimits) -> Array:
     """The fastest that a reference may move (6,), in each axis."""
     most: Array = _TWIST_SHARE * limits.speed
     return most
-
-
-def sample_approach(planned: Approach, time_s: float) -> Desired:
-    """The desired motion ``time_s`` after the start; at rest on the goal, exactly, once it is reached."""
-    if time_s >= planned.duration_s:
-        return at_rest(planned.p, planned.quaternion)
-    position, velocity, acceleration = map(np.array, planned.trajectory.at_time(time_s))
-    turn = quaternion_from_vector(position[3:])
-    carried = matrix_from_quaternion(turn) @ planned.twist[3:]
-    turning, bending = angular_motion(position[3:], velocity[3:], acceleration[3:])
-    there = quaternion_product(quaternion_from_vector(time_s * planned.twist[3:]), planned.quaternion)
-    return Desired(
-        planned.p + time_s * planned.twist[:3] + position[:3],
-        planned.twist[:3] + velocity[:3],
-        acceleration[:3],
-        quaternion_product(turn, there),
-        turning + carried,
-        bending + cross(turning, carried),
-    )

@@ -5,9 +5,16 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.core.kinematics.rotations import Array
-from controller.core.settings import ScanSettings
-from controller.core.trajectories.approach import Approach, sample_approach
-from controller.core.trajectories.paths import Desired, Path, at_rest, duration, sample
+from controller.core.trajectories.approach import ApproachTrajectory
+from controller.core.trajectories.paths import Desired, Path, at_rest
+
+
+class StopLimits(NamedTuple):
+    """What bounds a stop: deceleration (m/s², rad/s²), and the least time it takes (s)."""
+
+    acceleration: float
+    turn_acceleration: float
+    time_min: float
 
 
 class DesiredMotion(NamedTuple):
@@ -18,7 +25,7 @@ class DesiredMotion(NamedTuple):
     ``done``: it was passed to its end.
     """
 
-    path: Path | Approach | None
+    path: Path | ApproachTrajectory | None
     time_s: float
     ramp_s: float
     ramp_length_s: float
@@ -33,13 +40,13 @@ def holding(p: Array, quaternion: Array, motion_id: int = 0) -> DesiredMotion:
     return DesiredMotion(None, 0.0, -1.0, 0.0, at_rest(p, quaternion), 0, motion_id, False)
 
 
-def start_motion(path: Path | Approach, motion_id: int) -> DesiredMotion:
+def start_motion(path: Path | ApproachTrajectory, motion_id: int) -> DesiredMotion:
     """The start of ``path``."""
-    desired, segment = _sampled(path, 0.0)
+    desired, segment = path.sample(0.0)
     return DesiredMotion(path, 0.0, -1.0, 0.0, desired, segment, motion_id, False)
 
 
-def start_stop(settings: ScanSettings, motion: DesiredMotion) -> DesiredMotion:
+def start_stop(limits: StopLimits, motion: DesiredMotion) -> DesiredMotion:
     """``motion`` with a smooth stop begun: path time slows from 1 to 0, so the tool stays on its path.
 
     The rate is 1 − 3x² + 2x³, steepest with 1.5 over the stop's length; that gives the length its
@@ -47,15 +54,10 @@ def start_stop(settings: ScanSettings, motion: DesiredMotion) -> DesiredMotion:
     """
     if motion.path is None or motion.ramp_s >= 0.0:
         return motion
-    limits = settings.config.motion
     desired = motion.desired
-    speed = float(np.linalg.norm(desired.v) + limits.stop_min_s * np.linalg.norm(desired.a))
-    turn = float(np.linalg.norm(desired.omega) + limits.stop_min_s * np.linalg.norm(desired.alpha))
-    length = max(
-        limits.stop_min_s,
-        1.5 * speed / limits.stop_acceleration_m_s2,
-        1.5 * turn / np.radians(limits.stop_turn_acceleration_deg_s2),
-    )
+    speed = float(np.linalg.norm(desired.v) + limits.time_min * np.linalg.norm(desired.a))
+    turn = float(np.linalg.norm(desired.omega) + limits.time_min * np.linalg.norm(desired.alpha))
+    length = max(limits.time_min, 1.5 * speed / limits.acceleration, 1.5 * turn / limits.turn_acceleration)
     return motion._replace(ramp_s=0.0, ramp_length_s=length)
 
 
@@ -71,26 +73,20 @@ def advance(motion: DesiredMotion, dt_s: float) -> DesiredMotion:
     if motion.ramp_s >= 0.0:
         return _advance_stop(motion, motion.path, dt_s)
     time_s = motion.time_s + dt_s
-    desired, segment = _sampled(motion.path, time_s)
-    length_s = motion.path.duration_s if isinstance(motion.path, Approach) else duration(motion.path)
-    if time_s >= length_s:
+    desired, segment = motion.path.sample(time_s)
+    if time_s >= motion.path.duration_s:
         return motion._replace(path=None, time_s=time_s, desired=desired, segment=segment, done=True)
     return motion._replace(time_s=time_s, desired=desired, segment=segment)
 
 
-def _sampled(path: Path | Approach, time_s: float) -> tuple[Desired, int]:
-    """The desired motion ``time_s`` after the start of ``path``, and the segment's index."""
-    return (sample_approach(path, time_s), 0) if isinstance(path, Approach) else sample(path, time_s)
-
-
-def _advance_stop(motion: DesiredMotion, path: Path | Approach, dt_s: float) -> DesiredMotion:
+def _advance_stop(motion: DesiredMotion, path: Path | ApproachTrajectory, dt_s: float) -> DesiredMotion:
     length = motion.ramp_length_s
     before = motion.ramp_s / length
     after = min(before + dt_s / length, 1.0)
     time_s = motion.time_s + length * (_travelled(after) - _travelled(before))
     rate = 1.0 - 3.0 * after**2 + 2.0 * after**3
     slope = 6.0 * (after**2 - after) / length
-    on_path, segment = _sampled(path, time_s)
+    on_path, segment = path.sample(time_s)
     if after >= 1.0:
         rest = at_rest(on_path.p, on_path.quaternion)
         return motion._replace(path=None, time_s=time_s, ramp_s=-1.0, desired=rest, segment=segment)

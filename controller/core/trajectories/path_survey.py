@@ -19,8 +19,8 @@ from controller.core.kinematics.denavit_hartenberg import chain
 from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
 from controller.core.kinematics.jacobian import damped_inverse, geometric_jacobian
 from controller.core.kinematics.rotations import Array, matrix_from_quaternion
-from controller.core.settings import ScanSettings
-from controller.core.trajectories.paths import Path, segment_motion
+from controller.core.trajectories.paths import Desired, Path, segment_motion
+from controller.core.trajectories.workspace import Workspace, opened, outside
 from foundation.compiled import kernel
 from protocol.faults import Reason
 
@@ -46,6 +46,20 @@ _WORKSPACE, _JOINT, _REACH, _SINGULAR = (
 _ACCEPTED = int(Reason.ACCEPTED)
 
 
+class PlanningLimits(NamedTuple):
+    """The arm that is surveyed, and what a planned path may ask of it.
+
+    ``table``: as from ``denavit_hartenberg.dh_table``. ``planned_range`` (2, 6): joint range less its margin.
+    ``joint_speeds`` (6,): rad/s. ``singular_value_min``: least singular value of the Jacobian at a waypoint.
+    """
+
+    table: Array
+    planned_range: Array
+    joint_speeds: Array
+    workspace: Workspace
+    singular_value_min: float
+
+
 class Survey(NamedTuple):
     """What the survey found: ACCEPTED, or the first obstacle with its value and limit (m or rad).
 
@@ -59,46 +73,10 @@ class Survey(NamedTuple):
     peaks: Array
 
 
-def survey(settings: ScanSettings, path: Path, q_start: Array) -> Survey:
+def survey(limits: PlanningLimits, path: Path, q_start: Array) -> Survey:
     """The Survey of ``path``, followed on the branch of the joint angles ``q_start``."""
-    code, value, limit, peaks = _survey(
-        settings.table,
-        settings.planned_range,
-        settings.joint_speeds,
-        settings.workspace,
-        settings.config.motion.singular_value_min,
-        path.polynomials,
-        path.goals,
-        path.durations,
-        q_start,
-    )
+    code, value, limit, peaks = _survey(limits, path, q_start)
     return Survey(Reason(code), value, limit, peaks)
-
-
-@kernel
-def outside(workspace: Array, p: Array) -> tuple[float, float]:
-    """The coordinate of ``p`` that leaves the workspace, and its bound (m); equal when it is inside."""
-    for axis in range(3):
-        low, high = workspace[2 * axis], workspace[2 * axis + 1]
-        if p[axis] < low:
-            return p[axis], low
-        if p[axis] > high:
-            return p[axis], high
-    radius = math.hypot(p[0], p[1])
-    if radius < workspace[6]:
-        return radius, workspace[6]
-    return 0.0, 0.0
-
-
-@kernel
-def _opened(bounds: Array, p: Array) -> Array:
-    """The workspace, widened to contain ``p``: an arm that stands outside may come back, no further out."""
-    wide = bounds.copy()
-    for axis in range(3):
-        wide[2 * axis] = min(wide[2 * axis], p[axis])
-        wide[2 * axis + 1] = max(wide[2 * axis + 1], p[axis])
-    wide[6] = min(wide[6], math.hypot(p[0], p[1]))
-    return wide
 
 
 @kernel
@@ -144,70 +122,108 @@ def _joint_obstacle(bounds: Array, q: Array, before: Array) -> tuple[int, float,
 
 
 @kernel
-def _survey(
-    table: Array,
-    planned_range: Array,
-    joint_speeds: Array,
-    workspace: Array,
-    singular_min: float,
-    polynomials: Array,
-    goals: Array,
-    durations: Array,
-    q_start: Array,
-) -> tuple[int, float, float, Array]:
-    peaks = np.zeros((durations.shape[0], 5))
-    p, _, _, quaternion, _, _ = segment_motion(polynomials[0], goals[0], 0.0)
-    space = _opened(workspace, p)
-    verdict, q, value, limit = joint_angles(table, matrix_from_quaternion(quaternion), p, q_start)
-    if verdict != REACHED:
-        return _REACH, value, limit, peaks
-    bounds = planned_range.copy()
+def _including(limits: PlanningLimits, p: Array, q: Array) -> PlanningLimits:
+    """``limits`` with range and workspace widened to contain where the arm starts."""
+    bounds = limits.planned_range.copy()
     bounds[0] = np.minimum(bounds[0], q)
     bounds[1] = np.maximum(bounds[1], q)
-    for n in range(durations.shape[0]):  # first what is out of reach, whatever would stop the arm on the way
-        p, _, _, quaternion, _, _ = segment_motion(polynomials[n], goals[n], durations[n])
-        value, limit = outside(space, p)
+    space = opened(limits.workspace, p)
+    return PlanningLimits(limits.table, bounds, limits.joint_speeds, space, limits.singular_value_min)
+
+
+@kernel
+def _obstacle_at_ends(limits: PlanningLimits, path: Path, q: Array) -> tuple[int, float, float]:
+    """The first waypoint that is out of reach, whatever would stop the arm on the way there."""
+    for n in range(path.durations.shape[0]):
+        end = segment_motion(path, n, path.durations[n])
+        value, limit = outside(limits.workspace, end.p)
         if value != limit:
-            return _WORKSPACE, value, limit, peaks
-        verdict, _, value, limit = joint_angles(table, matrix_from_quaternion(quaternion), p, q)
+            return _WORKSPACE, value, limit
+        verdict, _, value, limit = joint_angles(
+            limits.table, matrix_from_quaternion(end.quaternion), end.p, q
+        )
         if verdict != REACHED:
-            return _REACH, value, limit, peaks
+            return _REACH, value, limit
+    return _ACCEPTED, 0.0, 0.0
+
+
+@kernel
+def _follow(
+    limits: PlanningLimits, desired: Desired, before: Array, held: float
+) -> tuple[int, float, float, Array, bool]:
+    """The obstacle at ``desired``, the joint angles there, and whether the servo is damped.
+
+    ``before``: the joint angles one sample earlier; ``held`` (s): how long wrist 1 and 3 have rested.
+    """
+    value, limit = outside(limits.workspace, desired.p)
+    if value != limit:
+        return _WORKSPACE, value, limit, before, False
+    R_BT = matrix_from_quaternion(desired.quaternion)
+    verdict, q, value, limit = _nearest_angles(limits.table, R_BT, desired.p, before)
+    if verdict != REACHED:
+        return _REACH, value, limit, q, False
+    damped = _stretch(limits.table, q) < _DAMPED
+    if damped:
+        q[3], q[5] = before[3], before[5]
+    elif held > 0.0 and abs(q[3] - before[3]) > _SWING_RAD:
+        return _SINGULAR, abs(q[3] - before[3]), _SWING_RAD, q, damped
+    code, value, limit = _joint_obstacle(limits.planned_range, q, before)
+    return code, value, limit, q, damped
+
+
+@kernel
+def _raise_peaks(peaks: Array, desired: Desired, turned: Array, reach: Array) -> None:
+    """Raise ``peaks`` (5,) to those of ``desired`` and of joints that ``turned`` (6,).
+
+    ``reach`` (6,): how far the joints' speed limits would have let them turn.
+    """
+    peaks[SPEED] = max(peaks[SPEED], _norm(desired.v))
+    peaks[ACCELERATION] = max(peaks[ACCELERATION], _norm(desired.a))
+    peaks[TURN_SPEED] = max(peaks[TURN_SPEED], _norm(desired.omega))
+    peaks[TURN_ACCELERATION] = max(peaks[TURN_ACCELERATION], _norm(desired.alpha))
+    for i in range(6):
+        peaks[JOINT_SPEED] = max(peaks[JOINT_SPEED], abs(turned[i]) / reach[i])
+
+
+@kernel
+def _obstacle_on_segment(
+    limits: PlanningLimits, path: Path, n: int, q: Array, held: float, peaks: Array
+) -> tuple[int, float, float, Array, float]:
+    """The first obstacle on segment ``n``; joint angles and ``held`` at its end; raises ``peaks`` (5,)."""
+    reach = np.empty(6)
+    for k in range(SAMPLES):
+        parts = _PARTS if _stretch(limits.table, q) < _BESIDE else 1
+        step = path.durations[n] / (SAMPLES * parts)
+        for part in range(1, parts + 1):
+            desired = segment_motion(path, n, (k * parts + part) * step)
+            before = q
+            code, value, limit, q, damped = _follow(limits, desired, before, held)
+            if code != _ACCEPTED:
+                return code, value, limit, q, held
+            for i in range(6):
+                reach[i] = (step + held if i == 3 or i == 5 else step) * limits.joint_speeds[i]
+            _raise_peaks(peaks, desired, q - before, reach)
+            held = held + step if damped else 0.0
+    _, least, _ = damped_inverse(geometric_jacobian(chain(limits.table, q)), 0.0, 0.0)
+    if least < limits.singular_value_min:
+        return _SINGULAR, least, limits.singular_value_min, q, held
+    return _ACCEPTED, 0.0, 0.0, q, held
+
+
+@kernel
+def _survey(limits: PlanningLimits, path: Path, q_start: Array) -> tuple[int, float, float, Array]:
+    count = path.durations.shape[0]
+    peaks = np.zeros((count, 5))
+    start = segment_motion(path, 0, 0.0)
+    R_BT = matrix_from_quaternion(start.quaternion)
+    verdict, q, value, limit = joint_angles(limits.table, R_BT, start.p, q_start)
+    if verdict != REACHED:
+        return _REACH, value, limit, peaks
+    wide = _including(limits, start.p, q)
+    code, value, limit = _obstacle_at_ends(wide, path, q)
     held = 0.0  # for how long (s) wrist 1 and 3 have rested beside the singularity
-    for n in range(durations.shape[0]):
-        for k in range(SAMPLES):
-            parts = _PARTS if _stretch(table, q) < _BESIDE else 1
-            step = durations[n] / (SAMPLES * parts)
-            for part in range(1, parts + 1):
-                p, v, a, quaternion, omega, alpha = segment_motion(
-                    polynomials[n], goals[n], (k * parts + part) * step
-                )
-                value, limit = outside(space, p)
-                if value != limit:
-                    return _WORKSPACE, value, limit, peaks
-                before = q
-                verdict, q, value, limit = _nearest_angles(
-                    table, matrix_from_quaternion(quaternion), p, before
-                )
-                if verdict != REACHED:
-                    return _REACH, value, limit, peaks
-                damped = _stretch(table, q) < _DAMPED
-                if damped:
-                    q[3], q[5] = before[3], before[5]
-                elif held > 0.0 and abs(q[3] - before[3]) > _SWING_RAD:
-                    return _SINGULAR, abs(q[3] - before[3]), _SWING_RAD, peaks
-                code, value, limit = _joint_obstacle(bounds, q, before)
-                if code != _ACCEPTED:
-                    return code, value, limit, peaks
-                peaks[n, SPEED] = max(peaks[n, SPEED], _norm(v))
-                peaks[n, ACCELERATION] = max(peaks[n, ACCELERATION], _norm(a))
-                peaks[n, TURN_SPEED] = max(peaks[n, TURN_SPEED], _norm(omega))
-                peaks[n, TURN_ACCELERATION] = max(peaks[n, TURN_ACCELERATION], _norm(alpha))
-                for i in range(6):
-                    taken = step + held if i == 3 or i == 5 else step
-                    ratio = abs(q[i] - before[i]) / (taken * joint_speeds[i])
-                    peaks[n, JOINT_SPEED] = max(peaks[n, JOINT_SPEED], ratio)
-                held = held + step if damped else 0.0
-        _, least, _ = damped_inverse(geometric_jacobian(chain(table, q)), 0.0, 0.0)
-        if least < singular_min:
-            return _SINGULAR, least, singular_min, peaks
-    return _ACCEPTED, 0.0, 0.0, peaks
+    for n in range(count):
+        if code != _ACCEPTED:
+            break
+        code, value, limit, q, held = _obstacle_on_segment(wide, path, n, q, held, peaks[n])
+    return code, value, limit, peaks

@@ -51,6 +51,16 @@ class Path(NamedTuple):
     durations: Array
     dwell: float
 
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the start to the last waypoint."""
+        return float(self.durations.sum()) + self.dwell * (len(self.durations) - 1)
+
+    def sample(self, time_s: float) -> tuple[Desired, int]:
+        """The desired motion ``time_s`` after the start (clamped to the ends), and the segment's index."""
+        desired, segment = _sample(self, time_s)
+        return desired, segment
+
 
 def at_rest(p: Array, quaternion: Array) -> Desired:
     """Standing still at a pose."""
@@ -63,33 +73,12 @@ def path_from(start: Desired, p: Array, quaternions: Array, durations: Array, dw
 
     From rest, every segment is a straight line and one turn about one axis, the short way round.
     """
-    polynomials = _polynomials(*start, p, quaternions, durations)
-    return Path(polynomials, quaternions, durations, dwell)
-
-
-def duration(path: Path) -> float:
-    """Seconds from the start to the last waypoint."""
-    return float(path.durations.sum()) + path.dwell * (len(path.durations) - 1)
-
-
-def sample(path: Path, time_s: float) -> tuple[Desired, int]:
-    """The desired motion ``time_s`` after the start (clamped to the ends), and the segment's index."""
-    segment, *desired = _sample(path.polynomials, path.goals, path.durations, path.dwell, time_s)
-    return Desired(*desired), segment
+    return Path(_polynomials(start, p, quaternions, durations), quaternions, durations, dwell)
 
 
 @kernel
-def _polynomials(
-    p: Array,
-    v: Array,
-    a: Array,
-    quaternion: Array,
-    omega: Array,
-    alpha: Array,
-    way_p: Array,
-    way_q: Array,
-    T: Array,
-) -> Array:
+def _polynomials(start: Desired, way_p: Array, way_q: Array, T: Array) -> Array:
+    p, v, a, quaternion, omega, alpha = start
     count = way_p.shape[0]
     result = np.empty((count, 6, 6))
     for n in range(count):
@@ -104,30 +93,26 @@ def _polynomials(
 
 
 @kernel
-def segment_motion(
-    polynomials: Array, goal: Array, t: float
-) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """p, v, a, quaternion, ω, α of one segment, ``polynomials`` (6, 6), at its own time ``t``."""
+def segment_motion(path: Path, n: int, t: float) -> Desired:
+    """The desired motion on segment ``n`` of ``path`` at the segment's own time ``t``."""
     values = np.empty((3, 6))
     for row in range(6):
-        values[0, row], values[1, row], values[2, row] = evaluate(polynomials[row], t)
+        values[0, row], values[1, row], values[2, row] = evaluate(path.polynomials[n, row], t)
     theta = values[0, 3:].copy()
     omega, alpha = angular_motion(theta, values[1, 3:].copy(), values[2, 3:].copy())
-    quaternion = quaternion_product(quaternion_from_vector(theta), goal)
-    return values[0, :3].copy(), values[1, :3].copy(), values[2, :3].copy(), quaternion, omega, alpha
+    quaternion = quaternion_product(quaternion_from_vector(theta), path.goals[n])
+    return Desired(values[0, :3].copy(), values[1, :3].copy(), values[2, :3].copy(), quaternion, omega, alpha)
 
 
 @kernel
-def _sample(
-    polynomials: Array, goals: Array, durations: Array, dwell: float, time_s: float
-) -> tuple[int, Array, Array, Array, Array, Array, Array]:
-    last = durations.shape[0] - 1
+def _sample(path: Path, time_s: float) -> tuple[Desired, int]:
+    last = path.durations.shape[0] - 1
     n, t = 0, max(time_s, 0.0)
-    while n < last and t >= durations[n] + dwell:
-        t -= durations[n] + dwell
+    while n < last and t >= path.durations[n] + path.dwell:
+        t -= path.durations[n] + path.dwell
         n += 1
-    p, v, a, quaternion, omega, alpha = segment_motion(polynomials[n], goals[n], min(t, durations[n]))
-    if t >= durations[n]:  # at rest on the waypoint, exactly
+    desired = segment_motion(path, n, min(t, path.durations[n]))
+    if t >= path.durations[n]:  # at rest on the waypoint, exactly
         zero = np.zeros(3)
-        return n, p, zero, zero, goals[n].copy(), zero, zero
-    return n, p, v, a, quaternion, omega, alpha
+        return Desired(desired.p, zero, zero, path.goals[n].copy(), zero, zero), n
+    return desired, n

@@ -8,7 +8,7 @@ import pytest
 from controller.core.kinematics.rotations import Array, quaternion_from_vector, quaternion_product
 from controller.core.servo.drives import drive_table, full_spool_speeds, load_pressures, unloaded
 from controller.core.servo.joint_control import JointFilters, JointGains, pt1_step, valve_commands
-from controller.core.servo.pose_servo import resolve, tool_state
+from controller.core.servo.pose_servo import ServoGains, resolve, tool_state
 from controller.core.trajectories.paths import at_rest
 from nominal_arm.description import NominalArm
 
@@ -99,7 +99,7 @@ def test_speed_map_equals_the_derivative_of_the_linkage(arm: NominalArm) -> None
     speeds = full_spool_speeds(drives, q, rated, rated)
     h = 1e-6
     for i, angle in ((1, q[1] - 2.0735), (2, q[2] - 0.41158)):
-        long, short = drives[i, :2]
+        long, short = drives.long[i], drives.short[i]
 
         def piston(a: float, long: float = long, short: float = short) -> float:
             return math.sqrt(long**2 + short**2 + 2 * long * short * math.cos(a))
@@ -114,8 +114,7 @@ def test_speed_map_follows_the_load_as_the_free_velocities_do(arm: NominalArm) -
     drives, rated = drive_table(arm.drives), unloaded(arm.rated)
     q = np.radians([0.0, 45.0, -90.0, 0.0, 0.0, 0.0])
     load_bar = 54.7e3 / 5.0265e-3 / 1e5
-    circuit = rated.copy()
-    circuit[3] = load_bar
+    circuit = rated._replace(load=np.array([0.0, load_bar, 0.0, 0.0, 0.0, 0.0]))
     free, loaded = (full_spool_speeds(drives, q, rated, c)[1] for c in (rated, circuit))
     assert loaded / free * [0.660, 0.534] == pytest.approx([0.421, 0.738], abs=2e-3)
 
@@ -125,7 +124,7 @@ def test_load_pressure_weighs_the_annulus(arm: NominalArm) -> None:
     assert load == pytest.approx([50.0, 100.0 - 0.68359 * 50.0, 100.0 - 0.68359 * 50.0, 50.0, 50.0, 50.0])
 
 
-GAINS = np.array([0.8, 1.6, 1e-4, 0.05, 0.05])
+GAINS = ServoGains(0.8, 1.6, 1e-4, 0.05, 0.05)
 Q = np.radians([10.0, 50.0, -75.0, 15.0, -25.0, 5.0])
 
 
@@ -134,7 +133,7 @@ def test_the_pose_servo_steers_back_along_the_error(table: Array) -> None:
     turn = quaternion_from_vector(np.array([0.0, 0.0, 0.01]))
     shift = np.array([0.0, 0.02, 0.0])
     desired = at_rest(tool.p_BT + shift, quaternion_product(turn, tool.quaternion))
-    resolved = resolve(tool, desired, np.array([0.8, 1.6, 0.0, 0.05, 0.05]))
+    resolved = resolve(tool, desired, GAINS._replace(dead_zone=0.0))
     want = [0.0, 0.8 * 0.02, 0.0, 0.0, 0.0, 1.6 * math.sin(0.005)]
     assert tool.J_BT @ resolved.qd_cmd == pytest.approx(want, abs=1e-12)
     ahead = tool_state(table, Q + resolved.q_error)

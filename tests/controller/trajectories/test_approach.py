@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from ruckig import InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
 
-from controller.core.trajectories.approach import AXES, AxisLimits, approach, sample_approach
+from controller.core.trajectories.approach import AXES, AxisLimits, approach
 from controller.core.trajectories.paths import Desired
 
 # What was left of a way in the closed loop at camera rate, in one run of thirty: nanometres, nearly in phase.
@@ -37,12 +37,12 @@ def test_axes_that_cannot_arrive_together_arrive_each_by_itself() -> None:
 
     way = approach(start, still, upright, np.zeros(AXES), LIMITS)
     assert way is not None
-    begun = sample_approach(way, 0.0)
+    begun = way.sample(0.0)[0]
     np.testing.assert_allclose(begun.p, LEFT, atol=1e-15)
     np.testing.assert_allclose(begun.v, SPEED, atol=1e-12)
     np.testing.assert_allclose(begun.a, PUSH, atol=1e-9)
     for time_s in np.linspace(0.0, 1.1 * way.duration_s, 50):
-        there = sample_approach(way, float(time_s))
+        there = way.sample(float(time_s))[0]
         assert (np.abs(there.a) <= LIMITS.acceleration[:3]).all()
         assert np.linalg.norm(there.p) < 1e-6
-    np.testing.assert_array_equal(sample_approach(way, way.duration_s).p, still)
+    np.testing.assert_array_equal(way.sample(way.duration_s)[0].p, still)

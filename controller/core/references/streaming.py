@@ -18,9 +18,9 @@ from controller.core.kinematics.rotations import (
     quaternion_from_vector,
     quaternion_product,
 )
-from controller.core.references import Refusal, unusable
+from controller.core.references.admission import Refusal, unusable
 from controller.core.settings import ScanSettings
-from controller.core.trajectories.approach import Approach, AxisLimits, approach, twist_limit
+from controller.core.trajectories.approach import ApproachTrajectory, AxisLimits, approach, twist_limit
 from controller.core.trajectories.path_survey import survey
 from controller.core.trajectories.paths import Desired, at_rest, path_from
 from protocol.faults import Reason
@@ -61,7 +61,7 @@ def follow(
     J_BT: Array,
     arrival: StreamedPoseReceived,
     now_ns: int,
-) -> tuple[OpenStream, Approach] | Refusal:
+) -> tuple[OpenStream, ApproachTrajectory] | Refusal:
     """The stream with this reference as its newest, and the way there from ``desired``, or why not.
 
     ``q_meas`` (6,), ``J_BT`` (6, 6): joint angles and Jacobian of the arm as it stands.
@@ -84,7 +84,7 @@ def follow(
     if refusal is not None:
         return refusal
     straight = path_from(at_rest(desired.p, desired.quaternion), p[None], quaternion[None], np.ones(1), 0.0)
-    found = survey(settings, straight, q_meas)
+    found = survey(settings.planning, straight, q_meas)
     if found.reason is not Reason.ACCEPTED:
         return Refusal(found.reason, found.value, found.limit)
     planned = approach(desired, p, quaternion, twist, limits)
@@ -95,7 +95,7 @@ def follow(
     return stream._replace(fresh_ns=fresh_ns, number=reference.number, goal=goal), planned
 
 
-def last_approach(stream: OpenStream, desired: Desired) -> Approach | None:
+def last_approach(stream: OpenStream, desired: Desired) -> ApproachTrajectory | None:
     """The way from ``desired`` to rest at the newest reference; None when there was none."""
     if stream.goal is None:
         return None
@@ -167,7 +167,7 @@ def _near(settings: ScanSettings, desired: Desired, p: Array, quaternion: Array)
 
 def _within_joint_speeds(settings: ScanSettings, J_BT: Array) -> AxisLimits:
     """The axes' limits, slowed down so far that no joint can be too fast at this pose, whatever they do."""
-    limits = settings.streaming.axes
-    inverse, _, _ = damped_inverse(J_BT, settings.servo_gains[3], settings.servo_gains[4])
-    share = float((settings.joint_speeds / (np.abs(inverse) @ limits.speed)).min())
+    limits, gains = settings.streaming.axes, settings.servo_gains
+    inverse, _, _ = damped_inverse(J_BT, gains.damping_onset, gains.damping_max)
+    share = float((settings.planning.joint_speeds / (np.abs(inverse) @ limits.speed)).min())
     return limits if share >= 1.0 else limits._replace(speed=share * limits.speed)

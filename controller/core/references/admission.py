@@ -7,8 +7,8 @@ import numpy as np
 
 from controller.core.kinematics.rotations import Array
 from controller.core.settings import ScanSettings
-from controller.core.trajectories.path_survey import JOINT_SPEED, Survey, survey
-from controller.core.trajectories.paths import Desired, Path, duration, path_from
+from controller.core.trajectories.path_survey import Survey, survey
+from controller.core.trajectories.paths import Desired, Path, path_from
 from protocol.datagram_layout import MAX_WAYPOINTS
 from protocol.faults import Reason
 from protocol.pose import Pose
@@ -51,7 +51,7 @@ def admit(
     quaternions = np.array([pose.q_wxyz for pose in poses])
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
     distance = float(np.linalg.norm(p[0] - start.p))
-    furthest = settings.config.motion.first_point_distance_m
+    furthest = settings.motion.first_point_distance
     if distance > furthest:
         return Refusal(Reason.TOO_FAR, distance, furthest)
     if wanted > 0.0:
@@ -59,8 +59,8 @@ def admit(
         found = _timed(settings, path_from(start, p, quaternions, durations, dwell), q_start)
     else:
         found = _shortest(settings, start, q_start, p, quaternions, dwell)
-    if isinstance(found, Path) and duration(found) > settings.config.motion.duration_max_s:
-        return Refusal(Reason.BAD_DURATION, duration(found), settings.config.motion.duration_max_s)
+    if isinstance(found, Path) and found.duration_s > settings.motion.duration_max:
+        return Refusal(Reason.BAD_DURATION, found.duration_s, settings.motion.duration_max)
     return found
 
 
@@ -86,29 +86,29 @@ def _form(settings: ScanSettings, poses: tuple[Pose, ...], wanted: float, dwell:
             return refusal
     if not (math.isfinite(wanted) and math.isfinite(dwell)):
         return Refusal(Reason.NOT_FINITE, 0.0, 0.0)
-    motion = settings.config.motion
-    if wanted != 0.0 and wanted < motion.duration_min_s:
-        return Refusal(Reason.BAD_DURATION, wanted, motion.duration_min_s)
+    motion = settings.motion
+    if wanted != 0.0 and wanted < motion.duration_min:
+        return Refusal(Reason.BAD_DURATION, wanted, motion.duration_min)
     for seconds in (wanted, dwell):
-        if seconds > motion.duration_max_s:
-            return Refusal(Reason.BAD_DURATION, seconds, motion.duration_max_s)
+        if seconds > motion.duration_max:
+            return Refusal(Reason.BAD_DURATION, seconds, motion.duration_max)
     return Refusal(Reason.BAD_DURATION, dwell, 0.0) if dwell < 0.0 else None
 
 
 def _ratios(settings: ScanSettings, found: Survey) -> Array:
     """Peaks over limits, (n, 5)."""
-    ratios: Array = found.peaks / np.append(settings.motion_limits, 1.0)
+    ratios: Array = found.peaks / settings.motion.of_peaks()
     return ratios
 
 
 def _timed(settings: ScanSettings, path: Path, q_start: Array) -> Path | Refusal:
-    found = survey(settings, path, q_start)
+    found = survey(settings.planning, path, q_start)
     if found.reason is not Reason.ACCEPTED:
         return Refusal(found.reason, found.value, found.limit)
     ratios = _ratios(settings, found)
     segment, kind = np.unravel_index(int(ratios.argmax()), ratios.shape)
     if ratios[segment, kind] > 1.0 + _SPEED_TOLERANCE:
-        limit = 1.0 if kind == JOINT_SPEED else float(settings.motion_limits[kind])
+        limit = float(settings.motion.of_peaks()[kind])
         return Refusal(Reason.TOO_FAST, float(found.peaks[segment, kind]), limit)
     return path
 
@@ -124,7 +124,7 @@ def _stretch(settings: ScanSettings, found: Survey) -> Array:
 def _shortest(
     settings: ScanSettings, start: Desired, q_start: Array, p: Array, quaternions: Array, dwell: float
 ) -> Path | Refusal:
-    least = settings.config.motion.duration_min_s
+    least = settings.motion.duration_min
     moving = bool(np.any(start.v) or np.any(start.a) or np.any(start.omega) or np.any(start.alpha))
     # From rest the shape does not depend on the duration: survey at 1 s a segment, then scale.
     durations = np.full(len(p), 1.0)
@@ -132,7 +132,7 @@ def _shortest(
         durations[0] = _rest_duration(settings, start, p[0])
     for _ in range(_STRETCHES):
         path = path_from(start, p, quaternions, durations, dwell)
-        found = survey(settings, path, q_start)
+        found = survey(settings.planning, path, q_start)
         if found.reason is not Reason.ACCEPTED:
             return Refusal(found.reason, found.value, found.limit)
         factors = _stretch(settings, found)
@@ -147,7 +147,8 @@ def _shortest(
 
 def _rest_duration(settings: ScanSettings, start: Desired, goal: Array) -> float:
     """The first guess from a moving state: long enough to cover the way and to take the speed off."""
-    speed, acceleration, _, turn_acceleration = settings.motion_limits
+    limits = settings.motion
     way = float(np.linalg.norm(goal - start.p))
-    braking = max(np.linalg.norm(start.v) / acceleration, np.linalg.norm(start.omega) / turn_acceleration)
-    return float(max(1.875 * way / speed, braking, settings.config.motion.duration_min_s))
+    slowing = float(np.linalg.norm(start.v)) / limits.acceleration
+    turning = float(np.linalg.norm(start.omega)) / limits.turn_acceleration
+    return max(1.875 * way / limits.speed, slowing, turning, limits.duration_min)
