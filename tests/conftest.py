@@ -1,0 +1,22 @@
+"""What every test may ask for; real-time tests and the order of two processes are in support/real_time.py."""
+
+from pathlib import Path
+
+import pytest
+
+from testbed.scenarios.settings import Settings, load_settings
+from tests.support.paths import CONFIGS
+
+pytest_plugins = ["tests.support.real_time"]
+
+
+@pytest.fixture(scope="session")
+def config_dir() -> Path:
+    """The folder of the configuration files as shipped."""
+    return CONFIGS
+
+
+@pytest.fixture(scope="session")
+def shipped_settings() -> Settings:
+    """Every configuration file as shipped, read once."""
+    return load_settings(CONFIGS, {})

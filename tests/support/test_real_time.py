@@ -1,0 +1,98 @@
+"""The plugin of the real-time tests, on projects of its own: order, second try, count, exit status."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.paths import ROOT
+
+CONFTEST = "pytest_plugins = ['tests.support.real_time']\n"
+OPTIONS = "[pytest]\nmarkers =\n    realtime: x\n"
+ORDERED = """
+import os, time, pathlib, pytest
+HERE = pathlib.Path(__file__).parent
+def note(kind):
+    with open(HERE / "notes", "a") as notes:
+        print(kind, os.getpid(), time.monotonic(), file=notes)
+@pytest.mark.realtime
+@pytest.mark.parametrize("i", range(3))
+def test_real(i):
+    note("begin"); time.sleep(0.02); note("end")
+@pytest.mark.parametrize("i", range(6))
+def test_pure(i):
+    time.sleep(0.05); note("pure")
+"""
+FLAKY = """
+import pathlib, pytest
+TRIES = pathlib.Path(__file__).with_suffix(".tries")
+@pytest.fixture(scope="module")
+def tries():
+    count = int(TRIES.read_text()) + 1 if TRIES.exists() else 1
+    TRIES.write_text(str(count))
+    return count
+{mark}
+def test_flaky(tries):
+    assert tries > {wanted}, "too early"
+"""
+MARKED = "@pytest.mark.realtime"
+
+
+def run(folder: Path, *arguments: str, **files: str) -> tuple[int, list[str]]:
+    """The exit status and the lines of a run of pytest on ``files``."""
+    for name, text in {"conftest": CONFTEST, **files}.items():
+        (folder / f"{name}.py").write_text(text)
+    (folder / "pytest.ini").write_text(OPTIONS)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    for name in ("PYTEST_ADDOPTS", "PYTEST_XDIST_WORKER", "PYTEST_XDIST_WORKER_COUNT"):
+        environment.pop(name, None)
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments]
+    ended = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=90)
+    return ended.returncode, ended.stdout.splitlines()
+
+
+@pytest.mark.parametrize("processes", [(), ("-n", "2")], ids=["one", "two"])
+def test_a_real_time_test_is_retried_once_with_new_fixtures_and_counted(
+    processes: tuple[str, ...], tmp_path: Path
+) -> None:
+    status, lines = run(tmp_path, *processes, test_it=FLAKY.format(mark=MARKED, wanted=1))
+    assert status == 0
+    assert "1 passed, 1 retried" in lines[-1]
+    assert any("1 retried: test_it.py::test_flaky" in line for line in lines)
+    assert any("too early" in line for line in lines), "what failed is printed"
+
+
+def test_what_fails_twice_has_failed(tmp_path: Path) -> None:
+    status, lines = run(tmp_path, test_it=FLAKY.format(mark=MARKED, wanted=2))
+    assert status == 1
+    assert "1 failed, 1 retried" in lines[-1]
+    assert (tmp_path / "test_it.tries").read_text() == "2"
+
+
+def test_a_test_without_the_mark_is_never_retried(tmp_path: Path) -> None:
+    status, lines = run(tmp_path, test_it=FLAKY.format(mark="", wanted=1))
+    assert status == 1
+    assert "1 failed" in lines[-1]
+    assert "retried" not in lines[-1]
+    assert (tmp_path / "test_it.tries").read_text() == "1"
+
+
+def test_real_time_tests_run_alone_after_all_others(tmp_path: Path) -> None:
+    status, lines = run(tmp_path, "-n", "2", test_a=ORDERED, test_b=ORDERED, test_c=ORDERED)
+    assert status == 0
+    assert "27 passed" in lines[-1]
+    notes = sorted(
+        (line.split() for line in (tmp_path / "notes").read_text().splitlines()), key=lambda n: float(n[2])
+    )
+    kinds = [kind for kind, _, _ in notes]
+    assert kinds == ["pure"] * 18 + ["begin", "end"] * 9
+    assert len({process for kind, process, _ in notes if kind == "pure"}) == 2
+    assert len({process for kind, process, _ in notes if kind != "pure"}) == 1
+
+
+def test_only_real_time_tests_run_too(tmp_path: Path) -> None:
+    status, lines = run(tmp_path, "-n", "2", "-m", "realtime", test_a=ORDERED, test_b=ORDERED)
+    assert status == 0
+    assert "6 passed" in lines[-1]
