@@ -1,11 +1,12 @@
-"""A controller on a real socket in a thread: the real session and scan, and an obedient plant."""
+"""A controller for the suite to ask: the real session and scan, and an obedient plant."""
 
 import select
 import socket
 import threading
 import time
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache
+from typing import Any, ClassVar, Self
 
 from controller.config import ControllerConfig
 from controller.core.inbox import Inbox
@@ -17,6 +18,7 @@ from protocol.authentication import LinkKey
 from protocol.reference_messages import Acknowledgement, Request, State
 from protocol.server_session import ReferenceServer
 from protocol.session_events import RequestReceived, ServerEvent, StreamedPoseReceived
+from tests.conformance.simulated_network import SimulatedNetwork, SimulatedSocket
 from tests.controller.obedient_plant import Bench
 from tests.support.paths import CONFIGS
 
@@ -24,6 +26,7 @@ LINK_TIMEOUT_MS = 200
 OVERRIDES = ["controller.supervision.overrun_ms=2000", "controller.streaming.silence_ms=200"]
 
 
+@cache
 def settings(*more: str) -> ScanSettings:
     """The shipped configuration, tolerant of a test machine's lateness, with further overrides."""
     arm = load(NominalArm, CONFIGS / "arm.yaml")
@@ -32,19 +35,34 @@ def settings(*more: str) -> ScanSettings:
     return settings_from(arm, config)
 
 
-@lru_cache(maxsize=1)
+@cache
 def rehearsed() -> None:
     """Once a process: the kernels are there before a link timeout of 200 ms counts."""
     warm_up(settings())
 
 
-class ThreadedController:
-    """Serves the reference link on a free port of loopback until it is left.
+@cache
+def _shipped_arm_hash() -> int:
+    return configuration_hash(load(NominalArm, CONFIGS / "arm.yaml"))
 
-    A mutant overrides one of the hooks ``make_server``, ``incoming``, ``judge``, ``shown``, ``outgoing``.
+
+def _real_socket() -> socket.socket:
+    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    bound.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+    bound.bind(("127.0.0.1", 0))
+    bound.setblocking(False)
+    return bound
+
+
+class ControllerUnderTest:
+    """Serves the reference link on a free port of loopback, in a thread of its own, until it is left.
+
+    With a ``network`` it serves there, in simulated time and without a thread. A mutant overrides one of the
+    hooks ``make_server``, ``incoming``, ``judge``, ``shown``, ``outgoing``.
     """
 
     link_key: LinkKey | None = None
+    network: ClassVar[SimulatedNetwork | None] = None
 
     def __init__(self) -> None:
         rehearsed()
@@ -54,11 +72,10 @@ class ThreadedController:
         self.bench.step()
         self.server = self.make_server()
         self.inbox = Inbox()
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
-        self._socket.bind(("127.0.0.1", 0))
-        self._socket.setblocking(False)
+        self._clock_ns = self.network.clock_ns if self.network else time.monotonic_ns
+        self._socket: Any = SimulatedSocket(self.network) if self.network else _real_socket()
         self.port: int = self._socket.getsockname()[1]
+        self.next_ns = self._clock_ns()
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self.failure: BaseException | None = None
@@ -73,7 +90,7 @@ class ThreadedController:
 
     def arm_hash(self) -> int:
         """The hash of the shipped arm."""
-        return configuration_hash(load(NominalArm, CONFIGS / "arm.yaml"))
+        return _shipped_arm_hash()
 
     def incoming(self, data: bytes) -> bytes | None:
         """A datagram as the controller takes it in."""
@@ -99,30 +116,40 @@ class ThreadedController:
         """What is sent for one datagram of the server."""
         return [data]
 
-    def __enter__(self) -> "ThreadedController":
-        self._thread.start()
+    def __enter__(self) -> Self:
+        if self.network:
+            self.network.controllers.append(self)
+        else:
+            self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._ending.set()
-        self._thread.join(5.0)
+        if self.network:
+            self.network.controllers.remove(self)
+        else:
+            self._ending.set()
+            self._thread.join(5.0)
         self._socket.close()
         if self.failure is not None:
             raise self.failure
 
     def _serve(self) -> None:
         try:
-            next_ns = time.monotonic_ns()
             while not self._ending.is_set():
-                left_s = max(next_ns - time.monotonic_ns(), 0) / 1e9
-                if select.select([self._socket], [], [], left_s)[0]:
-                    self._read()
-                if time.monotonic_ns() >= next_ns:
-                    self._scan()
-                    next_ns = max(next_ns + self.cycle_ns, time.monotonic_ns())
-                self._send()
+                left_s = max(self.next_ns - time.monotonic_ns(), 0) / 1e9
+                select.select([self._socket], [], [], left_s)
+                self.turn()
         except BaseException as failure:
             self.failure = failure
+
+    def turn(self) -> None:
+        """Read what has come, scan if a scan is due, and send."""
+        self._read()
+        now_ns = self._clock_ns()
+        if now_ns >= self.next_ns:
+            self._scan()
+            self.next_ns = max(self.next_ns + self.cycle_ns, now_ns)
+        self._send()
 
     def _read(self) -> None:
         batch = []
@@ -134,8 +161,9 @@ class ThreadedController:
             taken = self.incoming(data)
             if taken is not None:
                 batch.append((taken, source))
-        now_ns = time.monotonic_ns()
-        self.inbox.put([self._judged(event) for event in self.server.receive_batch(batch, now_ns)])
+        if batch:
+            events = self.server.receive_batch(batch, self._clock_ns())
+            self.inbox.put([self._judged(event) for event in events])
 
     def _judged(self, event: ServerEvent) -> ServerEvent:
         if isinstance(event, RequestReceived):
@@ -143,7 +171,7 @@ class ThreadedController:
         return self.judge_streamed(event) if isinstance(event, StreamedPoseReceived) else event
 
     def _scan(self) -> None:
-        now_ns = time.monotonic_ns()
+        now_ns = self._clock_ns()
         self.inbox.put(self.server.tick(now_ns))
         requests, self.bench.link_alive = self.inbox.take(self.server.link_alive(now_ns))
         self.bench.now_ns = now_ns - self.cycle_ns  # the bench adds one cycle
@@ -167,9 +195,9 @@ class ThreadedController:
         self.server.publish(self.shown(state), now_ns)
 
     def _send(self) -> None:
-        for data, source in self.server.outgoing(time.monotonic_ns()):
+        for data, source in self.server.outgoing(self._clock_ns()):
             for each in self.outgoing(data):
                 self._socket.sendto(each, source)
 
 
-Maker = Callable[[], ThreadedController]
+Maker = Callable[[], ControllerUnderTest]

@@ -4,17 +4,41 @@ import asyncio
 import socket
 import threading
 import time
+from collections.abc import Callable
 from types import TracebackType
-from typing import Any
+from typing import Any, ClassVar
 
 from plant_emulator.shell.coupler import Coupler
 from protocol.process_image import SensorImage, ValveImage, encode_sensors
 
 RELEASE_NS = 60_000_000_000
+_SETTLES_S = 0.005
+
+
+class ShiftedClock:
+    """The machine's clock, but waiting moves it instead of taking time."""
+
+    def __init__(self) -> None:
+        self._shift_ns = 0
+
+    def monotonic_ns(self) -> int:
+        """The time, ns."""
+        return time.monotonic_ns() + self._shift_ns
+
+    def monotonic(self) -> float:
+        """The time, s."""
+        return self.monotonic_ns() * 1e-9
+
+    def sleep(self, seconds: float) -> None:
+        """Move the clock by ``seconds``; what is under way on a socket gets 5 ms to arrive."""
+        time.sleep(min(seconds, _SETTLES_S))
+        self._shift_ns += round(max(seconds - _SETTLES_S, 0.0) * 1e9)
 
 
 class ThreadedCoupler:
     """Our own coupler; a mutant overrides what it gets wrong."""
+
+    clock: ClassVar[ShiftedClock | None] = None
 
     def __init__(self) -> None:
         self.written: list[ValveImage] = []
@@ -26,7 +50,11 @@ class ThreadedCoupler:
 
     def make(self) -> Coupler:
         """The coupler to serve."""
-        return Coupler(self.sensors, self.written.append, RELEASE_NS, time.monotonic_ns)
+        return Coupler(self.sensors, self.written.append, RELEASE_NS, self.clock_ns())
+
+    def clock_ns(self) -> Callable[[], int]:
+        """The coupler's clock."""
+        return self.clock.monotonic_ns if self.clock else time.monotonic_ns
 
     def sensors(self) -> list[int]:
         """The input image."""

@@ -10,14 +10,14 @@ from protocol.errors import DatagramRefused
 from protocol.reference_messages import Hello, State
 from protocol.server_session import ReferenceServer
 from protocol.session_events import DatagramDropped, ServerEvent
-from tests.conformance.controllers import LINK_TIMEOUT_MS, ThreadedController
+from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
 from tests.conformance.mutants import Mutant, _NoDuplicates, _with_window
 
 KEY = LinkKey(bytes(range(32)))
 KIND = 6
 
 
-class KeyedController(ThreadedController):
+class KeyedController(ControllerUnderTest):
     """A sound controller that has a key."""
 
     link_key: LinkKey = KEY

@@ -23,7 +23,7 @@ from protocol.reference_messages import (
 )
 from protocol.server_session import ReferenceServer
 from protocol.session_events import ServerEvent
-from tests.conformance.controllers import LINK_TIMEOUT_MS, ThreadedController
+from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
 
 MAJOR, MINOR, FLAGS, LENGTH, SEQUENCE, ECHO, HEADER_BYTES = 4, 5, 8, 10, 24, 28, 40
 
@@ -34,21 +34,21 @@ def reworked(data: bytes, kind: type, rework: Any) -> bytes:
     return encode(rework(message), header) if isinstance(message, kind) else data
 
 
-class NoCrc(ThreadedController):
+class NoCrc(ControllerUnderTest):
     """Does not look at the CRC."""
 
     def incoming(self, data: bytes) -> bytes | None:
         return resealed(data) if len(data) >= HEADER_BYTES else data
 
 
-class NoMagic(ThreadedController):
+class NoMagic(ControllerUnderTest):
     """Does not look at the magic."""
 
     def incoming(self, data: bytes) -> bytes | None:
         return resealed(b"LRLK" + data[4:]) if len(data) >= HEADER_BYTES and _sound_crc(data) else data
 
 
-class IgnoresTrailingBytes(ThreadedController):
+class IgnoresTrailingBytes(ControllerUnderTest):
     """Reads what the length field says and leaves the rest."""
 
     def incoming(self, data: bytes) -> bytes | None:
@@ -58,7 +58,7 @@ class IgnoresTrailingBytes(ThreadedController):
         return resealed(data[:wanted]) if len(data) > wanted else data
 
 
-class FillsUpShortDatagrams(ThreadedController):
+class FillsUpShortDatagrams(ControllerUnderTest):
     """Takes missing bytes for zero."""
 
     def incoming(self, data: bytes) -> bytes | None:
@@ -67,7 +67,7 @@ class FillsUpShortDatagrams(ThreadedController):
         return with_number(data + bytes(56 - len(data)), LENGTH, "H", 16)
 
 
-class IgnoresCriticalFlags(ThreadedController):
+class IgnoresCriticalFlags(ControllerUnderTest):
     """Ignores every flag."""
 
     def incoming(self, data: bytes) -> bytes | None:
@@ -76,14 +76,14 @@ class IgnoresCriticalFlags(ThreadedController):
         return with_number(data, FLAGS, "H", data[FLAGS])
 
 
-class IgnoresTheMajorVersion(ThreadedController):
+class IgnoresTheMajorVersion(ControllerUnderTest):
     """Takes any major version for its own."""
 
     def incoming(self, data: bytes) -> bytes | None:
         return with_number(data, MAJOR, "B", 1) if len(data) >= HEADER_BYTES and _sound_crc(data) else data
 
 
-class DropsUnknownCommands(ThreadedController):
+class DropsUnknownCommands(ControllerUnderTest):
     """Leaves an unknown command without an answer."""
 
     def incoming(self, data: bytes) -> bytes | None:
@@ -100,7 +100,7 @@ class _Forgetful(CommandLedger):
         return super().admit(command_id, payload)
 
 
-class ExecutesRepetitions(ThreadedController):
+class ExecutesRepetitions(ControllerUnderTest):
     """Forgets which commands it has executed."""
 
     def make_server(self) -> ReferenceServer:
@@ -115,7 +115,7 @@ class _LetsOlderIdsPass(CommandLedger):
         return super().admit(command_id, payload)
 
 
-class LetsMotionsOvertake(ThreadedController):
+class LetsMotionsOvertake(ControllerUnderTest):
     """Executes an id below the newest."""
 
     def make_server(self) -> ReferenceServer:
@@ -127,14 +127,14 @@ class _ById(CommandLedger):
         return super().admit(command_id, b"")
 
 
-class LooksAtTheIdAlone(ThreadedController):
+class LooksAtTheIdAlone(ControllerUnderTest):
     """Takes any request with a known id for a repetition."""
 
     def make_server(self) -> ReferenceServer:
         return _with_ledger(super().make_server(), _ById)
 
 
-class AnswersTwice(ThreadedController):
+class AnswersTwice(ControllerUnderTest):
     """Sends every acknowledgement twice, under two sequence numbers."""
 
     def make_server(self) -> ReferenceServer:
@@ -175,42 +175,42 @@ class _AnyLeap(channel.SequenceWindow):
         return super().arrive(sequence)
 
 
-class UsesLateDatagrams(ThreadedController):
+class UsesLateDatagrams(ControllerUnderTest):
     """Drops duplicates only."""
 
     def make_server(self) -> ReferenceServer:
         return _with_window(super().make_server(), _AnyOrder)
 
 
-class DoesNotWrap(ThreadedController):
+class DoesNotWrap(ControllerUnderTest):
     """Compares sequence numbers as plain numbers."""
 
     def make_server(self) -> ReferenceServer:
         return _with_window(super().make_server(), _Plain)
 
 
-class UsesDuplicates(ThreadedController):
+class UsesDuplicates(ControllerUnderTest):
     """Drops older numbers, but not the same again."""
 
     def make_server(self) -> ReferenceServer:
         return _with_window(super().make_server(), _NoDuplicates)
 
 
-class FollowsAnyLeap(ThreadedController):
+class FollowsAnyLeap(ControllerUnderTest):
     """Follows a leap of any size."""
 
     def make_server(self) -> ReferenceServer:
         return _with_window(super().make_server(), _AnyLeap)
 
 
-class UsesStaleDatagrams(ThreadedController):
+class UsesStaleDatagrams(ControllerUnderTest):
     """Judges by sequence alone."""
 
     def make_server(self) -> ReferenceServer:
         return ReferenceServer(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, max_age_ms=10**6)
 
 
-class WaitsTooLong(ThreadedController):
+class WaitsTooLong(ControllerUnderTest):
     """Ends a silent session after twice the time it announced."""
 
     def make_server(self) -> ReferenceServer:
@@ -220,14 +220,14 @@ class WaitsTooLong(ThreadedController):
         return [reworked(data, Welcome, lambda m: m._replace(link_timeout_ms=LINK_TIMEOUT_MS))]
 
 
-class IsImpatient(ThreadedController):
+class IsImpatient(ControllerUnderTest):
     """Ends a session after two thirds of the time it announced."""
 
     def outgoing(self, data: bytes) -> list[bytes]:
         return [reworked(data, Welcome, lambda m: m._replace(link_timeout_ms=LINK_TIMEOUT_MS * 3 // 2))]
 
 
-class LeavesInSilence(ThreadedController):
+class LeavesInSilence(ControllerUnderTest):
     """Ends a session without a word."""
 
     def outgoing(self, data: bytes) -> list[bytes]:
@@ -235,7 +235,7 @@ class LeavesInSilence(ThreadedController):
         return [] if message == Bye(Reason.LINK_TIMEOUT) else [data]
 
 
-class TakesASecondClient(ThreadedController):
+class TakesASecondClient(ControllerUnderTest):
     """Lets the newest client in, whoever is connected."""
 
     def make_server(self) -> ReferenceServer:
@@ -248,7 +248,7 @@ class TakesASecondClient(ThreadedController):
         return Server(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS)
 
 
-class TakesAnySource(ThreadedController):
+class TakesAnySource(ControllerUnderTest):
     """Uses a datagram of the session wherever it comes from."""
 
     def make_server(self) -> ReferenceServer:
@@ -261,7 +261,7 @@ class TakesAnySource(ThreadedController):
         return Server(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS)
 
 
-class OpensForRecordedHellos(ThreadedController):
+class OpensForRecordedHellos(ControllerUnderTest):
     """Does not remember nonces."""
 
     def make_server(self) -> ReferenceServer:
@@ -273,21 +273,21 @@ class OpensForRecordedHellos(ThreadedController):
         return Server(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS)
 
 
-class GrantsEverything(ThreadedController):
+class GrantsEverything(ControllerUnderTest):
     """Grants every capability it is asked for."""
 
     def make_server(self) -> ReferenceServer:
         return ReferenceServer(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, capabilities=2**64 - 1)
 
 
-class GrantsUnasked(ThreadedController):
+class GrantsUnasked(ControllerUnderTest):
     """Grants what was not offered."""
 
     def outgoing(self, data: bytes) -> list[bytes]:
         return [reworked(data, Welcome, lambda m: m._replace(capabilities=1))]
 
 
-class AnswersEveryStranger(ThreadedController):
+class AnswersEveryStranger(ControllerUnderTest):
     """Does not ration its refusals."""
 
     def make_server(self) -> ReferenceServer:
@@ -299,7 +299,7 @@ class AnswersEveryStranger(ThreadedController):
         return Server(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS)
 
 
-class AnswersBye(ThreadedController):
+class AnswersBye(ControllerUnderTest):
     """Answers BYE with BYE."""
 
     def make_server(self) -> ReferenceServer:
@@ -313,7 +313,7 @@ class AnswersBye(ThreadedController):
         return Server(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS)
 
 
-class NumbersFromAByte(ThreadedController):
+class NumbersFromAByte(ControllerUnderTest):
     """Keeps its own sequence number in one byte."""
 
     def make_server(self) -> ReferenceServer:
@@ -323,7 +323,7 @@ class NumbersFromAByte(ThreadedController):
         return [with_number(data, SEQUENCE, "I", struct.unpack_from("<I", data, SEQUENCE)[0] & 0xFF)]
 
 
-class EchoesTheFirst(ThreadedController):
+class EchoesTheFirst(ControllerUnderTest):
     """Echoes a number that is not the newest."""
 
     def outgoing(self, data: bytes) -> list[bytes]:
@@ -331,7 +331,7 @@ class EchoesTheFirst(ThreadedController):
         return [with_number(data, ECHO, "I", max(echo - 1, 0))]
 
 
-class StampsInMicroseconds(ThreadedController):
+class StampsInMicroseconds(ControllerUnderTest):
     """Answers heartbeats in microseconds."""
 
     def outgoing(self, data: bytes) -> list[bytes]:
@@ -341,14 +341,14 @@ class StampsInMicroseconds(ThreadedController):
         return [reworked(data, HeartbeatReply, coarse)]
 
 
-class StampsBackwards(ThreadedController):
+class StampsBackwards(ControllerUnderTest):
     """Claims to have replied before it received."""
 
     def outgoing(self, data: bytes) -> list[bytes]:
         return [reworked(data, HeartbeatReply, lambda m: m._replace(received_ns=m.replied_ns + 1000))]
 
 
-class IgnoresTheStatePeriod(ThreadedController):
+class IgnoresTheStatePeriod(ControllerUnderTest):
     """Sends STATE every cycle."""
 
     def make_server(self) -> ReferenceServer:
@@ -361,14 +361,14 @@ class IgnoresTheStatePeriod(ThreadedController):
         return Server(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS)
 
 
-class CountsNoLosses(ThreadedController):
+class CountsNoLosses(ControllerUnderTest):
     """Shows no losses."""
 
     def shown(self, state: State) -> State:
         return state._replace(references_lost=0)
 
 
-class TakesNanForZero(ThreadedController):
+class TakesNanForZero(ControllerUnderTest):
     """Puts 0 where a NaN came."""
 
     def judge(self, request: Request) -> Request:
@@ -380,7 +380,7 @@ class TakesNanForZero(ThreadedController):
         return request._replace(X_BT_ref=sane, duration_s=duration)
 
 
-class NormalisesAnything(ThreadedController):
+class NormalisesAnything(ControllerUnderTest):
     """Normalises every quaternion."""
 
     def judge(self, request: Request) -> Request:
@@ -392,7 +392,7 @@ class NormalisesAnything(ThreadedController):
         return request._replace(X_BT_ref=request.X_BT_ref._replace(q_wxyz=unit))
 
 
-class DrivesTheReachablePart(ThreadedController):
+class DrivesTheReachablePart(ControllerUnderTest):
     """Leaves out the waypoints that cannot be reached."""
 
     def judge(self, request: Request) -> Request:
@@ -402,7 +402,7 @@ class DrivesTheReachablePart(ThreadedController):
         return request._replace(waypoints=near)
 
 
-class ForgetsTheEmergency(ThreadedController):
+class ForgetsTheEmergency(ControllerUnderTest):
     """A new session clears the emergency stop."""
 
     def incoming(self, data: bytes) -> bytes | None:
@@ -412,7 +412,7 @@ class ForgetsTheEmergency(ThreadedController):
         return data
 
 
-class ReleaseIsEnough(ThreadedController):
+class ReleaseIsEnough(ControllerUnderTest):
     """EMERGENCY_RELEASE resets as well."""
 
     def judge(self, request: Request) -> Request:
@@ -422,7 +422,7 @@ class ReleaseIsEnough(ThreadedController):
         return request
 
 
-class GoesOnUnattended(ThreadedController):
+class GoesOnUnattended(ControllerUnderTest):
     """Does not tell the scan that the link is lost."""
 
     def make_server(self) -> ReferenceServer:
@@ -438,14 +438,14 @@ class GoesOnUnattended(ThreadedController):
         return Server(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS)
 
 
-class MoreMinor(ThreadedController):
+class MoreMinor(ControllerUnderTest):
     """Sends another minor version than it negotiated."""
 
     def outgoing(self, data: bytes) -> list[bytes]:
         return [data if data[6] == 2 else with_number(data, MINOR, "B", 3)]
 
 
-class KeepsItsSessionNumber(ThreadedController):
+class KeepsItsSessionNumber(ControllerUnderTest):
     """Numbers its sessions by the client's nonce's parity: soon the same again."""
 
     def make_server(self) -> ReferenceServer:
@@ -472,7 +472,7 @@ class KeepsItsSessionNumber(ThreadedController):
 class Mutant(NamedTuple):
     """A broken controller and the case that is meant to catch it."""
 
-    make: type[ThreadedController]
+    make: type[ControllerUnderTest]
     case: int
 
 

@@ -3,18 +3,18 @@
 from controller.core.settings import ScanSettings
 from protocol.reference_messages import State
 from protocol.session_events import StreamedPoseReceived
-from tests.conformance.controllers import ThreadedController, settings
+from tests.conformance.controllers import ControllerUnderTest, settings
 from tests.conformance.mutants import Mutant
 
 
-class WaitsForReferences(ThreadedController):
+class WaitsForReferences(ControllerUnderTest):
     """Goes on for most of a second without a reference."""
 
     def configured(self) -> ScanSettings:
         return settings("controller.streaming.silence_ms=900")
 
 
-class TakesNanForTheLast(ThreadedController):
+class TakesNanForTheLast(ControllerUnderTest):
     """Takes the reference before for one that is not finite, and so for a fresh one."""
 
     good: StreamedPoseReceived | None = None
@@ -29,7 +29,7 @@ class TakesNanForTheLast(ThreadedController):
         return arrival._replace(message=arrival.message._replace(X_BT_ref=pose))
 
 
-class FollowsAnyStream(ThreadedController):
+class FollowsAnyStream(ControllerUnderTest):
     """Does not look at the stream that a reference belongs to."""
 
     def judge_streamed(self, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
@@ -39,7 +39,7 @@ class FollowsAnyStream(ThreadedController):
         return arrival._replace(message=arrival.message._replace(stream_id=stream.stream_id))
 
 
-class TakesOlderNumbers(ThreadedController):
+class TakesOlderNumbers(ControllerUnderTest):
     """Does not look at the number."""
 
     def judge_streamed(self, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
@@ -49,14 +49,14 @@ class TakesOlderNumbers(ThreadedController):
         return arrival._replace(message=arrival.message._replace(number=(stream.number + 1) % 2**32))
 
 
-class IgnoresTheMeasurement(ThreadedController):
+class IgnoresTheMeasurement(ControllerUnderTest):
     """Does not look at how old the measurement behind a reference is."""
 
     def judge_streamed(self, arrival: StreamedPoseReceived) -> StreamedPoseReceived:
         return arrival._replace(measured_ns=arrival.left_ns)
 
 
-class StandsStill(ThreadedController):
+class StandsStill(ControllerUnderTest):
     """Accepts streamed references, and shows another number than that of the newest."""
 
     def shown(self, state: State) -> State:

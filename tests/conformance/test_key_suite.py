@@ -8,11 +8,12 @@ from typer.testing import CliRunner
 from conformance.case import Outcome
 from conformance.command import app
 from conformance.runner import reference_cases, run_reference
-from tests.conformance.controllers import ThreadedController
+from tests.conformance.controllers import ControllerUnderTest
 from tests.conformance.key_mutants import KEY, KEY_MUTANTS, KeyedController
 from tests.conformance.mutants import Mutant
-from tests.conformance.test_reference_suite import CONTROL, SLOW, failures
+from tests.conformance.test_reference_suite import CONTROL, failures
 
+simulated = pytest.mark.usefixtures("network")
 FOR_CONTROLLERS_WITHOUT_A_KEY = {722}
 OF_AUTHENTICATION = {case.number for case in reference_cases() if 700 < case.number < 800}
 
@@ -25,17 +26,20 @@ def asked_of_a_sound_one(numbers: set[int]) -> None:
     assert len(summary.results) == len(numbers)
 
 
+@simulated
 def test_a_sound_controller_with_a_key_passes_the_cases_of_authentication_and_framing() -> None:
     framing = {case.number for case in reference_cases() if case.number < 200}
     asked_of_a_sound_one(framing | OF_AUTHENTICATION - FOR_CONTROLLERS_WITHOUT_A_KEY)
 
 
+@simulated
 @pytest.mark.experiment
 def test_a_sound_controller_with_a_key_passes_every_case() -> None:
     numbers = {case.number for case in reference_cases()}
-    asked_of_a_sound_one(numbers - SLOW - FOR_CONTROLLERS_WITHOUT_A_KEY)
+    asked_of_a_sound_one(numbers - FOR_CONTROLLERS_WITHOUT_A_KEY)
 
 
+@simulated
 @pytest.mark.parametrize("mutant", KEY_MUTANTS, ids=lambda m: f"{m.make.__name__}-{m.case}")
 def test_each_broken_controller_is_caught_by_the_case_meant_for_it(mutant: Mutant) -> None:
     with mutant.make() as controller:
@@ -51,13 +55,14 @@ def test_every_case_of_authentication_is_shown_to_be_able_to_fail() -> None:
     assert len(reference_cases()) >= 120
 
 
+@simulated
 def test_without_a_key_on_either_side_the_cases_are_unsupported_and_say_why() -> None:
     with KeyedController() as controller:
         keyless = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 704])
     assert [r.outcome for r in keyless.results] == [Outcome.UNSUPPORTED] * 2
     assert ["--key" in r.detail for r in keyless.results] == [True, True]
     assert not keyless.passed
-    with ThreadedController() as controller:
+    with ControllerUnderTest() as controller:
         keyed = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 704], key=KEY)
         plain = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 704, 722])
     assert [r.outcome for r in keyed.results] == [Outcome.UNSUPPORTED] * 2
@@ -65,6 +70,7 @@ def test_without_a_key_on_either_side_the_cases_are_unsupported_and_say_why() ->
     assert [r.outcome for r in plain.results] == [Outcome.PASS, Outcome.UNSUPPORTED, Outcome.PASS]
 
 
+@simulated
 def test_the_command_takes_the_key_from_a_file_of_its_own(tmp_path: Path) -> None:
     path = tmp_path / "key"
     path.write_text(bytes(range(32)).hex())

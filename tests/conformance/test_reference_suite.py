@@ -16,14 +16,13 @@ from conformance.runner import Summary, reference_cases, run_reference
 from protocol.errors import ConfigurationError
 from protocol.reference_messages import CAPABILITY_PATHS
 from protocol.server_session import ReferenceServer
-from tests.conformance.controllers import LINK_TIMEOUT_MS, ThreadedController
+from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
 from tests.conformance.mutants import MUTANTS, Mutant
 from tests.conformance.stream_mutants import STREAM_MUTANTS
 from tests.support.paths import DOCS
 
 PAGE = DOCS / "protocol.md"
-# These drive the obedient plant for seconds, or wait for timeouts again and again.
-SLOW = {527, 529, 532, 551}
+simulated = pytest.mark.usefixtures("network")
 CONTROL = 101
 # Cases about authentication; test_key_suite asks them.
 WITH_A_KEY = set(range(701, 722))
@@ -37,22 +36,26 @@ def failures(summary: Summary) -> list[str]:
     ]
 
 
+@simulated
 def test_a_sound_controller_passes_every_case() -> None:
-    numbers = [case.number for case in reference_cases() if case.number not in SLOW | WITH_A_KEY]
-    with ThreadedController() as controller:
+    numbers = [case.number for case in reference_cases() if case.number not in WITH_A_KEY]
+    with ControllerUnderTest() as controller:
         summary = run_reference("127.0.0.1", controller.port, numbers=numbers, motion=True)
     assert failures(summary) == []
     assert len(summary.results) == len(numbers)
     assert summary.passed
 
 
-@pytest.mark.experiment
-def test_a_sound_controller_passes_the_slow_cases() -> None:
-    with ThreadedController() as controller:
-        summary = run_reference("127.0.0.1", controller.port, numbers=SLOW, motion=True)
+@pytest.mark.realtime
+def test_on_real_sockets_it_passes_a_case_of_each_subject() -> None:
+    numbers = [CONTROL, 203, 224, 301, 313, 401, 509, 521, 541]
+    with ControllerUnderTest() as controller:
+        summary = run_reference("127.0.0.1", controller.port, numbers=numbers, motion=True)
     assert failures(summary) == []
+    assert len(summary.results) == len(numbers)
 
 
+@simulated
 @pytest.mark.parametrize("mutant", [*MUTANTS, *STREAM_MUTANTS], ids=lambda m: f"{m.make.__name__}-{m.case}")
 def test_each_broken_controller_is_caught_by_the_case_meant_for_it(mutant: Mutant) -> None:
     with mutant.make() as controller:
@@ -90,22 +93,25 @@ def test_every_clause_of_the_link_is_asked_for_or_it_is_said_why_not() -> None:
     assert of_the_link - set(NOT_ASKED) <= asked
 
 
+@simulated
 def test_motion_is_unsupported_unless_it_is_allowed() -> None:
-    with ThreadedController() as controller:
+    with ControllerUnderTest() as controller:
         summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 521])
     assert [result.outcome for result in summary.results] == [Outcome.PASS, Outcome.UNSUPPORTED]
     assert summary.passed
 
 
+@simulated
 def test_a_controller_that_cannot_be_enabled_is_unsupported_and_not_failed() -> None:
-    with ThreadedController() as controller:
+    with ControllerUnderTest() as controller:
         controller.bench.status = 0
         summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 521], motion=True)
     assert [result.outcome for result in summary.results] == [Outcome.PASS, Outcome.UNSUPPORTED]
 
 
+@simulated
 def test_a_controller_that_does_not_stream_is_unsupported_and_not_failed() -> None:
-    class Streamless(ThreadedController):
+    class Streamless(ControllerUnderTest):
         def make_server(self) -> ReferenceServer:
             return ReferenceServer(
                 77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, capabilities=CAPABILITY_PATHS
@@ -127,8 +133,9 @@ def test_nobody_there_is_a_failure_with_its_reason() -> None:
     assert not summary.passed
 
 
+@simulated
 def test_records_tell_the_same_story(tmp_path: Path) -> None:
-    with ThreadedController() as controller:
+    with ControllerUnderTest() as controller:
         controller.bench.status = 0
         summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 123, 521], motion=True)
     write_records(summary, tmp_path)
@@ -153,9 +160,10 @@ def test_a_number_is_given_once() -> None:
         register.case(1, "1.1", "one again")(lambda peer: None)
 
 
+@simulated
 def test_the_command_prints_writes_and_ends_with_its_verdict(tmp_path: Path) -> None:
     runner = CliRunner()
-    with ThreadedController() as controller:
+    with ControllerUnderTest() as controller:
         port = str(controller.port)
         good = runner.invoke(
             app,

@@ -9,7 +9,7 @@ import pytest
 
 from protocol.errors import RequestRefused
 from protocol.faults import CommandCode, GroupState
-from tests.conformance.controllers import ThreadedController
+from tests.conformance.controllers import ControllerUnderTest
 from tests.vision_pc.shell.loopback_controller import until
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.reference_link import ReferenceLink
@@ -22,7 +22,7 @@ from vision_pc.shell.monotonic_clock import MonotonicClock
 
 @pytest.fixture
 async def link() -> AsyncIterator[ReferenceLink]:
-    with ThreadedController() as controller:
+    with ControllerUnderTest() as controller:
         settings = LinkSettings(port=controller.port, state_period_ms=10)
         endpoint = UdpEndpoint(settings, EventLog(None, io.StringIO()), MonotonicClock())
         link = endpoint.link
