@@ -14,6 +14,7 @@ from rich.table import Table
 from conformance.case import Case, Outcome
 from conformance.records import as_json, write_records
 from conformance.runner import Result, Summary, coupler_cases, reference_cases, run_coupler, run_reference
+from foundation.hosts import known_host
 from foundation.link_key import key_from_file
 from protocol.errors import ConfigurationError
 
@@ -56,6 +57,7 @@ def reference(
     if list_cases:
         _list(reference_cases())
         return
+    known_host(host)
     wanted = _wanted(case, reference_cases())
     link_key = None if key is None else key_from_file(key)
 
@@ -84,6 +86,7 @@ def coupler(
     if list_cases:
         _list(coupler_cases())
         return
+    known_host(host)
     wanted = _wanted(case, coupler_cases())
 
     def run(show: Callable[[Result], None]) -> Summary:

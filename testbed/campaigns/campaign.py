@@ -8,6 +8,8 @@ all the runs are made in this process, one after the other.
 import hashlib
 import json
 import logging
+import signal
+import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -27,7 +29,7 @@ from distributed.scheduler import KilledWorker
 from protocol.errors import ConfigurationError, LinkLost, LongreachError
 from testbed.campaigns.provenance import content_hash, provenance_of
 from testbed.campaigns.row_file import Row, RowFile
-from testbed.reporting.console import bars, out, plain
+from testbed.reporting.console import bars, err, out, plain
 
 distributed: Any = untyped  # it has types in part only
 
@@ -94,11 +96,16 @@ def run_campaign(
     out.print(told, style="dim", highlight=False, soft_wrap=True)
     if to_do:
         checked = partial(_on_same_evidence, function, evidence)
-        for task, row in _results(checked, to_do, scheduler, min(workers, len(to_do)), title):
-            key = str(task["key"])
-            named = {"key": key, "configuration": configurations[key]}
-            whole = named | _files_written(directory, "-".join(named.values()), row)
-            done[key, configurations[key]] = file.append(whole)
+        try:
+            for task, row in _results(checked, to_do, scheduler, min(workers, len(to_do)), title):
+                key = str(task["key"])
+                named = {"key": key, "configuration": configurations[key]}
+                whole = named | _files_written(directory, "-".join(named.values()), row)
+                done[key, configurations[key]] = file.append(whole)
+        except KeyboardInterrupt:
+            kept_now = f"{len(file.rows)} rows are kept in {file.path}; the same command goes on from there"
+            err.print(kept_now, highlight=False, soft_wrap=True)
+            raise
     return [{name: done[item].get(name) for name in file.columns} for item in configurations.items()]
 
 
@@ -159,11 +166,14 @@ def _files_written(directory: Path, stem: str, row: Row) -> Row:
 
 def _note(directory: Path, entries: Sequence[Mapping[str, Any]]) -> None:
     """Write what the configurations' hashes stand for to ``tasks.jsonl``."""
-    directory.mkdir(parents=True, exist_ok=True)
     path = directory / "tasks.jsonl"
-    known = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
     lines = [json.dumps(plain(entry), sort_keys=True, default=repr) for entry in entries]
-    path.write_text("".join(f"{line}\n" for line in dict.fromkeys(known + lines)), encoding="utf-8")
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        known = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+        path.write_text("".join(f"{line}\n" for line in dict.fromkeys(known + lines)), encoding="utf-8")
+    except OSError as error:
+        raise ConfigurationError("output.unwritable", f"{path}: {error.strerror}") from error
 
 
 class _Done(NamedTuple):
@@ -277,26 +287,48 @@ def _workforce(scheduler: str | None, workers: int) -> Iterator[_Workforce]:
         if scheduler is None:
             cluster = stack.enter_context(_started(workers))
             client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
+            client.register_plugin(_IgnoresCtrlC())  # for those that replace worn ones
             yield _Workforce(client, workers, True)
         else:
             client = stack.enter_context(_reached(scheduler))
             yield _Workforce(client, 2 * sum(client.nthreads().values()), False)
 
 
+class _IgnoresCtrlC(distributed.WorkerPlugin):  # type: ignore[misc]
+    """A worker leaves Ctrl-C to its client, which ends it in order."""
+
+    def setup(self, worker: Any) -> None:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def _ctrl_c_ignored() -> Iterator[None]:
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are the main thread's
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 @contextmanager
 def _started(workers: int) -> Iterator[Any]:
     """A cluster of worker processes on loopback. Raises LinkLost (``link.workers_not_started``)."""
     try:
-        cluster = distributed.LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
-            scheduler_kwargs={"dashboard": False},
-            memory_limit=_MEMORY_LIMIT,
-            silence_logs=logging.CRITICAL,
-        )
+        with _ctrl_c_ignored():  # workers inherit it: the client alone acts on Ctrl-C
+            cluster = distributed.LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",
+                scheduler_kwargs={"dashboard": False},
+                memory_limit=_MEMORY_LIMIT,
+                silence_logs=logging.CRITICAL,
+            )
     except (OSError, RuntimeError) as error:
         raise LinkLost(
             "link.workers_not_started", f"{workers} workers could not be started: {error}"

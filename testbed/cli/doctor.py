@@ -44,7 +44,7 @@ def _all_checks(config_dir: Path, overrides: Overrides, runs: Path) -> Iterator[
         return  # told above; without a configuration there are no ports to look at
     yield _peers_check(settings)
     for use in ports_in_use(settings):
-        yield doctor.port_check(use.name, use.host, use.port, use.kind)
+        yield doctor.port_check(use)
 
 
 def _peers_check(settings: Settings) -> Check:

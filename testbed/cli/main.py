@@ -1,6 +1,5 @@
 """The `longreach` command: starts, shows and examines the parts put together."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +8,6 @@ import typer
 from conformance.command import app as conformance
 from dissector.command import sniff
 from foundation.configuration import merged, parse_overrides
-from protocol.errors import LongreachError
 from testbed.cli.hand_eye import app as hand_eye
 from testbed.cli.hand_eye import register_experiments
 from testbed.cli.options import (
@@ -24,18 +22,30 @@ from testbed.cli.options import (
 )
 from testbed.cli.paper import add_to
 from testbed.cli.positioning import register_experiments as register_vision_experiments
+from testbed.cli.root import RootGroup, show_version
 from testbed.fault_proxy.command import proxy
 from testbed.pictures.command import app as picture
-from testbed.reporting.console import err
+from testbed.reporting.console import writable
 from testbed.scenarios.settings import chosen_overrides, with_faults
 
 app = typer.Typer(
     name="longreach",
-    help="Vision-guided precise positioning of long-reach hydraulic manipulators: the testbed's command.",
+    cls=RootGroup,
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode="rich",
 )
+
+
+@app.callback()
+def longreach(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Show the version and end.", callback=show_version, is_eager=True),
+    ] = False,
+) -> None:
+    """Vision-guided precise positioning of long-reach hydraulic manipulators: the testbed's command."""
+
 
 validate = typer.Typer(help="Compare parts with known answers.", no_args_is_help=True)
 app.add_typer(validate, name="validate")
@@ -287,19 +297,14 @@ def plant_survey_command(
     """Sag, play, static error and free vibration of both arms over the workspace, beside stated figures."""
     from testbed.validation.plant_survey_report import run_survey
 
+    writable(directory / "plant_survey.png")
     run_survey(config_dir, directory, json_file)
 
 
 def main() -> None:
-    """Run the command line. An expected error becomes one line and exit status 2."""
-    try:
-        app()
-    except LongreachError as error:
-        err.print(
-            f"longreach: {error.cause}: {error}",
-            style="bold red",
-            highlight=False,
-            soft_wrap=True,
-            markup=False,
-        )
-        sys.exit(2)
+    """Run the command line."""
+    app()
+
+
+if __name__ == "__main__":
+    main()

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from testbed.reporting.console import writable
+
 ConfigDir = Annotated[Path, typer.Option("--config-dir", help="Where the configuration files are.")]
 Scenario = Annotated[str, typer.Option(help="Which of CONFIG_DIR/scenarios to draw the world from.")]
 Count = Annotated[int, typer.Option("--runs", min=1, help="How many seeds, from --seed on.")]
@@ -20,7 +22,8 @@ Scheduler = Annotated[
 Directory = Annotated[Path, typer.Option(help="Where rows are kept; what is there is not run again.")]
 Out = Annotated[Path, typer.Option("--out", help="Rows, figures, report; rows there are not measured again.")]
 JsonFile = Annotated[
-    Path | None, typer.Option("--json", help="Also write every printed figure to this file.")
+    Path | None,
+    typer.Option("--json", help="Also write every printed figure to this file.", callback=writable),
 ]
 
 DEFAULT_CONFIG = Path("configs")

@@ -66,10 +66,10 @@ def run_lockstep_demo(
     config_dir: Path, overrides: Overrides, choice: Choice, runs: Path, json_file: Path | None
 ) -> bool:
     """Whether the true error ended inside the limit; prints the table and writes the report."""
-    directory = run_directory(runs)
-    with bars() as shown:
-        done = run_lockstep(config_dir, overrides, choice, shown)
     clearance_m = load_settings(config_dir, overrides).vision.programs.positioning.clearance_m
-    curves = traces(done.truths, done.views, clearance_m)
-    pictures = [rest.picture for rest in done.rests]
-    return present(directory, done.outcome, curves, pictures, done.log.events, json_file)
+    with run_directory(runs) as directory:
+        with bars() as shown:
+            done = run_lockstep(config_dir, overrides, choice, shown)
+        curves = traces(done.truths, done.views, clearance_m)
+        pictures = [rest.picture for rest in done.rests]
+        return present(directory, done.outcome, curves, pictures, done.log.events, json_file)

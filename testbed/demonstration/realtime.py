@@ -45,10 +45,16 @@ def run_demo(
     """
     began = time.monotonic()
     end_on_sigterm()
-    launch = prepare(config_dir, overrides, run_directory(runs), any_ports=any_ports)
-    with bars() as shown, started(launch, shown) as supervisor:
-        show_fault_face(launch)
-        driven = drive(launch, choice, shown, supervisor)
+    with run_directory(runs) as directory:
+        launch = prepare(config_dir, overrides, directory, any_ports=any_ports)
+        with bars() as shown, started(launch, shown) as supervisor:
+            show_fault_face(launch)
+            driven = drive(launch, choice, shown, supervisor)
+        return _presented(launch, choice, driven, time.monotonic() - began, json_file)
+
+
+def _presented(launch: Launch, choice: Choice, driven: Driven, wall_s: float, json_file: Path | None) -> bool:
+    """Whether the demonstration has passed by the plant's own recording; table and report are out."""
     recording = read_truth(launch.records(PLANT) / "truth.mcap")
     # On one machine the plant's monotonic clock is vision's too.
     truths = [TimedTruth(record.log_ns, record.truth) for record in recording.truths]
@@ -59,15 +65,14 @@ def run_demo(
         seed=choice.seed,
         looks=choice.looks,
         stages=stages(driven.rests, truths, clearance_m),
-        wall_s=time.monotonic() - began,
+        wall_s=wall_s,
         simulated_s=1e-9 * (truths[-1].time_ns - truths[0].time_ns),
         details=_details(launch, driven, recording.faults),
     )
     curves = traces(truths, driven.views, clearance_m)
     pictures = [rest.picture for rest in driven.rests]
-    return present(
-        launch.directory, outcome, curves, pictures, read_events(launch.records(VISION)), json_file
-    )
+    events = read_events(launch.records(VISION))
+    return present(launch.directory, outcome, curves, pictures, events, json_file)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from foundation.hosts import known_host
 from protocol.errors import ConfigurationError
 from testbed.fault_proxy.faults import Faults
 from testbed.fault_proxy.proxy import FaultProxy, Route, TcpProxy, UdpProxy
@@ -40,6 +41,7 @@ def proxy(
     """Stand between two peers and lose, delay, reorder, cut or bend what passes, until Ctrl-C."""
     if only not in ("both", "to-server", "to-client"):
         raise ConfigurationError("proxy.direction", f"--only {only}: wanted both, to-server or to-client")
+    known_host(host)
     faults = Faults(loss, burst, burst_length, delay_ms, jitter_ms, duplicate, reorder, reorder_ms, truncate,
                     corrupt, half_open_after_ms)  # fmt: skip
     up, down = (faults if only in ("both", way) else Faults() for way in ("to-server", "to-client"))

@@ -5,7 +5,6 @@ import os
 import platform
 import re
 import shutil
-import socket
 import statistics
 import sys
 import time
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from protocol.errors import ConfigurationError
+from testbed.realtime.ports import PortUse
 
 Verdict = Literal["ok", "warning", "failed"]
 
@@ -135,18 +135,12 @@ def scheduling_check() -> Check:
     return Check("scheduling", "ok", "real-time class SCHED_FIFO can be had")
 
 
-def port_check(name: str, host: str, port: int, kind: socket.SocketKind) -> Check:
+def port_check(use: PortUse) -> Check:
     """Whether the port is free to be served."""
-    label = f"{host}:{port}/{'tcp' if kind == socket.SOCK_STREAM else 'udp'}"
-    with socket.socket(socket.AF_INET, kind) as probe:
-        if kind == socket.SOCK_STREAM:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            advice = "end what holds it, or use --free-ports"
-            return Check(f"port {name}", "failed", f"{label}: {error.strerror}", advice)
-    return Check(f"port {name}", "ok", f"{label} is free")
+    if hindrance := use.hindrance():
+        advice = "end what holds it, or use --free-ports"
+        return Check(f"port {use.name}", "failed", f"{use.label}: {hindrance}", advice)
+    return Check(f"port {use.name}", "ok", f"{use.label} is free")
 
 
 def configuration_check(name: str, load: Callable[[], object]) -> Check:

@@ -5,20 +5,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from foundation.configuration import merged
+from testbed.realtime.ports import PortUse, check_ports
 from testbed.realtime.supervisor import Service, free_port
 from testbed.scenarios.scenario import flattened
 from testbed.scenarios.settings import Overrides, Settings, load_settings
 
 PLANT, CONTROLLER, VISION = "plant_emulator", "controller", "vision_pc"
-
-
-class PortUse(NamedTuple):
-    """A port that a service listens on."""
-
-    name: str
-    host: str
-    port: int
-    kind: socket.SocketKind
 
 
 class Launch(NamedTuple):
@@ -63,23 +55,26 @@ def free_ports() -> dict[str, Any]:
 def ports_in_use(settings: Settings) -> tuple[PortUse, ...]:
     """Every port that the services will listen on."""
     service, link, api = settings.plant_service, settings.controller.reference_link, settings.vision.api
+    tcp, udp = socket.SOCK_STREAM, socket.SOCK_DGRAM
+    fieldbus, camera, faults = service.modbus, service.camera_stream, service.fault_face
     return (
-        PortUse("fieldbus", service.modbus.host, service.modbus.port, socket.SOCK_STREAM),
-        PortUse("camera", service.camera_stream.host, service.camera_stream.port, socket.SOCK_STREAM),
-        PortUse("faults", service.fault_face.host, service.fault_face.port, socket.SOCK_STREAM),
-        PortUse("reference", link.host, link.port, socket.SOCK_DGRAM),
-        PortUse("rest", api.host, api.port, socket.SOCK_STREAM),
+        PortUse("fieldbus", fieldbus.host, fieldbus.port, tcp, "plant_service.modbus.port"),
+        PortUse("camera", camera.host, camera.port, tcp, "plant_service.camera_stream.port"),
+        PortUse("faults", faults.host, faults.port, tcp, "plant_service.fault_face.port"),
+        PortUse("reference", link.host, link.port, udp, "controller.reference_link.port"),
+        PortUse("rest", api.host, api.port, tcp, "vision.api.port"),
     )
 
 
 def prepare(config_dir: Path, overrides: Overrides, directory: Path, *, any_ports: bool) -> Launch:
     """The launch of all three services with ``overrides``, checked before anything is started.
 
-    Raises ConfigurationError.
+    Raises ConfigurationError, also when a port is taken.
     """
     if any_ports:
         overrides = merged(overrides, free_ports())
     settings = load_settings(config_dir, overrides)
+    check_ports(ports_in_use(settings))
     api = settings.vision.api
     launch = Launch((), settings, f"http://{api.host}:{api.port}", directory)
     common = ["--config-dir", str(config_dir)]

@@ -16,14 +16,15 @@ def run_up(config_dir: Path, overrides: Overrides, any_ports: bool, runs: Path) 
 
     Raises ServiceFailed when one ends by itself.
     """
-    launch = prepare(config_dir, overrides, run_directory(runs), any_ports=any_ports)
     end_on_sigterm()
-    try:
-        with supervised(launch.services, launch.directory) as supervisor:
-            show(launch, supervisor)
-            supervisor.watch()
-    except KeyboardInterrupt:
-        out.print("ended")
+    with run_directory(runs) as directory:
+        launch = prepare(config_dir, overrides, directory, any_ports=any_ports)
+        try:
+            with supervised(launch.services, launch.directory) as supervisor:
+                show(launch, supervisor)
+                supervisor.watch()
+        except KeyboardInterrupt:
+            out.print("ended")
 
 
 def show(launch: Launch, supervisor: Supervisor) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import sys
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,9 @@ from rich.table import Table
 
 from protocol.errors import ConfigurationError
 
+LINE_S = 60.0
+"""How often progress is told where there is no terminal to draw a bar in."""
+_UNKNOWN_S = 2.0  # before which a pace says nothing
 _PLAIN_WIDTH = 130  # of a pipe or file, which has no width of its own
 out = Console(width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
 err = Console(stderr=True, width=None if sys.stderr.isatty() else _PLAIN_WIDTH)
@@ -51,6 +55,20 @@ def write_json(path: Path | None, figures: Mapping[str, Any]) -> None:
     out.print(f"figures written to {path}", style="dim", highlight=False, soft_wrap=True)
 
 
+def writable(path: Path | None) -> Path | None:
+    """``path``, to which a file can be written later. Raises ConfigurationError now, not after the work."""
+    if path is not None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            there = path.exists()
+            path.open("a").close()
+            if not there:
+                path.unlink()
+        except OSError as error:
+            raise ConfigurationError("output.unwritable", f"{path}: {error.strerror}") from error
+    return path
+
+
 def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> Table:
     """A table with the first column to the left and all others, being figures, to the right."""
     made = Table(title=title, title_justify="left")
@@ -62,29 +80,57 @@ def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) 
 
 
 class Bar:
-    """One line of a progress display."""
+    """One line of a progress display; where there is no terminal, a line of text every ``LINE_S`` seconds."""
 
-    def __init__(self, progress: Progress, task: TaskID) -> None:
+    def __init__(self, progress: Progress, task: TaskID, label: str) -> None:
         self._progress = progress
         self._task = task
+        self._label = label
+        self._began_s = self._line_s = time.monotonic()
 
     def update(self, fraction: float, note: str = "") -> None:
-        """Set the bar to ``fraction`` (0…1) with ``note`` beside it."""
-        self._progress.update(self._task, completed=min(max(fraction, 0.0), 1.0), note=note)
+        """Show ``fraction`` (0…1) with the time left, by the time it took so far, and ``note`` beside it."""
+        done, now_s = min(max(fraction, 0.0), 1.0), time.monotonic()
+        left = time_left(done, now_s - self._began_s)
+        self._progress.update(self._task, completed=done, left=left, note=note)
+        if self._progress.disable and now_s - self._line_s >= LINE_S:
+            self._line_s = now_s
+            told = ", ".join(filter(None, (f"{100.0 * done:.0f} %", left, note)))
+            err.print(f"{self._label}: {told}", highlight=False, soft_wrap=True, markup=False)
+
+
+def time_left(fraction: float, elapsed_s: float) -> str:
+    """The time that the rest will take at the pace so far, in words; nothing before anything is known."""
+    if not 0.0 < fraction < 1.0 or elapsed_s < _UNKNOWN_S:
+        return ""
+    minutes, seconds = divmod(round(elapsed_s * (1.0 - fraction) / fraction), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{seconds:02d} left" if hours else f"{minutes}:{seconds:02d} left"
 
 
 class Bars:
     """Progress bars, one for each step of a long piece of work."""
 
-    def __init__(self, progress: Progress) -> None:
+    def __init__(self, progress: Progress, quiet: bool) -> None:
         self._progress = progress
+        self._quiet = quiet
 
     @contextmanager
     def step(self, label: str) -> Iterator[Bar]:
         """A bar for one step; it is full when the block ends well, and stays where it was when it fails."""
-        task = self._progress.add_task(label, total=1.0, note="")
-        yield Bar(self._progress, task)
-        self._progress.update(task, completed=1.0)
+        task = self._progress.add_task(label, total=1.0, note="", left="")
+        yield _QuietBar() if self._quiet else Bar(self._progress, task, label)
+        self._progress.update(task, completed=1.0, left="")
+
+
+class _QuietBar(Bar):
+    """A bar that nobody sees."""
+
+    def __init__(self) -> None:
+        pass
+
+    def update(self, fraction: float, note: str = "") -> None:
+        """Show nothing."""
 
 
 @contextmanager
@@ -96,7 +142,8 @@ def bars(*, quiet: bool = False) -> Iterator[Bars]:
         BarColumn(bar_width=28),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
+        TextColumn("{task.fields[left]}"),
         TextColumn("{task.fields[note]}", style="dim"),
     )
     with Progress(*columns, console=err, disable=quiet or not sys.stderr.isatty()) as progress:
-        yield Bars(progress)
+        yield Bars(progress, quiet)

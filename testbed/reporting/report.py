@@ -3,12 +3,14 @@
 import base64
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader
 
+from protocol.errors import ConfigurationError
 from testbed.reporting import outcome as outcomes
 from testbed.reporting import plots
 from testbed.reporting.console import plain
@@ -22,8 +24,24 @@ class Picture(NamedTuple):
     png: bytes
 
 
-def run_directory(runs: Path) -> Path:
-    """A new directory below ``runs``, named by the time of day."""
+@contextmanager
+def run_directory(runs: Path) -> Iterator[Path]:
+    """A new directory below ``runs``, named by the time of day; one left empty is removed with the block.
+
+    Raises ConfigurationError where none can be made.
+    """
+    there = runs.exists()
+    directory = _new_directory(runs)
+    try:
+        yield directory
+    finally:
+        with suppress(OSError):  # it holds something
+            directory.rmdir()
+            if not there:
+                runs.rmdir()
+
+
+def _new_directory(runs: Path) -> Path:
     stamp = time.strftime("%Y%m%d-%H%M%S")
     for attempt in range(100):
         directory = runs / (stamp if attempt == 0 else f"{stamp}-{attempt}")
@@ -31,8 +49,10 @@ def run_directory(runs: Path) -> Path:
             directory.mkdir(parents=True)
         except FileExistsError:
             continue
+        except OSError as error:
+            raise ConfigurationError("output.unwritable", f"{directory}: {error.strerror}") from error
         return directory
-    raise FileExistsError(f"{runs / stamp}: a hundred runs in one second")
+    raise ConfigurationError("output.unwritable", f"{runs / stamp}: a hundred runs in one second")
 
 
 def write_report(

@@ -11,6 +11,7 @@ from plant_emulator.core.mechanics.multibody import Mechanism
 from protocol.errors import ConfigurationError
 
 Array = NDArray[np.float64]
+MISSING_ORACLE = "configuration.missing_oracle"
 
 
 def oracle(name: str) -> ModuleType:
@@ -19,8 +20,7 @@ def oracle(name: str) -> ModuleType:
         return importlib.import_module(name)
     except ImportError as error:
         raise ConfigurationError(
-            "configuration.missing_oracle",
-            f"{name} is not installed: it serves as an independent oracle, install requirements-dev.lock",
+            MISSING_ORACLE, f"{name}, an independent oracle, is not installed: make setup-dev"
         ) from error
 
 

@@ -40,7 +40,17 @@ def run_soak(
     Raises LongreachError when a service fails, or refuses to move or look.
     """
     end_on_sigterm()
-    launch = prepare(config_dir, overrides, run_directory(runs), any_ports=any_ports)
+    with run_directory(runs) as directory:
+        launch = prepare(config_dir, overrides, directory, any_ports=any_ports)
+        figures = _soaked(launch, minutes)
+        _show(figures)
+        write_json(launch.directory / "soak.json", figures)
+    write_json(json_file, figures)
+    return bool(figures["controller"]["overruns_percent"] < OVERRUNS_WANTED_PERCENT)
+
+
+def _soaked(launch: Launch, minutes: float) -> dict[str, Any]:
+    """All figures of a soak."""
     with bars() as shown, started(launch, shown) as supervisor:
         rig = RestRig(launch.rest_url)
         try:
@@ -53,16 +63,12 @@ def run_soak(
             after = memory_mb(supervisor)
         finally:
             rig.close()
-    figures = gathered(launch, ready) | {
+    return gathered(launch, ready) | {
         "minutes": minutes,
         "operations": done,
         "memory_mb": {name: {"start": before[name], "end": after[name]} for name in before},
         "directory": launch.directory,
     }
-    _show(figures)
-    write_json(launch.directory / "soak.json", figures)
-    write_json(json_file, figures)
-    return bool(figures["controller"]["overruns_percent"] < OVERRUNS_WANTED_PERCENT)
 
 
 def _keep_busy(rig: RestRig, supervisor: Supervisor, seconds: float, bar: Bar) -> dict[str, int]:

@@ -1,10 +1,12 @@
 """The doctor finds what is there and names what is wrong."""
 
+import os
 import socket
 from pathlib import Path
 
 from foundation.configuration import read_yaml
 from testbed.realtime import doctor
+from testbed.realtime.ports import PortUse
 from tests.support.paths import ROOT
 
 
@@ -37,10 +39,12 @@ def test_a_taken_port_is_named_with_its_kind() -> None:
             if kind == socket.SOCK_STREAM:
                 holder.listen()
             port = holder.getsockname()[1]
-            taken = doctor.port_check("rest", "127.0.0.1", port, kind)
+            use = PortUse("rest", "127.0.0.1", port, kind, "vision.api.port")
+            taken = doctor.port_check(use)
             assert taken.verdict == "failed"
             assert f"127.0.0.1:{port}/{word}: Address already in use" in taken.found
-        assert doctor.port_check("rest", "127.0.0.1", port, kind).verdict == "ok"
+            assert f"held by process {os.getpid()} (" in taken.found
+        assert doctor.port_check(use).verdict == "ok"
 
 
 def test_a_wrong_configuration_file_is_quoted(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from protocol.errors import ConfigurationError
 from testbed.reporting import outcome as outcomes
 from testbed.reporting import plots
 from testbed.reporting.outcome import Errors, Outcome, Stage
@@ -99,4 +100,22 @@ def test_plots_are_pictures_with_something_on_them(traces: plots.Traces) -> None
 
 
 def test_two_runs_in_one_second_get_two_directories(tmp_path: Path) -> None:
-    assert len({run_directory(tmp_path / "runs") for _ in range(3)}) == 3
+    with run_directory(tmp_path / "runs") as first, run_directory(tmp_path / "runs") as second:
+        assert first != second
+
+
+def test_an_empty_run_directory_does_not_stay(tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    with pytest.raises(KeyboardInterrupt), run_directory(runs):
+        raise KeyboardInterrupt
+    assert not runs.exists()
+    with run_directory(runs) as directory:
+        (directory / "report.html").write_text("kept")
+    assert directory.is_dir()
+
+
+def test_a_run_directory_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no directory")
+    with pytest.raises(ConfigurationError) as told, run_directory(tmp_path / "file"):
+        pass
+    assert told.value.cause == "output.unwritable"

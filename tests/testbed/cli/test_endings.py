@@ -1,0 +1,167 @@
+"""How commands end that cannot go on: one line and a status, no traceback, nothing half made left behind."""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+from testbed.cli import validate
+from testbed.cli.main import app
+from testbed.reporting import console
+from testbed.reporting.console import bars, time_left
+from testbed.validation import plant
+from testbed.validation.case import Case
+from testbed.validation.oracles import oracle
+
+LONGREACH = [sys.executable, "-m", "testbed.cli.main"]
+
+
+def ended(*arguments: str) -> Result:
+    """A command that has come to its end, expected as it is: none leaves with a traceback."""
+    done = CliRunner().invoke(app, list(arguments))
+    assert done.exception is None or isinstance(done.exception, SystemExit)
+    return done
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("conformance", "reference", "--host", "no.such.host.invalid"),
+        ("conformance", "coupler", "--host", "no.such.host.invalid"),
+        ("proxy", "--host", "no.such.host.invalid", "--listen-port", "0", "--port", "1"),
+    ],
+)
+def test_a_host_without_an_address_is_named(arguments: tuple[str, ...]) -> None:
+    done = ended(*arguments)
+    assert done.exit_code == 2
+    assert "longreach: configuration.unknown_host: host 'no.such.host.invalid'" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("demo", "--lockstep", "--runs", "{file}/runs"),
+        ("up", "--free-ports", "--runs", "{file}/runs"),
+        ("experiment", "stream-cuts", "--runs", "1", "--out", "{file}/rows"),
+        ("doctor", "--json", "{file}/doctor.json"),
+        ("picture", "effects", "--out", "{file}/pictures"),
+        ("validate", "plant-survey", "--out", "{file}/survey"),
+    ],
+)
+def test_a_folder_that_cannot_be_written_is_said_before_the_work(
+    arguments: tuple[str, ...], tmp_path: Path
+) -> None:
+    file = tmp_path / "file"
+    file.write_text("not a directory")
+    began = time.monotonic()
+    done = ended(*(argument.format(file=file) for argument in arguments))
+    assert done.exit_code == 2
+    assert "longreach: " in done.stderr
+    assert str(file) in done.stderr
+    assert time.monotonic() - began < 30.0
+
+
+def interrupted(*arguments: str, after: Path) -> tuple[int, str]:
+    """Status and stderr of a command that gets Ctrl-C, as all its processes do, once ``after`` exists."""
+    child = subprocess.Popen(
+        [*LONGREACH, *arguments], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
+        start_new_session=True,
+    )  # fmt: skip
+    deadline_s = time.monotonic() + 60.0
+    while not list(after.parent.glob(after.name)):
+        assert child.poll() is None, child.communicate()
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
+    told = ""
+    while not told:  # one that falls into the loading of a compiled kernel is lost there
+        os.killpg(child.pid, signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            _, told = child.communicate(timeout=15.0)
+        assert time.monotonic() < deadline_s + 60.0
+    assert "Traceback" not in told
+    return child.returncode, told
+
+
+def test_ctrl_c_in_lockstep_leaves_no_empty_directory(tmp_path: Path) -> None:
+    status, told = interrupted(
+        "demo", "--lockstep", "--runs", str(tmp_path / "runs"), after=tmp_path / "runs" / "*"
+    )
+    assert status == 130
+    assert told.strip() == "longreach: ended by Ctrl-C"
+    assert not (tmp_path / "runs").exists()
+
+
+def test_ctrl_c_in_a_campaign_keeps_the_rows_and_says_so(tmp_path: Path) -> None:
+    status, told = interrupted(
+        "experiment", "plant-campaign", "--runs", "400", "--out", str(tmp_path), after=tmp_path / "rows.csv"
+    )
+    assert status == 130
+    assert f"rows are kept in {tmp_path}/rows.csv; the same command goes on from there" in told
+    assert "longreach: ended by Ctrl-C" in told
+
+
+@pytest.mark.parametrize("command", [("up",), ("demo",), ("soak", "--minutes", "0.1")])
+def test_a_taken_port_is_named_before_anything_starts(command: tuple[str, ...], tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as holder:
+        holder.bind(("127.0.0.1", 0))
+        holder.listen()
+        port = holder.getsockname()[1]
+        runs = tmp_path / "runs"
+        done = ended(*command, "--runs", str(runs), "--set", f"vision.api.port={port}")
+    assert done.exit_code == 2
+    assert f"rest port 127.0.0.1:{port}/tcp (vision.api.port): Address already in use" in done.stderr
+    assert f"held by process {os.getpid()} (" in done.stderr
+    assert "--free-ports" in done.stderr
+    assert not runs.exists()
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    told = ended("--version")
+    assert told.exit_code == 0
+    assert told.output.startswith("longreach 0.")
+
+
+def test_what_is_left_goes_by_the_pace_so_far() -> None:
+    assert time_left(0.25, 30.0) == "1:30 left"
+    assert time_left(0.01, 400.0) == "11:00:00 left"
+    assert time_left(0.0, 100.0) == time_left(1.0, 100.0) == time_left(0.5, 0.1) == ""
+
+
+def test_a_pipe_gets_one_line_a_minute(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = [0.0]
+    monkeypatch.setattr(console.time, "monotonic", lambda: now_s[0])
+    with bars() as shown, shown.step("runs") as bar:
+        for second in range(1, 151):
+            now_s[0] = float(second)
+            bar.update(second / 200.0, f"run {second}")
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["runs: 30 %, 2:20 left, run 60", "runs: 60 %, 1:20 left, run 120"]
+
+
+def test_validate_plant_runs_what_needs_no_oracle(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    case = Case(1, "right", "m", 1.0, 1.0, 0.1, "geometry")
+
+    def compared(config_dir: Path) -> list[Case]:
+        oracle("no_such_oracle")
+        return []
+
+    families = {1: ("geometry", lambda config_dir: [case]), 2: ("accelerations", compared)}
+    monkeypatch.setattr(plant, "FAMILIES", families)
+    monkeypatch.setattr(validate, "FAMILIES", families)
+    assert not validate.validate_plant(tmp_path, None)  # not all of it was validated
+    said = capsys.readouterr().out
+    assert "1 of 1 cases in 1 families passed" in said
+    assert "families 2 left out, so the status is 1" in said
+    assert "make setup-dev" in said
