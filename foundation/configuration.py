@@ -11,6 +11,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from protocol.errors import ConfigurationError
 
+_CAUSES = {"extra_forbidden": "unknown_key", "enum": "literal_error"}
+"""Pydantic's word for an error → ours; a word out of several is one error, written as an enum or not."""
+
 
 class StrictModel(BaseModel):
     """Base of every configuration model: unknown keys, NaN and infinity are refused, instances are frozen."""
@@ -93,7 +96,7 @@ def validated(model: type[ModelT], data: Mapping[str, Any], where: str) -> Model
         hidden = first["type"] == "missing" or "link_key" in first["loc"]
         value = "" if hidden else f" = {first['input']!r}"
         more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-        cause = "unknown_key" if first["type"] == "extra_forbidden" else first["type"]
+        cause = _CAUSES.get(first["type"], first["type"])
         raise ConfigurationError(
             f"configuration.{cause}", f"{where}: {key}{value}: {first['msg']}{more}"
         ) from error

@@ -31,27 +31,30 @@ Vector = tuple[Metres, Metres, Metres]
 Unit = Annotated[float, Field(ge=-1.001, le=1.001)]
 
 
-class Given(NamedTuple):
-    """How a member of a body reaches the settings: field, scale, and what else it sets."""
+class Copied(NamedTuple):
+    """The settings' field of a member, one unit of the member in the field's, and what else it sets."""
 
     field: str
-    scale: float
-    also: Mapping[str, Any]
+    scale: float | None
+    also: dict[str, Any]
 
 
 class RequestBody(BaseModel):
-    """Base of request bodies: unknown members, NaN and infinity are refused; None means as configured."""
+    """Base of request bodies: unknown members, NaN and infinity are refused; None means as configured.
+
+    ``copied``: for each member that copies a settings' field under another unit or sets more than it.
+    """
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-    reaches: ClassVar[dict[str, Given]] = {}
+    copied: ClassVar[dict[str, Copied]] = {}
 
     def overrides(self) -> dict[str, Any]:
         """The members that were given, as fields of the settings."""
         laid: dict[str, Any] = {}
         for name, value in self.model_dump(exclude_none=True).items():
-            given = self.reaches.get(name, Given(name, 1.0, {}))
-            laid[given.field] = value if given.scale == 1.0 else given.scale * value
-            laid |= given.also
+            copied = self.copied.get(name, Copied(name, None, {}))
+            laid[copied.field] = value if copied.scale is None else copied.scale * value
+            laid |= copied.also
         return laid
 
 
@@ -63,45 +66,54 @@ class Copy(NamedTuple):
     also: Mapping[str, Any] = MappingProxyType({})
 
 
-Member = Copy | tuple[Any, Any]
-"""A copy of a settings' field, or the type and field of what the settings do not have."""
+class Own(NamedTuple):
+    """A member that copies no field of the settings: its type, and pydantic's field."""
+
+    type: Any
+    field: Any
 
 
-def body_of(name: str, doc: str, settings: type[BaseModel], /, **members: Member) -> type[RequestBody]:
-    """The body ``name``: members in this order, each a field of ``settings`` made optional, or its own."""
+def body_of(name: str, doc: str, settings: type[BaseModel], /, **members: Any) -> type[RequestBody]:
+    """The body ``name``, its members in this order.
+
+    A member copies the field of ``settings`` of its name, made optional, with the field's limits; what is
+    given for it is its example (None: without one), or a ``Copy`` that says more. Or it is an ``Own``.
+    """
     fields: dict[str, Any] = {}
-    reaches: dict[str, Given] = {}
-    for member, chosen in members.items():
-        if not isinstance(chosen, Copy):
-            fields[member] = chosen
+    copied: dict[str, Copied] = {}
+    for member, said in members.items():
+        if isinstance(said, Own):
+            fields[member] = (said.type, said.field)
             continue
+        copy = said if isinstance(said, Copy) else Copy(said)
         field, scale = _origin(member, settings)
-        reaches[member] = Given(field, scale, chosen.also)
-        examples = None if chosen.example is None else [chosen.example]
-        type_ = _optional(settings.model_fields[field], scale)
-        fields[member] = (type_, Field(None, examples=examples, description=chosen.description))
+        copied[member] = Copied(field, scale, dict(copy.also))
+        examples = None if copy.example is None else [copy.example]
+        optional = _optional(settings.model_fields[field], scale)
+        fields[member] = (optional, Field(None, examples=examples, description=copy.description))
     made: type[RequestBody] = create_model(name, __base__=RequestBody, __doc__=doc, **fields)
-    made.reaches = reaches
+    made.copied = copied
     return made
 
 
-def _origin(member: str, settings: type[BaseModel]) -> tuple[str, float]:
-    """The settings' field that ``member`` copies, and one unit of the member in the field's unit."""
+def _origin(member: str, settings: type[BaseModel]) -> tuple[str, float | None]:
+    """The settings' field that ``member`` copies, and one unit of the member in its unit if they differ."""
     if member in settings.model_fields:
-        return member, 1.0
+        return member, None
     for suffix, (within, scale) in _UNITS.items():
-        if member.endswith(suffix):
-            return member.removesuffix(suffix) + within, scale
+        field = member.removesuffix(suffix) + within
+        if member.endswith(suffix) and field in settings.model_fields:
+            return field, scale
     raise KeyError(f"{settings.__name__} has no field for {member}")
 
 
-def _optional(field: FieldInfo, scale: float) -> Any:
+def _optional(field: FieldInfo, scale: float | None) -> Any:
     """The field's type and limits in the member's unit, or None; an enum as its values, written in place."""
     type_: Any = field.annotation
     if isinstance(type_, type) and issubclass(type_, StrEnum):
         type_ = Literal[tuple(member.value for member in type_)]
     for limit in field.metadata:
-        type_ = Annotated[type_, limit if scale == 1.0 else _in_unit(limit, scale)]
+        type_ = Annotated[type_, limit if scale is None else _in_unit(limit, scale)]
     return type_ | None
 
 
@@ -116,43 +128,27 @@ def _in_unit(limit: Any, scale: float) -> Any:
 class LookBody(RequestBody):
     """A look: ``frames`` pairs with the arm at rest."""
 
-    # Explicit: a request's look is shorter than the section ``look`` of vision.yaml allows.
+    # Its own: a request's look is shorter than the section ``look`` of vision.yaml allows.
     frames: int | None = Field(None, ge=1, le=100, examples=[10])
 
 
 OrientationBody = body_of(
-    "OrientationBody",
-    "Orientation adjustment (7)(8).",
-    OrientationSettings,
-    form=Copy("frame_true"),
-    repetitions=Copy(1),
-    limit_deg=Copy(),
-)
+    "OrientationBody", "Orientation adjustment (7)(8).", OrientationSettings,
+    form="frame_true", repetitions=1, limit_deg=None,
+)  # fmt: skip
 LineEquationBody = body_of(
-    "LineEquationBody",
-    "Line equation (10)-(16): circle and one input.",
-    LineEquationSettings,
-    radius_m=Copy(0.2),
-    points=Copy(18),
-    minimum=Copy(),
-)
+    "LineEquationBody", "Line equation (10)-(16): circle and one input.", LineEquationSettings,
+    radius_m=0.2, points=18, minimum=None,
+)  # fmt: skip
 TrajectoryBody = body_of(
-    "TrajectoryBody",
-    "Trajectory matching (17)-(19) and the match.",
-    TrajectorySettings,
-    segments_m=Copy([0.30, 0.10, 0.05, 0.30]),
-    turn_deg=Copy(),
-    heading_deg=Copy(),
-    placement=Copy(),
-    method=Copy(),
-    association=Copy(),
-)
+    "TrajectoryBody", "Trajectory matching (17)-(19) and the match.", TrajectorySettings,
+    segments_m=[0.30, 0.10, 0.05, 0.30], turn_deg=None, heading_deg=None, placement=None, method=None,
+    association=None,
+)  # fmt: skip
 LocalTrackBody = body_of(
-    "LocalTrackBody",
-    "Three legs along the tool's axes, for the corrected look-then-move.",
-    LocalMapSettings,
-    leg_m=Copy(0.2),
-)
+    "LocalTrackBody", "Three legs along the tool's axes, for the corrected look-then-move.", LocalMapSettings,
+    leg_m=0.2,
+)  # fmt: skip
 
 
 class PositioningMethod(StrEnum):
@@ -172,11 +168,11 @@ LookThenMoveBody = body_of(
     "LookThenMoveBody",
     "Look-then-move (20)-(22). ``method``: by local calibration, or by local map, corrected mid-course.",
     LookThenMoveSettings,
-    # Explicit: it has a default of its own, because no configuration chooses it.
-    method=(Literal["calibrated", "corrected"], Field("calibrated")),
-    inputs=Copy(1),
-    clearance_m=Copy(0.1),
-    tolerance_mm=Copy(5.0),
+    # Its own: it has a default, because no configuration chooses it.
+    method=Own(Literal["calibrated", "corrected"], "calibrated"),
+    inputs=1,
+    clearance_m=0.1,
+    tolerance_mm=5.0,
     aim_mm=Copy(description="No input below this; 0: always one"),
     corrections=Copy(description="Drives by odometry alone; 0: one shot"),
 )
@@ -192,11 +188,11 @@ LookingAndMovingBody = body_of(
     "LookingAndMovingBody",
     "Looking and moving: closed loop at camera rate. Settings left out are as configured.",
     ServoingSettings,
-    gain=Copy(0.5),
-    pull_gain=Copy(),
-    clearance_m=Copy(0.1),
+    gain=0.5,
+    pull_gain=None,
+    clearance_m=0.1,
     settle_mm=Copy(1.0, also={"settle_growth": 0.0}),  # asked for by name, it is not to be widened
-    timeout_s=Copy(),
+    timeout_s=None,
 )
 
 

@@ -19,46 +19,6 @@ Need = Callable[[VisionApplication, str, Any], None]
 """A condition: called with the application, the program's name and its settings, it raises when unmet."""
 
 
-@dataclass(frozen=True)
-class Program(Generic[SettingsT, ResultT]):
-    """One program.
-
-    ``name`` is its address in the API and its name in logs, ``title`` what it does in one line. ``run`` is
-    called with the application, the settings of this request and a report; it returns a typed result, of
-    which ``to_json`` makes what the API answers (mm, degrees). ``body`` is what a request may say, laid over
-    ``settings`` (None: the body itself is what ``run`` gets). ``needs`` must all be met before it begins, in
-    this order. ``core`` is the function to read, ``source`` where its method comes from, ``tag`` its group.
-    """
-
-    name: str
-    title: str
-    run: Callable[[VisionApplication, SettingsT, Report], Coroutine[Any, Any, ResultT]]
-    to_json: Callable[[ResultT], JSON]
-    body: type[RequestBody] = RequestBody
-    settings: Callable[[VisionApplication], SettingsT] | None = None
-    needs: tuple[Need, ...] = ()
-    core: Callable[..., Any] | None = None
-    source: str = "–"
-    tag: str = "operations"
-
-    def requested(self, application: VisionApplication, body: RequestBody) -> Any:
-        """The settings of one request.
-
-        Raises ConfigurationError (a 422 problem) when the combination is out of range.
-        """
-        if self.settings is None:
-            return body
-        configured = self.settings(application)
-        assert isinstance(configured, StrictModel)
-        return validated(type(configured), configured.model_dump() | body.overrides(), "request")
-
-    def refuse_now(self, application: VisionApplication, settings: Any) -> None:
-        """Raises RequestRefused or LinkLost when the program cannot begin in the present state."""
-        _ = application.controller.state  # without a controller, that is the cause
-        for need in self.needs:
-            need(application, self.name, settings)
-
-
 def camera(application: VisionApplication, name: str, settings: Any) -> None:
     """Fresh pictures come."""
     status = application.camera.status()
@@ -98,3 +58,43 @@ MOVING: tuple[Need, ...] = (camera, at_rest, enabled, recording)
 """What a program needs that looks and moves."""
 BLIND: tuple[Need, ...] = (at_rest, enabled, recording)
 """What a program needs that moves without looking."""
+
+
+@dataclass(frozen=True)
+class Program(Generic[SettingsT, ResultT]):
+    """One program.
+
+    ``name`` is its address in the API and its name in logs, ``title`` what it does in one line. ``run`` is
+    called with the application, the settings of this request and a report; it returns a typed result, of
+    which ``to_json`` makes what the API answers (mm, degrees). ``body`` is what a request may say, laid over
+    ``settings`` (None: the body itself is what ``run`` gets). ``needs`` must all be met before it begins, in
+    this order. ``core`` is the function to read, ``source`` where its method comes from, ``tag`` its group.
+    """
+
+    name: str
+    title: str
+    run: Callable[[VisionApplication, SettingsT, Report], Coroutine[Any, Any, ResultT]]
+    to_json: Callable[[ResultT], JSON]
+    body: type[RequestBody] = RequestBody
+    settings: Callable[[VisionApplication], SettingsT] | None = None
+    needs: tuple[Need, ...] = MOVING
+    core: Callable[..., Any] | None = None
+    source: str = "–"
+    tag: str = "operations"
+
+    def requested(self, application: VisionApplication, body: RequestBody) -> Any:
+        """The settings of one request.
+
+        Raises ConfigurationError (a 422 problem) when the combination is out of range.
+        """
+        if self.settings is None:
+            return body
+        configured = self.settings(application)
+        assert isinstance(configured, StrictModel)
+        return validated(type(configured), configured.model_dump() | body.overrides(), "request")
+
+    def refuse_now(self, application: VisionApplication, settings: Any) -> None:
+        """Raises RequestRefused or LinkLost when the program cannot begin in the present state."""
+        _ = application.controller.state  # without a controller, that is the cause
+        for need in self.needs:
+            need(application, self.name, settings)

@@ -1,6 +1,7 @@
 """Settings of the calibration and positioning programs: section ``programs`` of ``vision.yaml``."""
 
-from typing import Annotated, Literal
+from enum import StrEnum
+from typing import Annotated
 
 from pydantic import Field
 
@@ -12,21 +13,56 @@ Small = Annotated[float, Field(gt=0.0, le=0.1)]
 Seconds = Annotated[float, Field(ge=0.0, le=60.0)]
 
 
-class OrientationSettings(StrictModel):
-    """Orientation adjustment (7)(8). ``form``: the paper's, or the one that is right in any frame."""
+class OrientationForm(StrEnum):
+    """The turn of (7)(8) as printed, or taken at the marker: right for any camera mount."""
 
-    form: Literal["frame_true", "paper"]
+    FRAME_TRUE = "frame_true"
+    PAPER = "paper"
+
+
+class CircleMinimum(StrEnum):
+    """The least sample as printed, or a fit through all of them."""
+
+    SAMPLE = "sample"
+    FIT = "fit"
+
+
+class PathPlacement(StrEnum):
+    """Where the arm stands on the path: at its end, so that the object is in view again, or at its start."""
+
+    ENDS_HERE = "ends_here"
+    STARTS_HERE = "starts_here"
+
+
+class MatchedTraces(StrEnum):
+    """The marker's positions, the lever arm removed, or the camera's poses as in the paper."""
+
+    POINTS = "points"
+    PAPER = "paper"
+
+
+class Association(StrEnum):
+    """Whether the samples of both traces belong together by their time."""
+
+    TIME = "time"
+    NONE = "none"
+
+
+class OrientationSettings(StrictModel):
+    """Orientation adjustment (7)(8)."""
+
+    form: OrientationForm
     repetitions: int = Field(ge=1, le=5)
     limit_deg: float = Field(gt=0.0, le=90.0)
 
 
 class LineEquationSettings(StrictModel):
-    """Line equation (10)-(16). ``minimum``: the least sample (paper), or a fit through all of them."""
+    """Line equation (10)-(16)."""
 
     radius_m: float = Field(ge=0.02, le=0.6)
     points: int = Field(ge=6, le=24)
     segment_s: Seconds
-    minimum: Literal["sample", "fit"]
+    minimum: CircleMinimum
     seen_share: float = Field(gt=0.0, le=1.0)
     step_limit_m: float = Field(gt=0.0, le=5.0)
 
@@ -34,20 +70,17 @@ class LineEquationSettings(StrictModel):
 class TrajectorySettings(StrictModel):
     """Trajectory matching (17)-(19) and the match.
 
-    ``heading_deg`` turns the whole path in the n-s plane; ``turn_deg`` is the paper's π/4. ``placement``:
-    the path starts where the arm stands (paper) or ends there, so that the object is in view again.
-    ``method``: ``points`` matches the marker's positions (the lever arm between camera and tool removed),
-    ``paper`` the camera's poses.
+    ``heading_deg`` turns the whole path in the n-s plane; ``turn_deg`` is the paper's π/4.
     """
 
     segments_m: tuple[Length, ...] = Field(min_length=2, max_length=23)
     turn_deg: float = Field(ge=5.0, le=175.0)
     heading_deg: float = Field(ge=-180.0, le=180.0)
-    placement: Literal["ends_here", "starts_here"]
+    placement: PathPlacement
     segment_s: Seconds
     dwell_s: Seconds
-    method: Literal["points", "paper"]
-    association: Literal["time", "none"]
+    method: MatchedTraces
+    association: Association
     minimum_samples: int = Field(ge=8, le=10_000)
     lost_share_limit: float = Field(ge=0.0, le=0.9)
     outlier_share_limit: float = Field(gt=0.0, le=0.9)

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from pydantic import Field, ValidationError
 
-from foundation.configuration import StrictModel
+from foundation.configuration import StrictModel, validated
 from protocol.errors import ConfigurationError, LinkLost, RequestRefused
 from protocol.faults import FaultCode, GroupState
 from tests.vision_pc.program_settings import shipped
@@ -15,6 +15,7 @@ from vision_pc.application.bodies import Copy, RequestBody, body_of
 from vision_pc.application.ports import CameraStatus
 from vision_pc.application.program import Program
 from vision_pc.application.programs import PROGRAMS
+from vision_pc.config.programs import OrientationSettings
 
 BY_NAME = {program.name: program for program in PROGRAMS}
 
@@ -27,7 +28,7 @@ class Settings(StrictModel):
     widened: float = 0.5
 
 
-BODY = body_of("Body", "A body.", Settings, near_mm=Copy(5.0, also={"widened": 0.0}), turns=Copy())
+BODY = body_of("Body", "A body.", Settings, near_mm=Copy(5.0, also={"widened": 0.0}), turns=None)
 
 
 def application(state: GroupState = GroupState.STANDBY, *, camera: bool = True, log: bool = True) -> Any:
@@ -63,9 +64,9 @@ def test_a_body_has_the_ranges_of_the_settings(given: dict[str, Any]) -> None:
 
 def test_a_body_can_only_copy_what_the_settings_have() -> None:
     with pytest.raises(KeyError, match="wide"):
-        body_of("Body", "", Settings, wide=Copy())
+        body_of("Body", "", Settings, wide=None)
     with pytest.raises(KeyError):
-        body_of("Body", "", Settings, turns_mm=Copy())
+        body_of("Body", "", Settings, turns_mm=None)
 
 
 def test_what_is_in_range_alone_may_be_refused_together() -> None:
@@ -138,6 +139,13 @@ def test_what_was_calibrated_decides_what_may_begin(
         with pytest.raises(RequestRefused) as refused:
             program.refuse_now(rig, asked)
         assert refused.value.cause == "refused.not_calibrated"
+
+
+def test_a_wrong_word_in_a_file_keeps_its_cause() -> None:
+    given = shipped().orientation.model_dump(mode="json") | {"form": "upside_down"}
+    with pytest.raises(ConfigurationError, match="'frame_true' or 'paper'") as refused:
+        validated(OrientationSettings, given, "vision.yaml")
+    assert refused.value.cause == "configuration.literal_error"
 
 
 def test_names_differ_and_every_program_says_what_it_does() -> None:

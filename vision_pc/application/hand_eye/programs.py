@@ -7,7 +7,7 @@ from pydantic import Field
 
 from foundation.configuration import validated
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.bodies import Copy, RequestBody, body_of
+from vision_pc.application.bodies import Own, RequestBody, body_of
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.program import MOVING, STANDING, Need, Program
 from vision_pc.application.results import JSON
@@ -34,11 +34,11 @@ StartBody = body_of(
     "StartBody",
     "A new session; what is not given is as configured.",
     GuidedSettings,
-    name=(str, Field(examples=["monday"], min_length=1, max_length=64)),
-    marker_id=Copy(582),
-    marker_size_m=Copy(0.05),
-    poses=Copy(17),
-    seed=(int, Field(1, ge=0, le=2**31, description="The same seed proposes among the same views")),
+    name=Own(str, Field(examples=["monday"], min_length=1, max_length=64)),
+    marker_id=582,
+    marker_size_m=0.05,
+    poses=17,
+    seed=Own(int, Field(1, ge=0, le=2**31, description="The same seed proposes among the same views")),
 )
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.config.programs import OrientationSettings
+from vision_pc.config.programs import OrientationForm, OrientationSettings
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.se3 import Array, angle_between, euler_xyz, nearest_rotation, transform
 from vision_pc.core.types import Look
@@ -54,14 +54,14 @@ async def adjust_orientation(
     return OrientationResult(tuple(errors), tuple(references), tuple(shifts))
 
 
-def reference_rotation(look: Look, form: str) -> Array:
+def reference_rotation(look: Look, form: OrientationForm) -> Array:
     """R_BT_ref (3×3) that brings the tool marker parallel to the object, from one look.
 
     ``paper``: (7) and (8) as printed, right when camera and tool axes are parallel. ``frame_true``: the
     same turn expressed at the marker, right for any camera mount.
     """
     R_CO, R_CM, R_BT = look.X_CO[:3, :3], look.X_CM[:3, :3], look.X_BT[:3, :3]
-    if form == "paper":
+    if form == OrientationForm.PAPER:
         R_delta = R_CO @ R_CM.T  # (7) r_Δ = r_O r_T⁻¹
         return nearest_rotation(R_BT @ R_delta)  # (8) T_ref = B_T_T [R_Δ 0; 0 1]
     R_MO = R_CM.T @ R_CO

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.config.programs import TrajectorySettings
+from vision_pc.config.programs import Association, MatchedTraces, PathPlacement, TrajectorySettings
 from vision_pc.core.calibration.local_calibration import (
     AT_REST,
     LocalCalibration,
@@ -59,11 +59,11 @@ async def trajectory_matching(
     X_BT_now = (await arm.view()).X_BT
     path = asymmetric_path(X_BT_now, settings)
     refuse_poor_path(path, settings)
-    if settings.placement == "ends_here":
+    if settings.placement == PathPlacement.ENDS_HERE:
         report(0.05, "driving to where the path begins")
         await arm.move_to(path[0])
     report(0.15, f"path of {len(settings.segments_m)} segments, {sum(settings.segments_m):.2f} m")
-    async with eyes.watch(markers=settings.method == "points", odometry=True) as watch:
+    async with eyes.watch(markers=settings.method == MatchedTraces.POINTS, odometry=True) as watch:
         await arm.follow(path[1:], segment_s=settings.segment_s, dwell_s=settings.dwell_s)
     report(0.85, f"matching {len(watch.samples)} samples")
     calibration = calibrate(associated_trajectories(watch.samples, settings), settings)
@@ -78,7 +78,7 @@ def asymmetric_path(X_BT: Array, settings: TrajectorySettings) -> list[Array]:
     for i, length in enumerate(settings.segments_m):
         xi = math.radians(settings.heading_deg + (settings.turn_deg if i % 2 else 0.0))
         corners.append(corners[-1] + length * math.cos(xi) * n + length * math.sin(xi) * s)  # (17) (18) (19)
-    shift = p - corners[-1] if settings.placement == "ends_here" else np.zeros(3)
+    shift = p - corners[-1] if settings.placement == PathPlacement.ENDS_HERE else np.zeros(3)
     return [transform(X_BT[:3, :3], corner + shift) for corner in corners]
 
 
@@ -86,7 +86,7 @@ def refuse_poor_path(path: list[Array], settings: TrajectorySettings) -> None:
     """Raises MeasurementFailed when the planned path cannot fix a rotation: straight, closed or symmetric."""
     points = _along(np.array([X[:3, 3] for X in path]), 80)
     path_frame(points)
-    if settings.association == "none" and asymmetry(points) < _TWIN_LIMIT:
+    if settings.association == Association.NONE and asymmetry(points) < _TWIN_LIMIT:
         raise MeasurementFailed(
             "measurement.path_symmetric",
             f"path: {asymmetry(points):.3f} extents from its mirrored twin, {_TWIN_LIMIT:g} is wanted",
@@ -112,7 +112,7 @@ def associated_trajectories(samples: tuple[WatchSample, ...], settings: Trajecto
             f"limit {settings.lost_share_limit:.0%}",
         )
     p_CM = None
-    if settings.method == "points":
+    if settings.method == MatchedTraces.POINTS:
         sightings = [s.X_CM[:3, 3] for s in samples if s.X_CM is not None]
         if len(sightings) < 5:
             raise MeasurementFailed(
@@ -156,15 +156,15 @@ def calibrate(pair: TrajectoryPair, settings: TrajectorySettings) -> LocalCalibr
 def _fine_match(pair: TrajectoryPair, x: Array, R_cfa: Array, settings: TrajectorySettings) -> MixtureMatch:
     """R_fm as the transpose of the match's R: ``x`` is the camera's track after coarse alignment."""
     every = np.arange(len(x))
-    if settings.association == "none" and len(x) > _UNASSOCIATED_POINTS:
+    if settings.association == Association.NONE and len(x) > _UNASSOCIATED_POINTS:
         every = np.linspace(0, len(x) - 1, _UNASSOCIATED_POINTS).astype(int)
     y = pair.X_BT[every, :3, 3]
-    if settings.method == "paper":
+    if settings.method == MatchedTraces.PAPER:
         data = full_poses(x[every], R_cfa @ pair.X_C0C[every, :3, :3])
         model = full_poses(y, pair.X_BT[every, :3, :3])
     else:
         data, model = positions_only(x[every]), positions_only(y)
-    return match_trajectories(data, model, np.eye(3), associated=settings.association == "time")
+    return match_trajectories(data, model, np.eye(3), associated=settings.association == Association.TIME)
 
 
 def _inliers(residuals: Array, match: MixtureMatch) -> Array:
@@ -175,7 +175,7 @@ def _inliers(residuals: Array, match: MixtureMatch) -> Array:
 
 def _carried(R_BC0: Array, pair: TrajectoryPair, settings: TrajectorySettings) -> tuple[Array, Array | None]:
     """(R_BC at the path's end, R_TC): the paper takes the first for constant and has no second."""
-    if settings.method == "paper":
+    if settings.method == MatchedTraces.PAPER:
         return R_BC0, None
     last = zip(pair.X_BT[-AT_REST:, :3, :3], pair.X_C0C[-AT_REST:, :3, :3], strict=True)
     bodies = np.array([transform(R_BT.T @ R_BC0 @ R_C0C, np.zeros(3)) for R_BT, R_C0C in last])
@@ -187,7 +187,7 @@ def _refuse_poor_match(calibration: LocalCalibration, residuals: Array, settings
     outliers = 1.0 - calibration.inlier_share
     rms = float(np.sqrt((residuals**2).sum(axis=1).mean()))
     # The paper's form is not refused for its spread: a mount rotation leaks into it, a second look mends it.
-    std_deg = math.degrees(calibration.rotation_std()) if settings.method == "points" else 0.0
+    std_deg = math.degrees(calibration.rotation_std()) if settings.method == MatchedTraces.POINTS else 0.0
     for cause, what, value, limit in (
         ("scale_mismatch", "scale error", abs(math.log(calibration.scale)), settings.scale_limit),
         ("match_lost", "outlier share", outliers, settings.outlier_share_limit),
