@@ -5,22 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from controller.shell.event_log import EventLog
-from protocol.errors import ConfigurationError
-
-
-def checked_directory(directory: Path) -> Path:
-    """``directory``, made and writable. Raises ConfigurationError."""
-    probe = directory / ".writable"
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        probe.write_bytes(b"")
-        probe.unlink()
-    except OSError as error:
-        raise ConfigurationError(
-            "configuration.record_dir_unwritable", f"--record-dir {directory}: {error.strerror}"
-        ) from error
-    return directory
+from foundation.event_log import EventLog
 
 
 async def dump(

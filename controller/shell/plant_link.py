@@ -18,8 +18,8 @@ from pymodbus.exceptions import ModbusException
 
 from controller.config import PlantLinkConfig
 from controller.core.plant_watch import PlantRefusal
-from controller.shell.event_log import EventLog
-from controller.shell.histogram import Histogram
+from foundation.durations import DurationHistogram
+from foundation.event_log import EventLog
 from protocol.coupler_registers import RESET_WORDS, WATCHDOG_RESET
 from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS
 
@@ -37,7 +37,7 @@ class PlantLink:
 
     def __init__(self, config: PlantLinkConfig, log: EventLog) -> None:
         self.failures: Counter[str] = Counter()
-        self.round_trip = Histogram()
+        self.round_trip = DurationHistogram()
         self.connections = 0
         self._config = config
         self._log = log

@@ -7,16 +7,15 @@ what strangers send can neither fill the peer's buffer nor cost the scan more th
 
 import asyncio
 import contextlib
-import errno
 import socket
 import time
 from collections import Counter
 
 from controller.config import ReferenceLinkConfig
 from controller.core.inbox import Inbox
-from controller.shell.event_log import EventLog
+from foundation.event_log import EventLog
+from foundation.ports import bound_udp
 from protocol.datagram_layout import MAX_DATAGRAM_BYTES
-from protocol.errors import ConfigurationError
 from protocol.faults import Reason
 from protocol.reference_messages import Acknowledgement, Request, State, StreamRefused
 from protocol.server_session import ReferenceServer
@@ -49,7 +48,8 @@ class ReferencePort:
         self._left: dict[socket.socket, int] = {}  # datagrams that may still be read in this cycle
         self._paused: set[socket.socket] = set()
         self._peers: socket.socket | None = None
-        self._socket = _bound(config)
+        self._socket = bound_udp(config.host, config.port, "controller.reference_link")
+        _enlarge(self._socket)
 
     @property
     def address(self) -> tuple[str, int]:
@@ -60,6 +60,10 @@ class ReferencePort:
     def open(self) -> None:
         """Begin to read; needs a running loop."""
         self._watch(self._socket)
+
+    def release(self) -> None:
+        """Close a port that was never opened."""
+        self._socket.close()
 
     def close(self) -> None:
         """Say goodbye to the peer and release the port."""
@@ -183,17 +187,3 @@ class ReferencePort:
 def _enlarge(sock: socket.socket) -> None:
     with contextlib.suppress(OSError):
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
-
-
-def _bound(config: ReferenceLinkConfig) -> socket.socket:
-    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    sock.setblocking(False)
-    _enlarge(sock)
-    try:
-        sock.bind((config.host, config.port))
-    except OSError as error:
-        sock.close()
-        cause = "configuration.port_busy" if error.errno == errno.EADDRINUSE else "configuration.bad_address"
-        where = f"controller.reference_link = {config.host}:{config.port}"
-        raise ConfigurationError(cause, f"{where}: {error.strerror}") from error
-    return sock

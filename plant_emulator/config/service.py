@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from pydantic import Field
 
 from foundation.configuration import StrictModel, load
+from foundation.scheduling import Policy
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.scene import SceneConfig
 
@@ -32,8 +33,8 @@ class PlantServiceConfig(StrictModel):
     fault_face: FaultFaceConfig
     period_ms: float = Field(gt=0.1, le=20.0)
     truth_hz: float = Field(ge=50.0, le=1000.0)
-    scheduling: Literal["fifo_if_allowed", "normal"]
-    renderer_scheduling: Literal["idle", "batch", "normal"]
+    fifo_priority: int = Field(ge=0, le=99)
+    renderer_scheduling: Policy
     writer_release_ms: float = Field(ge=10.0, le=60_000.0)
 
 

@@ -5,7 +5,6 @@ image and encodes the answers. Its own server is not used: it answers malformed 
 """
 
 import asyncio
-import logging
 import socket
 import struct
 from collections.abc import Callable, Sequence
@@ -38,7 +37,6 @@ from protocol.process_image import ValveImage
 
 _BIT_FUNCTIONS = (READ_COILS, READ_DISCRETE, WRITE_COIL, WRITE_COILS)
 _CENTRED = ValveImage(0, 0, (0.0,) * 6)
-log = logging.getLogger(__name__)
 
 
 class CouplerStatistics:
@@ -64,7 +62,7 @@ class Coupler:
     with each whole image that a master wrote, and with a centred one when the watchdog expires.
     ``release_ns``: a master that has not written for so long loses the outputs to whoever writes next.
     ``clock_ns``: a monotonic clock. ``silent``: while it returns True, requests are neither answered nor
-    carried out, and connections stay open.
+    carried out, and connections stay open. ``report``: called as ``EventLog.write``, with what happens.
     """
 
     def __init__(
@@ -74,11 +72,13 @@ class Coupler:
         release_ns: int,
         clock_ns: Callable[[], int],
         silent: Callable[[], bool] = lambda: False,
+        report: Callable[..., None] = lambda *_event, **_fields: None,
     ) -> None:
         self.statistics = CouplerStatistics()
         self._on_valves = on_valves
         self._clock_ns = clock_ns
         self.silent = silent
+        self._report = report
         self._watchdog = CouplerWatchdog(release_ns)
         self._image = CouplerImage(sensor_words, self._watchdog)
         self._decoder = DecodePDU(is_server=True)
@@ -155,9 +155,12 @@ class Coupler:
                 self._on_valves(image)
         return ExcCodes(code) if code else None
 
-    def lost_its_place(self) -> None:
-        """A frame header made no sense; its connection ends."""
+    def lost_its_place(self, header: bytes) -> None:
+        """Count a frame header that made no sense; its connection ends."""
         self.statistics.framing_errors += 1
+        if self.statistics.framing_errors.bit_count() == 1:  # 1, 2, 4, … : a flood fills no disk
+            fields = {"cause": "coupler.framing", "detail": f"frame header {header.hex()} refused"}
+            self._report("frame_refused", "warning", **fields, count=self.statistics.framing_errors)
 
     def connected(self, connection: CouplerConnection) -> None:
         """A master has connected."""
@@ -182,7 +185,8 @@ class Coupler:
     def _look_at_watchdog(self, now_ns: int) -> None:
         if not self._watchdog.look(now_ns):
             return
-        log.warning("coupler: the watchdog expired after %d ms, outputs at zero", self._watchdog.time_ms)
+        why = f"nothing written for {self._watchdog.time_ms} ms, outputs at zero"
+        self._report("watchdog_expired", "warning", cause="coupler.watchdog", detail=why)
         self.statistics.watchdog_expiries += 1
         self._image.clear_outputs()
         self._on_valves(_CENTRED)

@@ -1,14 +1,12 @@
 """One master's TCP connection to the coupler: Modbus TCP frames in, frames out, order kept."""
 
 import asyncio
-import logging
 import struct
 from typing import Protocol, cast
 
 from plant_emulator.core.coupler.modbus_requests import MAX_PDU_BYTES
 
 _MBAP = struct.Struct(">HHHB")
-log = logging.getLogger(__name__)
 
 
 class Answers(Protocol):
@@ -22,8 +20,8 @@ class Answers(Protocol):
         """The response PDU to a request PDU."""
         ...
 
-    def lost_its_place(self) -> None:
-        """A frame header made no sense."""
+    def lost_its_place(self, header: bytes) -> None:
+        """Count a frame header that made no sense."""
         ...
 
     def connected(self, connection: "CouplerConnection") -> None:
@@ -62,8 +60,7 @@ class CouplerConnection(asyncio.Protocol):
             transaction, protocol, length, unit = _MBAP.unpack_from(self._buffer)
             if protocol != 0 or not 2 <= length <= MAX_PDU_BYTES + 1:
                 # The place in the stream is lost and cannot be found again.
-                log.warning("coupler: frame header %s refused, connection closed", self._buffer[:7].hex())
-                self._coupler.lost_its_place()
+                self._coupler.lost_its_place(bytes(self._buffer[: _MBAP.size]))
                 self._buffer.clear()
                 self._close_after(answers)
                 return

@@ -5,20 +5,17 @@ Errors are problem documents (RFC 9457) with a machine-readable ``cause``.
 """
 
 import asyncio
-import contextlib
 import socket
-from collections.abc import Generator
 from http import HTTPStatus
 from typing import Annotated, Any
 
-import uvicorn
-from fastapi import Depends, FastAPI, Request, Response
+from fastapi import Depends, FastAPI, Response
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse
 from pydantic import Field
-from starlette.exceptions import HTTPException
 
 from foundation.configuration import StrictModel
+from foundation.problems import problem
+from foundation.rest import RestServer, install_problems
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import FAULTS, Fault, MarkerCovered
 from plant_emulator.core.faults.schedule import Injection
@@ -26,9 +23,7 @@ from plant_emulator.core.plant import Plant
 from protocol.errors import RequestRefused
 
 LONGEST_S = 3600.0
-_DRAIN_S = 1  # for answers under way at the end
 _SHOWN = 80  # characters of a value that is refused
-_PROBLEM = "application/problem+json"
 _STATUS_OF_CAUSE = {
     "refused.faults_not_allowed": HTTPStatus.FORBIDDEN,
     "refused.no_such_fault": HTTPStatus.NOT_FOUND,
@@ -46,27 +41,11 @@ class FaultOrder(StrictModel):
     duration_s: Annotated[float, Field(gt=0.0, le=LONGEST_S)] | None = None
 
 
-class _Server(uvicorn.Server):
-    """Uvicorn that leaves the signals to the service."""
-
-    @contextlib.contextmanager
-    def capture_signals(self) -> Generator[None, None, None]:
-        yield
-
-
 class FaultFace:
     """The face, served in the running event loop, which is the plant's own."""
 
     def __init__(self, plant: Plant, scene: Scene, allowed: bool) -> None:
-        self._server = _Server(
-            uvicorn.Config(
-                create_app(plant, scene, allowed),
-                log_config=None,
-                access_log=False,
-                lifespan="off",
-                timeout_graceful_shutdown=_DRAIN_S,
-            )
-        )
+        self._server = RestServer(create_app(plant, scene, allowed))
         self._serving: asyncio.Task[None] | None = None
 
     def start(self, listener: socket.socket) -> None:
@@ -83,7 +62,7 @@ class FaultFace:
 def create_app(plant: Plant, scene: Scene, allowed: bool) -> FastAPI:
     """The application over one running plant; it must be served in the plant's own event loop."""
     app = FastAPI(title="Longreach plant emulator: faults", version="1")
-    _install_problems(app)
+    install_problems(app, _STATUS_OF_CAUSE, _explained)
 
     def permitted() -> None:
         if not allowed:
@@ -149,48 +128,15 @@ def _known(plant: Plant, number: int) -> Injection:
     raise RequestRefused("refused.no_such_fault", f"number {number}: neither in force nor planned")
 
 
-def _problem(request: Request, status: int, cause: str, detail: str) -> JSONResponse:
-    document = {
-        "type": f"urn:longreach:{cause}",
-        "title": HTTPStatus(status).phrase,
-        "status": status,
-        "detail": detail,
-        "cause": cause,
-        "instance": request.url.path,
-    }
-    return JSONResponse(document, status, media_type=_PROBLEM)
-
-
-def _install_problems(app: FastAPI) -> None:
-    """Make every error of ``app`` a problem document."""
-
-    @app.exception_handler(RequestRefused)
-    async def refused(request: Request, error: RequestRefused) -> JSONResponse:
-        status = _STATUS_OF_CAUSE.get(error.cause, HTTPStatus.CONFLICT)
-        return _problem(request, status, error.cause, str(error))
-
-    @app.exception_handler(RequestValidationError)
-    async def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
-        first = error.errors()[0]
-        place = [str(part) for part in first["loc"]]
-        cause = "request.invalid"
-        if place[:2] == ["body", "fault"] and len(place) > 2:
-            cause = "refused.fault_parameter"
-        elif first["type"].startswith("union_tag"):
-            cause = "refused.unknown_fault"
-        value = "" if first["type"] == "missing" else f" = {first['input']!r}"[:_SHOWN]
-        detail = f"{'.'.join(place)}{value}: {first['msg']}"
-        return _problem(request, HTTPStatus.UNPROCESSABLE_ENTITY, cause, detail)
-
-    @app.exception_handler(HTTPException)
-    async def http_error(request: Request, error: HTTPException) -> JSONResponse:
-        cause = "request." + HTTPStatus(error.status_code).name.lower()
-        response = _problem(request, error.status_code, cause, str(error.detail))
-        response.headers.update(error.headers or {})
-        return response
-
-    @app.exception_handler(Exception)
-    async def broken(request: Request, _error: Exception) -> JSONResponse:
-        return _problem(
-            request, HTTPStatus.INTERNAL_SERVER_ERROR, "internal", "an internal error; see the log"
-        )
+def _explained(error: RequestValidationError) -> dict[str, Any]:
+    """The problem of an order that fits no schema; it says which value, and whether of a fault's own."""
+    first = error.errors()[0]
+    place = [str(part) for part in first["loc"]]
+    cause = "request.invalid"
+    if place[:2] == ["body", "fault"] and len(place) > 2:
+        cause = "refused.fault_parameter"
+    elif first["type"].startswith("union_tag"):
+        cause = "refused.unknown_fault"
+    value = "" if first["type"] == "missing" else f" = {first['input']!r}"[:_SHOWN]
+    detail = f"{'.'.join(place)}{value}: {first['msg']}"
+    return problem(HTTPStatus.UNPROCESSABLE_ENTITY, cause, detail)

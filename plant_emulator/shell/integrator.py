@@ -2,20 +2,23 @@
 
 import time
 from collections.abc import Callable
+from typing import Any
 
+from foundation.durations import DurationHistogram, percent_missed
+from foundation.periodic_timer import PeriodicTimer
 from plant_emulator.core.plant import Plant
-from plant_emulator.shell.lateness import Lateness
-from plant_emulator.shell.timer import PeriodicTimer
 
 
 class Integrator:
     """Steps ``plant`` every ``period_ns``. In missed periods, which are counted, its time stands still.
 
     ``after_step`` is called with the deadline (CLOCK_MONOTONIC ns) that the plant's state now belongs to.
+    ``lateness`` of the periods served, against the oldest deadline unserved; ``missed``: periods skipped.
     """
 
     def __init__(self, plant: Plant, period_ns: int, after_step: Callable[[int], None]) -> None:
-        self.lateness = Lateness()
+        self.lateness = DurationHistogram()
+        self.missed = 0
         self._plant = plant
         self._period_ns = period_ns
         self._after_step = after_step
@@ -24,7 +27,7 @@ class Integrator:
     def start(self) -> None:
         """Begin at the next whole period of the monotonic clock."""
         first = (time.monotonic_ns() // self._period_ns + 1) * self._period_ns
-        self._timer = PeriodicTimer(first, self._period_ns, self._tick)
+        self._timer = PeriodicTimer(first, self._period_ns, self._expired)
 
     def stop(self) -> None:
         """Stand still."""
@@ -32,17 +35,30 @@ class Integrator:
             self._timer.close()
             self._timer = None
 
-    def _tick(self, deadline_ns: int, missed: int) -> None:
-        first_missed_ns = (
-            deadline_ns - missed * self._period_ns
-        )  # late is late against the oldest one unserved
-        self.lateness.add(time.monotonic_ns() - first_missed_ns, missed)
+    def as_dict(self) -> dict[str, Any]:
+        """The statistics by name, unit in the name."""
+        served = self.lateness.count
+        return {
+            "periods_served": served,
+            "periods_missed": self.missed,
+            "missed_percent": percent_missed(served, self.missed),
+            **self.lateness.as_dict("late"),
+        }
+
+    def _expired(self) -> None:
+        timer = self._timer
+        passed = 0 if timer is None else timer.passed()
+        if timer is None or passed == 0:
+            return
+        missed = passed - 1
+        self.lateness.add(time.monotonic_ns() - (timer.deadline_ns - missed * self._period_ns))
+        self.missed += missed
         self._plant.advance(self._period_ns)
-        self._after_step(deadline_ns)
+        self._after_step(timer.deadline_ns)
 
 
-class Beat:
-    """Tells when something slower than the integrator is due: at most once a step, late beats are dropped."""
+class SlowCycle:
+    """Says when something slower than the integrator is due: at most once a step; late ones are dropped."""
 
     def __init__(self, interval_ns: int) -> None:
         self._interval_ns = interval_ns
@@ -50,7 +66,7 @@ class Beat:
         self.dropped = 0
 
     def due(self, now_ns: int) -> bool:
-        """Whether a beat has come since the last time that this returned True."""
+        """Return True once an interval."""
         if now_ns < self._next_ns:
             return False
         if self._next_ns:

@@ -7,17 +7,19 @@ when the plant's end of the pose socket closes, however the plant ended.
 
 import contextlib
 import json
-import os
 import signal
 import socket
 import struct
 import sys
 import time
+from typing import cast
 
 import cv2
 import numpy as np
 from pydantic import BaseModel
 
+from foundation.event_log import process_log
+from foundation.scheduling import Policy, take_policy
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.camera.camera_motion import CameraMotion, CameraView, Capture
 from plant_emulator.core.camera.exposures import Shot
@@ -29,7 +31,6 @@ from plant_emulator.shell.frame_server import FrameServer, StereoFrame
 _POSES = struct.Struct("<4Q44d")
 _MESSAGE_BYTES = 1 << 16
 _REPORT_NS = 1_000_000_000
-_POLICIES = {"idle": os.SCHED_IDLE, "batch": os.SCHED_BATCH, "normal": os.SCHED_OTHER}
 
 
 class _Sights(BaseModel):
@@ -130,6 +131,12 @@ def main() -> int:
         signal.signal(number, signal.SIG_IGN)
     listen_fd, pose_fd, scheduling = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
     cv2.setNumThreads(1)
+    with process_log("renderer"):
+        _serve(listen_fd, pose_fd, cast(Policy, scheduling))
+    return 0
+
+
+def _serve(listen_fd: int, pose_fd: int, scheduling: Policy) -> None:
     scene = SceneConfig.model_validate_json(sys.stdin.buffer.read())
     with socket.socket(fileno=pose_fd) as poses:
         server = FrameServer(socket.socket(fileno=listen_fd))
@@ -137,13 +144,12 @@ def main() -> int:
         server.start()
         try:
             renderer.warm_up()
-            os.sched_setscheduler(0, _POLICIES[scheduling], os.sched_param(0))
+            take_policy(scheduling)
             renderer.run()
         except ConnectionError:
             pass  # the plant was killed: its end of the socket went with it
         finally:
             server.stop()
-    return 0
 
 
 if __name__ == "__main__":

@@ -1,15 +1,17 @@
 """The emulator's process: physics in real time, its fieldbus face, its camera, its recording."""
 
 import asyncio
-import json
-import logging
-import os
-import signal
+import socket
 import time
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from plant_emulator.config.service import PlantSideConfig
+from foundation.directories import recording_directory
+from foundation.event_log import EventLog
+from foundation.ports import bound_tcp
+from foundation.scheduling import take_fifo
+from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
+from foundation.statistics import StatisticsFile, resident_mb
+from plant_emulator.config.service import Endpoint, PlantSideConfig
 from plant_emulator.core.camera.camera_motion import STILL, CameraView
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import CouplerSilent
@@ -17,28 +19,22 @@ from plant_emulator.core.plant import Plant
 from plant_emulator.shell.camera_sender import CameraSender
 from plant_emulator.shell.coupler import Coupler
 from plant_emulator.shell.fault_face import FaultFace
-from plant_emulator.shell.integrator import Beat, Integrator
-from plant_emulator.shell.machine import bound, resident_mb, scheduling
+from plant_emulator.shell.integrator import Integrator, SlowCycle
 from plant_emulator.shell.recording import TruthRecorder
 from protocol.errors import ConfigurationError
 from protocol.process_image import ValveImage, encode_sensors
 
-log = logging.getLogger(__name__)
-
-
-class Options(NamedTuple):
-    """What the command line adds to the configuration."""
-
-    record_dir: Path | None
-    statistics: Path | None
+_NAME = "plant_emulator"
 
 
 class PlantService:
     """One running emulator."""
 
-    def __init__(self, config: PlantSideConfig, options: Options) -> None:
+    def __init__(self, config: PlantSideConfig, options: ServiceOptions, log: EventLog) -> None:
         self._config = config
-        self._options = options
+        self._record_dir = options.record_dir
+        self._statistics = StatisticsFile(options.statistics, _NAME, log, self._gathered)
+        self._log = log
         service = config.service
         scene = Scene(config.scene)
         self._plant = Plant(config.plant, config.scene.seed, scene.mounts)
@@ -51,14 +47,18 @@ class PlantService:
             release_ns,
             time.monotonic_ns,
             lambda: self._plant.faults.of_kind(CouplerSilent) is not None,
+            log.write,
         )
-        self._captures = Beat(round(1e9 / config.scene.camera.rate_hz))
-        self._truths = Beat(round(1e9 / service.truth_hz))
+        self._captures = SlowCycle(round(1e9 / config.scene.camera.rate_hz))
+        self._truths = SlowCycle(round(1e9 / service.truth_hz))
         self._changes_told = 0
         self._words: list[int] | None = None
         self._status = -1
         self._recorder: TruthRecorder | None = None
         self._camera: CameraSender | None = None
+        self._scheduling = "normal"
+        self._memory_at_start: dict[str, float] = {}
+        self._memory_at_end: dict[str, float] = {}
 
     async def run(self) -> int:
         """Exit status, after serving until SIGTERM or SIGINT, or until the renderer fails.
@@ -66,41 +66,48 @@ class PlantService:
         Raises ConfigurationError when a port is busy or the recording cannot be written.
         """
         stop = asyncio.Event()
-        loop = asyncio.get_running_loop()
-        for number in (signal.SIGTERM, signal.SIGINT):
-            loop.add_signal_handler(number, stop.set)
+        when_asked_to_end(stop.set)
         service = self._config.service
         with (
-            bound(service.modbus, "plant_service.modbus") as modbus,
-            bound(service.camera_stream, "plant_service.camera_stream") as stream,
-            bound(service.fault_face, "plant_service.fault_face") as face,
+            _bound(service.modbus, "modbus") as modbus,
+            _bound(service.camera_stream, "camera_stream") as stream,
+            _bound(service.fault_face, "fault_face") as face,
         ):
             addresses = {"camera_stream": stream.getsockname(), "fault_face": face.getsockname()}
             self._recorder = self._open_recording()
             self._camera = CameraSender(self._config.scene, stream, service.renderer_scheduling)
-            failed, figures = False, None
+            failed = False
             try:
                 self._warm_up()
                 if await _first(self._camera.wait_ready(), stop.wait()):
                     addresses["modbus"] = await self._coupler.start(modbus)
                     self._face.start(face)
                     self._integrator.start()
-                    obtained = scheduling(service.scheduling)
-                    memory = self._memory()
-                    self._say_ready(addresses, obtained)
-                    failed = await _first(self._camera.ended.wait(), stop.wait())
-                    figures = {
-                        "scheduling": obtained,
-                        "memory_at_start": memory,
-                        "memory_at_end": self._memory(),
-                    }
+                    failed = await self._served(self._camera, addresses, stop)
             finally:
                 await self._shut_down()
-        if figures is not None:
-            self._write_statistics(figures)
+        if self._memory_at_end:
+            self._statistics.write()
         if failed:
-            log.error("link.renderer_ended: the renderer ended by itself")
+            why = {"cause": "link.renderer_ended", "detail": "the renderer ended by itself"}
+            self._log.write("stopped", "error", **why)
+        else:
+            self._log.write("stopped", simulated_ns=self._plant.time_ns)
         return 1 if failed else 0
+
+    async def _served(
+        self, camera: CameraSender, addresses: dict[str, tuple[str, int]], stop: asyncio.Event
+    ) -> bool:
+        """Serve; return whether the renderer ended by itself before ``stop``."""
+        self._scheduling = take_fifo(self._config.service.fifo_priority)
+        self._memory_at_start = self._memory()
+        self._say_ready(addresses)
+        writing = asyncio.create_task(self._statistics.keep_writing())
+        try:
+            return await _first(camera.ended.wait(), stop.wait())
+        finally:
+            writing.cancel()
+            self._memory_at_end = self._memory()
 
     def _warm_up(self) -> None:
         """Let everything compile before time begins to count."""
@@ -136,24 +143,23 @@ class PlantService:
             self._words = encode_sensors(image)
             if image.status != self._status:
                 self._status = image.status
-                self._event({"event": "status", "status": image.status})
+                self._log.write("status", status=image.status)
+                if self._recorder is not None:
+                    fields = {"event": "status", "status": image.status}
+                    self._recorder.event(fields, time.monotonic_ns(), self._plant.time_ns)
         return self._words
 
     def _tell_faults(self, log_ns: int) -> None:
         changes = self._plant.faults.changes
         for change in changes[self._changes_told :]:
-            log.info("%s", json.dumps({"event": "fault"} | change.as_dict()))
+            fields = change.as_dict()
+            self._log.write("fault", simulated_ns=fields.pop("time_ns"), **fields)
             if self._recorder is not None:
                 self._recorder.fault(change, log_ns)
         self._changes_told = len(changes)
 
-    def _event(self, fields: dict[str, Any]) -> None:
-        log.info("%s", json.dumps(fields))
-        if self._recorder is not None:
-            self._recorder.event(fields, time.monotonic_ns(), self._plant.time_ns)
-
     def _open_recording(self) -> TruthRecorder | None:
-        directory = self._options.record_dir
+        directory = recording_directory(self._record_dir)
         if directory is None:
             return None
         run = {
@@ -162,47 +168,42 @@ class PlantService:
             "plant_service": self._config.service.model_dump(mode="json"),
         }
         try:
-            directory.mkdir(parents=True, exist_ok=True)
             return TruthRecorder(directory / "truth.mcap", run)
         except OSError as error:
             raise ConfigurationError(
                 "configuration.recording", f"--record-dir {directory}: truth.mcap: {error.strerror}"
             ) from error
 
-    def _say_ready(self, addresses: dict[str, tuple[str, int]], obtained: str) -> None:
-        ready = {
-            "event": "ready",
-            "service": "plant_emulator",
-            "pid": os.getpid(),
+    def _say_ready(self, addresses: dict[str, tuple[str, int]]) -> None:
+        say_ready(
+            _NAME,
             **{name: {"host": host, "port": port} for name, (host, port) in addresses.items()},
-            "faults_allowed": self._config.service.fault_face.allowed,
-            "period_ms": self._config.service.period_ms,
-            "scheduling": obtained,
-            "renderer_scheduling": self._config.service.renderer_scheduling,
-            "recording": None if self._recorder is None else str(self._recorder.path),
-        }
-        print(json.dumps(ready), flush=True)
+            faults_allowed=self._config.service.fault_face.allowed,
+            period_ms=self._config.service.period_ms,
+            scheduling=self._scheduling,
+            renderer_scheduling=self._config.service.renderer_scheduling,
+            recording=None if self._recorder is None else str(self._recorder.path),
+        )
 
     def _memory(self) -> dict[str, float]:
         assert self._camera is not None
-        return {"plant_rss_mb": resident_mb(os.getpid()), "renderer_rss_mb": resident_mb(self._camera.pid)}
+        return {"plant_rss_mb": resident_mb(), "renderer_rss_mb": resident_mb(self._camera.pid)}
 
-    def _write_statistics(self, figures: dict[str, Any]) -> None:
-        if self._options.statistics is None:
-            return
+    def _gathered(self) -> dict[str, Any]:
         assert self._camera is not None
         camera = {"captures_missed": self._captures.dropped, "poses_dropped": self._camera.poses_dropped}
         camera["frames_lost_on_purpose"] = self._camera.frames_lost
-        figures = {
-            "service": "plant_emulator",
+        return {
             "period_ms": self._config.service.period_ms,
-            "integrator": self._integrator.lateness.as_dict(),
+            "integrator": self._integrator.as_dict(),
             "simulated_s": self._plant.time_ns / 1e9,
             "coupler": self._coupler.statistics.as_dict(),
             "camera": self._camera.statistics | camera,
             "truth_records": 0 if self._recorder is None else self._recorder.written,
-        } | figures
-        self._options.statistics.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+            "scheduling": self._scheduling,
+            "memory_at_start": self._memory_at_start,
+            "memory_at_end": self._memory_at_end or self._memory(),
+        }
 
     async def _shut_down(self) -> None:
         self._integrator.stop()
@@ -227,3 +228,7 @@ async def _first(wanted: Any, other: Any) -> bool:
         for task in (first, second):
             task.cancel()
         await asyncio.gather(first, second, return_exceptions=True)
+
+
+def _bound(endpoint: Endpoint, name: str) -> socket.socket:
+    return bound_tcp(endpoint.host, endpoint.port, f"plant_service.{name}")

@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from foundation.event_log import Level
 from protocol.errors import LinkLost, LongreachError
 from protocol.faults import CommandCode
 from testbed.lockstep.clock import run
@@ -33,10 +34,9 @@ class SimulatedTimeLog:
     def __init__(self, world: World) -> None:
         self._world = world
 
-    def write(self, event: str, **fields: Any) -> None:
-        """Appends one event."""
-        told = {("looked_ns" if key == "time_ns" else key): value for key, value in fields.items()}
-        self._world.log.add(self._world.time_ns, event, **told)
+    def write(self, event: str, _level: Level = "info", /, **fields: Any) -> None:
+        """Append one event."""
+        self._world.log.add(self._world.time_ns, event, **fields)
 
 
 class LockstepRig:

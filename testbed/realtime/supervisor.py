@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from foundation.event_log import in_words
 from protocol.errors import LongreachError
 
 READY_TIMEOUT_S = 180.0  # a first start compiles the numba kernels
@@ -74,8 +75,8 @@ class Child:
 
     @property
     def last_line(self) -> str:
-        """The last line that it wrote on stderr, or what replaces it."""
-        return self._last_line or "it said nothing"
+        """The last line that it wrote on stderr, in words, or what replaces it."""
+        return in_words(self._last_line) or "it said nothing"
 
     def _read_stdout(self) -> None:
         assert self._process.stdout is not None

@@ -36,7 +36,7 @@ def settings(*more: str) -> ScanSettings:
 
 
 @cache
-def rehearsed() -> None:
+def warmed_up() -> None:
     """Once a process: the kernels are there before a link timeout of 200 ms counts."""
     warm_up(settings())
 
@@ -65,7 +65,7 @@ class ControllerUnderTest:
     network: ClassVar[SimulatedNetwork | None] = None
 
     def __init__(self) -> None:
-        rehearsed()
+        warmed_up()
         self.settings = self.configured()
         self.cycle_ns = round(self.settings.cycle_s * 1e9)
         self.bench = Bench(self.settings)

@@ -17,8 +17,8 @@ from controller.core.plant_watch import PlantRefusal
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput, ScanOutput, initial_state
 from controller.core.settings import settings_from
-from controller.shell.event_log import EventLog
 from controller.shell.plant_link import PlantLink
+from foundation.event_log import EventLog
 from plant_emulator.core.plant import Plant
 from protocol.errors import ImageRefused
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
@@ -64,7 +64,7 @@ class FieldbusRig:
         config = PlantLinkConfig(
             host="127.0.0.1", port=proxy.port, unit_id=1, timeout_ms=timeout_ms, reconnect_ms=20.0
         )
-        self.link = PlantLink(config, EventLog(io.StringIO()))
+        self.link = PlantLink(config, EventLog("controller", io.StringIO()))
         self.outputs: list[ScanOutput] = []
         self.torn = 0
         self._cycle_ns = round(self.settings.cycle_s * 1e9)

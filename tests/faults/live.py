@@ -16,6 +16,7 @@ import httpx
 import numpy as np
 from fastapi import FastAPI
 
+from foundation.event_log import EventLog
 from plant_emulator.core.plant import Plant
 from protocol.faults import GroupState
 from protocol.process_image import decode_valves, encode_sensors
@@ -28,7 +29,6 @@ from vision_pc.application.eyes import CameraEyes
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras import CameraSource
-from vision_pc.shell.event_log import EventLog
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.rest.api import create_app
@@ -156,7 +156,9 @@ async def live(record_dir: Path | None = None, stream: Any = None) -> AsyncItera
     settings = settings_of(1, _PATIENT)
     machine = Machine()
     await machine.start()
-    log = EventLog(record_dir, stream if stream is not None else io.StringIO())
+    log = EventLog("vision_pc", stream if stream is not None else io.StringIO())
+    if record_dir is not None:
+        log.record_in(record_dir)
     vision = settings.vision.model_copy(
         update={"link": settings.vision.link.model_copy(update={"port": machine.port})}
     )

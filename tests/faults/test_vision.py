@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-import uvicorn
 
+from foundation.rest import RestServer
 from plant_emulator.core.faults.kinds import MarkerCovered
 from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.faults import GroupState
@@ -222,19 +222,10 @@ def hanging_listener(port: int, path: str) -> socket.socket:
     return sock
 
 
-class Server(uvicorn.Server):
-    """Uvicorn that leaves the signals to the test."""
-
-    @contextlib.contextmanager
-    def capture_signals(self) -> Any:
-        yield
-
-
 @contextlib.asynccontextmanager
 async def served(rig: LiveRig) -> Any:
     """The port of the rig's REST face on a real socket."""
-    config = uvicorn.Config(rig.app, log_config=None, lifespan="off", timeout_graceful_shutdown=1)
-    server = Server(config)
+    server = RestServer(rig.app)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         task = asyncio.create_task(server.serve([listening]))
         try:

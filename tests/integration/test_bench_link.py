@@ -16,8 +16,8 @@ import pytest
 from pyModbusTCP.client import ModbusClient
 
 from controller.config import PlantLinkConfig
-from controller.shell.event_log import EventLog
 from controller.shell.plant_link import PlantLink
+from foundation.event_log import EventLog
 from plant_emulator.shell.coupler import Coupler
 from protocol.faults import CommandCode, GroupState, Reason
 from protocol.pose import Pose
@@ -126,7 +126,7 @@ def spread(times_us: list[float]) -> str:
 async def linked(port: int) -> list[float]:
     """Round trips (µs) of our plant link."""
     config = PlantLinkConfig(host="127.0.0.1", port=port, unit_id=1, timeout_ms=500.0, reconnect_ms=50.0)
-    link, times = PlantLink(config, EventLog(io.StringIO())), []
+    link, times = PlantLink(config, EventLog("controller", io.StringIO())), []
     link.start()
     while link.connections == 0:  # noqa: ASYNC110 - the link has no event to wait for
         await asyncio.sleep(0.01)

@@ -11,6 +11,7 @@ from typing import Any
 import httpx
 import numpy as np
 
+from foundation.event_log import EventLog
 from protocol.errors import RequestRefused
 from protocol.faults import GroupState
 from tests.vision_pc.program_settings import shipped
@@ -22,7 +23,6 @@ from vision_pc.application.ports import CameraStatus
 from vision_pc.config.programs import ProgramSettings
 from vision_pc.config.vision import LinkSettings, MotionSettings
 from vision_pc.core.types import Look
-from vision_pc.shell.event_log import EventLog
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.rest.api import create_app
@@ -104,7 +104,9 @@ async def bench(
     controller = LoopbackController(rig, link_timeout_ms=link_timeout_ms)
     await controller.start()
     stream = io.StringIO()
-    log = EventLog(record_dir, stream)
+    log = EventLog("vision_pc", stream)
+    if record_dir is not None:
+        log.record_in(record_dir)
     endpoint = UdpEndpoint(LinkSettings(port=controller.port, state_period_ms=10), log, MonotonicClock())
     link = endpoint.link
     await endpoint.start()

@@ -82,4 +82,5 @@ class VisionApplication:
 
     def _remember(self, look: Look) -> None:
         self._latest = JudgedLook(look, judge(look, self.positioning))
-        self.log.write("look", **look_json(self._latest))
+        shown = look_json(self._latest)
+        self.log.write("look", looked_ns=shown.pop("time_ns"), **shown)

@@ -4,7 +4,6 @@ The event loop stays free for the link and the REST face while the thread detect
 """
 
 import asyncio
-import os
 import time
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -13,6 +12,8 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
+from foundation.event_log import EventLog
+from foundation.scheduling import take_policy
 from protocol.errors import RequestRefused
 from protocol.faults import GroupState
 from protocol.reference_messages import State
@@ -26,7 +27,6 @@ from vision_pc.core.ports import PairsAtRest
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import FrameObservation, Look, StereoPair, WatchHealth, WatchSample
 from vision_pc.shell.cameras import CameraSource
-from vision_pc.shell.event_log import EventLog
 
 T = TypeVar("T")
 _POLL_S = 0.005  # a new sample is noticed this late at most
@@ -84,8 +84,9 @@ class CameraEyes:
         self._model = calibration(config.camera)
         self._latest: tuple[StereoPair, FrameObservation] | None = None
         self._looks = 0
+        # Detection never delays the arm's cycle; the event loop keeps its priority, and the link with it.
         self._worker = ThreadPoolExecutor(1, "vision")
-        self.scheduling = self._worker.submit(_take_idle_time).result()
+        self.scheduling = self._worker.submit(take_policy, "idle").result()
 
     def close(self) -> None:
         """Ends the thread, once it has finished what it has begun and written the last picture."""
@@ -205,18 +206,7 @@ class CameraEyes:
             try:
                 path.write_bytes(self._picture(pair, observation))
             except OSError as error:
-                self._log.write("picture_failed", detail=f"{path}: {error.strerror}")
+                fields = {"cause": "recording.unwritable", "detail": f"{path}: {error.strerror}"}
+                self._log.write("picture_failed", "error", **fields)
 
         self._worker.submit(write)
-
-
-def _take_idle_time() -> str:
-    """The scheduling obtained for the calling thread: idle, so that detection never delays the arm's cycle.
-
-    The event loop keeps its priority, and the link with it.
-    """
-    try:
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    except OSError:
-        return "normal"
-    return "idle"

@@ -7,6 +7,7 @@ letting simulated time pass. Everything above them is the same code.
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
+from foundation.event_log import Level
 from protocol.channel import LinkStatistics
 from protocol.clock_offset import OffsetEstimate
 from protocol.faults import CommandCode
@@ -42,7 +43,7 @@ class LinkTransport(Protocol):
 class Log(Protocol):
     """Where events are written for the record."""
 
-    def write(self, event: str, **fields: Any) -> None:
+    def write(self, event: str, level: Level = "info", /, **fields: Any) -> None:
         """Write one event."""
         ...
 

@@ -4,11 +4,11 @@ What it prints comes from the services' own statistics and from the kernel's acc
 """
 
 import json
-import os
 import time
 from pathlib import Path
 from typing import Any
 
+from foundation.statistics import resident_mb
 from protocol.errors import LongreachError
 from testbed.demonstration.realtime import started
 from testbed.demonstration.sequence import JSON
@@ -23,7 +23,6 @@ from testbed.scenarios.settings import Overrides
 _HEALTHY_S = 60.0
 _LOOK_FRAMES = 50  # five seconds of looking at 10 pictures a second
 _STROKE_M = 0.15
-_PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
 OVERRUNS_WANTED_PERCENT = 0.5
 
 
@@ -135,7 +134,7 @@ def memory_mb(supervisor: Supervisor) -> dict[str, float]:
         family = {child.pid}
         while grown := {pid for pid, parent in parents.items() if parent in family} - family:
             family |= grown
-        result[name] = sum(map(_resident_mb, family))
+        result[name] = sum(map(resident_mb, family))
     return result
 
 
@@ -149,13 +148,6 @@ def _parents() -> dict[int, int]:
                 continue  # ended while we looked
             parents[int(directory.name)] = int(fields[1])
     return parents
-
-
-def _resident_mb(pid: int) -> float:
-    try:
-        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * _PAGE_MB
-    except OSError:
-        return 0.0
 
 
 def _show(figures: dict[str, Any]) -> None:

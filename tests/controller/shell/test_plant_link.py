@@ -11,8 +11,8 @@ from pymodbus.constants import ExcCodes
 
 from controller.config import PlantLinkConfig
 from controller.core.plant_watch import PlantRefusal
-from controller.shell.event_log import EventLog
 from controller.shell.plant_link import PlantLink
+from foundation.event_log import EventLog
 from protocol.process_image import ValveImage, decode_sensors, encode_valves
 from tests.controller.shell.plant_server import PlantServer, plant_server
 
@@ -21,7 +21,7 @@ WORDS = encode_valves(ValveImage(7, 0, (0.0,) * 6))
 
 def _link(port: int, timeout_ms: float = 60.0) -> PlantLink:
     config = PlantLinkConfig(host="127.0.0.1", port=port, unit_id=1, timeout_ms=timeout_ms, reconnect_ms=30.0)
-    return PlantLink(config, EventLog(io.StringIO()))
+    return PlantLink(config, EventLog("controller", io.StringIO()))
 
 
 @pytest.fixture

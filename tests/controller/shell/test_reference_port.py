@@ -12,8 +12,8 @@ import pytest
 
 from controller.config import ReferenceLinkConfig
 from controller.core.inbox import Request
-from controller.shell.event_log import EventLog
 from controller.shell.reference_port import ReferencePort
+from foundation.event_log import EventLog
 from protocol.client_session import ReferenceClient
 from protocol.errors import ConfigurationError
 from protocol.faults import CommandCode, Reason
@@ -76,7 +76,7 @@ Meet = Callable[[ReferencePort, int], Peer]
 async def port() -> AsyncIterator[ReferencePort]:
     server = ReferenceServer(boot_id=1, arm_hash=2, cycle_ns=5_000_000, link_timeout_ms=TIMEOUT_MS)
     config = ReferenceLinkConfig(host="127.0.0.1", port=0, link_timeout_ms=TIMEOUT_MS)
-    opened = ReferencePort(server, config, EventLog(io.StringIO()))
+    opened = ReferencePort(server, config, EventLog("controller", io.StringIO()))
     opened.open()
     yield opened
     opened.close()
@@ -187,6 +187,6 @@ async def test_a_busy_port_is_named(port: ReferencePort) -> None:
     server = ReferenceServer(boot_id=1, arm_hash=2, cycle_ns=5_000_000, link_timeout_ms=TIMEOUT_MS)
     config = ReferenceLinkConfig(host=host, port=number, link_timeout_ms=TIMEOUT_MS)
     with pytest.raises(ConfigurationError) as caught:
-        ReferencePort(server, config, EventLog(io.StringIO()))
+        ReferencePort(server, config, EventLog("controller", io.StringIO()))
     assert caught.value.cause == "configuration.port_busy"
     assert str(number) in str(caught.value)

@@ -10,8 +10,8 @@ import pytest
 
 from controller.config import PlantLinkConfig
 from controller.core.plant_watch import PlantRefusal
-from controller.shell.event_log import EventLog
 from controller.shell.plant_link import PlantLink
+from foundation.event_log import EventLog
 from plant_emulator.core.coupler.image import COUPLER_MAP
 from plant_emulator.core.coupler.modbus_requests import Span
 from plant_emulator.shell.coupler import Coupler
@@ -268,7 +268,7 @@ async def test_the_controller_finds_its_way_back_after_an_expiry() -> None:
         bound.bind(("127.0.0.1", 0))
         _, port = await coupler.start(bound)
         config = PlantLinkConfig(host="127.0.0.1", port=port, unit_id=1, timeout_ms=500.0, reconnect_ms=30.0)
-        link = PlantLink(config, EventLog(io.StringIO()))
+        link = PlantLink(config, EventLog("controller", io.StringIO()))
         link.start()
         async with asyncio.timeout(3.0):
             while link.connections < 1:  # noqa: ASYNC110 - the link has no event to wait for

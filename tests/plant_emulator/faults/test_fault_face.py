@@ -197,9 +197,15 @@ def test_without_permission_everything_can_be_read_and_nothing_broken_or_mended(
     assert plant.truth().faults == ("supply_lost",)
 
 
+def test_a_body_that_is_too_large_is_refused_unread(face: Client, plant: Plant) -> None:
+    order = {"fault": {"kind": "supply_lost"}, "note": "x" * 20_000}
+    assert "too large" in problem(face.post("/faults", json=order), 413, "request.too_large")
+    assert not plant.faults.all()
+
+
 def test_breaking_down_inside_tells_nothing_of_the_inside(plant: Plant, face: Client) -> None:
     plant.faults = None  # type: ignore[assignment]
-    assert problem(face.get("/faults"), 500, "internal") == "an internal error; see the log"
+    assert problem(face.get("/faults"), 500, "internal") == "an internal error; see the event log"
 
 
 _VALUES = (

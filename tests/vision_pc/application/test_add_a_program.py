@@ -63,9 +63,7 @@ def test_the_page_s_service_serves_it(there_and_back: Any) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     exec(BLOCKS[2].split("rig =")[0], there_and_back.__dict__)
-    at_port = BLOCKS[3].replace('vision.yaml"))', f'vision.yaml"), {{"api": {{"port": {port}}}}})')
-    assert at_port != BLOCKS[3]
-    exec(at_port, there_and_back.__dict__)
+    exec(BLOCKS[3], there_and_back.__dict__)
     served: list[Any] = []
 
     def ask() -> None:
@@ -80,7 +78,7 @@ def test_the_page_s_service_serves_it(there_and_back: Any) -> None:
 
     asking = threading.Thread(target=ask)
     asking.start()
-    there_and_back.serve()
+    assert there_and_back.serve("--set", f"vision.api.port={port}") == 0
     asking.join()
     assert "/operations/there-and-back" in served[0]
     assert "/operations/hand-eye-start" in served[0]

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from foundation.configuration import load
+from foundation.event_log import EventLog
 from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
 from protocol.faults import CommandCode, GroupState
 from tests.vision_pc.conftest import VISION_YAML
@@ -25,7 +26,6 @@ from vision_pc.core.perception.intrinsics import calibration
 from vision_pc.core.se3 import transform
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras import CameraSource
-from vision_pc.shell.event_log import EventLog
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 
@@ -100,7 +100,8 @@ class Bench:
 async def bench(config: VisionConfig, pictures: Pictures, tmp_path: Path) -> AsyncIterator[Bench]:
     controller = LoopbackController(SyntheticRig(draw(np.random.default_rng(0)), 0, rate_hz=100.0))
     await controller.start()
-    log = EventLog(tmp_path, io.StringIO())
+    log = EventLog("vision_pc", io.StringIO())
+    log.record_in(tmp_path)
     endpoint = UdpEndpoint(LinkSettings(port=controller.port, state_period_ms=10), log, MonotonicClock())
     link = endpoint.link
     await endpoint.start()

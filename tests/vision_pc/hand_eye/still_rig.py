@@ -10,6 +10,7 @@ import numpy as np
 from controller.core.kinematics.denavit_hartenberg import dh_table
 from controller.core.kinematics.inverse_kinematics import joint_angles
 from foundation.configuration import merged
+from foundation.event_log import EventLog
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from protocol.errors import RequestRefused
@@ -22,7 +23,6 @@ from vision_pc.core import se3
 from vision_pc.core.ports import ArmView, PairsAtRest
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import StereoPair
-from vision_pc.shell.event_log import EventLog
 
 T = TypeVar("T")
 START_RAD = np.radians([0.0, 50.0, -75.0, 0.0, -25.0, 0.0])
@@ -59,7 +59,7 @@ class StillRig:
         self._robot = (robot_m, robot_rad)
         self._rng = np.random.default_rng(5)
         self._time_ns = self._frame = self._views = 0
-        self.log = EventLog(None, io.StringIO())
+        self.log = EventLog("vision_pc", io.StringIO())
         self.guided = GuidedCalibration(self, self, self, settings.vision, self.log, SessionStore(sessions))
 
     @property

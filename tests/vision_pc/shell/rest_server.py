@@ -5,20 +5,10 @@ import contextlib
 import socket
 import threading
 from collections.abc import Iterator
-from typing import Any
 
-import uvicorn
-
+from foundation.rest import RestServer
 from tests.vision_pc.synthetic_station import bench
 from vision_pc.shell.rest.api import create_app
-
-
-class _Server(uvicorn.Server):
-    """Uvicorn that leaves the signals alone."""
-
-    @contextlib.contextmanager
-    def capture_signals(self) -> Any:
-        yield
 
 
 @contextlib.contextmanager
@@ -31,11 +21,7 @@ def rest_face() -> Iterator[str]:
         async with bench(link_timeout_ms=30_000) as made:  # this machine may be busy
             made.controller.speed = 50.0
             await made.post("/enable")
-            config = uvicorn.Config(
-                create_app(made.station, made.operations), log_config=None, lifespan="off",
-                timeout_graceful_shutdown=1,
-            )  # fmt: skip
-            server = _Server(config)
+            server = RestServer(create_app(made.station, made.operations))
             task = asyncio.create_task(server.serve([listening]))
             started.set()
             await asyncio.to_thread(leave.wait)

@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator
 import numpy as np
 import pytest
 
+from foundation.event_log import EventLog
 from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
 from protocol.faults import CommandCode, FaultCode, GroupState
 from protocol.reference_messages import Command, ReferencePose
@@ -17,7 +18,6 @@ from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.config.vision import LinkSettings, MotionSettings
 from vision_pc.core.se3 import Array, to_pose, transform
-from vision_pc.shell.event_log import EventLog
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 
@@ -38,7 +38,7 @@ async def controller() -> AsyncIterator[LoopbackController]:
 
 @pytest.fixture
 async def link(controller: LoopbackController) -> AsyncIterator[ReferenceLink]:
-    log = EventLog(None, io.StringIO())
+    log = EventLog("vision_pc", io.StringIO())
     endpoint = UdpEndpoint(LinkSettings(port=controller.port, state_period_ms=10), log, MonotonicClock())
     link = endpoint.link
     await endpoint.start()
@@ -191,7 +191,7 @@ async def test_a_controller_that_is_not_there_is_named_and_found_when_it_comes()
     port = first.port
     await first.stop()
     settings = LinkSettings(port=port, state_period_ms=10)
-    endpoint = UdpEndpoint(settings, EventLog(None, io.StringIO()), MonotonicClock())
+    endpoint = UdpEndpoint(settings, EventLog("vision_pc", io.StringIO()), MonotonicClock())
     link = endpoint.link
     await endpoint.start()
     with pytest.raises(LinkLost) as lost:
@@ -232,7 +232,7 @@ async def test_commands_that_wait_end_with_the_link(
 
 async def test_the_log_tells_the_links_story(controller: LoopbackController) -> None:
     stream = io.StringIO()
-    log = EventLog(None, stream)
+    log = EventLog("vision_pc", stream)
     endpoint = UdpEndpoint(LinkSettings(port=controller.port), log, MonotonicClock())
     await endpoint.start()
     await until(lambda: endpoint.link.connected)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from foundation.event_log import EventLog
 from foundation.link_key import KeySource, key_from_file
 from protocol.channel import LinkStatistics
 from protocol.errors import ConfigurationError, LinkLost
@@ -15,7 +16,6 @@ from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import SyntheticRig, draw
 from tests.vision_pc.synthetic_station import bench
 from vision_pc.config.vision import LinkSettings
-from vision_pc.shell.event_log import EventLog
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.rest.link_view import LinkCounters, link_view
@@ -36,7 +36,7 @@ def a_controller(key_file: Path | None = None) -> LoopbackController:
 
 def a_link(port: int, stream: io.StringIO, key_file: Path | None = None) -> UdpEndpoint:
     settings = LinkSettings(port=port, state_period_ms=10, link_key=KeySource(file=key_file))
-    return UdpEndpoint(settings, EventLog(None, stream), MonotonicClock())
+    return UdpEndpoint(settings, EventLog("vision_pc", stream), MonotonicClock())
 
 
 def test_every_counter_is_shown_with_its_unit() -> None:

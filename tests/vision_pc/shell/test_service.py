@@ -74,7 +74,7 @@ def test_a_busy_port_ends_it_with_status_2_and_one_line(capsys: pytest.CaptureFi
         port = occupant.getsockname()[1]
         assert main(arguments(f"vision.api.port={port}")) == 2
     told = capsys.readouterr()
-    assert told.err.startswith("vision_pc: configuration.port_busy: REST at 127.0.0.1:")
+    assert told.err.startswith("vision_pc: configuration.port_busy: vision.api = 127.0.0.1:")
     assert told.err.count("\n") == 1
     assert told.out == ""
 

@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator
 import numpy as np
 import pytest
 
+from foundation.event_log import EventLog
 from protocol.errors import RequestRefused
 from protocol.faults import CommandCode, GroupState
 from tests.conformance.controllers import ControllerUnderTest
@@ -15,7 +16,6 @@ from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.config.vision import LinkSettings, MotionSettings
 from vision_pc.core.se3 import Array
-from vision_pc.shell.event_log import EventLog
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 
@@ -24,7 +24,7 @@ from vision_pc.shell.monotonic_clock import MonotonicClock
 async def link() -> AsyncIterator[ReferenceLink]:
     with ControllerUnderTest() as controller:
         settings = LinkSettings(port=controller.port, state_period_ms=10)
-        endpoint = UdpEndpoint(settings, EventLog(None, io.StringIO()), MonotonicClock())
+        endpoint = UdpEndpoint(settings, EventLog("vision_pc", io.StringIO()), MonotonicClock())
         link = endpoint.link
         await endpoint.start()
         await until(lambda: link.connected and link.clock_offset is not None)

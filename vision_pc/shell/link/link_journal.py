@@ -37,7 +37,8 @@ class LinkJournal:
             self._log.write("link_connected", session=f"{event.session:x}", cycle_ns=event.welcome.cycle_ns)
         elif isinstance(event, SessionLost):
             self._open.clear()
-            self._log.write("link_lost", reason=event.reason.name.lower(), unanswered=len(event.unanswered))
+            lost = {"reason": event.reason.name.lower(), "unanswered": len(event.unanswered)}
+            self._log.write("link_lost", "warning", **lost)
         elif isinstance(event, DatagramDropped):
             self._dropped(event)
 
@@ -59,6 +60,7 @@ class LinkJournal:
             self._refused_stream = refusal.stream_id
             self._log.write(
                 "stream_refused",
+                "warning",
                 number=refusal.number,
                 reason=refusal.reason.name.lower(),
                 value=refusal.value,
@@ -67,4 +69,4 @@ class LinkJournal:
     def _dropped(self, event: DatagramDropped) -> None:
         if self._clock.now_ns - self._drop_logged_ns > _LOG_DROPS_NS:
             self._drop_logged_ns = self._clock.now_ns
-            self._log.write("datagram_dropped", cause=event.cause, detail=event.detail)
+            self._log.write("datagram_dropped", "warning", cause=event.cause, detail=event.detail)

@@ -8,6 +8,8 @@ from typing import Any
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 
+from foundation.problems import MEDIA_TYPE, problem
+from foundation.rest import install_problems, respond
 from protocol.faults import CommandCode
 from protocol.reference_messages import FLAG_EMERGENCY_LATCHED, FLAG_PLANT_LINK_OK, FLAG_SETTLED, State
 from vision_pc.application.application import VisionApplication
@@ -16,21 +18,20 @@ from vision_pc.application.program import Program
 from vision_pc.application.programs import PROGRAMS
 from vision_pc.application.results import JSON, calibration_json, look_json, pose_json
 from vision_pc.core.se3 import from_pose
-from vision_pc.shell.rest import problems
 from vision_pc.shell.rest.hand_eye_routes import add_session
 from vision_pc.shell.rest.link_view import LinkView, link_view
 from vision_pc.shell.rest.operation_routes import add_programs, add_resources
 from vision_pc.shell.rest.operations import Operations
+from vision_pc.shell.rest.problems import STATUS_OF_CAUSE
 
-MAX_BODY_BYTES = 16_384
 DESCRIPTION = """
 Drives the tool to the object: orientation adjustment, local calibration by motion, look-then-move.
 
 Every long step is `202` with an operation resource (`Location`). Errors are RFC 9457 problem documents with a
 machine-readable `cause`. Nothing moves before `POST /enable`; `POST /stop` is always accepted.
 """
-_EXAMPLE = problems.problem(409, "refused.disabled", "move: the arm is disabled; enable first")
-_PROBLEM: JSON = {"description": "A problem", "content": {problems.MEDIA_TYPE: {"example": _EXAMPLE}}}
+_EXAMPLE = problem(409, "refused.disabled", "move: the arm is disabled; enable first")
+_PROBLEM: JSON = {"description": "A problem", "content": {MEDIA_TYPE: {"example": _EXAMPLE}}}
 
 
 def create_app(
@@ -45,7 +46,7 @@ def create_app(
         description=DESCRIPTION,
         responses={"4XX": _PROBLEM, "5XX": _PROBLEM},
     )
-    problems.install(app, MAX_BODY_BYTES)
+    install_problems(app, STATUS_OF_CAUSE)
     _add_reading(app, application, operations)
     _add_commands(app, application, operations)
     session_steps = [program for program in programs if program.tag == HAND_EYE]
@@ -71,10 +72,8 @@ def _add_reading(app: FastAPI, application: VisionApplication, operations: Opera
             return JSONResponse({"status": "ok"} | parts)
         missing = ", ".join(name for name, answers in parts.items() if not answers)
         status = HTTPStatus.SERVICE_UNAVAILABLE
-        document = problems.problem(
-            status, "link.degraded", f"not answering: {missing}", instance=request.url.path
-        )
-        return problems.respond(document | parts)
+        document = problem(status, "link.degraded", f"not answering: {missing}", instance=request.url.path)
+        return respond(document | parts)
 
     @app.get("/state", tags=["state"], summary="The arm as the controller sees it, links and operation")
     async def state() -> JSON:

@@ -181,7 +181,7 @@ class Operations:
             self._end(operation, OperationState.FAILED, problem=problem_of(error), note=str(error))
         except Exception as error:
             await self._stop_arm(operation)
-            self._log.write("operation_broke", id=operation.id, error=repr(error))
+            self._log.write("operation_broke", "error", id=operation.id, error=repr(error))
             self._end(operation, OperationState.FAILED, problem=problem_of(error), note="internal error")
         else:
             operation.progress = 1.0
@@ -195,7 +195,7 @@ class Operations:
         except asyncio.CancelledError:
             await asyncio.wait([stopping])
         except LongreachError as error:
-            self._log.write("stop_failed", id=operation.id, cause=error.cause, detail=str(error))
+            self._log.write("stop_failed", "error", id=operation.id, cause=error.cause, detail=str(error))
 
     def _end(
         self,

@@ -1,14 +1,12 @@
-"""Durations counted in constant memory: percentiles to the microsecond."""
-
-from typing import Any
+"""Durations counted in constant memory: percentiles to the microsecond, for lateness and round trips."""
 
 import numpy as np
 
 _BINS = 50_000  # one a microsecond; what is longer is counted in the last and known by its maximum
 
 
-class Histogram:
-    """Counts of durations."""
+class DurationHistogram:
+    """Counts of durations. ``count``: how many; ``max_ns``: the longest."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -34,7 +32,7 @@ class Histogram:
         found = np.searchsorted(sums, np.array(shares) * self.count)
         return tuple(self.max_ns // 1000 if index >= _BINS else int(index) + 1 for index in found)
 
-    def as_dict(self, prefix: str) -> dict[str, Any]:
+    def as_dict(self, prefix: str) -> dict[str, int]:
         """Percentiles and maximum by name, in µs."""
         p50, p99, p999 = self.percentiles_us(0.5, 0.99, 0.999)
         return {
@@ -43,3 +41,8 @@ class Histogram:
             f"{prefix}_p999_us": p999,
             f"{prefix}_max_us": self.max_ns // 1000,
         }
+
+
+def percent_missed(served: int, missed: int) -> float:
+    """The share of ``missed`` among all periods, in percent; 0 before the first."""
+    return 100.0 * missed / (served + missed) if served else 0.0

@@ -1,0 +1,177 @@
+"""The event log of every process: JSON lines of one schema, on stderr and, where asked for, in a file.
+
+docs/event_log.md is the written schema. Each line is one object: ``service``, ``event``, ``level``,
+``time_ns`` (CLOCK_MONOTONIC), ``utc``, then the event's own fields. A thread of its own writes stderr: a
+reader that hangs loses lines, which are counted, and holds up nothing.
+"""
+
+import contextlib
+import json
+import logging
+import queue
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal, TextIO
+
+from foundation.directories import recording_directory
+from protocol.errors import ConfigurationError, LongreachError
+
+Level = Literal["info", "warning", "error"]
+LEVELS: tuple[Level, ...] = ("info", "warning", "error")
+MEMBERS = ("service", "event", "level", "time_ns", "utc")
+RECORD_FILE = "events.jsonl"
+_WAITING_MAX = 2000
+_CLOSE_TIMEOUT_S = 0.5
+
+
+class EventLog:
+    """Writes one line an event. ``dropped``: lines that stderr did not take.
+
+    ``record_dir``: where the events are also recorded; None without ``record_in``.
+    """
+
+    def __init__(self, service: str, stream: TextIO | None = None) -> None:
+        """``stream``: stderr by default."""
+        self.dropped = 0
+        self.record_dir: Path | None = None
+        self._service = service
+        self._stream = sys.stderr if stream is None else stream
+        self._file: TextIO | None = None
+        self._recording = threading.Lock()
+        self._lines: queue.Queue[str | None] = queue.Queue(_WAITING_MAX)
+        self._thread = threading.Thread(target=self._write_lines, name="event-log", daemon=True)
+        self._thread.start()
+
+    def record_in(self, directory: Path) -> None:
+        """Append every event to ``events.jsonl`` in ``directory`` too, which is made where it is missing.
+
+        Raises ConfigurationError when it cannot be written.
+        """
+        self.record_dir = recording_directory(directory)
+        try:
+            self._file = (directory / RECORD_FILE).open("a", encoding="utf-8", buffering=1)
+        except OSError as error:
+            why = f"--record-dir {directory}: {RECORD_FILE}: {error.strerror}"
+            raise ConfigurationError("configuration.record_dir_unwritable", why) from error
+
+    @property
+    def healthy(self) -> bool:
+        """Whether everything so far could be recorded, if it is to be."""
+        return self.record_dir is None or self._file is not None
+
+    def write(self, event: str, level: Level = "info", /, **fields: Any) -> None:
+        """Append one line. A full disk ends the recording, never the service.
+
+        Raises ValueError for a field that has the name of a member of every line.
+        """
+        line = self._line(event, level, fields)
+        self._show(line)
+        with self._recording:
+            if self._file is not None:
+                try:
+                    self._file.write(line + "\n")
+                except OSError as error:
+                    with contextlib.suppress(OSError):  # what is still buffered has no place either
+                        self._file.close()
+                    self._file = None
+                    why = {"cause": "recording.unwritable", "detail": error.strerror}
+                    self._show(self._line("recording_failed", "error", why))
+
+    def close(self) -> None:
+        """Write what waits, for half a second at most, and close the file."""
+        with self._recording:
+            if self._file is not None:
+                self._file.close()
+                self._file = None
+        try:
+            self._lines.put(None, timeout=_CLOSE_TIMEOUT_S)
+        except queue.Full:
+            return
+        self._thread.join(_CLOSE_TIMEOUT_S)
+
+    def flush(self) -> None:
+        """Return when all lines so far are shown."""
+        self._lines.join()
+
+    def _line(self, event: str, level: Level, fields: dict[str, Any]) -> str:
+        if taken := fields.keys() & set(MEMBERS):
+            raise ValueError(f"event {event}: {', '.join(sorted(taken))} belongs to every line")
+        utc = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        members = (self._service, event, level, time.monotonic_ns(), utc)
+        return json.dumps(dict(zip(MEMBERS, members, strict=True)) | fields, default=str)
+
+    def _show(self, line: str) -> None:
+        try:
+            self._lines.put_nowait(line)
+        except queue.Full:
+            self.dropped += 1
+
+    def _write_lines(self) -> None:
+        while True:
+            line = self._lines.get()
+            try:
+                if line is None:
+                    return
+                self._stream.write(line + "\n")
+                self._stream.flush()
+            except (OSError, ValueError):  # a closed pipe ends the log, never the service
+                self.dropped += 1
+            finally:
+                self._lines.task_done()
+
+
+class LibraryMessages(logging.Handler):
+    """Writes what libraries log, from WARNING up, as event ``library`` of ``log``."""
+
+    def __init__(self, log: EventLog) -> None:
+        super().__init__(logging.WARNING)
+        self._log = log
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one line for ``record``."""
+        fields = {"logger": record.name, "message": record.getMessage()}
+        if record.exc_info:
+            fields["exception"] = logging.Formatter().formatException(record.exc_info)
+        self._log.write("library", "error" if record.levelno >= logging.ERROR else "warning", **fields)
+
+
+@contextmanager
+def process_log(service: str) -> Generator[EventLog, None, None]:
+    """The event log of this process; what libraries warn of is written to it.
+
+    An exception that was not raised on purpose is written too, and ends the process with status 1.
+    """
+    log = EventLog(service)
+    handler = LibraryMessages(log)
+    logging.getLogger().addHandler(handler)
+    logging.captureWarnings(True)
+    try:
+        yield log
+    except LongreachError:
+        raise
+    except Exception as error:
+        why = "".join(traceback.format_exception(error))
+        log.write("broken", "error", cause="internal", detail=repr(error), exception=why)
+        raise SystemExit(1) from error
+    finally:
+        logging.captureWarnings(False)
+        logging.getLogger().removeHandler(handler)
+        log.close()
+
+
+def in_words(line: str) -> str:
+    """A line of the log as one line for a person: ``cause: detail``; any other line is returned as it is."""
+    try:
+        said = json.loads(line)
+    except ValueError:
+        return line
+    if not isinstance(said, dict) or "event" not in said:
+        return line
+    cause = said.get("cause") or said["event"]
+    detail = said.get("detail") or said.get("message")
+    return f"{cause}: {detail}" if detail else str(cause)

@@ -1,0 +1,120 @@
+"""One way for every service to start and end: command line, configuration, event log, loop, exit status."""
+
+import argparse
+import asyncio
+import importlib.metadata
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import uvloop
+
+from foundation.configuration import merged, parse_overrides
+from foundation.event_log import EventLog, process_log
+from protocol.errors import LongreachError
+
+_REFUSED, _INTERRUPTED = 2, 130  # exit statuses
+
+
+class ServiceOptions(NamedTuple):
+    """What the command line gives to a service. ``overrides``: of configuration keys, by file stem."""
+
+    config_dir: Path
+    overrides: dict[str, dict[str, Any]]
+    record_dir: Path | None
+    statistics: Path | None
+
+
+class Service(Protocol):
+    """A service that has been made: its ports are bound, nothing runs yet."""
+
+    async def run(self) -> int:
+        """Serve until asked to end; return the exit status."""
+        ...
+
+
+class Switch(NamedTuple):
+    """An option of one service alone: ``--name`` lays ``overrides`` over the configuration."""
+
+    name: str
+    help: str
+    overrides: Mapping[str, Any]
+
+
+class ServiceProgram(NamedTuple):
+    """What ``python -m name`` is. ``make`` raises LongreachError for what cannot be started.
+
+    ``files``: the configuration files that it reads; ``records``: what it writes in ``--record-dir``.
+    """
+
+    name: str
+    description: str
+    example: str
+    files: str
+    records: str
+    make: Callable[[ServiceOptions, EventLog], Service]
+    switches: tuple[Switch, ...] = ()
+
+
+def service_main(program: ServiceProgram, argv: list[str] | None = None) -> int:
+    """Run a service; return its exit status.
+
+    0: ended when asked to; 1: a part of it or of the program failed, as its log says; 2: refused to start,
+    with one line on stderr; 130: Ctrl-C before it served.
+    """
+    try:
+        options = _options(program, argv)
+        with process_log(program.name) as log, asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+            return runner.run(program.make(options, log).run())
+    except LongreachError as error:
+        print(f"{program.name}: {error.cause}: {error}", file=sys.stderr)
+        return _REFUSED
+    except KeyboardInterrupt:
+        return _INTERRUPTED
+
+
+def say_ready(service: str, **fields: Any) -> None:
+    """Print the one line on stdout by which a service says that it serves, and where."""
+    print(json.dumps({"event": "ready", "service": service, "pid": os.getpid(), **fields}), flush=True)
+
+
+def when_asked_to_end(call: Callable[[], None]) -> None:
+    """Have the running loop ``call`` on SIGTERM and SIGINT."""
+    for number in (signal.SIGTERM, signal.SIGINT):
+        asyncio.get_running_loop().add_signal_handler(number, call)
+
+
+def _options(program: ServiceProgram, argv: list[str] | None) -> ServiceOptions:
+    epilog = f"example: {program.example}"
+    parser = argparse.ArgumentParser(f"python -m {program.name}", None, program.description, epilog)
+    parser.add_argument("--version", action="store_true", help="print the version and end")
+    parser.add_argument(
+        "--config-dir", type=Path, default=Path("configs"), help=f"directory of {program.files}"
+    )
+    parser.add_argument(
+        "--set",
+        action="extend",
+        nargs="+",
+        default=[],
+        metavar="FILE.KEY=VALUE",
+        help="override a key; repeatable; keys of other services' files are left to them",
+    )
+    parser.add_argument("--record-dir", type=Path, help=f"write {program.records} in this directory")
+    parser.add_argument(
+        "--statistics", type=Path, metavar="FILE", help="write statistics as JSON every 10 s and at the end"
+    )
+    for switch in program.switches:
+        parser.add_argument(switch.name, action="store_true", help=switch.help)
+    arguments = parser.parse_args(argv)
+    if arguments.version:
+        print(f"{program.name} {importlib.metadata.version('longreach')}")
+        raise SystemExit(0)
+    overrides = parse_overrides(arguments.set)
+    for switch in program.switches:
+        if getattr(arguments, switch.name.lstrip("-").replace("-", "_")):
+            overrides = merged(overrides, switch.overrides)
+    return ServiceOptions(arguments.config_dir, overrides, arguments.record_dir, arguments.statistics)

@@ -1,0 +1,59 @@
+"""Statistics about a process itself, for people and for soak tests: a JSON file and the memory in use."""
+
+import asyncio
+import json
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from foundation.directories import writable_directory
+from foundation.event_log import EventLog
+
+_PERIOD_S = 10.0
+_PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+class StatisticsFile:
+    """A file of one JSON object, replaced as a whole: a reader sees the old one or the new one."""
+
+    def __init__(
+        self, path: Path | None, service: str, log: EventLog, gather: Callable[[], Mapping[str, Any]]
+    ) -> None:
+        """``path``: None writes nothing; ``gather`` returns what is written. Raises ConfigurationError
+        when its directory is not writable.
+        """
+        self._path = path
+        self._service = service
+        self._log = log
+        self._gather = gather
+        if path is not None:
+            writable_directory(path.parent, "configuration.statistics_unwritable", f"--statistics {path}")
+
+    async def keep_writing(self) -> None:
+        """Write every ten seconds, until cancelled."""
+        while True:
+            await asyncio.sleep(_PERIOD_S)
+            self.write()
+
+    def write(self) -> None:
+        """Write the statistics of now, with the service's name before them. A failure is logged."""
+        if self._path is None:
+            return
+        shown = {"service": self._service, **self._gather(), "log_lines_dropped": self._log.dropped}
+        partial = self._path.with_name(self._path.name + ".part")
+        try:
+            partial.write_text(json.dumps(shown, indent=2) + "\n", encoding="utf-8")
+            partial.replace(self._path)
+        except OSError as error:
+            why = f"{self._path}: {error.strerror}"
+            self._log.write("statistics_failed", "error", cause="statistics.unwritable", detail=why)
+
+
+def resident_mb(pid: int | None = None) -> float:
+    """Resident memory of a process (None: this one) in MB; 0 when it has gone."""
+    try:
+        text = Path(f"/proc/{pid or 'self'}/statm").read_text(encoding="ascii")
+    except OSError:
+        return 0.0
+    return int(text.split()[1]) * _PAGE_MB

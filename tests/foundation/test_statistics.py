@@ -1,0 +1,95 @@
+"""The statistics file: whole at any time, signed with its service; a disk that fails is logged."""
+
+import io
+import json
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from foundation.event_log import EventLog
+from foundation.statistics import StatisticsFile, resident_mb
+from protocol.errors import ConfigurationError
+
+
+@pytest.fixture
+def stream() -> io.StringIO:
+    return io.StringIO()
+
+
+@pytest.fixture
+def log(stream: io.StringIO) -> EventLog:
+    return EventLog("controller", stream)
+
+
+def test_the_service_signs_what_it_writes(log: EventLog, tmp_path: Path) -> None:
+    path = tmp_path / "made" / "statistics.json"
+    StatisticsFile(path, "controller", log, lambda: {"cycles": 3}).write()
+    log.close()
+    assert json.loads(path.read_text()) == {"service": "controller", "cycles": 3, "log_lines_dropped": 0}
+    assert os.listdir(path.parent) == ["statistics.json"]
+
+
+def test_a_reader_never_sees_half_a_file(log: EventLog, tmp_path: Path) -> None:
+    path = tmp_path / "statistics.json"
+    file = StatisticsFile(path, "plant_emulator", log, lambda: {"much": list(range(20_000))})
+    file.write()
+    done = threading.Event()
+
+    def keep_writing() -> None:
+        while not done.is_set():
+            file.write()
+
+    writer = threading.Thread(target=keep_writing)
+    writer.start()
+    try:
+        for _ in range(200):
+            assert len(json.loads(path.read_text())["much"]) == 20_000
+    finally:
+        done.set()
+        writer.join()
+        log.close()
+
+
+def test_a_disk_that_fails_later_is_logged_and_leaves_the_old_file(
+    log: EventLog, stream: io.StringIO, tmp_path: Path
+) -> None:
+    path = tmp_path / "statistics.json"
+    file = StatisticsFile(path, "vision_pc", log, lambda: {"n": 1})
+    file.write()
+    before = path.read_text()
+    (tmp_path / "statistics.json.part").mkdir()
+    file.write()
+    log.close()
+    assert path.read_text() == before
+    (line,) = [json.loads(line) for line in stream.getvalue().splitlines()]
+    assert (line["event"], line["level"], line["cause"]) == (
+        "statistics_failed", "error", "statistics.unwritable"
+    )  # fmt: skip
+
+
+def test_a_directory_that_cannot_be_written_is_refused_at_once(log: EventLog, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigurationError, match="--statistics") as refused:
+        StatisticsFile(tmp_path / "file" / "statistics.json", "controller", log, dict)
+    log.close()
+    assert refused.value.cause == "configuration.statistics_unwritable"
+
+
+def test_without_a_path_nothing_is_gathered(log: EventLog) -> None:
+    StatisticsFile(None, "controller", log, lambda: pytest.fail("gathered")).write()
+    log.close()
+
+
+def test_resident_memory_of_this_process_of_another_and_of_one_that_has_gone() -> None:
+    assert resident_mb() > 10.0
+    command = [sys.executable, "-c", "print(flush=True); input()"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        assert 1.0 < resident_mb(other.pid) < 200.0
+        other.communicate(b"end\n")
+    assert resident_mb(other.pid) == 0.0
