@@ -1,4 +1,4 @@
-"""The demonstration as a sequence of operations, the same over the REST face and in lockstep.
+"""The demonstration as a sequence of operations, the same over the REST API and in lockstep.
 
 Orientation adjustment, local calibration by trajectory matching, then look-then-moves, with a look wherever
 the arm comes to rest. What was true at those times is found out afterwards, from the plant's own recording.
@@ -39,9 +39,9 @@ class SeenPoses(Protocol):
 
 
 class Rig(Protocol):
-    """What the sequence drives: vision's REST face, or the same programs in lockstep.
+    """What the sequence drives: vision's REST API, or the same programs in lockstep.
 
-    Every method raises LongreachError with the cause that the face would give.
+    Every method raises LongreachError with the cause that the API would give.
     """
 
     def command(self, name: str) -> None:

@@ -16,7 +16,7 @@ from testbed.reporting.console import Bar
 from testbed.scenarios.settings import Settings
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.link_arm import LinkArm
-from vision_pc.application.program import Program
+from vision_pc.application.program import Program, by_name
 from vision_pc.application.programs import PROGRAMS
 from vision_pc.application.results import JSON
 from vision_pc.config.vision import VisionConfig
@@ -61,7 +61,7 @@ class LockstepRig:
         arm = LinkArm(self.link, vision.motion)
         log_of_vision = SimulatedTimeLog(self.world)
         self.application = VisionApplication(arm, eyes, self.link, eyes, vision.programs, log_of_vision)
-        self._programs = {program.name: program for program in programs}
+        self._programs = by_name(programs)
         self._eyes = eyes
         self.world.connect()
 

@@ -1,4 +1,4 @@
-"""The vision PC's REST face as the demonstration drives it: commands, operations with progress, pictures."""
+"""The vision PC's REST API as the demonstration drives it: commands, operations with progress, pictures."""
 
 import threading
 import time

@@ -1,11 +1,13 @@
 """What a program is: one row that says everything which the API, lockstep and the page need to know of it."""
 
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from foundation.configuration import StrictModel, validated
-from protocol.errors import LinkLost, RequestRefused
+from pydantic import BaseModel
+
+from foundation.configuration import validated
+from protocol.errors import ConfigurationError, LinkLost, RequestRefused
 from protocol.faults import FaultCode, GroupState
 from protocol.reference_messages import FLAG_EMERGENCY_LATCHED
 from vision_pc.application.application import VisionApplication
@@ -13,7 +15,7 @@ from vision_pc.application.bodies import RequestBody
 from vision_pc.application.results import JSON
 from vision_pc.core.ports import Report
 
-SettingsT = TypeVar("SettingsT")
+SettingsT = TypeVar("SettingsT", bound=BaseModel)
 ResultT = TypeVar("ResultT")
 Need = Callable[[VisionApplication, str, Any], None]
 """A condition: called with the application, the program's name and its settings, it raises when unmet."""
@@ -82,7 +84,7 @@ class Program(Generic[SettingsT, ResultT]):
     source: str = "–"
     tag: str = "operations"
 
-    def requested(self, application: VisionApplication, body: RequestBody) -> Any:
+    def requested(self, application: VisionApplication, body: RequestBody) -> BaseModel:
         """The settings of one request.
 
         Raises ConfigurationError (a 422 problem) when the combination is out of range.
@@ -90,7 +92,6 @@ class Program(Generic[SettingsT, ResultT]):
         if self.settings is None:
             return body
         configured = self.settings(application)
-        assert isinstance(configured, StrictModel)
         return validated(type(configured), configured.model_dump() | body.overrides(), "request")
 
     def refuse_now(self, application: VisionApplication, settings: Any) -> None:
@@ -98,3 +99,13 @@ class Program(Generic[SettingsT, ResultT]):
         _ = application.controller.state  # without a controller, that is the cause
         for need in self.needs:
             need(application, self.name, settings)
+
+
+def by_name(programs: Iterable[Program[Any, Any]]) -> dict[str, Program[Any, Any]]:
+    """The programs by name. Raises ConfigurationError (``configuration.program_twice``) for a name taken."""
+    table: dict[str, Program[Any, Any]] = {}
+    for program in programs:
+        if program.name in table:
+            raise ConfigurationError("configuration.program_twice", f"two programs are named {program.name}")
+        table[program.name] = program
+    return table

@@ -1,4 +1,4 @@
-"""The vision PC's process: camera, link, station and REST face, from configuration to a clean end."""
+"""The vision PC's process: camera, link, application and REST API, from configuration to a clean end."""
 
 import asyncio
 import time

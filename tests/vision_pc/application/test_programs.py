@@ -13,7 +13,7 @@ from tests.vision_pc.program_settings import shipped
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.bodies import Copy, RequestBody, body_of
 from vision_pc.application.ports import CameraStatus
-from vision_pc.application.program import Program
+from vision_pc.application.program import Program, by_name
 from vision_pc.application.programs import PROGRAMS
 from vision_pc.config.programs import OrientationSettings
 
@@ -146,6 +146,12 @@ def test_a_wrong_word_in_a_file_keeps_its_cause() -> None:
     with pytest.raises(ConfigurationError, match="'frame_true' or 'paper'") as refused:
         validated(OrientationSettings, given, "vision.yaml")
     assert refused.value.cause == "configuration.literal_error"
+
+
+def test_a_name_is_taken_once() -> None:
+    with pytest.raises(ConfigurationError, match="named move") as refused:
+        by_name([*PROGRAMS, BY_NAME["move"]])
+    assert refused.value.cause == "configuration.program_twice"
 
 
 def test_names_differ_and_every_program_says_what_it_does() -> None:

@@ -280,6 +280,12 @@ async def test_the_session_over_rest(tmp_path: Path) -> None:
         started = await done("start", {"name": "rest", "poses": 5})
         assert started["result"]["verdict"] == "marker 582 seen, 0/5: ready"
         assert (await done("sample"))["result"]["sample"] == "1"
+        keyed = [
+            await client.post("/operations/hand-eye-solve", headers={"Idempotency-Key": "k"})
+            for _ in range(2)
+        ]
+        assert keyed[0].headers["Location"] == keyed[1].headers["Location"]
+        await operations.close()
         proposal = (await client.post("/hand-eye/session/propose")).json()
         assert proposal["choices"] > 5
         assert (await done("go"))["state"] == "succeeded"

@@ -1,4 +1,4 @@
-"""The REST face: state, looks, commands, and every long step as an operation resource."""
+"""The REST API: state, looks, commands, and every long step as an operation resource."""
 
 import math
 from collections.abc import Awaitable, Callable, Sequence
@@ -14,7 +14,7 @@ from protocol.faults import CommandCode
 from protocol.reference_messages import FLAG_EMERGENCY_LATCHED, FLAG_PLANT_LINK_OK, FLAG_SETTLED, State
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.hand_eye.programs import HAND_EYE
-from vision_pc.application.program import Program
+from vision_pc.application.program import Program, by_name
 from vision_pc.application.programs import PROGRAMS
 from vision_pc.application.results import JSON, calibration_json, look_json, pose_json
 from vision_pc.core.se3 import from_pose
@@ -39,7 +39,10 @@ def create_app(
     operations: Operations,
     programs: Sequence[Program[Any, Any]] = PROGRAMS,
 ) -> FastAPI:
-    """The API over one application; guided hand-eye calibration is there when the application has it."""
+    """The API over one application; guided hand-eye calibration is there when the application has it.
+
+    Raises ConfigurationError when two programs have one name.
+    """
     app = FastAPI(
         title="Longreach vision PC",
         version="1",
@@ -49,12 +52,12 @@ def create_app(
     install_problems(app, STATUS_OF_CAUSE)
     _add_reading(app, application, operations)
     _add_commands(app, application, operations)
-    session_steps = [program for program in programs if program.tag == HAND_EYE]
-    add_programs(app, application, operations, (p for p in programs if p not in session_steps))
+    table = by_name(programs).values()
+    add_programs(app, application, operations, (program for program in table if program.tag != HAND_EYE))
     add_resources(app, operations)
     if application.hand_eye is not None:
         add_session(app, operations, application.hand_eye)
-        add_programs(app, application, operations, session_steps)
+        add_programs(app, application, operations, (program for program in table if program.tag == HAND_EYE))
     return app
 
 
