@@ -39,6 +39,7 @@ from protocol.reference_messages import (
 
 # The plant may take the watchdog's reset on the edge or on the level: a slow square wave serves both.
 _RESET_HALF_PERIOD = 8
+_UNLOADED = np.zeros(6)
 
 
 def scan(settings: ScanSettings, state: ScanState, inputs: ScanInput) -> tuple[ScanState, ScanOutput]:
@@ -148,15 +149,15 @@ def _drive_valves(
         q_cmd - q_meas,
         resolved.qd_cmd,
         _load(settings, state),
-        full_spool_speeds(settings.drives, q_meas, settings.rated, _circuit(settings, state)),
+        full_spool_speeds(settings.drives, q_meas, settings.rated, *_circuit(settings, state)),
         dt_s,
     )
     if not np.isfinite(valves).all():
         state, event = react_to_fault(settings, state, Fault(FaultCode.NUMERIC, float("nan"), 0.0))
         events.append(event)
         return _centre_valves(settings, state)
-    error = np.abs(resolved.q_error).max()
-    inside = state.motion.path is None and bool(error <= settings.settled.tolerance)
+    limit = settings.settled.tolerance
+    inside = state.motion.path is None and bool(np.abs(resolved.q_error).max() <= limit)
     return state._replace(
         servo=ServoOutput(q_cmd, resolved.qd_cmd, share * valves, state.motion.desired.v),
         filters=filters,
@@ -169,12 +170,12 @@ def _load(settings: ScanSettings, state: ScanState) -> Array:
     return state.filters.load if sensors is None else load_pressures(settings.drives, sensors.pressures_bar)
 
 
-def _circuit(settings: ScanSettings, state: ScanState) -> Circuit:
-    """The circuit with slow load pressures, or the rated one when no compensation is wanted."""
+def _circuit(settings: ScanSettings, state: ScanState) -> tuple[Circuit, Array]:
+    """The circuit and slow load pressures (6,), or rated and unloaded when no compensation is wanted."""
     sensors = state.watch.sensors
     if sensors is None or not settings.load_compensation:
-        return settings.rated
-    return Circuit(sensors.supply_bar, sensors.return_bar, state.filters.load)
+        return settings.rated, _UNLOADED
+    return Circuit(sensors.supply_bar, sensors.return_bar), state.filters.load
 
 
 def _centre_valves(settings: ScanSettings, state: ScanState) -> ScanState:

@@ -9,13 +9,13 @@ import numpy as np
 from controller.config import ControllerConfig
 from controller.core.kinematics.denavit_hartenberg import dh_table
 from controller.core.kinematics.rotations import Array
-from controller.core.servo.drives import Circuit, Drives, drive_table, unloaded
+from controller.core.servo.drives import Circuit, drive_table, rated_circuit
 from controller.core.servo.joint_control import JointGains
 from controller.core.servo.pose_servo import ServoGains
 from controller.core.trajectories.approach import AxisLimits
 from controller.core.trajectories.motion import StopLimits
 from controller.core.trajectories.path_survey import PlanningLimits
-from controller.core.trajectories.workspace import Workspace, widened
+from controller.core.trajectories.workspace import WorkspaceBounds, widened
 from nominal_arm.description import NominalArm
 
 _MS = 1e-3
@@ -86,7 +86,7 @@ class SupervisionLimits(NamedTuple):
     supply_low: float
     valves_enable: float
     overtravel_range: Array
-    workspace: Workspace
+    workspace: WorkspaceBounds
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ class ScanSettings:
 
     cycle_s: float
     table: Array
-    drives: Drives
+    drives: Array
     rated: Circuit
     load_compensation: bool
     servo_gains: ServoGains
@@ -115,15 +115,14 @@ def settings_from(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
     """The ScanSettings that ``arm`` and ``config`` describe."""
     motion, settled = config.motion, config.settled
     table, space = dh_table(arm.dh), arm.workspace
-    low, high = np.transpose([space.x_m, space.y_m, space.z_m])
-    workspace = Workspace(low.copy(), high.copy(), space.radius_min_m)
+    workspace = WorkspaceBounds(np.array([space.x_m, space.y_m, space.z_m]), space.radius_min_m)
     joint_range = np.radians([[j.lower_deg for j in arm.joints], [j.upper_deg for j in arm.joints]])
     margin = math.radians(motion.joint_margin_deg)
     return ScanSettings(
         cycle_s=config.cycle_ms * _MS,
         table=table,
         drives=drive_table(arm.drives),
-        rated=unloaded(arm.rated),
+        rated=rated_circuit(arm.rated),
         load_compensation=config.joint_control.load_compensation,
         servo_gains=_servo_gains(config),
         joint_gains=_joint_gains(config),
@@ -206,7 +205,7 @@ def _stream_limits(config: ControllerConfig) -> StreamLimits:
 
 
 def _supervision_limits(
-    config: ControllerConfig, joint_range: Array, workspace: Workspace
+    config: ControllerConfig, joint_range: Array, workspace: WorkspaceBounds
 ) -> SupervisionLimits:
     watch = config.supervision
     over = math.radians(watch.joint_overtravel_deg)

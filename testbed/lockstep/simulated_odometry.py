@@ -14,7 +14,7 @@ from vision_pc.core.odometry.keyframe_map import Indices, triangulated
 from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.odometry.tracking import Flags, inside
 from vision_pc.core.perception import intrinsics, stereo_pose
-from vision_pc.core.perception.stereo_pose import Beliefs, View
+from vision_pc.core.perception.stereo_pose import Beliefs, BodyView
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, StereoOffset
 
@@ -131,7 +131,7 @@ class ModelOdometry:
         )
         weights = np.stack([np.ones(len(seen.ids)), seen.in_right.astype(np.float64)])
         beliefs = Beliefs(max(self._noise.noise_px, 1e-3), _NO_SCALE, _NO_OFFSET)
-        view = View(self._map[seen.ids], rays, weights)
+        view = BodyView(self._map[seen.ids], rays, weights)
         solution = stereo_pose.solve([view], [se3.inverse(self._X_C0C)], self._camera, beliefs)
         self._X_C0C = se3.inverse(solution.X_CA[0])
         return se3.inverse_covariance(solution.X_CA[0], solution.covariances[0])

@@ -15,75 +15,65 @@ _LEVER_MIN_M = 0.05
 _AVAILABLE_MIN = 0.1
 
 
-class Drives(NamedTuple):
-    """The six drives, each array (6,).
-
-    A cylinder's two sides of its triangle (m; ``long`` 0: a rotary actuator) and the joint angle's offset
-    (rad); speeds at full spool (m/s, rad/s); ``ratio`` of the areas, chamber b to a.
-    """
-
-    long: Array
-    short: Array
-    offset: Array
-    extend: Array
-    retract: Array
-    ratio: Array
+# Columns of the drive table. A cylinder's two sides of its triangle (m; LONG 0: a rotary actuator), the joint
+# angle's offset (rad), speeds at full spool (m/s, rad/s), ratio of the areas, chamber b to a.
+LONG, SHORT, OFFSET, EXTEND, RETRACT, RATIO = range(6)
 
 
 class Circuit(NamedTuple):
-    """Pressures (bar) of supply and return, and what the loads put on the actuators (6,)."""
+    """Pressures of supply and return (bar)."""
 
     supply: float
     back: float
-    load: Array
 
 
-def drive_table(drives: tuple[Drive, ...]) -> Drives:
-    """The Drives of the arm's description."""
-    rows = [
-        (d.long_m, d.short_m, d.angle_offset_rad, d.extend_m_s, d.retract_m_s, d.area_ratio)
-        if isinstance(d, CylinderDrive)
-        else (0.0, 0.0, 0.0, d.speed_rad_s, d.speed_rad_s, 1.0)
-        for d in drives
-    ]
-    return Drives(*(np.array(column) for column in zip(*rows, strict=True)))
+def drive_table(drives: tuple[Drive, ...]) -> Array:
+    """The table (6, 6) of the arm's drives, columns LONG … RATIO."""
+    return np.array(
+        [
+            [d.long_m, d.short_m, d.angle_offset_rad, d.extend_m_s, d.retract_m_s, d.area_ratio]
+            if isinstance(d, CylinderDrive)
+            else [0.0, 0.0, 0.0, d.speed_rad_s, d.speed_rad_s, 1.0]
+            for d in drives
+        ]
+    )
 
 
-def unloaded(rated: RatedSupply) -> Circuit:
-    """The circuit at which the rated speeds hold: no load."""
-    return Circuit(rated.supply_bar, rated.return_bar, np.zeros(6))
+def rated_circuit(rated: RatedSupply) -> Circuit:
+    """The circuit at which the drives' speeds hold, without a load."""
+    return Circuit(rated.supply_bar, rated.return_bar)
 
 
-def load_pressures(drives: Drives, pressures_bar: tuple[tuple[float, float], ...]) -> Array:
+def load_pressures(drives: Array, pressures_bar: tuple[tuple[float, float], ...]) -> Array:
     """What the loads put on the actuators (6,), bar, referred to chamber a: p_a − ratio · p_b."""
     chambers = np.array(pressures_bar)
-    load: Array = chambers[:, 0] - drives.ratio * chambers[:, 1]
+    load: Array = chambers[:, 0] - drives[:, RATIO] * chambers[:, 1]
     return load
 
 
 @kernel
-def full_spool_speeds(drives: Drives, q: Array, rated: Circuit, circuit: Circuit) -> Array:
+def full_spool_speeds(drives: Array, q: Array, rated: Circuit, circuit: Circuit, load: Array) -> Array:
     """Joint speeds (6, 2), rad/s, at full spool, raising and lowering, at joint angles q (6,).
 
-    ``rated``: the circuit at which the drives' speeds hold, as from ``unloaded``; ``circuit``: now. A load
-    that helps opens the flow, one that resists chokes it, with the square root. Source: linkage of Petrović &
-    Mattila 2022, x = √(L² + l² + 2 L l cos(q + offset)), slope dx/dq; steady piston speed
-    v = K u √((A_a p_s − A_b p_t − F)/(A_a³ + A_b³)) and its mirror image for retraction.
+    ``drives``: as from ``drive_table``; ``rated``: as from ``rated_circuit``; ``circuit`` and ``load`` (6,),
+    bar: now. A load that helps opens the flow, one that resists chokes it, with the square root.
+    Source: linkage of Petrović & Mattila 2022, x = √(L² + l² + 2 L l cos(q + offset)), slope dx/dq;
+    steady piston speed v = K u √((A_a p_s − A_b p_t − F)/(A_a³ + A_b³)) and its mirror image for retraction.
     """
     speeds = np.empty((q.shape[0], 2))
     for i in range(q.shape[0]):
-        long, short, ratio = drives.long[i], drives.short[i], drives.ratio[i]
+        long, short, ratio = drives[i, LONG], drives[i, SHORT], drives[i, RATIO]
         slope = 1.0
         if long > 0.0:
-            angle = q[i] + drives.offset[i]
+            angle = q[i] + drives[i, OFFSET]
             length = math.sqrt(long * long + short * short + 2.0 * long * short * math.cos(angle))
             slope = -long * short * math.sin(angle) / length
         lever = max(abs(slope), _LEVER_MIN_M)
-        extend = circuit.supply - ratio * circuit.back - circuit.load[i]
+        extend = circuit.supply - ratio * circuit.back - load[i]
         extend /= rated.supply - ratio * rated.back
-        retract = ratio * circuit.supply - circuit.back + circuit.load[i]
+        retract = ratio * circuit.supply - circuit.back + load[i]
         retract /= ratio * rated.supply - rated.back
-        out = drives.extend[i] * math.sqrt(max(extend, _AVAILABLE_MIN)) / lever
-        back = drives.retract[i] * math.sqrt(max(retract, _AVAILABLE_MIN)) / lever
+        out = drives[i, EXTEND] * math.sqrt(max(extend, _AVAILABLE_MIN)) / lever
+        back = drives[i, RETRACT] * math.sqrt(max(retract, _AVAILABLE_MIN)) / lever
         speeds[i, 0], speeds[i, 1] = (out, back) if slope > 0.0 else (back, out)
     return speeds

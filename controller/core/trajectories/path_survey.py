@@ -20,7 +20,7 @@ from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
 from controller.core.kinematics.jacobian import damped_inverse, geometric_jacobian
 from controller.core.kinematics.rotations import Array, matrix_from_quaternion
 from controller.core.trajectories.paths import Desired, Path, segment_motion
-from controller.core.trajectories.workspace import Workspace, opened, outside
+from controller.core.trajectories.workspace import WorkspaceBounds, opened, outside
 from foundation.compiled import kernel
 from protocol.faults import Reason
 
@@ -56,7 +56,7 @@ class PlanningLimits(NamedTuple):
     table: Array
     planned_range: Array
     joint_speeds: Array
-    workspace: Workspace
+    workspace: WorkspaceBounds
     singular_value_min: float
 
 

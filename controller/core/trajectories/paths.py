@@ -43,18 +43,14 @@ class Path(NamedTuple):
 
     ``polynomials``: (n, 6, 6), rows x, y, z and the rotation vector from the segment's goal (base frame).
     ``goals``: (n, 4) unit quaternions. ``durations``: (n,) seconds. ``dwell``: seconds at rest between
-    segments.
+    segments. ``duration_s``: from the start to the last waypoint.
     """
 
     polynomials: Array
     goals: Array
     durations: Array
     dwell: float
-
-    @property
-    def duration_s(self) -> float:
-        """Seconds from the start to the last waypoint."""
-        return float(self.durations.sum()) + self.dwell * (len(self.durations) - 1)
+    duration_s: float
 
     def sample(self, time_s: float) -> tuple[Desired, int]:
         """The desired motion ``time_s`` after the start (clamped to the ends), and the segment's index."""
@@ -73,7 +69,8 @@ def path_from(start: Desired, p: Array, quaternions: Array, durations: Array, dw
 
     From rest, every segment is a straight line and one turn about one axis, the short way round.
     """
-    return Path(_polynomials(start, p, quaternions, durations), quaternions, durations, dwell)
+    duration_s = float(durations.sum()) + dwell * (len(durations) - 1)
+    return Path(_polynomials(start, p, quaternions, durations), quaternions, durations, dwell, duration_s)
 
 
 @kernel

@@ -9,27 +9,27 @@ from controller.core.kinematics.rotations import Array
 from foundation.compiled import kernel
 
 
-class Workspace(NamedTuple):
-    """Bounds of p_BT (m): ``low`` and ``high`` (3,), least distance ``radius_min`` from the slewing axis."""
+class WorkspaceBounds(NamedTuple):
+    """Bounds of p_BT (m): ``box`` (3, 2) low and high; least distance ``radius_min`` from the slew axis."""
 
-    low: Array
-    high: Array
+    box: Array
     radius_min: float
 
 
-def widened(space: Workspace, margin_m: float) -> Workspace:
+def widened(space: WorkspaceBounds, margin_m: float) -> WorkspaceBounds:
     """``space``, larger by ``margin_m`` on every side."""
-    return Workspace(space.low - margin_m, space.high + margin_m, space.radius_min - margin_m)
+    return WorkspaceBounds(space.box + np.array([-margin_m, margin_m]), space.radius_min - margin_m)
 
 
 @kernel
-def outside(space: Workspace, p: Array) -> tuple[float, float]:
+def outside(space: WorkspaceBounds, p: Array) -> tuple[float, float]:
     """The coordinate of ``p`` that leaves the workspace, and its bound (m); equal when it is inside."""
     for axis in range(3):
-        if p[axis] < space.low[axis]:
-            return p[axis], space.low[axis]
-        if p[axis] > space.high[axis]:
-            return p[axis], space.high[axis]
+        low, high = space.box[axis]
+        if p[axis] < low:
+            return p[axis], low
+        if p[axis] > high:
+            return p[axis], high
     radius = math.hypot(p[0], p[1])
     if radius < space.radius_min:
         return radius, space.radius_min
@@ -37,7 +37,9 @@ def outside(space: Workspace, p: Array) -> tuple[float, float]:
 
 
 @kernel
-def opened(space: Workspace, p: Array) -> Workspace:
+def opened(space: WorkspaceBounds, p: Array) -> WorkspaceBounds:
     """The workspace, widened to contain ``p``: an arm that stands outside may come back, no further out."""
-    radius = min(space.radius_min, math.hypot(p[0], p[1]))
-    return Workspace(np.minimum(space.low, p), np.maximum(space.high, p), radius)
+    box = space.box.copy()
+    for axis in range(3):
+        box[axis, 0], box[axis, 1] = min(box[axis, 0], p[axis]), max(box[axis, 1], p[axis])
+    return WorkspaceBounds(box, min(space.radius_min, math.hypot(p[0], p[1])))

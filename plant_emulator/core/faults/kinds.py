@@ -4,14 +4,12 @@ A fault says *what* is wrong; ``fault_schedule`` says from when to when. Units a
 boundary: the same models are the body of the emulator's HTTP face and the ``fault`` of its recording.
 """
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Literal, get_args
 
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field
 
 from foundation.configuration import StrictModel
 from plant_emulator.core.layout import JOINTS
-from protocol.errors import RequestRefused
 
 Joint = Literal["slew", "lift", "tilt", "wrist1", "wrist2", "wrist3"]
 Side = Literal["left", "right", "top", "bottom"]
@@ -164,21 +162,3 @@ Fault = (
     | CouplerSilent
 )
 FAULTS: dict[str, type[BaseFault]] = {kind.model_fields["kind"].default: kind for kind in get_args(Fault)}
-_ADAPTER: TypeAdapter[Fault] = TypeAdapter(Annotated[Fault, Field(discriminator="kind")])
-
-
-def fault_from(data: Mapping[str, Any]) -> Fault:
-    """The fault that ``data`` describes: its ``kind`` and that kind's parameters.
-
-    Raises RequestRefused: ``refused.unknown_fault``, or ``refused.fault_parameter`` with key, value, limit.
-    """
-    kind = data.get("kind")
-    if not isinstance(kind, str) or kind not in FAULTS:
-        raise RequestRefused("refused.unknown_fault", f"kind = {kind!r}: wanted one of {', '.join(FAULTS)}")
-    try:
-        return _ADAPTER.validate_python(dict(data))
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"][1:])
-        value = "" if first["type"] == "missing" else f" = {first['input']!r}"
-        raise RequestRefused("refused.fault_parameter", f"{kind}: {key}{value}: {first['msg']}") from error

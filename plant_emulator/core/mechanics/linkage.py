@@ -41,10 +41,3 @@ def actuator_lever(
 ) -> float:
     """dx/dθ (m/rad for a cylinder, 1 for a rotary actuator) at joint ``angle``."""
     return actuator_reach(angle, kind, base, lever, angle0, length0)[1]
-
-
-def cylinder_angle(position: float, base: float, lever: float, angle0: float, length0: float) -> float:
-    """The joint angle (rad) at piston ``position``, on the branch where extension raises the angle."""
-    length = position + length0
-    cosine = (length * length - base * base - lever * lever) / (2.0 * base * lever)
-    return angle0 - math.acos(cosine)

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from controller.core.kinematics.rotations import Array, quaternion_from_vector, quaternion_product
-from controller.core.servo.drives import drive_table, full_spool_speeds, load_pressures, unloaded
+from controller.core.servo.drives import (
+    LONG,
+    SHORT,
+    drive_table,
+    full_spool_speeds,
+    load_pressures,
+    rated_circuit,
+)
 from controller.core.servo.joint_control import JointFilters, JointGains, pt1_step, valve_commands
 from controller.core.servo.pose_servo import ServoGains, resolve, tool_state
 from controller.core.trajectories.paths import at_rest
@@ -94,12 +101,12 @@ def test_commands_stay_inside_the_valve_limit() -> None:
 
 
 def test_speed_map_equals_the_derivative_of_the_linkage(arm: NominalArm) -> None:
-    drives, rated = drive_table(arm.drives), unloaded(arm.rated)
+    drives, rated = drive_table(arm.drives), rated_circuit(arm.rated)
     q = np.radians([0.0, 45.0, -90.0, 0.0, 0.0, 0.0])
-    speeds = full_spool_speeds(drives, q, rated, rated)
+    speeds = full_spool_speeds(drives, q, rated, rated, np.zeros(6))
     h = 1e-6
     for i, angle in ((1, q[1] - 2.0735), (2, q[2] - 0.41158)):
-        long, short = drives.long[i], drives.short[i]
+        long, short = drives[i, LONG], drives[i, SHORT]
 
         def piston(a: float, long: float = long, short: float = short) -> float:
             return math.sqrt(long**2 + short**2 + 2 * long * short * math.cos(a))
@@ -111,11 +118,11 @@ def test_speed_map_equals_the_derivative_of_the_linkage(arm: NominalArm) -> None
 
 def test_speed_map_follows_the_load_as_the_free_velocities_do(arm: NominalArm) -> None:
     """The plant's validation case 8: 54.7 kN slows extension from 0.660 to 0.421 m/s."""
-    drives, rated = drive_table(arm.drives), unloaded(arm.rated)
+    drives, rated = drive_table(arm.drives), rated_circuit(arm.rated)
     q = np.radians([0.0, 45.0, -90.0, 0.0, 0.0, 0.0])
     load_bar = 54.7e3 / 5.0265e-3 / 1e5
-    circuit = rated._replace(load=np.array([0.0, load_bar, 0.0, 0.0, 0.0, 0.0]))
-    free, loaded = (full_spool_speeds(drives, q, rated, c)[1] for c in (rated, circuit))
+    load = np.array([0.0, load_bar, 0.0, 0.0, 0.0, 0.0])
+    free, loaded = (full_spool_speeds(drives, q, rated, rated, now)[1] for now in (np.zeros(6), load))
     assert loaded / free * [0.660, 0.534] == pytest.approx([0.421, 0.738], abs=2e-3)
 
 

@@ -13,7 +13,7 @@ from vision_pc.core.odometry import patches, tracking
 from vision_pc.core.odometry.keyframe_map import Indices, Keyframe, KeyframeMap
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics, stereo_pose
-from vision_pc.core.perception.stereo_pose import Beliefs, Solution, View
+from vision_pc.core.perception.stereo_pose import Beliefs, BodyPoses, BodyView
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, EyeModel, Image, StereoOffset, StereoPair
 
@@ -160,9 +160,9 @@ class Localiser:
         moved = np.linalg.norm(self._map.sensitivity(ids, X_CC0), axis=2) * self._map.stds(ids)
         return np.asarray(self._noise_px / np.hypot(self._noise_px, moved))
 
-    def _solve(self, points: Array, rays: Array, weights: Array, X_CC0: Array) -> Solution:
+    def _solve(self, points: Array, rays: Array, weights: Array, X_CC0: Array) -> BodyPoses:
         return stereo_pose.solve(
-            [View(points, rays, weights)],
+            [BodyView(points, rays, weights)],
             [X_CC0],
             self._camera,
             Beliefs(self._noise_px, self._map.scale_std, _NO_OFFSET),

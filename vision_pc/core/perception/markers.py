@@ -14,7 +14,7 @@ import numpy as np
 from vision_pc.config.vision import MarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics, marker_edges, stereo_pose
-from vision_pc.core.perception.stereo_pose import Beliefs, Solution, View
+from vision_pc.core.perception.stereo_pose import Beliefs, BodyPoses, BodyView
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, EyeModel, Image, MarkerObservation, StereoPair
 
@@ -37,7 +37,7 @@ class Sighting(NamedTuple):
     """
 
     observation: MarkerObservation
-    view: View
+    view: BodyView
     other: Array
 
 
@@ -140,7 +140,7 @@ def from_rays(
     right = right_rays(starts[0])
     rays = np.stack([left, left if right is None else right])
     seen = np.stack([np.ones(4), np.full(4, float(right is not None))])
-    view = View(corner_points(settings.sizes[number]), rays, seen)
+    view = BodyView(corner_points(settings.sizes[number]), rays, seen)
     doubtful = (errors[-1] - errors[0]) * camera.left.K[0, 0] < _CLEAR_FLIP * beliefs.corner_std_px
     return _posed(number, view, starts if doubtful else starts[:1], camera, settings, beliefs)
 
@@ -203,7 +203,7 @@ def _alike(pair: StereoPair, left: Array, right: Array) -> bool:
 
 def _posed(
     number: int,
-    view: View,
+    view: BodyView,
     starts: list[Array],
     camera: CameraCalibration,
     settings: MarkerSettings,
@@ -212,12 +212,12 @@ def _posed(
     """The sighting, or why it is refused. ``starts``: planar solutions worth pursuing."""
     both = _ranked(view, starts, camera, beliefs)
     suspicious = _SUSPICIOUS * beliefs.corner_std_px
-    if both[0].residuals_px[0] > suspicious and view.seen[1].any():
+    if both[0].residuals_px[0] > suspicious and view.weights[1].any():
         free = stereo_pose.solve([view], both[0].X_CA, camera, beliefs._replace(print_size_std=1.0))
         doubt = math.hypot(free.size_stds[0], beliefs.print_size_std)
         if free.residuals_px[0] < suspicious and abs(free.sizes[0] - 1.0) > _SIZE_SIGMAS * doubt:
             return "wrong_size"
-        view = view._replace(seen=np.stack([view.seen[0], np.zeros(4)]))  # half hidden in the right eye
+        view = view._replace(weights=np.stack([view.weights[0], np.zeros(4)]))  # half hidden in the right eye
         both = _ranked(view, starts, camera, beliefs)
     best = both[0]
     if best.residuals_px[0] > settings.residual_limit_px:
@@ -226,7 +226,7 @@ def _posed(
         number,
         settings.sizes[number],
         intrinsics.distorted(camera.left, view.rays[0]),
-        intrinsics.distorted(camera.right, view.rays[1]) if view.seen[1].any() else None,
+        intrinsics.distorted(camera.right, view.rays[1]) if view.weights[1].any() else None,
         best.X_CA[0],
         best.covariances[0],
         best.residuals_px[0],
@@ -235,14 +235,16 @@ def _posed(
     return Sighting(observation, view, both[-1].X_CA[0])
 
 
-def _ranked(view: View, starts: list[Array], camera: CameraCalibration, beliefs: Beliefs) -> list[Solution]:
+def _ranked(
+    view: BodyView, starts: list[Array], camera: CameraCalibration, beliefs: Beliefs
+) -> list[BodyPoses]:
     return sorted(
         (stereo_pose.solve([view], [X], camera, beliefs) for X in starts),
         key=lambda solution: solution.chi2[0],
     )
 
 
-def _are_twins(solutions: list[Solution]) -> bool:
+def _are_twins(solutions: list[BodyPoses]) -> bool:
     """Whether two different poses remain: with the right eye both starts often end in one."""
     R, S = solutions[0].X_CA[0][:3, :3], solutions[-1].X_CA[0][:3, :3]
     return se3.angle_between(R, S) > _SAME_POSE

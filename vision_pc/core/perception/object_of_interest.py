@@ -11,7 +11,7 @@ from vision_pc.config.vision import MarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.perception import stereo_pose
 from vision_pc.core.perception.markers import AMBIGUOUS_BELOW, Sighting, corner_points
-from vision_pc.core.perception.stereo_pose import Beliefs, View
+from vision_pc.core.perception.stereo_pose import Beliefs, BodyView
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, StereoOffset
 
@@ -133,16 +133,16 @@ def _without_the_stranger(parts: list[Sighting], settings: MarkerSettings) -> li
     return [part for k, part in enumerate(parts) if k != stranger]
 
 
-def _object_view(parts: list[Sighting], settings: MarkerSettings) -> View:
+def _object_view(parts: list[Sighting], settings: MarkerSettings) -> BodyView:
     """All corners of ``parts`` as points of O."""
     points = []
     for part in parts:
         X_OA = marker_in_object(part.observation.marker_id, settings)
         points.append(se3.apply(X_OA, corner_points(part.observation.size)))
-    return View(
+    return BodyView(
         np.concatenate(points),
         np.concatenate([part.view.rays for part in parts], axis=1),
-        np.concatenate([part.view.seen for part in parts], axis=1),
+        np.concatenate([part.view.weights for part in parts], axis=1),
     )
 
 

@@ -24,17 +24,17 @@ _CONVERGED = 1e-6  # m, rad; what is left after such a step is its square
 _HUBER = 3.0  # standard deviations beyond which a residual counts linearly
 
 
-class View(NamedTuple):
+class BodyView(NamedTuple):
     """A body's points and where the eyes see them.
 
     ``points`` (n, 3) in the body's frame; ``rays`` (2, n, 2) undistorted x/z, y/z in the left and right
-    eye's axes; ``seen`` (2, n) 0 where not measured, 1 where measured with the usual noise, between where
+    eye's axes; ``weights`` (2, n) 0 where not measured, 1 where measured with the usual noise, between where
     with more.
     """
 
     points: Array
     rays: Array
-    seen: Array
+    weights: Array
 
 
 class Beliefs(NamedTuple):
@@ -45,7 +45,7 @@ class Beliefs(NamedTuple):
     offset: StereoOffset
 
 
-class Solution(NamedTuple):
+class BodyPoses(NamedTuple):
     """Poses of the bodies in C and what they cost.
 
     ``covariances`` whole, ``biases`` the part owed to size and offset; ``chi2`` per body, robust, priors
@@ -62,26 +62,46 @@ class Solution(NamedTuple):
     offset: StereoOffset
 
 
-def solve(views: list[View], starts: list[Array], camera: CameraCalibration, beliefs: Beliefs) -> Solution:
+class _Problem(NamedTuple):
+    """What is known of all bodies together; body k owns points ``ends[k]`` to ``ends[k + 1]``.
+
+    ``points`` (n, 3), ``rays`` (2, n, 2), ``weights`` (2, n) as in BodyView. ``eyes`` (2, 14): R_EC row by
+    row, p_EC, focal lengths. ``offset`` (2,) px of the right eye; precisions are inverse variances.
+    """
+
+    points: Array
+    rays: Array
+    weights: Array
+    ends: Indices
+    eyes: Array
+    offset: Array
+    offset_precision: Array
+    size_precision: float
+    corner_std_px: float
+
+
+def solve(
+    views: list[BodyView], starts: list[Array], camera: CameraCalibration, beliefs: Beliefs
+) -> BodyPoses:
     """The most probable poses of all ``views`` together, from ``starts`` (one 4×4 each)."""
     count, offset = len(views), beliefs.offset
-    poses, sizes, shift, H, sums = _minimised(
+    problem = _Problem(
         np.concatenate([view.points for view in views]),
         np.concatenate([view.rays for view in views], axis=1),
-        np.concatenate([view.seen for view in views], axis=1),
+        np.concatenate([view.weights for view in views], axis=1),
         np.cumsum([0, *(len(view.points) for view in views)]),
-        np.stack(starts),
         _eyes(camera),
         np.array([offset.x_px, offset.y_px]),
         np.array([offset.std_x_px, offset.std_y_px]) ** -2.0,
         beliefs.print_size_std**-2.0,
         beliefs.corner_std_px,
     )
+    poses, sizes, shift, H, sums = _minimise(problem, np.stack(starts))
     covariance = _inverse(H)
     blocks = [slice(k * _BODY, k * _BODY + 6) for k in range(count)]
     noise = [_inverse(H[block, block]) for block in blocks]
     stds = np.sqrt(np.diag(covariance)).tolist()
-    return Solution(
+    return BodyPoses(
         list(poses),
         [covariance[block, block] for block in blocks],
         [covariance[block, block] - part for block, part in zip(blocks, noise, strict=True)],
@@ -107,47 +127,28 @@ def _eyes(camera: CameraCalibration) -> Array:
 
 
 @kernel(nogil=True)
-def _minimised(
-    points: Array,
-    rays: Array,
-    seen: Array,
-    ends: Indices,
-    starts: Array,
-    eyes: Array,
-    believed: Array,
-    offset_precision: Array,
-    size_precision: float,
-    std_px: float,
-) -> tuple[Array, Array, Array, Array, Array]:
+def _minimise(problem: _Problem, starts: Array) -> tuple[Array, Array, Array, Array, Array]:
     """Gauss-Newton over all bodies: poses (k, 4, 4), sizes (k,), offset (2,), information, (k, 3) sums.
 
-    Body k owns points ``ends[k]`` to ``ends[k + 1]``. The sums are robust χ², Σ residual² and count.
+    The sums are robust χ², Σ residual² and count.
     """
     count = len(starts)
     unknowns = count * _BODY + 2
-    poses, sizes, offset = starts.copy(), np.zeros(count), believed.copy()
-    H, sums = np.zeros((unknowns, unknowns)), np.zeros((count, 3))
+    poses, sizes, offset = starts.copy(), np.zeros(count), problem.offset.copy()
+    H, g, sums = np.zeros((unknowns, unknowns)), np.zeros(unknowns), np.zeros((count, 3))
     for _ in range(_ITERATIONS):
         H[:] = 0.0
-        g = np.zeros(unknowns)
+        g[:] = 0.0
         for k in range(count):
-            own = slice(ends[k], ends[k + 1])
-            h, b, total = _accumulate(
-                points[own], rays[:, own], seen[:, own], poses[k], sizes[k], offset, eyes, std_px
-            )
-            first = k * _BODY
-            for i in range(_BODY + 2):
-                row = first + i if i < _BODY else unknowns - 2 + i - _BODY
-                g[row] += b[i]
-                for j in range(_BODY + 2):
-                    column = first + j if j < _BODY else unknowns - 2 + j - _BODY
-                    H[row, column] += h[i, j]
+            h, b, total = _body_equations(problem, k, poses[k], sizes[k], offset)
+            _add_body(H, g, h, b, k * _BODY)
             sums[k] = total
-            H[first + 6, first + 6] += size_precision
-            g[first + 6] -= sizes[k] * size_precision
+            own_size = k * _BODY + 6
+            H[own_size, own_size] += problem.size_precision
+            g[own_size] -= sizes[k] * problem.size_precision
         for i in range(2):
-            H[unknowns - 2 + i, unknowns - 2 + i] += offset_precision[i]
-            g[unknowns - 2 + i] -= (offset[i] - believed[i]) * offset_precision[i]
+            H[unknowns - 2 + i, unknowns - 2 + i] += problem.offset_precision[i]
+            g[unknowns - 2 + i] -= (offset[i] - problem.offset[i]) * problem.offset_precision[i]
         step = np.linalg.solve(H, g).astype(np.float64)  # for the type checker alone
         for k in range(count):
             first = k * _BODY
@@ -161,50 +162,65 @@ def _minimised(
 
 
 @kernel(nogil=True)
-def _accumulate(
-    points: Array, rays: Array, seen: Array, X: Array, size: float, offset: Array, eyes: Array, std_px: float
+def _add_body(H: Array, g: Array, h: Array, b: Array, first: int) -> None:
+    """Add one body's equations ``h`` (9, 9), ``b`` (9,) to all; its own unknowns begin at ``first``."""
+    shared = g.shape[0] - 2 - _BODY  # its last two unknowns are the offset, the last two of all
+    for i in range(_BODY + 2):
+        row = first + i if i < _BODY else shared + i
+        g[row] += b[i]
+        for j in range(_BODY + 2):
+            column = first + j if j < _BODY else shared + j
+            H[row, column] += h[i, j]
+
+
+@kernel(nogil=True)
+def _body_equations(
+    problem: _Problem, k: int, X: Array, size: float, offset: Array
 ) -> tuple[Array, Array, Array]:
-    """One body's 9×9 information, 9 gradient over [δp, δθ, size, offset], and (robust χ², Σ residual²,
-    count).
-    """
+    """Body ``k``'s information (9, 9) and gradient (9,) over [δp, δθ, size, offset], and its sums (3,)."""
     H, g, sums = np.zeros((9, 9)), np.zeros(9), np.zeros(3)
-    J = np.zeros((2, 9))
-    R_CA = X[:3, :3].copy()
+    J, R_CA = np.zeros((2, 9)), X[:3, :3].copy()
     for eye in range(2):
-        R = eyes[eye, :9].copy().reshape(3, 3)
-        for i in range(points.shape[0]):
-            if seen[eye, i] == 0.0:
+        R = problem.eyes[eye, :9].copy().reshape(3, 3)
+        for i in range(problem.ends[k], problem.ends[k + 1]):
+            seen = problem.weights[eye, i]
+            if seen == 0.0:
                 continue
-            turned = R_CA @ points[i]
-            arm = turned * (1.0 + size)
-            seen_at = R @ (arm + X[:3, 3]) + eyes[eye, 9:12]
-            depth = max(seen_at[2], 1e-6)
+            turned = R_CA @ problem.points[i]
+            lever = turned * (1.0 + size)
+            p_E = R @ (lever + X[:3, 3]) + problem.eyes[eye, 9:12]
+            depth = max(p_E[2], 1e-6)
             chi2 = 0.0
             for row in range(2):
-                focal = eyes[eye, 12 + row]
-                ratio = seen_at[row] / depth
+                focal, ratio = problem.eyes[eye, 12 + row], p_E[row] / depth
                 gradient = focal * (R[row] - ratio * R[2]) / depth  # ∂pixel/∂point in C
                 J[row, :3] = gradient
-                J[row, 3] = arm[1] * gradient[2] - arm[2] * gradient[1]
-                J[row, 4] = arm[2] * gradient[0] - arm[0] * gradient[2]
-                J[row, 5] = arm[0] * gradient[1] - arm[1] * gradient[0]
+                J[row, 3] = lever[1] * gradient[2] - lever[2] * gradient[1]
+                J[row, 4] = lever[2] * gradient[0] - lever[0] * gradient[2]
+                J[row, 5] = lever[0] * gradient[1] - lever[1] * gradient[0]
                 J[row, 6] = gradient @ turned
                 J[row, 7:] = 0.0
                 J[row, 7 + row] = float(eye)
-                residual = focal * (rays[eye, i, row] - ratio) - eye * offset[row]
+                residual = focal * (problem.rays[eye, i, row] - ratio) - eye * offset[row]
                 sums[1] += residual * residual
-                error = seen[eye, i] * residual / std_px
+                error = seen * residual / problem.corner_std_px
                 chi2 += error * error
-                J[row] *= seen[eye, i] / std_px
-                weight = 1.0 if abs(error) <= _HUBER else _HUBER / abs(error)
-                for a in range(9):
-                    scaled = weight * J[row, a]
-                    g[a] += scaled * error
-                    for b in range(a + 1):
-                        H[a, b] += scaled * J[row, b]
+                J[row] *= seen / problem.corner_std_px
+                _add_row(H, g, J[row], error)
             sums[0] += chi2 if chi2 <= _HUBER**2 else _HUBER * (2.0 * math.sqrt(chi2) - _HUBER)
             sums[2] += 2.0
     for a in range(9):
         for b in range(a):
             H[b, a] = H[a, b]
     return H, g, sums
+
+
+@kernel(nogil=True)
+def _add_row(H: Array, g: Array, row: Array, error: float) -> None:
+    """Add one robust row (9,) with its ``error`` to the lower triangle of ``H`` and to ``g``."""
+    weight = 1.0 if abs(error) <= _HUBER else _HUBER / abs(error)
+    for a in range(9):
+        scaled = weight * row[a]
+        g[a] += scaled * error
+        for b in range(a + 1):
+            H[a, b] += scaled * row[b]

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.core.se3 import Array, exp_so3, nearest_rotation
+from vision_pc.core.se3 import Array, exp_so3
 
 _SMOOTHING = (
     7  # samples among which the medoid is sought that keeps single glitches out of end points and plane
@@ -92,17 +92,6 @@ def coarse_alignment(points_camera: Array, points_base: Array) -> Array:
     """
     R: Array = path_frame(points_base) @ path_frame(points_camera).T
     return R
-
-
-def direction_alignment(directions_camera: Array, directions_base: Array) -> Array:
-    """R (3×3), which turns camera axes into base axes by the mean directions (N, A, 3), (M, A, 3) alone.
-
-    It needs no bent path, but takes the camera's body for parallel to the tool's. Raises MeasurementFailed
-    (``measurement.no_directions``) when there are none.
-    """
-    if directions_camera.shape[1] == 0:
-        raise MeasurementFailed("measurement.no_directions", "coarse alignment: no directions to align")
-    return nearest_rotation(directions_base.mean(axis=0).T @ directions_camera.mean(axis=0))
 
 
 def asymmetry(points: Array) -> float:

@@ -57,11 +57,6 @@ def all_motions(pairs: PosePairs) -> Motions:
     return _between(pairs, i, j)
 
 
-def consecutive_motions(pairs: PosePairs, order: tuple[int, ...]) -> Motions:
-    """The motions from each sample of ``order`` to the next, as a recording in time gives them."""
-    return _between(pairs, np.array(order[:-1]), np.array(order[1:]))
-
-
 def _between(pairs: PosePairs, i: Indices, j: Indices) -> Motions:
     A = rigid.inverse(pairs.H[j]) @ pairs.H[i]
     B = pairs.P[j] @ rigid.inverse(pairs.P[i])
