@@ -20,14 +20,26 @@ class DhLink(NamedTuple):
 class BoomDimensions(NamedTuple):
     """The boom in its slewing plane, metres.
 
-    ``pivot`` (forward, up) of the lift in B; ``boom`` from there to the tilt, ``forearm`` from there to the
-    wrist's centre, straight lines both; ``tool`` from the wrist's centre to the TCP along the tool's z axis.
+    ``lift_pivot`` (forward, up) in B; ``boom`` from there to the tilt's pivot, ``forearm`` from there to the
+    wrist's centre, both straight lines; ``wrist_to_tool`` from there to the TCP along the tool's z axis.
     """
 
-    pivot: tuple[float, float]
+    lift_pivot: tuple[float, float]
     boom: float
     forearm: float
-    tool: float
+    wrist_to_tool: float
+
+
+class Dimensions(NamedTuple):
+    """All that a program needs of the arm's geometry."""
+
+    links: tuple[DhLink, ...]
+    boom: BoomDimensions
+
+
+def dimensions(arm: NominalArm) -> Dimensions:
+    """The links and the boom of ``arm``."""
+    return Dimensions(dh_links(arm), boom_dimensions(arm))
 
 
 def dh_links(arm: NominalArm) -> tuple[DhLink, ...]:

@@ -7,6 +7,7 @@ from typing import Any
 from foundation.configuration import load
 from foundation.event_log import EventLog
 from foundation.service_main import ServiceOptions, ServiceProgram, service_main
+from nominal_arm.description import NominalArm
 from vision_pc.application.program import Program
 from vision_pc.application.programs import PROGRAMS
 from vision_pc.config.vision import VisionConfig
@@ -17,14 +18,16 @@ def main(argv: list[str] | None = None, programs: Sequence[Program[Any, Any]] = 
     """Run the vision PC with ``programs``; return its exit status, see ``service_main``."""
 
     def made(options: ServiceOptions, log: EventLog) -> VisionService:
-        config = load(VisionConfig, options.config_dir / "vision.yaml", options.overrides.get("vision"))
-        return VisionService(config, options, log, programs)
+        files, overrides = options.config_dir, options.overrides
+        arm = load(NominalArm, files / "arm.yaml", overrides.get("arm"))
+        config = load(VisionConfig, files / "vision.yaml", overrides.get("vision"))
+        return VisionService(config, arm, options, log, programs)
 
     service = ServiceProgram(
         name="vision_pc",
         description=__doc__,
         example="python -m vision_pc --config-dir configs --set vision.api.port=8010 --record-dir run",
-        files="vision.yaml",
+        files="arm.yaml and vision.yaml",
         records="events.jsonl and the pictures of looks",
         make=made,
     )

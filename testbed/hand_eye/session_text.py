@@ -139,7 +139,7 @@ def exported(session: Path, samples: Path) -> None:
     """
     try:
         document = json.loads(file_text(session))
-        if document["format"] != sessions.FORMAT:
+        if document["format"] not in (sessions.FORMAT, sessions.FORMAT_1):
             raise ValueError(f"format is {document['format']!r}, {sessions.FORMAT!r} is wanted")
         exported_document = {
             "format": FORMAT,

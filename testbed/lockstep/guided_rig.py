@@ -4,6 +4,7 @@ from collections.abc import Awaitable
 from pathlib import Path
 from typing import TypeVar
 
+from nominal_arm.dimensions import dimensions
 from plant_emulator.core.camera.scene import Scene
 from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.faults import CommandCode
@@ -35,7 +36,9 @@ class GuidedRig:
         self.arm = LinkArm(self.link, settings.vision.motion)
         log = SimulatedTimeLog(self.world)
         store = SessionStore(sessions)
-        self.guided = GuidedCalibration(self.arm, self.eyes, self.link, settings.vision, log, store)
+        self.guided = GuidedCalibration(
+            self.arm, self.eyes, self.link, settings.vision, dimensions(settings.arm), log, store
+        )
         self.world.connect()
         self.run(self.link.command(CommandCode.ENABLE))
         self.run(self.link.next_state())

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from foundation.event_log import Level
+from nominal_arm.dimensions import boom_dimensions
 from protocol.errors import LinkLost, LongreachError
 from protocol.faults import CommandCode
 from testbed.lockstep.clock import run
@@ -60,7 +61,8 @@ class LockstepRig:
         eyes = LockstepEyes(self.world, self.link, vision, sight(self.world, vision) if sight else None)
         arm = LinkArm(self.link, vision.motion)
         log_of_vision = SimulatedTimeLog(self.world)
-        self.application = VisionApplication(arm, eyes, self.link, eyes, vision.programs, log_of_vision)
+        boom = boom_dimensions(settings.arm)
+        self.application = VisionApplication(arm, eyes, self.link, eyes, vision.programs, boom, log_of_vision)
         self._programs = by_name(programs)
         self._eyes = eyes
         self.world.connect()

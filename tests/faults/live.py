@@ -17,6 +17,7 @@ import numpy as np
 from fastapi import FastAPI
 
 from foundation.event_log import EventLog
+from nominal_arm.dimensions import boom_dimensions
 from plant_emulator.core.plant import Plant
 from protocol.faults import GroupState
 from protocol.process_image import decode_valves, encode_sensors
@@ -169,7 +170,8 @@ async def live(record_dir: Path | None = None, stream: Any = None) -> AsyncItera
     await camera.start()
     eyes = CameraEyes(camera, link, vision, log)
     arm = LinkArm(link, vision.motion)
-    station = VisionApplication(arm, eyes, link, eyes, vision.programs, log)
+    boom = boom_dimensions(settings.arm)
+    station = VisionApplication(arm, eyes, link, eyes, vision.programs, boom, log)
     operations = Operations(arm.halt, log)
     app = create_app(station, operations)
     transport = httpx.ASGITransport(app=app, raise_app_exceptions=False)

@@ -39,11 +39,11 @@ def test_the_lengths_are_those_of_the_controllers_frames(arm: NominalArm, q: np.
     boom = boom_dimensions(arm)
     slew = q[0] + math.radians(arm.dh[0].theta_offset_deg)
     forward = np.array([math.cos(slew), math.sin(slew), 0.0])
-    lift_pivot = boom.pivot[0] * forward + np.array([0.0, 0.0, boom.pivot[1]])
+    lift_pivot = boom.lift_pivot[0] * forward + np.array([0.0, 0.0, boom.lift_pivot[1]])
     assert slewed[:, 3] == pytest.approx(lift_pivot, abs=1e-12)
     assert math.dist(lifted[:, 3], slewed[:, 3]) == pytest.approx(boom.boom, abs=1e-12)
     assert math.dist(wrist[:, 3], lifted[:, 3]) == pytest.approx(boom.forearm, abs=1e-12)
-    assert tool[:, 3] - boom.tool * tool[:, 2] == pytest.approx(wrist[:, 3], abs=1e-12)
+    assert tool[:, 3] - boom.wrist_to_tool * tool[:, 2] == pytest.approx(wrist[:, 3], abs=1e-12)
     # lift, tilt and wrist stay in the slewing plane: one angle of the wrist's centre tells the slew
     across = np.array([-math.sin(slew), math.cos(slew), 0.0])
     assert [across @ frame[:, 3] for frame in (slewed, lifted, wrist)] == pytest.approx([0.0] * 3, abs=1e-12)
@@ -60,4 +60,4 @@ def test_the_links_are_the_controllers_table(arm: NominalArm) -> None:
 def test_shipped_arms(name: str, boom: float, forearm: float) -> None:
     derived = boom_dimensions(load(NominalArm, CONFIGS / name))
     assert (derived.boom, derived.forearm) == pytest.approx((boom, forearm), abs=6e-6)
-    assert derived.tool == 0.35
+    assert derived.wrist_to_tool == 0.35

@@ -14,7 +14,7 @@ import numpy as np
 from foundation.event_log import EventLog
 from protocol.errors import RequestRefused
 from protocol.faults import GroupState
-from tests.vision_pc.program_settings import shipped
+from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import SyntheticRig, SyntheticWatch, draw
 from vision_pc.application.application import VisionApplication
@@ -113,7 +113,7 @@ async def bench(
     await until(lambda: link.connected and link.clock_offset)
     arm = LinkArm(link, MotionSettings(settle_timeout_s=0.5, rest_s=0.01))
     eyes = SyntheticEyes(rig, controller)
-    station = VisionApplication(arm, eyes, link, eyes, quick(shipped()), log)
+    station = VisionApplication(arm, eyes, link, eyes, quick(shipped()), BOOM, log)
     operations = Operations(arm.halt, log)
     transport = httpx.ASGITransport(app=create_app(station, operations), raise_app_exceptions=False)
     async with httpx.AsyncClient(transport=transport, base_url="http://vision") as client:

@@ -6,6 +6,7 @@ The programs themselves are rows of ``programs.PROGRAMS``. Nothing here reads a 
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 
+from nominal_arm.dimensions import BoomDimensions
 from protocol.errors import RequestRefused
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.ports import Camera, Controller, HealthyLog, StoppableArm
@@ -51,6 +52,7 @@ class VisionApplication:
         controller: Controller,
         camera: Camera,
         settings: ProgramSettings,
+        dimensions: BoomDimensions,
         log: HealthyLog,
         hand_eye: GuidedCalibration | None = None,
     ) -> None:
@@ -59,6 +61,7 @@ class VisionApplication:
         self.controller = controller
         self.camera = camera
         self.settings = settings
+        self.dimensions = dimensions
         self.log = log
         self.hand_eye = hand_eye
         self.calibration: LocalCalibration | None = None

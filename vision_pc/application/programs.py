@@ -105,7 +105,7 @@ async def _look_then_move(
         assert application.track is not None  # needed
         track, application.track = application.track, None  # a motion that fails leaves a gap in it
         result = await corrected_positioning.look_then_move_corrected(
-            arm, eyes, report, settings, application.settings.local_map, track
+            arm, eyes, report, settings, application.settings.local_map, application.dimensions, track
         )
         application.track = result.track
         return result

@@ -26,26 +26,15 @@ class CabinetSettings(StrictModel):
     targets_m: dict[str, tuple[float, float]] = Field(min_length=1, max_length=32)
 
 
-class LinkDrawing(StrictModel):
-    """One row of the arm's Denavit-Hartenberg table: Rz(theta) Tz(d) Tx(a) Rx(alpha)."""
+class ArmUncertainty(StrictModel):
+    """How far the arm may be off its nominal model (standard deviations).
 
-    alpha_deg: float = Field(ge=-180.0, le=180.0)
-    a_m: float = Field(ge=-30.0, le=30.0)
-    theta_offset_deg: float = Field(ge=-360.0, le=360.0)
-    d_m: float = Field(ge=-30.0, le=30.0)
-
-
-class ArmDrawing(StrictModel):
-    """The arm's drawing, and how far the arm may be off it (standard deviations).
-
-    ``links``: one row for each of the six joints, then fixed ones up to the hand. ``zero_std_mrad`` of each
-    encoder's zero; for each joint ``play_mrad`` that it may turn by unseen, anew in each pose, and
-    ``bending_mrad_m`` by which it gives for each metre that the hand is out. ``link_*``: an axis, of the end
-    of the link that each joint carries; the last one's is the hand. A drawing that puts the hand more than
-    ``fit_m``, ``fit_mrad`` off what the controller reports is not this arm's.
+    ``zero_std_mrad`` of each encoder's zero. For each joint: ``play_mrad``, its backlash, anew in each pose,
+    and ``bending_mrad_m``, its deflection for each metre of reach. ``link_*``, for each axis: the end of the
+    link that each joint carries; the last one's is the hand. If the nominal model puts the hand more than
+    ``fit_m`` or ``fit_mrad`` off what the controller reports, it is not the model of this arm.
     """
 
-    links: tuple[LinkDrawing, ...] = Field(min_length=JOINTS, max_length=JOINTS + 4)
     zero_std_mrad: Small
     play_mrad: SixSmall
     bending_mrad_m: SixSmall
@@ -62,8 +51,8 @@ class GuidedSettings(StrictModel):
     only plans, it never enters the result. ``robot_*``, ``corner_std_px``: noise a component assumed in
     planning, ``robot_strain`` (m/m) and ``robot_twist`` (rad/rad) what is added away from the starting pose.
     ``arm_zero_std_mrad``: how wrong the arm's zeros may be, as one constant turn about each axis of the
-    wrist, ``wrist_to_tool_m`` behind the tool centre point; no sample tells it from a turned camera.
-    ``arm``: the drawing that tells the zeros of the single joints apart; none: the constant turn above.
+    wrist; no sample tells it from a turned camera. ``arm``: the uncertainties of each joint and link, with
+    which the samples tell the zeros of single joints apart; none: the constant turn above.
     ``principal_point_std_px``, ``focal_std`` (relative): what the camera's own calibration may be off by.
     ``distance_m``, ``obliquity_deg``, ``roll_deg`` bound the view of the marker, ``turn_deg`` and ``reach_m``
     the hand about its starting pose; ``margin_px`` keeps the marker off the picture's rim and off what the
@@ -90,8 +79,7 @@ class GuidedSettings(StrictModel):
     robot_strain: float = Field(0.006, ge=0.0, le=0.1)
     robot_twist: float = Field(0.004, ge=0.0, le=0.1)
     arm_zero_std_mrad: float = Field(3.0, ge=0.0, le=50.0)
-    wrist_to_tool_m: float = Field(0.35, ge=0.0, le=5.0)
-    arm: ArmDrawing | None = None
+    arm: ArmUncertainty | None = None
     principal_point_std_px: float = Field(0.7, ge=0.0, le=50.0)
     focal_std: float = Field(0.001, ge=0.0, le=0.1)
     corner_std_px: float = Field(0.05, gt=0.0, le=5.0)

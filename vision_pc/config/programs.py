@@ -6,7 +6,6 @@ from typing import Annotated
 from pydantic import Field
 
 from foundation.configuration import StrictModel
-from vision_pc.core.calibration.arm_fields import ArmShape
 
 Length = Annotated[float, Field(ge=0.01, le=1.5)]
 Small = Annotated[float, Field(gt=0.0, le=0.1)]
@@ -90,20 +89,6 @@ class TrajectorySettings(StrictModel):
     rotation_std_limit_deg: float = Field(gt=0.0, le=45.0)
 
 
-class ArmShapeSettings(StrictModel):
-    """The boom as its drawing says: see ``arm_fields.ArmShape``."""
-
-    lift_pivot_m: tuple[float, float]
-    boom_m: float = Field(gt=0.1, le=30.0)
-    forearm_m: float = Field(gt=0.1, le=30.0)
-    wrist_to_tool_m: float = Field(ge=-2.0, le=2.0)
-
-    @property
-    def shape(self) -> ArmShape:
-        """The same as the map uses it."""
-        return ArmShape(self.lift_pivot_m, self.boom_m, self.forearm_m, self.wrist_to_tool_m)
-
-
 class LocalMapSettings(StrictModel):
     """Best mode: three legs along n, s and a, a local map, and mid-course corrections.
 
@@ -135,7 +120,6 @@ class LocalMapSettings(StrictModel):
     odometry_scale_std: float = Field(ge=0.0, le=0.1)
     servo_std_m: float = Field(ge=0.0, le=0.05)
     goal_std_limit_m: float = Field(gt=0.0, le=1.0)
-    arm: ArmShapeSettings
     first_share: float = Field(ge=0.3, le=0.98)
     near_m: float = Field(ge=0.0, le=1.0)
     minimum_samples: int = Field(ge=8, le=10_000)

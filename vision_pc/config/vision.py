@@ -1,17 +1,22 @@
 """Configuration of the vision PC: cameras, markers, looks, odometry and the addresses it talks to."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from foundation.configuration import StrictModel
 from foundation.link_key import KeySource
+from protocol.errors import ConfigurationError
 from vision_pc.config.hand_eye import CabinetSettings, GuidedSettings
 from vision_pc.config.programs import ProgramSettings
 
 Positive = Annotated[float, Field(gt=0.0)]
 Port = Annotated[int, Field(ge=1, le=65535)]
+
+# Keys that this file once had: all of the arm's dimensions are derived from arm.yaml.
+_MOVED_TO_ARM = ("programs.local_map.arm", "hand_eye.arm.links", "hand_eye.wrist_to_tool_m")
 
 
 class EyeSettings(StrictModel):
@@ -199,7 +204,7 @@ class ApiSettings(StrictModel):
 
 
 class VisionConfig(StrictModel):
-    """Everything in ``vision.yaml``."""
+    """Everything in ``vision.yaml``; the arm's dimensions come from ``arm.yaml``."""
 
     camera: CameraSettings
     markers: MarkerSettings
@@ -212,3 +217,17 @@ class VisionConfig(StrictModel):
     sessions_dir: Path = Path("runs/hand-eye")
     cabinet: CabinetSettings | None = None
     api: ApiSettings = ApiSettings()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_the_arms_dimensions(cls, document: Any) -> Any:
+        for path in _MOVED_TO_ARM:
+            below = document
+            for part in path.split("."):
+                below = below.get(part) if isinstance(below, Mapping) else None
+            if below is not None:
+                raise ConfigurationError(
+                    "configuration.unknown_key",
+                    f"vision.yaml: {path}: the arm's dimensions are in arm.yaml (dh); remove this key",
+                )
+        return document

@@ -13,6 +13,8 @@ from foundation.ports import bound_tcp
 from foundation.rest import RestServer
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
 from foundation.statistics import StatisticsFile, resident_mb
+from nominal_arm.description import NominalArm
+from nominal_arm.dimensions import dimensions
 from protocol.errors import ConfigurationError
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.eyes import CameraEyes
@@ -36,6 +38,7 @@ class VisionService:
     def __init__(
         self,
         config: VisionConfig,
+        arm: NominalArm,
         options: ServiceOptions,
         log: EventLog,
         programs: Sequence[Program[Any, Any]],
@@ -43,6 +46,7 @@ class VisionService:
         """Bind the REST port, then try the directories. Raises ConfigurationError."""
         self._config = config
         self._log = log
+        self._nominal = dimensions(arm)
         self._programs = programs
         self._socket = bound_tcp(config.api.host, config.api.port, "vision.api")
         try:
@@ -56,14 +60,14 @@ class VisionService:
     async def run(self) -> int:
         """Serve until SIGTERM or SIGINT, then end the running operation and say goodbye."""
         cv2.setNumThreads(1)  # one core is for the controller and the plant
-        config, log = self._config, self._log
+        config, nominal, log = self._config, self._nominal, self._log
         endpoint = UdpEndpoint(config.link, log, MonotonicClock())
         self._link = link = endpoint.link
         camera = open_camera(config.camera)
         self._eyes = eyes = CameraEyes(camera, link, config, log)
         arm = LinkArm(link, config.motion)
-        guided = GuidedCalibration(arm, eyes, link, config, log, SessionStore(config.sessions_dir))
-        application = VisionApplication(arm, eyes, link, eyes, config.programs, log, guided)
+        guided = GuidedCalibration(arm, eyes, link, config, nominal, log, SessionStore(config.sessions_dir))
+        application = VisionApplication(arm, eyes, link, eyes, config.programs, nominal.boom, log, guided)
         operations = Operations(arm.halt, log)
         server = RestServer(create_app(application, operations, self._programs))
         leaving: list[asyncio.Task[None]] = []

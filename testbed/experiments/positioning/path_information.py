@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
+from nominal_arm.dimensions import boom_dimensions
 from testbed.experiments.positioning.scenarios import arm_files
 from testbed.reporting.console import out, table, write_json
 from testbed.scenarios.settings import load_settings
@@ -85,14 +86,14 @@ def run_experiment(config_dir: Path, arm: str, json_file: Path | None) -> bool:
     settings = load_settings(config_dir, arm_files(config_dir, arm))
     programs = settings.vision.programs
     X_BT = tool_pose(dh_table(settings.arm.dh), np.radians(settings.plant.start_pose_deg))
-    steps = _goals()
+    steps, boom = _goals(), boom_dimensions(settings.arm)
     figures: list[dict[str, Any]] = []
     used_name = f"three legs of {programs.local_map.leg_m:.1f} m"
     for name, waypoints in CANDIDATES.items():
         *corners, end = waypoints(X_BT, programs)
         path = [*corners, taken_up(end, programs.local_map.take_up_rad), end]
         track = driven(X_BT, path, programs.local_map.dwell_s)
-        covariances = planned_covariance(track.X_BT, track.speed, steps, programs.local_map)
+        covariances = planned_covariance(track.X_BT, track.speed, steps, boom, programs.local_map)
         worst_mm = 1e3 * np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
         turn = np.linalg.eigvalsh(rotation_information(track.X_BT[:, :3, 3], np.ones(len(track.X_BT))))
         figures.append(

@@ -9,7 +9,7 @@ from pydantic import Field, ValidationError
 from foundation.configuration import StrictModel, validated
 from protocol.errors import ConfigurationError, LinkLost, RequestRefused
 from protocol.faults import FaultCode, GroupState
-from tests.vision_pc.program_settings import shipped
+from tests.vision_pc.program_settings import BOOM, shipped
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.bodies import Copy, RequestBody, body_of
 from vision_pc.application.ports import CameraStatus
@@ -42,6 +42,7 @@ def application(state: GroupState = GroupState.STANDBY, *, camera: bool = True, 
         controller,
         status,
         shipped(),
+        BOOM,
         SimpleNamespace(healthy=log),  # type: ignore[arg-type]
     )
 

@@ -11,6 +11,7 @@ from controller.core.kinematics.denavit_hartenberg import dh_table
 from controller.core.kinematics.inverse_kinematics import joint_angles
 from foundation.configuration import merged
 from foundation.event_log import EventLog
+from nominal_arm.dimensions import dimensions
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from protocol.errors import RequestRefused
@@ -60,7 +61,9 @@ class StillRig:
         self._rng = np.random.default_rng(5)
         self._time_ns = self._frame = self._views = 0
         self.log = EventLog("vision_pc", io.StringIO())
-        self.guided = GuidedCalibration(self, self, self, settings.vision, self.log, SessionStore(sessions))
+        self.guided = GuidedCalibration(
+            self, self, self, settings.vision, dimensions(settings.arm), self.log, SessionStore(sessions)
+        )
 
     @property
     def X_TC(self) -> Array:

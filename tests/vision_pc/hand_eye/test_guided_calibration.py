@@ -14,6 +14,7 @@ from protocol.faults import GroupState
 from testbed.hand_eye import session_text
 from testbed.hand_eye.importer import load
 from tests.vision_pc.hand_eye.still_rig import X_BT_START, StillRig, quiet, still_settings
+from tests.vision_pc.program_settings import BOOM
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.ports import CameraStatus
 from vision_pc.core import se3
@@ -263,7 +264,9 @@ async def test_the_session_over_rest(tmp_path: Path) -> None:
     controller: Any = SimpleNamespace(state=SimpleNamespace(group_state=GroupState.STANDBY, flags=0))
     programs = rig.settings.vision.programs
     eyes: Any = rig
-    application = VisionApplication(rig, eyes, controller, _Camera(), programs, rig.log, rig.guided)  # type: ignore[arg-type]
+    application = VisionApplication(  # type: ignore[arg-type]
+        rig, eyes, controller, _Camera(), programs, BOOM, rig.log, rig.guided
+    )
     app = create_app(application, operations)
     transport = httpx.ASGITransport(app=app, raise_app_exceptions=False)
     async with httpx.AsyncClient(transport=transport, base_url="http://vision") as client:

@@ -11,7 +11,7 @@ from testbed.lockstep import guided_rig
 from testbed.lockstep.guided_rig import GuidedRig, quiet
 from tests.vision_pc.hand_eye.still_rig import still_settings
 from vision_pc.core import se3
-from vision_pc.core.hand_eye.guided import nominal_model as arm_drawing
+from vision_pc.core.hand_eye.guided import nominal_model
 
 
 def test_two_samples_on_the_hydraulic_arm_and_none_while_it_moves(tmp_path: Path) -> None:
@@ -37,10 +37,8 @@ def test_two_samples_on_the_hydraulic_arm_and_none_while_it_moves(tmp_path: Path
     seen_at = np.mean(rig.guided.session.samples[-1].corners_left, axis=0)
     assert np.abs(seen_at - done["pixel"]).max() < 200.0  # the mount is only measured by tape yet
     assert rig.guided.session.samples[-1].moved_mrad < 1.0
-    drawing = rig.guided.defaults.arm
-    assert drawing is not None
     for taken in rig.guided.session.samples:  # the joints are those of the pose
         assert taken.q is not None
-        way, turn = arm_drawing.mismatch(drawing, taken.q[None], taken.X_BT[None])
+        way, turn = nominal_model.mismatch(rig.guided.session.links, taken.q[None], taken.X_BT[None])
         assert way[0] < 0.002
         assert turn[0] < 0.001

@@ -24,6 +24,7 @@ from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 
 SETTINGS = GuidedSettings()
+WRIST_TO_TOOL = 0.35
 CAMERA = intrinsics.calibration(still_settings().vision.camera)
 X_TC = guided_views.nominal_mount(SETTINGS) @ se3.transform(
     se3.exp_so3([0.05, -0.04, 0.03]), [0.01, -0.01, 0.005]
@@ -141,12 +142,12 @@ def test_no_pose_left_is_said() -> None:
 def test_a_wrist_turned_by_its_zeros_looks_like_a_turned_camera() -> None:
     """Poses reported with a constant turn of the wrist fit exactly, X off by what the covariance says."""
     turn = se3.exp_so3([0.002, -0.003, 0.004])
-    wrist = se3.transform(np.eye(3), [0.0, 0.0, -SETTINGS.wrist_to_tool_m])
+    wrist = se3.transform(np.eye(3), [0.0, 0.0, -WRIST_TO_TOOL])
     E = wrist @ se3.transform(turn, np.zeros(3)) @ se3.inverse(wrist)  # true tool in reported tool
     off = se3.local(X_TC, E @ X_TC)
     lever = X_TC[:3, 3] - wrist[:3, 3]
     assert np.allclose(off[:3], np.cross([0.002, -0.003, 0.004], lever), atol=1e-5)
-    covariance = guided_sampling.arm_zero_covariance(X_TC, SETTINGS)
+    covariance = guided_sampling.arm_zero_covariance(X_TC, WRIST_TO_TOOL, 1e-3 * SETTINGS.arm_zero_std_mrad)
     assert np.allclose(np.sqrt(np.diag(covariance)[3:]), 0.003)
     fits = np.linalg.lstsq(covariance, off, rcond=1e-9)[0]
     assert np.allclose(covariance @ fits, off, atol=2e-5)  # it lies in what the covariance spans

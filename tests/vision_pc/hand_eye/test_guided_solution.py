@@ -1,6 +1,8 @@
-"""Guided sessions on an arm whose encoder zeros are wrong: what its drawing lets one know."""
+"""Guided sessions on an arm whose encoder zeros are wrong: what its nominal model lets one know."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,14 +11,15 @@ from scipy.stats import chi2
 
 from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
 from controller.core.kinematics.inverse_kinematics import joint_angles
+from nominal_arm.dimensions import dimensions
+from protocol.errors import RequestRefused
 from tests.vision_pc.hand_eye.still_rig import START_RAD as START
 from tests.vision_pc.hand_eye.still_rig import still_settings
-from vision_pc.config.hand_eye import ArmDrawing
+from vision_pc.config.hand_eye import ArmUncertainty
 from vision_pc.core import se3
 from vision_pc.core.hand_eye import rigid
-from vision_pc.core.hand_eye.guided import nominal_model as arm_drawing
+from vision_pc.core.hand_eye.guided import nominal_model, shared_errors
 from vision_pc.core.hand_eye.guided import session as sessions
-from vision_pc.core.hand_eye.guided import shared_errors
 from vision_pc.core.hand_eye.guided import solution as guided_solution
 from vision_pc.core.hand_eye.guided import views as guided_views
 from vision_pc.core.hand_eye.guided.session import Sample, Session
@@ -28,6 +31,7 @@ from vision_pc.core.se3 import Array
 
 SETTINGS = still_settings()
 GUIDED = SETTINGS.vision.hand_eye
+LINKS, BOOM = dimensions(SETTINGS.arm)
 CAMERA = intrinsics.calibration(SETTINGS.vision.camera)
 TABLE = dh_table(SETTINGS.arm.dh)
 MOUNTED = se3.transform(se3.exp_so3([0.05, -0.1, 0.03]), [0.01, -0.01, 0.02])
@@ -35,14 +39,16 @@ X_TC = guided_views.nominal_mount(GUIDED) @ MOUNTED
 SEEN = np.diag(np.array([1e-4, 1e-4, 4e-4, 1.5e-3, 1.5e-3, 5e-4]) ** 2)  # of a marker's pose
 
 
-def drawing(**changes: Any) -> ArmDrawing:
-    """The configured drawing, with ``changes``."""
+def uncertainty(**changes: Any) -> ArmUncertainty:
+    """What is configured, with ``changes``."""
     assert GUIDED.arm is not None
     return GUIDED.arm.model_copy(update=changes)
 
 
 NONE = (0.0,) * 6
-ZEROS_ONLY = drawing(bending_mrad_m=NONE, play_mrad=NONE, link_offset_std_mm=NONE, link_tilt_std_mrad=NONE)
+ZEROS_ONLY = uncertainty(
+    bending_mrad_m=NONE, play_mrad=NONE, link_offset_std_mm=NONE, link_tilt_std_mrad=NONE
+)
 
 
 class World(NamedTuple):
@@ -57,7 +63,7 @@ class World(NamedTuple):
     seen: bool = True
 
 
-def taken(rng: np.random.Generator, world: World, arm: ArmDrawing | None, count: int = 17) -> Session:
+def taken(rng: np.random.Generator, world: World, arm: ArmUncertainty | None, count: int = 17) -> Session:
     """A session in ``world`` at random views; the hand's poses by the controller's own kinematics."""
     Z = tool_pose(TABLE, START) @ X_TC @ se3.transform(np.diag([1.0, -1.0, -1.0]), [-0.05, 0.02, 0.7])
     views = guided_views.random_views(GUIDED, CAMERA, rng)
@@ -78,7 +84,7 @@ def taken(rng: np.random.Generator, world: World, arm: ArmDrawing | None, count:
     )
     around = Surroundings(CAMERA, samples[0].X_BT, ((), ()), np.zeros(3))
     settings = GUIDED.model_copy(update={"arm": arm, "principal_point_std_px": 0.0, "focal_std": 0.0})
-    return Session("test", 1, settings, around, samples)
+    return Session("test", 1, settings, around, LINKS, BOOM.wrist_to_tool, samples)
 
 
 def _outer(X: Array, twist: Array) -> Array:
@@ -89,13 +95,10 @@ def off_mm(X: Array) -> float:
     return 1e3 * float(np.linalg.norm(X[:3, 3] - X_TC[:3, 3]))
 
 
-def test_the_drawing_is_the_controllers_and_moves_as_its_model() -> None:
-    assert [row.model_dump() for row in drawing().links] == [
-        row.model_dump(exclude={"name"}) for row in SETTINGS.arm.dh
-    ]
+def test_the_nominal_model_moves_as_the_controllers() -> None:
     q = np.random.default_rng(1).uniform(-1.2, 1.2, (5, 6))
-    F = arm_drawing.frames(drawing(), q)
-    by_joint = arm_drawing.joint_motions(F)
+    F = nominal_model.frames(LINKS, q)
+    by_joint = nominal_model.joint_motions(F)
     for k in range(5):
         X = tool_pose(TABLE, q[k])
         assert np.allclose(F[k, -1], X, atol=1e-12)
@@ -109,8 +112,8 @@ def test_the_drawing_is_the_controllers_and_moves_as_its_model() -> None:
 
 def test_a_load_bends_the_arm_down_and_a_link_carries_what_is_beyond() -> None:
     """Bending lowers a hand that is out; a tilted last link turns the hand about that link's end."""
-    arm = drawing(zero_std_mrad=0.0, link_offset_std_mm=NONE, link_tilt_std_mrad=(1.0,) * 6)
-    columns = arm_drawing.shared_errors(arm, START[None])[0]
+    arm = uncertainty(zero_std_mrad=0.0, link_offset_std_mm=NONE, link_tilt_std_mrad=(1.0,) * 6)
+    columns = nominal_model.shared_errors(LINKS, arm, START[None])[0]
     X = tool_pose(TABLE, START)
     for joint, reach, stiff in ((1, 3.89 + 0.19, 1.5e-3), (2, 3.0, 6e-3)):
         assert (X[:3, :3] @ columns[:3, 8 * joint + 1])[2] == pytest.approx(-reach * reach * stiff, rel=0.12)
@@ -120,7 +123,7 @@ def test_a_load_bends_the_arm_down_and_a_link_carries_what_is_beyond() -> None:
 
 
 def test_zeros_of_the_inner_joints_no_longer_move_the_camera() -> None:
-    """Exact pictures, joints 2 to 5 off by up to 5 mrad: off by millimetres without the drawing."""
+    """Exact pictures, joints 2 to 5 off by up to 5 mrad: off by millimetres without the nominal model."""
     zeros = np.array([0.0, 0.004, -0.003, 0.005, -0.005, 0.0])
     world = World(zeros, np.zeros(6), np.zeros(6), seen=False)
     session = taken(np.random.default_rng(2), world, ZEROS_ONLY)
@@ -148,7 +151,7 @@ def test_the_last_joints_zero_is_doubt_about_the_camera() -> None:
 
 def test_errors_are_what_the_covariance_says() -> None:
     """Mean NEES of 60 draws in its band, zeros, tool, play and pictures all wrong; far off by noise alone."""
-    arm = drawing(
+    arm = uncertainty(
         bending_mrad_m=NONE, link_offset_std_mm=(*NONE[1:], 1.0), link_tilt_std_mrad=(*NONE[1:], 1.5)
     )
     runs, whole, noise = 60, [], []
@@ -158,9 +161,9 @@ def test_errors_are_what_the_covariance_says() -> None:
         world = World(rng.normal(size=6) * 1e-3 * arm.zero_std_mrad, tool, 1e-3 * np.array(arm.play_mrad))
         session = taken(rng, world, arm)
         pairs = session.pairs()
-        doubts = guided_solution.doubts_of(
-            [session.samples[k] for k in pairs.order], arm, session.settings, CAMERA.left
-        )
+        samples = [session.samples[k] for k in pairs.order]
+        of_arm = guided_solution.arm_errors(LINKS, arm, samples)
+        doubts = guided_solution.doubts_of(samples, of_arm, session.settings, CAMERA.left)
         found = shared_errors.fit(pairs.H, pairs.P, np.ones(17), doubts, X_TC, pairs.H[0] @ X_TC @ pairs.P[0])
         error = se3.local(found.X, X_TC)
         whole.append(error @ np.linalg.solve(found.covariance[:6, :6], error))
@@ -171,7 +174,7 @@ def test_errors_are_what_the_covariance_says() -> None:
 
 
 def test_noise_larger_than_said_is_noticed() -> None:
-    session = taken(np.random.default_rng(5), World(np.zeros(6), np.zeros(6), np.zeros(6)), drawing(), 30)
+    session = taken(np.random.default_rng(5), World(np.zeros(6), np.zeros(6), np.zeros(6)), uncertainty(), 30)
     surer = tuple(s._replace(covariance=s.covariance / 9.0) for s in session.samples)
     modest = replace(session, samples=surer)
     honest, louder = guided_solution.solve(session).arm, guided_solution.solve(modest).arm
@@ -183,7 +186,7 @@ def test_noise_larger_than_said_is_noticed() -> None:
 
 def test_the_order_of_samples_changes_nothing_and_a_bad_one_is_left_out() -> None:
     rng = np.random.default_rng(6)
-    session = taken(rng, World(rng.normal(size=6) * 0.003, np.zeros(6), np.zeros(6)), drawing())
+    session = taken(rng, World(rng.normal(size=6) * 0.003, np.zeros(6), np.zeros(6)), uncertainty())
     bad = session.samples[4]
     spoiled = bad._replace(X_CT=se3.retract(bad.X_CT, [0.02, 0.0, 0.01, 0.05, 0.0, 0.0]))
     session = replace(session, samples=(*session.samples[:4], spoiled, *session.samples[5:]))
@@ -198,18 +201,19 @@ def test_the_order_of_samples_changes_nothing_and_a_bad_one_is_left_out() -> Non
         assert result.names[worst] == bad.name
 
 
-def test_without_a_drawing_the_zeros_are_one_turn_of_the_wrist_and_that_is_told() -> None:
+def test_without_a_nominal_model_the_zeros_are_one_turn_of_the_wrist_and_that_is_told() -> None:
     rng = np.random.default_rng(7)
-    session = taken(rng, World(rng.normal(size=6) * 0.003, np.zeros(6), np.zeros(6)), drawing())
+    session = taken(rng, World(rng.normal(size=6) * 0.003, np.zeros(6), np.zeros(6)), uncertainty())
     plain = methods.solve(session.pairs())
     no_angles = replace(session, samples=(*session.samples[:-1], session.samples[-1]._replace(q=None)))
     elsewhere = tuple(s._replace(q=s.q + 0.01) for s in session.samples if s.q is not None)
     shifted = replace(session, samples=elsewhere)
     without = replace(session, settings=session.settings.model_copy(update={"arm": None}))
     for case, told in (
-        (without, "the arm has no drawing"),
+        (without, "the arm's uncertainties are not configured"),
+        (replace(session, links=()), "the session's file has no nominal model of the arm"),
         (no_angles, "joint angles of sample 17 are not known"),
-        (shifted, "the drawing is not this arm's: it puts the hand of sample"),
+        (shifted, "the nominal model is not this arm's: it puts the hand of sample"),
     ):
         found = guided_solution.solve(case)
         assert found.arm is None
@@ -219,12 +223,33 @@ def test_without_a_drawing_the_zeros_are_one_turn_of_the_wrist_and_that_is_told(
         assert np.sqrt(found.covariance[5, 5]) > 0.003
 
 
+def test_a_file_of_format_1_loads_and_is_solved_as_before() -> None:
+    """Its settings hold the arm's links in degrees; what was solved from it then is written here."""
+    document = json.loads((Path(__file__).parent / "session_format_1.json").read_text(encoding="utf-8"))
+    session = sessions.from_json(document, CAMERA)
+    assert (session.links, session.wrist_to_tool) == (LINKS, BOOM.wrist_to_tool)
+    assert session.settings.arm == uncertainty()
+    found = guided_solution.solve(session)
+    solved_then = [-0.190375972632, -0.060789844101, -0.380374937301]
+    assert found.result.X[:3, 3] == pytest.approx(solved_then, abs=1e-7)
+    assert found.arm is not None
+    assert found.arm.zeros[3] == pytest.approx(0.003792422923, abs=1e-7)
+    again = sessions.to_json(session)
+    assert again["format"] == sessions.FORMAT
+    assert sessions.to_json(sessions.from_json(again, CAMERA)) == again
+    del document["settings"]["arm"]["links"][2]["d_m"]
+    with pytest.raises(RequestRefused, match="'d_m' is missing") as told:
+        sessions.from_json(document, CAMERA)
+    assert told.value.cause == "refused.hand_eye.format"
+
+
 def test_joint_angles_are_kept_in_the_file_and_old_files_have_none() -> None:
-    session = taken(np.random.default_rng(8), World(np.zeros(6), np.zeros(6), np.zeros(6)), drawing(), 5)
+    session = taken(np.random.default_rng(8), World(np.zeros(6), np.zeros(6), np.zeros(6)), uncertainty(), 5)
     document = sessions.to_json(session)
     again = sessions.from_json(document, CAMERA)
     assert all(np.array_equal(a.q, b.q) for a, b in zip(again.samples, session.samples, strict=True))
     assert again.settings.arm == session.settings.arm
+    assert (again.links, again.wrist_to_tool) == (LINKS, BOOM.wrist_to_tool)
     for sample in document["samples"]:
         del sample["joints_rad"]
     assert [s.q for s in sessions.from_json(document, CAMERA).samples] == [None] * 5

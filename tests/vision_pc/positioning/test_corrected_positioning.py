@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed
-from tests.vision_pc.program_settings import shipped
+from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward, inverse_kinematics, silent
 from vision_pc.config.programs import LocalMapSettings
 from vision_pc.core.calibration.backlash import play_states, slew_angles, taken_up
@@ -44,7 +44,7 @@ async def one_look(
     positioning = PROGRAMS.positioning
     if corrections is not None:
         positioning = positioning.model_copy(update={"corrections": corrections})
-    result = await look_then_move_corrected(arm, arm, silent, positioning, settings, track)
+    result = await look_then_move_corrected(arm, arm, silent, positioning, settings, BOOM, track)
     return arm, result
 
 
@@ -88,10 +88,10 @@ async def test_the_map_sees_what_a_rotation_cannot() -> None:
     ]
     track = track_of(tuple(samples), 0.0)
     settings = changed(play_std=1e-6, noise_std_m=1e-4, strain_std=0.02, sway_s=0.0)
-    fitted = fit_map(track, np.zeros(3), settings)
+    fitted = fit_map(track, np.zeros(3), BOOM, settings)
     assert fitted.residual_m < 5e-4
     for d in (np.array([0.1, 0.0, 0.0]), np.array([0.0, -0.1, 0.05])):  # in the camera, parallel to the tool
-        x, _ = solve_step(fitted, d, settings)
+        x, _ = solve_step(fitted, d)
         assert np.allclose((np.eye(3) + stretch) @ x, X[:3, :3] @ d, atol=3e-4)
 
 
@@ -105,10 +105,10 @@ async def test_bending_is_carried_on_beyond_the_path() -> None:
         ):
             arm = rig(seed, play=0.0, servo_std=0.0)
             track = await record_local_track(arm, arm, silent, settings)
-            fitted = fit_map(track, (await arm.look()).X_CM[:3, 3], settings)
+            fitted = fit_map(track, (await arm.look()).X_CM[:3, 3], BOOM, settings)
             begin, nominal = arm.X_BT_true(), forward(arm.q)
             d_B = np.array([-0.5, 0.3, 0.5])
-            x, _ = solve_step(fitted, fitted.R.T @ d_B, settings)
+            x, _ = solve_step(fitted, fitted.R.T @ d_B)
             await arm.move_to(transform(nominal[:3, :3], nominal[:3, 3] + x))
             went = (begin @ arm.truth.X_TC)[:3, :3].T @ (arm.X_BT_true()[:3, 3] - begin[:3, 3])
             misses[name].append(float(np.linalg.norm(went - fitted.R.T @ d_B)))
@@ -120,7 +120,7 @@ async def test_a_goal_that_is_not_known_is_refused_and_nothing_moves() -> None:
     track = await record_local_track(arm, arm, silent, MAP)
     before, vague = arm.motions, changed(goal_std_limit_m=1e-5)
     with pytest.raises(MeasurementFailed) as refused:
-        await look_then_move_corrected(arm, arm, silent, PROGRAMS.positioning, vague, track)
+        await look_then_move_corrected(arm, arm, silent, PROGRAMS.positioning, vague, BOOM, track)
     assert refused.value.cause == "measurement.ill_conditioned"
     assert arm.motions == before
 
@@ -130,7 +130,7 @@ async def test_one_shot_is_one_drive_and_nudges_end_when_odometry_sees_no_miss()
         positioning = PROGRAMS.positioning.model_copy(update={"corrections": corrections})
         arm = rig(1)
         track = await record_local_track(arm, arm, silent, MAP)
-        result = await look_then_move_corrected(arm, arm, silent, positioning, MAP, track)
+        result = await look_then_move_corrected(arm, arm, silent, positioning, MAP, BOOM, track)
         assert len(result.positioning.steps) == drives
     nudged, left = [], []
     for seed in range(6):
@@ -138,7 +138,7 @@ async def test_one_shot_is_one_drive_and_nudges_end_when_odometry_sees_no_miss()
             positioning = PROGRAMS.positioning.model_copy(update={"corrections": corrections})
             arm = rig(seed, servo_std=5e-4)
             track = await record_local_track(arm, arm, silent, MAP)
-            result = await look_then_move_corrected(arm, arm, silent, positioning, MAP, track)
+            result = await look_then_move_corrected(arm, arm, silent, positioning, MAP, BOOM, track)
             assert len(result.positioning.steps) <= corrections + 1
             errors.append(float(np.abs(arm.true_error(PROGRAMS.positioning.clearance_m)[:2]).max()))
     assert np.mean(nudged) < 0.7 * np.mean(left)
@@ -179,7 +179,7 @@ async def test_every_drive_ends_on_the_same_flank_of_the_slews_play_although_it_
             ends.add(round(arm.slew_play, 9))
             for corrections in (0, 1):
                 positioning = PROGRAMS.positioning.model_copy(update={"corrections": corrections})
-                result = await look_then_move_corrected(arm, arm, silent, positioning, settings, track)
+                result = await look_then_move_corrected(arm, arm, silent, positioning, settings, BOOM, track)
                 track = result.track
                 ends.add(round(arm.slew_play, 9))
         return ends
@@ -197,7 +197,7 @@ async def test_what_the_slews_servo_leaves_at_every_end_is_reckoned_with() -> No
             arm = rig(seed, servo_std=0.0, odometry_std_m=0.0, odometry_std=0.0)
             arm.slew_runs_on = runs_on
             track = await record_local_track(arm, arm, silent, MAP)
-            await look_then_move_corrected(arm, arm, silent, positioning, MAP, track)
+            await look_then_move_corrected(arm, arm, silent, positioning, MAP, BOOM, track)
             errors.append(arm.true_error(positioning.clearance_m))
         assert np.linalg.norm(errors[1] - errors[0]) < 1e-3
 
@@ -217,7 +217,7 @@ async def test_a_track_is_stale_once_the_arm_moved_elsewhere() -> None:
     await arm.move_to(transform(X[:3, :3], X[:3, 3] + np.array([0.0, 0.02, 0.0])))
     before = arm.motions
     with pytest.raises(MeasurementFailed) as refused:
-        await look_then_move_corrected(arm, arm, silent, PROGRAMS.positioning, MAP, track)
+        await look_then_move_corrected(arm, arm, silent, PROGRAMS.positioning, MAP, BOOM, track)
     assert refused.value.cause == "measurement.calibration_stale"
     assert arm.motions == before
 
@@ -225,7 +225,7 @@ async def test_a_track_is_stale_once_the_arm_moved_elsewhere() -> None:
 async def test_the_extended_track_serves_the_next_move() -> None:
     arm, result = await one_look(3, MAP)
     assert len(result.track.X_BT) > 60
-    again = await look_then_move_corrected(arm, arm, silent, PROGRAMS.positioning, MAP, result.track)
+    again = await look_then_move_corrected(arm, arm, silent, PROGRAMS.positioning, MAP, BOOM, result.track)
     assert again.positioning.final.inside
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from nominal_arm.dimensions import Dimensions
 from protocol.errors import MeasurementFailed, RequestRefused
 from vision_pc.application.hand_eye.driving import back_to_start, ended_in_fault, impossible
 from vision_pc.application.hand_eye.responses import (
@@ -48,12 +49,14 @@ class GuidedCalibration:
         pictures: Pictures,
         states: States,
         config: VisionConfig,
+        nominal: Dimensions,
         log: Log,
         store: SessionStore,
     ) -> None:
         self._arm = arm
         self._pictures = pictures
         self._config = config
+        self._nominal = nominal
         self._sight = HandEyeSight(arm, pictures, states, config)
         self._log = log
         self.store = store
@@ -85,7 +88,8 @@ class GuidedCalibration:
         around = guided_views.surroundings(
             self._sight.camera, view.X_BT, seen.X_CM, self._config.markers.tool.carried_m, settings
         )
-        session = Session(name, seed, settings, around)
+        links, boom = self._nominal
+        session = Session(name, seed, settings, around, links, boom.wrist_to_tool)
         check = await self._pictures.aside(lambda: checked(session, view.X_BT, seen))
         self._open(session)
         self.X_TC = None

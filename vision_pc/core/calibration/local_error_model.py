@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nominal_arm.dimensions import BoomDimensions
 from protocol.errors import MeasurementFailed
 from vision_pc.config.programs import LocalMapSettings
-from vision_pc.core.calibration.arm_fields import FIELDS, ArmShape, error_fields
+from vision_pc.core.calibration.arm_fields import FIELDS, error_fields
 from vision_pc.core.calibration.backlash import play_states, slew_angles, slew_between, slew_lever, taken_up
 from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
 from vision_pc.core.ports import Arm, Eyes, Report
@@ -52,7 +53,8 @@ class LocalMap(NamedTuple):
 
     R d = x + Φ(x) θ with the columns Φ (3, K) of ``_columns``; ``R`` (3×3) turns the axes of K into B.
     ``theta`` (K,), ``covariance`` (K, K); ``residual_m`` the rms misfit, ``condition`` that of the track's
-    spread. Holds for steps that end as the track did, with the slew's play taken up.
+    spread. Holds for steps that end as the track did, with the slew's play taken up, on an arm of
+    ``dimensions``.
     """
 
     R: Array
@@ -61,6 +63,7 @@ class LocalMap(NamedTuple):
     covariance: Array
     residual_m: float
     condition: float
+    dimensions: BoomDimensions
 
 
 async def record_local_track(arm: Arm, eyes: Eyes, report: Report, settings: LocalMapSettings) -> LocalTrack:
@@ -140,7 +143,9 @@ def refuse_poor_track(track: LocalTrack, settings: LocalMapSettings) -> None:
         )
 
 
-def fit_map(track: LocalTrack, p_CM: Array, settings: LocalMapSettings) -> LocalMap:
+def fit_map(
+    track: LocalTrack, p_CM: Array, dimensions: BoomDimensions, settings: LocalMapSettings
+) -> LocalMap:
     """The map about the track's end, from the tool marker's position ``p_CM`` (3,) in the camera.
 
     Raises MeasurementFailed (``measurement.match_poor``) when the misfit exceeds its limit.
@@ -148,9 +153,8 @@ def fit_map(track: LocalTrack, p_CM: Array, settings: LocalMapSettings) -> Local
     m = track.X_KC[:, :3, 3] + track.X_KC[:, :3, :3] @ p_CM  # marker points: the lever arm is gone
     p = track.X_BT[:, :3, 3]
     R = _kabsch(m, p)
-    shape = settings.arm.shape
-    h = play_states(slew_angles(track.X_BT, shape.tool), settings.reversal_rad)
-    columns = _columns(track.X_BT, h, track.X_BT_now, shape)
+    h = play_states(slew_angles(track.X_BT, dimensions.wrist_to_tool), settings.reversal_rad)
+    columns = _columns(track.X_BT, h, track.X_BT_now, dimensions)
     Phi = columns.reshape(-1, columns.shape[2])
     wanted = ((m - m[-1]) @ R.T - (p - p[-1])).ravel()
     std = np.repeat(np.hypot(settings.noise_std_m, settings.sway_s * track.speed), 3)
@@ -170,24 +174,23 @@ def fit_map(track: LocalTrack, p_CM: Array, settings: LocalMapSettings) -> Local
         )
     information = np.linalg.eigvalsh(rotation_information(p, np.ones(len(p))))
     condition = float(information[-1] / information[0])
-    return LocalMap(R, track.X_BT_now, theta, covariance, residual, condition)
+    return LocalMap(R, track.X_BT_now, theta, covariance, residual, condition, dimensions)
 
 
-def solve_step(fitted: LocalMap, d: Array, settings: LocalMapSettings) -> tuple[Array, Array]:
+def solve_step(fitted: LocalMap, d: Array) -> tuple[Array, Array]:
     """(x (3,): the nominal step in B that moves the marker by ``d`` (3,) in K, its covariance (3×3) in B)."""
     wanted = fitted.R @ d
-    shape = settings.arm.shape
     here = fitted.X_BT
     x, columns = wanted, np.zeros((3, len(fitted.theta)))
     for _ in range(20):
         goal = transform(here[:3, :3], here[:3, 3] + x)
-        columns = _columns(goal[None], _TAKEN_UP, here, shape)[0]
+        columns = _columns(goal[None], _TAKEN_UP, here, fitted.dimensions)[0]
         columns[:, 13:16] = 0.0  # the constant is the error of the track's end alone
         x = wanted - columns @ fitted.theta
     return x, columns @ fitted.covariance @ columns.T
 
 
-def _columns(X_BT: Array, play: Array, X_BT_now: Array, shape: ArmShape) -> Array:
+def _columns(X_BT: Array, play: Array, X_BT_now: Array, dimensions: BoomDimensions) -> Array:
     """Φ (n, 3, K) at the poses (n, 4, 4) with the slew on flanks ``play`` (n,), at the present one taken up.
 
     Zero at the present pose, but for the constant.
@@ -202,7 +205,7 @@ def _columns(X_BT: Array, play: Array, X_BT_now: Array, shape: ArmShape) -> Arra
     for axis in range(3):
         Phi[:, axis, 4 + 3 * axis : 7 + 3 * axis] = x
         Phi[:, axis, 13 + axis] = 1.0
-    fields = error_fields(np.concatenate([X_BT, X_BT_now[None]]), shape)
+    fields = error_fields(np.concatenate([X_BT, X_BT_now[None]]), dimensions)
     Phi[:, :, _FIELDS_FROM:-1] = fields[:-1] - fields[-1]
     levers = np.array([slew_lever(X) for X in X_BT])
     Phi[:, :, -1] = levers * (play - _TAKEN_UP)[:, None]
@@ -227,20 +230,23 @@ def _speeds(p: Array, time_s: Array) -> Array:
     return speeds
 
 
-def planned_covariance(X_BT: Array, speed: Array, steps: Array, settings: LocalMapSettings) -> Array:
+def planned_covariance(
+    X_BT: Array, speed: Array, steps: Array, dimensions: BoomDimensions, settings: LocalMapSettings
+) -> Array:
     """Covariances (m, 3, 3) m² in B of the ends of ``steps`` (m, 3) that a track would leave.
 
     ``X_BT`` (n, 4, 4) and ``speed`` (n,) as ``LocalTrack`` would have them; no measurement is needed: the
     information matrix depends on the path alone.
     """
-    shape, here = settings.arm.shape, X_BT[-1]
-    h = play_states(slew_angles(X_BT, shape.tool), settings.reversal_rad)
-    columns = _columns(X_BT, h, here, shape)
+    here = X_BT[-1]
+    h = play_states(slew_angles(X_BT, dimensions.wrist_to_tool), settings.reversal_rad)
+    columns = _columns(X_BT, h, here, dimensions)
     Phi = columns.reshape(-1, columns.shape[2])
     std = np.repeat(np.hypot(settings.noise_std_m, settings.sway_s * speed), 3)
     information = Phi.T @ (Phi / std[:, None] ** 2) + np.diag(_prior(settings) ** -2.0)
-    blank = LocalMap(np.eye(3), here, np.zeros(len(information)), np.linalg.inv(information), 0.0, 1.0)
-    return np.array([solve_step(blank, step, settings)[1] for step in steps])
+    covariance = np.asarray(np.linalg.inv(information))
+    blank = LocalMap(np.eye(3), here, np.zeros(len(covariance)), covariance, 0.0, 1.0, dimensions)
+    return np.array([solve_step(blank, step)[1] for step in steps])
 
 
 def camera_in_tool(track: LocalTrack, p_CM: Array) -> Array:

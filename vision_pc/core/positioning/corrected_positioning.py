@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nominal_arm.dimensions import BoomDimensions
 from protocol.errors import MeasurementFailed
 from vision_pc.config.programs import LocalMapSettings, PositioningSettings
 from vision_pc.core.calibration.backlash import slew_lever
@@ -52,6 +53,7 @@ async def look_then_move_corrected(
     report: Report,
     settings: PositioningSettings,
     map_settings: LocalMapSettings,
+    dimensions: BoomDimensions,
     track: LocalTrack,
 ) -> CorrectedResult:
     """The result of one look, two drives with a correction between them, and a look for the verdict.
@@ -72,8 +74,8 @@ async def look_then_move_corrected(
     far = float(np.linalg.norm(misses[0])) > map_settings.near_m
     parts = 2 if far and settings.corrections else 1
     while _worth_driving(misses, parts, settings):
-        fitted = fit_map(track, p_CM, map_settings)
-        x, covariance = solve_step(fitted, misses[-1], map_settings)
+        fitted = fit_map(track, p_CM, dimensions, map_settings)
+        x, covariance = solve_step(fitted, misses[-1])
         share = map_settings.first_share if len(steps) + 1 < parts else 1.0
         steps.append(_step(look, fitted, track.overrun, x, covariance, share, settings, map_settings))
         report(0.2 + 0.6 * len(steps) / (settings.corrections + 1), _in_words(misses[-1]))

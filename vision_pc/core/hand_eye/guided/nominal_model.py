@@ -1,44 +1,46 @@
-"""The arm as its drawing has it, and how what the drawing does not know moves the hand.
+"""The nominal kinematic model of the arm, and how the model's errors move the hand.
 
-Unlike the controller's model, this one only reckons with doubt: how far encoder zeros, the links' dimensions,
-bending under load and the joints' play may put the hand off the pose that the controller reports.
-Perturbations of the hand are [δp; δθ] in the hand's own axes: X_BT becomes X_BT·exp.
-Source: Mäkinen et al. 2023, (23), (24) and Table 1, for the chain; the drawing is configuration.
+The errors are those of the encoders' zeros, the links' dimensions, bending under load and backlash. Each may
+put the hand off the pose that the controller reports. Perturbations of the hand are [δp; δθ] in the hand's
+own axes: X_BT becomes X_BT·exp.
+Source: Mäkinen et al. 2023, (23), (24) and Table 1, for the chain; its numbers are those of arm.yaml.
 """
 
 import math
 
 import numpy as np
 
-from vision_pc.config.hand_eye import JOINTS, ArmDrawing
+from nominal_arm.dimensions import DhLink
+from vision_pc.config.hand_eye import JOINTS, ArmUncertainty
 from vision_pc.core.hand_eye import rigid
 from vision_pc.core.se3 import Array
 
+Links = tuple[DhLink, ...]
 ZEROS = slice(0, 8 * JOINTS, 8)  # columns of the encoders' zeros in ``shared_errors``
 
 
-def frames(drawing: ArmDrawing, q: Array) -> Array:
+def frames(links: Links, q: Array) -> Array:
     """The links' frames in B (n, links + 1, 4, 4) at angles ``q`` (n, 6) rad; the last is the hand's."""
-    F = np.tile(np.eye(4), (len(q), len(drawing.links) + 1, 1, 1))
-    for k, link in enumerate(drawing.links):
-        alpha, theta = math.radians(link.alpha_deg), np.full(len(q), math.radians(link.theta_offset_deg))
+    F = np.tile(np.eye(4), (len(q), len(links) + 1, 1, 1))
+    for k, link in enumerate(links):
+        theta = np.full(len(q), link.theta_offset)
         if k < JOINTS:
             theta = theta + q[:, k]
-        c, s, ca, sa = np.cos(theta), np.sin(theta), math.cos(alpha), math.sin(alpha)
+        c, s, ca, sa = np.cos(theta), np.sin(theta), math.cos(link.alpha), math.sin(link.alpha)
         T = np.tile(np.eye(4), (len(q), 1, 1))
         T[:, 0, :3] = np.stack([c, -s * ca, s * sa], axis=1)
         T[:, 1, :3] = np.stack([s, c * ca, -c * sa], axis=1)
         T[:, 2, 1], T[:, 2, 2] = sa, ca
-        T[:, :3, 3] = np.stack([link.a_m * c, link.a_m * s, np.full(len(q), link.d_m)], axis=1)
+        T[:, :3, 3] = np.stack([link.a * c, link.a * s, np.full(len(q), link.d)], axis=1)
         F[:, k + 1] = F[:, k] @ T
     return F
 
 
-def mismatch(drawing: ArmDrawing, q: Array, X_BT: Array) -> tuple[Array, Array]:
-    """How far the drawing puts the hand at ``q`` (n, 6) off ``X_BT`` (n, 4, 4): metres and radians (n,)."""
-    drawn = frames(drawing, q)[:, -1]
-    turn = rigid.rotation_angle(np.swapaxes(drawn[:, :3, :3], -1, -2) @ X_BT[:, :3, :3])
-    return np.linalg.norm(drawn[:, :3, 3] - X_BT[:, :3, 3], axis=1), turn
+def mismatch(links: Links, q: Array, X_BT: Array) -> tuple[Array, Array]:
+    """How far ``links`` put the hand at ``q`` (n, 6) off ``X_BT`` (n, 4, 4): metres and radians (n,)."""
+    nominal = frames(links, q)[:, -1]
+    turn = rigid.rotation_angle(np.swapaxes(nominal[:, :3, :3], -1, -2) @ X_BT[:, :3, :3])
+    return np.linalg.norm(nominal[:, :3, 3] - X_BT[:, :3, 3], axis=1), turn
 
 
 def joint_motions(F: Array) -> Array:
@@ -51,31 +53,31 @@ def joint_motions(F: Array) -> Array:
     return np.concatenate(parts, axis=1)
 
 
-def shared_errors(drawing: ArmDrawing, q: Array) -> Array:
+def shared_errors(links: Links, arm: ArmUncertainty, q: Array) -> Array:
     """What is the same in all poses, one column each for one standard deviation: (n, 6, 48).
 
     Eight for each joint, in the order of the chain: its encoder's zero (``ZEROS``), its bending under a load
     at the hand, by the load's lever, and three places and three turns of its link's end, the hand at last.
     Joint 1's zero moves as the target in B does, joint 6's as the camera in the hand: no sample tells.
     """
-    F = frames(drawing, q)
+    F = frames(links, q)
     to_hand = rigid.inverse(F[:, -1:])
     by_joint = joint_motions(F)
     raised = np.cross(F[:, :JOINTS, :3, 2], F[:, -1:, :3, 3] - F[:, :JOINTS, :3, 3])[..., 2]
     columns = []
     for k in range(JOINTS):
         axis = by_joint[:, :, k : k + 1]
-        columns.append(1e-3 * drawing.zero_std_mrad * axis)
-        columns.append(-1e-3 * drawing.bending_mrad_m[k] * raised[:, k, None, None] * axis)
+        columns.append(1e-3 * arm.zero_std_mrad * axis)
+        columns.append(-1e-3 * arm.bending_mrad_m[k] * raised[:, k, None, None] * axis)
         end = F[:, k + 1] if k + 1 < JOINTS else F[:, -1]
-        scale = 1e-3 * np.repeat([drawing.link_offset_std_mm[k], drawing.link_tilt_std_mrad[k]], 3)
+        scale = 1e-3 * np.repeat([arm.link_offset_std_mm[k], arm.link_tilt_std_mrad[k]], 3)
         columns.append(_carried(to_hand[:, 0] @ end) * scale)
     return np.concatenate(columns, axis=2)
 
 
-def play(drawing: ArmDrawing, q: Array) -> Array:
-    """What each joint's play moves the hand by in one pose, one standard deviation a column: (n, 6, 6)."""
-    return np.asarray(joint_motions(frames(drawing, q)) * 1e-3 * np.array(drawing.play_mrad))
+def backlash(links: Links, arm: ArmUncertainty, q: Array) -> Array:
+    """How far each joint's backlash moves the hand, one standard deviation a column: (n, 6, 6)."""
+    return np.asarray(joint_motions(frames(links, q)) * 1e-3 * np.array(arm.play_mrad))
 
 
 def _carried(X: Array) -> Array:

@@ -70,16 +70,16 @@ class Proposal(NamedTuple):
     choices: int
 
 
-def arm_zero_covariance(X_TC: Array, settings: GuidedSettings) -> Array:
+def arm_zero_covariance(X_TC: Array, wrist_to_tool: float, zero_std: float) -> Array:
     """What the arm's own zeros add to the covariance (6, 6) of X_TC: one constant turn of the wrist.
 
     A wrist whose encoders are off by a constant turns every X_BT by the same rotation about its centre,
-    behind T on its z axis. The samples fit as well with the camera turned the other way: they cannot know,
-    only someone who has measured the arm can.
+    ``wrist_to_tool`` (m) behind T on its z axis. The samples fit as well with the camera turned the other
+    way, so no sample shows it. ``zero_std`` (rad): of the turn about each axis.
     """
-    lever = X_TC[:3, 3] - np.array([0.0, 0.0, -settings.wrist_to_tool_m])
+    lever = X_TC[:3, 3] - np.array([0.0, 0.0, -wrist_to_tool])
     J = np.concatenate([-se3.hat(lever), np.eye(3)])
-    return np.asarray((1e-3 * settings.arm_zero_std_mrad) ** 2 * J @ J.T)
+    return np.asarray(zero_std**2 * J @ J.T)
 
 
 def believed(pairs: PosePairs, around: Surroundings, settings: GuidedSettings) -> Belief:

@@ -7,8 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nominal_arm.dimensions import DhLink
 from protocol.errors import RequestRefused
 from vision_pc.config.hand_eye import JOINTS, GuidedSettings
+from vision_pc.core.hand_eye.guided.nominal_model import Links
 from vision_pc.core.hand_eye.guided.sampling import Proposal
 from vision_pc.core.hand_eye.guided.views import Surroundings
 from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, Setup, pose_pairs
@@ -16,7 +18,9 @@ from vision_pc.core.perception.markers import corner_points
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration
 
-FORMAT = "longreach-hand-eye-session/1"
+FORMAT = "longreach-hand-eye-session/2"
+FORMAT_1 = "longreach-hand-eye-session/1"
+_WRIST_TO_TOOL_M = 0.35  # what a file of format 1 without the key meant
 JSON = dict[str, Any]
 
 
@@ -44,13 +48,16 @@ class Session:
     """A session at one instant; every change makes a new one.
 
     ``seed`` of the proposals; ``proposed`` how many were made; ``refused`` poses X_BT that the controller
-    refused, with its reason; ``proposal`` the one to go to, None once a sample was taken there.
+    refused, with its reason; ``proposal`` the one to go to, None once a sample was taken there. ``links``,
+    ``wrist_to_tool`` (m): the arm's nominal model when the session began (old files may have no links).
     """
 
     name: str
     seed: int
     settings: GuidedSettings
     around: Surroundings
+    links: Links
+    wrist_to_tool: float
     samples: tuple[Sample, ...] = ()
     proposal: Proposal | None = None
     proposed: int = 0
@@ -122,6 +129,10 @@ def to_json(session: Session) -> JSON:
         "proposed": session.proposed,
         "numbered": session.numbered,
         "settings": session.settings.model_dump(mode="json"),
+        "arm": {
+            "links": [link._asdict() for link in session.links],
+            "wrist_to_tool_m": session.wrist_to_tool,
+        },
         "camera": {"K": around.camera.left.K.tolist(), "distortion": around.camera.left.distortion.tolist()},
         "start": {
             "X_BT": around.X_BT_start.tolist(),
@@ -169,12 +180,12 @@ def from_json(document: Mapping[str, Any], camera: CameraCalibration) -> Session
     Raises RequestRefused: ``refused.hand_eye.format`` naming the key that is missing or wrong, and what
     ``pose_pairs`` refuses, naming the sample.
     """
-    if document.get("format") != FORMAT:
+    if document.get("format") not in (FORMAT, FORMAT_1):
         raise RequestRefused(
             "refused.hand_eye.format", f"format is {document.get('format')!r}, {FORMAT!r} is wanted"
         )
     try:
-        session = _read(document, camera)
+        session = _read(_upgraded(document) if document["format"] == FORMAT_1 else document, camera)
     except (KeyError, TypeError, ValueError, IndexError) as error:
         what = f"key {error}" if isinstance(error, KeyError) else " ".join(str(error).split())
         raise RequestRefused(
@@ -189,6 +200,29 @@ def from_json(document: Mapping[str, Any], camera: CameraCalibration) -> Session
     if session.samples:
         session.pairs()
     return session
+
+
+def _upgraded(document: Mapping[str, Any]) -> JSON:
+    """A file of format 1 in the keys of format 2: the nominal arm stood in the settings, in degrees."""
+    settings = dict(document["settings"])
+    wrist_to_tool_m = settings.pop("wrist_to_tool_m", _WRIST_TO_TOOL_M)
+    links: list[JSON] = []
+    if settings.get("arm") is not None:
+        arm = settings["arm"] = dict(settings["arm"])
+        links = [
+            {
+                "alpha": math.radians(link["alpha_deg"]),
+                "a": link["a_m"],
+                "theta_offset": math.radians(link["theta_offset_deg"]),
+                "d": link["d_m"],
+            }
+            for link in arm.pop("links")
+        ]
+    return {**document, "settings": settings, "arm": {"links": links, "wrist_to_tool_m": wrist_to_tool_m}}
+
+
+def _link(values: Mapping[str, Any]) -> DhLink:
+    return DhLink(*(float(_matrix(values[key], ())) for key in DhLink._fields))
 
 
 def _read(document: Mapping[str, Any], camera: CameraCalibration) -> Session:
@@ -211,6 +245,9 @@ def _read(document: Mapping[str, Any], camera: CameraCalibration) -> Session:
     names = [s.name for s in samples]
     if len(set(names)) != len(names):
         raise ValueError(f"sample names {names}: a name given twice")
+    links = tuple(_link(link) for link in document["arm"]["links"])
+    if links and len(links) < JOINTS:
+        raise ValueError(f"arm of {len(links)} links")
     if len(hidden) != 2:
         raise ValueError(f"hidden_px of {len(hidden)} eyes")
     return Session(
@@ -220,6 +257,8 @@ def _read(document: Mapping[str, Any], camera: CameraCalibration) -> Session:
         around=Surroundings(
             camera, _matrix(start["X_BT"], (4, 4)), hidden, _matrix(start["tool_in_camera_m"], (3,))
         ),
+        links=links,
+        wrist_to_tool=float(_matrix(document["arm"]["wrist_to_tool_m"], ())),
         samples=samples,
         proposal=None if p is None else _proposal(p),
         proposed=int(document["proposed"]),
