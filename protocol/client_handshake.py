@@ -5,7 +5,7 @@ from protocol.channel import Channel, LinkStatistics, unauthentic
 from protocol.datagram import Header
 from protocol.datagram_layout import VERSION_MINOR
 from protocol.faults import Reason
-from protocol.reference_messages import CAPABILITY_AUTHENTICATION, Hello, Welcome
+from protocol.reference_messages import ANY_ARM, CAPABILITY_AUTHENTICATION, Hello, Welcome
 from protocol.session_events import DatagramDropped
 
 HELLO_PERIOD_NS = 100_000_000
@@ -62,7 +62,7 @@ class ClientHandshake:
             return forged
         if header.minor > VERSION_MINOR:
             return Reason.INCOMPATIBLE_VERSION
-        if self._arm_hash not in (0, welcome.arm_hash):
+        if self._arm_hash not in (ANY_ARM, welcome.arm_hash):
             return Reason.WRONG_ARM
         return Channel(header.session, header.minor, self.channel.next_sequence, keys)
 

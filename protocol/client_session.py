@@ -13,6 +13,7 @@ from protocol.faults import Reason
 from protocol.heartbeat_tracker import HeartbeatTracker
 from protocol.open_requests import OpenRequests
 from protocol.reference_messages import (
+    ANY_ARM,
     CAPABILITY_PATHS,
     CAPABILITY_STREAMING,
     Acknowledgement,
@@ -61,7 +62,7 @@ class ReferenceClient:
     def __init__(
         self,
         nonce: int,
-        arm_hash: int = 0,
+        arm_hash: int = ANY_ARM,
         state_period_ms: int = 20,
         capabilities: int = CAPABILITY_PATHS | CAPABILITY_STREAMING,
         first_sequence: int = 1,

@@ -5,9 +5,12 @@ from typing import NamedTuple
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
 
+ANY_ARM = 0
+"""In HELLO in the place of the hash: whatever arm the controller drives."""
+
 
 class Hello(NamedTuple):
-    """Vision PC → controller: asks for a session. ``arm_hash`` 0 means any arm."""
+    """Vision PC → controller: asks for a session. ``arm_hash`` may be ``ANY_ARM``."""
 
     client_nonce: int
     capabilities: int

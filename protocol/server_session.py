@@ -11,6 +11,7 @@ from protocol.datagram_layout import VERSION_MINOR
 from protocol.errors import DatagramRefused
 from protocol.faults import Reason
 from protocol.reference_messages import (
+    ANY_ARM,
     CAPABILITY_PATHS,
     CAPABILITY_STREAMING,
     Acknowledgement,
@@ -192,7 +193,7 @@ class ReferenceServer:
         delayed = session and source == session.source and header.sent_ns < session.hello_sent_ns
         if delayed or hello.client_nonce in self._past_nonces:
             return [self._foreign("session.hello_replayed", f"nonce {hello.client_nonce:x} from {source}")]
-        if hello.arm_hash not in (0, self._arm_hash):
+        if hello.arm_hash not in (ANY_ARM, self._arm_hash):
             self._refuse(Reason.WRONG_ARM, 0, source, now_ns)
             return [self._foreign("session.wrong_arm", f"arm {hello.arm_hash:x}: this is {self._arm_hash:x}")]
         if session and source != session.source:

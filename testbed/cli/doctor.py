@@ -9,6 +9,7 @@ from rich.text import Text
 from foundation.configuration import parse_overrides
 from protocol.errors import ConfigurationError
 from testbed.realtime import doctor
+from testbed.realtime.arm_check import arm_check
 from testbed.realtime.doctor import Check
 from testbed.realtime.launch import ports_in_use
 from testbed.reporting.console import bars, out, write_json
@@ -43,6 +44,7 @@ def _all_checks(config_dir: Path, overrides: Overrides, runs: Path) -> Iterator[
     except ConfigurationError:
         return  # told above; without a configuration there are no ports to look at
     yield _peers_check(settings)
+    yield arm_check(settings.arm, settings.vision.link)
     for use in ports_in_use(settings):
         yield doctor.port_check(use)
 

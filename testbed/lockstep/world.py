@@ -9,7 +9,6 @@ image of a scan reaches the plant with the next exchange.
 from collections.abc import Callable
 from typing import NamedTuple
 
-from foundation.configuration import configuration_hash
 from foundation.link_key import read_key
 from plant_emulator.core.camera.camera_motion import STILL, CameraView, Capture
 from plant_emulator.core.camera.exposures import Exposures, Shot
@@ -83,7 +82,7 @@ class World:
         settings = self.settings
         session = ReferenceClient(
             nonce=nonce,
-            arm_hash=configuration_hash(settings.arm),
+            arm_hash=settings.vision.link.expected_arm(settings.arm),
             state_period_ms=settings.vision.link.state_period_ms,
             first_sequence=first_sequence,
             key=read_key(settings.vision.link.link_key),

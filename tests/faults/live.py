@@ -44,8 +44,8 @@ _PATIENT = ("controller.reference_link.link_timeout_ms=5000", "controller.settle
 class Machine(asyncio.DatagramProtocol):
     """Controller and plant behind one UDP port."""
 
-    def __init__(self) -> None:
-        settings = settings_of(1, _PATIENT)
+    def __init__(self, *assignments: str) -> None:
+        settings = settings_of(1, _PATIENT + assignments)
         self.registers = Registers(Plant(settings.plant, 1))
         self._side = ControllerSide(settings, 1)
         self._arrived: list[bytes] = []
@@ -53,6 +53,7 @@ class Machine(asyncio.DatagramProtocol):
         self._transport: asyncio.DatagramTransport | None = None
         self._task: asyncio.Task[None] | None = None
         self.port = 0
+        self.drives_another_arm = any(key.startswith("arm.") for key in assignments)
         self.motions: set[int] = set()
 
     async def start(self) -> None:
@@ -152,18 +153,20 @@ Act = Callable[[], Awaitable[None]]
 
 
 @asynccontextmanager
-async def live(record_dir: Path | None = None, stream: Any = None) -> AsyncIterator[LiveRig]:
-    """A rig; ``stream``: where vision's log lines go."""
+async def live(
+    record_dir: Path | None = None, stream: Any = None, machine: Machine | None = None, any_arm: bool = False
+) -> AsyncIterator[LiveRig]:
+    """A rig, enabled if ``machine`` (default: one) accepts it; ``stream``: where vision's log lines go."""
     settings = settings_of(1, _PATIENT)
-    machine = Machine()
+    machine = machine or Machine()
     await machine.start()
     log = EventLog("vision_pc", stream if stream is not None else io.StringIO())
     if record_dir is not None:
         log.record_in(record_dir)
     vision = settings.vision.model_copy(
-        update={"link": settings.vision.link.model_copy(update={"port": machine.port})}
+        update={"link": settings.vision.link.model_copy(update={"port": machine.port, "any_arm": any_arm})}
     )
-    endpoint = UdpEndpoint(vision.link, log, MonotonicClock())
+    endpoint = UdpEndpoint(vision.link, vision.link.expected_arm(settings.arm), log, MonotonicClock())
     link = endpoint.link
     await endpoint.start()
     camera = ScriptedCamera(vision.camera)
@@ -176,9 +179,10 @@ async def live(record_dir: Path | None = None, stream: Any = None) -> AsyncItera
     app = create_app(station, operations)
     transport = httpx.ASGITransport(app=app, raise_app_exceptions=False)
     try:
-        await until(lambda: link.connected and link.clock_offset, 10.0)
+        refused = machine.drives_another_arm and not any_arm
+        await until(lambda: refused or (link.connected and link.clock_offset), 10.0)
         async with httpx.AsyncClient(transport=transport, base_url="http://vision", timeout=30.0) as client:
-            assert (await client.post("/enable")).status_code == 200
+            assert refused or (await client.post("/enable")).status_code == 200
             yield LiveRig(client, app, station, operations, machine, camera, log)
     finally:
         await operations.close()

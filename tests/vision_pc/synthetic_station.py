@@ -14,6 +14,7 @@ import numpy as np
 from foundation.event_log import EventLog
 from protocol.errors import RequestRefused
 from protocol.faults import GroupState
+from protocol.reference_messages import ANY_ARM
 from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import SyntheticRig, SyntheticWatch, draw
@@ -107,7 +108,9 @@ async def bench(
     log = EventLog("vision_pc", stream)
     if record_dir is not None:
         log.record_in(record_dir)
-    endpoint = UdpEndpoint(LinkSettings(port=controller.port, state_period_ms=10), log, MonotonicClock())
+    endpoint = UdpEndpoint(
+        LinkSettings(port=controller.port, state_period_ms=10), ANY_ARM, log, MonotonicClock()
+    )
     link = endpoint.link
     await endpoint.start()
     await until(lambda: link.connected and link.clock_offset)

@@ -31,6 +31,7 @@ from vision_pc.core.se3 import Array
 _WAIT_FOR_STATE_S = 1.0
 _ACKNOWLEDGEMENT_S = 2.0
 _RECONNECT_NS = 500_000_000
+_EXPLAINED = {Reason.WRONG_ARM: "it drives another arm than arm.yaml says (compare with longreach doctor)"}
 
 
 class Submitted(NamedTuple):
@@ -150,7 +151,8 @@ class ReferenceLink:
         if self._lost_reason is None:
             return LinkLost("link.not_connected", f"{self._peer} does not answer")
         reason = self._lost_reason.name.lower()
-        return LinkLost(f"link.{reason}", f"{self._peer}: {reason.replace('_', ' ')}")
+        words = _EXPLAINED.get(self._lost_reason, reason.replace("_", " "))
+        return LinkLost(f"link.{reason}", f"{self._peer}: {words}")
 
     # Programs wait here.
     async def next_state(self) -> State:

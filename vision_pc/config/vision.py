@@ -6,9 +6,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from foundation.configuration import StrictModel
+from foundation.configuration import StrictModel, configuration_hash
 from foundation.link_key import KeySource
+from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError
+from protocol.reference_messages import ANY_ARM
 from vision_pc.config.hand_eye import CabinetSettings, GuidedSettings
 from vision_pc.config.programs import ProgramSettings
 
@@ -176,12 +178,21 @@ class RectifiedPairSettings(StrictModel):
 
 
 class LinkSettings(StrictModel):
-    """Where the controller listens, and where the key shared with it is (none: not authenticated)."""
+    """Where the controller listens, and where the key shared with it is (none: not authenticated).
+
+    The controller must drive the arm of arm.yaml, by the hash of that file's content, or refuses the session.
+    ``any_arm``: it may drive any; then nothing tells a wrong arm.yaml before the arm moves.
+    """
 
     host: str = "127.0.0.1"
     port: Port = 47000
     state_period_ms: int = Field(20, ge=1, le=1000)
     link_key: KeySource = KeySource()
+    any_arm: bool = False
+
+    def expected_arm(self, arm: NominalArm) -> int:
+        """The ``arm_hash`` to send in HELLO when ``arm`` is what arm.yaml says."""
+        return ANY_ARM if self.any_arm else configuration_hash(arm)
 
 
 class MotionSettings(StrictModel):

@@ -46,7 +46,7 @@ class VisionService:
         """Bind the REST port, then try the directories. Raises ConfigurationError."""
         self._config = config
         self._log = log
-        self._nominal = dimensions(arm)
+        self._arm = arm
         self._programs = programs
         self._socket = bound_tcp(config.api.host, config.api.port, "vision.api")
         try:
@@ -60,8 +60,8 @@ class VisionService:
     async def run(self) -> int:
         """Serve until SIGTERM or SIGINT, then end the running operation and say goodbye."""
         cv2.setNumThreads(1)  # one core is for the controller and the plant
-        config, nominal, log = self._config, self._nominal, self._log
-        endpoint = UdpEndpoint(config.link, log, MonotonicClock())
+        config, nominal, log = self._config, dimensions(self._arm), self._log
+        endpoint = UdpEndpoint(config.link, config.link.expected_arm(self._arm), log, MonotonicClock())
         self._link = link = endpoint.link
         camera = open_camera(config.camera)
         self._eyes = eyes = CameraEyes(camera, link, config, log)

@@ -15,6 +15,7 @@ from foundation.configuration import load
 from foundation.event_log import EventLog
 from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
 from protocol.faults import CommandCode, GroupState
+from protocol.reference_messages import ANY_ARM
 from tests.vision_pc.conftest import VISION_YAML
 from tests.vision_pc.rendering import Marker, draw_marker, draw_wall, facing, finish, wall_texture
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
@@ -102,7 +103,9 @@ async def bench(config: VisionConfig, pictures: Pictures, tmp_path: Path) -> Asy
     await controller.start()
     log = EventLog("vision_pc", io.StringIO())
     log.record_in(tmp_path)
-    endpoint = UdpEndpoint(LinkSettings(port=controller.port, state_period_ms=10), log, MonotonicClock())
+    endpoint = UdpEndpoint(
+        LinkSettings(port=controller.port, state_period_ms=10), ANY_ARM, log, MonotonicClock()
+    )
     link = endpoint.link
     await endpoint.start()
     played = PlayedCamera(config.camera.model_copy(update={"stale_ms": 400.0}))

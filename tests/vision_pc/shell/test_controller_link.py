@@ -11,7 +11,7 @@ import pytest
 from foundation.event_log import EventLog
 from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
 from protocol.faults import CommandCode, FaultCode, GroupState
-from protocol.reference_messages import Command, ReferencePose
+from protocol.reference_messages import ANY_ARM, Command, ReferencePose
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward
 from vision_pc.application.link_arm import LinkArm
@@ -39,7 +39,9 @@ async def controller() -> AsyncIterator[LoopbackController]:
 @pytest.fixture
 async def link(controller: LoopbackController) -> AsyncIterator[ReferenceLink]:
     log = EventLog("vision_pc", io.StringIO())
-    endpoint = UdpEndpoint(LinkSettings(port=controller.port, state_period_ms=10), log, MonotonicClock())
+    endpoint = UdpEndpoint(
+        LinkSettings(port=controller.port, state_period_ms=10), ANY_ARM, log, MonotonicClock()
+    )
     link = endpoint.link
     await endpoint.start()
     await until(lambda: link.connected and link.clock_offset is not None)
@@ -191,7 +193,7 @@ async def test_a_controller_that_is_not_there_is_named_and_found_when_it_comes()
     port = first.port
     await first.stop()
     settings = LinkSettings(port=port, state_period_ms=10)
-    endpoint = UdpEndpoint(settings, EventLog("vision_pc", io.StringIO()), MonotonicClock())
+    endpoint = UdpEndpoint(settings, ANY_ARM, EventLog("vision_pc", io.StringIO()), MonotonicClock())
     link = endpoint.link
     await endpoint.start()
     with pytest.raises(LinkLost) as lost:
@@ -233,7 +235,7 @@ async def test_commands_that_wait_end_with_the_link(
 async def test_the_log_tells_the_links_story(controller: LoopbackController) -> None:
     stream = io.StringIO()
     log = EventLog("vision_pc", stream)
-    endpoint = UdpEndpoint(LinkSettings(port=controller.port), log, MonotonicClock())
+    endpoint = UdpEndpoint(LinkSettings(port=controller.port), ANY_ARM, log, MonotonicClock())
     await endpoint.start()
     await until(lambda: endpoint.link.connected)
     await endpoint.link.command(CommandCode.ENABLE)

@@ -12,6 +12,7 @@ from foundation.link_key import KeySource, key_from_file
 from protocol.channel import LinkStatistics
 from protocol.errors import ConfigurationError, LinkLost
 from protocol.faults import CommandCode, Reason
+from protocol.reference_messages import ANY_ARM
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import SyntheticRig, draw
 from tests.vision_pc.synthetic_station import bench
@@ -36,7 +37,7 @@ def a_controller(key_file: Path | None = None) -> LoopbackController:
 
 def a_link(port: int, stream: io.StringIO, key_file: Path | None = None) -> UdpEndpoint:
     settings = LinkSettings(port=port, state_period_ms=10, link_key=KeySource(file=key_file))
-    return UdpEndpoint(settings, EventLog("vision_pc", stream), MonotonicClock())
+    return UdpEndpoint(settings, ANY_ARM, EventLog("vision_pc", stream), MonotonicClock())
 
 
 def test_every_counter_is_shown_with_its_unit() -> None:

@@ -10,6 +10,7 @@ import pytest
 from foundation.event_log import EventLog
 from protocol.errors import RequestRefused
 from protocol.faults import CommandCode, GroupState
+from protocol.reference_messages import ANY_ARM
 from tests.conformance.controllers import ControllerUnderTest
 from tests.vision_pc.shell.loopback_controller import until
 from vision_pc.application.link_arm import LinkArm
@@ -24,7 +25,7 @@ from vision_pc.shell.monotonic_clock import MonotonicClock
 async def link() -> AsyncIterator[ReferenceLink]:
     with ControllerUnderTest() as controller:
         settings = LinkSettings(port=controller.port, state_period_ms=10)
-        endpoint = UdpEndpoint(settings, EventLog("vision_pc", io.StringIO()), MonotonicClock())
+        endpoint = UdpEndpoint(settings, ANY_ARM, EventLog("vision_pc", io.StringIO()), MonotonicClock())
         link = endpoint.link
         await endpoint.start()
         await until(lambda: link.connected and link.clock_offset is not None)

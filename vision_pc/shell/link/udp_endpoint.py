@@ -14,15 +14,18 @@ from vision_pc.shell.link.link_journal import LinkJournal
 
 
 class UdpEndpoint(asyncio.DatagramProtocol):
-    """A socket to the controller at ``settings.host`` with the ``link`` over it."""
+    """A socket to the controller at ``settings.host`` with the ``link`` over it.
 
-    def __init__(self, settings: LinkSettings, log: Log, clock: Clock) -> None:
+    ``arm_hash``: of the arm that the controller must drive, or ``ANY_ARM``.
+    """
+
+    def __init__(self, settings: LinkSettings, arm_hash: int, log: Log, clock: Clock) -> None:
         self._address = (settings.host, settings.port)
         self._clock = clock
         self._transport: asyncio.DatagramTransport | None = None
         self._timer: asyncio.TimerHandle | None = None
         session = ReferenceClient(
-            secrets.randbits(64), 0, settings.state_period_ms, key=read_key(settings.link_key)
+            secrets.randbits(64), arm_hash, settings.state_period_ms, key=read_key(settings.link_key)
         )
         peer = f"controller at {settings.host}:{settings.port}"
         self.link = ReferenceLink(session, clock, self, LinkJournal(log, clock), peer)

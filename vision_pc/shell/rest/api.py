@@ -75,8 +75,10 @@ def _add_reading(app: FastAPI, application: VisionApplication, operations: Opera
             return JSONResponse({"status": "ok"} | parts)
         missing = ", ".join(name for name, answers in parts.items() if not answers)
         status = HTTPStatus.SERVICE_UNAVAILABLE
-        document = problem(status, "link.degraded", f"not answering: {missing}", instance=request.url.path)
-        return respond(document | parts)
+        trouble = link_view(controller).trouble
+        why = f"; {trouble.cause}: {trouble.detail}" if trouble else ""
+        detail = f"not answering: {missing}{why}"
+        return respond(problem(status, "link.degraded", detail, instance=request.url.path) | parts)
 
     @app.get("/state", tags=["state"], summary="The arm as the controller sees it, links and operation")
     async def state() -> JSON:

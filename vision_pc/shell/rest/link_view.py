@@ -43,11 +43,19 @@ class FarSide(BaseModel):
     references_dropped: int = Field(description="datagrams of this side that came and were not used")
 
 
+class LinkTrouble(BaseModel):
+    """Why there is no session."""
+
+    cause: str = Field(description="machine-readable, such as link.wrong_arm", examples=["link.wrong_arm"])
+    detail: str = Field(description="the same in words, with the controller's address")
+
+
 class LinkView(BaseModel):
     """The reference link: whether it is open and authenticated, and its counters on both sides."""
 
     connected: bool = Field(description="a session is open and a state has come in it")
     authenticated: bool = Field(description="every datagram of the open session is signed")
+    trouble: LinkTrouble | None = Field(description="none with a session")
     state_age_ms: float | None = Field(description="ms since the newest state; none without one")
     datagrams: LinkCounters
     dropped: int = Field(description="datagrams that came and were not used, for any cause")
@@ -58,14 +66,16 @@ class LinkView(BaseModel):
 def link_view(link: Controller) -> LinkView:
     """The link as it is now; never raises, for it is asked when something is wrong."""
     tally, clock = link.statistics, link.clock_offset
+    trouble = None
     try:
         state = link.state
         far = FarSide(references_lost=state.references_lost, references_dropped=state.references_dropped)
-    except LinkLost:
-        far = None
+    except LinkLost as error:
+        far, trouble = None, LinkTrouble(cause=error.cause, detail=str(error))
     return LinkView(
         connected=link.connected,
         authenticated=link.authenticated,
+        trouble=trouble,
         state_age_ms=None if far is None else round(link.state_age_ns / 1e6, 3),
         datagrams=LinkCounters(**asdict(tally)),
         dropped=tally.dropped,
