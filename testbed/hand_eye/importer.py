@@ -186,11 +186,11 @@ def _pairs(
     options: ImportOptions,
     corners: CornerViews | None = None,
 ) -> PosePairs:
-    X_CT = np.stack(cameras) if cameras else np.zeros((0, 4, 4))
-    X_BH = np.stack(hands) if hands else np.zeros((0, 4, 4))
+    X_CP = np.stack(cameras) if cameras else np.zeros((0, 4, 4))
+    X_BT = np.stack(hands) if hands else np.zeros((0, 4, 4))
     if options.camera_in_target:
-        X_CT = rigid.inverse(X_CT)
-    return pose_pairs(X_BH, X_CT, setup, tuple(names), corners)
+        X_CP = rigid.inverse(X_CP)
+    return pose_pairs(X_BT, X_CP, setup, tuple(names), corners)
 
 
 def _from_csv(text: str, options: ImportOptions) -> PosePairs:

@@ -97,11 +97,11 @@ def pair(
             f"only {int(usable.sum())} camera poses have a hand pose within {pairing.gap_s:g} s; "
             "check the clocks or give an offset",
         )
-    X_BH = interpolated(hand, times[usable])
-    X_CT = rigid.inverse(camera.X[usable]) if options.camera_in_target else camera.X[usable]
-    chosen = _chosen(times[usable], X_BH, X_CT, pairing)
+    X_BT = interpolated(hand, times[usable])
+    X_CP = rigid.inverse(camera.X[usable]) if options.camera_in_target else camera.X[usable]
+    chosen = _chosen(times[usable], X_BT, X_CP, pairing)
     names = tuple(f"t={camera.time_s[usable][k]:.3f}" for k in chosen)
-    return pose_pairs(X_BH[chosen], X_CT[chosen], options.setup or Setup.EYE_IN_HAND, names), offset
+    return pose_pairs(X_BT[chosen], X_CP[chosen], options.setup or Setup.EYE_IN_HAND, names), offset
 
 
 def interpolated(trajectory: Trajectory, times: Array) -> Array:
@@ -127,19 +127,19 @@ def _speeds(time_s: Array, X: Array, window_s: float = 0.15) -> tuple[Array, Arr
     ) / duration
 
 
-def _chosen(times: Array, X_BH: Array, X_CT: Array, pairing: PairingOptions) -> NDArray[np.intp]:
+def _chosen(times: Array, X_BT: Array, X_CP: Array, pairing: PairingOptions) -> NDArray[np.intp]:
     """Indices of the moments to use, in order of time."""
     if 1.0 / float(np.median(np.diff(times))) < _RECORDING_HZ:
         return np.arange(len(times))
-    spin_h, move_h = _speeds(times, X_BH)
-    spin_c, move_c = _speeds(times, X_CT)
+    spin_h, move_h = _speeds(times, X_BT)
+    spin_c, move_c = _speeds(times, X_CP)
     limit = math.radians(pairing.spacing_deg)
     restless = (spin_h + spin_c) / limit + (move_h + move_c) / pairing.spacing_m
     taken: list[int] = []
     for k in np.argsort(restless, kind="stable"):
-        others = X_BH[taken]
-        turned = rigid.rotation_angle(np.swapaxes(others[:, :3, :3], -1, -2) @ X_BH[k, :3, :3])
-        moved = np.linalg.norm(others[:, :3, 3] - X_BH[k, :3, 3], axis=-1)
+        others = X_BT[taken]
+        turned = rigid.rotation_angle(np.swapaxes(others[:, :3, :3], -1, -2) @ X_BT[k, :3, :3])
+        moved = np.linalg.norm(others[:, :3, 3] - X_BT[k, :3, 3], axis=-1)
         if ((turned > limit) | (moved > pairing.spacing_m)).all():
             taken.append(int(k))
         if len(taken) == pairing.most:

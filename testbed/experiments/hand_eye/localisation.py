@@ -162,21 +162,21 @@ def simulated_session(rig: Rig, rng: np.random.Generator) -> Session:
     measured = np.stack([_pose_of(points, seen) for seen in pixels])
     turn = rigid.rotation_exp(rng.normal(size=(TAKEN, 3)) * math.radians(rig.robot_rotation_deg))
     shift = rng.normal(size=(TAKEN, 3)) * 1e-3 * rig.robot_translation_mm
-    X_BH = rigid.pose(scene.X_BH[:, :3, :3] @ turn, scene.X_BH[:, :3, 3] + shift)
+    X_BT = rigid.pose(scene.X_BT[:, :3, :3] @ turn, scene.X_BT[:, :3, 3] + shift)
     for k in range(KEPT, TAKEN):  # sampled before the arm had settled
         moving = rng.normal(size=3)
-        X_BH[k, :3, 3] += moving / np.linalg.norm(moving) * rng.uniform(0.02, 0.1)
-        X_BH[k, :3, :3] = X_BH[k, :3, :3] @ rigid.rotation_exp(rng.normal(size=3) * math.radians(4.0))
+        X_BT[k, :3, 3] += moving / np.linalg.norm(moving) * rng.uniform(0.02, 0.1)
+        X_BT[k, :3, :3] = X_BT[k, :3, :3] @ rigid.rotation_exp(rng.normal(size=3) * math.radians(4.0))
     corners = CornerViews(points, pixels, PAPER_K, np.zeros(5))
-    taken = pose_pairs(X_BH, measured, Setup.EYE_IN_HAND, corners=corners)
+    taken = pose_pairs(X_BT, measured, Setup.EYE_IN_HAND, corners=corners)
     kept = pose_pairs(
-        X_BH[:KEPT], measured[:KEPT], Setup.EYE_IN_HAND, corners=corners._replace(pixels=pixels[:KEPT])
+        X_BT[:KEPT], measured[:KEPT], Setup.EYE_IN_HAND, corners=corners._replace(pixels=pixels[:KEPT])
     )
     return Session(scene, taken, kept)
 
 
-def _projected(X_CT: Array, points: Array) -> Array:
-    p = points @ X_CT[:3, :3].T + X_CT[:3, 3]
+def _projected(X_CP: Array, points: Array) -> Array:
+    p = points @ X_CP[:3, :3].T + X_CP[:3, 3]
     pixels: Array = (p @ PAPER_K.T)[:, :2] / p[:, 2:]
     return pixels
 
@@ -220,8 +220,8 @@ def _solved(pairs: PosePairs, method: Method) -> Array | None:
 class _Points(NamedTuple):
     """For each repetition: the hand's true and reported pose, the point in the camera and its truth."""
 
-    X_BH: Array
-    X_BH_reported: Array
+    X_BT: Array
+    X_BT_reported: Array
     measured: Array
     true: Array
 
@@ -230,18 +230,18 @@ def _repetitions(scene: Scene, rig: Rig, repetitions: int, rng: np.random.Genera
     """The tasks' points as seen from ``repetitions`` poses around the calibrated ones."""
     found = {}
     for task, offset in TASKS.items():
-        start = scene.X_BH[rng.integers(len(scene.X_BH), size=repetitions)]
+        start = scene.X_BT[rng.integers(len(scene.X_BT), size=repetitions)]
         wander = rigid.rotation_exp(rng.normal(size=(repetitions, 3)) * math.radians(5.0))
-        X_BH = rigid.pose(
+        X_BT = rigid.pose(
             start[:, :3, :3] @ wander, start[:, :3, 3] + rng.normal(size=(repetitions, 3)) * 0.03
         )
         turn = rigid.rotation_exp(rng.normal(size=(repetitions, 3)) * math.radians(rig.robot_rotation_deg))
         shift = rng.normal(size=(repetitions, 3)) * 1e-3 * rig.robot_translation_mm
-        reported = rigid.pose(X_BH[:, :3, :3] @ turn, X_BH[:, :3, 3] + shift)
+        reported = rigid.pose(X_BT[:, :3, :3] @ turn, X_BT[:, :3, 3] + shift)
         in_base = scene.Z @ np.append(offset, 1.0)
-        true = (rigid.inverse(X_BH @ scene.X) @ in_base)[:, :3]
+        true = (rigid.inverse(X_BT @ scene.X) @ in_base)[:, :3]
         sigma = 1e-3 * np.array([rig.point_across_mm, rig.point_across_mm, rig.point_along_mm])
-        found[task] = _Points(X_BH, reported, true + rng.normal(size=true.shape) * sigma, true)
+        found[task] = _Points(X_BT, reported, true + rng.normal(size=true.shape) * sigma, true)
     return found
 
 
@@ -249,15 +249,15 @@ def _located(points: dict[str, _Points], X: Array, X_true: Array) -> tuple[Array
     """Errors (tasks, repetitions) in mm: of the whole chain, and of X alone with all else true."""
     total, bias = [], []
     for p in points.values():
-        truth = _through(p.X_BH, X_true, p.true)
-        total.append(1e3 * np.linalg.norm(_through(p.X_BH_reported, X, p.measured) - truth, axis=1))
-        bias.append(1e3 * np.linalg.norm(_through(p.X_BH, X, p.true) - truth, axis=1))
+        truth = _through(p.X_BT, X_true, p.true)
+        total.append(1e3 * np.linalg.norm(_through(p.X_BT_reported, X, p.measured) - truth, axis=1))
+        bias.append(1e3 * np.linalg.norm(_through(p.X_BT, X, p.true) - truth, axis=1))
     return np.array(total), np.array(bias)
 
 
-def _through(X_BH: Array, X: Array, points: Array) -> Array:
+def _through(X_BT: Array, X: Array, points: Array) -> Array:
     inside = points @ X[:3, :3].T + X[:3, 3]
-    located: Array = (X_BH[:, :3, :3] @ inside[..., None])[..., 0] + X_BH[:, :3, 3]
+    located: Array = (X_BT[:, :3, :3] @ inside[..., None])[..., 0] + X_BT[:, :3, 3]
     return located
 
 

@@ -46,15 +46,15 @@ PRINTED_X = np.array(
 
 
 class Scene(NamedTuple):
-    """The truth, eye in hand: ``X_BH`` (n, 4, 4), the unknowns ``X`` and ``Z`` (4, 4) of H X P = Z."""
+    """The truth, eye in hand: ``X_BT`` (n, 4, 4), the unknowns ``X`` and ``Z`` (4, 4) of H X P = Z."""
 
-    X_BH: Array
+    X_BT: Array
     X: Array
     Z: Array
 
     def P(self) -> Array:
         """The target in the camera without noise (n, 4, 4)."""
-        return ml.predicted(self.X_BH, self.X, self.Z)
+        return ml.predicted(self.X_BT, self.X, self.Z)
 
 
 def table_1_scene() -> Scene:
@@ -91,9 +91,9 @@ def small_rotation_scene(rng: np.random.Generator, poses: int, largest_deg: floa
     """
     X = rigid.pose(rigid.rotation_exp(_ball(rng, 1)[0] * math.radians(10.0)), np.array([-0.20, -0.05, -0.40]))
     turns = _sphere(rng, poses) * math.radians(0.5 * largest_deg) * 0.999
-    X_BH = rigid.pose(rigid.rotation_exp(turns), rng.uniform(-0.15, 0.15, (poses, 3)))
+    X_BT = rigid.pose(rigid.rotation_exp(turns), rng.uniform(-0.15, 0.15, (poses, 3)))
     facing = rigid.pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
-    return Scene(X_BH, X, X @ facing)
+    return Scene(X_BT, X, X @ facing)
 
 
 def _sphere(rng: np.random.Generator, count: int) -> Array:
@@ -130,12 +130,12 @@ def measured_with_bad(
     A gross error is a turn of 10° to 60° about any axis and a shift of 50 to 300 mm, as a mistaken marker
     or a pose from another time gives.
     """
-    count = len(scene.X_BH)
+    count = len(scene.X_BT)
     P = rigid.pose(*_disturbed_left(scene.P(), n.camera_rotation, n.camera_translation, rng))
     hand_turn = rigid.rotation_exp(rng.normal(size=(count, 3)) * n.robot_rotation)
-    X_BH = rigid.pose(
-        scene.X_BH[:, :3, :3] @ hand_turn,
-        scene.X_BH[:, :3, 3] + rng.normal(size=(count, 3)) * n.robot_translation,
+    X_BT = rigid.pose(
+        scene.X_BT[:, :3, :3] @ hand_turn,
+        scene.X_BT[:, :3, 3] + rng.normal(size=(count, 3)) * n.robot_translation,
     )
     spoiled = rng.choice(count, bad, replace=False)
     for k in spoiled:
@@ -143,12 +143,12 @@ def measured_with_bad(
         turn = axis / np.linalg.norm(axis) * math.radians(rng.uniform(10.0, 60.0))
         shift = aim / np.linalg.norm(aim) * rng.uniform(0.05, 0.3)
         P[k] = rigid.pose(rigid.rotation_exp(turn) @ P[k, :3, :3], P[k, :3, 3] + shift)
-    return pose_pairs(X_BH, P, Setup.EYE_IN_HAND), {str(k + 1) for k in spoiled}
+    return pose_pairs(X_BT, P, Setup.EYE_IN_HAND), {str(k + 1) for k in spoiled}
 
 
 def measured_motions(scene: Scene, n: Noise, rng: np.random.Generator) -> Motions:
     """The motions from each pose to the next, with camera noise on each relative motion by itself."""
-    H, P = scene.X_BH, scene.P()
+    H, P = scene.X_BT, scene.P()
     A = rigid.inverse(H[1:]) @ H[:-1]
     B = rigid.pose(
         *_disturbed_left(P[1:] @ rigid.inverse(P[:-1]), n.camera_rotation, n.camera_translation, rng)
@@ -173,13 +173,13 @@ class Bound(NamedTuple):
 def bound(scene: Scene, n: Noise, relative: bool = False) -> Bound:
     """The Cramér-Rao bound of X for that noise on absolute poses, or on the motions in sequence."""
     if relative:
-        H = scene.X_BH
+        H = scene.X_BT
         A = rigid.inverse(H[1:]) @ H[:-1]
         B = rigid.inverse(scene.X) @ A @ scene.X
         equations = Equations(rigid.inverse(A), B, np.ones(len(A)), tied=True)
         target = scene.X
     else:
-        equations = Equations(scene.X_BH, scene.P(), np.ones(len(scene.X_BH)))
+        equations = Equations(scene.X_BT, scene.P(), np.ones(len(scene.X_BT)))
         target = scene.Z
     J = ml.jacobian(equations, scene.X, target, np.zeros((len(equations.H), 6)))
     white = ml.whitened(ml.whitener(equations, scene.X, target, n), J).reshape(-1, J.shape[-1])

@@ -187,7 +187,7 @@ def _block(trial: Trial, runs: range, seed: int, chosen: tuple[Method, ...]) -> 
         scene = trial.scene(rng)
         pairs, spoiled = scenes.measured_with_bad(scene, n, rng, trial.bad)
         good = np.array([k for k in range(trial.samples) if str(k + 1) not in spoiled])
-        bounds.append(tuple(scenes.bound(scene._replace(X_BH=scene.X_BH[good]), n)))
+        bounds.append(tuple(scenes.bound(scene._replace(X_BT=scene.X_BT[good]), n)))
         for method in chosen:
             try:
                 tallies[method.value].enter(methods.solve(pairs, method), scene.X, spoiled)

@@ -101,7 +101,7 @@ def command() -> typer.Typer:
 
 def samples_file(tmp_path: Path) -> tuple[Path, Array]:
     scene = random_scene(np.random.default_rng(60))
-    bare = [[H.tolist(), P.tolist()] for H, P in zip(scene.X_BH, scene.P(), strict=True)]
+    bare = [[H.tolist(), P.tolist()] for H, P in zip(scene.X_BT, scene.P(), strict=True)]
     path = tmp_path / "samples.json"
     path.write_text(json.dumps(bare), encoding="utf-8")
     return path, scene.X

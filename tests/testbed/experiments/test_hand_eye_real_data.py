@@ -45,7 +45,7 @@ def test_moveit_with_bad_samples_keeps_the_camera() -> None:
     spoiled = rng.choice(50, 8, replace=False)
     for k in spoiled:
         P[k, :3, 3] += rng.normal(size=3) * 0.1
-    result = methods.solve(pose_pairs(pairs.X_BH, P, pairs.setup))
+    result = methods.solve(pose_pairs(pairs.X_BT, P, pairs.setup))
     assert set(np.flatnonzero(~result.inliers)) == set(spoiled)
     assert np.linalg.norm(result.X[:3, 3] - real_data.moveit_reference()[:3, 3]) < 0.003
 

@@ -53,7 +53,7 @@ def document(scene: Scene, form: str = "q_wxyz") -> dict[str, Any]:
             "settled": True,
             "marker_id": 582,
         }
-        for k, (H, P) in enumerate(zip(scene.X_BH, scene.P(), strict=True))
+        for k, (H, P) in enumerate(zip(scene.X_BT, scene.P(), strict=True))
     ]
     return {
         "format": FORMAT,
@@ -82,7 +82,7 @@ def test_every_way_of_writing_a_pose_is_read(tmp_path: Path, scene: Scene, form:
 
 
 def test_bare_pairs_of_matrices_are_read(tmp_path: Path, scene: Scene) -> None:
-    bare = [[H.tolist(), P.tolist()] for H, P in zip(scene.X_BH, scene.P(), strict=True)]
+    bare = [[H.tolist(), P.tolist()] for H, P in zip(scene.X_BT, scene.P(), strict=True)]
     pairs = load(saved(tmp_path, bare), ImportOptions(setup=Setup.EYE_TO_HAND))
     assert pairs.setup is Setup.EYE_TO_HAND
     np.testing.assert_allclose(pairs.P, exact_pairs(scene).P, atol=1e-12)
@@ -212,7 +212,7 @@ CSV_HEADER = (
 
 def csv_text(scene: Scene) -> str:
     lines = ["# six samples", CSV_HEADER]
-    for k, (H, P) in enumerate(zip(scene.X_BH, scene.P(), strict=True)):
+    for k, (H, P) in enumerate(zip(scene.X_BT, scene.P(), strict=True)):
         q = rigid.quaternion(H[None, :3, :3])[0]
         v = np.degrees(rigid.rotation_log(P[None, :3, :3])[0])
         values = [*(1e3 * H[:3, 3]), *q, *P[:3, 3], *v]
@@ -271,7 +271,7 @@ def recording(offset_s: float = 0.0) -> tuple[Scene, Trajectory, Trajectory]:
         return rigid.pose(rigid.rotation_exp(v), p)
 
     t_hand, t_camera = np.arange(0.0, 20.0, 0.01), np.arange(0.5, 19.5, 1.0 / 30.0)
-    P = scene._replace(X_BH=hand_at(t_camera)).P()
+    P = scene._replace(X_BT=hand_at(t_camera)).P()
     return scene, Trajectory(t_hand, hand_at(t_hand)), Trajectory(t_camera - offset_s, P)
 
 
@@ -299,7 +299,7 @@ def test_recordings_are_paired_and_their_clocks_aligned(tmp_path: Path, offset: 
 def test_chosen_moments_are_apart(tmp_path: Path) -> None:
     _, hand, camera = recording()
     pairs, _ = trajectories.pair(hand, camera, PairingOptions(spacing_deg=8.0, spacing_m=0.08))
-    X = pairs.X_BH
+    X = pairs.X_BT
     for k in range(len(X)):
         others = np.delete(X, k, axis=0)
         turned = rigid.rotation_angle(np.swapaxes(others[:, :3, :3], -1, -2) @ X[k, :3, :3])
@@ -310,7 +310,7 @@ def test_chosen_moments_are_apart(tmp_path: Path) -> None:
 def test_a_list_of_poses_is_used_whole() -> None:
     scene = random_scene(np.random.default_rng(52), 9)
     times = 10.0 * np.arange(9.0)
-    pairs, _ = trajectories.pair(Trajectory(times, scene.X_BH), Trajectory(times, scene.P()))
+    pairs, _ = trajectories.pair(Trajectory(times, scene.X_BT), Trajectory(times, scene.P()))
     assert len(pairs) == 9
     np.testing.assert_allclose(methods.solve(pairs).X, scene.X, atol=1e-9)
 

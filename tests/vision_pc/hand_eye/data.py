@@ -22,8 +22,8 @@ def random_scene(rng: np.random.Generator, count: int = 12) -> Scene:
 
 def exact_pairs(scene: Scene, setup: Setup = Setup.EYE_IN_HAND) -> PosePairs:
     """Noise-free samples of ``scene``, whose H is the hand's pose or its inverse."""
-    X_BH = scene.X_BH if setup is Setup.EYE_IN_HAND else rigid.inverse(scene.X_BH)
-    return pose_pairs(X_BH, scene.P(), setup)
+    X_BT = scene.X_BT if setup is Setup.EYE_IN_HAND else rigid.inverse(scene.X_BT)
+    return pose_pairs(X_BT, scene.P(), setup)
 
 
 def noisy_pairs(

@@ -11,7 +11,7 @@ from protocol.errors import MeasurementFailed
 from tests.vision_pc.hand_eye.still_rig import CONFIGS, X_BT_START, StillRig, still_settings
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.guided import cabinet
-from vision_pc.core.hand_eye.guided.cabinet import Drawing, Target
+from vision_pc.core.hand_eye.guided.cabinet import CabinetLocator, Drawing, Target
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.types import CameraCalibration, StereoPair
 
@@ -54,7 +54,7 @@ async def test_targets_are_located_to_half_a_millimetre(
     tmp_path: Path, turn_deg: tuple[float, float, float]
 ) -> None:
     pair, camera, true = await seen(tmp_path, turn_deg)
-    for target, place in zip(cabinet.locate(pair, drawing(), camera), true, strict=True):
+    for target, place in zip(CabinetLocator(drawing()).locate(pair, camera), true, strict=True):
         assert np.abs(target.p_C - place)[:2].max() < 0.2e-3
         assert abs(target.p_C[2] - place[2]) < 0.8e-3
         assert target.gap_px < 0.1
@@ -65,7 +65,7 @@ async def test_a_hidden_target_is_named(tmp_path: Path) -> None:
     u, v = intrinsics.project(camera.right, true[2:3])[0].round().astype(int)
     pair.right[v - 30 : v + 31, u - 30 : u + 31] = 90
     with pytest.raises(MeasurementFailed, match="key hole") as told:
-        cabinet.locate(pair, drawing(), camera)
+        CabinetLocator(drawing()).locate(pair, camera)
     assert told.value.cause == "measurement.hand_eye.target_not_seen"
 
 
@@ -73,11 +73,25 @@ async def test_a_target_in_the_wrong_place_is_refused(tmp_path: Path) -> None:
     pair, camera, _ = await seen(tmp_path, (0.0, 0.0, 0.0))
     honest = drawing()
     knob, *others = honest.targets
-    found = cabinet.locate(pair, honest, camera)
+    found = CabinetLocator(honest).locate(pair, camera)
     moved = (found[0]._replace(p_C=found[0].p_C + np.array([0.01, 0.0, 0.0])), *found[1:])
     with pytest.raises(MeasurementFailed, match=r"knob: .* mm nearer to or farther") as told:
         cabinet._refuse_strangers(moved, honest._replace(targets=(knob, *others)))
     assert told.value.cause == "measurement.hand_eye.target_not_seen"
+
+
+async def test_a_locator_knows_its_own_drawing_alone(tmp_path: Path) -> None:
+    """Not that of another one whose picture lay in the same memory."""
+    pair, camera, _ = await seen(tmp_path, (0.0, 0.0, 0.0))
+    drawn = drawing()
+    first = CabinetLocator(drawn)
+    found = first.locate(pair, camera)
+    drawn.picture[:] = 127
+    with pytest.raises(MeasurementFailed, match="0 features of the cabinet's drawing"):
+        CabinetLocator(drawn).locate(pair, camera)
+    drawn.picture[:] = drawing().picture
+    again = first.locate(pair, camera)
+    assert [t.p_C.tolist() for t in again] == [t.p_C.tolist() for t in found]
 
 
 def test_a_bare_wall_shows_no_cabinet(tmp_path: Path) -> None:
@@ -86,5 +100,5 @@ def test_a_bare_wall_shows_no_cabinet(tmp_path: Path) -> None:
     pair = StereoPair(np.asarray(wall, dtype=np.uint8), np.asarray(wall, dtype=np.uint8), 0, 0)
     camera = intrinsics.calibration(still_settings().vision.camera)
     with pytest.raises(MeasurementFailed, match="features of the cabinet's drawing") as told:
-        cabinet.locate(pair, drawing(), camera)
+        CabinetLocator(drawing()).locate(pair, camera)
     assert told.value.cause == "measurement.hand_eye.cabinet_not_seen"

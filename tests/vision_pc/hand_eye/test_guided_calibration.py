@@ -291,6 +291,7 @@ async def test_the_session_over_rest(tmp_path: Path) -> None:
         await operations.close()
         proposal = (await client.post("/hand-eye/session/propose")).json()
         assert proposal["choices"] > 5
+        assert proposal["X_CT"] == proposal["X_CP"]  # the former name, still there
         assert (await done("go"))["state"] == "succeeded"
         rig.drift_mrad, rig.settled = 5.0, False
         failed = await done("sample")

@@ -29,8 +29,8 @@ CAMERA = intrinsics.calibration(still_settings().vision.camera)
 X_TC = guided_views.nominal_mount(SETTINGS) @ se3.transform(
     se3.exp_so3([0.05, -0.04, 0.03]), [0.01, -0.01, 0.005]
 )
-X_CT_START = se3.transform(np.diag([1.0, -1.0, -1.0]), [-0.05, 0.02, 0.8])
-Z = X_BT_START @ X_TC @ X_CT_START
+X_CP_START = se3.transform(np.diag([1.0, -1.0, -1.0]), [-0.05, 0.02, 0.8])
+Z = X_BT_START @ X_TC @ X_CP_START
 AROUND = guided_views.surroundings(
     CAMERA, X_BT_START, se3.transform(np.diag([1.0, -1.0, -1.0]), [0.2, 0.05, 0.4]),
     still_settings().vision.markers.tool.carried_m, SETTINGS,
@@ -61,17 +61,17 @@ def test_every_proposal_keeps_view_turn_reach_and_clearance() -> None:
     for seed in range(30):
         rng = np.random.default_rng(seed)
         proposal = guided_sampling.propose(belief, AROUND, SETTINGS, rng, informative=seed % 2 == 0)
-        X_CT = predicted(proposal.X_BT[None], belief.X, belief.Z)[0]
-        assert np.allclose(X_CT, proposal.X_CT, atol=1e-9)
-        assert 0.55 <= np.linalg.norm(X_CT[:3, 3]) <= 0.85
+        X_CP = predicted(proposal.X_BT[None], belief.X, belief.Z)[0]
+        assert np.allclose(X_CP, proposal.X_CP, atol=1e-9)
+        assert 0.55 <= np.linalg.norm(X_CP[:3, 3]) <= 0.85
         assert math.degrees(proposal.obliquity) <= 40.001
         assert math.degrees(se3.angle_between(proposal.X_BT[:3, :3], X_BT_START[:3, :3])) <= 60.001
         assert np.linalg.norm(proposal.X_BT[:3, 3] - X_BT_START[:3, 3]) <= 0.6
-        tool_above_plane = (np.array([0.2, 0.05, 0.4]) - X_CT[:3, 3]) @ X_CT[:3, 2]
+        tool_above_plane = (np.array([0.2, 0.05, 0.4]) - X_CP[:3, 3]) @ X_CP[:3, 2]
         assert tool_above_plane >= 0.08
         corners = np.array([[x, y, 0.0] for x in (-0.0375, 0.0375) for y in (-0.0375, 0.0375)])
         for eye, hidden in zip((CAMERA.left, CAMERA.right), AROUND.hidden, strict=True):
-            pixels = intrinsics.project(eye, se3.apply(X_CT, corners))
+            pixels = intrinsics.project(eye, se3.apply(X_CP, corners))
             assert (pixels > 39.9).all()
             assert (pixels < np.array([1240.1, 680.1])).all()
             for u0, v0, u1, v1 in hidden:

@@ -188,7 +188,7 @@ def test_the_order_of_samples_changes_nothing_and_a_bad_one_is_left_out() -> Non
     rng = np.random.default_rng(6)
     session = taken(rng, World(rng.normal(size=6) * 0.003, np.zeros(6), np.zeros(6)), uncertainty())
     bad = session.samples[4]
-    spoiled = bad._replace(X_CT=se3.retract(bad.X_CT, [0.02, 0.0, 0.01, 0.05, 0.0, 0.0]))
+    spoiled = bad._replace(X_CP=se3.retract(bad.X_CP, [0.02, 0.0, 0.01, 0.05, 0.0, 0.0]))
     session = replace(session, samples=(*session.samples[:4], spoiled, *session.samples[5:]))
     shuffled = replace(session, samples=tuple(session.samples[k] for k in rng.permutation(17)))
     one, other = guided_solution.solve(session), guided_solution.solve(shuffled)
@@ -229,6 +229,8 @@ def test_a_file_of_format_1_loads_and_is_solved_as_before() -> None:
     session = sessions.from_json(document, CAMERA)
     assert (session.links, session.wrist_to_tool) == (LINKS, BOOM.wrist_to_tool)
     assert session.settings.arm == uncertainty()
+    assert session.proposal is not None
+    assert session.proposal.X_CP.tolist() == document["proposal"]["X_CT"]
     found = guided_solution.solve(session)
     solved_then = [-0.190375972632, -0.060789844101, -0.380374937301]
     assert found.result.X[:3, 3] == pytest.approx(solved_then, abs=1e-7)
@@ -236,6 +238,7 @@ def test_a_file_of_format_1_loads_and_is_solved_as_before() -> None:
     assert found.arm.zeros[3] == pytest.approx(0.003792422923, abs=1e-7)
     again = sessions.to_json(session)
     assert again["format"] == sessions.FORMAT
+    assert "X_CT" not in json.dumps(again)
     assert sessions.to_json(sessions.from_json(again, CAMERA)) == again
     del document["settings"]["arm"]["links"][2]["d_m"]
     with pytest.raises(RequestRefused, match="'d_m' is missing") as told:

@@ -57,7 +57,7 @@ def freeze_camera(hand: Array, camera: Array) -> None:
 )
 def test_a_bad_sample_is_refused_by_name(spoil: Spoil, cause: str, named: str) -> None:
     scene = random_scene(np.random.default_rng(1), 8)
-    hand, camera = scene.X_BH.copy(), scene.P()
+    hand, camera = scene.X_BT.copy(), scene.P()
     spoil(hand, camera)
     with pytest.raises(RequestRefused, match=named) as caught:
         pose_pairs(hand, camera, names=NAMES)
@@ -67,15 +67,15 @@ def test_a_bad_sample_is_refused_by_name(spoil: Spoil, cause: str, named: str) -
 def test_mismatched_counts_are_refused() -> None:
     scene = random_scene(np.random.default_rng(1), 8)
     with pytest.raises(RequestRefused, match="8 hand poses but 7 camera poses") as caught:
-        pose_pairs(scene.X_BH, scene.P()[:7])
+        pose_pairs(scene.X_BT, scene.P()[:7])
     assert caught.value.cause == "refused.hand_eye.count"
     with pytest.raises(RequestRefused, match="must be"):
-        pose_pairs(scene.X_BH[0], scene.P()[0])
+        pose_pairs(scene.X_BT[0], scene.P()[0])
 
 
 def test_rounded_rotations_are_made_exact() -> None:
     scene = random_scene(np.random.default_rng(2), 8)
-    pairs = pose_pairs(np.round(scene.X_BH, 4), np.round(scene.P(), 4))
+    pairs = pose_pairs(np.round(scene.X_BT, 4), np.round(scene.P(), 4))
     R = pairs.H[:, :3, :3]
     np.testing.assert_allclose(R @ np.swapaxes(R, -1, -2), np.broadcast_to(np.eye(3), R.shape), atol=1e-14)
 
@@ -84,8 +84,8 @@ def test_order_is_canonical_and_remembered() -> None:
     scene = random_scene(np.random.default_rng(3), 8)
     P = scene.P()
     shuffle = np.random.default_rng(4).permutation(8)
-    one = pose_pairs(scene.X_BH, P, names=NAMES)
-    other = pose_pairs(scene.X_BH[shuffle], P[shuffle], names=tuple(NAMES[k] for k in shuffle))
+    one = pose_pairs(scene.X_BT, P, names=NAMES)
+    other = pose_pairs(scene.X_BT[shuffle], P[shuffle], names=tuple(NAMES[k] for k in shuffle))
     assert one.names == other.names
     assert np.array_equal(one.H, other.H)
     assert np.array_equal(one.P, other.P)
@@ -94,6 +94,6 @@ def test_order_is_canonical_and_remembered() -> None:
 
 def test_eye_to_hand_inverts_the_robot() -> None:
     scene = random_scene(np.random.default_rng(5), 8)
-    pairs = pose_pairs(scene.X_BH, scene.P(), Setup.EYE_TO_HAND)
-    np.testing.assert_allclose(pairs.H @ pairs.X_BH, np.broadcast_to(np.eye(4), (8, 4, 4)), atol=1e-14)
-    np.testing.assert_allclose(rigid.inverse(pairs.H)[0], scene.X_BH[pairs.order[0]], atol=1e-14)
+    pairs = pose_pairs(scene.X_BT, scene.P(), Setup.EYE_TO_HAND)
+    np.testing.assert_allclose(pairs.H @ pairs.X_BT, np.broadcast_to(np.eye(4), (8, 4, 4)), atol=1e-14)
+    np.testing.assert_allclose(rigid.inverse(pairs.H)[0], scene.X_BT[pairs.order[0]], atol=1e-14)

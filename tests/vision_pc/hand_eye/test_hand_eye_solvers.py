@@ -39,7 +39,7 @@ def test_exact_samples_give_the_exact_pose(method: Method, setup: Setup) -> None
 def test_order_of_samples_changes_nothing(method: Method) -> None:
     pairs, _ = noisy_pairs(3, 12)
     names = tuple(str(k) for k in range(12))
-    hand, camera = pairs.X_BH, pairs.P
+    hand, camera = pairs.X_BT, pairs.P
     one = methods.solve(pose_pairs(hand, camera, names=names), method)
     shuffle = np.random.default_rng(5).permutation(12)
     other = methods.solve(
@@ -68,7 +68,7 @@ def test_residuals_are_in_the_callers_order_and_in_the_camera() -> None:
     scene = random_scene(np.random.default_rng(12))
     P = scene.P()
     P[4, :3, 3] += (0.0, 0.0, 0.03)
-    result = methods.solve(pose_pairs(scene.X_BH, P), Method.ROBUST)
+    result = methods.solve(pose_pairs(scene.X_BT, P), Method.ROBUST)
     assert not result.inliers[4]
     assert result.inliers.sum() == 11
     np.testing.assert_allclose(result.residuals[4, :3], (0.0, 0.0, 0.03), atol=1e-6)
@@ -80,7 +80,7 @@ def test_motion_solvers_equal_opencv(method: Classical) -> None:
     rng = np.random.default_rng(13)
     scene = random_scene(rng, 4)
     turns = rigid.rotation_exp(np.radians(60.0) * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]))
-    scene = scene._replace(X_BH=rigid.pose(turns, scene.X_BH[:, :3, 3]))  # no motion that OpenCV's Tsai drops
+    scene = scene._replace(X_BT=rigid.pose(turns, scene.X_BT[:, :3, 3]))  # no motion that OpenCV's Tsai drops
     pairs = scenes.measured(scene, scenes.noise(0.3, 2.0), rng)
     motions = all_motions(pairs)
     of_opencv = classical.from_poses(pairs, motions, method).X
@@ -107,7 +107,7 @@ def test_tsai_survives_rotations_that_opencv_drops() -> None:
     rng = np.random.default_rng(16)
     scene = scenes.small_rotation_scene(rng, 15)
     R, _ = cv2.calibrateHandEye(
-        scene.X_BH[:, :3, :3], scene.X_BH[:, :3, 3], scene.P()[:, :3, :3], scene.P()[:, :3, 3],
+        scene.X_BT[:, :3, :3], scene.X_BT[:, :3, 3], scene.P()[:, :3, :3], scene.P()[:, :3, 3],
         method=cv2.CALIB_HAND_EYE_TSAI,
     )  # fmt: skip
     assert se3.angle_between(np.asarray(R), scene.X[:3, :3]) > np.radians(

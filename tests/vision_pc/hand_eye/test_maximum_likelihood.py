@@ -28,14 +28,14 @@ def test_jacobian_equals_finite_differences(tied: bool) -> None:
     rng = np.random.default_rng(1)
     scene = random_scene(rng, 5)
     X, Z = scene.X, scene.X if tied else scene.Z
-    P = disturbed(rng, ml.predicted(scene.X_BH, X, Z))
-    equations = Equations(scene.X_BH, P, np.ones(5), tied=tied)
-    J = ml.jacobian(equations, X, Z, ml.residuals(scene.X_BH, P, X, Z))
+    P = disturbed(rng, ml.predicted(scene.X_BT, X, Z))
+    equations = Equations(scene.X_BT, P, np.ones(5), tied=tied)
+    J = ml.jacobian(equations, X, Z, ml.residuals(scene.X_BT, P, X, Z))
     for k in range(J.shape[-1]):
         step = np.zeros(J.shape[-1])
         step[k] = STEP
-        after = ml.residuals(scene.X_BH, P, *ml.moved(X, Z, step, tied))
-        before = ml.residuals(scene.X_BH, P, *ml.moved(X, Z, -step, tied))
+        after = ml.residuals(scene.X_BT, P, *ml.moved(X, Z, step, tied))
+        before = ml.residuals(scene.X_BT, P, *ml.moved(X, Z, -step, tied))
         np.testing.assert_allclose(J[..., k], (after - before) / (2.0 * STEP), atol=1e-4)
 
 
@@ -52,16 +52,16 @@ def test_steps_are_the_vision_sides_perturbation() -> None:
 def test_robot_levers_equal_moving_the_hand(setup: Setup) -> None:
     rng = np.random.default_rng(3)
     scene = random_scene(rng, 6)
-    H = scene.X_BH
+    H = scene.X_BT
     P = scene.P()
     levers = ml.robot_levers(Equations(H, P, np.ones(6), setup), scene.X, scene.Z)
     to_camera = scene.X[:3, :3].T @ np.swapaxes(H[:, :3, :3], -1, -2)
-    X_BH = H if setup is Setup.EYE_IN_HAND else rigid.inverse(H)
+    X_BT = H if setup is Setup.EYE_IN_HAND else rigid.inverse(H)
     for k in range(6):
         delta = np.zeros(6)
         delta[k] = STEP
         about_hand = rigid.pose(rigid.rotation_exp(delta[3:]), delta[:3])  # in hand axes
-        moved = X_BH @ about_hand
+        moved = X_BT @ about_hand
         H_moved = moved if setup is Setup.EYE_IN_HAND else rigid.inverse(moved)
         r = ml.residuals(H_moved, P, scene.X, scene.Z) / STEP
         of_hand = np.broadcast_to(scene.X[:3, :3].T, (6, 3, 3)) if setup is Setup.EYE_IN_HAND else to_camera
@@ -117,7 +117,7 @@ def test_wrong_start_is_recovered_from_nearby() -> None:
     scene = random_scene(rng)
     n = Noise(1e-3, 1e-3)
     start_X, start_Z = se3.retract(scene.X, np.full(6, 0.2)), se3.retract(scene.Z, np.full(6, -0.2))
-    found = ml.maximize(Equations(scene.X_BH, scene.P(), np.ones(12)), start_X, start_Z, n)
+    found = ml.maximize(Equations(scene.X_BT, scene.P(), np.ones(12)), start_X, start_Z, n)
     np.testing.assert_allclose(found.X, scene.X, atol=1e-10)
     assert found.cost < 1e-12
 

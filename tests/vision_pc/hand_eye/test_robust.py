@@ -38,7 +38,7 @@ def test_one_axis_of_error_is_enough_to_be_found() -> None:
     pairs, _ = noisy_pairs(21, 15)
     P = pairs.P.copy()
     P[6, :3, 3] += (0.0, 0.02, 0.0)
-    result = methods.solve(pose_pairs(pairs.X_BH, P))
+    result = methods.solve(pose_pairs(pairs.X_BT, P))
     assert [int(name) for name, used in zip(result.names, result.inliers, strict=True) if not used] == [7]
 
 
@@ -109,7 +109,7 @@ def test_parallel_axes_are_refused_by_every_method() -> None:
     spin = np.zeros((12, 3))
     spin[:, 2] = rng.uniform(-1.0, 1.0, 12)
     hand = rigid.pose(rigid.rotation_exp(spin), rng.normal(size=(12, 3)) * 0.3)
-    planar = scene._replace(X_BH=hand)
+    planar = scene._replace(X_BT=hand)
     exact = pose_pairs(hand, planar.P())
     noisy = scenes.measured(planar, scenes.noise(0.1, 0.5), rng)
     shaken = scenes.measured(planar, scenes.noise(0.2, 0.5, robot=True), rng)
@@ -125,9 +125,9 @@ def test_parallel_axes_hidden_by_a_bad_sample_are_refused_too() -> None:
     scene = scenes.viewing_scene(rng, 12)
     spin = np.zeros((12, 3))
     spin[:, 2] = rng.uniform(-1.0, 1.0, 12)
-    planar = scene._replace(X_BH=rigid.pose(rigid.rotation_exp(spin), rng.normal(size=(12, 3)) * 0.3))
+    planar = scene._replace(X_BT=rigid.pose(rigid.rotation_exp(spin), rng.normal(size=(12, 3)) * 0.3))
     P = scenes.measured(planar, scenes.noise(0.05, 0.3), rng).P
-    hand = scenes.measured(planar, scenes.noise(0.05, 0.3), np.random.default_rng(28)).X_BH
+    hand = scenes.measured(planar, scenes.noise(0.05, 0.3), np.random.default_rng(28)).X_BT
     hand = hand.copy()
     hand[4] = random_poses(rng, 1)[0]
     with pytest.raises(MeasurementFailed):

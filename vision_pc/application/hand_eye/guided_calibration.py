@@ -221,7 +221,7 @@ class GuidedCalibration:
         """The cabinet's targets in the hand and in the base, seen from here, with the X solved last.
 
         Raises RequestRefused (``refused.hand_eye.not_solved``, ``.no_drawing``), MeasurementFailed as
-        ``cabinet.locate``.
+        ``CabinetLocator.locate``.
         """
         if self.X_TC is None:
             raise RequestRefused("refused.hand_eye.not_solved", "no X yet: solve first")
@@ -249,7 +249,7 @@ class GuidedCalibration:
 
 def _sample_of(name: str, seen: TargetLook, view: ArmView, settings: GuidedSettings, moved: float) -> Sample:
     return Sample(
-        name, view.X_BT, seen.X_CT, seen.covariance, seen.corners_left, settings.marker_id, view.settled,
+        name, view.X_BT, seen.X_CP, seen.covariance, seen.corners_left, settings.marker_id, view.settled,
         moved, view.q_meas,
     )  # fmt: skip
 

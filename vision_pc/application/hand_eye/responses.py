@@ -36,7 +36,7 @@ def believed(session: Session) -> Belief:
 def checked(session: Session, X_BT: Array, seen: TargetLook) -> JSON:
     """The verdict on the starting pose: the view of the marker, and what the poses around it promise."""
     settings = session.settings
-    here = Sample("start", X_BT, seen.X_CT, seen.covariance, seen.corners_left, settings.marker_id, True, 0.0)
+    here = Sample("start", X_BT, seen.X_CP, seen.covariance, seen.corners_left, settings.marker_id, True, 0.0)
     belief = believed(session.with_sample(here))
     choices = 0
     for number in range(settings.poses - 1):
@@ -99,7 +99,7 @@ def residuals(session: Session, belief: Belief) -> list[JSON]:
             "name": s.name,
             "residual_mm": [round(1e3 * float(v), 3) for v in by_name[s.name][:3]],
             "residual_deg": [round(math.degrees(float(v)), 4) for v in by_name[s.name][3:]],
-            "distance_m": round(float(np.linalg.norm(s.X_CT[:3, 3])), 3),
+            "distance_m": round(float(np.linalg.norm(s.X_CP[:3, 3])), 3),
             "settled": s.settled,
         }
         for s in session.samples
@@ -118,10 +118,10 @@ def off(X: Array, Y: Array) -> JSON:
 def marker_json(seen: TargetLook) -> JSON:
     """What one look at the marker gave."""
     std = np.sqrt(np.diag(seen.covariance))
-    p = seen.X_CT[:3, 3]
-    cosine = -float(p @ seen.X_CT[:3, 2]) / float(np.linalg.norm(p))
+    p = seen.X_CP[:3, 3]
+    cosine = -float(p @ seen.X_CP[:3, 2]) / float(np.linalg.norm(p))
     return {
-        "X_CT": pose_json(seen.X_CT),
+        "X_CP": pose_json(seen.X_CP),
         "std_mm": [round(1e3 * float(v), 3) for v in std[:3]],
         "std_deg": [round(math.degrees(float(v)), 4) for v in std[3:]],
         "distance_m": round(float(np.linalg.norm(p)), 4),
@@ -184,7 +184,7 @@ def _solution_json(solution: GuidedSolution) -> JSON:
     return {
         "method": result.method,
         "X_TC": pose_json(result.X),
-        "X_BT_target": pose_json(result.Z),
+        "X_BP": pose_json(result.Z),
         "std_mm": [round(1e3 * float(v), 4) for v in std[:3]],
         "std_deg": [round(math.degrees(float(v)), 5) for v in std[3:]],
         "covariance_p_theta": result.covariance.tolist(),

@@ -11,8 +11,8 @@ from vision_pc.application.hand_eye.store import load_drawing
 from vision_pc.application.ports import StoppableArm
 from vision_pc.config.hand_eye import GuidedSettings
 from vision_pc.config.vision import VisionConfig
-from vision_pc.core.hand_eye.guided import cabinet, target
-from vision_pc.core.hand_eye.guided.cabinet import Drawing, Located
+from vision_pc.core.hand_eye.guided import target
+from vision_pc.core.hand_eye.guided.cabinet import CabinetLocator, Located
 from vision_pc.core.hand_eye.guided.target import TargetLook
 from vision_pc.core.perception.intrinsics import calibration, with_offset
 from vision_pc.core.perception.look import observe
@@ -46,7 +46,7 @@ class HandEyeSight:
         self.camera = calibration(config.camera)
         self._last: FrameObservation | None = None
         self._offset: FrameObservation | None = None
-        self._drawing: Drawing | None = None
+        self._locator: CabinetLocator | None = None
 
     async def marker(self, settings: GuidedSettings) -> tuple[TargetLook, ArmView, float]:
         """The marker, the arm there, and by how many mrad an encoder moved meanwhile.
@@ -81,23 +81,26 @@ class HandEyeSight:
     async def cabinet(self, settings: GuidedSettings) -> tuple[Array, tuple[Located, ...]]:
         """The hand X_BT (4, 4), and the cabinet's targets in the camera.
 
-        Raises RequestRefused (``refused.hand_eye.no_drawing``), MeasurementFailed as ``cabinet.locate``.
+        Raises RequestRefused (``refused.hand_eye.no_drawing``), MeasurementFailed as
+        ``CabinetLocator.locate``.
         """
-        drawing = self._drawing = self._drawing or load_drawing(self._config.cabinet)
+        if self._locator is None:
+            self._locator = CabinetLocator(load_drawing(self._config.cabinet))
+        locator = self._locator
         await self._settled(settings)
         pictures = await self._pictures.pairs_at_rest(1)
-        places = await self._pictures.aside(lambda: self._targets(pictures.pairs[0], drawing))
+        places = await self._pictures.aside(lambda: self._targets(pictures.pairs[0], locator))
         return pictures.X_BT, places
 
     def forget(self) -> None:
         """Forget the last marker: the next one is looked for in the whole picture."""
         self._last = None
 
-    def _targets(self, pair: StereoPair, drawing: Drawing) -> tuple[Located, ...]:
+    def _targets(self, pair: StereoPair, locator: CabinetLocator) -> tuple[Located, ...]:
         self._offset = observe(pair, self.camera, self._config.markers, self._offset)
         offset = self._offset.offset
         camera = self.camera if offset is None else with_offset(self.camera, offset.x_px, offset.y_px)
-        return cabinet.locate(pair, drawing, camera)
+        return locator.locate(pair, camera)
 
     async def _settled(self, settings: GuidedSettings) -> ArmView:
         """The view once the controller's flag says settled, or the time for it has passed."""

@@ -1,13 +1,14 @@
 """Pose pairs as a hand-eye solver takes them: checked one by one, in an order that no caller can influence.
 
-One sample is the pose of the hand in the base, X_BH, and the pose of the target in the camera, X_CT.
-The target is fixed in the base and the camera in the hand (eye in hand), or the other way round (eye to
+Frames: B base, T tool (the hand), C camera, P pattern (the calibration target). One sample is the pose of the
+tool in the base, X_BT, and the pose of the pattern in the camera, X_CP.
+The pattern is fixed in the base and the camera in the hand (eye in hand), or the other way round (eye to
 hand):
 
-    eye in hand:  X_BH X_HC X_CT = X_BT        unknown X = X_HC, Z = X_BT
-    eye to hand:  X_HB X_BC X_CT = X_HT        unknown X = X_BC, Z = X_HT
+    eye in hand:  X_BT X_TC X_CP = X_BP        unknown X = X_TC, Z = X_BP
+    eye to hand:  X_TB X_BC X_CP = X_TP        unknown X = X_BC, Z = X_TP
 
-Both are H X P = Z with H = X_BH or its inverse, and P = X_CT; the solvers know only that form.
+Both are H X P = Z with H = X_BT or its inverse, and P = X_CP; the solvers know only that form.
 """
 
 from dataclasses import dataclass
@@ -48,11 +49,11 @@ class SampleLimits(NamedTuple):
 class CornerViews(NamedTuple):
     """The target's points as each picture shows them, for the image-space adjustment.
 
-    ``points_T`` (m, 3) metres in the target's axes; ``pixels`` (n, m, 2), NaN where a point was not seen;
+    ``points_P`` (m, 3) metres in the pattern's axes; ``pixels`` (n, m, 2), NaN where a point was not seen;
     ``K`` (3, 3) px and ``distortion`` (k,) of the camera (OpenCV's order).
     """
 
-    points_T: Array
+    points_P: Array
     pixels: Array
     K: Array
     distortion: Array
@@ -77,7 +78,7 @@ class PosePairs:
         return len(self.names)
 
     @property
-    def X_BH(self) -> Array:
+    def X_BT(self) -> Array:
         """The poses of the hand in the base (n, 4, 4)."""
         return self.H if self.setup is Setup.EYE_IN_HAND else rigid.inverse(self.H)
 
@@ -92,8 +93,8 @@ class PosePairs:
 
 
 def pose_pairs(
-    X_BH: Array,
-    X_CT: Array,
+    X_BT: Array,
+    X_CP: Array,
     setup: Setup = Setup.EYE_IN_HAND,
     names: tuple[str, ...] | None = None,
     corners: CornerViews | None = None,
@@ -101,12 +102,12 @@ def pose_pairs(
 ) -> PosePairs:
     """The samples, checked, with exactly orthonormal rotations, in canonical order.
 
-    ``X_BH``, ``X_CT`` (n, 4, 4): hand in base, target in camera, metres. Raises RequestRefused naming the
+    ``X_BT``, ``X_CP`` (n, 4, 4): tool in base, pattern in camera, metres. Raises RequestRefused naming the
     sample: ``refused.hand_eye.count``, ``.not_finite``, ``.not_a_pose``, ``.left_handed``,
     ``.not_orthonormal``, ``.units``, ``.duplicate``, ``.stale_camera``.
     """
     limits = limits or SampleLimits()
-    hand, target = np.asarray(X_BH, dtype=np.float64), np.asarray(X_CT, dtype=np.float64)
+    hand, target = np.asarray(X_BT, dtype=np.float64), np.asarray(X_CP, dtype=np.float64)
     if hand.ndim != 3 or target.ndim != 3 or hand.shape[1:] != (4, 4) or target.shape[1:] != (4, 4):
         raise RequestRefused(
             "refused.hand_eye.count", f"poses must be (n, 4, 4), got {hand.shape} and {target.shape}"

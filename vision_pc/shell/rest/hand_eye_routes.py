@@ -3,7 +3,7 @@
 from enum import Enum
 
 from fastapi import FastAPI
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, computed_field
 
 from vision_pc.application.bodies import RequestBody
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
@@ -30,10 +30,13 @@ class SampleView(BaseModel):
 
 
 class ProposalView(BaseModel):
-    """A pose to go to, and what it is worth; matrices are rows of 4×4, metres."""
+    """A pose to go to, and what it is worth; matrices are rows of 4×4, metres.
+
+    ``X_BT`` of the tool, ``X_CP`` of the pattern (the calibration marker) in the camera there.
+    """
 
     X_BT: list[list[float]]
-    X_CT: list[list[float]]
+    X_CP: list[list[float]]
     pixel: tuple[float, float]
     distance_m: float
     obliquity_deg: float
@@ -41,6 +44,12 @@ class ProposalView(BaseModel):
     std_after_mm: float
     std_after_deg: float
     choices: int
+
+    @computed_field(json_schema_extra={"deprecated": True})  # type: ignore[prop-decorator]
+    @property
+    def X_CT(self) -> list[list[float]]:
+        """The former name of ``X_CP``."""
+        return self.X_CP
 
 
 class SessionView(BaseModel):

@@ -8,8 +8,7 @@
 """
 
 import math
-from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -59,22 +58,62 @@ class Located(NamedTuple):
     correlation: float
 
 
-class _Features:
-    """The drawing's features; made once for each drawing, at about the scale of the pictures."""
+class CabinetLocator:
+    """Finds the targets of one cabinet. Holds the features of its drawing, which take a while to make."""
 
-    def __init__(self, drawing: Drawing, coarseness: float) -> None:
-        small = cv2.resize(drawing.picture, None, fx=coarseness, fy=coarseness, interpolation=cv2.INTER_AREA)
-        points, self.descriptors = _sift().detectAndCompute(small, None)
-        texels = (np.array([p.pt for p in points]) + 0.5) / coarseness - 0.5
-        self.places = _metres(drawing, texels)
+    def __init__(self, drawing: Drawing) -> None:
+        self._drawing = drawing
+        self._sift = cv2.SIFT.create(_FEATURES)
+        points, self._descriptors = self._features(drawing.picture, _COARSENESS / _TEXELS_A_PIXEL)
+        self._places = _metres(drawing, points)
+
+    def locate(self, pair: StereoPair, camera: CameraCalibration) -> tuple[Located, ...]:
+        """All targets of the drawing in C; ``camera`` with the right eye's offset taken into account.
+
+        Raises MeasurementFailed: ``measurement.hand_eye.cabinet_not_seen`` when the drawing is not found in
+        the left picture, ``.target_not_seen`` naming the target that is hidden, out of either picture, or
+        misplaced.
+        """
+        drawing = self._drawing
+        X_CA = self._front_pose(pair.left, camera.left)
+        found = tuple(_located(pair, drawing, target, X_CA, camera) for target in drawing.targets)
+        _refuse_strangers(found, drawing)
+        return found
+
+    def _features(self, image: Image, scale: float) -> tuple[Array, Any]:
+        """Places (n, 2) px in ``image`` of its features, found at ``scale`` of its size, with descriptors."""
+        small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        points, descriptors = self._sift.detectAndCompute(small, None)
+        return (np.array([p.pt for p in points]).reshape(-1, 2) + 0.5) / scale - 0.5, descriptors
+
+    def _front_pose(self, image: Image, eye: EyeModel) -> Array:
+        """The front in the camera X_CA (4, 4), z towards the viewer, good to a few pixels."""
+        seen, descriptors = self._features(image, _COARSENESS)
+        known = self._descriptors
+        blank = known is None or descriptors is None
+        matches = [] if blank else cv2.BFMatcher().knnMatch(known, descriptors, k=2)
+        good = [m[0] for m in matches if len(m) == 2 and m[0].distance < _LIKENESS * m[1].distance]
+        places, pixels = self._places[[m.queryIdx for m in good]], seen[[m.trainIdx for m in good]]
+        fitting = len(good)
+        if fitting >= _LEAST_MATCHES:
+            _, flags = cv2.findHomography(places, pixels, cv2.RANSAC, _RANSAC_PX)
+            inliers = np.zeros(fitting, bool) if flags is None else flags.ravel() > 0
+            fitting = int(inliers.sum())
+            X_CA = _planar_pose(places[inliers], pixels[inliers], eye) if fitting >= _LEAST_MATCHES else None
+            if X_CA is not None:
+                return X_CA
+        raise MeasurementFailed(
+            "measurement.hand_eye.cabinet_not_seen",
+            f"{fitting} features of the cabinet's drawing found, {_LEAST_MATCHES} are wanted",
+        )
 
 
-@lru_cache(maxsize=1)
-def _sift() -> cv2.SIFT:
-    return cv2.SIFT.create(_FEATURES)
-
-
-_kept: dict[int, tuple[Drawing, _Features]] = {}
+def _planar_pose(places: Array, pixels: Array, eye: EyeModel) -> Array | None:
+    """X_CA (4, 4) of the front A with ``places`` (n, 2) m at ``pixels`` (n, 2); None without a solution."""
+    front = np.c_[places, np.zeros(len(places))]
+    rays = intrinsics.normalised(eye, pixels)
+    found, turn, shift = cv2.solvePnP(front, rays, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE)
+    return se3.transform(se3.exp_so3(np.ravel(turn)), np.ravel(shift)) if found else None
 
 
 def _metres(drawing: Drawing, texels: Array) -> Array:
@@ -82,18 +121,6 @@ def _metres(drawing: Drawing, texels: Array) -> Array:
     rows, columns = drawing.picture.shape
     centred = texels - 0.5 * np.array([columns, rows]) + 0.5
     return np.asarray(centred * [drawing.texel_m, -drawing.texel_m])
-
-
-def locate(pair: StereoPair, drawing: Drawing, camera: CameraCalibration) -> tuple[Located, ...]:
-    """All targets of ``drawing`` in C; ``camera`` with the right eye's offset taken into account.
-
-    Raises MeasurementFailed: ``measurement.hand_eye.cabinet_not_seen`` when the drawing is not found in the
-    left picture, ``.target_not_seen`` naming the target that is hidden, out of either picture, or misplaced.
-    """
-    X_CB = _front_pose(pair.left, drawing, camera.left)
-    found = tuple(_located(pair, drawing, target, X_CB, camera) for target in drawing.targets)
-    _refuse_strangers(found, drawing)
-    return found
 
 
 def _refuse_strangers(found: tuple[Located, ...], drawing: Drawing) -> None:
@@ -114,42 +141,12 @@ def _distances(points: Array) -> Array:
     return np.asarray(np.linalg.norm(points[:, None] - points[None], axis=-1))
 
 
-def _front_pose(image: Image, drawing: Drawing, eye: EyeModel) -> Array:
-    """The front in the camera X_CB (4, 4), z towards the viewer, good to a few pixels."""
-    kept = _kept.get(id(drawing.picture))
-    if kept is None:
-        kept = drawing, _Features(drawing, _COARSENESS * _TEXELS_A_PIXEL**-1.0)
-        _kept.clear()
-        _kept[id(drawing.picture)] = kept
-    known = kept[1]
-    small = cv2.resize(image, None, fx=_COARSENESS, fy=_COARSENESS, interpolation=cv2.INTER_AREA)
-    points, descriptors = _sift().detectAndCompute(small, None)
-    matches = [] if descriptors is None else cv2.BFMatcher().knnMatch(known.descriptors, descriptors, k=2)
-    good = [m[0] for m in matches if len(m) == 2 and m[0].distance < _LIKENESS * m[1].distance]
-    if len(good) >= _LEAST_MATCHES:
-        places = known.places[[m.queryIdx for m in good]]
-        pixels = (np.array([points[m.trainIdx].pt for m in good]) + 0.5) / _COARSENESS - 0.5
-        _, kept_matches = cv2.findHomography(places, pixels, cv2.RANSAC, _RANSAC_PX)
-        inliers = np.zeros(len(good), bool) if kept_matches is None else kept_matches.ravel() > 0
-        if int(inliers.sum()) >= _LEAST_MATCHES:
-            front = np.c_[places[inliers], np.zeros(int(inliers.sum()))]
-            rays = intrinsics.normalised(eye, pixels[inliers])
-            found, turn, shift = cv2.solvePnP(front, rays, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE)
-            if found:
-                return se3.transform(se3.exp_so3(np.ravel(turn)), np.ravel(shift))
-        good = [m for m, inlier in zip(good, inliers, strict=True) if inlier]
-    raise MeasurementFailed(
-        "measurement.hand_eye.cabinet_not_seen",
-        f"{len(good)} features of the cabinet's drawing found, {_LEAST_MATCHES} are wanted",
-    )
-
-
 def _located(
-    pair: StereoPair, drawing: Drawing, target: Target, X_CB: Array, camera: CameraCalibration
+    pair: StereoPair, drawing: Drawing, target: Target, X_CA: Array, camera: CameraCalibration
 ) -> Located:
     rays, correlations = [], []
     for image, eye in ((pair.left, camera.left), (pair.right, camera.right)):
-        pixel, correlation = _aligned(image, drawing, target, X_CB, eye)
+        pixel, correlation = _aligned(image, drawing, target, X_CA, eye)
         rays.append(np.append(intrinsics.normalised(eye, pixel[None])[0], 1.0))
         correlations.append(correlation)
     p_C, apart = _meeting(rays[0], rays[1], camera.right.X_CE)
@@ -163,12 +160,12 @@ def _located(
 
 
 def _aligned(
-    image: Image, drawing: Drawing, target: Target, X_CB: Array, eye: EyeModel
+    image: Image, drawing: Drawing, target: Target, X_CA: Array, eye: EyeModel
 ) -> tuple[Array, float]:
     """The target's pixel (2,) in one picture, and how well the drawing correlates there."""
     grid = np.array([[x, y] for y in (-1.0, 0.0, 1.0) for x in (-1.0, 0.0, 1.0)]) * _WINDOW_M
     places = grid + np.array([target.x_m, target.y_m])
-    pixels = intrinsics.project(eye, se3.apply(X_CB, np.c_[places, np.zeros(9)]))
+    pixels = intrinsics.project(eye, se3.apply(X_CA, np.c_[places, np.zeros(9)]))
     height, width = image.shape
     low, high = np.floor(pixels.min(axis=0)), np.ceil(pixels.max(axis=0))
     if not (np.isfinite(pixels).all() and (low >= 0).all() and (high < [width, height]).all()):

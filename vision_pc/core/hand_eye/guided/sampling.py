@@ -53,7 +53,7 @@ class Belief(NamedTuple):
 
 
 class Proposal(NamedTuple):
-    """The next pose: X_BT, the marker there as it will be seen X_CT, and what it is worth.
+    """The next pose: X_BT, the pattern X_CP as the camera will see it there, and what it is worth.
 
     ``pixel`` (2,) of the marker's middle in the left picture; ``distance`` m, ``obliquity`` rad; ``gain`` in
     nats of information about X; ``std`` of X afterwards (m, rad), by the planning noise; ``choices``
@@ -61,7 +61,7 @@ class Proposal(NamedTuple):
     """
 
     X_BT: Array
-    X_CT: Array
+    X_CP: Array
     pixel: Array
     distance: float
     obliquity: float
@@ -124,9 +124,9 @@ def propose(
     ``refused``: poses X_BT that the controller has refused, and why. Raises MeasurementFailed
     (``measurement.hand_eye.no_pose``) when no candidate passes the bounds.
     """
-    X_CT = random_views(settings, around.camera, rng)
-    X_BT = belief.Z @ rigid.inverse(X_CT) @ rigid.inverse(belief.X)
-    passes = keep_bounds(X_BT, X_CT, around, settings)
+    X_CP = random_views(settings, around.camera, rng)
+    X_BT = belief.Z @ rigid.inverse(X_CP) @ rigid.inverse(belief.X)
+    passes = keep_bounds(X_BT, X_CP, around, settings)
     passes &= ~foreseeably_refused(X_BT, around.X_BT_start, refused)
     choices = np.flatnonzero(passes)
     if not len(choices):
@@ -135,17 +135,17 @@ def propose(
             f"none of {settings.candidates} views of the marker keeps all bounds ({len(refused)} poses were "
             "refused by the controller); begin elsewhere or widen turn_deg, reach_m, distance_m",
         )
-    X_CT, X_BT = X_CT[choices], X_BT[choices]
-    added = _information(X_BT, X_CT, belief, around, settings)
+    X_CP, X_BT = X_CP[choices], X_BT[choices]
+    added = _information(X_BT, X_CP, belief, around, settings)
     values = _about_X(belief.information + added)
     best = int(np.argmax(values)) if informative else 0
     after = belief._replace(information=belief.information + added[best])
     return Proposal(
         X_BT[best],
-        X_CT[best],
-        intrinsics.project(around.camera.left, X_CT[best, None, :3, 3])[0],
-        float(np.linalg.norm(X_CT[best, :3, 3])),
-        float(obliquity(X_CT[best : best + 1])[0]),
+        X_CP[best],
+        intrinsics.project(around.camera.left, X_CP[best, None, :3, 3])[0],
+        float(np.linalg.norm(X_CP[best, :3, 3])),
+        float(obliquity(X_CP[best : best + 1])[0]),
         float(values[best] - _about_X(belief.information[None])[0]),
         after.std,
         len(choices),
@@ -156,21 +156,21 @@ def information_of(
     proposal: Proposal, belief: Belief, around: Surroundings, settings: GuidedSettings
 ) -> Array:
     """What a sample at ``proposal`` would add to the information (12, 12) about X and Z."""
-    return np.asarray(_information(proposal.X_BT[None], proposal.X_CT[None], belief, around, settings)[0])
+    return np.asarray(_information(proposal.X_BT[None], proposal.X_CP[None], belief, around, settings)[0])
 
 
 def _information(
-    X_BT: Array, X_CT: Array, belief: Belief, around: Surroundings, settings: GuidedSettings
+    X_BT: Array, X_CP: Array, belief: Belief, around: Surroundings, settings: GuidedSettings
 ) -> Array:
     """What each sample would add to the information about X and Z, (n, 12, 12)."""
-    equations = Equations(X_BT, X_CT, np.ones(len(X_BT)))
+    equations = Equations(X_BT, X_CP, np.ones(len(X_BT)))
     J = ml.jacobian(equations, belief.X, belief.Z, np.zeros((len(X_BT), 6)))
-    V = _covariances(X_BT, X_CT, belief.X, belief.Z, around, settings)
+    V = _covariances(X_BT, X_CP, belief.X, belief.Z, around, settings)
     return np.asarray(np.swapaxes(J, -1, -2) @ np.linalg.solve(V, J))
 
 
 def _covariances(
-    X_BT: Array, X_CT: Array, X: Array, Z: Array, around: Surroundings, settings: GuidedSettings
+    X_BT: Array, X_CP: Array, X: Array, Z: Array, around: Surroundings, settings: GuidedSettings
 ) -> Array:
     """Covariance (n, 6, 6) of each residual: robot noise, and what a small square gives at its distance.
 
@@ -184,9 +184,9 @@ def _covariances(
     way = np.linalg.norm(X_BT[:, :3, 3] - start[:3, 3], axis=1)
     shift = settings.robot_std_m**2 + (settings.robot_strain * way) ** 2
     twist = math.radians(settings.robot_std_deg) ** 2 + (settings.robot_twist * turn) ** 2
-    L = ml.robot_levers(Equations(X_BT, X_CT, np.ones(len(X_BT))), X, Z)
+    L = ml.robot_levers(Equations(X_BT, X_CP, np.ones(len(X_BT))), X, Z)
     V = (L * np.stack([shift] * 3 + [twist] * 3, axis=1)[:, None, :]) @ np.swapaxes(L, -1, -2)
-    z = np.linalg.norm(X_CT[:, :3, 3], axis=1)
+    z = np.linalg.norm(X_CP[:, :3, 3], axis=1)
     across = settings.corner_std_px * z / camera.left.K[0, 0]
     along = across * z / float(np.linalg.norm(camera.right.X_CE[:3, 3]))
     side = settings.marker_size_m

@@ -25,7 +25,7 @@ JSON = dict[str, Any]
 
 
 class Sample(NamedTuple):
-    """One sample: the hand X_BT by the controller's model, the marker X_CT with covariance (6, 6).
+    """One sample: the tool X_BT by the controller's model, the pattern X_CP with covariance (6, 6).
 
     ``corners_left`` (4, 2) px in the left picture; ``marker_id``; ``settled`` by the controller's flag (else
     the encoders alone said so); ``moved_mrad`` by the encoders while it was taken. ``q`` (6,) rad: the joints
@@ -34,7 +34,7 @@ class Sample(NamedTuple):
 
     name: str
     X_BT: Array
-    X_CT: Array
+    X_CP: Array
     covariance: Array
     corners_left: Array
     marker_id: int
@@ -112,7 +112,7 @@ class Session:
         )
         return pose_pairs(
             np.stack([s.X_BT for s in self.samples]),
-            np.stack([s.X_CT for s in self.samples]),
+            np.stack([s.X_CP for s in self.samples]),
             Setup.EYE_IN_HAND,
             tuple(s.name for s in self.samples),
             corners,
@@ -149,7 +149,7 @@ def _sample_json(s: Sample) -> JSON:
     return {
         "name": s.name,
         "hand": s.X_BT.tolist(),
-        "camera": s.X_CT.tolist(),
+        "camera": s.X_CP.tolist(),
         "covariance_p_theta": s.covariance.tolist(),
         "corners_px": s.corners_left.tolist(),
         "marker_id": s.marker_id,
@@ -163,7 +163,7 @@ def proposal_json(p: Proposal) -> JSON:
     """A proposal's figures."""
     return {
         "X_BT": p.X_BT.tolist(),
-        "X_CT": p.X_CT.tolist(),
+        "X_CP": p.X_CP.tolist(),
         "pixel": [round(float(v), 1) for v in p.pixel],
         "distance_m": round(p.distance, 4),
         "obliquity_deg": round(math.degrees(p.obliquity), 2),
@@ -203,12 +203,15 @@ def from_json(document: Mapping[str, Any], camera: CameraCalibration) -> Session
 
 
 def _upgraded(document: Mapping[str, Any]) -> JSON:
-    """A file of format 1 in the keys of format 2: the nominal arm stood in the settings, in degrees."""
+    """A file of format 1 in the keys of format 2.
+
+    The nominal arm stood in the settings, in degrees; the pattern's frame was called T, as the tool's is.
+    """
     settings = dict(document["settings"])
     wrist_to_tool_m = settings.pop("wrist_to_tool_m", _WRIST_TO_TOOL_M)
     links: list[JSON] = []
     if settings.get("arm") is not None:
-        arm = settings["arm"] = dict(settings["arm"])
+        uncertainty = settings["arm"] = dict(settings["arm"])
         links = [
             {
                 "alpha": math.radians(link["alpha_deg"]),
@@ -216,9 +219,13 @@ def _upgraded(document: Mapping[str, Any]) -> JSON:
                 "theta_offset": math.radians(link["theta_offset_deg"]),
                 "d": link["d_m"],
             }
-            for link in arm.pop("links")
+            for link in uncertainty.pop("links")
         ]
-    return {**document, "settings": settings, "arm": {"links": links, "wrist_to_tool_m": wrist_to_tool_m}}
+    proposal = document["proposal"]
+    if proposal is not None:
+        proposal = {**proposal, "X_CP": proposal["X_CT"]}
+    arm = {"links": links, "wrist_to_tool_m": wrist_to_tool_m}
+    return {**document, "settings": settings, "arm": arm, "proposal": proposal}
 
 
 def _link(values: Mapping[str, Any]) -> DhLink:
@@ -270,7 +277,7 @@ def _read(document: Mapping[str, Any], camera: CameraCalibration) -> Session:
 def _proposal(p: Mapping[str, Any]) -> Proposal:
     return Proposal(
         _matrix(p["X_BT"], (4, 4)),
-        _matrix(p["X_CT"], (4, 4)),
+        _matrix(p["X_CP"], (4, 4)),
         _matrix(p["pixel"], (2,)),
         float(p["distance_m"]),
         math.radians(float(p["obliquity_deg"])),

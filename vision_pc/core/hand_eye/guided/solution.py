@@ -102,16 +102,16 @@ def arm_errors(links: Links, arm: ArmUncertainty, samples: Sequence[Sample]) -> 
 def doubts_of(samples: Sequence[Sample], arm: ArmErrors, settings: GuidedSettings, eye: EyeModel) -> Doubts:
     """What may be wrong with ``samples``, the ``arm``'s errors among it."""
     of_arm = arm.shared
-    of_camera = _lens_errors(np.stack([s.X_CT for s in samples]), settings, eye)
+    of_camera = _lens_errors(np.stack([s.X_CP for s in samples]), settings, eye)
     nothing = np.zeros_like(of_arm[..., :1])
     hand = np.concatenate([of_arm, np.repeat(nothing, of_camera.shape[-1], axis=2)], axis=2)
     camera = np.concatenate([np.repeat(nothing, of_arm.shape[-1], axis=2), of_camera], axis=2)
     return Doubts(hand, camera, arm.backlash, np.stack([s.covariance for s in samples]))
 
 
-def _lens_errors(X_CT: Array, settings: GuidedSettings, eye: EyeModel) -> Array:
+def _lens_errors(X_CP: Array, settings: GuidedSettings, eye: EyeModel) -> Array:
     """Principal point (two) and focal length: how they move the target, by its distance (n, 6, 3)."""
-    p = X_CT[:, :3, 3]
+    p = X_CP[:, :3, 3]
     columns = np.zeros((len(p), 6, 3))
     columns[:, 0, 0] = settings.principal_point_std_px / eye.K[0, 0] * p[:, 2]
     columns[:, 1, 1] = settings.principal_point_std_px / eye.K[1, 1] * p[:, 2]

@@ -15,13 +15,14 @@ from vision_pc.core.types import CameraCalibration, FrameObservation, Image, Ste
 
 
 class TargetLook(NamedTuple):
-    """The marker in the camera: X_CT (4, 4), ``covariance`` (6, 6), mean ``corners_left`` (4, 2) px.
+    """The calibration marker in the camera: X_CP (4, 4) and its ``covariance`` (6, 6).
 
-    ``X_CM``: the tool marker, where it was seen too. ``seen`` of ``frames`` pairs showed the marker;
-    ``last`` is the newest observation, whose estimate of the right eye's offset the next look starts from.
+    ``corners_left`` (4, 2) px: mean. ``X_CM``: the tool marker, where it was seen too. ``seen`` of ``frames``
+    pairs showed the marker; ``last`` is the newest observation, whose estimate of the right eye's offset the
+    next look starts from.
     """
 
-    X_CT: Array
+    X_CP: Array
     covariance: Array
     corners_left: Array
     X_CM: Array | None

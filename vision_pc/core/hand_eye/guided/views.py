@@ -74,7 +74,7 @@ def surroundings(
 
 
 def random_views(settings: GuidedSettings, camera: CameraCalibration, rng: np.random.Generator) -> Array:
-    """Random poses X_CT (n, 4, 4) of the marker before the camera: place, distance, tilt, roll."""
+    """Random poses X_CP (n, 4, 4) of the marker before the camera: place, distance, tilt, roll."""
     n = settings.candidates
     pixels = rng.uniform((0.0, 0.0), (camera.width, camera.height), (n, 2))
     rays = np.c_[intrinsics.normalised(camera.left, pixels), np.ones(n)]
@@ -119,24 +119,24 @@ def foreseeably_refused(X_BT: Array, X_BT_start: Array, refused: Sequence[Refuse
     return doomed
 
 
-def obliquity(X_CT: Array) -> Array:
+def obliquity(X_CP: Array) -> Array:
     """Angle (n,) between the line of sight and the marker's normal."""
-    p = X_CT[:, :3, 3]
-    cosine = -np.einsum("ni,ni->n", p, X_CT[:, :3, 2]) / np.linalg.norm(p, axis=1)
+    p = X_CP[:, :3, 3]
+    cosine = -np.einsum("ni,ni->n", p, X_CP[:, :3, 2]) / np.linalg.norm(p, axis=1)
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def keep_bounds(X_BT: Array, X_CT: Array, around: Surroundings, settings: GuidedSettings) -> Flags:
+def keep_bounds(X_BT: Array, X_CP: Array, around: Surroundings, settings: GuidedSettings) -> Flags:
     """Which candidates keep view, clearance, turn and reach (n,)."""
     n = len(X_BT)
     start = around.X_BT_start
     turned = rigid.rotation_angle(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ start[:3, :3])
     moved = np.linalg.norm(X_BT[:, :3, 3] - start[:3, 3], axis=1)
-    ahead = np.einsum("ni,ni->n", around.tool_C - X_CT[:, :3, 3], X_CT[:, :3, 2])
+    ahead = np.einsum("ni,ni->n", around.tool_C - X_CP[:, :3, 3], X_CP[:, :3, 2])
     keep: Flags = (turned <= math.radians(settings.turn_deg)) & (moved <= settings.reach_m)
-    keep &= (ahead >= settings.clearance_m) & (obliquity(X_CT) <= math.radians(settings.obliquity_deg) + 1e-9)
+    keep &= (ahead >= settings.clearance_m) & (obliquity(X_CP) <= math.radians(settings.obliquity_deg) + 1e-9)
     corners = corner_points(1.5 * settings.marker_size_m)  # with the quiet zone
-    points = (corners @ np.swapaxes(X_CT[:, :3, :3], -1, -2)) + X_CT[:, None, :3, 3]
+    points = (corners @ np.swapaxes(X_CP[:, :3, :3], -1, -2)) + X_CP[:, None, :3, 3]
     size = (around.camera.width, around.camera.height)
     for eye, hidden in zip((around.camera.left, around.camera.right), around.hidden, strict=True):
         pixels = intrinsics.project(eye, points.reshape(-1, 3)).reshape(n, 4, 2)

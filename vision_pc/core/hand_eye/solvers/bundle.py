@@ -115,7 +115,7 @@ def _sample(
             "measurement.hand_eye.no_corners", f"sample {pairs.names[k]}: fewer than 3 corners"
         )
     shift = levers @ hand if robot is not None else np.zeros(6)
-    turned = corners.points_T[seen] @ pose[:3, :3].T
+    turned = corners.points_P[seen] @ pose[:3, :3].T
     turned = turned + np.cross(shift[3:], turned)
     points = turned + pose[:3, 3] + shift[:3]
     pixels, slopes = cv2.projectPoints(points, np.zeros(3), np.zeros(3), corners.K, corners.distortion)
