@@ -6,11 +6,11 @@ from pathlib import Path
 
 from controller.config import ControllerConfig
 from controller.core.group_states import TRANSITIONS, Mode, Stimulus
-from controller.core.supervision import SEVERITY
+from controller.core.supervision import FAULTS
 from controller.core.trajectories.path_survey import SAMPLES
 from foundation.configuration import load
 from protocol.datagram_layout import MAX_WAYPOINTS
-from protocol.faults import FAULT_TEXTS, FaultCode, Reason, Severity
+from protocol.faults import FAULT_TEXTS, Reason, Severity
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "controller.md").read_text(encoding="utf-8")
@@ -44,11 +44,9 @@ def state_table() -> str:
 def fault_table() -> str:
     """The page's table of faults, with the words of the written protocol."""
     lines = ["| fault | when | reaction |", "| --- | --- | --- |"]
-    for code in FaultCode:
-        if code is FaultCode.NONE:
-            continue
-        reaction = "stop" if SEVERITY[code] is Severity.STOP else "emergency"
-        lines.append(f"| `{code.name}` | {FAULT_TEXTS[code]} | {reaction} |")
+    for row in FAULTS:
+        reaction = "stop" if row.reaction.severity is Severity.STOP else "emergency"
+        lines.append(f"| `{row.code.name}` | {FAULT_TEXTS[row.code]} | {reaction} |")
     return "\n".join(lines)
 
 
