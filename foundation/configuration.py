@@ -47,6 +47,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise ConfigurationError("configuration.unreadable", f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        why = f"{path}: not UTF-8 at byte {error.start}"
+        raise ConfigurationError("configuration.not_yaml", why) from error
     data = _parsed(text, str(path))
     if not isinstance(data, dict):
         raise ConfigurationError(

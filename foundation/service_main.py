@@ -29,7 +29,7 @@ class ServiceOptions(NamedTuple):
     statistics: Path | None
 
 
-class Service(Protocol):
+class RunnableService(Protocol):
     """A service that has been made: its ports are bound, nothing runs yet."""
 
     async def run(self) -> int:
@@ -56,7 +56,7 @@ class ServiceProgram(NamedTuple):
     example: str
     files: str
     records: str
-    make: Callable[[ServiceOptions, EventLog], Service]
+    make: Callable[[ServiceOptions, EventLog], RunnableService]
     switches: tuple[Switch, ...] = ()
 
 

@@ -81,9 +81,9 @@ class RuntimeStatistics(NamedTuple):
     references_dropped: int
 
 
-def to_state(view: ControllerView, figures: RuntimeStatistics) -> State:
-    """The State message of ``view`` and ``figures``."""
-    return State(**view._asdict(), **figures._asdict())
+def to_state(view: ControllerView, statistics: RuntimeStatistics) -> State:
+    """The State message of ``view`` and ``statistics``."""
+    return State(**view._asdict(), **statistics._asdict())
 
 
 class ScanOutput(NamedTuple):

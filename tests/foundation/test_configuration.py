@@ -96,6 +96,13 @@ def test_each_fault_of_a_file_has_its_cause(tmp_path: Path, text: str, cause: st
     assert "\n" not in str(caught.value)
 
 
+def test_a_file_in_another_encoding_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "arm.yaml").write_bytes("reach_m: 5  # Länge".encode("latin-1"))
+    with pytest.raises(ConfigurationError, match="byte 15") as caught:
+        read_yaml(tmp_path / "arm.yaml")
+    assert caught.value.cause == "configuration.not_yaml"
+
+
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"arm\.yaml") as caught:
         read_yaml(tmp_path / "arm.yaml")

@@ -1,12 +1,37 @@
 """What cannot be started says so in one line with its cause, and ends with a status above 0."""
 
 import socket
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
+import controller.__main__
+import plant_emulator.__main__
+import vision_pc.__main__
+from testbed.realtime.supervisor import free_port
 from tests.integration.services import run_service
+from tests.support.paths import CONFIGS
 
-SERVICES = ("plant_emulator", "controller", "vision_pc")
+MAINS: dict[str, Callable[[list[str]], int]] = {
+    "plant_emulator": plant_emulator.__main__.main,
+    "controller": controller.__main__.main,
+    "vision_pc": vision_pc.__main__.main,
+}
+SERVICES = tuple(MAINS)
+
+
+def configured(**ports: int) -> list[str]:
+    """The command line of any service with ports that nobody has, but those given."""
+    free = {
+        "plant_service.modbus.port": 0,
+        "plant_service.camera_stream.port": 0,
+        "plant_service.fault_face.port": 0,
+        "controller.reference_link.port": 0,
+        "vision.api.port": free_port(),
+    }
+    settings = [f"{key}={port}" for key, port in (free | ports).items()]
+    return ["--config-dir", str(CONFIGS), "--set", *settings]
 
 
 def one_line(text: str) -> str:
@@ -59,6 +84,56 @@ def test_a_busy_port_is_named(service: str, key: str, kind: socket.SocketKind) -
     said = one_line(ended.stderr)
     assert "configuration.port_busy" in said
     assert str(port) in said
+
+
+@pytest.mark.parametrize("service", SERVICES)
+@pytest.mark.parametrize(
+    ("option", "name", "cause"),
+    [
+        ("--record-dir", "records", "configuration.record_dir_unwritable"),
+        ("--statistics", "records/statistics.json", "configuration.statistics_unwritable"),
+    ],
+)
+def test_a_directory_that_cannot_be_written_is_named(
+    service: str, option: str, name: str, cause: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    place = str(tmp_path / "file" / name)
+    assert MAINS[service]([*configured(), option, place]) == 2
+    said = capsys.readouterr()
+    assert one_line(said.err).startswith(f"{service}: {cause}: {option} {place}: ")
+    assert said.out == ""
+
+
+@pytest.mark.parametrize(
+    ("service", "key", "kind"),
+    [
+        ("plant_emulator", "plant_service.fault_face.port", socket.SOCK_STREAM),
+        ("controller", "controller.reference_link.port", socket.SOCK_DGRAM),
+        ("vision_pc", "vision.api.port", socket.SOCK_STREAM),
+    ],
+)
+def test_a_busy_port_is_found_before_anything_is_left_behind(
+    service: str, key: str, kind: socket.SocketKind, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.socket(socket.AF_INET, kind) as holder:
+        holder.bind(("127.0.0.1", 0))
+        if kind == socket.SOCK_STREAM:
+            holder.listen()
+        words = configured(**{key: holder.getsockname()[1]})
+        assert MAINS[service]([*words, "--record-dir", str(tmp_path / "run")]) == 2
+    assert "configuration.port_busy" in one_line(capsys.readouterr().err)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_key_that_is_missing_is_named_by_both_ends(capsys: pytest.CaptureFixture[str]) -> None:
+    for service, key in (("controller", "controller.reference_link"), ("vision_pc", "vision.link")):
+        assert MAINS[service]([*configured(), "--set", f"{key}.link_key.file=/no/such/key"]) == 2
+        said = capsys.readouterr()
+        assert one_line(said.err) == (
+            f"{service}: configuration.key_missing: link key: /no/such/key: no such file"
+        )
+        assert said.out == ""
 
 
 @pytest.mark.parametrize("service", SERVICES)

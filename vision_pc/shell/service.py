@@ -58,7 +58,15 @@ class VisionService:
             raise
 
     async def run(self) -> int:
-        """Serve until SIGTERM or SIGINT, then end the running operation and say goodbye."""
+        """Serve until SIGTERM or SIGINT, then end the running operation and say goodbye.
+
+        Raises ConfigurationError when the key of the link cannot be read.
+        """
+        with self._socket:
+            await self._serve()
+        return 0
+
+    async def _serve(self) -> None:
         cv2.setNumThreads(1)  # one core is for the controller and the plant
         config, nominal, log = self._config, dimensions(self._arm), self._log
         endpoint = UdpEndpoint(config.link, config.link.expected_arm(self._arm), log, MonotonicClock())
@@ -91,7 +99,6 @@ class VisionService:
             eyes.close()
             self._statistics.write()
             log.write("stopped")
-        return 0
 
     def _say_ready(self) -> None:
         host, port = self._socket.getsockname()

@@ -22,6 +22,7 @@ from plant_emulator.shell.recording import read_truth
 from protocol.process_image import CONTROL_ENABLE, ValveImage, decode_sensors, encode_valves
 from protocol.stereo_frame import HEADER_BYTES, decode_header
 from tests.plant_emulator.camera.camera_world import CONFIGS
+from tests.support.log_lines import assert_obeys
 
 ANY_PORTS = (
     "plant_service.modbus.port=0",
@@ -210,6 +211,20 @@ def test_a_renderer_that_ends_by_itself_ends_the_plant() -> None:
         assert process.wait(3.0) == 1
         assert process.stderr is not None
         assert "link.renderer_ended" in process.stderr.read()
+
+
+def test_a_renderer_that_breaks_says_so_in_the_schema_of_the_log() -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs, socket.create_server(("127.0.0.1", 0)) as listener:
+        inherited = (listener.fileno(), theirs.fileno())
+        done = subprocess.run(
+            [sys.executable, "-m", "plant_emulator.shell.renderer", *map(str, inherited), "normal"],
+            input="no scene at all", capture_output=True, text=True, timeout=READY_S, pass_fds=inherited,
+        )  # fmt: skip
+    assert done.returncode == 1
+    (line,) = map(json.loads, done.stderr.splitlines())
+    assert_obeys(line, "renderer")
+    assert line["event"] == "broken"
 
 
 def refused(settings: tuple[str, ...], arguments: tuple[str, ...] = ()) -> str:

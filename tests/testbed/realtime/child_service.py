@@ -6,6 +6,8 @@ import sys
 import threading
 from types import FrameType
 
+from foundation.event_log import EventLog
+
 
 def main(how: str) -> int:
     ended = threading.Event()
@@ -24,7 +26,9 @@ def main(how: str) -> int:
     print("a line that is not JSON")
     print(json.dumps({"event": "ready", "port": 1234}), flush=True)
     if how == "dies":
-        print("oil.lost: the pump ran dry", file=sys.stderr)
+        log = EventLog("service")
+        log.write("stopped", "error", cause="oil.lost", detail="the pump ran dry")
+        log.close()
         return 3
     ended.wait()
     return 0
