@@ -1,12 +1,15 @@
 """docs/how_to/add_a_program.md does what it says: its own blocks are run, in lockstep and over the API."""
 
+import importlib
 import os
 import re
 import signal
 import socket
+import sys
 import threading
 import time
-from types import ModuleType
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -22,28 +25,36 @@ TEXT = page("how_to/add_a_program.md")
 BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
 
 
+FILES = {"there_and_back": BLOCKS[0] + BLOCKS[1], "run_it": BLOCKS[2], "serve_it": BLOCKS[3]}
+
+
 @pytest.fixture
-def there_and_back(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The page's first two blocks as the module that it says to save them as."""
+def page_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], Any]]:
+    """Import a file of the page, saved and run from where the page says."""
+    for name, text in FILES.items():
+        assert f"`{name}.py`" in TEXT
+        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(ROOT)
-    module = ModuleType("there_and_back")
-    for block in BLOCKS[:2]:
-        exec(block, module.__dict__)
-    return module
+    yield importlib.import_module
+    for name in FILES:
+        sys.modules.pop(name, None)
 
 
-def test_the_page_s_program_runs_in_lockstep(there_and_back: Any) -> None:
-    exec(BLOCKS[2], there_and_back.__dict__)
-    rig = there_and_back.rig
-    assert 0.0 < max(abs(there_and_back.result.shift_m)) < 5e-3
-    ended = [event for event in rig.world.log.events if event["event"] == "operation_ended"]
+def test_the_page_s_program_runs_in_lockstep(page_module: Callable[[str], Any]) -> None:
+    run_it = page_module("run_it")
+    assert 0.0 < max(abs(run_it.result.shift_m)) < 5e-3
+    ended = [event for event in run_it.rig.world.log.events if event["event"] == "operation_ended"]
     assert ended[-1]["kind"] == "there-and-back"
     assert 0.0 < ended[-1]["result"]["shift_mm"] < 5.0
 
 
-async def test_the_page_s_program_is_served_with_its_guards_and_ranges(there_and_back: Any) -> None:
+async def test_the_page_s_program_is_served_with_its_guards_and_ranges(
+    page_module: Callable[[str], Any],
+) -> None:
+    row = page_module("there_and_back").THERE_AND_BACK
     async with bench(link_timeout_ms=30_000) as made:
-        app = create_app(made.station, made.operations, (*PROGRAMS, there_and_back.THERE_AND_BACK))
+        app = create_app(made.station, made.operations, (*PROGRAMS, row))
         made.client = httpx.AsyncClient(transport=httpx.ASGITransport(app=app), base_url="http://vision")
         async with made.client:
             refused = await made.post("/operations/there-and-back")
@@ -58,12 +69,10 @@ async def test_the_page_s_program_is_served_with_its_guards_and_ranges(there_and
             assert member["anyOf"][0] == {"type": "number", "maximum": 300.0, "exclusiveMinimum": 0.0}
 
 
-def test_the_page_s_service_serves_it(there_and_back: Any) -> None:
+def test_the_page_s_service_serves_it(page_module: Callable[[str], Any]) -> None:
     """The page's own service, on a free port, without controller and camera."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    exec(BLOCKS[2].split("rig =")[0], there_and_back.__dict__)
-    exec(BLOCKS[3], there_and_back.__dict__)
     served: list[Any] = []
 
     def ask() -> None:
@@ -78,7 +87,7 @@ def test_the_page_s_service_serves_it(there_and_back: Any) -> None:
 
     asking = threading.Thread(target=ask)
     asking.start()
-    assert there_and_back.serve("--set", f"vision.api.port={port}") == 0
+    assert page_module("serve_it").serve("--set", f"vision.api.port={port}") == 0
     asking.join()
     assert "/operations/there-and-back" in served[0]
     assert "/operations/hand-eye-start" in served[0]
