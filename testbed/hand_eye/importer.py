@@ -22,7 +22,7 @@ from testbed.hand_eye.pose_text import (
     rotation_of_vector,
     unit_scale,
 )
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, Setup, pose_pairs
 from vision_pc.core.se3 import Array
 
@@ -189,7 +189,7 @@ def _pairs(
     X_CP = np.stack(cameras) if cameras else np.zeros((0, 4, 4))
     X_BT = np.stack(hands) if hands else np.zeros((0, 4, 4))
     if options.camera_in_target:
-        X_CP = rigid.inverse(X_CP)
+        X_CP = stacks.inverse(X_CP)
     return pose_pairs(X_BT, X_CP, setup, tuple(names), corners)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from protocol.errors import RequestRefused
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.se3 import Array
 
 _NORM_TOLERANCE = 0.02
@@ -39,7 +39,7 @@ def rotation_of_quaternion(q_wxyz: Array, where: str, normalise: bool) -> Array:
             "refused.hand_eye.quaternion_norm",
             f"{where}: quaternion has norm {norm:.3f}, not 1; ask to normalise it if it has few digits",
         )
-    return rigid.rotation_of_quaternion(q_wxyz)
+    return stacks.rotation_from_quaternion(q_wxyz)
 
 
 def rotation_of_vector(v: Array, where: str) -> Array:
@@ -49,7 +49,7 @@ def rotation_of_vector(v: Array, where: str) -> Array:
             "refused.hand_eye.units",
             f"{where}: rotation vector of {np.linalg.norm(v):.1f} rad; is it in degrees?",
         )
-    return rigid.rotation_exp(v)
+    return stacks.exp_so3(v)
 
 
 def numbers(value: Any, count: int, where: str) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from protocol.errors import RequestRefused
 from testbed.hand_eye.importer import ImportOptions
 from testbed.hand_eye.pose_text import file_text, rotation_of_quaternion
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs, Setup, pose_pairs
 from vision_pc.core.se3 import Array
 
@@ -65,7 +65,7 @@ def load_tum(path: Path, normalise: bool = False) -> Trajectory:
             )
         times.append(values[0])
         R = rotation_of_quaternion(values[[7, 4, 5, 6]], where, normalise)
-        poses.append(rigid.pose(R, values[1:4]))
+        poses.append(stacks.transform(R, values[1:4]))
     if len(times) < 3:
         raise RequestRefused(
             "refused.hand_eye.count", f"{path.name}: {len(times)} poses, at least 3 are needed"
@@ -98,7 +98,7 @@ def pair(
             "check the clocks or give an offset",
         )
     X_BT = interpolated(hand, times[usable])
-    X_CP = rigid.inverse(camera.X[usable]) if options.camera_in_target else camera.X[usable]
+    X_CP = stacks.inverse(camera.X[usable]) if options.camera_in_target else camera.X[usable]
     chosen = _chosen(times[usable], X_BT, X_CP, pairing)
     names = tuple(f"t={camera.time_s[usable][k]:.3f}" for k in chosen)
     return pose_pairs(X_BT[chosen], X_CP[chosen], options.setup or Setup.EYE_IN_HAND, names), offset
@@ -111,20 +111,18 @@ def interpolated(trajectory: Trajectory, times: Array) -> Array:
     begin_s, width = trajectory.time_s[after - 1], trajectory.time_s[after] - trajectory.time_s[after - 1]
     fraction = ((times - begin_s) / width)[:, None]
     R_start = start[:, :3, :3]
-    turn = rigid.rotation_log(np.swapaxes(R_start, -1, -2) @ end[:, :3, :3])
-    R = R_start @ rigid.rotation_exp(fraction * turn)
-    return rigid.pose(R, start[:, :3, 3] + fraction * (end[:, :3, 3] - start[:, :3, 3]))
+    turn = stacks.log_so3(np.swapaxes(R_start, -1, -2) @ end[:, :3, :3])
+    R = R_start @ stacks.exp_so3(fraction * turn)
+    return stacks.transform(R, start[:, :3, 3] + fraction * (end[:, :3, 3] - start[:, :3, 3]))
 
 
 def _speeds(time_s: Array, X: Array, window_s: float = 0.15) -> tuple[Array, Array]:
     """Turning (rad/s) and moving (m/s) speed at each pose, over ``window_s`` to either side."""
     low = np.searchsorted(time_s, time_s - window_s)
     high = np.clip(np.searchsorted(time_s, time_s + window_s), 0, len(time_s) - 1)
-    step = rigid.inverse(X[low]) @ X[high]
+    step = stacks.inverse(X[low]) @ X[high]
     duration = np.maximum(time_s[high] - time_s[low], 1e-6)
-    return rigid.rotation_angle(step[:, :3, :3]) / duration, np.linalg.norm(
-        step[:, :3, 3], axis=-1
-    ) / duration
+    return stacks.angle(step[:, :3, :3]) / duration, np.linalg.norm(step[:, :3, 3], axis=-1) / duration
 
 
 def _chosen(times: Array, X_BT: Array, X_CP: Array, pairing: PairingOptions) -> NDArray[np.intp]:
@@ -138,7 +136,7 @@ def _chosen(times: Array, X_BT: Array, X_CP: Array, pairing: PairingOptions) -> 
     taken: list[int] = []
     for k in np.argsort(restless, kind="stable"):
         others = X_BT[taken]
-        turned = rigid.rotation_angle(np.swapaxes(others[:, :3, :3], -1, -2) @ X_BT[k, :3, :3])
+        turned = stacks.angle(np.swapaxes(others[:, :3, :3], -1, -2) @ X_BT[k, :3, :3])
         moved = np.linalg.norm(others[:, :3, 3] - X_BT[k, :3, 3], axis=-1)
         if ((turned > limit) | (moved > pairing.spacing_m)).all():
             taken.append(int(k))
@@ -187,5 +185,5 @@ def _angle_mismatch(hand: Trajectory, camera: Trajectory, offset: float, lag_s: 
     turned = []
     for X in (interpolated(hand, times[inside]), camera.X[inside]):
         R = X[:, :3, :3]
-        turned.append(rigid.rotation_angle(np.swapaxes(R[:-lag], -1, -2) @ R[lag:]))
+        turned.append(stacks.angle(np.swapaxes(R[:-lag], -1, -2) @ R[lag:]))
     return float(np.mean((turned[0] - turned[1]) ** 2))

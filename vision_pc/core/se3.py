@@ -10,8 +10,8 @@ from protocol.pose import Pose
 
 Array = NDArray[np.float64]
 
-_SMALL_ANGLE = 1e-6  # below it the series' next term is under 1e-13 relative
-_NEAR_PI = math.pi - 1e-4  # above it the antisymmetric part of R has lost half its digits
+SMALL_ANGLE = 1e-6  # rad; below it the series' next term is under 1e-13 relative
+HALF_TURN_COSINE = math.cos(math.pi - 1e-4)  # below it the antisymmetric part of R has lost half its digits
 
 
 def identity() -> Array:
@@ -64,7 +64,7 @@ def rodrigues(w: Array) -> Array:
     """R (3×3) of the rotation vector ``w`` (3,), for compiled callers; others want ``exp_so3``."""
     x, y, z = w
     angle = math.sqrt(x * x + y * y + z * z)
-    if angle < _SMALL_ANGLE:
+    if angle < SMALL_ANGLE:
         a, b = 1.0, 0.5
     else:
         a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2
@@ -79,16 +79,14 @@ def rodrigues(w: Array) -> Array:
 
 def log_so3(R: Array) -> Array:
     """The rotation vector (3,) of R, of length 0…π rad; at π either sign of the axis may come."""
+    cosine = 0.5 * (float(np.trace(R)) - 1.0)
+    if cosine < HALF_TURN_COSINE:
+        w, v = np.split(quaternion_from_rotation(R), [1])
+        half = float(np.linalg.norm(v))
+        return np.asarray(v * (2.0 * math.atan2(half, float(w[0])) / half))
     v = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    angle = math.atan2(float(np.linalg.norm(v)), 0.5 * (float(np.trace(R)) - 1.0))
-    if angle < _SMALL_ANGLE:
-        return v
-    if angle < _NEAR_PI:
-        return v * (angle / math.sin(angle))
-    S = 0.5 * (R + R.T) - math.cos(angle) * np.eye(3)  # = (1 − cos) · axis axisᵀ
-    column = S[:, int(np.argmax(np.diag(S)))]
-    axis = column / np.linalg.norm(column)
-    return axis * (angle if axis @ v >= 0.0 else -angle)
+    angle = math.atan2(float(np.linalg.norm(v)), cosine)
+    return v if angle < SMALL_ANGLE else v * (angle / math.sin(angle))
 
 
 def angle_between(R_A: Array, R_B: Array) -> float:
@@ -116,9 +114,10 @@ def interpolate(X: Array, Y: Array, fraction: float) -> Array:
 
 
 def nearest_rotation(M: Array) -> Array:
-    """The proper rotation nearest to M (3×3) in the Frobenius norm."""
+    """The proper rotations nearest to M (..., 3, 3) in the Frobenius norm."""
     U, _, Vt = np.linalg.svd(M)
-    return np.asarray(U @ np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))]) @ Vt)
+    U[..., :, 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
+    return np.asarray(U @ Vt)
 
 
 def euler_xyz(R: Array) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from protocol.errors import MeasurementFailed
 from testbed.experiments.hand_eye import scenes
 from testbed.experiments.hand_eye.scenes import Scene
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, Setup, pose_pairs
 from vision_pc.core.hand_eye.solvers import bundle, methods
 from vision_pc.core.hand_eye.solvers.methods import Method
@@ -160,13 +160,13 @@ def simulated_session(rig: Rig, rng: np.random.Generator) -> Session:
     pixels = np.stack([_projected(P[k], points) for k in range(TAKEN)])
     pixels = pixels + rng.normal(size=pixels.shape) * rig.corner_px
     measured = np.stack([_pose_of(points, seen) for seen in pixels])
-    turn = rigid.rotation_exp(rng.normal(size=(TAKEN, 3)) * math.radians(rig.robot_rotation_deg))
+    turn = stacks.exp_so3(rng.normal(size=(TAKEN, 3)) * math.radians(rig.robot_rotation_deg))
     shift = rng.normal(size=(TAKEN, 3)) * 1e-3 * rig.robot_translation_mm
-    X_BT = rigid.pose(scene.X_BT[:, :3, :3] @ turn, scene.X_BT[:, :3, 3] + shift)
+    X_BT = stacks.transform(scene.X_BT[:, :3, :3] @ turn, scene.X_BT[:, :3, 3] + shift)
     for k in range(KEPT, TAKEN):  # sampled before the arm had settled
         moving = rng.normal(size=3)
         X_BT[k, :3, 3] += moving / np.linalg.norm(moving) * rng.uniform(0.02, 0.1)
-        X_BT[k, :3, :3] = X_BT[k, :3, :3] @ rigid.rotation_exp(rng.normal(size=3) * math.radians(4.0))
+        X_BT[k, :3, :3] = X_BT[k, :3, :3] @ stacks.exp_so3(rng.normal(size=3) * math.radians(4.0))
     corners = CornerViews(points, pixels, PAPER_K, np.zeros(5))
     taken = pose_pairs(X_BT, measured, Setup.EYE_IN_HAND, corners=corners)
     kept = pose_pairs(
@@ -188,7 +188,7 @@ def _pose_of(points: Array, pixels: Array) -> Array:
     )
     best = int(np.argmin(np.ravel(errors)))
     turn, shift = cv2.solvePnPRefineLM(points, pixels, PAPER_K, np.zeros(5), turns[best], shifts[best])
-    return rigid.pose(
+    return stacks.transform(
         np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64), np.asarray(shift, dtype=np.float64).ravel()
     )
 
@@ -231,15 +231,15 @@ def _repetitions(scene: Scene, rig: Rig, repetitions: int, rng: np.random.Genera
     found = {}
     for task, offset in TASKS.items():
         start = scene.X_BT[rng.integers(len(scene.X_BT), size=repetitions)]
-        wander = rigid.rotation_exp(rng.normal(size=(repetitions, 3)) * math.radians(5.0))
-        X_BT = rigid.pose(
+        wander = stacks.exp_so3(rng.normal(size=(repetitions, 3)) * math.radians(5.0))
+        X_BT = stacks.transform(
             start[:, :3, :3] @ wander, start[:, :3, 3] + rng.normal(size=(repetitions, 3)) * 0.03
         )
-        turn = rigid.rotation_exp(rng.normal(size=(repetitions, 3)) * math.radians(rig.robot_rotation_deg))
+        turn = stacks.exp_so3(rng.normal(size=(repetitions, 3)) * math.radians(rig.robot_rotation_deg))
         shift = rng.normal(size=(repetitions, 3)) * 1e-3 * rig.robot_translation_mm
-        reported = rigid.pose(X_BT[:, :3, :3] @ turn, X_BT[:, :3, 3] + shift)
+        reported = stacks.transform(X_BT[:, :3, :3] @ turn, X_BT[:, :3, 3] + shift)
         in_base = scene.Z @ np.append(offset, 1.0)
-        true = (rigid.inverse(X_BT @ scene.X) @ in_base)[:, :3]
+        true = (stacks.inverse(X_BT @ scene.X) @ in_base)[:, :3]
         sigma = 1e-3 * np.array([rig.point_across_mm, rig.point_across_mm, rig.point_along_mm])
         found[task] = _Points(X_BT, reported, true + rng.normal(size=true.shape) * sigma, true)
     return found

@@ -18,7 +18,7 @@ from testbed.experiments.hand_eye import intrinsics_experiment
 from testbed.experiments.hand_eye.intrinsics_experiment import IntrinsicsRow
 from testbed.hand_eye import trajectories
 from testbed.hand_eye.importer import ImportOptions, load
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs, Setup
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers import methods
@@ -75,10 +75,8 @@ def moveit() -> PosePairs:
 
 def moveit_reference() -> Array:
     """The camera in the base (4, 4) that MoveIt's own test expects."""
-    x, y, z = (
-        rigid.rotation_exp(angle * axis) for angle, axis in zip(MOVEIT_EULER_XYZ, np.eye(3), strict=True)
-    )
-    return rigid.pose(x @ y @ z, MOVEIT_TRANSLATION)
+    x, y, z = (stacks.exp_so3(angle * axis) for angle, axis in zip(MOVEIT_EULER_XYZ, np.eye(3), strict=True))
+    return stacks.transform(x @ y @ z, MOVEIT_TRANSLATION)
 
 
 def ethz() -> PosePairs:
@@ -103,7 +101,7 @@ def hold_out(
             rows.append(HoldOutRow(data, method.value, len(pairs), np.nan, np.nan, 0, error=str(error)))
             continue
         r = np.concatenate(parts)
-        off = None if reference is None else rigid.inverse(reference) @ result.X
+        off = None if reference is None else stacks.inverse(reference) @ result.X
         rows.append(
             HoldOutRow(
                 data,
@@ -112,7 +110,7 @@ def hold_out(
                 float(np.degrees(np.sqrt(np.mean(np.sum(r[:, 3:] ** 2, axis=1))))),
                 float(1e3 * np.sqrt(np.mean(np.sum(r[:, :3] ** 2, axis=1)))),
                 int((~result.inliers).sum()),
-                None if off is None else float(np.degrees(rigid.rotation_angle(off[:3, :3]))),
+                None if off is None else float(np.degrees(stacks.angle(off[:3, :3]))),
                 None if off is None else float(1e3 * np.linalg.norm(off[:3, 3])),
             )
         )

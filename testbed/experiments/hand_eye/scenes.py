@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs, Setup, pose_pairs
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
 from vision_pc.core.hand_eye.solvers.motions import Motions
-from vision_pc.core.se3 import Array
+from vision_pc.core.se3 import Array, nearest_rotation
 
 # Hua et al. 2024, Table 1: quaternion x, y, z, w (two decimals, norms 0.48 to 0.84) and position in metres
 TABLE_1 = np.array(
@@ -59,28 +59,28 @@ class Scene(NamedTuple):
 
 def table_1_scene() -> Scene:
     """The paper's twelve poses as the hand's, its X, and a target before the arm."""
-    R = rigid.rotation_of_quaternion(TABLE_1[:, [3, 0, 1, 2]])
-    X = rigid.pose(rigid.nearest_rotation(PRINTED_X[:3, :3]), PRINTED_X[:3, 3])
-    Z = rigid.pose(rigid.rotation_exp(np.array([0.4, -1.1, 0.7])), np.array([0.8, 0.1, 0.3]))
-    return Scene(rigid.pose(R, TABLE_1[:, 4:]), X, Z)
+    R = stacks.rotation_from_quaternion(TABLE_1[:, [3, 0, 1, 2]])
+    X = stacks.transform(nearest_rotation(PRINTED_X[:3, :3]), PRINTED_X[:3, 3])
+    Z = stacks.transform(stacks.exp_so3(np.array([0.4, -1.1, 0.7])), np.array([0.8, 0.1, 0.3]))
+    return Scene(stacks.transform(R, TABLE_1[:, 4:]), X, Z)
 
 
 def viewing_scene(
     rng: np.random.Generator, poses: int, distance_m: float = 0.8, tilt_deg: float = 30.0
 ) -> Scene:
     """Poses that look at the target from ``distance_m`` ± 20 %, tilted to ``tilt_deg``, rolled to 60°."""
-    X = rigid.pose(rigid.rotation_exp(_ball(rng, 1)[0] * math.radians(30.0)), rng.uniform(-0.1, 0.1, 3))
-    Z = rigid.pose(
-        rigid.rotation_exp(_ball(rng, 1)[0] * math.pi), rng.uniform([0.6, -0.3, 0.1], [1.2, 0.3, 0.7])
+    X = stacks.transform(stacks.exp_so3(_ball(rng, 1)[0] * math.radians(30.0)), rng.uniform(-0.1, 0.1, 3))
+    Z = stacks.transform(
+        stacks.exp_so3(_ball(rng, 1)[0] * math.pi), rng.uniform([0.6, -0.3, 0.1], [1.2, 0.3, 0.7])
     )
     tilt = np.concatenate([_disc(rng, poses) * math.radians(tilt_deg), np.zeros((poses, 1))], axis=1)
     roll = np.zeros((poses, 3))
     roll[:, 2] = rng.uniform(-1.0, 1.0, poses) * math.radians(60.0)
     facing = np.diag([1.0, -1.0, -1.0])  # the target's z towards the camera
-    R_CT = rigid.rotation_exp(roll) @ rigid.rotation_exp(tilt) @ facing
+    R_CT = stacks.exp_so3(roll) @ stacks.exp_so3(tilt) @ facing
     depth = distance_m * rng.uniform(0.8, 1.2, poses)
     t = np.concatenate([_disc(rng, poses) * 0.2 * depth[:, None], depth[:, None]], axis=1)
-    return Scene(Z @ rigid.inverse(rigid.pose(R_CT, t)) @ rigid.inverse(X), X, Z)
+    return Scene(Z @ stacks.inverse(stacks.transform(R_CT, t)) @ stacks.inverse(X), X, Z)
 
 
 def small_rotation_scene(rng: np.random.Generator, poses: int, largest_deg: float = 5.0) -> Scene:
@@ -89,10 +89,12 @@ def small_rotation_scene(rng: np.random.Generator, poses: int, largest_deg: floa
     The poses use the ends of that range, as anyone would who has so little. The camera sits where the arm's
     does: 0.2 m left of, 0.05 m above and 0.4 m behind the tool.
     """
-    X = rigid.pose(rigid.rotation_exp(_ball(rng, 1)[0] * math.radians(10.0)), np.array([-0.20, -0.05, -0.40]))
+    X = stacks.transform(
+        stacks.exp_so3(_ball(rng, 1)[0] * math.radians(10.0)), np.array([-0.20, -0.05, -0.40])
+    )
     turns = _sphere(rng, poses) * math.radians(0.5 * largest_deg) * 0.999
-    X_BT = rigid.pose(rigid.rotation_exp(turns), rng.uniform(-0.15, 0.15, (poses, 3)))
-    facing = rigid.pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
+    X_BT = stacks.transform(stacks.exp_so3(turns), rng.uniform(-0.15, 0.15, (poses, 3)))
+    facing = stacks.transform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
     return Scene(X_BT, X, X @ facing)
 
 
@@ -131,9 +133,9 @@ def measured_with_bad(
     or a pose from another time gives.
     """
     count = len(scene.X_BT)
-    P = rigid.pose(*_disturbed_left(scene.P(), n.camera_rotation, n.camera_translation, rng))
-    hand_turn = rigid.rotation_exp(rng.normal(size=(count, 3)) * n.robot_rotation)
-    X_BT = rigid.pose(
+    P = stacks.transform(*_disturbed_left(scene.P(), n.camera_rotation, n.camera_translation, rng))
+    hand_turn = stacks.exp_so3(rng.normal(size=(count, 3)) * n.robot_rotation)
+    X_BT = stacks.transform(
         scene.X_BT[:, :3, :3] @ hand_turn,
         scene.X_BT[:, :3, 3] + rng.normal(size=(count, 3)) * n.robot_translation,
     )
@@ -142,16 +144,16 @@ def measured_with_bad(
         axis, aim = rng.normal(size=3), rng.normal(size=3)
         turn = axis / np.linalg.norm(axis) * math.radians(rng.uniform(10.0, 60.0))
         shift = aim / np.linalg.norm(aim) * rng.uniform(0.05, 0.3)
-        P[k] = rigid.pose(rigid.rotation_exp(turn) @ P[k, :3, :3], P[k, :3, 3] + shift)
+        P[k] = stacks.transform(stacks.exp_so3(turn) @ P[k, :3, :3], P[k, :3, 3] + shift)
     return pose_pairs(X_BT, P, Setup.EYE_IN_HAND), {str(k + 1) for k in spoiled}
 
 
 def measured_motions(scene: Scene, n: Noise, rng: np.random.Generator) -> Motions:
     """The motions from each pose to the next, with camera noise on each relative motion by itself."""
     H, P = scene.X_BT, scene.P()
-    A = rigid.inverse(H[1:]) @ H[:-1]
-    B = rigid.pose(
-        *_disturbed_left(P[1:] @ rigid.inverse(P[:-1]), n.camera_rotation, n.camera_translation, rng)
+    A = stacks.inverse(H[1:]) @ H[:-1]
+    B = stacks.transform(
+        *_disturbed_left(P[1:] @ stacks.inverse(P[:-1]), n.camera_rotation, n.camera_translation, rng)
     )
     return Motions(A, B)
 
@@ -159,7 +161,7 @@ def measured_motions(scene: Scene, n: Noise, rng: np.random.Generator) -> Motion
 def _disturbed_left(
     X: Array, rotation: float, translation: float, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    turn = rigid.rotation_exp(rng.normal(size=(len(X), 3)) * rotation)
+    turn = stacks.exp_so3(rng.normal(size=(len(X), 3)) * rotation)
     return turn @ X[:, :3, :3], X[:, :3, 3] + rng.normal(size=(len(X), 3)) * translation
 
 
@@ -174,9 +176,9 @@ def bound(scene: Scene, n: Noise, relative: bool = False) -> Bound:
     """The Cramér-Rao bound of X for that noise on absolute poses, or on the motions in sequence."""
     if relative:
         H = scene.X_BT
-        A = rigid.inverse(H[1:]) @ H[:-1]
-        B = rigid.inverse(scene.X) @ A @ scene.X
-        equations = Equations(rigid.inverse(A), B, np.ones(len(A)), tied=True)
+        A = stacks.inverse(H[1:]) @ H[:-1]
+        B = stacks.inverse(scene.X) @ A @ scene.X
+        equations = Equations(stacks.inverse(A), B, np.ones(len(A)), tied=True)
         target = scene.X
     else:
         equations = Equations(scene.X_BT, scene.P(), np.ones(len(scene.X_BT)))

@@ -16,9 +16,9 @@ from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
 from tests.plant_emulator.camera.camera_world import scene_config
-from vision_pc.core.hand_eye.rigid import inverse
 from vision_pc.core.perception import zhang_intrinsics as zhang
 from vision_pc.core.perception.marker_edges import refine
+from vision_pc.core.se3_stacks import inverse
 
 FAR = transform(np.eye(3), np.array([0.0, 0.0, -5.0]))  # the tool marker, out of sight behind the camera
 

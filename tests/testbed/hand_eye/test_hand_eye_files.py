@@ -14,7 +14,7 @@ from testbed.hand_eye.importer import FORMAT, ImportOptions, load
 from testbed.hand_eye.trajectories import PairingOptions, Trajectory
 from tests.support.paths import DOCS
 from tests.vision_pc.hand_eye.data import exact_pairs, random_scene
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import Setup
 from vision_pc.core.hand_eye.solvers import methods
 from vision_pc.core.se3 import Array
@@ -26,7 +26,7 @@ def scene() -> Scene:
 
 
 def written(X: Array, form: str) -> Any:
-    q = rigid.quaternion(X[None, :3, :3])[0]
+    q = stacks.quaternion_from_rotation(X[None, :3, :3])[0]
     p = X[:3, 3].tolist()
     return {
         "matrix": X.tolist(),
@@ -34,11 +34,11 @@ def written(X: Array, form: str) -> Any:
         "q_xyzw": {"p": p, "q_xyzw": q[[1, 2, 3, 0]].tolist()},
         "rotation_vector_rad": {
             "p": p,
-            "rotation_vector_rad": rigid.rotation_log(X[None, :3, :3])[0].tolist(),
+            "rotation_vector_rad": stacks.log_so3(X[None, :3, :3])[0].tolist(),
         },
         "rotation_vector_deg": {
             "p": p,
-            "rotation_vector_deg": np.degrees(rigid.rotation_log(X[None, :3, :3])[0]).tolist(),
+            "rotation_vector_deg": np.degrees(stacks.log_so3(X[None, :3, :3])[0]).tolist(),
         },
         "R": {"p": p, "R": X[:3, :3].tolist()},
     }[form]
@@ -103,7 +103,7 @@ def test_millimetres_are_scaled_when_they_are_said_to_be(tmp_path: Path, scene: 
 def test_inverted_camera_poses_are_turned_round(tmp_path: Path, scene: Scene) -> None:
     data = document(scene)
     for sample, P in zip(data["samples"], scene.P(), strict=True):
-        sample["camera"] = written(rigid.inverse(P), "matrix")
+        sample["camera"] = written(stacks.inverse(P), "matrix")
     pairs = load(saved(tmp_path, data), ImportOptions(camera_in_target=True))
     np.testing.assert_allclose(methods.solve(pairs).X, scene.X, atol=1e-9)
 
@@ -213,8 +213,8 @@ CSV_HEADER = (
 def csv_text(scene: Scene) -> str:
     lines = ["# six samples", CSV_HEADER]
     for k, (H, P) in enumerate(zip(scene.X_BT, scene.P(), strict=True)):
-        q = rigid.quaternion(H[None, :3, :3])[0]
-        v = np.degrees(rigid.rotation_log(P[None, :3, :3])[0])
+        q = stacks.quaternion_from_rotation(H[None, :3, :3])[0]
+        v = np.degrees(stacks.log_so3(P[None, :3, :3])[0])
         values = [*(1e3 * H[:3, 3]), *q, *P[:3, 3], *v]
         lines.append(", ".join([f"s{k}", *(f"{value:.12g}" for value in values), "yes", "582"]))
     return "\n".join(lines)
@@ -268,7 +268,7 @@ def recording(offset_s: float = 0.0) -> tuple[Scene, Trajectory, Trajectory]:
             [0.6 * np.sin(0.9 * t), 0.5 * np.sin(0.7 * t + 1.0), 0.8 * np.sin(0.5 * t + 2.0)], axis=1
         )
         p = np.stack([0.2 * np.cos(0.6 * t), 0.2 * np.sin(0.8 * t), 0.1 * np.sin(0.3 * t)], axis=1)
-        return rigid.pose(rigid.rotation_exp(v), p)
+        return stacks.transform(stacks.exp_so3(v), p)
 
     t_hand, t_camera = np.arange(0.0, 20.0, 0.01), np.arange(0.5, 19.5, 1.0 / 30.0)
     P = scene._replace(X_BT=hand_at(t_camera)).P()
@@ -276,7 +276,7 @@ def recording(offset_s: float = 0.0) -> tuple[Scene, Trajectory, Trajectory]:
 
 
 def write_tum(path: Path, trajectory: Trajectory, separator: str = " ") -> Path:
-    q = rigid.quaternion(trajectory.X[:, :3, :3])[:, [1, 2, 3, 0]]
+    q = stacks.quaternion_from_rotation(trajectory.X[:, :3, :3])[:, [1, 2, 3, 0]]
     rows = np.column_stack([trajectory.time_s, trajectory.X[:, :3, 3], q])
     lines = ["# t x y z qx qy qz qw", *(separator.join(f"{v:.9f}" for v in row) for row in rows)]
     path.write_text("\n".join(lines), encoding="utf-8")
@@ -302,7 +302,7 @@ def test_chosen_moments_are_apart(tmp_path: Path) -> None:
     X = pairs.X_BT
     for k in range(len(X)):
         others = np.delete(X, k, axis=0)
-        turned = rigid.rotation_angle(np.swapaxes(others[:, :3, :3], -1, -2) @ X[k, :3, :3])
+        turned = stacks.angle(np.swapaxes(others[:, :3, :3], -1, -2) @ X[k, :3, :3])
         moved = np.linalg.norm(others[:, :3, 3] - X[k, :3, 3], axis=1)
         assert ((turned > np.radians(8.0)) | (moved > 0.08)).all()
 

@@ -4,14 +4,14 @@ import numpy as np
 
 from testbed.experiments.hand_eye import scenes
 from testbed.experiments.hand_eye.scenes import Scene
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs, Setup, pose_pairs
 from vision_pc.core.se3 import Array
 
 
 def random_poses(rng: np.random.Generator, count: int, turn: float = 1.0, shift: float = 0.5) -> Array:
-    return rigid.pose(
-        rigid.rotation_exp(rng.normal(size=(count, 3)) * turn), rng.normal(size=(count, 3)) * shift
+    return stacks.transform(
+        stacks.exp_so3(rng.normal(size=(count, 3)) * turn), rng.normal(size=(count, 3)) * shift
     )
 
 
@@ -22,7 +22,7 @@ def random_scene(rng: np.random.Generator, count: int = 12) -> Scene:
 
 def exact_pairs(scene: Scene, setup: Setup = Setup.EYE_IN_HAND) -> PosePairs:
     """Noise-free samples of ``scene``, whose H is the hand's pose or its inverse."""
-    X_BT = scene.X_BT if setup is Setup.EYE_IN_HAND else rigid.inverse(scene.X_BT)
+    X_BT = scene.X_BT if setup is Setup.EYE_IN_HAND else stacks.inverse(scene.X_BT)
     return pose_pairs(X_BT, scene.P(), setup)
 
 

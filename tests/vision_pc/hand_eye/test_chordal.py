@@ -5,7 +5,7 @@ import pytest
 
 from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import noisy_pairs, random_poses
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.solvers import chordal
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
@@ -43,11 +43,13 @@ def test_form_is_the_cost_it_stands_for() -> None:
     problem = chordal.problem(pairs.H, pairs.P, np.ones(len(pairs)), NOISE)
     rng = np.random.default_rng(1)
     values, costs = [], []
-    for R_X, R_Z in rigid.rotation_exp(rng.normal(size=(6, 2, 3))):
+    for R_X, R_Z in stacks.exp_so3(rng.normal(size=(6, 2, 3))):
         v = np.concatenate([R_X.ravel(), R_Z.ravel(), [1.0]])
         t = problem.recover @ v
         values.append(v @ problem.M @ v)
-        costs.append(chordal_cost(pairs.H, pairs.P, rigid.pose(R_X, t[:3]), rigid.pose(R_Z, t[3:]), NOISE))
+        costs.append(
+            chordal_cost(pairs.H, pairs.P, stacks.transform(R_X, t[:3]), stacks.transform(R_Z, t[3:]), NOISE)
+        )
     np.testing.assert_allclose(np.array(values) / values[0], np.array(costs) / costs[0], rtol=1e-9)
 
 

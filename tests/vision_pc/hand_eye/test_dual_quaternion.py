@@ -6,11 +6,12 @@ import scipy.optimize
 
 from protocol.errors import MeasurementFailed
 from testbed.experiments.hand_eye import scenes
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.solvers import dual_quaternion, sdp
 from vision_pc.core.hand_eye.solvers.dual_quaternion import Forms
 from vision_pc.core.hand_eye.solvers.moment_relaxation import monomial, relaxed
 from vision_pc.core.hand_eye.solvers.motions import all_motions, dual_quaternions
+from vision_pc.core.hand_eye.solvers.quaternion_algebra import dual_part
 from vision_pc.core.hand_eye.solvers.result import Certificate
 
 
@@ -40,8 +41,8 @@ def test_closed_form_minimises_both_problems() -> None:
     f = forms(3)
     X, certificate = dual_quaternion.closed_form(f)
     assert certificate.holds
-    g = rigid.quaternion(X[:3, :3])
-    g_dual = rigid.dual_part(g, X[:3, 3])
+    g = stacks.quaternion_from_rotation(X[:3, :3])
+    g_dual = dual_part(g, X[:3, 3])
 
     def rotation_cost(x: np.ndarray) -> float:  # type: ignore[type-arg]
         return float(x @ f.RR @ x / (x @ x))
@@ -68,15 +69,15 @@ def test_joint_problem_is_proven_and_better_than_dqcr() -> None:
     assert abs(certificate.gap) < 1e-12
 
     def cost(pose: np.ndarray) -> float:  # type: ignore[type-arg]
-        g = rigid.quaternion(pose[:3, :3])
-        v = np.concatenate([g, rigid.dual_part(g, pose[:3, 3])])
+        g = stacks.quaternion_from_rotation(pose[:3, :3])
+        v = np.concatenate([g, dual_part(g, pose[:3, 3])])
         return float(v @ f.joint() @ v)
 
     assert cost(X) < cost(dual_quaternion.closed_form(f)[0])
     rng = np.random.default_rng(2)
     for _ in range(100):  # nothing near it is better
-        turn = rigid.rotation_exp(rng.normal(size=3) * 1e-3)
-        other = rigid.pose(turn @ X[:3, :3], X[:3, 3] + rng.normal(size=3) * 1e-3)
+        turn = stacks.exp_so3(rng.normal(size=3) * 1e-3)
+        other = stacks.transform(turn @ X[:3, :3], X[:3, 3] + rng.normal(size=3) * 1e-3)
         assert cost(other) >= cost(X)
 
 

@@ -13,7 +13,7 @@ from testbed.experiments.hand_eye.guided_experiment import needed
 from tests.vision_pc.hand_eye.still_rig import CONFIGS, X_BT_START, still_settings
 from vision_pc.config.hand_eye import GuidedSettings
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.guided import sampling as guided_sampling
 from vision_pc.core.hand_eye.guided import views as guided_views
 from vision_pc.core.hand_eye.guided.sampling import Belief
@@ -126,7 +126,7 @@ def test_refused_poses_cast_a_shadow_for_joint_limits_only() -> None:
     assert np.allclose(again(half_way, "singular: 0.7, limit 0.6").X_BT, best.X_BT)
     shaded = again(half_way, "joint limit: 1.7, limit 1.56")
     assert shaded.choices < best.choices
-    turns = [rigid.rotation_log(X[:3, :3].T @ X_BT_START[:3, :3]) for X in (half_way, shaded.X_BT)]
+    turns = [stacks.log_so3(X[:3, :3].T @ X_BT_START[:3, :3]) for X in (half_way, shaded.X_BT)]
     lengths = [float(np.linalg.norm(turn)) for turn in turns]
     same_way = turns[0] @ turns[1] > math.cos(math.radians(20.0)) * lengths[0] * lengths[1]
     assert not (same_way and lengths[1] >= 0.95 * lengths[0])

@@ -17,7 +17,7 @@ from tests.vision_pc.hand_eye.still_rig import START_RAD as START
 from tests.vision_pc.hand_eye.still_rig import still_settings
 from vision_pc.config.hand_eye import ArmUncertainty
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.guided import nominal_model, shared_errors
 from vision_pc.core.hand_eye.guided import session as sessions
 from vision_pc.core.hand_eye.guided import solution as guided_solution
@@ -69,7 +69,7 @@ def taken(rng: np.random.Generator, world: World, arm: ArmUncertainty | None, co
     views = guided_views.random_views(GUIDED, CAMERA, rng)
     found = [
         joint_angles(TABLE, X[:3, :3], X[:3, 3], START)
-        for X in Z @ rigid.inverse(views) @ rigid.inverse(X_TC)
+        for X in Z @ stacks.inverse(views) @ stacks.inverse(X_TC)
     ]
     reached = [q for verdict, q, _, _ in found if verdict == 0 and np.abs(q[3:]).max() < 1.5]
     q = np.stack([START, *reached])[:count]

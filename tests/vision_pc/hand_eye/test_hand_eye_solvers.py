@@ -10,7 +10,7 @@ from protocol.errors import MeasurementFailed
 from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import exact_pairs, noisy_pairs, random_poses, random_scene
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import Setup, pose_pairs
 from vision_pc.core.hand_eye.solvers import classical, methods
 from vision_pc.core.hand_eye.solvers.classical import Classical
@@ -79,8 +79,10 @@ def test_residuals_are_in_the_callers_order_and_in_the_camera() -> None:
 def test_motion_solvers_equal_opencv(method: Classical) -> None:
     rng = np.random.default_rng(13)
     scene = random_scene(rng, 4)
-    turns = rigid.rotation_exp(np.radians(60.0) * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]))
-    scene = scene._replace(X_BT=rigid.pose(turns, scene.X_BT[:, :3, 3]))  # no motion that OpenCV's Tsai drops
+    turns = stacks.exp_so3(np.radians(60.0) * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]))
+    scene = scene._replace(
+        X_BT=stacks.transform(turns, scene.X_BT[:, :3, 3])
+    )  # no motion that OpenCV's Tsai drops
     pairs = scenes.measured(scene, scenes.noise(0.3, 2.0), rng)
     motions = all_motions(pairs)
     of_opencv = classical.from_poses(pairs, motions, method).X
@@ -152,11 +154,11 @@ def test_signs_agree_near_a_half_turn() -> None:
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     angles = np.concatenate([rng.uniform(0.5, 2.0, 15), np.pi + rng.normal(size=15) * 0.002])
     X = random_poses(rng, 1)[0]
-    A = rigid.pose(rigid.rotation_exp(axes * angles[:, None]), rng.normal(size=(30, 3)))
-    B = rigid.inverse(X) @ A @ X
-    B = rigid.pose(rigid.rotation_exp(rng.normal(size=(30, 3)) * 0.003) @ B[:, :3, :3], B[:, :3, 3])
+    A = stacks.transform(stacks.exp_so3(axes * angles[:, None]), rng.normal(size=(30, 3)))
+    B = stacks.inverse(X) @ A @ X
+    B = stacks.transform(stacks.exp_so3(rng.normal(size=(30, 3)) * 0.003) @ B[:, :3, :3], B[:, :3, 3])
     dual = dual_quaternions(Motions(A, B))
-    g = rigid.quaternion(X[:3, :3])
+    g = stacks.quaternion_from_rotation(X[:3, :3])
     mismatch = np.linalg.norm(dual.rotation_rows() @ g, axis=-1)
     assert mismatch.max() < 0.02  # a wrong sign gives 2
     for method in (Method.HORAUD, Method.DQCR, Method.JOINT, Method.DANIILIDIS):

@@ -8,7 +8,7 @@ from protocol.errors import MeasurementFailed
 from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import random_poses, random_scene
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import Setup
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers import noise as noise_model
@@ -56,13 +56,13 @@ def test_robot_levers_equal_moving_the_hand(setup: Setup) -> None:
     P = scene.P()
     levers = ml.robot_levers(Equations(H, P, np.ones(6), setup), scene.X, scene.Z)
     to_camera = scene.X[:3, :3].T @ np.swapaxes(H[:, :3, :3], -1, -2)
-    X_BT = H if setup is Setup.EYE_IN_HAND else rigid.inverse(H)
+    X_BT = H if setup is Setup.EYE_IN_HAND else stacks.inverse(H)
     for k in range(6):
         delta = np.zeros(6)
         delta[k] = STEP
-        about_hand = rigid.pose(rigid.rotation_exp(delta[3:]), delta[:3])  # in hand axes
+        about_hand = stacks.transform(stacks.exp_so3(delta[3:]), delta[:3])  # in hand axes
         moved = X_BT @ about_hand
-        H_moved = moved if setup is Setup.EYE_IN_HAND else rigid.inverse(moved)
+        H_moved = moved if setup is Setup.EYE_IN_HAND else stacks.inverse(moved)
         r = ml.residuals(H_moved, P, scene.X, scene.Z) / STEP
         of_hand = np.broadcast_to(scene.X[:3, :3].T, (6, 3, 3)) if setup is Setup.EYE_IN_HAND else to_camera
         in_camera = np.concatenate([of_hand @ delta[:3] / STEP, of_hand @ delta[3:] / STEP], axis=-1)
@@ -100,8 +100,8 @@ def test_residual_in_the_base_is_worse() -> None:
 
         def mismatch(step: Array, H: Array = pairs.H, P: Array = pairs.P) -> Array:
             X, Z = ml.moved(scene.X, scene.Z, step, tied=False)
-            D = H @ X @ P @ rigid.inverse(Z)
-            r = np.concatenate([D[:, :3, 3], rigid.rotation_log(D[:, :3, :3])], axis=1) / sigma
+            D = H @ X @ P @ stacks.inverse(Z)
+            r = np.concatenate([D[:, :3, 3], stacks.log_so3(D[:, :3, :3])], axis=1) / sigma
             return np.asarray(r.ravel())
 
         step = scipy.optimize.least_squares(mismatch, np.zeros(12)).x

@@ -7,7 +7,7 @@ from protocol.errors import MeasurementFailed
 from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import noisy_pairs, random_poses
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import pose_pairs
 from vision_pc.core.hand_eye.solvers import consensus, methods
 from vision_pc.core.hand_eye.solvers.methods import Method
@@ -108,7 +108,7 @@ def test_parallel_axes_are_refused_by_every_method() -> None:
     scene = scenes.viewing_scene(rng, 12)
     spin = np.zeros((12, 3))
     spin[:, 2] = rng.uniform(-1.0, 1.0, 12)
-    hand = rigid.pose(rigid.rotation_exp(spin), rng.normal(size=(12, 3)) * 0.3)
+    hand = stacks.transform(stacks.exp_so3(spin), rng.normal(size=(12, 3)) * 0.3)
     planar = scene._replace(X_BT=hand)
     exact = pose_pairs(hand, planar.P())
     noisy = scenes.measured(planar, scenes.noise(0.1, 0.5), rng)
@@ -125,7 +125,7 @@ def test_parallel_axes_hidden_by_a_bad_sample_are_refused_too() -> None:
     scene = scenes.viewing_scene(rng, 12)
     spin = np.zeros((12, 3))
     spin[:, 2] = rng.uniform(-1.0, 1.0, 12)
-    planar = scene._replace(X_BT=rigid.pose(rigid.rotation_exp(spin), rng.normal(size=(12, 3)) * 0.3))
+    planar = scene._replace(X_BT=stacks.transform(stacks.exp_so3(spin), rng.normal(size=(12, 3)) * 0.3))
     P = scenes.measured(planar, scenes.noise(0.05, 0.3), rng).P
     hand = scenes.measured(planar, scenes.noise(0.05, 0.3), np.random.default_rng(28)).X_BT
     hand = hand.copy()
@@ -157,7 +157,7 @@ def test_small_rotations_are_accepted_when_the_noise_allows() -> None:
 
 def test_verdict_counts_what_it_saw() -> None:
     turns = np.radians([[20.0, 0.0, 0.0], [0.0, 10.0, 0.0], [20.0, 0.0, 0.0], [0.0, 10.0, 0.0]])
-    A = rigid.pose(rigid.rotation_exp(turns), np.zeros((4, 3)))
+    A = stacks.transform(stacks.exp_so3(turns), np.zeros((4, 3)))
     seen = verdict(5, Motions(A, A))
     assert np.degrees(seen.largest_rotation) == pytest.approx(20.0)
     assert np.degrees(seen.second_axis) == pytest.approx(10.0 / np.sqrt(2.0))

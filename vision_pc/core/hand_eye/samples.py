@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import RequestRefused
-from vision_pc.core.hand_eye import rigid
-from vision_pc.core.se3 import Array
+from vision_pc.core import se3_stacks as stacks
+from vision_pc.core.se3 import Array, nearest_rotation
 
 
 class Setup(StrEnum):
@@ -80,7 +80,7 @@ class PosePairs:
     @property
     def X_BT(self) -> Array:
         """The poses of the hand in the base (n, 4, 4)."""
-        return self.H if self.setup is Setup.EYE_IN_HAND else rigid.inverse(self.H)
+        return self.H if self.setup is Setup.EYE_IN_HAND else stacks.inverse(self.H)
 
     def subset(self, keep: NDArray[np.bool_]) -> "PosePairs":
         """The samples whose flag in ``keep`` (n,) is set, still in canonical order."""
@@ -128,7 +128,7 @@ def pose_pairs(
     _check_repeats(hand, target, names, limits)
     flat = np.concatenate([hand[:, :3].reshape(len(hand), 12), target[:, :3].reshape(len(hand), 12)], axis=1)
     order = np.lexsort(flat.T[::-1])
-    H = hand if setup is Setup.EYE_IN_HAND else rigid.inverse(hand)
+    H = hand if setup is Setup.EYE_IN_HAND else stacks.inverse(hand)
     return PosePairs(
         setup,
         H[order],
@@ -140,7 +140,7 @@ def pose_pairs(
 
 
 def _exact(X: Array) -> Array:
-    return rigid.pose(rigid.nearest_rotation(X[:, :3, :3]), X[:, :3, 3])
+    return stacks.transform(nearest_rotation(X[:, :3, :3]), X[:, :3, 3])
 
 
 def _check_pose(X: Array, where: str, limits: SampleLimits) -> None:

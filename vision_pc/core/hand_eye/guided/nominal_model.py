@@ -12,7 +12,7 @@ import numpy as np
 
 from nominal_arm.dimensions import DhLink
 from vision_pc.config.hand_eye import JOINTS, ArmUncertainty
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.se3 import Array
 
 Links = tuple[DhLink, ...]
@@ -39,7 +39,7 @@ def frames(links: Links, q: Array) -> Array:
 def mismatch(links: Links, q: Array, X_BT: Array) -> tuple[Array, Array]:
     """How far ``links`` put the hand at ``q`` (n, 6) off ``X_BT`` (n, 4, 4): metres and radians (n,)."""
     nominal = frames(links, q)[:, -1]
-    turn = rigid.rotation_angle(np.swapaxes(nominal[:, :3, :3], -1, -2) @ X_BT[:, :3, :3])
+    turn = stacks.angle(np.swapaxes(nominal[:, :3, :3], -1, -2) @ X_BT[:, :3, :3])
     return np.linalg.norm(nominal[:, :3, 3] - X_BT[:, :3, 3], axis=1), turn
 
 
@@ -61,7 +61,7 @@ def shared_errors(links: Links, arm: ArmUncertainty, q: Array) -> Array:
     Joint 1's zero moves as the target in B does, joint 6's as the camera in the hand: no sample tells.
     """
     F = frames(links, q)
-    to_hand = rigid.inverse(F[:, -1:])
+    to_hand = stacks.inverse(F[:, -1:])
     by_joint = joint_motions(F)
     raised = np.cross(F[:, :JOINTS, :3, 2], F[:, -1:, :3, 3] - F[:, :JOINTS, :3, 3])[..., 2]
     columns = []
@@ -85,5 +85,5 @@ def _carried(X: Array) -> Array:
     R = X[:, :3, :3]
     A = np.zeros((len(X), 6, 6))
     A[:, :3, :3] = A[:, 3:, 3:] = R
-    A[:, :3, 3:] = rigid.skew(X[:, :3, 3]) @ R
+    A[:, :3, 3:] = stacks.hat(X[:, :3, 3]) @ R
     return A

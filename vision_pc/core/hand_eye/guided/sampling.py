@@ -17,7 +17,7 @@ import numpy as np
 from protocol.errors import MeasurementFailed
 from vision_pc.config.hand_eye import GuidedSettings
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.guided.views import (
     Refused,
     Surroundings,
@@ -125,7 +125,7 @@ def propose(
     (``measurement.hand_eye.no_pose``) when no candidate passes the bounds.
     """
     X_CP = random_views(settings, around.camera, rng)
-    X_BT = belief.Z @ rigid.inverse(X_CP) @ rigid.inverse(belief.X)
+    X_BT = belief.Z @ stacks.inverse(X_CP) @ stacks.inverse(belief.X)
     passes = keep_bounds(X_BT, X_CP, around, settings)
     passes &= ~foreseeably_refused(X_BT, around.X_BT_start, refused)
     choices = np.flatnonzero(passes)
@@ -180,7 +180,7 @@ def _covariances(
     baseline.
     """
     start, camera = around.X_BT_start, around.camera
-    turn = rigid.rotation_angle(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ start[:3, :3])
+    turn = stacks.angle(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ start[:3, :3])
     way = np.linalg.norm(X_BT[:, :3, 3] - start[:3, 3], axis=1)
     shift = settings.robot_std_m**2 + (settings.robot_strain * way) ** 2
     twist = math.radians(settings.robot_std_deg) ** 2 + (settings.robot_twist * turn) ** 2

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations
 from vision_pc.core.se3 import Array
@@ -102,7 +102,7 @@ def _without(H: Array, P: Array, doubts: Doubts, errors: Array) -> tuple[Array, 
     """The poses (n, 4, 4) with shared ``errors`` taken off, and how each moves the hand there (n, 6, k)."""
     moved, slope = _along_the_chain(doubts.hand, errors)
     seen = doubts.camera @ errors
-    true_P = rigid.pose(rigid.rotation_exp(-seen[:, 3:]) @ P[:, :3, :3], P[:, :3, 3] - seen[:, :3])
+    true_P = stacks.transform(stacks.exp_so3(-seen[:, 3:]) @ P[:, :3, :3], P[:, :3, 3] - seen[:, :3])
     return H @ moved, true_P, slope
 
 
@@ -115,7 +115,7 @@ def _along_the_chain(hand: Array, errors: Array) -> tuple[Array, Array]:
     for k in reversed(range(len(errors))):
         v, w = hand[:, :3, k], hand[:, 3:, k]
         back = np.swapaxes(moved[:, :3, :3], -1, -2)
-        shift = v - (rigid.skew(moved[:, :3, 3]) @ w[..., None])[..., 0]
+        shift = v - (stacks.hat(moved[:, :3, 3]) @ w[..., None])[..., 0]
         slope[:, :3, k], slope[:, 3:, k] = (back @ shift[..., None])[..., 0], (back @ w[..., None])[..., 0]
         moved = _screw(errors[k] * v, errors[k] * w) @ moved
     return moved, slope
@@ -123,9 +123,9 @@ def _along_the_chain(hand: Array, errors: Array) -> tuple[Array, Array]:
 
 def _screw(v: Array, w: Array) -> Array:
     """The motions (n, 4, 4) of small screws, shift ``v`` and turn ``w`` (n, 3)."""
-    S = rigid.skew(w)
+    S = stacks.hat(w)
     shift = v[..., None] + 0.5 * S @ v[..., None] + S @ S @ v[..., None] / 6.0
-    return rigid.pose(rigid.rotation_exp(w), shift[..., 0])
+    return stacks.transform(stacks.exp_so3(w), shift[..., 0])
 
 
 class _Linear(NamedTuple):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vision_pc.config.hand_eye import GuidedSettings
 from vision_pc.core import se3
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.perception.markers import corner_points
 from vision_pc.core.se3 import Array
@@ -86,8 +86,8 @@ def random_views(settings: GuidedSettings, camera: CameraCalibration, rng: np.ra
     roll = math.radians(settings.roll_deg) * rng.uniform(-1.0, 1.0, n)
     leaning = np.c_[np.cos(azimuth) * tilt, np.sin(azimuth) * tilt, np.zeros(n)]
     facing = np.diag([1.0, -1.0, -1.0])
-    spin = rigid.rotation_exp(np.c_[np.zeros((n, 2)), roll])
-    return rigid.pose(_towards(rays) @ rigid.rotation_exp(leaning) @ facing @ spin, p)
+    spin = stacks.exp_so3(np.c_[np.zeros((n, 2)), roll])
+    return stacks.transform(_towards(rays) @ stacks.exp_so3(leaning) @ facing @ spin, p)
 
 
 def _towards(rays: Array) -> Array:
@@ -95,7 +95,7 @@ def _towards(rays: Array) -> Array:
     axis = np.cross(np.array([0.0, 0.0, 1.0]), rays)
     sine = np.linalg.norm(axis, axis=1)
     angle = np.arctan2(sine, rays[:, 2])
-    return rigid.rotation_exp(axis * (angle / np.maximum(sine, 1e-12))[:, None])
+    return stacks.exp_so3(axis * (angle / np.maximum(sine, 1e-12))[:, None])
 
 
 def foreseeably_refused(X_BT: Array, X_BT_start: Array, refused: Sequence[Refused]) -> Flags:
@@ -104,13 +104,13 @@ def foreseeably_refused(X_BT: Array, X_BT_start: Array, refused: Sequence[Refuse
     Joint limits lie around the starting pose on all sides: what turns the hand the same way as a refused pose
     and as far is beyond the same limit.
     """
-    turns = rigid.rotation_log(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ X_BT_start[:3, :3])
+    turns = stacks.log_so3(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ X_BT_start[:3, :3])
     angles = np.linalg.norm(turns, axis=1)
     doomed = np.zeros(len(X_BT), dtype=bool)
     for pose, why in refused:
-        turn = rigid.rotation_log(pose[:3, :3].T @ X_BT_start[:3, :3])
+        turn = stacks.log_so3(pose[:3, :3].T @ X_BT_start[:3, :3])
         angle = float(np.linalg.norm(turn))
-        apart = rigid.rotation_angle(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ pose[:3, :3])
+        apart = stacks.angle(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ pose[:3, :3])
         beside = np.linalg.norm(X_BT[:, :3, 3] - pose[:3, 3], axis=1) < _NEIGHBOUR_M
         doomed |= (apart < _NEIGHBOUR_RAD) & beside
         if "joint limit" in why and angle > _NEIGHBOUR_RAD:
@@ -130,7 +130,7 @@ def keep_bounds(X_BT: Array, X_CP: Array, around: Surroundings, settings: Guided
     """Which candidates keep view, clearance, turn and reach (n,)."""
     n = len(X_BT)
     start = around.X_BT_start
-    turned = rigid.rotation_angle(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ start[:3, :3])
+    turned = stacks.angle(np.swapaxes(X_BT[:, :3, :3], -1, -2) @ start[:3, :3])
     moved = np.linalg.norm(X_BT[:, :3, 3] - start[:3, 3], axis=1)
     ahead = np.einsum("ni,ni->n", around.tool_C - X_CP[:, :3, 3], X_CP[:, :3, 2])
     keep: Flags = (turned <= math.radians(settings.turn_deg)) & (moved <= settings.reach_m)

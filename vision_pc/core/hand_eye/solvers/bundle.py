@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import CornerViews, PosePairs
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations
@@ -120,7 +120,7 @@ def _sample(
     points = turned + pose[:3, 3] + shift[:3]
     pixels, slopes = cv2.projectPoints(points, np.zeros(3), np.zeros(3), corners.K, corners.distortion)
     by_point = slopes[:, 3:6].reshape(-1, 2, 3)
-    by_pose = np.concatenate([by_point, -by_point @ rigid.skew(turned)], axis=-1).reshape(-1, 6)
+    by_pose = np.concatenate([by_point, -by_point @ stacks.hat(turned)], axis=-1).reshape(-1, 6)
     raw = (pixels.reshape(-1, 2) - corners.pixels[k][seen]).reshape(-1)
     sizes = np.repeat(np.linalg.norm(raw.reshape(-1, 2), axis=-1), 2) / sigma
     weight = np.sqrt(np.where(sizes > _HUBER, _HUBER / np.maximum(sizes, 1e-300), 1.0)) / sigma

@@ -17,11 +17,11 @@ import scipy.sparse
 from numpy.typing import NDArray
 
 from protocol.errors import MeasurementFailed
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.solvers import sdp
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Noise
 from vision_pc.core.hand_eye.solvers.result import Certificate
-from vision_pc.core.se3 import Array
+from vision_pc.core.se3 import Array, nearest_rotation
 
 Indices = NDArray[np.int64]
 
@@ -85,7 +85,7 @@ def solve(chordal: ChordalProblem) -> tuple[Array, Array, Certificate]:
     v = _stacked(R_X, R_Z)
     certificate = _certificate(chordal.M, v, solution.primal, constraints, moments)
     t = chordal.recover @ v
-    return rigid.pose(R_X, t[:3]), rigid.pose(R_Z, t[3:]), certificate
+    return stacks.transform(R_X, t[:3]), stacks.transform(R_Z, t[3:]), certificate
 
 
 def _stacked(R_X: Array, R_Z: Array) -> Array:
@@ -100,12 +100,12 @@ def _rounded(moments: Array) -> tuple[Array, Array]:
             "measurement.hand_eye.sdp", "the semidefinite relaxation has no usable first moment"
         )
     v = v / v[_ONE]
-    return rigid.nearest_rotation(v[:9].reshape(3, 3)), rigid.nearest_rotation(v[9:18].reshape(3, 3))
+    return nearest_rotation(v[:9].reshape(3, 3)), nearest_rotation(v[9:18].reshape(3, 3))
 
 
 def _polished(M: Array, R_X: Array, R_Z: Array) -> tuple[Array, Array]:
     """The stationary point next to R_X, R_Z, by Newton on SO(3)² with the exact second derivative."""
-    generators = rigid.skew(np.eye(3))
+    generators = stacks.hat(np.eye(3))
     for _ in range(_NEWTON_STEPS):
         v = _stacked(R_X, R_Z)
         J = np.zeros((_SIZE, 6))
@@ -120,7 +120,7 @@ def _polished(M: Array, R_X: Array, R_Z: Array) -> tuple[Array, Array]:
             )  # Σ slope·(a b + b a) R / 2 for generators a, b
             hessian[block : block + 3, block : block + 3] += 0.5 * (N + N.T) - np.trace(N) * np.eye(3)
         step = np.asarray(-np.linalg.solve(hessian, gradient), dtype=np.float64)
-        R_X, R_Z = rigid.rotation_exp(step[:3]) @ R_X, rigid.rotation_exp(step[3:]) @ R_Z
+        R_X, R_Z = stacks.exp_so3(step[:3]) @ R_X, stacks.exp_so3(step[3:]) @ R_Z
         if np.abs(step).max() < 1e-14:
             break
     return R_X, R_Z

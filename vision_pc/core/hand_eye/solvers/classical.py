@@ -14,11 +14,12 @@ import cv2
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import dual_quaternion
 from vision_pc.core.hand_eye.solvers.motions import DualQuaternions, Motions, dual_quaternions
-from vision_pc.core.se3 import Array
+from vision_pc.core.hand_eye.solvers.quaternion_algebra import translation_of_dual
+from vision_pc.core.se3 import Array, nearest_rotation
 
 _TSAI_LEAST = math.radians(15.0)  # OpenCV's Tsai drops motions outside these
 _TSAI_MOST = math.pi - _TSAI_LEAST
@@ -67,14 +68,17 @@ def from_poses(pairs: PosePairs, motions: Motions, method: Classical) -> Classic
     """
     H, P = pairs.H, pairs.P
     if method in _AX_ZB:
-        H_inverse = rigid.inverse(H)
+        H_inverse = stacks.inverse(H)
         R_TZ, t_TZ, R_CX, t_CX = _called(
             cv2.calibrateRobotWorldHandEye,
             method,
             (P[:, :3, :3], P[:, :3, 3], H_inverse[:, :3, :3], H_inverse[:, :3, 3]),
             _AX_ZB[method],
         )
-        X, Z = rigid.inverse(_proper(R_CX, t_CX, method)), rigid.inverse(_proper(R_TZ, t_TZ, method))
+        X, Z = (
+            stacks.inverse(_proper(R_CX, t_CX, method)),
+            stacks.inverse(_proper(R_TZ, t_TZ, method)),
+        )
         return ClassicalResult(X, Z)
     if method is Classical.TSAI and not _enough_for_opencv_tsai(motions):
         note = "OpenCV's Tsai would drop these rotations under 15 degrees; solved without its filter"
@@ -107,11 +111,11 @@ def _proper(R: Array, t: Array, method: Classical) -> Array:
             "measurement.hand_eye.left_handed",
             f"{method}: the solver returned a reflection (det {determinant:.3f})",
         )
-    return rigid.pose(rigid.nearest_rotation(R), t)
+    return stacks.transform(nearest_rotation(R), t)
 
 
 def _enough_for_opencv_tsai(motions: Motions) -> bool:
-    vectors = rigid.rotation_log(motions.A[:, :3, :3])
+    vectors = stacks.log_so3(motions.A[:, :3, :3])
     angles = np.linalg.norm(vectors, axis=-1)
     kept = vectors[(angles > _TSAI_LEAST) & (angles < _TSAI_MOST)]
     if len(kept) < 2:
@@ -133,7 +137,7 @@ def from_motions(motions: Motions, method: Classical) -> Array:
     elif method is Classical.PARK:
         R = _park_rotation(motions)
     elif method is Classical.HORAUD:
-        R = rigid.rotation_of_quaternion(np.linalg.eigh(dual_quaternion.forms(dual).RR)[1][:, 0])
+        R = stacks.rotation_from_quaternion(np.linalg.eigh(dual_quaternion.forms(dual).RR)[1][:, 0])
     else:
         raise ValueError(f"{method} needs poses")
     return _proper(R, _translation(motions, R), method)
@@ -149,13 +153,13 @@ def _translation(motions: Motions, R: Array) -> Array:
 def _tsai_rotation(dual: DualQuaternions) -> Array:
     """Tsai and Lenz 1989, eq. (12), (14): skew(a + b) p = b − a, a and b twice the vector parts."""
     a, b = 2.0 * dual.x[:, 1:], 2.0 * dual.y[:, 1:]
-    p = np.linalg.lstsq(rigid.skew(a + b).reshape(-1, 3), (b - a).reshape(-1), rcond=None)[0]
-    return rigid.rotation_of_quaternion(np.concatenate([[1.0], p]) / math.sqrt(1.0 + p @ p))
+    p = np.linalg.lstsq(stacks.hat(a + b).reshape(-1, 3), (b - a).reshape(-1), rcond=None)[0]
+    return stacks.rotation_from_quaternion(np.concatenate([[1.0], p]) / math.sqrt(1.0 + p @ p))
 
 
 def _park_rotation(motions: Motions) -> Array:
     """Park and Martin 1994: R = (MᵀM)^(−1/2) Mᵀ with M = Σ b aᵀ of the rotation vectors."""
-    M = rigid.rotation_log(motions.B[:, :3, :3]).T @ rigid.rotation_log(motions.A[:, :3, :3])
+    M = stacks.log_so3(motions.B[:, :3, :3]).T @ stacks.log_so3(motions.A[:, :3, :3])
     U, _, Vt = np.linalg.svd(M)
     return np.asarray((U @ Vt).T)
 
@@ -166,9 +170,9 @@ def _daniilidis(dual: DualQuaternions) -> Array:
     a_dual, b_dual = dual.x_dual[:, 1:], dual.y_dual[:, 1:]
     S = np.zeros((len(a), 6, 8))
     S[:, :3, 0] = S[:, 3:, 4] = a - b
-    S[:, :3, 1:4] = S[:, 3:, 5:] = rigid.skew(a + b)
+    S[:, :3, 1:4] = S[:, 3:, 5:] = stacks.hat(a + b)
     S[:, 3:, 0] = a_dual - b_dual
-    S[:, 3:, 1:4] = rigid.skew(a_dual + b_dual)
+    S[:, 3:, 1:4] = stacks.hat(a_dual + b_dual)
     u, v = np.linalg.svd(S.reshape(-1, 8), full_matrices=True)[2][-2:]
     roots = np.roots([u[:4] @ u[4:], u[:4] @ v[4:] + v[:4] @ u[4:], v[:4] @ v[4:]])
     if np.abs(roots.imag).max(initial=0.0) > 0.0 or not len(roots):
@@ -178,4 +182,4 @@ def _daniilidis(dual: DualQuaternions) -> Array:
     candidates = [s * u + v for s in roots.real]
     q = max(candidates, key=lambda c: float(c[:4] @ c[:4]))
     q = q / np.linalg.norm(q[:4])
-    return rigid.pose(rigid.rotation_of_quaternion(q[:4]), rigid.translation_of_dual(q[:4], q[4:]))
+    return stacks.transform(stacks.rotation_from_quaternion(q[:4]), translation_of_dual(q[:4], q[4:]))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import MeasurementFailed
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import Setup
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers import noise as noise_model
@@ -143,7 +143,7 @@ def _concentrated(p: Parts, setup: Setup, X: Array, Z: Array, wanted: int) -> tu
 
 def _sizes(p: Parts, X: Array, Z: Array) -> tuple[Array, Array]:
     """Rotation (rad, chordal) and translation (m) sizes of the residuals (..., n)."""
-    expected = rigid.inverse(X)[..., None, :, :] @ rigid.inverse(p.H) @ Z[..., None, :, :]
+    expected = stacks.inverse(X)[..., None, :, :] @ stacks.inverse(p.H) @ Z[..., None, :, :]
     gap = p.P - expected
     chord = np.sqrt(0.5 * np.sum(gap[..., :3, :3] ** 2, axis=(-2, -1)))
     return chord, np.linalg.norm(gap[..., :3, 3], axis=-1)

@@ -18,10 +18,11 @@ import numpy as np
 import scipy.optimize
 import scipy.sparse
 
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.solvers import sdp
 from vision_pc.core.hand_eye.solvers.moment_relaxation import Polynomial, Relaxation, monomial, relaxed
 from vision_pc.core.hand_eye.solvers.motions import DualQuaternions
+from vision_pc.core.hand_eye.solvers.quaternion_algebra import translation_of_dual
 from vision_pc.core.hand_eye.solvers.result import Certificate
 from vision_pc.core.se3 import Array
 
@@ -210,4 +211,4 @@ def _stationary(M: Array, multiplier: float) -> tuple[Array, tuple[float, float]
 
 
 def _pose(g: Array, g_dual: Array) -> Array:
-    return rigid.pose(rigid.rotation_of_quaternion(g), rigid.translation_of_dual(g, g_dual))
+    return stacks.transform(stacks.rotation_from_quaternion(g), translation_of_dual(g, g_dual))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import Setup
 from vision_pc.core.se3 import Array
 
@@ -58,14 +58,14 @@ class Estimate(NamedTuple):
 
 def predicted(H: Array, X: Array, Z: Array) -> Array:
     """The target in the camera, X⁻¹ H⁻¹ Z (n, 4, 4)."""
-    return rigid.inverse(X) @ rigid.inverse(H) @ Z
+    return stacks.inverse(X) @ stacks.inverse(H) @ Z
 
 
 def residuals(H: Array, P: Array, X: Array, Z: Array) -> Array:
     """Measured minus predicted target poses in camera axes (n, 6): translation, then rotation vector."""
     expected = predicted(H, X, Z)
     turned = P[:, :3, :3] @ np.swapaxes(expected[:, :3, :3], -1, -2)
-    return np.concatenate([P[:, :3, 3] - expected[:, :3, 3], rigid.rotation_log(turned)], axis=-1)
+    return np.concatenate([P[:, :3, 3] - expected[:, :3, 3], stacks.log_so3(turned)], axis=-1)
 
 
 def jacobian(equations: Equations, X: Array, Z: Array, r: Array) -> Array:
@@ -75,11 +75,11 @@ def jacobian(equations: Equations, X: Array, Z: Array, r: Array) -> Array:
     R_H_transposed = np.swapaxes(equations.H[:, :3, :3], -1, -2)
     to_camera = R_X_transposed @ R_H_transposed
     lever = (R_H_transposed @ (Z[:3, 3] - equations.H[:, :3, 3])[..., None])[..., 0] - X[:3, 3]
-    bend = rigid.skew(r[:, 3:])
+    bend = stacks.hat(r[:, 3:])
     log_slope = np.eye(3) + 0.5 * bend + (bend @ bend) / 12.0
     J = np.zeros((n, 6, 12))
     J[:, :3, 0:3] = R_X_transposed
-    J[:, :3, 3:6] = -R_X_transposed @ rigid.skew(lever)
+    J[:, :3, 3:6] = -R_X_transposed @ stacks.hat(lever)
     J[:, 3:, 3:6] = log_slope @ R_X_transposed
     J[:, :3, 6:9] = -to_camera
     J[:, 3:, 9:12] = -log_slope @ to_camera
@@ -92,7 +92,7 @@ def robot_levers(equations: Equations, X: Array, Z: Array) -> Array:
     hand = equations.H[:, :3, 3] if equations.setup is Setup.EYE_IN_HAND else np.zeros((len(equations.H), 3))
     lever = (to_camera @ (Z[:3, 3] - hand)[..., None])[..., 0]
     L = np.tile(np.eye(6), (len(lever), 1, 1))
-    L[:, :3, 3:] = -rigid.skew(lever)
+    L[:, :3, 3:] = -stacks.hat(lever)
     return L
 
 
@@ -187,4 +187,4 @@ def moved(X: Array, Z: Array, step: Array, tied: bool) -> tuple[Array, Array]:
 
 
 def _retracted(X: Array, delta: Array) -> Array:
-    return rigid.pose(rigid.rotation_exp(delta[3:]) @ X[:3, :3], X[:3, 3] + delta[:3])
+    return stacks.transform(stacks.exp_so3(delta[3:]) @ X[:3, :3], X[:3, 3] + delta[:3])

@@ -6,7 +6,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import chordal, classical, dual_quaternion, robust
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
@@ -110,7 +110,7 @@ def solve_motions(motions: Motions, method: Method, noise: Noise | None = None) 
     """
     verdict(len(motions.A) + 1, motions).demand()
     if method in (Method.MAXIMUM_LIKELIHOOD, Method.ROBUST):
-        equations = Equations(rigid.inverse(motions.A), motions.B, np.ones(len(motions.A)), tied=True)
+        equations = Equations(stacks.inverse(motions.A), motions.B, np.ones(len(motions.A)), tied=True)
         start = dual_quaternion.joint(dual_quaternion.forms(dual_quaternions(motions)))[0]
         first = noise or Noise(*noise_model.USUAL_RATIO)
         if noise is None:
@@ -151,7 +151,7 @@ def _result(
     noise: Noise | None = None,
 ) -> HandEyeResult:
     """The result in the caller's order; Z is the samples' mean where the method does not give it."""
-    Z = rigid.mean_pose(pairs.H @ X @ pairs.P) if Z is None else Z
+    Z = stacks.mean_pose(pairs.H @ X @ pairs.P) if Z is None else Z
     back = np.argsort(np.array(pairs.order))
     inliers = np.ones(len(pairs), dtype=bool) if inliers is None else inliers
     residuals = ml.residuals(pairs.H, pairs.P, X, Z)

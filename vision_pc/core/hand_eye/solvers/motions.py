@@ -10,8 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs
+from vision_pc.core.hand_eye.solvers.quaternion_algebra import (
+    dual_part,
+    left_product_matrix,
+    right_product_matrix,
+)
 from vision_pc.core.se3 import Array
 
 Indices = NDArray[np.int64]
@@ -44,11 +49,11 @@ class DualQuaternions(NamedTuple):
 
     def rotation_rows(self) -> Array:
         """The matrices A(x) − B(y), (m, 4, 4), of the rotation equation (Hua et al. eq. 26)."""
-        return rigid.left_product_matrix(self.x) - rigid.right_product_matrix(self.y)
+        return left_product_matrix(self.x) - right_product_matrix(self.y)
 
     def dual_rows(self) -> Array:
         """The matrices A(x') − B(y'), (m, 4, 4), of the dual equation (Hua et al. eq. 26)."""
-        return rigid.left_product_matrix(self.x_dual) - rigid.right_product_matrix(self.y_dual)
+        return left_product_matrix(self.x_dual) - right_product_matrix(self.y_dual)
 
 
 def all_motions(pairs: PosePairs) -> Motions:
@@ -58,8 +63,8 @@ def all_motions(pairs: PosePairs) -> Motions:
 
 
 def _between(pairs: PosePairs, i: Indices, j: Indices) -> Motions:
-    A = rigid.inverse(pairs.H[j]) @ pairs.H[i]
-    B = pairs.P[j] @ rigid.inverse(pairs.P[i])
+    A = stacks.inverse(pairs.H[j]) @ pairs.H[i]
+    B = pairs.P[j] @ stacks.inverse(pairs.P[i])
     return Motions(A, B, tuple(map(int, i)), tuple(map(int, j)))
 
 
@@ -70,14 +75,23 @@ def dual_quaternions(motions: Motions) -> DualQuaternions:
     angle. Near a half turn noise can flip one of them; there the sign is taken that fits the rotation which
     the unambiguous motions give (a defect of other tools: opencv issue 24871).
     """
-    x, y = rigid.quaternion(motions.A[:, :3, :3]), rigid.quaternion(motions.B[:, :3, :3])
+    x, y = (
+        stacks.quaternion_from_rotation(motions.A[:, :3, :3]),
+        stacks.quaternion_from_rotation(motions.B[:, :3, :3]),
+    )
     doubtful = (x[:, 0] < _SIGN_IN_DOUBT_COS) | (y[:, 0] < _SIGN_IN_DOUBT_COS)
     if doubtful.any() and (~doubtful).sum() >= 2:
-        rows = rigid.left_product_matrix(x[~doubtful]) - rigid.right_product_matrix(y[~doubtful])
+        rows = left_product_matrix(x[~doubtful]) - right_product_matrix(y[~doubtful])
         g = np.linalg.eigh(np.einsum("mij,mik->jk", rows, rows))[1][:, 0]
-        x_g, g_y = rigid.left_product_matrix(x) @ g, rigid.right_product_matrix(y) @ g
+        x_g, g_y = (
+            left_product_matrix(x) @ g,
+            right_product_matrix(y) @ g,
+        )
         flip = doubtful & (np.sum(x_g * g_y, axis=-1) < 0.0)
         y = np.where(flip[:, None], -y, y)
     return DualQuaternions(
-        x, rigid.dual_part(x, motions.A[:, :3, 3]), y, rigid.dual_part(y, motions.B[:, :3, 3])
+        x,
+        dual_part(x, motions.A[:, :3, 3]),
+        y,
+        dual_part(y, motions.B[:, :3, 3]),
     )

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.solvers.motions import Motions
 from vision_pc.core.se3 import Array
 
@@ -57,7 +57,7 @@ def verdict(samples: int, motions: Motions, limits: ObservabilityLimits | None =
     if samples < limits.samples or not len(motions.A):
         reason = f"{samples} samples are too few: at least {limits.samples} are needed"
         return Observability(samples, 0.0, 0.0, 0.0, "measurement.hand_eye.too_few_samples", reason)
-    hand, camera = rigid.rotation_log(motions.A[:, :3, :3]), rigid.rotation_log(motions.B[:, :3, :3])
+    hand, camera = stacks.log_so3(motions.A[:, :3, :3]), stacks.log_so3(motions.B[:, :3, :3])
     hand_angles = np.linalg.norm(hand, axis=-1)
     largest = float(hand_angles.max())
     second = min(_second_axis(hand), _second_axis(camera))

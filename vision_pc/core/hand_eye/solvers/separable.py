@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision_pc.core.hand_eye import rigid
+from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers.motions import Motions, dual_quaternions
-from vision_pc.core.se3 import Array
+from vision_pc.core.se3 import Array, nearest_rotation
 
 _RIDGE = 1e-12
 
@@ -46,13 +46,13 @@ def solve(p: Parts, weights: Array) -> tuple[Array, Array]:
     lead = weights.shape[:-1]
     pair_weights = (weights[..., :, None] * weights[..., None, :]).reshape(*lead, -1)
     form = (pair_weights @ p.rotation_forms).reshape(*lead, 4, 4)
-    R_X = rigid.rotation_of_quaternion(np.linalg.eigh(form)[1][..., 0])
+    R_X = stacks.rotation_from_quaternion(np.linalg.eigh(form)[1][..., 0])
     turned = p.H[:, :3, :3] @ R_X[..., None, :, :] @ p.P[:, :3, :3]
-    R_Z = rigid.nearest_rotation(np.sum(weights[..., None, None] * turned, axis=-3))
+    R_Z = nearest_rotation(np.sum(weights[..., None, None] * turned, axis=-3))
     rows = p.translation_rows
     right = rows[:, :, 3:] @ p.H[:, :3, 3, None] - R_X[..., None, :, :] @ p.P[:, :3, 3, None]
     normal = (weights @ p.translation_forms).reshape(*lead, 6, 6)
     normal = normal + _RIDGE * weights.sum(axis=-1)[..., None, None] * np.eye(6)
     gathered = np.sum(weights[..., None, None] * (np.swapaxes(rows, -1, -2) @ right), axis=-3)
     t = np.linalg.solve(normal, gathered)[..., 0]
-    return rigid.pose(R_X, t[..., :3]), rigid.pose(R_Z, t[..., 3:])
+    return stacks.transform(R_X, t[..., :3]), stacks.transform(R_Z, t[..., 3:])
