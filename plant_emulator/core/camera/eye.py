@@ -74,15 +74,12 @@ class Eye:
             ]
         )
         pixel_area = 1.0 / float(np.prod(self.lens.focal))
-        ray_x, ray_y = self._rays
         wall_painter.paint_wall(
             picture,
-            ray_x,
-            ray_y,
+            self._rays,
             homographies,
             pixel_area,
-            self._texture,
-            SIZE_BITS,
+            wall_painter.WallTexture(self._texture, SIZE_BITS),
             light,
             relief,
             _SKY_GREY,
@@ -102,17 +99,14 @@ class Eye:
             gradient = np.array(self._scene.config.wall.lighting_gradient_per_m)
             R, p = plate.X_parent_plate[:2, :2], plate.X_parent_plate[:2, 3]
             light = np.array([1.0 + gradient @ p, gradient @ R[:, 0], -(gradient @ R[:, 1])])
-        ray_x, ray_y = self._rays
         box = (int(top), int(bottom), int(left), int(right))
         homographies = np.stack([_ray_to_plane(X) for X in X_EPs])
         if plate.levels:
-            panel_painter.paint_panel(
-                picture, ray_x, ray_y, homographies, plate.edges_x, plate.edges_y, plate.levels, box, light
-            )
+            panel = panel_painter.Panel(plate.edges_x, plate.edges_y, plate.levels)
+            panel_painter.paint_panel(picture, self._rays, homographies, panel, box, light)
             return
-        rasteriser.paint_plate(
-            picture, ray_x, ray_y, homographies, plate.edges_x, plate.edges_y, plate.grey, box, light
-        )
+        grid = rasteriser.Grid(plate.edges_x, plate.edges_y, plate.grey)
+        rasteriser.paint_plate(picture, self._rays, homographies, grid, box, light)
 
     def _bounds(self, X_EP: Matrix, plate: Plate) -> tuple[int, int, int, int]:
         """Pixel rows and columns (top, bottom, left, right; half open) that the plate may touch."""

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from foundation.compiled import kernel
 from plant_emulator.config.scene import LensConfig
+from plant_emulator.core.camera.rays import Rays
 
 Real64 = NDArray[np.float64]
 Real32 = NDArray[np.float32]
@@ -26,8 +27,8 @@ class Lens:
         image: Real64 = _distort_all(points[:, :2] / depth, self._coefficients) * self.focal + self.centre
         return image
 
-    def ray_map(self, width: int, height: int) -> tuple[Real32, Real32]:
-        """Normalised undistorted ray (x, y) for each pixel centre: two (height, width) float32 arrays.
+    def ray_map(self, width: int, height: int) -> Rays:
+        """The rays of all pixels of a picture.
 
         Newton's method on the distortion polynomial. Raises ValueError when the polynomial cannot be inverted
         within the picture, that is where the distorted picture would fold over.
@@ -37,7 +38,7 @@ class Lens:
         worst = _invert(ray_x, ray_y, self.focal, self.centre, self._coefficients)
         if not worst < 1e-10:
             raise ValueError("the lens distortion cannot be inverted everywhere inside the picture")
-        return ray_x, ray_y
+        return Rays(ray_x, ray_y)
 
 
 @kernel(nogil=True)

@@ -1,60 +1,48 @@
 """Compiled loop that paints a plate with a picture: trilinear by each pixel's footprint, exact rims."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import kernel
 from plant_emulator.core.camera.rasteriser import share_below
+from plant_emulator.core.camera.rays import Rays, meet_plate, row_homography
 
 Grey = NDArray[np.uint8]
 Real32 = NDArray[np.float32]
 Real64 = NDArray[np.float64]
 
 
+class Panel(NamedTuple):
+    """A picture between two edges across and two down, in metres; ``levels``: the finest first."""
+
+    edges_x: Real64
+    edges_y: Real64
+    levels: tuple[Grey, ...]
+
+
 @kernel(nogil=True)
 def paint_panel(
-    out: Grey,
-    ray_x: Real32,
-    ray_y: Real32,
-    homographies: Real64,
-    edges_x: Real64,
-    edges_y: Real64,
-    levels: tuple[Grey, ...],
-    box: tuple[int, int, int, int],
-    light: Real64,
+    out: Grey, rays: Rays, homographies: Real64, panel: Panel, box: tuple[int, int, int, int], light: Real64
 ) -> None:
     """Paint one picture plate over ``out`` inside ``box``; arguments as of ``rasteriser.paint_plate``."""
-    height, width = out.shape
-    texels_per_m = levels[0].shape[1] / (edges_x[1] - edges_x[0])
+    left, top, levels = panel.edges_x[0], panel.edges_y[0], panel.levels
+    texels_per_m = levels[0].shape[1] / (panel.edges_x[1] - left)
     for i in range(box[0], box[1]):
-        h = homographies[0] + (homographies[1] - homographies[0]) * (i / (height - 1))
-        i0, i1 = max(i - 1, 0), min(i + 1, height - 1)
+        h = row_homography(homographies, i, out.shape[0])
         for j in range(box[2], box[3]):
-            j0, j1 = max(j - 1, 0), min(j + 1, width - 1)
-            x, y = np.float64(ray_x[i, j]), np.float64(ray_y[i, j])
-            w = h[2, 0] * x + h[2, 1] * y + h[2, 2]
-            if w <= 1e-9:
+            at = meet_plate(rays, h, i, j)
+            if not at.in_front:
                 continue
-            s = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w
-            t = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / w
-            dx_du = (np.float64(ray_x[i, j1]) - ray_x[i, j0]) / (j1 - j0)
-            dy_du = (np.float64(ray_y[i, j1]) - ray_y[i, j0]) / (j1 - j0)
-            dx_dv = (np.float64(ray_x[i1, j]) - ray_x[i0, j]) / (i1 - i0)
-            dy_dv = (np.float64(ray_y[i1, j]) - ray_y[i0, j]) / (i1 - i0)
-            s_x, s_y = (h[0, 0] - s * h[2, 0]) / w, (h[0, 1] - s * h[2, 1]) / w
-            t_x, t_y = (h[1, 0] - t * h[2, 0]) / w, (h[1, 1] - t * h[2, 1]) / w
-            s_u, s_v = s_x * dx_du + s_y * dy_du, s_x * dx_dv + s_y * dy_dv
-            t_u, t_v = t_x * dx_du + t_y * dy_du, t_x * dx_dv + t_y * dy_dv
-            alpha = _within(s, abs(s_u), abs(s_v), edges_x) * _within(t, abs(t_u), abs(t_v), edges_y)
+            alpha = _within(at.s, abs(at.s_u), abs(at.s_v), panel.edges_x)
+            alpha *= _within(at.t, abs(at.t_u), abs(at.t_v), panel.edges_y)
             if alpha <= 0.0:
                 continue
-            footprint = texels_per_m * math.sqrt(abs(s_u * t_v - s_v * t_u))
-            grey = _sampled(
-                levels, (s - edges_x[0]) * texels_per_m, (t - edges_y[0]) * texels_per_m, footprint
-            )
-            bright = grey * (light[0] + light[1] * s + light[2] * t)
+            footprint = texels_per_m * math.sqrt(abs(at.s_u * at.t_v - at.s_v * at.t_u))
+            grey = _sampled(levels, (at.s - left) * texels_per_m, (at.t - top) * texels_per_m, footprint)
+            bright = grey * (light[0] + light[1] * at.s + light[2] * at.t)
             value = alpha * bright + (1.0 - alpha) * out[i, j]
             out[i, j] = np.uint8(min(max(value, 0.0), 255.0) + 0.5)
 

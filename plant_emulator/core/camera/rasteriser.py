@@ -6,10 +6,13 @@ of a square pixel that lies beyond a straight edge is the integral of a trapezoi
 exactly and not to a fraction of a sample grid.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import kernel
+from plant_emulator.core.camera.rays import Rays, meet_plate, row_homography
 
 Grey = NDArray[np.uint8]
 Real32 = NDArray[np.float32]
@@ -19,58 +22,45 @@ NOISE_LENGTH = 1 << 20
 NOISE_UNIT = 256.0  # noise is kept in 1/256 grey levels
 
 
+class Grid(NamedTuple):
+    """Cells of one ``grey`` (rows, columns) each, between ``edges_x`` and ``edges_y`` (m), ascending."""
+
+    edges_x: Real64
+    edges_y: Real64
+    grey: Real32
+
+
 @kernel(nogil=True)
 def paint_plate(
-    out: Grey,
-    ray_x: Real32,
-    ray_y: Real32,
-    homographies: Real64,
-    edges_x: Real64,
-    edges_y: Real64,
-    grey: Real32,
-    box: tuple[int, int, int, int],
-    light: Real64,
+    out: Grey, rays: Rays, homographies: Real64, grid: Grid, box: tuple[int, int, int, int], light: Real64
 ) -> None:
     """Paint one plate over ``out`` inside ``box`` (top, bottom, left, right); its rim blends with the rest.
 
-    ``homographies`` (2, 3, 3) map (ray_x, ray_y, 1) to plate coordinates (x right, y down) in metres times
+    ``homographies`` (2, 3, 3) map (ray x, ray y, 1) to plate coordinates (x right, y down) in metres times
     the inverse depth, at the picture's first and last row; ``light`` = (constant, per x, per y) multiplies
     the grey.
     """
-    height, width = out.shape
-    cells_x, cells_y = edges_x.shape[0] - 1, edges_y.shape[0] - 1
-    weight_x, weight_y = np.empty(cells_x), np.empty(cells_y)
+    edges_x, edges_y, grey = grid
+    weight_x, weight_y = np.empty(edges_x.shape[0] - 1), np.empty(edges_y.shape[0] - 1)
     for i in range(box[0], box[1]):
-        h = homographies[0] + (homographies[1] - homographies[0]) * (i / (height - 1))
-        i0, i1 = max(i - 1, 0), min(i + 1, height - 1)
+        h = row_homography(homographies, i, out.shape[0])
         column = row = 0  # cells change slowly along a line of pixels: the search starts where it ended
         for j in range(box[2], box[3]):
-            j0, j1 = max(j - 1, 0), min(j + 1, width - 1)
-            x, y = np.float64(ray_x[i, j]), np.float64(ray_y[i, j])
-            w = h[2, 0] * x + h[2, 1] * y + h[2, 2]
-            if w <= 1e-9:
+            at = meet_plate(rays, h, i, j)
+            if not at.in_front:
                 continue
-            s = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w
-            t = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / w
-            dx_du = (np.float64(ray_x[i, j1]) - ray_x[i, j0]) / (j1 - j0)
-            dy_du = (np.float64(ray_y[i, j1]) - ray_y[i, j0]) / (j1 - j0)
-            dx_dv = (np.float64(ray_x[i1, j]) - ray_x[i0, j]) / (i1 - i0)
-            dy_dv = (np.float64(ray_y[i1, j]) - ray_y[i0, j]) / (i1 - i0)
-            s_x, s_y = (h[0, 0] - s * h[2, 0]) / w, (h[0, 1] - s * h[2, 1]) / w
-            t_x, t_y = (h[1, 0] - t * h[2, 0]) / w, (h[1, 1] - t * h[2, 1]) / w
-            s_u, s_v = abs(s_x * dx_du + s_y * dy_du), abs(s_x * dx_dv + s_y * dy_dv)
-            t_u, t_v = abs(t_x * dx_du + t_y * dy_du), abs(t_x * dx_dv + t_y * dy_dv)
+            s_u, s_v, t_u, t_v = abs(at.s_u), abs(at.s_v), abs(at.t_u), abs(at.t_v)
             s_reach, t_reach = 0.5 * (s_u + s_v), 0.5 * (t_u + t_v)
-            column = _first_cell(edges_x, s - s_reach, column)
-            row = _first_cell(edges_y, t - t_reach, row)
-            bright = light[0] + light[1] * s + light[2] * t
-            within_x = edges_x[column] <= s - s_reach and s + s_reach <= edges_x[column + 1]
-            within_y = edges_y[row] <= t - t_reach and t + t_reach <= edges_y[row + 1]
+            column = _first_cell(edges_x, at.s - s_reach, column)
+            row = _first_cell(edges_y, at.t - t_reach, row)
+            bright = light[0] + light[1] * at.s + light[2] * at.t
+            within_x = edges_x[column] <= at.s - s_reach and at.s + s_reach <= edges_x[column + 1]
+            within_y = edges_y[row] <= at.t - t_reach and at.t + t_reach <= edges_y[row + 1]
             if within_x and within_y:
                 out[i, j] = np.uint8(min(max(grey[row, column] * bright, 0.0), 255.0) + 0.5)
                 continue
-            last_column = _cell_weights(s, s_u, s_v, edges_x, column, weight_x)
-            last_row = _cell_weights(t, t_u, t_v, edges_y, row, weight_y)
+            last_column = _cell_weights(at.s, s_u, s_v, edges_x, column, weight_x)
+            last_row = _cell_weights(at.t, t_u, t_v, edges_y, row, weight_y)
             total = alpha = 0.0
             for k in range(row, last_row):
                 for m in range(column, last_column):

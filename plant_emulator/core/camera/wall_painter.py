@@ -6,12 +6,13 @@ sample costs one load. Coordinates, blending and light are separate loops over s
 compilers vectorise those and leave only the loads scalar.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import kernel
+from plant_emulator.core.camera.rays import Rays
 
 Grey = NDArray[np.uint8]
 Words = NDArray[np.int32]
@@ -43,28 +44,34 @@ def packed(texture: Grey) -> Words:
     return words
 
 
+class WallTexture(NamedTuple):
+    """Packed mip levels of the wall, the finest 2**finest_bits texels to a side."""
+
+    levels: tuple[Words, ...]
+    finest_bits: int
+
+
 @kernel(fastmath=True, error_model="numpy", nogil=True)
 def paint_wall(
     out: Grey,
-    ray_x: Real32,
-    ray_y: Real32,
+    rays: Rays,
     homographies: Real64,
     pixel_area: float,
-    levels: tuple[Words, ...],
-    finest_bits: int,
+    wall: WallTexture,
     light: Real64,
     relief: Real64,
     sky: int,
 ) -> None:
     """Fill ``out`` (height, width) with the wall as seen along the rays.
 
-    ``homographies`` (2, 3, 3) map (ray_x, ray_y, 1) to (texel column, texel row, 1) of the finest level times
+    ``homographies`` (2, 3, 3) map (ray x, ray y, 1) to (texel column, texel row, 1) of the finest level times
     the inverse depth, at the first and the last row; ``pixel_area`` is one pixel's area in normalised
-    coordinates; ``levels`` are packed mip levels, the finest 2**finest_bits texels to a side; ``light`` =
-    (constant, per texel column, per texel row) multiplies the grey; ``relief`` = (height over the eye's
-    distance, waves per texel, the eye's foot on the wall: column, row). Rays that miss get the grey ``sky``.
+    coordinates; ``light`` = (constant, per texel column, per texel row) multiplies the grey; ``relief`` =
+    (height over the eye's distance, waves per texel, the eye's foot on the wall: column, row). Rays that miss
+    get the grey ``sky``.
     """
     height, width = out.shape
+    ray_x, ray_y, levels, finest_bits = rays.x, rays.y, wall.levels, wall.finest_bits
     middle = 0.5 * (homographies[0] + homographies[1])
     # The area of a pixel on the plane is area / w**3 with w the inverse depth; its root is the footprint.
     root_area = np.float32(np.sqrt(abs(np.linalg.det(middle)) * pixel_area))

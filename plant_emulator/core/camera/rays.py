@@ -1,0 +1,69 @@
+"""The rays of an eye's pixels, and where they meet a plate."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foundation.compiled import kernel
+
+Real32 = NDArray[np.float32]
+Real64 = NDArray[np.float64]
+
+
+class Rays(NamedTuple):
+    """Normalised undistorted ray of each pixel centre: ``x`` and ``y`` (height, width)."""
+
+    x: Real32
+    y: Real32
+
+
+class PlatePoint(NamedTuple):
+    """Where a pixel's ray meets a plate: s right, t down (m), and their change from pixel to pixel (u, v)."""
+
+    in_front: bool
+    s: float
+    t: float
+    s_u: float
+    s_v: float
+    t_u: float
+    t_v: float
+
+
+@kernel(nogil=True, inline="always")
+def row_homography(homographies: Real64, i: int, height: int) -> Real64:
+    """The homography (3, 3) of row ``i``, between those of the picture's first and last row (2, 3, 3)."""
+    h: Real64 = homographies[0] + (homographies[1] - homographies[0]) * (i / (height - 1))
+    return h
+
+
+@kernel(nogil=True, inline="always")
+def meet_plate(rays: Rays, h: Real64, i: int, j: int) -> PlatePoint:
+    """Where the ray of pixel (i, j) meets the plate.
+
+    ``h`` (3, 3) maps (ray x, ray y, 1) to (s, t, 1) times the inverse depth.
+    """
+    x, y = np.float64(rays.x[i, j]), np.float64(rays.y[i, j])
+    w = h[2, 0] * x + h[2, 1] * y + h[2, 2]
+    if w <= 1e-9:
+        return PlatePoint(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    height, width = rays.x.shape
+    i0, i1 = max(i - 1, 0), min(i + 1, height - 1)
+    j0, j1 = max(j - 1, 0), min(j + 1, width - 1)
+    s = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w
+    t = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / w
+    dx_du = (np.float64(rays.x[i, j1]) - rays.x[i, j0]) / (j1 - j0)
+    dy_du = (np.float64(rays.y[i, j1]) - rays.y[i, j0]) / (j1 - j0)
+    dx_dv = (np.float64(rays.x[i1, j]) - rays.x[i0, j]) / (i1 - i0)
+    dy_dv = (np.float64(rays.y[i1, j]) - rays.y[i0, j]) / (i1 - i0)
+    s_x, s_y = (h[0, 0] - s * h[2, 0]) / w, (h[0, 1] - s * h[2, 1]) / w
+    t_x, t_y = (h[1, 0] - t * h[2, 0]) / w, (h[1, 1] - t * h[2, 1]) / w
+    return PlatePoint(
+        True,
+        s,
+        t,
+        s_x * dx_du + s_y * dy_du,
+        s_x * dx_dv + s_y * dy_dv,
+        t_x * dx_du + t_y * dy_du,
+        t_x * dx_dv + t_y * dy_dv,
+    )
