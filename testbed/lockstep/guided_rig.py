@@ -9,7 +9,7 @@ from plant_emulator.core.camera.scene import Scene
 from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.faults import CommandCode
 from testbed.lockstep.clock import run
-from testbed.lockstep.eyes import LockstepEyes
+from testbed.lockstep.eyes import camera_eyes
 from testbed.lockstep.rig import SimulatedTimeLog
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import World
@@ -32,7 +32,7 @@ class GuidedRig:
         self.world = World(settings, seed, RunLog())
         self.settings = settings
         self.link = self.world.link
-        self.eyes = LockstepEyes(self.world, self.link, settings.vision)
+        self.eyes = camera_eyes(self.world)
         self.arm = LinkArm(self.link, settings.vision.motion)
         log = SimulatedTimeLog(self.world)
         store = SessionStore(sessions)

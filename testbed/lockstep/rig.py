@@ -1,7 +1,7 @@
 """The vision application in lockstep: the programs of the same table as behind the API, without the API."""
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from foundation.event_log import Level
@@ -9,9 +9,8 @@ from nominal_arm.dimensions import boom_dimensions
 from protocol.errors import LinkLost, LongreachError
 from protocol.faults import CommandCode
 from testbed.lockstep.clock import run
-from testbed.lockstep.eyes import LockstepEyes
+from testbed.lockstep.eyes import SightMaker, camera_eyes, eyes_with
 from testbed.lockstep.run_log import RunLog
-from testbed.lockstep.sight import Sight
 from testbed.lockstep.world import World
 from testbed.reporting.console import Bar
 from testbed.scenarios.settings import Settings
@@ -20,10 +19,7 @@ from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.program import Program, by_name
 from vision_pc.application.programs import PROGRAMS
 from vision_pc.application.results import JSON
-from vision_pc.config.vision import VisionConfig
 from vision_pc.core.types import Look
-
-SightMaker = Callable[[World, VisionConfig], Sight]
 
 
 class SimulatedTimeLog:
@@ -43,8 +39,8 @@ class SimulatedTimeLog:
 class LockstepRig:
     """Implements ``testbed.demonstration.sequence.Rig`` over the vision application in simulated time.
 
-    ``sight``: what the eyes measure with in place of rendered pictures, such as ``eye_model.ModelSight``
-    with its model and seed bound.
+    Link, arm, eyes and programs are the service's own classes. ``sight``: what the eyes measure with in place
+    of rendered pictures, such as ``simulated_sight`` with its model and seed bound.
     """
 
     def __init__(
@@ -58,13 +54,15 @@ class LockstepRig:
         self.world = World(settings, seed, log)
         self.link = self.world.link
         vision = settings.vision
-        eyes = LockstepEyes(self.world, self.link, vision, sight(self.world, vision) if sight else None)
+        self.camera = camera_eyes(self.world)
+        self.eyes = eyes_with(self.world, sight(self.world)) if sight else self.camera
         arm = LinkArm(self.link, vision.motion)
         log_of_vision = SimulatedTimeLog(self.world)
         boom = boom_dimensions(settings.arm)
-        self.application = VisionApplication(arm, eyes, self.link, eyes, vision.programs, boom, log_of_vision)
+        self.application = VisionApplication(
+            arm, self.eyes, self.link, self.camera, vision.programs, boom, log_of_vision
+        )
         self._programs = by_name(programs)
-        self._eyes = eyes
         self.world.connect()
 
     def command(self, name: str) -> None:
@@ -95,7 +93,7 @@ class LockstepRig:
 
     def picture(self) -> bytes:
         """The newest picture with detections, PNG."""
-        return run(self._eyes.latest_png())
+        return run(self.camera.latest_png())
 
     def now_ns(self) -> int:
         """The time on vision's clock."""

@@ -15,20 +15,18 @@ from pydantic import Field
 
 from foundation.configuration import StrictModel, load
 from plant_emulator.core.camera.scene import Scene
-from plant_emulator.core.truth import PlantTruth
-from testbed.lockstep.sight import Deliver
+from testbed.lockstep.frames import Sight, SimulatedFrame, SimulatedFrames
 from testbed.lockstep.simulated_odometry import ModelOdometry, TrackingNoise
 from testbed.lockstep.true_view import TrueView
-from testbed.lockstep.world import VISION_CLOCK_NS, World
-from vision_pc.config.vision import VisionConfig
+from testbed.lockstep.world import World
+from testbed.scenarios.settings import Settings
 from vision_pc.core.perception import intrinsics, markers
 from vision_pc.core.perception.look import beliefs_after, observation_of
-from vision_pc.core.perception.watch import Watcher
+from vision_pc.core.perception.sensor import with_believed_offset
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, EyeModel, FrameObservation, OdometryPose, StereoPair
+from vision_pc.core.types import EyeModel, FrameObservation, OdometryPose, StereoOffset
 
 _STREAM = 0x65796573  # the model's own random numbers
-_NO_PICTURE = np.zeros((0, 0), dtype=np.uint8)
 
 
 class CornerNoise(StrictModel):
@@ -63,77 +61,58 @@ def load_eye_model(config_dir: Path, condition: Literal["usual", "harder"] = "us
     return measured.usual if condition == "usual" else measured.harder
 
 
-class ModelSight:
-    """Implements ``testbed.lockstep.sight.Sight`` from the truth of each exposure; bit-identical for a seed.
+def simulated_sight(world: World, model: EyeModelConfig, seed: int) -> Sight:
+    """Eyes without pictures on ``world``; bit-identical for a ``seed``."""
+    return Sight(SimulatedFrames(world), SimulatedSensor(world.settings, model, seed))
 
-    Pairs carry no pictures, only their number, under which the truth of their exposure is kept until the
-    next look or watch begins.
+
+class SimulatedSensor:
+    """Implements ``vision_pc.core.perception.watch.Sensor`` in frames that carry the truth.
+
+    Corners are projected through the true camera and made wrong as pictures would; all that follows (poses,
+    covariances, refusals) is vision's own.
     """
 
-    def __init__(self, world: World, config: VisionConfig, model: EyeModelConfig, seed: int) -> None:
-        self._world = world
-        self._config = config
+    def __init__(self, settings: Settings, model: EyeModelConfig, seed: int) -> None:
+        self.camera = intrinsics.calibration(settings.vision.camera)
+        self._config = settings.vision
         self._model = model
         self._seed = seed
-        self._camera = intrinsics.calibration(config.camera)
-        self._view = TrueView(world.settings.scene.camera, Scene(world.settings.scene))
+        self._view = TrueView(settings.scene.camera, Scene(settings.scene))
         self._rng = np.random.default_rng([seed, _STREAM])
-        self._truths: dict[int, PlantTruth] = {}
 
-    def begin(self, deliver: Deliver) -> None:
-        """Start to hand on every exposure."""
-        self._truths.clear()
-
-        def exposed(number: int, truth: PlantTruth) -> None:
-            self._truths[number] = truth
-            deliver(StereoPair(_NO_PICTURE, _NO_PICTURE, truth.time_ns + VISION_CLOCK_NS, number))
-
-        self._world.on_exposure = exposed
-
-    def end(self) -> None:
-        """Stop handing on exposures."""
-        self._world.on_exposure = None
-
-    def observe(self, pair: StereoPair, previous: FrameObservation | None) -> FrameObservation:
-        """What vision makes of the corners that this pair would show."""
+    def observe(self, frame: SimulatedFrame, previous: FrameObservation | None) -> FrameObservation:
+        """What vision makes of the corners that this frame would show."""
         settings = self._config.markers
         beliefs = beliefs_after(previous, settings)
         sightings, unfit = [], dict[int, str]()
-        truth = self._truths[pair.frame_id]
+        truth = frame.truth
         for number, seen in sorted(self._view.markers(truth.X_WC, truth.X_WM).items()):
             if number not in settings.sizes or seen.left is None or self._misses():
                 continue
             left = self._rays(number, 0, seen.left)
             right = None if seen.right is None else self._rays(number, 1, seen.right)
-            outcome = markers.from_rays(number, left, _Same(right), self._camera, settings, beliefs)
+            outcome = markers.from_rays(number, left, _Same(right), self.camera, settings, beliefs)
             if isinstance(outcome, str):
                 unfit[number] = outcome
             else:
                 sightings.append(outcome)
-        frame = (pair.capture_ns, pair.frame_id)
-        return observation_of(frame, sightings, Counter(), unfit, self._camera, settings, beliefs, previous)
+        stamp = (frame.capture_ns, frame.frame_id)
+        return observation_of(stamp, sightings, Counter(), unfit, self.camera, settings, beliefs, previous)
 
-    def watcher(self, *, markers: bool, odometry: bool, previous: FrameObservation | None) -> Watcher:
-        """A watcher over this sight's measurements."""
-        return _ModelWatcher(self, markers=markers, odometry=odometry, previous=previous)
-
-    def new_odometry(self, camera: CameraCalibration) -> "_FrameOdometry":
-        """Odometry that begins with the next frame, for a ``camera`` as vision believes it to be."""
+    def odometry(self, offset: StereoOffset | None) -> "FrameOdometry":
+        """Odometry that begins with the next frame, for a right eye that is off by ``offset``."""
         config = self._config
-        odometry = ModelOdometry(
-            camera, config.odometry, config.markers.tool, self._model.tracking, self._view, self._rng
+        return FrameOdometry(
+            ModelOdometry(
+                with_believed_offset(self.camera, offset),
+                config.odometry,
+                config.markers.tool,
+                self._model.tracking,
+                self._view,
+                self._rng,
+            )
         )
-        return _FrameOdometry(odometry, self._truths)
-
-    @property
-    def camera(self) -> CameraCalibration:
-        """Vision's calibration."""
-        return self._camera
-
-    @property
-    def config(self) -> VisionConfig:
-        """Vision's configuration."""
-        return self._config
 
     def _misses(self) -> bool:
         return bool(self._rng.random() < self._model.corners.missed_share)
@@ -143,7 +122,7 @@ class ModelSight:
         corners = self._model.corners
         bias = [self._bias(marker, 4 * eye + k, pixel) for k, pixel in enumerate(exact)]
         noise = self._rng.normal(0.0, corners.noise_px, (4, 2))
-        model: EyeModel = (self._camera.left, self._camera.right)[eye]
+        model: EyeModel = (self.camera.left, self.camera.right)[eye]
         return intrinsics.normalised(model, exact + corners.bias_px * np.array(bias) + noise)
 
     def _bias(self, marker: int, corner: int, pixel: Array) -> Array:
@@ -162,36 +141,17 @@ class _Same:
         return self._rays
 
 
-class _FrameOdometry:
-    """``ModelOdometry`` as a watch uses it: told pairs, it finds their truths."""
+class FrameOdometry:
+    """``ModelOdometry`` as a watch uses it: given frames, it takes the truth that they carry."""
 
-    def __init__(self, odometry: ModelOdometry, truths: dict[int, PlantTruth]) -> None:
+    def __init__(self, odometry: ModelOdometry) -> None:
         self._odometry = odometry
-        self._truths = truths
 
     @property
     def last_loss(self) -> str | None:
         """Why the last frame was lost, None if it was not."""
         return self._odometry.last_loss
 
-    def process(self, pair: StereoPair, X_CM: Array | None = None) -> OdometryPose | None:
-        """The camera's pose at ``pair``, None when it is lost."""
-        return self._odometry.process(self._truths[pair.frame_id], X_CM, pair.capture_ns, pair.frame_id)
-
-
-class _ModelWatcher(Watcher):
-    """Vision's watcher over the model's measurements."""
-
-    def __init__(
-        self, sight: ModelSight, *, markers: bool, odometry: bool, previous: FrameObservation | None
-    ) -> None:
-        super().__init__(sight.camera, sight.config, markers=markers, odometry=odometry, previous=previous)
-        self._sight = sight
-
-    def observe(self, pair: StereoPair, previous: FrameObservation | None) -> FrameObservation:
-        """What the model says of ``pair``."""
-        return self._sight.observe(pair, previous)
-
-    def new_odometry(self, camera: CameraCalibration) -> _FrameOdometry:
-        """The model's odometry."""
-        return self._sight.new_odometry(camera)
+    def process(self, frame: SimulatedFrame, X_CM: Array | None = None) -> OdometryPose | None:
+        """The camera's pose at ``frame``, None when it is lost."""
+        return self._odometry.process(frame.truth, X_CM, frame.capture_ns, frame.frame_id)

@@ -156,9 +156,9 @@ def test_05_a_pose_that_may_be_flipped() -> None:
     )
     for marker in (2, 3):
         broken(rig, MarkerCovered(marker_id=marker, share=1.0))
-    begin = rig._eyes._sight.begin
-    rig._eyes._sight.begin = lambda deliver: begin(  # type: ignore[method-assign]
-        lambda pair: deliver(pair._replace(right=np.full_like(pair.right, 118)))
+    observe = rig.eyes._sensor.observe
+    rig.eyes._sensor.observe = lambda pair, previous: observe(  # type: ignore[method-assign]
+        pair._replace(right=np.full_like(pair.right, 118)), previous
     )
     fails(rig, "orientation-adjustment", "measurement.object_ambiguous", moved=False)
 

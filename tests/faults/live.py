@@ -26,9 +26,9 @@ from tests.faults.registers import SHUT, Registers
 from tests.faults.rig import settings_of
 from tests.vision_pc.shell.loopback_controller import until
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.eyes import CameraEyes
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.core.types import StereoPair
+from vision_pc.shell.camera_eyes import open_eyes
 from vision_pc.shell.cameras import CameraSource
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
@@ -171,7 +171,7 @@ async def live(
     await endpoint.start()
     camera = ScriptedCamera(vision.camera)
     await camera.start()
-    eyes = CameraEyes(camera, link, vision, log)
+    eyes, worker = open_eyes(camera, link, vision, log)
     arm = LinkArm(link, vision.motion)
     boom = boom_dimensions(settings.arm)
     station = VisionApplication(arm, eyes, link, eyes, vision.programs, boom, log)
@@ -188,6 +188,6 @@ async def live(
         await operations.close()
         await endpoint.close()
         await camera.close()
-        eyes.close()
+        worker.close()
         await machine.stop()
         log.close()

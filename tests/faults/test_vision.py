@@ -18,7 +18,7 @@ from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.faults import GroupState
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
-from testbed.lockstep.simulated_measurements import ModelSight, load_eye_model
+from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
 from testbed.reporting.console import bars
 from tests.faults.live import LiveRig, live
 from tests.faults.registers import Registers
@@ -63,18 +63,15 @@ def fails_without_motion(rig: LockstepRig, registers: Registers, kind: str, **bo
 
 def test_case_31_a_marker_lost_while_looking_fails_the_operation_and_no_error_is_recorded() -> None:
     rig, registers = lockstep("vision.look.frames=4")
-    begin, seen = rig._eyes._sight.begin, [0]
+    observe, seen = rig.eyes._sensor.observe, [0]
 
-    def covered(deliver: Any) -> None:
-        def delivered(pair: Any) -> None:
-            seen[0] += 1
-            if seen[0] == 2:
-                registers.plant.inject(MarkerCovered(marker_id=TOOL_MARKER, share=0.6))
-            deliver(pair)
+    def covered(frame: Any, previous: Any) -> Any:
+        seen[0] += 1
+        if seen[0] == 2:
+            registers.plant.inject(MarkerCovered(marker_id=TOOL_MARKER, share=0.6))
+        return observe(frame, previous)
 
-        begin(delivered)
-
-    rig._eyes._sight.begin = covered  # type: ignore[method-assign]
+    rig.eyes._sensor.observe = covered  # type: ignore[method-assign]
     error = fails_without_motion(rig, registers, "orientation-adjustment")
     assert seen[0] == 4
     assert error.cause == "measurement.tool_not_seen"
@@ -99,7 +96,7 @@ def test_case_34_an_ill_conditioned_calibration_fails_with_its_condition_and_not
     quick = ("controller.settled.time_ms=200", "vision.programs.trajectory.dwell_s=0.3")
     settings = settings_of(1, (*quick, "vision.programs.trajectory.condition_limit=1.5"))
     model = load_eye_model(CONFIGS)
-    rig = LockstepRig(settings, 1, RunLog(), lambda world, vision: ModelSight(world, vision, model, 1))
+    rig = LockstepRig(settings, 1, RunLog(), lambda world: simulated_sight(world, model, 1))
     rig.command("enable")
     with bars(quiet=True) as shown, shown.step("matching") as bar:
         with pytest.raises(MeasurementFailed) as caught:

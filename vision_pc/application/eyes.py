@@ -1,47 +1,50 @@
-"""The eyes on a camera: looks and watches from fresh stereo pairs, computed in a thread of their own.
+"""Looks and watches from a camera's fresh frames: the service and lockstep run these same classes.
 
-The event loop stays free for the link and the REST face while the thread detects and tracks.
+Time passes, frames arrive and computations run behind small ports; nothing here waits anywhere else.
+Campaigns in lockstep therefore measure the eyes that ship. What differs there is the clock, the source of the
+frames, and with simulated measurements the sensor.
 """
 
-import asyncio
-import time
 from collections.abc import AsyncIterator, Callable
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
-from typing import Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
-from foundation.event_log import EventLog
-from foundation.scheduling import take_policy
 from protocol.errors import RequestRefused
 from protocol.faults import GroupState
-from protocol.reference_messages import State
 from vision_pc.application.annotate import annotated, png
-from vision_pc.application.ports import CameraStatus
-from vision_pc.config.vision import VisionConfig
-from vision_pc.core.perception.intrinsics import calibration
-from vision_pc.core.perception.look import combine, observe
-from vision_pc.core.perception.watch import Watcher
+from vision_pc.application.ports import (
+    BackgroundWork,
+    CameraStatus,
+    Clock,
+    EyesRecord,
+    FrameSource,
+    Runtime,
+    StateSource,
+)
+from vision_pc.config.vision import LookSettings, VisionConfig
+from vision_pc.core.perception.look import combine
+from vision_pc.core.perception.sensor import PixelSensor
+from vision_pc.core.perception.watch import Sensor, Watcher
 from vision_pc.core.ports import PairsAtRest
-from vision_pc.core.se3 import Array
-from vision_pc.core.types import FrameObservation, Look, StereoPair, WatchHealth, WatchSample
-from vision_pc.shell.cameras import CameraSource
+from vision_pc.core.types import CameraFrame, FrameObservation, Look, StereoPair, WatchHealth, WatchSample
 
 T = TypeVar("T")
-_POLL_S = 0.005  # a new sample is noticed this late at most
+F = TypeVar("F", bound=CameraFrame)
 
 
-class LiveWatch:
-    """Implements ``vision_pc.core.ports.Watch`` over a watcher that a task fills."""
+class LiveWatch(Generic[F]):
+    """Implements ``vision_pc.core.ports.Watch`` over a watcher that is filled in the background."""
 
-    def __init__(self, watcher: Watcher, gathering: "asyncio.Task[None]") -> None:
+    def __init__(self, watcher: Watcher[F], gathering: BackgroundWork, clock: Clock) -> None:
         self._watcher = watcher
         self._gathering = gathering
+        self._clock = clock
 
     @property
     def samples(self) -> tuple[WatchSample, ...]:
-        """One sample for every pair so far."""
+        """One sample for every frame so far."""
         return self._watcher.samples
 
     @property
@@ -54,159 +57,141 @@ class LiveWatch:
 
         Raises what ended the gathering, such as LinkLost for a silent camera.
         """
-        until_s = time.monotonic() + timeout_s
-        while self._watcher.count <= count:
-            if self._gathering.done():
-                self._gathering.result()
-                return None
-            if time.monotonic() >= until_s:
-                return None
-            await asyncio.sleep(_POLL_S)
-        return self._watcher.samples[-1]
+        await self._clock.until(lambda: self._watcher.count > count or self._gathering.ended, timeout_s)
+        if self._watcher.count > count:
+            return self._watcher.samples[-1]
+        if self._gathering.ended:
+            await self._gathering.join()
+        return None
 
 
-class PoseLink(Protocol):
-    """What the eyes want from the reference link; ``ReferenceLink`` implements it."""
+class Eyes(Generic[F]):
+    """Implements ``vision_pc.core.ports.Eyes`` over a source of frames and a sensor that measures in them."""
 
-    @property
-    def state(self) -> State: ...
-    async def pose_at(self, local_ns: int) -> Array: ...
-
-
-class CameraEyes:
-    """Implements ``vision_pc.core.ports.Eyes`` and the station's camera. ``close`` ends its thread."""
-
-    def __init__(self, camera: CameraSource, link: PoseLink, config: VisionConfig, log: EventLog) -> None:
-        self._camera = camera
-        self._link = link
-        self._config = config
-        self._log = log
-        self._model = calibration(config.camera)
-        self._latest: tuple[StereoPair, FrameObservation] | None = None
-        self._looks = 0
-        # Detection never delays the arm's cycle; the event loop keeps its priority, and the link with it.
-        self._worker = ThreadPoolExecutor(1, "vision")
-        self.scheduling = self._worker.submit(take_policy, "idle").result()
-
-    def close(self) -> None:
-        """Ends the thread, once it has finished what it has begun and written the last picture."""
-        self._worker.shutdown()
-
-    def status(self) -> CameraStatus:
-        """How the camera is doing."""
-        return CameraStatus(**self._camera.status()._asdict())
+    def __init__(
+        self,
+        frames: FrameSource[F],
+        sensor: Sensor[F],
+        states: StateSource,
+        settings: LookSettings,
+        runtime: Runtime,
+        record: EyesRecord[F],
+    ) -> None:
+        self._frames = frames
+        self._sensor = sensor
+        self._states = states
+        self._settings = settings
+        self._runtime = runtime
+        self._record = record
+        self._latest: tuple[F, FrameObservation] | None = None
 
     async def look(self, frames: int | None = None) -> Look:
-        """A look over ``frames`` fresh pairs (None: as configured) with the arm at rest.
+        """A look over ``frames`` fresh frames (None: as configured) with the arm at rest.
 
         Raises MeasurementFailed when tool or object is seen in too few of them, RequestRefused
         (``refused.moving``) while the arm moves, LinkLost when camera or controller is silent.
         """
-        observations: list[FrameObservation] = []
-        newest_ns = time.monotonic_ns()
-        pair: StereoPair | None = None
-        for _ in range(frames or self._config.look.frames):
-            self._refuse_moving()
-            pair = await self._camera.pair_after(newest_ns)
-            newest_ns = pair.capture_ns
-            observations.append(await self._observed(pair))
-        self._refuse_moving()
-        if pair is not None:
-            self._keep_picture(pair, observations[-1])
+        fresh = self._frames_at_rest(frames or self._settings.frames)
+        observations = [await self._observed(frame) async for frame in fresh]
+        if self._latest is not None:
+            self._record.pictured(*self._latest)
         time_ns = int(np.mean([observation.capture_ns for observation in observations]))
-        return combine(observations, await self._link.pose_at(time_ns), time_ns, self._config.look)
+        look = combine(observations, await self._states.pose_at(time_ns), time_ns, self._settings)
+        self._record.looked(look)
+        return look
+
+    @asynccontextmanager
+    async def watch(self, *, markers: bool, odometry: bool) -> AsyncIterator[LiveWatch[F]]:
+        """Samples of every frame that the worker can keep up with, until the exit.
+
+        The first sample is taken before anything else happens: its camera frame is C0. The last one is of a
+        frame taken after the exit was asked for. Raises as ``vision_pc.core.ports.Eyes.watch``.
+        """
+        clock = self._runtime.clock
+        previous = None if self._latest is None else self._latest[1]
+        watcher = Watcher(self._sensor, markers=markers, odometry=odometry, previous=previous)
+        last_ns = await self._sampled(watcher, clock.now_ns)
+        until_ns: list[int] = []
+        gathering = self._runtime.background.start(self._gather(watcher, last_ns, until_ns))
+        try:
+            yield LiveWatch(watcher, gathering, clock)
+            until_ns.append(clock.now_ns)
+            await gathering.join()
+        finally:
+            await gathering.cancel()
+        self._record.watched(watcher.health)
+        watcher.require()
+
+    async def _gather(self, watcher: Watcher[F], last_ns: int, until_ns: list[int]) -> None:
+        while not until_ns or last_ns < until_ns[0]:
+            last_ns = await self._sampled(watcher, last_ns)
+
+    async def _sampled(self, watcher: Watcher[F], after_ns: int) -> int:
+        """The capture time of the frame of which a sample was added to ``watcher``."""
+        frame = await self._frames.frame_after(after_ns)
+        X_BT = await self._states.pose_at(frame.capture_ns)
+        await self._runtime.worker.run(lambda: watcher.add(frame, X_BT))
+        if watcher.observation is not None and watcher.observation.frame_id == frame.frame_id:
+            self._latest = (frame, watcher.observation)
+        self._runtime.clock.wake()
+        return frame.capture_ns
+
+    async def _frames_at_rest(self, count: int) -> AsyncIterator[F]:
+        """``count`` fresh frames. Raises RequestRefused when the arm moves before, between or after them."""
+        newest_ns = self._runtime.clock.now_ns
+        for _ in range(count):
+            self._refuse_moving()
+            frame = await self._frames.frame_after(newest_ns)
+            newest_ns = frame.capture_ns
+            yield frame
+        self._refuse_moving()
+
+    async def _observed(self, frame: F) -> FrameObservation:
+        previous = None if self._latest is None else self._latest[1]
+        observation = await self._runtime.worker.run(lambda: self._sensor.observe(frame, previous))
+        self._latest = (frame, observation)
+        return observation
+
+    def _refuse_moving(self) -> None:
+        if self._states.state.group_state is GroupState.MOVING:
+            raise RequestRefused("refused.moving", "look: the arm is moving")
+
+
+class CameraEyes(Eyes[StereoPair]):
+    """Eyes on a camera with pixels; they also hand its pictures to people and to calibrations."""
+
+    def __init__(
+        self,
+        frames: FrameSource[StereoPair],
+        states: StateSource,
+        config: VisionConfig,
+        runtime: Runtime,
+        record: EyesRecord[StereoPair],
+    ) -> None:
+        sensor = PixelSensor(config)
+        super().__init__(frames, sensor, states, config.look, runtime, record)
+        self._camera = sensor.camera
+        self._clearance_m = config.programs.positioning.clearance_m
+
+    def status(self) -> CameraStatus:
+        """How the camera is doing."""
+        return self._frames.status()
 
     async def pairs_at_rest(self, frames: int) -> PairsAtRest:
         """Fresh pairs with the arm at rest. Raises as ``look``, but measures nothing."""
-        pairs: list[StereoPair] = []
-        newest_ns = time.monotonic_ns()
-        for _ in range(frames):
-            self._refuse_moving()
-            pairs.append(await self._camera.pair_after(newest_ns))
-            newest_ns = pairs[-1].capture_ns
-        self._refuse_moving()
+        pairs = [pair async for pair in self._frames_at_rest(frames)]
         middle_ns = int(np.mean([pair.capture_ns for pair in pairs]))
-        return PairsAtRest(tuple(pairs), await self._link.pose_at(middle_ns))
+        return PairsAtRest(tuple(pairs), await self._states.pose_at(middle_ns))
 
     async def aside(self, work: Callable[[], T]) -> T:
-        """What ``work`` returns, computed in the eyes' own thread: the event loop stays free for the link."""
-        return await self._in_thread(work)
-
-    @asynccontextmanager
-    async def watch(self, *, markers: bool, odometry: bool) -> AsyncIterator[LiveWatch]:
-        """Samples of every pair that the thread can keep up with, until the exit.
-
-        The first sample is taken before anything else happens: its camera frame is C0. The last one is of a
-        pair taken after the exit was asked for. Raises as ``Eyes.watch``.
-        """
-        previous = None if self._latest is None else self._latest[1]
-        watcher = Watcher(self._model, self._config, markers=markers, odometry=odometry, previous=previous)
-        last_ns = await self._sampled(watcher, time.monotonic_ns())
-        until_ns: list[int] = []
-        gathering = asyncio.create_task(self._gather(watcher, last_ns, until_ns))
-        try:
-            yield LiveWatch(watcher, gathering)
-            until_ns.append(time.monotonic_ns())
-            await gathering
-        finally:
-            gathering.cancel()
-            await asyncio.wait([gathering])
-        watcher.require()
-        self._log.write("watched", **watcher.health._asdict())
+        """What ``work`` returns, computed where the eyes compute: the link is not held up."""
+        return await self._runtime.worker.run(work)
 
     async def latest_png(self) -> bytes:
         """The newest picture with detections, PNG. Raises LinkLost when the camera never gave one."""
-        pair = self._camera.newest or await self._camera.pair_after(0)
+        pair = self._frames.newest or await self._frames.frame_after(0)
         if self._latest is None or self._latest[0].capture_ns < pair.capture_ns:
             await self._observed(pair)
         assert self._latest is not None
         shown = self._latest
-        return await self._in_thread(lambda: self._picture(*shown))
-
-    async def _gather(self, watcher: Watcher, last_ns: int, until_ns: list[int]) -> None:
-        while not until_ns or last_ns < until_ns[0]:
-            last_ns = await self._sampled(watcher, last_ns)
-
-    async def _sampled(self, watcher: Watcher, after_ns: int) -> int:
-        """The capture time of the pair of which a sample was added to ``watcher``."""
-        pair = await self._camera.pair_after(after_ns)
-        X_BT = await self._link.pose_at(pair.capture_ns)
-        await self._in_thread(lambda: watcher.add(pair, X_BT))
-        if watcher.observation is not None and watcher.observation.frame_id == pair.frame_id:
-            self._latest = (pair, watcher.observation)
-        return pair.capture_ns
-
-    async def _observed(self, pair: StereoPair) -> FrameObservation:
-        previous = None if self._latest is None else self._latest[1]
-        settings = self._config.markers
-        observation = await self._in_thread(lambda: observe(pair, self._model, settings, previous))
-        self._latest = (pair, observation)
-        return observation
-
-    async def _in_thread(self, work: Callable[[], T]) -> T:
-        return await asyncio.get_running_loop().run_in_executor(self._worker, work)
-
-    def _refuse_moving(self) -> None:
-        if self._link.state.group_state is GroupState.MOVING:
-            raise RequestRefused("refused.moving", "look: the arm is moving")
-
-    def _picture(self, pair: StereoPair, observation: FrameObservation) -> bytes:
-        clearance_m = self._config.programs.positioning.clearance_m
-        return png(annotated(pair, observation, self._model, clearance_m))
-
-    def _keep_picture(self, pair: StereoPair, observation: FrameObservation) -> None:
-        """Has the thread write the look's last picture into the record directory, if there is one."""
-        directory = self._log.record_dir
-        if directory is None:
-            return
-        self._looks += 1
-        path = directory / f"look-{self._looks:04d}.png"
-
-        def write() -> None:
-            try:
-                path.write_bytes(self._picture(pair, observation))
-            except OSError as error:
-                fields = {"cause": "recording.unwritable", "detail": f"{path}: {error.strerror}"}
-                self._log.write("picture_failed", "error", **fields)
-
-        self._worker.submit(write)
+        return await self.aside(lambda: png(annotated(*shown, self._camera, self._clearance_m)))

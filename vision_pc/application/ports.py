@@ -1,11 +1,11 @@
-"""What the application needs from outside: a clock, a transport, a log, an arm, a camera and a controller.
+"""What the application needs from outside: a clock, frames, a transport, a log, a place to compute.
 
 The service implements these ports with an event loop, sockets and threads; lockstep implements them by
 letting simulated time pass. Everything above them is the same code.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable, Coroutine
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from foundation.event_log import Level
 from protocol.channel import LinkStatistics
@@ -13,6 +13,12 @@ from protocol.clock_offset import OffsetEstimate
 from protocol.faults import CommandCode
 from protocol.reference_messages import Acknowledgement, State
 from vision_pc.core.ports import Arm
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraFrame, FrameObservation, Look, WatchHealth
+
+T = TypeVar("T")
+FrameT_co = TypeVar("FrameT_co", bound=CameraFrame, covariant=True)
+FrameT_contra = TypeVar("FrameT_contra", bound=CameraFrame, contravariant=True)
 
 
 class Clock(Protocol):
@@ -81,7 +87,11 @@ class StoppableArm(Arm, Protocol):
 
 
 class CameraStatus(NamedTuple):
-    """Whether fresh pairs come, and how; ``trouble`` is the cause when they do not."""
+    """How a camera is doing. ``age_ms`` since the newest frame was captured, None before the first.
+
+    ``frames`` delivered, ``dropped`` never came although numbered, ``reconnects`` after the first connection,
+    ``trouble`` the present cause (``link.…``) or None.
+    """
 
     connected: bool
     age_ms: float | None
@@ -97,3 +107,94 @@ class Camera(Protocol):
 
     def status(self) -> CameraStatus: ...
     async def latest_png(self) -> bytes: ...
+
+
+class Worker(Protocol):
+    """Where long computations run, so that the link is not held up."""
+
+    async def run(self, work: Callable[[], T]) -> T:
+        """The result of ``work``. Raises what it raises."""
+        ...
+
+
+class BackgroundWork(Protocol):
+    """A program that runs beside the one that started it."""
+
+    @property
+    def ended(self) -> bool:
+        """Return True if the program has returned or raised."""
+        ...
+
+    async def join(self) -> None:
+        """Wait for the end. Raises what the program raised."""
+        ...
+
+    async def cancel(self) -> None:
+        """End the program where it waits, and wait for that; does nothing if it has ended."""
+        ...
+
+
+class Background(Protocol):
+    """Starts programs that run beside the present one."""
+
+    def start(self, program: Coroutine[Any, Any, None]) -> BackgroundWork:
+        """Start ``program``."""
+        ...
+
+
+class Runtime(NamedTuple):
+    """How the vision PC's programs wait, compute and run side by side."""
+
+    clock: Clock
+    worker: Worker
+    background: Background
+
+
+class FrameSource(Protocol[FrameT_co]):
+    """Frames of a camera as they arrive."""
+
+    @property
+    def newest(self) -> FrameT_co | None:
+        """The newest frame, None before the first."""
+        ...
+
+    async def frame_after(self, capture_ns: int) -> FrameT_co:
+        """The first frame to arrive that was captured after ``capture_ns``, or the newest if it was.
+
+        Raises LinkLost: ``link.camera_missing``, ``link.camera_silent``, ``link.camera_frozen`` or what the
+        stream was refused for (``frame.…``).
+        """
+        ...
+
+    def status(self) -> CameraStatus:
+        """How the camera is doing now."""
+        ...
+
+
+class StateSource(Protocol):
+    """The controller's states, for who combines them with frames."""
+
+    @property
+    def state(self) -> State:
+        """The newest state. Raises LinkLost when there is no session."""
+        ...
+
+    async def pose_at(self, local_ns: int) -> Array:
+        """X_BT (4, 4) at ``local_ns`` of our clock; waits for the state after it. Raises LinkLost."""
+        ...
+
+
+class EyesRecord(Protocol[FrameT_contra]):
+    """What is kept of looks and watches for the record."""
+
+    def pictured(self, frame: FrameT_contra, observation: FrameObservation) -> None:
+        """Keep the last frame of a look, whatever becomes of the look."""
+        ...
+
+    def looked(self, look: Look) -> None:
+        """Keep a look that succeeded."""
+        ...
+
+    def watched(self, health: WatchHealth) -> None:
+        """Keep what a watch missed, whatever becomes of it."""
+        ...

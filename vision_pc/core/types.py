@@ -5,7 +5,7 @@ Poses are 4×4 arrays named in the monogram way. Every covariance is 6×6 of ``s
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,19 @@ from vision_pc.core.se3 import Array
 Image = NDArray[np.uint8]
 
 
+class CameraFrame(Protocol):
+    """One exposure of the camera: its number and its time. What it shows is the business of a sensor."""
+
+    @property
+    def capture_ns(self) -> int: ...
+    @property
+    def frame_id(self) -> int: ...
+
+
 class StereoPair(NamedTuple):
-    """One grey picture of each eye, (height, width) uint8, exposed together at ``capture_ns``."""
+    """A ``CameraFrame`` with pixels: one grey picture of each eye, (height, width) uint8, exposed together at
+    ``capture_ns``.
+    """
 
     left: Image
     right: Image

@@ -17,12 +17,12 @@ from nominal_arm.description import NominalArm
 from nominal_arm.dimensions import dimensions
 from protocol.errors import ConfigurationError
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.eyes import CameraEyes
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.hand_eye.store import SessionStore
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.program import Program
 from vision_pc.config.vision import VisionConfig
+from vision_pc.shell.camera_eyes import open_eyes
 from vision_pc.shell.cameras import open_camera
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
@@ -72,7 +72,8 @@ class VisionService:
         endpoint = UdpEndpoint(config.link, config.link.expected_arm(self._arm), log, MonotonicClock())
         self._link = link = endpoint.link
         camera = open_camera(config.camera)
-        self._eyes = eyes = CameraEyes(camera, link, config, log)
+        self._opened = opened = open_eyes(camera, link, config, log)
+        eyes = opened.eyes
         arm = LinkArm(link, config.motion)
         guided = GuidedCalibration(arm, eyes, link, config, nominal, log, SessionStore(config.sessions_dir))
         application = VisionApplication(arm, eyes, link, eyes, config.programs, nominal.boom, log, guided)
@@ -96,7 +97,7 @@ class VisionService:
             await operations.close()
             await endpoint.close()
             await camera.close()
-            eyes.close()
+            opened.worker.close()
             self._statistics.write()
             log.write("stopped")
 
@@ -107,7 +108,7 @@ class VisionService:
             rest={"host": host, "port": port},
             controller={"host": self._config.link.host, "port": self._config.link.port},
             camera=self._config.camera.source,
-            scheduling=self._eyes.scheduling,
+            scheduling=self._opened.worker.scheduling,
         )
 
     def _gathered(self) -> dict[str, Any]:
@@ -115,6 +116,6 @@ class VisionService:
             "time_ns": time.monotonic_ns(),
             "memory_mb": resident_mb(),
             "link": asdict(self._link.statistics),
-            "camera": self._eyes.status()._asdict(),
-            "scheduling": self._eyes.scheduling,
+            "camera": self._opened.eyes.status()._asdict(),
+            "scheduling": self._opened.worker.scheduling,
         }

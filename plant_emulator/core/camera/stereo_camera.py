@@ -54,12 +54,15 @@ class StereoCamera:
 
     def take(self, shot: Shot) -> tuple[Grey, Grey]:
         """The two eyes' pictures of ``shot``. Raises RequestRefused when it covers a marker unknown here."""
+        return self.take_eye(LEFT, shot), self.take_eye(RIGHT, shot)
+
+    def take_eye(self, eye: int, shot: Shot) -> Grey:
+        """One eye's picture of ``shot``; ``eye`` is LEFT or RIGHT. Raises as ``take``."""
         frame_id, _, view, motion = shot.shown
         if shot.blind is not None:
-            return self._even(shot.blind.grey, LEFT, frame_id), self._even(shot.blind.grey, RIGHT, frame_id)
+            return self._even(shot.blind.grey, eye, frame_id)
         covers = [self.scene.cover(fault) for fault in shot.covers]
-        left, right = (self.render_eye(eye, view, frame_id, motion, covers) for eye in (LEFT, RIGHT))
-        return left, right
+        return self.render_eye(eye, view, frame_id, motion, covers)
 
     def render_eye(
         self,

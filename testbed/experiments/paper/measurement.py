@@ -18,13 +18,12 @@ from plant_emulator.core.truth import PlantTruth, tool_error
 from protocol.errors import LongreachError, MeasurementFailed
 from protocol.faults import CommandCode
 from testbed.campaigns.row_file import Row
-from testbed.experiments.paper.opencv_sight import OpencvSight
+from testbed.experiments.paper.opencv_sight import opencv_sight
 from testbed.experiments.paper.tracing import Traced, Tracer
 from testbed.lockstep.clock import run
-from testbed.lockstep.eyes import LockstepEyes
+from testbed.lockstep.eyes import camera_eyes, eyes_with
 from testbed.lockstep.run_log import RunLog
-from testbed.lockstep.sight import Sight
-from testbed.lockstep.simulated_measurements import ModelSight, load_eye_model
+from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
 from testbed.lockstep.world import VISION_CLOCK_NS, World
 from testbed.scenarios.scenario import load_scenario
 from testbed.scenarios.settings import Settings, load_settings
@@ -91,12 +90,11 @@ def bench(config_dir: Path, task: Row, tracer: Tracer | None = None) -> Bench:
     settings = load_settings(config_dir, merged(drawn, parse_overrides(task["assignments"])))
     world = World(settings, task["seed"], RunLog())
     link = world.link
-    sight: Sight | None = None
+    eyes: Eyes = camera_eyes(world)
     if task["eyes"] == "opencv":
-        sight = OpencvSight(world, settings.vision)
+        eyes = eyes_with(world, opencv_sight(world))
     elif task["eyes"] == "model":
-        sight = ModelSight(world, settings.vision, load_eye_model(config_dir), task["seed"])
-    eyes: Eyes = LockstepEyes(world, link, settings.vision, sight)
+        eyes = eyes_with(world, simulated_sight(world, load_eye_model(config_dir), task["seed"]))
     arm: Arm = LinkArm(link, settings.vision.motion)
     world.connect()
     run(link.command(CommandCode.ENABLE))

@@ -16,9 +16,10 @@ from foundation.configuration import merged, parse_overrides
 from plant_emulator.core.truth import tool_error
 from protocol.errors import LongreachError
 from testbed.experiments.positioning.scenarios import draw
-from testbed.lockstep.rig import LockstepRig, SightMaker
+from testbed.lockstep.eyes import SightMaker
+from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
-from testbed.lockstep.simulated_measurements import ModelSight, load_eye_model
+from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
 from testbed.reporting.console import bars
 from testbed.scenarios.settings import load_settings
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult
@@ -60,7 +61,7 @@ def prepared(config_dir: Path, task: JSON, sight: SightMaker | None = None) -> L
     settings = load_settings(config_dir, merged(drawn.overrides, parse_overrides(task["assignments"])))
     if sight is None and task["eyes"] == "model":
         model = load_eye_model(config_dir, "harder" if task["harder"] else "usual")
-        sight = partial(ModelSight, model=model, seed=task["seed"])
+        sight = partial(simulated_sight, model=model, seed=task["seed"])
     rig = LockstepRig(settings, task["seed"], RunLog(), sight)
     rig.command("enable")
     operate(rig, "orientation-adjustment", {})

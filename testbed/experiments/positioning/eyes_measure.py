@@ -16,7 +16,7 @@ from plant_emulator.core.camera.scene import Scene
 from protocol.errors import LongreachError, MeasurementFailed
 from testbed.campaigns.campaign import run_campaign
 from testbed.experiments.positioning.corrected_run import driven, prepared
-from testbed.experiments.positioning.eyes_notes import Followed, Notes, NotingSight
+from testbed.experiments.positioning.eyes_notes import Followed, Notes, noting_sight
 from testbed.lockstep.simulated_odometry import ModelOdometry, TrackingNoise
 from testbed.lockstep.true_view import TrueView
 from testbed.reporting.console import out, table, write_json
@@ -33,7 +33,7 @@ CONDITIONS = ("usual", "harder")
 def one_run(config_dir: Path, task: JSON) -> JSON:
     """The row of one seed in pictures: sums over corners, and odometry's errors beside the model's."""
     notes = Notes()
-    rig = prepared(config_dir, task | {"eyes": "pixels"}, partial(NotingSight, notes=notes))
+    rig = prepared(config_dir, task | {"eyes": "pixels"}, partial(noting_sight, notes=notes))
     try:
         driven(rig, "look1", {})
     except LongreachError as error:

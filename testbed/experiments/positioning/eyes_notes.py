@@ -7,13 +7,14 @@ import numpy as np
 
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.truth import PlantTruth
-from testbed.lockstep.sight import Deliver, PixelSight
+from testbed.lockstep.camera_side import Exposure
+from testbed.lockstep.frames import PixelFrames, Sight
 from testbed.lockstep.true_view import TrueView
 from testbed.lockstep.world import World
-from vision_pc.config.vision import VisionConfig
-from vision_pc.core.perception.watch import Odometry, Watcher
+from vision_pc.core.odometry import StereoOdometry
+from vision_pc.core.perception.sensor import PixelSensor, with_believed_offset
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, FrameObservation, OdometryPose, StereoPair
+from vision_pc.core.types import CameraCalibration, FrameObservation, OdometryPose, StereoOffset, StereoPair
 
 _SAME_PLACE_PX = 0.3  # a corner that moved by less is at the same place in the picture
 
@@ -47,33 +48,31 @@ class Notes:
         self.watches: list[Followed] = []
 
 
-class NotingSight:
-    """Implements ``testbed.lockstep.sight.Sight`` as ``PixelSight`` does, and notes."""
+def noting_sight(world: World, notes: Notes) -> Sight:
+    """Vision's own sight of rendered pictures on ``world``, its measurements noted."""
+    sensor = NotingSensor(world, notes)
+    world.camera.viewers.append(sensor.exposed)
+    return Sight(PixelFrames(world), sensor)
 
-    def __init__(self, world: World, config: VisionConfig, notes: Notes) -> None:
-        self._world = world
-        self._pixels = PixelSight(world, config)
-        self._config = config
+
+class NotingSensor:
+    """Implements ``vision_pc.core.perception.watch.Sensor`` as ``PixelSensor`` does, and notes."""
+
+    def __init__(self, world: World, notes: Notes) -> None:
+        self.truths: dict[int, PlantTruth] = {}
+        self._pixels = PixelSensor(world.settings.vision)
         self._view = TrueView(world.settings.scene.camera, Scene(world.settings.scene))
         self._notes = notes
         self._places: dict[tuple[int, int, int], tuple[int, Array]] = {}
-        self.truths: dict[int, PlantTruth] = {}
 
-    def begin(self, deliver: Deliver) -> None:
-        """Start to render pictures and to keep their true values."""
-        self.truths.clear()
-        self._world.on_exposure = self.truths.__setitem__
-        self._pixels.begin(deliver)
+    def exposed(self, exposure: Exposure) -> None:
+        """Keep what is true at ``exposure``."""
+        self.truths[exposure.shot.frame_id] = exposure.truth
 
-    def end(self) -> None:
-        """Stop rendering pictures."""
-        self._pixels.end()
-        self._world.on_exposure = None
-
-    def observe(self, pair: StereoPair, previous: FrameObservation | None) -> FrameObservation:
+    def observe(self, frame: StereoPair, previous: FrameObservation | None) -> FrameObservation:
         """What the pictures show, noted beside the truth."""
-        observation = self._pixels.observe(pair, previous)
-        truth = self.truths[pair.frame_id]
+        observation = self._pixels.observe(frame, previous)
+        truth = self.truths[frame.frame_id]
         found = {m.marker_id: m for m in observation.markers}
         for number, exact in self._view.markers(truth.X_WC, truth.X_WM).items():
             if exact.left is None:
@@ -90,19 +89,11 @@ class NotingSight:
                     self._note(number, eye, seen, true)
         return observation
 
-    def watcher(self, *, markers: bool, odometry: bool, previous: FrameObservation | None) -> Watcher:
-        """Vision's own watcher, its measurements noted."""
-        return _NotingWatcher(self, self._config, markers, odometry, previous)
-
-    def followed(self, camera: CameraCalibration) -> Followed:
-        """Where the frames of a new watch are to be noted."""
-        self._notes.watches.append(Followed(camera, []))
-        return self._notes.watches[-1]
-
-    @property
-    def camera(self) -> CameraCalibration:
-        """Vision's calibration."""
-        return self._pixels.camera
+    def odometry(self, offset: StereoOffset | None) -> "NotingOdometry":
+        """Vision's odometry, noted as a new watch."""
+        followed = Followed(with_believed_offset(self._pixels.camera, offset), [])
+        self._notes.watches.append(followed)
+        return NotingOdometry(self._pixels.odometry(offset), self.truths, followed)
 
     def _note(self, number: int, eye: int, seen: Array, true: Array) -> None:
         for corner in range(4):
@@ -114,44 +105,21 @@ class NotingSight:
             self._notes.corners[(*key, visit)].append(seen[corner] - true[corner])
 
 
-class _NotingWatcher(Watcher):
-    """Vision's watcher, whose measurements are noted."""
-
-    def __init__(
-        self,
-        sight: NotingSight,
-        config: VisionConfig,
-        markers: bool,
-        odometry: bool,
-        previous: FrameObservation | None,
-    ) -> None:
-        super().__init__(sight.camera, config, markers=markers, odometry=odometry, previous=previous)
-        self._sight = sight
-
-    def observe(self, pair: StereoPair, previous: FrameObservation | None) -> FrameObservation:
-        """What the pictures show, noted."""
-        return self._sight.observe(pair, previous)
-
-    def new_odometry(self, camera: CameraCalibration) -> Odometry:
-        """Vision's odometry, noted."""
-        return _NotingOdometry(super().new_odometry(camera), self._sight, camera)
-
-
-class _NotingOdometry:
+class NotingOdometry:
     """Vision's odometry beside the truth."""
 
-    def __init__(self, odometry: Odometry, sight: NotingSight, camera: CameraCalibration) -> None:
+    def __init__(self, odometry: StereoOdometry, truths: dict[int, PlantTruth], followed: Followed) -> None:
         self._odometry = odometry
-        self._sight = sight
-        self._followed = sight.followed(camera)
+        self._truths = truths
+        self._followed = followed
 
     @property
     def last_loss(self) -> str | None:
         """Why the last frame was lost."""
         return self._odometry.last_loss
 
-    def process(self, pair: StereoPair, X_CM: Array | None = None) -> OdometryPose | None:
+    def process(self, frame: StereoPair, X_CM: Array | None = None) -> OdometryPose | None:
         """The pose, noted."""
-        pose = self._odometry.process(pair, X_CM)
-        self._followed.frames.append(Tracked(self._sight.truths[pair.frame_id], X_CM, pose))
+        pose = self._odometry.process(frame, X_CM)
+        self._followed.frames.append(Tracked(self._truths[frame.frame_id], X_CM, pose))
         return pose

@@ -12,19 +12,19 @@ from protocol.faults import GroupState
 from testbed.experiments.positioning.corrected_run import operate, true_error_mm
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
-from testbed.lockstep.simulated_measurements import ModelSight, load_eye_model
+from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
-from vision_pc.core.types import FrameObservation, StereoPair
+from vision_pc.core.types import CameraFrame, FrameObservation
 
 SEED = 3
-Observe = Callable[[StereoPair, FrameObservation | None], FrameObservation]
+Observe = Callable[[CameraFrame, FrameObservation | None], FrameObservation]
 
 
 @pytest.fixture(scope="module")
 def calibrated() -> LockstepRig:
     settings = load_settings(CONFIGS, chosen_overrides(CONFIGS, "standard", SEED, []))
-    sight = partial(ModelSight, model=load_eye_model(CONFIGS), seed=SEED)
+    sight = partial(simulated_sight, model=load_eye_model(CONFIGS), seed=SEED)
     rig = LockstepRig(settings, SEED, RunLog(), sight)
     rig.command("enable")
     operate(rig, "look", {"frames": 3})
@@ -51,19 +51,19 @@ def test_it_settles_under_2_mm_and_the_arm_rests_there(calibrated: LockstepRig) 
 @pytest.mark.parametrize("trouble", ["view_lost", "camera_frozen"])
 def test_without_fresh_sight_it_stops_on_its_way(calibrated: LockstepRig, trouble: str) -> None:
     rig = copy.deepcopy(calibrated)
-    sight = rig._eyes._sight
-    measured: Observe = sight.observe
+    sensor = rig.eyes._sensor
+    measured: Observe = sensor.observe
     seen: list[FrameObservation] = []
 
-    def troubled(pair: StereoPair, previous: FrameObservation | None) -> FrameObservation:
-        seen.append(measured(pair, previous))
+    def troubled(frame: CameraFrame, previous: FrameObservation | None) -> FrameObservation:
+        seen.append(measured(frame, previous))
         if len(seen) < 30:
             return seen[-1]
         if trouble == "camera_frozen":
-            return seen[29]._replace(capture_ns=pair.capture_ns, frame_id=pair.frame_id)
+            return seen[29]._replace(capture_ns=frame.capture_ns, frame_id=frame.frame_id)
         return seen[-1]._replace(X_CO=None, cov_CO=None, bias_CO=None)
 
-    sight.observe = troubled  # type: ignore[method-assign]
+    sensor.observe = troubled  # type: ignore[method-assign]
     with pytest.raises(MeasurementFailed) as failed:
         operate(rig, "looking-and-moving", {})
     assert failed.value.cause == f"measurement.{trouble}"

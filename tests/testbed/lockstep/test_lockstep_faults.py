@@ -7,8 +7,9 @@ from plant_emulator.core.faults.kinds import CameraFrozen, CouplerSilent, Fault,
 from protocol.faults import CommandCode, FaultCode, GroupState
 from protocol.process_image import STATUS_WATCHDOG_TRIPPED
 from protocol.reference_messages import Command, ReferencePose
+from testbed.lockstep.camera_side import Exposure, SentFrame
 from testbed.lockstep.run_log import RunLog
-from testbed.lockstep.world import Frame, World
+from testbed.lockstep.world import World
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 
@@ -21,6 +22,16 @@ def world_of(seed: int, *assignments: str) -> World:
     world = World(settings, seed, RunLog())
     world.connect()
     return world
+
+
+def film(world: World, frames: list[SentFrame]) -> None:
+    """Have every frame that the camera delivers from now on rendered into ``frames``."""
+
+    def view(exposure: Exposure) -> None:
+        if exposure.shot.delivered:
+            frames.append(world.camera.photograph(exposure))
+
+    world.camera.viewers.append(view)
 
 
 def until(world: World, time_ns: int) -> None:
@@ -66,10 +77,10 @@ def test_a_silent_coupler_faults_the_controller_and_the_plants_own_watchdog_shut
 @pytest.mark.parametrize(("stamps", "ages"), [("advance", False), ("hold", True)])
 def test_a_frozen_camera_repeats_the_picture_of_before(stamps: str, ages: bool) -> None:
     world = moving(1)
-    frames: list[Frame] = []
+    frames: list[SentFrame] = []
     world.plant.inject(CameraFrozen.model_validate({"stamps": stamps}), start_ns=750 * MS)
     until(world, 650 * MS)
-    world.on_frame = frames.append
+    film(world, frames)
     until(world, 950 * MS)
     assert len(frames) == 3  # 700, and 800 and 900 frozen
     for left, right in (frame[1:] for frame in frames[1:]):
@@ -82,12 +93,12 @@ def test_a_frozen_camera_repeats_the_picture_of_before(stamps: str, ages: bool) 
 def test_a_camera_that_froze_unwatched_shows_what_it_saw_last() -> None:
     frozen, healthy = moving(1), moving(1)
     frozen.plant.inject(CameraFrozen(), start_ns=620 * MS)
-    frames: list[Frame] = []
+    frames: list[SentFrame] = []
     until(healthy, 550 * MS)
-    healthy.on_frame = frames.append
+    film(healthy, frames)
     until(healthy, 600 * MS)
     until(frozen, 850 * MS)
-    frozen.on_frame = frames.append
+    film(frozen, frames)
     until(frozen, 900 * MS)
     assert [frame.header.frame_id for frame in frames] == [6, 9]
     assert np.array_equal(frames[0].left, frames[1].left)
@@ -99,7 +110,7 @@ def test_planned_faults_rerun_to_the_last_bit() -> None:
     for planned in (faults, faults, []):
         world = moving(2)
         frames: list[int] = []
-        world.on_exposure = lambda frame_id, _truth, frames=frames: frames.append(frame_id)  # type: ignore[misc]
+        world.camera.viewers.append(lambda exposure, frames=frames: frames.append(exposure.shot.frame_id))  # type: ignore[misc]
         for fault in planned:
             world.plant.inject(fault, start_ns=613 * MS, duration_ns=401 * MS)
         until(world, 1_500 * MS)
@@ -119,8 +130,8 @@ def test_planned_faults_rerun_to_the_last_bit() -> None:
 
 def test_dropped_frames_never_arrive() -> None:
     world = moving(1)
-    frames: list[Frame] = []
-    world.on_frame = frames.append
+    frames: list[SentFrame] = []
+    film(world, frames)
     world.plant.inject(FramesDropped(), start_ns=650 * MS, duration_ns=300 * MS)
     until(world, 1_000 * MS)
     assert [frame.header.frame_id for frame in frames] == [6, 10]

@@ -1,7 +1,6 @@
 """The eye model: exact where pictures are, wrong by what was measured in them, and failing as they do."""
 
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,14 +14,21 @@ from plant_emulator.core.truth import PlantTruth
 from protocol.errors import ConfigurationError, MeasurementFailed
 from testbed.experiments.positioning.eyes_agree import compare
 from testbed.experiments.positioning.eyes_measure import parameters
-from testbed.lockstep.simulated_measurements import CornerNoise, EyeModelConfig, ModelSight, load_eye_model
+from testbed.lockstep.frames import SimulatedFrame
+from testbed.lockstep.simulated_measurements import (
+    CornerNoise,
+    EyeModelConfig,
+    SimulatedSensor,
+    load_eye_model,
+)
 from testbed.lockstep.simulated_odometry import TrackingNoise
 from testbed.lockstep.true_view import TrueView
 from testbed.scenarios.settings import Settings, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.core.perception.look import combine
+from vision_pc.core.perception.watch import Watcher
 from vision_pc.core.se3 import angle_between, inverse, transform
-from vision_pc.core.types import Look, StereoPair
+from vision_pc.core.types import Look
 
 NOMINAL: dict[str, Any] = {
     "camera": {
@@ -50,19 +56,17 @@ class Stage:
         self.settings: Settings = load_settings(CONFIGS, {"scene": merged(world, scene)})
         mounts = Scene(self.settings.scene).mounts
         self.truth: PlantTruth = Plant(self.settings.plant, 1, mounts).truth()
-        self.world = SimpleNamespace(settings=self.settings, on_exposure=None)
-        self.sight = ModelSight(self.world, self.settings.vision, model, seed)  # type: ignore[arg-type]
-        self.pairs: list[StereoPair] = []
-        self.sight.begin(self.pairs.append)
+        self.sensor = SimulatedSensor(self.settings, model, seed)
+        self.exposures = 0
 
-    def exposed(self, truth: PlantTruth) -> StereoPair:
-        self.world.on_exposure(len(self.pairs), truth)
-        return self.pairs[-1]
+    def exposed(self, truth: PlantTruth) -> SimulatedFrame:
+        self.exposures += 1
+        return SimulatedFrame(truth, truth.time_ns, self.exposures)
 
     def look(self, frames: int = 4) -> Look:
         observations, previous = [], None
         for _ in range(frames):
-            previous = self.sight.observe(self.exposed(self.truth), previous)
+            previous = self.sensor.observe(self.exposed(self.truth), previous)
             observations.append(previous)
         return combine(observations, np.eye(4), 0, self.settings.vision.look)
 
@@ -129,7 +133,7 @@ def test_a_longer_baseline_shortens_the_odometrys_way_in_proportion() -> None:
     """What is wrong with the camera shows by itself: the model draws noise, not geometry."""
     for baseline_m, scale in ((0.12, 1.0), (0.12 * 1.006, 1.0 / 1.006)):
         stage = Stage(QUIET, camera={"baseline_m": baseline_m})
-        odometry = stage.sight.new_odometry(stage.sight.camera)  # no marker has told it of an offset
+        odometry = stage.sensor.odometry(None)  # no marker has told it of an offset
         steps = np.linspace([0.0, 0.0, 0.0], [0.15, 0.1, 0.1], 12)
         poses = [odometry.process(stage.exposed(stage.moved(step))) for step in steps]
         assert poses[-1] is not None
@@ -139,14 +143,14 @@ def test_a_longer_baseline_shortens_the_odometrys_way_in_proportion() -> None:
 
 def test_noise_is_as_large_as_told_and_bias_stays_at_its_place() -> None:
     biased = Stage(noisy(noise_px=0.0))
-    first, again = (biased.sight.observe(biased.exposed(biased.truth), None) for _ in range(2))
+    first, again = (biased.sensor.observe(biased.exposed(biased.truth), None) for _ in range(2))
     assert first.X_CO is not None
     assert again.X_CO is not None
     assert np.array_equal(first.X_CO, again.X_CO), "the same place in the picture has the same bias"
     stage = Stage(noisy(bias_px=0.0))
     errors = []
     for _ in range(40):
-        seen = stage.sight.observe(stage.exposed(stage.truth), None)
+        seen = stage.sensor.observe(stage.exposed(stage.truth), None)
         marker = next(m for m in seen.markers if m.marker_id == 1)
         errors.append(marker.corners_left)
     assert np.std(errors, axis=0).mean() == pytest.approx(0.03, rel=0.2)
@@ -163,7 +167,7 @@ def test_failures_end_in_their_causes_and_never_in_numbers() -> None:
         Stage(noisy(missed_share=1.0)).look()
     assert unseen.value.cause == "measurement.tool_not_seen"
     stage = Stage(noisy(lost_share=1.0))
-    watcher = stage.sight.watcher(markers=False, odometry=True, previous=None)
+    watcher = Watcher(stage.sensor, markers=False, odometry=True)
     for _ in range(5):
         assert watcher.add(stage.exposed(stage.truth), np.eye(4)).X_C0C is None
     with pytest.raises(MeasurementFailed) as lost:

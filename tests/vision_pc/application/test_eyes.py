@@ -20,12 +20,12 @@ from tests.vision_pc.conftest import VISION_YAML
 from tests.vision_pc.rendering import Marker, draw_marker, draw_wall, facing, finish, wall_texture
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward
-from vision_pc.application.eyes import CameraEyes
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.config.vision import LinkSettings, VisionConfig
 from vision_pc.core.perception.intrinsics import calibration
 from vision_pc.core.se3 import transform
 from vision_pc.core.types import StereoPair
+from vision_pc.shell.camera_eyes import OpenedEyes, open_eyes
 from vision_pc.shell.cameras import CameraSource
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
@@ -93,8 +93,9 @@ def pictures() -> Pictures:
 
 class Bench:
     def __init__(self, camera: PlayedCamera, controller: LoopbackController, link: ReferenceLink,
-                 eyes: CameraEyes) -> None:  # fmt: skip
-        self.camera, self.controller, self.link, self.eyes = camera, controller, link, eyes
+                 opened: OpenedEyes) -> None:  # fmt: skip
+        self.camera, self.controller, self.link = camera, controller, link
+        self.eyes, self.worker = opened
 
 
 @pytest.fixture
@@ -111,10 +112,10 @@ async def bench(config: VisionConfig, pictures: Pictures, tmp_path: Path) -> Asy
     played = PlayedCamera(config.camera.model_copy(update={"stale_ms": 400.0}))
     played.play(pictures.both)
     await played.start()
-    eyes = CameraEyes(played, link, config, log)
+    opened = open_eyes(played, link, config, log)
     await until(lambda: link.connected and link.clock_offset and played.newest)
-    yield Bench(played, controller, link, eyes)
-    eyes.close()
+    yield Bench(played, controller, link, opened)
+    opened.worker.close()
     await played.close()
     await endpoint.close()
     await controller.stop()
@@ -129,7 +130,7 @@ async def test_a_look_measures_fresh_pairs_and_keeps_a_picture(bench: Bench, tmp
     assert np.allclose(look.X_CO[:3, 3], X_CO[:3, 3], atol=3e-3)
     assert np.allclose(look.X_BT, forward(Q_START), atol=1e-9)
     assert (look.frames, look.failed_tool, look.failed_object) == (4, 0, 0)
-    await asyncio.to_thread(bench.eyes.close)
+    await asyncio.to_thread(bench.worker.close)
     kept = cv2.imread(str(tmp_path / "look-0001.png"))
     assert kept is not None
     assert kept.shape == (720, 1280, 3)

@@ -16,6 +16,7 @@ from tests.vision_pc.conftest import VISION_YAML
 from vision_pc.config.vision import EyeSettings, VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics, look
+from vision_pc.core.perception.sensor import PixelSensor
 from vision_pc.core.perception.watch import Watcher
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, FrameObservation, StereoPair
@@ -122,7 +123,7 @@ def test_with_nominal_lens_the_error_is_what_the_lens_makes_it(
 def test_watch_follows_the_camera_and_leaves_the_tool_out(
     camera: CameraCalibration, config: VisionConfig, path: list[Shot]
 ) -> None:
-    watcher = Watcher(camera, config, markers=False, odometry=True)
+    watcher = Watcher(PixelSensor(config), markers=False, odometry=True)
     for shot in path:
         watcher.add(shot.pair, shot.X_BT)
     assert [sample.time_ns for sample in watcher.samples] == [shot.pair.capture_ns for shot in path]
@@ -150,7 +151,7 @@ def test_watch_follows_the_camera_and_leaves_the_tool_out(
 def test_watch_for_markers_alone_needs_no_odometry(
     camera: CameraCalibration, config: VisionConfig, path: list[Shot]
 ) -> None:
-    watcher = Watcher(camera, config, markers=True, odometry=False)
+    watcher = Watcher(PixelSensor(config), markers=True, odometry=False)
     for shot in path[:3]:
         sample = watcher.add(shot.pair, shot.X_BT)
         assert sample.X_C0C is None
@@ -171,7 +172,7 @@ def test_watch_that_missed_everything_fails_with_the_cause(
         ({"markers": False, "odometry": True}, "measurement.odometry_lost"),
         ({"markers": True, "odometry": False}, "measurement.tool_not_seen"),
     ):
-        watcher = Watcher(camera, config, **wants)
+        watcher = Watcher(PixelSensor(config), **wants)
         with pytest.raises(MeasurementFailed) as failed:
             watcher.require()
         assert failed.value.cause == "measurement.no_frames"
@@ -188,7 +189,7 @@ def test_watch_that_missed_everything_fails_with_the_cause(
 def test_watch_survives_a_dark_frame(
     camera: CameraCalibration, config: VisionConfig, path: list[Shot]
 ) -> None:
-    watcher = Watcher(camera, config, markers=True, odometry=True)
+    watcher = Watcher(PixelSensor(config), markers=True, odometry=True)
     dark = np.zeros_like(path[0].pair.left)
     for k, shot in enumerate(path[:4]):
         watcher.add(shot.pair._replace(left=dark, right=dark) if k == 2 else shot.pair, shot.X_BT)

@@ -113,9 +113,9 @@ async def test_stream_gives_the_newest_pair_on_this_machines_clock(
     async with opened(stream_settings(config, sender.port)) as camera:
         await asyncio.to_thread(sender.wait)
         sender.send(7)
-        first = await camera.pair_after(0)
+        first = await camera.frame_after(0)
         captured_ns = sender.send(11)
-        pair = await camera.pair_after(first.capture_ns)
+        pair = await camera.frame_after(first.capture_ns)
         assert (first.frame_id, pair.frame_id) == (7, 11)
         assert abs(pair.capture_ns - captured_ns) < 5_000_000
         assert pair.left.shape == (HEIGHT, WIDTH)
@@ -133,7 +133,7 @@ async def test_held_pictures_are_not_written_over(config: VisionConfig, sender: 
         held: list[StereoPair] = []
         for number in range(1, 7):
             sender.send(number)
-            held.append(await camera.pair_after(held[-1].capture_ns if held else 0))
+            held.append(await camera.frame_after(held[-1].capture_ns if held else 0))
         assert [int(pair.left[0, 0]) for pair in held] == [1, 2, 3, 4, 5, 6]
 
 
@@ -151,14 +151,14 @@ async def test_silent_stream_is_told_as_lost_and_found_again(config: VisionConfi
     async with opened(stream_settings(config, sender.port)) as camera:
         await asyncio.to_thread(sender.wait)
         sender.send(1)
-        pair = await camera.pair_after(0)
+        pair = await camera.frame_after(0)
         with pytest.raises(LinkLost) as lost:
-            await camera.pair_after(pair.capture_ns)
+            await camera.frame_after(pair.capture_ns)
         assert lost.value.cause == "link.camera_silent"
         assert camera.status().trouble == "link.camera_silent"
         await asyncio.to_thread(sender.wait)  # it connects anew by itself
         sender.send(2)
-        assert (await camera.pair_after(pair.capture_ns)).frame_id == 2
+        assert (await camera.frame_after(pair.capture_ns)).frame_id == 2
         assert camera.status().reconnects == 1
 
 
@@ -166,7 +166,7 @@ async def test_frozen_picture_is_told_although_frames_arrive(config: VisionConfi
     async with opened(stream_settings(config, sender.port)) as camera:
         await asyncio.to_thread(sender.wait)
         sender.send(1)
-        pair = await camera.pair_after(0)
+        pair = await camera.frame_after(0)
 
         async def repeat() -> None:
             for number in range(2, 40):
@@ -178,11 +178,11 @@ async def test_frozen_picture_is_told_although_frames_arrive(config: VisionConfi
         await asyncio.sleep(0.1)
         repeating = asyncio.create_task(repeat())
         with pytest.raises(LinkLost) as lost:
-            await camera.pair_after(pair.capture_ns)
+            await camera.frame_after(pair.capture_ns)
         assert lost.value.cause == "link.camera_frozen"
         await repeating
         sender.send(50, grey=2)
-        assert (await camera.pair_after(pair.capture_ns)).frame_id == 50
+        assert (await camera.frame_after(pair.capture_ns)).frame_id == 50
 
 
 @pytest.mark.parametrize(
@@ -203,7 +203,7 @@ async def test_stream_that_lost_its_place_is_left(
         sender.send_bytes(data)
         await asyncio.to_thread(sender.wait)
         sender.send(3)
-        assert (await camera.pair_after(0)).frame_id == 3
+        assert (await camera.frame_after(0)).frame_id == 3
         assert camera.status().reconnects == 1
 
 
@@ -214,7 +214,7 @@ async def test_pictures_of_another_size_are_refused(config: VisionConfig, sender
         await asyncio.to_thread(sender.wait)
         sender.send(1, size=(WIDTH, 2 * HEIGHT))
         with pytest.raises(LinkLost) as lost:
-            await camera.pair_after(0)
+            await camera.frame_after(0)
         assert lost.value.cause == "frame.wrong_size"
 
 
@@ -223,7 +223,7 @@ async def test_missing_camera_is_named(config: VisionConfig) -> None:
         port = unused.getsockname()[1]
     async with opened(stream_settings(config, port)) as camera:
         with pytest.raises(LinkLost) as lost:
-            await camera.pair_after(0)
+            await camera.frame_after(0)
         assert lost.value.cause == "link.camera_missing"
         assert not camera.status().connected
 
@@ -250,7 +250,7 @@ async def test_film_of_both_eyes_is_cut_in_two(config: VisionConfig, tmp_path: P
         film.write(picture)
     film.release()
     async with opened(settings(config, "uvc", uvc={"device": str(path)}, frozen_frames=0)) as camera:
-        pair = await camera.pair_after(0)
+        pair = await camera.frame_after(0)
         assert abs(float(pair.left.mean()) - 60) < 3
         assert abs(float(pair.right.mean()) - 180) < 3
         assert pair.left.flags["C_CONTIGUOUS"]
@@ -264,7 +264,7 @@ async def test_film_of_another_size_is_refused(config: VisionConfig, tmp_path: P
     film.release()
     async with opened(settings(config, "uvc", uvc={"device": str(path)})) as camera:
         with pytest.raises(LinkLost) as lost:
-            await camera.pair_after(0)
+            await camera.frame_after(0)
         assert lost.value.cause == "frame.wrong_size"
 
 
@@ -296,13 +296,13 @@ async def test_directory_plays_at_the_recorded_pace(config: VisionConfig, tmp_pa
         captures = []
         capture_ns = 0
         for _ in written:
-            pair = await camera.pair_after(capture_ns)
+            pair = await camera.frame_after(capture_ns)
             capture_ns = pair.capture_ns
             captures.append((pair.frame_id, capture_ns))
         spans = np.diff([capture for _, capture in captures])
         np.testing.assert_array_equal(spans, 40_000_000)
         with pytest.raises(LinkLost) as lost:
-            await camera.pair_after(capture_ns)
+            await camera.frame_after(capture_ns)
         assert lost.value.cause == "link.recording_ended"
 
 

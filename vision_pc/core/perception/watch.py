@@ -1,72 +1,77 @@
-"""Samples along a motion: markers and odometry of every pair, beside where the arm said it was."""
+"""Samples along a motion: markers and odometry of every frame, beside where the arm said it was."""
 
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.config.vision import VisionConfig
-from vision_pc.core.odometry import StereoOdometry
-from vision_pc.core.perception import intrinsics, look
+from vision_pc.core.perception import look
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import (
-    CameraCalibration,
+    CameraFrame,
     FrameObservation,
     OdometryPose,
-    StereoPair,
+    StereoOffset,
     WatchHealth,
     WatchSample,
 )
 
 _MASK_EVERY = 10  # frames between looks at the tool marker when markers are not wanted for themselves
 
+F = TypeVar("F", bound=CameraFrame)
+F_contra = TypeVar("F_contra", bound=CameraFrame, contravariant=True)
 
-class Odometry(Protocol):
-    """Where the camera is in its first frame, pair by pair; ``StereoOdometry`` finds it in the pictures."""
+
+class Odometry(Protocol[F_contra]):
+    """Where the camera is in its first frame, frame by frame; ``StereoOdometry`` finds it in pictures."""
 
     @property
     def last_loss(self) -> str | None: ...
-    def process(self, pair: StereoPair, X_CM: Array | None = None) -> OdometryPose | None: ...
+    def process(self, frame: F_contra, X_CM: Array | None = None, /) -> OdometryPose | None: ...
 
 
-class Watcher:
-    """Gathers a ``WatchSample`` from every pair given to it. Both rigs use it, each feeding it in its own
-    way.
+class Sensor(Protocol[F_contra]):
+    """What can be measured in the frames of one source; ``PixelSensor`` measures in pictures."""
+
+    def observe(self, frame: F_contra, previous: FrameObservation | None, /) -> FrameObservation:
+        """Tool and object of interest in ``frame``, after ``previous``."""
+        ...
+
+    def odometry(self, offset: StereoOffset | None, /) -> Odometry[F_contra]:
+        """Odometry whose first frame is C0, for a right eye that is off by ``offset`` (None: not known)."""
+        ...
+
+
+class Watcher(Generic[F]):
+    """Gathers a ``WatchSample`` from every frame given to it.
 
     ``previous``: the newest observation before the watch; what it knows of the right eye's offset and of
-    where the markers are is carried on. Without one the first pair is searched. The first tracked camera
+    where the markers are is carried on. Without one the first frame is searched. The first tracked camera
     frame is C0.
     """
 
     def __init__(
-        self,
-        camera: CameraCalibration,
-        config: VisionConfig,
-        *,
-        markers: bool,
-        odometry: bool,
-        previous: FrameObservation | None = None,
+        self, sensor: Sensor[F], *, markers: bool, odometry: bool, previous: FrameObservation | None = None
     ) -> None:
-        self._camera = camera
-        self._config = config
+        self._sensor = sensor
         self._markers = markers
         self._wants_odometry = odometry
         self._observation = previous
-        self._odometry: Odometry | None = None
+        self._odometry: Odometry[F] | None = None
         self._samples: list[WatchSample] = []
         self._inliers: list[int] = []
         self._missing: dict[str, list[str | None]] = {"tool": [], "object": []}
         self._last_loss: str | None = None
 
-    def add(self, pair: StereoPair, X_BT: Array) -> WatchSample:
-        """The sample of ``pair``, which has been added to ``samples``; ``X_BT`` is the controller's at its
+    def add(self, frame: F, X_BT: Array) -> WatchSample:
+        """The sample of ``frame``, which has been added to ``samples``; ``X_BT`` is the controller's at its
         capture.
         """
-        observation = self._observed(pair)
-        tracked = self._tracked(pair, observation) if self._wants_odometry else None
+        observation = self._observed(frame)
+        tracked = self._tracked(frame, observation) if self._wants_odometry else None
         seen = observation if self._markers else None
         sample = WatchSample(
-            pair.capture_ns,
+            frame.capture_ns,
             X_BT,
             None if tracked is None else tracked.X_C0C,
             None if seen is None else seen.X_CM,
@@ -81,33 +86,20 @@ class Watcher:
                 self._missing[what].append(None if X is not None else reason or "not_seen")
         return sample
 
-    def _observed(self, pair: StereoPair) -> FrameObservation | None:
-        """Markers of this pair, where they are wanted or the odometry needs them."""
+    def _observed(self, frame: F) -> FrameObservation | None:
+        """Markers of this frame, where they are wanted or the odometry needs them."""
         due = self._wants_odometry and len(self._samples) % _MASK_EVERY == 0
         if not (self._markers or due):
             return None
-        observation = self.observe(pair, self._observation)
+        observation = self._sensor.observe(frame, self._observation)
         self._observation = observation
         return observation
 
-    def observe(self, pair: StereoPair, previous: FrameObservation | None) -> FrameObservation:
-        """What ``pair`` shows; a rig without pictures puts its own measurements here."""
-        return look.observe(pair, self._camera, self._config.markers, previous)
-
-    def new_odometry(self, camera: CameraCalibration) -> Odometry:
-        """The odometry of this watch, whose C0 is its first pair; likewise."""
-        return StereoOdometry(camera, self._config.odometry, self._config.markers.tool)
-
-    def _tracked(self, pair: StereoPair, observation: FrameObservation | None) -> OdometryPose | None:
+    def _tracked(self, frame: F, observation: FrameObservation | None) -> OdometryPose | None:
         if self._odometry is None:
             offset = None if self._observation is None else self._observation.offset
-            camera = (
-                self._camera
-                if offset is None
-                else intrinsics.with_offset(self._camera, offset.x_px, offset.y_px)
-            )
-            self._odometry = self.new_odometry(camera)
-        tracked = self._odometry.process(pair, None if observation is None else observation.X_CM)
+            self._odometry = self._sensor.odometry(offset)
+        tracked = self._odometry.process(frame, None if observation is None else observation.X_CM)
         if tracked is None:
             self._last_loss = self._odometry.last_loss
         else:
@@ -121,7 +113,7 @@ class Watcher:
 
     @property
     def samples(self) -> tuple[WatchSample, ...]:
-        """One sample for every pair so far, in order."""
+        """One sample for every frame so far, in order."""
         return tuple(self._samples)
 
     @property

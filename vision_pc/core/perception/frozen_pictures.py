@@ -5,7 +5,7 @@ from vision_pc.core.types import Image
 _STEP = 32  # px: a picture is compared by every such pixel of every such row
 
 
-class Repeats:
+class FrozenPictures:
     """Counts how often a picture repeated the one before to the last grey level, which noise forbids in live
     ones. ``limit``: so many repetitions, and the camera counts as frozen; 0: never.
     """
@@ -13,15 +13,11 @@ class Repeats:
     def __init__(self, limit: int) -> None:
         self._limit = limit
         self._fingerprint = b""
-        self.count = 0
+        self._count = 0
 
-    def add(self, image: Image) -> None:
-        """Take ``image`` as the newest one. An image without pixels is not compared."""
+    def add(self, image: Image) -> bool:
+        """Take the newest picture. Return True if the camera is frozen."""
         fingerprint = image[::_STEP, ::_STEP].tobytes()
-        self.count = self.count + 1 if fingerprint and fingerprint == self._fingerprint else 0
+        self._count = self._count + 1 if fingerprint == self._fingerprint else 0
         self._fingerprint = fingerprint
-
-    @property
-    def frozen(self) -> bool:
-        """Whether the newest picture is not to be believed."""
-        return 0 < self._limit <= self.count
+        return 0 < self._limit <= self._count
