@@ -15,8 +15,10 @@ DEV_STAMP := $(VENV)/.stamp-dev
 PEERS_STAMP := $(VENV)/.stamp-peers
 LOCK_FLAGS := --generate-hashes --no-emit-index-url --no-header --python-version 3.11
 ARGS ?=
+PROCESSES ?= 2
+FOREIGN_TOOLS := mbpoll tshark
 
-.PHONY: help setup setup-dev demo test bench experiments lint types imports compose-test lock clean
+.PHONY: help setup setup-dev demo test coverage foreign-tools bench experiments lint types imports compose-test lock clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -48,8 +50,19 @@ setup-dev: $(DEV_STAMP)  ## that and what tests
 demo: $(RUN_STAMP)  ## the whole loop in real time: three processes, verdict against 5 mm (ARGS="--seed 3")
 	$(BIN)/longreach demo $(ARGS)
 
-test: $(DEV_STAMP)  ## all tests (ARGS="-k kinematics")
-	$(BIN)/python -m pytest $(ARGS)
+test: $(DEV_STAMP)  ## all tests but benchmarks, long experiments and containers (ARGS="-k kinematics")
+	$(BIN)/python -m pytest -n $(PROCESSES) $(ARGS)
+
+coverage: $(DEV_STAMP)  ## which lines the tests run: a table, and coverage/index.html
+	$(BIN)/python -m pytest -n $(PROCESSES) --cov --cov-report=term:skip-covered --cov-report=html $(ARGS)
+
+foreign-tools:  ## Debian's mbpoll and tshark, which some tests compare with (root or sudo)
+	@missing=; for tool in $(FOREIGN_TOOLS); do command -v $$tool > /dev/null || missing="$$missing $$tool"; done; \
+	if [ -z "$$missing" ]; then echo "foreign tools: all there"; exit 0; fi; \
+	if [ "$$(id -u)" = 0 ]; then as_root=; elif command -v sudo > /dev/null; then as_root=sudo; \
+	else echo "foreign tools:$$missing absent, and neither root nor sudo to install them; their tests are skipped" >&2; exit 1; fi; \
+	$$as_root apt-get update -qq && DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y -qq --no-install-recommends$$missing > /dev/null \
+	|| { echo "foreign tools:$$missing could not be installed; their tests are skipped" >&2; exit 1; }
 
 bench: $(PEERS_STAMP)  ## benchmarks, with their limits and their peers (one of them GPL: never in a dependency)
 	$(BIN)/python -m pytest -m bench --benchmark-enable -s $(ARGS)
@@ -60,7 +73,7 @@ experiments: $(DEV_STAMP)  ## long, seeded experiments
 lint: $(DEV_STAMP)  ## ruff
 	$(BIN)/ruff check .
 
-types: $(DEV_STAMP)  ## mypy, strict on protocol/ and every core/
+types: $(DEV_STAMP)  ## mypy, strict
 	$(BIN)/mypy
 
 imports: $(DEV_STAMP)  ## who may import whom

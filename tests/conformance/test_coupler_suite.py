@@ -19,7 +19,7 @@ from tests.support.paths import DOCS
 
 PAGE = DOCS / "process_image.md"
 CONTROL = 601
-pytestmark = pytest.mark.usefixtures("clock")
+pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("clock")]
 
 
 def test_our_own_coupler_passes_every_case() -> None:

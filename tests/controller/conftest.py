@@ -6,6 +6,7 @@ import pytest
 from controller.config import ControllerConfig
 from controller.core.kinematics.denavit_hartenberg import dh_table
 from controller.core.kinematics.rotations import Array
+from controller.core.settings import ScanSettings, settings_from
 from foundation.configuration import load
 from nominal_arm.description import NominalArm
 from tests.support.paths import CONFIGS
@@ -19,6 +20,11 @@ def arm() -> NominalArm:
 @pytest.fixture(scope="session")
 def config() -> ControllerConfig:
     return load(ControllerConfig, CONFIGS / "controller.yaml")
+
+
+@pytest.fixture(scope="session")
+def settings(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
+    return settings_from(arm, config)
 
 
 @pytest.fixture(scope="session")

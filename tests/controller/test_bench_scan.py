@@ -6,26 +6,19 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from controller.config import ControllerConfig
 from controller.core.kinematics.denavit_hartenberg import JOINTS, LINKS
 from controller.core.kinematics.rotations import Array
 from controller.core.references.admission import admit
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput
 from controller.core.servo.pose_servo import tool_state
-from controller.core.settings import ScanSettings, settings_from
-from nominal_arm.description import NominalArm
+from controller.core.settings import ScanSettings
 from protocol.reference_messages import ReferencePath, StreamedPose
 from protocol.session_events import StreamedPoseReceived
 from tests.controller.kinematics.test_kinematics import START, drawn_arm
 from tests.controller.obedient_plant import Bench
 
 pytestmark = pytest.mark.bench
-
-
-@pytest.fixture(scope="module")
-def settings(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
-    return settings_from(arm, config)
 
 
 def _next_input(bench: Bench) -> ScanInput:

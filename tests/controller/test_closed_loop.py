@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from controller.config import ControllerConfig
 from controller.core.servo.pose_servo import resolve, tool_state
-from controller.core.settings import ScanSettings, settings_from
+from controller.core.settings import ScanSettings
 from foundation.configuration import load
-from nominal_arm.description import NominalArm
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core.faults.kinds import EncoderJump, EncoderStuck, Fault, SupplyLost, ValveStuck
 from plant_emulator.core.plant import Plant
@@ -27,11 +25,6 @@ from tests.controller.conftest import CONFIGS
 
 STATIC_ERROR_MRAD = 0.3
 HOLD_S = 4.0
-
-
-@pytest.fixture(scope="module")
-def settings(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
-    return settings_from(arm, config)
 
 
 def _loop(settings: ScanSettings, payload_kg: float, seed: int = 1) -> ClosedLoop:

@@ -8,17 +8,12 @@ import pytest
 from controller.config import ControllerConfig
 from controller.core.kinematics.rotations import quaternion_from_matrix
 from controller.core.servo.pose_servo import tool_state
-from controller.core.settings import ScanSettings, settings_from
+from controller.core.settings import ScanSettings
 from nominal_arm.description import NominalArm
 from protocol.faults import FaultCode, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import ReferencePath, ReferencePose
 from tests.controller.obedient_plant import Bench
-
-
-@pytest.fixture(scope="module")
-def settings(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
-    return settings_from(arm, config)
 
 
 @pytest.fixture

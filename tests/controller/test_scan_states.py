@@ -31,11 +31,6 @@ from tests.controller.obedient_plant import Bench
 ZERO = (0.0,) * 6
 
 
-@pytest.fixture(scope="module")
-def settings(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
-    return settings_from(arm, config)
-
-
 def _brought_to(bench: Bench, mode: Mode) -> Bench:
     """The bench in ``mode``, by the shortest honest way."""
     if mode is Mode.DISABLED:

@@ -10,8 +10,7 @@ import pytest
 from controller.config import ControllerConfig
 from controller.core.group_states import Mode
 from controller.core.kinematics.rotations import Array, conjugate, quaternion_product, vector_from_quaternion
-from controller.core.settings import ScanSettings, settings_from
-from nominal_arm.description import NominalArm
+from controller.core.settings import ScanSettings
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
 from protocol.process_image import CONTROL_ENABLE
@@ -20,11 +19,6 @@ from tests.controller.obedient_plant import Bench
 
 ZERO = (0.0,) * 6
 SLOWS_S, CLOSES_S, CYCLE_S = 0.076, 0.088, 0.005
-
-
-@pytest.fixture(scope="module")
-def settings(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
-    return settings_from(arm, config)
 
 
 def opened(settings: ScanSettings) -> Bench:

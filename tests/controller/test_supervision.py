@@ -24,11 +24,6 @@ from tests.controller.obedient_plant import Bench
 ZERO = (0.0,) * 6
 
 
-@pytest.fixture(scope="module")
-def settings(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
-    return settings_from(arm, config)
-
-
 def _until_fault(bench: Bench, most_s: float) -> float:
     """Seconds until a fault is latched."""
     for scans in range(round(most_s / bench.settings.cycle_s)):

@@ -13,6 +13,8 @@ from tests.faults.fieldbus import fieldbus
 from tests.faults.registers import assert_shut
 from tests.faults.rig import CLOSING_NS
 
+pytestmark = pytest.mark.realtime
+
 WATCHDOG_S = 0.1
 
 

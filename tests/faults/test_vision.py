@@ -112,6 +112,7 @@ def test_case_34_an_ill_conditioned_calibration_fails_with_its_condition_and_not
     assert rig.link.state.motion_id == motion
 
 
+@pytest.mark.realtime
 async def test_case_33_a_frozen_camera_is_found_by_its_content_and_nothing_moves() -> None:
     async with live() as rig:
         await until(lambda: rig.camera.status().connected)
@@ -127,6 +128,7 @@ async def test_case_33_a_frozen_camera_is_found_by_its_content_and_nothing_moves
         assert np.linalg.norm(rig.tool() - before) < HELD_M
 
 
+@pytest.mark.realtime
 async def test_case_33_a_camera_that_falls_silent_is_found_by_its_age() -> None:
     async with live() as rig:
         await until(lambda: rig.camera.status().connected)
@@ -140,6 +142,7 @@ async def test_case_33_a_camera_that_falls_silent_is_found_by_its_age() -> None:
 MOVE = {"offset_base_m": [0.0, 0.05, 0.0]}
 
 
+@pytest.mark.realtime
 async def test_case_37_a_post_repeated_with_one_key_is_one_motion() -> None:
     async with live() as rig:
         before = rig.tool()
@@ -156,6 +159,7 @@ async def test_case_37_a_post_repeated_with_one_key_is_one_motion() -> None:
         assert (other.status_code, other.json()["cause"]) == (422, "refused.key_reused")
 
 
+@pytest.mark.realtime
 async def test_case_38_a_cancel_that_races_with_completion_leaves_exactly_one_end_state() -> None:
     stream = io.StringIO()
     async with live(stream=stream) as rig:
@@ -192,6 +196,7 @@ class HangingPipe(io.TextIOBase):
         return len(text)
 
 
+@pytest.mark.realtime
 async def test_case_39_hanging_consoles_are_left_behind_and_the_motion_goes_on() -> None:
     pipe = HangingPipe()
     async with live(stream=pipe) as rig, served(rig) as port:
@@ -239,6 +244,7 @@ def full_disk(directory: Path) -> Path:
     return directory
 
 
+@pytest.mark.realtime
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
 async def test_case_40_on_a_full_disk_no_motion_begins_and_the_alarm_is_seen(tmp_path: Path) -> None:
     async with live(record_dir=full_disk(tmp_path / "records")) as rig:
@@ -252,6 +258,7 @@ async def test_case_40_on_a_full_disk_no_motion_begins_and_the_alarm_is_seen(tmp
         assert np.linalg.norm(rig.tool() - before) < HELD_M
 
 
+@pytest.mark.realtime
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
 async def test_case_40_a_running_motion_ends_when_the_disk_fills_up(tmp_path: Path) -> None:
     async with live(record_dir=tmp_path) as rig:

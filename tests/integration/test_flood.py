@@ -15,6 +15,8 @@ from testbed.experiments.robustness.controller_kills import Rig, insist, trial_r
 from tests.integration.flood import flooding
 from tests.support.paths import CONFIGS
 
+pytestmark = pytest.mark.realtime
+
 RATE_HZ = 50_000.0
 
 

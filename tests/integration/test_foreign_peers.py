@@ -14,6 +14,8 @@ from pyModbusTCP.client import ModbusClient
 from protocol.process_image import CONTROL_ENABLE, ValveImage, encode_valves
 from tests.conformance.couplers import ThreadedCoupler
 
+pytestmark = pytest.mark.realtime
+
 VALVES = ValveImage(17, CONTROL_ENABLE, (0.5, -0.25, 1.0, -1.0, 0.0, 0.125))
 PUBLISHED_INPUTS = [0x0038, 0x3F0B]
 PUBLISHED_OUTPUTS = [0x3FFF, 0x7FFF]

@@ -9,6 +9,8 @@ import pytest
 from testbed.experiments.robustness.controller_kills import KILL, SUSPEND_LONG, run_trials
 from tests.support.paths import CONFIGS
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture(scope="module")
 def rows(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:

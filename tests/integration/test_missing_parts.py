@@ -7,9 +7,12 @@ import time
 from pathlib import Path
 
 import httpx
+import pytest
 
 from testbed.realtime.launch import CONTROLLER, PLANT, VISION
 from tests.integration.services import ROOT, running
+
+pytestmark = pytest.mark.realtime
 
 
 def wait_for(face: httpx.Client, path: str, status: int, within_s: float = 30.0) -> httpx.Response:

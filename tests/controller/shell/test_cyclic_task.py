@@ -8,6 +8,8 @@ import pytest
 
 from controller.shell.cyclic_task import CyclicTask
 
+pytestmark = pytest.mark.realtime
+
 
 async def test_periods_are_absolute_and_none_is_lost() -> None:
     stamps: list[int] = []

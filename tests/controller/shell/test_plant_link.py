@@ -16,6 +16,8 @@ from foundation.event_log import EventLog
 from protocol.process_image import ValveImage, decode_sensors, encode_valves
 from tests.controller.shell.plant_server import PlantServer, plant_server
 
+pytestmark = pytest.mark.realtime
+
 WORDS = encode_valves(ValveImage(7, 0, (0.0,) * 6))
 
 

@@ -22,6 +22,8 @@ from protocol.reference_messages import Command, ReferencePose
 from protocol.server_session import ReferenceServer
 from protocol.session_events import Connected, ConnectionDelayed, SessionLost
 
+pytestmark = pytest.mark.realtime
+
 TIMEOUT_MS = 400
 
 

@@ -25,6 +25,8 @@ from protocol.session_events import AcknowledgementReceived, StateReceived
 from tests.controller.conftest import CONFIGS
 from tests.controller.shell.plant_server import PlantServer, plant_server
 
+pytestmark = pytest.mark.realtime
+
 READY_S = 60.0  # a first start compiles
 
 

@@ -1,8 +1,10 @@
 """Quintic polynomials: end conditions exact, rest to rest is 10-15-6."""
 
+import sys
+
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from controller.core.trajectories.quintic import coefficients, evaluate
@@ -12,12 +14,19 @@ _ends = st.tuples(_numbers, _numbers, _numbers).map(np.array)
 
 
 @settings(deadline=None)  # the first call compiles
+@example(start=np.array([0.0, 0.0, 5e-324]), end=np.zeros(3), duration=1.0)
 @given(start=_ends, end=_ends, duration=st.floats(0.05, 60.0))
 def test_end_conditions_are_met(start: np.ndarray, end: np.ndarray, duration: float) -> None:
     c = coefficients(start, end, duration)
     scale = max(np.abs(start).max(), np.abs(end).max(), 1e-3) * max(1.0, duration**2) * max(1.0, duration**-2)
-    assert evaluate(c, 0.0) == pytest.approx(start, abs=0.0)
+    # The acceleration is halved and doubled: exact, unless half of it is too small for all of its bits.
+    assert evaluate(c, 0.0) == pytest.approx(start, abs=2.0 * sys.float_info.min)
     assert evaluate(c, duration) == pytest.approx(end, abs=1e-12 * scale)
+
+
+def test_the_smallest_number_may_be_lost_and_nothing_else_changes() -> None:
+    start = np.array([1.0, 2.0, 5e-324])
+    assert evaluate(coefficients(start, start, 1.0), 0.0) == (1.0, 2.0, 0.0)
 
 
 def test_rest_to_rest_is_the_10_15_6_polynomial() -> None:

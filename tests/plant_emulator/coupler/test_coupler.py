@@ -20,6 +20,8 @@ from protocol.process_image import (
     encode_valves,
 )
 
+pytestmark = pytest.mark.realtime
+
 SENSORS = SensorImage(
     plant_cycle=70_001,
     echo_cycle=17,

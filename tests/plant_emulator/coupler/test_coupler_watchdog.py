@@ -18,6 +18,8 @@ from plant_emulator.shell.coupler import Coupler
 from protocol import coupler_registers
 from protocol.process_image import CONTROL_ENABLE, SensorImage, ValveImage, encode_sensors, encode_valves
 
+pytestmark = pytest.mark.realtime
+
 MS = 1_000_000
 SENSORS = encode_sensors(SensorImage(7, 9, 0b0101, (1, 2, 3, 4, 5, 6), ((1.0, 2.0),) * 6, 190.0, 10.0, 40.0))
 IMAGE = ValveImage(3, CONTROL_ENABLE, (0.5, 0.0, 0.0, 0.0, 0.0, 0.0))

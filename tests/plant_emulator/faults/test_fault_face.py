@@ -19,6 +19,8 @@ from tests.plant_emulator.camera.camera_world import scene_config
 from tests.plant_emulator.faults.test_faults import EVERY
 from tests.plant_emulator.plant_world import plant_config
 
+pytestmark = pytest.mark.realtime
+
 MS = 1_000_000
 
 

@@ -10,6 +10,8 @@ import pytest
 from plant_emulator.shell.frame_server import FrameServer, StereoFrame
 from protocol.stereo_frame import HEADER_BYTES, FrameHeader, decode_header
 
+pytestmark = pytest.mark.realtime
+
 SHAPE = (720, 1280)
 
 

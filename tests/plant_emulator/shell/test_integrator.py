@@ -3,11 +3,15 @@
 import asyncio
 import time
 
+import pytest
+
 from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core.plant import Plant
 from plant_emulator.shell.integrator import Integrator, SlowCycle
 from tests.plant_emulator.camera.camera_world import CONFIGS
+
+pytestmark = pytest.mark.realtime
 
 PERIOD_NS = 2_000_000
 

@@ -24,6 +24,8 @@ from protocol.stereo_frame import HEADER_BYTES, decode_header
 from tests.plant_emulator.camera.camera_world import CONFIGS
 from tests.support.log_lines import assert_obeys
 
+pytestmark = pytest.mark.realtime
+
 ANY_PORTS = (
     "plant_service.modbus.port=0",
     "plant_service.camera_stream.port=0",

@@ -21,6 +21,8 @@ from testbed.fault_proxy.faults import Event, FaultLine, Faults
 from testbed.fault_proxy.proxy import FaultProxy, Route, TcpProxy, UdpProxy
 from tests.conformance.couplers import ThreadedCoupler
 
+pytestmark = pytest.mark.realtime
+
 PACKETS = [index.to_bytes(4, "big") * 8 for index in range(4000)]
 MS = 1_000_000
 

@@ -11,6 +11,8 @@ import pytest
 
 from testbed.realtime.supervisor import Service, ServiceFailed, Supervisor, free_port, supervised
 
+pytestmark = pytest.mark.realtime
+
 
 def service(how: str, name: str = "service") -> Service:
     return Service(name, "tests.testbed.realtime.child_service", (how,))

@@ -30,6 +30,8 @@ from vision_pc.shell.cameras import CameraSource
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 
+pytestmark = pytest.mark.realtime
+
 X_CM = facing(0.15, 0.05, 0.5)
 X_CO = facing(-0.1, -0.05, 1.0)
 PERIOD_S = 0.05

@@ -118,7 +118,7 @@ async def test_equations_20_to_22() -> None:
 async def test_a_longer_way_is_less_certain() -> None:
     arm = rig(3)
     look = await arm.look()
-    near = look._replace(X_CO=look.X_CM @ np.linalg.inv(look.X_CM) @ look.X_CO)
+    near = look._replace(X_CO=look.X_CO.copy())
     near.X_CO[:3, 3] = look.X_CM[:3, 3] + np.array([0.01, 0.0, CLEARANCE])
     far, close = (step(x, SETTINGS, exact(arm)).expected_std_m for x in (look, near))
     assert np.all(far[:2] > 2.0 * close[:2])

@@ -13,6 +13,8 @@ from protocol.faults import CommandCode, FaultCode, GroupState
 from tests.vision_pc.shell.loopback_controller import until
 from tests.vision_pc.synthetic_station import Bench, bench
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture
 async def station() -> AsyncIterator[Bench]:

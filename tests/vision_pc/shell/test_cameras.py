@@ -20,6 +20,8 @@ from vision_pc.shell.cameras import CameraSource, open_camera
 from vision_pc.shell.cameras.directory import Recorder, recorded, recorded_pairs
 from vision_pc.shell.cameras.stream import BufferPool, StreamClock
 
+pytestmark = pytest.mark.realtime
+
 WIDTH, HEIGHT = 96, 64
 HOUR_NS = 3_600_000_000_000
 

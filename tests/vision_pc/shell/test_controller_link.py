@@ -21,6 +21,8 @@ from vision_pc.core.se3 import Array, to_pose, transform
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 
+pytestmark = pytest.mark.realtime
+
 X_START = forward(Q_START)
 
 

@@ -21,6 +21,8 @@ from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.rest.link_view import LinkCounters, link_view
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture
 def key_file(tmp_path: Path) -> Path:

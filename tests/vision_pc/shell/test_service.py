@@ -14,6 +14,8 @@ import pytest
 from tests.support.paths import CONFIGS
 from vision_pc.__main__ import main
 
+pytestmark = pytest.mark.realtime
+
 
 def free_port() -> int:
     with socket.socket() as probe:

@@ -20,6 +20,8 @@ from vision_pc.core.se3 import Array
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture
 async def link() -> AsyncIterator[ReferenceLink]:
