@@ -33,7 +33,7 @@ from plant_emulator.core.mechanics.equilibrium import rest_state
 from plant_emulator.core.mechanics.geometry import base_tilt, transform
 from plant_emulator.core.mechanics.multibody import forward_kinematics
 from plant_emulator.core.model import build_model, put_payload, start_coordinates
-from plant_emulator.core.right_hand_side import advance, new_work
+from plant_emulator.core.right_hand_side import EncoderShafts, advance, new_work
 from plant_emulator.core.sensors import Encoders
 from plant_emulator.core.stability import check_step, modes
 from plant_emulator.core.truth import Mounts, PlantTruth, inverse
@@ -83,8 +83,8 @@ class Plant:
         self._work = new_work()
         self._encoders = Encoders(config.errors, self._rng)
         play = config.errors.backlash
-        self._half_play = np.asarray(play.half_width_mrad) * 1e-3 if play.enabled else np.zeros(N_ACTUATORS)
-        self._shaft = self._state[list(DRIVEN)].copy()
+        half_play = np.asarray(play.half_width_mrad) * 1e-3 if play.enabled else np.zeros(N_ACTUATORS)
+        self._shafts = EncoderShafts(self._state[list(DRIVEN)].copy(), half_play)
         self._drive = np.zeros(N_ACTUATORS)
         delay_ns, watchdog_ns = round(config.valves.delay_ms * 1e6), round(config.watchdog_ms * 1e6)
         self._commands = ValveCommands(delay_ns, watchdog_ns)
@@ -112,8 +112,7 @@ class Plant:
                 self._state,
                 self._drive,
                 self._commands.target,
-                self._shaft,
-                self._half_play,
+                self._shafts,
                 steps,
                 self._step_ns * 1e-9,
                 self._model,
@@ -127,7 +126,9 @@ class Plant:
     def read(self) -> SensorImage:
         """The sensors at this instant, as the fieldbus carries them."""
         pressures = self._state[PRESSURE_A : PRESSURE_B + N_ACTUATORS].reshape(2, N_ACTUATORS).T / BAR
-        a, b, c, d, e, f = self._encoders.read(self._shaft, encoder_shift(self.faults.active, self.time_ns))
+        a, b, c, d, e, f = self._encoders.read(
+            self._shafts.angle, encoder_shift(self.faults.active, self.time_ns)
+        )
         return SensorImage(
             plant_cycle=self._cycle,
             echo_cycle=self._commands.echo_cycle,
@@ -231,7 +232,7 @@ class Plant:
         """Bring everything that faults change to what those in force make of it."""
         faults = self.faults.in_force()
         break_hydraulics(faults, self._model, self._healthy_omega, self._state)
-        self._encoders.hold(stuck_encoders(faults), self._shaft)
+        self._encoders.hold(stuck_encoders(faults), self._shafts.angle)
         put_payload(self._model, self._bare_tool, self._load_kg(), self.config, self._chain)
 
     def _load_kg(self) -> float:

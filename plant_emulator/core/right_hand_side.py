@@ -53,6 +53,13 @@ class Work(NamedTuple):
     stage: Array  # (N_STATES,)
 
 
+class EncoderShafts(NamedTuple):
+    """``angle`` (6,) of each encoder shaft, which its joint drags along with a play ``half_play`` (6,)."""
+
+    angle: Array
+    half_play: Array
+
+
 def new_work() -> Work:
     """Fresh scratch memory."""
     return Work(
@@ -102,6 +109,22 @@ def _end_stop(i: int, y: float, v: float, a: Array) -> float:
 
 
 @allocation_free
+def _pressure_rates(i: int, state: Array, a: Array, c: Array, flows: Array, rate: Array) -> None:
+    """Rates of the two chamber pressures of actuator ``i``, whose flows, position and speed are known."""
+    y, v = flows[i, col.F_POSITION], flows[i, col.F_VELOCITY]
+    area_a, area_b = a[i, col.A_AREA_A], a[i, col.A_AREA_B]
+    volume_a = a[i, col.A_DEAD_A] + area_a * y
+    volume_b = a[i, col.A_DEAD_B] + area_b * (a[i, col.A_STROKE] - y)
+    warmer = state[TEMPERATURE] - c[col.C_REFERENCE]
+    oil = c[col.C_MODULUS] * (1.0 - c[col.C_MODULUS_DRIFT] * warmer)
+    wall, air, exponent = c[col.C_WALL], c[col.C_AIR], c[col.C_EXPONENT]
+    stiff_a = bulk_modulus(state[PRESSURE_A + i], volume_a, oil, wall, air, exponent)
+    stiff_b = bulk_modulus(state[PRESSURE_B + i], volume_b, oil, wall, air, exponent)
+    rate[PRESSURE_A + i] = stiff_a * (flows[i, col.F_NET_A] - area_a * v) / volume_a
+    rate[PRESSURE_B + i] = stiff_b * (flows[i, col.F_NET_B] + area_b * v) / volume_b
+
+
+@allocation_free
 def _actuator(
     i: int,
     state: Array,
@@ -127,23 +150,13 @@ def _actuator(
         a[i, col.A_LENGTH0],
     )
     v = ratio * state[RATE + joint]
-    p_a, p_b = state[PRESSURE_A + i], state[PRESSURE_B + i]
-    area_a, area_b = a[i, col.A_AREA_A], a[i, col.A_AREA_B]
-
     spool, spool_rate = state[SPOOL + i], state[SPOOL_RATE + i]
     rate[SPOOL + i] = spool_rate
     rate[SPOOL_RATE + i] = spool_acceleration(command, spool, spool_rate, a[i, col.A_OMEGA], a[i, col.A_ZETA])
 
-    warmer = state[TEMPERATURE] - c[col.C_REFERENCE]
     _valve_flows(i, state, viscosity_ratio, a, c, flows)
-    volume_a = a[i, col.A_DEAD_A] + area_a * y
-    volume_b = a[i, col.A_DEAD_B] + area_b * (a[i, col.A_STROKE] - y)
-    oil = c[col.C_MODULUS] * (1.0 - c[col.C_MODULUS_DRIFT] * warmer)
-    wall, air, exponent = c[col.C_WALL], c[col.C_AIR], c[col.C_EXPONENT]
-    stiff_a = bulk_modulus(p_a, volume_a, oil, wall, air, exponent)
-    stiff_b = bulk_modulus(p_b, volume_b, oil, wall, air, exponent)
-    rate[PRESSURE_A + i] = stiff_a * (flows[i, col.F_NET_A] - area_a * v) / volume_a
-    rate[PRESSURE_B + i] = stiff_b * (flows[i, col.F_NET_B] + area_b * v) / volume_b
+    flows[i, col.F_POSITION], flows[i, col.F_VELOCITY] = y, v
+    _pressure_rates(i, state, a, c, flows, rate)
 
     bristle = state[BRISTLE + i]
     level = steady_level(v, a[i, col.A_COULOMB], a[i, col.A_STATIC], a[i, col.A_STRIBECK])
@@ -152,9 +165,8 @@ def _actuator(
     viscous = a[i, col.A_VISCOUS] / viscosity_ratio
     friction = friction_force(v, bristle, z_rate, a[i, col.A_BRISTLE], a[i, col.A_BRISTLE_DAMPING], viscous)
     stop = _end_stop(i, y, v, a)
-    push = p_a * area_a - p_b * area_b
+    push = state[PRESSURE_A + i] * a[i, col.A_AREA_A] - state[PRESSURE_B + i] * a[i, col.A_AREA_B]
     flows[i, col.F_PUSH], flows[i, col.F_FRICTION], flows[i, col.F_STOP] = push, friction, stop
-    flows[i, col.F_POSITION], flows[i, col.F_VELOCITY] = y, v
     torque: float = (push - friction + stop) * ratio
     return torque
 
@@ -235,8 +247,7 @@ def advance(
     state: Array,
     drive: Array,
     target: Array,
-    shaft: Array,
-    half_play: Array,
+    encoders: EncoderShafts,
     steps: int,
     h: float,
     model: Model,
@@ -244,9 +255,9 @@ def advance(
 ) -> None:
     """Advance ``state`` in place by ``steps`` steps of ``h`` (s) under constant valve ``target`` (6,).
 
-    ``drive`` (6,) is the slew-limited command; ``shaft`` (6,) the angle of each encoder's shaft, which its
-    joint drags along with a play of ``half_play`` (6,). Both are updated in place once a step.
+    ``drive`` (6,), the slew-limited command, and the encoders' angles are updated in place once a step.
     """
+    shaft, half_play = encoders
     for _ in range(steps):
         for i in range(N_ACTUATORS):
             drive[i], work.command[i] = slew_limited(

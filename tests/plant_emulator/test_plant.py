@@ -10,7 +10,7 @@ from nominal_arm.description import NominalArm
 from plant_emulator.core.faults.kinds import SupplyLost
 from plant_emulator.core.layout import N_STATES, RATE, Q
 from plant_emulator.core.plant import NOMINAL_MOUNTS, Plant
-from plant_emulator.core.right_hand_side import advance, new_work, right_hand_side
+from plant_emulator.core.right_hand_side import EncoderShafts, advance, new_work, right_hand_side
 from plant_emulator.core.truth import inverse, tool_error
 from protocol.errors import ConfigurationError, ImageRefused, RequestRefused
 from protocol.process_image import (
@@ -230,7 +230,7 @@ def test_counterbalance_valves_hold_the_load_when_the_supply_is_lost() -> None:
 
 
 def test_the_hot_loop_allocates_nothing(plant: Plant) -> None:
-    arrays = (plant._state, np.zeros(6), np.full(6, 0.1), np.zeros(6), np.zeros(6))
+    arrays = (plant._state, np.zeros(6), np.full(6, 0.1), EncoderShafts(np.zeros(6), np.zeros(6)))
     work = new_work()
     _nrt_python.memsys_enable_stats()
     counts = []

@@ -22,7 +22,7 @@ from plant_emulator.core.layout import DRIVEN, N_ACTUATORS, N_COORDINATES, N_STA
 from plant_emulator.core.mechanics.equilibrium import rest_state
 from plant_emulator.core.mechanics.multibody import forward_kinematics, multibody_work
 from plant_emulator.core.model import Model, build_model, start_coordinates
-from plant_emulator.core.right_hand_side import Work, advance, hydraulic_rates, new_work
+from plant_emulator.core.right_hand_side import EncoderShafts, Work, advance, hydraulic_rates, new_work
 from testbed.reporting.console import out, table
 from testbed.validation.oracles import mujoco_xml
 from tests.plant_emulator.plant_world import plant_config
@@ -66,7 +66,9 @@ def own_engine(step: float) -> tuple[Array, float]:
     for k in range(SAMPLES):
         target, steps = commands(k), round(CYCLE / step)
         begin = time.thread_time()
-        advance(motion.state, drive, target, idle, idle, steps, step, motion.model, motion.work)
+        advance(
+            motion.state, drive, target, EncoderShafts(idle, idle), steps, step, motion.model, motion.work
+        )
         spent += time.thread_time() - begin
         tips.append(motion.tip())
     return np.array(tips), spent / SECONDS * 1e3
@@ -184,7 +186,8 @@ def test_peer(benchmark: Any, name: str, references: tuple[Array, Array], rows: 
 def allocations(steps: int) -> tuple[int, int]:
     """What ``steps`` steps in one call take: blocks of numba's run-time system, bytes of Python's at most."""
     motion = Motion()
-    arrays = [np.zeros(N_ACTUATORS), commands(10), np.zeros(N_ACTUATORS), np.zeros(N_ACTUATORS)]
+    shafts = EncoderShafts(np.zeros(N_ACTUATORS), np.zeros(N_ACTUATORS))
+    arrays = [np.zeros(N_ACTUATORS), commands(10), shafts]
     advance(motion.state, *arrays, 1, 5e-4, motion.model, motion.work)
     _nrt_python.memsys_enable_stats()
     gc.disable()

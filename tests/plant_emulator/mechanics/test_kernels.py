@@ -19,7 +19,7 @@ from plant_emulator.core.mechanics.spatial import (
     turned,
     turned_back,
 )
-from plant_emulator.core.right_hand_side import advance, new_work
+from plant_emulator.core.right_hand_side import EncoderShafts, advance, new_work
 from testbed.validation.plant_balances import resting_arm
 from tests.plant_emulator.plant_world import CONFIGS
 
@@ -59,7 +59,7 @@ def test_a_kernel_that_would_allocate_does_not_compile() -> None:
 def test_thousands_of_steps_allocate_nothing() -> None:
     stand = resting_arm(CONFIGS, POSE, 30.0)
     idle, target = np.zeros((3, 6)), np.full(6, 0.1)
-    arrays = (stand.state, idle[0], target, idle[1], idle[2])
+    arrays = (stand.state, idle[0], target, EncoderShafts(idle[1], idle[2]))
     _nrt_python.memsys_enable_stats()
     blocks = []
     for steps in (1, 1, 5000):
@@ -98,6 +98,7 @@ def test_two_works_give_the_same_bits() -> None:
     for _ in range(2):
         stand = resting_arm(CONFIGS, POSE, 30.0)
         idle = np.zeros((3, 6))
-        advance(stand.state, idle[0], np.full(6, 0.2), idle[1], idle[2], 500, 5e-4, stand.model, new_work())
+        shafts = EncoderShafts(idle[1], idle[2])
+        advance(stand.state, idle[0], np.full(6, 0.2), shafts, 500, 5e-4, stand.model, new_work())
         ends.append(stand.state.copy())
     np.testing.assert_array_equal(ends[0], ends[1])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plant_emulator.core.layout import PRESSURE_A
-from plant_emulator.core.right_hand_side import advance, new_work
+from plant_emulator.core.right_hand_side import EncoderShafts, advance, new_work
 from testbed.experiments.robustness.plant_campaign import (
     ENERGY_LIMIT,
     EVENTS,
@@ -46,7 +46,8 @@ def test_the_books_are_kept_beside_the_plants_own_steps() -> None:
     """The ledger's steps are the plant's, bit for bit, with the drive's slew limit."""
     target, idle = np.array([0.4, 0.7, -0.6, 0.3, -0.2, 0.5]), np.zeros((3, 6))
     plain, booked = resting_arm(CONFIGS, POSE, 80.0), resting_arm(CONFIGS, POSE, 80.0)
-    advance(plain.state, idle[0], target, idle[1], idle[2], 1000, 5e-4, plain.model, new_work())
+    shafts = EncoderShafts(idle[1], idle[2])
+    advance(plain.state, idle[0], target, shafts, 1000, 5e-4, plain.model, new_work())
     booked.command[:] = target
     Ledger(booked).run(0.5, 5e-4)
     np.testing.assert_array_equal(plain.state, booked.state)
