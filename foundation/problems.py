@@ -11,12 +11,14 @@ from protocol.errors import (
     LinkLost,
     LongreachError,
     MeasurementFailed,
+    MotionUnsettled,
     RequestRefused,
 )
 
 MEDIA_TYPE = "application/problem+json"
 _STATUS_OF_ERROR: tuple[tuple[type[LongreachError], HTTPStatus], ...] = (
     (RequestRefused, HTTPStatus.CONFLICT),
+    (MotionUnsettled, HTTPStatus.CONFLICT),
     (MeasurementFailed, HTTPStatus.UNPROCESSABLE_ENTITY),
     (LinkLost, HTTPStatus.SERVICE_UNAVAILABLE),
     (DatagramRefused, HTTPStatus.BAD_GATEWAY),

@@ -9,6 +9,7 @@ Taxonomy (every leaf names who is at fault):
     ├── FrameRefused              the camera stream sent a header that does not fit the format
     ├── RequestRefused            a well-formed request that the present state or the limits forbid
     ├── LinkLost                  a peer did not answer, or the connection ended
+    ├── MotionUnsettled           a motion is done, but the arm does not come to rest
     └── MeasurementFailed         nothing could be measured (marker not seen, odometry lost, ill-conditioned)
 
 Expected trouble inside a controller scan is not an exception but data: see ``protocol.faults``.
@@ -52,6 +53,10 @@ class RequestRefused(LongreachError):
 
 class LinkLost(LongreachError):
     """A peer is missing or went silent; ``cause`` begins with ``link.``."""
+
+
+class MotionUnsettled(LongreachError):
+    """The arm swings on after its motion; ``cause`` begins with ``motion.``."""
 
 
 class MeasurementFailed(LongreachError):

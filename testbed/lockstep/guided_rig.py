@@ -6,7 +6,7 @@ from typing import TypeVar
 
 from nominal_arm.dimensions import dimensions
 from plant_emulator.core.camera.scene import Scene
-from protocol.errors import MeasurementFailed, RequestRefused
+from protocol.errors import MeasurementFailed, MotionUnsettled, RequestRefused
 from protocol.faults import CommandCode
 from testbed.lockstep.clock import run
 from testbed.lockstep.eyes import camera_eyes
@@ -71,7 +71,10 @@ def take_all(rig: GuidedRig, informative: bool) -> int:
         try:
             rig.run(rig.guided.next_pose(quiet, informative))
             rig.run(rig.guided.sample(quiet))
-        except MeasurementFailed:  # an arm that swings on, a marker that is hidden: the next pose then
+        except (
+            MeasurementFailed,
+            MotionUnsettled,
+        ):  # an arm that swings on, a marker that is hidden: the next pose then
             spoiled += 1
             if spoiled > _PATIENCE:
                 raise

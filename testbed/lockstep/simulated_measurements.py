@@ -21,7 +21,7 @@ from testbed.lockstep.true_view import TrueView
 from testbed.lockstep.world import World
 from testbed.scenarios.settings import Settings
 from vision_pc.core.perception import intrinsics, markers
-from vision_pc.core.perception.look import beliefs_after, observation_of
+from vision_pc.core.perception.look import FrameMarkers, FrameStamp, beliefs_after, observation_of
 from vision_pc.core.perception.sensor import with_believed_offset
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import EyeModel, FrameObservation, OdometryPose, StereoOffset
@@ -97,8 +97,9 @@ class SimulatedSensor:
                 unfit[number] = outcome
             else:
                 sightings.append(outcome)
-        stamp = (frame.capture_ns, frame.frame_id)
-        return observation_of(stamp, sightings, Counter(), unfit, self.camera, settings, beliefs, previous)
+        stamp = FrameStamp(frame.frame_id, frame.capture_ns)
+        found = FrameMarkers(sightings, Counter(), unfit, since_full_search=0)
+        return observation_of(stamp, found, self.camera, settings, beliefs, previous)
 
     def odometry(self, offset: StereoOffset | None) -> "FrameOdometry":
         """Odometry that begins with the next frame, for a right eye that is off by ``offset``."""

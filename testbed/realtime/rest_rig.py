@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 import numpy as np
 
-from protocol.errors import LinkLost, LongreachError, MeasurementFailed, RequestRefused
+from protocol.errors import LinkLost, LongreachError, MeasurementFailed, MotionUnsettled, RequestRefused
 from testbed.demonstration.sequence import JSON, View
 from testbed.realtime.parsed_results import RESULT_OF, ReportedLook, look_of
 from testbed.reporting.console import Bar
@@ -17,6 +17,7 @@ _POLL_S = 0.2
 _TIMEOUT_S = 10.0
 _KINDS: dict[str, type[LongreachError]] = {
     "measurement": MeasurementFailed,
+    "motion": MotionUnsettled,
     "refused": RequestRefused,
     "link": LinkLost,
 }

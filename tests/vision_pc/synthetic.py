@@ -320,13 +320,10 @@ class SyntheticRig:
         X_CO = self._noisy(inverse(self.X_BC_true()) @ t.X_BO, t.marker_std_m / n**0.5, t.marker_std / n**0.5)
         self.time_ns += int(n * self.period_s * 1e9)
         cov = np.diag([t.marker_std_m**2] * 3 + [t.marker_std**2] * 3) / n
-        m, r = np.sqrt(np.diag(cov)[:3]), np.sqrt(np.diag(cov)[3:])
         fields = {
             "time_ns": self.time_ns, "X_CM": X_CM, "X_CO": X_CO, "X_BT": forward(self.q), "frames": n,
-            "failed_tool": 0, "failed_object": 0, "cov_CM": cov, "cov_CO": cov, "std_tool_m": m,
-            "std_tool_rad": r,
-            "std_object_m": m, "std_object_rad": r, "std_tool_frame_m": m * n**0.5,
-            "std_object_frame_m": m * n**0.5, "offset": None,
+            "failed_tool": 0, "failed_object": 0, "cov_CM": cov, "cov_CO": cov,
+            "frame_cov_CM": cov * n, "frame_cov_CO": cov * n, "offset": None,
         }  # fmt: skip
         return Look(**fields)  # type: ignore[arg-type]
 

@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator, Sequence
 
 import numpy as np
 
-from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
+from protocol.errors import LinkLost, MotionUnsettled, RequestRefused
 from protocol.faults import CommandCode
 from protocol.reference_messages import (
     FLAG_SETTLED,
@@ -73,8 +73,8 @@ class LinkArm:
     async def _finished(self, command_id: int) -> ArmView:
         """The view once motion ``command_id`` is done, settled and has rested.
 
-        Raises RequestRefused when it was stopped, overtaken or ended by a fault; MeasurementFailed
-        (``measurement.arm_not_settled``) when it is done but keeps moving.
+        Raises RequestRefused when it was stopped, overtaken or ended by a fault; MotionUnsettled
+        (``motion.not_settled``) when it is done but keeps moving.
         """
         begun = False
         waited = 0
@@ -108,11 +108,11 @@ class LinkArm:
                 return states
 
     def _still(self, states: list[State]) -> State:
-        """The last of ``states``, through which no encoder moved. Raises MeasurementFailed."""
+        """The last of ``states``, through which no encoder moved. Raises MotionUnsettled."""
         moved_mrad = 1e3 * float(np.ptp([state.q_meas for state in states], axis=0).max())
         if moved_mrad > self._settings.still_mrad:
-            raise MeasurementFailed(
-                "measurement.arm_not_settled",
+            raise MotionUnsettled(
+                "motion.not_settled",
                 f"arm still moves by {moved_mrad:.2f} mrad, limit {self._settings.still_mrad:g} mrad, "
                 f"{self._settings.settle_timeout_s:g} s after its motion",
             )

@@ -63,9 +63,10 @@ class ReferenceStream(Protocol):
 
 
 class Arm(Protocol):
-    """Motion through the reference link. Every call returns at rest, or raises with the arm holding still.
+    """Motion through the reference link. Every motion returns at rest, or raises.
 
-    Raises RequestRefused (the controller's reason) or LinkLost.
+    Raises RequestRefused (the controller's reason, the arm stopped), LinkLost, or MotionUnsettled
+    (``motion.not_settled``) when the motion is done but the arm swings on: it still holds its last reference.
     """
 
     async def view(self) -> ArmView:

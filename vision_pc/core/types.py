@@ -105,14 +105,15 @@ class FrameObservation(NamedTuple):
     offset: StereoOffset | None
     missing_tool: str | None = None
     missing_object: str | None = None
+    since_full_search: int = 0
 
 
 class Look(NamedTuple):
     """Several pairs at rest combined robustly, with the controller's own X_BT at that time.
 
     ``frames`` pairs were tried; ``failed_tool`` / ``failed_object`` did not show the tool / the object;
-    ``cov_CM`` / ``cov_CO`` are of the combined pose; ``std_*`` (3,) are square roots of their diagonals,
-    ``std_*_frame`` those of a single frame; ``_m`` per axis of C in metres, ``_rad`` about the axes of C.
+    ``cov_CM`` / ``cov_CO`` are of the combined pose, ``frame_cov_*`` of one frame's noise. ``std_*`` are
+    square roots of their diagonals: ``_m`` per axis of C in metres, ``_rad`` about the axes of C.
     """
 
     time_ns: int
@@ -124,13 +125,43 @@ class Look(NamedTuple):
     failed_object: int
     cov_CM: Array
     cov_CO: Array
-    std_tool_m: Array
-    std_tool_rad: Array
-    std_object_m: Array
-    std_object_rad: Array
-    std_tool_frame_m: Array
-    std_object_frame_m: Array
+    frame_cov_CM: Array
+    frame_cov_CO: Array
     offset: StereoOffset | None
+
+    @property
+    def std_tool_m(self) -> Array:
+        """Standard deviations (3,) of the tool's place."""
+        return _deviations(self.cov_CM)[:3]
+
+    @property
+    def std_tool_rad(self) -> Array:
+        """Standard deviations (3,) of the tool's orientation."""
+        return _deviations(self.cov_CM)[3:]
+
+    @property
+    def std_object_m(self) -> Array:
+        """Standard deviations (3,) of the object's place."""
+        return _deviations(self.cov_CO)[:3]
+
+    @property
+    def std_object_rad(self) -> Array:
+        """Standard deviations (3,) of the object's orientation."""
+        return _deviations(self.cov_CO)[3:]
+
+    @property
+    def std_tool_frame_m(self) -> Array:
+        """Standard deviations (3,) of the tool's place in a single frame, noise alone."""
+        return _deviations(self.frame_cov_CM)[:3]
+
+    @property
+    def std_object_frame_m(self) -> Array:
+        """Standard deviations (3,) of the object's place in a single frame, noise alone."""
+        return _deviations(self.frame_cov_CO)[:3]
+
+
+def _deviations(covariance: Array) -> Array:
+    return np.asarray(np.sqrt(np.diag(covariance)))
 
 
 class OdometryPose(NamedTuple):

@@ -16,7 +16,7 @@ import numpy as np
 from plant_emulator.config.boards import CabinetConfig
 from plant_emulator.core.camera.boards import board_points, board_pose
 from plant_emulator.core.camera.scene import Scene
-from protocol.errors import MeasurementFailed, RequestRefused
+from protocol.errors import MeasurementFailed, MotionUnsettled, RequestRefused
 from testbed.lockstep import guided_rig
 from testbed.lockstep.guided_rig import GuidedRig, quiet
 from testbed.scenarios.settings import chosen_overrides, load_settings
@@ -154,7 +154,7 @@ def _localisation(rig: GuidedRig, session: Session, repetitions: int, seed: int)
                 faults += 1
                 guided_rig.recover(rig)
             continue
-        except MeasurementFailed:
+        except (MeasurementFailed, MotionUnsettled):
             unseen += 1
             continue
         done += 1

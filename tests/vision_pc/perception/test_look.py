@@ -185,3 +185,18 @@ def test_marker_that_jumped_out_of_its_region_is_found(
     assert then.X_CM is not None
     assert np.abs(se3.local(far, then.X_CM)[:3]).max() < 1e-3
     assert then.X_CO is not None
+
+
+def test_a_marker_that_comes_into_view_is_found_although_frames_are_skipped(
+    camera: CameraCalibration, config: VisionConfig, generator: np.random.Generator
+) -> None:
+    """A detector that takes every second frame never meets a frame number that is a multiple of ten."""
+    alone = render(camera, (tool_marker(X_CM),), generator)
+    both = render(camera, (*object_markers(X_CO), tool_marker(X_CM)), generator)
+    seen = look.observe(alone._replace(frame_id=1), camera, config.markers)
+    assert seen.X_CM is not None
+    assert seen.X_CO is None
+    for frame_id in range(3, 23, 2):
+        seen = look.observe(both._replace(frame_id=frame_id), camera, config.markers, seen)
+    assert seen.X_CO is not None
+    assert len(seen.markers) == 4

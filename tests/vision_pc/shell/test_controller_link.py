@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from foundation.event_log import EventLog
-from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
+from protocol.errors import LinkLost, MotionUnsettled, RequestRefused
 from protocol.faults import CommandCode, FaultCode, GroupState
 from protocol.reference_messages import ANY_ARM, Command, ReferencePose
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
@@ -171,9 +171,9 @@ async def test_an_arm_that_swings_on_is_told_and_one_that_hangs_beside_its_refer
     view = await arm.move_to(shifted(0.0, 0.05, 0.0))
     assert not view.settled
     controller.swing_rad = 0.004
-    with pytest.raises(MeasurementFailed) as failed:
+    with pytest.raises(MotionUnsettled) as failed:
         await arm.move_to(shifted(0.0, 0.0, 0.0))
-    assert failed.value.cause == "measurement.arm_not_settled"
+    assert failed.value.cause == "motion.not_settled"
 
 
 async def test_unreachable_is_refused_whole(

@@ -42,6 +42,7 @@ class StereoOdometry:
         everything = np.ones((camera.height, camera.width), dtype=bool)
         self._static = (everything, everything)
         self._masked_for: Array | None = None
+        self._smooths = False
         self._lost_frames = self._frames = 0
         self.last_loss: str | None = None
 

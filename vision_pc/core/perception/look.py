@@ -8,16 +8,14 @@ import numpy as np
 
 from protocol.errors import MeasurementFailed
 from vision_pc.config.vision import LookSettings, MarkerSettings
-from vision_pc.core import se3
 from vision_pc.core.perception import markers, object_of_interest
 from vision_pc.core.perception.markers import Region, Sighting
+from vision_pc.core.perception.pose_statistics import robust_mean
 from vision_pc.core.perception.stereo_pose import Beliefs
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, FrameObservation, Image, Look, StereoOffset, StereoPair
 
-_FULL_SEARCH_EVERY = 10  # frames: so that a marker that comes into view is found while others are tracked
-_ROBUST_ROUNDS = 10
-_CHI2_MEDIAN_6 = 5.348  # median of χ² with six degrees of freedom
+_FULL_SEARCH_EVERY = 10  # own frames: so that a marker that comes into view is found while others are tracked
 
 
 def observe(
@@ -32,11 +30,11 @@ def observe(
     ambiguous marker, and its estimate of the right eye's offset is carried on.
     """
     beliefs = beliefs_after(previous, settings)
-    rough, refused = _found(pair, settings, previous)
-    sightings, unfit = markers.sight(pair, rough, camera, settings, beliefs)
-    return observation_of(
-        (pair.capture_ns, pair.frame_id), sightings, refused, unfit, camera, settings, beliefs, previous
-    )
+    found = _found(pair, settings, previous)
+    sightings, unfit = markers.sight(pair, found.rough, camera, settings, beliefs)
+    seen = FrameMarkers(sightings, found.refused, unfit, found.since_full_search)
+    stamp = FrameStamp(pair.frame_id, pair.capture_ns)
+    return observation_of(stamp, seen, camera, settings, beliefs, previous)
 
 
 def beliefs_after(previous: FrameObservation | None, settings: MarkerSettings) -> Beliefs:
@@ -47,36 +45,55 @@ def beliefs_after(previous: FrameObservation | None, settings: MarkerSettings) -
     return Beliefs(settings.corner_std_px, settings.print_size_std, offset)
 
 
+class FrameStamp(NamedTuple):
+    """A ``CameraFrame``'s number and time, without what it shows."""
+
+    frame_id: int
+    capture_ns: int
+
+
+class FrameMarkers(NamedTuple):
+    """The markers of one frame: those that passed every test, and what became of the others.
+
+    ``refused`` counts what is no marker of ours, ``unfit`` says of those that are why they were refused.
+    ``since_full_search``: frames since the whole picture was searched.
+    """
+
+    sightings: list[Sighting]
+    refused: Counter[str]
+    unfit: Mapping[int, str]
+    since_full_search: int
+
+
 def observation_of(
-    frame: tuple[int, int],
-    sightings: list[Sighting],
-    refused: Counter[str],
-    unfit: Mapping[int, str],
+    stamp: FrameStamp,
+    seen: FrameMarkers,
     camera: CameraCalibration,
     settings: MarkerSettings,
     beliefs: Beliefs,
     previous: FrameObservation | None,
 ) -> FrameObservation:
-    """What the ``sightings`` of one ``frame`` (capture_ns, frame_id) say about tool and object.
-
-    ``refused`` counts what is no marker of theirs, ``unfit`` says of those that are why they were refused.
-    """
+    """What the markers ``seen`` in one frame say about tool and object."""
     known = (None, None) if previous is None else (previous.X_CM, previous.X_CO)
-    scene = object_of_interest.locate(sightings, camera, settings, beliefs, known)
+    scene = object_of_interest.locate(seen.sightings, camera, settings, beliefs, known)
     tool, target = scene.tool, scene.object
     return FrameObservation(
-        *frame,
-        None if tool is None else tool.X,
-        None if tool is None else tool.covariance,
-        None if tool is None else tool.bias,
-        None if target is None else target.X,
-        None if target is None else target.covariance,
-        None if target is None else target.bias,
-        tuple(sighting.observation for sighting in sightings),
-        dict(refused + Counter(unfit.values()) + scene.refused),
-        scene.offset if scene.tool or scene.object or previous is not None else None,
-        _missing(tool, {settings.tool.id}, sightings, unfit),
-        _missing(target, {marker.id for marker in settings.object}, sightings, unfit),
+        capture_ns=stamp.capture_ns,
+        frame_id=stamp.frame_id,
+        X_CM=None if tool is None else tool.X,
+        cov_CM=None if tool is None else tool.covariance,
+        bias_CM=None if tool is None else tool.bias,
+        X_CO=None if target is None else target.X,
+        cov_CO=None if target is None else target.covariance,
+        bias_CO=None if target is None else target.bias,
+        markers=tuple(sighting.observation for sighting in seen.sightings),
+        rejected=dict(seen.refused + Counter(seen.unfit.values()) + scene.refused),
+        offset=scene.offset if scene.tool or scene.object or previous is not None else None,
+        missing_tool=_missing(tool, {settings.tool.id}, seen.sightings, seen.unfit),
+        missing_object=_missing(
+            target, {marker.id for marker in settings.object}, seen.sightings, seen.unfit
+        ),
+        since_full_search=seen.since_full_search,
     )
 
 
@@ -91,22 +108,29 @@ def _missing(
     return "wrong_size" if any(unfit.get(number) == "wrong_size" for number in ids) else "not_seen"
 
 
-def _found(
-    pair: StereoPair, settings: MarkerSettings, previous: FrameObservation | None
-) -> tuple[dict[int, Array], Counter[str]]:
+class _Found(NamedTuple):
+    rough: dict[int, Array]
+    refused: Counter[str]
+    since_full_search: int
+
+
+def _found(pair: StereoPair, settings: MarkerSettings, previous: FrameObservation | None) -> _Found:
     """Rough corners in the left picture: around the last frame's markers if all of them are there again,
     else anywhere.
+
+    Frames may have been skipped: what counts is how many were observed, not their numbers.
     """
     before = () if previous is None else previous.markers
+    since = 0 if previous is None else previous.since_full_search + 1
     complete = len(before) == len(settings.sizes)
-    if before and (complete or pair.frame_id % _FULL_SEARCH_EVERY != 0):
+    if before and (complete or since < _FULL_SEARCH_EVERY):
         region = _region(
             pair.left, np.concatenate([m.corners_left for m in before]), settings.region_margin_px
         )
         rough, refused = markers.detect(pair.left, settings, region)
         if {m.marker_id for m in before} <= set(rough):
-            return rough, refused
-    return markers.detect(pair.left, settings)
+            return _Found(rough, refused, since)
+    return _Found(*markers.detect(pair.left, settings), 0)
 
 
 def _region(image: Image, corners: Array, margin: int) -> Region:
@@ -114,17 +138,6 @@ def _region(image: Image, corners: Array, margin: int) -> Region:
     x0, y0 = (corners.min(axis=0) - margin).astype(int)
     x1, y1 = (corners.max(axis=0) + margin).astype(int)
     return max(int(x0), 0), max(int(y0), 0), min(int(x1), width), min(int(y1), height)
-
-
-class MeanPose(NamedTuple):
-    """A robust mean pose, the covariance of its noise and of a single frame's, and the bias all frames
-    share.
-    """
-
-    X: Array
-    noise: Array
-    frame_noise: Array
-    bias: Array
 
 
 def combine(
@@ -152,8 +165,6 @@ def combine(
     target_mean, target_seen = robust_mean(
         target, _wanted(least, target_missing), "object", settings.huber_sigmas, usual_reason(target_missing)
     )
-    cov_CM, cov_CO = tool_mean.noise + tool_mean.bias, target_mean.noise + target_mean.bias
-    std_tool, std_object = np.sqrt(np.diag(cov_CM)), np.sqrt(np.diag(cov_CO))
     return Look(
         time_ns=time_ns,
         X_CM=tool_mean.X,
@@ -162,14 +173,10 @@ def combine(
         frames=tried,
         failed_tool=tried - tool_seen,
         failed_object=tried - target_seen,
-        cov_CM=cov_CM,
-        cov_CO=cov_CO,
-        std_tool_m=std_tool[:3],
-        std_tool_rad=std_tool[3:],
-        std_object_m=std_object[:3],
-        std_object_rad=std_object[3:],
-        std_tool_frame_m=np.sqrt(np.diag(tool_mean.frame_noise))[:3],
-        std_object_frame_m=np.sqrt(np.diag(target_mean.frame_noise))[:3],
+        cov_CM=tool_mean.noise + tool_mean.bias,
+        cov_CO=target_mean.noise + target_mean.bias,
+        frame_cov_CM=tool_mean.frame_noise,
+        frame_cov_CO=target_mean.frame_noise,
         offset=observations[-1].offset,
     )
 
@@ -188,53 +195,3 @@ def usual_reason(missing: Iterable[str | None]) -> str:
     """
     reasons = Counter(reason for reason in missing if reason is not None and reason != "not_seen")
     return reasons.most_common(1)[0][0] if reasons else "not_seen"
-
-
-def robust_mean(
-    measured: list[tuple[Array | None, Array | None, Array | None]],
-    wanted: int,
-    what: str,
-    huber: float,
-    reason: str = "not_seen",
-) -> tuple[MeanPose, int]:
-    """The mean of the poses that were measured, and how many they are; raises when fewer than ``wanted``.
-
-    Raises MeasurementFailed: ``measurement.{what}_{reason}``.
-    """
-    seen = [(X, C, B) for X, C, B in measured if X is not None and C is not None and B is not None]
-    if len(seen) < wanted:
-        raise MeasurementFailed(
-            f"measurement.{what}_{reason}",
-            f"look: {what} seen in {len(seen)} of {len(measured)} frames, at least {wanted} are wanted"
-            + ("" if reason == "not_seen" else f"; elsewhere {reason.replace('_', ' ')}"),
-        )
-    information = [np.asarray(np.linalg.inv(C), dtype=np.float64) for _, C, _ in seen]
-    X = _medoid([pose for pose, _, _ in seen], information)
-    weights, spread = np.ones(len(seen)), 1.0
-    for _ in range(_ROBUST_ROUNDS):
-        deltas = [se3.local(X, pose) for pose, _, _ in seen]
-        noise_distances = np.array(
-            [float(d @ np.linalg.solve(C - B, d)) for d, (_, C, B) in zip(deltas, seen, strict=True)]
-        )
-        spread = max(1.0, float(np.median(noise_distances)) / _CHI2_MEDIAN_6)
-        weights = np.minimum(1.0, huber * np.sqrt(6.0 * spread / np.maximum(noise_distances, 1e-12)))
-        total = np.sum([w * L for w, L in zip(weights, information, strict=True)], axis=0)
-        pull = np.sum([w * L @ d for w, L, d in zip(weights, information, deltas, strict=True)], axis=0)
-        X = se3.retract(X, np.linalg.solve(total, pull))
-    gains = [np.linalg.solve(total, w * L) for w, L in zip(weights, information, strict=True)]
-    noise = spread * np.sum([G @ (C - B) @ G.T for G, (_, C, B) in zip(gains, seen, strict=True)], axis=0)
-    bias = np.sum([G @ B for G, (_, _, B) in zip(gains, seen, strict=True)], axis=0)
-    frame_noise = spread * np.mean([C - B for _, C, B in seen], axis=0)
-    return MeanPose(X, noise, frame_noise, 0.5 * (bias + bias.T)), len(seen)
-
-
-def _medoid(poses: list[Array], information: list[Array]) -> Array:
-    """The pose with the least sum of (unsquared) distances to all others: a start that no outlier can
-    pull.
-    """
-
-    def distance(X: Array) -> float:
-        deltas = [se3.local(X, Y) for Y in poses]
-        return sum(float(np.sqrt(d @ L @ d)) for d, L in zip(deltas, information, strict=True))
-
-    return min(poses, key=distance)
