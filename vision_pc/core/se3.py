@@ -116,8 +116,9 @@ def interpolate(X: Array, Y: Array, fraction: float) -> Array:
 def nearest_rotation(M: Array) -> Array:
     """The proper rotations nearest to M (..., 3, 3) in the Frobenius norm."""
     U, _, Vt = np.linalg.svd(M)
-    U[..., :, 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
-    return np.asarray(U @ Vt)
+    proper = np.broadcast_to(np.eye(3), M.shape).copy()
+    proper[..., 2, 2] = np.sign(np.linalg.det(U @ Vt))
+    return np.asarray(U @ proper @ Vt)
 
 
 def euler_xyz(R: Array) -> Array:

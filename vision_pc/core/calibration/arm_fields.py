@@ -1,9 +1,14 @@
-"""How a slewing boom's usual errors move its tool: shapes known from the arm's drawing, sizes to be learnt.
+"""How a slewing boom's usual errors move its tool: displacement fields of known shape, each of unknown size.
 
-Offsets of lift and tilt turn what lies beyond them; gravity bends boom and forearm the more the farther the
-load is out. Over the reach of a calibration path each of these is a smooth field with one unknown size. They
-tell a map how to go on beyond its path, where a straight line would miss by millimetres.
-Source: the 13-parameter model of the local-calibration study, linearised; hinges as in its "formulas".
+An error δ of the lift's or tilt's zero rotates everything beyond that joint about its axis r (horizontal,
+across the slewing plane): the TCP at p moves by δ r × (p − root). Gravity bends a link as a load at its tip
+bends a cantilever. Deflection F L³/(3 E I) over slope F L²/(2 E I) is 2 L / 3: the tip moves as if the link
+had a hinge at a third of its length from the root. The moment grows with the horizontal reach from there, so
+that the TCP moves by κ · reach · r × (p − hinge).
+
+The shapes follow from the arm's nominal dimensions; the local error model estimates the four sizes. They hold
+beyond the calibration path, where an affine model alone is wrong by millimetres.
+Source: this derivation, first order in the errors; the chain is Mäkinen et al. 2023, Table 1.
 """
 
 import numpy as np
@@ -12,32 +17,32 @@ from nominal_arm.dimensions import BoomDimensions
 from vision_pc.core.se3 import Array
 
 FIELDS = ("lift offset", "tilt offset", "boom bending", "forearm bending")
-_HINGE = 1.0 / 3.0  # of a link from its root: a hinge there bends as a tip-loaded cantilever does
+_HINGE = 1.0 / 3.0  # of a link from its root: equivalent hinge of a cantilever loaded at its tip
 
 
 def error_fields(X_BT: Array, dimensions: BoomDimensions) -> Array:
     """Displacement of the TCP in B, (n, 3, 4), for a unit of each of ``FIELDS`` at the poses (n, 4, 4).
 
-    Metres per radian of the offsets, and per radian of bending for every metre that the wrist is out.
+    Units: m per rad of zero offset; m per rad of bending at one metre of reach.
     """
     p = X_BT[:, :3, 3]
     wrist = p - dimensions.wrist_to_tool * X_BT[:, :3, 2]
     slew = np.arctan2(wrist[:, 1], wrist[:, 0])
     zero = np.zeros_like(slew)
     forward = np.column_stack([np.cos(slew), np.sin(slew), zero])
-    raising = np.column_stack([np.sin(slew), -np.cos(slew), zero])  # turns forward into up
+    raising = np.column_stack([np.sin(slew), -np.cos(slew), zero])  # rotates forward into up
     lift = dimensions.lift_pivot[0] * forward + np.array([0.0, 0.0, dimensions.lift_pivot[1]])
     tilt = lift + _to_tilt(wrist - lift, forward, dimensions)
     fields = [np.cross(raising, p - root) for root in (lift, tilt)]
     for root, tip in ((lift, tilt), (tilt, wrist)):
         hinge = root + _HINGE * (tip - root)
-        out = ((wrist - hinge) * forward).sum(axis=1)
-        fields.append(np.cross(raising, p - hinge) * out[:, None])
+        reach = ((wrist - hinge) * forward).sum(axis=1)
+        fields.append(np.cross(raising, p - hinge) * reach[:, None])
     return np.stack(fields, axis=2)
 
 
 def _to_tilt(to_wrist: Array, forward: Array, dimensions: BoomDimensions) -> Array:
-    """From lift to tilt (n, 3), elbow up; stretched where the wrist is out of reach by bending alone."""
+    """Vectors (n, 3) from lift to tilt, elbow up; straight where the wrist is out of the nominal reach."""
     along, up = (to_wrist * forward).sum(axis=1), to_wrist[:, 2]
     distance = np.hypot(along, up)
     cosine = (dimensions.boom**2 + distance**2 - dimensions.forearm**2) / (2.0 * dimensions.boom * distance)

@@ -1,9 +1,9 @@
-"""The slew's play: it moves the tool by millimetres at the end of a long boom, and the encoder sees none.
+"""Backlash of the slew: it moves the tool by millimetres at the end of a long boom, unseen by the encoder.
 
-A joint drags its encoder along, so that after a turn in one sense it stands half the play ahead of what the
-encoder tells, and after a turn in the other as much behind. Which of the two a long drive leaves is chance:
-it overshoots and comes back. Every watched path therefore ends with the same short, slow turn in the positive
-sense, as machinists approach a dimension from one side: all rests are on one flank, and the play drops out.
+After a positive turn the load side of the joint is half the backlash to one side of what the encoder reads;
+after a negative turn it is as much to the other side. After a long motion the side is random, because the
+joint overshoots and returns. Every measured path therefore ends with the same short, slow, positive turn
+(backlash take-up, unidirectional approach): at rest the backlash is always on one side, and cancels.
 """
 
 import numpy as np
@@ -12,7 +12,10 @@ from vision_pc.core.se3 import Array, transform
 
 
 def taken_up(X_BT: Array, turn_rad: float) -> Array:
-    """The pose (4, 4) from which a turn of the slew by ``turn_rad`` ends at ``X_BT``, tool's axes held."""
+    """The pose (4, 4) from which the take-up, a turn of the slew by ``turn_rad``, ends at ``X_BT``.
+
+    The tool's axes are held.
+    """
     return transform(X_BT[:3, :3], X_BT[:3, 3] - turn_rad * slew_lever(X_BT))
 
 
@@ -34,10 +37,10 @@ def slew_angles(X_BT: Array, wrist_to_tool_m: float) -> Array:
 
 
 def play_states(slew: Array, reversal: float) -> Array:
-    """h (N,) in −1…1: on which flank of the play the slew's load side lies; −1 after a positive turn.
+    """h (N,) in −1…1: the side of the backlash on which the slew's load lies; −1 after a positive turn.
 
-    The joint has crossed its whole play before the encoder turns back at all; ``reversal`` is half of what
-    the encoder must turn back (rad) to be believed.
+    On a reversal the load crosses the whole backlash before the encoder turns back. An encoder that turns
+    back by 2 ``reversal`` (rad) has changed sides: less may be noise.
     """
     states = np.zeros(len(slew))
     for i in range(1, len(slew)):

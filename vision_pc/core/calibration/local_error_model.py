@@ -1,11 +1,23 @@
-"""Best mode, part one: a local map from what the camera measures to what the arm must be told.
+"""Local error model: which nominal step of the arm moves the tool marker by a step that the camera measured.
 
-Three legs along the tool's own axes, ending where the look will be, show how the arm's rigid model turns,
-stretches and bends space nearby, and how much the slew's play shifts it. A rotation alone, as in trajectory
-matching, cannot know that. The map is linear in its unknowns: a rotation, a scale, the fields of the arm's
-usual errors (``arm_fields``), the slew's play, and a small strain for all the rest, each with a prior. The
-fields carry on beyond the path, where a straight line misses by millimetres.
-Source: the local-calibration study, "formulas (affine map with play)" and its 13-parameter model.
+The arm's rigid model has errors. Near one pose they rotate, scale and strain space, and backlash of the slew
+shifts it. The model is linear in these unknowns θ: with R the rotation from camera axes to base axes,
+
+    R d = x + Φ(x) θ + noise
+
+for a marker step d (camera axes) and the nominal step x (base axes) from the same pose. The columns of Φ:
+
+- rotation δ (3): a small rotation of the measured step, δ × x = −[x]× δ;
+- scale (1): x, an error of the odometry's scale;
+- strain (9): one row of a 3×3 matrix times x for each axis, for what the other columns do not explain;
+- offset (3): a constant, the error of the path's last pose, in which all steps begin;
+- arm errors (4): the displacement fields of ``arm_fields``, which also hold beyond the path;
+- backlash (1): the slew's lever times the change of side, see ``backlash``.
+
+Each unknown has a Gaussian prior (zero mean, settings). θ and its covariance are the regularised
+least-squares solution with robust weights: C = (Φᵀ W Φ + P⁻¹)⁻¹, θ = C Φᵀ W (R d − x). The arm moves along
+three legs to measure the steps, by its encoders (x) and by stereo odometry (d).
+Source: this derivation. Mäkinen et al. 2023, 3.2.2, estimates the rotation alone from such a path.
 """
 
 from typing import NamedTuple
@@ -22,18 +34,26 @@ from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.se3 import Array, hat, inverse, nearest_rotation, transform
 from vision_pc.core.types import WatchSample
 
-_OFFSET_STD_M = 1.0  # of the map's constant: free
+_OFFSET_STD_M = 1.0  # of the offset: free
 _ROUNDS = 5  # of reweighting
-_FIELDS_FROM = 16  # columns before those of ``arm_fields``: rotation, scale, strain, offset
-_TAKEN_UP = np.array([-1.0])  # the flank on which a positive turn leaves the slew
+_TAKEN_UP = np.array([-1.0])  # the side of the backlash after a positive turn of the slew
+
+# Columns of Φ, entries of θ.
+_ROTATION = slice(0, 3)
+_SCALE = 3
+_STRAIN = slice(4, 13)
+_OFFSET = slice(13, 16)
+_ARM_ERRORS = slice(16, 16 + len(FIELDS))
+_BACKLASH = _ARM_ERRORS.stop
+_COLUMNS = _BACKLASH + 1
 
 
 class LocalTrack(NamedTuple):
     """Camera and tool poses along a path: ``X_KC`` and ``X_BT``, each (N, 4, 4), in time order.
 
     K is the camera frame where the path ended, which is where the arm stands now. ``speed`` (N,) m/s of the
-    tool: a boom that moves sways, and its encoders do not see it. ``overrun`` (P,) rad: how far beyond what
-    was asked the slew came to rest at the end of each of the paths so far.
+    tool: a moving boom sways, which its encoders do not measure. ``overrun`` (P,) rad: servo residual of the
+    slew at the end of each path so far, positive beyond the reference.
     """
 
     X_KC: Array
@@ -49,12 +69,11 @@ class LocalTrack(NamedTuple):
 
 
 class LocalMap(NamedTuple):
-    """How far marker steps ``R`` d differ from nominal TCP steps x about the present pose ``X_BT``.
+    """The fitted model R d = x + Φ(x) θ about the present pose ``X_BT``, for an arm of ``dimensions``.
 
-    R d = x + Φ(x) θ with the columns Φ (3, K) of ``_columns``; ``R`` (3×3) turns the axes of K into B.
-    ``theta`` (K,), ``covariance`` (K, K); ``residual_m`` the rms misfit, ``condition`` that of the track's
-    spread. Holds for steps that end as the track did, with the slew's play taken up, on an arm of
-    ``dimensions``.
+    ``R`` (3, 3) rotates the axes of K into B; ``theta`` (n,), ``covariance`` (n, n). ``residual_m``: rms of
+    the fit; ``condition``: of the rotational information of the track. Holds for steps that end as the track
+    did, after a positive turn of the slew (backlash taken up).
     """
 
     R: Array
@@ -67,7 +86,7 @@ class LocalMap(NamedTuple):
 
 
 async def record_local_track(arm: Arm, eyes: Eyes, report: Report, settings: LocalMapSettings) -> LocalTrack:
-    """The track of three legs along n, s and a, behind the present pose and back to it.
+    """Drive three legs along n, s and a from behind the present pose back to it; return their track.
 
     Raises MeasurementFailed for lost odometry or too few samples; errors of arm and eyes pass through.
     """
@@ -89,9 +108,10 @@ def three_legs(X_BT: Array, leg_m: float) -> list[Array]:
 async def watched_path(
     arm: Arm, eyes: Eyes, waypoints: list[Array], settings: LocalMapSettings
 ) -> LocalTrack:
-    """The track of one path through ``waypoints``, in the camera frame of its end.
+    """Drive a path through ``waypoints``; return its track, in the camera frame of its end.
 
-    The last one is reached by a turn of the slew that takes up its play, after the arm has settled before it.
+    The last waypoint is reached by a short positive turn of the slew, after the arm has settled before it:
+    backlash is then always on the same side.
     """
     *on_the_way, end = waypoints
     before = taken_up(end, settings.take_up_rad)
@@ -146,7 +166,7 @@ def refuse_poor_track(track: LocalTrack, settings: LocalMapSettings) -> None:
 def fit_map(
     track: LocalTrack, p_CM: Array, dimensions: BoomDimensions, settings: LocalMapSettings
 ) -> LocalMap:
-    """The map about the track's end, from the tool marker's position ``p_CM`` (3,) in the camera.
+    """The model about the track's end, from the tool marker's position ``p_CM`` (3,) in the camera.
 
     Raises MeasurementFailed (``measurement.match_poor``) when the misfit exceeds its limit.
     """
@@ -185,42 +205,36 @@ def solve_step(fitted: LocalMap, d: Array) -> tuple[Array, Array]:
     for _ in range(20):
         goal = transform(here[:3, :3], here[:3, 3] + x)
         columns = _columns(goal[None], _TAKEN_UP, here, fitted.dimensions)[0]
-        columns[:, 13:16] = 0.0  # the constant is the error of the track's end alone
+        columns[:, _OFFSET] = 0.0  # the offset is the error of the track's end alone
         x = wanted - columns @ fitted.theta
     return x, columns @ fitted.covariance @ columns.T
 
 
 def _columns(X_BT: Array, play: Array, X_BT_now: Array, dimensions: BoomDimensions) -> Array:
-    """Φ (n, 3, K) at the poses (n, 4, 4) with the slew on flanks ``play`` (n,), at the present one taken up.
+    """Φ (n, 3, K) at the poses (n, 4, 4); ``play`` (n,): the side of the backlash there, −1…1.
 
-    Zero at the present pose, but for the constant.
-
-    Columns: rotation (3), scale (1), strain row by row (9), constant (3), the fields (4), the slew's play.
+    At the present pose all columns are zero but the offset's.
     """
     n = len(X_BT)
     x = X_BT[:, :3, 3] - X_BT_now[:3, 3]
-    Phi = np.zeros((n, 3, _FIELDS_FROM + len(FIELDS) + 1))
-    Phi[:, :, 0:3] = -np.array([hat(step) for step in x])
-    Phi[:, :, 3] = x
-    for axis in range(3):
-        Phi[:, axis, 4 + 3 * axis : 7 + 3 * axis] = x
-        Phi[:, axis, 13 + axis] = 1.0
+    Phi = np.zeros((n, 3, _COLUMNS))
+    Phi[:, :, _ROTATION] = -np.array([hat(step) for step in x])
+    Phi[:, :, _SCALE] = x
+    Phi[:, :, _STRAIN] = np.einsum("ij,nk->nijk", np.eye(3), x).reshape(n, 3, 9)
+    Phi[:, :, _OFFSET] = np.eye(3)
     fields = error_fields(np.concatenate([X_BT, X_BT_now[None]]), dimensions)
-    Phi[:, :, _FIELDS_FROM:-1] = fields[:-1] - fields[-1]
+    Phi[:, :, _ARM_ERRORS] = fields[:-1] - fields[-1]
     levers = np.array([slew_lever(X) for X in X_BT])
-    Phi[:, :, -1] = levers * (play - _TAKEN_UP)[:, None]
+    Phi[:, :, _BACKLASH] = levers * (play - _TAKEN_UP)[:, None]
     return Phi
 
 
 def _prior(settings: LocalMapSettings) -> Array:
-    """Standard deviations (K,) of θ."""
-    return np.array(
-        [settings.rotation_std] * 3
-        + [settings.scale_std]
-        + [settings.strain_std] * 9
-        + [_OFFSET_STD_M] * 3
-        + [*settings.field_stds, settings.play_std]
-    )
+    """Prior standard deviations (K,) of θ."""
+    std = np.empty(_COLUMNS)
+    std[_ROTATION], std[_SCALE], std[_STRAIN] = settings.rotation_std, settings.scale_std, settings.strain_std
+    std[_OFFSET], std[_ARM_ERRORS], std[_BACKLASH] = _OFFSET_STD_M, settings.field_stds, settings.play_std
+    return std
 
 
 def _speeds(p: Array, time_s: Array) -> Array:
@@ -233,7 +247,7 @@ def _speeds(p: Array, time_s: Array) -> Array:
 def planned_covariance(
     X_BT: Array, speed: Array, steps: Array, dimensions: BoomDimensions, settings: LocalMapSettings
 ) -> Array:
-    """Covariances (m, 3, 3) m² in B of the ends of ``steps`` (m, 3) that a track would leave.
+    """Covariances (m, 3, 3) m² in B of the ends of ``steps`` (m, 3), were the model fitted to a track.
 
     ``X_BT`` (n, 4, 4) and ``speed`` (n,) as ``LocalTrack`` would have them; no measurement is needed: the
     information matrix depends on the path alone.

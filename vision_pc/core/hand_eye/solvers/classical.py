@@ -8,7 +8,7 @@ or an error.
 import math
 from collections.abc import Callable
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,6 +19,7 @@ from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import dual_quaternion
 from vision_pc.core.hand_eye.solvers.motions import DualQuaternions, Motions, dual_quaternions
 from vision_pc.core.hand_eye.solvers.quaternion_algebra import translation_of_dual
+from vision_pc.core.hand_eye.solvers.result import SolverEstimate
 from vision_pc.core.se3 import Array, nearest_rotation
 
 _TSAI_LEAST = math.radians(15.0)  # OpenCV's Tsai drops motions outside these
@@ -51,15 +52,7 @@ _AX_ZB = {
 }
 
 
-class ClassicalResult(NamedTuple):
-    """X (4, 4); Z (4, 4) from the solvers that estimate it, else None; ``notes`` on what was done."""
-
-    X: Array
-    Z: Array | None = None
-    notes: tuple[str, ...] = ()
-
-
-def from_poses(pairs: PosePairs, motions: Motions, method: Classical) -> ClassicalResult:
+def from_poses(pairs: PosePairs, motions: Motions, method: Classical) -> SolverEstimate:
     """X, and Z where the method estimates it, by OpenCV.
 
     ``motions`` are those of all pairs of samples. Raises MeasurementFailed:
@@ -79,13 +72,13 @@ def from_poses(pairs: PosePairs, motions: Motions, method: Classical) -> Classic
             stacks.inverse(_proper(R_CX, t_CX, method)),
             stacks.inverse(_proper(R_TZ, t_TZ, method)),
         )
-        return ClassicalResult(X, Z)
+        return SolverEstimate(X, Z)
     if method is Classical.TSAI and not _enough_for_opencv_tsai(motions):
         note = "OpenCV's Tsai would drop these rotations under 15 degrees; solved without its filter"
-        return ClassicalResult(from_motions(motions, method), notes=(note,))
+        return SolverEstimate(from_motions(motions, method), notes=(note,))
     poses = (H[:, :3, :3], H[:, :3, 3], P[:, :3, :3], P[:, :3, 3])
     R, t = _called(cv2.calibrateHandEye, method, poses, _AX_XB[method])
-    return ClassicalResult(_proper(R, t, method))
+    return SolverEstimate(_proper(R, t, method))
 
 
 def _called(function: Callable[..., Any], method: Classical, poses: tuple[Array, ...], flag: int) -> Any:

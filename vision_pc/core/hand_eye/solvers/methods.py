@@ -4,7 +4,6 @@ import math
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs
@@ -16,7 +15,7 @@ from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
 from vision_pc.core.hand_eye.solvers.motions import Motions, all_motions, dual_quaternions
 from vision_pc.core.hand_eye.solvers.noise import NoiseSource
 from vision_pc.core.hand_eye.solvers.observability import Observability, ObservabilityLimits, verdict
-from vision_pc.core.hand_eye.solvers.result import Certificate, HandEyeResult
+from vision_pc.core.hand_eye.solvers.result import HandEyeResult, SolverEstimate
 from vision_pc.core.hand_eye.solvers.robust import RobustSettings
 from vision_pc.core.se3 import Array
 
@@ -72,29 +71,18 @@ def solve(
         settings = settings if method is Method.ROBUST else settings._replace(reject=False)
         found = robust.solve(pairs, motions, settings)
         if method is Method.ROBUST:
+            assert found.inliers is not None
             seen = verdict(int(found.inliers.sum()), all_motions(pairs.subset(found.inliers)), limits)
             seen.demand()
-        return _result(
-            pairs,
-            method,
-            seen,
-            found.X,
-            found.Z,
-            found.notes,
-            found.inliers,
-            found.certificate,
-            found.covariance,
-            found.noise,
-        )
-    if method is Method.CHORDAL:
+    elif method is Method.CHORDAL:
         noise = settings.noise or Noise(*noise_model.USUAL_RATIO)
         X, Z, certificate = chordal.solve(chordal.problem(pairs.H, pairs.P, np.ones(len(pairs)), noise))
-        return _result(pairs, method, seen, X, Z, certificate=certificate)
-    if method in _CLASSICAL:
-        answer = classical.from_poses(pairs, motions, _CLASSICAL[method])
-        return _result(pairs, method, seen, answer.X, answer.Z, answer.notes)
-    X, certificate, notes = _by_dual_quaternions(motions, method)
-    return _result(pairs, method, seen, X, None, notes, certificate=certificate)
+        found = SolverEstimate(X, Z, certificate=certificate)
+    elif method in _CLASSICAL:
+        found = classical.from_poses(pairs, motions, _CLASSICAL[method])
+    else:
+        found = _by_dual_quaternions(motions, method)
+    return _result(pairs, method, seen, found)
 
 
 def _whatever_the_noise(limits: ObservabilityLimits | None) -> ObservabilityLimits:
@@ -118,15 +106,17 @@ def solve_motions(motions: Motions, method: Method, noise: Noise | None = None) 
         return ml.maximize(equations, start, start, first).X
     if method in _CLASSICAL:
         return classical.from_motions(motions, _CLASSICAL[method])
-    return _by_dual_quaternions(motions, method)[0]
+    return _by_dual_quaternions(motions, method).X
 
 
-def _by_dual_quaternions(motions: Motions, method: Method) -> tuple[Array, Certificate, tuple[str, ...]]:
+def _by_dual_quaternions(motions: Motions, method: Method) -> SolverEstimate:
     forms = dual_quaternion.forms(dual_quaternions(motions))
     if method is Method.DQCR:
-        return *dual_quaternion.closed_form(forms), ()
+        X, certificate = dual_quaternion.closed_form(forms)
+        return SolverEstimate(X, certificate=certificate)
     if method is Method.JOINT:
-        return *dual_quaternion.joint(forms), ()
+        X, certificate = dual_quaternion.joint(forms)
+        return SolverEstimate(X, certificate=certificate)
     if method is Method.DQCR_PUBLISHED:
         found = dual_quaternion.published(forms)
         note = (
@@ -134,26 +124,21 @@ def _by_dual_quaternions(motions: Motions, method: Method) -> tuple[Array, Certi
             f"rotation {found.rotation.rank_lower} and {found.rotation.rank_upper}, "
             f"translation {found.translation.rank_lower} and {found.translation.rank_upper}"
         )
-        return found.X, found.certificate, (note,)
+        return SolverEstimate(found.X, notes=(note,), certificate=found.certificate)
     raise ValueError(f"{method} needs poses")
 
 
 def _result(
     pairs: PosePairs,
     method: Method,
-    seen: Observability,
-    X: Array,
-    Z: Array | None,
-    notes: tuple[str, ...] = (),
-    inliers: NDArray[np.bool_] | None = None,
-    certificate: Certificate | None = None,
-    covariance: Array | None = None,
-    noise: Noise | None = None,
+    observability: Observability,
+    found: SolverEstimate,
 ) -> HandEyeResult:
     """The result in the caller's order; Z is the samples' mean where the method does not give it."""
+    X, Z = found.X, found.Z
     Z = stacks.mean_pose(pairs.H @ X @ pairs.P) if Z is None else Z
     back = np.argsort(np.array(pairs.order))
-    inliers = np.ones(len(pairs), dtype=bool) if inliers is None else inliers
+    inliers = np.ones(len(pairs), dtype=bool) if found.inliers is None else found.inliers
     residuals = ml.residuals(pairs.H, pairs.P, X, Z)
     names = tuple(pairs.names[k] for k in back)
     return HandEyeResult(
@@ -164,9 +149,9 @@ def _result(
         names,
         residuals[back],
         inliers[back],
-        seen,
-        certificate,
-        covariance,
-        noise,
-        notes,
+        observability,
+        found.certificate,
+        found.covariance,
+        found.noise,
+        found.notes,
     )

@@ -1,6 +1,7 @@
 """What a hand-eye calibration returns."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,22 @@ class Certificate:
     def holds(self) -> bool:
         """Whether the solution is proven to be the global optimum of its problem."""
         return self.least_eigenvalue >= LEAST_EIGENVALUE and abs(self.stationarity) <= STATIONARITY
+
+
+class SolverEstimate(NamedTuple):
+    """What a solver found: X (4, 4), and what else it knows.
+
+    Z (4, 4) where the method estimates it; ``inliers`` (n,) in canonical order, all where none are left out;
+    ``covariance`` (6, 6) of X's perturbation; ``notes`` on what was done.
+    """
+
+    X: Array
+    Z: Array | None = None
+    notes: tuple[str, ...] = ()
+    inliers: NDArray[np.bool_] | None = None
+    certificate: Certificate | None = None
+    covariance: Array | None = None
+    noise: Noise | None = None
 
 
 @dataclass(frozen=True, eq=False)

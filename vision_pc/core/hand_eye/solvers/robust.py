@@ -9,7 +9,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol.errors import MeasurementFailed
 from vision_pc.core.hand_eye.samples import PosePairs
@@ -19,7 +18,7 @@ from vision_pc.core.hand_eye.solvers import noise as noise_model
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
 from vision_pc.core.hand_eye.solvers.motions import Motions
 from vision_pc.core.hand_eye.solvers.noise import NoiseSource
-from vision_pc.core.hand_eye.solvers.result import Certificate
+from vision_pc.core.hand_eye.solvers.result import Certificate, SolverEstimate
 from vision_pc.core.se3 import Array
 
 _THRESHOLD = 24.1  # 99.95 % of χ² with 6 degrees of freedom
@@ -38,19 +37,7 @@ class RobustSettings(NamedTuple):
     least_share: float = 0.5
 
 
-class RobustEstimate(NamedTuple):
-    """X, Z (4, 4); ``inliers`` (n,) in canonical order; ``covariance`` (6, 6) of X's perturbation."""
-
-    X: Array
-    Z: Array
-    inliers: NDArray[np.bool_]
-    certificate: Certificate
-    covariance: Array
-    noise: Noise
-    notes: tuple[str, ...]
-
-
-def solve(pairs: PosePairs, motions: Motions, settings: RobustSettings) -> RobustEstimate:
+def solve(pairs: PosePairs, motions: Motions, settings: RobustSettings) -> SolverEstimate:
     """The calibration; see the module's steps.
 
     Raises MeasurementFailed: ``measurement.hand_eye.no_consensus`` when too few samples agree, ``.sdp``,
@@ -86,7 +73,7 @@ def solve(pairs: PosePairs, motions: Motions, settings: RobustSettings) -> Robus
     covariance = ml.covariance_of_X(estimate)
     if settings.noise is None:
         covariance = covariance * noise_model.few_sample_factor(int(weights.sum()))
-    return RobustEstimate(estimate.X, estimate.Z, weights > 0.5, certificate, covariance, noise, tuple(notes))
+    return SolverEstimate(estimate.X, estimate.Z, tuple(notes), weights > 0.5, certificate, covariance, noise)
 
 
 def _certified(
