@@ -71,10 +71,7 @@ def take_all(rig: GuidedRig, informative: bool) -> int:
         try:
             rig.run(rig.guided.next_pose(quiet, informative))
             rig.run(rig.guided.sample(quiet))
-        except (
-            MeasurementFailed,
-            MotionUnsettled,
-        ):  # an arm that swings on, a marker that is hidden: the next pose then
+        except (MeasurementFailed, MotionUnsettled):  # a hidden marker, an arm that swings: the next pose
             spoiled += 1
             if spoiled > _PATIENCE:
                 raise

@@ -92,7 +92,8 @@ class SimulatedSensor:
                 continue
             left = self._rays(number, 0, seen.left)
             right = None if seen.right is None else self._rays(number, 1, seen.right)
-            outcome = markers.from_rays(number, left, _Same(right), self.camera, settings, beliefs)
+            start = markers.planar_start(number, left, settings)
+            outcome = markers.from_rays(start, right, self.camera, settings, beliefs)
             if isinstance(outcome, str):
                 unfit[number] = outcome
             else:
@@ -130,16 +131,6 @@ class SimulatedSensor:
         """Standard normal (2,), the same whenever this corner falls onto the same pixel."""
         at = np.rint(pixel).astype(int)
         return np.random.default_rng([self._seed, marker, corner, int(at[0]), int(at[1])]).standard_normal(2)
-
-
-class _Same:
-    """The right eye's rays, wherever they are expected."""
-
-    def __init__(self, rays: Array | None) -> None:
-        self._rays = rays
-
-    def __call__(self, X_CA: Array) -> Array | None:
-        return self._rays
 
 
 class FrameOdometry:

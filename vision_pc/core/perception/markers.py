@@ -4,7 +4,6 @@ trusted.
 
 import math
 from collections import Counter
-from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -111,11 +110,9 @@ def sight(
         if left is None:
             refused[number] = "edges"
             continue
-
-        def right_rays(X_CA: Array, number: int = number, rough: Array = rough) -> Array | None:
-            return _right_rays(pair, number, rough, X_CA, camera, corrected, settings)
-
-        outcome = from_rays(number, left, right_rays, camera, settings, beliefs)
+        start = planar_start(number, left, settings)
+        right = _right_rays(pair, number, rough, start.poses[0], camera, corrected, settings)
+        outcome = from_rays(start, right, camera, settings, beliefs)
         if isinstance(outcome, str):
             refused[number] = outcome
         else:
@@ -123,21 +120,31 @@ def sight(
     return sightings, refused
 
 
+class PlanarStart(NamedTuple):
+    """What the left eye alone says of marker ``number``, seen along ``left`` (4, 2): both poses X_CA that
+    explain a flat square, better one first, and their rms errors.
+    """
+
+    number: int
+    left: Array
+    poses: list[Array]
+    errors: Array
+
+
+def planar_start(number: int, left: Array, settings: MarkerSettings) -> PlanarStart:
+    """Where to look for marker ``number`` in the right eye, and where to start its pose."""
+    return PlanarStart(number, left, *_planar_solutions(left, settings.sizes[number]))
+
+
 def from_rays(
-    number: int,
-    left: Array,
-    right_rays: Callable[[Array], Array | None],
+    start: PlanarStart,
+    right: Array | None,
     camera: CameraCalibration,
     settings: MarkerSettings,
     beliefs: Beliefs,
 ) -> Sighting | str:
-    """The sighting of marker ``number`` whose corners the left eye sees along ``left`` (4, 2), or why it is
-    refused.
-
-    ``right_rays`` gives those of the right eye, or None, for about the pose X_CA that the left eye shows.
-    """
-    starts, errors = _planar_solutions(left, settings.sizes[number])
-    right = right_rays(starts[0])
+    """The sighting of a marker, or why it is refused; ``right``: the right eye's rays (4, 2), if any."""
+    number, left, starts, errors = start
     rays = np.stack([left, left if right is None else right])
     seen = np.stack([np.ones(4), np.full(4, float(right is not None))])
     view = BodyView(corner_points(settings.sizes[number]), rays, seen)
