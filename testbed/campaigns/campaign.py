@@ -29,12 +29,14 @@ from distributed.scheduler import KilledWorker
 from protocol.errors import ConfigurationError, LinkLost, LongreachError
 from testbed.campaigns.provenance import content_hash, provenance_of
 from testbed.campaigns.row_file import Row, RowFile
+from testbed.campaigns.typed_rows import flat
 from testbed.reporting.console import bars, err, out, plain
 
 distributed: Any = untyped  # it has types in part only
 
 Task = dict[str, Any]
-Run = Callable[[Task], Row]
+Run = Callable[[Task], Any]
+"""A task to its row: flat, or a NamedTuple."""
 
 REACH_S = 3.0  # a scheduler that does not answer by then is not there
 _WORKERS_S = 20.0  # for the first worker of a scheduler to be there
@@ -54,34 +56,51 @@ _QUIET = {
 }
 
 
-def run_campaign(
-    directory: Path,
-    function: Run,
-    tasks: Sequence[Task],
-    *,
-    scheduler: str | None,
-    workers: int = 2,
-    title: str,
-    fresh: bool = False,
-) -> list[Row]:
-    """One row for each of ``tasks``, in their order; those that ``directory/rows.csv`` lacks are run now.
+class CampaignRequest(NamedTuple):
+    """What a campaign is asked for: ``runs`` from ``seed`` on, rows and pictures in ``out``.
+
+    ``scheduler``: a Dask cluster that is there; else ``workers`` processes are started, or none. ``fresh``:
+    no row is reused. ``json``, ``plot``: files to write figures and the first picture to.
+    """
+
+    config_dir: Path
+    out: Path
+    runs: int = 1
+    seed: int = 1
+    scheduler: str | None = None
+    workers: int = 2
+    fresh: bool = False
+    json: Path | None = None
+    plot: Path | None = None
+
+
+class Campaign(NamedTuple):
+    """One row for each task, in their order; ``reused`` of them were there already."""
+
+    rows: list[Row]
+    reused: int
+
+
+def run_campaign(request: CampaignRequest, function: Run, tasks: Sequence[Task], title: str) -> Campaign:
+    """The rows of ``tasks``; those that ``request.out/rows.csv`` lacks are measured now.
 
     ``function`` (importable by name, or a partial of such) turns a flat task with a unique ``key`` into a
-    flat row. Each row gets ``key``, ``configuration``, ``failure`` (None, or the cause and what happened),
-    ``run_s`` and ``cpu_s``. A row is reused when key and configuration are the same, unless it failed by no
-    fault of its own (its worker died, or the program broke); with ``fresh`` none is.
+    flat or typed row. Each row gets ``key``, ``configuration``, ``failure`` (None, or the cause and what
+    happened), ``run_s`` and ``cpu_s``. A row is reused when key and configuration are the same, unless it
+    failed by no fault of its own (its worker died, or the program broke).
 
-    A value that is bytes becomes a file; its cell is the name, below ``directory``.
+    A value that is bytes becomes a file; its cell is the name, below ``request.out``.
 
     Raises ConfigurationError for a key given twice or a malformed address, LinkLost when the scheduler does
     not answer, has no workers, or goes away; the rows done until then are kept.
     """
+    directory = request.out
     evidence = {scenario: evidence_of(function, scenario) for scenario in {_scenario(task) for task in tasks}}
     configurations = {str(task["key"]): configuration_of(evidence[_scenario(task)], task) for task in tasks}
     if len(configurations) != len(tasks):
         raise ConfigurationError("configuration.duplicate_task", f"{title}: two tasks have the same key")
     file = RowFile(directory / "rows.csv")
-    kept = [] if fresh else [row for row in file.rows if _conclusive(row)]
+    kept = [] if request.fresh else [row for row in file.rows if _conclusive(row)]
     done = {(str(row["key"]), str(row["configuration"])): row for row in kept}
     to_do = [task for task in tasks if (str(task["key"]), configurations[str(task["key"])]) not in done]
     _note(
@@ -97,7 +116,8 @@ def run_campaign(
     if to_do:
         checked = partial(_on_same_evidence, function, evidence)
         try:
-            for task, row in _results(checked, to_do, scheduler, min(workers, len(to_do)), title):
+            workers = min(request.workers, len(to_do))
+            for task, row in _results(checked, to_do, request.scheduler, workers, title):
                 key = str(task["key"])
                 named = {"key": key, "configuration": configurations[key]}
                 whole = named | _files_written(directory, "-".join(named.values()), row)
@@ -106,7 +126,8 @@ def run_campaign(
             kept_now = f"{len(file.rows)} rows are kept in {file.path}; the same command goes on from there"
             err.print(kept_now, highlight=False, soft_wrap=True)
             raise
-    return [{name: done[item].get(name) for name in file.columns} for item in configurations.items()]
+    rows = [{name: done[item].get(name) for name in file.columns} for item in configurations.items()]
+    return Campaign(rows, len(tasks) - len(to_do))
 
 
 def configuration_of(evidence: Mapping[str, Any], task: Mapping[str, Any]) -> str:
@@ -139,7 +160,7 @@ def _scenario(task: Task) -> str | None:
     return None if named is None else str(named)
 
 
-def _on_same_evidence(function: Run, evidence: Mapping[str | None, Mapping[str, Any]], task: Task) -> Row:
+def _on_same_evidence(function: Run, evidence: Mapping[str | None, Mapping[str, Any]], task: Task) -> Any:
     """The run, on a worker whose sources, files and libraries are those of the campaign's client."""
     wanted, here = evidence[_scenario(task)], evidence_of(function, _scenario(task))
     if other := [name for name in wanted if wanted[name] != here[name]]:
@@ -194,7 +215,7 @@ def _run(function: Run, task: Task) -> Row:
     began, cpu_s = time.perf_counter(), time.process_time()
     row: Row
     try:
-        row = {"failure": "", **function(task)}
+        row = {"failure": "", **flat(function(task))}
     except LongreachError as error:
         row = {"failure": f"{error.cause}: {error}"}
     except Exception as error:

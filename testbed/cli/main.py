@@ -8,20 +8,16 @@ import typer
 from conformance.command import app as conformance
 from dissector.command import sniff
 from foundation.configuration import merged, parse_overrides
+from testbed.cli.experiment import app as experiment
 from testbed.cli.hand_eye import app as hand_eye
-from testbed.cli.hand_eye import register_experiments
 from testbed.cli.options import (
     DEFAULT_CONFIG,
     ConfigDir,
-    Count,
     JsonFile,
     Scenario,
-    Scheduler,
     Seed,
     Settings,
 )
-from testbed.cli.paper import add_to
-from testbed.cli.positioning import register_experiments as register_vision_experiments
 from testbed.cli.root import RootGroup, show_version
 from testbed.fault_proxy.command import proxy
 from testbed.pictures.command import app as picture
@@ -50,13 +46,7 @@ def longreach(
 validate = typer.Typer(help="Compare parts with known answers.", no_args_is_help=True)
 app.add_typer(validate, name="validate")
 
-experiment = typer.Typer(help="Seeded experiments that write tables.", no_args_is_help=True)
 app.add_typer(experiment, name="experiment")
-add_to(experiment)
-
-register_experiments(experiment)
-register_vision_experiments(experiment)
-
 app.add_typer(conformance, name="conformance")
 app.add_typer(hand_eye, name="hand-eye")
 app.add_typer(picture, name="picture")
@@ -193,96 +183,6 @@ def validate_error_sources_command(
     from testbed.cli.validate import validate_error_sources
 
     raise typer.Exit(0 if validate_error_sources(config_dir, json_file) else 1)
-
-
-@experiment.command(
-    "lockstep-demo", epilog="Example: longreach experiment lockstep-demo --runs 20 --json lockstep.json"
-)
-def lockstep_demo_command(
-    count: Count = 20,
-    looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 2,
-    scenario: Scenario = "standard",
-    seed: Seed = 1,
-    config_dir: ConfigDir = DEFAULT_CONFIG,
-    settings: Settings = None,
-    scheduler: Scheduler = None,
-    directory: Annotated[
-        Path, typer.Option("--out", help="Rows, figures; what is there already is not run again.")
-    ] = DEFAULT_RUNS / "lockstep-demo",
-    json_file: JsonFile = None,
-) -> None:
-    """Demonstrations in lockstep over many seeds; exit status 0 when 18 of 20 end under 10 mm."""
-    from testbed.experiments.positioning.lockstep_demo import run_experiment
-
-    passed = run_experiment(
-        config_dir, scenario, seed, count, looks, settings or [], directory, scheduler, json_file
-    )
-    raise typer.Exit(0 if passed else 1)
-
-
-@experiment.command(
-    "stream-cuts", epilog="Example: longreach experiment stream-cuts --runs 459 --seed 1 --json cuts.json"
-)
-def stream_cuts_command(
-    count: Annotated[int, typer.Option("--runs", min=1, help="How many cuts, one a seed.")] = 459,
-    scenario: Scenario = "standard",
-    seed: Seed = 1,
-    config_dir: ConfigDir = DEFAULT_CONFIG,
-    settings: Settings = None,
-    scheduler: Scheduler = None,
-    directory: Annotated[
-        Path, typer.Option("--out", help="Rows; what is there already is not run again.")
-    ] = DEFAULT_RUNS / "stream-cuts",
-    json_file: JsonFile = None,
-) -> None:
-    """Cut the reference stream at random moments: exit status 0 when valves and oil always stop in time."""
-    from testbed.experiments.robustness.stream_cuts import run_experiment
-
-    passed = run_experiment(
-        config_dir, scenario, seed, count, settings or [], directory, scheduler, json_file
-    )
-    raise typer.Exit(0 if passed else 1)
-
-
-@experiment.command(
-    "controller-kills", epilog="Example: longreach experiment controller-kills --runs 100 --seed 1"
-)
-def controller_kills_command(
-    count: Annotated[int, typer.Option("--runs", min=1, help="How many trials, half of them kills.")] = 100,
-    seed: Seed = 1,
-    config_dir: ConfigDir = DEFAULT_CONFIG,
-    settings: Settings = None,
-    runs: Annotated[
-        Path, typer.Option("--directory", help="Where directories of runs are made.")
-    ] = DEFAULT_RUNS,
-    json_file: JsonFile = None,
-) -> None:
-    """Kill and suspend the controller at random points of motions: the plant must stop by itself."""
-    from testbed.experiments.robustness.controller_kills import run_experiment
-
-    raise typer.Exit(0 if run_experiment(config_dir, count, seed, settings or [], runs, json_file) else 1)
-
-
-@experiment.command(
-    "plant-campaign",
-    epilog="Example: longreach experiment plant-campaign --runs 500 --seed 1 --json rough.json",
-)
-def plant_campaign_command(
-    count: Annotated[int, typer.Option("--runs", min=4, help="How many, a quarter of each event.")] = 500,
-    seed: Seed = 1,
-    step_ms: Annotated[float, typer.Option(min=0.01, max=0.5, help="Of the integration.")] = 0.25,
-    config_dir: ConfigDir = DEFAULT_CONFIG,
-    scheduler: Scheduler = None,
-    directory: Annotated[
-        Path, typer.Option("--out", help="Rows, figures; what is there already is not run again.")
-    ] = DEFAULT_RUNS / "plant-campaign",
-    json_file: JsonFile = None,
-) -> None:
-    """Sudden stops, payload drops, end-stop impacts, pump losses: exit status 0 when all books balance."""
-    from testbed.experiments.robustness.plant_campaign import run_experiment
-
-    passed = run_experiment(config_dir, count, seed, step_ms, directory, scheduler, json_file)
-    raise typer.Exit(0 if passed else 1)
 
 
 @validate.command(

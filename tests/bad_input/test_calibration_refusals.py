@@ -14,7 +14,7 @@ import pytest
 from plant_emulator.core.faults.kinds import CameraBlind, CameraFrozen, Fault, FramesDropped, MarkerCovered
 from protocol.errors import LinkLost, LongreachError, RequestRefused
 from protocol.faults import FaultCode, GroupState
-from testbed.campaigns.campaign import run_campaign
+from testbed.campaigns.campaign import CampaignRequest, run_campaign
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import bars
@@ -235,7 +235,9 @@ def never(task: dict[str, Any]) -> dict[str, Any]:
 )
 def test_14_a_scheduler_that_is_not_there(tmp_path: Path, scheduler: str, cause: str) -> None:
     with pytest.raises(LongreachError) as caught:
-        run_campaign(tmp_path, never, [{"key": "a"}], scheduler=scheduler, title="none")
+        run_campaign(
+            CampaignRequest(Path("configs"), tmp_path, scheduler=scheduler), never, [{"key": "a"}], "none"
+        )
     assert caught.value.cause == cause
     assert isinstance(caught.value, LinkLost) == cause.startswith("link.")
     assert scheduler in str(caught.value)

@@ -9,7 +9,7 @@ import math
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -37,17 +37,9 @@ _TRIES = 1.6  # times the repetitions wanted: poses where the tool hides a targe
 _LEAST = 3
 
 
-class Choice(NamedTuple):
-    """What is run: the world's scenario, and how often the targets are located (0: not at all)."""
-
-    config_dir: str
-    scenario: str
-    repetitions: int
-    against_random: bool = True
-
-
-def one_run(choice: Choice, task: dict[str, Any]) -> dict[str, Any]:
-    """The row of one seeded world; importable by a campaign's workers.
+def one_run(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
+    """The row of one seeded world; ``task``: ``scenario``, ``seed``, ``repetitions`` (0: nothing is located)
+    and ``random`` (a second session at random poses).
 
     ``guided_<n>_mm`` and ``random_<n>_mm``: error of X after n samples (None: no answer); ``*_needed``: with
     how many it came under 3 mm and stayed there (None: never); ``nees`` by the samples' noise alone, and
@@ -55,8 +47,7 @@ def one_run(choice: Choice, task: dict[str, Any]) -> dict[str, Any]:
     the robust one.
     """
     seed = int(task["seed"])
-    config_dir = Path(choice.config_dir)
-    settings = load_settings(config_dir, chosen_overrides(config_dir, choice.scenario, seed, []))
+    settings = load_settings(config_dir, chosen_overrides(config_dir, task["scenario"], seed, []))
     with tempfile.TemporaryDirectory() as sessions:
         rig = GuidedRig(settings, seed, Path(sessions))
         check = guided_rig.start(rig, "guided", seed)
@@ -65,12 +56,13 @@ def one_run(choice: Choice, task: dict[str, Any]) -> dict[str, Any]:
         rig.run(rig.guided.solve())
         row: dict[str, Any] = {"seed": seed, "promised_mm": check["promised_std_mm"]}
         row |= _judged(session, rig.X_TC) | _curve("guided", session, rig.X_TC)
-        row |= _localisation(rig, session, choice.repetitions, seed)
-        if choice.against_random:
+        row |= _localisation(rig, session, task["repetitions"], seed)
+        if task["random"]:
             other = GuidedRig(settings, seed, Path(sessions))
             guided_rig.start(other, "random", seed)
             faults += guided_rig.take_all(other, informative=False)
-            row |= _curve("random", other.guided.session, rig.X_TC)
+            at_random = _curve("random", other.guided.session, rig.X_TC)
+            row |= at_random | {"curves": row["curves"] | at_random["curves"]}
     return row | {"guided_refused": len(session.refused), "faults": faults + row.get("locating_faults", 0)}
 
 
@@ -115,8 +107,8 @@ def _curve(kind: str, session: Session, X_TC: Array) -> dict[str, Any]:
         result = _solved(session, count)
         error = None if result is None else 1e3 * float(np.linalg.norm(result.X[:3, 3] - X_TC[:3, 3]))
         errors.append(error)
-    row: dict[str, Any] = {f"{kind}_{_LEAST + k}_mm": error for k, error in enumerate(errors)}
-    return row | {f"{kind}_needed": needed(errors)}
+    curve = {f"{kind}_{_LEAST + k}_mm": error for k, error in enumerate(errors)}
+    return {"curves": curve, f"{kind}_needed": needed(errors)}
 
 
 def needed(errors: list[float | None], limit: float = LIMIT_MM, first: int = _LEAST) -> int | None:
@@ -168,14 +160,16 @@ def _localisation(rig: GuidedRig, session: Session, repetitions: int, seed: int)
     row: dict[str, Any] = {
         "located": done, "not_reached": refused, "not_seen": unseen, "locating_faults": faults,
     }  # fmt: skip
+    targets: dict[str, float] = {}
     for (name, method), errors in hand.items():
-        row[f"{word_of(name)}_{method}_mm"] = 1e3 * float(np.mean(errors))
+        targets[f"{word_of(name)}_{method}_mm"] = 1e3 * float(np.mean(errors))
         if method == Method.ROBUST.value:
-            row[f"{word_of(name)}_spread_mm"] = 1e3 * float(np.std(errors))
-            row[f"{word_of(name)}_within_percent"] = 100.0 * float(
-                np.mean(np.array(errors) < 1e-3 * LIMIT_MM)
-            )
-    return row | {f"{word_of(name)}_base_mm": 1e3 * float(np.mean(errors)) for name, errors in base.items()}
+            targets[f"{word_of(name)}_spread_mm"] = 1e3 * float(np.std(errors))
+            within = np.array(errors) < 1e-3 * LIMIT_MM
+            targets[f"{word_of(name)}_within_percent"] = 100.0 * float(np.mean(within))
+    for name, errors in base.items():
+        targets[f"{word_of(name)}_base_mm"] = 1e3 * float(np.mean(errors))
+    return row | {"targets": targets}
 
 
 def word_of(target: str) -> str:

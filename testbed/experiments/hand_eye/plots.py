@@ -1,8 +1,8 @@
 """The experiments' rows as pictures, beside the paper's figures where it printed any."""
 
+import io
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ _HIGHLIGHTED = {
 }
 
 
-def sweep_plot(rows: Sequence[SweepRow], path: Path) -> None:
+def sweep_plot(rows: Sequence[SweepRow]) -> bytes:
     """Fig. 7 as a picture: rotation and translation error of each method over d, with the bound."""
     figure = Figure(figsize=(11.0, 4.6), layout="constrained")
     for axes, unit, value, bound in (
@@ -40,10 +40,10 @@ def sweep_plot(rows: Sequence[SweepRow], path: Path) -> None:
         axes.grid(alpha=0.3, which="both")
     figure.axes[0].legend(frameon=False, fontsize=8)
     figure.suptitle(f"Hua et al. 2024, Fig. 7: noise on {rows[0].noise_on}; grey: the other methods")
-    _save(figure, path)
+    return _png(figure)
 
 
-def localisation_plot(rows: Sequence[LocalisationRow], path: Path) -> None:
+def localisation_plot(rows: Sequence[LocalisationRow]) -> bytes:
     """Fig. 5 and 6 as a picture: error with its interval, share within 3 mm; the paper's figures as dots."""
     mine = [r for r in rows if r.task == "all" and r.error_mm < 12.0]
     names = [f"{r.method}\n{r.samples}" for r in mine]
@@ -65,10 +65,10 @@ def localisation_plot(rows: Sequence[LocalisationRow], path: Path) -> None:
         axes.set_xticks(x, names, rotation=90, fontsize=7)
         axes.legend(frameon=False)
         axes.grid(alpha=0.3, axis="y")
-    _save(figure, path)
+    return _png(figure)
 
 
-def intrinsics_plot(maps: Sequence[dict[str, Any]], path: Path) -> None:
+def intrinsics_plot(maps: Sequence[dict[str, Any]]) -> bytes:
     """Fig. 4 as a picture: for each detector where corners fell, and the error of each view."""
     figure = Figure(figsize=(3.4 * len(maps), 5.6), layout="constrained")
     axes = figure.subplots(2, len(maps), squeeze=False)
@@ -83,9 +83,10 @@ def intrinsics_plot(maps: Sequence[dict[str, Any]], path: Path) -> None:
         below.set(xlabel="view (dashed: named as outlying above)", ylabel="rms error / px")
         below.tick_params(axis="x", rotation=90, labelsize=7)
     figure.colorbar(image, ax=axes[0], shrink=0.8)
-    _save(figure, path)
+    return _png(figure)
 
 
-def _save(figure: Figure, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=120)
+    return buffer.getvalue()

@@ -4,18 +4,24 @@ Rotations are measured by the orientation adjustment alone and always in picture
 makes them; positions by whatever eyes were asked for.
 """
 
-from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import typer
+from rich.table import Table
 
+from protocol.errors import ConfigurationError
+from testbed.campaigns.campaign import CampaignRequest, Task
+from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
+from testbed.campaigns.options import Assignments, Scenario
 from testbed.campaigns.row_file import Row
-from testbed.experiments.paper.campaign import Asked, print_cost, run_tasks, seeds, task
+from testbed.experiments.paper.campaign import COST, OUT, PaperEyes, PaperSettings, paper_task
 from testbed.experiments.paper.comparison import FACTOR, TABLES, values
-from testbed.reporting.console import out, table, write_json
+from testbed.experiments.paper.measurement import measure
+from testbed.reporting.console import table
 
 KINDS = ("turn", "line", "match")
-_PICTURES = "opencv"  # the eyes of the paper
+_PICTURES = PaperEyes.OPENCV  # the eyes of the paper
 
 
 class Variant(NamedTuple):
@@ -26,7 +32,7 @@ class Variant(NamedTuple):
     words: str
     assignments: tuple[str, ...] = ()
     kinds: tuple[str, ...] = KINDS
-    eyes: str | None = None
+    eyes: PaperEyes | None = None
 
 
 _SMALL_MARKERS = (
@@ -92,7 +98,7 @@ VARIANTS = {
         ("line", "match"),
     ),
     # what Longreach does otherwise
-    "refined_markers": Variant("Longreach's own markers (eye model)", (), KINDS, "model"),
+    "refined_markers": Variant("Longreach's own markers (eye model)", (), KINDS, PaperEyes.MODEL),
     "frame_true": Variant("orientation, frame-true", ("vision.programs.orientation.form=frame_true",)),
     "fitted_minimum": Variant(
         "line equation, fitted", ("vision.programs.line_equation.minimum=fit",), ("line",)
@@ -108,33 +114,81 @@ VARIANTS = {
 Done = dict[tuple[str, str], list[Row]]
 
 
-def run_ablation(asked: Asked, only: list[str], json_file: Path | None) -> bool:
-    """Whether every variant could be measured; the means are printed, a row for each variant."""
-    chosen = {name: VARIANTS[name] for name in VARIANTS if not only or name in only or name == ""}
-    tasks, places = [], []
-    for name, variant in chosen.items():
-        for kind in variant.kinds:
-            with_eyes = asked._replace(eyes=_eyes(variant, kind, asked))
-            for seed in seeds(asked):
-                tasks.append(task(kind, with_eyes, seed, name, variant.assignments))
-                places.append((name, kind))
-    done: Done = {place: [] for place in places}
-    for place, row in zip(places, run_tasks(asked, tasks, "ablation"), strict=True):
-        done[place].append(row)
-    means = {name: _means(done, name) for name in chosen}
-    failed = {name: _failed(done, name) for name in chosen}
-    _print(chosen, means, failed, asked)
-    print_cost({kind: [row for (_, k), rows in done.items() if k == kind for row in rows] for kind in KINDS})
+class AblationSettings(NamedTuple):
+    """Which variants, in the world and with the eyes of the paper's tables."""
+
+    only: Annotated[list[str] | None, typer.Option(help="Only this variant; repeatable.")] = None
+    eyes: Annotated[PaperEyes, typer.Option(help="What measures positions.")] = PaperEyes.OPENCV
+    scenario: Scenario = "paper"
+    assignments: Assignments = None
+
+    @property
+    def paper(self) -> PaperSettings:
+        """The settings of the paper's own measurements."""
+        return PaperSettings(self.eyes, self.scenario, self.assignments)
+
+    @property
+    def chosen(self) -> dict[str, Variant]:
+        """The variants, what is as it is first."""
+        return {name: VARIANTS[name] for name in VARIANTS if not self.only or name in self.only or name == ""}
+
+
+Ablated = Finished[AblationSettings, Row]
+
+
+def ablation_tasks(request: CampaignRequest, settings: AblationSettings) -> list[Task]:
+    """One task for each variant, kind and seed. Raises ConfigurationError for an unknown variant."""
+    for name in settings.only or []:
+        if name not in VARIANTS:
+            known = ", ".join(filter(None, VARIANTS))
+            raise ConfigurationError("configuration.unknown_variant", f"--only '{name}'; known: {known}")
+    return [
+        paper_task(
+            request.config_dir,
+            settings.paper._replace(eyes=_eyes(variant, kind, settings)),
+            kind,
+            seed,
+            name,
+            variant.assignments,
+        )
+        for name, variant in settings.chosen.items()
+        for kind in variant.kinds
+        for seed in seeds(request)
+    ]
+
+
+def ablated(done: Ablated) -> Done:
+    """(Variant, kind) → rows."""
+    rows: Done = {}
+    for asked, row in zip(done.tasks, done.rows, strict=True):
+        rows.setdefault((asked["variant"], asked["kind"]), []).append(row)
+    return rows
+
+
+def ablation_verdict(done: Ablated) -> list[Check]:
+    """Every variant could be measured."""
+    places = ablated(done)
+    good = sum(any(not row["failure"] for row in rows) for rows in places.values())
+    return [Check("variants that could be measured", f"{good} of {len(places)}", "all", good == len(places))]
+
+
+def ablation_figures(done: Ablated) -> dict[str, Any]:
+    """Means, failures and eyes, by variant."""
+    chosen, rows = done.settings.chosen, ablated(done)
     eyes = {
-        name: {kind: _eyes(variant, kind, asked) for kind in variant.kinds}
+        name: {kind: _eyes(variant, kind, done.settings) for kind in variant.kinds}
         for name, variant in chosen.items()
     }
-    write_json(json_file, {"means": means, "failed": failed, "eyes": eyes, "runs": asked.runs})
-    return all(any(not row["failure"] for row in rows) for rows in done.values())
+    return {
+        "means": {name: _means(rows, name) for name in chosen},
+        "failed": {name: _failed(rows, name) for name in chosen},
+        "eyes": eyes,
+        "runs": done.request.runs,
+    }
 
 
-def _eyes(variant: Variant, kind: str, asked: Asked) -> str:
-    return variant.eyes or (_PICTURES if kind == "turn" else asked.eyes)
+def _eyes(variant: Variant, kind: str, settings: AblationSettings) -> PaperEyes:
+    return variant.eyes or (_PICTURES if kind == "turn" else settings.eyes)
 
 
 class _Column(NamedTuple):
@@ -180,28 +234,27 @@ def _failed(done: Done, name: str) -> int:
     return sum(bool(row["failure"]) for (variant, _), rows in done.items() if variant == name for row in rows)
 
 
-def _print(
-    chosen: dict[str, Variant], means: dict[str, dict[str, float]], failed: dict[str, int], asked: Asked
-) -> None:
-    columns = _columns()
-    pairs = list(zip(columns[::2], columns[1::2], strict=True))  # x and y of each block in one cell
+def ablation_table(done: Ablated) -> list[Table]:
+    """A row for each variant: x and y of each block in one cell."""
+    columns, rows = _columns(), ablated(done)
+    pairs = list(zip(columns[::2], columns[1::2], strict=True))
     cells = [["the paper", *(f"{x.paper:g} / {y.paper:g}" for x, y in pairs), "", "", ""]]
-    for name, variant in chosen.items():
-        made = means[name]
+    for name, variant in done.settings.chosen.items():
+        made = _means(rows, name)
         error = made["rotation error °"]
         cells.append(
             [
                 variant.words,
                 *(f"{_told(x, made)} / {_told(y, made)}" for x, y in pairs),
                 "–" if np.isnan(error) else f"{error:.1f}",
-                ", ".join(dict.fromkeys(_eyes(variant, kind, asked) for kind in variant.kinds)),
-                str(failed[name]),
+                ", ".join(dict.fromkeys(_eyes(variant, kind, done.settings) for kind in variant.kinds)),
+                str(_failed(rows, name)),
             ]
         )
     headings = [x.heading.replace(" x ", " ") for x, _ in pairs]
-    title = f"means of absolute errors, x / y, one thing changed at a time, {asked.runs} seeds; "
+    title = f"means of absolute errors, x / y, one thing changed at a time, {done.request.runs} seeds; "
     title += f"*: not within {FACTOR:g} of the paper; –: not borne upon"
-    out.print(table(title, ["", *headings, "rotation error °", "eyes", "failed"], cells))
+    return [table(title, ["", *headings, "rotation error °", "eyes", "failed"], cells)]
 
 
 def _told(column: _Column, made: dict[str, float]) -> str:
@@ -209,3 +262,20 @@ def _told(column: _Column, made: dict[str, float]) -> str:
     if np.isnan(mean):
         return "–"
     return f"{mean:.1f}" + ("" if 1.0 / FACTOR <= mean / column.paper <= FACTOR else "*")
+
+
+ABLATION = Experiment(
+    name="ablation",
+    title="The tables' means with the error sources switched off one at a time.",
+    shows="which error source makes which figure of the paper",
+    cost=COST,
+    settings=AblationSettings,
+    row=dict,
+    tasks=ablation_tasks,
+    run=measure,
+    table=ablation_table,
+    verdict=ablation_verdict,
+    figures=ablation_figures,
+    runs=10,
+    out=OUT,
+)

@@ -4,141 +4,169 @@ All of them share one directory of rows. A table or a figure asks for the measur
 or ``match``, and those that are there are not measured again: what `table4` measured serves `table3`, `fig9`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple
 
-from rich.text import Text
+import typer
+from rich import table as rich
 
 from foundation.configuration import merged, parse_overrides
-from testbed.campaigns.campaign import run_campaign
+from testbed.campaigns.campaign import CampaignRequest, Task, run_campaign
+from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
+from testbed.campaigns.options import Assignments, Scenario
 from testbed.campaigns.row_file import Row
 from testbed.experiments.paper import comparison, figures, published
-from testbed.experiments.paper.comparison import TABLES, Compared, Conclusion
+from testbed.experiments.paper.comparison import FACTOR, TABLES, Compared
 from testbed.experiments.paper.measurement import measure, trace
-from testbed.experiments.paper.report import EYES, write_comparison
-from testbed.reporting.console import out, table, write_json
+from testbed.experiments.paper.report import write_comparison
+from testbed.reporting.console import out, table
 from testbed.scenarios.scenario import load_scenario
 from testbed.scenarios.settings import load_settings
 
-SCENARIO = "paper"
+OUT = Path("runs/paper")
+COST = "6 CPU s with the model, 90 with pictures"
 Measured = dict[str, list[Row]]
 
 
-class Asked(NamedTuple):
-    """What the command line asks for; ``directory`` holds rows and reports."""
+class PaperEyes(StrEnum):
+    """What measures the markers."""
 
-    config_dir: Path
-    scenario: str
-    runs: int
-    seed: int
-    eyes: str
-    assignments: list[str]
-    directory: Path
-    scheduler: str | None
-    workers: int
+    OPENCV = "opencv"
+    PIXELS = "pixels"
+    MODEL = "model"
 
 
-def show(names: Sequence[str], asked: Asked, json_file: Path | None) -> bool:
-    """Whether all that is wanted of the tables and figures called ``names`` came out; printed and reported.
+class PaperSettings(NamedTuple):
+    """The world that is measured in, and what measures."""
 
-    Raises ConfigurationError, or LinkLost for a scheduler that is not there.
-    """
-    tables = [name for name in names if name in TABLES]
-    drawn = [name for name in names if name in figures.KINDS]
-    kinds = dict.fromkeys([TABLES[name].kind for name in tables] + [figures.KINDS[name] for name in drawn])
-    rows = {kind: measured(kind, asked) for kind in kinds}
-    beside = {name: comparison.compared(name, rows[TABLES[name].kind]) for name in tables}
-    concluded = {name: comparison.conclusions(name, rows[TABLES[name].kind]) for name in tables}
-    pictures = {name: _drawn(name, asked, rows[figures.KINDS[name]]) for name in drawn}
-    for name in tables:
-        print_compared(TABLES[name].title, beside[name], concluded[name])
-    for name, picture in pictures.items():
-        path = asked.directory / f"{name}.png"
-        path.write_bytes(picture)
-        out.print(f"{name}: {published.FIGURES[name]}", highlight=False)
-        out.print(f"  ours: {path}", style="dim", highlight=False, soft_wrap=True)
-    print_cost(rows)
-    out.print(f"eyes: {EYES[asked.eyes]}", highlight=False, soft_wrap=True)
-    report = write_comparison(asked, beside, concluded, pictures, rows)
-    out.print(f"report: {report}", highlight=False, soft_wrap=True)
-    passed = all(_reached(beside[name], concluded[name]) for name in tables) and all(rows.values())
-    write_json(json_file, {"passed": passed, "compared": beside, "conclusions": concluded, "rows": rows})
-    return passed
+    eyes: Annotated[
+        PaperEyes,
+        typer.Option(
+            help="opencv: rendered pictures, markers as in the paper; pixels: rendered pictures, Longreach's "
+            "markers; model: no pictures, errors as measured from them."
+        ),
+    ] = PaperEyes.OPENCV
+    scenario: Scenario = "paper"
+    assignments: Assignments = None
 
 
-def measured(kind: str, asked: Asked) -> list[Row]:
-    """The rows of ``asked.runs`` measurements of a kind."""
-    return run_tasks(asked, [task(kind, asked, seed) for seed in seeds(asked)], kind)
+Paper = Finished[PaperSettings, Row]
 
 
-def run_tasks(asked: Asked, tasks: Sequence[Row], title: str) -> list[Row]:
-    """The rows of measurements, in order."""
-    return run_campaign(
-        asked.directory,
-        partial(measure, asked.config_dir),
-        tasks,
-        scheduler=asked.scheduler,
-        workers=asked.workers,
-        title=title,
-    )
-
-
-def seeds(asked: Asked) -> range:
-    """The seeds of the runs."""
-    return range(asked.seed, asked.seed + asked.runs)
-
-
-def task(kind: str, asked: Asked, seed: int, variant: str = "", assignments: Sequence[str] = ()) -> Row:
+def paper_task(
+    config_dir: Path,
+    settings: PaperSettings,
+    kind: str,
+    seed: int,
+    variant: str = "",
+    assignments: Sequence[str] = (),
+) -> Task:
     """The task of one measurement. Raises ConfigurationError when its configuration is wrong."""
-    chosen = [*asked.assignments, *assignments]
-    drawn = load_scenario(asked.config_dir, asked.scenario).world(seed)
-    load_settings(asked.config_dir, merged(drawn, parse_overrides(chosen)))
+    chosen = [*(settings.assignments or []), *assignments]
+    drawn = load_scenario(config_dir, settings.scenario).world(seed)
+    load_settings(config_dir, merged(drawn, parse_overrides(chosen)))
     return {
-        "key": "-".join(filter(None, (kind, asked.eyes, variant, str(seed)))),
+        "key": "-".join(filter(None, (kind, settings.eyes, variant, str(seed)))),
         "kind": kind,
-        "scenario": asked.scenario,
+        "scenario": settings.scenario,
         "seed": seed,
-        "eyes": asked.eyes,
+        "eyes": str(settings.eyes),
         "variant": variant,
         "assignments": chosen,
     }
 
 
-def _drawn(name: str, asked: Asked, rows: list[Row]) -> bytes:
-    """A figure, from one measurement that is traced for it; the first seed whose measurement ends well."""
-    whole = next((row["seed"] for row in rows if not row["failure"]), asked.seed)
-    kind = figures.KINDS[name]
-    traced = task(kind, asked, int(whole))
-    (row,) = run_campaign(
-        asked.directory,
-        partial(trace, asked.config_dir),
-        [traced | {"key": f"trace-{traced['key']}"}],
-        scheduler=asked.scheduler,
-        workers=1,
-        title=f"{kind}, traced",
-    )
-    return figures.draw(name, figures.load_trace(asked.directory / row["trace.npz"]), rows)
+def kinds_of(names: Sequence[str]) -> list[str]:
+    """The kinds of measurement that tables and figures are made of."""
+    return list(dict.fromkeys(TABLES[name].kind if name in TABLES else figures.KINDS[name] for name in names))
 
 
-def _reached(beside: list[Compared], concluded: list[Conclusion]) -> bool:
-    return all(c.reached for c in beside if c.wanted) and all(c.holds for c in concluded)
+def by_kind(done: Finished[Any, Row]) -> Measured:
+    """Kind of measurement → rows."""
+    rows: Measured = {}
+    for asked, row in zip(done.tasks, done.rows, strict=True):
+        rows.setdefault(asked["kind"], []).append(row)
+    return rows
 
 
-def print_compared(title: str, beside: list[Compared], concluded: list[Conclusion]) -> None:
-    """Print the paper's figures and ours, side by side."""
-    columns = ["", "figure", "paper", "std", "5 %", "95 %", "ours", "std", "5 %", "95 %", "runs", "ratio", ""]
-    out.print(table(title, columns, comparison_cells(beside)))
-    for conclusion in concluded:
-        out.print(
-            Text(
-                f"{'as in the paper' if conclusion.holds else 'NOT AS IN THE PAPER'}: "
-                f"{conclusion.statement}: {conclusion.here}",
-                style="green" if conclusion.holds else "bold red",
-            ),
-            soft_wrap=True,
+def paper_tasks(names: Sequence[str], request: CampaignRequest, settings: PaperSettings) -> list[Task]:
+    """One task for each kind of measurement and seed."""
+    return [
+        paper_task(request.config_dir, settings, kind, seed)
+        for kind in kinds_of(names)
+        for seed in seeds(request)
+    ]
+
+
+def paper_tables(names: Sequence[str], done: Paper) -> list[rich.Table]:
+    """The paper's figures and ours, side by side, and what the runs took."""
+    rows = by_kind(done)
+    columns = ("", "", "paper", "5 %", "median", "95 %", "ours", "σ", "5 %", "95 %", "runs", "ratio", "means")
+    tables = [
+        table(
+            TABLES[name].title, columns, comparison_cells(comparison.compared(name, rows[TABLES[name].kind]))
         )
+        for name in names
+        if name in TABLES
+    ]
+    cost = [[line] for line in costs(rows)]
+    return [*tables, table("what it took", ("",), cost)]
+
+
+def paper_verdict(names: Sequence[str], done: Paper) -> list[Check]:
+    """Means within a factor of the paper's, and the paper's conclusions."""
+    rows, checks = by_kind(done), []
+    for name in filter(TABLES.__contains__, names):
+        for c in comparison.compared(name, rows[TABLES[name].kind]):
+            if c.wanted:
+                what = f"{c.table.partition(':')[0]}, {c.part}, {c.name}: mean over the paper's"
+                checks.append(Check(what, f"{c.ratio:.2f}", f"{1.0 / FACTOR:g} to {FACTOR:g}", c.reached))
+        concluded = comparison.conclusions(name, rows[TABLES[name].kind])
+        checks += [Check(each.statement, each.here, "the same", each.holds) for each in concluded]
+    return checks or [Check("measurements", f"{sum(map(len, rows.values()))}", "some", all(rows.values()))]
+
+
+def paper_plot(names: Sequence[str], done: Paper) -> Mapping[str, bytes]:
+    """The paper's figures with ours; they and the tables are in one HTML file too."""
+    rows = by_kind(done)
+    drawn = {name: _drawn(name, done, rows[figures.KINDS[name]]) for name in names if name in figures.KINDS}
+    tables = [name for name in names if name in TABLES]
+    beside = {name: comparison.compared(name, rows[TABLES[name].kind]) for name in tables}
+    concluded = {name: comparison.conclusions(name, rows[TABLES[name].kind]) for name in tables}
+    for name in drawn:
+        out.print(f"{name}: {published.FIGURES[name]}", highlight=False)
+    report = write_comparison(done.request, done.settings, (beside, concluded), drawn, rows)
+    out.print(f"report: {report}", highlight=False, soft_wrap=True)
+    return drawn
+
+
+def paper_figures(names: Sequence[str], done: Paper) -> dict[str, Any]:
+    """Comparisons and conclusions."""
+    rows = by_kind(done)
+    tables = [name for name in names if name in TABLES]
+    return {
+        "compared": {name: comparison.compared(name, rows[TABLES[name].kind]) for name in tables},
+        "conclusions": {name: comparison.conclusions(name, rows[TABLES[name].kind]) for name in tables},
+        "rows": rows,
+    }
+
+
+def _drawn(name: str, done: Paper, rows: list[Row]) -> bytes:
+    """A figure, from one measurement that is traced for it; the first seed whose measurement ends well."""
+    request = done.request
+    whole = next((row["seed"] for row in rows if not row["failure"]), request.seed)
+    kind = figures.KINDS[name]
+    traced = paper_task(request.config_dir, done.settings, kind, int(whole))
+    made = run_campaign(
+        request,
+        partial(trace, request.config_dir),
+        [traced | {"key": f"trace-{traced['key']}"}],
+        f"{kind}, traced",
+    )
+    return figures.draw(name, figures.load_trace(request.out / made.rows[0]["trace.npz"]), rows)
 
 
 def comparison_cells(beside: list[Compared]) -> list[list[str]]:
@@ -158,12 +186,6 @@ def comparison_cells(beside: list[Compared]) -> list[list[str]]:
     ]
 
 
-def print_cost(rows: Measured) -> None:
-    """Print how long the runs took, and what stopped those that failed."""
-    for line in costs(rows):
-        out.print(line, highlight=False, soft_wrap=True)
-
-
 def costs(rows: Measured) -> list[str]:
     """Sentences on time and failures."""
     told = []
@@ -176,3 +198,41 @@ def costs(rows: Measured) -> list[str]:
         )
         told += [f"  seed {row['seed']}: {row['failure']}" for row in failed]
     return told
+
+
+def _experiment(name: str, title: str, names: Sequence[str]) -> Experiment[PaperSettings, Row]:
+    def of(function: Callable[..., Any]) -> Callable[..., Any]:
+        return partial(function, names)
+
+    return Experiment(
+        name=name,
+        title=title,
+        shows=title,
+        cost=COST,
+        settings=PaperSettings,
+        row=dict,
+        tasks=of(paper_tasks),
+        run=measure,
+        table=of(paper_tables),
+        verdict=of(paper_verdict),
+        plot=of(paper_plot),
+        figures=of(paper_figures),
+        runs=20,
+        out=OUT,
+    )
+
+
+_SHOWN = {
+    "table2": "Table 2, the line equation: errors of nine measurements, beside ours.",
+    "table3": "Table 3, the match's residuals, beside ours.",
+    "table4": "Table 4, trajectory matching: ten measurements of two inputs, beside ours.",
+    "fig5": "Figure 5, Euler angles before and after the orientation adjustment.",
+    "fig6": "Figure 6, the circle of the line equation.",
+    "fig7": "Figure 7, errors over the line equation.",
+    "fig8": "Figure 8, the matched trajectories.",
+    "fig9": "Figure 9, errors over two inputs after the match.",
+}
+PAPER = _experiment("paper", "All tables and figures of Mäkinen et al. 2023 in one report.", tuple(_SHOWN))
+TABLE2, TABLE3, TABLE4, FIG5, FIG6, FIG7, FIG8, FIG9 = (
+    _experiment(name, title, (name,)) for name, title in _SHOWN.items()
+)

@@ -8,6 +8,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader
 
+from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.row_file import Row
 from testbed.experiments.paper import published
 from testbed.experiments.paper.comparison import TABLES, Compared, Conclusion
@@ -20,23 +21,25 @@ EYES = {
 
 
 def write_comparison(
-    asked: Any,
-    beside: Mapping[str, Sequence[Compared]],
-    concluded: Mapping[str, Sequence[Conclusion]],
+    request: CampaignRequest,
+    settings: Any,
+    tables: tuple[Mapping[str, Sequence[Compared]], Mapping[str, Sequence[Conclusion]]],
     pictures: Mapping[str, bytes],
     rows: Mapping[str, Sequence[Row]],
 ) -> Path:
-    """The HTML file in ``asked.directory``: tables side by side, conclusions, figures, and every run."""
+    """The HTML file in ``request.out``: tables side by side, conclusions, figures, and every run."""
+    beside, concluded = tables
     environment = Environment(loader=PackageLoader("testbed.reporting"), autoescape=True)
     html = environment.get_template("comparison.html.j2").render(
-        asked=asked,
-        eyes=EYES[asked.eyes],
+        request=request,
+        settings=settings,
+        eyes=EYES[settings.eyes],
         tables=[(TABLES[name].title, beside[name], concluded[name]) for name in beside],
         figures=[(name, published.FIGURES[name], _data_uri(png)) for name, png in pictures.items()],
         kinds=[(kind, _columns(done), done) for kind, done in rows.items()],
         written=time.strftime("%Y-%m-%d %H:%M:%S"),
     )
-    path: Path = asked.directory / f"{'-'.join([*beside, *pictures])}.html"
+    path: Path = request.out / f"{'-'.join([*beside, *pictures])}.html"
     path.write_text(html, encoding="utf-8")
     return path
 

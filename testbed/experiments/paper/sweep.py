@@ -1,18 +1,23 @@
 """The paper's methods over payload, mount angle, distance, noise, texture, play, bending and delay."""
 
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, NamedTuple
 
 import matplotlib
 import numpy as np
+import typer
 from matplotlib.figure import Figure
+from rich.table import Table
 
+from protocol.errors import ConfigurationError
+from testbed.campaigns.campaign import CampaignRequest, Task
+from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
+from testbed.campaigns.options import Assignments, Scenario
 from testbed.campaigns.row_file import Row
-from testbed.experiments.paper.campaign import Asked, print_cost, run_tasks, seeds, task
+from testbed.experiments.paper.campaign import COST, OUT, PaperEyes, PaperSettings, paper_task
 from testbed.experiments.paper.comparison import SUB_CENTIMETRE_MM, worst
-from testbed.experiments.paper.report import EYES
-from testbed.reporting.console import out, table, write_json
+from testbed.experiments.paper.measurement import measure
+from testbed.reporting.console import table
 from testbed.reporting.plots import AXIS_COLOURS, STYLE, png
 from testbed.scenarios.scenario import load_scenario
 
@@ -84,33 +89,77 @@ SWEEPS = {
 Swept = dict[tuple[str, float, str], list[Row]]
 
 
-def run_sweep(names: Sequence[str], asked: Asked, json_file: Path | None) -> bool:
-    """Whether every condition could be measured; medians are printed, and plotted for each condition."""
-    scenario = load_scenario(asked.config_dir, asked.scenario)
-    tasks, places = [], []
-    for name in names:
-        for value in SWEEPS[name].values:
-            for kind in ("line", "match"):
-                for seed in seeds(asked):
-                    changed = SWEEPS[name].assignments(value, scenario.world(seed))
-                    tasks.append(task(kind, asked, seed, f"{name}_{value:g}", changed))
-                    places.append((name, value, kind))
-    done: Swept = {place: [] for place in places}
-    for place, row in zip(places, run_tasks(asked, tasks, "sweep"), strict=True):
-        done[place].append(row)
-    figures = {name: _figures(name, done) for name in names}
-    for name in names:
-        _print(name, figures[name])
-        path = asked.directory / f"sweep-{name}.png"
-        path.write_bytes(_plot(name, figures[name]))
-        out.print(f"  plot: {path}", style="dim", highlight=False, soft_wrap=True)
-    kinds = ("line", "match")
-    print_cost(
-        {kind: [row for (_, _, k), rows in done.items() if k == kind for row in rows] for kind in kinds}
-    )
-    out.print(f"eyes: {EYES[asked.eyes]}", highlight=False, soft_wrap=True)
-    write_json(json_file, {"sweeps": figures, "eyes": asked.eyes, "runs": asked.runs})
-    return all(done.values())
+class SweepSettings(NamedTuple):
+    """Which conditions, in the world and with the eyes of the paper's tables."""
+
+    names: Annotated[list[str] | None, typer.Argument(help="Which conditions; none: all.")] = None
+    eyes: Annotated[PaperEyes, typer.Option(help="What measures the markers.")] = PaperEyes.OPENCV
+    scenario: Scenario = "paper"
+    assignments: Assignments = None
+
+    @property
+    def chosen(self) -> list[str]:
+        """The conditions."""
+        return self.names or list(SWEEPS)
+
+
+Conditions = Finished[SweepSettings, Row]
+
+
+def sweep_tasks(request: CampaignRequest, settings: SweepSettings) -> list[Task]:
+    """One task for each value of each condition, kind and seed. ConfigurationError: unknown one."""
+    for name in settings.chosen:
+        if name not in SWEEPS:
+            raise ConfigurationError("configuration.unknown_sweep", f"'{name}'; known: {', '.join(SWEEPS)}")
+    scenario = load_scenario(request.config_dir, settings.scenario)
+    paper = PaperSettings(settings.eyes, settings.scenario, settings.assignments)
+    return [
+        paper_task(
+            request.config_dir,
+            paper,
+            kind,
+            seed,
+            f"{name}_{value:g}",
+            SWEEPS[name].assignments(value, scenario.world(seed)),
+        )
+        for name in settings.chosen
+        for value in SWEEPS[name].values
+        for kind in ("line", "match")
+        for seed in seeds(request)
+    ]
+
+
+def _swept(done: Conditions) -> Swept:
+    """(Condition, value, kind) → rows."""
+    places = {
+        f"{name}_{value:g}": (name, value) for name in done.settings.chosen for value in SWEEPS[name].values
+    }
+    rows: Swept = {}
+    for asked, row in zip(done.tasks, done.rows, strict=True):
+        rows.setdefault((*places[asked["variant"]], asked["kind"]), []).append(row)
+    return rows
+
+
+def sweep_table(done: Conditions) -> list[Table]:
+    """The medians, a table for each condition."""
+    return [_table(name, _figures(name, _swept(done))) for name in done.settings.chosen]
+
+
+def sweep_verdict(done: Conditions) -> list[Check]:
+    """Every condition has been measured."""
+    measured = _swept(done)
+    return [Check("conditions measured", f"{len(measured)}", "all", all(measured.values()))]
+
+
+def sweep_plot(done: Conditions) -> dict[str, bytes]:
+    """A picture for each condition."""
+    return {f"sweep-{name}": _plot(name, _figures(name, _swept(done))) for name in done.settings.chosen}
+
+
+def sweep_figures(done: Conditions) -> dict[str, Any]:
+    """The records of each condition."""
+    swept = {name: _figures(name, _swept(done)) for name in done.settings.chosen}
+    return {"sweeps": swept, "eyes": done.settings.eyes, "runs": done.request.runs}
 
 
 def _figures(name: str, done: Swept) -> list[dict[str, Any]]:
@@ -130,7 +179,7 @@ def _figures(name: str, done: Swept) -> list[dict[str, Any]]:
     return made
 
 
-def _print(name: str, records: list[dict[str, Any]]) -> None:
+def _table(name: str, records: list[dict[str, Any]]) -> Table:
     headings = [SWEEPS[name].label]
     for _, _, words in _STAGES:
         headings += [f"{words}: median mm", "95 %", "not reached"]
@@ -147,7 +196,7 @@ def _print(name: str, records: list[dict[str, Any]]) -> None:
         ]
         for record in records
     ]
-    out.print(table(f"worse of |x| and |y| in the picture, by {SWEEPS[name].label}", headings, cells))
+    return table(f"worse of |x| and |y| in the picture, by {SWEEPS[name].label}", headings, cells)
 
 
 def _plot(name: str, records: list[dict[str, Any]]) -> bytes:
@@ -164,3 +213,21 @@ def _plot(name: str, records: list[dict[str, Any]]) -> bytes:
         axes.set_title("line: median; dotted: 95 %")
         axes.legend()
         return png(figure)
+
+
+SWEEP = Experiment(
+    name="sweep",
+    title="Both of the paper's methods over eight conditions.",
+    shows="errors over payload, mount, distance, noise, texture, play, flexibility and latency",
+    cost=COST,
+    settings=SweepSettings,
+    row=dict,
+    tasks=sweep_tasks,
+    run=measure,
+    table=sweep_table,
+    verdict=sweep_verdict,
+    plot=sweep_plot,
+    figures=sweep_figures,
+    runs=6,
+    out=OUT,
+)

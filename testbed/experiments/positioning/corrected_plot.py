@@ -9,24 +9,23 @@ from matplotlib.figure import Figure
 
 from testbed.reporting.plots import AXIS_COLOURS, STYLE, png
 
-JSON = dict[str, Any]
 _REACH_MM = 8.0  # of the axes
 
 
 def errors_plot(
-    arms: Mapping[str, Sequence[JSON]], branches: Mapping[str, str], limit_mm: float, title: str
+    arms: Mapping[str, Sequence[Any]], branches: Mapping[str, str], limit_mm: float, title: str
 ) -> bytes:
     """PNG: for each arm the share of runs (all of them, also the failed) within an error, one line a branch.
 
-    ``arms``: name → rows; ``branches``: prefix of the columns → words.
+    ``arms``: name → rows; ``branches``: field of the rows → words.
     """
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(4.6 * len(arms), 3.6), layout="constrained")
         faces = np.atleast_1d(figure.subplots(1, len(arms), sharey=True))
         for axes, (arm, rows) in zip(faces, arms.items(), strict=True):
             for (name, words), colour in zip(branches.items(), AXIS_COLOURS, strict=True):
-                ended = [row[f"{name}_worst_mm"] for row in rows if row.get(f"{name}_worst_mm") is not None]
-                worst = np.sort(ended)
+                worst = np.array([getattr(row, name).worst_mm for row in rows])
+                worst = np.sort(worst[np.isfinite(worst)])
                 share = 100.0 * np.arange(1, len(worst) + 1) / len(rows)
                 axes.step(
                     np.append(0.0, worst), np.append(0.0, share), where="post", color=colour, label=words

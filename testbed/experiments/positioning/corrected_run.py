@@ -5,16 +5,17 @@ second look begin from the very same arm, oil and noise.
 """
 
 import copy
-import time
+import math
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from foundation.configuration import merged, parse_overrides
 from plant_emulator.core.truth import tool_error
 from protocol.errors import LongreachError
+from testbed.campaigns.typed_rows import UNKNOWN, XYZ, flat, xyz
 from testbed.experiments.positioning.scenarios import draw
 from testbed.lockstep.eyes import SightMaker
 from testbed.lockstep.rig import LockstepRig
@@ -28,28 +29,54 @@ _AVERAGED = 25  # truths at 50 Hz: half a second at rest
 JSON = dict[str, Any]
 
 
-def one_run(config_dir: Path, task: JSON) -> JSON:
-    """The row of one seeded run; ``task`` has seed, arm, harder, eyes, assignments.
+class Branch(NamedTuple):
+    """One look and its drive: true error, the servo's part, what was predicted, measured, looked at, mm."""
 
-    A program that refuses or fails ends its branch; what it said is in the row, and no figure stands for it.
-    """
-    began = time.perf_counter()
+    true_mm: XYZ = UNKNOWN
+    servo_mm: XYZ = UNKNOWN
+    std_mm: XYZ = UNKNOWN
+    measured_mm: XYZ = UNKNOWN
+    look_mm: XYZ = UNKNOWN
+    worst_mm: float = math.nan
+    steps: int | None = None
+    ended: str = ""
+    failure: str = ""
+
+
+class PositioningRow(NamedTuple):
+    """One run: what was drawn, and each branch; a program that refuses or fails ends its branch."""
+
+    seed: int
+    arm: str
+    payload_kg: float
+    mount_deg: float
+    lever_m: float
+    distance_m: float
+    disparity_px: float
+    start_mm: float = math.nan
+    one_shot: Branch = Branch()
+    look1: Branch = Branch()
+    look2: Branch = Branch()
+    simulated_s: float = math.nan
+    failure: str = ""
+    cpu_s: float = math.nan
+
+
+def one_run(config_dir: Path, task: JSON) -> JSON:
+    """The row of one seeded run; ``task`` has seed, arm, harder, eyes, assignments."""
     drawn = draw(config_dir, task["seed"], task["arm"], task["harder"])
     row: JSON = {"seed": task["seed"], "arm": task["arm"], **drawn.shown}
     try:
         rig = prepared(config_dir, task)
         row["start_mm"] = float(np.linalg.norm(true_error_mm(rig)[:2]))
     except LongreachError as error:
-        return row | {"stopped": f"{error.cause}: {error}"}
-    calibrated = rig
-    one_shot = copy.deepcopy(calibrated)
-    for name, branch, body in (("one_shot", one_shot, {"corrections": 0}), ("look1", rig, {})):
-        row |= driven(branch, name, body)
-    if not row.get("look1_stopped"):
-        row |= driven(rig, "look2", {})
-    row["simulated_s"] = 1e-9 * rig.world.time_ns
-    row["wall_s"] = time.perf_counter() - began
-    return row
+        return row | {"failure": f"{error.cause}: {error}"}
+    one_shot = driven(copy.deepcopy(rig), {"corrections": 0})
+    look1 = driven(rig, {})
+    look2 = Branch(failure="") if look1.failure else driven(rig, {})
+    for name, branch in (("one_shot", one_shot), ("look1", look1), ("look2", look2)):
+        row |= {f"{name}_{column}": value for column, value in flat(branch).items()}
+    return row | {"simulated_s": 1e-9 * rig.world.time_ns}
 
 
 def prepared(config_dir: Path, task: JSON, sight: SightMaker | None = None) -> LockstepRig:
@@ -69,29 +96,28 @@ def prepared(config_dir: Path, task: JSON, sight: SightMaker | None = None) -> L
     return rig
 
 
-def driven(rig: LockstepRig, name: str, body: JSON) -> JSON:
-    """Columns ``name``_… of one look and its drive: true error, what was predicted and measured, floor."""
+def driven(rig: LockstepRig, body: JSON) -> Branch:
+    """One look and its drive; ``failure`` is what ended it early."""
     try:
         result: CorrectedResult = operate(
             rig, "look-then-move", {"method": "corrected", "aim_mm": 0.0} | body
         )
     except LongreachError as error:
-        return {f"{name}_stopped": f"{error.cause}: {error}"}
+        return Branch(failure=f"{error.cause}: {error}")
     error_mm = true_error_mm(rig)
     steps, final = result.positioning.steps, result.positioning.final
     off_mm = 1e3 * (np.array(rig.link.state.X_BT.p_m) - steps[-1].X_BT_ref[:3, 3])
     X_BC = np.linalg.inv(rig.world.plant.truth().X_WB) @ rig.world.plant.truth().X_WC
-    row: JSON = {}
-    for i, axis in enumerate("xyz"):
-        row[f"{name}_true_{axis}_mm"] = float(error_mm[i])
-        row[f"{name}_servo_{axis}_mm"] = float((X_BC[:3, :3].T @ off_mm)[i])
-        row[f"{name}_std_{axis}_mm"] = 1e3 * float(steps[0].expected_std_m[i])
-        row[f"{name}_measured_{axis}_mm"] = 1e3 * float(result.measured_miss_m[i])
-        row[f"{name}_look_{axis}_mm"] = 1e3 * float(final.error_m[i])
-    row[f"{name}_worst_mm"] = float(np.abs(error_mm[:2]).max())
-    row[f"{name}_steps"] = len(steps)
-    row[f"{name}_ended"] = result.positioning.ended
-    return row
+    return Branch(
+        true_mm=xyz(error_mm),
+        servo_mm=xyz(X_BC[:3, :3].T @ off_mm),
+        std_mm=xyz([1e3 * float(value) for value in steps[0].expected_std_m]),
+        measured_mm=xyz([1e3 * float(value) for value in result.measured_miss_m]),
+        look_mm=xyz([1e3 * float(value) for value in final.error_m]),
+        worst_mm=float(np.abs(error_mm[:2]).max()),
+        steps=len(steps),
+        ended=result.positioning.ended,
+    )
 
 
 def operate(rig: LockstepRig, kind: str, body: JSON) -> Any:

@@ -6,20 +6,24 @@ made in pictures are set against the model's.
 """
 
 import datetime
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import typer
+from rich.table import Table
 
 from plant_emulator.core.camera.scene import Scene
 from protocol.errors import LongreachError, MeasurementFailed
-from testbed.campaigns.campaign import run_campaign
+from testbed.campaigns.campaign import CampaignRequest, Task
+from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
 from testbed.experiments.positioning.corrected_run import driven, prepared
 from testbed.experiments.positioning.eyes_notes import Followed, Notes, noting_sight
 from testbed.lockstep.simulated_odometry import ModelOdometry, TrackingNoise
 from testbed.lockstep.true_view import TrueView
-from testbed.reporting.console import out, table, write_json
+from testbed.reporting.console import table
 from testbed.scenarios.settings import Settings
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
@@ -33,12 +37,14 @@ CONDITIONS = ("usual", "harder")
 def one_run(config_dir: Path, task: JSON) -> JSON:
     """The row of one seed in pictures: sums over corners, and odometry's errors beside the model's."""
     notes = Notes()
+    asked = {"seed": task["seed"], "harder": task["harder"]}
     rig = prepared(config_dir, task | {"eyes": "pixels"}, partial(noting_sight, notes=notes))
     try:
-        driven(rig, "look1", {})
+        if failure := driven(rig, {}).failure:
+            return asked | {"failure": failure}
     except LongreachError as error:
-        return {"seed": task["seed"], "stopped": f"{error.cause}: {error}"}
-    return {"seed": task["seed"]} | _corners(notes) | _tracks(notes, rig.world.settings, task["seed"])
+        return asked | {"failure": f"{error.cause}: {error}"}
+    return asked | _corners(notes) | _tracks(notes, rig.world.settings, task["seed"])
 
 
 def _corners(notes: Notes) -> JSON:
@@ -113,14 +119,38 @@ def _jitter2(errors: Array) -> float:
     return float((second**2).sum(axis=1).mean() / 6.0)
 
 
-def parameters(rows: list[JSON]) -> JSON:
+class MeasuredRow(NamedTuple):
+    """One seed in pictures: sums over corners, mean squares of odometry's errors and of the model's."""
+
+    seed: int
+    harder: bool
+    corner_noise2: float
+    corner_bias2: float
+    corner_places: float
+    markers_expected: float
+    markers_missed: float
+    frames: float
+    frames_lost: float
+    points: float
+    pixels_jitter2: float
+    pixels_error2: float
+    exact_jitter2: float
+    exact_error2: float
+    noise_jitter2: float
+    noise_error2: float
+    map_error2: float
+    failure: str
+    cpu_s: float
+
+
+def parameters(rows: Sequence[MeasuredRow]) -> JSON:
     """The model's parameters from the rows of one condition. Raises MeasurementFailed when none is good."""
-    good = [row for row in rows if row.get("pixels_error2") is not None]
+    good = [row for row in rows if np.isfinite(row.pixels_error2)]
     if not good:
         raise MeasurementFailed("measurement.no_runs", f"eye model: 0 of {len(rows)} runs can be used")
 
     def mean(column: str) -> float:
-        return float(np.mean([row[column] for row in good]))
+        return float(np.mean([getattr(row, column) for row in good]))
 
     still = mean("exact_jitter2")  # what the camera's true geometry alone makes of a moving camera
     jitter = max(mean("pixels_jitter2") - still, 0.0) / (mean("noise_jitter2") - still)
@@ -129,53 +159,94 @@ def parameters(rows: list[JSON]) -> JSON:
     by_noise = (mean("noise_error2") - floor) * (noise_px / _KNOWN_PX) ** 2
     left = max(mean("pixels_error2") - floor - by_noise, 0.0)
     map_px = _KNOWN_PX * (left / max(mean("map_error2") - floor, 1e-18)) ** 0.5
-    places = sum(row["corner_places"] for row in good)
-    bias2 = sum(row["corner_bias2"] * row["corner_places"] for row in good) / places
+    places = sum(row.corner_places for row in good)
+    bias2 = sum(row.corner_bias2 * row.corner_places for row in good) / places
     return {
         "corners": {
             "noise_px": round(mean("corner_noise2") ** 0.5, 4),
             "bias_px": round(max(bias2, 0.0) ** 0.5, 4),
             "missed_share": round(
-                sum(row["markers_missed"] for row in good) / sum(row["markers_expected"] for row in good), 5
+                sum(row.markers_missed for row in good) / sum(row.markers_expected for row in good), 5
             ),
         },
         "tracking": {
             "noise_px": round(noise_px, 4),
             "map_px": round(map_px, 4),
             "points": round(mean("points")),
-            "lost_share": round(sum(r["frames_lost"] for r in good) / sum(r["frames"] for r in good), 5),
+            "lost_share": round(sum(r.frames_lost for r in good) / sum(r.frames for r in good), 5),
         },
     }
 
 
-def run_measure(
-    config_dir: Path,
-    first_seed: int,
-    runs: int,
-    directory: Path,
-    scheduler: str | None,
-    output: Path,
-    json_file: Path | None,
-) -> bool:
-    """Whether both conditions were measured; the parameters are printed and written to ``output``."""
-    measured: JSON = {}
-    shown = []
-    for condition in CONDITIONS:
-        asked = {"arm": "plant", "harder": condition == "harder", "assignments": []}
-        seeds = range(first_seed, first_seed + runs)
-        tasks = [{"key": f"{condition}-{seed}", "seed": seed} | asked for seed in seeds]
-        title = f"eyes measured in {runs} {condition} runs"
-        rows = run_campaign(
-            directory / condition, partial(one_run, config_dir), tasks, scheduler=scheduler, title=title
-        )
-        measured[condition] = parameters(rows)
-        for part, values in measured[condition].items():
-            shown += [[condition, part, name, value] for name, value in values.items()]
-    out.print(table("what pictures do", ["condition", "of", "parameter", "measured"], shown))
-    output.write_text(_text(measured, first_seed, runs), encoding="utf-8")
-    out.print(f"written to {output}", style="dim", highlight=False, soft_wrap=True)
-    write_json(json_file, measured)
-    return True
+class MeasureSettings(NamedTuple):
+    """Where the model's parameters go."""
+
+    output: Annotated[Path, typer.Option(help="The file to write.")] = Path("configs/eye_model.yaml")
+
+
+Noted = Finished[MeasureSettings, MeasuredRow]
+
+
+def measure_tasks(request: CampaignRequest, settings: MeasureSettings) -> list[Task]:
+    """The seeds under both conditions."""
+    return [
+        {
+            "key": f"{condition}-{seed}",
+            "seed": seed,
+            "arm": "plant",
+            "harder": condition == "harder",
+            "assignments": [],
+        }
+        for condition in CONDITIONS
+        for seed in seeds(request)
+    ]
+
+
+def _measured(done: Noted) -> JSON:
+    """Condition → the model's parameters."""
+    return {
+        name: parameters([row for row in done.rows if row.harder == (name == "harder")])
+        for name in CONDITIONS
+    }
+
+
+def measure_table(done: Noted) -> list[Table]:
+    """All parameters."""
+    shown = [
+        [condition, part, name, value]
+        for condition, parts in _measured(done).items()
+        for part, values in parts.items()
+        for name, value in values.items()
+    ]
+    return [table("what pictures do", ["condition", "of", "parameter", "measured"], shown)]
+
+
+def measure_verdict(done: Noted) -> list[Check]:
+    """Both conditions could be measured; their parameters are written to the file that was asked for."""
+    failed = sum(bool(row.failure) for row in done.rows)
+    done.settings.output.write_text(
+        _text(_measured(done), done.request.seed, done.request.runs), encoding="utf-8"
+    )
+    return [Check(f"measured, and written to {done.settings.output}", f"{failed} runs failed", "", True)]
+
+
+EYES_MEASURE = Experiment(
+    name="eyes-measure",
+    title="Measure in rendered pictures what the eye model needs, and write its file.",
+    shows="what rendered pictures do to corners and tracked points, for the eye model's file",
+    cost="150 CPU s",
+    settings=MeasureSettings,
+    row=MeasuredRow,
+    tasks=measure_tasks,
+    run=one_run,
+    table=measure_table,
+    verdict=measure_verdict,
+    figures=_measured,
+    runs=8,
+    seed=1100,
+    world="payload, mount, camera, object, geometry drawn from the seed; the 4 m arm",
+    eyes="rendered pictures",
+)
 
 
 def _text(measured: JSON, first_seed: int, runs: int) -> str:

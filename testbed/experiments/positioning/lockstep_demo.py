@@ -1,17 +1,21 @@
 """Many demonstrations in lockstep: how many end under 10 and under 5 mm, after one look and after more."""
 
-import time
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import typer
+from rich.table import Table
 
 from foundation.configuration import merged, parse_overrides
-from testbed.campaigns.campaign import run_campaign
+from testbed.campaigns.campaign import CampaignRequest, Task
+from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
+from testbed.campaigns.options import Assignments, Scenario
+from testbed.campaigns.typed_rows import XYZ
 from testbed.demonstration.lockstep import run_lockstep
 from testbed.reporting import outcome as outcomes
-from testbed.reporting.console import bars, out, table, write_json
+from testbed.reporting.console import bars, table
 from testbed.reporting.outcome import Outcome
 from testbed.reporting.presentation import Choice
 from testbed.scenarios.scenario import load_scenario
@@ -51,97 +55,161 @@ def one_run(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
     return row_of(done.outcome, world)
 
 
-def _number(row: dict[str, Any], column: str) -> float:
-    """The figure, NaN where the run did not get there."""
-    value = row.get(column)
-    return float("nan") if value is None else float(value)
+class DemoSettings(NamedTuple):
+    """What is demonstrated."""
+
+    looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 2
+    scenario: Scenario = "standard"
+    assignments: Assignments = None
 
 
-def counts(rows: list[dict[str, Any]], looks: int) -> list[dict[str, Any]]:
-    """For each number of looks, how many runs ended with true x and y under each limit; a failure is none."""
-    table_rows = []
+class LookErrors(NamedTuple):
+    """True errors after one look."""
+
+    true_mm: XYZ
+    worst_mm: float
+
+
+class DemoRow(NamedTuple):
+    """One demonstration; after a look that was not reached the errors are NaN."""
+
+    seed: int
+    payload_kg: float
+    mount_deg: float
+    look1: LookErrors
+    look2: LookErrors
+    look3: LookErrors
+    look4: LookErrors
+    look5: LookErrors
+    look6: LookErrors
+    look7: LookErrors
+    look8: LookErrors
+    look9: LookErrors
+    failure: str
+    cpu_s: float
+
+    def after(self, look: int) -> LookErrors:
+        """The errors after look 1, 2, …"""
+        found: LookErrors = getattr(self, f"look{look}")
+        return found
+
+
+class LookCount(NamedTuple):
+    """How many runs ended with true x and y under each limit after so many looks; a failure is none."""
+
+    looks: int
+    runs: int
+    under_10_mm: int
+    under_5_mm: int
+    median_mm: float
+    p95_mm: float
+    not_reached: int
+
+
+Demonstrated = Finished[DemoSettings, DemoRow]
+
+
+def counts(rows: Sequence[DemoRow], looks: int) -> list[LookCount]:
+    """One for each number of looks."""
+    made = []
     for number in range(1, looks + 1):
-        worst = np.array([_number(row, f"look{number}_worst_mm") for row in rows])
-        made: dict[str, Any] = {"looks": number, "runs": len(rows)}
-        for limit in LIMITS_MM:
-            made[f"under_{limit:.0f}_mm"] = int(np.count_nonzero(worst < limit))
+        worst = np.array([row.after(number).worst_mm for row in rows])
         finite = worst[np.isfinite(worst)]
-        made["median_mm"] = float(np.median(finite)) if len(finite) else float("nan")
-        made["p95_mm"] = float(np.percentile(finite, 95)) if len(finite) else float("nan")
-        made["not_reached"] = int(np.count_nonzero(~np.isfinite(worst)))
-        table_rows.append(made)
-    return table_rows
+        made.append(
+            LookCount(
+                number,
+                len(rows),
+                int(np.count_nonzero(worst < LIMITS_MM[0])),
+                int(np.count_nonzero(worst < LIMITS_MM[1])),
+                float(np.percentile(finite, 50)) if len(finite) else float("nan"),
+                float(np.percentile(finite, 95)) if len(finite) else float("nan"),
+                int(np.count_nonzero(~np.isfinite(worst))),
+            )
+        )
+    return made
 
 
-def run_experiment(
-    config_dir: Path,
-    scenario: str,
-    first_seed: int,
-    runs: int,
-    looks: int,
-    assignments: list[str],
-    directory: Path,
-    scheduler: str | None,
-    json_file: Path | None,
-) -> bool:
-    """Whether enough runs ended under the first limit after the last look; rows go to CSV and JSON."""
-    world = load_scenario(config_dir, scenario).world(first_seed)
-    load_settings(config_dir, merged(world, parse_overrides(assignments)))  # what is wrong is told at once
-    began = time.perf_counter()
-    asked = {"scenario": scenario, "looks": looks, "assignments": assignments}
-    tasks = [{"key": f"seed-{seed}", "seed": seed} | asked for seed in range(first_seed, first_seed + runs)]
-    rows = run_campaign(
-        directory,
-        partial(one_run, config_dir),
-        tasks,
-        scheduler=scheduler,
-        title=f"{runs} demonstrations in lockstep",
-    )
-    rows = [row | {"seed": task["seed"]} for row, task in zip(rows, tasks, strict=True)]
-    counted = counts(rows, looks)
-    _show(rows, counted, looks)
-    figures = {
-        "scenario": scenario,
-        "limit_mm": 1e3 * outcomes.LIMIT_M,
-        "counts": counted,
-        "rows": rows,
-        "wall_s": time.perf_counter() - began,
-    }
-    write_json(directory / "lockstep-demo.json", figures)
-    write_json(json_file, figures)
-    out.print(f"rows written to {directory / 'rows.csv'}", style="dim", highlight=False, soft_wrap=True)
-    return bool(counted[-1][f"under_{LIMITS_MM[0]:.0f}_mm"] >= WANTED_SHARE * runs)
+def demo_tasks(request: CampaignRequest, settings: DemoSettings) -> list[Task]:
+    """One task a seed. Raises ConfigurationError when the first world's configuration is wrong."""
+    world = load_scenario(request.config_dir, settings.scenario).world(request.seed)
+    assignments = settings.assignments or []
+    load_settings(request.config_dir, merged(world, parse_overrides(assignments)))
+    asked = {"scenario": settings.scenario, "looks": settings.looks, "assignments": assignments}
+    return [{"key": f"seed-{seed}", "seed": seed} | asked for seed in seeds(request)]
 
 
-def _show(rows: list[dict[str, Any]], counted: list[dict[str, Any]], looks: int) -> None:
-    headings = ["seed", "payload kg", "mount °"]
-    headings += [f"look {number} {axis}" for number in range(1, looks + 1) for axis in "xyz"]
+def demo_table(done: Demonstrated) -> list[Table]:
+    """Every run's true errors, and the counts by looks."""
+    looks = range(1, done.settings.looks + 1)
+    headings = [
+        "seed",
+        "payload kg",
+        "mount °",
+        *(f"look {number} {axis}" for number in looks for axis in "xyz"),
+    ]
     shown = [
         [
-            row["seed"],
-            f"{_number(row, 'payload_kg'):.0f}",
-            f"{_number(row, 'mount_deg'):.1f}",
-            *(
-                f"{_number(row, f'look{number}_true_{axis}_mm'):+.1f}"
-                for number in range(1, looks + 1)
-                for axis in "xyz"
-            ),
-            row["failure"] or "",
+            row.seed,
+            f"{row.payload_kg:.0f}",
+            f"{row.mount_deg:.1f}",
+            *(f"{value:+.1f}" for number in looks for value in row.after(number).true_mm),
+            row.failure,
         ]
-        for row in rows
+        for row in done.rows
     ]
-    out.print(table("true errors, mm, camera axes", [*headings, "stopped by"], shown))
-    limits = [f"under {limit:.0f} mm" for limit in LIMITS_MM]
-    columns = ["looks", *limits, "of", "median mm", "95 % mm", "not reached"]
+    columns = [
+        "looks",
+        *(f"under {limit:.0f} mm" for limit in LIMITS_MM),
+        "of",
+        "median mm",
+        "95 % mm",
+        "not reached",
+    ]
     cells = [
-        [
-            made["looks"],
-            *(made[f"under_{limit:.0f}_mm"] for limit in LIMITS_MM),
-            made["runs"],
-            f"{made['median_mm']:.2f}",
-            f"{made['p95_mm']:.2f}",
-            made["not_reached"],
-        ]
-        for made in counted
+        [c.looks, c.under_10_mm, c.under_5_mm, c.runs, f"{c.median_mm:.2f}", f"{c.p95_mm:.2f}", c.not_reached]
+        for c in counts(done.rows, done.settings.looks)
     ]
-    out.print(table("worse of |x| and |y|, true", columns, cells))
+    return [
+        table("true errors, mm, camera axes", [*headings, "stopped by"], shown),
+        table("worse of |x| and |y|, true", columns, cells),
+    ]
+
+
+def demo_verdict(done: Demonstrated) -> list[Check]:
+    """Whether enough runs ended under the first limit after the last look."""
+    last = counts(done.rows, done.settings.looks)[-1]
+    wanted = WANTED_SHARE * last.runs
+    return [
+        Check(
+            f"runs under {LIMITS_MM[0]:g} mm after look {last.looks}",
+            f"{last.under_10_mm} of {last.runs}",
+            f"≥ {wanted:g}",
+            last.under_10_mm >= wanted,
+        )
+    ]
+
+
+def demo_figures(done: Demonstrated) -> dict[str, Any]:
+    """The counts."""
+    return {
+        "scenario": done.settings.scenario,
+        "limit_mm": 1e3 * outcomes.LIMIT_M,
+        "counts": counts(done.rows, done.settings.looks),
+    }
+
+
+LOCKSTEP_DEMO = Experiment(
+    name="lockstep-demo",
+    title="Demonstrations in lockstep over many seeds.",
+    shows="how many demonstrations end under 10 and under 5 mm, after one look and after more",
+    cost="60 CPU s",
+    settings=DemoSettings,
+    row=DemoRow,
+    tasks=demo_tasks,
+    run=one_run,
+    table=demo_table,
+    verdict=demo_verdict,
+    figures=demo_figures,
+    runs=20,
+    eyes="rendered pictures",
+)

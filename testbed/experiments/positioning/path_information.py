@@ -6,15 +6,20 @@ is what counts, not the residuals along it.
 """
 
 from collections.abc import Callable
+from enum import StrEnum
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+import typer
+from rich.table import Table
 
 from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
 from nominal_arm.dimensions import boom_dimensions
+from testbed.campaigns.campaign import CampaignRequest, Task
+from testbed.campaigns.experiment import Check, Experiment, Finished
 from testbed.experiments.positioning.scenarios import arm_files
-from testbed.reporting.console import out, table, write_json
+from testbed.reporting.console import table
 from testbed.scenarios.settings import load_settings
 from vision_pc.config.programs import ProgramSettings
 from vision_pc.core.calibration.backlash import taken_up
@@ -81,56 +86,112 @@ def driven(start: Array, waypoints: list[Array], dwell_s: float) -> Track:
     return Track(np.array(poses), np.array(speeds), time_s)
 
 
-def run_experiment(config_dir: Path, arm: str, json_file: Path | None) -> bool:
-    """Whether no candidate of the used path's length and time beats it by more than a tenth; prints all."""
-    settings = load_settings(config_dir, arm_files(config_dir, arm))
+class OneArm(StrEnum):
+    """Which arm."""
+
+    PLANT = "plant"
+    LONG_CRANE = "plant_long_crane"
+
+
+class PathSettings(NamedTuple):
+    """Whose start pose and shape."""
+
+    arm: Annotated[OneArm, typer.Option(help="Whose start pose and shape.")] = OneArm.PLANT
+
+
+class PathRow(NamedTuple):
+    """One candidate path: what it costs, and what it leaves unknown of goals all round."""
+
+    path: str
+    used: bool
+    length_m: float
+    time_s: float
+    least_information: float
+    condition: float
+    goal_rms_mm: float
+    goal_worst_mm: float
+    failure: str = ""
+
+
+Paths = Finished[PathSettings, PathRow]
+
+
+def path_tasks(request: CampaignRequest, settings: PathSettings) -> list[Task]:
+    """One task a candidate."""
+    return [{"key": f"{settings.arm}-{name}", "path": name, "arm": str(settings.arm)} for name in CANDIDATES]
+
+
+def measured_path(config_dir: Path, task: Task) -> PathRow:
+    """A candidate's information, together with the prior, carried to goals all round."""
+    settings = load_settings(config_dir, arm_files(config_dir, task["arm"]))
     programs = settings.vision.programs
     X_BT = tool_pose(dh_table(settings.arm.dh), np.radians(settings.plant.start_pose_deg))
-    steps, boom = _goals(), boom_dimensions(settings.arm)
-    figures: list[dict[str, Any]] = []
-    used_name = f"three legs of {programs.local_map.leg_m:.1f} m"
-    for name, waypoints in CANDIDATES.items():
-        *corners, end = waypoints(X_BT, programs)
-        path = [*corners, taken_up(end, programs.local_map.take_up_rad), end]
-        track = driven(X_BT, path, programs.local_map.dwell_s)
-        covariances = planned_covariance(track.X_BT, track.speed, steps, boom, programs.local_map)
-        worst_mm = 1e3 * np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
-        turn = np.linalg.eigvalsh(rotation_information(track.X_BT[:, :3, 3], np.ones(len(track.X_BT))))
-        figures.append(
-            {
-                "path": name + (" (used)" if name == used_name else ""),
-                "length_m": float(np.linalg.norm(np.diff(track.X_BT[:, :3, 3], axis=0), axis=1).sum()),
-                "time_s": track.time_s,
-                "least_information": float(turn[0] / len(track.X_BT)),
-                "condition": float(turn[-1] / max(turn[0], 1e-12)),
-                "goal_rms_mm": float(np.sqrt(np.mean(worst_mm**2))),
-                "goal_worst_mm": float(worst_mm.max()),
-            }
-        )
+    boom = boom_dimensions(settings.arm)
+    *corners, end = CANDIDATES[task["path"]](X_BT, programs)
+    path = [*corners, taken_up(end, programs.local_map.take_up_rad), end]
+    track = driven(X_BT, path, programs.local_map.dwell_s)
+    covariances = planned_covariance(track.X_BT, track.speed, _goals(), boom, programs.local_map)
+    worst_mm = 1e3 * np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
+    turn = np.linalg.eigvalsh(rotation_information(track.X_BT[:, :3, 3], np.ones(len(track.X_BT))))
+    return PathRow(
+        path=task["path"],
+        used=task["path"] == f"three legs of {programs.local_map.leg_m:.1f} m",
+        length_m=float(np.linalg.norm(np.diff(track.X_BT[:, :3, 3], axis=0), axis=1).sum()),
+        time_s=track.time_s,
+        least_information=float(turn[0] / len(track.X_BT)),
+        condition=float(turn[-1] / max(turn[0], 1e-12)),
+        goal_rms_mm=float(np.sqrt(np.mean(worst_mm**2))),
+        goal_worst_mm=float(worst_mm.max()),
+    )
+
+
+def path_table(done: Paths) -> list[Table]:
+    """All candidates."""
     shown = [
         [
-            f["path"],
-            f"{f['length_m']:.2f}",
-            f"{f['time_s']:.1f}",
-            f"{f['condition']:.1f}" if f["condition"] < 1e6 else "∞",
-            f"{f['goal_rms_mm']:.2f}",
-            f"{f['goal_worst_mm']:.2f}",
+            row.path + (" (used)" if row.used else ""),
+            f"{row.length_m:.2f}",
+            f"{row.time_s:.1f}",
+            f"{row.condition:.1f}" if row.condition < 1e6 else "∞",
+            f"{row.goal_rms_mm:.2f}",
+            f"{row.goal_worst_mm:.2f}",
         ]
-        for f in figures
+        for row in done.rows
     ]
     headings = ["path", "length m", "time s", "condition", "rms mm", "worst mm"]
-    out.print(table(f"σ that each path leaves of a goal {GOAL_M:g} m off, {arm}", headings, shown))
-    used = next(f for f in figures if "used" in f["path"])
+    return [table(f"σ that each path leaves of a goal {GOAL_M:g} m off", headings, shown)]
+
+
+def path_verdict(done: Paths) -> list[Check]:
+    """No candidate of the used path's length and time beats it by more than a tenth."""
+    used = next(row for row in done.rows if row.used)
     better = [
-        f["path"]
-        for f in figures
-        if f["length_m"] <= used["length_m"] + 1e-3
-        and f["time_s"] <= used["time_s"] + 0.1
-        and f["goal_rms_mm"] < 0.9 * used["goal_rms_mm"]
+        row.path
+        for row in done.rows
+        if row.length_m <= used.length_m + 1e-3
+        and row.time_s <= used.time_s + 0.1
+        and row.goal_rms_mm < 0.9 * used.goal_rms_mm
     ]
-    out.print("no candidate as short is better by a tenth" if not better else f"better: {', '.join(better)}")
-    write_json(json_file, {"arm": arm, "goal_m": GOAL_M, "paths": figures, "better": better})
-    return not better
+    return [
+        Check("paths as short that are better by a tenth", ", ".join(better) or "none", "none", not better)
+    ]
+
+
+PATH_INFORMATION = Experiment(
+    name="path-information",
+    title="What each candidate calibration path leaves unknown of a goal.",
+    shows="which calibration path tells most about where a goal will be hit, from its information matrix",
+    cost="0.1 CPU s",
+    settings=PathSettings,
+    row=PathRow,
+    tasks=path_tasks,
+    run=measured_path,
+    table=path_table,
+    verdict=path_verdict,
+    world="nominal arm",
+    eyes="none",
+    workers=0,
+)
 
 
 def _goals() -> Array:

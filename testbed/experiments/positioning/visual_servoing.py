@@ -1,25 +1,33 @@
 """`longreach experiment looking-and-moving`: the closed loop against look-then-move, from the same start."""
 
 import copy
+import math
 from collections import Counter
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from rich.table import Table
 
 from protocol.errors import LongreachError
-from testbed.campaigns.campaign import run_campaign
-from testbed.experiments.positioning.corrected import quantile, share, worst_mm
+from testbed.campaigns.campaign import Task
+from testbed.campaigns.experiment import Check, Experiment, Finished, at_least
+from testbed.campaigns.typed_rows import UNKNOWN, XYZ, flat, xyz
+from testbed.experiments.positioning.corrected import (
+    PositioningSettings,
+    positioning_tasks,
+    quantile,
+    share,
+    worst_mm,
+)
 from testbed.experiments.positioning.corrected_run import operate, prepared, true_error_mm
 from testbed.experiments.positioning.scenarios import draw
 from testbed.lockstep.rig import LockstepRig
-from testbed.reporting.console import out, table, write_json
+from testbed.reporting.console import table
 
-JSON = dict[str, Any]
 LIMIT_MM = 2.0
 WANTED_SHARE = 0.95
-CORRECTED: tuple[str, JSON] = ("look-then-move", {"method": "corrected", "aim_mm": 0.0})
+CORRECTED: tuple[str, dict[str, Any]] = ("look-then-move", {"method": "corrected", "aim_mm": 0.0})
 WORDS = {
     "closed_loop": "looking and moving",
     "corrected": "look then move, corrected",
@@ -27,65 +35,109 @@ WORDS = {
 }
 
 
-def one_run(config_dir: Path, task: JSON) -> JSON:
+class Form(NamedTuple):
+    """How one form ended: true error, time to the target; of the closed loop its time and missed frames."""
+
+    true_mm: XYZ = UNKNOWN
+    worst_mm: float = math.nan
+    time_s: float = math.nan
+    loop_s: float = math.nan
+    missed: int | None = None
+    failure: str = ""
+
+
+class ServoingRow(NamedTuple):
+    """One seed: every form from the same world."""
+
+    seed: int
+    closed_loop: Form
+    corrected: Form
+    two_looks: Form
+    failure: str
+    cpu_s: float
+
+
+def one_run(config_dir: Path, task: Task) -> dict[str, Any]:
     """The row of one seed: true error and time to the target of each form, from the same world.
 
     The second of two looks carries on where the corrected one ended.
     """
-    row: JSON = {"seed": task["seed"]}
+    row: dict[str, Any] = {"seed": task["seed"]}
     row |= draw(config_dir, task["seed"], task["arm"], task["harder"]).shown
     try:
         rig = prepared(config_dir, task)
     except LongreachError as error:
-        return row | {"stopped": f"{error.cause}: {error}"}
+        return row | {"failure": f"{error.cause}: {error}"}
     begin_ns = rig.world.time_ns
-    row |= _form(copy.deepcopy(rig), begin_ns, "closed_loop", "looking-and-moving", {})
-    row |= _form(rig, begin_ns, "corrected", *CORRECTED)
-    if "corrected_stopped" in row:
-        return row | {"two_looks_stopped": row["corrected_stopped"]}
-    return row | _form(rig, begin_ns, "two_looks", *CORRECTED)
-
-
-def _form(rig: LockstepRig, begin_ns: int, name: str, kind: str, body: JSON) -> JSON:
-    """Columns ``name``_… of an operation: true error, and time to the target since ``begin_ns``."""
-    try:
-        result = operate(rig, kind, body)
-    except LongreachError as error:
-        return {f"{name}_stopped": f"{error.cause}: {error}"}
-    time_s = 1e-9 * (rig.world.time_ns - begin_ns)
-    error_mm = true_error_mm(rig)
-    row: JSON = {f"{name}_true_{axis}_mm": float(value) for axis, value in zip("xyz", error_mm, strict=True)}
-    row |= {f"{name}_worst_mm": float(np.abs(error_mm[:2]).max()), f"{name}_time_s": time_s}
-    if name == "closed_loop":
-        row |= {f"{name}_loop_s": result.approach.time_s, f"{name}_missed": result.approach.missed}
+    closed_loop = _form(copy.deepcopy(rig), begin_ns, "looking-and-moving", {})
+    corrected = _form(rig, begin_ns, *CORRECTED)
+    two_looks = Form(failure=corrected.failure) if corrected.failure else _form(rig, begin_ns, *CORRECTED)
+    forms = {"closed_loop": closed_loop, "corrected": corrected, "two_looks": two_looks}
+    for name, form in forms.items():
+        row |= {f"{name}_{column}": value for column, value in flat(form).items()}
     return row
 
 
-def run_experiment(
-    config_dir: Path, tasks: list[JSON], directory: Path, scheduler: str | None, json_file: Path | None
-) -> bool:
-    """Whether the closed loop ended under 2 mm in enough runs; one that stopped counts as not."""
-    title = f"looking and moving, {len(tasks)} runs, eyes: {tasks[0]['eyes']}"
-    rows = run_campaign(directory, partial(one_run, config_dir), tasks, scheduler=scheduler, title=title)
+def _form(rig: LockstepRig, begin_ns: int, kind: str, body: dict[str, Any]) -> Form:
+    """An operation, and the time to the target since ``begin_ns``."""
+    try:
+        result = operate(rig, kind, body)
+    except LongreachError as error:
+        return Form(failure=f"{error.cause}: {error}")
+    error_mm = true_error_mm(rig)
+    form = Form(
+        true_mm=xyz(error_mm),
+        worst_mm=float(np.abs(error_mm[:2]).max()),
+        time_s=1e-9 * (rig.world.time_ns - begin_ns),
+    )
+    if kind != "looking-and-moving":
+        return form
+    return form._replace(loop_s=result.approach.time_s, missed=result.approach.missed)
+
+
+Served = Finished[PositioningSettings, ServoingRow]
+
+
+def servoing_table(done: Served) -> list[Table]:
+    """Each form: how many end under the limit, errors and times; and what refused or stopped it."""
     shown = []
     for name, words in WORDS.items():
-        worst = worst_mm(rows, name)
-        times = np.array([float(row.get(f"{name}_time_s") or np.nan) for row in rows])
+        worst = worst_mm(done.rows, name)
+        times = np.array([getattr(row, name).time_s for row in done.rows])
         figures = [quantile(worst, 50), quantile(worst, 95), quantile(times, 50), quantile(times, 95)]
-        within = f"{np.count_nonzero(worst <= LIMIT_MM)} of {len(rows)}"
+        within = f"{np.count_nonzero(worst <= LIMIT_MM)} of {len(done.rows)}"
         shown.append([words, within, *(f"{figure:.2f}" for figure in figures)])
     headings = ["form", "under 2 mm", "median mm", "95 % mm", "time to rest s", "95 % s"]
-    out.print(table(f"{title}: worse of true |x| and |y|", headings, shown))
-    stops = Counter(
-        (name, str(row[f"{name}_stopped"]).split(":")[0])
-        for row in rows
-        for name in WORDS
-        if row.get(f"{name}_stopped")
+    causes = Counter(
+        (words, failure.split(":")[0])
+        for row in done.rows
+        for name, words in WORDS.items()
+        if (failure := getattr(row, name).failure)
     )
-    for (name, cause), count in sorted(stops.items()):
-        out.print(f"{WORDS[name]}: {count} refused or stopped, {cause}", highlight=False)
-    reached = share(worst_mm(rows, "closed_loop"), LIMIT_MM)
-    word = "met" if reached >= WANTED_SHARE else "NOT met"
-    out.print(f"under 2 mm: {reached:.3f} of all runs, asked ≥ {WANTED_SHARE}: {word}", highlight=False)
-    write_json(json_file, {"share": reached, "asked": WANTED_SHARE, "rows": rows})
-    return reached >= WANTED_SHARE
+    stopped = [[words, cause, count] for (words, cause), count in sorted(causes.items())]
+    return [
+        table("worse of true |x| and |y|", headings, shown),
+        *([table("refused or stopped", ["form", "cause", "runs"], stopped)] if stopped else []),
+    ]
+
+
+def servoing_verdict(done: Served) -> list[Check]:
+    """Whether the closed loop ended under 2 mm in enough runs; one that failed counts as not."""
+    reached = share(worst_mm(done.rows, "closed_loop"), LIMIT_MM)
+    return [at_least(f"looking and moving: share under {LIMIT_MM:g} mm", reached, WANTED_SHARE)]
+
+
+LOOKING_AND_MOVING = Experiment(
+    name="looking-and-moving",
+    title="Visual servoing beside look-then-move.",
+    shows="whether the closed loop at camera rate ends under 2 mm, beside look-then-move from the same start",
+    cost="60 CPU s",
+    settings=PositioningSettings,
+    row=ServoingRow,
+    tasks=positioning_tasks,
+    run=one_run,
+    table=servoing_table,
+    verdict=servoing_verdict,
+    runs=60,
+    world="payload, mount, camera, object, geometry drawn from the seed",
+)

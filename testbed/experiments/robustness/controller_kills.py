@@ -13,10 +13,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.table import Table
 
 from conformance.master import READ_HOLDING, Master, read_request
 from foundation.configuration import merged, parse_overrides
@@ -30,10 +31,14 @@ from protocol.process_image import (
     STATUS_WATCHDOG_TRIPPED,
     decode_sensors,
 )
+from testbed.campaigns.campaign import CampaignRequest, Task
+from testbed.campaigns.experiment import Check, Experiment, Finished
+from testbed.campaigns.options import Assignments
+from testbed.campaigns.typed_rows import typed
 from testbed.realtime.launch import CONTROLLER, PLANT, Launch, prepare
 from testbed.realtime.live_client import LiveClient
 from testbed.realtime.supervisor import Service, Supervisor, supervised
-from testbed.reporting.console import bars, out, table, write_json
+from testbed.reporting.console import bars, table
 
 SHUT = 2e-3  # of spool: within the overlap, where no oil flows
 CLOSING_MS = 30.0  # drive electronics and servo valve, from the centred word to the shut spool
@@ -212,8 +217,8 @@ def drawn_kinds(runs: int, rng: np.random.Generator) -> list[str]:
 
 def run_trials(
     config_dir: Path, assignments: list[str], kinds: Sequence[str], seed: int, directory: Path
-) -> tuple[list[dict[str, Any]], float]:
-    """One row a trial, and the limit (ms) they were judged by."""
+) -> list[dict[str, Any]]:
+    """One row a trial; ``limit_ms`` is what it was judged by."""
     rng = np.random.default_rng(seed)
     trials = []
     with (
@@ -226,32 +231,105 @@ def run_trials(
             trials.append(one_trial(rig, kind, rng))
         limit_ms = launch.settings.plant.watchdog_ms + CLOSING_MS
     judge = Judge(read_truth(launch.records(PLANT) / "truth.mcap"))
-    return [judge.row(trial, limit_ms) for trial in trials], limit_ms
+    return [judge.row(trial, limit_ms) | {"limit_ms": limit_ms} for trial in trials]
 
 
-def run_experiment(
-    config_dir: Path, runs: int, seed: int, assignments: list[str], runs_dir: Path, json_file: Path | None
-) -> bool:
-    """Whether every trial passed; prints the distribution of the time to zero flow."""
-    directory = runs_dir / f"controller-kills-{time.strftime('%Y%m%d-%H%M%S')}"
-    kinds = drawn_kinds(runs, np.random.default_rng(seed))
-    rows, limit_ms = run_trials(config_dir, assignments, kinds, seed, directory)
+class KillSettings(NamedTuple):
+    """The plant and controller that are treated so."""
+
+    assignments: Assignments = None
+
+
+class KillRow(NamedTuple):
+    """One kill or suspension, judged."""
+
+    kind: str
+    tripped: bool
+    disabled: bool
+    shut_ms: float
+    resumed: bool
+    limit_ms: float
+    passed: bool
+    failure: str
+
+
+class SessionRow(NamedTuple):
+    """All trials of one start of the plant: they share its processes, and its recording."""
+
+    trials: list[dict[str, Any]]
+    failure: str
+
+    def judged(self) -> list[KillRow]:
+        """The trials."""
+        return [typed(KillRow, trial | {"passed": trial["pass"]}) for trial in self.trials or ()]
+
+
+Killed = Finished[KillSettings, SessionRow]
+
+
+def kill_tasks(request: CampaignRequest, settings: KillSettings) -> list[Task]:
+    """One task: all trials share a plant that stays up. Real time is never measured already."""
+    begun = time.strftime("%Y%m%d-%H%M%S")
+    asked = {"runs": request.runs, "seed": request.seed, "assignments": settings.assignments or []}
+    return [{"key": begun, "directory": str(request.out.absolute() / begun)} | asked]
+
+
+def one_session(config_dir: Path, task: Task) -> dict[str, Any]:
+    """The row of a session, its logs and recording in ``directory``."""
+    kinds = drawn_kinds(task["runs"], np.random.default_rng(task["seed"]))
+    directory = Path(task["directory"])
+    return {"trials": run_trials(config_dir, task["assignments"], kinds, task["seed"], directory)}
+
+
+def kill_table(done: Killed) -> list[Table]:
+    """The distribution of the time to zero flow, by kind."""
     shown = []
+    trials = done.rows[0].judged()
     for kind in (KILL, SUSPEND, SUSPEND_LONG):
-        of_kind = [row for row in rows if row["kind"] == kind]
+        of_kind = [row for row in trials if row.kind == kind]
         if not of_kind:
             continue
-        low, half, high, top = np.percentile([row["shut_ms"] for row in of_kind], [0, 50, 95, 100])
-        resumed = sum(row["resumed"] for row in of_kind)
-        untripped = sum(not (row["tripped"] and row["disabled"]) for row in of_kind)
-        verdict = "pass" if all(row["pass"] for row in of_kind) else "FAIL"
-        cells = (f"{value:.0f}" for value in (low, half, high, top, limit_ms))
+        low, half, high, top = np.percentile([row.shut_ms for row in of_kind], [0, 50, 95, 100])
+        resumed = sum(row.resumed for row in of_kind)
+        untripped = sum(not (row.tripped and row.disabled) for row in of_kind)
+        verdict = "pass" if all(row.passed for row in of_kind) else "FAIL"
+        cells = (f"{value:.0f}" for value in (low, half, high, top, of_kind[0].limit_ms))
         shown.append((kind, len(of_kind), *cells, resumed, untripped, verdict))
     columns = ("", "trials", "min", "p50", "p95", "max", "limit", "resumed", "watchdog silent", "verdict")
-    title = f"signal to shut valves, ms on the plant's clock (seed {seed}, random points of random motions)"
-    out.print(table(title, columns, shown))
-    for row in rows:
-        if not row["pass"]:
-            out.print(f"FAIL {row}", highlight=False)
-    write_json(json_file, {"seed": seed, "limit_ms": limit_ms, "rows": rows})
-    return all(row["pass"] for row in rows)
+    return [
+        table(
+            "signal to shut valves, ms on the plant's clock, random points of random motions", columns, shown
+        )
+    ]
+
+
+def kill_verdict(done: Killed) -> list[Check]:
+    """Every trial passed."""
+    trials = done.rows[0].judged()
+    good = sum(row.passed for row in trials)
+    return [
+        Check(
+            "trials in which the valves shut in time, by the watchdog, and stayed shut",
+            f"{good} of {done.request.runs}",
+            "all",
+            good == done.request.runs,
+        )
+    ]
+
+
+CONTROLLER_KILLS = Experiment(
+    name="controller-kills",
+    title="Kill and suspend the controller at random points of motions.",
+    shows="whether the plant stops by itself when its controller is killed or suspended, in real time",
+    cost="4 s of real time",
+    settings=KillSettings,
+    row=SessionRow,
+    tasks=kill_tasks,
+    run=one_session,
+    table=kill_table,
+    verdict=kill_verdict,
+    runs=100,
+    world="plant and controller as processes, half of the trials kills",
+    eyes="none",
+    workers=0,
+)

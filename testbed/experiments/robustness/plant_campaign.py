@@ -6,21 +6,23 @@ a twentieth of that at 0.25 ms.
 """
 
 import math
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import typer
 from numpy.typing import NDArray
+from rich.table import Table
 
 from plant_emulator.config.plant import BAR
 from plant_emulator.core import columns as col
 from plant_emulator.core.layout import N_COORDINATES, RATE
 from plant_emulator.core.model import put_payload
 from protocol.errors import ConfigurationError
-from testbed.campaigns.campaign import run_campaign
-from testbed.reporting.console import out, table, write_json
+from testbed.campaigns.campaign import CampaignRequest, Task
+from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
+from testbed.reporting.console import table
 from testbed.validation.ledger import Balance, Ledger
 from testbed.validation.plant_balances import resting_arm
 from testbed.validation.plant_rig import Stand
@@ -127,66 +129,84 @@ def treat(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """For each event the worst figures of its runs; one that is missing or not finite counts as infinite."""
-    made = []
-    for event in EVENTS:
-        mine = [row for row in rows if row.get("event") == event]
-        if mine:
-            made.append(
-                {
-                    "event": event,
-                    "runs": len(mine),
-                    "not_finite": sum(not row["finite"] for row in mine),
-                    "least_bar": min(_figure(row, "least_bar", -math.inf) for row in mine),
-                    "greatest_bar": max(_figure(row, "greatest_bar", math.inf) for row in mine),
-                    "energy_error": max(_figure(row, "energy_error", math.inf) for row in mine),
-                    "mass_error": max(_figure(row, "mass_error", math.inf) for row in mine),
-                    "stops_met": sum(bool(row["stop_met"]) for row in mine),
-                    "end_mrad_s": max(_figure(row, "end_mrad_s", math.inf) for row in mine),
-                }
-            )
-    return made
+class TreatmentRow(NamedTuple):
+    """One run of rough treatment: extreme pressures, and what is missing in the books."""
+
+    event: str
+    finite: bool
+    least_bar: float
+    greatest_bar: float
+    energy_error: float
+    mass_error: float
+    stop_met: bool
+    end_mrad_s: float
+    failure: str
+    cpu_s: float
 
 
-def _figure(row: dict[str, Any], name: str, missing: float) -> float:
-    value = row.get(name)
-    return missing if value is None or not math.isfinite(value) else float(value)
+class EventSummary(NamedTuple):
+    """The worst figures of an event's runs; one that is missing or not finite counts as infinite."""
+
+    event: str
+    runs: int
+    not_finite: int
+    least_bar: float
+    greatest_bar: float
+    energy_error: float
+    mass_error: float
+    stops_met: int
+    end_mrad_s: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether all figures are inside their limits."""
+        books = self.energy_error <= ENERGY_LIMIT and self.mass_error <= MASS_LIMIT
+        return self.not_finite == 0 and self.least_bar > 0.0 and books
 
 
-def kept(event: dict[str, Any]) -> bool:
-    """Whether an event's worst figures are inside all limits."""
-    return bool(
-        event["not_finite"] == 0
-        and event["least_bar"] > 0.0
-        and event["energy_error"] <= ENERGY_LIMIT
-        and event["mass_error"] <= MASS_LIMIT
-    )
-
-
-def run_experiment(
-    config_dir: Path,
-    runs: int,
-    first_seed: int,
-    step_ms: float,
-    directory: Path,
-    scheduler: str | None,
-    json_file: Path | None,
-) -> bool:
-    """Whether all runs kept to the limits; prints the worst figures of each event."""
-    names = list(EVENTS)
-    tasks: list[dict[str, Any]] = [
-        {"key": f"{seed}", "event": names[k % len(names)], "seed": seed, "step_ms": step_ms}
-        for k, seed in enumerate(range(first_seed, first_seed + runs))
+def summary(rows: Sequence[TreatmentRow]) -> list[EventSummary]:
+    """One for each event that has rows."""
+    return [
+        EventSummary(
+            event,
+            len(mine),
+            sum(not row.finite for row in mine),
+            min(_or(row.least_bar, -math.inf) for row in mine),
+            max(_or(row.greatest_bar, math.inf) for row in mine),
+            max(_or(row.energy_error, math.inf) for row in mine),
+            max(_or(row.mass_error, math.inf) for row in mine),
+            sum(row.stop_met for row in mine),
+            max(_or(row.end_mrad_s, math.inf) for row in mine),
+        )
+        for event in EVENTS
+        if (mine := [row for row in rows if row.event == event])
     ]
-    rows = run_campaign(
-        directory,
-        partial(treat, config_dir),
-        tasks,
-        scheduler=scheduler,
-        title="rough treatment of the plant",
-    )
-    failed, events = [row for row in rows if row.get("failure")], summary(rows)
+
+
+def _or(value: float, missing: float) -> float:
+    return value if math.isfinite(value) else missing
+
+
+class TreatmentSettings(NamedTuple):
+    """The step of the integration."""
+
+    step_ms: Annotated[float, typer.Option(min=0.01, max=0.5, help="Of the integration.")] = 0.25
+
+
+Treated = Finished[TreatmentSettings, TreatmentRow]
+
+
+def treatment_tasks(request: CampaignRequest, settings: TreatmentSettings) -> list[Task]:
+    """One task a seed, the events in turn."""
+    names = list(EVENTS)
+    return [
+        {"key": f"{seed}", "event": names[k % len(names)], "seed": seed, "step_ms": settings.step_ms}
+        for k, seed in enumerate(seeds(request))
+    ]
+
+
+def treatment_table(done: Treated) -> list[Table]:
+    """The worst figures of each event."""
     columns = (
         "event", "runs", "not finite", "least bar", "greatest bar", "energy missing %", "oil missing",
         "end stops met", "verdict",
@@ -195,20 +215,46 @@ def run_experiment(
         ("limit", "", 0, "> 0", "", f"≤ {100 * ENERGY_LIMIT:g}", f"≤ {MASS_LIMIT:g}", "", "")
     ]
     lines += [
-        (e["event"], e["runs"], e["not_finite"], f"{e['least_bar']:.3f}", f"{e['greatest_bar']:.1f}",
-         f"{100 * e['energy_error']:.2g}", f"{e['mass_error']:.1e}", e["stops_met"],
-         "passed" if kept(e) else "FAILED")
-        for e in events
+        (e.event, e.runs, e.not_finite, f"{e.least_bar:.3f}", f"{e.greatest_bar:.1f}",
+         f"{100 * e.energy_error:.2g}", f"{e.mass_error:.1e}", e.stops_met, "passed" if e.kept else "FAILED")
+        for e in summary(done.rows)
     ]  # fmt: skip
-    out.print(table("rough treatment, 10 simulated s each: the worst of each event", columns, lines))
-    spent = sum(_figure(row, "cpu_s", 0.0) for row in rows)
-    out.print(
-        f"{len(rows)} runs from seed {first_seed} at {step_ms:g} ms, {len(failed)} failed, "
-        f"{spent:.0f} s of processor time"
-    )
-    for row in failed:
-        out.print(f"{row['key']}: {row['failure']}", style="red")
-    write_json(
-        json_file, {"events": events, "step_ms": step_ms, "failed": len(failed), "cpu_s": spent, "rows": rows}
-    )
-    return not failed and len(events) == min(len(EVENTS), runs) and all(kept(event) for event in events)
+    return [table("rough treatment, 10 simulated s each: the worst of each event", columns, lines)]
+
+
+def treatment_verdict(done: Treated) -> list[Check]:
+    """Every event inside its limits, no run failed."""
+    failed = sum(bool(row.failure) for row in done.rows)
+    missing = set(list(EVENTS)[: len(done.rows)]) - {row.event for row in done.rows}
+    events = summary(done.rows)
+    kept = sum(event.kept for event in events)
+    return [
+        Check("runs that failed", f"{failed}", "0", failed == 0),
+        Check(
+            "events within all limits", f"{kept} of {len(events)}", "all", kept == len(events) and not missing
+        ),
+    ]
+
+
+def treatment_figures(done: Treated) -> dict[str, Any]:
+    """The worst figures of each event."""
+    failed = sum(bool(row.failure) for row in done.rows)
+    return {"events": summary(done.rows), "step_ms": done.settings.step_ms, "failed": failed}
+
+
+PLANT_CAMPAIGN = Experiment(
+    name="plant-campaign",
+    title="Rough treatment of the plant at random poses.",
+    shows="whether oil and energy balance in sudden stops, payload drops, end-stop impacts, pump losses",
+    cost="2 CPU s",
+    settings=TreatmentSettings,
+    row=TreatmentRow,
+    tasks=treatment_tasks,
+    run=treat,
+    table=treatment_table,
+    verdict=treatment_verdict,
+    figures=treatment_figures,
+    runs=500,
+    world="the plant alone",
+    eyes="none",
+)

@@ -1,80 +1,132 @@
 """Many cuts of the reference stream at random moments of streamed motions, in lockstep, without pictures."""
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from rich.table import Table
 
-from testbed.campaigns.campaign import run_campaign
+from protocol.faults import FaultCode
+from testbed.campaigns.campaign import CampaignRequest, Task
+from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
+from testbed.campaigns.options import Assignments, Scenario
 from testbed.experiments.robustness.stream_cut_run import COMMAND_MS, CUTS, FLOW_MS, RATES_HZ, one_cut
-from testbed.reporting.console import out, table, write_json
+from testbed.reporting.console import table
 from testbed.scenarios.settings import chosen_overrides, load_settings
 
 
-def one_run(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
+class CutSettings(NamedTuple):
+    """The world that the streams are cut in."""
+
+    scenario: Scenario = "standard"
+    assignments: Assignments = None
+
+
+class CutRow(NamedTuple):
+    """One cut: what was drawn, and ms from the last fresh reference to the last command and to zero flow."""
+
+    rate_hz: float
+    cut: str
+    speed_m_s: float
+    command_ms: float
+    flow_ms: float
+    resumed: bool
+    fault: str
+    failure: str
+    cpu_s: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether valves and oil stopped in time and for good, for the right cause; a failed run did not."""
+        in_time = self.command_ms <= COMMAND_MS and self.flow_ms <= FLOW_MS
+        sound = not self.resumed and self.fault == FaultCode.REFERENCE_STALE.name
+        return in_time and sound and not self.failure
+
+
+def cut_tasks(request: CampaignRequest, settings: CutSettings) -> list[Task]:
+    """One task a seed."""
+    asked = {"scenario": settings.scenario, "assignments": settings.assignments or []}
+    return [{"key": f"{seed}", "seed": seed} | asked for seed in seeds(request)]
+
+
+def one_run(config_dir: Path, task: Task) -> dict[str, Any]:
     """The row of one seeded cut, in the world of its scenario and seed."""
     overrides = chosen_overrides(config_dir, task["scenario"], task["seed"], task["assignments"])
     return one_cut(load_settings(config_dir, overrides), task["seed"])
 
 
-def run_experiment(
-    config_dir: Path,
-    scenario: str,
-    first_seed: int,
-    runs: int,
-    assignments: list[str],
-    directory: Path,
-    scheduler: str | None,
-    json_file: Path | None,
-) -> bool:
-    """Whether no run kept a valve command or the oil going for too long; prints the distribution."""
-    tasks = [
-        {"key": f"{seed}", "scenario": scenario, "seed": seed, "assignments": assignments}
-        for seed in range(first_seed, first_seed + runs)
+Cuts = Finished[CutSettings, CutRow]
+
+
+def cut_table(done: Cuts) -> list[Table]:
+    """The distribution of both times, by rate, by kind of cut, and of all."""
+    groups: list[tuple[str, list[CutRow]]] = [
+        *((f"{rate:g} Hz", [row for row in done.rows if row.rate_hz == rate]) for rate in RATES_HZ),
+        *((f"{cut} cut", [row for row in done.rows if row.cut == cut]) for cut in CUTS),
+        ("all", list(done.rows)),
     ]
-    function = partial(one_run, config_dir)
-    rows = run_campaign(directory, function, tasks, scheduler=scheduler, title="cuts of the reference stream")
-    lines: list[tuple[object, ...]] = [("limit", "", "", "", "", COMMAND_MS, "", "", FLOW_MS, 0, 0, "")]
-    groups: list[tuple[str, list[dict[str, Any]]]] = [
-        *((f"{rate:g} Hz", [row for row in rows if row.get("rate_hz") == rate]) for rate in RATES_HZ),
-        *((f"{cut} cut", [row for row in rows if row.get("cut") == cut]) for cut in CUTS),
-        ("all", list(rows)),
-    ]
-    lines += [_line(name, group) for name, group in groups if group]
     columns = (
         "", "runs", "speed, m/s",
         "command: p50", "p95", "max",
         "flow: p50", "p95", "max",
         "resumed", "failed", "verdict",
     )  # fmt: skip
-    title = (
-        "last fresh reference → last valve command that is not neutral, and → zero flow, "
-        f"ms (seeds {first_seed}…{first_seed + runs - 1})"
-    )
-    out.print(table(title, columns, lines))
-    for row in rows:
-        if not _passed(row):
-            out.print(f"FAIL {row}", highlight=False)
-    write_json(
-        json_file, {"first_seed": first_seed, "command_ms": COMMAND_MS, "flow_ms": FLOW_MS, "rows": rows}
-    )
-    return all(map(_passed, rows))
+    title = "last fresh reference → last valve command that is not neutral, and → zero flow, ms"
+    limits = ("limit", "", "", "", "", COMMAND_MS, "", "", FLOW_MS, 0, 0, "")
+    return [table(title, columns, [limits, *(_line(name, group) for name, group in groups if group)])]
 
 
-def _passed(row: dict[str, Any]) -> bool:
-    return not row.get("failure") and str(row.get("pass")) == "True"
-
-
-def _line(name: str, rows: Sequence[dict[str, Any]]) -> tuple[object, ...]:
-    done = [row for row in rows if not row.get("failure")]
+def _line(name: str, rows: Sequence[CutRow]) -> tuple[object, ...]:
+    done = [row for row in rows if not row.failure]
     cells: list[str] = []
-    for column in ("command_ms", "flow_ms"):
-        values = [float(row[column]) for row in done] or [float("nan")]
-        cells += [f"{value:.1f}" for value in np.percentile(values, [50, 95, 100])]
-    speeds = [float(row["speed_m_s"]) for row in done] or [float("nan")]
-    resumed = sum(str(row["resumed"]) == "True" for row in done)
-    failed = sum(not _passed(row) for row in rows)
+    for values in ([row.command_ms for row in done], [row.flow_ms for row in done]):
+        cells += [f"{value:.1f}" for value in np.percentile(values or [np.nan], [50, 95, 100])]
+    speeds = [row.speed_m_s for row in done] or [np.nan]
+    failed = sum(not row.passed for row in rows)
     span = f"{min(speeds):.2f}…{max(speeds):.2f}"
+    resumed = sum(row.resumed for row in done)
     return name, len(rows), span, *cells, resumed, failed, "FAIL" if failed else "pass"
+
+
+def cut_verdict(done: Cuts) -> list[Check]:
+    """No valve command and no oil for too long, nothing resumed, the fault named, in every run."""
+    ended = [row for row in done.rows if not row.failure]
+    command, flow = (
+        max([getattr(row, name) for row in ended], default=np.nan) for name in ("command_ms", "flow_ms")
+    )
+    good = sum(row.passed for row in done.rows)
+    return [
+        Check(
+            "last valve command, worst", f"{command:.1f} ms", f"≤ {COMMAND_MS:g} ms", command <= COMMAND_MS
+        ),
+        Check("zero flow, worst", f"{flow:.1f} ms", f"≤ {FLOW_MS:g} ms", flow <= FLOW_MS),
+        Check(
+            "cuts that stopped in time and for good, with the fault REFERENCE_STALE",
+            f"{good} of {len(done.rows)}",
+            "all",
+            good == len(done.rows),
+        ),
+    ]
+
+
+def cut_figures(done: Cuts) -> dict[str, Any]:
+    """The limits, beside the rows."""
+    return {"first_seed": done.request.seed, "command_ms": COMMAND_MS, "flow_ms": FLOW_MS}
+
+
+STREAM_CUTS = Experiment(
+    name="stream-cuts",
+    title="Cut the reference stream at random moments.",
+    shows="how soon valves and oil stop when the stream of references is cut",
+    cost="1 CPU s",
+    settings=CutSettings,
+    row=CutRow,
+    tasks=cut_tasks,
+    run=one_run,
+    table=cut_table,
+    verdict=cut_verdict,
+    figures=cut_figures,
+    runs=459,
+    eyes="none",
+)

@@ -17,9 +17,24 @@ import pytest
 
 from protocol.errors import ConfigurationError, LinkLost, MeasurementFailed
 from testbed.campaigns import campaign, provenance
-from testbed.campaigns.campaign import REACH_S, configuration_of, evidence_of, run_campaign
+from testbed.campaigns.campaign import REACH_S, CampaignRequest, configuration_of, evidence_of
 from testbed.campaigns.provenance import PACKAGES, imported_sources
 from testbed.campaigns.row_file import RowFile, cell
+
+
+def run_campaign(
+    directory: Path,
+    function: Any,
+    tasks: list[dict[str, Any]],
+    *,
+    scheduler: str | None,
+    title: str,
+    workers: int = 2,
+    fresh: bool = False,
+) -> list[dict[str, Any]]:
+    """The rows of a campaign."""
+    request = CampaignRequest(Path("configs"), directory, scheduler=scheduler, workers=workers, fresh=fresh)
+    return campaign.run_campaign(request, function, tasks, title).rows
 
 
 def measured(task: dict[str, Any]) -> dict[str, Any]:

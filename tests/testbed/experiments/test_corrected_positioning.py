@@ -1,5 +1,6 @@
 """The best mode's campaign: what it draws, what it counts, and that its verdict can fail."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -7,17 +8,23 @@ import pytest
 
 from plant_emulator.core.camera.scene import Scene
 from protocol.errors import ConfigurationError
+from testbed.campaigns.campaign import CampaignRequest
+from testbed.campaigns.experiment import perform
+from testbed.campaigns.typed_rows import typed
 from testbed.experiments.positioning.corrected import (
     BRANCHES,
+    ChosenArm,
+    PositioningSettings,
+    checks_of,
     covered,
-    demands_of,
     normalised,
+    positioning_tasks,
     share,
-    tasks_of,
     worst_mm,
 )
 from testbed.experiments.positioning.corrected_plot import errors_plot
-from testbed.experiments.positioning.path_information import run_experiment as path_information
+from testbed.experiments.positioning.corrected_run import PositioningRow
+from testbed.experiments.positioning.path_information import PATH_INFORMATION, PathSettings
 from testbed.experiments.positioning.scenarios import ARMS, draw
 from testbed.lockstep.true_view import TrueView
 from testbed.scenarios.settings import load_settings
@@ -57,38 +64,43 @@ def test_an_unknown_arm_is_refused_by_name() -> None:
 
 
 def test_both_arms_take_turns() -> None:
-    tasks = tasks_of(1, 4, "both", False, "model", [])
+    request = CampaignRequest(CONFIGS, Path("unused"), runs=4)
+    tasks = positioning_tasks(request, PositioningSettings(arm=ChosenArm.BOTH))
     assert {task["arm"] for task in tasks} == set(ARMS)
     assert len({task["key"] for task in tasks}) == 4
 
 
-def row(error: float, std: float = 1.0, **changes: Any) -> dict[str, Any]:
+def row(error: float, std: float = 1.0, **changes: Any) -> PositioningRow:
     made: dict[str, Any] = {}
     for name in ("one_shot", "look1", "look2"):
         made[f"{name}_worst_mm"] = abs(error)
         for axis in "xy":
             made |= {f"{name}_true_{axis}_mm": error, f"{name}_std_{axis}_mm": std}
             made |= {f"{name}_servo_{axis}_mm": 0.4}
-    return made | changes
+    return typed(PositioningRow, made | changes)
 
 
-def test_a_run_that_stopped_counts_as_failed_and_never_as_zero() -> None:
-    rows = [row(0.5)] * 99 + [{"seed": 1, "stopped": "measurement.tool_not_seen: x"}]
+def failed(failure: str) -> PositioningRow:
+    return typed(PositioningRow, {"seed": 1, "failure": failure})
+
+
+def test_a_run_that_failed_counts_as_failed_and_never_as_zero() -> None:
+    rows = [row(0.5)] * 99 + [failed("measurement.tool_not_seen: x")]
     assert share(worst_mm(rows, "look1"), 5.0) == pytest.approx(0.99)
-    rows += [row(0.5, look1_worst_mm=None, look1_stopped="measurement.ill_conditioned: y")] * 3
-    found = {d.what: d for d in demands_of(rows, harder=False)}
-    assert found["one look: share within 5 mm"].value == pytest.approx(99 / 103)
+    rows += [row(0.5, look1_worst_mm=None, look1_failure="measurement.ill_conditioned: y")] * 3
+    found = {check.what: check for check in checks_of(rows, harder=False)}
+    assert found["one look: share within 5 mm"].found == f"{99 / 103:.3f}"
     assert found["one look: share within 5 mm"].met is False
 
 
 def test_the_verdict_fails_where_a_figure_is_outside_and_only_there() -> None:
     good = [row((-1.0) ** k) for k in range(200)]
-    assert [d.what for d in demands_of(good, harder=False) if d.met is False] == []
-    vain = [row(4.0 * r["look1_true_x_mm"]) for r in good]
-    failed = {d.what for d in demands_of(vain, harder=False) if d.met is False}
-    assert "one look: error² over predicted variance, mean" in failed
-    assert "two looks: 95 %" in failed
-    relaxed = {d.what for d in demands_of(vain, harder=True) if d.met is False}
+    assert [check.what for check in checks_of(good, harder=False) if check.met is False] == []
+    vain = [row(4.0 * r.look1.true_mm.x) for r in good]
+    missed = {check.what for check in checks_of(vain, harder=False) if check.met is False}
+    assert "one look: error² over predicted variance, mean" in missed
+    assert "two looks: 95 %" in missed
+    relaxed = {check.what for check in checks_of(vain, harder=True) if check.met is False}
     assert "two looks: 95 %" not in relaxed
 
 
@@ -104,12 +116,12 @@ def test_an_overcautious_prediction_is_no_honest_one_either() -> None:
     assert value < low < 1.0 < high
 
 
-def test_the_used_path_is_not_beaten_by_a_shorter_one() -> None:
-    assert path_information(CONFIGS, "plant", None)
+def test_the_used_path_is_not_beaten_by_a_shorter_one(tmp_path: Path) -> None:
+    assert perform(PATH_INFORMATION, CampaignRequest(CONFIGS, tmp_path, workers=0), PathSettings())
 
 
 def test_the_picture_counts_runs_that_failed() -> None:
-    rows: list[dict[str, Any]] = [{f"{name}_worst_mm": 1.0 + k} for k, name in enumerate(BRANCHES)]
-    figure = errors_plot({"plant": rows, "plant_long_crane": [{"stopped": "why"}]}, BRANCHES, 5.0, "title")
+    rows = [row(1.0 + k) for k in range(3)]
+    figure = errors_plot({"plant": rows, "plant_long_crane": [failed("why")]}, BRANCHES, 5.0, "title")
     assert figure.startswith(b"\x89PNG")
     assert len(figure) > 10_000

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from testbed.experiments.positioning.lockstep_demo import counts, row_of
+from testbed.campaigns.typed_rows import typed
+from testbed.experiments.positioning.lockstep_demo import DemoRow, counts, row_of
 from testbed.reporting.outcome import Errors, Outcome, Stage
 
 
@@ -26,7 +27,7 @@ def test_rows_tell_what_was_drawn_and_where_it_ended() -> None:
 
 def test_counts_are_by_the_worse_axis_and_a_run_that_stopped_counts_as_missed() -> None:
     rows = [
-        row_of(made, {})
+        typed(DemoRow, row_of(made, {}))
         for made in (
             outcome(1, (9.0, 0.0), (4.0, 1.0)),
             outcome(2, (4.0, -11.0), (0.0, 7.0)),
@@ -34,7 +35,7 @@ def test_counts_are_by_the_worse_axis_and_a_run_that_stopped_counts_as_missed() 
         )
     ]
     first, second = counts(rows, 2)
-    assert (first["under_10_mm"], first["under_5_mm"], first["not_reached"]) == (2, 1, 0)
-    assert (second["under_10_mm"], second["under_5_mm"], second["not_reached"]) == (2, 1, 1)
-    assert second["median_mm"] == 5.5
-    assert math.isnan(counts([rows[2]], 2)[1]["median_mm"])
+    assert (first.under_10_mm, first.under_5_mm, first.not_reached) == (2, 1, 0)
+    assert (second.under_10_mm, second.under_5_mm, second.not_reached) == (2, 1, 1)
+    assert second.median_mm == 5.5
+    assert math.isnan(counts([rows[2]], 2)[1].median_mm)

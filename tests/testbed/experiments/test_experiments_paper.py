@@ -8,8 +8,17 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed
+from testbed.campaigns.campaign import CampaignRequest, Task
+from testbed.campaigns.experiment import perform
 from testbed.experiments.paper import ablation, comparison, figures, published, sweep
-from testbed.experiments.paper.campaign import Asked, comparison_cells, costs, show, task
+from testbed.experiments.paper.campaign import (
+    PAPER,
+    PaperEyes,
+    PaperSettings,
+    comparison_cells,
+    costs,
+    paper_task,
+)
 from testbed.experiments.paper.comparison import TABLES, compared, conclusions
 from testbed.experiments.paper.measurement import RememberingEyes, bench, measured_on
 from testbed.experiments.paper.report import write_comparison
@@ -18,7 +27,11 @@ from testbed.lockstep.clock import run
 from testbed.scenarios.scenario import load_scenario
 
 CONFIGS = Path("configs")
-ASKED = Asked(CONFIGS, "paper", 2, 1, "opencv", [], Path("unused"), None, 1)
+OPENCV = PaperSettings()
+
+
+def task(kind: str, seed: int, *variant: Any, eyes: PaperEyes = PaperEyes.OPENCV) -> Task:
+    return paper_task(CONFIGS, OPENCV._replace(eyes=eyes), kind, seed, *variant)
 
 
 def line_row(seed: int, x: float, y: float, *, second: float = 30.0, turn: float = 1.5) -> dict[str, Any]:
@@ -98,7 +111,7 @@ def test_residuals_that_follow_the_rotation_error_reveal_it() -> None:
 
 
 def test_keys_tell_measurements_apart() -> None:
-    plain, other = task("line", ASKED, 1), task("line", ASKED, 1, "no_play", ["plant.payload.mass_kg=10"])
+    plain, other = task("line", 1), task("line", 1, "no_play", ["plant.payload.mass_kg=10"])
     assert (plain["key"], other["key"]) == ("line-opencv-1", "line-opencv-no_play-1")
     assert other["assignments"] == ["plant.payload.mass_kg=10"]
 
@@ -106,12 +119,12 @@ def test_keys_tell_measurements_apart() -> None:
 def test_every_variant_and_every_swept_value_is_a_configuration() -> None:
     for name, variant in ablation.VARIANTS.items():
         for kind in variant.kinds:
-            assert task(kind, ASKED, 1, name, variant.assignments)["variant"] == name
+            assert task(kind, 1, name, variant.assignments)["variant"] == name
     world = load_scenario(CONFIGS, "paper").world(1)
     for name, swept in sweep.SWEEPS.items():
         changed = [swept.assignments(value, world) for value in swept.values]
         assert len({str(assignments) for assignments in changed}) == len(swept.values), name
-        task("match", ASKED, 1, name, changed[-1])
+        task("match", 1, name, changed[-1])
 
 
 def test_a_swept_mount_keeps_its_axis() -> None:
@@ -141,8 +154,9 @@ def test_the_report_has_every_figure_verdict_and_run_and_needs_nothing_beside_it
     rows = [line_row(1, 40.0, -70.0), line_row(2, -20.0, 60.0) | {"failure": "measurement.x: <lost>"}]
     beside = {"table2": compared("table2", rows)}
     concluded = {"table2": conclusions("table2", rows)}
-    asked = ASKED._replace(directory=tmp_path)
-    html = write_comparison(asked, beside, concluded, {"fig5": b"png"}, {"line": rows}).read_text()
+    request = CampaignRequest(CONFIGS, tmp_path, runs=2)
+    drawn, measured = {"fig5": b"png"}, {"line": rows}
+    html = write_comparison(request, OPENCV, (beside, concluded), drawn, measured).read_text()
     assert TABLES["table2"].title in html
     assert "OUTSIDE 2" in html
     assert "measurement.x: &lt;lost&gt;" in html
@@ -174,14 +188,14 @@ def test_each_figure_is_drawn_from_a_trace(tmp_path: Path) -> None:
 
 @pytest.mark.experiment
 def test_the_papers_tables_in_full(tmp_path: Path) -> None:
-    asked = ASKED._replace(runs=30, directory=tmp_path, workers=2)
-    assert show(("table2", "table3", "table4"), asked, tmp_path / "tables.json")
+    request = CampaignRequest(CONFIGS, tmp_path, runs=30, json=tmp_path / "tables.json")
+    assert perform(PAPER, request, OPENCV)
 
 
 def test_the_papers_eyes_see_what_is_there_but_worse_than_ours() -> None:
     looks = {}
-    for eyes in ("opencv", "pixels"):
-        rig = bench(CONFIGS, task("line", ASKED._replace(eyes=eyes), 3))
+    for eyes in (PaperEyes.OPENCV, PaperEyes.PIXELS):
+        rig = bench(CONFIGS, task("line", 3, eyes=eyes))
         look = run(rig.eyes.look(2))
         true = rig.world.truths[-1]
         seen = look.X_CO[:3, 3] - look.X_CM[:3, 3]
@@ -192,7 +206,7 @@ def test_the_papers_eyes_see_what_is_there_but_worse_than_ours() -> None:
 
 def test_a_traced_measurement_notes_inputs_and_pictures(tmp_path: Path) -> None:
     tracer = Tracer()
-    rig = bench(CONFIGS, task("line", ASKED._replace(eyes="model"), 3), tracer)
+    rig = bench(CONFIGS, task("line", 3, eyes=PaperEyes.MODEL), tracer)
     row: dict[str, Any] = {}
     tracer.result = measured_on(rig, "line", row)
     (tmp_path / "trace.npz").write_bytes(tracer.as_npz(rig.world))

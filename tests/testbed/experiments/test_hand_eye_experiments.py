@@ -6,17 +6,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import typer
 from typer.testing import CliRunner
 
-from protocol.errors import MeasurementFailed, RequestRefused
+from testbed.campaigns.campaign import CampaignRequest
+from testbed.campaigns.experiment import NoSettings, perform
 from testbed.campaigns.row_file import RowFile
-from testbed.cli.hand_eye import app, register_experiments
+from testbed.cli.main import app
 from testbed.experiments.hand_eye import experiments, localisation, scenes, stress
 from testbed.experiments.hand_eye.boards import BoardCamera, BoardRenderer, random_board_pose
-from testbed.experiments.hand_eye.guided_campaign import run_guided
-from testbed.experiments.hand_eye.guided_experiment import Choice
+from testbed.experiments.hand_eye.guided_campaign import GUIDED, GuidedSettings
 from testbed.experiments.hand_eye.noise_sweep import NoiseOn, gathered, level_of, noise_sweep
+from tests.support.paths import CONFIGS
 from tests.vision_pc.hand_eye.data import random_scene
 from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.perception.zhang_intrinsics import Checkerboard
@@ -90,15 +90,6 @@ def test_small_stress_has_no_improper_answer() -> None:
     assert small[0].refused == 0
 
 
-def command() -> typer.Typer:
-    main = typer.Typer()
-    main.add_typer(app, name="hand-eye")
-    experiment = typer.Typer()
-    register_experiments(experiment)
-    main.add_typer(experiment, name="experiment")
-    return main
-
-
 def samples_file(tmp_path: Path) -> tuple[Path, Array]:
     scene = random_scene(np.random.default_rng(60))
     bare = [[H.tolist(), P.tolist()] for H, P in zip(scene.X_BT, scene.P(), strict=True)]
@@ -110,7 +101,7 @@ def samples_file(tmp_path: Path) -> tuple[Path, Array]:
 def test_solve_writes_what_it_prints(tmp_path: Path) -> None:
     path, X = samples_file(tmp_path)
     report = tmp_path / "x.json"
-    result = CliRunner().invoke(command(), ["hand-eye", "solve", str(path), "--json", str(report)])
+    result = CliRunner().invoke(app, ["hand-eye", "solve", str(path), "--json", str(report)])
     assert result.exit_code == 0, result.output
     figures = json.loads(report.read_text(encoding="utf-8"))
     np.testing.assert_allclose(figures["X"]["matrix"], X, atol=1e-9)
@@ -120,19 +111,21 @@ def test_solve_writes_what_it_prints(tmp_path: Path) -> None:
 
 
 def test_solve_says_what_is_wrong(tmp_path: Path) -> None:
-    result = CliRunner().invoke(command(), ["hand-eye", "solve", str(tmp_path / "absent.json")])
-    assert isinstance(result.exception, RequestRefused)
+    result = CliRunner().invoke(app, ["hand-eye", "solve", str(tmp_path / "absent.json")])
+    assert result.exit_code == 2
+    assert "longreach: refused.hand_eye.unreadable" in result.stderr
     path, _ = samples_file(tmp_path)
     pairs = json.loads(path.read_text(encoding="utf-8"))
     path.write_text(json.dumps(pairs[:2]), encoding="utf-8")
-    result = CliRunner().invoke(command(), ["hand-eye", "solve", str(path)])
-    assert isinstance(result.exception, MeasurementFailed)
+    result = CliRunner().invoke(app, ["hand-eye", "solve", str(path)])
+    assert result.exit_code == 2
+    assert "longreach: measurement." in result.stderr
 
 
 def test_compare_lists_every_method(tmp_path: Path) -> None:
     path, _ = samples_file(tmp_path)
     report = tmp_path / "all.json"
-    result = CliRunner().invoke(command(), ["hand-eye", "compare", str(path), "--json", str(report)])
+    result = CliRunner().invoke(app, ["hand-eye", "compare", str(path), "--json", str(report)])
     assert result.exit_code == 0, result.output
     rows = json.loads(report.read_text(encoding="utf-8"))["rows"]
     assert {row["method"] for row in rows} == {m.value for m in Method}
@@ -154,7 +147,7 @@ def test_intrinsics_of_pictures(tmp_path: Path) -> None:
         cv2.imwrite(str(files[-1]), renderer.render(board, random_board_pose(camera, board, rng), rng))
     report = tmp_path / "k.json"
     options = ["--columns", "5", "--rows", "4", "--square-mm", "30", "--json", str(report)]
-    result = CliRunner().invoke(command(), ["hand-eye", "intrinsics", *map(str, files), *options])
+    result = CliRunner().invoke(app, ["hand-eye", "intrinsics", *map(str, files), *options])
     assert result.exit_code == 0, result.output
     figures = json.loads(report.read_text(encoding="utf-8"))
     assert figures["K"][0][0] == pytest.approx(300.0, rel=0.02)
@@ -165,7 +158,7 @@ def test_experiment_draws_and_writes(tmp_path: Path) -> None:
     plot, report = tmp_path / "fig7.png", tmp_path / "fig7.json"
     options = ["--runs", "1", "--largest", "2", "--plot", str(plot), "--json", str(report)]
     options += ["--directory", str(tmp_path)]
-    result = CliRunner().invoke(command(), ["experiment", "hua-fig7", *options])
+    result = CliRunner().invoke(app, ["experiment", "hua-fig7", *options])
     assert result.exit_code == 0, result.output
     assert cv2.imread(str(plot)) is not None
     figures = json.loads(report.read_text(encoding="utf-8"))
@@ -176,27 +169,29 @@ def test_experiment_draws_and_writes(tmp_path: Path) -> None:
 @pytest.mark.experiment
 @pytest.mark.parametrize("noise_on", list(NoiseOn))
 def test_noise_sweep_in_full(noise_on: NoiseOn, tmp_path: Path) -> None:
-    files = (tmp_path / "fig7.png", tmp_path / "fig7.json")
-    assert experiments.run_noise_sweep(noise_on, 200, 10, 1, *files, tmp_path)
+    request = CampaignRequest(CONFIGS, tmp_path, runs=200)
+    assert perform(experiments.NOISE_SWEEP, request, experiments.SweepSettings(noise_on))
 
 
 @pytest.mark.experiment
 def test_stress_in_full(tmp_path: Path) -> None:
-    assert experiments.run_stress(1000, 1, tmp_path / "stress.json", tmp_path)
+    assert perform(experiments.STRESS, CampaignRequest(CONFIGS, tmp_path, runs=1000), NoSettings())
 
 
 @pytest.mark.experiment
 def test_localisation_in_full(tmp_path: Path) -> None:
-    assert experiments.run_localisation(50, 50, 1, None, tmp_path / "fig5.json", tmp_path)
+    request = CampaignRequest(CONFIGS, tmp_path, runs=50)
+    assert perform(experiments.LOCALISATION, request, experiments.LocalisationSettings())
 
 
 @pytest.mark.experiment
 def test_intrinsics_in_full(tmp_path: Path) -> None:
-    assert experiments.run_intrinsics(3, 15, 1, None, tmp_path / "intrinsics.json", tmp_path)
+    request = CampaignRequest(CONFIGS, tmp_path, runs=3)
+    assert perform(experiments.INTRINSICS, request, experiments.IntrinsicsSettings())
 
 
 @pytest.mark.experiment
 @pytest.mark.timeout(7200)
 def test_guided_sessions_in_full(tmp_path: Path) -> None:
-    choice = Choice("configs", "hand_eye", 50)
-    assert run_guided(choice, 6, 301, tmp_path, None, tmp_path / "guided.png", tmp_path / "guided.json")
+    request = CampaignRequest(CONFIGS, tmp_path, runs=6, seed=301)
+    assert perform(GUIDED, request, GuidedSettings())

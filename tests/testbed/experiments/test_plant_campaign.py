@@ -9,13 +9,17 @@ import pytest
 
 from plant_emulator.core.layout import PRESSURE_A
 from plant_emulator.core.right_hand_side import EncoderShafts, advance, new_work
+from testbed.campaigns.campaign import CampaignRequest
+from testbed.campaigns.experiment import perform
+from testbed.campaigns.typed_rows import typed
 from testbed.experiments.robustness.plant_campaign import (
     ENERGY_LIMIT,
     EVENTS,
     MASS_LIMIT,
+    PLANT_CAMPAIGN,
+    TreatmentRow,
+    TreatmentSettings,
     drawn_arm,
-    kept,
-    run_experiment,
     summary,
     treat,
 )
@@ -67,12 +71,12 @@ def test_oil_made_out_of_nothing_and_energy_lost_are_noticed() -> None:
     assert abs(after[0] - before[0]) > 1.0
 
 
-def row(**changes: Any) -> dict[str, Any]:
+def row(**changes: Any) -> TreatmentRow:
     fair = {
         "event": "pump loss", "finite": True, "least_bar": 2.0, "greatest_bar": 200.0,
         "energy_error": 1e-6, "mass_error": 1e-9, "stop_met": False, "end_mrad_s": 1.0,
     }  # fmt: skip
-    return fair | changes
+    return typed(TreatmentRow, fair | changes)
 
 
 @pytest.mark.parametrize(
@@ -87,12 +91,13 @@ def row(**changes: Any) -> dict[str, Any]:
     ],
 )
 def test_one_bad_run_fails_its_event(changes: dict[str, Any]) -> None:
-    assert kept(summary([row(), row()])[0])
-    assert not kept(summary([row(), row(**changes)])[0])
+    assert summary([row(), row()])[0].kept
+    assert not summary([row(), row(**changes)])[0].kept
 
 
 @pytest.mark.experiment
 @pytest.mark.timeout(3600)
 def test_a_campaign_keeps_to_its_limits(tmp_path: Path) -> None:
     """Forty runs of the five hundred of `longreach experiment plant-campaign`."""
-    assert run_experiment(CONFIGS, 40, 1, 0.25, tmp_path, None, tmp_path / "figures.json")
+    request = CampaignRequest(CONFIGS, tmp_path, runs=40, json=tmp_path / "figures.json")
+    assert perform(PLANT_CAMPAIGN, request, TreatmentSettings())

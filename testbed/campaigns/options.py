@@ -1,0 +1,21 @@
+"""Options that several experiments share, worded once."""
+
+from enum import StrEnum
+from typing import Annotated
+
+from typer import Option
+
+Assignments = Annotated[
+    list[str] | None, Option("--set", help="Override one key, such as plant.payload.mass_kg=30; repeatable.")
+]
+Scenario = Annotated[str, Option(help="Which of CONFIG_DIR/scenarios to draw the world from.")]
+
+
+class Eyes(StrEnum):
+    """What vision measures with."""
+
+    PIXELS = "pixels"
+    MODEL = "model"
+
+
+ChosenEyes = Annotated[Eyes, Option(help="Rendered pictures, or the model measured from them.")]
