@@ -1,20 +1,20 @@
 """`longreach demo`: the whole loop in real time over the REST face, judged by the plant's recording."""
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from plant_emulator.shell.recording import FaultRecord, read_truth
 from protocol.errors import LongreachError
-from testbed.demonstration.sequence import JSON, Recorder, Rest, TimedTruth, View, demonstrate, stages, traces
+from testbed.demonstration.sequence import JSON, Recorder, Rest, TimedTruth, demonstrate, stages, traces
 from testbed.realtime.launch import PLANT, VISION, Launch, prepare
 from testbed.realtime.rest_rig import RestRig, StateSampler
-from testbed.realtime.supervisor import Supervisor, supervised
-from testbed.realtime.up import end_on_sigterm, show_fault_face
+from testbed.realtime.supervisor import Supervisor
+from testbed.realtime.up import end_on_sigterm, show_fault_face, started
 from testbed.reporting.console import Bars, bars
 from testbed.reporting.outcome import Outcome
+from testbed.reporting.plots import ControllerView
 from testbed.reporting.presentation import Choice, present, read_events
 from testbed.reporting.report import run_directory
 from testbed.scenarios.settings import Overrides
@@ -26,7 +26,7 @@ class Driven(NamedTuple):
     """What the sequence left behind. ``failure`` stopped it; ``cycle`` is the controller's timing, newest."""
 
     rests: list[Rest]
-    views: list[View]
+    views: list[ControllerView]
     cycle: JSON | None
     failure: LongreachError | None
 
@@ -73,15 +73,6 @@ def _presented(launch: Launch, choice: Choice, driven: Driven, wall_s: float, js
     pictures = [rest.picture for rest in driven.rests]
     events = read_events(launch.records(VISION))
     return present(launch.directory, outcome, curves, pictures, events, json_file)
-
-
-@contextmanager
-def started(launch: Launch, shown: Bars) -> Iterator[Supervisor]:
-    """The services running, with a progress bar for their start, in a block that ends them."""
-    with ExitStack() as stack:
-        with shown.step("starting three processes") as bar:
-            supervisor = stack.enter_context(supervised(launch.services, launch.directory, bar.update))
-        yield supervisor
 
 
 def drive(launch: Launch, choice: Choice, shown: Bars, supervisor: Supervisor) -> Driven:

@@ -9,10 +9,11 @@ import httpx
 import numpy as np
 
 from protocol.errors import LinkLost, LongreachError, MeasurementFailed, MotionUnsettled, RequestRefused
-from testbed.demonstration.sequence import JSON, View
 from testbed.realtime.parsed_results import RESULT_OF, ReportedLook, look_of
 from testbed.reporting.console import Bar
+from testbed.reporting.plots import ControllerView
 
+JSON = dict[str, Any]
 _POLL_S = 0.2
 _TIMEOUT_S = 10.0
 _KINDS: dict[str, type[LongreachError]] = {
@@ -120,7 +121,7 @@ class StateSampler:
     """
 
     def __init__(self, url: str, period_s: float = 0.1) -> None:
-        self.views: list[View] = []
+        self.views: list[ControllerView] = []
         self.cycle: JSON | None = None
         self._rig = RestRig(url)
         self._period_s = period_s
@@ -143,5 +144,5 @@ class StateSampler:
             except LongreachError:
                 continue  # told by whoever drives; a curve may have a gap
             joints = (np.radians(state[key]).tolist() for key in ("q_cmd_deg", "q_meas_deg"))
-            self.views.append(View(time.monotonic_ns(), state["X_BT"]["p_m"], *joints))
+            self.views.append(ControllerView(time.monotonic_ns(), state["X_BT"]["p_m"], *joints))
             self.cycle = state["cycle"]

@@ -1,12 +1,14 @@
 """`longreach up`: the three services until somebody ends them."""
 
 import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
 
 from testbed.realtime.launch import Launch, prepare
 from testbed.realtime.supervisor import Supervisor, supervised
-from testbed.reporting.console import out, table
+from testbed.reporting.console import Bars, out, table
 from testbed.reporting.report import run_directory
 from testbed.scenarios.settings import Overrides
 
@@ -25,6 +27,15 @@ def run_up(config_dir: Path, overrides: Overrides, any_ports: bool, runs: Path) 
                 supervisor.watch()
         except KeyboardInterrupt:
             out.print("ended")
+
+
+@contextmanager
+def started(launch: Launch, shown: Bars) -> Iterator[Supervisor]:
+    """The services running, with a progress bar for their start, in a block that ends them."""
+    with ExitStack() as stack:
+        with shown.step("starting three processes") as bar:
+            supervisor = stack.enter_context(supervised(launch.services, launch.directory, bar.update))
+        yield supervisor
 
 
 def show(launch: Launch, supervisor: Supervisor) -> None:

@@ -28,6 +28,15 @@ STYLE: dict[Any, Any] = {
 AXIS_COLOURS = ("#0072b2", "#d55e00", "#009e73")  # told apart by the colour-blind too
 
 
+class ControllerView(NamedTuple):
+    """The controller's own view at ``time_ns`` of vision's clock, for the report's curves."""
+
+    time_ns: int
+    p_m: Sequence[float]
+    q_cmd_rad: Sequence[float]
+    q_meas_rad: Sequence[float]
+
+
 class Traces(NamedTuple):
     """Time series of one run, n samples, times in seconds from its start.
 

@@ -89,7 +89,7 @@ SWEEPS = {
 Swept = dict[tuple[str, float, str], list[Row]]
 
 
-class SweepSettings(NamedTuple):
+class ConditionSettings(NamedTuple):
     """Which conditions, in the world and with the eyes of the paper's tables."""
 
     names: Annotated[list[str] | None, typer.Argument(help="Which conditions; none: all.")] = None
@@ -103,10 +103,10 @@ class SweepSettings(NamedTuple):
         return self.names or list(SWEEPS)
 
 
-Conditions = Finished[SweepSettings, Row]
+Conditions = Finished[ConditionSettings, Row]
 
 
-def sweep_tasks(request: CampaignRequest, settings: SweepSettings) -> list[Task]:
+def sweep_tasks(request: CampaignRequest, settings: ConditionSettings) -> list[Task]:
     """One task for each value of each condition, kind and seed. ConfigurationError: unknown one."""
     for name in settings.chosen:
         if name not in SWEEPS:
@@ -220,7 +220,7 @@ SWEEP = Experiment(
     title="Both of the paper's methods over eight conditions.",
     shows="errors over payload, mount, distance, noise, texture, play, flexibility and latency",
     cost=COST,
-    settings=SweepSettings,
+    settings=ConditionSettings,
     row=dict,
     tasks=sweep_tasks,
     run=measure,

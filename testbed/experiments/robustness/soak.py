@@ -10,12 +10,10 @@ from typing import Any
 
 from foundation.statistics import resident_mb
 from protocol.errors import LongreachError
-from testbed.demonstration.realtime import started
-from testbed.demonstration.sequence import JSON
 from testbed.realtime.launch import CONTROLLER, PLANT, VISION, Launch, prepare
-from testbed.realtime.rest_rig import RestRig
+from testbed.realtime.rest_rig import JSON, RestRig
 from testbed.realtime.supervisor import Supervisor
-from testbed.realtime.up import end_on_sigterm
+from testbed.realtime.up import end_on_sigterm, started
 from testbed.reporting.console import Bar, bars, out, table, write_json
 from testbed.reporting.report import run_directory
 from testbed.scenarios.settings import Overrides
