@@ -15,7 +15,7 @@ from testbed.experiments.robustness.controller_kills import Rig, insist, trial_r
 from tests.integration.flood import flooding
 from tests.support.paths import CONFIGS
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime("processes")
 
 RATE_HZ = 50_000.0
 

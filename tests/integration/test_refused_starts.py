@@ -1,6 +1,7 @@
 """What cannot be started says so in one line with its cause, and ends with a status above 0."""
 
 import socket
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,9 +10,10 @@ import pytest
 import controller.__main__
 import plant_emulator.__main__
 import vision_pc.__main__
+from testbed.cli.main import main as command
 from testbed.realtime.supervisor import free_port
 from tests.integration.services import run_service
-from tests.support.paths import CONFIGS
+from tests.support.paths import CONFIGS, ROOT
 
 MAINS: dict[str, Callable[[list[str]], int]] = {
     "plant_emulator": plant_emulator.__main__.main,
@@ -50,40 +52,16 @@ def one_line(text: str) -> str:
         ("vision_pc", "vision.look.patience=1", "look.patience"),
     ],
 )
-def test_a_key_unknown_or_out_of_range_is_named_with_its_value(service: str, setting: str, key: str) -> None:
-    ended = run_service(service, "--set", setting)
-    assert ended.returncode == 2
-    said = one_line(ended.stderr)
-    assert "configuration." in said
-    assert key in said
-    assert setting.split("=")[1] in said
-    assert ended.stdout == ""
-
-
-@pytest.mark.parametrize(
-    ("service", "key", "kind"),
-    [
-        ("plant_emulator", "plant_service.modbus.port", socket.SOCK_STREAM),
-        ("plant_emulator", "plant_service.camera_stream.port", socket.SOCK_STREAM),
-        ("plant_emulator", "plant_service.fault_face.port", socket.SOCK_STREAM),
-        ("controller", "controller.reference_link.port", socket.SOCK_DGRAM),
-        ("vision_pc", "vision.api.port", socket.SOCK_STREAM),
-    ],
-)
-def test_a_busy_port_is_named(service: str, key: str, kind: socket.SocketKind) -> None:
-    with socket.socket(socket.AF_INET, kind) as holder:
-        holder.bind(("127.0.0.1", 0))
-        if kind == socket.SOCK_STREAM:
-            holder.listen()
-        port = holder.getsockname()[1]
-        listeners = ("modbus", "camera_stream", "fault_face")
-        others = [f"plant_service.{listener}.port=0" for listener in listeners]
-        settings = [f"{key}={port}", *(other for other in others if not other.startswith(key))]
-        ended = run_service(service, *(word for setting in settings for word in ("--set", setting)))
-    assert ended.returncode == 2
-    said = one_line(ended.stderr)
-    assert "configuration.port_busy" in said
-    assert str(port) in said
+def test_a_key_unknown_or_out_of_range_is_named_with_its_value(
+    service: str, setting: str, key: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert MAINS[service](["--config-dir", str(CONFIGS), "--set", setting]) == 2
+    said = capsys.readouterr()
+    line = one_line(said.err)
+    assert "configuration." in line
+    assert key in line
+    assert setting.split("=")[1] in line
+    assert said.out == ""
 
 
 @pytest.mark.parametrize("service", SERVICES)
@@ -108,6 +86,8 @@ def test_a_directory_that_cannot_be_written_is_named(
 @pytest.mark.parametrize(
     ("service", "key", "kind"),
     [
+        ("plant_emulator", "plant_service.modbus.port", socket.SOCK_STREAM),
+        ("plant_emulator", "plant_service.camera_stream.port", socket.SOCK_STREAM),
         ("plant_emulator", "plant_service.fault_face.port", socket.SOCK_STREAM),
         ("controller", "controller.reference_link.port", socket.SOCK_DGRAM),
         ("vision_pc", "vision.api.port", socket.SOCK_STREAM),
@@ -120,9 +100,13 @@ def test_a_busy_port_is_found_before_anything_is_left_behind(
         holder.bind(("127.0.0.1", 0))
         if kind == socket.SOCK_STREAM:
             holder.listen()
-        words = configured(**{key: holder.getsockname()[1]})
+        port = holder.getsockname()[1]
+        words = configured(**{key: port})
         assert MAINS[service]([*words, "--record-dir", str(tmp_path / "run")]) == 2
-    assert "configuration.port_busy" in one_line(capsys.readouterr().err)
+    line = one_line(capsys.readouterr().err)
+    assert "configuration.port_busy" in line
+    assert str(port) in line
+    assert service != "plant_emulator" or f"{key.removesuffix('.port')} = 127.0.0.1:{port}" in line
     assert not (tmp_path / "run").exists()
 
 
@@ -153,7 +137,18 @@ def test_a_missing_configuration_directory_is_named(service: str) -> None:
         (["doctor", "--json", "/proc/nothing/here.json"], "output.unwritable"),
     ],
 )
-def test_the_command_answers_mistakes_in_one_line(arguments: list[str], cause: str) -> None:
-    ended = run_service("testbed.cli", *arguments)
+def test_the_command_answers_mistakes_in_one_line(
+    arguments: list[str], cause: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr(sys, "argv", ["longreach", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        command()
+    assert ended.value.code == 2
+    assert f"longreach: {cause}: " in one_line(capsys.readouterr().err)
+
+
+def test_the_command_is_a_program() -> None:
+    ended = run_service("testbed.cli", "doctor", "--json", "/proc/nothing/here.json")
     assert ended.returncode == 2
-    assert f"longreach: {cause}: " in one_line(ended.stderr)
+    assert "longreach: output.unwritable: " in one_line(ended.stderr)

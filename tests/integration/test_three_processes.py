@@ -13,7 +13,7 @@ from testbed.realtime.launch import PLANT
 from testbed.realtime.rest_rig import RestRig
 from tests.integration.services import Running, running
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime("processes")
 
 HELD_M = 0.002  # what servo and leakage move the tool in the seconds of a test
 

@@ -1,10 +1,11 @@
-"""Pytest plugin: real-time tests run last, in one process, and a failed one gets a second, counted try.
+"""Pytest plugin: real-time tests run last, beside nothing that computes; a failed one is retried and counted.
 
-A test marked ``realtime`` talks over real sockets with deadlines, or to real processes; other work on the
-machine can make it late. With ``-n 2`` all other tests run first, file by file, in both processes. Then one
-process ends, and the other runs the real-time tests alone. A real-time test that fails is tried once more
-with new fixtures. The first failure is printed, and "N retried" stands in pytest's own closing line. A test
-without the mark is never tried again.
+A test marked ``realtime`` talks over real sockets with deadlines; other work on the machine can make it
+late. With ``realtime("processes")`` it starts real services, which need most of the machine. With ``-n 2``
+all other tests run first, file by file, in both processes. Then the first process runs the tests with
+services, one at a time, and the second those with sockets, which mostly wait. A real-time test that fails
+is tried once more with new fixtures. The first failure is printed, and "N retried" stands in pytest's own
+closing line. A test without the mark is never tried again.
 """
 
 import json
@@ -18,6 +19,8 @@ from xdist.scheduler import LoadScopeScheduling
 
 MARK = "realtime"
 RETRIED = "retried"
+PURE, SOCKETS, PROCESSES = "0", "1", "2"
+HELD = 2  # so many tests of a file a process keeps back until it knows what comes next
 _SECOND_TRY = pytest.StashKey[bool]()
 _LIST_FILE = pytest.StashKey[Path]()
 
@@ -69,40 +72,56 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 class RealTimeLast(LoadScopeScheduling):
-    """Files over all processes; then the real-time tests in one process alone."""
+    """Files over all processes; when all are done, real processes in the first and sockets in the second."""
 
     def __init__(self, config: pytest.Config, log: Any) -> None:
         super().__init__(config, log)
         self._list_file = config.stash[_LIST_FILE]
-        self._real_time: frozenset[str] | None = None
+        self._real_time: dict[str, str] | None = None
 
     def _split_scope(self, nodeid: str) -> str:
         if self._real_time is None:
-            self._real_time = frozenset(json.loads(self._list_file.read_text()))
-        return f"{nodeid in self._real_time:d} {nodeid.split('::', 1)[0]}"
+            self._real_time = dict(json.loads(self._list_file.read_text()))
+        return f"{self._real_time.get(nodeid, PURE)} {nodeid.split('::', 1)[0]}"
 
-    def _only_real_time_is_left(self) -> bool:
-        return bool(self.workqueue) and all(scope.startswith("1") for scope in self.workqueue)
+    def _next_scope(self, node: Any) -> str | None:
+        """The file that ``node`` takes next; None while there is none for it."""
+        if pure := self._queued(PURE):
+            return pure
+        others = [other for other in self.nodes if other is not node]
+        if any(self._pending_of(self._pure(other)) > HELD for other in others):
+            return None  # real time begins when nobody computes
+        sockets, processes = self._queued(SOCKETS), self._queued(PROCESSES)
+        return (processes or sockets) if node is self.nodes[0] else sockets
+
+    def _queued(self, kind: str) -> str | None:
+        return next((scope for scope in self.workqueue if scope.startswith(kind)), None)
+
+    def _pure(self, node: Any) -> dict[str, dict[str, bool]]:
+        return {scope: work for scope, work in self.assigned_work[node].items() if scope.startswith(PURE)}
 
     def _assign_work_unit(self, node: Any) -> None:
-        if self._only_real_time_is_left():
-            if len(self.nodes) > 1:
-                return  # _reschedule ends one process first
-        else:
-            self.workqueue.move_to_end(next(s for s in self.workqueue if s.startswith("0")), last=False)
-        super()._assign_work_unit(node)
+        scope = self._next_scope(node)
+        if scope is not None:
+            self.workqueue.move_to_end(scope, last=False)
+            super()._assign_work_unit(node)
 
     def _reschedule(self, node: Any) -> None:
-        if self._only_real_time_is_left() and not node.shutting_down:
-            others = [other for other in self.nodes if other is not node]
-            if any(not other.shutting_down for other in others):
-                node.shutdown()
-            if others:
-                return
-        super()._reschedule(node)
+        only_processes = bool(self.workqueue) and not (self._queued(PURE) or self._queued(SOCKETS))
+        if only_processes and node is not self.nodes[0] and not node.shutting_down:
+            node.shutdown()  # what is left is for the first process alone
+        else:
+            super()._reschedule(node)
+
+    def mark_test_complete(self, node: Any, item_index: int, duration: float = 0) -> None:
+        """Note the end of a test; another process may have waited for it."""
+        super().mark_test_complete(node, item_index, duration)
+        for other in self.nodes:
+            if other is not node:
+                self._reschedule(other)
 
     def remove_node(self, node: Any) -> str | None:
-        """Take a process off the list, and give its place to the one that waits for the machine."""
+        """Take a process off the list; another one may have waited for it."""
         crashed = super().remove_node(node)
         for other in self.nodes:
             self._reschedule(other)
@@ -131,11 +150,19 @@ def pytest_configure_node(node: Any) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Write the names of the real-time tests; run them last without ``-n`` too."""
-    items.sort(key=lambda item: item.get_closest_marker(MARK) is not None)
+    """Write which tests are in real time, and how; run them last without ``-n`` too."""
+    items.sort(key=kind_of)
     workerinput = getattr(config, "workerinput", None)
     if workerinput is not None:
         path = Path(workerinput["real_time_list"])
         part = path.with_suffix(f".{workerinput['workerid']}")
-        part.write_text(json.dumps([item.nodeid for item in items if item.get_closest_marker(MARK)]))
+        part.write_text(json.dumps({item.nodeid: kind_of(item) for item in items}))
         part.replace(path)
+
+
+def kind_of(item: pytest.Item) -> str:
+    """What a test's mark says: no real time, sockets, or processes."""
+    mark = item.get_closest_marker(MARK)
+    if mark is None:
+        return PURE
+    return PROCESSES if "processes" in mark.args else SOCKETS

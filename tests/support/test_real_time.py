@@ -17,10 +17,14 @@ HERE = pathlib.Path(__file__).parent
 def note(kind):
     with open(HERE / "notes", "a") as notes:
         print(kind, os.getpid(), time.monotonic(), file=notes)
+@pytest.mark.realtime("processes")
+@pytest.mark.parametrize("i", range(3))
+def test_service(i):
+    note("begin"); time.sleep(0.02); note("end")
 @pytest.mark.realtime
 @pytest.mark.parametrize("i", range(3))
-def test_real(i):
-    note("begin"); time.sleep(0.02); note("end")
+def test_socket(i):
+    note("socket")
 @pytest.mark.parametrize("i", range(6))
 def test_pure(i):
     time.sleep(0.05); note("pure")
@@ -48,7 +52,8 @@ def run(folder: Path, *arguments: str, **files: str) -> tuple[int, list[str]]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     for name in ("PYTEST_ADDOPTS", "PYTEST_XDIST_WORKER", "PYTEST_XDIST_WORKER_COUNT"):
         environment.pop(name, None)
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments]
+    environment["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "xdist", *arguments]
     ended = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=90)
     return ended.returncode, ended.stdout.splitlines()
 
@@ -79,20 +84,22 @@ def test_a_test_without_the_mark_is_never_retried(tmp_path: Path) -> None:
     assert (tmp_path / "test_it.tries").read_text() == "1"
 
 
-def test_real_time_tests_run_alone_after_all_others(tmp_path: Path) -> None:
+def test_real_time_tests_run_after_all_others_and_those_with_services_one_at_a_time(tmp_path: Path) -> None:
     status, lines = run(tmp_path, "-n", "2", test_a=ORDERED, test_b=ORDERED, test_c=ORDERED)
     assert status == 0
-    assert "27 passed" in lines[-1]
-    notes = sorted(
-        (line.split() for line in (tmp_path / "notes").read_text().splitlines()), key=lambda n: float(n[2])
-    )
-    kinds = [kind for kind, _, _ in notes]
-    assert kinds == ["pure"] * 18 + ["begin", "end"] * 9
+    assert "36 passed" in lines[-1]
+    notes = [line.split() for line in (tmp_path / "notes").read_text().splitlines()]
+    notes.sort(key=lambda note: float(note[2]))
     assert len({process for kind, process, _ in notes if kind == "pure"}) == 2
-    assert len({process for kind, process, _ in notes if kind != "pure"}) == 1
+    services = [(kind, process) for kind, process, _ in notes if kind in ("begin", "end")]
+    assert [kind for kind, _ in services] == ["begin", "end"] * 9
+    assert len({process for _, process in services}) == 1
+    # Each process keeps two tests until it knows what comes next: they may end beside the first real ones.
+    first = next(index for index, (kind, _, _) in enumerate(notes) if kind != "pure")
+    assert first >= 18 - 4
 
 
 def test_only_real_time_tests_run_too(tmp_path: Path) -> None:
     status, lines = run(tmp_path, "-n", "2", "-m", "realtime", test_a=ORDERED, test_b=ORDERED)
     assert status == 0
-    assert "6 passed" in lines[-1]
+    assert "12 passed" in lines[-1]

@@ -25,7 +25,7 @@ from protocol.session_events import AcknowledgementReceived, StateReceived
 from tests.controller.conftest import CONFIGS
 from tests.controller.shell.plant_server import PlantServer, plant_server
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime("processes")
 
 READY_S = 60.0  # a first start compiles
 

@@ -24,7 +24,7 @@ from protocol.stereo_frame import HEADER_BYTES, decode_header
 from tests.plant_emulator.camera.camera_world import CONFIGS
 from tests.support.log_lines import assert_obeys
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime("processes")
 
 ANY_PORTS = (
     "plant_service.modbus.port=0",
@@ -238,16 +238,6 @@ def refused(settings: tuple[str, ...], arguments: tuple[str, ...] = ()) -> str:
     assert done.stdout == ""
     (line,) = done.stderr.splitlines()
     return line
-
-
-@pytest.mark.parametrize("listener", ["modbus", "camera_stream", "fault_face"])
-def test_a_busy_port_is_one_line(listener: str) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        others = [setting for setting in ANY_PORTS if listener not in setting]
-        line = refused((f"plant_service.{listener}.port={port}", *others))
-    assert "configuration.port_busy" in line
-    assert f"plant_service.{listener} = 127.0.0.1:{port}" in line
 
 
 @pytest.mark.parametrize(
