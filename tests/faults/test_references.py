@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from conformance.bytes_of import resealed
 from protocol.datagram_layout import HEADER_BYTES
 from protocol.faults import GroupState, Reason
 from protocol.pose import Pose
@@ -14,7 +15,6 @@ from protocol.process_image import ValveImage
 from protocol.reference_messages import Acknowledgement, ReferencePath, ReferencePose
 from tests.faults.registers import assert_driving
 from tests.faults.rig import FaultRig
-from tests.protocol.test_datagram import resealed
 
 DENORMAL = 5e-324
 Meant = Callable[[FaultRig], ReferencePose | ReferencePath]

@@ -3,12 +3,12 @@
 import json
 import math
 import struct
-from zlib import crc32
 
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from conformance.bytes_of import resealed, with_number
 from protocol.datagram import Datagram, Header, decode, encode
 from protocol.datagram_layout import (
     HEADER_BYTES,
@@ -40,19 +40,6 @@ from tests.protocol.strategies import headers, messages
 
 GOLDEN = json.loads(GOLDEN_FILE.read_text())
 by_name = pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
-
-
-def resealed(datagram: bytes) -> bytes:
-    """``datagram`` with its CRC made right again, to reach the checks behind it."""
-    checksum = crc32(datagram[16:], crc32(datagram[:12]))
-    return datagram[:12] + struct.pack("<I", checksum) + datagram[16:]
-
-
-def patched(datagram: bytes, offset: int, code: str, value: float) -> bytes:
-    """``datagram`` with one number replaced and the CRC made right again."""
-    data = bytearray(datagram)
-    struct.pack_into("<" + code, data, offset, value)
-    return resealed(bytes(data))
 
 
 def cause_of(datagram: bytes) -> str:
@@ -112,7 +99,7 @@ def test_trailing_bytes_are_refused(message: Message) -> None:
     assert cause_of(longer) in ("datagram.bad_length", "datagram.too_long")
     # The header may confess to the extra byte: then it is the kind that does not have it.
     if len(longer) <= MAX_DATAGRAM_BYTES:
-        confessed = patched(longer, 10, "H", len(longer) - HEADER_BYTES)
+        confessed = with_number(longer, 10, "H", len(longer) - HEADER_BYTES)
         assert cause_of(confessed) == "datagram.wrong_payload_length"
 
 
@@ -138,7 +125,7 @@ def test_a_jumbo_datagram_is_refused_by_its_size_alone() -> None:
 )
 def test_each_fault_has_its_cause(offset: int, code: str, value: int, cause: str) -> None:
     hello = encode(Hello(1, 2, 3, 4), HEADER)
-    assert cause_of(patched(hello, offset, code, value)) == cause
+    assert cause_of(with_number(hello, offset, code, value)) == cause
 
 
 def test_the_crc_is_the_one_of_ethernet_over_all_but_itself() -> None:
@@ -160,7 +147,9 @@ def test_a_newer_minor_version_and_unknown_optional_flags_are_read(minor: int) -
 
 def test_padding_and_spare_are_ignored_on_receipt() -> None:
     hello = encode(Hello(1, 2, 3, 4), HEADER)
-    assert decode(patched(patched(hello, 7, "B", 9), HEADER_BYTES + 28, "I", 9)).message == Hello(1, 2, 3, 4)
+    assert decode(with_number(with_number(hello, 7, "B", 9), HEADER_BYTES + 28, "I", 9)).message == Hello(
+        1, 2, 3, 4
+    )
 
 
 @pytest.mark.parametrize("odd", [math.nan, math.inf, -math.inf, 5e-324, -0.0])
@@ -175,7 +164,7 @@ def test_odd_floats_are_carried_so_that_the_controller_can_refuse_them_by_reason
 
 @pytest.mark.parametrize("code", [0, 9, 99, 2**32 - 1])
 def test_an_unknown_command_is_decoded_as_unusable(code: int) -> None:
-    datagram = patched(encode(Command(9, CommandCode.STOP), HEADER), HEADER_BYTES + 8, "I", code)
+    datagram = with_number(encode(Command(9, CommandCode.STOP), HEADER), HEADER_BYTES + 8, "I", code)
     assert decode(datagram).message == UnusableRequest(9, Reason.UNKNOWN_COMMAND, float(code), 0.0)
 
 
@@ -189,7 +178,7 @@ def test_an_unknown_command_is_decoded_as_unusable(code: int) -> None:
 )
 def test_a_path_of_no_or_too_many_waypoints_is_unusable(count: int, answer: UnusableRequest) -> None:
     path = encode(ReferencePath(9, (POSE,), 0.0, 0.0), HEADER)
-    assert decode(patched(path, HEADER_BYTES + 8, "I", count)).message == answer
+    assert decode(with_number(path, HEADER_BYTES + 8, "I", count)).message == answer
 
 
 @pytest.mark.parametrize("count", range(1, MAX_WAYPOINTS + 1))
@@ -206,7 +195,7 @@ def test_an_enumeration_beyond_its_members_is_refused(kind: Kind) -> None:
     fields = PAYLOADS[kind]
     for field, offset in zip(fields, offsets(fields), strict=True):
         if field.enum is not None:
-            assert cause_of(patched(encode(message, HEADER), HEADER_BYTES + offset, field.code, 999)) == (
+            assert cause_of(with_number(encode(message, HEADER), HEADER_BYTES + offset, field.code, 999)) == (
                 "datagram.bad_value"
             )
 

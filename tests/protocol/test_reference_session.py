@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conformance.bytes_of import with_number
 from protocol import errors
 from protocol.client_session import ReferenceClient
 from protocol.datagram import Header, decode, encode
@@ -37,7 +38,6 @@ from protocol.session_events import (
     StateReceived,
 )
 from testbed.pages.sample_messages import MESSAGES
-from tests.protocol.test_datagram import patched
 from tests.protocol.wire import ARM, BOOT, CYCLE_NS, MS, TIMEOUT_MS, Wire, a_server, kind_of
 
 STOP = Command(0, CommandCode.STOP)
@@ -117,7 +117,7 @@ class TestHandshake:
         wire = Wire()
         wire.client.connect(wire.now_ns)
         (hello,) = wire.client.outgoing()
-        events = wire.give_server(patched(hello, 4, "B", 2))
+        events = wire.give_server(with_number(hello, 4, "B", 2))
         assert dropped_causes(events) == ["datagram.wrong_major"]
         wire.post()
         wire.run(5)
@@ -431,7 +431,7 @@ class TestRequests:
     def test_what_no_request_can_say_is_answered_by_the_session(self) -> None:
         wire = Wire().connect()
         command = encode(Command(5, CommandCode.STOP), Header(wire.server.session or 0, 100, wire.now_ns))
-        assert wire.give_server(patched(command, 48, "I", 77)) == []
+        assert wire.give_server(with_number(command, 48, "I", 77)) == []
         replies = [
             decode(data).message for data, _ in wire.server.outgoing() if kind_of(data) == "Acknowledgement"
         ]

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
+from conformance.bytes_of import with_number
 from protocol.client_session import ReferenceClient
 from protocol.datagram import Header, decode, encode
 from protocol.faults import CommandCode, Reason
@@ -22,7 +23,6 @@ from protocol.server_session import ReferenceServer
 from protocol.session_events import RequestReceived
 from testbed.pages.sample_messages import MESSAGES, POSE
 from testbed.pages.session_tables import CLIENT_ROWS, SERVER_ROWS, Row
-from tests.protocol.test_datagram import patched
 from tests.protocol.wire import ARM, MS, TIMEOUT_MS, a_server
 
 WELCOME = next(m for m in MESSAGES if isinstance(m, Welcome))
@@ -145,7 +145,7 @@ SERVER_PLAYS: dict[tuple[str, str], Callable[[ServerBench], object]] = {
     ("CLOSED", "HELLO, arm_hash of another arm"): lambda b: b.give(Hello(2, 1, ARM + 1, 20)),
     ("CLOSED", "HELLO, nonce of an earlier session"): ended_once,
     ("CLOSED", "datagram of another major version"): lambda b: b.give_bytes(
-        patched(encode(Hello(2, 1, 0, 20), Header(0, 1, T0)), 4, "B", 2)
+        with_number(encode(Hello(2, 1, 0, 20), Header(0, 1, T0)), 4, "B", 2)
     ),
     ("CLOSED", "BYE"): lambda b: b.give(Bye(Reason.SHUTDOWN), session=9),
     ("CLOSED", "any other datagram"): lambda b: b.give(ENABLE, session=9),

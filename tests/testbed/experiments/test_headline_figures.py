@@ -59,7 +59,7 @@ def robust() -> tuple[float, float]:
     ("measured", "limits"),
     [
         pytest.param(partial(corrected, "plant", 2), (0.89,), id="one look, 4 m arm"),  # 95 % of 100 runs
-        pytest.param(partial(corrected, "plant_long_crane", 1), (2.0,), id="one look, crane"),  # 95 %: 1.62
+        pytest.param(partial(corrected, "plant_long_crane", 1), (1.1,), id="one look, crane"),  # median 0.83
         pytest.param(partial(demonstrated, 1), (1.1,), id="demonstration, look 1"),  # median 1.08 mm
         pytest.param(partial(of_the_paper, (1, 2)), (7.0,), id="paper, second input"),  # all below 10 mm
         pytest.param(robust, (0.15, 2.2), id="hand-eye, 2 of 15 bad"),  # 0.08 degrees, 1.3 mm
@@ -70,4 +70,4 @@ def test_a_headline_figure_is_within_its_claim_and_doubled_it_would_not_be(
 ) -> None:
     errors = np.atleast_1d(measured())
     assert np.all(errors < limits)
-    assert np.all(2.0 * errors > limits)
+    assert np.all(2.0 * errors > limits), "the limit has become too wide to notice a doubled error: lower it"

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from conformance.bytes_of import resealed
 from protocol.datagram import decode, encode
 from protocol.datagram_layout import (
     HEADER_BYTES,
@@ -28,7 +29,6 @@ from protocol.process_image import INPUT_ADDRESS, INPUT_TABLE, OUTPUT_ADDRESS, O
 from protocol.reference_messages import Hello
 from testbed.pages.protocol_page import GOLDEN, IEC_NAMES, PAGE, ROOT, SECTIONS, rendered
 from testbed.pages.sample_messages import HEADER, MESSAGES
-from tests.protocol.test_datagram import resealed
 
 TEXT = PAGE.read_text()
 STRUCT_CODES = {"USINT": "B", "BYTE": "B", "UINT": "H", "UDINT": "I", "ULINT": "Q", "LREAL": "d"}
