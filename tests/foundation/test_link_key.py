@@ -1,6 +1,7 @@
 """The shared key: read from where the configuration says, refused with a cause, shown nowhere."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -62,11 +63,22 @@ def test_what_is_no_key_is_refused_and_not_shown(tmp_path: Path) -> None:
     assert cause_of(KeySource(file=tmp_path))[0] == "configuration.key_unreadable"
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
-def test_an_unreadable_file_is_refused(tmp_path: Path) -> None:
-    assert (
-        cause_of(KeySource(file=key_file(tmp_path / "key", mode=0o000)))[0] == "configuration.key_unreadable"
-    )
+@pytest.fixture
+def _not_root() -> Iterator[None]:
+    user = os.geteuid()
+    if user == 0:
+        os.seteuid(65534)  # nobody: root reads everything
+    yield
+    os.seteuid(user)
+
+
+def test_an_unreadable_file_is_refused(tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    tmp_path.parent.parent.chmod(0o711)  # the way to the file stays open
+    tmp_path.parent.chmod(0o711)
+    tmp_path.chmod(0o711)
+    source = KeySource(file=key_file(tmp_path / "key", mode=0o000))
+    request.getfixturevalue("_not_root")
+    assert cause_of(source)[0] == "configuration.key_unreadable"
 
 
 def test_the_key_itself_in_the_configuration_is_refused_without_repeating_it() -> None:

@@ -70,10 +70,11 @@ def test_the_image_runs_without_privileges_from_locked_dependencies() -> None:
     assert all(service["cap_drop"] == ["ALL"] for service in document()["services"].values())
 
 
+@pytest.mark.docker
 def test_compose_accepts_the_file() -> None:
     compose = compose_command()
     if compose is None:
-        pytest.skip("no Docker engine with Compose answers here: the containers were not tried")
+        pytest.fail("no Docker engine with Compose answers here")
     checked = subprocess.run([*compose, "config", "-q"], cwd=ROOT, capture_output=True, text=True)
     assert checked.returncode == 0, checked.stderr
 
