@@ -11,6 +11,7 @@ from plant_emulator.core.camera.camera_motion import CameraView
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.plant import Plant
 from testbed.pictures.effects import effects, pictured
+from testbed.pictures.machine import draw_machine
 from testbed.pictures.sheet import Pair, contact_sheet
 from testbed.reporting.console import bars, out, table, write_json
 from testbed.scenarios.settings import load_settings
@@ -57,3 +58,15 @@ def effects_command(
     out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB", highlight=False)
     keys = ("name", "switch", "mean_change_grey", "changed_percent")
     write_json(json_file, {"effects": [dict(zip(keys, row, strict=True)) for row in rows]})
+
+
+@app.command("machine", epilog="Example: longreach picture machine docs/images/machine.png")
+def machine_command(
+    path: Annotated[Path, typer.Argument(help="Where the picture goes (PNG or SVG).")],
+    config_dir: Annotated[
+        Path, typer.Option("--config-dir", help="Where the configuration files are.")
+    ] = Path("configs"),
+) -> None:
+    """The nominal arm from the side at its start pose, with the frames B, T, C, M and O."""
+    draw_machine(load_settings(config_dir, {}), path)
+    out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB", highlight=False)

@@ -32,7 +32,7 @@ from tests.support.paths import CONFIGS
 
 
 @pytest.mark.parametrize("arm", ARMS)
-def test_scenarios_are_as_the_issue_wants_them_and_can_be_done(arm: str) -> None:
+def test_scenarios_are_as_wide_as_the_page_says_and_can_be_done(arm: str) -> None:
     for seed in (7, 8):
         drawn = draw(CONFIGS, seed, arm, False)
         assert drawn == draw(CONFIGS, seed, arm, False)

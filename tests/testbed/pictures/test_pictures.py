@@ -14,7 +14,9 @@ from plant_emulator.core.faults.kinds import FAULTS
 from testbed.cli.main import app
 from testbed.pictures import command
 from testbed.pictures.effects import CLEAN, Effect, effects
+from testbed.pictures.machine import draw_machine
 from testbed.pictures.sheet import COLUMNS, Pair, contact_sheet
+from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
 
 
@@ -70,3 +72,11 @@ def test_a_sheet_has_a_cell_for_every_pair() -> None:
     pair = Pair("a", "b", picture, picture)
     heights = [contact_sheet([pair] * count).shape[0] for count in (1, COLUMNS, COLUMNS + 1)]
     assert heights[0] == heights[1] < heights[2]
+
+
+def test_the_machine_s_picture_shows_every_frame(tmp_path: Path) -> None:
+    path = tmp_path / "machine.svg"
+    draw_machine(load_settings(CONFIGS, {}), path)
+    text = path.read_text(encoding="utf-8")
+    for what in ("base", "tool centre point", "left camera", "tool marker", "object of interest"):
+        assert what in text

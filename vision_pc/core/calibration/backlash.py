@@ -1,9 +1,9 @@
-"""Backlash of the slew: it moves the tool by millimetres at the end of a long boom, unseen by the encoder.
+"""Backlash of the slew: millimetres at the end of a long boom, and the encoder sees none.
 
-After a positive turn the load side of the joint is half the backlash to one side of what the encoder reads;
-after a negative turn it is as much to the other side. After a long motion the side is random, because the
-joint overshoots and returns. Every measured path therefore ends with the same short, slow, positive turn
-(backlash take-up, unidirectional approach): at rest the backlash is always on one side, and cancels.
+A joint drags its encoder along. After a turn in one sense it stands half the backlash ahead of the encoder,
+after a turn in the other as much behind. After a long motion the side is random, because the joint overshoots
+and returns. Each motion therefore ends with a short, slow turn in the same direction, so that backlash is
+always on one side (as a machinist approaches a dimension).
 """
 
 import numpy as np

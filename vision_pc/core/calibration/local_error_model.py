@@ -1,23 +1,11 @@
-"""Local error model: which nominal step of the arm moves the tool marker by a step that the camera measured.
+"""Local error model: from what the camera measures to what the arm must be commanded, near the present pose.
 
-The arm's rigid model has errors. Near one pose they rotate, scale and strain space, and backlash of the slew
-shifts it. The model is linear in these unknowns θ: with R the rotation from camera axes to base axes,
-
-    R d = x + Φ(x) θ + noise
-
-for a marker step d (camera axes) and the nominal step x (base axes) from the same pose. The columns of Φ:
-
-- rotation δ (3): a small rotation of the measured step, δ × x = −[x]× δ;
-- scale (1): x, an error of the odometry's scale;
-- strain (9): one row of a 3×3 matrix times x for each axis, for what the other columns do not explain;
-- offset (3): a constant, the error of the path's last pose, in which all steps begin;
-- arm errors (4): the displacement fields of ``arm_fields``, which also hold beyond the path;
-- backlash (1): the slew's lever times the change of side, see ``backlash``.
-
-Each unknown has a Gaussian prior (zero mean, settings). θ and its covariance are the regularised
-least-squares solution with robust weights: C = (Φᵀ W Φ + P⁻¹)⁻¹, θ = C Φᵀ W (R d − x). The arm moves along
-three legs to measure the steps, by its encoders (x) and by stereo odometry (d).
-Source: this derivation. Mäkinen et al. 2023, 3.2.2, estimates the rotation alone from such a path.
+Three legs along the tool's own axes, ending where the look will be, show how the rigid arm model turns,
+stretches and bends space nearby, and how much backlash of the slew shifts it. A rotation alone, as in
+trajectory matching, cannot know that. The model is linear in its unknowns: a rotation, a scale, the fields of
+the arm's usual errors (``arm_fields``), the slew's backlash, and a small strain for all the rest, each with a
+prior. The fields carry on beyond the path, where a straight line misses by millimetres.
+Source: docs/calibration.md, "Corrected positioning".
 """
 
 from typing import NamedTuple

@@ -1,7 +1,7 @@
-"""Best mode, part two: one look at the object, most of the way, then a correction by odometry.
+"""Corrected positioning: one look at the object, most of the way open loop, then a correction by odometry.
 
 The object is looked at once. The arm drives the greater part of the way, settles, and odometry measures
-what it really did; the local map, with that motion added, gives the rest. A calibration error then
+what it really did; the local error model, with that motion added, gives the rest. A calibration error then
 multiplies the last tenth of the way instead of all of it. A look at the end is for the verdict alone.
 """
 
@@ -34,8 +34,8 @@ from vision_pc.core.positioning.look_then_move import (
 from vision_pc.core.se3 import Array, local, transform
 from vision_pc.core.types import Look
 
-_USELESS = 2  # nudges in a row that brought no improvement
-_KEPT = 2.0 / 3.0  # of ``nudge_m``: width of the bell that stands for its edge
+_USELESS = 2  # fine corrections in a row that brought no improvement
+_KEPT = 2.0 / 3.0  # of ``nudge_m``: width of the Gaussian that stands for its edge
 _STALE = 0.003  # m or rad: more than a settled arm creeps
 
 
@@ -94,8 +94,8 @@ async def look_then_move_corrected(
 def _worth_driving(misses: list[Array], parts: int, settings: PositioningSettings) -> bool:
     """Whether a further drive is due after the ``misses`` (3,) before it, as odometry saw them.
 
-    The first ``parts`` drives make up the whole way. After them a nudge is due while the miss is outside
-    ``nudge_m``, until two in a row were of no use: the first of them may have gone into the joints' play.
+    The first ``parts`` motions make up the whole way. After them fine corrections follow while the residual
+    is outside ``nudge_m``, until two in a row were of no use: the first may have gone into backlash.
     """
     drives = len(misses) - 1
     if drives < parts:
@@ -119,10 +119,10 @@ def _step(
     settings: PositioningSettings,
     map_settings: LocalMapSettings,
 ) -> Step:
-    """The drive over ``share`` of ``x``, with the error expected at the end of all drives.
+    """The step over ``share`` of ``x``, with the error expected at the end of all motions.
 
-    A map's error counts for the rest of the way alone when a correction follows. What a drive's end leaves is
-    then drawn again until odometry finds it small, and odometry's own error counts for all of the way.
+    When a correction follows, the model's error counts for the rest of the way alone. The end of a motion is
+    then corrected until odometry finds it small, and odometry's own error counts for all of the way.
     Raises MeasurementFailed for a step too long, or a goal that is not known.
     """
     length = float(np.linalg.norm(x))
@@ -152,9 +152,9 @@ def _step(
 
 
 def _after_nudges(missed: Array, nudge_m: float, servo_std_m: float) -> Array:
-    """The covariance (3×3) in C of a drive's end, drawn again while outside ``nudge_m`` in x and y.
+    """Covariance (3, 3), m², camera axes, of the final error when corrections repeat until |x|, |y| < nudge_m.
 
-    No finer than the joint servo: what it leaves, a nudge leaves too.
+    A truncated normal, approximated by a Gaussian. No finer than the joint servo's residual.
     """
     kept = np.diag([1.0, 1.0, 0.0]) / ((_KEPT * nudge_m) ** 2 + servo_std_m**2)
     return np.asarray(np.linalg.inv(np.linalg.inv(missed) + kept), dtype=np.float64)

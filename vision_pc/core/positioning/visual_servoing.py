@@ -1,13 +1,12 @@
-"""Looking and moving: the tool driven by what each picture shows of it and of the object.
+"""Visual servoing, position-based and eye-in-hand: each picture of tool and object moves the reference.
 
-Mäkinen et al. 2023 name closed-loop visual control as possible with an uninterrupted view; this is it. Every
-picture gives the error (21) at the instant of its exposure, the local map's rotation turns it into the base
-(20), and the pose that the controller had at that instant makes it a target (22). The arm follows the
-filtered target as a stream of references that runs at most ``lead_m`` ahead. Near the object the target is
-held, and what is left is added to the reference whenever the tool has come to rest, and only then: in the
-joints' play the encoders move and the tool does not, so that a target that followed every picture would
-chase them for ever. What the loop may do to the reference with one picture is bounded; without a fresh sight
-of both it stops.
+Mäkinen et al. 2023 name it "looking and moving", possible with an uninterrupted view. Every picture gives the
+error (21) at the instant of its exposure. The local error model's rotation turns it into the base (20), and
+the pose that the controller had at that instant makes it a target (22). The arm follows the filtered target
+as a stream of references that runs at most ``lead_m`` ahead. Near the object the target is held. What is left
+is added to the reference only when the tool has come to rest: in the joints' backlash the encoders move and
+the tool does not, so a target that followed every picture would hunt. One picture may move the reference by a
+bounded step; without a fresh view of both the loop stops.
 """
 
 import math
@@ -103,8 +102,8 @@ class Loop:
         if not self._still:
             return False
         s, mean = self._settings, np.abs(self.errors.mean(axis=0))
-        # Each pull draws anew from what the joints' play leaves: where the play is wider than what is wanted,
-        # waiting for a better draw could go on for ever.
+        # Each correction ends somewhere in the backlash. Where that is wider than what is wanted, waiting for a
+        # better end could go on for ever.
         inside_m = s.settle_m * min(1.0 + s.settle_growth * self._pulls, s.settle_most)
         return bool(max(mean[:2]) <= inside_m and mean[2] <= s.settle_depth_m)
 
