@@ -33,7 +33,7 @@ def _rows() -> list[Row]:
         if match is None:
             continue
         first, last, file, functions = match.groups()
-        where = _BELOW.get(paper, "") + file
+        where = file if "_pc/" in file or paper == "Mäkinen" else _BELOW[paper] + file
         names = re.findall(r"`([^`]+)`", functions)
         rows += [Row(paper, int(first), int(last or first), where, name) for name in names]
     return rows

@@ -152,7 +152,7 @@ def _step(
 
 
 def _after_nudges(missed: Array, nudge_m: float, servo_std_m: float) -> Array:
-    """Covariance (3, 3), m², camera axes, of the final error when corrections repeat until |x|, |y| < nudge_m.
+    """Covariance (3, 3), m², camera axes, of the error once corrections repeat until |x|, |y| < nudge_m.
 
     A truncated normal, approximated by a Gaussian. No finer than the joint servo's residual.
     """

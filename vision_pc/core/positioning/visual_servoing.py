@@ -102,8 +102,8 @@ class Loop:
         if not self._still:
             return False
         s, mean = self._settings, np.abs(self.errors.mean(axis=0))
-        # Each correction ends somewhere in the backlash. Where that is wider than what is wanted, waiting for a
-        # better end could go on for ever.
+        # Each correction ends somewhere in the backlash. Where that is wider than what is wanted, waiting for
+        # a better end could go on for ever.
         inside_m = s.settle_m * min(1.0 + s.settle_growth * self._pulls, s.settle_most)
         return bool(max(mean[:2]) <= inside_m and mean[2] <= s.settle_depth_m)
 
