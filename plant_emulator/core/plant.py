@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from plant_emulator.config.plant import BAR, PlantConfig
 from plant_emulator.core import columns as col
 from plant_emulator.core.camera.camera_motion import CameraMotion, CameraView, motion_between
+from plant_emulator.core.equilibrium import rest_state
 from plant_emulator.core.faults.effects import (
     break_hydraulics,
     encoder_shift,
@@ -29,7 +30,6 @@ from plant_emulator.core.layout import (
     TEMPERATURE,
     Q,
 )
-from plant_emulator.core.mechanics.equilibrium import rest_state
 from plant_emulator.core.mechanics.geometry import base_tilt, transform
 from plant_emulator.core.mechanics.multibody import forward_kinematics
 from plant_emulator.core.model import build_model, put_payload, start_coordinates

@@ -22,7 +22,7 @@ from testbed.lockstep.world import World
 from testbed.scenarios.settings import Settings
 from vision_pc.core.perception import intrinsics, markers
 from vision_pc.core.perception.look import FrameMarkers, FrameStamp, beliefs_after, observation_of
-from vision_pc.core.perception.sensor import with_believed_offset
+from vision_pc.core.pixel_sensor import with_believed_offset
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import EyeModel, FrameObservation, OdometryPose, StereoOffset
 

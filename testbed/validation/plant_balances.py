@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from plant_emulator.config.plant import BAR, LITRE_PER_MINUTE
 from plant_emulator.core import columns as col
+from plant_emulator.core.equilibrium import rest_state
 from plant_emulator.core.hydraulics.chambers import bulk_modulus
 from plant_emulator.core.layout import N_ACTUATORS, N_COORDINATES, PRESSURE_A, PRESSURE_B, SUPPLY, Q
-from plant_emulator.core.mechanics.equilibrium import rest_state
 from plant_emulator.core.model import put_payload
 from testbed.validation.case import Case
 from testbed.validation.ledger import Ledger

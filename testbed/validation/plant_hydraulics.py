@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from plant_emulator.config.plant import BAR, LITRE_PER_MINUTE
 from plant_emulator.core import columns as col
+from plant_emulator.core.equilibrium import gravity_torque
 from plant_emulator.core.hydraulics.valves import orifice_flow, spool_acceleration
 from plant_emulator.core.layout import N_COORDINATES, PRESSURE_A, PRESSURE_B, SPOOL, Q
-from plant_emulator.core.mechanics.equilibrium import gravity_torque
 from testbed.validation.case import Case
 from testbed.validation.plant_rig import (
     LIFT,

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.core import columns as col
+from plant_emulator.core.equilibrium import bent_pose, gravity_torque
 from plant_emulator.core.layout import N_COORDINATES, PRESSURE_A, PRESSURE_B, RATE, Q
 from plant_emulator.core.mechanics.bodies import sphere
-from plant_emulator.core.mechanics.equilibrium import bent_pose, gravity_torque
 from plant_emulator.core.mechanics.linkage import actuator_lever, actuator_position
 from plant_emulator.core.mechanics.multibody import forward_kinematics
 from testbed.validation.case import Case

@@ -25,8 +25,8 @@ from vision_pc.application.ports import (
 )
 from vision_pc.config.vision import LookSettings, VisionConfig
 from vision_pc.core.perception.look import combine
-from vision_pc.core.perception.sensor import PixelSensor
 from vision_pc.core.perception.watch import Sensor, Watcher
+from vision_pc.core.pixel_sensor import PixelSensor
 from vision_pc.core.ports import PairsAtRest
 from vision_pc.core.types import CameraFrame, FrameObservation, Look, StereoPair, WatchHealth, WatchSample
 

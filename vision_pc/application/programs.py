@@ -23,7 +23,7 @@ from vision_pc.application.bodies import (
     ServoingSettings,
     TrajectoryBody,
 )
-from vision_pc.application.hand_eye.programs import HAND_EYE_PROGRAMS
+from vision_pc.application.hand_eye_programs import HAND_EYE_PROGRAMS
 from vision_pc.application.program import BLIND, MOVING, STANDING, Program
 from vision_pc.application.results import (
     JudgedLook,

@@ -23,7 +23,7 @@ from vision_pc.core.odometry import StereoOdometry
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.perception.markers import corner_points
 from vision_pc.core.perception.object_of_interest import marker_in_object
-from vision_pc.core.perception.sensor import PixelSensor
+from vision_pc.core.pixel_sensor import PixelSensor
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import FrameObservation, Image, OdometryPose, StereoOffset, StereoPair
 

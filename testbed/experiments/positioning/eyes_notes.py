@@ -12,7 +12,7 @@ from testbed.lockstep.frames import PixelFrames, Sight
 from testbed.lockstep.true_view import TrueView
 from testbed.lockstep.world import World
 from vision_pc.core.odometry import StereoOdometry
-from vision_pc.core.perception.sensor import PixelSensor, with_believed_offset
+from vision_pc.core.pixel_sensor import PixelSensor, with_believed_offset
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, FrameObservation, OdometryPose, StereoOffset, StereoPair
 

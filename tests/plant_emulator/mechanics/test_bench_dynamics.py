@@ -18,8 +18,8 @@ from numba.core.runtime import _nrt_python, rtsys
 from numpy.typing import NDArray
 
 from foundation.compiled import kernel
+from plant_emulator.core.equilibrium import rest_state
 from plant_emulator.core.layout import DRIVEN, N_ACTUATORS, N_COORDINATES, N_STATES, RATE, Q
-from plant_emulator.core.mechanics.equilibrium import rest_state
 from plant_emulator.core.mechanics.multibody import forward_kinematics, multibody_work
 from plant_emulator.core.model import Model, build_model, start_coordinates
 from plant_emulator.core.right_hand_side import EncoderShafts, Work, advance, hydraulic_rates, new_work

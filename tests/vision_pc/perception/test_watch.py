@@ -16,8 +16,8 @@ from tests.vision_pc.conftest import VISION_YAML
 from vision_pc.config.vision import EyeSettings, VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics, look
-from vision_pc.core.perception.sensor import PixelSensor
 from vision_pc.core.perception.watch import Watcher
+from vision_pc.core.pixel_sensor import PixelSensor
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, FrameObservation, StereoPair
 

@@ -13,7 +13,7 @@ from foundation.rest import install_problems, respond
 from protocol.faults import CommandCode
 from protocol.reference_messages import FLAG_EMERGENCY_LATCHED, FLAG_PLANT_LINK_OK, FLAG_SETTLED, State
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.hand_eye.programs import HAND_EYE
+from vision_pc.application.hand_eye_programs import HAND_EYE
 from vision_pc.application.program import Program, by_name
 from vision_pc.application.programs import PROGRAMS
 from vision_pc.application.results import JSON, calibration_json, look_json, pose_json

@@ -7,7 +7,7 @@ from pydantic import BaseModel, Field, computed_field
 
 from vision_pc.application.bodies import RequestBody
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
-from vision_pc.application.hand_eye.programs import NextBody
+from vision_pc.application.hand_eye_programs import NextBody
 from vision_pc.shell.rest.operations import Operations
 
 _TAG: list[str | Enum] = ["hand-eye"]
