@@ -4,10 +4,10 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from protocol.errors import ConfigurationError
 
@@ -19,6 +19,10 @@ class StrictModel(BaseModel):
     """Base of every configuration model: unknown keys, NaN and infinity are refused, instances are frozen."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+HostName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_]([A-Za-z0-9._-]*[A-Za-z0-9_])?$", max_length=253)]
+"""A DNS name or an IPv4 address, without scheme, port and wildcard."""
 
 
 class _UniqueKeyLoader(yaml.CSafeLoader):  # libyaml's: a third of the time

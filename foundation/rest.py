@@ -1,7 +1,7 @@
-"""What every REST API of ours has: problem documents, a limit on bodies, a server in the service's loop."""
+"""What every REST API of ours has: problem documents, limits, a guarded server in the service's loop."""
 
 import contextlib
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from http import HTTPStatus
 from typing import Any
 
@@ -10,24 +10,32 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from foundation.problems import MEDIA_TYPE, problem, problem_of
+from foundation.event_log import EventLog
+from foundation.problems import problem, problem_of
+from foundation.rest_guard import BodyLimit, OriginGuard, Refuse, respond
 from protocol.errors import LongreachError
 
 MAX_BODY_BYTES = 16_384
+BODY_WITHIN_S = 5.0
 _DRAIN_S = 1  # for answers under way at the end; a service must be gone within 2 s
 _FAULTS_SHOWN = 20
 Explain = Callable[[RequestValidationError], dict[str, Any]]
 
 
 class RestServer(uvicorn.Server):
-    """Uvicorn in the service's own loop: signals and log are the service's. ``serve`` takes bound sockets."""
+    """Uvicorn in the service's own loop: signals and log are the service's. ``serve`` takes bound sockets.
 
-    def __init__(self, app: FastAPI) -> None:
+    ``allowed_hosts``: names of the service beside loopback and its own address. What OriginGuard refuses is
+    told to ``log``.
+    """
+
+    def __init__(self, app: FastAPI, allowed_hosts: Iterable[str] = (), log: EventLog | None = None) -> None:
         super().__init__(
             uvicorn.Config(
-                app,
+                OriginGuard(app, allowed_hosts, log),
+                ws="none",
+                server_header=False,
                 log_config=None,
                 access_log=False,
                 lifespan="off",
@@ -41,37 +49,6 @@ class RestServer(uvicorn.Server):
         yield
 
 
-class BodyLimit:
-    """Refuses request bodies of more than ``limit`` bytes, announced or not, with a problem document."""
-
-    def __init__(self, app: ASGIApp, limit: int) -> None:
-        self._app = app
-        self._limit = limit
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """One request."""
-        announced = dict(scope.get("headers", ())).get(b"content-length", b"0")
-        if announced.isdigit() and int(announced) > self._limit:
-            await respond(_too_large(scope["path"]))(scope, receive, send)
-            return
-        received = 0
-
-        async def counted() -> Message:
-            nonlocal received
-            message = await receive()
-            received += len(message.get("body", b""))
-            if received > self._limit:
-                raise HTTPException(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
-            return message
-
-        await self._app(scope, counted, send)
-
-
-def respond(document: dict[str, Any]) -> JSONResponse:
-    """The response that carries a problem document."""
-    return JSONResponse(document, status_code=document["status"], media_type=MEDIA_TYPE)
-
-
 def invalid_request(error: RequestValidationError) -> dict[str, Any]:
     """The problem of a request that does not fit its schema, with the first faults as ``faults``."""
     first = error.errors()[0]
@@ -82,13 +59,16 @@ def invalid_request(error: RequestValidationError) -> dict[str, Any]:
 
 
 def install_problems(
-    app: FastAPI, status_of_cause: Mapping[str, HTTPStatus], explain: Explain = invalid_request
+    app: FastAPI,
+    status_of_cause: Mapping[str, HTTPStatus],
+    explain: Explain = invalid_request,
+    refuse: Refuse | None = None,
 ) -> None:
-    """Make every error of ``app`` a problem document, and limit request bodies.
+    """Make every error of ``app`` a problem document, and limit request bodies in size and time.
 
-    ``explain``: the problem of a request that does not fit its schema.
+    ``explain``: the problem of a request that does not fit its schema. ``refuse``: see BodyLimit.
     """
-    app.add_middleware(BodyLimit, limit=MAX_BODY_BYTES)
+    app.add_middleware(BodyLimit, limit=MAX_BODY_BYTES, within_s=BODY_WITHIN_S, refuse=refuse)
 
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
@@ -96,8 +76,6 @@ def install_problems(
 
     @app.exception_handler(HTTPException)
     async def http_error(request: Request, error: HTTPException) -> JSONResponse:
-        if error.status_code == HTTPStatus.REQUEST_ENTITY_TOO_LARGE:
-            return respond(_too_large(request.url.path))
         cause = "request." + HTTPStatus(error.status_code).name.lower()
         document = problem(error.status_code, cause, str(error.detail), instance=request.url.path)
         response = respond(document)
@@ -108,8 +86,3 @@ def install_problems(
     @app.exception_handler(Exception)
     async def failed(request: Request, error: Exception) -> JSONResponse:
         return respond(problem_of(error, status_of_cause) | {"instance": request.url.path})
-
-
-def _too_large(path: str) -> dict[str, Any]:
-    status = HTTPStatus.REQUEST_ENTITY_TOO_LARGE
-    return problem(status, "request.too_large", "the request's body is too large", instance=path)

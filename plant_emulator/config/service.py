@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from foundation.configuration import StrictModel, load
+from foundation.configuration import HostName, StrictModel, load
 from foundation.scheduling import Policy
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.scene import SceneConfig
@@ -20,9 +20,13 @@ class Endpoint(StrictModel):
 
 
 class FaultFaceConfig(Endpoint):
-    """Where the HTTP face for faults listens, and whether it may break anything."""
+    """Where the HTTP face for faults listens, whether it may break anything, and how it may be called.
+
+    ``allowed_hosts``: names beside loopback and ``host``.
+    """
 
     allowed: bool
+    allowed_hosts: tuple[HostName, ...] = ()
 
 
 class PlantServiceConfig(StrictModel):

@@ -9,13 +9,18 @@ import socket
 from http import HTTPStatus
 from typing import Annotated, Any
 
-from fastapi import Depends, FastAPI, Response
+from fastapi import FastAPI, Response
 from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
 from pydantic import Field
+from starlette.types import Scope
 
 from foundation.configuration import StrictModel
+from foundation.event_log import EventLog
 from foundation.problems import problem
 from foundation.rest import RestServer, install_problems
+from foundation.rest_guard import Refusal
+from plant_emulator.config.service import FaultFaceConfig
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import FAULTS, Fault, MarkerCovered
 from plant_emulator.core.faults.schedule import Injection
@@ -44,8 +49,9 @@ class FaultOrder(StrictModel):
 class FaultFace:
     """The face, served in the running event loop, which is the plant's own."""
 
-    def __init__(self, plant: Plant, scene: Scene, allowed: bool) -> None:
-        self._server = RestServer(create_app(plant, scene, allowed))
+    def __init__(self, plant: Plant, scene: Scene, config: FaultFaceConfig, log: EventLog) -> None:
+        app = create_app(plant, scene, config.allowed)
+        self._server = RestServer(app, (config.host, *config.allowed_hosts), log)
         self._serving: asyncio.Task[None] | None = None
 
     def start(self, listener: socket.socket) -> None:
@@ -62,23 +68,18 @@ class FaultFace:
 def create_app(plant: Plant, scene: Scene, allowed: bool) -> FastAPI:
     """The application over one running plant; it must be served in the plant's own event loop."""
     app = FastAPI(title="Longreach plant emulator: faults", version="1")
-    install_problems(app, _STATUS_OF_CAUSE, _explained)
-
-    def permitted() -> None:
-        if not allowed:
-            raise RequestRefused(
-                "refused.faults_not_allowed", "this emulator was started without --allow-faults"
-            )
-
-    permission = [Depends(permitted)]
-
-    @app.get("/faults/kinds")
-    async def kinds() -> list[dict[str, Any]]:
-        """Every kind of fault: what it does, and the JSON schema of its parameters."""
-        return [
+    install_problems(app, _STATUS_OF_CAUSE, _explained, None if allowed else _not_allowed)
+    every_kind = JSONResponse(
+        [
             {"kind": kind, "description": model.__doc__, "schema": model.model_json_schema()}
             for kind, model in FAULTS.items()
         ]
+    ).body  # made once: this loop has the fieldbus to serve
+
+    @app.get("/faults/kinds", response_model=list[dict[str, Any]])
+    async def kinds() -> Response:
+        """Every kind of fault: what it does, and the JSON schema of its parameters."""
+        return Response(every_kind, media_type="application/json")
 
     @app.get("/faults")
     async def faults() -> dict[str, Any]:
@@ -90,7 +91,7 @@ def create_app(plant: Plant, scene: Scene, allowed: bool) -> FastAPI:
             "planned": [injection.as_dict() for injection in plant.faults.planned],
         }
 
-    @app.post("/faults", status_code=HTTPStatus.CREATED, dependencies=permission)
+    @app.post("/faults", status_code=HTTPStatus.CREATED)
     async def inject(order: FaultOrder, response: Response) -> dict[str, Any]:
         """Break something, now or later; the answer names its number."""
         if isinstance(order.fault, MarkerCovered):
@@ -106,12 +107,12 @@ def create_app(plant: Plant, scene: Scene, allowed: bool) -> FastAPI:
         """One fault in force or planned."""
         return _known(plant, number).as_dict()
 
-    @app.delete("/faults/{number}", dependencies=permission)
+    @app.delete("/faults/{number}")
     async def clear(number: int) -> dict[str, Any]:
         """Mend one fault, or withdraw it before it begins."""
         return plant.clear(number).as_dict()
 
-    @app.delete("/faults", dependencies=permission)
+    @app.delete("/faults")
     async def clear_all() -> list[dict[str, Any]]:
         """Mend everything; what was mended and withdrawn."""
         cleared = [injection.as_dict() for injection in plant.faults.all()]
@@ -119,6 +120,14 @@ def create_app(plant: Plant, scene: Scene, allowed: bool) -> FastAPI:
         return cleared
 
     return app
+
+
+def _not_allowed(scope: Scope) -> Refusal | None:
+    """The problem of a request that would change anything, before its body is read."""
+    if scope["method"] in ("GET", "HEAD"):
+        return None
+    cause, why = "refused.faults_not_allowed", "this emulator was started without --allow-faults"
+    return problem(_STATUS_OF_CAUSE[cause], cause, why, instance=scope["path"])
 
 
 def _known(plant: Plant, number: int) -> Injection:

@@ -38,7 +38,7 @@ class PlantService:
         service = config.service
         scene = Scene(config.scene)
         self._plant = Plant(config.plant, config.scene.seed, scene.mounts)
-        self._face = FaultFace(self._plant, scene, service.fault_face.allowed)
+        self._face = FaultFace(self._plant, scene, service.fault_face, log)
         self._integrator = Integrator(self._plant, round(service.period_ms * 1e6), self._after_step)
         release_ns = round(service.writer_release_ms * 1e6)
         self._coupler = Coupler(

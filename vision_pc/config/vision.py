@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from foundation.configuration import StrictModel, configuration_hash
+from foundation.configuration import HostName, StrictModel, configuration_hash
 from foundation.link_key import KeySource
 from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError
@@ -208,10 +208,11 @@ class MotionSettings(StrictModel):
 
 
 class ApiSettings(StrictModel):
-    """Where the REST face listens."""
+    """Where the REST API listens, and by what names, beside loopback and ``host``, it may be called."""
 
     host: str = "127.0.0.1"
     port: Port = 8000
+    allowed_hosts: tuple[HostName, ...] = ()
 
 
 class VisionConfig(StrictModel):

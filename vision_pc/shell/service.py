@@ -78,7 +78,8 @@ class VisionService:
         guided = GuidedCalibration(arm, eyes, link, config, nominal, log, SessionStore(config.sessions_dir))
         application = VisionApplication(arm, eyes, link, eyes, config.programs, nominal.boom, log, guided)
         operations = Operations(arm.halt, log)
-        server = RestServer(create_app(application, operations, self._programs))
+        app = create_app(application, operations, self._programs)
+        server = RestServer(app, (config.api.host, *config.api.allowed_hosts), log)
         leaving: list[asyncio.Task[None]] = []
 
         def leave() -> None:

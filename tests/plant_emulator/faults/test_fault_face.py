@@ -1,7 +1,9 @@
 """The HTTP face for faults: everything it offers, everything it refuses, always as a problem with a cause."""
 
 import asyncio
+import io
 import json
+import socket
 from typing import Any
 
 import httpx
@@ -10,11 +12,13 @@ from fastapi import FastAPI
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from foundation.event_log import EventLog
+from plant_emulator.config.service import FaultFaceConfig
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import FAULTS
 from plant_emulator.core.layout import JOINTS
 from plant_emulator.core.plant import Plant
-from plant_emulator.shell.fault_face import create_app
+from plant_emulator.shell.fault_face import FaultFace, create_app
 from tests.plant_emulator.camera.camera_world import scene_config
 from tests.plant_emulator.faults.test_faults import EVERY
 from tests.plant_emulator.plant_world import plant_config
@@ -235,3 +239,24 @@ def test_whatever_is_sent_is_obeyed_or_refused_with_a_cause(whole: tuple[Client,
     else:
         assert problem(response, response.status_code, response.json()["cause"])
     assert plant.faults.all() == before
+
+
+async def test_without_permission_a_body_is_refused_before_it_comes(plant: Plant) -> None:
+    """Over a real socket: the answer is there although of 50 MB not one byte was sent."""
+    config = FaultFaceConfig(host="127.0.0.1", port=0, allowed=False)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        face = FaultFace(plant, Scene(scene_config()), config, EventLog("plant_emulator", io.StringIO()))
+        face.start(listening)
+        port = listening.getsockname()[1]
+        for framing in ("Content-Length: 50000000", "Content-Length: 9", "Transfer-Encoding: chunked"):
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            writer.write(f"POST /faults HTTP/1.1\r\nHost: localhost\r\n{framing}\r\n\r\n".encode())
+            answer = await asyncio.wait_for(reader.read(), 2.0)  # to the end: the rest is never taken
+            assert answer.startswith(b"HTTP/1.1 403 ")
+            assert b'"refused.faults_not_allowed"' in answer
+            writer.close()
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(b"DELETE /faults HTTP/1.1\r\nHost: evil.example\r\n\r\n")
+        assert b'"refused.foreign_host"' in await asyncio.wait_for(reader.read(), 2.0)
+        writer.close()
+        await face.stop()

@@ -1,28 +1,44 @@
-"""The REST face on a real port, over the synthetic arm, in a thread with a loop of its own."""
+"""The REST API on a real port, over the synthetic arm, in a thread with a loop of its own."""
 
 import asyncio
 import contextlib
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+
+from fastapi import FastAPI
 
 from foundation.rest import RestServer
-from tests.vision_pc.synthetic_station import bench
+from tests.vision_pc.synthetic_station import Bench, bench
 from vision_pc.shell.rest.api import create_app
 
 
 @contextlib.contextmanager
 def rest_face() -> Iterator[str]:
     """Its URL; the arm is enabled, and looks are quick."""
-    listening = socket.create_server(("127.0.0.1", 0))
+    with served_bench() as (url, _):
+        yield url
+
+
+@contextlib.contextmanager
+def served_bench(
+    enabled: bool = True, add: Callable[[FastAPI], None] = lambda app: None
+) -> Iterator[tuple[str, Bench]]:
+    """Its URL, and what it works on; ``add`` adds routes of the test's own."""
+    listening = socket.create_server(("127.0.0.1", 0), backlog=512)
     started, leave = threading.Event(), threading.Event()
+    benches: list[Bench] = []
 
     async def serve() -> None:
         async with bench(link_timeout_ms=30_000) as made:  # this machine may be busy
             made.controller.speed = 50.0
-            await made.post("/enable")
-            server = RestServer(create_app(made.station, made.operations))
+            if enabled:
+                await made.post("/enable")
+            app = create_app(made.station, made.operations)
+            add(app)
+            server = RestServer(app, log=made.station.log)
             task = asyncio.create_task(server.serve([listening]))
+            benches.append(made)
             started.set()
             await asyncio.to_thread(leave.wait)
             server.should_exit = True
@@ -32,7 +48,7 @@ def rest_face() -> Iterator[str]:
     thread.start()
     try:
         assert started.wait(20.0)
-        yield f"http://127.0.0.1:{listening.getsockname()[1]}"
+        yield f"http://127.0.0.1:{listening.getsockname()[1]}", benches[0]
     finally:
         leave.set()
         thread.join(20.0)

@@ -9,7 +9,8 @@ from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 
 from foundation.problems import MEDIA_TYPE, problem
-from foundation.rest import install_problems, respond
+from foundation.rest import install_problems
+from foundation.rest_guard import respond
 from protocol.faults import CommandCode
 from protocol.reference_messages import FLAG_EMERGENCY_LATCHED, FLAG_PLANT_LINK_OK, FLAG_SETTLED, State
 from vision_pc.application.application import VisionApplication

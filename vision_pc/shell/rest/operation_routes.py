@@ -1,6 +1,6 @@
 """Routes of the operation resources: starting every program, reading, cancelling, and following as events."""
 
-from collections.abc import AsyncIterable, Iterable
+from collections.abc import AsyncIterable, AsyncIterator, Iterable
 from http import HTTPStatus
 from typing import Annotated, Any
 
@@ -8,12 +8,14 @@ from fastapi import Body, Depends, FastAPI, Header, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, ValidationError
 
+from protocol.errors import RequestRefused
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.bodies import RequestBody
 from vision_pc.application.program import Program
 from vision_pc.shell.rest.operation_view import OperationView, operation_view
 from vision_pc.shell.rest.operations import Operation, Operations
 
+MAX_FOLLOWERS = 64  # 400 cost the link nothing, 1,000 its session
 _Key = Annotated[
     str | None,
     Header(alias="Idempotency-Key", min_length=1, max_length=100, description="Same key, same operation"),
@@ -75,6 +77,19 @@ def add_resources(app: FastAPI, operations: Operations) -> None:
         return operations.get(operation_id)
 
     Found = Annotated[Operation, Depends(found)]
+    followers = 0
+
+    async def following() -> AsyncIterator[None]:
+        """One place among the followers for as long as the response lasts."""
+        nonlocal followers
+        if followers >= MAX_FOLLOWERS:
+            why = f"{MAX_FOLLOWERS} clients follow already; read the operation instead"
+            raise RequestRefused("refused.too_many_followers", why)
+        followers += 1
+        try:
+            yield
+        finally:
+            followers -= 1
 
     @app.get("/operations", tags=["operations"], summary="All operations, oldest first")
     async def every() -> list[OperationView]:
@@ -90,7 +105,7 @@ def add_resources(app: FastAPI, operations: Operations) -> None:
         return operation_view(await operations.cancel(operation.id))
 
     @app.get("/operations/{operation_id}/events", tags=["operations"], summary="Follow it (event stream)",
-             response_class=EventSourceResponse)  # fmt: skip
+             response_class=EventSourceResponse, dependencies=[Depends(following)])  # fmt: skip
     async def events(operation: Found) -> AsyncIterable[ServerSentEvent]:
         """``progress`` events, then one ``ended`` with the whole operation."""
         sent, seen = 0, -1

@@ -7,6 +7,7 @@ from foundation import problems
 
 STATUS_OF_CAUSE = {
     "refused.unknown_operation": HTTPStatus.NOT_FOUND,
+    "refused.too_many_followers": HTTPStatus.SERVICE_UNAVAILABLE,
     "refused.key_reused": HTTPStatus.UNPROCESSABLE_ENTITY,
     "refused.no_look_yet": HTTPStatus.NOT_FOUND,
     "refused.bad_target": HTTPStatus.UNPROCESSABLE_ENTITY,

@@ -1,0 +1,207 @@
+"""Who may ask our REST APIs, and how much: checks before a request is read, headers of every answer."""
+
+import asyncio
+import ipaddress
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable
+from http import HTTPStatus
+from typing import Any
+
+from fastapi.responses import JSONResponse
+from starlette.datastructures import MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from foundation.event_log import EventLog
+from foundation.problems import MEDIA_TYPE, problem
+
+Refusal = dict[str, Any]  # a problem document
+Refuse = Callable[[Scope], Refusal | None]
+
+_HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+?)\.?(:[0-9]{1,5})?", re.IGNORECASE)
+_OWN_SITE = frozenset({"same-origin", "none"})  # none: the person typed the address
+_CDN = "https://cdn.jsdelivr.net"  # FastAPI's pages at /docs and /redoc load their scripts from it
+_NO_FRAMES = "frame-ancestors 'none'; base-uri 'none'; form-action 'self'"
+_DATA_POLICY = f"default-src 'none'; {_NO_FRAMES}"
+_PAGE_POLICY = (
+    f"default-src 'none'; {_NO_FRAMES}; connect-src 'self'; "
+    f"script-src 'self' 'unsafe-inline' {_CDN}; "
+    f"style-src 'self' 'unsafe-inline' {_CDN} https://fonts.googleapis.com; "
+    "font-src https://fonts.gstatic.com; img-src 'self' data: https:; worker-src 'self' blob:"
+)
+SECURITY_HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "same-origin",  # no-referrer would make the Origin of our own pages "null"
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+
+
+class OriginGuard:
+    """Serves an application to our own pages and to programs, never to a page of another origin.
+
+    ``allowed_hosts``: names, without port, that a request may call this service by; loopback and the address
+    that the client reached are always allowed. A request for another name may come from a page whose DNS name
+    was turned to us (DNS rebinding). Headers that only browsers send decide about the origin; a program that
+    sends none is served. Every answer carries SECURITY_HEADERS where the application sets no others.
+    """
+
+    def __init__(self, app: ASGIApp, allowed_hosts: Iterable[str], log: EventLog | None) -> None:
+        self._app = app
+        self._allowed = frozenset(host.lower() for host in allowed_hosts)
+        self._log = log
+        self._refused: Counter[str] = Counter()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One request."""
+
+        async def sent(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                _secure(MutableHeaders(scope=message))
+            await send(message)
+
+        refusal = self._refusal(scope)
+        if refusal is None:
+            await self._app(scope, receive, sent)
+        else:
+            self._tell(refusal)
+            await respond_unread(refusal)(scope, receive, sent)
+
+    def _refusal(self, scope: Scope) -> Refusal | None:
+        hosts = _values(scope, b"host")
+        if len(hosts) != 1 or not self._is_ours(hosts[0], scope):
+            detail = f"this service is not {', '.join(hosts)[:80] or 'without a name'}: see allowed_hosts"
+            return _problem(scope, HTTPStatus.MISDIRECTED_REQUEST, "refused.foreign_host", detail)
+        own = f"{scope['scheme']}://{hosts[0]}".lower()
+        for origin in _values(scope, b"origin"):
+            if origin.lower() != own:
+                return _foreign_origin(scope, f"a page of {origin[:80]}")
+        for site in _values(scope, b"sec-fetch-site"):
+            if site.lower() not in _OWN_SITE:
+                return _foreign_origin(scope, f"a page of another origin ({site[:20]})")
+        return None
+
+    def _is_ours(self, host: str, scope: Scope) -> bool:
+        match = _HOST.fullmatch(host)
+        if match is None:
+            return False
+        name = match[1].strip("[]").lower()
+        if name == "localhost" or name in self._allowed:
+            return True
+        try:
+            address = ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        server = scope.get("server") or ("", None)
+        return address.is_loopback or str(address) == server[0]
+
+    def _tell(self, refusal: Refusal) -> None:
+        cause = refusal["cause"]
+        self._refused[cause] += 1
+        count = self._refused[cause]
+        if self._log is not None and count.bit_count() == 1:  # a page may ask a thousand times
+            detail = refusal["detail"]
+            self._log.write("request_refused", "warning", cause=cause, detail=detail, count=count)
+
+
+class BodyLimit:
+    """Reads the whole body before the application is asked: at most ``limit`` bytes within ``within_s``.
+
+    ``refuse``: the problem of a request that is refused whatever its body is; asked before anything is read.
+    """
+
+    def __init__(self, app: ASGIApp, limit: int, within_s: float, refuse: Refuse | None = None) -> None:
+        self._app = app
+        self._limit = limit
+        self._within_s = within_s
+        self._refuse = refuse
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One request."""
+        refusal = self._refuse(scope) if self._refuse is not None else None
+        body: bytes | None = None
+        if refusal is None:
+            try:
+                async with asyncio.timeout(self._within_s):
+                    body = await self._read(scope, receive)
+            except TimeoutError:
+                refusal = _too_slow(scope, self._within_s)
+            except _TooLarge:
+                refusal = _too_large(scope)
+        if refusal is not None:
+            await respond_unread(refusal)(scope, receive, send)
+        elif body is not None:
+            await self._app(scope, _after(body, receive), send)
+
+    async def _read(self, scope: Scope, receive: Receive) -> bytes | None:
+        """The body; None when the client left. Raises _TooLarge, of an announced length before reading."""
+        announced = ", ".join(_values(scope, b"content-length"))
+        if announced.isdigit() and int(announced) > self._limit:
+            raise _TooLarge
+        body = bytearray()
+        more = True
+        while more:
+            message = await receive()
+            if message["type"] == "http.disconnect":
+                return None
+            body += message.get("body", b"")
+            if len(body) > self._limit:
+                raise _TooLarge
+            more = message.get("more_body", False)
+        return bytes(body)
+
+
+class _TooLarge(Exception):
+    pass
+
+
+def respond(document: Refusal) -> JSONResponse:
+    """The response that carries a problem document."""
+    return JSONResponse(document, status_code=document["status"], media_type=MEDIA_TYPE)
+
+
+def respond_unread(document: Refusal) -> JSONResponse:
+    """The same to a request whose body is not read: the connection ends, the rest of it is never taken."""
+    response = respond(document)
+    response.headers["Connection"] = "close"
+    return response
+
+
+def _after(body: bytes, receive: Receive) -> Receive:
+    """``receive`` that gives ``body`` first."""
+    messages: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
+
+    async def received() -> Message:
+        return messages.pop() if messages else await receive()
+
+    return received
+
+
+def _secure(headers: MutableHeaders) -> None:
+    for name, value in SECURITY_HEADERS.items():
+        headers.setdefault(name, value)
+    is_page = headers.get("content-type", "").startswith("text/html")
+    headers.setdefault("Content-Security-Policy", _PAGE_POLICY if is_page else _DATA_POLICY)
+
+
+def _values(scope: Scope, name: bytes) -> list[str]:
+    return [value.decode("latin-1") for key, value in scope["headers"] if key == name]
+
+
+def _problem(scope: Scope, status: HTTPStatus, cause: str, detail: str) -> Refusal:
+    return problem(status, cause, detail, instance=scope["path"])
+
+
+def _foreign_origin(scope: Scope, who: str) -> Refusal:
+    return _problem(scope, HTTPStatus.FORBIDDEN, "refused.foreign_origin", f"{who} may not ask this service")
+
+
+def _too_large(scope: Scope) -> Refusal:
+    status = HTTPStatus.REQUEST_ENTITY_TOO_LARGE
+    return _problem(scope, status, "request.too_large", "the request's body is too large")
+
+
+def _too_slow(scope: Scope, within_s: float) -> Refusal:
+    status = HTTPStatus.REQUEST_TIMEOUT
+    return _problem(scope, status, "request.too_slow", f"the body did not come within {within_s:g} s")

@@ -1,0 +1,301 @@
+"""Our REST server over real sockets: whom it serves, whom it refuses, and how much of a body it reads."""
+
+import asyncio
+import contextlib
+import io
+import json
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import pytest
+from fastapi import FastAPI, Request
+from fastapi.responses import JSONResponse
+
+from foundation import rest
+from foundation.event_log import EventLog
+from foundation.rest import MAX_BODY_BYTES, RestServer, install_problems
+from foundation.rest_guard import SECURITY_HEADERS
+
+SLOW_S = 0.5
+
+
+class Answer(NamedTuple):
+    """A response as it came over the wire."""
+
+    status: int
+    headers: dict[str, str]
+    document: Any
+
+
+class Served:
+    """A small application behind our server: ``executed`` are the commands that got through."""
+
+    def __init__(self, port: int, executed: list[bytes], log: io.StringIO) -> None:
+        self.port, self.executed, self.log = port, executed, log
+        self.own = f"127.0.0.1:{port}"
+
+    def connect(self) -> socket.socket:
+        """A connection to it."""
+        return socket.create_connection(("127.0.0.1", self.port), timeout=20.0)
+
+    def ask(
+        self, method: str, path: str, *headers: str, host: str | None = None, body: bytes = b""
+    ) -> Answer:
+        """The answer to a request with exactly these headers."""
+        lines = [f"{method} {path} HTTP/1.1", f"Host: {self.own if host is None else host}", *headers]
+        if body:
+            lines.append(f"Content-Length: {len(body)}")
+        with self.connect() as sock:
+            sock.sendall("\r\n".join([*lines, "Connection: close", "", ""]).encode() + body)
+            return received(sock)
+
+
+def received(sock: socket.socket) -> Answer:
+    """The answer, read to the end of the connection."""
+    whole = b""
+    with contextlib.suppress(ConnectionResetError):  # what it did not read was thrown away
+        while part := sock.recv(65536):
+            whole += part
+    head, _, body = whole.partition(b"\r\n\r\n")
+    first, *lines = head.decode().split("\r\n")
+    headers = {name.lower(): value for name, value in (line.split(": ", 1) for line in lines)}
+    return Answer(int(first.split()[1]), headers, json.loads(body) if body else None)
+
+
+@pytest.fixture(scope="module")
+def served() -> Iterator[Served]:
+    executed: list[bytes] = []
+    stream = io.StringIO()
+    log = EventLog("test", stream)
+    monkeypatch = pytest.MonkeyPatch()
+    monkeypatch.setattr(rest, "BODY_WITHIN_S", SLOW_S)
+    app = FastAPI()
+    install_problems(app, {})
+
+    @app.post("/enable")
+    async def enable(request: Request) -> dict[str, bool]:
+        executed.append(await request.body())
+        return {"accepted": True}
+
+    @app.get("/state")
+    async def state() -> dict[str, str]:
+        return {"group_state": "disabled"}
+
+    @app.get("/own-policy")
+    async def own_policy() -> JSONResponse:
+        return JSONResponse({}, headers={"Cache-Control": "max-age=60", "Content-Security-Policy": "sandbox"})
+
+    @app.get("/broken")
+    async def broken() -> None:
+        raise ZeroDivisionError
+
+    started, leave = threading.Event(), threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+
+        async def serve() -> None:
+            server = RestServer(app, ("plc-cell", "10.1.2.3"), log)
+            task = asyncio.create_task(server.serve([listening]))
+            started.set()
+            await asyncio.to_thread(leave.wait)
+            server.should_exit = True
+            await task
+
+        thread = threading.Thread(target=lambda: asyncio.run(serve()))
+        thread.start()
+        assert started.wait(20.0)
+        yield Served(listening.getsockname()[1], executed, stream)
+        leave.set()
+        thread.join(20.0)
+    log.close()
+    monkeypatch.undo()
+
+
+def refused(answer: Answer, status: int, cause: str) -> None:
+    """It is a problem document of this cause, with the headers of every answer."""
+    assert (answer.status, answer.document["cause"]) == (status, cause)
+    assert answer.headers["content-type"] == "application/problem+json"
+    secured(answer)
+
+
+def secured(answer: Answer) -> None:
+    for name, value in SECURITY_HEADERS.items():
+        assert answer.headers[name.lower()] == value
+    assert "frame-ancestors 'none'" in answer.headers["content-security-policy"]
+    assert "server" not in answer.headers
+    assert "access-control-allow-origin" not in answer.headers
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "evil.example", "evil.example:8000", "127.0.0.1.evil.example", "localhost.evil.example", "",
+        "127.0.0.1@evil.example", "10.1.2.4", "169.254.169.254", "plc-cell.example", "[::1", "127.0.0.1:x",
+        "127.0.0.1, evil.example", "2130706433", "0.0.0.0",
+    ],
+)  # fmt: skip
+def test_a_request_for_another_host_is_refused(served: Served, host: str) -> None:
+    before = len(served.executed)
+    refused(served.ask("GET", "/state", host=host), 421, "refused.foreign_host")
+    refused(served.ask("POST", "/enable", host=host), 421, "refused.foreign_host")
+    assert len(served.executed) == before
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "127.0.0.1", "127.0.0.1:9000", "localhost", "LOCALHOST:8000", "localhost.", "[::1]:8000",
+        "127.0.0.53", "plc-cell", "PLC-Cell:8000", "10.1.2.3:8000",
+    ],
+)  # fmt: skip
+def test_loopback_and_configured_names_are_served(served: Served, host: str) -> None:
+    assert served.ask("GET", "/state", host=host).status == 200
+
+
+def test_two_hosts_or_none_are_refused(served: Served) -> None:
+    with served.connect() as sock:
+        sock.sendall(b"GET /state HTTP/1.0\r\n\r\n")
+        refused(received(sock), 421, "refused.foreign_host")
+    with served.connect() as sock:
+        sock.sendall(f"GET /state HTTP/1.1\r\nHost: {served.own}\r\nHost: evil.example\r\n\r\n".encode())
+        assert sock.recv(1000).startswith(b"HTTP/1.1 400")
+
+
+@pytest.mark.parametrize("method", ["GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH"])
+@pytest.mark.parametrize(
+    "headers",
+    [
+        ("Origin: http://evil.example:18999", "Sec-Fetch-Site: cross-site", "Sec-Fetch-Mode: no-cors"),
+        ("Origin: http://127.0.0.1:18999", "Sec-Fetch-Site: same-site"),
+        ("Sec-Fetch-Site: cross-site", "Sec-Fetch-Mode: navigate", "Sec-Fetch-Dest: iframe"),
+        ("Sec-Fetch-Site: same-site",),
+        ("Origin: null",),
+        ("Origin: https://OWN",),
+        ("Origin: http://OWN", "Origin: http://evil.example"),
+        ("Origin: http://OWN", "Sec-Fetch-Site: cross-site"),
+        ("Origin: http://OWN.evil.example",),
+        ("Origin:",),
+    ],
+)
+def test_a_page_of_another_origin_is_refused_whatever_it_asks(
+    served: Served, headers: tuple[str, ...], method: str
+) -> None:
+    before = len(served.executed)
+    sent = [header.replace("OWN", served.own) for header in headers]
+    answer = served.ask(method, "/state" if method == "GET" else "/enable", *sent)
+    if method == "HEAD":
+        assert (answer.status, answer.document) == (403, None)
+    else:
+        refused(answer, 403, "refused.foreign_origin")
+    assert len(served.executed) == before
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        (),
+        ("User-Agent: curl/7.88.1", "Accept: */*"),
+        ("Origin: http://OWN", "Sec-Fetch-Site: same-origin"),
+        ("Sec-Fetch-Site: none", "Sec-Fetch-Mode: navigate"),
+    ],
+)
+def test_programs_and_our_own_pages_are_served(served: Served, headers: tuple[str, ...]) -> None:
+    before = len(served.executed)
+    sent = [header.replace("OWN", served.own) for header in headers]
+    assert served.ask("POST", "/enable", *sent, body=b"{}").status == 200
+    assert served.executed[before:] == [b"{}"]
+    assert served.ask("GET", "/state", *sent).document == {"group_state": "disabled"}
+
+
+def test_every_answer_carries_the_headers(served: Served) -> None:
+    for path, status in (("/state", 200), ("/nowhere", 404), ("/broken", 500)):
+        answer = served.ask("GET", path)
+        assert answer.status == status
+        secured(answer)
+        assert answer.headers["content-security-policy"].startswith("default-src 'none'; frame-ancestors")
+    own = served.ask("GET", "/own-policy").headers
+    assert (own["cache-control"], own["content-security-policy"]) == ("max-age=60", "sandbox")
+
+
+def test_what_floods_is_told_with_its_count(served: Served) -> None:
+    for _ in range(128):
+        served.ask("POST", "/enable", "Origin: http://flood.example")
+    deadline = time.monotonic() + 5.0
+    told: list[dict[str, Any]] = []
+    while not told and time.monotonic() < deadline:
+        lines = [json.loads(line) for line in served.log.getvalue().splitlines()]
+        told = [line for line in lines if "flood.example" in line.get("detail", "")]
+        time.sleep(0.01)
+    assert 1 <= len(told) <= 8
+    assert all(line["count"].bit_count() == 1 for line in told)
+    assert {(line["event"], line["level"], line["cause"]) for line in told} == {
+        ("request_refused", "warning", "refused.foreign_origin")
+    }
+
+
+@pytest.mark.parametrize("announced", [MAX_BODY_BYTES + 1, 50_000_000])
+def test_a_body_announced_too_large_is_refused_before_it_comes(served: Served, announced: int) -> None:
+    with served.connect() as sock:
+        sock.sendall(
+            f"POST /enable HTTP/1.1\r\nHost: x.localhost\r\nContent-Length: {announced}\r\n\r\n".encode()
+        )
+        refused(received(sock), 421, "refused.foreign_host")
+    with served.connect() as sock:
+        sock.sendall(
+            f"POST /enable HTTP/1.1\r\nHost: localhost\r\nContent-Length: {announced}\r\n\r\n".encode()
+        )
+        refused(received(sock), 413, "request.too_large")
+
+
+def test_a_chunked_body_is_cut_off_at_the_limit_and_the_connection_ends(served: Served) -> None:
+    before = len(served.executed)
+    sent = 0
+    chunk = b"10000\r\n" + b"x" * 0x10000 + b"\r\n"
+    with served.connect() as sock:
+        sock.sendall(b"POST /enable HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n")
+        with contextlib.suppress(ConnectionError):
+            while sent < 50_000_000:
+                sock.sendall(chunk)
+                sent += len(chunk)
+    assert 0 < sent < 50_000_000
+    assert len(served.executed) == before
+
+
+@pytest.mark.parametrize("framing", ["Content-Length: 10", "Transfer-Encoding: chunked"])
+def test_a_body_that_dribbles_is_given_up(served: Served, framing: str) -> None:
+    before = len(served.executed)
+    begun = time.monotonic()
+    with served.connect() as sock:
+        sock.sendall(f"POST /enable HTTP/1.1\r\nHost: localhost\r\n{framing}\r\n\r\n".encode())
+        for _ in range(4):
+            time.sleep(SLOW_S / 8)
+            sock.sendall(b"1\r\n{\r\n" if "chunked" in framing else b"{")
+        refused(received(sock), 408, "request.too_slow")
+    assert time.monotonic() - begun >= SLOW_S
+    assert len(served.executed) == before
+
+
+def test_a_body_in_pieces_comes_whole(served: Served) -> None:
+    with served.connect() as sock:
+        sock.sendall(
+            b"POST /enable HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: 6\r\n\r\n"
+        )
+        for piece in (b"ab", b"cd", b"ef"):
+            sock.sendall(piece)
+            time.sleep(0.02)
+        assert received(sock).status == 200
+    assert served.executed[-1] == b"abcdef"
+
+
+def test_a_websocket_is_not_spoken(served: Served) -> None:
+    upgrade = (
+        "Upgrade: websocket",
+        "Sec-WebSocket-Version: 13",
+        "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==",
+    )
+    refused(served.ask("GET", "/nowhere", *upgrade), 404, "request.not_found")
+    refused(
+        served.ask("GET", "/nowhere", "Origin: http://evil.example", *upgrade), 403, "refused.foreign_origin"
+    )
