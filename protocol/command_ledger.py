@@ -4,7 +4,7 @@ from collections import OrderedDict
 from typing import NamedTuple
 
 from protocol.faults import Reason
-from protocol.reference_messages import Acknowledgement
+from protocol.reference_messages import Acknowledgement, overtaken
 
 REMEMBERED = 256
 
@@ -45,8 +45,7 @@ class CommandLedger:
                 return Verdict(False, answered.acknowledgement)
             return Verdict(False, Acknowledgement(command_id, Reason.REPEATED_COMMAND_ID, 0.0, 0.0))
         if command_id <= self._newest_id:
-            refusal = Acknowledgement(command_id, Reason.OVERTAKEN, float(command_id), float(self._newest_id))
-            return Verdict(False, refusal)
+            return Verdict(False, overtaken(command_id, self._newest_id))
         self._newest_id = command_id
         self._pending[command_id] = payload
         return Verdict(True, None)

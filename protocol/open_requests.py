@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from protocol.reference_messages import Request
+from protocol.reference_messages import Request, is_stop
 
 # Ids of two runs of a client must differ: the controller's STATE may still name a motion of the run before.
 # 21 bits of the nonce above a 32-bit count keep the id below 2^53, where every JSON reader holds it exactly.
@@ -43,11 +43,11 @@ class OpenRequests:
         return ids
 
     def due(self, now_ns: int, resend_ns: int) -> list[Request]:
-        """The requests to be sent again now: those last sent ``resend_ns`` ago or earlier."""
+        """The requests to be sent again now, stops first: those last sent ``resend_ns`` ago or earlier."""
         late = [each for each in self._open.values() if now_ns - each.sent_ns >= resend_ns]
         for each in late:
             each.sent_ns = now_ns
-        return [each.request for each in late]
+        return sorted((each.request for each in late), key=lambda request: not is_stop(request))
 
     def due_ns(self, resend_ns: int) -> list[int]:
         """When each of them is due again."""

@@ -1,6 +1,6 @@
 """Messages of the UDP reference link as plain data; ``protocol.datagram_layout`` has their bytes."""
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
@@ -101,6 +101,11 @@ class Acknowledgement(NamedTuple):
     limit: float
 
 
+def overtaken(command_id: int, newest_id: int) -> Acknowledgement:
+    """The answer to request ``command_id``, which is not judged: ``newest_id`` came after it."""
+    return Acknowledgement(command_id, Reason.OVERTAKEN, float(command_id), float(newest_id))
+
+
 class State(NamedTuple):
     """Controller → vision PC, periodic: its own view of the arm (rigid model at the encoders)."""
 
@@ -160,6 +165,14 @@ CAPABILITY_STREAMING = 1 << 1
 CAPABILITY_AUTHENTICATION = 1 << 2
 
 Request = ReferencePose | ReferencePath | Command
+
+STOPS = frozenset({CommandCode.STOP, CommandCode.DISABLE, CommandCode.EMERGENCY_STOP})
+"""What is judged before all other requests."""
+
+
+def is_stop(request: Request) -> TypeGuard[Command]:
+    """Whether ``request`` goes before all others."""
+    return isinstance(request, Command) and request.code in STOPS
 
 
 def needed_capability(request: Request) -> int:

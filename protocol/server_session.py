@@ -20,8 +20,6 @@ from protocol.reference_messages import (
     HeartbeatReply,
     Hello,
     Message,
-    ReferencePath,
-    ReferencePose,
     Request,
     State,
     StreamedPose,
@@ -128,22 +126,8 @@ class ReferenceServer:
         return events + self._in_session(datagram, data, source, now_ns)
 
     def receive_batch(self, datagrams: Iterable[tuple[bytes, Source]], now_ns: int) -> list[ServerEvent]:
-        """Events of all datagrams that were waiting in the socket at ``now_ns``.
-
-        Of several references for motion only the newest is handed over; the others are answered OVERTAKEN.
-        """
-        events = [event for data, source in datagrams for event in self.receive(data, source, now_ns)]
-        motions = [
-            i
-            for i, event in enumerate(events)
-            if isinstance(event, RequestReceived) and isinstance(event.message, ReferencePose | ReferencePath)
-        ]
-        for i in motions[:-1]:
-            request = events[i]
-            assert isinstance(request, RequestReceived)
-            command_id = request.message.command_id
-            self.acknowledge(Acknowledgement(command_id, Reason.OVERTAKEN, 0.0, 0.0), now_ns)
-        return [event for i, event in enumerate(events) if i not in motions[:-1]]
+        """Events of all datagrams that were waiting in the socket at ``now_ns``."""
+        return [event for data, source in datagrams for event in self.receive(data, source, now_ns)]
 
     def acknowledge(self, acknowledgement: Acknowledgement, now_ns: int) -> None:
         """Answers a request that was handed over; without effect if its session has ended since."""

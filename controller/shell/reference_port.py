@@ -1,6 +1,7 @@
 """The UDP end of the reference link: datagrams are read as they arrive, requests wait for the next scan.
 
-Heartbeats are answered at once, so that the peer's clock estimate is not blurred by the scan's period.
+Heartbeats are answered at once, so that the peer's clock estimate is not blurred by the scan's period. Of a
+flood of the peer's a slice is judged in a cycle; all of it is read before the scan, lest a stop be in it.
 While a session is open its peer has a socket of its own, connected on the same port: the kernel sorts, and
 what strangers send can neither fill the peer's buffer nor cost the scan more than a few datagrams a cycle.
 """
@@ -12,6 +13,7 @@ import time
 from collections import Counter
 
 from controller.config import ReferenceLinkConfig
+from controller.core.arrivals import A_CYCLE, Arrivals
 from controller.core.inbox import Inbox
 from foundation.event_log import EventLog
 from foundation.ports import bound_udp
@@ -27,9 +29,33 @@ from protocol.session_events import (
     StreamedPoseReceived,
 )
 
-_DATAGRAMS_A_CYCLE = 96  # from the peer, or from anybody while there is none
+_ANYBODYS_A_CYCLE = 96  # while there is no peer
+_READ_A_CYCLE = 4096  # of the peer's; the kernel's buffer holds fewer
 _STRANGERS_A_CYCLE = 8  # while there is one: enough to refuse a second client
 _RECEIVE_BUFFER_BYTES = 1 << 20  # the kernel grants what it is allowed to
+
+
+class _Reader:
+    """One socket, what was read from it, and how much of that may still be judged in this cycle."""
+
+    def __init__(self, sock: socket.socket) -> None:
+        self.socket = sock
+        self.arrivals = Arrivals()
+        self.left = 0
+        self.paused = False
+
+    def read(self, most: int, session: int | None) -> int:
+        """How many datagrams were left out, once what has come is read, at most so many."""
+        left_out = 0
+        for _ in range(most):
+            try:
+                data, source = self.socket.recvfrom(MAX_DATAGRAM_BYTES + 1)
+            except BlockingIOError:
+                break
+            except OSError:  # an earlier answer met a closed port
+                continue
+            left_out += self.arrivals.put(data, source, session)
+        return left_out
 
 
 class ReferencePort:
@@ -45,11 +71,10 @@ class ReferencePort:
         self.drops: Counter[str] = Counter()
         self._log = log
         self._inbox = Inbox()
-        self._left: dict[socket.socket, int] = {}  # datagrams that may still be read in this cycle
-        self._paused: set[socket.socket] = set()
-        self._peers: socket.socket | None = None
+        self._peers: _Reader | None = None
         self._socket = bound_udp(config.host, config.port, "controller.reference_link")
         _enlarge(self._socket)
+        self._everybodys = _Reader(self._socket)
 
     @property
     def address(self) -> tuple[str, int]:
@@ -59,7 +84,7 @@ class ReferencePort:
 
     def open(self) -> None:
         """Begin to read; needs a running loop."""
-        self._watch(self._socket)
+        self._watch(self._everybodys)
 
     def release(self) -> None:
         """Close a port that was never opened."""
@@ -71,20 +96,18 @@ class ReferencePort:
         self._told(self.server.close(now_ns, Reason.SHUTDOWN))
         self._send()
         self._rejoin()
-        self._unwatch(self._socket)
+        self._unwatch(self._everybodys)
 
     def take(self, now_ns: int) -> tuple[tuple[Request, ...], bool]:
         """Requests for the scan at ``now_ns`` and whether the link is alive, see Inbox.
 
-        Also opens the next cycle's budget.
+        All that has come is read first, so that no stop among it misses this scan.
         """
         self._told(self.server.tick(now_ns))
-        self.flooded += bool(self._paused)
-        for sock in self._left:
-            self._left[sock] = self._budget(sock)
-        for sock in tuple(self._paused):
-            self._paused.discard(sock)
-            asyncio.get_running_loop().add_reader(sock.fileno(), self._readable, sock)
+        for reader in self._readers():
+            self.flooded += reader.paused
+            reader.left = self._budget(reader)
+            self._serve(reader)
         return self._inbox.take(self.server.link_alive(now_ns))
 
     def take_streamed(self) -> StreamedPoseReceived | None:
@@ -106,35 +129,45 @@ class ReferencePort:
         self.server.publish(state, now_ns)
         self._send()
 
-    def _budget(self, sock: socket.socket) -> int:
-        strangers = self._peers is not None and sock is self._socket
-        return _STRANGERS_A_CYCLE if strangers else _DATAGRAMS_A_CYCLE
+    def _readers(self) -> list[_Reader]:
+        return [self._everybodys] if self._peers is None else [self._peers, self._everybodys]
 
-    def _watch(self, sock: socket.socket) -> None:
-        self._left[sock] = self._budget(sock)
-        asyncio.get_running_loop().add_reader(sock.fileno(), self._readable, sock)
+    def _budget(self, reader: _Reader) -> int:
+        if reader is self._everybodys and self._peers is not None:
+            return _STRANGERS_A_CYCLE
+        return A_CYCLE if self.server.session is not None else _ANYBODYS_A_CYCLE
 
-    def _unwatch(self, sock: socket.socket) -> None:
-        self._left.pop(sock, None)
-        if sock not in self._paused:
-            asyncio.get_running_loop().remove_reader(sock.fileno())
-        self._paused.discard(sock)
-        sock.close()
+    def _watch(self, reader: _Reader) -> None:
+        reader.left = self._budget(reader)
+        self._resume(reader)
 
-    def _readable(self, sock: socket.socket) -> None:
-        arrived: list[tuple[bytes, object]] = []
-        while self._left[sock] > 0:
-            self._left[sock] -= 1
-            try:
-                arrived.append(sock.recvfrom(MAX_DATAGRAM_BYTES + 1))
-            except BlockingIOError:
-                break
-            except OSError:  # an earlier answer met a closed port
-                continue
-        if self._left[sock] <= 0:  # the rest waits for the next cycle, or is dropped by the kernel
-            asyncio.get_running_loop().remove_reader(sock.fileno())
-            self._paused.add(sock)
-        self._told(self.server.receive_batch(arrived, time.monotonic_ns()))
+    def _resume(self, reader: _Reader) -> None:
+        reader.paused = False
+        asyncio.get_running_loop().add_reader(reader.socket.fileno(), self._serve, reader)
+
+    def _pause(self, reader: _Reader) -> None:
+        reader.paused = True
+        asyncio.get_running_loop().remove_reader(reader.socket.fileno())
+
+    def _unwatch(self, reader: _Reader) -> None:
+        if not reader.paused:
+            asyncio.get_running_loop().remove_reader(reader.socket.fileno())
+        reader.socket.close()
+
+    def _serve(self, reader: _Reader) -> None:
+        """Read, and judge what may still be judged in this cycle; the rest waits for the next one."""
+        mine = reader is self._peers or (self._peers is None and self.server.session is not None)
+        most = _READ_A_CYCLE if mine else reader.left - len(reader.arrivals)
+        left_out = reader.read(most, self.server.session)
+        if left_out:
+            self._dropped("link.left_out", "more came than can be judged in time", left_out)
+        slice_ = reader.arrivals.take(reader.left)
+        reader.left -= len(slice_)
+        if reader.left > 0 and reader.paused:
+            self._resume(reader)
+        elif reader.left <= 0 and not reader.paused:
+            self._pause(reader)
+        self._told(self.server.receive_batch(slice_, time.monotonic_ns()))
         self._send()
 
     def _send(self) -> None:
@@ -143,7 +176,8 @@ class ReferencePort:
                 self._socket.sendto(data, source)  # type: ignore[call-overload]
 
     def _told(self, events: list[ServerEvent]) -> None:
-        self._inbox.put(events)
+        for answer in self._inbox.put(events):
+            self.server.acknowledge(answer, time.monotonic_ns())
         for event in events:
             if isinstance(event, SessionOpened):
                 self._part(event.source)
@@ -152,10 +186,14 @@ class ReferencePort:
                 self._rejoin()
                 self._log.write("session_closed", session=f"{event.session:x}", reason=event.reason.name)
             elif isinstance(event, DatagramDropped):
-                self.drops[event.cause] += 1
-                if self.drops[event.cause].bit_count() == 1:  # 1, 2, 4, … : a flood fills no disk
-                    fields = {"cause": event.cause, "detail": event.detail, "count": self.drops[event.cause]}
-                    self._log.write("datagram_dropped", "warning", **fields)
+                self._dropped(event.cause, event.detail, 1)
+
+    def _dropped(self, cause: str, detail: str, count: int) -> None:
+        before = self.drops[cause]
+        self.drops[cause] += count
+        if self.drops[cause].bit_length() > before.bit_length():  # at 1, 2, 4, … : a flood fills no disk
+            fields = {"cause": cause, "detail": detail, "count": self.drops[cause]}
+            self._log.write("datagram_dropped", "warning", **fields)
 
     def _part(self, peer: object) -> None:
         """A socket of the peer's own, from now on; without one all share the first, as before."""
@@ -173,8 +211,8 @@ class ReferencePort:
             own.close()
             self._log.write("peer_not_parted", "warning", cause="link.shared_socket", detail=str(error))
         else:
-            self._peers = own
-            self._watch(own)
+            self._peers = _Reader(own)
+            self._watch(self._peers)
         finally:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
 

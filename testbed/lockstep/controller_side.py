@@ -41,7 +41,8 @@ class ControllerSide:
         """
         events = self._server.receive_batch([(data, _VISION) for data in datagrams], arrival_ns)
         events += self._server.tick(now_ns)
-        self._inbox.put(events)
+        for answer in self._inbox.put(events):
+            self._server.acknowledge(answer, now_ns)
         requests, alive = self._inbox.take(self._server.link_alive(now_ns))
         self._state, output = scan(
             self._settings,

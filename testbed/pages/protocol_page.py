@@ -11,6 +11,7 @@ from typing import TypeVar
 from conformance.runner import reference_cases
 from controller.config import ControllerConfig
 from controller.core.group_states import TRANSITIONS, Mode, Stimulus
+from controller.core.inbox import WAITING
 from foundation.configuration import load
 from protocol import datagram_layout, process_image, reference_messages
 from protocol.authentication import LinkKey
@@ -194,6 +195,7 @@ def limits() -> str:
         ("datagram is stale", "older than the controller's max_age_ms, by default link_timeout_ms", "–"),
         ("request repeated", f"every {MIN_RESEND_NS // MS} ms or {RESEND_CYCLES} cycles, the longer",
          "until answered"),
+        ("requests that wait for a scan", "–", f"{WAITING}; one more, and the oldest is overtaken (6.14)"),
         ("answers remembered", "for the session", f"the newest {REMEMBERED}"),
         ("nonces remembered", "–", f"those of the last {REMEMBERED_NONCES} sessions"),
         ("gap in the sequence", "–", f"at most {MAX_GAP_DATAGRAMS - 1} skipped; more is refused"),

@@ -71,7 +71,7 @@ class ControllerUnderTest:
         self.bench = Bench(self.settings)
         self.bench.step()
         self.server = self.make_server()
-        self.inbox = Inbox()
+        self.inbox = self.make_inbox()
         self._clock_ns = self.network.clock_ns if self.network else time.monotonic_ns
         self._socket: Any = SimulatedSocket(self.network) if self.network else _real_socket()
         self.port: int = self._socket.getsockname()[1]
@@ -87,6 +87,10 @@ class ControllerUnderTest:
     def make_server(self) -> ReferenceServer:
         """The server's end of the link."""
         return ReferenceServer(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, key=self.link_key)
+
+    def make_inbox(self) -> Inbox:
+        """What holds the requests until the scan."""
+        return Inbox()
 
     def arm_hash(self) -> int:
         """The hash of the shipped arm."""
@@ -162,8 +166,11 @@ class ControllerUnderTest:
             if taken is not None:
                 batch.append((taken, source))
         if batch:
-            events = self.server.receive_batch(batch, self._clock_ns())
-            self.inbox.put([self._judged(event) for event in events])
+            self._note(self.server.receive_batch(batch, self._clock_ns()))
+
+    def _note(self, events: list[ServerEvent]) -> None:
+        for answer in self.inbox.put([self._judged(event) for event in events]):
+            self.server.acknowledge(answer, self._clock_ns())
 
     def _judged(self, event: ServerEvent) -> ServerEvent:
         if isinstance(event, RequestReceived):
@@ -172,7 +179,7 @@ class ControllerUnderTest:
 
     def _scan(self) -> None:
         now_ns = self._clock_ns()
-        self.inbox.put(self.server.tick(now_ns))
+        self._note(self.server.tick(now_ns))
         requests, self.bench.link_alive = self.inbox.take(self.server.link_alive(now_ns))
         self.bench.now_ns = now_ns - self.cycle_ns  # the bench adds one cycle
         output = self.bench.step(*requests, arrival=self.inbox.take_streamed())

@@ -18,6 +18,7 @@ from protocol.reference_messages import CAPABILITY_PATHS
 from protocol.server_session import ReferenceServer
 from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
 from tests.conformance.mutants import MUTANTS, Mutant
+from tests.conformance.stop_mutants import STOP_MUTANTS
 from tests.conformance.stream_mutants import STREAM_MUTANTS
 from tests.support.paths import DOCS
 
@@ -56,7 +57,9 @@ def test_on_real_sockets_it_passes_a_case_of_each_subject() -> None:
 
 
 @simulated
-@pytest.mark.parametrize("mutant", [*MUTANTS, *STREAM_MUTANTS], ids=lambda m: f"{m.make.__name__}-{m.case}")
+@pytest.mark.parametrize(
+    "mutant", [*MUTANTS, *STREAM_MUTANTS, *STOP_MUTANTS], ids=lambda m: f"{m.make.__name__}-{m.case}"
+)
 def test_each_broken_controller_is_caught_by_the_case_meant_for_it(mutant: Mutant) -> None:
     with mutant.make() as controller:
         summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, mutant.case], motion=True)

@@ -31,7 +31,6 @@ from protocol.session_events import (
     Connected,
     ConnectionDelayed,
     DatagramDropped,
-    RequestReceived,
     SessionClosed,
     SessionLost,
     SessionOpened,
@@ -437,22 +436,17 @@ class TestRequests:
         ]
         assert replies == [Acknowledgement(5, Reason.UNKNOWN_COMMAND, 77.0, 0.0)]
 
-    def test_of_a_backlog_of_references_only_the_newest_is_executed(self) -> None:
+    def test_stops_are_repeated_before_all_other_open_requests(self) -> None:
         wire = Wire().connect()
-        session = wire.server.session or 0
-        backlog: list[Message] = [MOVE, STOP, MOVE, ReferencePath(0, (IDENTITY,), 0.0, 0.0), MOVE]
-        batch = [
-            (encode(m._replace(command_id=i + 1), Header(session, 100 + i, wire.now_ns)), wire.source)
-            for i, m in enumerate(backlog)
-        ]
-        events = wire.server.receive_batch(batch, wire.server_ns)
-        assert [e.message.command_id for e in events if isinstance(e, RequestReceived)] == [2, 5]
-        replies = [
-            decode(data).message for data, _ in wire.server.outgoing() if kind_of(data) == "Acknowledgement"
-        ]
-        assert [(r.command_id, r.reason) for r in replies if isinstance(r, Acknowledgement)] == [
-            (i, Reason.OVERTAKEN) for i in (1, 3, 4)
-        ]
+        moves = [wire.client.submit(MOVE, wire.now_ns) for _ in range(200)]
+        wire.client.outgoing(wire.now_ns)
+        stop = wire.client.submit(STOP, wire.now_ns)
+        sent = [decode(data).message for data in wire.client.outgoing(wire.now_ns)]
+        assert sent == [STOP._replace(command_id=stop)]  # at once, however many are open
+        wire.client.tick(wire.now_ns + 30_000_000)
+        again = [decode(data).message for data in wire.client.outgoing(wire.now_ns + 30_000_000)]
+        ids = [message.command_id for message in again if isinstance(message, Command | ReferencePose)]
+        assert ids == [stop, *moves]
 
     def test_what_cannot_be_sent_is_refused_without_using_up_an_id(self) -> None:
         wire = Wire().connect()

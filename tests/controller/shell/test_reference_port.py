@@ -100,13 +100,13 @@ async def test_requests_wait_for_the_scan_in_order(port: ReferencePort, meet: Me
     assert _take(port) == ((), False)
     peer = meet(port, 2)
     await peer.connect()
+    peer.submit(Command(0, CommandCode.STOP))
     peer.submit(Command(0, CommandCode.ENABLE))
     peer.submit(ReferencePose(0, IDENTITY, 0.0))
-    peer.submit(Command(0, CommandCode.STOP))
     await peer.turn()
     requests, alive = _take(port)
     assert alive
-    assert [type(request).__name__ for request in requests] == ["Command", "ReferencePose", "Command"]
+    assert [type(request).__name__ for request in requests] == ["Command", "Command", "ReferencePose"]
     assert _take(port) == ((), True)
 
 
@@ -173,6 +173,21 @@ async def test_a_flood_of_strangers_does_not_hold_up_a_stop(port: ReferencePort,
     assert stopped_after is not None
     assert stopped_after <= 10
     assert longest_s < 0.2
+
+
+async def test_a_flood_of_the_peers_own_does_not_hold_up_a_stop(port: ReferencePort, meet: Meet) -> None:
+    """2500 valid requests in the socket, more than are judged in 70 cycles, then a stop."""
+    peer = meet(port, 10)
+    await peer.connect()
+    for _ in range(2500):
+        peer.submit(Command(0, CommandCode.ENABLE))
+    peer.submit(Command(0, CommandCode.EMERGENCY_STOP))
+    for data in peer.session.outgoing(time.monotonic_ns()):
+        peer.socket.send(data)
+    requests, _ = _take(port)
+    assert isinstance(requests[0], Command)
+    assert requests[0].code is CommandCode.EMERGENCY_STOP
+    assert port.drops["link.left_out"] > 1000
 
 
 async def test_closing_says_goodbye(port: ReferencePort, meet: Meet) -> None:
