@@ -146,7 +146,9 @@ TrajectoryBody = body_of(
     association=None,
 )  # fmt: skip
 LocalTrackBody = body_of(
-    "LocalTrackBody", "Three legs along the tool's axes, for the corrected look-then-move.", LocalMapSettings,
+    "LocalTrackBody",
+    "Three legs along the tool's axes, for the corrected look-then-move.",
+    LocalMapSettings,
     leg_m=0.2,
 )  # fmt: skip
 
