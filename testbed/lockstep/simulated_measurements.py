@@ -21,10 +21,10 @@ from testbed.lockstep.true_view import TrueView
 from testbed.lockstep.world import World
 from testbed.scenarios.settings import Settings
 from vision_pc.core.perception import intrinsics, markers
-from vision_pc.core.perception.look import FrameMarkers, FrameStamp, beliefs_after, observation_of
+from vision_pc.core.perception.look import FrameMarkers, FrameStamp, observation_of, priors_after
 from vision_pc.core.pixel_sensor import with_believed_offset
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import EyeModel, FrameObservation, OdometryPose, StereoOffset
+from vision_pc.core.types import CameraModel, FrameObservation, OdometryPose, StereoOffset
 
 _STREAM = 0x65796573  # the model's own random numbers
 
@@ -84,7 +84,7 @@ class SimulatedSensor:
     def observe(self, frame: SimulatedFrame, previous: FrameObservation | None) -> FrameObservation:
         """What vision makes of the corners that this frame would show."""
         settings = self._config.markers
-        beliefs = beliefs_after(previous, settings)
+        priors = priors_after(previous, settings)
         sightings, unfit = [], dict[int, str]()
         truth = frame.truth
         for number, seen in sorted(self._view.markers(truth.X_WC, truth.X_WM).items()):
@@ -93,14 +93,14 @@ class SimulatedSensor:
             left = self._rays(number, 0, seen.left)
             right = None if seen.right is None else self._rays(number, 1, seen.right)
             start = markers.planar_start(number, left, settings)
-            outcome = markers.from_rays(start, right, self.camera, settings, beliefs)
+            outcome = markers.from_rays(start, right, self.camera, settings, priors)
             if isinstance(outcome, str):
                 unfit[number] = outcome
             else:
                 sightings.append(outcome)
         stamp = FrameStamp(frame.frame_id, frame.capture_ns)
         found = FrameMarkers(sightings, Counter(), unfit, since_full_search=0)
-        return observation_of(stamp, found, self.camera, settings, beliefs, previous)
+        return observation_of(stamp, found, self.camera, settings, priors, previous)
 
     def odometry(self, offset: StereoOffset | None) -> "FrameOdometry":
         """Odometry that begins with the next frame, for a right eye that is off by ``offset``."""
@@ -124,7 +124,7 @@ class SimulatedSensor:
         corners = self._model.corners
         bias = [self._bias(marker, 4 * eye + k, pixel) for k, pixel in enumerate(exact)]
         noise = self._rng.normal(0.0, corners.noise_px, (4, 2))
-        model: EyeModel = (self.camera.left, self.camera.right)[eye]
+        model: CameraModel = (self.camera.left, self.camera.right)[eye]
         return intrinsics.normalised(model, exact + corners.bias_px * np.array(bias) + noise)
 
     def _bias(self, marker: int, corner: int, pixel: Array) -> Array:

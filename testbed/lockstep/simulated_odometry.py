@@ -14,7 +14,7 @@ from vision_pc.core.odometry.keyframe_map import Indices, triangulated
 from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.odometry.tracking import Flags, inside
 from vision_pc.core.perception import intrinsics, stereo_pose
-from vision_pc.core.perception.stereo_pose import Beliefs, BodyView
+from vision_pc.core.perception.stereo_pose import BodyView, Priors
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, StereoOffset
 
@@ -86,11 +86,11 @@ class ModelOdometry:
         """The camera's pose in C0, or None when it is lost; then ``last_loss`` names the cause."""
         self._mask(X_CM)
         lost = self._rng.random() < self._noise.lost_share
-        pose = None if lost else self._located(truth, time_ns, number)
+        pose = None if lost else self._localise(truth, time_ns, number)
         self.last_loss = "too_few_points" if pose is None else None
         return pose
 
-    def _located(self, truth: PlantTruth, time_ns: int, number: int) -> OdometryPose | None:
+    def _localise(self, truth: PlantTruth, time_ns: int, number: int) -> OdometryPose | None:
         if not self._keyframes:
             points = self._new_keyframe(truth, np.zeros(0, dtype=np.int64))
             if points < self._settings.minimum_inliers:
@@ -130,9 +130,9 @@ class ModelOdometry:
             ]
         )
         weights = np.stack([np.ones(len(seen.ids)), seen.in_right.astype(np.float64)])
-        beliefs = Beliefs(max(self._noise.noise_px, 1e-3), _NO_SCALE, _NO_OFFSET)
+        priors = Priors(max(self._noise.noise_px, 1e-3), _NO_SCALE, _NO_OFFSET)
         view = BodyView(self._map[seen.ids], rays, weights)
-        solution = stereo_pose.solve([view], [se3.inverse(self._X_C0C)], self._camera, beliefs)
+        solution = stereo_pose.solve([view], [se3.inverse(self._X_C0C)], self._camera, priors)
         self._X_C0C = se3.inverse(solution.X_CA[0])
         return se3.inverse_covariance(solution.X_CA[0], solution.covariances[0])
 

@@ -14,7 +14,7 @@ from foundation.compiled import kernel
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, EyeModel, Image, StereoPair
+from vision_pc.core.types import CameraCalibration, CameraModel, Image, StereoPair
 
 BLACK, WHITE = 22.0, 208.0
 DICTIONARY = cv2.aruco.DICT_5X5_1000
@@ -37,7 +37,7 @@ def object_points(size: float) -> Array:
     return 0.5 * size * np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
 
 
-def exact_corners(eye: EyeModel, marker: Marker) -> Array:
+def exact_corners(eye: CameraModel, marker: Marker) -> Array:
     """Where ``eye`` sees the corners, px."""
     return intrinsics.project(eye, se3.apply(marker.X_CA, object_points(marker.size)))
 
@@ -47,7 +47,7 @@ def facing(x: float, y: float, z: float, tilt_deg: tuple[float, float, float] = 
     return se3.transform(np.diag([1.0, -1.0, -1.0]) @ se3.exp_so3(np.radians(tilt_deg)), (x, y, z))
 
 
-def draw_marker(picture: Array, eye: EyeModel, marker: Marker, samples: int = 8) -> None:
+def draw_marker(picture: Array, eye: CameraModel, marker: Marker, samples: int = 8) -> None:
     """Lay ``marker`` over ``picture`` (float, in place): every pixel is the mean of samples² rays."""
     half = marker.size * (0.5 + marker.rim)
     outline = intrinsics.project(eye, se3.apply(marker.X_CA, object_points(2.0 * half)))
@@ -124,7 +124,7 @@ def wall_texture(seed: int, contrast: float, size: int = 2000) -> Array:
     return np.asarray(118.0 + contrast * total / total.std(), dtype=np.float32)
 
 
-def draw_wall(eye: EyeModel, shape: tuple[int, int], texture: Array, texel: float, X_CW: Array) -> Array:
+def draw_wall(eye: CameraModel, shape: tuple[int, int], texture: Array, texel: float, X_CW: Array) -> Array:
     """The wall's picture (float32): plane z = 0 of ``X_CW``, texture centred there, 2×2 supersampled; no
     distortion.
     """

@@ -17,11 +17,11 @@ from pydantic.fields import FieldInfo
 
 from vision_pc.config.programs import (
     LineEquationSettings,
-    LocalMapSettings,
-    LookingAndMovingSettings,
+    LocalErrorModelSettings,
     OrientationSettings,
     PositioningSettings,
     TrajectorySettings,
+    VisualServoingSettings,
 )
 
 _UNITS = {"_mm": ("_m", 1e-3)}
@@ -148,7 +148,7 @@ TrajectoryBody = body_of(
 LocalTrackBody = body_of(
     "LocalTrackBody",
     "Three legs along the tool's axes, for the corrected look-then-move.",
-    LocalMapSettings,
+    LocalErrorModelSettings,
     leg_m=0.2,
 )  # fmt: skip
 
@@ -180,7 +180,7 @@ LookThenMoveBody = body_of(
 )
 
 
-class ServoingSettings(LookingAndMovingSettings):
+class ServoingSettings(VisualServoingSettings):
     """Visual servoing, and the distance to the object that it shall leave: as for look-then-move."""
 
     clearance_m: Annotated[float, *PositioningSettings.model_fields["clearance_m"].metadata]

@@ -41,7 +41,7 @@ from vision_pc.application.results import (
 )
 from vision_pc.config.programs import (
     LineEquationSettings,
-    LocalMapSettings,
+    LocalErrorModelSettings,
     OrientationSettings,
     TrajectorySettings,
 )
@@ -87,7 +87,7 @@ async def _trajectory(
 
 
 async def _local_track(
-    application: VisionApplication, settings: LocalMapSettings, report: Report
+    application: VisionApplication, settings: LocalErrorModelSettings, report: Report
 ) -> LocalTrack:
     """The track is kept for the corrected look-then-move."""
     application.track = await local_error_model.record_local_track(
@@ -126,7 +126,7 @@ async def _looking_and_moving(
     else:
         raise RequestRefused("refused.not_calibrated", "neither local track nor calibration of any mount")
     application.track = None  # the arm leaves its end, unwatched by odometry
-    approach = await visual_servoing.look_and_move(arm, eyes, report, settings, settings.clearance_m, R_TC)
+    approach = await visual_servoing.servo_to_object(arm, eyes, report, settings, settings.clearance_m, R_TC)
     await eyes.look()
     return ServoingResult(approach, application.latest_look)
 
@@ -238,7 +238,7 @@ PROGRAMS: tuple[Program[Any, Any], ...] = (
             **application.settings.looking_and_moving.model_dump(),
         ),
         needs=(*MOVING, camera_axes),
-        core=visual_servoing.look_and_move,
+        core=visual_servoing.servo_to_object,
         source="Mäkinen et al. 2023, section 6, names it as possible",
     ),
     Program(

@@ -14,7 +14,7 @@ from vision_pc.core.calibration.local_error_model import LocalTrack
 from vision_pc.core.calibration.orientation import OrientationResult, orientation_error
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult
 from vision_pc.core.positioning.look_then_move import LookVerdict, PositioningResult, Step
-from vision_pc.core.positioning.visual_servoing import Approach
+from vision_pc.core.positioning.visual_servoing import Convergence
 from vision_pc.core.se3 import Array, to_pose
 from vision_pc.core.types import Look
 
@@ -38,7 +38,7 @@ class LineEquationResult(NamedTuple):
 class ServoingResult(NamedTuple):
     """How visual servoing ended, and a look after it."""
 
-    approach: Approach
+    approach: Convergence
     look: JudgedLook
 
 
@@ -162,7 +162,7 @@ def step_json(step: Step) -> JSON:
 def positioning_json(result: PositioningResult | CorrectedResult) -> JSON:
     """All looks and steps, the last look's verdict, and what odometry measured at the end if it did."""
     if isinstance(result, CorrectedResult):
-        return positioning_json(result.positioning) | {"measured_miss_mm": xyz(result.measured_miss_m)}
+        return positioning_json(result.positioning) | {"measured_miss_mm": xyz(result.measured_residual_m)}
     return verdict_json(result.final) | {
         "looks": [verdict_json(look) for look in result.looks],
         "steps": [step_json(step) for step in result.steps],

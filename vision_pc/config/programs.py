@@ -89,7 +89,7 @@ class TrajectorySettings(StrictModel):
     rotation_std_limit_deg: float = Field(gt=0.0, le=45.0)
 
 
-class LocalMapSettings(StrictModel):
+class LocalErrorModelSettings(StrictModel):
     """Best mode: three legs along n, s and a, a local map, and mid-course corrections.
 
     Priors of the map: ``rotation_std`` (rad), ``scale_std`` and ``strain_std`` (relative), ``field_stds``
@@ -149,7 +149,7 @@ class PositioningSettings(StrictModel):
     nudge_m: float = Field(ge=0.0, le=0.1)
 
 
-class LookingAndMovingSettings(StrictModel):
+class VisualServoingSettings(StrictModel):
     """Looking and moving: closed loop at camera rate.
 
     ``gain``: share of a picture's news that the target takes, farther than ``near_m`` from the object;
@@ -189,6 +189,6 @@ class ProgramSettings(StrictModel):
     orientation: OrientationSettings
     line_equation: LineEquationSettings
     trajectory: TrajectorySettings
-    local_map: LocalMapSettings
+    local_map: LocalErrorModelSettings
     positioning: PositioningSettings
-    looking_and_moving: LookingAndMovingSettings
+    looking_and_moving: VisualServoingSettings

@@ -35,7 +35,7 @@ class StereoPair(NamedTuple):
     frame_id: int
 
 
-class EyeModel(NamedTuple):
+class CameraModel(NamedTuple):
     """A pinhole with Brown-Conrady distortion.
 
     ``K`` (3×3) px; ``distortion`` (5,) = k1 k2 p1 p2 k3, zeros for rectified pictures; ``X_CE`` this eye
@@ -52,8 +52,8 @@ class CameraCalibration(NamedTuple):
 
     width: int
     height: int
-    left: EyeModel
-    right: EyeModel
+    left: CameraModel
+    right: CameraModel
 
 
 class MarkerObservation(NamedTuple):

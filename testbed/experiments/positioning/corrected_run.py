@@ -112,7 +112,7 @@ def driven(rig: LockstepRig, body: JSON) -> Branch:
         true_mm=xyz(error_mm),
         servo_mm=xyz(X_BC[:3, :3].T @ off_mm),
         std_mm=xyz([1e3 * float(value) for value in steps[0].expected_std_m]),
-        measured_mm=xyz([1e3 * float(value) for value in result.measured_miss_m]),
+        measured_mm=xyz([1e3 * float(value) for value in result.measured_residual_m]),
         look_mm=xyz([1e3 * float(value) for value in final.error_m]),
         worst_mm=float(np.abs(error_mm[:2]).max()),
         steps=len(steps),

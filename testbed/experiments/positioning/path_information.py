@@ -22,7 +22,7 @@ from testbed.experiments.positioning.scenarios import arm_files
 from testbed.reporting.console import table
 from testbed.scenarios.settings import load_settings
 from vision_pc.config.programs import ProgramSettings
-from vision_pc.core.calibration.backlash import taken_up
+from vision_pc.core.calibration.backlash import before_take_up
 from vision_pc.core.calibration.line_equation import circle
 from vision_pc.core.calibration.local_calibration import rotation_information
 from vision_pc.core.calibration.local_error_model import planned_covariance, three_legs
@@ -128,7 +128,7 @@ def measured_path(config_dir: Path, task: Task) -> PathRow:
     X_BT = tool_pose(dh_table(settings.arm.dh), np.radians(settings.plant.start_pose_deg))
     boom = boom_dimensions(settings.arm)
     *corners, end = CANDIDATES[task["path"]](X_BT, programs)
-    path = [*corners, taken_up(end, programs.local_map.take_up_rad), end]
+    path = [*corners, before_take_up(end, programs.local_map.take_up_rad), end]
     track = driven(X_BT, path, programs.local_map.dwell_s)
     covariances = planned_covariance(track.X_BT, track.speed, _goals(), boom, programs.local_map)
     worst_mm = 1e3 * np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])

@@ -7,7 +7,7 @@ import pytest
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
-from vision_pc.core.types import CameraCalibration, EyeModel
+from vision_pc.core.types import CameraCalibration, CameraModel
 
 STRONG = np.array([-0.17, 0.025, 0.001, -0.0005, 0.0])
 
@@ -23,7 +23,7 @@ def test_configuration_becomes_a_calibration(config: VisionConfig, camera: Camer
 
 @pytest.mark.parametrize("distortion", [np.zeros(5), STRONG])
 def test_projection_agrees_with_opencv(camera: CameraCalibration, distortion: np.ndarray) -> None:
-    eye = EyeModel(
+    eye = CameraModel(
         camera.left.K, distortion, se3.transform(se3.exp_so3([0.01, 0.02, -0.01]), (0.12, 0.001, 0.0))
     )
     points = np.random.default_rng(1).uniform([-1, -0.6, 0.8], [1, 0.6, 3], (50, 3))
@@ -34,7 +34,7 @@ def test_projection_agrees_with_opencv(camera: CameraCalibration, distortion: np
 
 @pytest.mark.parametrize("distortion", [np.zeros(5), STRONG])
 def test_undistortion_inverts_distortion(camera: CameraCalibration, distortion: np.ndarray) -> None:
-    eye = EyeModel(camera.left.K, distortion, se3.identity())
+    eye = CameraModel(camera.left.K, distortion, se3.identity())
     pixels = np.random.default_rng(2).uniform([0, 0], [1279, 719], (200, 2))
     np.testing.assert_allclose(
         intrinsics.distorted(eye, intrinsics.normalised(eye, pixels)), pixels, atol=1e-6

@@ -13,7 +13,7 @@ from vision_pc.config.vision import MarkerSettings, VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics, look, marker_edges, markers
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, EyeModel, FrameObservation
+from vision_pc.core.types import CameraCalibration, CameraModel, FrameObservation
 
 STRONG_LENS = np.array([-0.17, 0.025, 0.001, -0.0005, 0.0])
 OBJECT_LAYOUT = ((1, -0.2, 0.0), (2, 0.2, 0.0), (3, 0.0, 0.2))
@@ -42,7 +42,7 @@ class Corners(NamedTuple):
 
 
 def measured_corners(
-    eye: EyeModel, size: float, z: float, count: int, generator: np.random.Generator
+    eye: CameraModel, size: float, z: float, count: int, generator: np.random.Generator
 ) -> Corners:
     """Over random markers of ``size`` at ``z``, turned by up to 35° about every axis."""
     edges, opencv, outward = [], [], []

@@ -8,10 +8,10 @@ import pytest
 from protocol.errors import MeasurementFailed
 from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward, inverse_kinematics, silent
-from vision_pc.config.programs import LocalMapSettings
-from vision_pc.core.calibration.backlash import play_states, slew_angles, taken_up
+from vision_pc.config.programs import LocalErrorModelSettings
+from vision_pc.core.calibration.backlash import backlash_sides, before_take_up, slew_angles
 from vision_pc.core.calibration.local_error_model import (
-    fit_map,
+    fit_error_model,
     record_local_track,
     refuse_poor_track,
     solve_step,
@@ -27,8 +27,8 @@ PROGRAMS = shipped()
 MAP = PROGRAMS.local_map
 
 
-def changed(**changes: Any) -> LocalMapSettings:
-    return LocalMapSettings.model_validate(MAP.model_dump() | changes)
+def changed(**changes: Any) -> LocalErrorModelSettings:
+    return LocalErrorModelSettings.model_validate(MAP.model_dump() | changes)
 
 
 def rig(seed: int, **changes: Any) -> SyntheticRig:
@@ -36,7 +36,7 @@ def rig(seed: int, **changes: Any) -> SyntheticRig:
 
 
 async def one_look(
-    seed: int, settings: LocalMapSettings, corrections: int | None = None, **changes: Any
+    seed: int, settings: LocalErrorModelSettings, corrections: int | None = None, **changes: Any
 ) -> tuple[SyntheticRig, Any]:
     arm = rig(seed, **changes)
     await adjust_orientation(arm, arm, silent, PROGRAMS.orientation)
@@ -54,7 +54,7 @@ async def test_one_look_inside_5_mm_over_seeds_and_the_measured_miss_is_true() -
         arm, result = await one_look(seed, MAP)
         error = arm.true_error(PROGRAMS.positioning.clearance_m)
         errors.append(np.abs(error[:2]).max())
-        misses.append(np.linalg.norm(result.measured_miss_m[:2] - error[:2]))
+        misses.append(np.linalg.norm(result.measured_residual_m[:2] - error[:2]))
         assert 2 <= len(result.positioning.steps) <= PROGRAMS.positioning.corrections + 1
     assert np.median(errors) < 0.002
     assert max(errors) < 0.005
@@ -88,7 +88,7 @@ async def test_the_map_sees_what_a_rotation_cannot() -> None:
     ]
     track = track_of(tuple(samples), 0.0)
     settings = changed(play_std=1e-6, noise_std_m=1e-4, strain_std=0.02, sway_s=0.0)
-    fitted = fit_map(track, np.zeros(3), BOOM, settings)
+    fitted = fit_error_model(track, np.zeros(3), BOOM, settings)
     assert fitted.residual_m < 5e-4
     for d in (np.array([0.1, 0.0, 0.0]), np.array([0.0, -0.1, 0.05])):  # in the camera, parallel to the tool
         x, _ = solve_step(fitted, d)
@@ -105,7 +105,7 @@ async def test_bending_is_carried_on_beyond_the_path() -> None:
         ):
             arm = rig(seed, play=0.0, servo_std=0.0)
             track = await record_local_track(arm, arm, silent, settings)
-            fitted = fit_map(track, (await arm.look()).X_CM[:3, 3], BOOM, settings)
+            fitted = fit_error_model(track, (await arm.look()).X_CM[:3, 3], BOOM, settings)
             begin, nominal = arm.X_BT_true(), forward(arm.q)
             d_B = np.array([-0.5, 0.3, 0.5])
             x, _ = solve_step(fitted, fitted.R.T @ d_B)
@@ -154,23 +154,23 @@ def test_slew_angle_from_the_tools_pose() -> None:
 
 def test_play_follows_the_flanks() -> None:
     slew = np.array([0.0, 1.0, 2.0, 1.9, 1.0, 1.05, 1.3]) * 1e-3
-    assert np.allclose(play_states(slew, 3e-4), [0.0, -1.0, -1.0, -2 / 3, 1.0, 5 / 6, 0.0])
+    assert np.allclose(backlash_sides(slew, 3e-4), [0.0, -1.0, -1.0, -2 / 3, 1.0, 5 / 6, 0.0])
 
 
 def test_the_play_is_taken_up_by_a_turn_of_the_slew_alone() -> None:
     X = forward(Q_START)
-    before = taken_up(X, 1e-3)
+    before = before_take_up(X, 1e-3)
     turn = slew_angles(np.stack([before, X]), 0.35)
     assert turn[1] - turn[0] == pytest.approx(1e-3, rel=0.15)  # the wrist is nearer than the tool
     assert before[2, 3] == pytest.approx(X[2, 3])
     assert np.array_equal(before[:3, :3], X[:3, :3])
-    assert play_states(turn, 2e-4)[-1] == -1.0
+    assert backlash_sides(turn, 2e-4)[-1] == -1.0
 
 
 async def test_every_drive_ends_on_the_same_flank_of_the_slews_play_although_it_swings() -> None:
     """A run over the end and back again crosses the play; at a slow pace there is none."""
 
-    async def flanks(settings: LocalMapSettings) -> set[float]:
+    async def flanks(settings: LocalErrorModelSettings) -> set[float]:
         ends = set()
         for seed in range(4):
             arm = rig(seed, servo_std=0.0)

@@ -8,9 +8,9 @@ import pytest
 from protocol.errors import MeasurementFailed
 from tests.vision_pc.program_settings import shipped
 from tests.vision_pc.synthetic import SyntheticRig, draw, forward, silent
-from vision_pc.config.programs import LookingAndMovingSettings
+from vision_pc.config.programs import VisualServoingSettings
 from vision_pc.core.calibration.local_error_model import camera_in_tool, record_local_track
-from vision_pc.core.positioning.visual_servoing import Approach, Loop, look_and_move
+from vision_pc.core.positioning.visual_servoing import Convergence, ServoingLaw, servo_to_object
 from vision_pc.core.se3 import Array, angle_between, exp_so3, transform
 from vision_pc.core.types import WatchSample
 
@@ -19,8 +19,8 @@ SETTINGS = PROGRAMS.looking_and_moving
 CLEARANCE = PROGRAMS.positioning.clearance_m
 
 
-def changed(**changes: Any) -> LookingAndMovingSettings:
-    return LookingAndMovingSettings.model_validate(SETTINGS.model_dump() | changes)
+def changed(**changes: Any) -> VisualServoingSettings:
+    return VisualServoingSettings.model_validate(SETTINGS.model_dump() | changes)
 
 
 def rig(seed: int, **changes: Any) -> SyntheticRig:
@@ -32,8 +32,8 @@ async def calibrated(arm: SyntheticRig) -> Array:
     return camera_in_tool(track, (await arm.look()).X_CM[:3, 3])
 
 
-async def approached(arm: SyntheticRig, R_TC: Array, **changes: Any) -> Approach:
-    return await look_and_move(arm, arm, silent, changed(**changes), CLEARANCE, R_TC)
+async def approached(arm: SyntheticRig, R_TC: Array, **changes: Any) -> Convergence:
+    return await servo_to_object(arm, arm, silent, changed(**changes), CLEARANCE, R_TC)
 
 
 async def test_it_settles_under_2_mm_over_seeds() -> None:
@@ -132,27 +132,27 @@ def sample(left: Array, X_BT: Array, number: int = 0) -> WatchSample:
 
 def test_one_picture_moves_the_reference_by_a_bounded_step_whatever_it_shows() -> None:
     still = np.eye(4)
-    loop = Loop(np.eye(3), np.eye(3), CLEARANCE, SETTINGS)
-    loop.seen(sample(np.array([0.1, 0.0, 0.0]), still))
+    loop = ServoingLaw(np.eye(3), np.eye(3), CLEARANCE, SETTINGS)
+    loop.update(sample(np.array([0.1, 0.0, 0.0]), still))
     before = loop.reference(still)[:3, 3]
-    loop.seen(sample(np.array([-5.0, 3.0, 1.0]), still))  # a wild outlier
+    loop.update(sample(np.array([-5.0, 3.0, 1.0]), still))  # a wild outlier
     assert np.linalg.norm(loop.reference(still)[:3, 3] - before) <= SETTINGS.step_m + 1e-12
-    loop.seen(sample(np.array([0.1, 0.0, 0.0]), still))
+    loop.update(sample(np.array([0.1, 0.0, 0.0]), still))
     for _ in range(50):
-        loop.seen(sample(np.array([5.0, 0.0, 0.0]), still))
+        loop.update(sample(np.array([5.0, 0.0, 0.0]), still))
     assert np.linalg.norm(loop.reference(still)[:3, 3]) <= SETTINGS.lead_m + 1e-12
 
 
 def test_the_pull_is_bounded_and_only_acts_at_rest() -> None:
     still, near = np.eye(4), np.array([0.012, 0.0, 0.0])
-    loop = Loop(np.eye(3), np.eye(3), CLEARANCE, changed(gain=1.0))
+    loop = ServoingLaw(np.eye(3), np.eye(3), CLEARANCE, changed(gain=1.0))
     for k in range(100):  # never at rest
         moving = transform(np.eye(3), np.array([0.002 * k, 0.0, 0.0]))
-        loop.seen(sample(near - moving[:3, 3], moving))
+        loop.update(sample(near - moving[:3, 3], moving))
     assert np.allclose(loop.reference(still)[:3, 3], near)
-    loop = Loop(np.eye(3), np.eye(3), CLEARANCE, changed(gain=1.0))
+    loop = ServoingLaw(np.eye(3), np.eye(3), CLEARANCE, changed(gain=1.0))
     for k in range(1000):  # stuck
-        loop.seen(sample(near, still))
+        loop.update(sample(near, still))
         if k == SETTINGS.settle_pictures:
             assert loop.reference(still)[0, 3] == pytest.approx(0.012 + min(0.012, SETTINGS.pull_m))
     assert loop.reference(still)[0, 3] == pytest.approx(0.012 + SETTINGS.pull_m)
@@ -161,23 +161,23 @@ def test_the_pull_is_bounded_and_only_acts_at_rest() -> None:
 def test_while_the_servo_still_works_nothing_is_settled_and_nothing_pulled() -> None:
     """The tool may stick where it should be with the integral wound up: it will move again."""
     still, left = np.eye(4), np.array([0.0002, 0.0, 0.0])
-    loop = Loop(np.eye(3), np.eye(3), CLEARANCE, SETTINGS)
+    loop = ServoingLaw(np.eye(3), np.eye(3), CLEARANCE, SETTINGS)
     for _ in range(3 * SETTINGS.settle_pictures):
-        loop.seen(sample(left, still), servo_gap_m=2.0 * SETTINGS.servo_gap_m)
+        loop.update(sample(left, still), servo_gap_m=2.0 * SETTINGS.servo_gap_m)
     assert not loop.settled
-    loop.seen(sample(left, still), servo_gap_m=0.5 * SETTINGS.servo_gap_m)
+    loop.update(sample(left, still), servo_gap_m=0.5 * SETTINGS.servo_gap_m)
     assert loop.settled
 
 
 def test_near_the_object_the_target_does_not_chase_encoders_that_move_in_their_play() -> None:
     """The encoders move, the tool does not: the picture stays as it is, and so must the reference."""
-    loop = Loop(np.eye(3), np.eye(3), CLEARANCE, SETTINGS)
+    loop = ServoingLaw(np.eye(3), np.eye(3), CLEARANCE, SETTINGS)
     left, start = np.array([0.004, 0.0, 0.0]), np.eye(4)
-    loop.seen(sample(left, start))
+    loop.update(sample(left, start))
     before = loop.reference(start)[:3, 3]
     for k in range(5):
         played = transform(np.eye(3), np.array([3e-4 * (k + 1), 0.0, 0.0]))
-        loop.seen(sample(left, played))
+        loop.update(sample(left, played))
     assert np.allclose(loop.reference(start)[:3, 3], before)
 
 
@@ -186,17 +186,17 @@ def test_a_rest_that_comes_no_nearer_is_accepted_the_sooner_the_wider_it_may_be(
     growth: float, pulls: int | None
 ) -> None:
     """Play leaves the tool at 1.1 mm whatever the loop does; 0.8 mm are wanted, 1.4 mm are the most."""
-    loop = Loop(np.eye(3), np.eye(3), CLEARANCE, changed(settle_growth=growth, settle_m=0.0008))
+    loop = ServoingLaw(np.eye(3), np.eye(3), CLEARANCE, changed(settle_growth=growth, settle_m=0.0008))
     rests = 0
     for number in range(20 * SETTINGS.settle_pictures):
-        loop.seen(sample(np.array([0.0011, 0.0, 0.0]), np.eye(4), number))
+        loop.update(sample(np.array([0.0011, 0.0, 0.0]), np.eye(4), number))
         if loop.settled:
             break
         rests += len(loop.errors) == 0
     assert loop.settled == (pulls is not None)
     assert pulls is None or rests == pulls
 
-    far = Loop(np.eye(3), np.eye(3), CLEARANCE, changed(settle_growth=growth, settle_m=0.0008))
+    far = ServoingLaw(np.eye(3), np.eye(3), CLEARANCE, changed(settle_growth=growth, settle_m=0.0008))
     for number in range(20 * SETTINGS.settle_pictures):
-        far.seen(sample(np.array([0.0015, 0.0, 0.0]), np.eye(4), number))
+        far.update(sample(np.array([0.0015, 0.0, 0.0]), np.eye(4), number))
         assert not far.settled

@@ -17,7 +17,7 @@ from protocol.stereo_frame import FrameHeader, encode_header
 from vision_pc.config.vision import CameraSettings, VisionConfig
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras import CameraSource, open_camera
-from vision_pc.shell.cameras.directory import Recorder, recorded, recorded_pairs
+from vision_pc.shell.cameras.directory import PairRecorder, recorded, recorded_pairs
 from vision_pc.shell.cameras.stream import BufferPool, StreamClock
 
 pytestmark = pytest.mark.realtime
@@ -272,7 +272,7 @@ async def test_film_of_another_size_is_refused(config: VisionConfig, tmp_path: P
 
 def record(directory: Path, count: int = 4) -> list[StereoPair]:
     generator = np.random.default_rng(1)
-    recorder = Recorder(directory)
+    recorder = PairRecorder(directory)
     pairs = []
     for k in range(count):
         left, right = generator.integers(0, 255, (2, HEIGHT, WIDTH), dtype=np.uint8)

@@ -11,7 +11,7 @@ import numpy as np
 from vision_pc.core.se3 import Array, transform
 
 
-def taken_up(X_BT: Array, turn_rad: float) -> Array:
+def before_take_up(X_BT: Array, turn_rad: float) -> Array:
     """The pose (4, 4) from which the take-up, a turn of the slew by ``turn_rad``, ends at ``X_BT``.
 
     The tool's axes are held.
@@ -36,7 +36,7 @@ def slew_angles(X_BT: Array, wrist_to_tool_m: float) -> Array:
     return np.asarray(np.unwrap(np.arctan2(wrist[:, 1], wrist[:, 0])))
 
 
-def play_states(slew: Array, reversal: float) -> Array:
+def backlash_sides(slew: Array, reversal: float) -> Array:
     """h (N,) in −1…1: the side of the backlash on which the slew's load lies; −1 after a positive turn.
 
     On a reversal the load crosses the whole backlash before the encoder turns back. An encoder that turns

@@ -14,9 +14,15 @@ import numpy as np
 
 from nominal_arm.dimensions import BoomDimensions
 from protocol.errors import MeasurementFailed
-from vision_pc.config.programs import LocalMapSettings
+from vision_pc.config.programs import LocalErrorModelSettings
 from vision_pc.core.calibration.arm_fields import FIELDS, error_fields
-from vision_pc.core.calibration.backlash import play_states, slew_angles, slew_between, slew_lever, taken_up
+from vision_pc.core.calibration.backlash import (
+    backlash_sides,
+    before_take_up,
+    slew_angles,
+    slew_between,
+    slew_lever,
+)
 from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.se3 import Array, hat, inverse, nearest_rotation, transform
@@ -56,7 +62,7 @@ class LocalTrack(NamedTuple):
         return X
 
 
-class LocalMap(NamedTuple):
+class LocalErrorModel(NamedTuple):
     """The fitted model R d = x + Φ(x) θ about the present pose ``X_BT``, for an arm of ``dimensions``.
 
     ``R`` (3, 3) rotates the axes of K into B; ``theta`` (n,), ``covariance`` (n, n). ``residual_m``: rms of
@@ -73,7 +79,9 @@ class LocalMap(NamedTuple):
     dimensions: BoomDimensions
 
 
-async def record_local_track(arm: Arm, eyes: Eyes, report: Report, settings: LocalMapSettings) -> LocalTrack:
+async def record_local_track(
+    arm: Arm, eyes: Eyes, report: Report, settings: LocalErrorModelSettings
+) -> LocalTrack:
     """Drive three legs along n, s and a from behind the present pose back to it; return their track.
 
     Raises MeasurementFailed for lost odometry or too few samples; errors of arm and eyes pass through.
@@ -94,7 +102,7 @@ def three_legs(X_BT: Array, leg_m: float) -> list[Array]:
 
 
 async def watched_path(
-    arm: Arm, eyes: Eyes, waypoints: list[Array], settings: LocalMapSettings
+    arm: Arm, eyes: Eyes, waypoints: list[Array], settings: LocalErrorModelSettings
 ) -> LocalTrack:
     """Drive a path through ``waypoints``; return its track, in the camera frame of its end.
 
@@ -102,7 +110,7 @@ async def watched_path(
     backlash is then always on the same side.
     """
     *on_the_way, end = waypoints
-    before = taken_up(end, settings.take_up_rad)
+    before = before_take_up(end, settings.take_up_rad)
     async with eyes.watch(markers=False, odometry=True) as watch:
         await arm.follow([*on_the_way, before], segment_s=settings.segment_s, dwell_s=settings.dwell_s)
         view = await arm.move_to(end, duration_s=settings.take_up_s)
@@ -136,7 +144,7 @@ def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
     )
 
 
-def refuse_poor_track(track: LocalTrack, settings: LocalMapSettings) -> None:
+def refuse_poor_track(track: LocalTrack, settings: LocalErrorModelSettings) -> None:
     """Raises MeasurementFailed (``measurement.too_few_samples``, ``.ill_conditioned``)."""
     if len(track.X_BT) < settings.minimum_samples:
         raise MeasurementFailed(
@@ -151,9 +159,9 @@ def refuse_poor_track(track: LocalTrack, settings: LocalMapSettings) -> None:
         )
 
 
-def fit_map(
-    track: LocalTrack, p_CM: Array, dimensions: BoomDimensions, settings: LocalMapSettings
-) -> LocalMap:
+def fit_error_model(
+    track: LocalTrack, p_CM: Array, dimensions: BoomDimensions, settings: LocalErrorModelSettings
+) -> LocalErrorModel:
     """The model about the track's end, from the tool marker's position ``p_CM`` (3,) in the camera.
 
     Raises MeasurementFailed (``measurement.match_poor``) when the misfit exceeds its limit.
@@ -161,7 +169,7 @@ def fit_map(
     m = track.X_KC[:, :3, 3] + track.X_KC[:, :3, :3] @ p_CM  # marker points: the lever arm is gone
     p = track.X_BT[:, :3, 3]
     R = _kabsch(m, p)
-    h = play_states(slew_angles(track.X_BT, dimensions.wrist_to_tool), settings.reversal_rad)
+    h = backlash_sides(slew_angles(track.X_BT, dimensions.wrist_to_tool), settings.reversal_rad)
     columns = _columns(track.X_BT, h, track.X_BT_now, dimensions)
     Phi = columns.reshape(-1, columns.shape[2])
     wanted = ((m - m[-1]) @ R.T - (p - p[-1])).ravel()
@@ -182,10 +190,10 @@ def fit_map(
         )
     information = np.linalg.eigvalsh(rotation_information(p, np.ones(len(p))))
     condition = float(information[-1] / information[0])
-    return LocalMap(R, track.X_BT_now, theta, covariance, residual, condition, dimensions)
+    return LocalErrorModel(R, track.X_BT_now, theta, covariance, residual, condition, dimensions)
 
 
-def solve_step(fitted: LocalMap, d: Array) -> tuple[Array, Array]:
+def solve_step(fitted: LocalErrorModel, d: Array) -> tuple[Array, Array]:
     """(x (3,): the nominal step in B that moves the marker by ``d`` (3,) in K, its covariance (3×3) in B)."""
     wanted = fitted.R @ d
     here = fitted.X_BT
@@ -217,7 +225,7 @@ def _columns(X_BT: Array, play: Array, X_BT_now: Array, dimensions: BoomDimensio
     return Phi
 
 
-def _prior(settings: LocalMapSettings) -> Array:
+def _prior(settings: LocalErrorModelSettings) -> Array:
     """Prior standard deviations (K,) of θ."""
     std = np.empty(_COLUMNS)
     std[_ROTATION], std[_SCALE], std[_STRAIN] = settings.rotation_std, settings.scale_std, settings.strain_std
@@ -233,7 +241,7 @@ def _speeds(p: Array, time_s: Array) -> Array:
 
 
 def planned_covariance(
-    X_BT: Array, speed: Array, steps: Array, dimensions: BoomDimensions, settings: LocalMapSettings
+    X_BT: Array, speed: Array, steps: Array, dimensions: BoomDimensions, settings: LocalErrorModelSettings
 ) -> Array:
     """Covariances (m, 3, 3) m² in B of the ends of ``steps`` (m, 3), were the model fitted to a track.
 
@@ -241,13 +249,13 @@ def planned_covariance(
     information matrix depends on the path alone.
     """
     here = X_BT[-1]
-    h = play_states(slew_angles(X_BT, dimensions.wrist_to_tool), settings.reversal_rad)
+    h = backlash_sides(slew_angles(X_BT, dimensions.wrist_to_tool), settings.reversal_rad)
     columns = _columns(X_BT, h, here, dimensions)
     Phi = columns.reshape(-1, columns.shape[2])
     std = np.repeat(np.hypot(settings.noise_std_m, settings.sway_s * speed), 3)
     information = Phi.T @ (Phi / std[:, None] ** 2) + np.diag(_prior(settings) ** -2.0)
     covariance = np.asarray(np.linalg.inv(information))
-    blank = LocalMap(np.eye(3), here, np.zeros(len(covariance)), covariance, 0.0, 1.0, dimensions)
+    blank = LocalErrorModel(np.eye(3), here, np.zeros(len(covariance)), covariance, 0.0, 1.0, dimensions)
     return np.array([solve_step(blank, step)[1] for step in steps])
 
 

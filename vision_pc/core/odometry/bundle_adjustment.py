@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import EyeModel
+from vision_pc.core.types import CameraModel
 
 _ROUNDS = 6
 _DAMPING = (1e-6, 1e4)  # first, and the one at which nothing better is thought to be near
@@ -64,12 +64,14 @@ class Adjusted(NamedTuple):
     cost_after: float
 
 
-def adjusted(problem: Problem, eyes: tuple[EyeModel, EyeModel], noise_px: float, huber_px: float) -> Adjusted:
+def adjusted(
+    problem: Problem, eyes: tuple[CameraModel, CameraModel], noise_px: float, huber_px: float
+) -> Adjusted:
     """The problem's poses and points where its cost is least, or as they are where no step lowers it.
 
     ``noise_px`` of one coordinate of a view; views farther off than ``huber_px`` count less.
     """
-    linear = _Linear(problem, eyes, noise_px, huber_px)
+    linear = _Linearisation(problem, eyes, noise_px, huber_px)
     X_CC0, points, damping = problem.X_CC0, problem.points, _DAMPING[0]
     cost_before = cost = linear.cost(X_CC0, points)
     for _ in range(_ROUNDS):
@@ -102,13 +104,13 @@ class _Blocks(NamedTuple):
     W: Array
 
 
-class _Linear:
+class _Linearisation:
     """Errors of a problem and their linearisation; views come first, depths after, as rows whose second
     half is empty.
     """
 
     def __init__(
-        self, problem: Problem, eyes: tuple[EyeModel, EyeModel], noise_px: float, huber_px: float
+        self, problem: Problem, eyes: tuple[CameraModel, CameraModel], noise_px: float, huber_px: float
     ) -> None:
         views, depths = problem.views, problem.depths
         self._views = views

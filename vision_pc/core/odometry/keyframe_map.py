@@ -14,7 +14,7 @@ from vision_pc.core import se3
 from vision_pc.core.odometry import bundle_adjustment
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, EyeModel, Image
+from vision_pc.core.types import CameraCalibration, CameraModel, Image
 
 Indices = NDArray[np.int64]
 
@@ -96,7 +96,7 @@ class KeyframeMap:
         """The number of the next keyframe."""
         return self.keyframes[-1].number + 1 if self.keyframes else 0
 
-    def trust_scale(self, ids: Indices) -> None:
+    def initialise_scale(self, ids: Indices) -> None:
         """Take the scale of the whole map to be as certain as the depths of its first points ``ids`` make
         it.
         """
@@ -123,7 +123,7 @@ class KeyframeMap:
         """Standard deviations (n,) of the inverse depths, 1/m."""
         return np.asarray(np.maximum(self._information[ids] ** -0.5, self._least_std))
 
-    def learn(self, ids: Indices, X_CC0: Array, errors_px: Array, weights: Array, noise_px: float) -> None:
+    def update(self, ids: Indices, X_CC0: Array, errors_px: Array, weights: Array, noise_px: float) -> None:
         """Correct the points ``ids`` by what a frame at ``X_CC0`` saw.
 
         ``errors_px`` (2, n, 2) measured minus expected in both eyes, ``weights`` (2, n) 0…1, ``noise_px``
@@ -213,10 +213,10 @@ class KeyframeMap:
 
     def nearest(self, X_C0C: Array) -> list[Keyframe]:
         """Keyframes, those first that look most like what a camera at ``X_C0C`` sees."""
-        likeness = [(self._unlikeness(keyframe, X_C0C), -k) for k, keyframe in enumerate(self.keyframes)]
+        likeness = [(self._view_distance(keyframe, X_C0C), -k) for k, keyframe in enumerate(self.keyframes)]
         return [self.keyframes[-k] for _, k in sorted(likeness)]
 
-    def _unlikeness(self, keyframe: Keyframe, X_C0C: Array) -> float:
+    def _view_distance(self, keyframe: Keyframe, X_C0C: Array) -> float:
         """Shift of the picture from keyframe to camera as a share of its width, with turn and zoom added."""
         depth = float(np.median(se3.apply(se3.inverse(keyframe.X_C0C), self.points[keyframe.ids])[:, 2]))
         X = se3.inverse(keyframe.X_C0C) @ X_C0C
@@ -226,7 +226,7 @@ class KeyframeMap:
         return float(shift + zoom + turn)
 
 
-def _image_rates(eye: EyeModel, X_CC0: Array, points: Array, rates: Array) -> Array:
+def _image_rates(eye: CameraModel, X_CC0: Array, points: Array, rates: Array) -> Array:
     """Velocity (n, 2) px of the image of ``points`` (n, 3) that move with ``rates`` (n, 3), both in C0."""
     X_EC0 = se3.inverse(eye.X_CE) @ X_CC0
     seen, moved = se3.apply(X_EC0, points), rates @ X_EC0[:3, :3].T

@@ -13,9 +13,9 @@ from vision_pc.core.odometry import patches, tracking
 from vision_pc.core.odometry.keyframe_map import Indices, Keyframe, KeyframeMap
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics, stereo_pose
-from vision_pc.core.perception.stereo_pose import Beliefs, BodyPoses, BodyView
+from vision_pc.core.perception.stereo_pose import BodyPoses, BodyView, Priors
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, EyeModel, Image, StereoOffset, StereoPair
+from vision_pc.core.types import CameraCalibration, CameraModel, Image, StereoOffset, StereoPair
 
 _NO_OFFSET = StereoOffset(0.0, 0.0, 1e-9, 1e-9)
 _SHARED = 2.0  # depths share the errors of the poses at which they were learnt: measured against the truth
@@ -33,7 +33,7 @@ class Frame(NamedTuple):
     right_static: Flags
 
 
-class Fix(NamedTuple):
+class PoseEstimate(NamedTuple):
     """A pair's pose against the map, with the map points (n,) that hold it, where the left eye sees them,
     and the right eye's rays (n, 2) to those that it sees (n,).
     """
@@ -58,7 +58,9 @@ class Localiser:
         self._map = keyframe_map
         self._noise_px = settings.noise_px
 
-    def against(self, frame: Frame, keyframe: Keyframe, expected: Array, both_eyes: bool) -> Fix | str:
+    def localise(
+        self, frame: Frame, keyframe: Keyframe, expected: Array, both_eyes: bool
+    ) -> PoseEstimate | str:
         """The pose of ``frame``, expected about at ``expected`` (X_C0C), or why the keyframe's points do
         not hold. Of both eyes, or of the left one alone: quicker, and it teaches less about depths.
         """
@@ -103,7 +105,7 @@ class Localiser:
 
     def _refined(
         self, frame: Frame, keyframe: Keyframe, pixels: Array, X_CC0: Array, both_eyes: bool
-    ) -> Fix | str:
+    ) -> PoseEstimate | str:
         """The pose from the eyes' residuals, robustly, and its health."""
         points = self._map.points[keyframe.ids]
         right = intrinsics.project(self._camera.right, se3.apply(X_CC0, points))
@@ -117,7 +119,7 @@ class Localiser:
             ]
         )
         seen = np.stack([np.ones(len(points)), seen_right.astype(np.float64)])
-        X_CC0 = self._solve(points, rays, seen * self._trust(keyframe.ids, X_CC0), X_CC0).X_CA[0]
+        X_CC0 = self._solve(points, rays, seen * self._weights(keyframe.ids, X_CC0), X_CC0).X_CA[0]
         errors = self._errors(points, rays, X_CC0)
         size = np.max(np.linalg.norm(errors, axis=2) * seen, axis=0)
         held = size < 3.0 * max(self._settings.huber_px, float(np.median(size)))
@@ -143,19 +145,19 @@ class Localiser:
         on_row = np.abs(right[:, 1] - guess[:, 1]) < self._settings.row_error_px
         return right, usable & matched & on_row
 
-    def _settled(self, ids: Indices, pixels: Array, rays: Array, seen: Array, X_CC0: Array) -> Fix:
+    def _settled(self, ids: Indices, pixels: Array, rays: Array, seen: Array, X_CC0: Array) -> PoseEstimate:
         """The pose from the points that held, which in turn learn from it."""
-        solution = self._solve(self._map.points[ids], rays, seen * self._trust(ids, X_CC0), X_CC0)
+        solution = self._solve(self._map.points[ids], rays, seen * self._weights(ids, X_CC0), X_CC0)
         X_CC0 = solution.X_CA[0]
         self._map.rescale(solution.sizes[0], solution.size_stds[0])
         errors = self._errors(self._map.points[ids], rays, X_CC0)
         residual = float(np.sqrt((errors**2 * seen[:, :, None]).sum() / (2.0 * seen.sum())))
-        self._map.learn(ids, X_CC0, errors, seen, self._noise_px)
+        self._map.update(ids, X_CC0, errors, seen, self._noise_px)
         self._noise_px = max(residual, _LEAST_NOISE_PX)
         covariance = _SHARED * se3.inverse_covariance(X_CC0, solution.covariances[0])
-        return Fix(se3.inverse(X_CC0), covariance, ids, pixels, rays[1], seen[1] > 0.0, residual)
+        return PoseEstimate(se3.inverse(X_CC0), covariance, ids, pixels, rays[1], seen[1] > 0.0, residual)
 
-    def _trust(self, ids: Indices, X_CC0: Array) -> Array:
+    def _weights(self, ids: Indices, X_CC0: Array) -> Array:
         """Weights (2, n) 0…1 of the eyes' views: less where an uncertain depth moves the view."""
         moved = np.linalg.norm(self._map.sensitivity(ids, X_CC0), axis=2) * self._map.stds(ids)
         return np.asarray(self._noise_px / np.hypot(self._noise_px, moved))
@@ -165,7 +167,7 @@ class Localiser:
             [BodyView(points, rays, weights)],
             [X_CC0],
             self._camera,
-            Beliefs(self._noise_px, self._map.scale_std, _NO_OFFSET),
+            Priors(self._noise_px, self._map.scale_std, _NO_OFFSET),
         )
 
     def _errors(self, points: Array, rays: Array, X_CC0: Array) -> Array:
@@ -177,6 +179,6 @@ class Localiser:
         return np.stack(errors)
 
     def _found(
-        self, keyframe: Keyframe, image: Image, guess: Array, X_C0C: Array, eye: EyeModel
+        self, keyframe: Keyframe, image: Image, guess: Array, X_C0C: Array, eye: CameraModel
     ) -> tuple[Array, Flags]:
         return patches.found(keyframe, image, guess, X_C0C, self._camera.left, eye, self._settings)

@@ -7,7 +7,7 @@ from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import patches, tracking
 from vision_pc.core.odometry.keyframe_map import Keyframe, KeyframeMap, triangulated
-from vision_pc.core.odometry.localisation import Fix, Frame
+from vision_pc.core.odometry.localisation import Frame, PoseEstimate
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
@@ -28,54 +28,56 @@ class Mapper:
         self._settings = settings
         self._map = keyframe_map
 
-    def begin(self, frame: Frame, X_C0C: Array) -> Fix | None:
+    def begin(self, frame: Frame, X_C0C: Array) -> PoseEstimate | None:
         """The first keyframe at ``X_C0C``, or None when the pair shows too little to hold on to."""
         points_C, pixels, right_rays = self._new_points(frame, np.zeros((0, 2)))
         if len(pixels) < self._settings.minimum_inliers:
             return None
         ids = self._map.add_points(X_C0C, points_C, self._settings.noise_px)
-        self._map.trust_scale(ids)
-        fix = Fix(X_C0C, np.zeros((6, 6)), ids, pixels, right_rays, np.ones(len(ids), dtype=bool), 0.0)
-        self._add_keyframe(frame, fix)
-        return fix
+        self._map.initialise_scale(ids)
+        estimate = PoseEstimate(
+            X_C0C, np.zeros((6, 6)), ids, pixels, right_rays, np.ones(len(ids), dtype=bool), 0.0
+        )
+        self._add_keyframe(frame, estimate)
+        return estimate
 
-    def extend(self, frame: Frame, fix: Fix) -> Fix:
+    def extend(self, frame: Frame, estimate: PoseEstimate) -> PoseEstimate:
         """``frame``'s pose after it has become a keyframe, adjusted together with the newest ones: with the
         points that hold it, and new ones where there are none. Where the map is full, the keyframe least
         like it is forgotten.
         """
         if len(self._map.keyframes) >= self._settings.keyframes:
-            self._map.forget(self._map.nearest(fix.X_C0C)[-1])
-        points_C, pixels, right_rays = self._new_points(frame, fix.pixels)
-        ids = self._map.add_points(fix.X_C0C, points_C, self._settings.noise_px)
-        grown = fix._replace(
-            ids=np.concatenate([fix.ids, ids]),
-            pixels=np.vstack([fix.pixels, pixels]),
-            right_rays=np.vstack([fix.right_rays, right_rays]),
-            seen_right=np.concatenate([fix.seen_right, np.ones(len(ids), dtype=bool)]),
+            self._map.forget(self._map.nearest(estimate.X_C0C)[-1])
+        points_C, pixels, right_rays = self._new_points(frame, estimate.pixels)
+        ids = self._map.add_points(estimate.X_C0C, points_C, self._settings.noise_px)
+        grown = estimate._replace(
+            ids=np.concatenate([estimate.ids, ids]),
+            pixels=np.vstack([estimate.pixels, pixels]),
+            right_rays=np.vstack([estimate.right_rays, right_rays]),
+            seen_right=np.concatenate([estimate.seen_right, np.ones(len(ids), dtype=bool)]),
         )
         self._add_keyframe(frame, grown)
         if self._settings.adjusted_keyframes:
             self._map.adjust(
                 self._settings.adjusted_keyframes, self._settings.noise_px, self._settings.huber_px
             )
-        return fix._replace(X_C0C=self._map.keyframes[-1].X_C0C)
+        return estimate._replace(X_C0C=self._map.keyframes[-1].X_C0C)
 
-    def _add_keyframe(self, frame: Frame, fix: Fix) -> None:
-        rays = intrinsics.normalised(self._camera.left, fix.pixels)
-        depths = se3.apply(se3.inverse(fix.X_C0C), self._map.points[fix.ids])[:, 2]
+    def _add_keyframe(self, frame: Frame, estimate: PoseEstimate) -> None:
+        rays = intrinsics.normalised(self._camera.left, estimate.pixels)
+        depths = se3.apply(se3.inverse(estimate.X_C0C), self._map.points[estimate.ids])[:, 2]
         self._map.keyframes.append(
             Keyframe(
                 self._map.next_number,
-                fix.X_C0C,
+                estimate.X_C0C,
                 frame.pair.left.copy(),
                 frame.halved,
-                fix.ids,
-                fix.pixels,
+                estimate.ids,
+                estimate.pixels,
                 rays,
                 patches.planes(rays, depths),
-                fix.right_rays,
-                fix.seen_right,
+                estimate.right_rays,
+                estimate.seen_right,
             )
         )
 

@@ -8,7 +8,7 @@ from vision_pc.core import se3
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, EyeModel
+from vision_pc.core.types import CameraCalibration, CameraModel
 
 _RIM_PX = 12  # a tracking window that touches the tool is disturbed by it
 _NEAREST = 0.05  # m: what is nearer to the lens is cut off
@@ -25,7 +25,7 @@ def static_pixels(X_CM: Array, tool: ToolMarkerSettings, camera: CameraCalibrati
     return left, right
 
 
-def _static(eye: EyeModel, X_CM: Array, tool: ToolMarkerSettings, shape: tuple[int, int]) -> Flags:
+def _static(eye: CameraModel, X_CM: Array, tool: ToolMarkerSettings, shape: tuple[int, int]) -> Flags:
     moving = np.zeros(shape, dtype=np.uint8)
     X_EM = se3.inverse(eye.X_CE) @ X_CM
     for x0, y0, x1, y1 in tool.carried_m:

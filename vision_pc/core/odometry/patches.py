@@ -17,7 +17,7 @@ from vision_pc.core import se3
 from vision_pc.core.odometry.keyframe_map import Keyframe
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import EyeModel, Image
+from vision_pc.core.types import CameraModel, Image
 
 _STEPS = 20
 _CONVERGED = 0.002  # px
@@ -58,7 +58,9 @@ def planes(rays: Array, depths: Array) -> Array:
     return np.where(smooth[:, None], fitted, facing)
 
 
-def distortions(rays: Array, surfaces: Array, X_EK: Array, keyframe_eye: EyeModel, eye: EyeModel) -> Array:
+def distortions(
+    rays: Array, surfaces: Array, X_EK: Array, keyframe_eye: CameraModel, eye: CameraModel
+) -> Array:
     """How small offsets in the keyframe map to ``eye`` (n, 2, 2), px to px.
 
     ``rays`` (n, 2) of the points in the keyframe, ``surfaces`` (n, 3) from ``planes``, ``X_EK`` the
@@ -76,8 +78,8 @@ def found(
     image: Image,
     guess: Array,
     X_C0C: Array,
-    keyframe_eye: EyeModel,
-    eye: EyeModel,
+    keyframe_eye: CameraModel,
+    eye: CameraModel,
     settings: OdometrySettings,
 ) -> tuple[Array, Flags]:
     """Where ``eye`` of a camera about at ``X_C0C`` sees the keyframe's points, px (n, 2), and which are

@@ -6,7 +6,7 @@ from vision_pc.config.vision import OdometrySettings, ToolMarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import tracking
 from vision_pc.core.odometry.keyframe_map import Keyframe, KeyframeMap
-from vision_pc.core.odometry.localisation import Fix, Frame, Localiser
+from vision_pc.core.odometry.localisation import Frame, Localiser, PoseEstimate
 from vision_pc.core.odometry.mapping import Mapper
 from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.odometry.relocalisation import relocalised
@@ -64,7 +64,7 @@ class StereoOdometry:
             self._smooths = is_noisy(pair.left)  # once for the whole map: patches are compared across frames
         used = smoothed(pair) if self._smooths else pair
         frame = Frame(used, tracking.halved(used.left), *self._static)
-        outcome = self._located(frame) if self._map.keyframes else self._begun(frame)
+        outcome = self._localise(frame) if self._map.keyframes else self._initialise(frame)
         self._frames += 1
         if isinstance(outcome, str):
             dark = float(pair.left[::_DARK_STEP, ::_DARK_STEP].mean()) < _DARK
@@ -93,38 +93,38 @@ class StereoOdometry:
             np.linalg.norm(se3.local(self._masked_for, X_CM)) > _TOOL_MOVED
         )
 
-    def _begun(self, frame: Frame) -> Fix | str:
+    def _initialise(self, frame: Frame) -> PoseEstimate | str:
         """The first pair's pose, the identity, with a first keyframe."""
         return self._mapper.begin(frame, self._X_C0C) or "no_texture"
 
-    def _located(self, frame: Frame) -> Fix | str:
+    def _localise(self, frame: Frame) -> PoseEstimate | str:
         """The pose against the most similar keyframes: from the expected motion on, from none, or from
         nowhere.
         """
-        outcome: Fix | str = "too_few_points"
+        outcome: PoseEstimate | str = "too_few_points"
         for expected in (self._X_C0C @ self._motion, self._X_C0C):
             for keyframe in self._map.nearest(expected)[:_TRIES]:
-                outcome = self._localiser.against(frame, keyframe, expected, self._both_eyes())
-                if isinstance(outcome, Fix):
+                outcome = self._localiser.localise(frame, keyframe, expected, self._both_eyes())
+                if isinstance(outcome, PoseEstimate):
                     if len(outcome.ids) < self._settings.keyframe_overlap * len(keyframe.ids):
-                        return self._extended(frame, keyframe, outcome)
+                        return self._add_keyframe(frame, keyframe, outcome)
                     return outcome
         keyframe = self._map.keyframes[
             self._lost_frames % len(self._map.keyframes)
         ]  # a different one each time
         found = relocalised(frame.pair.left, frame.left_static, keyframe, self._camera, self._settings)
-        return outcome if found is None else self._localiser.against(frame, keyframe, found, both_eyes=True)
+        return outcome if found is None else self._localiser.localise(frame, keyframe, found, both_eyes=True)
 
     def _both_eyes(self) -> bool:
         """Whether the right eye's turn has come."""
         every = self._settings.right_every
         return every > 0 and self._frames % every == 0
 
-    def _extended(self, frame: Frame, keyframe: Keyframe, fix: Fix) -> Fix | str:
+    def _add_keyframe(self, frame: Frame, keyframe: Keyframe, estimate: PoseEstimate) -> PoseEstimate | str:
         """The pose with a new keyframe made, which takes both eyes."""
-        if not fix.seen_right.any():
-            both = self._localiser.against(frame, keyframe, fix.X_C0C, both_eyes=True)
+        if not estimate.seen_right.any():
+            both = self._localiser.localise(frame, keyframe, estimate.X_C0C, both_eyes=True)
             if isinstance(both, str):
                 return both
-            fix = both
-        return self._mapper.extend(frame, fix)
+            estimate = both
+        return self._mapper.extend(frame, estimate)

@@ -20,7 +20,7 @@ _COARSE_STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 _BORDER = 8  # px: a window this close to the rim has lost too much of itself
 
 
-class Tracked(NamedTuple):
+class TrackedPoints(NamedTuple):
     """Where points went, (n, 2) px, and which of them may be believed, (n,)."""
 
     points: Array
@@ -87,19 +87,21 @@ def inside(pixels: Array, static: Flags) -> Flags:
     )
 
 
-def track(before: Image, after: Image, points: Array, guess: Array, settings: OdometrySettings) -> Tracked:
+def track(
+    before: Image, after: Image, points: Array, guess: Array, settings: OdometrySettings
+) -> TrackedPoints:
     """``points`` (n, 2) of ``before`` found in ``after``, starting at ``guess`` (n, 2).
 
     Believed when found inside the picture and the way back ends where it began.
     """
     if len(points) == 0:
-        return Tracked(np.zeros((0, 2)), np.zeros(0, dtype=bool))
+        return TrackedPoints(np.zeros((0, 2)), np.zeros(0, dtype=bool))
     start, window = _as_flow(points), settings.window_px
     levels = settings.pyramid_levels
     there, found = _flow(before, after, start, _as_flow(guess), window, levels, _STEPS)
     back, returned = _flow(after, before, there, start.copy(), window, levels, _STEPS)
     error = np.linalg.norm((back - start).reshape(-1, 2), axis=1)
-    return Tracked(
+    return TrackedPoints(
         there.reshape(-1, 2).astype(np.float64),
         found & _within(there, after) & returned & (error < settings.back_error_px),
     )
@@ -116,18 +118,18 @@ def halved(image: Image) -> Image:
 
 def track_halved(
     before: Image, after: Image, points: Array, guess: Array, settings: OdometrySettings
-) -> Tracked:
+) -> TrackedPoints:
     """``points`` (n, 2) px of a whole picture found in another to within about a pixel, from both ``halved``.
 
     Starts at ``guess`` (n, 2) px of the whole picture. One way only: for who matches patches afterwards.
     """
     if len(points) == 0:
-        return Tracked(np.zeros((0, 2)), np.zeros(0, dtype=bool))
+        return TrackedPoints(np.zeros((0, 2)), np.zeros(0, dtype=bool))
     # a pixel's middle is at whole numbers: that of four pixels lies half a pixel from their first
     start, there = _as_flow(0.5 * points - 0.25), _as_flow(0.5 * guess - 0.25)
     window, levels = settings.halved_window_px, settings.pyramid_levels
     there, found = _flow(before, after, start, there, window, levels, _COARSE_STEPS)
-    return Tracked(2.0 * there.reshape(-1, 2).astype(np.float64) + 0.5, found & _within(there, after))
+    return TrackedPoints(2.0 * there.reshape(-1, 2).astype(np.float64) + 0.5, found & _within(there, after))
 
 
 def _as_flow(points: Array) -> NDArray[np.float32]:

@@ -8,7 +8,7 @@ import numpy as np
 from vision_pc.config.vision import CameraSettings, EyeSettings
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, EyeModel
+from vision_pc.core.types import CameraCalibration, CameraModel
 
 _UNDISTORT_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
 
@@ -24,10 +24,10 @@ def calibration(settings: CameraSettings) -> CameraCalibration:
     )
 
 
-def _eye(settings: EyeSettings, X_CE: Array) -> EyeModel:
+def _eye(settings: EyeSettings, X_CE: Array) -> CameraModel:
     K = np.diag([settings.fx_px, settings.fy_px, 1.0])
     K[:2, 2] = settings.cx_px, settings.cy_px
-    return EyeModel(K, np.array(settings.distortion), X_CE)
+    return CameraModel(K, np.array(settings.distortion), X_CE)
 
 
 def with_offset(camera: CameraCalibration, x_px: float, y_px: float) -> CameraCalibration:
@@ -38,7 +38,7 @@ def with_offset(camera: CameraCalibration, x_px: float, y_px: float) -> CameraCa
     return camera._replace(right=camera.right._replace(K=K))
 
 
-def normalised(eye: EyeModel, pixels: Array) -> Array:
+def normalised(eye: CameraModel, pixels: Array) -> Array:
     """Undistorted image coordinates x/z, y/z (n, 2) in the eye's axes of distorted ``pixels`` (n, 2)."""
     if not eye.distortion.any():
         return np.asarray((pixels - eye.K[:2, 2]) / (eye.K[0, 0], eye.K[1, 1]))
@@ -47,7 +47,7 @@ def normalised(eye: EyeModel, pixels: Array) -> Array:
     return np.asarray(found, dtype=np.float64).reshape(-1, 2)
 
 
-def distorted(eye: EyeModel, rays: Array) -> Array:
+def distorted(eye: CameraModel, rays: Array) -> Array:
     """Pixels (n, 2) of image coordinates x/z, y/z (n, 2) in the eye's axes; inverse of ``normalised``."""
     x, y = rays[:, 0], rays[:, 1]
     k1, k2, p1, p2, k3 = eye.distortion
@@ -58,7 +58,7 @@ def distorted(eye: EyeModel, rays: Array) -> Array:
     return np.stack([eye.K[0, 0] * u + eye.K[0, 2], eye.K[1, 1] * v + eye.K[1, 2]], axis=1)
 
 
-def project(eye: EyeModel, points_C: Array) -> Array:
+def project(eye: CameraModel, points_C: Array) -> Array:
     """Pixels (n, 2) at which ``eye`` sees ``points_C`` (n, 3); NaN for points not in front of it."""
     points = se3.apply(se3.inverse(eye.X_CE), points_C)
     z = np.where(points[:, 2] > 1e-6, points[:, 2], math.nan)

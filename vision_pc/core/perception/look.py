@@ -11,7 +11,7 @@ from vision_pc.config.vision import LookSettings, MarkerSettings
 from vision_pc.core.perception import markers, object_of_interest
 from vision_pc.core.perception.markers import Region, Sighting
 from vision_pc.core.perception.pose_statistics import robust_mean
-from vision_pc.core.perception.stereo_pose import Beliefs
+from vision_pc.core.perception.stereo_pose import Priors
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, FrameObservation, Image, Look, StereoOffset, StereoPair
 
@@ -29,20 +29,20 @@ def observe(
     ``previous`` is the frame before: where its markers were is searched first, its poses decide an
     ambiguous marker, and its estimate of the right eye's offset is carried on.
     """
-    beliefs = beliefs_after(previous, settings)
+    priors = priors_after(previous, settings)
     found = _found(pair, settings, previous)
-    sightings, unfit = markers.sight(pair, found.rough, camera, settings, beliefs)
+    sightings, unfit = markers.sight(pair, found.rough, camera, settings, priors)
     seen = FrameMarkers(sightings, found.refused, unfit, found.since_full_search)
     stamp = FrameStamp(pair.frame_id, pair.capture_ns)
-    return observation_of(stamp, seen, camera, settings, beliefs, previous)
+    return observation_of(stamp, seen, camera, settings, priors, previous)
 
 
-def beliefs_after(previous: FrameObservation | None, settings: MarkerSettings) -> Beliefs:
+def priors_after(previous: FrameObservation | None, settings: MarkerSettings) -> Priors:
     """What is taken for granted about the next frame, the offset as it was last estimated."""
     offset = StereoOffset(0.0, 0.0, settings.offset_std_px, settings.offset_std_px)
     if previous is not None and previous.offset is not None:
         offset = previous.offset
-    return Beliefs(settings.corner_std_px, settings.print_size_std, offset)
+    return Priors(settings.corner_std_px, settings.print_size_std, offset)
 
 
 class FrameStamp(NamedTuple):
@@ -70,12 +70,12 @@ def observation_of(
     seen: FrameMarkers,
     camera: CameraCalibration,
     settings: MarkerSettings,
-    beliefs: Beliefs,
+    priors: Priors,
     previous: FrameObservation | None,
 ) -> FrameObservation:
     """What the markers ``seen`` in one frame say about tool and object."""
     known = (None, None) if previous is None else (previous.X_CM, previous.X_CO)
-    scene = object_of_interest.locate(seen.sightings, camera, settings, beliefs, known)
+    scene = object_of_interest.locate(seen.sightings, camera, settings, priors, known)
     tool, target = scene.tool, scene.object
     return FrameObservation(
         capture_ns=stamp.capture_ns,
@@ -98,7 +98,10 @@ def observation_of(
 
 
 def _missing(
-    body: object_of_interest.Body | None, ids: set[int], sightings: list[Sighting], unfit: Mapping[int, str]
+    body: object_of_interest.LocatedBody | None,
+    ids: set[int],
+    sightings: list[Sighting],
+    unfit: Mapping[int, str],
 ) -> str | None:
     """Why ``body``, which bears the markers ``ids``, has no pose; None when it has one."""
     if body is not None:

@@ -13,9 +13,9 @@ import numpy as np
 from vision_pc.config.vision import MarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics, marker_edges, stereo_pose
-from vision_pc.core.perception.stereo_pose import Beliefs, BodyPoses, BodyView
+from vision_pc.core.perception.stereo_pose import BodyPoses, BodyView, Priors
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, EyeModel, Image, MarkerObservation, StereoPair
+from vision_pc.core.types import CameraCalibration, CameraModel, Image, MarkerObservation, StereoPair
 
 Region = tuple[int, int, int, int]
 """x_min, y_min, x_max, y_max in pixels, maxima exclusive."""
@@ -95,7 +95,7 @@ def sight(
     rough_left: dict[int, Array],
     camera: CameraCalibration,
     settings: MarkerSettings,
-    beliefs: Beliefs,
+    priors: Priors,
 ) -> tuple[list[Sighting], dict[int, str]]:
     """Every marker of ``rough_left`` refined in both eyes and posed by itself, and why others were refused.
 
@@ -104,7 +104,7 @@ def sight(
     """
     sightings: list[Sighting] = []
     refused: dict[int, str] = {}
-    corrected = intrinsics.with_offset(camera, beliefs.offset.x_px, beliefs.offset.y_px)
+    corrected = intrinsics.with_offset(camera, priors.offset.x_px, priors.offset.y_px)
     for number, rough in sorted(rough_left.items()):
         left = _refined(pair.left, rough, camera.left)
         if left is None:
@@ -112,7 +112,7 @@ def sight(
             continue
         start = planar_start(number, left, settings)
         right = _right_rays(pair, number, rough, start.poses[0], camera, corrected, settings)
-        outcome = from_rays(start, right, camera, settings, beliefs)
+        outcome = from_rays(start, right, camera, settings, priors)
         if isinstance(outcome, str):
             refused[number] = outcome
         else:
@@ -141,18 +141,18 @@ def from_rays(
     right: Array | None,
     camera: CameraCalibration,
     settings: MarkerSettings,
-    beliefs: Beliefs,
+    priors: Priors,
 ) -> Sighting | str:
     """The sighting of a marker, or why it is refused; ``right``: the right eye's rays (4, 2), if any."""
     number, left, starts, errors = start
     rays = np.stack([left, left if right is None else right])
     seen = np.stack([np.ones(4), np.full(4, float(right is not None))])
     view = BodyView(corner_points(settings.sizes[number]), rays, seen)
-    doubtful = (errors[-1] - errors[0]) * camera.left.K[0, 0] < _CLEAR_FLIP * beliefs.corner_std_px
-    return _posed(number, view, starts if doubtful else starts[:1], camera, settings, beliefs)
+    doubtful = (errors[-1] - errors[0]) * camera.left.K[0, 0] < _CLEAR_FLIP * priors.corner_std_px
+    return _posed(number, view, starts if doubtful else starts[:1], camera, settings, priors)
 
 
-def _refined(image: Image, rough: Array, eye: EyeModel) -> Array | None:
+def _refined(image: Image, rough: Array, eye: CameraModel) -> Array | None:
     return marker_edges.refine(image, rough, lambda pixels: intrinsics.normalised(eye, pixels))
 
 
@@ -214,18 +214,18 @@ def _posed(
     starts: list[Array],
     camera: CameraCalibration,
     settings: MarkerSettings,
-    beliefs: Beliefs,
+    priors: Priors,
 ) -> Sighting | str:
     """The sighting, or why it is refused. ``starts``: planar solutions worth pursuing."""
-    both = _ranked(view, starts, camera, beliefs)
-    suspicious = _SUSPICIOUS * beliefs.corner_std_px
+    both = _ranked(view, starts, camera, priors)
+    suspicious = _SUSPICIOUS * priors.corner_std_px
     if both[0].residuals_px[0] > suspicious and view.weights[1].any():
-        free = stereo_pose.solve([view], both[0].X_CA, camera, beliefs._replace(print_size_std=1.0))
-        doubt = math.hypot(free.size_stds[0], beliefs.print_size_std)
+        free = stereo_pose.solve([view], both[0].X_CA, camera, priors._replace(print_size_std=1.0))
+        doubt = math.hypot(free.size_stds[0], priors.print_size_std)
         if free.residuals_px[0] < suspicious and abs(free.sizes[0] - 1.0) > _SIZE_SIGMAS * doubt:
             return "wrong_size"
         view = view._replace(weights=np.stack([view.weights[0], np.zeros(4)]))  # half hidden in the right eye
-        both = _ranked(view, starts, camera, beliefs)
+        both = _ranked(view, starts, camera, priors)
     best = both[0]
     if best.residuals_px[0] > settings.residual_limit_px:
         return "residual"
@@ -243,10 +243,10 @@ def _posed(
 
 
 def _ranked(
-    view: BodyView, starts: list[Array], camera: CameraCalibration, beliefs: Beliefs
+    view: BodyView, starts: list[Array], camera: CameraCalibration, priors: Priors
 ) -> list[BodyPoses]:
     return sorted(
-        (stereo_pose.solve([view], [X], camera, beliefs) for X in starts),
+        (stereo_pose.solve([view], [X], camera, priors) for X in starts),
         key=lambda solution: solution.chi2[0],
     )
 

@@ -11,12 +11,12 @@ from vision_pc.config.vision import MarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.perception import stereo_pose
 from vision_pc.core.perception.markers import AMBIGUOUS_BELOW, Sighting, corner_points
-from vision_pc.core.perception.stereo_pose import Beliefs, BodyView
+from vision_pc.core.perception.stereo_pose import BodyView, Priors
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, StereoOffset
 
 
-class Body(NamedTuple):
+class LocatedBody(NamedTuple):
     """A posed body: X_CM or X_CO, its whole covariance, and the part of it that frames share."""
 
     X: Array
@@ -24,11 +24,11 @@ class Body(NamedTuple):
     bias: Array
 
 
-class Scene(NamedTuple):
+class LocatedScene(NamedTuple):
     """Tool and object as far as they were seen, the right eye's offset after this frame, and refusals."""
 
-    tool: Body | None
-    object: Body | None
+    tool: LocatedBody | None
+    object: LocatedBody | None
     offset: StereoOffset
     refused: Counter[str]
 
@@ -37,9 +37,9 @@ def locate(
     sightings: list[Sighting],
     camera: CameraCalibration,
     settings: MarkerSettings,
-    beliefs: Beliefs,
+    priors: Priors,
     previous: tuple[Array | None, Array | None] = (None, None),
-) -> Scene:
+) -> LocatedScene:
     """Tool and object of interest from this frame's ``sightings``.
 
     The object's pose comes from all corners of its markers at once, or from any one marker. A marker that
@@ -50,7 +50,7 @@ def locate(
     tools = [s for s in sightings if s.observation.marker_id == settings.tool.id]
     parts = [s for s in sightings if s.observation.marker_id != settings.tool.id]
     tool_start = _decided(tools[0], previous[0], refused) if tools else None
-    object_start, parts = _object_start(parts, camera, settings, beliefs, previous[1], refused)
+    object_start, parts = _object_start(parts, camera, settings, priors, previous[1], refused)
     views, starts = [], []
     if tool_start is not None:
         views.append(tools[0].view)
@@ -59,16 +59,16 @@ def locate(
         views.append(_object_view(parts, settings))
         starts.append(object_start)
     if not views:
-        return Scene(None, None, beliefs.offset, refused)
-    solution = stereo_pose.solve(views, starts, camera, beliefs)
+        return LocatedScene(None, None, priors.offset, refused)
+    solution = stereo_pose.solve(views, starts, camera, priors)
     bodies = []
     for X, covariance, bias in zip(solution.X_CA, solution.covariances, solution.biases, strict=True):
         lens = _lens_covariance(X, settings)
-        bodies.append(Body(X, covariance + lens, bias + lens))
-    return Scene(
+        bodies.append(LocatedBody(X, covariance + lens, bias + lens))
+    return LocatedScene(
         bodies[0] if tool_start is not None else None,
         bodies[-1] if object_start is not None else None,
-        _floored(solution.offset, beliefs.offset, settings),
+        _floored(solution.offset, priors.offset, settings),
         refused,
     )
 
@@ -94,7 +94,7 @@ def _object_start(
     parts: list[Sighting],
     camera: CameraCalibration,
     settings: MarkerSettings,
-    beliefs: Beliefs,
+    priors: Priors,
     previous: Array | None,
     refused: Counter[str],
 ) -> tuple[Array | None, list[Sighting]]:
@@ -111,11 +111,11 @@ def _object_start(
     if surest.observation.flip_margin < AMBIGUOUS_BELOW:
         starts.append(surest.other @ X_AO)
     view = _object_view(parts, settings)
-    best = min((stereo_pose.solve([view], [X], camera, beliefs) for X in starts), key=lambda s: s.chi2[0])
+    best = min((stereo_pose.solve([view], [X], camera, priors) for X in starts), key=lambda s: s.chi2[0])
     if best.residuals_px[0] <= settings.residual_limit_px:
         return best.X_CA[0], parts
     refused["residual"] += 1
-    return _object_start(_without_the_stranger(parts, settings), camera, settings, beliefs, previous, refused)
+    return _object_start(_without_the_stranger(parts, settings), camera, settings, priors, previous, refused)
 
 
 def _without_the_stranger(parts: list[Sighting], settings: MarkerSettings) -> list[Sighting]:

@@ -37,7 +37,7 @@ class BodyView(NamedTuple):
     weights: Array
 
 
-class Beliefs(NamedTuple):
+class Priors(NamedTuple):
     """What is assumed beforehand: corner noise, print size, offset of the right eye."""
 
     corner_std_px: float
@@ -80,11 +80,9 @@ class _Problem(NamedTuple):
     corner_std_px: float
 
 
-def solve(
-    views: list[BodyView], starts: list[Array], camera: CameraCalibration, beliefs: Beliefs
-) -> BodyPoses:
+def solve(views: list[BodyView], starts: list[Array], camera: CameraCalibration, priors: Priors) -> BodyPoses:
     """The most probable poses of all ``views`` together, from ``starts`` (one 4×4 each)."""
-    count, offset = len(views), beliefs.offset
+    count, offset = len(views), priors.offset
     problem = _Problem(
         np.concatenate([view.points for view in views]),
         np.concatenate([view.rays for view in views], axis=1),
@@ -93,8 +91,8 @@ def solve(
         _eyes(camera),
         np.array([offset.x_px, offset.y_px]),
         np.array([offset.std_x_px, offset.std_y_px]) ** -2.0,
-        beliefs.print_size_std**-2.0,
-        beliefs.corner_std_px,
+        priors.print_size_std**-2.0,
+        priors.corner_std_px,
     )
     poses, sizes, shift, H, sums = _minimise(problem, np.stack(starts))
     covariance = _inverse(H)

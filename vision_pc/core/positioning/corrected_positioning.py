@@ -12,13 +12,13 @@ import numpy as np
 
 from nominal_arm.dimensions import BoomDimensions
 from protocol.errors import MeasurementFailed
-from vision_pc.config.programs import LocalMapSettings, PositioningSettings
+from vision_pc.config.programs import LocalErrorModelSettings, PositioningSettings
 from vision_pc.core.calibration.backlash import slew_lever
 from vision_pc.core.calibration.local_error_model import (
-    LocalMap,
+    LocalErrorModel,
     LocalTrack,
     extended,
-    fit_map,
+    fit_error_model,
     solve_step,
     watched_path,
 )
@@ -43,7 +43,7 @@ class CorrectedResult(NamedTuple):
     """The result, the error (3,) m in K axes that odometry measured at the end, and the track so far."""
 
     positioning: PositioningResult
-    measured_miss_m: Array
+    measured_residual_m: Array
     track: LocalTrack
 
 
@@ -52,7 +52,7 @@ async def look_then_move_corrected(
     eyes: Eyes,
     report: Report,
     settings: PositioningSettings,
-    map_settings: LocalMapSettings,
+    map_settings: LocalErrorModelSettings,
     dimensions: BoomDimensions,
     track: LocalTrack,
 ) -> CorrectedResult:
@@ -70,54 +70,54 @@ async def look_then_move_corrected(
     goal_K = p_CM + c_delta  # where the marker shall be, in the camera frame of this look
     steps: list[Step] = []
     looks = [judge(look, settings)]
-    misses = [goal_K - p_CM]
-    far = float(np.linalg.norm(misses[0])) > map_settings.near_m
+    residuals = [goal_K - p_CM]
+    far = float(np.linalg.norm(residuals[0])) > map_settings.near_m
     parts = 2 if far and settings.corrections else 1
-    while _worth_driving(misses, parts, settings):
-        fitted = fit_map(track, p_CM, dimensions, map_settings)
-        x, covariance = solve_step(fitted, misses[-1])
+    while _needs_another_motion(residuals, parts, settings):
+        fitted = fit_error_model(track, p_CM, dimensions, map_settings)
+        x, covariance = solve_step(fitted, residuals[-1])
         share = map_settings.first_share if len(steps) + 1 < parts else 1.0
         steps.append(_step(look, fitted, track.overrun, x, covariance, share, settings, map_settings))
-        report(0.2 + 0.6 * len(steps) / (settings.corrections + 1), _in_words(misses[-1]))
+        report(0.2 + 0.6 * len(steps) / (settings.corrections + 1), _in_words(residuals[-1]))
         drive = await watched_path(arm, eyes, [steps[-1].X_BT_ref], map_settings)
         X_KnewK = drive.X_KC[0]
         goal_K = X_KnewK[:3, :3] @ goal_K + X_KnewK[:3, 3]
         track = extended(track, drive)
-        misses.append(goal_K - p_CM)
+        residuals.append(goal_K - p_CM)
     report(0.9, "looking")
     looks.append(judge(await eyes.look(), settings))
     report(1.0, f"error {1e3 * looks[-1].error_m[0]:+.1f} {1e3 * looks[-1].error_m[1]:+.1f} mm")
     ended = Ended.REACHED if reached(looks[-1], settings) else Ended.INPUT_LIMIT
-    return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), misses[-1], track)
+    return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), residuals[-1], track)
 
 
-def _worth_driving(misses: list[Array], parts: int, settings: PositioningSettings) -> bool:
-    """Whether a further drive is due after the ``misses`` (3,) before it, as odometry saw them.
+def _needs_another_motion(residuals: list[Array], parts: int, settings: PositioningSettings) -> bool:
+    """Whether a further drive is due after the ``residuals`` (3,) before it, as odometry saw them.
 
     The first ``parts`` motions make up the whole way. After them fine corrections follow while the residual
     is outside ``nudge_m``, until two in a row were of no use: the first may have gone into backlash.
     """
-    drives = len(misses) - 1
+    drives = len(residuals) - 1
     if drives < parts:
         return True
-    sizes = [math.hypot(miss[0], miss[1]) for miss in misses[parts:]]
+    sizes = [math.hypot(residual[0], residual[1]) for residual in residuals[parts:]]
     useless = len(sizes) - 1 - int(np.argmin(sizes))
     return drives <= settings.corrections and sizes[-1] > settings.nudge_m and useless < _USELESS
 
 
-def _in_words(miss: Array) -> str:
-    return f"{1e3 * float(np.linalg.norm(miss)):.1f} mm to go"
+def _in_words(residual: Array) -> str:
+    return f"{1e3 * float(np.linalg.norm(residual)):.1f} mm to go"
 
 
 def _step(
     look: Look,
-    fitted: LocalMap,
+    fitted: LocalErrorModel,
     overrun: Array,
     x: Array,
     covariance: Array,
     share: float,
     settings: PositioningSettings,
-    map_settings: LocalMapSettings,
+    map_settings: LocalErrorModelSettings,
 ) -> Step:
     """The step over ``share`` of ``x``, with the error expected at the end of all motions.
 
@@ -140,27 +140,27 @@ def _step(
         )
     rest = 1.0 if share == 1.0 else (1.0 - share) ** 2
     servo = map_settings.servo_std_m**2 * np.eye(3)
-    missed = fitted.R.T @ (rest * covariance + servo) @ fitted.R
+    end_covariance = fitted.R.T @ (rest * covariance + servo) @ fitted.R
     if settings.corrections:
-        missed = _after_nudges(missed, settings.nudge_m, map_settings.servo_std_m)
-        missed += _odometry_covariance(length, map_settings)
-    missed += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
+        end_covariance = _after_fine_corrections(end_covariance, settings.nudge_m, map_settings.servo_std_m)
+        end_covariance += _odometry_covariance(length, map_settings)
+    end_covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
     X_BT = fitted.X_BT
     expected = slew_lever(X_BT) * overrun.sum() / (len(overrun) + 1)  # the mean, shrunk: half of it is chance
     X_BT_ref = transform(X_BT[:3, :3], X_BT[:3, 3] + share * x - expected)
-    return Step(share * x, X_BT_ref, np.sqrt(np.diag(missed)))
+    return Step(share * x, X_BT_ref, np.sqrt(np.diag(end_covariance)))
 
 
-def _after_nudges(missed: Array, nudge_m: float, servo_std_m: float) -> Array:
+def _after_fine_corrections(end_covariance: Array, nudge_m: float, servo_std_m: float) -> Array:
     """Covariance (3, 3), m², camera axes, of the error once corrections repeat until |x|, |y| < nudge_m.
 
     A truncated normal, approximated by a Gaussian. No finer than the joint servo's residual.
     """
     kept = np.diag([1.0, 1.0, 0.0]) / ((_KEPT * nudge_m) ** 2 + servo_std_m**2)
-    return np.asarray(np.linalg.inv(np.linalg.inv(missed) + kept), dtype=np.float64)
+    return np.asarray(np.linalg.inv(np.linalg.inv(end_covariance) + kept), dtype=np.float64)
 
 
-def _odometry_covariance(length: float, settings: LocalMapSettings) -> Array:
+def _odometry_covariance(length: float, settings: LocalErrorModelSettings) -> Array:
     """Covariance (3×3) of a way of ``length`` as odometry measures it."""
     covariance: Array = (settings.odometry_std_m**2 + (settings.odometry_scale_std * length) ** 2) * np.eye(3)
     return covariance

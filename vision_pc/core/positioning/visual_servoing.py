@@ -16,13 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.config.programs import LookingAndMovingSettings
+from vision_pc.config.programs import VisualServoingSettings
 from vision_pc.core.ports import Arm, Eyes, ReferenceStream, Report, Watch
 from vision_pc.core.se3 import Array, transform
 from vision_pc.core.types import WatchSample
 
 
-class Approach(NamedTuple):
+class Convergence(NamedTuple):
     """How looking and moving ended.
 
     ``error_m`` (3,) mean error in camera axes over the last pictures, ``spread_m`` (3,) their standard
@@ -37,13 +37,13 @@ class Approach(NamedTuple):
     missed: int
 
 
-class Loop:
+class ServoingLaw:
     """The law itself, picture by picture: pure, its time is that of the pictures.
 
     ``R_TC`` (3×3) turns camera axes into the tool's; ``hold`` the tool's orientation (3×3) in B, kept.
     """
 
-    def __init__(self, R_TC: Array, hold: Array, clearance_m: float, settings: LookingAndMovingSettings):
+    def __init__(self, R_TC: Array, hold: Array, clearance_m: float, settings: VisualServoingSettings):
         self._R_TC = R_TC
         self._hold = hold
         self._clearance = np.array([0.0, 0.0, clearance_m])
@@ -61,7 +61,7 @@ class Loop:
         """The errors (n, 3) in camera axes since the last pull, at most ``settle_pictures``."""
         return np.array(self._errors).reshape(-1, 3)
 
-    def seen(self, sample: WatchSample, servo_gap_m: float = 0.0) -> None:
+    def update(self, sample: WatchSample, servo_gap_m: float = 0.0) -> None:
         """Move the target by what this sample shows, which has both tool and object.
 
         ``servo_gap_m``: how far the encoders are from what is commanded; while the joint servo still works
@@ -118,14 +118,14 @@ class Loop:
         return max(moved, spread) <= self._settings.still_m
 
 
-async def look_and_move(
+async def servo_to_object(
     arm: Arm,
     eyes: Eyes,
     report: Report,
-    settings: LookingAndMovingSettings,
+    settings: VisualServoingSettings,
     clearance_m: float,
     R_TC: Array,
-) -> Approach:
+) -> Convergence:
     """The approach, once the error has settled inside ``settle_m`` in x and y.
 
     ``R_TC`` from a local calibration or map. Raises MeasurementFailed with the arm stopped: ``view_lost``
@@ -134,47 +134,54 @@ async def look_and_move(
     """
     report(0.0, "looking")
     async with eyes.watch(markers=True, odometry=False) as watch:
-        sight = _Sight(watch, settings)
-        first = await sight.awaited()
-        loop = Loop(R_TC, first.X_BT[:3, :3], clearance_m, settings)
-        loop.seen(first)
-        start = float(np.linalg.norm(loop.newest))
+        detections = _Detections(watch, settings)
+        first = await detections.first()
+        law = ServoingLaw(R_TC, first.X_BT[:3, :3], clearance_m, settings)
+        law.update(first)
+        start = float(np.linalg.norm(law.newest))
         if not start <= settings.step_limit_m:
             raise MeasurementFailed(
                 "measurement.step_too_large",
                 f"looking and moving: {start:.3f} m to go, limit {settings.step_limit_m:g} m",
             )
         async with arm.streaming() as stream:
-            await _followed(stream, sight, loop, first, start, report)
-    errors = loop.errors
+            await _follow_object(stream, detections, law, first, start, report)
+    errors = law.errors
     report(1.0, f"settled: error {1e3 * errors.mean(axis=0)[0]:+.1f} {1e3 * errors.mean(axis=0)[1]:+.1f} mm")
-    time_s = 1e-9 * (sight.newest_ns - first.time_ns)
-    return Approach(errors.mean(axis=0), errors.std(axis=0), time_s, sight.pictures, sight.missed)
+    time_s = 1e-9 * (detections.newest_ns - first.time_ns)
+    return Convergence(
+        errors.mean(axis=0), errors.std(axis=0), time_s, detections.pictures, detections.missed
+    )
 
 
-async def _followed(
-    stream: ReferenceStream, sight: "_Sight", loop: Loop, first: WatchSample, start: float, report: Report
+async def _follow_object(
+    stream: ReferenceStream,
+    detections: "_Detections",
+    law: ServoingLaw,
+    first: WatchSample,
+    start: float,
+    report: Report,
 ) -> None:
     """Follow the object until the loop has settled: one reference with every picture, and more between.
 
     When the newest sight is older than ``hold_s``, the arm is held where it is until there is another.
     """
-    settings, seen_ns = sight.settings, first.time_ns
+    settings, seen_ns = detections.settings, first.time_ns
     held: Array | None = None
-    while not loop.settled:
+    while not law.settled:
         view = await stream.view()
         if 1e-9 * (view.time_ns - seen_ns) > settings.hold_s:
             held = view.X_BT_cmd if held is None else held
             await stream.send(held)
         else:
             held = None
-            await stream.send(loop.reference(view.X_BT_cmd), measured_ns=seen_ns)
-        sample = await sight.next()
+            await stream.send(law.reference(view.X_BT_cmd), measured_ns=seen_ns)
+        sample = await detections.next()
         if sample is None:
             continue
-        loop.seen(sample, float(np.linalg.norm(view.X_BT_cmd[:3, 3] - view.X_BT[:3, 3])))
+        law.update(sample, float(np.linalg.norm(view.X_BT_cmd[:3, 3] - view.X_BT[:3, 3])))
         seen_ns = sample.time_ns
-        left = float(np.linalg.norm(loop.newest))
+        left = float(np.linalg.norm(law.newest))
         report(min(0.95, max(0.0, 1.0 - left / max(start, 1e-3))), f"{1e3 * left:.1f} mm to go")
         if 1e-9 * (seen_ns - first.time_ns) > settings.timeout_s:
             raise MeasurementFailed(
@@ -183,10 +190,10 @@ async def _followed(
             )
 
 
-class _Sight:
+class _Detections:
     """The watch's samples one by one, with what is wrong with them."""
 
-    def __init__(self, watch: Watch, settings: LookingAndMovingSettings) -> None:
+    def __init__(self, watch: Watch, settings: VisualServoingSettings) -> None:
         self.settings = settings
         self.newest_ns = 0
         self.pictures = 0
@@ -198,7 +205,7 @@ class _Sight:
         self._alike = 0
         self._last: WatchSample | None = None
 
-    async def awaited(self) -> WatchSample:
+    async def first(self) -> WatchSample:
         """The first sample that shows tool and object. Raises as ``next`` does."""
         while (sample := await self.next()) is None:
             pass
@@ -222,7 +229,7 @@ class _Sight:
         self._taken, self._silent_s = len(self._watch.samples), 0.0
         self.newest_ns = sample.time_ns
         if sample.X_CM is None or sample.X_CO is None:
-            self._blind(sample)
+            self._count_unseen(sample)
             return None
         self._refuse_frozen(sample)
         self.pictures += 1
@@ -230,7 +237,7 @@ class _Sight:
         self._last = sample
         return sample
 
-    def _blind(self, sample: WatchSample) -> None:
+    def _count_unseen(self, sample: WatchSample) -> None:
         self.missed += 1
         if self._blind_since_ns is None:
             self._blind_since_ns = sample.time_ns if self._last is None else self._last.time_ns

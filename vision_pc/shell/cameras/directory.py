@@ -17,7 +17,7 @@ TABLE = "captures.csv"
 _COLUMNS = ["frame_id", "capture_ns", "left", "right"]
 
 
-class Entry(NamedTuple):
+class RecordedPair(NamedTuple):
     """One row of the table: when a pair was taken and the files that hold it."""
 
     frame_id: int
@@ -26,7 +26,7 @@ class Entry(NamedTuple):
     right: Path
 
 
-class Recorder:
+class PairRecorder:
     """Writes pairs into a directory that ``recorded_pairs`` and ``DirectoryCamera`` read."""
 
     def __init__(self, directory: Path) -> None:
@@ -49,7 +49,7 @@ class Recorder:
         self._table.close()
 
 
-def recorded(directory: Path) -> list[Entry]:
+def recorded(directory: Path) -> list[RecordedPair]:
     """The table of a recording, in order of time.
 
     Raises ConfigurationError when it is missing, empty or not such a table.
@@ -59,7 +59,9 @@ def recorded(directory: Path) -> list[Entry]:
         with path.open(newline="", encoding="utf-8") as table:
             rows = list(csv.DictReader(table))
         entries = [
-            Entry(int(r["frame_id"]), int(r["capture_ns"]), directory / r["left"], directory / r["right"])
+            RecordedPair(
+                int(r["frame_id"]), int(r["capture_ns"]), directory / r["left"], directory / r["right"]
+            )
             for r in rows
         ]
     except OSError as error:

@@ -19,7 +19,7 @@ _PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".bmp", ".tif", ".tiff")
 _NS_FROM = 10**15  # a file name that is a number this great counts nanoseconds
 
 
-class Outcome(NamedTuple):
+class SequenceResult(NamedTuple):
     """What became of a sequence: its poses, and in how many pairs the odometry was lost, last for what."""
 
     poses: list[OdometryPose]
@@ -83,7 +83,7 @@ def follow(
     settings: OdometrySettings,
     rate_hz: float = 10.0,
     report: Callable[[int, OdometryPose | None], None] = lambda index, pose: None,
-) -> Outcome:
+) -> SequenceResult:
     """The odometry of a whole sequence; ``report`` hears of every pair. Raises MeasurementFailed if all
     were lost.
     """
@@ -104,7 +104,7 @@ def follow(
         raise MeasurementFailed(
             "measurement.odometry_lost", f"{left}: all {frames} pairs lost, last cause {last_loss}"
         )
-    return Outcome(poses, frames, frames - len(poses), last_loss, odometry.keyframes)
+    return SequenceResult(poses, frames, frames - len(poses), last_loss, odometry.keyframes)
 
 
 def write_tum(path: Path, poses: list[OdometryPose]) -> None:

@@ -17,7 +17,7 @@ from protocol.errors import MeasurementFailed
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, EyeModel, Image, StereoPair
+from vision_pc.core.types import CameraCalibration, CameraModel, Image, StereoPair
 
 _FEATURES = 1500
 _COARSENESS = 0.75  # of the picture in which features are sought: a few pixels are enough there
@@ -86,7 +86,7 @@ class CabinetLocator:
         points, descriptors = self._sift.detectAndCompute(small, None)
         return (np.array([p.pt for p in points]).reshape(-1, 2) + 0.5) / scale - 0.5, descriptors
 
-    def _front_pose(self, image: Image, eye: EyeModel) -> Array:
+    def _front_pose(self, image: Image, eye: CameraModel) -> Array:
         """The front in the camera X_CA (4, 4), z towards the viewer, good to a few pixels."""
         seen, descriptors = self._features(image, _COARSENESS)
         known = self._descriptors
@@ -108,7 +108,7 @@ class CabinetLocator:
         )
 
 
-def _planar_pose(places: Array, pixels: Array, eye: EyeModel) -> Array | None:
+def _planar_pose(places: Array, pixels: Array, eye: CameraModel) -> Array | None:
     """X_CA (4, 4) of the front A with ``places`` (n, 2) m at ``pixels`` (n, 2); None without a solution."""
     front = np.c_[places, np.zeros(len(places))]
     rays = intrinsics.normalised(eye, pixels)
@@ -160,7 +160,7 @@ def _located(
 
 
 def _aligned(
-    image: Image, drawing: Drawing, target: Target, X_CA: Array, eye: EyeModel
+    image: Image, drawing: Drawing, target: Target, X_CA: Array, eye: CameraModel
 ) -> tuple[Array, float]:
     """The target's pixel (2,) in one picture, and how well the drawing correlates there."""
     grid = np.array([[x, y] for y in (-1.0, 0.0, 1.0) for x in (-1.0, 0.0, 1.0)]) * _WINDOW_M

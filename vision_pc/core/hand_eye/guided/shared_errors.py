@@ -128,7 +128,7 @@ def _screw(v: Array, w: Array) -> Array:
     return stacks.transform(stacks.exp_so3(w), shift[..., 0])
 
 
-class _Linear(NamedTuple):
+class _LinearisedErrors(NamedTuple):
     """Residuals (n, 6) and their slope (n, 6, 12 + k) at ``errors`` (k,).
 
     ``units`` (2, n, 6, 6): covariances of camera noise and of play with their factors 1.
@@ -140,7 +140,7 @@ class _Linear(NamedTuple):
     units: Array
 
 
-def _linearised(H: Array, P: Array, doubts: Doubts, X: Array, Z: Array, errors: Array) -> _Linear:
+def _linearised(H: Array, P: Array, doubts: Doubts, X: Array, Z: Array, errors: Array) -> _LinearisedErrors:
     true_H, true_P, by_error = _without(H, P, doubts, errors)
     equations = Equations(true_H, true_P, np.ones(len(H)))
     r = ml.residuals(true_H, true_P, X, Z)
@@ -149,22 +149,22 @@ def _linearised(H: Array, P: Array, doubts: Doubts, X: Array, Z: Array, errors: 
     moved = of_hand @ doubts.play
     units = np.stack([doubts.seen, moved @ np.swapaxes(moved, -1, -2)])
     slope = np.concatenate([ml.jacobian(equations, X, Z, r), of_hand @ by_error - doubts.camera], axis=2)
-    return _Linear(r, slope, errors, units)
+    return _LinearisedErrors(r, slope, errors, units)
 
 
-def _white(linear: _Linear, factors: Array) -> tuple[Array, Array]:
+def _white(linear: _LinearisedErrors, factors: Array) -> tuple[Array, Array]:
     """Slope (6 n, 12 + k) and residuals (6 n,) in units of the noise."""
     W = _whitener(linear, factors)
     white = (W @ linear.residuals[..., None]).reshape(-1)
     return (W @ linear.slope).reshape(len(white), -1), white
 
 
-def _whitener(linear: _Linear, factors: Array) -> Array:
+def _whitener(linear: _LinearisedErrors, factors: Array) -> Array:
     V = np.tensordot(factors**2, linear.units, axes=1)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(V)))
 
 
-def _factors(linear: _Linear, factors: Array, prior: Array) -> Array:
+def _factors(linear: _LinearisedErrors, factors: Array, prior: Array) -> Array:
     """The two noise factors (2,) that the residuals show, unknowns and shared errors being fitted."""
     for _ in range(_ROUNDS):
         W = _whitener(linear, factors)

@@ -30,7 +30,7 @@ from vision_pc.core.hand_eye.solvers import methods
 from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.hand_eye.solvers.result import HandEyeResult
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import EyeModel
+from vision_pc.core.types import CameraModel
 
 
 class ArmFound(NamedTuple):
@@ -99,7 +99,9 @@ def arm_errors(links: Links, arm: ArmUncertainty, samples: Sequence[Sample]) -> 
     return ArmErrors(nominal_model.shared_errors(links, arm, q), nominal_model.backlash(links, arm, q))
 
 
-def doubts_of(samples: Sequence[Sample], arm: ArmErrors, settings: GuidedSettings, eye: EyeModel) -> Doubts:
+def doubts_of(
+    samples: Sequence[Sample], arm: ArmErrors, settings: GuidedSettings, eye: CameraModel
+) -> Doubts:
     """What may be wrong with ``samples``, the ``arm``'s errors among it."""
     of_arm = arm.shared
     of_camera = _lens_errors(np.stack([s.X_CP for s in samples]), settings, eye)
@@ -109,7 +111,7 @@ def doubts_of(samples: Sequence[Sample], arm: ArmErrors, settings: GuidedSetting
     return Doubts(hand, camera, arm.backlash, np.stack([s.covariance for s in samples]))
 
 
-def _lens_errors(X_CP: Array, settings: GuidedSettings, eye: EyeModel) -> Array:
+def _lens_errors(X_CP: Array, settings: GuidedSettings, eye: CameraModel) -> Array:
     """Principal point (two) and focal length: how they move the target, by its distance (n, 6, 3)."""
     p = X_CP[:, :3, 3]
     columns = np.zeros((len(p), 6, 3))

@@ -65,7 +65,7 @@ def closed_form(f: Forms) -> tuple[Array, Certificate]:
     return _pose(g, g_dual), certificate
 
 
-class Published(NamedTuple):
+class PublishedSolution(NamedTuple):
     """The outcome of both published relaxations."""
 
     X: Array
@@ -74,7 +74,7 @@ class Published(NamedTuple):
     certificate: Certificate
 
 
-def published(f: Forms) -> Published:
+def published(f: Forms) -> PublishedSolution:
     """X (4, 4) by DQCR as published: both problems as order-2 moment relaxations.
 
     Problem 1 is symmetric in g and −g, so its moment matrices have rank 2, equal at both orders; g is the
@@ -96,7 +96,7 @@ def published(f: Forms) -> Published:
         gap=(reached - rotation.value) / float(values[-1]),
         rank=rotation.rank_upper,
     )
-    return Published(_pose(g, g_dual * length), rotation, translation, certificate)
+    return PublishedSolution(_pose(g, g_dual * length), rotation, translation, certificate)
 
 
 def _relaxed_rotation(form: Array) -> tuple[Relaxation, Array]:

@@ -76,7 +76,7 @@ def estimated(
     return ml.maximize(equations, X, Z, noise), noise
 
 
-class _Linear(NamedTuple):
+class _LinearisedNoise(NamedTuple):
     """The samples that count, linear about an estimate: residuals (n, 6), their slope (n, 6, k), and the
 
     covariances (c, n, 6, 6) that unit variances of ``fields`` give them. The estimate's own motion is a
@@ -89,7 +89,7 @@ class _Linear(NamedTuple):
     fields: tuple[str, ...]
 
 
-def _linearised(equations: Equations, estimate: Estimate, fields: tuple[str, ...]) -> _Linear:
+def _linearised(equations: Equations, estimate: Estimate, fields: tuple[str, ...]) -> _LinearisedNoise:
     used = equations.weights > 0.5
     kept = equations._replace(H=equations.H[used], P=equations.P[used], weights=equations.weights[used])
     r = estimate.residuals[used]
@@ -98,10 +98,10 @@ def _linearised(equations: Equations, estimate: Estimate, fields: tuple[str, ...
         ml.residual_covariances(kept, estimate.X, estimate.Z, nothing._replace(**{name: 1.0}))
         for name in fields
     ]
-    return _Linear(r, ml.jacobian(kept, estimate.X, estimate.Z, r), np.stack(units), fields)
+    return _LinearisedNoise(r, ml.jacobian(kept, estimate.X, estimate.Z, r), np.stack(units), fields)
 
 
-def _shown(linear: _Linear, noise: Noise, keep_ratio: bool) -> Noise:
+def _shown(linear: _LinearisedNoise, noise: Noise, keep_ratio: bool) -> Noise:
     """The noise whose every component explains the residuals: each is scaled by what they show of it."""
     sizes = np.array([getattr(noise, name) for name in linear.fields])
     for _ in range(_ROUNDS):
@@ -115,7 +115,7 @@ def _shown(linear: _Linear, noise: Noise, keep_ratio: bool) -> Noise:
     return noise._replace(**dict(zip(linear.fields, sizes.tolist(), strict=True)))
 
 
-def _shown_over_expected(linear: _Linear, sizes: Array) -> tuple[Array, Array]:
+def _shown_over_expected(linear: _LinearisedNoise, sizes: Array) -> tuple[Array, Array]:
     """For each component: squared residuals over their expectation, and its share of the total expectation.
 
     The first is 1 when the noise is right. A share is 0 for a component that has shrunk to nothing.

@@ -16,7 +16,7 @@ from vision_pc.core.se3 import Array
 _ACCURACY = 1e-10
 
 
-class Solution(NamedTuple):
+class SdpSolution(NamedTuple):
     """``primal`` x and ``dual`` z of the program above, and the optimal value."""
 
     primal: Array
@@ -39,7 +39,7 @@ def smat(s: Array, size: int) -> Array:
     return S
 
 
-def solved(q: Array, A: scipy.sparse.csc_matrix, b: Array, cones: list[Any]) -> Solution:
+def solved(q: Array, A: scipy.sparse.csc_matrix, b: Array, cones: list[Any]) -> SdpSolution:
     """The optimum. Raises MeasurementFailed (``measurement.hand_eye.sdp``) when the solver does not reach it.
 
     One thread, so that reruns are bit-identical; no dynamic regularisation, which costs four digits here.
@@ -61,4 +61,4 @@ def solved(q: Array, A: scipy.sparse.csc_matrix, b: Array, cones: list[Any]) -> 
     status = str(result.status)
     if status not in ("Solved", "AlmostSolved"):
         raise MeasurementFailed("measurement.hand_eye.sdp", f"the semidefinite program ended as {status}")
-    return Solution(np.array(result.x), np.array(result.z), float(result.obj_val))
+    return SdpSolution(np.array(result.x), np.array(result.z), float(result.obj_val))
