@@ -10,7 +10,7 @@ from conformance.peer import Peer
 P = TypeVar("P")
 
 
-class Outcome(Enum):
+class CaseOutcome(Enum):
     """How a case ended. UNSUPPORTED: the peer lacks an optional part, or may not be asked to use it."""
 
     PASS = "pass"
@@ -18,7 +18,7 @@ class Outcome(Enum):
     UNSUPPORTED = "unsupported"
 
 
-class Case(NamedTuple):
+class ConformanceCase(NamedTuple):
     """One numbered question to the peer. ``motion``: it enables the group, moves or writes outputs."""
 
     number: int
@@ -29,11 +29,11 @@ class Case(NamedTuple):
     run: Callable[[Any], None]
 
 
-class Register(Generic[P]):
+class CaseRegister(Generic[P]):
     """Cases in the order of their numbers, filled by decorators."""
 
     def __init__(self) -> None:
-        self._cases: dict[int, Case] = {}
+        self._cases: dict[int, ConformanceCase] = {}
 
     def case(
         self, number: int, clause: str, title: str, *, motion: bool = False
@@ -43,16 +43,16 @@ class Register(Generic[P]):
         def enter(run: Callable[[P], None]) -> Callable[[P], None]:
             if number in self._cases:
                 raise ValueError(f"case {number} is there twice")
-            self._cases[number] = Case(number, clause, title, motion, run)
+            self._cases[number] = ConformanceCase(number, clause, title, motion, run)
             return run
 
         return enter
 
     @property
-    def cases(self) -> tuple[Case, ...]:
+    def cases(self) -> tuple[ConformanceCase, ...]:
         """All cases, by number."""
         return tuple(self._cases[number] for number in sorted(self._cases))
 
 
-reference = Register[Peer]()
-coupler = Register[Master]()
+reference = CaseRegister[Peer]()
+coupler = CaseRegister[Master]()

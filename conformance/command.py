@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
-from conformance.case import Case, Outcome
+from conformance.case import CaseOutcome, ConformanceCase
 from conformance.records import as_json, write_records
 from conformance.runner import Result, Summary, coupler_cases, reference_cases, run_coupler, run_reference
 from foundation.hosts import known_host
@@ -20,7 +20,7 @@ from protocol.errors import ConfigurationError
 
 app = typer.Typer(help="Numbered questions to any controller or coupler, each citing a written clause.")
 
-_STYLES = {Outcome.PASS: "green", Outcome.FAIL: "bold red", Outcome.UNSUPPORTED: "yellow"}
+_STYLES = {CaseOutcome.PASS: "green", CaseOutcome.FAIL: "bold red", CaseOutcome.UNSUPPORTED: "yellow"}
 
 
 @app.callback()
@@ -95,7 +95,7 @@ def coupler(
     _finish(len(wanted), run, records, json_file)
 
 
-def _wanted(chosen: list[int] | None, cases: tuple[Case, ...]) -> set[int]:
+def _wanted(chosen: list[int] | None, cases: tuple[ConformanceCase, ...]) -> set[int]:
     numbers = {case.number for case in cases}
     wanted = set(chosen) if chosen else numbers
     if wanted - numbers:
@@ -115,7 +115,7 @@ def _finish(
 
         def show(result: Result) -> None:
             progress.advance(task)
-            if result.outcome is Outcome.FAIL:
+            if result.outcome is CaseOutcome.FAIL:
                 progress.console.print(_line(result))
 
         summary = run(show)
@@ -127,7 +127,7 @@ def _finish(
     raise typer.Exit(0 if summary.passed else 1)
 
 
-def _list(cases: tuple[Case, ...]) -> None:
+def _list(cases: tuple[ConformanceCase, ...]) -> None:
     table = Table("case", "clause", "moves", "question")
     for case in cases:
         table.add_row(str(case.number), case.clause, "yes" if case.motion else "", escape(case.title))
@@ -152,5 +152,5 @@ def _print(console: Console, summary: Summary) -> None:
             escape(result.detail),
         )
     console.print(table)
-    counts = ", ".join(f"{summary.count(outcome)} {outcome.value}" for outcome in Outcome)
+    counts = ", ".join(f"{summary.count(outcome)} {outcome.value}" for outcome in CaseOutcome)
     console.print(f"{summary.host}:{summary.port}: {counts}")

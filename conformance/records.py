@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from conformance.case import Outcome
+from conformance.case import CaseOutcome
 from conformance.runner import Result, Summary
 from conformance.wire import Line
 from protocol.datagram import decode
@@ -32,7 +32,7 @@ def as_json(summary: Summary) -> dict[str, Any]:
         "suite": summary.suite,
         "host": summary.host,
         "port": summary.port,
-        **{outcome.value: summary.count(outcome) for outcome in Outcome},
+        **{outcome.value: summary.count(outcome) for outcome in CaseOutcome},
         "cases": [
             {
                 "number": result.case.number,
@@ -53,8 +53,8 @@ def junit(summary: Summary) -> bytes:
         "testsuite",
         name=summary.suite,
         tests=str(len(summary.results)),
-        failures=str(summary.count(Outcome.FAIL)),
-        skipped=str(summary.count(Outcome.UNSUPPORTED)),
+        failures=str(summary.count(CaseOutcome.FAIL)),
+        skipped=str(summary.count(CaseOutcome.UNSUPPORTED)),
         time=f"{sum(result.seconds for result in summary.results):.3f}",
     )
     for result in summary.results:
@@ -65,8 +65,8 @@ def junit(summary: Summary) -> bytes:
             name=f"{result.case.number} {result.case.title}",
             time=f"{result.seconds:.3f}",
         )
-        if result.outcome is not Outcome.PASS:
-            tag = "failure" if result.outcome is Outcome.FAIL else "skipped"
+        if result.outcome is not CaseOutcome.PASS:
+            tag = "failure" if result.outcome is CaseOutcome.FAIL else "skipped"
             ElementTree.SubElement(entry, tag, message=result.detail)
     document: bytes = ElementTree.tostring(suite, encoding="utf-8", xml_declaration=True)
     return document

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 from importlib import import_module
 from typing import NamedTuple
 
-from conformance.case import Case, Outcome, coupler, reference
+from conformance.case import CaseOutcome, ConformanceCase, coupler, reference
 from conformance.master import Master
 from conformance.peer import Peer
 from conformance.wire import Failed, Line, NonceSource, Unsupported
@@ -22,8 +22,8 @@ _MODULES = (
 class Result(NamedTuple):
     """What came of one case; ``detail`` says why it did not pass."""
 
-    case: Case
-    outcome: Outcome
+    case: ConformanceCase
+    outcome: CaseOutcome
     detail: str
     seconds: float
     transcript: tuple[Line, ...]
@@ -37,17 +37,17 @@ class Summary(NamedTuple):
     port: int
     results: tuple[Result, ...]
 
-    def count(self, outcome: Outcome) -> int:
+    def count(self, outcome: CaseOutcome) -> int:
         """How many cases ended so."""
         return sum(result.outcome is outcome for result in self.results)
 
     @property
     def passed(self) -> bool:
         """Whether something passed and nothing failed."""
-        return self.count(Outcome.FAIL) == 0 and self.count(Outcome.PASS) > 0
+        return self.count(CaseOutcome.FAIL) == 0 and self.count(CaseOutcome.PASS) > 0
 
 
-def reference_cases() -> tuple[Case, ...]:
+def reference_cases() -> tuple[ConformanceCase, ...]:
     """All cases for the reference link, by number."""
     for module in _MODULES:
         import_module(f"conformance.reference.{module}")
@@ -83,14 +83,14 @@ def run_reference(
     return Summary("reference link", host, port, tuple(results))
 
 
-def _run(case: Case, peer: Peer, motion: bool) -> Result:
+def _run(case: ConformanceCase, peer: Peer, motion: bool) -> Result:
     if case.motion and not motion:
         peer.close()
-        return Result(case, Outcome.UNSUPPORTED, "moves the arm: not allowed in this run", 0.0, ())
+        return Result(case, CaseOutcome.UNSUPPORTED, "moves the arm: not allowed in this run", 0.0, ())
     return _ask(case, peer)
 
 
-def coupler_cases() -> tuple[Case, ...]:
+def coupler_cases() -> tuple[ConformanceCase, ...]:
     """All cases for the coupler, by number."""
     for module in _COUPLER_MODULES:
         import_module(f"conformance.coupler.{module}")
@@ -122,29 +122,29 @@ def run_coupler(
     return Summary("coupler", host, port, tuple(results))
 
 
-def _run_coupler(case: Case, host: str, port: int, unit: int, outputs: bool) -> Result:
+def _run_coupler(case: ConformanceCase, host: str, port: int, unit: int, outputs: bool) -> Result:
     if case.motion and not outputs:
-        return Result(case, Outcome.UNSUPPORTED, "writes outputs: not allowed in this run", 0.0, ())
+        return Result(case, CaseOutcome.UNSUPPORTED, "writes outputs: not allowed in this run", 0.0, ())
     try:
         master = Master(host, port, unit, outputs=outputs)
     except OSError as error:
         detail = f"no connection: {error.strerror or error}"
-        return Result(case, Outcome.FAIL, detail, 0.0, ())
+        return Result(case, CaseOutcome.FAIL, detail, 0.0, ())
     return _ask(case, master)
 
 
-def _ask(case: Case, peer: Peer | Master) -> Result:
+def _ask(case: ConformanceCase, peer: Peer | Master) -> Result:
     begin = time.monotonic()
-    outcome, detail = Outcome.PASS, ""
+    outcome, detail = CaseOutcome.PASS, ""
     try:
         try:
             case.run(peer)
         finally:
             peer.close()
     except Unsupported as reason:
-        outcome, detail = Outcome.UNSUPPORTED, str(reason)
+        outcome, detail = CaseOutcome.UNSUPPORTED, str(reason)
     except Failed as reason:
-        outcome, detail = Outcome.FAIL, str(reason)
+        outcome, detail = CaseOutcome.FAIL, str(reason)
     except OSError as error:
-        outcome, detail = Outcome.FAIL, f"the socket failed: {error.strerror or error}"
+        outcome, detail = CaseOutcome.FAIL, f"the socket failed: {error.strerror or error}"
     return Result(case, outcome, detail, time.monotonic() - begin, tuple(peer.transcript))

@@ -19,7 +19,7 @@ class Endpoint(StrictModel):
     port: int = Field(ge=0, le=65535)
 
 
-class FaultFaceConfig(Endpoint):
+class FaultApiConfig(Endpoint):
     """Where the HTTP face for faults listens, whether it may break anything, and how it may be called.
 
     ``allowed_hosts``: names beside loopback and ``host``.
@@ -34,7 +34,7 @@ class PlantServiceConfig(StrictModel):
 
     modbus: Endpoint
     camera_stream: Endpoint
-    fault_face: FaultFaceConfig
+    fault_face: FaultApiConfig
     period_ms: float = Field(gt=0.1, le=20.0)
     truth_hz: float = Field(ge=50.0, le=1000.0)
     fifo_priority: int = Field(ge=0, le=99)

@@ -18,7 +18,7 @@ from plant_emulator.core.faults.kinds import CouplerSilent
 from plant_emulator.core.plant import Plant
 from plant_emulator.shell.camera_sender import CameraSender
 from plant_emulator.shell.coupler import Coupler
-from plant_emulator.shell.fault_face import FaultFace
+from plant_emulator.shell.fault_api import FaultFace
 from plant_emulator.shell.integrator import Integrator, SlowCycle
 from plant_emulator.shell.recording import TruthRecorder
 from protocol.errors import ConfigurationError

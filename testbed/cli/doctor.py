@@ -10,7 +10,7 @@ from foundation.configuration import parse_overrides
 from protocol.errors import ConfigurationError
 from testbed.realtime import doctor
 from testbed.realtime.arm_check import arm_check
-from testbed.realtime.doctor import Check
+from testbed.realtime.doctor import HealthCheck
 from testbed.realtime.launch import ports_in_use
 from testbed.reporting.console import bars, out, write_json
 from testbed.scenarios.settings import Overrides, Settings, load_settings, loaders
@@ -22,7 +22,7 @@ _LOCK = Path("requirements.lock")
 def examine(config_dir: Path, assignments: list[str], runs: Path, json_file: Path | None) -> bool:
     """Whether nothing failed; prints the checks as a table and writes them to ``json_file``."""
     overrides = parse_overrides(assignments)
-    checks: list[Check] = []
+    checks: list[HealthCheck] = []
     with bars() as shown, shown.step("examining") as bar:
         for check in _all_checks(config_dir, overrides, runs):
             checks.append(check)
@@ -35,7 +35,7 @@ def examine(config_dir: Path, assignments: list[str], runs: Path, json_file: Pat
     return all(check.verdict != "failed" for check in checks)
 
 
-def _all_checks(config_dir: Path, overrides: Overrides, runs: Path) -> Iterator[Check]:
+def _all_checks(config_dir: Path, overrides: Overrides, runs: Path) -> Iterator[HealthCheck]:
     yield from doctor.machine_checks(_LOCK, runs)
     for name, load in loaders(config_dir, overrides).items():
         yield doctor.configuration_check(name, load)
@@ -49,7 +49,7 @@ def _all_checks(config_dir: Path, overrides: Overrides, runs: Path) -> Iterator[
         yield doctor.port_check(use)
 
 
-def _peers_check(settings: Settings) -> Check:
+def _peers_check(settings: Settings) -> HealthCheck:
     """Whether each service looks for its peer where that listens."""
     service, controller, vision = settings.plant_service, settings.controller, settings.vision
     pairs = (
@@ -58,4 +58,4 @@ def _peers_check(settings: Settings) -> Check:
         ("vision.link.port", vision.link.port, controller.reference_link.port),
     )
     wrong = [f"{key} = {port}, its peer listens on {peer}" for key, port, peer in pairs if port != peer]
-    return Check("links", "failed" if wrong else "ok", "; ".join(wrong) or "each finds its peer")
+    return HealthCheck("links", "failed" if wrong else "ok", "; ".join(wrong) or "each finds its peer")

@@ -40,9 +40,9 @@ def solve(
     json_file: JsonFile = None,
 ) -> None:
     """X from samples, with covariance, residuals, proof and verdict; or the reason why not."""
-    from testbed.cli.hand_eye_files import Source, run_solve
+    from testbed.cli.hand_eye_files import SampleSource, run_solve
 
-    source = Source(file, camera_file, setup, camera_in_target, normalise, offset_s, marker_id)
+    source = SampleSource(file, camera_file, setup, camera_in_target, normalise, offset_s, marker_id)
     run_solve(source, method, json_file)
 
 
@@ -58,9 +58,11 @@ def compare(
     json_file: JsonFile = None,
 ) -> None:
     """All methods on the same samples: two-fold hold-out errors."""
-    from testbed.cli.hand_eye_files import Source, run_compare
+    from testbed.cli.hand_eye_files import SampleSource, run_compare
 
-    run_compare(Source(file, camera_file, setup, camera_in_target, normalise, offset_s, marker_id), json_file)
+    run_compare(
+        SampleSource(file, camera_file, setup, camera_in_target, normalise, offset_s, marker_id), json_file
+    )
 
 
 @app.command(epilog="Example: longreach hand-eye intrinsics left*.jpg --columns 9 --rows 6 --square-mm 25")

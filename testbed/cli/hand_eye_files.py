@@ -27,7 +27,7 @@ from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard, De
 from vision_pc.core.types import Image
 
 
-class Source(NamedTuple):
+class SampleSource(NamedTuple):
     """Where samples come from, as the command line says it."""
 
     file: Path
@@ -60,7 +60,7 @@ class Source(NamedTuple):
             ) from error
 
 
-def run_solve(source: Source, method: Method, json_file: Path | None) -> None:
+def run_solve(source: SampleSource, method: Method, json_file: Path | None) -> None:
     """Print X and all that is known about it. Raises LongreachError where there is no solution."""
     pairs = source.read()
     result = methods.solve(pairs, method)
@@ -97,7 +97,7 @@ def _adjusted(pairs: PosePairs, result: HandEyeResult) -> dict[str, object]:
     }
 
 
-def run_compare(source: Source, json_file: Path | None) -> None:
+def run_compare(source: SampleSource, json_file: Path | None) -> None:
     """Print the hold-out errors of all methods."""
     pairs = source.read()
     rows = hold_out(source.file.stem, pairs)

@@ -22,9 +22,9 @@ DEFAULT_URL = "http://127.0.0.1:8000"
 
 
 def _do(url: str, act: Callable[[Any], None]) -> None:
-    from testbed.hand_eye.session_face import with_face
+    from testbed.hand_eye.session_client import with_session
 
-    with_face(url, act)
+    with_session(url, act)
 
 
 @app.command(epilog="Example: longreach hand-eye session start monday --poses 17")

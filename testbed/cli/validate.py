@@ -7,7 +7,7 @@ from rich.text import Text
 
 from testbed.reporting.console import bars, out, table, write_json
 from testbed.scenarios.settings import load_settings
-from testbed.validation.case import Case
+from testbed.validation.case import ValidationCase
 from testbed.validation.error_sources import Finding, findings, sources
 from testbed.validation.plant import FAMILIES, validation_steps
 
@@ -19,7 +19,7 @@ def validate_plant(config_dir: Path, json_file: Path | None) -> bool:
 
     Families whose oracle is not installed are left out, and said to be: then not every family passed.
     """
-    cases: list[Case] = []
+    cases: list[ValidationCase] = []
     left_out: list[int] = []
     with bars() as shown, shown.step("validating the plant") as bar:
         for family in validation_steps(config_dir):
@@ -41,7 +41,7 @@ def validate_plant(config_dir: Path, json_file: Path | None) -> bool:
     return passed == len(cases) and not left_out
 
 
-def _table(cases: list[Case]) -> Table:
+def _table(cases: list[ValidationCase]) -> Table:
     table = Table(title="plant against known answers", title_justify="left")
     for heading in ("", "case", "unit", "expected", "obtained", "tolerance", "verdict", "source"):
         table.add_column(

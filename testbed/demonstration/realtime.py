@@ -11,7 +11,7 @@ from testbed.demonstration.sequence import JSON, Recorder, Rest, TimedTruth, dem
 from testbed.realtime.launch import PLANT, VISION, Launch, prepare
 from testbed.realtime.rest_rig import RestRig, StateSampler
 from testbed.realtime.supervisor import Supervisor
-from testbed.realtime.up import end_on_sigterm, show_fault_face, started
+from testbed.realtime.up import end_on_sigterm, show_fault_api, started
 from testbed.reporting.console import Bars, bars
 from testbed.reporting.outcome import Outcome
 from testbed.reporting.plots import ControllerView
@@ -48,7 +48,7 @@ def run_demo(
     with run_directory(runs) as directory:
         launch = prepare(config_dir, overrides, directory, any_ports=any_ports)
         with bars() as shown, started(launch, shown) as supervisor:
-            show_fault_face(launch)
+            show_fault_api(launch)
             driven = drive(launch, choice, shown, supervisor)
         return _presented(launch, choice, driven, time.monotonic() - began, json_file)
 

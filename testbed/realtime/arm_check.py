@@ -10,28 +10,30 @@ from nominal_arm.description import NominalArm
 from protocol.client_session import ReferenceClient
 from protocol.faults import Reason
 from protocol.session_events import Connected, ConnectionDelayed, SessionLost
-from testbed.realtime.doctor import Check
+from testbed.realtime.doctor import HealthCheck
 from vision_pc.config.vision import LinkSettings
 
 _ANSWER_S = 0.5
 _READ_S = 0.05
 
 
-def arm_check(arm: NominalArm, link: LinkSettings) -> Check:
+def arm_check(arm: NominalArm, link: LinkSettings) -> HealthCheck:
     """The arm's hash, and whether a controller that answers at the link's address has the same."""
     mine = configuration_hash(arm)
     found = f"{arm.name}: hash {mine:#018x}"
     answer = greeted(link, mine)
     where = f"{link.host}:{link.port}"
     if answer is None:
-        return Check("arm", "ok", f"{found}; no controller at {where} to compare it with")
+        return HealthCheck("arm", "ok", f"{found}; no controller at {where} to compare it with")
     if answer is Reason.WRONG_ARM:
         advice = "give both the same arm.yaml, or a PLC this hash; vision.link.any_arm=true does without"
-        return Check("arm", "warning" if link.any_arm else "failed", f"{found}; {where} has another", advice)
+        return HealthCheck(
+            "arm", "warning" if link.any_arm else "failed", f"{found}; {where} has another", advice
+        )
     if answer in (Reason.ACCEPTED, Reason.SESSION_OCCUPIED):  # who is occupied has compared the arm first
-        return Check("arm", "ok", f"{found}; the controller at {where} has the same")
+        return HealthCheck("arm", "ok", f"{found}; the controller at {where} has the same")
     why = answer.name.lower().replace("_", " ")
-    return Check(
+    return HealthCheck(
         "arm", "warning", f"{found}; {where} refuses a session: {why}", "see clause 4 of protocol.md"
     )
 

@@ -25,7 +25,7 @@ SLEEP_S = 0.001
 LATE_WARNING_US = 5000.0  # one cycle: a timer later than this at the 99th percentile will cost overruns
 
 
-class Check(NamedTuple):
+class HealthCheck(NamedTuple):
     """One line of the examination: what was looked at, the verdict, what was found, what to do about it."""
 
     name: str
@@ -34,11 +34,11 @@ class Check(NamedTuple):
     advice: str = ""
 
 
-def python_check() -> Check:
+def python_check() -> HealthCheck:
     """Whether this is the Python that the locked dependencies are for."""
     found = f"{platform.python_implementation()} {platform.python_version()}"
     good = sys.version_info[:2] == (3, 11)
-    return Check(
+    return HealthCheck(
         "python", "ok" if good else "failed", found, "" if good else "install Python 3.11; make clean setup"
     )
 
@@ -49,10 +49,10 @@ def locked_versions(lock: Path) -> dict[str, str]:
     return dict(pins)
 
 
-def versions_check(lock: Path) -> Check:
+def versions_check(lock: Path) -> HealthCheck:
     """Whether the installed packages are those of the lock file."""
     if not lock.is_file():
-        return Check(
+        return HealthCheck(
             "packages", "warning", f"no {lock.name} here to compare with", "run it in the repository"
         )
     pins = locked_versions(lock)
@@ -65,30 +65,30 @@ def versions_check(lock: Path) -> Check:
         if installed != version:
             wrong.append(f"{name} {installed} instead of {version}")
     if wrong:
-        return Check("packages", "failed", "; ".join(wrong), "make setup")
-    return Check("packages", "ok", f"all {len(pins)} as locked")
+        return HealthCheck("packages", "failed", "; ".join(wrong), "make setup")
+    return HealthCheck("packages", "ok", f"all {len(pins)} as locked")
 
 
-def cores_check() -> Check:
+def cores_check() -> HealthCheck:
     """How many cores this process may use, and how busy the machine is."""
     cores = len(os.sched_getaffinity(0))
     load = os.getloadavg()[0]
     found = f"{cores} usable, load {load:.2f}"
     if cores < WANTED_CORES:
-        return Check(
+        return HealthCheck(
             "cores", "warning", found, f"{WANTED_CORES} are wanted for real time; use demo --lockstep"
         )
     if load > 0.5 * cores:
-        return Check("cores", "warning", found, "other work is running: expect overruns")
-    return Check("cores", "ok", found)
+        return HealthCheck("cores", "warning", found, "other work is running: expect overruns")
+    return HealthCheck("cores", "ok", found)
 
 
-def memory_check() -> Check:
+def memory_check() -> HealthCheck:
     """How much memory can be had."""
     fields = dict(re.findall(r"^(\w+):\s+(\d+) kB", Path("/proc/meminfo").read_text(), flags=re.MULTILINE))
     available_mb = int(fields["MemAvailable"]) // 1024
     good = available_mb >= WANTED_MEMORY_MB
-    return Check(
+    return HealthCheck(
         "memory",
         "ok" if good else "warning",
         f"{available_mb} MB available",
@@ -96,17 +96,17 @@ def memory_check() -> Check:
     )
 
 
-def disk_check(runs: Path) -> Check:
+def disk_check(runs: Path) -> HealthCheck:
     """How much room there is for recordings."""
     place = next(parent for parent in (runs.absolute(), *runs.absolute().parents) if parent.exists())
     free_mb = shutil.disk_usage(place).free // 2**20
     good = free_mb >= WANTED_DISK_MB and os.access(place, os.W_OK)
-    return Check(
+    return HealthCheck(
         "disk", "ok" if good else "failed", f"{free_mb} MB free for {runs}", "" if good else "make room"
     )
 
 
-def timer_check() -> Check:
+def timer_check() -> HealthCheck:
     """How late a sleep of one millisecond ends."""
     late_us = []
     for _ in range(SLEEPS):
@@ -119,46 +119,50 @@ def timer_check() -> Check:
         f"resolution {resolution_ns:.0f} ns; 1 ms sleeps end {cuts[49]:.0f}/{cuts[98]:.0f} µs late (p50/p99)"
     )
     good = cuts[98] < LATE_WARNING_US
-    return Check(
+    return HealthCheck(
         "timer", "ok" if good else "warning", found, "" if good else "expect overruns; see realtime notes"
     )
 
 
-def scheduling_check() -> Check:
+def scheduling_check() -> HealthCheck:
     """Whether real-time scheduling can be had (it is not needed)."""
     before, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
     except PermissionError:
-        return Check("scheduling", "ok", "no real-time class; vision and renderer will run at low priority")
+        return HealthCheck(
+            "scheduling", "ok", "no real-time class; vision and renderer will run at low priority"
+        )
     os.sched_setscheduler(0, before, parameters)
-    return Check("scheduling", "ok", "real-time class SCHED_FIFO can be had")
+    return HealthCheck("scheduling", "ok", "real-time class SCHED_FIFO can be had")
 
 
-def port_check(use: PortUse) -> Check:
+def port_check(use: PortUse) -> HealthCheck:
     """Whether the port is free to be served."""
     if hindrance := use.hindrance():
         advice = "end what holds it, or use --free-ports"
-        return Check(f"port {use.name}", "failed", f"{use.label}: {hindrance}", advice)
-    return Check(f"port {use.name}", "ok", f"{use.label} is free")
+        return HealthCheck(f"port {use.name}", "failed", f"{use.label}: {hindrance}", advice)
+    return HealthCheck(f"port {use.name}", "ok", f"{use.label} is free")
 
 
-def configuration_check(name: str, load: Callable[[], object]) -> Check:
+def configuration_check(name: str, load: Callable[[], object]) -> HealthCheck:
     """Whether one configuration file can be loaded."""
     try:
         load()
     except ConfigurationError as error:
-        return Check(f"configuration {name}", "failed", str(error), "correct the file")
-    return Check(f"configuration {name}", "ok", "valid")
+        return HealthCheck(f"configuration {name}", "failed", str(error), "correct the file")
+    return HealthCheck(f"configuration {name}", "ok", "valid")
 
 
-def engine_check() -> Check:
+def engine_check() -> HealthCheck:
     """Whether containers could be used (they are not needed)."""
     tools = [tool for tool in ("docker", "docker-compose") if shutil.which(tool)]
-    return Check("containers", "ok", ", ".join(tools) + " found" if tools else "no engine found; not needed")
+    return HealthCheck(
+        "containers", "ok", ", ".join(tools) + " found" if tools else "no engine found; not needed"
+    )
 
 
-def machine_checks(lock: Path, runs: Path) -> Iterator[Check]:
+def machine_checks(lock: Path, runs: Path) -> Iterator[HealthCheck]:
     """The checks that need no configuration, one by one."""
     yield python_check()
     yield versions_check(lock)

@@ -45,11 +45,11 @@ def show(launch: Launch, supervisor: Supervisor) -> None:
         for name, child in supervisor.children.items()
     ]
     out.print(table("running", ("service", "process", "scheduling", "log"), rows))
-    show_fault_face(launch)
+    show_fault_api(launch)
     out.print(f"REST face: {launch.rest_url}/docs   end with Ctrl-C", highlight=False)
 
 
-def show_fault_face(launch: Launch) -> None:
+def show_fault_api(launch: Launch) -> None:
     """Print the address of the plant's fault API, if it is allowed."""
     face = launch.settings.plant_service.fault_face
     if face.allowed:

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 Relation = Literal["near", "at_most", "at_least"]
 
 
-class Case(NamedTuple):
+class ValidationCase(NamedTuple):
     """A case with a known answer. ``tolerance`` is absolute, in ``unit``; it widens a bound as well.
 
     ``source`` says where the expected value comes from.

@@ -16,7 +16,7 @@ from protocol.process_image import CONTROL_ENABLE, COUNTS_PER_TURN, ValveImage
 Array = NDArray[np.float64]
 
 
-class World(NamedTuple):
+class MeasuredWorld(NamedTuple):
     """Arm and visible world under one choice of switches."""
 
     plant: PlantConfig
@@ -27,7 +27,7 @@ class World(NamedTuple):
         return Plant(self.plant, 1, Scene(self.scene).mounts)
 
 
-def _driven(world: World, spools: list[tuple[float, float]]) -> Plant:
+def _driven(world: MeasuredWorld, spools: list[tuple[float, float]]) -> Plant:
     """A plant after half-seconds with these openings of slew and lift."""
     plant, cycle = world.arm(), 0
     for slew, lift in spools:
@@ -38,7 +38,7 @@ def _driven(world: World, spools: list[tuple[float, float]]) -> Plant:
     return plant
 
 
-def tool_mm(world: World) -> Array:
+def tool_mm(world: MeasuredWorld) -> Array:
     """The tool in the world (3,), mm."""
     return np.asarray(world.arm().truth().X_WT[:3, 3] * 1e3)
 
@@ -47,36 +47,36 @@ def _read_mrad(plant: Plant) -> Array:
     return np.asarray(np.array(plant.read().encoder_counts) * (2e3 * np.pi / COUNTS_PER_TURN))
 
 
-def reading_mrad(world: World) -> Array:
+def reading_mrad(world: MeasuredWorld) -> Array:
     """The encoders' readings (6,) at rest."""
     return _read_mrad(world.arm())
 
 
-def trailing_mrad(world: World) -> float:
+def trailing_mrad(world: MeasuredWorld) -> float:
     """Reading minus true angle of a slew that turns."""
     plant = _driven(world, [(0.2, 0.0)])
     return float((_read_mrad(plant) - plant.truth().q * 1e3)[0])
 
 
-def noise_lsb(world: World) -> float:
+def noise_lsb(world: MeasuredWorld) -> float:
     """Spread of the readings at rest, in counts."""
     plant = world.arm()
     return float(np.std([plant.read().encoder_counts for _ in range(500)], axis=0).mean())
 
 
-def slew_mrad_s(world: World, spool: float) -> float:
+def slew_mrad_s(world: MeasuredWorld, spool: float) -> float:
     """Speed of the slew at ``spool``."""
     return float(_driven(world, [(spool, 0.0)] * 3).truth().q_rate[0] * 1e3)
 
 
-def sunk_mm(world: World) -> float:
+def sunk_mm(world: MeasuredWorld) -> float:
     """Height of the tool after 20 s with every valve shut."""
     plant = world.arm()
     plant.advance(20_000_000_000)
     return float(plant.truth().X_WT[2, 3] * 1e3)
 
 
-def oil_k(world: World) -> float:
+def oil_k(world: MeasuredWorld) -> float:
     """Oil temperature after 4 s of lifting and lowering."""
     return _driven(world, [(0.0, 0.5), (0.0, -0.5)] * 4).truth().oil_temperature_degc
 
@@ -87,42 +87,42 @@ def _turned_deg(X: Array) -> Array:
     return np.degrees(np.array([skew[2, 1], skew[0, 2], skew[1, 0]]) / 2.0)
 
 
-def _mount(world: World) -> Array:
+def _mount(world: MeasuredWorld) -> Array:
     truth = world.arm().truth()
     return inverse(truth.X_WT) @ truth.X_WC
 
 
-def mount_mm(world: World) -> Array:
+def mount_mm(world: MeasuredWorld) -> Array:
     """The camera in T (3,), mm."""
     return np.asarray(_mount(world)[:3, 3] * 1e3)
 
 
-def mount_deg(world: World) -> Array:
+def mount_deg(world: MeasuredWorld) -> Array:
     """The camera's turn against T (3,)."""
     return _turned_deg(_mount(world))
 
 
-def _marker(world: World) -> Array:
+def _marker(world: MeasuredWorld) -> Array:
     truth = world.arm().truth()
     return inverse(NOMINAL_MOUNTS.X_TM) @ inverse(truth.X_WT) @ truth.X_WM
 
 
-def marker_mm(world: World) -> Array:
+def marker_mm(world: MeasuredWorld) -> Array:
     """The tool marker off its nominal place (3,), mm."""
     return np.asarray(_marker(world)[:3, 3] * 1e3)
 
 
-def marker_deg(world: World) -> Array:
+def marker_deg(world: MeasuredWorld) -> Array:
     """The tool marker's turn against nominal (3,)."""
     return _turned_deg(_marker(world))
 
 
-def printed_mm(world: World) -> float:
+def printed_mm(world: MeasuredWorld) -> float:
     """Side of the tool marker as printed."""
     return 1e3 * printed_side(world.scene.tool_marker)
 
 
-def image_px(world: World, eye: int) -> Array:
+def image_px(world: MeasuredWorld, eye: int) -> Array:
     """Image coordinates of an even grid of rays, divided by √n: the length of a difference is its rms."""
     lens, X_CE = true_eyes(world.scene.camera)[eye]
     x, y = np.meshgrid(np.linspace(-1.1, 1.1, 23), np.linspace(-0.6, 0.6, 13))
@@ -130,7 +130,7 @@ def image_px(world: World, eye: int) -> Array:
     return np.asarray(lens.project(rays).ravel() / np.sqrt(x.size))
 
 
-def noise_grey(world: World) -> float:
+def noise_grey(world: MeasuredWorld) -> float:
     """Spread of a pixel from picture to picture."""
     camera = StereoCamera(world.scene.camera, Scene(world.scene), world.scene.seed)
     truth = world.arm().truth()

@@ -38,7 +38,7 @@ class Source(NamedTuple):
     name: str
     key: str
     off: Keys
-    measured: Callable[[measure.World], Array | float]
+    measured: Callable[[measure.MeasuredWorld], Array | float]
     effect: str
     unit: str
 
@@ -155,6 +155,6 @@ def provenance(config_dir: Path, key: str) -> str:
     raise ConfigurationError("configuration.no_provenance", f"{file}: {key}: no [S], [M], [E], [R] or [D]")
 
 
-def _world(config_dir: Path, overrides: Keys) -> measure.World:
+def _world(config_dir: Path, overrides: Keys) -> measure.MeasuredWorld:
     plant = load(PlantConfig, config_dir / "plant.yaml", overrides.get("plant"))
-    return measure.World(plant, load(SceneConfig, config_dir / "scene.yaml", overrides.get("scene")))
+    return measure.MeasuredWorld(plant, load(SceneConfig, config_dir / "scene.yaml", overrides.get("scene")))

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from protocol.errors import ConfigurationError
-from testbed.validation.case import Case
+from testbed.validation.case import ValidationCase
 from testbed.validation.oracles import MISSING_ORACLE
 from testbed.validation.plant_balances import energy_balance, pump_saturation, sudden_stop
 from testbed.validation.plant_dynamics import accelerations, energy_drift, locked_lift, ring_down
@@ -14,7 +14,7 @@ from testbed.validation.plant_hydraulics import blocked_piston, free_velocity, l
 from testbed.validation.plant_signals import convergence, encoders
 from testbed.validation.plant_statics import cantilevers, geometry, levers, static_forces, valve_shut_load
 
-Family = Callable[[Path], list[Case]]
+Family = Callable[[Path], list[ValidationCase]]
 
 FAMILIES: dict[int, tuple[str, Family]] = {
     1: ("geometry", geometry),
@@ -45,7 +45,7 @@ class FamilyRun(NamedTuple):
 
     number: int
     title: str
-    cases: list[Case] | None
+    cases: list[ValidationCase] | None
 
 
 def validation_steps(config_dir: Path) -> Iterator[FamilyRun]:

@@ -12,7 +12,7 @@ from plant_emulator.core.equilibrium import rest_state
 from plant_emulator.core.hydraulics.chambers import bulk_modulus
 from plant_emulator.core.layout import N_ACTUATORS, N_COORDINATES, PRESSURE_A, PRESSURE_B, SUPPLY, Q
 from plant_emulator.core.model import put_payload
-from testbed.validation.case import Case
+from testbed.validation.case import ValidationCase
 from testbed.validation.ledger import Ledger
 from testbed.validation.plant_rig import Stand, default_config
 
@@ -30,7 +30,7 @@ def resting_arm(config_dir: Path, pose_deg: list[float], payload: float, **chang
     return stand
 
 
-def sudden_stop(config_dir: Path) -> list[Case]:
+def sudden_stop(config_dir: Path) -> list[ValidationCase]:
     """Family 16: lowering 200 kg at full speed, then the valves shut: pressures and oil masses."""
     stand = resting_arm(config_dir, [0.0, 60.0, -60.0, 0.0, 0.0, 0.0], 200.0)
     ledger, books = Ledger(stand), []
@@ -42,13 +42,15 @@ def sudden_stop(config_dir: Path) -> list[Case]:
     most = max(balance.greatest_pressure for balance in books) / BAR
     worst = max(balance.mass_error for balance in books)
     return [
-        Case(16, "least absolute pressure", "bar", 0.0, least, 0.0, "oil cannot pull", "at_least"),
-        Case(16, "greatest pressure", "bar", 1.1 * setting, most, 0.0, "relief setting + 10 %", "at_most"),
-        Case(16, "oil mass, worst chamber", "", 0.0, worst, 1e-6, "∫ρQ dt = Δ(ρV)"),
+        ValidationCase(16, "least absolute pressure", "bar", 0.0, least, 0.0, "oil cannot pull", "at_least"),
+        ValidationCase(
+            16, "greatest pressure", "bar", 1.1 * setting, most, 0.0, "relief setting + 10 %", "at_most"
+        ),
+        ValidationCase(16, "oil mass, worst chamber", "", 0.0, worst, 1e-6, "∫ρQ dt = Δ(ρV)"),
     ]
 
 
-def energy_balance(config_dir: Path) -> list[Case]:
+def energy_balance(config_dir: Path) -> list[ValidationCase]:
     """Family 17: what the supply gives against motion, seals, hinges, orifices, return and compressed oil."""
     stand = resting_arm(config_dir, [0.0, 30.0, -70.0, 0.0, -20.0, 0.0], 50.0)
     ledger, given, accounted = Ledger(stand), 0.0, 0.0
@@ -58,7 +60,7 @@ def energy_balance(config_dir: Path) -> list[Case]:
         given += balance.given
         accounted += balance.accounted
     return [
-        Case(
+        ValidationCase(
             17,
             "energy from the supply accounted for",
             "J",
@@ -70,7 +72,7 @@ def energy_balance(config_dir: Path) -> list[Case]:
     ]
 
 
-def pump_saturation(config_dir: Path) -> list[Case]:
+def pump_saturation(config_dir: Path) -> list[ValidationCase]:
     """Family 18: lift and tilt with their valves full open share what the pump can give."""
     stand = resting_arm(config_dir, [0.0, 0.0, -130.0, 0.0, 0.0, 0.0], 0.0)
     stand.command[1] = stand.command[2] = 1.0
@@ -93,9 +95,11 @@ def pump_saturation(config_dir: Path) -> list[Case]:
     ceiling = stand.config.pump.pressure_bar - stand.config.pump.droop_bar
     bores = float(volume[1]) / seconds / LITRE_PER_MINUTE
     return [
-        Case(18, "mean flow drawn and stored in the line", "l/min", limit, mean, 2e-3 * limit, "Q_max"),
-        Case(18, "mean displacement of both bores", "l/min", limit, bores, 0.03 * limit, "Q_max"),
-        Case(
+        ValidationCase(
+            18, "mean flow drawn and stored in the line", "l/min", limit, mean, 2e-3 * limit, "Q_max"
+        ),
+        ValidationCase(18, "mean displacement of both bores", "l/min", limit, bores, 0.03 * limit, "Q_max"),
+        ValidationCase(
             18,
             "supply sags below",
             "bar",

@@ -13,7 +13,7 @@ from plant_emulator.core import columns as col
 from plant_emulator.core.layout import N_COORDINATES, RATE, Q
 from plant_emulator.core.mechanics.multibody import forward_dynamics, multibody_work
 from plant_emulator.core.model import outboard_inertia, put_payload
-from testbed.validation.case import Case
+from testbed.validation.case import ValidationCase
 from testbed.validation.oracles import MujocoArm, PinocchioArm
 from testbed.validation.plant_rig import LIFT, Stand, default_config, loaded_lift
 from testbed.validation.plant_statics import settle_lift
@@ -21,7 +21,7 @@ from testbed.validation.plant_statics import settle_lift
 Array = NDArray[np.float64]
 
 
-def accelerations(config_dir: Path) -> list[Case]:
+def accelerations(config_dir: Path) -> list[ValidationCase]:
     """Family 4: 200 random states of the arm with all its geometric errors and a payload, both oracles."""
     config = load(PlantConfig, config_dir / "plant.yaml")
     stand = Stand(config)
@@ -44,14 +44,14 @@ def accelerations(config_dir: Path) -> list[Case]:
         for name, arm in oracles.items():
             worst[name] = max(worst[name], float(np.abs(arm.acceleration(q, rate, force) - own).max()))
     return [
-        Case(
+        ValidationCase(
             4, f"accelerations against {name}", "rad/s²", 0.0, difference, 1e-10, f"{name}, 200 random states"
         )
         for name, difference in worst.items()
     ]
 
 
-def energy_drift(config_dir: Path) -> list[Case]:
+def energy_drift(config_dir: Path) -> list[ValidationCase]:
     """Family 5: a free fall of the flexible arm for 10 s without oil or damping, energies by Pinocchio."""
     stand = Stand(default_config(config_dir))
     mech = stand.model.mechanism
@@ -68,7 +68,7 @@ def energy_drift(config_dir: Path) -> list[Case]:
     seen = np.array(stand.run(10.0, 2e-4, energy))
     drift = float(np.abs(seen[:, 1] - seen[0, 1]).max() / seen[:, 0].max())
     source = "conservation; of the largest kinetic energy, by Pinocchio"
-    return [Case(5, "energy drift in 10 s of free fall", "", 0.0, drift, 1e-6, source)]
+    return [ValidationCase(5, "energy drift in 10 s of free fall", "", 0.0, drift, 1e-6, source)]
 
 
 def period(step: float, values: Array) -> float:
@@ -87,7 +87,7 @@ def _swing(stand: Stand, seconds: float) -> float:
     return 1.0 / period(step, seen)
 
 
-def locked_lift(config_dir: Path) -> list[Case]:
+def locked_lift(config_dir: Path) -> list[ValidationCase]:
     """Family 10: the oil spring of the shut lift, and how the arm swings on it with and without 570 kg."""
     stand = loaded_lift(config_dir)
     stand.clamp_all_but(LIFT)
@@ -104,9 +104,13 @@ def locked_lift(config_dir: Path) -> list[Case]:
     bare.smooth(1)
     settle_lift(bare, rod_side=21e5)
     return [
-        Case(10, "oil spring of the shut lift", "MN/m", 6.74, float(spring), 0.02, "β (A_a²/V_a + A_b²/V_b)"),
-        Case(10, "locked lift with 570 kg", "Hz", 1.8356, loaded, 0.0018, "oil spring, gravity, geometry"),
-        Case(
+        ValidationCase(
+            10, "oil spring of the shut lift", "MN/m", 6.74, float(spring), 0.02, "β (A_a²/V_a + A_b²/V_b)"
+        ),
+        ValidationCase(
+            10, "locked lift with 570 kg", "Hz", 1.8356, loaded, 0.0018, "oil spring, gravity, geometry"
+        ),
+        ValidationCase(
             10,
             "locked lift, bare",
             "Hz",
@@ -118,7 +122,7 @@ def locked_lift(config_dir: Path) -> list[Case]:
     ]
 
 
-def ring_down(config_dir: Path) -> list[Case]:
+def ring_down(config_dir: Path) -> list[ValidationCase]:
     """Family 13: each hinge alone, let go from 1 mrad: frequency and decay."""
     cases = []
     for name, hinge in (("boom vertical", 2), ("boom lateral", 3), ("arm vertical", 5), ("arm lateral", 6)):
@@ -138,8 +142,12 @@ def ring_down(config_dir: Path) -> list[Case]:
         expected = 2.0 * math.pi * zeta / math.sqrt(1.0 - zeta * zeta)
         damped = frequency * math.sqrt(1.0 - zeta * zeta)
         obtained = 1.0 / period(step, seen)
-        cases.append(Case(13, f"{name} ring-down", "Hz", damped, obtained, 0.002 * damped, "√(K/J) / 2π"))
-        cases.append(Case(13, f"{name} log decrement", "", expected, decay, 0.01 * expected, "2πζ/√(1 − ζ²)"))
+        cases.append(
+            ValidationCase(13, f"{name} ring-down", "Hz", damped, obtained, 0.002 * damped, "√(K/J) / 2π")
+        )
+        cases.append(
+            ValidationCase(13, f"{name} log decrement", "", expected, decay, 0.01 * expected, "2πζ/√(1 − ζ²)")
+        )
     return cases
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from plant_emulator.core import columns as col
 from plant_emulator.core.mechanics.friction import bristle_rate, friction_force, steady_level
-from testbed.validation.case import Case
+from testbed.validation.case import ValidationCase
 from testbed.validation.plant_rig import Stand, default_config
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ class Seal:
         return float(friction_force(velocity, self.bristle, rate, self.stiffness, self.damping, self.viscous))
 
 
-def friction(config_dir: Path) -> list[Case]:
+def friction(config_dir: Path) -> list[ValidationCase]:
     """Family 14: the steady curve, the largest force before sliding, the slope of the first micrometres."""
     row = Stand(default_config(config_dir)).model.actuators[1]
     worst = 0.0
@@ -44,7 +44,7 @@ def friction(config_dir: Path) -> list[Case]:
         )
         worst = max(worst, abs(force / (curve + seal.viscous * velocity) - 1.0))
     return [
-        Case(
+        ValidationCase(
             14,
             "steady curve, nine velocities",
             "",
@@ -53,8 +53,8 @@ def friction(config_dir: Path) -> list[Case]:
             1e-3,
             "F_c + (F_s − F_c) e^−(v/v_s)² + σ2 v",
         ),
-        Case(14, "break-away force", "kN", 5.0, _break_away(row) / 1e3, 0.05, "F_s"),
-        Case(14, "pre-sliding slope", "N/µm", 8.0, _first_slope(row), 0.08, "σ0"),
+        ValidationCase(14, "break-away force", "kN", 5.0, _break_away(row) / 1e3, 0.05, "F_s"),
+        ValidationCase(14, "pre-sliding slope", "N/µm", 8.0, _first_slope(row), 0.08, "σ0"),
     ]
 
 

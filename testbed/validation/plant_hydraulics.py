@@ -11,7 +11,7 @@ from plant_emulator.core import columns as col
 from plant_emulator.core.equilibrium import gravity_torque
 from plant_emulator.core.hydraulics.valves import orifice_flow, spool_acceleration
 from plant_emulator.core.layout import N_COORDINATES, PRESSURE_A, PRESSURE_B, SPOOL, Q
-from testbed.validation.case import Case
+from testbed.validation.case import ValidationCase
 from testbed.validation.plant_rig import (
     LIFT,
     STAND,
@@ -26,7 +26,7 @@ from testbed.validation.plant_statics import settle_lift
 Array = NDArray[np.float64]
 
 
-def orifice(config_dir: Path) -> list[Case]:
+def orifice(config_dir: Path) -> list[ValidationCase]:
     """Family 6: rated flow, oddness and monotony of the valve's edge."""
     stand = Stand(default_config(config_dir))
     gain, soft = float(stand.model.actuators[1, col.A_GAIN]), float(stand.model.circuit[col.C_REGULARISATION])
@@ -35,10 +35,10 @@ def orifice(config_dir: Path) -> list[Case]:
     flows = np.array([orifice_flow(gain, drop, soft) for drop in drops])
     uneven = float(np.abs(flows + flows[::-1]).max())
     return [
-        Case(6, "flow at 35 bar", "l/min", 100.0, float(rated), 0.1, "rating"),
-        Case(6, "orifice gain", "m³/s/√Pa", 8.909e-7, gain, 1e-10, "100 l/min at 35 bar"),
-        Case(6, "oddness", "m³/s", 0.0, uneven, 1e-18, "symmetry"),
-        Case(
+        ValidationCase(6, "flow at 35 bar", "l/min", 100.0, float(rated), 0.1, "rating"),
+        ValidationCase(6, "orifice gain", "m³/s/√Pa", 8.909e-7, gain, 1e-10, "100 l/min at 35 bar"),
+        ValidationCase(6, "oddness", "m³/s", 0.0, uneven, 1e-18, "symmetry"),
+        ValidationCase(
             6,
             "least rise over 0.1 bar",
             "m³/s",
@@ -66,7 +66,7 @@ def _spool_response(stand: Stand, command: Array, h: float) -> Array:
     return np.array(seen)
 
 
-def spool(config_dir: Path) -> list[Case]:
+def spool(config_dir: Path) -> list[ValidationCase]:
     """Family 7: step of the whole plant's spool below its slew limit, and a sine at its bandwidth."""
     stand = bare_cylinder(config_dir)
     stand.command[STAND] = 0.1
@@ -82,10 +82,10 @@ def spool(config_dir: Path) -> list[Case]:
     tail = slice(len(answer) - round(0.5 / h), len(answer))
     phasor = 2.0 * np.mean(answer[tail] * np.exp(-2j * math.pi * frequency * times[: len(answer)][tail])) * 1j
     return [
-        Case(7, "overshoot of a step", "%", 4.33, float(overshoot), 0.02, "exp(−πζ/√(1 − ζ²))"),
-        Case(7, "time of the peak", "ms", 23.6, float(when) * 1e3, 0.05, "π / (ω √(1 − ζ²))"),
-        Case(7, "gain at 30 Hz", "dB", -3.01, 20.0 * math.log10(abs(phasor)), 0.02, "1 / 2ζ"),
-        Case(7, "phase at 30 Hz", "°", -90.0, math.degrees(np.angle(phasor)), 0.1, "second order"),
+        ValidationCase(7, "overshoot of a step", "%", 4.33, float(overshoot), 0.02, "exp(−πζ/√(1 − ζ²))"),
+        ValidationCase(7, "time of the peak", "ms", 23.6, float(when) * 1e3, 0.05, "π / (ω √(1 − ζ²))"),
+        ValidationCase(7, "gain at 30 Hz", "dB", -3.01, 20.0 * math.log10(abs(phasor)), 0.02, "1 / 2ζ"),
+        ValidationCase(7, "phase at 30 Hz", "°", -90.0, math.degrees(np.angle(phasor)), 0.1, "second order"),
     ]
 
 
@@ -102,29 +102,37 @@ def _free_run(config_dir: Path, opening: float, load: float) -> Stand:
     return stand
 
 
-def free_velocity(config_dir: Path) -> list[Case]:
+def free_velocity(config_dir: Path) -> list[ValidationCase]:
     """Family 8: steady velocities and pressures of a cylinder between ideal supply and return."""
     cases = []
     for load, speed, back in ((0.0, 0.660, 0.534), (54.7e3, 0.421, None)):
         stand = _free_run(config_dir, 1.0, load)
         label = f"F = {load / 1e3:g} kN"
         cases.append(
-            Case(8, f"extension, {label}", "m/s", speed, rate_of(stand), 6e-4, "flow and force balance")
+            ValidationCase(
+                8, f"extension, {label}", "m/s", speed, rate_of(stand), 6e-4, "flow and force balance"
+            )
         )
         if load > 0.0:
             p_a, p_b = (float(stand.state[i + STAND]) / BAR for i in (PRESSURE_A, PRESSURE_B))
-            cases.append(Case(8, f"bore pressure, {label}", "bar", 133.7, p_a, 0.2, "flow and force balance"))
-            cases.append(Case(8, f"rod pressure, {label}", "bar", 36.3, p_b, 0.2, "flow and force balance"))
+            cases.append(
+                ValidationCase(8, f"bore pressure, {label}", "bar", 133.7, p_a, 0.2, "flow and force balance")
+            )
+            cases.append(
+                ValidationCase(8, f"rod pressure, {label}", "bar", 36.3, p_b, 0.2, "flow and force balance")
+            )
         if back is not None:
             pulled = _free_run(config_dir, -1.0, load)
             cases.append(
-                Case(8, f"retraction, {label}", "m/s", -back, rate_of(pulled), 6e-4, "flow and force balance")
+                ValidationCase(
+                    8, f"retraction, {label}", "m/s", -back, rate_of(pulled), 6e-4, "flow and force balance"
+                )
             )
     cases.append(_pulled_in(config_dir))
     return cases
 
 
-def _pulled_in(config_dir: Path) -> Case:
+def _pulled_in(config_dir: Path) -> ValidationCase:
     """Retraction with a load of 54.7 kN helping: the force of a long, soft spring."""
     stand = bare_cylinder(config_dir)
     mech = stand.model.mechanism
@@ -135,10 +143,12 @@ def _pulled_in(config_dir: Path) -> Case:
     row[col.A_ANGLE0] = far - 4.0
     stand.command[STAND] = -1.0
     stand.run(3.0, 5e-4)
-    return Case(8, "retraction, F = 54.7 kN", "m/s", -0.738, rate_of(stand), 6e-4, "flow and force balance")
+    return ValidationCase(
+        8, "retraction, F = 54.7 kN", "m/s", -0.738, rate_of(stand), 6e-4, "flow and force balance"
+    )
 
 
-def blocked_piston(config_dir: Path) -> list[Case]:
+def blocked_piston(config_dir: Path) -> list[ValidationCase]:
     """Family 9: pressure build-up in front of a blocked piston, without and with entrained air."""
     cases = []
     for air in (0.0, 0.005):
@@ -155,7 +165,9 @@ def blocked_piston(config_dir: Path) -> list[Case]:
         expected = flow / volume / softness / BAR
         label = "with air" if air else "oil alone"
         obtained = float(rate[PRESSURE_A + STAND]) / BAR
-        cases.append(Case(9, f"build-up, {label}", "bar/s", expected, obtained, 1e-6 * expected, "β Q / V"))
+        cases.append(
+            ValidationCase(9, f"build-up, {label}", "bar/s", expected, obtained, 1e-6 * expected, "β Q / V")
+        )
     return cases
 
 
@@ -169,7 +181,7 @@ def _level_angle(stand: Stand) -> float:
     return float(angles[int(np.argmax(torques))])
 
 
-def leakage_creep(config_dir: Path) -> list[Case]:
+def leakage_creep(config_dir: Path) -> list[ValidationCase]:
     """Family 15: a shut actuator of equal areas creeps under its load at Q_L / A."""
     stand = loaded_lift(config_dir)
     stand.clamp_all_but(LIFT)
@@ -191,6 +203,8 @@ def leakage_creep(config_dir: Path) -> list[Case]:
         float(stand.state[PRESSURE_A + 1] - stand.state[PRESSURE_B + 1]) * float(row[col.A_AREA_A]) / torque
     )
     return [
-        Case(15, "creep of a shut actuator", "rad/s", expected, obtained, 0.01 * abs(expected), "Q_L / A"),
-        Case(15, "oil carries the load", "", 1.0, ratio, 0.001, "force balance"),
+        ValidationCase(
+            15, "creep of a shut actuator", "rad/s", expected, obtained, 0.01 * abs(expected), "Q_L / A"
+        ),
+        ValidationCase(15, "oil carries the load", "", 1.0, ratio, 0.001, "force balance"),
     ]

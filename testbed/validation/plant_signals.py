@@ -11,7 +11,7 @@ from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core.layout import Q
 from plant_emulator.core.plant import Plant
 from protocol.process_image import CONTROL_ENABLE, COUNTS_PER_TURN, ValveImage
-from testbed.validation.case import Case
+from testbed.validation.case import ValidationCase
 from testbed.validation.plant_balances import resting_arm
 from testbed.validation.plant_rig import NO_ERRORS, default_config
 
@@ -21,7 +21,7 @@ LSB = 2.0 * math.pi / COUNTS_PER_TURN
 CYCLE_NS = 5_000_000
 
 
-def encoders(config_dir: Path) -> list[Case]:
+def encoders(config_dir: Path) -> list[ValidationCase]:
     """Family 19: quantisation, noise, and the loop of a joint that slews to and fro through its play."""
     clean = _sweep(Plant(default_config(config_dir), seed=1))
     rounding = float(np.abs(clean[:, 1] * LSB - clean[:, 0]).max())
@@ -40,9 +40,11 @@ def encoders(config_dir: Path) -> list[Case]:
     dithered = np.array([still.read().encoder_counts for _ in range(4000)]) - still.truth().q / LSB
     error = float(dithered.mean(axis=0)[[1, 2]].std())
     return [
-        Case(19, "reading is a multiple of the LSB", "LSB", 0.0, whole, 0.0, "17 bit to the turn"),
-        Case(19, "rounding", "mrad", 0.5 * LSB * 1e3, rounding * 1e3, 1e-9, "half an LSB", "at_most"),
-        Case(
+        ValidationCase(19, "reading is a multiple of the LSB", "LSB", 0.0, whole, 0.0, "17 bit to the turn"),
+        ValidationCase(
+            19, "rounding", "mrad", 0.5 * LSB * 1e3, rounding * 1e3, 1e-9, "half an LSB", "at_most"
+        ),
+        ValidationCase(
             19,
             "loop of a play of 2 b",
             "mrad",
@@ -51,7 +53,9 @@ def encoders(config_dir: Path) -> list[Case]:
             1.05e3 * LSB,
             "2 b + 1 LSB",
         ),
-        Case(19, "mean of dithered readings", "LSB", 0.0, error, 0.15, "noise of 0.3 LSB linearises"),
+        ValidationCase(
+            19, "mean of dithered readings", "LSB", 0.0, error, 0.15, "noise of 0.3 LSB linearises"
+        ),
     ]
 
 
@@ -66,7 +70,7 @@ def _sweep(plant: Plant) -> Array:
     return np.array(rows)
 
 
-def convergence(config_dir: Path) -> list[Case]:
+def convergence(config_dir: Path) -> list[ValidationCase]:
     """Family 20: errors of a smooth motion at three steps, and replay of a seed."""
     ends = {}
     for step in (1e-3, 5e-4, 2.5e-4, 3.125e-5):
@@ -78,10 +82,14 @@ def convergence(config_dir: Path) -> list[Case]:
     errors = [float(np.linalg.norm(ends[step] - ends[3.125e-5])) for step in (1e-3, 5e-4, 2.5e-4)]
     first, again, other = _words(config_dir, 7), _words(config_dir, 7), _words(config_dir, 8)
     return [
-        Case(20, "error ratio of 1 ms to 0.5 ms", "", 16.0, errors[0] / errors[1], 1.0, "fourth order"),
-        Case(20, "error ratio of 0.5 ms to 0.25 ms", "", 16.0, errors[1] / errors[2], 1.0, "fourth order"),
-        Case(20, "replay of a seed", "differences", 0.0, float(first != again), 0.0, "bit for bit"),
-        Case(20, "another seed differs", "", 1.0, float(first != other), 0.0, "encoder noise"),
+        ValidationCase(
+            20, "error ratio of 1 ms to 0.5 ms", "", 16.0, errors[0] / errors[1], 1.0, "fourth order"
+        ),
+        ValidationCase(
+            20, "error ratio of 0.5 ms to 0.25 ms", "", 16.0, errors[1] / errors[2], 1.0, "fourth order"
+        ),
+        ValidationCase(20, "replay of a seed", "differences", 0.0, float(first != again), 0.0, "bit for bit"),
+        ValidationCase(20, "another seed differs", "", 1.0, float(first != other), 0.0, "encoder noise"),
     ]
 
 

@@ -11,7 +11,7 @@ from plant_emulator.core.layout import N_COORDINATES, PRESSURE_A, PRESSURE_B, RA
 from plant_emulator.core.mechanics.bodies import sphere
 from plant_emulator.core.mechanics.linkage import actuator_lever, actuator_position
 from plant_emulator.core.mechanics.multibody import forward_kinematics
-from testbed.validation.case import Case
+from testbed.validation.case import ValidationCase
 from testbed.validation.plant_rig import (
     ARM_END,
     CHECK_POSE,
@@ -29,7 +29,7 @@ PUBLISHED = "published model (HIAB XS 031)"
 ROD_SIDE = 42e5  # Pa, with which the loaded lift's oil spring is 6.74e6 N/m
 
 
-def geometry(config_dir: Path) -> list[Case]:
+def geometry(config_dir: Path) -> list[ValidationCase]:
     """Family 1: piston positions and tip of the published model, and the nominal start pose."""
     stand = Stand(default_config(config_dir, CHECK_TELESCOPE))
     links = [row[: col.A_LENGTH0 + 1] for row in stand.model.actuators]
@@ -40,18 +40,22 @@ def geometry(config_dir: Path) -> list[Case]:
     wanted = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     lift, tilt = CHECK_POSE[1], CHECK_POSE[2]
     return [
-        Case(
+        ValidationCase(
             1, "lift piston at 45°", "m", 0.33922, float(actuator_position(lift, *links[1])), 1e-5, PUBLISHED
         ),
-        Case(
+        ValidationCase(
             1, "tilt piston at −90°", "m", 0.21757, float(actuator_position(tilt, *links[2])), 1e-5, PUBLISHED
         ),
-        Case(1, "boom tip forward", "m", 2.7445, float(wrist[0]), 5e-5, PUBLISHED),
-        Case(1, "boom tip up", "m", 0.3904, float(wrist[2]), 5e-5, PUBLISHED),
-        Case(1, "boom tip, 500 poses", "m", 0.0, _tip_error(stand), 1e-5, f"{PUBLISHED}, closed form"),
-        Case(1, "start pose, tool forward", "m", 3.89355, float(tool[0]), 1e-5, "nominal kinematics"),
-        Case(1, "start pose, tool up", "m", 1.00825, float(tool[2]), 1e-5, "nominal kinematics"),
-        Case(
+        ValidationCase(1, "boom tip forward", "m", 2.7445, float(wrist[0]), 5e-5, PUBLISHED),
+        ValidationCase(1, "boom tip up", "m", 0.3904, float(wrist[2]), 5e-5, PUBLISHED),
+        ValidationCase(
+            1, "boom tip, 500 poses", "m", 0.0, _tip_error(stand), 1e-5, f"{PUBLISHED}, closed form"
+        ),
+        ValidationCase(
+            1, "start pose, tool forward", "m", 3.89355, float(tool[0]), 1e-5, "nominal kinematics"
+        ),
+        ValidationCase(1, "start pose, tool up", "m", 1.00825, float(tool[2]), 1e-5, "nominal kinematics"),
+        ValidationCase(
             1,
             "start pose, tool axes",
             "",
@@ -76,14 +80,16 @@ def _tip_error(stand: Stand) -> float:
     return worst
 
 
-def levers(config_dir: Path) -> list[Case]:
+def levers(config_dir: Path) -> list[ValidationCase]:
     """Family 2: lever arms, and both linkages' slopes against central differences over their whole range."""
     stand = Stand(default_config(config_dir))
     cases = []
     for name, i, angle, expected in (("lift", 1, CHECK_POSE[1], 0.3111), ("tilt", 2, CHECK_POSE[2], 0.3061)):
         link = stand.model.actuators[i, : col.A_LENGTH0 + 1]
         cases.append(
-            Case(2, f"{name} lever", "m", expected, float(actuator_lever(angle, *link)), 5e-5, PUBLISHED)
+            ValidationCase(
+                2, f"{name} lever", "m", expected, float(actuator_lever(angle, *link)), 5e-5, PUBLISHED
+            )
         )
         low, high = (-9.0, 104.0) if name == "lift" else (-146.0, -19.5)
         worst = 0.0
@@ -91,12 +97,14 @@ def levers(config_dir: Path) -> list[Case]:
             rise = actuator_position(theta + 1e-6, *link) - actuator_position(theta - 1e-6, *link)
             worst = max(worst, abs(rise / 2e-6 - actuator_lever(theta, *link)))
         cases.append(
-            Case(2, f"{name} lever against differences", "m", 0.0, worst, 1e-6, "finite differences")
+            ValidationCase(
+                2, f"{name} lever against differences", "m", 0.0, worst, 1e-6, "finite differences"
+            )
         )
     return cases
 
 
-def static_forces(config_dir: Path) -> list[Case]:
+def static_forces(config_dir: Path) -> list[ValidationCase]:
     """Family 3: cylinder forces that hold 570 kg."""
     stand = loaded_lift(config_dir)
     torque = -gravity_torque(stand.model.mechanism, stand.state[Q : Q + N_COORDINATES])
@@ -107,7 +115,9 @@ def static_forces(config_dir: Path) -> list[Case]:
     ):
         lever = actuator_lever(angle, *stand.model.actuators[i, : col.A_LENGTH0 + 1])
         force = float(torque[coordinate]) / lever / 1e3
-        cases.append(Case(3, f"{name} holds 570 kg", "kN", expected, force, 0.15, "published load case"))
+        cases.append(
+            ValidationCase(3, f"{name} holds 570 kg", "kN", expected, force, 0.15, "published load case")
+        )
     return cases
 
 
@@ -121,7 +131,7 @@ def settle_lift(stand: Stand, rod_side: float = ROD_SIDE) -> None:
     stand.state[PRESSURE_A + 1] = (force + rod_side * row[col.A_AREA_B]) / row[col.A_AREA_A]
 
 
-def valve_shut_load(config_dir: Path) -> list[Case]:
+def valve_shut_load(config_dir: Path) -> list[ValidationCase]:
     """Family 11: 100 kg more on oil, which the encoder sees, and on the beams, which it does not."""
     stand = loaded_lift(config_dir)
     stand.clamp_all_but(LIFT)
@@ -138,11 +148,13 @@ def valve_shut_load(config_dir: Path) -> list[Case]:
     drop, turned = _beam_drop(config_dir)
     source = "linear oil spring of 6.74e6 N/m; geometry adds 2 % of stiffness"
     return [
-        Case(11, "piston under 100 kg more", "mm", -1.32, float(piston), 0.03, source),
-        Case(11, "tip under 100 kg more", "mm", -12.0, tip, 0.3, source),
-        Case(11, "at rest again", "rad/s", 0.0, abs(float(stand.state[RATE + LIFT])), 1e-6, "rest"),
-        Case(11, "tip bends under 100 kg", "mm", drop[0], drop[1], 0.01 * abs(drop[0]), "Euler-Bernoulli"),
-        Case(
+        ValidationCase(11, "piston under 100 kg more", "mm", -1.32, float(piston), 0.03, source),
+        ValidationCase(11, "tip under 100 kg more", "mm", -12.0, tip, 0.3, source),
+        ValidationCase(11, "at rest again", "rad/s", 0.0, abs(float(stand.state[RATE + LIFT])), 1e-6, "rest"),
+        ValidationCase(
+            11, "tip bends under 100 kg", "mm", drop[0], drop[1], 0.01 * abs(drop[0]), "Euler-Bernoulli"
+        ),
+        ValidationCase(
             11, "encoders while the beams bend", "rad", 0.0, turned, 1e-12, "hinges lie behind the encoders"
         ),
     ]
@@ -171,7 +183,7 @@ def _beam_drop(config_dir: Path) -> tuple[tuple[float, float], float]:
     return (expected * 1e3, (heights[1] - heights[0]) * 1e3), turned
 
 
-def cantilevers(config_dir: Path) -> list[Case]:
+def cantilevers(config_dir: Path) -> list[ValidationCase]:
     """Family 12: tip deflection and slope of both boxes under 1 kN, against Euler and Bernoulli."""
     boom = Stand(default_config(config_dir, {"flexibility": {"arm": {"length_m": 2.0}}}), np.zeros(6))
     along = boom.chain.point[TILT] - boom.chain.point[LIFT]
@@ -192,10 +204,12 @@ def cantilevers(config_dir: Path) -> list[Case]:
         beam = stand.config.flexibility.boom if hinge == 2 else stand.config.flexibility.arm
         slope = 1000.0 * beam.length_m**2 / (2.0 * beam.vertical_ei_n_m2) * 1e3
         cases.append(
-            Case(12, f"{name}, tip under 1 kN", "mm", expected, drop, 0.002 * expected, "P L³ / 3 EI")
+            ValidationCase(
+                12, f"{name}, tip under 1 kN", "mm", expected, drop, 0.002 * expected, "P L³ / 3 EI"
+            )
         )
         cases.append(
-            Case(
+            ValidationCase(
                 12,
                 f"{name}, slope under 1 kN",
                 "mrad",

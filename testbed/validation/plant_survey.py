@@ -31,7 +31,7 @@ BLEND = 3e-4  # of spool, over which a compensation of the deadband fades in
 RIGID = {**NO_ERRORS, "flexibility": {"enabled": False}}
 
 
-class Arm(NamedTuple):
+class SurveyedArm(NamedTuple):
     """An arm to survey: its file, the masses (kg) beyond the wrist to sag under, the poses of its grid."""
 
     name: str
@@ -42,9 +42,9 @@ class Arm(NamedTuple):
 
 
 ARMS = (
-    Arm("default arm", "plant.yaml", (30.0, 70.0, 130.0, 230.0), (0, 15, 30, 45, 60, 75, 90),
+    SurveyedArm("default arm", "plant.yaml", (30.0, 70.0, 130.0, 230.0), (0, 15, 30, 45, 60, 75, 90),
         (-130, -110, -90, -70, -50, -30)),
-    Arm("long crane", "plant_long_crane.yaml", (90.0, 150.0, 250.0), (0, 15, 30, 45, 60, 75),
+    SurveyedArm("long crane", "plant_long_crane.yaml", (90.0, 150.0, 250.0), (0, 15, 30, 45, 60, 75),
         (-120, -100, -80, -60, -40)),
 )  # fmt: skip
 STATED_REACH_M, STATED_SAG_MM = 4.1, {30.0: 13.0, 130.0: 28.0, 230.0: 43.0}  # of an earlier model of this arm
@@ -73,7 +73,7 @@ class SurveyRow(NamedTuple):
 
 
 def survey(
-    config_dir: Path, arm: Arm, lifts_deg: Sequence[int] = (), tilts_deg: Sequence[int] = ()
+    config_dir: Path, arm: SurveyedArm, lifts_deg: Sequence[int] = (), tilts_deg: Sequence[int] = ()
 ) -> list[SurveyRow]:
     """One row for every pose of the grid that the actuators reach and where wrist 2 can level the tool."""
     rows = []
@@ -88,7 +88,7 @@ def survey(
     return rows
 
 
-def _row(config_dir: Path, arm: Arm, lift: float, tilt: float) -> SurveyRow:
+def _row(config_dir: Path, arm: SurveyedArm, lift: float, tilt: float) -> SurveyRow:
     config = _config(config_dir / arm.file)
     pose = {"start_pose_deg": (0.0, lift, tilt, 0.0, lift + tilt, 0.0)}
     plant = Plant(_changed(config, pose), seed=1)

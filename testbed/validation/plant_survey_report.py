@@ -16,7 +16,7 @@ from testbed.validation.plant_survey import (
     STATED_PLAY_MM,
     STATED_REACH_M,
     STATED_SAG_MM,
-    Arm,
+    SurveyedArm,
     SurveyRow,
     survey,
 )
@@ -49,7 +49,7 @@ def run_survey(config_dir: Path, directory: Path, json_file: Path | None) -> lis
     return rows
 
 
-def _print(arm: Arm, rows: list[SurveyRow]) -> None:
+def _print(arm: SurveyedArm, rows: list[SurveyRow]) -> None:
     sags = [f"sag {mass:g} kg" for mass in arm.loads_kg]
     columns = (
         "lift, tilt °", "reach m", *sags, "play ±", "believed", "servo", "servo c.", "mode Hz", "damping %",

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 from typer.testing import CliRunner
 
-from conformance.case import Outcome
+from conformance.case import CaseOutcome
 from conformance.command import app
 from conformance.records import write_records
 from conformance.runner import coupler_cases, run_coupler
@@ -25,7 +25,7 @@ pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("clock")]
 def test_our_own_coupler_passes_every_case() -> None:
     with ThreadedCoupler() as coupler:
         summary = run_coupler("127.0.0.1", coupler.port, outputs=True)
-    bad = [(r.case.number, r.outcome, r.detail) for r in summary.results if r.outcome is not Outcome.PASS]
+    bad = [(r.case.number, r.outcome, r.detail) for r in summary.results if r.outcome is not CaseOutcome.PASS]
     assert bad == []
     assert len(summary.results) == len(coupler_cases()) >= 70
 
@@ -35,7 +35,7 @@ def test_each_broken_coupler_is_caught_by_the_case_meant_for_it(mutant: Mutant) 
     with mutant.make() as coupler:
         summary = run_coupler("127.0.0.1", coupler.port, numbers=[CONTROL, mutant.case], outputs=True)
     outcomes = {result.case.number: result.outcome for result in summary.results}
-    assert outcomes == {CONTROL: Outcome.PASS, mutant.case: Outcome.FAIL}
+    assert outcomes == {CONTROL: CaseOutcome.PASS, mutant.case: CaseOutcome.FAIL}
 
 
 def test_every_case_cites_a_clause_that_is_written_and_every_section_is_asked_about() -> None:
@@ -49,9 +49,9 @@ def test_without_leave_no_case_writes_outputs() -> None:
     with ThreadedCoupler() as coupler:
         summary = run_coupler("127.0.0.1", coupler.port)
         assert coupler.written == []
-    assert summary.count(Outcome.FAIL) == 0
+    assert summary.count(CaseOutcome.FAIL) == 0
     motion = {case.number for case in coupler_cases() if case.motion}
-    assert {r.case.number for r in summary.results if r.outcome is Outcome.UNSUPPORTED} == motion
+    assert {r.case.number for r in summary.results if r.outcome is CaseOutcome.UNSUPPORTED} == motion
 
 
 def test_a_coupler_that_another_master_drives_is_unsupported_not_failed() -> None:
@@ -62,7 +62,7 @@ def test_a_coupler_that_another_master_drives_is_unsupported_not_failed() -> Non
         owner.sendall(bytes.fromhex("0001 0000 0006 01 06 080C 0001"))
         assert owner.recv(64)[7] == 6
         summary = run_coupler("127.0.0.1", coupler.port, numbers=[CONTROL, 651], outputs=True)
-    assert [r.outcome for r in summary.results] == [Outcome.PASS, Outcome.UNSUPPORTED]
+    assert [r.outcome for r in summary.results] == [CaseOutcome.PASS, CaseOutcome.UNSUPPORTED]
 
 
 def test_the_command_writes_records_and_ends_with_its_verdict(tmp_path: Path) -> None:

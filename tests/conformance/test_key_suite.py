@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from conformance.case import Outcome
+from conformance.case import CaseOutcome
 from conformance.command import app
 from conformance.runner import reference_cases, run_reference
 from tests.conformance.controllers import ControllerUnderTest
@@ -45,7 +45,7 @@ def test_each_broken_controller_is_caught_by_the_case_meant_for_it(mutant: Mutan
     with mutant.make() as controller:
         summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, mutant.case], key=KEY)
     outcomes = {result.case.number: result.outcome for result in summary.results}
-    assert outcomes == {CONTROL: Outcome.PASS, mutant.case: Outcome.FAIL}
+    assert outcomes == {CONTROL: CaseOutcome.PASS, mutant.case: CaseOutcome.FAIL}
 
 
 def test_every_case_of_authentication_is_shown_to_be_able_to_fail() -> None:
@@ -59,15 +59,15 @@ def test_every_case_of_authentication_is_shown_to_be_able_to_fail() -> None:
 def test_without_a_key_on_either_side_the_cases_are_unsupported_and_say_why() -> None:
     with KeyedController() as controller:
         keyless = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 704])
-    assert [r.outcome for r in keyless.results] == [Outcome.UNSUPPORTED] * 2
+    assert [r.outcome for r in keyless.results] == [CaseOutcome.UNSUPPORTED] * 2
     assert ["--key" in r.detail for r in keyless.results] == [True, True]
     assert not keyless.passed
     with ControllerUnderTest() as controller:
         keyed = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 704], key=KEY)
         plain = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 704, 722])
-    assert [r.outcome for r in keyed.results] == [Outcome.UNSUPPORTED] * 2
+    assert [r.outcome for r in keyed.results] == [CaseOutcome.UNSUPPORTED] * 2
     assert "no key" in keyed.results[0].detail
-    assert [r.outcome for r in plain.results] == [Outcome.PASS, Outcome.UNSUPPORTED, Outcome.PASS]
+    assert [r.outcome for r in plain.results] == [CaseOutcome.PASS, CaseOutcome.UNSUPPORTED, CaseOutcome.PASS]
 
 
 @simulated

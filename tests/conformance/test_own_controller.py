@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from conformance.case import Outcome
+from conformance.case import CaseOutcome
 from conformance.runner import run_reference
 from foundation.link_key import key_from_file
 from tests.support.paths import CONFIGS, ROOT
@@ -70,7 +70,9 @@ def test_our_own_controller_passes_every_case(authenticated: bool, tmp_path: Pat
             key=key_from_file(key_file) if authenticated else None,
         )
     not_passed = {
-        r.case.number: (r.outcome.value, r.detail) for r in summary.results if r.outcome is not Outcome.PASS
+        r.case.number: (r.outcome.value, r.detail)
+        for r in summary.results
+        if r.outcome is not CaseOutcome.PASS
     }
     # Of authentication all cases, or the one about its absence, are not for this controller.
     other = {number for number in not_passed if number == 722 or (700 < number < 722 and not authenticated)}

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 from typer.testing import CliRunner
 
-from conformance.case import Outcome, Register
+from conformance.case import CaseOutcome, CaseRegister
 from conformance.command import app
 from conformance.records import write_records
 from conformance.runner import Summary, reference_cases, run_reference
@@ -33,7 +33,7 @@ def failures(summary: Summary) -> list[str]:
     return [
         f"{r.case.number} {r.outcome.value}: {r.detail}"
         for r in summary.results
-        if r.outcome is not Outcome.PASS
+        if r.outcome is not CaseOutcome.PASS
     ]
 
 
@@ -64,7 +64,7 @@ def test_each_broken_controller_is_caught_by_the_case_meant_for_it(mutant: Mutan
     with mutant.make() as controller:
         summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, mutant.case], motion=True)
     outcomes = {result.case.number: result.outcome for result in summary.results}
-    assert outcomes == {CONTROL: Outcome.PASS, mutant.case: Outcome.FAIL}
+    assert outcomes == {CONTROL: CaseOutcome.PASS, mutant.case: CaseOutcome.FAIL}
     assert not summary.passed
 
 
@@ -100,7 +100,7 @@ def test_every_clause_of_the_link_is_asked_for_or_it_is_said_why_not() -> None:
 def test_motion_is_unsupported_unless_it_is_allowed() -> None:
     with ControllerUnderTest() as controller:
         summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 521])
-    assert [result.outcome for result in summary.results] == [Outcome.PASS, Outcome.UNSUPPORTED]
+    assert [result.outcome for result in summary.results] == [CaseOutcome.PASS, CaseOutcome.UNSUPPORTED]
     assert summary.passed
 
 
@@ -109,7 +109,7 @@ def test_a_controller_that_cannot_be_enabled_is_unsupported_and_not_failed() -> 
     with ControllerUnderTest() as controller:
         controller.bench.status = 0
         summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 521], motion=True)
-    assert [result.outcome for result in summary.results] == [Outcome.PASS, Outcome.UNSUPPORTED]
+    assert [result.outcome for result in summary.results] == [CaseOutcome.PASS, CaseOutcome.UNSUPPORTED]
 
 
 @simulated
@@ -123,7 +123,7 @@ def test_a_controller_that_does_not_stream_is_unsupported_and_not_failed() -> No
     numbers = [CONTROL, *range(541, 557)]
     with Streamless() as controller:
         summary = run_reference("127.0.0.1", controller.port, numbers=numbers, motion=True)
-    assert [r.outcome for r in summary.results] == [Outcome.PASS] + [Outcome.UNSUPPORTED] * 16
+    assert [r.outcome for r in summary.results] == [CaseOutcome.PASS] + [CaseOutcome.UNSUPPORTED] * 16
 
 
 def test_nobody_there_is_a_failure_with_its_reason() -> None:
@@ -131,7 +131,7 @@ def test_nobody_there_is_a_failure_with_its_reason() -> None:
         reserved.bind(("127.0.0.1", 0))
         port = reserved.getsockname()[1]
     summary = run_reference("127.0.0.1", port, numbers=[CONTROL])
-    assert summary.results[0].outcome is Outcome.FAIL
+    assert summary.results[0].outcome is CaseOutcome.FAIL
     assert "nobody listens" in summary.results[0].detail
     assert not summary.passed
 
@@ -157,7 +157,7 @@ def test_records_tell_the_same_story(tmp_path: Path) -> None:
 
 
 def test_a_number_is_given_once() -> None:
-    register = Register[None]()
+    register = CaseRegister[None]()
     register.case(1, "1.1", "one")(lambda peer: None)
     with pytest.raises(ValueError, match="twice"):
         register.case(1, "1.1", "one again")(lambda peer: None)

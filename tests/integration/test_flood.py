@@ -11,7 +11,7 @@ import pytest
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.process_image import STATUS_VALVES_ENABLED
 from protocol.reference_messages import State
-from testbed.experiments.robustness.controller_kills import Rig, insist, trial_rig
+from testbed.experiments.robustness.controller_kills import KillRig, insist, trial_rig
 from tests.integration.flood import flooding
 from tests.support.paths import CONFIGS
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.realtime("processes")
 RATE_HZ = 50_000.0
 
 
-def moved(rig: Rig, offset_m: tuple[float, float, float]) -> State:
+def moved(rig: KillRig, offset_m: tuple[float, float, float]) -> State:
     """The state in the middle of a motion."""
     assert rig.client.move_by(offset_m).reason is Reason.ACCEPTED
     return rig.client.until(lambda s: max(map(abs, s.valves)) > 0.01, 3.0)

@@ -16,7 +16,7 @@ from testbed.experiments.hand_eye import plots as experiment_plots
 from testbed.experiments.hand_eye import tables as experiment_tables
 from testbed.experiments.hand_eye.intrinsics_experiment import IntrinsicsRow
 from testbed.experiments.hand_eye.localisation import LocalisationRow
-from testbed.experiments.hand_eye.noise_sweep import NoiseOn, Sweep
+from testbed.experiments.hand_eye.noise_sweep import NoiseOn, NoiseSweep
 from testbed.experiments.hand_eye.stress import StressRow
 from testbed.reporting.console import bars, out, write_json
 from vision_pc.core.hand_eye.solvers.methods import Method
@@ -65,7 +65,7 @@ def sweep_tasks(request: CampaignRequest, settings: SweepSettings) -> list[Task]
     return [{"key": f"{noise_on}-{runs}-{seed}-{level}", "level": level} | asked for level in levels]
 
 
-def _sweep(done: Swept) -> Sweep:
+def _sweep(done: Swept) -> NoiseSweep:
     return noise_sweep.gathered(_made(done.rows))
 
 
@@ -80,7 +80,7 @@ def sweep_verdict(done: Swept) -> list[Check]:
     return _sweep_checks(_sweep(done), done.settings.noise_on, done.request.runs)
 
 
-def _sweep_checks(sweep: Sweep, noise_on: NoiseOn, runs: int) -> list[Check]:
+def _sweep_checks(sweep: NoiseSweep, noise_on: NoiseOn, runs: int) -> list[Check]:
     failed = sum(r.failed for r in sweep.rows)
     checks = [
         Check(

@@ -16,7 +16,7 @@ import numpy as np
 
 from protocol.errors import MeasurementFailed
 from testbed.experiments.hand_eye import scenes
-from testbed.experiments.hand_eye.scenes import Scene
+from testbed.experiments.hand_eye.scenes import HandEyeScene
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, Setup, pose_pairs
 from vision_pc.core.hand_eye.solvers import bundle, methods
@@ -32,7 +32,7 @@ KEPT, TAKEN = 12, 17
 BUNDLE = "image-space adjustment"
 
 
-class Rig(NamedTuple):
+class LocalisationRig(NamedTuple):
     """The errors of the simulated rig, a component.
 
     Corners in px; the hand's pose as the robot reports it (an uncalibrated arm: repeatable to 0.03 mm, true
@@ -73,10 +73,10 @@ class LocalisationRow:
         return asdict(self)
 
 
-class Session(NamedTuple):
+class LocalisationSession(NamedTuple):
     """One calibration session: truth, all samples with corners, and which the authors would have kept."""
 
-    scene: Scene
+    scene: HandEyeScene
     taken: PosePairs
     kept: PosePairs
 
@@ -85,14 +85,14 @@ def localisation(
     runs: int = 20,
     repetitions: int = 50,
     seed: int = 1,
-    rig: Rig | None = None,
+    rig: LocalisationRig | None = None,
 ) -> tuple[LocalisationRow, ...]:
     """Errors of all methods over ``runs`` simulated calibrations with ``repetitions`` of each task."""
-    rig = rig or Rig()
+    rig = rig or LocalisationRig()
     return rows_of([_calibration(run, repetitions, seed, rig) for run in range(runs)], rig)
 
 
-class Entry(NamedTuple):
+class LocalisedTarget(NamedTuple):
     """One method in one calibration: errors of the whole chain and of X alone (tasks, repetitions), mm.
 
     Both are None when the method failed.
@@ -106,7 +106,7 @@ class Entry(NamedTuple):
 
 def calibration_row(task: dict[str, Any]) -> dict[str, Any]:
     """A campaign's row: calibration number ``run`` with ``repetitions`` of each task."""
-    entries = _calibration(int(task["run"]), int(task["repetitions"]), int(task["seed"]), Rig())
+    entries = _calibration(int(task["run"]), int(task["repetitions"]), int(task["seed"]), LocalisationRig())
     return {
         "entries": [
             [e.method, e.samples, None if e.total is None else np.round(e.total, 5).tolist(),
@@ -116,23 +116,25 @@ def calibration_row(task: dict[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def entries_of(row: dict[str, Any]) -> list[Entry]:
+def entries_of(row: dict[str, Any]) -> list[LocalisedTarget]:
     """What ``calibration_row`` has kept."""
-    return [Entry(*kept) for kept in row["entries"]]
+    return [LocalisedTarget(*kept) for kept in row["entries"]]
 
 
-def _calibration(run: int, repetitions: int, seed: int, rig: Rig) -> list[Entry]:
+def _calibration(run: int, repetitions: int, seed: int, rig: LocalisationRig) -> list[LocalisedTarget]:
     rng = np.random.default_rng([seed, run])
     session = simulated_session(rig, rng)
     points = _repetitions(session.scene, rig, repetitions, rng)
     entries = []
     for name, samples, X in _calibrations(session, rig):
         errors = (None, None) if X is None else _located(points, X, session.scene.X)
-        entries.append(Entry(name, samples, *errors))
+        entries.append(LocalisedTarget(name, samples, *errors))
     return entries
 
 
-def rows_of(calibrations: list[list[Entry]], rig: Rig | None = None) -> tuple[LocalisationRow, ...]:
+def rows_of(
+    calibrations: list[list[LocalisedTarget]], rig: LocalisationRig | None = None
+) -> tuple[LocalisationRow, ...]:
     """The rows that all calibrations amount to."""
     errors: dict[tuple[str, str], list[Array]] = {}
     biases: dict[tuple[str, str], list[Array]] = {}
@@ -147,11 +149,11 @@ def rows_of(calibrations: list[list[Entry]], rig: Rig | None = None) -> tuple[Lo
     return tuple(
         row
         for key, values in errors.items()
-        for row in _rows(key, values, biases[key], failed.get(key, 0), rig or Rig())
+        for row in _rows(key, values, biases[key], failed.get(key, 0), rig or LocalisationRig())
     )
 
 
-def simulated_session(rig: Rig, rng: np.random.Generator) -> Session:
+def simulated_session(rig: LocalisationRig, rng: np.random.Generator) -> LocalisationSession:
     """17 views of the marker from about 0.4 m, 5 of them with a pose of the hand from another time."""
     scene = scenes.viewing_scene(rng, TAKEN, distance_m=0.4, tilt_deg=35.0)
     half = 0.5 * MARKER_M
@@ -172,7 +174,7 @@ def simulated_session(rig: Rig, rng: np.random.Generator) -> Session:
     kept = pose_pairs(
         X_BT[:KEPT], measured[:KEPT], Setup.EYE_IN_HAND, corners=corners._replace(pixels=pixels[:KEPT])
     )
-    return Session(scene, taken, kept)
+    return LocalisationSession(scene, taken, kept)
 
 
 def _projected(X_CP: Array, points: Array) -> Array:
@@ -193,7 +195,7 @@ def _pose_of(points: Array, pixels: Array) -> Array:
     )
 
 
-def _calibrations(session: Session, rig: Rig) -> list[tuple[str, str, Array | None]]:
+def _calibrations(session: LocalisationSession, rig: LocalisationRig) -> list[tuple[str, str, Array | None]]:
     """X of every method on the samples kept by hand, and of the robust ones on all samples too."""
     by_hand, everything = f"{KEPT} kept by hand", f"all {TAKEN}"
     found = [(m.value, by_hand, _solved(session.kept, m)) for m in Method]
@@ -226,7 +228,9 @@ class _Points(NamedTuple):
     true: Array
 
 
-def _repetitions(scene: Scene, rig: Rig, repetitions: int, rng: np.random.Generator) -> dict[str, _Points]:
+def _repetitions(
+    scene: HandEyeScene, rig: LocalisationRig, repetitions: int, rng: np.random.Generator
+) -> dict[str, _Points]:
     """The tasks' points as seen from ``repetitions`` poses around the calibrated ones."""
     found = {}
     for task, offset in TASKS.items():
@@ -262,7 +266,7 @@ def _through(X_BT: Array, X: Array, points: Array) -> Array:
 
 
 def _rows(
-    key: tuple[str, str], errors: list[Array], biases: list[Array], failed: int, rig: Rig
+    key: tuple[str, str], errors: list[Array], biases: list[Array], failed: int, rig: LocalisationRig
 ) -> list[LocalisationRow]:
     method, samples = key
     E, bias = np.array(errors), np.array(biases)

@@ -14,7 +14,7 @@ import numpy as np
 
 from protocol.errors import MeasurementFailed
 from testbed.experiments.hand_eye import scenes
-from testbed.experiments.hand_eye.scenes import Scene
+from testbed.experiments.hand_eye.scenes import HandEyeScene
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.solvers import methods
 from vision_pc.core.hand_eye.solvers.methods import Method
@@ -77,7 +77,7 @@ class SweepRow:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class NoiseSweep:
     """All rows, and the largest difference between DQCR as published and in closed form over all runs."""
 
     rows: tuple[SweepRow, ...]
@@ -89,7 +89,7 @@ class Sweep:
 
 
 @dataclass
-class _Tally:
+class _SweepCounts:
     """Errors (6,) of one method over the runs of a level, and what else was told of them."""
 
     errors: list[Array] = field(default_factory=list)
@@ -125,8 +125,8 @@ def noise_sweep(
     levels: Iterable[int] = range(1, 11),
     seed: int = 1,
     only: Iterable[Method] | None = None,
-    scene: Scene | None = None,
-) -> Sweep:
+    scene: HandEyeScene | None = None,
+) -> NoiseSweep:
     """Errors of every method, or ``only`` some, at each level over ``runs`` seeded runs."""
     scene = scene or scenes.table_1_scene()
     chosen = tuple(only) if only is not None else tuple(Method)
@@ -135,14 +135,14 @@ def noise_sweep(
     for level in levels:
         n = scenes.noise(ROTATION_DEG * level, TRANSLATION_MM * level, noise_on is NoiseOn.ROBOT_POSES)
         bound = scenes.bound(scene, n, noise_on is NoiseOn.CAMERA_MOTIONS)
-        tallies: dict[str, _Tally] = {}
+        tallies: dict[str, _SweepCounts] = {}
         for run in range(runs):
             found = _run(scene, n, noise_on, np.random.default_rng([seed, level, run]), chosen, tallies)
             if Method.DQCR in found and Method.DQCR_PUBLISHED in found:
                 gap = np.abs(found[Method.DQCR] - found[Method.DQCR_PUBLISHED]).max()
                 difference = max(difference, float(gap))
         rows += [tally.row(noise_on, level, name, bound) for name, tally in tallies.items()]
-    return Sweep(tuple(rows), difference)
+    return NoiseSweep(tuple(rows), difference)
 
 
 def level_of(task: dict[str, Any]) -> dict[str, Any]:
@@ -150,20 +150,20 @@ def level_of(task: dict[str, Any]) -> dict[str, Any]:
     return noise_sweep(NoiseOn(task["noise_on"]), task["runs"], [task["level"]], task["seed"]).as_json()
 
 
-def gathered(levels: Iterable[dict[str, Any]]) -> Sweep:
+def gathered(levels: Iterable[dict[str, Any]]) -> NoiseSweep:
     """The sweep whose levels a campaign has made."""
     levels = tuple(levels)
     rows = tuple(SweepRow(**row) for level in levels for row in level["rows"])
-    return Sweep(rows, max(level["dqcr_largest_difference"] for level in levels))
+    return NoiseSweep(rows, max(level["dqcr_largest_difference"] for level in levels))
 
 
 def _run(
-    scene: Scene,
+    scene: HandEyeScene,
     n: Any,
     noise_on: NoiseOn,
     rng: np.random.Generator,
     chosen: tuple[Method, ...],
-    tallies: dict[str, _Tally],
+    tallies: dict[str, _SweepCounts],
 ) -> dict[Method, Array]:
     """All methods on one noisy data set, entered into ``tallies``; X by method."""
     found: dict[Method, Array] = {}
@@ -171,7 +171,7 @@ def _run(
         motions = scenes.measured_motions(scene, n, rng)
         for method in MOTION_METHODS:
             if method in chosen:
-                tally = tallies.setdefault(method.value, _Tally())
+                tally = tallies.setdefault(method.value, _SweepCounts())
                 try:
                     found[method] = methods.solve_motions(motions, method)
                     tally.errors.append(se3.local(found[method], scene.X))
@@ -183,7 +183,7 @@ def _run(
     if noise_on is NoiseOn.ROBOT_POSES and Method.ROBUST in chosen:
         variants.append((CAMERA_ONLY, Method.ROBUST, RobustSettings(source=NoiseSource.CAMERA)))
     for name, method, settings in variants:
-        tally = tallies.setdefault(name, _Tally())
+        tally = tallies.setdefault(name, _SweepCounts())
         try:
             result = methods.solve(pairs, method, settings)
         except MeasurementFailed:

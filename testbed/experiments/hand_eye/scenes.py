@@ -45,7 +45,7 @@ PRINTED_X = np.array(
 )
 
 
-class Scene(NamedTuple):
+class HandEyeScene(NamedTuple):
     """The truth, eye in hand: ``X_BT`` (n, 4, 4), the unknowns ``X`` and ``Z`` (4, 4) of H X P = Z."""
 
     X_BT: Array
@@ -57,17 +57,17 @@ class Scene(NamedTuple):
         return ml.predicted(self.X_BT, self.X, self.Z)
 
 
-def table_1_scene() -> Scene:
+def table_1_scene() -> HandEyeScene:
     """The paper's twelve poses as the hand's, its X, and a target before the arm."""
     R = stacks.rotation_from_quaternion(TABLE_1[:, [3, 0, 1, 2]])
     X = stacks.transform(nearest_rotation(PRINTED_X[:3, :3]), PRINTED_X[:3, 3])
     Z = stacks.transform(stacks.exp_so3(np.array([0.4, -1.1, 0.7])), np.array([0.8, 0.1, 0.3]))
-    return Scene(stacks.transform(R, TABLE_1[:, 4:]), X, Z)
+    return HandEyeScene(stacks.transform(R, TABLE_1[:, 4:]), X, Z)
 
 
 def viewing_scene(
     rng: np.random.Generator, poses: int, distance_m: float = 0.8, tilt_deg: float = 30.0
-) -> Scene:
+) -> HandEyeScene:
     """Poses that look at the target from ``distance_m`` ± 20 %, tilted to ``tilt_deg``, rolled to 60°."""
     X = stacks.transform(stacks.exp_so3(_ball(rng, 1)[0] * math.radians(30.0)), rng.uniform(-0.1, 0.1, 3))
     Z = stacks.transform(
@@ -80,10 +80,10 @@ def viewing_scene(
     R_CT = stacks.exp_so3(roll) @ stacks.exp_so3(tilt) @ facing
     depth = distance_m * rng.uniform(0.8, 1.2, poses)
     t = np.concatenate([_disc(rng, poses) * 0.2 * depth[:, None], depth[:, None]], axis=1)
-    return Scene(Z @ stacks.inverse(stacks.transform(R_CT, t)) @ stacks.inverse(X), X, Z)
+    return HandEyeScene(Z @ stacks.inverse(stacks.transform(R_CT, t)) @ stacks.inverse(X), X, Z)
 
 
-def small_rotation_scene(rng: np.random.Generator, poses: int, largest_deg: float = 5.0) -> Scene:
+def small_rotation_scene(rng: np.random.Generator, poses: int, largest_deg: float = 5.0) -> HandEyeScene:
     """A boom that hardly turns: any two poses within ``largest_deg``, target 1 m before the camera.
 
     The poses use the ends of that range, as anyone would who has so little. The camera sits where the arm's
@@ -95,7 +95,7 @@ def small_rotation_scene(rng: np.random.Generator, poses: int, largest_deg: floa
     turns = _sphere(rng, poses) * math.radians(0.5 * largest_deg) * 0.999
     X_BT = stacks.transform(stacks.exp_so3(turns), rng.uniform(-0.15, 0.15, (poses, 3)))
     facing = stacks.transform(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
-    return Scene(X_BT, X, X @ facing)
+    return HandEyeScene(X_BT, X, X @ facing)
 
 
 def _sphere(rng: np.random.Generator, count: int) -> Array:
@@ -119,13 +119,13 @@ def noise(rotation_deg: float, translation_mm: float, robot: bool = False) -> No
     return Noise(1e-12, 1e-12, turn, shift) if robot else Noise(turn, shift)
 
 
-def measured(scene: Scene, n: Noise, rng: np.random.Generator) -> PosePairs:
+def measured(scene: HandEyeScene, n: Noise, rng: np.random.Generator) -> PosePairs:
     """The scene's samples with noise on absolute poses, the camera's or the robot's."""
     return measured_with_bad(scene, n, rng, 0)[0]
 
 
 def measured_with_bad(
-    scene: Scene, n: Noise, rng: np.random.Generator, bad: int
+    scene: HandEyeScene, n: Noise, rng: np.random.Generator, bad: int
 ) -> tuple[PosePairs, set[str]]:
     """The same with a gross error of the camera in ``bad`` samples, and the names of those.
 
@@ -148,7 +148,7 @@ def measured_with_bad(
     return pose_pairs(X_BT, P, Setup.EYE_IN_HAND), {str(k + 1) for k in spoiled}
 
 
-def measured_motions(scene: Scene, n: Noise, rng: np.random.Generator) -> Motions:
+def measured_motions(scene: HandEyeScene, n: Noise, rng: np.random.Generator) -> Motions:
     """The motions from each pose to the next, with camera noise on each relative motion by itself."""
     H, P = scene.X_BT, scene.P()
     A = stacks.inverse(H[1:]) @ H[:-1]
@@ -172,7 +172,7 @@ class Bound(NamedTuple):
     translation_mm: float
 
 
-def bound(scene: Scene, n: Noise, relative: bool = False) -> Bound:
+def bound(scene: HandEyeScene, n: Noise, relative: bool = False) -> Bound:
     """The Cramér-Rao bound of X for that noise on absolute poses, or on the motions in sequence."""
     if relative:
         H = scene.X_BT

@@ -9,7 +9,7 @@ import numpy as np
 
 from protocol.errors import LongreachError, MeasurementFailed
 from testbed.experiments.hand_eye import scenes
-from testbed.experiments.hand_eye.scenes import Scene
+from testbed.experiments.hand_eye.scenes import HandEyeScene
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.solvers import methods
 from vision_pc.core.hand_eye.solvers.methods import Method
@@ -53,7 +53,7 @@ class StressRow:
 
 
 @dataclass
-class _Tally:
+class _StressCounts:
     """One method over some runs; ``errors`` (6,) each."""
 
     errors: list[Any] = field(default_factory=list)
@@ -65,7 +65,7 @@ class _Tally:
     selects: bool = False
     certifies: bool = False
 
-    def add(self, other: "_Tally") -> None:
+    def add(self, other: "_StressCounts") -> None:
         """The other's runs too."""
         for name, value in vars(other).items():
             mine = getattr(self, name)
@@ -115,7 +115,7 @@ class _Tally:
         )
 
 
-class Trial(NamedTuple):
+class StressTrial(NamedTuple):
     """One way to break calibrations: noise, how many samples and bad ones, how little the hand turns."""
 
     name: str
@@ -125,22 +125,22 @@ class Trial(NamedTuple):
     translation_mm: float
     largest_deg: float | None = None  # None: views from all sides
 
-    def scene(self, rng: np.random.Generator) -> Scene:
+    def scene(self, rng: np.random.Generator) -> HandEyeScene:
         """A scene drawn for it."""
         if self.largest_deg is None:
             return scenes.viewing_scene(rng, self.samples)
         return scenes.small_rotation_scene(rng, self.samples, self.largest_deg)
 
 
-BAD_SAMPLES = Trial("2 of 15 bad", 15, 2, 0.1, 1.0)
-SMALL_ROTATIONS = Trial("rotations under 5 deg", 20, 0, 0.05, 0.5, 5.0)
+BAD_SAMPLES = StressTrial("2 of 15 bad", 15, 2, 0.1, 1.0)
+SMALL_ROTATIONS = StressTrial("rotations under 5 deg", 20, 0, 0.05, 0.5, 5.0)
 TRIALS = {trial.name: trial for trial in (BAD_SAMPLES, SMALL_ROTATIONS)}
 
 
 class Block(NamedTuple):
     """Some runs of a trial: tallies by method, and the Cramér-Rao bound of each run (deg, mm)."""
 
-    tallies: dict[str, _Tally]
+    tallies: dict[str, _StressCounts]
     bounds: list[Any]
 
 
@@ -164,10 +164,10 @@ def block_row(task: dict[str, Any]) -> dict[str, Any]:
     return {"trial": task["trial"], "tallies": tallies, "bounds": block.bounds}
 
 
-def rows_of(trial: Trial, rows: Iterable[dict[str, Any]]) -> tuple[StressRow, ...]:
+def rows_of(trial: StressTrial, rows: Iterable[dict[str, Any]]) -> tuple[StressRow, ...]:
     """What the rows of ``block_row`` for ``trial`` amount to."""
     blocks = [
-        Block({name: _Tally(**kept) for name, kept in row["tallies"].items()}, row["bounds"])
+        Block({name: _StressCounts(**kept) for name, kept in row["tallies"].items()}, row["bounds"])
         for row in rows
         if row["trial"] == trial.name
     ]
@@ -178,9 +178,9 @@ def _chosen(only: Iterable[Method] | None) -> tuple[Method, ...]:
     return tuple(only) if only is not None else METHODS
 
 
-def _block(trial: Trial, runs: range, seed: int, chosen: tuple[Method, ...]) -> Block:
+def _block(trial: StressTrial, runs: range, seed: int, chosen: tuple[Method, ...]) -> Block:
     n = scenes.noise(trial.rotation_deg, trial.translation_mm)
-    tallies = {method.value: _Tally() for method in chosen}
+    tallies = {method.value: _StressCounts() for method in chosen}
     bounds = []
     for run in runs:
         rng = np.random.default_rng([seed, run])
@@ -196,14 +196,14 @@ def _block(trial: Trial, runs: range, seed: int, chosen: tuple[Method, ...]) -> 
     return Block(tallies, bounds)
 
 
-def _rows(trial: Trial, blocks: list[Block]) -> tuple[StressRow, ...]:
+def _rows(trial: StressTrial, blocks: list[Block]) -> tuple[StressRow, ...]:
     bounds = [bound for block in blocks for bound in block.bounds]
     if not bounds:
         raise LongreachError("refused.runs", "at least one run is needed")
     bound = scenes.Bound(*(float(v) for v in np.sqrt(np.mean(np.square(np.array(bounds)), axis=0))))
-    tallies: dict[str, _Tally] = {}
+    tallies: dict[str, _StressCounts] = {}
     for block in blocks:
         for name, tally in block.tallies.items():
-            tallies.setdefault(name, _Tally()).add(tally)
+            tallies.setdefault(name, _StressCounts()).add(tally)
     good = trial.samples - trial.bad
     return tuple(tally.row(trial.name, name, bound, trial.bad, good) for name, tally in tallies.items())

@@ -65,7 +65,7 @@ CANDIDATES: dict[str, Waypoints] = {
 }
 
 
-def driven(start: Array, waypoints: list[Array], dwell_s: float) -> Track:
+def simulated_track(start: Array, waypoints: list[Array], dwell_s: float) -> Track:
     """The track from ``start`` through ``waypoints``: quintic in time, at rest for ``dwell_s`` at each."""
     poses, speeds, time_s = [start], [0.0], 0.0
     for begin, end in zip([start, *waypoints], waypoints, strict=False):
@@ -129,7 +129,7 @@ def measured_path(config_dir: Path, task: Task) -> PathRow:
     boom = boom_dimensions(settings.arm)
     *corners, end = CANDIDATES[task["path"]](X_BT, programs)
     path = [*corners, before_take_up(end, programs.local_map.take_up_rad), end]
-    track = driven(X_BT, path, programs.local_map.dwell_s)
+    track = simulated_track(X_BT, path, programs.local_map.dwell_s)
     covariances = planned_covariance(track.X_BT, track.speed, _goals(), boom, programs.local_map)
     worst_mm = 1e3 * np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
     turn = np.linalg.eigvalsh(rotation_information(track.X_BT[:, :3, 3], np.ones(len(track.X_BT))))

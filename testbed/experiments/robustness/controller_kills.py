@@ -49,7 +49,7 @@ _TRUTH_HZ = 250.0
 
 
 @dataclass(frozen=True)
-class Trial:
+class KillTrial:
     """One kill or suspension. Times are of the monotonic clock; ``fault``: what the controller then said."""
 
     kind: str
@@ -77,7 +77,7 @@ class Onlooker:
         self._master.hang_up()
 
 
-class Rig:
+class KillRig:
     """A plant that stays up, and controllers that come and go."""
 
     def __init__(self, launch: Launch, supervisor: Supervisor) -> None:
@@ -133,7 +133,7 @@ def insist(client: LiveClient, code: CommandCode) -> None:
         client.pump(0.05)
 
 
-def one_trial(rig: Rig, kind: str, rng: np.random.Generator) -> Trial:
+def one_trial(rig: KillRig, kind: str, rng: np.random.Generator) -> KillTrial:
     """A kill or a suspension within a motion, and what the registers said before the controller was back."""
     rig.moving(rng)
     signal_ns = time.monotonic_ns()
@@ -152,7 +152,7 @@ def one_trial(rig: Rig, kind: str, rng: np.random.Generator) -> Trial:
     if not rig.client.connected or kind == KILL:
         rig.client.connect()
     state = rig.client.until(lambda s: True, 2.0)
-    return Trial(
+    return KillTrial(
         kind=kind,
         signal_ns=signal_ns,
         end_ns=time.monotonic_ns(),
@@ -171,7 +171,7 @@ class Judge:
         self._plant_ns: NDArray[np.float64] = recording.stacked("time_ns")
         self._opening = np.abs(recording.stacked("spools")).max(axis=1)
 
-    def row(self, trial: Trial, limit_ms: float) -> dict[str, Any]:
+    def row(self, trial: KillTrial, limit_ms: float) -> dict[str, Any]:
         """The trial with its figures: ms on the plant's clock from the signal to the shut spool, and after.
 
         ``resumed``: whether any spool opened again before somebody asked for it.
@@ -190,7 +190,7 @@ class Judge:
 
 
 @contextmanager
-def trial_rig(config_dir: Path, assignments: list[str], directory: Path) -> Iterator[tuple[Launch, Rig]]:
+def trial_rig(config_dir: Path, assignments: list[str], directory: Path) -> Iterator[tuple[Launch, KillRig]]:
     """Plant and controller running, without anybody at the camera, and a client that is not yet connected."""
     overrides = merged(
         {
@@ -202,7 +202,7 @@ def trial_rig(config_dir: Path, assignments: list[str], directory: Path) -> Iter
     launch = prepare(config_dir, overrides, directory, any_ports=True)
     services = [service for service in launch.services if service.name in (PLANT, CONTROLLER)]
     with supervised(services, directory) as supervisor:
-        rig = Rig(launch, supervisor)
+        rig = KillRig(launch, supervisor)
         try:
             yield launch, rig
         finally:

@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from foundation.event_log import EventLog
-from plant_emulator.config.service import FaultFaceConfig
+from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import FAULTS
 from plant_emulator.core.layout import JOINTS
 from plant_emulator.core.plant import Plant
-from plant_emulator.shell.fault_face import FaultFace, create_app
+from plant_emulator.shell.fault_api import FaultFace, create_app
 from tests.plant_emulator.camera.camera_world import scene_config
 from tests.plant_emulator.faults.test_faults import EVERY
 from tests.plant_emulator.plant_world import plant_config
@@ -243,7 +243,7 @@ def test_whatever_is_sent_is_obeyed_or_refused_with_a_cause(whole: tuple[Client,
 
 async def test_without_permission_a_body_is_refused_before_it_comes(plant: Plant) -> None:
     """Over a real socket: the answer is there although of 50 MB not one byte was sent."""
-    config = FaultFaceConfig(host="127.0.0.1", port=0, allowed=False)
+    config = FaultApiConfig(host="127.0.0.1", port=0, allowed=False)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         face = FaultFace(plant, Scene(scene_config()), config, EventLog("plant_emulator", io.StringIO()))
         face.start(listening)

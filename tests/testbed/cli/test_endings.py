@@ -18,7 +18,7 @@ from testbed.cli.main import app
 from testbed.reporting import console
 from testbed.reporting.console import bars, time_left
 from testbed.validation import plant
-from testbed.validation.case import Case
+from testbed.validation.case import ValidationCase
 from testbed.validation.oracles import oracle
 
 LONGREACH = [sys.executable, "-m", "testbed.cli.main"]
@@ -151,9 +151,9 @@ def test_a_pipe_gets_one_line_a_minute(
 def test_validate_plant_runs_what_needs_no_oracle(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    case = Case(1, "right", "m", 1.0, 1.0, 0.1, "geometry")
+    case = ValidationCase(1, "right", "m", 1.0, 1.0, 0.1, "geometry")
 
-    def compared(config_dir: Path) -> list[Case]:
+    def compared(config_dir: Path) -> list[ValidationCase]:
         oracle("no_such_oracle")
         return []
 

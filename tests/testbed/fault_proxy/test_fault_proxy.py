@@ -14,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from conformance.case import Outcome
+from conformance.case import CaseOutcome
 from conformance.runner import run_coupler
 from protocol.errors import ConfigurationError
 from testbed.fault_proxy.faults import Event, FaultLine, Faults
@@ -192,7 +192,7 @@ async def test_a_server_that_is_not_there_breaks_nothing() -> None:
         assert proxy.statistics()["to_server"]["passed"] == 5
 
 
-async def coupler_through(port: int, up: Faults, down: Faults, numbers: list[int]) -> list[Outcome]:
+async def coupler_through(port: int, up: Faults, down: Faults, numbers: list[int]) -> list[CaseOutcome]:
     async with TcpProxy(Route("127.0.0.1", 0, "127.0.0.1", port), up, down, 9) as proxy:
         summary = await asyncio.to_thread(run_coupler, "127.0.0.1", proxy.port, numbers=numbers)
     return [result.outcome for result in summary.results]
@@ -203,13 +203,13 @@ async def test_a_stream_passes_whole_and_in_order_whatever_its_jitter() -> None:
     with ThreadedCoupler() as coupler:
         jitter = Faults(delay_ms=1.0, jitter_ms=4.0)
         outcomes = await coupler_through(coupler.port, jitter, jitter, numbers)
-    assert outcomes == [Outcome.PASS] * len(numbers)
+    assert outcomes == [CaseOutcome.PASS] * len(numbers)
 
 
 async def test_a_bent_stream_is_noticed() -> None:
     with ThreadedCoupler() as coupler:
         outcomes = await coupler_through(coupler.port, Faults(), Faults(truncate=1.0), [601])
-    assert outcomes == [Outcome.FAIL]
+    assert outcomes == [CaseOutcome.FAIL]
 
 
 async def test_a_half_open_stream_stays_up_and_carries_nothing() -> None:

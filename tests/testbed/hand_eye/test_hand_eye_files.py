@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import RequestRefused
-from testbed.experiments.hand_eye.scenes import Scene
+from testbed.experiments.hand_eye.scenes import HandEyeScene
 from testbed.hand_eye import trajectories
 from testbed.hand_eye.importer import FORMAT, ImportOptions, load
 from testbed.hand_eye.trajectories import PairingOptions, Trajectory
@@ -21,7 +21,7 @@ from vision_pc.core.se3 import Array
 
 
 @pytest.fixture
-def scene() -> Scene:
+def scene() -> HandEyeScene:
     return random_scene(np.random.default_rng(50), 6)
 
 
@@ -44,7 +44,7 @@ def written(X: Array, form: str) -> Any:
     }[form]
 
 
-def document(scene: Scene, form: str = "q_wxyz") -> dict[str, Any]:
+def document(scene: HandEyeScene, form: str = "q_wxyz") -> dict[str, Any]:
     samples = [
         {
             "name": f"s{k}",
@@ -73,7 +73,7 @@ def saved(tmp_path: Path, data: Any) -> Path:
 @pytest.mark.parametrize(
     "form", ["matrix", "q_wxyz", "q_xyzw", "rotation_vector_rad", "rotation_vector_deg", "R"]
 )
-def test_every_way_of_writing_a_pose_is_read(tmp_path: Path, scene: Scene, form: str) -> None:
+def test_every_way_of_writing_a_pose_is_read(tmp_path: Path, scene: HandEyeScene, form: str) -> None:
     pairs = load(saved(tmp_path, document(scene, form)))
     wanted = exact_pairs(scene)
     np.testing.assert_allclose(pairs.H, wanted.H, atol=1e-12)
@@ -81,14 +81,14 @@ def test_every_way_of_writing_a_pose_is_read(tmp_path: Path, scene: Scene, form:
     assert set(pairs.names) == {f"s{k}" for k in range(6)}
 
 
-def test_bare_pairs_of_matrices_are_read(tmp_path: Path, scene: Scene) -> None:
+def test_bare_pairs_of_matrices_are_read(tmp_path: Path, scene: HandEyeScene) -> None:
     bare = [[H.tolist(), P.tolist()] for H, P in zip(scene.X_BT, scene.P(), strict=True)]
     pairs = load(saved(tmp_path, bare), ImportOptions(setup=Setup.EYE_TO_HAND))
     assert pairs.setup is Setup.EYE_TO_HAND
     np.testing.assert_allclose(pairs.P, exact_pairs(scene).P, atol=1e-12)
 
 
-def test_millimetres_are_scaled_when_they_are_said_to_be(tmp_path: Path, scene: Scene) -> None:
+def test_millimetres_are_scaled_when_they_are_said_to_be(tmp_path: Path, scene: HandEyeScene) -> None:
     data = document(scene)
     for sample in data["samples"]:
         for side in ("hand", "camera"):
@@ -100,7 +100,7 @@ def test_millimetres_are_scaled_when_they_are_said_to_be(tmp_path: Path, scene: 
     np.testing.assert_allclose(load(saved(tmp_path, data)).P, exact_pairs(scene).P, atol=1e-12)
 
 
-def test_inverted_camera_poses_are_turned_round(tmp_path: Path, scene: Scene) -> None:
+def test_inverted_camera_poses_are_turned_round(tmp_path: Path, scene: HandEyeScene) -> None:
     data = document(scene)
     for sample, P in zip(data["samples"], scene.P(), strict=True):
         sample["camera"] = written(stacks.inverse(P), "matrix")
@@ -108,7 +108,7 @@ def test_inverted_camera_poses_are_turned_round(tmp_path: Path, scene: Scene) ->
     np.testing.assert_allclose(methods.solve(pairs).X, scene.X, atol=1e-9)
 
 
-def test_printed_quaternions_need_to_be_asked_for(tmp_path: Path, scene: Scene) -> None:
+def test_printed_quaternions_need_to_be_asked_for(tmp_path: Path, scene: HandEyeScene) -> None:
     data = document(scene)
     data["samples"][2]["hand"]["q_wxyz"] = [0.5 * v for v in data["samples"][2]["hand"]["q_wxyz"]]
     with pytest.raises(RequestRefused, match=r"sample s2: hand: quaternion has norm 0\.500") as caught:
@@ -143,7 +143,7 @@ def spoiled(data: dict[str, Any], **changes: Any) -> dict[str, Any]:
     ],
 )
 def test_a_bad_sample_is_named(
-    tmp_path: Path, scene: Scene, changes: dict[str, Any], cause: str, said: str
+    tmp_path: Path, scene: HandEyeScene, changes: dict[str, Any], cause: str, said: str
 ) -> None:
     with pytest.raises(RequestRefused, match=said) as caught:
         load(saved(tmp_path, spoiled(document(scene), **changes)))
@@ -186,7 +186,7 @@ def test_missing_and_broken_files_are_refused(tmp_path: Path) -> None:
         load(broken)
 
 
-def test_corners_travel_with_their_samples(tmp_path: Path, scene: Scene) -> None:
+def test_corners_travel_with_their_samples(tmp_path: Path, scene: HandEyeScene) -> None:
     data = document(scene)
     data |= {
         "camera_matrix": [[800, 0, 320], [0, 800, 240], [0, 0, 1]],
@@ -210,7 +210,7 @@ CSV_HEADER = (
 )
 
 
-def csv_text(scene: Scene) -> str:
+def csv_text(scene: HandEyeScene) -> str:
     lines = ["# six samples", CSV_HEADER]
     for k, (H, P) in enumerate(zip(scene.X_BT, scene.P(), strict=True)):
         q = stacks.quaternion_from_rotation(H[None, :3, :3])[0]
@@ -233,7 +233,7 @@ def test_the_documents_example_is_read(tmp_path: Path) -> None:
     assert len(load(empty)) == 0
 
 
-def test_csv_is_read_by_its_header(tmp_path: Path, scene: Scene) -> None:
+def test_csv_is_read_by_its_header(tmp_path: Path, scene: HandEyeScene) -> None:
     path = tmp_path / "samples.csv"
     path.write_text(csv_text(scene), encoding="utf-8")
     pairs = load(path, ImportOptions(marker_id=582))
@@ -252,14 +252,14 @@ def test_csv_is_read_by_its_header(tmp_path: Path, scene: Scene) -> None:
         ("s1, ", "s1, 1, ", "sample s1: 16 columns are wanted"),
     ],
 )
-def test_bad_csv_is_named(tmp_path: Path, scene: Scene, old: str, new: str, said: str) -> None:
+def test_bad_csv_is_named(tmp_path: Path, scene: HandEyeScene, old: str, new: str, said: str) -> None:
     path = tmp_path / "samples.csv"
     path.write_text(csv_text(scene).replace(old, new, 1), encoding="utf-8")
     with pytest.raises(RequestRefused, match=said):
         load(path, ImportOptions(marker_id=582))
 
 
-def recording(offset_s: float = 0.0) -> tuple[Scene, Trajectory, Trajectory]:
+def recording(offset_s: float = 0.0) -> tuple[HandEyeScene, Trajectory, Trajectory]:
     """A hand that swings about several axes, seen at 100 Hz by the robot and at 30 Hz by the camera."""
     scene = random_scene(np.random.default_rng(51), 2)
 

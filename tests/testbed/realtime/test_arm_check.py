@@ -4,7 +4,7 @@ import asyncio
 
 from foundation.configuration import configuration_hash
 from testbed.realtime.arm_check import arm_check
-from testbed.realtime.doctor import Check
+from testbed.realtime.doctor import HealthCheck
 from testbed.realtime.supervisor import free_port
 from tests.faults.live import Machine
 from tests.faults.rig import settings_of
@@ -13,7 +13,7 @@ from vision_pc.config.vision import LinkSettings
 ARM = settings_of(1, ()).arm
 
 
-async def checked(machine: Machine, **link: bool) -> Check:
+async def checked(machine: Machine, **link: bool) -> HealthCheck:
     await machine.start()
     try:
         return await asyncio.to_thread(arm_check, ARM, LinkSettings(port=machine.port, **link))

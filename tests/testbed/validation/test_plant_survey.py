@@ -9,7 +9,7 @@ import pytest
 from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
 from testbed.validation import plant_survey, plant_survey_report
-from testbed.validation.plant_survey import ARMS, STATED_SAG_MM, Arm, survey
+from testbed.validation.plant_survey import ARMS, STATED_SAG_MM, SurveyedArm, survey
 from testbed.validation.plant_survey_report import run_survey
 from tests.plant_emulator.plant_world import CONFIGS
 
@@ -69,7 +69,7 @@ def test_poses_out_of_reach_are_left_out_and_the_crane_is_softer() -> None:
 
 @pytest.mark.usefixtures("short_servo")
 def test_the_command_prints_plots_and_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    few = tuple(Arm(arm.name, arm.file, arm.loads_kg, (15,), (-50,)) for arm in ARMS)
+    few = tuple(SurveyedArm(arm.name, arm.file, arm.loads_kg, (15,), (-50,)) for arm in ARMS)
     monkeypatch.setattr(plant_survey_report, "ARMS", few)
     rows = run_survey(CONFIGS, tmp_path, tmp_path / "survey.json")
     assert [row.arm for row in rows] == [arm.name for arm in ARMS]

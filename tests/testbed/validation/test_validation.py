@@ -2,7 +2,7 @@
 
 import pytest
 
-from testbed.validation.case import Case
+from testbed.validation.case import ValidationCase
 from testbed.validation.plant import FAMILIES
 from tests.support.paths import CONFIGS
 
@@ -23,7 +23,7 @@ def test_family_is_inside_its_tolerances(number: int) -> None:
 
 
 def test_a_case_passes_only_inside_its_tolerance() -> None:
-    case = Case(1, "x", "m", 1.0, 1.009, 0.01, "made up")
+    case = ValidationCase(1, "x", "m", 1.0, 1.009, 0.01, "made up")
     assert case.passed
     assert not case._replace(obtained=1.011).passed
     assert not case._replace(obtained=0.989).passed
@@ -31,7 +31,7 @@ def test_a_case_passes_only_inside_its_tolerance() -> None:
 
 
 def test_bounds_are_one_sided() -> None:
-    most = Case(1, "x", "m", 1.0, 0.2, 0.0, "made up", "at_most")
+    most = ValidationCase(1, "x", "m", 1.0, 0.2, 0.0, "made up", "at_most")
     assert most.passed
     assert not most._replace(obtained=1.1).passed
     assert not most._replace(obtained=float("nan")).passed

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed
-from testbed.experiments.hand_eye.localisation import Rig, Session, simulated_session
+from testbed.experiments.hand_eye.localisation import LocalisationRig, LocalisationSession, simulated_session
 from tests.vision_pc.hand_eye.data import noisy_pairs
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.solvers import bundle, methods
@@ -16,12 +16,12 @@ from vision_pc.core.hand_eye.solvers.bundle import RobotNoise
 RUNS = 8
 
 
-def sessions(rig: Rig) -> list[Session]:
+def sessions(rig: LocalisationRig) -> list[LocalisationSession]:
     return [simulated_session(rig, np.random.default_rng([40, run])) for run in range(RUNS)]
 
 
 def test_corners_locate_better_than_poses_and_obey_the_covariance() -> None:
-    rig = Rig(corner_px=0.3, robot_rotation_deg=0.0, robot_translation_mm=0.0)
+    rig = LocalisationRig(corner_px=0.3, robot_rotation_deg=0.0, robot_translation_mm=0.0)
     by_poses, by_corners, nees = [], [], []
     for session in sessions(rig):
         start = methods.solve(session.kept)
@@ -36,7 +36,7 @@ def test_corners_locate_better_than_poses_and_obey_the_covariance() -> None:
 
 
 def test_robot_noise_is_taken_along() -> None:
-    rig = Rig(corner_px=0.1, robot_rotation_deg=0.1, robot_translation_mm=1.0)
+    rig = LocalisationRig(corner_px=0.1, robot_rotation_deg=0.1, robot_translation_mm=1.0)
     robot = RobotNoise(math.radians(0.1), 1e-3)
     with_it, without = [], []
     for session in sessions(rig):
@@ -48,7 +48,7 @@ def test_robot_noise_is_taken_along() -> None:
 
 
 def test_exact_corners_give_the_exact_pose() -> None:
-    rig = Rig(corner_px=0.0, robot_rotation_deg=0.0, robot_translation_mm=0.0)
+    rig = LocalisationRig(corner_px=0.0, robot_rotation_deg=0.0, robot_translation_mm=0.0)
     session = sessions(rig)[0]
     start = methods.solve(session.kept)
     nearby = replace(
@@ -61,7 +61,7 @@ def test_exact_corners_give_the_exact_pose() -> None:
 
 
 def test_outliers_of_the_start_stay_out() -> None:
-    session = sessions(Rig())[1]
+    session = sessions(LocalisationRig())[1]
     start = methods.solve(session.taken)
     assert (~start.inliers).sum() == 5
     found = bundle.adjust(session.taken, start, RobotNoise(1e-3, 5e-4))
@@ -77,7 +77,7 @@ def test_without_corners_there_is_nothing_to_adjust() -> None:
 
 
 def test_a_sample_with_too_few_corners_is_named() -> None:
-    session = sessions(Rig())[2]
+    session = sessions(LocalisationRig())[2]
     corners = session.kept.corners
     assert corners is not None
     pixels = corners.pixels.copy()

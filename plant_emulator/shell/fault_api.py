@@ -20,7 +20,7 @@ from foundation.event_log import EventLog
 from foundation.problems import problem
 from foundation.rest import RestServer, install_problems
 from foundation.rest_guard import Refusal
-from plant_emulator.config.service import FaultFaceConfig
+from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import FAULTS, Fault, MarkerCovered
 from plant_emulator.core.faults.schedule import Injection
@@ -49,7 +49,7 @@ class FaultOrder(StrictModel):
 class FaultFace:
     """The face, served in the running event loop, which is the plant's own."""
 
-    def __init__(self, plant: Plant, scene: Scene, config: FaultFaceConfig, log: EventLog) -> None:
+    def __init__(self, plant: Plant, scene: Scene, config: FaultApiConfig, log: EventLog) -> None:
         app = create_app(plant, scene, config.allowed)
         self._server = RestServer(app, (config.host, *config.allowed_hosts), log)
         self._serving: asyncio.Task[None] | None = None

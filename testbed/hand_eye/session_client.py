@@ -9,7 +9,7 @@ from testbed.reporting.console import bars
 JSON = dict[str, Any]
 
 
-class SessionFace(RestRig):
+class SessionClient(RestRig):
     """Commands of the session; each raises what the problem document says."""
 
     def step(self, kind: str, body: JSON, what: str) -> JSON:
@@ -39,9 +39,9 @@ class SessionFace(RestRig):
         return self._ask("DELETE", f"/hand-eye/session/samples/{name}")
 
 
-def with_face(url: str, act: Callable[[SessionFace], None]) -> None:
+def with_session(url: str, act: Callable[[SessionClient], None]) -> None:
     """Call ``act`` with a connection to the vision PC at ``url``, and close it."""
-    face = SessionFace(url)
+    face = SessionClient(url)
     try:
         act(face)
     finally:
