@@ -6,7 +6,6 @@ Lockstep repeats bit by bit, so a figure moves only when the code or the configu
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ import pytest
 
 from testbed.demonstration.sequence import Recorder, demonstrate
 from testbed.experiments.hand_eye.stress import outliers
-from testbed.experiments.paper.campaign import Asked, task
+from testbed.experiments.paper.campaign import PaperEyes, PaperSettings, paper_task
 from testbed.experiments.paper.measurement import measure
 from testbed.experiments.positioning.corrected_run import operate, prepared, true_error_mm
 from testbed.lockstep.rig import LockstepRig
@@ -43,8 +42,10 @@ def demonstrated(seed: int) -> float:
 
 def of_the_paper(seeds: tuple[int, ...]) -> float:
     """The worse of the mean |x| and |y| in mm after two inputs of trajectory matching, as the eyes see it."""
-    asked = Asked(CONFIGS, "paper", len(seeds), 1, "model", [], Path("unused"), None, 1)
-    rows: list[dict[str, Any]] = [measure(CONFIGS, task("match", asked, seed)) for seed in seeds]
+    eyes = PaperSettings(PaperEyes.MODEL)
+    rows: list[dict[str, Any]] = [
+        measure(CONFIGS, paper_task(CONFIGS, eyes, "match", seed)) for seed in seeds
+    ]
     return float(max(np.mean([abs(row[f"input2_{axis}_mm"]) for row in rows]) for axis in "xy"))
 
 
