@@ -13,11 +13,13 @@ from typing import Any, NamedTuple
 import pytest
 from fastapi import FastAPI, Request
 from fastapi.responses import JSONResponse
+from pydantic import ValidationError
 
 from foundation import rest
+from foundation.configuration import HostName, StrictModel
 from foundation.event_log import EventLog
 from foundation.rest import MAX_BODY_BYTES, RestServer, install_problems
-from foundation.rest_guard import SECURITY_HEADERS
+from foundation.rest_guard import SECURITY_HEADERS, OriginGuard
 
 SLOW_S = 0.5
 
@@ -299,3 +301,43 @@ def test_a_websocket_is_not_spoken(served: Served) -> None:
     refused(
         served.ask("GET", "/nowhere", "Origin: http://evil.example", *upgrade), 403, "refused.foreign_origin"
     )
+
+
+@pytest.mark.parametrize(
+    ("reached", "host", "status"),
+    [
+        ("10.0.0.7", "10.0.0.7:8000", 200),
+        ("10.0.0.7", "127.0.0.1:8000", 200),  # a published port of a container
+        ("10.0.0.7", "10.0.0.8:8000", 421),
+        ("10.0.0.7", "7.0.0.10.example:8000", 421),
+    ],
+)
+async def test_bound_to_every_address_the_one_that_was_reached_is_served(
+    reached: str, host: str, status: int
+) -> None:
+    statuses: list[int] = []
+
+    async def send(message: Any) -> None:
+        if message["type"] == "http.response.start":
+            statuses.append(message["status"])
+
+    async def receive() -> Any:
+        raise AssertionError("nothing of the body is wanted")
+
+    scope = {
+        "type": "http", "method": "GET", "path": "/state", "scheme": "http", "server": (reached, 8000),
+        "headers": [(b"host", host.encode())],
+    }  # fmt: skip
+    await OriginGuard(JSONResponse({}), (), None)(scope, receive, send)
+    assert statuses == [status]
+
+
+class _Names(StrictModel):
+    hosts: tuple[HostName, ...] = ()
+
+
+@pytest.mark.parametrize("name", ["*", "*.example", "a:8000", "http://a", "", "a b", "[::1]", "a/", "-a"])
+def test_a_configured_host_is_a_name_alone(name: str) -> None:
+    assert _Names(hosts=("vision", "vision-pc.cell", "10.0.0.7")).hosts[0] == "vision"
+    with pytest.raises(ValidationError):
+        _Names(hosts=(name,))

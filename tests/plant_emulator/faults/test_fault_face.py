@@ -1,6 +1,7 @@
 """The HTTP face for faults: everything it offers, everything it refuses, always as a problem with a cause."""
 
 import asyncio
+import contextlib
 import io
 import json
 import socket
@@ -249,14 +250,17 @@ async def test_without_permission_a_body_is_refused_before_it_comes(plant: Plant
         face.start(listening)
         port = listening.getsockname()[1]
         for framing in ("Content-Length: 50000000", "Content-Length: 9", "Transfer-Encoding: chunked"):
-            reader, writer = await asyncio.open_connection("127.0.0.1", port)
-            writer.write(f"POST /faults HTTP/1.1\r\nHost: localhost\r\n{framing}\r\n\r\n".encode())
-            answer = await asyncio.wait_for(reader.read(), 2.0)  # to the end: the rest is never taken
+            answer = await _answer(port, f"POST /faults HTTP/1.1\r\nHost: localhost\r\n{framing}\r\n\r\n")
             assert answer.startswith(b"HTTP/1.1 403 ")
             assert b'"refused.faults_not_allowed"' in answer
-            writer.close()
-        reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        writer.write(b"DELETE /faults HTTP/1.1\r\nHost: evil.example\r\n\r\n")
-        assert b'"refused.foreign_host"' in await asyncio.wait_for(reader.read(), 2.0)
-        writer.close()
+        answer = await _answer(port, "DELETE /faults HTTP/1.1\r\nHost: evil.example\r\n\r\n")
+        assert b'"refused.foreign_host"' in answer
         await face.stop()
+
+
+async def _answer(port: int, request: str) -> bytes:
+    """Everything that comes until the face ends the connection, which it does before the body."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    with contextlib.closing(writer):
+        writer.write(request.encode())
+        return await asyncio.wait_for(reader.read(), 2.0)
