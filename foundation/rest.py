@@ -1,5 +1,6 @@
 """What every REST API of ours has: problem documents, limits, a guarded server in the service's loop."""
 
+import asyncio
 import contextlib
 from collections.abc import Callable, Generator, Iterable, Mapping
 from http import HTTPStatus
@@ -10,6 +11,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from foundation.event_log import EventLog
 from foundation.problems import problem, problem_of
@@ -18,9 +20,47 @@ from protocol.errors import LongreachError
 
 MAX_BODY_BYTES = 16_384
 BODY_WITHIN_S = 5.0
+HEADERS_WITHIN_S = 10.0  # beyond the 5 s for which uvicorn keeps an idle connection
 _DRAIN_S = 1  # for answers under way at the end; a service must be gone within 2 s
 _FAULTS_SHOWN = 20
 Explain = Callable[[RequestValidationError], dict[str, Any]]
+
+
+class _ImpatientProtocol(H11Protocol):
+    """HTTP/1.1 that ends a connection whose next request does not arrive whole, but for its body, in time."""
+
+    _deadline: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """The first request is due."""
+        super().connection_made(transport)
+        self._await_request()
+
+    def data_received(self, data: bytes) -> None:
+        """A piece of a request; pieces do not put the deadline off."""
+        super().data_received(data)
+        self._await_request()
+
+    def on_response_complete(self) -> None:
+        """The next request is due; one that has come already is served at once."""
+        super().on_response_complete()
+        self._await_request()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Nothing is due any more."""
+        super().connection_lost(exc)
+        self._forget_deadline()
+
+    def _await_request(self) -> None:
+        if self.cycle is not None and not self.cycle.response_complete:
+            self._forget_deadline()
+        elif self._deadline is None and not self.transport.is_closing():
+            self._deadline = self.loop.call_later(HEADERS_WITHIN_S, self.transport.close)
+
+    def _forget_deadline(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+            self._deadline = None
 
 
 class RestServer(uvicorn.Server):
@@ -34,6 +74,7 @@ class RestServer(uvicorn.Server):
         super().__init__(
             uvicorn.Config(
                 OriginGuard(app, allowed_hosts, log),
+                http=_ImpatientProtocol,
                 ws="none",
                 server_header=False,
                 log_config=None,

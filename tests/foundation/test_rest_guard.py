@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import http.client
 import io
 import json
 import socket
@@ -74,6 +75,7 @@ def served() -> Iterator[Served]:
     log = EventLog("test", stream)
     monkeypatch = pytest.MonkeyPatch()
     monkeypatch.setattr(rest, "BODY_WITHIN_S", SLOW_S)
+    monkeypatch.setattr(rest, "HEADERS_WITHIN_S", SLOW_S)
     app = FastAPI()
     install_problems(app, {})
 
@@ -89,6 +91,11 @@ def served() -> Iterator[Served]:
     @app.get("/own-policy")
     async def own_policy() -> JSONResponse:
         return JSONResponse({}, headers={"Cache-Control": "max-age=60", "Content-Security-Policy": "sandbox"})
+
+    @app.get("/slow")
+    async def slow() -> dict[str, bool]:
+        await asyncio.sleep(3 * SLOW_S)
+        return {"slow": True}
 
     @app.get("/broken")
     async def broken() -> None:
@@ -277,6 +284,34 @@ def test_a_body_that_dribbles_is_given_up(served: Served, framing: str) -> None:
         refused(received(sock), 408, "request.too_slow")
     assert time.monotonic() - begun >= SLOW_S
     assert len(served.executed) == before
+
+
+@pytest.mark.parametrize("first", [b"", b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n"])
+def test_a_header_that_never_ends_ends_the_connection(served: Served, first: bytes) -> None:
+    begun = time.monotonic()
+    with served.connect() as sock:
+        sock.sendall(first + b"POST /enable HTTP/1.1\r\n")
+        got = b"."
+        with contextlib.suppress(ConnectionError):
+            while got and time.monotonic() - begun < 20 * SLOW_S:
+                sock.sendall(b"X: 1\r\n")
+                sock.settimeout(SLOW_S / 5)
+                with contextlib.suppress(TimeoutError):
+                    got = sock.recv(65536)
+    assert SLOW_S <= time.monotonic() - begun < 20 * SLOW_S
+
+
+def test_an_answer_may_take_its_time_and_the_connection_is_used_again(served: Served) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", served.port, timeout=20.0)
+    try:
+        connection.request("GET", "/slow")
+        assert connection.getresponse().read() == b'{"slow":true}'
+        before = connection.sock
+        connection.request("POST", "/enable", body=b"again")
+        assert connection.getresponse().read() == b'{"accepted":true}'
+        assert connection.sock is before is not None
+    finally:
+        connection.close()
 
 
 def test_a_body_in_pieces_comes_whole(served: Served) -> None:
