@@ -14,9 +14,9 @@ from dissector.generate import SCRIPT, dissector
 from protocol.authentication import LinkKey
 from protocol.datagram import encode
 from protocol.datagram_layout import HEADER, PAYLOADS, TRAILER
-from testbed.pages.sample_messages import HEADER as SAMPLE_HEADER
-from testbed.pages.sample_messages import MESSAGES
 from tests.dissector.captures import write_pcap
+from tools.sample_messages import HEADER as SAMPLE_HEADER
+from tools.sample_messages import MESSAGES
 
 TSHARK = shutil.which("tshark")
 needs_tshark = pytest.mark.skipif(TSHARK is None, reason="tshark is not installed: apt-get install tshark")

@@ -13,8 +13,8 @@ from dissector.command import sniff
 from protocol.authentication import LinkKey
 from protocol.datagram import encode
 from protocol.errors import ConfigurationError
-from testbed.pages.sample_messages import HEADER, MESSAGES
 from tests.dissector.captures import frame, write_pcap
+from tools.sample_messages import HEADER, MESSAGES
 
 DATAGRAMS = [encode(message, HEADER) for message in MESSAGES]
 app = typer.Typer()

@@ -31,8 +31,8 @@ from protocol.session_events import (
     SessionLost,
     SessionOpened,
 )
-from testbed.pages.sample_messages import HEADER, MESSAGES
 from tests.protocol.wire import ARM, MS, TIMEOUT_MS, Wire, a_server, kind_of
+from tools.sample_messages import HEADER, MESSAGES
 
 SECRET = bytes(range(32))
 KEY = LinkKey(SECRET)

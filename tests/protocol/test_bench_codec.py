@@ -22,7 +22,7 @@ from protocol.authentication import LinkKey, fault_of
 from protocol.channel import EXTENDED_MODULUS, SEQUENCE_MODULUS, Arrival, SequenceWindow
 from protocol.datagram import decode, encode
 from protocol.reference_messages import Message, ReferencePose, State
-from testbed.pages.sample_messages import HEADER, MESSAGES
+from tools.sample_messages import HEADER, MESSAGES
 
 BATCHES, EXCHANGES_A_BATCH = 60, 200
 

@@ -34,9 +34,9 @@ from protocol.reference_messages import (
     ReferencePose,
     UnusableRequest,
 )
-from testbed.pages.protocol_page import GOLDEN as GOLDEN_FILE
-from testbed.pages.sample_messages import HEADER, MESSAGES, POSE
 from tests.protocol.strategies import headers, messages
+from tools.protocol_page import GOLDEN as GOLDEN_FILE
+from tools.sample_messages import HEADER, MESSAGES, POSE
 
 GOLDEN = json.loads(GOLDEN_FILE.read_text())
 by_name = pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)

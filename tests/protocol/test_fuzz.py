@@ -12,10 +12,10 @@ from protocol.datagram import decode, encode
 from protocol.errors import DatagramRefused, FrameRefused, ImageRefused
 from protocol.process_image import decode_sensors, decode_valves, encode_sensors, encode_valves
 from protocol.stereo_frame import decode_header, encode_header
-from testbed.pages.sample_messages import HEADER, MESSAGES
 from tests.protocol.test_process_image import SENSORS, VALVES
 from tests.protocol.test_stereo_frame import HEADER as FRAME
 from tests.protocol.wire import Wire
+from tools.sample_messages import HEADER, MESSAGES
 
 INPUTS = 1_000_000
 

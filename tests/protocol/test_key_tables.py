@@ -10,9 +10,9 @@ from protocol.datagram import Header, decode, encode
 from protocol.datagram_layout import HEADER_BYTES
 from protocol.faults import Reason
 from protocol.reference_messages import Bye, Heartbeat, Hello, Message, Welcome
-from testbed.pages.session_tables import KEY_SERVER_ROWS, Row
 from tests.protocol.test_session_tables import T0, spoken
 from tests.protocol.wire import ARM, MS, TIMEOUT_MS, a_server
+from tools.session_tables import KEY_SERVER_ROWS, Row
 
 KEY, OTHER = LinkKey(bytes(range(32))), LinkKey(bytes(32))
 

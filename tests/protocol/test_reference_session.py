@@ -36,8 +36,8 @@ from protocol.session_events import (
     SessionOpened,
     StateReceived,
 )
-from testbed.pages.sample_messages import MESSAGES
 from tests.protocol.wire import ARM, BOOT, CYCLE_NS, MS, TIMEOUT_MS, Wire, a_server, kind_of
+from tools.sample_messages import MESSAGES
 
 STOP = Command(0, CommandCode.STOP)
 ENABLE = Command(0, CommandCode.ENABLE)

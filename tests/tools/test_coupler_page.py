@@ -5,13 +5,13 @@ import re
 
 from plant_emulator.core.coupler.image import COUPLER_MAP
 from plant_emulator.core.coupler.modbus_requests import exception_for
-from testbed.pages.coupler_page import DIAGNOSTICS, PAGE, rendered, sections
+from tools.coupler_page import DIAGNOSTICS, PAGE, rendered, sections
 
 TEXT = PAGE.read_text()
 
 
 def test_the_tables_are_those_of_the_code() -> None:
-    assert rendered(TEXT) == TEXT, "run: python -m testbed.pages.coupler_page"
+    assert rendered(TEXT) == TEXT, "run: python -m tools.coupler_page"
     assert set(re.findall(r"<!-- generated: ([a-z]+) -->", TEXT)) == set(sections())
 
 

@@ -1,4 +1,4 @@
-"""The generated tables of docs/process_image.md; ``python -m testbed.pages.coupler_page`` writes them."""
+"""The generated tables of docs/process_image.md; ``python -m tools.coupler_page`` writes them."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -9,9 +9,9 @@ from plant_emulator.core.coupler.image import COUPLER_MAP
 from plant_emulator.core.coupler.modbus_requests import Span
 from protocol import coupler_registers as registers
 from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS, OUTPUT_WORDS
-from testbed.pages.protocol_page import filled, table
+from tools.protocol_page import filled, table
 
-PAGE = Path(__file__).parents[2] / "docs" / "process_image.md"
+PAGE = Path(__file__).parents[1] / "docs" / "process_image.md"
 _READ, _BITS, _NONE = requests.MAX_READ, requests.MAX_READ_BITS, "–"
 FUNCTIONS = {
     requests.READ_COILS: ("read digital outputs", _BITS, _NONE),

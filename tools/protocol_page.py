@@ -1,4 +1,4 @@
-"""The generated tables of docs/protocol.md; ``python -m testbed.pages.protocol_page`` writes them."""
+"""The generated tables of docs/protocol.md; ``python -m tools.protocol_page`` writes them."""
 
 import json
 import re
@@ -49,11 +49,11 @@ from protocol.heartbeat_tracker import FIRST_HEARTBEATS, FIRST_PERIOD_NS, HEARTB
 from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
 from protocol.reference_messages import Bye, Heartbeat, Hello, ReferencePose, Welcome
 from protocol.server_session import REFUSAL_INTERVAL_NS, REMEMBERED_NONCES
-from testbed.pages.sample_messages import HEADER as HEADER_SAMPLE
-from testbed.pages.sample_messages import MESSAGES
-from testbed.pages.session_tables import CLIENT_ROWS, KEY_SERVER_ROWS, SERVER_ROWS, Row
+from tools.sample_messages import HEADER as HEADER_SAMPLE
+from tools.sample_messages import MESSAGES
+from tools.session_tables import CLIENT_ROWS, KEY_SERVER_ROWS, SERVER_ROWS, Row
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "protocol.md"
 GOLDEN = Path(__file__).parent / "golden_datagrams.json"
 IEC = {"B": "USINT", "H": "UINT", "I": "UDINT", "Q": "ULINT", "d": "LREAL", "x": "BYTE"} | {

@@ -27,8 +27,8 @@ from protocol.errors import DatagramRefused
 from protocol.pose import Pose
 from protocol.process_image import INPUT_ADDRESS, INPUT_TABLE, OUTPUT_ADDRESS, OUTPUT_TABLE
 from protocol.reference_messages import Hello
-from testbed.pages.protocol_page import GOLDEN, IEC_NAMES, PAGE, ROOT, SECTIONS, rendered
-from testbed.pages.sample_messages import HEADER, MESSAGES
+from tools.protocol_page import GOLDEN, IEC_NAMES, PAGE, ROOT, SECTIONS, rendered
+from tools.sample_messages import HEADER, MESSAGES
 
 TEXT = PAGE.read_text()
 STRUCT_CODES = {"USINT": "B", "BYTE": "B", "UINT": "H", "UDINT": "I", "ULINT": "Q", "LREAL": "d"}
@@ -36,7 +36,7 @@ IEC_BYTES = {"USINT": 1, "BYTE": 1, "UINT": 2, "INT": 2, "UDINT": 4, "DINT": 4, 
 
 
 def test_the_tables_are_those_of_the_code() -> None:
-    assert rendered(TEXT) == TEXT, "run: python -m testbed.pages.protocol_page"
+    assert rendered(TEXT) == TEXT, "run: python -m tools.protocol_page"
     assert set(re.findall(r"<!-- generated: ([a-z ]+) -->", TEXT)) == set(SECTIONS)
 
 

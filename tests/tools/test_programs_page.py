@@ -1,14 +1,14 @@
 """docs/calibration.md's table of programs is the table that runs."""
 
-from testbed.pages.programs_page import PAGE, rendered
 from tests.support.paths import ROOT
+from tools.programs_page import PAGE, rendered
 from vision_pc.application.programs import PROGRAMS
 
 TEXT = PAGE.read_text(encoding="utf-8")
 
 
 def test_the_table_is_that_of_the_code() -> None:
-    assert rendered(TEXT) == TEXT, "run: python -m testbed.pages.programs_page"
+    assert rendered(TEXT) == TEXT, "run: python -m tools.programs_page"
     assert all(f"| `{program.name}` |" in TEXT for program in PROGRAMS)
 
 

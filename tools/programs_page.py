@@ -1,13 +1,13 @@
-"""The generated table of docs/calibration.md; ``python -m testbed.pages.programs_page`` writes it."""
+"""The generated table of docs/calibration.md; ``python -m tools.programs_page`` writes it."""
 
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from testbed.pages.protocol_page import filled, table
+from tools.protocol_page import filled, table
 from vision_pc.application.programs import PROGRAMS
 
-PAGE = Path(__file__).parents[2] / "docs" / "calibration.md"
+PAGE = Path(__file__).parents[1] / "docs" / "calibration.md"
 
 
 def sections() -> dict[str, str]:
