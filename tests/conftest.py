@@ -2,12 +2,17 @@
 
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 from testbed.scenarios.settings import Settings, load_settings
 from tests.support.paths import CONFIGS
 
 pytest_plugins = ["tests.support.real_time"]
+
+# Properties hold whatever else the machine does: no example has a deadline on the wall clock.
+hypothesis.settings.register_profile("longreach", deadline=None)
+hypothesis.settings.load_profile("longreach")
 
 
 @pytest.fixture(scope="session")

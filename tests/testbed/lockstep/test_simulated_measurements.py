@@ -12,8 +12,9 @@ from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth
 from protocol.errors import ConfigurationError, MeasurementFailed
+from testbed.campaigns.typed_rows import typed
 from testbed.experiments.positioning.eyes_agree import compare
-from testbed.experiments.positioning.eyes_measure import parameters
+from testbed.experiments.positioning.eyes_measure import MeasuredRow, parameters
 from testbed.lockstep.frames import SimulatedFrame
 from testbed.lockstep.simulated_measurements import (
     CornerNoise,
@@ -197,18 +198,19 @@ def test_parameters_are_recovered_from_rows_that_the_model_itself_would_give() -
         "exact_error2": 1e-7, "noise_error2": 1e-7 + 4e-8, "map_error2": 1e-7 + 9e-8,
         "pixels_error2": 1e-7 + 4e-8 * (noise_px / known) ** 2 + 9e-8 * (map_px / known) ** 2,
     }  # fmt: skip
-    found = parameters([row, {"seed": 2, "stopped": "measurement.tool_not_seen: none"}])
+    failed = typed(MeasuredRow, {"seed": 2, "failure": "measurement.tool_not_seen: none"})
+    found = parameters([typed(MeasuredRow, row), failed])
     assert found["tracking"]["noise_px"] == pytest.approx(noise_px, abs=1e-4)
     assert found["tracking"]["map_px"] == pytest.approx(map_px, abs=1e-4)
     assert found["corners"] == {"noise_px": 0.02, "bias_px": 0.01, "missed_share": 0.015}
     with pytest.raises(MeasurementFailed):
-        parameters([{"seed": 2, "stopped": "x"}])
+        parameters([failed])
 
 
 def test_agreement_is_told_from_a_shift_of_one_standard_deviation() -> None:
     rng = np.random.default_rng(3)
     a, b = rng.normal(size=30), rng.normal(size=30)
-    assert compare(a, b)["agree"]
-    assert not compare(a, b + 1.2)["agree"]
-    assert not compare(a, 10.0 * b)["agree"], "a wider spread about the same middle must show too"
-    assert not compare(a, np.full(30, np.nan))["agree"]
+    assert compare(a, b).agree
+    assert not compare(a, b + 1.2).agree
+    assert not compare(a, 10.0 * b).agree, "a wider spread about the same middle must show too"
+    assert not compare(a, np.full(30, np.nan)).agree
