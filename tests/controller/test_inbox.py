@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.core.arrivals import A_CYCLE, Arrivals, stop_code_of
+from controller.core.arrivals import A_CYCLE, Arrivals, stop_of
 from controller.core.arrivals import WAITING as MOST_ARRIVALS
 from controller.core.inbox import WAITING, Inbox
 from protocol.client_session import ReferenceClient
@@ -100,12 +100,12 @@ def test_every_request_has_one_fate_and_no_stop_misses_its_scan(batches: list[li
 def test_a_datagram_that_says_it_is_a_stop_is_seen_to_be_one() -> None:
     for code in CommandCode:
         data = encode(Command(5, code), Header(SESSION, 1, 0))
-        assert stop_code_of(data, SESSION) == (code if code in STOPS else None)
-        assert stop_code_of(data, SESSION + 1) is None
-        assert stop_code_of(data, None) is None
-        assert stop_code_of(data[:40], SESSION) is None
+        assert stop_of(data, SESSION) == ((code, 5) if code in STOPS else None)
+        assert stop_of(data, SESSION + 1) is None
+        assert stop_of(data, None) is None
+        assert stop_of(data[:40], SESSION) is None
     other = encode(ReferencePose(CommandCode.STOP, IDENTITY, 0.0), Header(SESSION, 1, 0))
-    assert stop_code_of(other, SESSION) is None
+    assert stop_of(other, SESSION) is None
 
 
 @given(st.lists(st.sampled_from([*STOPS, *[CommandCode.ENABLE] * 60]), max_size=900))
@@ -116,10 +116,18 @@ def test_the_newest_of_each_stop_is_in_the_next_slice(codes: list[CommandCode]) 
         left_out += arrivals.put(encode(Command(i + 1, code), Header(SESSION, i, 0)), i, SESSION)
     assert len(arrivals) + left_out == len(codes)
     assert len(arrivals) <= MOST_ARRIVALS + len(STOPS)
-    taken = [number for _, number in arrivals.take(A_CYCLE)]
+    taken = [number for _, number in arrivals.take(A_CYCLE) if isinstance(number, int)]
     assert taken == sorted(taken)
     for code in STOPS & set(codes):
         assert len(codes) - 1 - codes[::-1].index(code) in taken
+
+
+def test_a_repetition_does_not_push_out_the_newer_stop_before_it() -> None:
+    arrivals = Arrivals()
+    for command_id in [*range(20, 20 + A_CYCLE), 3]:
+        code = CommandCode.STOP if command_id in (3, 40) else CommandCode.ENABLE
+        arrivals.put(encode(Command(command_id, code), Header(SESSION, 1, 0)), command_id, SESSION)
+    assert [command_id for _, command_id in arrivals.take(A_CYCLE)] == [40]
 
 
 @pytest.mark.parametrize("whole", [False, True], ids=["in slices, moving", "all at once, stopping"])

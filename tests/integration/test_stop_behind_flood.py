@@ -3,7 +3,6 @@
 `make experiments` tries it a hundred times and prints how long it takes; see clauses 6.12 to 6.14.
 """
 
-import math
 import time
 from pathlib import Path
 
@@ -19,9 +18,12 @@ from testbed.experiments.robustness.controller_kills import trial_rig
 from tests.support.paths import CONFIGS
 
 FLOOD = 50_000
-LAST = 2_000  # of them, after the answers to the others were read: what comes then is read at once
+LAST = 500  # of them, after the answers to the others were read: what comes then is read at once
 REPEAT_MS = 20.0
 SCANS = 3
+PATIENT = [
+    "controller.reference_link.link_timeout_ms=5000"
+]  # with a flooding client that the machine suspends
 
 
 def ready(peer: Peer) -> State:
@@ -42,8 +44,8 @@ def flood(peer: Peer, count: int) -> None:
         peer.send(Command(peer.new_id(), CommandCode.ENABLE))
 
 
-def trial(peer: Peer, dy_m: float, *, stopping: bool) -> float:
-    """ms from sending EMERGENCY_STOP to the scan whose valve words are zero, by the machine's one clock."""
+def trial(peer: Peer, dy_m: float, *, stopping: bool) -> tuple[int, float]:
+    """Scans, and ms by the machine's one clock, from EMERGENCY_STOP in the socket to valve words of zero."""
     here = ready(peer).X_BT_cmd
     answer = peer.ask(ReferencePose(peer.new_id(), moved(here, dy=dy_m), 12.0), "a motion")
     assert answer.reason is Reason.ACCEPTED, answer
@@ -54,14 +56,20 @@ def trial(peer: Peer, dy_m: float, *, stopping: bool) -> float:
     if stopping:
         peer.send(Command(peer.new_id(), CommandCode.STOP))
     emergency = Command(peer.new_id(), CommandCode.EMERGENCY_STOP)
-    sent_ns = time.monotonic_ns()
-    while time.monotonic_ns() - sent_ns < 5_000_000_000:
-        peer.send(emergency)
+    peer.send(emergency)
+    arrived_ns = time.monotonic_ns()
+    cycles = []
+    while time.monotonic_ns() - arrived_ns < 5_000_000_000:
         for datagram in peer.collect(REPEAT_MS):
             state = datagram.message
-            if isinstance(state, State) and state.flags & FLAG_EMERGENCY_LATCHED:
+            if not isinstance(state, State):
+                continue
+            if state.time_ns > arrived_ns:
+                cycles.append(state.cycle)
+            if state.flags & FLAG_EMERGENCY_LATCHED:
                 assert state.valves == (0.0,) * 6
-                return (state.time_ns - sent_ns) / 1e6
+                return state.cycle - min([*cycles, state.cycle]) + 1, (state.time_ns - arrived_ns) / 1e6
+        peer.send(emergency)
     raise AssertionError("the emergency stop was not obeyed within 5 s")
 
 
@@ -72,19 +80,18 @@ def trial(peer: Peer, dy_m: float, *, stopping: bool) -> float:
 def test_an_emergency_stop_does_not_wait_behind_50_000_requests(
     trials: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with trial_rig(CONFIGS, [], tmp_path) as (launch, _):
+    with trial_rig(CONFIGS, PATIENT, tmp_path) as (launch, _):
         link = launch.settings.controller.reference_link
         peer = Peer(link.host, link.port, NonceSource(time.time_ns()))
-        cycle_ms = peer.open(period_ms=0).cycle_ns / 1e6
-        taken_ms = [trial(peer, 0.2 * (-1) ** number, stopping=number % 2 == 1) for number in range(trials)]
+        peer.open(period_ms=0)
+        trial_of = [trial(peer, 0.2 * (-1) ** number, stopping=number % 2 == 1) for number in range(trials)]
         peer.leave()
         peer.close()
-    half, most, top = np.percentile(taken_ms, [50, 99, 100])
+    scans, taken_ms = np.array(trial_of).T
+    told = [f"{q} {n:.0f} scans, {ms:.1f} ms" for q, n, ms in (
+        (f"p{p}", np.percentile(scans, p), np.percentile(taken_ms, p)) for p in (50, 99, 100)
+    )]  # fmt: skip
     with capsys.disabled():
-        print(
-            f"\nEMERGENCY_STOP behind {FLOOD} requests, {trials} trials, ms to the scan with zero valves: "
-            f"p50 {half:.1f}, p99 {most:.1f}, max {top:.1f}; a scan is {cycle_ms:g} ms"
-        )
+        print(f"\nEMERGENCY_STOP behind {FLOOD} requests, {trials} trials, to zero valves: {'; '.join(told)}")
     # The next exchange carries these words to the plant.
-    assert math.ceil(half / cycle_ms) + 1 <= SCANS
-    assert math.ceil(most / cycle_ms) + 1 <= SCANS or trials < 100
+    assert np.percentile(scans, 99) + 1 <= SCANS
