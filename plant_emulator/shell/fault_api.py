@@ -69,6 +69,12 @@ def create_app(plant: Plant, scene: Scene, allowed: bool) -> FastAPI:
     """The application over one running plant; it must be served in the plant's own event loop."""
     app = FastAPI(title="Longreach plant emulator: faults", version="1")
     install_problems(app, _STATUS_OF_CAUSE, _explained, None if allowed else _not_allowed)
+    _add_reading(app, plant, allowed)
+    _add_changing(app, plant, scene)
+    return app
+
+
+def _add_reading(app: FastAPI, plant: Plant, allowed: bool) -> None:
     every_kind = JSONResponse(
         [
             {"kind": kind, "description": model.__doc__, "schema": model.model_json_schema()}
@@ -91,6 +97,13 @@ def create_app(plant: Plant, scene: Scene, allowed: bool) -> FastAPI:
             "planned": [injection.as_dict() for injection in plant.faults.planned],
         }
 
+    @app.get("/faults/{number}")
+    async def fault(number: int) -> dict[str, Any]:
+        """One fault in force or planned."""
+        return _known(plant, number).as_dict()
+
+
+def _add_changing(app: FastAPI, plant: Plant, scene: Scene) -> None:
     @app.post("/faults", status_code=HTTPStatus.CREATED)
     async def inject(order: FaultOrder, response: Response) -> dict[str, Any]:
         """Break something, now or later; the answer names its number."""
@@ -101,11 +114,6 @@ def create_app(plant: Plant, scene: Scene, allowed: bool) -> FastAPI:
         injection = plant.inject(order.fault, start_ns, duration_ns)
         response.headers["location"] = f"/faults/{injection.number}"
         return injection.as_dict()
-
-    @app.get("/faults/{number}")
-    async def fault(number: int) -> dict[str, Any]:
-        """One fault in force or planned."""
-        return _known(plant, number).as_dict()
 
     @app.delete("/faults/{number}")
     async def clear(number: int) -> dict[str, Any]:
@@ -118,8 +126,6 @@ def create_app(plant: Plant, scene: Scene, allowed: bool) -> FastAPI:
         cleared = [injection.as_dict() for injection in plant.faults.all()]
         plant.clear_faults()
         return cleared
-
-    return app
 
 
 def _not_allowed(scope: Scope) -> Refusal | None:

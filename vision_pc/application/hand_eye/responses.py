@@ -97,8 +97,8 @@ def residuals(session: Session, belief: Belief) -> list[JSON]:
     return [
         {
             "name": s.name,
-            "residual_mm": [round(1e3 * float(v), 3) for v in by_name[s.name][:3]],
-            "residual_deg": [round(math.degrees(float(v)), 4) for v in by_name[s.name][3:]],
+            "residual_mm": _milli(by_name[s.name][:3]),
+            "residual_deg": _deg(by_name[s.name][3:]),
             "distance_m": round(float(np.linalg.norm(s.X_CP[:3, 3])), 3),
             "settled": s.settled,
         }
@@ -122,8 +122,8 @@ def marker_json(seen: TargetLook) -> JSON:
     cosine = -float(p @ seen.X_CP[:3, 2]) / float(np.linalg.norm(p))
     return {
         "X_CP": pose_json(seen.X_CP),
-        "std_mm": [round(1e3 * float(v), 3) for v in std[:3]],
-        "std_deg": [round(math.degrees(float(v)), 4) for v in std[3:]],
+        "std_mm": _milli(std[:3]),
+        "std_deg": _deg(std[3:]),
         "distance_m": round(float(np.linalg.norm(p)), 4),
         "obliquity_deg": round(math.degrees(math.acos(min(max(cosine, -1.0), 1.0))), 2),
         "seen": f"{seen.seen}/{seen.frames}",
@@ -149,7 +149,7 @@ def solved(session: Session) -> tuple[JSON, Array]:
         answer["others"].append({"method": "image-space", "failed": f"{error.cause}: {error}"})
     else:
         answer["others"].append(
-            {"method": "image-space", "p_mm": _mm(adjusted.X), "off": off(adjusted.X, result.X)}
+            {"method": "image-space", "p_mm": _milli(adjusted.X[:3, 3]), "off": off(adjusted.X, result.X)}
         )
     return answer, result.X
 
@@ -159,59 +159,66 @@ def _other(pairs: PosePairs, method: Method, result: HandEyeResult) -> JSON:
         X = methods.solve(pairs, method).X
     except MeasurementFailed as error:
         return {"method": method.value, "failed": f"{error.cause}: {error}"}
-    return {"method": method.value, "p_mm": _mm(X), "off": off(X, result.X)}
+    return {"method": method.value, "p_mm": _milli(X[:3, 3]), "off": off(X, result.X)}
 
 
-def _mm(X: Array) -> list[float]:
-    return [round(1e3 * float(v), 3) for v in X[:3, 3]]
+def _milli(values: Array, digits: int = 3) -> list[float]:
+    return [round(1e3 * float(v), digits) for v in values]
+
+
+def _deg(values: Array, digits: int = 4) -> list[float]:
+    return [round(math.degrees(float(v)), digits) for v in values]
 
 
 def _solution_json(solution: GuidedSolution) -> JSON:
-    result, whole, arm = solution.result, solution.covariance, solution.arm
+    result, arm = solution.result, solution.arm
     assert result.covariance is not None
     assert result.certificate is not None
-    std = np.sqrt(np.diag(result.covariance))
-    whole_std = np.sqrt(np.diag(whole))
-    std_m, std_rad = float(np.linalg.norm(whole_std[:3])), float(np.linalg.norm(whole_std[3:]))
     left_out = [name for name, inlier in zip(result.names, result.inliers, strict=True) if not inlier]
-    good = result.certificate.holds and std_m <= WANTED_STD_M
-    proof = "proven global" if result.certificate.holds else "not proven global"
-    verdict = (
-        f"{'good' if good else 'take more samples'}: X known to {1e3 * std_m:.2f} mm and "
-        f"{math.degrees(std_rad):.3f}°, {proof}, {len(left_out)} of "
-        f"{len(result.names)} samples left out"
-    )
     return {
         "method": result.method,
         "X_TC": pose_json(result.X),
         "X_BP": pose_json(result.Z),
-        "std_mm": [round(1e3 * float(v), 4) for v in std[:3]],
-        "std_deg": [round(math.degrees(float(v)), 5) for v in std[3:]],
-        "covariance_p_theta": result.covariance.tolist(),
-        "with_arm": {
-            "std_mm": [round(1e3 * float(v), 4) for v in whole_std[:3]],
-            "std_deg": [round(math.degrees(float(v)), 5) for v in whole_std[3:]],
-            "covariance_p_theta": whole.tolist(),
-        },
+        **_uncertainty_json(result.covariance),
+        "with_arm": _uncertainty_json(solution.covariance),
         "arm": arm
         and {
-            "zeros_mrad": [round(1e3 * float(v), 3) for v in arm.zeros],
-            "std_mrad": [round(1e3 * float(v), 3) for v in arm.std],
+            "zeros_mrad": _milli(arm.zeros),
+            "std_mrad": _milli(arm.std),
             "camera_noise": round(arm.camera_noise, 3),
             "play": round(arm.play, 3),
         },
         "left_out": left_out,
         "residuals": [
-            {
-                "name": name,
-                "mm": [round(1e3 * float(v), 3) for v in r[:3]],
-                "deg": [round(math.degrees(float(v)), 4) for v in r[3:]],
-            }
+            {"name": name, "mm": _milli(r[:3]), "deg": _deg(r[3:])}
             for name, r in zip(result.names, result.residuals, strict=True)
         ],
         "certificate": asdict(result.certificate) | {"holds": result.certificate.holds},
         "observability": result.observability.reason,
         "notes": list(result.notes),
+        **_verdict_json(solution.covariance, result.certificate.holds, len(left_out), len(result.names)),
+    }
+
+
+def _uncertainty_json(covariance: Array) -> JSON:
+    std = np.sqrt(np.diag(covariance))
+    return {
+        "std_mm": _milli(std[:3], 4),
+        "std_deg": _deg(std[3:], 5),
+        "covariance_p_theta": covariance.tolist(),
+    }
+
+
+def _verdict_json(covariance: Array, proven: bool, left_out: int, samples: int) -> JSON:
+    """Whether X is good enough, and why in one line; ``covariance`` counts what the arm is not known by."""
+    std = np.sqrt(np.diag(covariance))
+    std_m, std_rad = float(np.linalg.norm(std[:3])), float(np.linalg.norm(std[3:]))
+    good = proven and std_m <= WANTED_STD_M
+    return {
         "good": good,
-        "verdict": verdict,
+        "verdict": (
+            f"{'good' if good else 'take more samples'}: X known to {1e3 * std_m:.2f} mm and "
+            f"{math.degrees(std_rad):.3f}°, {'proven global' if proven else 'not proven global'}, "
+            f"{left_out} of {samples} samples left out"
+        ),
     }

@@ -171,17 +171,7 @@ def calibrate(views: Sequence[BoardView], width: int, height: int) -> Intrinsics
         ) from error
     std_px = _doubles(std).ravel()[:4]
     X_CB = np.stack([_board_pose(_doubles(r), _doubles(t)) for r, t in zip(turns, shifts, strict=True)])
-    cosines = X_CB[:, :3, 2] @ X_CB[:, :3, 2].T
-    if cosines.min() > _PARALLEL_COS:  # the fit's own standard deviation does not notice
-        raise MeasurementFailed(
-            "measurement.intrinsics.undetermined",
-            "the boards are parallel, which leaves the focal length open; tilt them differently",
-        )
-    if not np.isfinite(std_px).all() or std_px[0] > _UNDETERMINED * K[0, 0]:
-        raise MeasurementFailed(
-            "measurement.intrinsics.undetermined",
-            f"focal length {K[0, 0]:.1f} px is known to {std_px[0]:.1f} px only; tilt the board more",
-        )
+    _require_focal_length(_doubles(K), std_px, X_CB)
     view_rms = _doubles(per_view).ravel()
     limit = _OUTLYING * float(np.median(view_rms))
     return Intrinsics(
@@ -195,6 +185,20 @@ def calibrate(views: Sequence[BoardView], width: int, height: int) -> Intrinsics
         coverage(views, width, height),
         tuple(v.name for v, e in zip(views, view_rms, strict=True) if e > limit),
     )
+
+
+def _require_focal_length(K: Array, std_px: Array, X_CB: Array) -> None:
+    cosines = X_CB[:, :3, 2] @ X_CB[:, :3, 2].T
+    if cosines.min() > _PARALLEL_COS:  # the fit's own standard deviation does not notice
+        raise MeasurementFailed(
+            "measurement.intrinsics.undetermined",
+            "the boards are parallel, which leaves the focal length open; tilt them differently",
+        )
+    if not np.isfinite(std_px).all() or std_px[0] > _UNDETERMINED * K[0, 0]:
+        raise MeasurementFailed(
+            "measurement.intrinsics.undetermined",
+            f"focal length {K[0, 0]:.1f} px is known to {std_px[0]:.1f} px only; tilt the board more",
+        )
 
 
 def _board_pose(turn: Array, shift: Array) -> Array:

@@ -51,7 +51,8 @@ def create_app(
         responses={"4XX": _PROBLEM, "5XX": _PROBLEM},
     )
     install_problems(app, STATUS_OF_CAUSE)
-    _add_reading(app, application, operations)
+    _add_state(app, application, operations)
+    _add_looks(app, application)
     _add_commands(app, application, operations)
     table = by_name(programs).values()
     add_programs(app, application, operations, (program for program in table if program.tag != HAND_EYE))
@@ -62,7 +63,7 @@ def create_app(
     return app
 
 
-def _add_reading(app: FastAPI, application: VisionApplication, operations: Operations) -> None:
+def _add_state(app: FastAPI, application: VisionApplication, operations: Operations) -> None:
     @app.get("/health", tags=["state"], summary="Whether controller and camera answer")
     async def health(request: Request) -> Response:
         """200 when both answer, else a 503 problem that says which does not."""
@@ -96,6 +97,8 @@ def _add_reading(app: FastAPI, application: VisionApplication, operations: Opera
         """Always answered: session, authentication, every counter of datagrams, and the clock's offset."""
         return link_view(application.controller)
 
+
+def _add_looks(app: FastAPI, application: VisionApplication) -> None:
     @app.get("/looks/latest", tags=["looks"], summary="The latest look, with error, uncertainty and verdict")
     async def latest_look() -> JSON:
         """404 until something was looked at."""

@@ -70,6 +70,24 @@ class ProgressEvent(BaseModel):
     note: str
 
 
+class _Followers:
+    """How many follow the events of an operation at present."""
+
+    def __init__(self) -> None:
+        self._count = 0
+
+    async def place(self) -> AsyncIterator[None]:
+        """One place among the followers for as long as the response lasts."""
+        if self._count >= MAX_FOLLOWERS:
+            why = f"{MAX_FOLLOWERS} clients follow already; read the operation instead"
+            raise RequestRefused("refused.too_many_followers", why)
+        self._count += 1
+        try:
+            yield
+        finally:
+            self._count -= 1
+
+
 def add_resources(app: FastAPI, operations: Operations) -> None:
     """Adds reading, cancelling and following operations to ``app``."""
 
@@ -77,19 +95,7 @@ def add_resources(app: FastAPI, operations: Operations) -> None:
         return operations.get(operation_id)
 
     Found = Annotated[Operation, Depends(found)]
-    followers = 0
-
-    async def following() -> AsyncIterator[None]:
-        """One place among the followers for as long as the response lasts."""
-        nonlocal followers
-        if followers >= MAX_FOLLOWERS:
-            why = f"{MAX_FOLLOWERS} clients follow already; read the operation instead"
-            raise RequestRefused("refused.too_many_followers", why)
-        followers += 1
-        try:
-            yield
-        finally:
-            followers -= 1
+    followers = _Followers()
 
     @app.get("/operations", tags=["operations"], summary="All operations, oldest first")
     async def every() -> list[OperationView]:
@@ -105,7 +111,7 @@ def add_resources(app: FastAPI, operations: Operations) -> None:
         return operation_view(await operations.cancel(operation.id))
 
     @app.get("/operations/{operation_id}/events", tags=["operations"], summary="Follow it (event stream)",
-             response_class=EventSourceResponse, dependencies=[Depends(following)])  # fmt: skip
+             response_class=EventSourceResponse, dependencies=[Depends(followers.place)])  # fmt: skip
     async def events(operation: Found) -> AsyncIterable[ServerSentEvent]:
         """``progress`` events, then one ``ended`` with the whole operation."""
         sent, seen = 0, -1
