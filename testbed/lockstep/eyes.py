@@ -5,7 +5,7 @@ from typing import Any
 
 from testbed.lockstep.frames import PixelFrames, Sight
 from testbed.lockstep.world import World
-from vision_pc.application.eyes import CameraEyes, Eyes
+from vision_pc.application.eyes import CameraEyes, FrameEyes
 from vision_pc.application.ports import Runtime
 from vision_pc.core.types import CameraFrame, FrameObservation, Look, WatchHealth
 
@@ -36,8 +36,8 @@ def camera_eyes(world: World) -> CameraEyes:
     return CameraEyes(PixelFrames(world), world.link, world.settings.vision, runtime, RunRecord(world))
 
 
-def eyes_with(world: World, sight: Sight) -> Eyes[Any]:
+def eyes_with(world: World, sight: Sight) -> FrameEyes[Any]:
     """Eyes that look with ``sight``."""
     runtime = Runtime(world.clock, world.clock, world.clock)
     look = world.settings.vision.look
-    return Eyes(sight.frames, sight.sensor, world.link, look, runtime, RunRecord(world))
+    return FrameEyes(sight.frames, sight.sensor, world.link, look, runtime, RunRecord(world))

@@ -65,7 +65,7 @@ class LiveWatch(Generic[F]):
         return None
 
 
-class Eyes(Generic[F]):
+class FrameEyes(Generic[F]):
     """Implements ``vision_pc.core.ports.Eyes`` over a source of frames and a sensor that measures in them."""
 
     def __init__(
@@ -157,7 +157,7 @@ class Eyes(Generic[F]):
             raise RequestRefused("refused.moving", "look: the arm is moving")
 
 
-class CameraEyes(Eyes[StereoPair]):
+class CameraEyes(FrameEyes[StereoPair]):
     """Eyes on a camera with pixels; they also hand its pictures to people and to calibrations."""
 
     def __init__(

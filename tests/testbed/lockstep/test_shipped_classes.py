@@ -14,7 +14,7 @@ from testbed.lockstep.simulated_measurements import load_eye_model, simulated_si
 from testbed.scenarios.settings import Settings, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.application.camera_feed import CameraFeed
-from vision_pc.application.eyes import CameraEyes, Eyes
+from vision_pc.application.eyes import CameraEyes, FrameEyes
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.shell import service
@@ -48,8 +48,8 @@ def test_link_arm_and_eyes_are_of_the_service_s_own_classes(settings: Settings) 
 def test_simulated_measurements_go_through_the_same_looks_and_watches(settings: Settings) -> None:
     sight = partial(simulated_sight, model=load_eye_model(CONFIGS), seed=1)
     rig = LockstepRig(settings, 1, RunLog(), sight)
-    assert type(rig.eyes) is Eyes
-    assert not methods(CameraEyes) & methods(Eyes) - {"__init__"}, (
+    assert type(rig.eyes) is FrameEyes
+    assert not methods(CameraEyes) & methods(FrameEyes) - {"__init__"}, (
         "camera eyes add to eyes and replace nothing"
     )
 
