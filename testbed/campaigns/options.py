@@ -11,11 +11,11 @@ Assignments = Annotated[
 Scenario = Annotated[str, Option(help="Which of CONFIG_DIR/scenarios to draw the world from.")]
 
 
-class Eyes(StrEnum):
+class EyesKind(StrEnum):
     """What vision measures with."""
 
     PIXELS = "pixels"
     MODEL = "model"
 
 
-ChosenEyes = Annotated[Eyes, Option(help="Rendered pictures, or the model measured from them.")]
+ChosenEyes = Annotated[EyesKind, Option(help="Rendered pictures, or the model measured from them.")]

@@ -102,7 +102,7 @@ def run_compare(source: SampleSource, json_file: Path | None) -> None:
     pairs = source.read()
     rows = hold_out(source.file.stem, pairs)
     out.print(experiment_tables.hold_out_table(rows))
-    write_json(json_file, {"rows": [row.as_json() for row in rows]})
+    write_json(json_file, {"rows": rows})
 
 
 def run_intrinsics_of_pictures(
@@ -140,7 +140,7 @@ def run_intrinsics_of_pictures(
     )
     write_json(
         json_file,
-        row.as_json()
+        row._asdict()
         | {
             "K": K,
             "distortion": found.distortion,

@@ -11,7 +11,7 @@ from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import CONTROLLER_CLOCK_NS, VISION_CLOCK_NS
 from testbed.reporting.console import Bars, bars
 from testbed.reporting.outcome import Outcome
-from testbed.reporting.plots import ControllerView
+from testbed.reporting.plots import TracedView
 from testbed.reporting.presentation import Choice, present
 from testbed.reporting.report import run_directory
 from testbed.scenarios.settings import Overrides, load_settings
@@ -23,7 +23,7 @@ class LockstepRun(NamedTuple):
     outcome: Outcome
     rests: list[Rest]
     truths: list[TimedTruth]
-    views: list[ControllerView]
+    views: list[TracedView]
     log: RunLog
 
 
@@ -46,7 +46,7 @@ def run_lockstep(config_dir: Path, overrides: Overrides, choice: Choice, shown: 
         log.add(rig.world.time_ns, "failure", cause=error.cause, message=str(error))
     truths = [TimedTruth(truth.time_ns + VISION_CLOCK_NS, truth) for truth in rig.world.truths]
     views = [
-        ControllerView(s.time_ns - CONTROLLER_CLOCK_NS + VISION_CLOCK_NS, s.X_BT.p_m, s.q_cmd, s.q_meas)
+        TracedView(s.time_ns - CONTROLLER_CLOCK_NS + VISION_CLOCK_NS, s.X_BT.p_m, s.q_cmd, s.q_meas)
         for s in rig.world.states
     ]
     clearance_m = settings.vision.programs.positioning.clearance_m

@@ -14,7 +14,7 @@ from testbed.realtime.supervisor import Supervisor
 from testbed.realtime.up import end_on_sigterm, show_fault_api, started
 from testbed.reporting.console import Bars, bars
 from testbed.reporting.outcome import Outcome
-from testbed.reporting.plots import ControllerView
+from testbed.reporting.plots import TracedView
 from testbed.reporting.presentation import Choice, present, read_events
 from testbed.reporting.report import run_directory
 from testbed.scenarios.settings import Overrides
@@ -26,7 +26,7 @@ class Driven(NamedTuple):
     """What the sequence left behind. ``failure`` stopped it; ``cycle`` is the controller's timing, newest."""
 
     rests: list[Rest]
-    views: list[ControllerView]
+    views: list[TracedView]
     cycle: JSON | None
     failure: LongreachError | None
 

@@ -15,7 +15,7 @@ from plant_emulator.core.truth import PlantTruth, tool_error
 from protocol.errors import MeasurementFailed
 from testbed.reporting.console import Bar, Bars
 from testbed.reporting.outcome import Array, Errors, Stage
-from testbed.reporting.plots import ControllerView, Traces
+from testbed.reporting.plots import TracedView, Traces
 from testbed.reporting.report import Picture
 from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.calibration.orientation import OrientationResult
@@ -186,7 +186,7 @@ def _true(
     return Errors(errors.mean(axis=0), float(np.mean(angles)))
 
 
-def traces(truths: Sequence[TimedTruth], views: Sequence[ControllerView], clearance_m: float) -> Traces:
+def traces(truths: Sequence[TimedTruth], views: Sequence[TracedView], clearance_m: float) -> Traces:
     """The run's curves; times count from the first truth."""
     begin_ns = truths[0].time_ns
     return Traces(

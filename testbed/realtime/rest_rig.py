@@ -11,7 +11,7 @@ import numpy as np
 from protocol.errors import LinkLost, LongreachError, MeasurementFailed, MotionUnsettled, RequestRefused
 from testbed.realtime.parsed_results import RESULT_OF, ReportedLook, look_of
 from testbed.reporting.console import Bar
-from testbed.reporting.plots import ControllerView
+from testbed.reporting.plots import TracedView
 
 JSON = dict[str, Any]
 _POLL_S = 0.2
@@ -121,7 +121,7 @@ class StateSampler:
     """
 
     def __init__(self, url: str, period_s: float = 0.1) -> None:
-        self.views: list[ControllerView] = []
+        self.views: list[TracedView] = []
         self.cycle: JSON | None = None
         self._rig = RestRig(url)
         self._period_s = period_s
@@ -144,5 +144,5 @@ class StateSampler:
             except LongreachError:
                 continue  # told by whoever drives; a curve may have a gap
             joints = (np.radians(state[key]).tolist() for key in ("q_cmd_deg", "q_meas_deg"))
-            self.views.append(ControllerView(time.monotonic_ns(), state["X_BT"]["p_m"], *joints))
+            self.views.append(TracedView(time.monotonic_ns(), state["X_BT"]["p_m"], *joints))
             self.cycle = state["cycle"]

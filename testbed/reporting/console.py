@@ -3,9 +3,10 @@
 import json
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from string import Formatter
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,8 @@ LINE_S = 60.0
 """How often progress is told where there is no terminal to draw a bar in."""
 _UNKNOWN_S = 2.0  # before which a pace says nothing
 _PLAIN_WIDTH = 130  # of a pipe or file, which has no width of its own
+Columns = Mapping[str, str | Callable[[Any], object]]
+"""Of ``listed``: heading → how its cells are made."""
 out = Console(width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
 err = Console(stderr=True, width=None if sys.stderr.isatty() else _PLAIN_WIDTH)
 
@@ -77,6 +80,22 @@ def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) 
     for row in rows:
         made.add_row(*(str(cell) for cell in row))
     return made
+
+
+def listed(title: str, columns: Columns, rows: Iterable[Any]) -> Table:
+    """A table with a line for each typed row.
+
+    ``columns``: heading → how the cell is made, by a function or by the row's fields as ``str.format`` has
+    them: ``{error_mm:.2f}``. The cell is a dash where such a field is None.
+    """
+    return table(title, columns, ([_cell(row, made) for made in columns.values()] for row in rows))
+
+
+def _cell(row: Any, made: str | Callable[[Any], object]) -> object:
+    if callable(made):
+        return made(row)
+    fields = {name: getattr(row, name) for _, name, _, _ in Formatter().parse(made) if name}
+    return "–" if None in fields.values() else made.format_map(fields)
 
 
 class Bar:

@@ -28,7 +28,7 @@ STYLE: dict[Any, Any] = {
 AXIS_COLOURS = ("#0072b2", "#d55e00", "#009e73")  # told apart by the colour-blind too
 
 
-class ControllerView(NamedTuple):
+class TracedView(NamedTuple):
     """The controller's own view at ``time_ns`` of vision's clock, for the report's curves."""
 
     time_ns: int

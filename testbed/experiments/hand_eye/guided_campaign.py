@@ -27,7 +27,7 @@ from vision_pc.core.hand_eye.solvers.methods import Method
 _PAPER_MM = 2.9  # Hua et al. 2024, Fig. 5: DQCR
 
 
-class GuidedSettings(NamedTuple):
+class GuidedCampaignSettings(NamedTuple):
     """What the worlds are drawn from, and what is done in each."""
 
     repetitions: Annotated[
@@ -68,10 +68,10 @@ class GuidedRow(NamedTuple):
         return (self.curves or {}).get(f"{kind}_{samples}_mm")
 
 
-Guided = Finished[GuidedSettings, GuidedRow]
+Guided = Finished[GuidedCampaignSettings, GuidedRow]
 
 
-def guided_tasks(request: CampaignRequest, settings: GuidedSettings) -> list[Task]:
+def guided_tasks(request: CampaignRequest, settings: GuidedCampaignSettings) -> list[Task]:
     """One task a world. Raises ConfigurationError when the first one's configuration is wrong."""
     overrides = chosen_overrides(request.config_dir, settings.scenario, request.seed, [])
     load_settings(request.config_dir, overrides)
@@ -241,7 +241,7 @@ GUIDED = Experiment(
     title="Guided hand-eye sessions on the emulated arm.",
     shows="error of X, its covariance, samples needed and located targets of guided sessions",
     cost="60 CPU s",
-    settings=GuidedSettings,
+    settings=GuidedCampaignSettings,
     row=GuidedRow,
     tasks=guided_tasks,
     run=one_run,

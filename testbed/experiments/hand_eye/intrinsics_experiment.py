@@ -6,8 +6,7 @@ the same code runs on OpenCV's real pictures.
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -29,8 +28,7 @@ PAPER_RMS_PX = 0.43
 CHARUCO = Charuco(9, 7, 0.024, 0.018, cv2.aruco.DICT_5X5_100)
 
 
-@dataclass(frozen=True)
-class IntrinsicsRow:
+class IntrinsicsRow(NamedTuple):
     """One detector on one set of pictures. ``*_error`` need the truth, ``std_fx_px`` is the fit's word.
 
     ``outlying`` names views whose error stands out, ``empty_cells_percent`` the part of the picture without
@@ -51,10 +49,6 @@ class IntrinsicsRow:
     centre_error_px: float | None
     outlying: tuple[str, ...]
     empty_cells_percent: float
-
-    def as_json(self) -> dict[str, Any]:
-        """For ``--json``."""
-        return asdict(self)
 
 
 def detect(
@@ -107,7 +101,7 @@ def calibration_row(task: dict[str, Any]) -> dict[str, Any]:
     """A campaign's row: calibration number ``run`` with both boards and all detectors."""
     made = _calibrations(int(task["run"]), int(task["views"]), int(task["seed"]))
     return {
-        "rows": [row.as_json() for row, _ in made],
+        "rows": [row for row, _ in made],
         "maps": [
             {
                 "detector": row.detector,

@@ -8,7 +8,6 @@ truth is known.
 """
 
 import math
-from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 import cv2
@@ -47,8 +46,7 @@ class LocalisationRig(NamedTuple):
     tolerance_mm: float = 3.0
 
 
-@dataclass(frozen=True)
-class LocalisationRow:
+class LocalisationRow(NamedTuple):
     """One method and task over all calibrations and repetitions; millimetres.
 
     ``error_mm`` mean length of the error, ``lowest_mm`` and ``highest_mm`` the 5 % and 95 % quantiles of
@@ -67,10 +65,6 @@ class LocalisationRow:
     failed: int
     paper_mm: float | None
     paper_recognised_percent: float | None
-
-    def as_json(self) -> dict[str, Any]:
-        """For ``--json``."""
-        return asdict(self)
 
 
 class LocalisationSession(NamedTuple):

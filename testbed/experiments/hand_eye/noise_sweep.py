@@ -6,9 +6,9 @@ writes "the camera motion"; absolute poses of camera or robot are what a real se
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -44,8 +44,7 @@ class NoiseOn(StrEnum):
     CAMERA_MOTIONS = "camera-motions"
 
 
-@dataclass(frozen=True)
-class SweepRow:
+class SweepRow(NamedTuple):
     """One method at one noise level: root-mean-square errors; ``failed`` runs raised an error.
 
     ``nees`` is the mean normalised squared error by the method's own covariance (6 when honest);
@@ -76,16 +75,11 @@ class SweepRow:
         return self.translation_mm / self.bound_translation_mm
 
 
-@dataclass(frozen=True)
-class NoiseSweep:
+class NoiseSweep(NamedTuple):
     """All rows, and the largest difference between DQCR as published and in closed form over all runs."""
 
     rows: tuple[SweepRow, ...]
-    dqcr_difference: float
-
-    def as_json(self) -> dict[str, Any]:
-        """For ``--json``."""
-        return {"rows": [asdict(row) for row in self.rows], "dqcr_largest_difference": self.dqcr_difference}
+    dqcr_largest_difference: float
 
 
 @dataclass
@@ -146,8 +140,8 @@ def noise_sweep(
 
 
 def level_of(task: dict[str, Any]) -> dict[str, Any]:
-    """One level as the run of a campaign: ``rows``, and ``dqcr_largest_difference``."""
-    return noise_sweep(NoiseOn(task["noise_on"]), task["runs"], [task["level"]], task["seed"]).as_json()
+    """One level as the run of a campaign: the columns of its sweep."""
+    return noise_sweep(NoiseOn(task["noise_on"]), task["runs"], [task["level"]], task["seed"])._asdict()
 
 
 def gathered(levels: Iterable[dict[str, Any]]) -> NoiseSweep:

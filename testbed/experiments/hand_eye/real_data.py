@@ -6,9 +6,8 @@ beside the project, and whoever asks for them where they are absent is told so.
 
 import os
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -35,8 +34,7 @@ MOVEIT_TRANSLATION = np.array([0.659, -0.249, 0.830])
 MOVEIT_EULER_XYZ = np.array([0.230, -2.540, 1.950])
 
 
-@dataclass(frozen=True)
-class HoldOutRow:
+class HoldOutRow(NamedTuple):
     """One method on one set: calibrated on one half, prediction error on the other, and exchanged.
 
     ``off_*`` compare X from all samples with the published reference, where there is one.
@@ -51,10 +49,6 @@ class HoldOutRow:
     off_deg: float | None = None
     off_mm: float | None = None
     error: str | None = None
-
-    def as_json(self) -> dict[str, Any]:
-        """For ``--json``."""
-        return asdict(self)
 
 
 def data_directory() -> Path:

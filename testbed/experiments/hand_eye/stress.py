@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,8 +21,7 @@ _FLAGS = ("selects", "certifies")
 METHODS = tuple(method for method in Method if method is not Method.DQCR_PUBLISHED)
 
 
-@dataclass(frozen=True)
-class StressRow:
+class StressRow(NamedTuple):
     """One method over all runs: median, root-mean-square and 95 % quantile of the error of X.
 
     ``refused`` runs raised an error; ``improper`` gave NaN or a left-handed rotation (must be 0); ``found``
@@ -46,10 +45,6 @@ class StressRow:
     found: float | None = None
     wrongly_dropped: float | None = None
     uncertified: int | None = None
-
-    def as_json(self) -> dict[str, Any]:
-        """For ``--json``."""
-        return asdict(self)
 
 
 @dataclass

@@ -12,7 +12,7 @@ from scipy import stats
 
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, inside, seeds
-from testbed.campaigns.options import Assignments, ChosenEyes, Eyes
+from testbed.campaigns.options import Assignments, ChosenEyes, EyesKind
 from testbed.experiments.positioning.corrected_plot import errors_plot
 from testbed.experiments.positioning.corrected_run import PositioningRow, one_run
 from testbed.experiments.positioning.scenarios import ARMS
@@ -31,21 +31,21 @@ class ChosenArm(StrEnum):
     BOTH = "both"
 
 
-class PositioningSettings(NamedTuple):
+class DrawnSettings(NamedTuple):
     """What drawn scenarios are run, and how they are seen."""
 
     harder: Annotated[
         bool, typer.Option("--harder", help="Scale, drift, lens, print and play errors on top.")
     ] = False
     arm: Annotated[ChosenArm, typer.Option(help="Which arm runs; both: in turn.")] = ChosenArm.PLANT
-    eyes: ChosenEyes = Eyes.MODEL
+    eyes: ChosenEyes = EyesKind.MODEL
     assignments: Assignments = None
 
 
-Positioned = Finished[PositioningSettings, PositioningRow]
+Positioned = Finished[DrawnSettings, PositioningRow]
 
 
-def positioning_tasks(request: CampaignRequest, settings: PositioningSettings) -> list[Task]:
+def positioning_tasks(request: CampaignRequest, settings: DrawnSettings) -> list[Task]:
     """One task a run; with both arms, seeds take them in turn."""
     asked = {"harder": settings.harder, "eyes": str(settings.eyes), "assignments": settings.assignments or []}
     chosen = ARMS if settings.arm is ChosenArm.BOTH else (str(settings.arm),)
@@ -186,7 +186,7 @@ BEST_MODE = Experiment(
     title="One look, then within 5 mm.",
     shows="how often one look, corrected on the way, brings the tool within 5 mm over drawn scenarios",
     cost="30 CPU s",
-    settings=PositioningSettings,
+    settings=DrawnSettings,
     row=PositioningRow,
     tasks=positioning_tasks,
     run=one_run,

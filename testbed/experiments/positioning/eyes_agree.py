@@ -11,10 +11,10 @@ from scipy import stats
 
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished
-from testbed.campaigns.options import Eyes
+from testbed.campaigns.options import EyesKind
 from testbed.experiments.positioning.corrected import (
     BRANCHES,
-    PositioningSettings,
+    DrawnSettings,
     positioning_tasks,
     quantile,
     worst_mm,
@@ -64,8 +64,8 @@ def agree_tasks(request: CampaignRequest, settings: AgreeSettings) -> list[Task]
     """The same seeds with both eyes."""
     return [
         task | {"key": f"{eyes}-{task['key']}"}
-        for eyes in Eyes
-        for task in positioning_tasks(request, PositioningSettings(settings.harder, eyes=eyes))
+        for eyes in EyesKind
+        for task in positioning_tasks(request, DrawnSettings(settings.harder, eyes=eyes))
     ]
 
 
@@ -77,10 +77,10 @@ def seen_run(config_dir: Path, task: Task) -> dict[str, Any]:
 def _compared(done: Seen) -> list[tuple[str, str, Array, Array, Comparison]]:
     """After, quantity, its values with pictures and by the model, and how they compare."""
     made = []
-    rows = {eyes: [row for row in done.rows if row.eyes == eyes] for eyes in Eyes}
+    rows = {eyes: [row for row in done.rows if row.eyes == eyes] for eyes in EyesKind}
     for name, what in BRANCHES.items():
         for quantity, of in (("worse of |x|, |y|", worst_mm), ("odometry − true, x", _apart)):
-            pixels, model = (of(rows[eyes], name) for eyes in (Eyes.PIXELS, Eyes.MODEL))
+            pixels, model = (of(rows[eyes], name) for eyes in (EyesKind.PIXELS, EyesKind.MODEL))
             made.append((what, quantity, pixels, model, compare(pixels, model)))
     return made
 

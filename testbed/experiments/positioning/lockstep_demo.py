@@ -15,7 +15,7 @@ from testbed.campaigns.options import Assignments, Scenario
 from testbed.campaigns.typed_rows import XYZ
 from testbed.demonstration.lockstep import run_lockstep
 from testbed.reporting import outcome as outcomes
-from testbed.reporting.console import bars, table
+from testbed.reporting.console import Columns, bars, listed, table
 from testbed.reporting.outcome import Outcome
 from testbed.reporting.presentation import Choice
 from testbed.scenarios.scenario import load_scenario
@@ -157,21 +157,18 @@ def demo_table(done: Demonstrated) -> list[Table]:
         ]
         for row in done.rows
     ]
-    columns = [
-        "looks",
-        *(f"under {limit:.0f} mm" for limit in LIMITS_MM),
-        "of",
-        "median mm",
-        "95 % mm",
-        "not reached",
-    ]
-    cells = [
-        [c.looks, c.under_10_mm, c.under_5_mm, c.runs, f"{c.median_mm:.2f}", f"{c.p95_mm:.2f}", c.not_reached]
-        for c in counts(done.rows, done.settings.looks)
-    ]
+    columns: Columns = {
+        "looks": "{looks}",
+        "under 10 mm": "{under_10_mm}",
+        "under 5 mm": "{under_5_mm}",
+        "of": "{runs}",
+        "median mm": "{median_mm:.2f}",
+        "95 % mm": "{p95_mm:.2f}",
+        "not reached": "{not_reached}",
+    }
     return [
         table("true errors, mm, camera axes", [*headings, "stopped by"], shown),
-        table("worse of |x| and |y|, true", columns, cells),
+        listed("worse of |x| and |y|, true", columns, counts(done.rows, done.settings.looks)),
     ]
 
 

@@ -19,7 +19,7 @@ from nominal_arm.dimensions import boom_dimensions
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished
 from testbed.experiments.positioning.scenarios import arm_files
-from testbed.reporting.console import table
+from testbed.reporting.console import Columns, listed
 from testbed.scenarios.settings import load_settings
 from vision_pc.config.programs import ProgramSettings
 from vision_pc.core.calibration.backlash import before_take_up
@@ -147,19 +147,15 @@ def measured_path(config_dir: Path, task: Task) -> PathRow:
 
 def path_table(done: Paths) -> list[Table]:
     """All candidates."""
-    shown = [
-        [
-            row.path + (" (used)" if row.used else ""),
-            f"{row.length_m:.2f}",
-            f"{row.time_s:.1f}",
-            f"{row.condition:.1f}" if row.condition < 1e6 else "∞",
-            f"{row.goal_rms_mm:.2f}",
-            f"{row.goal_worst_mm:.2f}",
-        ]
-        for row in done.rows
-    ]
-    headings = ["path", "length m", "time s", "condition", "rms mm", "worst mm"]
-    return [table(f"σ that each path leaves of a goal {GOAL_M:g} m off", headings, shown)]
+    columns: Columns = {
+        "path": lambda row: row.path + (" (used)" if row.used else ""),
+        "length m": "{length_m:.2f}",
+        "time s": "{time_s:.1f}",
+        "condition": lambda row: f"{row.condition:.1f}" if row.condition < 1e6 else "∞",
+        "rms mm": "{goal_rms_mm:.2f}",
+        "worst mm": "{goal_worst_mm:.2f}",
+    }
+    return [listed(f"σ that each path leaves of a goal {GOAL_M:g} m off", columns, done.rows)]
 
 
 def path_verdict(done: Paths) -> list[Check]:

@@ -14,7 +14,7 @@ from testbed.campaigns.campaign import Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least
 from testbed.campaigns.typed_rows import UNKNOWN, XYZ, flat, xyz
 from testbed.experiments.positioning.corrected import (
-    PositioningSettings,
+    DrawnSettings,
     positioning_tasks,
     quantile,
     share,
@@ -95,7 +95,7 @@ def _form(rig: LockstepRig, begin_ns: int, kind: str, body: dict[str, Any]) -> F
     return form._replace(loop_s=result.approach.time_s, missed=result.approach.missed)
 
 
-Served = Finished[PositioningSettings, ServoingRow]
+Served = Finished[DrawnSettings, ServoingRow]
 
 
 def servoing_table(done: Served) -> list[Table]:
@@ -132,7 +132,7 @@ LOOKING_AND_MOVING = Experiment(
     title="Visual servoing beside look-then-move.",
     shows="whether the closed loop at camera rate ends under 2 mm, beside look-then-move from the same start",
     cost="60 CPU s",
-    settings=PositioningSettings,
+    settings=DrawnSettings,
     row=ServoingRow,
     tasks=positioning_tasks,
     run=one_run,

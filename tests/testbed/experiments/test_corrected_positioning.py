@@ -14,7 +14,7 @@ from testbed.campaigns.typed_rows import typed
 from testbed.experiments.positioning.corrected import (
     BRANCHES,
     ChosenArm,
-    PositioningSettings,
+    DrawnSettings,
     checks_of,
     covered,
     normalised,
@@ -65,7 +65,7 @@ def test_an_unknown_arm_is_refused_by_name() -> None:
 
 def test_both_arms_take_turns() -> None:
     request = CampaignRequest(CONFIGS, Path("unused"), runs=4)
-    tasks = positioning_tasks(request, PositioningSettings(arm=ChosenArm.BOTH))
+    tasks = positioning_tasks(request, DrawnSettings(arm=ChosenArm.BOTH))
     assert {task["arm"] for task in tasks} == set(ARMS)
     assert len({task["key"] for task in tasks}) == 4
 
