@@ -16,9 +16,9 @@ from testbed.lockstep.world import World
 from testbed.scenarios.settings import Settings
 from vision_pc.application.hand_eye.driving import ended_in_fault
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
+from vision_pc.application.hand_eye.steps import StartCheck
 from vision_pc.application.hand_eye.store import SessionStore
 from vision_pc.application.link_arm import LinkArm
-from vision_pc.application.results import JSON
 from vision_pc.core.se3 import Array
 
 T = TypeVar("T")
@@ -57,9 +57,9 @@ def quiet(_progress: float, _note: str) -> None:
     """A report that nobody reads."""
 
 
-def start(rig: GuidedRig, name: str, seed: int) -> JSON:
+def start(rig: GuidedRig, name: str, seed: int) -> StartCheck:
     """Begins a session and takes its first sample where the arm stands."""
-    check: JSON = rig.run(rig.guided.start(name, rig.guided.defaults, seed, quiet))
+    check = rig.run(rig.guided.start(name, rig.guided.defaults, seed, quiet))
     rig.run(rig.guided.sample(quiet))
     return check
 

@@ -54,7 +54,7 @@ def one_run(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
         faults = guided_rig.take_all(rig, informative=True)
         session = rig.guided.session
         rig.run(rig.guided.solve())
-        row: dict[str, Any] = {"seed": seed, "promised_mm": check["promised_std_mm"]}
+        row: dict[str, Any] = {"seed": seed, "promised_mm": 1e3 * check.promised_std[0]}
         row |= _judged(session, rig.X_TC) | _curve("guided", session, rig.X_TC)
         row |= _localisation(rig, session, task["repetitions"], seed)
         if task["random"]:
@@ -151,12 +151,12 @@ def _localisation(rig: GuidedRig, session: Session, repetitions: int, seed: int)
             continue
         done += 1
         true_T, true_B = _true_targets(rig)
-        for target in seen["targets"]:
-            name = target["name"]
+        for target in seen.targets:
+            name = target.name
             for method, X in found.items():
-                in_hand = se3.apply(X, np.array([target["p_C_m"]]))[0]
+                in_hand = se3.apply(X, target.p_C[None])[0]
                 hand.setdefault((name, method), []).append(float(np.linalg.norm(in_hand - true_T[name])))
-            base.setdefault(name, []).append(float(np.linalg.norm(np.array(target["p_B_m"]) - true_B[name])))
+            base.setdefault(name, []).append(float(np.linalg.norm(seen.in_base(target) - true_B[name])))
     row: dict[str, Any] = {
         "located": done, "not_reached": refused, "not_seen": unseen, "locating_faults": faults,
     }  # fmt: skip

@@ -16,6 +16,7 @@ from testbed.hand_eye.importer import load
 from tests.vision_pc.hand_eye.still_rig import X_BT_START, StillRig, quiet, still_settings
 from tests.vision_pc.program_settings import BOOM
 from vision_pc.application.application import VisionApplication
+from vision_pc.application.hand_eye.responses import check_json, session_json, solved_json
 from vision_pc.application.ports import CameraStatus
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.guided import solution as guided_solution
@@ -42,8 +43,8 @@ async def test_a_whole_session_finds_the_camera_in_the_hand(
 ) -> None:
     rig = quick_rig(tmp_path, robot_m=0.0003, robot_rad=0.0003)
     check = await rig.guided.start("monday", rig.guided.defaults, 1, quiet)
-    assert check["verdict"] == "marker 582 seen, 0/6: ready"
-    assert 0.1 < check["promised_std_mm"] < 20.0
+    assert check_json(check)["verdict"] == "marker 582 seen, 0/6: ready"
+    assert 0.0001 < check.promised_std[0] < 0.02
     await rig.guided.sample(quiet)
     stds = []
     while not rig.guided.session.complete:
@@ -52,10 +53,10 @@ async def test_a_whole_session_finds_the_camera_in_the_hand(
         done = await rig.guided.sample(quiet)
         seen_at = np.array(rig.guided.session.samples[-1].corners_left).mean(axis=0)
         if len(stds) > 2:  # once X is known roughly, the marker is where it was expected
-            assert np.abs(seen_at - proposal["pixel"]).max() < 25.0
-        stds.append(done["std_mm"])
+            assert np.abs(seen_at - proposal.pixel).max() < 25.0
+        stds.append(done.belief.std[0])
     assert stds == sorted(stds, reverse=True)
-    answer = await rig.guided.solve()
+    answer = solved_json(await rig.guided.solve())
     assert answer["certificate"]["holds"]
     assert answer["left_out"] == []
     assert np.all(np.array(answer["with_arm"]["std_mm"]) > answer["std_mm"])
@@ -71,7 +72,7 @@ async def test_a_whole_session_finds_the_camera_in_the_hand(
     assert {o["method"] for o in answer["others"]} >= {"tsai", "horaud", "daniilidis", "dqcr", "image-space"}
     await rig.move_to(X_BT_START)
     seen = await rig.guided.locate(quiet)
-    assert [t["name"] for t in seen["targets"]] == ["knob", "switch", "key hole"]
+    assert [target.name for target in seen.targets] == ["knob", "switch", "key hole"]
 
 
 async def test_samples_are_removed_redone_and_resumed_from_the_disk(tmp_path: Path) -> None:
@@ -81,18 +82,18 @@ async def test_samples_are_removed_redone_and_resumed_from_the_disk(tmp_path: Pa
         await rig.guided.next_pose(quiet)
         await rig.guided.sample(quiet)
     pose = rig.guided.session.sample("2").X_BT
-    assert [s["name"] for s in rig.guided.remove("1")["samples"]] == ["2", "3"]
+    assert [s.name for s in rig.guided.remove("1").samples] == ["2", "3"]
     await rig.guided.redo("2", quiet)
     assert np.allclose(rig.moves[-1], pose)
     assert [s.name for s in rig.guided.session.samples] == ["2", "3"]
     await rig.guided.next_pose(quiet)
-    before = rig.guided.view()
+    before = session_json(rig.guided.session)
 
     again = quick_rig(tmp_path)
     assert again.guided.store.names() == ["monday"]
-    assert again.guided.resume("monday") == before
+    assert session_json(again.guided.resume("monday")) == before
     await again.guided.go(quiet)
-    assert (await again.guided.sample(quiet))["sample"] == "4"
+    assert (await again.guided.sample(quiet)).name == "4"
     assert [s.name for s in again.guided.session.samples] == ["2", "3", "4"]
 
 
@@ -144,7 +145,7 @@ async def test_an_arm_stuck_in_a_corner_goes_back_to_the_start(tmp_path: Path) -
 
     rig.refuse = lambda X: "joint_limit" if np.array_equal(X, start) and rig.X_BT is not corner else None
     back = await rig.guided.back(quiet)  # the straight way is refused: over the sample
-    assert back["off"]["mm"] == 0.0
+    assert np.array_equal(back.view.X_BT, back.X_BT_ref)
     assert np.array_equal(rig.moves[-2], corner)
 
 
@@ -195,7 +196,7 @@ async def test_no_marker_or_another_one_is_said(
 async def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
     rig = quick_rig(tmp_path)
     with pytest.raises(RequestRefused, match="no session is open"):
-        rig.guided.view()
+        _ = rig.guided.session
     with pytest.raises(RequestRefused, match="letters, digits"):
         await rig.guided.start("../escape", rig.guided.defaults, 1, quiet)
     await rig.guided.start("monday", rig.guided.defaults, 1, quiet)
@@ -248,7 +249,7 @@ async def test_an_interrupted_write_leaves_the_session_before(tmp_path: Path) ->
     rig = quick_rig(tmp_path)
     await begun(rig)
     (tmp_path / "monday.part").write_text('{"format": "longreach-hand-e')
-    assert rig.guided.resume("monday")["count"] == "1/6"
+    assert len(rig.guided.resume("monday").samples) == 1
 
 
 class _Camera:

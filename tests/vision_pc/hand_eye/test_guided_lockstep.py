@@ -10,6 +10,7 @@ from protocol.reference_messages import ReferencePose
 from testbed.lockstep import guided_rig
 from testbed.lockstep.guided_rig import GuidedRig, quiet
 from tests.vision_pc.hand_eye.still_rig import still_settings
+from vision_pc.application.hand_eye.responses import check_json
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.guided import nominal_model
 
@@ -18,7 +19,7 @@ def test_two_samples_on_the_hydraulic_arm_and_none_while_it_moves(tmp_path: Path
     quick = {"vision": {"hand_eye": {"frames": 1, "minimum_frames": 1, "settle_timeout_s": 0.5}}}
     rig = GuidedRig(still_settings(**quick), 1, tmp_path)
     check = guided_rig.start(rig, "monday", 1)
-    assert check["verdict"].endswith("0/17: ready")
+    assert check_json(check)["verdict"].endswith("0/17: ready")
     start = rig.run(rig.arm.view()).X_BT
     away = se3.transform(start[:3, :3], start[:3, 3] + [-0.08, 0.0, 0.05])
     rig.run(rig.link.request(ReferencePose(0, se3.to_pose(away), 2.0)))
@@ -33,9 +34,9 @@ def test_two_samples_on_the_hydraulic_arm_and_none_while_it_moves(tmp_path: Path
 
     done = rig.run(rig.guided.next_pose(quiet))
     sample = rig.run(rig.guided.sample(quiet))
-    assert sample["count"] == 2
+    assert len(sample.session.samples) == 2
     seen_at = np.mean(rig.guided.session.samples[-1].corners_left, axis=0)
-    assert np.abs(seen_at - done["pixel"]).max() < 200.0  # the mount is only measured by tape yet
+    assert np.abs(seen_at - done.proposal.pixel).max() < 200.0  # the mount is only measured by tape yet
     assert rig.guided.session.samples[-1].moved_mrad < 1.0
     for taken in rig.guided.session.samples:  # the joints are those of the pose
         assert taken.q is not None

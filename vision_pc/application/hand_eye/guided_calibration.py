@@ -4,7 +4,6 @@ Each step that changes the session writes it to the disk before it answers. A st
 but the list of refused poses.
 """
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -12,26 +11,28 @@ import numpy as np
 from nominal_arm.dimensions import Dimensions
 from protocol.errors import MeasurementFailed, RequestRefused
 from vision_pc.application.hand_eye.driving import back_to_start, ended_in_fault, impossible
-from vision_pc.application.hand_eye.responses import (
+from vision_pc.application.hand_eye.responses import check_json, sample_json
+from vision_pc.application.hand_eye.sensing import HandEyeSight, Pictures, States
+from vision_pc.application.hand_eye.steps import (
+    Arrival,
+    NextPose,
+    SolvedSession,
+    StartCheck,
+    TakenSample,
+    Targets,
     believed,
     checked,
-    located,
-    marker_json,
-    off,
-    residuals,
-    session_json,
     solved,
+    verdict_of,
 )
-from vision_pc.application.hand_eye.sensing import HandEyeSight, Pictures, States
 from vision_pc.application.hand_eye.store import SessionStore
 from vision_pc.application.ports import Log, StoppableArm
-from vision_pc.application.results import JSON, pose_json
 from vision_pc.config.hand_eye import GuidedSettings
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.hand_eye.guided import sampling as guided_sampling
 from vision_pc.core.hand_eye.guided import views as guided_views
 from vision_pc.core.hand_eye.guided.sampling import Proposal
-from vision_pc.core.hand_eye.guided.session import Sample, Session, proposal_json
+from vision_pc.core.hand_eye.guided.session import Sample, Session
 from vision_pc.core.hand_eye.guided.target import TargetLook
 from vision_pc.core.ports import ArmView, Report
 from vision_pc.core.se3 import Array
@@ -71,7 +72,7 @@ class GuidedCalibration:
             raise RequestRefused("refused.hand_eye.no_session", "no session is open: start or resume one")
         return self._session
 
-    async def start(self, name: str, settings: GuidedSettings, seed: int, report: Report) -> JSON:
+    async def start(self, name: str, settings: GuidedSettings, seed: int, report: Report) -> StartCheck:
         """Checks the starting pose and opens a session there, with no sample yet.
 
         Raises RequestRefused (``refused.hand_eye.session_exists``), MeasurementFailed when the marker is not
@@ -93,18 +94,18 @@ class GuidedCalibration:
         check = await self._pictures.aside(lambda: checked(session, view.X_BT, seen))
         self._open(session)
         self.X_TC = None
-        self._log.write("hand_eye_started", session=name, **check)
-        return check | {"session": self.view()}
+        self._log.write("hand_eye_started", session=name, **check_json(check))
+        return check
 
-    def resume(self, name: str) -> JSON:
+    def resume(self, name: str) -> Session:
         """Opens a session from the disk."""
         self._session = self.store.load(name, self._sight.camera)
         self._sight.forget()
         self.X_TC = None
         self._log.write("hand_eye_resumed", session=name, samples=len(self._session.samples))
-        return self.view()
+        return self._session
 
-    async def propose(self, informative: bool = True) -> JSON:
+    async def propose(self, informative: bool = True) -> Proposal:
         """The next pose: the most informative one, or any that passes the bounds."""
         session = self.session
         if not session.samples:
@@ -112,7 +113,7 @@ class GuidedCalibration:
         proposal = await self._pictures.aside(lambda: self._proposal(session, informative))
         now = self.session  # it may have lost a sample meanwhile
         self._open(replace(now, proposal=proposal, proposed=now.proposed + 1))
-        return proposal_json(proposal)
+        return proposal
 
     def _proposal(self, session: Session, informative: bool) -> Proposal:
         rng = np.random.default_rng([session.seed, 2, session.proposed])
@@ -121,16 +122,16 @@ class GuidedCalibration:
             belief, session.around, session.settings, rng, session.refused, informative
         )
 
-    async def go(self, report: Report) -> JSON:
+    async def go(self, report: Report) -> Arrival:
         """Drives to the proposed pose. One that the controller refuses is remembered, and the arm rests."""
         proposal = self.session.proposal
         if proposal is None:
             raise RequestRefused("refused.hand_eye.no_proposal", "no pose is proposed: propose one first")
         report(0.1, "moving")
         view = await self._driven(proposal.X_BT, learn=True)
-        return _arrived(view, proposal.X_BT)
+        return Arrival(view, proposal.X_BT)
 
-    async def sample(self, report: Report, name: str | None = None) -> JSON:
+    async def sample(self, report: Report, name: str | None = None) -> TakenSample:
         """Takes a sample where the arm stands, in the place of sample ``name`` if that is given."""
         session = self.session
         if name is not None:
@@ -147,42 +148,26 @@ class GuidedCalibration:
             session, name = session.next_name()
         sample = _sample_of(name, seen, view, session.settings, moved)
         self._open(session.with_sample(sample))
-        told = {
-            "marker": marker_json(seen),
-            "count": len(self.session.samples),
-            "moved_mrad": round(moved, 3),
-        }
-        told |= await self._pictures.aside(lambda: self._judged(name))
-        self._log.write("hand_eye_sample", session=session.name, sample=name, **told)
-        return {"sample": name} | told
-
-    def _judged(self, name: str) -> JSON:
-        """The sample's residual by what is believed, and how well X is known."""
         session = self.session
-        belief = believed(session)
-        row = next(row for row in residuals(session, belief) if row["name"] == name)
-        std_m, std_rad = belief.std
-        return {
-            "residual_mm": row["residual_mm"],
-            "residual_deg": row["residual_deg"],
-            "std_mm": 1e3 * std_m,
-            "std_deg": math.degrees(std_rad),
-        }
+        belief = await self._pictures.aside(lambda: believed(session))
+        taken = TakenSample(name, session, seen, moved, belief)
+        self._log.write("hand_eye_sample", session=session.name, **sample_json(taken))
+        return taken
 
-    async def redo(self, name: str, report: Report) -> JSON:
+    async def redo(self, name: str, report: Report) -> TakenSample:
         """Drives back to a sample's pose and takes it again; the old one stays until the new one is there."""
         old = self.session.sample(name)
         report(0.1, f"moving back to sample {name}")
         await self._driven(old.X_BT, learn=False)
         return await self.sample(report, name)
 
-    def remove(self, name: str) -> JSON:
+    def remove(self, name: str) -> Session:
         """Leaves out a sample for good."""
         self._open(self.session.without(name))
         self._log.write("hand_eye_removed", session=self.session.name, sample=name)
-        return self.view()
+        return self.session
 
-    async def next_pose(self, report: Report, informative: bool = True) -> JSON:
+    async def next_pose(self, report: Report, informative: bool = True) -> NextPose:
         """Proposes and drives until the controller accepts a pose; stuck in a corner, from the start again.
 
         Raises RequestRefused with what the controller said last. After a fault the arm rests, and nothing
@@ -191,7 +176,7 @@ class GuidedCalibration:
         for count in range(1, _PATIENCE + 1):
             proposal = await self.propose(informative)
             try:
-                return proposal | await self.go(report)
+                return NextPose(proposal, await self.go(report))
             except RequestRefused as error:
                 if count == _PATIENCE or ended_in_fault(error) or not impossible(error):
                     raise
@@ -200,24 +185,25 @@ class GuidedCalibration:
                 await back_to_start(self._arm, self.session)
         raise AssertionError("unreachable")
 
-    async def back(self, report: Report) -> JSON:
+    async def back(self, report: Report) -> Arrival:
         """Drives to the session's starting pose, over its samples where the straight way is refused."""
         report(0.1, "moving back to the start")
         view = await back_to_start(self._arm, self.session)
-        return _arrived(view, self.session.around.X_BT_start)
+        return Arrival(view, self.session.around.X_BT_start)
 
-    async def solve(self) -> JSON:
+    async def solve(self) -> SolvedSession:
         """X by the certified robust solver with all that is known about it, others beside it, a verdict."""
         session = self.session
         if not session.samples:
             raise MeasurementFailed(
                 "measurement.hand_eye.too_few_samples", "0 samples are too few: take some"
             )
-        answer, self.X_TC = await self._pictures.aside(lambda: solved(session))
-        self._log.write("hand_eye_solved", session=session.name, verdict=answer["verdict"])
+        answer = await self._pictures.aside(lambda: solved(session))
+        self.X_TC = answer.solution.result.X
+        self._log.write("hand_eye_solved", session=session.name, verdict=verdict_of(answer.solution).text)
         return answer
 
-    async def locate(self, report: Report) -> JSON:
+    async def locate(self, report: Report) -> Targets:
         """The cabinet's targets in the hand and in the base, seen from here, with the X solved last.
 
         Raises RequestRefused (``refused.hand_eye.not_solved``, ``.no_drawing``), MeasurementFailed as
@@ -227,11 +213,7 @@ class GuidedCalibration:
             raise RequestRefused("refused.hand_eye.not_solved", "no X yet: solve first")
         report(0.2, "looking at the cabinet")
         X_BT, places = await self._sight.cabinet(self.defaults)
-        return located(X_BT, self.X_TC, places)
-
-    def view(self) -> JSON:
-        """The open session: its samples with residuals, and the proposal."""
-        return session_json(self.session)
+        return Targets(X_BT, self.X_TC, places)
 
     async def _driven(self, X_BT: Array, learn: bool) -> ArmView:
         session = self.session
@@ -252,7 +234,3 @@ def _sample_of(name: str, seen: TargetLook, view: ArmView, settings: GuidedSetti
         name, view.X_BT, seen.X_CP, seen.covariance, seen.corners_left, settings.marker_id, view.settled,
         moved, view.q_meas,
     )  # fmt: skip
-
-
-def _arrived(view: ArmView, X_BT: Array) -> JSON:
-    return {"X_BT_reached": pose_json(view.X_BT), "settled": view.settled, "off": off(view.X_BT, X_BT)}

@@ -1,58 +1,49 @@
-"""What a guided session answers: looks at the marker, residuals, the solution with its proof and verdict."""
+"""What the steps of a guided session return, as the API and the event log have it: mm and degrees."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
 
 from protocol.errors import MeasurementFailed
+from vision_pc.application.hand_eye.steps import (
+    Arrival,
+    NextPose,
+    OtherMethod,
+    SolvedSession,
+    StartCheck,
+    TakenSample,
+    Targets,
+    believed,
+    left_out,
+    verdict_of,
+)
 from vision_pc.application.results import JSON, pose_json
 from vision_pc.core import se3
-from vision_pc.core.hand_eye.guided import sampling as guided_sampling
-from vision_pc.core.hand_eye.guided import solution as guided_solution
-from vision_pc.core.hand_eye.guided.cabinet import Located
 from vision_pc.core.hand_eye.guided.sampling import Belief
-from vision_pc.core.hand_eye.guided.session import Sample, Session, proposal_json
+from vision_pc.core.hand_eye.guided.session import Session, proposal_json
 from vision_pc.core.hand_eye.guided.solution import GuidedSolution
 from vision_pc.core.hand_eye.guided.target import TargetLook
-from vision_pc.core.hand_eye.samples import PosePairs
-from vision_pc.core.hand_eye.solvers import bundle, methods
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
-from vision_pc.core.hand_eye.solvers.bundle import RobotNoise
-from vision_pc.core.hand_eye.solvers.methods import Method
-from vision_pc.core.hand_eye.solvers.result import HandEyeResult
 from vision_pc.core.se3 import Array
 
-COMPARED = (Method.TSAI, Method.HORAUD, Method.DANIILIDIS, Method.DQCR, Method.MAXIMUM_LIKELIHOOD)
-WANTED_STD_M = 0.003
 
-
-def believed(session: Session) -> Belief:
-    """What the session's samples and the tape measure say of X and Z."""
-    return guided_sampling.believed(session.pairs(), session.around, session.settings)
-
-
-def checked(session: Session, X_BT: Array, seen: TargetLook) -> JSON:
-    """The verdict on the starting pose: the view of the marker, and what the poses around it promise."""
-    settings = session.settings
-    here = Sample("start", X_BT, seen.X_CP, seen.covariance, seen.corners_left, settings.marker_id, True, 0.0)
-    belief = believed(session.with_sample(here))
-    choices = 0
-    for number in range(settings.poses - 1):
-        proposal = guided_sampling.propose(
-            belief, session.around, settings, np.random.default_rng([session.seed, 1, number])
-        )
-        choices = choices or proposal.choices
-        added = guided_sampling.information_of(proposal, belief, session.around, settings)
-        belief = belief._replace(information=belief.information + added)
+def check_json(check: StartCheck) -> JSON:
+    """The verdict on the starting pose."""
+    settings = check.session.settings
+    std_m, std_rad = check.promised_std
     return {
-        "marker": marker_json(seen),
-        "poses_in_view": f"{choices} of {settings.candidates}",
-        "promised_std_mm": 1e3 * belief.std[0],
-        "promised_std_deg": math.degrees(belief.std[1]),
+        "marker": marker_json(check.seen),
+        "poses_in_view": f"{check.choices} of {settings.candidates}",
+        "promised_std_mm": 1e3 * std_m,
+        "promised_std_deg": math.degrees(std_rad),
         "verdict": f"marker {settings.marker_id} seen, 0/{settings.poses}: ready",
     }
+
+
+def start_json(check: StartCheck) -> JSON:
+    """The verdict on the starting pose, and the session that begins there."""
+    return check_json(check) | {"session": session_json(check.session)}
 
 
 def session_json(session: Session) -> JSON:
@@ -71,20 +62,51 @@ def session_json(session: Session) -> JSON:
     }
 
 
-def located(X_BT: Array, X_TC: Array, places: Sequence[Located]) -> JSON:
-    """Targets seen from X_BT in the camera, in the hand by X_TC, and in the base."""
+def arrival_json(arrival: Arrival) -> JSON:
+    """Where the arm stands, and how far from where it was sent."""
+    view = arrival.view
     return {
-        "X_BT": pose_json(X_BT),
+        "X_BT_reached": pose_json(view.X_BT),
+        "settled": view.settled,
+        "off": off(view.X_BT, arrival.X_BT_ref),
+    }
+
+
+def next_json(done: NextPose) -> JSON:
+    """The proposal, and where the arm stands."""
+    return proposal_json(done.proposal) | arrival_json(done.arrival)
+
+
+def sample_json(taken: TakenSample) -> JSON:
+    """The look, the sample's residual by what is believed, and how well X is known."""
+    row = next(row for row in residuals(taken.session, taken.belief) if row["name"] == taken.name)
+    std_m, std_rad = taken.belief.std
+    return {
+        "sample": taken.name,
+        "marker": marker_json(taken.seen),
+        "count": len(taken.session.samples),
+        "moved_mrad": round(taken.moved_mrad, 3),
+        "residual_mm": row["residual_mm"],
+        "residual_deg": row["residual_deg"],
+        "std_mm": 1e3 * std_m,
+        "std_deg": math.degrees(std_rad),
+    }
+
+
+def targets_json(found: Targets) -> JSON:
+    """The targets in the camera, in the hand, and in the base."""
+    return {
+        "X_BT": pose_json(found.X_BT),
         "targets": [
             {
                 "name": t.name,
                 "p_C_m": t.p_C.tolist(),
-                "p_T_m": se3.apply(X_TC, t.p_C[None])[0].tolist(),
-                "p_B_m": se3.apply(X_BT @ X_TC, t.p_C[None])[0].tolist(),
+                "p_T_m": found.in_hand(t).tolist(),
+                "p_B_m": found.in_base(t).tolist(),
                 "gap_px": t.gap_px,
                 "correlation": t.correlation,
             }
-            for t in places
+            for t in found.targets
         ],
     }
 
@@ -130,36 +152,17 @@ def marker_json(seen: TargetLook) -> JSON:
     }
 
 
-def solved(session: Session) -> tuple[JSON, Array]:
-    """The solution of a session with covariance, residuals, proof and verdict; others beside it.
-
-    The image-space adjustment takes the hand's poses as the solution has corrected them, others as reported.
-    """
-    pairs = session.pairs()
-    solution = guided_solution.solve(session)
-    result = solution.result
-    answer = _solution_json(solution) | {"others": [_other(pairs, m, result) for m in COMPARED]}
-    noise = result.noise
-    robot = None
-    if noise is not None and min(noise.robot_rotation, noise.robot_translation) > 0.0:
-        robot = RobotNoise(noise.robot_rotation, noise.robot_translation)
-    try:
-        adjusted = bundle.adjust(solution.pairs, result, robot)
-    except MeasurementFailed as error:
-        answer["others"].append({"method": "image-space", "failed": f"{error.cause}: {error}"})
-    else:
-        answer["others"].append(
-            {"method": "image-space", "p_mm": _milli(adjusted.X[:3, 3]), "off": off(adjusted.X, result.X)}
-        )
-    return answer, result.X
+def solved_json(answer: SolvedSession) -> JSON:
+    """X with covariance, residuals, proof and verdict, and what other methods make of the samples."""
+    X_TC = answer.solution.result.X
+    return _solution_json(answer.solution) | {"others": [_other_json(o, X_TC) for o in answer.others]}
 
 
-def _other(pairs: PosePairs, method: Method, result: HandEyeResult) -> JSON:
-    try:
-        X = methods.solve(pairs, method).X
-    except MeasurementFailed as error:
-        return {"method": method.value, "failed": f"{error.cause}: {error}"}
-    return {"method": method.value, "p_mm": _milli(X[:3, 3]), "off": off(X, result.X)}
+def _other_json(other: OtherMethod, X_TC: Array) -> JSON:
+    X = other.answer
+    if isinstance(X, MeasurementFailed):
+        return {"method": other.name, "failed": f"{X.cause}: {X}"}
+    return {"method": other.name, "p_mm": _milli(X[:3, 3]), "off": off(X, X_TC)}
 
 
 def _milli(values: Array, digits: int = 3) -> list[float]:
@@ -174,7 +177,7 @@ def _solution_json(solution: GuidedSolution) -> JSON:
     result, arm = solution.result, solution.arm
     assert result.covariance is not None
     assert result.certificate is not None
-    left_out = [name for name, inlier in zip(result.names, result.inliers, strict=True) if not inlier]
+    verdict = verdict_of(solution)
     return {
         "method": result.method,
         "X_TC": pose_json(result.X),
@@ -188,7 +191,7 @@ def _solution_json(solution: GuidedSolution) -> JSON:
             "camera_noise": round(arm.camera_noise, 3),
             "play": round(arm.play, 3),
         },
-        "left_out": left_out,
+        "left_out": left_out(result),
         "residuals": [
             {"name": name, "mm": _milli(r[:3]), "deg": _deg(r[3:])}
             for name, r in zip(result.names, result.residuals, strict=True)
@@ -196,7 +199,8 @@ def _solution_json(solution: GuidedSolution) -> JSON:
         "certificate": asdict(result.certificate) | {"holds": result.certificate.holds},
         "observability": result.observability.reason,
         "notes": list(result.notes),
-        **_verdict_json(solution.covariance, result.certificate.holds, len(left_out), len(result.names)),
+        "good": verdict.good,
+        "verdict": verdict.text,
     }
 
 
@@ -206,19 +210,4 @@ def _uncertainty_json(covariance: Array) -> JSON:
         "std_mm": _milli(std[:3], 4),
         "std_deg": _deg(std[3:], 5),
         "covariance_p_theta": covariance.tolist(),
-    }
-
-
-def _verdict_json(covariance: Array, proven: bool, left_out: int, samples: int) -> JSON:
-    """Whether X is good enough, and why in one line; ``covariance`` counts what the arm is not known by."""
-    std = np.sqrt(np.diag(covariance))
-    std_m, std_rad = float(np.linalg.norm(std[:3])), float(np.linalg.norm(std[3:]))
-    good = proven and std_m <= WANTED_STD_M
-    return {
-        "good": good,
-        "verdict": (
-            f"{'good' if good else 'take more samples'}: X known to {1e3 * std_m:.2f} mm and "
-            f"{math.degrees(std_rad):.3f}°, {'proven global' if proven else 'not proven global'}, "
-            f"{left_out} of {samples} samples left out"
-        ),
     }

@@ -7,7 +7,9 @@ from pydantic import BaseModel, Field, computed_field
 
 from vision_pc.application.bodies import RequestBody
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
+from vision_pc.application.hand_eye.responses import session_json
 from vision_pc.application.hand_eye_programs import NextBody
+from vision_pc.core.hand_eye.guided.session import proposal_json
 from vision_pc.shell.rest.operations import Operations
 
 _TAG: list[str | Enum] = ["hand-eye"]
@@ -82,19 +84,20 @@ def add_session(app: FastAPI, operations: Operations, guided: GuidedCalibration)
     @app.get("/hand-eye/session", tags=_TAG, summary="The open session with its samples and residuals")
     async def session() -> SessionView:
         """409 when none is open."""
-        return SessionView.model_validate(guided.view())
+        return SessionView.model_validate(session_json(guided.session))
 
     @app.post("/hand-eye/session/resume", tags=_TAG, summary="Open a session from the disk")
     async def resume(body: ResumeBody) -> SessionView:
         operations.refuse_busy()
-        return SessionView.model_validate(guided.resume(body.name))
+        return SessionView.model_validate(session_json(guided.resume(body.name)))
 
     @app.post("/hand-eye/session/propose", tags=_TAG, summary="The next pose: the most informative in view")
     async def propose(body: NextBody | None = None) -> ProposalView:
         operations.refuse_busy()
-        return ProposalView.model_validate(await guided.propose((body or NextBody()).informative))
+        proposal = await guided.propose((body or NextBody()).informative)
+        return ProposalView.model_validate(proposal_json(proposal))
 
     @app.delete("/hand-eye/session/samples/{name}", tags=_TAG, summary="Leave a sample out for good")
     async def remove(name: str) -> SessionView:
         operations.refuse_busy()
-        return SessionView.model_validate(guided.remove(name))
+        return SessionView.model_validate(session_json(guided.remove(name)))
