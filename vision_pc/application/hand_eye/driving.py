@@ -33,15 +33,10 @@ async def back_to_start(arm: Arm, session: Session) -> ArmView:
     Raises RequestRefused with what the controller said last.
     """
     start = session.around.X_BT_start
-    try:
-        return await arm.move_to(start)
-    except RequestRefused as error:
-        if not impossible(error) or ended_in_fault(error):
-            raise
-        refusal = error
-    for sample in reversed(session.samples):
+    for sample in (None, *reversed(session.samples)):
         try:
-            await arm.move_to(sample.X_BT)
+            if sample is not None:
+                await arm.move_to(sample.X_BT)
             return await arm.move_to(start)
         except RequestRefused as error:
             if not impossible(error) or ended_in_fault(error):
