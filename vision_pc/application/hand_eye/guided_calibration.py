@@ -14,7 +14,7 @@ from vision_pc.application.hand_eye.driving import back_to_start, ended_in_fault
 from vision_pc.application.hand_eye.responses import check_json, sample_json
 from vision_pc.application.hand_eye.sensing import HandEyeSight, Pictures, States
 from vision_pc.application.hand_eye.steps import (
-    Arrival,
+    HandArrival,
     NextPose,
     SolvedSession,
     StartCheck,
@@ -122,14 +122,14 @@ class GuidedCalibration:
             belief, session.around, session.settings, rng, session.refused, informative
         )
 
-    async def go(self, report: Report) -> Arrival:
+    async def go(self, report: Report) -> HandArrival:
         """Drives to the proposed pose. One that the controller refuses is remembered, and the arm rests."""
         proposal = self.session.proposal
         if proposal is None:
             raise RequestRefused("refused.hand_eye.no_proposal", "no pose is proposed: propose one first")
         report(0.1, "moving")
         view = await self._driven(proposal.X_BT, learn=True)
-        return Arrival(view, proposal.X_BT)
+        return HandArrival(view, proposal.X_BT)
 
     async def sample(self, report: Report, name: str | None = None) -> TakenSample:
         """Takes a sample where the arm stands, in the place of sample ``name`` if that is given."""
@@ -185,11 +185,11 @@ class GuidedCalibration:
                 await back_to_start(self._arm, self.session)
         raise AssertionError("unreachable")
 
-    async def back(self, report: Report) -> Arrival:
+    async def back(self, report: Report) -> HandArrival:
         """Drives to the session's starting pose, over its samples where the straight way is refused."""
         report(0.1, "moving back to the start")
         view = await back_to_start(self._arm, self.session)
-        return Arrival(view, self.session.around.X_BT_start)
+        return HandArrival(view, self.session.around.X_BT_start)
 
     async def solve(self) -> SolvedSession:
         """X by the certified robust solver with all that is known about it, others beside it, a verdict."""

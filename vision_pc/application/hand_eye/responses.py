@@ -7,7 +7,7 @@ import numpy as np
 
 from protocol.errors import MeasurementFailed
 from vision_pc.application.hand_eye.steps import (
-    Arrival,
+    HandArrival,
     NextPose,
     OtherMethod,
     SolvedSession,
@@ -62,7 +62,7 @@ def session_json(session: Session) -> JSON:
     }
 
 
-def arrival_json(arrival: Arrival) -> JSON:
+def arrival_json(arrival: HandArrival) -> JSON:
     """Where the arm stands, and how far from where it was sent."""
     view = arrival.view
     return {

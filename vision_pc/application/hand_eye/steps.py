@@ -40,7 +40,7 @@ class StartCheck(NamedTuple):
     promised_std: tuple[float, float]
 
 
-class Arrival(NamedTuple):
+class HandArrival(NamedTuple):
     """The arm after a motion to the hand's pose X_BT_ref."""
 
     view: ArmView
@@ -51,7 +51,7 @@ class NextPose(NamedTuple):
     """A proposal that the controller accepted, and the arm there."""
 
     proposal: Proposal
-    arrival: Arrival
+    arrival: HandArrival
 
 
 class TakenSample(NamedTuple):
