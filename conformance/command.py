@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 from rich.console import Console
@@ -14,6 +14,7 @@ from rich.table import Table
 from conformance.case import CaseOutcome, ConformanceCase
 from conformance.records import as_json, write_records
 from conformance.runner import Result, Summary, coupler_cases, reference_cases, run_coupler, run_reference
+from foundation.command_options import unfolded
 from foundation.hosts import known_host
 from foundation.link_key import key_from_file
 from protocol.errors import ConfigurationError
@@ -29,36 +30,39 @@ def conformance() -> None:
 
 
 Host = Annotated[str, typer.Option(help="Where it is.")]
-Cases = Annotated[list[int] | None, typer.Option("--case", help="Only this case; repeatable.")]
-ListCases = Annotated[bool, typer.Option("--list", help="List the cases and end.")]
-Records = Annotated[
-    Path | None, typer.Option(help="Write JUnit, JSON and the bytes of every case into this directory.")
-]
-JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the results to this file.")]
+
+
+class Asking(NamedTuple):
+    """Which cases are asked, and where the answers go."""
+
+    case: Annotated[list[int] | None, typer.Option("--case", help="Only this case; repeatable.")] = None
+    list_cases: Annotated[bool, typer.Option("--list", help="List the cases and end.")] = False
+    records: Annotated[
+        Path | None, typer.Option(help="Write JUnit, JSON and the bytes of every case into this directory.")
+    ] = None
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the results to this file.")] = None
 
 
 @app.command(epilog="Example: longreach conformance reference --host 127.0.0.1 --port 47000 --records out")
+@unfolded
 def reference(
+    asking: Asking,
     host: Host = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Its UDP port.")] = 47000,
-    case: Cases = None,
     motion: Annotated[
         bool, typer.Option("--motion", help="Also enable the group and move by 20 mm.")
     ] = False,
-    list_cases: ListCases = False,
-    records: Records = None,
-    json_file: JsonFile = None,
     seed: Annotated[int, typer.Option(min=0, help="Start of nonces and ids; 0: from the clock.")] = 0,
     key: Annotated[
         Path | None, typer.Option(help="File with the shared key: every session is authenticated.")
     ] = None,
 ) -> None:
     """Ask a controller on the reference link; exit status 1 unless every supported case passes."""
-    if list_cases:
+    if asking.list_cases:
         _list(reference_cases())
         return
     known_host(host)
-    wanted = _wanted(case, reference_cases())
+    wanted = _wanted(asking.case, reference_cases())
     link_key = None if key is None else key_from_file(key)
 
     def run(show: Callable[[Result], None]) -> Summary:
@@ -66,33 +70,31 @@ def reference(
             host, port, numbers=wanted, motion=motion, seed=seed, key=link_key, on_result=show
         )
 
-    _finish(len(wanted), run, records, json_file)
+    _finish(len(wanted), run, asking)
 
 
 @app.command(epilog="Example: longreach conformance coupler --host 127.0.0.1 --port 1502 --outputs")
+@unfolded
 def coupler(
+    asking: Asking,
     host: Host = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Its Modbus TCP port.")] = 1502,
     unit: Annotated[int, typer.Option(min=0, max=255, help="The unit id to address.")] = 1,
-    case: Cases = None,
     outputs: Annotated[
         bool, typer.Option("--outputs", help="Also write outputs and let the watchdog expire.")
     ] = False,
-    list_cases: ListCases = False,
-    records: Records = None,
-    json_file: JsonFile = None,
 ) -> None:
     """Ask a bus coupler over Modbus TCP; exit status 1 unless every supported case passes."""
-    if list_cases:
+    if asking.list_cases:
         _list(coupler_cases())
         return
     known_host(host)
-    wanted = _wanted(case, coupler_cases())
+    wanted = _wanted(asking.case, coupler_cases())
 
     def run(show: Callable[[Result], None]) -> Summary:
         return run_coupler(host, port, unit=unit, numbers=wanted, outputs=outputs, on_result=show)
 
-    _finish(len(wanted), run, records, json_file)
+    _finish(len(wanted), run, asking)
 
 
 def _wanted(chosen: list[int] | None, cases: tuple[ConformanceCase, ...]) -> set[int]:
@@ -103,12 +105,7 @@ def _wanted(chosen: list[int] | None, cases: tuple[ConformanceCase, ...]) -> set
     return wanted
 
 
-def _finish(
-    total: int,
-    run: Callable[[Callable[[Result], None]], Summary],
-    records: Path | None,
-    json_file: Path | None,
-) -> None:
+def _finish(total: int, run: Callable[[Callable[[Result], None]], Summary], asking: Asking) -> None:
     console = Console()
     with Progress(console=console, transient=True) as progress:
         task = progress.add_task("asking", total=total)
@@ -120,10 +117,10 @@ def _finish(
 
         summary = run(show)
     _print(console, summary)
-    if records is not None:
-        write_records(summary, records)
-    if json_file is not None:
-        json_file.write_text(json.dumps(as_json(summary), indent=1) + "\n")
+    if asking.records is not None:
+        write_records(summary, asking.records)
+    if asking.json_file is not None:
+        asking.json_file.write_text(json.dumps(as_json(summary), indent=1) + "\n")
     raise typer.Exit(0 if summary.passed else 1)
 
 

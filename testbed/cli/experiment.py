@@ -4,11 +4,12 @@ import inspect
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
+from foundation.command_options import options_of, with_signature
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Experiment, perform
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
@@ -94,17 +95,9 @@ def command_of(entry: Entry) -> Callable[..., None]:
         )
         raise typer.Exit(0 if perform(wanted, request, wanted.settings(**options)) else 1)
 
-    parameters = [*_own(usual), *_method(entry), *_common(usual, len(entry.places) == 1)]
-    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    parameters = [*options_of(usual.settings), *_method(entry), *_common(usual, len(entry.places) == 1)]
+    with_signature(command, parameters)
     return command
-
-
-def _own(chosen: Experiment[Any, Any]) -> list[inspect.Parameter]:
-    """The experiment's settings as parameters."""
-    hints = get_type_hints(chosen.settings, include_extras=True)
-    defaults = chosen.settings._field_defaults
-    return [_parameter(name, hint, defaults[name]) for name, hint in hints.items()]
 
 
 def _method(entry: Entry) -> list[inspect.Parameter]:

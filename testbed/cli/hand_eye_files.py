@@ -1,7 +1,6 @@
 """What `longreach hand-eye` does with files: solve, compare, intrinsics."""
 
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -9,6 +8,7 @@ import numpy as np
 from plant_emulator.config.boards import CabinetConfig
 from plant_emulator.core.camera.cabinet import cabinet_front
 from protocol.errors import RequestRefused
+from testbed.cli.hand_eye_options import PicturedBoard, SampleSource
 from testbed.experiments.hand_eye import intrinsics_experiment
 from testbed.experiments.hand_eye import tables as experiment_tables
 from testbed.experiments.hand_eye.real_data import hold_out
@@ -17,7 +17,7 @@ from testbed.hand_eye.importer import ImportOptions, load
 from testbed.hand_eye.trajectories import PairingOptions
 from testbed.reporting.console import out, write_json
 from testbed.scenarios.settings import chosen_overrides, load_settings
-from vision_pc.core.hand_eye.samples import PosePairs, Setup
+from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import bundle, methods
 from vision_pc.core.hand_eye.solvers.bundle import RobotNoise
 from vision_pc.core.hand_eye.solvers.methods import Method
@@ -27,42 +27,33 @@ from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard, De
 from vision_pc.core.types import Image
 
 
-class SampleSource(NamedTuple):
-    """Where samples come from, as the command line says it."""
+def _samples(source: SampleSource) -> PosePairs:
+    """The samples. Raises RequestRefused naming what cannot be believed."""
+    options = ImportOptions(source.setup, source.marker_id, source.camera_in_target, source.normalise)
+    if source.camera_file is None:
+        return load(source.file, options)
+    hand = trajectories.load_tum(source.file, source.normalise)
+    camera = trajectories.load_tum(source.camera_file, source.normalise)
+    pairing = PairingOptions(offset_s=_offset(source.offset_s))
+    pairs, offset = trajectories.pair(hand, camera, pairing, options)
+    out.print(f"{len(pairs)} moments chosen, camera clock {offset:+.4f} s", highlight=False)
+    return pairs
 
-    file: Path
-    camera_file: Path | None
-    setup: Setup | None
-    camera_in_target: bool
-    normalise: bool
-    offset_s: str
-    marker_id: int | None
 
-    def read(self) -> PosePairs:
-        """The samples. Raises RequestRefused naming what cannot be believed."""
-        options = ImportOptions(self.setup, self.marker_id, self.camera_in_target, self.normalise)
-        if self.camera_file is None:
-            return load(self.file, options)
-        hand = trajectories.load_tum(self.file, self.normalise)
-        camera = trajectories.load_tum(self.camera_file, self.normalise)
-        pairs, offset = trajectories.pair(hand, camera, PairingOptions(offset_s=self._offset()), options)
-        out.print(f"{len(pairs)} moments chosen, camera clock {offset:+.4f} s", highlight=False)
-        return pairs
-
-    def _offset(self) -> float | None:
-        if self.offset_s == "estimate":
-            return None
-        try:
-            return float(self.offset_s)
-        except ValueError as error:
-            raise RequestRefused(
-                "refused.hand_eye.format", f"--offset-s is {self.offset_s!r}: seconds or 'estimate' is wanted"
-            ) from error
+def _offset(text: str) -> float | None:
+    if text == "estimate":
+        return None
+    try:
+        return float(text)
+    except ValueError as error:
+        raise RequestRefused(
+            "refused.hand_eye.format", f"--offset-s is {text!r}: seconds or 'estimate' is wanted"
+        ) from error
 
 
 def run_solve(source: SampleSource, method: Method, json_file: Path | None) -> None:
     """Print X and all that is known about it. Raises LongreachError where there is no solution."""
-    pairs = source.read()
+    pairs = _samples(source)
     result = methods.solve(pairs, method)
     out.print(presentation.result_table(result))
     out.print(presentation.sample_table(result))
@@ -99,35 +90,29 @@ def _adjusted(pairs: PosePairs, result: HandEyeResult) -> dict[str, object]:
 
 def run_compare(source: SampleSource, json_file: Path | None) -> None:
     """Print the hold-out errors of all methods."""
-    pairs = source.read()
+    pairs = _samples(source)
     rows = hold_out(source.file.stem, pairs)
     out.print(experiment_tables.hold_out_table(rows))
     write_json(json_file, {"rows": rows})
 
 
 def run_intrinsics_of_pictures(
-    files: list[Path],
-    board: Checkerboard,
-    detector: Detector,
-    marker: tuple[float, str] | None,
-    json_file: Path | None,
+    files: list[Path], board: PicturedBoard, detector: Detector, json_file: Path | None
 ) -> None:
-    """Print the camera's intrinsics. ``marker`` (side in m, dictionary) makes the board ChArUco."""
+    """Print the camera's intrinsics."""
     pictures = [(file.stem, _picture(file)) for file in files]
     sizes = {image.shape for _, image in pictures}
     if len(sizes) != 1:
         raise RequestRefused(
             "refused.intrinsics.sizes", f"pictures of {len(sizes)} sizes; one camera has one"
         )
-    chosen: Checkerboard | Charuco = board
-    if marker is not None:
-        chosen = Charuco(board.columns, board.rows, board.square_m, marker[0], _dictionary(marker[1]))
+    chosen = _board(board)
     views, missed = intrinsics_experiment.detect(pictures, chosen, detector)
     for name in missed:
         out.print(f"no board in {name}", style="yellow", highlight=False)
     height, width = pictures[0][1].shape
     found = zhang.calibrate(views, width, height)
-    name = "charuco" if marker is not None else detector.value
+    name = "charuco" if board.charuco else detector.value
     row = intrinsics_experiment.row(files[0].parent.name or ".", name, found, missed)
     out.print(experiment_tables.intrinsics_table([row]))
     out.print(presentation.view_table(found))
@@ -138,17 +123,9 @@ def run_intrinsics_of_pictures(
         highlight=False,
         soft_wrap=True,
     )
-    write_json(
-        json_file,
-        row._asdict()
-        | {
-            "K": K,
-            "distortion": found.distortion,
-            "std_px": found.std_px,
-            "view_rms_px": dict(zip(found.names, found.view_rms_px.tolist(), strict=True)),
-            "coverage": found.coverage,
-        },
-    )
+    fit = {"K": K, "distortion": found.distortion, "std_px": found.std_px, "coverage": found.coverage}
+    view_rms_px = dict(zip(found.names, found.view_rms_px.tolist(), strict=True))
+    write_json(json_file, row._asdict() | fit | {"view_rms_px": view_rms_px})
 
 
 def run_drawing(file: Path, scenario: str, config_dir: Path) -> None:
@@ -167,6 +144,14 @@ def _picture(file: Path) -> Image:
     if image is None:
         raise RequestRefused("refused.intrinsics.unreadable", f"{file}: not a picture")
     return np.asarray(image, dtype=np.uint8)
+
+
+def _board(board: PicturedBoard) -> Checkerboard | Charuco:
+    square_m = 1e-3 * board.square_mm
+    if not board.charuco:
+        return Checkerboard(board.columns, board.rows, square_m)
+    dictionary = _dictionary(board.dictionary)
+    return Charuco(board.columns, board.rows, square_m, 1e-3 * board.marker_mm, dictionary)
 
 
 def _dictionary(name: str) -> int:

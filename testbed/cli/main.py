@@ -7,6 +7,7 @@ import typer
 
 from conformance.command import app as conformance
 from dissector.command import sniff
+from foundation.command_options import unfolded
 from foundation.configuration import merged, parse_overrides
 from testbed.cli.experiment import app as experiment
 from testbed.cli.hand_eye import app as hand_eye
@@ -17,6 +18,7 @@ from testbed.cli.options import (
     Scenario,
     Seed,
     Settings,
+    StartOptions,
 )
 from testbed.cli.root import RootGroup, show_version
 from testbed.fault_proxy.command import proxy
@@ -57,9 +59,6 @@ app.command(epilog="Example: longreach proxy --listen-port 47001 --port 47000 --
 FreePorts = Annotated[
     bool, typer.Option("--free-ports", help="Use any free ports instead of the configured ones.")
 ]
-AllowFaults = Annotated[
-    bool, typer.Option("--allow-faults", help="Let the plant's HTTP face for faults break things.")
-]
 Runs = Annotated[Path, typer.Option(help="Where directories of runs are made.")]
 
 DEFAULT_RUNS = Path("runs")
@@ -79,35 +78,33 @@ def doctor(
 
 
 @app.command(epilog="Example: longreach up --scenario standard --seed 3 --allow-faults")
+@unfolded
 def up(
+    start: StartOptions,
     config_dir: ConfigDir = DEFAULT_CONFIG,
     scenario: Annotated[str | None, typer.Option(help="Draw the world from this scenario.")] = None,
     seed: Seed = 1,
     settings: Settings = None,
-    free_ports: FreePorts = False,
-    allow_faults: AllowFaults = False,
-    runs: Runs = DEFAULT_RUNS,
 ) -> None:
     """Start plant, controller and vision, watch them, and end them on Ctrl-C."""
     from testbed.realtime.up import run_up
 
     overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
-    run_up(config_dir, with_faults(overrides, allow_faults), free_ports, runs)
+    run_up(config_dir, with_faults(overrides, start.allow_faults), start.free_ports, start.runs)
 
 
 @app.command(
     epilog="Example: longreach demo --seed 3   or: longreach demo --lockstep --seed 3 --json demo.json"
 )
+@unfolded
 def demo(
+    start: StartOptions,
     lockstep: Annotated[bool, typer.Option("--lockstep", help="In simulated time, without sockets.")] = False,
     looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 2,
     scenario: Scenario = "standard",
     seed: Seed = 1,
     config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
-    free_ports: FreePorts = False,
-    allow_faults: AllowFaults = False,
-    runs: Runs = DEFAULT_RUNS,
     json_file: JsonFile = None,
 ) -> None:
     """Bring the tool to the object; exit status 0 only within ±5 mm true error in x and y."""
@@ -115,12 +112,12 @@ def demo(
     from testbed.demonstration.realtime import run_demo
     from testbed.reporting.presentation import Choice
 
-    overrides = with_faults(chosen_overrides(config_dir, scenario, seed, settings or []), allow_faults)
+    overrides = with_faults(chosen_overrides(config_dir, scenario, seed, settings or []), start.allow_faults)
     choice = Choice(scenario, seed, looks)
     if lockstep:
-        passed = run_lockstep_demo(config_dir, overrides, choice, runs, json_file)
+        passed = run_lockstep_demo(config_dir, overrides, choice, start.runs, json_file)
     else:
-        passed = run_demo(config_dir, overrides, choice, free_ports, runs, json_file)
+        passed = run_demo(config_dir, overrides, choice, start.free_ports, start.runs, json_file)
     raise typer.Exit(0 if passed else 1)
 
 

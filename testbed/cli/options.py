@@ -1,7 +1,7 @@
 """Options that several commands of `longreach` share, worded once."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
@@ -20,3 +20,15 @@ JsonFile = Annotated[
 ]
 
 DEFAULT_CONFIG = Path("configs")
+
+
+class StartOptions(NamedTuple):
+    """Where the services run, and what they may."""
+
+    free_ports: Annotated[
+        bool, typer.Option("--free-ports", help="Use any free ports instead of the configured ones.")
+    ] = False
+    allow_faults: Annotated[
+        bool, typer.Option("--allow-faults", help="Let the plant's HTTP face for faults break things.")
+    ] = False
+    runs: Annotated[Path, typer.Option(help="Where directories of runs are made.")] = Path("runs")

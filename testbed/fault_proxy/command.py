@@ -8,32 +8,18 @@ from typing import Annotated
 
 import typer
 
+from foundation.command_options import unfolded
 from foundation.hosts import known_host
 from protocol.errors import ConfigurationError
 from testbed.fault_proxy.faults import Faults
 from testbed.fault_proxy.proxy import FaultProxy, Route, TcpProxy, UdpProxy
 
-Chance = Annotated[float, typer.Option(min=0.0, max=1.0)]
-Time = Annotated[float, typer.Option(min=0.0, max=60_000.0)]
 
-
+@unfolded
 def proxy(
-    listen_port: Annotated[int, typer.Option(min=0, max=65535, help="Where to listen; 0: any port.")],
-    port: Annotated[int, typer.Option(min=1, max=65535, help="The port stood in front of.")],
-    host: Annotated[str, typer.Option(help="The host stood in front of.")] = "127.0.0.1",
-    listen_host: Annotated[str, typer.Option(help="The address to listen on.")] = "127.0.0.1",
+    route: Route,
+    faults: Faults,
     tcp: Annotated[bool, typer.Option("--tcp", help="Streams instead of datagrams.")] = False,
-    loss: Chance = 0.0,
-    burst: Chance = 0.0,
-    burst_length: Annotated[int, typer.Option(min=1)] = 4,
-    delay_ms: Time = 0.0,
-    jitter_ms: Time = 0.0,
-    duplicate: Chance = 0.0,
-    reorder: Chance = 0.0,
-    reorder_ms: Time = 20.0,
-    truncate: Chance = 0.0,
-    corrupt: Chance = 0.0,
-    half_open_after_ms: Annotated[float, typer.Option(help="From then on nothing passes; -1: never.")] = -1.0,
     only: Annotated[str, typer.Option(help="both, to-server or to-client.")] = "both",
     seed: Annotated[int, typer.Option(min=0, help="The same seed is the same fate.")] = 1,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the counts to this file.")] = None,
@@ -41,12 +27,10 @@ def proxy(
     """Stand between two peers and lose, delay, reorder, cut or bend what passes, until Ctrl-C."""
     if only not in ("both", "to-server", "to-client"):
         raise ConfigurationError("proxy.direction", f"--only {only}: wanted both, to-server or to-client")
-    known_host(host)
-    faults = Faults(loss, burst, burst_length, delay_ms, jitter_ms, duplicate, reorder, reorder_ms, truncate,
-                    corrupt, half_open_after_ms)  # fmt: skip
+    known_host(route.host)
     up, down = (faults if only in ("both", way) else Faults() for way in ("to-server", "to-client"))
     kind = TcpProxy if tcp else UdpProxy
-    counts = asyncio.run(_serve(kind(Route(listen_host, listen_port, host, port), up, down, seed)))
+    counts = asyncio.run(_serve(kind(route, up, down, seed)))
     text = json.dumps(counts)
     typer.echo(text)
     if json_file is not None:

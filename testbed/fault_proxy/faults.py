@@ -2,13 +2,16 @@
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+import typer
 
 from protocol.errors import ConfigurationError
 
 MS = 1_000_000
+Chance = Annotated[float, typer.Option(min=0.0, max=1.0)]
+Time = Annotated[float, typer.Option(min=0.0, max=60_000.0)]
 _PROBABILITIES = ("loss", "burst", "duplicate", "reorder", "truncate", "corrupt")
 
 
@@ -22,17 +25,17 @@ class Faults:
     ``half_open_after_ms``: from then on nothing passes and nobody is told (negative: never).
     """
 
-    loss: float = 0.0
-    burst: float = 0.0
-    burst_length: int = 4
-    delay_ms: float = 0.0
-    jitter_ms: float = 0.0
-    duplicate: float = 0.0
-    reorder: float = 0.0
-    reorder_ms: float = 20.0
-    truncate: float = 0.0
-    corrupt: float = 0.0
-    half_open_after_ms: float = -1.0
+    loss: Chance = 0.0
+    burst: Chance = 0.0
+    burst_length: Annotated[int, typer.Option(min=1)] = 4
+    delay_ms: Time = 0.0
+    jitter_ms: Time = 0.0
+    duplicate: Chance = 0.0
+    reorder: Chance = 0.0
+    reorder_ms: Time = 20.0
+    truncate: Chance = 0.0
+    corrupt: Chance = 0.0
+    half_open_after_ms: Annotated[float, typer.Option(help="From then on nothing passes; -1: never.")] = -1.0
 
     def __post_init__(self) -> None:
         for name in _PROBABILITIES:

@@ -6,7 +6,9 @@ import socket
 import struct
 from abc import ABC, abstractmethod
 from types import TracebackType
-from typing import Any, NamedTuple, cast
+from typing import Annotated, Any, NamedTuple, cast
+
+import typer
 
 from testbed.fault_proxy.faults import Delivery, FaultLine, Faults
 
@@ -17,10 +19,10 @@ _MAX_CLIENTS = 256
 class Route(NamedTuple):
     """Where the proxy listens (port 0: any) and whom it stands in front of."""
 
-    listen_host: str
-    listen_port: int
-    host: str
-    port: int
+    listen_port: Annotated[int, typer.Option(min=0, max=65535, help="Where to listen; 0: any port.")]
+    port: Annotated[int, typer.Option(min=1, max=65535, help="The port stood in front of.")]
+    host: Annotated[str, typer.Option(help="The host stood in front of.")] = "127.0.0.1"
+    listen_host: Annotated[str, typer.Option(help="The address to listen on.")] = "127.0.0.1"
 
 
 class FaultProxy(ABC):

@@ -93,8 +93,11 @@ def _holes() -> list[dict[str, Any]]:
 
 def effects(scene: SceneConfig) -> tuple[Effect, ...]:
     """Every effect, strong enough to be seen in a small picture."""
+    return (*_of_the_camera(), *_of_the_scene(scene), *_of_lost_frames())
+
+
+def _of_the_camera() -> tuple[Effect, ...]:
     long_exposure = {"camera": {"exposure_us": 40_000}}
-    plate = {"parent": "wall", "centre_m": [-0.2, 0.03, 0.0], "size_m": [0.16, 0.09], "grey": 55.0}
     return (
         Effect("exposure", "camera.exposure_gain = 1.9", {"camera": {"exposure_gain": 1.9}}),
         Effect("point spread", "camera.blur_px = 2.5", {"camera": {"blur_px": 2.5}}, window=OBJECT),
@@ -117,6 +120,12 @@ def effects(scene: SceneConfig) -> tuple[Effect, ...]:
             "rectification, disparity", "camera.rectification.disparity_px = 10",
             {"camera": {"rectification": {"disparity_px": 10.0}}}, window=OBJECT, eye=RIGHT,
         ),
+    )  # fmt: skip
+
+
+def _of_the_scene(scene: SceneConfig) -> tuple[Effect, ...]:
+    plate = {"parent": "wall", "centre_m": [-0.2, 0.03, 0.0], "size_m": [0.16, 0.09], "grey": 55.0}
+    return (
         Effect("lighting gradient", "wall.lighting_gradient_per_m = [0.3, -0.2]",
                {"wall": {"lighting_gradient_per_m": [0.3, -0.2]}}),
         Effect("low-contrast wall", "wall.contrast_grey = 3", {"wall": {"contrast_grey": 3.0}}),
@@ -128,6 +137,11 @@ def effects(scene: SceneConfig) -> tuple[Effect, ...]:
                _markers(scene, 0.0), window=MARKER),
         Effect("marker covered", "fault marker_covered, share 0.4", {}, window=OBJECT,
                fault=MarkerCovered(marker_id=3, share=0.4, side="top")),
+    )  # fmt: skip
+
+
+def _of_lost_frames() -> tuple[Effect, ...]:
+    return (
         Effect("blind", "fault camera_blind, grey 30", {}, fault=CameraBlind(grey=30)),
         Effect("dropped frames", "camera.dropped_frame_share = 0.4", {"camera": {"dropped_frame_share": 0.4}},
                in_time=True),

@@ -56,17 +56,13 @@ class Finding(NamedTuple):
 
 def sources(nominal_lens: Keys) -> tuple[Source, ...]:
     """Every source of error; ``nominal_lens`` is what the vision side takes the lens for."""
+    return (*_of_the_arm(), *_of_what_is_seen(nominal_lens))
 
+
+def _of_the_arm() -> tuple[Source, ...]:
     def error(name: str) -> Keys:
         return {"plant": {"errors": {name: _OFF}}}
 
-    marker: Keys = {
-        "offset_m": [0.0, 0.0, 0.0],
-        "misalignment_deg": [0.0, 0.0, 0.0],
-        "print_scale_error": 0.0,
-    }
-    level = {"vertical_px": 0.0, "disparity_px": 0.0, "right_eye_rotation_deg": [0.0, 0.0, 0.0]}
-    straight = {"k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0, "k3": 0.0}
     return (
         Source("boom flexibility", "plant.flexibility", {"plant": {"flexibility": _OFF}}, measure.tool_mm,
                "tool sags at the start pose", "mm"),
@@ -88,6 +84,18 @@ def sources(nominal_lens: Keys) -> tuple[Source, ...]:
                "tool sinks in 20 s, valves shut", "mm"),
         Source("thermal drift", "plant.oil.temperature_degc", {"plant": {"oil": {"thermal_drift": False}}},
                measure.oil_k, "oil warms in 4 s of full work", "K"),
+    )  # fmt: skip
+
+
+def _of_what_is_seen(nominal_lens: Keys) -> tuple[Source, ...]:
+    marker: Keys = {
+        "offset_m": [0.0, 0.0, 0.0],
+        "misalignment_deg": [0.0, 0.0, 0.0],
+        "print_scale_error": 0.0,
+    }
+    level = {"vertical_px": 0.0, "disparity_px": 0.0, "right_eye_rotation_deg": [0.0, 0.0, 0.0]}
+    straight = {"k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0, "k3": 0.0}
+    return (
         Source("camera mount, position", "scene.mount.position_m",
                {"scene": {"mount": {"position_m": NOMINAL_MOUNTS.X_TC[:3, 3].tolist()}}}, measure.mount_mm,
                "camera off its nominal place", "mm"),

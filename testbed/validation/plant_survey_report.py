@@ -120,24 +120,11 @@ def plot(rows: list[SurveyRow], picture: Path) -> None:
             sag.plot(reach, [row.sag_mm[k] for row in mine], "o", ms=3.5, label=f"{mass:g} kg")
         if arm is ARMS[0]:
             for mass, stated in STATED_SAG_MM.items():
-                sag.plot(
-                    STATED_REACH_M,
-                    stated,
-                    "kx",
-                    ms=8,
-                    label="stated: 30, 130, 230 kg" if mass == 30.0 else None,
-                )
-        place.plot(
-            reach,
-            [row.believed_mm for row in mine],
-            "o",
-            ms=3.5,
-            color=AXIS_COLOURS[0],
-            label="tool off where believed",
-        )
-        place.plot(
-            reach, [row.play_mm for row in mine], "-", color=AXIS_COLOURS[1], label="play of the slew, ±"
-        )
+                label = "stated: 30, 130, 230 kg" if mass == 30.0 else None
+                sag.plot(STATED_REACH_M, stated, "kx", ms=8, label=label)
+        believed, play = ([getattr(row, name) for row in mine] for name in ("believed_mm", "play_mm"))
+        place.plot(reach, believed, "o", ms=3.5, color=AXIS_COLOURS[0], label="tool off where believed")
+        place.plot(reach, play, "-", color=AXIS_COLOURS[1], label="play of the slew, ±")
         for k, law in enumerate(("u = K (q_d - q)", "deadband compensated")):
             rests = [row.servo_mm[k] for row in mine]
             servo.plot(reach, rests, "o", ms=3.5, color=AXIS_COLOURS[k], label=law)

@@ -176,7 +176,7 @@ async def fieldbus(timeout_ms: float = 250.0) -> AsyncIterator[FieldbusRig]:
     with socket.socket() as bound:
         bound.bind(("127.0.0.1", 0))
         _, port = await registers.coupler.start(bound)
-        async with TcpProxy(Route("127.0.0.1", 0, "127.0.0.1", port), Faults(), Faults(), 1) as proxy:
+        async with TcpProxy(Route(0, port), Faults(), Faults(), 1) as proxy:
             rig = FieldbusRig(registers, proxy, timeout_ms)
             rig.link.start()
             try:

@@ -81,25 +81,21 @@ def sweep_verdict(done: Swept) -> list[Check]:
 
 
 def _sweep_checks(sweep: NoiseSweep, noise_on: NoiseOn, runs: int) -> list[Check]:
-    failed = sum(r.failed for r in sweep.rows)
+    failed, gap = sum(r.failed for r in sweep.rows), sweep.dqcr_largest_difference
+    limit = LARGEST_DQCR_DIFFERENCE
     checks = [
-        Check(
-            "DQCR published against closed form",
-            f"{sweep.dqcr_largest_difference:.1e}",
-            f"≤ {LARGEST_DQCR_DIFFERENCE:g}",
-            sweep.dqcr_largest_difference <= LARGEST_DQCR_DIFFERENCE,
-        ),
+        Check("DQCR published against closed form", f"{gap:.1e}", f"≤ {limit:g}", gap <= limit),
         Check("runs that failed", str(failed), "0", failed == 0),
     ]
     eigenvalues = [r.least_eigenvalue for r in sweep.rows if r.least_eigenvalue is not None]
     if eigenvalues:
-        checks.append(
-            Check(
-                "certificate, the worst run", f"{min(eigenvalues):.1e}", "≥ -1e-9", min(eigenvalues) >= -1e-9
-            )
-        )
-    if runs < _ENOUGH:
-        return checks
+        least = min(eigenvalues)
+        checks.append(Check("certificate, the worst run", f"{least:.1e}", "≥ -1e-9", least >= -1e-9))
+    return checks if runs < _ENOUGH else [*checks, *_checks_by_bound(sweep, noise_on, runs)]
+
+
+def _checks_by_bound(sweep: NoiseSweep, noise_on: NoiseOn, runs: int) -> list[Check]:
+    """The best method against the Cramér-Rao bound, its own covariance and DQCR."""
     best = Method.MAXIMUM_LIKELIHOOD if noise_on is NoiseOn.CAMERA_MOTIONS else Method.ROBUST
     mine = [r for r in sweep.rows if r.method == best.value]
     rotation, translation = (
@@ -108,7 +104,7 @@ def _sweep_checks(sweep: NoiseSweep, noise_on: NoiseOn, runs: int) -> list[Check
     )
     worst = max(max(r.rotation_over_bound, r.translation_over_bound) for r in mine)
     limit = 1.1 if noise_on is NoiseOn.CAMERA_POSES else 1.2
-    checks.append(
+    checks = [
         Check(
             f"{best} over the bound, all levels (a level's own figure is sure to about"
             f" {100.0 / np.sqrt(2.0 * runs):.0f} %)",
@@ -116,7 +112,7 @@ def _sweep_checks(sweep: NoiseSweep, noise_on: NoiseOn, runs: int) -> list[Check
             f"≤ {limit:g}",
             max(rotation, translation) <= limit,
         )
-    )
+    ]
     nees = [r.nees for r in mine if r.nees is not None]
     if nees:
         text = f"{min(nees):.2f} … {max(nees):.2f}"

@@ -160,18 +160,9 @@ def _run(
     tallies: dict[str, _SweepCounts],
 ) -> dict[Method, Array]:
     """All methods on one noisy data set, entered into ``tallies``; X by method."""
-    found: dict[Method, Array] = {}
     if noise_on is NoiseOn.CAMERA_MOTIONS:
-        motions = scenes.measured_motions(scene, n, rng)
-        for method in MOTION_METHODS:
-            if method in chosen:
-                tally = tallies.setdefault(method.value, _SweepCounts())
-                try:
-                    found[method] = methods.solve_motions(motions, method)
-                    tally.errors.append(se3.local(found[method], scene.X))
-                except MeasurementFailed:
-                    tally.failed += 1
-        return found
+        return _run_on_motions(scene, n, rng, chosen, tallies)
+    found: dict[Method, Array] = {}
     pairs = scenes.measured(scene, n, rng)
     variants = [(m.value, m, RobustSettings()) for m in chosen]
     if noise_on is NoiseOn.ROBOT_POSES and Method.ROBUST in chosen:
@@ -192,4 +183,25 @@ def _run(
         if result.covariance is not None:
             tally.nees.append(float(error @ np.linalg.solve(result.covariance, error)))
             tally.dropped += int((~result.inliers).sum())
+    return found
+
+
+def _run_on_motions(
+    scene: HandEyeScene,
+    n: Any,
+    rng: np.random.Generator,
+    chosen: tuple[Method, ...],
+    tallies: dict[str, _SweepCounts],
+) -> dict[Method, Array]:
+    """The same of the methods that take motions, on noisy ones."""
+    found: dict[Method, Array] = {}
+    motions = scenes.measured_motions(scene, n, rng)
+    for method in MOTION_METHODS:
+        if method in chosen:
+            tally = tallies.setdefault(method.value, _SweepCounts())
+            try:
+                found[method] = methods.solve_motions(motions, method)
+                tally.errors.append(se3.local(found[method], scene.X))
+            except MeasurementFailed:
+                tally.failed += 1
     return found

@@ -137,7 +137,7 @@ async def udp_through(up: Faults, down: Faults | None = None) -> AsyncIterator[t
     transport, echo = await loop.create_datagram_endpoint(Echo, local_addr=("127.0.0.1", 0))
     port = transport.get_extra_info("sockname")[1]
     try:
-        async with UdpProxy(Route("127.0.0.1", 0, "127.0.0.1", port), up, down or Faults(), 3) as proxy:
+        async with UdpProxy(Route(0, port), up, down or Faults(), 3) as proxy:
             yield proxy, echo
     finally:
         transport.close()
@@ -187,13 +187,13 @@ async def test_a_server_that_is_not_there_breaks_nothing() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as unused:
         unused.bind(("127.0.0.1", 0))
         port = unused.getsockname()[1]
-    async with UdpProxy(Route("127.0.0.1", 0, "127.0.0.1", port), Faults(), Faults(), 1) as proxy:
+    async with UdpProxy(Route(0, port), Faults(), Faults(), 1) as proxy:
         assert await talk(proxy.port, 5, 0.1) == []
         assert proxy.statistics()["to_server"]["passed"] == 5
 
 
 async def coupler_through(port: int, up: Faults, down: Faults, numbers: list[int]) -> list[CaseOutcome]:
-    async with TcpProxy(Route("127.0.0.1", 0, "127.0.0.1", port), up, down, 9) as proxy:
+    async with TcpProxy(Route(0, port), up, down, 9) as proxy:
         summary = await asyncio.to_thread(run_coupler, "127.0.0.1", proxy.port, numbers=numbers)
     return [result.outcome for result in summary.results]
 
@@ -216,7 +216,7 @@ async def test_a_half_open_stream_stays_up_and_carries_nothing() -> None:
     read = bytes.fromhex("0001 0000 0006 01 03 0000 0001")
     faults = Faults(half_open_after_ms=300.0)
     with ThreadedCoupler() as coupler:
-        route = Route("127.0.0.1", 0, "127.0.0.1", coupler.port)
+        route = Route(0, coupler.port)
         async with TcpProxy(route, faults, Faults(), 1) as proxy:
             reader, writer = await asyncio.open_connection("127.0.0.1", proxy.port)
             writer.write(read)
