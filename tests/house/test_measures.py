@@ -16,3 +16,15 @@ def test_no_modules_and_no_rooms_of_any_folder_import_in_a_circle() -> None:
     for folder in ("", *ROOMS):
         inside = measures.arrows_between_rooms(folder.replace("/", "."), ARROWS)
         assert measures.circles(inside) == [], folder
+
+
+def test_no_public_class_name_is_used_twice() -> None:
+    assert measures.names_used_twice(EVERY) == {}
+
+
+def test_only_named_kernels_are_long_or_take_many_parameters() -> None:
+    """A compiled kernel neither allocates nor takes a bundle of arrays apart: it gets them one by one."""
+    long = {named.place.split()[-1] for named in measures.long_functions(EVERY)}
+    wide = {named.place.split()[-1] for named in measures.many_parameters(EVERY)}
+    assert long == {"paint_wall"}, "the loop over the pixels of the wall, in one kernel"
+    assert wide == {"_blend", "_compare", "booked_steps"}, "inner loops of wall, patches and ledger"

@@ -160,6 +160,13 @@ def _localisation(rig: GuidedRig, session: Session, repetitions: int, seed: int)
     row: dict[str, Any] = {
         "located": done, "not_reached": refused, "not_seen": unseen, "locating_faults": faults,
     }  # fmt: skip
+    return row | {"targets": _target_columns(hand, base)}
+
+
+def _target_columns(
+    hand: dict[tuple[str, str], list[float]], base: dict[str, list[float]]
+) -> dict[str, float]:
+    """Means by target and method, spread and share within the limit of the robust one; m in, mm out."""
     targets: dict[str, float] = {}
     for (name, method), errors in hand.items():
         targets[f"{word_of(name)}_{method}_mm"] = 1e3 * float(np.mean(errors))
@@ -169,7 +176,7 @@ def _localisation(rig: GuidedRig, session: Session, repetitions: int, seed: int)
             targets[f"{word_of(name)}_within_percent"] = 100.0 * float(np.mean(within))
     for name, errors in base.items():
         targets[f"{word_of(name)}_base_mm"] = 1e3 * float(np.mean(errors))
-    return row | {"targets": targets}
+    return targets
 
 
 def word_of(target: str) -> str:
