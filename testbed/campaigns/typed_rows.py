@@ -34,11 +34,9 @@ def xyz(vector: Sequence[float] | NDArray[np.float64]) -> XYZ:
 
 
 def flat(row: Any) -> Row:
-    """The columns of a typed row; of a mapping, itself."""
-    if isinstance(row, Mapping):
-        return dict(row)
+    """The columns of a typed row, or of a mapping with typed rows in it."""
     made: Row = {}
-    for name, value in row._asdict().items():
+    for name, value in (row if isinstance(row, Mapping) else row._asdict()).items():
         if isinstance(value, XYZ):
             made |= zip(_columns(name), value, strict=True)
         elif hasattr(value, "_asdict"):

@@ -1,7 +1,7 @@
 """`longreach experiment best-mode`: how often one look brings the tool within ±5 mm, over drawn scenarios."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import Annotated, Any, NamedTuple
 
@@ -60,7 +60,8 @@ def positioning_table(done: Positioned) -> list[Table]:
     """For each arm the errors after each branch, and what refused or failed."""
     tables = []
     for arm, rows in by_arm(done.rows).items():
-        tables += [_errors(arm, rows), *_stops(rows)]
+        title = "refused or failed, counted as failed above"
+        tables += [_errors(arm, rows), *stops_table(title, "at", rows, BRANCHES)]
     return tables
 
 
@@ -167,18 +168,16 @@ def _errors(arm: str, rows: Sequence[PositioningRow]) -> Table:
     return table(f"arm {arm}, {len(rows)} runs: worse of true |x| and |y|, mm", headings, shown)
 
 
-def _stops(rows: Sequence[PositioningRow]) -> list[Table]:
-    """What ended branches, by its cause."""
+def stops_table(title: str, first: str, rows: Sequence[Any], words: Mapping[str, str]) -> list[Table]:
+    """What ended parts of the runs (field → ``words``), by its cause; no table where nothing did."""
     causes = Counter(
         (what, failure.split(" ")[0].rstrip(":"))
         for row in rows
-        for name, what in BRANCHES.items()
+        for name, what in words.items()
         if (failure := getattr(row, name).failure)
     )
     cells = [[what, cause, count] for (what, cause), count in sorted(causes.items())]
-    return (
-        [table("refused or failed, counted as failed above", ["at", "cause", "runs"], cells)] if cells else []
-    )
+    return [table(title, [first, "cause", "runs"], cells)] if cells else []
 
 
 BEST_MODE = Experiment(

@@ -15,7 +15,7 @@ import numpy as np
 from foundation.configuration import merged, parse_overrides
 from plant_emulator.core.truth import tool_error
 from protocol.errors import LongreachError
-from testbed.campaigns.typed_rows import UNKNOWN, XYZ, flat, xyz
+from testbed.campaigns.typed_rows import UNKNOWN, XYZ, xyz
 from testbed.experiments.positioning.scenarios import draw
 from testbed.lockstep.eyes import SightMaker
 from testbed.lockstep.rig import LockstepRig
@@ -74,9 +74,8 @@ def one_run(config_dir: Path, task: JSON) -> JSON:
     one_shot = driven(copy.deepcopy(rig), {"corrections": 0})
     look1 = driven(rig, {})
     look2 = Branch(failure="") if look1.failure else driven(rig, {})
-    for name, branch in (("one_shot", one_shot), ("look1", look1), ("look2", look2)):
-        row |= {f"{name}_{column}": value for column, value in flat(branch).items()}
-    return row | {"simulated_s": 1e-9 * rig.world.time_ns}
+    branches = {"one_shot": one_shot, "look1": look1, "look2": look2}
+    return row | branches | {"simulated_s": 1e-9 * rig.world.time_ns}
 
 
 def prepared(config_dir: Path, task: JSON, sight: SightMaker | None = None) -> LockstepRig:

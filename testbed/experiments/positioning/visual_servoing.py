@@ -2,7 +2,6 @@
 
 import copy
 import math
-from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,12 +11,13 @@ from rich.table import Table
 from protocol.errors import LongreachError
 from testbed.campaigns.campaign import Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least
-from testbed.campaigns.typed_rows import UNKNOWN, XYZ, flat, xyz
+from testbed.campaigns.typed_rows import UNKNOWN, XYZ, xyz
 from testbed.experiments.positioning.corrected import (
     DrawnSettings,
     positioning_tasks,
     quantile,
     share,
+    stops_table,
     worst_mm,
 )
 from testbed.experiments.positioning.corrected_run import operate, prepared, true_error_mm
@@ -72,10 +72,7 @@ def one_run(config_dir: Path, task: Task) -> dict[str, Any]:
     closed_loop = _form(copy.deepcopy(rig), begin_ns, "looking-and-moving", {})
     corrected = _form(rig, begin_ns, *CORRECTED)
     two_looks = Form(failure=corrected.failure) if corrected.failure else _form(rig, begin_ns, *CORRECTED)
-    forms = {"closed_loop": closed_loop, "corrected": corrected, "two_looks": two_looks}
-    for name, form in forms.items():
-        row |= {f"{name}_{column}": value for column, value in flat(form).items()}
-    return row
+    return row | {"closed_loop": closed_loop, "corrected": corrected, "two_looks": two_looks}
 
 
 def _form(rig: LockstepRig, begin_ns: int, kind: str, body: dict[str, Any]) -> Form:
@@ -108,16 +105,9 @@ def servoing_table(done: Served) -> list[Table]:
         within = f"{np.count_nonzero(worst <= LIMIT_MM)} of {len(done.rows)}"
         shown.append([words, within, *(f"{figure:.2f}" for figure in figures)])
     headings = ["form", "under 2 mm", "median mm", "95 % mm", "time to rest s", "95 % s"]
-    causes = Counter(
-        (words, failure.split(":")[0])
-        for row in done.rows
-        for name, words in WORDS.items()
-        if (failure := getattr(row, name).failure)
-    )
-    stopped = [[words, cause, count] for (words, cause), count in sorted(causes.items())]
     return [
         table("worse of true |x| and |y|", headings, shown),
-        *([table("refused or stopped", ["form", "cause", "runs"], stopped)] if stopped else []),
+        *stops_table("refused or stopped", "form", done.rows, WORDS),
     ]
 
 

@@ -27,6 +27,7 @@ def test_columns_are_named_after_fields_with_the_axis_before_the_unit() -> None:
         "seed": 3, "passed": True, "look1_true_x_mm": 1.0, "look1_true_y_mm": -2.0, "look1_true_z_mm": 0.5,
         "look1_steps": 2, "look1_failure": "", "speed_m_s": 0.25,
     }  # fmt: skip
+    assert flat(RUN._asdict()) == flat(RUN), "typed rows in a mapping have the same columns"
 
 
 def test_a_row_is_read_back_as_its_type() -> None:
