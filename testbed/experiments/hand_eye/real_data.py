@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+import testbed
 from protocol.errors import MeasurementFailed, RequestRefused
 from testbed.experiments.hand_eye import intrinsics_experiment
 from testbed.experiments.hand_eye.intrinsics_experiment import IntrinsicsRow
@@ -53,7 +54,8 @@ class HoldOutRow(NamedTuple):
 
 def data_directory() -> Path:
     """Where the recordings are. Raises RequestRefused (``refused.data_absent``) when they are not there."""
-    default = Path(__file__).resolve().parents[2].parent / "shared" / "data"
+    project = Path(testbed.__file__).resolve().parents[1]  # wherever this module lies in it
+    default = project.parent / "shared" / "data"
     directory = Path(os.environ.get("LONGREACH_DATA", default))
     if not directory.is_dir():
         raise RequestRefused(
