@@ -58,7 +58,7 @@ class ControllerUnderTest:
     """Serves the reference link on a free port of loopback, in a thread of its own, until it is left.
 
     With a ``network`` it serves there, in simulated time and without a thread. A mutant overrides one of the
-    hooks ``make_server``, ``incoming``, ``judge``, ``shown``, ``outgoing``.
+    hooks ``make_server``, ``heard`` or ``incoming``, ``judge``, ``shown``, ``outgoing``.
     """
 
     link_key: LinkKey | None = None
@@ -95,6 +95,11 @@ class ControllerUnderTest:
     def arm_hash(self) -> int:
         """The hash of the shipped arm."""
         return _shipped_arm_hash()
+
+    def heard(self, data: bytes, source: object) -> tuple[bytes, object] | None:
+        """A datagram, and where from, as the controller takes it in."""
+        taken = self.incoming(data)
+        return None if taken is None else (taken, source)
 
     def incoming(self, data: bytes) -> bytes | None:
         """A datagram as the controller takes it in."""
@@ -162,9 +167,9 @@ class ControllerUnderTest:
                 data, source = self._socket.recvfrom(65_535)
             except BlockingIOError:
                 break
-            taken = self.incoming(data)
+            taken = self.heard(data, source)
             if taken is not None:
-                batch.append((taken, source))
+                batch.append(taken)
         if batch:
             self._note(self.server.receive_batch(batch, self._clock_ns()))
 

@@ -1,0 +1,149 @@
+"""How many broken controllers the suite catches, and by which case.
+
+``python -m tests.conformance.mutant_report`` asks every case of every broken controller, in simulated time,
+and prints a line for each clause and for each controller that no case catches. ``--clause 5`` or ``--clause
+5.3``: only these; ``--name TEXT``: only those whose name has it; ``--every``: all cases that catch one, not
+the first alone. It ends with status 1 when one is not caught for which no reason is written.
+"""
+
+import argparse
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from typing import NamedTuple
+
+from conformance.case import CaseOutcome, ConformanceCase
+from conformance.runner import reference_cases, run_reference
+from protocol.authentication import LinkKey
+from tests.conformance.controllers import ControllerUnderTest
+from tests.conformance.simulated_network import simulated
+
+CONTROL = 101
+FOR_A_KEY = set(range(701, 722)) | set(range(723, 741))
+FOR_NO_KEY = {722}
+# Each has MUTANTS, a tuple of BrokenController.
+SOURCES: tuple[str, ...] = ("tests.conformance.named_mutants",)
+
+
+class BrokenController(NamedTuple):
+    """A controller that breaks one clause. ``unseen``: why nobody can tell from outside, if so."""
+
+    name: str
+    clause: str
+    make: Callable[[], ControllerUnderTest]
+    key: LinkKey | None = None
+    unseen: str = ""
+
+
+class Verdict(NamedTuple):
+    """The cases that a broken controller did not pass, in the order in which they were asked."""
+
+    broken: BrokenController
+    caught_by: tuple[int, ...]
+
+
+def broken_controllers() -> tuple[BrokenController, ...]:
+    """All of all sources."""
+    return tuple(each for source in SOURCES for each in import_module(source).MUTANTS)
+
+
+def asked(key: LinkKey | None, clause: str) -> list[ConformanceCase]:
+    """The cases for a controller with or without a key: ``clause``'s first, those that move last."""
+    others = FOR_NO_KEY if key else FOR_A_KEY
+    cases = [case for case in reference_cases() if case.number not in others]
+    return sorted(cases, key=lambda case: (case.clause != clause, case.motion, case.number))
+
+
+def verdict(broken: BrokenController, cases: Iterable[ConformanceCase], *, every: bool = False) -> Verdict:
+    """Which of ``cases`` catch ``broken``: the first, or with ``every`` all.
+
+    Each case meets a new controller. One that ends by an exception of its own does not pass either.
+    """
+    caught = []
+    for case in cases:
+        if not _passes(broken, case.number):
+            caught.append(case.number)
+            if not every:
+                break
+    return Verdict(broken, tuple(caught))
+
+
+def _passes(broken: BrokenController, number: int) -> bool:
+    with controllers_in_simulated_time():
+        try:
+            with broken.make() as controller:
+                summary = run_reference(
+                    "127.0.0.1", controller.port, numbers=[number], motion=True, key=broken.key, seed=1
+                )
+        except Exception:
+            return False
+    return summary.results[0].outcome is CaseOutcome.PASS
+
+
+@contextmanager
+def controllers_in_simulated_time() -> Iterator[None]:
+    """Suite and controllers share one simulated clock; no sockets, no waiting."""
+    before = ControllerUnderTest.network
+    with simulated() as network:
+        ControllerUnderTest.network = network
+        try:
+            yield
+        finally:
+            ControllerUnderTest.network = before
+
+
+def report(verdicts: Iterable[Verdict]) -> tuple[list[str], list[Verdict]]:
+    """Lines to print, and those verdicts that are not as they should be."""
+    by_clause: dict[str, list[Verdict]] = defaultdict(list)
+    for each in verdicts:
+        by_clause[each.broken.clause].append(each)
+    lines = [f"{'clause':>7} {'broken':>7} {'caught':>7} {'unseen':>7}  by which cases"]
+    wrong = []
+    for clause in sorted(by_clause, key=_order):
+        row = by_clause[clause]
+        caught = [each for each in row if each.caught_by]
+        cases = sorted({number for each in caught for number in each.caught_by})
+        unseen = [each for each in row if not each.caught_by and each.broken.unseen]
+        wrong += [each for each in row if bool(each.caught_by) == bool(each.broken.unseen)]
+        lines.append(
+            f"{clause:>7} {len(row):>7} {len(caught):>7} {len(unseen):>7}  {', '.join(map(str, cases))}"
+        )
+    every = [each for row in by_clause.values() for each in row]
+    total = sum(bool(each.caught_by) for each in every)
+    could = sum(not each.broken.unseen for each in every)
+    lines.append(f"{total} of {could} caught that can be told from outside, {len(every)} in all")
+    for each in every:
+        if not each.caught_by:
+            why = each.broken.unseen or "NO CASE CATCHES IT"
+            lines.append(f"not caught: {each.broken.clause} {each.broken.name}: {why}")
+        elif each.broken.unseen:
+            lines.append(f"caught all the same: {each.broken.clause} {each.broken.name}: {each.caught_by}")
+    return lines, wrong
+
+
+def _order(clause: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in clause.split("."))
+
+
+def main() -> int:
+    """Ask, print, and return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--clause", default="", help="only this clause, or all of 5 with 5")
+    parser.add_argument("--name", default="", help="only those whose name has this text")
+    parser.add_argument("--every", action="store_true", help="all cases that catch it, not the first alone")
+    options = parser.parse_args()
+    verdicts = []
+    for broken in broken_controllers():
+        wanted = not options.clause or f"{broken.clause}.".startswith(f"{options.clause}.")
+        if wanted and options.name in broken.name:
+            verdicts.append(verdict(broken, asked(broken.key, broken.clause), every=options.every))
+            print(f"{broken.clause} {broken.name}: {verdicts[-1].caught_by}", file=sys.stderr, flush=True)
+    lines, wrong = report(verdicts)
+    print("\n".join(lines))
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,53 @@
+"""The broken controllers of all sources: each is caught by some case, or it is said why none can."""
+
+import pytest
+
+from tests.conformance.controllers import ControllerUnderTest
+from tests.conformance.mutant_report import (
+    BrokenController,
+    Verdict,
+    asked,
+    broken_controllers,
+    report,
+    verdict,
+)
+from tests.conformance.mutants import NoMagic
+
+
+@pytest.mark.experiment
+def test_every_broken_controller_is_caught_or_it_is_said_why_not() -> None:
+    verdicts = [verdict(each, asked(each.key, each.clause)) for each in broken_controllers()]
+    lines, wrong = report(verdicts)
+    print("\n".join(lines))
+    assert wrong == []
+
+
+def test_no_two_broken_controllers_have_one_name() -> None:
+    names = [(each.clause, each.name) for each in broken_controllers()]
+    assert len(set(names)) == len(names)
+
+
+def test_a_case_that_the_controller_passes_does_not_catch_it() -> None:
+    broken = BrokenController("no magic", "3.5", NoMagic)
+    cases = [case for case in asked(None, "3.5") if case.number in (101, 102, 103)]
+    assert verdict(broken, cases, every=True).caught_by == (102,)
+
+
+def test_a_controller_that_falls_over_is_caught() -> None:
+    class FallsOver(ControllerUnderTest):
+        def turn(self) -> None:
+            raise ZeroDivisionError
+
+    broken = BrokenController("falls over", "3.1", FallsOver)
+    assert verdict(broken, asked(None, "3.1")[:1]).caught_by == (101,)
+
+
+def test_the_report_counts_by_clause_and_names_what_is_not_as_it_should_be() -> None:
+    def of(name: str, unseen: str, *caught_by: int) -> Verdict:
+        return Verdict(BrokenController(name, "5.3", ControllerUnderTest, unseen=unseen), caught_by)
+
+    lines, wrong = report([of("a", "", 313), of("b", "has no effect"), of("c", ""), of("d", "nobody", 314)])
+    assert lines[1].split() == ["5.3", "4", "2", "1", "313,", "314"]
+    assert [each.broken.name for each in wrong] == ["c", "d"]
+    assert any("b: has no effect" in line for line in lines)
+    assert any("c: NO CASE CATCHES IT" in line for line in lines)
