@@ -18,6 +18,7 @@ from testbed.cli.options import (
     Scenario,
     Seed,
     Settings,
+    SoakOptions,
     StartOptions,
 )
 from testbed.cli.root import RootGroup, show_version
@@ -121,21 +122,24 @@ def demo(
     raise typer.Exit(0 if passed else 1)
 
 
-@app.command(epilog="Example: longreach soak --minutes 10 --cycle-ms 2 --json soak.json")
+@app.command(epilog="Example: longreach soak --minutes 60 --faults --json soak.json")
+@unfolded
 def soak(
-    minutes: Annotated[float, typer.Option(min=0.1, max=1440.0, help="How long.")] = 10.0,
-    cycle_ms: Annotated[float, typer.Option(min=1.0, max=10.0, help="The controller's cycle.")] = 5.0,
+    chosen: SoakOptions,
+    seed: Seed = 1,
     config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
     free_ports: FreePorts = False,
     runs: Runs = DEFAULT_RUNS,
     json_file: JsonFile = None,
 ) -> None:
-    """Run all three services at rest and in motion, vision looking; exit status 0 under 0.5 % overruns."""
-    from testbed.experiments.robustness.soak import run_soak
+    """Run all three services at rest and in motion, polled and followed; exit status 0 within all limits."""
+    from testbed.experiments.robustness.soak.command import SoakRequest, run_soak
 
-    overrides = merged(parse_overrides(settings or []), {"controller": {"cycle_ms": cycle_ms}})
-    raise typer.Exit(0 if run_soak(config_dir, overrides, minutes, free_ports, runs, json_file) else 1)
+    cycle = {"controller": {"cycle_ms": chosen.cycle_ms}}
+    overrides = merged(parse_overrides(settings or []), cycle)
+    request = SoakRequest(chosen.minutes, chosen.faults, seed, config_dir, overrides, free_ports, runs)
+    raise typer.Exit(0 if run_soak(request, json_file) else 1)
 
 
 @app.command(

@@ -32,3 +32,11 @@ class StartOptions(NamedTuple):
         bool, typer.Option("--allow-faults", help="Let the plant's HTTP face for faults break things.")
     ] = False
     runs: Annotated[Path, typer.Option(help="Where directories of runs are made.")] = Path("runs")
+
+
+class SoakOptions(NamedTuple):
+    """How long a soak lasts, and how hard it is."""
+
+    minutes: Annotated[float, typer.Option(min=0.1, max=1440.0, help="How long.")] = 10.0
+    cycle_ms: Annotated[float, typer.Option(min=1.0, max=10.0, help="The controller's cycle.")] = 5.0
+    faults: Annotated[bool, typer.Option("--faults", help="Break the plant at random times.")] = False

@@ -1,0 +1,94 @@
+"""What the machine does in a soak: vision looks all the while, the arm moves once a minute."""
+
+import time
+from collections import Counter
+from collections.abc import Callable
+
+from protocol.errors import LongreachError
+from testbed.experiments.robustness.soak.incidents import Journal
+from testbed.realtime.rest_rig import JSON, RestRig
+from testbed.reporting.console import Bar
+
+_LOOK: JSON = {"frames": 50}  # five seconds of looking at 10 pictures a second
+_STROKE_M = 0.15
+_MOVE_EVERY_S = 60.0
+_CALIBRATE_EVERY = 10  # motions
+_RECOVERY_S = 30.0
+_RETRY_S = 0.5
+
+
+class Duty:
+    """Rest and motion in turns. Whatever fails is noted, the arm is enabled again, and the duty goes on."""
+
+    def __init__(self, rig: RestRig, journal: Journal, bar: Bar, alive: Callable[[], None]) -> None:
+        """``alive`` raises when a service has ended."""
+        self.done: Counter[str] = Counter()
+        self.recoveries_s: list[float] = []
+        self._rig = rig
+        self._journal = journal
+        self._bar = bar
+        self._alive = alive
+        self._stroke_m = _STROKE_M
+
+    def keep(self, seconds: float) -> None:
+        """Work for ``seconds``. Raises LongreachError when a service has ended or nothing can be enabled."""
+        overall = _Overall(self._bar, self._journal, seconds)
+        self._recover()
+        moves, next_move_s = 0, 0.0
+        while self._journal.now_s < seconds:
+            if self._journal.now_s < next_move_s:
+                self._attempt("look", _LOOK, overall)
+                continue
+            next_move_s = self._journal.now_s + _MOVE_EVERY_S
+            moves += 1
+            if moves % _CALIBRATE_EVERY:
+                self._attempt("move", {"offset_base_m": [0.0, self._stroke_m, 0.0]}, overall)
+                self._stroke_m = -self._stroke_m
+            else:
+                self._attempt("trajectory-matching", {}, overall)
+
+    def _attempt(self, kind: str, body: JSON, bar: Bar) -> None:
+        try:
+            self._rig.operate(kind, body, bar)
+        except LongreachError as error:
+            self._journal.incident(kind, error.cause, str(error))
+            self._alive()
+            self._recover()
+        else:
+            self.done[kind] += 1
+
+    def _recover(self) -> None:
+        """RESET and ENABLE until the arm is enabled; what is refused on the way is noted.
+
+        Raises the last refusal after half a minute.
+        """
+        began_s = time.monotonic()
+        while True:
+            try:
+                group = self._rig.state()["group_state"]
+                if group == "error_stop":
+                    self._rig.command("reset")
+                elif group == "disabled":
+                    self._rig.command("enable")
+                else:
+                    self.recoveries_s.append(time.monotonic() - began_s)
+                    return
+            except LongreachError as error:
+                self._journal.incident("recovery", error.cause, str(error))
+                self._alive()
+                if time.monotonic() - began_s > _RECOVERY_S:
+                    raise
+                time.sleep(_RETRY_S)
+
+
+class _Overall(Bar):
+    """Shows the time of the whole soak, whatever the running operation reports of itself."""
+
+    def __init__(self, bar: Bar, journal: Journal, seconds: float) -> None:
+        self._bar = bar
+        self._journal = journal
+        self._seconds = seconds
+
+    def update(self, fraction: float, note: str = "") -> None:
+        """Set the bar to the share of the time that has passed."""
+        self._bar.update(self._journal.now_s / self._seconds, note)
