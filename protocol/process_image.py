@@ -142,8 +142,8 @@ def encode_sensors(image: SensorImage) -> list[int]:
 def decode_sensors(words: Sequence[int]) -> SensorImage:
     """The image in INPUT_WORDS words read from INPUT_ADDRESS on.
 
-    Raises ImageRefused: wrong count (``image.bad_length``), torn (``image.torn``), written after another
-    table (``image.layout``), not words at all (``image.not_words``).
+    Raises ImageRefused: wrong count (``image.bad_length``), not words at all (``image.not_words``), written
+    after another table (``image.layout``), torn (``image.torn``).
     """
     values = _decoded(words, INPUT_TABLE, _INPUT_WORDS, _INPUT_LAYOUT)
     pressures = values["pressures_bar"]
@@ -162,8 +162,8 @@ def encode_valves(image: ValveImage) -> list[int]:
 def decode_valves(words: Sequence[int]) -> ValveImage:
     """The image in OUTPUT_WORDS words written from OUTPUT_ADDRESS on; all zero: disabled, valves centred.
 
-    Raises ImageRefused: wrong count (``image.bad_length``), torn (``image.torn``), a spool command of −32768
-    (``image.out_of_range``), not words at all (``image.not_words``).
+    Raises ImageRefused: wrong count (``image.bad_length``), not words at all (``image.not_words``), a spool
+    command of −32768 (``image.out_of_range``), which is found in a torn image too, torn (``image.torn``).
     """
     return ValveImage(**_decoded(words, OUTPUT_TABLE, _OUTPUT_WORDS, _OUTPUT_LAYOUT))
 
@@ -214,8 +214,6 @@ def _decoded(
         numbers = layout.unpack(words_layout.pack(*words))
     except struct.error as error:
         raise ImageRefused("image.not_words", f"not 16-bit words: {error}") from error
-    if numbers[0] != numbers[-1]:
-        raise ImageRefused("image.torn", f"cycle {numbers[0]} at the start, {numbers[-1]} at the end")
     values: dict[str, Any] = {}
     at = 0
     for row in table:
@@ -234,4 +232,7 @@ def _decoded(
                 )
         scaled = raw if row.scale == 1.0 else tuple(number / row.scale for number in raw)
         values[row.name] = scaled[0] if row.count == 1 else scaled
+    # Last: an impossible value is one in a torn image too, and is refused when it comes, not when it acts.
+    if numbers[0] != numbers[-1]:
+        raise ImageRefused("image.torn", f"cycle {numbers[0]} at the start, {numbers[-1]} at the end")
     return values

@@ -132,9 +132,11 @@ def test_an_image_of_another_table_is_refused(layout: int) -> None:
     assert caught.value.cause == "image.layout"
 
 
-def test_the_one_spool_word_without_a_mirror_is_refused() -> None:
+@pytest.mark.parametrize("torn", [0, 1])
+def test_the_one_spool_word_without_a_mirror_is_refused_in_a_torn_image_too(torn: int) -> None:
     words = encode_valves(VALVES)
     words[4] = 0x8000
+    words[-1] ^= torn
     with pytest.raises(ImageRefused) as caught:
         decode_valves(words)
     assert caught.value.cause == "image.out_of_range"

@@ -126,7 +126,7 @@ class CouplerImage:
     def write(self, address: int, words: Sequence[int]) -> tuple[int, ValveImage | None, bool]:
         """Exception code of a write to the outputs, the whole image that it completes, whether it is torn.
 
-        A write that leaves an impossible command is refused whole with ILLEGAL_VALUE.
+        A write that holds an impossible command is refused whole with ILLEGAL_VALUE.
         """
         outputs = list(self._outputs)
         start = address - OUTPUT_ADDRESS

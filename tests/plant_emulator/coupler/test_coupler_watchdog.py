@@ -233,6 +233,34 @@ def test_a_refused_telegram_neither_owns_nor_retriggers() -> None:
     assert bench.expired
 
 
+@pytest.mark.parametrize(
+    "request_hex",
+    [
+        "06 0802 8000",
+        "10 0807 0001 02 8000",
+        "17 0000 0001 0802 0002 04 0000 8000",
+        "10 0800 0003 06 000900008000",
+    ],
+)
+def test_the_impossible_command_is_refused_when_it_comes_also_in_a_torn_image(request_hex: str) -> None:
+    bench = Bench()
+    bench.ask("06 0800 270F")  # the cycle at the start, not the one at the end: torn from here on
+    refused = f"{int(request_hex[:2], 16) | 0x80:02x}03"
+    assert bench.ask(request_hex) == refused
+    assert bench.ask("03 0800 000C") == "0318270f" + "0000" * 11
+    assert bench.written == []
+    # The word that makes the image whole is not blamed for the refused one, and the image acts.
+    assert bench.ask("06 080B 270F") == "06080b270f"
+    assert bench.written == [ValveImage(0x270F, 0, (0.0,) * 6)]
+
+
+@pytest.mark.parametrize("address", [0x0800, 0x0801, 0x0808, 0x080A, 0x080B, 0x080C])
+def test_outside_the_spools_the_same_word_is_like_any_other(address: int) -> None:
+    bench = Bench()
+    assert bench.ask(f"06 {address:04X} 8000") == f"06{address:04x}8000"
+    assert bench.ask("06 0802 8001") == "0608028001"
+
+
 def test_a_second_master_is_told_six_and_changes_nothing() -> None:
     bench = Bench()
     bench.ask(WRITE, "a")
