@@ -6,11 +6,10 @@ from enum import Enum
 from protocol.authentication import LinkKey
 from protocol.channel import Channel, LinkStatistics
 from protocol.client_handshake import ClientHandshake
-from protocol.clock_offset import OffsetEstimate
+from protocol.clock_offset import HeartbeatTracker, OffsetEstimate
 from protocol.datagram import Datagram, Header, decode, encode
 from protocol.errors import DatagramRefused, LinkLost, RequestRefused
 from protocol.faults import Reason
-from protocol.heartbeat_tracker import HeartbeatTracker
 from protocol.open_requests import OpenRequests
 from protocol.reference_messages import (
     ANY_ARM,

@@ -10,15 +10,22 @@ from typing import TypeVar
 
 from conformance.runner import reference_cases
 from controller.config import ControllerConfig
-from controller.core.group_states import TRANSITIONS, Mode, Stimulus
 from controller.core.inbox import WAITING
 from foundation.configuration import load
 from protocol import datagram_layout, process_image, reference_messages
 from protocol.authentication import LinkKey
+from protocol.axes_group import ANSWERS, Asked, Mode
 from protocol.channel import MAX_GAP_DATAGRAMS, WINDOW_DATAGRAMS
 from protocol.client_handshake import HELLO_PERIOD_NS, HELLOS_PER_NONCE
 from protocol.client_session import MIN_RESEND_NS, RESEND_CYCLES
-from protocol.clock_offset import DISPUTED_TO_RESET, DRIFT_PPM, WINDOW
+from protocol.clock_offset import (
+    DISPUTED_TO_RESET,
+    DRIFT_PPM,
+    FIRST_HEARTBEATS,
+    FIRST_PERIOD_NS,
+    HEARTBEATS_PER_TIMEOUT,
+    WINDOW,
+)
 from protocol.command_ledger import REMEMBERED
 from protocol.datagram import encode
 from protocol.datagram_layout import (
@@ -45,7 +52,6 @@ from protocol.faults import (
     Reason,
     Severity,
 )
-from protocol.heartbeat_tracker import FIRST_HEARTBEATS, FIRST_PERIOD_NS, HEARTBEATS_PER_TIMEOUT
 from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
 from protocol.reference_messages import Bye, Heartbeat, Hello, ReferencePose, Welcome
 from protocol.server_session import REFUSAL_INTERVAL_NS, REMEMBERED_NONCES
@@ -85,7 +91,7 @@ CAPABILITIES = {
     "STREAMING": "START_STREAM, END_STREAM, STREAMED_POSE and STREAM_REFUSED are understood",
     "AUTHENTICATION": "every datagram of the session is signed (clause 11)",
 }
-COLUMNS = {Stimulus.MOVE: "reference", Stimulus.STREAMED: "streamed reference"}
+COLUMNS = {Asked.MOVE: "reference", Asked.STREAMED: "streamed reference"}
 
 
 def table(head: str, rows: Iterable[Iterable[object]]) -> str:
@@ -246,11 +252,13 @@ def session_table(rows: tuple[Row, ...]) -> str:
 
 def group_table() -> str:
     """Every command and reference in every mode of the group: next mode and the reason that answers."""
-    stimuli = [s for s in Stimulus if s <= Stimulus.STREAMED]
     return table(
-        "in | " + " | ".join(COLUMNS.get(s, s.name) for s in stimuli),
+        "in | " + " | ".join(COLUMNS.get(asked, asked.name) for asked in Asked),
         (
-            [mode.name, *(f"{t.mode.name}: {t.reason.name}" for t in (TRANSITIONS[mode, s] for s in stimuli))]
+            [
+                mode.name,
+                *(f"{t.mode.name}: {t.reason.name}" for t in (ANSWERS[mode, asked] for asked in Asked)),
+            ]
             for mode in Mode
         ),
     )

@@ -3,7 +3,7 @@
 Streamed references are answered only when they are refused.
 """
 
-from controller.core.group_states import LIVE, Mode, Stimulus, transition
+from controller.core.group_states import LIVE, Stimulus, transition
 from controller.core.plant_watch import link_lost
 from controller.core.references.admission import Refusal, admit
 from controller.core.references.streaming import OpenStream, follow, last_approach
@@ -12,6 +12,7 @@ from controller.core.settings import ScanSettings
 from controller.core.supervision import REACTIONS, RESTED, Fault, plant_ready
 from controller.core.trajectories.approach import ApproachTrajectory
 from controller.core.trajectories.motion import holding, start_motion, start_stop
+from protocol.axes_group import Mode
 from protocol.faults import CommandCode, FaultCode, Reason, Severity
 from protocol.reference_messages import (
     Acknowledgement,

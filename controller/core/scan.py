@@ -6,7 +6,7 @@ advance the desired motion, drive the valves.
 
 import numpy as np
 
-from controller.core.group_states import GROUP_STATE, Mode, Stimulus, transition
+from controller.core.group_states import Stimulus, transition
 from controller.core.kinematics.rotations import Array
 from controller.core.plant_watch import cycle_frozen, link_lost, update_watch
 from controller.core.references.streaming import at_pace, pace, silence, update_fade
@@ -26,6 +26,7 @@ from controller.core.servo.pose_servo import resolve, tool_state
 from controller.core.settings import ScanSettings
 from controller.core.supervision import Evidence, Fault, ServoOutput, first_fault, update_timers
 from controller.core.trajectories.motion import advance, at_standstill
+from protocol.axes_group import GROUP_STATE, Mode
 from protocol.faults import FaultCode
 from protocol.pose import Pose
 from protocol.process_image import CONTROL_ENABLE, CONTROL_RESET_WATCHDOG, STATUS_WATCHDOG_TRIPPED, ValveImage

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.core.group_states import Mode
 from controller.core.kinematics.rotations import Array
 from controller.core.plant_watch import PlantRefusal, PlantWatch, unseen
 from controller.core.references.streaming import OpenStream
@@ -13,6 +12,7 @@ from controller.core.servo.pose_servo import ToolState, tool_state
 from controller.core.settings import ScanSettings
 from controller.core.supervision import RESTED, Fault, ServoOutput, Timers
 from controller.core.trajectories.motion import DesiredMotion, holding
+from protocol.axes_group import Mode
 from protocol.faults import FaultCode, GroupState, Severity
 from protocol.pose import Pose
 from protocol.process_image import SensorImage, ValveImage

@@ -2,8 +2,8 @@
 
 from collections import deque
 
-from controller.core.group_states import Mode
 from controller.core.inbox import Inbox
+from protocol.axes_group import Mode
 from protocol.datagram_layout import Kind
 from protocol.faults import CommandCode
 from protocol.reference_messages import Acknowledgement, Command, Request, is_stop, overtaken

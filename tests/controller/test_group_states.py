@@ -2,7 +2,8 @@
 
 import pytest
 
-from controller.core.group_states import GROUP_STATE, LIVE, TRANSITIONS, Mode, Stimulus, transition
+from controller.core.group_states import LIVE, TRANSITIONS, Stimulus, transition
+from protocol.axes_group import GROUP_STATE, Mode
 from protocol.faults import CommandCode, GroupState, Reason
 
 COMMANDS = [Stimulus(code) for code in CommandCode]

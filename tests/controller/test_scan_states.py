@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from controller.config import ControllerConfig
-from controller.core.group_states import GROUP_STATE, Mode, Stimulus, transition
+from controller.core.group_states import Stimulus, transition
 from controller.core.settings import ScanSettings, settings_from
 from foundation.configuration import load
 from nominal_arm.description import NominalArm
+from protocol.axes_group import GROUP_STATE, Mode
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.process_image import (
     CONTROL_ENABLE,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from controller.config import ControllerConfig
-from controller.core.group_states import Mode
 from controller.core.kinematics.rotations import Array, conjugate, quaternion_product, vector_from_quaternion
 from controller.core.settings import ScanSettings
+from protocol.axes_group import Mode
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
 from protocol.process_image import CONTROL_ENABLE

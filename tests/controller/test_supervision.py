@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from controller.config import ControllerConfig
-from controller.core.group_states import Mode
 from controller.core.settings import ScanSettings, settings_from
 from controller.core.supervision import FAULTS, REACTIONS
 from nominal_arm.description import NominalArm
+from protocol.axes_group import Mode
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.process_image import (
     CONTROL_ENABLE,

@@ -5,10 +5,11 @@ import re
 from pathlib import Path
 
 from controller.config import ControllerConfig
-from controller.core.group_states import TRANSITIONS, Mode, Stimulus
+from controller.core.group_states import TRANSITIONS, Stimulus
 from controller.core.supervision import FAULTS
 from controller.core.trajectories.path_survey import SAMPLES
 from foundation.configuration import load
+from protocol.axes_group import Mode
 from protocol.datagram_layout import MAX_WAYPOINTS
 from protocol.faults import FAULT_TEXTS, Reason, Severity
 
