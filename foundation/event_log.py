@@ -2,7 +2,8 @@
 
 docs/event_log.md is the written schema. Each line is one object: ``service``, ``event``, ``level``,
 ``time_ns`` (CLOCK_MONOTONIC), ``utc``, then the event's own fields. A thread of its own writes stderr: a
-reader that hangs loses lines, which are counted, and holds up nothing.
+reader that hangs loses lines, which are counted, and holds up nothing. What may come again and again goes
+through ``write_repeated``.
 """
 
 import contextlib
@@ -13,20 +14,32 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Hashable
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, TextIO
+from typing import Any, Literal, NamedTuple, TextIO
 
 from foundation.directories import recording_directory
+from foundation.repeated_lines import RepeatedLines
 from protocol.errors import ConfigurationError, LongreachError
 
 Level = Literal["info", "warning", "error"]
 LEVELS: tuple[Level, ...] = ("info", "warning", "error")
 MEMBERS = ("service", "event", "level", "time_ns", "utc")
+_EVERY_LINES = frozenset(MEMBERS)
 RECORD_FILE = "events.jsonl"
 _WAITING_MAX = 2000
 _CLOSE_TIMEOUT_S = 0.5
+_LOOK_NS = 500_000_000  # how often the thread looks for repetitions that are due
+
+
+class _Occurrence(NamedTuple):
+    """A line before it is one."""
+
+    event: str
+    level: Level
+    time_ns: int
+    fields: dict[str, Any]
 
 
 class EventLog:
@@ -43,6 +56,8 @@ class EventLog:
         self._stream = sys.stderr if stream is None else stream
         self._file: TextIO | None = None
         self._recording = threading.Lock()
+        self._repeated: RepeatedLines[_Occurrence] = RepeatedLines()
+        self._repeating = threading.Lock()
         self._lines: queue.Queue[str | None] = queue.Queue(_WAITING_MAX)
         self._thread = threading.Thread(target=self._write_lines, name="event-log", daemon=True)
         self._thread.start()
@@ -69,21 +84,23 @@ class EventLog:
 
         Raises ValueError for a field that has the name of a member of every line.
         """
-        line = self._line(event, level, fields)
-        self._show(line)
-        with self._recording:
-            if self._file is not None:
-                try:
-                    self._file.write(line + "\n")
-                except OSError as error:
-                    with contextlib.suppress(OSError):  # what is still buffered has no place either
-                        self._file.close()
-                    self._file = None
-                    why = {"cause": "recording.unwritable", "detail": error.strerror}
-                    self._show(self._line("recording_failed", "error", why))
+        self._append(_occurrence(event, level, fields))
+
+    def write_repeated(self, kind: Hashable, event: str, level: Level = "info", /, **fields: Any) -> None:
+        """As ``write``, for what may come again and again: see ``repeated_lines`` for which are written.
+
+        ``kind``: what makes it the same again, such as the cause; of a limited number, never what a stranger
+        sent. A line that stands for several has the fields of the last, and their number as ``repeated``.
+        """
+        occurrence = _occurrence(event, level, fields)
+        with self._repeating:
+            count = self._repeated.put((event, level, kind), occurrence, occurrence.time_ns)
+        if count:
+            self._append(_standing_for(occurrence, count))
 
     def close(self) -> None:
         """Write what waits, for half a second at most, and close the file."""
+        self._tell(self._repeated.rest)
         with self._recording:
             if self._file is not None:
                 self._file.close()
@@ -98,11 +115,31 @@ class EventLog:
         """Return when all lines so far are shown."""
         self._lines.join()
 
-    def _line(self, event: str, level: Level, fields: dict[str, Any]) -> str:
-        if taken := fields.keys() & set(MEMBERS):
-            raise ValueError(f"event {event}: {', '.join(sorted(taken))} belongs to every line")
-        utc = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-        members = (self._service, event, level, time.monotonic_ns(), utc)
+    def _append(self, occurrence: _Occurrence) -> None:
+        line = self._line(occurrence)
+        self._show(line)
+        with self._recording:
+            if self._file is not None:
+                try:
+                    self._file.write(line + "\n")
+                except OSError as error:
+                    with contextlib.suppress(OSError):  # what is still buffered has no place either
+                        self._file.close()
+                    self._file = None
+                    why = {"cause": "recording.unwritable", "detail": error.strerror}
+                    self._show(self._line(_occurrence("recording_failed", "error", why)))
+
+    def _tell(self, which: Callable[[], list[tuple[_Occurrence, int]]]) -> None:
+        with self._repeating:
+            told = which()
+        for occurrence, count in told:
+            self._append(_standing_for(occurrence, count))
+
+    def _line(self, occurrence: _Occurrence) -> str:
+        event, level, time_ns, fields = occurrence
+        past_s = (time.monotonic_ns() - time_ns) * 1e-9
+        utc = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(time.time() - past_s))
+        members = (self._service, event, level, time_ns, utc)
         return json.dumps(dict(zip(MEMBERS, members, strict=True)) | fields, default=str)
 
     def _show(self, line: str) -> None:
@@ -112,8 +149,16 @@ class EventLog:
             self.dropped += 1
 
     def _write_lines(self) -> None:
+        look_ns = 0
         while True:
-            line = self._lines.get()
+            now_ns = time.monotonic_ns()
+            if now_ns >= look_ns:
+                look_ns = now_ns + _LOOK_NS
+                self._tell(lambda: self._repeated.due(time.monotonic_ns()))
+            try:
+                line = self._lines.get(timeout=1e-9 * _LOOK_NS)
+            except queue.Empty:
+                continue
             try:
                 if line is None:
                     return
@@ -123,6 +168,16 @@ class EventLog:
                 self.dropped += 1
             finally:
                 self._lines.task_done()
+
+
+def _occurrence(event: str, level: Level, fields: dict[str, Any]) -> _Occurrence:
+    if taken := _EVERY_LINES.intersection(fields):
+        raise ValueError(f"event {event}: {', '.join(sorted(taken))} belongs to every line")
+    return _Occurrence(event, level, time.monotonic_ns(), fields)
+
+
+def _standing_for(last: _Occurrence, count: int) -> _Occurrence:
+    return last if count == 1 else last._replace(fields=last.fields | {"repeated": count})
 
 
 class LibraryMessages(logging.Handler):

@@ -104,9 +104,8 @@ class PlantLink:
 
     def _failed(self, cause: str, detail: str) -> None:
         self.failures[cause] += 1
-        if self.failures[cause].bit_count() == 1:  # 1, 2, 4, … : a dead link fills no disk
-            fields = {"cause": f"plant_link.{cause}", "detail": detail, "count": self.failures[cause]}
-            self._log.write("plant_exchange_failed", "warning", **fields)
+        fields = {"cause": f"plant_link.{cause}", "detail": detail, "count": self.failures[cause]}
+        self._log.write_repeated(cause, "plant_exchange_failed", "warning", **fields)
 
     def _dropped(self, cause: str, detail: str) -> None:
         self._failed(cause, detail)

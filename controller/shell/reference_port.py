@@ -189,11 +189,9 @@ class ReferencePort:
                 self._dropped(event.cause, event.detail, 1)
 
     def _dropped(self, cause: str, detail: str, count: int) -> None:
-        before = self.drops[cause]
         self.drops[cause] += count
-        if self.drops[cause].bit_length() > before.bit_length():  # at 1, 2, 4, … : a flood fills no disk
-            fields = {"cause": cause, "detail": detail, "count": self.drops[cause]}
-            self._log.write("datagram_dropped", "warning", **fields)
+        fields = {"cause": cause, "detail": detail, "count": self.drops[cause]}
+        self._log.write_repeated(cause, "datagram_dropped", "warning", **fields)
 
     def _part(self, peer: object) -> None:
         """A socket of the peer's own, from now on; without one all share the first, as before."""

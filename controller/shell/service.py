@@ -38,7 +38,7 @@ from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError, ImageRefused
 from protocol.faults import CommandCode, FaultCode
 from protocol.process_image import SensorImage, ValveImage, decode_sensors, encode_valves
-from protocol.reference_messages import Command
+from protocol.reference_messages import Command, Request
 from protocol.server_session import ReferenceServer
 
 _STATE_STATISTICS_NS = 1_000_000_000  # the window of the percentiles in the state message
@@ -124,7 +124,7 @@ class ControllerService:
         shown = to_state(output.view, self._statistics_at(now_ns))
         self._reference.publish(answers, shown, now_ns, output.refusal)
         self._recorder.record(inputs, output)
-        self._follow_up(self._state, output, now_ns)
+        self._follow_up(self._state, requests, output, now_ns)
 
     def _decoded(self, words: list[int] | PlantRefusal | None) -> SensorImage | PlantRefusal | None:
         if not isinstance(words, list):
@@ -133,8 +133,9 @@ class ControllerService:
             return decode_sensors(words)
         except ImageRefused as refusal:
             self._images_refused += 1
-            if self._images_refused.bit_count() == 1:
-                self._log.write("image_refused", "warning", cause=refusal.cause, detail=str(refusal))
+            self._log.write_repeated(
+                refusal.cause, "image_refused", "warning", cause=refusal.cause, detail=str(refusal)
+            )
             return None
 
     def _statistics_at(self, now_ns: int) -> RuntimeStatistics:
@@ -153,15 +154,20 @@ class ControllerService:
             references_dropped=link.dropped,
         )
 
-    def _follow_up(self, state: ScanState, output: ScanOutput, now_ns: int) -> None:
+    def _follow_up(
+        self, state: ScanState, requests: tuple[Request, ...], output: ScanOutput, now_ns: int
+    ) -> None:
         """Log what happened, dump the flight recorder when its time has come, end when asked to."""
         for event in output.events:
             level: Level = "error" if event.name == "fault" else "info"
-            name, *request = event.name.split()  # the answer to "Command 7" is event "command" of request 7
-            fields = {"cause": event.cause, "value": event.value, "limit": event.limit}
-            self._log.write(
-                name.lower(), level, **fields, **({"request": int(request[0])} if request else {})
-            )
+            name, *number = event.name.split()  # the answer to "Command 7" is event "command" of request 7
+            fields: dict[str, Any] = {"cause": event.cause, "value": event.value, "limit": event.limit}
+            if number:
+                fields["request"] = int(number[0])
+            code = next((_code(each) for each in requests if number == [str(each.command_id)]), None)
+            if code is not None:
+                fields["command"] = code
+            self._log.write_repeated((event.cause, code), name.lower(), level, **fields)
             if event.name == "fault" and self._record_dir is not None and self._dump_due_ns is None:
                 self._dump_due_ns = now_ns + _AFTER_FAULT_NS
         if self._dump_due_ns is not None and now_ns >= self._dump_due_ns and not is_live(state):
@@ -223,3 +229,10 @@ class ControllerService:
             "rss_mb_at_start": self._memory_mb,
             "rss_mb": resident_mb(),
         }
+
+
+def _code(request: Request) -> str | None:
+    """What a command asks for; None of a reference."""
+    if not isinstance(request, Command):
+        return None
+    return request.code.name if isinstance(request.code, CommandCode) else "UNKNOWN"

@@ -71,6 +71,27 @@ def test_a_hanging_reader_costs_lines_that_are_counted_and_no_time() -> None:
     assert len(reader.getvalue().splitlines()) + log.dropped == 5000
 
 
+def test_repetitions_are_counted_in_a_line_that_comes_by_itself(tmp_path: Path) -> None:
+    log = EventLog("controller", stream := io.StringIO())
+    log.record_in(tmp_path)
+    for number in range(1, 101):
+        log.write_repeated("ENABLE", "command", request=number)
+    log.write_repeated("STOP", "command", request=101)
+    assert [line["request"] for line in written(log, stream)] == [1, 101], "no stop waits behind a flood"
+    deadline = time.monotonic() + 10.0
+    while len(lines := written(log, stream)) < 3 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert_obeys(lines[2], "controller")
+    assert (lines[2]["request"], lines[2]["repeated"]) == (100, 99)
+    assert "repeated" not in lines[0]
+    assert lines[2]["time_ns"] < lines[1]["time_ns"], "the time at which the last of them happened"
+    log.write_repeated("ENABLE", "command", request=102)
+    log.write_repeated("ENABLE", "command", request=103)
+    log.close()
+    assert json.loads(stream.getvalue().splitlines()[-1])["request"] == 103, "what waits is not lost"
+    assert (tmp_path / "events.jsonl").read_text() == stream.getvalue()
+
+
 def test_a_closed_pipe_is_counted_and_nothing_else() -> None:
     stream = io.StringIO()
     log = EventLog("controller", stream)
