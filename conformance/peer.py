@@ -58,8 +58,7 @@ class Peer(Wire):
                 self.session, self.minor = datagram.header.session, datagram.header.minor
                 self.welcome = datagram.message
                 self._heartbeat_ns = self.now_ns
-                if self.link_key is not None:  # the session begins when the client has shown its key (11.8)
-                    self.alive("the first heartbeat")
+                self.alive("the first heartbeat")  # with it the session begins (4.2)
                 return datagram.message
             if isinstance(datagram.message, Bye):
                 _refused(datagram.message.reason)

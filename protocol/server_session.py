@@ -51,10 +51,13 @@ _REFUSALS = {
 class ReferenceServer:
     """One active peer at a time. The shell gives every call its monotonic time and sends ``outgoing``.
 
+    ``boot_id``: random, of every start of the controller; its lowest 64 bits are told in WELCOME, what is
+    above them is kept, so that nobody can compute the number of a session that was granted to another.
     ``link_timeout_ms`` of silence end the session. ``max_age_ms``: a datagram older than that when it is read
-    is not used (default: the link timeout). With a ``key`` only authenticated sessions are granted, and such
-    a session begins with the client's first datagram under its keys, not with HELLO, which could be a
-    recorded one.
+    is not used (default: the link timeout). With a ``key`` only authenticated sessions are granted.
+
+    A session begins with the client's first datagram in it, not with HELLO, which could be recorded or come
+    from a forged address: who has not read WELCOME ends nothing, and is sent nothing else.
     """
 
     def __init__(
@@ -185,7 +188,7 @@ class ReferenceServer:
             return [self._foreign("session.occupied", f"HELLO from {source}: {session.source} is connected")]
         self._unconfirmed = self._granted(header, hello, source, now_ns)
         self._post(self._unconfirmed, self._unconfirmed.welcome, now_ns)
-        return [] if self._key else self._confirmed(now_ns)
+        return []
 
     def _confirmed(self, now_ns: int) -> list[ServerEvent]:
         """Makes the granted session the one in use, in the place of another one."""

@@ -44,7 +44,7 @@ class SessionFactory:
         key: LinkKey | None,
     ) -> None:
         self.count = 0
-        self._boot_id = boot_id
+        self._secret, self._boot_id = divmod(boot_id, 2**64)
         self._arm_hash = arm_hash
         self._cycle_ns = cycle_ns
         self._link_timeout_ms = link_timeout_ms
@@ -58,7 +58,7 @@ class SessionFactory:
     ) -> LinkSession:
         """The session that ``hello`` opens; its sequence numbers begin with HELLO's."""
         self.count += 1
-        number = _session_number(self._boot_id, hello.client_nonce, self.count)
+        number = _session_number(self._secret, self._boot_id, hello.client_nonce, self.count)
         keys = self._key.of_controller(hello.client_nonce, number, self._boot_id) if self._key else None
         channel = Channel(number, min(header.minor, VERSION_MINOR), self._first_sequence, keys)
         channel.hear(header, now_ns, None, statistics)
@@ -74,7 +74,11 @@ class SessionFactory:
         return LinkSession(channel, source, welcome, header.sent_ns, now_ns, now_ns)
 
 
-def _session_number(boot_id: int, client_nonce: int, count: int) -> int:
-    """A number that no other session of this or another controller has, and that is never 0."""
-    seed = b"".join(number.to_bytes(8, "little") for number in (boot_id, client_nonce, count))
+def _session_number(secret: int, *public: int) -> int:
+    """A number that no other session of this or another controller has, and that is never 0.
+
+    Who knows the ``public`` numbers cannot tell it without the ``secret``.
+    """
+    seed = b"".join(number.to_bytes(8, "little") for number in public)
+    seed += secret.to_bytes((secret.bit_length() + 7) // 8, "little")
     return int.from_bytes(hashlib.sha256(seed).digest()[:8], "little") or 1

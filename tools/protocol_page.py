@@ -206,7 +206,7 @@ def limits() -> str:
         ("nonces remembered", "–", f"those of the last {REMEMBERED_NONCES} sessions"),
         ("gap in the sequence", "–", f"at most {MAX_GAP_DATAGRAMS - 1} skipped; more is refused"),
         ("replay window", "–", f"the newest {WINDOW_DATAGRAMS} of 2^64 numbers"),
-        ("session that is not confirmed is forgotten", "after more than link_timeout_ms", "–"),
+        ("grant that has not begun is forgotten", "after more than link_timeout_ms", "–"),
         ("late told from duplicate", "–", f"within the newest {WINDOW_DATAGRAMS} numbers"),
         ("BYE to those without a session", f"at most one in {REFUSAL_INTERVAL_NS // MS} ms", "–"),
         ("echoes kept for the clock", "–", f"the newest {WINDOW}"),

@@ -13,16 +13,30 @@ class Row(NamedTuple):
 
 
 SERVER_ROWS = (
-    Row("CLOSED", "HELLO, nonce not used before, arm_hash 0 or its own", "OPEN", "WELCOME"),
+    Row("CLOSED", "HELLO, nonce not used before, arm_hash 0 or its own", "CLOSED", "WELCOME"),
+    Row(
+        "CLOSED", "first datagram in the session of the newest WELCOME: HEARTBEAT", "OPEN", "HEARTBEAT_REPLY"
+    ),
+    Row("CLOSED", "the same, later than link_timeout_ms", "CLOSED", "BYE UNKNOWN_SESSION"),
+    Row("CLOSED", "state period has passed since WELCOME", "CLOSED", "–"),
+    Row("CLOSED", "HELLO, same source, same nonce", "CLOSED", "the same WELCOME"),
     Row("CLOSED", "HELLO, arm_hash of another arm", "CLOSED", "BYE WRONG_ARM"),
     Row("CLOSED", "HELLO, nonce of an earlier session", "CLOSED", "–"),
     Row("CLOSED", "datagram of another major version", "CLOSED", "BYE INCOMPATIBLE_VERSION"),
     Row("CLOSED", "BYE", "CLOSED", "–"),
     Row("CLOSED", "any other datagram", "CLOSED", "BYE UNKNOWN_SESSION"),
     Row("OPEN", "HELLO, same source, same nonce", "OPEN", "WELCOME"),
-    Row("OPEN", "HELLO, same source, new nonce, sent later", "OPEN, new session", "WELCOME"),
+    Row("OPEN", "HELLO, same source, new nonce, sent later", "OPEN", "WELCOME"),
+    Row(
+        "OPEN",
+        "first datagram in the session of that WELCOME: HEARTBEAT",
+        "OPEN, new session",
+        "HEARTBEAT_REPLY",
+    ),
     Row("OPEN", "HELLO, same source, new nonce, sent earlier", "OPEN", "–"),
+    Row("OPEN", "HELLO, arm_hash of another arm", "OPEN", "BYE WRONG_ARM"),
     Row("OPEN", "HELLO, another source", "OPEN", "BYE SESSION_OCCUPIED"),
+    Row("OPEN", "datagram of another major version", "OPEN", "BYE INCOMPATIBLE_VERSION"),
     Row("OPEN", "HEARTBEAT", "OPEN", "HEARTBEAT_REPLY"),
     Row("OPEN", "request, id above all before", "OPEN", "ACKNOWLEDGEMENT after the decision"),
     Row("OPEN", "request again, decided", "OPEN", "the same ACKNOWLEDGEMENT"),
@@ -55,18 +69,14 @@ CLIENT_ROWS = (
     Row("CONNECTED", "asked to disconnect", "CLOSED", "BYE SHUTDOWN"),
 )
 
-# What differs at the controller's end where a key is configured.
+# What is added at the controller's end where a key is configured.
 KEY_SERVER_ROWS = (
     Row("CLOSED", "HELLO, signed", "CLOSED", "WELCOME"),
     Row("CLOSED", "HELLO, not signed", "CLOSED", "BYE NOT_AUTHENTICATED"),
     Row("CLOSED", "HELLO, signed with another key", "CLOSED", "BYE UNKNOWN_KEY"),
     Row("CLOSED", "HELLO, with a wrong tag", "CLOSED", "BYE BAD_TAG"),
     Row("CLOSED", "first HEARTBEAT under the keys of WELCOME", "OPEN", "HEARTBEAT_REPLY"),
-    Row("CLOSED", "first HEARTBEAT later than link_timeout_ms", "CLOSED", "BYE UNKNOWN_SESSION"),
-    Row("OPEN", "HELLO, signed, same source, new nonce", "OPEN", "WELCOME"),
-    Row("OPEN", "first HEARTBEAT under the keys of that WELCOME", "OPEN, new session", "HEARTBEAT_REPLY"),
     Row("OPEN", "datagram not signed, of another key or with a wrong tag", "OPEN", "–"),
     Row("OPEN", "replay, or number behind the window", "OPEN", "–"),
     Row("OPEN", "BYE not signed", "OPEN", "–"),
-    Row("OPEN", "BYE", "CLOSED", "–"),
 )

@@ -4,6 +4,7 @@ from conformance.bytes_of import resealed, with_bit_flipped
 from conformance.case import reference
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.framing import FLAGS, refused, stop, used
+from conformance.reference.handshake import granted
 from conformance.reference.lifetime import SLACK_MS
 from conformance.wire import MS, SEQUENCES, Failed, Unsupported, require
 from protocol.authentication import DirectionKey, LinkKey
@@ -168,29 +169,17 @@ def other_session(peer: Peer) -> None:
     peer.alive("after a recorded session")
 
 
-@case(713, "11.8", "a HELLO that is not confirmed does not end the session in use")
-def unconfirmed(peer: Peer) -> None:
+@case(713, "11.8", "a datagram that is not under the keys of WELCOME does not begin the session")
+def unsigned_beginning(peer: Peer) -> None:
     opened(peer)
-    session = peer.session
-    peer.send(Hello(peer.nonce(), peer.required | 1, 0, 50), session=0)
-    welcomed = peer.expect(Welcome, "a new HELLO of the connected source")
-    require(welcomed.client_nonce != 0, "no nonce")
-    peer.session = session
-    peer.alive("the session in use, after a HELLO that is not confirmed")
-    peer.ask(stop(peer), "the session in use")
-
-
-@case(714, "11.8", "a session begins with the first datagram under its keys: before it no STATE is sent")
-def silent_until_confirmed(peer: Peer) -> None:
-    opened(peer)
-    peer.leave()
-    peer.collect(RATION_MS, beating=False)
-    peer.send(Hello(peer.nonce(), peer.required | 1, 0, 0), session=0)
-    got = [d.message for d in peer.collect(150, beating=False)]
-    require(any(isinstance(m, Welcome) for m in got), "no WELCOME")
-    require(
-        not any(isinstance(m, State) for m in got), "STATE was sent to a client that has not shown its key"
-    )
+    in_use = peer.session
+    session = granted(peer)
+    assert peer.link_key is not None
+    for key in (None, peer.link_key.of_hello(), peer.keys_of(session).receives, peer.keys_of(in_use).sends):
+        peer.send_raw(signed(peer, stop(peer), key, session=session))
+        got = [d.message for d in peer.collect(30) if not isinstance(d.message, HeartbeatReply | State)]
+        require(not got, f"came {got}")
+    peer.ask(stop(peer), "the session in use, after forged beginnings of another")
 
 
 @case(715, "11.10", "forged datagrams do not keep the session alive")

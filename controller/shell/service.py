@@ -61,7 +61,7 @@ class ControllerService:
         self._boot_id = secrets.randbits(64) or 1
         cycle_ns = round(config.cycle_ms * _NS_PER_MS)
         server = ReferenceServer(
-            boot_id=self._boot_id,
+            boot_id=self._boot_id | secrets.randbits(128) << 64,
             arm_hash=configuration_hash(arm),
             cycle_ns=cycle_ns,
             link_timeout_ms=config.reference_link.link_timeout_ms,

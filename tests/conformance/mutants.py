@@ -7,6 +7,7 @@ from conformance.bytes_of import resealed, with_number
 from protocol import channel
 from protocol.command_ledger import CommandLedger, Verdict
 from protocol.datagram import Header, decode, encode
+from protocol.datagram_layout import Kind
 from protocol.errors import DatagramRefused
 from protocol.faults import CommandCode, Reason
 from protocol.reference_messages import (
@@ -59,10 +60,10 @@ class IgnoresTrailingBytes(ControllerUnderTest):
 
 
 class FillsUpShortDatagrams(ControllerUnderTest):
-    """Takes missing bytes for zero."""
+    """Takes the missing bytes of a COMMAND for zero."""
 
     def incoming(self, data: bytes) -> bytes | None:
-        if not HEADER_BYTES <= len(data) < 56:
+        if not HEADER_BYTES <= len(data) < 56 or data[6] != Kind.COMMAND:
             return data
         return with_number(data + bytes(56 - len(data)), LENGTH, "H", 16)
 

@@ -142,6 +142,8 @@ def test_an_emergency_stop_behind_50_000_requests_centres_the_valves_within_thre
     server.receive(client.outgoing(0)[0], "peer", 0)
     for data, _ in server.outgoing(0):
         client.receive(data, 0)
+    client.tick(0)
+    server.receive_batch([(data, "peer") for data in client.outgoing(0)], 0)  # the session begins
     for _ in range(50_000):
         client.submit(Command(0, CommandCode.RESET), 0)
     emergency = client.submit(Command(0, CommandCode.EMERGENCY_STOP), 0)

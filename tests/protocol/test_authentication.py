@@ -186,7 +186,7 @@ class TestSessions:
         wire.client.submit(STOP, wire.now_ns)
         wire.run(20)
         assert wire.requests() == [STOP._replace(command_id=wire.requests()[0].command_id)]
-        assert wire.connections() == 1
+        assert len(wire.sessions()) == 1
         assert wire.client.welcome.capabilities & CAPABILITY_AUTHENTICATION
         assert all(decode(data).header.flags & 0x100 for data in wire.sent_up)
         assert wire.client.statistics.dropped == wire.server.statistics.dropped == 0

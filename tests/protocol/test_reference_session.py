@@ -102,7 +102,7 @@ class TestHandshake:
         wire.client.connect(wire.now_ns)
         wire.run(400)
         assert [type(e) for e in wire.server_events] == [SessionOpened]
-        assert wire.connections() == 1
+        assert len(wire.sessions()) == 1
 
     def test_another_arm_is_refused_with_the_reason(self) -> None:
         wire = Wire(client=ReferenceClient(7, arm_hash=ARM + 1))
@@ -277,7 +277,7 @@ class TestRestarts:
         wire = Wire().connect()
         wire.server.close(wire.server_ns)
         wire.run(2000)
-        assert wire.connections() == 1
+        assert len(wire.sessions()) == 1
         with pytest.raises(errors.LinkLost) as caught:
             wire.client.submit(STOP, wire.now_ns)
         assert caught.value.cause == "link.not_connected"

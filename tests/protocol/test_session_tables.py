@@ -29,6 +29,7 @@ WELCOME = next(m for m in MESSAGES if isinstance(m, Welcome))
 STATE = next(m for m in MESSAGES if isinstance(m, State))
 ENABLE = Command(5, CommandCode.ENABLE)
 T0 = 10**9
+OF_MAJOR_2 = with_number(encode(Hello(2, 1, 0, 20), Header(0, 1, T0)), 4, "B", 2)
 
 
 def spoken(data: bytes) -> str:
@@ -49,9 +50,16 @@ class ServerBench:
         self.sequence = 100
         self.session = 0
         if state == "OPEN":
-            self.give(Hello(1, 1, 0, 20), session=0)
-            ((welcome, _),) = self.server.outgoing()
-            self.session = decode(welcome).header.session
+            self.greet(1)
+            self.give(Heartbeat(self.now_ns))
+            self.server.outgoing()
+        self.begun = self.server.session
+
+    def greet(self, nonce: int) -> None:
+        """HELLO; what follows is of the session that its WELCOME names."""
+        self.give(Hello(nonce, 1, 0, 20), session=0)
+        ((welcome, _),) = self.server.outgoing()
+        self.session = decode(welcome).header.session
 
     def give(
         self, message: Message, session: int | None = None, source: str = "a", sent_ns: int | None = None
@@ -79,15 +87,40 @@ class ServerBench:
         sent = " and ".join(spoken(data) for data, _ in self.server.outgoing()) or "–"
         if self.server.session is None:
             return "CLOSED", sent
-        same = self.session in (0, self.server.session)
-        return "OPEN" if same else "OPEN, new session", sent
+        renewed = self.begun not in (None, self.server.session)
+        return "OPEN, new session" if renewed else "OPEN", sent
 
 
 def ended_once(bench: ServerBench) -> None:
-    bench.give(Hello(3, 1, 0, 20))
+    confirmed(bench)
     bench.server.close(bench.now_ns)
     bench.server.outgoing()
-    bench.give(Hello(3, 1, 0, 20))
+    bench.give(Hello(3, 1, 0, 20), session=0)
+
+
+def confirmed(bench: ServerBench) -> None:
+    bench.greet(3)
+    bench.give(Heartbeat(bench.now_ns))
+
+
+def confirmed_late(bench: ServerBench) -> None:
+    bench.greet(3)
+    bench.now_ns += TIMEOUT_MS * MS + 1
+    bench.give(Heartbeat(bench.now_ns))
+
+
+def published_unconfirmed(bench: ServerBench) -> None:
+    bench.greet(3)
+    bench.now_ns += TIMEOUT_MS * MS // 2
+    bench.server.publish(STATE, bench.now_ns)
+
+
+def greeted_twice(bench: ServerBench) -> None:
+    bench.greet(3)
+    session = bench.session
+    bench.greet(3)
+    assert bench.session == session
+    bench.give(Hello(3, 1, 0, 20), session=0)
 
 
 def decided_after_asking(bench: ServerBench) -> None:
@@ -142,11 +175,13 @@ def silent(bench: ServerBench) -> None:
 
 SERVER_PLAYS: dict[tuple[str, str], Callable[[ServerBench], object]] = {
     ("CLOSED", "HELLO, nonce not used before, arm_hash 0 or its own"): lambda b: b.give(Hello(2, 1, ARM, 20)),
+    ("CLOSED", "first datagram in the session of the newest WELCOME: HEARTBEAT"): confirmed,
+    ("CLOSED", "the same, later than link_timeout_ms"): confirmed_late,
+    ("CLOSED", "state period has passed since WELCOME"): published_unconfirmed,
+    ("CLOSED", "HELLO, same source, same nonce"): greeted_twice,
     ("CLOSED", "HELLO, arm_hash of another arm"): lambda b: b.give(Hello(2, 1, ARM + 1, 20)),
     ("CLOSED", "HELLO, nonce of an earlier session"): ended_once,
-    ("CLOSED", "datagram of another major version"): lambda b: b.give_bytes(
-        with_number(encode(Hello(2, 1, 0, 20), Header(0, 1, T0)), 4, "B", 2)
-    ),
+    ("CLOSED", "datagram of another major version"): lambda b: b.give_bytes(OF_MAJOR_2),
     ("CLOSED", "BYE"): lambda b: b.give(Bye(Reason.SHUTDOWN), session=9),
     ("CLOSED", "any other datagram"): lambda b: b.give(ENABLE, session=9),
     ("OPEN", "HELLO, same source, same nonce"): lambda b: b.give(Hello(1, 1, 0, 20), session=0),
@@ -156,6 +191,9 @@ SERVER_PLAYS: dict[tuple[str, str], Callable[[ServerBench], object]] = {
     ("OPEN", "HELLO, same source, new nonce, sent earlier"): lambda b: b.give(
         Hello(2, 1, 0, 20), session=0, sent_ns=T0 - 1
     ),
+    ("OPEN", "first datagram in the session of that WELCOME: HEARTBEAT"): confirmed,
+    ("OPEN", "HELLO, arm_hash of another arm"): lambda b: b.give(Hello(2, 1, ARM + 1, 20), session=0),
+    ("OPEN", "datagram of another major version"): lambda b: b.give_bytes(OF_MAJOR_2),
     ("OPEN", "HELLO, another source"): lambda b: b.give(Hello(2, 1, 0, 20), session=0, source="b"),
     ("OPEN", "HEARTBEAT"): lambda b: b.give(Heartbeat(T0)),
     ("OPEN", "request, id above all before"): decided_after_asking,
@@ -176,6 +214,7 @@ SERVER_PLAYS: dict[tuple[str, str], Callable[[ServerBench], object]] = {
 SERVER_WORDS = {
     "ACKNOWLEDGEMENT after the decision": "ACKNOWLEDGEMENT",
     "the same ACKNOWLEDGEMENT": "ACKNOWLEDGEMENT",
+    "the same WELCOME": "WELCOME",
 }
 
 

@@ -91,11 +91,11 @@ class Wire:
         return self
 
     def connect(self) -> "Wire":
-        """Runs until the session is open."""
+        """Runs until the session is open at both ends."""
         self.client.connect(self.now_ns)
         for _ in range(20):
             self.step()
-            if self.client.connected:
+            if self.client.connected and self.server.session == self.sessions()[-1]:
                 return self
         raise AssertionError("no session within 20 steps")
 
@@ -103,9 +103,9 @@ class Wire:
         """What the controller was asked to execute."""
         return [event.message for event in self.server_events if isinstance(event, RequestReceived)]
 
-    def connections(self) -> int:
-        """How often the client was connected."""
-        return sum(isinstance(event, Connected) for event in self.client_events)
+    def sessions(self) -> list[int]:
+        """The sessions that the client has entered, in order."""
+        return [event.session for event in self.client_events if isinstance(event, Connected)]
 
     def _due(self, way: list[tuple[int, bytes]]) -> list[bytes]:
         due = [data for at_ns, data in way if at_ns <= self.now_ns]

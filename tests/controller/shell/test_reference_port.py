@@ -53,6 +53,8 @@ class Peer:
         self.session.connect(time.monotonic_ns())
         await self.turn()
         assert any(isinstance(event, Connected) for event in self.events)
+        self.session.tick(time.monotonic_ns())
+        await self.turn()
 
     def submit(self, message: Request) -> int:
         return self.session.submit(message, time.monotonic_ns())

@@ -1,0 +1,161 @@
+"""Cases 231…239: a session begins with the client's first datagram in it (clauses 4.2, 4.4, 4.5 and 4.11)."""
+
+from conformance.case import reference
+from conformance.peer import RATION_MS, Peer
+from conformance.reference.framing import MAJOR, stop
+from conformance.reference.lifetime import SLACK_MS
+from conformance.wire import ANSWER_MS, MS, Failed, require
+from protocol.faults import Reason
+from protocol.reference_messages import Bye, Heartbeat, HeartbeatReply, Hello, State, Welcome
+
+case = reference.case
+# Answers to one datagram of a stranger: no more bytes than this many times what he sent.
+AMPLIFICATION = 3
+
+
+def granted(peer: Peer, *, nonce: int | None = None, period_ms: int = 50) -> int:
+    """The number of the session that a new HELLO is granted; nothing is sent in it yet."""
+    hello = Hello(nonce or peer.nonce(), peer.required | 1, 0, period_ms)
+    peer.send(hello, session=0, minor=0)
+    until_ns = peer.now_ns + ANSWER_MS * MS
+    while (left_ns := until_ns - peer.now_ns) > 0:
+        datagram = peer.receive(left_ns / MS, beating=False)
+        message = datagram.message if datagram else None
+        if datagram and isinstance(message, Welcome) and message.client_nonce == hello.client_nonce:
+            peer.welcome = message
+            return datagram.header.session
+    raise Failed(f"no WELCOME within {ANSWER_MS} ms")
+
+
+def beaten(peer: Peer, session: int) -> list[object]:
+    """What comes in answer to a heartbeat in ``session``, STATE left out."""
+    now_ns = peer.now_ns
+    peer.send(Heartbeat(now_ns), session=session, sent_ns=now_ns)
+    return [d.message for d in peer.collect(RATION_MS, beating=False) if not isinstance(d.message, State)]
+
+
+def require_begun(peer: Peer, session: int, why: str) -> None:
+    """Require that a heartbeat in ``session`` is answered, which makes it the peer's."""
+    got = beaten(peer, session)
+    require(any(isinstance(m, HeartbeatReply) for m in got), f"{why}: a heartbeat was answered {got}")
+    peer.session = session
+
+
+def require_none(peer: Peer, session: int, why: str) -> None:
+    """Require that ``session`` is none: a heartbeat in it is told UNKNOWN_SESSION."""
+    peer.collect(RATION_MS, beating=False)
+    got = beaten(peer, session)
+    require(got == [Bye(Reason.UNKNOWN_SESSION)], f"{why}: a heartbeat was answered {got}")
+
+
+@case(231, "4.2", "a session begins with the client's first datagram in it: before it WELCOME alone is sent")
+def nothing_but_welcome(peer: Peer) -> None:
+    nonce = peer.nonce()
+    session = granted(peer, nonce=nonce, period_ms=0)
+    # Shorter than any link timeout that lets four heartbeats be lost: the grant is still good.
+    got = [d.message for d in peer.collect(100, beating=False)]
+    require(not got, f"{len(got)} datagrams came before the first of the session: {got[:3]}")
+    require(granted(peer, nonce=nonce, period_ms=0) == session, "HELLO again was granted another session")
+    require_begun(peer, session, "the first heartbeat")
+    states = [d for d in peer.collect(100) if isinstance(d.message, State)]
+    require(bool(states), "no STATE in the session that has begun")
+
+
+@case(232, "4.5", "a HELLO with the client's address and another nonce does not disturb the session in use")
+def forged_hello(peer: Peer) -> None:
+    peer.open(period_ms=20)
+    in_use = peer.session
+    for _ in range(5):
+        granted(peer, period_ms=0)
+    others = {d.header.session for d in peer.collect(100)} - {in_use}
+    require(not others, f"datagrams of {len(others)} sessions that nobody began")
+    peer.ask(stop(peer), "a request of the session in use")
+    peer.alive("the session in use")
+
+
+@case(233, "4.5", "after a restart in place the old session ends with the first datagram in the new one")
+def restart_is_confirmed(peer: Peer) -> None:
+    peer.open()
+    old = peer.session
+    new = granted(peer)
+    peer.ask(stop(peer), "a request of the old session, before the new one begins")
+    require_begun(peer, new, "the new session")
+    request = stop(peer)
+    peer.send(request, session=old)
+    got = [d.message for d in peer.collect(RATION_MS)]
+    require(Bye(Reason.UNKNOWN_SESSION) in got, f"a request of the old session was answered {got}")
+
+
+@case(234, "4.5", "the newest grant replaces the one before")
+def newest_grant(peer: Peer) -> None:
+    first, second = granted(peer), granted(peer)
+    require(first != second, "another nonce was granted the same session")
+    require_none(peer, first, "a grant that was replaced")
+    require_begun(peer, second, "the newest grant")
+
+
+@case(235, "8", "a grant is good for link_timeout_ms, and then forgotten")
+def grant_forgotten(peer: Peer) -> None:
+    session = granted(peer)
+    peer.collect(peer.timeout_ms * 0.6, beating=False)
+    require_begun(peer, session, "after 0.6 of the link timeout")
+    peer.leave()
+    session = granted(peer)
+    peer.collect(peer.timeout_ms + SLACK_MS, beating=False)
+    require_none(peer, session, f"{SLACK_MS} ms after the link timeout")
+
+
+@case(236, "4.2", "a request may be the first datagram in a session")
+def request_begins(peer: Peer) -> None:
+    session = granted(peer)
+    peer.session = session
+    peer.ask(stop(peer), "a request as the first datagram of its session")
+    peer.alive("a session that began with a request")
+
+
+@case(237, "4.11", "before it has proved to hear, a source is sent at most three times the bytes it sent")
+def no_amplifier(peer: Peer) -> None:
+    nonce = peer.nonce()
+    again = [peer.encoded(_hello(peer, nonce), session=0) for _ in range(20)]
+    others = [peer.encoded(_hello(peer, peer.nonce()), session=0) for _ in range(20)]
+    strays = [peer.encoded(stop(peer), session=0x1234 + n) for n in range(20)]
+    versions = [peer.with_number(data, MAJOR, "B", 9) for data in strays]
+    noise = [data[:40] for data in strays]
+    floods = {"HELLO": again[:1], "HELLO again": again[1:], "HELLO, new nonces": others}
+    floods |= {"strays": strays, "another major version": versions, "headers": noise}
+    for what, datagrams in floods.items():
+        peer.transcript.clear()
+        for data in datagrams:
+            peer.send_raw(data)
+            peer.receive(5.0, beating=False)
+        peer.collect(300, beating=False)
+        sent, came = (sum(len(line.data) for line in peer.transcript if line.direction == direction)
+                      for direction in ("send", "receive"))  # fmt: skip
+        require(came <= AMPLIFICATION * sent, f"{what}: {came} bytes came for {sent}")
+
+
+@case(238, "4.5", "a grant that has not begun keeps nobody else out")
+def grant_does_not_occupy(peer: Peer) -> None:
+    other = peer.second()
+    granted(other)
+    session = granted(peer)
+    require_begun(peer, session, "a second client, beside a grant that has not begun")
+
+
+@case(239, "4.9", "other major versions, and HELLO for another arm, do not end the session of their source")
+def refusals_end_nothing(peer: Peer) -> None:
+    welcome = peer.open()
+    peer.collect(RATION_MS)
+    peer.send_raw(peer.with_number(peer.encoded(stop(peer)), MAJOR, "B", 9))
+    peer.expect_bye(Reason.INCOMPATIBLE_VERSION, "a datagram of another major version, in a session")
+    peer.alive("after a datagram of another major version")
+    peer.collect(RATION_MS)
+    another_arm = _hello(peer, peer.nonce())._replace(arm_hash=welcome.arm_hash ^ 1 or 2)
+    peer.send(another_arm, session=0)
+    peer.expect_bye(Reason.WRONG_ARM, "HELLO for another arm, from the connected source")
+    peer.alive("after HELLO for another arm")
+    peer.ask(stop(peer), "a request of the session")
+
+
+def _hello(peer: Peer, nonce: int) -> Hello:
+    return Hello(nonce, peer.required | 1, 0, 0)
