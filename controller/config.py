@@ -5,7 +5,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from foundation.configuration import StrictModel
-from foundation.link_key import KeySource
+from foundation.secret_source import SecretSource
 
 # How late a scan may be without breaking streaming.silence_ms.
 _STREAM_MARGIN_MS = 2.0
@@ -137,7 +137,7 @@ class ReferenceLinkConfig(StrictModel):
     host: str = Field(min_length=1)
     port: int = Field(ge=0, le=65535)
     link_timeout_ms: int = Field(ge=20, le=60_000)
-    link_key: KeySource = KeySource()
+    link_key: SecretSource = SecretSource()
 
 
 class ControllerConfig(StrictModel):

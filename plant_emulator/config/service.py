@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from pydantic import Field
 
 from foundation.configuration import HostName, StrictModel, load
+from foundation.rest.tokens import TokenSources
 from foundation.scheduling import Policy
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.scene import SceneConfig
@@ -22,11 +23,13 @@ class Endpoint(StrictModel):
 class FaultApiConfig(Endpoint):
     """Where the HTTP face for faults listens, whether it may break anything, and how it may be called.
 
-    ``allowed_hosts``: names beside loopback and ``host``.
+    ``allowed_hosts``: names beside loopback and ``host``. ``tokens``: who may look, who may operate;
+    compulsory where ``host`` is not loopback.
     """
 
     allowed: bool
     allowed_hosts: tuple[HostName, ...] = ()
+    tokens: TokenSources = TokenSources()
 
 
 class PlantServiceConfig(StrictModel):

@@ -18,8 +18,9 @@ from starlette.types import Scope
 from foundation.configuration import StrictModel
 from foundation.event_log import EventLog
 from foundation.problems import problem
-from foundation.rest import RestServer, install_problems
-from foundation.rest_guard import Refusal
+from foundation.rest.access import configured_access
+from foundation.rest.refusals import Refusal
+from foundation.rest.server import RestServer, install_problems
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import FAULTS, Fault, MarkerCovered
@@ -51,7 +52,7 @@ class FaultFace:
 
     def __init__(self, plant: Plant, scene: Scene, config: FaultApiConfig, log: EventLog) -> None:
         app = create_app(plant, scene, config.allowed)
-        self._server = RestServer(app, (config.host, *config.allowed_hosts), log)
+        self._server = RestServer(app, configured_access(config, "plant_service.fault_face"), log)
         self._serving: asyncio.Task[None] | None = None
 
     def start(self, listener: socket.socket) -> None:

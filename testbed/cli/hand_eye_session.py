@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from click import get_current_context
 
 app = typer.Typer(help="Guided hand-eye sampling on a running rig, step by step.", no_args_is_help=True)
 
@@ -21,10 +22,22 @@ Anywhere = Annotated[
 DEFAULT_URL = "http://127.0.0.1:8000"
 
 
+@app.callback()
+def session(
+    context: typer.Context,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(help="File with the token of the role operate.", envvar="LONGREACH_TOKEN_FILE"),
+    ] = None,
+) -> None:
+    """Guided hand-eye sampling on a running rig, step by step."""
+    context.obj = token_file
+
+
 def _do(url: str, act: Callable[[Any], None]) -> None:
     from testbed.hand_eye.session_client import with_session
 
-    with_session(url, act)
+    with_session(url, get_current_context().find_object(Path), act)
 
 
 @app.command(epilog="Example: longreach hand-eye session start monday --poses 17")

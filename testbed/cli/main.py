@@ -22,6 +22,7 @@ from testbed.cli.options import (
     StartOptions,
 )
 from testbed.cli.root import RootGroup, show_version
+from testbed.cli.token import app as token
 from testbed.fault_proxy.command import proxy
 from testbed.pictures.command import app as picture
 from testbed.reporting.console import writable
@@ -53,6 +54,7 @@ app.add_typer(experiment, name="experiment")
 app.add_typer(conformance, name="conformance")
 app.add_typer(hand_eye, name="hand-eye")
 app.add_typer(picture, name="picture")
+app.add_typer(token, name="token")
 
 app.command(epilog="Example: longreach sniff --interface lo --port 47000")(sniff)
 app.command(epilog="Example: longreach proxy --listen-port 47001 --port 47000 --loss 0.02")(proxy)

@@ -80,10 +80,10 @@ def drive(launch: Launch, choice: Choice, shown: Bars, supervisor: Supervisor) -
 
     Raises ServiceFailed when a service has ended by itself: that explains whatever else went wrong.
     """
-    rig = RestRig(launch.rest_url)
+    rig = RestRig(launch.rest_url, launch.rest_token())
     recorder = Recorder(rig, shown)
     failure: LongreachError | None = None
-    with StateSampler(launch.rest_url) as sampler:
+    with StateSampler(launch.rest_url, launch.rest_token()) as sampler:
         try:
             with shown.step("waiting for links and camera"):
                 rig.wait_healthy(_HEALTHY_S)

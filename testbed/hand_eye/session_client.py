@@ -1,8 +1,10 @@
 """The guided session of a running vision PC, over its REST face."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+from foundation.secret_source import secret_from_file
 from testbed.realtime.rest_rig import RestRig
 from testbed.reporting.console import bars
 
@@ -39,9 +41,13 @@ class SessionClient(RestRig):
         return self._ask("DELETE", f"/hand-eye/session/samples/{name}")
 
 
-def with_session(url: str, act: Callable[[SessionClient], None]) -> None:
-    """Call ``act`` with a connection to the vision PC at ``url``, and close it."""
-    face = SessionClient(url)
+def with_session(url: str, token_file: Path | None, act: Callable[[SessionClient], None]) -> None:
+    """Call ``act`` with a connection to the vision PC at ``url``, and close it.
+
+    ``token_file``: where the token of the role ``operate`` is, if one is wanted. Raises ConfigurationError as
+    ``secret_from_file`` does.
+    """
+    face = SessionClient(url, None if token_file is None else secret_from_file(token_file, "operate token"))
     try:
         act(face)
     finally:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from foundation.configuration import merged
+from foundation.secret_source import read_secret
 from testbed.realtime.ports import PortUse, check_ports
 from testbed.realtime.supervisor import Service, free_port
 from testbed.scenarios.scenario import flattened
@@ -27,6 +28,13 @@ class Launch(NamedTuple):
     def statistics(self, service: str) -> Path:
         """The file in which ``service`` leaves its figures when it ends."""
         return self.directory / f"{service}.statistics.json"
+
+    def rest_token(self) -> bytes | None:
+        """The token that lets its holder operate, where vision's REST API wants one.
+
+        Raises ConfigurationError as ``read_secret`` does.
+        """
+        return read_secret(self.settings.vision.api.tokens.operate, "operate token")
 
     def records(self, service: str) -> Path:
         """The directory into which ``service`` records."""

@@ -1,6 +1,6 @@
 """Asks a service whether it answers, without disturbing it.
 
-``python -m testbed.realtime.probe WHAT HOST PORT``. For health checks of
+``python -m testbed.realtime.probe WHAT HOST PORT [--token-file FILE]``. For health checks of
 containers: it starts quickly, prints one line, and its exit status says all.
 ``fieldbus`` reads one register, ``reference`` sends a datagram of no session (the controller names the
 mistake), ``rest`` wants the vision PC to have both controller and camera.
@@ -14,9 +14,11 @@ import socket
 import struct
 import sys
 import time
+from pathlib import Path
 
+from foundation.secret_source import secret_from_file
 from protocol.datagram import Header, decode, encode
-from protocol.errors import DatagramRefused
+from protocol.errors import ConfigurationError, DatagramRefused
 from protocol.reference_messages import Bye, Heartbeat
 
 TIMEOUT_S = 2.0
@@ -55,11 +57,13 @@ def probe_reference(host: str, port: int) -> str:
     return f"controller answers {answer.reason.name}"
 
 
-def probe_rest(host: str, port: int) -> str:
-    """What the vision PC says about its own health. Raises Unhealthy or OSError."""
+def probe_rest(host: str, port: int, token_file: Path | None = None) -> str:
+    """What the vision PC says about its own health. Raises Unhealthy, OSError or ConfigurationError."""
+    token = None if token_file is None else secret_from_file(token_file, "token").hex()
+    headers = {} if token is None else {"Authorization": f"Bearer {token}"}
     connection = http.client.HTTPConnection(host, port, timeout=TIMEOUT_S)
     try:
-        connection.request("GET", "/health")
+        connection.request("GET", "/health", headers=headers)
         response = connection.getresponse()
         document = json.loads(response.read())
     except (http.client.HTTPException, ValueError) as error:
@@ -71,20 +75,24 @@ def probe_rest(host: str, port: int) -> str:
     return "controller and camera answer"
 
 
-PROBES = {"fieldbus": probe_fieldbus, "reference": probe_reference, "rest": probe_rest}
+PROBES = {"fieldbus": probe_fieldbus, "reference": probe_reference}
 
 
 def main(argv: list[str] | None = None) -> int:
     """Exit status: 0 when the service answers, 1 when it does not."""
     parser = argparse.ArgumentParser(prog="python -m testbed.realtime.probe", description=__doc__)
-    parser.add_argument("what", choices=PROBES)
+    parser.add_argument("what", choices=(*PROBES, "rest"))
     parser.add_argument("host")
     parser.add_argument("port", type=int)
+    parser.add_argument("--token-file", type=Path, help="for rest: the token of a role")
     arguments = parser.parse_args(argv)
     where = f"{arguments.what} at {arguments.host}:{arguments.port}"
     try:
-        said = PROBES[arguments.what](arguments.host, arguments.port)
-    except (Unhealthy, OSError) as error:
+        if arguments.what == "rest":
+            said = probe_rest(arguments.host, arguments.port, arguments.token_file)
+        else:
+            said = PROBES[arguments.what](arguments.host, arguments.port)
+    except (Unhealthy, OSError, ConfigurationError) as error:
         print(f"{where}: {error}", file=sys.stderr)
         return 1
     print(f"{where}: {said}")

@@ -25,10 +25,13 @@ _KINDS: dict[str, type[LongreachError]] = {
 
 
 class RestRig:
-    """Implements the sequence's ``Rig`` over HTTP, for services on this machine: one monotonic clock."""
+    """Implements the sequence's ``Rig`` over HTTP, for services on this machine: one monotonic clock.
 
-    def __init__(self, url: str) -> None:
-        self._client = httpx.Client(base_url=url, timeout=_TIMEOUT_S)
+    ``token``: of the role ``operate``, where the service wants one.
+    """
+
+    def __init__(self, url: str, token: bytes | None = None) -> None:
+        self._client = httpx.Client(base_url=url, timeout=_TIMEOUT_S, headers=bearer(token))
 
     def close(self) -> None:
         """Close the connection."""
@@ -107,6 +110,11 @@ class RestRig:
         raise error_of(problem)
 
 
+def bearer(token: bytes | None) -> dict[str, str]:
+    """The header that presents ``token``; none without."""
+    return {} if token is None else {"Authorization": f"Bearer {token.hex()}"}
+
+
 def error_of(problem: JSON) -> LongreachError:
     """The exception for an RFC 9457 problem document; its kind follows from the cause's first word."""
     cause = str(problem.get("cause", "rest.unknown"))
@@ -120,10 +128,10 @@ class StateSampler:
     ``views`` and ``cycle`` (the controller's timing, newest) are complete after the block.
     """
 
-    def __init__(self, url: str, period_s: float = 0.1) -> None:
+    def __init__(self, url: str, token: bytes | None = None, period_s: float = 0.1) -> None:
         self.views: list[TracedView] = []
         self.cycle: JSON | None = None
-        self._rig = RestRig(url)
+        self._rig = RestRig(url, token)
         self._period_s = period_s
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)

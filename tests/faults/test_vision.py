@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from foundation.rest import RestServer
+from foundation.rest.server import RestServer
 from plant_emulator.core.faults.kinds import MarkerCovered
 from protocol.errors import MeasurementFailed, RequestRefused
 from protocol.faults import GroupState

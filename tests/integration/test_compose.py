@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 import yaml
@@ -23,6 +24,7 @@ from tests.integration.services import ROOT
 PROJECT = "longreach-test"
 LIMIT_M = 0.005
 CLEARANCE_M = 0.10
+TOKENS = "/var/lib/longreach-tokens"
 
 
 def compose_command() -> list[str] | None:
@@ -41,9 +43,9 @@ def document() -> dict[str, Any]:
 
 def test_only_the_rest_port_is_published_and_only_on_loopback() -> None:
     services = document()["services"]
-    assert set(services) == {"plant", "controller", "vision"}
-    published = {name: service.get("ports", []) for name, service in services.items()}
-    assert published == {"plant": [], "controller": [], "vision": ["127.0.0.1:${LONGREACH_PORT:-8000}:8000"]}
+    assert set(services) == {"tokens", "plant", "controller", "vision"}
+    published = {name: service["ports"] for name, service in services.items() if "ports" in service}
+    assert published == {"vision": ["127.0.0.1:${LONGREACH_PORT:-8000}:8000"]}
 
 
 def test_fieldbus_and_camera_are_on_an_internal_network() -> None:
@@ -53,11 +55,27 @@ def test_fieldbus_and_camera_are_on_an_internal_network() -> None:
     assert compose["services"]["controller"]["networks"] == ["machine"]
 
 
+def test_the_rest_port_wants_the_tokens_that_are_made_at_the_first_start() -> None:
+    services = document()["services"]
+    made = [word for word in services["tokens"]["command"] if word.startswith(TOKENS)]
+    assert made == [f"{TOKENS}/look", f"{TOKENS}/operate"]
+    for role, path in zip(("look", "operate"), made, strict=True):
+        assert f"vision.api.tokens.{role}.file={path}" in services["vision"]["command"]
+    assert services["vision"]["healthcheck"]["test"][-2:] == ["--token-file", made[0]]
+    assert services["tokens"]["network_mode"] == "none"
+    assert f"tokens:{TOKENS}:ro" in services["vision"]["volumes"]
+    assert not any("tokens" in str(services[name].get("volumes")) for name in ("plant", "controller"))
+
+
 def test_each_service_is_watched_and_waits_for_those_it_needs() -> None:
     services = document()["services"]
+    first = services.pop("tokens")  # it ends before the others begin
+    assert "healthcheck" not in first
     assert all(service["healthcheck"]["test"][0] == "CMD" for service in services.values())
     assert set(services["controller"]["depends_on"]) == {"plant"}
-    assert set(services["vision"]["depends_on"]) == {"plant", "controller"}
+    wanted = services["vision"]["depends_on"]
+    assert wanted.pop("tokens") == {"condition": "service_completed_successfully"}
+    assert set(wanted) == {"plant", "controller"}
     conditions = [need for service in services.values() for need in service.get("depends_on", {}).values()]
     assert conditions == [{"condition": "service_healthy"}] * 3
 
@@ -80,8 +98,8 @@ def test_compose_accepts_the_file() -> None:
 
 
 @pytest.fixture
-def containers(tmp_path: Path) -> Iterator[tuple[str, Path]]:
-    """The REST face's address and the plant's record directory of three containers, healthy."""
+def containers(tmp_path: Path) -> Iterator[tuple[str, bytes, Path]]:
+    """The REST face's address, the token to operate, and the plant's record directory of three containers."""
     compose = compose_command()
     if compose is None:
         pytest.fail("no Docker engine with Compose answers here")
@@ -104,7 +122,8 @@ def containers(tmp_path: Path) -> Iterator[tuple[str, Path]]:
 
     try:
         call("up", "--build", "-d")
-        yield f"http://127.0.0.1:{port}", records / "plant"
+        token = bytes.fromhex(call("exec", "-T", "vision", "cat", f"{TOKENS}/operate"))
+        yield f"http://127.0.0.1:{port}", token, records / "plant"
     finally:
         print(call("logs", "--tail", "5"))
         call("down", "-v")
@@ -112,9 +131,11 @@ def containers(tmp_path: Path) -> Iterator[tuple[str, Path]]:
 
 @pytest.mark.docker
 @pytest.mark.timeout(1800)
-def test_three_containers_bring_the_tool_to_the_object(containers: tuple[str, Path]) -> None:
-    url, records = containers
-    rig = RestRig(url)
+def test_three_containers_bring_the_tool_to_the_object(containers: tuple[str, bytes, Path]) -> None:
+    url, token, records = containers
+    for wrong in ({}, {"Authorization": f"Bearer {bytes(32).hex()}"}):
+        assert httpx.post(f"{url}/enable", headers=wrong, timeout=20.0).status_code == 401
+    rig = RestRig(url, token)
     rig.wait_healthy(180.0)
     for port in (1502, 47100):
         with (

@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from foundation.configuration import HostName, StrictModel, configuration_hash
-from foundation.link_key import KeySource
+from foundation.rest.tokens import TokenSources
+from foundation.secret_source import SecretSource
 from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError
 from protocol.reference_messages import ANY_ARM
@@ -187,7 +188,7 @@ class LinkSettings(StrictModel):
     host: str = "127.0.0.1"
     port: Port = 47000
     state_period_ms: int = Field(20, ge=1, le=1000)
-    link_key: KeySource = KeySource()
+    link_key: SecretSource = SecretSource()
     any_arm: bool = False
 
     def expected_arm(self, arm: NominalArm) -> int:
@@ -208,11 +209,15 @@ class MotionSettings(StrictModel):
 
 
 class ApiSettings(StrictModel):
-    """Where the REST API listens, and by what names, beside loopback and ``host``, it may be called."""
+    """Where the REST API listens, and by what names, beside loopback and ``host``, it may be called.
+
+    ``tokens``: who may look, who may operate; compulsory where ``host`` is not loopback.
+    """
 
     host: str = "127.0.0.1"
     port: Port = 8000
     allowed_hosts: tuple[HostName, ...] = ()
+    tokens: TokenSources = TokenSources()
 
 
 class VisionConfig(StrictModel):

@@ -10,7 +10,8 @@ import cv2
 
 from foundation.event_log import EventLog
 from foundation.ports import bound_tcp
-from foundation.rest import RestServer
+from foundation.rest.access import configured_access
+from foundation.rest.server import RestServer
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
 from foundation.statistics import StatisticsFile, resident_mb
 from nominal_arm.description import NominalArm
@@ -26,7 +27,7 @@ from vision_pc.shell.camera_eyes import open_eyes
 from vision_pc.shell.cameras import open_camera
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
-from vision_pc.shell.rest.api import create_app
+from vision_pc.shell.rest.api import STOPS, create_app
 from vision_pc.shell.rest.operations import Operations
 
 _NAME = "vision_pc"
@@ -43,11 +44,12 @@ class VisionService:
         log: EventLog,
         programs: Sequence[Program[Any, Any]],
     ) -> None:
-        """Bind the REST port, then try the directories. Raises ConfigurationError."""
+        """Read the tokens, bind the REST port, then try the directories. Raises ConfigurationError."""
         self._config = config
         self._log = log
         self._arm = arm
         self._programs = programs
+        self._access = configured_access(config.api, "vision.api", STOPS)
         self._socket = bound_tcp(config.api.host, config.api.port, "vision.api")
         try:
             if options.record_dir is not None:
@@ -79,7 +81,7 @@ class VisionService:
         application = VisionApplication(arm, eyes, link, eyes, config.programs, nominal.boom, log, guided)
         operations = Operations(arm.halt, log)
         app = create_app(application, operations, self._programs)
-        server = RestServer(app, (config.api.host, *config.api.allowed_hosts), log)
+        self._server = server = RestServer(app, self._access, log)
         leaving: list[asyncio.Task[None]] = []
 
         def leave() -> None:
@@ -119,4 +121,5 @@ class VisionService:
             "link": asdict(self._link.statistics),
             "camera": self._opened.eyes.status()._asdict(),
             "scheduling": self._opened.worker.scheduling,
+            "rest_refused": dict(self._server.refused),
         }

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 from fastapi import FastAPI
 
-from foundation.rest import RestServer
+from foundation.rest.server import RestServer
 from tests.vision_pc.synthetic_station import Bench, bench
 from vision_pc.shell.rest.api import create_app
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from foundation.event_log import EventLog
-from foundation.link_key import KeySource, key_from_file
+from foundation.link_key import key_from_file
+from foundation.secret_source import SecretSource
 from protocol.channel import LinkStatistics
 from protocol.errors import ConfigurationError, LinkLost
 from protocol.faults import CommandCode, Reason
@@ -38,7 +39,7 @@ def a_controller(key_file: Path | None = None) -> LoopbackController:
 
 
 def a_link(port: int, stream: io.StringIO, key_file: Path | None = None) -> UdpEndpoint:
-    settings = LinkSettings(port=port, state_period_ms=10, link_key=KeySource(file=key_file))
+    settings = LinkSettings(port=port, state_period_ms=10, link_key=SecretSource(file=key_file))
     return UdpEndpoint(settings, ANY_ARM, EventLog("vision_pc", stream), MonotonicClock())
 
 

@@ -9,8 +9,8 @@ from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 
 from foundation.problems import MEDIA_TYPE, problem
-from foundation.rest import install_problems
-from foundation.rest_guard import respond
+from foundation.rest.refusals import respond
+from foundation.rest.server import install_problems
 from protocol.faults import CommandCode
 from protocol.reference_messages import FLAG_EMERGENCY_LATCHED, FLAG_PLANT_LINK_OK, FLAG_SETTLED, State
 from vision_pc.application.application import VisionApplication
@@ -25,11 +25,16 @@ from vision_pc.shell.rest.operation_routes import add_programs, add_resources
 from vision_pc.shell.rest.operations import Operations
 from vision_pc.shell.rest.problems import STATUS_OF_CAUSE
 
+STOPS = ("/stop", "/disable", "/emergency-stop")  # whoever may look may stop
 DESCRIPTION = """
 Drives the tool to the object: orientation adjustment, local calibration by motion, look-then-move.
 
 Every long step is `202` with an operation resource (`Location`). Errors are RFC 9457 problem documents with a
 machine-readable `cause`. Nothing moves before `POST /enable`; `POST /stop` is always accepted.
+
+Where tokens are configured, every request carries one: `Authorization: Bearer TOKEN`, or Basic with the token
+as password. The role `look` may GET and stop, `operate` may do everything. Otherwise: 401 `refused.no_token`
+or `refused.wrong_token`, 403 `refused.role`.
 """
 _EXAMPLE = problem(409, "refused.disabled", "move: the arm is disabled; enable first")
 _PROBLEM: JSON = {"description": "A problem", "content": {MEDIA_TYPE: {"example": _EXAMPLE}}}

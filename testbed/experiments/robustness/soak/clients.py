@@ -7,6 +7,7 @@ import httpx
 import numpy as np
 
 from testbed.experiments.robustness.soak.incidents import Journal
+from testbed.realtime.rest_rig import bearer
 
 POLLS_HZ = 20.0
 FOLLOWERS = 2
@@ -17,9 +18,9 @@ _RETRY_S = 0.2
 class _Client(threading.Thread):
     """A client in a thread of its own, until ended."""
 
-    def __init__(self, url: str, journal: Journal) -> None:
+    def __init__(self, url: str, token: bytes | None, journal: Journal) -> None:
         super().__init__(daemon=True)
-        self._http = httpx.Client(base_url=url, timeout=_TIMEOUT_S)
+        self._http = httpx.Client(base_url=url, timeout=_TIMEOUT_S, headers=bearer(token))
         self._journal = journal
         self._ended = threading.Event()
 
@@ -38,8 +39,8 @@ class _Client(threading.Thread):
 class Poller(_Client):
     """Reads ``/state`` at ``POLLS_HZ``; ``waits_ms`` is how long each answer took."""
 
-    def __init__(self, url: str, journal: Journal) -> None:
-        super().__init__(url, journal)
+    def __init__(self, url: str, token: bytes | None, journal: Journal) -> None:
+        super().__init__(url, token, journal)
         self.waits_ms: list[float] = []
 
     def run(self) -> None:
@@ -67,8 +68,8 @@ class Poller(_Client):
 class Follower(_Client):
     """Follows the events of the newest operation to its end, then those of the next."""
 
-    def __init__(self, url: str, journal: Journal) -> None:
-        super().__init__(url, journal)
+    def __init__(self, url: str, token: bytes | None, journal: Journal) -> None:
+        super().__init__(url, token, journal)
         self.events = 0
         self.followed = 0
 

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+from foundation.secret_source import read_secret
 from protocol.errors import LongreachError
 from testbed.campaigns.experiment import show_checks
 from testbed.experiments.robustness.soak.clients import FOLLOWERS, Follower, Poller
@@ -73,14 +74,15 @@ def _soaked(launch: Launch, request: SoakRequest) -> dict[str, Any]:
     """All figures of a soak."""
     seconds = 60.0 * request.minutes
     ended_by = ""
-    with bars() as shown, started(launch, shown) as supervisor, _rig(launch.rest_url) as rig:
+    with bars() as shown, started(launch, shown) as supervisor, _rig(launch) as rig:
         with shown.step("waiting for links and camera"):
             rig.wait_healthy(_HEALTHY_S)
         ready = {name: child.ready or {} for name, child in supervisor.children.items()}
         journal = Journal()
         watch = ResourceWatch({name: child.pid for name, child in supervisor.children.items()})
-        poller = Poller(launch.rest_url, journal)
-        followers = [Follower(launch.rest_url, journal) for _ in range(FOLLOWERS)]
+        api = launch.rest_url, launch.rest_token()
+        poller = Poller(*api, journal)
+        followers = [Follower(*api, journal) for _ in range(FOLLOWERS)]
         clients: list[_Companion] = [watch, poller, *followers, *_faults(launch, request, journal)]
         with shown.step(f"soaking for {request.minutes:g} minutes") as bar:
             duty = Duty(rig, journal, bar, supervisor.check)
@@ -114,12 +116,15 @@ def _soaked(launch: Launch, request: SoakRequest) -> dict[str, Any]:
 
 def _faults(launch: Launch, request: SoakRequest, journal: Journal) -> list[RandomFaults]:
     api = launch.settings.plant_service.fault_face
-    return [RandomFaults(f"http://{api.host}:{api.port}", journal, request.seed)] if request.faults else []
+    if not request.faults:
+        return []
+    token = read_secret(api.tokens.operate, "operate token")
+    return [RandomFaults(f"http://{api.host}:{api.port}", token, journal, request.seed)]
 
 
 @contextmanager
-def _rig(url: str) -> Iterator[RestRig]:
-    rig = RestRig(url)
+def _rig(launch: Launch) -> Iterator[RestRig]:
+    rig = RestRig(launch.rest_url, launch.rest_token())
     try:
         yield rig
     finally:

@@ -7,6 +7,7 @@ import httpx
 import numpy as np
 
 from testbed.experiments.robustness.soak.incidents import Journal
+from testbed.realtime.rest_rig import bearer
 
 _GAP_S = (30.0, 90.0)
 _TIMEOUT_S = 5.0
@@ -44,12 +45,12 @@ DISTURBANCES = (
 class RandomFaults(threading.Thread):
     """Injects ``DISTURBANCES`` one after another, in an order and at times drawn by ``seed``, until ended."""
 
-    def __init__(self, url: str, journal: Journal, seed: int) -> None:
+    def __init__(self, url: str, token: bytes | None, journal: Journal, seed: int) -> None:
         super().__init__(daemon=True)
         self._rng = np.random.default_rng(seed)
         self._journal = journal
         self._ended = threading.Event()
-        self._client = httpx.Client(base_url=url, timeout=_TIMEOUT_S)
+        self._client = httpx.Client(base_url=url, timeout=_TIMEOUT_S, headers=bearer(token))
 
     def end(self) -> None:
         """Inject nothing more; mend what is broken."""

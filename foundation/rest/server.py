@@ -2,7 +2,7 @@
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from http import HTTPStatus
 from typing import Any
 
@@ -15,7 +15,9 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from foundation.event_log import EventLog
 from foundation.problems import problem, problem_of
-from foundation.rest_guard import BodyLimit, OriginGuard, Refuse, respond
+from foundation.rest.access import ANYBODY_HERE, Access
+from foundation.rest.guard import AccessGuard, BodyLimit
+from foundation.rest.refusals import Refuse, respond
 from protocol.errors import LongreachError
 
 MAX_BODY_BYTES = 16_384
@@ -66,14 +68,15 @@ class _ImpatientProtocol(H11Protocol):
 class RestServer(uvicorn.Server):
     """Uvicorn in the service's own loop: signals and log are the service's. ``serve`` takes bound sockets.
 
-    ``allowed_hosts``: names of the service beside loopback and its own address. What OriginGuard refuses is
-    told to ``log``.
+    ``access``: whom it serves. ``refused`` counts, by cause, whom it did not; each is told to ``log``.
     """
 
-    def __init__(self, app: FastAPI, allowed_hosts: Iterable[str] = (), log: EventLog | None = None) -> None:
+    def __init__(self, app: FastAPI, access: Access = ANYBODY_HERE, log: EventLog | None = None) -> None:
+        guard = AccessGuard(app, access, log)
+        self.refused = guard.refused
         super().__init__(
             uvicorn.Config(
-                OriginGuard(app, allowed_hosts, log),
+                guard,
                 http=_ImpatientProtocol,
                 ws="none",
                 server_header=False,

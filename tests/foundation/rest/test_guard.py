@@ -6,7 +6,6 @@ import http.client
 import io
 import json
 import socket
-import threading
 import time
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -16,11 +15,13 @@ from fastapi import FastAPI, Request
 from fastapi.responses import JSONResponse
 from pydantic import ValidationError
 
-from foundation import rest
 from foundation.configuration import HostName, StrictModel
 from foundation.event_log import EventLog
-from foundation.rest import MAX_BODY_BYTES, RestServer, install_problems
-from foundation.rest_guard import SECURITY_HEADERS, OriginGuard
+from foundation.rest import server as rest
+from foundation.rest.access import ANYBODY_HERE, Access
+from foundation.rest.guard import SECURITY_HEADERS, AccessGuard
+from foundation.rest.server import MAX_BODY_BYTES, install_problems
+from tests.foundation.rest.serving import serving
 
 SLOW_S = 0.5
 
@@ -101,23 +102,8 @@ def served() -> Iterator[Served]:
     async def broken() -> None:
         raise ZeroDivisionError
 
-    started, leave = threading.Event(), threading.Event()
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-
-        async def serve() -> None:
-            server = RestServer(app, ("plc-cell", "10.1.2.3"), log)
-            task = asyncio.create_task(server.serve([listening]))
-            started.set()
-            await asyncio.to_thread(leave.wait)
-            server.should_exit = True
-            await task
-
-        thread = threading.Thread(target=lambda: asyncio.run(serve()))
-        thread.start()
-        assert started.wait(20.0)
-        yield Served(listening.getsockname()[1], executed, stream)
-        leave.set()
-        thread.join(20.0)
+    with serving(app, Access(("plc-cell", "10.1.2.3")), log) as where:
+        yield Served(where.port, executed, stream)
     log.close()
     monkeypatch.undo()
 
@@ -363,7 +349,7 @@ async def test_bound_to_every_address_the_one_that_was_reached_is_served(
         "type": "http", "method": "GET", "path": "/state", "scheme": "http", "server": (reached, 8000),
         "headers": [(b"host", host.encode())],
     }  # fmt: skip
-    await OriginGuard(JSONResponse({}), (), None)(scope, receive, send)
+    await AccessGuard(JSONResponse({}), ANYBODY_HERE, None)(scope, receive, send)
     assert statuses == [status]
 
 

@@ -4,19 +4,16 @@ import asyncio
 import ipaddress
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable
 from http import HTTPStatus
-from typing import Any
 
-from fastapi.responses import JSONResponse
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from foundation.event_log import EventLog
-from foundation.problems import MEDIA_TYPE, problem
-
-Refusal = dict[str, Any]  # a problem document
-Refuse = Callable[[Scope], Refusal | None]
+from foundation.problems import problem
+from foundation.rest.access import Access
+from foundation.rest.refusals import Refusal, Refuse, header_values, respond_unread
+from foundation.rest.tokens import TokenCheck
 
 _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+?)\.?(:[0-9]{1,5})?", re.IGNORECASE)
 _OWN_SITE = frozenset({"same-origin", "none"})  # none: the person typed the address
@@ -38,20 +35,25 @@ SECURITY_HEADERS = {
 }
 
 
-class OriginGuard:
+_SOURCES_TOLD = 256  # apart; those who come later are told together
+
+
+class AccessGuard:
     """Serves an application to our own pages and to programs, never to a page of another origin.
 
-    ``allowed_hosts``: names, without port, that a request may call this service by; loopback and the address
-    that the client reached are always allowed. A request for another name may come from a page whose DNS name
-    was turned to us (DNS rebinding). Headers that only browsers send decide about the origin; a program that
-    sends none is served. Every answer carries SECURITY_HEADERS where the application sets no others.
+    Loopback and the address that the client reached may always be called by. A request for another name may
+    come from a page whose DNS name was turned to us (DNS rebinding). Headers that only browsers send decide
+    about the origin; a program that sends none is served, where tokens are wanted with one. Every answer
+    carries SECURITY_HEADERS where the application sets no others. ``refused`` counts by cause.
     """
 
-    def __init__(self, app: ASGIApp, allowed_hosts: Iterable[str], log: EventLog | None) -> None:
+    def __init__(self, app: ASGIApp, access: Access, log: EventLog | None) -> None:
+        self.refused: Counter[str] = Counter()
         self._app = app
-        self._allowed = frozenset(host.lower() for host in allowed_hosts)
+        self._allowed = frozenset(host.lower() for host in access.allowed_hosts)
+        self._tokens = TokenCheck(access.tokens, access.stops) if access.tokens else None
         self._log = log
-        self._refused: Counter[str] = Counter()
+        self._sources: set[str] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One request."""
@@ -65,22 +67,22 @@ class OriginGuard:
         if refusal is None:
             await self._app(scope, receive, sent)
         else:
-            self._tell(refusal)
+            self._tell(refusal, scope)
             await respond_unread(refusal)(scope, receive, sent)
 
     def _refusal(self, scope: Scope) -> Refusal | None:
-        hosts = _values(scope, b"host")
+        hosts = header_values(scope, b"host")
         if len(hosts) != 1 or not self._is_ours(hosts[0], scope):
             detail = f"this service is not {', '.join(hosts)[:80] or 'without a name'}: see allowed_hosts"
             return _problem(scope, HTTPStatus.MISDIRECTED_REQUEST, "refused.foreign_host", detail)
         own = f"{scope['scheme']}://{hosts[0]}".lower()
-        for origin in _values(scope, b"origin"):
+        for origin in header_values(scope, b"origin"):
             if origin.lower() != own:
                 return _foreign_origin(scope, f"a page of {origin[:80]}")
-        for site in _values(scope, b"sec-fetch-site"):
+        for site in header_values(scope, b"sec-fetch-site"):
             if site.lower() not in _OWN_SITE:
                 return _foreign_origin(scope, f"a page of another origin ({site[:20]})")
-        return None
+        return None if self._tokens is None else self._tokens.refusal(scope)
 
     def _is_ours(self, host: str, scope: Scope) -> bool:
         match = _HOST.fullmatch(host)
@@ -96,13 +98,16 @@ class OriginGuard:
         server = scope.get("server") or ("", None)
         return address.is_loopback or str(address) == server[0]
 
-    def _tell(self, refusal: Refusal) -> None:
-        cause = refusal["cause"]
-        self._refused[cause] += 1
-        count = self._refused[cause]
-        if self._log is not None and count.bit_count() == 1:  # a page may ask a thousand times
-            detail = refusal["detail"]
-            self._log.write("request_refused", "warning", cause=cause, detail=detail, count=count)
+    def _tell(self, refusal: Refusal, scope: Scope) -> None:
+        cause, source = refusal["cause"], str((scope.get("client") or ("unknown",))[0])
+        self.refused[cause] += 1
+        if self._log is None:
+            return
+        if len(self._sources) < _SOURCES_TOLD:
+            self._sources.add(source)
+        kind = cause, source if source in self._sources else None
+        fields = {"cause": cause, "detail": refusal["detail"], "source": source}
+        self._log.write_repeated(kind, "request_refused", "warning", **fields)
 
 
 class BodyLimit:
@@ -136,7 +141,7 @@ class BodyLimit:
 
     async def _read(self, scope: Scope, receive: Receive) -> bytes | None:
         """The body; None when the client left. Raises _TooLarge, of an announced length before reading."""
-        announced = ", ".join(_values(scope, b"content-length"))
+        announced = ", ".join(header_values(scope, b"content-length"))
         if announced.isdigit() and int(announced) > self._limit:
             raise _TooLarge
         body = bytearray()
@@ -156,18 +161,6 @@ class _TooLarge(Exception):
     pass
 
 
-def respond(document: Refusal) -> JSONResponse:
-    """The response that carries a problem document."""
-    return JSONResponse(document, status_code=document["status"], media_type=MEDIA_TYPE)
-
-
-def respond_unread(document: Refusal) -> JSONResponse:
-    """The same to a request whose body is not read: the connection ends, the rest of it is never taken."""
-    response = respond(document)
-    response.headers["Connection"] = "close"
-    return response
-
-
 def _after(body: bytes, receive: Receive) -> Receive:
     """``receive`` that gives ``body`` first."""
     messages: list[Message] = [{"type": "http.request", "body": body, "more_body": False}]
@@ -183,10 +176,6 @@ def _secure(headers: MutableHeaders) -> None:
         headers.setdefault(name, value)
     is_page = headers.get("content-type", "").startswith("text/html")
     headers.setdefault("Content-Security-Policy", _PAGE_POLICY if is_page else _DATA_POLICY)
-
-
-def _values(scope: Scope, name: bytes) -> list[str]:
-    return [value.decode("latin-1") for key, value in scope["headers"] if key == name]
 
 
 def _problem(scope: Scope, status: HTTPStatus, cause: str, detail: str) -> Refusal:

@@ -1,0 +1,111 @@
+"""Where a secret comes from: a file or a variable that the configuration names.
+
+The secret itself never stands in the configuration, and no error or log shows it.
+"""
+
+import os
+import secrets
+import stat
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from foundation.configuration import StrictModel
+from protocol.authentication import MIN_SECRET_BYTES
+from protocol.errors import ConfigurationError
+
+_MAX_FILE_BYTES = 4096
+_OTHERS = stat.S_IRWXG | stat.S_IRWXO
+
+
+class SecretSource(StrictModel):
+    """Names the file or the environment variable that holds a secret, in hexadecimal; neither: none.
+
+    ``file``: a path; only its owner may have access to it.
+    """
+
+    file: Path | None = None
+    environment: str | None = Field(None, pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,62}$")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if self.file is not None and self.environment is not None:
+            raise ValueError("a file and an environment variable: name one of them")
+        return self
+
+    @property
+    def named(self) -> bool:
+        """Whether there is to be a secret."""
+        return self.file is not None or self.environment is not None
+
+
+def read_secret(
+    source: SecretSource, what: str, environment: Mapping[str, str] | None = None
+) -> bytes | None:
+    """The secret that ``source`` names, at least 32 bytes; None when it names none.
+
+    ``what``: such as "link key"; its last word stands in the causes. ``environment``: the process's own by
+    default. Raises ConfigurationError: ``configuration.key_missing``, ``key_unreadable``, ``key_exposed``
+    (others than the owner may read or write the file), ``key_not_hex``, ``key_too_short``.
+    """
+    if source.environment is not None:
+        text = (os.environ if environment is None else environment).get(source.environment)
+        if text is None:
+            raise _error(what, "missing", f"environment variable {source.environment} is not set")
+        return secret_from_text(text, source.environment, what)
+    return None if source.file is None else secret_from_file(source.file, what)
+
+
+def secret_from_file(path: Path, what: str) -> bytes:
+    """The secret in a file of hexadecimal digits. Raises as ``read_secret`` does."""
+    try:
+        # The mode of what was opened, not of what stood there a moment before.
+        with path.open("rb") as file:
+            mode = os.fstat(file.fileno()).st_mode
+            text = file.read(_MAX_FILE_BYTES)
+    except FileNotFoundError as error:
+        raise _error(what, "missing", f"{path}: no such file") from error
+    except OSError as error:
+        raise _error(what, "unreadable", f"{path}: {error.strerror}") from error
+    if not stat.S_ISREG(mode):
+        raise _error(what, "unreadable", f"{path}: not a regular file")
+    if mode & _OTHERS:
+        why = f"mode {stat.S_IMODE(mode):04o} lets others in: chmod 600"
+        raise _error(what, "exposed", f"{path}: {why}")
+    return secret_from_text(text.decode("ascii", "replace"), str(path), what)
+
+
+def secret_from_text(text: str, where: str, what: str) -> bytes:
+    """The secret of hexadecimal digits, blanks around them ignored; ``where`` names its origin."""
+    try:
+        secret = bytes.fromhex(text.strip())
+    except ValueError:
+        # Not chained: the message of the error behind it may quote a part of the secret.
+        raise _error(what, "not_hex", f"{where}: not hexadecimal digits, two a byte") from None
+    if len(secret) < MIN_SECRET_BYTES:
+        why = f"{len(secret)} bytes: wanted at least {MIN_SECRET_BYTES}, as openssl rand -hex 32 gives"
+        raise _error(what, "too_short", f"{where}: {why}")
+    return secret
+
+
+def write_new_secret(path: Path) -> None:
+    """Make a file of 32 random bytes in hexadecimal that only its owner may read.
+
+    Raises ConfigurationError when there is a file already (``configuration.secret_exists``), or it cannot be
+    written.
+    """
+    try:
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except FileExistsError as error:
+        raise ConfigurationError("configuration.secret_exists", f"{path}: is there already") from error
+    except OSError as error:
+        why = f"{path}: {error.strerror}"
+        raise ConfigurationError("configuration.secret_unwritable", why) from error
+    with os.fdopen(handle, "w", encoding="ascii") as file:
+        file.write(secrets.token_hex(MIN_SECRET_BYTES) + "\n")
+
+
+def _error(what: str, fault: str, why: str) -> ConfigurationError:
+    return ConfigurationError(f"configuration.{what.rpartition(' ')[2]}_{fault}", f"{what}: {why}")
