@@ -80,9 +80,7 @@ def _soaked(launch: Launch, request: SoakRequest) -> dict[str, Any]:
         ready = {name: child.ready or {} for name, child in supervisor.children.items()}
         journal = Journal()
         watch = ResourceWatch({name: child.pid for name, child in supervisor.children.items()})
-        api = launch.rest_url, launch.rest_token()
-        poller = Poller(*api, journal)
-        followers = [Follower(*api, journal) for _ in range(FOLLOWERS)]
+        poller, *followers = _readers(launch, journal)
         clients: list[_Companion] = [watch, poller, *followers, *_faults(launch, request, journal)]
         with shown.step(f"soaking for {request.minutes:g} minutes") as bar:
             duty = Duty(rig, journal, bar, supervisor.check)
@@ -112,6 +110,11 @@ def _soaked(launch: Launch, request: SoakRequest) -> dict[str, Any]:
         "growth": _growth(watch, seconds),
         "directory": launch.directory,
     }  # fmt: skip
+
+
+def _readers(launch: Launch, journal: Journal) -> tuple[Poller, *tuple[Follower, ...]]:
+    api = launch.rest_url, launch.rest_token()
+    return Poller(*api, journal), *(Follower(*api, journal) for _ in range(FOLLOWERS))
 
 
 def _faults(launch: Launch, request: SoakRequest, journal: Journal) -> list[RandomFaults]:
