@@ -14,8 +14,8 @@ from protocol.authentication import LinkKey
 # Loading a module enters its cases.
 _COUPLER_MODULES = ("frames", "registers", "outputs", "watchdog")
 _MODULES = (
-    "framing", "sessions", "handshake", "lifetime", "order", "requests", "group", "motion", "stops",
-    "streaming", "authentication",
+    "framing", "sessions", "handshake", "lifetime", "order", "requests", "group", "motion", "endings",
+    "stops", "streaming", "authentication",
 )  # fmt: skip
 
 

@@ -1,6 +1,8 @@
 """The broken controllers that have a class of their own, each under the clause of the case meant for it."""
 
 from conformance.runner import reference_cases
+from tests.conformance.ending_mutants import ENDING_MUTANTS
+from tests.conformance.handshake_mutants import HANDSHAKE_MUTANTS
 from tests.conformance.key_mutants import KEY, KEY_MUTANTS
 from tests.conformance.mutant_report import BrokenController
 from tests.conformance.mutants import MUTANTS as PLAIN_MUTANTS
@@ -12,7 +14,13 @@ _CLAUSES = {case.number: case.clause for case in reference_cases()}
 MUTANTS = (
     *(
         BrokenController(f"{mutant.make.__name__}-{mutant.case}", _CLAUSES[mutant.case], mutant.make)
-        for mutant in (*PLAIN_MUTANTS, *STOP_MUTANTS, *STREAM_MUTANTS)
+        for mutant in (
+            *PLAIN_MUTANTS,
+            *HANDSHAKE_MUTANTS,
+            *STOP_MUTANTS,
+            *STREAM_MUTANTS,
+            *ENDING_MUTANTS,
+        )
     ),
     *(
         BrokenController(f"{mutant.make.__name__}-{mutant.case}", _CLAUSES[mutant.case], mutant.make, KEY)

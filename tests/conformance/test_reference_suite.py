@@ -17,6 +17,7 @@ from protocol.errors import ConfigurationError
 from protocol.reference_messages import CAPABILITY_PATHS
 from protocol.server_session import ReferenceServer
 from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
+from tests.conformance.ending_mutants import ENDING_MUTANTS
 from tests.conformance.handshake_mutants import HANDSHAKE_MUTANTS
 from tests.conformance.mutants import MUTANTS, Mutant
 from tests.conformance.stop_mutants import STOP_MUTANTS
@@ -60,7 +61,7 @@ def test_on_real_sockets_it_passes_a_case_of_each_subject() -> None:
 @simulated
 @pytest.mark.parametrize(
     "mutant",
-    [*MUTANTS, *HANDSHAKE_MUTANTS, *STREAM_MUTANTS, *STOP_MUTANTS],
+    [*MUTANTS, *HANDSHAKE_MUTANTS, *STREAM_MUTANTS, *STOP_MUTANTS, *ENDING_MUTANTS],
     ids=lambda m: f"{m.make.__name__}-{m.case}",
 )
 def test_each_broken_controller_is_caught_by_the_case_meant_for_it(mutant: Mutant) -> None:
