@@ -51,6 +51,7 @@ CATALOGUE = {
     "hand-eye-guided": _one("hand_eye.guided_campaign:GUIDED"),
     "stream-cuts": _one("robustness.stream_cuts:STREAM_CUTS"),
     "controller-kills": _one("robustness.controller_kills:CONTROLLER_KILLS"),
+    "attacks": _one("robustness.attacks.campaign:ATTACKS_EXPERIMENT"),
     "plant-campaign": _one("robustness.plant_campaign:PLANT_CAMPAIGN"),
 }
 """Command → experiment; ``best-mode`` and ``looking-and-moving`` are the methods of ``positioning``."""
