@@ -7,13 +7,22 @@ from typing import Annotated, NamedTuple
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import Progress
-from rich.table import Table
 
-from conformance.case import CaseOutcome, ConformanceCase
+from conformance.case import ConformanceCase
+from conformance.first_hour import COUPLER_STEPS, REFERENCE_STEPS, FirstHourStep
+from conformance.outcome import Result, Summary
+from conformance.parts import BASE, OptionalPart, profile_from
 from conformance.records import as_json, write_records
-from conformance.runner import Result, Summary, coupler_cases, reference_cases, run_coupler, run_reference
+from conformance.runner import (
+    Manner,
+    chosen,
+    coupler_cases,
+    reference_cases,
+    run_coupler,
+    run_reference,
+)
+from conformance.terminal import SHOWN_AT_ONCE, print_cases, print_results, print_step, result_line
 from foundation.command_options import unfolded
 from foundation.hosts import known_host
 from foundation.link_key import key_from_file
@@ -21,7 +30,7 @@ from protocol.errors import ConfigurationError
 
 app = typer.Typer(help="Numbered questions to any controller or coupler, each citing a written clause.")
 
-_STYLES = {CaseOutcome.PASS: "green", CaseOutcome.FAIL: "bold red", CaseOutcome.UNSUPPORTED: "yellow"}
+_PARTS = ", ".join(part.value for part in OptionalPart)
 
 
 @app.callback()
@@ -41,6 +50,23 @@ class Asking(NamedTuple):
         Path | None, typer.Option(help="Write JUnit, JSON and the bytes of every case into this directory.")
     ] = None
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the results to this file.")] = None
+    profile: Annotated[
+        str | None,
+        typer.Option(
+            help=f"What is claimed: a YAML file, or names joined by commas of {_PARTS}; {BASE}: none. "
+            "What is claimed and missing fails, what is not claimed is not asked for."
+        ),
+    ] = None
+    first_hour: Annotated[
+        bool,
+        typer.Option(
+            "--first-hour", help="In the order to implement in, up to the first failure, with hints."
+        ),
+    ] = False
+
+    def manner(self) -> Manner:
+        """How the cases are asked; raises ConfigurationError."""
+        return Manner(None if self.profile is None else profile_from(self.profile), self.first_hour)
 
 
 @app.command(epilog="Example: longreach conformance reference --host 127.0.0.1 --port 47000 --records out")
@@ -57,20 +83,25 @@ def reference(
         Path | None, typer.Option(help="File with the shared key: every session is authenticated.")
     ] = None,
 ) -> None:
-    """Ask a controller on the reference link; exit status 1 unless every supported case passes."""
+    """Ask a controller on the reference link.
+
+    Exit status 0: every supported case passes; 1: one does not; 2: nobody to ask, or lost on the way.
+    """
+    steps = REFERENCE_STEPS if asking.first_hour else None
     if asking.list_cases:
-        _list(reference_cases())
+        print_cases(chosen(reference_cases(), None, steps))
         return
     known_host(host)
     wanted = _wanted(asking.case, reference_cases())
     link_key = None if key is None else key_from_file(key)
+    manner = asking.manner()
 
     def run(show: Callable[[Result], None]) -> Summary:
         return run_reference(
-            host, port, numbers=wanted, motion=motion, seed=seed, key=link_key, on_result=show
+            host, port, numbers=wanted, motion=motion, seed=seed, key=link_key, manner=manner, on_result=show
         )
 
-    _finish(len(wanted), run, asking)
+    _finish(len(chosen(reference_cases(), wanted, steps)), run, asking, steps)
 
 
 @app.command(epilog="Example: longreach conformance coupler --host 127.0.0.1 --port 1502 --outputs")
@@ -84,17 +115,24 @@ def coupler(
         bool, typer.Option("--outputs", help="Also write outputs and let the watchdog expire.")
     ] = False,
 ) -> None:
-    """Ask a bus coupler over Modbus TCP; exit status 1 unless every supported case passes."""
+    """Ask a bus coupler over Modbus TCP.
+
+    Exit status 0: every supported case passes; 1: one does not; 2: nobody to ask, or lost on the way.
+    """
+    steps = COUPLER_STEPS if asking.first_hour else None
     if asking.list_cases:
-        _list(coupler_cases())
+        print_cases(chosen(coupler_cases(), None, steps))
         return
     known_host(host)
     wanted = _wanted(asking.case, coupler_cases())
+    manner = asking.manner()
 
     def run(show: Callable[[Result], None]) -> Summary:
-        return run_coupler(host, port, unit=unit, numbers=wanted, outputs=outputs, on_result=show)
+        return run_coupler(
+            host, port, unit=unit, numbers=wanted, outputs=outputs, manner=manner, on_result=show
+        )
 
-    _finish(len(wanted), run, asking)
+    _finish(len(chosen(coupler_cases(), wanted, steps)), run, asking, steps)
 
 
 def _wanted(chosen: list[int] | None, cases: tuple[ConformanceCase, ...]) -> set[int]:
@@ -105,49 +143,31 @@ def _wanted(chosen: list[int] | None, cases: tuple[ConformanceCase, ...]) -> set
     return wanted
 
 
-def _finish(total: int, run: Callable[[Callable[[Result], None]], Summary], asking: Asking) -> None:
+def _finish(
+    total: int,
+    run: Callable[[Callable[[Result], None]], Summary],
+    asking: Asking,
+    steps: tuple[FirstHourStep, ...] | None,
+) -> None:
+    """Runs, shows and writes; ends the command with its status, or raises LinkLost if the run broke off."""
     console = Console()
-    with Progress(console=console, transient=True) as progress:
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("asking", total=total)
 
         def show(result: Result) -> None:
             progress.advance(task)
-            if result.outcome is CaseOutcome.FAIL:
-                progress.console.print(_line(result))
+            if asking.first_hour or result.outcome in SHOWN_AT_ONCE:
+                progress.console.print(result_line(result))
 
         summary = run(show)
-    _print(console, summary)
+    if steps is not None:
+        print_step(console, summary, steps)
+    elif summary.results:
+        print_results(console, summary)
     if asking.records is not None:
         write_records(summary, asking.records)
     if asking.json_file is not None:
         asking.json_file.write_text(json.dumps(as_json(summary), indent=1) + "\n")
+    if summary.ended is not None:
+        raise summary.ended
     raise typer.Exit(0 if summary.passed else 1)
-
-
-def _list(cases: tuple[ConformanceCase, ...]) -> None:
-    table = Table("case", "clause", "moves", "question")
-    for case in cases:
-        table.add_row(str(case.number), case.clause, "yes" if case.motion else "", escape(case.title))
-    Console().print(table)
-
-
-def _line(result: Result) -> str:
-    style = _STYLES[result.outcome]
-    what = f"{result.case.number} (clause {result.case.clause}) {result.case.title}: {result.detail}"
-    return f"[{style}]{result.outcome.value}[/] {escape(what)}"
-
-
-def _print(console: Console, summary: Summary) -> None:
-    table = Table("case", "clause", "outcome", "question", "why not")
-    for result in summary.results:
-        style = _STYLES[result.outcome]
-        table.add_row(
-            str(result.case.number),
-            result.case.clause,
-            f"[{style}]{result.outcome.value}[/]",
-            escape(result.case.title),
-            escape(result.detail),
-        )
-    console.print(table)
-    counts = ", ".join(f"{summary.count(outcome)} {outcome.value}" for outcome in CaseOutcome)
-    console.print(f"{summary.host}:{summary.port}: {counts}")

@@ -6,7 +6,7 @@ import struct
 import time
 from typing import NamedTuple
 
-from conformance.wire import MS, Failed, Line, Unsupported, require
+from conformance.wire import MS, Failed, Line, NoAnswer, Unsupported, require
 from protocol.coupler_registers import (
     ANALOG_OUTPUT_BITS,
     RESET_WORDS,
@@ -23,6 +23,7 @@ INPUTS, OUTPUTS = 0x0000, 0x0800
 READ_COILS, READ_DISCRETE, READ_HOLDING, READ_INPUT = 1, 2, 3, 4
 WRITE_COIL, WRITE_REGISTER, DIAGNOSTICS, WRITE_COILS, WRITE_REGISTERS, EXCHANGE = 5, 6, 8, 15, 16, 23
 ON, OFF = 0xFF00, 0x0000
+EXPIRED, OWNED = 4, 6
 _MBAP = struct.Struct(">HHHB")
 
 
@@ -59,9 +60,10 @@ def word_request(address: int, word: int) -> bytes:
 class Master:
     """One TCP connection to the coupler under test, that can misbehave."""
 
-    def __init__(self, host: str, port: int, unit: int, *, outputs: bool, record: list[Line] | None = None,
-                 begin_ns: int = 0) -> None:  # fmt: skip
+    def __init__(self, host: str, port: int, unit: int, *, outputs: bool, left_expired: bool = False,
+                 record: list[Line] | None = None, begin_ns: int = 0) -> None:  # fmt: skip
         self.address = (host, port)
+        self._left_expired = left_expired
         self.unit = unit
         self.transcript: list[Line] = [] if record is None else record
         self._begin_ns = begin_ns or time.monotonic_ns()
@@ -74,7 +76,8 @@ class Master:
 
     def second(self) -> "Master":
         """Another connection, sharing the transcript."""
-        other = Master(*self.address, self.unit, outputs=self._outputs_allowed, record=self.transcript,
+        other = Master(*self.address, self.unit, outputs=self._outputs_allowed,
+                       left_expired=self._left_expired, record=self.transcript,
                        begin_ns=self._begin_ns)  # fmt: skip
         self._others.append(other)
         return other
@@ -148,15 +151,20 @@ class Master:
     # requests
 
     def ask(self, pdu: bytes, *, unit: int | None = None, transaction: int | None = None) -> bytes:
-        """The answer's PDU; raises Failed unless it repeats transaction and unit."""
+        """The answer's PDU; raises Failed unless it repeats transaction and unit.
+
+        Raises Unsupported where the coupler answers that its watchdog has expired and the run found it so.
+        """
         frame = self.frame(pdu, transaction=transaction, unit=unit)
         self.send_raw(frame)
         answer = self.receive()
         if answer is None:
-            raise Failed(f"function code {pdu[0]} was not answered within {ANSWER_MS} ms")
+            raise NoAnswer(f"function code {pdu[0]} was not answered within {ANSWER_MS} ms")
         sent = _MBAP.unpack_from(frame)
         require(answer[0] == sent[0], f"transaction {sent[0]} was answered as {answer[0]}")
         require(answer[1] == sent[3], f"unit {sent[3]} was answered as {answer[1]}")
+        if self._left_expired and answer[2] == bytes([pdu[0] | 0x80, EXPIRED]):
+            raise Unsupported("its watchdog had expired before the run: a reset needs --outputs")
         return answer[2]
 
     def refused(self, pdu: bytes, code: int, what: str) -> None:
@@ -217,12 +225,15 @@ class Master:
         self.done(word_request(WATCHDOG_TIME_MS, WATCHDOG_DEFAULT_MS), "setting the watchdog's time")
         self.done(word_request(WATCHDOG_TRIGGER, 1), "setting the watchdog's trigger")
 
+    def owned_by_another(self, trigger: int = 1) -> bool:
+        """Whether writing ``trigger``, which moves nothing, is refused because of the outputs' owner."""
+        return self.ask(word_request(WATCHDOG_TRIGGER, trigger))[1:] == bytes([OWNED])
+
     def take_outputs(self, watchdog_ms: int = WATCHDOG_DEFAULT_MS, trigger: int = 1) -> Lengths:
         """The lengths, after making the coupler fresh to be written. Raises Unsupported if it may not."""
         if not self._outputs_allowed:
             raise Unsupported("writes outputs: not allowed in this run")
-        answer = self.ask(word_request(WATCHDOG_TRIGGER, trigger))
-        if answer[-1] == 6 and len(answer) == 2:
+        if self.owned_by_another(trigger):
             raise Unsupported("another master owns the outputs")
         self._touched = True
         self.make_fresh()

@@ -2,7 +2,7 @@
 
 import time
 
-from conformance.wire import ANSWER_MS, MS, Failed, Unsupported, Wire
+from conformance.wire import ANSWER_MS, MS, Failed, NoAnswer, Unsupported, Wire
 from protocol.faults import CommandCode, Reason
 from protocol.reference_messages import (
     Acknowledgement,
@@ -48,7 +48,21 @@ class Peer(Wire):
         hello = Hello(nonce or self.nonce(), capabilities | self.required, arm_hash, period_ms)
         if sequence is not None:
             self.sequence = (sequence - 1) % self.sequences
-        until_ns = self.now_ns + SESSION_MS * MS
+        answer = self.greeted(hello, SESSION_MS, minor)
+        if isinstance(answer, Welcome):
+            self.alive("the first heartbeat")  # with it the session begins (4.2)
+            return answer
+        if answer is not None:
+            _refused(answer)
+        raise NoAnswer(f"no session within {SESSION_MS} ms")
+
+    def greeted(self, hello: Hello, wait_ms: int, minor: int = 0) -> Welcome | Reason | None:
+        """What comes of ``hello``: its WELCOME, or the reason of BYE, or None when nothing comes.
+
+        While another session is open it is sent again for ``wait_ms``; SESSION_OCCUPIED: it still is.
+        """
+        reason = None
+        until_ns = self.now_ns + wait_ms * MS
         while self.now_ns < until_ns:
             self.send(hello, session=0, minor=minor)
             datagram = self.receive(HELLO_MS, beating=False)
@@ -58,12 +72,13 @@ class Peer(Wire):
                 self.session, self.minor = datagram.header.session, datagram.header.minor
                 self.welcome = datagram.message
                 self._heartbeat_ns = self.now_ns
-                self.alive("the first heartbeat")  # with it the session begins (4.2)
                 return datagram.message
             if isinstance(datagram.message, Bye):
-                _refused(datagram.message.reason)
+                reason = datagram.message.reason
+                if reason is not Reason.SESSION_OCCUPIED:
+                    return reason
             time.sleep(HELLO_MS / 1e3)
-        raise Failed(f"no session within {SESSION_MS} ms")
+        return reason
 
     def leave(self, reason: Reason = Reason.SHUTDOWN) -> None:
         """Says BYE and forgets the session."""

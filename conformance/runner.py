@@ -6,10 +6,15 @@ from importlib import import_module
 from typing import NamedTuple
 
 from conformance.case import CaseOutcome, ConformanceCase, coupler, reference
-from conformance.master import Master
-from conformance.peer import Peer
-from conformance.wire import Failed, Line, NonceSource, Unsupported
+from conformance.first_hour import COUPLER_STEPS, REFERENCE_STEPS, FirstHourStep
+from conformance.lateness import LatenessWatch
+from conformance.outcome import Attempt, Result, Summary
+from conformance.parts import OptionalPart, Profile
+from conformance.preflight import NOTHING_FOUND
+from conformance.subjects import ControllerSubject, CouplerSubject, Subject
+from conformance.wire import Failed, NonceSource, Unsupported
 from protocol.authentication import LinkKey
+from protocol.errors import LinkLost
 
 # Loading a module enters its cases.
 _COUPLER_MODULES = ("frames", "registers", "outputs", "watchdog")
@@ -19,32 +24,17 @@ _MODULES = (
 )  # fmt: skip
 
 
-class Result(NamedTuple):
-    """What came of one case; ``detail`` says why it did not pass."""
+class Manner(NamedTuple):
+    """How the cases are asked. ``profile`` None: nothing is claimed, and everything asked for.
 
-    case: ConformanceCase
-    outcome: CaseOutcome
-    detail: str
-    seconds: float
-    transcript: tuple[Line, ...]
+    ``first_hour``: in the order of ``conformance.first_hour``, up to the first failure.
+    """
+
+    profile: Profile | None = None
+    first_hour: bool = False
 
 
-class Summary(NamedTuple):
-    """Results in the order of the cases."""
-
-    suite: str
-    host: str
-    port: int
-    results: tuple[Result, ...]
-
-    def count(self, outcome: CaseOutcome) -> int:
-        """How many cases ended so."""
-        return sum(result.outcome is outcome for result in self.results)
-
-    @property
-    def passed(self) -> bool:
-        """Whether something passed and nothing failed."""
-        return self.count(CaseOutcome.FAIL) == 0 and self.count(CaseOutcome.PASS) > 0
+PLAIN = Manner()
 
 
 def reference_cases() -> tuple[ConformanceCase, ...]:
@@ -52,6 +42,26 @@ def reference_cases() -> tuple[ConformanceCase, ...]:
     for module in _MODULES:
         import_module(f"conformance.reference.{module}")
     return reference.cases
+
+
+def coupler_cases() -> tuple[ConformanceCase, ...]:
+    """All cases for the coupler, by number."""
+    for module in _COUPLER_MODULES:
+        import_module(f"conformance.coupler.{module}")
+    return coupler.cases
+
+
+def chosen(
+    cases: tuple[ConformanceCase, ...],
+    numbers: Iterable[int] | None,
+    steps: tuple[FirstHourStep, ...] | None = None,
+) -> tuple[ConformanceCase, ...]:
+    """Those of ``cases`` with ``numbers`` (None: all), by number, or those of ``steps`` in their order."""
+    wanted = None if numbers is None else set(numbers)
+    by_number = {case.number: case for case in cases if wanted is None or case.number in wanted}
+    if steps is None:
+        return tuple(by_number.values())
+    return tuple(by_number[step.number] for step in steps if step.number in by_number)
 
 
 def run_reference(
@@ -62,6 +72,7 @@ def run_reference(
     motion: bool = False,
     seed: int = 0,
     key: LinkKey | None = None,
+    manner: Manner = PLAIN,
     on_result: Callable[[Result], None] = lambda result: None,
 ) -> Summary:
     """Results of the reference link's cases against the controller at ``host``:``port``.
@@ -71,30 +82,9 @@ def run_reference(
     nonces of earlier runs, so another run needs another one. ``key``: every session is authenticated; without
     one the cases about authentication are unsupported. ``on_result`` is called after every case.
     """
-    wanted = None if numbers is None else set(numbers)
     nonces = NonceSource(seed or time.time_ns())
-    results = []
-    for case in reference_cases():
-        if wanted is not None and case.number not in wanted:
-            continue
-        result = _run(case, Peer(host, port, nonces, key), motion)
-        results.append(result)
-        on_result(result)
-    return Summary("reference link", host, port, tuple(results))
-
-
-def _run(case: ConformanceCase, peer: Peer, motion: bool) -> Result:
-    if case.motion and not motion:
-        peer.close()
-        return Result(case, CaseOutcome.UNSUPPORTED, "moves the arm: not allowed in this run", 0.0, ())
-    return _ask(case, peer)
-
-
-def coupler_cases() -> tuple[ConformanceCase, ...]:
-    """All cases for the coupler, by number."""
-    for module in _COUPLER_MODULES:
-        import_module(f"conformance.coupler.{module}")
-    return coupler.cases
+    cases = chosen(reference_cases(), numbers, REFERENCE_STEPS if manner.first_hour else None)
+    return _asked(ControllerSubject(host, port, nonces, key, motion), cases, manner, on_result)
 
 
 def run_coupler(
@@ -104,6 +94,7 @@ def run_coupler(
     unit: int = 1,
     numbers: Iterable[int] | None = None,
     outputs: bool = False,
+    manner: Manner = PLAIN,
     on_result: Callable[[Result], None] = lambda result: None,
 ) -> Summary:
     """Results of the coupler's cases against the Modbus TCP coupler at ``host``:``port``.
@@ -111,40 +102,116 @@ def run_coupler(
     ``numbers``: only these cases. ``outputs``: also those that write outputs and let the watchdog expire;
     without it they count as unsupported. ``on_result`` is called after every case.
     """
-    wanted = None if numbers is None else set(numbers)
-    results = []
-    for case in coupler_cases():
-        if wanted is not None and case.number not in wanted:
-            continue
-        result = _run_coupler(case, host, port, unit, outputs)
-        results.append(result)
-        on_result(result)
-    return Summary("coupler", host, port, tuple(results))
+    cases = chosen(coupler_cases(), numbers, COUPLER_STEPS if manner.first_hour else None)
+    return _asked(CouplerSubject(host, port, unit, outputs), cases, manner, on_result)
 
 
-def _run_coupler(case: ConformanceCase, host: str, port: int, unit: int, outputs: bool) -> Result:
-    if case.motion and not outputs:
-        return Result(case, CaseOutcome.UNSUPPORTED, "writes outputs: not allowed in this run", 0.0, ())
-    try:
-        master = Master(host, port, unit, outputs=outputs)
-    except OSError as error:
-        detail = f"no connection: {error.strerror or error}"
-        return Result(case, CaseOutcome.FAIL, detail, 0.0, ())
-    return _ask(case, master)
-
-
-def _ask(case: ConformanceCase, peer: Peer | Master) -> Result:
-    begin = time.monotonic()
-    outcome, detail = CaseOutcome.PASS, ""
-    try:
+def _asked(
+    subject: Subject,
+    cases: tuple[ConformanceCase, ...],
+    manner: Manner,
+    on_result: Callable[[Result], None],
+) -> Summary:
+    results: list[Result] = []
+    ended = None
+    begin_s = time.monotonic()
+    with LatenessWatch() as watch:
+        asking = _Asking(subject, manner.profile, watch)
         try:
-            case.run(peer)
-        finally:
-            peer.close()
-    except Unsupported as reason:
-        outcome, detail = CaseOutcome.UNSUPPORTED, str(reason)
-    except Failed as reason:
-        outcome, detail = CaseOutcome.FAIL, str(reason)
-    except OSError as error:
-        outcome, detail = CaseOutcome.FAIL, f"the socket failed: {error.strerror or error}"
-    return Result(case, outcome, detail, time.monotonic() - begin, tuple(peer.transcript))
+            asking.begin(patient=manner.first_hour)
+            for case in cases:
+                results.append(asking.result(case))
+                on_result(results[-1])
+                if results[-1].outcome is CaseOutcome.FAIL:
+                    if manner.first_hour:
+                        break
+                    asking.still_there(case)
+        except LinkLost as lost:
+            ended = lost
+    return Summary(
+        subject.suite, subject.host, subject.port, tuple(results), time.monotonic() - begin_s,
+        watch.figures(), manner.profile, ended,
+    )  # fmt: skip
+
+
+class _Asking:
+    """One run: asks each case, once more if it fails; knows what is withheld, lacking and claimed."""
+
+    def __init__(self, subject: Subject, profile: Profile | None, watch: LatenessWatch) -> None:
+        self._subject = subject
+        self._profile = profile
+        self._watch = watch
+        self._findings = NOTHING_FOUND
+
+    def begin(self, *, patient: bool) -> None:
+        """Looks at the peer; raises LinkLost, but not for mere silence when ``patient``."""
+        try:
+            self._findings = self._subject.look()
+        except LinkLost as lost:
+            if not patient or lost.cause != "link.no_answer":
+                raise
+
+    def still_there(self, case: ConformanceCase) -> None:
+        """Looks again after ``case`` failed; raises LinkLost, naming it."""
+        try:
+            self._findings = self._subject.look()
+        except LinkLost as lost:
+            raise LinkLost(lost.cause, f"after case {case.number}: {lost}") from lost
+
+    def result(self, case: ConformanceCase) -> Result:
+        """What comes of ``case``."""
+        why = self._unasked(case)
+        if why is not None:
+            return Result(case, *why)
+        first = self._attempt(case)
+        if first.outcome is not CaseOutcome.FAIL:
+            return Result(case, first.outcome, first.detail, (first,))
+        before = self._findings
+        try:
+            self._findings = self._subject.look()
+        except LinkLost:  # still_there tells of it
+            return Result(case, first.outcome, first.detail, (first,))
+        again = self._attempt(case)
+        both = (first, again)
+        if again.outcome is CaseOutcome.PASS:
+            return Result(case, CaseOutcome.FLAKY, f"passed when asked again; at first: {first.detail}", both)
+        if again.outcome is CaseOutcome.UNSUPPORTED and before == self._findings:
+            return Result(case, CaseOutcome.FAIL, first.detail, both)
+        return Result(case, again.outcome, again.detail, both)
+
+    def _unasked(self, case: ConformanceCase) -> tuple[CaseOutcome, str] | None:
+        """Outcome and reason of a case that need not be asked, or None."""
+        for part in sorted(case.needs, key=lambda part: part.value):
+            if self._profile is not None and part not in self._profile.claims:
+                return CaseOutcome.UNSUPPORTED, f"not claimed by the profile: {part.value}"
+            if part in self._subject.withheld:
+                return CaseOutcome.UNSUPPORTED, self._subject.withheld[part]
+            if part in self._findings.lacking:
+                return self._missing(part, self._findings.lacking[part])
+        return None
+
+    def _missing(self, part: OptionalPart | None, why: str) -> tuple[CaseOutcome, str]:
+        if part is not None and self._profile is not None and part in self._profile.claims:
+            return CaseOutcome.FAIL, f"claimed by the profile ({part.value}), but: {why}"
+        return CaseOutcome.UNSUPPORTED, why
+
+    def _attempt(self, case: ConformanceCase) -> Attempt:
+        samples, begin_s = self._watch.samples, time.monotonic()
+        outcome, detail = CaseOutcome.PASS, ""
+        try:
+            peer = self._subject.open(self._findings)
+        except OSError as error:
+            return Attempt(CaseOutcome.FAIL, f"no connection: {error.strerror or error}", 0.0, ())
+        try:
+            try:
+                case.run(peer)
+            finally:
+                peer.close()
+        except Unsupported as reason:
+            outcome, detail = self._missing(reason.part, str(reason))
+        except Failed as reason:
+            outcome, detail = CaseOutcome.FAIL, str(reason)
+        except OSError as error:
+            outcome, detail = CaseOutcome.FAIL, f"the socket failed: {error.strerror or error}"
+        seconds = time.monotonic() - begin_s
+        return Attempt(outcome, detail, seconds, tuple(peer.transcript), self._watch.figures(samples).max_ms)

@@ -6,6 +6,7 @@ import time
 from typing import NamedTuple, TypeVar
 
 from conformance.bytes_of import resealed, with_number, with_payload_of
+from conformance.parts import OptionalPart
 from protocol.authentication import ChannelKeys, DirectionKey, LinkKey, fault_of
 from protocol.datagram import Datagram, Header, decode, encode
 from protocol.datagram_layout import MAX_DATAGRAM_BYTES
@@ -28,8 +29,16 @@ class Failed(Exception):
     """The peer did what the clause forbids, or not what it demands."""
 
 
+class NoAnswer(Failed):
+    """Nothing came back, or nobody is there."""
+
+
 class Unsupported(Exception):
-    """The peer lacks an optional part, or is in no state to show it."""
+    """The peer lacks an optional ``part``, or is in no state to show it."""
+
+    def __init__(self, why: str, part: OptionalPart | None = None) -> None:
+        super().__init__(why)
+        self.part = part
 
 
 class Line(NamedTuple):
@@ -223,7 +232,7 @@ class Wire:
         try:
             data = self._socket.recv(65_535)
         except ConnectionRefusedError as error:
-            raise Failed("nobody listens on the port") from error
+            raise NoAnswer("nobody listens on the port") from error
         self._note("receive", data)
         if len(data) > MAX_DATAGRAM_BYTES:
             raise Failed(f"a datagram of {len(data)} bytes came: the limit is {MAX_DATAGRAM_BYTES}")

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from conformance.bytes_of import with_bit_flipped
 from conformance.case import reference
+from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
 from conformance.wire import Failed, require
 from protocol.datagram_layout import HEADER_BYTES, MAX_DATAGRAM_BYTES
@@ -22,6 +23,7 @@ from protocol.reference_messages import (
 )
 
 case = reference.case
+PATHS = OptionalPart.PATHS
 MAJOR, KIND, SPARE, FLAGS = 4, 6, 7, 8
 COMMAND_BYTES = 16
 
@@ -233,12 +235,12 @@ def unknown_command(peer: Peer) -> None:
         require(answer.value == code, f"command code {code}: value {answer.value:g}, wanted the code")
 
 
-@case(124, "3.6", "a path of no waypoint is acknowledged with EMPTY_PATH")
+@case(124, "3.6", "a path of no waypoint is acknowledged with EMPTY_PATH", needs=PATHS)
 def empty_path(peer: Peer) -> None:
     path_of(peer, 0, Reason.EMPTY_PATH)
 
 
-@case(125, "3.6", "a path of 25 waypoints and more is acknowledged with TOO_MANY_WAYPOINTS")
+@case(125, "3.6", "a path of 25 waypoints and more is acknowledged with TOO_MANY_WAYPOINTS", needs=PATHS)
 def long_path(peer: Peer) -> None:
     path_of(peer, 25, Reason.TOO_MANY_WAYPOINTS)
     path_of(peer, 2**32 - 1, Reason.TOO_MANY_WAYPOINTS)

@@ -3,6 +3,7 @@
 import math
 
 from conformance.case import reference
+from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.group import disabled, expect_reason, reach, reference_reason, wanted
 from conformance.wire import MS, Unsupported, require
@@ -11,6 +12,7 @@ from protocol.pose import Pose
 from protocol.reference_messages import ReferencePath, ReferencePose, State
 
 case = reference.case
+PATHS = OptionalPart.PATHS
 STEP_M = 0.02
 # What an arm with centred valves may creep, and its encoders flicker, while it is looked at.
 DRIFT_M = 0.002
@@ -21,7 +23,7 @@ def standby(peer: Peer) -> State:
     disabled(peer)
     reason = peer.command(CommandCode.ENABLE)
     if reason is not Reason.ACCEPTED:
-        raise Unsupported(f"ENABLE was refused: {reason.name}")
+        raise Unsupported(f"ENABLE was refused: {reason.name}", OptionalPart.MOTION)
     return reach(peer, GroupState.STANDBY, "after ENABLE")
 
 
@@ -101,7 +103,7 @@ def out_of_reach(peer: Peer) -> None:
     require(peer.state().group_state is GroupState.STANDBY, "the arm moves")
 
 
-@case(526, "6.9", "a path with one waypoint out of reach is refused whole", motion=True)
+@case(526, "6.9", "a path with one waypoint out of reach is refused whole", motion=True, needs=PATHS)
 def refused_whole(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     path = ReferencePath(peer.new_id(), (here, moved(here, dz=STEP_M), moved(here, dz=50.0)), 0.0, 0.0)
@@ -192,7 +194,7 @@ def newest_of_a_backlog(peer: Peer) -> None:
     peer.command(CommandCode.STOP)
 
 
-@case(532, "6.8", "a path is driven through its waypoints in order", motion=True)
+@case(532, "6.8", "a path is driven through its waypoints in order", motion=True, needs=PATHS)
 def path(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     points = (moved(here, dz=STEP_M), moved(here, dz=STEP_M, dx=-STEP_M), here)

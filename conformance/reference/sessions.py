@@ -1,7 +1,7 @@
 """Cases 201…: opening, keeping and ending a session (clauses 2, 4 and 5.4)."""
 
 from conformance.case import reference
-from conformance.peer import RATION_MS, Peer
+from conformance.peer import RATION_MS, SESSION_MS, Peer
 from conformance.reference.framing import stop
 from conformance.wire import ANSWER_MS, MS, Failed, require
 from protocol.faults import Reason
@@ -43,6 +43,13 @@ def silent(peer: Peer, wait_ms: float, *, but: type[Message] = State) -> None:
         if not isinstance(d.message, but)
     ]
     require(not got, f"came unasked: {', '.join(got)}")
+
+
+@case(200, "4.9", "HELLO is answered with WELCOME")
+def welcome_comes(peer: Peer) -> None:
+    answer = peer.greeted(Hello(peer.nonce(), 1, 0, 50), SESSION_MS)
+    came = f"BYE {answer.name}" if isinstance(answer, Reason) else "nothing"
+    require(isinstance(answer, Welcome), f"HELLO is not answered with WELCOME: {came} came")
 
 
 @case(201, "4.2", "WELCOME repeats the nonce, and numbers, times and hash are in range")

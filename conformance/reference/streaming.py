@@ -1,10 +1,12 @@
 """Cases 541…: streamed references (clause 12). Most enable the group, and many move the arm."""
 
 import math
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
 from conformance.case import reference
+from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.group import disabled, expect_reason, reach, reference_reason, wanted
 from conformance.reference.motion import DRIFT_M, STEP_M, moved, scaled
@@ -22,7 +24,7 @@ from protocol.reference_messages import (
     StreamRefused,
 )
 
-case = reference.case
+case = partial(reference.case, needs=OptionalPart.STREAMING)
 BOTH = CAPABILITY_PATHS | CAPABILITY_STREAMING
 FEED_MS = 10.0  # between references: so often that a busy tester's hiccups are not a silence
 SILENCE_MS = 100.0
@@ -73,7 +75,7 @@ def streamless(peer: Peer) -> State:
     disabled(peer, capabilities=BOTH)
     assert peer.welcome is not None
     if not peer.welcome.capabilities & CAPABILITY_STREAMING:
-        raise Unsupported("STREAMING is not granted")
+        raise Unsupported("STREAMING is not granted", OptionalPart.STREAMING)
     return peer.state()
 
 
@@ -82,7 +84,7 @@ def opened(peer: Peer) -> tuple[Stream, State]:
     streamless(peer)
     reason = peer.command(CommandCode.ENABLE)
     if reason is not Reason.ACCEPTED:
-        raise Unsupported(f"ENABLE was refused: {reason.name}")
+        raise Unsupported(f"ENABLE was refused: {reason.name}", OptionalPart.MOTION)
     reach(peer, GroupState.STANDBY, "after ENABLE")
     request = Command(peer.new_id(), CommandCode.START_STREAM)
     expect_reason(peer.ask(request, "START_STREAM"), Reason.ACCEPTED, "START_STREAM in STANDBY")

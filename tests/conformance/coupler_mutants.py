@@ -166,7 +166,8 @@ class ArmedByReading(CouplerWatchdog):
     """Lets any telegram arm it."""
 
     def obeyed(self, master: object, wrote: bool, now_ns: int) -> None:
-        self.armed = self.armed or (self.time_ms > 0 and not self.expired)
+        if not self.armed and self.time_ms > 0 and not self.expired:
+            self.armed, self._fed_ns = True, now_ns
         super().obeyed(master, wrote, now_ns)
 
 
