@@ -21,6 +21,7 @@ _COUPLER_MODULES = ("frames", "registers", "outputs", "watchdog")
 _MODULES = (
     "framing", "sessions", "handshake", "lifetime", "order", "requests", "group", "motion", "endings",
     "stops", "streaming", "authentication",
+    "transitions",
 )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Cases 520…: references and what becomes of them. They enable the group, most of them move the arm."""
+"""Cases 521…: references and what becomes of them. They enable the group, most of them move the arm."""
 
 import math
 
@@ -37,18 +37,6 @@ def scaled(pose: Pose, scale: float) -> Pose:
     """``pose`` with its quaternion multiplied."""
     w, x, y, z = pose.q_wxyz
     return pose._replace(q_wxyz=(scale * w, scale * x, scale * y, scale * z))
-
-
-@case(520, "7.3", "commands in STANDBY are answered as the table says", motion=True)
-def in_standby(peer: Peer) -> None:
-    standby(peer)
-    wanted(peer, CommandCode.ENABLE, Reason.ALREADY_DONE, "STANDBY")
-    wanted(peer, CommandCode.RESET, Reason.NOT_IN_ERROR, "STANDBY")
-    wanted(peer, CommandCode.EMERGENCY_RELEASE, Reason.ALREADY_DONE, "STANDBY")
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "STANDBY")
-    require(peer.state().group_state is GroupState.STANDBY, "STANDBY was left")
-    wanted(peer, CommandCode.DISABLE, Reason.ACCEPTED, "STANDBY")
-    reach(peer, GroupState.DISABLED, "after DISABLE")
 
 
 @case(521, "3.7", "NaN and infinity in a reference: NOT_FINITE", motion=True)

@@ -8,7 +8,7 @@ from typing import Any
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.group import disabled, expect_reason, reach, reference_reason, wanted
+from conformance.reference.group import disabled, expect_reason, reach, wanted
 from conformance.reference.motion import DRIFT_M, STEP_M, moved, scaled
 from conformance.wire import ANSWER_MS, MS, Unsupported, require
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
@@ -70,18 +70,18 @@ class Stream:
         return got
 
 
-def streamless(peer: Peer) -> State:
+def streamless(peer: Peer, period_ms: int = 20) -> State:
     """A session with the capability, the group DISABLED; its STATE. Raises Unsupported without it."""
-    disabled(peer, capabilities=BOTH)
+    disabled(peer, capabilities=BOTH, period_ms=period_ms)
     assert peer.welcome is not None
     if not peer.welcome.capabilities & CAPABILITY_STREAMING:
         raise Unsupported("STREAMING is not granted", OptionalPart.STREAMING)
     return peer.state()
 
 
-def opened(peer: Peer) -> tuple[Stream, State]:
+def opened(peer: Peer, period_ms: int = 20) -> tuple[Stream, State]:
     """An open stream without a reference yet, and a STATE in it. Raises Unsupported when it cannot be."""
-    streamless(peer)
+    streamless(peer, period_ms)
     reason = peer.command(CommandCode.ENABLE)
     if reason is not Reason.ACCEPTED:
         raise Unsupported(f"ENABLE was refused: {reason.name}", OptionalPart.MOTION)
@@ -102,14 +102,6 @@ def not_negotiated(peer: Peer) -> None:
     Stream(peer, peer.new_id()).refused(here, Reason.NOT_NEGOTIATED, "a streamed reference")
 
 
-@case(542, "7.3", "streaming in DISABLED is refused as the table says")
-def in_disabled(peer: Peer) -> None:
-    here = streamless(peer).X_BT
-    wanted(peer, CommandCode.START_STREAM, Reason.DISABLED, "DISABLED")
-    wanted(peer, CommandCode.END_STREAM, Reason.NOT_STREAMING, "DISABLED")
-    Stream(peer, peer.new_id()).refused(here, Reason.DISABLED, "a streamed reference in DISABLED")
-
-
 @case(543, "12.4", "the group's state is judged before the content of a streamed reference")
 def state_first(peer: Peer) -> None:
     streamless(peer)
@@ -127,19 +119,6 @@ def starts(peer: Peer) -> None:
     later = peer.state()
     require(later.X_BT_cmd == state.X_BT_cmd, "the commanded pose moves without a reference")
     peer.command(CommandCode.STOP)
-
-
-@case(545, "7.3", "requests in a stream are answered as the table says", motion=True)
-def in_stream(peer: Peer) -> None:
-    _, state = opened(peer)
-    wanted(peer, CommandCode.ENABLE, Reason.ALREADY_DONE, "a stream")
-    wanted(peer, CommandCode.RESET, Reason.NOT_IN_ERROR, "a stream")
-    wanted(peer, CommandCode.EMERGENCY_RELEASE, Reason.ALREADY_DONE, "a stream")
-    wanted(peer, CommandCode.START_STREAM, Reason.STREAMING, "a stream")
-    expect_reason(reference_reason(peer, state.X_BT_cmd), Reason.STREAMING, "a reference in a stream")
-    wanted(peer, CommandCode.STOP, Reason.ACCEPTED, "a stream")
-    reach(peer, GroupState.STANDBY, "after STOP")
-    wanted(peer, CommandCode.END_STREAM, Reason.NOT_STREAMING, "STANDBY")
 
 
 @case(546, "12.4", "NaN, infinity and a norm off 1 are refused in a streamed reference", motion=True)

@@ -25,17 +25,24 @@ CONTROL = 101
 FOR_A_KEY = set(range(701, 722)) | set(range(723, 741))
 FOR_NO_KEY = {722}
 # Each has MUTANTS, a tuple of BrokenController.
-SOURCES: tuple[str, ...] = ("tests.conformance.named_mutants",)
+SOURCES: tuple[str, ...] = (
+    "tests.conformance.named_mutants",
+    "tests.conformance.systematic_table",
+)
 
 
 class BrokenController(NamedTuple):
-    """A controller that breaks one clause. ``unseen``: why nobody can tell from outside, if so."""
+    """A controller that breaks one clause. ``unseen``: why nobody can tell from outside, if so.
+
+    ``case``: the one meant for it, which is asked first.
+    """
 
     name: str
     clause: str
     make: Callable[[], ControllerUnderTest]
     key: LinkKey | None = None
     unseen: str = ""
+    case: int = 0
 
 
 class Verdict(NamedTuple):
@@ -50,11 +57,16 @@ def broken_controllers() -> tuple[BrokenController, ...]:
     return tuple(each for source in SOURCES for each in import_module(source).MUTANTS)
 
 
-def asked(key: LinkKey | None, clause: str) -> list[ConformanceCase]:
-    """The cases for a controller with or without a key: ``clause``'s first, those that move last."""
+def asked(key: LinkKey | None, clause: str, first: int = 0) -> list[ConformanceCase]:
+    """The cases for a controller with or without a key: case ``first``, then those of ``clause``.
+
+    Those that move come last.
+    """
     others = FOR_NO_KEY if key else FOR_A_KEY
     cases = [case for case in reference_cases() if case.number not in others]
-    return sorted(cases, key=lambda case: (case.clause != clause, case.motion, case.number))
+    return sorted(
+        cases, key=lambda case: (case.number != first, case.clause != clause, case.motion, case.number)
+    )
 
 
 def verdict(broken: BrokenController, cases: Iterable[ConformanceCase], *, every: bool = False) -> Verdict:
@@ -139,7 +151,9 @@ def main() -> int:
     for broken in broken_controllers():
         wanted = not options.clause or f"{broken.clause}.".startswith(f"{options.clause}.")
         if wanted and options.name in broken.name:
-            verdicts.append(verdict(broken, asked(broken.key, broken.clause), every=options.every))
+            verdicts.append(
+                verdict(broken, asked(broken.key, broken.clause, broken.case), every=options.every)
+            )
             print(f"{broken.clause} {broken.name}: {verdicts[-1].caught_by}", file=sys.stderr, flush=True)
     lines, wrong = report(verdicts)
     print("\n".join(lines))

@@ -16,7 +16,7 @@ from tests.conformance.mutants import NoMagic
 
 @pytest.mark.experiment
 def test_every_broken_controller_is_caught_or_it_is_said_why_not() -> None:
-    verdicts = [verdict(each, asked(each.key, each.clause)) for each in broken_controllers()]
+    verdicts = [verdict(each, asked(each.key, each.clause, each.case)) for each in broken_controllers()]
     lines, wrong = report(verdicts)
     print("\n".join(lines))
     assert wrong == []
