@@ -122,6 +122,10 @@ def _layout(table: tuple[Register, ...]) -> struct.Struct:
     return struct.Struct("<" + "".join(f"{row.count}{row.code}" for row in table))
 
 
+_ECHO_CYCLE, _STATUS = (
+    next(row.address - INPUT_ADDRESS for row in INPUT_TABLE if row.name == name)
+    for name in ("echo_cycle", "status")
+)
 _INPUT_LAYOUT = _layout(INPUT_TABLE)
 _OUTPUT_LAYOUT = _layout(OUTPUT_TABLE)
 _INPUT_WORDS = struct.Struct(f"<{INPUT_WORDS}H")
@@ -137,6 +141,12 @@ def encode_sensors(image: SensorImage) -> list[int]:
     values = image._asdict()
     values["pressures_bar"] = [pressure for pair in image.pressures_bar for pressure in pair]
     return list(_INPUT_WORDS.unpack(_INPUT_LAYOUT.pack(*_raw_values(values, INPUT_TABLE))))
+
+
+def acknowledge(words: list[int], echo_cycle: int, status: int) -> None:
+    """Bring the encoded sensors ``words`` up to a valve image that came since they were measured."""
+    words[_ECHO_CYCLE] = echo_cycle % CYCLE_MODULUS
+    words[_STATUS] = status
 
 
 def decode_sensors(words: Sequence[int]) -> SensorImage:
@@ -180,15 +190,24 @@ def _raw_values(values: dict[str, Any], table: tuple[Register, ...]) -> list[int
         elif row.counter:
             raw.append(values[row.name] % CYCLE_MODULUS)
         elif row.count == 1:
-            raw.append(_raw(values[row.name], row))
+            raw += _scaled((values[row.name],), row)
         else:
-            numbers = values[row.name]
-            if len(numbers) != row.count:
-                raise RequestRefused(
-                    "refused.not_encodable", f"{row.name}: {len(numbers)} values, wanted {row.count}"
-                )
-            raw += (_raw(value, row) for value in numbers)
+            raw += _scaled(values[row.name], row)
     return raw
+
+
+def _scaled(numbers: Sequence[float], row: Register) -> list[int]:
+    if len(numbers) != row.count:
+        raise RequestRefused(
+            "refused.not_encodable", f"{row.name}: {len(numbers)} values, wanted {row.count}"
+        )
+    try:
+        raw = [round(value * row.scale) for value in numbers]
+    except (ValueError, OverflowError):  # not a finite number: found below
+        raw = []
+    if raw and row.low <= min(raw) and max(raw) <= row.high:
+        return raw
+    return [_raw(value, row) for value in numbers]
 
 
 def _raw(value: float, row: Register) -> int:
@@ -225,12 +244,10 @@ def _decoded(
             if raw[0] != row.constant:
                 raise ImageRefused("image.layout", f"layout word {raw[0]:#06x}: wanted {row.constant:#06x}")
             continue
-        for number in raw:
-            if not row.low <= number <= row.high:
-                raise ImageRefused(
-                    "image.out_of_range", f"{row.name} = {number}: wanted {row.low}…{row.high}"
-                )
-        scaled = raw if row.scale == 1.0 else tuple(number / row.scale for number in raw)
+        if row.low > min(raw) or max(raw) > row.high:
+            number = min(raw) if min(raw) < row.low else max(raw)
+            raise ImageRefused("image.out_of_range", f"{row.name} = {number}: wanted {row.low}…{row.high}")
+        scaled = raw if row.scale == 1.0 else tuple([number / row.scale for number in raw])
         values[row.name] = scaled[0] if row.count == 1 else scaled
     # Last: an impossible value is one in a torn image too, and is refused when it comes, not when it acts.
     if numbers[0] != numbers[-1]:

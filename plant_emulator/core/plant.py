@@ -125,19 +125,34 @@ class Plant:
 
     def read(self) -> SensorImage:
         """The sensors at this instant, as the fieldbus carries them."""
-        pressures = self._state[PRESSURE_A : PRESSURE_B + N_ACTUATORS].reshape(2, N_ACTUATORS).T / BAR
+        pressures = self._state[PRESSURE_A : PRESSURE_B + N_ACTUATORS].reshape(2, N_ACTUATORS) / BAR
         a, b, c, d, e, f = self._encoders.read(
             self._shafts.angle, encoder_shift(self.faults.active, self.time_ns)
         )
         return SensorImage(
             plant_cycle=self._cycle,
-            echo_cycle=self._commands.echo_cycle,
-            status=self._status(),
+            echo_cycle=self.echo_cycle,
+            status=self.status,
             encoder_counts=(a, b, c, d, e, f),
-            pressures_bar=tuple((float(p[0]), float(p[1])) for p in pressures),
+            pressures_bar=tuple(zip(*pressures.tolist(), strict=True)),
             supply_bar=float(self._state[SUPPLY]) / BAR,
             return_bar=float(self._model.circuit[col.C_RETURN]) / BAR,
             oil_temperature_degc=float(self._state[TEMPERATURE]),
+        )
+
+    @property
+    def echo_cycle(self) -> int:
+        """The cycle counter of the newest valve image; 0 before the first."""
+        return self._commands.echo_cycle
+
+    @property
+    def status(self) -> int:
+        """The status word at this instant."""
+        return (
+            (STATUS_SUPPLY_ON if self._model.circuit[col.C_RUNNING] > 0.0 else 0)
+            | (STATUS_VALVES_ENABLED if self._commands.enabled else 0)
+            | (STATUS_WATCHDOG_TRIPPED if self._commands.tripped else 0)
+            | (STATUS_SENSOR_FAULT if sensor_fault_reported(self.faults.in_force()) else 0)
         )
 
     def truth(self) -> PlantTruth:
@@ -242,11 +257,3 @@ class Plant:
         """Let what is due by now happen: faults, the watchdog, commands that leave the delay."""
         self._settle_faults()
         self._commands.settle(self.time_ns)
-
-    def _status(self) -> int:
-        return (
-            (STATUS_SUPPLY_ON if self._model.circuit[col.C_RUNNING] > 0.0 else 0)
-            | (STATUS_VALVES_ENABLED if self._commands.enabled else 0)
-            | (STATUS_WATCHDOG_TRIPPED if self._commands.tripped else 0)
-            | (STATUS_SENSOR_FAULT if sensor_fault_reported(self.faults.in_force()) else 0)
-        )

@@ -44,4 +44,5 @@ class Encoders:
         self._held = {joint: self._held.get(joint, latest[joint]) for joint in joints}
 
     def _counts(self, angle: Array, noise: Array) -> list[int]:
-        return [int(value) for value in np.rint((angle + self._offset) * COUNTS_PER_RADIAN + noise)]
+        counts: list[float] = np.rint((angle + self._offset) * COUNTS_PER_RADIAN + noise).tolist()
+        return [int(count) for count in counts]

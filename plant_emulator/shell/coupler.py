@@ -1,68 +1,34 @@
-"""The plant's fieldbus face: a bus coupler's process image over Modbus TCP. pymodbus lives in this file only.
+"""The plant's fieldbus face: a bus coupler's process image over Modbus TCP, served in the plant's own loop.
 
-The transport and the strict validation are our own; pymodbus decodes sound requests, runs them on the process
-image and encodes the answers. Its own server is not used: it answers malformed requests wrongly, and slowly.
+So that no master holds the loop up: a connection is served in slices, the strangers' together in one slice a
+step; the loop takes one new connection a step; there are only so many places, and the writer keeps its own.
 """
 
 import asyncio
+import contextlib
 import socket
-import struct
+from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, cast
 
-from pymodbus.constants import ExcCodes
-from pymodbus.pdu import DecodePDU, ExceptionResponse, ModbusPDU
-
-from plant_emulator.core.coupler.image import COUPLER_MAP, CouplerImage
-from plant_emulator.core.coupler.modbus_requests import (
-    CLEAR_COUNTERS,
-    COUNT_EXCEPTIONS,
-    COUNT_FRAMING_ERRORS,
-    DIAGNOSTICS,
-    ECHO,
-    ILLEGAL_VALUE,
-    READ_COILS,
-    READ_DISCRETE,
-    READ_STATUS,
-    WRITE_COIL,
-    WRITE_COILS,
-    WRITING,
-    exception_for,
-    written,
-)
-from plant_emulator.core.coupler.watchdog import CouplerWatchdog
-from plant_emulator.shell.coupler_connection import CouplerConnection
-from protocol.coupler_registers import IDENTIFICATION
+from plant_emulator.core.coupler.answers import CouplerAnswers
+from plant_emulator.core.places import who_yields
+from plant_emulator.shell.coupler_connection import SLICE, CouplerConnection
 from protocol.process_image import ValveImage
 
-_BIT_FUNCTIONS = (READ_COILS, READ_DISCRETE, WRITE_COIL, WRITE_COILS)
-_CENTRED = ValveImage(0, 0, (0.0,) * 6)
+PLACES = 32
+PLACES_OF_ONE_ADDRESS = 16
+UNREAD_NS = 1_000_000_000  # answers that have waited so long for a master to read them end its connection
+QUIET_NS = 60_000_000_000  # so does asking nothing, except for the writer
+_LOOK_AROUND_S = 0.25
+_SEND_BUFFER_BYTES = 32_768
+_BACKLOG = 128
 
 
-class CouplerStatistics:
-    """Counts since the start: exchanges answered, exceptions returned, images refused, connections seen."""
+class Coupler(CouplerAnswers):
+    """Serves the process image to several masters, one of which may write; see CouplerAnswers.
 
-    def __init__(self) -> None:
-        self.requests = 0
-        self.exceptions = 0
-        self.torn_images = 0
-        self.connections = 0
-        self.framing_errors = 0
-        self.watchdog_expiries = 0
-
-    def as_dict(self) -> dict[str, int]:
-        """The counts by name."""
-        return dict(vars(self))
-
-
-class Coupler:
-    """Serves the newest sensor words and hands whole valve images on; one master at a time may write.
-
-    ``sensor_words``: called for each read of the inputs, returns INPUT_WORDS words. ``on_valves``: called
-    with each whole image that a master wrote, and with a centred one when the watchdog expires.
-    ``release_ns``: a master that has not written for so long loses the outputs to whoever writes next.
     ``clock_ns``: a monotonic clock. ``silent``: while it returns True, requests are neither answered nor
-    carried out, and connections stay open. ``report``: called as ``EventLog.write``, with what happens.
+    carried out, and connections stay open.
     """
 
     def __init__(
@@ -74,169 +40,120 @@ class Coupler:
         silent: Callable[[], bool] = lambda: False,
         report: Callable[..., None] = lambda *_event, **_fields: None,
     ) -> None:
-        self.statistics = CouplerStatistics()
-        self._on_valves = on_valves
-        self._clock_ns = clock_ns
+        super().__init__(sensor_words, on_valves, release_ns, report)
+        self.clock_ns = clock_ns
         self.silent = silent
-        self._report = report
-        self._watchdog = CouplerWatchdog(release_ns)
-        self._image = CouplerImage(sensor_words, self._watchdog)
-        self._decoder = DecodePDU(is_server=True)
-        self._asking: object = None
-        self._counted_from = dict(vars(self.statistics))
         self._connections: set[CouplerConnection] = set()
-        self._server: asyncio.Server | None = None
+        self._turns: deque[CouplerConnection] = deque()
+        self._listener: socket.socket | None = None
         self._alarm: asyncio.TimerHandle | None = None
+        self._alarm_ns = 0
+        self._looking: asyncio.TimerHandle | None = None
 
     async def start(self, bound: socket.socket) -> tuple[str, int]:
         """Listen on a bound socket; returns its address. Raises OSError when somebody listens there."""
-        loop = asyncio.get_running_loop()
-        self._server = await loop.create_server(lambda: CouplerConnection(self), sock=bound)
+        bound.setblocking(False)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)  # inherited
+        bound.listen(_BACKLOG)
+        self._listener = bound
+        asyncio.get_running_loop().add_reader(bound.fileno(), self._accept)
+        self._look_around()
         host, port = bound.getsockname()
         return str(host), int(port)
 
     async def stop(self) -> None:
         """Close the listener and every connection."""
-        if self._alarm is not None:
-            self._alarm.cancel()
-            self._alarm = None
-        if self._server is not None:
-            self._server.close()
+        for timer in (self._alarm, self._looking):
+            if timer is not None:
+                timer.cancel()
+        self._alarm = self._looking = None
+        if self._listener is not None:
+            asyncio.get_running_loop().remove_reader(self._listener.fileno())
+            self._listener.close()
+            self._listener = None
         for connection in tuple(self._connections):
             connection.close()
-        if self._server is not None:
-            await self._server.wait_closed()
 
     def answer(self, master: object, unit: int, pdu: bytes) -> bytes:
         """The response PDU to a request PDU; ``master`` is any object that stands for its connection."""
-        self.statistics.requests += 1
-        now_ns = self._clock_ns()
-        self._look_at_watchdog(now_ns)
-        function = pdu[0]
-        code = exception_for(pdu, COUPLER_MAP)
-        if code == 0 and function == DIAGNOSTICS:
-            self._watchdog.obeyed(master, False, now_ns)
-            return self._diagnosed(pdu)
-        writes = function in WRITING
-        owns = code == 0 and _is_image(pdu, function, writes)
-        if owns:
-            code = self._watchdog.refusal(master, writes, now_ns)
-        self._asking = master
-        response = self._executed(pdu, unit) if code == 0 else _exception(function, code)
-        if response.isError():
-            self.statistics.exceptions += 1
-        else:
-            self._watchdog.obeyed(master, owns and writes, now_ns)
-            if owns and writes and self._alarm is None:
-                self._set_alarm(now_ns)
-        return bytes([response.function_code]) + response.encode()
+        now_ns = self.clock_ns()
+        response = self.answered(master, pdu, now_ns)
+        if self._watchdog.armed and (self._alarm is None or self._alarm_ns > self._watchdog.expires_at_ns()):
+            self._set_alarm(now_ns)
+        return response
 
-    async def async_getValues(
-        self, device_id: int, func_code: int, address: int, count: int
-    ) -> Sequence[int]:
-        """Words or bits of the process image; called by pymodbus's requests, after validation."""
-        if func_code in _BIT_FUNCTIONS:
-            return self._image.bits(func_code, address, count)
-        return self._image.words(address, count, self._clock_ns())
+    def comes_first(self, connection: CouplerConnection) -> bool:
+        """Whether this is the connection that wrote outputs last."""
+        return connection is self.writer
 
-    async def async_setValues(
-        self, device_id: int, func_code: int, address: int, values: Sequence[int]
-    ) -> ExcCodes | None:
-        """Write; called by pymodbus's requests, after validation. A whole image acts at once."""
-        if func_code in _BIT_FUNCTIONS:
-            self._image.write_bits(address, [bool(value) for value in values])
-            return None
-        if address >= IDENTIFICATION:
-            code = self._configured(address, values)
-        else:
-            code, image, torn = self._image.write(address, values)
-            self.statistics.torn_images += torn
-            if image is not None:
-                self._on_valves(image)
-        return ExcCodes(code) if code else None
+    def wait_for_turn(self, connection: CouplerConnection) -> None:
+        """Serve ``connection`` in a later step of the loop, in which it gets its share of one slice."""
+        if not self._turns:
+            asyncio.get_running_loop().call_soon(self._take_turns)
+        self._turns.append(connection)
 
-    def lost_its_place(self, header: bytes) -> None:
+    def lost_its_place(self, why: str) -> None:
         """Count a frame header that made no sense; its connection ends."""
-        self.statistics.framing_errors += 1
-        if self.statistics.framing_errors.bit_count() == 1:  # 1, 2, 4, … : a flood fills no disk
-            fields = {"cause": "coupler.framing", "detail": f"frame header {header.hex()} refused"}
-            self._report("frame_refused", "warning", **fields, count=self.statistics.framing_errors)
-
-    def connected(self, connection: CouplerConnection) -> None:
-        """A master has connected."""
-        self._connections.add(connection)
-        self.statistics.connections += 1
+        self._tell("framing_errors", "frame_refused", "coupler.framing", why)
 
     def disconnected(self, connection: CouplerConnection) -> None:
         """A master has gone; the outputs keep their words until a watchdog acts."""
         self._connections.discard(connection)
-        self._watchdog.gone(connection)
+        self.gone(connection)
 
-    def _configured(self, address: int, values: Sequence[int]) -> int:
-        now_ns = self._clock_ns()
-        # Each of these registers is a block of its own, so exactly one word comes.
-        code = self._watchdog.configure(self._asking, address, values[0], now_ns)
-        # The pending alarm was set by the old time.
-        if self._alarm is not None:
-            self._alarm.cancel()
-            self._set_alarm(now_ns)
-        return code
-
-    def _look_at_watchdog(self, now_ns: int) -> None:
-        if not self._watchdog.look(now_ns):
+    def _accept(self) -> None:
+        assert self._listener is not None
+        try:
+            sock, (address, _) = self._listener.accept()
+        except OSError:  # it has gone again, or there are no more file handles: the next step tries anew
             return
-        why = f"nothing written for {self._watchdog.time_ms} ms, outputs at zero"
-        self._report("watchdog_expired", "warning", cause="coupler.watchdog", detail=why)
-        self.statistics.watchdog_expiries += 1
-        self._image.clear_outputs()
-        self._on_valves(_CENTRED)
+        sock.setblocking(False)
+        with contextlib.suppress(OSError):
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.statistics.connections += 1
+        kept = self.writer if isinstance(self.writer, CouplerConnection) else None
+        yielding = who_yields(self._connections, address, kept, PLACES, PLACES_OF_ONE_ADDRESS)
+        if yielding is not None:
+            why = f"{len(self._connections)} connections; one of {yielding.address} yields to {address}"
+            self._tell("displaced", "connection_closed", "coupler.no_place", why)
+            yielding.close()
+        self._connections.add(CouplerConnection(self, sock, address))
+
+    def _take_turns(self) -> None:
+        waiting = min(len(self._turns), SLICE)
+        now, self._turns = list(self._turns)[:waiting], deque(list(self._turns)[waiting:])
+        if self._turns:
+            asyncio.get_running_loop().call_soon(self._take_turns)
+        for connection in now:
+            connection.serve(SLICE // waiting)
+
+    def _look_around(self) -> None:
+        """End connections that do not read their answers, and those that ask nothing."""
+        now_ns = self.clock_ns()
+        for connection in tuple(self._connections):
+            if connection.blocked_ns is not None and now_ns - connection.blocked_ns >= UNREAD_NS:
+                why = f"{connection.address} has not read its answers for {UNREAD_NS // 1_000_000} ms"
+                self._tell("unread", "connection_closed", "coupler.unread", why)
+            elif connection is not self.writer and now_ns - connection.heard_ns >= QUIET_NS:
+                why = f"{connection.address} has asked nothing for {QUIET_NS // 1_000_000_000} s"
+                self._tell("quiet", "connection_closed", "coupler.quiet", why)
+            else:
+                continue
+            connection.close()
+        self._looking = asyncio.get_running_loop().call_later(_LOOK_AROUND_S, self._look_around)
 
     def _set_alarm(self, now_ns: int) -> None:
         # One timer that looks again when the watchdog would expire, instead of one for every telegram.
-        self._alarm = None
-        if self._server is None or not self._watchdog.armed:
+        if self._alarm is not None:
+            self._alarm.cancel()
+            self._alarm = None
+        if self._listener is None or not self._watchdog.armed:
             return
-        delay_s = max(self._watchdog.expires_at_ns() - now_ns, 1_000_000) * 1e-9
+        self._alarm_ns = self._watchdog.expires_at_ns()
+        delay_s = max(self._alarm_ns - now_ns, 1_000_000) * 1e-9
         self._alarm = asyncio.get_running_loop().call_later(delay_s, self._alarmed)
 
     def _alarmed(self) -> None:
-        now_ns = self._clock_ns()
-        self._look_at_watchdog(now_ns)
+        now_ns = self.clock_ns()
+        self.look_at_watchdog(now_ns)
         self._set_alarm(now_ns)
-
-    def _diagnosed(self, pdu: bytes) -> bytes:
-        sub_function = int.from_bytes(pdu[1:3], "big")
-        if sub_function in (ECHO, CLEAR_COUNTERS):
-            if sub_function == CLEAR_COUNTERS:
-                self._counted_from = dict(vars(self.statistics))
-            return pdu
-        name = {COUNT_EXCEPTIONS: "exceptions", COUNT_FRAMING_ERRORS: "framing_errors"}.get(
-            sub_function, "requests"
-        )
-        count = getattr(self.statistics, name) - self._counted_from[name]
-        return pdu[:3] + struct.pack(
-            ">H", self._image.status() if sub_function == READ_STATUS else count & 0xFFFF
-        )
-
-    def _executed(self, pdu: bytes, unit: int) -> ModbusPDU:
-        request = self._decoder.decode(pdu)
-        if request is None:
-            return _exception(pdu[0], ILLEGAL_VALUE)
-        # The process image never waits, so the coroutine ends at its first step: no task, no detour.
-        execution = request.datastore_update(cast(Any, self), unit)
-        try:
-            execution.send(None)
-        except StopIteration as finished:
-            return cast(ModbusPDU, finished.value)
-        raise RuntimeError("a Modbus request waited inside the process image")
-
-
-def _is_image(pdu: bytes, function: int, writes: bool) -> bool:
-    """Whether a sound request concerns terminals and not the coupler's own registers."""
-    if function in _BIT_FUNCTIONS:
-        return True
-    return (written(pdu).address if writes else int.from_bytes(pdu[1:3], "big")) < IDENTIFICATION
-
-
-def _exception(function_code: int, code: int) -> ModbusPDU:
-    return ExceptionResponse(function_code & 0x7F, code)

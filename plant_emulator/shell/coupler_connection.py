@@ -1,31 +1,36 @@
-"""One master's TCP connection to the coupler: Modbus TCP frames in, frames out, order kept."""
+"""One master's TCP connection to the coupler: requests in, answers out, order kept, nothing piled up."""
 
 import asyncio
-import struct
-from typing import Protocol, cast
+import socket
+from collections.abc import Callable
+from typing import Protocol
 
-from plant_emulator.core.coupler.modbus_requests import MAX_PDU_BYTES
+from plant_emulator.core.coupler.request_stream import PlaceLost, RequestStream, framed
 
-_MBAP = struct.Struct(">HHHB")
+SLICE = 16  # requests that one step of the loop serves
+_RECEIVE_BYTES = 4096
 
 
 class Answers(Protocol):
     """The coupler as its connections see it."""
 
-    def silent(self) -> bool:
-        """Whether requests are to be swallowed at present."""
-        ...
+    silent: Callable[[], bool]
+    clock_ns: Callable[[], int]
 
     def answer(self, master: object, unit: int, pdu: bytes) -> bytes:
         """The response PDU to a request PDU."""
         ...
 
-    def lost_its_place(self, header: bytes) -> None:
-        """Count a frame header that made no sense."""
+    def comes_first(self, connection: "CouplerConnection") -> bool:
+        """Whether this connection is served at once; others wait for their turn."""
         ...
 
-    def connected(self, connection: "CouplerConnection") -> None:
-        """A master has connected."""
+    def wait_for_turn(self, connection: "CouplerConnection") -> None:
+        """Have ``serve`` called in a later step of the loop."""
+        ...
+
+    def lost_its_place(self, why: str) -> None:
+        """Count a frame header that made no sense."""
         ...
 
     def disconnected(self, connection: "CouplerConnection") -> None:
@@ -33,51 +38,100 @@ class Answers(Protocol):
         ...
 
 
-class CouplerConnection(asyncio.Protocol):
-    """Cuts the stream into requests and sends their answers; a silent coupler swallows whole requests."""
+class CouplerConnection:
+    """Serves slices of requests; reads on only when all of them are served and their answers are sent.
 
-    def __init__(self, coupler: Answers) -> None:
+    So a master that pipelines without reading fills the buffers of its own socket and no memory of ours.
+    A silent coupler swallows whole requests. ``blocked_ns``: since when answers wait to be read, or None.
+    """
+
+    def __init__(self, coupler: Answers, sock: socket.socket, address: str) -> None:
+        self.address = address
+        self.served = 0
+        self.heard_ns = coupler.clock_ns()
+        self.blocked_ns: int | None = None
         self._coupler = coupler
-        self._buffer = bytearray()
-        self._transport: asyncio.Transport | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.Transport, transport)
-        self._coupler.connected(self)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._coupler.disconnected(self)
+        self._socket = sock
+        self._requests = RequestStream()
+        self._unsent = b""
+        self._waits = False
+        self._loop = asyncio.get_running_loop()
+        self._loop.add_reader(sock.fileno(), self._readable)
 
     def close(self) -> None:
         """Close the connection at once."""
-        if self._transport is not None:
-            self._transport.abort()
+        if self._socket.fileno() < 0:
+            return
+        self._loop.remove_reader(self._socket.fileno())
+        self._loop.remove_writer(self._socket.fileno())
+        self._socket.close()
+        self._coupler.disconnected(self)
 
-    def data_received(self, data: bytes) -> None:
-        self._buffer += data
-        answers = bytearray()
-        while len(self._buffer) >= _MBAP.size:
-            transaction, protocol, length, unit = _MBAP.unpack_from(self._buffer)
-            if protocol != 0 or not 2 <= length <= MAX_PDU_BYTES + 1:
-                # The place in the stream is lost and cannot be found again.
-                self._coupler.lost_its_place(bytes(self._buffer[: _MBAP.size]))
-                self._buffer.clear()
-                self._close_after(answers)
-                return
-            end = _MBAP.size - 1 + length
-            if len(self._buffer) < end:
-                break
-            pdu = bytes(self._buffer[_MBAP.size : end])
-            del self._buffer[:end]
-            if self._coupler.silent():
-                continue
-            response = self._coupler.answer(self, unit, pdu)
-            answers += _MBAP.pack(transaction, 0, len(response) + 1, unit) + response
-        if answers and self._transport is not None:
-            self._transport.write(bytes(answers))
+    def serve(self, most: int) -> None:
+        """Answer up to ``most`` whole requests; wait for another turn while there may be more."""
+        self._waits = False
+        if self._socket.fileno() < 0:
+            return
+        answers, count = [], 0
+        try:
+            while count < most and (request := self._requests.next()) is not None:
+                count += 1
+                if not self._coupler.silent():
+                    answers.append(framed(request, self._coupler.answer(self, request.unit, request.pdu)))
+        except PlaceLost as lost:
+            self._coupler.lost_its_place(str(lost))
+            self._send(b"".join(answers))
+            self.close()
+            return
+        if count:
+            self.served += count
+            self.heard_ns = self._coupler.clock_ns()
+        if answers:
+            self._send(b"".join(answers))
+        if count == most and len(self._requests) and self.blocked_ns is None:
+            self._wait()
 
-    def _close_after(self, answers: bytearray) -> None:
-        if self._transport is not None:
-            if answers:
-                self._transport.write(bytes(answers))
-            self._transport.close()
+    def _readable(self) -> None:
+        if self._waits:
+            return
+        try:
+            data = self._socket.recv(_RECEIVE_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self.close()
+            return
+        self._requests.add(data)
+        if self._coupler.comes_first(self):
+            self.serve(SLICE)
+        else:
+            self._wait()
+
+    def _wait(self) -> None:
+        if not self._waits:
+            self._waits = True
+            self._coupler.wait_for_turn(self)
+
+    def _send(self, data: bytes) -> None:
+        try:
+            sent = self._socket.send(data) if data else 0
+        except BlockingIOError:
+            sent = 0
+        except OSError:
+            self.close()
+            return
+        self._unsent = data[sent:]
+        if self._unsent and self.blocked_ns is None:
+            self.blocked_ns = self._coupler.clock_ns()
+            self._loop.remove_reader(self._socket.fileno())
+            self._loop.add_writer(self._socket.fileno(), self._writable)
+
+    def _writable(self) -> None:
+        self._send(self._unsent)
+        if not self._unsent and self._socket.fileno() >= 0:
+            self.blocked_ns = None
+            self._loop.remove_writer(self._socket.fileno())
+            self._loop.add_reader(self._socket.fileno(), self._readable)
+            self._wait()

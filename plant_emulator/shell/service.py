@@ -22,7 +22,7 @@ from plant_emulator.shell.fault_api import FaultFace
 from plant_emulator.shell.integrator import Integrator, SlowCycle
 from plant_emulator.shell.recording import TruthRecorder
 from protocol.errors import ConfigurationError
-from protocol.process_image import ValveImage, encode_sensors
+from protocol.process_image import ValveImage, acknowledge, encode_sensors
 
 _NAME = "plant_emulator"
 
@@ -47,7 +47,7 @@ class PlantService:
             release_ns,
             time.monotonic_ns,
             lambda: self._plant.faults.of_kind(CouplerSilent) is not None,
-            log.write,
+            log.write_repeated,
         )
         self._captures = SlowCycle(round(1e9 / config.scene.camera.rate_hz))
         self._truths = SlowCycle(round(1e9 / service.truth_hz))
@@ -117,6 +117,7 @@ class PlantService:
 
     def _after_step(self, deadline_ns: int) -> None:
         self._words = None
+        self._tell_status()
         self._tell_faults(deadline_ns)
         capture = self._captures.due(deadline_ns)
         record = self._recorder is not None and (capture or self._truths.due(deadline_ns))
@@ -134,20 +135,25 @@ class PlantService:
 
     def _write(self, image: ValveImage) -> None:
         self._plant.write(image)
-        self._words = None  # what is read in the same exchange already echoes this image's cycle
+        self._tell_status()
+        if self._words is not None:  # what is read in the same exchange already echoes this image's cycle
+            acknowledge(self._words, self._plant.echo_cycle, self._status)
 
     def _sensor_words(self) -> list[int]:
         """The newest input image; encoded once a step, so that reading it in pieces is consistent."""
         if self._words is None:
-            image = self._plant.read()
-            self._words = encode_sensors(image)
-            if image.status != self._status:
-                self._status = image.status
-                self._log.write("status", status=image.status)
-                if self._recorder is not None:
-                    fields = {"event": "status", "status": image.status}
-                    self._recorder.event(fields, time.monotonic_ns(), self._plant.time_ns)
+            self._words = encode_sensors(self._plant.read())
         return self._words
+
+    def _tell_status(self) -> None:
+        status = self._plant.status
+        if status == self._status:
+            return
+        self._status = status
+        self._log.write("status", status=status)
+        if self._recorder is not None:
+            fields = {"event": "status", "status": status}
+            self._recorder.event(fields, time.monotonic_ns(), self._plant.time_ns)
 
     def _tell_faults(self, log_ns: int) -> None:
         changes = self._plant.faults.changes

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from zlib import crc32
 
 from plant_emulator.core.coupler.modbus_requests import MAX_PDU_BYTES
+from plant_emulator.core.coupler.request_stream import PlaceLost, RequestStream, framed
 from plant_emulator.shell.coupler import Coupler
-from plant_emulator.shell.coupler_connection import CouplerConnection
 from protocol.datagram import Header, decode, encode
 from protocol.datagram_layout import HEADER_BYTES
 from protocol.errors import DatagramRefused, FrameRefused, ImageRefused
@@ -100,37 +100,20 @@ def modbus(data: bytes) -> bool:
     return not answer[0] & 0x80
 
 
-class _Sink:
-    """A transport that swallows."""
-
-    def __init__(self) -> None:
-        self.closed = False
-
-    def write(self, data: bytes) -> None:
-        """Ignore it."""
-
-    def close(self) -> None:
-        """The coupler has had enough."""
-        self.closed = True
-
-    abort = close
-
-    def set_write_buffer_limits(self, **_: object) -> None:
-        """Ignore it."""
-
-    def get_extra_info(self, _: str) -> None:
-        """Ignore it."""
-
-
 def stream(data: bytes) -> bool:
     """Bytes on a Modbus TCP connection, in two pieces; accepted: the connection is kept."""
-    connection, sink = CouplerConnection(_COUPLER), _Sink()
-    connection._transport = sink  # type: ignore[assignment]
+    requests = RequestStream()
     cut = data[0] % len(data) if data else 0
-    connection.data_received(data[1:cut])
-    if not sink.closed:
-        connection.data_received(data[max(cut, 1) :])
-    return not sink.closed
+    try:
+        for piece in (data[1:cut], data[max(cut, 1) :]):
+            requests.add(piece)
+            while (request := requests.next()) is not None:
+                answer = _COUPLER.answer(requests, request.unit, request.pdu)
+                assert framed(request, answer)[:2] == request.transaction.to_bytes(2, "big")
+    except PlaceLost:
+        return False
+    assert len(requests) < MAX_PDU_BYTES + 7, len(requests)
+    return True
 
 
 def frame(data: bytes) -> bool:

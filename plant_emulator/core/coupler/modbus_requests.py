@@ -1,7 +1,6 @@
 """Strict validation of Modbus requests: which exception a request deserves before anything acts on it.
 
-pymodbus checks some of this, answers some of it under a wrong function code and lets some of it pass, so
-every request is judged here first. Modbus application protocol V1.1b3, section 6.
+Modbus application protocol V1.1b3, section 6.
 """
 
 import struct
@@ -31,6 +30,7 @@ MAX_WRITE_OF_23 = 121
 MAX_READ_BITS = 2000
 MAX_WRITE_BITS = 1968
 MAX_PDU_BYTES = 253
+FORM_BYTES = 10  # function, addresses, quantities and byte count of the longest head, that of 23
 _COIL_WORDS = (0x0000, 0xFF00)
 
 # Sub-functions of DIAGNOSTICS (section 6.8); all but the echo take one word that must be zero.
@@ -71,7 +71,8 @@ class RegisterMap(NamedTuple):
 def exception_for(pdu: bytes, registers: RegisterMap) -> int:
     """The exception code that a request (function code first, not empty) deserves; 0 when it is sound.
 
-    The order of the checks is the standard's: function, then quantities and lengths, then addresses.
+    The order of the checks is the standard's: function, then quantities and lengths, then addresses. Only the
+    first FORM_BYTES and the length decide.
     """
     function, body = pdu[0], pdu[1:]
     if function == READ_WRITE_MULTIPLE:
@@ -101,6 +102,11 @@ def written(pdu: bytes) -> Span:
     if pdu[0] in (WRITE_SINGLE, WRITE_COIL):
         return Span(int.from_bytes(pdu[1:3], "big"), 1)
     return Span(*struct.unpack_from(">HH", pdu, 5 if pdu[0] == READ_WRITE_MULTIPLE else 1))
+
+
+def read(pdu: bytes) -> Span:
+    """The registers or bits that a sound reading request asks for."""
+    return Span(*struct.unpack_from(">HH", pdu, 1))
 
 
 def _read(body: bytes, limit: int, allowed: tuple[Span, ...], also: int = 0) -> int:
