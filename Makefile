@@ -16,7 +16,7 @@ PEERS_STAMP := $(VENV)/.stamp-peers
 LOCK_FLAGS := --generate-hashes --no-emit-index-url --no-header --python-version 3.11
 ARGS ?=
 PROCESSES ?= 2
-FOREIGN_TOOLS := mbpoll tshark
+FOREIGN_TOOLS := mbpoll tshark gcc
 
 .PHONY: help setup setup-dev demo test coverage foreign-tools bench experiments lint types imports compose-test lock clean
 
@@ -56,12 +56,12 @@ test: $(DEV_STAMP)  ## all tests but benchmarks, long experiments and containers
 coverage: $(DEV_STAMP)  ## which lines the tests run: a table, and coverage/index.html
 	$(BIN)/python -m pytest -n $(PROCESSES) --cov --cov-report=term:skip-covered --cov-report=html $(ARGS)
 
-foreign-tools:  ## Debian's mbpoll and tshark, which some tests compare with (root or sudo)
+foreign-tools:  ## Debian's mbpoll, tshark and C compiler, which some tests use (root or sudo)
 	@missing=; for tool in $(FOREIGN_TOOLS); do command -v $$tool > /dev/null || missing="$$missing $$tool"; done; \
 	if [ -z "$$missing" ]; then echo "foreign tools: all there"; exit 0; fi; \
 	if [ "$$(id -u)" = 0 ]; then as_root=; elif command -v sudo > /dev/null; then as_root=sudo; \
 	else echo "foreign tools:$$missing absent, and neither root nor sudo to install them; their tests are skipped" >&2; exit 1; fi; \
-	$$as_root apt-get update -qq && DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y -qq --no-install-recommends$$missing > /dev/null \
+	$$as_root apt-get update -qq && DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y -qq --no-install-recommends $${missing/gcc/gcc libc6-dev} > /dev/null \
 	|| { echo "foreign tools:$$missing could not be installed; their tests are skipped" >&2; exit 1; }
 
 bench: $(PEERS_STAMP)  ## benchmarks, with their limits and their peers (one of them GPL: never in a dependency)

@@ -1,0 +1,72 @@
+"""A controller written in C from the protocol page alone passes the suite; broken ones do not."""
+
+from pathlib import Path
+
+import pytest
+
+from conformance.case import CaseOutcome
+from conformance.outcome import Summary
+from conformance.runner import reference_cases, run_reference
+from tests.conformance.c_controller import COMPILER, SOURCE, SimulatedCController, compiled, running
+from tests.conformance.simulated_network import SimulatedNetwork
+
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler: apt-get install gcc")
+LIBRARY = ("-shared", "-fPIC")
+WITH_A_KEY = set(range(701, 722)) | set(range(723, 741))
+UNSIGNED = [case.number for case in reference_cases() if case.number not in WITH_A_KEY]
+
+
+def not_passed(summary: Summary) -> dict[int, str]:
+    return {
+        r.case.number: f"{r.outcome.value}: {r.detail}"
+        for r in summary.results
+        if r.outcome is not CaseOutcome.PASS
+    }
+
+
+def test_in_simulated_time_it_passes_every_case(tmp_path: Path, network: SimulatedNetwork) -> None:
+    with SimulatedCController(compiled(tmp_path, *LIBRARY), network) as controller:
+        summary = run_reference("127.0.0.1", controller.port, numbers=UNSIGNED, motion=True)
+    assert not_passed(summary) == {}
+    assert len(summary.results) == len(UNSIGNED)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "case"),
+    [
+        ("& (PATHS | STREAMING_CAPABILITY)", "& ~0ull", 204),
+        ("latch(REFERENCE_LINK_LOST, SEVERITY_STOP, ERROR_RAMP);", "mode = MOVING;", 535),
+        ("open_session.heard_ns > LINK_TIMEOUT_MS", "open_session.heard_ns > 2 * LINK_TIMEOUT_MS", 224),
+        ("id < s->newest_id", "false", 405),
+    ],
+)
+def test_the_suite_catches_it_when_it_is_broken(
+    tmp_path: Path, network: SimulatedNetwork, right: str, wrong: str, case: int
+) -> None:
+    source = SOURCE.read_text()
+    assert right in source
+    library = compiled(tmp_path, *LIBRARY, "-Wno-error", source=source.replace(right, wrong))
+    with SimulatedCController(library, network) as controller:
+        summary = run_reference("127.0.0.1", controller.port, numbers=[101, case], motion=True)
+    assert set(not_passed(summary)) == {case}
+
+
+@pytest.mark.realtime
+def test_as_a_program_it_passes_a_case_of_each_subject(tmp_path: Path) -> None:
+    with running(compiled(tmp_path)) as port:
+        summary = run_reference(
+            "127.0.0.1", port, numbers=[101, 203, 224, 301, 313, 401, 521, 551, 722], motion=True
+        )
+    assert not_passed(summary) == {}
+
+
+@pytest.mark.experiment
+def test_as_a_program_it_passes_every_case(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with running(compiled(tmp_path)) as port:
+        summary = run_reference("127.0.0.1", port, numbers=UNSIGNED, motion=True)
+    with capsys.disabled():
+        lines = len(SOURCE.read_text().splitlines())
+        seconds = sum(result.seconds for result in summary.results)
+        passed = f"{summary.count(CaseOutcome.PASS)} of {len(UNSIGNED)} cases passed in {seconds:.0f} s"
+        print(f"\n{passed}; {lines} lines of C")
+    assert not_passed(summary) == {}
