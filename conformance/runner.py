@@ -17,7 +17,10 @@ from protocol.authentication import LinkKey
 from protocol.errors import LinkLost
 
 # Loading a module enters its cases.
-_COUPLER_MODULES = ("frames", "registers", "outputs", "watchdog")
+_COUPLER_MODULES = (
+    "frames", "limits", "counters", "registers", "reach", "outputs", "writes", "owners", "watchdog",
+    "retrigger", "expiry", "plant_image",
+)  # fmt: skip
 _MODULES = (
     "framing", "sessions", "handshake", "lifetime", "order", "requests", "group", "motion", "endings",
     "stops", "streaming", "authentication",

@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+from conformance.coupler.unasked import UNASKED
 from conformance.runner import coupler_cases
 from plant_emulator.core.coupler import modbus_requests as requests
 from plant_emulator.core.coupler.image import COUPLER_MAP
@@ -91,6 +92,7 @@ def sections() -> dict[str, str]:
         "blocks": table("address | words | block | read with | write with", blocks),
         "registers": table("address | words | register | read with | write with | unit | meaning", own),
         "status": table("bit | mask | meaning", ((bit, f"{mask:#06x}", text) for bit, mask, text in STATUS)),
+        "unasked": table("clause | what | why", UNASKED),
         "cases": table(
             "case | clause | writes | question",
             ((c.number, c.clause, "yes" if c.motion else "", c.title) for c in coupler_cases()),

@@ -8,10 +8,13 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, ClassVar
 
+from plant_emulator.core.hydraulics.valve_commands import ValveCommands
 from plant_emulator.shell.coupler import Coupler
-from protocol.process_image import SensorImage, ValveImage, encode_sensors
+from protocol.process_image import STATUS_WATCHDOG_TRIPPED, SensorImage, ValveImage, encode_sensors
 
-RELEASE_NS = 60_000_000_000
+RELEASE_NS = 1_000_000_000
+MOTION_WATCHDOG_NS = 100_000_000
+PLANT_CYCLE_NS = 5_000_000
 _SETTLES_S = 0.005
 
 
@@ -42,6 +45,7 @@ class ThreadedCoupler:
 
     def __init__(self) -> None:
         self.written: list[ValveImage] = []
+        self._valves = ValveCommands(0, MOTION_WATCHDOG_NS)
         self.port = 0
         self._ready = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()))
@@ -50,15 +54,29 @@ class ThreadedCoupler:
 
     def make(self) -> Coupler:
         """The coupler to serve."""
-        return Coupler(self.sensors, self.written.append, RELEASE_NS, self.clock_ns())
+        return Coupler(self.sensors, self.take, RELEASE_NS, self.clock_ns())
+
+    def take(self, image: ValveImage) -> None:
+        """A valve image acts."""
+        self.written.append(image)
+        now_ns = self.clock_ns()()
+        self._valves.settle(now_ns)
+        self._valves.write(image, now_ns)
 
     def clock_ns(self) -> Callable[[], int]:
         """The coupler's clock."""
         return self.clock.monotonic_ns if self.clock else time.monotonic_ns
 
     def sensors(self) -> list[int]:
-        """The input image."""
-        return encode_sensors(SensorImage(7, 9, 5, (1, 2, 3, 4, 5, 6), ((1.0, 2.0),) * 6, 190.0, 10.0, 40.0))
+        """The input image of a plant that rests."""
+        now_ns = self.clock_ns()()
+        self._valves.settle(now_ns)
+        status = 0b0001 | (STATUS_WATCHDOG_TRIPPED if self._valves.tripped else 0)
+        counts, pressures = (1, 2, 3, 4, 5, 6), ((1.0, 2.0),) * 6
+        cycle = now_ns // PLANT_CYCLE_NS
+        return encode_sensors(
+            SensorImage(cycle, self._valves.echo_cycle, status, counts, pressures, 190.0, 10.0, 40.0)
+        )
 
     def altered(self, coupler: Coupler, master: Any, unit: int, pdu: bytes, answer: Any) -> bytes:
         """The answer to give; ``answer()`` makes the right one."""
