@@ -22,9 +22,8 @@ _COUPLER_MODULES = (
     "retrigger", "expiry", "plant_image",
 )  # fmt: skip
 _MODULES = (
-    "framing", "sessions", "handshake", "lifetime", "order", "requests", "group", "motion", "endings",
-    "stops", "streaming", "authentication",
-    "transitions",
+    "framing", "sessions", "handshake", "lifetime", "order", "requests", "repetitions", "group", "motion",
+    "endings", "stops", "streaming", "authentication", "transitions",
 )  # fmt: skip
 
 

@@ -79,6 +79,11 @@ _COUNTERS = {
 }
 
 
+def is_newer(number: int, other: int) -> bool:
+    """Whether a serial number modulo 2^32 is newer than another one."""
+    return 0 < (number - other) % SEQUENCE_MODULUS < SEQUENCE_MODULUS // 2
+
+
 class Arrival(Enum):
     """How a sequence number relates to those before it; the value is the cause of a drop."""
 
@@ -186,7 +191,7 @@ class Channel:
         """None if the datagram is to be used, else why not; the first one to come sets the start.
 
         ``max_age_ns`` None: of any age. ``age_ns`` becomes its age; ``heard_ns`` the time at which the newest
-        one left the peer, as far as the least transit tells.
+        one that is not too old left the peer, as far as the least transit tells.
         """
         if self._window is None:
             self._window = SequenceWindow(header.sequence, self._modulus)
@@ -202,10 +207,10 @@ class Channel:
             statistics.longest_gap = max(statistics.longest_gap, skipped)
         age_ns = self._age.age_ns(header.sent_ns, now_ns)
         self.age_ns = age_ns
-        left_ns = now_ns - age_ns
-        self.heard_ns = left_ns if self.heard_ns is None else max(self.heard_ns, left_ns)
         if max_age_ns is not None and age_ns > max_age_ns:
             return statistics.drop("datagram.stale", f"{age_ns // _NS_PER_MS} ms old when it was read")
+        left_ns = now_ns - age_ns
+        self.heard_ns = left_ns if self.heard_ns is None else max(self.heard_ns, left_ns)
         statistics.received += 1
         return None
 

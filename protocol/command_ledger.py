@@ -17,7 +17,7 @@ class Verdict(NamedTuple):
 
 
 class _Answered(NamedTuple):
-    payload: bytes
+    content: bytes
     acknowledgement: Acknowledgement
 
 
@@ -33,29 +33,29 @@ class CommandLedger:
         self._pending: dict[int, bytes] = {}
         self._answered: OrderedDict[int, _Answered] = OrderedDict()
 
-    def admit(self, command_id: int, payload: bytes) -> Verdict:
-        """What to do with a request; ``payload``, its bytes, tells a repetition from another request."""
+    def admit(self, command_id: int, content: bytes) -> Verdict:
+        """What to do with a request; ``content``, what it asks for, tells a repetition from another one."""
         if command_id in self._pending:
-            if self._pending[command_id] == payload:
+            if self._pending[command_id] == content:
                 return Verdict(False, None)
             return Verdict(False, Acknowledgement(command_id, Reason.REPEATED_COMMAND_ID, 0.0, 0.0))
         answered = self._answered.get(command_id)
         if answered is not None:
-            if answered.payload == payload:
+            if answered.content == content:
                 return Verdict(False, answered.acknowledgement)
             return Verdict(False, Acknowledgement(command_id, Reason.REPEATED_COMMAND_ID, 0.0, 0.0))
         if command_id <= self._newest_id:
             return Verdict(False, overtaken(command_id, self._newest_id))
         self._newest_id = command_id
-        self._pending[command_id] = payload
+        self._pending[command_id] = content
         return Verdict(True, None)
 
     def settle(self, acknowledgement: Acknowledgement) -> bool:
         """Whether ``acknowledgement`` answers a pending request; it is kept for repetition."""
-        payload = self._pending.pop(acknowledgement.command_id, None)
-        if payload is None:
+        content = self._pending.pop(acknowledgement.command_id, None)
+        if content is None:
             return False
-        self._answered[acknowledgement.command_id] = _Answered(payload, acknowledgement)
+        self._answered[acknowledgement.command_id] = _Answered(content, acknowledgement)
         while len(self._answered) > REMEMBERED:
             self._answered.popitem(last=False)
         return True

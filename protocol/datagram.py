@@ -33,7 +33,7 @@ from protocol.datagram_layout import (
 from protocol.errors import DatagramRefused, RequestRefused
 from protocol.faults import Reason
 from protocol.pose import Pose
-from protocol.reference_messages import Command, Message, ReferencePath, UnusableRequest
+from protocol.reference_messages import Command, Message, ReferencePath, Request, UnusableRequest
 
 _HEADER_STRUCT = struct.Struct(struct_format(HEADER))
 _CRC_STRUCT = struct.Struct("<I")
@@ -41,7 +41,6 @@ _TRAILER_START = struct.Struct("<II")
 _HALF = 32
 _LOWER_HALF = (1 << _HALF) - 1
 _CRC_END = CRC_OFFSET + CRC_BYTES
-_LENGTH_AT = CRC_OFFSET - 2
 
 
 class Header(NamedTuple):
@@ -137,9 +136,12 @@ def decode(datagram: bytes) -> Datagram:
     return Datagram(header, message)
 
 
-def payload_of(datagram: bytes) -> bytes:
-    """The payload's bytes of a decoded datagram: what comes again under another number, tag and time."""
-    return datagram[HEADER_BYTES : HEADER_BYTES + int.from_bytes(datagram[_LENGTH_AT:CRC_OFFSET], "little")]
+def content_of(request: Request | UnusableRequest) -> bytes:
+    """What ``request`` asks for, byte for byte: the same when it comes again, whatever is in its padding."""
+    if isinstance(request, UnusableRequest):
+        return repr(request).encode()
+    codec = _CODEC_OF_TYPE[type(request)]
+    return codec.layout.pack(*_flattened(request, codec))
 
 
 def _opened(datagram: bytes) -> tuple[int, Header, bytes]:

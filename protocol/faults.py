@@ -160,11 +160,15 @@ REASON_TEXTS: dict[Reason, str] = {
     Reason.PLANT_NOT_READY: "the plant reports no supply, a tripped watchdog or a sensor fault",
     Reason.UNKNOWN_COMMAND: "the command's code is not in the table; v the code",
     Reason.REPEATED_COMMAND_ID: "the id was used for another request",
-    Reason.OVERTAKEN: "a newer request or streamed reference came first; v this one's number, l the newest",
+    Reason.OVERTAKEN: (
+        "something newer came first; v this one's id or number, l the newest's or that of what overtook it"
+    ),
     Reason.NOT_NEGOTIATED: "the request needs a capability that was not granted",
     Reason.MOVING: "the arm is in another motion: STOP or wait first",
     Reason.STREAMING: "streamed references are being followed: END_STREAM or STOP first",
-    Reason.NOT_STREAMING: "no such stream is open: START_STREAM first; v its id, l the open one's",
+    Reason.NOT_STREAMING: (
+        "no such stream is open: START_STREAM first; v the id that a reference names, l the open one's, or 0"
+    ),
     Reason.STALE: "what the reference rests on is too old; v its age in s, l the limit",
     Reason.INCOMPATIBLE_VERSION: "in BYE: the major version is not spoken here",
     Reason.WRONG_ARM: "in BYE: the hash of the arm's configuration is another",
@@ -183,7 +187,7 @@ FAULT_TEXTS: dict[FaultCode, str] = {
     FaultCode.NONE: "no fault",
     FaultCode.PLANT_LINK_LOST: "the fieldbus did not answer, or did not echo the controller's cycle",
     FaultCode.PLANT_CYCLE_FROZEN: "the plant answers but its cycle stands still",
-    FaultCode.REFERENCE_LINK_LOST: "the reference link fell silent while the arm moved",
+    FaultCode.REFERENCE_LINK_LOST: "the session with the client ended while the arm moved (7.5)",
     FaultCode.FOLLOWING_ERROR: "a joint does not follow its command",
     FaultCode.ENCODER_JUMP: "an encoder leapt further than the joint can turn",
     FaultCode.ENCODER_STUCK: "an encoder stands still although its valve is open",

@@ -7,6 +7,14 @@ from typing import NamedTuple
 _LEAST = sys.float_info.min
 
 
+def is_usable(number: float) -> bool:
+    """Whether ``number`` is finite and not subnormal.
+
+    Nobody measures or asks for 1e-310 m: such a number is what misplaced bytes read as.
+    """
+    return math.isfinite(number) and (number == 0.0 or abs(number) >= _LEAST)
+
+
 class Pose(NamedTuple):
     """Pose of one frame in another (``X_BT``: T in B).
 
@@ -21,11 +29,8 @@ class Pose(NamedTuple):
         return all(map(math.isfinite, (*self.p_m, *self.q_wxyz)))
 
     def is_usable(self) -> bool:
-        """Whether all seven numbers are finite and none is subnormal.
-
-        Nobody measures or asks for 1e-310 m: such a number is what misplaced bytes read as.
-        """
-        return self.is_finite() and all(x == 0.0 or abs(x) >= _LEAST for x in (*self.p_m, *self.q_wxyz))
+        """Whether all seven numbers are usable."""
+        return all(map(is_usable, (*self.p_m, *self.q_wxyz)))
 
     def quaternion_norm(self) -> float:
         """The norm of ``q_wxyz``: 1 for a proper pose."""

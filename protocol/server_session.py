@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from protocol.authentication import LinkKey
 from protocol.channel import Channel, LinkStatistics, unauthentic
-from protocol.datagram import Datagram, Header, decode, payload_of
+from protocol.datagram import Datagram, Header, content_of, decode
 from protocol.datagram_layout import VERSION_MINOR
 from protocol.errors import DatagramRefused
 from protocol.faults import Reason
@@ -233,7 +233,7 @@ class ReferenceServer:
             return events
         if isinstance(message, StreamedPose):
             return events + self._streamed(session, header, message, now_ns)
-        return events + self._requested(session, message, payload_of(data), now_ns)
+        return events + self._requested(session, message, content_of(message), now_ns)
 
     def _addressed(self, number: int) -> LinkSession | None:
         sessions = (self._session, self._unconfirmed)
@@ -254,10 +254,10 @@ class ReferenceServer:
         self,
         session: LinkSession,
         request: Request | UnusableRequest,
-        payload: bytes,
+        content: bytes,
         now_ns: int,
     ) -> list[ServerEvent]:
-        verdict = session.ledger.admit(request.command_id, payload)
+        verdict = session.ledger.admit(request.command_id, content)
         if verdict.answer is not None:
             self._send(verdict.answer, now_ns)
         if not verdict.execute:

@@ -10,7 +10,8 @@ from plant_emulator.core.coupler.image import COUPLER_MAP
 from plant_emulator.core.coupler.modbus_requests import Span
 from protocol import coupler_registers as registers
 from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS, OUTPUT_WORDS
-from tools.protocol_page import filled, table
+from tools.protocol_page import filled
+from tools.tables import table
 
 PAGE = Path(__file__).parents[1] / "docs" / "process_image.md"
 _READ, _BITS, _NONE = requests.MAX_READ, requests.MAX_READ_BITS, "–"

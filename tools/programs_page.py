@@ -4,7 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from tools.protocol_page import filled, table
+from tools.protocol_page import filled
+from tools.tables import table
 from vision_pc.application.programs import PROGRAMS
 
 PAGE = Path(__file__).parents[1] / "docs" / "calibration.md"

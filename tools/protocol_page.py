@@ -3,36 +3,19 @@
 import json
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from enum import IntEnum
 from pathlib import Path
 from typing import TypeVar
 
 from conformance.runner import reference_cases
-from controller.config import ControllerConfig
-from controller.core.inbox import WAITING
-from foundation.configuration import load
 from protocol import datagram_layout, process_image, reference_messages
 from protocol.authentication import LinkKey
 from protocol.axes_group import ANSWERS, Asked, Mode
-from protocol.channel import MAX_GAP_DATAGRAMS, WINDOW_DATAGRAMS
-from protocol.client_handshake import HELLO_PERIOD_NS, HELLOS_PER_NONCE
-from protocol.client_session import MIN_RESEND_NS, RESEND_CYCLES
-from protocol.clock_offset import (
-    DISPUTED_TO_RESET,
-    DRIFT_PPM,
-    FIRST_HEARTBEATS,
-    FIRST_PERIOD_NS,
-    HEARTBEATS_PER_TIMEOUT,
-    WINDOW,
-)
-from protocol.command_ledger import REMEMBERED
 from protocol.datagram import encode
 from protocol.datagram_layout import (
     HEADER,
     HEADER_BYTES,
-    MAX_DATAGRAM_BYTES,
-    MAX_WAYPOINTS,
     PAYLOADS,
     TRAILER,
     Field,
@@ -54,10 +37,11 @@ from protocol.faults import (
 )
 from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
 from protocol.reference_messages import Bye, Heartbeat, Hello, ReferencePose, Welcome
-from protocol.server_session import REFUSAL_INTERVAL_NS, REMEMBERED_NONCES
+from tools.limit_tables import limits, motion_limits, stream_limits
 from tools.sample_messages import HEADER as HEADER_SAMPLE
 from tools.sample_messages import MESSAGES
 from tools.session_tables import CLIENT_ROWS, KEY_SERVER_ROWS, SERVER_ROWS, Row
+from tools.tables import table
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "protocol.md"
@@ -69,7 +53,6 @@ IEC = {"B": "USINT", "H": "UINT", "I": "UDINT", "Q": "ULINT", "d": "LREAL", "x":
 IEC_WORDS = {"H": "UINT", "h": "INT", "i": "DINT"}
 # LIMIT is a standard function of IEC 61131-3, so it cannot name a member.
 IEC_NAMES = {"limit": "limit_value"}
-MS = 1_000_000
 Member = TypeVar("Member", bound=IntEnum)
 KEY_ROWS = (
     ("K_hello", "`LRLK 1 hello`", "nothing", "HELLO"),
@@ -92,13 +75,6 @@ CAPABILITIES = {
     "AUTHENTICATION": "every datagram of the session is signed (clause 11)",
 }
 COLUMNS = {Asked.MOVE: "reference", Asked.STREAMED: "streamed reference"}
-
-
-def table(head: str, rows: Iterable[Iterable[object]]) -> str:
-    """A Markdown table."""
-    columns = [cell.strip() for cell in head.split("|")]
-    lines = [columns, ["---"] * len(columns), *([str(cell) for cell in row] for row in rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def filled(page: str, sections: Mapping[str, str]) -> str:
@@ -186,63 +162,6 @@ def _constant(name: str) -> int:
             assert isinstance(value, int)
             return value
     raise LookupError(name)
-
-
-def limits() -> str:
-    """Every time and count of the protocol, in milliseconds and in packets."""
-    rows = [
-        ("largest datagram", f"{MAX_DATAGRAM_BYTES} bytes, with its trailer", "–"),
-        ("waypoints in a path", MAX_WAYPOINTS, "–"),
-        ("HELLO repeated", f"every {HELLO_PERIOD_NS // MS} ms", f"new nonce after {HELLOS_PER_NONCE}"),
-        ("HEARTBEAT", f"every link_timeout_ms / {HEARTBEATS_PER_TIMEOUT}",
-         f"the first {FIRST_HEARTBEATS} at most {FIRST_PERIOD_NS // MS} ms apart"),
-        ("session ends by silence", "after more than link_timeout_ms",
-         f"{HEARTBEATS_PER_TIMEOUT - 1} heartbeats lost in a row are survived, one more is not"),
-        ("datagram is stale", "older than the controller's max_age_ms, by default link_timeout_ms", "–"),
-        ("request repeated", f"every {MIN_RESEND_NS // MS} ms or {RESEND_CYCLES} cycles, the longer",
-         "until answered"),
-        ("requests that wait for a scan", "–", f"{WAITING}; one more, and the oldest is overtaken (6.14)"),
-        ("answers remembered", "for the session", f"the newest {REMEMBERED}"),
-        ("nonces remembered", "–", f"those of the last {REMEMBERED_NONCES} sessions"),
-        ("gap in the sequence", "–", f"at most {MAX_GAP_DATAGRAMS - 1} skipped; more is refused"),
-        ("replay window", "–", f"the newest {WINDOW_DATAGRAMS} of 2^64 numbers"),
-        ("grant that has not begun is forgotten", "after more than link_timeout_ms", "–"),
-        ("late told from duplicate", "–", f"within the newest {WINDOW_DATAGRAMS} numbers"),
-        ("BYE to those without a session", f"at most one in {REFUSAL_INTERVAL_NS // MS} ms", "–"),
-        ("echoes kept for the clock", "–", f"the newest {WINDOW}"),
-        ("drift of a clock assumed", f"{DRIFT_PPM} ppm", "–"),
-        ("step of a clock followed", "–", f"after {DISPUTED_TO_RESET} echoes in a row that agree"),
-    ]  # fmt: skip
-    return table("what | limit in time or bytes | limit in packets", rows)
-
-
-def stream_limits() -> str:
-    """What bounds streamed references, as the controller is configured when it is delivered."""
-    config = load(ControllerConfig, ROOT / "configs" / "controller.yaml")
-    stream, close_ms = config.streaming, config.stream_close_ms
-    slow_ms = close_ms - stream.ramp_ms
-
-    def lost_before(limit_ms: float) -> str:
-        """References lost in a row whose successor still comes in time, at three rates."""
-        return ", ".join(f"{int(limit_ms * rate / 1e3) - 1} at {rate} Hz" for rate in (15, 30, 60))
-
-    rows = [
-        ("`silence_ms`", f"{stream.silence_ms:g} ms", "–"),
-        ("the arm is slowed down after", f"{slow_ms:g} ms at a cycle of {config.cycle_ms:g} ms",
-         f"lost in a row without it: {lost_before(slow_ms)}"),
-        ("the valves are centred after", f"{close_ms:g} ms at a cycle of {config.cycle_ms:g} ms",
-         f"lost in a row and survived: {lost_before(close_ms)}"),
-        ("`ramp_ms`, `recovery_ms`", f"{stream.ramp_ms:g} ms, {stream.recovery_ms:g} ms", "–"),
-        ("`first_reference_ms`", f"{stream.first_reference_ms:g} ms", "–"),
-        ("greatest age (12.6)", f"{stream.max_age_ms:g} ms", "–"),
-        ("distance, angle (12.4)", f"{stream.distance_m:g} m, {stream.turn_deg:g}°", "–"),
-        ("speed, of T and in turning", f"{stream.speed_m_s:g} m/s, {stream.turn_speed_deg_s:g} °/s", "–"),
-        ("acceleration",
-         f"{stream.acceleration_m_s2:g} m/s², {stream.turn_acceleration_deg_s2:g} °/s²", "–"),
-        ("jerk", f"{stream.jerk_m_s3:g} m/s³, {stream.turn_jerk_deg_s3:g} °/s³", "–"),
-        ("`twist_ref`, each axis", "0.8 / √3 of the speed", "–"),
-    ]  # fmt: skip
-    return table("what | as delivered | in packets", rows)
 
 
 def session_table(rows: tuple[Row, ...]) -> str:
@@ -341,6 +260,7 @@ SECTIONS: dict[str, Callable[[], str]] = {
     "capabilities": lambda: bits("CAPABILITY_", CAPABILITIES),
     "payloads": payload_tables,
     "limits": limits,
+    "motion limits": motion_limits,
     "server states": lambda: session_table(SERVER_ROWS),
     "client states": lambda: session_table(CLIENT_ROWS),
     "kinds": lambda: table("kind | name", ((kind.value, kind.name) for kind in Kind)),

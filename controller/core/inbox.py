@@ -1,5 +1,6 @@
 """Requests on their way from the reference link to the scan, and what becomes of them when a session ends."""
 
+from protocol.channel import is_newer
 from protocol.reference_messages import Acknowledgement, Command, Request, is_stop, overtaken
 from protocol.session_events import RequestReceived, ServerEvent, SessionClosed, StreamedPoseReceived
 
@@ -28,7 +29,7 @@ class Inbox:
             if isinstance(event, RequestReceived):
                 refused += self._enter(event.message)
             elif isinstance(event, StreamedPoseReceived):
-                self._streamed = event  # the newest supersedes those that no scan has seen
+                self._streamed = _newest(self._streamed, event)
             elif isinstance(event, SessionClosed):
                 # A stop is still obeyed; nothing else is done for a peer that has gone.
                 self._last_words = _bounded([*(self._last_words or ()), *self._stops])[0]
@@ -69,6 +70,13 @@ class Inbox:
             waiting = [*commands, request]
             gone, self._waiting = [*gone, *waiting[:-WAITING]], waiting[-WAITING:]
         return [overtaken(each.command_id, request.command_id) for each in gone]
+
+
+def _newest(before: StreamedPoseReceived | None, event: StreamedPoseReceived) -> StreamedPoseReceived:
+    """Which of two streamed references that no scan has seen supersedes the other."""
+    if before is None or before.message.stream_id != event.message.stream_id:
+        return event
+    return event if is_newer(event.message.number, before.message.number) else before
 
 
 def _bounded(stops: list[Command]) -> tuple[list[Command], list[Command]]:

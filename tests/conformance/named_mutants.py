@@ -6,6 +6,7 @@ from tests.conformance.handshake_mutants import HANDSHAKE_MUTANTS
 from tests.conformance.key_mutants import KEY, KEY_MUTANTS
 from tests.conformance.mutant_report import BrokenController
 from tests.conformance.mutants import MUTANTS as PLAIN_MUTANTS
+from tests.conformance.repetition_mutants import REPETITION_MUTANTS
 from tests.conformance.stop_mutants import STOP_MUTANTS
 from tests.conformance.stream_mutants import STREAM_MUTANTS
 
@@ -20,6 +21,7 @@ MUTANTS = (
             *STOP_MUTANTS,
             *STREAM_MUTANTS,
             *ENDING_MUTANTS,
+            *REPETITION_MUTANTS,
         )
     ),
     *(

@@ -21,6 +21,7 @@ from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
 from tests.conformance.ending_mutants import ENDING_MUTANTS
 from tests.conformance.handshake_mutants import HANDSHAKE_MUTANTS
 from tests.conformance.mutants import MUTANTS, Mutant
+from tests.conformance.repetition_mutants import REPETITION_MUTANTS
 from tests.conformance.stop_mutants import STOP_MUTANTS
 from tests.conformance.stream_mutants import STREAM_MUTANTS
 from tests.support.paths import DOCS
@@ -62,7 +63,7 @@ def test_on_real_sockets_it_passes_a_case_of_each_subject() -> None:
 @simulated
 @pytest.mark.parametrize(
     "mutant",
-    [*MUTANTS, *HANDSHAKE_MUTANTS, *STREAM_MUTANTS, *STOP_MUTANTS, *ENDING_MUTANTS],
+    [*MUTANTS, *HANDSHAKE_MUTANTS, *STREAM_MUTANTS, *STOP_MUTANTS, *ENDING_MUTANTS, *REPETITION_MUTANTS],
     ids=lambda m: f"{m.make.__name__}-{m.case}",
 )
 def test_each_broken_controller_is_caught_by_the_case_meant_for_it(mutant: Mutant) -> None:
@@ -88,7 +89,7 @@ NOT_ASKED = {
     **dict.fromkeys(("2.1", "2.2", "3.3", "9.1", "9.2", "11.1", "11.4"), "without it no case gets an answer"),
     **dict.fromkeys(("2.4", "5.6"), "shows in what 5.3 and 5.5 ask for, or on the client's side"),
     **dict.fromkeys(("4.8", "4.10", "8.1"), "binds the client"),
-    **dict.fromkeys(("6.11", "7.8"), "asked with each refusal, and with each motion"),
+    "7.8": "asked with each motion",
     **dict.fromkeys(("4.12", "11.11"), "says what is not promised"),
 }
 

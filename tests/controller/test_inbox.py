@@ -1,5 +1,6 @@
 """What the scan gets of what the client asked for: stops first, the rest bounded."""
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 
@@ -23,9 +24,10 @@ from protocol.reference_messages import (
     ReferencePath,
     ReferencePose,
     Request,
+    StreamedPose,
 )
 from protocol.server_session import ReferenceServer
-from protocol.session_events import RequestReceived, SessionClosed
+from protocol.session_events import RequestReceived, SessionClosed, StreamedPoseReceived
 from tests.conformance.controllers import settings
 from tests.controller.obedient_plant import Bench
 
@@ -67,6 +69,38 @@ def test_a_reference_overtakes_those_that_wait_and_no_command() -> None:
     events = [RequestReceived(r) for r in (pose, enable, path, pose._replace(command_id=4), end)]
     assert [a.command_id for a in inbox.put(list(events))] == [1, 3]
     assert ids(inbox.take(True)[0]) == [2, 4, 5]
+
+
+def streamed(stream_id: int, number: int) -> StreamedPoseReceived:
+    return StreamedPoseReceived(StreamedPose(stream_id, number, 0, IDENTITY), 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("came", "newest"),
+    [
+        ([(7, 1), (7, 2)], (7, 2)),
+        ([(7, 5), (7, 4), (7, 4)], (7, 5)),
+        ([(7, 2**32 - 1), (7, 0)], (7, 0)),
+        ([(7, 0), (7, 2**32 - 1)], (7, 0)),
+        ([(7, 5), (8, 1)], (8, 1)),
+    ],
+)
+def test_of_streamed_references_the_newest_by_number_is_judged(
+    came: list[tuple[int, int]], newest: tuple[int, int]
+) -> None:
+    inbox = Inbox()
+    inbox.put([streamed(*each) for each in came])
+    assert inbox.take_streamed() == streamed(*newest)
+    assert inbox.take_streamed() is None
+
+
+def test_a_bad_reference_overtakes_a_good_one() -> None:
+    nan = IDENTITY._replace(p_m=(math.nan, 0.0, 0.0))
+    inbox = Inbox()
+    references = [ReferencePose(5, IDENTITY, 0.0), ReferencePose(6, nan, 0.0)]
+    refused = inbox.put([RequestReceived(each) for each in references])
+    assert refused == [Acknowledgement(5, Reason.OVERTAKEN, 5.0, 6.0)]
+    assert ids(inbox.take(True)[0]) == [6]
 
 
 def test_stops_of_a_session_that_ended_are_obeyed_and_nothing_else_of_it() -> None:

@@ -231,6 +231,7 @@ REFUSED = [
     (lambda p, s: p._replace(p_m=(p.p_m[0], 1e-310, p.p_m[2])), {}, Reason.NOT_FINITE, None),
     (lambda p, s: p._replace(q_wxyz=(math.inf, 0.0, 0.0, 0.0)), {}, Reason.NOT_FINITE, None),
     (lambda p, s: p, {"twist_ref": (0.0, math.nan, 0.0, 0.0, 0.0, 0.0)}, Reason.NOT_FINITE, None),
+    (lambda p, s: p, {"twist_ref": (0.0, 0.0, 0.0, 1e-310, 0.0, 0.0)}, Reason.NOT_FINITE, None),
     (
         lambda p, s: p._replace(q_wxyz=tuple(1.002 * q for q in p.q_wxyz)),
         {},
@@ -373,6 +374,13 @@ def test_the_first_reference_is_waited_for_at_rest(settings: ScanSettings) -> No
     assert bench.last.view.X_BT_cmd == held
     bench.run(0.03)
     assert bench.last.view.fault is FaultCode.REFERENCE_STALE
+
+
+def test_a_reference_outside_any_stream_is_told_the_id_it_named(settings: ScanSettings) -> None:
+    bench = Bench(settings).enabled()
+    refusal = bench.stream(1, bench.shifted(), stream_id=4711)
+    assert refusal is not None
+    assert (refusal.reason, refusal.value, refusal.limit) == (Reason.NOT_STREAMING, 4711.0, 0.0)
 
 
 def test_the_end_of_the_session_closes_its_stream_to_the_next_one(settings: ScanSettings) -> None:

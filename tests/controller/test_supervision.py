@@ -130,6 +130,23 @@ def test_an_unattended_standby_is_disabled_without_a_fault(settings: ScanSetting
     assert bench.last.valves.control == 0
 
 
+@pytest.mark.parametrize("asked", [CommandCode.STOP, CommandCode.DISABLE])
+def test_a_session_that_ends_while_the_arm_stops_ends_in_disabled_without_a_fault(
+    settings: ScanSettings, asked: CommandCode
+) -> None:
+    bench = Bench(settings).moving()
+    assert bench.command(asked) is Reason.ACCEPTED
+    bench.link_alive = False
+    bench.step()
+    bench.link_alive = True  # the next session has begun
+    assert bench.last.view.group_state is GroupState.STOPPING
+    assert any(bench.last.valves.valves)  # the ramp is driven
+    bench.run(1.5)
+    assert bench.last.view.group_state is GroupState.DISABLED
+    assert (bench.last.valves.valves, bench.last.valves.control) == (ZERO, 0)
+    assert bench.last.view.fault is FaultCode.NONE
+
+
 def test_the_first_fault_stays_while_the_reaction_follows_the_gravest(settings: ScanSettings) -> None:
     bench = Bench(settings).moving()
     bench.link_alive = False

@@ -10,7 +10,7 @@ from conformance.bytes_of import resealed
 from protocol.authentication import DirectionKey, LinkKey, fault_of
 from protocol.channel import MAX_GAP_DATAGRAMS, WINDOW_DATAGRAMS, Arrival, SequenceWindow
 from protocol.client_session import ReferenceClient
-from protocol.datagram import Header, decode, encode, payload_of
+from protocol.datagram import Header, decode, encode
 from protocol.datagram_layout import HEADER_BYTES, TRAILER_BYTES
 from protocol.errors import DatagramRefused
 from protocol.faults import CommandCode, Reason
@@ -105,7 +105,7 @@ class TestTag:
         got = decode(data)
         assert got.message == message
         assert got.header.sequence == header.sequence
-        assert payload_of(data) == encode(message, HEADER)[HEADER_BYTES:]
+        assert data[HEADER_BYTES:-TRAILER_BYTES] == encode(message, HEADER)[HEADER_BYTES:]
         assert fault_of(data, got.header.flags, key) is None
         assert data[-24:-20] == bytes.fromhex("67452301")
         assert data[-20:-16] == KEY.key_id.to_bytes(4, "little")

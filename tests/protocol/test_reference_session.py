@@ -1,5 +1,6 @@
 """Both ends of the reference link on a wire that delays, loses, repeats and reorders."""
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -19,6 +20,7 @@ from protocol.reference_messages import (
     Acknowledgement,
     Bye,
     Command,
+    Heartbeat,
     HeartbeatReply,
     Hello,
     Message,
@@ -415,6 +417,37 @@ class TestRequests:
             Acknowledgement(5, Reason.REPEATED_COMMAND_ID, 0.0, 0.0),
         ]
         assert len(wire.requests()) == 1
+
+    @pytest.mark.parametrize(
+        ("request_", "ignored"),
+        [
+            (ENABLE._replace(command_id=5), range(52, 56)),
+            (ReferencePath(5, (IDENTITY,), 0.0, 0.0), [*range(52, 56), *range(56 + 56, 40 + 1360)]),
+        ],
+        ids=["Command", "ReferencePath"],
+    )
+    def test_padding_and_unused_waypoints_do_not_make_another_request(
+        self, request_: Command | ReferencePath, ignored: Sequence[int]
+    ) -> None:
+        wire = Wire().connect()
+        plain = bytearray(encode(request_, Header(wire.server.session or 0, 100, wire.now_ns)))
+        wire.give_server(bytes(plain))
+        for n, place in enumerate([ignored[0], ignored[-1], *ignored[:: max(len(ignored) // 7, 1)]]):
+            dirty = bytearray(plain)
+            dirty[place] = 0xA5
+            wire.give_server(with_number(bytes(dirty), 24, "I", 101 + n))
+        replies = [decode(d).message for d, _ in wire.server.outgoing() if kind_of(d) == "Acknowledgement"]
+        assert len(replies) > 4
+        assert set(replies) == {Acknowledgement(5, Reason.ACCEPTED, 0.0, 0.0)}
+        assert wire.requests() == [request_]
+
+    def test_a_heartbeat_s_own_time_is_repeated_as_it_came(self) -> None:
+        wire = Wire().connect()
+        session = wire.server.session or 0
+        for n, sent_ns in enumerate((0, 1, 2**64 - 1)):
+            wire.give_server(encode(Heartbeat(sent_ns), Header(session, 100 + n, wire.now_ns)))
+        replies = [m for d, _ in wire.server.outgoing() if isinstance(m := decode(d).message, HeartbeatReply)]
+        assert [reply.sent_ns for reply in replies] == [0, 1, 2**64 - 1]
 
     def test_a_request_with_nan_is_recognised_when_it_comes_again(self) -> None:
         wire = Wire(answer=Reason.NOT_FINITE).connect()

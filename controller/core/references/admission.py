@@ -1,6 +1,5 @@
 """Admission of references: a path that the arm can follow, or a refusal with value and limit."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from controller.core.trajectories.path_survey import Survey, survey
 from controller.core.trajectories.paths import Desired, Path, path_from
 from protocol.datagram_layout import MAX_WAYPOINTS
 from protocol.faults import Reason
-from protocol.pose import Pose
+from protocol.pose import Pose, is_usable
 from protocol.reference_messages import ReferencePath, ReferencePose
 
 QUATERNION_TOLERANCE = 1e-3
@@ -84,7 +83,7 @@ def _form(settings: ScanSettings, poses: tuple[Pose, ...], wanted: float, dwell:
         refusal = unusable(pose, index, len(poses))
         if refusal is not None:
             return refusal
-    if not (math.isfinite(wanted) and math.isfinite(dwell)):
+    if not (is_usable(wanted) and is_usable(dwell)):
         return Refusal(Reason.NOT_FINITE, 0.0, 0.0)
     motion = settings.motion
     if wanted != 0.0 and wanted < motion.duration_min:

@@ -23,10 +23,11 @@ from controller.core.settings import ScanSettings
 from controller.core.trajectories.approach import ApproachTrajectory, AxisLimits, approach, twist_limit
 from controller.core.trajectories.path_survey import survey
 from controller.core.trajectories.paths import Desired, at_rest, path_from
+from protocol.channel import is_newer
 from protocol.faults import Reason
+from protocol.pose import is_usable
 from protocol.session_events import StreamedPoseReceived
 
-_NUMBERS = 1 << 32
 _AT_REST = np.zeros(6)
 
 
@@ -136,8 +137,7 @@ def _place(
     reference = arrival.message
     if reference.stream_id != stream.stream_id or not stream.attended:
         return Refusal(Reason.NOT_STREAMING, float(reference.stream_id), float(stream.stream_id))
-    ahead = (reference.number - stream.number) % _NUMBERS
-    if stream.goal is not None and not 0 < ahead < _NUMBERS // 2:
+    if stream.goal is not None and not is_newer(reference.number, stream.number):
         return Refusal(Reason.OVERTAKEN, float(reference.number), float(stream.number))
     age_s = (now_ns - arrival.measured_ns) * 1e-9
     if age_s > settings.streaming.max_age_s:
@@ -147,7 +147,7 @@ def _place(
 
 def _runs_away(twist: Array, most: Array) -> Refusal | None:
     """A refusal of a reference that itself moves faster than may be followed, or by no number."""
-    if not np.isfinite(twist).all():
+    if not all(map(is_usable, twist.tolist())):
         return Refusal(Reason.NOT_FINITE, 0.0, 1.0)
     axis = int((np.abs(twist) / most).argmax())
     if abs(twist[axis]) > most[axis]:
