@@ -132,7 +132,7 @@ def nan(peer: Peer) -> None:
 def rates(peer: Peer) -> None:
     for period_ms in (0, 20, 100):
         welcome = peer.open(period_ms=period_ms)
-        period = max(period_ms, welcome.cycle_ns / MS)
+        period = max(welcome.state_period_ms, welcome.cycle_ns / MS)  # as granted (4.2)
         peer.collect(50)
         span = max(500.0, 5 * period)
         got = sum(isinstance(d.message, State) for d in peer.collect(span))
