@@ -187,7 +187,7 @@ FAULT_TEXTS: dict[FaultCode, str] = {
     FaultCode.NONE: "no fault",
     FaultCode.PLANT_LINK_LOST: "the fieldbus did not answer, or did not echo the controller's cycle",
     FaultCode.PLANT_CYCLE_FROZEN: "the plant answers but its cycle stands still",
-    FaultCode.REFERENCE_LINK_LOST: "the session with the client ended while the arm moved (7.5)",
+    FaultCode.REFERENCE_LINK_LOST: "the client's session ended while the arm moved",
     FaultCode.FOLLOWING_ERROR: "a joint does not follow its command",
     FaultCode.ENCODER_JUMP: "an encoder leapt further than the joint can turn",
     FaultCode.ENCODER_STUCK: "an encoder stands still although its valve is open",
