@@ -219,13 +219,19 @@ def process_log(service: str) -> Generator[EventLog, None, None]:
         log.close()
 
 
-def in_words(line: str) -> str:
-    """A line of the log as one line for a person: ``cause: detail``; any other line is returned as it is."""
+def event_of(line: str) -> dict[str, Any] | None:
+    """A line of the log as its members and fields; None for any other line."""
     try:
         said = json.loads(line)
     except ValueError:
-        return line
-    if not isinstance(said, dict) or "event" not in said:
+        return None
+    return said if isinstance(said, dict) and "event" in said else None
+
+
+def in_words(line: str) -> str:
+    """A line of the log as one line for a person: ``cause: detail``; any other line is returned as it is."""
+    said = event_of(line)
+    if said is None:
         return line
     cause = said.get("cause") or said["event"]
     detail = said.get("detail") or said.get("message")

@@ -15,6 +15,7 @@ import uvloop
 
 from foundation.configuration import merged, parse_overrides
 from foundation.event_log import EventLog, process_log
+from foundation.signs_of_life import signs_of_life
 from protocol.errors import LongreachError
 
 _REFUSED, _INTERRUPTED = 2, 130  # exit statuses
@@ -69,12 +70,17 @@ def service_main(program: ServiceProgram, argv: list[str] | None = None) -> int:
     try:
         options = _options(program, argv)
         with process_log(program.name) as log, asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-            return runner.run(program.make(options, log).run())
+            return runner.run(_served(program.make(options, log)))
     except LongreachError as error:
         print(f"{program.name}: {error.cause}: {error}", file=sys.stderr)
         return _REFUSED
     except KeyboardInterrupt:
         return _INTERRUPTED
+
+
+async def _served(service: RunnableService) -> int:
+    async with signs_of_life():
+        return await service.run()
 
 
 def say_ready(service: str, **fields: Any) -> None:

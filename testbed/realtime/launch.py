@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 
 from foundation.configuration import merged
 from foundation.secret_source import read_secret
+from testbed.realtime.child import Service
 from testbed.realtime.ports import PortUse, check_ports
-from testbed.realtime.supervisor import Service, free_port
+from testbed.realtime.supervisor import free_port
 from testbed.scenarios.scenario import flattened
 from testbed.scenarios.settings import Overrides, Settings, load_settings
 

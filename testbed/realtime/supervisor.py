@@ -1,160 +1,22 @@
 """Starts the three services as processes of their own, watches them, and ends them cleanly."""
 
-import ctypes
-import json
-import signal
 import socket
-import subprocess
-import sys
-import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
 
-from foundation.event_log import in_words
-from protocol.errors import LongreachError
+from testbed.realtime.child import STOP_TIMEOUT_S, Child, Service, process_state
 
 READY_TIMEOUT_S = 180.0  # a first start compiles the numba kernels
-STOP_TIMEOUT_S = 4.0
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None, use_errno=True)
-
-
-class ServiceFailed(LongreachError):
-    """A service did not start, or ended by itself; ``cause`` begins with ``service.``."""
-
+STALLED_S = 1.5  # without a sign of life
 
 Report = Callable[[float, str], None]
 
 
-class Service(NamedTuple):
-    """One process to run: ``python -m module *arguments``."""
-
-    name: str
-    module: str
-    arguments: tuple[str, ...]
-
-
-class Child:
-    """A running service. Its stdout is read for the ready line, its stderr goes to ``log``."""
-
-    def __init__(self, service: Service, log: Path) -> None:
-        self.name = service.name
-        self.ready: dict[str, Any] | None = None
-        self._last_line = ""
-        self._log = log
-        self._said_ready = threading.Event()
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", service.module, *service.arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            errors="replace",
-            start_new_session=True,  # Ctrl-C is ours to pass on, in order
-            preexec_fn=_end_with_parent,
-        )
-        self._readers = [
-            threading.Thread(target=self._read_stdout, daemon=True),
-            threading.Thread(target=self._read_stderr, daemon=True),
-        ]
-        for reader in self._readers:
-            reader.start()
-
-    @property
-    def pid(self) -> int:
-        """The process number."""
-        return self._process.pid
-
-    @property
-    def exit_status(self) -> int | None:
-        """The exit status; None while it runs."""
-        return self._process.poll()
-
-    @property
-    def last_line(self) -> str:
-        """The last line that it wrote on stderr, in words, or what replaces it."""
-        return in_words(self._last_line) or "it said nothing"
-
-    def _read_stdout(self) -> None:
-        assert self._process.stdout is not None
-        with self._process.stdout as lines:
-            for line in lines:
-                try:
-                    said = json.loads(line)
-                except ValueError:
-                    continue
-                if isinstance(said, dict) and said.get("event") == "ready":
-                    self.ready = said
-                    self._said_ready.set()
-        self._said_ready.set()  # the end of stdout: nothing more to wait for
-
-    def _read_stderr(self) -> None:
-        assert self._process.stderr is not None
-        with self._log.open("w", encoding="utf-8") as log, self._process.stderr as lines:
-            for line in lines:
-                log.write(line)
-                log.flush()
-                self._last_line = line.strip() or self._last_line
-
-    def wait_ready(self, timeout_s: float) -> dict[str, Any]:
-        """The ready line's fields. Raises ServiceFailed when it ends or stays silent instead."""
-        self._said_ready.wait(timeout_s)
-        if self.ready is not None:
-            return self.ready
-        if self._said_ready.is_set():
-            self._settle()
-            raise self.failure("before it was ready")
-        raise ServiceFailed(
-            "service.not_ready", f"{self.name} was not ready within {timeout_s:.0f} s: {self.last_line}"
-        )
-
-    def failure(self, when: str) -> ServiceFailed:
-        """The error that tells how this service ended."""
-        return ServiceFailed(
-            "service.exited", f"{self.name} ended {when} with status {self.exit_status}: {self.last_line}"
-        )
-
-    def _settle(self) -> None:
-        """Wait until exit status and last line of an ended process are known."""
-        try:
-            self._process.wait(STOP_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            return
-        for reader in self._readers:
-            reader.join(1.0)
-
-    def ask_to_end(self) -> None:
-        """Send SIGTERM if the process still runs."""
-        if self._process.poll() is None:
-            self._process.send_signal(signal.SIGTERM)
-
-    def kill(self) -> None:
-        """Send SIGKILL, for trials of what the others then do."""
-        self._process.kill()
-        self._process.wait()
-
-    def end(self, timeout_s: float = STOP_TIMEOUT_S) -> int:
-        """The exit status, after SIGTERM and, where that does not help in time, SIGKILL."""
-        self.ask_to_end()
-        try:
-            self._process.wait(timeout_s)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        self._settle()
-        return self._process.returncode
-
-
 def _silent(_progress: float, _note: str) -> None:
     """Ignore progress, for callers that show none."""
-
-
-def _end_with_parent() -> None:
-    """Ask the kernel, in the child, for SIGTERM when the supervisor dies without having ended it."""
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 class Supervisor:
@@ -163,11 +25,17 @@ class Supervisor:
     def __init__(self, log_dir: Path) -> None:
         log_dir.mkdir(parents=True, exist_ok=True)
         self._log_dir = log_dir
+        self._starts: Counter[str] = Counter()
+        self._stalled: set[str] = set()
         self.children: dict[str, Child] = {}
 
     def launch(self, service: Service) -> Child:
-        """The service just started, not yet ready."""
-        child = Child(service, self._log_dir / f"{service.name}.log")
+        """The service just started, not yet ready. From its second start on its log has a number."""
+        self._starts[service.name] += 1
+        number = self._starts[service.name]
+        suffix = f".{number}" if number > 1 else ""
+        child = Child(service.numbered(number), self._log_dir / f"{service.name}{suffix}.log")
+        child.service = service
         self.children[service.name] = child
         return child
 
@@ -183,17 +51,53 @@ class Supervisor:
                 child._settle()
                 raise child.failure("by itself")
 
-    def watch(self, seconds: float | None = None, interval_s: float = 0.25) -> None:
-        """Watch the services for ``seconds`` (None: for ever). Raises ServiceFailed when one ends."""
+    def watch(
+        self,
+        seconds: float | None = None,
+        interval_s: float = 0.25,
+        tell: Callable[[str], None] | None = None,
+    ) -> None:
+        """Watch the services for ``seconds`` (None: for ever). Raises ServiceFailed when one ends.
+
+        With ``tell``, what they complain of is told, and which one has stalled; and one that another asked to
+        end (SIGTERM) is started anew, alone.
+        """
         until = None if seconds is None else time.monotonic() + seconds
         while until is None or time.monotonic() < until:
+            if tell is not None:
+                self._renew(tell)
+                self._tell_troubles(tell)
             self.check()
             time.sleep(interval_s)
 
+    def _renew(self, tell: Callable[[str], None]) -> None:
+        for child in list(self.children.values()):
+            if child.ended_in_good_order:
+                child.end()
+                self.start(child.service)
+                anew = self.children[child.name].pid
+                tell(f"{child.name} was asked to end and is started anew: process {anew}")
+
+    def _tell_troubles(self, tell: Callable[[str], None]) -> None:
+        for child in self.children.values():
+            while child.alarms:
+                tell(f"{child.name}: {child.alarms.popleft()}")
+            silent_s = child.silence_s()
+            if (silent_s > STALLED_S) == (child.name in self._stalled) or child.exit_status is not None:
+                continue
+            if silent_s > STALLED_S:
+                self._stalled.add(child.name)
+                state = process_state(child.pid)
+                tell(f"{child.name} has stalled: no sign of life for {silent_s:.1f} s, {state}")
+            else:
+                self._stalled.remove(child.name)
+                tell(f"{child.name} goes on")
+
     def stop(self) -> dict[str, int]:
-        """The exit status of each service; all are ended, the last started first."""
+        """The exit status of each service; they are ended the last first, in four seconds together."""
+        deadline_s = time.monotonic() + STOP_TIMEOUT_S
         order = list(self.children.values())[::-1]
-        return {child.name: child.end() for child in order}
+        return {child.name: child.end(max(deadline_s - time.monotonic(), 0.2)) for child in order}
 
 
 @contextmanager

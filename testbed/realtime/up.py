@@ -3,6 +3,7 @@
 import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from datetime import datetime
 from pathlib import Path
 from types import FrameType
 
@@ -24,9 +25,14 @@ def run_up(config_dir: Path, overrides: Overrides, any_ports: bool, runs: Path) 
         try:
             with supervised(launch.services, launch.directory) as supervisor:
                 show(launch, supervisor)
-                supervisor.watch()
+                supervisor.watch(tell=tell)
         except KeyboardInterrupt:
             out.print("ended")
+
+
+def tell(trouble: str) -> None:
+    """Print one line about a service, with the time of day."""
+    out.print(f"{datetime.now():%H:%M:%S}  {trouble}", markup=False, highlight=False, soft_wrap=True)
 
 
 @contextmanager
@@ -46,7 +52,8 @@ def show(launch: Launch, supervisor: Supervisor) -> None:
     ]
     out.print(table("running", ("service", "process", "scheduling", "log"), rows))
     show_fault_api(launch)
-    out.print(f"REST face: {launch.rest_url}/docs   end with Ctrl-C", highlight=False)
+    out.print(f"REST API: {launch.rest_url}/docs   end with Ctrl-C", highlight=False)
+    out.print("kill PROCESS ends that service, and it is started anew alone", highlight=False)
 
 
 def show_fault_api(launch: Launch) -> None:

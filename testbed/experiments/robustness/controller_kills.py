@@ -35,9 +35,10 @@ from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished
 from testbed.campaigns.options import Assignments
 from testbed.campaigns.typed_rows import typed
+from testbed.realtime.child import Service
 from testbed.realtime.launch import CONTROLLER, PLANT, Launch, prepare
 from testbed.realtime.live_client import LiveClient
-from testbed.realtime.supervisor import Service, Supervisor, supervised
+from testbed.realtime.supervisor import Supervisor, supervised
 from testbed.reporting.console import bars, table
 
 SHUT = 2e-3  # of spool: within the overlap, where no oil flows

@@ -1,5 +1,6 @@
 """A process that behaves as a service, or not: ``python -m tests.testbed.realtime.child_service HOW``."""
 
+import asyncio
 import json
 import signal
 import sys
@@ -7,6 +8,7 @@ import threading
 from types import FrameType
 
 from foundation.event_log import EventLog
+from foundation.signs_of_life import signs_of_life
 
 
 def main(how: str) -> int:
@@ -30,8 +32,19 @@ def main(how: str) -> int:
         log.write("stopped", "error", cause="oil.lost", detail="the pump ran dry")
         log.close()
         return 3
+    if how == "complains":
+        log = EventLog("service")
+        log.write("noted", "warning", cause="oil.warm", detail="it is warm")
+        log.write("stopped", "error", cause="oil.low", detail="the tank is half empty")
+    if how == "lives":
+        asyncio.run(_alive(ended))
     ended.wait()
     return 0
+
+
+async def _alive(ended: threading.Event) -> None:
+    async with signs_of_life():
+        await asyncio.to_thread(ended.wait)
 
 
 if __name__ == "__main__":

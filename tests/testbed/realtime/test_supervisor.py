@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from testbed.realtime.supervisor import Service, ServiceFailed, Supervisor, free_port, supervised
+from testbed.realtime.child import Service, ServiceFailed
+from testbed.realtime.supervisor import Supervisor, free_port, supervised
 
 pytestmark = pytest.mark.realtime
 
@@ -73,7 +74,8 @@ def test_a_stubborn_service_is_killed(tmp_path: Path) -> None:
 
 def test_services_do_not_outlive_a_killed_supervisor(tmp_path: Path) -> None:
     program = (
-        "import time; from pathlib import Path; from testbed.realtime.supervisor import *\n"
+        "import time; from pathlib import Path; from testbed.realtime.child import *\n"
+        "from testbed.realtime.supervisor import *\n"
         f"s = Supervisor(Path({str(tmp_path)!r}))\n"
         "s.start(Service('x', 'tests.testbed.realtime.child_service', ('good',)))\n"
         "print(s.children['x'].pid, flush=True); time.sleep(60)"
@@ -99,3 +101,59 @@ def test_free_ports_are_free() -> None:
         server.bind(("127.0.0.1", port))
         server.listen()
         assert free_port() != port
+
+
+def test_a_killed_service_is_told_with_its_signal_and_its_last_error(tmp_path: Path) -> None:
+    with supervised([service("lives")], tmp_path) as supervisor:
+        supervisor.children["service"].kill()
+        with pytest.raises(ServiceFailed, match=r"with signal SIGKILL: it had reported no error"):
+            supervisor.check()
+
+
+def told_until(supervisor: Supervisor, wanted: str, within_s: float) -> list[str]:
+    told: list[str] = []
+    until_s = time.monotonic() + within_s
+    while time.monotonic() < until_s and not any(wanted in line for line in told):
+        supervisor.watch(0.1, interval_s=0.02, tell=told.append)
+    return told
+
+
+def test_a_stalled_service_is_named_and_so_is_its_recovery(tmp_path: Path) -> None:
+    with supervised([service("lives", "first"), service("lives", "second")], tmp_path) as supervisor:
+        stalled = supervisor.children["second"]
+        os.kill(stalled.pid, signal.SIGSTOP)
+        (line,) = told_until(supervisor, "stalled", 10.0)
+        assert line.startswith("second has stalled: no sign of life for 1.")
+        assert line.endswith(f"process {stalled.pid} is stopped by a signal")
+        assert told_until(supervisor, "never", 0.3) == []  # once
+        os.kill(stalled.pid, signal.SIGCONT)
+        assert told_until(supervisor, "goes on", 10.0) == ["second goes on"]
+
+
+def test_a_service_that_another_ends_is_started_anew_alone(tmp_path: Path) -> None:
+    recorded = Service("second", "tests.testbed.realtime.child_service", ("lives", "--record-dir", "out"))
+    with supervised([service("lives", "first"), recorded], tmp_path) as supervisor:
+        first, second = (child.pid for child in supervisor.children.values())
+        os.kill(second, signal.SIGTERM)
+        (line,) = told_until(supervisor, "anew", 20.0)
+        anew = supervisor.children["second"]
+        assert line == f"second was asked to end and is started anew: process {anew.pid}"
+        assert supervisor.children["first"].pid == first
+        assert anew.pid != second
+        assert anew.arguments == ("lives", "--record-dir", "out.2")
+        assert (tmp_path / "second.2.log").exists()
+
+
+def test_errors_are_told_while_a_service_runs(tmp_path: Path) -> None:
+    with supervised([service("complains")], tmp_path) as supervisor:
+        told = told_until(supervisor, "oil", 10.0)
+    assert told == ["service: oil.low: the tank is half empty"]
+
+
+def test_a_full_disk_loses_lines_and_not_the_service(tmp_path: Path) -> None:
+    (tmp_path / "service.log").symlink_to("/dev/full")
+    with supervised([service("complains")], tmp_path) as supervisor:
+        told = told_until(supervisor, "oil", 10.0)
+        supervisor.check()
+    assert told[0].endswith("No space left on device; further lines are not kept")
+    assert told[1:] == ["service: oil.low: the tank is half empty"]

@@ -1,0 +1,247 @@
+"""One service as a process of its own: how it is started, what it says, whether it lives, how it ended."""
+
+import ctypes
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple, TextIO
+
+from foundation.event_log import event_of, in_words
+from foundation.signs_of_life import LONGEST_SILENCE, SOCKET, Listener
+from protocol.errors import LongreachError
+
+STOP_TIMEOUT_S = 4.0
+_SIGNS_WITHIN_S = 1.0
+_ALARMS_MAX = 20  # that wait to be told
+_ALARMING = ("overloaded", "disk_low")  # warnings that a person should see at once
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None, use_errno=True)
+
+
+class ServiceFailed(LongreachError):
+    """A service did not start, or ended by itself; ``cause`` begins with ``service.``."""
+
+
+class Service(NamedTuple):
+    """One process to run: ``python -m module *arguments``."""
+
+    name: str
+    module: str
+    arguments: tuple[str, ...]
+
+    def numbered(self, start: int) -> "Service":
+        """As it is started the first, second, … time: from the second on its records have a number."""
+        if start == 1 or "--record-dir" not in self.arguments:
+            return self
+        place = self.arguments.index("--record-dir") + 1
+        renamed = f"{self.arguments[place]}.{start}"
+        return self._replace(arguments=(*self.arguments[:place], renamed, *self.arguments[place + 1 :]))
+
+
+class Child:
+    """A running service. Its stdout is read for the ready line, its stderr goes to ``log``.
+
+    ``alarms``: what it said of level error, and that the machine is overloaded, in words, until it is taken.
+    """
+
+    def __init__(self, service: Service, log: Path) -> None:
+        self.name = service.name
+        self.service = service
+        self._arguments = service.arguments
+        self.ready: dict[str, Any] | None = None
+        self.alarms: deque[str] = deque(maxlen=_ALARMS_MAX)
+        self._last_line = ""
+        self._last_error = ""
+        self._log = log
+        self._asked_to_end = False
+        self._said_ready = threading.Event()
+        self._signs = Listener(f"longreach-{os.getpid()}-{service.name}-{id(self):x}", time.monotonic_ns())
+        told = {SOCKET: self._signs.address, LONGEST_SILENCE: f"{_SIGNS_WITHIN_S * 1e6:.0f}"}
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", service.module, *service.arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            env=os.environ | told,
+            start_new_session=True,  # Ctrl-C is ours to pass on, in order
+            preexec_fn=_end_with_parent,
+        )
+        self._readers = [
+            threading.Thread(target=self._read_stdout, daemon=True),
+            threading.Thread(target=self._read_stderr, daemon=True),
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    @property
+    def pid(self) -> int:
+        """The process number."""
+        return self._process.pid
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        """What it was started with."""
+        return self._arguments
+
+    @property
+    def exit_status(self) -> int | None:
+        """The exit status; None while it runs."""
+        return self._process.poll()
+
+    @property
+    def ended_in_good_order(self) -> bool:
+        """Whether somebody else than this supervisor asked it to end, and it did."""
+        return self.exit_status == 0 and not self._asked_to_end
+
+    @property
+    def last_line(self) -> str:
+        """The last line that it wrote on stderr, in words, or what replaces it."""
+        return in_words(self._last_line) or "it said nothing"
+
+    def silence_s(self) -> float:
+        """How long the loop that serves has given no sign of life; 0 before it was ready."""
+        silent_s = 1e-9 * self._signs.silence_ns(time.monotonic_ns())
+        return silent_s if self.ready is not None else 0.0
+
+    def _read_stdout(self) -> None:
+        assert self._process.stdout is not None
+        with self._process.stdout as lines:
+            for line in lines:
+                try:
+                    said = json.loads(line)
+                except ValueError:
+                    continue
+                if isinstance(said, dict) and said.get("event") == "ready":
+                    self.ready = said
+                    self._said_ready.set()
+        self._said_ready.set()  # the end of stdout: nothing more to wait for
+
+    def _read_stderr(self) -> None:
+        assert self._process.stderr is not None
+        with _LogFile(self._log) as log, self._process.stderr as lines:
+            for line in lines:
+                trouble = log.append(line)
+                if trouble:
+                    self.alarms.append(trouble)
+                self._last_line = line.strip() or self._last_line
+                self._sort(self._last_line)
+
+    def _sort(self, line: str) -> None:
+        """Keep what went wrong; what is no event is a refusal to start or a traceback."""
+        said = event_of(line)
+        if said is None:
+            self._last_error = line
+        elif said.get("level", "info") != "info":
+            self._last_error = line
+            if said["level"] == "error" or said["event"] in _ALARMING:
+                self.alarms.append(in_words(line))
+
+    def wait_ready(self, timeout_s: float) -> dict[str, Any]:
+        """The ready line's fields. Raises ServiceFailed when it ends or stays silent instead."""
+        self._said_ready.wait(timeout_s)
+        if self.ready is not None:
+            self._signs.count_from(time.monotonic_ns())
+            return self.ready
+        if self._said_ready.is_set():
+            self._settle()
+            raise self.failure("before it was ready")
+        raise ServiceFailed(
+            "service.not_ready", f"{self.name} was not ready within {timeout_s:.0f} s: {self.last_line}"
+        )
+
+    def failure(self, when: str) -> ServiceFailed:
+        """The error that tells how this service ended, and what it last complained of."""
+        status = self.exit_status
+        how = f"status {status}"
+        if status is not None and status < 0:
+            how = f"signal {signal.Signals(-status).name}"
+        why = in_words(self._last_error) or "it had reported no error"
+        return ServiceFailed("service.exited", f"{self.name} ended {when} with {how}: {why}")
+
+    def _settle(self) -> None:
+        """Wait until exit status and last line of an ended process are known."""
+        try:
+            self._process.wait(STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            return
+        for reader in self._readers:
+            reader.join(1.0)
+
+    def ask_to_end(self) -> None:
+        """Send SIGTERM if the process still runs."""
+        self._asked_to_end = True
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """Send SIGKILL, for trials of what the others then do."""
+        self._process.kill()
+        self._process.wait()
+
+    def end(self, timeout_s: float = STOP_TIMEOUT_S) -> int:
+        """The exit status, after SIGTERM and, where that does not help in time, SIGKILL."""
+        self.ask_to_end()
+        try:
+            self._process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._settle()
+        self._signs.close()
+        return self._process.returncode
+
+
+class _LogFile:
+    """The file of a service's stderr. On a full disk the lines are lost and the service is still read."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file: TextIO | None = path.open("w", encoding="utf-8")
+
+    def __enter__(self) -> "_LogFile":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._file is not None:
+            with suppress(OSError):
+                self._file.close()
+
+    def append(self, line: str) -> str:
+        """Write a line; what there is to tell when that fails the first time, else nothing."""
+        if self._file is None:
+            return ""
+        try:
+            self._file.write(line)
+            self._file.flush()
+        except OSError as error:
+            with suppress(OSError):  # what is still buffered has no place either
+                self._file.close()
+            self._file = None
+            return f"recording.unwritable: {self._path}: {error.strerror}; further lines are not kept"
+        return ""
+
+
+def _end_with_parent() -> None:
+    """Ask the kernel, in the child, for SIGTERM when the supervisor dies without ending it."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+_STATES = {"T": "stopped by a signal", "R": "running", "D": "waiting for disk", "S": "waiting", "Z": "ended"}
+
+
+def process_state(pid: int) -> str:
+    """What the kernel says that a process does."""
+    try:
+        letter = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        letter = "Z"
+    return f"process {pid} is {_STATES.get(letter, letter)}"
