@@ -1,15 +1,27 @@
 """Directories that the command line names, tried before anything starts."""
 
+import shutil
 from pathlib import Path
 
 from protocol.errors import ConfigurationError
 
+ROOM_WANTED_MB = 50.0  # some minutes of the plant's recording
+
 
 def recording_directory(directory: Path | None) -> Path | None:
-    """``--record-dir`` as ``writable_directory``; None where nothing is to be recorded."""
+    """``--record-dir`` as ``writable_directory``; None where nothing is to be recorded.
+
+    Raises ConfigurationError also where the disk has too little room left (``configuration.disk_full``).
+    """
     if directory is None:
         return None
-    return writable_directory(directory, "configuration.record_dir_unwritable", f"--record-dir {directory}")
+    what = f"--record-dir {directory}"
+    writable_directory(directory, "configuration.record_dir_unwritable", what)
+    free_mb = shutil.disk_usage(directory).free / 1e6
+    if free_mb < ROOM_WANTED_MB:
+        why = f"{what}: {free_mb:.0f} MB left on the disk, {ROOM_WANTED_MB:.0f} MB wanted to begin with"
+        raise ConfigurationError("configuration.disk_full", why)
+    return directory
 
 
 def writable_directory(directory: Path, cause: str, what: str) -> Path:

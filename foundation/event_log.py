@@ -45,14 +45,16 @@ class _Occurrence(NamedTuple):
 class EventLog:
     """Writes one line an event. ``dropped``: lines that stderr did not take.
 
-    ``record_dir``: where the events are also recorded; None without ``record_in``.
+    ``service``: who writes. ``record_dir``: where the events are also recorded; None without ``record_in``.
+    ``room``: whether there is disk left for them, as a ``SelfWatch`` finds.
     """
 
     def __init__(self, service: str, stream: TextIO | None = None) -> None:
         """``stream``: stderr by default."""
         self.dropped = 0
         self.record_dir: Path | None = None
-        self._service = service
+        self.room = True
+        self.service = service
         self._stream = sys.stderr if stream is None else stream
         self._file: TextIO | None = None
         self._recording = threading.Lock()
@@ -76,8 +78,8 @@ class EventLog:
 
     @property
     def healthy(self) -> bool:
-        """Whether everything so far could be recorded, if it is to be."""
-        return self.record_dir is None or self._file is not None
+        """Whether everything so far could be recorded, if it is to be, and there is room for more."""
+        return self.record_dir is None or (self._file is not None and self.room)
 
     def write(self, event: str, level: Level = "info", /, **fields: Any) -> None:
         """Append one line. A full disk ends the recording, never the service.
@@ -139,7 +141,7 @@ class EventLog:
         event, level, time_ns, fields = occurrence
         past_s = (time.monotonic_ns() - time_ns) * 1e-9
         utc = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(time.time() - past_s))
-        members = (self._service, event, level, time_ns, utc)
+        members = (self.service, event, level, time_ns, utc)
         return json.dumps(dict(zip(MEMBERS, members, strict=True)) | fields, default=str)
 
     def _show(self, line: str) -> None:

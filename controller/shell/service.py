@@ -31,7 +31,9 @@ from foundation.directories import recording_directory
 from foundation.durations import DurationHistogram, percent_missed
 from foundation.event_log import EventLog, Level
 from foundation.link_key import read_key
+from foundation.overload import Limit, Tally
 from foundation.scheduling import take_fifo
+from foundation.self_watch import SelfWatch
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
 from foundation.statistics import StatisticsFile, resident_mb
 from nominal_arm.description import NominalArm
@@ -45,6 +47,7 @@ _STATE_STATISTICS_NS = 1_000_000_000  # the window of the percentiles in the sta
 _SHUTDOWN_S = 1.4  # to ramp down after SIGTERM; the process must be gone within 2 s
 _AFTER_FAULT_NS = 300_000_000  # the flight recorder also keeps what followed
 _NS_PER_MS = 1_000_000
+_LIMITS = {"scans": Limit(1.0, "of the controller's scans were late")}
 
 
 class ControllerService:
@@ -98,11 +101,13 @@ class ControllerService:
         self._scheduling = take_fifo(self._config.fifo_priority)
         self._memory_mb = resident_mb()
         self._say_ready()
-        writing = asyncio.create_task(self._statistics.keep_writing())
+        watch = SelfWatch(self._log, _LIMITS, self._work, self._record_dir)
+        beside = [asyncio.create_task(w) for w in (self._statistics.keep_writing(), watch.keep_looking())]
         try:
             await self._task.run()
         finally:
-            writing.cancel()
+            for task in beside:
+                task.cancel()
             await self._shut_down()
         return 0
 
@@ -208,6 +213,9 @@ class ControllerService:
             scheduling=self._scheduling,
             boot_id=self._boot_id,
         )
+
+    def _work(self) -> dict[str, Tally]:
+        return {"scans": Tally(self._task.lateness.count, self._task.overruns)}
 
     def _gathered(self) -> dict[str, Any]:
         served, missed = self._task.lateness.count, self._task.overruns

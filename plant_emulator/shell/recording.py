@@ -104,7 +104,10 @@ class Recording(NamedTuple):
 
 
 class TruthRecorder:
-    """Writes a recording. Every capture, fault and event is on its way to the disk when the call returns."""
+    """Writes a recording. Every capture, fault and event is on its way to the disk when the call returns.
+
+    ``failure``: why nothing more can be written, such as a full disk; empty while all is well.
+    """
 
     def __init__(self, path: Path, run: Mapping[str, Any]) -> None:
         """Create ``path``; ``run`` goes into the metadata. Raises OSError when it cannot be written."""
@@ -122,6 +125,7 @@ class TruthRecorder:
         self._writer.add_metadata("run", {"configuration": json.dumps(run)})
         self._writer.flush()  # type: ignore[no-untyped-call]
         self.written = 0
+        self.failure = ""
 
     def truth(self, truth: PlantTruth, log_ns: int) -> None:
         """Record the truth at ``log_ns``."""
@@ -129,29 +133,43 @@ class TruthRecorder:
 
     def capture(self, truth: PlantTruth, log_ns: int, frame_id: int) -> None:
         """Record the truth at the instant at which frame ``frame_id`` is exposed."""
-        self._add(CAPTURE, {"frame_id": frame_id} | _jsonable(truth), log_ns, truth.time_ns)
-        self._writer.flush()
+        data = {"frame_id": frame_id} | _jsonable(truth)
+        self._add(CAPTURE, data, log_ns, truth.time_ns, flushed=True)
 
     def fault(self, change: FaultChange, log_ns: int) -> None:
         """Record that a fault was planned, began, ended or was withdrawn."""
-        self._add(FAULT, change.as_dict(), log_ns, change.time_ns)
-        self._writer.flush()
+        self._add(FAULT, change.as_dict(), log_ns, change.time_ns, flushed=True)
 
     def event(self, fields: Mapping[str, Any], log_ns: int, time_ns: int) -> None:
         """Record that something happened."""
-        self._add(EVENT, dict(fields), log_ns, time_ns)
-        self._writer.flush()
+        self._add(EVENT, dict(fields), log_ns, time_ns, flushed=True)
 
     def close(self) -> None:
-        """Write the summary and close the file."""
-        self._writer.finish()
-        self._file.close()
+        """Write the summary and close the file. What can no longer be written is left out."""
+        try:
+            if not self.failure:
+                self._writer.finish()
+            self._file.close()
+        except OSError as error:
+            self._fail(error)
 
-    def _add(self, topic: str, data: dict[str, Any], log_ns: int, time_ns: int) -> None:
-        self._writer.add_message(
-            self._channels[topic], log_ns, json.dumps(data, separators=(",", ":")).encode(), time_ns
-        )
-        self.written += 1
+    def _add(
+        self, topic: str, data: dict[str, Any], log_ns: int, time_ns: int, *, flushed: bool = False
+    ) -> None:
+        if self.failure:
+            return
+        said = json.dumps(data, separators=(",", ":")).encode()
+        try:
+            self._writer.add_message(self._channels[topic], log_ns, said, time_ns)
+            if flushed:
+                self._writer.flush()
+        except OSError as error:
+            self._fail(error)
+        else:
+            self.written += 1
+
+    def _fail(self, error: OSError) -> None:
+        self.failure = error.strerror or str(error)
 
 
 def read_truth(path: Path) -> Recording:

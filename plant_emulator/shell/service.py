@@ -7,8 +7,10 @@ from typing import Any
 
 from foundation.directories import recording_directory
 from foundation.event_log import EventLog
+from foundation.overload import Limit, Tally
 from foundation.ports import bound_tcp
 from foundation.scheduling import take_fifo
+from foundation.self_watch import SelfWatch
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
 from foundation.statistics import StatisticsFile, resident_mb
 from plant_emulator.config.service import Endpoint, PlantSideConfig
@@ -25,6 +27,10 @@ from protocol.errors import ConfigurationError
 from protocol.process_image import ValveImage, acknowledge, encode_sensors
 
 _NAME = "plant_emulator"
+_LIMITS = {
+    "periods": Limit(1.0, "of the arm's time stood still"),
+    "pictures": Limit(20.0, "of the pictures were not rendered"),
+}
 
 
 class PlantService:
@@ -102,11 +108,13 @@ class PlantService:
         self._scheduling = take_fifo(self._config.service.fifo_priority)
         self._memory_at_start = self._memory()
         self._say_ready(addresses)
-        writing = asyncio.create_task(self._statistics.keep_writing())
+        watch = SelfWatch(self._log, _LIMITS, self._work, self._record_dir)
+        beside = [asyncio.create_task(w) for w in (self._statistics.keep_writing(), watch.keep_looking())]
         try:
             return await _first(camera.ended.wait(), stop.wait())
         finally:
-            writing.cancel()
+            for task in beside:
+                task.cancel()
             self._memory_at_end = self._memory()
 
     def _warm_up(self) -> None:
@@ -132,6 +140,16 @@ class PlantService:
                 self._recorder.capture(truth, deadline_ns, frame_id)
         elif record and self._recorder is not None:
             self._recorder.truth(truth, deadline_ns)
+        self._tell_recording()
+
+    def _tell_recording(self) -> None:
+        """Say once that the truth is no longer recorded; the arm goes on."""
+        recorder = self._recorder
+        if recorder is not None and recorder.failure:
+            self._recorder = None
+            recorder.close()
+            why = {"cause": "recording.unwritable", "detail": f"{recorder.path}: {recorder.failure}"}
+            self._log.write("recording_failed", "error", **why)
 
     def _write(self, image: ValveImage) -> None:
         self._plant.write(image)
@@ -194,6 +212,14 @@ class PlantService:
     def _memory(self) -> dict[str, float]:
         assert self._camera is not None
         return {"plant_rss_mb": resident_mb(), "renderer_rss_mb": resident_mb(self._camera.pid)}
+
+    def _work(self) -> dict[str, Tally]:
+        assert self._camera is not None
+        work = {"periods": Tally(self._integrator.lateness.count, self._integrator.missed)}
+        pictures = self._camera.statistics
+        if "frames_rendered" in pictures:
+            work["pictures"] = Tally(pictures["frames_rendered"], pictures["frames_skipped"])
+        return work
 
     def _gathered(self) -> dict[str, Any]:
         assert self._camera is not None

@@ -23,11 +23,15 @@ _HEALTHY_S = 60.0
 
 
 class Driven(NamedTuple):
-    """What the sequence left behind. ``failure`` stopped it; ``cycle`` is the controller's timing, newest."""
+    """What the sequence left behind. ``failure`` stopped it; ``cycle`` is the controller's timing, newest.
+
+    ``overload``: what was said of the machine if it did not keep up, else empty.
+    """
 
     rests: list[Rest]
     views: list[TracedView]
     cycle: JSON | None
+    overload: str
     failure: LongreachError | None
 
 
@@ -93,13 +97,15 @@ def drive(launch: Launch, choice: Choice, shown: Bars, supervisor: Supervisor) -
             failure = error
         finally:
             rig.close()
-    return Driven(recorder.rests, sampler.views, sampler.cycle, failure)
+    return Driven(recorder.rests, sampler.views, sampler.cycle, sampler.overload, failure)
 
 
 def _details(launch: Launch, driven: Driven, faults: Sequence[FaultRecord]) -> dict[str, Any]:
     details: dict[str, Any] = {"directory": launch.directory}
     if driven.failure is not None:
         details["failure"] = f"{driven.failure.cause}: {driven.failure}"
+    if driven.overload:
+        details["overload"] = driven.overload
     if driven.cycle is not None:
         details["controller_cycle"] = driven.cycle
     if faults:

@@ -125,12 +125,14 @@ def error_of(problem: JSON) -> LongreachError:
 class StateSampler:
     """Samples the controller's state in the background, for the report's curves.
 
-    ``views`` and ``cycle`` (the controller's timing, newest) are complete after the block.
+    ``views``, ``cycle`` (the controller's timing, newest) and ``overload`` (what was last said of it, if
+    anything) are complete after the block.
     """
 
     def __init__(self, url: str, token: bytes | None = None, period_s: float = 0.1) -> None:
         self.views: list[TracedView] = []
         self.cycle: JSON | None = None
+        self.overload = ""
         self._rig = RestRig(url, token)
         self._period_s = period_s
         self._ended = threading.Event()
@@ -154,3 +156,4 @@ class StateSampler:
             joints = (np.radians(state[key]).tolist() for key in ("q_cmd_deg", "q_meas_deg"))
             self.views.append(TracedView(time.monotonic_ns(), state["X_BT"]["p_m"], *joints))
             self.cycle = state["cycle"]
+            self.overload = state["overload"] or self.overload

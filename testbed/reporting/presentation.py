@@ -51,6 +51,8 @@ def present(
             out.print(Text(f"{stage.label}: {stage.note}", style="dim"))
     for fault in outcome.details.get("faults", ()):
         out.print(Text(f"fault in the plant: {fault['name']} {fault['fault']}", style="bold yellow"))
+    if "overload" in outcome.details:
+        out.print(Text(outcome.details["overload"], style="bold yellow"))
     if "failure" in outcome.details:
         out.print(Text(f"stopped by: {outcome.details['failure']}", style="bold red"))
     out.print(Text(outcomes.verdict(outcome), style="bold green" if outcome.passed else "bold red"))

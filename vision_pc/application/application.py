@@ -42,7 +42,7 @@ class VisionApplication:
 
     ``calibration`` and ``track`` are the newest local calibration and local track, None before the first.
     ``positioning`` are the settings by which looks are judged. ``hand_eye`` is the guided session, if there
-    is one on this rig.
+    is one on this rig. ``overload`` returns one sentence while the machine is overloaded, else nothing.
     """
 
     def __init__(
@@ -67,6 +67,7 @@ class VisionApplication:
         self.calibration: LocalCalibration | None = None
         self.track: LocalTrack | None = None
         self.positioning = settings.positioning
+        self.overload: Callable[[], str] = str
         self._latest: JudgedLook | None = None
 
     @property

@@ -9,9 +9,11 @@ from typing import Any
 import cv2
 
 from foundation.event_log import EventLog
+from foundation.overload import Limit, Tally
 from foundation.ports import bound_tcp
 from foundation.rest.access import configured_access
 from foundation.rest.server import RestServer
+from foundation.self_watch import SelfWatch
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
 from foundation.statistics import StatisticsFile, resident_mb
 from nominal_arm.description import NominalArm
@@ -31,6 +33,10 @@ from vision_pc.shell.rest.api import STOPS, create_app
 from vision_pc.shell.rest.operations import Operations
 
 _NAME = "vision_pc"
+_LIMITS = {
+    "scans": Limit(1.0, "of the controller's scans were late"),
+    "pictures": Limit(20.0, "of the pictures were skipped"),
+}
 
 
 class VisionService:
@@ -79,6 +85,8 @@ class VisionService:
         arm = LinkArm(link, config.motion)
         guided = GuidedCalibration(arm, eyes, link, config, nominal, log, SessionStore(config.sessions_dir))
         application = VisionApplication(arm, eyes, link, eyes, config.programs, nominal.boom, log, guided)
+        watch = SelfWatch(log, _LIMITS, self._work, log.record_dir)
+        application.overload = lambda: watch.overload
         operations = Operations(arm.halt, log)
         app = create_app(application, operations, self._programs)
         self._server = server = RestServer(app, self._access, log)
@@ -91,12 +99,13 @@ class VisionService:
         when_asked_to_end(leave)
         await endpoint.start()
         await camera.start()
-        writing = asyncio.create_task(self._statistics.keep_writing())
+        beside = [asyncio.create_task(w) for w in (self._statistics.keep_writing(), watch.keep_looking())]
         self._say_ready()
         try:
             await server.serve([self._socket])
         finally:
-            writing.cancel()
+            for task in beside:
+                task.cancel()
             await operations.close()
             await endpoint.close()
             await camera.close()
@@ -113,6 +122,14 @@ class VisionService:
             camera=self._config.camera.source,
             scheduling=self._opened.worker.scheduling,
         )
+
+    def _work(self) -> dict[str, Tally]:
+        pictures = self._opened.eyes.status()
+        work = {"pictures": Tally(pictures.frames, pictures.dropped)}
+        if self._link.connected:
+            state = self._link.state
+            work["scans"] = Tally(state.cycle, state.overruns)
+        return work
 
     def _gathered(self) -> dict[str, Any]:
         return {

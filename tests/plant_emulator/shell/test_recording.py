@@ -1,5 +1,6 @@
 """The truth recording: every number comes back, and what a kill leaves behind is read up to the cut."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -160,3 +161,18 @@ def test_what_is_not_a_recording_is_refused(tmp_path: Path) -> None:
     (tmp_path / "other").write_bytes(b"not an MCAP file at all")
     with pytest.raises(InvalidMagic):
         read_truth(tmp_path / "other")
+
+
+def test_a_full_disk_ends_the_recording_and_says_so(tmp_path: Path) -> None:
+    recorder = TruthRecorder(tmp_path / "truth.mcap", {})
+    recorder.capture(truth(0), 5, 1)
+    full = os.open("/dev/full", os.O_WRONLY)
+    os.dup2(full, recorder._file.fileno())
+    os.close(full)
+    recorder.capture(truth(1), 6, 2)
+    assert recorder.failure == "No space left on device"
+    recorder.capture(truth(2), 7, 3)
+    assert recorder.written == 1
+    recorder.close()
+    (kept,) = read_truth(tmp_path / "truth.mcap").truths
+    assert kept.frame_id == 1

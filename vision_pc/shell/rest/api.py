@@ -78,19 +78,22 @@ def _add_state(app: FastAPI, application: VisionApplication, operations: Operati
             "camera": camera.connected,
             "recording": application.log.healthy,
         }
+        overload = application.overload()
         if all(parts.values()):
-            return JSONResponse({"status": "ok"} | parts)
+            return JSONResponse({"status": "ok", "overload": overload or None} | parts)
         missing = ", ".join(name for name, answers in parts.items() if not answers)
         status = HTTPStatus.SERVICE_UNAVAILABLE
         trouble = link_view(controller).trouble
         why = f"; {trouble.cause}: {trouble.detail}" if trouble else ""
-        detail = f"not answering: {missing}{why}"
-        return respond(problem(status, "link.degraded", detail, instance=request.url.path) | parts)
+        detail = f"not answering: {missing}{why}" + (f"; {overload}" if overload else "")
+        told = {"overload": overload or None} | parts
+        return respond(problem(status, "link.degraded", detail, instance=request.url.path) | told)
 
     @app.get("/state", tags=["state"], summary="The arm as the controller sees it, links and operation")
     async def state() -> JSON:
         """Group state, fault, joints, poses, timing, links, and what has been calibrated."""
         return state_json(application) | {
+            "overload": application.overload() or None,
             "operation": operations.current.id if operations.current else None,
             "calibration": None
             if application.calibration is None
