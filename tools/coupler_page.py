@@ -50,24 +50,26 @@ STATUS = (
 )
 
 
-def _codes(allowed: dict[int, tuple[Span, ...]], span: Span) -> str:
-    """Function codes whose blocks hold all of ``span``."""
-    return ", ".join(
-        str(code)
-        for code, blocks in allowed.items()
-        if any(b.address <= span.address and span.address + span.words <= b.address + b.words for b in blocks)
-    ) or _NONE  # fmt: skip
-
-
-def _word_codes(allowed: dict[int, tuple[Span, ...]], span: Span) -> str:
+def _codes(allowed: dict[int, tuple[Span, ...]], span: Span) -> list[int]:
+    """Function codes, those of bits left out, whose blocks hold all of ``span``."""
     bits = (requests.READ_COILS, requests.READ_DISCRETE, requests.WRITE_COIL, requests.WRITE_COILS)
-    return _codes({code: blocks for code, blocks in allowed.items() if code not in bits}, span)
+    end = span.address + span.words
+
+    def holds(block: Span) -> bool:
+        return block.address <= span.address and end <= block.address + block.words
+
+    return [code for code, blocks in allowed.items() if code not in bits and any(map(holds, blocks))]
+
+
+def word_codes(address: int, words: int) -> tuple[list[int], list[int]]:
+    """The function codes that read and that write these registers."""
+    span = Span(address, words)
+    return _codes(COUPLER_MAP.reads, span), _codes(COUPLER_MAP.writes, span)
 
 
 def _block(name: str, address: int, words: int) -> Iterable[object]:
-    span = Span(address, words)
-    return (f"{address:#06x}", words, name, _word_codes(COUPLER_MAP.reads, span),
-            _word_codes(COUPLER_MAP.writes, span))  # fmt: skip
+    shown = (", ".join(map(str, codes)) or _NONE for codes in word_codes(address, words))
+    return (f"{address:#06x}", words, name, *shown)
 
 
 def sections() -> dict[str, str]:

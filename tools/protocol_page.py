@@ -38,6 +38,7 @@ from protocol.faults import (
 from protocol.process_image import INPUT_TABLE, OUTPUT_TABLE, Register
 from protocol.reference_messages import Bye, Heartbeat, Hello, ReferencePose, Welcome
 from tools.limit_tables import limits, motion_limits, stream_limits
+from tools.plc_types import IEC, IEC_WORDS
 from tools.sample_messages import HEADER as HEADER_SAMPLE
 from tools.sample_messages import MESSAGES
 from tools.session_tables import CLIENT_ROWS, KEY_SERVER_ROWS, SERVER_ROWS, Row
@@ -46,13 +47,6 @@ from tools.tables import table
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "protocol.md"
 GOLDEN = Path(__file__).parent / "golden_datagrams.json"
-IEC = {"B": "USINT", "H": "UINT", "I": "UDINT", "Q": "ULINT", "d": "LREAL", "x": "BYTE"} | {
-    "4s": "BYTE",
-    "16s": "BYTE",
-}
-IEC_WORDS = {"H": "UINT", "h": "INT", "i": "DINT"}
-# LIMIT is a standard function of IEC 61131-3, so it cannot name a member.
-IEC_NAMES = {"limit": "limit_value"}
 Member = TypeVar("Member", bound=IntEnum)
 KEY_ROWS = (
     ("K_hello", "`LRLK 1 hello`", "nothing", "HELLO"),
@@ -183,38 +177,6 @@ def group_table() -> str:
     )
 
 
-def structured_text() -> str:
-    """IEC 61131-3 types of every datagram and of both process images."""
-    parts = ["TYPE", "ST_LR_Pose : STRUCT  // of T in B; m, and a unit quaternion"]
-    parts += [f"    {name} : LREAL;" for name in ("x", "y", "z", "qw", "qx", "qy", "qz")]
-    parts += ["END_STRUCT", "END_TYPE", ""]
-    parts += _struct("ST_LR_Header", HEADER)
-    for kind, fields in PAYLOADS.items():
-        name = "".join(word.capitalize() for word in kind.name.split("_"))
-        parts += _struct(f"ST_LR_{name}", fields, "    header : ST_LR_Header;")
-    parts += _struct("ST_LR_Trailer", TRAILER)
-    for name, rows in (("ST_LR_Inputs", INPUT_TABLE), ("ST_LR_Outputs", OUTPUT_TABLE)):
-        parts += ["TYPE", f"{name} : STRUCT"]
-        parts += [f"    {row.name} : {_array(row.count, IEC_WORDS[row.code])};" for row in rows]
-        parts += ["END_STRUCT", "END_TYPE", ""]
-    return "```iecst\n" + "\n".join(parts).rstrip() + "\n```"
-
-
-def _struct(name: str, fields: tuple[Field, ...], first: str | None = None) -> list[str]:
-    members = [f"    {IEC_NAMES.get(field.name, field.name)} : {_iec_type(field)};" for field in fields]
-    return ["TYPE", f"{name} : STRUCT", *([first] if first else []), *members, "END_STRUCT", "END_TYPE", ""]
-
-
-def _iec_type(field: Field) -> str:
-    if field.code.endswith("s"):
-        return _array(field.size, "BYTE")
-    return _array(field.poses, "ST_LR_Pose") if field.poses else _array(field.count, IEC[field.code])
-
-
-def _array(count: int, kind: str) -> str:
-    return f"ARRAY[0..{count - 1}] OF {kind}" if count > 1 else kind
-
-
 def golden() -> str:
     """One datagram of every kind, byte for byte."""
     return listing(json.loads(GOLDEN.read_text()))
@@ -301,7 +263,6 @@ SECTIONS: dict[str, Callable[[], str]] = {
         "case | clause | moves | question",
         ((case.number, case.clause, "yes" if case.motion else "", case.title) for case in reference_cases()),
     ),
-    "structured text": structured_text,
     "golden": golden,
     "stream limits": stream_limits,
 }  # fmt: skip

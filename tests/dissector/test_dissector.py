@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 import shutil
 import subprocess
 from pathlib import Path
@@ -15,6 +16,8 @@ from protocol.authentication import LinkKey
 from protocol.datagram import encode
 from protocol.datagram_layout import HEADER, PAYLOADS, TRAILER
 from tests.dissector.captures import write_pcap
+from tests.support.pages import commands_of
+from tests.support.paths import ROOT
 from tools.sample_messages import HEADER as SAMPLE_HEADER
 from tools.sample_messages import MESSAGES
 
@@ -99,6 +102,27 @@ def test_tshark_tells_of_bad_crc_and_of_what_is_malformed(tmp_path: Path) -> Non
     packets = [json.dumps(packet) for packet in dissected(path)]
     assert ["lrlk.bad_crc" in packet for packet in packets] == [False, True, False, False, True]
     assert ["lrlk.malformed" in packet for packet in packets] == [False, False, True, True, True]
+
+
+@needs_tshark
+def test_the_lines_of_the_page_show_a_capture(tmp_path: Path) -> None:
+    path = tmp_path / "all.pcap"
+    write_pcap(path, DATAGRAMS)
+    whole, fields = [line for line in commands_of("protocol.md", "Annex E") if line.startswith("tshark ")]
+
+    def said(line: str) -> str:
+        arguments = shlex.split(line.replace("capture.pcap", str(path)))
+        return subprocess.run(
+            arguments, capture_output=True, text=True, cwd=ROOT, timeout=60, check=True
+        ).stdout
+
+    text = said(whole)
+    for message in MESSAGES:
+        assert re.sub(r"(?<!^)(?=[A-Z])", "_", type(message).__name__).upper() in text
+    assert "code: STOP" in text
+    sequence, joints = said(fields).split()
+    assert int(sequence) == SAMPLE_HEADER.sequence
+    assert [float(each) for each in joints.split(",")] == [0.01, 0.02, 0.03, 0.04, 0.05, 0.06]
 
 
 @needs_tshark

@@ -4,6 +4,7 @@
 """
 
 import re
+import shlex
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ from pyModbusTCP.client import ModbusClient
 
 from protocol.process_image import CONTROL_ENABLE, ValveImage, encode_valves
 from tests.conformance.couplers import ThreadedCoupler
+from tests.support.pages import commands_of
 
 pytestmark = pytest.mark.realtime
 
@@ -58,6 +60,18 @@ def test_libmodbus_reads_inputs_by_both_function_codes_and_outputs(coupler: Thre
         assert values(mbpoll(coupler, "-t", table, "-r", "0", "-c", "40", "127.0.0.1")) == words
     outputs = mbpoll(coupler, "-t", "4:hex", "-r", str(0x800), "-c", "12", "127.0.0.1")
     assert values(outputs) == [0] * 12
+
+
+@needs_mbpoll
+def test_the_lines_of_the_page_read_the_inputs(coupler: ThreadedCoupler) -> None:
+    whole, counts = [line for line in commands_of("protocol.md", "Annex E") if line.startswith("mbpoll ")]
+
+    def said(line: str) -> list[int]:
+        arguments = shlex.split(line.replace("-p 1502", f"-p {coupler.port}"))
+        return values(subprocess.run(arguments, capture_output=True, text=True, timeout=20.0, check=False))
+
+    assert said(whole) == coupler.sensors()
+    assert said(counts) == [1, 2, 3, 4, 5, 6]
 
 
 @needs_mbpoll

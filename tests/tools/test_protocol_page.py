@@ -27,7 +27,8 @@ from protocol.errors import DatagramRefused
 from protocol.pose import Pose
 from protocol.process_image import INPUT_ADDRESS, INPUT_TABLE, OUTPUT_ADDRESS, OUTPUT_TABLE
 from protocol.reference_messages import Hello
-from tools.protocol_page import GOLDEN, IEC_NAMES, PAGE, ROOT, SECTIONS, rendered
+from tools.plc_types import IEC_NAMES, types
+from tools.protocol_page import GOLDEN, PAGE, ROOT, SECTIONS, rendered
 from tools.sample_messages import HEADER, MESSAGES
 
 TEXT = PAGE.read_text()
@@ -136,9 +137,11 @@ def test_a_reader_with_the_page_alone_verifies_every_signed_datagram() -> None:
 
 
 def structures() -> dict[str, list[tuple[str, int, str]]]:
-    """Members (name, count, type) of every structure in the page's IEC 61131-3 text."""
+    """Members (name, count, type) of every structure in the IEC 61131-3 text."""
     found: dict[str, list[tuple[str, int, str]]] = {}
-    for name, body in re.findall(r"TYPE\n(\w+) : STRUCT[^\n]*\n(.*?)END_STRUCT\nEND_TYPE", TEXT, re.DOTALL):
+    for name, body in re.findall(
+        r"TYPE\n(\w+) : STRUCT[^\n]*\n(.*?)END_STRUCT\nEND_TYPE", types(), re.DOTALL
+    ):
         members = []
         for line in body.strip().splitlines():
             match = re.fullmatch(r"\s*(\w+) : (?:ARRAY\[0\.\.(\d+)\] OF )?(\w+);", line)

@@ -1,0 +1,290 @@
+"""The files for PLCs and programs: equal to the tables, right by the golden datagrams, and run."""
+
+import csv
+import json
+import math
+import re
+import struct
+import zlib
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from plant_emulator.core.coupler.image import COUPLER_MAP
+from protocol.channel import MAX_GAP_DATAGRAMS
+from protocol.datagram import decode, encode
+from protocol.datagram_layout import HEADER_BYTES, MAX_DATAGRAM_BYTES, PAYLOADS, TRAILER, Kind
+from protocol.process_image import (
+    INPUT_ADDRESS,
+    SensorImage,
+    ValveImage,
+    encode_sensors,
+    encode_valves,
+)
+from tests.support.structured_text import Programs, StructuredTextError, output
+from tools.plc_types import camel, member_name
+from tools.protocol_files import FILES, FOLDER
+from tools.protocol_page import signed_golden
+from tools.sample_messages import HEADER, MESSAGES
+
+HELPERS = (FOLDER / "helpers.st").read_text(encoding="utf-8")
+GOLDEN = [encode(message, HEADER) for message in MESSAGES]
+WORD_CODES = {"UINT": "H", "INT": "h", "DINT": "i"}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_the_file_is_that_of_the_tables(name: str) -> None:
+    assert (FOLDER / name).read_text(encoding="utf-8") == FILES[name](), "run: python -m tools.protocol_files"
+
+
+def test_no_file_lies_there_that_is_neither_made_nor_written_by_hand() -> None:
+    assert {path.name for path in FOLDER.iterdir()} == {*FILES, "helpers.st"}
+
+
+# Structured text, as a strict compiler would run it.
+
+
+@cache
+def programs() -> Programs:
+    """All three texts."""
+    return Programs(FILES["types_twincat_codesys.st"](), HELPERS, FILES["fields.st"]())
+
+
+def datagram(data: bytes) -> list[int]:
+    """``data`` in an array of the PLC's."""
+    return [*data, *bytes(MAX_DATAGRAM_BYTES - len(data))]
+
+
+def flat(value: Any) -> list[Any]:
+    """All numbers of a structure or array, in order."""
+    if isinstance(value, SimpleNamespace):
+        return [number for part in vars(value).values() for number in flat(part)]
+    return [number for part in value for number in flat(part)] if isinstance(value, list) else [value]
+
+
+def numbers(message: Any) -> list[Any]:
+    """The numbers of a message in the order of its layout, padding as zeros."""
+    kind = Kind(encode(message, HEADER)[6])
+    found: list[Any] = []
+    for field in PAYLOADS[kind]:
+        if field.name == "padding":
+            found += [0] * field.size
+        elif field.name == "waypoint_count":
+            found.append(len(message.waypoints))
+        else:
+            value = flat_message(getattr(message, field.name))
+            found += value + [0.0] * (field.count - len(value))
+    return found
+
+
+def flat_message(value: Any) -> list[Any]:
+    """The numbers of a message's field."""
+    return [n for part in value for n in flat_message(part)] if isinstance(value, tuple) else [value]
+
+
+@pytest.mark.parametrize("message", MESSAGES, ids=lambda m: type(m).__name__)
+def test_structured_text_reads_and_writes_every_datagram_as_the_codec_does(message: Any) -> None:
+    data = encode(message, HEADER)
+    kind = Kind(data[6])
+    st_data = programs().default(f"ST_LR_{camel(kind)}")
+    read = getattr(programs(), f"F_LR_Read{camel(kind)}")
+    write = getattr(programs(), f"F_LR_Write{camel(kind)}")
+    assert read(aData=datagram(data), stData=st_data) is True
+    header = vars(st_data).pop("header")
+    assert flat(st_data) == numbers(message)
+    assert (header.session, header.sequence, header.sent_ns) == (
+        HEADER.session,
+        HEADER.sequence,
+        HEADER.sent_ns,
+    )
+    st_data.header = SimpleNamespace(
+        **{**vars(header), "crc32": 0, "kind": 0, "payload_bytes": 0, "magic": []}
+    )
+    written = [0xEE] * MAX_DATAGRAM_BYTES
+    assert write(aData=written, stData=st_data) == len(data)
+    assert bytes(written[: len(data)]) == data
+    assert written[len(data) :] == [0xEE] * (MAX_DATAGRAM_BYTES - len(data))
+    assert decode(bytes(written[: len(data)])) == decode(data)
+
+
+def test_structured_text_reads_the_trailer_and_makes_the_crc_of_a_signed_datagram() -> None:
+    for data in signed_golden().values():
+        trailer = programs().default("ST_LR_Trailer")
+        at = HEADER_BYTES + struct.unpack_from("<H", data, 10)[0]
+        assert programs().F_LR_ReadTrailer(aData=datagram(data), stData=trailer, nAt=at) is True
+        assert bytes(trailer.tag) == data[-16:]
+        assert trailer.sequence_high == 7
+        assert len(vars(trailer)) == len(TRAILER)
+        crc = programs().F_LR_DatagramCrc(aData=datagram(data), nBytes=len(data))
+        assert crc == struct.unpack_from("<I", data, 12)[0]
+        bare = datagram(data[:at])
+        assert programs().F_LR_WriteTrailer(aData=bare, stData=trailer, nAt=at) is True
+        assert bytes(bare[: len(data)]) == data
+
+
+def test_structured_text_has_the_crc_of_the_page() -> None:
+    crc = programs().F_LR_Crc(aData=datagram(b"123456789"), nFirst=0, nCount=9, nSeed=0xFFFFFFFF)
+    assert crc ^ 0xFFFFFFFF == zlib.crc32(b"123456789") == 0xCBF43926
+
+
+SPECIAL = [0.0, -0.0, 1.0, -1.0, 5e-324, 2.2250738585072014e-308, -1.7976931348623157e308]
+SPECIAL += [math.inf, -math.inf, math.nan, math.nextafter(1.0, 0.0), math.nextafter(2.0, 0.0), 2.0**52 + 0.5]
+
+
+def put_and_got(value: float) -> None:
+    """Both directions of an LREAL, bit by bit; what 3.7 refuses is told, not taken for a number."""
+    data = struct.pack("<d", value)
+    normal = math.isfinite(value) and (value == 0.0 or abs(value) >= 2.0**-1022)
+    places, references = output({"xFinite": True})
+    got = programs().F_LR_GetLreal(aData=datagram(b"\xee" * 8 + data), nAt=8, **references)
+    assert places.xFinite is normal
+    assert got == (value if normal else 0.0)
+    written = [0xEE] * 24
+    done = programs().F_LR_PutLreal(aData=written, nAt=8, fValue=value)
+    assert done is math.isfinite(value)
+    put = data if normal and value != 0.0 else bytes(8)
+    assert bytes(written) == b"\xee" * 8 + (put if done else b"\xee" * 8) + b"\xee" * 8
+
+
+@pytest.mark.parametrize("value", SPECIAL)
+def test_structured_text_has_every_binary64_at_the_edges(value: float) -> None:
+    put_and_got(value)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 2**64 - 1))
+def test_structured_text_has_every_binary64(bits: int) -> None:
+    put_and_got(struct.unpack("<d", bits.to_bytes(8, "little"))[0])
+
+
+def test_a_reference_with_a_nan_reads_as_not_finite_and_is_not_written() -> None:
+    message = next(m for m in MESSAGES if type(m).__name__ == "ReferencePose")
+    data = bytearray(encode(message, HEADER))
+    data[48:56] = struct.pack("<d", math.nan)
+    pose = programs().default("ST_LR_ReferencePose")
+    assert programs().F_LR_ReadReferencePose(aData=datagram(bytes(data)), stData=pose) is False
+    assert programs().F_LR_WriteReferencePose(aData=datagram(b""), stData=pose) == 112
+    pose.duration_s = math.inf
+    assert programs().F_LR_WriteReferencePose(aData=datagram(b""), stData=pose) == 0
+
+
+@pytest.mark.parametrize(
+    ("sequence", "newest", "newer", "skipped"),
+    [
+        (5, 4, True, 0), (4, 4, False, 0), (3, 4, False, 0), (9, 4, True, 4), (2, 2**32 - 3, True, 4),
+        (2**32 - 1, 0, False, 0), (MAX_GAP_DATAGRAMS, 0, True, MAX_GAP_DATAGRAMS - 1),
+        (MAX_GAP_DATAGRAMS + 1, 0, False, 0),
+    ],
+)  # fmt: skip
+def test_structured_text_orders_numbers_as_the_channel_does(
+    sequence: int, newest: int, newer: bool, skipped: int
+) -> None:
+    places, references = output({"nSkipped": 0})
+    assert programs().F_LR_IsNewer(nSequence=sequence, nNewest=newest, **references) is newer
+    assert places.nSkipped == skipped
+
+
+def test_structured_text_reads_the_inputs_and_writes_the_outputs() -> None:
+    counts = (1, -1, 2**31 - 1, -(2**31), 65536, -65537)
+    words = encode_sensors(SensorImage(7, 9, 5, counts, ((1.0, 2.0),) * 6, 190.0, 10.0, -4.25))
+    inputs = programs().default("ST_LR_Inputs")
+    assert programs().F_LR_ReadInputs(aWords=words, stData=inputs) is True
+    assert inputs.encoder_counts == list(counts)
+    assert (inputs.plant_cycle, inputs.echo_cycle, inputs.status) == (7, 9, 5)
+    assert (inputs.pressures_bar[:2], inputs.oil_temperature_degc) == ([100, 200], -425)
+    words[-1] += 1
+    assert programs().F_LR_ReadInputs(aWords=words, stData=inputs) is False
+    outputs = programs().default("ST_LR_Outputs")
+    outputs.controller_cycle, outputs.control = 17, 1
+    outputs.valves = [16384, -8192, 32767, -32767, 0, 4096]
+    written = [0xEEEE] * 12
+    assert programs().F_LR_WriteOutputs(aWords=written, stData=outputs) is True
+    valves = tuple(value / 32767 for value in outputs.valves)
+    assert written == encode_valves(ValveImage(17, 1, valves))
+
+
+@pytest.mark.parametrize(
+    ("statement", "why"),
+    [
+        ("n := w;", "wanted UINT"), ("n := 65536;", "does not fit"), ("n := w AND 1;", "wanted"),
+        ("f := 1;", "wanted LREAL"), ("n := m;", "wanted UINT"), ("w := w + w;", "of WORD"),
+        ("n := a[4];", "index"), ("n := a[0 - 1];", "index"), ("n := DINT_TO_UINT(m - 1);", "does not fit"),
+    ],
+)  # fmt: skip
+def test_what_runs_the_text_is_as_strict_as_it_says(statement: str, why: str) -> None:
+    variables = "n : UINT; m : DINT; w : WORD; f : LREAL; a : ARRAY[0..3] OF UINT;"
+    text = f"FUNCTION F : BOOL VAR {variables} END_VAR {statement} F := TRUE; END_FUNCTION"
+    with pytest.raises((StructuredTextError, IndexError), match=why):
+        Programs(text).F()
+
+
+@pytest.mark.parametrize("name", ["types_twincat_codesys.st", "helpers.st", "fields.st"])
+def test_a_parser_of_others_reads_the_text(name: str) -> None:
+    blark = pytest.importorskip("blark.parse", reason="blark is not installed: pip install blark")
+    path = FOLDER / name
+    (parsed,) = blark.parse(path)
+    assert parsed.exception is None
+    declared = re.findall(r"^FUNCTION (\w+)|^(\w+) : (?:STRUCT|ARRAY)", path.read_text(), re.MULTILINE)
+    assert len(parsed.transform().items) == len(declared)
+
+
+# JSON and CSV.
+
+
+@pytest.mark.parametrize(("message", "data"), list(zip(MESSAGES, GOLDEN, strict=True)))
+def test_a_reader_with_the_json_alone_reads_every_datagram(message: Any, data: bytes) -> None:
+    layout = json.loads((FOLDER / "datagrams.json").read_text(encoding="utf-8"))
+    codes = {"BYTE": "B", "USINT": "B", "UINT": "H", "UDINT": "I", "ULINT": "Q", "LREAL": "d"}
+    names = {value: name for name, value in layout["enumerations"]["Kind"].items()}
+    payload = layout["payloads"][names[data[6]]]
+    assert len(data) == layout["header"]["bytes"] + payload["bytes"]
+    found = []
+    for field in payload["fields"]:
+        at = layout["header"]["bytes"] + field["offset"]
+        found += struct.unpack_from(f"<{field['count']}{codes[field['type']]}", data, at)
+    assert found == numbers(message)
+    for field in payload["fields"]:
+        if "enumeration" in field:
+            at = layout["header"]["bytes"] + field["offset"]
+            (value,) = struct.unpack_from("<" + codes[field["type"]], data, at)
+            assert value in layout["enumerations"][field["enumeration"]].values()
+
+
+def test_a_reader_with_the_register_map_alone_reads_the_inputs() -> None:
+    image = SensorImage(7, 9, 5, (1, -2, 3, -4, 5, -6), ((1.0, 2.5),) * 6, 190.0, 10.0, -4.25)
+    words = encode_sensors(image)
+    with (FOLDER / "registers.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    read = {}
+    for row in (row for row in rows if row["block"] == "inputs"):
+        at, count = int(row["address"]) - INPUT_ADDRESS, int(row["count"])
+        raw = b"".join(word.to_bytes(2, "little") for word in words[at : at + int(row["words"])])
+        values = struct.unpack(f"<{count}{WORD_CODES[row['type']]}", raw)
+        assert all(int(row["low"]) <= value <= int(row["high"]) for value in values)
+        read[row["name"]] = [value * float(row["one_digit"]) for value in values]
+    assert read["encoder_counts"] == list(image.encoder_counts)
+    assert read["pressures_bar"] == pytest.approx([1.0, 2.5] * 6)
+    assert read["oil_temperature_degc"] == pytest.approx([-4.25])
+    assert read["plant_cycle"] == read["plant_cycle_again"] == [7.0]
+
+
+def test_csv_and_json_say_the_same_and_name_codes_that_are_served() -> None:
+    with (FOLDER / "registers.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    registers = json.loads((FOLDER / "registers.json").read_text(encoding="utf-8"))["registers"]
+    for row, register in zip(rows, registers, strict=True):
+        for name, value in register.items():
+            shown = " ".join(map(str, value)) if isinstance(value, list) else str(value)
+            assert row[name] == shown
+        assert set(register["read_with"]) <= set(COUPLER_MAP.reads)
+        assert set(register["write_with"]) <= set(COUPLER_MAP.writes)
+    assert {register["block"] for register in registers} == {"inputs", "outputs", "coupler"}
+
+
+def test_members_that_another_language_reserves_are_renamed_in_the_text_alone() -> None:
+    assert {member_name(f) for fields in PAYLOADS.values() for f in fields} >= {"limit_value"}
+    assert '"name": "limit"' in (FOLDER / "datagrams.json").read_text(encoding="utf-8")
