@@ -34,7 +34,7 @@ class PlantWatch(NamedTuple):
     ``turned``: what the joints turned since the image before (rad), zero without a new one. ``missed``:
     failed exchanges in a row; ``frozen``: exchanges since the plant's cycle last advanced; ``echo_lag``:
     cycles by which its echo lags; ``silent_s``: time since the last good exchange; ``failures``: failed
-    exchanges in all; ``refusal``: the exception code of the last exchange, 0 for none.
+    exchanges in all; ``refusal``: the exception code of the last exchange, None for none.
     """
 
     sensors: SensorImage | None
@@ -46,12 +46,12 @@ class PlantWatch(NamedTuple):
     echo_lag: int
     silent_s: float
     failures: int
-    refusal: int
+    refusal: int | None
 
 
 def unseen() -> PlantWatch:
     """Before the first image."""
-    return PlantWatch(None, np.zeros(6), np.zeros(6), np.zeros(6), 0, 0, 0, 0.0, 0, 0)
+    return PlantWatch(None, np.zeros(6), np.zeros(6), np.zeros(6), 0, 0, 0, 0.0, 0, None)
 
 
 def update_watch(
@@ -64,12 +64,12 @@ def update_watch(
             missed=watch.missed + 1,
             silent_s=watch.silent_s + dt_s,
             failures=watch.failures + 1,
-            refusal=0 if sensors is None else sensors.code,
+            refusal=None if sensors is None else sensors.code,
         )
     q_meas = np.array(sensors.encoder_counts) * RAD_PER_COUNT
     before = watch.sensors
     if before is None:
-        return PlantWatch(sensors, q_meas, np.zeros(6), np.zeros(6), 0, 0, 0, 0.0, watch.failures, 0)
+        return PlantWatch(sensors, q_meas, np.zeros(6), np.zeros(6), 0, 0, 0, 0.0, watch.failures, None)
     turned = q_meas - watch.q_meas
     elapsed = dt_s + watch.silent_s
     keep = pt1_step(1.0, 0.0, _SPEED_FILTER_S, elapsed)
@@ -83,14 +83,14 @@ def update_watch(
         echo_lag=(cycle - sensors.echo_cycle) % CYCLE_MODULUS,
         silent_s=0.0,
         failures=watch.failures,
-        refusal=0,
+        refusal=None,
     )
 
 
 def link_lost(settings: ScanSettings, watch: PlantWatch) -> tuple[float, float] | None:
     """Value and limit of what says that the plant does not hear or answer; None while it does."""
     limits = settings.supervision
-    if watch.refusal not in (0, _BUSY):
+    if watch.refusal not in (None, _BUSY):
         return float(watch.refusal), 0.0
     if watch.sensors is None:
         return float(watch.missed), 0.0

@@ -23,6 +23,7 @@ from foundation.event_log import EventLog
 from protocol.coupler_registers import RESET_WORDS, WATCHDOG_RESET
 from protocol.process_image import INPUT_ADDRESS, INPUT_WORDS, OUTPUT_ADDRESS
 
+_EXCHANGE = 23
 _WATCHDOG_EXPIRED = 4
 # pymodbus logs every failure once more, in lines of its own; they are counted and logged here.
 logging.getLogger("pymodbus").setLevel(logging.CRITICAL + 1)
@@ -79,6 +80,12 @@ class PlantLink:
         except (ModbusException, OSError) as error:
             late = time.monotonic_ns() - began_ns >= 1e6 * self._config.timeout_ms
             self._dropped("timeout" if late else "connection", str(error))
+            return None
+        if response.transaction_id == 0 or response.function_code & 0x7F != _EXCHANGE:
+            # pymodbus numbers its requests from 1 on, but takes an answer numbered 0, or to another function
+            # code, for the one it waits for.
+            whose = f"number {response.transaction_id}, function code {response.function_code}"
+            self._dropped("foreign_answer", f"{whose}: no answer to the exchange")
             return None
         if response.isError():
             # The coupler answered, so the connection is sound: 6 means that another master owns the outputs.

@@ -2,6 +2,7 @@
 
 import asyncio
 import struct
+from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
@@ -101,7 +102,7 @@ async def test_case_22_busy_is_asked_again_a_bounded_number_of_times() -> None:
         rig.assert_safe(FaultCode.PLANT_LINK_LOST, began_ns, 0.07)
 
 
-@pytest.mark.parametrize("code", [1, 2, 3, 4, 10])
+@pytest.mark.parametrize("code", [0, 1, 2, 3, 4, 5, 10, 255])
 async def test_case_22_any_other_exception_stops_the_arm_at_once(code: int) -> None:
     async with fieldbus() as rig:
         await rig.moving()
@@ -242,3 +243,43 @@ async def test_case_27_a_torn_image_is_not_believed(exchanges: int, stops: bool)
         else:
             assert rig.torn == exchanges
             await rig.assert_completes()
+
+
+def bent(kind: str) -> Callable[[bytes, int], list[Delivery]]:
+    """Every answer from now on, made useless in one way; each is numbered as the request that it answers."""
+    first: list[bytes] = []
+
+    def script(data: bytes, _: int) -> list[Delivery]:
+        first.append(data)
+        inputs = {
+            "replayed": first[0][9:],
+            "of another layout": data[9:11] + b"\x4c\x02" + data[13:],
+            "echo of a cycle to come": data[9:13] + b"\x9c\x40" + data[15:],
+            "noise": b"\xff" * 80,
+        }[kind]
+        return passed(data[:9] + inputs)
+
+    return script
+
+
+@pytest.mark.parametrize("kind", ["replayed", "of another layout", "echo of a cycle to come", "noise"])
+async def test_a_coupler_that_answers_with_other_inputs_than_the_plant_s_stops_the_arm(kind: str) -> None:
+    async with fieldbus() as rig:
+        await rig.moving()
+        believed = rig.state.watch.sensors
+        assert believed is not None
+        began_ns = rig.now_ns
+        rig.answers.begin(bent(kind))
+        await rig.run(0.3)
+        assert rig.view.view.fault is FaultCode.PLANT_LINK_LOST
+        if kind in ("of another layout", "noise"):
+            assert rig.state.watch.sensors == believed
+            assert rig.torn > 50
+        rig.answers.begin(None)
+        await rig.run(0.3)
+        rig.assert_safe(FaultCode.PLANT_LINK_LOST, began_ns, 0.07)
+        rig.assert_written_once()
+        assert await rig.command(CommandCode.ENABLE) is Reason.ERROR_LATCHED
+        assert await rig.command(CommandCode.RESET) is Reason.ACCEPTED
+        await rig.run(0.1)
+        assert await rig.command(CommandCode.ENABLE) is Reason.ACCEPTED
