@@ -34,9 +34,20 @@ class _ImpatientProtocol(H11Protocol):
     _deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """The first request is due."""
+        """The first request is due. Where no place is free, the oldest that is not being served yields."""
         super().connection_made(transport)
+        self._came_s = self.loop.time()
         self._await_request()
+        if self.limit_concurrency is not None and len(self.connections) >= self.limit_concurrency:
+            idle = [other for other in self.connections if isinstance(other, _ImpatientProtocol)]
+            idle = [other for other in idle if other is not self and not other.is_served]
+            if idle:
+                min(idle, key=lambda other: other._came_s).transport.abort()
+
+    @property
+    def is_served(self) -> bool:
+        """Whether a request has come whole and is being answered."""
+        return self.cycle is not None and not (self.cycle.response_complete or self.cycle.more_body)
 
     def data_received(self, data: bytes) -> None:
         """A piece of a request; pieces do not put the deadline off."""
@@ -69,9 +80,17 @@ class RestServer(uvicorn.Server):
     """Uvicorn in the service's own loop: signals and log are the service's. ``serve`` takes bound sockets.
 
     ``access``: whom it serves. ``refused`` counts, by cause, whom it did not; each is told to ``log``.
+    ``places``: how many connections it keeps; the oldest that is not being served then yields to a new one,
+    which is answered 503 where all of them are.
     """
 
-    def __init__(self, app: FastAPI, access: Access = ANYBODY_HERE, log: EventLog | None = None) -> None:
+    def __init__(
+        self,
+        app: FastAPI,
+        access: Access = ANYBODY_HERE,
+        log: EventLog | None = None,
+        places: int | None = None,
+    ) -> None:
         guard = AccessGuard(app, access, log)
         self.refused = guard.refused
         super().__init__(
@@ -83,6 +102,7 @@ class RestServer(uvicorn.Server):
                 log_config=None,
                 access_log=False,
                 lifespan="off",
+                limit_concurrency=None if places is None else places + 1,
                 timeout_graceful_shutdown=_DRAIN_S,
             )
         )

@@ -4,8 +4,6 @@ import asyncio
 import contextlib
 import json
 import socket
-import subprocess
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +11,7 @@ from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.camera.camera_motion import CameraMotion, CameraView, Capture
 from plant_emulator.core.camera.exposures import Exposures
 from plant_emulator.core.faults.kinds import Fault
+from plant_emulator.shell.child_process import ended, started
 from plant_emulator.shell.renderer import encode_shot
 from protocol.errors import LinkLost
 
@@ -34,16 +33,7 @@ class CameraSender:
         self._exposures = Exposures(scene.camera, scene.seed)
         self._poses, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._poses.setblocking(False)
-        with listener, theirs:
-            inherited = (listener.fileno(), theirs.fileno())
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "plant_emulator.shell.renderer", *map(str, inherited), scheduling],
-                stdin=subprocess.PIPE,
-                pass_fds=inherited,
-            )
-        assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError), self._process.stdin as stdin:
-            stdin.write(scene.model_dump_json().encode())
+        self._process = started("plant_emulator.shell.renderer", scene, listener, theirs, scheduling)
         asyncio.get_running_loop().add_reader(self._poses.fileno(), self._report_arrived)
 
     @property
@@ -89,11 +79,7 @@ class CameraSender:
                 await self.ended.wait()
         asyncio.get_running_loop().remove_reader(self._poses.fileno())
         self._poses.close()
-        try:
-            await asyncio.to_thread(self._process.wait, _END_TIMEOUT_S / 2)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        await asyncio.to_thread(ended, self._process)
 
     def _report_arrived(self) -> None:
         try:

@@ -1,34 +1,48 @@
-"""The emulator's HTTP face for faults: what can break, what is broken, break it, mend it.
+"""The emulator's HTTP API for faults, in a process of its own: see what is broken, break it, mend it.
 
 Everyone may read. Breaking and mending is refused unless the emulator was started with ``--allow-faults``.
-Errors are problem documents (RFC 9457) with a machine-readable ``cause``.
+Errors are problem documents (RFC 9457) with a machine-readable ``cause``. Started by ``fault_desk`` with its
+configuration as JSON on stdin and two inherited sockets; it ends when the plant's end of the link closes.
+What it is asked is judged here; the plant sees orders that fit the schema, one at a time.
 """
 
 import asyncio
+import contextlib
+import itertools
+import signal
 import socket
+import sys
 from http import HTTPStatus
-from typing import Annotated, Any
+from typing import Any, Protocol, cast
 
+import uvloop
 from fastapi import FastAPI, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
-from pydantic import Field
 from starlette.types import Scope
 
-from foundation.configuration import StrictModel
-from foundation.event_log import EventLog
+from foundation.event_log import EventLog, process_log
 from foundation.problems import problem
 from foundation.rest.access import configured_access
 from foundation.rest.refusals import Refusal
 from foundation.rest.server import RestServer, install_problems
+from foundation.scheduling import Policy, take_policy
 from plant_emulator.config.service import FaultApiConfig
-from plant_emulator.core.camera.scene import Scene
-from plant_emulator.core.faults.kinds import FAULTS, Fault, MarkerCovered
-from plant_emulator.core.faults.schedule import Injection
-from plant_emulator.core.plant import Plant
-from protocol.errors import RequestRefused
+from plant_emulator.core.faults.kinds import FAULTS
+from plant_emulator.core.faults.orders import (
+    MOST_BYTES,
+    FaultOrder,
+    FaultState,
+    MendOrder,
+    OrderAnswer,
+    OrderMessage,
+    PlantMessage,
+)
+from protocol.errors import LinkLost, RequestRefused
 
-LONGEST_S = 3600.0
+PLACES = 64  # connections
+READY = b"ready"  # the first message to the plant
+_ANSWER_WITHIN_S = 2.0
 _SHOWN = 80  # characters of a value that is refused
 _STATUS_OF_CAUSE = {
     "refused.faults_not_allowed": HTTPStatus.FORBIDDEN,
@@ -36,52 +50,102 @@ _STATUS_OF_CAUSE = {
     "refused.unknown_fault": HTTPStatus.UNPROCESSABLE_ENTITY,
     "refused.fault_parameter": HTTPStatus.UNPROCESSABLE_ENTITY,
     "refused.unknown_marker": HTTPStatus.UNPROCESSABLE_ENTITY,
+    "link.plant_silent": HTTPStatus.SERVICE_UNAVAILABLE,
 }
 
 
-class FaultOrder(StrictModel):
-    """A fault, ``start_after_s`` of simulated time from now, for ``duration_s`` (null: until cleared)."""
+class FaultedPlant(Protocol):
+    """The plant as the API sees it."""
 
-    fault: Annotated[Fault, Field(discriminator="kind")]
-    start_after_s: Annotated[float, Field(ge=0.0, le=LONGEST_S)] = 0.0
-    duration_s: Annotated[float, Field(gt=0.0, le=LONGEST_S)] | None = None
+    async def state(self) -> FaultState:
+        """The newest state that the plant has told."""
+        ...
 
-
-class FaultFace:
-    """The face, served in the running event loop, which is the plant's own."""
-
-    def __init__(self, plant: Plant, scene: Scene, config: FaultApiConfig, log: EventLog) -> None:
-        app = create_app(plant, scene, config.allowed)
-        self._server = RestServer(app, configured_access(config, "plant_service.fault_face"), log)
-        self._serving: asyncio.Task[None] | None = None
-
-    def start(self, listener: socket.socket) -> None:
-        """Serve at ``listener``."""
-        self._serving = asyncio.get_running_loop().create_task(self._server.serve([listener]))
-
-    async def stop(self) -> None:
-        """Stop serving."""
-        if self._serving is not None:
-            self._server.should_exit = True
-            await self._serving
+    async def ask(self, order: FaultOrder | MendOrder) -> list[dict[str, Any]]:
+        """The faults that an order made or mended. Raises RequestRefused."""
+        ...
 
 
-def create_app(plant: Plant, scene: Scene, allowed: bool) -> FastAPI:
-    """The application over one running plant; it must be served in the plant's own event loop."""
+class DeskLink:
+    """The API's end of the link to the plant: one order under way, the others wait."""
+
+    def __init__(self, link: socket.socket) -> None:
+        self.ended = asyncio.Event()
+        self._link = link
+        self._numbers = itertools.count(1)
+        self._one = asyncio.Lock()
+        self._told = asyncio.Event()
+        self._state: FaultState | None = None
+        self._waiting: asyncio.Future[OrderAnswer] | None = None
+        link.setblocking(False)
+        asyncio.get_running_loop().add_reader(link.fileno(), self._arrived)
+
+    async def state(self) -> FaultState:
+        """The newest state that the plant has told. Raises LinkLost when it tells none."""
+        async with _patience():
+            await self._told.wait()
+        assert self._state is not None
+        return self._state
+
+    async def ask(self, order: FaultOrder | MendOrder) -> list[dict[str, Any]]:
+        """The faults that an order made or mended. Raises RequestRefused; LinkLost without an answer."""
+        async with self._one, _patience():
+            self._waiting = asyncio.get_running_loop().create_future()
+            message = OrderMessage(number=next(self._numbers), order=order)
+            self._link.send(message.model_dump_json().encode())
+            answer = await self._waiting
+            while answer.number != message.number:  # one that came too late for its own order
+                self._waiting = asyncio.get_running_loop().create_future()
+                answer = await self._waiting
+        if answer.cause:
+            raise RequestRefused(answer.cause, answer.detail)
+        return list(answer.concerned)
+
+    def _arrived(self) -> None:
+        try:
+            data = self._link.recv(MOST_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            asyncio.get_running_loop().remove_reader(self._link.fileno())
+            self.ended.set()
+            return
+        message = PlantMessage.model_validate_json(data)
+        self._state = message.state
+        self._told.set()
+        if message.answer is not None and self._waiting is not None and not self._waiting.done():
+            self._waiting.set_result(message.answer)
+
+
+@contextlib.asynccontextmanager
+async def _patience() -> Any:
+    try:
+        async with asyncio.timeout(_ANSWER_WITHIN_S):
+            yield
+    except TimeoutError as error:
+        raise LinkLost(
+            "link.plant_silent", f"the plant has not answered for {_ANSWER_WITHIN_S:g} s"
+        ) from error
+
+
+def create_app(plant: FaultedPlant, allowed: bool) -> FastAPI:
+    """The application over one plant."""
     app = FastAPI(title="Longreach plant emulator: faults", version="1")
     install_problems(app, _STATUS_OF_CAUSE, _explained, None if allowed else _not_allowed)
     _add_reading(app, plant, allowed)
-    _add_changing(app, plant, scene)
+    _add_changing(app, plant)
     return app
 
 
-def _add_reading(app: FastAPI, plant: Plant, allowed: bool) -> None:
+def _add_reading(app: FastAPI, plant: FaultedPlant, allowed: bool) -> None:
     every_kind = JSONResponse(
         [
             {"kind": kind, "description": model.__doc__, "schema": model.model_json_schema()}
             for kind, model in FAULTS.items()
         ]
-    ).body  # made once: this loop has the fieldbus to serve
+    ).body
 
     @app.get("/faults/kinds", response_model=list[dict[str, Any]])
     async def kinds() -> Response:
@@ -90,43 +154,38 @@ def _add_reading(app: FastAPI, plant: Plant, allowed: bool) -> None:
 
     @app.get("/faults")
     async def faults() -> dict[str, Any]:
-        """The simulated time, and what is in force and planned."""
-        return {
-            "allowed": allowed,
-            "time_ns": plant.time_ns,
-            "active": [injection.as_dict() for injection in plant.faults.active],
-            "planned": [injection.as_dict() for injection in plant.faults.planned],
-        }
+        """The simulated time, and what is in force and planned; at most 50 ms old."""
+        state = await plant.state()
+        return {"allowed": allowed, **state.model_dump()}
 
     @app.get("/faults/{number}")
     async def fault(number: int) -> dict[str, Any]:
         """One fault in force or planned."""
-        return _known(plant, number).as_dict()
+        state = await plant.state()
+        for injection in (*state.active, *state.planned):
+            if injection["number"] == number:
+                return injection
+        raise RequestRefused("refused.no_such_fault", f"number {number}: neither in force nor planned")
 
 
-def _add_changing(app: FastAPI, plant: Plant, scene: Scene) -> None:
+def _add_changing(app: FastAPI, plant: FaultedPlant) -> None:
     @app.post("/faults", status_code=HTTPStatus.CREATED)
     async def inject(order: FaultOrder, response: Response) -> dict[str, Any]:
         """Break something, now or later; the answer names its number."""
-        if isinstance(order.fault, MarkerCovered):
-            scene.cover(order.fault)
-        start_ns = plant.time_ns + round(1e9 * order.start_after_s)
-        duration_ns = None if order.duration_s is None else max(round(1e9 * order.duration_s), 1)
-        injection = plant.inject(order.fault, start_ns, duration_ns)
-        response.headers["location"] = f"/faults/{injection.number}"
-        return injection.as_dict()
+        (injection,) = await plant.ask(order)
+        response.headers["location"] = f"/faults/{injection['number']}"
+        return injection
 
     @app.delete("/faults/{number}")
     async def clear(number: int) -> dict[str, Any]:
         """Mend one fault, or withdraw it before it begins."""
-        return plant.clear(number).as_dict()
+        (injection,) = await plant.ask(MendOrder(number=number))
+        return injection
 
     @app.delete("/faults")
     async def clear_all() -> list[dict[str, Any]]:
         """Mend everything; what was mended and withdrawn."""
-        cleared = [injection.as_dict() for injection in plant.faults.all()]
-        plant.clear_faults()
-        return cleared
+        return await plant.ask(MendOrder(number=None))
 
 
 def _not_allowed(scope: Scope) -> Refusal | None:
@@ -135,13 +194,6 @@ def _not_allowed(scope: Scope) -> Refusal | None:
         return None
     cause, why = "refused.faults_not_allowed", "this emulator was started without --allow-faults"
     return problem(_STATUS_OF_CAUSE[cause], cause, why, instance=scope["path"])
-
-
-def _known(plant: Plant, number: int) -> Injection:
-    for injection in plant.faults.all():
-        if injection.number == number:
-            return injection
-    raise RequestRefused("refused.no_such_fault", f"number {number}: neither in force nor planned")
 
 
 def _explained(error: RequestValidationError) -> dict[str, Any]:
@@ -156,3 +208,37 @@ def _explained(error: RequestValidationError) -> dict[str, Any]:
     value = "" if first["type"] == "missing" else f" = {first['input']!r}"[:_SHOWN]
     detail = f"{'.'.join(place)}{value}: {first['msg']}"
     return problem(HTTPStatus.UNPROCESSABLE_ENTITY, cause, detail)
+
+
+async def serve(config: FaultApiConfig, listener: socket.socket, link: socket.socket, log: EventLog) -> None:
+    """Serve until the plant's end of ``link`` closes."""
+    plant = DeskLink(link)
+    app = create_app(plant, config.allowed)
+    server = RestServer(app, configured_access(config, "plant_service.fault_face"), log, PLACES)
+    serving = asyncio.create_task(server.serve([listener]))
+    link.send(READY)
+    await plant.ended.wait()
+    server.should_exit = server.force_exit = True  # without a plant nothing under way can be answered
+    await serving
+
+
+def main() -> int:
+    """Exit status of the API's process."""
+    # A signal to the whole process group reaches the plant too, which then closes its end of the link.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    listen_fd, link_fd, scheduling = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
+    with (
+        process_log("fault_api") as log,
+        socket.socket(fileno=listen_fd) as listener,
+        socket.socket(fileno=link_fd) as link,
+        asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner,
+    ):
+        config = FaultApiConfig.model_validate_json(sys.stdin.buffer.read())
+        take_policy(cast(Policy, scheduling))
+        runner.run(serve(config, listener, link, log))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

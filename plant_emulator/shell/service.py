@@ -20,7 +20,7 @@ from plant_emulator.core.faults.kinds import CouplerSilent
 from plant_emulator.core.plant import Plant
 from plant_emulator.shell.camera_sender import CameraSender
 from plant_emulator.shell.coupler import Coupler
-from plant_emulator.shell.fault_api import FaultFace
+from plant_emulator.shell.fault_desk import FaultDesk
 from plant_emulator.shell.integrator import Integrator, SlowCycle
 from plant_emulator.shell.recording import TruthRecorder
 from protocol.errors import ConfigurationError
@@ -44,7 +44,7 @@ class PlantService:
         service = config.service
         scene = Scene(config.scene)
         self._plant = Plant(config.plant, config.scene.seed, scene.mounts)
-        self._face = FaultFace(self._plant, scene, service.fault_face, log)
+        self._faults = FaultDesk(self._plant, scene, service.fault_face, log)
         self._integrator = Integrator(self._plant, round(service.period_ms * 1e6), self._after_step)
         release_ns = round(service.writer_release_ms * 1e6)
         self._coupler = Coupler(
@@ -82,12 +82,13 @@ class PlantService:
             addresses = {"camera_stream": stream.getsockname(), "fault_face": face.getsockname()}
             self._recorder = self._open_recording()
             self._camera = CameraSender(self._config.scene, stream, service.renderer_scheduling)
+            self._faults.start(face, service.renderer_scheduling)
             failed = False
             try:
                 self._warm_up()
-                if await _first(self._camera.wait_ready(), stop.wait()):
+                children_ready = asyncio.gather(self._camera.wait_ready(), self._faults.wait_ready())
+                if await _first(children_ready, stop.wait()):
                     addresses["modbus"] = await self._coupler.start(modbus)
-                    self._face.start(face)
                     self._integrator.start()
                     failed = await self._served(self._camera, addresses, stop)
             finally:
@@ -124,6 +125,7 @@ class PlantService:
         self._sensor_words()
 
     def _after_step(self, deadline_ns: int) -> None:
+        self._faults.step()
         self._words = None
         self._tell_status()
         self._tell_faults(deadline_ns)
@@ -211,7 +213,11 @@ class PlantService:
 
     def _memory(self) -> dict[str, float]:
         assert self._camera is not None
-        return {"plant_rss_mb": resident_mb(), "renderer_rss_mb": resident_mb(self._camera.pid)}
+        return {
+            "plant_rss_mb": resident_mb(),
+            "renderer_rss_mb": resident_mb(self._camera.pid),
+            "fault_api_rss_mb": resident_mb(self._faults.pid),
+        }
 
     def _work(self) -> dict[str, Tally]:
         assert self._camera is not None
@@ -239,10 +245,9 @@ class PlantService:
 
     async def _shut_down(self) -> None:
         self._integrator.stop()
-        await self._face.stop()
         await self._coupler.stop()
-        if self._camera is not None:
-            await self._camera.stop()
+        ending = [self._faults.stop()] + ([] if self._camera is None else [self._camera.stop()])
+        await asyncio.gather(*ending)
         self._tell_faults(time.monotonic_ns())
         if self._recorder is not None:
             self._recorder.close()

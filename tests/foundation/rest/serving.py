@@ -22,10 +22,12 @@ class Serving(NamedTuple):
 
 
 @contextlib.contextmanager
-def serving(app: FastAPI, access: Access = ANYBODY_HERE, log: EventLog | None = None) -> Iterator[Serving]:
+def serving(
+    app: FastAPI, access: Access = ANYBODY_HERE, log: EventLog | None = None, places: int | None = None
+) -> Iterator[Serving]:
     """``app``, served for as long as the block lasts."""
     started, leave = threading.Event(), threading.Event()
-    server = RestServer(app, access, log)
+    server = RestServer(app, access, log, places)
     with socket.create_server(("127.0.0.1", 0)) as listening:
 
         async def serve() -> None:

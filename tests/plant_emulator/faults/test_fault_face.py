@@ -16,10 +16,14 @@ from hypothesis import strategies as st
 from foundation.event_log import EventLog
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.fault_execution import carry_out, fault_state
 from plant_emulator.core.faults.kinds import FAULTS
+from plant_emulator.core.faults.orders import FaultOrder, FaultState, MendOrder, OrderMessage
 from plant_emulator.core.layout import JOINTS
 from plant_emulator.core.plant import Plant
-from plant_emulator.shell.fault_api import FaultFace, create_app
+from plant_emulator.shell import fault_api
+from plant_emulator.shell.fault_api import create_app, serve
+from protocol.errors import LinkLost, RequestRefused
 from tests.plant_emulator.camera.camera_world import scene_config
 from tests.plant_emulator.faults.test_faults import EVERY
 from tests.plant_emulator.plant_world import plant_config
@@ -27,6 +31,27 @@ from tests.plant_emulator.plant_world import plant_config
 pytestmark = pytest.mark.realtime
 
 MS = 1_000_000
+
+
+class NearPlant:
+    """A plant without a link in between; what would cross it is JSON all the same."""
+
+    def __init__(self, plant: Plant) -> None:
+        self._plant = plant
+        self._scene = Scene(scene_config())
+
+    async def state(self) -> FaultState:
+        """The state now."""
+        return FaultState.model_validate_json(fault_state(self._plant).model_dump_json())
+
+    async def ask(self, order: FaultOrder | MendOrder) -> list[dict[str, Any]]:
+        """The faults that an order made or mended."""
+        message = OrderMessage.model_validate_json(OrderMessage(number=1, order=order).model_dump_json())
+        answer = carry_out(message, self._plant, self._scene.cover).answer
+        assert answer is not None
+        if answer.cause:
+            raise RequestRefused(answer.cause, answer.detail)
+        return list(answer.concerned)
 
 
 class Client:
@@ -65,14 +90,14 @@ def plant() -> Plant:
 
 @pytest.fixture
 def face(plant: Plant) -> Client:
-    return Client(create_app(plant, Scene(scene_config()), True))
+    return Client(create_app(NearPlant(plant), True))
 
 
 @pytest.fixture(scope="module")
 def whole() -> tuple[Client, Plant]:
     """A face and its plant for tests that break nothing, nor mend."""
     plant = Plant(plant_config(), seed=1)
-    return Client(create_app(plant, Scene(scene_config()), True)), plant
+    return Client(create_app(NearPlant(plant), True)), plant
 
 
 def problem(response: httpx.Response, status: int, cause: str) -> str:
@@ -194,7 +219,7 @@ def test_unknown_ways_are_problems_too(face: Client) -> None:
 
 def test_without_permission_everything_can_be_read_and_nothing_broken_or_mended(plant: Plant) -> None:
     planned = plant.inject(FAULTS["supply_lost"]())  # type: ignore[arg-type]
-    face = Client(create_app(plant, Scene(scene_config()), False))
+    face = Client(create_app(NearPlant(plant), False))
     assert face.get("/faults").json()["allowed"] is False
     assert face.get(f"/faults/{planned.number}").status_code == 200
     assert len(face.get("/faults/kinds").json()) == len(FAULTS)
@@ -242,12 +267,12 @@ def test_whatever_is_sent_is_obeyed_or_refused_with_a_cause(whole: tuple[Client,
     assert plant.faults.all() == before
 
 
-async def test_without_permission_a_body_is_refused_before_it_comes(plant: Plant) -> None:
+async def test_without_permission_a_body_is_refused_before_it_comes() -> None:
     """Over a real socket: the answer is there although of 50 MB not one byte was sent."""
     config = FaultApiConfig(host="127.0.0.1", port=0, allowed=False)
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        face = FaultFace(plant, Scene(scene_config()), config, EventLog("plant_emulator", io.StringIO()))
-        face.start(listening)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with theirs, socket.create_server(("127.0.0.1", 0)) as listening:
+        serving = asyncio.create_task(serve(config, listening, theirs, EventLog("fault_api", io.StringIO())))
         port = listening.getsockname()[1]
         for framing in ("Content-Length: 50000000", "Content-Length: 9", "Transfer-Encoding: chunked"):
             answer = await _answer(port, f"POST /faults HTTP/1.1\r\nHost: localhost\r\n{framing}\r\n\r\n")
@@ -255,7 +280,28 @@ async def test_without_permission_a_body_is_refused_before_it_comes(plant: Plant
             assert b'"refused.faults_not_allowed"' in answer
         answer = await _answer(port, "DELETE /faults HTTP/1.1\r\nHost: evil.example\r\n\r\n")
         assert b'"refused.foreign_host"' in answer
-        await face.stop()
+        ours.close()
+        await serving
+
+
+async def test_a_plant_that_says_nothing_is_told_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fault_api, "_ANSWER_WITHIN_S", 0.05)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        link = fault_api.DeskLink(theirs)
+        with pytest.raises(LinkLost, match="has not answered"):
+            await link.state()
+        with pytest.raises(LinkLost, match="has not answered"):
+            await link.ask(MendOrder(number=None))
+        late = (
+            '{"state": {"time_ns": 5, "active": [], "planned": []}, "answer": {"number": %d, "detail": "%s"}}'
+        )
+        asking = asyncio.create_task(link.ask(MendOrder(number=None)))
+        await asyncio.sleep(0)
+        for number in (1, 2):  # the first was given up, and answered late
+            ours.send((late % (number, "" if number == 2 else "late")).encode())
+        assert await asking == []
+        assert (await link.state()).time_ns == 5
 
 
 async def _answer(port: int, request: str) -> bytes:

@@ -7,11 +7,11 @@ from fastapi.routing import APIRoute
 
 from foundation.configuration import load
 from plant_emulator.config.service import PlantServiceConfig
-from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import FAULTS, Joint, Side
 from plant_emulator.core.plant import Plant
 from plant_emulator.shell import fault_api
-from tests.plant_emulator.camera.camera_world import CONFIGS, scene_config
+from tests.plant_emulator.camera.camera_world import CONFIGS
+from tests.plant_emulator.faults.test_fault_face import NearPlant
 from tests.plant_emulator.plant_world import plant_config
 from tests.support.pages import page, rows
 
@@ -59,6 +59,6 @@ def test_the_address_and_the_ways_are_those_of_the_face() -> None:
     service = load(PlantServiceConfig, CONFIGS / "plant_service.yaml")
     assert f"{service.fault_face.host}:{service.fault_face.port}" in PAGE
     assert service.fault_face.allowed is False
-    app = fault_api.create_app(Plant(plant_config(), seed=1), Scene(scene_config()), True)
+    app = fault_api.create_app(NearPlant(Plant(plant_config(), seed=1)), True)
     ways = {route.path for route in app.routes if isinstance(route, APIRoute)}
     assert ways == {"/faults", "/faults/kinds", "/faults/{number}"}

@@ -199,20 +199,45 @@ def check_recording(path: Path, captured: dict[int, int]) -> None:
     assert [event.fields["event"] for event in recording.events].count("status") >= 1
 
 
-def test_a_killed_plant_takes_its_renderer_along() -> None:
-    with running() as (process, _):
-        (renderer,) = children(process.pid)
+def child(pid: int, module: str) -> int:
+    """Process number of the child of ``pid`` that runs ``module``."""
+    limit = time.monotonic() + READY_S
+    while time.monotonic() < limit:  # a process that has just begun does not show its command line yet
+        for child in children(pid):
+            if module in Path(f"/proc/{child}/cmdline").read_text().split("\0"):
+                return child
+        time.sleep(0.02)
+    raise AssertionError(f"no {module} among the children of {pid}")
+
+
+def test_a_killed_plant_takes_its_children_along() -> None:
+    with running() as (process, ready):
+        both = children(process.pid)
+        assert len(both) == 2
+        face = f"http://127.0.0.1:{ready['fault_face']['port']}/faults"
+        assert httpx.get(face, timeout=READY_S).status_code == 200  # it looks for its plant once it serves
         os.kill(process.pid, signal.SIGKILL)
-        assert gone(renderer, 2.0)
+        assert all(gone(pid, 3.0) for pid in both)
 
 
 def test_a_renderer_that_ends_by_itself_ends_the_plant() -> None:
     with running() as (process, _):
-        (renderer,) = children(process.pid)
-        os.kill(renderer, signal.SIGKILL)
+        os.kill(child(process.pid, "plant_emulator.shell.renderer"), signal.SIGKILL)
         assert process.wait(3.0) == 1
         assert process.stderr is not None
         assert "link.renderer_ended" in process.stderr.read()
+
+
+def test_a_plant_goes_on_without_its_fault_api() -> None:
+    with running() as (process, ready):
+        os.kill(child(process.pid, "plant_emulator.shell.fault_api"), signal.SIGKILL)
+        assert process.stderr is not None
+        assert any("link.fault_api_ended" in line for line in iter(process.stderr.readline, ""))
+        with socket.create_connection(("127.0.0.1", ready["modbus"]["port"]), timeout=5.0) as bus:
+            bus.sendall(bytes.fromhex("000100000006010300000001"))
+            assert len(bus.recv(64)) == 11
+        process.terminate()
+        assert process.wait(5.0) == 0
 
 
 def test_a_renderer_that_breaks_says_so_in_the_schema_of_the_log() -> None:

@@ -1,0 +1,51 @@
+"""Orders carried out on the plant."""
+
+from collections.abc import Callable
+
+from plant_emulator.core.faults.kinds import MarkerCovered
+from plant_emulator.core.faults.orders import (
+    FaultOrder,
+    FaultState,
+    MendOrder,
+    OrderAnswer,
+    OrderMessage,
+    PlantMessage,
+)
+from plant_emulator.core.faults.schedule import Injection
+from plant_emulator.core.plant import Plant
+from protocol.errors import RequestRefused
+
+Cover = Callable[[MarkerCovered], object]
+
+
+def fault_state(plant: Plant) -> FaultState:
+    """The plant's faults now."""
+    active, planned = (
+        [one.as_dict() for one in some] for some in (plant.faults.active, plant.faults.planned)
+    )
+    return FaultState.model_construct(time_ns=plant.time_ns, active=active, planned=planned)
+
+
+def carry_out(message: OrderMessage, plant: Plant, cover: Cover) -> PlantMessage:
+    """What the plant says to an order, which is carried out or refused. ``cover``: ``Scene.cover``."""
+    try:
+        concerned = _obeyed(message.order, plant, cover)
+    except RequestRefused as refused:
+        answer = OrderAnswer(number=message.number, cause=refused.cause, detail=str(refused))
+    else:
+        answer = OrderAnswer(number=message.number, concerned=tuple(one.as_dict() for one in concerned))
+    return PlantMessage(state=fault_state(plant), answer=answer)
+
+
+def _obeyed(order: FaultOrder | MendOrder, plant: Plant, cover: Cover) -> list[Injection]:
+    if isinstance(order, MendOrder):
+        if order.number is not None:
+            return [plant.clear(order.number)]
+        mended = list(plant.faults.all())
+        plant.clear_faults()
+        return mended
+    if isinstance(order.fault, MarkerCovered):
+        cover(order.fault)
+    start_ns = plant.time_ns + round(1e9 * order.start_after_s)
+    duration_ns = None if order.duration_s is None else max(round(1e9 * order.duration_s), 1)
+    return [plant.inject(order.fault, start_ns, duration_ns)]

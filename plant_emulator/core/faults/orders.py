@@ -1,0 +1,59 @@
+"""Orders to break and mend the running plant, and what is told of its faults: data between API and plant.
+
+The fault API is a process of its own (decision 0022). These models are all that crosses over, as JSON.
+"""
+
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from foundation.configuration import StrictModel
+from plant_emulator.core.faults.kinds import Fault
+
+LONGEST_S = 3600.0
+MOST_BYTES = 1 << 16  # of a message; 64 faults are a third of it
+
+
+class FaultOrder(StrictModel):
+    """A fault, ``start_after_s`` of simulated time from now, for ``duration_s`` (null: until cleared)."""
+
+    fault: Annotated[Fault, Field(discriminator="kind")]
+    start_after_s: Annotated[float, Field(ge=0.0, le=LONGEST_S)] = 0.0
+    duration_s: Annotated[float, Field(gt=0.0, le=LONGEST_S)] | None = None
+
+
+class MendOrder(StrictModel):
+    """Mend the fault of this number, or every fault (null)."""
+
+    number: int | None
+
+
+class OrderMessage(StrictModel):
+    """API → plant: the ``number``-th order."""
+
+    number: int
+    order: FaultOrder | MendOrder
+
+
+class FaultState(StrictModel):
+    """Simulated time (ns), and the faults in force and planned at that time, as ``Injection.as_dict``."""
+
+    time_ns: int
+    active: list[dict[str, Any]]
+    planned: list[dict[str, Any]]
+
+
+class OrderAnswer(StrictModel):
+    """What became of the ``number``-th order: the faults it concerned, or why it is refused."""
+
+    number: int
+    concerned: tuple[dict[str, Any], ...] = ()
+    cause: str = ""
+    detail: str = ""
+
+
+class PlantMessage(StrictModel):
+    """Plant → API: the state now, after the order that is answered, if one is."""
+
+    state: FaultState
+    answer: OrderAnswer | None = None
