@@ -93,7 +93,7 @@ static struct { uint64_t id, fresh_ns, begun_ns, at_ns; uint32_t number; bool an
 static bool approaching; /* MOVING after END_STREAM */
 
 static const double SPEED[2] = {0.25, 0.21}, ACCELERATION[2] = {0.35, 0.35}, JERK[2] = {3.0, 2.6}; /* m, rad */
-static const double FAR[2] = {0.5, 0.5236}, TWIST = 0.8 / 1.7320508, GREATEST_AGE_S = 0.25, RAMP_S = 0.25, LAG_S = 0.05, SHORTEST_S = 0.01;
+static const double FAR[2] = {0.5, 0.5236}, TWIST = 0.8 / 1.7320508, GREATEST_AGE_S = 0.25, RAMP_S = 0.25, LAG_S = 0.05, SHORTEST_S = 0.01, LONGEST_S = 600;
 static const double LOW[3] = {1.0, -3.0, -1.0}, HIGH[3] = {6.0, 3.0, 4.0};
 static const int SILENCE_MS = 100, STREAM_RAMP_MS = 12, RECOVERY_MS = 100, FIRST_REFERENCE_MS = 1000;
 
@@ -210,6 +210,8 @@ static void admit(int kind, const Byte *payload) { /* 6.2 to 6.5 */
   Byte without_padding[1376];
   memcpy(without_padding, payload, (size_t)PAYLOAD[kind]);
   if (kind != REFERENCE_POSE) memset(without_padding + 12, 0, 4); /* 1.8 */
+  uint32_t used = kind == REFERENCE_PATH ? GET(uint32_t, payload, 8) : WAYPOINTS;
+  if (used < WAYPOINTS) memset(without_padding + 16 + 56 * used, 0, 56 * (WAYPOINTS - used)); /* 6.8 */
   uint64_t id = GET(uint64_t, payload, 0);
   uint32_t content = crc(without_padding, (size_t)PAYLOAD[kind], (uint32_t)kind);
   for (int k = 0; k < ANSWERS; k++)
@@ -385,9 +387,15 @@ static void axes_of(const double *pose, double *axes) {
   for (int k = 0; k < 3; k++) axes[3 + k] = scale * turn[1 + k];
 }
 
-static Decision pose_fits(const double *pose) {
-  double norm = sqrt(pose[3] * pose[3] + pose[4] * pose[4] + pose[5] * pose[5] + pose[6] * pose[6]);
-  if (fabs(norm - 1) > 1e-3) return (Decision){NOT_UNIT_QUATERNION, norm, 1};
+static Decision is_pose(const Byte *from, int index, int count) { /* 1.5, 3.7 */
+  if (subnormal_or_not_finite(from, 7)) return (Decision){NOT_FINITE, index, count};
+  double q[4];
+  memcpy(q, from + 24, sizeof q);
+  double norm = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+  return fabs(norm - 1) > 1e-3 ? (Decision){NOT_UNIT_QUATERNION, norm, 1} : (Decision){ACCEPTED, 0, 0};
+}
+
+static Decision place_fits(const double *pose) {
   for (int k = 0; k < 3; k++) {
     if (pose[k] < LOW[k]) return (Decision){OUTSIDE_WORKSPACE, pose[k], LOW[k]};
     if (pose[k] > HIGH[k]) return (Decision){OUTSIDE_WORKSPACE, pose[k], HIGH[k]};
@@ -423,28 +431,26 @@ static Decision timed(double given, const double *from, const double *to, double
   return (Decision){ACCEPTED, 0, 0};
 }
 
-static Decision duration_fits(double seconds) {
-  if (seconds < 0) return (Decision){BAD_DURATION, seconds, 0};
-  if (seconds != 0 && seconds < SHORTEST_S) return (Decision){BAD_DURATION, seconds, SHORTEST_S};
-  return seconds > 600 ? (Decision){BAD_DURATION, seconds, 600} : (Decision){ACCEPTED, 0, 0};
-}
-
-static Decision follow(const Byte *poses, int count, double seconds, double dwell_s, uint64_t id) { /* 6.7 to 6.9 */
-  double pose[7], from[6], T[WAYPOINTS], to[WAYPOINTS][6];
-  Decision d = {ACCEPTED, 0, 0};
-  for (int k = 0; k < count; k++)
-    for (int j = 0; j < 7; j++)
-      if (subnormal_or_not_finite(poses + 56 * k + 8 * j, 1)) return (Decision){NOT_FINITE, k, count};
+static Decision times_fit(double seconds, double dwell_s) {
   if (subnormal_or_not_finite((Byte *)&seconds, 1) || subnormal_or_not_finite((Byte *)&dwell_s, 1))
     return (Decision){NOT_FINITE, 0, 0};
+  if (seconds != 0 && seconds < SHORTEST_S) return (Decision){BAD_DURATION, seconds, SHORTEST_S};
+  double most = fmax(seconds, dwell_s);
+  if (most > LONGEST_S) return (Decision){BAD_DURATION, most, LONGEST_S};
+  return dwell_s < 0 ? (Decision){BAD_DURATION, dwell_s, 0} : (Decision){ACCEPTED, 0, 0};
+}
+
+static Decision follow(const Byte *poses, int count, double seconds, double dwell_s, uint64_t id) { /* 6.7 to 6.10 */
+  double pose[7], from[6], T[WAYPOINTS], to[WAYPOINTS][6];
+  Decision d = {ACCEPTED, 0, 0};
+  for (int k = 0; k < count && !d.reason; k++) d = is_pose(poses + 56 * k, k, count);
+  if (!d.reason) d = times_fit(seconds, dwell_s);
   memcpy(from, at, sizeof at);
   for (int k = 0; k < count && !d.reason; k++) {
     memcpy(pose, poses + 56 * k, sizeof pose);
-    d = pose_fits(pose);
+    d = place_fits(pose);
     axes_of(pose, to[k]);
   }
-  if (!d.reason) d = duration_fits(seconds);
-  if (!d.reason) d = duration_fits(dwell_s);
   for (int k = 0; k < count && !d.reason; k++) {
     d = timed(seconds, from, to[k], &T[k]);
     memcpy(from, to[k], sizeof from);
@@ -597,10 +603,11 @@ static Decision streamed_fits(uint64_t now) { /* 12.4 */
   if (reason) return (Decision){reason, 0, 0};
   if (stream.any && (int32_t)(number - stream.number) <= 0) return (Decision){OVERTAKEN, number, stream.number};
   if (age_s > GREATEST_AGE_S) return (Decision){STALE, age_s, GREATEST_AGE_S};
-  if (subnormal_or_not_finite(p + 24, 13)) return (Decision){NOT_FINITE, 0, 1};
+  Decision d = is_pose(p + 24, 0, 1);
+  if (!d.reason && subnormal_or_not_finite(p + 80, 6)) return (Decision){NOT_FINITE, 0, 1};
+  if (d.reason) return d;
   memcpy(pose, p + 24, sizeof pose);
-  Decision d = pose_fits(pose);
-  if (d.reason == NOT_UNIT_QUATERNION) return d;
+  d = place_fits(pose);
   for (int k = 0; k < 6; k++) {
     double v = fabs(GET(double, p, 80 + 8 * k)), limit = TWIST * SPEED[k >= 3];
     if (v > limit && v / limit > fastest) fastest = v / limit, d = (Decision){TOO_FAST, v, limit};
