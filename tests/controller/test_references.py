@@ -145,6 +145,42 @@ def test_what_is_accepted_near_the_singularity_is_followed_to_its_end(settings: 
     assert answers[-1] in (Reason.SINGULAR, Reason.JOINT_LIMIT)
 
 
+def _defects(bench: Bench) -> dict[str, Pose]:
+    here = bench.shifted(z=0.05)
+    return {
+        "sound": here,
+        "half a metre": bench.shifted(z=0.5),
+        "NaN": Pose((math.nan, 0.0, 1.0), here.q_wxyz),
+        "norm 2": Pose(here.p_m, tuple(2.0 * c for c in here.q_wxyz)),  # type: ignore[arg-type]
+        "1 km away": bench.shifted(z=1000.0),
+        "above": bench.shifted(z=2.9)._replace(p_m=(bench.shifted().p_m[0], 0.0, 4.6)),
+    }
+
+
+@pytest.mark.parametrize(
+    ("poses", "segment_s", "dwell_s", "answer"),
+    [
+        (["norm 2", "NaN"], 0.0, 0.0, Reason.NOT_UNIT_QUATERNION),
+        (["NaN", "norm 2"], 0.0, 0.0, Reason.NOT_FINITE),
+        (["sound", "norm 2"], math.nan, 0.0, Reason.NOT_UNIT_QUATERNION),
+        (["sound"], 0.01, math.nan, Reason.NOT_FINITE),
+        (["1 km away"], 0.01, 0.0, Reason.BAD_DURATION),
+        (["1 km away"], 0.0, -1.0, Reason.BAD_DURATION),
+        (["1 km away", "above"], 0.0, 0.0, Reason.TOO_FAR),
+        (["half a metre", "above"], 0.5, 0.0, Reason.OUTSIDE_WORKSPACE),
+        (["half a metre", "sound"], 0.5, 0.0, Reason.TOO_FAST),
+        (["sound", "sound"], 300.0, 0.0, Reason.BAD_DURATION),
+    ],
+)
+def test_the_content_is_judged_in_the_order_of_the_page(
+    bench: Bench, poses: list[str], segment_s: float, dwell_s: float, answer: Reason
+) -> None:
+    known = _defects(bench)
+    path = ReferencePath(9, tuple(known[name] for name in poses), segment_s, dwell_s)
+    assert bench.step(path).acknowledgements[0].reason is answer
+    _assert_nothing_moves(bench)
+
+
 def test_counts_and_durations_are_checked(bench: Bench, config: ControllerConfig) -> None:
     here = bench.shifted(z=0.05)
     motion = config.motion
