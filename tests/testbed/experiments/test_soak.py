@@ -1,6 +1,8 @@
 """The soak's account: growth, incidents and what explains them, faults, and a duty that goes on."""
 
+import json
 import math
+from pathlib import Path
 from typing import Any, cast
 
 import pytest
@@ -11,7 +13,7 @@ from protocol.errors import LinkLost, LongreachError
 from testbed.experiments.robustness.soak import duty as duty_module
 from testbed.experiments.robustness.soak.disturbances import DISTURBANCES
 from testbed.experiments.robustness.soak.duty import Duty
-from testbed.experiments.robustness.soak.incidents import AFTERMATH_S, Journal
+from testbed.experiments.robustness.soak.incidents import AFTERMATH_S, OVERLOAD, Journal
 from testbed.experiments.robustness.soak.report import LONG_ENOUGH_MIN, checks
 from testbed.experiments.robustness.soak.resources import Growth, ResourceSample, growth
 from testbed.realtime.rest_rig import JSON, RestRig
@@ -52,6 +54,7 @@ def test_handles_that_are_never_closed_show() -> None:
 def test_a_fault_explains_what_happens_while_it_lasts_and_just_after(clock: list[float]) -> None:
     journal = Journal()
     journal.incident("look", "measurement.object_not_seen", "before")
+    clock[0] += 0.1
     journal.fault("camera_blind", 2.0)
     journal.incident("look", "measurement.object_not_seen", "during")
     clock[0] += 2.0 + AFTERMATH_S
@@ -69,6 +72,21 @@ def test_every_disturbance_is_a_fault_that_the_plant_takes(disturbance: Any) -> 
     assert type(fault) is FAULTS[disturbance.fault["kind"]]
     shortest, longest = disturbance.duration_s
     assert 0.0 < shortest < longest < 30.0
+
+
+def test_overload_that_a_service_told_explains_what_came_just_before(
+    clock: list[float], tmp_path: Path
+) -> None:
+    journal = Journal()
+    clock[0] += 10.0
+    journal.incident("poller", "link.link_timeout", "just before")
+    clock[0] += 60.0
+    journal.incident("poller", "link.link_timeout", "long after")
+    log = tmp_path / "vision_pc.log"
+    told = {"event": "overloaded", "level": "warning", "time_ns": 113_000_000_000}
+    log.write_text(f"no event\n{json.dumps(told)}\n")
+    journal.read_overloads([log])
+    assert [i.explained_by for i in journal.incidents] == [OVERLOAD, ""]
 
 
 class _Rig:

@@ -94,22 +94,34 @@ def _soaked(launch: Launch, request: SoakRequest) -> dict[str, Any]:
                 err.print(f"the soak ended early: {ended_by}", markup=False)
             for client in reversed(clients):
                 client.end()
-    half, high, top = poller.percentiles_ms()
+    journal.read_overloads(launch.directory / f"{name}.log" for name in watch.samples)
     recoveries = duty.recoveries_s[1:]
-    return _statistics(launch, ready) | {
+    return _statistics(launch, ready) | _of_clients(poller, followers) | _of_incidents(journal) | {
         "minutes": journal.now_s / 60.0,
         "ended_by": ended_by,
         "operations": dict(duty.done),
         "recoveries": {"count": len(recoveries), "longest_s": max(recoveries, default=0.0)},
-        "polls": {"count": len(poller.waits_ms), "p50_ms": half, "p99_ms": high, "max_ms": top},
-        "followers": [{"operations": each.followed, "events": each.events} for each in followers],
-        "faults": [fault._asdict() for fault in journal.faults],
-        "incidents": [incident._asdict() for incident in journal.incidents],
-        "incident_counts": [(*key, count) for key, count in sorted(journal.counts().items())],
-        "unexplained": len(journal.unexplained),
         "growth": _growth(watch, seconds),
         "directory": launch.directory,
     }  # fmt: skip
+
+
+def _of_clients(poller: Poller, followers: list[Follower]) -> dict[str, Any]:
+    half, high, top = poller.percentiles_ms()
+    return {
+        "polls": {"count": len(poller.waits_ms), "p50_ms": half, "p99_ms": high, "max_ms": top},
+        "followers": [{"operations": each.followed, "events": each.events} for each in followers],
+    }
+
+
+def _of_incidents(journal: Journal) -> dict[str, Any]:
+    return {
+        "faults": [fault._asdict() for fault in journal.faults],
+        "overloads": len(journal.overloads),
+        "incidents": [incident._asdict() for incident in journal.incidents],
+        "incident_counts": [(*key, count) for key, count in sorted(journal.counts().items())],
+        "unexplained": len(journal.unexplained),
+    }
 
 
 def _readers(launch: Launch, journal: Journal) -> tuple[Poller, *tuple[Follower, ...]]:

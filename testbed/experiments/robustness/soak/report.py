@@ -21,7 +21,7 @@ def checks(figures: dict[str, Any]) -> list[Check]:
         Check("ended by", figures["ended_by"] or "the clock", "the clock", not figures["ended_by"]),
         at_most("controller's scans that were late", figures["controller"]["overruns_percent"],
                 OVERRUNS_WANTED_PERCENT, "%"),
-        at_most("incidents that no fault explains", figures["unexplained"], 0),
+        at_most("incidents that neither a fault nor overload explains", figures["unexplained"], 0),
     ]  # fmt: skip
     for name, grown in figures["growth"].items():
         limit = GROWTH_WANTED_MB_PER_H if long_enough and math.isfinite(grown.mb_per_h) else None
@@ -80,6 +80,7 @@ def _show_facts(figures: dict[str, Any]) -> None:
         ("operations followed, events seen", ", ".join(
             f"{each['operations']}, {each['events']}" for each in figures["followers"])),
         ("faults injected", len(figures["faults"])),
+        ("times that a service told of overload", figures["overloads"]),
         ("times enabled again, longest wait", f"{recoveries['count']}, {recoveries['longest_s']:.1f} s"),
     ]  # fmt: skip
     out.print(table("pictures, fieldbus, clients", ("what", "figure"), facts))
