@@ -13,6 +13,7 @@ LOOP = "loop"
 _TICK_S = 0.05
 _LOOK_S = 1.0
 _LOOP_LIMIT_PERCENT = 20.0
+_TELL_AGAIN_NS = 30_000_000_000  # while it lasts
 DISK_LOW_MB, DISK_FULL_MB = 200.0, 20.0
 
 
@@ -36,6 +37,8 @@ class SelfWatch:
         self._counts = counts
         self._record_dir = record_dir
         self._ticks = Tally(0, 0)
+        self._told_ns = 0
+        self._disk_level = 0
 
     @property
     def overload(self) -> str:
@@ -59,9 +62,10 @@ class SelfWatch:
         """Compare and tell what has changed."""
         before = self._overload.told
         told = self._overload.update(now_ns, {LOOP: self._ticks} | dict(self._counts()))
-        if told:
-            self._log.write_repeated("", "overloaded", "warning", cause="machine.overloaded", detail=told)
-        elif before:
+        if told and (not before or now_ns - self._told_ns >= _TELL_AGAIN_NS):
+            self._told_ns = now_ns
+            self._log.write("overloaded", "warning", cause="machine.overloaded", detail=told)
+        elif before and not told:
             self._log.write("overload_over", detail="the machine keeps up again")
         if self._record_dir is not None:
             self._look_at_disk(self._record_dir)
@@ -72,6 +76,8 @@ class SelfWatch:
         except OSError:
             free_mb = 0.0  # the directory has gone
         self._log.room = free_mb >= DISK_FULL_MB
-        if free_mb < DISK_LOW_MB:
+        level = sum(free_mb < limit for limit in (DISK_LOW_MB, DISK_FULL_MB))
+        if level > self._disk_level:
             told = f"{directory}: {free_mb:.0f} MB left; below {DISK_FULL_MB:.0f} MB no motion is begun"
-            self._log.write_repeated("", "disk_low", "warning", cause="recording.disk_low", detail=told)
+            self._log.write("disk_low", "warning", cause="recording.disk_low", detail=told)
+        self._disk_level = level

@@ -102,7 +102,10 @@ def test_overload_and_its_end_are_events(recorded: tuple[EventLog, list[float]],
     scans[0] = Tally(1100, 50)
     watch.look(7 * S)
     assert watch.overload == ""
+    scans[0] = Tally(1200, 100)
+    watch.look(8 * S)
+    watch.look(9 * S)
     log.close()
     events = (tmp_path / "events.jsonl").read_text()
-    assert events.count("machine.overloaded") == 1
+    assert events.count("machine.overloaded") == 2  # at each beginning, not at each look
     assert events.count("overload_over") == 1

@@ -83,10 +83,14 @@ def test_overload_that_a_service_told_explains_what_came_just_before(
     clock[0] += 60.0
     journal.incident("poller", "link.link_timeout", "long after")
     log = tmp_path / "vision_pc.log"
-    told = {"event": "overloaded", "level": "warning", "time_ns": 113_000_000_000}
-    log.write_text(f"no event\n{json.dumps(told)}\n")
+    events = [
+        {"event": name, "level": "warning", "time_ns": round(1e9 * at_s)}
+        for name, at_s in (("overloaded", 113.0), ("overloaded", 143.0), ("overload_over", 150.0))
+    ]
+    log.write_text("\n".join(["no event", *map(json.dumps, events)]))
     journal.read_overloads([log])
     assert [i.explained_by for i in journal.incidents] == [OVERLOAD, ""]
+    assert [tuple(each) for each in journal.overloads] == [(OVERLOAD, 8.0, 50.0)]
 
 
 class _Rig:

@@ -67,11 +67,18 @@ class Journal:
     def read_overloads(self, logs: Iterable[Path]) -> None:
         """Take over when the services said in their ``logs`` that the machine was overloaded.
 
-        What they say stands for the seconds before it.
+        From the seconds before they said so to the end that they told, or to that of the soak.
         """
-        for event in (event for path in logs for event in _overloaded(path)):
-            at_s = 1e-9 * event["time_ns"] - self._began_s
-            self.overloads.append(Explanation(OVERLOAD, at_s - 1e-9 * WINDOW_NS, at_s))
+        for path in logs:
+            begun_s: float | None = None
+            for event, at_s in _overloads(path, self._began_s):
+                if event == "overloaded" and begun_s is None:
+                    begun_s = at_s - 1e-9 * WINDOW_NS
+                elif event == "overload_over" and begun_s is not None:
+                    self.overloads.append(Explanation(OVERLOAD, begun_s, at_s))
+                    begun_s = None
+            if begun_s is not None:
+                self.overloads.append(Explanation(OVERLOAD, begun_s, self.now_s))
 
     @property
     def incidents(self) -> list[Incident]:
@@ -95,8 +102,9 @@ class Journal:
         return Counter((i.who, i.cause, i.explained_by) for i in self.incidents)
 
 
-def _overloaded(log: Path) -> Iterator[dict[str, float]]:
+def _overloads(log: Path, began_s: float) -> Iterator[tuple[str, float]]:
+    """Names and times of a log's events about overload."""
     for line in log.read_text(encoding="utf-8").splitlines():
         event = event_of(line)
-        if event is not None and event["event"] == "overloaded":
-            yield event
+        if event is not None and event["event"] in ("overloaded", "overload_over"):
+            yield event["event"], 1e-9 * event["time_ns"] - began_s
