@@ -24,6 +24,8 @@ _COUPLER_MODULES = (
 _MODULES = (
     "framing", "sessions", "handshake", "lifetime", "order", "requests", "repetitions", "group", "motion",
     "endings", "stops", "streaming", "authentication", "transitions",
+    "answers", "datagrams.sent", "datagrams.refusals", "datagrams.drops", "datagrams.clocks",
+    "datagrams.replays",
 )  # fmt: skip
 
 

@@ -59,8 +59,9 @@ class NonceSource:
     """Nonces and command ids that rise through a whole run, from a random start."""
 
     def __init__(self, start: int) -> None:
-        self._nonce = start % 2**62 + 1
-        self._command_id = ((start % 2**21) << 32) + 1
+        # Half of a nonce is none of the run, and below every id there is room.
+        self._nonce = 2**61 + start % 2**61
+        self._command_id = ((start % 2**21) << 32) + 2**16
 
     def draw(self) -> int:
         """The next nonce."""

@@ -104,6 +104,7 @@ def requests_keep_alive(peer: Peer) -> None:
 @case(228, "2.3", "a controller without a session sends nothing")
 def quiet(peer: Peer) -> None:
     peer.open()
+    peer.collect(100)
     peer.leave()
     peer.collect(30, beating=False)
     silent(peer, 300, but=Hello)

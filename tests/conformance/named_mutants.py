@@ -4,6 +4,7 @@ from conformance.runner import reference_cases
 from tests.conformance.ending_mutants import ENDING_MUTANTS
 from tests.conformance.handshake_mutants import HANDSHAKE_MUTANTS
 from tests.conformance.key_mutants import KEY, KEY_MUTANTS
+from tests.conformance.link_mutants import LINK_KEY_MUTANTS, LINK_MUTANTS
 from tests.conformance.mutant_report import BrokenController
 from tests.conformance.mutants import MUTANTS as PLAIN_MUTANTS
 from tests.conformance.repetition_mutants import REPETITION_MUTANTS
@@ -18,6 +19,7 @@ MUTANTS = (
         for mutant in (
             *PLAIN_MUTANTS,
             *HANDSHAKE_MUTANTS,
+            *LINK_MUTANTS,
             *STOP_MUTANTS,
             *STREAM_MUTANTS,
             *ENDING_MUTANTS,
@@ -26,6 +28,6 @@ MUTANTS = (
     ),
     *(
         BrokenController(f"{mutant.make.__name__}-{mutant.case}", _CLAUSES[mutant.case], mutant.make, KEY)
-        for mutant in KEY_MUTANTS
+        for mutant in (*KEY_MUTANTS, *LINK_KEY_MUTANTS)
     ),
 )

@@ -11,6 +11,7 @@ from conformance.runner import reference_cases, run_reference
 from protocol.authentication import LinkKey
 from tests.conformance.controllers import ControllerUnderTest
 from tests.conformance.key_mutants import KEY, KEY_MUTANTS, KeyedController
+from tests.conformance.link_mutants import LINK_KEY_MUTANTS
 from tests.conformance.mutants import Mutant
 from tests.conformance.test_reference_suite import CONTROL, failures
 
@@ -41,7 +42,9 @@ def test_a_sound_controller_with_a_key_passes_every_case() -> None:
 
 
 @simulated
-@pytest.mark.parametrize("mutant", KEY_MUTANTS, ids=lambda m: f"{m.make.__name__}-{m.case}")
+@pytest.mark.parametrize(
+    "mutant", [*KEY_MUTANTS, *LINK_KEY_MUTANTS], ids=lambda m: f"{m.make.__name__}-{m.case}"
+)
 def test_each_broken_controller_is_caught_by_the_case_meant_for_it(mutant: Mutant) -> None:
     with mutant.make() as controller:
         summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, mutant.case], key=KEY)
@@ -50,7 +53,7 @@ def test_each_broken_controller_is_caught_by_the_case_meant_for_it(mutant: Mutan
 
 
 def test_every_case_of_authentication_is_shown_to_be_able_to_fail() -> None:
-    caught = {mutant.case for mutant in KEY_MUTANTS}
+    caught = {mutant.case for mutant in (*KEY_MUTANTS, *LINK_KEY_MUTANTS)}
     # 710 and 712 need two faults at once; 720 is refused by its length; 722 is for those without a key.
     assert caught | {710, 712, 720, 722} == OF_AUTHENTICATION
     assert len(reference_cases()) >= 120

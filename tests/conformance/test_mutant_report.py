@@ -2,6 +2,7 @@
 
 import pytest
 
+from conformance.runner import reference_cases
 from tests.conformance.controllers import ControllerUnderTest
 from tests.conformance.mutant_report import (
     BrokenController,
@@ -13,6 +14,9 @@ from tests.conformance.mutant_report import (
 )
 from tests.conformance.mutants import NoMagic
 
+# Streams are opened and left in many cases; no controller breaks just these clauses yet.
+OF_STREAMS_WITHOUT = {"12.1", "12.2", "12.10"}
+
 
 @pytest.mark.experiment
 def test_every_broken_controller_is_caught_or_it_is_said_why_not() -> None:
@@ -22,6 +26,11 @@ def test_every_broken_controller_is_caught_or_it_is_said_why_not() -> None:
     assert wrong == []
 
 
+def test_every_clause_that_is_asked_for_has_a_broken_controller() -> None:
+    broken = {each.clause for each in broken_controllers() if not each.unseen}
+    assert {case.clause for case in reference_cases()} - broken == OF_STREAMS_WITHOUT
+
+
 def test_no_two_broken_controllers_have_one_name() -> None:
     names = [(each.clause, each.name) for each in broken_controllers()]
     assert len(set(names)) == len(names)
@@ -29,8 +38,9 @@ def test_no_two_broken_controllers_have_one_name() -> None:
 
 def test_a_case_that_the_controller_passes_does_not_catch_it() -> None:
     broken = BrokenController("no magic", "3.5", NoMagic)
-    cases = [case for case in asked(None, "3.5") if case.number in (101, 102, 103)]
+    cases = [case for case in reference_cases() if case.number in (101, 102, 103)]
     assert verdict(broken, cases, every=True).caught_by == (102,)
+    assert verdict(broken, cases[::2]).caught_by == ()
 
 
 def test_a_controller_that_falls_over_is_caught() -> None:
@@ -39,7 +49,7 @@ def test_a_controller_that_falls_over_is_caught() -> None:
             raise ZeroDivisionError
 
     broken = BrokenController("falls over", "3.1", FallsOver)
-    assert verdict(broken, asked(None, "3.1")[:1]).caught_by == (101,)
+    assert verdict(broken, asked(None, "3.1")).caught_by == (101,)
 
 
 def test_the_report_counts_by_clause_and_names_what_is_not_as_it_should_be() -> None:

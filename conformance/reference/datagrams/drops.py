@@ -1,0 +1,204 @@
+"""Cases 240…, 248…: what is dropped has no effect, whatever its kind and the cause (clauses 3.5 and 5.4)."""
+
+from collections.abc import Callable, Iterator
+
+from conformance.bytes_of import LENGTH, resealed, with_bit_flipped
+from conformance.case import reference
+from conformance.peer import Peer
+from conformance.reference.datagrams.refusals import MAGIC_BIT
+from conformance.reference.framing import FLAGS, KIND, MAJOR, stop, used
+from conformance.reference.handshake import granted
+from conformance.reference.lifetime import SLACK_MS
+from conformance.wire import MS, Failed, require
+from protocol.datagram_layout import HEADER_BYTES, MAX_DATAGRAM_BYTES
+from protocol.faults import Reason
+from protocol.pose import IDENTITY
+from protocol.reference_messages import (
+    CAPABILITY_STREAMING,
+    Acknowledgement,
+    Bye,
+    Heartbeat,
+    HeartbeatReply,
+    Hello,
+    Message,
+    ReferencePath,
+    ReferencePose,
+    StreamedPose,
+    StreamRefused,
+    Welcome,
+)
+
+case = reference.case
+# The time in a heartbeat that shall not be answered.
+MARK = 7
+
+
+def dropped(peer: Peer, other: Peer) -> Iterator[tuple[str, Peer, Callable[[], bytes]]]:
+    """Every way for a heartbeat to be dropped before its number counts: why, from where, and its bytes."""
+
+    def beat(**header: int) -> bytes:
+        return peer.encoded(Heartbeat(1), **header)
+
+    def raw(offset: int, code: str, value: int) -> bytes:
+        return peer.with_number(beat(), offset, code, value)
+
+    yield "of session 0", peer, lambda: beat(session=0)
+    yield "of another session", peer, lambda: beat(session=peer.session ^ 1 << 40)
+    yield "from another port", other, beat
+    yield "of another minor version", peer, lambda: beat(minor=peer.minor + 1)
+    yield "of another major version", peer, lambda: raw(MAJOR, "B", 9)
+    yield "with a critical flag", peer, lambda: raw(FLAGS, "H", 1 << 15 | _flags(beat()))
+    yield "of an unknown kind", peer, lambda: raw(KIND, "B", 200)
+    yield "with a wrong CRC", peer, lambda: with_bit_flipped(beat(), 8 * HEADER_BYTES)
+    yield "with a wrong magic", peer, lambda: peer.resealed(with_bit_flipped(beat(), MAGIC_BIT))
+    yield "that is a byte longer than it says", peer, lambda: resealed(beat() + b"\0")
+    yield "that is too long", peer, lambda: resealed(beat().ljust(MAX_DATAGRAM_BYTES + 1, b"\0"))
+    yield "that is too short", peer, lambda: beat()[: HEADER_BYTES - 1]
+    yield "that a controller sends", peer, lambda: peer.encoded(HeartbeatReply(1, 2, 3))
+    yield "that cannot be", peer, lambda: peer.with_number(peer.encoded(stop(peer)), HEADER_BYTES, "Q", 0)
+    yield "that is HELLO in a session", peer, lambda: peer.encoded(Hello(peer.nonce(), 1, 0, 50))
+
+
+def _flags(data: bytes) -> int:
+    return int.from_bytes(data[FLAGS : FLAGS + 2], "little")
+
+
+@case(240, "3.5", "what is dropped before its number is looked at moves neither the count nor the age")
+def drops_move_nothing(peer: Peer) -> None:
+    peer.open()
+    other = peer.second()
+    peer.alive("before anything was dropped")
+    for what, source, data in dropped(peer, other):
+        before = peer.sequence
+        peer.sequence += 1000
+        peer.shift_ns += 10_000 * MS  # as if it had been under way for no time at all
+        bent = data()
+        peer.shift_ns -= 10_000 * MS
+        peer.sequence = before
+        source.send_raw(bent)
+        peer.collect(10)
+        request = stop(peer)
+        used(peer, peer.encoded(request), request.command_id, f"a request after a datagram {what}")
+
+
+@case(241, "5.4", f"what is dropped is no sign of life and has no answer (slack {SLACK_MS} ms)")
+def drops_are_not_life(peer: Peer) -> None:
+    timeout_ms = peer.open(period_ms=20).link_timeout_ms
+    other = peer.second()
+    session, sequence = peer.session, peer.sequence
+    last_ns = peer.now_ns
+    peer.send(Heartbeat(last_ns), sent_ns=last_ns)
+    ways = list(dropped(peer, other))
+    until_ns = last_ns + (timeout_ms + 1000) * MS
+    while peer.now_ns < until_ns:
+        for what, source, data in ways:
+            sequence = peer.sequence
+            source.send_raw(data())
+            peer.sequence = sequence
+            datagram = peer.receive(2.0, beating=False)
+            while datagram is not None:
+                message = datagram.message
+                if message == Bye(Reason.LINK_TIMEOUT):
+                    waited_ms = (peer.now_ns - last_ns) / MS
+                    require(waited_ms < timeout_ms + SLACK_MS, f"it ended only after {waited_ms:.0f} ms")
+                    peer.session = 0
+                    return
+                beaten = isinstance(message, HeartbeatReply) and message.sent_ns != last_ns
+                require(not beaten, f"a heartbeat was answered, about: {what}")
+                require(not isinstance(message, Welcome), f"WELCOME came, about: {what}")
+                datagram = peer.receive(0.0, beating=False)
+        got = [type(d.message) for d in other.collect(1.0, beating=False)]
+        require(HeartbeatReply not in got, "a heartbeat from another port was answered there")
+    raise Failed(f"session {session:x} lived on datagrams that are to be dropped")
+
+
+def messages_of_a_client(peer: Peer) -> list[Message]:
+    """One of every kind that is answered when it is used."""
+    can_stream = peer.open(capabilities=3).capabilities & CAPABILITY_STREAMING
+    messages: list[Message] = [
+        Heartbeat(MARK),
+        stop(peer),
+        ReferencePose(peer.new_id(), IDENTITY, 0.0),
+        ReferencePath(peer.new_id(), (IDENTITY,), 0.0, 0.0),
+    ]
+    return messages + ([StreamedPose(peer.new_id(), 1, peer.now_ns, IDENTITY)] if can_stream else [])
+
+
+def bent_in_form(peer: Peer, message: Message) -> Iterator[bytes]:
+    """``message`` as no datagram, of another version, session or flags."""
+    data = peer.encoded(message)
+    size = int.from_bytes(data[LENGTH : LENGTH + 2], "little")
+    yield with_bit_flipped(data, 8 * HEADER_BYTES + 1)
+    yield peer.resealed(with_bit_flipped(data, MAGIC_BIT))
+    yield peer.with_number(data, MAJOR, "B", 9)
+    yield peer.with_number(data, FLAGS, "H", _flags(data) | 1 << 15)
+    yield peer.with_payload_of(data, size + 8)
+    yield peer.with_payload_of(data, size - 8)
+    yield peer.encoded(message, session=peer.session ^ 1 << 40)
+    yield peer.encoded(message, minor=peer.minor + 1)
+
+
+def bent_in_order(peer: Peer, message: Message) -> Iterator[bytes]:
+    """``message`` late, leaping, and too old."""
+    yield peer.encoded(message, sequence=(peer.sequence - 3) % peer.sequences)
+    yield peer.encoded(message, sequence=(peer.sequence - 300) % peer.sequences)
+    yield peer.encoded(message, sequence=(peer.sequence + 70_000) % peer.sequences)
+    yield peer.encoded(message, sent_ns=peer.now_ns - 3 * peer.timeout_ms * MS)
+
+
+def _is_use(message: object) -> bool:
+    if isinstance(message, HeartbeatReply):
+        return message.sent_ns == MARK
+    return isinstance(message, Acknowledgement | StreamRefused)
+
+
+@case(248, "3.5", "every kind of datagram that a client sends is dropped for the same causes")
+def every_kind_alike(peer: Peer) -> None:
+    messages = messages_of_a_client(peer)
+    other = peer.second()
+    for message in messages:
+        name = type(message).__name__
+        peer.alive("before")
+        for number, data in enumerate((*bent_in_form(peer, message), *bent_in_order(peer, message))):
+            peer.send_raw(data)
+            used = [d.message for d in peer.collect(12) if _is_use(d.message)]
+            require(not used, f"{name}, bent in way {number}, was used: {used}")
+        other.send_raw(peer.encoded(message))
+        used = [d.message for d in (*peer.collect(peer.grace_ms), *other.collect(1)) if _is_use(d.message)]
+        require(not used, f"{name} from another port was used: {used}")
+        peer.alive(f"after bent datagrams with {name}")
+
+
+@case(249, "3.5", "BYE that is no datagram, or of another version, session or port, ends nothing")
+def bent_bye(peer: Peer) -> None:
+    peer.open()
+    other = peer.second()
+    unknown = peer.with_number(peer.encoded(Bye(Reason.SHUTDOWN)), HEADER_BYTES, "I", 9999)
+    for data in (*bent_in_form(peer, Bye(Reason.SHUTDOWN)), unknown):
+        peer.send_raw(data)
+        peer.alive("after a bent BYE")
+    other.send_raw(peer.encoded(Bye(Reason.SHUTDOWN)))
+    peer.alive("after a BYE from another port")
+
+
+@case(250, "3.5", "a repeated datagram of any kind is used once")
+def every_kind_once(peer: Peer) -> None:
+    for message in messages_of_a_client(peer):
+        data = peer.encoded(message)
+        for _ in range(3):
+            peer.send_raw(data)
+        used = [d.message for d in peer.collect(peer.grace_ms) if _is_use(d.message)]
+        require(len(used) == 1, f"{type(message).__name__} three times: {len(used)} answers")
+
+
+@case(251, "3.5", "what is dropped begins no session: that in use goes on beside the one that is granted")
+def drops_begin_nothing(peer: Peer) -> None:
+    peer.open()
+    other = peer.second()
+    for what, source, data in dropped(peer, other):
+        granted(peer)
+        sequence = peer.sequence
+        source.send_raw(data())
+        peer.sequence = sequence
+        peer.collect(5)
+        peer.alive(f"beside a grant, after a datagram {what}")
