@@ -117,6 +117,14 @@ def test_diagnostics_echo_and_count() -> None:
     assert bench.ask("08 0002 0000") == "0800028000"
 
 
+def test_diagnostics_count_modulo_65536() -> None:
+    bench = Bench()
+    bench.ask("08 000A 0000")
+    bench.coupler.statistics.requests += 0xFFFE
+    assert bench.ask("08 000B 0000") == "08000bffff"
+    assert bench.ask("08 000E 0000") == "08000e0000"
+
+
 def test_the_first_write_arms_and_expiry_latches_to_the_nanosecond() -> None:
     bench = Bench()
     assert not bench.expired
