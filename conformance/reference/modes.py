@@ -6,6 +6,7 @@ Modes that STATE shows alike are told apart by what they answer to a request tha
 from collections.abc import Callable
 from typing import NamedTuple
 
+from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.group import disabled, expect_reason, reach, wanted
 from conformance.reference.motion import STEP_M, moved
@@ -49,7 +50,7 @@ def _here(peer: Peer) -> ReachedMode:
 def _standby(peer: Peer) -> ReachedMode:
     reason = peer.command(CommandCode.ENABLE)
     if reason is not Reason.ACCEPTED:
-        raise Unsupported(f"ENABLE was refused: {reason.name}")
+        raise Unsupported(f"ENABLE was refused: {reason.name}", OptionalPart.MOTION)
     here = reach(peer, GroupState.STANDBY, "after ENABLE").X_BT_cmd
     return ReachedMode(here, moved(here, dz=STEP_M))
 
@@ -65,7 +66,7 @@ def _moving(peer: Peer) -> ReachedMode:
 def _streaming(peer: Peer) -> ReachedMode:
     assert peer.welcome is not None
     if peer.welcome.capabilities & BOTH != BOTH:
-        raise Unsupported("STREAMING is not granted")
+        raise Unsupported("STREAMING is not granted", OptionalPart.STREAMING)
     scene = _standby(peer)
     request = Command(peer.new_id(), CommandCode.START_STREAM)
     expect_reason(peer.ask(request, "START_STREAM"), Reason.ACCEPTED, "START_STREAM in STANDBY")

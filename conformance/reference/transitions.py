@@ -1,6 +1,7 @@
 """Cases 800…889: every request in every mode, generated from the table of 7.3: 800 + 10 · row + column."""
 
 from conformance.case import reference
+from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.modes import ReachedMode, entered, is_ramping, require_mode
 from conformance.reference.streaming import Stream
@@ -60,11 +61,13 @@ def ask_cell(peer: Peer, mode: Mode, asked: Asked, step: Transition) -> None:
     scene = entered(peer, mode)
     assert peer.welcome is not None
     if asked in _OF_STREAMS and not peer.welcome.capabilities & CAPABILITY_STREAMING:
-        raise Unsupported("STREAMING is not granted")
+        raise Unsupported("STREAMING is not granted", OptionalPart.STREAMING)
     if mode is Mode.ERROR_RAMP and not is_ramping(peer.state()):
         raise _Over
     what = title_of(mode, asked)
     reason = answered(peer, asked, scene)
+    if asked is Asked.ENABLE and step.reason is Reason.ACCEPTED and reason is Reason.PLANT_NOT_READY:
+        raise Unsupported(f"ENABLE was refused: {reason.name}", OptionalPart.MOTION)
     require(reason is step.reason, f"{what}: answered {reason.name}")
     require_mode(peer, step.mode, what)
 
@@ -96,7 +99,9 @@ def _enter(mode: Mode, asked: Asked, step: Transition) -> None:
             ask_cell(peer, mode, asked, step)
 
     motion = mode not in _STILL or step.mode not in _STILL
-    case(number_of(mode, asked), "7.3", title_of(mode, asked), motion=motion)(run)
+    streams = asked in _OF_STREAMS or mode is Mode.STREAMING
+    needs = OptionalPart.STREAMING if streams else None
+    case(number_of(mode, asked), "7.3", title_of(mode, asked), motion=motion, needs=needs)(run)
 
 
 for _cell, _step in ANSWERS.items():

@@ -7,7 +7,7 @@ from conformance.case import CaseOutcome
 from conformance.command import app
 from conformance.first_hour import COUPLER_STEPS, REFERENCE_STEPS
 from conformance.outcome import Summary
-from conformance.runner import Manner, coupler_cases, reference_cases, run_coupler, run_reference
+from conformance.runner import Manner, run_coupler, run_reference
 from protocol.datagram_layout import Kind
 from protocol.reference_messages import Acknowledgement
 from tests.conformance.controllers import ControllerUnderTest
@@ -79,17 +79,6 @@ def test_a_controller_stops_at_the_step_of_what_it_does_not_send(
     assert summary.results[-1].case.number == stops_at
     assert summary.results[-1].outcome is CaseOutcome.FAIL
     assert summary.count(CaseOutcome.FAIL) == 1
-
-
-def test_steps_are_cases_each_once_and_those_that_move_come_behind_those_that_do_not() -> None:
-    for steps, cases in ((REFERENCE_STEPS, reference_cases()), (COUPLER_STEPS, coupler_cases())):
-        by_number = {case.number: case for case in cases}
-        numbers = [step.number for step in steps]
-        assert len(set(numbers)) == len(numbers)
-        assert set(numbers) <= set(by_number)
-        optional = [bool(by_number[number].needs) for number in numbers]
-        assert optional == sorted(optional)
-        assert all(step.hint.endswith(".") for step in steps)
 
 
 @simulated

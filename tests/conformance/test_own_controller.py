@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from conformance.case import CaseOutcome
-from conformance.runner import run_reference
+from conformance.outcome import GOOD
+from conformance.parts import OptionalPart
+from conformance.runner import reference_cases, run_reference
 from foundation.link_key import key_from_file
-from tests.conformance.test_reference_suite import WITH_A_KEY
 from tests.support.paths import CONFIGS, ROOT
 
 START_S = 90.0
@@ -71,12 +71,11 @@ def test_our_own_controller_passes_every_case(authenticated: bool, tmp_path: Pat
             key=key_from_file(key_file) if authenticated else None,
         )
     not_passed = {
-        r.case.number: (r.outcome.value, r.detail)
-        for r in summary.results
-        if r.outcome is not CaseOutcome.PASS
+        r.case.number: (r.outcome.value, r.detail) for r in summary.results if r.outcome not in GOOD
     }
     # Of authentication all cases, or the one about its absence, are not for this controller.
-    other = {number for number in not_passed if number == 722 or (700 < number < 800 and not authenticated)}
+    part = OptionalPart.KEY_REFUSAL if authenticated else OptionalPart.AUTHENTICATION
+    other = {case.number for case in reference_cases() if part in case.needs}
     assert {number: why for number, why in not_passed.items() if number not in other} == {}
-    assert other == ({722} if authenticated else WITH_A_KEY)
+    assert other <= set(not_passed)
     assert all(not_passed[number][0] == "unsupported" for number in other)

@@ -239,7 +239,7 @@ class DropsSigned(ControllerUnderTest):
     """Does not know clause 11."""
 
     def incoming(self, data: bytes) -> bytes | None:
-        return None if data[9] & 1 else data
+        return None if len(data) > 9 and data[9] & 1 else data
 
 
 class NotToBeEnabled(ControllerUnderTest):
@@ -275,6 +275,29 @@ def test_what_is_claimed_and_missing_fails(kind: type[ControllerUnderTest], numb
     assert asked(kind, "base", CONTROL, number) == {CONTROL: PASS, number: UNSUPPORTED}
     assert asked(kind, None, CONTROL, number) == {CONTROL: PASS, number: UNSUPPORTED}
     assert asked(ControllerUnderTest, part, CONTROL, number) == {CONTROL: PASS, number: PASS}
+
+
+class Basic(WithoutOptions, DropsSigned):
+    """Has no optional part but motion."""
+
+
+@simulated
+@pytest.mark.parametrize("kind", [Basic, NotToBeEnabled])
+def test_who_lacks_optional_parts_fails_no_case(kind: type[ControllerUnderTest]) -> None:
+    with kind() as controller:
+        summary = run_reference("127.0.0.1", controller.port, motion=True)
+    bad = {r.case.number: r.detail for r in summary.results if r.outcome in (FAIL, FLAKY)}
+    assert bad == {}
+    lacking = [r for r in summary.results if r.outcome is UNSUPPORTED]
+    assert lacking
+    assert [r.case.number for r in lacking if not r.case.needs] == []
+
+
+@simulated
+def test_a_seed_may_be_small() -> None:
+    with ControllerUnderTest() as controller:
+        summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, 230], seed=1)
+    assert outcomes(summary) == {CONTROL: PASS, 230: PASS}
 
 
 @simulated

@@ -132,7 +132,15 @@ def test_structured_text_has_the_crc_of_the_page() -> None:
 
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 5e-324, 2.2250738585072014e-308, -1.7976931348623157e308]
-SPECIAL += [math.inf, -math.inf, math.nan, math.nextafter(1.0, 0.0), math.nextafter(2.0, 0.0), 2.0**52 + 0.5]
+SPECIAL += [
+    1.5 * 2.0**-1023,
+    math.inf,
+    -math.inf,
+    math.nan,
+    math.nextafter(1.0, 0.0),
+    math.nextafter(2.0, 0.0),
+    2.0**52 + 0.5,
+]
 
 
 def put_and_got(value: float) -> None:
