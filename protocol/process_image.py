@@ -118,6 +118,10 @@ OUTPUT_TABLE = (
 # fmt: on
 
 
+_Field = tuple[Register, int, int, bool]
+_RANGES = {"H": (0, 2**16 - 1), "h": (-(2**15), 2**15 - 1), "i": (-(2**31), 2**31 - 1)}  # of struct's codes
+
+
 def _layout(table: tuple[Register, ...]) -> struct.Struct:
     return struct.Struct("<" + "".join(f"{row.count}{row.code}" for row in table))
 
@@ -126,6 +130,21 @@ _ECHO_CYCLE, _STATUS = (
     next(row.address - INPUT_ADDRESS for row in INPUT_TABLE if row.name == name)
     for name in ("echo_cycle", "status")
 )
+
+
+def _fields(table: tuple[Register, ...]) -> list[_Field]:
+    """The rows that say something, each with its place among the numbers and whether a number can be off."""
+    fields: list[_Field] = []
+    begin = 0
+    for row in table:
+        end = begin + row.count
+        if not (row.reserved or row.closes):
+            fields.append((row, begin, end, (row.low, row.high) != _RANGES[row.code]))
+        begin = end
+    return fields
+
+
+_INPUT_FIELDS, _OUTPUT_FIELDS = _fields(INPUT_TABLE), _fields(OUTPUT_TABLE)
 _INPUT_LAYOUT = _layout(INPUT_TABLE)
 _OUTPUT_LAYOUT = _layout(OUTPUT_TABLE)
 _INPUT_WORDS = struct.Struct(f"<{INPUT_WORDS}H")
@@ -155,7 +174,7 @@ def decode_sensors(words: Sequence[int]) -> SensorImage:
     Raises ImageRefused: wrong count (``image.bad_length``), not words at all (``image.not_words``), written
     after another table (``image.layout``), torn (``image.torn``).
     """
-    values = _decoded(words, INPUT_TABLE, _INPUT_WORDS, _INPUT_LAYOUT)
+    values = _decoded(words, _INPUT_FIELDS, _INPUT_WORDS, _INPUT_LAYOUT)
     pressures = values["pressures_bar"]
     values["pressures_bar"] = tuple(zip(pressures[0::2], pressures[1::2], strict=True))
     return SensorImage(**values)
@@ -175,7 +194,7 @@ def decode_valves(words: Sequence[int]) -> ValveImage:
     Raises ImageRefused: wrong count (``image.bad_length``), not words at all (``image.not_words``), a spool
     command of −32768 (``image.out_of_range``), which is found in a torn image too, torn (``image.torn``).
     """
-    return ValveImage(**_decoded(words, OUTPUT_TABLE, _OUTPUT_WORDS, _OUTPUT_LAYOUT))
+    return ValveImage(**_decoded(words, _OUTPUT_FIELDS, _OUTPUT_WORDS, _OUTPUT_LAYOUT))
 
 
 def _raw_values(values: dict[str, Any], table: tuple[Register, ...]) -> list[int]:
@@ -225,7 +244,7 @@ def _raw(value: float, row: Register) -> int:
 
 
 def _decoded(
-    words: Sequence[int], table: tuple[Register, ...], words_layout: struct.Struct, layout: struct.Struct
+    words: Sequence[int], fields: list[_Field], words_layout: struct.Struct, layout: struct.Struct
 ) -> dict[str, Any]:
     if len(words) * 2 != layout.size:
         raise ImageRefused("image.bad_length", f"{len(words)} words: the image has {layout.size // 2}")
@@ -234,21 +253,18 @@ def _decoded(
     except struct.error as error:
         raise ImageRefused("image.not_words", f"not 16-bit words: {error}") from error
     values: dict[str, Any] = {}
-    at = 0
-    for row in table:
-        raw = numbers[at : at + row.count]
-        at += row.count
-        if row.reserved or row.closes:
-            continue
+    for row, begin, end, checked in fields:
+        raw = numbers[begin:end]
         if row.constant is not None:
             if raw[0] != row.constant:
                 raise ImageRefused("image.layout", f"layout word {raw[0]:#06x}: wanted {row.constant:#06x}")
             continue
-        if row.low > min(raw) or max(raw) > row.high:
+        if checked and (row.low > min(raw) or max(raw) > row.high):
             number = min(raw) if min(raw) < row.low else max(raw)
             raise ImageRefused("image.out_of_range", f"{row.name} = {number}: wanted {row.low}…{row.high}")
-        scaled = raw if row.scale == 1.0 else tuple([number / row.scale for number in raw])
-        values[row.name] = scaled[0] if row.count == 1 else scaled
+        scale = row.scale
+        scaled = raw if scale == 1.0 else tuple([number / scale for number in raw])
+        values[row.name] = scaled[0] if end - begin == 1 else scaled
     # Last: an impossible value is one in a torn image too, and is refused when it comes, not when it acts.
     if numbers[0] != numbers[-1]:
         raise ImageRefused("image.torn", f"cycle {numbers[0]} at the start, {numbers[-1]} at the end")

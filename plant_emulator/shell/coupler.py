@@ -8,7 +8,7 @@ import asyncio
 import contextlib
 import socket
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from plant_emulator.core.coupler.answers import CouplerAnswers
 from plant_emulator.core.places import who_yields
@@ -33,7 +33,7 @@ class Coupler(CouplerAnswers):
 
     def __init__(
         self,
-        sensor_words: Callable[[], Sequence[int]],
+        sensor_words: Callable[[], list[int]],
         on_valves: Callable[[ValveImage], None],
         release_ns: int,
         clock_ns: Callable[[], int],

@@ -5,7 +5,7 @@ import socket
 from collections.abc import Callable
 from typing import Protocol
 
-from plant_emulator.core.coupler.request_stream import PlaceLost, RequestStream, framed
+from protocol.coupler_registers import ModbusStream, PlaceLost, framed
 
 SLICE = 16  # requests that one step of the loop serves
 _RECEIVE_BYTES = 4096
@@ -52,7 +52,7 @@ class CouplerConnection:
         self.blocked_ns: int | None = None
         self._coupler = coupler
         self._socket = sock
-        self._requests = RequestStream()
+        self._requests = ModbusStream()
         self._unsent = b""
         self._waits = False
         self._loop = asyncio.get_running_loop()
@@ -72,12 +72,12 @@ class CouplerConnection:
         self._waits = False
         if self._socket.fileno() < 0:
             return
-        answers, count = [], 0
+        answers, count, silent = [], 0, self._coupler.silent()
         try:
             while count < most and (request := self._requests.next()) is not None:
                 count += 1
-                if not self._coupler.silent():
-                    answers.append(framed(request, self._coupler.answer(self, request.unit, request.pdu)))
+                if not silent:
+                    answers.append(self._answer(*request))
         except PlaceLost as lost:
             self._coupler.lost_its_place(str(lost))
             self._send(b"".join(answers))
@@ -87,9 +87,12 @@ class CouplerConnection:
             self.served += count
             self.heard_ns = self._coupler.clock_ns()
         if answers:
-            self._send(b"".join(answers))
+            self._send(answers[0] if count == 1 else b"".join(answers))
         if count == most and len(self._requests) and self.blocked_ns is None:
             self._wait()
+
+    def _answer(self, transaction: int, unit: int, pdu: bytes) -> bytes:
+        return framed(transaction, unit, self._coupler.answer(self, unit, pdu))
 
     def _readable(self) -> None:
         if self._waits:
@@ -122,7 +125,7 @@ class CouplerConnection:
         except OSError:
             self.close()
             return
-        self._unsent = data[sent:]
+        self._unsent = data[sent:] if sent < len(data) else b""
         if self._unsent and self.blocked_ns is None:
             self.blocked_ns = self._coupler.clock_ns()
             self._loop.remove_reader(self._socket.fileno())

@@ -8,9 +8,8 @@ import struct
 from collections.abc import Callable
 from zlib import crc32
 
-from plant_emulator.core.coupler.modbus_requests import MAX_PDU_BYTES
-from plant_emulator.core.coupler.request_stream import PlaceLost, RequestStream, framed
 from plant_emulator.shell.coupler import Coupler
+from protocol.coupler_registers import MAX_PDU_BYTES, ModbusStream, PlaceLost, framed
 from protocol.datagram import Header, decode, encode
 from protocol.datagram_layout import HEADER_BYTES
 from protocol.errors import DatagramRefused, FrameRefused, ImageRefused
@@ -102,14 +101,16 @@ def modbus(data: bytes) -> bool:
 
 def stream(data: bytes) -> bool:
     """Bytes on a Modbus TCP connection, in two pieces; accepted: the connection is kept."""
-    requests = RequestStream()
+    requests = ModbusStream()
     cut = data[0] % len(data) if data else 0
     try:
         for piece in (data[1:cut], data[max(cut, 1) :]):
             requests.add(piece)
             while (request := requests.next()) is not None:
                 answer = _COUPLER.answer(requests, request.unit, request.pdu)
-                assert framed(request, answer)[:2] == request.transaction.to_bytes(2, "big")
+                echoed = ModbusStream()
+                echoed.add(framed(request.transaction, request.unit, answer))
+                assert echoed.next() == request._replace(pdu=answer)
     except PlaceLost:
         return False
     assert len(requests) < MAX_PDU_BYTES + 7, len(requests)

@@ -64,7 +64,8 @@ class RequestForm(NamedTuple):
     """What a request is by its first bytes and its length, whatever words it carries.
 
     ``code``: the exception it deserves, or 0. ``reads``, ``writes``: registers or bits, where it is sound.
-    ``terminals``: whether it concerns terminals and not the coupler's own registers.
+    ``terminals``: whether it concerns terminals and not the coupler's own registers. ``words_read``,
+    ``words_written``: their layout in response and request.
     """
 
     function: int
@@ -72,6 +73,8 @@ class RequestForm(NamedTuple):
     reads: Span | None
     writes: Span | None
     terminals: bool
+    words_read: struct.Struct
+    words_written: struct.Struct
 
 
 class CouplerAnswers:
@@ -86,7 +89,7 @@ class CouplerAnswers:
 
     def __init__(
         self,
-        sensor_words: Callable[[], Sequence[int]],
+        sensor_words: Callable[[], list[int]],
         on_valves: Callable[[ValveImage], None],
         release_ns: int,
         report: Callable[..., None],
@@ -108,7 +111,7 @@ class CouplerAnswers:
         if code == 0 and form.terminals:
             code = self._watchdog.refusal(master, wrote, now_ns)
         if code == 0 and form.writes is not None:
-            code = self._write(form.function, form.writes, pdu, master, now_ns)
+            code = self._write(form, form.writes, pdu, master, now_ns)
         if code == 0:
             response = self._response(form, pdu, now_ns)
             self._watchdog.obeyed(master, wrote, now_ns)
@@ -139,12 +142,12 @@ class CouplerAnswers:
         setattr(self.statistics, counter, count)
         self._report(cause, event, "warning", cause=cause, detail=why, count=count)
 
-    def _write(self, function: int, span: Span, pdu: bytes, master: object, now_ns: int) -> int:
+    def _write(self, form: RequestForm, span: Span, pdu: bytes, master: object, now_ns: int) -> int:
         """Carry out the writing part of a sound request; the exception that its words deserve, or 0."""
-        if function in _BIT_FUNCTIONS:
+        if form.function in _BIT_FUNCTIONS:
             self._image.write_bits(span.address, _bits_of(pdu, span.words))
             return 0
-        words = struct.unpack_from(f">{span.words}H", pdu, _WRITTEN_AT[function])
+        words = form.words_written.unpack_from(pdu, _WRITTEN_AT[form.function])
         if span.address >= IDENTIFICATION:
             # Each of these registers is a block of its own, so exactly one word comes.
             return self._watchdog.configure(master, span.address, words[0], now_ns)
@@ -159,7 +162,7 @@ class CouplerAnswers:
             if form.function in _BIT_FUNCTIONS:
                 data = _packed(self._image.bits(form.function, *form.reads))
             else:
-                data = struct.pack(f">{form.reads.words}H", *self._image.words(*form.reads, now_ns))
+                data = form.words_read.pack(*self._image.words(*form.reads, now_ns))
             return bytes((form.function, len(data))) + data
         return self._diagnosed(pdu) if form.function == DIAGNOSTICS else pdu[:5]
 
@@ -183,13 +186,17 @@ def _form(head: bytes, length: int) -> RequestForm:
     pdu = head.ljust(length, b"\0")
     function, code = pdu[0], exception_for(pdu, COUPLER_MAP)
     if code != 0 or function == DIAGNOSTICS:
-        return RequestForm(function & 0x7F, code, None, None, False)
+        return RequestForm(function & 0x7F, code, None, None, False, _words(None), _words(None))
     reads = read(pdu) if function in COUPLER_MAP.reads else None
     writes = written(pdu) if function in WRITING else None
     concerned = writes or reads
     assert concerned is not None
     terminals = function in _BIT_FUNCTIONS or concerned.address < IDENTIFICATION
-    return RequestForm(function, 0, reads, writes, terminals)
+    return RequestForm(function, 0, reads, writes, terminals, _words(reads), _words(writes))
+
+
+def _words(span: Span | None) -> struct.Struct:
+    return struct.Struct(f">{span.words if span else 0}H")
 
 
 def _bits_of(pdu: bytes, count: int) -> list[bool]:

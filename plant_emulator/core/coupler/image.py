@@ -90,7 +90,7 @@ class CouplerImage:
     are those of sound requests (COUPLER_MAP).
     """
 
-    def __init__(self, sensor_words: Callable[[], Sequence[int]], watchdog: CouplerWatchdog) -> None:
+    def __init__(self, sensor_words: Callable[[], list[int]], watchdog: CouplerWatchdog) -> None:
         self._sensor_words = sensor_words
         self._watchdog = watchdog
         self._outputs = [0] * OUTPUT_IMAGE_WORDS
@@ -106,7 +106,7 @@ class CouplerImage:
             begin, end = address - INPUT_ADDRESS, address - INPUT_ADDRESS + count
             if end > INPUT_WORDS:
                 words = [*words, words[_STATUS_WORD]]  # the digital inputs lie behind the analog ones
-            return list(words[begin:end])
+            return words[begin:end]
         if address < IDENTIFICATION:
             return self._outputs[address - OUTPUT_ADDRESS :][:count]
         return [self._own_register(at, now_ns) for at in range(address, address + count)]

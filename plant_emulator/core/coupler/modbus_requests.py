@@ -29,7 +29,6 @@ MAX_WRITE = 123
 MAX_WRITE_OF_23 = 121
 MAX_READ_BITS = 2000
 MAX_WRITE_BITS = 1968
-MAX_PDU_BYTES = 253
 FORM_BYTES = 10  # function, addresses, quantities and byte count of the longest head, that of 23
 _COIL_WORDS = (0x0000, 0xFF00)
 

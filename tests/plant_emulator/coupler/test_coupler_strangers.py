@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
-from plant_emulator.core.coupler.request_stream import RequestStream
 from plant_emulator.core.places import who_yields
 from plant_emulator.shell import coupler as limits
 from plant_emulator.shell.coupler import Coupler
 from plant_emulator.shell.coupler_connection import SLICE
+from protocol.coupler_registers import ModbusStream
 from protocol.process_image import ValveImage, encode_valves
 from tests.support.pages import page, rows
 
@@ -235,7 +235,7 @@ async def test_one_connection_is_taken_a_step(bench: Bench) -> None:
 
 
 def test_a_stream_holds_no_more_than_one_piece_and_a_part_of_a_request() -> None:
-    stream, held = RequestStream(), []
+    stream, held = ModbusStream(), []
     for piece in itertools.repeat(READ * 20 + READ[:5] + READ[5:], 50):
         stream.add(piece)
         while stream.next() is not None:
