@@ -160,7 +160,8 @@ def order_of_two(master: Master) -> None:
         master.refused(read_request(function, NOWHERE, 0), VALUE, f"{function}, quantity and address wrong")
     for function in set(range(1, 128)) - set(LISTED):
         master.refused(bytes([function]), FUNCTION, f"{function} alone, which is not listed")
-    master.refused(bytes.fromhex("08 0063 0001"), FUNCTION, "sub-function and data wrong")
+    for data in ("", "00", "0001", "0000 00"):
+        master.refused(bytes.fromhex("08 0063" + data), FUNCTION, f"a sub-function, data {data or 'none'}")
 
 
 @case(810, "2.3", "the smallest and largest quantities are not refused for their size")
@@ -205,12 +206,14 @@ def coil_words(master: Master) -> None:
         master.refused(pdu, VALUE, f"a coil with {word:#06x}")
 
 
-@case(814, "2.6", "every sub-function but 0 takes one word that is zero, else 3")
+@case(814, "2.6", "sub-function 0 takes whole words, every other one word that is zero, else 3")
 def diagnostic_data(master: Master) -> None:
     for sub in (2, 10, 11, 12, 13, 14):
         for data in ("", "00", "0001", "0100", "0000 00", "0000 0000"):
             pdu = bytes([DIAGNOSTICS, 0, sub]) + bytes.fromhex(data)
             master.refused(pdu, VALUE, f"sub-function {sub} with {data or 'nothing'}")
+    for size in (0, 1, 3, 5, 249):
+        master.refused(bytes([DIAGNOSTICS, 0, 0]) + bytes(size), VALUE, f"sub-function 0 with {size} bytes")
 
 
 @case(815, "2.6", "every sub-function that is not listed is refused with 1")

@@ -142,13 +142,15 @@ class PageCoupler:
         if len(pdu) < 3:
             return _VALUE
         sub, data = int.from_bytes(pdu[1:3], "big"), pdu[3:]
+        if self.rules.data_before_sub_function and len(data) != 2 and sub != 0:
+            return _VALUE
         if sub not in self.rules.sub_functions:
             return _FUNCTION
         if sub in self.rules.zero_data:
             return 0 if data == b"\0\0" else _VALUE
-        if ("short", 8) in self.rules.no_check:
-            return 0
-        return 0 if len(data) >= 2 and len(data) % 2 == 0 else _VALUE
+        if len(data) < 2 and ("short", 8) not in self.rules.no_check:
+            return _VALUE
+        return _VALUE if len(data) % 2 and ("odd", 8) not in self.rules.no_check else 0
 
     def _address(self, request: Request) -> int:
         function, rules = request.function, self.rules

@@ -45,7 +45,7 @@ class PageWatchdog:
         """A telegram was carried out."""
         rules = self.rules
         function = int(kind.split()[0])
-        if kind in rules.arming and (self.time_ms > 0 or not rules.off_at_zero) and not self.expired:
+        if kind in rules.arming and self.time_ms > rules.off_up_to_ms and not self.expired:
             if not self.armed:
                 self._fed_ns = now_ns
             self.armed = True

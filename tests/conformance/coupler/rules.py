@@ -70,6 +70,7 @@ class Rules(NamedTuple):
     sub_functions: Mapping[int, str] = {
         0: "echo", 2: "status", 10: "clear", 11: "requests", 12: "frames", 13: "exceptions", 14: "requests",
     }  # fmt: skip
+    data_before_sub_function: bool = False
     zero_data: frozenset[int] = frozenset({2, 10, 11, 12, 13, 14})
     cleared: frozenset[str] = frozenset({"requests", "frames", "exceptions"})
     counted: frozenset[str] = frozenset({"requests", "refused requests", "frames", "exceptions"})
@@ -117,7 +118,7 @@ class Rules(NamedTuple):
     # 5.1 to 5.3
     time_when_active: int = 4
     time_when_expired: int = 4
-    off_at_zero: bool = True
+    off_up_to_ms: int = 0
     arming: frozenset[str] = IMAGE_WRITES
     feeding: Mapping[int, frozenset[str]] = {1: CARRIED_OUT, 0: IMAGE_WRITES}
     feeding_of_others: frozenset[str] = frozenset()

@@ -173,7 +173,9 @@ def answers() -> Iterator[BrokenCoupler]:
     yield from without("zero_data", "2.6", "any data for sub-function")
     yield from without("cleared", "2.6", "clearing leaves the")
     yield from without("counted", "2.6", "does not count")
-    yield broken("2.6", "any data for sub-function 0", no_check=frozenset({("short", 8)}))
+    for what in ("short", "odd"):
+        yield broken("2.6", f"sub-function 0 with too {what} data", no_check=frozenset({(what, 8)}))
+    yield broken("2.6", "data judged before the sub-function", data_before_sub_function=True)
     yield broken("2.6", "echoes zeros", echoes=lambda pdu: pdu[:3] + bytes(len(pdu) - 3))
     yield broken("2.6", "echoes one word", echoes=lambda pdu: pdu[:5])
     for function in (5, 6, 15, 16):
@@ -287,7 +289,7 @@ def watchdogs() -> Iterator[BrokenCoupler]:
     """Clauses 5.1 to 5.3."""
     yield from chosen("time_when_active", "5.1", "set while active, answered", (0, 3))
     yield from chosen("time_when_expired", "5.1", "set while expired, answered", (0, 3))
-    yield broken("5.1", "a time of 0 expires at once", off_at_zero=False)
+    yield from chosen("off_up_to_ms", "5.1", "switched off by a time up to, ms,", (-1, 1, 50))
     yield from without("arming", "5.2", "not armed by")
     more = sorted((CARRIED_OUT | REFUSED) - IMAGE_WRITES)
     yield from along_with("arming", "5.2", "armed by", more)
