@@ -11,8 +11,9 @@ from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import World
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
+from tests.support.yardstick import yardstick_ms
 
-WANTED = 8.0
+LIMIT = 17.0  # yardsticks for a simulated second: eight times real time where they take 7.4 ms
 SECONDS = 20.0
 
 
@@ -35,7 +36,7 @@ def moving_world() -> Iterator[World]:
 
 
 @pytest.mark.bench
-def test_lockstep_without_pixels_is_eight_times_real_time(moving_world: World) -> None:
+def test_lockstep_without_pixels(moving_world: World) -> None:
     cycles = round(SECONDS / 0.005)
     best = 0.0
     for _ in range(3):  # the best of three: the others tell of other work on the machine
@@ -43,7 +44,10 @@ def test_lockstep_without_pixels_is_eight_times_real_time(moving_world: World) -
         for _ in range(cycles // 4):
             moving_world.clock.advance()
         best = max(best, 1e-9 * (moving_world.time_ns - began_ns) / (time.process_time() - began))
+    yardstick = yardstick_ms()
+    cost = 1e3 / best / yardstick
     print(
-        f"\nlockstep without pixels, 5 ms cycle, one core: {best:.1f} times real time (wanted {WANTED:.0f})"
+        f"\nlockstep without pixels, 5 ms cycle, one core: {best:.1f} times real time, {cost:.1f} yardsticks"
+        f" of {yardstick:.1f} ms for a simulated second (limit {LIMIT:g})"
     )
-    assert best >= WANTED
+    assert cost <= LIMIT

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.support.yardstick import yardstick_ms
 from tests.vision_pc.odometry import orb_slam3
 from tests.vision_pc.odometry.orb_slam3 import Followed
 from tests.vision_pc.odometry.test_odometry import pair_at, poses
@@ -41,7 +42,7 @@ class Case(NamedTuple):
     limit_scale: float = 0.01
 
 
-LIMIT_MS, LIMIT_LEFT_MS = 40.0, 15.0
+LIMIT, LIMIT_LEFT = 5.0, 2.0  # yardsticks
 CASES = [
     Case(1.5, 1.0, 2.0, False, 0.2),
     Case(3.0, 1.0, 2.0, False, 0.2),
@@ -88,10 +89,10 @@ def test_ahead_of_orb_slam3(
         told = learnt(before, camera, config)
     left_only = config.odometry.model_copy(update={"right_every": 0})
     ours = {
-        "both eyes": (follow(told, config, pairs), LIMIT_MS),
+        "both eyes": (follow(told, config, pairs), LIMIT),
         "left eye, both for keyframes": (
             follow(told, config.model_copy(update={"odometry": left_only}), pairs),
-            LIMIT_LEFT_MS,
+            LIMIT_LEFT,
         ),
     }
     peer = one_map(orb_slam3.follow(camera, words, pairs))
@@ -107,13 +108,17 @@ def test_ahead_of_orb_slam3(
                 f"  {name}: {1e3 * error:.3f} mm rms, scale {100 * scale:+.3f} %, {len(followed.poses)} of"
                 f" {FRAMES} frames, {milliseconds(followed):.1f} ms a frame (processor time, median)"
             )
-        print(f"  limits: {case.limit_mm:g} mm, {LIMIT_MS:g} ms, {LIMIT_LEFT_MS:g} ms with one eye")
-    for followed, limit_ms in ours.values():
+        yardstick = yardstick_ms()
+        print(
+            f"  limits: {case.limit_mm:g} mm, {LIMIT:g} yardsticks of {yardstick:.1f} ms, {LIMIT_LEFT:g} with"
+            " one eye"
+        )
+    for followed, limit in ours.values():
         error, scale = aligned_error(followed.poses, true)
         assert len(followed.poses) == FRAMES
         assert 1e3 * error < case.limit_mm
         assert abs(scale) < case.limit_scale
-        assert milliseconds(followed) < limit_ms
+        assert milliseconds(followed) < limit * yardstick
         assert error < aligned_error(peer.poses, true)[0]
         assert milliseconds(followed) < milliseconds(peer)
 
