@@ -161,11 +161,13 @@ class Child:
     def failure(self, when: str) -> ServiceFailed:
         """The error that tells how this service ended, and what it last complained of."""
         status = self.exit_status
-        how = f"status {status}"
-        if status is not None and status < 0:
-            how = f"signal {signal.Signals(-status).name}"
-        why = in_words(self._last_error) or "it had reported no error"
-        return ServiceFailed("service.exited", f"{self.name} ended {when} with {how}: {why}")
+        why = in_words(self._last_error)
+        if status is not None and status < 0:  # from outside: what it had said is no reason
+            said = f"; its last complaint was {why}" if why else ""
+            told = f"signal {signal.Signals(-status).name}{said}"
+        else:
+            told = f"status {status}: {why or 'it had reported no error'}"
+        return ServiceFailed("service.exited", f"{self.name} ended {when} with {told}")
 
     def _settle(self) -> None:
         """Wait until exit status and last line of an ended process are known."""

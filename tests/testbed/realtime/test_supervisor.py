@@ -106,7 +106,15 @@ def test_free_ports_are_free() -> None:
 def test_a_killed_service_is_told_with_its_signal_and_its_last_error(tmp_path: Path) -> None:
     with supervised([service("lives")], tmp_path) as supervisor:
         supervisor.children["service"].kill()
-        with pytest.raises(ServiceFailed, match=r"with signal SIGKILL: it had reported no error"):
+        with pytest.raises(ServiceFailed, match=r"by itself with signal SIGKILL$"):
+            supervisor.check()
+
+
+def test_the_last_complaint_of_a_killed_service_is_not_told_as_the_reason(tmp_path: Path) -> None:
+    with supervised([service("complains")], tmp_path) as supervisor:
+        told_until(supervisor, "oil", 10.0)
+        supervisor.children["service"].kill()
+        with pytest.raises(ServiceFailed, match=r"SIGKILL; its last complaint was oil.low: the tank"):
             supervisor.check()
 
 
