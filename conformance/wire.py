@@ -210,6 +210,11 @@ class Wire:
             self._heartbeat_ns = now_ns + self.timeout_ms * MS // 5
             self.send(Heartbeat(now_ns), sent_ns=now_ns)
 
+    def set_back(self, by_ns: int) -> None:
+        """Sets the tester's clock back in the middle of a session; a heartbeat is due at once."""
+        self.shift_ns -= by_ns
+        self._heartbeat_ns = self.now_ns
+
     # receiving
 
     def receive(self, wait_ms: float, *, beating: bool = True) -> Datagram | None:

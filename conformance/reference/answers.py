@@ -4,12 +4,13 @@ import math
 from collections.abc import Iterator
 
 from conformance.case import reference
+from conformance.parts import OptionalPart
 from conformance.peer import Peer
 from conformance.reference.framing import stop
 from conformance.reference.group import disabled, expect_reason, reach, reference_reason
 from conformance.reference.handshake import granted, require_begun
-from conformance.reference.motion import scaled, standby
-from conformance.wire import require
+from conformance.reference.motion import STEP_M, moved, scaled, standby
+from conformance.wire import MS, require
 from protocol.datagram_layout import HEADER_BYTES, MAX_WAYPOINTS, PAYLOADS, Kind, offsets
 from protocol.faults import CommandCode, GroupState, Reason
 from protocol.pose import IDENTITY, Pose
@@ -27,6 +28,9 @@ COUNT = HEADER_BYTES + 8
 SUBNORMAL = 5e-324
 ODD = (math.nan, math.inf, -math.inf, SUBNORMAL, -1e-310)
 WAITING = 64
+# A commanded place counts as reached; and what STATE and a busy tester add to a time.
+AT_M = 1e-6
+PATH_SLACK_MS = 250
 
 
 @case(430, "6.2", "in a session that took the place of another a request has exactly one answer")
@@ -287,3 +291,64 @@ def unusable_once(peer: Peer) -> None:
     peer.send_raw(peer.with_number(peer.encoded(request), HEADER_BYTES + 8, "I", 1000))
     answers = peer.answers("an unknown command")
     require(len(answers) == 1, f"an unknown command: {len(answers)} answers")
+
+
+@case(
+    445,
+    "6.8",
+    f"two paths keep their own waypoints, segment_s and dwell_s (slack {PATH_SLACK_MS} ms)",
+    motion=True,
+    needs=OptionalPart.PATHS,
+)
+def paths_in_time(peer: Peer) -> None:
+    here = standby(peer).X_BT_cmd
+    corner = (moved(here, dz=STEP_M), moved(here, dz=STEP_M, dy=STEP_M), here)
+    for points, segment_s, dwell_s in ((corner, 1.5, 0.4), ((moved(here, dx=-STEP_M), here), 2.2, 0.9)):
+        request = ReferencePath(peer.new_id(), points, segment_s, dwell_s)
+        expect_reason(peer.ask(request, "a path"), Reason.ACCEPTED, "a path")
+        _driven(peer, here, request)
+
+
+def _driven(peer: Peer, start: Pose, path: ReferencePath) -> None:
+    """Require that the path is driven through its waypoints in its own time."""
+    rests = [0.0] * len(path.waypoints)
+    left_ns = arrived_ns = seen_ns = peer.now_ns
+    state = peer.state()
+    while not state.motion_done and peer.now_ns < seen_ns + 30_000 * MS:
+        before_ns, seen_ns = seen_ns, peer.now_ns
+        state = peer.state()
+        place = state.X_BT_cmd.p_m
+        if math.dist(place, start.p_m) < AT_M and state.segment == 0:
+            left_ns = seen_ns
+        for i, waypoint in enumerate(path.waypoints):
+            # At the last one it rests for ever; at the others for dwell_s, before the next segment.
+            if math.dist(place, waypoint.p_m) < AT_M:
+                rests[i] += (seen_ns - before_ns) / MS
+        if math.dist(place, path.waypoints[-1].p_m) > AT_M:
+            arrived_ns = seen_ns
+    require(state.motion_done, "not done within 30 s")
+    require(min(rests) > 0.0, f"waypoint {rests.index(min(rests))} was not driven through")
+    count = len(path.waypoints)
+    wanted_ms = 1e3 * (count * path.segment_s + (count - 1) * path.dwell_s)
+    took_ms = (arrived_ns - left_ns) / MS
+    require(abs(took_ms - wanted_ms) < PATH_SLACK_MS, f"it took {took_ms:.0f} ms, wanted {wanted_ms:.0f}")
+    for rest_ms in rests[:-1]:
+        early = rest_ms > 1e3 * path.dwell_s - PATH_SLACK_MS
+        require(early, f"it rested {rest_ms:.0f} ms of {1e3 * path.dwell_s:.0f}")
+
+
+@case(446, "6.3", "a request that comes again before it is decided is decided once, and answered alike")
+def again_at_once(peer: Peer) -> None:
+    peer.open()
+    for _ in range(5):
+        request = stop(peer)
+        copies = [peer.encoded(request) for _ in range(4)]
+        other = peer.encoded(request._replace(code=CommandCode.DISABLE))
+        for data in (*copies, other):
+            peer.send_raw(data)
+        answers = peer.answers("four times the same request, and its id for another one")
+        reasons = [answer.reason for answer in answers if answer.command_id == request.command_id]
+        accepted, repeated = reasons.count(Reason.ACCEPTED), reasons.count(Reason.REPEATED_COMMAND_ID)
+        require(accepted >= 1, f"answered {[reason.name for reason in reasons]}")
+        require(repeated == 1, f"its id for another request: {repeated} times REPEATED_COMMAND_ID")
+        require(accepted + repeated == len(answers), f"answered {[reason.name for reason in reasons]}")

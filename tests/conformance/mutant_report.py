@@ -59,9 +59,9 @@ class Verdict(NamedTuple):
     caught_by: tuple[int, ...]
 
 
-def broken_controllers() -> tuple[BrokenController, ...]:
+def broken_controllers(sources: Iterable[str] = SOURCES) -> tuple[BrokenController, ...]:
     """All of all sources."""
-    return tuple(each for source in SOURCES for each in import_module(source).MUTANTS)
+    return tuple(each for source in sources for each in import_module(source).MUTANTS)
 
 
 def asked(key: LinkKey | None, clause: str, first: int = 0) -> list[ConformanceCase]:
@@ -196,9 +196,10 @@ def main() -> int:
     parser.add_argument("--clause", default="", help="only this clause, or all of 5 with 5")
     parser.add_argument("--name", default="", help="only those whose name has this text")
     parser.add_argument("--every", action="store_true", help="all cases that catch it, not the first alone")
+    parser.add_argument("--source", action="append", help="only this module's; repeatable")
     options = parser.parse_args()
     verdicts = []
-    for broken in broken_controllers():
+    for broken in broken_controllers(options.source or SOURCES):
         wanted = not options.clause or f"{broken.clause}.".startswith(f"{options.clause}.")
         if wanted and options.name in broken.name:
             verdicts.append(

@@ -103,6 +103,8 @@ EFFECTS: dict[str, Effect] = {
 }
 # What is no effect: these are sound.
 _AS_IT_SHALL_BE = {
+    "datagram.too_short moves the number": "there is no number in it",
+    "datagram.too_short moves the age": "there is no time in it",
     "datagram.stale moves the number": "it came in order: it does move the number",
     "datagram.stale moves the age": "it came in order: its transit counts",
     "sequence.duplicate moves the number": "a duplicate of the newest has the newest number",

@@ -105,11 +105,19 @@ def _exchanged(data: bytes, place: Place, before: bytes, other: Place) -> bytes:
     return other.put(place.put(data, other.of(data)), place.of(data))
 
 
-def _off(step: int, data: bytes, place: Place, before: bytes, other: Place) -> bytes:
-    """One more or less; a real number by a hundredth, the first of several."""
+# How far off a field is: by what matters in its unit.
+_STEPS = {"ns": 5_000_000, "ms": 100}
+
+
+def _off(sign: int, data: bytes, place: Place, before: bytes, other: Place) -> bytes:
+    """A step more or less; a real number by a hundredth, the first of several."""
     first, *others = _numbers(place, data)
     code = place.field.code
-    first = first + step / 100 if code == "d" else (int(first) + step) % 2 ** (8 * struct.calcsize(code))
+    if code == "d":
+        first += sign / 100
+    else:
+        step = sign * _STEPS.get(place.field.unit, 1)
+        first = (int(first) + step) % 2 ** (8 * struct.calcsize(code))
     return place.put(data, struct.pack(f"<{place.field.count}{code}", first, *others))
 
 
@@ -199,5 +207,46 @@ def _rows() -> Iterator[BrokenController]:
                 yield BrokenController(name, place.clause, make, unseen=UNSEEN.get(name, ""))
 
 
-UNSEEN: dict[str, str] = {}
+_NEVER_CHANGES = "it is the same in every datagram"
+_ITS_OWN = "nobody but the controller knows it"
+UNSEEN: dict[str, str] = {
+    "sends header.major as before": _NEVER_CHANGES,
+    "sends header.minor zero": "the only minor version is 0",
+    "sends header.minor as before": "the only minor version is 0",
+    "sends header.flags zero": "the echo is optional",
+    "sends header.flags as before": "the echo is optional",
+    "reads header.sent_ns too high": "its differences alone count",
+    "reads header.sent_ns too low": "its differences alone count",
+    "sends WELCOME.arm_hash zero": "so does a controller whose arm has the hash 0",
+    "sends WELCOME.arm_hash as before": _NEVER_CHANGES,
+    "sends WELCOME.boot_id as before": _NEVER_CHANGES,
+    "sends WELCOME.boot_id too high": _ITS_OWN + ", unless there is a key",
+    "sends WELCOME.boot_id too low": _ITS_OWN + ", unless there is a key",
+    "sends WELCOME.cycle_ns as before": _NEVER_CHANGES,
+    "sends WELCOME.link_timeout_ms as before": _NEVER_CHANGES,
+    "sends STATE.time_ns too low": "a scan earlier is within what a scan may take",
+    "sends STATE.cycle too high": "it counts from any start",
+    "sends STATE.cycle too low": "it counts from any start",
+    "reads HELLO.state_period_ms too high": "what WELCOME grants counts",
+    **{
+        f"reads BYE.reason {how}": "a controller does the same for every reason"
+        for how in ("zero", "as before", "too high", "too low")
+    },
+    **{
+        f"reads header.echo_sequence {how}": "nothing depends on it (5.7)"
+        for how in ("zero", "as before", "too high", "too low", "for crc32")
+    },
+    **{
+        f"sends STATE.{field} {how}": _ITS_OWN
+        for field in ("supply_bar", "overruns", "lateness_p50_us", "lateness_p99_us", "lateness_max_us",
+                      "plant_exchange_failures")
+        for how in ("zero", "as before", "too high", "too low", "for lateness_p50_us", "for lateness_p99_us",
+                    "for lateness_max_us")
+    },
+    **{
+        f"reads REFERENCE_PATH.{field} {how}": "a hundredth of a second is within the slack"
+        for field in ("segment_s", "dwell_s")
+        for how in ("too high", "too low")
+    },
+}  # fmt: skip
 MUTANTS = tuple(_rows())

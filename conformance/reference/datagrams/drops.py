@@ -4,13 +4,15 @@ from collections.abc import Callable, Iterator
 
 from conformance.bytes_of import LENGTH, resealed, with_bit_flipped
 from conformance.case import reference
-from conformance.peer import Peer
+from conformance.peer import RATION_MS, Peer
+from conformance.reference.authentication import OTHER_KEY
 from conformance.reference.datagrams.refusals import MAGIC_BIT
 from conformance.reference.framing import FLAGS, KIND, MAJOR, stop, used
 from conformance.reference.handshake import granted
 from conformance.reference.lifetime import SLACK_MS
-from conformance.wire import MS, Failed, require
-from protocol.datagram_layout import HEADER_BYTES, MAX_DATAGRAM_BYTES
+from conformance.wire import MS, SEQUENCES, Failed, require
+from protocol.datagram import Header, encode
+from protocol.datagram_layout import HEADER_BYTES, MAX_DATAGRAM_BYTES, PAYLOADS, Kind, offsets
 from protocol.faults import Reason
 from protocol.pose import IDENTITY
 from protocol.reference_messages import (
@@ -53,10 +55,19 @@ def dropped(peer: Peer, other: Peer) -> Iterator[tuple[str, Peer, Callable[[], b
     yield "with a wrong magic", peer, lambda: peer.resealed(with_bit_flipped(beat(), MAGIC_BIT))
     yield "that is a byte longer than it says", peer, lambda: resealed(beat() + b"\0")
     yield "that is too long", peer, lambda: resealed(beat().ljust(MAX_DATAGRAM_BYTES + 1, b"\0"))
+    yield "of another kind's length", peer, lambda: peer.with_payload_of(beat(), 16)
+    yield "signed otherwise than the session", peer, lambda: _signed_otherwise(peer)
     yield "that is too short", peer, lambda: beat()[: HEADER_BYTES - 1]
     yield "that a controller sends", peer, lambda: peer.encoded(HeartbeatReply(1, 2, 3))
     yield "that cannot be", peer, lambda: peer.with_number(peer.encoded(stop(peer)), HEADER_BYTES, "Q", 0)
     yield "that is HELLO in a session", peer, lambda: peer.encoded(Hello(peer.nonce(), 1, 0, 50))
+
+
+def _signed_otherwise(peer: Peer) -> bytes:
+    """A heartbeat that is signed where nothing is, and not where everything is."""
+    peer.sequence += 1
+    header = Header(peer.session, peer.sequence % SEQUENCES, peer.now_ns, minor=peer.minor)
+    return encode(Heartbeat(1), header, None if peer.link_key else OTHER_KEY.of_hello())
 
 
 def _flags(data: bytes) -> int:
@@ -202,3 +213,31 @@ def drops_begin_nothing(peer: Peer) -> None:
         peer.sequence = sequence
         peer.collect(5)
         peer.alive(f"beside a grant, after a datagram {what}")
+
+
+@case(252, "1.8", "padding that is not zero is ignored in every kind of datagram")
+def dirty_padding(peer: Peer) -> None:
+    for message in messages_of_a_client(peer):
+        peer.send_raw(_dirtied(peer, peer.encoded(message)))
+        used = [d.message for d in peer.collect(peer.grace_ms) if _is_use(d.message)]
+        require(len(used) == 1, f"{type(message).__name__}, its padding not zero: came {used}")
+    session = peer.session
+    peer.send_raw(_dirtied(peer, peer.encoded(Bye(Reason.SHUTDOWN))))
+    peer.session = 0
+    peer.collect(RATION_MS, beating=False)
+    peer.send(stop(peer), session=session)
+    peer.expect_bye(Reason.UNKNOWN_SESSION, "a request after BYE, its padding not zero")
+    peer.collect(RATION_MS, beating=False)
+    greeting = peer.encoded(Hello(peer.nonce(), 1 | peer.required, 0, 50), session=0)
+    peer.send_raw(_dirtied(peer, greeting))
+    peer.expect(Welcome, "HELLO, its padding not zero", beating=False)
+
+
+def _dirtied(peer: Peer, data: bytes) -> bytes:
+    """``data`` with every byte of its padding set."""
+    fields = PAYLOADS[Kind(data[KIND])]
+    for field, offset in zip(fields, offsets(fields), strict=True):
+        if field.code == "x":
+            for n in range(field.size):
+                data = peer.with_number(data, HEADER_BYTES + offset + n, "B", 0xA5)
+    return data
