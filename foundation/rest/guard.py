@@ -3,39 +3,34 @@
 import asyncio
 import ipaddress
 import re
-from collections import Counter
 from http import HTTPStatus
 
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from foundation.event_log import EventLog
 from foundation.problems import problem
 from foundation.rest.access import Access
-from foundation.rest.refusals import Refusal, Refuse, header_values, respond_unread
+from foundation.rest.refusals import (
+    DATA_POLICY,
+    NO_FRAMES,
+    SECURITY_HEADERS,
+    Refusal,
+    RefusalLog,
+    Refuse,
+    header_values,
+    respond_unread,
+)
 from foundation.rest.tokens import TokenCheck
 
 _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+?)\.?(:[0-9]{1,5})?", re.IGNORECASE)
 _OWN_SITE = frozenset({"same-origin", "none"})  # none: the person typed the address
 _CDN = "https://cdn.jsdelivr.net"  # FastAPI's pages at /docs and /redoc load their scripts from it
-_NO_FRAMES = "frame-ancestors 'none'; base-uri 'none'; form-action 'self'"
-_DATA_POLICY = f"default-src 'none'; {_NO_FRAMES}"
 _PAGE_POLICY = (
-    f"default-src 'none'; {_NO_FRAMES}; connect-src 'self'; "
+    f"default-src 'none'; {NO_FRAMES}; connect-src 'self'; "
     f"script-src 'self' 'unsafe-inline' {_CDN}; "
     f"style-src 'self' 'unsafe-inline' {_CDN} https://fonts.googleapis.com; "
     "font-src https://fonts.gstatic.com; img-src 'self' data: https:; worker-src 'self' blob:"
 )
-SECURITY_HEADERS = {
-    "X-Content-Type-Options": "nosniff",
-    "X-Frame-Options": "DENY",
-    "Referrer-Policy": "same-origin",  # no-referrer would make the Origin of our own pages "null"
-    "Cross-Origin-Resource-Policy": "same-origin",
-    "Cache-Control": "no-store",
-}
-
-
-_SOURCES_TOLD = 256  # apart; those who come later are told together
 
 
 class AccessGuard:
@@ -44,16 +39,14 @@ class AccessGuard:
     Loopback and the address that the client reached may always be called by. A request for another name may
     come from a page whose DNS name was turned to us (DNS rebinding). Headers that only browsers send decide
     about the origin; a program that sends none is served, where tokens are wanted with one. Every answer
-    carries SECURITY_HEADERS where the application sets no others. ``refused`` counts by cause.
+    carries SECURITY_HEADERS where the application sets no others. What is refused is told to ``refusals``.
     """
 
-    def __init__(self, app: ASGIApp, access: Access, log: EventLog | None) -> None:
-        self.refused: Counter[str] = Counter()
+    def __init__(self, app: ASGIApp, access: Access, refusals: RefusalLog) -> None:
         self._app = app
         self._allowed = frozenset(host.lower() for host in access.allowed_hosts)
         self._tokens = TokenCheck(access.tokens, access.stops) if access.tokens else None
-        self._log = log
-        self._sources: set[str] = set()
+        self._refusals = refusals
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One request."""
@@ -67,7 +60,7 @@ class AccessGuard:
         if refusal is None:
             await self._app(scope, receive, sent)
         else:
-            self._tell(refusal, scope)
+            self._refusals.tell(refusal, str((scope.get("client") or ("unknown",))[0]))
             await respond_unread(refusal)(scope, receive, sent)
 
     def _refusal(self, scope: Scope) -> Refusal | None:
@@ -97,17 +90,6 @@ class AccessGuard:
             return False
         server = scope.get("server") or ("", None)
         return address.is_loopback or str(address) == server[0]
-
-    def _tell(self, refusal: Refusal, scope: Scope) -> None:
-        cause, source = refusal["cause"], str((scope.get("client") or ("unknown",))[0])
-        self.refused[cause] += 1
-        if self._log is None:
-            return
-        if len(self._sources) < _SOURCES_TOLD:
-            self._sources.add(source)
-        kind = cause, source if source in self._sources else None
-        fields = {"cause": cause, "detail": refusal["detail"], "source": source}
-        self._log.write_repeated(kind, "request_refused", "warning", **fields)
 
 
 class BodyLimit:
@@ -175,7 +157,7 @@ def _secure(headers: MutableHeaders) -> None:
     for name, value in SECURITY_HEADERS.items():
         headers.setdefault(name, value)
     is_page = headers.get("content-type", "").startswith("text/html")
-    headers.setdefault("Content-Security-Policy", _PAGE_POLICY if is_page else _DATA_POLICY)
+    headers.setdefault("Content-Security-Policy", _PAGE_POLICY if is_page else DATA_POLICY)
 
 
 def _problem(scope: Scope, status: HTTPStatus, cause: str, detail: str) -> Refusal:

@@ -1,83 +1,35 @@
 """What every REST API of ours has: problem documents, limits, a guarded server in the service's loop."""
 
-import asyncio
 import contextlib
+import functools
 from collections.abc import Callable, Generator, Mapping
 from http import HTTPStatus
-from typing import Any
+from typing import Any, cast
 
 import uvicorn
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from foundation.event_log import EventLog
 from foundation.problems import problem, problem_of
 from foundation.rest.access import ANYBODY_HERE, Access
+from foundation.rest.connections import Door, Lanes
 from foundation.rest.guard import AccessGuard, BodyLimit
-from foundation.rest.refusals import Refuse, respond
+from foundation.rest.refusals import RefusalLog, Refuse, respond
 from protocol.errors import LongreachError
 
 MAX_BODY_BYTES = 16_384
 BODY_WITHIN_S = 5.0
-HEADERS_WITHIN_S = 10.0  # beyond the 5 s for which uvicorn keeps an idle connection
 _DRAIN_S = 1  # for answers under way at the end; a service must be gone within 2 s
 _FAULTS_SHOWN = 20
+_BACKLOG = 1024  # connections that wait while one turn lasts
 Explain = Callable[[RequestValidationError], dict[str, Any]]
 
 
-class _ImpatientProtocol(H11Protocol):
-    """HTTP/1.1 that ends a connection whose next request does not arrive whole, but for its body, in time."""
-
-    _deadline: asyncio.TimerHandle | None = None
-
-    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """The first request is due. Where no place is free, the oldest that is not being served yields."""
-        super().connection_made(transport)
-        self._came_s = self.loop.time()
-        self._await_request()
-        if self.limit_concurrency is not None and len(self.connections) >= self.limit_concurrency:
-            idle = [other for other in self.connections if isinstance(other, _ImpatientProtocol)]
-            idle = [other for other in idle if other is not self and not other.is_served]
-            if idle:
-                min(idle, key=lambda other: other._came_s).transport.abort()
-
-    @property
-    def is_served(self) -> bool:
-        """Whether a request has come whole and is being answered."""
-        return self.cycle is not None and not (self.cycle.response_complete or self.cycle.more_body)
-
-    def data_received(self, data: bytes) -> None:
-        """A piece of a request; pieces do not put the deadline off."""
-        super().data_received(data)
-        self._await_request()
-
-    def on_response_complete(self) -> None:
-        """The next request is due; one that has come already is served at once."""
-        super().on_response_complete()
-        self._await_request()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Nothing is due any more."""
-        super().connection_lost(exc)
-        self._forget_deadline()
-
-    def _await_request(self) -> None:
-        if self.cycle is not None and not self.cycle.response_complete:
-            self._forget_deadline()
-        elif self._deadline is None and not self.transport.is_closing():
-            self._deadline = self.loop.call_later(HEADERS_WITHIN_S, self.transport.close)
-
-    def _forget_deadline(self) -> None:
-        if self._deadline is not None:
-            self._deadline.cancel()
-            self._deadline = None
-
-
 class RestServer(uvicorn.Server):
-    """Uvicorn in the service's own loop: signals and log are the service's. ``serve`` takes bound sockets.
+    """Uvicorn in whatever loop serves: signals and log are the service's. ``serve`` takes bound sockets.
 
     ``access``: whom it serves. ``refused`` counts, by cause, whom it did not; each is told to ``log``.
     ``places``: how many connections it keeps; the oldest that is not being served then yields to a new one,
@@ -91,12 +43,14 @@ class RestServer(uvicorn.Server):
         log: EventLog | None = None,
         places: int | None = None,
     ) -> None:
-        guard = AccessGuard(app, access, log)
-        self.refused = guard.refused
+        refusals = RefusalLog(log)
+        self.refused = refusals.counts
+        lanes = Lanes(access.stops, refusals)
         super().__init__(
             uvicorn.Config(
-                guard,
-                http=_ImpatientProtocol,
+                AccessGuard(app, access, refusals),
+                http=cast(Any, functools.partial(Door, lanes)),
+                backlog=_BACKLOG,
                 ws="none",
                 server_header=False,
                 log_config=None,

@@ -12,7 +12,9 @@ from foundation.event_log import EventLog
 from foundation.overload import Limit, Tally
 from foundation.ports import bound_tcp
 from foundation.rest.access import configured_access
+from foundation.rest.home import Home
 from foundation.rest.server import RestServer
+from foundation.rest.thread import serve_in_thread
 from foundation.self_watch import SelfWatch
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
 from foundation.statistics import StatisticsFile, resident_mb
@@ -88,7 +90,7 @@ class VisionService:
         watch = SelfWatch(log, _LIMITS, self._work, log.record_dir)
         application.overload = lambda: watch.overload
         operations = Operations(arm.halt, log)
-        app = create_app(application, operations, self._programs)
+        app = create_app(application, operations, self._programs, Home(asyncio.get_running_loop()))
         self._server = server = RestServer(app, self._access, log)
         leaving: list[asyncio.Task[None]] = []
 
@@ -102,7 +104,7 @@ class VisionService:
         beside = [asyncio.create_task(w) for w in (self._statistics.keep_writing(), watch.keep_looking())]
         self._say_ready()
         try:
-            await server.serve([self._socket])
+            await serve_in_thread(server, self._socket)
         finally:
             for task in beside:
                 task.cancel()

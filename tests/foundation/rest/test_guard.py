@@ -17,9 +17,11 @@ from pydantic import ValidationError
 
 from foundation.configuration import HostName, StrictModel
 from foundation.event_log import EventLog
+from foundation.rest import connections
 from foundation.rest import server as rest
 from foundation.rest.access import ANYBODY_HERE, Access
-from foundation.rest.guard import SECURITY_HEADERS, AccessGuard
+from foundation.rest.guard import AccessGuard
+from foundation.rest.refusals import SECURITY_HEADERS, RefusalLog
 from foundation.rest.server import MAX_BODY_BYTES, install_problems
 from tests.foundation.rest.serving import serving
 
@@ -76,7 +78,7 @@ def served() -> Iterator[Served]:
     log = EventLog("test", stream)
     monkeypatch = pytest.MonkeyPatch()
     monkeypatch.setattr(rest, "BODY_WITHIN_S", SLOW_S)
-    monkeypatch.setattr(rest, "HEADERS_WITHIN_S", SLOW_S)
+    monkeypatch.setattr(connections, "HEADERS_WITHIN_S", SLOW_S)
     app = FastAPI()
     install_problems(app, {})
 
@@ -349,7 +351,7 @@ async def test_bound_to_every_address_the_one_that_was_reached_is_served(
         "type": "http", "method": "GET", "path": "/state", "scheme": "http", "server": (reached, 8000),
         "headers": [(b"host", host.encode())],
     }  # fmt: skip
-    await AccessGuard(JSONResponse({}), ANYBODY_HERE, None)(scope, receive, send)
+    await AccessGuard(JSONResponse({}), ANYBODY_HERE, RefusalLog(None))(scope, receive, send)
     assert statuses == [status]
 
 

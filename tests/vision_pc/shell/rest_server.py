@@ -1,4 +1,4 @@
-"""The REST API on a real port, over the synthetic arm, in a thread with a loop of its own."""
+"""The REST API on a real port, over the synthetic arm, served in a thread of its own as the service does."""
 
 import asyncio
 import contextlib
@@ -8,9 +8,12 @@ from collections.abc import Callable, Iterator
 
 from fastapi import FastAPI
 
+from foundation.rest.access import Access
+from foundation.rest.home import Home
 from foundation.rest.server import RestServer
+from foundation.rest.thread import serve_in_thread
 from tests.vision_pc.synthetic_station import Bench, bench
-from vision_pc.shell.rest.api import create_app
+from vision_pc.shell.rest.api import STOPS, create_app
 
 
 @contextlib.contextmanager
@@ -34,10 +37,10 @@ def served_bench(
             made.controller.speed = 50.0
             if enabled:
                 await made.post("/enable")
-            app = create_app(made.station, made.operations)
+            app = create_app(made.station, made.operations, home=Home(asyncio.get_running_loop()))
             add(app)
-            server = RestServer(app, log=made.station.log)
-            task = asyncio.create_task(server.serve([listening]))
+            server = RestServer(app, Access(stops=frozenset(STOPS)), made.station.log)
+            task = asyncio.create_task(serve_in_thread(server, listening))
             benches.append(made)
             started.set()
             await asyncio.to_thread(leave.wait)

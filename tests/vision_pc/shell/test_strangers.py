@@ -8,7 +8,7 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -200,19 +200,36 @@ def test_a_thousand_followers_are_refused_and_a_stop_is_answered() -> None:
         statuses = [sock.recv(12) for sock in followers]
         assert statuses.count(b"HTTP/1.1 200") == MAX_FOLLOWERS
         assert statuses.count(b"HTTP/1.1 503") == 1000 - MAX_FOLLOWERS
-        refusal = httpx.get(f"{url}/operations/{operation}/events")
-        assert (refusal.status_code, refusal.json()["cause"]) == (503, "refused.too_many_followers")
+        assert refused_cause(url, operation) == "refused.too_many_connections"
+        for sock, status in zip(followers, statuses, strict=True):
+            if status == b"HTTP/1.1 503":
+                sock.close()
+        eventually(lambda: refused_cause(url, operation) == "refused.too_many_followers")
         for sock in followers[:10]:  # those who leave make room
             sock.close()
-        deadline = time.monotonic() + 10.0
-        while bench_status(port, operation) != 200:
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        eventually(lambda: bench_status(port, operation) == 200)
         assert httpx.get(f"{url}/operations/{operation}").json()["state"] == "running"
+        for _ in range(1000):
+            stack.enter_context(follow(port, operation))
+        assert httpx.post(f"{url}/reset").json()["cause"] == "refused.too_many_connections"
         begun = time.monotonic()
         assert httpx.post(f"{url}/stop", timeout=20.0).status_code == 200
         assert time.monotonic() - begun < 2.0
-        assert httpx.get(f"{url}/operations/{operation}").json()["state"] in ("cancelled", "failed")
+        assert bench.operations.get(operation).state in ("cancelled", "failed")
+
+
+def eventually(happened: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 10.0
+    while not happened():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def refused_cause(url: str, operation: str) -> str:
+    """Why one more follower is refused."""
+    answer = httpx.get(f"{url}/operations/{operation}/events")
+    assert answer.status_code == 503
+    return str(answer.json()["cause"])
 
 
 def bench_status(port: int, operation: str) -> int:

@@ -9,6 +9,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 
 from foundation.problems import MEDIA_TYPE, problem
+from foundation.rest.home import Home, run_endpoints_at
 from foundation.rest.refusals import respond
 from foundation.rest.server import install_problems
 from protocol.faults import CommandCode
@@ -44,10 +45,12 @@ def create_app(
     application: VisionApplication,
     operations: Operations,
     programs: Sequence[Program[Any, Any]] = PROGRAMS,
+    home: Home | None = None,
 ) -> FastAPI:
     """The API over one application; guided hand-eye calibration is there when the application has it.
 
-    Raises ConfigurationError when two programs have one name.
+    ``home``: where the application lives, if it is served elsewhere. Raises ConfigurationError when two
+    programs have one name.
     """
     app = FastAPI(
         title="Longreach vision PC",
@@ -56,6 +59,8 @@ def create_app(
         responses={"4XX": _PROBLEM, "5XX": _PROBLEM},
     )
     install_problems(app, STATUS_OF_CAUSE)
+    if home is not None:
+        run_endpoints_at(app, home)
     _add_state(app, application, operations)
     _add_looks(app, application)
     _add_commands(app, application, operations)

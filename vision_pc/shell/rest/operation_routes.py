@@ -91,7 +91,7 @@ class _Followers:
 def add_resources(app: FastAPI, operations: Operations) -> None:
     """Adds reading, cancelling and following operations to ``app``."""
 
-    def found(operation_id: str) -> Operation:
+    async def found(operation_id: str) -> Operation:
         return operations.get(operation_id)
 
     Found = Annotated[Operation, Depends(found)]
