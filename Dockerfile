@@ -1,4 +1,5 @@
 # One image for the three services: `python -m controller`, `plant_emulator` or `vision_pc` is its command.
+# What is built on can be fixed by its digest: --build-arg BASE=python:3.11-slim-bookworm@sha256:...
 ARG BASE=python:3.11-slim-bookworm
 FROM ${BASE}
 

@@ -13,12 +13,13 @@ BIN := $(VENV)/bin
 RUN_STAMP := $(VENV)/.stamp-run
 DEV_STAMP := $(VENV)/.stamp-dev
 PEERS_STAMP := $(VENV)/.stamp-peers
+AUDIT := $(VENV)-audit
 LOCK_FLAGS := --generate-hashes --no-emit-index-url --no-header --python-version 3.11
 ARGS ?=
 PROCESSES ?= 2
 FOREIGN_TOOLS := mbpoll tshark gcc
 
-.PHONY: help setup setup-dev demo test coverage foreign-tools bench experiments lint types imports compose-test lock clean
+.PHONY: help setup setup-dev demo test coverage foreign-tools bench experiments lint types imports compose-test sbom audit lock clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -82,18 +83,32 @@ imports: $(DEV_STAMP)  ## who may import whom
 compose-test: $(DEV_STAMP)  ## build the image, bring the tool to the object with compose
 	$(BIN)/python -m pytest -m docker --timeout 1800 -s $(ARGS)
 
+$(AUDIT)/.stamp: requirements-audit.lock | $(BIN)/python
+	"$(PYTHON)" -m venv $(AUDIT)
+	$(AUDIT)/bin/python -m pip install --quiet --require-hashes -r requirements-audit.lock
+	@touch $@
+
+sbom: $(AUDIT)/.stamp  ## bill of materials of what runs: dist/longreach.cdx.json (CycloneDX), checked against the lock
+	@mkdir -p dist
+	$(AUDIT)/bin/cyclonedx-py requirements requirements.lock --pyproject pyproject.toml --output-reproducible --validate --of JSON -o dist/longreach.cdx.json
+	$(BIN)/python -m tools.bill_of_materials requirements.lock dist/longreach.cdx.json
+
+audit: $(AUDIT)/.stamp  ## known vulnerabilities of what runs; status 1: there are some, 3: no database could be reached
+	$(BIN)/python -m tools.dependency_audit $(AUDIT)/bin/pip-audit requirements.lock
+
 # The locks are made from pyproject.toml by uv, in an environment of its own. `requirements.lock` holds the
 # run-time dependencies and the build back end; `requirements-dev.lock` adds the tools of the tests,
-# `requirements-peers.lock` what the benchmarks compare with.
+# `requirements-peers.lock` what the benchmarks compare with; `requirements-audit.lock` is of its own.
 lock:  ## resolve pyproject.toml again into both lock files
 	"$(PYTHON)" -m venv $(VENV)-lock
 	$(VENV)-lock/bin/python -m pip install --quiet uv
 	$(VENV)-lock/bin/uv pip compile pyproject.toml --group build $(LOCK_FLAGS) -o requirements.lock
 	$(VENV)-lock/bin/uv pip compile pyproject.toml --group build --group dev -c requirements.lock $(LOCK_FLAGS) -o requirements-dev.lock
 	$(VENV)-lock/bin/uv pip compile pyproject.toml --group peers -c requirements-dev.lock $(LOCK_FLAGS) -o requirements-peers.lock
+	$(VENV)-lock/bin/uv pip compile --group pyproject.toml:audit $(LOCK_FLAGS) -o requirements-audit.lock
 	rm -rf $(VENV)-lock
 
 clean:  ## remove the virtual environment and every cache
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis .benchmarks
+	rm -rf $(VENV) $(AUDIT) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis .benchmarks
 	rm -rf "$${NUMBA_CACHE_DIR:-$${XDG_CACHE_HOME:-$$HOME/.cache}/longreach/kernels}"
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
