@@ -2,8 +2,10 @@
 
 import asyncio
 import ipaddress
+import json
 import re
 from http import HTTPStatus
+from typing import Any
 
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -116,6 +118,8 @@ class BodyLimit:
                 refusal = _too_slow(scope, self._within_s)
             except _TooLarge:
                 refusal = _too_large(scope)
+            else:
+                refusal = _ambiguous(scope, body)
         if refusal is not None:
             await respond_unread(refusal)(scope, receive, send)
         elif body is not None:
@@ -141,6 +145,32 @@ class BodyLimit:
 
 class _TooLarge(Exception):
     pass
+
+
+class _TwiceWritten(Exception):
+    pass
+
+
+def _ambiguous(scope: Scope, body: bytes | None) -> Refusal | None:
+    """The problem of JSON that writes a member twice: which of the two counts is nowhere written."""
+    if not body:
+        return None
+    try:
+        json.loads(body, object_pairs_hook=_unique)
+    except _TwiceWritten as error:
+        why = f"member {str(error)[:80]!r} is written twice in one object"
+        return _problem(scope, HTTPStatus.BAD_REQUEST, "request.duplicate_member", why)
+    except (ValueError, RecursionError):
+        pass  # no JSON: whoever wants some says so
+    return None
+
+
+def _unique(members: list[tuple[str, Any]]) -> None:
+    seen = set()
+    for name, _ in members:
+        if name in seen:
+            raise _TwiceWritten(name)
+        seen.add(name)
 
 
 def _after(body: bytes, receive: Receive) -> Receive:

@@ -59,7 +59,9 @@ class VisionService:
         self._programs = programs
         self._access = configured_access(config.api, "vision.api", STOPS)
         self._socket = bound_tcp(config.api.host, config.api.port, "vision.api")
+        self._sessions = SessionStore(config.sessions_dir)
         try:
+            self._sessions.refuse_strangers()
             if options.record_dir is not None:
                 log.record_in(options.record_dir)
             self._statistics = StatisticsFile(options.statistics, _NAME, log, self._gathered)
@@ -85,7 +87,7 @@ class VisionService:
         self._opened = opened = open_eyes(camera, link, config, log)
         eyes = opened.eyes
         arm = LinkArm(link, config.motion)
-        guided = GuidedCalibration(arm, eyes, link, config, nominal, log, SessionStore(config.sessions_dir))
+        guided = GuidedCalibration(arm, eyes, link, config, nominal, log, self._sessions)
         application = VisionApplication(arm, eyes, link, eyes, config.programs, nominal.boom, log, guided)
         watch = SelfWatch(log, _LIMITS, self._work, log.record_dir)
         application.overload = lambda: watch.overload

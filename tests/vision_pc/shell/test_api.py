@@ -12,6 +12,7 @@ import pytest
 from protocol.faults import CommandCode, FaultCode, GroupState
 from tests.vision_pc.shell.loopback_controller import until
 from tests.vision_pc.synthetic_station import Bench, bench
+from vision_pc.shell.rest import operations
 
 pytestmark = pytest.mark.realtime
 
@@ -310,6 +311,42 @@ async def test_the_same_idempotency_key_is_the_same_operation(station: Bench) ->
     other = {"offset_base_m": [0.0, 0.2, 0.0]}
     refused(await station.post("/operations/move", other, Idempotency_Key="k1"), 422, "refused.key_reused")
     assert len((await station.client.get("/operations")).json()) == 1
+
+
+async def test_the_key_of_a_forgotten_operation_is_spent(
+    station: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(operations, "_REMEMBERED", 2)
+    monkeypatch.setattr(operations, "_KEYS_REMEMBERED", 3)
+    for number in range(3):
+        started = await station.post("/operations/look", Idempotency_Key=f"k{number}")
+        await station.ended(started.headers["Location"])
+    refused(await station.post("/operations/look", Idempotency_Key="k0"), 410, "refused.key_spent")
+    assert (await station.post("/operations/look", Idempotency_Key="k1")).json()["state"] == "succeeded"
+    started = await station.post("/operations/look", Idempotency_Key="k3")
+    await station.ended(started.headers["Location"])
+    again = await station.post(
+        "/operations/look", Idempotency_Key="k0"
+    )  # beyond the keys that are remembered
+    assert again.status_code == 202
+    await station.ended(again.headers["Location"])
+
+
+async def test_two_idempotency_keys_are_refused(station: Bench) -> None:
+    keys = [("Idempotency-Key", "k1"), ("Idempotency-Key", "k2")]
+    refused(await station.client.post("/operations/look", headers=keys), 400, "request.repeated_header")
+    assert not station.operations.list()
+
+
+@pytest.mark.parametrize(
+    "body",
+    ['{"inputs": 1, "inputs": 2}', '{"inputs": 1, "x": {"a": 1, "b": 2, "a": 1}}', '[{"a": 1, "a": 1}]'],
+)
+async def test_a_member_that_is_written_twice_is_refused(station: Bench, body: str) -> None:
+    headers = {"Content-Type": "application/json"}
+    answer = await station.client.post("/operations/look-then-move", content=body, headers=headers)
+    assert "twice" in refused(answer, 400, "request.duplicate_member")["detail"]
+    assert not station.operations.list()
 
 
 async def test_events_follow_an_operation_to_its_end(station: Bench) -> None:

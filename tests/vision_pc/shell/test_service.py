@@ -105,3 +105,16 @@ def test_a_record_directory_that_cannot_be_written_ends_it_with_status_2(
     where = str(tmp_path / "file" / "records")
     assert main([*arguments(f"vision.api.port={free_port()}"), "--record-dir", where]) == 2
     assert capsys.readouterr().err.startswith("vision_pc: configuration.record_dir_unwritable: ")
+
+
+def test_a_sessions_directory_of_somebody_else_ends_it_with_status_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    where = [*arguments(f"vision.api.port={free_port()}"), "--set", f"vision.sessions_dir={tmp_path}"]
+    (tmp_path / "monday.json").write_text("{}")
+    (tmp_path / "passwd").write_text("root")
+    assert main(where) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("vision_pc: configuration.sessions_dir_not_ours: ")
+    assert told.endswith("passwd\n")
+    assert main([*arguments(f"vision.api.port={free_port()}"), "--set", "vision.sessions_dir=/etc"]) == 2

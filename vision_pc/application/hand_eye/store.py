@@ -11,12 +11,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from protocol.errors import LongreachError, RequestRefused
+from protocol.errors import ConfigurationError, LongreachError, RequestRefused
 from vision_pc.config.hand_eye import CabinetSettings
 from vision_pc.core.hand_eye.guided.cabinet import Drawing, Target
 from vision_pc.core.hand_eye.guided.session import Session, from_json, to_json
 from vision_pc.core.types import CameraCalibration
 
+_OWN = frozenset({".json", ".part"})
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
@@ -25,6 +26,19 @@ class SessionStore:
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
+
+    def refuse_strangers(self) -> None:
+        """Raises ConfigurationError when the directory holds anything but sessions: it is somebody else's."""
+        try:
+            others = [path.name for path in self.directory.iterdir() if path.suffix not in _OWN]
+        except FileNotFoundError:
+            return  # it is made with the first session
+        except OSError as error:
+            why = f"sessions_dir = {self.directory}: {error.strerror}"
+            raise ConfigurationError("configuration.sessions_dir_unreadable", why) from error
+        if others:
+            why = f"sessions_dir = {self.directory}: holds what is no session: {min(others)}"
+            raise ConfigurationError("configuration.sessions_dir_not_ours", why)
 
     def names(self) -> list[str]:
         """All sessions, sorted."""

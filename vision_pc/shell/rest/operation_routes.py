@@ -4,7 +4,7 @@ from collections.abc import AsyncIterable, AsyncIterator, Iterable
 from http import HTTPStatus
 from typing import Annotated, Any
 
-from fastapi import Body, Depends, FastAPI, Header, Response
+from fastapi import Body, Depends, FastAPI, Header, Request, Response
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, ValidationError
 
@@ -16,9 +16,13 @@ from vision_pc.shell.rest.operation_view import OperationView, operation_view
 from vision_pc.shell.rest.operations import Operation, Operations
 
 MAX_FOLLOWERS = 64  # 400 cost the link nothing, 1,000 its session
+_KEY_LIVES = (
+    "Same key, same operation, while that is among the newest 200; of an older one 410 `refused.key_spent`, "
+    "for the newest 10,000 keys. A restart forgets them; nothing moves then before the arm is enabled again."
+)
 _Key = Annotated[
     str | None,
-    Header(alias="Idempotency-Key", min_length=1, max_length=100, description="Same key, same operation"),
+    Header(alias="Idempotency-Key", min_length=1, max_length=100, description=_KEY_LIVES),
 ]
 
 
@@ -39,7 +43,11 @@ def _add_program(
     nothing = _empty(program.body)
     left_out: Any = Body() if nothing is None else None  # FastAPI's mark of a body that is wanted
 
-    async def start(response: Response, body: Any = left_out, key: _Key = None) -> OperationView:
+    async def start(
+        request: Request, response: Response, body: Any = left_out, key: _Key = None
+    ) -> OperationView:
+        if len(request.headers.getlist("idempotency-key")) > 1:
+            raise RequestRefused("request.repeated_header", "Idempotency-Key is there more than once")
         operation = operations.start(program, application, body or nothing, key)
         response.headers["Location"] = f"/operations/{operation.id}"
         return operation_view(operation)

@@ -24,6 +24,7 @@ from vision_pc.core.ports import Report
 from vision_pc.shell.rest.problems import problem_of
 
 _REMEMBERED = 200
+_KEYS_REMEMBERED = 10_000
 Work = Callable[[Report], Awaitable[JSON]]
 
 
@@ -88,7 +89,7 @@ class Operations:
         self._halt = halt
         self._log = log
         self._all: OrderedDict[str, Operation] = OrderedDict()
-        self._keys: dict[str, str] = {}
+        self._keys: OrderedDict[str, str] = OrderedDict()
         self._task: asyncio.Task[None] | None = None
         self.current: Operation | None = None
 
@@ -113,7 +114,7 @@ class Operations:
 
         Raises ConfigurationError for settings out of range, RequestRefused or LinkLost when the program
         cannot begin now (``refused.busy`` while one runs), ``refused.key_reused`` for a key of another
-        request.
+        request, ``refused.key_spent`` for that of an operation that is no longer remembered.
         """
         settings = program.requested(application, body)
         request = body.model_dump(mode="json", exclude_none=True)
@@ -135,9 +136,14 @@ class Operations:
             raise RequestRefused("refused.busy", why)
 
     def _repeated(self, kind: str, request: JSON, key: str | None) -> Operation | None:
-        """The operation that ``key`` already stands for. Raises RequestRefused (``refused.key_reused``)."""
-        earlier = self._all.get(self._keys.get(key, "")) if key else None
-        if earlier is not None and (earlier.kind != kind or earlier.request != request):
+        """The operation that ``key`` already stands for. Raises RequestRefused when it stands for another."""
+        if key is None or key not in self._keys:
+            return None
+        earlier = self._all.get(self._keys[key])
+        if earlier is None:
+            why = f"Idempotency-Key '{key}' stood for an operation that is no longer remembered"
+            raise RequestRefused("refused.key_spent", why)
+        if earlier.kind != kind or earlier.request != request:
             why = f"Idempotency-Key '{key}' stands for another request ({earlier.kind})"
             raise RequestRefused("refused.key_reused", why)
         return earlier
@@ -224,5 +230,6 @@ class Operations:
 
     def _forget_old(self) -> None:
         while len(self._all) > _REMEMBERED:
-            old, _ = self._all.popitem(last=False)
-            self._keys = {key: of for key, of in self._keys.items() if of != old}
+            self._all.popitem(last=False)
+        while len(self._keys) > _KEYS_REMEMBERED:
+            self._keys.popitem(last=False)

@@ -9,6 +9,8 @@ STATUS_OF_CAUSE = {
     "refused.unknown_operation": HTTPStatus.NOT_FOUND,
     "refused.too_many_followers": HTTPStatus.SERVICE_UNAVAILABLE,
     "refused.key_reused": HTTPStatus.UNPROCESSABLE_ENTITY,
+    "refused.key_spent": HTTPStatus.GONE,
+    "request.repeated_header": HTTPStatus.BAD_REQUEST,
     "refused.no_look_yet": HTTPStatus.NOT_FOUND,
     "refused.bad_target": HTTPStatus.UNPROCESSABLE_ENTITY,
     "refused.bad_setting": HTTPStatus.UNPROCESSABLE_ENTITY,
