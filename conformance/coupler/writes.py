@@ -48,8 +48,8 @@ def each_coil(master: Master) -> None:
 def coils_over_bytes(master: Master) -> None:
     spare = spare_word(master)
     for address, bits, data, wanted in (
-        (0, 16, "34 92", 0x9234), (0, 9, "FF FF", 0x01FF), (6, 5, "F5", 0x0540), (5, 10, "55 FF", 0x6AA0),
-        (15, 1, "01", 0x8000),
+        (0, 16, "34 92", 0x9234), (0, 9, "FF FF", 0x01FF), (0, 9, "00 01", 0x0100), (0, 9, "FF 00", 0x00FF),
+        (6, 5, "F5", 0x0540), (5, 10, "55 FF", 0x6AA0), (15, 1, "01", 0x8000),
     ):  # fmt: skip
         master.done(word_request(spare, 0), "zeroing the word")
         pdu = coils_request(address, bits, bytes.fromhex(data))

@@ -235,7 +235,8 @@ class PageCoupler:
         else:
             data = request.pdu[6:]
             count = 8 * len(data) if self.rules.bits_beyond else request.write_count
-            bits = [bool(data[at // 8] >> at % 8 & 1) for at in range(min(count, 8 * len(data)))]
+            places = [self.rules.coil_from(at) for at in range(min(count, 8 * len(data)))]
+            bits = [bool(data[at // 8] >> at % 8 & 1) for at in places]
         for at, bit in enumerate(bits, request.write_at):
             if self.rules.coil_clears_others:
                 self.outputs[-1] = 0

@@ -76,6 +76,7 @@ class Rules(NamedTuple):
     counted: frozenset[str] = frozenset({"requests", "refused requests", "frames", "exceptions"})
     echoes: Callable[[bytes], bytes] = bytes
     short_answer: Callable[[bytes], bytes] = _short_answer
+    coil_from: Callable[[int], int] = int
     coil_place: Callable[[int], int] = int
     coil_clears_others: bool = False
     bits_beyond: bool = False

@@ -190,6 +190,7 @@ def answers() -> Iterator[BrokenCoupler]:
     yield broken("2.7", "bits beyond the quantity are written", bits_beyond=True)
     yield broken("2.7", "coils from the other end of the byte", coil_place=lambda at: at ^ 7)
     yield broken("2.7", "coils of the other byte", coil_place=lambda at: at ^ 8)
+    yield broken("2.7", "coil 8 from the first byte", coil_from=lambda at: 0 if at == 8 else at)
     yield broken("2.7", "coils above 7 are not written", coil_place=lambda at: at if at < 8 else 99)
     yield broken("2.7", "a coil clears the others", coil_clears_others=True)
     yield broken("2.8", "reads before it writes", writes_first=False)
