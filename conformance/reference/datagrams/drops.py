@@ -11,6 +11,7 @@ from conformance.reference.framing import FLAGS, KIND, MAJOR, stop, used
 from conformance.reference.handshake import granted
 from conformance.reference.lifetime import SLACK_MS
 from conformance.wire import MS, SEQUENCES, Failed, require
+from protocol.authentication import DirectionKey
 from protocol.datagram import Header, encode
 from protocol.datagram_layout import HEADER_BYTES, MAX_DATAGRAM_BYTES, PAYLOADS, Kind, offsets
 from protocol.faults import Reason
@@ -56,18 +57,28 @@ def dropped(peer: Peer, other: Peer) -> Iterator[tuple[str, Peer, Callable[[], b
     yield "that is a byte longer than it says", peer, lambda: resealed(beat() + b"\0")
     yield "that is too long", peer, lambda: resealed(beat().ljust(MAX_DATAGRAM_BYTES + 1, b"\0"))
     yield "of another kind's length", peer, lambda: peer.with_payload_of(beat(), 16)
-    yield "signed otherwise than the session", peer, lambda: _signed_otherwise(peer)
+    yield (
+        "signed otherwise than the session",
+        peer,
+        lambda: _signed(peer, None if peer.link_key else OTHER_KEY.of_hello()),
+    )
+    yield "signed with another key", peer, lambda: _signed(peer, OTHER_KEY.of_hello())
     yield "that is too short", peer, lambda: beat()[: HEADER_BYTES - 1]
     yield "that a controller sends", peer, lambda: peer.encoded(HeartbeatReply(1, 2, 3))
     yield "that cannot be", peer, lambda: peer.with_number(peer.encoded(stop(peer)), HEADER_BYTES, "Q", 0)
+    hello = Hello(peer.nonce(), 1 | peer.required, 0, 50)
+    assert peer.welcome is not None
+    another_arm = hello._replace(arm_hash=peer.welcome.arm_hash ^ 1 or 2)
+    yield "that is HELLO for another arm", peer, lambda: peer.encoded(another_arm, session=0)
+    yield "that is HELLO from another port", other, lambda: peer.encoded(hello, session=0)
     yield "that is HELLO in a session", peer, lambda: peer.encoded(Hello(peer.nonce(), 1, 0, 50))
 
 
-def _signed_otherwise(peer: Peer) -> bytes:
-    """A heartbeat that is signed where nothing is, and not where everything is."""
+def _signed(peer: Peer, key: DirectionKey | None) -> bytes:
+    """A heartbeat under any key, or under none."""
     peer.sequence += 1
     header = Header(peer.session, peer.sequence % SEQUENCES, peer.now_ns, minor=peer.minor)
-    return encode(Heartbeat(1), header, None if peer.link_key else OTHER_KEY.of_hello())
+    return encode(Heartbeat(1), header, key)
 
 
 def _flags(data: bytes) -> int:
@@ -241,3 +252,86 @@ def _dirtied(peer: Peer, data: bytes) -> bytes:
             for n in range(field.size):
                 data = peer.with_number(data, HEADER_BYTES + offset + n, "B", 0xA5)
     return data
+
+
+def disordered(peer: Peer) -> Iterator[tuple[str, Callable[[int], bytes]]]:
+    """Heartbeats that come in no order: why, and the bytes for a time of sending; there is a gap behind."""
+
+    def beat(behind: int, sent_ns: int) -> bytes:
+        number = (peer.sequence - behind) % peer.sequences
+        return peer.encoded(Heartbeat(MARK), sequence=number, sent_ns=sent_ns)
+
+    yield "that came before", lambda sent_ns: beat(0, sent_ns)
+    yield "that is late", lambda sent_ns: beat(3, sent_ns)
+    yield "that is old", lambda sent_ns: beat(300, sent_ns)
+    yield "that leaps", lambda sent_ns: beat(-70_000, sent_ns)
+
+
+@case(253, "5.2", f"what comes in no order moves no age, begins nothing, is no life (slack {SLACK_MS} ms)")
+def disorder_is_nothing(peer: Peer) -> None:
+    timeout_ms = peer.open(sequence=10_000).link_timeout_ms
+    for what, data in disordered(peer):
+        granted(peer)
+        peer.sequence += 10
+        peer.alive("behind a gap")
+        peer.send_raw(data(peer.now_ns + 10_000 * MS))
+        came = [d.message for d in peer.collect(10) if isinstance(d.message, Bye) or _is_use(d.message)]
+        require(not came, f"a heartbeat {what} was answered: {came}")
+        peer.ask(stop(peer), f"a request of the session in use, after a heartbeat {what}")
+    begin_ns = peer.now_ns
+    peer.send(Heartbeat(begin_ns), sent_ns=begin_ns)
+    while peer.now_ns < begin_ns + (timeout_ms + 1000) * MS:
+        for _, data in disordered(peer):
+            peer.send_raw(data(peer.now_ns))
+        if Bye(Reason.LINK_TIMEOUT) in [d.message for d in peer.collect(4, beating=False)]:
+            peer.session = 0
+            waited_ms = (peer.now_ns - begin_ns) / MS
+            require(waited_ms < timeout_ms + SLACK_MS, f"it ended only after {waited_ms:.0f} ms")
+            return
+    raise Failed("the session lived on datagrams that came in no order")
+
+
+@case(254, "3.5", "a datagram from another port, or of another minor version, is not answered at all")
+def not_even_refused(peer: Peer) -> None:
+    peer.open()
+    other = peer.second()
+    peer.collect(RATION_MS)
+    other.send_raw(peer.encoded(stop(peer)))
+    came = other.collect(40, beating=False)
+    require(not came, f"another port was answered: {[d.message for d in came]}")
+    peer.send(stop(peer), minor=peer.minor + 1)
+    byes = [d.message for d in peer.collect(40) if isinstance(d.message, Bye)]
+    require(not byes, f"another minor version was answered: {byes}")
+
+
+@case(
+    255, "4.6", "HELLO of an earlier session, from the connected source, has no effect but that it is counted"
+)
+def replayed_beside_a_session(peer: Peer) -> None:
+    nonce = peer.nonce()
+    timeout_ms = peer.open(nonce=nonce).link_timeout_ms
+    peer.leave()
+    peer.open(period_ms=20)
+    message = Hello(nonce, 1 | peer.required, 0, 50)
+    granted(peer)
+    peer.alive("beside a grant")
+    before = peer.state()
+    sequence = peer.sequence
+    peer.sequence += 1000
+    peer.send(message, session=0, sent_ns=peer.now_ns + 10_000 * MS)
+    peer.sequence = sequence
+    peer.alive("beside a grant, after a HELLO of an earlier session")
+    after = peer.state()
+    gone = after.references_dropped - before.references_dropped
+    lost = after.references_lost - before.references_lost
+    require((gone, lost) == (1, 0), f"{gone} dropped and {lost} lost of one")
+    begin_ns = peer.now_ns
+    peer.send(Heartbeat(begin_ns), sent_ns=begin_ns)
+    while peer.now_ns < begin_ns + (timeout_ms + 1000) * MS:
+        peer.send(message, session=0)
+        if Bye(Reason.LINK_TIMEOUT) in [d.message for d in peer.collect(4, beating=False)]:
+            peer.session = 0
+            waited_ms = (peer.now_ns - begin_ns) / MS
+            require(waited_ms < timeout_ms + SLACK_MS, f"it ended only after {waited_ms:.0f} ms")
+            return
+    raise Failed("the session lived on a HELLO of an earlier one")
