@@ -9,10 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from plant_emulator.core.places import who_yields
 from protocol.stereo_frame import FrameHeader, encode_header
 
 _SEND_BUFFER_BYTES = 1 << 19  # about a quarter of a 720p pair: what waits in the kernel must not grow old
 _STALLED_S = 5.0
+PLACES = 16
 
 
 class StereoFrame(NamedTuple):
@@ -25,8 +27,21 @@ class StereoFrame(NamedTuple):
     right: NDArray[np.uint8]
 
 
+class _Client:
+    """A connection: from where, how many frames it has taken, and when the last."""
+
+    def __init__(self, sock: socket.socket, address: str) -> None:
+        self.sock = sock
+        self.address = address
+        self.served = 0
+        self.heard_ns = time.monotonic_ns()
+
+
 class FrameServer:
-    """Serves ``listener`` with one thread a client. ``publish`` never waits for a client."""
+    """Serves ``listener`` with one thread a client. ``publish`` never waits for a client.
+
+    There are PLACES; a newcomer takes that of a client that never took a frame, or took none for longest.
+    """
 
     def __init__(self, listener: socket.socket) -> None:
         self._listener = listener
@@ -34,7 +49,8 @@ class FrameServer:
         self._published = 0
         self._closing = False
         self._changed = threading.Condition()
-        self._clients: set[socket.socket] = set()
+        self._clients: set[_Client] = set()
+        self._displaced = 0
         self._sent = 0
         self._dropped = 0
         self._threads: list[threading.Thread] = []
@@ -64,13 +80,14 @@ class FrameServer:
                 "clients": len(self._clients),
                 "frames_sent": self._sent,
                 "frames_dropped_slow": self._dropped,
+                "clients_displaced": self._displaced,
             }
 
     def stop(self) -> None:
         """Disconnect everybody and stop listening."""
         with self._changed:
             self._closing = True
-            clients = list(self._clients)
+            clients = [client.sock for client in self._clients]
             self._changed.notify_all()
         for sock in (self._listener, *clients):
             with contextlib.suppress(OSError):
@@ -82,34 +99,49 @@ class FrameServer:
     def _accept(self) -> None:
         while True:
             try:
-                client, _ = self._listener.accept()
+                sock, (address, _) = self._listener.accept()
             except OSError:
                 return
-            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            client.settimeout(_STALLED_S)
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            sock.settimeout(_STALLED_S)
+            client = _Client(sock, address)
             with self._changed:
                 if self._closing:
-                    client.close()
+                    sock.close()
                     return
+                yielding = who_yields(self._clients, address, None, PLACES, PLACES)
+                if yielding is not None:
+                    self._clients.discard(yielding)
+                    self._displaced += 1
+                    with contextlib.suppress(OSError):
+                        yielding.sock.shutdown(socket.SHUT_RDWR)
+                    self._changed.notify_all()
                 self._clients.add(client)
                 seen = self._published
             self._spawn(self._serve, client, seen)
 
-    def _serve(self, client: socket.socket, seen: int) -> None:
-        with contextlib.suppress(OSError), client:
+    def _serve(self, client: _Client, seen: int) -> None:
+        with contextlib.suppress(OSError), client.sock:
             while True:
                 with self._changed:
-                    self._changed.wait_for(lambda seen=seen: self._closing or self._published > seen)  # type: ignore[misc]
-                    if self._closing or self._newest is None:
+                    self._changed.wait_for(
+                        lambda seen=seen: self._over(client) or self._published > seen  # type: ignore[misc]
+                    )
+                    if self._over(client) or self._newest is None:
                         break
                     frame = self._newest
                     self._dropped += self._published - seen - 1
                     seen = self._published
-                _send(client, frame)
+                _send(client.sock, frame)
                 with self._changed:
                     self._sent += 1
+                    client.served += 1
+                    client.heard_ns = time.monotonic_ns()
         with self._changed:
             self._clients.discard(client)
+
+    def _over(self, client: _Client) -> bool:
+        return self._closing or client not in self._clients
 
     def _spawn(self, target: object, *arguments: object) -> None:
         thread = threading.Thread(target=target, args=arguments, daemon=True)  # type: ignore[arg-type]

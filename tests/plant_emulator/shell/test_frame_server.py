@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from plant_emulator.shell.frame_server import FrameServer, StereoFrame
+from plant_emulator.shell.frame_server import PLACES, FrameServer, StereoFrame
 from protocol.stereo_frame import HEADER_BYTES, FrameHeader, decode_header
 
 pytestmark = pytest.mark.realtime
@@ -128,3 +128,20 @@ def test_stopping_hangs_up(server: tuple[FrameServer, int]) -> None:
         frames.stop()
         assert sock.recv(1) == b""
         assert time.monotonic() - begun < 1.0
+
+
+def test_whoever_takes_frames_keeps_its_place_among_many_that_take_none(
+    server: tuple[FrameServer, int],
+) -> None:
+    frames, port = server
+    with client(frames, port) as sock:
+        frames.publish(frame(1))
+        assert receive(sock)[0].frame_id == 1
+        wait_until(lambda: frames.statistics()["frames_sent"] == 1)
+        idle = [socket.create_connection(("127.0.0.1", port), timeout=5.0) for _ in range(3 * PLACES)]
+        wait_until(lambda: frames.statistics()["clients_displaced"] == 2 * PLACES + 1)
+        wait_until(lambda: frames.statistics()["clients"] == PLACES)
+        assert idle[0].recv(1) == b""
+        assert receive_after(frames, sock, 2)[0].frame_id == 2
+        for other in idle:
+            other.close()
