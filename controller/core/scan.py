@@ -9,7 +9,7 @@ import numpy as np
 from controller.core.group_states import Stimulus, transition
 from controller.core.kinematics.rotations import Array
 from controller.core.plant_watch import cycle_frozen, link_lost, update_watch
-from controller.core.references.streaming import at_pace, pace, silence, update_fade
+from controller.core.references.streaming import pace, silence, update_fade
 from controller.core.requests import answer_request, enter_mode, follow_reference, is_live, react_to_fault
 from controller.core.scan_types import (
     ControllerView,
@@ -20,11 +20,12 @@ from controller.core.scan_types import (
     Sextuple,
     idle,
 )
-from controller.core.servo.drives import Circuit, full_spool_speeds, load_pressures
-from controller.core.servo.joint_control import JointFilters, valve_commands
-from controller.core.servo.pose_servo import resolve, tool_state
+from controller.core.servo.drives import Circuit, load_pressures
+from controller.core.servo.joint_control import JointFilters
+from controller.core.servo.pose_servo import tool_state
+from controller.core.servo.servo_step import LOAD, PT1, Q_CMD, QD_CMD, VALVES, ServoInput, servo_step
 from controller.core.settings import ScanSettings
-from controller.core.supervision import Evidence, Fault, ServoOutput, first_fault, update_timers
+from controller.core.supervision import Evidence, Fault, ServoOutput, first_fault, readings, update_timers
 from controller.core.trajectories.motion import advance, at_standstill
 from protocol.axes_group import GROUP_STATE, Mode
 from protocol.faults import FaultCode
@@ -68,6 +69,7 @@ def scan(settings: ScanSettings, state: ScanState, inputs: ScanInput) -> tuple[S
     state = _drive_valves(settings, state, inputs.dt_s, events)
     if state.mode is not mode_before:
         events.append(ScanEvent("mode", f"{mode_before.name} -> {state.mode.name}", 0.0, 0.0))
+    state = _rearm_watchdog(state)
     valves = _valve_image(state)
     view = _view(settings, state, inputs.now_ns)
     return state, ScanOutput(valves, tuple(acknowledgements), refusal, view, tuple(events))
@@ -84,10 +86,10 @@ def _supervise(
     """``state`` after judging the plant and the reference link; only while the valves are live."""
     if not is_live(state):
         return state
-    speed = float(np.linalg.norm(state.tool.J_BT[:3] @ state.watch.qd_meas))
-    timers = update_timers(settings, state.timers, state.watch, state.servo, speed, inputs.dt_s)
+    found = readings(settings, state.watch, state.servo, state.tool)
+    timers = update_timers(settings, state.timers, state.watch, found, inputs.dt_s)
     state = state._replace(timers=timers)
-    evidence = Evidence(settings, state.watch, timers, state.servo, state.tool.p_BT, speed, inputs.dt_s)
+    evidence = Evidence(settings, state.watch, timers, state.servo, state.tool.p_BT, found, inputs.dt_s)
     fault = first_fault(evidence)
     if fault is not None:
         state, event = react_to_fault(settings, state, fault)
@@ -141,41 +143,45 @@ def _drive_valves(
     if not is_live(state):
         return _centre_valves(settings, state)
     share = pace(state.fade)
-    resolved = resolve(state.tool, at_pace(state.motion.desired, share), settings.servo_gains)
-    q_meas = state.watch.q_meas
-    q_cmd = state.servo.q_cmd + dt_s * resolved.qd_cmd
-    valves, filters = valve_commands(
-        settings.joint_gains,
+    desired = state.motion.desired
+    circuit, slow_load = _circuit(settings, state)
+    given = ServoInput(
+        state.tool,
+        desired,
+        share,
+        state.watch.q_meas,
+        state.servo.q_cmd,
         state.filters,
-        q_cmd - q_meas,
-        resolved.qd_cmd,
         _load(settings, state),
-        full_spool_speeds(settings.drives, q_meas, settings.rated, *_circuit(settings, state)),
-        dt_s,
+        circuit,
+        slow_load,
     )
-    if not np.isfinite(valves).all():
+    out = np.empty((5, 6))
+    finite, settled = servo_step(settings.servo, given, dt_s, out)
+    if not finite:
         state, event = react_to_fault(settings, state, Fault(FaultCode.NUMERIC, float("nan"), 0.0))
         events.append(event)
         return _centre_valves(settings, state)
-    limit = settings.settled.tolerance
-    inside = state.motion.path is None and bool(np.abs(resolved.q_error).max() <= limit)
+    inside = settled and state.motion.path is None
     return state._replace(
-        servo=ServoOutput(q_cmd, resolved.qd_cmd, share * valves, state.motion.desired.v),
-        filters=filters,
+        servo=ServoOutput(out[Q_CMD], out[QD_CMD], out[VALVES], desired.v),
+        filters=JointFilters(out[PT1], out[LOAD]),
         settled_s=state.settled_s + dt_s if inside else 0.0,
     )
 
 
 def _load(settings: ScanSettings, state: ScanState) -> Array:
     sensors = state.watch.sensors
-    return state.filters.load if sensors is None else load_pressures(settings.drives, sensors.pressures_bar)
+    if sensors is None:
+        return state.filters.load
+    return load_pressures(settings.servo.drives, sensors.pressures_bar)
 
 
 def _circuit(settings: ScanSettings, state: ScanState) -> tuple[Circuit, Array]:
     """The circuit and slow load pressures (6,), or rated and unloaded when no compensation is wanted."""
     sensors = state.watch.sensors
     if sensors is None or not settings.load_compensation:
-        return settings.rated, _UNLOADED
+        return settings.servo.rated, _UNLOADED
     return Circuit(sensors.supply_bar, sensors.return_bar), state.filters.load
 
 
@@ -185,12 +191,21 @@ def _centre_valves(settings: ScanSettings, state: ScanState) -> ScanState:
     return state._replace(servo=idle(state.watch.q_meas), filters=filters, settled_s=0.0)
 
 
-def _valve_image(state: ScanState) -> ValveImage:
-    control = CONTROL_ENABLE if is_live(state) else 0
+def _rearm_watchdog(state: ScanState) -> ScanState:
+    """``state`` with the plant's watchdog asked to be re-armed while the plant says that it tripped.
+
+    Only while the enable is dropped: nothing can move then, and the latched fault still needs its RESET. The
+    first edge goes out at once, so the plant is ready before an operator can have asked for RESET and ENABLE.
+    """
     sensors = state.watch.sensors
     tripped = sensors is not None and sensors.status & STATUS_WATCHDOG_TRIPPED
-    # While disabled nothing can move, so the plant's watchdog is re-armed without being asked.
-    if state.mode is Mode.DISABLED and tripped and state.cycle // _RESET_HALF_PERIOD % 2 == 0:
+    rearming = state.rearming + 1 if tripped and not is_live(state) else 0
+    return state if rearming == state.rearming else state._replace(rearming=rearming)
+
+
+def _valve_image(state: ScanState) -> ValveImage:
+    control = CONTROL_ENABLE if is_live(state) else 0
+    if state.rearming and (state.rearming - 1) // _RESET_HALF_PERIOD % 2 == 0:
         control |= CONTROL_RESET_WATCHDOG
     return ValveImage(state.cycle, control, _six(state.servo.valves))
 

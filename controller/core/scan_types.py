@@ -101,6 +101,7 @@ class ScanState(NamedTuple):
 
     ``fault``: the first one since the last reset. ``settled_s``: how long the arm has been inside the
     tolerance. ``stream``: the open one, None in every mode but STREAMING. ``fade``: see ``update_fade``.
+    ``rearming``: scans in a row in which the plant's watchdog was asked to be re-armed.
     """
 
     cycle: int
@@ -116,6 +117,7 @@ class ScanState(NamedTuple):
     settled_s: float
     stream: OpenStream | None
     fade: float
+    rearming: int
 
 
 def idle(q_meas: Array) -> ServoOutput:
@@ -142,4 +144,5 @@ def initial_state(settings: ScanSettings) -> ScanState:
         settled_s=0.0,
         stream=None,
         fade=0.0,
+        rearming=0,
     )

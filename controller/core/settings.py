@@ -9,9 +9,10 @@ import numpy as np
 from controller.config import ControllerConfig
 from controller.core.kinematics.denavit_hartenberg import dh_table
 from controller.core.kinematics.rotations import Array
-from controller.core.servo.drives import Circuit, drive_table, rated_circuit
+from controller.core.servo.drives import drive_table, rated_circuit
 from controller.core.servo.joint_control import JointGains
 from controller.core.servo.pose_servo import ServoGains
+from controller.core.servo.servo_step import ServoConstants
 from controller.core.trajectories.approach import AxisLimits
 from controller.core.trajectories.motion import StopLimits
 from controller.core.trajectories.path_survey import PlanningLimits
@@ -20,6 +21,7 @@ from nominal_arm.description import NominalArm
 
 _MS = 1e-3
 _MRAD = 1e-3
+_EXCHANGES_AT_MS = 5.0  # limits that count exchanges hold from this cycle on
 
 
 class MotionLimits(NamedTuple):
@@ -91,18 +93,15 @@ class SupervisionLimits(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ScanSettings:
-    """Constants of a scan; arrays are never written to. ``rated``: the circuit of the drives' speeds.
+    """Constants of a scan; arrays are never written to.
 
     ``load_compensation``: whether the drives' speeds are taken at the present circuit.
     """
 
     cycle_s: float
     table: Array
-    drives: Array
-    rated: Circuit
     load_compensation: bool
-    servo_gains: ServoGains
-    joint_gains: JointGains
+    servo: ServoConstants
     planning: PlanningLimits
     motion: MotionLimits
     stop: StopLimits
@@ -121,11 +120,8 @@ def settings_from(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
     return ScanSettings(
         cycle_s=config.cycle_ms * _MS,
         table=table,
-        drives=drive_table(arm.drives),
-        rated=rated_circuit(arm.rated),
         load_compensation=config.joint_control.load_compensation,
-        servo_gains=_servo_gains(config),
-        joint_gains=_joint_gains(config),
+        servo=_servo_constants(arm, config),
         planning=PlanningLimits(
             table=table,
             planned_range=joint_range + np.array([[margin], [-margin]]),
@@ -150,6 +146,16 @@ def settings_from(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
         streaming=_stream_limits(config),
         settled=SettledLimits(settled.tolerance_mrad * _MRAD, settled.time_ms * _MS),
         supervision=_supervision_limits(config, joint_range, workspace),
+    )
+
+
+def _servo_constants(arm: NominalArm, config: ControllerConfig) -> ServoConstants:
+    return ServoConstants(
+        gains=_servo_gains(config),
+        joints=_joint_gains(config),
+        drives=drive_table(arm.drives),
+        rated=rated_circuit(arm.rated),
+        tolerance=config.settled.tolerance_mrad * _MRAD,
     )
 
 
@@ -210,10 +216,10 @@ def _supervision_limits(
     watch = config.supervision
     over = math.radians(watch.joint_overtravel_deg)
     return SupervisionLimits(
-        missed_exchanges=watch.missed_exchanges,
+        missed_exchanges=_exchanges(watch.missed_exchanges, config),
         silence=watch.silence_ms * _MS,
-        frozen_exchanges=watch.frozen_exchanges,
-        echo_lag_cycles=watch.echo_lag_cycles,
+        frozen_exchanges=_exchanges(watch.frozen_exchanges, config),
+        echo_lag_cycles=_exchanges(watch.echo_lag_cycles, config),
         overrun=watch.overrun_ms * _MS,
         following_error=np.radians(watch.following_error_deg),
         encoder_jump=math.radians(watch.encoder_jump_deg),
@@ -227,3 +233,9 @@ def _supervision_limits(
         overtravel_range=joint_range + np.array([[-over], [over]]),
         workspace=widened(workspace, watch.workspace_margin_m),
     )
+
+
+def _exchanges(configured: int, config: ControllerConfig) -> int:
+    """So many exchanges, or at a cycle below 5 ms as many as last as long as they do at 5 ms: what holds up
+    network and plant counts in time."""
+    return max(configured, math.ceil(configured * _EXCHANGES_AT_MS / config.cycle_ms))

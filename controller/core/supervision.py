@@ -12,9 +12,12 @@ import numpy as np
 
 from controller.core.group_states import Stimulus
 from controller.core.kinematics.rotations import Array
+from controller.core.kinematics.triples import norm
 from controller.core.plant_watch import PlantWatch, cycle_frozen, link_lost
-from controller.core.settings import ScanSettings
+from controller.core.servo.pose_servo import ToolState
+from controller.core.settings import ScanSettings, SupervisionLimits
 from controller.core.trajectories.workspace import outside
+from foundation.compiled import kernel
 from protocol.faults import FaultCode, Severity
 from protocol.process_image import (
     STATUS_SENSOR_FAULT,
@@ -27,6 +30,7 @@ _PA_PER_BAR = 1e5
 _AHEAD_S = 0.1  # a tool outside the workspace that is nearer to it after this time comes back
 
 ValueAndLimit = tuple[float, float]
+Sextet = tuple[bool, bool, bool, bool, bool, bool]
 
 
 class Fault(NamedTuple):
@@ -58,15 +62,34 @@ class ServoOutput(NamedTuple):
     v_desired: Array
 
 
+class Readings(NamedTuple):
+    """What the arrays of one scan say, as numbers (SI).
+
+    ``speed``: of the tool. ``finite``: whether all commands are. ``leap``: the furthest that a joint turned.
+    ``behind``: the command's lead over the joint that breaks its limit most, or comes nearest to it.
+    ``overtravel``: the first joint's angle that is driven out of its range, and ``outside``: the tool's
+    coordinate that left the workspace, each with its bound; equal when there is none. ``still``: whether a
+    joint did not turn although its valve is open.
+    """
+
+    speed: float
+    finite: bool
+    leap: float
+    behind: ValueAndLimit
+    overtravel: ValueAndLimit
+    outside: ValueAndLimit
+    still: Sextet
+
+
 class Evidence(NamedTuple):
-    """What one scan is judged by. ``p_BT`` (3,) and ``speed`` (m/s) are the tool's."""
+    """What one scan is judged by. ``p_BT`` (3,) is the tool's."""
 
     settings: ScanSettings
     watch: PlantWatch
     timers: Timers
     servo: ServoOutput
     p_BT: Array
-    speed: float
+    found: Readings
     dt_s: float
 
 
@@ -99,25 +122,62 @@ def plant_ready(settings: ScanSettings, watch: PlantWatch) -> bool:
     )
 
 
+def readings(settings: ScanSettings, watch: PlantWatch, servo: ServoOutput, tool: ToolState) -> Readings:
+    """The Readings of a scan whose servo has not moved on yet."""
+    found = _readings(settings.supervision, tool, servo, watch.q_meas, watch.qd_meas, watch.turned)
+    return Readings(*found)
+
+
+@kernel
+def _readings(
+    limits: SupervisionLimits, tool: ToolState, servo: ServoOutput, q: Array, qd: Array, turned: Array
+) -> tuple[float, bool, float, ValueAndLimit, ValueAndLimit, ValueAndLimit, Sextet]:
+    finite, leap = True, 0.0
+    behind, at_most, worst = 0.0, limits.following_error[0], -1.0
+    overtravel = 0.0, 0.0
+    for i in range(6):
+        finite = finite and np.isfinite(servo.q_cmd[i]) and np.isfinite(servo.valves[i])
+        leap = max(leap, abs(turned[i]))
+        lead = abs(servo.q_cmd[i] - q[i])
+        if lead / limits.following_error[i] > worst:
+            behind, at_most, worst = lead, limits.following_error[i], lead / limits.following_error[i]
+        lower, upper, speed = limits.overtravel_range[0, i], limits.overtravel_range[1, i], servo.qd_cmd[i]
+        if overtravel[0] == overtravel[1] and q[i] < lower and speed < 0.0:
+            overtravel = q[i], lower
+        elif overtravel[0] == overtravel[1] and q[i] > upper and speed > 0.0:
+            overtravel = q[i], upper
+    v = tool.J_BT[:3] @ qd
+    open_valve = limits.encoder_stuck_valve
+    still = (
+        turned[0] == 0.0 and abs(servo.valves[0]) > open_valve,
+        turned[1] == 0.0 and abs(servo.valves[1]) > open_valve,
+        turned[2] == 0.0 and abs(servo.valves[2]) > open_valve,
+        turned[3] == 0.0 and abs(servo.valves[3]) > open_valve,
+        turned[4] == 0.0 and abs(servo.valves[4]) > open_valve,
+        turned[5] == 0.0 and abs(servo.valves[5]) > open_valve,
+    )
+    return norm(v), finite, leap, (behind, at_most), overtravel, outside(limits.workspace, tool.p_BT), still
+
+
 def update_timers(
-    settings: ScanSettings, timers: Timers, watch: PlantWatch, servo: ServoOutput, speed: float, dt_s: float
+    settings: ScanSettings, timers: Timers, watch: PlantWatch, found: Readings, dt_s: float
 ) -> Timers:
-    """``timers`` after a scan with the valves live; ``speed`` is the tool's (m/s)."""
+    """``timers`` after a scan with the valves live."""
     limits, sensors = settings.supervision, watch.sensors
     if sensors is None:
         return timers
     enabled = sensors.status & STATUS_VALVES_ENABLED
     low = not sensors.status & STATUS_SUPPLY_ON or sensors.supply_bar < limits.supply_min_bar
-    still = (watch.turned == 0.0) & (np.abs(servo.valves) > limits.encoder_stuck_valve)
     return Timers(
         timers.supply_low + dt_s if low else 0.0,
         0.0 if enabled else timers.not_enabled + dt_s,
-        timers.overspeed + dt_s if speed > limits.overspeed else 0.0,
-        tuple(
-            stuck + dt_s if is_still else 0.0
-            for stuck, is_still in zip(timers.stuck, still.tolist(), strict=True)
-        ),
+        timers.overspeed + dt_s if found.speed > limits.overspeed else 0.0,
+        _lasting(timers.stuck, found.still, dt_s) if any(found.still) else RESTED.stuck,
     )
+
+
+def _lasting(stuck: tuple[float, ...], still: Sextet, dt_s: float) -> tuple[float, ...]:
+    return tuple([t + dt_s if is_still else 0.0 for t, is_still in zip(stuck, still, strict=True)])
 
 
 def first_fault(evidence: Evidence) -> Fault | None:
@@ -171,12 +231,11 @@ def _not_enabled(e: Evidence) -> ValueAndLimit | None:
 
 
 def _not_finite(e: Evidence) -> ValueAndLimit | None:
-    finite = np.isfinite(e.servo.q_cmd).all() and np.isfinite(e.servo.valves).all()
-    return None if finite else (math.nan, 0.0)
+    return None if e.found.finite else (math.nan, 0.0)
 
 
 def _jumped(e: Evidence) -> ValueAndLimit | None:
-    return _above(float(np.abs(e.watch.turned).max()), e.settings.supervision.encoder_jump)
+    return _above(e.found.leap, e.settings.supervision.encoder_jump)
 
 
 def _stuck(e: Evidence) -> ValueAndLimit | None:
@@ -184,31 +243,24 @@ def _stuck(e: Evidence) -> ValueAndLimit | None:
 
 
 def _behind(e: Evidence) -> ValueAndLimit | None:
-    limits = e.settings.supervision.following_error
-    behind = np.abs(e.servo.q_cmd - e.watch.q_meas)
-    worst = int((behind / limits).argmax())
-    return _above(float(behind[worst]), float(limits[worst]))
+    return _above(*e.found.behind)
 
 
 def _overtravel(e: Evidence) -> ValueAndLimit | None:
-    (lower, upper), q, qd = e.settings.supervision.overtravel_range, e.watch.q_meas, e.servo.qd_cmd
-    outward = ((q < lower) & (qd < 0.0)) | ((q > upper) & (qd > 0.0))
-    if not outward.any():
-        return None
-    i = int(outward.argmax())
-    return float(q[i]), float(lower[i] if q[i] < lower[i] else upper[i])
+    value, limit = e.found.overtravel
+    return None if value == limit else (value, limit)
 
 
 def _overspeed(e: Evidence) -> ValueAndLimit | None:
     limits = e.settings.supervision
-    return (e.speed, limits.overspeed) if e.timers.overspeed > limits.overspeed_time else None
+    return (e.found.speed, limits.overspeed) if e.timers.overspeed > limits.overspeed_time else None
 
 
 def _leaves(e: Evidence) -> ValueAndLimit | None:
-    space = e.settings.supervision.workspace
-    value, limit = outside(space, e.p_BT)
+    value, limit = e.found.outside
     if value == limit:
         return None
+    space = e.settings.supervision.workspace
     ahead, bound = outside(space, e.p_BT + _AHEAD_S * e.servo.v_desired)
     return (value, limit) if abs(ahead - bound) > abs(value - limit) else None
 

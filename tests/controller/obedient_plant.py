@@ -57,6 +57,7 @@ class Bench:
     deaf: bool = False
     stuck: bool = False
     enables: bool = True
+    hears_reset: bool = True
     status: int = STATUS_SUPPLY_ON
     supply_bar: float = 190.0
     late_s: float = 0.0
@@ -140,7 +141,7 @@ class Bench:
         status = self.status
         if self.outputs:
             valves = self.last.valves
-            if valves.control & CONTROL_RESET_WATCHDOG:
+            if valves.control & CONTROL_RESET_WATCHDOG and self.hears_reset:
                 self.status &= ~STATUS_WATCHDOG_TRIPPED
             if not self.deaf:
                 self.echo = valves.controller_cycle

@@ -66,7 +66,7 @@ def _arrive(loop: ClosedLoop, target: Pose) -> Arrival:
         loop.step()
         joints.append(loop.view.q_meas)
         tool = tool_state(settings.table, np.array(loop.view.q_meas))
-        errors.append(resolve(tool, loop.state.motion.desired, settings.servo_gains).q_error)
+        errors.append(resolve(tool, loop.state.motion.desired, settings.servo.gains).q_error)
     return Arrival(
         settle_s,
         1e3 * lag,

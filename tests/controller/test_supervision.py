@@ -66,7 +66,7 @@ def test_faults_centre_the_valves_in_the_same_scan(
     view, valves = bench.last.view, bench.last.valves
     assert (view.fault, view.severity) == (fault, Severity.EMERGENCY)
     assert view.group_state is GroupState.ERROR_STOP
-    assert (valves.valves, valves.control) == (ZERO, 0)
+    assert (valves.valves, valves.control & CONTROL_ENABLE) == (ZERO, 0)
     assert any(event.name == "fault" and event.cause == fault.name for event in bench.last.events)
 
 
@@ -271,3 +271,50 @@ def test_a_scan_works_in_si_alone(settings: ScanSettings) -> None:
         units = {name.rsplit("_", 1)[-1] for name in group._fields}
         assert not units & {"ms", "deg", "mrad", "mm"}, group
     assert not any("config" in name for name in ScanSettings.__slots__)
+
+
+@pytest.fixture
+def quick(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
+    """The settings at a cycle of 1 ms."""
+    return settings_from(arm, config.model_copy(update={"cycle_ms": 1.0}))
+
+
+def test_at_a_shorter_cycle_an_outage_may_last_as_long(quick: ScanSettings) -> None:
+    """What holds up network and plant counts in time: 50 ms are survived, and not 60."""
+    bench = Bench(quick).moving()
+    bench.silent = True
+    bench.run(0.05)
+    assert bench.last.view.fault is FaultCode.NONE
+    bench.run(0.01)
+    assert bench.last.view.fault is FaultCode.PLANT_LINK_LOST
+
+
+@pytest.mark.parametrize(
+    ("spoiled", "fault", "within_s"),
+    [("deaf", FaultCode.PLANT_LINK_LOST, 0.06), ("frozen", FaultCode.PLANT_CYCLE_FROZEN, 0.11)],
+)
+def test_at_a_shorter_cycle_a_plant_that_stands_is_found_as_soon(
+    quick: ScanSettings, spoiled: str, fault: FaultCode, within_s: float
+) -> None:
+    bench = Bench(quick).moving()
+    setattr(bench, spoiled, True)
+    assert 0.8 * within_s <= _until_fault(bench, 1.0) <= within_s
+    assert bench.last.view.fault is fault
+
+
+def test_at_a_shorter_cycle_the_arm_moves_streams_and_stops_as_ever(quick: ScanSettings) -> None:
+    bench = Bench(quick).moving()
+    bench.run(6.0)
+    assert bench.last.view.motion_done
+    assert bench.last.view.fault is FaultCode.NONE
+    bench.open_stream()
+    goal = bench.shifted(z=-0.05)
+    for number in range(1, 200):
+        assert bench.stream(number, goal) is None
+    silent = 0
+    while bench.last.view.fault is FaultCode.NONE:
+        bench.step()
+        silent += 1
+    assert bench.last.view.fault is FaultCode.REFERENCE_STALE
+    # The plant has the centred valves with the next exchange, within streaming.silence_ms = 100.
+    assert 90 <= silent <= 98

@@ -5,14 +5,49 @@ be reached.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from controller.core.kinematics.fused import fused
 from controller.core.kinematics.rotations import Array
+from controller.core.kinematics.triples import Angles, Rows, Triple, Vector
 from foundation.compiled import kernel
 
 REACHED = 0
 TOO_FAR = 1  # the wrist centre lies beyond the outstretched boom, or inside its folded reach
+
+
+class ArmGeometry(NamedTuple):
+    """What the closed form needs of a table: lengths (m), and sines and cosines that do not change.
+
+    ``offsets``: of the joint angles (rad). ``aside``, ``height``: of the lift's pivot. ``inner``, ``outer``:
+    the boom's two parts, ``bend`` (rad) between the outer one and its link. ``hand``: wrist centre to T.
+    """
+
+    offsets: Angles
+    aside: float
+    height: float
+    inner: float
+    outer: float
+    bend: float
+    hand: float
+    s6: float
+    c6: float
+    s7: float
+    c7: float
+
+
+@kernel
+def geometry(table: Array) -> ArmGeometry:
+    """The ArmGeometry of a table as from ``denavit_hartenberg.dh_table``."""
+    offsets = (table[0, 2], table[1, 2], table[2, 2], table[3, 2], table[4, 2], table[5, 2])
+    outer, bend = math.hypot(table[2, 1], table[3, 3]), math.atan2(table[3, 3], table[2, 1])
+    s6, c6 = math.sin(table[5, 0]), math.cos(table[5, 0])
+    s7, c7 = math.sin(table[6, 0]), math.cos(table[6, 0])
+    return ArmGeometry(
+        offsets, table[0, 1], table[0, 3], table[1, 1], outer, bend, table[5, 3], s6, c6, s7, c7
+    )
 
 
 @kernel
@@ -22,43 +57,69 @@ def _near(angle: float, branch: float) -> float:
 
 
 @kernel
-def _before_mock_link(table: Array, R_BT: Array) -> Array:
-    """R_B6: the mock link turns about x by 90°; undone, it leaves frame 6, whose y is the axis of d6."""
-    s7, c7 = math.sin(table[6, 0]), math.cos(table[6, 0])
-    R_B6 = np.empty((3, 3))
-    for row in range(3):
-        R_B6[row, 0] = R_BT[row, 0]
-        R_B6[row, 1] = R_BT[row, 1] * c7 - R_BT[row, 2] * s7
-        R_B6[row, 2] = R_BT[row, 1] * s7 + R_BT[row, 2] * c7
-    return R_B6
+def _hand_axes(arm: ArmGeometry, row: Triple) -> Triple:
+    """A row of R_BT with the turns of the mock link and of link 6 about their x undone, by 90° each."""
+    y = row[1] * arm.c7 - row[2] * arm.s7
+    z = row[1] * arm.s7 + row[2] * arm.c7
+    return row[0], y * arm.c6 - z * arm.s6, y * arm.s6 + z * arm.c6
 
 
 @kernel
-def _set_wrist(table: Array, R_B6: Array, arm: tuple[float, float], branch: Array, q: Array) -> None:
-    """Fill in the wrist's angles of ``q``; ``arm``: the slewing angle and the outer boom's elevation."""
-    slew, elevation = arm
-    s6, c6 = math.sin(table[5, 0]), math.cos(table[5, 0])
-    # R_03 columns in B, then the wrist as z-y-z Euler angles of R_03ᵀ R_B6 Rx(−90°).
+def _wrist(
+    arm: ArmGeometry, hand: Rows, slew: float, elevation: float, branch: Vector
+) -> tuple[float, float, float]:
+    """The wrist's angles behind an outer boom at ``elevation``: z-y-z Euler angles of R_03ᵀ ``hand``."""
     s1, c1, s23, c23 = math.sin(slew), math.cos(slew), math.sin(elevation), math.cos(elevation)
-    R_03 = np.array([[c1 * c23, s1, c1 * s23], [s1 * c23, -c1, s1 * s23], [s23, 0.0, -c23]])
-    turned = np.empty((3, 3))
-    turned[:, 0] = R_B6[:, 0]
-    turned[:, 1] = R_B6[:, 1] * c6 - R_B6[:, 2] * s6
-    turned[:, 2] = R_B6[:, 1] * s6 + R_B6[:, 2] * c6
-    wrist = R_03.T.copy() @ turned
-    side = -1.0 if math.sin(branch[4] + table[4, 2]) < 0.0 else 1.0
-    sine = math.hypot(wrist[0, 2], wrist[1, 2])
-    q[4] = _near(math.atan2(side * sine, wrist[2, 2]) - table[4, 2], branch[4])
+    x, y, z = (c1 * c23, s1 * c23, s23), (s1, -c1, 0.0), (c1 * s23, s1 * s23, -c23)
+    xz, yz, zz = _along(x, hand, 2), _along(y, hand, 2), _along(z, hand, 2)
+    side = -1.0 if math.sin(branch[4] + arm.offsets[4]) < 0.0 else 1.0
+    sine = math.hypot(xz, yz)
+    q4 = _near(math.atan2(side * sine, zz) - arm.offsets[4], branch[4])
     # At the wrist's singularity only wrist 1 and 3 together are fixed: wrist 1 stays where it was.
     if sine > 1e-9:
-        q[3] = _near(math.atan2(-side * wrist[1, 2], -side * wrist[0, 2]) - table[3, 2], branch[3])
-        q[5] = _near(math.atan2(-side * wrist[2, 1], side * wrist[2, 0]) - table[5, 2], branch[5])
-    elif wrist[2, 2] > 0.0:
-        turn = math.atan2(wrist[1, 0], wrist[1, 1]) - (branch[3] + table[3, 2])
-        q[5] = _near(turn - table[5, 2], branch[5])
+        q3 = _near(math.atan2(-side * yz, -side * xz) - arm.offsets[3], branch[3])
+        turn = math.atan2(-side * _along(z, hand, 1), side * _along(z, hand, 0))
+    elif zz > 0.0:
+        q3 = branch[3]
+        turn = math.atan2(_along(y, hand, 0), _along(y, hand, 1)) - (q3 + arm.offsets[3])
     else:
-        turn = math.atan2(wrist[0, 1], wrist[1, 1]) + (branch[3] + table[3, 2])
-        q[5] = _near(turn - table[5, 2], branch[5])
+        q3 = branch[3]
+        turn = math.atan2(_along(x, hand, 1), _along(y, hand, 1)) + (q3 + arm.offsets[3])
+    return q3, q4, _near(turn - arm.offsets[5], branch[5])
+
+
+@kernel
+def _along(axis: Triple, hand: Rows, column: int) -> float:
+    return fused(axis[2], hand[2][column], fused(axis[1], hand[1][column], axis[0] * hand[0][column]))
+
+
+@kernel
+def solve(arm: ArmGeometry, R_BT: Rows, p_BT: Vector, branch: Vector) -> tuple[int, Angles, float, float]:
+    """``joint_angles`` without arrays; ``branch`` may be an array or a tuple."""
+    hand = _hand_axes(arm, R_BT[0]), _hand_axes(arm, R_BT[1]), _hand_axes(arm, R_BT[2])
+    x = p_BT[0] - arm.hand * hand[0][2]
+    y = p_BT[1] - arm.hand * hand[1][2]
+    up = p_BT[2] - arm.hand * hand[2][2] - arm.height
+    slew = _near(math.atan2(y, x), branch[0] + arm.offsets[0])
+    forward = math.hypot(x, y) - arm.aside
+    distance = math.hypot(forward, up)
+    stays = branch[0], branch[1], branch[2], branch[3], branch[4], branch[5]
+    if distance > arm.inner + arm.outer:
+        return TOO_FAR, stays, distance, arm.inner + arm.outer
+    if distance < abs(arm.inner - arm.outer):
+        return TOO_FAR, stays, distance, abs(arm.inner - arm.outer)
+    cosine = distance * distance - arm.inner * arm.inner - arm.outer * arm.outer
+    elbow = math.acos(max(-1.0, min(1.0, cosine / (2.0 * arm.inner * arm.outer))))
+    if math.sin(branch[2] + arm.offsets[2] - arm.bend) < 0.0:
+        elbow = -elbow
+    ahead, above = arm.inner + arm.outer * math.cos(elbow), arm.outer * math.sin(elbow)
+    lift = math.atan2(up, forward) - math.atan2(above, ahead)
+    tilt = elbow + arm.bend
+    wrist = _wrist(arm, hand, slew, lift + tilt, branch)
+    q1 = _near(lift - arm.offsets[1], branch[1])
+    q2 = _near(tilt - arm.offsets[2], branch[2])
+    q = slew - arm.offsets[0], q1, q2, wrist[0], wrist[1], wrist[2]
+    return REACHED, q, distance, arm.inner + arm.outer
 
 
 @kernel
@@ -69,33 +130,10 @@ def joint_angles(table: Array, R_BT: Array, p_BT: Array, branch: Array) -> tuple
     distance from the lift pivot to the wrist centre and ``limit`` the boom's reach that it misses, in metres.
     ``table`` as from ``denavit_hartenberg.dh_table``; ``R_BT`` (3, 3), ``p_BT`` (3,).
     """
-    a1, d1, a2, a3, d4, d6 = table[0, 1], table[0, 3], table[1, 1], table[2, 1], table[3, 3], table[5, 3]
-    q = branch.copy()
-
-    R_B6 = _before_mock_link(table, R_BT)
-    s6, c6 = math.sin(table[5, 0]), math.cos(table[5, 0])
-    axis_6 = R_B6[:, 1] * s6 + R_B6[:, 2] * c6
-    centre = p_BT - d6 * axis_6
-
-    slew = _near(math.atan2(centre[1], centre[0]), branch[0] + table[0, 2])
-    forward = math.hypot(centre[0], centre[1]) - a1
-    up = centre[2] - d1
-    boom = math.hypot(a3, d4)
-    bend = math.atan2(d4, a3)
-    distance = math.hypot(forward, up)
-    if distance > a2 + boom:
-        return TOO_FAR, q, distance, a2 + boom
-    if distance < abs(a2 - boom):
-        return TOO_FAR, q, distance, abs(a2 - boom)
-    cosine = (distance * distance - a2 * a2 - boom * boom) / (2.0 * a2 * boom)
-    elbow = math.acos(max(-1.0, min(1.0, cosine)))
-    if math.sin(branch[2] + table[2, 2] - bend) < 0.0:
-        elbow = -elbow
-    lift = math.atan2(up, forward) - math.atan2(boom * math.sin(elbow), a2 + boom * math.cos(elbow))
-    tilt = elbow + bend
-    q[0] = slew - table[0, 2]
-    q[1] = _near(lift - table[1, 2], branch[1])
-    q[2] = _near(tilt - table[2, 2], branch[2])
-
-    _set_wrist(table, R_B6, (slew, lift + tilt), branch, q)
-    return REACHED, q, distance, a2 + boom
+    R = (
+        (R_BT[0, 0], R_BT[0, 1], R_BT[0, 2]),
+        (R_BT[1, 0], R_BT[1, 1], R_BT[1, 2]),
+        (R_BT[2, 0], R_BT[2, 1], R_BT[2, 2]),
+    )
+    verdict, q, value, limit = solve(geometry(table), R, p_BT, branch)
+    return verdict, np.array(q), value, limit

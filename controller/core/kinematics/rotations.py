@@ -1,35 +1,29 @@
-"""Rotations: unit quaternions written w, x, y, z, rotation vectors, and the derivatives that link them."""
+"""Rotations: unit quaternions written w, x, y, z, rotation vectors, and the derivatives that link them.
+
+Arrays in, arrays out. The formulas that kernels also need without arrays are in ``triples``.
+"""
 
 import math
 
 import numpy as np
 import numpy.typing as npt
 
+from controller.core.kinematics.triples import SMALL_ANGLE, cross_product, exponential, product, rows, turning
 from foundation.compiled import kernel
 
 Array = npt.NDArray[np.float64]
-
-# Below this angle the trigonometric quotients are replaced by their series (truncation below 1e-16).
-_SMALL_ANGLE = 0.02
 
 
 @kernel
 def cross(a: Array, b: Array) -> Array:
     """The vector product a × b, both of shape (3,)."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return np.array(cross_product(a, b))
 
 
 @kernel
 def quaternion_product(a: Array, b: Array) -> Array:
     """The product a ⊗ b: rotation b first, then a; each of shape (4,), w first."""
-    return np.array(
-        [
-            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-        ]
-    )
+    return np.array(product(a, b))
 
 
 @kernel
@@ -41,14 +35,7 @@ def conjugate(q: Array) -> Array:
 @kernel
 def matrix_from_quaternion(q: Array) -> Array:
     """The rotation matrix, (3, 3), of a unit quaternion (4,)."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+    return np.array(rows(q))
 
 
 @kernel
@@ -85,9 +72,7 @@ def orientation_error(desired: Array, actual: Array) -> Array:
 @kernel
 def quaternion_from_vector(theta: Array) -> Array:
     """exp: the unit quaternion (4,) of a rotation vector (3,)."""
-    angle = math.sqrt(theta[0] * theta[0] + theta[1] * theta[1] + theta[2] * theta[2])
-    factor = 0.5 - angle * angle / 48.0 if angle < 1e-4 else math.sin(0.5 * angle) / angle
-    return np.array([math.cos(0.5 * angle), factor * theta[0], factor * theta[1], factor * theta[2]])
+    return np.array(exponential(theta))
 
 
 @kernel
@@ -102,31 +87,9 @@ def vector_from_quaternion(q: Array) -> Array:
 
 @kernel
 def angular_motion(theta: Array, theta_dot: Array, theta_ddot: Array) -> tuple[Array, Array]:
-    """Angular velocity ω and acceleration α, base frame, of exp(θ(t)) R_0 with θ a rotation vector.
-
-    ω = θ̇ + A θ×θ̇ + B θ×(θ×θ̇) with A = (1 − cos φ)/φ², B = (φ − sin φ)/φ³, φ = |θ| (the left Jacobian of
-    SO(3)); α is its time derivative.
-    """
-    square = theta[0] * theta[0] + theta[1] * theta[1] + theta[2] * theta[2]
-    phi = math.sqrt(square)
-    if phi < _SMALL_ANGLE:
-        a = 0.5 - square / 24.0 + square * square / 720.0
-        b = 1.0 / 6.0 - square / 120.0 + square * square / 5040.0
-        a_slope = -1.0 / 12.0 + square / 180.0 - square * square / 6720.0
-        b_slope = -1.0 / 60.0 + square / 1260.0 - square * square / 60480.0
-    else:
-        sine, cosine = math.sin(phi), math.cos(phi)
-        a = (1.0 - cosine) / square
-        b = (phi - sine) / (square * phi)
-        a_slope = (phi * sine - 2.0 * (1.0 - cosine)) / (square * square)
-        b_slope = (phi * (1.0 - cosine) - 3.0 * (phi - sine)) / (square * square * phi)
-    along = theta[0] * theta_dot[0] + theta[1] * theta_dot[1] + theta[2] * theta_dot[2]  # φ φ̇
-    first = cross(theta, theta_dot)
-    second = cross(theta, first)
-    omega = theta_dot + a * first + b * second
-    bend = cross(theta, theta_ddot)
-    alpha = theta_ddot + a * bend + b * (cross(theta_dot, first) + cross(theta, bend))
-    return omega, alpha + along * (a_slope * first + b_slope * second)
+    """Angular velocity ω and acceleration α, each (3,): see ``triples.turning``."""
+    omega, alpha = turning(theta, theta_dot, theta_ddot)
+    return np.array(omega), np.array(alpha)
 
 
 @kernel
@@ -141,7 +104,7 @@ def vector_rates(theta: Array, omega: Array, alpha: Array) -> tuple[Array, Array
 def _inverse_left_jacobian(theta: Array, vector: Array) -> Array:
     square = theta[0] * theta[0] + theta[1] * theta[1] + theta[2] * theta[2]
     phi = math.sqrt(square)
-    if phi < _SMALL_ANGLE:
+    if phi < SMALL_ANGLE:
         c = 1.0 / 12.0 + square / 720.0 + square * square / 30240.0
     else:
         c = (1.0 - 0.5 * phi / math.tan(0.5 * phi)) / square

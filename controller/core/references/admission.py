@@ -129,19 +129,39 @@ def _shortest(
     durations = np.full(len(p), 1.0)
     if moving:
         durations[0] = _rest_duration(settings, start, p[0])
-    for _ in range(_STRETCHES):
+    path = path_from(start, p, quaternions, durations, dwell)
+    found = survey(settings.planning, path, q_start)
+    if moving and found.reason is Reason.ACCEPTED and _stretch(settings, found)[0] > 1.0 + _SPEED_TOLERANCE:
+        # The other segments begin at rest: the first alone is tried until it fits, then the whole once more.
+        first = _fitting(settings, start, q_start, p, quaternions, durations[0])
+        if isinstance(first, Refusal):
+            return first
+        durations[0] = first
         path = path_from(start, p, quaternions, durations, dwell)
+        found = survey(settings.planning, path, q_start)
+    if found.reason is not Reason.ACCEPTED:
+        return Refusal(found.reason, found.value, found.limit)
+    factors = _stretch(settings, found)
+    factors[0] = 1.0 if moving else factors[0]
+    return path_from(start, p, quaternions, np.maximum(durations * factors, least), dwell)
+
+
+def _fitting(
+    settings: ScanSettings, start: Desired, q_start: Array, p: Array, quaternions: Array, tried: float
+) -> float | Refusal:
+    """A duration of the first segment inside the limits, tried from ``tried`` on by steps."""
+    factor = 1.0
+    duration = tried
+    for _ in range(_STRETCHES):
+        path = path_from(start, p[:1], quaternions[:1], np.array([duration]), 0.0)
         found = survey(settings.planning, path, q_start)
         if found.reason is not Reason.ACCEPTED:
             return Refusal(found.reason, found.value, found.limit)
-        factors = _stretch(settings, found)
-        if moving and factors[0] > 1.0 + _SPEED_TOLERANCE:
-            durations[0] *= max(factors[0], _STRETCH)
-            continue
-        factors[0] = 1.0 if moving else factors[0]
-        durations = np.maximum(durations * factors, least)
-        return path_from(start, p, quaternions, durations, dwell)
-    return Refusal(Reason.TOO_FAST, float(factors[0]), 1.0)
+        factor = float(_stretch(settings, found)[0])
+        if factor <= 1.0 + _SPEED_TOLERANCE:
+            return duration
+        duration *= max(factor, _STRETCH)
+    return Refusal(Reason.TOO_FAST, factor, 1.0)
 
 
 def _rest_duration(settings: ScanSettings, start: Desired, goal: Array) -> float:

@@ -12,17 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.core.kinematics.jacobian import damped_inverse
-from controller.core.kinematics.rotations import (
-    Array,
-    orientation_error,
-    quaternion_from_vector,
-    quaternion_product,
-)
+from controller.core.kinematics.rotations import Array, orientation_error
+from controller.core.kinematics.triples import exponential, norm, product
 from controller.core.references.admission import Refusal, unusable
+from controller.core.servo.pose_servo import ServoGains
 from controller.core.settings import ScanSettings
 from controller.core.trajectories.approach import ApproachTrajectory, AxisLimits, approach, twist_limit
-from controller.core.trajectories.path_survey import survey
-from controller.core.trajectories.paths import Desired, at_rest, path_from
+from controller.core.trajectories.path_survey import survey_straight
+from controller.core.trajectories.paths import Desired
+from foundation.compiled import kernel
 from protocol.channel import is_newer
 from protocol.faults import Reason
 from protocol.pose import is_usable
@@ -69,28 +67,27 @@ def follow(
     """
     reference = arrival.message
     limits = _within_joint_speeds(settings, J_BT)
-    twist = np.array(reference.twist_ref)
+    most = twist_limit(limits).tolist()
     refusal = (
         _place(settings, stream, arrival, now_ns)
         or unusable(reference.X_BT_ref)
-        or _runs_away(twist, twist_limit(limits))
+        or _runs_away(reference.twist_ref, most)
     )
     if refusal is not None:
         return refusal
-    moved = (now_ns - arrival.measured_ns) * 1e-9 * twist
-    quaternion = np.array(reference.X_BT_ref.q_wxyz) / reference.X_BT_ref.quaternion_norm()
-    quaternion = quaternion_product(quaternion_from_vector(moved[3:]), quaternion)
-    p = np.array(reference.X_BT_ref.p_m) + moved[:3]
-    refusal = _near(settings, desired, p, quaternion)
+    p, quaternion = np.empty(3), np.empty(4)
+    said = np.array((*reference.X_BT_ref.p_m, *reference.X_BT_ref.q_wxyz, *reference.twist_ref))
+    scale, age_s = reference.X_BT_ref.quaternion_norm(), (now_ns - arrival.measured_ns) * 1e-9
+    distance, turn = _carried_on(said, scale, age_s, desired, p, quaternion)
+    refusal = _near(settings, distance, turn)
     if refusal is not None:
         return refusal
-    straight = path_from(at_rest(desired.p, desired.quaternion), p[None], quaternion[None], np.ones(1), 0.0)
-    found = survey(settings.planning, straight, q_meas)
-    if found.reason is not Reason.ACCEPTED:
-        return Refusal(found.reason, found.value, found.limit)
-    planned = approach(desired, p, quaternion, twist, limits)
+    found = survey_straight(settings.planning, desired.p, desired.quaternion, (p, quaternion), q_meas)
+    if found[0] is not Reason.ACCEPTED:
+        return Refusal(*found)
+    planned = approach(desired, p, quaternion, said[7:], limits)
     if planned is None:
-        return Refusal(Reason.TOO_FAST, float(np.abs(twist).max()), float(twist_limit(limits).max()))
+        return Refusal(Reason.TOO_FAST, max(map(abs, reference.twist_ref)), max(most))
     goal = Goal(p, quaternion, limits)
     fresh_ns = max(stream.fresh_ns, arrival.left_ns)
     return stream._replace(fresh_ns=fresh_ns, number=reference.number, goal=goal), planned
@@ -125,11 +122,6 @@ def pace(fade: float) -> float:
     return 1.0 - 3.0 * fade**2 + 2.0 * fade**3
 
 
-def at_pace(desired: Desired, rate: float) -> Desired:
-    """``desired`` with its velocities at ``rate``; accelerations are left, the servo does not use them."""
-    return desired if rate == 1.0 else desired._replace(v=rate * desired.v, omega=rate * desired.omega)
-
-
 def _place(
     settings: ScanSettings, stream: OpenStream, arrival: StreamedPoseReceived, now_ns: int
 ) -> Refusal | None:
@@ -145,29 +137,51 @@ def _place(
     return None
 
 
-def _runs_away(twist: Array, most: Array) -> Refusal | None:
+def _runs_away(twist: tuple[float, ...], most: list[float]) -> Refusal | None:
     """A refusal of a reference that itself moves faster than may be followed, or by no number."""
-    if not all(map(is_usable, twist.tolist())):
+    if not all(map(is_usable, twist)):
         return Refusal(Reason.NOT_FINITE, 0.0, 1.0)
-    axis = int((np.abs(twist) / most).argmax())
-    if abs(twist[axis]) > most[axis]:
-        return Refusal(Reason.TOO_FAST, abs(float(twist[axis])), float(most[axis]))
-    return None
+    ratios = [abs(speed) / limit for speed, limit in zip(twist, most, strict=True)]
+    axis = ratios.index(max(ratios))
+    return Refusal(Reason.TOO_FAST, abs(twist[axis]), most[axis]) if abs(twist[axis]) > most[axis] else None
 
 
-def _near(settings: ScanSettings, desired: Desired, p: Array, quaternion: Array) -> Refusal | None:
-    """A refusal of a jump: further from the pose that is commanded now than a stream may ask for."""
+@kernel
+def _carried_on(
+    said: Array, scale: float, age_s: float, desired: Desired, p: Array, quaternion: Array
+) -> tuple[float, float]:
+    """Fill p (3,), quaternion (4,): where the pose is that ``said`` with its twist (13,) ``age_s`` ago.
+
+    ``scale``: the norm of its quaternion. Returns how far that is from ``desired``, m and rad.
+    """
+    moved = exponential((age_s * said[10], age_s * said[11], age_s * said[12]))
+    there = product(moved, (said[3] / scale, said[4] / scale, said[5] / scale, said[6] / scale))
+    for k in range(4):
+        quaternion[k] = there[k]
+    for k in range(3):
+        p[k] = said[k] + age_s * said[7 + k]
+    away = p[0] - desired.p[0], p[1] - desired.p[1], p[2] - desired.p[2]
+    half = norm(orientation_error(quaternion, desired.quaternion))
+    return norm(away), 2.0 * math.asin(min(1.0, half))
+
+
+def _near(settings: ScanSettings, distance: float, turn: float) -> Refusal | None:
+    """A refusal of a jump: further (m, rad) from the pose that is commanded now than a stream may ask for."""
     limits = settings.streaming
-    distance = float(np.linalg.norm(p - desired.p))
     if distance > limits.distance_m:
         return Refusal(Reason.TOO_FAR, distance, limits.distance_m)
-    turn = 2.0 * math.asin(min(1.0, float(np.linalg.norm(orientation_error(quaternion, desired.quaternion)))))
     return Refusal(Reason.TOO_FAR, turn, limits.turn_rad) if turn > limits.turn_rad else None
 
 
 def _within_joint_speeds(settings: ScanSettings, J_BT: Array) -> AxisLimits:
     """The axes' limits, slowed down so far that no joint can be too fast at this pose, whatever they do."""
-    limits, gains = settings.streaming.axes, settings.servo_gains
-    inverse, _, _ = damped_inverse(J_BT, gains.damping_onset, gains.damping_max)
-    share = float((settings.planning.joint_speeds / (np.abs(inverse) @ limits.speed)).min())
+    limits = settings.streaming.axes
+    share = _share(settings.servo.gains, J_BT, limits.speed, settings.planning.joint_speeds)
     return limits if share >= 1.0 else limits._replace(speed=share * limits.speed)
+
+
+@kernel
+def _share(gains: ServoGains, J_BT: Array, speed: Array, joint_speeds: Array) -> float:
+    inverse, _, _ = damped_inverse(J_BT, gains.damping_onset, gains.damping_max)
+    share: float = (joint_speeds / (np.abs(inverse) @ speed)).min()
+    return share

@@ -15,16 +15,22 @@ from ruckig import InputParameter, Result, Ruckig, RuckigError, Synchronization,
 
 from controller.core.kinematics.rotations import (
     Array,
-    angular_motion,
     conjugate,
-    cross,
-    matrix_from_quaternion,
-    quaternion_from_vector,
     quaternion_product,
     vector_from_quaternion,
     vector_rates,
 )
+from controller.core.kinematics.triples import (
+    Angles,
+    cross_product,
+    exponential,
+    product,
+    rows,
+    turned,
+    turning,
+)
 from controller.core.trajectories.paths import Desired, at_rest
+from foundation.compiled import kernel
 
 AXES = 6
 # Share of its speed limit that a moving reference may use: the rest is for catching up with it.
@@ -56,20 +62,10 @@ class ApproachTrajectory(NamedTuple):
         """The desired motion ``time_s`` after the start, at rest from ``duration_s`` on; segment 0."""
         if time_s >= self.duration_s:
             return at_rest(self.p, self.quaternion), 0
-        position, velocity, acceleration = map(np.array, self.trajectory.at_time(time_s))
-        turn = quaternion_from_vector(position[3:])
-        carried = matrix_from_quaternion(turn) @ self.twist[3:]
-        turning, bending = angular_motion(position[3:], velocity[3:], acceleration[3:])
-        there = quaternion_product(quaternion_from_vector(time_s * self.twist[3:]), self.quaternion)
-        desired = Desired(
-            self.p + time_s * self.twist[:3] + position[:3],
-            self.twist[:3] + velocity[:3],
-            acceleration[:3],
-            quaternion_product(turn, there),
-            turning + carried,
-            bending + cross(turning, carried),
-        )
-        return desired, 0
+        motion = np.array(self.trajectory.at_time(time_s))
+        out = np.empty((6, 4))
+        _seen_from_base(motion, self.p, self.quaternion, self.twist, time_s, out)
+        return Desired(out[0, :3], out[1, :3], out[2, :3], out[3], out[4, :3], out[5, :3]), 0
 
 
 def approach(
@@ -82,14 +78,10 @@ def approach(
     a twist beyond ``twist_limit`` or limits that are not positive can cause. The same arguments give the same
     bits.
     """
-    theta = vector_from_quaternion(quaternion_product(start.quaternion, conjugate(quaternion)))
-    carried = matrix_from_quaternion(quaternion_from_vector(theta)) @ twist[3:]
-    turning = start.omega - carried
-    rate, bend = vector_rates(theta, turning, start.alpha - cross(turning, carried))
     wanted = InputParameter(AXES)
-    wanted.current_position = [*(start.p - p).tolist(), *theta.tolist()]
-    wanted.current_velocity = [*(start.v - twist[:3]).tolist(), *rate.tolist()]
-    wanted.current_acceleration = [*start.a.tolist(), *bend.tolist()]
+    wanted.current_position, wanted.current_velocity, wanted.current_acceleration = _seen_from_reference(
+        start, p, quaternion, twist
+    )
     wanted.target_position = [0.0] * AXES
     wanted.max_velocity = (limits.speed - twist).tolist()
     wanted.min_velocity = (-limits.speed - twist).tolist()
@@ -100,6 +92,51 @@ def approach(
         return None
     duration_s = math.inf if np.any(twist) else trajectory.duration
     return ApproachTrajectory(trajectory, p, quaternion, twist, duration_s)
+
+
+@kernel
+def _seen_from_reference(
+    start: Desired, p: Array, quaternion: Array, twist: Array
+) -> tuple[Angles, Angles, Angles]:
+    """Position, velocity and acceleration of ``start`` in the coordinates of the way, in the moving frame."""
+    theta = vector_from_quaternion(quaternion_product(start.quaternion, conjugate(quaternion)))
+    carried = turned(rows(exponential(theta)), twist[3:])
+    own = start.omega - np.array(carried)
+    rate, bend = vector_rates(theta, own, start.alpha - np.array(cross_product(own, carried)))
+    x, v, a = start.p - p, start.v - twist[:3], start.a
+    return (
+        (x[0], x[1], x[2], theta[0], theta[1], theta[2]),
+        (v[0], v[1], v[2], rate[0], rate[1], rate[2]),
+        (a[0], a[1], a[2], bend[0], bend[1], bend[2]),
+    )
+
+
+@kernel
+def _seen_from_base(
+    motion: Array, p: Array, quaternion: Array, twist: Array, time_s: float, out: Array
+) -> None:
+    """Fill ``out`` (6, 4), rows as in ``Desired``, with ``motion`` (3, 6) at ``time_s`` of the way.
+
+    ``motion``: position, velocity and acceleration in the coordinates of the way; p, quaternion: of the
+    reference at 0, which moves with ``twist``.
+    """
+    theta = motion[0, 3], motion[0, 4], motion[0, 5]
+    turn = exponential(theta)
+    carried = turned(rows(turn), (twist[3], twist[4], twist[5]))
+    omega, alpha = turning(
+        theta, (motion[1, 3], motion[1, 4], motion[1, 5]), (motion[2, 3], motion[2, 4], motion[2, 5])
+    )
+    moved = exponential((time_s * twist[3], time_s * twist[4], time_s * twist[5]))
+    pose = product(turn, product(moved, quaternion))
+    aside = cross_product(omega, carried)
+    for k in range(4):
+        out[3, k] = pose[k]
+    for k in range(3):
+        out[0, k] = p[k] + time_s * twist[k] + motion[0, k]
+        out[1, k] = twist[k] + motion[1, k]
+        out[2, k] = motion[2, k]
+        out[4, k] = omega[k] + carried[k]
+        out[5, k] = alpha[k] + aside[k]
 
 
 def _planned(wanted: InputParameter) -> Trajectory | None:

@@ -16,10 +16,11 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.core.kinematics.denavit_hartenberg import chain
-from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
+from controller.core.kinematics.inverse_kinematics import REACHED, ArmGeometry, geometry, solve
 from controller.core.kinematics.jacobian import damped_inverse, geometric_jacobian
-from controller.core.kinematics.rotations import Array, matrix_from_quaternion
-from controller.core.trajectories.paths import Desired, Path, segment_motion
+from controller.core.kinematics.rotations import Array
+from controller.core.kinematics.triples import Angles, Quadruple, Triple, norm, rows
+from controller.core.trajectories.paths import Path, pose_on_segment, rates_on_segment, straight
 from controller.core.trajectories.workspace import WorkspaceBounds, opened, outside
 from foundation.compiled import kernel
 from protocol.faults import Reason
@@ -34,6 +35,10 @@ _FLIP_RAD = 0.6
 _DAMPED, _BESIDE = math.sin(math.radians(4.5)), math.sin(math.radians(25.0))
 _PARTS = 8
 _SWING_RAD = 0.2  # of wrist 1, left to the servo while damped
+# A step in which no joint turns further, with a wrist bent by more (a sine) at both ends, hides nothing: seen
+# from the singularity it is a short chord, so the wrist stays far from being damped, and further still from a
+# flip.
+_SHORT_RAD, _BENT = 0.05, math.sin(math.radians(10.0))
 
 SPEED, ACCELERATION, TURN_SPEED, TURN_ACCELERATION, JOINT_SPEED = range(5)
 
@@ -75,41 +80,60 @@ class Survey(NamedTuple):
 
 def survey(limits: PlanningLimits, path: Path, q_start: Array) -> Survey:
     """The Survey of ``path``, followed on the branch of the joint angles ``q_start``."""
-    code, value, limit, peaks = _survey(limits, path, q_start)
+    code, value, limit, peaks = _survey(limits, path, q_start, True)
     return Survey(Reason(code), value, limit, peaks)
 
 
-@kernel
-def _norm(x: Array) -> float:
-    return math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
+def survey_straight(
+    limits: PlanningLimits, p: Array, quaternion: Array, to: tuple[Array, Array], q_start: Array
+) -> tuple[Reason, float, float]:
+    """Reason, value and limit of ``survey`` for the straight way from rest at a pose to rest at another one.
+
+    p (3,), quaternion (4,) of both. Ten times as fast: there are no peaks, and of the steps beside the
+    stretched wrist only those are divided in which a joint turns far.
+    """
+    code, value, limit = _survey_straight(limits, p, quaternion, to, q_start)
+    return Reason(code), value, limit
 
 
 @kernel
-def _nearest_angles(table: Array, R_BT: Array, p_BT: Array, before: Array) -> tuple[int, Array, float, float]:
-    """``joint_angles`` on whichever side of the wrist's singularity lies nearer to ``before``.
+def _furthest(q: Angles, before: Angles) -> float:
+    most = 0.0
+    for i in range(6):
+        most = max(most, abs(q[i] - before[i]))
+    return most
+
+
+@kernel
+def _nearest_angles(
+    arm: ArmGeometry, pose: tuple[Triple, Quadruple], before: Angles
+) -> tuple[int, Angles, float, float]:
+    """``solve`` on whichever side of the wrist's singularity lies nearer to ``before``.
 
     A tool that passes straight over the singularity changes sides without a flip; one that passes beside
     it cannot.
     """
-    verdict, q, value, limit = joint_angles(table, R_BT, p_BT, before)
-    if verdict == REACHED and np.abs(q - before).max() > _FLIP_RAD:
-        across = before.copy()
-        across[4] = -before[4] - 2.0 * table[4, 2]
-        _, other, _, _ = joint_angles(table, R_BT, p_BT, across)
-        other[4] -= 2.0 * math.pi * round((other[4] - before[4]) / (2.0 * math.pi))
-        if np.abs(other - before).max() < np.abs(q - before).max():
+    R_BT = rows(pose[1])
+    verdict, q, value, limit = solve(arm, R_BT, pose[0], before)
+    if verdict == REACHED and _furthest(q, before) > _FLIP_RAD:
+        wrist_2 = -before[4] - 2.0 * arm.offsets[4]
+        across = before[0], before[1], before[2], before[3], wrist_2, before[5]
+        _, other, _, _ = solve(arm, R_BT, pose[0], across)
+        wrist_2 = other[4] - 2.0 * math.pi * round((other[4] - before[4]) / (2.0 * math.pi))
+        other = other[0], other[1], other[2], other[3], wrist_2, other[5]
+        if _furthest(other, before) < _furthest(q, before):
             q = other
     return verdict, q, value, limit
 
 
 @kernel
-def _stretch(table: Array, q: Array) -> float:
+def _stretch(arm: ArmGeometry, q: Angles) -> float:
     """0 where the wrist is stretched, and wrist 1 and 3 turn about one axis."""
-    return abs(math.sin(q[4] + table[4, 2]))
+    return abs(math.sin(q[4] + arm.offsets[4]))
 
 
 @kernel
-def _joint_obstacle(bounds: Array, q: Array, before: Array) -> tuple[int, float, float]:
+def _joint_obstacle(bounds: Array, q: Angles, before: Angles) -> tuple[int, float, float]:
     for i in range(6):  # first of all, for a wrist that flips may well leave its range with it
         if abs(q[i] - before[i]) > _FLIP_RAD:
             return _SINGULAR, abs(q[i] - before[i]), _FLIP_RAD
@@ -122,26 +146,27 @@ def _joint_obstacle(bounds: Array, q: Array, before: Array) -> tuple[int, float,
 
 
 @kernel
-def _including(limits: PlanningLimits, p: Array, q: Array) -> PlanningLimits:
+def _including(limits: PlanningLimits, p: Triple, q: Angles) -> PlanningLimits:
     """``limits`` with range and workspace widened to contain where the arm starts."""
     bounds = limits.planned_range.copy()
-    bounds[0] = np.minimum(bounds[0], q)
-    bounds[1] = np.maximum(bounds[1], q)
+    for i in range(6):
+        bounds[0, i] = min(bounds[0, i], q[i])
+        bounds[1, i] = max(bounds[1, i], q[i])
     space = opened(limits.workspace, p)
     return PlanningLimits(limits.table, bounds, limits.joint_speeds, space, limits.singular_value_min)
 
 
 @kernel
-def _obstacle_at_ends(limits: PlanningLimits, path: Path, q: Array) -> tuple[int, float, float]:
+def _obstacle_at_ends(
+    limits: PlanningLimits, arm: ArmGeometry, path: Path, q: Angles
+) -> tuple[int, float, float]:
     """The first waypoint that is out of reach, whatever would stop the arm on the way there."""
     for n in range(path.durations.shape[0]):
-        end = segment_motion(path, n, path.durations[n])
-        value, limit = outside(limits.workspace, end.p)
+        p, quaternion = pose_on_segment(path, n, path.durations[n])
+        value, limit = outside(limits.workspace, p)
         if value != limit:
             return _WORKSPACE, value, limit
-        verdict, _, value, limit = joint_angles(
-            limits.table, matrix_from_quaternion(end.quaternion), end.p, q
-        )
+        verdict, _, value, limit = solve(arm, rows(quaternion), p, q)
         if verdict != REACHED:
             return _REACH, value, limit
     return _ACCEPTED, 0.0, 0.0
@@ -149,22 +174,21 @@ def _obstacle_at_ends(limits: PlanningLimits, path: Path, q: Array) -> tuple[int
 
 @kernel
 def _follow(
-    limits: PlanningLimits, desired: Desired, before: Array, held: float
-) -> tuple[int, float, float, Array, bool]:
-    """The obstacle at ``desired``, the joint angles there, and whether the servo is damped.
+    limits: PlanningLimits, arm: ArmGeometry, pose: tuple[Triple, Quadruple], before: Angles, held: float
+) -> tuple[int, float, float, Angles, bool]:
+    """The obstacle at ``pose``, the joint angles there, and whether the servo is damped.
 
     ``before``: the joint angles one sample earlier; ``held`` (s): how long wrist 1 and 3 have rested.
     """
-    value, limit = outside(limits.workspace, desired.p)
+    value, limit = outside(limits.workspace, pose[0])
     if value != limit:
         return _WORKSPACE, value, limit, before, False
-    R_BT = matrix_from_quaternion(desired.quaternion)
-    verdict, q, value, limit = _nearest_angles(limits.table, R_BT, desired.p, before)
+    verdict, q, value, limit = _nearest_angles(arm, pose, before)
     if verdict != REACHED:
         return _REACH, value, limit, q, False
-    damped = _stretch(limits.table, q) < _DAMPED
+    damped = _stretch(arm, q) < _DAMPED
     if damped:
-        q[3], q[5] = before[3], before[5]
+        q = q[0], q[1], q[2], before[3], q[4], before[5]
     elif held > 0.0 and abs(q[3] - before[3]) > _SWING_RAD:
         return _SINGULAR, abs(q[3] - before[3]), _SWING_RAD, q, damped
     code, value, limit = _joint_obstacle(limits.planned_range, q, before)
@@ -172,58 +196,96 @@ def _follow(
 
 
 @kernel
-def _raise_peaks(peaks: Array, desired: Desired, turned: Array, reach: Array) -> None:
-    """Raise ``peaks`` (5,) to those of ``desired`` and of joints that ``turned`` (6,).
+def _raise_peaks(peaks: Array, path: Path, n: int, t: float) -> None:
+    """Raise ``peaks`` (n, 5) of segment ``n`` to speeds and accelerations of the tool at its time ``t``."""
+    v, a, omega, alpha = rates_on_segment(path, n, t)
+    peaks[n, SPEED] = max(peaks[n, SPEED], norm(v))
+    peaks[n, ACCELERATION] = max(peaks[n, ACCELERATION], norm(a))
+    peaks[n, TURN_SPEED] = max(peaks[n, TURN_SPEED], norm(omega))
+    peaks[n, TURN_ACCELERATION] = max(peaks[n, TURN_ACCELERATION], norm(alpha))
 
-    ``reach`` (6,): how far the joints' speed limits would have let them turn.
-    """
-    peaks[SPEED] = max(peaks[SPEED], _norm(desired.v))
-    peaks[ACCELERATION] = max(peaks[ACCELERATION], _norm(desired.a))
-    peaks[TURN_SPEED] = max(peaks[TURN_SPEED], _norm(desired.omega))
-    peaks[TURN_ACCELERATION] = max(peaks[TURN_ACCELERATION], _norm(desired.alpha))
+
+@kernel
+def _joint_ratio(speeds: Array, q: Angles, before: Angles, step: float, held: float) -> float:
+    """The greatest share of its speed limit that a joint takes; wrist 1 and 3 have ``held`` (s) more time."""
+    most = 0.0
     for i in range(6):
-        peaks[JOINT_SPEED] = max(peaks[JOINT_SPEED], abs(turned[i]) / reach[i])
+        reach = (step + held if i == 3 or i == 5 else step) * speeds[i]
+        most = max(most, abs(q[i] - before[i]) / reach)
+    return most
+
+
+@kernel
+def _is_short(
+    limits: PlanningLimits, arm: ArmGeometry, path: Path, n: int, t: float, q: Angles, held: float
+) -> tuple[bool, Angles]:
+    """Whether the step from ``q`` to time ``t`` of segment ``n`` has no obstacle that samples within it could
+    find, and the joint angles at its end."""
+    if _stretch(arm, q) < _BENT:
+        return False, q
+    code, _, _, end, _ = _follow(limits, arm, pose_on_segment(path, n, t), q, held)
+    short = code == _ACCEPTED and _stretch(arm, end) >= _BENT and _furthest(end, q) <= _SHORT_RAD
+    return short, end
 
 
 @kernel
 def _obstacle_on_segment(
-    limits: PlanningLimits, path: Path, n: int, q: Array, held: float, peaks: Array
-) -> tuple[int, float, float, Array, float]:
-    """The first obstacle on segment ``n``; joint angles and ``held`` at its end; raises ``peaks`` (5,)."""
-    reach = np.empty(6)
+    limits: PlanningLimits, arm: ArmGeometry, path: Path, n: int, q: Angles, held: float, peaks: Array
+) -> tuple[int, float, float, Angles, float]:
+    """The first obstacle on segment ``n``; joint angles and ``held`` at its end; raises ``peaks`` (n, 5).
+
+    No rows in ``peaks``: nobody asked for them, and short steps are not divided.
+    """
+    timed = n < peaks.shape[0]
     for k in range(SAMPLES):
-        parts = _PARTS if _stretch(limits.table, q) < _BESIDE else 1
+        parts = _PARTS if _stretch(arm, q) < _BESIDE else 1
+        if parts > 1 and not timed:
+            short, end = _is_short(limits, arm, path, n, (k + 1) * path.durations[n] / SAMPLES, q, held)
+            if short:
+                q, held = end, 0.0
+                continue
         step = path.durations[n] / (SAMPLES * parts)
         for part in range(1, parts + 1):
-            desired = segment_motion(path, n, (k * parts + part) * step)
+            t = (k * parts + part) * step
             before = q
-            code, value, limit, q, damped = _follow(limits, desired, before, held)
+            code, value, limit, q, damped = _follow(limits, arm, pose_on_segment(path, n, t), before, held)
             if code != _ACCEPTED:
                 return code, value, limit, q, held
-            for i in range(6):
-                reach[i] = (step + held if i == 3 or i == 5 else step) * limits.joint_speeds[i]
-            _raise_peaks(peaks, desired, q - before, reach)
+            if timed:
+                _raise_peaks(peaks, path, n, t)
+                ratio = _joint_ratio(limits.joint_speeds, q, before, step, held)
+                peaks[n, JOINT_SPEED] = max(peaks[n, JOINT_SPEED], ratio)
             held = held + step if damped else 0.0
-    _, least, _ = damped_inverse(geometric_jacobian(chain(limits.table, q)), 0.0, 0.0)
+    _, least, _ = damped_inverse(geometric_jacobian(chain(limits.table, np.array(q))), 0.0, 0.0)
     if least < limits.singular_value_min:
         return _SINGULAR, least, limits.singular_value_min, q, held
     return _ACCEPTED, 0.0, 0.0, q, held
 
 
 @kernel
-def _survey(limits: PlanningLimits, path: Path, q_start: Array) -> tuple[int, float, float, Array]:
+def _survey(
+    limits: PlanningLimits, path: Path, q_start: Array, timed: bool
+) -> tuple[int, float, float, Array]:
     count = path.durations.shape[0]
-    peaks = np.zeros((count, 5))
-    start = segment_motion(path, 0, 0.0)
-    R_BT = matrix_from_quaternion(start.quaternion)
-    verdict, q, value, limit = joint_angles(limits.table, R_BT, start.p, q_start)
+    peaks = np.zeros((count if timed else 0, 5))
+    arm = geometry(limits.table)
+    p, quaternion = pose_on_segment(path, 0, 0.0)
+    verdict, q, value, limit = solve(arm, rows(quaternion), p, q_start)
     if verdict != REACHED:
         return _REACH, value, limit, peaks
-    wide = _including(limits, start.p, q)
-    code, value, limit = _obstacle_at_ends(wide, path, q)
+    wide = _including(limits, p, q)
+    code, value, limit = _obstacle_at_ends(wide, arm, path, q)
     held = 0.0  # for how long (s) wrist 1 and 3 have rested beside the singularity
     for n in range(count):
         if code != _ACCEPTED:
             break
-        code, value, limit, q, held = _obstacle_on_segment(wide, path, n, q, held, peaks[n])
+        code, value, limit, q, held = _obstacle_on_segment(wide, arm, path, n, q, held, peaks)
     return code, value, limit, peaks
+
+
+@kernel
+def _survey_straight(
+    limits: PlanningLimits, p: Array, quaternion: Array, to: tuple[Array, Array], q_start: Array
+) -> tuple[int, float, float]:
+    code, value, limit, _ = _survey(limits, straight(p, quaternion, to[0], to[1]), q_start, False)
+    return code, value, limit

@@ -16,13 +16,12 @@ import numpy as np
 
 from controller.core.kinematics.rotations import (
     Array,
-    angular_motion,
     conjugate,
-    quaternion_from_vector,
     quaternion_product,
     vector_from_quaternion,
     vector_rates,
 )
+from controller.core.kinematics.triples import Angles, Quadruple, Triple, exponential, product, turning
 from controller.core.trajectories.quintic import coefficients, evaluate
 from foundation.compiled import kernel
 
@@ -54,8 +53,9 @@ class Path(NamedTuple):
 
     def sample(self, time_s: float) -> tuple[Desired, int]:
         """The desired motion ``time_s`` after the start (clamped to the ends), and the segment's index."""
-        desired, segment = _sample(self, time_s)
-        return desired, segment
+        out = np.empty((6, 4))
+        segment = _sample(self, time_s, out)
+        return Desired(out[0, :3], out[1, :3], out[2, :3], out[3], out[4, :3], out[5, :3]), segment
 
 
 def at_rest(p: Array, quaternion: Array) -> Desired:
@@ -90,26 +90,61 @@ def _polynomials(start: Desired, way_p: Array, way_q: Array, T: Array) -> Array:
 
 
 @kernel
-def segment_motion(path: Path, n: int, t: float) -> Desired:
-    """The desired motion on segment ``n`` of ``path`` at the segment's own time ``t``."""
-    values = np.empty((3, 6))
-    for row in range(6):
-        values[0, row], values[1, row], values[2, row] = evaluate(path.polynomials[n, row], t)
-    theta = values[0, 3:].copy()
-    omega, alpha = angular_motion(theta, values[1, 3:].copy(), values[2, 3:].copy())
-    quaternion = quaternion_product(quaternion_from_vector(theta), path.goals[n])
-    return Desired(values[0, :3].copy(), values[1, :3].copy(), values[2, :3].copy(), quaternion, omega, alpha)
+def straight(p: Array, quaternion: Array, to_p: Array, to_quaternion: Array) -> Path:
+    """The straight way from rest at a pose, p (3,) and quaternion (4,), to rest at another, in a second."""
+    goals, durations = np.empty((1, 4)), np.ones(1)
+    goals[0] = to_quaternion
+    zero = np.zeros(3)
+    start = Desired(p, zero, zero, quaternion, zero, zero)
+    return Path(_polynomials(start, to_p.copy().reshape(1, 3), goals, durations), goals, durations, 0.0, 1.0)
 
 
 @kernel
-def _sample(path: Path, time_s: float) -> tuple[Desired, int]:
+def _coefficients(path: Path, n: int, row: int) -> Angles:
+    c = path.polynomials
+    return c[n, row, 0], c[n, row, 1], c[n, row, 2], c[n, row, 3], c[n, row, 4], c[n, row, 5]
+
+
+@kernel
+def _three(path: Path, n: int, row: int, t: float) -> tuple[Triple, Triple, Triple]:
+    """Values, first and second derivatives of three rows from ``row`` on."""
+    x, dx, ddx = evaluate(_coefficients(path, n, row), t)
+    y, dy, ddy = evaluate(_coefficients(path, n, row + 1), t)
+    z, dz, ddz = evaluate(_coefficients(path, n, row + 2), t)
+    return (x, y, z), (dx, dy, dz), (ddx, ddy, ddz)
+
+
+@kernel
+def pose_on_segment(path: Path, n: int, t: float) -> tuple[Triple, Quadruple]:
+    """Position and quaternion on segment ``n`` of ``path`` at the segment's own time ``t``."""
+    p, _, _ = _three(path, n, 0, t)
+    theta, _, _ = _three(path, n, 3, t)
+    return p, product(exponential(theta), path.goals[n])
+
+
+@kernel
+def rates_on_segment(path: Path, n: int, t: float) -> tuple[Triple, Triple, Triple, Triple]:
+    """v, a, ω and α on segment ``n`` of ``path`` at the segment's own time ``t``."""
+    _, v, a = _three(path, n, 0, t)
+    omega, alpha = turning(*_three(path, n, 3, t))
+    return v, a, omega, alpha
+
+
+@kernel
+def _sample(path: Path, time_s: float, out: Array) -> int:
+    """The segment at ``time_s``; fills ``out`` (6, 4), rows as in ``Desired``, with the desired motion."""
     last = path.durations.shape[0] - 1
     n, t = 0, max(time_s, 0.0)
     while n < last and t >= path.durations[n] + path.dwell:
         t -= path.durations[n] + path.dwell
         n += 1
-    desired = segment_motion(path, n, min(t, path.durations[n]))
-    if t >= path.durations[n]:  # at rest on the waypoint, exactly
-        zero = np.zeros(3)
-        return Desired(desired.p, zero, zero, path.goals[n].copy(), zero, zero), n
-    return desired, n
+    p, quaternion = pose_on_segment(path, n, min(t, path.durations[n]))
+    v, a, omega, alpha = rates_on_segment(path, n, min(t, path.durations[n]))
+    rests = t >= path.durations[n]  # on the waypoint, exactly
+    for k in range(4):
+        out[3, k] = path.goals[n, k] if rests else quaternion[k]
+    for k in range(3):
+        out[0, k] = p[k]
+        out[1, k], out[2, k] = (0.0, 0.0) if rests else (v[k], a[k])
+        out[4, k], out[5, k] = (0.0, 0.0) if rests else (omega[k], alpha[k])
+    return n

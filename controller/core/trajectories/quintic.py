@@ -6,6 +6,7 @@ Source: Mäkinen et al. 2023, section on motion control; the general form for re
 import numpy as np
 
 from controller.core.kinematics.rotations import Array
+from controller.core.kinematics.triples import Vector
 from foundation.compiled import kernel
 
 
@@ -32,7 +33,7 @@ def coefficients(start: Array, end: Array, duration: float) -> Array:
 
 
 @kernel
-def evaluate(c: Array, t: float) -> tuple[float, float, float]:
+def evaluate(c: Vector, t: float) -> tuple[float, float, float]:
     """Value, first and second derivative at time ``t`` of the polynomial with coefficients ``c`` (6,)."""
     value = ((((c[5] * t + c[4]) * t + c[3]) * t + c[2]) * t + c[1]) * t + c[0]
     first = (((5.0 * c[5] * t + 4.0 * c[4]) * t + 3.0 * c[3]) * t + 2.0 * c[2]) * t + c[1]

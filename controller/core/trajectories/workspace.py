@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.core.kinematics.rotations import Array
+from controller.core.kinematics.triples import Vector
 from foundation.compiled import kernel
 
 
@@ -22,10 +23,10 @@ def widened(space: WorkspaceBounds, margin_m: float) -> WorkspaceBounds:
 
 
 @kernel
-def outside(space: WorkspaceBounds, p: Array) -> tuple[float, float]:
+def outside(space: WorkspaceBounds, p: Vector) -> tuple[float, float]:
     """The coordinate of ``p`` that leaves the workspace, and its bound (m); equal when it is inside."""
     for axis in range(3):
-        low, high = space.box[axis]
+        low, high = space.box[axis, 0], space.box[axis, 1]
         if p[axis] < low:
             return p[axis], low
         if p[axis] > high:
@@ -37,7 +38,7 @@ def outside(space: WorkspaceBounds, p: Array) -> tuple[float, float]:
 
 
 @kernel
-def opened(space: WorkspaceBounds, p: Array) -> WorkspaceBounds:
+def opened(space: WorkspaceBounds, p: Vector) -> WorkspaceBounds:
     """The workspace, widened to contain ``p``: an arm that stands outside may come back, no further out."""
     box = space.box.copy()
     for axis in range(3):
