@@ -216,7 +216,7 @@ HELLO_CHECKS: dict[str, tuple[Callable[[_MendingHello, bytes], bytes], str]] = {
     "that its nonce is new": (_new_nonce, "4.6"),
 }
 UNSEEN = {
-    "leaves out, in BYE, range of integers": "",
+    "leaves out, in HEARTBEAT, range of integers": "its time may be any number",
 }
 
 
