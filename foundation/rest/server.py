@@ -1,4 +1,4 @@
-"""What every REST API of ours has: problem documents, limits, a guarded server in the service's loop."""
+"""What every REST API of ours has: problem documents, limits, a guarded server."""
 
 import contextlib
 import functools

@@ -10,13 +10,13 @@ from vision_pc.config.vision import VisionConfig
 from vision_pc.core.perception.intrinsics import calibration
 from vision_pc.core.types import FrameObservation, Look, StereoPair, WatchHealth
 from vision_pc.shell.monotonic_clock import MonotonicClock
-from vision_pc.shell.worker import IdleWorker, TaskBackground
+from vision_pc.shell.worker import BatchWorker, TaskBackground
 
 
 class LookRecord:
     """Implements ``EyesRecord``: pictures go into the record directory, if there is one."""
 
-    def __init__(self, config: VisionConfig, log: EventLog, worker: IdleWorker) -> None:
+    def __init__(self, config: VisionConfig, log: EventLog, worker: BatchWorker) -> None:
         self._camera = calibration(config.camera)
         self._clearance_m = config.programs.positioning.clearance_m
         self._log = log
@@ -52,13 +52,13 @@ class OpenedEyes(NamedTuple):
     """Eyes and the worker that they compute in; its ``close`` waits for the last picture to be written."""
 
     eyes: CameraEyes
-    worker: IdleWorker
+    worker: BatchWorker
 
 
 def open_eyes(
     camera: FrameSource[StereoPair], states: StateSource, config: VisionConfig, log: EventLog
 ) -> OpenedEyes:
     """Eyes on ``camera`` within the running event loop."""
-    clock, worker = MonotonicClock(), IdleWorker()
+    clock, worker = MonotonicClock(), BatchWorker()
     runtime = Runtime(clock, worker, TaskBackground(clock))
     return OpenedEyes(CameraEyes(camera, states, config, runtime, LookRecord(config, log, worker)), worker)

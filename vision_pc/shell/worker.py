@@ -11,16 +11,17 @@ from vision_pc.application.ports import Clock
 T = TypeVar("T")
 
 
-class IdleWorker:
-    """Implements ``vision_pc.application.ports.Worker`` in one thread of idle priority; ``close`` ends it.
+class BatchWorker:
+    """Implements ``vision_pc.application.ports.Worker`` in one thread of the batch class; ``close`` ends it.
 
     The event loop stays free for the link and the REST API while the thread detects and tracks.
     """
 
     def __init__(self) -> None:
-        # Detection never delays the arm's cycle; the event loop keeps its priority, and the link with it.
+        # Batch: it never interrupts the event loop, and the link with it. Not idle: on a busy machine an idle
+        # thread is suspended for long with the interpreter's lock in its hand, and the loop waits for that.
         self._thread = ThreadPoolExecutor(1, "vision")
-        self.scheduling = self._thread.submit(take_policy, "idle").result()
+        self.scheduling = self._thread.submit(take_policy, "batch").result()
 
     async def run(self, work: Callable[[], T]) -> T:
         """What ``work`` returns."""
