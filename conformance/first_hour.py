@@ -92,7 +92,7 @@ REFERENCE_STEPS = tuple(
         (532, "REFERENCE_PATH: waypoints in order, at rest at each (6.8)."),
         (544, "START_STREAM: MOVING with the flag STREAMING, at rest until the first reference (12.2)."),
         (550, "Follow STREAMED_POSE without an answer, and name the newest in STATE (12.3)."),
-        (552, "Silence: slow down, and centre the valves within silence_ms (12.8)."),
+        (572, "Silence: slow down, and centre the valves within silence_ms (12.8)."),
         (701, "With a key: refuse a HELLO that is not signed (11.2)."),
         (704, "Check the tag over all 16 bytes (11.5)."),
         (718, "Sign every datagram of the session (11.9)."),

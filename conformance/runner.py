@@ -23,9 +23,11 @@ _COUPLER_MODULES = (
 )  # fmt: skip
 _MODULES = (
     "framing", "sessions", "handshake", "lifetime", "order", "requests", "repetitions", "group", "motion",
-    "endings", "stops", "streaming", "authentication", "transitions",
+    "endings", "stops", "streaming", "authentication",
     "answers", "datagrams.sent", "datagrams.refusals", "datagrams.drops", "datagrams.clocks",
     "datagrams.replays",
+    "arm.transitions", "arm.state_truth", "arm.motion_times", "arm.motion_limits", "arm.stream_times",
+    "arm.stream_following", "arm.stream_limits",
 )  # fmt: skip
 
 

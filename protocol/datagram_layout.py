@@ -198,7 +198,7 @@ PAYLOADS: dict[Kind, tuple[Field, ...]] = {
         Field("severity", "H", 1, "", "reaction to that fault", enum=Severity),
         Field("flags", "H", 1, "bits", "see the table of state flags"),
         Field("motion_id", "Q", 1, "", "command id of the motion last accepted; 0: none yet"),
-        Field("motion_done", "I", 1, "", "1: that motion has ended and the arm has settled", high=1),
+        Field("motion_done", "I", 1, "", "1: that motion has been driven to its end (7.8)", high=1),
         Field("segment", "I", 1, "", "segment of the path being driven, from 0"),
         Field("q_meas", "d", 6, "rad", "measured joints: slew, lift, tilt, wrist 1, wrist 2, wrist 3"),
         Field("q_cmd", "d", 6, "rad", "commanded joints, same order"),

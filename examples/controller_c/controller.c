@@ -84,7 +84,7 @@ static uint64_t streamed_left_ns, streamed_age_ns;
 
 /* The group and its arm: six axes, each with place, speed and acceleration as commanded, and a place as measured. */
 static int mode, fault, severity; static bool session_ended;
-static uint64_t cycle, scan_ns, motion_id; static bool motion_done = true;
+static uint64_t cycle, scan_ns, motion_id; static bool arrived, motion_done;
 static double at[6] = {3.5, 0, 1.2}, speed[6], acceleration[6], measured[6] = {3.5, 0, 1.2};
 static double base_q[4] = {0, 0.7071067811865476, 0, 0.7071067811865476}; /* axes 4…6 turn from here, in B */
 static double ramp_s, ramp_from[6];
@@ -93,6 +93,7 @@ static struct { uint64_t id, fresh_ns, begun_ns, at_ns; uint32_t number; bool an
 static bool approaching; /* MOVING after END_STREAM */
 
 static const double SPEED[2] = {0.25, 0.21}, ACCELERATION[2] = {0.35, 0.35}, JERK[2] = {3.0, 2.6}; /* m, rad */
+static const double AXIS = 1 / 1.7320508; /* the bounds of clause 12 are those of the vector */
 static const double FAR[2] = {0.5, 0.5236}, TWIST = 0.8 / 1.7320508, GREATEST_AGE_S = 0.25, RAMP_S = 0.25, LAG_S = 0.05, SHORTEST_S = 0.01, LONGEST_S = 600;
 static const double LOW[3] = {1.0, -3.0, -1.0}, HIGH[3] = {6.0, 3.0, 4.0};
 static const int SILENCE_MS = 100, STREAM_RAMP_MS = 12, RECOVERY_MS = 100, FIRST_REFERENCE_MS = 1000;
@@ -425,8 +426,7 @@ static void begin_segment(void) {
 static Decision timed(double given, const double *from, const double *to, double *T) {
   *T = time_for(from, to);
   if (given == 0) return (Decision){ACCEPTED, 0, 0};
-  double peak = 1.875 * 1.75 * fmax(largest(from, to, 0) / SPEED[0], largest(from, to, 3) / SPEED[1]) / given;
-  if (peak > 1) return (Decision){TOO_FAST, peak, 1};
+  if (given < *T) return (Decision){TOO_FAST, *T / given, 1};
   *T = given;
   return (Decision){ACCEPTED, 0, 0};
 }
@@ -458,7 +458,7 @@ static Decision follow(const Byte *poses, int count, double seconds, double dwel
   if (d.reason) return d;
   memcpy(path.to, to, sizeof to), memcpy(path.T, T, sizeof T);
   path.count = count, path.segment = 0, path.dwell_s = dwell_s;
-  motion_id = id, motion_done = false, approaching = false;
+  motion_id = id, arrived = motion_done = approaching = false;
   begin_segment();
   return d;
 }
@@ -478,7 +478,7 @@ static void step_path(double dt) {
   for (int k = 0; k < 6; k++) quintic(k, path.T[path.segment], path.t);
   if (path.t < path.T[path.segment] + (path.segment + 1 < path.count ? path.dwell_s : 0)) return;
   if (path.segment + 1 < path.count) path.segment++, begin_segment();
-  else mode = STANDBY;
+  else mode = STANDBY, arrived = true;
 }
 
 static double within(double x, double bound) { return fmax(-bound, fmin(bound, x)); }
@@ -489,17 +489,17 @@ static void step_stream(double dt, uint64_t now) { /* 12.7: place, speed and acc
   for (int k = 0; k < 6; k++) {
     int turn = k >= 3;
     double gap = stream.to[k] + stream.twist[k] * ahead - at[k];
-    double braking = sqrt(ACCELERATION[turn] * fabs(gap)) * 0.7;
-    double wanted = within(stream.twist[k] + within(within(5 * gap, braking), SPEED[turn]), SPEED[turn]);
-    double a = within(10 * (wanted - speed[k]), ACCELERATION[turn]);
-    acceleration[k] += within(a - acceleration[k], JERK[turn] * dt);
+    double fastest = SPEED[turn] * AXIS, steepest = ACCELERATION[turn] * AXIS, braking = sqrt(steepest * fabs(gap)) * 0.7;
+    double wanted = within(stream.twist[k] + within(within(5 * gap, braking), fastest), fastest);
+    double a = within(10 * (wanted - speed[k]), steepest);
+    acceleration[k] += within(a - acceleration[k], JERK[turn] * AXIS * dt);
     speed[k] += acceleration[k] * dt;
     at[k] += speed[k] * stream.pace * dt;
     there &= fabs(gap) < 5e-5 && fabs(speed[k]) < 5e-4;
   }
   if (!approaching || !there) return;
   memcpy(at, stream.to, sizeof at), memset(speed, 0, sizeof speed), memset(acceleration, 0, sizeof speed);
-  mode = STANDBY;
+  mode = STANDBY, arrived = true;
 }
 
 static void latch(int what, int grave, int next) {
@@ -546,10 +546,14 @@ static Decision enter(int column, Row row, uint64_t id) {
   if (column == RESET) fault = NO_FAULT, severity = 0;
   if (column == START_STREAM) {
     memset(&stream, 0, sizeof stream);
-    stream.id = motion_id = id, stream.fresh_ns = scan_ns, stream.pace = 1, motion_done = false, approaching = false;
+    stream.id = motion_id = id, stream.fresh_ns = scan_ns, stream.pace = 1, arrived = motion_done = approaching = false;
     memcpy(stream.to, at, sizeof at), streamed_waits = false;
   }
-  if (column == END_STREAM) approaching = true, stream.pace = 1;
+  if (column == END_STREAM) {
+    for (int k = 0; k < 6; k++) /* rest where the reference was when it was accepted (12.10) */
+      stream.to[k] += stream.any ? stream.twist[k] * (double)(stream.fresh_ns - stream.at_ns) * 1e-9 : 0, stream.twist[k] = 0;
+    approaching = true, stream.pace = 1;
+  }
   mode = row.next;
   if (mode != before && (mode == STOPPING || (mode == DISABLING && before != STOPPING)))
     memcpy(ramp_from, speed, sizeof speed), ramp_s = 0;
@@ -652,7 +656,7 @@ static void publish(uint64_t now) { /* 7.7 */
   Session *s = &open_session;
   if (!s->number || now - s->state_ns < s->period_ms * 1000000ull) return;
   s->state_ns = s->state_ns && now - s->state_ns < 2 * s->period_ms * 1000000ull ? s->state_ns + s->period_ms * 1000000ull : now;
-  if (settled()) motion_done = motion_done || mode == STANDBY;
+  motion_done = motion_done || (arrived && settled()); /* not after a stop (7.8) */
   Byte p[336] = {0};
   double pose[7];
   PUT(uint64_t, p, 0, now); PUT(uint64_t, p, 8, cycle);

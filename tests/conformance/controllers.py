@@ -15,6 +15,7 @@ from controller.shell.warm_up import warm_up
 from foundation.configuration import configuration_hash, load, merged, parse_overrides
 from nominal_arm.description import NominalArm
 from protocol.authentication import LinkKey
+from protocol.process_image import CONTROL_ENABLE
 from protocol.reference_messages import Acknowledgement, Request, State
 from protocol.server_session import ReferenceServer
 from protocol.session_events import RequestReceived, ServerEvent, StreamedPoseReceived
@@ -23,7 +24,11 @@ from tests.controller.obedient_plant import Bench
 from tests.support.paths import CONFIGS
 
 LINK_TIMEOUT_MS = 200
-OVERRIDES = ["controller.supervision.overrun_ms=2000", "controller.streaming.silence_ms=200"]
+OVERRIDES = ["controller.supervision.overrun_ms=2000"]
+# On real sockets; in simulated time nothing is late.
+PATIENT = "controller.streaming.silence_ms=200"
+# What the lift sinks by while its valve is centred (rad/s): the command has something to follow.
+CREEP_RAD_S = -5e-4
 
 
 @cache
@@ -82,7 +87,7 @@ class ControllerUnderTest:
 
     def configured(self) -> ScanSettings:
         """The settings of the scan."""
-        return settings()
+        return settings() if self.network else settings(PATIENT)
 
     def make_server(self) -> ReferenceServer:
         """The server's end of the link."""
@@ -187,6 +192,7 @@ class ControllerUnderTest:
         self._note(self.server.tick(now_ns))
         requests, self.bench.link_alive = self.inbox.take(self.server.link_alive(now_ns))
         self.bench.now_ns = now_ns - self.cycle_ns  # the bench adds one cycle
+        self._creep()
         output = self.bench.step(*requests, arrival=self.inbox.take_streamed())
         if output.refusal is not None:
             self.server.refuse_streamed(output.refusal, now_ns)
@@ -197,14 +203,19 @@ class ControllerUnderTest:
         tally = self.server.statistics
         state = State(
             **output.view._asdict(),
-            overruns=0,
-            lateness_p50_us=0,
-            lateness_p99_us=0,
-            lateness_max_us=0,
+            overruns=3,
+            lateness_p50_us=40,
+            lateness_p99_us=90,
+            lateness_max_us=400,
             references_lost=tally.lost,
             references_dropped=tally.dropped,
         )
         self.server.publish(self.shown(state), now_ns)
+
+    def _creep(self) -> None:
+        if not self.bench.last.valves.control & CONTROL_ENABLE:
+            slew, lift, *others = self.bench.q
+            self.bench.q = (slew, lift + CREEP_RAD_S * self.settings.cycle_s, *others)
 
     def _send(self) -> None:
         for data, source in self.server.outgoing(self._clock_ns()):

@@ -35,6 +35,8 @@ SOURCES: tuple[str, ...] = (
     "tests.conformance.systematic_drops",
     "tests.conformance.systematic_answers",
     "tests.conformance.systematic_limits",
+    "tests.conformance.systematic_state",
+    "tests.conformance.systematic_motion",
 )
 
 

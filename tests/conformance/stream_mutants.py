@@ -64,7 +64,7 @@ class StandsStill(ControllerUnderTest):
 
 
 STREAM_MUTANTS = (
-    Mutant(WaitsForReferences, 552),
+    Mutant(WaitsForReferences, 572),
     Mutant(TakesNanForTheLast, 546),
     Mutant(TakesNanForTheLast, 553),
     Mutant(FollowsAnyStream, 554),

@@ -3,7 +3,7 @@
 from conformance.case import reference
 from conformance.parts import OptionalPart
 from conformance.peer import Peer
-from conformance.reference.modes import ReachedMode, entered, is_ramping, require_mode
+from conformance.reference.arm.modes import ReachedMode, entered, is_ramping, require_mode
 from conformance.reference.streaming import Stream
 from conformance.wire import ANSWER_MS, MS, Failed, Unsupported, require
 from protocol.axes_group import ANSWERS, Asked, Mode, Transition

@@ -63,14 +63,19 @@ def _moving(peer: Peer) -> ReachedMode:
     return scene
 
 
-def _streaming(peer: Peer) -> ReachedMode:
+def opened_stream(peer: Peer) -> Stream:
+    """A new stream, in STANDBY. Raises Unsupported when streaming is not granted."""
     assert peer.welcome is not None
     if peer.welcome.capabilities & BOTH != BOTH:
         raise Unsupported("STREAMING is not granted", OptionalPart.STREAMING)
-    scene = _standby(peer)
     request = Command(peer.new_id(), CommandCode.START_STREAM)
     expect_reason(peer.ask(request, "START_STREAM"), Reason.ACCEPTED, "START_STREAM in STANDBY")
-    stream = Stream(peer, request.command_id)
+    return Stream(peer, request.command_id)
+
+
+def _streaming(peer: Peer) -> ReachedMode:
+    scene = _standby(peer)
+    stream = opened_stream(peer)
     stream.feed(scene.goal, UNDER_WAY_MS)
     return scene._replace(stream=stream)
 

@@ -1,0 +1,194 @@
+"""Cases 557…560 and 568…571: motions take their time, go on without a step, and end as told (6.7 to 6.9).
+
+Times are judged on the tester's clock. That the speed has no step is told by the way: what moves at 25 mm/s
+and ramps down in 0.3 s goes on by 3.7 mm, and what stops at once by nothing.
+"""
+
+import math
+from itertools import pairwise
+
+from conformance.case import reference
+from conformance.parts import OptionalPart
+from conformance.peer import Peer
+from conformance.reference.arm.modes import entered
+from conformance.reference.arm.watching import StateWatch, Watched
+from conformance.reference.group import expect_reason, wanted
+from conformance.reference.motion import moved
+from conformance.wire import MS, require
+from protocol.axes_group import Mode
+from protocol.faults import CommandCode, FaultCode, GroupState, Reason
+from protocol.pose import Pose
+from protocol.reference_messages import (
+    FLAG_EMERGENCY_LATCHED,
+    Acknowledgement,
+    ReferencePath,
+    ReferencePose,
+)
+
+case = reference.case
+# What a busy machine adds to the time of a motion.
+LATE_MS = 30.0
+# The least way of a ramp from the middle of the motion, and the furthest from one STATE to the next.
+RAMP_M, STEP_OF_A_SCAN_M = 5e-4, 2e-3
+AT_M = 1e-7
+UNDER_WAY_MS = 600.0
+
+
+def asked_for(peer: Peer, goal: Pose, seconds: float) -> Acknowledgement:
+    """The answer to a reference."""
+    return peer.ask(ReferencePose(peer.new_id(), goal, seconds), "a motion")
+
+
+def until_done(watch: StateWatch, request: ReferencePose | ReferencePath) -> list[Watched]:
+    """The STATEs of an accepted motion, from the first that names it to the first that calls it done."""
+    expect_reason(watch.peer.ask(request, "a motion"), Reason.ACCEPTED, "a motion")
+    wanted_id = request.command_id
+    seen = watch.during(30_000.0, until=lambda s: s.motion_done and s.motion_id == wanted_id)
+    require(seen[-1].state.motion_done, "it is not done")
+    return [each for each in seen if each.state.motion_id == request.command_id]
+
+
+def height(each: Watched) -> float:
+    """How high the commanded tool is (m)."""
+    return each.state.X_BT_cmd.p_m[2]
+
+
+def require_no_jump(seen: list[Watched], what: str) -> None:
+    """Raises Failed when the commanded position jumps."""
+    jump = max(math.dist(a.state.X_BT_cmd.p_m, b.state.X_BT_cmd.p_m) for a, b in pairwise(seen))
+    require(jump < STEP_OF_A_SCAN_M, f"{what}: the commanded position jumps by {jump * 1e3:.1f} mm")
+
+
+def _took_ms(seen: list[Watched]) -> float:
+    """From the scan that accepted a motion to the one that ended it."""
+    return (seen[-1].scan_ns - seen[0].scan_ns) / MS
+
+
+@case(
+    557,
+    "6.8",
+    "segment_s and dwell_s are kept, at rest at each waypoint",
+    motion=True,
+    needs=OptionalPart.PATHS,
+)
+def path_times(peer: Peer) -> None:
+    scene = entered(peer, Mode.STANDBY)
+    watch = StateWatch(peer)
+    middle = moved(scene.here, dz=0.015)
+    seen = until_done(watch, ReferencePath(peer.new_id(), (middle, scene.here), 0.8, 0.4))
+    at_rest = [each for each in seen if math.dist(each.state.X_BT_cmd.p_m, middle.p_m) < AT_M]
+    require(bool(at_rest), "it does not rest at the first waypoint")
+    arrives = (at_rest[0].scan_ns - seen[0].scan_ns) / MS
+    rests = (at_rest[-1].scan_ns - at_rest[0].scan_ns) / MS
+    leaves = (seen[-1].scan_ns - at_rest[-1].scan_ns) / MS
+    require(abs(arrives - 800.0) < LATE_MS, f"there after {arrives:.0f} ms, asked for 800")
+    require(abs(rests - 400.0) < LATE_MS, f"it rests for {rests:.0f} ms, asked for 400")
+    ends = min(abs(leaves - 800.0), abs(leaves - 1200.0))
+    require(ends < LATE_MS, f"the second segment takes {leaves:.0f} ms, asked for 800")
+    for each in seen[:-1]:
+        segment = 0 if each.scan_ns < at_rest[0].scan_ns else 1
+        near = math.dist(each.state.X_BT_cmd.p_m, middle.p_m) < 1e-4
+        require(near or each.state.segment == segment, f"segment {each.state.segment}, on the way {segment}")
+    require_no_jump(seen, "a path")
+
+
+@case(558, "6.7", "duration_s is the time of the motion", motion=True)
+def takes_its_time(peer: Peer) -> None:
+    scene = entered(peer, Mode.STANDBY)
+    watch = StateWatch(peer)
+    for goal, seconds in ((scene.goal, 0.8), (scene.here, 1.2)):
+        took = _took_ms(until_done(watch, ReferencePose(peer.new_id(), goal, seconds)))
+        require(abs(took - 1e3 * seconds) < LATE_MS, f"it took {took:.0f} ms, asked for {1e3 * seconds:g}")
+
+
+@case(559, "6.7", "duration_s of 0 is the shortest time that would have been accepted", motion=True)
+def shortest(peer: Peer) -> None:
+    scene = entered(peer, Mode.STANDBY)
+    took = _took_ms(until_done(StateWatch(peer), ReferencePose(peer.new_id(), scene.goal, 0.0)))
+    # The way back is as long; a controller that calls a motion done when the arm has settled adds its lag.
+    shorter = asked_for(peer, scene.here, 0.6 * took * 1e-3)
+    refused = (Reason.TOO_FAST, Reason.BAD_DURATION)
+    require(shorter.reason in refused, f"it took {took:.0f} ms, and 60 % of that is {shorter.reason.name}")
+    longer = asked_for(peer, scene.here, 1.05 * took * 1e-3)
+    expect_reason(longer, Reason.ACCEPTED, f"it took {took:.0f} ms, and 5 % more")
+    peer.command(CommandCode.STOP)
+
+
+@case(560, "6.9", "a new reference replaces the one being followed, without a step of the speed", motion=True)
+def replaces(peer: Peer) -> None:
+    scene = entered(peer, Mode.MOVING)
+    watch = StateWatch(peer)
+    before = watch.during(UNDER_WAY_MS)
+    seen = until_done(watch, ReferencePose(peer.new_id(), scene.here, 1.5))
+    off_m = math.dist(seen[-1].state.X_BT_cmd.p_m, scene.here.p_m)
+    require(off_m < 1e-6, f"it ends {off_m * 1e3:.1f} mm from where it was sent")
+    went_on = max(map(height, seen)) - height(before[-1])
+    require(went_on > RAMP_M, "the speed drops to nothing when a new reference comes")
+    require_no_jump([before[-1], *seen], "a new reference")
+
+
+@case(568, "6.9", "a reference that is refused leaves the motion that is followed as it is", motion=True)
+def refused_in_motion(peer: Peer) -> None:
+    scene = entered(peer, Mode.MOVING)
+    watch = StateWatch(peer)
+    motion_id = peer.state().motion_id
+    seen = watch.during(100.0)
+    nan = scene.here._replace(p_m=(math.nan, 0.0, 0.0))
+    for bad in (nan, moved(scene.here, dz=50.0)):
+        require(asked_for(peer, bad, 0.0).reason is not Reason.ACCEPTED, f"{bad.p_m} was accepted")
+    seen += watch.during(3000.0, until=lambda state: state.motion_done)
+    last = seen[-1].state
+    require(last.motion_done and last.motion_id == motion_id, "the motion was not driven to its end")
+    require(math.dist(last.X_BT_cmd.p_m, scene.goal.p_m) < 1e-6, "it ends somewhere else")
+    require_no_jump(seen, "refused references")
+
+
+def _ramped(peer: Peer, code: CommandCode, end: GroupState) -> list[Watched]:
+    """The STATEs from a stop in the middle of a motion to its end; the first is of before."""
+    scene = entered(peer, Mode.MOVING)
+    watch = StateWatch(peer)
+    seen = watch.during(UNDER_WAY_MS)[-1:]
+    wanted(peer, code, Reason.ACCEPTED, "MOVING")
+    seen += watch.during(3000.0, until=lambda state: state.group_state is end)
+    require(seen[-1].state.group_state is end, f"{code.name} does not lead to {end.name}")
+    driven = [each for each in seen if each.state.group_state is not GroupState.DISABLED]
+    require(height(driven[-1]) - height(seen[0]) > RAMP_M, f"{code.name} stops the arm with a step")
+    require_no_jump(driven, code.name)
+    off_m = math.dist(driven[-1].state.X_BT_cmd.p_m, scene.goal.p_m)
+    require(off_m > 1e-3, "it went on to its goal")
+    return seen
+
+
+@case(569, "7.3", "DISABLE in motion ramps down before it drops the enable, without a fault", motion=True)
+def disabled_in_motion(peer: Peer) -> None:
+    last = _ramped(peer, CommandCode.DISABLE, GroupState.DISABLED)[-1].state
+    require(not any(last.valves), f"valves {last.valves}")
+    require(last.fault is FaultCode.NONE, f"fault {last.fault.name}")
+
+
+@case(570, "7.3", "STOP in motion ramps down without a step of the speed, and holds there", motion=True)
+def stop_is_smooth(peer: Peer) -> None:
+    last = _ramped(peer, CommandCode.STOP, GroupState.STANDBY)[-1].state
+    require(peer.state().X_BT_cmd == last.X_BT_cmd, "the commanded pose moves on")
+
+
+@case(
+    571, "7.4", "EMERGENCY_STOP in motion: no valve is driven from the scan on that latches it", motion=True
+)
+def centred_at_once(peer: Peer) -> None:
+    entered(peer, Mode.MOVING)
+    watch = StateWatch(peer)
+    watch.during(UNDER_WAY_MS / 2.0)
+    assert peer.welcome is not None
+    sent_ns = peer.now_ns
+    wanted(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
+    peer.passed_over.clear()
+    seen = watch.during(150.0)
+    latched = [each for each in seen if each.state.flags & FLAG_EMERGENCY_LATCHED]
+    require(bool(latched), "it does not latch")
+    after = (latched[0].scan_ns - sent_ns) / MS
+    limit = 3 * peer.welcome.cycle_ns / MS + LATE_MS
+    require(after < limit, f"latched {after:.0f} ms after it was sent")
+    for each in seen[seen.index(latched[0]) :]:
+        require(not any(each.state.valves), f"valves {each.state.valves} although it is latched")
+        require(bool(each.state.flags & FLAG_EMERGENCY_LATCHED), "the latch is gone")
