@@ -57,7 +57,7 @@ class Listener:
 
     def silence_ns(self, now_ns: int) -> int:
         """How long nothing has come."""
-        with suppress(BlockingIOError):
+        with suppress(OSError):  # nothing there, or closed
             while self._socket.recv(64):
                 self._heard_ns = now_ns
         return now_ns - self._heard_ns

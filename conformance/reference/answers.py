@@ -202,7 +202,13 @@ def odd_numbers_in_a_pose(peer: Peer) -> None:
     require(peer.state().group_state is GroupState.STANDBY, "the arm moves")
 
 
-@case(440, "3.7", "NaN, infinity and subnormals in a path: NOT_FINITE, and in which waypoint", motion=True)
+@case(
+    440,
+    "3.7",
+    "NaN, infinity and subnormals in a path: NOT_FINITE, and in which waypoint",
+    motion=True,
+    needs=OptionalPart.PATHS,
+)
 def odd_numbers_in_a_path(peer: Peer) -> None:
     here = standby(peer).X_BT_cmd
     for odd in ODD:

@@ -50,6 +50,11 @@ class FaultDesk:
         if not await asyncio.get_running_loop().sock_recv(self._link, MOST_BYTES):
             raise LinkLost("link.fault_api_ended", f"the fault API ended with status {self._process.wait()}")
 
+    def close(self) -> None:
+        """Close the connection to the process."""
+        self._link.close()
+        self._theirs.close()
+
     def step(self) -> None:
         """Carry out an order if one waits, and tell the state when it has changed or 50 ms have passed."""
         if self._link.fileno() < 0:
@@ -78,8 +83,7 @@ class FaultDesk:
 
     async def stop(self) -> None:
         """End the process."""
-        self._link.close()
-        self._theirs.close()
+        self.close()
         if hasattr(self, "_process"):
             await asyncio.to_thread(ended, self._process)
 

@@ -3,6 +3,7 @@
 import asyncio
 import socket
 import time
+from contextlib import closing
 from typing import Any
 
 from foundation.directories import recording_directory
@@ -75,6 +76,7 @@ class PlantService:
         when_asked_to_end(stop.set)
         service = self._config.service
         with (
+            closing(self._faults),
             _bound(service.modbus, "modbus") as modbus,
             _bound(service.camera_stream, "camera_stream") as stream,
             _bound(service.fault_face, "fault_face") as face,

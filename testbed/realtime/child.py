@@ -188,6 +188,7 @@ class Child:
         """Send SIGKILL, for trials of what the others then do."""
         self._process.kill()
         self._process.wait()
+        self._signs.close()
 
     def end(self, timeout_s: float = STOP_TIMEOUT_S) -> int:
         """The exit status, after SIGTERM and, where that does not help in time, SIGKILL."""

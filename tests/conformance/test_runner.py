@@ -239,7 +239,7 @@ class DropsSigned(ControllerUnderTest):
     """Does not know clause 11."""
 
     def incoming(self, data: bytes) -> bytes | None:
-        return None if len(data) > 9 and data[9] & 1 else data
+        return b"" if len(data) > 9 and data[9] & 1 else data  # dropped, and counted
 
 
 class NotToBeEnabled(ControllerUnderTest):

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import pytest
 from pyModbusTCP.client import ModbusClient
 
-from protocol.process_image import CONTROL_ENABLE, ValveImage, encode_valves
+from protocol.process_image import CONTROL_ENABLE, SensorImage, ValveImage, encode_sensors, encode_valves
 from tests.conformance.couplers import ThreadedCoupler
 from tests.support.pages import commands_of
 
@@ -35,9 +35,17 @@ class PublishedCoupler(ThreadedCoupler):
         return [*PUBLISHED_INPUTS, *super().sensors()[2:]]
 
 
+class StillCoupler(ThreadedCoupler):
+    """Our coupler with inputs that stand still, so that two readings of them are the same."""
+
+    def sensors(self) -> list[int]:
+        """The input image, with supply on and the watchdog tripped."""
+        return encode_sensors(SensorImage(7, 9, 5, (1, 2, 3, 4, 5, 6), ((1.0, 2.0),) * 6, 190.0, 10.0, 40.0))
+
+
 @pytest.fixture
 def coupler() -> Iterator[ThreadedCoupler]:
-    with ThreadedCoupler() as serving:
+    with StillCoupler() as serving:
         yield serving
 
 

@@ -69,7 +69,7 @@ def test_up_tells_where_things_run_and_ends_cleanly_on_sigterm(tmp_path: Path) -
         said = ""
         for line in up.stdout:
             said += line
-            if "REST face" in line:
+            if "REST API" in line:
                 break
         assert all(name in said for name in (PLANT, CONTROLLER, VISION))
         up.send_signal(signal.SIGTERM)

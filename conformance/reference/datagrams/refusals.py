@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from conformance.bytes_of import resealed, with_bit_flipped
 from conformance.case import reference
+from conformance.parts import OptionalPart
 from conformance.peer import RATION_MS, Peer
 from conformance.reference.framing import (
     COMMAND_BYTES,
@@ -41,7 +42,12 @@ def flipped_path(peer: Peer) -> None:
     refused(peer, [with_bit_flipped(data, bit) for bit in range(0, 8 * len(data), 29)], "a flipped bit")
 
 
-@case(142, "3.2", "STREAMED_POSE with a bit flipped in any of its bytes is dropped")
+@case(
+    142,
+    "3.2",
+    "STREAMED_POSE with a bit flipped in any of its bytes is dropped",
+    needs=OptionalPart.STREAMING,
+)
 def flipped_stream(peer: Peer) -> None:
     welcome = peer.open(capabilities=CAPABILITY_STREAMING)
     if not welcome.capabilities & CAPABILITY_STREAMING:

@@ -1,9 +1,8 @@
 """Cases 723…: trailer, window and order of the checks in authenticated sessions (clause 11)."""
 
 from conformance.bytes_of import resealed, with_bit_flipped
-from conformance.case import reference
 from conformance.peer import RATION_MS, Peer
-from conformance.reference.authentication import OTHER_KEY, opened, signed
+from conformance.reference.authentication import OTHER_KEY, case, opened, signed
 from conformance.reference.datagrams.clocks import WINDOW, tallies
 from conformance.reference.framing import refused, stop
 from conformance.reference.handshake import granted, require_begun
@@ -14,7 +13,6 @@ from protocol.datagram_layout import HEADER_BYTES, TAG_BYTES, TRAILER_BYTES
 from protocol.faults import Reason
 from protocol.reference_messages import Bye, Heartbeat, Hello, State, Welcome
 
-case = reference.case
 KEY_ID = slice(-TRAILER_BYTES + 4, -TAG_BYTES)
 
 

@@ -208,8 +208,10 @@ async def test_a_stream_passes_whole_and_in_order_whatever_its_jitter() -> None:
 
 async def test_a_bent_stream_is_noticed() -> None:
     with ThreadedCoupler() as coupler:
-        outcomes = await coupler_through(coupler.port, Faults(), Faults(truncate=1.0), [601])
-    assert outcomes == [CaseOutcome.FAIL]
+        async with TcpProxy(Route(0, coupler.port), Faults(), Faults(truncate=1.0), 9) as proxy:
+            summary = await asyncio.to_thread(run_coupler, "127.0.0.1", proxy.port, numbers=[601])
+    assert summary.ended is not None
+    assert summary.ended.cause == "link.no_answer"
 
 
 async def test_a_half_open_stream_stays_up_and_carries_nothing() -> None:
