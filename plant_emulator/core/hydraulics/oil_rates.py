@@ -1,0 +1,178 @@
+"""The oil's half of the right-hand side: valves, chambers, friction, end stops, pump and temperature."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foundation.compiled import allocation_free
+from plant_emulator.core import columns as col
+from plant_emulator.core.hydraulics.chambers import bulk_modulus, relief_flow
+from plant_emulator.core.hydraulics.valves import (
+    held_gain,
+    opening,
+    orifice_flow,
+    spool_acceleration,
+)
+from plant_emulator.core.layout import (
+    BRISTLE,
+    DRIVEN,
+    N_ACTUATORS,
+    PRESSURE_A,
+    PRESSURE_B,
+    RATE,
+    SPOOL,
+    SPOOL_RATE,
+    SUPPLY,
+    TEMPERATURE,
+    Q,
+)
+from plant_emulator.core.mechanics.friction import bristle_rate, friction_force, steady_level
+from plant_emulator.core.mechanics.linkage import actuator_reach
+
+Array = NDArray[np.float64]
+
+JOINT = np.array(DRIVEN)  # compiled code indexes an array, not a tuple, with a variable
+
+
+@allocation_free
+def _valve_flows(i: int, state: Array, viscosity_ratio: float, a: Array, c: Array, flows: Array) -> None:
+    """Fill net chamber flows and supply flow of actuator ``i``: valve, leakage, relief, anti-cavitation."""
+    p_a, p_b, p_s, p_t = state[PRESSURE_A + i], state[PRESSURE_B + i], state[SUPPLY], c[col.C_RETURN]
+    soft, limit = c[col.C_REGULARISATION], c[col.C_RELIEF]
+    open_by = opening(state[SPOOL + i], a[i, col.A_DEADBAND])
+    gain = a[i, col.A_GAIN] * abs(open_by)
+    drop_a, drop_b = (p_s - p_a, p_t - p_b) if open_by >= 0.0 else (p_t - p_a, p_s - p_b)
+    gain_a = gain
+    if drop_a < 0.0 and a[i, col.A_COUNTERBALANCE] > 0.0:
+        wish = p_a + c[col.C_PILOT] * p_b - c[col.C_HOLD]
+        gain_a = held_gain(gain, a[i, col.A_COUNTERBALANCE], wish, c[col.C_HOLD_RANGE])
+    in_a, in_b = orifice_flow(gain_a, drop_a, soft), orifice_flow(gain, drop_b, soft)
+    flows[i, col.F_SUPPLY] = in_a if open_by >= 0.0 else in_b
+    leak = a[i, col.A_LEAKAGE] * viscosity_ratio * (p_a - p_b)
+    in_a -= leak + relief_flow(p_a, limit, a[i, col.A_RELIEF])
+    in_b += leak - relief_flow(p_b, limit, a[i, col.A_RELIEF])
+    if p_a < p_t:
+        in_a += orifice_flow(a[i, col.A_ANTICAVITATION], p_t - p_a, soft)
+    if p_b < p_t:
+        in_b += orifice_flow(a[i, col.A_ANTICAVITATION], p_t - p_b, soft)
+    flows[i, col.F_NET_A], flows[i, col.F_NET_B] = in_a, in_b
+
+
+@allocation_free
+def _end_stop(i: int, y: float, v: float, a: Array) -> float:
+    """Force at either end of the stroke: a cushion brakes what enters it, behind it stands a stiff stop."""
+    side = 1.0 if 2.0 * y < a[i, col.A_STROKE] else -1.0
+    left = y if side > 0.0 else a[i, col.A_STROKE] - y  # of the stroke, ahead of the moving piston
+    entered = min(max(1.0 - left / a[i, col.A_CUSHION], 0.0), 1.0)
+    brake = a[i, col.A_STOP_DAMPING] * entered * max(-side * v, 0.0)
+    push: float = side * (brake + a[i, col.A_STOP_STIFFNESS] * max(-left, 0.0))
+    return push
+
+
+@allocation_free
+def _pressure_rates(i: int, state: Array, a: Array, c: Array, flows: Array, rate: Array) -> None:
+    """Rates of the two chamber pressures of actuator ``i``, whose flows, position and speed are known."""
+    y, v = flows[i, col.F_POSITION], flows[i, col.F_VELOCITY]
+    area_a, area_b = a[i, col.A_AREA_A], a[i, col.A_AREA_B]
+    volume_a = a[i, col.A_DEAD_A] + area_a * y
+    volume_b = a[i, col.A_DEAD_B] + area_b * (a[i, col.A_STROKE] - y)
+    warmer = state[TEMPERATURE] - c[col.C_REFERENCE]
+    oil = c[col.C_MODULUS] * (1.0 - c[col.C_MODULUS_DRIFT] * warmer)
+    wall, air, exponent = c[col.C_WALL], c[col.C_AIR], c[col.C_EXPONENT]
+    stiff_a = bulk_modulus(state[PRESSURE_A + i], volume_a, oil, wall, air, exponent)
+    stiff_b = bulk_modulus(state[PRESSURE_B + i], volume_b, oil, wall, air, exponent)
+    rate[PRESSURE_A + i] = stiff_a * (flows[i, col.F_NET_A] - area_a * v) / volume_a
+    rate[PRESSURE_B + i] = stiff_b * (flows[i, col.F_NET_B] + area_b * v) / volume_b
+
+
+@allocation_free
+def _actuator(
+    i: int,
+    state: Array,
+    command: float,
+    viscosity_ratio: float,
+    a: Array,
+    c: Array,
+    flows: Array,
+    rate: Array,
+) -> float:
+    """Rates of spool, chambers and bristle of actuator ``i``; returns its torque on the joint.
+
+    ``a`` is the actuator table, ``c`` the circuit, ``flows`` the flow table, ``viscosity_ratio`` the
+    reference viscosity over the present one.
+    """
+    joint = JOINT[i]
+    y, ratio = actuator_reach(
+        state[Q + joint],
+        a[i, col.A_KIND],
+        a[i, col.A_BASE],
+        a[i, col.A_LEVER],
+        a[i, col.A_ANGLE0],
+        a[i, col.A_LENGTH0],
+    )
+    v = ratio * state[RATE + joint]
+    spool, spool_rate = state[SPOOL + i], state[SPOOL_RATE + i]
+    rate[SPOOL + i] = spool_rate
+    rate[SPOOL_RATE + i] = spool_acceleration(command, spool, spool_rate, a[i, col.A_OMEGA], a[i, col.A_ZETA])
+
+    _valve_flows(i, state, viscosity_ratio, a, c, flows)
+    flows[i, col.F_POSITION], flows[i, col.F_VELOCITY] = y, v
+    _pressure_rates(i, state, a, c, flows, rate)
+
+    bristle = state[BRISTLE + i]
+    level = steady_level(v, a[i, col.A_COULOMB], a[i, col.A_STATIC], a[i, col.A_STRIBECK])
+    z_rate = bristle_rate(v, bristle, level, a[i, col.A_BRISTLE])
+    rate[BRISTLE + i] = z_rate
+    viscous = a[i, col.A_VISCOUS] / viscosity_ratio
+    friction = friction_force(v, bristle, z_rate, a[i, col.A_BRISTLE], a[i, col.A_BRISTLE_DAMPING], viscous)
+    stop = _end_stop(i, y, v, a)
+    push = state[PRESSURE_A + i] * a[i, col.A_AREA_A] - state[PRESSURE_B + i] * a[i, col.A_AREA_B]
+    flows[i, col.F_PUSH], flows[i, col.F_FRICTION], flows[i, col.F_STOP] = push, friction, stop
+    torque: float = (push - friction + stop) * ratio
+    return torque
+
+
+@allocation_free
+def pump_flow(supply: float, circuit: Array) -> float:
+    """What the pump delivers (m³/s) at ``supply`` pressure; once lost, what its dump orifice takes."""
+    if circuit[col.C_RUNNING] > 0.0:
+        wish: float = circuit[col.C_PUMP_GAIN] * (circuit[col.C_SET] - supply)
+        delivered: float = min(max(wish, 0.0), circuit[col.C_FLOW_LIMIT])
+        return delivered
+    return -orifice_flow(circuit[col.C_DUMP], supply - circuit[col.C_RETURN], circuit[col.C_REGULARISATION])
+
+
+@allocation_free
+def _supply(state: Array, c: Array, flows: Array, rate: Array) -> None:
+    """Rates of supply pressure and oil temperature."""
+    supply = state[SUPPLY]
+    drawn = delivered = 0.0
+    for i in range(N_ACTUATORS):
+        drawn += flows[i, col.F_SUPPLY]
+        delivered += flows[i, col.F_PUSH] * flows[i, col.F_VELOCITY]
+    pumped = pump_flow(supply, c)
+    net = pumped - drawn - relief_flow(supply, c[col.C_RELIEF], c[col.C_PUMP_GAIN])
+    oil = c[col.C_MODULUS] * (1.0 - c[col.C_MODULUS_DRIFT] * (state[TEMPERATURE] - c[col.C_REFERENCE]))
+    volume = c[col.C_LINE_VOLUME]
+    stiff = bulk_modulus(supply, volume, oil, c[col.C_WALL], c[col.C_AIR], c[col.C_EXPONENT])
+    rate[SUPPLY] = stiff * net / volume
+    rate[TEMPERATURE] = 0.0
+    if c[col.C_HEAT_CAPACITY] > 0.0:
+        heat = supply * max(pumped, 0.0) - delivered + c[col.C_RUNNING] * c[col.C_IDLE_LOSS]
+        cooling = c[col.C_COOLING] * (state[TEMPERATURE] - c[col.C_AMBIENT])
+        rate[TEMPERATURE] = heat / c[col.C_HEAT_CAPACITY] - cooling
+
+
+@allocation_free
+def add_oil(
+    state: Array, command: Array, a: Array, c: Array, force: Array, flows: Array, rate: Array
+) -> None:
+    """Fill the oil's part of ``rate``, and ``flows``; add the actuators' torques to ``force`` (10,).
+
+    ``a`` is the actuator table, ``c`` the circuit.
+    """
+    viscosity_ratio = math.exp(c[col.C_VISCOSITY_DRIFT] * (state[TEMPERATURE] - c[col.C_REFERENCE]))
+    for i in range(N_ACTUATORS):
+        force[JOINT[i]] += _actuator(i, state, command[i], viscosity_ratio, a, c, flows, rate)
+    _supply(state, c, flows, rate)
