@@ -4,8 +4,9 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from foundation.configuration import StrictModel
+from foundation.configuration import StrictModel, or_its_file
 from foundation.secret_source import SecretSource
+from nominal_arm.commissioned import Commissioned, ValveSet
 
 # How late a scan may be without breaking streaming.silence_ms.
 _STREAM_MARGIN_MS = 2.0
@@ -25,7 +26,7 @@ class PoseServoConfig(StrictModel):
 
 
 class JointControlConfig(StrictModel):
-    """Joint control (6), PT-1 (25) on lift and tilt; feed-forward, pressure damping, deadband."""
+    """Joint control (6), PT-1 (25) on lift and tilt; feed-forward, pressure damping."""
 
     gain_1_s: tuple[Positive, Positive, Positive, Positive, Positive, Positive]
     pt1_time_constant_ms: float = Field(ge=0.0, le=2000.0)
@@ -33,7 +34,6 @@ class JointControlConfig(StrictModel):
     load_compensation: bool
     pressure_damping_mrad_s_bar: Sextuple
     pressure_high_pass_ms: float = Field(gt=0.0, le=10_000.0)
-    deadband_compensation: Sextuple
     deadband_blend: float = Field(gt=0.0, le=0.2)
     valve_limit: float = Field(gt=0.0, le=1.0)
 
@@ -44,8 +44,6 @@ class JointControlConfig(StrictModel):
         if not all(0.0 <= value <= 100.0 for value in self.pressure_damping_mrad_s_bar):
             damping = self.pressure_damping_mrad_s_bar
             raise ValueError(f"pressure_damping_mrad_s_bar: {damping} must lie in 0…100")
-        if not all(0.0 <= value <= 0.3 for value in self.deadband_compensation):
-            raise ValueError(f"deadband_compensation: {self.deadband_compensation} must lie in 0…0.3")
         return self
 
 
@@ -101,7 +99,7 @@ class SupervisionConfig(StrictModel):
     overrun_ms: float = Field(gt=0.0, le=5000.0)
     following_error_deg: Sextuple
     encoder_jump_deg: float = Field(gt=0.0, le=90.0)
-    encoder_stuck_valve: float = Field(gt=0.0, le=1.0)
+    encoder_stuck_opening: float = Field(gt=0.0, le=1.0)
     encoder_stuck_ms: float = Field(gt=0.0, le=10_000.0)
     overspeed_m_s: float = Field(gt=0.0, le=10.0)
     overspeed_ms: float = Field(ge=0.0, le=1000.0)
@@ -141,9 +139,15 @@ class ReferenceLinkConfig(StrictModel):
 
 
 class ControllerConfig(StrictModel):
-    """controller.yaml as a whole."""
+    """controller.yaml as a whole.
+
+    ``valves``: what is known of them before commissioning. ``commissioned``: what commissioning found, its
+    file's path or its content, null before; see ``commissioning.commissioned_config``.
+    """
 
     cycle_ms: float = Field(ge=1.0, le=10.0)
+    valves: Annotated[ValveSet, or_its_file(ValveSet)]
+    commissioned: Annotated[Commissioned, or_its_file(Commissioned)] | None
     pose_servo: PoseServoConfig
     joint_control: JointControlConfig
     motion: MotionConfig

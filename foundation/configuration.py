@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
 
 from protocol.errors import ConfigurationError
 
@@ -89,13 +89,19 @@ def load(model: type[ModelT], path: Path, overrides: Mapping[str, Any] | None = 
 
     Raises ConfigurationError with one line that names file, key, value and limit of the first fault.
     """
-    return validated(model, merged(read_yaml(path), overrides or {}), str(path))
+    return validated(model, merged(read_yaml(path), overrides or {}), str(path), path.parent)
 
 
-def validated(model: type[ModelT], data: Mapping[str, Any], where: str) -> ModelT:
-    """``data`` as a validated ``model``; ``where`` names its origin in the error."""
+def validated(
+    model: type[ModelT], data: Mapping[str, Any], where: str, directory: Path | None = None
+) -> ModelT:
+    """``data`` as a validated ``model``; ``where`` names its origin in the error.
+
+    ``directory``: from where paths of further files (``or_its_file``) are counted, else from the working
+    directory.
+    """
     try:
-        return model.model_validate(data)
+        return model.model_validate(data, context={"directory": directory or Path()})
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "(whole file)"
@@ -107,6 +113,20 @@ def validated(model: type[ModelT], data: Mapping[str, Any], where: str) -> Model
         raise ConfigurationError(
             f"configuration.{cause}", f"{where}: {key}{value}: {first['msg']}{more}"
         ) from error
+
+
+def or_its_file(model: type[BaseModel]) -> BeforeValidator:
+    """For ``Annotated[M, or_its_file(M)]``: a mapping as it stands, or the path of a YAML file that holds it.
+
+    A relative path counts from the directory of the file in which it is written.
+    """
+
+    def opened(value: Any, info: ValidationInfo) -> Any:
+        if not isinstance(value, str):
+            return value
+        return load(model, (info.context or {}).get("directory", Path()) / value)
+
+    return BeforeValidator(opened)
 
 
 def parse_overrides(assignments: Sequence[str]) -> dict[str, dict[str, Any]]:

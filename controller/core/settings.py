@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from controller.commissioning import commissioned_config
 from controller.config import ControllerConfig
 from controller.core.kinematics.denavit_hartenberg import dh_table
 from controller.core.kinematics.rotations import Array
@@ -17,10 +18,12 @@ from controller.core.trajectories.approach import AxisLimits
 from controller.core.trajectories.motion import StopLimits
 from controller.core.trajectories.path_survey import PlanningLimits
 from controller.core.trajectories.workspace import WorkspaceBounds, widened
+from nominal_arm.commissioned import ValveSet
 from nominal_arm.description import NominalArm
 
 _MS = 1e-3
 _MRAD = 1e-3
+_SURE = 3.0  # standard deviations
 _EXCHANGES_AT_MS = 5.0  # limits that count exchanges hold from this cycle on
 
 
@@ -70,7 +73,8 @@ class SupervisionLimits(NamedTuple):
     """When the controller stops by itself: exchanges and cycles, s, rad, m, m/s, bar where it says so.
 
     ``overtravel_range`` (2, 6): joint angles beyond which no joint may be driven further out;
-    ``workspace``: the tool's, likewise. ``following_error``: (6,) rad.
+    ``workspace``: the tool's, likewise. ``following_error``: (6,) rad. ``encoder_stuck_valves`` (6, 2): spool
+    commands, raising and lowering, beyond which a joint must turn.
     """
 
     missed_exchanges: int
@@ -80,7 +84,7 @@ class SupervisionLimits(NamedTuple):
     overrun: float
     following_error: Array
     encoder_jump: float
-    encoder_stuck_valve: float
+    encoder_stuck_valves: Array
     encoder_stuck: float
     overspeed: float
     overspeed_time: float
@@ -111,7 +115,11 @@ class ScanSettings:
 
 
 def settings_from(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
-    """The ScanSettings that ``arm`` and ``config`` describe."""
+    """The ScanSettings that ``arm`` and ``config`` describe, by its commissioning where it names one.
+
+    Raises ConfigurationError for a commissioning that is not of them, see ``commissioned_config``.
+    """
+    config = commissioned_config(arm, config)
     motion, settled = config.motion, config.settled
     table, space = dh_table(arm.dh), arm.workspace
     workspace = WorkspaceBounds(np.array([space.x_m, space.y_m, space.z_m]), space.radius_min_m)
@@ -120,7 +128,7 @@ def settings_from(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
     return ScanSettings(
         cycle_s=config.cycle_ms * _MS,
         table=table,
-        load_compensation=config.joint_control.load_compensation,
+        load_compensation=config.joint_control.load_compensation and not config.valves.pressure_compensated,
         servo=_servo_constants(arm, config),
         planning=PlanningLimits(
             table=table,
@@ -179,9 +187,30 @@ def _joint_gains(config: ControllerConfig) -> JointGains:
         feed_forward=joint.feed_forward,
         damping=np.array(joint.pressure_damping_mrad_s_bar) * _MRAD,
         high_pass=joint.pressure_high_pass_ms * _MS,
-        deadband=np.array(joint.deadband_compensation),
+        deadband=_edges(config.valves, "deadband"),
+        flow_gain=_edges(config.valves, "flow_gain"),
         blend=joint.deadband_blend,
         limit=joint.valve_limit,
+    )
+
+
+def _edges(valves: ValveSet, name: str) -> Array:
+    """A number (6, 2) of the six valves, raising and lowering."""
+    return np.array(
+        [[getattr(edge, name).value for edge in (valve.raising, valve.lowering)] for valve in valves.joints]
+    )
+
+
+def _surely_open(valves: ValveSet) -> Array:
+    """Spool commands (6, 2) beyond which every valve is open, however little is known of it."""
+    return np.array(
+        [
+            [
+                edge.deadband.value + _SURE * edge.deadband.std + valve.hysteresis.value
+                for edge in (valve.raising, valve.lowering)
+            ]
+            for valve in valves.joints
+        ]
     )
 
 
@@ -223,7 +252,7 @@ def _supervision_limits(
         overrun=watch.overrun_ms * _MS,
         following_error=np.radians(watch.following_error_deg),
         encoder_jump=math.radians(watch.encoder_jump_deg),
-        encoder_stuck_valve=watch.encoder_stuck_valve,
+        encoder_stuck_valves=watch.encoder_stuck_opening + _surely_open(config.valves),
         encoder_stuck=watch.encoder_stuck_ms * _MS,
         overspeed=watch.overspeed_m_s,
         overspeed_time=watch.overspeed_ms * _MS,

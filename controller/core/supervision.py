@@ -129,6 +129,12 @@ def readings(settings: ScanSettings, watch: PlantWatch, servo: ServoOutput, tool
 
 
 @kernel
+def _still(limits: SupervisionLimits, servo: ServoOutput, turned: Array, joint: int) -> bool:
+    valve, open_at = servo.valves[joint], limits.encoder_stuck_valves[joint]
+    return bool(turned[joint] == 0.0 and (valve > open_at[0] or -valve > open_at[1]))
+
+
+@kernel
 def _readings(
     limits: SupervisionLimits, tool: ToolState, servo: ServoOutput, q: Array, qd: Array, turned: Array
 ) -> tuple[float, bool, float, ValueAndLimit, ValueAndLimit, ValueAndLimit, Sextet]:
@@ -147,14 +153,13 @@ def _readings(
         elif overtravel[0] == overtravel[1] and q[i] > upper and speed > 0.0:
             overtravel = q[i], upper
     v = tool.J_BT[:3] @ qd
-    open_valve = limits.encoder_stuck_valve
     still = (
-        turned[0] == 0.0 and abs(servo.valves[0]) > open_valve,
-        turned[1] == 0.0 and abs(servo.valves[1]) > open_valve,
-        turned[2] == 0.0 and abs(servo.valves[2]) > open_valve,
-        turned[3] == 0.0 and abs(servo.valves[3]) > open_valve,
-        turned[4] == 0.0 and abs(servo.valves[4]) > open_valve,
-        turned[5] == 0.0 and abs(servo.valves[5]) > open_valve,
+        _still(limits, servo, turned, 0),
+        _still(limits, servo, turned, 1),
+        _still(limits, servo, turned, 2),
+        _still(limits, servo, turned, 3),
+        _still(limits, servo, turned, 4),
+        _still(limits, servo, turned, 5),
     )
     return norm(v), finite, leap, (behind, at_most), overtravel, outside(limits.workspace, tool.p_BT), still
 

@@ -32,11 +32,11 @@ class JointFilters(NamedTuple):
 
 
 class JointGains(NamedTuple):
-    """Constants of joint control; arrays are (6,).
+    """Constants of joint control; arrays are (6,), or (6, 2): raising and lowering.
 
     ``gain`` k (1/s); ``time_constant`` of the PT-1 (s, 0 for none); ``damping`` (rad/s per bar) behind a
-    high pass of
-    ``high_pass`` (s); ``deadband`` of spool, faded in over ``blend``; ``limit`` of spool.
+    high pass of ``high_pass`` (s); ``deadband`` (6, 2) of spool, faded in over ``blend``; ``flow_gain``
+    (6, 2): joint speed beyond it over the nominal one; ``limit`` of spool.
     """
 
     gain: Array
@@ -45,6 +45,7 @@ class JointGains(NamedTuple):
     damping: Array
     high_pass: float
     deadband: Array
+    flow_gain: Array
     blend: float
     limit: float
 
@@ -75,7 +76,8 @@ def valve_commands(
         slow[i] = pt1_step(filters.load[i], load[i], gains.high_pass, dt_s)
         demand = filters.pt1[i] if gains.time_constant[i] > 0.0 else proportional
         demand += gains.feed_forward * qd_cmd[i] - gains.damping[i] * (load[i] - filters.load[i])
-        spool = demand / (speeds[i, 0] if demand >= 0.0 else speeds[i, 1])
-        spool += gains.deadband[i] * max(-1.0, min(1.0, spool / gains.blend))
+        side = 0 if demand >= 0.0 else 1
+        spool = demand / (gains.flow_gain[i, side] * speeds[i, side])
+        spool += gains.deadband[i, side] * max(-1.0, min(1.0, spool / gains.blend))
         commands[i] = max(-gains.limit, min(gains.limit, spool))
     return commands, JointFilters(pt1, slow)

@@ -27,7 +27,8 @@ PLAIN = JointGains(
     feed_forward=0.0,
     damping=np.zeros(6),
     high_pass=1.0,
-    deadband=np.zeros(6),
+    deadband=np.zeros((6, 2)),
+    flow_gain=np.ones((6, 2)),
     blend=0.001,
     limit=1.0,
 )
@@ -74,7 +75,7 @@ def test_feed_forward_gives_the_nominal_spool_for_the_speed() -> None:
 
 
 def test_deadband_is_added_in_the_sense_of_the_command_and_fades_at_zero() -> None:
-    gains = PLAIN._replace(deadband=0.03 * ONES, blend=0.001)
+    gains = PLAIN._replace(deadband=np.full((6, 2), 0.03), blend=0.001)
     error = np.array([0.05, -0.05, 0.0005, -0.0005, 0.0, 1e-5])
     u, _ = valve_commands(gains, REST, error, np.zeros(6), np.zeros(6), SPEEDS, 0.005)
     assert u[:2] == pytest.approx([0.05 + 0.03, -0.025 - 0.03])
