@@ -136,7 +136,8 @@ def note_of(result: Any) -> str:
         where = "inside" if verdict.inside else "outside"
         return (
             f"step {_mm(step.p_lc)} mm in the base, expected to end within "
-            f"{_mm(step.expected_std_m)} mm (1 σ, camera axes); found {where} the "
+            f"{_mm(step.expected.std_m)} mm (1 σ, camera axes), inside with probability"
+            f" {step.expected.inside:.2f}; found {where} the "
             f"tolerance, {'certainly' if verdict.certain else 'not certainly'}"
         )
     if isinstance(result, OrientationResult):

@@ -10,6 +10,7 @@ from protocol.pose import Pose
 from vision_pc.application.results import JSON
 from vision_pc.core.calibration.local_calibration import LocalCalibration, ResidualTable
 from vision_pc.core.calibration.orientation import OrientationResult
+from vision_pc.core.positioning.expected_end import ExpectedEnd
 from vision_pc.core.positioning.look_then_move import Ended, LookVerdict, PositioningResult, Step
 from vision_pc.core.se3 import Array, from_pose
 
@@ -52,8 +53,7 @@ def calibration_of(told: JSON) -> LocalCalibration:
 def positioning_of(told: JSON) -> PositioningResult:
     """Looks and steps of a look-then-move."""
     steps = tuple(
-        Step(_metres(s["p_lc_mm"]), _pose(s["X_BT_ref"]), _metres(s["expected_std_mm"]))
-        for s in told["steps"]
+        Step(_metres(s["p_lc_mm"]), _pose(s["X_BT_ref"]), _expected(s["expected"])) for s in told["steps"]
     )
     return PositioningResult(tuple(_verdict(look) for look in told["looks"]), steps, Ended(told["ended"]))
 
@@ -65,6 +65,15 @@ RESULT_OF: dict[str, Callable[[JSON], Any]] = {
     "look-then-move": positioning_of,
 }
 """By program; what is not here stays JSON."""
+
+
+def _expected(told: JSON) -> ExpectedEnd:
+    """The API tells the correlation of x and y alone: z is taken for independent."""
+    std = _metres(told["std_mm"])
+    covariance = np.diag(std**2)
+    covariance[0, 1] = covariance[1, 0] = told["correlation_xy"] * std[0] * std[1]
+    freedom = math.inf if told["freedom"] is None else float(told["freedom"])
+    return ExpectedEnd(_metres(told["mean_mm"]), covariance, freedom, float(told["inside_probability"]))
 
 
 def _verdict(told: JSON) -> LookVerdict:

@@ -13,6 +13,7 @@ from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.calibration.local_error_model import LocalTrack
 from vision_pc.core.calibration.orientation import OrientationResult, orientation_error
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult
+from vision_pc.core.positioning.expected_end import ExpectedEnd
 from vision_pc.core.positioning.look_then_move import LookVerdict, PositioningResult, Step
 from vision_pc.core.positioning.visual_servoing import Convergence
 from vision_pc.core.se3 import Array, to_pose
@@ -155,14 +156,38 @@ def step_json(step: Step) -> JSON:
     return {
         "p_lc_mm": xyz(step.p_lc),
         "X_BT_ref": pose_json(step.X_BT_ref),
-        "expected_std_mm": xyz(step.expected_std_m),
+        "expected_std_mm": xyz(step.expected.std_m),
+        "expected": expected_json(step.expected),
+    }
+
+
+def expected_json(end: ExpectedEnd) -> JSON:
+    """Mean and spread of an error not looked at yet, its 95 % ellipse, the probability to be inside."""
+    major, minor, angle = end.ellipse
+    return {
+        "mean_mm": xyz(end.mean_m),
+        "std_mm": xyz(end.std_m),
+        "correlation_xy": round(end.correlation, 4),
+        "freedom": round(end.freedom, 2) if math.isfinite(end.freedom) else None,
+        "ellipse_95_mm": {
+            "major": round(1e3 * major, 3),
+            "minor": round(1e3 * minor, 3),
+            "angle_deg": round(math.degrees(angle), 2),
+        },
+        "inside_probability": round(end.inside, 4),
     }
 
 
 def positioning_json(result: PositioningResult | CorrectedResult) -> JSON:
-    """All looks and steps, the last look's verdict, and what odometry measured at the end if it did."""
+    """All looks and steps, the last look's verdict; where odometry measured the end, what was ``expected``
+    before moving and what odometry had ``seen`` before the last look.
+    """
     if isinstance(result, CorrectedResult):
-        return positioning_json(result.positioning) | {"measured_miss_mm": xyz(result.measured_residual_m)}
+        return positioning_json(result.positioning) | {
+            "measured_miss_mm": xyz(result.measured_residual_m),
+            "expected": expected_json(result.positioning.steps[0].expected),
+            "seen": expected_json(result.seen),
+        }
     return verdict_json(result.final) | {
         "looks": [verdict_json(look) for look in result.looks],
         "steps": [step_json(step) for step in result.steps],

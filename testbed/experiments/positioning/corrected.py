@@ -8,14 +8,14 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import typer
 from rich.table import Table
-from scipy import stats
 
 from testbed.campaigns.campaign import CampaignRequest, Task
-from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, inside, seeds
+from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, seeds
 from testbed.campaigns.options import Assignments, ChosenEyes, EyesKind
 from testbed.experiments.positioning.corrected_plot import errors_plot
 from testbed.experiments.positioning.corrected_run import PositioningRow, one_run
 from testbed.experiments.positioning.scenarios import ARMS
+from testbed.experiments.positioning.told import Told, reliability_plot, reliability_table, told_checks
 from testbed.reporting.console import table
 from testbed.reporting.outcome import LIMIT_M
 from vision_pc.core.se3 import Array
@@ -62,6 +62,8 @@ def positioning_table(done: Positioned) -> list[Table]:
     for arm, rows in by_arm(done.rows).items():
         title = "refused or failed, counted as failed above"
         tables += [_errors(arm, rows), *stops_table(title, "at", rows, BRANCHES)]
+        title = f"arm {arm}, one look: probability told before moving"
+        tables.append(reliability_table(title, told(rows, "look1", "before"), worst_mm(rows, "look1")))
     return tables
 
 
@@ -81,7 +83,13 @@ def positioning_plot(done: Positioned) -> dict[str, bytes]:
     title = (
         f"{len(done.rows)} {'harder' if done.settings.harder else 'usual'} runs, eyes: {done.settings.eyes}"
     )
-    return {"errors": errors_plot(by_arm(done.rows), BRANCHES, 1e3 * LIMIT_M, title)}
+    worst = worst_mm(done.rows, "look1")
+    groups = {"before moving": "before", "by odometry": "after"}
+    honest = {words: (told(done.rows, "look1", when), worst) for words, when in groups.items()}
+    return {
+        "errors": errors_plot(by_arm(done.rows), BRANCHES, 1e3 * LIMIT_M, title),
+        "reliability": reliability_plot(honest, f"one look, {title}"),
+    }
 
 
 def by_arm(rows: Sequence[PositioningRow]) -> dict[str, list[PositioningRow]]:
@@ -94,7 +102,6 @@ def checks_of(rows: Sequence[PositioningRow], harder: bool) -> list[Check]:
     one, shot, two = (worst_mm(rows, name) for name in ("look1", "one_shot", "look2"))
     floor = np.abs(_vectors(rows, "look2", "servo_mm")).max(axis=1)
     limit = 1e3 * LIMIT_M
-    (nees, band), (shot_nees, _) = (normalised(rows, name) for name in ("look1", "one_shot"))
     return [
         at_least("one look: share within 5 mm", share(one, limit), 0.95 if harder else 0.98),
         at_least("one shot: share within 5 mm", share(shot, limit), None if harder else 0.90),
@@ -103,11 +110,15 @@ def checks_of(rows: Sequence[PositioningRow], harder: bool) -> list[Check]:
         at_most("two looks: 95 %", quantile(two, 95), None if harder else 3.0, "mm"),
         at_most("the servo's floor alone after two: median", quantile(floor, 50), None, "mm"),
         at_most("the servo's floor alone after two: 95 %", quantile(floor, 95), None, "mm"),
-        inside("one look: error² over predicted variance, mean", nees, None if harder else band),
-        at_least("one look: share inside the predicted 95 % ellipse", covered(rows, "look1"), None),
-        inside("one shot: error² over predicted variance, mean", shot_nees, None),
-        at_least("one shot: share inside the predicted 95 % ellipse", covered(rows, "one_shot"), None),
+        *told_checks("one look", told(rows, "look1", "before"), one, not harder),
+        *told_checks("one look, by odometry", told(rows, "look1", "after"), one, False),
+        *told_checks("one shot", told(rows, "one_shot", "before"), shot, False),
     ]
+
+
+def told(rows: Sequence[PositioningRow], name: str, when: str) -> list[Told]:
+    """What was told of a branch, ``before`` moving or ``after`` it by odometry."""
+    return [getattr(getattr(row, name), when) for row in rows]
 
 
 def worst_mm(rows: Sequence[Any], name: str) -> Array:
@@ -124,29 +135,6 @@ def quantile(values: Array, percent: float) -> float:
     """Of those that came to an end; NaN when none did."""
     finite = values[np.isfinite(values)]
     return float(np.percentile(finite, percent)) if len(finite) else float("nan")
-
-
-def normalised(rows: Sequence[PositioningRow], name: str) -> tuple[float, tuple[float, float]]:
-    """Mean of (x/σx)² and (y/σy)², 1 when the prediction made before moving is honest, and its 95 % band.
-
-    The band is that of χ² with two degrees of freedom a run, divided by their number.
-    """
-    ratios = _ratios(rows, name)
-    freedom = max(2 * len(ratios), 1)
-    low, high = (float(stats.chi2.ppf(side, freedom)) / freedom for side in (0.025, 0.975))
-    return float(ratios.mean()) if len(ratios) else float("nan"), (low, high)
-
-
-def covered(rows: Sequence[PositioningRow], name: str) -> float:
-    """How many of the runs that came to an end lie inside their predicted 95 % ellipse; NaN without any."""
-    inside = _ratios(rows, name).sum(axis=1) <= stats.chi2.ppf(0.95, 2)
-    return float(inside.mean()) if len(inside) else float("nan")
-
-
-def _ratios(rows: Sequence[PositioningRow], name: str) -> Array:
-    """(x/σx)² and (y/σy)² (n, 2) of the runs that came to an end."""
-    ratios = (_vectors(rows, name, "true_mm") / _vectors(rows, name, "std_mm")) ** 2
-    return np.asarray(ratios[np.isfinite(ratios).all(axis=1)])
 
 
 def _vectors(rows: Sequence[PositioningRow], branch: str, quantity: str) -> Array:

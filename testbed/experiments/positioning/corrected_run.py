@@ -17,6 +17,7 @@ from plant_emulator.core.truth import tool_error
 from protocol.errors import LongreachError
 from testbed.campaigns.typed_rows import UNKNOWN, XYZ, xyz
 from testbed.experiments.positioning.scenarios import draw
+from testbed.experiments.positioning.told import Told, told_of
 from testbed.lockstep.eyes import SightMaker
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
@@ -30,7 +31,10 @@ JSON = dict[str, Any]
 
 
 class Branch(NamedTuple):
-    """One look and its drive: true error, the servo's part, what was predicted, measured, looked at, mm."""
+    """One look and its drive: true error, the servo's part, what was predicted, measured, looked at, mm.
+
+    ``before``: what was told before moving; ``after``: what odometry told before the last look.
+    """
 
     true_mm: XYZ = UNKNOWN
     servo_mm: XYZ = UNKNOWN
@@ -38,6 +42,8 @@ class Branch(NamedTuple):
     measured_mm: XYZ = UNKNOWN
     look_mm: XYZ = UNKNOWN
     worst_mm: float = math.nan
+    before: Told = Told()
+    after: Told = Told()
     steps: int | None = None
     ended: str = ""
     failure: str = ""
@@ -110,10 +116,12 @@ def driven(rig: LockstepRig, body: JSON) -> Branch:
     return Branch(
         true_mm=xyz(error_mm),
         servo_mm=xyz(X_BC[:3, :3].T @ off_mm),
-        std_mm=xyz([1e3 * float(value) for value in steps[0].expected_std_m]),
+        std_mm=xyz([1e3 * float(value) for value in steps[0].expected.std_m]),
         measured_mm=xyz([1e3 * float(value) for value in result.measured_residual_m]),
         look_mm=xyz([1e3 * float(value) for value in final.error_m]),
         worst_mm=float(np.abs(error_mm[:2]).max()),
+        before=told_of(steps[0].expected, error_mm),
+        after=told_of(result.seen, error_mm),
         steps=len(steps),
         ended=result.positioning.ended,
     )

@@ -10,25 +10,34 @@ from plant_emulator.core.camera.scene import Scene
 from protocol.errors import ConfigurationError
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import perform
-from testbed.campaigns.typed_rows import typed
+from testbed.campaigns.typed_rows import flat, typed
 from testbed.experiments.positioning.corrected import (
     BRANCHES,
     ChosenArm,
     DrawnSettings,
     checks_of,
-    covered,
-    normalised,
     positioning_tasks,
     share,
+    told,
     worst_mm,
 )
 from testbed.experiments.positioning.corrected_plot import errors_plot
 from testbed.experiments.positioning.corrected_run import PositioningRow
 from testbed.experiments.positioning.path_information import PATH_INFORMATION, PathSettings
 from testbed.experiments.positioning.scenarios import ARMS, draw
+from testbed.experiments.positioning.told import (
+    chance_band,
+    covered,
+    nees,
+    reliability,
+    reliability_plot,
+    silent_misses,
+    told_of,
+)
 from testbed.lockstep.true_view import TrueView
 from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
+from vision_pc.core.positioning.expected_end import expected_end
 
 
 @pytest.mark.parametrize("arm", ARMS)
@@ -72,11 +81,14 @@ def test_both_arms_take_turns() -> None:
 
 def row(error: float, std: float = 1.0, **changes: Any) -> PositioningRow:
     made: dict[str, Any] = {}
+    end = expected_end(np.zeros(3), (1e-3 * std) ** 2 * np.eye(3), 0.005)
     for name in ("one_shot", "look1", "look2"):
         made[f"{name}_worst_mm"] = abs(error)
         for axis in "xy":
             made |= {f"{name}_true_{axis}_mm": error, f"{name}_std_{axis}_mm": std}
             made |= {f"{name}_servo_{axis}_mm": 0.4}
+        for when in ("before", "after"):
+            made |= flat({f"{name}_{when}": told_of(end, np.full(3, error))})
     return typed(PositioningRow, made | changes)
 
 
@@ -94,9 +106,9 @@ def test_a_run_that_failed_counts_as_failed_and_never_as_zero() -> None:
 
 
 def test_the_verdict_fails_where_a_figure_is_outside_and_only_there() -> None:
-    good = [row((-1.0) ** k) for k in range(200)]
+    good = [row((2.0 if k % 20 == 0 else 0.918) * (-1.0) ** k) for k in range(200)]  # 95 % in the ellipse
     assert [check.what for check in checks_of(good, harder=False) if check.met is False] == []
-    vain = [row(4.0 * r.look1.true_mm.x) for r in good]
+    vain = [row(4.0 * r.look1.true_mm.x) for r in good]  # told as before
     missed = {check.what for check in checks_of(vain, harder=False) if check.met is False}
     assert "one look: error² over predicted variance, mean" in missed
     assert "two looks: 95 %" in missed
@@ -105,15 +117,37 @@ def test_the_verdict_fails_where_a_figure_is_outside_and_only_there() -> None:
 
 
 def test_the_share_inside_the_ellipse_counts_runs_that_ended() -> None:
-    rows = [row(0.5)] * 19 + [row(2.0), row(0.5, look1_true_x_mm=None)]
-    assert covered(rows, "look1") == pytest.approx(0.95)
+    rows = [row(0.5)] * 19 + [row(2.0), row(0.5, look1_before_distance2=None)]
+    assert covered(told(rows, "look1", "before")) == pytest.approx(0.95)
 
 
 def test_an_overcautious_prediction_is_no_honest_one_either() -> None:
     rng = np.random.default_rng(2)
     rows = [row(float(e), std=3.0) for e in rng.normal(size=200)]
-    value, (low, high) = normalised(rows, "look1")
+    value, (low, high) = nees(told(rows, "look1", "before")), chance_band(200)
     assert value < low < 1.0 < high
+    missed = {check.what for check in checks_of(rows, harder=False) if check.met is False}
+    assert "one look: error² over predicted variance, mean" in missed
+
+
+def test_a_miss_is_silent_where_it_was_told_to_be_unlikely() -> None:
+    surprised, warned, good = row(6.0, std=1.0), row(6.0, std=6.0), row(1.0, std=1.0)
+    rows = [surprised, warned, good, failed("measurement.odometry_lost: z")]
+    before = told(rows, "look1", "before")
+    assert before[0].probability > 0.99
+    assert before[1].probability < 0.5
+    assert silent_misses(before, worst_mm(rows, "look1")) == 1
+    found = {check.what: check for check in checks_of(rows, harder=False)}
+    assert found["one look: silent misses"].met is False
+    assert {check.what: check for check in checks_of([good], harder=False)}["one look: silent misses"].met
+
+
+def test_the_reliability_counts_by_what_was_told() -> None:
+    rows = [row(1.0, std=1.0)] * 3 + [row(6.0, std=6.0), row(3.0, std=6.0)]
+    bins = reliability(told(rows, "look1", "before"), worst_mm(rows, "look1"))
+    assert [(count, share) for _, _, count, _, share in bins] == [(2, 0.5), (3, 1.0)]
+    figure = reliability_plot({"all": (told(rows, "look1", "before"), worst_mm(rows, "look1"))}, "title")
+    assert figure.startswith(b"\x89PNG")
 
 
 def test_the_used_path_is_not_beaten_by_a_shorter_one(tmp_path: Path) -> None:

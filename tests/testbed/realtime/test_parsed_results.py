@@ -7,6 +7,7 @@ from testbed.realtime.parsed_results import RESULT_OF, look_of
 from vision_pc.application.results import calibration_json, orientation_json, pose_json, positioning_json
 from vision_pc.core.calibration.local_calibration import LocalCalibration, ResidualTable
 from vision_pc.core.calibration.orientation import OrientationResult
+from vision_pc.core.positioning.expected_end import expected_end
 from vision_pc.core.positioning.look_then_move import Ended, LookVerdict, PositioningResult, Step
 from vision_pc.core.se3 import transform
 
@@ -23,13 +24,17 @@ def test_the_poses_of_a_look() -> None:
 
 
 def test_a_look_then_move() -> None:
-    step = Step(LENGTHS_M, X, np.abs(LENGTHS_M))
+    spread = np.array([[4e-6, -1e-6, 0.0], [-1e-6, 1e-6, 0.0], [0.0, 0.0, 9e-6]])
+    step = Step(LENGTHS_M, X, expected_end(np.array([1e-3, 0.0, 0.0]), spread, 0.005, 4.0))
     result = PositioningResult((VERDICT, VERDICT), (step,), Ended.INPUT_LIMIT)
     read = RESULT_OF["look-then-move"](positioning_json(result))
     assert read.ended is Ended.INPUT_LIMIT
     assert (len(read.looks), len(read.steps)) == (2, 1)
     assert np.allclose(read.steps[0].p_lc, step.p_lc)
     assert np.allclose(read.steps[0].X_BT_ref, X)
+    assert np.allclose(read.steps[0].expected.covariance, spread, atol=1e-9)
+    assert read.steps[0].expected.freedom == 4.0
+    assert abs(read.steps[0].expected.inside - step.expected.inside) < 1e-3
     assert np.allclose(read.final.error_m, VERDICT.error_m)
     assert (read.final.inside, read.final.certain, read.final.tolerance_m) == (False, True, 0.005)
     assert note_of(read) == note_of(result) != ""

@@ -205,7 +205,7 @@ async def test_what_the_slews_servo_leaves_at_every_end_is_reckoned_with() -> No
 async def test_what_is_expected_after_corrections_is_less_than_after_one_shot() -> None:
     for seed in range(3):
         (_, corrected), (_, single) = [await one_look(seed, MAP, k) for k in (None, 0)]
-        expected = [result.positioning.steps[0].expected_std_m[:2] for result in (corrected, single)]
+        expected = [result.positioning.steps[0].expected.std_m[:2] for result in (corrected, single)]
         assert np.all(expected[0] < expected[1])
         assert np.all(expected[0] > MAP.odometry_std_m)
 

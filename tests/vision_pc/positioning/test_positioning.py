@@ -46,7 +46,7 @@ async def test_whole_procedure_over_seeds_two_looks_inside_5_mm() -> None:
         result = await look_then_move(arm, arm, silent, one, calibration)
         error = arm.true_error(CLEARANCE)
         first.append(np.abs(error[:2]).max())
-        scores.append(error[:2] / result.steps[0].expected_std_m[:2])
+        scores.append(error[:2] / result.steps[0].expected.std_m[:2])
         result = await look_then_move(arm, arm, silent, one, calibration)
         second.append(np.abs(arm.true_error(CLEARANCE)[:2]).max())
         assert result.final.inside == bool(np.all(np.abs(result.final.error_m[:2]) <= 0.005))
@@ -120,7 +120,7 @@ async def test_a_longer_way_is_less_certain() -> None:
     look = await arm.look()
     near = look._replace(X_CO=look.X_CO.copy())
     near.X_CO[:3, 3] = look.X_CM[:3, 3] + np.array([0.01, 0.0, CLEARANCE])
-    far, close = (step(x, SETTINGS, exact(arm)).expected_std_m for x in (look, near))
+    far, close = (step(x, SETTINGS, exact(arm)).expected.std_m for x in (look, near))
     assert np.all(far[:2] > 2.0 * close[:2])
 
 

@@ -23,6 +23,7 @@ from vision_pc.core.calibration.local_error_model import (
     watched_path,
 )
 from vision_pc.core.ports import Arm, Eyes, Report
+from vision_pc.core.positioning.expected_end import ExpectedEnd, expected_end
 from vision_pc.core.positioning.look_then_move import (
     Ended,
     PositioningResult,
@@ -40,11 +41,16 @@ _STALE = 0.003  # m or rad: more than a settled arm creeps
 
 
 class CorrectedResult(NamedTuple):
-    """The result, the error (3,) m in K axes that odometry measured at the end, and the track so far."""
+    """The result, the error in K axes that odometry measured before the last look, and the track so far."""
 
     positioning: PositioningResult
-    measured_residual_m: Array
+    seen: ExpectedEnd
     track: LocalTrack
+
+    @property
+    def measured_residual_m(self) -> Array:
+        """The error (3,) m in K axes that odometry measured at the end."""
+        return self.seen.mean_m
 
 
 async def look_then_move_corrected(
@@ -84,11 +90,12 @@ async def look_then_move_corrected(
         goal_K = X_KnewK[:3, :3] @ goal_K + X_KnewK[:3, 3]
         track = extended(track, drive)
         residuals.append(goal_K - p_CM)
-    report(0.9, "looking")
+    seen = _seen(residuals[-1], float(np.linalg.norm(residuals[0])), look, settings, map_settings)
+    report(0.9, f"looking; odometry says inside with probability {seen.inside:.2f}")
     looks.append(judge(await eyes.look(), settings))
     report(1.0, f"error {1e3 * looks[-1].error_m[0]:+.1f} {1e3 * looks[-1].error_m[1]:+.1f} mm")
     ended = Ended.REACHED if reached(looks[-1], settings) else Ended.INPUT_LIMIT
-    return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), residuals[-1], track)
+    return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), seen, track)
 
 
 def _needs_another_motion(residuals: list[Array], parts: int, settings: PositioningSettings) -> bool:
@@ -148,7 +155,19 @@ def _step(
     X_BT = fitted.X_BT
     expected = slew_lever(X_BT) * overrun.sum() / (len(overrun) + 1)  # the mean, shrunk: half of it is chance
     X_BT_ref = transform(X_BT[:3, :3], X_BT[:3, 3] + share * x - expected)
-    return Step(share * x, X_BT_ref, np.sqrt(np.diag(end_covariance)))
+    return Step(share * x, X_BT_ref, expected_end(np.zeros(3), end_covariance, settings.tolerance_m))
+
+
+def _seen(
+    residual: Array,
+    length: float,
+    look: Look,
+    settings: PositioningSettings,
+    map_settings: LocalErrorModelSettings,
+) -> ExpectedEnd:
+    """What odometry says of the end of a way of ``length`` that left ``residual`` (3,), by one ``look``."""
+    covariance = _odometry_covariance(length, map_settings) + look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
+    return expected_end(residual, covariance, settings.tolerance_m)
 
 
 def _after_fine_corrections(end_covariance: Array, nudge_m: float, servo_std_m: float) -> Array:

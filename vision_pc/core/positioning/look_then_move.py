@@ -15,6 +15,7 @@ from protocol.errors import MeasurementFailed
 from vision_pc.config.programs import PositioningSettings
 from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.ports import Arm, Eyes, Report
+from vision_pc.core.positioning.expected_end import ExpectedEnd, expected_end
 from vision_pc.core.se3 import Array, transform
 from vision_pc.core.types import Look
 
@@ -39,11 +40,11 @@ class LookVerdict(NamedTuple):
 
 
 class Step(NamedTuple):
-    """One input: the step p_lc (3,) in B, its reference, and the error std (3,) in C expected after it."""
+    """One input: the step p_lc (3,) in B, its reference, and the error in C expected at the end."""
 
     p_lc: Array
     X_BT_ref: Array
-    expected_std_m: Array
+    expected: ExpectedEnd
 
 
 class Ended(StrEnum):
@@ -120,7 +121,7 @@ def step(look: Look, settings: PositioningSettings, calibration: LocalCalibratio
     X_BT_ref = transform(look.X_BT[:3, :3], look.X_BT[:3, 3] + p_lc)  # (22)
     in_base = calibration.goal_covariance(p_lc, settings.strain_std) + settings.servo_std_m**2 * np.eye(3)
     in_camera = R_BC.T @ in_base @ R_BC + look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
-    return Step(p_lc, X_BT_ref, np.sqrt(np.diag(in_camera)))
+    return Step(p_lc, X_BT_ref, expected_end(np.zeros(3), in_camera, settings.tolerance_m))
 
 
 def judge(look: Look, settings: PositioningSettings) -> LookVerdict:
