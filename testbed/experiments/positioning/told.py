@@ -1,6 +1,6 @@
 """What runs were told before they were looked at, against what became true: spread, ellipse, probability."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -85,8 +85,8 @@ def told_checks(what: str, told: Sequence[Told], worst_mm: Array, judged: bool) 
     ended = len(_column(told, "distance2"))
     low, high = chance_band(ended)
     band = (min(NEES_BAND[0], low), max(NEES_BAND[1], high))
-    spread = stats.binom.ppf([0.025, 0.975], ended, 0.95) / max(ended, 1)
-    share = (min(COVERED_BAND[0], float(spread[0])), max(COVERED_BAND[1], float(spread[1])))
+    few, many = (float(stats.binom.ppf(side, ended, 0.95)) / max(ended, 1) for side in (0.025, 0.975))
+    share = (min(COVERED_BAND[0], few), max(COVERED_BAND[1], many))
     brier = _brier(told, worst_mm)
     return [
         inside(f"{what}: error² over predicted variance, mean", nees(told), band if judged else None),
@@ -119,7 +119,7 @@ def reliability(told: Sequence[Told], worst_mm: Array) -> list[tuple[float, floa
     return found
 
 
-def reliability_plot(groups: dict[str, tuple[Sequence[Told], Array]], title: str) -> bytes:
+def reliability_plot(groups: Mapping[str, tuple[Sequence[Told], Array]], title: str) -> bytes:
     """PNG: share that ended inside over the probability told, a line a group, the diagonal is honest."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(4.6, 4.2), layout="constrained")
