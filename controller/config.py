@@ -148,6 +148,7 @@ class ControllerConfig(StrictModel):
     cycle_ms: float = Field(ge=1.0, le=10.0)
     valves: Annotated[ValveSet, or_its_file(ValveSet)]
     commissioned: Annotated[Commissioned, or_its_file(Commissioned)] | None
+    scan_lead: float = Field(ge=0.1, le=1.0)
     pose_servo: PoseServoConfig
     joint_control: JointControlConfig
     motion: MotionConfig

@@ -71,7 +71,7 @@ def scan(settings: ScanSettings, state: ScanState, inputs: ScanInput) -> tuple[S
         events.append(ScanEvent("mode", f"{mode_before.name} -> {state.mode.name}", 0.0, 0.0))
     state = _rearm_watchdog(state)
     valves = _valve_image(state)
-    view = _view(settings, state, inputs.now_ns)
+    view = _view(settings, state, inputs.sensed_ns)
     return state, ScanOutput(valves, tuple(acknowledgements), refusal, view, tuple(events))
 
 
@@ -221,7 +221,7 @@ def _pose(p: np.ndarray, quaternion: np.ndarray) -> Pose:
     return Pose((x, y, z), (w, i, j, k))
 
 
-def _view(settings: ScanSettings, state: ScanState, now_ns: int) -> ControllerView:
+def _view(settings: ScanSettings, state: ScanState, sensed_ns: int) -> ControllerView:
     watch, motion = state.watch, state.motion
     healthy = link_lost(settings, watch) is None and cycle_frozen(settings, watch) is None
     settled = state.mode is Mode.STANDBY and state.settled_s >= settings.settled.time
@@ -233,7 +233,7 @@ def _view(settings: ScanSettings, state: ScanState, now_ns: int) -> ControllerVi
     )
     X_BT = _pose(state.tool.p_BT, state.tool.quaternion)
     return ControllerView(
-        time_ns=now_ns,
+        time_ns=sensed_ns,
         cycle=state.cycle,
         group_state=GROUP_STATE[state.mode],
         fault=state.fault.code,

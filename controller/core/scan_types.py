@@ -26,10 +26,12 @@ NO_FAULT = Fault(FaultCode.NONE, 0.0, 0.0)
 class ScanInput(NamedTuple):
     """One scan's input image. ``dt_s``: since the scan before. ``sensors``: None when the exchange failed.
 
-    ``streamed``: the newest streamed reference that came since the scan before.
+    ``sensed_ns``: when the sensors were read, before ``now_ns``, when requests are judged. ``streamed``: the
+    newest streamed reference that came since the scan before.
     """
 
     now_ns: int
+    sensed_ns: int
     dt_s: float
     sensors: SensorImage | PlantRefusal | None
     requests: tuple[Request, ...]

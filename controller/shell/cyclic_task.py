@@ -11,43 +11,75 @@ from foundation.periodic_timer import PeriodicTimer
 class CyclicTask:
     """Awaits ``body(dt_ns)`` once a period; ``dt_ns`` is the whole number of periods since the call before.
 
-    ``lateness``: how late after its deadline each call began, since the start; ``recent``: the same since
-    whoever reads it cleared it last. ``overruns``: periods skipped.
+    ``phase_ns``: how far into the period ``second_part`` lets the body go on. ``lateness``: how late after
+    its deadline each call began, since the start; ``recent``: the same since whoever reads it cleared it last.
+    ``overruns``: periods skipped.
     """
 
-    def __init__(self, period_ns: int, body: Callable[[int], Awaitable[None]]) -> None:
+    def __init__(self, period_ns: int, body: Callable[[int], Awaitable[None]], phase_ns: int = 0) -> None:
         self.lateness = DurationHistogram()
         self.recent = DurationHistogram()
         self.overruns = 0
         self._period_ns = period_ns
+        self._phase_ns = phase_ns
         self._body = body
         self._stopping = False
-        self._wake: asyncio.Future[None] | None = None
+        self._starts: _Deadlines | None = None
+        self._phases: _Deadlines | None = None
 
     def stop(self) -> None:
         """Let ``run`` return after the present call."""
         self._stopping = True
-        self._woken()
+        if self._starts is not None:
+            self._starts.wake()
 
     async def run(self) -> None:
         """Call the body until ``stop``. An exception of the body ends the task and is passed on."""
-        loop = asyncio.get_running_loop()
-        timer = PeriodicTimer(time.monotonic_ns() + self._period_ns, self._period_ns, self._woken)
+        first_ns = time.monotonic_ns() + self._period_ns
+        self._starts = starts = _Deadlines(first_ns, self._period_ns)
+        if self._phase_ns > 0:
+            self._phases = _Deadlines(first_ns + self._phase_ns, self._period_ns)
         try:
             while not self._stopping:
-                passed = timer.passed()
+                passed = await starts.passed()
                 if passed == 0:
-                    self._wake = loop.create_future()
-                    await self._wake
                     continue
-                late_ns = time.monotonic_ns() - timer.deadline_ns
+                late_ns = time.monotonic_ns() - starts.timer.deadline_ns
                 self.lateness.add(late_ns)
                 self.recent.add(late_ns)
                 self.overruns += passed - 1
                 await self._body(passed * self._period_ns)
         finally:
-            timer.close()
+            starts.timer.close()
+            if self._phases is not None:
+                self._phases.timer.close()
 
-    def _woken(self) -> None:
-        if self._wake is not None and not self._wake.done():
-            self._wake.set_result(None)
+    async def second_part(self) -> None:
+        """Return once ``phase_ns`` of the body's period have passed; at once when they have, or it is 0."""
+        if self._phases is None or self._starts is None:
+            return
+        due_ns = self._starts.timer.deadline_ns + self._phase_ns
+        while self._phases.timer.deadline_ns < due_ns:
+            await self._phases.passed()
+
+
+class _Deadlines:
+    """A periodic timer that can be awaited, by one at a time."""
+
+    def __init__(self, first_ns: int, period_ns: int) -> None:
+        self._woken: asyncio.Future[None] | None = None
+        self.timer = PeriodicTimer(first_ns, period_ns, self.wake)
+
+    async def passed(self) -> int:
+        """How many deadlines have passed since the last call, after waiting for one; 0 after ``wake``."""
+        passed = self.timer.passed()
+        if passed == 0:
+            self._woken = asyncio.get_running_loop().create_future()
+            await self._woken
+            passed = self.timer.passed()
+        return passed
+
+    def wake(self) -> None:
+        """End the waiting."""
+        if self._woken is not None and not self._woken.done():
+            self._woken.set_result(None)

@@ -78,7 +78,7 @@ class ControllerService:
             self._reference.release()
             raise
         self._plant = PlantLink(config.plant_link, log)
-        self._task = CyclicTask(cycle_ns, self._cycle)
+        self._task = CyclicTask(cycle_ns, self._cycle, round((1.0 - config.scan_lead) * cycle_ns))
         self._recorder = FlightRecorder(config.flight_recorder_scans)
         self._valve_words = encode_valves(ValveImage(0, 0, (0.0,) * 6))
         self._images_refused = 0
@@ -113,14 +113,16 @@ class ControllerService:
 
     async def _cycle(self, dt_ns: int) -> None:
         words = await self._plant.exchange(self._valve_words)
-        sensors = self._decoded(words)
+        sensors, sensed_ns = self._decoded(words), time.monotonic_ns()
+        await self._task.second_part()  # what comes meanwhile is in this scan too
         now_ns = time.monotonic_ns()
         requests, alive = self._reference.take(now_ns)
         leaving = self._stop_by_ns is not None and not self._told_to_leave
         if leaving:
             self._told_to_leave = True
             requests = (*requests, Command(0, CommandCode.DISABLE))
-        inputs = ScanInput(now_ns, dt_ns * 1e-9, sensors, requests, alive, self._reference.take_streamed())
+        streamed = self._reference.take_streamed()
+        inputs = ScanInput(now_ns, sensed_ns, dt_ns * 1e-9, sensors, requests, alive, streamed)
         began_ns = time.monotonic_ns()
         self._state, output = scan(self._settings, self._state, inputs)
         self._scan_times.add(time.monotonic_ns() - began_ns)

@@ -35,4 +35,4 @@ def warm_up(settings: ScanSettings) -> None:
         image = SensorImage(
             cycle, state.cycle, status, (a, b, c, d, e, f), ((50.0, 50.0),) * 6, 190.0, 10.0, 40.0
         )
-        state, _ = scan(settings, state, ScanInput(0, settings.cycle_s, image, requests, True, streamed))
+        state, _ = scan(settings, state, ScanInput(0, 0, settings.cycle_s, image, requests, True, streamed))

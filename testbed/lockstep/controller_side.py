@@ -49,6 +49,7 @@ class ControllerSide:
             self._state,
             ScanInput(
                 now_ns=now_ns,
+                sensed_ns=now_ns,
                 dt_s=1e-9 * self.cycle_ns,
                 sensors=None if sensor_words is None else decode_sensors(sensor_words),
                 requests=requests,

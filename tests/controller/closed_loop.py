@@ -37,7 +37,8 @@ class ClosedLoop:
         if self._words is not None:
             self.plant.write(decode_valves(self._words))
         sensors = decode_sensors(encode_sensors(self.plant.read()))
-        inputs = ScanInput(self.now_ns, self.settings.cycle_s, sensors, requests, self.link_alive)
+        now_ns, dt_s = self.now_ns, self.settings.cycle_s
+        inputs = ScanInput(now_ns, now_ns, dt_s, sensors, requests, self.link_alive)
         self.state, self.outputs = scan(self.settings, self.state, inputs)
         self._words = encode_valves(self.outputs.valves)
         if self.watch is not None:

@@ -79,7 +79,7 @@ class Bench:
         dt_s = self.settings.cycle_s + self.late_s
         self.late_s = 0.0
         self.now_ns += round(dt_s * 1e9)
-        inputs = ScanInput(self.now_ns, dt_s, sensors, requests, self.link_alive, arrival)
+        inputs = ScanInput(self.now_ns, self.now_ns, dt_s, sensors, requests, self.link_alive, arrival)
         self.state, output = scan(self.settings, self.state, inputs)
         self.outputs.append(output)
         return output

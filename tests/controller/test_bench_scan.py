@@ -26,7 +26,8 @@ pytestmark = pytest.mark.bench
 def _next_input(bench: Bench) -> ScanInput:
     """The input of the scan that would come next."""
     sensors = bench._exchange()
-    return ScanInput(bench.now_ns + 5_000_000, bench.settings.cycle_s, sensors, (), True)
+    now_ns = bench.now_ns + 5_000_000
+    return ScanInput(now_ns, now_ns, bench.settings.cycle_s, sensors, (), True)
 
 
 def _with_reference(bench: Bench, inputs: ScanInput) -> ScanInput:

@@ -99,7 +99,7 @@ class FieldbusRig:
                 sensors = decode_sensors(words)
             except ImageRefused:
                 self.torn += 1
-        inputs = ScanInput(self.now_ns, 1e-9 * dt_ns, sensors, requests, True)
+        inputs = ScanInput(self.now_ns, self.now_ns, 1e-9 * dt_ns, sensors, requests, True)
         self.state, output = scan(self.settings, self.state, inputs)
         self.outputs.append(output)
         self._words = encode_valves(output.valves)

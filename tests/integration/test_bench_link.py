@@ -94,7 +94,7 @@ def controller(plant_port: int) -> Iterator[LiveClient]:
 
 
 def test_reference_received_to_first_changed_valve_word() -> None:
-    rng, taken_ms = np.random.default_rng(1), []
+    rng, taken_ms, late_ms = np.random.default_rng(1), [], 0.0
     with StillPlant() as plant, controller(plant.port) as client:
         for _ in range(REFERENCES):
             insist(client, CommandCode.ENABLE)
@@ -108,15 +108,17 @@ def test_reference_received_to_first_changed_valve_word() -> None:
             while plant.changed_ns == 0:
                 client.pump(0.002)
             taken_ms.append((plant.changed_ns - sent_ns) / 1e6)
+            late_ms = max(late_ms, state.lateness_p99_us / 1e3)
             client.ask(Command(0, CommandCode.DISABLE))
             client.until(lambda s: s.group_state is GroupState.DISABLED, 5.0)
     p50, p99 = np.percentile(np.array(taken_ms) / CYCLE_MS, [50, 99])
     print(
         f"\nreference sent to first changed valve word in the coupler, {len(taken_ms)} references, "
-        f"cycle {CYCLE_MS:g} ms: p50 {p50:.2f} cycles, p99 {p99:.2f} cycles"
+        f"cycle {CYCLE_MS:g} ms: p50 {p50:.2f} cycles, p99 {p99:.2f} cycles; "
+        f"the controller's own lateness p99, worst second: {late_ms:.2f} ms"
     )
-    assert p50 < 3.0
-    assert p99 < 5.0
+    assert p50 <= 1.0
+    assert p99 <= 1.5 + late_ms / CYCLE_MS  # of a machine that is busy with something else
 
 
 def spread(times_us: ArrayLike) -> str:

@@ -64,3 +64,23 @@ async def test_stop_from_outside_ends_a_waiting_task() -> None:
     await asyncio.sleep(0.02)
     task.stop()
     await asyncio.wait_for(running, 1.0)
+
+
+async def test_the_second_part_of_a_period_begins_at_its_phase_and_not_before() -> None:
+    into_ms: list[float] = []
+
+    async def body(dt_ns: int) -> None:
+        began_ns = time.monotonic_ns()
+        if len(into_ms) == 10:
+            time.sleep(0.009)  # noqa: ASYNC251 - the phase is over before the body asks for it
+        await task.second_part()
+        into_ms.append((time.monotonic_ns() - began_ns) / 1e6)
+        if len(into_ms) == 20:
+            task.stop()
+
+    task = CyclicTask(10_000_000, body, 7_000_000)
+    await task.run()
+    late_ms = task.lateness.max_ns / 1e6
+    assert min(into_ms) >= 7.0 - late_ms
+    assert into_ms[10] >= 9.0
+    assert sorted(into_ms)[10] == pytest.approx(7.0, abs=2.0)
