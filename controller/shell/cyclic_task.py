@@ -12,7 +12,7 @@ class CyclicTask:
     """Awaits ``body(dt_ns)`` once a period; ``dt_ns`` is the whole number of periods since the call before.
 
     ``phase_ns``: how far into the period ``second_part`` lets the body go on. ``lateness``: how late after
-    its deadline each call began, since the start; ``recent``: the same since whoever reads it cleared it last.
+    its deadline each call began, since the start; ``recent``: the same since its reader last cleared it.
     ``overruns``: periods skipped.
     """
 
