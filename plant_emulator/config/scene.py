@@ -7,10 +7,12 @@ from pydantic import Field, model_validator
 
 from foundation.configuration import StrictModel
 from plant_emulator.config.boards import AnyBoardConfig
+from plant_emulator.config.camera import CameraConfig
 
 Vector3 = tuple[float, float, float]
 SmallAngle = Annotated[float, Field(ge=-90.0, le=90.0)]
 Angles = tuple[SmallAngle, SmallAngle, SmallAngle]
+Misplaced = Annotated[float, Field(ge=-0.05, le=0.05)]
 
 
 class PoseConfig(StrictModel):
@@ -58,7 +60,9 @@ class MarkerConfig(StrictModel):
     """One ArUco marker (DICT_5X5_1000) on a white plate that leaves a quiet zone all round.
 
     ``print_scale_error`` makes the printed side ``side_m * (1 + print_scale_error)`` while vision believes
-    ``side_m``.
+    ``side_m``. A bent plate is a cylinder: its surface stands c d² before the plane of its middle, where d is
+    the way across, along ``bend_direction_deg`` (from x towards y), and c such that ``bend_m`` is reached at
+    half the side; negative: the middle stands out.
     """
 
     marker_id: int = Field(ge=0, lt=1000)
@@ -67,13 +71,21 @@ class MarkerConfig(StrictModel):
     print_scale_error: float = Field(default=0.0, ge=-0.05, le=0.05)
     black_grey: float = Field(default=22.0, ge=0.0, le=255.0)
     white_grey: float = Field(default=208.0, ge=0.0, le=255.0)
+    bend_m: float = Field(default=0.0, ge=-0.005, le=0.005)
+    bend_direction_deg: float = Field(default=0.0, ge=-90.0, le=90.0)
 
 
 class WallMarkerConfig(MarkerConfig):
-    """A marker pasted on the wall, centre in O axes (x right, y up), turned by ``roll_deg`` about z_O."""
+    """A marker pasted on the wall, centre in O axes (x right, y up), turned by ``roll_deg`` about z_O.
+
+    ``misplaced_m`` (in O) and ``misplaced_deg`` (a rotation vector in the plate's own axes) are how far from
+    there it truly hangs, as nobody knows.
+    """
 
     centre_m: tuple[float, float]
     roll_deg: SmallAngle = 0.0
+    misplaced_m: tuple[Misplaced, Misplaced, Misplaced] = (0.0, 0.0, 0.0)
+    misplaced_deg: Angles = (0.0, 0.0, 0.0)
 
 
 class ToolMarkerConfig(MarkerConfig):
@@ -121,84 +133,6 @@ class ObstacleConfig(StrictModel):
     rotation_deg: Angles = (0.0, 0.0, 0.0)
     size_m: tuple[Annotated[float, Field(gt=0.0, le=5.0)], Annotated[float, Field(gt=0.0, le=5.0)]]
     grey: float = Field(default=60.0, ge=0.0, le=255.0)
-
-
-class LensConfig(StrictModel):
-    """True pinhole and Brown-Conrady coefficients (OpenCV's signs) of the left eye's pictures."""
-
-    fx_px: float = Field(ge=100.0, le=5000.0)
-    fy_px: float = Field(ge=100.0, le=5000.0)
-    cx_px: float = Field(ge=0.0, le=4000.0)
-    cy_px: float = Field(ge=0.0, le=4000.0)
-    k1: float = Field(default=0.0, ge=-0.5, le=0.5)
-    k2: float = Field(default=0.0, ge=-0.5, le=0.5)
-    p1: float = Field(default=0.0, ge=-0.05, le=0.05)
-    p2: float = Field(default=0.0, ge=-0.05, le=0.05)
-    k3: float = Field(default=0.0, ge=-0.5, le=0.5)
-
-
-class RectificationConfig(StrictModel):
-    """What the vendor's rectification leaves: a shift of the right picture, and a rotation of the right eye.
-
-    ``disparity_px`` is added to every disparity u_left - u_right, ``vertical_px`` to v_right - v_left.
-    """
-
-    vertical_px: float = Field(default=0.0, ge=-10.0, le=10.0)
-    disparity_px: float = Field(default=0.0, ge=-10.0, le=10.0)
-    right_eye_rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-
-class CameraConfig(StrictModel):
-    """The stereo camera as it really is. Vision is told other, nominal numbers.
-
-    ``motion_blur_samples`` moments make one exposure (1: none). ``readout_ms`` is the time from the first to
-    the last row of a rolling shutter (0: global). ``dropped_frame_share`` of the frames never arrive;
-    ``frozen_frame_share`` of them repeat the picture before under a number of their own.
-    """
-
-    width_px: int = Field(default=1280, ge=64, le=4096)
-    height_px: int = Field(default=720, ge=64, le=4096)
-    rate_hz: float = Field(gt=0.0, le=120.0)
-    exposure_us: int = Field(ge=0, le=100_000)
-    baseline_m: float = Field(gt=0.0, le=1.0)
-    lens: LensConfig
-    rectification: RectificationConfig = RectificationConfig()
-    blur_px: float = Field(default=0.0, ge=0.0, le=5.0)
-    noise_grey: float = Field(default=0.0, ge=0.0, le=50.0)
-    exposure_gain: float = Field(default=1.0, ge=0.0, le=16.0)
-    vignetting: float = Field(default=0.0, ge=0.0, le=0.9)
-    motion_blur_samples: int = Field(default=1, ge=1, le=32)
-    readout_ms: float = Field(default=0.0, ge=0.0, le=100.0)
-    dropped_frame_share: float = Field(default=0.0, ge=0.0, le=1.0)
-    frozen_frame_share: float = Field(default=0.0, ge=0.0, le=1.0)
-
-    @property
-    def shows_motion(self) -> bool:
-        """Whether its pictures depend on how it moves."""
-        return self.motion_blur_samples > 1 or self.readout_ms > 0.0
-
-    @model_validator(mode="after")
-    def _principal_point_inside(self) -> "CameraConfig":
-        if not (self.lens.cx_px < self.width_px and self.lens.cy_px < self.height_px):
-            raise ValueError("lens.cx_px, lens.cy_px: the principal point must lie inside the picture")
-        return self
-
-    @model_validator(mode="after")
-    def _lens_does_not_fold(self) -> "CameraConfig":
-        lens, step, radius = self.lens, 0.01, 0.0
-        corner = math.hypot(
-            max(lens.cx_px, self.width_px - lens.cx_px) / lens.fx_px,
-            max(lens.cy_px, self.height_px - lens.cy_px) / lens.fy_px,
-        )
-        while True:
-            r2 = radius * radius
-            if 1.0 + r2 * (3.0 * lens.k1 + r2 * (5.0 * lens.k2 + r2 * 7.0 * lens.k3)) <= 0.0:
-                raise ValueError(
-                    f"lens.k1, k2, k3: the picture folds over at {radius:.2f}, the corner is at {corner:.2f}"
-                )
-            if radius * (1.0 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))) > corner:
-                return self
-            radius += step
 
 
 class SceneConfig(StrictModel):

@@ -28,7 +28,7 @@ from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.faults.kinds import CameraBlind, MarkerCovered
 from plant_emulator.shell.frame_server import FrameServer, StereoFrame
 
-_POSES = struct.Struct("<4Q44d")
+_POSES = struct.Struct("<4Q46d")
 _MESSAGE_BYTES = 1 << 16
 _REPORT_NS = 1_000_000_000
 
@@ -43,7 +43,7 @@ class _Sights(BaseModel):
 def encode_shot(shot: Shot) -> bytes:
     """The datagram that carries ``shot`` to the renderer: numbers, then what hinders its sight as JSON."""
     shown = shot.shown
-    numbers = (*shown.view.X_WC.flat, *shown.view.X_WM.flat, *shown.motion.rates.flat)
+    numbers = (*shown.view.X_WC.flat, *shown.view.X_WM.flat, *shown.motion.rates.flat, *shown.drift_px)
     poses = _POSES.pack(shot.frame_id, shot.capture_ns, shown.frame_id, shown.capture_ns, *numbers)
     return poses + _Sights(blind=shot.blind, covers=shot.covers).model_dump_json().encode()
 
@@ -52,9 +52,8 @@ def decode_shot(data: bytes) -> Shot:
     """The shot in a datagram; what is sent is to be delivered."""
     frame_id, capture_ns, shown_id, shown_ns, *numbers = _POSES.unpack_from(data)
     X_WC, X_WM = np.array(numbers[:32]).reshape(2, 4, 4)
-    shown = Capture(
-        shown_id, shown_ns, CameraView(X_WC, X_WM), CameraMotion(np.array(numbers[32:]).reshape(2, 6))
-    )
+    motion = CameraMotion(np.array(numbers[32:44]).reshape(2, 6))
+    shown = Capture(shown_id, shown_ns, CameraView(X_WC, X_WM), motion, (numbers[44], numbers[45]))
     sights = _Sights.model_validate_json(data[_POSES.size :])
     return Shot(frame_id, capture_ns, shown, sights.blind, sights.covers, delivered=True)
 

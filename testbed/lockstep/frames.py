@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from typing import Any, NamedTuple, TypeVar
 
-from plant_emulator.core.truth import PlantTruth
+from plant_emulator.core.camera.camera_motion import Capture
 from testbed.lockstep.camera_side import Exposure
 from testbed.lockstep.world import VISION_CLOCK_NS, World
 from vision_pc.application.camera_feed import CameraFeed
@@ -64,18 +64,18 @@ class PixelFrames(LockstepFrames[StereoPair]):
 
 
 class SimulatedFrame(NamedTuple):
-    """A ``CameraFrame`` without pixels: what was true when it was taken, for a sensor that simulates."""
+    """A ``CameraFrame`` without pixels, for a sensor that simulates: ``shown`` is what it would show."""
 
-    truth: PlantTruth
+    shown: Capture
     capture_ns: int
     frame_id: int
 
 
 class SimulatedFrames(LockstepFrames[SimulatedFrame]):
-    """Frames that carry the truth in place of pictures."""
+    """Frames that carry what they would show in place of pictures."""
 
     def exposed(self, exposure: Exposure) -> None:
-        """Publish the truth of ``exposure``."""
-        if exposure.shot.delivered:
-            truth = exposure.truth
-            self.publish(SimulatedFrame(truth, truth.time_ns + VISION_CLOCK_NS, exposure.shot.frame_id))
+        """Publish what ``exposure`` shows, under its stamps."""
+        shot = exposure.shot
+        if shot.delivered:
+            self.publish(SimulatedFrame(shot.shown, shot.capture_ns + VISION_CLOCK_NS, shot.frame_id))

@@ -86,8 +86,7 @@ class SimulatedSensor:
         settings = self._config.markers
         priors = priors_after(previous, settings)
         sightings, unfit = [], dict[int, str]()
-        truth = frame.truth
-        for number, seen in sorted(self._view.markers(truth.X_WC, truth.X_WM).items()):
+        for number, seen in sorted(self._view.markers(frame.shown).items()):
             if number not in settings.sizes or seen.left is None or self._misses():
                 continue
             left = self._rays(number, 0, seen.left)
@@ -134,7 +133,7 @@ class SimulatedSensor:
 
 
 class FrameOdometry:
-    """``ModelOdometry`` as a watch uses it: given frames, it takes the truth that they carry."""
+    """``ModelOdometry`` as a watch uses it: given frames, it takes what they would show."""
 
     def __init__(self, odometry: ModelOdometry) -> None:
         self._odometry = odometry
@@ -146,4 +145,4 @@ class FrameOdometry:
 
     def process(self, frame: SimulatedFrame, X_CM: Array | None = None) -> OdometryPose | None:
         """The camera's pose at ``frame``, None when it is lost."""
-        return self._odometry.process(frame.truth, X_CM, frame.capture_ns, frame.frame_id)
+        return self._odometry.process(frame.shown, X_CM, frame.capture_ns, frame.frame_id)

@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from foundation.configuration import StrictModel
-from plant_emulator.core.truth import PlantTruth
+from plant_emulator.core.camera.camera_motion import Capture
 from testbed.lockstep.true_view import TrueView
 from vision_pc.config.vision import OdometrySettings, ToolMarkerSettings
 from vision_pc.core import se3
@@ -49,7 +49,7 @@ class _Seen(NamedTuple):
 
 
 class ModelOdometry:
-    """Implements ``vision_pc.core.perception.watch.Odometry``'s ``process`` from the truth of each frame.
+    """Implements ``vision_pc.core.perception.watch.Odometry``'s ``process`` from what each frame shows.
 
     ``camera``: as vision believes it to be. C0 is the camera of the first frame. A keyframe is added where
     the points in view become few, as in vision's own odometry: its points inherit the error of its pose,
@@ -80,29 +80,27 @@ class ModelOdometry:
         self._static = (everything, everything)
         self.last_loss: str | None = None
 
-    def process(
-        self, truth: PlantTruth, X_CM: Array | None, time_ns: int, number: int
-    ) -> OdometryPose | None:
+    def process(self, shown: Capture, X_CM: Array | None, time_ns: int, number: int) -> OdometryPose | None:
         """The camera's pose in C0, or None when it is lost; then ``last_loss`` names the cause."""
         self._mask(X_CM)
         lost = self._rng.random() < self._noise.lost_share
-        pose = None if lost else self._localise(truth, time_ns, number)
+        pose = None if lost else self._localise(shown, time_ns, number)
         self.last_loss = "too_few_points" if pose is None else None
         return pose
 
-    def _localise(self, truth: PlantTruth, time_ns: int, number: int) -> OdometryPose | None:
+    def _localise(self, shown: Capture, time_ns: int, number: int) -> OdometryPose | None:
         if not self._keyframes:
-            points = self._new_keyframe(truth, np.zeros(0, dtype=np.int64))
+            points = self._new_keyframe(shown, np.zeros(0, dtype=np.int64))
             if points < self._settings.minimum_inliers:
                 self._keyframes.clear()
                 return None
             return self._found(np.zeros((6, 6)), time_ns, number, points)
-        best = max((self._seen(ids, truth) for ids in self._keyframes), key=lambda seen: len(seen.ids))
+        best = max((self._seen(ids, shown) for ids in self._keyframes), key=lambda seen: len(seen.ids))
         if len(best.ids) < self._settings.minimum_inliers:
             return None
         covariance = self._solve(best)
         if len(best.ids) < self._settings.keyframe_overlap * best.of:
-            self._new_keyframe(truth, best.ids)
+            self._new_keyframe(shown, best.ids)
         return self._found(covariance, time_ns, number, len(best.ids))
 
     def _mask(self, X_CM: Array | None) -> None:
@@ -113,9 +111,9 @@ class ModelOdometry:
             self._static = static_pixels(X_CM, self._tool, self._camera)
             self._masked_for = X_CM
 
-    def _seen(self, ids: Indices, truth: PlantTruth) -> _Seen:
+    def _seen(self, ids: Indices, shown: Capture) -> _Seen:
         """What is in view of a keyframe's points."""
-        left, right = self._view.project(truth.X_WC, self._true[ids])
+        left, right = self._view.project(shown, self._true[ids])
         in_left, in_right = inside(left, self._static[0]), inside(right, self._static[1])
         right = np.where(in_right[:, None], right, 0.0)
         return _Seen(ids[in_left], left[in_left], right[in_left], in_right[in_left], len(ids))
@@ -136,7 +134,7 @@ class ModelOdometry:
         self._X_C0C = se3.inverse(solution.X_CA[0])
         return se3.inverse_covariance(solution.X_CA[0], solution.covariances[0])
 
-    def _new_keyframe(self, truth: PlantTruth, held: Indices) -> int:
+    def _new_keyframe(self, shown: Capture, held: Indices) -> int:
         """How many points it holds: those ``held``, and new ones, one at most in a cell of the grid."""
         wanted = self._noise.points - len(held)
         width, height = self._camera.width, self._camera.height
@@ -144,8 +142,8 @@ class ModelOdometry:
         cells = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
         pixels = (cells + self._rng.random(cells.shape)) * (width / columns, height / rows)
         rays = intrinsics.normalised(self._camera.left, pixels)
-        points = self._view.on_wall(truth.X_WC, rays)
-        left, right = self._view.project(truth.X_WC, points)
+        points = self._view.on_wall(shown, rays)
+        left, right = self._view.project(shown, points)
         good = inside(left, self._static[0]) & inside(right, self._static[1])
         chosen = self._rng.permutation(np.flatnonzero(good))[: max(wanted, 0)]
         found = right[chosen] + self._rng.normal(0.0, self._noise.map_px, (len(chosen), 2))

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from plant_emulator.config.scene import CameraConfig
-from plant_emulator.core.camera.lens import Lens
+from plant_emulator.config.camera import CameraConfig
+from plant_emulator.core.camera.camera_motion import Capture
 from plant_emulator.core.camera.scene import Plate, Scene
-from plant_emulator.core.camera.stereo_camera import true_eyes
+from plant_emulator.core.camera.true_eye import TrueEye, as_read, true_eyes
 from vision_pc.core.se3 import Array, apply, inverse
 
 _RIM_PX = 3.0  # OpenCV's detector leaves out what is nearer to the picture's rim
@@ -26,28 +26,29 @@ class TrueView:
 
     def __init__(self, camera: CameraConfig, scene: Scene, rim_px: float = _RIM_PX) -> None:
         self._rim_px = rim_px
+        self._camera = camera
         self._eyes = true_eyes(camera)
         self._size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
         self._scene = scene
         self._outlines = [_outline(plate) for plate in scene.tool_plates]
 
-    def markers(self, X_WC: Array, X_WM: Array) -> dict[int, SeenMarker]:
-        """Every marker's exact corners in both eyes, for camera and tool marker at these poses."""
-        parents = {"O": self._scene.mounts.X_WO, "M": X_WM}
-        hiding = [self._hiding(eye, X_WC, X_WM) for eye in (0, 1)]
+    def markers(self, shown: Capture) -> dict[int, SeenMarker]:
+        """Every marker's exact corners in both eyes."""
+        hiding = [self._hiding(eye, shown) for eye in self._eyes]
         seen = {}
         for number, (parent, corners) in self._scene.marker_corners().items():
-            points = apply(parents[parent], corners)
+            on_tool = parent == "M"
+            points = corners if on_tool else apply(self._scene.mounts.X_WO, corners)
             both = [
-                self._whole(pixels, hiding[eye] if parent == "O" else [])
-                for eye, pixels in enumerate(self.project(X_WC, points))
+                self._whole(self._seen_by(eye, shown, points, on_tool), [] if on_tool else hidden)
+                for eye, hidden in zip(self._eyes, hiding, strict=True)
             ]
             seen[number] = SeenMarker(*both)
         return seen
 
-    def project(self, X_WC: Array, points_W: Array) -> tuple[Array, Array]:
-        """Exact (left, right) pixels (n, 2) of ``points_W`` (n, 3); NaN behind the eye."""
-        left, right = (self._seen_by(eye, X_WC, points_W) for eye in self._eyes)
+    def project(self, shown: Capture, points_W: Array) -> tuple[Array, Array]:
+        """Exact (left, right) pixels (n, 2) of points (n, 3) that rest in W; NaN behind the eye."""
+        left, right = (self._seen_by(eye, shown, points_W) for eye in self._eyes)
         return left, right
 
     def inside(self, pixels: Array) -> Array:
@@ -56,9 +57,9 @@ class TrueView:
             low, high = self._rim_px, self._size - 1.0 - self._rim_px
             return np.asarray(np.all((pixels >= low) & (pixels <= high), axis=1))
 
-    def on_wall(self, X_WC: Array, rays: Array) -> Array:
+    def on_wall(self, shown: Capture, rays: Array) -> Array:
         """Points (m, 3) in W where ``rays`` (n, 2) = x/z, y/z of the left eye meet the wall, m ≤ n."""
-        X_OW = inverse(self._scene.mounts.X_WO)
+        X_OW, X_WC = inverse(self._scene.mounts.X_WO), shown.view.X_WC
         directions = np.column_stack([rays, np.ones(len(rays))]) @ (X_OW[:3, :3] @ X_WC[:3, :3]).T
         start = apply(X_OW, X_WC[None, :3, 3])[0]
         towards = directions[:, 2] < -1e-6
@@ -72,15 +73,18 @@ class TrueView:
         hidden = any(cv2.intersectConvexConvex(quad, other)[0] > 0.0 for other in hiding)
         return None if hidden else pixels
 
-    def _hiding(self, eye: int, X_WC: Array, X_WM: Array) -> list[Array]:
-        outlines = [self._seen_by(self._eyes[eye], X_WC, apply(X_WM, o)) for o in self._outlines]
+    def _hiding(self, eye: TrueEye, shown: Capture) -> list[Array]:
+        outlines = [self._seen_by(eye, shown, outline, on_tool=True) for outline in self._outlines]
         return [o.astype(np.float32) for o in outlines if np.isfinite(o).all()]
 
-    @staticmethod
-    def _seen_by(eye: tuple[Lens, Array], X_WC: Array, points_W: Array) -> Array:
-        lens, X_CE = eye
-        X_WE = X_WC @ X_CE
-        return np.asarray(lens.project((points_W - X_WE[:3, 3]) @ X_WE[:3, :3]))
+    def _seen_by(self, eye: TrueEye, shown: Capture, points: Array, on_tool: bool = False) -> Array:
+        """Pixels (n, 2) of points (n, 3), in M if ``on_tool`` and else in W, each as its row is read."""
+
+        def at(offset_s: float) -> Array:
+            view = shown.view_at(offset_s)
+            return eye.project(view.X_WC, apply(view.X_WM, points) if on_tool else points, shown.drift_px)
+
+        return as_read(at, self._camera)
 
 
 def _outline(plate: Plate) -> Array:

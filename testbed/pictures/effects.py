@@ -28,7 +28,7 @@ CLEAN: dict[str, Any] = {
         "vignetting": 0.0,
         "exposure_gain": 1.0,
         "motion_blur_samples": 1,
-        "readout_ms": 0.0,
+        "shutter": {"kind": "global"},
         "dropped_frame_share": 0.0,
         "frozen_frame_share": 0.0,
         "rectification": {"vertical_px": 0.0, "disparity_px": 0.0, "right_eye_rotation_deg": [0.0, 0.0, 0.0]},
@@ -108,8 +108,8 @@ def _of_the_camera() -> tuple[Effect, ...]:
             {"camera": {"motion_blur_samples": 12}}, long_exposure, window=MARKER, motion=_sideways(0.6),
         ),
         Effect(
-            "rolling shutter", "camera.readout_ms = 100 (at 1.5 m/s)", {"camera": {"readout_ms": 100.0}},
-            window=OBJECT, motion=_sideways(1.5),
+            "rolling shutter", "camera.shutter.kind = rolling (15 Hz, at 4 m/s)",
+            {"camera": {"shutter": {"kind": "rolling", "mode_hz": 15}}}, window=OBJECT, motion=_sideways(4.0),
         ),
         Effect("lens distortion", "camera.lens.k1 = -0.06", {"camera": {"lens": {"k1": -0.06}}}),
         Effect(

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.camera.scene import Scene, printed_side
-from plant_emulator.core.camera.stereo_camera import LEFT, StereoCamera, true_eyes
+from plant_emulator.core.camera.stereo_camera import LEFT, StereoCamera
+from plant_emulator.core.camera.true_eye import true_eyes
 from plant_emulator.core.plant import NOMINAL_MOUNTS, Plant
 from plant_emulator.core.truth import inverse
 from protocol.process_image import CONTROL_ENABLE, COUNTS_PER_TURN, ValveImage
@@ -124,10 +125,10 @@ def printed_mm(world: MeasuredWorld) -> float:
 
 def image_px(world: MeasuredWorld, eye: int) -> Array:
     """Image coordinates of an even grid of rays, divided by √n: the length of a difference is its rms."""
-    lens, X_CE = true_eyes(world.scene.camera)[eye]
+    true = true_eyes(world.scene.camera)[eye]
     x, y = np.meshgrid(np.linspace(-1.1, 1.1, 23), np.linspace(-0.6, 0.6, 13))
-    rays = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1) @ X_CE[:3, :3]
-    return np.asarray(lens.project(rays).ravel() / np.sqrt(x.size))
+    rays = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1) @ true.X_CE[:3, :3]
+    return np.asarray(true.lens.project(rays).ravel() / np.sqrt(x.size))
 
 
 def noise_grey(world: MeasuredWorld) -> float:

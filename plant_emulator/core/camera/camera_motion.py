@@ -33,12 +33,20 @@ STILL = CameraMotion(np.zeros((2, 6)))
 
 
 class Capture(NamedTuple):
-    """A capture instant, mid-exposure: its number and time, where eye and marker are and how they move."""
+    """A capture instant, mid-exposure: its number and time, where eye and marker are and how they move.
+
+    ``drift_px``: how far the right eye has turned since the first capture, as disparity and as rows.
+    """
 
     frame_id: int
     capture_ns: int
     view: CameraView
-    motion: CameraMotion
+    motion: CameraMotion = STILL
+    drift_px: tuple[float, float] = (0.0, 0.0)
+
+    def view_at(self, offset_s: float) -> CameraView:
+        """The view ``offset_s`` after (or, negative, before) the instant."""
+        return self.view if offset_s == 0.0 else self.motion.at(self.view, offset_s)
 
 
 def motion_between(before: CameraView, now: CameraView, interval_s: float) -> CameraMotion:

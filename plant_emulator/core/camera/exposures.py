@@ -5,8 +5,9 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from plant_emulator.config.scene import CameraConfig
+from plant_emulator.config.camera import CameraConfig
 from plant_emulator.core.camera.camera_motion import Capture
+from plant_emulator.core.camera.drift import Drift
 from plant_emulator.core.faults.kinds import (
     BaseFault,
     CameraBlind,
@@ -16,15 +17,17 @@ from plant_emulator.core.faults.kinds import (
     MarkerCovered,
 )
 
-_DROP_STREAM, _FREEZE_STREAM = 0x64726F70, 0x667265657A65
+_DROP_STREAM, _FREEZE_STREAM, _STAMP_STREAM = 0x64726F70, 0x667265657A65, 0x7374616D70
+_WORST_JITTER = 3.0  # standard deviations
 FaultT = TypeVar("FaultT", bound=BaseFault)
 
 
 class Shot(NamedTuple):
     """A frame as the camera sends it: its stamps, and what it shows.
 
-    ``frame_id`` and ``capture_ns`` are the stamps. ``shown`` is the capture whose picture it is, the same for
-    every frame of a frozen camera, with what was ``blind`` and covered then. ``delivered``: false when lost.
+    ``frame_id`` and ``capture_ns`` are the stamps, wrong by what the configuration says. ``shown`` is the
+    capture whose picture it is, its time the true one; the same for every frame of a frozen camera, with what
+    was ``blind`` and covered then. ``delivered``: false when lost.
     """
 
     frame_id: int
@@ -46,26 +49,38 @@ class Exposures:
         self._config = config
         self._seed = seed
         self._last: Shot | None = None
+        self._drift = Drift(config.drift, seed)
 
     def shot(self, capture: Capture, faults: Sequence[Fault]) -> Shot:
         """The frame that the camera sends at ``capture`` under the plant's ``faults`` in force."""
         dropping = _latest(faults, FramesDropped)
         lost = max(self._config.dropped_frame_share, dropping.share if dropping else 0.0)
         delivered = not self._drawn(_DROP_STREAM, capture.frame_id, lost)
+        capture = capture._replace(drift_px=self._drift.at(capture.capture_ns))
+        stamp_ns = self._stamp(capture)
         frozen = _latest(faults, CameraFrozen)
         if frozen is None and self._drawn(_FREEZE_STREAM, capture.frame_id, self._config.frozen_frame_share):
             frozen = CameraFrozen()
         if frozen is None or self._last is None:
             covers = tuple(fault for fault in faults if isinstance(fault, MarkerCovered))
             blind = _latest(faults, CameraBlind)
-            self._last = Shot(capture.frame_id, capture.capture_ns, capture, blind, covers, delivered)
+            self._last = Shot(capture.frame_id, stamp_ns, capture, blind, covers, delivered)
         elif frozen.stamps == "hold":
             self._last = self._last._replace(delivered=delivered)
         else:
             self._last = self._last._replace(
-                frame_id=capture.frame_id, capture_ns=capture.capture_ns, delivered=delivered
+                frame_id=capture.frame_id, capture_ns=stamp_ns, delivered=delivered
             )
         return self._last
+
+    def _stamp(self, capture: Capture) -> int:
+        """The capture time that is told, never below the clock's zero."""
+        stamps = self._config.stamps
+        error_ms = stamps.delay_ms
+        if stamps.jitter_ms > 0.0:
+            draw = np.random.default_rng((self._seed, _STAMP_STREAM, capture.frame_id)).standard_normal()
+            error_ms += stamps.jitter_ms * min(max(draw, -_WORST_JITTER), _WORST_JITTER)
+        return max(capture.capture_ns + round(1e6 * error_ms), 0)
 
     def _drawn(self, stream: int, frame_id: int, share: float) -> bool:
         """Whether the lot falls on this frame."""

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.core.camera import panel_painter, rasteriser, wall_painter
-from plant_emulator.core.camera.camera_motion import CameraView
-from plant_emulator.core.camera.lens import Lens
+from plant_emulator.config.camera import CameraConfig
+from plant_emulator.core.camera import panel_painter, rasteriser, rays, wall_painter
+from plant_emulator.core.camera.camera_motion import Capture
 from plant_emulator.core.camera.plates import Plate
 from plant_emulator.core.camera.scene import Cover, Scene
+from plant_emulator.core.camera.true_eye import TrueEye
 from plant_emulator.core.camera.wall_texture import SIZE, SIZE_BITS, Texture
 
 Grey = NDArray[np.uint8]
@@ -21,33 +22,29 @@ _NEAREST_M = 0.02
 
 
 class Eye:
-    """``X_CE``: pose (4x4) of this eye in the left one. Paints (height, width) uint8 pictures."""
+    """Paints what one eye sees, (height, width) uint8."""
 
-    def __init__(
-        self, lens: Lens, X_CE: Matrix, width: int, height: int, scene: Scene, texture: Texture
-    ) -> None:
-        self.lens = lens
-        self.X_CE = X_CE
-        self._size = (width, height)
-        self._rays = lens.ray_map(width, height)
+    def __init__(self, true: TrueEye, config: CameraConfig, scene: Scene, texture: Texture) -> None:
+        self.true = true
+        self.lens = true.lens
+        self._size = (config.width_px, config.height_px)
+        self._readout_s = config.shutter.line_s * (config.height_px - 1)
+        self._rays = true.lens.ray_map(*self._size)
         self._scene = scene
         self._texture = texture
 
-    def project(self, X_WC: Matrix, points: Matrix) -> Matrix:
-        """Exact image coordinates (n, 2) px of points (n, 3) in W; NaN behind the eye."""
-        X_WE = X_WC @ self.X_CE
-        return self.lens.project((points - X_WE[:3, 3]) @ X_WE[:3, :3])
-
-    def painted(self, first: CameraView, last: CameraView, covers: Sequence[Cover] = ()) -> Grey:
-        """What the eye sees, without point spread and noise; first and last row exposed at the two views.
+    def painted(self, capture: Capture, offset_s: float = 0.0, covers: Sequence[Cover] = ()) -> Grey:
+        """What the eye sees ``offset_s`` after the capture's instant, without point spread and noise.
 
         ``covers`` lie over whatever else is on the wall, or on the tool.
         """
         width, height = self._size
         picture = np.empty((height, width), dtype=np.uint8)
-        X_EWs = [np.linalg.inv(view.X_WC @ self.X_CE) for view in (first, last)]
+        views = [capture.view_at(offset_s + side * self._readout_s) for side in (-0.5, 0.5)]
+        X_CE = self.true.pose(capture.drift_px)
+        X_EWs = [np.linalg.inv(view.X_WC @ X_CE) for view in views]
         X_EOs = [X_EW @ self._scene.mounts.X_WO for X_EW in X_EWs]
-        X_EMs = [X_EW @ view.X_WM for X_EW, view in zip(X_EWs, (first, last), strict=True)]
+        X_EMs = [X_EW @ view.X_WM for X_EW, view in zip(X_EWs, views, strict=True)]
         self._paint_wall(picture, X_EOs)
         for parent, X_EPs, plates in (
             ("O", X_EOs, self._scene.wall_plates),
@@ -94,26 +91,34 @@ class Eye:
         bottom, right = boxes[:, [1, 3]].max(axis=0)
         if top >= bottom or left >= right:
             return
+        surface = self._surface(X_EPs, plate)
+        box = (int(top), int(bottom), int(left), int(right))
+        homographies = np.stack([_ray_to_plane(X) for X in X_EPs])
+        if plate.levels:
+            panel = panel_painter.Panel(plate.edges_x, plate.edges_y, plate.levels)
+            panel_painter.paint_panel(picture, self._rays, homographies, panel, box, surface)
+            return
+        grid = rasteriser.Grid(plate.edges_x, plate.edges_y, plate.grey)
+        rasteriser.paint_plate(picture, self._rays, homographies, grid, box, surface)
+
+    def _surface(self, X_EPs: list[Matrix], plate: Plate) -> rays.Surface:
         light = np.array([1.0, 0.0, 0.0])
         if plate.lit_by_wall:
             gradient = np.array(self._scene.config.wall.lighting_gradient_per_m)
             R, p = plate.X_parent_plate[:2, :2], plate.X_parent_plate[:2, 3]
             light = np.array([1.0 + gradient @ p, gradient @ R[:, 0], -(gradient @ R[:, 1])])
-        box = (int(top), int(bottom), int(left), int(right))
-        homographies = np.stack([_ray_to_plane(X) for X in X_EPs])
-        if plate.levels:
-            panel = panel_painter.Panel(plate.edges_x, plate.edges_y, plate.levels)
-            panel_painter.paint_panel(picture, self._rays, homographies, panel, box, light)
-            return
-        grid = rasteriser.Grid(plate.edges_x, plate.edges_y, plate.grey)
-        rasteriser.paint_plate(picture, self._rays, homographies, grid, box, light)
+        eye_P = -np.mean([X[:3, :3].T @ X[:3, 3] for X in X_EPs], axis=0)
+        curve, across, up = plate.bend
+        return rays.Surface(light, np.array([curve, across, -up, eye_P[0], -eye_P[1], eye_P[2]]))
 
     def _bounds(self, X_EP: Matrix, plate: Plate) -> tuple[int, int, int, int]:
         """Pixel rows and columns (top, bottom, left, right; half open) that the plate may touch."""
         width, height = self._size
         x0, x1, y0, y1 = plate.edges_x[0], plate.edges_x[-1], -plate.edges_y[-1], -plate.edges_y[0]
         corners = np.array([[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]])
-        in_eye = corners @ X_EP[:3, :3].T + X_EP[:3, 3]
+        rims = corners.copy()
+        rims[:, 2] = plate.bend.height(corners[:, 0], corners[:, 1])
+        in_eye = np.concatenate([corners, rims]) @ X_EP[:3, :3].T + X_EP[:3, 3]
         if (in_eye[:, 2] <= _NEAREST_M).all():
             return (0, 0, 0, 0)
         if (in_eye[:, 2] <= _NEAREST_M).any():

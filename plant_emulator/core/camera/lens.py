@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import kernel
-from plant_emulator.config.scene import LensConfig
+from plant_emulator.config.camera import LensConfig
 from plant_emulator.core.camera.rays import Rays
 
 Real64 = NDArray[np.float64]

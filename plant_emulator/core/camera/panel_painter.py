@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from foundation.compiled import kernel
 from plant_emulator.core.camera.rasteriser import share_below
-from plant_emulator.core.camera.rays import Rays, meet_plate, row_homography
+from plant_emulator.core.camera.rays import Rays, Surface, meet_plate, row_homography
 
 Grey = NDArray[np.uint8]
 Real32 = NDArray[np.float32]
@@ -25,9 +25,15 @@ class Panel(NamedTuple):
 
 @kernel(nogil=True)
 def paint_panel(
-    out: Grey, rays: Rays, homographies: Real64, panel: Panel, box: tuple[int, int, int, int], light: Real64
+    out: Grey,
+    rays: Rays,
+    homographies: Real64,
+    panel: Panel,
+    box: tuple[int, int, int, int],
+    surface: Surface,
 ) -> None:
     """Paint one picture plate over ``out`` inside ``box``; arguments as of ``rasteriser.paint_plate``."""
+    light = surface.light
     left, top, levels = panel.edges_x[0], panel.edges_y[0], panel.levels
     texels_per_m = levels[0].shape[1] / (panel.edges_x[1] - left)
     for i in range(box[0], box[1]):

@@ -12,14 +12,29 @@ Matrix = NDArray[np.float64]
 _COARSEST_TEXELS = 8
 
 
+class Bend(NamedTuple):
+    """A cylindrical bend: z = ``curve`` (1/m) times the square of the way along (``across``, ``up``)."""
+
+    curve: float = 0.0
+    across: float = 1.0
+    up: float = 0.0
+
+    def height(self, x: Matrix, y: Matrix) -> Matrix:
+        """z (m) of the surface at x right and y up (m)."""
+        return np.asarray(self.curve * (self.across * x + self.up * y) ** 2)
+
+
+FLAT = Bend()
+
+
 class Plate(NamedTuple):
-    """A flat rectangle painted with a grid of uniform cells, or with a picture.
+    """A flat or slightly bent rectangle painted with a grid of uniform cells, or with a picture.
 
     ``X_parent_plate``: pose in the parent (O for the wall's markers, M for what the tool carries), x right, y
     up, z towards the viewer. ``edges_x`` and ``edges_y`` are the grid lines in metres, ascending; y here
     counts **downwards**, so that ``grey[row, column]`` reads like a picture. ``lit_by_wall``: the wall's
     lighting gradient applies. ``levels``: the picture that fills the rectangle instead of ``grey``, and its
-    mip levels, each half as fine as the one before.
+    mip levels, each half as fine as the one before; always flat.
     """
 
     X_parent_plate: Matrix
@@ -28,6 +43,7 @@ class Plate(NamedTuple):
     grey: NDArray[np.float32]
     lit_by_wall: bool
     levels: tuple[Grey, ...] = ()
+    bend: Bend = FLAT
 
 
 def plain_plate(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import kernel
-from plant_emulator.core.camera.rays import Rays, meet_plate, row_homography
+from plant_emulator.core.camera.rays import Rays, Surface, bent, meet_plate, row_homography
 
 Grey = NDArray[np.uint8]
 Real32 = NDArray[np.float32]
@@ -32,14 +32,14 @@ class Grid(NamedTuple):
 
 @kernel(nogil=True)
 def paint_plate(
-    out: Grey, rays: Rays, homographies: Real64, grid: Grid, box: tuple[int, int, int, int], light: Real64
+    out: Grey, rays: Rays, homographies: Real64, grid: Grid, box: tuple[int, int, int, int], surface: Surface
 ) -> None:
     """Paint one plate over ``out`` inside ``box`` (top, bottom, left, right); its rim blends with the rest.
 
     ``homographies`` (2, 3, 3) map (ray x, ray y, 1) to plate coordinates (x right, y down) in metres times
-    the inverse depth, at the picture's first and last row; ``light`` = (constant, per x, per y) multiplies
-    the grey.
+    the inverse depth, at the picture's first and last row.
     """
+    light, bend = surface.light, surface.bend
     edges_x, edges_y, grey = grid
     weight_x, weight_y = np.empty(edges_x.shape[0] - 1), np.empty(edges_y.shape[0] - 1)
     for i in range(box[0], box[1]):
@@ -49,18 +49,21 @@ def paint_plate(
             at = meet_plate(rays, h, i, j)
             if not at.in_front:
                 continue
+            s, t = at.s, at.t
+            if bend[0] != 0.0:
+                s, t = bent(s, t, bend)
             s_u, s_v, t_u, t_v = abs(at.s_u), abs(at.s_v), abs(at.t_u), abs(at.t_v)
             s_reach, t_reach = 0.5 * (s_u + s_v), 0.5 * (t_u + t_v)
-            column = _first_cell(edges_x, at.s - s_reach, column)
-            row = _first_cell(edges_y, at.t - t_reach, row)
-            bright = light[0] + light[1] * at.s + light[2] * at.t
-            within_x = edges_x[column] <= at.s - s_reach and at.s + s_reach <= edges_x[column + 1]
-            within_y = edges_y[row] <= at.t - t_reach and at.t + t_reach <= edges_y[row + 1]
+            column = _first_cell(edges_x, s - s_reach, column)
+            row = _first_cell(edges_y, t - t_reach, row)
+            bright = light[0] + light[1] * s + light[2] * t
+            within_x = edges_x[column] <= s - s_reach and s + s_reach <= edges_x[column + 1]
+            within_y = edges_y[row] <= t - t_reach and t + t_reach <= edges_y[row + 1]
             if within_x and within_y:
                 out[i, j] = np.uint8(min(max(grey[row, column] * bright, 0.0), 255.0) + 0.5)
                 continue
-            last_column = _cell_weights(at.s, s_u, s_v, edges_x, column, weight_x)
-            last_row = _cell_weights(at.t, t_u, t_v, edges_y, row, weight_y)
+            last_column = _cell_weights(s, s_u, s_v, edges_x, column, weight_x)
+            last_row = _cell_weights(t, t_u, t_v, edges_y, row, weight_y)
             total = alpha = 0.0
             for k in range(row, last_row):
                 for m in range(column, last_column):

@@ -18,6 +18,17 @@ class Rays(NamedTuple):
     y: Real32
 
 
+class Surface(NamedTuple):
+    """What a plate's surface is like.
+
+    ``light`` (3,) = (constant, per metre right, per metre down) multiplies the grey. ``bend`` (6,) =
+    (curvature 1/m, its direction: right, down; the eye's foot on the plate: right, down (m); its height (m)).
+    """
+
+    light: Real64
+    bend: Real64
+
+
 class PlatePoint(NamedTuple):
     """Where a pixel's ray meets a plate: s right, t down (m), and their change from pixel to pixel (u, v)."""
 
@@ -35,6 +46,16 @@ def row_homography(homographies: Real64, i: int, height: int) -> Real64:
     """The homography (3, 3) of row ``i``, between those of the picture's first and last row (2, 3, 3)."""
     h: Real64 = homographies[0] + (homographies[1] - homographies[0]) * (i / (height - 1))
     return h
+
+
+@kernel(nogil=True, inline="always")
+def bent(s: float, t: float, bend: Real64) -> tuple[float, float]:
+    """Where the ray that meets the plate's plane at (s, t) meets its bent surface, by two steps along it."""
+    bent_s, bent_t = s, t
+    for _ in range(2):
+        rise = bend[0] * (bend[1] * bent_s + bend[2] * bent_t) ** 2 / bend[5]
+        bent_s, bent_t = s + (bend[3] - s) * rise, t + (bend[4] - t) * rise
+    return bent_s, bent_t
 
 
 @kernel(nogil=True, inline="always")

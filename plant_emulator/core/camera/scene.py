@@ -1,15 +1,23 @@
 """The visible world as rigid poses and flat plates: where wall, object, tool marker and camera truly are."""
 
-from typing import NamedTuple
+import math
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.config.scene import MarkerConfig, ObjectConfig, PoseConfig, SceneConfig, ToolMarkerConfig
+from plant_emulator.config.scene import (
+    MarkerConfig,
+    ObjectConfig,
+    PoseConfig,
+    SceneConfig,
+    ToolMarkerConfig,
+    WallMarkerConfig,
+)
 from plant_emulator.core.camera.boards import board_plates
+from plant_emulator.core.camera.plates import Bend, plain_plate
 from plant_emulator.core.camera.plates import Plate as Plate
-from plant_emulator.core.camera.plates import plain_plate
 from plant_emulator.core.faults.kinds import MarkerCovered
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
 from plant_emulator.core.truth import Mounts
@@ -44,6 +52,12 @@ def tool_marker_pose(config: ToolMarkerConfig) -> Matrix:
     return transform(R_TM_NOMINAL @ rotation_matrix(config.misalignment_deg), np.array(config.offset_m))
 
 
+def wall_marker_pose(config: WallMarkerConfig) -> Matrix:
+    """Pose (4x4) in O of a marker's plate as it truly hangs."""
+    R = rotation_matrix((0.0, 0.0, config.roll_deg)) @ rotation_matrix(config.misplaced_deg)
+    return transform(R, np.array([*config.centre_m, 0.0]) + np.array(config.misplaced_m))
+
+
 def printed_side(config: MarkerConfig) -> float:
     """Side length in metres as printed, the scale error included."""
     return config.side_m * (1.0 + config.print_scale_error)
@@ -51,10 +65,19 @@ def printed_side(config: MarkerConfig) -> float:
 
 def corners_in_plate(config: MarkerConfig) -> Matrix:
     """Four corners (4x3, metres) of the printed marker in its plate's axes, ArUco order: from top left,
-    clockwise.
+    clockwise; off the plane z = 0 where the plate is bent.
     """
     half = printed_side(config) / 2.0
-    return np.array([[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]])
+    corners = np.array([[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]])
+    corners[:, 2] = marker_bend(config).height(corners[:, 0], corners[:, 1])
+    return corners
+
+
+def marker_bend(config: MarkerConfig) -> Bend:
+    """How a marker's plate is bent."""
+    direction = math.radians(config.bend_direction_deg)
+    curve = config.bend_m / (0.5 * config.side_m) ** 2
+    return Bend(curve, math.cos(direction), math.sin(direction))
 
 
 def marker_plate(config: MarkerConfig, X_parent_plate: Matrix, lit_by_wall: bool) -> Plate:
@@ -69,7 +92,7 @@ def marker_plate(config: MarkerConfig, X_parent_plate: Matrix, lit_by_wall: bool
         outer = printed_side(config) / 2.0 + config.quiet_zone_m
         edges = np.concatenate([[-outer], edges, [outer]])
     grey = np.where(bits, config.white_grey, config.black_grey).astype(np.float32)
-    return Plate(X_parent_plate, edges, edges, grey, lit_by_wall)
+    return Plate(X_parent_plate, edges, edges, grey, lit_by_wall, bend=marker_bend(config))
 
 
 class Cover(NamedTuple):
@@ -109,7 +132,7 @@ class Scene:
             X_WO=object_pose(config.object_of_interest),
         )
         self._wall_markers = tuple(
-            marker_plate(marker, self._wall_marker_pose(marker.centre_m, marker.roll_deg), lit_by_wall=True)
+            marker_plate(marker, wall_marker_pose(marker), lit_by_wall=True)
             for marker in config.object_of_interest.markers
         )
         tool_marker = marker_plate(config.tool_marker, np.eye(4), lit_by_wall=False)
@@ -121,9 +144,10 @@ class Scene:
         self.wall_plates = (*self._wall_markers, *boards, *self._obstacles("wall"))
         self.tool_plates = (*self._bracket(), tool_marker, *self._obstacles("tool"))
 
-    def marker_corners(self) -> dict[int, tuple[str, Matrix]]:
+    def marker_corners(self) -> dict[int, tuple[Literal["O", "M"], Matrix]]:
         """Marker id → (parent frame "O" or "M", 4x3 corners in it in metres, ArUco order)."""
-        corners = {self.config.tool_marker.marker_id: ("M", corners_in_plate(self.config.tool_marker))}
+        tool = self.config.tool_marker
+        corners: dict[int, tuple[Literal["O", "M"], Matrix]] = {tool.marker_id: ("M", corners_in_plate(tool))}
         for marker, plate in zip(self.config.object_of_interest.markers, self._wall_markers, strict=True):
             X_OP = plate.X_parent_plate
             corners[marker.marker_id] = ("O", corners_in_plate(marker) @ X_OP[:3, :3].T + X_OP[:3, 3])
@@ -136,10 +160,6 @@ class Scene:
             raise RequestRefused("refused.unknown_marker", f"marker_id = {fault.marker_id}: here are {known}")
         parent, plate = self._marker_plates[fault.marker_id]
         return Cover(parent, cover_over(plate, fault))
-
-    @staticmethod
-    def _wall_marker_pose(centre_m: tuple[float, float], roll_deg: float) -> Matrix:
-        return transform(rotation_matrix((0.0, 0.0, roll_deg)), np.array([*centre_m, 0.0]))
 
     def _obstacles(self, parent: str) -> tuple[Plate, ...]:
         return tuple(

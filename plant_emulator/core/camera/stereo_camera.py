@@ -7,15 +7,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.config.scene import CameraConfig, WallConfig
+from plant_emulator.config.camera import CameraConfig
+from plant_emulator.config.scene import WallConfig
 from plant_emulator.core.camera import rasteriser
-from plant_emulator.core.camera.camera_motion import STILL, CameraMotion, CameraView
+from plant_emulator.core.camera.camera_motion import STILL, CameraMotion, CameraView, Capture
 from plant_emulator.core.camera.exposures import Shot
 from plant_emulator.core.camera.eye import Eye
-from plant_emulator.core.camera.lens import Lens
-from plant_emulator.core.camera.scene import Cover, Scene, rotation_matrix
+from plant_emulator.core.camera.scene import Cover, Scene
+from plant_emulator.core.camera.true_eye import true_eyes
 from plant_emulator.core.camera.wall_texture import Texture, drilled, packed_levels, wall_texture
-from plant_emulator.core.mechanics.geometry import transform
 
 Grey = NDArray[np.uint8]
 Matrix = NDArray[np.float64]
@@ -37,10 +37,7 @@ class StereoCamera:
         self.scene = scene
         self._seed = seed
         texture = _texture(scene.config.wall)
-        self.eyes = tuple(
-            Eye(lens, X_CE, config.width_px, config.height_px, scene, texture)
-            for lens, X_CE in true_eyes(config)
-        )
+        self.eyes = tuple(Eye(true, config, scene, texture) for true in true_eyes(config))
         generator = np.random.default_rng((seed, _NOISE_STREAM))
         grey = generator.standard_normal(rasteriser.NOISE_LENGTH) * config.noise_grey
         self._noise = np.clip(np.rint(grey * rasteriser.NOISE_UNIT), -32768, 32767).astype(np.int16)
@@ -58,34 +55,18 @@ class StereoCamera:
 
     def take_eye(self, eye: int, shot: Shot) -> Grey:
         """One eye's picture of ``shot``; ``eye`` is LEFT or RIGHT. Raises as ``take``."""
-        frame_id, _, view, motion = shot.shown
         if shot.blind is not None:
-            return self._even(shot.blind.grey, eye, frame_id)
-        covers = [self.scene.cover(fault) for fault in shot.covers]
-        return self.render_eye(eye, view, frame_id, motion, covers)
+            return self._even(shot.blind.grey, eye, shot.shown.frame_id)
+        return self._captured(eye, shot.shown, [self.scene.cover(fault) for fault in shot.covers])
 
-    def render_eye(
-        self,
-        eye: int,
-        view: CameraView,
-        frame_id: int,
-        motion: CameraMotion = STILL,
-        covers: Sequence[Cover] = (),
-    ) -> Grey:
+    def render_eye(self, eye: int, view: CameraView, frame_id: int, motion: CameraMotion = STILL) -> Grey:
         """One eye's picture, (height, width) uint8; ``eye`` is LEFT or RIGHT."""
-        samples = self.config.motion_blur_samples
-        exposure_s, readout_s = 1e-6 * self.config.exposure_us, 1e-3 * self.config.readout_ms
-        pictures = []
-        for k in range(samples):
-            middle_s = exposure_s * ((k + 0.5) / samples - 0.5)
-            first, last = (motion.at(view, middle_s + side * readout_s) for side in (-0.5, 0.5))
-            pictures.append(self.eyes[eye].painted(first, last, covers))
-        picture = pictures[0] if samples == 1 else rasteriser.mean_of(np.stack(pictures))
-        return self._exposed(picture, eye, frame_id)
+        return self._captured(eye, Capture(frame_id, 0, view, motion))
 
     def project(self, X_WC: Matrix, points: Matrix) -> tuple[Matrix, Matrix]:
         """Exact image coordinates (left, right), each (n, 2) px, of points (n, 3) in W; NaN behind it."""
-        return self.eyes[LEFT].project(X_WC, points), self.eyes[RIGHT].project(X_WC, points)
+        left, right = (eye.true.project(X_WC, points) for eye in self.eyes)
+        return left, right
 
     def project_corners(self, X_WC: Matrix, X_WM: Matrix) -> dict[int, tuple[Matrix, Matrix]]:
         """Marker id → its four printed corners in (left, right), (4, 2) px each, in ArUco's order."""
@@ -94,6 +75,16 @@ class StereoCamera:
             marker: self.project(X_WC, corners @ parents[parent][:3, :3].T + parents[parent][:3, 3])
             for marker, (parent, corners) in self.scene.marker_corners().items()
         }
+
+    def _captured(self, eye: int, capture: Capture, covers: Sequence[Cover] = ()) -> Grey:
+        """One eye's picture of a capture."""
+        samples, exposure_s = self.config.motion_blur_samples, 1e-6 * self.config.exposure_us
+        pictures = [
+            self.eyes[eye].painted(capture, exposure_s * ((k + 0.5) / samples - 0.5), covers)
+            for k in range(samples)
+        ]
+        picture = pictures[0] if samples == 1 else rasteriser.mean_of(np.stack(pictures))
+        return self._exposed(picture, eye, capture.frame_id)
 
     def _exposed(self, picture: Grey, eye: int, frame_id: int) -> Grey:
         """The picture after point spread, exposure, vignetting and noise."""
@@ -119,14 +110,6 @@ class StereoCamera:
         falloff = vignetting / ((config.width_px / 2.0) ** 2 + (config.height_px / 2.0) ** 2)
         key = (self._seed * 0x2545F4914F6CDD1D + frame_id * 2 + eye) & 0x7FFF_FFFF_FFFF_FFFF
         rasteriser.finish(picture, self._noise, key, gain, falloff, centre_u, centre_v)
-
-
-def true_eyes(config: CameraConfig) -> tuple[tuple[Lens, Matrix], tuple[Lens, Matrix]]:
-    """(lens, pose X_CE) of the left and of the right eye as they truly are."""
-    rectification = config.rectification
-    twist = rotation_matrix(rectification.right_eye_rotation_deg)
-    right = Lens(config.lens, -rectification.disparity_px, rectification.vertical_px)
-    return (Lens(config.lens), np.eye(4)), (right, transform(twist, np.array([config.baseline_m, 0.0, 0.0])))
 
 
 @lru_cache(maxsize=1)

@@ -94,7 +94,7 @@ def _mean_squares(name: str, errors: list[Array]) -> JSON:
 
 def _errors(watch: Followed) -> Array:
     """Position errors (n, 3) m in C0 of the frames that odometry held."""
-    held = [(frame.truth.X_WC, frame.pose.X_C0C) for frame in watch.frames if frame.pose is not None]
+    held = [(frame.shown.view.X_WC, frame.pose.X_C0C) for frame in watch.frames if frame.pose is not None]
     if not held:
         return np.zeros((0, 3))
     X_C0W = se3.inverse(held[0][0])
@@ -107,7 +107,7 @@ def _replayed(
     """The same of the model, led along the watch's true path."""
     vision = settings.vision
     model = ModelOdometry(watch.camera, vision.odometry, vision.markers.tool, noise, view, rng)
-    frames = [f._replace(pose=model.process(f.truth, f.X_CM, 0, k)) for k, f in enumerate(watch.frames)]
+    frames = [f._replace(pose=model.process(f.shown, f.X_CM, 0, k)) for k, f in enumerate(watch.frames)]
     return _errors(watch._replace(frames=frames))
 
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from plant_emulator.core.camera.camera_motion import Capture
 from plant_emulator.core.camera.scene import Scene
-from plant_emulator.core.truth import PlantTruth
 from testbed.lockstep.camera_side import Exposure
 from testbed.lockstep.frames import PixelFrames, Sight
 from testbed.lockstep.true_view import TrueView
@@ -20,9 +20,9 @@ _SAME_PLACE_PX = 0.3  # a corner that moved by less is at the same place in the 
 
 
 class Tracked(NamedTuple):
-    """One frame of a watch: the truth, the tool marker that odometry was told of, and what it made of it."""
+    """One frame of a watch: what it shows, the tool marker that odometry was told of, what it made of it."""
 
-    truth: PlantTruth
+    shown: Capture
     X_CM: Array | None
     pose: OdometryPose | None
 
@@ -59,22 +59,21 @@ class NotingSensor:
     """Implements ``vision_pc.core.perception.watch.Sensor`` as ``PixelSensor`` does, and notes."""
 
     def __init__(self, world: World, notes: Notes) -> None:
-        self.truths: dict[int, PlantTruth] = {}
+        self.shown: dict[int, Capture] = {}
         self._pixels = PixelSensor(world.settings.vision)
         self._view = TrueView(world.settings.scene.camera, Scene(world.settings.scene))
         self._notes = notes
         self._places: dict[tuple[int, int, int], tuple[int, Array]] = {}
 
     def exposed(self, exposure: Exposure) -> None:
-        """Keep what is true at ``exposure``."""
-        self.truths[exposure.shot.frame_id] = exposure.truth
+        """Keep what ``exposure`` shows."""
+        self.shown[exposure.shot.frame_id] = exposure.shot.shown
 
     def observe(self, frame: StereoPair, previous: FrameObservation | None) -> FrameObservation:
         """What the pictures show, noted beside the truth."""
         observation = self._pixels.observe(frame, previous)
-        truth = self.truths[frame.frame_id]
         found = {m.marker_id: m for m in observation.markers}
-        for number, exact in self._view.markers(truth.X_WC, truth.X_WM).items():
+        for number, exact in self._view.markers(self.shown[frame.frame_id]).items():
             if exact.left is None:
                 continue
             self._notes.expected += 1
@@ -93,7 +92,7 @@ class NotingSensor:
         """Vision's odometry, noted as a new watch."""
         followed = Followed(with_believed_offset(self._pixels.camera, offset), [])
         self._notes.watches.append(followed)
-        return NotingOdometry(self._pixels.odometry(offset), self.truths, followed)
+        return NotingOdometry(self._pixels.odometry(offset), self.shown, followed)
 
     def _note(self, number: int, eye: int, seen: Array, true: Array) -> None:
         for corner in range(4):
@@ -108,9 +107,9 @@ class NotingSensor:
 class NotingOdometry:
     """Vision's odometry beside the truth."""
 
-    def __init__(self, odometry: StereoOdometry, truths: dict[int, PlantTruth], followed: Followed) -> None:
+    def __init__(self, odometry: StereoOdometry, shown: dict[int, Capture], followed: Followed) -> None:
         self._odometry = odometry
-        self._truths = truths
+        self._shown = shown
         self._followed = followed
 
     @property
@@ -121,5 +120,5 @@ class NotingOdometry:
     def process(self, frame: StereoPair, X_CM: Array | None = None) -> OdometryPose | None:
         """The pose, noted."""
         pose = self._odometry.process(frame, X_CM)
-        self._followed.frames.append(Tracked(self._truths[frame.frame_id], X_CM, pose))
+        self._followed.frames.append(Tracked(self._shown[frame.frame_id], X_CM, pose))
         return pose

@@ -16,6 +16,7 @@ from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
 from foundation.configuration import merged
 from nominal_arm.description import NominalArm
 from plant_emulator.config.scene import SceneConfig
+from plant_emulator.core.camera.camera_motion import CameraView, Capture
 from plant_emulator.core.camera.scene import R_WO_FACING_ARM, Scene
 from protocol.errors import ConfigurationError
 from testbed.lockstep.true_view import TrueView
@@ -218,11 +219,16 @@ def _in_view(pose: _Pose, usual: SceneConfig, drawn: JSON) -> bool:
     view = TrueView(config.camera, scene, rim_px=_RIM_PX)
     turned, goal = _goal(pose, scene.mounts.X_TM)
     for X_WT in (pose.X_WT, turned):
-        seen = view.markers(X_WT @ pose.X_TC, X_WT @ scene.mounts.X_TM)
+        seen = view.markers(_still(X_WT, scene, pose.X_TC))
         if any(s.left is None or s.right is None for s in seen.values()):
             return False
-    seen = view.markers(goal @ pose.X_TC, goal @ scene.mounts.X_TM)
+    seen = view.markers(_still(goal, scene, pose.X_TC))
     tool = config.tool_marker.marker_id
     return seen[tool].left is not None and any(
         s.left is not None and s.right is not None for number, s in seen.items() if number != tool
     )
+
+
+def _still(X_WT: Array, scene: Scene, X_TC: Array) -> Capture:
+    """What the camera shows with the tool at rest at ``X_WT``."""
+    return Capture(0, 0, CameraView(X_WT @ X_TC, X_WT @ scene.mounts.X_TM))

@@ -51,7 +51,7 @@ class WarpingPeer:
         lens, size = self._eyes.eyes[eye].lens, (self.config.width_px, self.config.height_px)
         (fx, fy), (cx, cy) = lens.focal, lens.centre
         camera_matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-        X_EW = np.linalg.inv(view.X_WC @ self._eyes.eyes[eye].X_CE)
+        X_EW = np.linalg.inv(view.X_WC @ self._eyes.eyes[eye].true.X_CE)
         X_EO = X_EW @ self.scene.mounts.X_WO
         first = (0.5 - SIZE / 2) * 1e-3
         to_wall = np.array([[1e-3, 0, first], [0, 1e-3, first], [0, 0, 1]])

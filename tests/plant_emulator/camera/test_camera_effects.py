@@ -49,19 +49,20 @@ def test_motion_carries_one_view_into_the_next() -> None:
 
 def test_a_still_camera_shows_neither_blur_nor_skew() -> None:
     view = start_view(clean_camera().scene)
-    effects = clean(camera={"motion_blur_samples": 3, "readout_ms": 20.0})
+    effects = clean(camera={"motion_blur_samples": 3, "shutter": {"kind": "rolling"}})
     assert np.array_equal(effects.render_eye(LEFT, view, 1), clean_camera().render_eye(LEFT, view, 1))
 
 
 def test_a_rolling_shutter_shows_each_row_at_its_own_time() -> None:
-    eyes = clean(camera={"readout_ms": 30.0})
+    eyes = clean(camera={"shutter": {"kind": "rolling", "mode_hz": 15}})
+    readout_s = 719 * 51.2e-6
     view, motion = start_view(eyes.scene), sideways(0.3, 0.05)
     picture = eyes.render_eye(LEFT, view, 1, motion)
     checked = 0
     for marker, (static, _) in eyes.project_corners(*view).items():
         corners = static
         for _ in range(5):  # each corner is exposed when its own row is read
-            offsets = 0.03 * (corners[:, 1] / 719.0 - 0.5)
+            offsets = readout_s * (corners[:, 1] / 719.0 - 0.5)
             moments = [eyes.project_corners(*motion.at(view, offset))[marker][LEFT] for offset in offsets]
             corners = np.array([moment[k] for k, moment in enumerate(moments)])
         found = refined_corners(picture, corners, 4, 6.0)

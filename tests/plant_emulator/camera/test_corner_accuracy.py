@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from plant_emulator.config.scene import LensConfig
+from plant_emulator.config.camera import LensConfig
 from plant_emulator.core.camera.lens import Lens
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from tests.plant_emulator.camera.camera_world import (

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from plant_emulator.core.camera.camera_motion import CameraView, Capture
 from plant_emulator.core.camera.scene import Scene
 from protocol.errors import ConfigurationError
 from testbed.campaigns.campaign import CampaignRequest
@@ -56,7 +57,14 @@ def test_scenarios_are_as_wide_as_the_page_says_and_can_be_done(arm: str) -> Non
         assert settings.arm.dh[3].d_m == pytest.approx(
             settings.plant.geometry.boom_tip_m[0] + settings.plant.geometry.telescope_m
         ), "the controller's nominal arm must be the plant's"
-        assert len(TrueView(settings.scene.camera, scene).markers(np.eye(4), np.eye(4))) == 4
+        assert (
+            len(
+                TrueView(settings.scene.camera, scene).markers(
+                    Capture(0, 0, CameraView(np.eye(4), np.eye(4)))
+                )
+            )
+            == 4
+        )
 
 
 def test_the_harder_ones_differ_in_what_best_mode_names() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from foundation.configuration import merged
+from plant_emulator.core.camera.camera_motion import CameraView, Capture
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from plant_emulator.core.plant import Plant
@@ -28,7 +29,7 @@ from testbed.scenarios.settings import Settings, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.core.perception.look import combine
 from vision_pc.core.perception.watch import Watcher
-from vision_pc.core.se3 import angle_between, inverse, transform
+from vision_pc.core.se3 import Array, angle_between, inverse, transform
 from vision_pc.core.types import Look
 
 NOMINAL: dict[str, Any] = {
@@ -62,7 +63,7 @@ class Stage:
 
     def exposed(self, truth: PlantTruth) -> SimulatedFrame:
         self.exposures += 1
-        return SimulatedFrame(truth, truth.time_ns, self.exposures)
+        return SimulatedFrame(shown(truth.X_WC, truth.X_WM), truth.time_ns, self.exposures)
 
     def look(self, frames: int = 4) -> Look:
         observations, previous = [], None
@@ -75,6 +76,11 @@ class Stage:
         """The truth with camera and tool moved by ``step_C`` (3,) along the camera's axes."""
         shift = transform(np.eye(3), self.truth.X_WC[:3, :3] @ np.asarray(step_C))
         return self.truth._replace(X_WC=shift @ self.truth.X_WC, X_WM=shift @ self.truth.X_WM)
+
+
+def shown(X_WC: Array, X_WM: Array) -> Capture:
+    """What a camera at rest shows."""
+    return Capture(1, 0, CameraView(X_WC, X_WM))
 
 
 def settings() -> Settings:
@@ -96,7 +102,7 @@ def test_the_view_is_the_renderers_own() -> None:
     truth = Plant(config.plant, 1, scene.mounts).truth()
     camera = StereoCamera(config.scene.camera, scene, 1)
     exact = camera.project_corners(truth.X_WC, truth.X_WM)
-    seen = TrueView(config.scene.camera, scene).markers(truth.X_WC, truth.X_WM)
+    seen = TrueView(config.scene.camera, scene).markers(shown(truth.X_WC, truth.X_WM))
     assert seen.keys() == exact.keys()
     compared = 0
     for number, marker in seen.items():
@@ -114,11 +120,11 @@ def test_what_the_tool_hides_and_what_is_out_of_view_is_not_seen() -> None:
     behind = transform(X_WO[:3, :3], (X_WO @ [-0.2, 0.0, 0.0, 1.0])[:3])  # the middle of marker 1
     towards = X_WC[:3, 3] - behind[:3, 3]
     before = transform(X_WO[:3, :3], behind[:3, 3] + 0.3 * towards)
-    seen = view.markers(X_WC, before)
+    seen = view.markers(shown(X_WC, before))
     assert seen[1].left is None
     assert seen[2].left is not None
     away = stage.moved([3.0, 0.0, 0.0])
-    assert all(view.markers(away.X_WC, stage.truth.X_WM)[k].left is None for k in (1, 2, 3))
+    assert all(view.markers(shown(away.X_WC, stage.truth.X_WM))[k].left is None for k in (1, 2, 3))
 
 
 def test_without_noise_and_with_the_camera_that_vision_believes_in_a_look_is_exact() -> None:
