@@ -55,10 +55,14 @@ class EyeModelFile(StrictModel):
     harder: EyeModelConfig
 
 
-def load_eye_model(config_dir: Path, condition: Literal["usual", "harder"] = "usual") -> EyeModelConfig:
+EyeCondition = Literal["usual", "harder"]
+
+
+def load_eye_model(config_dir: Path, condition: EyeCondition = "usual") -> EyeModelConfig:
     """The measured parameters. Raises ConfigurationError."""
     measured = load(EyeModelFile, config_dir / "eye_model.yaml")
-    return measured.usual if condition == "usual" else measured.harder
+    found: EyeModelConfig = getattr(measured, condition)
+    return found
 
 
 def simulated_sight(world: World, model: EyeModelConfig, seed: int) -> Sight:

@@ -53,14 +53,14 @@ def _demonstration(scenario: str, seed: int) -> LockstepRig:
 
 
 def _crane(_recipe: str, seed: int) -> LockstepRig:
-    task = {"seed": seed, "arm": "plant_long_crane", "harder": False, "eyes": "model", "assignments": []}
+    task = {"seed": seed, "arm": "plant_long_crane", "world": "lab", "eyes": "model", "assignments": []}
     rig = prepared(CONFIGS, task)
     operate(rig, "look-then-move", {"method": "corrected", "aim_mm": 0.0})
     return rig
 
 
 def _servoing(_recipe: str, seed: int) -> LockstepRig:
-    task = {"seed": seed, "arm": "plant", "harder": False, "eyes": "model", "assignments": []}
+    task = {"seed": seed, "arm": "plant", "world": "lab", "eyes": "model", "assignments": []}
     rig = prepared(CONFIGS, task)
     operate(rig, "looking-and-moving", {})
     return rig

@@ -16,8 +16,9 @@ from foundation.configuration import merged, parse_overrides
 from plant_emulator.core.truth import tool_error
 from protocol.errors import LongreachError
 from testbed.campaigns.typed_rows import UNKNOWN, XYZ, xyz
-from testbed.experiments.positioning.scenarios import draw
+from testbed.experiments.positioning.scenarios import Drawn, draw
 from testbed.experiments.positioning.told import Told, told_of
+from testbed.experiments.positioning.worlds import WORLDS, WorldName
 from testbed.lockstep.eyes import SightMaker
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
@@ -59,6 +60,9 @@ class PositioningRow(NamedTuple):
     lever_m: float
     distance_m: float
     disparity_px: float
+    world: str = ""
+    unreachable: int = 0
+    unseen: int = 0
     start_mm: float = math.nan
     one_shot: Branch = Branch()
     look1: Branch = Branch()
@@ -69,9 +73,9 @@ class PositioningRow(NamedTuple):
 
 
 def one_run(config_dir: Path, task: JSON) -> JSON:
-    """The row of one seeded run; ``task`` has seed, arm, harder, eyes, assignments."""
-    drawn = draw(config_dir, task["seed"], task["arm"], task["harder"])
-    row: JSON = {"seed": task["seed"], "arm": task["arm"], **drawn.shown}
+    """The row of one seeded run; ``task`` has seed, arm, world, eyes, assignments."""
+    drawn = drawn_by(config_dir, task)
+    row: JSON = {"seed": task["seed"], "arm": task["arm"], "world": task["world"], **drawn.shown}
     try:
         rig = prepared(config_dir, task)
         row["start_mm"] = float(np.linalg.norm(true_error_mm(rig)[:2]))
@@ -84,15 +88,20 @@ def one_run(config_dir: Path, task: JSON) -> JSON:
     return row | branches | {"simulated_s": 1e-9 * rig.world.time_ns}
 
 
+def drawn_by(config_dir: Path, task: JSON) -> Drawn:
+    """The scenario of a task, which has seed, arm and world."""
+    return draw(config_dir, task["seed"], task["arm"], WORLDS[WorldName(task["world"])])
+
+
 def prepared(config_dir: Path, task: JSON, sight: SightMaker | None = None) -> LockstepRig:
     """The rig of a scenario, turned parallel to the object, its local track recorded.
 
     ``sight`` overrules what ``task`` says of the eyes.
     """
-    drawn = draw(config_dir, task["seed"], task["arm"], task["harder"])
+    drawn = drawn_by(config_dir, task)
     settings = load_settings(config_dir, merged(drawn.overrides, parse_overrides(task["assignments"])))
     if sight is None and task["eyes"] == "model":
-        model = load_eye_model(config_dir, "harder" if task["harder"] else "usual")
+        model = load_eye_model(config_dir, WORLDS[WorldName(task["world"])].eyes)
         sight = partial(simulated_sight, model=model, seed=task["seed"])
     rig = LockstepRig(settings, task["seed"], RunLog(), sight)
     rig.command("enable")

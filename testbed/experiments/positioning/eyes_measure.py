@@ -21,6 +21,7 @@ from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
 from testbed.experiments.positioning.corrected_run import driven, prepared
 from testbed.experiments.positioning.eyes_notes import Followed, Notes, noting_sight
+from testbed.experiments.positioning.worlds import WORLDS
 from testbed.lockstep.simulated_odometry import ModelOdometry, TrackingNoise
 from testbed.lockstep.true_view import TrueView
 from testbed.reporting.console import table
@@ -31,13 +32,14 @@ from vision_pc.core.se3 import Array
 JSON = dict[str, Any]
 _KNOWN_PX = 0.1  # noise with which the model is led along the measured paths
 _LEAST_GROUP = 4  # frames at one place from which its bias can be told from noise
-CONDITIONS = ("usual", "harder")
+CONDITIONS = {world.eyes: name for name, world in reversed(list(WORLDS.items()))}
+"""Condition of the eye model → the first of the worlds that is seen so."""
 
 
 def one_run(config_dir: Path, task: JSON) -> JSON:
     """The row of one seed in pictures: sums over corners, and odometry's errors beside the model's."""
     notes = Notes()
-    asked = {"seed": task["seed"], "harder": task["harder"]}
+    asked = {"seed": task["seed"], "condition": task["condition"]}
     rig = prepared(config_dir, task | {"eyes": "pixels"}, partial(noting_sight, notes=notes))
     try:
         if failure := driven(rig, {}).failure:
@@ -123,7 +125,7 @@ class MeasuredRow(NamedTuple):
     """One seed in pictures: sums over corners, mean squares of odometry's errors and of the model's."""
 
     seed: int
-    harder: bool
+    condition: str
     corner_noise2: float
     corner_bias2: float
     corner_places: float
@@ -188,26 +190,24 @@ Noted = Finished[MeasureSettings, MeasuredRow]
 
 
 def measure_tasks(request: CampaignRequest, settings: MeasureSettings) -> list[Task]:
-    """The seeds under both conditions."""
+    """The seeds under every condition."""
     return [
         {
             "key": f"{condition}-{seed}",
             "seed": seed,
-            "arm": "plant",
-            "harder": condition == "harder",
+            "arm": WORLDS[world].arm,
+            "world": str(world),
+            "condition": condition,
             "assignments": [],
         }
-        for condition in CONDITIONS
+        for condition, world in CONDITIONS.items()
         for seed in seeds(request)
     ]
 
 
 def _measured(done: Noted) -> JSON:
     """Condition → the model's parameters."""
-    return {
-        name: parameters([row for row in done.rows if row.harder == (name == "harder")])
-        for name in CONDITIONS
-    }
+    return {name: parameters([row for row in done.rows if row.condition == name]) for name in CONDITIONS}
 
 
 def measure_table(done: Noted) -> list[Table]:
@@ -222,7 +222,7 @@ def measure_table(done: Noted) -> list[Table]:
 
 
 def measure_verdict(done: Noted) -> list[Check]:
-    """Both conditions could be measured; their parameters are written to the file that was asked for."""
+    """All conditions could be measured; their parameters are written to the file that was asked for."""
     failed = sum(bool(row.failure) for row in done.rows)
     done.settings.output.write_text(
         _text(_measured(done), done.request.seed, done.request.runs), encoding="utf-8"

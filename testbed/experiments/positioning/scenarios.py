@@ -19,11 +19,11 @@ from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.camera.camera_motion import CameraView, Capture
 from plant_emulator.core.camera.scene import R_WO_FACING_ARM, Scene
 from protocol.errors import ConfigurationError
+from testbed.experiments.positioning.worlds import ARMS, DrawnWorld, drawn
 from testbed.lockstep.true_view import TrueView
 from testbed.scenarios.settings import Settings, load_settings
 from vision_pc.core.se3 import Array, exp_so3, inverse, log_so3, transform
 
-ARMS = ("plant", "plant_long_crane")
 _TRIES = 20_000
 _STREAM = 0x62657374
 _JOINT_MARGIN = math.radians(4.0)  # the path's legs and the controller's own margins
@@ -48,31 +48,41 @@ class _Pose(NamedTuple):
     distance_m: float
 
 
-def draw(config_dir: Path, seed: int, arm: str, harder: bool) -> Drawn:
+def draw(config_dir: Path, seed: int, arm: str, world: DrawnWorld) -> Drawn:
     """The scenario of ``seed`` on ``arm`` (one of ``ARMS``).
 
-    Raises ConfigurationError for an unknown arm, or when no draw of many can be done.
+    ``shown`` counts what was drawn and not kept: ``unreachable`` and ``unseen``. Raises ConfigurationError
+    for an unknown arm, or when no draw of many can be done.
     """
     files = arm_files(config_dir, arm)
     settings = load_settings(config_dir, files)
+    beside = drawn(world, seed, ARMS.index(arm), settings)
+    usual = load_settings(config_dir, merged(files, beside))
     rng = np.random.default_rng([seed, _STREAM, ARMS.index(arm)])
-    for _ in range(_TRIES):
+    leg_m = settings.vision.programs.local_map.leg_m
+    unreachable, unseen = 0, 0
+    while unreachable + unseen < _TRIES:
         pose = _posed(rng, settings)
-        scene = _scene(rng, pose, harder)
-        leg_m = settings.vision.programs.local_map.leg_m
-        if _reached(pose, settings.arm, leg_m) and _in_view(pose, settings.scene, scene):
+        scene = merged(_scene(rng, pose), beside.get("scene", {}))
+        if not _reached(pose, settings.arm, leg_m):
+            unreachable += 1
+        elif not _in_view(pose, usual.scene, scene):
+            unseen += 1
+        else:
             break
     else:
         why = f"seed {seed}: none of {_TRIES} draws can be done"
         raise ConfigurationError("configuration.no_scenario", why)
-    plant = _plant(rng, pose, harder)
-    overrides = merged(files, {"scene": scene, "plant": plant})
+    plant = merged(_plant(rng, pose), beside.get("plant", {}))
+    overrides = merged(merged(files, beside), {"scene": scene, "plant": plant})
     shown = {
         "payload_kg": plant["payload"]["mass_kg"],
         "mount_deg": float(np.linalg.norm(scene["mount"]["rotation_deg"])),
         "lever_m": float(np.linalg.norm(scene["mount"]["position_m"])),
         "distance_m": pose.distance_m,
         "disparity_px": scene["camera"]["rectification"]["disparity_px"],
+        "unreachable": unreachable,
+        "unseen": unseen,
     }
     return Drawn(overrides, shown)
 
@@ -116,9 +126,9 @@ def _ball(rng: np.random.Generator, radius: float) -> Array:
     return np.asarray(direction / np.linalg.norm(direction) * rng.uniform(0.0, radius))
 
 
-def _scene(rng: np.random.Generator, pose: _Pose, harder: bool) -> JSON:
+def _scene(rng: np.random.Generator, pose: _Pose) -> JSON:
     tilt = R_WO_FACING_ARM.T @ pose.X_WO[:3, :3]
-    scene: JSON = {
+    return {
         "seed": int(rng.integers(2**31)),
         "wall": {"texture_seed": int(rng.integers(2**31))},
         "mount": {"position_m": pose.X_TC[:3, 3].tolist(), "rotation_deg": _vector_deg(pose.X_TC[:3, :3])},
@@ -134,28 +144,13 @@ def _scene(rng: np.random.Generator, pose: _Pose, harder: bool) -> JSON:
             }
         },
     }
-    return merged(scene, _harder_scene(rng)) if harder else scene
 
 
-def _harder_scene(rng: np.random.Generator) -> JSON:
-    """Scale ±0.6 % (baseline), odometry that drifts (poor light), lens, and print sizes."""
-    focal = 530.0 * (1.0 + rng.uniform(-0.003, 0.003))
-    return {
-        "camera": {
-            "baseline_m": 0.12 * (1.0 + rng.uniform(-0.006, 0.006)),
-            "noise_grey": 4.0,
-            "lens": {"fx_px": focal, "fy_px": focal, "k1": rng.uniform(-0.006, 0.006)},
-        },
-        "wall": {"contrast_grey": 12.0},
-        "tool_marker": {"print_scale_error": rng.uniform(-0.003, 0.003)},
-    }
-
-
-def _plant(rng: np.random.Generator, pose: _Pose, harder: bool) -> JSON:
+def _plant(rng: np.random.Generator, pose: _Pose) -> JSON:
     def offset_mm() -> list[float]:
         return [float(value) for value in _ball(rng, 3.0)]
 
-    plant: JSON = {
+    return {
         "start_pose_deg": pose.start_deg,
         "payload": {"mass_kg": rng.uniform(0.0, 150.0)},
         "errors": {
@@ -169,10 +164,6 @@ def _plant(rng: np.random.Generator, pose: _Pose, harder: bool) -> JSON:
             "base_tilt": {"x_mrad": rng.uniform(-5.0, 5.0), "y_mrad": rng.uniform(-5.0, 5.0)},
         },
     }
-    if harder:  # the study's 0.5 mrad of joint ripple, as play that the encoders do not see
-        play = {"half_width_mrad": [0.5, 0.25, 0.25, 0.5, 0.5, 0.5]}
-        plant["errors"]["backlash"] = play
-    return plant
 
 
 def _vector_deg(R: Array) -> list[float]:

@@ -75,9 +75,9 @@ def covered(told: Sequence[Told]) -> float:
 
 
 def silent_misses(told: Sequence[Told], worst_mm: Array) -> int:
-    """Runs that ended outside although they had been told P ≥ 0.8; a run that stopped was not silent."""
+    """Runs that ended outside unwarned: told P ≥ 0.8, or nothing; a run that stopped was not silent."""
     outside = np.asarray(worst_mm) > 1e3 * LIMIT_M
-    return int(np.count_nonzero(outside & (_probabilities(told) >= CONFIDENT)))
+    return int(np.count_nonzero(outside & ~(_probabilities(told) < CONFIDENT)))
 
 
 def told_checks(what: str, told: Sequence[Told], worst_mm: Array, judged: bool) -> list[Check]:

@@ -12,16 +12,9 @@ from protocol.errors import LongreachError
 from testbed.campaigns.campaign import Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least
 from testbed.campaigns.typed_rows import UNKNOWN, XYZ, xyz
-from testbed.experiments.positioning.corrected import (
-    DrawnSettings,
-    positioning_tasks,
-    quantile,
-    share,
-    stops_table,
-    worst_mm,
-)
-from testbed.experiments.positioning.corrected_run import operate, prepared, true_error_mm
-from testbed.experiments.positioning.scenarios import draw
+from testbed.experiments.positioning.corrected import DrawnSettings, positioning_tasks, stops_table
+from testbed.experiments.positioning.corrected_figures import quantile, share, worst_mm
+from testbed.experiments.positioning.corrected_run import drawn_by, operate, prepared, true_error_mm
 from testbed.lockstep.rig import LockstepRig
 from testbed.reporting.console import table
 
@@ -63,7 +56,7 @@ def one_run(config_dir: Path, task: Task) -> dict[str, Any]:
     The second of two looks carries on where the corrected one ended.
     """
     row: dict[str, Any] = {"seed": task["seed"]}
-    row |= draw(config_dir, task["seed"], task["arm"], task["harder"]).shown
+    row |= drawn_by(config_dir, task).shown
     try:
         rig = prepared(config_dir, task)
     except LongreachError as error:
@@ -129,5 +122,4 @@ LOOKING_AND_MOVING = Experiment(
     table=servoing_table,
     verdict=servoing_verdict,
     runs=60,
-    world="payload, mount, camera, object, geometry drawn from the seed",
 )

@@ -10,22 +10,26 @@ from plant_emulator.core.camera.camera_motion import CameraView, Capture
 from plant_emulator.core.camera.scene import Scene
 from protocol.errors import ConfigurationError
 from testbed.campaigns.campaign import CampaignRequest
-from testbed.campaigns.experiment import perform
+from testbed.campaigns.experiment import Finished, perform
 from testbed.campaigns.typed_rows import flat, typed
 from testbed.experiments.positioning.corrected import (
     BRANCHES,
     ChosenArm,
     DrawnSettings,
-    checks_of,
+    positioning_table,
     positioning_tasks,
+)
+from testbed.experiments.positioning.corrected_figures import (
+    checks_of,
     share,
     told,
     worst_mm,
+    worst_ratio,
 )
 from testbed.experiments.positioning.corrected_plot import errors_plot
 from testbed.experiments.positioning.corrected_run import PositioningRow
 from testbed.experiments.positioning.path_information import PATH_INFORMATION, PathSettings
-from testbed.experiments.positioning.scenarios import ARMS, draw
+from testbed.experiments.positioning.scenarios import draw
 from testbed.experiments.positioning.told import (
     chance_band,
     covered,
@@ -35,17 +39,20 @@ from testbed.experiments.positioning.told import (
     silent_misses,
     told_of,
 )
+from testbed.experiments.positioning.worlds import ARMS, WORLDS, WorldName
 from testbed.lockstep.true_view import TrueView
 from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.core.positioning.expected_end import expected_end
 
+LAB = WORLDS[WorldName.LAB]
+
 
 @pytest.mark.parametrize("arm", ARMS)
 def test_scenarios_are_as_wide_as_the_page_says_and_can_be_done(arm: str) -> None:
     for seed in (7, 8):
-        drawn = draw(CONFIGS, seed, arm, False)
-        assert drawn == draw(CONFIGS, seed, arm, False)
+        drawn = draw(CONFIGS, seed, arm, LAB)
+        assert drawn == draw(CONFIGS, seed, arm, LAB)
         assert 0.0 <= drawn.shown["payload_kg"] <= 150.0
         assert drawn.shown["mount_deg"] <= 20.0
         assert drawn.shown["lever_m"] <= 0.5
@@ -68,7 +75,7 @@ def test_scenarios_are_as_wide_as_the_page_says_and_can_be_done(arm: str) -> Non
 
 
 def test_the_harder_ones_differ_in_what_best_mode_names() -> None:
-    usual, harder = (draw(CONFIGS, 7, "plant", hard).overrides for hard in (False, True))
+    usual, harder = (draw(CONFIGS, 7, "plant", world).overrides for world in (LAB, WORLDS[WorldName.HARDER]))
     assert harder["scene"]["camera"]["baseline_m"] != 0.12
     assert abs(harder["scene"]["camera"]["baseline_m"] / 0.12 - 1.0) <= 0.006
     assert "baseline_m" not in usual["scene"]["camera"]
@@ -77,7 +84,7 @@ def test_the_harder_ones_differ_in_what_best_mode_names() -> None:
 
 def test_an_unknown_arm_is_refused_by_name() -> None:
     with pytest.raises(ConfigurationError, match="knuckle"):
-        draw(CONFIGS, 1, "knuckle", False)
+        draw(CONFIGS, 1, "knuckle", LAB)
 
 
 def test_both_arms_take_turns() -> None:
@@ -108,20 +115,32 @@ def test_a_run_that_failed_counts_as_failed_and_never_as_zero() -> None:
     rows = [row(0.5)] * 99 + [failed("measurement.tool_not_seen: x")]
     assert share(worst_mm(rows, "look1"), 5.0) == pytest.approx(0.99)
     rows += [row(0.5, look1_worst_mm=None, look1_failure="measurement.ill_conditioned: y")] * 3
-    found = {check.what: check for check in checks_of(rows, harder=False)}
+    found = {check.what: check for check in checks_of(rows, LAB.demands)}
     assert found["one look: share within 5 mm"].found == f"{99 / 103:.3f}"
     assert found["one look: share within 5 mm"].met is False
 
 
 def test_the_verdict_fails_where_a_figure_is_outside_and_only_there() -> None:
     good = [row((2.0 if k % 20 == 0 else 0.918) * (-1.0) ** k) for k in range(200)]  # 95 % in the ellipse
-    assert [check.what for check in checks_of(good, harder=False) if check.met is False] == []
+    assert [check.what for check in checks_of(good, LAB.demands) if check.met is False] == []
     vain = [row(4.0 * r.look1.true_mm.x) for r in good]  # told as before
-    missed = {check.what for check in checks_of(vain, harder=False) if check.met is False}
+    missed = {check.what for check in checks_of(vain, LAB.demands) if check.met is False}
     assert "one look: error² over predicted variance, mean" in missed
     assert "two looks: 95 %" in missed
-    relaxed = {check.what for check in checks_of(vain, harder=True) if check.met is False}
+    relaxed = {
+        check.what for check in checks_of(vain, WORLDS[WorldName.HARDER].demands) if check.met is False
+    }
     assert "two looks: 95 %" not in relaxed
+
+
+def test_the_tables_tell_what_the_world_draws_and_how_many_draws_were_not_kept() -> None:
+    rows = [row(0.5, unreachable=3, unseen=1), row(0.5, unreachable=0, unseen=3)]
+    request = CampaignRequest(CONFIGS, Path("unused"), runs=2)
+    settings = DrawnSettings(WorldName.HARDER)
+    axes, *_, kept = positioning_table(Finished(request, settings, [], rows, 0))
+    assert [len(table.columns) for table in (axes, kept)] == [3, 5]
+    assert axes.row_count == len(WORLDS[WorldName.HARDER].axes)
+    assert [list(column.cells) for column in kept.columns] == [["9"], ["3"], ["4"], ["2"], ["33%"]]
 
 
 def test_the_share_inside_the_ellipse_counts_runs_that_ended() -> None:
@@ -134,7 +153,7 @@ def test_an_overcautious_prediction_is_no_honest_one_either() -> None:
     rows = [row(float(e), std=3.0) for e in rng.normal(size=200)]
     value, (low, high) = nees(told(rows, "look1", "before")), chance_band(200)
     assert value < low < 1.0 < high
-    missed = {check.what for check in checks_of(rows, harder=False) if check.met is False}
+    missed = {check.what for check in checks_of(rows, LAB.demands) if check.met is False}
     assert "one look: error² over predicted variance, mean" in missed
 
 
@@ -145,9 +164,12 @@ def test_a_miss_is_silent_where_it_was_told_to_be_unlikely() -> None:
     assert before[0].probability > 0.99
     assert before[1].probability < 0.5
     assert silent_misses(before, worst_mm(rows, "look1")) == 1
-    found = {check.what: check for check in checks_of(rows, harder=False)}
+    assert worst_ratio(rows, "look1") == pytest.approx(6.0)
+    untold = [row(6.0, look1_before_probability=None)]
+    assert silent_misses(told(untold, "look1", "before"), worst_mm(untold, "look1")) == 1, "nobody was warned"
+    found = {check.what: check for check in checks_of(rows, LAB.demands)}
     assert found["one look: silent misses"].met is False
-    assert {check.what: check for check in checks_of([good], harder=False)}["one look: silent misses"].met
+    assert {check.what: check for check in checks_of([good], LAB.demands)}["one look: silent misses"].met
 
 
 def test_the_reliability_counts_by_what_was_told() -> None:

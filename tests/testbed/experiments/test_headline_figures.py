@@ -26,7 +26,7 @@ from vision_pc.core.hand_eye.solvers.methods import Method
 
 def corrected(arm: str, seed: int) -> float:
     """The true error in mm after one look and its corrected motion."""
-    run = {"seed": seed, "arm": arm, "harder": False, "eyes": "model", "assignments": []}
+    run = {"seed": seed, "arm": arm, "world": "lab", "eyes": "model", "assignments": []}
     rig = prepared(CONFIGS, run)
     operate(rig, "look-then-move", {"method": "corrected", "aim_mm": 0.0})
     return float(np.abs(true_error_mm(rig)[:2]).max())

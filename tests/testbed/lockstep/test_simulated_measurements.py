@@ -14,7 +14,6 @@ from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth
 from protocol.errors import ConfigurationError, MeasurementFailed
 from testbed.campaigns.typed_rows import typed
-from testbed.experiments.positioning.eyes_agree import compare
 from testbed.experiments.positioning.eyes_measure import MeasuredRow, parameters
 from testbed.lockstep.frames import SimulatedFrame
 from testbed.lockstep.simulated_measurements import (
@@ -211,12 +210,3 @@ def test_parameters_are_recovered_from_rows_that_the_model_itself_would_give() -
     assert found["corners"] == {"noise_px": 0.02, "bias_px": 0.01, "missed_share": 0.015}
     with pytest.raises(MeasurementFailed):
         parameters([failed])
-
-
-def test_agreement_is_told_from_a_shift_of_one_standard_deviation() -> None:
-    rng = np.random.default_rng(3)
-    a, b = rng.normal(size=30), rng.normal(size=30)
-    assert compare(a, b).agree
-    assert not compare(a, b + 1.2).agree
-    assert not compare(a, 10.0 * b).agree, "a wider spread about the same middle must show too"
-    assert not compare(a, np.full(30, np.nan)).agree
