@@ -1,4 +1,4 @@
-"""Configuration of what the actuators share: servo valves, protection, oil and pump."""
+"""Configuration of what the actuators share: protection, oil and pump."""
 
 import math
 from typing import Annotated
@@ -12,28 +12,6 @@ HOTTEST_DEGC = 110.0
 MOST_SOFTENING = 0.8  # of the bulk modulus, up to the hottest oil
 
 
-class ValvesConfig(StrictModel):
-    """What all six servo valves share; their sizes stand with the actuators."""
-
-    rated_drop_bar: Positive
-    bandwidth_hz: Annotated[float, Field(gt=0.0, le=300.0)]
-    damping_ratio: Annotated[float, Field(gt=0.0, le=3.0)]
-    slew_limit_per_s: Positive
-    delay_ms: Annotated[float, Field(ge=0.0, le=100.0)]
-    deadband: Annotated[float, Field(ge=0.0, le=0.5)]
-    regularisation_bar: Annotated[float, Field(ge=0.1, le=20.0)]
-
-
-class CounterbalanceConfig(StrictModel):
-    """Load-holding valves at chamber a: they open with p_a + pilot_ratio p_b above the setting."""
-
-    lift: bool
-    tilt: bool
-    setting_bar: Positive
-    pilot_ratio: Annotated[float, Field(ge=1.0, le=20.0)]
-    range_bar: Positive
-
-
 class ProtectionConfig(StrictModel):
     """Relief and anti-cavitation at every chamber, passing the valve's rated flow at the difference."""
 
@@ -41,7 +19,6 @@ class ProtectionConfig(StrictModel):
     relief_override_bar: Positive
     anticavitation: bool
     anticavitation_drop_bar: Positive
-    counterbalance: CounterbalanceConfig
 
 
 class OilConfig(StrictModel):

@@ -1,13 +1,15 @@
 """Configuration of the arm, its oil and its errors: every number of plant.yaml and its bounds."""
 
 import math
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from foundation.configuration import StrictModel
-from plant_emulator.config.actuators import ActuatorConfig, ActuatorsConfig
-from plant_emulator.config.oil import OilConfig, ProtectionConfig, PumpConfig, ValvesConfig
+from foundation.configuration import StrictModel, merged
+from plant_emulator.config.actuators import ActuatorsConfig
+from plant_emulator.config.oil import OilConfig, ProtectionConfig, PumpConfig
+from plant_emulator.config.step_limits import Circuit, shortest
 from plant_emulator.config.structure import (
     FlexibilityConfig,
     GeometryConfig,
@@ -15,15 +17,11 @@ from plant_emulator.config.structure import (
     NotNegative,
     PayloadConfig,
 )
+from plant_emulator.config.valves import JOINT_NAMES, ValvesConfig
 
 Small = Annotated[float, Field(ge=-100.0, le=100.0)]
 SixSmall = tuple[Small, Small, Small, Small, Small, Small]
 SixNotNegative = tuple[NotNegative, NotNegative, NotNegative, NotNegative, NotNegative, NotNegative]
-
-BAR = 1e5
-LITRE = 1e-3
-LITRE_PER_MINUTE = 1e-3 / 60.0
-RUNGE_KUTTA_REACH = 2.78  # h |λ| beyond which classical RK4 diverges on a decaying mode
 
 
 class JointErrorConfig(StrictModel):
@@ -92,7 +90,11 @@ class ErrorsConfig(StrictModel):
 
 
 class PlantConfig(StrictModel):
-    """The whole plant except what the camera sees; plant.yaml tells where each number comes from."""
+    """The whole plant except what the camera sees; plant.yaml tells where each number comes from.
+
+    ``valves`` are those that the machine has: the set that ``valve_set`` names out of ``valve_sets``, with
+    what is written under ``valves`` laid over it.
+    """
 
     gravity_m_s2: Annotated[float, Field(ge=0.0, le=20.0)]
     start_pose_deg: tuple[float, float, float, float, float, float]
@@ -102,12 +104,76 @@ class PlantConfig(StrictModel):
     payload: PayloadConfig
     flexibility: FlexibilityConfig
     actuators: ActuatorsConfig
+    valve_sets: dict[str, ValvesConfig]
+    valve_set: str
     valves: ValvesConfig
     protection: ProtectionConfig
     oil: OilConfig
     pump: PumpConfig
     errors: ErrorsConfig
     step_ms: Annotated[float, Field(gt=0.0, le=2.0)]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _choose_valves(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping) or not isinstance(data.get("valve_sets"), Mapping):
+            return data
+        name, sets, own = data.get("valve_set"), data["valve_sets"], data.get("valves")
+        if (
+            not isinstance(name, str)
+            or name not in sets
+            or not isinstance(sets[name], Mapping)
+            or not isinstance(own or {}, Mapping)
+        ):
+            return data
+        return {**data, "valves": merged(sets[name], own or {})}
+
+    @field_validator("valve_set")
+    @classmethod
+    def _is_a_set(cls, value: str, info: ValidationInfo) -> str:
+        sets = info.data.get("valve_sets")
+        if sets is not None and value not in sets:
+            raise ValueError(f"must be one of valve_sets: {', '.join(sets)}")
+        return value
+
+    @field_validator("valves")
+    @classmethod
+    def _acts_in_time(cls, value: ValvesConfig, info: ValidationInfo) -> ValvesConfig:
+        watchdog = info.data.get("watchdog_ms", math.inf)
+        for name in JOINT_NAMES:
+            delay = value.of(name, 1.0).delay_ms
+            if delay >= watchdog:
+                raise ValueError(
+                    f"delay_ms = {delay:g} of {name} must be below watchdog_ms = {watchdog:g}: old "
+                    "commands would move the valve after the watchdog has tripped"
+                )
+        return value
+
+    @field_validator("protection")
+    @classmethod
+    def _holds_beyond_the_return(cls, value: ProtectionConfig, info: ValidationInfo) -> ProtectionConfig:
+        valves = info.data.get("valves")
+        if (
+            valves is not None
+            and valves.counterbalance.setting_bar <= value.relief_bar
+            and (valves.counterbalance.lift or valves.counterbalance.tilt)
+        ):
+            raise ValueError(
+                f"relief_bar = {value.relief_bar:g} must be below valves.counterbalance.setting_bar = "
+                f"{valves.counterbalance.setting_bar:g}: a load alone would open the holding valves"
+            )
+        return value
+
+    @field_validator("pump")
+    @classmethod
+    def _feeds_the_compensators(cls, value: PumpConfig, info: ValidationInfo) -> PumpConfig:
+        valves = info.data.get("valves")
+        if valves is not None and valves.compensator_bar >= value.pressure_bar - value.return_bar:
+            raise ValueError(
+                f"pressure_bar = {value.pressure_bar:g} must exceed return_bar by more than "
+                f"valves.compensator_bar = {valves.compensator_bar:g}: no flow would ever be metered"
+            )
+        return value
 
     @field_validator("pump")
     @classmethod
@@ -126,52 +192,8 @@ class PlantConfig(StrictModel):
         known = info.data
         if not {"actuators", "valves", "protection", "oil", "pump"} <= known.keys():
             return value  # the fault that hides them is reported instead
-        limit, reason = min(
-            _slowest_steps(
-                known["actuators"], known["valves"], known["protection"], known["oil"], known["pump"]
-            )
-        )
+        parts = (known["actuators"], known["valves"], known["protection"], known["oil"], known["pump"])
+        limit, reason = shortest(Circuit(*parts))
         if value > limit * 1e3:
             raise ValueError(f"must not exceed {limit * 1e3:.3f}: {reason} would make Runge-Kutta diverge")
         return value
-
-
-def _slowest_steps(
-    actuators: ActuatorsConfig,
-    valves: ValvesConfig,
-    guard: ProtectionConfig,
-    oil: OilConfig,
-    pump: PumpConfig,
-) -> list[tuple[float, str]]:
-    """The longest stable step (s) that each stiff part allows, with its reason.
-
-    A chamber behind open regularised orifices decays at β K / (V √δ), a bristle at full speed at σ0 v / F_c.
-    """
-    soft, modulus = math.sqrt(valves.regularisation_bar * BAR), oil.bulk_modulus_mpa * 1e6
-    limits: list[tuple[float, str]] = []
-    for name, actuator in zip(ActuatorsConfig.model_fields, actuators.in_order(), strict=True):
-        flow = actuator.rated_flow_l_min * LITRE_PER_MINUTE
-        gain = flow / math.sqrt(valves.rated_drop_bar * BAR)
-        check = flow / math.sqrt(guard.anticavitation_drop_bar * BAR) if guard.anticavitation else 0.0
-        for key in ("dead_volume_a_l", "dead_volume_b_l"):
-            volume = getattr(actuator, key) * LITRE
-            rate = modulus * (gain + check) / (volume * soft)
-            limits.append((RUNGE_KUTTA_REACH / rate, f"actuators.{name}.{key} = {getattr(actuator, key):g}"))
-            rate = modulus * flow / (guard.relief_override_bar * BAR) / volume
-            limits.append((RUNGE_KUTTA_REACH / rate, f"protection.relief_override_bar at actuators.{name}"))
-        rate = _bristle_rate(actuator, gain, pump)
-        limits.append((RUNGE_KUTTA_REACH / max(rate, 1e-9), f"the bristle stiffness of actuators.{name}"))
-    most = pump.flow_limit_l_min * LITRE_PER_MINUTE
-    rate = modulus * 2.0 * most / (pump.droop_bar * BAR) / (pump.line_volume_l * LITRE)
-    limits.append((RUNGE_KUTTA_REACH / rate, f"pump.droop_bar = {pump.droop_bar:g}"))
-    limits.append((RUNGE_KUTTA_REACH / (2.0 * math.pi * valves.bandwidth_hz), "valves.bandwidth_hz"))
-    return limits
-
-
-def _bristle_rate(actuator: ActuatorConfig, gain: float, pump: PumpConfig) -> float:
-    """How fast (1/s) the friction bristles relax at the actuator's free speed."""
-    area_a, area_b = actuator.areas()
-    supply, back = pump.pressure_bar * BAR, pump.return_bar * BAR
-    speed = gain * math.sqrt(max(area_a * supply - area_b * back, 0.0) / (area_a**3 + area_b**3))
-    stiffness, coulomb = actuator.bristle()
-    return stiffness * speed / coulomb if coulomb > 0.0 else 0.0

@@ -9,13 +9,20 @@ A_KIND, A_BASE, A_LEVER, A_ANGLE0, A_LENGTH0 = range(5)
 # chambers: areas (m², or m³/rad of a rotary actuator), dead volumes, stroke, leakage across the piston
 A_AREA_A, A_AREA_B, A_DEAD_A, A_DEAD_B, A_STROKE, A_LEAKAGE = range(5, 11)
 A_STOP_STIFFNESS, A_STOP_DAMPING, A_CUSHION = range(11, 14)
-# valve: orifice gain (m³/s/√Pa), deadband, spool ω and ζ, slew limit (1/s)
-A_GAIN, A_DEADBAND, A_OMEGA, A_ZETA, A_SLEW_LIMIT = range(14, 19)
+# spool: ω and ζ, slew limits out of the centre and back (1/s)
+A_OMEGA, A_ZETA, A_SLEW_OUT, A_SLEW_BACK = range(14, 18)
 # what guards a chamber: relief (m³/s/Pa), anti-cavitation (m³/s/√Pa), counterbalance gain (0 without one)
-A_RELIEF, A_ANTICAVITATION, A_COUNTERBALANCE = range(19, 22)
+A_RELIEF, A_ANTICAVITATION, A_COUNTERBALANCE = range(18, 21)
 # LuGre friction
-A_COULOMB, A_STATIC, A_STRIBECK, A_BRISTLE, A_BRISTLE_DAMPING, A_VISCOUS = range(22, 28)
-A_COLUMNS = 28
+A_COULOMB, A_STATIC, A_STRIBECK, A_BRISTLE, A_BRISTLE_DAMPING, A_VISCOUS = range(21, 27)
+# four metering edges each, in the order of EDGES: orifice gain (m³/s/√Pa), overlap of the full stroke
+EDGES = ("supply_a", "return_b", "supply_b", "return_a")
+A_GAIN, A_DEADBAND = 27, 31
+# flow curve: slope where an edge opens over the mean slope, extending and retracting
+A_SLOPE = 35
+# chambers to return past the spool (m³/s/Pa)
+A_SPOOL_LEAKAGE = 37
+A_COLUMNS = 38
 
 # oil: modulus, wall compliance per chamber, air fraction, polytropic exponent
 C_MODULUS, C_WALL, C_AIR, C_EXPONENT = range(4)
@@ -26,9 +33,9 @@ C_SET, C_RETURN, C_FLOW_LIMIT, C_PUMP_GAIN, C_LINE_VOLUME, C_DUMP, C_RUNNING = r
 C_RELIEF, C_REGULARISATION = range(17, 19)
 # counterbalance: setting, pilot ratio, pressure from cracking to full opening
 C_HOLD, C_PILOT, C_HOLD_RANGE = range(19, 22)
-# what the running pump loses as heat (W)
-C_IDLE_LOSS = 22
-C_COLUMNS = 23
+# what the running pump loses as heat (W); what the pressure compensators keep across an edge (0 without)
+C_IDLE_LOSS, C_COMPENSATOR = 22, 23
+C_COLUMNS = 24
 
 # net flow into each chamber, flow drawn from the supply, pressure force, friction, position, velocity, stop
 F_NET_A, F_NET_B, F_SUPPLY, F_PUSH, F_FRICTION, F_POSITION, F_VELOCITY, F_STOP = range(8)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.config.plant import BAR
+from plant_emulator.config.units import BAR
 from plant_emulator.core import columns as col
 from plant_emulator.core.layout import (
     DRIVEN,
@@ -91,9 +91,11 @@ def rest_state(model: Model, q: Array, temperature: float) -> Array:
         lever = actuator_lever(bent[DRIVEN[i]], *row[col.A_KIND : col.A_LENGTH0 + 1])
         force = torque[i] / lever
         area_a, area_b = row[col.A_AREA_A], row[col.A_AREA_B]
-        # a matched valve at its centre shares the supply between both chambers
-        p_a = (force + (low + high) * area_b) / (area_a + area_b)
-        p_a = min(max(p_a, low, (force + low * area_b) / area_a), high)
+        if row[col.A_SPOOL_LEAKAGE] > 0.0:  # a closed centre, past which both chambers drain to the return
+            p_a = max(low, (force + low * area_b) / area_a)
+        else:  # a matched valve at its centre shares the supply between both chambers
+            p_a = (force + (low + high) * area_b) / (area_a + area_b)
+            p_a = min(max(p_a, low, (force + low * area_b) / area_a), high)
         p_b = (p_a * area_a - force) / area_b
         if not low * 0.999 <= p_b <= high * 1.001:
             raise ConfigurationError(

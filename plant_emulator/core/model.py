@@ -7,7 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.config.actuators import ActuatorConfig
-from plant_emulator.config.plant import BAR, LITRE, LITRE_PER_MINUTE, PlantConfig
+from plant_emulator.config.plant import PlantConfig
+from plant_emulator.config.units import BAR, LITRE, LITRE_PER_MINUTE
+from plant_emulator.config.valves import JOINT_NAMES, Valve, ValvesConfig
 from plant_emulator.core import columns as col
 from plant_emulator.core.layout import DRIVEN, FLEXIBLE, N_ACTUATORS, N_COORDINATES
 from plant_emulator.core.mechanics.bodies import Lump, build_bodies, payload, together
@@ -16,6 +18,8 @@ from plant_emulator.core.mechanics.linkage import CYLINDER, ROTARY
 from plant_emulator.core.mechanics.multibody import Mechanism, forward_dynamics, multibody_work
 
 Array = NDArray[np.float64]
+
+RETURN_A = col.EDGES.index("return_a")
 
 
 class Model(NamedTuple):
@@ -58,32 +62,43 @@ def _describe_actuator(actuator: ActuatorConfig, row: Array) -> None:
         row[col.A_VISCOUS] = g.viscous_nm_s_rad
 
 
+def _describe_valve(valves: ValvesConfig, valve: Valve, row: Array) -> None:
+    """Fill spool, edges and flow curve of one row of the actuator table."""
+    row[col.A_OMEGA], row[col.A_ZETA] = 2.0 * math.pi * valve.bandwidth_hz, valve.damping_ratio
+    row[[col.A_SLEW_OUT, col.A_SLEW_BACK]] = valve.slew_out_per_s, valve.slew_back_per_s
+    edges = zip(valve.edge_flows_l_min(), valves.edge_drops_bar(), valve.deadband, strict=True)
+    for k, (flow, drop, overlap) in enumerate(edges):
+        row[col.A_GAIN + k] = orifice_gain(flow * LITRE_PER_MINUTE, drop * BAR)
+        row[col.A_DEADBAND + k] = overlap
+    row[[col.A_SLOPE, col.A_SLOPE + 1]] = valve.slope_extend, valve.slope_retract
+    row[col.A_SPOOL_LEAKAGE] = valve.spool_leakage_m3_s_pa
+
+
 def build_actuators(config: PlantConfig) -> Array:
     """The actuator table (6, A_COLUMNS) of ``config``."""
     table = np.zeros((N_ACTUATORS, col.A_COLUMNS))
     valves, guard, errors = config.valves, config.protection, config.errors
-    for row, actuator in zip(table, config.actuators.in_order(), strict=True):
+    for name, row, actuator in zip(JOINT_NAMES, table, config.actuators.in_order(), strict=True):
         _describe_actuator(actuator, row)
         flow = actuator.rated_flow_l_min * LITRE_PER_MINUTE
         row[col.A_DEAD_A], row[col.A_DEAD_B] = (
             actuator.dead_volume_a_l * LITRE,
             actuator.dead_volume_b_l * LITRE,
         )
-        if errors.leakage.enabled:
-            row[col.A_LEAKAGE] = actuator.leakage_m3_s_pa
+        row[col.A_LEAKAGE] = actuator.leakage_m3_s_pa
+        _describe_valve(valves, valves.of(name, actuator.rated_flow_l_min), row)
+        if not errors.leakage.enabled:
+            row[[col.A_LEAKAGE, col.A_SPOOL_LEAKAGE]] = 0.0
         if not errors.friction.enabled:
             row[[col.A_COULOMB, col.A_STATIC, col.A_BRISTLE_DAMPING, col.A_VISCOUS]] = 0.0
-        row[col.A_GAIN] = orifice_gain(flow, valves.rated_drop_bar * BAR)
-        row[col.A_DEADBAND] = valves.deadband if errors.valve_deadband.enabled else 0.0
-        row[col.A_ZETA] = valves.damping_ratio
-        row[col.A_OMEGA] = 2.0 * math.pi * valves.bandwidth_hz
-        row[col.A_SLEW_LIMIT] = valves.slew_limit_per_s
+        if not errors.valve_deadband.enabled:
+            row[col.A_DEADBAND : col.A_DEADBAND + len(col.EDGES)] = 0.0
         row[col.A_RELIEF] = flow / (guard.relief_override_bar * BAR)
         if guard.anticavitation:
             row[col.A_ANTICAVITATION] = orifice_gain(flow, guard.anticavitation_drop_bar * BAR)
-    hold = guard.counterbalance
+    hold = valves.counterbalance
     for i, fitted in ((1, hold.lift), (2, hold.tilt)):
-        table[i, col.A_COUNTERBALANCE] = 2.0 * table[i, col.A_GAIN] if fitted else 0.0
+        table[i, col.A_COUNTERBALANCE] = 2.0 * table[i, col.A_GAIN + RETURN_A] if fitted else 0.0
     return table
 
 
@@ -104,7 +119,8 @@ def build_circuit(config: PlantConfig) -> Array:
     c[col.C_LINE_VOLUME], c[col.C_RUNNING] = pump.line_volume_l * LITRE, 1.0
     c[col.C_DUMP] = orifice_gain(pump.dump_flow_l_min * LITRE_PER_MINUTE, 100.0 * BAR)
     c[col.C_RELIEF], c[col.C_REGULARISATION] = guard.relief_bar * BAR, config.valves.regularisation_bar * BAR
-    hold = guard.counterbalance
+    hold = config.valves.counterbalance
+    c[col.C_COMPENSATOR] = config.valves.compensator_bar * BAR
     c[col.C_HOLD], c[col.C_PILOT], c[col.C_HOLD_RANGE] = (
         hold.setting_bar * BAR,
         hold.pilot_ratio,

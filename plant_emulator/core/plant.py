@@ -3,7 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.config.plant import BAR, PlantConfig
+from plant_emulator.config.plant import PlantConfig
+from plant_emulator.config.units import BAR
+from plant_emulator.config.valves import JOINT_NAMES, ValvesConfig
 from plant_emulator.core import columns as col
 from plant_emulator.core.camera.camera_motion import CameraMotion, CameraView, motion_between
 from plant_emulator.core.equilibrium import rest_state
@@ -16,7 +18,7 @@ from plant_emulator.core.faults.effects import (
 )
 from plant_emulator.core.faults.kinds import Fault
 from plant_emulator.core.faults.schedule import FaultSchedule, Injection
-from plant_emulator.core.hydraulics.valve_commands import ValveCommands
+from plant_emulator.core.hydraulics.valve_commands import ValveCommands, ValveDrive
 from plant_emulator.core.layout import (
     DRIVEN,
     FLEXIBLE,
@@ -61,6 +63,14 @@ NOMINAL_MOUNTS = Mounts(
 )
 
 
+def _valve_drive(valves: ValvesConfig) -> ValveDrive:
+    """Delay and hysteresis of the six valves, as ``ValveCommands`` takes them."""
+    six = [valves.of(name, 1.0) for name in JOINT_NAMES]
+    return ValveDrive(
+        tuple(round(valve.delay_ms * 1e6) for valve in six), tuple(0.5 * valve.hysteresis for valve in six)
+    )
+
+
 class Plant:
     """The arm, its oil and its sensors at simulated time ``time_ns``; bit-identical for one seed.
 
@@ -86,8 +96,7 @@ class Plant:
         half_play = np.asarray(play.half_width_mrad) * 1e-3 if play.enabled else np.zeros(N_ACTUATORS)
         self._shafts = EncoderShafts(self._state[list(DRIVEN)].copy(), half_play)
         self._drive = np.zeros(N_ACTUATORS)
-        delay_ns, watchdog_ns = round(config.valves.delay_ms * 1e6), round(config.watchdog_ms * 1e6)
-        self._commands = ValveCommands(delay_ns, watchdog_ns)
+        self._commands = ValveCommands(_valve_drive(config.valves), round(config.watchdog_ms * 1e6))
         self.faults = FaultSchedule()
         self._healthy_omega = self._model.actuators[:, col.A_OMEGA].copy()
         self._cycle = 0
@@ -111,7 +120,7 @@ class Plant:
             advance(
                 self._state,
                 self._drive,
-                self._commands.target,
+                self._commands.spool_target,
                 self._shafts,
                 steps,
                 self._step_ns * 1e-9,

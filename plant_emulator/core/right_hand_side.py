@@ -100,9 +100,8 @@ def advance(
     shaft, half_play = encoders
     for _ in range(steps):
         for i in range(N_ACTUATORS):
-            drive[i], work.command[i] = slew_limited(
-                drive[i], target[i], model.actuators[i, col.A_SLEW_LIMIT], h
-            )
+            out, back = model.actuators[i, col.A_SLEW_OUT], model.actuators[i, col.A_SLEW_BACK]
+            drive[i], work.command[i] = slew_limited(drive[i], target[i], out, back, h)
         runge_kutta_step(state, work.command, h, model, work)
         for i in range(N_ACTUATORS):
             angle = state[Q + JOINT[i]]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.config.plant import RUNGE_KUTTA_REACH
+from plant_emulator.config.units import RUNGE_KUTTA_REACH
 from plant_emulator.core import columns as col
 from plant_emulator.core.layout import (
     DRIVEN,

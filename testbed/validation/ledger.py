@@ -149,9 +149,8 @@ def booked_steps(
     k, stage = work.slope, work.stage
     for _ in range(steps):
         for i in range(N_ACTUATORS):
-            drive[i], work.command[i] = slew_limited(
-                drive[i], target[i], model.actuators[i, col.A_SLEW_LIMIT], h
-            )
+            out, back = model.actuators[i, col.A_SLEW_OUT], model.actuators[i, col.A_SLEW_BACK]
+            drive[i], work.command[i] = slew_limited(drive[i], target[i], out, back, h)
         for s in range(4):
             reach = h if s == 3 else 0.5 * h
             for j in range(N_STATES):

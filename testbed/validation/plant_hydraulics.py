@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.config.plant import BAR, LITRE_PER_MINUTE
+from plant_emulator.config.units import BAR, LITRE_PER_MINUTE
 from plant_emulator.core import columns as col
 from plant_emulator.core.equilibrium import gravity_torque
 from plant_emulator.core.hydraulics.valves import orifice_flow, spool_acceleration

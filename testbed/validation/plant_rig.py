@@ -175,7 +175,7 @@ def bare_cylinder(config_dir: Path, mass: float = 500.0) -> Stand:
     table = stand.model.actuators
     table[STAND] = table[1]
     table[STAND, col.A_KIND], table[STAND, col.A_ANGLE0], table[STAND, col.A_STROKE] = ROTARY, -0.3, 10.0
-    table[STAND, col.A_DEADBAND] = 0.0
+    table[STAND, col.A_DEADBAND : col.A_DEADBAND + len(col.EDGES)] = 0.0
     stand.smooth(STAND)
     stand.model.circuit[[col.C_LINE_VOLUME, col.C_REGULARISATION]] = 1e9, 200.0
     stand.model.circuit[col.C_AIR] = 0.0

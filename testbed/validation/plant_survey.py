@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.configuration import load, merged
-from plant_emulator.config.plant import BAR, LITRE_PER_MINUTE, PlantConfig
+from plant_emulator.config.plant import PlantConfig
+from plant_emulator.config.units import BAR, LITRE_PER_MINUTE
+from plant_emulator.config.valves import JOINT_NAMES
 from plant_emulator.core.layout import DRIVEN, N_COORDINATES
 from plant_emulator.core.mechanics.linkage import actuator_lever
 from plant_emulator.core.mechanics.multibody import forward_kinematics, multibody_work
@@ -156,9 +158,10 @@ def _servo_rest(config: PlantConfig, compensation: float) -> float:
     """
     plant, gain = Plant(config, seed=1), SERVO_GAINS / _full_speeds(config)
     goal = _readings(plant) + OFF_MRAD * 1e-3
+    overlap = np.array([np.mean(config.valves.of(name, 1.0).deadband) for name in JOINT_NAMES])
     for k in range(round(SERVO_S / CYCLE_S)):
         u = gain * (goal - _readings(plant))
-        u += compensation * config.valves.deadband * np.clip(u / BLEND, -1.0, 1.0)
+        u += compensation * overlap * np.clip(u / BLEND, -1.0, 1.0)
         a, b, c, d, e, f = (float(spool) for spool in u)
         plant.write(ValveImage(k + 1, CONTROL_ENABLE, (a, b, c, d, e, f)))
         plant.advance(round(CYCLE_S * 1e9))

@@ -221,7 +221,7 @@ def test_counterbalance_valves_hold_the_load_when_the_supply_is_lost() -> None:
     sink = {}
     for fitted in (False, True):
         guard = {"counterbalance": {"lift": fitted, "tilt": fitted}}
-        plant = Plant(plant_config(protection=guard, payload={"mass_kg": 150.0}), seed=1)
+        plant = Plant(plant_config(valves=guard, payload={"mass_kg": 150.0}), seed=1)
         plant.inject(SupplyLost())
         Driver(plant).run(1.0, (0.0, 0.5, 0.0, 0.0, 0.0, 0.0))
         sink[fitted] = float(plant.truth().q[1] - np.radians(50.0))

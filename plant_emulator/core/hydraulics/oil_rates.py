@@ -9,6 +9,7 @@ from foundation.compiled import allocation_free
 from plant_emulator.core import columns as col
 from plant_emulator.core.hydraulics.chambers import bulk_modulus, relief_flow
 from plant_emulator.core.hydraulics.valves import (
+    compensated_drop,
     held_gain,
     opening,
     orifice_flow,
@@ -36,22 +37,44 @@ JOINT = np.array(DRIVEN)  # compiled code indexes an array, not a tuple, with a 
 
 
 @allocation_free
-def _valve_flows(i: int, state: Array, viscosity_ratio: float, a: Array, c: Array, flows: Array) -> None:
-    """Fill net chamber flows and supply flow of actuator ``i``: valve, leakage, relief, anti-cavitation."""
+def _metered(i: int, state: Array, a: Array, c: Array, flows: Array) -> tuple[float, float]:
+    """Flows (m³/s) through the open edges of valve ``i`` into chamber a and b; ``flows`` tells the draw."""
     p_a, p_b, p_s, p_t = state[PRESSURE_A + i], state[PRESSURE_B + i], state[SUPPLY], c[col.C_RETURN]
-    soft, limit = c[col.C_REGULARISATION], c[col.C_RELIEF]
-    open_by = opening(state[SPOOL + i], a[i, col.A_DEADBAND])
-    gain = a[i, col.A_GAIN] * abs(open_by)
-    drop_a, drop_b = (p_s - p_a, p_t - p_b) if open_by >= 0.0 else (p_t - p_a, p_s - p_b)
-    gain_a = gain
+    soft, kept, travel = c[col.C_REGULARISATION], c[col.C_COMPENSATOR], abs(state[SPOOL + i])
+    extends = state[SPOOL + i] >= 0.0
+    way = 0 if extends else 1
+    slope, edge = a[i, col.A_SLOPE + way], 2 * way
+    gain_in = a[i, col.A_GAIN + edge] * opening(travel, a[i, col.A_DEADBAND + edge], slope)
+    gain_out = a[i, col.A_GAIN + edge + 1] * opening(travel, a[i, col.A_DEADBAND + edge + 1], slope)
+    gain_a, gain_b = (gain_in, gain_out) if extends else (gain_out, gain_in)
+    drop_a, drop_b = (p_s - p_a, p_t - p_b) if extends else (p_t - p_a, p_s - p_b)
+    if kept > 0.0:
+        if extends:
+            drop_a = compensated_drop(drop_a, kept)
+        else:
+            drop_b = compensated_drop(drop_b, kept)
     if drop_a < 0.0 and a[i, col.A_COUNTERBALANCE] > 0.0:
         wish = p_a + c[col.C_PILOT] * p_b - c[col.C_HOLD]
-        gain_a = held_gain(gain, a[i, col.A_COUNTERBALANCE], wish, c[col.C_HOLD_RANGE])
-    in_a, in_b = orifice_flow(gain_a, drop_a, soft), orifice_flow(gain, drop_b, soft)
-    flows[i, col.F_SUPPLY] = in_a if open_by >= 0.0 else in_b
+        gain_a = held_gain(gain_a, a[i, col.A_COUNTERBALANCE], wish, c[col.C_HOLD_RANGE])
+    in_a, in_b = orifice_flow(gain_a, drop_a, soft), orifice_flow(gain_b, drop_b, soft)
+    flows[i, col.F_SUPPLY] = in_a if extends else in_b
+    return in_a, in_b
+
+
+@allocation_free
+def _chamber_flows(i: int, state: Array, viscosity_ratio: float, a: Array, c: Array, flows: Array) -> None:
+    """Fill net chamber flows and supply flow of actuator ``i``: valve, leakage, relief, anti-cavitation."""
+    p_a, p_b, p_t = state[PRESSURE_A + i], state[PRESSURE_B + i], c[col.C_RETURN]
+    soft, limit = c[col.C_REGULARISATION], c[col.C_RELIEF]
+    in_a, in_b = _metered(i, state, a, c, flows)
     leak = a[i, col.A_LEAKAGE] * viscosity_ratio * (p_a - p_b)
     in_a -= leak + relief_flow(p_a, limit, a[i, col.A_RELIEF])
     in_b += leak - relief_flow(p_b, limit, a[i, col.A_RELIEF])
+    if a[i, col.A_SPOOL_LEAKAGE] > 0.0:
+        past = a[i, col.A_SPOOL_LEAKAGE] * viscosity_ratio
+        in_b -= past * (p_b - p_t)
+        if a[i, col.A_COUNTERBALANCE] == 0.0 or p_a < p_t:  # its seat keeps the load's oil from the spool
+            in_a -= past * (p_a - p_t)
     if p_a < p_t:
         in_a += orifice_flow(a[i, col.A_ANTICAVITATION], p_t - p_a, soft)
     if p_b < p_t:
@@ -116,7 +139,7 @@ def _actuator(
     rate[SPOOL + i] = spool_rate
     rate[SPOOL_RATE + i] = spool_acceleration(command, spool, spool_rate, a[i, col.A_OMEGA], a[i, col.A_ZETA])
 
-    _valve_flows(i, state, viscosity_ratio, a, c, flows)
+    _chamber_flows(i, state, viscosity_ratio, a, c, flows)
     flows[i, col.F_POSITION], flows[i, col.F_VELOCITY] = y, v
     _pressure_rates(i, state, a, c, flows, rate)
 

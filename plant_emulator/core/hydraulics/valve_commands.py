@@ -1,4 +1,4 @@
-"""From valve images to spool targets: enable bit, watchdog, and delay of the drive electronics."""
+"""From valve images to spool targets: enable bit, watchdog, delay of the drive electronics, hysteresis."""
 
 import math
 from typing import NamedTuple
@@ -14,24 +14,38 @@ NEVER_NS = 1 << 62
 _SHUT = (0.0,) * N_ACTUATORS
 
 
+class ValveDrive(NamedTuple):
+    """What lies between commands and spools, per valve: ``delay_ns``, half the width of the hysteresis."""
+
+    delay_ns: tuple[int, ...]
+    half_hysteresis: tuple[float, ...]
+
+
 class _Pending(NamedTuple):
-    """A valve command on its way through the drive electronics."""
+    """Commands of the valves ``who`` on their way through the drive electronics."""
 
     due_ns: int
-    valves: tuple[float, ...]
+    who: list[int]
+    valves: NDArray[np.float64]  # (len(who),)
 
 
 class ValveCommands:
     """What the valves are told. ``target`` (6,) in −1…1 is in force; ``tripped`` while the watchdog is.
 
+    ``spool_target`` (6,) is where the spools go: the target drags it along with the hysteresis as its play.
     The watchdog trips when the controller's cycle counter stands still for longer than ``watchdog_ns``; until
     a first image it waits. Whoever owns the time calls ``settle`` when it has reached ``next_ns``.
     """
 
-    def __init__(self, delay_ns: int, watchdog_ns: int) -> None:
+    def __init__(self, drive: ValveDrive, watchdog_ns: int) -> None:
         self.target: NDArray[np.float64] = np.zeros(N_ACTUATORS)
+        self.spool_target: NDArray[np.float64] = np.zeros(N_ACTUATORS)
         self.tripped = False
-        self._delay_ns = delay_ns
+        self._half_play = np.array(drive.half_hysteresis)
+        self._delays = {
+            delay: [i for i, own in enumerate(drive.delay_ns) if own == delay]
+            for delay in sorted(set(drive.delay_ns))
+        }
         self._watchdog_ns = watchdog_ns
         self._pending: list[_Pending] = []
         self._image: ValveImage | None = None
@@ -74,7 +88,10 @@ class ValveCommands:
             self.tripped = True
             self._command(_SHUT, now_ns)
         while self._pending and self._pending[0].due_ns <= now_ns:
-            self.target[:] = np.clip(self._pending.pop(0).valves, -1.0, 1.0)
+            _, who, valves = self._pending.pop(0)
+            told, play = np.clip(valves, -1.0, 1.0), self._half_play[who]
+            self.target[who] = told
+            self.spool_target[who] = np.clip(self.spool_target[who], told - play, told + play)
 
     def _deadline_ns(self) -> int:
         if self._image is None or self.tripped:
@@ -82,5 +99,8 @@ class ValveCommands:
         return self._fresh_ns + self._watchdog_ns + 1
 
     def _command(self, valves: tuple[float, ...], now_ns: int) -> None:
-        due = now_ns + self._delay_ns
-        self._pending = [p for p in self._pending if p.due_ns < due] + [_Pending(due, valves)]
+        told = np.array(valves)
+        for delay, who in self._delays.items():
+            due = now_ns + delay
+            kept = [p for p in self._pending if p.who is not who or p.due_ns < due]
+            self._pending = sorted([*kept, _Pending(due, who, told[who])], key=lambda p: p.due_ns)

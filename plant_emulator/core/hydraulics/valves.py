@@ -1,4 +1,4 @@
-"""Servo valve: spool dynamics, deadband and regularised turbulent orifices."""
+"""Valves: spool dynamics, overlap, flow curve, regularised turbulent orifices, pressure compensators."""
 
 import math
 
@@ -6,12 +6,16 @@ from foundation.compiled import allocation_free
 
 
 @allocation_free
-def opening(spool: float, deadband: float) -> float:
-    """Effective opening −1…1: zero inside the deadband, rescaled so that full spool is full opening."""
-    size = abs(spool) - deadband
+def opening(travel: float, overlap: float, slope: float) -> float:
+    """Effective opening 0…1 of an edge at spool ``travel`` 0…1: zero up to the overlap, 1 at full travel.
+
+    ``slope``: of this curve where the edge opens, over its mean; 1 makes it straight, less progressive.
+    """
+    size = travel - overlap
     if size <= 0.0:
         return 0.0
-    return math.copysign(size / (1.0 - deadband), spool)
+    share = size / (1.0 - overlap)
+    return share * (slope + (1.0 - slope) * share)
 
 
 @allocation_free
@@ -24,23 +28,54 @@ def orifice_flow(gain: float, drop: float, regularisation: float) -> float:
 
 
 @allocation_free
+def compensated_drop(drop: float, kept: float) -> float:
+    """What is left (Pa) across a metering edge of ``drop`` (Pa) from pump to load, by its compensator.
+
+    The compensator, a valve in series before the edge, keeps ``kept`` (Pa) across it as long as there is that
+    much: far above, the flow does not depend on the load; below, the valve is wide open and the edge alone
+    counts. It also is a check valve: no oil goes back.
+    """
+    if drop <= 0.0:
+        return 0.0
+    ratio = drop / kept
+    ratio *= ratio
+    return drop / math.sqrt(math.sqrt(1.0 + ratio * ratio))
+
+
+@allocation_free
 def spool_acceleration(command: float, spool: float, rate: float, natural: float, damping: float) -> float:
     """Second-order spool, ẍ = ω²(u − x) − 2ζω ẋ (1/s²)."""
     return natural * natural * (command - spool) - 2.0 * damping * natural * rate
 
 
 @allocation_free
-def slew_limited(previous: float, target: float, limit: float, h: float) -> tuple[float, float]:
-    """The drive's command after ``h`` seconds on its way to ``target``, and its mean over that time.
-
-    The electronics ramp at ``limit`` (1/s). A ramp may end inside the step: the mean carries its exact
-    impulse, so that the spool's response does not depend on the step size to first order.
-    """
+def _ramped(previous: float, target: float, limit: float, h: float) -> tuple[float, float]:
+    """The command after ``h`` seconds at ``limit`` (1/s) towards ``target``, and its mean until then."""
     way = target - previous
     if abs(way) >= limit * h:
         ramp = math.copysign(limit * h, way)
         return previous + ramp, previous + 0.5 * ramp
     return target, target - 0.5 * way * abs(way) / (limit * h)
+
+
+@allocation_free
+def slew_limited(previous: float, target: float, out: float, back: float, h: float) -> tuple[float, float]:
+    """The spool's command after ``h`` seconds on its way to ``target``, and its mean over that time.
+
+    It ramps at ``out`` (1/s) away from the centre, at ``back`` towards it. A ramp may end or pass the centre
+    inside the step: the mean carries its exact impulse, so that the spool's response does not depend on the
+    step size to first order.
+    """
+    if out == back:
+        return _ramped(previous, target, out, h)
+    if previous * target >= 0.0:
+        return _ramped(previous, target, out if abs(target) > abs(previous) else back, h)
+    until_centre = abs(previous) / back
+    if until_centre >= h:
+        return _ramped(previous, target, back, h)
+    left = h - until_centre
+    reached, mean = _ramped(0.0, target, out, left)
+    return reached, (0.5 * previous * until_centre + mean * left) / h
 
 
 @allocation_free

@@ -15,7 +15,7 @@ import typer
 from numpy.typing import NDArray
 from rich.table import Table
 
-from plant_emulator.config.plant import BAR
+from plant_emulator.config.units import BAR
 from plant_emulator.core import columns as col
 from plant_emulator.core.layout import N_COORDINATES, RATE
 from plant_emulator.core.model import put_payload

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from plant_emulator.config.valves import JOINT_NAMES
 from protocol.datagram_layout import Kind
 from protocol.errors import LinkLost
 from protocol.faults import CommandCode, FaultCode, GroupState
@@ -138,7 +139,8 @@ def _watched(stream: CutStream, cut: str) -> dict[str, Any]:
         world.to_controller = lambda datagrams: []
     elif cut == "bye":
         world.link.disconnect()
-    deadband = world.settings.plant.valves.deadband
+    valves = world.settings.plant.valves
+    shut = min(min(valves.of(name, 1.0).deadband) for name in JOINT_NAMES)
     command_ms = flow_ms = 0.0
     resumed = False
     while world.time_ns - reached_ns < _WATCHED_S * 1e9:
@@ -152,7 +154,7 @@ def _watched(stream: CutStream, cut: str) -> dict[str, Any]:
         if np.any(truth.valves):
             command_ms = until_ms
             resumed |= before_ms > COMMAND_MS
-        if max(opening, float(np.abs(truth.spools).max())) > deadband:
+        if max(opening, float(np.abs(truth.spools).max())) > shut:
             flow_ms = until_ms
     state = world.states[-1]
     said = [event["what"] for event in world.log.events if event["event"] == "controller"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import Field, TypeAdapter, ValidationError
 
-from plant_emulator.config.plant import BAR
+from plant_emulator.config.units import BAR
 from plant_emulator.core import columns as col
 from plant_emulator.core.faults.kinds import (
     FAULTS,

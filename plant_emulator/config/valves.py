@@ -1,0 +1,229 @@
+"""Configuration of the valves: what all six share, what differs from joint to joint, and what holds loads."""
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from foundation.configuration import StrictModel
+from plant_emulator.config.structure import Positive
+
+JointName = Literal["slew", "lift", "tilt", "wrist1", "wrist2", "wrist3"]
+
+JOINT_NAMES: tuple[JointName, ...] = ("slew", "lift", "tilt", "wrist1", "wrist2", "wrist3")
+LEAST_TRAVEL = 0.5  # of the spool's way must be left to meter with
+
+Overlap = Annotated[float, Field(ge=0.0, le=0.5)]
+Slope = Annotated[float, Field(ge=0.05, le=2.0)]
+Speed = Annotated[float, Field(gt=0.0, le=1e7)]
+Flow = Annotated[float, Field(gt=0.0, le=1000.0)]
+
+
+def _spread(data: Any, keys: tuple[str, ...]) -> Any:
+    """A single number stands for each of ``keys``."""
+    if isinstance(data, int | float) and not isinstance(data, bool):
+        return dict.fromkeys(keys, data)
+    return data
+
+
+class EdgeOverlaps(StrictModel):
+    """How far the spool travels, of its full stroke, before each of its four metering edges opens.
+
+    One number stands for all four. Extending opens ``supply_a`` and ``return_b``, retracting ``supply_b``
+    and ``return_a``. Negative overlap (an open centre) is not modelled.
+    """
+
+    supply_a: Overlap | None = None
+    return_b: Overlap | None = None
+    supply_b: Overlap | None = None
+    return_a: Overlap | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_for_all(cls, data: Any) -> Any:
+        return _spread(data, ("supply_a", "return_b", "supply_b", "return_a"))
+
+
+class SlewLimits(StrictModel):
+    """How fast (1/s, of full stroke) the spool moves out of the centre, and back; one number for both."""
+
+    out: Speed | None = None
+    back: Speed | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_for_both(cls, data: Any) -> Any:
+        return _spread(data, ("out", "back"))
+
+
+class DirectionSlopes(StrictModel):
+    """The flow curve's slope where an edge opens, over its mean slope; 1 is linear, less is progressive."""
+
+    extend: Slope | None = None
+    retract: Slope | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_for_both(cls, data: Any) -> Any:
+        return _spread(data, ("extend", "retract"))
+
+
+class DirectionFlows(StrictModel):
+    """Rated flow at full spool (l/min) in each direction; where none is told, the actuator's."""
+
+    extend: Flow | None = None
+    retract: Flow | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_for_both(cls, data: Any) -> Any:
+        return _spread(data, ("extend", "retract"))
+
+
+class JointValveConfig(StrictModel):
+    """What is told of one valve; what is not told is as for all (``ValvesConfig``)."""
+
+    bandwidth_hz: Annotated[float, Field(gt=0.0, le=300.0)] | None = None
+    damping_ratio: Annotated[float, Field(gt=0.0, le=3.0)] | None = None
+    slew_limit_per_s: SlewLimits = SlewLimits()
+    delay_ms: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
+    deadband: EdgeOverlaps = EdgeOverlaps()
+    hysteresis: Annotated[float, Field(ge=0.0, le=0.5)] | None = None
+    initial_slope: DirectionSlopes = DirectionSlopes()
+    flow_l_min: DirectionFlows = DirectionFlows()
+    spool_leakage_m3_s_pa: Annotated[float, Field(ge=0.0, le=1e-11)] | None = None
+
+
+class CounterbalanceConfig(StrictModel):
+    """Load-holding valves at chamber a: they open with p_a + pilot_ratio p_b above the setting."""
+
+    lift: bool
+    tilt: bool
+    setting_bar: Positive
+    pilot_ratio: Annotated[float, Field(ge=1.0, le=20.0)]
+    range_bar: Positive
+
+
+Joints = dict[JointName, JointValveConfig | None]
+
+
+def _told(
+    own: JointValveConfig,
+    common: Mapping[str, Any],
+    key: str,
+    part: str | None = None,
+    otherwise: float = math.nan,
+) -> float:
+    """What a joint's ``own`` entry says of ``key`` (of its ``part``), else what is ``common`` to all six."""
+    for value in (getattr(own, key), common[key]):
+        number = value if part is None else getattr(value, part)
+        if number is not None:
+            return float(number)
+    return otherwise
+
+
+class Valve(NamedTuple):
+    """One joint's valve, complete. Edges in the order supply_a, return_b, supply_b, return_a."""
+
+    bandwidth_hz: float
+    damping_ratio: float
+    slew_out_per_s: float
+    slew_back_per_s: float
+    delay_ms: float
+    deadband: tuple[float, float, float, float]
+    hysteresis: float
+    slope_extend: float
+    slope_retract: float
+    flow_extend_l_min: float
+    flow_retract_l_min: float
+    spool_leakage_m3_s_pa: float
+
+    def edge_flows_l_min(self) -> tuple[float, float, float, float]:
+        """Rated flow (l/min) of each metering edge, fully open."""
+        out, back = self.flow_extend_l_min, self.flow_retract_l_min
+        return out, out, back, back
+
+
+class ValvesConfig(StrictModel):
+    """A set of six valves: what holds for all, and under ``joints`` what differs.
+
+    ``compensator_bar``: what the pressure compensators before the metering edges keep across them, so that
+    flow does not depend on the load; 0 without them. Rated flows hold at ``rated_drop_bar`` across an edge,
+    or at the compensators' pressure. ``hysteresis``: width of the loop, command to spool, of full stroke.
+    """
+
+    rated_drop_bar: Positive
+    compensator_bar: Annotated[float, Field(ge=0.0, le=50.0)] = 0.0
+    bandwidth_hz: Annotated[float, Field(gt=0.0, le=300.0)]
+    damping_ratio: Annotated[float, Field(gt=0.0, le=3.0)]
+    slew_limit_per_s: SlewLimits
+    delay_ms: Annotated[float, Field(ge=0.0, le=100.0)]
+    deadband: EdgeOverlaps
+    hysteresis: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
+    initial_slope: DirectionSlopes = DirectionSlopes(extend=1.0, retract=1.0)
+    flow_l_min: DirectionFlows = DirectionFlows()
+    spool_leakage_m3_s_pa: Annotated[float, Field(ge=0.0, le=1e-11)] = 0.0
+    regularisation_bar: Annotated[float, Field(ge=0.1, le=20.0)]
+    counterbalance: CounterbalanceConfig
+    joints: Joints = Field(default_factory=dict, validate_default=True)
+
+    @field_validator("slew_limit_per_s", "deadband", "initial_slope")
+    @classmethod
+    def _is_complete(cls, value: StrictModel) -> StrictModel:
+        missing = [name for name, part in value if part is None]
+        if missing:
+            raise ValueError(f"a number is wanted for {', '.join(missing)} too, or one number for all")
+        return value
+
+    @field_validator("joints")
+    @classmethod
+    def _leaves_travel(cls, value: Joints, info: ValidationInfo) -> Joints:
+        if not {"deadband", "hysteresis"} <= info.data.keys():
+            return value
+        for name in JOINT_NAMES:
+            own = value.get(name) or JointValveConfig()
+            loop = _told(own, info.data, "hysteresis")
+            overlap = max(_told(own, info.data, "deadband", edge) for edge in EdgeOverlaps.model_fields)
+            if overlap + 0.5 * loop > 1.0 - LEAST_TRAVEL:
+                raise ValueError(
+                    f"{name}: an overlap of {overlap:g} and half a hysteresis of {loop:g} must not take more "
+                    f"than {1.0 - LEAST_TRAVEL:g} of the spool's travel: little would be left to meter with"
+                )
+        return value
+
+    def edge_drops_bar(self) -> tuple[float, float, float, float]:
+        """The pressure drop (bar) that each edge's rated flow stands for under the law K √Δp.
+
+        Behind a compensator the regularised law, which stays a little below the root, meets the rated flow.
+        """
+        rated, kept, soft = self.rated_drop_bar, self.compensator_bar, self.regularisation_bar
+        metered = kept * kept / math.sqrt(kept * kept + soft * soft) if kept > 0.0 else rated
+        return metered, rated, metered, rated
+
+    def of(self, name: JointName, rated_flow_l_min: float) -> Valve:
+        """The valve of joint ``name``, whose actuator is rated at ``rated_flow_l_min``."""
+        own = self.joints.get(name) or JointValveConfig()
+
+        def told(key: str, part: str | None = None, otherwise: float = math.nan) -> float:
+            return _told(own, dict(self), key, part, otherwise)
+
+        return Valve(
+            bandwidth_hz=told("bandwidth_hz"),
+            damping_ratio=told("damping_ratio"),
+            slew_out_per_s=told("slew_limit_per_s", "out"),
+            slew_back_per_s=told("slew_limit_per_s", "back"),
+            delay_ms=told("delay_ms"),
+            deadband=(
+                told("deadband", "supply_a"),
+                told("deadband", "return_b"),
+                told("deadband", "supply_b"),
+                told("deadband", "return_a"),
+            ),
+            hysteresis=told("hysteresis"),
+            slope_extend=told("initial_slope", "extend"),
+            slope_retract=told("initial_slope", "retract"),
+            flow_extend_l_min=told("flow_l_min", "extend", rated_flow_l_min),
+            flow_retract_l_min=told("flow_l_min", "retract", rated_flow_l_min),
+            spool_leakage_m3_s_pa=told("spool_leakage_m3_s_pa"),
+        )

@@ -1,0 +1,124 @@
+"""One key chooses the valves of either arm; every number of theirs can be set, and nonsense is refused."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from foundation.configuration import load, parse_overrides
+from plant_emulator.config.plant import PlantConfig
+from plant_emulator.core import columns as col
+from plant_emulator.core.model import build_model
+from plant_emulator.core.plant import Plant
+from protocol.errors import ConfigurationError
+from tests.plant_emulator.plant_world import Driver, plant_config
+from tests.support.paths import CONFIGS
+
+ARMS = ("plant.yaml", "plant_long_crane.yaml")
+EDGES = slice(col.A_DEADBAND, col.A_DEADBAND + len(col.EDGES))
+
+
+def _set(*assignments: str, arm: str = "plant.yaml") -> PlantConfig:
+    """The arm's file under ``--set`` assignments, as every command reads it."""
+    return load(PlantConfig, CONFIGS / Path(arm), parse_overrides(assignments).get("plant", {}))
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_one_key_fits_either_arm_with_mobile_valves(arm: str) -> None:
+    config = _set("plant.valve_set=mobile", arm=arm)
+    assert config.valves.compensator_bar > 0.0
+    assert config.valves.counterbalance.lift
+    table = build_model(config)[0].actuators
+    overlaps = table[:, EDGES]
+    assert overlaps.min() >= 0.05
+    assert overlaps.max() <= 0.12
+    assert len(np.unique(overlaps)) > 6  # no two spools are alike
+    plant = Plant(config, seed=1)
+    at_rest = plant.truth().q
+    driver = Driver(plant)
+    driver.run(0.5)
+    assert np.abs(plant.truth().q - at_rest).max() < 1e-3  # the start is an equilibrium with this set too
+    for opening, way in ((0.4, 1.0), (-0.4, -1.0)):
+        before = plant.truth().q
+        driver.run(1.5, (opening, opening, opening, opening, opening, opening))
+        assert ((plant.truth().q - before) * way > 0.01).all()
+        driver.run(0.5)
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_servo_valves_are_in_force_unless_asked_otherwise(arm: str) -> None:
+    config = _set(arm=arm)
+    assert config.valves == config.valve_sets["servo"]
+
+
+def test_a_number_laid_over_holds_for_whichever_set_is_in_force() -> None:
+    for name in ("servo", "mobile"):
+        config = _set(f"plant.valve_set={name}", "plant.valves.joints.lift.deadband.supply_b=0.111")
+        table = build_model(config)[0].actuators
+        assert table[1, col.A_DEADBAND + col.EDGES.index("supply_b")] == 0.111
+        assert (table[:, EDGES] == 0.111).sum() == 1
+    assert (build_model(_set("plant.valves.deadband=0.03"))[0].actuators[:, EDGES] == 0.03).all()
+    mobile = _set("plant.valve_set=mobile", "plant.valves.joints.lift=null")
+    assert mobile.valves.of("lift", 100.0).flow_extend_l_min == 100.0
+    assert mobile.valves.of("lift", 100.0).hysteresis == mobile.valves.hysteresis
+
+
+def test_a_set_that_came_out_of_a_configuration_goes_in_again() -> None:
+    config = _set("plant.valve_set=mobile", "plant.valves.hysteresis=0.06")
+    again = PlantConfig.model_validate(config.model_dump())
+    assert again == config
+
+
+@pytest.mark.parametrize(
+    ("changes", "parts"),
+    [
+        ({"valve_set": "mobil"}, ["valve_set", "'mobil'", "one of valve_sets: servo, mobile"]),
+        ({"valve_set": ["mobile"]}, ["valve_set", "string"]),
+        (
+            {"valves": {"deadband": -0.01}},
+            ["valves.deadband.supply_a", "-0.01", "greater than or equal to 0"],
+        ),
+        ({"valves": {"deadband": {"supply_a": 0.1}}}, ["valves.deadband", "return_b, supply_b, return_a"]),
+        ({"valves": {"deadband": {"supply_c": 0.1}}}, ["valves.deadband.supply_c", "not permitted"]),
+        ({"valves": {"deadband": True}}, ["valves.deadband"]),
+        ({"valves": {"joints": {"boom": {"hysteresis": 0.1}}}}, ["valves.joints.boom", "'slew'"]),
+        (
+            {"valves": {"joints": {"tilt": {"deadband": {"return_a": 0.4}, "hysteresis": 0.3}}}},
+            ["valves.joints", "tilt", "0.4", "0.3", "0.5", "little would be left"],
+        ),
+        ({"valves": {"hysteresis": 1.2}}, ["valves.hysteresis", "1.2", "0.5"]),
+        (
+            {"valves": {"slew_limit_per_s": {"out": 0.0, "back": 1.0}}},
+            ["slew_limit_per_s.out", "greater than 0"],
+        ),
+        ({"valves": {"initial_slope": 2.5}}, ["initial_slope.extend", "2.5", "2"]),
+        (
+            {"valves": {"delay_ms": 100.0}},
+            ["valves", "delay_ms = 100", "slew", "watchdog_ms = 100", "old commands"],
+        ),
+        (
+            {"valves": {"compensator_bar": 49.0}, "pump": {"pressure_bar": 55.0}},
+            ["pump", "compensator_bar = 49"],
+        ),
+        (
+            {"valves": {"counterbalance": {"lift": True, "setting_bar": 200.0}}},
+            ["protection", "relief_bar = 230", "setting_bar = 200", "a load alone"],
+        ),
+        (
+            {"valve_set": "mobile", "valves": {"counterbalance": {"range_bar": 1.0}}},
+            ["step_ms", "counterbalance.range_bar = 1 at", "diverge"],
+        ),
+        (
+            {"valve_set": "mobile", "valves": {"joints": {"wrist2": {"flow_l_min": 60.0}}}},
+            ["step_ms", "actuators.wrist2.dead_volume_a_l", "diverge"],
+        ),
+    ],
+)
+def test_refused_with_key_value_limit_and_reason(changes: dict[str, Any], parts: list[str]) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        plant_config(**changes)
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in parts:
+        assert part in message
