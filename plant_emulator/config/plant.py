@@ -9,7 +9,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from foundation.configuration import StrictModel, merged
 from plant_emulator.config.actuators import ActuatorsConfig
 from plant_emulator.config.oil import OilConfig, ProtectionConfig, PumpConfig
-from plant_emulator.config.step_limits import Circuit, shortest
+from plant_emulator.config.step_limits import StiffParts, shortest
 from plant_emulator.config.structure import (
     FlexibilityConfig,
     GeometryConfig,
@@ -193,7 +193,7 @@ class PlantConfig(StrictModel):
         if not {"actuators", "valves", "protection", "oil", "pump"} <= known.keys():
             return value  # the fault that hides them is reported instead
         parts = (known["actuators"], known["valves"], known["protection"], known["oil"], known["pump"])
-        limit, reason = shortest(Circuit(*parts))
+        limit, reason = shortest(StiffParts(*parts))
         if value > limit * 1e3:
             raise ValueError(f"must not exceed {limit * 1e3:.3f}: {reason} would make Runge-Kutta diverge")
         return value

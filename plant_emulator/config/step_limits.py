@@ -10,7 +10,7 @@ from plant_emulator.config.units import BAR, LITRE, LITRE_PER_MINUTE, RUNGE_KUTT
 from plant_emulator.config.valves import JOINT_NAMES, JointName, ValvesConfig
 
 
-class Circuit(NamedTuple):
+class StiffParts(NamedTuple):
     """What the limits follow from."""
 
     actuators: ActuatorsConfig
@@ -20,29 +20,29 @@ class Circuit(NamedTuple):
     pump: PumpConfig
 
 
-class Limit(NamedTuple):
+class StepLimit(NamedTuple):
     """The longest stable step (s) that a part allows, and the part."""
 
     step_s: float
     reason: str
 
 
-def shortest(circuit: Circuit) -> Limit:
+def shortest(circuit: StiffParts) -> StepLimit:
     """The limit of the part that allows the shortest step."""
     return min(_limits(circuit))
 
 
-def _limits(circuit: Circuit) -> Iterator[Limit]:
+def _limits(circuit: StiffParts) -> Iterator[StepLimit]:
     """Open regularised orifices let a chamber decay at β K / (V √δ), bristles relax at σ0 v / F_c."""
     for name, actuator in zip(JOINT_NAMES, circuit.actuators.in_order(), strict=True):
         yield from _of_actuator(circuit, name, actuator)
     pump, modulus = circuit.pump, circuit.oil.bulk_modulus_mpa * 1e6
     most = pump.flow_limit_l_min * LITRE_PER_MINUTE
     rate = modulus * 2.0 * most / (pump.droop_bar * BAR) / (pump.line_volume_l * LITRE)
-    yield Limit(RUNGE_KUTTA_REACH / rate, f"pump.droop_bar = {pump.droop_bar:g}")
+    yield StepLimit(RUNGE_KUTTA_REACH / rate, f"pump.droop_bar = {pump.droop_bar:g}")
 
 
-def _of_actuator(circuit: Circuit, name: JointName, actuator: ActuatorConfig) -> Iterator[Limit]:
+def _of_actuator(circuit: StiffParts, name: JointName, actuator: ActuatorConfig) -> Iterator[StepLimit]:
     """Edges, check valves, relief, counterbalance, bristles and spool of one actuator."""
     _, valves, guard, oil, pump = circuit
     soft, modulus = math.sqrt(valves.regularisation_bar * BAR), oil.bulk_modulus_mpa * 1e6
@@ -52,20 +52,20 @@ def _of_actuator(circuit: Circuit, name: JointName, actuator: ActuatorConfig) ->
     for key, supply, back in (("dead_volume_a_l", 0, 3), ("dead_volume_b_l", 2, 1)):
         volume = getattr(actuator, key) * LITRE
         rate = modulus * (max(gains[supply], gains[back]) + check) / (volume * soft)
-        yield Limit(RUNGE_KUTTA_REACH / rate, f"actuators.{name}.{key} = {getattr(actuator, key):g}")
+        yield StepLimit(RUNGE_KUTTA_REACH / rate, f"actuators.{name}.{key} = {getattr(actuator, key):g}")
         rate = modulus * flow / (guard.relief_override_bar * BAR) / volume
-        yield Limit(RUNGE_KUTTA_REACH / rate, f"protection.relief_override_bar at actuators.{name}")
+        yield StepLimit(RUNGE_KUTTA_REACH / rate, f"protection.relief_override_bar at actuators.{name}")
     hold = valves.counterbalance
     if (name == "lift" and hold.lift) or (name == "tilt" and hold.tilt):
         slope = 2.0 * gains[3] * math.sqrt(guard.relief_bar * BAR) * hold.pilot_ratio / (hold.range_bar * BAR)
         rate = modulus * slope / (actuator.dead_volume_a_l * LITRE)
-        yield Limit(
+        yield StepLimit(
             RUNGE_KUTTA_REACH / rate, f"valves.counterbalance.range_bar = {hold.range_bar:g} at {name}"
         )
     rate = _bristle_rate(actuator, max(gains[1], gains[3]) if valves.compensator_bar else max(gains), pump)
-    yield Limit(RUNGE_KUTTA_REACH / max(rate, 1e-9), f"the bristle stiffness of actuators.{name}")
+    yield StepLimit(RUNGE_KUTTA_REACH / max(rate, 1e-9), f"the bristle stiffness of actuators.{name}")
     bandwidth = valves.of(name, 1.0).bandwidth_hz
-    yield Limit(
+    yield StepLimit(
         RUNGE_KUTTA_REACH / (2.0 * math.pi * bandwidth), f"valves.bandwidth_hz = {bandwidth:g} of {name}"
     )
 
