@@ -196,13 +196,19 @@ def _follow(
 
 
 @kernel
-def _raise_peaks(peaks: Array, path: Path, n: int, t: float) -> None:
-    """Raise ``peaks`` (n, 5) of segment ``n`` to speeds and accelerations of the tool at its time ``t``."""
-    v, a, omega, alpha = rates_on_segment(path, n, t)
-    peaks[n, SPEED] = max(peaks[n, SPEED], norm(v))
-    peaks[n, ACCELERATION] = max(peaks[n, ACCELERATION], norm(a))
-    peaks[n, TURN_SPEED] = max(peaks[n, TURN_SPEED], norm(omega))
-    peaks[n, TURN_ACCELERATION] = max(peaks[n, TURN_ACCELERATION], norm(alpha))
+def _raise_peaks(peaks: Array, path: Path, n: int, first: int, last: int, step: float) -> None:
+    """Raise ``peaks`` (n, 5) of segment ``n`` to the tool's at its times ``first`` … ``last`` × ``step``."""
+    for k in range(first, last + 1):
+        v, a, omega, alpha = rates_on_segment(path, n, k * step)
+        peaks[n, SPEED] = max(peaks[n, SPEED], norm(v))
+        peaks[n, ACCELERATION] = max(peaks[n, ACCELERATION], norm(a))
+        peaks[n, TURN_SPEED] = max(peaks[n, TURN_SPEED], norm(omega))
+        peaks[n, TURN_ACCELERATION] = max(peaks[n, TURN_ACCELERATION], norm(alpha))
+
+
+@kernel
+def _raise_joint_peak(peaks: Array, n: int, ratio: float) -> None:
+    peaks[n, JOINT_SPEED] = max(peaks[n, JOINT_SPEED], ratio)
 
 
 @kernel
@@ -217,13 +223,13 @@ def _joint_ratio(speeds: Array, q: Angles, before: Angles, step: float, held: fl
 
 @kernel
 def _is_short(
-    limits: PlanningLimits, arm: ArmGeometry, path: Path, n: int, t: float, q: Angles, held: float
+    limits: PlanningLimits, arm: ArmGeometry, X_BT: tuple[Triple, Quadruple], q: Angles, held: float
 ) -> tuple[bool, Angles]:
-    """Whether the step from ``q`` to time ``t`` of segment ``n`` has no obstacle that samples within it could
-    find, and the joint angles at its end."""
+    """Whether the step from ``q`` to pose ``X_BT`` has no obstacle that samples within it could find, and the
+    joint angles at its end. Joint speeds change by less than 1 % within it."""
     if _stretch(arm, q) < _BENT:
         return False, q
-    code, _, _, end, _ = _follow(limits, arm, pose_on_segment(path, n, t), q, held)
+    code, _, _, end, _ = _follow(limits, arm, X_BT, q, held)
     short = code == _ACCEPTED and _stretch(arm, end) >= _BENT and _furthest(end, q) <= _SHORT_RAD
     return short, end
 
@@ -234,17 +240,23 @@ def _obstacle_on_segment(
 ) -> tuple[int, float, float, Angles, float]:
     """The first obstacle on segment ``n``; joint angles and ``held`` at its end; raises ``peaks`` (n, 5).
 
-    No rows in ``peaks``: nobody asked for them, and short steps are not divided.
+    No rows in ``peaks``: nobody asked for them. The joint angles within short steps are not looked at.
     """
     timed = n < peaks.shape[0]
     for k in range(SAMPLES):
         parts = _PARTS if _stretch(arm, q) < _BESIDE else 1
-        if parts > 1 and not timed:
-            short, end = _is_short(limits, arm, path, n, (k + 1) * path.durations[n] / SAMPLES, q, held)
+        step = path.durations[n] / (SAMPLES * parts)
+        if parts > 1:
+            there = pose_on_segment(path, n, (k + 1) * path.durations[n] / SAMPLES)
+            short, end = _is_short(limits, arm, there, q, held)
             if short:
+                if timed:
+                    _raise_peaks(peaks, path, n, k * _PARTS + 1, (k + 1) * _PARTS, step)
+                    _raise_joint_peak(
+                        peaks, n, _joint_ratio(limits.joint_speeds, end, q, _PARTS * step, held)
+                    )
                 q, held = end, 0.0
                 continue
-        step = path.durations[n] / (SAMPLES * parts)
         for part in range(1, parts + 1):
             t = (k * parts + part) * step
             before = q
@@ -252,9 +264,8 @@ def _obstacle_on_segment(
             if code != _ACCEPTED:
                 return code, value, limit, q, held
             if timed:
-                _raise_peaks(peaks, path, n, t)
-                ratio = _joint_ratio(limits.joint_speeds, q, before, step, held)
-                peaks[n, JOINT_SPEED] = max(peaks[n, JOINT_SPEED], ratio)
+                _raise_peaks(peaks, path, n, k * parts + part, k * parts + part, step)
+                _raise_joint_peak(peaks, n, _joint_ratio(limits.joint_speeds, q, before, step, held))
             held = held + step if damped else 0.0
     _, least, _ = damped_inverse(geometric_jacobian(chain(limits.table, np.array(q))), 0.0, 0.0)
     if least < limits.singular_value_min:

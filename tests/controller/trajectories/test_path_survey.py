@@ -1,18 +1,26 @@
-"""The survey that a stream asks for: short steps are not divided, and nothing that matters is missed."""
+"""The survey: short steps are not divided, and nothing that matters is missed."""
 
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from controller.core.kinematics.denavit_hartenberg import tool_pose
+from controller.core.kinematics.inverse_kinematics import REACHED, geometry, solve
 from controller.core.kinematics.rotations import Array, quaternion_from_matrix
+from controller.core.kinematics.triples import rows
 from controller.core.references import admission
 from controller.core.settings import ScanSettings
-from controller.core.trajectories.path_survey import PlanningLimits, Survey, survey, survey_straight
-from controller.core.trajectories.paths import Path, at_rest, path_from
+from controller.core.trajectories.path_survey import (
+    JOINT_SPEED,
+    PlanningLimits,
+    Survey,
+    survey,
+    survey_straight,
+)
+from controller.core.trajectories.paths import Path, at_rest, path_from, pose_on_segment
 from protocol.faults import Reason
 from protocol.reference_messages import ReferencePath
 from tests.controller.obedient_plant import Bench
@@ -30,12 +38,12 @@ def _degrees(least: float, most: float) -> st.SearchStrategy[float]:
     return st.floats(math.radians(least), math.radians(most))
 
 
-@given(
-    boom=st.tuples(_degrees(-60, 60), _degrees(20, 70), _degrees(-100, -40)),
-    wrist=st.tuples(_degrees(-90, 90), _degrees(-30, 30), _degrees(-90, 90)),
-    turned=st.lists(_degrees(-20, 20), min_size=6, max_size=6),
-)
-def test_undivided_short_steps_find_what_divided_ones_find(
+BOOM = st.tuples(_degrees(-60, 60), _degrees(20, 70), _degrees(-100, -40))
+WRIST = st.tuples(_degrees(-90, 90), _degrees(-30, 30), _degrees(-90, 90))
+
+
+@given(boom=BOOM, wrist=WRIST, turned=st.lists(_degrees(-20, 20), min_size=6, max_size=6))
+def test_with_peaks_and_without_the_survey_finds_the_same(
     settings: ScanSettings,
     boom: tuple[float, float, float],
     wrist: tuple[float, float, float],
@@ -44,11 +52,42 @@ def test_undivided_short_steps_find_what_divided_ones_find(
     limits = settings.planning
     q = np.array([*boom, *wrist])
     path = _straight(limits, q, np.array(turned))
-    divided = survey(limits, path, q)
+    found = survey(limits, path, q)
     start, end = path.sample(0.0)[0], path.sample(1.0)[0]
     reason, *numbers = survey_straight(limits, start.p, start.quaternion, (end.p, end.quaternion), q)
-    assert reason is divided.reason
-    assert numbers == pytest.approx(divided[1:3], abs=1e-9)
+    assert reason is found.reason
+    assert numbers == pytest.approx(found[1:3], abs=1e-9)
+
+
+@given(
+    boom=BOOM,
+    wrist=st.tuples(_degrees(-40, 40), _degrees(8, 30), _degrees(-60, 60)),
+    turned=st.tuples(*(_degrees(-most, most) for most in (10, 5, 5, 40, 3, 40))),
+)
+def test_undivided_short_steps_hide_neither_obstacles_nor_joint_speeds(
+    settings: ScanSettings,
+    boom: tuple[float, float, float],
+    wrist: tuple[float, float, float],
+    turned: tuple[float, ...],
+) -> None:
+    """Against angles at 1,200 instants, where the wrist is bent enough to be servoed exactly."""
+    limits = settings.planning
+    q = np.array([*boom, *wrist])
+    path = _straight(limits, q, np.array(turned))
+    found = survey(limits, path, q)
+    assume(found.reason is Reason.ACCEPTED)
+    arm, last, count = geometry(limits.table), tuple(q.tolist()), 1_200
+    most = 0.0
+    for k in range(1, count + 1):
+        p, quaternion = pose_on_segment(path, 0, k / count)
+        verdict, angles, _, _ = solve(arm, rows(quaternion), p, last)
+        assume(abs(math.sin(angles[4] + arm.offsets[4])) > math.sin(math.radians(4.6)))
+        assert verdict == REACHED
+        steps = np.abs(np.array(angles) - last)
+        assert steps.max() < 0.05, "a flip between two samples"
+        most = max(most, float((count * steps / limits.joint_speeds).max()))
+        last = angles
+    assert found.peaks[0, JOINT_SPEED] >= 0.99 * most - 1e-6
 
 
 def test_a_path_from_a_moving_state_is_surveyed_whole_no_more_than_twice(
