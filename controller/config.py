@@ -116,6 +116,43 @@ class SupervisionConfig(StrictModel):
         return self
 
 
+class ExcitationConfig(StrictModel):
+    """What the valves are tried out with in the start-up mode ``enabled``, joint by joint in this order.
+
+    ``travel_deg``: of one stroke; ``top_speed_deg_s``: of a ramp. Rates of the spool, a share of the full one
+    a second. ``moved_mrad``: what counts as motion; ``others_mrad``: what another joint may move meanwhile.
+    """
+
+    enabled: bool
+    joints: tuple[Annotated[int, Field(ge=0, le=5)], ...] = Field(min_length=1, max_length=6)
+    travel_deg: Sextuple
+    top_speed_deg_s: Sextuple
+    ramps: int = Field(ge=2, le=10)
+    search_rate_1_s: float = Field(gt=0.0, le=0.1)
+    ramp_rate_1_s: float = Field(gt=0.0, le=0.1)
+    spool_max: float = Field(gt=0.0, le=0.5)
+    moved_mrad: float = Field(ge=0.2, le=10.0)
+    start_below: float = Field(ge=0.0, le=0.1)
+    rest_ms: float = Field(ge=100.0, le=10_000.0)
+    patience_s: float = Field(ge=1.0, le=120.0)
+    step_s: float = Field(ge=0.5, le=10.0)
+    stroke_s: float = Field(ge=5.0, le=120.0)
+    pressure_bar: float = Field(gt=0.0, le=655.0)
+    others_mrad: float = Field(gt=0.0, le=100.0)
+
+    @model_validator(mode="after")
+    def _small(self) -> Self:
+        if len(set(self.joints)) != len(self.joints):
+            raise ValueError(f"joints: {self.joints} names a joint twice")
+        for name, values, most in (
+            ("travel_deg", self.travel_deg, 15.0),
+            ("top_speed_deg_s", self.top_speed_deg_s, 15.0),
+        ):
+            if not all(0.5 <= value <= most for value in values):
+                raise ValueError(f"{name}: {values} must lie in 0.5…{most:g}: commissioning moves little")
+        return self
+
+
 class PlantLinkConfig(StrictModel):
     """Where the plant's Modbus TCP face is, and how long one exchange may take."""
 
@@ -155,6 +192,7 @@ class ControllerConfig(StrictModel):
     streaming: StreamingConfig
     settled: SettledConfig
     supervision: SupervisionConfig
+    excitation: ExcitationConfig
     plant_link: PlantLinkConfig
     reference_link: ReferenceLinkConfig
     flight_recorder_scans: int = Field(ge=1, le=100_000)

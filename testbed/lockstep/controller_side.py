@@ -1,5 +1,11 @@
 """The controller's programs in simulated time: the server session and the scan, on the controller's clock."""
 
+from controller.core.excitation.plan import excitation_plan
+from controller.core.excitation.program import (
+    ExcitationProgram,
+    ExcitationSample,
+    excitation_scan,
+)
 from controller.core.inbox import Inbox
 from controller.core.scan import scan
 from controller.core.scan_types import ScanInput, ScanOutput, initial_state
@@ -15,13 +21,19 @@ _VISION = "vision"
 
 
 class ControllerSide:
-    """The controller's programs: the server session and the scan, on the controller's clock."""
+    """The controller's programs: the server session and the scan, on the controller's clock.
+
+    In the excitation mode ``excitation`` is its state, and ``samples`` all that it recorded.
+    """
 
     def __init__(self, settings: Settings, seed: int) -> None:
         config = settings.controller
         self.cycle_ns = round(1e6 * config.cycle_ms)
         self._settings = settings_from(settings.arm, config)
         self._state = initial_state(self._settings)
+        self.plan = excitation_plan(settings.arm, config)
+        self.excitation = ExcitationProgram(self._state)
+        self.samples: list[ExcitationSample] = []
         self._inbox = Inbox()
         self._server = ReferenceServer(
             boot_id=seed + 1,
@@ -44,9 +56,7 @@ class ControllerSide:
         for answer in self._inbox.put(events):
             self._server.acknowledge(answer, now_ns)
         requests, alive = self._inbox.take(self._server.link_alive(now_ns))
-        self._state, output = scan(
-            self._settings,
-            self._state,
+        output = self._scanned(
             ScanInput(
                 now_ns=now_ns,
                 sensed_ns=now_ns,
@@ -55,7 +65,7 @@ class ControllerSide:
                 requests=requests,
                 reference_link_alive=alive,
                 streamed=self._inbox.take_streamed(),
-            ),
+            )
         )
         for acknowledgement in output.acknowledgements:
             self._server.acknowledge(acknowledgement, now_ns)
@@ -64,6 +74,15 @@ class ControllerSide:
         self._server.publish(self._state_message(output), now_ns)
         self.valve_words = encode_valves(output.valves)
         return output, [data for data, _ in self._server.outgoing(now_ns)]
+
+    def _scanned(self, inputs: ScanInput) -> ScanOutput:
+        if self.plan is None:
+            self._state, output = scan(self._settings, self._state, inputs)
+            return output
+        self.excitation, output, sample = excitation_scan(self._settings, self.plan, self.excitation, inputs)
+        if sample is not None:
+            self.samples.append(sample)
+        return output
 
     def _state_message(self, output: ScanOutput) -> State:
         """The state to publish: here no cycle is ever late."""

@@ -35,11 +35,11 @@ Wire = Callable[[list[bytes]], list[bytes]]
 class World:
     """The physical world, the controller, and vision's end of the reference link.
 
-    ``clock`` alone lets time pass, a controller cycle at a time. ``link`` is the shipped client of the
-    reference link, and ``states`` all that it received. ``camera`` exposes at its own rate.
-    ``to_controller`` and
-    ``to_vision`` turn the datagrams sent in a cycle into those that arrive in it: a wire that loses, repeats
-    or reorders. They are sent and arrive ``lead_ns``, less than a cycle, before its scan.
+    ``clock`` alone lets time pass, a controller cycle at a time. ``controller`` is the controller's end of
+    the reference link, ``link`` the shipped client, ``states`` all that it received. ``camera`` exposes at
+    its own rate. ``to_controller`` and ``to_vision`` turn the datagrams sent in a cycle into those that
+    arrive in it: a wire that loses, repeats or reorders. They are sent and arrive ``lead_ns``, less than a
+    cycle, before its scan.
     """
 
     def __init__(self, settings: Settings, seed: int, log: RunLog) -> None:
@@ -52,7 +52,7 @@ class World:
         self.to_controller: Wire = list
         self.to_vision: Wire = list
         self._fault_changes_told = 0
-        self._controller = ControllerSide(settings, seed)
+        self.controller = ControllerSide(settings, seed)
         self._time_ns = 0
         self.clock = LockstepClock(self)
         self.open_link(nonce=seed + 1)
@@ -101,18 +101,18 @@ class World:
         datagrams = self.to_controller(self.link.outgoing(self.vision_ns - self.lead_ns))
         sensor_words = self._exchanged()
         scan_ns = self._time_ns + CONTROLLER_CLOCK_NS
-        output, replies = self._controller.cycle(sensor_words, datagrams, scan_ns - self.lead_ns, scan_ns)
+        output, replies = self.controller.cycle(sensor_words, datagrams, scan_ns - self.lead_ns, scan_ns)
         for event in output.events:
             self.log.add(self._time_ns, "controller", what=event)
         for data in self.to_vision(replies):
             self.link.receive(data)
-        self._pass_time(self._time_ns + self._controller.cycle_ns)
+        self._pass_time(self._time_ns + self.controller.cycle_ns)
 
     def _exchanged(self) -> list[int] | None:
         """The plant's sensor words, after it was given the controller's valves; None while it is silent."""
         if self.plant.faults.of_kind(CouplerSilent):
             return None
-        self.plant.write(decode_valves(self._controller.valve_words))
+        self.plant.write(decode_valves(self.controller.valve_words))
         return encode_sensors(self.plant.read())
 
     def _pass_time(self, until_ns: int) -> None:

@@ -1,0 +1,118 @@
+"""What is excited, in which order, and inside which limits; plain data."""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from controller.config import ControllerConfig
+from controller.core.kinematics.rotations import Array
+from nominal_arm.description import NominalArm
+
+N_JOINTS = 6
+
+
+class StrokeKind(IntEnum):
+    """How the valve of one joint is opened: until it moves, by a slow triangle, or at once."""
+
+    SEARCH = 0
+    RAMP = 1
+    STEP = 2
+
+
+class Stroke(NamedTuple):
+    """One excitation of one joint, at the end of which its valve is centred.
+
+    ``outward``: away from where the joint stood at first, or back there. ``speed`` (rad/s): at the top of a
+    ramp, or wanted of a step; 0 for a search. ``pace``: of a ramp, in units of the plan's rate.
+    """
+
+    joint: int
+    kind: StrokeKind
+    outward: bool
+    speed: float
+    pace: float = 1.0
+
+
+class ExcitationLimits(NamedTuple):
+    """What bounds every excitation; arrays are (6,), SI and radians, spools as shares of the full one.
+
+    ``travel``: of one stroke. ``top_speed``: at the top of a ramp; ``speed_limit``, ``joint_range`` (2, 6):
+    at which the excitation ends. ``search_rate``, ``ramp_rate`` (1/s): of the spool. ``moved`` (rad): what
+    counts as motion. ``start_below``: how far below the spool that moved the joint a ramp begins.
+    ``rest_s``: at rest between strokes, within ``patience_s``; ``step_s``: a step at most. ``pressure_bar``:
+    in any chamber. ``others`` (rad): what another joint may move.
+    """
+
+    travel: Array
+    top_speed: Array
+    speed_limit: Array
+    joint_range: Array
+    search_rate: float
+    ramp_rate: float
+    spool_max: float
+    moved: float
+    start_below: float
+    rest_s: float
+    patience_s: float
+    step_s: float
+    stroke_s: float
+    pressure_bar: float
+    others: float
+
+
+class ExcitationPlan(NamedTuple):
+    """Limits, and the strokes in order. No stroke: nothing is excited."""
+
+    limits: ExcitationLimits
+    strokes: tuple[Stroke, ...]
+
+
+_FIRST_SHARE = 0.4  # of the ramps' top speed
+_PACES = (1.0, 2.0)
+_STEP_SHARES = (0.35, 0.7, 1.0)  # of the ramp's top speed
+
+
+def strokes_of(joints: tuple[int, ...], top_speed: Array, ramps: int) -> tuple[Stroke, ...]:
+    """The strokes for ``joints``: a search, triangles and three steps, each out and back.
+
+    A first, slow triangle shows how far the spool's hysteresis reaches; ``ramps`` full ones follow, every
+    other one at twice the pace: what grows with the pace is lag, the rest of the loop is hysteresis.
+    """
+    found: list[Stroke] = []
+    for joint in joints:
+        speed = float(top_speed[joint])
+        shapes = [(StrokeKind.SEARCH, 0.0, 1.0), (StrokeKind.RAMP, _FIRST_SHARE * speed, 1.0)]
+        shapes += [(StrokeKind.RAMP, speed, _PACES[k % 2]) for k in range(ramps)]
+        shapes += [(StrokeKind.STEP, share * speed, 1.0) for share in _STEP_SHARES]
+        found += [Stroke(joint, kind, out, v, pace) for kind, v, pace in shapes for out in (True, False)]
+    return tuple(found)
+
+
+def excitation_plan(arm: NominalArm, config: ControllerConfig) -> ExcitationPlan | None:
+    """What ``config`` says of trying out valves; None unless it is enabled."""
+    chosen = config.excitation
+    if not chosen.enabled:
+        return None
+    top_speed = np.radians(chosen.top_speed_deg_s)
+    margin = config.motion.joint_margin_deg
+    limits = ExcitationLimits(
+        travel=np.radians(chosen.travel_deg),
+        top_speed=top_speed,
+        speed_limit=np.radians([joint.speed_deg_s for joint in arm.joints]),
+        joint_range=np.radians(
+            [[j.lower_deg + margin for j in arm.joints], [j.upper_deg - margin for j in arm.joints]]
+        ),
+        search_rate=chosen.search_rate_1_s,
+        ramp_rate=chosen.ramp_rate_1_s,
+        spool_max=chosen.spool_max,
+        moved=chosen.moved_mrad * 1e-3,
+        start_below=chosen.start_below,
+        rest_s=chosen.rest_ms * 1e-3,
+        patience_s=chosen.patience_s,
+        step_s=chosen.step_s,
+        stroke_s=chosen.stroke_s,
+        pressure_bar=chosen.pressure_bar,
+        others=chosen.others_mrad * 1e-3,
+    )
+    return ExcitationPlan(limits, strokes_of(chosen.joints, top_speed, chosen.ramps))

@@ -1,0 +1,322 @@
+"""Excitation of one joint after the other: slow ramps and steps of the spool, each ended by what moves.
+
+A state machine of the kind that runs in a PLC: nothing is known of the valve beforehand, so every ramp ends
+when the joint has moved, is fast enough or has turned far enough. The other valves stay centred.
+"""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from controller.core.excitation.plan import (
+    N_JOINTS,
+    ExcitationLimits,
+    ExcitationPlan,
+    Stroke,
+    StrokeKind,
+)
+from controller.core.kinematics.rotations import Array
+from controller.core.servo.joint_control import pt1_step
+
+_SPEED_FILTER_S = 0.06  # an encoder's last digit is 0.2 mrad/s behind it
+_STILL_RAD_S = 1.0e-3
+_FALLEN = 0.05  # of the ramp's top speed, at which a falling ramp has done its work
+# A spool with hysteresis stands still while its command turns back: that part is passed quickly.
+_TURNING = 5.0  # times the ramp's rate
+_TURNED = 0.93  # of the speed at the top, below which the spool follows again
+_LAG_S = 0.1  # of valve and speed filter, at most that of a servo valve
+_BLOCKED_S = 1.0  # without motion under a valve that moved the joint before
+_OSCILLATIONS = 4  # reversals of the speed in one stroke
+_SWING_RAD_S = 4.0e-3  # a reversal counts from this speed on either side
+_OVER = 1.6  # of the travel asked for, at which the stroke is broken off
+
+
+class Phase(IntEnum):
+    """What the excitation does now."""
+
+    RESTING = 0
+    RISING = 1
+    TURNING = 2
+    FALLING = 3
+    HOLDING = 4
+    ENDED = 5
+
+
+class Trouble(NamedTuple):
+    """Why an excitation was broken off: cause (``commissioning.…``), joint, value and limit (SI, bar)."""
+
+    cause: str
+    joint: int
+    value: float
+    limit: float
+
+
+class Measured(NamedTuple):
+    """What one scan measures: ``q`` (6,), ``full_speed`` (6, 2) as from ``drives.full_spool_speeds``.
+
+    ``pressure_bar``: the greatest in any chamber.
+    """
+
+    q: Array
+    full_speed: Array
+    pressure_bar: float
+
+
+class Excitation(NamedTuple):
+    """Where the excitation stands. ``stroke``: index into the settings' strokes.
+
+    ``spool``: of the stroke's joint, signed. ``q_start`` (6,): where the stroke began. ``home``, ``away``:
+    where the joint stood before its first stroke, and the sense in which it has room. ``rim`` (6, 2): the
+    spool's size at which the valve begins to pass oil, raising and lowering, as far as seen; 0 before.
+    ``slack`` (6,): by how much the command surely turns back without an answer. ``top_speed``, ``top``: of
+    the running ramp, and its spool's size there.
+    """
+
+    stroke: int
+    phase: Phase
+    phase_s: float
+    stroke_s: float
+    still_s: float
+    spool: float
+    speed: Array
+    q_before: Array
+    q_start: Array
+    home: float
+    away: float
+    rim: Array
+    slack: Array
+    top_speed: float
+    top: float
+    swing: float
+    reversals: int
+
+
+def begun(q: Array, stroke: int = 0) -> Excitation:
+    """An excitation that begins with ``stroke``, the arm at ``q`` (6,)."""
+    zero = np.zeros(N_JOINTS)
+    return Excitation(
+        stroke=stroke,
+        phase=Phase.RESTING,
+        phase_s=0.0,
+        stroke_s=0.0,
+        still_s=0.0,
+        spool=0.0,
+        speed=zero,
+        q_before=q,
+        q_start=q,
+        home=0.0,
+        away=1.0,
+        rim=np.zeros((N_JOINTS, 2)),
+        slack=zero,
+        top_speed=0.0,
+        top=0.0,
+        swing=0.0,
+        reversals=0,
+    )
+
+
+def excite(
+    settings: ExcitationPlan, state: Excitation, seen: Measured, dt_s: float
+) -> tuple[Excitation, Trouble | None]:
+    """The next state, and what broke the excitation off; its ``spool`` is what to command."""
+    if state.phase is Phase.ENDED:
+        return state, None
+    limits, stroke = settings.limits, settings.strokes[state.stroke]
+    state = _observed(state, seen.q, stroke.joint, dt_s)
+    if state.phase is Phase.RESTING:
+        return _rest(settings, state, seen, dt_s)
+    trouble = broken_off(limits, stroke, state, seen)
+    if trouble is not None:
+        return ended(state), trouble
+    state = state._replace(phase_s=state.phase_s + dt_s, stroke_s=state.stroke_s + dt_s)
+    if stroke.kind is StrokeKind.SEARCH:
+        return _search(settings, state, seen, dt_s), None
+    if stroke.kind is StrokeKind.STEP:
+        return _step(settings, state, seen.q), None
+    return _ramp(settings, state, seen, dt_s), None
+
+
+def ended(state: Excitation) -> Excitation:
+    """``state`` with the valve centred for good."""
+    return state._replace(phase=Phase.ENDED, spool=0.0)
+
+
+def sense_of(state: Excitation, stroke: Stroke) -> float:
+    """The sign of the spool in ``stroke``."""
+    return state.away if stroke.outward else -state.away
+
+
+def _observed(state: Excitation, q: Array, joint: int, dt_s: float) -> Excitation:
+    keep = pt1_step(1.0, 0.0, _SPEED_FILTER_S, dt_s)
+    speed = keep * state.speed + (1.0 - keep) * (q - state.q_before) / dt_s
+    still = abs(speed[joint]) < _STILL_RAD_S
+    swing, reversals = state.swing, state.reversals
+    if abs(speed[joint]) > _SWING_RAD_S and speed[joint] * swing <= 0.0:
+        reversals += swing != 0.0
+        swing = float(np.sign(speed[joint]))
+    return state._replace(
+        speed=speed,
+        q_before=q,
+        still_s=state.still_s + dt_s if still else 0.0,
+        swing=swing,
+        reversals=reversals,
+    )
+
+
+def _rest(
+    settings: ExcitationPlan, state: Excitation, seen: Measured, dt_s: float
+) -> tuple[Excitation, Trouble | None]:
+    q, limits, stroke = seen.q, settings.limits, settings.strokes[state.stroke]
+    state = state._replace(phase_s=state.phase_s + dt_s)
+    if state.phase_s > limits.patience_s:
+        speed = abs(float(state.speed[stroke.joint]))
+        return ended(state), Trouble("commissioning.not_at_rest", stroke.joint, speed, _STILL_RAD_S)
+    if min(state.still_s, state.phase_s) < limits.rest_s:
+        return state, None
+    if stroke.kind is StrokeKind.SEARCH and stroke.outward:
+        away, trouble = _room(limits, stroke.joint, float(q[stroke.joint]))
+        if trouble is not None:
+            return ended(state), trouble
+        state = state._replace(home=float(q[stroke.joint]), away=away)
+    phase = Phase.HOLDING if stroke.kind is StrokeKind.STEP else Phase.RISING
+    sense_of(state, stroke)
+    state = state._replace(phase=phase, phase_s=0.0, stroke_s=0.0, still_s=0.0, q_start=q)
+    return state._replace(spool=_first_spool(limits, state, stroke, seen), swing=0.0, reversals=0), None
+
+
+def _first_spool(limits: ExcitationLimits, state: Excitation, stroke: Stroke, seen: Measured) -> float:
+    """A search begins at 0, a ramp below the deadband's rim, a step as far above it as its speed wants."""
+    if stroke.kind is StrokeKind.SEARCH:
+        return 0.0
+    sense = sense_of(state, stroke)
+    side = _side(sense)
+    rim = float(state.rim[stroke.joint, side])
+    if stroke.kind is StrokeKind.RAMP:
+        return sense * max(rim - limits.start_below, 0.0)
+    return sense * (rim + stroke.speed / float(seen.full_speed[stroke.joint, side]))
+
+
+def _room(limits: ExcitationLimits, joint: int, q: float) -> tuple[float, Trouble | None]:
+    """The sense in which the joint has room for its strokes."""
+    need = _OVER * float(limits.travel[joint])
+    low, high = limits.joint_range[:, joint]
+    if high - q >= need and q - low >= 0.5 * need:
+        return 1.0, None
+    if q - low >= need and high - q >= 0.5 * need:
+        return -1.0, None
+    return 1.0, Trouble("commissioning.no_room", joint, float(max(high - q, q - low)), need)
+
+
+def _side(sense: float) -> int:
+    return 0 if sense > 0.0 else 1
+
+
+def _with_rim(state: Excitation, stroke: Stroke, seen: Measured) -> Excitation:
+    """``state`` with the deadband's rim as the joint's present speed tells it, by the nominal flow."""
+    sense, joint = sense_of(state, stroke), stroke.joint
+    side = _side(sense)
+    above = sense * float(state.speed[joint]) / float(seen.full_speed[joint, side])
+    rim = state.rim.copy()
+    rim[joint, side] = max(abs(state.spool) - max(above, 0.0), 0.0)
+    return state._replace(rim=rim)
+
+
+def _wanted(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> float:
+    """How far (rad) the stroke shall turn the joint: out by the travel, back to where it stood."""
+    travel = float(limits.travel[stroke.joint])
+    if stroke.outward:
+        return travel
+    back = abs(float(state.q_start[stroke.joint]) - state.home)
+    return min(max(back, 0.3 * travel), 1.3 * travel)
+
+
+def _turned(state: Excitation, stroke: Stroke, q: Array) -> float:
+    return sense_of(state, stroke) * float(q[stroke.joint] - state.q_start[stroke.joint])
+
+
+def _done(state: Excitation, settings: ExcitationPlan) -> Excitation:
+    following = state.stroke + 1
+    phase = Phase.RESTING if following < len(settings.strokes) else Phase.ENDED
+    return state._replace(stroke=following, phase=phase, phase_s=0.0, still_s=0.0, spool=0.0)
+
+
+def _search(settings: ExcitationPlan, state: Excitation, seen: Measured, dt_s: float) -> Excitation:
+    stroke = settings.strokes[state.stroke]
+    if _turned(state, stroke, seen.q) >= settings.limits.moved:
+        return _done(_with_rim(state, stroke, seen), settings)
+    return state._replace(spool=state.spool + sense_of(state, stroke) * settings.limits.search_rate * dt_s)
+
+
+def _ramp(settings: ExcitationPlan, state: Excitation, seen: Measured, dt_s: float) -> Excitation:
+    limits, stroke = settings.limits, settings.strokes[state.stroke]
+    sense = sense_of(state, stroke)
+    turned, speed = _turned(state, stroke, seen.q), sense * float(state.speed[stroke.joint])
+    step = sense * stroke.pace * limits.ramp_rate * dt_s
+    if state.phase is Phase.RISING:
+        if speed >= stroke.speed or turned >= 0.5 * _wanted(limits, state, stroke):
+            state = _with_rim(state, stroke, seen)
+            spool = state.spool - sense * float(state.slack[stroke.joint])
+            return state._replace(
+                phase=Phase.TURNING, phase_s=0.0, top_speed=speed, top=abs(state.spool), spool=spool
+            )
+        return state._replace(spool=state.spool + step)
+    if state.phase is Phase.TURNING and speed < _TURNED * state.top_speed:
+        state = _with_slack(limits, state, stroke)
+    spool = state.spool - (_TURNING if state.phase is Phase.TURNING else 1.0) * step
+    if sense * spool <= 0.0 or (speed < _FALLEN * stroke.speed and state.still_s > 0.1):
+        return _done(state, settings)
+    return state._replace(spool=spool)
+
+
+def _with_slack(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> Excitation:
+    """``state`` on the falling ramp, with what its command had to turn back before the speed fell.
+
+    What the lag and the speed's fall itself took is left out, so that the next ramp's leap falls short.
+    """
+    sense = sense_of(state, stroke)
+    opening = max(state.top - float(state.rim[stroke.joint, _side(sense)]), 0.0)
+    quick = _TURNING * stroke.pace * limits.ramp_rate * _LAG_S + 2.0 * (1.0 - _TURNED) * opening
+    slack = state.slack.copy()
+    slack[stroke.joint] = max(state.top - abs(state.spool) - quick, 0.0)
+    return state._replace(phase=Phase.FALLING, phase_s=0.0, slack=slack)
+
+
+def _step(settings: ExcitationPlan, state: Excitation, q: Array) -> Excitation:
+    limits, stroke = settings.limits, settings.strokes[state.stroke]
+    if state.phase_s >= limits.step_s or _turned(state, stroke, q) >= _wanted(limits, state, stroke):
+        return _done(state, settings)
+    return state
+
+
+def broken_off(limits: ExcitationLimits, stroke: Stroke, state: Excitation, seen: Measured) -> Trouble | None:
+    """The first limit that the running stroke has broken; None while it is inside all of them."""
+    joint, sense = stroke.joint, sense_of(state, stroke)
+    turned, speed = _turned(state, stroke, seen.q), abs(float(state.speed[joint]))
+    far = _OVER * float(limits.travel[joint])
+    low, high = limits.joint_range[:, joint]
+    angle = float(seen.q[joint])
+    others = np.abs(seen.q - state.q_start)
+    others[joint] = 0.0
+    blocked = (
+        state.still_s > _BLOCKED_S
+        and turned > limits.moved
+        and state.phase not in (Phase.TURNING, Phase.FALLING)
+    )
+    checks = (
+        (turned < -2.0 * limits.moved, "wrong_way", turned, -2.0 * limits.moved),
+        (abs(state.spool) > limits.spool_max, "no_motion", abs(state.spool), limits.spool_max),
+        (state.stroke_s > limits.stroke_s, "too_slow", state.stroke_s, limits.stroke_s),
+        (blocked, "blocked", turned, far),
+        (state.reversals >= _OSCILLATIONS, "oscillates", float(state.reversals), float(_OSCILLATIONS)),
+        (turned > far, "too_far", turned, far),
+        (speed > limits.speed_limit[joint], "too_fast", speed, float(limits.speed_limit[joint])),
+        (sense > 0.0 and angle > high, "joint_limit", angle, float(high)),
+        (sense < 0.0 and angle < low, "joint_limit", angle, float(low)),
+        (seen.pressure_bar > limits.pressure_bar, "pressure", seen.pressure_bar, limits.pressure_bar),
+        (float(others.max()) > limits.others, "other_joint_moved", float(others.max()), limits.others),
+    )
+    for broken, cause, value, limit in checks:
+        if broken:
+            return Trouble(f"commissioning.{cause}", joint, value, limit)
+    return None

@@ -1,0 +1,144 @@
+"""What the excitation of one joint recorded, as arrays, and the strokes in it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.core.excitation.plan import Stroke, StrokeKind
+from controller.core.excitation.program import ExcitationSample
+from nominal_arm.description import CylinderDrive, NominalArm
+from protocol.errors import ConfigurationError
+
+Array = NDArray[np.float64]
+
+
+class JointRecording(NamedTuple):
+    """All scans of one joint's strokes, SI and bar.
+
+    ``t`` (n,) s; ``stroke`` (n,), from 0; ``valve`` (n,) commanded, signed; ``q`` (n, 6); ``chambers`` (n, 2)
+    bar; ``supply`` (n,) bar; ``full_speed`` (n, 2): nominal, unloaded, raising and lowering; ``kinds``,
+    ``outward``: of each stroke. ``area_ratio``: chamber b to a. ``rated`` (2,): supply and return at which
+    the nominal speeds hold, bar; ``back`` (n,): return pressure.
+    """
+
+    joint: int
+    t: Array
+    stroke: Array
+    driving: NDArray[np.bool_]
+    valve: Array
+    q: Array
+    chambers: Array
+    supply: Array
+    back: Array
+    full_speed: Array
+    kinds: Array
+    area_ratio: float
+    rated: Array
+
+    def save(self, path: Path) -> None:
+        """Write all arrays to one compressed file."""
+        np.savez_compressed(path, **{name: np.asarray(value) for name, value in self._asdict().items()})  # type: ignore[arg-type]
+
+
+def recording_of(
+    arm: NominalArm, joint: int, strokes: Sequence[Stroke], samples: Sequence[ExcitationSample]
+) -> JointRecording:
+    """The recording of ``joint`` out of all ``samples``."""
+    mine = [k for k, stroke in enumerate(strokes) if stroke.joint == joint]
+    rows = [sample for sample in samples if sample.stroke in mine]
+    drive = arm.drives[joint]
+    return JointRecording(
+        joint=joint,
+        t=1e-9 * np.array([row.time_ns - rows[0].time_ns for row in rows], dtype=np.float64),
+        stroke=np.array([row.stroke - mine[0] for row in rows], dtype=np.float64),
+        driving=np.array([row.driving for row in rows]),
+        valve=np.array([row.valve for row in rows]),
+        q=np.array([row.q for row in rows]),
+        chambers=np.array([row.pressures_bar[joint] for row in rows]),
+        supply=np.array([row.supply_bar for row in rows]),
+        back=np.array([row.return_bar for row in rows]),
+        full_speed=np.array([row.full_speed for row in rows]),
+        kinds=np.array([float(strokes[k].kind) for k in mine]),
+        area_ratio=drive.area_ratio if isinstance(drive, CylinderDrive) else 1.0,
+        rated=np.array([arm.rated.supply_bar, arm.rated.return_bar]),
+    )
+
+
+def load_recording(path: Path) -> JointRecording:
+    """The recording in ``path``. Raises ConfigurationError when it is none."""
+    try:
+        with np.load(path, allow_pickle=False) as found:
+            data = {name: found[name] for name in JointRecording._fields}
+    except (OSError, ValueError, KeyError) as error:
+        raise ConfigurationError("commissioning.bad_recording", f"{path}: {error}") from error
+    return JointRecording(**data)._replace(joint=int(data["joint"]), area_ratio=float(data["area_ratio"]))
+
+
+class StrokeRecord(NamedTuple):
+    """One stroke, along its own sense: everything positive that helps it.
+
+    ``u`` (n,): the spool's size; ``turned`` (n,) rad; ``e`` (n,) rad/s: nominal speed at full opening at the
+    measured pressures; ``load`` (n,) bar: p_a − ratio · p_b, positive against the motion; ``q`` (n,).
+    ``nominal`` (n,) rad/s: as ``e``, at the rated pressures.
+    ``top``: index of the greatest spool.
+    """
+
+    kind: StrokeKind
+    sense: float
+    t: Array
+    u: Array
+    turned: Array
+    e: Array
+    load: Array
+    q: Array
+    top: int
+    nominal: Array
+
+
+def strokes_in(recording: JointRecording, compensated: bool) -> list[StrokeRecord]:
+    """The strokes in the order in which they were driven; one that never moved the spool is left out.
+
+    ``compensated``: whether the valve's flow is independent of the load.
+    """
+    found = []
+    for k, kind in enumerate(recording.kinds):
+        rows = np.flatnonzero((recording.stroke == k) & recording.driving)
+        valve = recording.valve[rows]
+        if len(rows) < 10 or not np.any(valve):
+            continue
+        sense = float(np.sign(valve[np.argmax(np.abs(valve))]))
+        found.append(_along(recording, StrokeKind(int(kind)), rows, sense))
+    if compensated:
+        return [s._replace(e=s.nominal) for s in found]
+    return found
+
+
+def _along(rec: JointRecording, kind: StrokeKind, rows: NDArray[np.intp], sense: float) -> StrokeRecord:
+    u = sense * rec.valve[rows]
+    q = rec.q[rows, rec.joint]
+    load = rec.chambers[rows, 0] - rec.area_ratio * rec.chambers[rows, 1]
+    return StrokeRecord(
+        kind=kind,
+        sense=sense,
+        t=rec.t[rows] - rec.t[rows[0]],
+        u=u,
+        turned=sense * (q - q[0]),
+        e=_available(rec, rows, load, sense),
+        load=sense * load,
+        q=q,
+        top=int(np.argmax(u)),
+        nominal=rec.full_speed[rows, 0 if sense > 0.0 else 1],
+    )
+
+
+def _available(rec: JointRecording, rows: NDArray[np.intp], load: Array, sense: float) -> Array:
+    """Nominal speed at full opening, the load's pressure taken off as in ``drives.full_spool_speeds``."""
+    ratio, (supply, back) = rec.area_ratio, rec.rated
+    if sense > 0.0:
+        left = rec.supply[rows] - ratio * rec.back[rows] - load
+        return np.asarray(rec.full_speed[rows, 0] * np.sqrt(np.maximum(left, 1.0) / (supply - ratio * back)))
+    left = ratio * rec.supply[rows] - rec.back[rows] + load
+    return np.asarray(rec.full_speed[rows, 1] * np.sqrt(np.maximum(left, 1.0) / (ratio * supply - back)))

@@ -1,0 +1,103 @@
+"""Strokes on a toy valve: they end by themselves, stay small, and every misbehaviour is named."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+
+from controller.core.excitation.plan import StrokeKind
+from controller.core.excitation.strokes import Phase
+from tests.controller.excitation.toy_valve import START, ToyValve, plan_for, tried
+
+
+@hypothesis_settings(max_examples=4, deadline=None)
+@given(
+    deadband=st.floats(0.0, 0.15),
+    skew=st.floats(0.7, 1.3),
+    play=st.floats(0.0, 0.07),
+    gain=st.floats(0.7, 1.4),
+)
+def test_every_valve_is_tried_out_inside_the_limits(
+    deadband: float, skew: float, play: float, gain: float
+) -> None:
+    plan = plan_for(5)
+    closed = min(play, 1.5 * deadband * min(skew, 1.0))  # else no command but a contrary one closes it
+    valve = ToyValve(5, deadband, deadband * skew, closed, gain)
+    state, trouble, samples = tried(valve, plan)
+    assert trouble is None
+    assert state.phase is Phase.ENDED
+    assert state.stroke == len(plan.strokes)
+    turned = np.array([sample.q[5] for sample in samples]) - START[5]
+    assert np.abs(turned).max() < 2.2 * plan.limits.travel[5]
+    assert np.abs(np.diff([sample.valve for sample in samples])).max() < 0.3
+    assert max(abs(sample.valve) for sample in samples) <= plan.limits.spool_max
+
+
+def test_an_excitation_ends_where_it_began() -> None:
+    valve = ToyValve(2, 0.01, 0.008)
+    tried(valve, plan_for(2))
+    assert abs(valve.q[2] - START[2]) < 0.02
+
+
+def test_the_sense_with_room_is_taken() -> None:
+    valve = ToyValve(3)
+    valve.q[3] = np.radians(84.0)
+    _, trouble, samples = tried(valve, plan_for(3))
+    assert trouble is None
+    assert max(sample.q[3] for sample in samples) < np.radians(89.5)
+
+
+@pytest.mark.parametrize(
+    ("valve", "cause"),
+    [
+        (ToyValve(5, dead=True), "commissioning.no_motion"),
+        (ToyValve(5, swapped=True), "commissioning.wrong_way"),
+        (ToyValve(5, stop_at=0.03), "commissioning.blocked"),
+        (ToyValve(5, swing_rad_s=0.02), "commissioning.oscillates"),
+    ],
+)
+def test_what_goes_wrong_is_named_and_the_valve_is_centred(valve: ToyValve, cause: str) -> None:
+    state, trouble, _ = tried(valve, plan_for(5))
+    assert trouble is not None
+    assert (trouble.cause, trouble.joint) == (cause, 5)
+    assert state.phase is Phase.ENDED
+    assert state.spool == 0.0
+
+
+def test_a_joint_that_is_too_fast_is_stopped() -> None:
+    plan = plan_for(5)
+    slow = plan._replace(limits=plan.limits._replace(speed_limit=np.full(6, 0.06)))
+    _, trouble, _ = tried(ToyValve(5), slow)
+    assert trouble is not None
+    assert trouble.cause == "commissioning.too_fast"
+
+
+def test_a_joint_without_room_is_not_moved() -> None:
+    plan = plan_for(0)
+    narrow = plan._replace(limits=plan.limits._replace(joint_range=np.radians([[-2.0] * 6, [2.0] * 6])))
+    valve = ToyValve(0)
+    state, trouble, samples = tried(valve, narrow)
+    assert trouble is not None
+    assert trouble.cause == "commissioning.no_room"
+    assert all(sample.valve == 0.0 for sample in samples)
+    assert state.phase is Phase.ENDED
+
+
+def test_another_joint_that_moves_ends_it() -> None:
+    class Coupled(ToyValve):
+        def step(self, command: float) -> None:
+            super().step(command)
+            self.q[4] = START[4] + 2.0 * (self.q[5] - START[5])
+
+    _, trouble, _ = tried(Coupled(5), plan_for(5))
+    assert trouble is not None
+    assert trouble.cause == "commissioning.other_joint_moved"
+
+
+def test_strokes_go_out_and_back() -> None:
+    plan = plan_for(1)
+    kinds = [stroke.kind for stroke in plan.strokes]
+    assert kinds == sorted(kinds)
+    assert kinds.count(StrokeKind.SEARCH) == 2
+    assert [stroke.outward for stroke in plan.strokes] == [True, False] * (len(plan.strokes) // 2)

@@ -1,0 +1,121 @@
+"""The excitation mode on the real plant: what ends it, who may start it, and what it finds."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from plant_emulator.core.faults.kinds import CouplerSilent
+from protocol.errors import RequestRefused
+from protocol.faults import CommandCode, FaultCode, GroupState
+from protocol.process_image import decode_valves
+from testbed.commissioning.recording import recording_of, strokes_in
+from testbed.commissioning.valve_fit import edge_findings
+from testbed.lockstep.clock import run
+from testbed.lockstep.world import World
+from vision_pc.application.link_arm import LinkArm
+
+Exciting = Callable[..., World]
+
+
+def driven(world: World, joint: int) -> None:
+    """Until the joint's valve is open."""
+    assert world.clock.advance_until(lambda: world.states[-1].valves[joint] > 0.003, 5.0)
+
+
+def assert_centred(world: World) -> None:
+    """All valves are centred, now and from now on."""
+    for _ in range(400):
+        world.clock.advance()
+        assert decode_valves(world.controller.valve_words).valves == (0.0,) * 6
+    assert np.all(world.plant.truth().valves == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("command", "then"),
+    [
+        (CommandCode.STOP, GroupState.STANDBY),
+        (CommandCode.DISABLE, GroupState.DISABLED),
+        (CommandCode.EMERGENCY_STOP, GroupState.ERROR_STOP),
+    ],
+)
+def test_every_stop_centres_the_valves_at_once(
+    exciting: Exciting, command: CommandCode, then: GroupState
+) -> None:
+    world = exciting()
+    driven(world, 5)
+    assert world.states[-1].group_state is GroupState.MOVING
+    run(world.link.command(command))
+    assert decode_valves(world.controller.valve_words).valves == (0.0,) * 6
+    assert_centred(world)
+    assert world.states[-1].group_state is then
+
+
+def test_a_silent_link_centres_the_valves_and_latches_a_fault(exciting: Exciting) -> None:
+    world = exciting()
+    driven(world, 5)
+    world.to_controller = lambda datagrams: []
+    for _ in range(110):
+        world.clock.advance()
+    assert world.controller.excitation.inner.fault.code is FaultCode.REFERENCE_LINK_LOST
+    assert np.all(world.plant.truth().valves == 0.0)
+
+
+def test_a_silent_plant_ends_it(exciting: Exciting) -> None:
+    world = exciting()
+    driven(world, 5)
+    world.plant.inject(CouplerSilent())
+    for _ in range(100):
+        world.clock.advance()
+    assert world.states[-1].fault is FaultCode.PLANT_LINK_LOST
+    assert decode_valves(world.controller.valve_words).valves == (0.0,) * 6
+
+
+def test_references_are_refused_while_valves_are_tried_out(exciting: Exciting) -> None:
+    world = exciting()
+    driven(world, 5)
+    arm = LinkArm(world.link, world.settings.vision.motion)
+    with pytest.raises(RequestRefused) as raised:
+        run(arm.move_to(run(arm.view()).X_BT))
+    assert raised.value.cause == "refused.moving"
+
+
+def test_a_stopped_joint_is_begun_anew_after_enable(exciting: Exciting) -> None:
+    world = exciting()
+    driven(world, 5)
+    run(world.link.command(CommandCode.STOP))
+    world.clock.advance_until(lambda: world.states[-1].group_state is GroupState.STANDBY, 2.0)
+    assert_centred(world)
+    run(world.link.command(CommandCode.DISABLE))
+    run(world.link.command(CommandCode.ENABLE))
+    driven(world, 5)
+    assert world.controller.excitation.stroke == 0
+
+
+def test_a_plant_that_does_not_move_is_named(exciting: Exciting) -> None:
+    slow = "controller.excitation.search_rate_1_s=0.1"
+    world = exciting(5, slow, "plant.valves.deadband=0.4")
+    assert world.clock.advance_until(lambda: world.controller.excitation.trouble is not None, 10.0)
+    trouble = world.controller.excitation.trouble
+    assert trouble is not None
+    assert trouble.cause == "commissioning.no_motion"
+    assert_centred(world)
+
+
+def test_the_deadband_of_a_drawn_valve_is_found(exciting: Exciting) -> None:
+    world = exciting(5, "controller.excitation.ramps=2", "plant.valves.deadband=0.03")
+    controller = world.controller
+    assert controller.plan is not None
+    plan = controller.plan
+    assert world.clock.advance_until(lambda: controller.excitation.finished(plan), 120.0)
+    recording = recording_of(world.settings.arm, 5, plan.strokes, controller.samples)
+    strokes = strokes_in(recording, compensated=False)
+    for sense in (1.0, -1.0):
+        found = edge_findings(strokes, sense)
+        assert found.deadband.value == pytest.approx(0.03, rel=0.02)
+        assert abs(found.deadband.value - 0.03) < 3.0 * found.deadband.std
+        assert abs(found.hysteresis.value) < 3.0 * found.hysteresis.std + 3e-4
+        assert 0.005 < found.lag.value < 0.04  # a cycle, the drive's 1 ms, the spool's 30 Hz
+    still = controller.excitation.excitation
+    assert still is not None
+    assert abs(recording.q[-1, 5] - recording.q[0, 5]) < 0.03

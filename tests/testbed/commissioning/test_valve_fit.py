@@ -1,0 +1,76 @@
+"""Valves of drawn faults are found from what the excitation recorded of them."""
+
+import numpy as np
+import pytest
+
+from controller.core.excitation.plan import StrokeKind
+from protocol.errors import MeasurementFailed
+from testbed.commissioning.recording import StrokeRecord, load_recording, recording_of, strokes_in
+from testbed.commissioning.uncertain import Uncertain, repeated
+from testbed.commissioning.valve_fit import EdgeFindings, edge_findings, fit_ramps
+from tests.controller.excitation.toy_valve import ToyValve, arm, plan_for, tried
+
+
+def strokes_of(valve: ToyValve) -> list[StrokeRecord]:
+    plan = plan_for(valve.joint)
+    _, trouble, samples = tried(valve, plan)
+    assert trouble is None
+    return strokes_in(recording_of(arm(), valve.joint, plan.strokes, samples), compensated=False)
+
+
+def honest(found: Uncertain, true: float, most: float = 3.5) -> bool:
+    return abs(found.value - true) <= most * found.std
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_drawn_valves_are_found(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    deadband = rng.uniform(0.004, 0.12)
+    lower = deadband * rng.uniform(0.7, 1.3)
+    play, gain = rng.uniform(0.0, 0.6) * min(deadband, lower), rng.uniform(0.7, 1.4)
+    valve = ToyValve(5, deadband, lower, play, gain, delay_s=rng.uniform(0.0, 0.1), seed=seed)
+    strokes = strokes_of(valve)
+    for sense, true in ((1.0, deadband), (-1.0, lower)):
+        found: EdgeFindings = edge_findings(strokes, sense)
+        assert found.deadband.value == pytest.approx(true, rel=0.03, abs=1e-4)
+        assert honest(found.deadband, true)
+        assert honest(found.hysteresis, play)
+        assert found.lag.value == pytest.approx(valve.delay_s, abs=0.015)
+        assert found.response.value == pytest.approx(valve.delay_s, abs=0.015)
+        assert found.gain.value == pytest.approx(gain, rel=0.04)
+        assert len(found.flow) == 3
+
+
+def test_a_recording_survives_its_file(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    plan = plan_for(5)
+    _, _, samples = tried(ToyValve(5), plan)
+    recording = recording_of(arm(), 5, plan.strokes, samples)
+    recording.save(tmp_path / "joint.npz")
+    again = load_recording(tmp_path / "joint.npz")
+    assert again.joint == 5
+    assert np.array_equal(again.q, recording.q)
+
+
+def test_too_few_strokes_are_refused() -> None:
+    strokes = strokes_of(ToyValve(5))
+    searches = [stroke for stroke in strokes if stroke.kind is StrokeKind.SEARCH]
+    with pytest.raises(MeasurementFailed, match="two of each") as raised:
+        edge_findings(searches, 1.0)
+    assert raised.value.cause == "measurement.too_few_strokes"
+
+
+def test_a_ramp_that_hardly_moved_is_refused() -> None:
+    ramp = next(stroke for stroke in strokes_of(ToyValve(5)) if stroke.kind is StrokeKind.RAMP)
+    short = ramp._replace(
+        **{name: getattr(ramp, name)[: ramp.top + 30] for name in ("t", "u", "turned", "e", "load", "q")}
+    )
+    with pytest.raises(MeasurementFailed) as raised:
+        fit_ramps([short])
+    assert raised.value.cause == "measurement.ramp_too_short"
+
+
+def test_scatter_and_floor_are_both_told() -> None:
+    assert repeated([1.0, 1.0, 1.0], 0.5).std == pytest.approx(0.5)
+    assert repeated([0.9, 1.0, 1.1], 0.0).std > 0.1 / np.sqrt(3.0)
+    with pytest.raises(ValueError, match="at least two"):
+        repeated([1.0], 0.1)
