@@ -102,12 +102,41 @@ class StampsConfig(StrictModel):
     jitter_ms: float = Field(default=0.0, ge=0.0, le=50.0)
 
 
+class AutoExposureConfig(StrictModel):
+    """The servo of both eyes' gain: it brings the left picture's mean, before the response curve, to
+    ``mean_grey``.
+
+    The gain, between ``least_gain`` and ``most_gain``, follows what it should be with ``time_constant_s``.
+    """
+
+    enabled: bool = False
+    mean_grey: float = Field(default=110.0, ge=5.0, le=250.0)
+    time_constant_s: float = Field(default=0.3, ge=0.01, le=60.0)
+    least_gain: float = Field(default=0.25, gt=0.0, le=1.0)
+    most_gain: float = Field(default=8.0, ge=1.0, le=64.0)
+
+
+class DirtConfig(StrictModel):
+    """A smear on one eye's lens, far out of focus: it stays at its place in the picture.
+
+    It lets ``transmission`` of the light pass in its middle and adds ``scatter_grey``; both fade outwards as
+    a bell of standard deviation ``radius_px``.
+    """
+
+    eye: Literal["left", "right"]
+    centre_px: tuple[float, float]
+    radius_px: float = Field(default=80.0, ge=5.0, le=2000.0)
+    transmission: float = Field(default=0.6, ge=0.0, le=1.0)
+    scatter_grey: float = Field(default=0.0, ge=0.0, le=255.0)
+
+
 class CameraConfig(StrictModel):
     """The stereo camera as it really is. Vision is told other, nominal numbers.
 
     ``lens`` is the left eye's. ``motion_blur_samples`` moments make one exposure (1: none).
-    ``dropped_frame_share`` of the frames never arrive; ``frozen_frame_share`` of them repeat the picture
-    before under a number of their own.
+    ``response_gamma``: white times (light / white) to that power is the grey; ``exposure_gain`` is how bright
+    the scene is before ``auto_exposure`` meters it. ``dropped_frame_share`` of the frames never arrive;
+    ``frozen_frame_share`` of them repeat the picture before under a number of their own.
     """
 
     width_px: int = Field(default=1280, ge=64, le=4096)
@@ -122,6 +151,9 @@ class CameraConfig(StrictModel):
     blur_px: float = Field(default=0.0, ge=0.0, le=5.0)
     noise_grey: float = Field(default=0.0, ge=0.0, le=50.0)
     exposure_gain: float = Field(default=1.0, ge=0.0, le=16.0)
+    auto_exposure: AutoExposureConfig = AutoExposureConfig()
+    response_gamma: float = Field(default=1.0, ge=0.2, le=3.0)
+    dirt: tuple[DirtConfig, ...] = Field(default=(), max_length=16)
     vignetting: float = Field(default=0.0, ge=0.0, le=0.9)
     motion_blur_samples: int = Field(default=1, ge=1, le=32)
     shutter: ShutterConfig = ShutterConfig()

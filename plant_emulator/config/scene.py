@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 from foundation.configuration import StrictModel
 from plant_emulator.config.boards import AnyBoardConfig
 from plant_emulator.config.camera import CameraConfig
+from plant_emulator.config.lighting import LightingConfig
 
 Vector3 = tuple[float, float, float]
 SmallAngle = Annotated[float, Field(ge=-90.0, le=90.0)]
@@ -145,5 +146,6 @@ class SceneConfig(StrictModel):
     tool_marker: ToolMarkerConfig
     obstacles: tuple[ObstacleConfig, ...] = Field(default=(), max_length=32)
     boards: tuple[AnyBoardConfig, ...] = Field(default=(), max_length=16)
+    lighting: LightingConfig = LightingConfig()
     mount: PoseConfig
     camera: CameraConfig

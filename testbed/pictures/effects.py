@@ -61,6 +61,10 @@ OBJECT = Window(480, 180, 480, 270)
 MARKER = Window(557, 210, 192, 108)
 
 
+_SMEAR = {"eye": "left", "centre_px": [400.0, 300.0], "radius_px": 120.0, "transmission": 0.4,
+          "scatter_grey": 30.0}  # fmt: skip
+
+
 class Effect(NamedTuple):
     """One effect. ``switch`` is what one sets, ``on`` the overrides of scene.yaml, or the ``fault`` in force.
 
@@ -111,6 +115,10 @@ def _of_the_camera() -> tuple[Effect, ...]:
             "rolling shutter", "camera.shutter.kind = rolling (15 Hz, at 4 m/s)",
             {"camera": {"shutter": {"kind": "rolling", "mode_hz": 15}}}, window=OBJECT, motion=_sideways(4.0),
         ),
+        Effect("response curve", "camera.response_gamma = 0.45", {"camera": {"response_gamma": 0.45}}),
+        Effect("dirt on a lens", "camera.dirt = [...]", {"camera": {"dirt": [_SMEAR]}}),
+        Effect("two lenses", "camera.lens_difference.k1 = 0.05",
+               {"camera": {"lens_difference": {"k1": 0.05}}}, eye=RIGHT),
         Effect("lens distortion", "camera.lens.k1 = -0.06", {"camera": {"lens": {"k1": -0.06}}}),
         Effect(
             "rectification, vertical", "camera.rectification.vertical_px = 10",
@@ -128,6 +136,10 @@ def _of_the_scene(scene: SceneConfig) -> tuple[Effect, ...]:
     return (
         Effect("lighting gradient", "wall.lighting_gradient_per_m = [0.3, -0.2]",
                {"wall": {"lighting_gradient_per_m": [0.3, -0.2]}}),
+        Effect("shadow", "lighting.shadow.factor = 0.4",
+               {"lighting": {"shadow": {"factor": 0.4, "direction_deg": 30.0, "start_m": 0.0}}}),
+        Effect("glare", "lighting.glare.strength_grey = 150",
+               {"lighting": {"glare": {"strength_grey": 150.0, "lamp_m": [0.3, 0.9, 1.2]}}}, window=OBJECT),
         Effect("low-contrast wall", "wall.contrast_grey = 3", {"wall": {"contrast_grey": 3.0}}),
         Effect("wall not flat", "wall.undulation_mm = 40, waves of 0.3 m",
                {"wall": {"undulation_mm": 40.0, "undulation_length_m": 0.3}}, window=OBJECT),

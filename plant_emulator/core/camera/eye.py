@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from plant_emulator.config.camera import CameraConfig
 from plant_emulator.core.camera import panel_painter, rasteriser, rays, wall_painter
 from plant_emulator.core.camera.camera_motion import Capture
+from plant_emulator.core.camera.lighting import NO_GLARE, glare_on, shadow_on
 from plant_emulator.core.camera.plates import Plate
 from plant_emulator.core.camera.scene import Cover, Scene
 from plant_emulator.core.camera.true_eye import TrueEye
@@ -45,22 +46,27 @@ class Eye:
         X_EWs = [np.linalg.inv(view.X_WC @ X_CE) for view in views]
         X_EOs = [X_EW @ self._scene.mounts.X_WO for X_EW in X_EWs]
         X_EMs = [X_EW @ view.X_WM for X_EW, view in zip(X_EWs, views, strict=True)]
-        self._paint_wall(picture, X_EOs)
+        time_s = 1e-9 * capture.capture_ns + offset_s
+        self._paint_wall(picture, X_EOs, time_s)
         for parent, X_EPs, plates in (
             ("O", X_EOs, self._scene.wall_plates),
             ("M", X_EMs, self._scene.tool_plates),
         ):
             for plate in (*plates, *(cover.plate for cover in covers if cover.parent == parent)):
-                self._paint_plate(picture, X_EPs, plate)
+                X_OP = np.linalg.inv(X_EOs[0]) @ X_EPs[0] @ plate.X_parent_plate
+                self._paint_plate(picture, [X @ plate.X_parent_plate for X in X_EPs], plate, X_OP, time_s)
         return picture
 
-    def _paint_wall(self, picture: Grey, X_EOs: list[Matrix]) -> None:
+    def _paint_wall(self, picture: Grey, X_EOs: list[Matrix], time_s: float) -> None:
         wall = self._scene.config.wall
         per_m = 1000.0 / wall.texel_mm
         to_texels = np.array([[per_m, 0.0, SIZE / 2.0], [0.0, per_m, SIZE / 2.0], [0.0, 0.0, 1.0]])
         homographies = np.stack([to_texels @ _ray_to_plane(X_EO) for X_EO in X_EOs])
         along, down = wall.lighting_gradient_per_m[0] / per_m, -wall.lighting_gradient_per_m[1] / per_m
-        light = np.array([1.0 - (along + down) * SIZE / 2.0, along, down])
+        shadow = shadow_on(self._scene.config.lighting.shadow, np.eye(4), time_s)
+        shadow[:2] /= per_m
+        shadow[2] -= (shadow[0] + shadow[1]) * SIZE / 2.0
+        light = np.array([1.0 - (along + down) * SIZE / 2.0, along, down, *shadow])
         centre_O = -X_EOs[0][:3, :3].T @ X_EOs[0][:3, 3]
         relief = np.array(
             [
@@ -82,8 +88,9 @@ class Eye:
             _SKY_GREY,
         )
 
-    def _paint_plate(self, picture: Grey, X_E_parents: list[Matrix], plate: Plate) -> None:
-        X_EPs = [X @ plate.X_parent_plate for X in X_E_parents]
+    def _paint_plate(
+        self, picture: Grey, X_EPs: list[Matrix], plate: Plate, X_OP: Matrix, time_s: float
+    ) -> None:
         if any(X[:3, 2] @ X[:3, 3] >= 0.0 for X in X_EPs):
             return  # seen from behind, where no plate of this scene has anything to show
         boxes = np.array([self._bounds(X, plate) for X in X_EPs])
@@ -91,7 +98,7 @@ class Eye:
         bottom, right = boxes[:, [1, 3]].max(axis=0)
         if top >= bottom or left >= right:
             return
-        surface = self._surface(X_EPs, plate)
+        surface = self._surface(X_EPs, plate, X_OP, time_s)
         box = (int(top), int(bottom), int(left), int(right))
         homographies = np.stack([_ray_to_plane(X) for X in X_EPs])
         if plate.levels:
@@ -101,7 +108,7 @@ class Eye:
         grid = rasteriser.Grid(plate.edges_x, plate.edges_y, plate.grey)
         rasteriser.paint_plate(picture, self._rays, homographies, grid, box, surface)
 
-    def _surface(self, X_EPs: list[Matrix], plate: Plate) -> rays.Surface:
+    def _surface(self, X_EPs: list[Matrix], plate: Plate, X_OP: Matrix, time_s: float) -> rays.Surface:
         light = np.array([1.0, 0.0, 0.0])
         if plate.lit_by_wall:
             gradient = np.array(self._scene.config.wall.lighting_gradient_per_m)
@@ -109,7 +116,13 @@ class Eye:
             light = np.array([1.0 + gradient @ p, gradient @ R[:, 0], -(gradient @ R[:, 1])])
         eye_P = -np.mean([X[:3, :3].T @ X[:3, 3] for X in X_EPs], axis=0)
         curve, across, up = plate.bend
-        return rays.Surface(light, np.array([curve, across, -up, eye_P[0], -eye_P[1], eye_P[2]]))
+        lighting = self._scene.config.lighting
+        return rays.Surface(
+            light,
+            np.array([curve, across, -up, eye_P[0], -eye_P[1], eye_P[2]]),
+            shadow_on(lighting.shadow, X_OP, time_s),
+            glare_on(lighting.glare, X_OP, eye_P) if plate.glossy else NO_GLARE,
+        )
 
     def _bounds(self, X_EP: Matrix, plate: Plate) -> tuple[int, int, int, int]:
         """Pixel rows and columns (top, bottom, left, right; half open) that the plate may touch."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from foundation.compiled import kernel
 from plant_emulator.core.camera.rasteriser import share_below
-from plant_emulator.core.camera.rays import Rays, Surface, meet_plate, row_homography
+from plant_emulator.core.camera.rays import Rays, Surface, meet_plate, row_homography, shaded
 
 Grey = NDArray[np.uint8]
 Real32 = NDArray[np.float32]
@@ -48,7 +48,8 @@ def paint_panel(
                 continue
             footprint = texels_per_m * math.sqrt(abs(at.s_u * at.t_v - at.s_v * at.t_u))
             grey = _sampled(levels, (at.s - left) * texels_per_m, (at.t - top) * texels_per_m, footprint)
-            bright = grey * (light[0] + light[1] * at.s + light[2] * at.t)
+            lit = (light[0] + light[1] * at.s + light[2] * at.t) * shaded(at.s, at.t, surface.shadow)
+            bright = grey * lit
             value = alpha * bright + (1.0 - alpha) * out[i, j]
             out[i, j] = np.uint8(min(max(value, 0.0), 255.0) + 0.5)
 

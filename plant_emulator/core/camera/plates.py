@@ -34,7 +34,7 @@ class Plate(NamedTuple):
     up, z towards the viewer. ``edges_x`` and ``edges_y`` are the grid lines in metres, ascending; y here
     counts **downwards**, so that ``grey[row, column]`` reads like a picture. ``lit_by_wall``: the wall's
     lighting gradient applies. ``levels``: the picture that fills the rectangle instead of ``grey``, and its
-    mip levels, each half as fine as the one before; always flat.
+    mip levels, each half as fine as the one before; always flat and matt. ``glossy``: a lamp is mirrored.
     """
 
     X_parent_plate: Matrix
@@ -44,6 +44,7 @@ class Plate(NamedTuple):
     lit_by_wall: bool
     levels: tuple[Grey, ...] = ()
     bend: Bend = FLAT
+    glossy: bool = False
 
 
 def plain_plate(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import kernel
-from plant_emulator.core.camera.rays import Rays, Surface, bent, meet_plate, row_homography
+from plant_emulator.core.camera.rays import Rays, Surface, bent, highlight, meet_plate, row_homography, shaded
 
 Grey = NDArray[np.uint8]
 Real32 = NDArray[np.float32]
@@ -56,11 +56,12 @@ def paint_plate(
             s_reach, t_reach = 0.5 * (s_u + s_v), 0.5 * (t_u + t_v)
             column = _first_cell(edges_x, s - s_reach, column)
             row = _first_cell(edges_y, t - t_reach, row)
-            bright = light[0] + light[1] * s + light[2] * t
+            bright = (light[0] + light[1] * s + light[2] * t) * shaded(s, t, surface.shadow)
+            glint = highlight(s, t, surface.glare)
             within_x = edges_x[column] <= s - s_reach and s + s_reach <= edges_x[column + 1]
             within_y = edges_y[row] <= t - t_reach and t + t_reach <= edges_y[row + 1]
             if within_x and within_y:
-                out[i, j] = np.uint8(min(max(grey[row, column] * bright, 0.0), 255.0) + 0.5)
+                out[i, j] = np.uint8(min(max(grey[row, column] * bright + glint, 0.0), 255.0) + 0.5)
                 continue
             last_column = _cell_weights(s, s_u, s_v, edges_x, column, weight_x)
             last_row = _cell_weights(t, t_u, t_v, edges_y, row, weight_y)
@@ -69,7 +70,7 @@ def paint_plate(
                 for m in range(column, last_column):
                     alpha += weight_y[k] * weight_x[m]
                     total += weight_y[k] * weight_x[m] * grey[k, m]
-            value = total * bright + (1.0 - alpha) * out[i, j]
+            value = total * bright + alpha * glint + (1.0 - alpha) * out[i, j]
             out[i, j] = np.uint8(min(max(value, 0.0), 255.0) + 0.5)
 
 

@@ -1,5 +1,6 @@
 """The rays of an eye's pixels, and where they meet a plate."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -23,10 +24,13 @@ class Surface(NamedTuple):
 
     ``light`` (3,) = (constant, per metre right, per metre down) multiplies the grey. ``bend`` (6,) =
     (curvature 1/m, its direction: right, down; the eye's foot on the plate: right, down (m); its height (m)).
+    ``shadow`` (4,) and ``glare`` (4,) as ``lighting`` makes them.
     """
 
     light: Real64
     bend: Real64
+    shadow: Real64
+    glare: Real64
 
 
 class PlatePoint(NamedTuple):
@@ -46,6 +50,23 @@ def row_homography(homographies: Real64, i: int, height: int) -> Real64:
     """The homography (3, 3) of row ``i``, between those of the picture's first and last row (2, 3, 3)."""
     h: Real64 = homographies[0] + (homographies[1] - homographies[0]) * (i / (height - 1))
     return h
+
+
+@kernel(nogil=True, inline="always")
+def shaded(s: float, t: float, shadow: Real64) -> float:
+    """The share of light that the shadow leaves at (s, t)."""
+    if shadow[3] == 1.0:
+        return 1.0
+    beyond = shadow[0] * s + shadow[1] * t + shadow[2] + 0.5
+    return float(shadow[3] + (1.0 - shadow[3]) * min(max(beyond, 0.0), 1.0))
+
+
+@kernel(nogil=True, inline="always")
+def highlight(s: float, t: float, glare: Real64) -> float:
+    """The grey that glare adds at (s, t)."""
+    if glare[3] == 0.0:
+        return 0.0
+    return float(glare[3] * math.exp(-glare[2] * ((s - glare[0]) ** 2 + (t - glare[1]) ** 2)))
 
 
 @kernel(nogil=True, inline="always")

@@ -92,7 +92,7 @@ def marker_plate(config: MarkerConfig, X_parent_plate: Matrix, lit_by_wall: bool
         outer = printed_side(config) / 2.0 + config.quiet_zone_m
         edges = np.concatenate([[-outer], edges, [outer]])
     grey = np.where(bits, config.white_grey, config.black_grey).astype(np.float32)
-    return Plate(X_parent_plate, edges, edges, grey, lit_by_wall, bend=marker_bend(config))
+    return Plate(X_parent_plate, edges, edges, grey, lit_by_wall, bend=marker_bend(config), glossy=True)
 
 
 class Cover(NamedTuple):

@@ -13,6 +13,7 @@ from plant_emulator.core.camera import rasteriser
 from plant_emulator.core.camera.camera_motion import STILL, CameraMotion, CameraView, Capture
 from plant_emulator.core.camera.exposures import Shot
 from plant_emulator.core.camera.eye import Eye
+from plant_emulator.core.camera.imager import AutoExposure, Imager
 from plant_emulator.core.camera.scene import Cover, Scene
 from plant_emulator.core.camera.true_eye import true_eyes
 from plant_emulator.core.camera.wall_texture import Texture, drilled, packed_levels, wall_texture
@@ -25,7 +26,8 @@ _NOISE_STREAM = 0x6E6F697365
 
 
 class StereoCamera:
-    """Renders stereo pairs by projective geometry, anti-aliased. Deterministic for each (seed, frame_id).
+    """Renders stereo pairs by projective geometry, anti-aliased. Deterministic for each (seed, frame_id),
+    with auto exposure for the sequence of pictures.
 
     Poses are 4x4: ``X_WC`` of the left eye and ``X_WM`` of the tool marker in the world W, OpenCV axes for
     the camera. ``motion`` matters only with motion blur or a rolling shutter; the poses are those at the
@@ -40,7 +42,9 @@ class StereoCamera:
         self.eyes = tuple(Eye(true, config, scene, texture) for true in true_eyes(config))
         generator = np.random.default_rng((seed, _NOISE_STREAM))
         grey = generator.standard_normal(rasteriser.NOISE_LENGTH) * config.noise_grey
-        self._noise = np.clip(np.rint(grey * rasteriser.NOISE_UNIT), -32768, 32767).astype(np.int16)
+        noise = np.clip(np.rint(grey * rasteriser.NOISE_UNIT), -32768, 32767).astype(np.int16)
+        self._imagers = [Imager(config, k, eye.lens.centre, noise) for k, eye in enumerate(self.eyes)]
+        self._exposure = AutoExposure(config.auto_exposure)
 
     def render(
         self, X_WC: Matrix, X_WM: Matrix, frame_id: int, motion: CameraMotion = STILL
@@ -84,32 +88,27 @@ class StereoCamera:
             for k in range(samples)
         ]
         picture = pictures[0] if samples == 1 else rasteriser.mean_of(np.stack(pictures))
-        return self._exposed(picture, eye, capture.frame_id)
+        return self._exposed(picture, eye, capture)
 
-    def _exposed(self, picture: Grey, eye: int, frame_id: int) -> Grey:
-        """The picture after point spread, exposure, vignetting and noise."""
+    def _exposed(self, picture: Grey, eye: int, capture: Capture) -> Grey:
+        """The picture after point spread, exposure, dirt, vignetting and noise."""
         config = self.config
         if config.blur_px > 0.0:
             size = 2 * int(np.ceil(2.5 * config.blur_px)) + 1
             cv2.GaussianBlur(picture, (size, size), config.blur_px, dst=picture)
-        self._sense(picture, eye, frame_id, config.exposure_gain, config.vignetting)
+        gain = config.exposure_gain * self._exposure.gain(picture, config.exposure_gain, capture.capture_ns)
+        self._imagers[eye].expose(picture, self._key(eye, capture.frame_id), gain)
         return picture
 
     def _even(self, grey: int, eye: int, frame_id: int) -> Grey:
         """A picture of one level and the sensor's noise."""
         picture = np.full((self.config.height_px, self.config.width_px), grey, dtype=np.uint8)
-        self._sense(picture, eye, frame_id, 1.0, 0.0)
+        self._imagers[eye].sense(picture, self._key(eye, frame_id), 1.0, 0.0)
         return picture
 
-    def _sense(self, picture: Grey, eye: int, frame_id: int, gain: float, vignetting: float) -> None:
-        """Apply gain, vignetting and noise to ``picture`` in place."""
-        config = self.config
-        if config.noise_grey == 0.0 and vignetting == 0.0 and gain == 1.0:
-            return
-        centre_u, centre_v = self.eyes[eye].lens.centre
-        falloff = vignetting / ((config.width_px / 2.0) ** 2 + (config.height_px / 2.0) ** 2)
-        key = (self._seed * 0x2545F4914F6CDD1D + frame_id * 2 + eye) & 0x7FFF_FFFF_FFFF_FFFF
-        rasteriser.finish(picture, self._noise, key, gain, falloff, centre_u, centre_v)
+    def _key(self, eye: int, frame_id: int) -> int:
+        """What chooses the noise of one picture."""
+        return (self._seed * 0x2545F4914F6CDD1D + frame_id * 2 + eye) & 0x7FFF_FFFF_FFFF_FFFF
 
 
 @lru_cache(maxsize=1)

@@ -66,9 +66,10 @@ def paint_wall(
 
     ``homographies`` (2, 3, 3) map (ray x, ray y, 1) to (texel column, texel row, 1) of the finest level times
     the inverse depth, at the first and the last row; ``pixel_area`` is one pixel's area in normalised
-    coordinates; ``light`` = (constant, per texel column, per texel row) multiplies the grey; ``relief`` =
-    (height over the eye's distance, waves per texel, the eye's foot on the wall: column, row). Rays that miss
-    get the grey ``sky``.
+    coordinates; ``light`` = (constant, per texel column, per texel row) multiplies the grey, and so does the
+    shadow of the four numbers after them, as ``lighting`` makes it but by texel; ``relief`` = (height
+    over the eye's distance, waves per texel, the eye's foot on the wall: column, row). Rays that miss get the
+    grey ``sky``.
     """
     height, width = out.shape
     ray_x, ray_y, levels, finest_bits = rays.x, rays.y, wall.levels, wall.finest_bits
@@ -102,6 +103,8 @@ def paint_wall(
                 _locate(along, down, scale * _HALF, bits - 1, words, part_x, part_y, count)
                 _load(coarse_texture, words, count)
                 _interpolate(words, part_x, part_y, coarse, count)
+                if light[6] != 1.0:
+                    _shade(fine, coarse, along, down, lamp, count)
                 _blend(out[i, left:right], xs, ys, h, along, down, lamp, root_area * scale, fine, coarse, sky)
 
 
@@ -198,6 +201,16 @@ def _interpolate(words: Words, part_x: Real32, part_y: Real32, grey: Real32, cou
         upper = upper_left + (upper_right - upper_left) * a
         lower = lower_left + (lower_right - lower_left) * a
         grey[j] = upper + (lower - upper) * part_y[j]
+
+
+@kernel(fastmath=True, nogil=True)
+def _shade(fine: Real32, coarse: Real32, along: Real32, down: Real32, light: Real32, count: int) -> None:
+    """Take from both levels the light that the shadow keeps."""
+    for j in range(count):
+        beyond = light[3] * along[j] + light[4] * down[j] + light[5] + _HALF
+        left = light[6] + (_ONE - light[6]) * min(max(beyond, _ZERO), _ONE)
+        fine[j] *= left
+        coarse[j] *= left
 
 
 @kernel(fastmath=True, error_model="numpy", nogil=True)
