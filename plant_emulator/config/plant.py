@@ -11,11 +11,19 @@ from plant_emulator.config.actuators import ActuatorsConfig
 from plant_emulator.config.oil import OilConfig, ProtectionConfig, PumpConfig
 from plant_emulator.config.step_limits import StiffParts, shortest
 from plant_emulator.config.structure import (
+    BearingTiltConfig,
+    EccentricityConfig,
+    FinerBendingConfig,
     FlexibilityConfig,
     GeometryConfig,
+    LooseSlewConfig,
     MassesConfig,
     NotNegative,
     PayloadConfig,
+    PinComplianceConfig,
+    RockingBaseConfig,
+    TorsionConfig,
+    VibrationConfig,
 )
 from plant_emulator.config.valves import JOINT_NAMES, ValvesConfig
 
@@ -87,6 +95,22 @@ class ErrorsConfig(StrictModel):
     friction: SwitchConfig
     leakage: SwitchConfig
     valve_deadband: SwitchConfig
+    encoder_eccentricity: EccentricityConfig
+    finer_bending: FinerBendingConfig
+    torsion: TorsionConfig
+    pin_compliance: PinComplianceConfig
+    bearing_tilt: BearingTiltConfig
+    loose_slew: LooseSlewConfig
+    rocking_base: RockingBaseConfig
+    vibration: VibrationConfig
+
+    @field_validator("vibration")
+    @classmethod
+    def _has_something_to_shake(cls, value: VibrationConfig, info: ValidationInfo) -> VibrationConfig:
+        base = info.data.get("rocking_base")
+        if value.enabled and base is not None and not base.enabled:
+            raise ValueError("enabled wants rocking_base.enabled: a rigid base cannot be shaken")
+        return value
 
 
 class PlantConfig(StrictModel):

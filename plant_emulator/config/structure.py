@@ -1,14 +1,27 @@
-"""Configuration of the arm's structure: pivots, masses, bending, payload."""
+"""Configuration of the arm's structure: pivots, masses, bending, payload, and what slips and rocks in it."""
 
 from typing import Annotated
 
-from pydantic import Field, field_validator
+import numpy as np
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from foundation.configuration import StrictModel
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Point = tuple[float, float]
+
+
+def _of_a_body(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    small, middle, great = sorted(value)
+    if great * great > small * small + middle * middle:
+        limit = (small * small + middle * middle) ** 0.5
+        raise ValueError(f"the greatest must not exceed {limit:.4f}: no body has such moments of inertia")
+    return value
+
+
+Gyration = Annotated[tuple[Positive, Positive, Positive], AfterValidator(_of_a_body)]
+"""Radii of gyration (m) about three axes, such as a body can have."""
 
 
 class GeometryConfig(StrictModel):
@@ -35,16 +48,7 @@ class WristBodyConfig(StrictModel):
 
     mass_kg: Positive
     forward_m: Annotated[float, Field(ge=-2.0, le=2.0)]
-    gyration_m: tuple[Positive, Positive, Positive]
-
-    @field_validator("gyration_m")
-    @classmethod
-    def _is_a_body(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
-        small, middle, great = sorted(value)
-        if great * great > small * small + middle * middle:
-            limit = (small * small + middle * middle) ** 0.5
-            raise ValueError(f"the greatest must not exceed {limit:.4f}: no body has such moments of inertia")
-        return value
+    gyration_m: Gyration
 
 
 class MassesConfig(StrictModel):
@@ -80,3 +84,142 @@ class PayloadConfig(StrictModel):
     mass_kg: Annotated[float, Field(ge=0.0, le=1000.0)]
     centre_m: tuple[float, float, float]
     radius_m: Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+Ratio = Annotated[float, Field(ge=0.0, le=0.2)]
+
+
+class EccentricityConfig(StrictModel):
+    """Encoders off the centre of their shafts: each reading is off by mrad · sin(angle + phase)."""
+
+    enabled: bool
+    mrad: Annotated[tuple[NotNegative, ...], Field(min_length=6, max_length=6)]
+    phase_deg: Annotated[tuple[float, ...], Field(min_length=6, max_length=6)]
+
+
+def hinge_lengths(places: tuple[float, ...]) -> tuple[float, ...]:
+    """What of a beam of length 1 each hinge at ``places`` (from its root) gives way for.
+
+    Σ length u = 1/2 and Σ length u² = 1/3, u = 1 − place: slope and deflection under a tip force. Three have
+    Σ length = 1 as well: the slope under a tip moment, and by the second sum its deflection. Two meet that
+    where they stand as Gauss's points do.
+    """
+    u = 1.0 - np.array(places)
+    powers, sums = (1, 2) if len(places) == 2 else (0, 1, 2), {0: 1.0, 1: 1.0 / 2.0, 2: 1.0 / 3.0}
+    solved = np.linalg.solve(np.array([u**k for k in powers]), np.array([sums[k] for k in powers]))
+    return tuple(float(length) for length in solved)
+
+
+def _bends_everywhere(places: tuple[float, ...]) -> tuple[float, ...]:
+    apart = np.diff((0.0, *places, 1.0))
+    if float(apart.min()) < 0.02:
+        raise ValueError("must rise from 0 to 1, 0.02 at least between one and the next")
+    if min(hinge_lengths(places)) < 0.02:
+        raise ValueError("no hinges there bend as a beam; of two, one must lie before a third of it")
+    return places
+
+
+Hinges = Annotated[tuple[float, ...], Field(min_length=2, max_length=3), AfterValidator(_bends_everywhere)]
+"""Where a beam's hinges are, as shares of its length."""
+
+
+class FinerBendingConfig(StrictModel):
+    """Boom and arm of two or three hinges in each direction."""
+
+    enabled: bool
+    boom_at: Hinges
+    arm_at: Hinges
+
+
+class TorsionConfig(StrictModel):
+    """Twist of boom and arm about the line between their pivots, G J / L each over the beam's length."""
+
+    enabled: bool
+    boom_gj_n_m2: Positive
+    arm_gj_n_m2: Positive
+    damping_ratio: Ratio
+
+
+class PinComplianceConfig(StrictModel):
+    """The pivot pins of lift and tilt give: their link yaws and rolls about the pivot, unseen by encoders."""
+
+    enabled: bool
+    lift_nm_rad: Positive
+    tilt_nm_rad: Positive
+    damping_ratio: Ratio
+
+
+class BearingTiltConfig(StrictModel):
+    """The slewing ring tilts by its axial play in any direction; beyond it, it is a stiff spring."""
+
+    enabled: bool
+    play_mm: Annotated[float, Field(ge=0.0, le=5.0)]
+    diameter_m: Annotated[float, Field(ge=0.1, le=5.0)]
+    height_m: Annotated[float, Field(ge=-5.0, le=5.0)]
+    stiffness_nm_rad: Positive
+    damping_nm_s_rad: NotNegative
+
+
+class RingFrictionConfig(StrictModel):
+    """LuGre friction between the turning upper structure and the base."""
+
+    coulomb_nm: NotNegative
+    static_nm: NotNegative
+    stribeck_rad_s: Positive
+    bristle_nm_rad: Positive
+    bristle_damping_nm_s_rad: NotNegative
+    viscous_nm_s_rad: NotNegative
+
+    @field_validator("static_nm")
+    @classmethod
+    def _holds_most_at_rest(cls, value: float, info: ValidationInfo) -> float:
+        coulomb = info.data.get("coulomb_nm")
+        if coulomb is not None and value < coulomb:
+            raise ValueError(f"must not be below coulomb_nm = {coulomb:g}: friction holds most at rest")
+        return value
+
+
+class LooseSlewConfig(StrictModel):
+    """Play in the slew's mesh, as loose steel: what turns behind it has its own angle.
+
+    ``backlash_mrad`` is the whole way to and fro. ``hose_nm`` is what hoses pull sideways, whatever the
+    angle; ``hose_nm_rad`` what they pull back towards the middle.
+    """
+
+    enabled: bool
+    backlash_mrad: Annotated[float, Field(gt=0.0, le=50.0)]
+    contact_nm_rad: Positive
+    contact_damping_nm_s_rad: NotNegative
+    motor_side_kg_m2: Positive
+    hose_nm: Annotated[float, Field(ge=-1e5, le=1e5)]
+    hose_nm_rad: NotNegative
+    friction: RingFrictionConfig
+
+
+class RockingBaseConfig(StrictModel):
+    """A carrier on outriggers that rolls, pitches and yaws about ``centre_m`` (in base axes) under the arm.
+
+    ``frequency_hz`` of each (about x, y, z) holds at the start pose without payload, the others held.
+    """
+
+    enabled: bool
+    mass_kg: Positive
+    gyration_m: Gyration
+    centre_m: tuple[float, float, float]
+    frequency_hz: tuple[Positive, Positive, Positive]
+    damping_ratio: Ratio
+
+
+class ShakerConfig(StrictModel):
+    """A machine on the carrier: moments about x, y, z that swing at one frequency; phases follow the seed."""
+
+    frequency_hz: Annotated[float, Field(gt=0.0, le=400.0)]
+    moment_nm: tuple[NotNegative, NotNegative, NotNegative]
+
+
+class VibrationConfig(StrictModel):
+    """Engine and pump shake the carrier; there is something to shake only where it can rock."""
+
+    enabled: bool
+    engine: ShakerConfig
+    pump: ShakerConfig

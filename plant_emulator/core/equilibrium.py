@@ -8,18 +8,15 @@ from numpy.typing import NDArray
 from plant_emulator.config.units import BAR
 from plant_emulator.core import columns as col
 from plant_emulator.core.layout import (
-    DRIVEN,
-    FLEXIBLE,
     JOINTS,
     N_ACTUATORS,
-    N_COORDINATES,
-    N_STATES,
     PRESSURE_A,
     PRESSURE_B,
     SUPPLY,
     TEMPERATURE,
-    Q,
+    state_size,
 )
+from plant_emulator.core.mechanics import loose
 from plant_emulator.core.mechanics.linkage import actuator_lever, actuator_position
 from plant_emulator.core.mechanics.multibody import Mechanism, forward_kinematics, multibody_work
 from plant_emulator.core.model import Model
@@ -29,28 +26,60 @@ Array = NDArray[np.float64]
 
 
 def gravity_torque(mechanism: Mechanism, q: Array) -> Array:
-    """Generalised gravity force (10,) at pose ``q``: Σ axis · (r × m g) over the bodies behind."""
-    work = multibody_work(N_COORDINATES)
+    """Generalised gravity force (n,) at pose ``q`` (n,): Σ axis · (r × m g) over the bodies behind."""
+    n = q.shape[0]
+    work = multibody_work(n)
     forward_kinematics(q, mechanism, work)
     rotation, origin = work.rotation, work.origin
     centre = np.einsum("irc,ic->ir", rotation[1:], mechanism.centre) + origin[1:]
     axis = np.einsum("irc,ic->ir", rotation[:-1], mechanism.axis)
     point = np.einsum("irc,ic->ir", rotation[:-1], mechanism.point) + origin[:-1]
-    torque = np.zeros(N_COORDINATES)
-    for i in range(N_COORDINATES):
+    torque = np.zeros(n)
+    for i in range(n):
         arm = centre[i:] - point[i]
         torque[i] = axis[i] @ np.cross(arm, mechanism.mass[i:, None] * mechanism.gravity).sum(axis=0)
     return torque
 
 
-def bent_pose(mechanism: Mechanism, q: Array) -> Array:
-    """``q`` (10,) with its flexible hinges where stiffness balances gravity."""
-    q = q.copy()
-    flexible = [i for i in FLEXIBLE if mechanism.free[i] > 0.0]
+def standing_torque(model: Model, q: Array) -> Array:
+    """Generalised force (n,) at rest at pose ``q`` (n,) of what springs and oil must hold: gravity, hoses."""
+    torque, slew = gravity_torque(model.mechanism, q), int(model.places.joint[0])
+    at = int(model.loose.mesh[loose.M_AT])
+    if at >= 0:
+        mesh = model.loose.mesh
+        torque[[slew, at]] += mesh[loose.M_HOSE] - mesh[loose.M_HOSE_SPRING] * (q[slew] + q[at])
+    return torque
+
+
+def _on_a_flank(torque: Array, half: float, stiffness: float) -> Array:
+    """Where play of ``half`` in every direction, with a spring behind it, goes under ``torque`` (k,)."""
+    size = float(np.linalg.norm(torque))
+    return torque * (1.0 / stiffness + (half / size if size > 0.0 else 0.0))
+
+
+def _relaxed(model: Model, q: Array, flexible: list[int]) -> Array:
+    """``q`` (n,) with everything elastic or loose where the torques at ``q`` put it."""
+    found, torque = q.copy(), standing_torque(model, q)
+    found[flexible] = torque[flexible] / model.mechanism.stiffness[flexible]
+    mesh, tilt = model.loose.mesh, model.loose.tilt
+    at = int(mesh[loose.M_AT])
+    if at >= 0:
+        found[[at]] = _on_a_flank(torque[[at]], mesh[loose.M_HALF], mesh[loose.M_STIFFNESS])
+    at = int(tilt[loose.T_AT])
+    if at >= 0:
+        both = [at, at + 1]
+        found[both] = _on_a_flank(torque[both], tilt[loose.T_HALF], tilt[loose.T_STIFFNESS])
+    return found
+
+
+def bent_pose(model: Model, q: Array) -> Array:
+    """``q`` (n,) with its springs where stiffness balances gravity, and what is loose on its lower flank."""
+    mechanism = model.mechanism
+    flexible = [i for i in range(len(q)) if mechanism.stiffness[i] > 0.0 and mechanism.free[i] > 0.0]
     for _ in range(200):
-        bent = gravity_torque(mechanism, q)[flexible] / mechanism.stiffness[flexible]
-        change = float(np.max(np.abs(bent - q[flexible]), initial=0.0))
-        q[flexible] = bent
+        bent = _relaxed(model, q, flexible)
+        change = float(np.max(np.abs(bent - q), initial=0.0))
+        q = bent
         if change < 1e-15:
             return q
     if change < 1e-12:
@@ -76,19 +105,20 @@ def _check_stroke(row: Array, angle: float, joint: str) -> None:
 
 
 def rest_state(model: Model, q: Array, temperature: float) -> Array:
-    """The full state (N_STATES,) at rest at pose ``q`` (10,), spools centred and friction unloaded.
+    """The full state at rest at pose ``q`` (n,) of the chain, spools centred and friction unloaded.
 
     Raises ConfigurationError when a load is beyond what the supply can carry.
     """
-    state = np.zeros(N_STATES)
-    bent = bent_pose(model.mechanism, q)
-    state[Q : Q + N_COORDINATES] = bent
-    torque = -gravity_torque(model.mechanism, bent)[list(DRIVEN)]
+    where = model.places
+    state = np.zeros(state_size(where))
+    bent = bent_pose(model, q)
+    state[where.angle] = bent
+    torque = -standing_torque(model, bent)[where.joint]
     low, high = float(model.circuit[col.C_RETURN]), float(model.circuit[col.C_SET])
     for i in range(N_ACTUATORS):
         row = model.actuators[i]
-        _check_stroke(row, float(bent[DRIVEN[i]]), JOINTS[i])
-        lever = actuator_lever(bent[DRIVEN[i]], *row[col.A_KIND : col.A_LENGTH0 + 1])
+        _check_stroke(row, float(bent[where.joint[i]]), JOINTS[i])
+        lever = actuator_lever(bent[where.joint[i]], *row[col.A_KIND : col.A_LENGTH0 + 1])
         force = torque[i] / lever
         area_a, area_b = row[col.A_AREA_A], row[col.A_AREA_B]
         if row[col.A_SPOOL_LEAKAGE] > 0.0:  # a closed centre, past which both chambers drain to the return

@@ -1,9 +1,17 @@
 """The order of coordinates and states in the flat arrays that the compiled code works on.
 
-Ten coordinates: six driven joints and four flexible hinges (vertical and lateral, on boom and tilt link).
-The state vector is coordinates, their rates, then per actuator spool, spool rate, chamber pressures and
-friction bristle, then supply pressure and oil temperature.
+Ten coordinates of the plain arm: six driven joints and four flexible hinges (vertical and lateral, on boom
+and tilt link). The state vector is coordinates, their rates, then per actuator spool, spool rate, chamber
+pressures and friction bristle, then supply pressure and oil temperature. What else moves (a rocking base, a
+loose slew, …) has its states behind these, so the plain arm's places never change: angles, rates, the bristle
+of the slewing ring, the time. ``Places`` tells where in the state each coordinate of the chain stands.
 """
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 JOINTS = ("slew", "lift", "tilt", "wrist1", "wrist2", "wrist3")
 COORDINATES = (
@@ -36,3 +44,41 @@ BRISTLE = PRESSURE_B + N_ACTUATORS
 SUPPLY = BRISTLE + N_ACTUATORS
 TEMPERATURE = SUPPLY + 1
 N_STATES = TEMPERATURE + 1
+
+
+class Places(NamedTuple):
+    """Where the state holds each coordinate of a chain of ``n``: ``angle`` and ``rate`` (n,) of the state.
+
+    ``joint`` (6,) is each joint's coordinate in the chain. ``ring_bristle`` and ``clock``: where the slewing
+    ring's bristle and the time (s) stand, −1 in a plain arm, which has neither.
+    """
+
+    angle: NDArray[np.int64]
+    rate: NDArray[np.int64]
+    joint: NDArray[np.int64]
+    ring_bristle: int
+    clock: int
+
+
+def places(names: Sequence[str]) -> Places:
+    """The places of a chain whose coordinates have these ``names``, base first."""
+    added = [name for name in names if name not in COORDINATES]
+    angle, rate = [], []
+    for name in names:
+        plain = name in COORDINATES
+        k = COORDINATES.index(name) if plain else added.index(name)
+        angle.append(Q + k if plain else N_STATES + k)
+        rate.append(RATE + k if plain else N_STATES + len(added) + k)
+    last = N_STATES + 2 * len(added)
+    return Places(
+        angle=np.array(angle),
+        rate=np.array(rate),
+        joint=np.array([names.index(name) for name in JOINTS]),
+        ring_bristle=last if added else -1,
+        clock=last + 1 if added else -1,
+    )
+
+
+def state_size(where: Places) -> int:
+    """How many states an arm with these places has."""
+    return max(N_STATES, where.clock + 1)

@@ -11,11 +11,13 @@ from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.units import BAR, LITRE, LITRE_PER_MINUTE
 from plant_emulator.config.valves import JOINT_NAMES, Valve, ValvesConfig
 from plant_emulator.core import columns as col
-from plant_emulator.core.layout import DRIVEN, FLEXIBLE, N_ACTUATORS, N_COORDINATES
+from plant_emulator.core.layout import N_ACTUATORS, Places, places
 from plant_emulator.core.mechanics.bodies import Lump, build_bodies, payload, together
-from plant_emulator.core.mechanics.geometry import Chain, base_tilt, build_chain
+from plant_emulator.core.mechanics.elastic import build_mechanism
+from plant_emulator.core.mechanics.geometry import Chain, build_chain
 from plant_emulator.core.mechanics.linkage import CYLINDER, ROTARY
-from plant_emulator.core.mechanics.multibody import Mechanism, forward_dynamics, multibody_work
+from plant_emulator.core.mechanics.loose import Looseness, build_looseness
+from plant_emulator.core.mechanics.multibody import Mechanism
 
 Array = NDArray[np.float64]
 
@@ -28,6 +30,8 @@ class Model(NamedTuple):
     mechanism: Mechanism
     actuators: Array  # (6, A_COLUMNS)
     circuit: Array  # (C_COLUMNS,)
+    places: Places
+    loose: Looseness
 
 
 def orifice_gain(flow: float, drop: float) -> float:
@@ -129,57 +133,19 @@ def build_circuit(config: PlantConfig) -> Array:
     return c
 
 
-def build_mechanism(config: PlantConfig, chain: Chain, bodies: list[Lump]) -> Mechanism:
-    """The true chain with ``bodies``; hinge damping follows from the inertia behind it at the start pose."""
-    n = N_COORDINATES
-    stiffness, free = np.zeros(n), np.ones(n)
-    boom, arm = config.flexibility.boom, config.flexibility.arm
-    beams = (boom, boom, arm, arm)
-    moduli = (boom.vertical_ei_n_m2, boom.lateral_ei_n_m2, arm.vertical_ei_n_m2, arm.lateral_ei_n_m2)
-    for i, beam, modulus in zip(FLEXIBLE, beams, moduli, strict=True):
-        stiffness[i] = 4.0 * modulus / (3.0 * beam.length_m)
-        free[i] = 1.0 if config.flexibility.enabled else 0.0
-    gravity = base_tilt(config)[:3, :3].T @ np.array([0.0, 0.0, -config.gravity_m_s2])
-    mechanism = Mechanism(
-        axis=chain.axis,
-        point=chain.point,
-        mass=np.array([body.mass for body in bodies]),
-        centre=np.array([body.centre for body in bodies]),
-        inertia=np.array([body.inertia for body in bodies]),
-        free=free,
-        stiffness=stiffness,
-        damping=np.zeros(n),
-        gravity=gravity,
-    )
-    for i, beam in zip(FLEXIBLE, beams, strict=True):
-        inertia = outboard_inertia(mechanism, start_coordinates(config), i)
-        mechanism.damping[i] = 2.0 * beam.damping_ratio * math.sqrt(stiffness[i] * inertia)
-    return mechanism
-
-
-def outboard_inertia(mechanism: Mechanism, q: Array, coordinate: int) -> float:
-    """The inertia (kg m²) behind ``coordinate`` about its axis at pose ``q`` (10,), the others locked."""
-    free = np.zeros(N_COORDINATES)
-    free[coordinate] = 1.0
-    alone = mechanism._replace(free=free, gravity=np.zeros(3))
-    push, acceleration = free.copy(), np.zeros(N_COORDINATES)
-    forward_dynamics(q, np.zeros(N_COORDINATES), push, alone, multibody_work(N_COORDINATES), acceleration)
-    return 1.0 / float(acceleration[coordinate])
-
-
-def start_coordinates(config: PlantConfig) -> Array:
-    """The ten coordinates (10,) of the start pose, hinges straight."""
-    q = np.zeros(N_COORDINATES)
-    q[list(DRIVEN)] = np.radians(config.start_pose_deg)
-    return q
-
-
 def build_model(config: PlantConfig) -> tuple[Model, Chain, Lump]:
     """The model without payload, its chain, and the bare tool body that a payload is added to."""
     chain = build_chain(config)
     bodies = build_bodies(config, chain)
-    mechanism = build_mechanism(config, chain, bodies)
-    return Model(mechanism, build_actuators(config), build_circuit(config)), chain, bodies[-1]
+    mechanism, shared = build_mechanism(config, chain, bodies)
+    model = Model(
+        mechanism=mechanism,
+        actuators=build_actuators(config),
+        circuit=build_circuit(config),
+        places=places(chain.names),
+        loose=build_looseness(config, chain.names, shared),
+    )
+    return model, chain, bodies[-1]
 
 
 def put_payload(model: Model, tool: Lump, mass: float, config: PlantConfig, chain: Chain) -> None:

@@ -21,7 +21,7 @@ from plant_emulator.core.faults.schedule import FaultSchedule, Injection
 from plant_emulator.core.hydraulics.valve_commands import ValveCommands, ValveDrive
 from plant_emulator.core.layout import (
     DRIVEN,
-    FLEXIBLE,
+    HINGES,
     N_ACTUATORS,
     N_COORDINATES,
     PRESSURE_A,
@@ -30,11 +30,12 @@ from plant_emulator.core.layout import (
     SPOOL,
     SUPPLY,
     TEMPERATURE,
-    Q,
 )
+from plant_emulator.core.mechanics.elastic import start_angles
 from plant_emulator.core.mechanics.geometry import base_tilt, transform
+from plant_emulator.core.mechanics.loose import set_phases
 from plant_emulator.core.mechanics.multibody import forward_kinematics
-from plant_emulator.core.model import build_model, put_payload, start_coordinates
+from plant_emulator.core.model import build_model, put_payload
 from plant_emulator.core.right_hand_side import EncoderShafts, advance, new_work
 from plant_emulator.core.sensors import Encoders
 from plant_emulator.core.stability import check_step, modes
@@ -88,9 +89,19 @@ class Plant:
         self._model, self._chain, self._bare_tool = build_model(config)
         self._payload_kg = config.payload.mass_kg
         put_payload(self._model, self._bare_tool, self._payload_kg, config, self._chain)
-        self._state = rest_state(self._model, start_coordinates(config), config.oil.temperature_degc)
-        check_step(self._model, self._state, config.step_ms * 1e-3)
-        self._work = new_work()
+        set_phases(self._model.loose, seed)
+        start = start_angles(config, self._chain.names)
+        self._state = rest_state(self._model, start, config.oil.temperature_degc)
+        check_step(self._model, self._state, config.step_ms * 1e-3, self._chain.names)
+        self._work = new_work(self._model)
+        self._bending = [
+            [
+                angle
+                for angle, name in zip(self._model.places.angle, self._chain.names, strict=True)
+                if hinge in name
+            ]
+            for hinge in HINGES
+        ]
         self._encoders = Encoders(config.errors, self._rng)
         play = config.errors.backlash
         half_play = np.asarray(play.half_width_mrad) * 1e-3 if play.enabled else np.zeros(N_ACTUATORS)
@@ -167,19 +178,18 @@ class Plant:
     def truth(self) -> PlantTruth:
         """Where everything really is now; for the plant's own recording, never for another service."""
         work, state, mounts = self._work, self._state, self._mounts
-        X_BT = self._tool_pose(state[Q : Q + N_COORDINATES])
-        X_WT = mounts.X_WB @ X_BT
+        X_WB, X_BT, X_WT = self._poses(state[self._model.places.angle])
         X_WC, X_WM = X_WT @ mounts.X_TC, X_WT @ mounts.X_TM
         X_CW = inverse(X_WC)
         X_CM, X_CO = X_CW @ X_WM, X_CW @ mounts.X_WO
-        driven, flexible = list(DRIVEN), list(FLEXIBLE)
+        driven = list(DRIVEN)
         return PlantTruth(
             time_ns=self.time_ns,
             q=state[driven],
             q_rate=state[RATE : RATE + N_COORDINATES][driven],
-            deflections=state[flexible],
+            deflections=np.array([state[angles].sum() for angles in self._bending]),
             X_BT=X_BT,
-            X_WB=mounts.X_WB,
+            X_WB=X_WB,
             X_WT=X_WT,
             X_WC=X_WC,
             X_WM=X_WM,
@@ -200,18 +210,26 @@ class Plant:
 
     def motion(self) -> CameraMotion:
         """How camera and tool marker move now, for pictures of finite exposure."""
-        q, rate = self._state[Q : Q + N_COORDINATES], self._state[RATE : RATE + N_COORDINATES]
+        where = self._model.places
+        q, rate = self._state[where.angle], self._state[where.rate]
         views = []
         for offset_s in (-0.5 * _INSTANT_S, 0.5 * _INSTANT_S):
-            X_WT = self._mounts.X_WB @ self._tool_pose(q + offset_s * rate)
+            X_WT = self._poses(q + offset_s * rate)[2]
             views.append(CameraView(X_WT @ self._mounts.X_TC, X_WT @ self._mounts.X_TM))
         return motion_between(views[0], views[1], _INSTANT_S)
 
-    def _tool_pose(self, q: Array) -> Array:
-        """X_BT (4, 4) at coordinates ``q`` (10,)."""
+    def _poses(self, q: Array) -> tuple[Array, Array, Array]:
+        """X_WB, X_BT and X_WT (4, 4) at angles ``q`` (n,) of the chain; a base that rocks is where it is."""
         forward_kinematics(q, self._model.mechanism, self._work.multibody)
-        last = transform(self._work.multibody.rotation[-1], self._work.multibody.origin[-1])
-        return last @ self._chain.X_BT_home
+        work, X_WB = self._work.multibody, self._mounts.X_WB
+        rotation, origin = work.rotation, work.origin
+        X_BT = transform(rotation[-1], origin[-1]) @ self._chain.X_BT_home
+        X_WT = X_WB @ X_BT
+        if self._chain.names[0] == "slew":
+            return X_WB, X_BT, X_WT
+        k = self._chain.names.index("slew")  # the body before it is the base
+        rocked = transform(rotation[k], origin[k])
+        return X_WB @ rocked, inverse(rocked) @ X_BT, X_WT
 
     def vibrations(self) -> NDArray[np.complex128]:
         """The eigenvalues (1/s) of the whole plant now with its valves shut; for surveys of the plant."""

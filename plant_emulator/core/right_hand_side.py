@@ -9,7 +9,8 @@ from foundation.compiled import allocation_free
 from plant_emulator.core import columns as col
 from plant_emulator.core.hydraulics.oil_rates import JOINT, add_oil
 from plant_emulator.core.hydraulics.valves import slew_limited
-from plant_emulator.core.layout import N_ACTUATORS, N_COORDINATES, N_STATES, RATE, Q
+from plant_emulator.core.layout import N_ACTUATORS, Q, state_size
+from plant_emulator.core.mechanics.loose import add_looseness
 from plant_emulator.core.mechanics.multibody import MultibodyWork, forward_dynamics, multibody_work
 from plant_emulator.core.model import Model
 
@@ -17,15 +18,21 @@ Array = NDArray[np.float64]
 
 
 class Work(NamedTuple):
-    """Scratch memory of one plant; ``flows`` (6, F_COLUMNS) tells what the latest evaluation found."""
+    """Scratch memory of one plant of n coordinates.
+
+    The latest evaluation leaves behind ``angle`` and ``turn`` (n,) of the chain, base first, and in ``flows``
+    (6, F_COLUMNS) what it found of the oil.
+    """
 
     multibody: MultibodyWork
-    force: Array  # (10,)
-    acceleration: Array  # (10,)
+    angle: Array  # (n,)
+    turn: Array  # (n,)
+    force: Array  # (n,)
+    acceleration: Array  # (n,)
     flows: Array  # (6, F_COLUMNS)
     command: Array  # (6,)
-    slope: Array  # (4, N_STATES)
-    stage: Array  # (N_STATES,)
+    slope: Array  # (4, states)
+    stage: Array  # (states,)
 
 
 class EncoderShafts(NamedTuple):
@@ -35,37 +42,46 @@ class EncoderShafts(NamedTuple):
     half_play: Array
 
 
-def new_work() -> Work:
-    """Fresh scratch memory."""
+def new_work(model: Model) -> Work:
+    """Fresh scratch memory for a plant of this size."""
+    n, size = len(model.places.angle), state_size(model.places)
     return Work(
-        multibody=multibody_work(N_COORDINATES),
-        force=np.zeros(N_COORDINATES),
-        acceleration=np.zeros(N_COORDINATES),
+        multibody=multibody_work(n),
+        angle=np.zeros(n),
+        turn=np.zeros(n),
+        force=np.zeros(n),
+        acceleration=np.zeros(n),
         flows=np.zeros((N_ACTUATORS, col.F_COLUMNS)),
         command=np.zeros(N_ACTUATORS),
-        slope=np.zeros((4, N_STATES)),
-        stage=np.zeros(N_STATES),
+        slope=np.zeros((4, size)),
+        stage=np.zeros(size),
     )
 
 
 @allocation_free
 def hydraulic_rates(state: Array, command: Array, model: Model, work: Work, rate: Array) -> None:
-    """Fill the oil's part of ``rate`` and the generalised force (10,) of oil and hinges in ``work.force``."""
-    mech = model.mechanism
-    for i in range(N_COORDINATES):
-        work.force[i] = -mech.stiffness[i] * state[Q + i] - mech.damping[i] * state[RATE + i]
-    add_oil(state, command, model.actuators, model.circuit, work.force, work.flows, rate)
+    """Fill the generalised force (n,) of springs, looseness and oil in ``work.force``.
+
+    Fills the oil's and the added states' own part of ``rate`` as well.
+    """
+    mech, where = model.mechanism, model.places
+    for i in range(work.force.shape[0]):
+        work.angle[i], work.turn[i] = state[where.angle[i]], state[where.rate[i]]
+        work.force[i] = -mech.stiffness[i] * work.angle[i] - mech.damping[i] * work.turn[i]
+    if where.clock >= 0:
+        add_looseness(state, where, model.loose, work.angle, work.turn, work.force, rate)
+    add_oil(state, command, model.actuators, model.circuit, where.joint, work.force, work.flows, rate)
 
 
 @allocation_free
 def right_hand_side(state: Array, command: Array, model: Model, work: Work, rate: Array) -> None:
-    """Fill ``rate`` (N_STATES,) with d(state)/dt at ``state`` under spool ``command`` (6,)."""
+    """Fill ``rate`` (states,) with d(state)/dt at ``state`` under spool ``command`` (6,)."""
     hydraulic_rates(state, command, model, work, rate)
-    angle, turn = state[Q : Q + N_COORDINATES], state[RATE : RATE + N_COORDINATES]
-    forward_dynamics(angle, turn, work.force, model.mechanism, work.multibody, work.acceleration)
-    for i in range(N_COORDINATES):
-        rate[Q + i] = turn[i]
-        rate[RATE + i] = work.acceleration[i]
+    forward_dynamics(work.angle, work.turn, work.force, model.mechanism, work.multibody, work.acceleration)
+    where = model.places
+    for i in range(work.turn.shape[0]):
+        rate[where.angle[i]] = work.turn[i]
+        rate[where.rate[i]] = work.acceleration[i]
 
 
 @allocation_free
@@ -75,10 +91,10 @@ def runge_kutta_step(state: Array, command: Array, h: float, model: Model, work:
     right_hand_side(state, command, model, work, k[0])
     for stage_index in range(1, 4):
         reach = h if stage_index == 3 else 0.5 * h
-        for j in range(N_STATES):
+        for j in range(state.shape[0]):
             stage[j] = state[j] + reach * k[stage_index - 1, j]
         right_hand_side(stage, command, model, work, k[stage_index])
-    for j in range(N_STATES):
+    for j in range(state.shape[0]):
         state[j] += h / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
 
 

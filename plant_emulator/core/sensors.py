@@ -16,13 +16,16 @@ COUNTS_PER_RADIAN = COUNTS_PER_TURN / (2.0 * math.pi)
 
 
 class Encoders:
-    """Six absolute encoders, each with its zero offset, play and noise; ``hold`` freezes a count."""
+    """Six absolute encoders, each with its zero offset, eccentricity and noise; ``hold`` freezes a count."""
 
     def __init__(self, errors: ErrorsConfig, rng: np.random.Generator) -> None:
         self._rng = rng
         self._noise = errors.encoder_noise.rms_lsb if errors.encoder_noise.enabled else 0.0
         off = errors.encoder_offsets
         self._offset = np.asarray(off.mrad) * 1e-3 if off.enabled else np.zeros(N_ACTUATORS)
+        wobble = errors.encoder_eccentricity
+        self._wobble = np.asarray(wobble.mrad) * 1e-3 if wobble.enabled else np.zeros(N_ACTUATORS)
+        self._phase = np.radians(wobble.phase_deg)
         self._held: dict[int, int] = {}
         self._last: tuple[int, ...] | None = None
 
@@ -44,5 +47,6 @@ class Encoders:
         self._held = {joint: self._held.get(joint, latest[joint]) for joint in joints}
 
     def _counts(self, angle: Array, noise: Array) -> list[int]:
-        counts: list[float] = np.rint((angle + self._offset) * COUNTS_PER_RADIAN + noise).tolist()
+        off = self._offset + self._wobble * np.sin(angle + self._phase)
+        counts: list[float] = np.rint((angle + off) * COUNTS_PER_RADIAN + noise).tolist()
         return [int(count) for count in counts]

@@ -1,25 +1,18 @@
 """How fast the plant's fastest mode is, hence how long a Runge-Kutta step may be."""
 
 import math
+from collections.abc import Iterator, Sequence
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.config.units import RUNGE_KUTTA_REACH
 from plant_emulator.core import columns as col
-from plant_emulator.core.layout import (
-    DRIVEN,
-    JOINTS,
-    N_ACTUATORS,
-    N_COORDINATES,
-    N_STATES,
-    PRESSURE_A,
-    SUPPLY,
-    TEMPERATURE,
-    Q,
-)
-from plant_emulator.core.mechanics.linkage import ROTARY
-from plant_emulator.core.mechanics.multibody import forward_dynamics, multibody_work
+from plant_emulator.core.layout import COORDINATES, JOINTS, N_ACTUATORS, PRESSURE_A, SUPPLY, TEMPERATURE
+from plant_emulator.core.mechanics import loose
+from plant_emulator.core.mechanics.elastic import mobility
+from plant_emulator.core.mechanics.linkage import ROTARY, actuator_position
 from plant_emulator.core.model import Model
 from plant_emulator.core.right_hand_side import new_work, right_hand_side
 from protocol.errors import ConfigurationError
@@ -28,13 +21,14 @@ Array = NDArray[np.float64]
 
 
 def linearised(model: Model, state: Array, command: Array) -> Array:
-    """The Jacobian (N_STATES, N_STATES) of the right-hand side at ``state``, by central differences."""
-    work, steps = new_work(), np.full(N_STATES, 1e-6)
+    """The Jacobian (states, states) of the right-hand side at ``state``, by central differences."""
+    n = state.shape[0]
+    work, steps = new_work(model), np.full(n, 1e-6)
     steps[PRESSURE_A : PRESSURE_A + 2 * N_ACTUATORS] = 100.0
     steps[SUPPLY] = 100.0
     steps[TEMPERATURE] = 1e-3
-    jacobian, above, below = np.zeros((N_STATES, N_STATES)), np.zeros(N_STATES), np.zeros(N_STATES)
-    for j in range(N_STATES):
+    jacobian, above, below = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    for j in range(n):
         moved = state.copy()
         moved[j] = state[j] + steps[j]
         right_hand_side(moved, command, model, work, above)
@@ -45,33 +39,101 @@ def linearised(model: Model, state: Array, command: Array) -> Array:
 
 
 def modes(model: Model, state: Array) -> NDArray[np.complex128]:
-    """The eigenvalues (N_STATES,) of the plant at ``state`` with its valves closed (1/s, complex)."""
+    """The eigenvalues (states,) of the plant at ``state`` with its valves closed (1/s, complex)."""
     return np.asarray(np.linalg.eigvals(linearised(model, state, np.zeros(N_ACTUATORS))))
 
 
-def check_step(model: Model, state: Array, step: float) -> None:
-    """Raise ConfigurationError when ``step`` (s) is too long for the arm's own vibrations at ``state``."""
-    rates = {"the arm vibrates": float(np.max(np.abs(modes(model, state))))}
+def check_step(model: Model, state: Array, step: float, names: Sequence[str] = COORDINATES) -> None:
+    """Raise ConfigurationError when ``step`` (s) is too long for the arm's own vibrations at ``state``.
+
+    ``names`` (n,) are those of the chain's coordinates. An arm with more of them than the plain one is looked
+    at over the strokes of lift and tilt: its fast motions lie between neighbours and change with the pose.
+    """
+    parts = _flank_rates(model, state) | _spring_rates(model, state, names)
     for i, name in enumerate(JOINTS):
-        rates[f"the end stop of {name} acts"] = _stop_rate(model, state, i)
-    reason, fastest = max(rates.items(), key=lambda item: item[1])
-    limit = RUNGE_KUTTA_REACH / fastest
-    if step > limit:
-        raise ConfigurationError(
-            "configuration.unstable_step",
-            f"step_ms = {step * 1e3:g}: must not exceed {limit * 1e3:.4f}, {reason} at {fastest:.0f} rad/s",
+        parts[f"the end stop of {name} acts"] = _stop_rate(model, state, i)
+    whole = dict(_vibration(model, pose, names) for pose in _poses(model, state))
+    for rates in (parts, whole):  # a part by itself says more than the motion it takes part in
+        reason, rate = max(rates.items(), key=lambda item: item[1])
+        limit = RUNGE_KUTTA_REACH / rate
+        if step > limit:
+            raise ConfigurationError(
+                "configuration.unstable_step",
+                f"step_ms = {step * 1e3:g}: must not exceed {limit * 1e3:.4f}, {reason} at {rate:.0f} rad/s",
+            )
+
+
+def _poses(model: Model, state: Array) -> Iterator[Array]:
+    """``state``; with more than the plain coordinates also at the ends of lift's and tilt's strokes."""
+    yield state
+    if model.places.clock < 0:
+        return
+    (lift, tilt), rows = model.places.angle[model.places.joint[1:3]], model.actuators[1:3]
+    ends = [_stroke_ends(row, float(state[joint])) for row, joint in zip(rows, (lift, tilt), strict=True)]
+    for angles in product(*ends):
+        pose = state.copy()
+        pose[[lift, tilt]] = angles
+        yield pose
+
+
+def _stroke_ends(row: Array, angle: float) -> tuple[float, float]:
+    """The joint's angles (rad) near either end of its stroke, on the side of the linkage where it is now."""
+    link, found = row[col.A_KIND : col.A_LENGTH0 + 1], []
+    grid = angle + np.linspace(-np.pi, np.pi, 721)
+    inside = [0.0 <= actuator_position(float(a), *link) <= row[col.A_STROKE] for a in grid]
+    for step in (-1, 1):
+        k = 360
+        while 0 <= k + step < 721 and inside[k + step]:
+            k += step
+        found.append(float(grid[k]))
+    return found[0], found[1]
+
+
+def _vibration(model: Model, state: Array, names: Sequence[str]) -> tuple[str, float]:
+    """The fastest motion at ``state``: in words, and its rate (1/s)."""
+    found, shapes = np.linalg.eig(linearised(model, state, np.zeros(N_ACTUATORS)))
+    fastest = int(np.argmax(np.abs(found)))
+    moving = names[int(np.argmax(np.abs(shapes[model.places.rate, fastest])))]
+    return f"the arm vibrates (most in {moving})", float(np.abs(found[fastest]))
+
+
+def _flank_rates(model: Model, state: Array) -> dict[str, float]:
+    """How fast (1/s) the flanks of what is loose push, by what they belong to."""
+    mesh, tilt, rates = model.loose.mesh, model.loose.tilt, {}
+    if mesh[loose.M_AT] >= 0.0:
+        at = [int(mesh[loose.M_AT])]
+        rates["a flank of errors.loose_slew pushes (contact_nm_rad, contact_damping_nm_s_rad)"] = _rate_of(
+            model, state, at, *mesh[[loose.M_STIFFNESS, loose.M_DAMPING]]
         )
+    if tilt[loose.T_AT] >= 0.0:
+        at = [int(tilt[loose.T_AT]), int(tilt[loose.T_AT]) + 1]
+        rates["the ring of errors.bearing_tilt pushes (stiffness_nm_rad, damping_nm_s_rad)"] = _rate_of(
+            model, state, at, *tilt[[loose.T_STIFFNESS, loose.T_DAMPING]]
+        )
+    return rates
+
+
+def _spring_rates(model: Model, state: Array, names: Sequence[str]) -> dict[str, float]:
+    """How fast (1/s) each spring swings by itself; never faster than the arm's fastest motion."""
+    mech, q = model.mechanism, state[model.places.angle]
+    springs = [i for i in range(len(names)) if mech.stiffness[i] > 0.0 and mech.free[i] > 0.0]
+    gives = np.diag(mobility(mech, q, springs, held=False)) if springs else np.zeros(0)
+    rates = np.sqrt(mech.stiffness[springs] * gives)
+    return {f"{names[i]} swings": float(rate) for i, rate in zip(springs, rates, strict=True)}
+
+
+def _rate_of(model: Model, state: Array, at: list[int], stiffness: float, damping: float) -> float:
+    """How fast (1/s) a spring with a damper acts at coordinates ``at``, everything else free to give way."""
+    gives = mobility(model.mechanism, state[model.places.angle], at, held=False)
+    most = float(np.max(np.linalg.eigvalsh(0.5 * (gives + gives.T))))
+    return max(math.sqrt(stiffness * most), damping * most)
 
 
 def _stop_rate(model: Model, state: Array, i: int) -> float:
     """How fast (1/s) actuator ``i`` would rebound or brake at its end stop, its lever at the longest."""
-    row, mech = model.actuators[i], model.mechanism._replace(gravity=np.zeros(3))
+    row = model.actuators[i]
     lever = 1.0 if row[col.A_KIND] == ROTARY else min(float(row[col.A_BASE]), float(row[col.A_LEVER]))
-    push, answer = np.zeros(N_COORDINATES), np.zeros(N_COORDINATES)
-    push[DRIVEN[i]] = 1.0
-    q = state[Q : Q + N_COORDINATES]
-    forward_dynamics(q, np.zeros(N_COORDINATES), push, mech, multibody_work(N_COORDINATES), answer)
-    mobility = lever * lever * float(answer[DRIVEN[i]])
-    return max(
-        math.sqrt(float(row[col.A_STOP_STIFFNESS]) * mobility), float(row[col.A_STOP_DAMPING]) * mobility
+    at, square = [int(model.places.joint[i])], lever * lever
+    return _rate_of(
+        model, state, at, square * float(row[col.A_STOP_STIFFNESS]), square * float(row[col.A_STOP_DAMPING])
     )

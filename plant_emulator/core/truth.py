@@ -20,8 +20,9 @@ class Mounts(NamedTuple):
 class PlantTruth(NamedTuple):
     """One instant of the plant. Poses are (4, 4), positions (3,), rotations (3, 3); SI units and radians.
 
-    ``q`` (6,) true joint angles, ``q_rate`` (6,), ``deflections`` (4,) of the hinges boom vertical, boom
-    lateral, arm vertical, arm lateral. ``pressures`` (6, 2) absolute, chamber a and b. ``valves`` (6,)
+    ``q`` (6,) true joint angles, where the encoders are, ``q_rate`` (6,), ``deflections`` (4,) of boom
+    vertical, boom lateral, arm vertical, arm lateral: all hinges of each together. ``X_WB`` moves where the
+    base rocks. ``pressures`` (6, 2) absolute, chamber a and b. ``valves`` (6,)
     commands in force, ``spools`` (6,). ``flows`` (6, 2) net into each chamber (m³/s). ``faults`` names what
     is broken at present.
     """

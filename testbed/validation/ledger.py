@@ -17,14 +17,10 @@ from plant_emulator.core.hydraulics.chambers import ATMOSPHERE
 from plant_emulator.core.hydraulics.valves import slew_limited
 from plant_emulator.core.layout import (
     N_ACTUATORS,
-    N_COORDINATES,
-    N_STATES,
     PRESSURE_A,
     PRESSURE_B,
-    RATE,
     SPOOL,
     SUPPLY,
-    Q,
 )
 from plant_emulator.core.model import Model
 from plant_emulator.core.right_hand_side import Work, right_hand_side
@@ -116,8 +112,8 @@ def _powers(state: Array, model: Model, work: Work, oil: Compression, out: Array
         mass_a, mass_b = density(p_a, oil) * in_a, density(p_b, oil) * in_b
         out[ADVECTED] += mass_a * stored(p_a, oil) + mass_b * stored(p_b, oil)
         out[MASSES + i], out[MASSES + N_ACTUATORS + i] = mass_a, mass_b
-    for j in range(N_COORDINATES):
-        out[HINGES] += model.mechanism.damping[j] * state[RATE + j] ** 2
+    for j in range(work.turn.shape[0]):
+        out[HINGES] += model.mechanism.damping[j] * work.turn[j] ** 2
 
 
 @allocation_free
@@ -153,11 +149,11 @@ def booked_steps(
             drive[i], work.command[i] = slew_limited(drive[i], target[i], out, back, h)
         for s in range(4):
             reach = h if s == 3 else 0.5 * h
-            for j in range(N_STATES):
+            for j in range(state.shape[0]):
                 stage[j] = state[j] if s == 0 else state[j] + reach * k[s - 1, j]
             right_hand_side(stage, work.command, model, work, k[s])
             _powers(stage, model, work, oil, rates[s])
-        for j in range(N_STATES):
+        for j in range(state.shape[0]):
             state[j] += h / 6.0 * (k[0, j] + 2.0 * (k[1, j] + k[2, j]) + k[3, j])
         for j in range(N_INTEGRALS):
             total[j] += h / 6.0 * (rates[0, j] + 2.0 * (rates[1, j] + rates[2, j]) + rates[3, j])
@@ -205,6 +201,6 @@ class Ledger:
         pressures = [float(p) for p in stand.state[CHAMBERS]]
         mass = np.concatenate((bores, rods)) * np.array([density(p, oil) for p in pressures])
         pressed = mass @ np.array([stored(p, oil) for p in pressures])
-        q, rate = stand.state[Q : Q + N_COORDINATES], stand.state[RATE : RATE + N_COORDINATES]
+        q, rate = stand.angles, stand.state[stand.model.places.rate]
         mechanical = sum(PinocchioArm(mech).energies(q, rate)) + 0.5 * mech.stiffness @ (q * q)
         return float(mechanical + pressed), mass

@@ -6,7 +6,6 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.core.layout import COORDINATES, N_COORDINATES
 from plant_emulator.core.mechanics.multibody import Mechanism
 from protocol.errors import ConfigurationError
 
@@ -32,9 +31,9 @@ def mujoco_xml(mech: Mechanism, options: str = "") -> str:
     """An MJCF document of ``mech``: nested bodies in base axes; a massless body joins the next one."""
     opened, depth = [], 0
     joints: list[str] = []
-    for i, name in enumerate(COORDINATES):
+    for i in range(len(mech.mass)):
         joints.append(
-            f'<joint name="{name}" type="hinge" axis="{_text(mech.axis[i])}" pos="{_text(mech.point[i])}"'
+            f'<joint name="angle {i}" type="hinge" axis="{_text(mech.axis[i])}" pos="{_text(mech.point[i])}"'
             f' stiffness="{float(mech.stiffness[i])!r}" damping="{float(mech.damping[i])!r}"/>'
         )
         if mech.mass[i] == 0.0:
@@ -60,12 +59,12 @@ class MujocoArm:
 
     def __init__(self, mech: Mechanism) -> None:
         self._mujoco = oracle("mujoco")
-        rigid = mech._replace(stiffness=np.zeros(N_COORDINATES), damping=np.zeros(N_COORDINATES))
+        rigid = mech._replace(stiffness=np.zeros_like(mech.mass), damping=np.zeros_like(mech.mass))
         self._model = self._mujoco.MjModel.from_xml_string(mujoco_xml(rigid))
         self._data = self._mujoco.MjData(self._model)
 
     def acceleration(self, q: Array, rate: Array, force: Array) -> Array:
-        """Accelerations (10,) at ``q``, ``rate`` under generalised ``force``."""
+        """Accelerations (n,) at ``q``, ``rate`` under generalised ``force``."""
         self._data.qpos[:], self._data.qvel[:], self._data.qfrc_applied[:] = q, rate, force
         self._mujoco.mj_forward(self._model, self._data)
         return np.array(self._data.qacc)
@@ -77,9 +76,11 @@ class PinocchioArm:
     def __init__(self, mech: Mechanism) -> None:
         self._pin = pin = oracle("pinocchio")
         self._model, parent, origin = pin.Model(), 0, np.zeros(3)
-        for i, name in enumerate(COORDINATES):
+        for i in range(len(mech.mass)):
             joint = pin.JointModelRevoluteUnaligned(*(float(a) for a in mech.axis[i]))
-            parent = self._model.addJoint(parent, joint, pin.SE3(np.eye(3), mech.point[i] - origin), name)
+            parent = self._model.addJoint(
+                parent, joint, pin.SE3(np.eye(3), mech.point[i] - origin), f"angle {i}"
+            )
             inertia = pin.Inertia(float(mech.mass[i]), mech.centre[i] - mech.point[i], mech.inertia[i])
             self._model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
             origin = mech.point[i]
@@ -87,7 +88,7 @@ class PinocchioArm:
         self._data = self._model.createData()
 
     def acceleration(self, q: Array, rate: Array, force: Array) -> Array:
-        """Accelerations (10,) at ``q``, ``rate`` under generalised ``force``."""
+        """Accelerations (n,) at ``q``, ``rate`` under generalised ``force``."""
         return np.array(self._pin.aba(self._model, self._data, q, rate, force))
 
     def energies(self, q: Array, rate: Array) -> tuple[float, float]:

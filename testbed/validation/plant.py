@@ -1,4 +1,4 @@
-"""The plant's validation: twenty families of cases with known answers, run as one table."""
+"""The plant's validation: 27 families of cases with known answers, run as one table."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,8 +11,10 @@ from testbed.validation.plant_balances import energy_balance, pump_saturation, s
 from testbed.validation.plant_dynamics import accelerations, energy_drift, locked_lift, ring_down
 from testbed.validation.plant_friction import friction
 from testbed.validation.plant_hydraulics import blocked_piston, free_velocity, leakage_creep, orifice, spool
+from testbed.validation.plant_play import eccentric_encoders, loose_slew, tilting_ring
 from testbed.validation.plant_signals import convergence, encoders
 from testbed.validation.plant_statics import cantilevers, geometry, levers, static_forces, valve_shut_load
+from testbed.validation.plant_structure import rocking, several_hinges, twist, whole_chain
 
 Family = Callable[[Path], list[ValidationCase]]
 
@@ -37,6 +39,13 @@ FAMILIES: dict[int, tuple[str, Family]] = {
     18: ("pump saturation", pump_saturation),
     19: ("encoders", encoders),
     20: ("convergence and replay", convergence),
+    21: ("beams of several hinges", several_hinges),
+    22: ("twist of links and pins", twist),
+    23: ("rocking base", rocking),
+    24: ("the whole chain", whole_chain),
+    25: ("loose slew", loose_slew),
+    26: ("tilting ring", tilting_ring),
+    27: ("eccentric encoders", eccentric_encoders),
 }
 
 

@@ -10,7 +10,7 @@ from plant_emulator.config.units import BAR, LITRE_PER_MINUTE
 from plant_emulator.core import columns as col
 from plant_emulator.core.equilibrium import rest_state
 from plant_emulator.core.hydraulics.chambers import bulk_modulus
-from plant_emulator.core.layout import N_ACTUATORS, N_COORDINATES, PRESSURE_A, PRESSURE_B, SUPPLY, Q
+from plant_emulator.core.layout import N_ACTUATORS, PRESSURE_A, PRESSURE_B, SUPPLY
 from plant_emulator.core.model import put_payload
 from testbed.validation.case import ValidationCase
 from testbed.validation.ledger import Ledger
@@ -26,7 +26,7 @@ def resting_arm(config_dir: Path, pose_deg: list[float], payload: float, **chang
     config = default_config(config_dir, {"start_pose_deg": pose_deg}, changes)
     stand = Stand(config, np.radians(pose_deg))
     put_payload(stand.model, stand.tool, payload, config, stand.chain)
-    stand.state[:] = rest_state(stand.model, stand.state[Q : Q + N_COORDINATES], config.oil.temperature_degc)
+    stand.state[:] = rest_state(stand.model, stand.angles, config.oil.temperature_degc)
     return stand
 
 

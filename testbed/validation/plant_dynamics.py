@@ -11,8 +11,9 @@ from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core import columns as col
 from plant_emulator.core.layout import N_COORDINATES, RATE, Q
+from plant_emulator.core.mechanics.elastic import outboard_inertia
 from plant_emulator.core.mechanics.multibody import forward_dynamics, multibody_work
-from plant_emulator.core.model import outboard_inertia, put_payload
+from plant_emulator.core.model import put_payload
 from testbed.validation.case import ValidationCase
 from testbed.validation.oracles import MujocoArm, PinocchioArm
 from testbed.validation.plant_rig import LIFT, Stand, default_config, loaded_lift
@@ -136,9 +137,7 @@ def ring_down(config_dir: Path) -> list[ValidationCase]:
         stand.state[Q + hinge] = 1e-3
         step = 2e-4
         seen = np.array(stand.run(12.0 / frequency, step, partial(_angle, hinge)))
-        tops = np.nonzero((seen[1:-1] > seen[:-2]) & (seen[1:-1] >= seen[2:]))[0] + 1
-        heights = [_vertex(seen[k - 1 : k + 2]) for k in tops[:9]]
-        decay = math.log(heights[0] / heights[8]) / 8.0
+        decay = decrement(seen)
         expected = 2.0 * math.pi * zeta / math.sqrt(1.0 - zeta * zeta)
         damped = frequency * math.sqrt(1.0 - zeta * zeta)
         obtained = 1.0 / period(step, seen)
@@ -149,6 +148,13 @@ def ring_down(config_dir: Path) -> list[ValidationCase]:
             ValidationCase(13, f"{name} log decrement", "", expected, decay, 0.01 * expected, "2πζ/√(1 − ζ²)")
         )
     return cases
+
+
+def decrement(values: Array) -> float:
+    """The logarithmic decrement of a decaying oscillation, over its first nine tops."""
+    tops = np.nonzero((values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:]))[0] + 1
+    heights = [_vertex(values[k - 1 : k + 2]) for k in tops[:9]]
+    return math.log(heights[0] / heights[8]) / 8.0
 
 
 def _angle(coordinate: int, stand: Stand) -> float:

@@ -13,14 +13,13 @@ from plant_emulator.core import columns as col
 from plant_emulator.core.layout import (
     DRIVEN,
     N_ACTUATORS,
-    N_COORDINATES,
-    N_STATES,
     PRESSURE_A,
     PRESSURE_B,
     RATE,
     SUPPLY,
     TEMPERATURE,
     Q,
+    state_size,
 )
 from plant_emulator.core.mechanics.bodies import Lump, sphere, together
 from plant_emulator.core.mechanics.geometry import Chain
@@ -69,13 +68,22 @@ class Stand:
         self.model: Model
         self.chain: Chain
         self.model, self.chain, self.tool = build_model(config)
-        self.work = new_work()
-        self.state = np.zeros(N_STATES)
+        self.work = new_work(self.model)
+        self.state = np.zeros(state_size(self.model.places))
         self.command = np.zeros(N_ACTUATORS)
         self.state[[Q + joint for joint in DRIVEN]] = pose
         self.state[PRESSURE_A : PRESSURE_B + N_ACTUATORS] = self.model.circuit[col.C_SET] / 2.0
         self.state[SUPPLY] = self.model.circuit[col.C_SET]
         self.state[TEMPERATURE] = config.oil.temperature_degc
+
+    @property
+    def angles(self) -> Array:
+        """The chain's angles (n,) now, base first; a copy."""
+        return self.state[self.model.places.angle]
+
+    def at(self, name: str) -> int:
+        """Where in the chain the coordinate of this name is."""
+        return self.chain.names.index(name)
 
     def clamp_all_but(self, *coordinates: int) -> None:
         """Lock every coordinate except the ones named."""
@@ -107,12 +115,12 @@ class Stand:
     def place(self, body: int, point_home: Array) -> Array:
         """Where the point of ``body`` that is at ``point_home`` (3,) in the home pose is now."""
         work = self.work.multibody
-        forward_kinematics(self.state[Q : Q + N_COORDINATES], self.model.mechanism, work)
+        forward_kinematics(self.angles, self.model.mechanism, work)
         return np.asarray(work.rotation[body + 1] @ point_home + work.origin[body + 1])
 
     def rates(self) -> Array:
-        """d(state)/dt (N_STATES,) now; ``work.flows`` is filled as well."""
-        rate = np.zeros(N_STATES)
+        """d(state)/dt now; ``work.flows`` is filled as well."""
+        rate = np.zeros_like(self.state)
         right_hand_side(self.state, self.command, self.model, self.work, rate)
         return rate
 
@@ -135,7 +143,7 @@ class Stand:
         ``integrand`` gets the stand, its ``work.flows`` fresh, and the stage's state.
         """
         total, seen = np.zeros(size), [self.state.copy()]
-        slope, stage = np.zeros((4, N_STATES)), self.state.copy()
+        slope, stage = np.zeros((4, len(self.state))), self.state.copy()
         for _ in range(round(seconds / step)):
             start, grown = self.state.copy(), np.zeros((4, size))
             for k, reach in enumerate((0.0, 0.5, 0.5, 1.0)):
@@ -170,7 +178,7 @@ def bare_cylinder(config_dir: Path, mass: float = 500.0) -> Stand:
     """
     stand = Stand(default_config(config_dir), np.zeros(6))
     stand.clamp_all_but(0)
-    stand.unload(*range(N_COORDINATES))
+    stand.unload(*range(len(stand.angles)))
     stand.hang(0, [Lump(1.0, np.zeros(3), np.eye(3) * mass)])
     table = stand.model.actuators
     table[STAND] = table[1]

@@ -168,7 +168,7 @@ def _beam_drop(config_dir: Path) -> tuple[tuple[float, float], float]:
     heights, poses = [], []
     for extra in (0.0, 100.0):
         stand.hang(ARM_END, [stand.body(ARM_END), sphere(extra, end, 0.0)])
-        poses.append(bent_pose(mech, q))
+        poses.append(bent_pose(stand.model, q))
         stand.state[Q : Q + N_COORDINATES] = poses[-1]
         heights.append(float(stand.place(ARM_END, end)[2]))
     stand.state[Q : Q + N_COORDINATES] = q
@@ -198,7 +198,7 @@ def cantilevers(config_dir: Path) -> list[ValidationCase]:
         stand.clamp_all_but(hinge)
         stand.hang(body, [sphere(1000.0 / stand.config.gravity_m_s2, point, 0.0)])
         straight = stand.place(body, point)
-        bent = bent_pose(stand.model.mechanism, stand.state[Q : Q + N_COORDINATES])
+        bent = bent_pose(stand.model, stand.angles)
         stand.state[Q : Q + N_COORDINATES] = bent
         drop = float(straight[2] - stand.place(body, point)[2]) * 1e3
         beam = stand.config.flexibility.boom if hinge == 2 else stand.config.flexibility.arm

@@ -35,7 +35,7 @@ def plant() -> Plant:
 
 def test_starts_in_equilibrium(plant: Plant) -> None:
     rate = np.zeros(N_STATES)
-    right_hand_side(plant._state, np.zeros(6), plant._model, new_work(), rate)
+    right_hand_side(plant._state, np.zeros(6), plant._model, new_work(plant._model), rate)
     assert np.abs(rate[RATE : RATE + 10]).max() < 1e-9
     start = plant.truth()
     plant.advance(100_000_000)
@@ -231,7 +231,7 @@ def test_counterbalance_valves_hold_the_load_when_the_supply_is_lost() -> None:
 
 def test_the_hot_loop_allocates_nothing(plant: Plant) -> None:
     arrays = (plant._state, np.zeros(6), np.full(6, 0.1), EncoderShafts(np.zeros(6), np.zeros(6)))
-    work = new_work()
+    work = new_work(plant._model)
     _nrt_python.memsys_enable_stats()
     counts = []
     for steps in (1, 1, 200):

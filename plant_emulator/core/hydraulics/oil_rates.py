@@ -32,6 +32,7 @@ from plant_emulator.core.mechanics.friction import bristle_rate, friction_force,
 from plant_emulator.core.mechanics.linkage import actuator_reach
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 JOINT = np.array(DRIVEN)  # compiled code indexes an array, not a tuple, with a variable
 
@@ -189,13 +190,13 @@ def _supply(state: Array, c: Array, flows: Array, rate: Array) -> None:
 
 @allocation_free
 def add_oil(
-    state: Array, command: Array, a: Array, c: Array, force: Array, flows: Array, rate: Array
+    state: Array, command: Array, a: Array, c: Array, at: Indices, force: Array, flows: Array, rate: Array
 ) -> None:
-    """Fill the oil's part of ``rate``, and ``flows``; add the actuators' torques to ``force`` (10,).
+    """Fill the oil's part of ``rate``, and ``flows``; add the actuators' torques to ``force`` (n,).
 
-    ``a`` is the actuator table, ``c`` the circuit.
+    ``a`` is the actuator table, ``c`` the circuit, ``at`` (6,) where in ``force`` each joint is.
     """
     viscosity_ratio = math.exp(c[col.C_VISCOSITY_DRIFT] * (state[TEMPERATURE] - c[col.C_REFERENCE]))
     for i in range(N_ACTUATORS):
-        force[JOINT[i]] += _actuator(i, state, command[i], viscosity_ratio, a, c, flows, rate)
+        force[at[i]] += _actuator(i, state, command[i], viscosity_ratio, a, c, flows, rate)
     _supply(state, c, flows, rate)

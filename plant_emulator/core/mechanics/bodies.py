@@ -1,4 +1,4 @@
-"""Mass properties of the ten bodies at the home pose, from the parts that plant.yaml lists for each link."""
+"""Mass properties of the bodies at the home pose, from the parts that plant.yaml lists for each link."""
 
 from typing import NamedTuple
 
@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.config.plant import PlantConfig
-from plant_emulator.config.structure import BeamConfig, PartConfig, WristBodyConfig
-from plant_emulator.core.layout import N_COORDINATES
-from plant_emulator.core.mechanics.geometry import Chain
+from plant_emulator.config.structure import PartConfig, WristBodyConfig
+from plant_emulator.core.mechanics.geometry import Chain, Hinge, hinges_of
 
 Array = NDArray[np.float64]
 
@@ -57,20 +56,22 @@ def _in_plane(point: tuple[float, float], origin: Array) -> Array:
     return np.asarray(origin + np.array([point[0], 0.0, point[1]]))
 
 
-def _split(parts: tuple[PartConfig, ...], origin: Array, beam: BeamConfig) -> tuple[Lump, Lump]:
-    """The link's parts on the root's side and on the far side of its hinge; a bar across it is cut there."""
-    hinge = beam.length_m / 3.0
-    root: list[Lump] = []
-    far: list[Lump] = []
+def _cut(parts: tuple[PartConfig, ...], origin: Array, hinges: list[Hinge]) -> list[Lump]:
+    """The link's parts as the bodies between its hinges, root first; a bar across a hinge is cut there."""
+    places = [hinge.along for hinge in hinges]
+    found: list[list[Lump]] = [[] for _ in range(len(places) + 1)]
     for part in parts:
         first, last = sorted((part.from_m, part.to_m))
         a, b = _in_plane(first, origin), _in_plane(last, origin)
         span = last[0] - first[0]
-        share = min(max((hinge - first[0]) / span, 0.0), 1.0) if span > 0.0 else float(first[0] < hinge)
-        cut = a + share * (b - a)
-        root.append(bar(part.mass_kg * share, a, cut, part.width_m))
-        far.append(bar(part.mass_kg * (1.0 - share), cut, b, part.width_m))
-    return together(root), together(far)
+        start, done = a, 0.0
+        for k, place in enumerate(places):
+            share = min(max((place - first[0]) / span, 0.0), 1.0) if span > 0.0 else float(first[0] < place)
+            cut = a + share * (b - a)
+            found[k].append(bar(part.mass_kg * (share - done), start, cut, part.width_m))
+            start, done = cut, share
+        found[-1].append(bar(part.mass_kg * (1.0 - done), start, b, part.width_m))
+    return [together(lumps) for lumps in found]
 
 
 def _moved_out(part: PartConfig, distance: float) -> PartConfig:
@@ -90,23 +91,48 @@ def payload(mass: float, config: PlantConfig, chain: Chain) -> Lump:
     return sphere(mass, centre, config.payload.radius_m)
 
 
-def build_bodies(config: PlantConfig, chain: Chain) -> list[Lump]:
-    """The ten bodies without payload, where the chain's deviations put them."""
-    masses, origin = config.masses, chain.link_origin
+def _segments(name: str, joint: str, names: tuple[str, ...], cut: list[Lump]) -> dict[str, Lump]:
+    """Which coordinate each body of a link stands behind: the root behind its joint, pin and twist."""
+    root = [n for n in (joint, f"{joint}_pin", f"{name}_twist") if n in names][-1]
+    lateral = [n for n in names if n.startswith(f"{name}_lateral")]
+    return dict(zip([root, *lateral], cut, strict=True))
+
+
+def _foot(config: PlantConfig, names: tuple[str, ...]) -> dict[str, Lump]:
+    """The pillar behind whatever of the slew is there, what turns before its play, and the carrier."""
+    errors = config.errors
     pillar = together(
         [
-            bar(p.mass_kg, _in_plane(p.from_m, origin[0]), _in_plane(p.to_m, origin[0]), p.width_m)
-            for p in masses.pillar
+            bar(p.mass_kg, _in_plane(p.from_m, np.zeros(3)), _in_plane(p.to_m, np.zeros(3)), p.width_m)
+            for p in config.masses.pillar
         ]
     )
-    boom_root, boom_far = _split(masses.boom, origin[1], config.flexibility.boom)
+    found = {}
+    if errors.loose_slew.enabled:  # a flat disc on the slew's axis
+        turning = errors.loose_slew.motor_side_kg_m2
+        found["slew"] = Lump(1.0, np.zeros(3), np.diag([0.5 * turning, 0.5 * turning, turning]))
+    if errors.rocking_base.enabled:
+        base = errors.rocking_base
+        squares = base.mass_kg * np.asarray(base.gyration_m) ** 2
+        found["base_yaw"] = Lump(base.mass_kg, np.asarray(base.centre_m), np.diag(squares))
+    found[[n for n in ("slew", "slew_play", "ring_pitch") if n in names][-1]] = pillar
+    return found
+
+
+def build_bodies(config: PlantConfig, chain: Chain) -> list[Lump]:
+    """The bodies (n) without payload, where the chain's deviations put them; massless ones between axes."""
+    masses, origin, names = config.masses, chain.link_origin, chain.names
+    boom, arm = hinges_of(config)
     telescope = tuple(_moved_out(part, config.geometry.telescope_m) for part in masses.telescope)
-    arm_root, arm_far = _split(masses.arm + telescope, origin[4], config.flexibility.arm)
-    wrist = [_wrist(body, origin[7]) for body in (masses.wrist1, masses.wrist2, masses.tool)]
-    nominal = [pillar, boom_root, NOTHING, boom_far, arm_root, NOTHING, arm_far, *wrist]
+    lift, tilt, wrist = (origin[names.index(name)] for name in ("lift", "tilt", "wrist1"))
+    nominal = _foot(config, names)
+    nominal |= _segments("boom", "lift", names, _cut(masses.boom, lift, boom))
+    nominal |= _segments("arm", "tilt", names, _cut(masses.arm + telescope, tilt, arm))
+    wrists = (("wrist1", masses.wrist1), ("wrist2", masses.wrist2), ("wrist3", masses.tool))
+    nominal |= {name: _wrist(body, wrist) for name, body in wrists}
     bodies: list[Lump] = []
-    for i in range(N_COORDINATES):
+    for i, name in enumerate(names):
         rotation, shift = chain.deviation[i, :3, :3], chain.deviation[i, :3, 3]
-        lump = nominal[i]
+        lump = nominal.get(name, NOTHING)
         bodies.append(Lump(lump.mass, rotation @ lump.centre + shift, rotation @ lump.inertia @ rotation.T))
     return bodies

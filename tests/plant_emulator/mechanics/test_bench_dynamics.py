@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from foundation.compiled import kernel
 from plant_emulator.core.equilibrium import rest_state
 from plant_emulator.core.layout import DRIVEN, N_ACTUATORS, N_COORDINATES, N_STATES, RATE, Q
+from plant_emulator.core.mechanics.elastic import start_angles
 from plant_emulator.core.mechanics.multibody import forward_kinematics, multibody_work
-from plant_emulator.core.model import Model, build_model, start_coordinates
+from plant_emulator.core.model import Model, build_model
 from plant_emulator.core.right_hand_side import EncoderShafts, Work, advance, hydraulic_rates, new_work
 from testbed.reporting.console import out, table
 from testbed.validation.oracles import mujoco_xml
@@ -50,8 +51,10 @@ class Motion:
     def __init__(self) -> None:
         config = plant_config()
         self.model, self.chain, _ = build_model(config)
-        self.state = rest_state(self.model, start_coordinates(config), config.oil.temperature_degc)
-        self.work = new_work()
+        self.state = rest_state(
+            self.model, start_angles(config, self.chain.names), config.oil.temperature_degc
+        )
+        self.work = new_work(self.model)
 
     def tip(self) -> Array:
         """The tool's position (3,) in B."""

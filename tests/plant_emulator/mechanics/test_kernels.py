@@ -99,6 +99,6 @@ def test_two_works_give_the_same_bits() -> None:
         stand = resting_arm(CONFIGS, POSE, 30.0)
         idle = np.zeros((3, 6))
         shafts = EncoderShafts(idle[1], idle[2])
-        advance(stand.state, idle[0], np.full(6, 0.2), shafts, 500, 5e-4, stand.model, new_work())
+        advance(stand.state, idle[0], np.full(6, 0.2), shafts, 500, 5e-4, stand.model, new_work(stand.model))
         ends.append(stand.state.copy())
     np.testing.assert_array_equal(ends[0], ends[1])

@@ -51,7 +51,7 @@ def test_the_books_are_kept_beside_the_plants_own_steps() -> None:
     target, idle = np.array([0.4, 0.7, -0.6, 0.3, -0.2, 0.5]), np.zeros((3, 6))
     plain, booked = resting_arm(CONFIGS, POSE, 80.0), resting_arm(CONFIGS, POSE, 80.0)
     shafts = EncoderShafts(idle[1], idle[2])
-    advance(plain.state, idle[0], target, shafts, 1000, 5e-4, plain.model, new_work())
+    advance(plain.state, idle[0], target, shafts, 1000, 5e-4, plain.model, new_work(plain.model))
     booked.command[:] = target
     Ledger(booked).run(0.5, 5e-4)
     np.testing.assert_array_equal(plain.state, booked.state)

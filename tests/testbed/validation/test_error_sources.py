@@ -63,7 +63,8 @@ def test_what_the_sources_do_is_what_their_numbers_say(alone: dict[str, Finding]
 
 def rates(temperature_degc: float, lift_rate: float = 0.0, push: float = 0.0) -> tuple[float, float, float]:
     """Flow into chamber a, its pressure rate, and friction, of the shut lift cylinder."""
-    plant, work = Plant(plant_config(oil={"air_fraction": 0.0}), seed=1), new_work()
+    plant = Plant(plant_config(oil={"air_fraction": 0.0}), seed=1)
+    work = new_work(plant._model)
     state = plant._state.copy()
     state[TEMPERATURE] = temperature_degc
     state[RATE + LIFT] = lift_rate
