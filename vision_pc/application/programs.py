@@ -91,7 +91,7 @@ async def _local_track(
 ) -> LocalTrack:
     """The track is kept for the corrected look-then-move."""
     application.track = await local_error_model.record_local_track(
-        application.arm, application.eyes, report, settings
+        application.arm, application.eyes, report, settings, application.dimensions
     )
     return application.track
 

@@ -89,6 +89,30 @@ class TrajectorySettings(StrictModel):
     rotation_std_limit_deg: float = Field(gt=0.0, le=45.0)
 
 
+class AdaptiveDriveSettings(StrictModel):
+    """Drives that learn from the encoders how far joints must turn back to end alike.
+
+    ``boom_take_up_rad``: of lift and tilt, as ``take_up_rad`` is of the slew. A joint whose commanded and
+    measured angles were seen farther apart than ``gap_rad`` at rest turns back by ``bands`` times that,
+    ``most_rad`` at most. What is left beyond ``residual_rad`` is waited for or driven again, at most
+    ``repeats`` times.
+    ``servo_freedom``: how many drives ``servo_std_m`` is worth before any was seen. A joint that does not
+    answer in a band is less exact: by ``band_std_m``. ``useless``: fine corrections in a row
+    without improvement after which the machine is said not to resolve what is left.
+    """
+
+    enabled: bool
+    boom_take_up_rad: float = Field(ge=0.0, le=0.02)
+    gap_rad: float = Field(ge=0.0, le=0.1)
+    bands: float = Field(ge=1.0, le=10.0)
+    most_rad: float = Field(gt=0.0, le=0.1)
+    residual_rad: float = Field(gt=0.0, le=0.01)
+    repeats: int = Field(ge=0, le=10)
+    servo_freedom: float = Field(gt=2.0, le=1000.0)
+    band_std_m: float = Field(ge=0.0, le=0.05)
+    useless: int = Field(ge=1, le=10)
+
+
 class LocalErrorModelSettings(StrictModel):
     """Best mode: three legs along n, s and a, a local map, and mid-course corrections.
 
@@ -119,6 +143,7 @@ class LocalErrorModelSettings(StrictModel):
     odometry_std_m: float = Field(ge=0.0, le=0.05)
     odometry_scale_std: float = Field(ge=0.0, le=0.1)
     servo_std_m: float = Field(ge=0.0, le=0.05)
+    adaptive: AdaptiveDriveSettings
     goal_std_limit_m: float = Field(gt=0.0, le=1.0)
     first_share: float = Field(ge=0.3, le=0.98)
     near_m: float = Field(ge=0.0, le=1.0)

@@ -40,7 +40,7 @@ async def one_look(
 ) -> tuple[SyntheticRig, Any]:
     arm = rig(seed, **changes)
     await adjust_orientation(arm, arm, silent, PROGRAMS.orientation)
-    track = await record_local_track(arm, arm, silent, settings)
+    track = await record_local_track(arm, arm, silent, settings, BOOM)
     positioning = PROGRAMS.positioning
     if corrections is not None:
         positioning = positioning.model_copy(update={"corrections": corrections})
@@ -104,7 +104,7 @@ async def test_bending_is_carried_on_beyond_the_path() -> None:
             ("strain", changed(strain_std=0.015, field_stds=[1e-9] * 4, goal_std_limit_m=1.0)),
         ):
             arm = rig(seed, play=0.0, servo_std=0.0)
-            track = await record_local_track(arm, arm, silent, settings)
+            track = await record_local_track(arm, arm, silent, settings, BOOM)
             fitted = fit_error_model(track, (await arm.look()).X_CM[:3, 3], BOOM, settings)
             begin, nominal = arm.X_BT_true(), forward(arm.q)
             d_B = np.array([-0.5, 0.3, 0.5])
@@ -117,7 +117,7 @@ async def test_bending_is_carried_on_beyond_the_path() -> None:
 
 async def test_a_goal_that_is_not_known_is_refused_and_nothing_moves() -> None:
     arm = rig(0)
-    track = await record_local_track(arm, arm, silent, MAP)
+    track = await record_local_track(arm, arm, silent, MAP, BOOM)
     before, vague = arm.motions, changed(goal_std_limit_m=1e-5)
     with pytest.raises(MeasurementFailed) as refused:
         await look_then_move_corrected(arm, arm, silent, PROGRAMS.positioning, vague, BOOM, track)
@@ -129,7 +129,7 @@ async def test_one_shot_is_one_drive_and_nudges_end_when_odometry_sees_no_miss()
     for corrections, drives in ((0, 1), (1, 2)):
         positioning = PROGRAMS.positioning.model_copy(update={"corrections": corrections})
         arm = rig(1)
-        track = await record_local_track(arm, arm, silent, MAP)
+        track = await record_local_track(arm, arm, silent, MAP, BOOM)
         result = await look_then_move_corrected(arm, arm, silent, positioning, MAP, BOOM, track)
         assert len(result.positioning.steps) == drives
     nudged, left = [], []
@@ -137,7 +137,7 @@ async def test_one_shot_is_one_drive_and_nudges_end_when_odometry_sees_no_miss()
         for corrections, errors in ((1, left), (4, nudged)):
             positioning = PROGRAMS.positioning.model_copy(update={"corrections": corrections})
             arm = rig(seed, servo_std=5e-4)
-            track = await record_local_track(arm, arm, silent, MAP)
+            track = await record_local_track(arm, arm, silent, MAP, BOOM)
             result = await look_then_move_corrected(arm, arm, silent, positioning, MAP, BOOM, track)
             assert len(result.positioning.steps) <= corrections + 1
             errors.append(float(np.abs(arm.true_error(PROGRAMS.positioning.clearance_m)[:2]).max()))
@@ -175,7 +175,7 @@ async def test_every_drive_ends_on_the_same_flank_of_the_slews_play_although_it_
         for seed in range(4):
             arm = rig(seed, servo_std=0.0)
             arm.slew_swings = 8e-4
-            track = await record_local_track(arm, arm, silent, settings)
+            track = await record_local_track(arm, arm, silent, settings, BOOM)
             ends.add(round(arm.slew_play, 9))
             for corrections in (0, 1):
                 positioning = PROGRAMS.positioning.model_copy(update={"corrections": corrections})
@@ -196,7 +196,7 @@ async def test_what_the_slews_servo_leaves_at_every_end_is_reckoned_with() -> No
         for runs_on in (0.0, 4e-4):
             arm = rig(seed, servo_std=0.0, odometry_std_m=0.0, odometry_std=0.0)
             arm.slew_runs_on = runs_on
-            track = await record_local_track(arm, arm, silent, MAP)
+            track = await record_local_track(arm, arm, silent, MAP, BOOM)
             await look_then_move_corrected(arm, arm, silent, positioning, MAP, BOOM, track)
             errors.append(arm.true_error(positioning.clearance_m))
         assert np.linalg.norm(errors[1] - errors[0]) < 1e-3
@@ -212,7 +212,7 @@ async def test_what_is_expected_after_corrections_is_less_than_after_one_shot() 
 
 async def test_a_track_is_stale_once_the_arm_moved_elsewhere() -> None:
     arm = rig(0)
-    track = await record_local_track(arm, arm, silent, MAP)
+    track = await record_local_track(arm, arm, silent, MAP, BOOM)
     X = (await arm.view()).X_BT
     await arm.move_to(transform(X[:3, :3], X[:3, 3] + np.array([0.0, 0.02, 0.0])))
     before = arm.motions
@@ -233,7 +233,7 @@ async def test_lost_odometry_is_refused() -> None:
     arm = rig(1)
     arm.lose_odometry_after = 40
     with pytest.raises(MeasurementFailed) as refused:
-        await record_local_track(arm, arm, silent, MAP)
+        await record_local_track(arm, arm, silent, MAP, BOOM)
     assert refused.value.cause == "measurement.odometry_lost"
 
 

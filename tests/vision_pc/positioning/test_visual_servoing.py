@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed
-from tests.vision_pc.program_settings import shipped
+from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.synthetic import SyntheticRig, draw, forward, silent
 from vision_pc.config.programs import VisualServoingSettings
 from vision_pc.core.calibration.local_error_model import camera_in_tool, record_local_track
@@ -28,7 +28,7 @@ def rig(seed: int, **changes: Any) -> SyntheticRig:
 
 
 async def calibrated(arm: SyntheticRig) -> Array:
-    track = await record_local_track(arm, arm, silent, PROGRAMS.local_map)
+    track = await record_local_track(arm, arm, silent, PROGRAMS.local_map, BOOM)
     return camera_in_tool(track, (await arm.look()).X_CM[:3, 3])
 
 

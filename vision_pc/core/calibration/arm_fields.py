@@ -26,19 +26,44 @@ def error_fields(X_BT: Array, dimensions: BoomDimensions) -> Array:
     Units: m per rad of zero offset; m per rad of bending at one metre of reach.
     """
     p = X_BT[:, :3, 3]
-    wrist = p - dimensions.wrist_to_tool * X_BT[:, :3, 2]
-    slew = np.arctan2(wrist[:, 1], wrist[:, 0])
-    zero = np.zeros_like(slew)
-    forward = np.column_stack([np.cos(slew), np.sin(slew), zero])
-    raising = np.column_stack([np.sin(slew), -np.cos(slew), zero])  # rotates forward into up
-    lift = dimensions.lift_pivot[0] * forward + np.array([0.0, 0.0, dimensions.lift_pivot[1]])
-    tilt = lift + _to_tilt(wrist - lift, forward, dimensions)
+    wrist, forward, raising, lift, tilt = _skeleton(X_BT, dimensions)
     fields = [np.cross(raising, p - root) for root in (lift, tilt)]
     for root, tip in ((lift, tilt), (tilt, wrist)):
         hinge = root + _HINGE * (tip - root)
         reach = ((wrist - hinge) * forward).sum(axis=1)
         fields.append(np.cross(raising, p - hinge) * reach[:, None])
     return np.stack(fields, axis=2)
+
+
+def boom_levers(X_BT: Array, dimensions: BoomDimensions) -> Array:
+    """Displacement of the wrist, and of a tool whose axes are held, in B (3, 3) at the pose (4, 4): columns
+    for a radian of slew, lift and tilt.
+    """
+    wrist, _, raising, lift, tilt = (rows[0] for rows in _skeleton(X_BT[None], dimensions))
+    turns = (
+        np.array([-wrist[1], wrist[0], 0.0]),
+        *(np.cross(raising, wrist - root) for root in (lift, tilt)),
+    )
+    return np.column_stack(turns)
+
+
+def joint_turns(X_BT: Array, Y_BT: Array, dimensions: BoomDimensions) -> Array:
+    """Turns (3,) rad of slew, lift and tilt that are in the small step between two poses (4, 4)."""
+    back = dimensions.wrist_to_tool
+    step = Y_BT[:3, 3] - X_BT[:3, 3] - back * (Y_BT[:3, 2] - X_BT[:3, 2])
+    return np.asarray(np.linalg.solve(boom_levers(X_BT, dimensions), step), dtype=np.float64)
+
+
+def _skeleton(X_BT: Array, dimensions: BoomDimensions) -> tuple[Array, Array, Array, Array, Array]:
+    """Wrist, unit vectors forward and of what turns forward into up, lift and tilt pivots, each (n, 3)."""
+    wrist = np.asarray(X_BT[:, :3, 3] - dimensions.wrist_to_tool * X_BT[:, :3, 2])
+    slew = np.arctan2(wrist[:, 1], wrist[:, 0])
+    zero = np.zeros_like(slew)
+    forward = np.column_stack([np.cos(slew), np.sin(slew), zero])
+    raising = np.column_stack([np.sin(slew), -np.cos(slew), zero])
+    lift = dimensions.lift_pivot[0] * forward + np.array([0.0, 0.0, dimensions.lift_pivot[1]])
+    tilt = lift + _to_tilt(wrist - lift, forward, dimensions)
+    return wrist, forward, raising, lift, tilt
 
 
 def _to_tilt(to_wrist: Array, forward: Array, dimensions: BoomDimensions) -> Array:

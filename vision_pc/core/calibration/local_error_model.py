@@ -18,12 +18,12 @@ from vision_pc.config.programs import LocalErrorModelSettings
 from vision_pc.core.calibration.arm_fields import FIELDS, error_fields
 from vision_pc.core.calibration.backlash import (
     backlash_sides,
-    before_take_up,
     slew_angles,
     slew_between,
     slew_lever,
 )
 from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
+from vision_pc.core.calibration.watched_drive import TakeUp, drive, first_take_up
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.se3 import Array, hat, inverse, nearest_rotation, transform
 from vision_pc.core.types import WatchSample
@@ -47,13 +47,18 @@ class LocalTrack(NamedTuple):
 
     K is the camera frame where the path ended, which is where the arm stands now. ``speed`` (N,) m/s of the
     tool: a moving boom sways, which its encoders do not measure. ``overrun`` (P,) rad: servo residual of the
-    slew at the end of each path so far, positive beyond the reference.
+    slew at the end of each path so far, positive beyond the reference. ``left`` (P, 3) rad: the same of slew,
+    lift and tilt; ``take_up``: how the last path ended. ``misses`` (D, 3) m in B: how far from what was
+    wanted fine drives ended, by odometry.
     """
 
     X_KC: Array
     X_BT: Array
     speed: Array
     overrun: Array
+    left: Array
+    take_up: TakeUp
+    misses: Array
 
     @property
     def X_BT_now(self) -> Array:
@@ -80,7 +85,7 @@ class LocalErrorModel(NamedTuple):
 
 
 async def record_local_track(
-    arm: Arm, eyes: Eyes, report: Report, settings: LocalErrorModelSettings
+    arm: Arm, eyes: Eyes, report: Report, settings: LocalErrorModelSettings, dimensions: BoomDimensions
 ) -> LocalTrack:
     """Drive three legs along n, s and a from behind the present pose back to it; return their track.
 
@@ -88,7 +93,8 @@ async def record_local_track(
     """
     X_BT = (await arm.view()).X_BT
     report(0.05, f"three legs of {settings.leg_m:g} m")
-    track = await watched_path(arm, eyes, three_legs(X_BT, settings.leg_m), settings)
+    waypoints = three_legs(X_BT, settings.leg_m)
+    track = await watched_path(arm, eyes, waypoints, first_take_up(settings), dimensions, settings)
     refuse_poor_track(track, settings)
     report(1.0, f"{len(track.X_BT)} samples")
     return track
@@ -102,19 +108,22 @@ def three_legs(X_BT: Array, leg_m: float) -> list[Array]:
 
 
 async def watched_path(
-    arm: Arm, eyes: Eyes, waypoints: list[Array], settings: LocalErrorModelSettings
+    arm: Arm,
+    eyes: Eyes,
+    waypoints: list[Array],
+    take_up: TakeUp,
+    dimensions: BoomDimensions,
+    settings: LocalErrorModelSettings,
 ) -> LocalTrack:
     """Drive a path through ``waypoints``; return its track, in the camera frame of its end.
 
-    The last waypoint is reached by a short positive turn of the slew, after the arm has settled before it:
-    backlash is then always on the same side.
+    The last waypoint is reached by short turns in one sense, after the arm has settled before them: backlash
+    is then always on the same side.
     """
-    *on_the_way, end = waypoints
-    before = before_take_up(end, settings.take_up_rad)
     async with eyes.watch(markers=False, odometry=True) as watch:
-        await arm.follow([*on_the_way, before], segment_s=settings.segment_s, dwell_s=settings.dwell_s)
-        view = await arm.move_to(end, duration_s=settings.take_up_s)
-    return track_of(watch.samples, slew_between(view.X_BT_cmd, view.X_BT))
+        end = await drive(arm, waypoints, take_up, dimensions, settings)
+    overrun = slew_between(end.view.X_BT_cmd, end.view.X_BT)
+    return track_of(watch.samples, overrun)._replace(left=end.left[None], take_up=end.take_up)
 
 
 def track_of(samples: tuple[WatchSample, ...], overrun: float) -> LocalTrack:
@@ -130,7 +139,9 @@ def track_of(samples: tuple[WatchSample, ...], overrun: float) -> LocalTrack:
     X_KC = X_KC0 @ X_C0C
     X_KC[-1] = np.eye(4)
     time_s = 1e-9 * np.array([float(s.time_ns) for s in held])
-    return LocalTrack(X_KC, X_BT, _speeds(X_BT[:, :3, 3], time_s), np.array([overrun]))
+    speeds = _speeds(X_BT[:, :3, 3], time_s)
+    nothing = TakeUp(np.zeros(3), np.zeros(3))
+    return LocalTrack(X_KC, X_BT, speeds, np.array([overrun]), np.zeros((1, 3)), nothing, np.zeros((0, 3)))
 
 
 def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
@@ -141,6 +152,9 @@ def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
         np.concatenate([track.X_BT, further.X_BT]),
         np.concatenate([track.speed, further.speed]),
         np.concatenate([track.overrun, further.overrun]),
+        np.concatenate([track.left, further.left]),
+        further.take_up,
+        np.concatenate([track.misses, further.misses]),
     )
 
 

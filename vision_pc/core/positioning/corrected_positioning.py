@@ -24,6 +24,11 @@ from vision_pc.core.calibration.local_error_model import (
 )
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.positioning.expected_end import ExpectedEnd, expected_end
+from vision_pc.core.positioning.learned_servo import (
+    after_fine_corrections,
+    expected_left,
+    servo_spread,
+)
 from vision_pc.core.positioning.look_then_move import (
     Ended,
     PositioningResult,
@@ -79,95 +84,135 @@ async def look_then_move_corrected(
     residuals = [goal_K - p_CM]
     far = float(np.linalg.norm(residuals[0])) > map_settings.near_m
     parts = 2 if far and settings.corrections else 1
-    while _needs_another_motion(residuals, parts, settings):
+    while _needs_another_motion(residuals, parts, settings, map_settings):
         fitted = fit_error_model(track, p_CM, dimensions, map_settings)
         x, covariance = solve_step(fitted, residuals[-1])
         share = map_settings.first_share if len(steps) + 1 < parts else 1.0
-        steps.append(_step(look, fitted, track.overrun, x, covariance, share, settings, map_settings))
+        wanted = Wanted(x, covariance, share, settings.corrections + 1 - len(steps))
+        steps.append(_step(look, fitted, track, wanted, settings, map_settings))
         report(0.2 + 0.6 * len(steps) / (settings.corrections + 1), _in_words(residuals[-1]))
-        drive = await watched_path(arm, eyes, [steps[-1].X_BT_ref], map_settings)
+        end = [steps[-1].X_BT_ref]
+        drive = await watched_path(arm, eyes, end, track.take_up, dimensions, map_settings)
         X_KnewK = drive.X_KC[0]
         goal_K = X_KnewK[:3, :3] @ goal_K + X_KnewK[:3, 3]
         track = extended(track, drive)
         residuals.append(goal_K - p_CM)
-    seen = _seen(residuals[-1], float(np.linalg.norm(residuals[0])), look, settings, map_settings)
+    seen = _seen(residuals, look, settings, map_settings)
     report(0.9, f"looking; odometry says inside with probability {seen.inside:.2f}")
     looks.append(judge(await eyes.look(), settings))
     report(1.0, f"error {1e3 * looks[-1].error_m[0]:+.1f} {1e3 * looks[-1].error_m[1]:+.1f} mm")
     ended = Ended.REACHED if reached(looks[-1], settings) else Ended.INPUT_LIMIT
+    if map_settings.adaptive.enabled and float(np.abs(seen.mean_m[:2]).max()) > settings.tolerance_m:
+        ended = Ended.NOT_RESOLVED
     return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), seen, track)
 
 
-def _needs_another_motion(residuals: list[Array], parts: int, settings: PositioningSettings) -> bool:
+def _needs_another_motion(
+    residuals: list[Array], parts: int, settings: PositioningSettings, map_settings: LocalErrorModelSettings
+) -> bool:
     """Whether a further drive is due after the ``residuals`` (3,) before it, as odometry saw them.
 
     The first ``parts`` motions make up the whole way. After them fine corrections follow while the residual
-    is outside ``nudge_m``, until two in a row were of no use: the first may have gone into backlash.
+    is outside ``nudge_m``, until a few in a row were of no use: the first may have gone into backlash.
     """
     drives = len(residuals) - 1
     if drives < parts:
         return True
     sizes = [math.hypot(residual[0], residual[1]) for residual in residuals[parts:]]
     useless = len(sizes) - 1 - int(np.argmin(sizes))
-    return drives <= settings.corrections and sizes[-1] > settings.nudge_m and useless < _USELESS
+    most = map_settings.adaptive.useless if map_settings.adaptive.enabled else _USELESS
+    return drives <= settings.corrections and sizes[-1] > settings.nudge_m and useless < most
 
 
 def _in_words(residual: Array) -> str:
     return f"{1e3 * float(np.linalg.norm(residual)):.1f} mm to go"
 
 
+class Wanted(NamedTuple):
+    """A step ``x`` (3,) in B with the model's covariance, the share of it to be driven now, and how many
+    drives there may be until the end, this one included.
+    """
+
+    x: Array
+    covariance: Array
+    share: float
+    drives: int
+
+
 def _step(
     look: Look,
     fitted: LocalErrorModel,
-    overrun: Array,
-    x: Array,
-    covariance: Array,
-    share: float,
+    track: LocalTrack,
+    wanted: Wanted,
     settings: PositioningSettings,
     map_settings: LocalErrorModelSettings,
 ) -> Step:
-    """The step over ``share`` of ``x``, with the error expected at the end of all motions.
+    """The step over its share, with the error expected at the end of all motions.
 
-    When a correction follows, the model's error counts for the rest of the way alone. The end of a motion is
-    then corrected until odometry finds it small, and odometry's own error counts for all of the way.
     Raises MeasurementFailed for a step too long, or a goal that is not known.
     """
-    length = float(np.linalg.norm(x))
+    length = float(np.linalg.norm(wanted.x))
     if not length <= settings.step_limit_m:
         raise MeasurementFailed(
             "measurement.step_too_large",
             f"corrected move: step {length:.3f} m, limit {settings.step_limit_m:g} m",
         )
-    worst = math.sqrt(float(np.linalg.eigvalsh(covariance)[-1]))
+    worst = math.sqrt(float(np.linalg.eigvalsh(wanted.covariance)[-1]))
     if worst > map_settings.goal_std_limit_m:
         raise MeasurementFailed(
             "measurement.ill_conditioned",
             f"corrected move: the goal is known to {1e3 * worst:.1f} mm, "
             f"limit {1e3 * map_settings.goal_std_limit_m:g} mm",
         )
-    rest = 1.0 if share == 1.0 else (1.0 - share) ** 2
-    servo = map_settings.servo_std_m**2 * np.eye(3)
-    end_covariance = fitted.R.T @ (rest * covariance + servo) @ fitted.R
-    if settings.corrections:
-        end_covariance = _after_fine_corrections(end_covariance, settings.nudge_m, map_settings.servo_std_m)
-        end_covariance += _odometry_covariance(length, map_settings)
-    end_covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
     X_BT = fitted.X_BT
-    expected = slew_lever(X_BT) * overrun.sum() / (len(overrun) + 1)  # the mean, shrunk: half of it is chance
-    X_BT_ref = transform(X_BT[:3, :3], X_BT[:3, 3] + share * x - expected)
-    return Step(share * x, X_BT_ref, expected_end(np.zeros(3), end_covariance, settings.tolerance_m))
+    if map_settings.adaptive.enabled:
+        expected = expected_left(track, fitted.dimensions)
+    else:  # the mean, shrunk: half of it is chance
+        expected = slew_lever(X_BT) * track.overrun.sum() / (len(track.overrun) + 1)
+    X_BT_ref = transform(X_BT[:3, :3], X_BT[:3, 3] + wanted.share * wanted.x - expected)
+    end = _expected(look, fitted, track, wanted, settings, map_settings)
+    return Step(wanted.share * wanted.x, X_BT_ref, end)
+
+
+def _expected(
+    look: Look,
+    fitted: LocalErrorModel,
+    track: LocalTrack,
+    wanted: Wanted,
+    settings: PositioningSettings,
+    map_settings: LocalErrorModelSettings,
+) -> ExpectedEnd:
+    """The error expected at the end of all motions.
+
+    When a correction follows, the model's error counts for the rest of the way alone. The end of a motion is
+    then corrected until odometry finds it small, and odometry's own error counts for all of the way.
+    """
+    rest = 1.0 if wanted.share == 1.0 else (1.0 - wanted.share) ** 2
+    spread = servo_spread(track, map_settings)
+    covariance = fitted.R.T @ (rest * wanted.covariance + spread.variance * np.eye(3)) @ fitted.R
+    if settings.corrections and map_settings.adaptive.enabled:
+        across = 0.5 * float(np.trace(covariance[:2, :2]))
+        kept = after_fine_corrections(across, settings.nudge_m, wanted.drives)
+        shrunk = np.diag([math.sqrt(kept / across)] * 2 + [1.0])
+        covariance = shrunk @ covariance @ shrunk
+    elif settings.corrections:
+        covariance = _after_fine_corrections(covariance, settings.nudge_m, map_settings.servo_std_m)
+    if settings.corrections:
+        covariance += _odometry_covariance(float(np.linalg.norm(wanted.x)), map_settings)
+    covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
+    return expected_end(np.zeros(3), covariance, settings.tolerance_m, spread.freedom)
 
 
 def _seen(
-    residual: Array,
-    length: float,
+    residuals: list[Array],
     look: Look,
     settings: PositioningSettings,
     map_settings: LocalErrorModelSettings,
 ) -> ExpectedEnd:
-    """What odometry says of the end of a way of ``length`` that left ``residual`` (3,), by one ``look``."""
+    """What odometry says of the end of a way whose ``residuals`` (3,) it saw, begun with ``look``."""
+    length = float(np.linalg.norm(residuals[0]))
     covariance = _odometry_covariance(length, map_settings) + look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
-    return expected_end(residual, covariance, settings.tolerance_m)
+    return expected_end(residuals[-1], covariance, settings.tolerance_m)
 
 
 def _after_fine_corrections(end_covariance: Array, nudge_m: float, servo_std_m: float) -> Array:

@@ -48,11 +48,14 @@ class Step(NamedTuple):
 
 
 class Ended(StrEnum):
-    """Why no further input followed: inside the aim, no use, or the inputs are used up."""
+    """Why no further input followed: inside the aim, no use, the inputs are used up, or the machine could not
+    bring what odometry saw outside the tolerance inside it.
+    """
 
     REACHED = "reached"
     NOT_IMPROVING = "not_improving"
     INPUT_LIMIT = "input_limit"
+    NOT_RESOLVED = "not_resolved"
 
 
 class PositioningResult(NamedTuple):

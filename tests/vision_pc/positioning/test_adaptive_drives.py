@@ -1,0 +1,130 @@
+"""Drives on joints that do not answer in a band wider than the controller believes: adapted, and told."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.vision_pc.program_settings import BOOM, shipped
+from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward, inverse_kinematics, silent
+from vision_pc.config.programs import LocalErrorModelSettings
+from vision_pc.core.calibration.arm_fields import boom_levers, joint_turns
+from vision_pc.core.calibration.local_error_model import record_local_track
+from vision_pc.core.calibration.orientation import adjust_orientation
+from vision_pc.core.ports import ArmView
+from vision_pc.core.positioning.corrected_positioning import CorrectedResult, look_then_move_corrected
+from vision_pc.core.positioning.learned_servo import after_fine_corrections
+from vision_pc.core.positioning.look_then_move import Ended
+from vision_pc.core.se3 import Array, transform
+
+PROGRAMS = shipped()
+_INTEGRAL_1_S = 0.35
+_NEAR = (10, 12, 16, 20)  # whose objects leave room for turning back
+
+
+def settings(enabled: bool = True, **changes: Any) -> LocalErrorModelSettings:
+    adaptive = PROGRAMS.local_map.adaptive.model_dump() | {"enabled": enabled} | changes
+    return LocalErrorModelSettings.model_validate(PROGRAMS.local_map.model_dump() | {"adaptive": adaptive})
+
+
+class BandedRig(SyntheticRig):
+    """Each joint follows its command only outside ±``band``; a slow integral brings the command on."""
+
+    def __init__(self, seed: int, band_rad: Sequence[float], **changes: Any) -> None:
+        super().__init__(draw(np.random.default_rng(seed), servo_std=5e-5, **changes), seed)
+        self.band = np.concatenate([band_rad, np.full(3, 1e-5)])
+        self.q_ref = self.q.copy()
+        self.stuck = False
+
+    async def follow(
+        self, waypoints: Sequence[Array], segment_s: float = 0.0, dwell_s: float = 0.0
+    ) -> ArmView:
+        self.motions += 1
+        for X in waypoints:
+            begin, goal = self.q_ref.copy(), inverse_kinematics(X, self.q_ref)
+            steps = max(int(np.linalg.norm(goal - begin) / 0.1 / self.period_s), int(segment_s * 10), 3)
+            for k in range(1, steps + 1):
+                self._follow(begin + k / steps * (goal - begin))
+            for _ in range(int(dwell_s / self.period_s)):
+                self._follow(goal)
+        for _ in range(60):
+            if np.abs(self.q - self.q_ref).max() < 3e-4:
+                break
+            self._follow(self.q_ref)
+        for _ in range(7):
+            self.advance(self.q)
+        return await self.view()
+
+    async def view(self) -> ArmView:
+        return (await super().view())._replace(X_BT_cmd=forward(self.q_ref))
+
+    def _follow(self, q_ref: Array) -> None:
+        left = q_ref - self.q
+        left = np.sign(left) * np.maximum(np.abs(left) - 1.2e-4, 0.0)
+        self.q_cmd = self.q_cmd + (q_ref - self.q_ref) + _INTEGRAL_1_S * self.period_s * left
+        self.q_ref = q_ref
+        answered = self.q if self.stuck else np.clip(self.q, self.q_cmd - self.band, self.q_cmd + self.band)
+        self.advance(answered)
+
+
+async def one_look(arm: SyntheticRig, local_map: LocalErrorModelSettings) -> CorrectedResult:
+    await adjust_orientation(arm, arm, silent, PROGRAMS.orientation)
+    track = await record_local_track(arm, arm, silent, local_map, BOOM)
+    return await look_then_move_corrected(arm, arm, silent, PROGRAMS.positioning, local_map, BOOM, track)
+
+
+def worst(arm: SyntheticRig) -> float:
+    return float(np.abs(arm.true_error(PROGRAMS.positioning.clearance_m)[:2]).max())
+
+
+async def test_drives_adapt_to_a_band_and_what_is_told_is_so() -> None:
+    errors: dict[bool, list[float]] = {True: [], False: []}
+    squares = []
+    for seed in _NEAR:
+        for enabled in (True, False):
+            arm = BandedRig(seed, [12e-3, 6e-3, 5e-3])
+            result = await one_look(arm, settings(enabled))
+            errors[enabled].append(worst(arm))
+            if enabled:
+                error = arm.true_error(PROGRAMS.positioning.clearance_m)[:2]
+                spread = result.positioning.steps[0].expected.covariance[:2, :2]
+                squares.append(error @ np.linalg.solve(spread, error) / 2.0)
+    assert np.median(errors[True]) < 0.6 * np.median(errors[False]), errors
+    assert max(errors[True]) < 2e-3, errors
+    assert np.mean(squares) < 3.0, squares
+
+
+async def test_an_arm_that_cannot_be_brought_on_is_named_and_told_beforehand() -> None:
+    arm = BandedRig(10, [6e-3, 2.7e-3, 2.4e-3])
+    local_map = settings()
+    await adjust_orientation(arm, arm, silent, PROGRAMS.orientation)
+    track = await record_local_track(arm, arm, silent, local_map, BOOM)
+    arm.stuck = True
+    result = await look_then_move_corrected(arm, arm, silent, PROGRAMS.positioning, local_map, BOOM, track)
+    assert result.positioning.ended is Ended.NOT_RESOLVED
+    assert result.seen.inside < 0.01
+    assert not result.positioning.final.inside
+    assert result.positioning.steps[-1].expected.inside < 0.5
+    assert len(result.positioning.steps) <= PROGRAMS.positioning.corrections + 1
+
+
+def test_turns_of_the_joints_are_found_again_in_the_step_they_make() -> None:
+    turns = np.array([4e-4, -3e-4, 2e-4])
+    moved = Q_START.copy()
+    moved[:3] += turns
+    assert np.allclose(joint_turns(forward(Q_START), forward(moved), BOOM), turns, atol=3e-6)
+    X = forward(Q_START)
+    held = transform(X[:3, :3], X[:3, 3] + boom_levers(X, BOOM) @ turns)
+    q = inverse_kinematics(held, Q_START)
+    assert np.allclose(q[:3] - Q_START[:3], turns, atol=1e-5)
+
+
+@pytest.mark.parametrize("spread_mm", [0.3, 0.8, 2.0])
+def test_what_fine_corrections_leave_is_what_drawn_ones_leave(spread_mm: float) -> None:
+    rng = np.random.default_rng(3)
+    ends = rng.normal(0.0, 1e-3 * spread_mm, (20_000, 5, 2))
+    inside = np.linalg.norm(ends, axis=2) <= 1e-3
+    last = np.where(inside.any(axis=1), inside.argmax(axis=1), 4)
+    left = ends[np.arange(len(ends)), last]
+    assert after_fine_corrections(1e-6 * spread_mm**2, 1e-3, 5) == pytest.approx(left.var(), rel=0.03)

@@ -1,0 +1,136 @@
+"""Drives that always end alike: by short turns of slew, lift and tilt in one sense.
+
+A joint stops anywhere inside the band that its valve's dead zone leaves, and play lets the tool stand to
+either side of its encoder. Both are the same at every end if the joint always comes to rest from the same
+side (as a machinist approaches a dimension). How far it must first be turned back depends on the machine:
+the encoders show whether it went. Where it did not, it is turned back farther, now and in later drives.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nominal_arm.dimensions import BoomDimensions
+from vision_pc.config.programs import LocalErrorModelSettings
+from vision_pc.core.calibration.arm_fields import boom_levers, joint_turns
+from vision_pc.core.calibration.backlash import before_take_up
+from vision_pc.core.ports import Arm, ArmView
+from vision_pc.core.se3 import Array, transform
+
+_WENT = 0.5  # of a turn back that the encoders must show
+_BOOM = slice(0, 3)  # slew, lift, tilt
+
+
+class TakeUp(NamedTuple):
+    """How a drive ends: turns (3,) rad of slew, lift and tilt, in their positive sense where positive.
+
+    ``gaps`` (3,) rad: the greatest distance between commanded and measured angle that was seen at rest, which
+    is at most the band in which the joint's valve does not answer.
+    """
+
+    turns: Array
+    gaps: Array
+
+
+def first_take_up(settings: LocalErrorModelSettings) -> TakeUp:
+    """What is done before anything was seen of the machine."""
+    boom = settings.adaptive.boom_take_up_rad
+    return TakeUp(np.array([settings.take_up_rad, boom, boom]), np.zeros(3))
+
+
+class DriveEnd(NamedTuple):
+    """How a drive ended: the last view, the take-up that it needed, and what it left of slew, lift and tilt.
+
+    ``left`` (3,) rad: measured beyond the reference.
+    """
+
+    view: ArmView
+    take_up: TakeUp
+    left: Array
+
+
+async def drive(
+    arm: Arm,
+    waypoints: list[Array],
+    take_up: TakeUp,
+    dimensions: BoomDimensions,
+    settings: LocalErrorModelSettings,
+) -> DriveEnd:
+    """Drive a path through ``waypoints`` (n, 4, 4); the last is reached by the take-up.
+
+    Errors of the arm pass through.
+    """
+    *on_the_way, end = waypoints
+    if not settings.adaptive.enabled:
+        before = before_take_up(end, settings.take_up_rad)
+        await arm.follow([*on_the_way, before], segment_s=settings.segment_s, dwell_s=settings.dwell_s)
+        view = await arm.move_to(end, duration_s=settings.take_up_s)
+        return DriveEnd(view, take_up, joint_turns(view.X_BT_cmd, view.X_BT, dimensions))
+    take_up = _widened(take_up, (await arm.view()), settings)
+    before = _turned(end, take_up.turns, dimensions)
+    view = await arm.follow([*on_the_way, before], segment_s=settings.segment_s, dwell_s=settings.dwell_s)
+    left = np.zeros(3)
+    for _ in range(settings.adaptive.repeats + 1):
+        view, take_up = await _turned_back(arm, view, end, take_up, dimensions, settings)
+        pace = np.sqrt(np.abs(take_up.turns).max() / max(settings.take_up_rad, 1e-6))
+        view = await arm.move_to(end, duration_s=settings.take_up_s * float(np.clip(pace, 1.0, 3.0)))
+        take_up = _widened(take_up, view, settings)
+        view, left = await _waited(arm, view, end, dimensions, settings)
+        beyond = np.sign(take_up.turns) * left > settings.adaptive.residual_rad
+        if not beyond.any():
+            break
+        view = await arm.move_to(_turned(end, take_up.turns, dimensions))
+    return DriveEnd(view, take_up, left)
+
+
+async def _waited(
+    arm: Arm, view: ArmView, end: Array, dimensions: BoomDimensions, settings: LocalErrorModelSettings
+) -> tuple[ArmView, Array]:
+    """The view at ``end`` and what is left (3,), after the servo's integral had time for a joint that is
+    short of it.
+    """
+    left = joint_turns(end, view.X_BT, dimensions)
+    for _ in range(settings.adaptive.repeats):
+        if np.abs(left).max() <= settings.adaptive.residual_rad:
+            break
+        view = await arm.move_to(end)
+        left, before = joint_turns(end, view.X_BT, dimensions), left
+        if np.abs(left).max() > 0.9 * np.abs(before).max():
+            break
+    return view, left
+
+
+async def _turned_back(
+    arm: Arm,
+    view: ArmView,
+    end: Array,
+    take_up: TakeUp,
+    dimensions: BoomDimensions,
+    settings: LocalErrorModelSettings,
+) -> tuple[ArmView, TakeUp]:
+    """The view once slew, lift and tilt have gone back by half of their turn at least, or will not."""
+    for _ in range(settings.adaptive.repeats):
+        back = -joint_turns(end, view.X_BT, dimensions) * np.sign(take_up.turns)
+        stuck = back < _WENT * np.abs(take_up.turns)
+        take_up = _widened(take_up, view, settings)
+        if not stuck.any() or np.abs(take_up.turns).max() >= settings.adaptive.most_rad:
+            break
+        most = settings.adaptive.most_rad
+        wider = np.where(stuck, 2.0, 1.0) * take_up.turns
+        take_up = take_up._replace(turns=np.clip(wider, -most, most))
+        view = await arm.move_to(_turned(end, take_up.turns, dimensions))
+    return view, take_up
+
+
+def _turned(end: Array, turns: Array, dimensions: BoomDimensions) -> Array:
+    """The pose from which ``turns`` (3,) end at ``end``; the tool's axes are held."""
+    return transform(end[:3, :3], end[:3, 3] - boom_levers(end, dimensions) @ turns)
+
+
+def _widened(take_up: TakeUp, view: ArmView, settings: LocalErrorModelSettings) -> TakeUp:
+    """Turns that cross the band from one side to the other, as far as it was seen."""
+    gaps = np.maximum(take_up.gaps, np.abs(view.q_cmd - view.q_meas)[_BOOM])
+    across = np.where(gaps > settings.adaptive.gap_rad, settings.adaptive.bands * gaps, 0.0)
+    sizes = np.minimum(np.maximum(np.abs(take_up.turns), across), settings.adaptive.most_rad)
+    sense = np.where(take_up.turns < 0.0, -1.0, 1.0)
+    return TakeUp(sense * sizes, gaps)

@@ -1,0 +1,63 @@
+"""What the joints leave at the end of a drive: as configured, and as this session's drives have shown.
+
+One unknown scale of the configured spread, with an inverse-gamma prior worth a few drives. Each drive that
+was to end at the goal gives its miss by odometry. Joints that were seen not to answer in a band widen the
+prior. What is left after fine corrections then follows from the spread and the threshold they stop at.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from nominal_arm.dimensions import BoomDimensions
+from vision_pc.config.programs import LocalErrorModelSettings
+from vision_pc.core.calibration.arm_fields import boom_levers
+from vision_pc.core.calibration.local_error_model import LocalTrack
+from vision_pc.core.se3 import Array
+
+_ACROSS = 2.0  # of a miss, x and y are seen without the look's range
+
+
+class ServoSpread(NamedTuple):
+    """``variance`` m² in each direction of where a drive ends, and the freedom with which it is known."""
+
+    variance: float
+    freedom: float
+
+
+def servo_spread(track: LocalTrack, settings: LocalErrorModelSettings) -> ServoSpread:
+    """What the next drive is expected to leave."""
+    if not settings.adaptive.enabled:
+        return ServoSpread(settings.servo_std_m**2, math.inf)
+    banded = bool(np.any(track.take_up.gaps > settings.adaptive.gap_rad))
+    band = settings.adaptive.band_std_m if banded else 0.0
+    prior = settings.servo_std_m**2 + band**2
+    seen = prior + settings.odometry_std_m**2
+    freedom = settings.adaptive.servo_freedom
+    squares = float((track.misses**2).sum() / 3.0 * _ACROSS / seen)
+    count = _ACROSS * len(track.misses)
+    scale = (freedom + squares) / (freedom + count)
+    return ServoSpread(prior * scale, freedom + count)
+
+
+def expected_left(track: LocalTrack, dimensions: BoomDimensions) -> Array:
+    """Displacement (3,) m in B that drives leave alike: the mean, shrunk, for half of one end is chance."""
+    mean = track.left.sum(axis=0) / (len(track.left) + 1)
+    return np.asarray(boom_levers(track.X_BT_now, dimensions) @ mean)
+
+
+def after_fine_corrections(variance: float, nudge_m: float, drives: int) -> float:
+    """Variance m² in x and y of the end when drives of that ``variance`` repeat until within ``nudge_m``.
+
+    With ``drives`` of them at most; the last one stands. Two directions, alike and normal: a drive ends
+    inside with probability 1 − exp(−n²/2), n the threshold in standard deviations.
+    """
+    half = 0.5 * nudge_m**2 / variance
+    outside = math.exp(-half)
+    if outside > 1.0 - 1e-9:
+        return variance
+    within = variance * (1.0 - half * outside / (1.0 - outside))  # of those inside
+    never = outside**drives
+    beyond = variance * (1.0 + half)
+    return (1.0 - never) * within + never * beyond
