@@ -97,6 +97,8 @@ async def look_then_move_corrected(
         goal_K = X_KnewK[:3, :3] @ goal_K + X_KnewK[:3, 3]
         track = extended(track, drive)
         residuals.append(goal_K - p_CM)
+        if share == 1.0:
+            track = track._replace(misses=np.vstack([track.misses, fitted.R @ residuals[-1]]))
     seen = _seen(residuals, look, settings, map_settings)
     report(0.9, f"looking; odometry says inside with probability {seen.inside:.2f}")
     looks.append(judge(await eyes.look(), settings))
@@ -166,7 +168,7 @@ def _step(
         )
     X_BT = fitted.X_BT
     if map_settings.adaptive.enabled:
-        expected = expected_left(track, fitted.dimensions)
+        expected = expected_left(track, fitted.dimensions, map_settings)
     else:  # the mean, shrunk: half of it is chance
         expected = slew_lever(X_BT) * track.overrun.sum() / (len(track.overrun) + 1)
     X_BT_ref = transform(X_BT[:3, :3], X_BT[:3, 3] + wanted.share * wanted.x - expected)

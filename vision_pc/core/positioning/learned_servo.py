@@ -41,9 +41,13 @@ def servo_spread(track: LocalTrack, settings: LocalErrorModelSettings) -> ServoS
     return ServoSpread(prior * scale, freedom + count)
 
 
-def expected_left(track: LocalTrack, dimensions: BoomDimensions) -> Array:
-    """Displacement (3,) m in B that drives leave alike: the mean, shrunk, for half of one end is chance."""
-    mean = track.left.sum(axis=0) / (len(track.left) + 1)
+def expected_left(track: LocalTrack, dimensions: BoomDimensions, settings: LocalErrorModelSettings) -> Array:
+    """Displacement (3,) m in B that drives leave alike: the mean, shrunk, for half of one end is chance.
+
+    A drive that did not come near its end is unlike the others and does not count.
+    """
+    near = np.abs(track.left).max(axis=1) < 2.0 * settings.adaptive.residual_rad
+    mean = track.left[near].sum(axis=0) / (np.count_nonzero(near) + 1)
     return np.asarray(boom_levers(track.X_BT_now, dimensions) @ mean)
 
 
