@@ -98,7 +98,8 @@ class AdaptiveDriveSettings(StrictModel):
     ``repeats`` times.
     ``servo_freedom``: how many drives ``servo_std_m`` is worth before any was seen. A joint that does not
     answer in a band is less exact: by ``band_std_m``. ``useless``: fine corrections in a row
-    without improvement after which the machine is said not to resolve what is left.
+    without improvement after which the machine is said not to resolve what is left. ``nudge_m``: in place of
+    the positioning's, for drives that end alike are worth correcting by less.
     """
 
     enabled: bool
@@ -111,6 +112,7 @@ class AdaptiveDriveSettings(StrictModel):
     servo_freedom: float = Field(gt=2.0, le=1000.0)
     band_std_m: float = Field(ge=0.0, le=0.05)
     useless: int = Field(ge=1, le=10)
+    nudge_m: float = Field(gt=0.0, le=0.1)
 
 
 class LocalErrorModelSettings(StrictModel):

@@ -122,8 +122,10 @@ def _needs_another_motion(
         return True
     sizes = [math.hypot(residual[0], residual[1]) for residual in residuals[parts:]]
     useless = len(sizes) - 1 - int(np.argmin(sizes))
-    most = map_settings.adaptive.useless if map_settings.adaptive.enabled else _USELESS
-    return drives <= settings.corrections and sizes[-1] > settings.nudge_m and useless < most
+    adaptive = map_settings.adaptive
+    most = adaptive.useless if adaptive.enabled else _USELESS
+    enough = adaptive.nudge_m if adaptive.enabled else settings.nudge_m
+    return drives <= settings.corrections and sizes[-1] > enough and useless < most
 
 
 def _in_words(residual: Array) -> str:
@@ -194,7 +196,7 @@ def _expected(
     covariance = fitted.R.T @ (rest * wanted.covariance + spread.variance * np.eye(3)) @ fitted.R
     if settings.corrections and map_settings.adaptive.enabled:
         across = 0.5 * float(np.trace(covariance[:2, :2]))
-        kept = after_fine_corrections(across, settings.nudge_m, wanted.drives)
+        kept = after_fine_corrections(across, map_settings.adaptive.nudge_m, wanted.drives)
         shrunk = np.diag([math.sqrt(kept / across)] * 2 + [1.0])
         covariance = shrunk @ covariance @ shrunk
     elif settings.corrections:
