@@ -88,7 +88,7 @@ class SimulatedSensor:
     def observe(self, frame: SimulatedFrame, previous: FrameObservation | None) -> FrameObservation:
         """What vision makes of the corners that this frame would show."""
         settings = self._config.markers
-        priors = priors_after(previous, settings)
+        priors = priors_after(previous, settings, frame.capture_ns)
         sightings, unfit = [], dict[int, str]()
         for number, seen in sorted(self._view.markers(frame.shown).items()):
             if number not in settings.sizes or seen.left is None or self._misses():

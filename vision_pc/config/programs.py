@@ -142,6 +142,7 @@ class LocalErrorModelSettings(StrictModel):
     reversal_rad: float = Field(gt=0.0, le=0.02)
     noise_std_m: float = Field(gt=0.0, le=0.05)
     sway_s: float = Field(ge=0.0, le=1.0)
+    delay_std_s: float = Field(ge=0.0, le=1.0)
     odometry_std_m: float = Field(ge=0.0, le=0.05)
     odometry_scale_std: float = Field(ge=0.0, le=0.1)
     servo_std_m: float = Field(ge=0.0, le=0.05)

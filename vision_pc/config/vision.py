@@ -96,7 +96,12 @@ class ObjectMarkerSettings(StrictModel):
 
 
 class MarkerSettings(StrictModel):
-    """Detection, refinement and what is taken for granted about noise and printing."""
+    """Detection, refinement and what is taken for granted about noise and printing.
+
+    The right eye's offset: ``offset_std_px`` before markers were seen, ``offset_drift_px`` px a root minute
+    of random walk between frames, never known better than ``offset_floor_px``, nor, with ``shared_prints``,
+    than print sizes and focal length allow: frames of the same prints share their errors.
+    """
 
     dictionary: Literal["DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000"]
     tool: ToolMarkerSettings
@@ -108,6 +113,8 @@ class MarkerSettings(StrictModel):
     print_size_std: float = Field(gt=0.0, le=0.05)
     offset_std_px: float = Field(gt=0.0, le=5.0)
     offset_floor_px: float = Field(gt=0.0, le=1.0)
+    offset_drift_px: float = Field(ge=0.0, le=5.0)
+    shared_prints: bool
     focal_std: float = Field(ge=0.0, le=0.05)
 
     @model_validator(mode="after")
@@ -124,11 +131,15 @@ class MarkerSettings(StrictModel):
 
 
 class LookSettings(StrictModel):
-    """How many pairs a look takes, and of how many tool and object must each be seen."""
+    """How many pairs a look takes, and of how many tool and object must each be seen.
+
+    A look that finds the right eye off its calibration by more than ``offset_limit_px`` is refused.
+    """
 
     frames: int = Field(ge=1, le=1000)
     minimum_frames: int = Field(ge=1, le=1000)
     huber_sigmas: float = Field(ge=0.5, le=10.0)
+    offset_limit_px: float = Field(gt=0.0, le=100.0)
 
     @model_validator(mode="after")
     def _minimum_fits(self) -> "LookSettings":

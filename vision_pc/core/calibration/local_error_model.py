@@ -46,15 +46,16 @@ class LocalTrack(NamedTuple):
     """Camera and tool poses along a path: ``X_KC`` and ``X_BT``, each (N, 4, 4), in time order.
 
     K is the camera frame where the path ended, which is where the arm stands now. ``speed`` (N,) m/s of the
-    tool: a moving boom sways, which its encoders do not measure. ``overrun`` (P,) rad: servo residual of the
-    slew at the end of each path so far, positive beyond the reference. ``left`` (P, 3) rad: the same of slew,
-    lift and tilt; ``take_up``: how the last path ended. ``misses`` (D, 3) m in B: how far from what was
-    wanted fine drives ended, by odometry.
+    tool: a moving boom sways, which its encoders do not measure; ``velocity`` (N, 3) m/s in B.
+    ``overrun`` (P,) rad: servo residual of the slew at the end of each path so far, positive beyond the
+    reference. ``left`` (P, 3) rad: the same of slew, lift and tilt; ``take_up``: how the last path ended.
+    ``misses`` (D, 3) m in B: how far from what was wanted fine drives ended, by odometry.
     """
 
     X_KC: Array
     X_BT: Array
     speed: Array
+    velocity: Array
     overrun: Array
     left: Array
     take_up: TakeUp
@@ -67,12 +68,19 @@ class LocalTrack(NamedTuple):
         return X
 
 
+class CameraDelay(NamedTuple):
+    """How much later than exposed pictures are stamped, and its standard deviation, s."""
+
+    late_s: float
+    std_s: float
+
+
 class LocalErrorModel(NamedTuple):
     """The fitted model R d = x + Φ(x) θ about the present pose ``X_BT``, for an arm of ``dimensions``.
 
     ``R`` (3, 3) rotates the axes of K into B; ``theta`` (n,), ``covariance`` (n, n). ``residual_m``: rms of
     the fit; ``condition``: of the rotational information of the track. Holds for steps that end as the track
-    did, after a positive turn of the slew (backlash taken up).
+    did, after a positive turn of the slew (backlash taken up). ``delay``: None where it is not asked for.
     """
 
     R: Array
@@ -82,6 +90,7 @@ class LocalErrorModel(NamedTuple):
     residual_m: float
     condition: float
     dimensions: BoomDimensions
+    delay: CameraDelay | None = None
 
 
 async def record_local_track(
@@ -139,9 +148,11 @@ def track_of(samples: tuple[WatchSample, ...], overrun: float) -> LocalTrack:
     X_KC = X_KC0 @ X_C0C
     X_KC[-1] = np.eye(4)
     time_s = 1e-9 * np.array([float(s.time_ns) for s in held])
-    speeds = _speeds(X_BT[:, :3, 3], time_s)
+    speeds, velocity = _speeds(X_BT[:, :3, 3], time_s), _velocities(X_BT[:, :3, 3], time_s)
     nothing = TakeUp(np.zeros(3), np.zeros(3))
-    return LocalTrack(X_KC, X_BT, speeds, np.array([overrun]), np.zeros((1, 3)), nothing, np.zeros((0, 3)))
+    return LocalTrack(
+        X_KC, X_BT, speeds, velocity, np.array([overrun]), np.zeros((1, 3)), nothing, np.zeros((0, 3))
+    )
 
 
 def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
@@ -151,6 +162,7 @@ def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
         np.concatenate([X_KnewK @ track.X_KC, further.X_KC]),
         np.concatenate([track.X_BT, further.X_BT]),
         np.concatenate([track.speed, further.speed]),
+        np.concatenate([track.velocity, further.velocity]),
         np.concatenate([track.overrun, further.overrun]),
         np.concatenate([track.left, further.left]),
         further.take_up,
@@ -188,7 +200,10 @@ def fit_error_model(
     Phi = columns.reshape(-1, columns.shape[2])
     wanted = ((m - m[-1]) @ R.T - (p - p[-1])).ravel()
     std = np.repeat(np.hypot(settings.noise_std_m, settings.sway_s * track.speed), 3)
-    precision = np.diag(_prior(settings) ** -2.0)
+    prior = _prior(settings)
+    if settings.delay_std_s > 0.0:
+        Phi, prior = np.column_stack([Phi, -track.velocity.ravel()]), np.append(prior, settings.delay_std_s)
+    precision = np.diag(prior**-2.0)
     weights = np.ones(len(p))
     for _ in range(_ROUNDS):  # reweighted: a glitch of odometry must not bend the map
         weighted = Phi * (np.repeat(weights, 3) / std**2)[:, None]
@@ -204,7 +219,11 @@ def fit_error_model(
         )
     information = np.linalg.eigvalsh(rotation_information(p, np.ones(len(p))))
     condition = float(information[-1] / information[0])
-    return LocalErrorModel(R, track.X_BT_now, theta, covariance, residual, condition, dimensions)
+    delay = None
+    if settings.delay_std_s > 0.0:
+        delay = CameraDelay(float(theta[-1]), float(np.sqrt(covariance[-1, -1])))
+        theta, covariance = theta[:-1], covariance[:-1, :-1]
+    return LocalErrorModel(R, track.X_BT_now, theta, covariance, residual, condition, dimensions, delay)
 
 
 def solve_step(fitted: LocalErrorModel, d: Array) -> tuple[Array, Array]:
@@ -252,6 +271,13 @@ def _speeds(p: Array, time_s: Array) -> Array:
     between = np.linalg.norm(np.diff(p, axis=0), axis=1) / np.maximum(np.diff(time_s), 1e-6)
     speeds: Array = np.maximum(np.append(between, 0.0), np.insert(between, 0, 0.0))
     return speeds
+
+
+def _velocities(p: Array, time_s: Array) -> Array:
+    """Velocity (n, 3) m/s of points (n, 3), from the samples on both sides."""
+    if len(p) < 3:
+        return np.zeros_like(p)
+    return np.asarray(np.gradient(p, np.maximum.accumulate(time_s + 1e-6 * np.arange(len(p))), axis=0))
 
 
 def planned_covariance(

@@ -1,5 +1,6 @@
 """A frame observed, and several frames of an arm at rest combined into one robust look."""
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
@@ -29,7 +30,7 @@ def observe(
     ``previous`` is the frame before: where its markers were is searched first, its poses decide an
     ambiguous marker, and its estimate of the right eye's offset is carried on.
     """
-    priors = priors_after(previous, settings)
+    priors = priors_after(previous, settings, pair.capture_ns)
     found = _found(pair, settings, previous)
     sightings, unfit = markers.sight(pair, found.rough, camera, settings, priors)
     seen = FrameMarkers(sightings, found.refused, unfit, found.since_full_search)
@@ -37,12 +38,24 @@ def observe(
     return observation_of(stamp, seen, camera, settings, priors, previous)
 
 
-def priors_after(previous: FrameObservation | None, settings: MarkerSettings) -> Priors:
-    """What is taken for granted about the next frame, the offset as it was last estimated."""
+def priors_after(previous: FrameObservation | None, settings: MarkerSettings, capture_ns: int) -> Priors:
+    """What is taken for granted about a frame at ``capture_ns``, the offset as it was last estimated."""
     offset = StereoOffset(0.0, 0.0, settings.offset_std_px, settings.offset_std_px)
     if previous is not None and previous.offset is not None:
-        offset = previous.offset
+        offset = _drifted(previous.offset, 1e-9 * (capture_ns - previous.capture_ns), settings)
     return Priors(settings.corner_std_px, settings.print_size_std, offset)
+
+
+def _drifted(offset: StereoOffset, passed_s: float, settings: MarkerSettings) -> StereoOffset:
+    """``offset`` after a random walk: as certain as before, or less, but never less than at first."""
+    if settings.offset_drift_px == 0.0:
+        return offset
+    walked = settings.offset_drift_px * math.sqrt(max(passed_s, 0.0) / 60.0)
+    most = max(settings.offset_std_px, offset.std_x_px, offset.std_y_px)
+    return offset._replace(
+        std_x_px=min(math.hypot(offset.std_x_px, walked), most),
+        std_y_px=min(math.hypot(offset.std_y_px, walked), most),
+    )
 
 
 class FrameStamp(NamedTuple):
@@ -152,21 +165,26 @@ def combine(
     MeasurementFailed when the tool (``measurement.tool_not_seen``) or the object
     (``measurement.object_not_seen``) was seen in fewer frames than configured, or no frame was tried
     (``measurement.no_frames``). Where most frames showed a marker that could not be believed, the cause ends
-    in ``_wrong_size`` or ``_ambiguous`` instead.
+    in ``_wrong_size`` or ``_ambiguous`` instead. A right eye too far off its calibration is
+    ``measurement.camera_off_calibration``.
     """
     tried = len(observations)
     if tried == 0:
         raise MeasurementFailed("measurement.no_frames", "look: 0 frames arrived, at least 1 is wanted")
-    least = min(settings.minimum_frames, tried)
+    _refuse_wild(observations[-1].offset, settings)
     tool_missing = [o.missing_tool for o in observations]
     target_missing = [o.missing_object for o in observations]
     tool = [(o.X_CM, o.cov_CM, o.bias_CM) for o in observations]
     target = [(o.X_CO, o.cov_CO, o.bias_CO) for o in observations]
     tool_mean, tool_seen = robust_mean(
-        tool, _wanted(least, tool_missing), "tool", settings.huber_sigmas, usual_reason(tool_missing)
+        tool, _wanted(settings, tool_missing), "tool", settings.huber_sigmas, usual_reason(tool_missing)
     )
     target_mean, target_seen = robust_mean(
-        target, _wanted(least, target_missing), "object", settings.huber_sigmas, usual_reason(target_missing)
+        target,
+        _wanted(settings, target_missing),
+        "object",
+        settings.huber_sigmas,
+        usual_reason(target_missing),
     )
     return Look(
         time_ns=time_ns,
@@ -184,11 +202,20 @@ def combine(
     )
 
 
-def _wanted(least: int, missing: Sequence[str | None]) -> int:
+def _refuse_wild(offset: StereoOffset | None, settings: LookSettings) -> None:
+    if offset is not None and max(abs(offset.x_px), abs(offset.y_px)) > settings.offset_limit_px:
+        raise MeasurementFailed(
+            "measurement.camera_off_calibration",
+            f"look: the right eye is off its calibration by {offset.x_px:+.2f} px across and "
+            f"{offset.y_px:+.2f} px down, limit {settings.offset_limit_px:g} px",
+        )
+
+
+def _wanted(settings: LookSettings, missing: Sequence[str | None]) -> int:
     """How many frames must show what was ``missing`` in others: more than those that tell a wrong size, which
     the left eye alone, where the right one failed, cannot tell.
     """
-    return max(least, missing.count("wrong_size") + 1)
+    return max(min(settings.minimum_frames, len(missing)), missing.count("wrong_size") + 1)
 
 
 def usual_reason(missing: Iterable[str | None]) -> str:

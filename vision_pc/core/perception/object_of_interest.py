@@ -68,7 +68,7 @@ def locate(
     return LocatedScene(
         bodies[0] if tool_start is not None else None,
         bodies[-1] if object_start is not None else None,
-        _floored(solution.offset, priors.offset, settings),
+        _floored(solution.offset, priors.offset, [body.X for body in bodies], camera, settings),
         refused,
     )
 
@@ -155,9 +155,29 @@ def _lens_covariance(X: Array, settings: MarkerSettings) -> Array:
     return np.diag([0.0, 0.0, (settings.focal_std * float(X[2, 3])) ** 2, 0.0, 0.0, 0.0])
 
 
-def _floored(after: StereoOffset, before: StereoOffset, settings: MarkerSettings) -> StereoOffset:
+def _floored(
+    after: StereoOffset,
+    before: StereoOffset,
+    poses: list[Array],
+    camera: CameraCalibration,
+    settings: MarkerSettings,
+) -> StereoOffset:
     """``after``, never more certain than the floor: lens and print errors do not average out over frames."""
+    floor = settings.offset_floor_px
+    across = max(floor, _shared_px(poses, camera, settings)) if settings.shared_prints else floor
     return after._replace(
-        std_x_px=min(max(after.std_x_px, settings.offset_floor_px), before.std_x_px),
-        std_y_px=min(max(after.std_y_px, settings.offset_floor_px), before.std_y_px),
+        std_x_px=min(max(after.std_x_px, across), before.std_x_px),
+        std_y_px=min(max(after.std_y_px, floor), before.std_y_px),
     )
+
+
+def _shared_px(poses: list[Array], camera: CameraCalibration, settings: MarkerSettings) -> float:
+    """What is left of the offset's error (1 σ, px of disparity) when corners are known exactly.
+
+    A range from a size that is off by a share stands for a disparity off by that share of it: each body's
+    print by its own, the focal length by the same share for all.
+    """
+    baseline = float(np.linalg.norm(camera.right.X_CE[:3, 3]))
+    disparities = np.array([camera.left.K[0, 0] * baseline / X[2, 3] for X in poses])
+    prints = (np.sum((disparities * settings.print_size_std) ** -2.0)) ** -0.5
+    return float(np.hypot(prints, disparities.min() * settings.focal_std))

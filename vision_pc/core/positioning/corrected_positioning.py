@@ -15,6 +15,7 @@ from protocol.errors import MeasurementFailed
 from vision_pc.config.programs import LocalErrorModelSettings, PositioningSettings
 from vision_pc.core.calibration.backlash import slew_lever
 from vision_pc.core.calibration.local_error_model import (
+    CameraDelay,
     LocalErrorModel,
     LocalTrack,
     extended,
@@ -23,12 +24,9 @@ from vision_pc.core.calibration.local_error_model import (
     watched_path,
 )
 from vision_pc.core.ports import Arm, Eyes, Report
-from vision_pc.core.positioning.expected_end import ExpectedEnd, expected_end
-from vision_pc.core.positioning.learned_servo import (
-    after_fine_corrections,
-    expected_left,
-    servo_spread,
-)
+from vision_pc.core.positioning.expected_end import ExpectedEnd
+from vision_pc.core.positioning.foreseen_end import Wanted, foreseen_end, seen_end
+from vision_pc.core.positioning.learned_servo import expected_left
 from vision_pc.core.positioning.look_then_move import (
     Ended,
     PositioningResult,
@@ -41,16 +39,19 @@ from vision_pc.core.se3 import Array, local, transform
 from vision_pc.core.types import Look
 
 _USELESS = 2  # fine corrections in a row that brought no improvement
-_KEPT = 2.0 / 3.0  # of ``nudge_m``: width of the Gaussian that stands for its edge
 _STALE = 0.003  # m or rad: more than a settled arm creeps
 
 
 class CorrectedResult(NamedTuple):
-    """The result, the error in K axes that odometry measured before the last look, and the track so far."""
+    """The result, the error in K axes that odometry measured before the last look, and the track so far.
+
+    ``delay``: of the camera, as the newest model has it; None where it was not asked for.
+    """
 
     positioning: PositioningResult
     seen: ExpectedEnd
     track: LocalTrack
+    delay: CameraDelay | None = None
 
     @property
     def measured_residual_m(self) -> Array:
@@ -77,8 +78,7 @@ async def look_then_move_corrected(
     look = await eyes.look()
     _refuse_stale(track, look)
     p_CM = look.X_CM[:3, 3]
-    c_delta = positioning_error(look, settings.clearance_m)
-    goal_K = p_CM + c_delta  # where the marker shall be, in the camera frame of this look
+    goal_K = p_CM + positioning_error(look, settings.clearance_m)  # where the marker shall be, in K
     steps: list[Step] = []
     looks = [judge(look, settings)]
     residuals = [goal_K - p_CM]
@@ -93,20 +93,18 @@ async def look_then_move_corrected(
         report(0.2 + 0.6 * len(steps) / (settings.corrections + 1), _in_words(residuals[-1]))
         end = [steps[-1].X_BT_ref]
         drive = await watched_path(arm, eyes, end, track.take_up, dimensions, map_settings)
-        X_KnewK = drive.X_KC[0]
-        goal_K = X_KnewK[:3, :3] @ goal_K + X_KnewK[:3, 3]
-        track = extended(track, drive)
+        goal_K = drive.X_KC[0][:3, :3] @ goal_K + drive.X_KC[0][:3, 3]
         residuals.append(goal_K - p_CM)
-        if share == 1.0:
-            track = track._replace(misses=np.vstack([track.misses, fitted.R @ residuals[-1]]))
-    seen = _seen(residuals, look, settings, map_settings)
+        missed = (fitted.R @ residuals[-1])[None] if share == 1.0 else np.zeros((0, 3))
+        track = extended(track, drive._replace(misses=missed))
+    seen = seen_end(residuals, look, settings, map_settings)
     report(0.9, f"looking; odometry says inside with probability {seen.inside:.2f}")
     looks.append(judge(await eyes.look(), settings))
     report(1.0, f"error {1e3 * looks[-1].error_m[0]:+.1f} {1e3 * looks[-1].error_m[1]:+.1f} mm")
-    ended = Ended.REACHED if reached(looks[-1], settings) else Ended.INPUT_LIMIT
-    if map_settings.adaptive.enabled and float(np.abs(seen.mean_m[:2]).max()) > settings.tolerance_m:
-        ended = Ended.NOT_RESOLVED
-    return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), seen, track)
+    unresolved = map_settings.adaptive.enabled and np.abs(seen.mean_m[:2]).max() > settings.tolerance_m
+    stopped = Ended.NOT_RESOLVED if unresolved else Ended.INPUT_LIMIT
+    ended = Ended.REACHED if reached(looks[-1], settings) else stopped
+    return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), seen, track, fitted.delay)
 
 
 def _needs_another_motion(
@@ -130,17 +128,6 @@ def _needs_another_motion(
 
 def _in_words(residual: Array) -> str:
     return f"{1e3 * float(np.linalg.norm(residual)):.1f} mm to go"
-
-
-class Wanted(NamedTuple):
-    """A step ``x`` (3,) in B with the model's covariance, the share of it to be driven now, and how many
-    drives there may be until the end, this one included.
-    """
-
-    x: Array
-    covariance: Array
-    share: float
-    drives: int
 
 
 def _step(
@@ -174,64 +161,8 @@ def _step(
     else:  # the mean, shrunk: half of it is chance
         expected = slew_lever(X_BT) * track.overrun.sum() / (len(track.overrun) + 1)
     X_BT_ref = transform(X_BT[:3, :3], X_BT[:3, 3] + wanted.share * wanted.x - expected)
-    end = _expected(look, fitted, track, wanted, settings, map_settings)
+    end = foreseen_end(look, fitted, track, wanted, settings, map_settings)
     return Step(wanted.share * wanted.x, X_BT_ref, end)
-
-
-def _expected(
-    look: Look,
-    fitted: LocalErrorModel,
-    track: LocalTrack,
-    wanted: Wanted,
-    settings: PositioningSettings,
-    map_settings: LocalErrorModelSettings,
-) -> ExpectedEnd:
-    """The error expected at the end of all motions.
-
-    When a correction follows, the model's error counts for the rest of the way alone. The end of a motion is
-    then corrected until odometry finds it small, and odometry's own error counts for all of the way.
-    """
-    rest = 1.0 if wanted.share == 1.0 else (1.0 - wanted.share) ** 2
-    spread = servo_spread(track, map_settings)
-    covariance = fitted.R.T @ (rest * wanted.covariance + spread.variance * np.eye(3)) @ fitted.R
-    if settings.corrections and map_settings.adaptive.enabled:
-        across = 0.5 * float(np.trace(covariance[:2, :2]))
-        kept = after_fine_corrections(across, map_settings.adaptive.nudge_m, wanted.drives)
-        shrunk = np.diag([math.sqrt(kept / across)] * 2 + [1.0])
-        covariance = shrunk @ covariance @ shrunk
-    elif settings.corrections:
-        covariance = _after_fine_corrections(covariance, settings.nudge_m, map_settings.servo_std_m)
-    if settings.corrections:
-        covariance += _odometry_covariance(float(np.linalg.norm(wanted.x)), map_settings)
-    covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
-    return expected_end(np.zeros(3), covariance, settings.tolerance_m, spread.freedom)
-
-
-def _seen(
-    residuals: list[Array],
-    look: Look,
-    settings: PositioningSettings,
-    map_settings: LocalErrorModelSettings,
-) -> ExpectedEnd:
-    """What odometry says of the end of a way whose ``residuals`` (3,) it saw, begun with ``look``."""
-    length = float(np.linalg.norm(residuals[0]))
-    covariance = _odometry_covariance(length, map_settings) + look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
-    return expected_end(residuals[-1], covariance, settings.tolerance_m)
-
-
-def _after_fine_corrections(end_covariance: Array, nudge_m: float, servo_std_m: float) -> Array:
-    """Covariance (3, 3), m², camera axes, of the error once corrections repeat until |x|, |y| < nudge_m.
-
-    A truncated normal, approximated by a Gaussian. No finer than the joint servo's residual.
-    """
-    kept = np.diag([1.0, 1.0, 0.0]) / ((_KEPT * nudge_m) ** 2 + servo_std_m**2)
-    return np.asarray(np.linalg.inv(np.linalg.inv(end_covariance) + kept), dtype=np.float64)
-
-
-def _odometry_covariance(length: float, settings: LocalErrorModelSettings) -> Array:
-    """Covariance (3×3) of a way of ``length`` as odometry measures it."""
-    covariance: Array = (settings.odometry_std_m**2 + (settings.odometry_scale_std * length) ** 2) * np.eye(3)
-    return covariance
 
 
 def _refuse_stale(track: LocalTrack, look: Look) -> None:

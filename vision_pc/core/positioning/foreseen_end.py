@@ -1,0 +1,82 @@
+"""What is told of the end of a corrected move: before it moves, and by odometry before the last look."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from vision_pc.config.programs import LocalErrorModelSettings, PositioningSettings
+from vision_pc.core.calibration.local_error_model import LocalErrorModel, LocalTrack
+from vision_pc.core.positioning.expected_end import ExpectedEnd, expected_end
+from vision_pc.core.positioning.learned_servo import after_fine_corrections, servo_spread
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import Look
+
+_KEPT = 2.0 / 3.0  # of ``nudge_m``: width of the Gaussian that stands for its edge
+
+
+class Wanted(NamedTuple):
+    """A step ``x`` (3,) in B with the model's covariance, the share of it to be driven now, and how many
+    drives there may be until the end, this one included.
+    """
+
+    x: Array
+    covariance: Array
+    share: float
+    drives: int
+
+
+def foreseen_end(
+    look: Look,
+    fitted: LocalErrorModel,
+    track: LocalTrack,
+    wanted: Wanted,
+    settings: PositioningSettings,
+    map_settings: LocalErrorModelSettings,
+) -> ExpectedEnd:
+    """The error expected at the end of all motions.
+
+    When a correction follows, the model's error counts for the rest of the way alone. The end of a motion is
+    then corrected until odometry finds it small, and odometry's own error counts for all of the way.
+    """
+    rest = 1.0 if wanted.share == 1.0 else (1.0 - wanted.share) ** 2
+    spread = servo_spread(track, map_settings)
+    covariance = fitted.R.T @ (rest * wanted.covariance + spread.variance * np.eye(3)) @ fitted.R
+    if settings.corrections and map_settings.adaptive.enabled:
+        across = 0.5 * float(np.trace(covariance[:2, :2]))
+        kept = after_fine_corrections(across, map_settings.adaptive.nudge_m, wanted.drives)
+        shrunk = np.diag([math.sqrt(kept / across)] * 2 + [1.0])
+        covariance = shrunk @ covariance @ shrunk
+    elif settings.corrections:
+        covariance = _after_fine_corrections(covariance, settings.nudge_m, map_settings.servo_std_m)
+    if settings.corrections:
+        covariance += _odometry_covariance(float(np.linalg.norm(wanted.x)), map_settings)
+    covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
+    return expected_end(np.zeros(3), covariance, settings.tolerance_m, spread.freedom)
+
+
+def seen_end(
+    residuals: list[Array],
+    look: Look,
+    settings: PositioningSettings,
+    map_settings: LocalErrorModelSettings,
+) -> ExpectedEnd:
+    """What odometry says of the end of a way whose ``residuals`` (3,) it saw, begun with ``look``."""
+    length = float(np.linalg.norm(residuals[0]))
+    covariance = _odometry_covariance(length, map_settings) + look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
+    return expected_end(residuals[-1], covariance, settings.tolerance_m)
+
+
+def _after_fine_corrections(end_covariance: Array, nudge_m: float, servo_std_m: float) -> Array:
+    """Covariance (3, 3), m², camera axes, of the error once corrections repeat until |x|, |y| < nudge_m.
+
+    A truncated normal, approximated by a Gaussian. No finer than the joint servo's residual.
+    """
+    kept = np.diag([1.0, 1.0, 0.0]) / ((_KEPT * nudge_m) ** 2 + servo_std_m**2)
+    return np.asarray(np.linalg.inv(np.linalg.inv(end_covariance) + kept), dtype=np.float64)
+
+
+def _odometry_covariance(length: float, settings: LocalErrorModelSettings) -> Array:
+    """Covariance (3×3) of a way of ``length`` as odometry measures it."""
+    covariance: Array = (settings.odometry_std_m**2 + (settings.odometry_scale_std * length) ** 2) * np.eye(3)
+    return covariance
