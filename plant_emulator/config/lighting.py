@@ -35,7 +35,7 @@ class GlareConfig(StrictModel):
 
     strength_grey: float = Field(default=0.0, ge=0.0, le=2000.0)
     width_m: float = Field(default=0.02, gt=0.0, le=1.0)
-    lamp_m: tuple[float, float, float] = (0.3, 0.9, 2.0)
+    lamp_m: tuple[float, float, float] = (-0.3, 0.6, 2.0)
 
     @model_validator(mode="after")
     def _lamp_before_the_wall(self) -> "GlareConfig":

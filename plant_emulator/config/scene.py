@@ -1,6 +1,5 @@
 """Configuration of the visible world, all of it truth: wall, object, tool marker, camera mount and camera."""
 
-import math
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -9,6 +8,7 @@ from foundation.configuration import StrictModel
 from plant_emulator.config.boards import AnyBoardConfig
 from plant_emulator.config.camera import CameraConfig
 from plant_emulator.config.lighting import LightingConfig
+from plant_emulator.config.surroundings import PasserConfig, RebarConfig, WallConfig
 
 Vector3 = tuple[float, float, float]
 SmallAngle = Annotated[float, Field(ge=-90.0, le=90.0)]
@@ -21,40 +21,6 @@ class PoseConfig(StrictModel):
 
     position_m: Vector3 = (0.0, 0.0, 0.0)
     rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-
-class DrillHoleConfig(StrictModel):
-    """A drill hole drawn on the wall, centre in O axes (x right, y up), with a broken, brighter rim."""
-
-    centre_m: tuple[float, float]
-    diameter_mm: float = Field(gt=1.0, le=500.0)
-    grey: int = Field(default=18, ge=0, le=255)
-    rim_grey: int = Field(default=165, ge=0, le=255)
-
-
-class WallConfig(StrictModel):
-    """The textured wall: the plane z_O = 0 of the object of interest, endless because its texture repeats.
-
-    ``undulation_mm`` is how far it rises and falls about that plane, over waves of ``undulation_length_m``;
-    the markers' plates stay flat.
-    """
-
-    texture_seed: int = Field(ge=0, lt=2**63)
-    texel_mm: float = Field(ge=0.5, le=4.0)
-    mean_grey: float = Field(ge=10.0, le=230.0)
-    contrast_grey: float = Field(ge=0.0, le=60.0)
-    lighting_gradient_per_m: tuple[float, float] = (0.0, 0.0)
-    undulation_mm: float = Field(default=0.0, ge=0.0, le=50.0)
-    undulation_length_m: float = Field(default=1.0, ge=0.2, le=10.0)
-    drill_holes: tuple[DrillHoleConfig, ...] = Field(default=(), max_length=100)
-
-    @model_validator(mode="after")
-    def _gradient_keeps_light_positive(self) -> "WallConfig":
-        if math.hypot(*self.lighting_gradient_per_m) > 0.4:
-            raise ValueError(
-                "lighting_gradient_per_m: more than 0.4 per metre darkens the wall to black within reach"
-            )
-        return self
 
 
 class MarkerConfig(StrictModel):
@@ -146,6 +112,8 @@ class SceneConfig(StrictModel):
     tool_marker: ToolMarkerConfig
     obstacles: tuple[ObstacleConfig, ...] = Field(default=(), max_length=32)
     boards: tuple[AnyBoardConfig, ...] = Field(default=(), max_length=16)
+    rebar: tuple[RebarConfig, ...] = Field(default=(), max_length=8)
+    passers: tuple[PasserConfig, ...] = Field(default=(), max_length=8)
     lighting: LightingConfig = LightingConfig()
     mount: PoseConfig
     camera: CameraConfig

@@ -114,7 +114,9 @@ class ModelOdometry:
     def _seen(self, ids: Indices, shown: Capture) -> _Seen:
         """What is in view of a keyframe's points."""
         left, right = self._view.project(shown, self._true[ids])
-        in_left, in_right = inside(left, self._static[0]), inside(right, self._static[1])
+        hidden = self._view.hidden(shown, self._true[ids])
+        in_left = inside(left, self._static[0]) & ~hidden[0]
+        in_right = inside(right, self._static[1]) & ~hidden[1]
         right = np.where(in_right[:, None], right, 0.0)
         return _Seen(ids[in_left], left[in_left], right[in_left], in_right[in_left], len(ids))
 

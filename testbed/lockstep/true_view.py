@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from plant_emulator.config.camera import CameraConfig
 from plant_emulator.core.camera.camera_motion import Capture
@@ -11,7 +12,13 @@ from plant_emulator.core.camera.scene import Plate, Scene
 from plant_emulator.core.camera.true_eye import TrueEye, as_read, true_eyes
 from vision_pc.core.se3 import Array, apply, inverse
 
+Flags = NDArray[np.bool_]
+
 _RIM_PX = 3.0  # OpenCV's detector leaves out what is nearer to the picture's rim
+
+
+_ON_IT_M = 1e-6
+_TRACKABLE = 0.4  # share of the wall's contrast below which nothing holds a tracked point
 
 
 class SeenMarker(NamedTuple):
@@ -30,17 +37,22 @@ class TrueView:
         self._eyes = true_eyes(camera)
         self._size = np.array([camera.width_px, camera.height_px], dtype=np.float64)
         self._scene = scene
+        wall = scene.config.wall
+        self._wall_is_plain = not (wall.bare_patches or wall.blocks or scene.hiding(0.0))
         self._outlines = [_outline(plate) for plate in scene.tool_plates]
 
     def markers(self, shown: Capture) -> dict[int, SeenMarker]:
         """Every marker's exact corners in both eyes."""
         hiding = [self._hiding(eye, shown) for eye in self._eyes]
+        standing = self._scene.hiding(_time_s(shown))
         seen = {}
         for number, (parent, corners) in self._scene.marker_corners().items():
             on_tool = parent == "M"
             points = corners if on_tool else apply(self._scene.mounts.X_WO, corners)
             both = [
-                self._whole(self._seen_by(eye, shown, points, on_tool), [] if on_tool else hidden)
+                None
+                if not on_tool and self._behind(eye, shown, points, standing).any()
+                else self._whole(self._seen_by(eye, shown, points, on_tool), [] if on_tool else hidden)
                 for eye, hidden in zip(self._eyes, hiding, strict=True)
             ]
             seen[number] = SeenMarker(*both)
@@ -57,14 +69,39 @@ class TrueView:
             low, high = self._rim_px, self._size - 1.0 - self._rim_px
             return np.asarray(np.all((pixels >= low) & (pixels <= high), axis=1))
 
+    def hidden(self, shown: Capture, points_W: Array) -> tuple[Flags, Flags]:
+        """Which of the points (n, 3) something before the wall hides from the left and the right eye."""
+        standing = self._scene.hiding(_time_s(shown))
+        left, right = (self._behind(eye, shown, points_W, standing) for eye in self._eyes)
+        return left, right
+
     def on_wall(self, shown: Capture, rays: Array) -> Array:
-        """Points (m, 3) in W where ``rays`` (n, 2) = x/z, y/z of the left eye meet the wall, m ≤ n."""
+        """Points (m, 3) in W where ``rays`` (n, 2) = x/z, y/z of the left eye meet the wall or a block's face
+        and find something to see, m ≤ n.
+        """
         X_OW, X_WC = inverse(self._scene.mounts.X_WO), shown.view.X_WC
         directions = np.column_stack([rays, np.ones(len(rays))]) @ (X_OW[:3, :3] @ X_WC[:3, :3]).T
         start = apply(X_OW, X_WC[None, :3, 3])[0]
         towards = directions[:, 2] < -1e-6
         along = -start[2] / directions[towards, 2]
-        return apply(self._scene.mounts.X_WO, start + directions[towards] * along[:, None])
+        points = start + directions[towards] * along[:, None]
+        if self._wall_is_plain:
+            return apply(self._scene.mounts.X_WO, points)
+        points = self._rough(self._scene.mounts.X_WO, start, points)
+        return points[~self._behind(self._eyes[0], shown, points, self._scene.hiding(_time_s(shown)))]
+
+    def _rough(self, X_WO: Array, start: Array, points: Array) -> Array:
+        """In W: the points of the wall's plane, or of the block's face before them, that are not bare."""
+        wall = self._scene.config.wall
+        kept = np.ones(len(points), dtype=bool)
+        for patch in wall.bare_patches:
+            if patch.contrast < _TRACKABLE:
+                kept &= np.linalg.norm(points[:, :2] - patch.centre_m, axis=1) > patch.radius_m
+        for block in sorted(wall.blocks, key=lambda block: block.depth_m):
+            face = points + (start - points) * (block.depth_m / start[2])
+            on_face = np.all(np.abs(face[:, :2] - block.centre_m) <= 0.5 * np.array(block.size_m), axis=1)
+            points, kept = np.where(on_face[:, None], face, points), kept | on_face
+        return apply(X_WO, points[kept])
 
     def _whole(self, pixels: Array, hiding: list[Array]) -> Array | None:
         if not self.inside(pixels).all():
@@ -72,6 +109,23 @@ class TrueView:
         quad = pixels.astype(np.float32)
         hidden = any(cv2.intersectConvexConvex(quad, other)[0] > 0.0 for other in hiding)
         return None if hidden else pixels
+
+    def _behind(self, eye: TrueEye, shown: Capture, points_W: Array, standing: tuple[Plate, ...]) -> Flags:
+        """Which of the points (n, 3) lie behind one of the rectangles ``standing`` before the wall."""
+        behind = np.zeros(len(points_W), dtype=bool)
+        eye_W = (shown.view.X_WC @ eye.pose(shown.drift_px))[None, :3, 3]
+        for plate in standing:
+            X_PW = inverse(self._scene.mounts.X_WO @ plate.X_parent_plate)
+            (from_P,), points_P = apply(X_PW, eye_W), apply(X_PW, points_W)
+            deeper = points_P[:, 2] < -_ON_IT_M
+            if from_P[2] <= 0.0 or not deeper.any():
+                continue
+            share = from_P[2] / np.where(deeper, from_P[2] - points_P[:, 2], np.inf)
+            at = from_P[:2] + (points_P[:, :2] - from_P[:2]) * share[:, None]
+            low = [plate.edges_x[0], -plate.edges_y[-1]]
+            high = [plate.edges_x[-1], -plate.edges_y[0]]
+            behind |= deeper & np.all((at >= low) & (at <= high), axis=1)
+        return behind
 
     def _hiding(self, eye: TrueEye, shown: Capture) -> list[Array]:
         outlines = [self._seen_by(eye, shown, outline, on_tool=True) for outline in self._outlines]
@@ -85,6 +139,10 @@ class TrueView:
             return eye.project(view.X_WC, apply(view.X_WM, points) if on_tool else points, shown.drift_px)
 
         return as_read(at, self._camera)
+
+
+def _time_s(shown: Capture) -> float:
+    return 1e-9 * shown.capture_ns
 
 
 def _outline(plate: Plate) -> Array:

@@ -48,13 +48,16 @@ class Eye:
         X_EMs = [X_EW @ view.X_WM for X_EW, view in zip(X_EWs, views, strict=True)]
         time_s = 1e-9 * capture.capture_ns + offset_s
         self._paint_wall(picture, X_EOs, time_s)
-        for parent, X_EPs, plates in (
-            ("O", X_EOs, self._scene.wall_plates),
-            ("M", X_EMs, self._scene.tool_plates),
-        ):
-            for plate in (*plates, *(cover.plate for cover in covers if cover.parent == parent)):
-                X_OP = np.linalg.inv(X_EOs[0]) @ X_EPs[0] @ plate.X_parent_plate
-                self._paint_plate(picture, [X @ plate.X_parent_plate for X in X_EPs], plate, X_OP, time_s)
+        for plate in (*self._scene.wall_plates, *_of("O", covers)):
+            X_OP = plate.X_parent_plate
+            self._paint_plate(picture, [X_EO @ X_OP for X_EO in X_EOs], plate, X_OP, time_s)
+        for passer in self._scene.passers:
+            X_OPs = [passer.pose(time_s + side * self._readout_s) for side in (-0.5, 0.5)]
+            X_EPs = [X_EO @ X_OP for X_EO, X_OP in zip(X_EOs, X_OPs, strict=True)]
+            self._paint_plate(picture, X_EPs, passer.plate, X_OPs[0], time_s)
+        for plate in (*self._scene.tool_plates, *_of("M", covers)):
+            X_EPs = [X_EM @ plate.X_parent_plate for X_EM in X_EMs]
+            self._paint_plate(picture, X_EPs, plate, np.linalg.inv(X_EOs[0]) @ X_EPs[0], time_s)
         return picture
 
     def _paint_wall(self, picture: Grey, X_EOs: list[Matrix], time_s: float) -> None:
@@ -140,6 +143,11 @@ class Eye:
         low = np.clip(np.floor(image.min(axis=0)) - _RIM_PX, 0, [width, height]).astype(int)
         high = np.clip(np.ceil(image.max(axis=0)) + _RIM_PX + 1, 0, [width, height]).astype(int)
         return (int(low[1]), int(high[1]), int(low[0]), int(high[0]))
+
+
+def _of(parent: str, covers: Sequence[Cover]) -> list[Plate]:
+    """The covers that move with ``parent``."""
+    return [cover.plate for cover in covers if cover.parent == parent]
 
 
 def _ray_to_plane(X_EP: Matrix) -> Matrix:

@@ -1,6 +1,7 @@
 """The visible world as rigid poses and flat plates: where wall, object, tool marker and camera truly are."""
 
 import math
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import cv2
@@ -15,9 +16,17 @@ from plant_emulator.config.scene import (
     ToolMarkerConfig,
     WallMarkerConfig,
 )
+from plant_emulator.config.surroundings import PasserConfig
 from plant_emulator.core.camera.boards import board_plates
 from plant_emulator.core.camera.plates import Bend, plain_plate
 from plant_emulator.core.camera.plates import Plate as Plate
+from plant_emulator.core.camera.surroundings import (
+    block_outline,
+    block_plates,
+    front_of,
+    passer_plate,
+    rebar_plates,
+)
 from plant_emulator.core.faults.kinds import MarkerCovered
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
 from plant_emulator.core.truth import Mounts
@@ -115,12 +124,23 @@ def cover_over(plate: Plate, fault: MarkerCovered) -> Plate:
     return plain_plate(plate.X_parent_plate, edges_x, edges_y, fault.grey)
 
 
+class Passer(NamedTuple):
+    """A plate that moves, and how."""
+
+    plate: Plate
+    config: PasserConfig
+
+    def pose(self, time_s: float) -> Matrix:
+        """X_OP (4x4)."""
+        return transform(np.eye(3), np.array(self.config.place_m(time_s)))
+
+
 class Scene:
     """Everything visible, as poses and plates. Stateless: what moves is passed in for each picture.
 
     ``mounts`` are the true poses (4x4) that the plant chains its own to: base and object in the world, camera
     and tool marker in the tool centre point. ``wall_plates`` have parent O, ``tool_plates`` parent M; both in
-    painting order.
+    painting order, and ``passers`` come between them.
     """
 
     def __init__(self, config: SceneConfig) -> None:
@@ -140,9 +160,35 @@ class Scene:
             marker.marker_id: ("O", plate)
             for marker, plate in zip(config.object_of_interest.markers, self._wall_markers, strict=True)
         }
-        boards = (plate for board in config.boards for plate in board_plates(board))
-        self.wall_plates = (*self._wall_markers, *boards, *self._obstacles("wall"))
+        self._standing = (
+            *(plate for block in config.wall.blocks for plate in block_outline(block)),
+            *(bar for mat in config.rebar for bar in rebar_plates(mat)),
+            *self._obstacles("wall"),
+        )
         self.tool_plates = (*self._bracket(), tool_marker, *self._obstacles("tool"))
+
+    @cached_property
+    def wall_plates(self) -> tuple[Plate, ...]:
+        """What is fixed to the wall or stands before it; some of it is painted only when first asked for."""
+        config = self.config
+        blocks = sorted(config.wall.blocks, key=lambda block: block.depth_m)
+        return (
+            *self._wall_markers,
+            *(plate for block in blocks for plate in block_plates(block, config.wall)),
+            *(plate for mat in config.rebar for plate in rebar_plates(mat)),
+            *(plate for board in config.boards for plate in board_plates(board)),
+            *self._obstacles("wall"),
+        )
+
+    @cached_property
+    def passers(self) -> tuple[Passer, ...]:
+        """What passes between wall and tool."""
+        return tuple(Passer(passer_plate(config), config) for config in self.config.passers)
+
+    def hiding(self, time_s: float) -> tuple[Plate, ...]:
+        """Outlines, in O, of everything that hides points of the wall at ``time_s``."""
+        passing = (front_of(passer.size_m, passer.place_m(time_s)) for passer in self.config.passers)
+        return (*self._standing, *passing)
 
     def marker_corners(self) -> dict[int, tuple[Literal["O", "M"], Matrix]]:
         """Marker id → (parent frame "O" or "M", 4x3 corners in it in metres, ArUco order)."""

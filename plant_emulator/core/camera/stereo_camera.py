@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.config.camera import CameraConfig
-from plant_emulator.config.scene import WallConfig
+from plant_emulator.config.surroundings import WallConfig
 from plant_emulator.core.camera import rasteriser
 from plant_emulator.core.camera.camera_motion import STILL, CameraMotion, CameraView, Capture
 from plant_emulator.core.camera.exposures import Shot

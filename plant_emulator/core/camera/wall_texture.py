@@ -1,10 +1,12 @@
 """Procedural wall texture: seeded, periodic, rich at every scale the camera resolves; its mip levels."""
 
+import math
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.config.scene import WallConfig
+from plant_emulator.config.surroundings import WallConfig
 from plant_emulator.core.camera import wall_painter
 
 SIZE_BITS = 12
@@ -66,8 +68,8 @@ def _doubled(field: Field) -> Field:
 
 
 def drilled(finest: Grey, wall: WallConfig) -> Grey:
-    """The finest level with the wall's drill holes drawn into it, smooth-rimmed; ``finest`` itself stays."""
-    result = finest.copy()
+    """The finest level with bare patches and drill holes in it, smooth-rimmed; ``finest`` itself stays."""
+    result = _bared(finest, wall)
     per_m, fraction = 1000.0 / wall.texel_mm, 8
     for hole in wall.drill_holes:
         column = SIZE / 2.0 + per_m * hole.centre_m[0] - 0.5
@@ -76,6 +78,22 @@ def drilled(finest: Grey, wall: WallConfig) -> Grey:
         for growth, grey in ((1.25, hole.rim_grey), (1.0, hole.grey)):
             radius = round(growth * hole.diameter_mm / 2.0 / wall.texel_mm * (1 << fraction))
             cv2.circle(result, centre, radius, grey, cv2.FILLED, cv2.LINE_AA, fraction)
+    return result
+
+
+def _bared(finest: Grey, wall: WallConfig) -> Grey:
+    """A copy whose bare patches have lost contrast, within a rim of an eighth of their radius."""
+    result = finest.copy()
+    per_m = 1000.0 / wall.texel_mm
+    for patch in wall.bare_patches:
+        column, row = SIZE / 2.0 + per_m * patch.centre_m[0], SIZE / 2.0 - per_m * patch.centre_m[1]
+        radius = per_m * patch.radius_m
+        rows, columns = (np.arange(math.floor(m - radius), math.ceil(m + radius) + 1) for m in (row, column))
+        far = np.hypot(rows[:, None] + 0.5 - row, columns + 0.5 - column) / radius
+        lost = (1.0 - patch.contrast) * np.clip(8.0 * (1.0 - far), 0.0, 1.0)
+        places = np.ix_(rows % SIZE, columns % SIZE)
+        grey = result[places].astype(np.float32)
+        result[places] = np.rint(grey + (wall.mean_grey - grey) * lost).astype(np.uint8)
     return result
 
 

@@ -210,3 +210,20 @@ def test_parameters_are_recovered_from_rows_that_the_model_itself_would_give() -
     assert found["corners"] == {"noise_px": 0.02, "bias_px": 0.01, "missed_share": 0.015}
     with pytest.raises(MeasurementFailed):
         parameters([failed])
+
+
+def test_odometry_is_lost_behind_what_passes_and_finds_its_keyframe_again() -> None:
+    board = {
+        "start_m": [-8.0, 0.0, 0.3],
+        "velocity_m_s": [8.0, 0.0, 0.0],
+        "period_s": 5.0,
+        "size_m": [4.0, 4.0],
+    }
+    stage = Stage(QUIET, passers=[board])
+    odometry = stage.sensor.odometry(None)
+    outcomes = []
+    for second in (0, 1, 2):  # away, in the middle, gone
+        seen = stage.exposed(stage.truth)
+        passed = seen._replace(shown=seen.shown._replace(capture_ns=second * 1_000_000_000))
+        outcomes.append((odometry.process(passed) is not None, odometry.last_loss))
+    assert outcomes == [(True, None), (False, "too_few_points"), (True, None)]
