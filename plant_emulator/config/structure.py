@@ -124,11 +124,16 @@ Hinges = Annotated[tuple[float, ...], Field(min_length=2, max_length=3), AfterVa
 
 
 class FinerBendingConfig(StrictModel):
-    """Boom and arm of two or three hinges in each direction."""
+    """Boom and arm of two or three hinges in each direction.
+
+    What lies between a joint and its first hinge is light: the end stops of lift and tilt brake with
+    ``stop_damping_share`` of their damping, so that a step of the plain arm's length bears them.
+    """
 
     enabled: bool
     boom_at: Hinges
     arm_at: Hinges
+    stop_damping_share: Annotated[float, Field(gt=0.0, le=1.0)]
 
 
 class TorsionConfig(StrictModel):

@@ -100,6 +100,8 @@ def build_actuators(config: PlantConfig) -> Array:
         row[col.A_RELIEF] = flow / (guard.relief_override_bar * BAR)
         if guard.anticavitation:
             row[col.A_ANTICAVITATION] = orifice_gain(flow, guard.anticavitation_drop_bar * BAR)
+    if errors.finer_bending.enabled:
+        table[1:3, col.A_STOP_DAMPING] *= errors.finer_bending.stop_damping_share
     hold = valves.counterbalance
     for i, fitted in ((1, hold.lift), (2, hold.tilt)):
         table[i, col.A_COUNTERBALANCE] = 2.0 * table[i, col.A_GAIN + RETURN_A] if fitted else 0.0
