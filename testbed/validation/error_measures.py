@@ -44,6 +44,21 @@ def tool_mm(world: MeasuredWorld) -> Array:
     return np.asarray(world.arm().truth().X_WT[:3, 3] * 1e3)
 
 
+def tool_turned_mrad(world: MeasuredWorld) -> Array:
+    """The tool's axes in the world (9,), in units of which a turn by 1 mrad changes them by 1."""
+    return np.asarray(world.arm().truth().X_WT[:3, :3].ravel() * 1e3 / np.sqrt(2.0))
+
+
+def shaken_mm(world: MeasuredWorld) -> Array:
+    """How far the tool is from its mean place over the third second at rest, rms, mm."""
+    plant, places = world.arm(), []
+    plant.advance(2_000_000_000)
+    for _ in range(500):
+        plant.advance(2_000_000)
+        places.append(plant.truth().X_WT[:3, 3])
+    return np.asarray(1e3 * np.linalg.norm(np.std(places, axis=0)))
+
+
 def _read_mrad(plant: Plant) -> Array:
     return np.asarray(np.array(plant.read().encoder_counts) * (2e3 * np.pi / COUNTS_PER_TURN))
 

@@ -1,12 +1,14 @@
 """Every source of error of the plant by itself: its switch, where its number comes from, what it alone does.
 
-The base is an arm and a camera without any of them; each is then switched on alone, with the shipped numbers.
+The base is an arm and a camera without any of them; each is then switched on alone, with the shipped numbers,
+where need be beside what it acts through: a load, a beam that bends, a base that rocks.
 What else disturbs a picture is shown by `longreach picture effects`.
 """
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,8 +30,10 @@ _MARK = re.compile(r"#.*?(\[[SMERD]\])")
 
 
 class Source(NamedTuple):
-    """One source. ``key``: file and dotted key, where its number and provenance stand. ``off``: what takes it
-    away, by file.
+    """One source. ``key``: file and dotted key, where its number and provenance stand.
+
+    By file, ``off``: what takes it away, ``on``: what brings it where it is shipped off, ``given``: what is
+    there with and without it.
 
     ``measured`` makes of a world a number or vector in ``unit``; what the source alone does is the length of
     the difference that it makes, or the change in percent where the unit is ``%``.
@@ -41,6 +45,8 @@ class Source(NamedTuple):
     measured: Callable[[measure.MeasuredWorld], Array | float]
     effect: str
     unit: str
+    on: Mapping[str, Any] = MappingProxyType({})
+    given: Mapping[str, Any] = MappingProxyType({})
 
 
 class Finding(NamedTuple):
@@ -56,35 +62,64 @@ class Finding(NamedTuple):
 
 def sources(nominal_lens: Keys) -> tuple[Source, ...]:
     """Every source of error; ``nominal_lens`` is what the vision side takes the lens for."""
-    return (*_of_the_arm(), *_of_what_is_seen(nominal_lens))
+    return (*_of_the_arm(), *_of_the_structure(), *_of_what_is_seen(nominal_lens))
 
 
 def _of_the_arm() -> tuple[Source, ...]:
-    def error(name: str) -> Keys:
-        return {"plant": {"errors": {name: _OFF}}}
-
     return (
         Source("boom flexibility", "plant.flexibility", {"plant": {"flexibility": _OFF}}, measure.tool_mm,
                "tool sags at the start pose", "mm"),
-        Source("geometry", "plant.errors.geometry", error("geometry"), measure.tool_mm,
+        Source("geometry", "plant.errors.geometry", _off("geometry"), measure.tool_mm,
                "tool off the rigid model", "mm"),
-        Source("base tilt", "plant.errors.base_tilt", error("base_tilt"), measure.tool_mm,
+        Source("base tilt", "plant.errors.base_tilt", _off("base_tilt"), measure.tool_mm,
                "tool moves in the world", "mm"),
-        Source("encoder offsets", "plant.errors.encoder_offsets", error("encoder_offsets"),
+        Source("encoder offsets", "plant.errors.encoder_offsets", _off("encoder_offsets"),
                measure.reading_mrad, "readings off, all six", "mrad"),
-        Source("encoder noise", "plant.errors.encoder_noise", error("encoder_noise"), measure.noise_lsb,
+        Source("encoder noise", "plant.errors.encoder_noise", _off("encoder_noise"), measure.noise_lsb,
                "spread of readings at rest", "LSB"),
-        Source("backlash", "plant.errors.backlash", error("backlash"), measure.trailing_mrad,
+        Source("backlash", "plant.errors.backlash", _off("backlash"), measure.trailing_mrad,
                "reading trails a turning slew", "mrad"),
-        Source("valve deadband", "plant.valves.deadband", error("valve_deadband"),
+        Source("valve deadband", "plant.valve_sets.servo.deadband", _off("valve_deadband"),
                lambda world: measure.slew_mrad_s(world, 0.02), "slew speed at 2 % spool", "%"),
-        Source("friction", "plant.actuators.slew.rotary.friction", error("friction"),
+        Source("friction", "plant.actuators.slew.rotary.friction", _off("friction"),
                lambda world: measure.slew_mrad_s(world, 0.1), "slew speed at 10 % spool", "%"),
-        Source("leakage", "plant.actuators.slew.leakage_m3_s_pa", error("leakage"), measure.sunk_mm,
+        Source("leakage", "plant.actuators.slew.leakage_m3_s_pa", _off("leakage"), measure.sunk_mm,
                "tool sinks in 20 s, valves shut", "mm"),
         Source("thermal drift", "plant.oil.temperature_degc", {"plant": {"oil": {"thermal_drift": False}}},
                measure.oil_k, "oil warms in 4 s of full work", "K"),
     )  # fmt: skip
+
+
+def _of_the_structure() -> tuple[Source, ...]:
+    """What plant.yaml ships switched off."""
+    aside: Keys = {"payload": {"mass_kg": 50.0, "centre_m": [0.3, 0.0, 0.0]}}
+    bent: Keys = {"flexibility": {"enabled": True}}
+    rocking: Keys = {"errors": {"rocking_base": {"enabled": True}}}
+    rows: tuple[tuple[str, str, Callable[[measure.MeasuredWorld], Array], str, str, Keys], ...] = (
+        ("encoder eccentricity", "encoder_eccentricity", measure.reading_mrad,
+         "readings off, all six", "mrad", {}),
+        ("several hinges", "finer_bending", measure.tool_mm, "tool, of sag at the start pose", "mm", bent),
+        ("torsion", "torsion", measure.tool_turned_mrad, "50 kg 0.3 m aside turn the tool", "mrad", aside),
+        ("pins", "pin_compliance", measure.tool_turned_mrad,
+         "50 kg 0.3 m aside turn the tool", "mrad", aside),
+        ("slewing ring", "bearing_tilt", measure.tool_mm, "tool sags at the start pose", "mm", {}),
+        ("loose slew", "loose_slew", measure.tool_mm, "tool lies aside at the start pose", "mm", {}),
+        ("rocking base", "rocking_base", measure.tool_mm, "tool sags at the start pose", "mm", {}),
+        ("engine and pump", "vibration", measure.shaken_mm, "rms of the tool at rest", "mm", rocking),
+    )  # fmt: skip
+    return tuple(
+        Source(name, f"plant.errors.{entry}", _off(entry), measured, effect, unit, _on(entry),
+               {"plant": given})
+        for name, entry, measured, effect, unit, given in rows
+    )  # fmt: skip
+
+
+def _off(entry: str) -> Keys:
+    return {"plant": {"errors": {entry: _OFF}}}
+
+
+def _on(entry: str) -> Keys:
+    return {"plant": {"errors": {entry: {"enabled": True}}}}
 
 
 def _of_what_is_seen(nominal_lens: Keys) -> tuple[Source, ...]:
@@ -127,13 +162,14 @@ def findings(config_dir: Path, nominal_lens: Keys) -> Iterator[Finding]:
     off: Keys = {}
     for source in known:
         off = merged(off, source.off)
-    base = _world(config_dir, off)
     for source in known:
         others: Keys = {}
         for other in known:
             if other.off != source.off:
                 others = merged(others, other.off)
-        alone, without = (np.asarray(source.measured(world)) for world in (_world(config_dir, others), base))
+        there = merged(merged(others, source.on), source.given)
+        worlds = (_world(config_dir, there), _world(config_dir, merged(off, source.given)))
+        alone, without = (np.asarray(source.measured(world)) for world in worlds)
         change = float(np.linalg.norm(alone - without))
         value = 100.0 * float((alone - without) / without) if source.unit == "%" else change
         mark = provenance(config_dir, source.key)

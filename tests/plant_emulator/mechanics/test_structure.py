@@ -12,14 +12,10 @@ from plant_emulator.core.layout import N_STATES
 from plant_emulator.core.mechanics import loose
 from plant_emulator.core.plant import Plant
 from protocol.errors import ConfigurationError
+from tests.plant_emulator.mechanics.structure_world import ENTRIES
 from tests.plant_emulator.plant_world import CONFIGS, CYCLE_NS, Driver, plant_config
 
 Array = NDArray[np.float64]
-
-ENTRIES = (
-    "encoder_eccentricity", "finer_bending", "torsion", "pin_compliance", "bearing_tilt", "loose_slew",
-    "rocking_base", "vibration",
-)  # fmt: skip
 
 
 def on(*names: str, **numbers: dict[str, Any]) -> dict[str, Any]:
@@ -74,6 +70,18 @@ def test_side_load_decides_the_flank_and_not_the_last_turn() -> None:
             lies.append(1e3 * plant._state[plant._model.places.angle[at]])
     assert (np.sign(lies) == [-1.0, -1.0, 1.0, 1.0]).all()
     assert np.abs(np.abs(lies) - 1.05).max() < 0.06
+
+
+@pytest.mark.parametrize("tilt", [10.0, -10.0])
+def test_a_tilted_base_decides_the_flank_too(tilt: float) -> None:
+    """The start pose looks forward; a base that leans to one side lets the boom fall to that side."""
+    slew = {"hose_nm": 0.0, "hose_nm_rad": 0.0}
+    errors = on(loose_slew=slew) | {"base_tilt": {"enabled": True, "x_mrad": tilt, "y_mrad": 0.0}}
+    plant = Plant(plant_config(errors=errors, payload={"mass_kg": 100.0}), 1)
+    Driver(plant).run(1.0)
+    at = int(plant._model.loose.mesh[loose.M_AT])
+    lies = 1e3 * plant._state[plant._model.places.angle[at]]
+    assert lies == pytest.approx(-np.sign(tilt) * 0.6, abs=0.05)
 
 
 def test_encoders_do_not_see_the_play() -> None:

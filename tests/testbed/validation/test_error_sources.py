@@ -29,7 +29,7 @@ def test_every_source_does_something_and_says_where_its_number_comes_from(alone:
     assert list(alone) == [source.name for source in sources(NOMINAL_LENS)]
     for finding in alone.values():
         assert abs(finding.value) > 0.0, finding.name
-        assert finding.provenance in ("[S]", "[M]", "[E]"), finding.name
+        assert finding.provenance in ("[S]", "[M]", "[E]", "[D]"), finding.name
 
 
 def test_every_switch_among_the_errors_is_a_source() -> None:
@@ -59,6 +59,13 @@ def test_what_the_sources_do_is_what_their_numbers_say(alone: dict[str, Finding]
     assert 0.3 < alone["encoder noise"].value < 0.6  # and quantisation
     assert alone["valve deadband"].value < alone["friction"].value < 0.0
     assert 2.0 < alone["boom flexibility"].value < 60.0
+    torque, rise = 50.0 * 9.81 * 0.3, np.radians([50.0, -25.0])  # of boom and arm at the start pose
+    soft = 1.6 / errors.torsion.boom_gj_n_m2, 3.0 / errors.torsion.arm_gj_n_m2
+    twisted = 1e3 * torque * abs(np.array(soft) * np.cos(rise) @ np.exp(1j * rise))
+    assert alone["torsion"].value == pytest.approx(twisted, rel=0.03)
+    assert alone["encoder eccentricity"].value < np.linalg.norm(errors.encoder_eccentricity.mrad)
+    play = 0.5 * errors.loose_slew.backlash_mrad
+    assert alone["loose slew"].value == pytest.approx(3.89 * play, rel=0.03)
 
 
 def rates(temperature_degc: float, lift_rate: float = 0.0, push: float = 0.0) -> tuple[float, float, float]:
