@@ -1,9 +1,16 @@
 """Controllers that stream wrongly, each caught by the case meant for it."""
 
+from dataclasses import replace
+from typing import Any
+
 from controller.core.settings import ScanSettings
-from protocol.reference_messages import State
-from protocol.session_events import StreamedPoseReceived
-from tests.conformance.controllers import ControllerUnderTest, settings
+from protocol.datagram import Header
+from protocol.faults import CommandCode
+from protocol.reference_messages import CAPABILITY_STREAMING, Command, State, StreamedPose
+from protocol.server_session import ReferenceServer
+from protocol.session_events import ServerEvent, StreamedPoseReceived
+from protocol.session_factory import LinkSession
+from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest, settings
 from tests.conformance.mutants import Mutant
 
 
@@ -63,7 +70,57 @@ class StandsStill(ControllerUnderTest):
         return state._replace(stream_number=0)
 
 
+def _with_streams(session: LinkSession) -> LinkSession:
+    """``session`` as if it had asked for streams."""
+    granted = session.welcome.capabilities | CAPABILITY_STREAMING
+    return replace(session, welcome=session.welcome._replace(capabilities=granted))
+
+
+class _Unasked(ReferenceServer):
+    """Takes what only a session with STREAMING may send: ``code``, or streamed references when it is None."""
+
+    code: CommandCode | None = None
+
+    def _streamed(
+        self, session: LinkSession, header: Header, message: StreamedPose, now_ns: int
+    ) -> list[ServerEvent]:
+        session = _with_streams(session) if self.code is None else session
+        return super()._streamed(session, header, message, now_ns)
+
+    def _requested(
+        self, session: LinkSession, request: Any, content: bytes, now_ns: int
+    ) -> list[ServerEvent]:
+        if isinstance(request, Command) and request.code is self.code:
+            session = _with_streams(session)
+        return super()._requested(session, request, content, now_ns)
+
+
+class StartsUnaskedStreams(ControllerUnderTest):
+    """START_STREAM needs no capability."""
+
+    code: CommandCode | None = CommandCode.START_STREAM
+
+    def make_server(self) -> ReferenceServer:
+        server = type("Unasked", (_Unasked,), {"code": self.code})
+        return server(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS)
+
+
+class EndsUnaskedStreams(StartsUnaskedStreams):
+    """END_STREAM needs none."""
+
+    code = CommandCode.END_STREAM
+
+
+class JudgesUnaskedReferences(StartsUnaskedStreams):
+    """STREAMED_POSE needs none."""
+
+    code = None
+
+
 STREAM_MUTANTS = (
+    Mutant(StartsUnaskedStreams, 541),
+    Mutant(EndsUnaskedStreams, 541),
+    Mutant(JudgesUnaskedReferences, 541),
     Mutant(WaitsForReferences, 572),
     Mutant(TakesNanForTheLast, 546),
     Mutant(TakesNanForTheLast, 553),

@@ -121,19 +121,39 @@ def test_another_reader_finds_the_topics(tmp_path: Path) -> None:
     assert counts == {TRUTH: 40, CAPTURE: 10, FAULT: 5, EVENT: 1}
 
 
-def test_a_recording_that_was_never_closed_holds_everything_up_to_the_last_capture(tmp_path: Path) -> None:
+@pytest.mark.parametrize("last", ["event", "capture"])
+def test_a_recording_that_was_never_closed_lacks_three_seconds_at_most(tmp_path: Path, last: str) -> None:
     path = tmp_path / "truth.mcap"
     recorder = TruthRecorder(path, RUN)
+    second_ns = 1_000_000_000
+    left_behind: list[bytes] = []
     for number in range(20):
-        recorder.truth(truth(number), number)
-    recorder.capture(truth(20), 20, 0)
-    left_behind = path.read_bytes()  # what a kill at this instant leaves
+        recorder.truth(truth(number), number * second_ns)
+        recorder.capture(truth(number), number * second_ns, number)
+        left_behind.append(path.read_bytes())  # what a kill at this instant leaves
+    if last == "event":
+        recorder.event({"event": "status", "status": 3}, 19 * second_ns, 99)
+        left_behind.append(path.read_bytes())
     recorder.close()
-    path.write_bytes(left_behind)
-    recording = read_truth(path)
-    assert not recording.complete
-    assert len(recording.truths) == 21
-    assert same(recording.truths[-1].truth, truth(20))
+    for number, left in enumerate(left_behind):
+        path.write_bytes(left)
+        recording = read_truth(path)
+        assert not recording.complete
+        kept_ns = recording.truths[-1].log_ns if recording.truths else 0
+        assert kept_ns == min(number, 19) * second_ns if number == 20 else kept_ns >= (number - 3) * second_ns
+    assert same(recording.truths[-1].truth, truth(19 if last == "event" else 18))
+
+
+def test_a_long_recording_has_few_chunks(tmp_path: Path) -> None:
+    """Each of them stays in the memory of the process that writes."""
+    recorder = TruthRecorder(tmp_path / "truth.mcap", RUN)
+    for number in range(600):  # a minute
+        recorder.capture(truth(number), 100_000_000 * number, number)
+    recorder.close()
+    with (tmp_path / "truth.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert len(summary.chunk_indexes) <= 21
 
 
 def test_a_file_cut_anywhere_gives_a_prefix(tmp_path: Path) -> None:
@@ -165,13 +185,13 @@ def test_what_is_not_a_recording_is_refused(tmp_path: Path) -> None:
 
 def test_a_full_disk_ends_the_recording_and_says_so(tmp_path: Path) -> None:
     recorder = TruthRecorder(tmp_path / "truth.mcap", {})
-    recorder.capture(truth(0), 5, 1)
+    recorder.capture(truth(0), 5_000_000_000, 1)
     full = os.open("/dev/full", os.O_WRONLY)
     os.dup2(full, recorder._file.fileno())
     os.close(full)
-    recorder.capture(truth(1), 6, 2)
+    recorder.capture(truth(1), 9_000_000_000, 2)
     assert recorder.failure == "No space left on device"
-    recorder.capture(truth(2), 7, 3)
+    recorder.capture(truth(2), 9_100_000_000, 3)
     assert recorder.written == 1
     recorder.close()
     (kept,) = read_truth(tmp_path / "truth.mcap").truths
