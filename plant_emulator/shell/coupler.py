@@ -1,7 +1,8 @@
 """The plant's fieldbus face: a bus coupler's process image over Modbus TCP, served in the plant's own loop.
 
 So that no master holds the loop up: a connection is served in slices, the strangers' together in one slice a
-step; the loop takes one new connection a step; there are only so many places, and the writer keeps its own.
+millisecond; the loop takes one new connection a step; there are only so many places, and the writer keeps its
+own.
 """
 
 import asyncio
@@ -15,6 +16,7 @@ from plant_emulator.core.places import who_yields
 from plant_emulator.shell.coupler_connection import SLICE, CouplerConnection
 from protocol.process_image import ValveImage
 
+TURN_NS = 1_000_000  # between two slices of the others: at full speed they took a whole processor
 PLACES = 32
 PLACES_OF_ONE_ADDRESS = 16
 UNREAD_NS = 1_000_000_000  # answers that have waited so long for a master to read them end its connection
@@ -45,6 +47,7 @@ class Coupler(CouplerAnswers):
         self.silent = silent
         self._connections: set[CouplerConnection] = set()
         self._turns: deque[CouplerConnection] = deque()
+        self._turned_ns = 0
         self._listener: socket.socket | None = None
         self._alarm: asyncio.TimerHandle | None = None
         self._alarm_ns = 0
@@ -89,7 +92,7 @@ class Coupler(CouplerAnswers):
     def wait_for_turn(self, connection: CouplerConnection) -> None:
         """Serve ``connection`` in a later step of the loop, in which it gets its share of one slice."""
         if not self._turns:
-            asyncio.get_running_loop().call_soon(self._take_turns)
+            self._turn_later()
         self._turns.append(connection)
 
     def lost_its_place(self, why: str) -> None:
@@ -119,11 +122,20 @@ class Coupler(CouplerAnswers):
             yielding.close()
         self._connections.add(CouplerConnection(self, sock, address))
 
+    def _turn_later(self) -> None:
+        wait_ns = self._turned_ns + TURN_NS - self.clock_ns()
+        loop = asyncio.get_running_loop()
+        if wait_ns <= 0:
+            loop.call_soon(self._take_turns)
+        else:
+            loop.call_later(1e-9 * wait_ns, self._take_turns)
+
     def _take_turns(self) -> None:
+        self._turned_ns = self.clock_ns()
         waiting = min(len(self._turns), SLICE)
         now, self._turns = list(self._turns)[:waiting], deque(list(self._turns)[waiting:])
         if self._turns:
-            asyncio.get_running_loop().call_soon(self._take_turns)
+            self._turn_later()
         for connection in now:
             connection.serve(SLICE // waiting)
 

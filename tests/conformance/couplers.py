@@ -8,7 +8,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Any, ClassVar
 
-from plant_emulator.core.hydraulics.valve_commands import ValveCommands
+from plant_emulator.core.hydraulics.valve_commands import ValveCommands, ValveDrive
 from plant_emulator.shell.coupler import Coupler
 from protocol.process_image import STATUS_WATCHDOG_TRIPPED, SensorImage, ValveImage, encode_sensors
 
@@ -45,7 +45,7 @@ class ThreadedCoupler:
 
     def __init__(self) -> None:
         self.written: list[ValveImage] = []
-        self._valves = ValveCommands(0, MOTION_WATCHDOG_NS)
+        self._valves = ValveCommands(ValveDrive((0,) * 6, (0.0,) * 6), MOTION_WATCHDOG_NS)
         self.port = 0
         self._ready = threading.Event()
         self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()))

@@ -8,9 +8,12 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 from conformance.bytes_of import with_number
+from protocol.channel import Arrival
 from protocol.datagram_layout import HEADER, HEADER_BYTES, PAYLOADS, Kind, offsets, size_of
 from protocol.reference_messages import ANY_ARM
-from tests.conformance.controllers import ControllerUnderTest
+from protocol.server_session import ReferenceServer
+from protocol.session_events import ServerEvent
+from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
 from tests.conformance.mutant_report import BrokenController
 from tests.conformance.systematic_fields import RECEIVED, intact
 
@@ -66,10 +69,6 @@ def _minor(server: _Mending, data: bytes, source: object) -> tuple[bytes, object
     return (
         (_put(data, "minor", session.channel.minor), source) if session and intact(data) else (data, source)
     )
-
-
-def _repeated(server: _Mending, data: bytes, source: object) -> tuple[bytes, object]:
-    return _renumbered(server, data, source, lambda ahead: ahead == 0)
 
 
 def _late(server: _Mending, data: bytes, source: object) -> tuple[bytes, object]:
@@ -166,11 +165,44 @@ CHECKS: dict[str, tuple[Mend, tuple[Kind, ...], str]] = {
     "session": (_session, _OF_A_SESSION, "3.5"),
     "source": (_source, _OF_A_SESSION, "3.5"),
     "minor version": (_minor, _OF_A_SESSION, "3.5"),
-    "duplicate": (_repeated, _IN_ORDER, "5.2"),
     "late": (_late, _IN_ORDER, "5.2"),
     "leap": (_leaping, _IN_ORDER, "8"),
     "stale": (_stale, _IN_ORDER, "5.3"),
 }
+
+
+class _Forgetful(ReferenceServer):
+    """Takes datagrams of one kind for new ones that it has had before."""
+
+    kind = Kind.COMMAND
+
+    def receive(self, data: bytes, source: object, now_ns: int) -> list[ServerEvent]:
+        window = self._session.channel._window if self._session else None
+        if window is None or len(data) < HEADER_BYTES or data[AT["kind"]] != self.kind:
+            return super().receive(data, source, now_ns)
+        arrive = window.arrive
+
+        def forgetting(sequence: int) -> tuple[Arrival, int]:
+            arrival, skipped = arrive(sequence)
+            return (Arrival.NEW if arrival is Arrival.DUPLICATE else arrival), skipped
+
+        window.arrive = forgetting  # type: ignore[method-assign]
+        try:
+            return super().receive(data, source, now_ns)
+        finally:
+            del window.arrive
+
+
+class _Repeating(ControllerUnderTest):
+    """Uses datagrams of one kind as often as they come."""
+
+    def __init__(self, kind: Kind) -> None:
+        self._kind = kind
+        super().__init__()
+
+    def make_server(self) -> ReferenceServer:
+        server = type("Forgetful", (_Forgetful,), {"kind": self._kind})
+        return server(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS)
 
 
 class _MendingHello(_Mending):
@@ -225,6 +257,8 @@ def _rows() -> Iterator[BrokenController]:
         for kind in kinds:
             name = f"leaves out, in {kind.name}, {check}"
             yield BrokenController(name, clause, partial(_Mending, kind, mend), unseen=UNSEEN.get(name, ""))
+    for kind in _IN_ORDER:
+        yield BrokenController(f"leaves out, in {kind.name}, duplicate", "5.2", partial(_Repeating, kind))
     for check, (mend_hello, clause) in HELLO_CHECKS.items():
         name = f"leaves out, in HELLO, {check}"
         yield BrokenController(name, clause, partial(_MendingHello, mend_hello))

@@ -129,7 +129,8 @@ def _held(address: tuple[str, int], count: int, first: bytes, seconds: float) ->
         for connection in opened:
             connection.setblocking(False)
             try:
-                counts[_status(connection.recv(4096))] += 1
+                answer = connection.recv(4096)
+                counts[_status(answer) if answer.startswith(b"HTTP/") or not answer else "answered"] += 1
             except BlockingIOError:
                 counts["held"] += 1
             except OSError:
