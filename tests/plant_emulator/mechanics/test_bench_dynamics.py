@@ -9,6 +9,8 @@ three rounds.
 import gc
 import time
 import tracemalloc
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import mujoco
@@ -36,6 +38,12 @@ CYCLE = 5e-3  # valve commands change at the controller's cycle
 SECONDS = 4.0
 SAMPLES = round(SECONDS / CYCLE)
 
+PLAIN: Mapping[str, Any] = MappingProxyType({})
+STRUCTURE = {"errors": {name: {"enabled": True} for name in ENTRIES}}
+WHOLE = {  # what bends, slips and rocks besides; then all that a real machine has
+    "whole structure, 0.5 ms": STRUCTURE,
+    "whole structure and mobile valves, 0.5 ms": {**STRUCTURE, "valve_set": "mobile"},
+}
 pytestmark = [pytest.mark.bench, pytest.mark.timeout(600)]
 
 
@@ -47,10 +55,10 @@ def commands(k: int) -> Array:
 
 
 class Motion:
-    """The default arm at rest, to be driven by either engine; ``whole``: with all that is shipped off."""
+    """The default arm at rest with ``changes``, to be driven by either engine."""
 
-    def __init__(self, whole: bool = False) -> None:
-        config = plant_config(errors={name: {"enabled": True} for name in ENTRIES} if whole else {})
+    def __init__(self, changes: Mapping[str, Any] = PLAIN) -> None:
+        config = plant_config(**changes)
         self.model, self.chain, _ = build_model(config)
         self.state = rest_state(
             self.model, start_angles(config, self.chain.names), config.oil.temperature_degc
@@ -65,9 +73,9 @@ class Motion:
         return np.asarray(work.rotation[-1] @ self.chain.X_BT_home[:3, 3] + work.origin[-1])
 
 
-def own_engine(step: float, whole: bool = False) -> tuple[Array, float]:
+def own_engine(step: float, changes: Mapping[str, Any] = PLAIN) -> tuple[Array, float]:
     """Tip positions (SAMPLES, 3) and microseconds per simulated millisecond of the plant's engine."""
-    motion, drive, idle = Motion(whole), np.zeros(N_ACTUATORS), np.zeros(N_ACTUATORS)
+    motion, drive, idle = Motion(changes), np.zeros(N_ACTUATORS), np.zeros(N_ACTUATORS)
     tips, spent = [], 0.0
     for k in range(SAMPLES):
         target, steps = commands(k), round(CYCLE / step)
@@ -136,7 +144,6 @@ class Row(NamedTuple):
 
 
 PLANT = {"plant, 0.5 ms": 5e-4, "plant, 0.25 ms": 2.5e-4, "plant, 0.125 ms": 1.25e-4}
-WHOLE = {"whole structure, 0.5 ms": 5e-4, "whole structure, 0.25 ms": 2.5e-4}
 PEER = {  # coupling and oil sub-step, s
     "MuJoCo, coupled at 1 ms": (1e-3, 1e-4),
     "MuJoCo, coupled at 0.5 ms": (5e-4, 1e-4),
@@ -166,9 +173,7 @@ def rows() -> list[Row]:
     return []
 
 
-def measure(
-    benchmark: Any, name: str, run: Any, arguments: tuple[float, ...], own: Array, plant: Array
-) -> Row:
+def measure(benchmark: Any, name: str, run: Any, arguments: tuple[Any, ...], own: Array, plant: Array) -> Row:
     rounds: list[tuple[Array, float]] = []
     benchmark.pedantic(lambda: rounds.append(run(*arguments)), rounds=3, warmup_rounds=1)
     tips, cost = rounds[-1][0], min(spent for _, spent in rounds)
@@ -187,8 +192,8 @@ def test_plant(benchmark: Any, name: str, references: tuple[Array, Array], rows:
 @pytest.mark.parametrize("name", WHOLE)
 def test_whole_structure(benchmark: Any, name: str, rows: list[Row]) -> None:
     """The same four seconds with all that bends, slips and rocks: 24 angles, a play that is gone through."""
-    reference = own_engine(FINEST, True)[0]
-    rows.append(measure(benchmark, name, own_engine, (WHOLE[name], True), reference, reference))
+    reference = own_engine(FINEST, WHOLE[name])[0]
+    rows.append(measure(benchmark, name, own_engine, (5e-4, WHOLE[name]), reference, reference))
 
 
 @pytest.mark.parametrize("name", PEER)
@@ -233,17 +238,18 @@ def test_limits(references: tuple[Array, Array], rows: list[Row]) -> None:
     )
     out.print(table("4 s of all six axes: speed and worst tip error", columns, lines))
     own = next(row for row in rows if row.name == "plant, 0.5 ms")
-    whole = next(row for row in rows if row.name == "whole structure, 0.5 ms")
+    wholes = [row for row in rows if row.name in WHOLE]
+    whole, error = max(row.cost for row in wholes), max(row.error for row in wholes)
     one, many, yardstick = allocations(1), allocations(20_000), yardstick_ms()
     verdicts = [
         (f"yardsticks of {yardstick:.1f} ms a simulated second at 0.5 ms", f"≤ {MOST_YARDSTICKS:g}",
          f"{own.cost / yardstick:.1f}", own.cost <= MOST_YARDSTICKS * yardstick),
         ("worst tip error at 0.5 ms, mm", f"< {GREATEST_ERROR * 1e3:g}", f"{own.error * 1e3:.5f}",
          own.error < GREATEST_ERROR),
-        ("yardsticks of the whole structure", f"≤ {WHOLE_YARDSTICKS:g}", f"{whole.cost / yardstick:.1f}",
-         whole.cost <= WHOLE_YARDSTICKS * yardstick),
-        ("worst tip error of the whole structure, mm", f"< {GREATEST_ERROR * 1e3:g}",
-         f"{whole.error * 1e3:.5f}", whole.error < GREATEST_ERROR),
+        ("yardsticks of the whole structure, either valves", f"≤ {WHOLE_YARDSTICKS:g}",
+         f"{whole / yardstick:.1f}", whole <= WHOLE_YARDSTICKS * yardstick),
+        ("worst tip error of the whole structure, mm", f"< {GREATEST_ERROR * 1e3:g}", f"{error * 1e3:.5f}",
+         error < GREATEST_ERROR),
         ("blocks allocated by 20 000 steps, beyond those by one", "0", many[0] - one[0], many[0] == one[0]),
         ("greatest number of Python's bytes in use by these steps", f"≤ {MOST_BYTES}", many[1],
          many[1] <= MOST_BYTES),
