@@ -97,8 +97,9 @@ class AdaptiveDriveSettings(StrictModel):
     ``most_rad`` at most. What is left beyond ``residual_rad`` is waited for or driven again, at most
     ``repeats`` times.
     ``servo_freedom``: how many drives ``servo_std_m`` is worth before any was seen. A joint that does not
-    answer in a band is less exact: by ``band_std_m``. ``useless``: fine corrections in a row
-    without improvement after which the machine is said not to resolve what is left. ``nudge_m``: in place of
+    answer in a band is less exact: by ``band_std_m``. Where odometry's lengths differ from the arm's by more
+    than ``lens_from``, the lenses differ, and the look does not share ``lens_share`` of the rest. ``useless``: fine
+    corrections in a row without improvement after which the machine is said not to resolve what is left. ``nudge_m``: in place of
     the positioning's, for drives that end alike are worth correcting by less.
     """
 
@@ -111,6 +112,8 @@ class AdaptiveDriveSettings(StrictModel):
     repeats: int = Field(ge=0, le=10)
     servo_freedom: float = Field(gt=2.0, le=1000.0)
     band_std_m: float = Field(ge=0.0, le=0.05)
+    lens_from: float = Field(ge=0.0, le=0.1)
+    lens_share: float = Field(ge=0.0, le=1.0)
     useless: int = Field(ge=1, le=10)
     nudge_m: float = Field(gt=0.0, le=0.1)
 

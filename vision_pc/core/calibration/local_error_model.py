@@ -92,6 +92,11 @@ class LocalErrorModel(NamedTuple):
     dimensions: BoomDimensions
     delay: CameraDelay | None = None
 
+    @property
+    def scale(self) -> float:
+        """By how much odometry's lengths differ from the arm's, relative."""
+        return float(self.theta[_SCALE])
+
 
 async def record_local_track(
     arm: Arm, eyes: Eyes, report: Report, settings: LocalErrorModelSettings, dimensions: BoomDimensions

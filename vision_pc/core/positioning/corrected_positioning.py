@@ -97,7 +97,7 @@ async def look_then_move_corrected(
         residuals.append(goal_K - p_CM)
         missed = (fitted.R @ residuals[-1])[None] if share == 1.0 else np.zeros((0, 3))
         track = extended(track, drive._replace(misses=missed))
-    seen = seen_end(residuals, look, settings, map_settings)
+    seen = seen_end(residuals, look, fitted, settings, map_settings)
     report(0.9, f"looking; odometry says inside with probability {seen.inside:.2f}")
     looks.append(judge(await eyes.look(), settings))
     report(1.0, f"error {1e3 * looks[-1].error_m[0]:+.1f} {1e3 * looks[-1].error_m[1]:+.1f} mm")

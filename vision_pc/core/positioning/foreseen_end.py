@@ -50,7 +50,7 @@ def foreseen_end(
     elif settings.corrections:
         covariance = _after_fine_corrections(covariance, settings.nudge_m, map_settings.servo_std_m)
     if settings.corrections:
-        covariance += _odometry_covariance(float(np.linalg.norm(wanted.x)), map_settings)
+        covariance += _odometry_covariance(float(np.linalg.norm(wanted.x)), fitted, map_settings)
     covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
     return expected_end(np.zeros(3), covariance, settings.tolerance_m, spread.freedom)
 
@@ -58,12 +58,18 @@ def foreseen_end(
 def seen_end(
     residuals: list[Array],
     look: Look,
+    fitted: LocalErrorModel,
     settings: PositioningSettings,
     map_settings: LocalErrorModelSettings,
 ) -> ExpectedEnd:
-    """What odometry says of the end of a way whose ``residuals`` (3,) it saw, begun with ``look``."""
+    """What odometry says of the end of a way whose ``residuals`` (3,) it saw, begun with ``look``.
+
+    ``fitted``: the model of its last drive.
+    """
     length = float(np.linalg.norm(residuals[0]))
-    covariance = _odometry_covariance(length, map_settings) + look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
+    covariance = (
+        _odometry_covariance(length, fitted, map_settings) + look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
+    )
     return expected_end(residuals[-1], covariance, settings.tolerance_m)
 
 
@@ -76,7 +82,11 @@ def _after_fine_corrections(end_covariance: Array, nudge_m: float, servo_std_m: 
     return np.asarray(np.linalg.inv(np.linalg.inv(end_covariance) + kept), dtype=np.float64)
 
 
-def _odometry_covariance(length: float, settings: LocalErrorModelSettings) -> Array:
-    """Covariance (3×3) of a way of ``length`` as odometry measures it."""
-    covariance: Array = (settings.odometry_std_m**2 + (settings.odometry_scale_std * length) ** 2) * np.eye(3)
+def _odometry_covariance(length: float, fitted: LocalErrorModel, settings: LocalErrorModelSettings) -> Array:
+    """Covariance (3, 3) m² of a way of ``length`` as odometry measures it."""
+    adaptive = settings.adaptive
+    scale = settings.odometry_scale_std
+    if adaptive.enabled:
+        scale = math.hypot(scale, adaptive.lens_share * max(abs(fitted.scale) - adaptive.lens_from, 0.0))
+    covariance: Array = (settings.odometry_std_m**2 + (scale * length) ** 2) * np.eye(3)
     return covariance
