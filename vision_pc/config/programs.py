@@ -98,9 +98,10 @@ class AdaptiveDriveSettings(StrictModel):
     ``repeats`` times.
     ``servo_freedom``: how many drives ``servo_std_m`` is worth before any was seen. A joint that does not
     answer in a band is less exact: by ``band_std_m``. Where odometry's lengths differ from the arm's by more
-    than ``lens_from``, the lenses differ, and the look does not share ``lens_share`` of the rest. ``useless``: fine
-    corrections in a row without improvement after which the machine is said not to resolve what is left. ``nudge_m``: in place of
-    the positioning's, for drives that end alike are worth correcting by less.
+    than ``lens_from``, the lenses differ, and the look does not share ``lens_share`` of the rest.
+    ``useless``: fine corrections in a row without improvement after which the machine is said not to resolve
+    what is left. ``nudge_m``: in place of the positioning's, for drives that end alike are worth correcting
+    by less.
     """
 
     enabled: bool

@@ -149,7 +149,11 @@ class LookSettings(StrictModel):
 
 
 class OdometrySettings(StrictModel):
-    """Stereo odometry against a persistent keyframe map."""
+    """Stereo odometry against a persistent keyframe map.
+
+    A frame in which ``second_motion_share`` of the points agree on another motion than the rest is lost: what
+    moves cannot be told from the world. 0: not asked.
+    """
 
     features: int = Field(ge=30, le=5000)
     grid_columns: int = Field(ge=2, le=100)
@@ -167,6 +171,7 @@ class OdometrySettings(StrictModel):
     huber_px: float = Field(gt=0.01, le=10.0)
     minimum_inliers: int = Field(ge=6, le=1000)
     minimum_coverage: float = Field(ge=0.0, le=1.0)
+    second_motion_share: float = Field(ge=0.0, le=0.5)
     keyframe_overlap: float = Field(gt=0.05, le=0.99)
     adjusted_keyframes: int = Field(ge=0, le=20)
     keyframes: int = Field(ge=2, le=1000)

@@ -21,7 +21,7 @@ X_CO = facing(-0.25, 0.05, 1.1, (5, -8, 3))
 X_BT = se3.transform(np.eye(3), (3.9, 0.0, 1.0))
 NOISE = np.diag([1e-5, 1e-5, 4e-5, 2e-4, 2e-4, 1e-4]) ** 2
 BIAS = np.diag([0.0, 0.0, 5e-4, 0.0, 0.0, 0.0]) ** 2
-SETTINGS = LookSettings(frames=10, minimum_frames=3, huber_sigmas=2.0)
+SETTINGS = LookSettings(frames=10, minimum_frames=3, huber_sigmas=2.0, offset_limit_px=8.0)
 
 Change = Callable[[int, Array], Array | None]
 

@@ -10,13 +10,20 @@ from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward, inverse_kinematics, silent
 from vision_pc.config.programs import LocalErrorModelSettings
 from vision_pc.core.calibration.arm_fields import boom_levers, joint_turns
-from vision_pc.core.calibration.local_error_model import record_local_track
+from vision_pc.core.calibration.local_error_model import (
+    fit_error_model,
+    record_local_track,
+    three_legs,
+    track_of,
+)
 from vision_pc.core.calibration.orientation import adjust_orientation
 from vision_pc.core.ports import ArmView
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult, look_then_move_corrected
+from vision_pc.core.positioning.foreseen_end import seen_end
 from vision_pc.core.positioning.learned_servo import after_fine_corrections
 from vision_pc.core.positioning.look_then_move import Ended
 from vision_pc.core.se3 import Array, transform
+from vision_pc.core.types import Look, WatchSample
 
 PROGRAMS = shipped()
 _INTEGRAL_1_S = 0.35
@@ -126,3 +133,56 @@ def test_what_fine_corrections_leave_is_what_drawn_ones_leave(spread_mm: float) 
     last = np.where(inside.any(axis=1), inside.argmax(axis=1), 4)
     left = ends[np.arange(len(ends)), last]
     assert after_fine_corrections(1e-6 * spread_mm**2, 1e-3, 5) == pytest.approx(left.var(), rel=0.03)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.03, -0.02])
+def test_a_camera_that_is_late_is_found_in_the_legs(late_s: float) -> None:
+    """Pictures show where the tool was ``late_s`` before their stamp; nothing else is wrong but noise."""
+    rng = np.random.default_rng(7)
+    X = forward(Q_START)
+    corners = np.array([P[:3, 3] for P in three_legs(X, 0.2)])
+
+    def at(time_s: float) -> Array:
+        u = float(np.clip(time_s / 3.0, 0.0, 3.0))
+        leg = min(int(u), 2)
+        f = u - leg
+        smooth = f * f * f * (10.0 + f * (6.0 * f - 15.0))
+        return transform(X[:3, :3], corners[leg] + smooth * (corners[leg + 1] - corners[leg]))
+
+    samples = []
+    for time_s in np.arange(0.0, 10.0, 0.1):
+        seen = np.linalg.inv(at(-late_s)) @ at(time_s - late_s)
+        seen[:3, 3] += rng.normal(0.0, 2e-4, 3)
+        samples.append(WatchSample(int(1e9 * time_s), at(time_s), seen, None, None))
+    local_map = LocalErrorModelSettings.model_validate(
+        PROGRAMS.local_map.model_dump() | {"delay_std_s": 0.05}
+    )
+    track = track_of(tuple(samples), 0.0)
+    delay = fit_error_model(track, np.zeros(3), BOOM, local_map).delay
+    assert delay is not None
+    assert abs(delay.late_s - late_s) < 3.0 * delay.std_s < 0.03
+    assert fit_error_model(track, np.zeros(3), BOOM, PROGRAMS.local_map).delay is None
+
+
+def test_lenses_that_differ_widen_what_is_told() -> None:
+    """A scale that no arm has: odometry is not believed to a fifth of a millimetre any more."""
+    rng = np.random.default_rng(8)
+    X = forward(Q_START)
+    corners = [P[:3, 3] for P in three_legs(X, 0.2)]
+    stds = []
+    for scale in (1.0, 1.008):
+        p = np.array(
+            [np.interp(np.linspace(0, 3, 90), range(4), [c[k] for c in corners]) for k in range(3)]
+        ).T
+        samples = []
+        for k, place in enumerate(p):
+            seen = transform(np.eye(3), X[:3, :3].T @ (place - p[0]) * scale + rng.normal(0.0, 1e-4, 3))
+            samples.append(WatchSample(k * 10**9, transform(X[:3, :3], place), seen, None, None))
+        fitted = fit_error_model(track_of(tuple(samples), 0.0), np.zeros(3), BOOM, settings())
+        assert fitted.scale == pytest.approx(scale - 1.0, abs=2e-3)
+        cov = 1e-9 * np.eye(6)
+        look = Look(0, X, X, X, 10, 0, 0, cov, cov, cov, cov, None)
+        far = [np.array([0.0, 0.7, 0.0]), np.zeros(3)]
+        stds.append(seen_end(far, look, fitted, PROGRAMS.positioning, settings()).std_m[0])
+    assert stds[0] < 0.3e-3
+    assert 1e-3 < stds[1] < 3e-3

@@ -76,7 +76,10 @@ class Localiser:
         good &= coarse.good & tracking.inside(pixels, frame.left_static)
         part, pixels = part.only(good), pixels[good]
         if len(pixels) >= self._settings.minimum_inliers:
-            X_CC0, inliers = self._coarse_pose(self._map.points[part.ids], pixels, expected)
+            points = self._map.points[part.ids]
+            X_CC0, inliers = self._coarse_pose(points, pixels, expected)
+            if self._disputed(points[~inliers], pixels[~inliers], expected, len(points)):
+                return "two_motions"
             if int(inliers.sum()) >= self._settings.minimum_inliers:
                 return self._refined(frame, part.only(inliers), pixels[inliers], X_CC0, both_eyes)
         return "too_few_points"
@@ -102,6 +105,17 @@ class Localiser:
             flags[inliers.ravel()] = True
             X_CC0 = se3.transform(se3.exp_so3(rotation.ravel()), position.ravel())
         return X_CC0, flags
+
+    def _disputed(self, points: Array, pixels: Array, expected: Array, of: int) -> bool:
+        """Whether points that disagree with a pose agree on another: something large moves, or all but it.
+
+        They must be ``second_motion_share`` of ``of`` points at least.
+        """
+        share = self._settings.second_motion_share
+        least = max(self._settings.minimum_inliers, int(share * of))
+        if share == 0.0 or len(points) < least:
+            return False
+        return int(self._coarse_pose(points, pixels, expected)[1].sum()) >= least
 
     def _refined(
         self, frame: Frame, keyframe: Keyframe, pixels: Array, X_CC0: Array, both_eyes: bool

@@ -55,7 +55,8 @@ class StereoOdometry:
         """The camera's pose at ``pair``, or None when it is lost; then ``last_loss`` names the cause.
 
         ``X_CM``: the tool marker as seen in this pair, to keep the tool out of the static world; the last
-        one holds. Causes: ``too_dark``, ``no_texture``, ``too_few_points``, ``poor_coverage``.
+        one holds. Causes: ``too_dark``, ``no_texture``, ``too_few_points``, ``poor_coverage``,
+        ``two_motions``.
         """
         if X_CM is not None and self._tool is not None and self._has_moved(X_CM):
             self._static = static_pixels(X_CM, self._tool, self._camera)

@@ -1,0 +1,104 @@
+"""Odometry where the world is no plane of rich texture: bare patches, depth steps, things that move.
+
+What is asked is the same everywhere: right, or lost by name.
+"""
+
+import numpy as np
+import pytest
+
+from tests.vision_pc.odometry.test_odometry import pair_at
+from tests.vision_pc.rendering import wall_texture
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core import se3
+from vision_pc.core.odometry import StereoOdometry
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraCalibration, StereoPair
+
+TRUE = [se3.transform(np.eye(3), (0.02 * k, 0.01 * k, 0.0)) for k in range(6)]
+GREY = 118.0
+
+
+@pytest.fixture(scope="module")
+def texture() -> Array:
+    return wall_texture(1, 22.0)
+
+
+def composed(rest: StereoPair, part: StereoPair, share: float) -> StereoPair:
+    """``rest`` with the left ``share`` of its columns taken from ``part``, in both eyes."""
+    edge = int(share * rest.left.shape[1])
+    pictures = []
+    for whole, other in ((rest.left, part.left), (rest.right, part.right)):
+        picture = whole.copy()
+        picture[:, :edge] = other[:, :edge]
+        pictures.append(picture)
+    return rest._replace(left=pictures[0], right=pictures[1])
+
+
+def errors_and_losses(odometry: StereoOdometry, pairs: list[StereoPair]) -> tuple[list[float], list[str]]:
+    """Error (m) of each frame that was tracked, and why the others were lost."""
+    errors, losses = [], []
+    for pair, X in zip(pairs, TRUE, strict=True):
+        found = odometry.process(pair)
+        if found is None:
+            losses.append(odometry.last_loss or "")
+        else:
+            errors.append(float(np.linalg.norm(se3.local(X, found.X_C0C)[:3])))
+    return errors, losses
+
+
+@pytest.mark.parametrize("bare", [0.4, 0.7])
+def test_bare_patches_of_the_wall_do_no_harm(
+    camera: CameraCalibration, config: VisionConfig, texture: Array, bare: float
+) -> None:
+    patchy = texture.copy()
+    columns = np.arange(patchy.shape[1]) % 500 < 500 * bare
+    patchy[:, columns] = GREY
+    pairs = [pair_at(camera, patchy, X, seed=k) for k, X in enumerate(TRUE)]
+    errors, losses = errors_and_losses(StereoOdometry(camera, config.odometry), pairs)
+    assert max(errors) < 0.4e-3
+    assert not losses
+
+
+def test_a_depth_step_does_no_harm(camera: CameraCalibration, config: VisionConfig, texture: Array) -> None:
+    pairs = [
+        composed(
+            pair_at(camera, texture, X, seed=k), pair_at(camera, texture, X, z=2.2, seed=50 + k), share=0.5
+        )
+        for k, X in enumerate(TRUE)
+    ]
+    errors, losses = errors_and_losses(StereoOdometry(camera, config.odometry), pairs)
+    assert max(errors) < 0.4e-3
+    assert not losses
+
+
+def moving(camera: CameraCalibration, texture: Array, share: float) -> list[StereoPair]:
+    """Something textured, ``share`` of the picture wide, goes its own way by 15 mm a frame."""
+    astray = [X @ se3.transform(np.eye(3), (-0.015 * k, 0.0, 0.0)) for k, X in enumerate(TRUE)]
+    return [
+        composed(
+            pair_at(camera, texture, X, seed=k), pair_at(camera, texture, Y, z=1.2, seed=90 + k), share=share
+        )
+        for k, (X, Y) in enumerate(zip(TRUE, astray, strict=True))
+    ]
+
+
+def test_a_small_thing_that_moves_is_outvoted(
+    camera: CameraCalibration, config: VisionConfig, texture: Array
+) -> None:
+    odometry = StereoOdometry(camera, config.odometry)
+    errors, losses = errors_and_losses(odometry, moving(camera, texture, 0.2))
+    assert max(errors) < 0.5e-3
+    assert not losses
+
+
+@pytest.mark.parametrize("share", [0.45, 0.6])
+def test_a_large_thing_that_moves_is_named_and_not_followed(
+    camera: CameraCalibration, config: VisionConfig, texture: Array, share: float
+) -> None:
+    pairs = moving(camera, texture, share)
+    errors, losses = errors_and_losses(StereoOdometry(camera, config.odometry), pairs)
+    assert max(errors) < 1.0e-3
+    assert "two_motions" in losses
+    credulous = config.odometry.model_copy(update={"second_motion_share": 0.0})
+    followed, _ = errors_and_losses(StereoOdometry(camera, credulous), pairs)
+    assert share < 0.5 or max(followed) > 5e-3, "this scene would not mislead anybody"
