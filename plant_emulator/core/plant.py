@@ -35,7 +35,7 @@ from plant_emulator.core.mechanics.elastic import start_angles
 from plant_emulator.core.mechanics.geometry import base_tilt, transform
 from plant_emulator.core.mechanics.loose import set_phases
 from plant_emulator.core.mechanics.multibody import forward_kinematics
-from plant_emulator.core.model import build_model, put_payload
+from plant_emulator.core.model import Model, build_model, put_payload
 from plant_emulator.core.right_hand_side import EncoderShafts, advance, new_work
 from plant_emulator.core.sensors import Encoders
 from plant_emulator.core.stability import check_step, modes
@@ -159,6 +159,21 @@ class Plant:
             return_bar=float(self._model.circuit[col.C_RETURN]) / BAR,
             oil_temperature_degc=float(self._state[TEMPERATURE]),
         )
+
+    @property
+    def state(self) -> Array:
+        """The live state in the order of layout.py: identification puts measured values into it."""
+        return self._state
+
+    @property
+    def shafts(self) -> EncoderShafts:
+        """The live angles of the encoders' shafts, and their play."""
+        return self._shafts
+
+    @property
+    def model(self) -> Model:
+        """The tables that the compiled code reads."""
+        return self._model
 
     @property
     def echo_cycle(self) -> int:

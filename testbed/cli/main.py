@@ -14,6 +14,7 @@ from testbed.cli.hand_eye import app as hand_eye
 from testbed.cli.options import (
     DEFAULT_CONFIG,
     ConfigDir,
+    IdentifyOptions,
     JsonFile,
     Scenario,
     Seed,
@@ -166,6 +167,23 @@ def odometry(
 
     found_all = run_odometry(config_dir, left, right, calib, rate_hz, trajectory, settings or [], json_file)
     raise typer.Exit(0 if found_all else 1)
+
+
+@app.command(epilog="Example: longreach identify machine.csv --record   then: longreach identify machine.csv")
+@unfolded
+def identify(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A CSV file of samples.")],
+    options: IdentifyOptions,
+    seed: Seed = 1,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Fit the plant's parameters to a recording of a machine; exit status 2 when it is not believable."""
+    from testbed.cli.identify import asked_of, run_identify
+
+    asked = asked_of(config_dir, settings or [])
+    raise typer.Exit(0 if run_identify(asked, recording, options, seed, json_file) else 1)
 
 
 @validate.command("plant", epilog="Example: longreach validate plant --json plant.json")

@@ -40,3 +40,15 @@ class SoakOptions(NamedTuple):
     minutes: Annotated[float, typer.Option(min=0.1, max=1440.0, help="How long.")] = 10.0
     cycle_ms: Annotated[float, typer.Option(min=1.0, max=10.0, help="The controller's cycle.")] = 5.0
     faults: Annotated[bool, typer.Option("--faults", help="Break the plant at random times.")] = False
+
+
+class IdentifyOptions(NamedTuple):
+    """What is made of a recording, or a recording of what."""
+
+    make: Annotated[
+        bool, typer.Option("--record", help="Write RECORDING: the emulator under the usual excitation.")
+    ] = False
+    plant_file: Annotated[
+        Path, typer.Option("--out", help="Where the identified plant goes.", callback=writable)
+    ] = Path("plant_identified.yaml")
+    workers: Annotated[int, typer.Option(min=1, max=64, help="Processes that run the plant.")] = 2

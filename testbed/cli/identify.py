@@ -1,0 +1,76 @@
+"""`longreach identify`: a plant file of one's own machine from a recording of its motion."""
+
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+from foundation.configuration import configuration_hash, parse_overrides
+from plant_emulator.config.plant import PlantConfig
+from testbed.cli.options import IdentifyOptions
+from testbed.identification.checks import Machine, check_recording
+from testbed.identification.emulated import FINE_STEP_MS, record
+from testbed.identification.excitation import held_out, standard, widest_overlap
+from testbed.identification.findings import excess, findings
+from testbed.identification.fit import identify
+from testbed.identification.plant_file import write_plant_file
+from testbed.identification.recording import hex_hash, read_recording, write_recording
+from testbed.identification.report import first_stages, found_table, validation_table
+from testbed.identification.validation import check_believable, validate
+from testbed.reporting.console import bars, out, writable, write_json
+from testbed.scenarios.settings import load_settings
+
+
+class ToIdentify(NamedTuple):
+    """The configuration that the command was given: the plant to begin with, the machine that it is of."""
+
+    plant: PlantConfig
+    machine: Machine
+
+
+def run_identify(
+    asked: ToIdentify, recording: Path, options: IdentifyOptions, seed: int, json_file: Path | None
+) -> bool:
+    """Whether what was asked for came out: a recording, or a plant that explains one, and its file."""
+    if options.make:
+        return make_recording(asked, writable(recording) or recording, seed)
+    told = read_recording(recording)
+    joints = check_recording(told, asked.machine)
+    with bars() as shown, shown.step("fitting the plant") as bar, pool_of(options.workers) as pool:
+        found = identify(asked.plant, told, joints, pool, lambda note: bar.update(0.5, note))
+        signals = validate(found, told)
+    fitted = findings(found)
+    for made in (*first_stages(found.simple), found_table(fitted), validation_table(signals)):
+        out.print(made)
+    chi = excess(found)
+    out.print(f"χ² of what is left: {chi:.2f} of the noise; {found.runs} runs of the plant")
+    figures = {"recording": told.sha256, "chi2_per_sample": chi, "parameters": fitted, "signals": signals}
+    write_json(json_file, figures)
+    check_believable(found, signals)
+    write_plant_file(options.plant_file, found, asked.plant, told)
+    out.print(f"{options.plant_file}: the plant, as the emulator loads it", highlight=False, soft_wrap=True)
+    return True
+
+
+def asked_of(config_dir: Path, settings: list[str]) -> ToIdentify:
+    """The plant and the machine that the files of ``config_dir`` describe, ``settings`` laid over them."""
+    chosen = load_settings(config_dir, parse_overrides(settings))
+    arm_hash = hex_hash(configuration_hash(chosen.arm))
+    return ToIdentify(chosen.plant, Machine(chosen.arm.name, arm_hash, chosen.plant.valve_set))
+
+
+def make_recording(asked: ToIdentify, path: Path, seed: int) -> bool:
+    """Drive the emulated plant through the usual excitation and write what its sensors told."""
+    overlap = widest_overlap(asked.plant)
+    plant = asked.plant.model_copy(update={"step_ms": min(asked.plant.step_ms, FINE_STEP_MS)})
+    made = record(plant, asked.machine, standard(overlap), held_out(overlap), seed)
+    written = write_recording(path, made)
+    told = f"{len(written.time_s)} samples, {written.time_s[-1]:.1f} s, sha256 {written.sha256[:12]}"
+    out.print(f"{path}: {told}", highlight=False, soft_wrap=True)
+    return True
+
+
+def pool_of(workers: int) -> AbstractContextManager[Executor | None]:
+    """Processes that run the plant; None where one is enough."""
+    return ProcessPoolExecutor(workers, mp_context=get_context("spawn")) if workers > 1 else nullcontext()

@@ -1,0 +1,130 @@
+"""What a recording tells of each joint at each sample in the actuator's terms: position, speed, force, flow.
+
+All by the plant file's own geometry and spool dynamics, before anything is fitted.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lsim
+
+from plant_emulator.config.plant import PlantConfig
+from plant_emulator.core import columns as col
+from plant_emulator.core.columns import EDGES
+from plant_emulator.core.hydraulics.chambers import ATMOSPHERE
+from plant_emulator.core.layout import JOINTS
+from plant_emulator.core.mechanics.linkage import actuator_reach
+from plant_emulator.core.model import Model, build_model, put_payload
+from testbed.identification.free_run import Smoothed, smoothed
+from testbed.identification.recording import Array, MotionRecording
+
+_FAST = 5.0  # times its noise: a speed that counts as motion
+_SETTLED = 0.004  # of full stroke, between the valve word and where the spool is by the file's dynamics
+
+SUPPLY_EDGE = {1: EDGES.index("supply_a"), -1: EDGES.index("supply_b")}
+RETURN_EDGE = {1: EDGES.index("return_b"), -1: EDGES.index("return_a")}
+
+
+class Operating(NamedTuple):
+    """Series (n,) of one joint; areas, volumes and forces of a rotary actuator are per radian."""
+
+    joint: int
+    spool: Array  # by the file's dynamics, −1 to 1
+    opening_rate: Array  # d|spool|/dt, 1/s
+    position: Array  # m from the retracted end
+    speed: Array  # m/s
+    lever: Array  # m/rad
+    pressures: Array  # (n, 2) Pa
+    pressure_rates: Array  # (n, 2) Pa/s
+    volumes: Array  # (n, 2) m³
+    drops: Array  # (n, 2) Pa over the edges that the spool's sign opens: into chamber a, into chamber b
+    push: Array  # N, of both chambers
+    moving: NDArray[np.bool_]  # (n,): fast enough to tell
+    steady: NDArray[np.bool_]  # (n,): the spool is where its word is
+
+
+def file_model(base: dict[str, Any]) -> Model:
+    """The tables of the plant that ``base`` describes, its payload hung on."""
+    config = PlantConfig.model_validate(base)
+    model, chain, tool = build_model(config)
+    put_payload(model, tool, config.payload.mass_kg, config, chain)
+    return model
+
+
+def operating(base: dict[str, Any], model: Model, recording: MotionRecording, joint: int) -> Operating:
+    """The series of ``joint`` by the plant of ``base``, whose tables are ``model``."""
+    told, row = smoothed(recording), model.actuators[joint]
+    offset = 1e-3 * float(base["errors"]["encoder_offsets"]["mrad"][joint])
+    linkage = row[col.A_KIND : col.A_LENGTH0 + 1]
+    reach = np.array([actuator_reach(float(angle) - offset, *linkage) for angle in told.angles[:, joint]])
+    position, lever = reach[:, 0], reach[:, 1]
+    speed = lever * told.rates[:, joint]
+    spool, drive = _spool(base["valves"]["joints"][JOINTS[joint]], recording, joint)
+    pressures = told.pressures[:, joint]
+    areas = row[[col.A_AREA_A, col.A_AREA_B]]
+    volumes = np.column_stack(
+        [
+            row[col.A_DEAD_A] + areas[0] * position,
+            row[col.A_DEAD_B] + areas[1] * (row[col.A_STROKE] - position),
+        ]
+    )
+    back = float(model.circuit[col.C_RETURN])
+    from_pump = np.where((spool >= 0.0)[:, None] == np.array([True, False]), told.supply[:, None], back)
+    return Operating(
+        joint,
+        spool,
+        np.sign(spool) * np.gradient(drive, recording.period_s),
+        position,
+        speed,
+        lever,
+        pressures,
+        told.pressure_rates[:, joint],
+        volumes,
+        from_pump - pressures,
+        pressures[:, 0] * areas[0] - pressures[:, 1] * areas[1],
+        np.abs(speed) > _FAST * _speed_noise(told, recording, joint, lever),
+        np.abs(spool - recording.valves[:, joint]) < _SETTLED,
+    )
+
+
+def _spool(valves: dict[str, Any], recording: MotionRecording, joint: int) -> tuple[Array, Array]:
+    """Where the spool is (n,), and its delayed word (n,), by the file's delay and second order."""
+    t, word = recording.time_s - recording.time_s[0], recording.valves[:, joint]
+    fine = np.arange(0.0, t[-1] + 5e-4, 1e-3)
+    late = np.searchsorted(t, fine - 1e-3 * valves["delay_ms"] + 1e-9, side="right") - 1
+    command = np.where(late >= 0, word[np.maximum(late, 0)], 0.0)
+    omega, zeta = 2.0 * math.pi * valves["bandwidth_hz"], valves["damping_ratio"]
+    second = ([omega**2], [1.0, 2.0 * zeta * omega, omega**2])
+    _, moved, _ = lsim(second, command, fine, interp=False)
+    return np.interp(t, fine, moved), np.interp(t, fine, command)
+
+
+def _speed_noise(told: Smoothed, recording: MotionRecording, joint: int, lever: Array) -> float:
+    """The spread of the smoothed speed while the arm stands still at the beginning."""
+    rest = recording.time_s < recording.time_s[0] + recording.about.rest_s
+    rates = told.rates[rest, joint]
+    return float(np.abs(lever).max() * max(np.std(rates), 1e-5))
+
+
+def air_softness(pressures: Array, model: Model) -> Array:
+    """What entrained air adds to 1/β (1/Pa) at ``pressures``, by the file's share of air."""
+    air, exponent = float(model.circuit[col.C_AIR]), float(model.circuit[col.C_EXPONENT])
+    p = np.maximum(pressures, 1e5)
+    return np.asarray(air * (ATMOSPHERE / p) ** (1.0 / exponent) / (exponent * p))
+
+
+def edge_flow(drops: Array, from_pump: bool, model: Model) -> Array:
+    """Q/K (√Pa) of an edge at ``drops`` (Pa): a regularised orifice, behind its compensator if any."""
+    soft, kept = float(model.circuit[col.C_REGULARISATION]), float(model.circuit[col.C_COMPENSATOR])
+    if from_pump and kept > 0.0:
+        held = np.maximum(drops, 0.0)
+        drops = held / (1.0 + (held / kept) ** 4) ** 0.25
+    return np.asarray(drops / (drops**2 + soft**2) ** 0.25)
+
+
+def share_open(travel: Array, overlap: float, slope: float) -> Array:
+    """The effective opening 0…1 of an edge at spool ``travel`` (n,), by the plant's flow curve."""
+    share = np.maximum(travel - overlap, 0.0) / (1.0 - overlap)
+    return np.asarray(share * (slope + (1.0 - slope) * share))

@@ -1,0 +1,105 @@
+"""Fourth stage: whether the fitted plant predicts motion that it was not fitted to, and what is left over."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from plant_emulator.core.layout import JOINTS, N_ACTUATORS
+from protocol.errors import ConfigurationError
+from testbed.identification.fit import Identified
+from testbed.identification.free_run import measured, predicted
+from testbed.identification.parameters import entry, moved_start
+from testbed.identification.recording import Array, MotionRecording
+from testbed.identification.shooting import FitProblem, plant_of
+
+LEAST_FIT = 0.9
+"""Of a joint's angle on held-out motion: 1 − |error| / |motion|; below it, a plant is not believed."""
+MOST_SPREADS = 4.0
+_LAGS = 20
+
+
+class SignalFit(NamedTuple):
+    """How well a signal is predicted. ``fit`` is 1 − NRMSE on held-out motion, ``before`` with the file's.
+
+    ``rms_over_noise`` on the fitted part; ``white``: the share of its first autocorrelations inside the 95 %
+    band of white noise.
+    """
+
+    signal: str
+    fit: float
+    before: float
+    rms_over_noise: float
+    white: float
+
+
+def signal_name(index: int) -> str:
+    """Such as ``lift angle`` or ``lift pressure a``."""
+    if index < N_ACTUATORS:
+        return f"{JOINTS[index]} angle"
+    if index == 3 * N_ACTUATORS:
+        return "supply pressure"
+    joint, side = divmod(index - N_ACTUATORS, 2)
+    return f"{JOINTS[joint]} pressure {'ab'[side]}"
+
+
+def validate(found: Identified, whole: MotionRecording) -> list[SignalFit]:
+    """Each fitted signal of ``whole``, the recording with its held-out part, predicted in one run."""
+    problem = found.problem
+    late = whole.time_s >= whole.about.held_out_from_s
+    told = measured(whole)[late]
+    with_fit = _run(problem, found.whole.theta, whole)[late]
+    with_file = _run(problem, np.zeros(len(found.whole.theta)), whole)[late]
+    return [
+        SignalFit(
+            signal_name(index),
+            _fit(told[:, index], with_fit[:, index]),
+            _fit(told[:, index], with_file[:, index]),
+            float(np.sqrt(np.mean(found.whole.residuals[:, k] ** 2))),
+            whiteness(found.whole.residuals[:, k]),
+        )
+        for k, index in enumerate(problem.used)
+    ]
+
+
+def _run(problem: FitProblem, theta: Array, whole: MotionRecording) -> Array:
+    start = moved_start(problem.start, problem.parameters, theta)
+    return predicted(plant_of(problem, theta), whole, start)
+
+
+def _fit(told: Array, found: Array) -> float:
+    size = float(np.linalg.norm(told - told.mean()))
+    return 1.0 - float(np.linalg.norm(told - found)) / size if size > 0.0 else float("nan")
+
+
+def whiteness(residual: Array) -> float:
+    """The share of the first 20 autocorrelations of ``residual`` (n,) that white noise has at 95 %."""
+    centred = residual - residual.mean()
+    power = float(centred @ centred)
+    if power == 0.0:
+        return 1.0
+    values = [float(centred[lag:] @ centred[:-lag]) / power for lag in range(1, _LAGS + 1)]
+    return float(np.mean(np.abs(values) < 1.96 / np.sqrt(len(residual))))
+
+
+def check_believable(found: Identified, signals: list[SignalFit]) -> None:
+    """Raise ConfigurationError for a parameter at its bound, or a joint that is not predicted."""
+    for parameter, theta in zip(found.problem.parameters, found.whole.theta, strict=True):
+        if parameter.of_start:
+            continue
+        at = entry(found.problem.base, parameter.keys[0]) + theta if parameter.kind == "offset" else 0.0
+        beyond = parameter.kind == "offset" and not parameter.least < at < parameter.most
+        if beyond or abs(theta) > MOST_SPREADS * parameter.spread:
+            raise ConfigurationError(
+                "identification.at_bound",
+                f"{parameter.name}: {abs(theta) / parameter.spread:.1f} spreads of its prior off the file,"
+                f" at most {MOST_SPREADS:g}, or outside {parameter.least:g} to {parameter.most:g}"
+                f" {parameter.unit}: the arm behaves otherwise than the model",
+            )
+    for joint in found.joints:
+        one = next(s for s in signals if s.signal == f"{JOINTS[joint]} angle")
+        if not one.fit >= LEAST_FIT:
+            raise ConfigurationError(
+                "identification.not_predicted",
+                f"{one.signal}: {100.0 * one.fit:.1f} % of the held-out motion is predicted, wanted"
+                f" {100.0 * LEAST_FIT:g}: the arm behaves otherwise than the model",
+            )
