@@ -72,7 +72,9 @@ class Child:
             text=True,
             errors="replace",
             env=os.environ | told,
-            start_new_session=True,  # Ctrl-C is ours to pass on, in order
+            # Ctrl-C is ours to pass on, in order. Not a session of its own: kernels that share a processor
+            # between sessions (sched_autogroup) would let the idle renderer take as much as vision.
+            process_group=0,
             preexec_fn=_end_with_parent,
         )
         self._readers = [
