@@ -46,8 +46,22 @@ class OilConfig(StrictModel):
         return value
 
 
+class LoadSensingConfig(StrictModel):
+    """The pump keeps ``margin_bar`` above the highest load that an open valve reports, which it learns late.
+
+    With all valves shut it idles at the margin above the return pressure.
+    """
+
+    enabled: bool
+    margin_bar: Annotated[float, Field(ge=5.0, le=100.0)]
+    lag_ms: Annotated[float, Field(ge=1.0, le=1000.0)]
+
+
 class PumpConfig(StrictModel):
-    """Pressure-compensated pump: Q = sat(K (p_set − p_s), 0, Q_max), K = Q_max over the droop."""
+    """Pressure-compensated pump: Q = sat(K (p_set − p_s), 0, Q_max), K = Q_max over the droop.
+
+    p_set is ``pressure_bar``, or below it what the loads ask for (``load_sensing``).
+    """
 
     pressure_bar: Annotated[float, Field(gt=20.0, le=500.0)]
     return_bar: Annotated[float, Field(ge=1.0, le=50.0)]
@@ -56,6 +70,7 @@ class PumpConfig(StrictModel):
     line_volume_l: Annotated[float, Field(ge=0.3, le=100.0)]
     dump_flow_l_min: Positive
     idle_loss_kw: NotNegative
+    load_sensing: LoadSensingConfig
 
     @field_validator("return_bar")
     @classmethod

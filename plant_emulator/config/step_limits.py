@@ -62,6 +62,8 @@ def _of_actuator(circuit: StiffParts, name: JointName, actuator: ActuatorConfig)
         yield StepLimit(
             RUNGE_KUTTA_REACH / rate, f"valves.counterbalance.range_bar = {hold.range_bar:g} at {name}"
         )
+        if hold.lag_ms > 0.0:
+            yield StepLimit(RUNGE_KUTTA_REACH * hold.lag_ms * 1e-3, "valves.counterbalance.lag_ms")
     rate = _bristle_rate(actuator, max(gains[1], gains[3]) if valves.compensator_bar else max(gains), pump)
     yield StepLimit(RUNGE_KUTTA_REACH / max(rate, 1e-9), f"the bristle stiffness of actuators.{name}")
     bandwidth = valves.of(name, 1.0).bandwidth_hz

@@ -96,13 +96,17 @@ class JointValveConfig(StrictModel):
 
 
 class CounterbalanceConfig(StrictModel):
-    """Load-holding valves at chamber a: they open with p_a + pilot_ratio p_b above the setting."""
+    """Load-holding valves at chamber a: they open with p_a + pilot_ratio p_b above the setting.
+
+    ``lag_ms``: of the opening behind the pressures, by an orifice in the pilot line; 0 without one.
+    """
 
     lift: bool
     tilt: bool
     setting_bar: Positive
     pilot_ratio: Annotated[float, Field(ge=1.0, le=20.0)]
     range_bar: Positive
+    lag_ms: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
 
 
 Joints = dict[JointName, JointValveConfig | None]

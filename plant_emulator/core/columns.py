@@ -35,8 +35,14 @@ C_RELIEF, C_REGULARISATION = range(17, 19)
 C_HOLD, C_PILOT, C_HOLD_RANGE = range(19, 22)
 # what the running pump loses as heat (W); what the pressure compensators keep across an edge (0 without)
 C_IDLE_LOSS, C_COMPENSATOR = 22, 23
-C_COLUMNS = 24
+# counterbalance: lag of the opening behind its pilot (s, 0: none)
+C_HOLD_LAG = 24
+# load-sensing pump: pressure above the highest load (0: constant pressure), lag of the line (s)
+C_LS_MARGIN, C_LS_LAG = 25, 26
+C_COLUMNS = 27
 
 # net flow into each chamber, flow drawn from the supply, pressure force, friction, position, velocity, stop
 F_NET_A, F_NET_B, F_SUPPLY, F_PUSH, F_FRICTION, F_POSITION, F_VELOCITY, F_STOP = range(8)
-F_COLUMNS = 8
+# the pressure that the supply works against, 0 with the valve shut
+F_LOAD = 8
+F_COLUMNS = 9

@@ -9,6 +9,7 @@ from plant_emulator.config.units import BAR
 from plant_emulator.core import columns as col
 from plant_emulator.core.layout import (
     JOINTS,
+    LOAD_SENSE,
     N_ACTUATORS,
     PRESSURE_A,
     PRESSURE_B,
@@ -133,6 +134,8 @@ def rest_state(model: Model, q: Array, temperature: float) -> Array:
                 f"start_pose_deg: {JOINTS[i]} needs {force:.0f} N (N m), beyond {high / BAR:g} bar",
             )
         state[PRESSURE_A + i], state[PRESSURE_B + i] = p_a, p_b
-    state[SUPPLY] = high
+    sensing = float(model.circuit[col.C_LS_MARGIN])
+    state[LOAD_SENSE] = low
+    state[SUPPLY] = min(high, low + sensing) if sensing > 0.0 else high
     state[TEMPERATURE] = temperature
     return state

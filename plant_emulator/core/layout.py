@@ -2,9 +2,10 @@
 
 Ten coordinates of the plain arm: six driven joints and four flexible hinges (vertical and lateral, on boom
 and tilt link). The state vector is coordinates, their rates, then per actuator spool, spool rate, chamber
-pressures and friction bristle, then supply pressure and oil temperature. What else moves (a rocking base, a
-loose slew, …) has its states behind these, so the plain arm's places never change: angles, rates, the bristle
-of the slewing ring, the time. ``Places`` tells where in the state each coordinate of the chain stands.
+pressures and friction bristle, then supply pressure and oil temperature, then per actuator the opening of its
+counterbalance valve, and the pressure in the load-sensing line. What else moves (a rocking base, a loose
+slew, …) has its states behind these, so the plain arm's places never change: angles, rates, the bristle of
+the slewing ring, the time. ``Places`` tells where in the state each coordinate of the chain stands.
 """
 
 from collections.abc import Sequence
@@ -43,7 +44,9 @@ PRESSURE_B = PRESSURE_A + N_ACTUATORS
 BRISTLE = PRESSURE_B + N_ACTUATORS
 SUPPLY = BRISTLE + N_ACTUATORS
 TEMPERATURE = SUPPLY + 1
-N_STATES = TEMPERATURE + 1
+HOLDING = TEMPERATURE + 1
+LOAD_SENSE = HOLDING + N_ACTUATORS
+N_STATES = LOAD_SENSE + 1
 
 
 class Places(NamedTuple):

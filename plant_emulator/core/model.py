@@ -132,6 +132,10 @@ def build_circuit(config: PlantConfig) -> Array:
         hold.pilot_ratio,
         hold.range_bar * BAR,
     )
+    c[col.C_HOLD_LAG] = hold.lag_ms * 1e-3
+    sensing = pump.load_sensing
+    if sensing.enabled:
+        c[col.C_LS_MARGIN], c[col.C_LS_LAG] = sensing.margin_bar * BAR, sensing.lag_ms * 1e-3
     return c
 
 

@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 
 from plant_emulator.config.units import RUNGE_KUTTA_REACH
 from plant_emulator.core import columns as col
-from plant_emulator.core.layout import COORDINATES, JOINTS, N_ACTUATORS, PRESSURE_A, SUPPLY, TEMPERATURE
+from plant_emulator.core.layout import (
+    COORDINATES,
+    JOINTS,
+    LOAD_SENSE,
+    N_ACTUATORS,
+    PRESSURE_A,
+    SUPPLY,
+    TEMPERATURE,
+)
 from plant_emulator.core.mechanics import loose
 from plant_emulator.core.mechanics.elastic import mobility
 from plant_emulator.core.mechanics.linkage import ROTARY, actuator_position
@@ -25,7 +33,7 @@ def linearised(model: Model, state: Array, command: Array) -> Array:
     n = state.shape[0]
     work, steps = new_work(model), np.full(n, 1e-6)
     steps[PRESSURE_A : PRESSURE_A + 2 * N_ACTUATORS] = 100.0
-    steps[SUPPLY] = 100.0
+    steps[[SUPPLY, LOAD_SENSE]] = 100.0
     steps[TEMPERATURE] = 1e-3
     jacobian, above, below = np.zeros((n, n)), np.zeros(n), np.zeros(n)
     for j in range(n):

@@ -1,4 +1,4 @@
-"""The plant's validation: 27 families of cases with known answers, run as one table."""
+"""The plant's validation: 31 families of cases with known answers, run as one table."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,6 +15,12 @@ from testbed.validation.plant_play import eccentric_encoders, loose_slew, tiltin
 from testbed.validation.plant_signals import convergence, encoders
 from testbed.validation.plant_statics import cantilevers, geometry, levers, static_forces, valve_shut_load
 from testbed.validation.plant_structure import rocking, several_hinges, twist, whole_chain
+from testbed.validation.plant_valves import (
+    compensated_flow,
+    hysteresis_and_slew,
+    load_holding,
+    overlaps,
+)
 
 Family = Callable[[Path], list[ValidationCase]]
 
@@ -46,6 +52,10 @@ FAMILIES: dict[int, tuple[str, Family]] = {
     25: ("loose slew", loose_slew),
     26: ("tilting ring", tilting_ring),
     27: ("eccentric encoders", eccentric_encoders),
+    28: ("valve overlap and flow curve", overlaps),
+    29: ("hysteresis and slew", hysteresis_and_slew),
+    30: ("compensated flow", compensated_flow),
+    31: ("load-holding valves", load_holding),
 }
 
 

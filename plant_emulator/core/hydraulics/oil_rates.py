@@ -18,6 +18,8 @@ from plant_emulator.core.hydraulics.valves import (
 from plant_emulator.core.layout import (
     BRISTLE,
     DRIVEN,
+    HOLDING,
+    LOAD_SENSE,
     N_ACTUATORS,
     PRESSURE_A,
     PRESSURE_B,
@@ -38,6 +40,13 @@ JOINT = np.array(DRIVEN)  # compiled code indexes an array, not a tuple, with a 
 
 
 @allocation_free
+def _held_open(p_a: float, p_b: float, c: Array) -> float:
+    """How far (0…1) pressures at the load and in the pilot line open a counterbalance valve at rest."""
+    wish: float = (p_a + c[col.C_PILOT] * p_b - c[col.C_HOLD]) / c[col.C_HOLD_RANGE]
+    return min(max(wish, 0.0), 1.0)
+
+
+@allocation_free
 def _metered(i: int, state: Array, a: Array, c: Array, flows: Array) -> tuple[float, float]:
     """Flows (m³/s) through the open edges of valve ``i`` into chamber a and b; ``flows`` tells the draw."""
     p_a, p_b, p_s, p_t = state[PRESSURE_A + i], state[PRESSURE_B + i], state[SUPPLY], c[col.C_RETURN]
@@ -55,10 +64,11 @@ def _metered(i: int, state: Array, a: Array, c: Array, flows: Array) -> tuple[fl
         else:
             drop_b = compensated_drop(drop_b, kept)
     if drop_a < 0.0 and a[i, col.A_COUNTERBALANCE] > 0.0:
-        wish = p_a + c[col.C_PILOT] * p_b - c[col.C_HOLD]
-        gain_a = held_gain(gain_a, a[i, col.A_COUNTERBALANCE], wish, c[col.C_HOLD_RANGE])
+        opened = state[HOLDING + i] if c[col.C_HOLD_LAG] > 0.0 else _held_open(p_a, p_b, c)
+        gain_a = held_gain(gain_a, a[i, col.A_COUNTERBALANCE] * opened)
     in_a, in_b = orifice_flow(gain_a, drop_a, soft), orifice_flow(gain_b, drop_b, soft)
     flows[i, col.F_SUPPLY] = in_a if extends else in_b
+    flows[i, col.F_LOAD] = (p_a if extends else p_b) if gain_in > 0.0 else 0.0
     return in_a, in_b
 
 
@@ -141,6 +151,10 @@ def _actuator(
     rate[SPOOL_RATE + i] = spool_acceleration(command, spool, spool_rate, a[i, col.A_OMEGA], a[i, col.A_ZETA])
 
     _chamber_flows(i, state, viscosity_ratio, a, c, flows)
+    rate[HOLDING + i] = 0.0
+    if a[i, col.A_COUNTERBALANCE] > 0.0 and c[col.C_HOLD_LAG] > 0.0:
+        wish = _held_open(state[PRESSURE_A + i], state[PRESSURE_B + i], c)
+        rate[HOLDING + i] = (wish - state[HOLDING + i]) / c[col.C_HOLD_LAG]
     flows[i, col.F_POSITION], flows[i, col.F_VELOCITY] = y, v
     _pressure_rates(i, state, a, c, flows, rate)
 
@@ -158,10 +172,16 @@ def _actuator(
 
 
 @allocation_free
-def pump_flow(supply: float, circuit: Array) -> float:
-    """What the pump delivers (m³/s) at ``supply`` pressure; once lost, what its dump orifice takes."""
+def pump_flow(supply: float, load: float, circuit: Array) -> float:
+    """What the pump delivers (m³/s) at ``supply`` pressure; once lost, what its dump orifice takes.
+
+    A load-sensing one keeps its margin above the reported ``load`` (Pa), at most its set pressure.
+    """
     if circuit[col.C_RUNNING] > 0.0:
-        wish: float = circuit[col.C_PUMP_GAIN] * (circuit[col.C_SET] - supply)
+        kept: float = circuit[col.C_SET]
+        if circuit[col.C_LS_MARGIN] > 0.0:
+            kept = min(kept, load + circuit[col.C_LS_MARGIN])
+        wish: float = circuit[col.C_PUMP_GAIN] * (kept - supply)
         delivered: float = min(max(wish, 0.0), circuit[col.C_FLOW_LIMIT])
         return delivered
     return -orifice_flow(circuit[col.C_DUMP], supply - circuit[col.C_RETURN], circuit[col.C_REGULARISATION])
@@ -171,11 +191,15 @@ def pump_flow(supply: float, circuit: Array) -> float:
 def _supply(state: Array, c: Array, flows: Array, rate: Array) -> None:
     """Rates of supply pressure and oil temperature."""
     supply = state[SUPPLY]
-    drawn = delivered = 0.0
+    drawn = delivered = load = 0.0
     for i in range(N_ACTUATORS):
         drawn += flows[i, col.F_SUPPLY]
+        load = max(load, flows[i, col.F_LOAD])
         delivered += flows[i, col.F_PUSH] * flows[i, col.F_VELOCITY]
-    pumped = pump_flow(supply, c)
+    pumped = pump_flow(supply, state[LOAD_SENSE], c)
+    rate[LOAD_SENSE] = 0.0
+    if c[col.C_LS_MARGIN] > 0.0:
+        rate[LOAD_SENSE] = (max(load, c[col.C_RETURN]) - state[LOAD_SENSE]) / c[col.C_LS_LAG]
     net = pumped - drawn - relief_flow(supply, c[col.C_RELIEF], c[col.C_PUMP_GAIN])
     oil = c[col.C_MODULUS] * (1.0 - c[col.C_MODULUS_DRIFT] * (state[TEMPERATURE] - c[col.C_REFERENCE]))
     volume = c[col.C_LINE_VOLUME]

@@ -79,15 +79,12 @@ def slew_limited(previous: float, target: float, out: float, back: float, h: flo
 
 
 @allocation_free
-def held_gain(release: float, hold: float, pilot: float, span: float) -> float:
-    """Gain of a releasing edge in series with a counterbalance valve.
-
-    The latter opens with ``pilot`` (Pa) above its setting, fully at ``span`` (Pa).
+def held_gain(release: float, hold: float) -> float:
+    """Gain of a releasing edge in series with a counterbalance valve of gain ``hold`` as it stands open.
 
     Two turbulent edges in series pass what one of gain K1 K2 / √(K1² + K2²) would; a closed one holds the
     load.
     """
-    if pilot <= 0.0 or release <= 0.0:
+    if hold <= 0.0 or release <= 0.0:
         return 0.0
-    other = hold * min(pilot / span, 1.0)
-    return release * other / math.sqrt(release * release + other * other)
+    return release * hold / math.sqrt(release * release + hold * hold)
