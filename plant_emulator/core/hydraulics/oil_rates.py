@@ -106,7 +106,7 @@ def _end_stop(i: int, y: float, v: float, a: Array) -> float:
 
 @allocation_free
 def _pressure_rates(i: int, state: Array, a: Array, c: Array, flows: Array, rate: Array) -> None:
-    """Rates of the two chamber pressures of actuator ``i``, whose flows, position and speed are known."""
+    """Rates of both pressures and the holding valve of actuator ``i``, its flows and motion being known."""
     y, v = flows[i, col.F_POSITION], flows[i, col.F_VELOCITY]
     area_a, area_b = a[i, col.A_AREA_A], a[i, col.A_AREA_B]
     volume_a = a[i, col.A_DEAD_A] + area_a * y
@@ -118,6 +118,10 @@ def _pressure_rates(i: int, state: Array, a: Array, c: Array, flows: Array, rate
     stiff_b = bulk_modulus(state[PRESSURE_B + i], volume_b, oil, wall, air, exponent)
     rate[PRESSURE_A + i] = stiff_a * (flows[i, col.F_NET_A] - area_a * v) / volume_a
     rate[PRESSURE_B + i] = stiff_b * (flows[i, col.F_NET_B] + area_b * v) / volume_b
+    rate[HOLDING + i] = 0.0
+    if a[i, col.A_COUNTERBALANCE] > 0.0 and c[col.C_HOLD_LAG] > 0.0:
+        wish = _held_open(state[PRESSURE_A + i], state[PRESSURE_B + i], c)
+        rate[HOLDING + i] = (wish - state[HOLDING + i]) / c[col.C_HOLD_LAG]
 
 
 @allocation_free
@@ -151,10 +155,6 @@ def _actuator(
     rate[SPOOL_RATE + i] = spool_acceleration(command, spool, spool_rate, a[i, col.A_OMEGA], a[i, col.A_ZETA])
 
     _chamber_flows(i, state, viscosity_ratio, a, c, flows)
-    rate[HOLDING + i] = 0.0
-    if a[i, col.A_COUNTERBALANCE] > 0.0 and c[col.C_HOLD_LAG] > 0.0:
-        wish = _held_open(state[PRESSURE_A + i], state[PRESSURE_B + i], c)
-        rate[HOLDING + i] = (wish - state[HOLDING + i]) / c[col.C_HOLD_LAG]
     flows[i, col.F_POSITION], flows[i, col.F_VELOCITY] = y, v
     _pressure_rates(i, state, a, c, flows, rate)
 
