@@ -193,12 +193,10 @@ def light(rng: np.random.Generator, _usual: Settings) -> JSON:
     return {"scene": {"camera": camera, "wall": {"contrast_grey": rng.uniform(10.0, 25.0)}}}
 
 
-@_axis(
-    "11.3 ms from the first row to the last; not drawn", "[S] Stereolabs: 15.7 µs a line at 720p and 60 Hz"
-)
+@_axis("15.7 µs a row, 11.3 ms in all; not drawn", "[S] Stereolabs support: the ZED 2 at 720p and 60 Hz")
 def rolling_shutter(_rng: np.random.Generator, _usual: Settings) -> JSON:
     """The ZED 2's readout."""
-    return {"scene": {"camera": {"readout_ms": 11.3}}}
+    return {"scene": {"camera": {"shutter": {"kind": "rolling", "mode_hz": 60}}}}
 
 
 @_axis("0 to 8 mm over 0.5 to 2 m", "[E] shotcrete and rough concrete")
@@ -206,6 +204,38 @@ def uneven_wall(rng: np.random.Generator, _usual: Settings) -> JSON:
     """How far the wall rises and falls about its plane."""
     wall = {"undulation_mm": rng.uniform(0.0, 8.0), "undulation_length_m": rng.uniform(0.5, 2.0)}
     return {"scene": {"wall": wall}}
+
+
+@_axis(
+    "focal lengths ±0.3 px, k1 ±0.0015, k2 ±0.0005, p1 and p2 ±0.0002, right eye against left",
+    "[E] two eyes rectified one by one",
+)
+def two_lenses(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """What the right eye's lens has more than the left's."""
+    wide = {"fx_px": 0.3, "fy_px": 0.3, "k1": 0.0015, "k2": 0.0005, "p1": 0.0002, "p2": 0.0002}
+    drawn = {name: rng.uniform(-most, most) for name, most in wide.items()}
+    return {"scene": {"camera": {"lens_difference": drawn}}}
+
+
+@_axis(
+    "disparity 0.05 to 0.3 px, rows 0.05 to 0.2 px rms, within 5 to 15 minutes",
+    "[E] heat moves low-cost stereo cameras by a few parts in a thousand of a pixel a second",
+)
+def drift(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """How the rectification wanders as the camera warms."""
+    drawn = {
+        "disparity_px": rng.uniform(0.05, 0.3),
+        "vertical_px": rng.uniform(0.05, 0.2),
+        "time_constant_s": rng.uniform(300.0, 900.0),
+    }
+    return {"scene": {"camera": {"drift": drawn}}}
+
+
+@_axis("−10 to 20 ms late, jitter 0.5 to 3 ms rms", "[E] a camera stamped by a host that is not real-time")
+def stamps(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """What is wrong with the times that are told of pictures."""
+    drawn = {"delay_ms": rng.uniform(-10.0, 20.0), "jitter_ms": rng.uniform(0.5, 3.0)}
+    return {"scene": {"camera": {"stamps": drawn}}}
 
 
 # ---- the markers
@@ -217,13 +247,20 @@ def tool_print(rng: np.random.Generator, _usual: Settings) -> JSON:
     return {"scene": {"tool_marker": {"print_scale_error": rng.uniform(-0.003, 0.003)}}}
 
 
-@_axis("centres ±1 mm, roll ±0.3°, prints ±0.3 %", "[E] a tape measure, a hand, a copier")
+@_axis(
+    "places ±1 mm, turned by up to 0.5°, prints ±0.3 %, plates bent by up to 0.5 mm",
+    "[E] a tape measure, a hand, a copier, a sheet of plastic",
+)
 def object_markers(rng: np.random.Generator, usual: Settings) -> JSON:
     """Where the object's markers are, and how large."""
     drawn = []
     for marker in usual.scene.object_of_interest.markers:
-        x, y = np.add(marker.centre_m, rng.uniform(-0.001, 0.001, 2)).tolist()
-        off: JSON = {"roll_deg": marker.roll_deg + rng.uniform(-0.3, 0.3)}
-        off |= {"print_scale_error": rng.uniform(-0.003, 0.003), "centre_m": [x, y]}
+        off: JSON = {
+            "misplaced_m": rng.uniform(-0.001, 0.001, 3).tolist(),
+            "misplaced_deg": rng.uniform(-0.3, 0.3, 3).tolist(),
+            "print_scale_error": rng.uniform(-0.003, 0.003),
+            "bend_m": rng.uniform(-0.0005, 0.0005),
+            "bend_direction_deg": rng.uniform(-90.0, 90.0),
+        }
         drawn.append(marker.model_dump(mode="json") | off)
     return {"scene": {"object_of_interest": {"markers": drawn}}}
