@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from plant_emulator.config.valves import JOINT_NAMES
 from testbed.scenarios.settings import Settings
 
 JSON = dict[str, Any]
@@ -43,20 +44,31 @@ def _factor(rng: np.random.Generator, most: float) -> float:
 # ---- the machine
 
 
-@_axis("0.25 to 0.75 % of the spool, one for all six", "[E] lapping of servo valves: a half around 0.5 %")
-def servo_deadband(rng: np.random.Generator, _usual: Settings) -> JSON:
-    """Of servo valves that nobody has measured."""
-    return {"plant": {"valves": {"deadband": rng.uniform(0.0025, 0.0075)}}}
+@_axis(
+    "overlap ±25 % an edge, hysteresis 2 to 7 % a joint, delay ±30 %, spool's loop ±20 %, flow ±10 % a direction",
+    "[S] data sheets of mobile valves: overlap 5 to 12 %, hysteresis 2 to 7 %, flow ±10 %; [E] the rest",
+)
+def mobile_valves(rng: np.random.Generator, usual: Settings) -> JSON:
+    """Mobile proportional valves with load-holding valves, around the set in plant.yaml."""
+    spools = usual.plant.valve_sets["mobile"]
+    drawn = {}
+    for name in JOINT_NAMES:
+        valve = spools.of(name, getattr(usual.plant.actuators, name).rated_flow_l_min)
+        edges = zip(EDGES, valve.deadband, strict=True)
+        drawn[name] = {
+            "deadband": {edge: _about(rng, overlap, 0.25) for edge, overlap in edges},
+            "hysteresis": rng.uniform(0.02, 0.07),
+            "delay_ms": _about(rng, valve.delay_ms, 0.3),
+            "bandwidth_hz": _about(rng, valve.bandwidth_hz, 0.2),
+            "flow_l_min": {
+                "extend": _about(rng, valve.flow_extend_l_min, 0.1),
+                "retract": _about(rng, valve.flow_retract_l_min, 0.1),
+            },
+        }
+    return {"plant": {"valve_set": "mobile", "valves": {"joints": drawn}}}
 
 
-@_axis("±5 % for each valve", "[S] data sheets of servo and proportional valves allow the rated flow ±10 %")
-def rated_flow(rng: np.random.Generator, usual: Settings) -> JSON:
-    """What each valve passes, against what its data sheet says."""
-    drawn = {
-        name: {"rated_flow_l_min": _about(rng, actuator.rated_flow_l_min, 0.05)}
-        for name, actuator in usual.plant.actuators
-    }
-    return {"plant": {"actuators": drawn}}
+EDGES = ("supply_a", "return_b", "supply_b", "return_a")
 
 
 @_axis("×0.6 to 1.7 for each actuator", "[E] seals: wear, pressure and temperature")
@@ -147,6 +159,71 @@ def oil(rng: np.random.Generator, usual: Settings) -> JSON:
 def supply(rng: np.random.Generator, usual: Settings) -> JSON:
     """The pump's set pressure."""
     return {"plant": {"pump": {"pressure_bar": _about(rng, usual.plant.pump.pressure_bar, 0.03)}}}
+
+
+@_axis("0.2 to 0.5 mrad once a turn, for each joint", "[E] of a real shaft")
+def eccentric_encoders(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """Encoders off the centre of their shafts."""
+    drawn = {"enabled": True, "mrad": rng.uniform(0.2, 0.5, 6).tolist()}
+    return {
+        "plant": {
+            "errors": {"encoder_eccentricity": drawn | {"phase_deg": rng.uniform(0.0, 360.0, 6).tolist()}}
+        }
+    }
+
+
+@_axis("G J ×0.67 to 1.5, boom and arm apart", "[E] as the bending")
+def torsion(rng: np.random.Generator, usual: Settings) -> JSON:
+    """How the booms twist."""
+    of = usual.plant.errors.torsion
+    drawn = {
+        "boom_gj_n_m2": of.boom_gj_n_m2 * _factor(rng, 1.5),
+        "arm_gj_n_m2": of.arm_gj_n_m2 * _factor(rng, 1.5),
+    }
+    return {"plant": {"errors": {"torsion": {"enabled": True} | drawn}}}
+
+
+@_axis("stiffness ×0.5 to 2, lift and tilt apart", "[E] pins in worn bushes")
+def soft_pins(rng: np.random.Generator, usual: Settings) -> JSON:
+    """How the pivots' pins give."""
+    of = usual.plant.errors.pin_compliance
+    drawn = {
+        "lift_nm_rad": of.lift_nm_rad * _factor(rng, 2.0),
+        "tilt_nm_rad": of.tilt_nm_rad * _factor(rng, 2.0),
+    }
+    return {"plant": {"errors": {"pin_compliance": {"enabled": True} | drawn}}}
+
+
+@_axis("0.3 to 0.6 mm over the ring", "[S] a new slewing ring")
+def tilting_bearing(rng: np.random.Generator, _usual: Settings) -> JSON:
+    """The slewing ring's axial play."""
+    return {"plant": {"errors": {"bearing_tilt": {"enabled": True, "play_mm": rng.uniform(0.3, 0.6)}}}}
+
+
+@_axis(
+    "0.7 to 2.3 mrad to and fro; hoses pull by up to 80 N m",
+    "[S] 0.18 to 0.23 mm of mesh; [E] on 0.1 to 0.25 m, hoses",
+)
+def loose_slew(rng: np.random.Generator, usual: Settings) -> JSON:
+    """Play in the slew's mesh, as loose steel."""
+    most = 80.0 * usual.plant.errors.loose_slew.hose_nm / 40.0
+    drawn = {"backlash_mrad": rng.uniform(0.7, 2.3), "hose_nm": rng.uniform(-most, most)}
+    return {"plant": {"errors": {"loose_slew": {"enabled": True} | drawn}}}
+
+
+@_axis(
+    "1.5 to 4 Hz about each axis, damping 2 to 5 %; engine and pump ×0.5 to 2",
+    "[E] a truck on its outriggers",
+)
+def rocking_base(rng: np.random.Generator, usual: Settings) -> JSON:
+    """A carrier that rocks, shaken by its engine and pump."""
+    rocks = {"frequency_hz": rng.uniform(1.5, 4.0, 3).tolist(), "damping_ratio": rng.uniform(0.02, 0.05)}
+    drawn: JSON = {"rocking_base": {"enabled": True} | rocks, "vibration": {"enabled": True}}
+    for name in ("engine", "pump"):
+        factor = _factor(rng, 2.0)
+        moments = getattr(usual.plant.errors.vibration, name).moment_nm
+        drawn["vibration"][name] = {"moment_nm": [factor * moment for moment in moments]}
+    return {"plant": {"errors": drawn}}
 
 
 # ---- the camera

@@ -52,11 +52,16 @@ class WorldName(StrEnum):
 
 _HARDER = (axes.lens, axes.poor_light, axes.tool_print, axes.wide_play)
 _REAL = (
-    axes.servo_deadband,
-    axes.rated_flow,
+    axes.mobile_valves,
     axes.friction,
     axes.bending,
     axes.play,
+    axes.loose_slew,
+    axes.tilting_bearing,
+    axes.torsion,
+    axes.soft_pins,
+    axes.eccentric_encoders,
+    axes.rocking_base,
     axes.payload_off_axis,
     axes.joint_axes,
     axes.oil,
