@@ -45,7 +45,7 @@ def _factor(rng: np.random.Generator, most: float) -> float:
 
 
 @_axis(
-    "overlap ±25 % an edge, hysteresis 2 to 7 % a joint, delay ±30 %, spool's loop ±20 %, flow ±10 % a direction",
+    "overlap ±25 % an edge, flow ±10 % a direction, hysteresis 2 to 7 %, delay ±30 %, spool's loop ±20 %",
     "[S] data sheets of mobile valves: overlap 5 to 12 %, hysteresis 2 to 7 %, flow ±10 %; [E] the rest",
 )
 def mobile_valves(rng: np.random.Generator, usual: Settings) -> JSON:
