@@ -47,6 +47,26 @@ class JointControlConfig(StrictModel):
         return self
 
 
+class ParkingConfig(StrictModel):
+    """How the arm is brought to rest at the end of a motion and kept there, where it is switched on."""
+
+    enabled: bool
+    band_mm: float = Field(gt=0.0, le=20.0)
+    band_least_mrad: float = Field(gt=0.0, le=5.0)
+    band_most_mrad: float = Field(gt=0.0, le=20.0)
+    slowest_mrad_s: float = Field(gt=0.0, le=50.0)
+    fastest_mrad_s: float = Field(gt=0.0, le=200.0)
+    patience_ms: float = Field(ge=0.0, le=60_000.0)
+    alarm_mm: float = Field(gt=0.0, le=100.0)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        for least, most in (("band_least_mrad", "band_most_mrad"), ("slowest_mrad_s", "fastest_mrad_s")):
+            if getattr(self, least) > getattr(self, most):
+                raise ValueError(f"{least} = {getattr(self, least)} is above {most} = {getattr(self, most)}")
+        return self
+
+
 class MotionConfig(StrictModel):
     """Limits of planned motion, and what is refused at the door."""
 
@@ -188,6 +208,7 @@ class ControllerConfig(StrictModel):
     scan_lead: float = Field(ge=0.1, le=1.0)
     pose_servo: PoseServoConfig
     joint_control: JointControlConfig
+    parking: ParkingConfig
     motion: MotionConfig
     streaming: StreamingConfig
     settled: SettledConfig
@@ -214,6 +235,15 @@ class ControllerConfig(StrictModel):
         A scan's valve image reaches the plant with the next exchange and is in force until the one after it.
         """
         return self.streaming.silence_ms - 2.0 * self.cycle_ms - _STREAM_MARGIN_MS
+
+    @model_validator(mode="after")
+    def _parks_inside(self) -> Self:
+        if self.parking.enabled and self.parking.band_most_mrad >= self.settled.tolerance_mrad:
+            raise ValueError(
+                f"parking.band_most_mrad = {self.parking.band_most_mrad} must lie below "
+                f"settled.tolerance_mrad = {self.settled.tolerance_mrad}, or a parked arm never settles"
+            )
+        return self
 
     @model_validator(mode="after")
     def _closes_in_time(self) -> Self:

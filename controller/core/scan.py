@@ -8,6 +8,7 @@ import numpy as np
 
 from controller.core.group_states import Stimulus, transition
 from controller.core.kinematics.rotations import Array
+from controller.core.kinematics.triples import norm
 from controller.core.plant_watch import cycle_frozen, link_lost, update_watch
 from controller.core.references.streaming import pace, silence, update_fade
 from controller.core.requests import answer_request, enter_mode, follow_reference, is_live, react_to_fault
@@ -21,9 +22,21 @@ from controller.core.scan_types import (
     idle,
 )
 from controller.core.servo.drives import Circuit, load_pressures
-from controller.core.servo.joint_control import JointFilters
+from controller.core.servo.joint_control import JointFilters, unmoved
+from controller.core.servo.parking import FOLLOWING, PHASE, park_step, parking_ended
 from controller.core.servo.pose_servo import tool_state
-from controller.core.servo.servo_step import LOAD, PT1, Q_CMD, QD_CMD, VALVES, ServoInput, servo_step
+from controller.core.servo.servo_step import (
+    FURTHEST,
+    LOAD,
+    PT1,
+    Q_CMD,
+    QD_CMD,
+    ROWS,
+    SENSE,
+    VALVES,
+    ServoInput,
+    servo_step,
+)
 from controller.core.settings import ScanSettings
 from controller.core.supervision import Evidence, Fault, ServoOutput, first_fault, readings, update_timers
 from controller.core.trajectories.motion import advance, at_standstill
@@ -156,8 +169,10 @@ def _drive_valves(
         circuit,
         slow_load,
     )
-    out = np.empty((5, 6))
+    out = np.empty((ROWS, 6))
     finite, settled = servo_step(settings.servo, given, dt_s, out)
+    if settings.parking is not None and finite:
+        state = _parked(settings, state, given, out, events)
     if not finite:
         state, event = react_to_fault(settings, state, Fault(FaultCode.NUMERIC, float("nan"), 0.0))
         events.append(event)
@@ -165,9 +180,30 @@ def _drive_valves(
     inside = settled and state.motion.path is None
     return state._replace(
         servo=ServoOutput(out[Q_CMD], out[QD_CMD], out[VALVES], desired.v),
-        filters=JointFilters(out[PT1], out[LOAD]),
+        filters=JointFilters(out[PT1], out[LOAD], out[SENSE], out[FURTHEST]),
         settled_s=state.settled_s + dt_s if inside else 0.0,
     )
+
+
+def _parked(
+    settings: ScanSettings, state: ScanState, given: ServoInput, out: Array, events: list[ScanEvent]
+) -> ScanState:
+    """``state`` with parking in place of the joint law in ``out`` while the arm stands; tells of changes."""
+    assert settings.parking is not None
+    if state.motion.path is not None or state.mode is not Mode.STANDBY:
+        if state.parked:
+            events.append(ScanEvent("unparked", state.mode.name, 0.0, 0.0))
+        return state._replace(parking=parking_ended(state.parking), parked=False, astray=False)
+    parking = state.parking.copy()
+    park_step(settings.servo, settings.parking, given, state.watch.turned, out, parking)
+    away = norm(state.motion.desired.p - state.tool.p_BT)
+    parked = state.parked or bool((parking[PHASE] != FOLLOWING).all())
+    astray = parked and away > settings.parking_alarm
+    if parked and not state.parked:
+        events.append(ScanEvent("parked", "VALVES_SHUT", away, settings.parking_alarm))
+    if astray and not state.astray:
+        events.append(ScanEvent("astray", "PARKED_TOOL_LEFT_ITS_PLACE", away, settings.parking_alarm))
+    return state._replace(parking=parking, parked=parked, astray=astray)
 
 
 def _load(settings: ScanSettings, state: ScanState) -> Array:
@@ -187,7 +223,7 @@ def _circuit(settings: ScanSettings, state: ScanState) -> tuple[Circuit, Array]:
 
 def _centre_valves(settings: ScanSettings, state: ScanState) -> ScanState:
     """``state`` at rest; the slow load pressure follows the load, so enabling starts without a kick."""
-    filters = JointFilters(np.zeros(6), _load(settings, state))
+    filters = unmoved(_load(settings, state))
     return state._replace(servo=idle(state.watch.q_meas), filters=filters, settled_s=0.0)
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from controller.core.kinematics.rotations import Array
 from controller.core.plant_watch import PlantRefusal, PlantWatch, unseen
 from controller.core.references.streaming import OpenStream
-from controller.core.servo.joint_control import JointFilters
+from controller.core.servo.joint_control import JointFilters, unmoved
+from controller.core.servo.parking import parking_begun
 from controller.core.servo.pose_servo import ToolState, tool_state
 from controller.core.settings import ScanSettings
 from controller.core.supervision import RESTED, Fault, ServoOutput, Timers
@@ -103,7 +104,9 @@ class ScanState(NamedTuple):
 
     ``fault``: the first one since the last reset. ``settled_s``: how long the arm has been inside the
     tolerance. ``stream``: the open one, None in every mode but STREAMING. ``fade``: see ``update_fade``.
-    ``rearming``: scans in a row in which the plant's watchdog was asked to be re-armed.
+    ``rearming``: scans in a row in which the plant's watchdog was asked to be re-armed. ``parking``: see
+    ``servo.parking``; ``parked``: the joint law has handed over all joints; ``astray``: the parked tool is
+    further from its place than is told.
     """
 
     cycle: int
@@ -120,6 +123,9 @@ class ScanState(NamedTuple):
     stream: OpenStream | None
     fade: float
     rearming: int
+    parking: Array
+    parked: bool
+    astray: bool
 
 
 def idle(q_meas: Array) -> ServoOutput:
@@ -142,9 +148,12 @@ def initial_state(settings: ScanSettings) -> ScanState:
         tool=tool,
         motion=holding(tool.p_BT, tool.quaternion),
         servo=idle(watch.q_meas),
-        filters=JointFilters(np.zeros(6), np.zeros(6)),
+        filters=unmoved(np.zeros(6)),
         settled_s=0.0,
         stream=None,
         fade=0.0,
         rearming=0,
+        parking=parking_begun(settings.parking),
+        parked=False,
+        astray=False,
     )

@@ -10,20 +10,18 @@ from controller.commissioning import commissioned_config
 from controller.config import ControllerConfig
 from controller.core.kinematics.denavit_hartenberg import dh_table
 from controller.core.kinematics.rotations import Array
-from controller.core.servo.drives import drive_table, rated_circuit
-from controller.core.servo.joint_control import JointGains
-from controller.core.servo.pose_servo import ServoGains
+from controller.core.servo.parking import ParkingLaw
 from controller.core.servo.servo_step import ServoConstants
+from controller.core.servo_settings import parking_law, servo_constants, surely_open
 from controller.core.trajectories.approach import AxisLimits
 from controller.core.trajectories.motion import StopLimits
 from controller.core.trajectories.path_survey import PlanningLimits
 from controller.core.trajectories.workspace import WorkspaceBounds, widened
-from nominal_arm.commissioned import ValveSet
 from nominal_arm.description import NominalArm
 
 _MS = 1e-3
 _MRAD = 1e-3
-_SURE = 3.0  # standard deviations
+_MM = 1e-3
 _EXCHANGES_AT_MS = 5.0  # limits that count exchanges hold from this cycle on
 
 
@@ -99,13 +97,16 @@ class SupervisionLimits(NamedTuple):
 class ScanSettings:
     """Constants of a scan; arrays are never written to.
 
-    ``load_compensation``: whether the drives' speeds are taken at the present circuit.
+    ``load_compensation``: whether the drives' speeds are taken at the present circuit. ``parking``: None when
+    the joint law holds the arm.
     """
 
     cycle_s: float
     table: Array
     load_compensation: bool
     servo: ServoConstants
+    parking: ParkingLaw | None
+    parking_alarm: float
     planning: PlanningLimits
     motion: MotionLimits
     stop: StopLimits
@@ -129,7 +130,9 @@ def settings_from(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
         cycle_s=config.cycle_ms * _MS,
         table=table,
         load_compensation=config.joint_control.load_compensation and not config.valves.pressure_compensated,
-        servo=_servo_constants(arm, config),
+        servo=servo_constants(arm, config),
+        parking=parking_law(config) if config.parking.enabled else None,
+        parking_alarm=config.parking.alarm_mm * _MM,
         planning=PlanningLimits(
             table=table,
             planned_range=joint_range + np.array([[margin], [-margin]]),
@@ -154,63 +157,6 @@ def settings_from(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
         streaming=_stream_limits(config),
         settled=SettledLimits(settled.tolerance_mrad * _MRAD, settled.time_ms * _MS),
         supervision=_supervision_limits(config, joint_range, workspace),
-    )
-
-
-def _servo_constants(arm: NominalArm, config: ControllerConfig) -> ServoConstants:
-    return ServoConstants(
-        gains=_servo_gains(config),
-        joints=_joint_gains(config),
-        drives=drive_table(arm.drives),
-        rated=rated_circuit(arm.rated),
-        tolerance=config.settled.tolerance_mrad * _MRAD,
-    )
-
-
-def _servo_gains(config: ControllerConfig) -> ServoGains:
-    servo = config.pose_servo
-    return ServoGains(
-        position=servo.position_gain_1_s,
-        orientation=servo.orientation_gain_1_s,
-        dead_zone=servo.dead_zone_mrad * _MRAD,
-        damping_onset=servo.damping_onset,
-        damping_max=servo.damping_max,
-    )
-
-
-def _joint_gains(config: ControllerConfig) -> JointGains:
-    joint = config.joint_control
-    tau = joint.pt1_time_constant_ms * _MS
-    return JointGains(
-        gain=np.array(joint.gain_1_s),
-        time_constant=np.array([0.0, tau, tau, 0.0, 0.0, 0.0]),  # (25) is for lift and tilt alone
-        feed_forward=joint.feed_forward,
-        damping=np.array(joint.pressure_damping_mrad_s_bar) * _MRAD,
-        high_pass=joint.pressure_high_pass_ms * _MS,
-        deadband=_edges(config.valves, "deadband"),
-        flow_gain=_edges(config.valves, "flow_gain"),
-        blend=joint.deadband_blend,
-        limit=joint.valve_limit,
-    )
-
-
-def _edges(valves: ValveSet, name: str) -> Array:
-    """A number (6, 2) of the six valves, raising and lowering."""
-    return np.array(
-        [[getattr(edge, name).value for edge in (valve.raising, valve.lowering)] for valve in valves.joints]
-    )
-
-
-def _surely_open(valves: ValveSet) -> Array:
-    """Spool commands (6, 2) beyond which every valve is open, however little is known of it."""
-    return np.array(
-        [
-            [
-                edge.deadband.value + _SURE * edge.deadband.std + valve.hysteresis.value
-                for edge in (valve.raising, valve.lowering)
-            ]
-            for valve in valves.joints
-        ]
     )
 
 
@@ -252,7 +198,7 @@ def _supervision_limits(
         overrun=watch.overrun_ms * _MS,
         following_error=np.radians(watch.following_error_deg),
         encoder_jump=math.radians(watch.encoder_jump_deg),
-        encoder_stuck_valves=watch.encoder_stuck_opening + _surely_open(config.valves),
+        encoder_stuck_valves=watch.encoder_stuck_opening + surely_open(config.valves),
         encoder_stuck=watch.encoder_stuck_ms * _MS,
         overspeed=watch.overspeed_m_s,
         overspeed_time=watch.overspeed_ms * _MS,

@@ -47,6 +47,7 @@ _STATE_STATISTICS_NS = 1_000_000_000  # the window of the percentiles in the sta
 _SHUTDOWN_S = 1.4  # to ramp down after SIGTERM; the process must be gone within 2 s
 _AFTER_FAULT_NS = 300_000_000  # the flight recorder also keeps what followed
 _NS_PER_MS = 1_000_000
+_LEVELS: dict[str, Level] = {"fault": "error", "astray": "warning"}
 _LIMITS = {"scans": Limit(1.0, "of the controller's scans were late")}
 
 
@@ -166,7 +167,7 @@ class ControllerService:
     ) -> None:
         """Log what happened, dump the flight recorder when its time has come, end when asked to."""
         for event in output.events:
-            level: Level = "error" if event.name == "fault" else "info"
+            level: Level = _LEVELS.get(event.name, "info")
             name, *number = event.name.split()  # the answer to "Command 7" is event "command" of request 7
             fields: dict[str, Any] = {"cause": event.cause, "value": event.value, "limit": event.limit}
             if number:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from controller.core.kinematics.rotations import Array
+from controller.core.servo.valve_inverse import opening_for, without_play
 from foundation.compiled import kernel
 
 
@@ -25,10 +26,16 @@ def pt1_step(value: float, target: float, time_constant: float, dt_s: float) -> 
 
 
 class JointFilters(NamedTuple):
-    """What joint control keeps between scans, each (6,): PT-1 elements (rad/s), slow load pressures (bar)."""
+    """What joint control keeps between scans, each (6,).
+
+    ``pt1``: elements (25) (rad/s); ``load``: slow load pressures (bar). ``sense``, ``furthest``: the spool's
+    last way, see ``without_play``.
+    """
 
     pt1: Array
     load: Array
+    sense: Array
+    furthest: Array
 
 
 class JointGains(NamedTuple):
@@ -36,7 +43,8 @@ class JointGains(NamedTuple):
 
     ``gain`` k (1/s); ``time_constant`` of the PT-1 (s, 0 for none); ``damping`` (rad/s per bar) behind a
     high pass of ``high_pass`` (s); ``deadband`` (6, 2) of spool, faded in over ``blend``; ``flow_gain``
-    (6, 2): joint speed beyond it over the nominal one; ``limit`` of spool.
+    (6, 2): joint speed beyond it over the nominal one; ``curve`` (6, 2, n, 2): knots of opening and flow;
+    ``half_play`` of spool; ``limit`` of spool.
     """
 
     gain: Array
@@ -46,8 +54,15 @@ class JointGains(NamedTuple):
     high_pass: float
     deadband: Array
     flow_gain: Array
-    blend: float
+    blend: Array
+    curve: Array
+    half_play: Array
     limit: float
+
+
+def unmoved(load: Array) -> JointFilters:
+    """The filters of valves at rest under ``load`` (6,)."""
+    return JointFilters(np.zeros(6), load, np.ones(6), np.zeros(6))
 
 
 @kernel
@@ -69,7 +84,7 @@ def valve_commands(
     oil's spring by the load pressure behind a high pass (dynamic pressure feedback); the deadband added in
     the direction of the command.
     """
-    commands, pt1, slow = np.empty(6), np.empty(6), np.empty(6)
+    commands, pt1, slow, sense, furthest = np.empty(6), np.empty(6), np.empty(6), np.empty(6), np.empty(6)
     for i in range(6):
         proportional = gains.gain[i] * error[i]
         pt1[i] = pt1_step(filters.pt1[i], proportional, gains.time_constant[i], dt_s)
@@ -77,7 +92,11 @@ def valve_commands(
         demand = filters.pt1[i] if gains.time_constant[i] > 0.0 else proportional
         demand += gains.feed_forward * qd_cmd[i] - gains.damping[i] * (load[i] - filters.load[i])
         side = 0 if demand >= 0.0 else 1
-        spool = demand / (gains.flow_gain[i, side] * speeds[i, side])
-        spool += gains.deadband[i, side] * max(-1.0, min(1.0, spool / gains.blend))
+        flow = demand / (gains.flow_gain[i, side] * speeds[i, side])
+        opening = math.copysign(opening_for(gains.curve[i, side], abs(flow)), flow)
+        wanted = opening + gains.deadband[i, side] * max(-1.0, min(1.0, opening / gains.blend[i, side]))
+        spool, sense[i], furthest[i] = without_play(
+            wanted, gains.half_play[i], filters.sense[i], filters.furthest[i]
+        )
         commands[i] = max(-gains.limit, min(gains.limit, spool))
-    return commands, JointFilters(pt1, slow)
+    return commands, JointFilters(pt1, slow, sense, furthest)

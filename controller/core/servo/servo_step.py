@@ -16,8 +16,10 @@ from controller.core.servo.pose_servo import ServoGains, ToolState, resolve
 from controller.core.trajectories.paths import Desired
 from foundation.compiled import kernel
 
-# Rows of the result, each (6,): joint command (rad), its speed (rad/s), valve commands, filters' two outputs.
-Q_CMD, QD_CMD, VALVES, PT1, LOAD = range(5)
+# Rows of the result, each (6,): joint command (rad), its speed (rad/s), valve commands, filters' two outputs,
+# last ways of the spools (sense, furthest), what is left to the desired pose (rad).
+Q_CMD, QD_CMD, VALVES, PT1, LOAD, SENSE, FURTHEST, LEFT = range(8)
+ROWS = 8
 
 
 class ServoConstants(NamedTuple):
@@ -55,7 +57,7 @@ class ServoInput(NamedTuple):
 def servo_step(constants: ServoConstants, given: ServoInput, dt_s: float, out: Array) -> tuple[bool, bool]:
     """Whether all valve commands are finite, and whether the tool is inside the tolerance.
 
-    Fills ``out`` (5, 6), rows Q_CMD … LOAD. Source: (4), (5), (6), (25).
+    Fills ``out`` (8, 6), rows Q_CMD … LEFT. Source: (4), (5), (6), (25).
     """
     desired, rate = given.desired, given.rate
     if rate != 1.0:  # accelerations are left, the servo does not use them
@@ -72,7 +74,8 @@ def servo_step(constants: ServoConstants, given: ServoInput, dt_s: float, out: A
     finite, inside = True, True
     for i in range(6):
         out[Q_CMD, i], out[QD_CMD, i], out[VALVES, i] = q_cmd[i], resolved.qd_cmd[i], rate * valves[i]
-        out[PT1, i], out[LOAD, i] = filters.pt1[i], filters.load[i]
+        out[PT1, i], out[LOAD, i], out[LEFT, i] = filters.pt1[i], filters.load[i], resolved.q_error[i]
+        out[SENSE, i], out[FURTHEST, i] = filters.sense[i], filters.furthest[i]
         finite = finite and np.isfinite(valves[i])
         inside = inside and abs(resolved.q_error[i]) <= constants.tolerance
     return finite, inside

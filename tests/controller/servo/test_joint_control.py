@@ -14,13 +14,13 @@ from controller.core.servo.drives import (
     load_pressures,
     rated_circuit,
 )
-from controller.core.servo.joint_control import JointFilters, JointGains, pt1_step, valve_commands
+from controller.core.servo.joint_control import JointGains, pt1_step, unmoved, valve_commands
 from controller.core.servo.pose_servo import ServoGains, resolve, tool_state
 from controller.core.trajectories.paths import at_rest
 from nominal_arm.description import NominalArm
 
 ONES = np.ones(6)
-REST = JointFilters(np.zeros(6), np.zeros(6))
+REST = unmoved(np.zeros(6))
 PLAIN = JointGains(
     gain=2.0 * ONES,
     time_constant=np.zeros(6),
@@ -29,7 +29,9 @@ PLAIN = JointGains(
     high_pass=1.0,
     deadband=np.zeros((6, 2)),
     flow_gain=np.ones((6, 2)),
-    blend=0.001,
+    blend=np.full((6, 2), 0.001),
+    curve=np.tile(np.array([[0.0, 0.0], [1.0, 1.0]]), (6, 2, 1, 1)),
+    half_play=np.zeros(6),
     limit=1.0,
 )
 SPEEDS = np.stack([2.0 * ONES, 4.0 * ONES], axis=1)
@@ -75,7 +77,7 @@ def test_feed_forward_gives_the_nominal_spool_for_the_speed() -> None:
 
 
 def test_deadband_is_added_in_the_sense_of_the_command_and_fades_at_zero() -> None:
-    gains = PLAIN._replace(deadband=np.full((6, 2), 0.03), blend=0.001)
+    gains = PLAIN._replace(deadband=np.full((6, 2), 0.03), blend=np.full((6, 2), 0.001))
     error = np.array([0.05, -0.05, 0.0005, -0.0005, 0.0, 1e-5])
     u, _ = valve_commands(gains, REST, error, np.zeros(6), np.zeros(6), SPEEDS, 0.005)
     assert u[:2] == pytest.approx([0.05 + 0.03, -0.025 - 0.03])
@@ -86,7 +88,7 @@ def test_deadband_is_added_in_the_sense_of_the_command_and_fades_at_zero() -> No
 
 def test_pressure_damping_acts_on_changes_and_forgets_the_static_load() -> None:
     gains = PLAIN._replace(damping=0.002 * ONES, high_pass=0.5)
-    filters = JointFilters(np.zeros(6), 40.0 * ONES)
+    filters = unmoved(40.0 * ONES)
     still, _ = valve_commands(gains, filters, 0 * ONES, 0 * ONES, 40.0 * ONES, SPEEDS, 0.005)
     assert still == pytest.approx(np.zeros(6))
     first, filters = valve_commands(gains, filters, 0 * ONES, 0 * ONES, 50.0 * ONES, SPEEDS, 0.005)

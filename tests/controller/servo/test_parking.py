@@ -1,0 +1,120 @@
+"""Parking on one joint behind a poor valve: overlap known within a fifth, hysteresis, delay, lag, creep."""
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from controller.core.servo.parking import (
+    BAND,
+    DOUBT,
+    EDGE,
+    FOLLOWING,
+    OPEN,
+    PHASE,
+    SHUT,
+    SINCE,
+    SPEED,
+    STATE_ROWS,
+    ParkingLaw,
+    _inched,
+    _watched,
+    parking_begun,
+    parking_ended,
+)
+
+DT_S, GAIN, DIGIT = 0.005, 0.4, 4.8e-5
+DELAY_S, LAG_S = 0.012, 0.057
+ONES = np.ones(6)
+
+
+def _law(deadband: float, spread: float) -> ParkingLaw:
+    late = DELAY_S + LAG_S + 1.5 * DT_S
+    return ParkingLaw(
+        band=4e-4,
+        band_least=7e-5,
+        band_most=2e-4,
+        slowest=1e-3,
+        fastest=1e-2,
+        patience=6.0,
+        deadband=np.full((6, 2), deadband),
+        spread=np.full((6, 2), spread),
+        latest=(late + 0.15) * ONES,
+        shutting=(late + 0.03) * ONES,
+        dt_s=DT_S,
+    )
+
+
+class Rest(NamedTuple):
+    """Errors (rad) and spool commands of every scan."""
+
+    errors: np.ndarray
+    spools: np.ndarray
+    state: np.ndarray
+
+
+def _parked(law: ParkingLaw, error: float, true_edge: float, creep: float, seconds: float) -> Rest:
+    """A joint ``error`` off its place whose valve opens at ``true_edge``; it creeps by itself (rad/s)."""
+    rng, state = np.random.default_rng(5), parking_begun(law)
+    state[PHASE, 0], state[BAND, 0] = SHUT, 1e-4
+    commands = deque([0.0] * round(DELAY_S / DT_S), maxlen=round(DELAY_S / DT_S))
+    angle, seen, spool, errors, spools = -error, -error, 0.0, [], []
+    for _ in range(round(seconds / DT_S)):
+        before, seen = seen, DIGIT * round((angle + rng.normal(0.0, 0.3 * DIGIT)) / DIGIT)
+        keep = math.exp(-DT_S / 0.03)
+        state[SPEED, 0] = keep * state[SPEED, 0] + (1.0 - keep) * (seen - before) / DT_S
+        state[SINCE, 0] += DT_S
+        if state[PHASE, 0] == SHUT:
+            command = _watched(law, state, 0, -seen)
+        else:
+            command = _inched(law, state, 0, -seen, GAIN)
+        late = commands[0]
+        commands.append(command)
+        spool += (late - spool) * (1.0 - math.exp(-DT_S / LAG_S))
+        beyond = max(abs(spool) - true_edge, 0.0)
+        angle += DT_S * (math.copysign(GAIN * beyond, spool) + creep)
+        errors.append(-angle)
+        spools.append(command)
+    return Rest(np.array(errors), np.array(spools), state)
+
+
+@pytest.mark.parametrize("known", [0.8, 1.0, 1.2])
+@pytest.mark.parametrize("error", [2e-3, -6e-4])
+def test_it_comes_to_rest_inside_its_band_with_the_valve_shut(known: float, error: float) -> None:
+    rest = _parked(_law(0.08 * known, 0.01), error, true_edge=0.08, creep=0.0, seconds=20.0)
+    last = round(5.0 / DT_S)
+    assert np.abs(rest.errors[-last:]).max() < 2e-4
+    assert not rest.spools[-last:].any()
+
+
+@pytest.mark.parametrize(("creep", "most"), [(-1e-3, 1e-3), (-3e-4, 5e-4), (1e-4, 3e-4)])
+def test_a_creeping_joint_is_kept_about_its_place(creep: float, most: float) -> None:
+    rest = _parked(_law(0.08, 0.008), 0.0, true_edge=0.083, creep=creep, seconds=60.0)
+    settled = rest.errors[round(10.0 / DT_S) :]
+    assert np.abs(settled).max() < most
+    assert abs(settled.mean()) < 0.6 * most
+    opened = rest.spools[rest.spools != 0.0]
+    assert opened.size > 0
+    assert (np.sign(opened) == -np.sign(creep)).all()  # never to the other side: no hunting
+
+
+def test_where_the_joint_moves_is_learned_within_what_is_known() -> None:
+    law = _law(0.08, 0.004)
+    near = _parked(law, 2e-3, true_edge=0.085, creep=-3e-4, seconds=60.0)
+    assert near.state[EDGE, 0] == pytest.approx(0.085, abs=0.004)
+    assert near.state[DOUBT, 0] < 0.004
+    far = _parked(law, 2e-3, true_edge=0.12, creep=0.0, seconds=30.0)
+    assert far.state[PHASE, 0] == OPEN  # it never moved: the valve stays as far open as it is known
+    assert far.spools[-1] == pytest.approx(0.08 + 3.0 * 0.004)
+
+
+def test_a_motion_takes_the_joints_back_and_forgets_nothing() -> None:
+    state = parking_begun(_law(0.08, 0.004))
+    state[PHASE], state[EDGE] = SHUT, 0.0777
+    after = parking_ended(state)
+    assert (after[PHASE] == FOLLOWING).all()
+    assert (after[EDGE] == 0.0777).all()
+    assert state.shape == (STATE_ROWS, 6)
+    assert (state[PHASE] == SHUT).all()
