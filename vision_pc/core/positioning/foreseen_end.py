@@ -49,7 +49,7 @@ def foreseen_end(
         covariance = shrunk @ covariance @ shrunk
     elif settings.corrections:
         covariance = _after_fine_corrections(covariance, settings.nudge_m, map_settings.servo_std_m)
-    if settings.corrections:
+    if settings.corrections or map_settings.adaptive.enabled:  # the model, too, goes by odometry's lengths
         covariance += _odometry_covariance(float(np.linalg.norm(wanted.x)), fitted, map_settings)
     covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
     return expected_end(np.zeros(3), covariance, settings.tolerance_m, spread.freedom)
