@@ -5,13 +5,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numba.core.runtime import _nrt_python, rtsys
 
 from foundation.configuration import load, parse_overrides
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core import columns as col
 from plant_emulator.core.model import build_model
 from plant_emulator.core.plant import Plant
+from plant_emulator.core.right_hand_side import EncoderShafts, advance, new_work
 from protocol.errors import ConfigurationError
+from protocol.process_image import CONTROL_ENABLE, ValveImage
 from tests.plant_emulator.plant_world import Driver, plant_config
 from tests.support.paths import CONFIGS
 
@@ -122,3 +125,60 @@ def test_refused_with_key_value_limit_and_reason(changes: dict[str, Any], parts:
     assert "\n" not in message
     for part in parts:
         assert part in message
+
+
+def _first_motion_ms(plant: Plant, command: float) -> list[int]:
+    """When each spool first moves (ms) after a command to all six."""
+    plant.write(ValveImage(1, CONTROL_ENABLE, (command,) * 6))
+    found = [0] * 6
+    for ms in range(1, 40):
+        plant.advance(1_000_000)
+        for i, spool in enumerate(plant.truth().spools):
+            found[i] = found[i] or (ms if spool != 0.0 else 0)
+    return found
+
+
+def test_each_valve_has_its_own_delay() -> None:
+    delays = {"slew": 14.0, "lift": 2.0, "wrist3": 30.0}
+    joints = {name: {"delay_ms": delay} for name, delay in delays.items()}
+    plant = Plant(plant_config(valves={"delay_ms": 5.0, "joints": joints}), seed=1)
+    first = _first_motion_ms(plant, 0.5)
+    assert first == [15, 3, 6, 6, 6, 31]
+
+
+def test_commands_inside_the_hysteresis_are_lost_and_none_is_skipped() -> None:
+    plant = Plant(plant_config(valves={"delay_ms": 0.0, "hysteresis": 0.2, "slew_limit_per_s": 1e6}), seed=1)
+    for command, spool in ((0.09, 0.0), (0.3, 0.2), (0.15, 0.2), (0.0, 0.1), (-0.5, -0.4), (0.0, -0.1)):
+        plant.write(ValveImage(round(1000 + command * 100), CONTROL_ENABLE, (command,) * 6))
+        plant.advance(90_000_000)
+        assert plant.truth().spools == pytest.approx([spool] * 6, abs=1e-4)
+    for cycle, command in enumerate((0.5, 0.0)):  # both due at once: the first is not forgotten
+        plant.write(ValveImage(2000 + cycle, CONTROL_ENABLE, (command,) * 6))
+        plant.advance(1_000_000)
+    plant.advance(90_000_000)
+    assert plant.truth().spools == pytest.approx([0.1] * 6, abs=1e-4)
+
+
+def test_a_load_sensing_pump_keeps_its_margin_above_the_load() -> None:
+    config = _set("plant.valve_set=mobile", "plant.pump.load_sensing.enabled=true")
+    plant = Plant(config, seed=1)
+    driver = Driver(plant)
+    driver.run(0.5)
+    assert plant.truth().supply / 1e5 == pytest.approx(30.0, abs=1.0)  # idles above the return pressure
+    driver.run(1.5, (0.0, 0.5, 0.0, 0.0, 0.0, 0.0))
+    truth = plant.truth()
+    above = (truth.supply - truth.pressures[1, 0]) / 1e5
+    assert 12.0 < above < 21.0  # the margin less the pump's droop and the lag of a swinging load
+    assert truth.supply / 1e5 < 150.0
+
+
+def test_the_hot_loop_with_mobile_valves_allocates_nothing() -> None:
+    plant = Plant(_set("plant.valve_set=mobile", "plant.pump.load_sensing.enabled=true"), seed=1)
+    arrays = (plant._state, np.zeros(6), np.full(6, -0.4), EncoderShafts(np.zeros(6), np.zeros(6)))
+    work, counts = new_work(plant._model), []
+    _nrt_python.memsys_enable_stats()
+    for steps in (1, 1, 200):
+        before = rtsys.get_allocation_stats().alloc
+        advance(*arrays, steps, 5e-4, plant._model, work)
+        counts.append(rtsys.get_allocation_stats().alloc - before)
+    assert counts[2] == counts[1]
