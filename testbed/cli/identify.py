@@ -7,18 +7,22 @@ from pathlib import Path
 from typing import NamedTuple
 
 from foundation.configuration import configuration_hash, parse_overrides
+from nominal_arm.description import NominalArm
 from plant_emulator.config.plant import PlantConfig
 from testbed.cli.options import IdentifyOptions
 from testbed.identification.checks import Machine, check_recording
 from testbed.identification.emulated import FINE_STEP_MS, record
 from testbed.identification.excitation import held_out, standard, widest_overlap
 from testbed.identification.findings import excess, findings
-from testbed.identification.fit import identify
+from testbed.identification.fit import identify, problem_of
+from testbed.identification.parameters import parameters_of
+from testbed.identification.planning import JOINTS as PLANNED
+from testbed.identification.planning import candidates, chosen, information_of, informed, not_told
 from testbed.identification.plant_file import write_plant_file
 from testbed.identification.recording import hex_hash, read_recording, write_recording
 from testbed.identification.report import first_stages, found_table, validation_table
 from testbed.identification.validation import check_believable, validate
-from testbed.reporting.console import bars, out, writable, write_json
+from testbed.reporting.console import Columns, bars, listed, out, writable, write_json
 from testbed.scenarios.settings import load_settings
 
 
@@ -26,6 +30,7 @@ class ToIdentify(NamedTuple):
     """The configuration that the command was given: the plant to begin with, the machine that it is of."""
 
     plant: PlantConfig
+    arm: NominalArm
     machine: Machine
 
 
@@ -35,6 +40,8 @@ def run_identify(
     """Whether what was asked for came out: a recording, or a plant that explains one, and its file."""
     if options.make:
         return make_recording(asked, writable(recording) or recording, seed)
+    if options.plan:
+        return make_plan(asked, recording, options, json_file)
     told = read_recording(recording)
     joints = check_recording(told, asked.machine)
     with bars() as shown, shown.step("fitting the plant") as bar, pool_of(options.workers) as pool:
@@ -57,7 +64,7 @@ def asked_of(config_dir: Path, settings: list[str]) -> ToIdentify:
     """The plant and the machine that the files of ``config_dir`` describe, ``settings`` laid over them."""
     chosen = load_settings(config_dir, parse_overrides(settings))
     arm_hash = hex_hash(configuration_hash(chosen.arm))
-    return ToIdentify(chosen.plant, Machine(chosen.arm.name, arm_hash, chosen.plant.valve_set))
+    return ToIdentify(chosen.plant, chosen.arm, Machine(chosen.arm.name, arm_hash, chosen.plant.valve_set))
 
 
 def make_recording(asked: ToIdentify, path: Path, seed: int) -> bool:
@@ -69,6 +76,38 @@ def make_recording(asked: ToIdentify, path: Path, seed: int) -> bool:
     told = f"{len(written.time_s)} samples, {written.time_s[-1]:.1f} s, sha256 {written.sha256[:12]}"
     out.print(f"{path}: {told}", highlight=False, soft_wrap=True)
     return True
+
+
+def make_plan(asked: ToIdentify, path: Path, options: IdentifyOptions, json_file: Path | None) -> bool:
+    """Show what the recording at ``path``, if there is one, cannot give, and the pieces that give most."""
+    parameters, before = parameters_of(asked.plant, PLANNED), None
+    told = read_recording(path) if path.exists() else None
+    pieces = candidates(widest_overlap(asked.plant))
+    with bars() as shown, shown.step("weighing pieces") as bar, pool_of(options.workers) as pool:
+        if told is not None:
+            check_recording(told, asked.machine)
+            before = information_of(problem_of(asked.plant, told, PLANNED), len(parameters), pool)
+        weighed = []
+        for piece in pieces:
+            weighed.append(informed(asked.plant, asked.arm, asked.machine, piece, pool))
+            bar.update(len(weighed) / len(pieces), piece.name)
+    steps = chosen(weighed, options.plan_s, before)
+    missing = [] if before is None else not_told(before, parameters)
+    if before is not None:
+        out.print(f"{path} cannot give: {', '.join(missing) or 'nothing is missing'}", highlight=False)
+    for one in weighed:
+        if one.refused:
+            out.print(f"left out: {one.piece.name}: {one.refused}", style="dim", highlight=False)
+    columns: Columns = {
+        "piece": lambda s: s.piece.name,
+        "bits gained": "{bits:.1f}",
+        "identified": "{identified}",
+    }
+    out.print(
+        listed(f"the most informative {options.plan_s:g} s, {len(parameters)} parameters", columns, steps)
+    )
+    write_json(json_file, {"cannot_give": missing, "plan": steps})
+    return bool(steps)
 
 
 def pool_of(workers: int) -> AbstractContextManager[Executor | None]:

@@ -48,6 +48,11 @@ class IdentifyOptions(NamedTuple):
     make: Annotated[
         bool, typer.Option("--record", help="Write RECORDING: the emulator under the usual excitation.")
     ] = False
+    plan: Annotated[
+        bool,
+        typer.Option("--plan", help="Tell which excitation gives most, beyond RECORDING if it is there."),
+    ] = False
+    plan_s: Annotated[float, typer.Option(min=1.0, max=120.0, help="How long the plan may be.")] = 13.0
     plant_file: Annotated[
         Path, typer.Option("--out", help="Where the identified plant goes.", callback=writable)
     ] = Path("plant_identified.yaml")

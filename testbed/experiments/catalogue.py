@@ -53,5 +53,6 @@ CATALOGUE = {
     "controller-kills": _one("robustness.controller_kills:CONTROLLER_KILLS"),
     "attacks": _one("robustness.attacks.campaign:ATTACKS_EXPERIMENT"),
     "plant-campaign": _one("robustness.plant_campaign:PLANT_CAMPAIGN"),
+    "identification": _one("identification.drawn_plants:IDENTIFICATION"),
 }
 """Command → experiment; ``best-mode`` and ``looking-and-moving`` are the methods of ``positioning``."""

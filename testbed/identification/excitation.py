@@ -77,7 +77,7 @@ def _mixture(n: int, period_s: float, rng: np.random.Generator) -> Array:
 
 def standard(deadband: float, joints: tuple[int, ...] = (0, 1, 2), seed: int = 1) -> list[Piece]:
     """The usual excitation of valves with about this ``deadband``: about 13 s of ramps, steps, mixtures."""
-    ramp, step, small = 2.0 * deadband + 0.03, deadband + 0.15, deadband + 0.02
+    ramp, step, small = 2.0 * deadband + 0.03, deadband + 0.06, deadband + 0.02
     pieces = [Piece("rest", (), 0.0, 0.5)]
     pieces += [Piece("ramp", (j,), ramp, 2.0) for j in joints]
     pieces += [Piece("step", (j,), step, 1.2) for j in joints]
@@ -88,7 +88,7 @@ def standard(deadband: float, joints: tuple[int, ...] = (0, 1, 2), seed: int = 1
 def held_out(deadband: float, joints: tuple[int, ...] = (0, 1, 2), seed: int = 2) -> list[Piece]:
     """Ten seconds that look otherwise than the usual excitation, to judge a fitted plant by."""
     return [
-        Piece("mixture", joints, deadband + 0.10, 5.0, seed),
+        Piece("mixture", joints, deadband + 0.06, 5.0, seed),
         Piece("mixture", joints, deadband + 0.04, 5.0, seed + 1),
     ]
 
