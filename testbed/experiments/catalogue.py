@@ -39,6 +39,7 @@ CATALOGUE = {
     "positioning": Entry({"corrected": _CORRECTED, "visual-servoing": _SERVOING}),
     "best-mode": _one(_CORRECTED),
     "looking-and-moving": _one(_SERVOING),
+    "changed-machine": _one("positioning.changed:CHANGED_MACHINE"),
     "lockstep-demo": _one("positioning.lockstep_demo:LOCKSTEP_DEMO"),
     "eyes-measure": _one("positioning.eyes_measure:EYES_MEASURE"),
     "eyes-agree": _one("positioning.eyes_agree:EYES_AGREE"),

@@ -84,9 +84,10 @@ def _axes(world: DrawnWorld) -> list[Table]:
 
 def _kept(rows: Sequence[PositioningRow]) -> Table:
     """How many of the draws were kept, and why not the others."""
-    unreachable, unseen = (sum(getattr(row, name) for row in rows) for name in ("unreachable", "unseen"))
-    drawn = len(rows) + unreachable + unseen
-    cells = [[drawn, unreachable, unseen, len(rows), f"{len(rows) / (len(rows) + unseen):.0%}"]]
+    unreachable, unseen = (sum(getattr(row, name) or 0 for row in rows) for name in ("unreachable", "unseen"))
+    kept = sum(row.unseen is not None for row in rows)
+    drawn = kept + unreachable + unseen
+    cells = [[drawn, unreachable, unseen, kept, f"{kept / max(kept + unseen, 1):.0%}"]]
     headings = [
         "drawn",
         "out of the arm's reach",

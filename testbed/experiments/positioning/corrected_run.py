@@ -61,8 +61,8 @@ class PositioningRow(NamedTuple):
     distance_m: float
     disparity_px: float
     world: str = ""
-    unreachable: int = 0
-    unseen: int = 0
+    unreachable: int | None = None
+    unseen: int | None = None
     start_mm: float = math.nan
     one_shot: Branch = Branch()
     look1: Branch = Branch()
