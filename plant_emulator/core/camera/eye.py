@@ -29,7 +29,8 @@ class Eye:
         self.true = true
         self.lens = true.lens
         self._size = (config.width_px, config.height_px)
-        self._readout_s = config.shutter.line_s * (config.height_px - 1)
+        readout_s = config.shutter.line_s * (config.height_px - 1)
+        self._ends_s = (0.0,) if readout_s == 0.0 else (-0.5 * readout_s, 0.5 * readout_s)
         self._rays = true.lens.ray_map(*self._size)
         self._scene = scene
         self._texture = texture
@@ -41,7 +42,8 @@ class Eye:
         """
         width, height = self._size
         picture = np.empty((height, width), dtype=np.uint8)
-        views = [capture.view_at(offset_s + side * self._readout_s) for side in (-0.5, 0.5)]
+        # at the first and the last row; one for all rows when they are exposed at once
+        views = [capture.view_at(offset_s + end_s) for end_s in self._ends_s]
         X_CE = self.true.pose(capture.drift_px)
         X_EWs = [np.linalg.inv(view.X_WC @ X_CE) for view in views]
         X_EOs = [X_EW @ self._scene.mounts.X_WO for X_EW in X_EWs]
@@ -52,19 +54,21 @@ class Eye:
             X_OP = plate.X_parent_plate
             self._paint_plate(picture, [X_EO @ X_OP for X_EO in X_EOs], plate, X_OP, time_s)
         for passer in self._scene.passers:
-            X_OPs = [passer.pose(time_s + side * self._readout_s) for side in (-0.5, 0.5)]
+            X_OPs = [passer.pose(time_s + end_s) for end_s in self._ends_s]
             X_EPs = [X_EO @ X_OP for X_EO, X_OP in zip(X_EOs, X_OPs, strict=True)]
             self._paint_plate(picture, X_EPs, passer.plate, X_OPs[0], time_s)
         for plate in (*self._scene.tool_plates, *_of("M", covers)):
             X_EPs = [X_EM @ plate.X_parent_plate for X_EM in X_EMs]
-            self._paint_plate(picture, X_EPs, plate, np.linalg.inv(X_EOs[0]) @ X_EPs[0], time_s)
+            # only light asks where in the scene the tool is
+            X_OP = np.linalg.inv(X_EOs[0]) @ X_EPs[0] if self._scene.shaded else np.eye(4)
+            self._paint_plate(picture, X_EPs, plate, X_OP, time_s)
         return picture
 
     def _paint_wall(self, picture: Grey, X_EOs: list[Matrix], time_s: float) -> None:
         wall = self._scene.config.wall
         per_m = 1000.0 / wall.texel_mm
         to_texels = np.array([[per_m, 0.0, SIZE / 2.0], [0.0, per_m, SIZE / 2.0], [0.0, 0.0, 1.0]])
-        homographies = np.stack([to_texels @ _ray_to_plane(X_EO) for X_EO in X_EOs])
+        homographies = _first_and_last([to_texels @ _ray_to_plane(X_EO) for X_EO in X_EOs])
         along, down = wall.lighting_gradient_per_m[0] / per_m, -wall.lighting_gradient_per_m[1] / per_m
         shadow = shadow_on(self._scene.config.lighting.shadow, np.eye(4), time_s)
         shadow[:2] /= per_m
@@ -103,7 +107,7 @@ class Eye:
             return
         surface = self._surface(X_EPs, plate, X_OP, time_s)
         box = (int(top), int(bottom), int(left), int(right))
-        homographies = np.stack([_ray_to_plane(X) for X in X_EPs])
+        homographies = _first_and_last([_ray_to_plane(X) for X in X_EPs])
         if plate.levels:
             panel = panel_painter.Panel(plate.edges_x, plate.edges_y, plate.levels)
             panel_painter.paint_panel(picture, self._rays, homographies, panel, box, surface)
@@ -148,6 +152,11 @@ class Eye:
 def _of(parent: str, covers: Sequence[Cover]) -> list[Plate]:
     """The covers that move with ``parent``."""
     return [cover.plate for cover in covers if cover.parent == parent]
+
+
+def _first_and_last(homographies: list[Matrix]) -> Matrix:
+    """Those (2, 3, 3) of the first and of the last row, from both or from the one that all rows share."""
+    return np.stack([homographies[0], homographies[-1]])
 
 
 def _ray_to_plane(X_EP: Matrix) -> Matrix:

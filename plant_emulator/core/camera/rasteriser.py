@@ -12,12 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import kernel
-from plant_emulator.core.camera.rays import Rays, Surface, bent, highlight, meet_plate, row_homography, shaded
+from plant_emulator.core.camera.rays import (
+    PlatePoint,
+    Rays,
+    Surface,
+    bent,
+    highlight,
+    meet_plate,
+    place_on_plate,
+    row_homography,
+    shaded,
+)
 
 Grey = NDArray[np.uint8]
 Real32 = NDArray[np.float32]
 Real64 = NDArray[np.float64]
 
+_MARGIN = 1.3  # for what lenses add to the extent of a pixel
 NOISE_LENGTH = 1 << 20
 NOISE_UNIT = 256.0  # noise is kept in 1/256 grey levels
 
@@ -39,39 +50,86 @@ def paint_plate(
     ``homographies`` (2, 3, 3) map (ray x, ray y, 1) to plate coordinates (x right, y down) in metres times
     the inverse depth, at the picture's first and last row.
     """
-    light, bend = surface.light, surface.bend
+    light, bend, shadow, glare = surface
+    ray_x, ray_y = rays
     edges_x, edges_y, grey = grid
-    weight_x, weight_y = np.empty(edges_x.shape[0] - 1), np.empty(edges_y.shape[0] - 1)
+    weights = np.empty(edges_x.shape[0] - 1), np.empty(edges_y.shape[0] - 1)
+    reach_s, reach_t = _most_reach(rays, homographies, box)
     for i in range(box[0], box[1]):
         h = row_homography(homographies, i, out.shape[0])
         column = row = 0  # cells change slowly along a line of pixels: the search starts where it ended
         for j in range(box[2], box[3]):
-            at = meet_plate(rays, h, i, j)
-            if not at.in_front:
-                continue
-            s, t = at.s, at.t
-            if bend[0] != 0.0:
+            in_front, s, t = place_on_plate(ray_x, ray_y, h, i, j)
+            if in_front and bend[0] != 0.0:
                 s, t = bent(s, t, bend)
-            s_u, s_v, t_u, t_v = abs(at.s_u), abs(at.s_v), abs(at.t_u), abs(at.t_v)
-            s_reach, t_reach = 0.5 * (s_u + s_v), 0.5 * (t_u + t_v)
-            column = _first_cell(edges_x, s - s_reach, column)
-            row = _first_cell(edges_y, t - t_reach, row)
-            bright = (light[0] + light[1] * s + light[2] * t) * shaded(s, t, surface.shadow)
-            glint = highlight(s, t, surface.glare)
-            within_x = edges_x[column] <= s - s_reach and s + s_reach <= edges_x[column + 1]
-            within_y = edges_y[row] <= t - t_reach and t + t_reach <= edges_y[row + 1]
-            if within_x and within_y:
-                out[i, j] = np.uint8(min(max(grey[row, column] * bright + glint, 0.0), 255.0) + 0.5)
+            if not in_front or _beyond(s, reach_s, edges_x) or _beyond(t, reach_t, edges_y):
                 continue
-            last_column = _cell_weights(s, s_u, s_v, edges_x, column, weight_x)
-            last_row = _cell_weights(t, t_u, t_v, edges_y, row, weight_y)
-            total = alpha = 0.0
-            for k in range(row, last_row):
-                for m in range(column, last_column):
-                    alpha += weight_y[k] * weight_x[m]
-                    total += weight_y[k] * weight_x[m] * grey[k, m]
-            value = total * bright + alpha * glint + (1.0 - alpha) * out[i, j]
+            column, row = _first_cell(edges_x, s - reach_s, column), _first_cell(edges_y, t - reach_t, row)
+            lit = (light[0] + light[1] * s + light[2] * t) * shaded(s, t, shadow), highlight(s, t, glare)
+            if _within(s, reach_s, edges_x, column) and _within(t, reach_t, edges_y, row):
+                value = grey[row, column] * lit[0] + lit[1]
+            else:
+                at = meet_plate(rays, h, i, j)
+                value = _blended(at, (s, t), grid, weights, (column, row), lit, np.float64(out[i, j]))
             out[i, j] = np.uint8(min(max(value, 0.0), 255.0) + 0.5)
+
+
+@kernel(nogil=True)
+def _most_reach(rays: Rays, homographies: Real64, box: tuple[int, int, int, int]) -> tuple[float, float]:
+    """More than half a pixel's extent on the plate, right and down (m), anywhere in ``box``.
+
+    The extent grows with the inverse square of the nearness, which is linear over the picture: it is largest
+    at a corner, up to what lenses add.
+    """
+    most_s = most_t = 0.0
+    for m in range(2):
+        for i in (box[0], box[1] - 1):
+            for j in (box[2], box[3] - 1):
+                at = meet_plate(rays, homographies[m], i, j)
+                if not at.in_front:
+                    return np.inf, np.inf
+                most_s = max(most_s, 0.5 * (abs(at.s_u) + abs(at.s_v)))
+                most_t = max(most_t, 0.5 * (abs(at.t_u) + abs(at.t_v)))
+    return _MARGIN * most_s, _MARGIN * most_t
+
+
+@kernel(nogil=True, inline="always")
+def _beyond(place: float, reach: float, edges: Real64) -> bool:
+    """Whether nothing of a pixel is on the plate."""
+    return bool(place + reach <= edges[0] or place - reach >= edges[-1])
+
+
+@kernel(nogil=True, inline="always")
+def _within(place: float, reach: float, edges: Real64, cell: int) -> bool:
+    """Whether all of a pixel is in one cell."""
+    return bool(edges[cell] <= place - reach and place + reach <= edges[cell + 1])
+
+
+@kernel(nogil=True, inline="always")
+def _blended(
+    at: PlatePoint,
+    place: tuple[float, float],
+    grid: Grid,
+    weights: tuple[Real64, Real64],
+    cell: tuple[int, int],
+    lit: tuple[float, float],
+    under: float,
+) -> float:
+    """The grey of a pixel where cells, or the plate and what is ``under`` it, meet; ``cell`` is a guess."""
+    (s, t), (weight_x, weight_y), (edges_x, edges_y, grey) = place, weights, grid
+    s_u, s_v, t_u, t_v = abs(at.s_u), abs(at.s_v), abs(at.t_u), abs(at.t_v)
+    s_reach, t_reach = 0.5 * (s_u + s_v), 0.5 * (t_u + t_v)
+    column, row = _first_cell(edges_x, s - s_reach, cell[0]), _first_cell(edges_y, t - t_reach, cell[1])
+    if _within(s, s_reach, edges_x, column) and _within(t, t_reach, edges_y, row):
+        return float(grey[row, column] * lit[0] + lit[1])
+    last_column = _cell_weights(s, s_u, s_v, edges_x, column, weight_x)
+    last_row = _cell_weights(t, t_u, t_v, edges_y, row, weight_y)
+    total = alpha = 0.0
+    for k in range(row, last_row):
+        for m in range(column, last_column):
+            alpha += weight_y[k] * weight_x[m]
+            total += weight_y[k] * weight_x[m] * grey[k, m]
+    return total * lit[0] + alpha * lit[1] + (1.0 - alpha) * under
 
 
 @kernel(nogil=True, inline="always")

@@ -80,6 +80,18 @@ def bent(s: float, t: float, bend: Real64) -> tuple[float, float]:
 
 
 @kernel(nogil=True, inline="always")
+def place_on_plate(ray_x: Real32, ray_y: Real32, h: Real64, i: int, j: int) -> tuple[bool, float, float]:
+    """Whether the ray of pixel (i, j) meets the plate in front, and where: half of ``meet_plate``."""
+    x, y = np.float64(ray_x[i, j]), np.float64(ray_y[i, j])
+    w = h[2, 0] * x + h[2, 1] * y + h[2, 2]
+    if w <= 1e-9:
+        return False, 0.0, 0.0
+    s = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w
+    t = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / w
+    return True, s, t
+
+
+@kernel(nogil=True, inline="always")
 def meet_plate(rays: Rays, h: Real64, i: int, j: int) -> PlatePoint:
     """Where the ray of pixel (i, j) meets the plate.
 

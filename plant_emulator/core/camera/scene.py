@@ -167,6 +167,12 @@ class Scene:
         )
         self.tool_plates = (*self._bracket(), tool_marker, *self._obstacles("tool"))
 
+    @property
+    def shaded(self) -> bool:
+        """Whether light depends on where in the scene a plate is."""
+        lighting = self.config.lighting
+        return lighting.shadow.factor != 1.0 or lighting.glare.strength_grey != 0.0
+
     @cached_property
     def wall_plates(self) -> tuple[Plate, ...]:
         """What is fixed to the wall or stands before it; some of it is painted only when first asked for."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import kernel
+from plant_emulator.core.camera.fetching import fetch_ahead
 from plant_emulator.core.camera.rays import Rays
 
 Grey = NDArray[np.uint8]
@@ -91,6 +92,7 @@ def paint_wall(
             level = _level(root_area / (w * np.sqrt(w)), len(levels))
             scale, bits, count = np.float32(1.0 / (1 << level)), finest_bits - level, right - left
             fine_texture, coarse_texture = levels[level], levels[level + 1]
+            at_fine = at_coarse = np.int32(0)
             for i in range(top, bottom):
                 xs, ys = ray_x[i, left:right], ray_y[i, left:right]
                 _row_homography(homographies, i / (height - 1), h)
@@ -98,9 +100,15 @@ def paint_wall(
                 if relief[0] != 0.0:
                     _bend(along, down, bump, count)
                 _locate(along, down, scale, bits, words, part_x, part_y, count)
+                ahead, at_fine = words[count // 2] - at_fine, words[count // 2]
+                if i > top:
+                    fetch_ahead(fine_texture, words, ahead, count)  # the next row, if it goes on like this
                 _load(fine_texture, words, count)
                 _interpolate(words, part_x, part_y, fine, count)
                 _locate(along, down, scale * _HALF, bits - 1, words, part_x, part_y, count)
+                ahead, at_coarse = words[count // 2] - at_coarse, words[count // 2]
+                if i > top:
+                    fetch_ahead(coarse_texture, words, ahead, count)
                 _load(coarse_texture, words, count)
                 _interpolate(words, part_x, part_y, coarse, count)
                 if light[6] != 1.0:

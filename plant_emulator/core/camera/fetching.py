@@ -1,0 +1,45 @@
+"""Tells the processor which memory will be wanted: compilers of Python have no word for it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from foundation.compiled import kernel
+
+ir: Any = cgutils.ir  # type: ignore[attr-defined]  # llvmlite, as numba has it
+Words = NDArray[np.int32]
+
+_READ, _INTO_EVERY_CACHE, _DATA = 0, 3, 1
+_STEP = 8  # words between hints: half a line of the cache
+
+
+def _typed(context: Any, words: Any, index: Any) -> tuple[Any, Callable[..., Any]]:
+    """``prefetch(words, index)`` as numba types and generates it."""
+
+    def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        array = context.make_array(words)(context, builder, arguments[0])
+        place = builder.gep(array.data, [arguments[1]])
+        byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
+        wanted = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
+        function = _declared(builder.module, wanted, "llvm.prefetch.p0")
+        hints = [ir.Constant(number, value) for value in (_READ, _INTO_EVERY_CACHE, _DATA)]
+        builder.call(function, [builder.bitcast(place, byte), *hints])
+        return context.get_dummy_value()
+
+    return types.void(words, index), generate
+
+
+_declared: Any = cgutils.get_or_insert_function
+_prefetch: Any = intrinsic(_typed)
+
+
+@kernel(nogil=True)
+def fetch_ahead(texture: Words, words: Words, ahead: int, count: int) -> None:
+    """Hint that the words ``ahead`` of the indices ``words`` will be wanted; a hint may be wrong."""
+    last = np.uint32(texture.shape[0] - 1)
+    for j in range(0, count, _STEP):
+        _prefetch(texture, np.intp(np.uint32(words[j] + ahead) & last))
