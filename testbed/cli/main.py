@@ -97,6 +97,31 @@ def up(
     run_up(config_dir, with_faults(overrides, start.allow_faults), start.free_ports, start.runs)
 
 
+@app.command(epilog="Example: longreach commission --joints slew,lift --out runs/commission/monday")
+def commission(
+    joints: Annotated[
+        str, typer.Option(help="Which joints, by name, in this order.")
+    ] = "slew,lift,tilt,wrist1,wrist2,wrist3",
+    directory: Annotated[
+        Path, typer.Option("--out", help="The session: joints that are there are not tried out again.")
+    ] = DEFAULT_RUNS / "commission",
+    seed: Seed = 1,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Try out the valves on the emulated arm, in simulated time, and write commissioned.yaml.
+
+    Exit status 1 when a joint was broken off or its numbers are refused; what was found is kept.
+    """
+    from testbed.commissioning.command import CommissionRequest, run_commission
+
+    overrides = parse_overrides(settings or [])
+    names = [name.strip() for name in joints.split(",")]
+    request = CommissionRequest(config_dir, overrides, names, directory, seed, json_file)
+    raise typer.Exit(0 if run_commission(request) else 1)
+
+
 @app.command(
     epilog="Example: longreach demo --seed 3   or: longreach demo --lockstep --seed 3 --json demo.json"
 )

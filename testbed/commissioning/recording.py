@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,9 +71,9 @@ def recording_of(
 def load_recording(path: Path) -> JointRecording:
     """The recording in ``path``. Raises ConfigurationError when it is none."""
     try:
-        with np.load(path, allow_pickle=False) as found:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as found:
             data = {name: found[name] for name in JointRecording._fields}
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, BadZipFile, EOFError) as error:
         raise ConfigurationError("commissioning.bad_recording", f"{path}: {error}") from error
     return JointRecording(**data)._replace(joint=int(data["joint"]), area_ratio=float(data["area_ratio"]))
 
@@ -80,10 +81,11 @@ def load_recording(path: Path) -> JointRecording:
 class StrokeRecord(NamedTuple):
     """One stroke, along its own sense: everything positive that helps it.
 
-    ``u`` (n,): the spool's size; ``turned`` (n,) rad; ``e`` (n,) rad/s: nominal speed at full opening at the
-    measured pressures; ``load`` (n,) bar: p_a − ratio · p_b, positive against the motion; ``q`` (n,).
-    ``nominal`` (n,) rad/s: as ``e``, at the rated pressures.
-    ``top``: index of the greatest spool.
+    ``u`` (n,): the spool's size; ``turned`` (n,) rad; ``q`` (n,). ``e`` (n,) rad/s: nominal speed at full
+    opening by the pressure left across the edge that fills, ``inlet`` (n,) bar: of the chamber that it fills.
+    ``e_by_load``, ``load`` (n,): the same for a valve whose edges are alike, by p_a − ratio · p_b, bar,
+    positive against the motion. ``nominal`` (n,) rad/s: at the rated pressures. ``top``: index of the
+    greatest spool.
     """
 
     kind: StrokeKind
@@ -92,6 +94,8 @@ class StrokeRecord(NamedTuple):
     u: Array
     turned: Array
     e: Array
+    inlet: Array
+    e_by_load: Array
     load: Array
     q: Array
     top: int
@@ -120,13 +124,16 @@ def _along(rec: JointRecording, kind: StrokeKind, rows: NDArray[np.intp], sense:
     u = sense * rec.valve[rows]
     q = rec.q[rows, rec.joint]
     load = rec.chambers[rows, 0] - rec.area_ratio * rec.chambers[rows, 1]
+    inlet = rec.chambers[rows, 0 if sense > 0.0 else 1]
     return StrokeRecord(
         kind=kind,
         sense=sense,
         t=rec.t[rows] - rec.t[rows[0]],
         u=u,
         turned=sense * (q - q[0]),
-        e=_available(rec, rows, load, sense),
+        e=_available(rec, rows, inlet, sense),
+        inlet=inlet,
+        e_by_load=_available_by_load(rec, rows, load, sense),
         load=sense * load,
         q=q,
         top=int(np.argmax(u)),
@@ -134,8 +141,22 @@ def _along(rec: JointRecording, kind: StrokeKind, rows: NDArray[np.intp], sense:
     )
 
 
-def _available(rec: JointRecording, rows: NDArray[np.intp], load: Array, sense: float) -> Array:
-    """Nominal speed at full opening, the load's pressure taken off as in ``drives.full_spool_speeds``."""
+def _available(rec: JointRecording, rows: NDArray[np.intp], inlet: Array, sense: float) -> Array:
+    """Nominal speed with the filling edge full open, at the pressure that is left across it.
+
+    Source: free speed v = K √((A_a p_s − A_b p_t)/(A_a³ + A_b³)) and A_a v = K √(p_s − p_a) give the drop at
+    which the nominal speed holds, (p_s − r p_t)/(1 + r³) with r = A_b/A_a; retracting, r² (r p_s − p_t)
+    over the same.
+    """
+    r, (supply, back) = rec.area_ratio, rec.rated
+    raising = sense > 0.0
+    rated = (supply - r * back if raising else r * r * (r * supply - back)) / (1.0 + r**3)
+    left = np.maximum(rec.supply[rows] - inlet, 1.0)
+    return np.asarray(rec.full_speed[rows, 0 if raising else 1] * np.sqrt(left / rated))
+
+
+def _available_by_load(rec: JointRecording, rows: NDArray[np.intp], load: Array, sense: float) -> Array:
+    """Nominal speed with the load's pressure taken off, as in ``drives.full_spool_speeds``."""
     ratio, (supply, back) = rec.area_ratio, rec.rated
     if sense > 0.0:
         left = rec.supply[rows] - ratio * rec.back[rows] - load

@@ -1,9 +1,10 @@
 """Deadband, hysteresis, delay and flow of one valve edge from ramps and steps; pure functions.
 
-Above the deadband's rim c the joint moves with dq/dt = g e (u − c) − κ dp/dt: g is the true flow over the
-nominal one, e the nominal speed at full opening at the measured pressures, u the spool, p the load pressure
-and κ the oil's compliance. Integrated once, every unknown is a factor of a measured signal: encoders are not
-differentiated, and the oil that fills the chambers instead of moving the load is not taken for deadband.
+Above the deadband's rim c the joint moves with dq/dt = g e f(u − c) − κ dp/dt, f(x) = x + k x²: g is the
+true flow over the nominal one, e the nominal speed at full opening at the measured pressures, u the spool, p
+the pressure of the chamber that is filled and κ its oil's compliance. Integrated once, every unknown is a
+factor of a measured signal: encoders are not differentiated, and the oil that fills the chambers instead of
+moving the load is not taken for deadband.
 
 On its way up the spool lags behind its command by half the hysteresis h and by the delay τ, on its way down
 it leads by the first: c_rising = d + h/2 + ρ τ, c_falling = d − h/2 − ρ τ at the ramp's rate ρ. So the mean
@@ -16,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from controller.core.excitation.plan import StrokeKind
 from protocol.errors import MeasurementFailed
@@ -25,20 +27,34 @@ from testbed.commissioning.uncertain import Uncertain, repeated
 _SLOW, _FAST = 0.15, 0.92  # of the ramp's top speed, between which its halves are used
 _SMOOTH_S = 0.2  # of the speed that sorts samples; the fit itself uses angles
 _LEAST_SAMPLES = 40
+_GAP_SAMPLES = 20
+_SETTLES_S = 0.15  # a step's flow, after its delay
 _DELAYS_S = np.arange(0.0, 0.3, 0.001)
 # Standard deviation of what repeating does not average out: leakage past the spool and the orifice's laminar
 # part shift the rim by up to about 2e-4 of the spool, the other errors grow with the deadband.
-_RIM_FLOOR, _RIM_SHARE = 1.0e-4, 0.006
+_RIM_FLOOR, _RIM_SHARE = 1.0e-4, 0.01
 _GAIN_FLOOR = 0.01
 _DELAY_FLOOR_S = 0.003
+_CURVATURE_STD = 1.0  # prior of the flow's curvature: progressive notches have 0.7
+_NOISE_RAD = 2.0e-5  # of an encoder reading
 _WIDTH_FLOOR = 1.0e-4  # of spool
 
 
+class _Part(NamedTuple):
+    """Rows of a stroke in motion, and the weights of the rims whose sum holds there."""
+
+    stroke: StrokeRecord
+    rows: NDArray[np.intp]
+    weights: Array
+
+
 class RampFits(NamedTuple):
-    """All triangles of one sense. ``gain``: flow over nominal; ``compliance``: κ (rad/bar); arrays (n,), one
-    number a triangle: spools where flow begins and ends, the command's rate (1/s), residual (rad)."""
+    """All triangles of one sense. ``gain``: flow over nominal where the valve opens; ``curvature`` k of the
+    flow, f(x) = x + k x²; ``compliance``: κ (rad/bar); arrays (n,), one number a triangle: spools where flow
+    begins and ends, the command's rate (1/s), residual (rad)."""
 
     gain: Uncertain
+    curvature: float
     compliance: float
     rising: Array
     falling: Array
@@ -59,9 +75,9 @@ class EdgeFindings(NamedTuple):
     """One sense of one valve.
 
     ``deadband``, ``hysteresis``: of the spool. ``lag`` (s): from a slowly changing command to the flow;
-    ``response`` (s): from a step to its flow. ``gain``: true flow over nominal; ``compliance`` (rad/bar): of
-    the oil; ``flow``: (spool, speed over nominal at full spool) of every step. ``residual`` (rad): rms of
-    the worst ramp.
+    ``response`` (s): from a step to its flow. ``gain``: true flow over nominal where the valve opens;
+    ``curvature`` k of the flow, f(x) = x + k x²; ``compliance`` (rad/bar): of the oil; ``flow``: (spool,
+    speed over nominal at full spool) of every step. ``residual`` (rad): rms of the ramps.
     """
 
     deadband: Uncertain
@@ -69,20 +85,31 @@ class EdgeFindings(NamedTuple):
     lag: Uncertain
     response: Uncertain
     gain: Uncertain
+    curvature: float
     compliance: float
     flow: tuple[tuple[float, float], ...]
     residual: float
 
 
 def edge_findings(strokes: Sequence[StrokeRecord], sense: float) -> EdgeFindings:
-    """What the strokes of one sense say. Raises MeasurementFailed where they say too little."""
+    """What the strokes of one sense say. Raises MeasurementFailed where they say too little.
+
+    Both readings of the pressures are tried, the filling edge alone and four edges alike; the one that leaves
+    less is told.
+    """
     mine = [stroke for stroke in strokes if stroke.sense == sense]
-    triangles = [stroke for stroke in mine if stroke.kind is StrokeKind.RAMP][1:]  # the first found the way
-    steps = [fit_step(stroke) for stroke in mine if stroke.kind is StrokeKind.STEP]
+    alike = [stroke._replace(e=stroke.e_by_load, inlet=stroke.load) for stroke in mine]
+    return min((_found(mine), _found(alike)), key=lambda found: found.residual)
+
+
+def _found(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
+    triangles = [stroke for stroke in strokes if stroke.kind is StrokeKind.RAMP][1:]  # one found the way
+    stepped = [stroke for stroke in strokes if stroke.kind is StrokeKind.STEP]
+    steps = [fit_step(stroke) for stroke in stepped]
     if len(triangles) < 2 or len(steps) < 2:
         why = f"{len(triangles)} full ramps and {len(steps)} steps: two of each are wanted"
         raise MeasurementFailed("measurement.too_few_strokes", why)
-    ramps = fit_ramps(triangles)
+    ramps = fit_ramps(triangles, [(s, fit.delay) for s, fit in zip(stepped, steps, strict=True)])
     middle = 0.5 * (ramps.rising + ramps.falling)
     hysteresis, lag = _loop(ramps)
     return EdgeFindings(
@@ -91,9 +118,10 @@ def edge_findings(strokes: Sequence[StrokeRecord], sense: float) -> EdgeFindings
         lag=lag,
         response=repeated([step.delay for step in steps], _DELAY_FLOOR_S),
         gain=ramps.gain,
+        curvature=ramps.curvature,
         compliance=ramps.compliance,
         flow=tuple((step.spool, step.relative_speed) for step in steps),
-        residual=float(ramps.residual.max()),
+        residual=float(np.sqrt(np.mean(ramps.residual**2))),
     )
 
 
@@ -112,49 +140,68 @@ def _loop(ramps: RampFits) -> tuple[Uncertain, Uncertain]:
     return Uncertain(float(found[0]), float(stds[0])), Uncertain(float(found[1]), float(stds[1]))
 
 
-def fit_ramps(triangles: Sequence[StrokeRecord]) -> RampFits:
-    """The RampFits of one sense's triangles: one gain and one compliance, two rims each.
+def fit_ramps(
+    triangles: Sequence[StrokeRecord], steps: Sequence[tuple[StrokeRecord, float]] = ()
+) -> RampFits:
+    """The RampFits of one sense's triangles: one gain, curvature and compliance, two rims each.
 
-    Raises MeasurementFailed when too little of one moved, or when flow over nominal is not positive.
+    ``steps``, each with its delay (s), reach further open than triangles: they tell the curvature.
+
+    Given the rims, all else is linear: they alone are sought, by Gauss-Newton. Raises MeasurementFailed when
+    too little of a triangle moved, or when flow over nominal is not positive.
     """
-    halves = [half for triangle in triangles for half in _halves(triangle)]
-    count = 2 + 2 * len(halves)
-    blocks, targets = [], []
-    for k, (stroke, rows) in enumerate(halves):
-        block = np.zeros((len(rows), count))
-        block[:, 0] = _integral(stroke.t[rows], stroke.e[rows] * stroke.u[rows])
-        block[:, 1] = -(stroke.load[rows] - stroke.load[rows[0]])
-        block[:, 2 + 2 * k] = 1.0
-        block[:, 3 + 2 * k] = -_integral(stroke.t[rows], stroke.e[rows])
-        blocks.append(block)
-        targets.append(stroke.turned[rows])
-    matrix, wanted = np.vstack(blocks), np.concatenate(targets)
-    scale = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
-    solved, *_ = np.linalg.lstsq(matrix / scale, wanted, rcond=None)
-    found = solved / scale
+    rates = np.array([_rate(stroke) for stroke in triangles])
+    one_each = iter(np.eye(2 * len(triangles)))
+    halves = [_Part(stroke, rows, next(one_each)) for stroke in triangles for rows in _halves(stroke)]
+    outward = np.zeros(2 * len(triangles))
+    outward[0::2] = _at_rest(rates)
+    parts = halves + [_Part(s, rows, outward) for s, delay in steps for rows in _plateau(s, delay)]
+    start = np.array([stroke.u[rows].min() for stroke, rows, _ in halves])
+    fit = least_squares(lambda rims: _misfit(parts, rims)[0], start, x_scale=1e-3, method="lm")
+    left, found = _misfit(parts, fit.x)
     if not found[0] > 0.0:
         raise MeasurementFailed(
             "measurement.ramp_unlike_model", f"flow over nominal is {found[0]:.3g}, wanted > 0"
         )
-    rims = found[3::2] / found[0]
-    square = (wanted - matrix @ found) ** 2
-    ends = np.cumsum([0, *map(len, targets)])
-    residual = np.sqrt([square[ends[k] : ends[k + 2]].mean() for k in range(0, len(halves), 2)])
+    ends = np.cumsum([0, *(len(rows) for _, rows, _ in halves)])
+    residual = [float(np.sqrt(np.mean(left[ends[k] : ends[k + 2]] ** 2))) for k in range(0, len(halves), 2)]
     return RampFits(
         gain=Uncertain(float(found[0]), _GAIN_FLOOR * float(found[0])),
-        compliance=float(found[1]),
-        rising=rims[0::2],
-        falling=rims[1::2],
-        rate=np.array([_rate(stroke) for stroke in triangles]),
-        residual=residual,
+        curvature=float(found[1] / found[0]),
+        compliance=float(found[2]),
+        rising=fit.x[0::2],
+        falling=fit.x[1::2],
+        rate=rates,
+        residual=np.array(residual),
     )
+
+
+def _misfit(parts: Sequence[_Part], rims: Array) -> tuple[Array, Array]:
+    """What the best linear fit at these rims leaves (rad), and its gain, gain · curvature, κ, and offsets."""
+    blocks, targets = [], []
+    for k, (stroke, rows, weights) in enumerate(parts):
+        beyond = np.maximum(stroke.u[rows] - weights @ rims, 0.0)
+        block = np.zeros((len(rows), 3 + len(parts)))
+        block[:, 0] = _integral(stroke.t[rows], stroke.e[rows] * beyond)
+        block[:, 1] = _integral(stroke.t[rows], stroke.e[rows] * beyond**2)
+        block[:, 2] = -(stroke.inlet[rows] - stroke.inlet[rows[0]])
+        block[:, 3 + k] = 1.0
+        blocks.append(block)
+        targets.append(stroke.turned[rows])
+    prior = np.zeros((1, 3 + len(parts)))
+    scale = max(float(np.abs(blocks[0][:, 0]).max()), 1e-9) / max(float(np.abs(targets[0]).max()), 1e-9)
+    prior[0, 1] = _NOISE_RAD * scale / _CURVATURE_STD
+    matrix, wanted = np.vstack([*blocks, prior]), np.concatenate([*targets, np.zeros(1)])
+    units = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
+    solved, *_ = np.linalg.lstsq(matrix / units, wanted, rcond=None)
+    return wanted - (matrix / units) @ solved, solved / units
 
 
 def _rate(stroke: StrokeRecord) -> float:
     return float(np.median(np.abs(np.diff(stroke.u)) / np.diff(stroke.t)))
 
 
-def _halves(stroke: StrokeRecord) -> list[tuple[StrokeRecord, NDArray[np.intp]]]:
+def _halves(stroke: StrokeRecord) -> list[NDArray[np.intp]]:
     """The rows in motion on the rising and the falling half of a triangle."""
     speed = smoothed_speed(stroke)
     top = float(speed.max())
@@ -163,14 +210,39 @@ def _halves(stroke: StrokeRecord) -> list[tuple[StrokeRecord, NDArray[np.intp]]]
     usable = (speed > _SLOW * top) & (speed < _FAST * top) & slow
     found = []
     for name, half in (("rising", usable & (index < stroke.top)), ("falling", usable & (index > stroke.top))):
-        rows = np.flatnonzero(half)
+        rows = _longest_run(half)
         if len(rows) < _LEAST_SAMPLES:
             raise MeasurementFailed(
                 "measurement.ramp_too_short",
                 f"{len(rows)} samples in motion on the {name} ramp, at least {_LEAST_SAMPLES} wanted",
             )
-        found.append((stroke, np.arange(rows[0], rows[-1] + 1)))
+        found.append(rows)
     return found
+
+
+def _plateau(stroke: StrokeRecord, delay: float) -> list[NDArray[np.intp]]:
+    """The rows of a step once its flow is steady."""
+    rows = np.flatnonzero(stroke.t > delay + _SETTLES_S)
+    return [rows] if len(rows) >= _LEAST_SAMPLES else []
+
+
+def _at_rest(rates: Array) -> Array:
+    """Weights with which the rims of rising ramps at these rates make that of a spool that has come out and
+    stands: the lag's part grows with the rate, and is left out by a line through them."""
+    if np.ptp(rates) < 0.2 * rates.mean():
+        return np.full(len(rates), 1.0 / len(rates))
+    matrix = np.column_stack([np.ones_like(rates), rates])
+    return np.asarray(np.linalg.pinv(matrix)[0])
+
+
+def _longest_run(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """The longest run of samples for which ``flags`` hold; a swing may interrupt it shortly."""
+    rows = np.flatnonzero(flags)
+    if len(rows) == 0:
+        return rows
+    runs = np.split(rows, np.flatnonzero(np.diff(rows) > _GAP_SAMPLES) + 1)
+    longest = max(runs, key=len)
+    return np.arange(longest[0], longest[-1] + 1)
 
 
 def fit_step(stroke: StrokeRecord) -> StepFit:
@@ -181,7 +253,7 @@ def fit_step(stroke: StrokeRecord) -> StepFit:
         if delay > 0.6 * stroke.t[-1]:
             break
         since = np.maximum(passed - np.interp(delay, stroke.t, passed), 0.0)
-        matrix = np.column_stack([np.ones_like(since), since, -1e-4 * (stroke.load - stroke.load[0])])
+        matrix = np.column_stack([np.ones_like(since), since, -1e-4 * (stroke.inlet - stroke.inlet[0])])
         found, *_ = np.linalg.lstsq(matrix, stroke.turned, rcond=None)
         residual = float(np.sqrt(np.mean((stroke.turned - matrix @ found) ** 2)))
         if best is None or residual < best[0]:
@@ -193,11 +265,11 @@ def fit_step(stroke: StrokeRecord) -> StepFit:
 
 
 def smoothed_speed(stroke: StrokeRecord) -> Array:
-    """The speed (n,) rad/s along the stroke's sense, a moving mean."""
-    width = max(3, round(_SMOOTH_S / float(np.median(np.diff(stroke.t)))))
-    speed = np.gradient(stroke.turned, stroke.t)
-    padded = np.pad(speed, width // 2, mode="edge")
-    return np.convolve(padded, np.ones(width) / width, mode="same")[width // 2 : width // 2 + len(speed)]
+    """The mean speed (n,) rad/s along the stroke's sense over a window about each sample."""
+    half = max(1, round(0.5 * _SMOOTH_S / float(np.median(np.diff(stroke.t)))))
+    index = np.arange(len(stroke.t))
+    before, after = np.maximum(index - half, 0), np.minimum(index + half, len(index) - 1)
+    return np.asarray((stroke.turned[after] - stroke.turned[before]) / (stroke.t[after] - stroke.t[before]))
 
 
 def _integral(t: Array, values: Array) -> Array:

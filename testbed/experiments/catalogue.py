@@ -53,6 +53,7 @@ CATALOGUE = {
     "stream-cuts": _one("robustness.stream_cuts:STREAM_CUTS"),
     "controller-kills": _one("robustness.controller_kills:CONTROLLER_KILLS"),
     "attacks": _one("robustness.attacks.campaign:ATTACKS_EXPERIMENT"),
+    "commissioning": _one("robustness.commissioning:COMMISSIONING"),
     "plant-campaign": _one("robustness.plant_campaign:PLANT_CAMPAIGN"),
     "identification": _one("identification.drawn_plants:IDENTIFICATION"),
 }

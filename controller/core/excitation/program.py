@@ -139,7 +139,7 @@ def _excited(
     servo = settings.servo
     full_speed = full_spool_speeds(servo.drives, watch.q_meas, servo.rated, servo.rated, _UNLOADED)
     greatest = max(max(pair) for pair in sensors.pressures_bar)
-    now, trouble = excite(plan, before, Measured(watch.q_meas, full_speed, greatest), inputs.dt_s)
+    now, trouble = excite(plan, before, Measured(watch.q_meas, greatest), inputs.dt_s)
     state = state._replace(excitation=now)
     if trouble is not None:
         events.append(ScanEvent("excitation", trouble.cause, trouble.value, trouble.limit))

@@ -23,9 +23,12 @@ _SPEED_FILTER_S = 0.06  # an encoder's last digit is 0.2 mrad/s behind it
 _STILL_RAD_S = 1.0e-3
 _FALLEN = 0.05  # of the ramp's top speed, at which a falling ramp has done its work
 # A spool with hysteresis stands still while its command turns back: that part is passed quickly.
-_TURNING = 5.0  # times the ramp's rate
+_TURNING_1_S = 1.5  # of the opening at the top, each second; at least the ramp's own rate
 _TURNED = 0.93  # of the speed at the top, below which the spool follows again
 _LAG_S = 0.1  # of valve and speed filter, at most that of a servo valve
+_UP_SHARE = 0.45  # of the way, on which a ramp rises
+_LOW = 0.3  # of a ramp's top speed (and its square, of the way): where it surely moves
+_UNSURE = 3.0  # times what a ramp begins below a rim that only a search has seen
 _BLOCKED_S = 1.0  # without motion under a valve that moved the joint before
 _OSCILLATIONS = 4  # reversals of the speed in one stroke
 _SWING_RAD_S = 4.0e-3  # a reversal counts from this speed on either side
@@ -53,13 +56,9 @@ class Trouble(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """What one scan measures: ``q`` (6,), ``full_speed`` (6, 2) as from ``drives.full_spool_speeds``.
-
-    ``pressure_bar``: the greatest in any chamber.
-    """
+    """What one scan measures: ``q`` (6,), and the greatest pressure in any chamber."""
 
     q: Array
-    full_speed: Array
     pressure_bar: float
 
 
@@ -69,8 +68,9 @@ class Excitation(NamedTuple):
     ``spool``: of the stroke's joint, signed. ``q_start`` (6,): where the stroke began. ``home``, ``away``:
     where the joint stood before its first stroke, and the sense in which it has room. ``rim`` (6, 2): the
     spool's size at which the valve begins to pass oil, raising and lowering, as far as seen; 0 before.
+    ``slope`` (6, 2), rad/s: speed over spool beyond that, 0 before.
     ``slack`` (6,): by how much the command surely turns back without an answer. ``top_speed``, ``top``: of
-    the running ramp, and its spool's size there.
+    the running ramp, and its spool's size there; ``low_speed``, ``low``: likewise where it had begun to move.
     """
 
     stroke: int
@@ -85,9 +85,12 @@ class Excitation(NamedTuple):
     home: float
     away: float
     rim: Array
+    slope: Array
     slack: Array
     top_speed: float
     top: float
+    low_speed: float
+    low: float
     swing: float
     reversals: int
 
@@ -108,9 +111,12 @@ def begun(q: Array, stroke: int = 0) -> Excitation:
         home=0.0,
         away=1.0,
         rim=np.zeros((N_JOINTS, 2)),
+        slope=np.zeros((N_JOINTS, 2)),
         slack=zero,
         top_speed=0.0,
         top=0.0,
+        low_speed=0.0,
+        low=0.0,
         swing=0.0,
         reversals=0,
     )
@@ -131,10 +137,10 @@ def excite(
         return ended(state), trouble
     state = state._replace(phase_s=state.phase_s + dt_s, stroke_s=state.stroke_s + dt_s)
     if stroke.kind is StrokeKind.SEARCH:
-        return _search(settings, state, seen, dt_s), None
+        return _search(settings, state, seen.q, dt_s), None
     if stroke.kind is StrokeKind.STEP:
         return _step(settings, state, seen.q), None
-    return _ramp(settings, state, seen, dt_s), None
+    return _ramp(settings, state, seen.q, dt_s), None
 
 
 def ended(state: Excitation) -> Excitation:
@@ -181,20 +187,22 @@ def _rest(
         state = state._replace(home=float(q[stroke.joint]), away=away)
     phase = Phase.HOLDING if stroke.kind is StrokeKind.STEP else Phase.RISING
     sense_of(state, stroke)
-    state = state._replace(phase=phase, phase_s=0.0, stroke_s=0.0, still_s=0.0, q_start=q)
-    return state._replace(spool=_first_spool(limits, state, stroke, seen), swing=0.0, reversals=0), None
+    state = state._replace(phase=phase, phase_s=0.0, stroke_s=0.0, still_s=0.0, q_start=q, low_speed=0.0)
+    return state._replace(spool=_first_spool(limits, state, stroke), swing=0.0, reversals=0), None
 
 
-def _first_spool(limits: ExcitationLimits, state: Excitation, stroke: Stroke, seen: Measured) -> float:
-    """A search begins at 0, a ramp below the deadband's rim, a step as far above it as its speed wants."""
+def _first_spool(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> float:
+    """A search begins at 0, a ramp below the deadband's rim, a step as far above it as its speed wants.
+
+    A search that has seen nothing but the first motion overshoots: the first ramp begins further below.
+    """
     if stroke.kind is StrokeKind.SEARCH:
         return 0.0
     sense = sense_of(state, stroke)
-    side = _side(sense)
-    rim = float(state.rim[stroke.joint, side])
+    rim, slope = float(state.rim[stroke.joint, _side(sense)]), float(state.slope[stroke.joint, _side(sense)])
     if stroke.kind is StrokeKind.RAMP:
-        return sense * max(rim - limits.start_below, 0.0)
-    return sense * (rim + stroke.speed / float(seen.full_speed[stroke.joint, side]))
+        return sense * max(rim - (1.0 if slope > 0.0 else _UNSURE) * limits.start_below, 0.0)
+    return sense * min(rim + (stroke.speed / slope if slope > 0.0 else 0.0), limits.spool_max)
 
 
 def _room(limits: ExcitationLimits, joint: int, q: float) -> tuple[float, Trouble | None]:
@@ -212,14 +220,16 @@ def _side(sense: float) -> int:
     return 0 if sense > 0.0 else 1
 
 
-def _with_rim(state: Excitation, stroke: Stroke, seen: Measured) -> Excitation:
-    """``state`` with the deadband's rim as the joint's present speed tells it, by the nominal flow."""
-    sense, joint = sense_of(state, stroke), stroke.joint
-    side = _side(sense)
-    above = sense * float(state.speed[joint]) / float(seen.full_speed[joint, side])
-    rim = state.rim.copy()
-    rim[joint, side] = max(abs(state.spool) - max(above, 0.0), 0.0)
-    return state._replace(rim=rim)
+def _with_rim(state: Excitation, stroke: Stroke, speed: float) -> Excitation:
+    """``state`` at a ramp's top: the line through what the joint did at low and at present speed tells where
+    the valve opens, and how much a spool beyond that gives."""
+    joint, side, spool = stroke.joint, _side(sense_of(state, stroke)), abs(state.spool)
+    if not speed > state.low_speed > 0.0 or not spool > state.low:
+        return state
+    rim, slope = state.rim.copy(), state.slope.copy()
+    slope[joint, side] = (speed - state.low_speed) / (spool - state.low)
+    rim[joint, side] = max(state.low - state.low_speed / slope[joint, side], 0.0)
+    return state._replace(rim=rim, slope=slope)
 
 
 def _wanted(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> float:
@@ -241,32 +251,53 @@ def _done(state: Excitation, settings: ExcitationPlan) -> Excitation:
     return state._replace(stroke=following, phase=phase, phase_s=0.0, still_s=0.0, spool=0.0)
 
 
-def _search(settings: ExcitationPlan, state: Excitation, seen: Measured, dt_s: float) -> Excitation:
+def _search(settings: ExcitationPlan, state: Excitation, q: Array, dt_s: float) -> Excitation:
     stroke = settings.strokes[state.stroke]
-    if _turned(state, stroke, seen.q) >= settings.limits.moved:
-        return _done(_with_rim(state, stroke, seen), settings)
-    return state._replace(spool=state.spool + sense_of(state, stroke) * settings.limits.search_rate * dt_s)
+    sense = sense_of(state, stroke)
+    if _turned(state, stroke, q) >= settings.limits.moved:
+        rim = state.rim.copy()
+        rim[stroke.joint, _side(sense)] = abs(state.spool)
+        return _done(state._replace(rim=rim), settings)
+    return state._replace(spool=state.spool + sense * settings.limits.search_rate * dt_s)
 
 
-def _ramp(settings: ExcitationPlan, state: Excitation, seen: Measured, dt_s: float) -> Excitation:
+def _ramp(settings: ExcitationPlan, state: Excitation, q: Array, dt_s: float) -> Excitation:
     limits, stroke = settings.limits, settings.strokes[state.stroke]
     sense = sense_of(state, stroke)
-    turned, speed = _turned(state, stroke, seen.q), sense * float(state.speed[stroke.joint])
+    speed = sense * float(state.speed[stroke.joint])
     step = sense * stroke.pace * limits.ramp_rate * dt_s
     if state.phase is Phase.RISING:
-        if speed >= stroke.speed or turned >= 0.5 * _wanted(limits, state, stroke):
-            state = _with_rim(state, stroke, seen)
-            spool = state.spool - sense * float(state.slack[stroke.joint])
-            return state._replace(
-                phase=Phase.TURNING, phase_s=0.0, top_speed=speed, top=abs(state.spool), spool=spool
-            )
-        return state._replace(spool=state.spool + step)
+        return _rising(limits, state, stroke, q, step)
     if state.phase is Phase.TURNING and speed < _TURNED * state.top_speed:
         state = _with_slack(limits, state, stroke)
-    spool = state.spool - (_TURNING if state.phase is Phase.TURNING else 1.0) * step
-    if sense * spool <= 0.0 or (speed < _FALLEN * stroke.speed and state.still_s > 0.1):
+    if state.phase is Phase.TURNING:
+        step = sense * max(_turning_rate(state, stroke) * dt_s, abs(step))
+    spool = state.spool - step
+    if sense * spool <= 0.0 or (speed < _FALLEN * state.top_speed and state.still_s > 0.1):
         return _done(state, settings)
     return state._replace(spool=spool)
+
+
+def _rising(limits: ExcitationLimits, state: Excitation, stroke: Stroke, q: Array, step: float) -> Excitation:
+    sense, turned = sense_of(state, stroke), _turned(state, stroke, q)
+    speed, wanted = sense * float(state.speed[stroke.joint]), _wanted(limits, state, stroke)
+    if speed >= stroke.speed or turned >= _UP_SHARE * wanted:
+        state = _with_rim(state, stroke, speed)
+        back = sense * float(state.slack[stroke.joint])
+        top = abs(state.spool)
+        return state._replace(
+            phase=Phase.TURNING, phase_s=0.0, top_speed=speed, top=top, spool=state.spool - back
+        )
+    moves = speed > _LOW * stroke.speed or turned > _LOW * _LOW * wanted
+    if state.low_speed == 0.0 and turned > limits.moved and moves:
+        state = state._replace(low_speed=speed, low=abs(state.spool))
+    return state._replace(spool=state.spool + step)
+
+
+def _turning_rate(state: Excitation, stroke: Stroke) -> float:
+    """How fast (1/s) the spool's command turns back at a ramp's top."""
+    rim = float(state.rim[stroke.joint, _side(sense_of(state, stroke))])
+    return _TURNING_1_S * max(state.top - rim, 0.0)
 
 
 def _with_slack(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> Excitation:
@@ -274,9 +305,8 @@ def _with_slack(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> 
 
     What the lag and the speed's fall itself took is left out, so that the next ramp's leap falls short.
     """
-    sense = sense_of(state, stroke)
-    opening = max(state.top - float(state.rim[stroke.joint, _side(sense)]), 0.0)
-    quick = _TURNING * stroke.pace * limits.ramp_rate * _LAG_S + 2.0 * (1.0 - _TURNED) * opening
+    rate = max(_turning_rate(state, stroke), stroke.pace * limits.ramp_rate)
+    quick = rate * _LAG_S + 2.0 * (1.0 - _TURNED) * rate / _TURNING_1_S
     slack = state.slack.copy()
     slack[stroke.joint] = max(state.top - abs(state.spool) - quick, 0.0)
     return state._replace(phase=Phase.FALLING, phase_s=0.0, slack=slack)

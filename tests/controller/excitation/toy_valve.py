@@ -44,6 +44,7 @@ class ToyValve:
     friction_bar: float = 8.0
     swapped: bool = False
     dead: bool = False
+    curve: float = 0.0  # of the flow: f(x) = x + curve x²
     stop_at: float = np.inf  # rad of turn from the start
     swing_rad_s: float = 0.0
     seed: int = 0
@@ -64,7 +65,7 @@ class ToyValve:
         self.spool = min(max(self.spool, heard - 0.5 * self.play), heard + 0.5 * self.play)
         x = -self.spool if self.swapped else self.spool
         opening = max(x - self.raise_at, 0.0) if x > 0.0 else min(x + self.lower_at, 0.0)
-        speed = 0.0 if self.dead else self.gain * FULL_SPEED * opening
+        speed = 0.0 if self.dead else self.gain * FULL_SPEED * opening * (1.0 + self.curve * abs(opening))
         speed += self.swing_rad_s * math.sin(2.0 * math.pi * 6.0 * self.time_s) * (command != 0.0)
         self.q[self.joint] = min(self.q[self.joint] + DT_S * speed, START[self.joint] + self.stop_at)
         self.load_bar = self.friction_bar * math.copysign(1.0, speed) if speed else self.load_bar
@@ -77,13 +78,12 @@ class ToyValve:
 def tried(valve: ToyValve, plan: ExcitationPlan) -> tuple[Excitation, Trouble | None, list[ExcitationSample]]:
     """The whole excitation of the toy's joint, and its record."""
     state, samples = begun(valve.seen()), list[ExcitationSample]()
-    full_speed = np.full((6, 2), FULL_SPEED)
     for cycle in range(200_000):
         q = valve.seen()
         before = state
-        state, trouble = excite(plan, state, Measured(q, full_speed, 100.0), DT_S)
+        state, trouble = excite(plan, state, Measured(q, 100.0), DT_S)
         driving = before.phase is not Phase.RESTING or state.spool != 0.0
-        pressures = tuple((50.0 + 0.5 * valve.load_bar, 50.0 - 0.5 * valve.load_bar) for _ in range(6))
+        pressures = tuple((100.0 + 0.5 * valve.load_bar, 100.0 - 0.5 * valve.load_bar) for _ in range(6))
         samples.append(
             ExcitationSample(
                 round(cycle * DT_S * 1e9), before.stroke, driving, state.spool, q, pressures, 190.0, 10.0,

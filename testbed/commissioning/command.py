@@ -1,0 +1,106 @@
+"""`longreach commission`: try the joints out, find the valves, write commissioned.yaml."""
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+import yaml
+
+from nominal_arm.description import JOINT_NAMES
+from protocol.errors import ConfigurationError, LongreachError
+from testbed.commissioning.findings import JointFindings, commissioned_from, joint_findings
+from testbed.commissioning.lockstep_run import excite_in_lockstep, with_excitation
+from testbed.commissioning.presentation import findings_figures, findings_table, joint_figure
+from testbed.commissioning.session import CommissioningSession
+from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.world import World
+from testbed.reporting.console import bars, err, out, write_json
+from testbed.reporting.plots import png
+from testbed.scenarios.settings import Overrides, Settings, load_settings
+
+LONGEST_MIN = 15.0  # of arm time, that commissioning shall stay below
+
+
+class CommissionRequest(NamedTuple):
+    """Which machine, which joints (names), and the session's directory; ``json``: figures as well."""
+
+    config_dir: Path
+    overrides: Overrides
+    joints: Sequence[str]
+    directory: Path
+    seed: int
+    json: Path | None
+
+
+def run_commission(request: CommissionRequest) -> bool:
+    """Return True once every joint asked for was found and commissioned.yaml is written.
+
+    Joints that the session has are not tried out again. What broke the excitation off, or made a joint's
+    numbers unfit to be used, is told; what was found so far is kept. Raises ConfigurationError for an unknown
+    joint or another machine's session.
+    """
+    settings = load_settings(request.config_dir, request.overrides)
+    joints = [_joint(name) for name in request.joints]
+    session = CommissioningSession(request.directory, settings.arm, settings.controller)
+    to_do = [joint for joint in joints if joint not in session.finished]
+    told = f"{len(joints) - len(to_do)} joints are in {request.directory}, {len(to_do)} are tried out now"
+    out.print(told, style="dim", highlight=False)
+    complete = _tried_out(settings, request.seed, to_do, session) if to_do else True
+    found = _found(session, settings)
+    if found:
+        out.print(findings_table(found))
+    write_json(request.json, {"joints": findings_figures(found), "complete": complete})
+    whole = complete and all(joint in found for joint in joints)
+    if whole:
+        _write(found, settings, session)
+    return whole
+
+
+def _joint(name: str) -> int:
+    if name not in JOINT_NAMES:
+        known = ", ".join(JOINT_NAMES)
+        raise ConfigurationError("configuration.unknown_joint", f"no joint '{name}'; known: {known}")
+    return JOINT_NAMES.index(name)
+
+
+def _tried_out(settings: Settings, seed: int, joints: Sequence[int], session: CommissioningSession) -> bool:
+    """Whether all ``joints`` were tried out; what broke it off is told, the arm then stands."""
+    world = World(with_excitation(settings, joints), seed, RunLog())
+    with bars() as shown, shown.step("trying out the valves") as bar:
+        ended = excite_in_lockstep(world, session.keep, bar.update)
+    minutes = ended.seconds / 60.0
+    out.print(f"{minutes:.1f} min of arm time, to be below {LONGEST_MIN:g}", highlight=False)
+    trouble = ended.trouble
+    session.ended_by(None if trouble is None else trouble.cause)
+    if trouble is None:
+        return minutes < LONGEST_MIN
+    name = JOINT_NAMES[trouble.joint]
+    where = f"{name}: {trouble.value:.4g}, limit {trouble.limit:.4g}; the arm stands, what was found is kept"
+    err.print(f"{trouble.cause}: {where}", style="bold red", highlight=False)
+    return False
+
+
+def _found(session: CommissioningSession, settings: Settings) -> dict[int, JointFindings]:
+    """What the session's recordings say; a joint whose numbers are refused is told, and left out."""
+    compensated = settings.controller.valves.pressure_compensated
+    found = {}
+    for joint, recording in session.recordings().items():
+        try:
+            found[joint] = joint_findings(recording, compensated)
+        except LongreachError as error:
+            err.print(f"{error.cause}: {error}", style="bold red", highlight=False)
+            continue
+        picture = png(joint_figure(recording, found[joint], compensated))
+        (session.directory / f"{JOINT_NAMES[joint]}.png").write_bytes(picture)
+    return found
+
+
+def _write(found: Mapping[int, JointFindings], settings: Settings, session: CommissioningSession) -> None:
+    made = datetime.now(UTC).isoformat(timespec="seconds"), f"longreach commission {version('longreach')}"
+    sources = {joint: session.source(joint) for joint in found}
+    content = commissioned_from(found, settings.arm, settings.controller, sources, made)
+    path = session.directory / "commissioned.yaml"
+    path.write_text(yaml.safe_dump(content.model_dump(mode="json"), sort_keys=False), encoding="utf-8")
+    out.print(f"written: {path}; the controller takes it as controller.commissioned={path}", highlight=False)

@@ -1,0 +1,177 @@
+"""What commissioning found of one joint, judged, and of all of them as commissioned.yaml."""
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from controller.commissioning import basis_of
+from controller.config import ControllerConfig
+from nominal_arm.commissioned import (
+    Commissioned,
+    JointTuning,
+    JointValve,
+    MeasuredNumber,
+    ValveEdge,
+    ValveSet,
+)
+from nominal_arm.description import JOINT_NAMES, NominalArm
+from protocol.errors import MeasurementFailed
+from testbed.commissioning.friction_fit import FrictionFindings, friction_findings
+from testbed.commissioning.margins import MARGINS, gain_within
+from testbed.commissioning.recording import JointRecording, strokes_in
+from testbed.commissioning.uncertain import Uncertain, midway
+from testbed.commissioning.valve_fit import EdgeFindings, edge_findings
+
+DEADBAND_MOST = 0.3  # what the compensation can hold
+_GAINS = (0.05, 20.0)
+_RESIDUAL_RAD = 1.5e-4  # three encoder digits: a joint that leaves more is not the model's
+_CURVED = 0.02  # share of the flow at the greatest opening that curvature must make to be told
+_KNOTS = (0.25, 0.5, 0.75, 1.0)
+
+
+class JointFindings(NamedTuple):
+    """One joint. ``seconds``: of arm time; ``travel`` (rad): the furthest from where it stood; ``opened``:
+    the greatest spool beyond the deadband, raising and lowering."""
+
+    joint: int
+    raising: EdgeFindings
+    lowering: EdgeFindings
+    friction: FrictionFindings
+    seconds: float
+    travel: float
+    opened: tuple[float, float]
+
+    @property
+    def hysteresis(self) -> Uncertain:
+        """Of the spool, by both senses."""
+        return midway(self.raising.hysteresis, self.lowering.hysteresis)
+
+    @property
+    def lag(self) -> Uncertain:
+        """From a slowly changing command to the flow (s), by both senses."""
+        return midway(self.raising.lag, self.lowering.lag)
+
+
+def joint_findings(recording: JointRecording, compensated: bool) -> JointFindings:
+    """What ``recording`` says of its joint; ``compensated``: whether the valve's flow is independent of load.
+
+    Raises MeasurementFailed when it says too little, when a number sits at its bound
+    (``measurement.at_bound``), or when the joint behaves otherwise than the model
+    (``measurement.unlike_model``).
+    """
+    strokes = strokes_in(recording, compensated)
+    raising, lowering = edge_findings(strokes, 1.0), edge_findings(strokes, -1.0)
+    angle = recording.q[:, recording.joint]
+    opened = [
+        max((s.u.max() for s in strokes if s.sense == sense), default=0.0) - edge.deadband.value
+        for sense, edge in ((1.0, raising), (-1.0, lowering))
+    ]
+    found = JointFindings(
+        recording.joint,
+        raising,
+        lowering,
+        friction_findings(strokes),
+        float(recording.t[-1]),
+        float(np.abs(angle - angle[0]).max()),
+        (float(opened[0]), float(opened[1])),
+    )
+    for name, edge in (("raising", raising), ("lowering", lowering)):
+        _judge(f"{JOINT_NAMES[recording.joint]} {name}", edge)
+    return found
+
+
+def _judge(where: str, edge: EdgeFindings) -> None:
+    gain, deadband = edge.gain.value, edge.deadband
+    if edge.residual > _RESIDUAL_RAD:
+        raise MeasurementFailed(
+            "measurement.unlike_model",
+            f"{where}: the model leaves {1e3 * edge.residual:.2f} mrad, limit {1e3 * _RESIDUAL_RAD:g} mrad",
+        )
+    if deadband.value + deadband.std >= DEADBAND_MOST:
+        raise MeasurementFailed(
+            "measurement.at_bound", f"{where}: deadband {deadband.value:.4f}, limit {DEADBAND_MOST:g}"
+        )
+    if deadband.value < -4.0 * deadband.std:
+        raise MeasurementFailed(
+            "measurement.unlike_model",
+            f"{where}: deadband {deadband.value:.4f} ± {deadband.std:.4f} is below 0: the valve is "
+            "open at its centre",
+        )
+    if not _GAINS[0] < gain < _GAINS[1]:
+        raise MeasurementFailed(
+            "measurement.at_bound",
+            f"{where}: flow over nominal {gain:.3g}, limits {_GAINS[0]:g} and {_GAINS[1]:g}",
+        )
+
+
+def commissioned_from(
+    found: Mapping[int, JointFindings],
+    arm: NominalArm,
+    config: ControllerConfig,
+    recordings: Mapping[int, str],
+    made: tuple[str, str],
+) -> Commissioned:
+    """commissioned.yaml's content: what was ``found`` in place of what ``config`` believed.
+
+    ``recordings``: what each joint's numbers came from. ``made``: when (UTC) and by what.
+    """
+    valves = {
+        JOINT_NAMES[joint]: _valve(one, config.valves.joints[joint], config.cycle_ms, recordings[joint])
+        for joint, one in found.items()
+    }
+    known = ValveSet.model_validate(config.valves.model_copy(update=valves).model_dump())
+    return Commissioned(
+        made_utc=made[0],
+        made_by=made[1],
+        basis=basis_of(arm, config),
+        valves=known,
+        tuning=_tuning(found, config),
+    )
+
+
+def _valve(found: JointFindings, before: JointValve, cycle_ms: float, recording: str) -> JointValve:
+    total_ms = max(1e3 * found.lag.value - cycle_ms, 0.0)  # a command waits for the next exchange
+    lag_ms = min(before.lag_ms.value, total_ms)
+    hysteresis = found.hysteresis
+    return JointValve(
+        raising=_edge(found.raising, found.opened[0], recording),
+        lowering=_edge(found.lowering, found.opened[1], recording),
+        hysteresis=_number(Uncertain(max(hysteresis.value, 0.0), hysteresis.std), (None, 0.3), recording),
+        delay_ms=_number(
+            Uncertain(total_ms - lag_ms, math.hypot(1e3 * found.lag.std, before.lag_ms.std)),
+            (None, 500.0),
+            recording,
+        ),
+        lag_ms=before.lag_ms.model_copy(update={"value": lag_ms}),
+        full_stroke_ms=before.full_stroke_ms,
+    )
+
+
+def _edge(edge: EdgeFindings, opened: float, recording: str) -> ValveEdge:
+    deadband = Uncertain(max(edge.deadband.value, 0.0), edge.deadband.std)
+    knots: tuple[tuple[float, float], ...] = ()
+    if opened > 0.0 and abs(edge.curvature) * opened > _CURVED:
+        knots = tuple((x, x + edge.curvature * x * x) for x in (share * opened for share in _KNOTS))
+    return ValveEdge(
+        deadband=_number(deadband, (None, DEADBAND_MOST), recording),
+        flow_gain=_number(edge.gain, _GAINS, recording),
+        curve=knots,
+    )
+
+
+def _number(found: Uncertain, bounds: tuple[float | None, float | None], recording: str) -> MeasuredNumber:
+    return MeasuredNumber(value=found.value, std=found.std, bounds=bounds, recording=recording)
+
+
+def _tuning(found: Mapping[int, JointFindings], config: ControllerConfig) -> JointTuning:
+    """The configured gains, lowered where a joint's lag leaves less than the stated margins."""
+    control = config.joint_control
+    tau = control.pt1_time_constant_ms * 1e-3
+    gains = list(control.gain_1_s)
+    for joint, one in found.items():
+        filtered = tau if joint in (1, 2) else 0.0
+        gains[joint] = gain_within(gains[joint], one.lag.value + 2.0 * one.lag.std, filtered, MARGINS)
+    a, b, c, d, e, f = gains
+    return JointTuning(gain_1_s=(a, b, c, d, e, f))

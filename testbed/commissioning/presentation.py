@@ -1,0 +1,87 @@
+"""What commissioning found, as a table and a picture a joint."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from matplotlib.figure import Figure
+from rich.table import Table
+
+from controller.core.excitation.plan import StrokeKind
+from testbed.commissioning.findings import JointFindings
+from testbed.commissioning.recording import JointRecording, strokes_in
+from testbed.commissioning.uncertain import Uncertain
+from testbed.commissioning.valve_fit import EdgeFindings, smoothed_speed
+from testbed.reporting.console import table
+from testbed.reporting.plots import AXIS_COLOURS, JOINTS
+
+_HEADINGS = (
+    "joint", "sense", "deadband %", "hysteresis %", "lag ms", "response ms", "flow / nominal", "curve",
+    "left mrad", "friction bar", "load bar", "travel mrad", "s",
+)  # fmt: skip
+
+
+def findings_table(found: Mapping[int, JointFindings]) -> Table:
+    """One row an edge; spools in per cent of the full one, each number with its standard deviation."""
+    rows = [
+        row
+        for joint, one in sorted(found.items())
+        for row in (_row(joint, "raising", one, one.raising), _row(joint, "lowering", one, one.lowering))
+    ]
+    return table("commissioning: value ± standard deviation", _HEADINGS, rows)
+
+
+def _row(joint: int, sense: str, one: JointFindings, edge: EdgeFindings) -> tuple[object, ...]:
+    edge_cells = (
+        sense,
+        _told(edge.deadband, 100.0, 3),
+        _told(edge.hysteresis, 100.0, 2),
+        _told(edge.lag, 1e3, 0),
+        _told(edge.response, 1e3, 0),
+        _told(edge.gain, 1.0, 3),
+        f"{edge.curvature:+.2f}",
+        f"{1e3 * edge.residual:.3f}",
+    )
+    if sense != "raising":
+        return ("", *edge_cells, "", "", "", "")
+    friction = one.friction
+    return (
+        JOINTS[joint],
+        *edge_cells,
+        _told(friction.friction, 1.0, 1),
+        _told(friction.load, 1.0, 1),
+        f"{1e3 * one.travel:.0f}",
+        f"{one.seconds:.0f}",
+    )
+
+
+def _told(number: Uncertain, unit: float, digits: int) -> str:
+    return f"{unit * number.value:.{digits}f} ± {unit * number.std:.{digits}f}"
+
+
+def findings_figures(found: Mapping[int, JointFindings]) -> dict[str, Any]:
+    """The same numbers for a JSON file, SI and bar, by joint."""
+    return {JOINTS[joint]: one._asdict() for joint, one in sorted(found.items())}
+
+
+def joint_figure(recording: JointRecording, found: JointFindings, compensated: bool) -> Figure:
+    """Speed over spool of every triangle with the fitted flow, and load pressure over speed."""
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    flow, load = figure.subplots(1, 2)
+    for stroke in strokes_in(recording, compensated):
+        if stroke.kind is not StrokeKind.RAMP:
+            continue
+        speed, sense = smoothed_speed(stroke), stroke.sense
+        colour = AXIS_COLOURS[0] if sense > 0.0 else AXIS_COLOURS[1]
+        flow.plot(100.0 * sense * stroke.u, 1e3 * sense * speed, color=colour, linewidth=0.6, alpha=0.6)
+        load.plot(1e3 * sense * speed, sense * stroke.load, color=colour, linewidth=0.6, alpha=0.6)
+    for sense, edge in ((1.0, found.raising), (-1.0, found.lowering)):
+        for spool, relative in edge.flow:
+            nominal = float(recording.full_speed[:, 0 if sense > 0.0 else 1].mean())
+            flow.plot(100.0 * sense * spool, 1e3 * sense * relative * nominal, "ks", markersize=3)
+        flow.axvline(100.0 * sense * edge.deadband.value, color="0.4", linestyle="--", linewidth=0.8)
+    flow.set_xlabel("spool %")
+    flow.set_ylabel("speed mrad/s")
+    flow.set_title(f"{JOINTS[recording.joint]}: triangles, steps (squares), deadbands (dashed)", fontsize=9)
+    load.set_xlabel("speed mrad/s")
+    load.set_ylabel("load pressure bar")
+    return figure

@@ -1,0 +1,267 @@
+"""Commissioning on drawn machines: what was found against what was drawn, and whether the σ told is true."""
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import typer
+from rich.table import Table
+from scipy.stats import chi2
+
+from foundation.configuration import merged
+from nominal_arm.description import JOINT_NAMES
+from plant_emulator.config.plant import PlantConfig
+from protocol.errors import MeasurementFailed
+from testbed.campaigns.campaign import CampaignRequest, Task
+from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, inside, seeds
+from testbed.commissioning.findings import joint_findings
+from testbed.commissioning.lockstep_run import excite_in_lockstep, with_excitation
+from testbed.commissioning.recording import JointRecording
+from testbed.commissioning.uncertain import Uncertain
+from testbed.experiments.positioning import axes
+from testbed.experiments.positioning.scenarios import ARMS, arm_files
+from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.world import World
+from testbed.reporting.console import table
+from testbed.scenarios.settings import Settings, load_settings
+
+_STREAM = 0x636F6D6D
+_AXES = (axes.rated_flow, axes.friction, axes.bending, axes.play)
+_SETS = ("servo", "mobile")
+DEADBAND_LIMIT = 0.05  # of itself
+MINUTES_LIMIT = 15.0  # of arm time, for all six joints
+
+JSON = dict[str, Any]
+
+
+def drawn_machine(config_dir: Path, seed: int) -> JSON:
+    """Overrides of one machine: even seeds have servo valves, odd ones mobile valves; the arms in pairs.
+
+    Every spool's four edges, loop, delay and bandwidth are drawn, and with them flow, friction, bending,
+    play and what is left at the empty tool. The controller is told the kind of the valves, nothing else.
+    """
+    rng = np.random.default_rng([seed, _STREAM])
+    kind, arm = _SETS[seed % 2], ARMS[seed // 2 % 2]
+    overrides = arm_files(config_dir, arm)
+    usual = load_settings(config_dir, overrides)
+    valves = {name: _drawn_valve(rng, kind) for name in JOINT_NAMES}
+    told = {"name": kind, "pressure_compensated": kind == "mobile"}
+    own = {
+        "plant": {
+            "valve_set": kind,
+            "valves": {"joints": valves},
+            "payload": {"mass_kg": rng.uniform(0.0, 10.0)},
+        },
+        "controller": {"valves": told},
+    }
+    for axis in _AXES:
+        own = merged(own, axis.draw(rng, usual))
+    return merged(overrides, own)
+
+
+def _drawn_valve(rng: np.random.Generator, kind: str) -> JSON:
+    """A servo valve with 0.3 to 3 % of deadband, a mobile one with 5 to 12 % and 2 to 7 % of hysteresis."""
+    low, high = (0.003, 0.03) if kind == "servo" else (0.05, 0.12)
+    supply = rng.uniform(low, high, 2)
+    back = supply * rng.uniform(0.8, 1.0, 2)  # return edges open first
+    loop = rng.uniform(0.0, 0.1) * supply.min() if kind == "servo" else rng.uniform(0.02, 0.07)
+    return {
+        "deadband": {
+            "supply_a": float(supply[0]),
+            "return_b": float(back[0]),
+            "supply_b": float(supply[1]),
+            "return_a": float(back[1]),
+        },
+        "hysteresis": float(min(loop, supply.min())),
+        "delay_ms": rng.uniform(0.5, 3.0) if kind == "servo" else rng.uniform(6.0, 20.0),
+        "bandwidth_hz": rng.uniform(20.0, 50.0) if kind == "servo" else rng.uniform(4.0, 8.0),
+    }
+
+
+class TrueValve(NamedTuple):
+    """What was drawn: spools at which oil begins to pass, raising and lowering, and the loop's width."""
+
+    raising: float
+    lowering: float
+    hysteresis: float
+
+
+def true_valve(plant: PlantConfig, joint: int) -> TrueValve:
+    """Of ``joint``: both edges of a direction must be open for the joint to move."""
+    name = JOINT_NAMES[joint]
+    valve = plant.valves.of(name, getattr(plant.actuators, name).rated_flow_l_min)
+    supply_a, return_b, supply_b, return_a = valve.deadband
+    return TrueValve(max(supply_a, return_b), max(supply_b, return_a), valve.hysteresis)
+
+
+class CommissioningRow(NamedTuple):
+    """One joint of one machine; errors in per cent of the truth or of full spool, ``z`` over the σ told."""
+
+    failure: str
+    seed: int
+    arm: str
+    valves: str
+    joint: int
+    raising_true: float
+    lowering_true: float
+    raising_percent: float
+    lowering_percent: float
+    raising_z: float
+    lowering_z: float
+    hysteresis_true: float
+    hysteresis_error: float
+    hysteresis_z: float
+    lag_ms: float
+    residual_mrad: float
+    travel_mrad: float
+    arm_s: float
+    cpu_s: float
+
+
+def commission_joint(config_dir: Path, task: JSON) -> JSON:
+    """The row of one joint of one machine. Raises MeasurementFailed with the cause that broke it off."""
+    seed, joint = task["seed"], task["joint"]
+    settings: Settings = load_settings(config_dir, drawn_machine(config_dir, seed))
+    kept: list[JointRecording] = []
+    world = World(with_excitation(settings, [joint]), seed, RunLog())
+    ended = excite_in_lockstep(world, kept.append, lambda _progress, _note: None)
+    if ended.trouble is not None:
+        trouble = ended.trouble
+        raise MeasurementFailed(
+            trouble.cause, f"{JOINT_NAMES[trouble.joint]}: {trouble.value:.4g}, limit {trouble.limit:.4g}"
+        )
+    found = joint_findings(kept[0], settings.controller.valves.pressure_compensated)
+    true = true_valve(settings.plant, joint)
+    raising, lowering, loop = found.raising.deadband, found.lowering.deadband, found.hysteresis
+    return {
+        "seed": seed,
+        "arm": ARMS[seed // 2 % 2],
+        "valves": _SETS[seed % 2],
+        "joint": joint,
+        "raising_true": true.raising,
+        "lowering_true": true.lowering,
+        "raising_percent": 100.0 * (raising.value / true.raising - 1.0),
+        "lowering_percent": 100.0 * (lowering.value / true.lowering - 1.0),
+        "raising_z": _z(raising, true.raising),
+        "lowering_z": _z(lowering, true.lowering),
+        "hysteresis_true": true.hysteresis,
+        "hysteresis_error": loop.value - true.hysteresis,
+        "hysteresis_z": _z(loop, true.hysteresis),
+        "lag_ms": 1e3 * found.lag.value,
+        "residual_mrad": 1e3 * max(found.raising.residual, found.lowering.residual),
+        "travel_mrad": 1e3 * found.travel,
+        "arm_s": ended.seconds,
+    }
+
+
+def _z(found: Uncertain, true: float) -> float:
+    return (found.value - true) / found.std
+
+
+class CommissioningOptions(NamedTuple):
+    """How many of a machine's joints are tried out."""
+
+    joints: Annotated[
+        int, typer.Option("--joints", min=1, max=6, help="Joints of a machine, drawn; 6: all.")
+    ] = 6
+
+
+FoundJoints = Finished[CommissioningOptions, CommissioningRow]
+
+
+def commissioning_tasks(request: CampaignRequest, options: CommissioningOptions) -> list[Task]:
+    """One task a joint of a machine."""
+    tasks = []
+    for seed in seeds(request):
+        order = np.random.default_rng([seed, _STREAM, 1]).permutation(len(JOINT_NAMES))
+        tasks += [
+            {"key": f"{seed}-{JOINT_NAMES[joint]}", "seed": seed, "joint": int(joint)}
+            for joint in sorted(order[: options.joints])
+        ]
+    return tasks
+
+
+def commissioning_table(done: FoundJoints) -> list[Table]:
+    """By set of valves: the deadbands' errors, their spread told, hysteresis, time."""
+    lines = []
+    for kind in _SETS:
+        rows = [row for row in done.rows if not row.failure and row.valves == kind]
+        if rows:
+            errors, z = _edges(rows)
+            loops = np.array([row.hysteresis_error for row in rows])
+            loop_z = np.array([row.hysteresis_z for row in rows])
+            lines.append(
+                (kind, len(rows), f"{np.median(np.abs(errors)):.2f}", f"{np.abs(errors).max():.2f}",
+                 f"{np.mean(z**2):.2f}", f"{np.abs(z).max():.1f}", f"{100 * np.median(np.abs(loops)):.3f}",
+                 f"{np.mean(loop_z**2):.2f}", f"{np.mean([row.arm_s for row in rows]):.0f}")
+            )  # fmt: skip
+    headings = (
+        "valves", "joints", "deadband, median %", "worst %", "NEES", "worst σ", "hysteresis, median %",
+        "NEES", "s a joint",
+    )  # fmt: skip
+    failed = [(row.failure[:100],) for row in done.rows if row.failure]
+    shown = [table("commissioning against what was drawn", headings, lines)]
+    return [*shown, table("broken off or refused", ("why",), failed)] if failed else shown
+
+
+def _edges(rows: list[CommissioningRow]) -> tuple[np.ndarray, np.ndarray]:
+    errors = [e for row in rows for e in (row.raising_percent, row.lowering_percent)]
+    return np.array(errors), np.array([z for row in rows for z in (row.raising_z, row.lowering_z)])
+
+
+def commissioning_verdict(done: FoundJoints) -> list[Check]:
+    """Deadbands within 5 %, spread told inside its band, nobody outside the limits, under 15 minutes."""
+    rows = [row for row in done.rows if not row.failure]
+    if not rows:
+        return [at_least("joints that were found", 0.0, 1.0)]
+    errors, z = _edges(rows)
+    loop_z = np.array([row.hysteresis_z for row in rows])
+    minutes = len(JOINT_NAMES) * float(np.mean([row.arm_s for row in rows])) / 60.0
+    return [
+        at_most("joints that failed", float(len(done.rows) - len(rows)), 0.0),
+        at_least("deadbands within 5 % of the truth", float(np.mean(np.abs(errors) <= 5.0)), 1.0),
+        inside("NEES of the deadbands", float(np.mean(z**2)), _band(len(z))),
+        inside("NEES of the hysteresis", float(np.mean(loop_z**2)), _band(len(loop_z))),
+        at_most("arm time for six joints, mean", minutes, MINUTES_LIMIT, "min"),
+    ]
+
+
+def _band(count: int) -> tuple[float, float]:
+    """Where the mean of so many squared errors over variance lies in 95 of 100 cases, if σ is honest."""
+    low, high = chi2.ppf([0.025, 0.975], count) / count
+    return float(low), float(high)
+
+
+def commissioning_figures(done: FoundJoints) -> JSON:
+    """The verdict's figures."""
+    rows = [row for row in done.rows if not row.failure]
+    errors, z = _edges(rows)
+    return {
+        "joints": len(rows),
+        "failed": len(done.rows) - len(rows),
+        "deadband_percent": {"median": float(np.median(np.abs(errors))), "worst": float(np.abs(errors).max())}
+        if rows
+        else None,
+        "deadband_nees": float(np.mean(z**2)) if rows else math.nan,
+    }
+
+
+COMMISSIONING = Experiment(
+    name="commissioning",
+    title="Commissioning of drawn machines.",
+    shows="whether commissioning finds the valves of drawn machines, and tells its spread honestly",
+    cost="15 to 30 CPU s a joint",
+    settings=CommissioningOptions,
+    row=CommissioningRow,
+    tasks=commissioning_tasks,
+    run=commission_joint,
+    table=commissioning_table,
+    verdict=commissioning_verdict,
+    figures=commissioning_figures,
+    runs=50,
+    seed=40_001,
+    world="the drawn machines of commissioning",
+    eyes="none",
+    workers=1,
+)
