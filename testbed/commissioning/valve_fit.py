@@ -28,6 +28,7 @@ _SLOW, _FAST = 0.15, 0.92  # of the ramp's top speed, between which its halves a
 _SMOOTH_S = 0.2  # of the speed that sorts samples; the fit itself uses angles
 _LEAST_SAMPLES = 40
 _GAP_SAMPLES = 20
+_CLEARLY = 1.3  # times less is left: more than chance
 _SETTLES_S = 0.15  # a step's flow, after its delay
 _DELAYS_S = np.arange(0.0, 0.3, 0.001)
 # Standard deviation of what repeating does not average out: leakage past the spool and the orifice's laminar
@@ -94,12 +95,20 @@ class EdgeFindings(NamedTuple):
 def edge_findings(strokes: Sequence[StrokeRecord], sense: float) -> EdgeFindings:
     """What the strokes of one sense say. Raises MeasurementFailed where they say too little.
 
-    Both readings of the pressures are tried, the filling edge alone and four edges alike; the one that leaves
-    less is told.
+    Both readings of the pressures are tried: the filling edge alone, which holds for every valve, and four
+    edges alike, which suffers less from air in the oil. The second is told where it leaves clearly less. Where
+    the data do not tell them apart, half of their difference counts into the deadband's spread.
     """
     mine = [stroke for stroke in strokes if stroke.sense == sense]
     alike = [stroke._replace(e=stroke.e_by_load, inlet=stroke.load) for stroke in mine]
-    return min((_found(mine), _found(alike)), key=lambda found: found.residual)
+    filling, all_four = _found(mine), _found(alike)
+    clearly = all_four.residual * _CLEARLY < filling.residual
+    told, other = (all_four, filling) if clearly else (filling, all_four)
+    if other.residual > _CLEARLY**2 * told.residual:
+        return told
+    apart = 0.5 * (told.deadband.value - other.deadband.value)
+    deadband = Uncertain(told.deadband.value, math.hypot(told.deadband.std, apart))
+    return told._replace(deadband=deadband)
 
 
 def _found(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
@@ -157,7 +166,11 @@ def fit_ramps(
     outward[0::2] = _at_rest(rates)
     parts = halves + [_Part(s, rows, outward) for s, delay in steps for rows in _plateau(s, delay)]
     start = np.array([stroke.u[rows].min() for stroke, rows, _ in halves])
-    fit = least_squares(lambda rims: _misfit(parts, rims)[0], start, x_scale=1e-3, method="lm")
+
+    def left_at(rims: Array) -> Array:
+        return _misfit(parts, rims)[0]
+
+    fit = least_squares(left_at, start, x_scale=1e-3, method="lm")
     left, found = _misfit(parts, fit.x)
     if not found[0] > 0.0:
         raise MeasurementFailed(

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from foundation.configuration import merged
 from nominal_arm.description import JOINT_NAMES
 from plant_emulator.config.plant import PlantConfig
+from plant_emulator.config.valves import JOINT_NAMES as VALVE_NAMES
 from protocol.errors import MeasurementFailed
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, inside, seeds
@@ -20,7 +21,8 @@ from testbed.commissioning.lockstep_run import excite_in_lockstep, with_excitati
 from testbed.commissioning.recording import JointRecording
 from testbed.commissioning.uncertain import Uncertain
 from testbed.experiments.positioning import axes
-from testbed.experiments.positioning.scenarios import ARMS, arm_files
+from testbed.experiments.positioning.scenarios import arm_files
+from testbed.experiments.positioning.worlds import ARMS
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import World
 from testbed.reporting.console import table
@@ -89,7 +91,7 @@ class TrueValve(NamedTuple):
 
 def true_valve(plant: PlantConfig, joint: int) -> TrueValve:
     """Of ``joint``: both edges of a direction must be open for the joint to move."""
-    name = JOINT_NAMES[joint]
+    name = VALVE_NAMES[joint]
     valve = plant.valves.of(name, getattr(plant.actuators, name).rated_flow_l_min)
     supply_a, return_b, supply_b, return_a = valve.deadband
     return TrueValve(max(supply_a, return_b), max(supply_b, return_a), valve.hysteresis)
@@ -229,8 +231,7 @@ def commissioning_verdict(done: FoundJoints) -> list[Check]:
 
 def _band(count: int) -> tuple[float, float]:
     """Where the mean of so many squared errors over variance lies in 95 of 100 cases, if σ is honest."""
-    low, high = chi2.ppf([0.025, 0.975], count) / count
-    return float(low), float(high)
+    return float(chi2.ppf(0.025, count)) / count, float(chi2.ppf(0.975, count)) / count
 
 
 def commissioning_figures(done: FoundJoints) -> JSON:
