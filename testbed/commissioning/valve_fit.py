@@ -96,8 +96,8 @@ def edge_findings(strokes: Sequence[StrokeRecord], sense: float) -> EdgeFindings
     """What the strokes of one sense say. Raises MeasurementFailed where they say too little.
 
     Both readings of the pressures are tried: the filling edge alone, which holds for every valve, and four
-    edges alike, which suffers less from air in the oil. The second is told where it leaves clearly less. Where
-    the data do not tell them apart, half of their difference counts into the deadband's spread.
+    edges alike, which suffers less from air in the oil. The second is told where it leaves clearly less.
+    Where the data do not tell them apart, half of their difference counts into the deadband's spread.
     """
     mine = [stroke for stroke in strokes if stroke.sense == sense]
     alike = [stroke._replace(e=stroke.e_by_load, inlet=stroke.load) for stroke in mine]
