@@ -29,7 +29,7 @@ from testbed.reporting.console import table
 from testbed.scenarios.settings import Settings, load_settings
 
 _STREAM = 0x636F6D6D
-_AXES = (axes.rated_flow, axes.friction, axes.bending, axes.play)
+_AXES = (axes.friction, axes.bending, axes.play)
 _SETS = ("servo", "mobile")
 DEADBAND_LIMIT = 0.05  # of itself
 MINUTES_LIMIT = 15.0  # of arm time, for all six joints
@@ -53,6 +53,10 @@ def drawn_machine(config_dir: Path, seed: int) -> JSON:
         "plant": {
             "valve_set": kind,
             "valves": {"joints": valves},
+            "actuators": {
+                name: {"rated_flow_l_min": actuator.rated_flow_l_min * rng.uniform(0.9, 1.1)}
+                for name, actuator in usual.plant.actuators
+            },
             "payload": {"mass_kg": rng.uniform(0.0, 10.0)},
         },
         "controller": {"valves": told},
