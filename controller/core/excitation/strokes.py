@@ -323,6 +323,7 @@ def broken_off(limits: ExcitationLimits, stroke: Stroke, state: Excitation, seen
     """The first limit that the running stroke has broken; None while it is inside all of them."""
     joint, sense = stroke.joint, sense_of(state, stroke)
     turned, speed = _turned(state, stroke, seen.q), abs(float(state.speed[joint]))
+    backwards = sense * float(state.speed[joint]) < -_SWING_RAD_S
     far = _OVER * float(limits.travel[joint])
     low, high = limits.joint_range[:, joint]
     angle = float(seen.q[joint])
@@ -331,10 +332,11 @@ def broken_off(limits: ExcitationLimits, stroke: Stroke, state: Excitation, seen
     blocked = (
         state.still_s > _BLOCKED_S
         and turned > limits.moved
+        and state.swing != 0.0  # a closed valve creeps, but slowly
         and state.phase not in (Phase.TURNING, Phase.FALLING)
     )
     checks = (
-        (turned < -2.0 * limits.moved, "wrong_way", turned, -2.0 * limits.moved),
+        (turned < -2.0 * limits.moved and backwards, "wrong_way", turned, -2.0 * limits.moved),
         (abs(state.spool) > limits.spool_max, "no_motion", abs(state.spool), limits.spool_max),
         (state.stroke_s > limits.stroke_s, "too_slow", state.stroke_s, limits.stroke_s),
         (blocked, "blocked", turned, far),

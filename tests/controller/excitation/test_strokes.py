@@ -84,6 +84,17 @@ def test_a_joint_without_room_is_not_moved() -> None:
     assert state.phase is Phase.ENDED
 
 
+def test_a_joint_that_creeps_behind_its_closed_valve_is_tried_out_all_the_same() -> None:
+    class Creeping(ToyValve):
+        def step(self, command: float) -> None:
+            super().step(command)
+            self.q[5] -= 3e-6  # 0.3 mrad/s, as a wrist under its own weight
+
+    state, trouble, _ = tried(Creeping(5, 0.08, 0.08), plan_for(5))
+    assert trouble is None
+    assert state.phase is Phase.ENDED
+
+
 def test_another_joint_that_moves_ends_it() -> None:
     class Coupled(ToyValve):
         def step(self, command: float) -> None:
