@@ -23,7 +23,7 @@ TRUTH, CAPTURE, FAULT, EVENT = "/plant/truth", "/plant/capture", "/plant/fault",
 # The library keeps 0.7 kB of index in memory for each chunk until the file is closed: a chunk a capture grew
 # by 25 MB an hour.
 _CHUNK_BYTES = 1 << 20  # an upper bound; time closes a chunk sooner
-_CHUNK_NS = 3_000_000_000
+_CHUNK_NS = 5_000_000_000
 _SCHEMA = json.dumps(
     {
         "type": "object",
@@ -108,7 +108,7 @@ class Recording(NamedTuple):
 
 class TruthRecorder:
     """Writes a recording. Every fault and event is on its way to the disk when the call returns, a capture
-    within 3 s.
+    within 5 s.
 
     ``failure``: why nothing more can be written, such as a full disk; empty while all is well.
     """

@@ -49,11 +49,11 @@ def test_case_05_reordered_the_older_is_dropped_and_a_late_motion_does_not_overt
     stop = world.link.submit(Command(0, CommandCode.STOP))
     rig.run(0.01)
     motion, *_, last = [data for data in kept if len(data) > HEADER_BYTES + 8]
-    before = world._controller._server.statistics
+    before = world.controller._server.statistics
     world.to_controller = lambda _: [last, motion]
     world.clock.advance()
     world.to_controller = list
-    after = world._controller._server.statistics
+    after = world.controller._server.statistics
     assert after.reordered == before.reordered + 1
     assert run(world.link.answer(stop)).reason is Reason.ACCEPTED
     rig.run(2.5)
@@ -68,7 +68,7 @@ def test_case_05_a_wire_that_swaps_every_pair_moves_the_arm_to_the_same_place() 
     rig = FaultRig().moving()
     rig.world.to_controller = reversed_pairs()  # type: ignore[assignment]
     rig.assert_completes()
-    assert rig.world._controller._server.statistics.reordered > 3
+    assert rig.world.controller._server.statistics.reordered > 3
 
 
 def test_case_06_one_datagram_a_hundred_times_has_one_effect() -> None:
@@ -79,7 +79,7 @@ def test_case_06_one_datagram_a_hundred_times_has_one_effect() -> None:
         rig.run(1.0)
     assert_driving(many.registers, 0)
     assert [row.image for row in single.registers.written] == [row.image for row in many.registers.written]
-    assert many.world._controller._server.statistics.duplicated > 99 * 10
+    assert many.world.controller._server.statistics.duplicated > 99 * 10
 
 
 def test_case_07_the_sequence_wraps_within_a_motion() -> None:
@@ -89,12 +89,12 @@ def test_case_07_the_sequence_wraps_within_a_motion() -> None:
     rig.moving()
     rig.assert_completes()
     assert rig.world.link._session._channel.next_sequence < 2**31  # it has wrapped
-    assert rig.world._controller._server.statistics.dropped == 0
+    assert rig.world.controller._server.statistics.dropped == 0
 
 
 def test_case_08_a_sequence_reset_within_a_session_is_refused() -> None:
     rig = FaultRig().moving()
-    began_ns, server = rig.now_ns, rig.world._controller._server
+    began_ns, server = rig.now_ns, rig.world.controller._server
     rig.world.link._session._channel.next_sequence = 1
     rig.run(2.0)
     assert server.statistics.dropped > 3
@@ -129,7 +129,7 @@ def references_at_60_hz(rig: FaultRig, seconds: float) -> list[bytes]:
 
 def test_case_10_a_backlog_of_2_s_is_dropped_whole() -> None:
     rig = FaultRig().moving()
-    began_ns, server = rig.now_ns, rig.world._controller._server
+    began_ns, server = rig.now_ns, rig.world.controller._server
     backlog = references_at_60_hz(rig, 2.0)
     rig.world.to_controller = lambda _: []
     rig.run(2.0)
@@ -146,7 +146,7 @@ def test_case_10_a_backlog_of_2_s_is_dropped_whole() -> None:
 def test_case_10_a_backlog_in_a_session_that_lives_is_dropped_by_its_age() -> None:
     """The numbers are in order and without a gap: the age alone tells."""
     rig = FaultRig("controller.reference_link.link_timeout_ms=3000").moving()
-    server = rig.world._controller._server
+    server = rig.world.controller._server
     server._max_age_ns = 250 * MS
     backlog = references_at_60_hz(rig, 2.0)
     rig.world.to_controller = lambda _: []
@@ -175,7 +175,7 @@ def test_case_11_a_sender_whose_clock_is_an_hour_off_moves_the_valves_bit_by_bit
 
 def test_case_18_a_second_source_is_ignored_and_told() -> None:
     alone, pestered = FaultRig().enabled(), FaultRig().enabled()
-    server = pestered.world._controller._server
+    server = pestered.world.controller._server
     intruder = ReferenceClient(nonce=1234, state_period_ms=5)
     intruder.connect(pestered.now_ns)
     copied: list[bytes] = []

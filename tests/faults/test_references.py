@@ -135,7 +135,7 @@ def test_case_15_datagrams_of_a_wrong_version_or_sum_are_dropped_and_counted(how
 def judge_bent(how: str) -> None:
     """Asserts that a motion over a wire that adds spoilt copies is the same image by image, and counted."""
     rig = FaultRig()
-    server = rig.world._controller._server
+    server = rig.world.controller._server
     before = server.statistics.received
     rig.world.to_controller = bent(how)
     rig.moving()

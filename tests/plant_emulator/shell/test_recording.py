@@ -122,7 +122,7 @@ def test_another_reader_finds_the_topics(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("last", ["event", "capture"])
-def test_a_recording_that_was_never_closed_lacks_three_seconds_at_most(tmp_path: Path, last: str) -> None:
+def test_a_recording_that_was_never_closed_lacks_five_seconds_at_most(tmp_path: Path, last: str) -> None:
     path = tmp_path / "truth.mcap"
     recorder = TruthRecorder(path, RUN)
     second_ns = 1_000_000_000
@@ -140,8 +140,8 @@ def test_a_recording_that_was_never_closed_lacks_three_seconds_at_most(tmp_path:
         recording = read_truth(path)
         assert not recording.complete
         kept_ns = recording.truths[-1].log_ns if recording.truths else 0
-        assert kept_ns == min(number, 19) * second_ns if number == 20 else kept_ns >= (number - 3) * second_ns
-    assert same(recording.truths[-1].truth, truth(19 if last == "event" else 18))
+        assert kept_ns == min(number, 19) * second_ns if number == 20 else kept_ns >= (number - 5) * second_ns
+    assert same(recording.truths[-1].truth, truth(19 if last == "event" else 15))
 
 
 def test_a_long_recording_has_few_chunks(tmp_path: Path) -> None:
@@ -153,7 +153,7 @@ def test_a_long_recording_has_few_chunks(tmp_path: Path) -> None:
     with (tmp_path / "truth.mcap").open("rb") as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None
-    assert len(summary.chunk_indexes) <= 21
+    assert len(summary.chunk_indexes) <= 13
 
 
 def test_a_file_cut_anywhere_gives_a_prefix(tmp_path: Path) -> None:
@@ -189,9 +189,9 @@ def test_a_full_disk_ends_the_recording_and_says_so(tmp_path: Path) -> None:
     full = os.open("/dev/full", os.O_WRONLY)
     os.dup2(full, recorder._file.fileno())
     os.close(full)
-    recorder.capture(truth(1), 9_000_000_000, 2)
+    recorder.capture(truth(1), 11_000_000_000, 2)
     assert recorder.failure == "No space left on device"
-    recorder.capture(truth(2), 9_100_000_000, 3)
+    recorder.capture(truth(2), 11_100_000_000, 3)
     assert recorder.written == 1
     recorder.close()
     (kept,) = read_truth(tmp_path / "truth.mcap").truths

@@ -11,6 +11,8 @@ from foundation.event_log import event_of
 from foundation.overload import WINDOW_NS
 
 AFTERMATH_S = 15.0  # how long after its end a cause still explains what goes wrong: settling, RESET, ENABLE
+LATCHED_S = 75.0  # the same for a fault that stays latched until the next motion, a minute later, meets it
+_LATCHED = "refused.error_latched"
 OVERLOAD = "overload"
 
 
@@ -34,9 +36,10 @@ class Explanation(NamedTuple):
     begin_s: float
     end_s: float
 
-    def explains(self, at_s: float) -> bool:
-        """Whether what goes wrong at ``at_s`` can come of it."""
-        return self.begin_s <= at_s <= self.end_s + AFTERMATH_S
+    def explains(self, met: Incident) -> bool:
+        """Whether what went wrong can come of it."""
+        after_s = LATCHED_S if met.cause == _LATCHED else AFTERMATH_S
+        return self.begin_s <= met.at_s <= self.end_s + after_s
 
 
 class Journal:
@@ -86,9 +89,7 @@ class Journal:
         with self._lock:
             causes = [*self.overloads, *self.faults]
             return [
-                met._replace(
-                    explained_by=next((c.name for c in reversed(causes) if c.explains(met.at_s)), "")
-                )
+                met._replace(explained_by=next((c.name for c in reversed(causes) if c.explains(met)), ""))
                 for met in self._met
             ]
 
