@@ -29,7 +29,7 @@ def leaves(overrides: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return found
 
 
-@pytest.mark.parametrize("axis", AXES.values(), ids=str)
+@pytest.mark.parametrize("axis", AXES.values(), ids=lambda axis: axis.name)
 def test_an_axis_changes_the_truth_alone_and_is_what_the_plant_takes(axis: Axis) -> None:
     for arm in ARMS:
         base = usual(arm)
@@ -42,7 +42,7 @@ def test_an_axis_changes_the_truth_alone_and_is_what_the_plant_takes(axis: Axis)
     assert "[S]" in axis.source or "[E]" in axis.source
 
 
-@pytest.mark.parametrize("axis", AXES.values(), ids=str)
+@pytest.mark.parametrize("axis", AXES.values(), ids=lambda axis: axis.name)
 def test_an_axis_that_says_it_is_drawn_differs_from_seed_to_seed_and_from_the_usual(axis: Axis) -> None:
     base = usual()
     first, second = (axis.draw(np.random.default_rng(seed), base) for seed in (1, 2))

@@ -149,6 +149,13 @@ def test_a_buffer_is_used_again_only_when_nobody_reads_it() -> None:
     assert pool.take(100).ctypes.data == address
 
 
+def test_the_pool_keeps_no_more_buffers_than_are_read_at_once() -> None:
+    pool = BufferPool()
+    held = [pool.take(100) for _ in range(40)]
+    assert len({buffer.ctypes.data for buffer in held}) == 40
+    assert len(pool._buffers) == 16
+
+
 async def test_silent_stream_is_told_as_lost_and_found_again(config: VisionConfig, sender: Sender) -> None:
     async with opened(stream_settings(config, sender.port)) as camera:
         await asyncio.to_thread(sender.wait)

@@ -17,6 +17,7 @@ from vision_pc.shell.cameras.source import CameraSource
 _RECEIVE_BUFFER_BYTES = 1 << 20
 _CLOCK_WINDOW = 200  # frames whose least delay gives the sender's clock
 _POLL_S = 0.2  # how soon the thread sees that it is to stop
+_POOLED = 16  # more at once are held by what waits for the garbage collector, and are not kept
 _UNUSED = 2  # references to a buffer that nobody else holds: the pool's and the question's
 
 
@@ -39,7 +40,7 @@ class StreamClock:
 
 
 class BufferPool:
-    """Byte buffers of one size, each handed out again only when no picture made of it is left."""
+    """At most 16 byte buffers of one size, each handed out again only when no picture made of it is left."""
 
     def __init__(self) -> None:
         self._buffers: list[NDArray[np.uint8]] = []
@@ -50,8 +51,10 @@ class BufferPool:
         for index in range(len(self._buffers)):
             if sys.getrefcount(self._buffers[index]) == _UNUSED:
                 return self._buffers[index]
-        self._buffers.append(np.empty(size, dtype=np.uint8))
-        return self._buffers[-1]
+        buffer = np.empty(size, dtype=np.uint8)
+        if len(self._buffers) < _POOLED:
+            self._buffers.append(buffer)
+        return buffer
 
 
 class StreamCamera(CameraSource):
