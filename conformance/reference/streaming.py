@@ -65,6 +65,8 @@ class Stream:
         self.give(pose, **more)
         got = self.peer.expect(StreamRefused, what, ANSWER_MS)
         require(got.number == number, f"{what}: the refusal names {got.number}, wanted {number}")
+        stream_id = more.get("stream_id", self.stream_id)
+        require(got.stream_id == stream_id, f"{what}: of stream {got.stream_id}, wanted {stream_id}")
         require(got.reason is reason, f"{what}: {got.reason.name}, wanted {reason.name}")
         return got
 

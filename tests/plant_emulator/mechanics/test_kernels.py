@@ -70,7 +70,7 @@ def test_thousands_of_steps_allocate_nothing() -> None:
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
     assert blocks[2] == blocks[1]  # a call wraps its arguments once, whatever the number of steps
-    assert peak < 2000
+    assert peak < 4000  # what wraps the arguments; a number a step would be 40,000
 
 
 def test_a_locked_or_massless_body_is_passed_over() -> None:
