@@ -133,10 +133,10 @@ def containers(tmp_path: Path) -> Iterator[tuple[str, bytes, Path]]:
 @pytest.mark.timeout(1800)
 def test_three_containers_bring_the_tool_to_the_object(containers: tuple[str, bytes, Path]) -> None:
     url, token, records = containers
-    for wrong in ({}, {"Authorization": f"Bearer {bytes(32).hex()}"}):
-        assert httpx.post(f"{url}/enable", headers=wrong, timeout=20.0).status_code == 401
     rig = RestRig(url, token)
     rig.wait_healthy(180.0)
+    for wrong in ({}, {"Authorization": f"Bearer {bytes(32).hex()}"}):
+        assert httpx.post(f"{url}/enable", headers=wrong, timeout=20.0).status_code == 401
     for port in (1502, 47100):
         with (
             pytest.raises(OSError, match=r"refused|timed out"),
