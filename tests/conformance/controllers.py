@@ -67,6 +67,7 @@ class ControllerUnderTest:
     """
 
     link_key: LinkKey | None = None
+    server_class: type[ReferenceServer] = ReferenceServer
     network: ClassVar[SimulatedNetwork | None] = None
 
     def __init__(self) -> None:
@@ -91,7 +92,7 @@ class ControllerUnderTest:
 
     def make_server(self) -> ReferenceServer:
         """The server's end of the link."""
-        return ReferenceServer(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, key=self.link_key)
+        return self.server_class(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, key=self.link_key)
 
     def make_inbox(self) -> Inbox:
         """What holds the requests until the scan."""

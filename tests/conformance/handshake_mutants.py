@@ -1,6 +1,6 @@
 """Controllers that begin or end sessions at the wrong datagram, each caught by the case meant for it."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 from protocol.datagram import Header, decode
 from protocol.faults import Reason
@@ -11,22 +11,13 @@ from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
 from tests.conformance.mutants import Mutant
 
 
-class _OtherServer(ControllerUnderTest):
-    """A controller whose session is another class's."""
-
-    server_class: ClassVar[type[ReferenceServer]]
-
-    def make_server(self) -> ReferenceServer:
-        return self.server_class(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, key=self.link_key)
-
-
 class _BeginsWithHello(ReferenceServer):
     def _greeted(self, header: Header, hello: Hello, source: object, now_ns: int) -> list[ServerEvent]:
         events = super()._greeted(header, hello, source, now_ns)
         return events + (self._confirmed(now_ns) if self._unconfirmed else [])
 
 
-class BeginsWithHello(_OtherServer):
+class BeginsWithHello(ControllerUnderTest):
     """Opens the session with HELLO, whoever sent it."""
 
     server_class = _BeginsWithHello
@@ -38,7 +29,7 @@ class _EndsAtHello(ReferenceServer):
         return events + (self.close(now_ns, Reason.PEER_RESTARTED) if self._unconfirmed else [])
 
 
-class EndsTheOldAtHello(_OtherServer):
+class EndsTheOldAtHello(ControllerUnderTest):
     """Ends the session in use when its client seems to come back, before the new one has begun."""
 
     server_class = _EndsAtHello
@@ -55,7 +46,7 @@ class _NeverEndsTheOld(ReferenceServer):
         return events
 
 
-class LetsTheOldLiveOn(_OtherServer):
+class LetsTheOldLiveOn(ControllerUnderTest):
     """Goes on with the old session beside the new one."""
 
     server_class = _NeverEndsTheOld
@@ -74,7 +65,7 @@ class _BothGrantsStand(ReferenceServer):
         return super()._addressed(number)
 
 
-class KeepsEveryGrant(_OtherServer):
+class KeepsEveryGrant(ControllerUnderTest):
     """Begins a session whose grant was replaced by another."""
 
     server_class = _BothGrantsStand
@@ -87,7 +78,7 @@ class _GrantsForEver(ReferenceServer):
         return super().tick(now_ns)
 
 
-class GrantsForEver(_OtherServer):
+class GrantsForEver(ControllerUnderTest):
     """Does not forget a grant."""
 
     server_class = _GrantsForEver
@@ -101,7 +92,7 @@ class _GrantsForHalf(ReferenceServer):
         return super().tick(now_ns)
 
 
-class GrantsForHalf(_OtherServer):
+class GrantsForHalf(ControllerUnderTest):
     """Forgets a grant after half the time."""
 
     server_class = _GrantsForHalf
@@ -116,7 +107,7 @@ class _BeginsWithAHeartbeat(ReferenceServer):
         return super()._in_session(datagram, data, source, now_ns)
 
 
-class BeginsWithAHeartbeatOnly(_OtherServer):
+class BeginsWithAHeartbeatOnly(ControllerUnderTest):
     """Does not use a request before the first heartbeat."""
 
     server_class = _BeginsWithAHeartbeat
@@ -137,7 +128,7 @@ class _GrantOccupies(ReferenceServer):
         return super()._greeted(header, hello, source, now_ns)
 
 
-class GrantOccupies(_OtherServer):
+class GrantOccupies(ControllerUnderTest):
     """Refuses others while a grant has not begun."""
 
     server_class = _GrantOccupies
@@ -152,7 +143,7 @@ class _RefusalEnds(ReferenceServer):
         return events + (self.close(now_ns) if refused else [])
 
 
-class WrongArmEndsTheSession(_OtherServer):
+class WrongArmEndsTheSession(ControllerUnderTest):
     """Takes HELLO for another arm for the end of its client's session."""
 
     server_class = _RefusalEnds
@@ -162,7 +153,7 @@ class _VersionEnds(_RefusalEnds):
     cause = "datagram.wrong_major"
 
 
-class WrongVersionEndsTheSession(_OtherServer):
+class WrongVersionEndsTheSession(ControllerUnderTest):
     """Takes a datagram of another major version for the end of the session."""
 
     server_class = _VersionEnds

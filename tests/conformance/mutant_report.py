@@ -176,9 +176,9 @@ def report(verdicts: Iterable[Verdict]) -> tuple[list[str], list[Verdict]]:
             f"{clause:>7} {len(row):>7} {len(caught):>7} {len(unseen):>7}  {', '.join(map(str, cases))}"
         )
     every = [each for row in by_clause.values() for each in row]
-    total = sum(bool(each.caught_by) for each in every)
-    could = sum(not each.broken.unseen for each in every)
-    lines.append(f"{total} of {could} caught that can be told from outside, {len(every)} in all")
+    could = [each for each in every if not each.broken.unseen]
+    total = sum(bool(each.caught_by) for each in could)
+    lines.append(f"{total} of {len(could)} caught that can be told from outside, {len(every)} in all")
     for each in every:
         if not each.caught_by:
             why = each.broken.unseen or "NO CASE CATCHES IT"

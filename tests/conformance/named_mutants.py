@@ -4,7 +4,8 @@ from conformance.runner import reference_cases
 from tests.conformance.ending_mutants import ENDING_MUTANTS
 from tests.conformance.handshake_mutants import HANDSHAKE_MUTANTS
 from tests.conformance.key_mutants import KEY, KEY_MUTANTS
-from tests.conformance.link_mutants import LINK_KEY_MUTANTS, LINK_MUTANTS
+from tests.conformance.link_key_mutants import LINK_KEY_MUTANTS
+from tests.conformance.link_mutants import LINK_MUTANTS
 from tests.conformance.mutant_report import BrokenController
 from tests.conformance.mutants import MUTANTS as PLAIN_MUTANTS
 from tests.conformance.repetition_mutants import REPETITION_MUTANTS

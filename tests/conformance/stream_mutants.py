@@ -10,7 +10,7 @@ from protocol.reference_messages import CAPABILITY_STREAMING, Command, State, St
 from protocol.server_session import ReferenceServer
 from protocol.session_events import ServerEvent, StreamedPoseReceived
 from protocol.session_factory import LinkSession
-from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest, settings
+from tests.conformance.controllers import ControllerUnderTest, settings
 from tests.conformance.mutants import Mutant
 
 
@@ -95,26 +95,26 @@ class _Unasked(ReferenceServer):
         return super()._requested(session, request, content, now_ns)
 
 
+def _unasked(code: CommandCode | None) -> type[ReferenceServer]:
+    return type("Unasked", (_Unasked,), {"code": code})
+
+
 class StartsUnaskedStreams(ControllerUnderTest):
     """START_STREAM needs no capability."""
 
-    code: CommandCode | None = CommandCode.START_STREAM
-
-    def make_server(self) -> ReferenceServer:
-        server = type("Unasked", (_Unasked,), {"code": self.code})
-        return server(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS)
+    server_class = _unasked(CommandCode.START_STREAM)
 
 
-class EndsUnaskedStreams(StartsUnaskedStreams):
+class EndsUnaskedStreams(ControllerUnderTest):
     """END_STREAM needs none."""
 
-    code = CommandCode.END_STREAM
+    server_class = _unasked(CommandCode.END_STREAM)
 
 
-class JudgesUnaskedReferences(StartsUnaskedStreams):
+class JudgesUnaskedReferences(ControllerUnderTest):
     """STREAMED_POSE needs none."""
 
-    code = None
+    server_class = _unasked(None)
 
 
 STREAM_MUTANTS = (

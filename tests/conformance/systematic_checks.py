@@ -13,7 +13,7 @@ from protocol.datagram_layout import HEADER, HEADER_BYTES, PAYLOADS, Kind, offse
 from protocol.reference_messages import ANY_ARM
 from protocol.server_session import ReferenceServer
 from protocol.session_events import ServerEvent
-from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
+from tests.conformance.controllers import ControllerUnderTest
 from tests.conformance.mutant_report import BrokenController
 from tests.conformance.systematic_fields import RECEIVED, intact
 
@@ -197,12 +197,8 @@ class _Repeating(ControllerUnderTest):
     """Uses datagrams of one kind as often as they come."""
 
     def __init__(self, kind: Kind) -> None:
-        self._kind = kind
+        self.server_class = type("Forgetful", (_Forgetful,), {"kind": kind})
         super().__init__()
-
-    def make_server(self) -> ReferenceServer:
-        server = type("Forgetful", (_Forgetful,), {"kind": self._kind})
-        return server(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS)
 
 
 class _MendingHello(_Mending):

@@ -12,7 +12,7 @@ from protocol.datagram_layout import HEADER_BYTES
 from protocol.faults import Reason
 from protocol.server_session import ReferenceServer
 from protocol.session_events import DatagramDropped, ServerEvent
-from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
+from tests.conformance.controllers import ControllerUnderTest
 from tests.conformance.key_mutants import KEY
 from tests.conformance.mutant_report import BrokenController
 from tests.support.paths import DOCS
@@ -119,11 +119,8 @@ class _Controller(ControllerUnderTest):
     """Has a server of any class."""
 
     def __init__(self, server: type[ReferenceServer], key: LinkKey | None) -> None:
-        self._server_class, self.link_key = server, key
+        self.server_class, self.link_key = server, key
         super().__init__()
-
-    def make_server(self) -> ReferenceServer:
-        return self._server_class(77, self.arm_hash(), self.cycle_ns, LINK_TIMEOUT_MS, key=self.link_key)
 
 
 def _rows() -> Iterator[BrokenController]:
