@@ -58,6 +58,7 @@ class ControllerService:
         self, arm: NominalArm, config: ControllerConfig, options: ServiceOptions, log: EventLog
     ) -> None:
         """Bind the reference port, then try the directories. Raises ConfigurationError."""
+        _refuse_excitation(config)
         self._config = config
         self._log = log
         self._settings = settings_from(arm, config)
@@ -240,6 +241,15 @@ class ControllerService:
             "rss_mb_at_start": self._memory_mb,
             "rss_mb": resident_mb(),
         }
+
+
+def _refuse_excitation(config: ControllerConfig) -> None:
+    if config.excitation.enabled:
+        raise ConfigurationError(
+            "configuration.lockstep_only",
+            "controller.excitation.enabled = true: valves are tried out in simulated time alone "
+            "(longreach commission); this controller would not know the mode",
+        )
 
 
 def _code(request: Request) -> str | None:
