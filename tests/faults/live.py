@@ -5,7 +5,6 @@ to the coupler's registers is kept, as everywhere in these tests.
 """
 
 import asyncio
-import io
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
@@ -16,7 +15,6 @@ import httpx
 import numpy as np
 from fastapi import FastAPI
 
-from foundation.event_log import EventLog
 from nominal_arm.dimensions import boom_dimensions
 from plant_emulator.core.plant import Plant
 from protocol.faults import GroupState
@@ -24,6 +22,7 @@ from protocol.process_image import decode_valves, encode_sensors
 from testbed.lockstep.world import ControllerSide
 from tests.faults.registers import SHUT, Registers
 from tests.faults.rig import settings_of
+from tests.support.log_lines import HeardLog
 from tests.vision_pc.shell.loopback_controller import until
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.link_arm import LinkArm
@@ -119,7 +118,7 @@ class LiveRig:
 
     def __init__(self, client: httpx.AsyncClient, app: FastAPI, station: VisionApplication,
                  operations: Operations, machine: Machine, camera: ScriptedCamera,
-                 log: EventLog) -> None:  # fmt: skip
+                 log: HeardLog) -> None:  # fmt: skip
         self.client, self.app, self.station, self.operations = client, app, station, operations
         self.machine, self.camera, self.log = machine, camera, log
         self.registers = machine.registers
@@ -160,7 +159,7 @@ async def live(
     settings = settings_of(1, _PATIENT)
     machine = machine or Machine()
     await machine.start()
-    log = EventLog("vision_pc", stream if stream is not None else io.StringIO())
+    log = HeardLog("vision_pc", stream)
     if record_dir is not None:
         log.record_in(record_dir)
     vision = settings.vision.model_copy(

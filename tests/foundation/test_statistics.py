@@ -1,6 +1,5 @@
 """The statistics file: whole at any time, signed with its service; a disk that fails is logged."""
 
-import io
 import json
 import os
 import subprocess
@@ -10,22 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from foundation.event_log import EventLog
 from foundation.statistics import StatisticsFile, resident_mb
 from protocol.errors import ConfigurationError
+from tests.support.log_lines import HeardLog
 
 
 @pytest.fixture
-def stream() -> io.StringIO:
-    return io.StringIO()
+def log() -> HeardLog:
+    return HeardLog("controller")
 
 
-@pytest.fixture
-def log(stream: io.StringIO) -> EventLog:
-    return EventLog("controller", stream)
-
-
-def test_the_service_signs_what_it_writes(log: EventLog, tmp_path: Path) -> None:
+def test_the_service_signs_what_it_writes(log: HeardLog, tmp_path: Path) -> None:
     path = tmp_path / "made" / "statistics.json"
     StatisticsFile(path, "controller", log, lambda: {"cycles": 3}).write()
     log.close()
@@ -33,7 +27,7 @@ def test_the_service_signs_what_it_writes(log: EventLog, tmp_path: Path) -> None
     assert os.listdir(path.parent) == ["statistics.json"]
 
 
-def test_a_reader_never_sees_half_a_file(log: EventLog, tmp_path: Path) -> None:
+def test_a_reader_never_sees_half_a_file(log: HeardLog, tmp_path: Path) -> None:
     path = tmp_path / "statistics.json"
     file = StatisticsFile(path, "plant_emulator", log, lambda: {"much": list(range(20_000))})
     file.write()
@@ -54,9 +48,7 @@ def test_a_reader_never_sees_half_a_file(log: EventLog, tmp_path: Path) -> None:
         log.close()
 
 
-def test_a_disk_that_fails_later_is_logged_and_leaves_the_old_file(
-    log: EventLog, stream: io.StringIO, tmp_path: Path
-) -> None:
+def test_a_disk_that_fails_later_is_logged_and_leaves_the_old_file(log: HeardLog, tmp_path: Path) -> None:
     path = tmp_path / "statistics.json"
     file = StatisticsFile(path, "vision_pc", log, lambda: {"n": 1})
     file.write()
@@ -65,13 +57,13 @@ def test_a_disk_that_fails_later_is_logged_and_leaves_the_old_file(
     file.write()
     log.close()
     assert path.read_text() == before
-    (line,) = [json.loads(line) for line in stream.getvalue().splitlines()]
+    (line,) = log.lines()
     assert (line["event"], line["level"], line["cause"]) == (
         "statistics_failed", "error", "statistics.unwritable"
     )  # fmt: skip
 
 
-def test_a_directory_that_cannot_be_written_is_refused_at_once(log: EventLog, tmp_path: Path) -> None:
+def test_a_directory_that_cannot_be_written_is_refused_at_once(log: HeardLog, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigurationError, match="--statistics") as refused:
         StatisticsFile(tmp_path / "file" / "statistics.json", "controller", log, dict)
@@ -79,7 +71,7 @@ def test_a_directory_that_cannot_be_written_is_refused_at_once(log: EventLog, tm
     assert refused.value.cause == "configuration.statistics_unwritable"
 
 
-def test_without_a_path_nothing_is_gathered(log: EventLog) -> None:
+def test_without_a_path_nothing_is_gathered(log: HeardLog) -> None:
     StatisticsFile(None, "controller", log, lambda: pytest.fail("gathered")).write()
     log.close()
 

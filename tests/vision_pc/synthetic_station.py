@@ -1,8 +1,6 @@
 """A station for tests: the real controller link and socket arm over loopback, eyes on the synthetic arm."""
 
 import asyncio
-import io
-import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -11,10 +9,10 @@ from typing import Any
 import httpx
 import numpy as np
 
-from foundation.event_log import EventLog
 from protocol.errors import RequestRefused
 from protocol.faults import GroupState
 from protocol.reference_messages import ANY_ARM
+from tests.support.log_lines import HeardLog
 from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import SyntheticRig, SyntheticWatch, draw
@@ -61,7 +59,7 @@ class Bench:
     """Everything a test of the REST face wants, over one synthetic arm."""
 
     def __init__(self, client: httpx.AsyncClient, station: VisionApplication, operations: Operations,
-                 controller: LoopbackController, eyes: SyntheticEyes, log: io.StringIO) -> None:  # fmt: skip
+                 controller: LoopbackController, eyes: SyntheticEyes, log: HeardLog) -> None:  # fmt: skip
         self.client, self.station, self.operations = client, station, operations
         self.controller, self.eyes, self.rig, self.log = controller, eyes, eyes.rig, log
 
@@ -84,9 +82,7 @@ class Bench:
         raise AssertionError(f"{location} did not end")
 
     def events(self, name: str) -> list[dict[str, Any]]:
-        self.station.log.flush()
-        lines = [json.loads(line) for line in self.log.getvalue().splitlines()]
-        return [line for line in lines if line["event"] == name]
+        return self.log.lines(name)
 
 
 def quick(settings: ProgramSettings) -> ProgramSettings:
@@ -104,8 +100,7 @@ async def bench(
     rig = SyntheticRig(draw(np.random.default_rng(seed), **truth), seed, rate_hz=100.0)
     controller = LoopbackController(rig, link_timeout_ms=link_timeout_ms)
     await controller.start()
-    stream = io.StringIO()
-    log = EventLog("vision_pc", stream)
+    log = HeardLog("vision_pc")
     if record_dir is not None:
         log.record_in(record_dir)
     endpoint = UdpEndpoint(
@@ -120,7 +115,7 @@ async def bench(
     operations = Operations(arm.halt, log)
     transport = httpx.ASGITransport(app=create_app(station, operations), raise_app_exceptions=False)
     async with httpx.AsyncClient(transport=transport, base_url="http://vision") as client:
-        yield Bench(client, station, operations, controller, eyes, stream)
+        yield Bench(client, station, operations, controller, eyes, log)
     await operations.close()
     await endpoint.close()
     await controller.stop()

@@ -2,7 +2,6 @@
 
 import contextlib
 import http.client
-import io
 import json
 import socket
 import time
@@ -12,12 +11,12 @@ from typing import NamedTuple
 import pytest
 from fastapi import FastAPI
 
-from foundation.event_log import EventLog
 from foundation.rest.access import Access
 from foundation.rest.connections import MAX_OF_ONE_ADDRESS
 from foundation.rest.refusals import DATA_HEADERS
 from foundation.rest.server import install_problems
 from tests.foundation.rest.serving import serving
+from tests.support.log_lines import HeardLog
 
 STOP = b"POST /stop HTTP/1.1\r\nHost: localhost\r\n\r\n"
 GET = b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n"
@@ -30,7 +29,7 @@ class Api(NamedTuple):
 
     port: int
     begun: list[str]
-    log: io.StringIO
+    log: HeardLog
     refused: dict[str, int]
 
     def connect(self) -> socket.socket:
@@ -40,7 +39,6 @@ class Api(NamedTuple):
 @pytest.fixture
 def api() -> Iterator[Api]:
     begun: list[str] = []
-    stream = io.StringIO()
     app = FastAPI()
     install_problems(app, {})
 
@@ -58,9 +56,9 @@ def api() -> Iterator[Api]:
     async def block() -> None:
         time.sleep(BLOCKED_S)  # noqa: ASYNC251  the loop itself: what comes meanwhile comes all at once
 
-    log = EventLog("test", stream)
+    log = HeardLog()
     with serving(app, Access(stops=frozenset({"/stop"})), log) as where:
-        yield Api(where.port, begun, stream, where.server.refused)
+        yield Api(where.port, begun, log, where.server.refused)
     log.close()
 
 
@@ -114,8 +112,7 @@ def test_a_connection_too_many_is_refused_with_a_problem(api: Api) -> None:
                     break
             assert time.monotonic() < deadline
             time.sleep(0.05)
-    told = [json.loads(line) for line in api.log.getvalue().splitlines()]
-    assert told[0]["cause"] == "refused.too_many_connections"
+    assert api.log.lines()[0]["cause"] == "refused.too_many_connections"
 
 
 @pytest.mark.parametrize("pieces", [1, 2, 5])

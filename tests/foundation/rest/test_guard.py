@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import http.client
-import io
 import json
 import socket
 import time
@@ -16,7 +15,6 @@ from fastapi.responses import JSONResponse
 from pydantic import ValidationError
 
 from foundation.configuration import HostName, StrictModel
-from foundation.event_log import EventLog
 from foundation.rest import connections
 from foundation.rest import server as rest
 from foundation.rest.access import ANYBODY_HERE, Access
@@ -24,6 +22,7 @@ from foundation.rest.guard import AccessGuard
 from foundation.rest.refusals import SECURITY_HEADERS, RefusalLog
 from foundation.rest.server import MAX_BODY_BYTES, install_problems
 from tests.foundation.rest.serving import serving
+from tests.support.log_lines import HeardLog
 
 SLOW_S = 0.5
 
@@ -39,7 +38,7 @@ class Answer(NamedTuple):
 class Served:
     """A small application behind our server: ``executed`` are the commands that got through."""
 
-    def __init__(self, port: int, executed: list[bytes], log: io.StringIO) -> None:
+    def __init__(self, port: int, executed: list[bytes], log: HeardLog) -> None:
         self.port, self.executed, self.log = port, executed, log
         self.own = f"127.0.0.1:{port}"
 
@@ -74,8 +73,7 @@ def received(sock: socket.socket) -> Answer:
 @pytest.fixture(scope="module")
 def served() -> Iterator[Served]:
     executed: list[bytes] = []
-    stream = io.StringIO()
-    log = EventLog("test", stream)
+    log = HeardLog()
     monkeypatch = pytest.MonkeyPatch()
     monkeypatch.setattr(rest, "BODY_WITHIN_S", SLOW_S)
     monkeypatch.setattr(connections, "HEADERS_WITHIN_S", SLOW_S)
@@ -105,7 +103,7 @@ def served() -> Iterator[Served]:
         raise ZeroDivisionError
 
     with serving(app, Access(("plc-cell", "10.1.2.3")), log) as where:
-        yield Served(where.port, executed, stream)
+        yield Served(where.port, executed, log)
     log.close()
     monkeypatch.undo()
 
@@ -222,8 +220,7 @@ def test_what_floods_is_told_with_its_count(served: Served) -> None:
     deadline = time.monotonic() + 10.0
     told: list[dict[str, Any]] = []
     while sum(line.get("repeated", 1) for line in told) < 128 and time.monotonic() < deadline:
-        lines = [json.loads(line) for line in served.log.getvalue().splitlines()]
-        told = [line for line in lines if "flood.example" in line.get("detail", "")]
+        told = [line for line in served.log.lines() if "flood.example" in line.get("detail", "")]
         time.sleep(0.05)
     assert sum(line.get("repeated", 1) for line in told) >= 128
     assert 1 <= len(told) <= 5

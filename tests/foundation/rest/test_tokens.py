@@ -2,7 +2,6 @@
 
 import base64
 import http.client
-import io
 import json
 import subprocess
 import sys
@@ -15,13 +14,13 @@ from fastapi import FastAPI
 from pydantic import Field
 
 from foundation.configuration import HostName, StrictModel
-from foundation.event_log import EventLog
 from foundation.rest.access import Access, configured_access
 from foundation.rest.server import install_problems
 from foundation.rest.tokens import Role, TokenSources, is_loopback
 from foundation.secret_source import SecretSource, write_new_secret
 from protocol.errors import ConfigurationError
 from tests.foundation.rest.serving import serving
+from tests.support.log_lines import HeardLog
 
 LOOK, OPERATE, NOBODY = bytes(range(32)), bytes(range(100, 132)), bytes(32)
 ACCESS = Access((), {Role.LOOK: LOOK, Role.OPERATE: OPERATE}, frozenset({"/stop"}))
@@ -42,7 +41,7 @@ class Answer(NamedTuple):
 class Asked:
     """A small API with tokens: ``done`` are the POSTs that got through."""
 
-    def __init__(self, port: int, done: list[str], log: io.StringIO, refused: dict[str, int]) -> None:
+    def __init__(self, port: int, done: list[str], log: HeardLog, refused: dict[str, int]) -> None:
         self.port, self.done, self.log, self.refused = port, done, log, refused
 
     def ask(self, method: str, path: str, authorization: str | None) -> Answer:
@@ -60,7 +59,6 @@ class Asked:
 @pytest.fixture(scope="module")
 def api() -> Iterator[Asked]:
     done: list[str] = []
-    stream = io.StringIO()
     app = FastAPI()
     install_problems(app, {})
 
@@ -73,9 +71,9 @@ def api() -> Iterator[Asked]:
     async def state() -> dict[str, str]:
         return {"group_state": "disabled"}
 
-    log = EventLog("test", stream)
+    log = HeardLog()
     with serving(app, ACCESS, log) as served:
-        yield Asked(served.port, done, stream, served.server.refused)
+        yield Asked(served.port, done, log, served.server.refused)
     log.close()
 
 
@@ -142,9 +140,8 @@ def test_refusals_are_counted_and_told_without_the_token(api: Asked) -> None:
     for _ in range(64):
         api.ask("GET", "/state", bearer(NOBODY))
     assert api.refused["refused.wrong_token"] == before.get("refused.wrong_token", 0) + 64
-    told = api.log.getvalue()
-    lines = [json.loads(line) for line in told.splitlines()]
-    wrong = [line for line in lines if line["cause"] == "refused.wrong_token"]
+    told = api.log.text()
+    wrong = [line for line in api.log.lines() if line["cause"] == "refused.wrong_token"]
     assert 1 <= len(wrong) <= 8
     assert {line["source"] for line in wrong} == {"127.0.0.1"}
     for token in (LOOK, OPERATE, NOBODY):

@@ -1,6 +1,5 @@
 """The plant's end of the fault API: one order a step, every change told, and no step that waits."""
 
-import io
 import itertools
 import socket
 from collections.abc import Iterator
@@ -8,7 +7,6 @@ from typing import NamedTuple
 
 import pytest
 
-from foundation.event_log import EventLog
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import CouplerSilent, Fault, MarkerCovered, SupplyLost
@@ -24,6 +22,7 @@ from plant_emulator.core.plant import Plant
 from plant_emulator.shell.fault_desk import FaultDesk
 from tests.plant_emulator.camera.camera_world import scene_config
 from tests.plant_emulator.plant_world import plant_config
+from tests.support.log_lines import HeardLog
 
 MS = 1_000_000
 
@@ -34,7 +33,7 @@ class Bench(NamedTuple):
     plant: Plant
     desk: FaultDesk
     link: socket.socket
-    log: io.StringIO
+    log: HeardLog
 
     def order(self, number: int, order: FaultOrder | MendOrder) -> None:
         """What the API would send."""
@@ -59,9 +58,9 @@ class Bench(NamedTuple):
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    plant, log = Plant(plant_config(), seed=1), io.StringIO()
+    plant, log = Plant(plant_config(), seed=1), HeardLog("plant_emulator")
     config = FaultApiConfig(host="127.0.0.1", port=0, allowed=True)
-    desk = FaultDesk(plant, Scene(scene_config()), config, EventLog("plant_emulator", log))
+    desk = FaultDesk(plant, Scene(scene_config()), config, log)
     desk._theirs.setblocking(False)
     yield Bench(plant, desk, desk._theirs, log)
     desk._link.close()
@@ -119,5 +118,4 @@ def test_an_api_that_has_gone_is_told_once(bench: Bench) -> None:
     bench.link.close()
     for _ in range(3):
         bench.desk.step()
-    bench.desk._log.flush()
-    assert bench.log.getvalue().count("link.fault_api_ended") == 1
+    assert bench.log.text().count("link.fault_api_ended") == 1

@@ -12,6 +12,7 @@ from foundation.event_log import EventLog
 from protocol.errors import LinkLost, MotionUnsettled, RequestRefused
 from protocol.faults import CommandCode, FaultCode, GroupState
 from protocol.reference_messages import ANY_ARM, Command, ReferencePose
+from tests.support.log_lines import HeardLog
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward
 from vision_pc.application.link_arm import LinkArm
@@ -235,14 +236,12 @@ async def test_commands_that_wait_end_with_the_link(
 
 
 async def test_the_log_tells_the_links_story(controller: LoopbackController) -> None:
-    stream = io.StringIO()
-    log = EventLog("vision_pc", stream)
+    log = HeardLog("vision_pc")
     endpoint = UdpEndpoint(LinkSettings(port=controller.port), ANY_ARM, log, MonotonicClock())
     await endpoint.start()
     await until(lambda: endpoint.link.connected)
     await endpoint.link.command(CommandCode.ENABLE)
     await endpoint.close()
-    log.flush()
-    lines = stream.getvalue().splitlines()
+    lines = log.text().splitlines()
     assert any('"link_connected"' in line for line in lines)
     assert any('"acknowledged"' in line and '"accepted"' in line for line in lines)

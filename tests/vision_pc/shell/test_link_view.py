@@ -1,19 +1,18 @@
 """The reference link in numbers, and with a key: real sockets, and the protocol's own server session."""
 
 import dataclasses
-import io
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from foundation.event_log import EventLog
 from foundation.link_key import key_from_file
 from foundation.secret_source import SecretSource
 from protocol.channel import LinkStatistics
 from protocol.errors import ConfigurationError, LinkLost
 from protocol.faults import CommandCode, Reason
 from protocol.reference_messages import ANY_ARM
+from tests.support.log_lines import HeardLog
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import SyntheticRig, draw
 from tests.vision_pc.synthetic_station import bench
@@ -38,9 +37,9 @@ def a_controller(key_file: Path | None = None) -> LoopbackController:
     return LoopbackController(rig, key=key_from_file(key_file) if key_file else None)
 
 
-def a_link(port: int, stream: io.StringIO, key_file: Path | None = None) -> UdpEndpoint:
+def a_link(port: int, log: HeardLog, key_file: Path | None = None) -> UdpEndpoint:
     settings = LinkSettings(port=port, state_period_ms=10, link_key=SecretSource(file=key_file))
-    return UdpEndpoint(settings, ANY_ARM, EventLog("vision_pc", stream), MonotonicClock())
+    return UdpEndpoint(settings, ANY_ARM, log, MonotonicClock())
 
 
 def test_every_counter_is_shown_with_its_unit() -> None:
@@ -75,9 +74,9 @@ async def test_the_rest_face_shows_the_link() -> None:
 
 
 async def test_with_the_same_key_the_link_is_authenticated(key_file: Path) -> None:
-    controller, stream = a_controller(key_file), io.StringIO()
+    controller, log = a_controller(key_file), HeardLog("vision_pc")
     await controller.start()
-    endpoint = a_link(controller.port, stream, key_file)
+    endpoint = a_link(controller.port, log, key_file)
     link = endpoint.link
     await endpoint.start()
     await until(lambda: link.connected and link.clock_offset is not None)
@@ -87,13 +86,14 @@ async def test_with_the_same_key_the_link_is_authenticated(key_file: Path) -> No
     assert view.dropped == 0
     await endpoint.close()
     await controller.stop()
-    assert "5a5a" not in stream.getvalue()
+    assert log.lines("link_connected")
+    assert "5a5a" not in log.text()
 
 
 async def test_a_link_without_the_key_is_told_why_and_moves_nothing(key_file: Path) -> None:
     controller = a_controller(key_file)
     await controller.start()
-    endpoint = a_link(controller.port, io.StringIO())
+    endpoint = a_link(controller.port, HeardLog("vision_pc"))
     link = endpoint.link
     await endpoint.start()
     await until(lambda: "not authenticated" in str(link.not_connected()))
@@ -109,7 +109,7 @@ async def test_a_link_without_the_key_is_told_why_and_moves_nothing(key_file: Pa
 async def test_a_key_that_the_controller_does_not_have_is_told_and_not_given_up(key_file: Path) -> None:
     controller = a_controller()
     await controller.start()
-    endpoint = a_link(controller.port, io.StringIO(), key_file)
+    endpoint = a_link(controller.port, HeardLog("vision_pc"), key_file)
     link = endpoint.link
     await endpoint.start()
     await until(lambda: "key not configured" in str(link.not_connected()))
@@ -123,5 +123,5 @@ async def test_a_key_that_the_controller_does_not_have_is_told_and_not_given_up(
 def test_a_key_file_that_others_may_read_stops_the_start(key_file: Path) -> None:
     key_file.chmod(0o644)
     with pytest.raises(ConfigurationError) as refused:
-        a_link(1, io.StringIO(), key_file)
+        a_link(1, HeardLog("vision_pc"), key_file)
     assert refused.value.cause == "configuration.key_exposed"
