@@ -213,7 +213,7 @@ def identify(
 
 @validate.command("plant", epilog="Example: longreach validate plant --json plant.json")
 def validate_plant_command(config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None) -> None:
-    """The plant against twenty families of known answers (geometry to energy balance)."""
+    """The plant against families of known answers (geometry to energy balance)."""
     from testbed.cli.validate import validate_plant
 
     raise typer.Exit(0 if validate_plant(config_dir, json_file) else 1)
