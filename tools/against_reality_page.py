@@ -132,7 +132,8 @@ def _inside(value: float, low: float, high: float) -> str:
 def rendered(text: str) -> str:
     """``text`` with the table measured anew."""
     head = "what | real machines | source | the emulator | verdict"
-    return filled(text, {"against reality": table(head, [*of_motion(), *of_tracking(), *of_rest(), *of_parts()])})
+    rows = [*of_motion(), *of_tracking(), *of_rest(), *of_parts()]
+    return filled(text, {"against reality": table(head, rows)})
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What the emulator does where public figures of real machines exist: steps, drift, loops, a circle, rocking."""
+"""What the emulator does where real machines have public figures: steps, drift, loops, a circle, rocking."""
 
 from collections.abc import Iterator
 from itertools import pairwise
