@@ -13,7 +13,7 @@ from zlib import crc32
 import numpy as np
 
 from foundation.configuration import merged
-from testbed.experiments.positioning import axes
+from testbed.experiments.positioning import axes, axes_of_sight
 from testbed.experiments.positioning.axes import Axis
 from testbed.lockstep.simulated_measurements import EyeCondition
 from testbed.scenarios.settings import Settings
@@ -50,11 +50,12 @@ class WorldName(StrEnum):
     CRANE_REAL = "crane-real"
 
 
-_HARDER = (axes.lens, axes.poor_light, axes.tool_print, axes.wide_play)
+_HARDER = (axes_of_sight.lens, axes_of_sight.poor_light, axes_of_sight.tool_print, axes.wide_play)
 _REAL = (
     axes.mobile_valves,
     axes.friction,
     axes.bending,
+    axes.finer_bending,
     axes.play,
     axes.loose_slew,
     axes.tilting_bearing,
@@ -66,16 +67,21 @@ _REAL = (
     axes.joint_axes,
     axes.oil,
     axes.supply,
-    axes.rectification,
-    axes.lens,
-    axes.two_lenses,
-    axes.drift,
-    axes.stamps,
-    axes.light,
-    axes.rolling_shutter,
-    axes.uneven_wall,
-    axes.tool_print,
-    axes.object_markers,
+    axes_of_sight.rectification,
+    axes_of_sight.lens,
+    axes_of_sight.two_lenses,
+    axes_of_sight.drift,
+    axes_of_sight.stamps,
+    axes_of_sight.light,
+    axes_of_sight.rolling_shutter,
+    axes_of_sight.exposure,
+    axes_of_sight.glare,
+    axes_of_sight.moving_shadow,
+    axes_of_sight.uneven_wall,
+    axes_of_sight.broken_wall,
+    axes_of_sight.passers,
+    axes_of_sight.tool_print,
+    axes_of_sight.object_markers,
 )
 
 _LAB_DEMANDS = Demands(0.98, None, open_loop=0.90, median_mm=1.5, q95_mm=3.0, honest=True)
