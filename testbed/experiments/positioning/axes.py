@@ -103,12 +103,12 @@ def bending(rng: np.random.Generator, usual: Settings) -> JSON:
 
 
 @axis(
-    "two hinges a beam each way, at 0.18 to 0.3 and 0.45 to 0.7 of it",
+    "two hinges a beam each way, at 0.25 to 0.3 and 0.6 to 0.7 of it",
     "[E] sections of unequal strength; [D] no longer the estimator's own model, one hinge at a third",
 )
 def finer_bending(rng: np.random.Generator, _usual: Settings) -> JSON:
     """Where the booms bend."""
-    places = {f"{beam}_at": rng.uniform([0.18, 0.45], [0.3, 0.7]).tolist() for beam in ("boom", "arm")}
+    places = {f"{beam}_at": rng.uniform([0.25, 0.6], [0.3, 0.7]).tolist() for beam in ("boom", "arm")}
     return {"plant": {"errors": {"finer_bending": {"enabled": True} | places}}}
 
 

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from foundation.configuration import merged
+from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.plant import Plant
 from testbed.experiments.positioning import worlds
 from testbed.experiments.positioning.axes import Axis
 from testbed.experiments.positioning.scenarios import arm_files, draw
@@ -56,6 +58,13 @@ def test_another_axis_beside_it_leaves_an_axis_as_it_was() -> None:
     alone = real._replace(axes=real.axes[2:3])
     base = usual()
     assert leaves(worlds.drawn(alone, 5, 0, base)).items() <= leaves(worlds.drawn(real, 5, 0, base)).items()
+
+
+@pytest.mark.parametrize("name", [WorldName.REAL, WorldName.CRANE_REAL])
+def test_the_plant_can_be_stepped_as_it_was_drawn(name: WorldName) -> None:
+    for seed in range(31, 37):
+        settings = load_settings(CONFIGS, draw(CONFIGS, seed, WORLDS[name].arm, WORLDS[name]).overrides)
+        Plant(settings.plant, seed, Scene(settings.scene).mounts)  # refuses a step that is too long
 
 
 @pytest.mark.parametrize("name", [WorldName.REAL, WorldName.CRANE_REAL])
