@@ -4,6 +4,8 @@ import asyncio
 import os
 import time
 
+import pytest
+
 from foundation.signs_of_life import LONGEST_SILENCE, SOCKET, Listener, signs_of_life
 
 MS = 1_000_000
@@ -17,6 +19,7 @@ def silence_ms(of: Listener) -> float:
     return of.silence_ns(time.monotonic_ns()) / MS
 
 
+@pytest.mark.realtime
 async def test_a_running_loop_gives_signs_and_a_busy_one_does_not() -> None:
     heard = listener("busy")
     environment = {SOCKET: heard.address, LONGEST_SILENCE: "40000"}

@@ -72,11 +72,24 @@ def received(sock: socket.socket) -> Answer:
 
 @pytest.fixture(scope="module")
 def served() -> Iterator[Served]:
-    executed: list[bytes] = []
-    log = HeardLog()
-    monkeypatch = pytest.MonkeyPatch()
+    with served_app() as made:
+        yield made
+
+
+@pytest.fixture
+def hurried(monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+    """One with little patience for headers and bodies that do not come."""
     monkeypatch.setattr(rest, "BODY_WITHIN_S", SLOW_S)
     monkeypatch.setattr(connections, "HEADERS_WITHIN_S", SLOW_S)
+    with served_app() as made:
+        yield made
+
+
+@contextlib.contextmanager
+def served_app() -> Iterator[Served]:
+    """The small application, on a free port."""
+    executed: list[bytes] = []
+    log = HeardLog()
     app = FastAPI()
     install_problems(app, {})
 
@@ -105,7 +118,6 @@ def served() -> Iterator[Served]:
     with serving(app, Access(("plc-cell", "10.1.2.3")), log) as where:
         yield Served(where.port, executed, log)
     log.close()
-    monkeypatch.undo()
 
 
 def refused(answer: Answer, status: int, cause: str) -> None:
@@ -257,24 +269,25 @@ def test_a_chunked_body_is_cut_off_at_the_limit_and_the_connection_ends(served: 
     assert len(served.executed) == before
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("framing", ["Content-Length: 10", "Transfer-Encoding: chunked"])
-def test_a_body_that_dribbles_is_given_up(served: Served, framing: str) -> None:
-    before = len(served.executed)
+def test_a_body_that_dribbles_is_given_up(hurried: Served, framing: str) -> None:
     begun = time.monotonic()
-    with served.connect() as sock:
+    with hurried.connect() as sock:
         sock.sendall(f"POST /enable HTTP/1.1\r\nHost: localhost\r\n{framing}\r\n\r\n".encode())
         for _ in range(4):
             time.sleep(SLOW_S / 8)
             sock.sendall(b"1\r\n{\r\n" if "chunked" in framing else b"{")
         refused(received(sock), 408, "request.too_slow")
     assert time.monotonic() - begun >= SLOW_S
-    assert len(served.executed) == before
+    assert hurried.executed == []
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("first", [b"", b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n"])
-def test_a_header_that_never_ends_ends_the_connection(served: Served, first: bytes) -> None:
+def test_a_header_that_never_ends_ends_the_connection(hurried: Served, first: bytes) -> None:
     begun = time.monotonic()
-    with served.connect() as sock:
+    with hurried.connect() as sock:
         sock.sendall(first + b"POST /enable HTTP/1.1\r\n")
         got = b"."
         with contextlib.suppress(ConnectionError):
@@ -286,8 +299,9 @@ def test_a_header_that_never_ends_ends_the_connection(served: Served, first: byt
     assert SLOW_S <= time.monotonic() - begun < 20 * SLOW_S
 
 
-def test_an_answer_may_take_its_time_and_the_connection_is_used_again(served: Served) -> None:
-    connection = http.client.HTTPConnection("127.0.0.1", served.port, timeout=20.0)
+@pytest.mark.realtime
+def test_an_answer_may_take_its_time_and_the_connection_is_used_again(hurried: Served) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", hurried.port, timeout=20.0)
     try:
         connection.request("GET", "/slow")
         assert connection.getresponse().read() == b'{"slow":true}'

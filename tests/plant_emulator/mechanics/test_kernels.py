@@ -61,16 +61,17 @@ def test_thousands_of_steps_allocate_nothing() -> None:
     idle, target = np.zeros((3, 6)), np.full(6, 0.1)
     arrays = (stand.state, idle[0], target, EncoderShafts(idle[1], idle[2]))
     _nrt_python.memsys_enable_stats()
-    blocks = []
-    for steps in (1, 1, 5000):
+    blocks, peaks = [], []
+    for steps in (1, 1, 5000, 5000, 5000):
         tracemalloc.start()
         before = rtsys.get_allocation_stats().alloc
         advance(*arrays, steps, 5e-4, stand.model, stand.work)
         blocks.append(rtsys.get_allocation_stats().alloc - before)
-        peak = tracemalloc.get_traced_memory()[1]
+        peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-    assert blocks[2] == blocks[1]  # a call wraps its arguments once, whatever the number of steps
-    assert peak < 4000  # what wraps the arguments; a number a step would be 40,000
+    assert set(blocks[2:]) == {blocks[1]}  # a call wraps its arguments once, whatever the number of steps
+    # What wraps the arguments; a number a step would be 40,000. Other threads may allocate during one call.
+    assert min(peaks[2:]) < 4000
 
 
 def test_a_locked_or_massless_body_is_passed_over() -> None:
