@@ -18,6 +18,7 @@ Overlap = Annotated[float, Field(ge=0.0, le=0.5)]
 Slope = Annotated[float, Field(ge=0.05, le=2.0)]
 Speed = Annotated[float, Field(gt=0.0, le=1e7)]
 Flow = Annotated[float, Field(gt=0.0, le=1000.0)]
+ActuatorLeakage = Annotated[float, Field(ge=0.0, le=1e-10)]
 
 
 def _spread(data: Any, keys: tuple[str, ...]) -> Any:
@@ -93,6 +94,7 @@ class JointValveConfig(StrictModel):
     initial_slope: DirectionSlopes = DirectionSlopes()
     flow_l_min: DirectionFlows = DirectionFlows()
     spool_leakage_m3_s_pa: Annotated[float, Field(ge=0.0, le=1e-11)] | None = None
+    actuator_leakage_m3_s_pa: ActuatorLeakage | None = None
 
 
 class CounterbalanceConfig(StrictModel):
@@ -142,6 +144,7 @@ class Valve(NamedTuple):
     flow_extend_l_min: float
     flow_retract_l_min: float
     spool_leakage_m3_s_pa: float
+    actuator_leakage_m3_s_pa: float
 
     def edge_flows_l_min(self) -> tuple[float, float, float, float]:
         """Rated flow (l/min) of each metering edge, fully open."""
@@ -155,6 +158,8 @@ class ValvesConfig(StrictModel):
     ``compensator_bar``: what the pressure compensators before the metering edges keep across them, so that
     flow does not depend on the load; 0 without them. Rated flows hold at ``rated_drop_bar`` across an edge,
     or at the compensators' pressure. ``hysteresis``: width of the loop, command to spool, of full stroke.
+    ``actuator_leakage_m3_s_pa``: across the pistons of actuators that can hold a load behind such valves, in
+    place of the actuators' own numbers.
     """
 
     rated_drop_bar: Positive
@@ -168,6 +173,7 @@ class ValvesConfig(StrictModel):
     initial_slope: DirectionSlopes = DirectionSlopes(extend=1.0, retract=1.0)
     flow_l_min: DirectionFlows = DirectionFlows()
     spool_leakage_m3_s_pa: Annotated[float, Field(ge=0.0, le=1e-11)] = 0.0
+    actuator_leakage_m3_s_pa: ActuatorLeakage | None = None
     regularisation_bar: Annotated[float, Field(ge=0.1, le=20.0)]
     counterbalance: CounterbalanceConfig
     joints: Joints = Field(default_factory=dict, validate_default=True)
@@ -206,7 +212,10 @@ class ValvesConfig(StrictModel):
         return metered, rated, metered, rated
 
     def of(self, name: JointName, rated_flow_l_min: float) -> Valve:
-        """The valve of joint ``name``, whose actuator is rated at ``rated_flow_l_min``."""
+        """The valve of joint ``name``, whose actuator is rated at ``rated_flow_l_min``.
+
+        Its ``actuator_leakage_m3_s_pa`` is not a number where the actuator's own holds.
+        """
         own = self.joints.get(name) or JointValveConfig()
 
         def told(key: str, part: str | None = None, otherwise: float = math.nan) -> float:
@@ -230,4 +239,5 @@ class ValvesConfig(StrictModel):
             flow_extend_l_min=told("flow_l_min", "extend", rated_flow_l_min),
             flow_retract_l_min=told("flow_l_min", "retract", rated_flow_l_min),
             spool_leakage_m3_s_pa=told("spool_leakage_m3_s_pa"),
+            actuator_leakage_m3_s_pa=told("actuator_leakage_m3_s_pa"),
         )

@@ -89,8 +89,10 @@ def build_actuators(config: PlantConfig) -> Array:
             actuator.dead_volume_a_l * LITRE,
             actuator.dead_volume_b_l * LITRE,
         )
-        row[col.A_LEAKAGE] = actuator.leakage_m3_s_pa
-        _describe_valve(valves, valves.of(name, actuator.rated_flow_l_min), row)
+        valve = valves.of(name, actuator.rated_flow_l_min)
+        told = valve.actuator_leakage_m3_s_pa
+        row[col.A_LEAKAGE] = actuator.leakage_m3_s_pa if math.isnan(told) else told
+        _describe_valve(valves, valve, row)
         if not errors.leakage.enabled:
             row[[col.A_LEAKAGE, col.A_SPOOL_LEAKAGE]] = 0.0
         if not errors.friction.enabled:

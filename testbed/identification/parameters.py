@@ -6,6 +6,7 @@ begins with (chamber pressures, where a shaft stands in its play) are fitted alo
 """
 
 import json
+import math
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -80,7 +81,9 @@ def _zeroed(value: Any) -> Any:
 def _whole_valve(config: PlantConfig, joint: int) -> dict[str, Any]:
     """All that there is to a joint's valve, as its entry of the file may tell it."""
     name = JOINT_NAMES[joint]
-    valve = config.valves.of(name, config.actuators.in_order()[joint].rated_flow_l_min)
+    actuator = config.actuators.in_order()[joint]
+    valve = config.valves.of(name, actuator.rated_flow_l_min)
+    own, told = actuator.leakage_m3_s_pa, valve.actuator_leakage_m3_s_pa
     return {
         "bandwidth_hz": valve.bandwidth_hz,
         "damping_ratio": valve.damping_ratio,
@@ -91,6 +94,7 @@ def _whole_valve(config: PlantConfig, joint: int) -> dict[str, Any]:
         "initial_slope": {"extend": valve.slope_extend, "retract": valve.slope_retract},
         "flow_l_min": {"extend": valve.flow_extend_l_min, "retract": valve.flow_retract_l_min},
         "spool_leakage_m3_s_pa": valve.spool_leakage_m3_s_pa,
+        "actuator_leakage_m3_s_pa": own if math.isnan(told) else told,
     }
 
 
@@ -170,7 +174,8 @@ def _of_joint(config: PlantConfig, joint: int) -> list[Parameter]:
     part: Key = ("actuators", name)
     friction: Key = (*part, kind, "friction")
     coulomb = ((*friction, f"coulomb_{force}"), (*friction, f"static_{force}"))  # they scale together
-    leak, drag = (*part, "leakage_m3_s_pa"), (*friction, f"viscous_{rate}")
+    leak = ("valves", "joints", name, "actuator_leakage_m3_s_pa")
+    drag = (*friction, f"viscous_{rate}")
     play: Key = ("errors", "backlash", "half_width_mrad", joint)
     found = [
         Parameter(f"{name} leakage", "m³/s/Pa", "factor", (leak,), 0.5, "[E]", joint),

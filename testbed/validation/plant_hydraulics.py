@@ -10,8 +10,9 @@ from plant_emulator.config.units import BAR, LITRE_PER_MINUTE
 from plant_emulator.core import columns as col
 from plant_emulator.core.equilibrium import gravity_torque
 from plant_emulator.core.hydraulics.valves import orifice_flow, spool_acceleration
-from plant_emulator.core.layout import N_COORDINATES, PRESSURE_A, PRESSURE_B, SPOOL, Q
+from plant_emulator.core.layout import DRIVEN, N_COORDINATES, PRESSURE_A, PRESSURE_B, SPOOL, Q
 from testbed.validation.case import ValidationCase
+from testbed.validation.plant_balances import resting_arm
 from testbed.validation.plant_rig import (
     LIFT,
     STAND,
@@ -24,6 +25,7 @@ from testbed.validation.plant_rig import (
 from testbed.validation.plant_statics import settle_lift
 
 Array = NDArray[np.float64]
+WRIST2_VALVE = 4  # its row in the actuator table
 
 
 def orifice(config_dir: Path) -> list[ValidationCase]:
@@ -207,4 +209,30 @@ def leakage_creep(config_dir: Path) -> list[ValidationCase]:
             15, "creep of a shut actuator", "rad/s", expected, obtained, 0.01 * abs(expected), "Q_L / A"
         ),
         ValidationCase(15, "oil carries the load", "", 1.0, ratio, 0.001, "force balance"),
+        *_held_wrist(config_dir),
     ]
+
+
+def _held_wrist(config_dir: Path) -> list[ValidationCase]:
+    """Wrist 2 shut with 100 kg: what piston and valve let through."""
+    actuator, wrist2, cases = WRIST2_VALVE, DRIVEN[WRIST2_VALVE], []
+    for label, changes in (("mobile valves", {"valve_set": "mobile"}), ("servo valves", {})):
+        stand = resting_arm(config_dir, [0.0, 45.0, -60.0, 0.0, 0.0, 0.0], 100.0, **changes)
+        stand.clamp_all_but(wrist2)
+        row = stand.model.actuators[actuator]
+        row[[col.A_COULOMB, col.A_STATIC, col.A_BRISTLE_DAMPING]] = 0.0
+        leaks = float(row[col.A_LEAKAGE] + row[col.A_SPOOL_LEAKAGE])
+        torque = gravity_torque(stand.model.mechanism, stand.state[Q : Q + N_COORDINATES])[wrist2]
+        back, area = float(stand.model.circuit[col.C_RETURN]), float(row[col.A_AREA_A])
+        high, low = (PRESSURE_B, PRESSURE_A) if torque > 0.0 else (PRESSURE_A, PRESSURE_B)
+        stand.state[high + actuator], stand.state[low + actuator] = back + abs(torque) / area, back
+        row[col.A_VISCOUS] = 200.0  # stills the swing on the oil; carries next to nothing of the load
+        turned = stand.run(20.0, 5e-4, lambda s: float(s.state[Q + wrist2]))
+        obtained = (turned[-1] - turned[len(turned) // 2]) / 10.0
+        expected = leaks * torque / area**2
+        cases.append(
+            ValidationCase(
+                15, f"wrist 2 shut, {label}", "rad/s", expected, obtained, 0.02 * abs(expected), "ΣC Δp / A"
+            )
+        )
+    return cases

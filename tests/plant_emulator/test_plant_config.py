@@ -59,6 +59,10 @@ from tests.plant_emulator.plant_world import CONFIGS, plant_config
         ),
         ({"oil": {"bulk_modulus_mpa": -800.0}}, ["oil.bulk_modulus_mpa", "-800", "50"]),
         ({"actuators": {"tilt": {"leakage_m3_s_pa": -1e-13}}}, ["tilt.leakage_m3_s_pa", "-1e-13", "0"]),
+        (
+            {"valves": {"joints": {"lift": {"actuator_leakage_m3_s_pa": -1e-16}}}},
+            ["lift.actuator_leakage_m3_s_pa", "-1e-16", "0"],
+        ),
         ({"step_ms": 0.7}, ["step_ms", "0.7", "0.598", "dead_volume", "diverge"]),
         ({"actuators": {"wrist1": {"dead_volume_a_l": 0.1}}}, ["step_ms", "0.120", "wrist1.dead_volume_a_l"]),
         ({"pump": {"droop_bar": 0.1}}, ["step_ms", "pump.droop_bar"]),

@@ -55,6 +55,17 @@ def test_servo_valves_are_in_force_unless_asked_otherwise(arm: str) -> None:
     assert config.valves == config.valve_sets["servo"]
 
 
+def test_a_set_of_valves_may_come_with_tighter_actuators() -> None:
+    own = build_model(_set())[0].actuators[:, col.A_LEAKAGE]
+    held = build_model(_set("plant.valve_set=mobile"))[0].actuators[:, col.A_LEAKAGE]
+    assert (own == 1e-13).all()
+    assert held.tolist() == [4e-16, 4e-16, 4e-16, 1e-15, 1e-15, 1e-15]
+    laid = _set("plant.valves.joints.tilt.actuator_leakage_m3_s_pa=5e-14")
+    assert build_model(laid)[0].actuators[:, col.A_LEAKAGE].tolist() == [1e-13, 1e-13, 5e-14, *[1e-13] * 3]
+    none = _set("plant.valve_set=mobile", "plant.errors.leakage.enabled=false")
+    assert not build_model(none)[0].actuators[:, [col.A_LEAKAGE, col.A_SPOOL_LEAKAGE]].any()
+
+
 def test_a_number_laid_over_holds_for_whichever_set_is_in_force() -> None:
     for name in ("servo", "mobile"):
         config = _set(f"plant.valve_set={name}", "plant.valves.joints.lift.deadband.supply_b=0.111")
