@@ -6,7 +6,7 @@ from testbed.validation.case import ValidationCase
 from testbed.validation.plant import FAMILIES
 from tests.support.paths import CONFIGS
 
-LEAST_CASES = {1: 8, 2: 4, 3: 2, 4: 2, 5: 1, 6: 4, 7: 4, 8: 6, 9: 2, 10: 3, 11: 5, 12: 4, 13: 8, 14: 3, 15: 2,
+LEAST_CASES = {1: 8, 2: 4, 3: 2, 4: 2, 5: 1, 6: 4, 7: 4, 8: 6, 9: 2, 10: 3, 11: 5, 12: 4, 13: 8, 14: 3, 15: 4,
                16: 3, 17: 1, 18: 3, 19: 4, 20: 4, 21: 12, 22: 4, 23: 7, 24: 3, 25: 6, 26: 4,
                27: 7, 28: 6, 29: 8, 30: 6, 31: 6}  # fmt: skip
 
