@@ -26,8 +26,8 @@ _MODULES = (
     "endings", "stops", "streaming", "authentication",
     "answers", "datagrams.sent", "datagrams.refusals", "datagrams.drops", "datagrams.clocks",
     "datagrams.replays",
-    "arm.transitions", "arm.state_truth", "arm.motion_times", "arm.motion_limits", "arm.stream_times",
-    "arm.stream_following", "arm.stream_limits",
+    "arm.transitions", "arm.state_truth", "arm.state_scan", "arm.motion_times", "arm.motion_limits",
+    "arm.stream_times", "arm.stream_following", "arm.stream_limits",
 )  # fmt: skip
 
 

@@ -180,9 +180,9 @@ def critical(peer: Peer) -> None:
 @case(117, "3.4", "unknown optional flags are ignored")
 def optional(peer: Peer) -> None:
     peer.open()
-    for bit in range(1, 8):
+    for flags in (*(1 << bit for bit in range(1, 8)), 0xFF):
         request = stop(peer)
-        used(peer, peer.encoded(request, flags=1 << bit), request.command_id, f"optional flag {bit}")
+        used(peer, peer.encoded(request, flags=flags), request.command_id, f"optional flags {flags:#x}")
 
 
 @case(118, "3.5", "unknown kinds are dropped")

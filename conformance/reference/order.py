@@ -3,11 +3,12 @@
 import itertools
 
 from conformance.case import reference
-from conformance.peer import Peer
+from conformance.peer import RATION_MS, Peer
 from conformance.reference.framing import stop
+from conformance.reference.handshake import granted
 from conformance.wire import MS, SEQUENCES, require
 from protocol.faults import Reason
-from protocol.reference_messages import Acknowledgement, Heartbeat, HeartbeatReply, State
+from protocol.reference_messages import Acknowledgement, Bye, Heartbeat, HeartbeatReply, State
 
 case = reference.case
 FLAG_ECHO_VALID = 1
@@ -148,6 +149,21 @@ def stale(peer: Peer) -> None:
     peer.alive("a fresh datagram")
     peer.send(stop(peer), sent_ns=peer.now_ns - (peer.timeout_ms + 30) * MS)
     require(not peer.answers("a stale request"), "a stale request was used")
+
+
+@case(329, "5.3", "a stale datagram has no answer at all, and begins no session: that in use goes on")
+def stale_is_nothing(peer: Peer) -> None:
+    peer.open()
+    peer.alive("a fresh datagram")
+    session, another = peer.session, granted(peer)
+    peer.collect(RATION_MS)
+    for number in (session, another):
+        peer.send(stop(peer), session=number, sent_ns=peer.now_ns - (peer.timeout_ms + 30) * MS)
+        came = [
+            d.message for d in peer.collect(peer.grace_ms) if isinstance(d.message, Acknowledgement | Bye)
+        ]
+        require(not came, f"a stale request was answered: {came}")
+        peer.alive("after a stale datagram, beside a grant")
 
 
 @case(314, "5.3", "a backlog of two seconds is not used, but for what is fresh in it")

@@ -65,6 +65,7 @@ def overtaken(peer: Peer) -> None:
     answer = peer.ask(held, "the request that was overtaken")
     require(answer.reason is Reason.OVERTAKEN, f"answered {answer.reason.name}")
     require((answer.value, answer.limit) == (held.command_id, newest.command_id), "value and limit")
+    require(not peer.answers("a request that was overtaken"), "it was answered twice")
 
 
 @case(406, "6.1", "ids may leap")

@@ -27,6 +27,8 @@ SPEED_M_S, TURN_RAD_S = 0.25 * 0.8 / math.sqrt(3.0), math.radians(12.0) * 0.8 / 
 # A limit's two sides lie this far from it, in parts of it; for an age in ms, for the network and a scan.
 SIDE, AGE_SIDE_MS = 0.01, 20.0
 FEED_MS = 8.0
+# What two clocks that drift by 100 ppm differ by within the 5 s of a case.
+CLOCKS_MS = 0.5
 
 
 def _stream(peer: Peer) -> tuple[Stream, Pose]:
@@ -151,13 +153,22 @@ def age(peer: Peer) -> None:
     stream, here = _stream(peer)
 
     def aged(ms: float) -> StreamRefused | None:
-        return verdict(stream, here, time_ns=peer.now_ns - int(ms * MS))
+        begin_ns = peer.now_ns
+        got = verdict(stream, here, time_ns=begin_ns - int(ms * MS))
+        if got is not None and got.reason is Reason.STALE:
+            # It left at this age or later, and was judged before its answer came.
+            most_ms = ms + (peer.now_ns - begin_ns) / MS
+            said_ms = got.value * 1e3
+            fits = ms - CLOCKS_MS < said_ms < most_ms + CLOCKS_MS
+            require(fits, f"its age is said to be {said_ms:.2f} ms: it is {ms:.2f} to {most_ms:.2f}")
+        return got
 
     got = aged(10_000.0)
     require(got is not None, "10 s old, and followed")
     assert got is not None
     limit_ms = 1e3 * _require_sides(got, Reason.STALE, 10.0, AGE_MS * 1e-3, "an age")
-    for ms in (limit_ms + 2.0, limit_ms * 1.5):
+    for nth, ms in enumerate((limit_ms + 2.0, *[limit_ms * 1.5] * 3)):
+        peer.collect(1.3 * nth)  # whenever the next scan is
         got = aged(ms)
         require(got is not None and got.reason is Reason.STALE, f"{ms:g} ms old, and not STALE: {got}")
     stream.feed(here, FEED_MS)

@@ -35,6 +35,8 @@ from protocol.reference_messages import (
 case = reference.case
 # The time in a heartbeat that shall not be answered.
 MARK = 7
+# Numbers left out, so that they can come late: fewer than the 64 within which late is told from old.
+GAP = 60
 
 
 def dropped(peer: Peer, other: Peer) -> Iterator[tuple[str, Peer, Callable[[], bytes]]]:
@@ -264,15 +266,18 @@ def _dirtied(peer: Peer, data: bytes) -> bytes:
     return data
 
 
-def disordered(peer: Peer) -> Iterator[tuple[str, Callable[[int], bytes]]]:
-    """Heartbeats that come in no order: why, and the bytes for a time of sending; there is a gap behind."""
+def disordered(peer: Peer, late: int = 3) -> Iterator[tuple[str, Callable[[int], bytes]]]:
+    """Heartbeats that come in no order: why, and the bytes for a time of sending.
+
+    There is a gap behind, and the number ``late`` behind the newest one is in it.
+    """
 
     def beat(behind: int, sent_ns: int) -> bytes:
         number = (peer.sequence - behind) % peer.sequences
         return peer.encoded(Heartbeat(MARK), sequence=number, sent_ns=sent_ns)
 
     yield "that came before", lambda sent_ns: beat(0, sent_ns)
-    yield "that is late", lambda sent_ns: beat(3, sent_ns)
+    yield "that is late", lambda sent_ns: beat(late, sent_ns)
     yield "that is old", lambda sent_ns: beat(300, sent_ns)
     yield "that leaps", lambda sent_ns: beat(-70_000, sent_ns)
 
@@ -288,10 +293,15 @@ def disorder_is_nothing(peer: Peer) -> None:
         came = [d.message for d in peer.collect(10) if isinstance(d.message, Bye) or _is_use(d.message)]
         require(not came, f"a heartbeat {what} was answered: {came}")
         peer.ask(stop(peer), f"a request of the session in use, after a heartbeat {what}")
+    peer.sequence += GAP
     begin_ns = peer.now_ns
     peer.send(Heartbeat(begin_ns), sent_ns=begin_ns)
     while peer.now_ns < begin_ns + (timeout_ms + 1000) * MS:
-        for _, data in disordered(peer):
+        waited_ms = (peer.now_ns - begin_ns) / MS
+        late = max(
+            1, GAP - int(GAP * waited_ms / (timeout_ms + SLACK_MS))
+        )  # one after the other, each once late
+        for _, data in disordered(peer, late):
             peer.send_raw(data(peer.now_ns))
         if Bye(Reason.LINK_TIMEOUT) in [d.message for d in peer.collect(4, beating=False)]:
             peer.session = 0
