@@ -3,7 +3,9 @@
 ``python -m tests.conformance.mutant_report`` asks every case of every broken controller, in simulated time,
 and prints a line for each clause and for each controller that no case catches. ``--clause 5`` or ``--clause
 5.3``: only these; ``--name TEXT``: only those whose name has it; ``--every``: all cases that catch one, not
-the first alone. It ends with status 1 when one is not caught for which no reason is written.
+the first alone. ``--rows FILE``: keep the verdicts there, and take those of the same code from there, so that
+a run can be cut short, go on, and be shared by ``--part 1/3`` and its like. It ends with status 1 when one
+is not caught for which no reason is written.
 """
 
 import argparse
@@ -13,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from itertools import groupby
+from pathlib import Path
 from typing import NamedTuple
 
 from conformance.case import ConformanceCase
@@ -20,6 +23,7 @@ from conformance.outcome import GOOD, Result
 from conformance.runner import reference_cases, run_reference
 from protocol.authentication import LinkKey
 from tests.conformance.controllers import ControllerUnderTest
+from tests.conformance.kept_verdicts import KeptVerdicts
 from tests.conformance.simulated_network import simulated
 
 FOR_A_KEY = set(range(701, 722)) | set(range(723, 741))
@@ -192,6 +196,30 @@ def _order(clause: str) -> tuple[int, ...]:
     return tuple(int(part) for part in clause.split("."))
 
 
+def _judged(broken: BrokenController, kept: KeptVerdicts | None, every: bool) -> Verdict:
+    key = broken.clause, broken.name
+    caught_by = kept.of(*key) if kept else None
+    if caught_by is None:
+        first = broken.case or (kept.hint(*key) if kept else 0)
+        cases = asked(broken.key, broken.clause, first)
+        caught_by = verdict(broken._replace(case=first), cases, every=every).caught_by
+        if kept:
+            kept.keep(*key, caught_by)
+    print(f"{broken.clause} {broken.name}: {caught_by}", file=sys.stderr, flush=True)
+    return Verdict(broken, caught_by)
+
+
+def _wanted(options: argparse.Namespace) -> list[BrokenController]:
+    part, parts = (int(number) for number in options.part.split("/"))
+    wanted = [
+        broken
+        for broken in broken_controllers(options.source or SOURCES)
+        if not options.clause or f"{broken.clause}.".startswith(f"{options.clause}.")
+        if options.name in broken.name
+    ]
+    return wanted[part - 1 :: parts]
+
+
 def main() -> int:
     """Ask, print, and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -199,16 +227,11 @@ def main() -> int:
     parser.add_argument("--name", default="", help="only those whose name has this text")
     parser.add_argument("--every", action="store_true", help="all cases that catch it, not the first alone")
     parser.add_argument("--source", action="append", help="only this module's; repeatable")
+    parser.add_argument("--part", default="1/1", help="every third, from the first, with 1/3")
+    parser.add_argument("--rows", type=Path, help="a file that keeps the verdicts")
     options = parser.parse_args()
-    verdicts = []
-    for broken in broken_controllers(options.source or SOURCES):
-        wanted = not options.clause or f"{broken.clause}.".startswith(f"{options.clause}.")
-        if wanted and options.name in broken.name:
-            verdicts.append(
-                verdict(broken, asked(broken.key, broken.clause, broken.case), every=options.every)
-            )
-            print(f"{broken.clause} {broken.name}: {verdicts[-1].caught_by}", file=sys.stderr, flush=True)
-    lines, wrong = report(verdicts)
+    kept = KeptVerdicts(options.rows) if options.rows and not options.every else None
+    lines, wrong = report(_judged(broken, kept, options.every) for broken in _wanted(options))
     print("\n".join(lines))
     return 1 if wrong else 0
 

@@ -1,9 +1,12 @@
 """The broken controllers of all sources: each is caught by some case, or it is said why none can."""
 
+from pathlib import Path
+
 import pytest
 
 from conformance.runner import reference_cases
 from tests.conformance.controllers import ControllerUnderTest
+from tests.conformance.kept_verdicts import KeptVerdicts, code_digest
 from tests.conformance.mutant_report import (
     BrokenController,
     Verdict,
@@ -58,3 +61,19 @@ def test_the_report_counts_by_clause_and_names_what_is_not_as_it_should_be() -> 
     assert [each.broken.name for each in wrong] == ["c", "d"]
     assert any("b: has no effect" in line for line in lines)
     assert any("c: NO CASE CATCHES IT" in line for line in lines)
+
+
+def test_kept_verdicts_count_for_the_same_code_and_are_hints_for_other(tmp_path: Path) -> None:
+    rows = tmp_path / "rows.jsonl"
+    kept = KeptVerdicts(rows)
+    assert kept.of("3.5", "no magic") is None
+    kept.keep("3.5", "no magic", (102,))
+    kept.keep("3.5", "nothing seen", ())
+    again = KeptVerdicts(rows)
+    assert again.of("3.5", "no magic") == (102,)
+    assert again.of("3.5", "nothing seen") == ()
+    assert again.of("3.4", "no magic") is None
+    rows.write_text(rows.read_text().replace(code_digest(), "other"))
+    other = KeptVerdicts(rows)
+    assert other.of("3.5", "no magic") is None
+    assert (other.hint("3.5", "no magic"), other.hint("3.5", "nothing seen")) == (102, 0)
