@@ -11,7 +11,7 @@ from conformance.runner import reference_cases, run_reference
 from protocol.authentication import LinkKey
 from tests.conformance.controllers import ControllerUnderTest
 from tests.conformance.key_mutants import KEY, KEY_MUTANTS, KeyedController
-from tests.conformance.link_mutants import LINK_KEY_MUTANTS
+from tests.conformance.link_key_mutants import LINK_KEY_MUTANTS
 from tests.conformance.mutants import Mutant
 from tests.conformance.test_reference_suite import CONTROL, failures
 
