@@ -32,7 +32,9 @@ LATE_MS, SKIPPED_MS = 30.0, 50.0
 SAME_RAD, SAME_M = 1e-4, 1e-6
 # A joint that moves by less than this part of what the busiest one moves by is at rest.
 RESTS = 0.05
-# From so far on the way of T tells the turn of the busiest joint, within a factor: what is small is linear.
+# One that moves by this part of what it was asked for follows.
+FOLLOWS = 0.5
+# From so far on the way of T is in proportion to the turn of what moves it, within a factor.
 FAR_M, APART = 0.002, 2.0
 
 
@@ -126,8 +128,8 @@ def motion_of_the_scan(peer: Peer) -> None:
         for _ in range(8 if pose is goal else 3):
             states.append(first_after(watch))
             require(states[-1].motion_id == request.command_id, "motion_id is not the motion's")
-    for joints, pose in (("q_meas", "X_BT"), ("q_cmd", "X_BT_cmd")):
-        _require_one_way(states[:9], joints, pose)
+    for joints, tool in (("q_meas", "X_BT"), ("q_cmd", "X_BT_cmd")):
+        _require_one_way(states[:9], joints, tool)
     wanted(peer, CommandCode.EMERGENCY_STOP, Reason.ACCEPTED, "MOVING")
     state = first_after(watch)
     off = max(abs(c - m) for c, m in zip(state.q_cmd, state.q_meas, strict=True))
@@ -138,16 +140,27 @@ def motion_of_the_scan(peer: Peer) -> None:
 
 
 def _require_one_way(states: Sequence[State], joints: str, tool: str) -> None:
-    """Raises Failed unless T and the busiest joint, in these fields, go the same way together."""
+    """Raises Failed unless T and one of the busier joints, in these fields, go the same way together."""
     turns: list[Sequence[float]] = [getattr(state, joints) for state in states]
     places: list[Sequence[float]] = [getattr(state, tool).p_m for state in states]
-    joint = max(range(6), key=lambda j: abs(turns[-1][j] - turns[0][j]))
-    share = abs(turns[-1][joint] - turns[0][joint]) / math.dist(places[-1], places[0])
-    for k in range(1, len(states)):
-        way_m = math.dist(places[k], places[k - 1])
-        turn = abs(turns[k][joint] - turns[k - 1][joint])
-        said = f"{joints} {turn * 1e3:.2f} mrad further and {tool} {way_m * 1e3:.1f} mm: not of one scan"
-        require(way_m < FAR_M or share * way_m / APART < turn < share * way_m * APART, said)
+    ways_m = [math.dist(a, b) for a, b in pairwise(places)]
+    whole_m = math.dist(places[0], places[-1])
+    if whole_m < 2.0 * FAR_M:
+        return  # an arm that hardly follows tells nothing here
+    whole = [abs(turns[-1][j] - turns[0][j]) for j in range(6)]
+
+    def together(j: int) -> bool:
+        expected = [whole[j] * way_m / whole_m for way_m in ways_m]
+        found = [abs(b[j] - a[j]) for a, b in pairwise(turns)]
+        return all(
+            way_m < FAR_M or e / APART < f < e * APART
+            for way_m, e, f in zip(ways_m, expected, found, strict=True)
+        )
+
+    busy = [j for j in range(6) if whole[j] > RESTS * max(whole)]
+    require(
+        any(together(j) for j in busy), f"no joint of {joints} goes with {tool}: they are not of one scan"
+    )
 
 
 @case(593, "7.7", f"segment is the one of the scan (slack {LATE_MS:g} ms)", needs=OptionalPart.PATHS)
@@ -213,18 +226,24 @@ def _together(valve: Sequence[float], speed: Sequence[float]) -> float:
     return sum((v - mean) * s for v, s in zip(valve, speed, strict=True))
 
 
+def _ranges(angles: Sequence[Sequence[float]]) -> list[float]:
+    return [max(each) - min(each) for each in zip(*angles, strict=True)]
+
+
 @case(595, "7.7", "the valve of a joint that moves goes with its speed, more than that of one that rests")
 def valves_by_joint(peer: Peer) -> None:
     scene = entered(peer, Mode.STANDBY)
     watch = StateWatch(peer)
     for goal in (moved(scene.here, dz=STEP_M), moved(scene.here, dy=STEP_M)):
         states = _there_and_back(watch, goal, scene.here)
-        ways = [max(s.q_cmd[j] for s in states) - min(s.q_cmd[j] for s in states) for j in range(6)]
-        mover = max(range(6), key=ways.__getitem__)
-        speeds = [b.q_cmd[mover] - a.q_cmd[mover] for a, b in pairwise(states)]
+        ways, asked = _ranges([s.q_meas for s in states]), _ranges([s.q_cmd for s in states])
+        mover = max(range(6), key=asked.__getitem__)
+        if ways[mover] < FOLLOWS * asked[mover]:
+            continue  # an arm that hardly follows tells nothing here
+        speeds = [b.q_meas[mover] - a.q_meas[mover] for a, b in pairwise(states)]
         gains = [_together([s.valves[j] for s in states[1:]], speeds) for j in range(6)]
         require(gains[mover] > 0.0, f"the valve of joint {mover + 1} does not go with the joint's speed")
-        for j in (j for j in range(6) if ways[j] < RESTS * ways[mover]):
+        for j in (j for j in range(6) if asked[j] < RESTS * asked[mover]):
             said = (
                 f"joint {mover + 1} moves and joint {j + 1} rests, but the valve of joint {j + 1} is driven"
             )
