@@ -17,6 +17,7 @@ from plant_emulator.core.truth import tool_error
 from protocol.errors import LongreachError
 from testbed.campaigns.typed_rows import UNKNOWN, XYZ, xyz
 from testbed.experiments.positioning.scenarios import Drawn, draw
+from testbed.experiments.positioning.stated import stated_commissioning
 from testbed.experiments.positioning.told import Told, told_of
 from testbed.experiments.positioning.worlds import WORLDS, WorldName
 from testbed.lockstep.eyes import SightMaker
@@ -24,7 +25,7 @@ from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
 from testbed.reporting.console import bars
-from testbed.scenarios.settings import load_settings
+from testbed.scenarios.settings import Settings, load_settings
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult
 
 _AVERAGED = 25  # truths at 50 Hz: half a second at rest
@@ -98,8 +99,7 @@ def prepared(config_dir: Path, task: JSON, sight: SightMaker | None = None) -> L
 
     ``sight`` overrules what ``task`` says of the eyes.
     """
-    drawn = drawn_by(config_dir, task)
-    settings = load_settings(config_dir, merged(drawn.overrides, parse_overrides(task["assignments"])))
+    settings = settings_of(config_dir, task)
     if sight is None and task["eyes"] == "model":
         model = load_eye_model(config_dir, WORLDS[WorldName(task["world"])].eyes)
         sight = partial(simulated_sight, model=model, seed=task["seed"])
@@ -108,6 +108,18 @@ def prepared(config_dir: Path, task: JSON, sight: SightMaker | None = None) -> L
     operate(rig, "orientation-adjustment", {})
     operate(rig, "local-track", {})
     return rig
+
+
+def settings_of(config_dir: Path, task: JSON) -> Settings:
+    """What was drawn, what was assigned over it, and the controller's commissioning where it has one."""
+    asked = merged(drawn_by(config_dir, task).overrides, parse_overrides(task["assignments"]))
+    settings = load_settings(config_dir, asked)
+    if not task.get("commissioned"):
+        return settings
+    plates = {"name": settings.plant.valve_set, "pressure_compensated": settings.plant.valves.compensator_bar > 0.0}
+    settings = load_settings(config_dir, merged(asked, {"controller": {"valves": plates}}))
+    found = stated_commissioning(settings, task["seed"])
+    return settings._replace(controller=settings.controller.model_copy(update={"commissioned": found}))
 
 
 def driven(rig: LockstepRig, body: JSON) -> Branch:
