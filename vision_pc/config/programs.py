@@ -119,6 +119,21 @@ class AdaptiveDriveSettings(StrictModel):
     nudge_m: float = Field(gt=0.0, le=0.1)
 
 
+class RulerSettings(StrictModel):
+    """Odometry's lengths by the object's markers, seen along the legs.
+
+    ``spread``: how much the two are expected to differ where nothing tells otherwise, relative. ``noise_m``:
+    least noise of one sighting; ``independent``: how many sightings all of the legs are worth. ``carried``:
+    share of the difference that may be otherwise elsewhere.
+    """
+
+    enabled: bool
+    spread: float = Field(gt=0.0, le=0.1)
+    noise_m: float = Field(gt=0.0, le=0.05)
+    independent: float = Field(ge=1.0, le=1000.0)
+    carried: float = Field(ge=0.0, le=1.0)
+
+
 class LocalErrorModelSettings(StrictModel):
     """Best mode: three legs along n, s and a, a local map, and mid-course corrections.
 
@@ -151,6 +166,7 @@ class LocalErrorModelSettings(StrictModel):
     odometry_scale_std: float = Field(ge=0.0, le=0.1)
     servo_std_m: float = Field(ge=0.0, le=0.05)
     adaptive: AdaptiveDriveSettings
+    ruler: RulerSettings
     goal_std_limit_m: float = Field(gt=0.0, le=1.0)
     first_share: float = Field(ge=0.3, le=0.98)
     near_m: float = Field(ge=0.0, le=1.0)

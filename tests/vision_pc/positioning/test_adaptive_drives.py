@@ -178,11 +178,12 @@ def test_lenses_that_differ_widen_what_is_told() -> None:
         for k, place in enumerate(p):
             seen = transform(np.eye(3), X[:3, :3].T @ (place - p[0]) * scale + rng.normal(0.0, 1e-4, 3))
             samples.append(WatchSample(k * 10**9, transform(X[:3, :3], place), seen, None, None))
-        fitted = fit_error_model(track_of(tuple(samples), 0.0), np.zeros(3), BOOM, settings())
+        track = track_of(tuple(samples), 0.0)
+        fitted = fit_error_model(track, np.zeros(3), BOOM, settings())
         assert fitted.scale == pytest.approx(scale - 1.0, abs=3e-3)  # its prior pulls
         cov = 1e-9 * np.eye(6)
         look = Look(0, X, X, X, 10, 0, 0, cov, cov, cov, cov, None)
         far = [np.array([0.0, 0.7, 0.0]), np.zeros(3)]
-        stds.append(seen_end(far, look, fitted, PROGRAMS.positioning, settings()).std_m[0])
+        stds.append(seen_end(far, look, fitted, track, PROGRAMS.positioning, settings()).std_m[0])
     assert stds[0] < 0.3e-3
     assert 0.6e-3 < stds[1] < 3e-3

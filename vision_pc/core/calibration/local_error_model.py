@@ -23,6 +23,7 @@ from vision_pc.core.calibration.backlash import (
     slew_lever,
 )
 from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
+from vision_pc.core.calibration.odometry_ruler import Ruler, fitted_ruler
 from vision_pc.core.calibration.watched_drive import TakeUp, drive, first_take_up
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.se3 import Array, hat, inverse, nearest_rotation, transform
@@ -49,7 +50,8 @@ class LocalTrack(NamedTuple):
     tool: a moving boom sways, which its encoders do not measure; ``velocity`` (N, 3) m/s in B.
     ``overrun`` (P,) rad: servo residual of the slew at the end of each path so far, positive beyond the
     reference. ``left`` (P, 3) rad: the same of slew, lift and tilt; ``take_up``: how the last path ended.
-    ``misses`` (D, 3) m in B: how far from what was wanted fine drives ended, by odometry.
+    ``misses`` (D, 3) m in B: how far from what was wanted fine drives ended, by odometry. ``ruler``: what
+    makes odometry's lengths the look's, already in ``X_KC``; None where it is not asked for or not told.
     """
 
     X_KC: Array
@@ -60,6 +62,7 @@ class LocalTrack(NamedTuple):
     left: Array
     take_up: TakeUp
     misses: Array
+    ruler: Ruler | None = None
 
     @property
     def X_BT_now(self) -> Array:
@@ -108,7 +111,8 @@ async def record_local_track(
     X_BT = (await arm.view()).X_BT
     report(0.05, f"three legs of {settings.leg_m:g} m")
     waypoints = three_legs(X_BT, settings.leg_m)
-    track = await watched_path(arm, eyes, waypoints, first_take_up(settings), dimensions, settings)
+    markers, first = settings.ruler.enabled, first_take_up(settings)
+    track = await watched_path(arm, eyes, waypoints, first, dimensions, settings, markers)
     refuse_poor_track(track, settings)
     report(1.0, f"{len(track.X_BT)} samples")
     return track
@@ -128,16 +132,30 @@ async def watched_path(
     take_up: TakeUp,
     dimensions: BoomDimensions,
     settings: LocalErrorModelSettings,
+    markers: bool = False,
 ) -> LocalTrack:
     """Drive a path through ``waypoints``; return its track, in the camera frame of its end.
+
+    With ``markers``, its ruler from them.
 
     The last waypoint is reached by short turns in one sense, after the arm has settled before them: backlash
     is then always on the same side.
     """
-    async with eyes.watch(markers=False, odometry=True) as watch:
+    async with eyes.watch(markers=markers, odometry=True) as watch:
         end = await drive(arm, waypoints, take_up, dimensions, settings)
     overrun = slew_between(end.view.X_BT_cmd, end.view.X_BT)
-    return track_of(watch.samples, overrun)._replace(left=end.left[None], take_up=end.take_up)
+    track = track_of(watch.samples, overrun)._replace(left=end.left[None], take_up=end.take_up)
+    if not markers:
+        return track
+    held = [s.X_CO for s in watch.samples if s.X_C0C is not None]
+    unseen = np.full(3, np.nan)
+    p_CO = np.array([unseen if X is None else X[:3, 3] for X in held])
+    return ruled(track, fitted_ruler(track.X_KC, p_CO, settings.ruler))
+
+
+def ruled(track: LocalTrack, ruler: Ruler | None) -> LocalTrack:
+    """``track``, as odometry measured it, in the look's lengths."""
+    return track if ruler is None else track._replace(X_KC=ruler.measured(track.X_KC), ruler=ruler)
 
 
 def track_of(samples: tuple[WatchSample, ...], overrun: float) -> LocalTrack:
@@ -172,6 +190,7 @@ def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
         np.concatenate([track.left, further.left]),
         further.take_up,
         np.concatenate([track.misses, further.misses]),
+        track.ruler,
     )
 
 

@@ -20,6 +20,7 @@ from vision_pc.core.calibration.local_error_model import (
     LocalTrack,
     extended,
     fit_error_model,
+    ruled,
     solve_step,
     watched_path,
 )
@@ -93,11 +94,12 @@ async def look_then_move_corrected(
         report(0.2 + 0.6 * len(steps) / (settings.corrections + 1), _in_words(residuals[-1]))
         end = [steps[-1].X_BT_ref]
         drive = await watched_path(arm, eyes, end, track.take_up, dimensions, map_settings)
+        drive = ruled(drive, track.ruler)
         goal_K = drive.X_KC[0][:3, :3] @ goal_K + drive.X_KC[0][:3, 3]
         residuals.append(goal_K - p_CM)
         missed = (fitted.R @ residuals[-1])[None] if share == 1.0 else np.zeros((0, 3))
         track = extended(track, drive._replace(misses=missed))
-    seen = seen_end(residuals, look, fitted, settings, map_settings)
+    seen = seen_end(residuals, look, fitted, track, settings, map_settings)
     report(0.9, f"looking; odometry says inside with probability {seen.inside:.2f}")
     looks.append(judge(await eyes.look(), settings))
     report(1.0, f"error {1e3 * looks[-1].error_m[0]:+.1f} {1e3 * looks[-1].error_m[1]:+.1f} mm")

@@ -50,7 +50,7 @@ def foreseen_end(
     elif settings.corrections:
         covariance = _after_fine_corrections(covariance, settings.nudge_m, map_settings.servo_std_m)
     if settings.corrections or map_settings.adaptive.enabled:  # the model, too, goes by odometry's lengths
-        covariance += _odometry_covariance(float(np.linalg.norm(wanted.x)), fitted, map_settings)
+        covariance += _odometry_covariance(wanted.x, fitted.R.T, fitted.scale, track, map_settings)
     covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
     return expected_end(np.zeros(3), covariance, settings.tolerance_m, spread.freedom)
 
@@ -59,17 +59,16 @@ def seen_end(
     residuals: list[Array],
     look: Look,
     fitted: LocalErrorModel,
+    track: LocalTrack,
     settings: PositioningSettings,
     map_settings: LocalErrorModelSettings,
 ) -> ExpectedEnd:
     """What odometry says of the end of a way whose ``residuals`` (3,) it saw, begun with ``look``.
 
-    ``fitted``: the model of its last drive.
+    ``fitted``: the model of its last drive, ``track`` with it.
     """
-    length = float(np.linalg.norm(residuals[0]))
-    covariance = (
-        _odometry_covariance(length, fitted, map_settings) + look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
-    )
+    covariance = _odometry_covariance(residuals[0], np.eye(3), fitted.scale, track, map_settings)
+    covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
     return expected_end(residuals[-1], covariance, settings.tolerance_m)
 
 
@@ -82,11 +81,15 @@ def _after_fine_corrections(end_covariance: Array, nudge_m: float, servo_std_m: 
     return np.asarray(np.linalg.inv(np.linalg.inv(end_covariance) + kept), dtype=np.float64)
 
 
-def _odometry_covariance(length: float, fitted: LocalErrorModel, settings: LocalErrorModelSettings) -> Array:
-    """Covariance (3, 3) m² of a way of ``length`` as odometry measures it."""
-    adaptive = settings.adaptive
-    scale = settings.odometry_scale_std
-    if adaptive.enabled:
-        scale = math.hypot(scale, adaptive.lens_share * max(abs(fitted.scale) - adaptive.lens_from, 0.0))
-    covariance: Array = (settings.odometry_std_m**2 + (scale * length) ** 2) * np.eye(3)
-    return covariance
+def _odometry_covariance(
+    d: Array, R: Array, lengths: float, track: LocalTrack, settings: LocalErrorModelSettings
+) -> Array:
+    """Covariance (3, 3) m² of a way ``R`` ``d`` (3,), camera axes, as odometry measures it.
+
+    ``lengths``: by how much they differ from the arm's, relative.
+    """
+    adaptive, scale = settings.adaptive, settings.odometry_scale_std
+    if track.ruler is None and adaptive.enabled:
+        scale = math.hypot(scale, adaptive.lens_share * max(abs(lengths) - adaptive.lens_from, 0.0))
+    covariance: Array = (settings.odometry_std_m**2 + (scale * float(np.linalg.norm(d))) ** 2) * np.eye(3)
+    return covariance if track.ruler is None else covariance + track.ruler.covariance(R @ d)
