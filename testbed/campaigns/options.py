@@ -19,3 +19,13 @@ class EyesKind(StrEnum):
 
 
 ChosenEyes = Annotated[EyesKind, Option(help="Rendered pictures, or the model measured from them.")]
+Adapting = Annotated[
+    bool,
+    Option("--adapting", help="Vision that learns, CONFIG_DIR/vision_adapting.yaml laid over its own."),
+]
+Commissioned = Annotated[
+    bool,
+    Option(
+        "--commissioned", help="The controller has the valves' numbers, drawn around the truth with their σ."
+    ),
+]

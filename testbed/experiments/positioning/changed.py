@@ -13,7 +13,8 @@ from rich.table import Table
 
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, seeds
-from testbed.campaigns.options import Assignments, ChosenEyes, EyesKind
+from testbed.campaigns.options import Adapting, Assignments, ChosenEyes, Commissioned, EyesKind
+from testbed.campaigns.typed_rows import flat
 from testbed.experiments.positioning.corrected_figures import (
     LIMIT_MM,
     quantile,
@@ -109,6 +110,8 @@ class ChangedSettings(NamedTuple):
     only: Annotated[list[str] | None, typer.Option(help="Only this change; repeatable.")] = None
     eyes: ChosenEyes = EyesKind.MODEL
     assignments: Assignments = None
+    adapting: Adapting = False
+    commissioned: Commissioned = False
 
 
 class ChangedRow(NamedTuple):
@@ -127,6 +130,7 @@ def changed_tasks(request: CampaignRequest, settings: ChangedSettings) -> list[T
     """The same seeds with every change. Raises BadParameter for a change that is not known."""
     if unknown := sorted(set(settings.only or ()) - set(CHANGES)):
         raise typer.BadParameter(f"no change '{unknown[0]}'; known: {', '.join(CHANGES)}")
+    asked = {name: True for name in ("adapting", "commissioned") if getattr(settings, name)}
     return [
         {
             "key": f"{name}-{seed}",
@@ -137,15 +141,17 @@ def changed_tasks(request: CampaignRequest, settings: ChangedSettings) -> list[T
             "eyes": str(settings.eyes),
             "assignments": [*CHANGES[name].assignments, *(settings.assignments or ())],
         }
+        | asked
         for name in settings.only or CHANGES
         for seed in seeds(request)
     ]
 
 
 def changed_run(config_dir: Path, task: Task) -> dict[str, Any]:
-    """The row of a best-mode run with one change."""
-    row = one_run(config_dir, task)
-    return {"change": task["change"], "run": row, "failure": row.get("failure", "")}
+    """The row of a best-mode run with one change, in columns that ``ChangedRow`` reads."""
+    row = flat(one_run(config_dir, task))
+    columns = {f"run_{name}": value for name, value in row.items()}
+    return {"change": task["change"], "failure": row.get("failure", ""), **columns}
 
 
 def _runs(done: Tried) -> dict[str, list[PositioningRow]]:

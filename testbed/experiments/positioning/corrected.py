@@ -11,7 +11,7 @@ from rich.table import Table
 
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
-from testbed.campaigns.options import Assignments, ChosenEyes, EyesKind
+from testbed.campaigns.options import Adapting, Assignments, ChosenEyes, Commissioned, EyesKind
 from testbed.experiments.positioning.corrected_figures import (
     LIMIT_MM,
     checks_of,
@@ -47,6 +47,8 @@ class DrawnSettings(NamedTuple):
     arm: Annotated[ChosenArm | None, typer.Option(help="In place of the world's own; both: in turn.")] = None
     eyes: ChosenEyes = EyesKind.MODEL
     assignments: Assignments = None
+    adapting: Adapting = False
+    commissioned: Commissioned = False
 
 
 Positioned = Finished[DrawnSettings, PositioningRow]
@@ -56,6 +58,7 @@ def positioning_tasks(request: CampaignRequest, settings: DrawnSettings) -> list
     """One task a run; with both arms, seeds take them in turn."""
     asked: dict[str, Any] = {"world": str(settings.world), "eyes": str(settings.eyes)}
     asked |= {"assignments": settings.assignments or []}
+    asked |= {name: True for name in ("adapting", "commissioned") if getattr(settings, name)}
     one = WORLDS[settings.world].arm if settings.arm is None else str(settings.arm)
     chosen = ARMS if settings.arm is ChosenArm.BOTH else (one,)
     return [

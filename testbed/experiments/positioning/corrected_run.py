@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
 
 from foundation.configuration import merged, parse_overrides
 from plant_emulator.core.truth import tool_error
@@ -52,7 +53,10 @@ class Branch(NamedTuple):
 
 
 class PositioningRow(NamedTuple):
-    """One run: what was drawn, and each branch; a program that refuses or fails ends its branch."""
+    """One run: what was drawn, and each branch; a program that refuses or fails ends its branch.
+
+    ``commissioned``: as ``stated_commissioning`` tells, not by a commissioning that was run.
+    """
 
     seed: int
     arm: str
@@ -62,6 +66,8 @@ class PositioningRow(NamedTuple):
     distance_m: float
     disparity_px: float
     world: str = ""
+    adapting: bool = False
+    commissioned: bool = False
     unreachable: int | None = None
     unseen: int | None = None
     start_mm: float = math.nan
@@ -74,9 +80,12 @@ class PositioningRow(NamedTuple):
 
 
 def one_run(config_dir: Path, task: JSON) -> JSON:
-    """The row of one seeded run; ``task`` has seed, arm, world, eyes, assignments."""
+    """The row of one seeded run; ``task`` has seed, arm, world, eyes, assignments, and may ask for vision
+    that is ``adapting`` and a controller that is ``commissioned``.
+    """
     drawn = drawn_by(config_dir, task)
     row: JSON = {"seed": task["seed"], "arm": task["arm"], "world": task["world"], **drawn.shown}
+    row |= {name: bool(task.get(name)) for name in ("adapting", "commissioned")}
     try:
         rig = prepared(config_dir, task)
         row["start_mm"] = float(np.linalg.norm(true_error_mm(rig)[:2]))
@@ -111,14 +120,29 @@ def prepared(config_dir: Path, task: JSON, sight: SightMaker | None = None) -> L
 
 
 def settings_of(config_dir: Path, task: JSON) -> Settings:
-    """What was drawn, what was assigned over it, and the controller's commissioning where it has one."""
-    asked = merged(drawn_by(config_dir, task).overrides, parse_overrides(task["assignments"]))
+    """What was drawn, vision that adapts and a commissioned controller where they are asked for, and what was
+    assigned over it.
+    """
+    asked = drawn_by(config_dir, task).overrides
+    if task.get("adapting"):
+        asked = merged(asked, {"vision": adapting(config_dir)})
+    asked = merged(asked, parse_overrides(task["assignments"]))
     settings = load_settings(config_dir, asked)
-    if not task.get("commissioned"):
-        return settings
-    plates = {"name": settings.plant.valve_set, "pressure_compensated": settings.plant.valves.compensator_bar > 0.0}
+    return commissioned(config_dir, asked, settings, task["seed"]) if task.get("commissioned") else settings
+
+
+def adapting(config_dir: Path) -> JSON:
+    """What is laid over vision.yaml for a machine that is not the laboratory's."""
+    content: JSON = yaml.safe_load((config_dir / "vision_adapting.yaml").read_text(encoding="utf-8"))
+    return content
+
+
+def commissioned(config_dir: Path, asked: JSON, settings: Settings, seed: int) -> Settings:
+    """``settings``, which come from ``asked``, with the valves' plates read and ``stated_commissioning``."""
+    compensated = settings.plant.valves.compensator_bar > 0.0
+    plates = {"name": settings.plant.valve_set, "pressure_compensated": compensated}
     settings = load_settings(config_dir, merged(asked, {"controller": {"valves": plates}}))
-    found = stated_commissioning(settings, task["seed"])
+    found = stated_commissioning(settings, seed)
     return settings._replace(controller=settings.controller.model_copy(update={"commissioned": found}))
 
 

@@ -1,4 +1,4 @@
-"""What commissioning would tell of a drawn machine's valves: drawn around the truth, as far off as it is told.
+"""What commissioning would tell of a drawn machine: drawn around the truth, as far off as it is told.
 
 In place of a commissioning that is run, where a campaign cannot spend its six minutes of arm time on every
 machine. Every number is off by a normal error of the spread that the file states; which σ commissioning
@@ -14,6 +14,7 @@ from nominal_arm.commissioned import (
     CURVE_KNOTS,
     Commissioned,
     JointPlay,
+    JointTuning,
     JointValve,
     MeasuredNumber,
     ValveEdge,
@@ -23,6 +24,7 @@ from nominal_arm.description import JOINT_NAMES, CylinderDrive, Drive
 from plant_emulator.config.actuators import ActuatorConfig
 from plant_emulator.config.units import LITRE_PER_MINUTE
 from plant_emulator.config.valves import Valve
+from testbed.commissioning.margins import MARGINS, gain_within
 from testbed.scenarios.settings import Settings
 
 STATED = "drawn around the truth, not commissioned"
@@ -51,8 +53,20 @@ def stated_commissioning(settings: Settings, seed: int) -> Commissioned:
         made_by=STATED,
         basis=basis_of(settings.arm, settings.controller),
         valves=known,
+        tuning=_tuning(known, settings),
         play_mrad=JointPlay(**play),
     )
+
+
+def _tuning(known: ValveSet, settings: Settings) -> JointTuning:
+    """Gains lowered to the margins that commissioning keeps, at the lag that is stated."""
+    control = settings.controller.joint_control
+    filtered, gains = 1e-3 * control.pt1_time_constant_ms, list(control.gain_1_s)
+    for joint, valve in enumerate(known.joints):
+        lag_s = 1e-3 * (valve.delay_ms.value + valve.lag_ms.value + settings.controller.cycle_ms)
+        gains[joint] = gain_within(gains[joint], lag_s, filtered if joint in (1, 2) else 0.0, MARGINS)
+    a, b, c, d, e, f = gains
+    return JointTuning(gain_1_s=(a, b, c, d, e, f))
 
 
 def _gains(valve: Valve, actuator: ActuatorConfig, drive: Drive) -> tuple[float, float]:

@@ -9,16 +9,21 @@ import typer
 from foundation.configuration import merged, parse_overrides
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Finished
-from testbed.campaigns.typed_rows import typed
+from testbed.campaigns.row_file import RowFile
+from testbed.campaigns.typed_rows import XYZ, flat, typed
+from testbed.experiments.positioning import changed
 from testbed.experiments.positioning.changed import (
     CHANGES,
     ChangedRow,
     ChangedSettings,
+    changed_run,
     changed_table,
     changed_tasks,
     changed_verdict,
 )
+from testbed.experiments.positioning.corrected_run import Branch
 from testbed.experiments.positioning.scenarios import draw
+from testbed.experiments.positioning.told import Told
 from testbed.experiments.positioning.worlds import WORLDS, WorldName
 from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
@@ -65,3 +70,25 @@ def test_a_row_that_is_too_far_off_or_told_too_sure_fails_and_only_that() -> Non
     (shown,) = changed_table(done)
     assert list(shown.columns[2].cells) == ["0.40", "5.50"]
     assert list(shown.columns[6].cells) == ["0", "2"], "nobody was warned of either"
+
+
+def test_a_row_that_was_measured_is_read_back_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    branch = Branch(true_mm=XYZ(0.3, -0.4, 1.0), worst_mm=0.4, before=Told(probability=0.97), steps=2)
+    measured = {"seed": 7, "arm": "plant", "look1": branch, "look2": Branch(failure="motion.not_settled: x")}
+    monkeypatch.setattr(changed, "one_run", lambda config_dir, task: measured)
+    (task,) = changed_tasks(REQUEST._replace(runs=1), ChangedSettings(["deadband_1"]))
+    kept = RowFile(tmp_path / "rows.csv").append(flat(changed_run(CONFIGS, task)))
+    row = typed(ChangedRow, kept)
+    assert (row.change, row.run.seed, row.run.look1) == ("deadband_1", 7, branch)
+    assert row.run.look2.failure == "motion.not_settled: x"
+
+
+@pytest.mark.parametrize("name", ["adapting", "commissioned"])
+def test_what_is_asked_for_reaches_every_task_and_nothing_else_does(name: str) -> None:
+    tasks = changed_tasks(REQUEST, ChangedSettings(["nothing"], **{name: True}))
+    assert all(task[name] is True for task in tasks)
+    other = {"adapting", "commissioned"} - {name}
+    assert not any(other & set(task) for task in tasks)
+    assert not any(
+        {"adapting", "commissioned"} & set(task) for task in changed_tasks(REQUEST, ChangedSettings())
+    )

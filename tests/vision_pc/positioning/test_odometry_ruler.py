@@ -46,7 +46,8 @@ def test_what_odometry_is_off_is_found_and_told(size: float) -> None:
         ruler = fitted_ruler(*legs(E, rng), settings().ruler)
         assert ruler is not None
         off = ruler.E - E
-        squares += [float(row @ np.linalg.solve(cov, row)) / 3.0 for row, cov in zip(off, ruler.covariances)]
+        pairs = zip(off, ruler.covariances, strict=True)
+        squares += [float(row @ np.linalg.solve(cov, row)) / 3.0 for row, cov in pairs]
         errors.append(np.abs(off).max())
     assert np.median(errors) < 1.5e-3
     assert np.mean(squares) < 1.3  # ninety sightings are told as the worth of twelve
