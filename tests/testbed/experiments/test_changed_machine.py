@@ -79,7 +79,8 @@ def test_a_row_that_was_measured_is_read_back_whole(tmp_path: Path, monkeypatch:
     (task,) = changed_tasks(REQUEST._replace(runs=1), ChangedSettings(["deadband_1"]))
     kept = RowFile(tmp_path / "rows.csv").append(flat(changed_run(CONFIGS, task)))
     row = typed(ChangedRow, kept)
-    assert (row.change, row.run.seed, row.run.look1) == ("deadband_1", 7, branch)
+    assert (row.change, row.run.seed) == ("deadband_1", 7)
+    assert repr(row.run.look1) == repr(branch), "and what is NaN is NaN again"
     assert row.run.look2.failure == "motion.not_settled: x"
 
 

@@ -58,10 +58,10 @@ def test_nothing_is_stated_unless_it_is_asked_for() -> None:
 @pytest.mark.parametrize("arm", ARMS)
 def test_vision_that_adapts_is_one_file_and_keeps_the_arms_own_numbers(arm: str) -> None:
     plain, adapts = (settings_of(CONFIGS, task(arm, adapting=on)).vision for on in (False, True))
-    local_map = adapts.programs.local_map
-    assert local_map.adaptive.enabled and local_map.ruler.enabled
-    assert not (plain.programs.local_map.adaptive.enabled or plain.programs.local_map.ruler.enabled)
-    assert local_map.servo_std_m == plain.programs.local_map.servo_std_m
+    before, after = (one.programs.local_map for one in (plain, adapts))
+    assert (before.adaptive.enabled, before.ruler.enabled) == (False, False)
+    assert (after.adaptive.enabled, after.ruler.enabled) == (True, True)
+    assert after.servo_std_m == before.servo_std_m
     assert adapts.markers.offset_std_px == adapting(CONFIGS)["markers"]["offset_std_px"] == 3.5
 
 

@@ -35,10 +35,18 @@ def servo_spread(track: LocalTrack, settings: LocalErrorModelSettings) -> ServoS
     prior = settings.servo_std_m**2 + band**2
     seen = prior + settings.odometry_std_m**2
     freedom = settings.adaptive.servo_freedom
-    squares = float((track.misses**2).sum() / 3.0 * _ACROSS / seen)
-    count = _ACROSS * len(track.misses)
+    misses = np.concatenate([track.misses, _left_over(track, settings)])
+    squares = float((misses**2).sum() / 3.0 * _ACROSS / seen)
+    count = _ACROSS * len(misses)
     scale = (freedom + squares) / (freedom + count)
     return ServoSpread(prior * scale, freedom + count)
+
+
+def _left_over(track: LocalTrack, settings: LocalErrorModelSettings) -> Array:
+    """Misses (n, 3) m of the legs, n 0 or 1: of lengths alone, for they go in a direction of their own."""
+    beyond = np.maximum(np.abs(track.left[:1]) - settings.adaptive.residual_rad, 0.0)
+    reach = float(np.linalg.norm(track.X_BT_now[:2, 3]))
+    return reach * beyond[beyond.any(axis=1)]
 
 
 def expected_left(track: LocalTrack, dimensions: BoomDimensions, settings: LocalErrorModelSettings) -> Array:

@@ -1,0 +1,67 @@
+"""docs/evidence.md is what its rows say, and rows that are kept are read again."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from testbed.campaigns.row_file import RowFile
+from testbed.campaigns.typed_rows import XYZ, flat
+from testbed.experiments.positioning.corrected_run import Branch, PositioningRow
+from testbed.experiments.positioning.told import Told
+from tools.evidence_page import PAGE, keep, rendered, sections
+
+TEXT = PAGE.read_text(encoding="utf-8")
+
+
+def test_the_tables_are_those_of_the_rows() -> None:
+    assert rendered(TEXT) == TEXT, "run: python -m tools.evidence_page"
+
+
+def _row(seed: int, error_mm: float, probability: float, failure: str = "") -> PositioningRow:
+    told = Told(probability=probability, std_x_mm=0.5, std_y_mm=0.5, distance2=2.0, level2=5.99)
+    end = Branch(XYZ(error_mm, 0.0, 0.0), std_mm=XYZ(0.5, 0.5, 1.0), worst_mm=error_mm, before=told)
+    stopped = Branch(failure="motion.not_settled: x")
+    first = stopped if failure else end
+    return PositioningRow(seed, "plant", 0.0, 0.0, 0.0, 0.0, 0.0, "real", look1=first, look2=first)
+
+
+def _campaign(directory: Path, rows: list[PositioningRow], changes: list[str] | None = None) -> Path:
+    file = RowFile(directory / "rows.csv")
+    for number, row in enumerate(rows):
+        columns = flat(row)
+        if changes:
+            columns = {"change": changes[number], **{f"run_{name}": cell for name, cell in columns.items()}}
+        file.append(columns)
+    (directory / "tasks.jsonl").write_text(json.dumps({"configuration": "1"}) + "\n", encoding="utf-8")
+    return directory
+
+
+def test_rows_that_are_kept_are_counted_with_their_stops_and_silent_misses(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    _campaign(run, [_row(1, 0.4, 0.99), _row(2, 7.0, 0.99), _row(3, 8.0, 0.5), _row(4, 0.0, 1.0, "stopped")])
+    keep(run, "real", "abc1234", "longreach experiment best-mode", tmp_path / "results")
+    line = sections(tmp_path / "results")["evidence"].splitlines()[-1]
+    cells = [cell.strip() for cell in line.strip("|").split("|")]
+    assert cells[:4] == [
+        "`docs/results/real`, commit `abc1234`",
+        "`longreach experiment best-mode`",
+        "4",
+        "25%",
+    ]
+    assert cells[4].startswith("7.00, ")
+    assert cells[7] == "1", "stopped"
+    assert cells[10] == "1", "the one that was told 0.5 was no silent miss"
+
+
+@pytest.mark.parametrize(("error_mm", "verdict"), [(0.4, "yes"), (1.6, "NO"), (5.5, "NO")])
+def test_a_changed_machine_has_its_verdict(tmp_path: Path, error_mm: float, verdict: str) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    _campaign(run, [_row(1, error_mm, 0.99)], ["deadband_1"])
+    keep(run, "changed", "abc1234", "longreach experiment changed-machine", tmp_path / "results")
+    made = sections(tmp_path / "results")
+    assert made["changed machines"].splitlines()[-1].endswith(f"| {verdict} |")
+    assert "abc1234" in made["changed machines"]
+    assert made["evidence"].count("\n") == 1, "no line of drawn machines"

@@ -1,0 +1,149 @@
+"""The tables of docs/evidence.md, made from the rows under docs/results; ``python -m tools.evidence_page``.
+
+``python -m tools.evidence_page keep RUN NAME COMMIT COMMAND…`` copies a campaign's rows there first: RUN is
+its directory, COMMIT what it ran on, COMMAND what was typed.
+"""
+
+import json
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from testbed.campaigns.row_file import RowFile
+from testbed.campaigns.typed_rows import typed
+from testbed.experiments.positioning.changed import CHANGES, ChangedRow
+from testbed.experiments.positioning.corrected_figures import (
+    LIMIT_MM,
+    checks_of,
+    quantile,
+    share,
+    told,
+    worst_mm,
+    worst_ratio,
+)
+from testbed.experiments.positioning.corrected_run import PositioningRow
+from testbed.experiments.positioning.told import covered, nees, silent_misses
+from testbed.experiments.positioning.worlds import WORLDS, WorldName
+from tools.protocol_page import filled
+from tools.tables import table
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "evidence.md"
+RESULTS = ROOT / "docs" / "results"
+_ABOUT = "about.json"
+_MOST_MEDIAN_MM, _MOST_RATIO = 1.5, 3.0  # of a changed machine
+
+
+class Kept(NamedTuple):
+    """A campaign's rows as they stand under docs/results, and what they are evidence of."""
+
+    name: str
+    command: str
+    commit: str
+    rows: list[dict[str, Any]]
+
+
+def kept(directory: Path) -> Kept:
+    """The campaign in ``directory``."""
+    about = json.loads((directory / _ABOUT).read_text(encoding="utf-8"))
+    return Kept(directory.name, about["command"], about["commit"], RowFile(directory / "rows.csv").rows)
+
+
+def keep(run: Path, name: str, commit: str, command: str, results: Path = RESULTS) -> Path:
+    """Copy the rows of ``run``, and their tasks with the hashes of configuration and sources."""
+    into = results / name
+    into.mkdir(parents=True, exist_ok=True)
+    for file in ("rows.csv", "tasks.jsonl"):
+        shutil.copyfile(run / file, into / file)
+    about = {"command": command, "commit": commit}
+    (into / _ABOUT).write_text(json.dumps(about, indent=2) + "\n", encoding="utf-8")
+    return into
+
+
+def sections(results: Path = RESULTS) -> dict[str, str]:
+    """Every generated section by its name."""
+    found = [kept(path.parent) for path in sorted(results.glob(f"*/{_ABOUT}"))]
+    drawn = [one for one in found if "change" not in one.rows[0]]
+    changed = [one for one in found if "change" in one.rows[0]]
+    heads = (
+        "rows | command | runs | one look: within 5 mm | median, 95 % | two looks | median, 95 % | stopped"
+    )
+    heads += " | error² / variance told | in the ellipse | silent misses | limits met"
+    lines = "what was changed | runs | one look: median, worst | within 5 mm | error / σ told | silent misses"
+    return {
+        "evidence": table(heads, (_campaign(one) for one in drawn)),
+        "changed machines": "\n\n".join(
+            f"`{one.command}`, commit `{one.commit}`, `docs/results/{one.name}`:\n\n"
+            + table(lines + " | stopped | limits met", _changes(one))
+            for one in changed
+        ),
+    }
+
+
+def _campaign(one: Kept) -> Sequence[str]:
+    """A line of drawn machines; a run that stopped counts as outside."""
+    rows = [typed(PositioningRow, row) for row in one.rows]
+    first, second = worst_mm(rows, "look1"), worst_mm(rows, "look2")
+    before = told(rows, "look1", "before")
+    asked = checks_of(rows, WORLDS[WorldName(rows[0].world)].demands)
+    judged = [check.met for check in asked if check.met is not None]
+    return [
+        f"`docs/results/{one.name}`, commit `{one.commit}`",
+        f"`{one.command}`",
+        str(len(rows)),
+        f"{share(first, LIMIT_MM):.0%}",
+        _pair(first, 95),
+        f"{share(second, LIMIT_MM):.0%}",
+        _pair(second, 95),
+        str(sum(map(_stopped, rows))),
+        f"{nees(before):.2f}",
+        f"{covered(before):.0%}",
+        str(silent_misses(before, first)),
+        f"{sum(judged)} of {len(judged)}",
+    ]
+
+
+def _changes(one: Kept) -> list[list[str]]:
+    rows = [typed(ChangedRow, row) for row in one.rows]
+    return [_change(change, [row.run for row in rows if row.change == change]) for change in _names(rows)]
+
+
+def _change(change: str, rows: list[PositioningRow]) -> list[str]:
+    first = worst_mm(rows, "look1")
+    inside, ratio, median = share(first, LIMIT_MM), worst_ratio(rows, "look1"), quantile(first, 50)
+    met = inside == 1.0 and median <= _MOST_MEDIAN_MM and ratio <= _MOST_RATIO
+    return [
+        CHANGES[change].words,
+        str(len(rows)),
+        _pair(first, 100),
+        f"{inside:.0%}",
+        f"{ratio:.1f}",
+        str(silent_misses(told(rows, "look1", "before"), first)),
+        str(sum(map(_stopped, rows))),
+        "yes" if met else "NO",
+    ]
+
+
+def _names(rows: Sequence[ChangedRow]) -> list[str]:
+    return [name for name in CHANGES if any(row.change == name for row in rows)]
+
+
+def _pair(values: Any, percent: float) -> str:
+    return f"{quantile(values, 50):.2f}, {quantile(values, percent):.2f} mm"
+
+
+def _stopped(row: PositioningRow) -> bool:
+    return bool(row.failure or row.look1.failure or row.look2.failure)
+
+
+def rendered(text: str) -> str:
+    """``text`` with the tables made anew."""
+    return filled(text, sections())
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["keep"]:
+        keep(Path(sys.argv[2]), sys.argv[3], sys.argv[4], " ".join(sys.argv[5:]))
+    PAGE.write_text(rendered(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
