@@ -20,10 +20,10 @@ from nominal_arm.commissioned import (
     ValveEdge,
     ValveSet,
 )
-from nominal_arm.description import JOINT_NAMES, CylinderDrive, Drive
+from nominal_arm.description import CylinderDrive, Drive
 from plant_emulator.config.actuators import ActuatorConfig
 from plant_emulator.config.units import LITRE_PER_MINUTE
-from plant_emulator.config.valves import Valve
+from plant_emulator.config.valves import JOINT_NAMES, Valve
 from testbed.commissioning.margins import MARGINS, gain_within
 from testbed.scenarios.settings import Settings
 

@@ -58,7 +58,7 @@ def fitted_ruler(X_KC: Array, p_CO: Array, settings: RulerSettings) -> Ruler | N
         rows[axis], precisions[axis] = _row(design, o[:, axis], settings)
     strength = float(np.einsum("ai,aij,aj->", rows, precisions, rows))
     spread2 = max(settings.spread**2, (strength - 9.0) / float(np.trace(precisions.sum(axis=0))))
-    covariances = np.linalg.inv(precisions + np.eye(3) / spread2)
+    covariances = np.asarray(np.linalg.inv(precisions + np.eye(3) / spread2), dtype=np.float64)
     E = np.einsum("aij,ajk,ak->ai", covariances, precisions, rows)
     return Ruler(E, covariances, settings.carried)
 
@@ -78,4 +78,4 @@ def _row(design: Array, values: Array, settings: RulerSettings) -> tuple[Array, 
     worth = min(1.0, settings.independent / len(values)) / std**2
     whole = normal * worth
     rest = whole[:3, :3] - np.outer(whole[:3, 3], whole[3, :3]) / whole[3, 3]
-    return theta[:3], rest
+    return np.asarray(theta[:3], dtype=np.float64), np.asarray(rest, dtype=np.float64)
