@@ -92,9 +92,8 @@ async def look_then_move_corrected(
         wanted = Wanted(x, covariance, share, settings.corrections + 1 - len(steps))
         steps.append(_step(look, fitted, track, wanted, settings, map_settings))
         report(0.2 + 0.6 * len(steps) / (settings.corrections + 1), _in_words(residuals[-1]))
-        end = [steps[-1].X_BT_ref]
-        drive = await watched_path(arm, eyes, end, track.take_up, dimensions, map_settings)
-        drive = ruled(drive, track.ruler)
+        path = watched_path(arm, eyes, [steps[-1].X_BT_ref], track.take_up, dimensions, map_settings)
+        drive = ruled(await path, track.ruler)
         goal_K = drive.X_KC[0][:3, :3] @ goal_K + drive.X_KC[0][:3, 3]
         residuals.append(goal_K - p_CM)
         missed = (fitted.R @ residuals[-1])[None] if share == 1.0 else np.zeros((0, 3))
