@@ -5,12 +5,9 @@ from typing import Annotated
 
 import typer
 
-from conformance.command import app as conformance
 from dissector.command import sniff
 from foundation.command_options import unfolded
 from foundation.configuration import merged, parse_overrides
-from testbed.cli.experiment import app as experiment
-from testbed.cli.hand_eye import app as hand_eye
 from testbed.cli.options import (
     DEFAULT_CONFIG,
     ConfigDir,
@@ -23,9 +20,7 @@ from testbed.cli.options import (
     StartOptions,
 )
 from testbed.cli.root import RootGroup, show_version
-from testbed.cli.token import app as token
 from testbed.fault_proxy.command import proxy
-from testbed.pictures.command import app as picture
 from testbed.reporting.console import writable
 from testbed.scenarios.settings import chosen_overrides, with_faults
 
@@ -50,12 +45,6 @@ def longreach(
 
 validate = typer.Typer(help="Compare parts with known answers.", no_args_is_help=True)
 app.add_typer(validate, name="validate")
-
-app.add_typer(experiment, name="experiment")
-app.add_typer(conformance, name="conformance")
-app.add_typer(hand_eye, name="hand-eye")
-app.add_typer(picture, name="picture")
-app.add_typer(token, name="token")
 
 app.command(epilog="Example: longreach sniff --interface lo --port 47000")(sniff)
 app.command(epilog="Example: longreach proxy --listen-port 47001 --port 47000 --loss 0.02")(proxy)

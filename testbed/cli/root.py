@@ -1,5 +1,6 @@
 """How every command of ``longreach`` ends: expected trouble is one line and a status, never a traceback."""
 
+import importlib
 import importlib.metadata
 import sys
 from typing import Any
@@ -12,10 +13,32 @@ from testbed.reporting.console import err
 
 FAILED = 2
 INTERRUPTED = 130  # as a shell has it for SIGINT
+LOADED_LATER = {  # what a group of commands needs, such as matplotlib and dask, no other command waits for
+    "experiment": "testbed.cli.experiment",
+    "conformance": "conformance.command",
+    "hand-eye": "testbed.cli.hand_eye",
+    "picture": "testbed.pictures.command",
+    "token": "testbed.cli.token",
+}
 
 
 class RootGroup(TyperGroup):
-    """The group of all commands."""
+    """The group of all commands. A group among them is loaded when it is asked for, or help for all."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """The names in the order of the help."""
+        own = [name for name in super().list_commands(ctx) if name not in LOADED_LATER]
+        return [*own, *LOADED_LATER]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command called ``cmd_name``; None where there is none: then all are there for suggestions."""
+        unknown = cmd_name not in self.commands and cmd_name not in LOADED_LATER
+        for name in LOADED_LATER if unknown else {cmd_name} & set(LOADED_LATER):
+            if name not in self.commands:
+                group = typer.main.get_group(importlib.import_module(LOADED_LATER[name]).app)
+                group.name = name
+                self.commands[name] = group
+        return super().get_command(ctx, cmd_name)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; refusals, an operating system that will not, and Ctrl-C end the process."""

@@ -9,8 +9,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
-from scipy.stats import chi2, f
+from scipy.special import fdtri, gammaincinv, ndtr
 
 from vision_pc.core.se3 import Array
 
@@ -63,8 +62,8 @@ def expected_end(
 def ellipse_level(freedom: float, share: float = 0.95) -> float:
     """Squared distance, by the whole covariance, that ``share`` of all ends in x and y stay inside."""
     if freedom > _ALIKE:
-        return float(chi2.ppf(share, 2))
-    return 2.0 * float(f.ppf(share, 2, freedom)) * (freedom - 2.0) / freedom
+        return float(_chi_square(share, 2.0))
+    return 2.0 * float(fdtri(2.0, freedom, share)) * (freedom - 2.0) / freedom
 
 
 def probability_inside(mean: Array, covariance: Array, limit: float, freedom: float = math.inf) -> float:
@@ -78,7 +77,12 @@ def _sizes(freedom: float) -> tuple[float, ...]:
     if freedom > _ALIKE:
         return (1.0,)
     middles = (np.arange(_SCALES) + 0.5) / _SCALES
-    return tuple(((freedom - 2.0) / chi2.ppf(middles, freedom)).tolist())
+    return tuple(((freedom - 2.0) / _chi_square(middles, freedom)).tolist())
+
+
+def _chi_square(share: float | Array, freedom: float) -> Array:
+    """The quantile of χ² below which ``share`` lies; importing scipy.stats for it takes half a second."""
+    return np.asarray(2.0 * gammaincinv(0.5 * freedom, share))
 
 
 def _normal(mean: Array, covariance: Array, limit: float) -> float:
