@@ -62,15 +62,23 @@ def kernel(function: Any = None, /, **options: Any) -> Any:
     return _compiled(function, options)
 
 
-def allocation_free(function: Function) -> Function:
+@overload
+def allocation_free(function: Function, /) -> Function: ...
+
+
+@overload
+def allocation_free(**options: Any) -> Callable[[Function], Function]: ...
+
+
+def allocation_free(function: Any = None, /, **options: Any) -> Any:
     """Return ``function`` as ``kernel`` compiles it, but without numba's memory allocator.
 
     numba counts every array that a function takes out of a tuple or slices; in kernels of a microsecond the
     counting took half of the time. Without its run-time system there is nothing to count with, and code that
-    would allocate does not compile: the hot loop is free of allocation by construction.
+    would allocate does not compile: the hot loop is free of allocation by construction. Such functions call
+    each other and are called from Python, but not from a ``kernel``, which counts.
     """
-    compiled: Function = _compiled(function, {"error_model": "numpy", "_nrt": False})
-    return compiled
+    return kernel(function, **{"error_model": "numpy", **options, "_nrt": False})
 
 
 def _compiled(function: Any, options: dict[str, Any]) -> Any:

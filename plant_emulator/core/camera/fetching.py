@@ -8,13 +8,15 @@ from numba.core import cgutils, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from foundation.compiled import kernel
+from foundation.compiled import allocation_free
 
 ir: Any = cgutils.ir  # type: ignore[attr-defined]  # llvmlite, as numba has it
 Words = NDArray[np.int32]
+Real32 = NDArray[np.float32]
 
 _READ, _INTO_EVERY_CACHE, _DATA = 0, 3, 1
 _STEP = 8  # words between hints: half a line of the cache
+_LINE = 16  # float32 in a line of the cache
 
 
 def _typed(context: Any, words: Any, index: Any) -> tuple[Any, Callable[..., Any]]:
@@ -37,9 +39,16 @@ _declared: Any = cgutils.get_or_insert_function
 _prefetch: Any = intrinsic(_typed)
 
 
-@kernel(nogil=True)
+@allocation_free
 def fetch_ahead(texture: Words, words: Words, ahead: int, count: int) -> None:
     """Hint that the words ``ahead`` of the indices ``words`` will be wanted; a hint may be wrong."""
     last = np.uint32(texture.shape[0] - 1)
     for j in range(0, count, _STEP):
         _prefetch(texture, np.intp(np.uint32(words[j] + ahead) & last))
+
+
+@allocation_free
+def fetch_line(values: Real32, first: int, count: int) -> None:
+    """Hint that ``count`` of ``values`` from the flat place ``first`` on will be wanted, if that many are."""
+    for k in range(first, min(first + count, values.size), _LINE):
+        _prefetch(values, np.intp(k))

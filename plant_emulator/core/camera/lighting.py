@@ -33,8 +33,10 @@ def glare_on(config: GlareConfig, X_OP: Array, eye_P: Array) -> Array:
     ``eye_P`` (3,): the eye in the plate's axes. A mirror shows the lamp where the way there and on to the
     eye is shortest.
     """
+    if config.strength_grey == 0.0:
+        return NO_GLARE
     lamp_P = X_OP[:3, :3].T @ (np.array(config.lamp_m) - X_OP[:3, 3])
-    if config.strength_grey == 0.0 or lamp_P[2] <= 0.0 or eye_P[2] <= 0.0:
+    if lamp_P[2] <= 0.0 or eye_P[2] <= 0.0:
         return NO_GLARE
     x, y = (eye_P[:2] * lamp_P[2] + lamp_P[:2] * eye_P[2]) / (lamp_P[2] + eye_P[2])
     return np.array([x, -y, 0.5 / config.width_m**2, config.strength_grey])

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.compiled import kernel
+from foundation.compiled import allocation_free
 from plant_emulator.core.camera.rasteriser import share_below
 from plant_emulator.core.camera.rays import Rays, Surface, meet_plate, row_homography, shaded
 
@@ -23,7 +23,6 @@ class Panel(NamedTuple):
     levels: tuple[Grey, ...]
 
 
-@kernel(nogil=True)
 def paint_panel(
     out: Grey,
     rays: Rays,
@@ -33,11 +32,24 @@ def paint_panel(
     surface: Surface,
 ) -> None:
     """Paint one picture plate over ``out`` inside ``box``; arguments as of ``rasteriser.paint_plate``."""
+    _paint_rows(out, rays, homographies, panel, box, surface, np.empty((3, 3)))
+
+
+@allocation_free(nogil=True)
+def _paint_rows(
+    out: Grey,
+    rays: Rays,
+    homographies: Real64,
+    panel: Panel,
+    box: tuple[int, int, int, int],
+    surface: Surface,
+    h: Real64,
+) -> None:
     light = surface.light
     left, top, levels = panel.edges_x[0], panel.edges_y[0], panel.levels
     texels_per_m = levels[0].shape[1] / (panel.edges_x[1] - left)
     for i in range(box[0], box[1]):
-        h = row_homography(homographies, i, out.shape[0])
+        row_homography(homographies, i, out.shape[0], h)
         for j in range(box[2], box[3]):
             at = meet_plate(rays, h, i, j)
             if not at.in_front:
@@ -54,14 +66,14 @@ def paint_panel(
             out[i, j] = np.uint8(min(max(value, 0.0), 255.0) + 0.5)
 
 
-@kernel(nogil=True, inline="always")
+@allocation_free(inline="always")
 def _within(centre: float, a: float, b: float, edges: Real64) -> float:
     """The pixel's share between the two edges; ``a`` and ``b`` are its extents across them."""
     long, short = max(a, b), min(a, b)
     return share_below(edges[1] - centre, long, short) - share_below(edges[0] - centre, long, short)
 
 
-@kernel(nogil=True)
+@allocation_free
 def _sampled(levels: tuple[Grey, ...], column: float, row: float, footprint: float) -> float:
     """The picture at a place in finest texels (their corners at integers), blurred to the footprint."""
     fine, share = 0, 0.0
@@ -77,7 +89,7 @@ def _sampled(levels: tuple[Grey, ...], column: float, row: float, footprint: flo
     return value
 
 
-@kernel(nogil=True, inline="always")
+@allocation_free(inline="always")
 def _bilinear(picture: Grey, column: float, row: float) -> float:
     height, width = picture.shape
     column, row = min(max(column, 0.0), width - 1.0), min(max(row, 0.0), height - 1.0)

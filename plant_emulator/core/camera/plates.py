@@ -1,15 +1,24 @@
-"""Flat plates, of which everything visible but the wall is made: grids of cells, or printed pictures."""
+"""Flat plates, of which everything visible but the wall is made: grids of cells, or printed pictures; and
+where they appear in one eye's picture, all those of a parent at once.
+"""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from plant_emulator.core.camera.lens import Lens
+
 Grey = NDArray[np.uint8]
 Matrix = NDArray[np.float64]
 
+Box = tuple[int, int, int, int]
+
 _COARSEST_TEXELS = 8
+_RIM_PX = 2  # a plate's rim touches pixels this far outside its projected corners
+_NEAREST_M = 0.02
 
 
 class Bend(NamedTuple):
@@ -75,3 +84,85 @@ def picture_plate(X_parent_plate: Matrix, texel_m: float, picture: Grey, lit_by_
     plain = np.zeros((1, 1), dtype=np.float32)
     edges_x, edges_y = np.array([-half_x, half_x]), np.array([-half_y, half_y])
     return Plate(X_parent_plate, edges_x, edges_y, plain, lit_by_wall, tuple(levels))
+
+
+class Sheets(NamedTuple):
+    """Plates of one parent, and what about them never changes.
+
+    ``poses`` (n, 4, 4) in the parent; ``rims`` (n, 8, 3) the corners on the plate's plane and on its bent
+    surface; ``lights`` (n, 3) as ``rays.Surface`` takes them.
+    """
+
+    plates: tuple[Plate, ...]
+    poses: Matrix
+    rims: Matrix
+    lights: Matrix
+
+
+class Placed(NamedTuple):
+    """A plate that may be seen: its number among the sheets, and the pixels that it may touch.
+
+    ``box`` (top, bottom, left, right), half open; ``homographies`` (2, 3, 3) from rays to the plate, at the
+    picture's first and last row; ``eye_P`` (3,) the eye in the plate's axes, the mean over the rows.
+    """
+
+    number: int
+    box: Box
+    homographies: Matrix
+    eye_P: Matrix
+
+
+def sheets(plates: tuple[Plate, ...], gradient_per_m: tuple[float, float]) -> Sheets:
+    """``plates`` of one parent; the wall's lighting changes by ``gradient_per_m`` to the right and up."""
+    gradient = np.array(gradient_per_m)
+    rims, lights = np.empty((len(plates), 8, 3)), np.tile([1.0, 0.0, 0.0], (len(plates), 1))
+    for k, plate in enumerate(plates):
+        x0, x1, y0, y1 = plate.edges_x[0], plate.edges_x[-1], -plate.edges_y[-1], -plate.edges_y[0]
+        rims[k, :4] = rims[k, 4:] = [[x0, y0, 0.0], [x1, y0, 0.0], [x1, y1, 0.0], [x0, y1, 0.0]]
+        rims[k, 4:, 2] = plate.bend.height(rims[k, :4, 0], rims[k, :4, 1])
+        if plate.lit_by_wall:
+            R, p = plate.X_parent_plate[:2, :2], plate.X_parent_plate[:2, 3]
+            lights[k] = 1.0 + gradient @ p, gradient @ R[:, 0], -(gradient @ R[:, 1])
+    poses = np.array([plate.X_parent_plate for plate in plates]).reshape(-1, 4, 4)
+    return Sheets(plates, poses, rims, lights)
+
+
+def placed(rims: Matrix, X_EPs: Matrix, lens: Lens, size: tuple[int, int]) -> Iterator[Placed]:
+    """The plates that may be seen, in their order.
+
+    ``rims`` (n, 8, 3) as in Sheets; ``X_EPs`` (n, m, 4, 4) the plates in the eye at the instants of the first
+    and the last row, or of all; ``size`` (width, height).
+    """
+    R, p = X_EPs[..., :3, :3], X_EPs[..., :3, 3]
+    # seen from behind, no plate of this scene has anything to show
+    numbers = np.flatnonzero(((R[..., 2] * p).sum(axis=-1) < 0.0).all(axis=-1))
+    boxes = _boxes(rims[numbers], R[numbers], p[numbers], lens, size)
+    filled = (boxes[:, 0] < boxes[:, 1]) & (boxes[:, 2] < boxes[:, 3])
+    numbers, boxes = numbers[filled], boxes[filled]
+    R, p = R[numbers], p[numbers]
+    homographies = ray_to_plane(X_EPs[numbers])
+    eyes_P = -(np.swapaxes(R, -1, -2) @ p[..., None])[..., 0].mean(axis=1)
+    for k, number in enumerate(numbers.tolist()):
+        top, bottom, left, right = boxes[k].tolist()
+        yield Placed(number, (top, bottom, left, right), homographies[k][[0, -1]], eyes_P[k])
+
+
+def ray_to_plane(X_EP: Matrix) -> Matrix:
+    """Homographies (..., 3, 3) from a normalised ray (x, y, 1) to coordinates (x right, y down) on z_P = 0.
+
+    ``X_EP`` (..., 4, 4). The third component is 1/depth: positive where the ray meets the plane in front.
+    """
+    columns = np.stack([X_EP[..., :3, 0], -X_EP[..., :3, 1], X_EP[..., :3, 3]], axis=-1)
+    return np.asarray(np.linalg.inv(columns), dtype=np.float64)
+
+
+def _boxes(rims: Matrix, R: Matrix, p: Matrix, lens: Lens, size: tuple[int, int]) -> NDArray[np.int64]:
+    """Pixel rows and columns (n, 4) that each plate may touch: top, bottom, left, right."""
+    in_eye = rims[:, None] @ np.swapaxes(R, -1, -2) + p[:, :, None]
+    near = in_eye[..., 2] <= _NEAREST_M
+    image = lens.project(in_eye.reshape(-1, 3)).reshape(*in_eye.shape[:3], 2)
+    whole, none = near.any(axis=-1, keepdims=True), near.all(axis=-1, keepdims=True)
+    low = np.where(whole, 0.0, np.clip(np.floor(image.min(axis=2)) - _RIM_PX, 0, size))
+    high = np.where(whole, size, np.clip(np.ceil(image.max(axis=2)) + _RIM_PX + 1, 0, size))
+    first, last = low.min(axis=1), np.where(none, 0.0, high).max(axis=1)
+    return np.stack([first[:, 1], last[:, 1], first[:, 0], last[:, 0]], axis=1).astype(np.int64)

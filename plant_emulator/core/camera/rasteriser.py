@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.compiled import kernel
+from foundation.compiled import allocation_free, kernel
 from plant_emulator.core.camera.rays import (
     PlatePoint,
     Rays,
@@ -19,7 +19,7 @@ from plant_emulator.core.camera.rays import (
     bent,
     highlight,
     meet_plate,
-    place_on_plate,
+    places_on_plate,
     row_homography,
     shaded,
 )
@@ -41,7 +41,15 @@ class Grid(NamedTuple):
     grey: Real32
 
 
-@kernel(nogil=True)
+class _Room(NamedTuple):
+    """Where the homography of a row, the places of its pixels and their shares in cells are noted."""
+
+    h: Real64
+    places: Real64
+    weight_x: Real64
+    weight_y: Real64
+
+
 def paint_plate(
     out: Grey, rays: Rays, homographies: Real64, grid: Grid, box: tuple[int, int, int, int], surface: Surface
 ) -> None:
@@ -50,31 +58,49 @@ def paint_plate(
     ``homographies`` (2, 3, 3) map (ray x, ray y, 1) to plate coordinates (x right, y down) in metres times
     the inverse depth, at the picture's first and last row.
     """
+    rows, columns = grid.grey.shape
+    room = _Room(np.empty((3, 3)), np.empty((3, box[3] - box[2])), np.empty(columns), np.empty(rows))
+    _paint_rows(out, rays, homographies, grid, box, surface, room)
+
+
+@allocation_free(nogil=True)
+def _paint_rows(
+    out: Grey,
+    rays: Rays,
+    homographies: Real64,
+    grid: Grid,
+    box: tuple[int, int, int, int],
+    surface: Surface,
+    room: _Room,
+) -> None:
     light, bend, shadow, glare = surface
-    ray_x, ray_y = rays
     edges_x, edges_y, grey = grid
-    weights = np.empty(edges_x.shape[0] - 1), np.empty(edges_y.shape[0] - 1)
+    top, bottom, left, right = box
+    h, places = room.h, room.places
     reach_s, reach_t = _most_reach(rays, homographies, box)
-    for i in range(box[0], box[1]):
-        h = row_homography(homographies, i, out.shape[0])
+    for i in range(top, bottom):
+        row_homography(homographies, i, out.shape[0], h)
+        places_on_plate(rays.x[i, left:right], rays.y[i, left:right], h, places)
         column = row = 0  # cells change slowly along a line of pixels: the search starts where it ended
-        for j in range(box[2], box[3]):
-            in_front, s, t = place_on_plate(ray_x, ray_y, h, i, j)
-            if in_front and bend[0] != 0.0:
+        for k in range(right - left):
+            s, t = places[0, k], places[1, k]
+            if places[2, k] <= 1e-9:
+                continue
+            if bend[0] != 0.0:
                 s, t = bent(s, t, bend)
-            if not in_front or _beyond(s, reach_s, edges_x) or _beyond(t, reach_t, edges_y):
+            if _beyond(s, reach_s, edges_x) or _beyond(t, reach_t, edges_y):
                 continue
             column, row = _first_cell(edges_x, s - reach_s, column), _first_cell(edges_y, t - reach_t, row)
             lit = (light[0] + light[1] * s + light[2] * t) * shaded(s, t, shadow), highlight(s, t, glare)
             if _within(s, reach_s, edges_x, column) and _within(t, reach_t, edges_y, row):
                 value = grey[row, column] * lit[0] + lit[1]
             else:
-                at = meet_plate(rays, h, i, j)
-                value = _blended(at, (s, t), grid, weights, (column, row), lit, np.float64(out[i, j]))
-            out[i, j] = np.uint8(min(max(value, 0.0), 255.0) + 0.5)
+                at, under = meet_plate(rays, h, i, left + k), np.float64(out[i, left + k])
+                value = _blended(at, (s, t), grid, room, (column, row), lit, under)
+            out[i, left + k] = np.uint8(min(max(value, 0.0), 255.0) + 0.5)
 
 
-@kernel(nogil=True)
+@allocation_free
 def _most_reach(rays: Rays, homographies: Real64, box: tuple[int, int, int, int]) -> tuple[float, float]:
     """More than half a pixel's extent on the plate, right and down (m), anywhere in ``box``.
 
@@ -93,30 +119,30 @@ def _most_reach(rays: Rays, homographies: Real64, box: tuple[int, int, int, int]
     return _MARGIN * most_s, _MARGIN * most_t
 
 
-@kernel(nogil=True, inline="always")
+@allocation_free(inline="always")
 def _beyond(place: float, reach: float, edges: Real64) -> bool:
     """Whether nothing of a pixel is on the plate."""
     return bool(place + reach <= edges[0] or place - reach >= edges[-1])
 
 
-@kernel(nogil=True, inline="always")
+@allocation_free(inline="always")
 def _within(place: float, reach: float, edges: Real64, cell: int) -> bool:
     """Whether all of a pixel is in one cell."""
     return bool(edges[cell] <= place - reach and place + reach <= edges[cell + 1])
 
 
-@kernel(nogil=True, inline="always")
+@allocation_free(inline="always")
 def _blended(
     at: PlatePoint,
     place: tuple[float, float],
     grid: Grid,
-    weights: tuple[Real64, Real64],
+    room: _Room,
     cell: tuple[int, int],
     lit: tuple[float, float],
     under: float,
 ) -> float:
     """The grey of a pixel where cells, or the plate and what is ``under`` it, meet; ``cell`` is a guess."""
-    (s, t), (weight_x, weight_y), (edges_x, edges_y, grey) = place, weights, grid
+    (s, t), (edges_x, edges_y, grey), weight_x, weight_y = place, grid, room.weight_x, room.weight_y
     s_u, s_v, t_u, t_v = abs(at.s_u), abs(at.s_v), abs(at.t_u), abs(at.t_v)
     s_reach, t_reach = 0.5 * (s_u + s_v), 0.5 * (t_u + t_v)
     column, row = _first_cell(edges_x, s - s_reach, cell[0]), _first_cell(edges_y, t - t_reach, cell[1])
@@ -132,7 +158,7 @@ def _blended(
     return total * lit[0] + alpha * lit[1] + (1.0 - alpha) * under
 
 
-@kernel(nogil=True, inline="always")
+@allocation_free(inline="always")
 def _first_cell(edges: Real64, place: float, guess: int) -> int:
     """The cell that contains ``place``, the first or last one for places beyond the edges."""
     while guess > 0 and edges[guess] > place:
@@ -142,7 +168,7 @@ def _first_cell(edges: Real64, place: float, guess: int) -> int:
     return guess
 
 
-@kernel(nogil=True, inline="always")
+@allocation_free(inline="always")
 def _cell_weights(centre: float, a: float, b: float, edges: Real64, first: int, weights: Real64) -> int:
     """Fill ``weights`` from ``first`` on with the pixel's share in each strip; returns where that ends.
 
@@ -159,7 +185,7 @@ def _cell_weights(centre: float, a: float, b: float, edges: Real64, first: int, 
     return k
 
 
-@kernel(nogil=True, inline="always")
+@allocation_free(inline="always")
 def share_below(distance: float, long: float, short: float) -> float:
     """Share of a pixel on the near side of a straight edge at ``distance`` from its centre.
 
@@ -222,7 +248,7 @@ def finish(
             row[j] = np.uint8(min(max(value + np.float32(0.5), np.float32(0.0)), np.float32(255.0)))
 
 
-@kernel(nogil=True, inline="always")
+@kernel(nogil=True, error_model="numpy", inline="always")
 def _mixed(value: np.uint64) -> np.uint64:
     """The splitmix64 finaliser."""
     value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.compiled import kernel
+from foundation.compiled import allocation_free
 
 Real32 = NDArray[np.float32]
 Real64 = NDArray[np.float64]
@@ -45,14 +45,16 @@ class PlatePoint(NamedTuple):
     t_v: float
 
 
-@kernel(nogil=True, inline="always")
-def row_homography(homographies: Real64, i: int, height: int) -> Real64:
-    """The homography (3, 3) of row ``i``, between those of the picture's first and last row (2, 3, 3)."""
-    h: Real64 = homographies[0] + (homographies[1] - homographies[0]) * (i / (height - 1))
-    return h
+@allocation_free(inline="always")
+def row_homography(homographies: Real64, i: int, height: int, h: Real64) -> None:
+    """Fill ``h`` (3, 3) for row ``i``, between those of the picture's first and last row (2, 3, 3)."""
+    share = i / (height - 1)
+    for m in range(3):
+        for n in range(3):
+            h[m, n] = homographies[0, m, n] + (homographies[1, m, n] - homographies[0, m, n]) * share
 
 
-@kernel(nogil=True, inline="always")
+@allocation_free(inline="always")
 def shaded(s: float, t: float, shadow: Real64) -> float:
     """The share of light that the shadow leaves at (s, t)."""
     if shadow[3] == 1.0:
@@ -61,7 +63,7 @@ def shaded(s: float, t: float, shadow: Real64) -> float:
     return float(shadow[3] + (1.0 - shadow[3]) * min(max(beyond, 0.0), 1.0))
 
 
-@kernel(nogil=True, inline="always")
+@allocation_free(inline="always")
 def highlight(s: float, t: float, glare: Real64) -> float:
     """The grey that glare adds at (s, t)."""
     if glare[3] == 0.0:
@@ -69,7 +71,7 @@ def highlight(s: float, t: float, glare: Real64) -> float:
     return float(glare[3] * math.exp(-glare[2] * ((s - glare[0]) ** 2 + (t - glare[1]) ** 2)))
 
 
-@kernel(nogil=True, inline="always")
+@allocation_free(inline="always")
 def bent(s: float, t: float, bend: Real64) -> tuple[float, float]:
     """Where the ray that meets the plate's plane at (s, t) meets its bent surface, by two steps along it."""
     bent_s, bent_t = s, t
@@ -79,19 +81,24 @@ def bent(s: float, t: float, bend: Real64) -> tuple[float, float]:
     return bent_s, bent_t
 
 
-@kernel(nogil=True, inline="always")
-def place_on_plate(ray_x: Real32, ray_y: Real32, h: Real64, i: int, j: int) -> tuple[bool, float, float]:
-    """Whether the ray of pixel (i, j) meets the plate in front, and where: half of ``meet_plate``."""
-    x, y = np.float64(ray_x[i, j]), np.float64(ray_y[i, j])
-    w = h[2, 0] * x + h[2, 1] * y + h[2, 2]
-    if w <= 1e-9:
-        return False, 0.0, 0.0
-    s = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w
-    t = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / w
-    return True, s, t
+@allocation_free
+def places_on_plate(xs: Real32, ys: Real32, h: Real64, places: Real64) -> None:
+    """Fill ``places`` (3, n or more): where the rays ``xs``, ``ys`` (n,) meet the plate; the inverse depth.
+
+    Half of ``meet_plate``, for a line of pixels at once; where the inverse depth is not positive the rest
+    means nothing.
+    """
+    h00, h01, h02, h10, h11, h12 = h[0, 0], h[0, 1], h[0, 2], h[1, 0], h[1, 1], h[1, 2]
+    h20, h21, h22 = h[2, 0], h[2, 1], h[2, 2]
+    for k in range(xs.shape[0]):
+        x, y = np.float64(xs[k]), np.float64(ys[k])
+        w = h20 * x + h21 * y + h22
+        places[0, k] = (h00 * x + h01 * y + h02) / w
+        places[1, k] = (h10 * x + h11 * y + h12) / w
+        places[2, k] = w
 
 
-@kernel(nogil=True, inline="always")
+@allocation_free(inline="always")
 def meet_plate(rays: Rays, h: Real64, i: int, j: int) -> PlatePoint:
     """Where the ray of pixel (i, j) meets the plate.
 
@@ -106,10 +113,11 @@ def meet_plate(rays: Rays, h: Real64, i: int, j: int) -> PlatePoint:
     j0, j1 = max(j - 1, 0), min(j + 1, width - 1)
     s = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) / w
     t = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) / w
-    dx_du = (np.float64(rays.x[i, j1]) - rays.x[i, j0]) / (j1 - j0)
-    dy_du = (np.float64(rays.y[i, j1]) - rays.y[i, j0]) / (j1 - j0)
-    dx_dv = (np.float64(rays.x[i1, j]) - rays.x[i0, j]) / (i1 - i0)
-    dy_dv = (np.float64(rays.y[i1, j]) - rays.y[i0, j]) / (i1 - i0)
+    per_column, per_row = 0.5 if j1 - j0 == 2 else 1.0, 0.5 if i1 - i0 == 2 else 1.0
+    dx_du = (np.float64(rays.x[i, j1]) - rays.x[i, j0]) * per_column
+    dy_du = (np.float64(rays.y[i, j1]) - rays.y[i, j0]) * per_column
+    dx_dv = (np.float64(rays.x[i1, j]) - rays.x[i0, j]) * per_row
+    dy_dv = (np.float64(rays.y[i1, j]) - rays.y[i0, j]) * per_row
     s_x, s_y = (h[0, 0] - s * h[2, 0]) / w, (h[0, 1] - s * h[2, 1]) / w
     t_x, t_y = (h[1, 0] - t * h[2, 0]) / w, (h[1, 1] - t * h[2, 1]) / w
     return PlatePoint(

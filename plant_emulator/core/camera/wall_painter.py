@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.compiled import kernel
-from plant_emulator.core.camera.fetching import fetch_ahead
+from foundation.compiled import allocation_free, kernel
+from plant_emulator.core.camera.fetching import fetch_ahead, fetch_line
 from plant_emulator.core.camera.rays import Rays
 
 Grey = NDArray[np.uint8]
@@ -52,7 +52,43 @@ class WallTexture(NamedTuple):
     finest_bits: int
 
 
-@kernel(fastmath=True, error_model="numpy", nogil=True)
+class _Tile(NamedTuple):
+    """Pixels ``top`` to ``bottom`` and ``left`` to ``right``, and the two mip levels that show there.
+
+    The finer one has 2**``bits`` texels to a side, ``scale`` of them to one of the finest of all.
+    """
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+    fine: Words
+    coarse: Words
+    bits: int
+    scale: Scalar32
+
+
+class _Light(NamedTuple):
+    """``light`` and ``relief`` as ``paint_wall`` takes them."""
+
+    lamp: Real32
+    relief: Real32
+    sky: int
+
+
+class _Line(NamedTuple):
+    """Room for the homography of a row, and for a segment of it: places, parts, greys, indices."""
+
+    h: Real32
+    along: Real32
+    down: Real32
+    part_x: Real32
+    part_y: Real32
+    fine: Real32
+    coarse: Real32
+    words: Words
+
+
 def paint_wall(
     out: Grey,
     rays: Rays,
@@ -72,51 +108,77 @@ def paint_wall(
     over the eye's distance, waves per texel, the eye's foot on the wall: column, row). Rays that miss get the
     grey ``sky``.
     """
-    height, width = out.shape
-    ray_x, ray_y, levels, finest_bits = rays.x, rays.y, wall.levels, wall.finest_bits
     middle = 0.5 * (homographies[0] + homographies[1])
     # The area of a pixel on the plane is area / w**3 with w the inverse depth; its root is the footprint.
     root_area = np.float32(np.sqrt(abs(np.linalg.det(middle)) * pixel_area))
-    h, lamp, bump = middle.astype(np.float32), light.astype(np.float32), relief.astype(np.float32)
-    places = np.empty((4, TILE_COLUMNS), dtype=np.float32)
-    along, down, part_x, part_y = places[0], places[1], places[2], places[3]
+    lit = _Light(light.astype(np.float32), relief.astype(np.float32), sky)
+    along, down, part_x, part_y, fine, coarse = np.empty((6, TILE_COLUMNS), dtype=np.float32)
     words = np.empty(TILE_COLUMNS, dtype=np.int32)
-    fine = np.empty(TILE_COLUMNS, dtype=np.float32)
-    coarse = np.empty(TILE_COLUMNS, dtype=np.float32)
+    line = _Line(middle.astype(np.float32), along, down, part_x, part_y, fine, coarse, words)
+    _paint_tiles(out, rays, homographies, root_area, wall, lit, line)
+
+
+@allocation_free(fastmath=True, nogil=True)
+def _paint_tiles(
+    out: Grey,
+    rays: Rays,
+    homographies: Real64,
+    root_area: Scalar32,
+    wall: WallTexture,
+    lit: _Light,
+    line: _Line,
+) -> None:
+    """Fill ``out`` tile by tile; ``root_area`` is in texels of the finest level."""
+    height, width = out.shape
+    h = line.h
     for top in range(0, height, TILE_ROWS):
         bottom = min(top + TILE_ROWS, height)
         for left in range(0, width, TILE_COLUMNS):
             right = min(left + TILE_COLUMNS, width)
             row, column = (top + bottom) // 2, (left + right) // 2
-            w = max(h[2, 0] * ray_x[row, column] + h[2, 1] * ray_y[row, column] + h[2, 2], _NEAR)
-            level = _level(root_area / (w * np.sqrt(w)), len(levels))
-            scale, bits, count = np.float32(1.0 / (1 << level)), finest_bits - level, right - left
-            fine_texture, coarse_texture = levels[level], levels[level + 1]
-            at_fine = at_coarse = np.int32(0)
-            for i in range(top, bottom):
-                xs, ys = ray_x[i, left:right], ray_y[i, left:right]
-                _row_homography(homographies, i / (height - 1), h)
-                _meet(xs, ys, h, along, down)
-                if relief[0] != 0.0:
-                    _bend(along, down, bump, count)
-                _locate(along, down, scale, bits, words, part_x, part_y, count)
-                ahead, at_fine = words[count // 2] - at_fine, words[count // 2]
-                if i > top:
-                    fetch_ahead(fine_texture, words, ahead, count)  # the next row, if it goes on like this
-                _load(fine_texture, words, count)
-                _interpolate(words, part_x, part_y, fine, count)
-                _locate(along, down, scale * _HALF, bits - 1, words, part_x, part_y, count)
-                ahead, at_coarse = words[count // 2] - at_coarse, words[count // 2]
-                if i > top:
-                    fetch_ahead(coarse_texture, words, ahead, count)
-                _load(coarse_texture, words, count)
-                _interpolate(words, part_x, part_y, coarse, count)
-                if light[6] != 1.0:
-                    _shade(fine, coarse, along, down, lamp, count)
-                _blend(out[i, left:right], xs, ys, h, along, down, lamp, root_area * scale, fine, coarse, sky)
+            w = max(h[2, 0] * rays.x[row, column] + h[2, 1] * rays.y[row, column] + h[2, 2], _NEAR)
+            level = _level(root_area / (w * np.sqrt(w)), len(wall.levels))
+            fine, coarse = wall.levels[level], wall.levels[level + 1]
+            scale = np.float32(1.0 / (1 << level))
+            tile = _Tile(top, bottom, left, right, fine, coarse, wall.finest_bits - level, scale)
+            _paint_tile(out, rays, homographies, root_area * scale, tile, lit, line)
 
 
-@kernel(nogil=True)
+@allocation_free(fastmath=True)
+def _paint_tile(
+    out: Grey, rays: Rays, homographies: Real64, root_area: Scalar32, tile: _Tile, lit: _Light, line: _Line
+) -> None:
+    """Fill one tile, whose pixels share two mip levels; ``root_area`` is in texels of the finer one."""
+    along, down, part_x, part_y, words = line.along, line.down, line.part_x, line.part_y, line.words
+    left, right, bits, scale = tile.left, tile.right, tile.bits, tile.scale
+    count, at_fine, at_coarse = right - left, np.int32(0), np.int32(0)
+    for i in range(tile.top, tile.bottom):
+        xs, ys = rays.x[i, left:right], rays.y[i, left:right]
+        below = (i + 1) * out.shape[1] + left
+        fetch_line(rays.x, below, count)
+        fetch_line(rays.y, below, count)
+        _row_homography(homographies, i / (out.shape[0] - 1), line.h)
+        _meet(xs, ys, line.h, along, down)
+        if lit.relief[0] != 0.0:
+            _bend(along, down, lit.relief, count)
+        _locate(along, down, scale, bits, words, part_x, part_y, count)
+        ahead, at_fine = words[count // 2] - at_fine, words[count // 2]
+        if i > tile.top:
+            fetch_ahead(tile.fine, words, ahead, count)  # the next row, if it goes on like this
+        _load(tile.fine, words, count)
+        _interpolate(words, part_x, part_y, line.fine, count)
+        _locate(along, down, scale * _HALF, bits - 1, words, part_x, part_y, count)
+        ahead, at_coarse = words[count // 2] - at_coarse, words[count // 2]
+        if i > tile.top:
+            fetch_ahead(tile.coarse, words, ahead, count)
+        _load(tile.coarse, words, count)
+        _interpolate(words, part_x, part_y, line.coarse, count)
+        if lit.lamp[6] != 1.0:
+            _shade(line.fine, line.coarse, along, down, lit.lamp, count)
+        _blend(out[i, left:right], xs, ys, line, lit, root_area)
+
+
+@allocation_free
 def _row_homography(homographies: Real64, share: float, h: Real32) -> None:
     """Fill ``h`` with the homography ``share`` of the way down the picture."""
     for m in range(3):
@@ -125,7 +187,7 @@ def _row_homography(homographies: Real64, share: float, h: Real32) -> None:
             h[m, n] = np.float32(first + (homographies[1, m, n] - first) * share)
 
 
-@kernel(nogil=True)
+@allocation_free
 def _level(footprint: Scalar32, count: int) -> int:
     """The finer of the two mip levels between which a footprint in finest texels lies."""
     level = 0
@@ -135,42 +197,45 @@ def _level(footprint: Scalar32, count: int) -> int:
     return level
 
 
-@kernel(fastmath=True, error_model="numpy", nogil=True)
+@allocation_free(fastmath=True)
 def _meet(xs: Real32, ys: Real32, h: Real32, along: Real32, down: Real32) -> None:
     """Fill in where the rays meet the plane, in finest texels."""
+    h00, h01, h02, h10, h11, h12 = h[0, 0], h[0, 1], h[0, 2], h[1, 0], h[1, 1], h[1, 2]
+    h20, h21, h22 = h[2, 0], h[2, 1], h[2, 2]
     for j in range(xs.shape[0]):
         x, y = xs[j], ys[j]
-        depth = _ONE / max(h[2, 0] * x + h[2, 1] * y + h[2, 2], _NEAR)
-        along[j] = (h[0, 0] * x + h[0, 1] * y + h[0, 2]) * depth
-        down[j] = (h[1, 0] * x + h[1, 1] * y + h[1, 2]) * depth
+        depth = _ONE / max(h20 * x + h21 * y + h22, _NEAR)
+        along[j] = (h00 * x + h01 * y + h02) * depth
+        down[j] = (h10 * x + h11 * y + h12) * depth
 
 
-@kernel(fastmath=True, nogil=True)
+@allocation_free(fastmath=True)
 def _bend(along: Real32, down: Real32, relief: Real32, count: int) -> None:
     """Move the meeting points from the plane to the undulating wall, by two steps along each ray."""
+    height, waves, foot_u, foot_v = relief[0], relief[1], relief[2], relief[3]
     for j in range(count):
         u, v = along[j], down[j]
         bent_u, bent_v = u, v
         for _ in range(2):
-            rise = relief[0] * _relief(bent_u * relief[1], bent_v * relief[1])
-            bent_u, bent_v = u + (relief[2] - u) * rise, v + (relief[3] - v) * rise
+            rise = height * _relief(bent_u * waves, bent_v * waves)
+            bent_u, bent_v = u + (foot_u - u) * rise, v + (foot_v - v) * rise
         along[j], down[j] = bent_u, bent_v
 
 
-@kernel(fastmath=True, nogil=True, inline="always")
+@allocation_free(fastmath=True, inline="always")
 def _relief(x: Scalar32, y: Scalar32) -> Scalar32:
     """Height of the undulation, -1…1, at a place counted in wavelengths."""
     return _HALF * (_wave(x) + _wave(_SECOND_WAVE * y + _SECOND_PHASE))
 
 
-@kernel(fastmath=True, nogil=True, inline="always")
+@allocation_free(fastmath=True, inline="always")
 def _wave(turns: Scalar32) -> Scalar32:
     """A sine made of parabolas, once continuously differentiable: compilers vectorise it."""
     t = turns - np.floor(turns + _HALF)
     return _EIGHT * t * (_ONE - _TWO * abs(t))
 
 
-@kernel(fastmath=True, nogil=True)
+@allocation_free(fastmath=True)
 def _locate(
     along: Real32,
     down: Real32,
@@ -191,14 +256,14 @@ def _locate(
         words[j] = np.int32(at_row | np.int32(np.int32(column) & mask))
 
 
-@kernel(nogil=True)
+@allocation_free
 def _load(texture: Words, words: Words, count: int) -> None:
     """Replace each index in ``words`` by the texel word found there."""
     for j in range(count):
         words[j] = texture[np.uint32(words[j])]
 
 
-@kernel(fastmath=True, nogil=True)
+@allocation_free(fastmath=True)
 def _interpolate(words: Words, part_x: Real32, part_y: Real32, grey: Real32, count: int) -> None:
     byte = np.int32(255)
     for j in range(count):
@@ -211,7 +276,7 @@ def _interpolate(words: Words, part_x: Real32, part_y: Real32, grey: Real32, cou
         grey[j] = upper + (lower - upper) * part_y[j]
 
 
-@kernel(fastmath=True, nogil=True)
+@allocation_free(fastmath=True)
 def _shade(fine: Real32, coarse: Real32, along: Real32, down: Real32, light: Real32, count: int) -> None:
     """Take from both levels the light that the shadow keeps."""
     for j in range(count):
@@ -221,26 +286,18 @@ def _shade(fine: Real32, coarse: Real32, along: Real32, down: Real32, light: Rea
         coarse[j] *= left
 
 
-@kernel(fastmath=True, error_model="numpy", nogil=True)
-def _blend(
-    target: Grey,
-    xs: Real32,
-    ys: Real32,
-    h: Real32,
-    along: Real32,
-    down: Real32,
-    light: Real32,
-    root_area: Scalar32,
-    fine: Real32,
-    coarse: Real32,
-    sky: int,
-) -> None:
+@allocation_free(fastmath=True)
+def _blend(target: Grey, xs: Real32, ys: Real32, line: _Line, lit: _Light, root_area: Scalar32) -> None:
     """Blend the two levels by each pixel's own footprint, light them, round; the sky where the ray misses."""
+    along, down, fine, coarse, sky = line.along, line.down, line.fine, line.coarse, np.int32(lit.sky)
+    # read once: compilers give up where too many arrays might overlap
+    h20, h21, h22 = line.h[2, 0], line.h[2, 1], line.h[2, 2]
+    even, per_column, per_row = lit.lamp[0], lit.lamp[1], lit.lamp[2]
     for j in range(xs.shape[0]):
-        inverse_depth = h[2, 0] * xs[j] + h[2, 1] * ys[j] + h[2, 2]
+        inverse_depth = h20 * xs[j] + h21 * ys[j] + h22
         w = max(inverse_depth, _NEAR)
         share = min(max(root_area / (w * np.sqrt(w)) - _ONE, _ZERO), _ONE)
-        lit = light[0] + light[1] * along[j] + light[2] * down[j]
-        grey = (fine[j] + (coarse[j] - fine[j]) * share) * lit
+        lit_by = even + per_column * along[j] + per_row * down[j]
+        grey = (fine[j] + (coarse[j] - fine[j]) * share) * lit_by
         rounded = np.int32(min(max(grey, _ZERO), _WHITE) + _HALF)
-        target[j] = np.uint8(rounded if inverse_depth > _NEAR else np.int32(sky))
+        target[j] = np.uint8(rounded if inverse_depth > _NEAR else sky)

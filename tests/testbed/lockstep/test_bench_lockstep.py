@@ -151,7 +151,6 @@ def test_lockstep_without_pixels(moving_world: World) -> None:
     assert report("without pixels, in motion", spent, LIMIT) <= LIMIT
 
 
-
 def test_the_demonstration_with_pixels() -> None:
     warm()
     rig = standard_rig()
