@@ -25,7 +25,7 @@ from plant_emulator.config.structure import (
     TorsionConfig,
     VibrationConfig,
 )
-from plant_emulator.config.valves import JOINT_NAMES, ValvesConfig
+from plant_emulator.config.valves import JOINT_NAMES, ValvesConfig, without_what_is_told
 
 Small = Annotated[float, Field(ge=-100.0, le=100.0)]
 SixSmall = tuple[Small, Small, Small, Small, Small, Small]
@@ -150,7 +150,7 @@ class PlantConfig(StrictModel):
             or not isinstance(own or {}, Mapping)
         ):
             return data
-        return {**data, "valves": merged(sets[name], own or {})}
+        return {**data, "valves": merged(without_what_is_told(sets[name], own or {}), own or {})}
 
     @field_validator("valve_set")
     @classmethod

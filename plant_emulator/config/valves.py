@@ -129,6 +129,41 @@ def _told(
     return otherwise
 
 
+def without_what_is_told(valve_set: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """``valve_set`` whose joints say nothing of what ``own`` says of all six; both as read from a file.
+
+    So ``plant.valves.deadband=0.01`` holds for every valve, however much the set's own differ.
+    """
+    joints = valve_set.get("joints")
+    if not isinstance(joints, Mapping):
+        return dict(valve_set)
+    told = {key: value for key, value in own.items() if key != "joints"}
+    return {**valve_set, "joints": {name: _untold(entry, told) for name, entry in joints.items()}}
+
+
+def _untold(entry: Any, told: Mapping[str, Any]) -> Any:
+    """A joint's ``entry`` without the keys that are ``told``; of those told in part, without these parts."""
+    if not isinstance(entry, Mapping):
+        return entry
+    left = {}
+    for key, value in entry.items():
+        common = told.get(key)
+        if isinstance(common, Mapping) and key in JointValveConfig.model_fields:
+            whole = _spread(value, _parts(key))
+            if isinstance(whole, Mapping):
+                left[key] = {part: number for part, number in whole.items() if common.get(part) is None}
+                continue
+        if common is None:
+            left[key] = value
+    return left
+
+
+def _parts(key: str) -> tuple[str, ...]:
+    """The parts of a joint's entry ``key``; none of a plain number."""
+    default = JointValveConfig.model_fields[key].default
+    return tuple(type(default).model_fields) if isinstance(default, StrictModel) else ()
+
+
 class Valve(NamedTuple):
     """One joint's valve, complete. Edges in the order supply_a, return_b, supply_b, return_a."""
 

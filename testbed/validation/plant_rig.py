@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
+from plant_emulator.config.valves import JOINT_NAMES
 from plant_emulator.core import columns as col
 from plant_emulator.core.layout import (
     DRIVEN,
@@ -39,6 +40,7 @@ NO_ERRORS: dict[str, Any] = {
         "base_tilt": {"enabled": False},
     },
     "oil": {"thermal_drift": False},
+    "valves": {"joints": dict.fromkeys(JOINT_NAMES)},  # as the set says of all six
 }
 CHECK_POSE = np.radians([0.0, 45.0, -90.0, 0.0, 0.0, 0.0])  # the pose of the published model's checks
 CHECK_TELESCOPE = {"geometry": {"telescope_m": 0.5}}

@@ -122,8 +122,9 @@ def _posed(rng: np.random.Generator, settings: Settings) -> _Pose:
 
 
 def _ball(rng: np.random.Generator, radius: float) -> Array:
+    """Evenly in a ball: half of all vectors are longer than 0.79 of its radius."""
     direction = rng.standard_normal(3)
-    return np.asarray(direction / np.linalg.norm(direction) * rng.uniform(0.0, radius))
+    return np.asarray(direction / np.linalg.norm(direction) * radius * np.cbrt(rng.uniform(0.0, 1.0)))
 
 
 def _scene(rng: np.random.Generator, pose: _Pose) -> JSON:

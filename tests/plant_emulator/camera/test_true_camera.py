@@ -31,6 +31,7 @@ from tests.plant_emulator.camera.corner_oracle import refined_corners
 from tests.support.paths import CONFIGS
 
 DIFFERENT = {"fx_px": 0.26, "fy_px": -0.2, "k1": 0.0015, "k2": -0.0004, "p1": -0.0002, "p2": 0.0002}
+AS_MEANT = {"misplaced_m": [0.0, 0.0, 0.0], "misplaced_deg": [0.0, 0.0, 0.0]}
 FOUND_PX = 0.03  # how well the oracle finds a corner in a picture without noise
 
 
@@ -187,7 +188,8 @@ def test_a_misplaced_marker_is_seen_where_it_hangs() -> None:
     changed = dict(markers[0]) | {"misplaced_m": [0.001, -0.0008, 0.0005], "misplaced_deg": [0.0, 0.0, 1.0]}
     eyes = camera(CLEAN | {"object_of_interest": {"markers": [changed, *markers[1:]]}})
     _, hung = eyes.scene.marker_corners()[markers[0]["marker_id"]]
-    _, meant = clean_camera().scene.marker_corners()[markers[0]["marker_id"]]
+    straight = camera(CLEAN | {"object_of_interest": {"markers": [markers[0] | AS_MEANT, *markers[1:]]}})
+    _, meant = straight.scene.marker_corners()[markers[0]["marker_id"]]
     np.testing.assert_allclose(hung.mean(axis=0) - meant.mean(axis=0), [0.001, -0.0008, 0.0005], atol=1e-12)
     side = hung[1] - hung[0]
     assert np.degrees(np.arctan2(side[1], side[0])) == pytest.approx(1.0)
@@ -199,7 +201,7 @@ def test_a_misplaced_marker_is_seen_where_it_hangs() -> None:
 @pytest.mark.parametrize("direction_deg", [0.0, 90.0, 45.0])
 def test_a_bent_plates_corners_stand_off_its_middle(direction_deg: float) -> None:
     marker = scene_config().model_dump()["object_of_interest"]["markers"][0]
-    bend = {"bend_m": 0.004, "bend_direction_deg": direction_deg, "print_scale_error": 0.0}
+    bend = AS_MEANT | {"bend_m": 0.004, "bend_direction_deg": direction_deg, "print_scale_error": 0.0}
     eyes = camera(CLEAN | {"object_of_interest": {"markers": [marker | bend]}})
     _, corners = eyes.scene.marker_corners()[marker["marker_id"]]
     # a corner is half the side away along the bend, or at 45 degrees half the diagonal or nothing

@@ -9,6 +9,7 @@ from numba.core.runtime import _nrt_python, rtsys
 
 from foundation.configuration import load, parse_overrides
 from plant_emulator.config.plant import PlantConfig
+from plant_emulator.config.valves import JOINT_NAMES
 from plant_emulator.core import columns as col
 from plant_emulator.core.model import build_model
 from plant_emulator.core.plant import Plant
@@ -73,6 +74,14 @@ def test_a_number_laid_over_holds_for_whichever_set_is_in_force() -> None:
         assert table[1, col.A_DEADBAND + col.EDGES.index("supply_b")] == 0.111
         assert (table[:, EDGES] == 0.111).sum() == 1
     assert (build_model(_set("plant.valves.deadband=0.03"))[0].actuators[:, EDGES] == 0.03).all()
+    mobile = _set("plant.valve_set=mobile", "plant.valves.deadband.return_a=0.03")
+    some = build_model(mobile)[0].actuators[:, EDGES] == 0.03
+    assert (some == [edge == "return_a" for edge in col.EDGES]).all()
+    own = _set("plant.valves.deadband=0.03", "plant.valves.joints.lift.deadband=0.04")
+    assert own.valves.of("lift", 1.0).deadband == (0.04,) * 4
+    assert own.valves.of("lift", 1.0).flow_extend_l_min == _set().valves.of("lift", 1.0).flow_extend_l_min
+    mobile = _set("plant.valve_set=mobile", "plant.valves.hysteresis=0.06")
+    assert {mobile.valves.of(name, 1.0).hysteresis for name in JOINT_NAMES} == {0.06}
     mobile = _set("plant.valve_set=mobile", "plant.valves.joints.lift=null")
     assert mobile.valves.of("lift", 100.0).flow_extend_l_min == 100.0
     assert mobile.valves.of("lift", 100.0).hysteresis == mobile.valves.hysteresis

@@ -50,10 +50,11 @@ class Stage:
     """A model sight before a plant that stands still, and what it is shown."""
 
     def __init__(self, model: EyeModelConfig, seed: int = 1, **scene: Any) -> None:
-        true_prints = [
-            m.model_dump() | {"print_scale_error": 0.0} for m in settings().scene.object_of_interest.markers
+        as_drawn = [
+            {name: getattr(marker, name) for name in ("marker_id", "side_m", "quiet_zone_m", "centre_m")}
+            for marker in settings().scene.object_of_interest.markers
         ]
-        world = merged(NOMINAL, {"object_of_interest": {"markers": true_prints}})
+        world = merged(NOMINAL, {"object_of_interest": {"markers": as_drawn}})
         self.settings: Settings = load_settings(CONFIGS, {"scene": merged(world, scene)})
         mounts = Scene(self.settings.scene).mounts
         self.truth: PlantTruth = Plant(self.settings.plant, 1, mounts).truth()

@@ -6,7 +6,7 @@ where the number is a choice and no belief, or where they are of different thing
 """
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from fnmatch import fnmatchcase
 from functools import cache
 from itertools import product
@@ -129,19 +129,6 @@ COINCIDENCES = {
 }
 """Pairs of different things that happen to be equal: patterns of both keys → what they are."""
 
-DEBTS = {
-    ("controller.valves.*.deadband.value", "plant.valves.*.deadband"): "found by commissioning only",
-    ("arm.drives.*_s", "plant.derived.*_speed"): "data sheets allow ±10 % of flow",
-    ("vision.hand_eye.arm.play_mrad", "plant.errors.backlash.*"): "measured on each machine only",
-    ("vision.programs.local_map.reversal_rad", "plant.errors.backlash.*"): "measured on each machine only",
-    ("vision.markers.print_size_std", "scene.*.print_scale_error"): "the spread is the largest of the draws",
-    ("vision.programs.local_map.*_std*", "scene.*"): "round numbers on both sides",
-    ("vision.programs.local_map.*", "plant.errors.geometry.*"): "round numbers on both sides",
-    ("vision.hand_eye.*", "plant.errors.*"): "round numbers on both sides",
-    ("vision.hand_eye.*", "scene.tool_marker.offset_m"): "round numbers on both sides",
-}
-"""Beliefs that still are the plant's own numbers, to be paid off: patterns of both keys → why."""
-
 _EQUAL = 1e-6  # relative, of numbers written down
 _DERIVED = 0.003  # relative, of numbers worked out from several: closer, one is the other, rounded
 _UNITS = {
@@ -251,8 +238,10 @@ def speeds(plant: PlantConfig, name: JointName) -> list[Known]:
     return found
 
 
-def coincide(belief: Known, truth: Known, excused: Collection[tuple[str, str]]) -> bool:
-    return any(matches(belief.key, {one: ""}) and matches(truth.key, {other: ""}) for one, other in excused)
+def coincide(belief: Known, truth: Known) -> bool:
+    return any(
+        matches(belief.key, {one: ""}) and matches(truth.key, {other: ""}) for one, other in COINCIDENCES
+    )
 
 
 def tolerance(truth: Known) -> float:
@@ -260,9 +249,7 @@ def tolerance(truth: Known) -> float:
     return _DERIVED if ".derived." in truth.key else _EQUAL
 
 
-def equalities(
-    believed: list[Known], hidden: list[Known], excused: Collection[tuple[str, str]] = tuple(COINCIDENCES)
-) -> list[str]:
+def equalities(believed: list[Known], hidden: list[Known]) -> list[str]:
     """Pairs in one unit that are equal, and that nothing excuses."""
     return [
         f"{belief.key} = {truth.key} = {truth.size:g} {truth.unit}"
@@ -270,14 +257,13 @@ def equalities(
         for truth in hidden
         if belief.unit == truth.unit
         and abs(belief.size - truth.size) <= tolerance(truth) * truth.size
-        and not coincide(belief, truth, excused)
+        and not coincide(belief, truth)
     ]
 
 
 @pytest.mark.parametrize("arm", ARMS)
 def test_no_belief_is_the_plants_own_number(arm: str) -> None:
-    settings, excused = settings_of(arm), (*COINCIDENCES, *DEBTS)
-    assert equalities(of_believed(settings), of_hidden(settings), excused) == []
+    assert equalities(of_believed(settings_of(arm)), of_hidden(settings_of(arm))) == []
 
 
 @pytest.mark.parametrize(
@@ -305,10 +291,10 @@ def test_every_excuse_is_needed_and_has_a_reason(patterns: dict[str, str]) -> No
         assert len(reason) > 5
 
 
-def test_every_coincidence_and_every_debt_is_still_one() -> None:
+def test_every_coincidence_is_still_one() -> None:
     worlds = [settings_of(arm) for arm in ARMS]
     pairs = [pair for world in worlds for pair in product(of_believed(world), of_hidden(world))]
-    for one, other in (*COINCIDENCES, *DEBTS):
+    for one, other in COINCIDENCES:
         assert any(
             belief.unit == truth.unit and abs(belief.size - truth.size) <= tolerance(truth) * truth.size
             for belief, truth in pairs
