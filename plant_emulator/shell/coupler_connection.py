@@ -29,6 +29,10 @@ class Answers(Protocol):
         """Have ``serve`` called in a later step of the loop."""
         ...
 
+    def read_for(self, connection: "CouplerConnection", cost_ns: int) -> None:
+        """Note what it took to read what a master sent."""
+        ...
+
     def lost_its_place(self, why: str) -> None:
         """Count a frame header that made no sense."""
         ...
@@ -56,13 +60,14 @@ class CouplerConnection:
         self._unsent = b""
         self._waits = False
         self._loop = asyncio.get_running_loop()
-        self._loop.add_reader(sock.fileno(), self._readable)
+        self._listens = False
+        self._listen(True)
 
     def close(self) -> None:
         """Close the connection at once."""
         if self._socket.fileno() < 0:
             return
-        self._loop.remove_reader(self._socket.fileno())
+        self._listen(False)
         self._loop.remove_writer(self._socket.fileno())
         self._socket.close()
         self._coupler.disconnected(self)
@@ -88,15 +93,21 @@ class CouplerConnection:
             self.heard_ns = self._coupler.clock_ns()
         if answers:
             self._send(answers[0] if count == 1 else b"".join(answers))
-        if count == most and len(self._requests) and self.blocked_ns is None:
+        if self.blocked_ns is not None or self._socket.fileno() < 0:
+            return
+        if count == most and len(self._requests):
             self._wait()
+        else:
+            self._listen(True)
 
     def _answer(self, transaction: int, unit: int, pdu: bytes) -> bytes:
         return framed(transaction, unit, self._coupler.answer(self, unit, pdu))
 
     def _readable(self) -> None:
         if self._waits:
+            self._listen(False)  # lest what waits in the socket wakes the loop until the turn has come
             return
+        began_ns = self._coupler.clock_ns()
         try:
             data = self._socket.recv(_RECEIVE_BYTES)
         except BlockingIOError:
@@ -111,6 +122,14 @@ class CouplerConnection:
             self.serve(SLICE)
         else:
             self._wait()
+            self._coupler.read_for(self, self._coupler.clock_ns() - began_ns)
+
+    def _listen(self, wanted: bool) -> None:
+        if wanted and not self._listens:
+            self._loop.add_reader(self._socket.fileno(), self._readable)
+        elif self._listens and not wanted:
+            self._loop.remove_reader(self._socket.fileno())
+        self._listens = wanted
 
     def _wait(self) -> None:
         if not self._waits:
@@ -128,7 +147,7 @@ class CouplerConnection:
         self._unsent = data[sent:] if sent < len(data) else b""
         if self._unsent and self.blocked_ns is None:
             self.blocked_ns = self._coupler.clock_ns()
-            self._loop.remove_reader(self._socket.fileno())
+            self._listen(False)
             self._loop.add_writer(self._socket.fileno(), self._writable)
 
     def _writable(self) -> None:
@@ -136,5 +155,5 @@ class CouplerConnection:
         if not self._unsent and self._socket.fileno() >= 0:
             self.blocked_ns = None
             self._loop.remove_writer(self._socket.fileno())
-            self._loop.add_reader(self._socket.fileno(), self._readable)
+            self._listen(True)
             self._wait()

@@ -12,10 +12,11 @@ from typing import Any
 
 import pytest
 
+from plant_emulator.core.coupler.turns import Turns
 from plant_emulator.core.places import who_yields
 from plant_emulator.shell import coupler as limits
 from plant_emulator.shell.coupler import Coupler
-from plant_emulator.shell.coupler_connection import SLICE
+from plant_emulator.shell.coupler_connection import SLICE, CouplerConnection
 from protocol.coupler_registers import ModbusStream
 from protocol.process_image import ValveImage, encode_valves
 from tests.support.pages import page, rows
@@ -113,6 +114,66 @@ async def test_pipelined_requests_of_all_strangers_are_one_slice_a_millisecond(
     assert sum(served) == 30 * strangers
     assert max(served) <= SLICE
     assert took_ms >= (len(served) - 1) * 0.95
+
+
+async def test_a_stranger_that_pipelines_does_not_wake_the_loop_until_its_turn(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    woken = 0
+    right = CouplerConnection._readable
+
+    def readable(connection: CouplerConnection) -> None:
+        nonlocal woken
+        woken += 1
+        right(connection)
+
+    monkeypatch.setattr(CouplerConnection, "_readable", readable)
+    monkeypatch.setattr(limits.Turns, "took", lambda self, *_: setattr(self, "next_ns", 10**15))
+    greedy, other = await bench.master(), await bench.master()
+    await bench.ask(other)  # that was a turn, and the next one is never
+    greedy.send(READ * 400)
+    for _ in range(100):
+        greedy.send(READ)
+        await asyncio.sleep(0)
+    assert woken <= 3  # the other's request, the greedy one's, and that there is more
+
+
+async def test_strangers_take_a_twentieth_of_the_time_however_slow_the_machine_is(bench: Bench) -> None:
+    """The clock stands still but for a request, which takes 0.3 ms: by the loop's timers turns are told."""
+    right, waits = bench.coupler.answer, []
+
+    def answer(master: object, unit: int, pdu: bytes) -> bytes:
+        bench.now_ns += 300_000
+        return right(master, unit, pdu)
+
+    bench.coupler.answer = answer  # type: ignore[method-assign]
+    turn_later = bench.coupler._turn_later
+
+    def later() -> None:
+        waits.append(bench.coupler._schedule.next_ns - bench.now_ns)
+        bench.now_ns = max(bench.now_ns, bench.coupler._schedule.next_ns)
+        turn_later()
+
+    bench.coupler._turn_later = later  # type: ignore[method-assign]
+    sock = await bench.master()
+    sock.send(READ * 64)
+    await bench.until(lambda: bench.coupler.statistics.requests == 64)
+    slices = 64 // SLICE
+    assert waits[1:slices] == [19 * SLICE * 300_000] * (slices - 1)
+
+
+def test_turns_are_rarer_the_longer_they_take_and_what_was_spent_beside_them_counts() -> None:
+    turns = Turns(1_000_000, 0.1)
+    turns.took(0, 50_000)
+    assert turns.next_ns == 1_000_000
+    turns.took(5_000_000, 5_700_000)
+    assert turns.next_ns == 12_000_000
+    turns.spent(100_000)
+    turns.spent(200_000)
+    turns.took(20_000_000, 20_100_000)
+    assert turns.next_ns == 24_000_000
+    turns.took(30_000_000, 30_100_000)
+    assert turns.next_ns == 31_000_000
 
 
 async def test_a_stranger_that_asks_once_is_not_kept_waiting_by_one_that_pipelines(bench: Bench) -> None:
