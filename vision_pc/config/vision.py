@@ -116,6 +116,8 @@ class MarkerSettings(StrictModel):
     offset_drift_px: float = Field(ge=0.0, le=5.0)
     shared_prints: bool
     focal_std: float = Field(ge=0.0, le=0.05)
+    radial_std: float = Field(ge=0.0, le=0.5)
+    placement_std_m: float = Field(ge=0.0, le=0.05)
 
     @model_validator(mode="after")
     def _ids_differ(self) -> "MarkerSettings":

@@ -212,6 +212,43 @@ def test_covariances_are_honest(
     assert doubting.bias_CO[2, 2] > (0.001 * 1.1) ** 2
 
 
+def test_markers_put_by_hand_and_a_lens_that_bends_are_in_what_is_told(
+    camera: CameraCalibration, config: VisionConfig, generator: np.random.Generator
+) -> None:
+    X_CM, X_CO = facing(0.2, 0.05, 0.42, (2, 3, -4)), facing(-0.25, 0.05, 1.1, (5, -8, 3))
+    scene = (*object_markers(X_CO), tool_marker(X_CM))
+    plain = observed(camera, config.markers, scene, generator)
+    by_hand = config.markers.model_copy(update={"placement_std_m": 6e-4, "radial_std": 0.0035})
+    told = observed(camera, by_hand, scene, generator)
+    assert plain.bias_CO is not None
+    assert plain.bias_CM is not None
+    assert told.bias_CO is not None
+    assert told.bias_CM is not None
+    more = told.bias_CO - plain.bias_CO
+    middle, bent = 6e-4**2 / 3.0, (0.0035 * (0.25**2 + 0.05**2) / 1.1**2) ** 2
+    assert more[2, 2] == pytest.approx(middle, rel=0.5)  # noise differs, and the offset with it
+    assert more[0, 0] == pytest.approx(middle + bent * 0.25**2, rel=0.3)
+    assert more[0, 1] < -0.5 * bent * 0.25 * 0.05, "radially"
+    across2 = 0.2**2 + 0.05**2
+    tool = (0.0035 * across2 / 0.42**2) ** 2 * across2
+    assert np.trace((told.bias_CM - plain.bias_CM)[:2, :2]) == pytest.approx(tool, rel=0.3), "lens alone"
+
+
+def test_a_marker_beside_its_place_is_kept_where_that_is_believed(
+    camera: CameraCalibration, config: VisionConfig, generator: np.random.Generator
+) -> None:
+    """2 mm at half a metre are 2 px: left out, it would move the middle by the way."""
+    X_CO = facing(0.0, 0.0, 0.55, (5, 5, 0))
+    off = Marker(3, 0.12, X_CO @ se3.transform(np.eye(3), (0.002, 0.201, 0.0)), rim=0.17)
+    scene = (*object_markers(X_CO, (1, 2)), off)
+    strict = observed(camera, config.markers, scene, generator)
+    believing = config.markers.model_copy(update={"residual_limit_px": 2.0})
+    seen = observed(camera, believing, scene, generator)
+    assert strict.rejected == {"residual": 1}
+    assert seen.rejected == {}
+    assert seen.X_CO is not None
+
+
 def test_unknown_repeated_and_foreign_markers_are_refused(
     camera: CameraCalibration, config: VisionConfig, generator: np.random.Generator
 ) -> None:

@@ -65,6 +65,8 @@ def locate(
     for X, covariance, bias in zip(solution.X_CA, solution.covariances, solution.biases, strict=True):
         lens = _lens_covariance(X, settings)
         bodies.append(LocatedBody(X, covariance + lens, bias + lens))
+    if object_start is not None and settings.placement_std_m > 0.0:
+        bodies[-1] = _misplaced(bodies[-1], len(parts), settings)
     return LocatedScene(
         bodies[0] if tool_start is not None else None,
         bodies[-1] if object_start is not None else None,
@@ -147,12 +149,25 @@ def _object_view(parts: list[Sighting], settings: MarkerSettings) -> BodyView:
 
 
 def _lens_covariance(X: Array, settings: MarkerSettings) -> Array:
-    """What an error of the focal length does: it stretches every range.
+    """What errors of the focal length and of k1, which both eyes share, do: the one stretches every range,
+    the other moves what is far from the middle of the picture, radially.
 
     An error of the principal point is left out: it turns all directions alike, which is to say that C lies
     a little otherwise in the camera's body, and no relation between things seen changes.
     """
-    return np.diag([0.0, 0.0, (settings.focal_std * float(X[2, 3])) ** 2, 0.0, 0.0, 0.0])
+    covariance = np.diag([0.0, 0.0, (settings.focal_std * float(X[2, 3])) ** 2, 0.0, 0.0, 0.0])
+    if settings.radial_std > 0.0:
+        across = X[:2, 3]
+        moved = settings.radial_std * float(across @ across) / float(X[2, 3]) ** 2 * across
+        covariance[:2, :2] += np.outer(moved, moved)
+    return covariance
+
+
+def _misplaced(body: LocatedBody, markers: int, settings: MarkerSettings) -> LocatedBody:
+    """The object with what its ``markers`` do to its middle when each was put a little beside its place."""
+    off = np.zeros((6, 6))
+    off[:3, :3] = settings.placement_std_m**2 / markers * np.eye(3)
+    return body._replace(covariance=body.covariance + off, bias=body.bias + off)
 
 
 def _floored(
