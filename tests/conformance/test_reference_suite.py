@@ -27,6 +27,8 @@ from tests.conformance.stop_mutants import STOP_MUTANTS
 from tests.conformance.stream_mutants import STREAM_MUTANTS
 from tests.support.paths import DOCS
 
+pytestmark = pytest.mark.long
+
 PAGE = DOCS / "protocol.md"
 simulated = pytest.mark.usefixtures("network")
 CONTROL = 101

@@ -8,6 +8,8 @@ import pytest
 from conformance.runner import reference_cases
 from tests.conformance.mutant_report import SOURCES, BrokenController, verdict
 
+pytestmark = pytest.mark.long
+
 MEANT = {
     source: [broken for broken in import_module(source).MUTANTS if broken.case]
     for source in SOURCES

@@ -23,6 +23,8 @@ from protocol.reference_messages import ReferencePath, ReferencePose
 from tests.controller.closed_loop import ClosedLoop
 from tests.controller.conftest import CONFIGS
 
+pytestmark = pytest.mark.long
+
 STATIC_ERROR_MRAD = 0.3
 HOLD_S = 4.0
 

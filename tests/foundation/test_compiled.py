@@ -11,6 +11,8 @@ import pytest
 
 from foundation.compiled import KEYS_KEPT, OUR_PACKAGES, sources, sources_key
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 
 # `made` is a package of three rooms: a kernel, a constant in a file below it, a file that no kernel imports.

@@ -1,30 +1,38 @@
 """The house keeps its measures: no circle between rooms, no crowded folder, few long or wide functions."""
 
+import pytest
+
 from tests.house import measures
 
-EVERY = measures.modules(measures.ROOT)
-ARROWS = measures.imports(EVERY)
 ROOMS = measures.rooms(measures.ROOT)
+
+
+@pytest.fixture(scope="module")
+def every() -> list[measures.Module]:
+    return measures.modules(measures.ROOT)
 
 
 def test_no_folder_has_more_than_twenty_rooms() -> None:
     assert {folder: count for folder, count in ROOMS.items() if count > measures.MAX_ROOMS} == {}
 
 
-def test_no_modules_and_no_rooms_of_any_folder_import_in_a_circle() -> None:
-    assert measures.circles(ARROWS) == []
+def test_no_modules_and_no_rooms_of_any_folder_import_in_a_circle(every: list[measures.Module]) -> None:
+    arrows = measures.imports(every)
+    assert measures.circles(arrows) == []
     for folder in ("", *ROOMS):
-        inside = measures.arrows_between_rooms(folder.replace("/", "."), ARROWS)
+        inside = measures.arrows_between_rooms(folder.replace("/", "."), arrows)
         assert measures.circles(inside) == [], folder
 
 
-def test_no_public_class_name_is_used_twice() -> None:
-    assert measures.names_used_twice(EVERY) == {}
+def test_no_public_class_name_is_used_twice(every: list[measures.Module]) -> None:
+    assert measures.names_used_twice(every) == {}
 
 
-def test_no_function_is_long_and_only_named_kernels_take_many_parameters() -> None:
+def test_no_function_is_long_and_only_named_kernels_take_many_parameters(
+    every: list[measures.Module],
+) -> None:
     """A compiled kernel neither allocates nor takes a bundle of arrays apart: it gets them one by one."""
-    long = {named.place.split()[-1] for named in measures.long_functions(EVERY)}
-    wide = {named.place.split()[-1] for named in measures.many_parameters(EVERY)}
+    long = {named.place.split()[-1] for named in measures.long_functions(every)}
+    wide = {named.place.split()[-1] for named in measures.many_parameters(every)}
     assert long == set()
     assert wide == {"_compare", "booked_steps"}, "inner loops of patches and ledger"

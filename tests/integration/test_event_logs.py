@@ -5,10 +5,14 @@ import socket
 import time
 from pathlib import Path
 
+import pytest
+
 from testbed.realtime.launch import CONTROLLER, PLANT, VISION
 from testbed.realtime.rest_rig import RestRig
 from tests.integration.services import running
 from tests.support.log_lines import assert_obeys
+
+pytestmark = pytest.mark.realtime("processes")
 
 
 def test_lines_of_all_three_services_obey_one_schema(tmp_path: Path) -> None:

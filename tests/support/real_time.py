@@ -1,5 +1,7 @@
 """Pytest plugin: real-time tests run last, beside nothing that computes; a failed one is retried and counted.
 
+A file marked ``long`` computes for seconds and is begun first: no process waits for another one at the end.
+
 A test marked ``realtime`` talks over real sockets with deadlines; other work on the machine can make it
 late. With ``realtime("processes")`` it starts real services, which need most of the machine. With ``-n 2``
 all other tests run first, file by file, in both processes. Then the first process runs the tests with
@@ -18,8 +20,9 @@ from _pytest.runner import runtestprotocol
 from xdist.scheduler import LoadScopeScheduling
 
 MARK = "realtime"
+LONG_MARK = "long"
 RETRIED = "retried"
-PURE, SOCKETS, PROCESSES = "0", "1", "2"
+LONG, PURE, SOCKETS, PROCESSES = "0", "1", "2", "3"
 HELD = 2  # so many tests of a file a process keeps back until it knows what comes next
 _SECOND_TRY = pytest.StashKey[bool]()
 _LIST_FILE = pytest.StashKey[Path]()
@@ -86,10 +89,10 @@ class RealTimeLast(LoadScopeScheduling):
 
     def _next_scope(self, node: Any) -> str | None:
         """The file that ``node`` takes next; None while there is none for it."""
-        if pure := self._queued(PURE):
-            return pure
+        if computing := self._queued(LONG) or self._queued(PURE):
+            return computing
         others = [other for other in self.nodes if other is not node]
-        if any(self._pending_of(self._pure(other)) > HELD for other in others):
+        if any(self._pending_of(self._computing(other)) > HELD for other in others):
             return None  # real time begins when nobody computes
         sockets, processes = self._queued(SOCKETS), self._queued(PROCESSES)
         return (processes or sockets) if node is self.nodes[0] else sockets
@@ -97,8 +100,9 @@ class RealTimeLast(LoadScopeScheduling):
     def _queued(self, kind: str) -> str | None:
         return next((scope for scope in self.workqueue if scope.startswith(kind)), None)
 
-    def _pure(self, node: Any) -> dict[str, dict[str, bool]]:
-        return {scope: work for scope, work in self.assigned_work[node].items() if scope.startswith(PURE)}
+    def _computing(self, node: Any) -> dict[str, dict[str, bool]]:
+        work = self.assigned_work[node].items()
+        return {scope: tests for scope, tests in work if scope.startswith((LONG, PURE))}
 
     def _assign_work_unit(self, node: Any) -> None:
         scope = self._next_scope(node)
@@ -107,7 +111,7 @@ class RealTimeLast(LoadScopeScheduling):
             super()._assign_work_unit(node)
 
     def _reschedule(self, node: Any) -> None:
-        only_processes = bool(self.workqueue) and not (self._queued(PURE) or self._queued(SOCKETS))
+        only_processes = all(scope.startswith(PROCESSES) for scope in self.workqueue) and bool(self.workqueue)
         if only_processes and node is not self.nodes[0] and not node.shutting_down:
             node.shutdown()  # what is left is for the first process alone
         else:
@@ -161,8 +165,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def kind_of(item: pytest.Item) -> str:
-    """What a test's mark says: no real time, sockets, or processes."""
+    """What a test's marks say: no real time, long or not, sockets, or processes."""
     mark = item.get_closest_marker(MARK)
     if mark is None:
-        return PURE
+        return PURE if item.get_closest_marker(LONG_MARK) is None else LONG
     return PROCESSES if "processes" in mark.args else SOCKETS

@@ -10,7 +10,7 @@ import pytest
 from tests.support.paths import ROOT
 
 CONFTEST = "pytest_plugins = ['tests.support.real_time']\n"
-OPTIONS = "[pytest]\nmarkers =\n    realtime: x\n"
+OPTIONS = "[pytest]\nmarkers =\n    realtime: x\n    long: x\n"
 ORDERED = """
 import os, time, pathlib, pytest
 HERE = pathlib.Path(__file__).parent
@@ -97,6 +97,14 @@ def test_real_time_tests_run_after_all_others_and_those_with_services_one_at_a_t
     # Each process keeps two tests until it knows what comes next: they may end beside the first real ones.
     first = next(index for index, (kind, _, _) in enumerate(notes) if kind != "pure")
     assert first >= 18 - 4
+
+
+def test_what_is_long_is_begun_first(tmp_path: Path) -> None:
+    long = "import pytest\n@pytest.mark.long\ndef test_long(): print('long')\n"
+    short = "def test_a(): print('short')\ndef test_b(): print('short')\n"
+    status, lines = run(tmp_path, "-n", "1", "-rP", test_a=short, test_b=short, test_c=long)
+    assert status == 0
+    assert [line for line in lines if line in ("long", "short")] == ["long", *["short"] * 4]
 
 
 def test_only_real_time_tests_run_too(tmp_path: Path) -> None:

@@ -11,6 +11,8 @@ import pytest
 
 from tests.testbed.lockstep_digests import PINNED, RECIPES, SEEDS, machine, ran
 
+pytestmark = pytest.mark.long
+
 _QUICK = (("hand_eye", 1), ("servoing", 1))
 _ALL = [(recipe, seed) for recipe in RECIPES for seed in SEEDS]
 _ELSEWHERE_M = 1e-3  # the servo's own repeatability; a changed law or a changed world is farther off

@@ -21,6 +21,8 @@ from testbed.campaigns.campaign import REACH_S, CampaignRequest, configuration_o
 from testbed.campaigns.provenance import PACKAGES, imported_sources
 from testbed.campaigns.row_file import RowFile, cell
 
+pytestmark = pytest.mark.long
+
 
 def run_campaign(
     directory: Path,

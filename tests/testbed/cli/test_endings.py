@@ -21,6 +21,8 @@ from testbed.validation import plant
 from testbed.validation.case import ValidationCase
 from testbed.validation.oracles import oracle
 
+pytestmark = pytest.mark.long
+
 LONGREACH = [sys.executable, "-m", "testbed.cli.main"]
 
 

@@ -18,7 +18,7 @@ from testbed.commissioning.recording import load_recording
 from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
 
-pytestmark = pytest.mark.timeout(600)  # a minute of arm time, on a busy machine
+pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]  # a minute of arm time, on a busy machine
 
 FAST = ("controller.excitation.ramps=3", "plant.valves.deadband=0.02")
 

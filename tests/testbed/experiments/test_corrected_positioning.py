@@ -45,6 +45,8 @@ from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.core.positioning.expected_end import expected_end
 
+pytestmark = pytest.mark.long
+
 LAB = WORLDS[WorldName.LAB]
 
 

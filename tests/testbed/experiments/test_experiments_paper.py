@@ -26,6 +26,8 @@ from testbed.experiments.paper.tracing import Tracer
 from testbed.lockstep.clock import run
 from testbed.scenarios.scenario import load_scenario
 
+pytestmark = pytest.mark.long
+
 CONFIGS = Path("configs")
 OPENCV = PaperSettings()
 

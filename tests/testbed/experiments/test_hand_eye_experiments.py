@@ -22,6 +22,8 @@ from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.perception.zhang_intrinsics import Checkerboard
 from vision_pc.core.se3 import Array
 
+pytestmark = pytest.mark.long
+
 
 def test_printed_pose_and_table_of_the_paper_are_proper() -> None:
     scene = scenes.table_1_scene()

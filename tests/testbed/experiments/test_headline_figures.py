@@ -23,6 +23,8 @@ from testbed.scenarios.settings import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.core.hand_eye.solvers.methods import Method
 
+pytestmark = pytest.mark.long
+
 
 def corrected(arm: str, seed: int) -> float:
     """The true error in mm after one look and its corrected motion."""

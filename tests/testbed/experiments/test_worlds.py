@@ -16,6 +16,8 @@ from testbed.experiments.positioning.worlds import ARMS, WORLDS, DrawnWorld, Wor
 from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
 
+pytestmark = pytest.mark.long
+
 AXES = {axis.name: axis for world in WORLDS.values() for axis in world.axes}
 
 

@@ -17,6 +17,8 @@ from testbed.identification.parameters import base_of, changed, entry, parameter
 from testbed.identification.recording import MotionRecording
 from testbed.identification.shooting import DAMPINGS, FitProblem, Plan, jacobian, shoot, signals
 
+pytestmark = pytest.mark.long
+
 CONFIGS = Path(__file__).parents[3] / "configs"
 MACHINE = Machine("an arm", "0123456789abcdef", "servo")
 TRUE = {

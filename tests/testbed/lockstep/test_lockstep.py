@@ -18,6 +18,8 @@ from tests.support.paths import CONFIGS
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.core.se3 import from_pose
 
+pytestmark = pytest.mark.long
+
 LITTLE_M = 1e-3  # what leakage past shut valves, and the servo against it, move the tool within a second
 
 
