@@ -44,7 +44,8 @@ class ValveEdge(StrictModel):
     """One direction of a spool. With commanded opening u beyond ``deadband`` (shares of full spool, 0…1):
 
     joint speed = ``flow_gain`` · f(u − deadband) · nominal speed at full spool, f the identity or ``curve``:
-    knots (u − deadband, f) that rise in both, (0, 0) left out, continued with the last slope.
+    knots (u − deadband, f) that rise in both, (0, 0) left out, continued with the last slope. ``deadband`` is
+    that of the middle of the hysteresis loop: a command that rises opens the edge half the loop later.
     """
 
     deadband: MeasuredNumber

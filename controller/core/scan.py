@@ -23,7 +23,16 @@ from controller.core.scan_types import (
 )
 from controller.core.servo.drives import Circuit, load_pressures
 from controller.core.servo.joint_control import JointFilters, unmoved
-from controller.core.servo.parking import FOLLOWING, PHASE, park_step, parking_ended
+from controller.core.servo.parking import (
+    BAND,
+    DRIFT,
+    KEPT,
+    PHASE,
+    at_rest,
+    park_step,
+    parked_here,
+    parking_ended,
+)
 from controller.core.servo.pose_servo import tool_state
 from controller.core.servo.servo_step import (
     FURTHEST,
@@ -40,6 +49,7 @@ from controller.core.servo.servo_step import (
 from controller.core.settings import ScanSettings
 from controller.core.supervision import Evidence, Fault, ServoOutput, first_fault, readings, update_timers
 from controller.core.trajectories.motion import advance, at_standstill
+from nominal_arm.description import JOINT_NAMES
 from protocol.axes_group import GROUP_STATE, Mode
 from protocol.faults import FaultCode
 from protocol.pose import Pose
@@ -197,10 +207,15 @@ def _parked(
     parking = state.parking.copy()
     park_step(settings.servo, settings.parking, given, state.watch.turned, out, parking)
     away = norm(state.motion.desired.p - state.tool.p_BT)
-    parked = state.parked or bool((parking[PHASE] != FOLLOWING).all())
+    parked = state.parked or at_rest(parking)
     astray = parked and away > settings.parking_alarm
     if parked and not state.parked:
+        parking = parked_here(parking)
         events.append(ScanEvent("parked", "VALVES_SHUT", away, settings.parking_alarm))
+    for joint in np.flatnonzero((parking[PHASE] == KEPT) & (state.parking[PHASE] != KEPT)):
+        held = 2.0 * parking[BAND, joint] / settings.parking.rest
+        cause = f"{JOINT_NAMES[joint].upper()}_IS_KEPT_BY_THE_SERVO"
+        events.append(ScanEvent("leaking", cause, abs(float(parking[DRIFT, joint])), float(held)))
     if astray and not state.astray:
         events.append(ScanEvent("astray", "PARKED_TOOL_LEFT_ITS_PLACE", away, settings.parking_alarm))
     return state._replace(parking=parking, parked=parked, astray=astray)

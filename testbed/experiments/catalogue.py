@@ -54,6 +54,8 @@ CATALOGUE = {
     "controller-kills": _one("robustness.controller_kills:CONTROLLER_KILLS"),
     "attacks": _one("robustness.attacks.campaign:ATTACKS_EXPERIMENT"),
     "commissioning": _one("robustness.commissioning:COMMISSIONING"),
+    "parking": _one("resting.parking:PARKING"),
+    "settle": _one("resting.settle:SETTLE"),
     "plant-campaign": _one("robustness.plant_campaign:PLANT_CAMPAIGN"),
     "identification": _one("identification.drawn_plants:IDENTIFICATION"),
 }

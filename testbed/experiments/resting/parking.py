@@ -1,0 +1,182 @@
+"""Parked for ten minutes: how far the tool moves, with either arm and either set of valves."""
+
+import math
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from controller.core.servo.parking import KEPT, PHASE
+from nominal_arm.description import JOINT_NAMES
+from protocol.reference_messages import FLAG_SETTLED
+from testbed.campaigns.campaign import CampaignRequest, Task
+from testbed.campaigns.experiment import Check, Experiment, Finished, at_most
+from testbed.experiments.positioning.worlds import ARMS
+from testbed.experiments.resting.machines import (
+    JSON,
+    VALVE_SETS,
+    WORLD,
+    arrived,
+    drawn_machine,
+    left,
+    machines,
+    stepped,
+)
+from testbed.lockstep.core_loop import ClosedLoop
+from testbed.reporting.console import table
+
+_WAIT_S = 60.0  # for the arm to park; it is watched after that, parked or not
+_SAMPLE_S = 0.5
+MOVED_MM = 1.0  # asked of ten minutes
+
+
+class ParkingOptions(NamedTuple):
+    """How long the arm is left alone, and by which law."""
+
+    minutes: Annotated[float, typer.Option("--minutes", min=0.1, help="At rest, after parking.")] = 10.0
+    law: Annotated[str, typer.Option("--law", help="parking, or joint: the joint law goes on.")] = "parking"
+
+
+class ParkingRow(NamedTuple):
+    """One machine left alone. Positions are the tool's true ones, from where it was when watching began.
+
+    ``rested_s``: after the motion's end until it parked (or settled, by the joint law), nan when it did not.
+    ``astray``: times that the alarm was raised. ``kept``: joints that leak too fast for a shut valve.
+    ``error_mrad``: largest of a joint.
+    """
+
+    failure: str
+    seed: int
+    arm: str
+    valves: str
+    law: str
+    minutes: float
+    mass_kg: float
+    rested_s: float
+    moved_mm: float
+    end_mm: float
+    error_mrad: float
+    inches: int
+    kept: str
+    astray: int
+    cpu_s: float
+
+
+ParkedRows = Finished[ParkingOptions, ParkingRow]
+
+
+def parking_tasks(request: CampaignRequest, options: ParkingOptions) -> list[Task]:
+    """One task a run, the four kinds of machine in turn."""
+    own = {"minutes": options.minutes, "law": options.law, "parks": options.law == "parking", "known": 1.0}
+    return [
+        {"key": f"{task['seed']}-{options.law}-{options.minutes:g}", **task, **own}
+        for task in machines(request.runs, request.seed)
+    ]
+
+
+def park_and_watch(config_dir: Path, task: JSON) -> JSON:
+    """The row of one machine. Raises MeasurementFailed with the controller's fault."""
+    machine = drawn_machine(config_dir, task)
+    loop = arrived(machine, task["seed"])
+    rested_s = _rested_after(loop, task["parks"])
+    watched = _watch(loop, round(60.0 * task["minutes"] / loop.settings.cycle_s))
+    return {
+        **{key: task[key] for key in ("seed", "arm", "valves", "law", "minutes")},
+        "mass_kg": machine.mass_kg,
+        "rested_s": rested_s,
+        **watched,
+    }
+
+
+def _rested_after(loop: ClosedLoop, parks: bool) -> float:
+    """Seconds until the arm parks, or settles by the joint law; nan when it does not within the time."""
+    for cycles in range(round(_WAIT_S / loop.settings.cycle_s)):
+        if loop.state.parked if parks else loop.view.flags & FLAG_SETTLED:
+            return cycles * loop.settings.cycle_s
+        stepped(loop)
+    return math.nan
+
+
+def _watch(loop: ClosedLoop, cycles: int) -> JSON:
+    """What ``cycles`` of rest do to the tool."""
+    start, every = loop.plant.truth().X_BT[:3, 3].copy(), round(_SAMPLE_S / loop.settings.cycle_s)
+    moved, errors, inches, astray = [], [], 0, 0
+    was_open = np.zeros(6, dtype=bool)
+    for k in range(cycles):
+        stepped(loop)
+        assert loop.outputs is not None
+        is_open = np.array(loop.view.valves) != 0.0
+        inches += int((is_open & ~was_open).sum())
+        was_open = is_open
+        for event in loop.outputs.events:
+            astray += event.name == "astray"
+        if (k + 1) % every == 0:
+            moved.append(1e3 * float(np.linalg.norm(loop.plant.truth().X_BT[:3, 3] - start)))
+            errors.append(1e3 * float(np.abs(left(loop)).max()))
+    return {
+        "moved_mm": max(moved),
+        "end_mm": moved[-1],
+        "error_mrad": max(errors),
+        "inches": inches,
+        "kept": " ".join(JOINT_NAMES[i] for i in np.flatnonzero(loop.state.parking[PHASE] == KEPT)),
+        "astray": astray,
+    }
+
+
+def parking_table(done: ParkedRows) -> list[Table]:
+    """By arm and set of valves: millimetres moved, and how they were kept."""
+    lines = []
+    for arm in ARMS:
+        for valves in VALVE_SETS:
+            rows = [r for r in done.rows if not r.failure and (r.arm, r.valves) == (arm, valves)]
+            if rows:
+                moved = np.array([row.moved_mm for row in rows])
+                lines.append(
+                    (arm, valves, len(rows), sum(not math.isnan(row.rested_s) for row in rows),
+                     f"{np.median(moved):.2f}", f"{moved.max():.2f}",
+                     f"{np.median([row.end_mm for row in rows]):.2f}",
+                     f"{max(row.error_mrad for row in rows):.2f}",
+                     f"{np.median([row.inches for row in rows]):.0f}",
+                     " ".join(sorted({name for row in rows for name in row.kept.split()})) or "none",
+                     sum(row.astray > 0 for row in rows), "met" if moved.max() <= MOVED_MM else "NOT met")
+                )  # fmt: skip
+    headings = (
+        "arm", "valves", "runs", "at rest", "moved mm, median", "worst", "at the end", "joint mrad, worst",
+        "inches", "kept by the servo", "astray", f"≤ {MOVED_MM:g} mm",
+    )  # fmt: skip
+    failed = [(row.seed, row.arm, row.valves, row.failure[:90]) for row in done.rows if row.failure]
+    title = f"{done.settings.minutes:g} minutes at rest, law: {done.settings.law}"
+    shown = [table(title, headings, lines)]
+    return [*shown, table("broken off", ("seed", "arm", "valves", "why"), failed)] if failed else shown
+
+
+def parking_verdict(done: ParkedRows) -> list[Check]:
+    """No more than a millimetre in the worst run of each kind of machine, and none that failed."""
+    checks = [at_most("runs that failed", float(sum(bool(row.failure) for row in done.rows)), 0.0)]
+    for arm in ARMS:
+        for valves in VALVE_SETS:
+            moved = [r.moved_mm for r in done.rows if not r.failure and (r.arm, r.valves) == (arm, valves)]
+            if moved:
+                checks.append(at_most(f"moved by most, {arm}, {valves}", max(moved), MOVED_MM, "mm"))
+    return checks
+
+
+PARKING = Experiment(
+    name="parking",
+    title="The arm parked, and left alone.",
+    shows="how far the tool moves in ten minutes at rest, with either arm and either set of valves",
+    cost="60 to 90 CPU s of ten minutes",
+    settings=ParkingOptions,
+    row=ParkingRow,
+    tasks=parking_tasks,
+    run=park_and_watch,
+    table=parking_table,
+    verdict=parking_verdict,
+    runs=20,
+    seed=43_001,
+    world=WORLD,
+    eyes="none: the tool's true place",
+    workers=1,
+)

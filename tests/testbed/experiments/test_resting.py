@@ -1,0 +1,147 @@
+"""Arms that come to rest on the real plant: parked, told, kept; and what is made of the rows."""
+
+import math
+
+import numpy as np
+import pytest
+
+from controller.core.servo.parking import KEPT, PHASE
+from protocol.faults import Reason
+from protocol.pose import Pose
+from protocol.reference_messages import ReferencePose
+from testbed.campaigns.campaign import CampaignRequest
+from testbed.campaigns.experiment import Finished
+from testbed.experiments.resting.machines import arrived, drawn_machine, machines, stepped
+from testbed.experiments.resting.parking import (
+    ParkingOptions,
+    ParkingRow,
+    park_and_watch,
+    parking_table,
+    parking_tasks,
+    parking_verdict,
+)
+from testbed.experiments.resting.settle import (
+    SettleOptions,
+    SettleRow,
+    came_in,
+    settle_table,
+    settle_tasks,
+    settle_verdict,
+)
+from tests.support.paths import CONFIGS
+
+TASK = {"seed": 1, "arm": "plant", "valves": "mobile", "law": "parking", "parks": True, "known": 1.0}
+
+
+def test_mobile_valves_park_and_tell_it() -> None:
+    """Every valve centred, the integral stopped, the alarm at its limit, and the next motion takes over."""
+    machine = drawn_machine(CONFIGS, TASK)
+    alarm = machine.settings.controller.parking.model_copy(update={"alarm_mm": 1e-3})
+    controller = machine.settings.controller.model_copy(update={"parking": alarm})
+    machine = machine._replace(settings=machine.settings._replace(controller=controller))
+    loop = arrived(machine, 1)
+    told: list[str] = []
+    for _ in range(round(40.0 / loop.settings.cycle_s)):
+        stepped(loop)
+        assert loop.outputs is not None
+        told += [event.name for event in loop.outputs.events]
+        if loop.state.parked:
+            break
+    assert told.count("parked") == 1
+    assert told.count("astray") == 1  # a thousandth of a millimetre is not reached
+    assert not any(loop.view.valves)
+    assert (loop.state.servo.q_cmd == np.array(loop.view.q_meas)).all()
+    start = loop.plant.truth().X_BT[:3, 3].copy()
+    for _ in range(round(10.0 / loop.settings.cycle_s)):
+        stepped(loop)
+    assert loop.state.parked
+    assert np.linalg.norm(loop.plant.truth().X_BT[:3, 3] - start) < 1e-3
+    x, y, z = loop.view.X_BT.p_m
+    near = Pose((x, y, z + 0.02), loop.view.X_BT.q_wxyz)
+    assert loop.refer(lambda i: ReferencePose(i, near, 0.0)) is Reason.ACCEPTED
+    assert not loop.state.parked
+    assert loop.outputs is not None
+    assert [event.name for event in loop.outputs.events].count("unparked") == 1
+
+
+def test_a_vane_leaks_too_fast_and_is_kept_by_the_servo() -> None:
+    machine = drawn_machine(CONFIGS, TASK | {"valves": "servo"})
+    loop = arrived(machine, 1)
+    causes: list[str] = []
+    for _ in range(round(30.0 / loop.settings.cycle_s)):
+        stepped(loop)
+        assert loop.outputs is not None
+        causes += [event.cause for event in loop.outputs.events if event.name == "leaking"]
+    assert causes == ["WRIST2_IS_KEPT_BY_THE_SERVO"]
+    assert np.flatnonzero(loop.state.parking[PHASE] == KEPT).tolist() == [4]
+
+
+def test_a_row_of_parking_counts_from_the_real_plant() -> None:
+    row = park_and_watch(CONFIGS, TASK | {"minutes": 0.1})
+    assert 0.0 < row["end_mm"] <= row["moved_mm"] < 1.0
+    assert 0.0 < row["rested_s"] < 40.0
+    assert row["kept"] == ""
+
+
+def test_a_joint_came_in_when_it_was_outside_for_the_last_time() -> None:
+    outside = np.zeros(1000, dtype=bool)
+    outside[[0, 10, 199]] = True
+    assert came_in(outside, 0.01) == pytest.approx(2.0)
+    assert came_in(np.zeros(1000, dtype=bool), 0.01) == 0.0
+    outside[800] = True  # two seconds before the end: not for good
+    assert math.isnan(came_in(outside, 0.01))
+
+
+def test_runs_are_of_the_four_kinds_in_turn() -> None:
+    kinds = [(task["arm"], task["valves"]) for task in machines(8, 50)]
+    assert len(set(kinds)) == 4
+    assert kinds[:4] == kinds[4:]
+
+
+def test_what_is_known_of_a_deadband_is_scaled_and_its_spread_told() -> None:
+    full, part = (drawn_machine(CONFIGS, TASK | {"known": share}).settings for share in (1.0, 0.8))
+    assert full.controller.commissioned is not None
+    assert part.controller.commissioned is not None
+    for name in ("slew", "wrist3"):
+        known = getattr(full.controller.commissioned.valves, name).raising.deadband
+        less = getattr(part.controller.commissioned.valves, name).raising.deadband
+        assert less.value == pytest.approx(0.8 * known.value)
+        assert less.std == pytest.approx(0.2 * known.value)
+    assert full.plant == part.plant
+
+
+REQUEST = CampaignRequest(CONFIGS, CONFIGS, runs=4, seed=9, workers=1)
+
+
+def test_parking_is_met_or_not_by_the_worst_run_of_each_kind() -> None:
+    tasks = parking_tasks(REQUEST, ParkingOptions())
+    assert len({task["key"] for task in tasks}) == 4
+    rows = [
+        ParkingRow("", t["seed"], t["arm"], t["valves"], "parking", 10.0, 20.0, 5.0, 0.4 + 0.3 * k,
+                   0.2, 0.1, 3, "", 0, 60.0)
+        for k, t in enumerate(tasks)
+    ]  # fmt: skip
+    done = Finished(REQUEST, ParkingOptions(), tasks, rows, 0)
+    assert [check.met for check in parking_verdict(done)] == [True, True, True, True, False]
+    assert list(parking_table(done)[0].columns[-1].cells) == ["met", "met", "met", "NOT met"]
+    failed = Finished(REQUEST, ParkingOptions(), tasks, [rows[0]._replace(failure="fault"), *rows[1:]], 0)
+    assert parking_verdict(failed)[0].met is False
+    assert len(parking_table(failed)) == 2
+
+
+def test_arms_that_never_come_in_are_told() -> None:
+    tasks = settle_tasks(REQUEST, SettleOptions(known="80,100"))
+    assert len({task["key"] for task in tasks}) == 16
+    rows = [
+        SettleRow("", t["seed"], t["arm"], t["valves"], t["law"], 100.0 * t["known"], 20.0, *[1.0] * 6,
+                  math.nan if t["law"] == "joint" else 4.0, 0.1, 3.0)
+        for t in tasks
+    ]  # fmt: skip
+    done = Finished(REQUEST, SettleOptions(known="80,100"), tasks, rows, 0)
+    checks = settle_verdict(done)
+    assert {check.met for check in checks if "parking" in check.what and "100" in check.what} == {True}
+    assert {check.met for check in checks if "joint" in check.what} == {None}
+    table = settle_table(done)[0]
+    assert set(table.columns[-3].cells) == {"–", "4.0"}
+    never = [row._replace(all_s=math.nan) for row in rows]
+    assert False in {check.met for check in settle_verdict(done._replace(rows=never))}
