@@ -57,6 +57,7 @@ class ParkingConfig(StrictModel):
     slowest_mrad_s: float = Field(gt=0.0, le=50.0)
     fastest_mrad_s: float = Field(gt=0.0, le=200.0)
     patience_ms: float = Field(ge=0.0, le=60_000.0)
+    loaded: tuple[bool, bool, bool, bool, bool, bool]
     rest_ms: float = Field(gt=0.0, le=600_000.0)
     alarm_mm: float = Field(gt=0.0, le=100.0)
 

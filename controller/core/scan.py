@@ -207,7 +207,7 @@ def _parked(
     parking = state.parking.copy()
     park_step(settings.servo, settings.parking, given, state.watch.turned, out, parking)
     away = norm(state.motion.desired.p - state.tool.p_BT)
-    parked = state.parked or at_rest(parking)
+    parked = state.parked or at_rest(settings.parking, parking)
     astray = parked and away > settings.parking_alarm
     if parked and not state.parked:
         parking = parked_here(parking)

@@ -99,6 +99,7 @@ def parking_law(config: ControllerConfig) -> ParkingLaw:
         spread=np.hypot(std, half_std),
         latest=late + _BREAKS_AWAY / gain,
         shutting=late + _RUNS_ON / gain,
+        loaded=np.array(parking.loaded, dtype=float),
         rest=parking.rest_ms * _MS,
         dt_s=config.cycle_ms * _MS,
     )

@@ -39,7 +39,8 @@ _BEYOND = 0.3  # of the band: how far beyond its place a creeping joint is put
 _CREEPS_1_S = 0.1  # of its band in a second: from there on a joint is put beyond its place
 _SURE = 3.0  # standard deviations: further from its known deadband no edge is sought
 _ARRIVED_RAD = 9.6e-5  # two digits: until the arm is parked, no joint is brought nearer
-_RESTS_S = 4.0  # all joints for so long, and the arm is parked: oil and friction have come to rest
+_RESTS_S = 4.0  # until a joint without load has come to rest with its oil: then the arm is parked
+_LOADED_RESTS_S = 1.0  # the same of a joint that may creep: longer, and it would be due for an inch again
 _GOES_ON_S = (
     20.0  # a creep that takes the joint out by then is corrected: once watched for a fifth of it, or known
 )
@@ -59,7 +60,8 @@ class ParkingLaw(NamedTuple):
     which a shut joint begins an inch. ``slowest``, ``fastest``: of an inch (rad/s). ``patience`` (s): time
     that the joint law has to arrive. ``deadband``, ``spread``: what is known of it when it opens (spool).
     ``latest`` (s): from a command until motion is seen; ``shutting`` (s): how long a joint moves on when its
-    valve is told to shut; ``rest`` (s): a joint that leaks through twice its band in less is kept by the
+    valve is told to shut; ``loaded``: 1 where gravity makes a joint creep, 0 where
+    parked it only relaxes. ``rest`` (s): a joint that leaks through twice its band in less is kept by the
     joint law. ``dt_s``: of a scan.
     """
 
@@ -73,6 +75,7 @@ class ParkingLaw(NamedTuple):
     spread: Array
     latest: Array
     shutting: Array
+    loaded: Array
     rest: float
     dt_s: float
 
@@ -93,9 +96,10 @@ def parking_ended(state: Array) -> Array:
     return follows
 
 
-def at_rest(state: Array) -> bool:
+def at_rest(law: ParkingLaw, state: Array) -> bool:
     """Whether every joint stands near its place with its valve shut, or is kept by the joint law."""
-    rests = (state[PHASE] == SHUT) & (state[SINCE] > _RESTS_S) & (np.abs(state[ERROR]) < 1.5 * state[BAND])
+    long = state[SINCE] > np.where(law.loaded > 0.0, _LOADED_RESTS_S, _RESTS_S)
+    rests = (state[PHASE] == SHUT) & long & (np.abs(state[ERROR]) < 1.5 * state[BAND])
     return bool((rests | (state[PHASE] == KEPT)).all())
 
 
@@ -177,7 +181,7 @@ def _watched(law: ParkingLaw, state: Array, i: int, error: float, gains: Array) 
     error, band = state[ERROR, i] - state[PLACE, i], state[BAND, i]
     least = max(band, 0.5 * _LEFT_RAD) / _GOES_ON_S
     known = watched > 0.2 * _GOES_ON_S or (state[DRIFT, i] * drift > 0.0 and abs(state[DRIFT, i]) > least)
-    goes_on = known and error * drift > 0.0 and abs(drift) > least
+    goes_on = law.loaded[i] > 0.0 and known and error * drift > 0.0 and abs(drift) > least
     leave = band if goes_on or state[PARKED, i] == 0.0 else max(2.0 * band, _LEFT_RAD)
     ahead = error + drift * law.latest[i]
     if max(abs(ahead), abs(error)) <= leave:

@@ -52,6 +52,7 @@ def _law(deadband: float, spread: float) -> ParkingLaw:
         spread=np.full((6, 2), spread),
         latest=(late + 0.15) * ONES,
         shutting=(late + 0.03) * ONES,
+        loaded=ONES,
         rest=3.0,
         dt_s=DT_S,
     )
@@ -127,7 +128,7 @@ def test_a_parked_joint_that_stands_is_left_where_it_rests() -> None:
     law, state = _law(0.08, 0.004), parking_begun(_law(0.08, 0.004))
     state[PHASE], state[BAND], state[ERROR], state[SINCE] = SHUT, BAND_RAD, 1.4 * BAND_RAD, 100.0
     state[SHUT_AT] = state[ERROR]
-    assert at_rest(state)
+    assert at_rest(law, state)
     here = parked_here(state)
     assert (here[PLACE] == 1.4 * BAND_RAD).all()
     for _ in range(2000):
@@ -141,15 +142,18 @@ def test_a_parked_joint_that_stands_is_left_where_it_rests() -> None:
 
 
 def test_the_arm_rests_when_every_joint_does() -> None:
-    state = parking_begun(_law(0.08, 0.004))
-    state[PHASE], state[BAND], state[SINCE] = SHUT, BAND_RAD, 5.0
-    for row, value in ((PHASE, OPEN), (PHASE, FOLLOWING), (SINCE, 1.0), (ERROR, 2.0 * BAND_RAD)):
+    law = _law(0.08, 0.004)._replace(loaded=np.array([0.0, 1.0, 1.0, 0.0, 1.0, 1.0]))
+    state = parking_begun(law)
+    state[PHASE], state[BAND], state[SINCE] = SHUT, BAND_RAD, 2.0
+    state[SINCE, [0, 3]] = 5.0
+    assert at_rest(law, state)
+    for row, value in ((PHASE, OPEN), (PHASE, FOLLOWING), (SINCE, 2.0), (ERROR, 2.0 * BAND_RAD)):
         restless = state.copy()
         restless[row, 3] = value
-        assert not at_rest(restless)
+        assert not at_rest(law, restless)
     leaking = state.copy()
     leaking[PHASE, 4], leaking[SINCE, 4], leaking[ERROR, 4] = KEPT, 0.1, 3e-4
-    assert at_rest(leaking)
+    assert at_rest(law, leaking)
 
 
 def test_where_the_joint_moves_is_learned_within_what_is_known() -> None:
