@@ -7,24 +7,24 @@ import time
 from dataclasses import asdict
 from typing import Any
 
+from controller.commissioning import basis_of
 from controller.config import ControllerConfig
 from controller.core.flight_recorder import FlightRecorder
 from controller.core.plant_watch import PlantRefusal
 from controller.core.requests import is_live
-from controller.core.scan import scan
+from controller.core.scan_program import ScanProgram
 from controller.core.scan_types import (
     RuntimeStatistics,
     ScanInput,
     ScanOutput,
     ScanState,
-    initial_state,
     to_state,
 )
-from controller.core.settings import settings_from
 from controller.shell.cyclic_task import CyclicTask
 from controller.shell.flight_dump import dump
 from controller.shell.plant_link import PlantLink
 from controller.shell.reference_port import ReferencePort
+from controller.shell.trial_records import TrialRecords
 from controller.shell.warm_up import warm_up
 from foundation.configuration import configuration_hash
 from foundation.directories import recording_directory
@@ -58,11 +58,9 @@ class ControllerService:
         self, arm: NominalArm, config: ControllerConfig, options: ServiceOptions, log: EventLog
     ) -> None:
         """Bind the reference port, then try the directories. Raises ConfigurationError."""
-        _refuse_excitation(config)
         self._config = config
         self._log = log
-        self._settings = settings_from(arm, config)
-        self._state = initial_state(self._settings)
+        self._program = ScanProgram(arm, config)
         self._boot_id = secrets.randbits(64) or 1
         cycle_ns = round(config.cycle_ms * _NS_PER_MS)
         server = ReferenceServer(
@@ -75,6 +73,7 @@ class ControllerService:
         self._reference = ReferencePort(server, config.reference_link, log)
         try:
             self._record_dir = recording_directory(options.record_dir)
+            self._trials = TrialRecords(self._record_dir, self._program, basis_of(arm, config), log)
             self._statistics = StatisticsFile(options.statistics, "controller", log, self._gathered)
         except ConfigurationError:
             self._reference.release()
@@ -97,7 +96,7 @@ class ControllerService:
     async def run(self) -> int:
         """Serve until SIGTERM or SIGINT, then ramp down, centre the valves and say goodbye."""
         when_asked_to_end(self._asked_to_stop)
-        warm_up(self._settings)
+        warm_up(self._program.settings)
         self._reference.open()
         self._plant.start()
         self._scheduling = take_fifo(self._config.fifo_priority)
@@ -126,14 +125,15 @@ class ControllerService:
         streamed = self._reference.take_streamed()
         inputs = ScanInput(now_ns, sensed_ns, dt_ns * 1e-9, sensors, requests, alive, streamed)
         began_ns = time.monotonic_ns()
-        self._state, output = scan(self._settings, self._state, inputs)
+        output = self._program.scan(inputs)
         self._scan_times.add(time.monotonic_ns() - began_ns)
         self._valve_words = encode_valves(output.valves)
         answers = output.acknowledgements[:-1] if leaving else output.acknowledgements
         shown = to_state(output.view, self._statistics_at(now_ns))
         self._reference.publish(answers, shown, now_ns, output.refusal)
         self._recorder.record(inputs, output)
-        self._follow_up(self._state, requests, output, now_ns)
+        self._trials.follow()
+        self._follow_up(self._program.state, requests, output, now_ns)
 
     def _decoded(self, words: list[int] | PlantRefusal | None) -> SensorImage | PlantRefusal | None:
         if not isinstance(words, list):
@@ -196,7 +196,7 @@ class ControllerService:
             self._stop_by_ns = time.monotonic_ns() + round(_SHUTDOWN_S * 1e9)
 
     async def _shut_down(self) -> None:
-        cycle = self._state.cycle + 1
+        cycle = self._program.state.cycle + 1
         self._valve_words = encode_valves(ValveImage(cycle, 0, (0.0,) * 6))
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(0.1):
@@ -204,6 +204,7 @@ class ControllerService:
         await self._plant.close()
         self._reference.close()
         await asyncio.gather(*self._dumps)
+        await self._trials.close()
         self._statistics.write()
         self._log.write("stopped", cycles=self._task.lateness.count, overruns=self._task.overruns)
 
@@ -241,15 +242,6 @@ class ControllerService:
             "rss_mb_at_start": self._memory_mb,
             "rss_mb": resident_mb(),
         }
-
-
-def _refuse_excitation(config: ControllerConfig) -> None:
-    if config.excitation.enabled:
-        raise ConfigurationError(
-            "configuration.lockstep_only",
-            "controller.excitation.enabled = true: valves are tried out in simulated time alone "
-            "(longreach commission); this controller would not know the mode",
-        )
 
 
 def _code(request: Request) -> str | None:

@@ -94,12 +94,19 @@ def commission(
     directory: Annotated[
         Path, typer.Option("--out", help="The session: joints that are there are not tried out again.")
     ] = DEFAULT_RUNS / "commission",
+    records: Annotated[
+        Path | None,
+        typer.Option(
+            help="Of a running controller with controller.excitation.enabled=true: its --record-dir. It "
+            "is asked over its own link (controller.reference_link).",
+        ),
+    ] = None,
     seed: Seed = 1,
     config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Try out the valves on the emulated arm, in simulated time, and write commissioned.yaml.
+    """Try out the valves and write commissioned.yaml: emulated, in simulated time, or live with --records.
 
     Exit status 1 when a joint was broken off or its numbers are refused; what was found is kept.
     """
@@ -107,7 +114,7 @@ def commission(
 
     overrides = parse_overrides(settings or [])
     names = [name.strip() for name in joints.split(",")]
-    request = CommissionRequest(config_dir, overrides, names, directory, seed, json_file)
+    request = CommissionRequest(config_dir, overrides, names, directory, seed, json_file, records)
     raise typer.Exit(0 if run_commission(request) else 1)
 
 

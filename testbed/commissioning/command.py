@@ -11,10 +11,13 @@ import yaml
 from nominal_arm.description import JOINT_NAMES
 from protocol.errors import ConfigurationError, LongreachError
 from testbed.commissioning.findings import JointFindings, commissioned_from, joint_findings
+from testbed.commissioning.live_run import LiveController, excite_live
 from testbed.commissioning.lockstep_run import excite_in_lockstep, with_excitation
 from testbed.commissioning.presentation import findings_figures, findings_table, joint_figure
 from testbed.commissioning.session import CommissioningSession
+from testbed.lockstep.eyes import eyes_with
 from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
 from testbed.lockstep.world import World
 from testbed.reporting.console import bars, err, out, write_json
 from testbed.reporting.plots import png
@@ -24,7 +27,11 @@ LONGEST_MIN = 15.0  # of arm time, that commissioning shall stay below
 
 
 class CommissionRequest(NamedTuple):
-    """Which machine, which joints (names), and the session's directory; ``json``: figures as well."""
+    """Which machine, which joints (names), and the session's directory; ``json``: figures as well.
+
+    ``records``: the directory that a running controller records in; it is tried out in place of the emulated
+    one.
+    """
 
     config_dir: Path
     overrides: Overrides
@@ -32,6 +39,7 @@ class CommissionRequest(NamedTuple):
     directory: Path
     seed: int
     json: Path | None
+    records: Path | None = None
 
 
 def run_commission(request: CommissionRequest) -> bool:
@@ -47,7 +55,7 @@ def run_commission(request: CommissionRequest) -> bool:
     to_do = [joint for joint in joints if joint not in session.finished]
     told = f"{len(joints) - len(to_do)} joints are in {request.directory}, {len(to_do)} are tried out now"
     out.print(told, style="dim", highlight=False)
-    complete = _tried_out(settings, request.seed, to_do, session) if to_do else True
+    complete = _tried_out(settings, request, to_do, session) if to_do else True
     found = _found(session, settings)
     if found:
         out.print(findings_table(found))
@@ -65,11 +73,19 @@ def _joint(name: str) -> int:
     return JOINT_NAMES.index(name)
 
 
-def _tried_out(settings: Settings, seed: int, joints: Sequence[int], session: CommissioningSession) -> bool:
+def _tried_out(
+    settings: Settings, request: CommissionRequest, joints: Sequence[int], session: CommissioningSession
+) -> bool:
     """Whether all ``joints`` were tried out; what broke it off is told, the arm then stands."""
-    world = World(with_excitation(settings, joints), seed, RunLog())
     with bars() as shown, shown.step("trying out the valves") as bar:
-        ended = excite_in_lockstep(world, session.keep, bar.update)
+        if request.records is not None:
+            link = settings.controller.reference_link
+            controller = LiveController(link.host, link.port, request.records)
+            ended = excite_live(controller, settings, session.keep, bar.update)
+        else:
+            world = World(with_excitation(settings, joints), request.seed, RunLog())
+            eyes = eyes_with(world, simulated_sight(world, load_eye_model(request.config_dir), request.seed))
+            ended = excite_in_lockstep(world, session.keep, bar.update, eyes)
     minutes = ended.seconds / 60.0
     out.print(f"{minutes:.1f} min of arm time, to be below {LONGEST_MIN:g}", highlight=False)
     trouble = ended.trouble

@@ -10,6 +10,7 @@ from controller.commissioning import basis_of
 from controller.config import ControllerConfig
 from nominal_arm.commissioned import (
     Commissioned,
+    JointPlay,
     JointTuning,
     JointValve,
     MeasuredNumber,
@@ -23,6 +24,7 @@ from testbed.commissioning.margins import MARGINS, gain_within
 from testbed.commissioning.recording import JointRecording, strokes_in
 from testbed.commissioning.uncertain import Uncertain, midway
 from testbed.commissioning.valve_fit import EdgeFindings, edge_findings
+from vision_pc.core.calibration.joint_play import JointSeen, PlayFound, joint_play, mean_delay
 
 DEADBAND_MOST = 0.3  # what the compensation can hold
 _GAINS = (0.05, 20.0)
@@ -33,7 +35,8 @@ _KNOTS = (0.25, 0.5, 0.75, 1.0)
 
 class JointFindings(NamedTuple):
     """One joint. ``seconds``: of arm time; ``travel`` (rad): the furthest from where it stood; ``opened``:
-    the greatest spool beyond the deadband, raising and lowering."""
+    the greatest spool beyond the deadband, raising and lowering. ``play``: None where odometry did not see
+    enough of the joint's turns; ``unseen``: then why."""
 
     joint: int
     raising: EdgeFindings
@@ -42,6 +45,8 @@ class JointFindings(NamedTuple):
     seconds: float
     travel: float
     opened: tuple[float, float]
+    play: PlayFound | None = None
+    unseen: str = ""
 
     @property
     def hysteresis(self) -> Uncertain:
@@ -79,7 +84,19 @@ def joint_findings(recording: JointRecording, compensated: bool) -> JointFinding
     )
     for name, edge in (("raising", raising), ("lowering", lowering)):
         _judge(f"{JOINT_NAMES[recording.joint]} {name}", edge)
-    return found
+    return _with_play(found, recording)
+
+
+def _with_play(found: JointFindings, recording: JointRecording) -> JointFindings:
+    """``found`` with the joint's play, as far as odometry saw it."""
+    if len(recording.seen_t) == 0:
+        return found._replace(unseen="no odometry")
+    valve = recording.valve * recording.driving
+    seen = JointSeen(recording.joint, recording.t, recording.q, valve, recording.seen_t, recording.seen_X)
+    try:
+        return found._replace(play=joint_play(seen))
+    except MeasurementFailed as error:
+        return found._replace(unseen=str(error))
 
 
 def _judge(where: str, edge: EdgeFindings) -> None:
@@ -128,7 +145,31 @@ def commissioned_from(
         basis=basis_of(arm, config),
         valves=known,
         tuning=_tuning(found, config),
+        play_mrad=_play(found, recordings),
+        camera_delay_ms=_camera_delay(found),
     )
+
+
+def _play(found: Mapping[int, JointFindings], recordings: Mapping[int, str]) -> JointPlay:
+    """Half the play of every joint that odometry saw, on whichever side of the encoder."""
+    return JointPlay(
+        **{
+            JOINT_NAMES[joint]: _number(
+                Uncertain(1e3 * abs(one.play.half), 1e3 * one.play.half_std), (None, None), recordings[joint]
+            )
+            for joint, one in found.items()
+            if one.play is not None
+        }
+    )
+
+
+def _camera_delay(found: Mapping[int, JointFindings]) -> MeasuredNumber | None:
+    """How late pictures are stamped, by all joints that odometry saw."""
+    plays = [one.play for one in found.values() if one.play is not None]
+    if not plays:
+        return None
+    late, std = mean_delay(plays)
+    return MeasuredNumber(value=1e3 * late, std=1e3 * std, recording=f"odometry beside {len(plays)} joints")
 
 
 def _valve(found: JointFindings, before: JointValve, cycle_ms: float, recording: str) -> JointValve:

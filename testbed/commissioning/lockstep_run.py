@@ -7,10 +7,12 @@ from controller.core.excitation.plan import Stroke
 from controller.core.excitation.strokes import Trouble
 from protocol.errors import LinkLost, MeasurementFailed
 from protocol.faults import CommandCode, GroupState
-from testbed.commissioning.recording import JointRecording, recording_of
+from testbed.commissioning.recording import JointRecording, SeenPose, recording_of
 from testbed.lockstep.clock import run
 from testbed.lockstep.world import World
 from testbed.scenarios.settings import Settings
+from vision_pc.core.ports import Eyes
+from vision_pc.core.types import WatchSample
 
 _LONGEST_S = 3600.0
 
@@ -29,18 +31,52 @@ def with_excitation(settings: Settings, joints: Sequence[int]) -> Settings:
 
 
 def excite_in_lockstep(
-    world: World, keep: Callable[[JointRecording], None], progress: Callable[[float, str], None]
+    world: World,
+    keep: Callable[[JointRecording], None],
+    progress: Callable[[float, str], None],
+    eyes: Eyes | None = None,
 ) -> Excited:
     """Enable the arm of ``world`` and let its joints be tried out; ``keep`` gets each that is finished.
 
-    Raises MeasurementFailed (``measurement.stopped``) when somebody else stopped the arm, LinkLost when the
-    reference link does not open.
+    ``eyes``: whose odometry watches meanwhile. Raises MeasurementFailed (``measurement.stopped``) when
+    somebody else stopped the arm, LinkLost when the reference link does not open.
     """
-    controller, plan = world.controller, world.controller.plan
-    assert plan is not None  # with_excitation
     world.connect()
     if not world.connected:
         raise LinkLost("link.controller_missing", "the controller does not answer")
+    if eyes is None:
+        return _excited(world, keep, progress, tuple)
+    return run(_watched(world, keep, progress, eyes))
+
+
+async def _watched(
+    world: World, keep: Callable[[JointRecording], None], progress: Callable[[float, str], None], eyes: Eyes
+) -> Excited:
+    """As ``_excited``; odometry that saw nothing at all does not spoil what the valves said."""
+    done: Excited | None = None
+    try:
+        async with eyes.watch(markers=False, odometry=True) as watch:
+            offset_ns = world.link.local_time_ns(0)
+            done = _excited(world, keep, progress, lambda: _seen(watch.samples, offset_ns))
+    except MeasurementFailed:
+        if done is None:
+            raise
+    return done
+
+
+def _seen(samples: Sequence[WatchSample], offset_ns: int) -> list[SeenPose]:
+    """The poses that odometry found, on the controller's clock."""
+    return [SeenPose(s.time_ns - offset_ns, s.X_C0C) for s in samples if s.X_C0C is not None]
+
+
+def _excited(
+    world: World,
+    keep: Callable[[JointRecording], None],
+    progress: Callable[[float, str], None],
+    seen: Callable[[], Sequence[SeenPose]],
+) -> Excited:
+    controller, plan = world.controller, world.controller.plan
+    assert plan is not None  # with_excitation
     run(world.link.command(CommandCode.ENABLE))
     began_ns, kept = world.time_ns, 0
     while True:
@@ -48,7 +84,7 @@ def excite_in_lockstep(
         program = controller.excitation
         while kept < program.stroke:
             joint = plan.strokes[kept].joint
-            keep(recording_of(world.settings.arm, joint, plan.strokes, controller.samples))
+            keep(recording_of(world.settings.arm, joint, plan.strokes, controller.samples, seen()))
             kept = _after(plan.strokes, kept)
             progress(kept / len(plan.strokes), f"{1e-9 * (world.time_ns - began_ns):.0f} s of arm time")
         seconds = 1e-9 * (world.time_ns - began_ns)

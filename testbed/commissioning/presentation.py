@@ -16,7 +16,7 @@ from testbed.reporting.plots import AXIS_COLOURS, JOINTS
 
 _HEADINGS = (
     "joint", "sense", "deadband %", "hysteresis %", "lag ms", "response ms", "flow / nominal", "curve",
-    "left mrad", "friction bar", "load bar", "travel mrad", "s",
+    "left mrad", "friction bar", "load bar", "half play mrad", "travel mrad", "s",
 )  # fmt: skip
 
 
@@ -42,13 +42,14 @@ def _row(joint: int, sense: str, one: JointFindings, edge: EdgeFindings) -> tupl
         f"{1e3 * edge.residual:.3f}",
     )
     if sense != "raising":
-        return ("", *edge_cells, "", "", "", "")
+        return ("", *edge_cells, "", "", "", "", "")
     friction = one.friction
     return (
         JOINTS[joint],
         *edge_cells,
         _told(friction.friction, 1.0, 1),
         _told(friction.load, 1.0, 1),
+        one.unseen if one.play is None else _told(Uncertain(one.play.half, one.play.half_std), 1e3, 3),
         f"{1e3 * one.travel:.0f}",
         f"{one.seconds:.0f}",
     )

@@ -16,13 +16,21 @@ from protocol.errors import ConfigurationError
 Array = NDArray[np.float64]
 
 
+class SeenPose(NamedTuple):
+    """The camera's pose in its first frame (4, 4) by odometry, at ``time_ns`` of the controller's clock."""
+
+    time_ns: int
+    X_C0C: Array
+
+
 class JointRecording(NamedTuple):
     """All scans of one joint's strokes, SI and bar.
 
     ``t`` (n,) s; ``stroke`` (n,), from 0; ``valve`` (n,) commanded, signed; ``q`` (n, 6); ``chambers`` (n, 2)
     bar; ``supply`` (n,) bar; ``full_speed`` (n, 2): nominal, unloaded, raising and lowering; ``kinds``,
     ``outward``: of each stroke. ``area_ratio``: chamber b to a. ``rated`` (2,): supply and return at which
-    the nominal speeds hold, bar; ``back`` (n,): return pressure.
+    the nominal speeds hold, bar; ``back`` (n,): return pressure. ``seen_t`` (m,) s and ``seen_X`` (m, 4, 4):
+    when the camera's pose was seen by odometry, and where; empty where nobody looked.
     """
 
     joint: int
@@ -38,6 +46,8 @@ class JointRecording(NamedTuple):
     kinds: Array
     area_ratio: float
     rated: Array
+    seen_t: Array = np.zeros(0)
+    seen_X: Array = np.zeros((0, 4, 4))
 
     def save(self, path: Path) -> None:
         """Write all arrays to one compressed file."""
@@ -45,12 +55,17 @@ class JointRecording(NamedTuple):
 
 
 def recording_of(
-    arm: NominalArm, joint: int, strokes: Sequence[Stroke], samples: Sequence[ExcitationSample]
+    arm: NominalArm,
+    joint: int,
+    strokes: Sequence[Stroke],
+    samples: Sequence[ExcitationSample],
+    seen: Sequence[SeenPose] = (),
 ) -> JointRecording:
-    """The recording of ``joint`` out of all ``samples``."""
+    """The recording of ``joint`` out of all ``samples``, and what of ``seen`` falls into its time."""
     mine = [k for k, stroke in enumerate(strokes) if stroke.joint == joint]
     rows = [sample for sample in samples if sample.stroke in mine]
     drive = arm.drives[joint]
+    poses = [pose for pose in seen if rows[0].time_ns <= pose.time_ns <= rows[-1].time_ns]
     return JointRecording(
         joint=joint,
         t=1e-9 * np.array([row.time_ns - rows[0].time_ns for row in rows], dtype=np.float64),
@@ -65,6 +80,8 @@ def recording_of(
         kinds=np.array([float(strokes[k].kind) for k in mine]),
         area_ratio=drive.area_ratio if isinstance(drive, CylinderDrive) else 1.0,
         rated=np.array([arm.rated.supply_bar, arm.rated.return_bar]),
+        seen_t=1e-9 * np.array([pose.time_ns - rows[0].time_ns for pose in poses], dtype=np.float64),
+        seen_X=np.array([pose.X_C0C for pose in poses]).reshape(-1, 4, 4),
     )
 
 

@@ -1,15 +1,10 @@
 """The controller's programs in simulated time: the server session and the scan, on the controller's clock."""
 
-from controller.core.excitation.plan import excitation_plan
-from controller.core.excitation.program import (
-    ExcitationProgram,
-    ExcitationSample,
-    excitation_scan,
-)
+from controller.core.excitation.plan import ExcitationPlan
+from controller.core.excitation.program import ExcitationProgram, ExcitationSample
 from controller.core.inbox import Inbox
-from controller.core.scan import scan
-from controller.core.scan_types import ScanInput, ScanOutput, initial_state
-from controller.core.settings import settings_from
+from controller.core.scan_program import ScanProgram
+from controller.core.scan_types import ScanInput, ScanOutput
 from foundation.configuration import configuration_hash
 from foundation.link_key import read_key
 from protocol.process_image import ValveImage, decode_sensors, encode_valves
@@ -29,11 +24,7 @@ class ControllerSide:
     def __init__(self, settings: Settings, seed: int) -> None:
         config = settings.controller
         self.cycle_ns = round(1e6 * config.cycle_ms)
-        self._settings = settings_from(settings.arm, config)
-        self._state = initial_state(self._settings)
-        self.plan = excitation_plan(settings.arm, config)
-        self.excitation = ExcitationProgram(self._state)
-        self.samples: list[ExcitationSample] = []
+        self._program = ScanProgram(settings.arm, config)
         self._inbox = Inbox()
         self._server = ReferenceServer(
             boot_id=seed + 1,
@@ -56,7 +47,7 @@ class ControllerSide:
         for answer in self._inbox.put(events):
             self._server.acknowledge(answer, now_ns)
         requests, alive = self._inbox.take(self._server.link_alive(now_ns))
-        output = self._scanned(
+        output = self._program.scan(
             ScanInput(
                 now_ns=now_ns,
                 sensed_ns=now_ns,
@@ -75,14 +66,20 @@ class ControllerSide:
         self.valve_words = encode_valves(output.valves)
         return output, [data for data, _ in self._server.outgoing(now_ns)]
 
-    def _scanned(self, inputs: ScanInput) -> ScanOutput:
-        if self.plan is None:
-            self._state, output = scan(self._settings, self._state, inputs)
-            return output
-        self.excitation, output, sample = excitation_scan(self._settings, self.plan, self.excitation, inputs)
-        if sample is not None:
-            self.samples.append(sample)
-        return output
+    @property
+    def plan(self) -> ExcitationPlan | None:
+        """What is tried out, None unless the excitation mode was chosen."""
+        return self._program.plan
+
+    @property
+    def excitation(self) -> ExcitationProgram:
+        """Where trying out stands."""
+        return self._program.excitation
+
+    @property
+    def samples(self) -> list[ExcitationSample]:
+        """All that was recorded of it."""
+        return self._program.samples
 
     def _state_message(self, output: ScanOutput) -> State:
         """The state to publish: here no cycle is ever late."""

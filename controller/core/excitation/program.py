@@ -17,6 +17,7 @@ from controller.core.excitation.strokes import (
     Phase,
     Trouble,
     begun,
+    driven,
     ended,
     excite,
 )
@@ -149,11 +150,12 @@ def _excited(
     if now.phase is Phase.ENDED:
         state = state._replace(inner=enter_mode(settings, state.inner, Mode.STOPPING))
     joint = plan.strokes[before.stroke].joint
+    driving = now.stroke != before.stroke or now.phase not in (Phase.RESTING, Phase.RETURNING)
     sample = ExcitationSample(
         inputs.now_ns,
         before.stroke,
-        Phase.RESTING not in (before.phase, now.phase) or now.stroke != before.stroke or now.spool != 0.0,
-        now.spool,
+        driving,
+        0.0 if now.phase is Phase.RETURNING else now.spool,
         watch.q_meas,
         sensors.pressures_bar,
         sensors.supply_bar,
@@ -196,6 +198,6 @@ def _valves(plan: ExcitationPlan, state: ExcitationProgram) -> Sextuple:
     valves = [0.0] * N_JOINTS
     excitation = state.excitation
     if state.inner.mode is Mode.MOVING and excitation is not None and excitation.phase is not Phase.ENDED:
-        valves[plan.strokes[excitation.stroke].joint] = excitation.spool
+        valves[driven(plan, excitation)] = excitation.spool
     a, b, c, d, e, f = valves
     return a, b, c, d, e, f

@@ -32,7 +32,12 @@ _UNSURE = 3.0  # times what a ramp begins below a rim that only a search has see
 _BLOCKED_S = 1.0  # without motion under a valve that moved the joint before
 _OSCILLATIONS = 4  # reversals of the speed in one stroke
 _SWING_RAD_S = 4.0e-3  # a reversal counts from this speed on either side
+# Another joint creeps behind its closed valve, quicker the more it bears: it is brought back between strokes.
+_CREPT_RAD = 10e-3
+_BACK_RAD = 2e-3
+_BACK_SPEED = 0.3  # of a ramp's top speed
 _OVER = 1.6  # of the travel asked for, at which the stroke is broken off
+_ENOUGH = 1.35  # of the travel, at which a falling ramp is cut short: a slow valve still closes before _OVER
 
 
 class Phase(IntEnum):
@@ -44,6 +49,7 @@ class Phase(IntEnum):
     FALLING = 3
     HOLDING = 4
     ENDED = 5
+    RETURNING = 6
 
 
 class Trouble(NamedTuple):
@@ -71,6 +77,8 @@ class Excitation(NamedTuple):
     ``slope`` (6, 2), rad/s: speed over spool beyond that, 0 before.
     ``slack`` (6,): by how much the command surely turns back without an answer. ``top_speed``, ``top``: of
     the running ramp, and its spool's size there; ``low_speed``, ``low``: likewise where it had begun to move.
+    ``place`` (6,): where the arm stood at first; ``creep`` (6,), rad/s: before the stroke; ``returning``: the
+    joint that is brought back to its place, None otherwise: then ``spool`` is its valve's.
     """
 
     stroke: int
@@ -93,6 +101,9 @@ class Excitation(NamedTuple):
     low: float
     swing: float
     reversals: int
+    place: Array
+    creep: Array
+    returning: int | None
 
 
 def begun(q: Array, stroke: int = 0) -> Excitation:
@@ -119,6 +130,9 @@ def begun(q: Array, stroke: int = 0) -> Excitation:
         low=0.0,
         swing=0.0,
         reversals=0,
+        place=q,
+        creep=zero,
+        returning=None,
     )
 
 
@@ -132,6 +146,8 @@ def excite(
     state = _observed(state, seen.q, stroke.joint, dt_s)
     if state.phase is Phase.RESTING:
         return _rest(settings, state, seen, dt_s)
+    if state.phase is Phase.RETURNING:
+        return _brought_back(settings, state, seen, dt_s)
     trouble = broken_off(limits, stroke, state, seen)
     if trouble is not None:
         return ended(state), trouble
@@ -146,6 +162,11 @@ def excite(
 def ended(state: Excitation) -> Excitation:
     """``state`` with the valve centred for good."""
     return state._replace(phase=Phase.ENDED, spool=0.0)
+
+
+def driven(settings: ExcitationPlan, state: Excitation) -> int:
+    """The joint whose valve ``spool`` is; every other valve is centred."""
+    return settings.strokes[state.stroke].joint if state.returning is None else state.returning
 
 
 def sense_of(state: Excitation, stroke: Stroke) -> float:
@@ -180,15 +201,48 @@ def _rest(
         return ended(state), Trouble("commissioning.not_at_rest", stroke.joint, speed, _STILL_RAD_S)
     if min(state.still_s, state.phase_s) < limits.rest_s:
         return state, None
+    crept = np.abs(q - state.place)
+    crept[stroke.joint] = 0.0
+    if crept.max() > _CREPT_RAD:
+        who = int(crept.argmax())
+        back = state._replace(phase=Phase.RETURNING, phase_s=0.0, spool=0.0, q_start=q, returning=who)
+        return back, None
     if stroke.kind is StrokeKind.SEARCH and stroke.outward:
         away, trouble = _room(limits, stroke.joint, float(q[stroke.joint]))
         if trouble is not None:
             return ended(state), trouble
         state = state._replace(home=float(q[stroke.joint]), away=away)
     phase = Phase.HOLDING if stroke.kind is StrokeKind.STEP else Phase.RISING
-    sense_of(state, stroke)
     state = state._replace(phase=phase, phase_s=0.0, stroke_s=0.0, still_s=0.0, q_start=q, low_speed=0.0)
+    state = state._replace(creep=state.speed)
     return state._replace(spool=_first_spool(limits, state, stroke), swing=0.0, reversals=0), None
+
+
+def _brought_back(
+    settings: ExcitationPlan, state: Excitation, seen: Measured, dt_s: float
+) -> tuple[Excitation, Trouble | None]:
+    """One scan of a joint's slow return to where it stood, its valve's deadband being unknown."""
+    limits, joint = settings.limits, state.returning
+    assert joint is not None
+    state = state._replace(phase_s=state.phase_s + dt_s)
+    missing = float(state.place[joint] - seen.q[joint])
+    sense = float(np.sign(state.place[joint] - state.q_start[joint]))
+    lost, speed = -sense * float(seen.q[joint] - state.q_start[joint]), sense * float(state.speed[joint])
+    checks = (
+        (lost > limits.others, "wrong_way", lost, limits.others),
+        (abs(state.spool) > limits.spool_max, "no_motion", abs(state.spool), limits.spool_max),
+        (state.phase_s > limits.stroke_s, "too_slow", state.phase_s, limits.stroke_s),
+        (seen.pressure_bar > limits.pressure_bar, "pressure", seen.pressure_bar, limits.pressure_bar),
+    )
+    for broken, cause, value, limit in checks:
+        if broken:
+            return ended(state), Trouble(f"commissioning.{cause}", joint, value, limit)
+    if sense * missing <= _BACK_RAD:
+        rest = state._replace(phase=Phase.RESTING, phase_s=0.0, still_s=0.0, spool=0.0, returning=None)
+        return rest, None
+    if speed > _BACK_SPEED * float(limits.top_speed[joint]):
+        return state, None
+    return state._replace(spool=state.spool + sense * limits.search_rate * dt_s), None
 
 
 def _first_spool(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> float:
@@ -273,7 +327,8 @@ def _ramp(settings: ExcitationPlan, state: Excitation, q: Array, dt_s: float) ->
     if state.phase is Phase.TURNING:
         step = sense * max(_turning_rate(state, stroke) * dt_s, abs(step))
     spool = state.spool - step
-    if sense * spool <= 0.0 or (speed < _FALLEN * state.top_speed and state.still_s > 0.1):
+    far = _turned(state, stroke, q) > _ENOUGH * float(limits.travel[stroke.joint])
+    if far or sense * spool <= 0.0 or (speed < _FALLEN * state.top_speed and state.still_s > 0.1):
         return _done(state, settings)
     return state._replace(spool=spool)
 
@@ -303,12 +358,13 @@ def _turning_rate(state: Excitation, stroke: Stroke) -> float:
 def _with_slack(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> Excitation:
     """``state`` on the falling ramp, with what its command had to turn back before the speed fell.
 
-    What the lag and the speed's fall itself took is left out, so that the next ramp's leap falls short.
+    What the lag and the speed's fall itself took is left out, so that the next ramp's leap falls short. Every
+    estimate is short, that of a ramp whose leap was already right most of all: the greatest is kept.
     """
     rate = max(_turning_rate(state, stroke), stroke.pace * limits.ramp_rate)
     quick = rate * _LAG_S + 2.0 * (1.0 - _TURNED) * rate / _TURNING_1_S
     slack = state.slack.copy()
-    slack[stroke.joint] = max(state.top - abs(state.spool) - quick, 0.0)
+    slack[stroke.joint] = max(state.top - abs(state.spool) - quick, slack[stroke.joint])
     return state._replace(phase=Phase.FALLING, phase_s=0.0, slack=slack)
 
 
@@ -327,7 +383,7 @@ def broken_off(limits: ExcitationLimits, stroke: Stroke, state: Excitation, seen
     far = _OVER * float(limits.travel[joint])
     low, high = limits.joint_range[:, joint]
     angle = float(seen.q[joint])
-    others = np.abs(seen.q - state.q_start)
+    others = np.abs(seen.q - state.q_start - state.stroke_s * state.creep)
     others[joint] = 0.0
     blocked = (
         state.still_s > _BLOCKED_S

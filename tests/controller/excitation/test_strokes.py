@@ -7,8 +7,8 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from controller.core.excitation.plan import StrokeKind
-from controller.core.excitation.strokes import Phase
-from tests.controller.excitation.toy_valve import START, ToyValve, plan_for, tried
+from controller.core.excitation.strokes import Measured, Phase, begun, driven, excite
+from tests.controller.excitation.toy_valve import DT_S, FULL_SPEED, START, ToyValve, plan_for, tried
 
 
 @hypothesis_settings(max_examples=4, deadline=None)
@@ -104,6 +104,51 @@ def test_another_joint_that_moves_ends_it() -> None:
     _, trouble, _ = tried(Coupled(5), plan_for(5))
     assert trouble is not None
     assert trouble.cause == "commissioning.other_joint_moved"
+
+
+class Sinking(ToyValve):
+    """Another joint sinks behind its closed valve by ``sinks`` rad/s, and answers to its own valve."""
+
+    sinks = 3e-3
+    other_at = 0.06  # its deadband
+
+    def drive(self, joint: int, command: float) -> None:
+        self.q[4] -= DT_S * self.sinks
+        if joint == 4:
+            super().step(0.0)
+            self.q[4] += DT_S * FULL_SPEED * np.sign(command) * max(abs(command) - self.other_at, 0.0)
+        else:
+            super().step(command)
+
+
+def test_a_joint_that_sinks_is_brought_back_between_strokes() -> None:
+    plan, valve = plan_for(5), Sinking(5, 0.02, 0.02)
+    state, furthest, returns = begun(valve.seen()), 0.0, 0
+    while state.phase is not Phase.ENDED:
+        before = state.phase
+        state, trouble = excite(plan, state, Measured(valve.seen(), 100.0), DT_S)
+        assert trouble is None
+        returns += state.phase is Phase.RETURNING and before is not Phase.RETURNING
+        if state.phase is not Phase.ENDED:
+            valve.drive(driven(plan, state), state.spool)
+        furthest = max(furthest, abs(float(valve.q[4] - START[4])))
+    assert state.stroke == len(plan.strokes)
+    assert returns > 3
+    assert furthest < 0.08  # 0.3 rad without
+
+
+def test_a_sinking_joint_that_cannot_be_brought_back_is_named() -> None:
+    plan, valve = plan_for(5), Sinking(5, 0.02, 0.02)
+    valve.other_at = 0.5
+    state, trouble = begun(valve.seen()), None
+    while trouble is None:
+        state, trouble = excite(plan, state, Measured(valve.seen(), 100.0), DT_S)
+        valve.drive(driven(plan, state), state.spool)
+    assert (trouble.cause, trouble.joint) in (
+        ("commissioning.no_motion", 4),
+        ("commissioning.wrong_way", 4),
+    )
+    assert state.spool == 0.0
 
 
 def test_strokes_go_out_and_back() -> None:

@@ -283,7 +283,7 @@ async def test_sigterm_while_moving_ramps_down_and_centres(
         ("controller.cycle=5", "configuration.unknown_key"),
         ("arm.joints=3", "configuration.tuple_type"),
         ("controller", "configuration.bad_override"),
-        ("controller.excitation.enabled=true", "configuration.lockstep_only"),
+        ("controller.excitation.enabled=true", "configuration.nothing_recorded"),
     ],
 )
 async def test_bad_configuration_is_one_line_and_status_2(start: Start, setting: str, cause: str) -> None:

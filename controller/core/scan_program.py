@@ -1,0 +1,40 @@
+"""The controller's program: the scan as ever or, chosen at start, the scan that tries out valves."""
+
+from controller.config import ControllerConfig
+from controller.core.excitation.plan import excitation_plan
+from controller.core.excitation.program import ExcitationProgram, ExcitationSample, excitation_scan
+from controller.core.scan import scan
+from controller.core.scan_types import ScanInput, ScanOutput, ScanState, initial_state
+from controller.core.settings import settings_from
+from nominal_arm.description import NominalArm
+
+
+class ScanProgram:
+    """The scan with its state; the service and lockstep run this same class.
+
+    ``plan`` is None unless valves are tried out. Then ``excitation`` is where that stands, and ``samples``
+    what it recorded since they were last taken.
+    """
+
+    def __init__(self, arm: NominalArm, config: ControllerConfig) -> None:
+        """Raises ConfigurationError as ``settings_from`` does."""
+        self.settings = settings_from(arm, config)
+        self.plan = excitation_plan(arm, config)
+        self.samples: list[ExcitationSample] = []
+        self._state = initial_state(self.settings)
+        self.excitation = ExcitationProgram(self._state)
+
+    @property
+    def state(self) -> ScanState:
+        """The scan's state."""
+        return self._state if self.plan is None else self.excitation.inner
+
+    def scan(self, inputs: ScanInput) -> ScanOutput:
+        """What one scan of ``inputs`` puts out."""
+        if self.plan is None:
+            self._state, output = scan(self.settings, self._state, inputs)
+            return output
+        self.excitation, output, sample = excitation_scan(self.settings, self.plan, self.excitation, inputs)
+        if sample is not None:
+            self.samples.append(sample)
+        return output
