@@ -149,5 +149,5 @@ def read_trial(path: Path) -> tuple[list[Stroke], list[ExcitationSample]]:
             rows = [json.loads(line) for line in file]
         strokes = [Stroke(each[0], StrokeKind(each[1]), *each[2:]) for each in header["strokes"]]
         return strokes, [ExcitationSample(*row) for row in rows]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, LookupError, TypeError) as error:
         raise ConfigurationError("commissioning.bad_recording", f"{path}: {error}") from error

@@ -26,7 +26,7 @@ from testbed.commissioning.uncertain import Uncertain, repeated
 
 _SLOW, _FAST = 0.15, 0.92  # of the ramp's top speed, between which its halves are used
 _SMOOTH_S = 0.2  # of the speed that sorts samples; the fit itself uses angles
-_LEAST_SAMPLES = 40
+_LEAST_S = 0.2  # in motion, on one half of a triangle or on a step
 _GAP_SAMPLES = 20
 _CLEARLY = 1.3  # times less is left: more than chance
 _SETTLES_S = 0.15  # a step's flow, after its delay
@@ -224,10 +224,11 @@ def _halves(stroke: StrokeRecord) -> list[NDArray[np.intp]]:
     found = []
     for name, half in (("rising", usable & (index < stroke.top)), ("falling", usable & (index > stroke.top))):
         rows = _longest_run(half)
-        if len(rows) < _LEAST_SAMPLES:
+        seconds = float(stroke.t[rows[-1]] - stroke.t[rows[0]]) if len(rows) else 0.0
+        if seconds < _LEAST_S:
             raise MeasurementFailed(
                 "measurement.ramp_too_short",
-                f"{len(rows)} samples in motion on the {name} ramp, at least {_LEAST_SAMPLES} wanted",
+                f"{seconds:.2f} s in motion on the {name} ramp, at least {_LEAST_S:g} s wanted",
             )
         found.append(rows)
     return found
@@ -236,7 +237,7 @@ def _halves(stroke: StrokeRecord) -> list[NDArray[np.intp]]:
 def _plateau(stroke: StrokeRecord, delay: float) -> list[NDArray[np.intp]]:
     """The rows of a step once its flow is steady."""
     rows = np.flatnonzero(stroke.t > delay + _SETTLES_S)
-    return [rows] if len(rows) >= _LEAST_SAMPLES else []
+    return [rows] if len(rows) and stroke.t[rows[-1]] - stroke.t[rows[0]] >= _LEAST_S else []
 
 
 def _at_rest(rates: Array) -> Array:

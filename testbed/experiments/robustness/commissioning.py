@@ -20,7 +20,7 @@ from testbed.commissioning.findings import JointFindings, joint_findings
 from testbed.commissioning.lockstep_run import excite_in_lockstep, with_excitation
 from testbed.commissioning.recording import JointRecording
 from testbed.commissioning.uncertain import Uncertain
-from testbed.experiments.positioning import axes
+from testbed.experiments.positioning import axes, axes_of_sight
 from testbed.experiments.positioning.scenarios import draw
 from testbed.experiments.positioning.worlds import ARMS, WORLDS, WorldName
 from testbed.lockstep.eyes import eyes_with
@@ -31,7 +31,7 @@ from testbed.reporting.console import table
 from testbed.scenarios.settings import Settings, load_settings
 
 _STREAM = 0x636F6D6D
-_AXES = (axes.friction, axes.bending, axes.play, axes.stamps)
+_AXES = (axes.friction, axes.bending, axes.play, axes_of_sight.stamps)
 _SETS = ("servo", "mobile")
 PLAY_LIMIT = 0.2  # of itself
 MINUTES_LIMIT = 15.0  # of arm time, for all six joints

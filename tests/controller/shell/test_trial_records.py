@@ -43,6 +43,14 @@ def told(directory: Path) -> dict[str, object]:
     return found
 
 
+def files_in(directory: Path) -> list[Path]:
+    return list(directory.iterdir())
+
+
+def partial_files(directory: Path) -> list[Path]:
+    return list(directory.glob("*.partial"))
+
+
 async def test_a_finished_joint_is_written_as_it_was_recorded(
     tmp_path: Path, program: ScanProgram, arm: NominalArm
 ) -> None:
@@ -67,7 +75,7 @@ async def test_a_finished_joint_is_written_as_it_was_recorded(
         assert np.array_equal(read.pressures_bar, was.pressures_bar)
     assert told(tmp_path)["finished"] == ["wrist3"]
     assert told(tmp_path)["whole"] is False
-    assert not list(tmp_path.glob("*.partial"))
+    assert not partial_files(tmp_path)
 
 
 async def test_a_joint_that_was_broken_off_is_kept_with_its_cause(
@@ -126,4 +134,4 @@ async def test_a_controller_that_servos_leaves_nothing(tmp_path: Path, arm: Nomi
     records = records_in(tmp_path, program, arm)
     records.follow()
     await asyncio.wait_for(records.close(), 10.0)
-    assert list(tmp_path.iterdir()) == []
+    assert not files_in(tmp_path)

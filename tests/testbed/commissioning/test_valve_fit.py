@@ -62,7 +62,7 @@ def test_too_few_strokes_are_refused() -> None:
 def test_a_ramp_that_hardly_moved_is_refused() -> None:
     ramp = next(stroke for stroke in strokes_of(ToyValve(5)) if stroke.kind is StrokeKind.RAMP)
     short = ramp._replace(
-        **{name: getattr(ramp, name)[: ramp.top + 30] for name in ("t", "u", "turned", "e", "load", "q")}
+        **{name: getattr(ramp, name)[: ramp.top + 12] for name in ("t", "u", "turned", "e", "load", "q")}
     )
     with pytest.raises(MeasurementFailed) as raised:
         fit_ramps([short])

@@ -54,7 +54,8 @@ class JointSeen(NamedTuple):
 
 class PlayFound(NamedTuple):
     """``half`` ± ``half_std`` (rad): half the play, positive on the encoder's side. ``delay`` ± ``delay_std``
-    (s): how late captures are stamped. ``residual`` (rad): what the model leaves. ``triangles``: that were seen.
+    (s): how late captures are stamped. ``residual`` (rad): what the model leaves. ``triangles``: that
+    odometry saw.
     """
 
     half: float

@@ -1,0 +1,99 @@
+"""`longreach commission` against a running controller: asked over its link, found in its records."""
+
+import asyncio
+import json
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+
+from foundation.configuration import parse_overrides
+from protocol.errors import ConfigurationError, LongreachError
+from testbed.commissioning.live_run import LiveController, excite_live, read_trial
+from testbed.scenarios.settings import Settings, load_settings
+from tests.controller.shell.plant_server import PlantServer, plant_server
+from tests.support.paths import CONFIGS
+
+pytestmark = pytest.mark.realtime("processes")
+
+READY_S = 60.0  # a first start compiles
+# The small plant answers in the loop of this test, on a machine that may be busy: patience with both.
+PATIENT = (
+    "controller.plant_link.timeout_ms=1000",
+    "controller.supervision.overrun_ms=5000",
+    "controller.supervision.silence_ms=5000",
+    "controller.supervision.missed_exchanges=1000",
+    "controller.supervision.encoder_jump_deg=45",
+    "controller.reference_link.link_timeout_ms=20000",
+    "controller.reference_link.port=0",
+    "controller.fifo_priority=0",
+)
+DEAD = "controller.excitation.spool_max=0.004"  # the small plant moves from 0.005 on
+
+
+def settings_with(*assignments: str) -> Settings:
+    return load_settings(CONFIGS, parse_overrides([*PATIENT, *assignments]))
+
+
+@asynccontextmanager
+async def controller(server: PlantServer, records: Path, *assignments: str) -> AsyncIterator[LiveController]:
+    chosen = (*PATIENT, f"controller.plant_link.port={server.port}", *assignments)
+    command = (sys.executable, "-m", "controller", "--config-dir", str(CONFIGS), "--record-dir", str(records))
+    process = await asyncio.create_subprocess_exec(
+        *command, *(word for each in chosen for word in ("--set", each)),
+        stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None
+        ready = json.loads(await asyncio.wait_for(process.stdout.readline(), READY_S))
+        yield LiveController("127.0.0.1", ready["reference_link"]["port"], records)
+    finally:
+        process.terminate()
+        await process.wait()
+
+
+def excited(live: LiveController, settings: Settings) -> object:
+    return excite_live(live, settings, lambda recording: None, lambda progress, note: None)
+
+
+async def test_what_breaks_it_off_comes_back_and_the_valves_are_centred(tmp_path: Path) -> None:
+    mode = ("controller.excitation.enabled=true", "controller.excitation.joints=[5]", DEAD)
+    async with plant_server() as server, controller(server, tmp_path, *mode) as live:
+        ended = await asyncio.to_thread(
+            excite_live, live, settings_with(DEAD), lambda recording: None, lambda progress, note: None
+        )
+        written = list(server.written)
+    assert ended.trouble is not None
+    assert (ended.trouble.cause, ended.trouble.joint) == ("commissioning.no_motion", 5)
+    opened = [max(abs(u) for u in image.valves) for image in written]
+    assert 0.003 < max(opened) < 0.006
+    assert written[-1].valves == (0.0,) * 6
+    _, samples = read_trial(tmp_path / "trial_wrist3_unfinished.jsonl")
+    assert len(samples) > 10
+    assert max(sample.valve for sample in samples) > 0.003
+
+
+async def test_a_controller_that_only_servos_is_named(tmp_path: Path) -> None:
+    async with plant_server() as server, controller(server, tmp_path) as live:
+        with pytest.raises(ConfigurationError) as raised:
+            await asyncio.to_thread(excited, live, settings_with())
+    assert raised.value.cause == "commissioning.no_trials"
+
+
+async def test_a_controller_of_another_configuration_is_named(tmp_path: Path) -> None:
+    mode = ("controller.excitation.enabled=true",)
+    async with plant_server() as server, controller(server, tmp_path, *mode) as live:
+        with pytest.raises(LongreachError) as raised:
+            await asyncio.to_thread(excited, live, settings_with("controller.valves.name=other"))
+        assert all(image.valves == (0.0,) * 6 for image in server.written)
+    assert raised.value.cause == "commissioning.other_session"
+
+
+def test_a_recording_that_is_none_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "trial_slew.jsonl"
+    path.write_text('{"strokes": [[0]]}\n[1, 2]\n')
+    with pytest.raises(ConfigurationError) as raised:
+        read_trial(path)
+    assert raised.value.cause == "commissioning.bad_recording"
