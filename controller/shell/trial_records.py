@@ -17,7 +17,7 @@ from protocol.errors import ConfigurationError
 SUMMARY = "trials.json"
 
 
-class Recording(NamedTuple):
+class TrialFile(NamedTuple):
     """One file to be written, and the summary as it is from then on."""
 
     path: Path
@@ -88,10 +88,10 @@ class TrialRecords:
         assert self._directory is not None
         samples, self._program.samples = self._program.samples, []
         before = self._files[-1] if self._files else None
-        recording = Recording(self._directory / name, samples, plan.strokes, self._told)
+        recording = TrialFile(self._directory / name, samples, plan.strokes, self._told)
         self._files.append(asyncio.ensure_future(self._written(before, recording)))
 
-    async def _written(self, before: asyncio.Task[None] | None, recording: Recording) -> None:
+    async def _written(self, before: asyncio.Task[None] | None, recording: TrialFile) -> None:
         if before is not None:
             await before  # in their order, so that the newest summary is written last
         try:
@@ -103,7 +103,7 @@ class TrialRecords:
             self._log.write("trial_record", path=str(recording.path), scans=len(recording.samples))
 
 
-def _write(recording: Recording) -> None:
+def _write(recording: TrialFile) -> None:
     path, partial = recording.path, recording.path.with_suffix(".partial")
     with partial.open("w", encoding="utf-8") as file:
         header = {"basis": recording.told["basis"], "strokes": [list(each) for each in recording.strokes]}

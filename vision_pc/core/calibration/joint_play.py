@@ -28,6 +28,7 @@ from vision_pc.core.se3 import Array
 _LEAST_TURN_RAD = 8e-3  # of a triangle, out or back
 _CONSTANT = 1e-3  # of the spool: a step's command stands
 _SLOW_RAD_S = 2e-3  # above it the encoder surely moves, and the play is on one side
+_CROSSED_RAD = 2e-3  # after so much of a triangle the load has come along
 _WINDOW_S = 0.2  # of the encoder's speed and acceleration
 _SWING_S = 0.8  # longer than a swing of the boom: what is left of the speed over it does not swing
 _LEAST_FRAMES = 8  # of a triangle's half
@@ -146,7 +147,9 @@ def _triangles(seen: JointSeen, motion: _Motion) -> list[_Rows]:
         if constant or np.ptp(seen.q[first:end, seen.joint]) < _LEAST_TURN_RAD:
             continue
         inside = (seen.seen_t > seen.t[first]) & (seen.seen_t < seen.t[end - 1])
-        rows = np.flatnonzero(inside & (sense[first] * motion.v > _SLOW_RAD_S))
+        turned = sense[first] * (motion.q - seen.q[first, seen.joint])
+        moves = (sense[first] * motion.v > _SLOW_RAD_S) & (turned > _CROSSED_RAD)
+        rows = np.flatnonzero(inside & moves)
         if len(rows) >= _LEAST_FRAMES:
             found.append(_Rows(rows, float(sense[first])))
     return found
