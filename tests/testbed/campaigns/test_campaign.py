@@ -114,6 +114,7 @@ def test_workers_that_are_all_gone_are_not_waited_for(
     assert told.value.cause == "link.workers_lost"
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("scheduler", "cause"),
     [("tcp://127.0.0.1:9", "link.scheduler_unreachable"), ("nonsense://x", "configuration.bad_address")],

@@ -4,7 +4,7 @@ import socket
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -78,6 +78,14 @@ def listening(answer: bytes) -> Iterator[Listener]:
         thread.join(2.0)
 
 
+def until(condition: Callable[[], bool]) -> None:
+    """Return when ``condition()`` holds; fail after ten seconds."""
+    deadline_s = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+
+
 def _counts(attack: str, listener: Listener) -> Counter[str]:
     return ATTACKS[attack](Listeners(*[listener.address] * 5), SECONDS)
 
@@ -102,13 +110,12 @@ def test_a_body_that_is_refused_midway_is_counted_by_its_status(attack: str) -> 
 def test_half_a_request_is_held_on_every_connection(attack: str, count: int) -> None:
     with listening(b"") as listener:
         counts = _counts(attack, listener)
-        deadline_s = time.monotonic() + 10.0
-        while listener.connections < count and time.monotonic() < deadline_s:
-            time.sleep(0.01)  # the listener takes them up one by one
+        until(lambda: listener.connections >= count)  # the listener takes them up one by one
         assert listener.connections == count
     assert counts.total() == count
 
 
+@pytest.mark.realtime  # so many within a fraction of a second
 @pytest.mark.parametrize("attack", ["pollers-of-kinds", "pollers-of-state"])
 def test_pollers_count_answers_by_status(attack: str) -> None:
     with listening(b"HTTP/1.1 200 OK\r\nContent-Length: 0\r\n\r\n") as listener:
@@ -119,13 +126,14 @@ def test_pollers_count_answers_by_status(attack: str) -> None:
 def test_the_fieldbus_client_that_never_reads_notices_back_pressure() -> None:
     with listening(b"") as silent:  # reads all, answers nothing: no back-pressure
         assert _counts("fieldbus-unread", silent)["no longer read"] == 0
-        assert silent.received >= 6000
+        until(lambda: silent.received >= 6000)
     closed = socket.create_server(("127.0.0.1", 0))  # accepts, and reads nothing
     with closed:
         targets = Listeners(*[closed.getsockname()] * 5)
         assert ATTACKS["fieldbus-unread"](targets, 1.0)["no longer read"] >= 1
 
 
+@pytest.mark.realtime  # so many within a fraction of a second
 def test_datagrams_of_strangers_are_hellos_and_noise() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.bind(("127.0.0.1", 0))
