@@ -73,15 +73,18 @@ def _relaxed(model: Model, q: Array, flexible: list[int]) -> Array:
     return found
 
 
-def bent_pose(model: Model, q: Array) -> Array:
-    """``q`` (n,) with its springs where stiffness balances gravity, and what is loose on its lower flank."""
+def bent_pose(model: Model, q: Array, still: float = 1e-15) -> Array:
+    """``q`` (n,) with its springs where stiffness balances gravity, and what is loose on its lower flank.
+
+    To ``still`` (rad) at most. Raises ConfigurationError for an arm that comes to no rest.
+    """
     mechanism = model.mechanism
     flexible = [i for i in range(len(q)) if mechanism.stiffness[i] > 0.0 and mechanism.free[i] > 0.0]
     for _ in range(200):
         bent = _relaxed(model, q, flexible)
         change = float(np.max(np.abs(bent - q), initial=0.0))
         q = bent
-        if change < 1e-15:
+        if change < still:
             return q
     if change < 1e-12:
         return q

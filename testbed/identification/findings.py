@@ -6,15 +6,15 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.identification.fit import Identified
+from testbed.identification.keeping import IDENTIFIED_BELOW
 from testbed.identification.parameters import Parameter, value
-from testbed.identification.recording import Array
-
-IDENTIFIED_BELOW = 0.5
-"""σ over the prior's spread below which the recording, and not the prior, says what a parameter is."""
 
 
 class FittedNumber(NamedTuple):
-    """One parameter: the file's number, the fitted one and its σ in ``unit``; σ over the prior's spread."""
+    """One parameter: the file's number, the reported one and its σ in ``unit``; σ over the prior's spread.
+
+    ``kept``: it is the file's number and the prior's σ.
+    """
 
     name: str
     unit: str
@@ -23,11 +23,19 @@ class FittedNumber(NamedTuple):
     std: float
     of_prior: float
     source: str
+    kept: bool
 
     @property
     def identified(self) -> bool:
         """Whether the recording tells it."""
-        return self.of_prior < IDENTIFIED_BELOW
+        return not self.kept and self.of_prior < IDENTIFIED_BELOW
+
+    @property
+    def told(self) -> str:
+        """How the number was come by."""
+        if self.kept:
+            return "kept at the prior"
+        return "identified" if self.identified else "only with those kept"
 
     @property
     def percent(self) -> float:
@@ -40,30 +48,26 @@ def excess(found: Identified) -> float:
     return found.whole.data / (found.whole.samples - len(found.whole.theta))
 
 
-def covariance(found: Identified) -> Array:
-    """The covariance (p, p) of the fit; what is left beyond the noise told at rest widens it."""
-    return found.whole.covariance * max(excess(found), 1.0)
-
-
 def findings(found: Identified) -> list[FittedNumber]:
     """Every parameter of the machine, in the fit's order."""
-    stds = np.sqrt(np.diag(covariance(found)))
+    stds = np.sqrt(np.diag(found.whole.covariance))
     return [
-        _finding(parameter, found, float(theta), float(std))
-        for parameter, theta, std in zip(found.problem.parameters, found.whole.theta, stds, strict=True)
+        _finding(parameter, found, index, float(stds[index]))
+        for index, parameter in enumerate(found.problem.parameters)
         if not parameter.of_start
     ]
 
 
-def _finding(parameter: Parameter, found: Identified, theta: float, std: float) -> FittedNumber:
+def _finding(parameter: Parameter, found: Identified, index: int, std: float) -> FittedNumber:
     base = found.problem.base
-    fitted = value(base, parameter, theta)
+    fitted = value(base, parameter, float(found.whole.theta[index]))
     return FittedNumber(
         parameter.name,
         parameter.unit,
         value(base, parameter, 0.0),
         fitted,
         std * abs(fitted) if parameter.kind == "factor" else std,
-        min(std / parameter.spread, 1.0),
+        std / parameter.spread,
         parameter.source,
+        index in found.whole.kept,
     )

@@ -12,6 +12,7 @@ from plant_emulator.core import columns as col
 from plant_emulator.core.layout import JOINTS, N_ACTUATORS
 from plant_emulator.core.sensors import COUNTS_PER_RADIAN
 from testbed.identification.free_run import smoothed, start_of
+from testbed.identification.keeping import reported
 from testbed.identification.operating import SUPPLY_EDGE, Operating, file_model, operating
 from testbed.identification.parameters import Parameter, base_of, parameters_of, start_parameters
 from testbed.identification.pressure_fit import PressureFit, pressure_fit
@@ -20,6 +21,8 @@ from testbed.identification.shooting import DAMPINGS, Fit, FitProblem, Plan, sho
 from testbed.identification.static_fit import DeadZone, ForceBalance, balance, dead_zone
 
 WINDOW_S = 0.5
+_NEAR = 2.0  # of the noise told at rest: a plant that leaves less needs its last Jacobian only
+_MOST_ROUNDS = 3
 _ROUNDING = 1.0 / math.sqrt(12.0) / COUNTS_PER_RADIAN  # rad rms of a count
 
 
@@ -54,11 +57,13 @@ def problem_of(config: PlantConfig, recording: MotionRecording, joints: Sequence
     angle_std, pressure_std = _noise(config, rest, joints)
     play = config.errors.backlash
     half_play = 1e-3 * np.array(play.half_width_mrad if play.enabled else [0.0] * N_ACTUATORS)
-    of_start = start_parameters(joints, pressure_std / math.sqrt(len(rest.time_s)), half_play.tolist())
+    of_start = start_parameters(
+        joints, start.of_noise * angle_std, start.of_noise * pressure_std, half_play.tolist()
+    )
     used = signals_of(joints)
     std = np.array([angle_std if k < N_ACTUATORS else pressure_std for k in used])
     known = (*parameters_of(config, joints), *of_start)
-    return FitProblem(base_of(config), known, fitted, start, smoothed(fitted), used, std)
+    return FitProblem(base_of(config, fitted.period_s), known, fitted, start, smoothed(fitted), used, std)
 
 
 def _noise(config: PlantConfig, rest: MotionRecording, joints: Sequence[int]) -> tuple[float, float]:
@@ -140,12 +145,17 @@ def identify(
     simple = simple_stages(problem, joints)
     theta = first_guess(problem, simple)
     small = frozenset(k for k, p in enumerate(problem.parameters) if p.of_start or p.is_small)
-    windows = shoot(problem, theta, Plan(WINDOW_S, 3, 3, DAMPINGS, 0.2, small), pool, tell)
-    near = shoot(problem, windows.theta, Plan(0.0, 3, 1, DAMPINGS[:4], 1e-2, frozenset()), pool, tell)
+    windows = shoot(problem, theta, Plan(WINDOW_S, 3, 1, DAMPINGS, 0.05, small), pool, tell)
+    near, runs = windows, 0
+    for _ in range(_MOST_ROUNDS):
+        near = shoot(problem, near.theta, Plan(0.0, 5, 1, DAMPINGS[:4], 1e-2, frozenset()), pool, tell)
+        runs += near.runs
+        if near.data < _NEAR * near.samples:
+            break
     problem = problem._replace(std=problem.std * _left_over(near, len(joints)))
     whole = shoot(problem, near.theta, Plan(0.0, 4, 1, DAMPINGS[:4], 1e-6, frozenset()), pool, tell)
-    whole = whole._replace(runs=whole.runs + near.runs)
-    return Identified(problem, list(joints), simple, windows, whole)
+    whole = whole._replace(runs=whole.runs + runs)
+    return Identified(problem, list(joints), simple, windows, reported(problem, whole))
 
 
 def _left_over(near: Fit, joints: int) -> Array:

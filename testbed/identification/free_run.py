@@ -13,36 +13,36 @@ from scipy.signal import savgol_filter
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.units import BAR
 from plant_emulator.core import columns as col
+from plant_emulator.core.equilibrium import bent_pose, standing_torque
 from plant_emulator.core.layout import (
     BRISTLE,
-    DRIVEN,
     N_ACTUATORS,
     PRESSURE_A,
     PRESSURE_B,
-    RATE,
-    SUPPLY,
-    Q,
 )
+from plant_emulator.core.mechanics.elastic import start_angles
+from plant_emulator.core.mechanics.linkage import actuator_lever
+from plant_emulator.core.model import build_model, put_payload
 from plant_emulator.core.plant import Plant
-from plant_emulator.core.right_hand_side import EncoderShafts
-from protocol.process_image import CONTROL_ENABLE, ValveImage
+from plant_emulator.core.right_hand_side import new_work
+from testbed.identification.compiled_run import N_SIGNALS, Restarts, run
 from testbed.identification.drive import drive_of
 from testbed.identification.recording import Array, MotionRecording
 
-N_SIGNALS = 3 * N_ACTUATORS + 1
-"""Of a prediction: six angles (rad), chambers a and b of each joint (Pa), supply (Pa)."""
 _SMOOTHING = 7  # samples of a local cubic
 
 
 class Start(NamedTuple):
-    """The state of rest that a recording begins with, averaged: ``angles`` (6,) rad as the encoders tell,
-    ``pressures`` (6, 2) and ``supply`` Pa; and where the encoders' shafts stand in their play (6,) rad."""
+    """The state that a recording begins with: ``angles`` (6,) rad as the encoders tell, ``pressures`` (6, 2)
+    and ``supply`` Pa; where the encoders' shafts stand in their play (6,) rad; by how much of one sample's
+    noise an angle and a pressure of it are uncertain."""
 
     angles: Array
     pressures: Array
     supply: float
     oil_degc: float
     in_play: Array
+    of_noise: float = 0.0
 
 
 class Smoothed(NamedTuple):
@@ -56,14 +56,21 @@ class Smoothed(NamedTuple):
 
 
 def start_of(recording: MotionRecording) -> Start:
-    """The averages over the rest that ``recording`` begins with."""
+    """Where the straight lines through the rest that ``recording`` begins with have their first sample.
+
+    Lines, as shut valves do not keep a leaking joint from creeping; the supply is held by its pump.
+    """
     rest = recording.part(0.0, recording.time_s[0] + recording.about.rest_s)
+    n = len(rest.time_s)
+    lines = np.column_stack([np.ones(n), rest.time_s - rest.time_s[0]])
+    first = np.linalg.pinv(lines)[0]  # (n,) what each sample counts
     return Start(
-        rest.angles.mean(axis=0),
-        rest.pressures.mean(axis=0),
+        first @ rest.angles,
+        np.tensordot(first, rest.pressures, axes=1),
         float(rest.supply.mean()),
         float(rest.oil_degc.mean()),
         np.zeros(N_ACTUATORS),
+        float(np.linalg.norm(first)),
     )
 
 
@@ -104,41 +111,28 @@ def predicted(
     Raises ConfigurationError where the plant cannot stand at the start.
     """
     offsets = np.asarray(config.errors.encoder_offsets.mrad) * 1e-3
-    times_ns = np.rint((recording.time_s - recording.time_s[0]) * 1e9).astype(np.int64)
     drive = drive_of(config)
-    targets = drive.targets(recording.valves)
-    plant, shafts = _plant_at(drive.rest, start, offsets)
-    signals, n = np.zeros((len(times_ns), N_SIGNALS)), len(times_ns)
-    every = max(round(window_s / recording.period_s), 1) if told is not None else n
-    step_ns, before = round(config.step_ms * 1e6), np.zeros(N_ACTUATORS)
-    for k in range(n):
-        if told is not None and k > 0 and k % every == 0:
-            _restart(plant.state, shafts, told, k, offsets)
-        _read(plant.state, shafts, offsets, signals[k])
-        if k + 1 < n:
-            words, left_ns = targets[k], int(times_ns[k + 1] - times_ns[k])
-            first = drive.after_a_part(before, words)
-            if np.any(first != words):
-                _write(plant, 2 * k + 1, first)
-                plant.advance(step_ns)
-                left_ns -= step_ns
-            _write(plant, 2 * k + 2, words)
-            plant.advance(left_ns)
-            before = words
+    plant, n = _plant_at(config, start, offsets), len(recording.time_s)
+    if told is None:
+        none = np.empty((0, N_ACTUATORS))
+        restarts = Restarts(0, offsets, none, none, np.empty((0, N_ACTUATORS, 2)), np.empty(0))
+    else:
+        every = max(round(window_s / recording.period_s), 1)
+        restarts = Restarts(every, offsets, told.angles, told.rates, told.pressures, told.supply)
+    words, signals = drive.along(recording), np.zeros((n, N_SIGNALS))
+    h = 1e-3 * config.step_ms
+    run(plant.state, plant.shafts, words, restarts, h, plant.model, new_work(plant.model), signals)
     return signals
 
 
-def _write(plant: Plant, cycle: int, words: Array) -> None:
-    a, b, c, d, e, f = words
-    plant.write(ValveImage(cycle, CONTROL_ENABLE, (a, b, c, d, e, f)))
-
-
-def _plant_at(config: PlantConfig, start: Start, offsets: Array) -> tuple[Plant, EncoderShafts]:
+def _plant_at(config: PlantConfig, start: Start, offsets: Array) -> Plant:
     """A plant at rest as ``start`` tells; friction carries what pressures and load leave over."""
     at = start.angles - offsets
     pose = np.degrees(at - start.in_play).tolist()
     oil = config.oil.model_copy(update={"temperature_degc": start.oil_degc})
-    pump = config.pump.model_copy(update={"pressure_bar": start.supply / BAR})
+    pump = config.pump
+    if not pump.load_sensing.enabled:
+        pump = pump.model_copy(update={"pressure_bar": start.supply / BAR})
     plant = Plant(config.model_copy(update={"start_pose_deg": tuple(pose), "oil": oil, "pump": pump}), seed=0)
     state, table = plant.state, plant.model.actuators
     load = _push(plant)  # what the arm needs at rest
@@ -150,34 +144,25 @@ def _plant_at(config: PlantConfig, start: Start, offsets: Array) -> tuple[Plant,
         held, stiff, out=np.zeros(N_ACTUATORS), where=stiff > 0.0
     )
     plant.shafts.angle[:] = at
-    return plant, plant.shafts
+    return plant
 
 
-def _read(state: Array, shafts: EncoderShafts, offsets: Array, signal: Array) -> None:
-    signal[:N_ACTUATORS] = shafts.angle + offsets
-    chambers = state[PRESSURE_A : PRESSURE_B + N_ACTUATORS].reshape(2, N_ACTUATORS)
-    signal[N_ACTUATORS : 3 * N_ACTUATORS] = chambers.T.ravel()
-    signal[-1] = state[SUPPLY]
+def standing_push(config: PlantConfig, poses: Array) -> Array:
+    """What the arm asks of its actuators (m, 6) at rest at ``poses`` (m, 6) rad: p_a A_a − p_b A_b, N or N m.
 
-
-def _restart(state: Array, shafts: EncoderShafts, told: Smoothed, k: int, offsets: Array) -> None:
-    """Put what the sensors tell at sample ``k`` into the plant; play and bristles stay as they are."""
-    driven = [Q + joint for joint in DRIVEN]
-    shift = told.angles[k] - offsets - shafts.angle
-    shafts.angle[:] += shift
-    state[driven] += shift
-    state[[RATE + joint for joint in DRIVEN]] = told.rates[k]
-    state[PRESSURE_A : PRESSURE_B + N_ACTUATORS] = told.pressures[k].T.ravel()
-    state[SUPPLY] = told.supply[k]
-
-
-def standing_push(config: PlantConfig, pose: Array) -> Array:
-    """What the arm asks of its actuators (6,) at rest at ``pose`` (6,) rad: p_a A_a − p_b A_b, N or N m.
-
-    Raises ConfigurationError where the arm cannot stand there.
+    Raises ConfigurationError where its hinges do not come to rest.
     """
-    plant = Plant(config.model_copy(update={"start_pose_deg": tuple(np.degrees(pose).tolist())}), seed=0)
-    return _push(plant)
+    model, chain, tool = build_model(config)
+    put_payload(model, tool, config.payload.mass_kg, config, chain)
+    joints, q = model.places.joint, start_angles(config, chain.names)
+    found = np.empty(poses.shape)
+    for pose, push in zip(poses, found, strict=True):
+        q[joints] = pose
+        q = bent_pose(model, q, 1e-9)  # from where it was bent before: poses follow each other closely
+        for i, row in enumerate(model.actuators):
+            push[i] = 1.0 / actuator_lever(pose[i], *row[col.A_KIND : col.A_LENGTH0 + 1])
+        push *= -standing_torque(model, q)[joints]
+    return found
 
 
 def _push(plant: Plant) -> Array:

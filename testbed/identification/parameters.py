@@ -17,10 +17,13 @@ from plant_emulator.config.units import BAR
 from plant_emulator.config.valves import JOINT_NAMES
 from plant_emulator.core.columns import EDGES
 from plant_emulator.core.layout import JOINTS
+from plant_emulator.core.plant import Plant
+from protocol.errors import ConfigurationError
 from testbed.identification.free_run import Start
 from testbed.identification.recording import Array
 
-_STEP_MS = 0.3125  # [M] longer ones are refused where the oil is stiffer than in the file; 32 are 10 ms
+_STEPS_MS = (0.4, 0.3, 0.2, 0.1)  # [M] 0.45 leaves 0.2 of χ² against 0.2; 0.5 is refused where oil is stiffer
+_STIFFER = 1.35  # a fit's bulk modulus, at most, against the file's
 _SLOW_SPOOL = 50.0  # 1/s: a spool that is faster shows nothing of its limit
 _SMALL = ("leakage", "play", "encoder zero", "mass", "base tilt")
 _LINKS = {"boom": ("boom",), "arm": ("arm", "telescope")}
@@ -56,17 +59,30 @@ class Parameter(NamedTuple):
         return self.name.startswith("start.")
 
 
-def base_of(config: PlantConfig) -> dict[str, Any]:
-    """``config`` as plain data to fit: at a step that holds for stiffer oil, its watchdog patient."""
+def base_of(config: PlantConfig, period_s: float = 0.01) -> dict[str, Any]:
+    """``config`` as plain data to fit: at a step that holds for stiffer oil, a part of ``period_s``."""
     base: dict[str, Any] = json.loads(config.model_dump_json())  # a copy in depth: YAML's aliases are gone
-    base["step_ms"] = min(base["step_ms"], _STEP_MS)
-    base["watchdog_ms"] = 10_000.0
+    base["step_ms"] = _step_ms(config, 1e3 * period_s)
     base["valves"]["joints"] = every_valve(config)
     for name in ("encoder_offsets", "base_tilt"):
         if not base["errors"][name]["enabled"]:
             entry = base["errors"][name]
             base["errors"][name] = {key: _zeroed(value) for key, value in entry.items()} | {"enabled": True}
     return base
+
+
+def _step_ms(config: PlantConfig, period_ms: float) -> float:
+    stiff = config.oil.model_copy(update={"bulk_modulus_mpa": _STIFFER * config.oil.bulk_modulus_mpa})
+    for most in _STEPS_MS:
+        step = period_ms / math.ceil(period_ms / min(most, config.step_ms) - 1e-6)
+        try:
+            Plant(config.model_copy(update={"oil": stiff, "step_ms": step}), seed=0)
+        except ConfigurationError as error:
+            if error.cause != "configuration.unstable_step":
+                break
+        else:
+            break
+    return step
 
 
 def every_valve(config: PlantConfig) -> dict[str, Any]:
@@ -190,18 +206,21 @@ def _of_joint(config: PlantConfig, joint: int) -> list[Parameter]:
 
 
 def start_parameters(
-    joints: Sequence[int], pressure_std: float, half_play: Sequence[float]
+    joints: Sequence[int], angle_std: float, pressure_std: float, half_play: Sequence[float]
 ) -> list[Parameter]:
-    """What is not known exactly of the start: pressures of ``joints``, their place in the play (rad)."""
-    std, found = pressure_std / BAR, []
+    """What is not known exactly of the start: angles (rad) and pressures (Pa) of ``joints`` and of the
+    supply, by their spreads, and where the joints stand in their play of ``half_play`` (6,) rad."""
+
+    def start(what: str, unit: str, spread: float, joint: int | None) -> Parameter:
+        return Parameter(f"start.{what}", unit, "offset", (), spread, "[M]", joint)
+
+    found = [start("supply", "bar", pressure_std / BAR, None)]
     for j in joints:
-        found += [
-            Parameter(f"start.pressure.{JOINTS[j]}.{side}", "bar", "offset", (), std, "[M]", j)
-            for side in "ab"
-        ]
+        found.append(start(f"angle.{JOINTS[j]}", "mrad", 1e3 * angle_std, j))
+        found += [start(f"pressure.{JOINTS[j]}.{side}", "bar", pressure_std / BAR, j) for side in "ab"]
         place = 1e3 * half_play[j] / 3.0**0.5
         if place > 0.0:
-            found.append(Parameter(f"start.play.{JOINTS[j]}", "mrad", "offset", (), place, "[M]", j))
+            found.append(start(f"play.{JOINTS[j]}", "mrad", place, j))
     return found
 
 
@@ -243,10 +262,17 @@ def _change(data: Any, key: Key, parameter: Parameter, theta: float) -> None:
 
 def moved_start(start: Start, parameters: Sequence[Parameter], theta: Array) -> Start:
     """``start`` with the parameters of the start at their ``theta``."""
-    pressures, in_play = start.pressures.copy(), start.in_play.copy()
+    angles, pressures, in_play = start.angles.copy(), start.pressures.copy(), start.in_play.copy()
+    supply = start.supply
     for parameter, number in zip(parameters, theta, strict=True):
-        if parameter.name.startswith("start.pressure") and parameter.joint is not None:
+        if not parameter.of_start:
+            continue
+        if parameter.joint is None:
+            supply += number * BAR
+        elif parameter.name.startswith("start.angle"):
+            angles[parameter.joint] += number * 1e-3
+        elif parameter.name.startswith("start.pressure"):
             pressures[parameter.joint, "ab".index(parameter.name[-1])] += number * BAR
-        elif parameter.of_start and parameter.joint is not None:
+        else:
             in_play[parameter.joint] += number * 1e-3
-    return start._replace(pressures=pressures, in_play=in_play)
+    return start._replace(angles=angles, pressures=pressures, supply=supply, in_play=in_play)

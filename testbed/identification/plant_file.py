@@ -1,6 +1,5 @@
 """Fifth stage: the fitted plant as a file that the emulator loads, each fitted number with its source."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +8,7 @@ import yaml
 
 from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
+from plant_emulator.core.plant import Plant
 from protocol.errors import ConfigurationError
 from testbed.identification.findings import FittedNumber, findings
 from testbed.identification.fit import Identified
@@ -19,19 +19,22 @@ from testbed.identification.recording import MotionRecording
 def write_plant_file(
     path: Path, found: Identified, config: PlantConfig, recording: MotionRecording
 ) -> PlantConfig:
-    """Write ``config`` with what was identified in it to ``path``; the plant that loads from there.
+    """Write ``config`` with what was fitted in it to ``path``; the plant that loads from there.
 
     A parameter that the recording does not tell keeps the file's number. Raises ConfigurationError when the
     file cannot be written.
     """
-    file: dict[str, Any] = json.loads(config.model_dump_json())
-    for name in ("encoder_offsets", "base_tilt"):
-        file["errors"][name] = found.problem.base["errors"][name]
     told = {finding.name: finding for finding in findings(found)}
     pairs = zip(found.problem.parameters, found.whole.theta, strict=True)
-    kept = [(p, theta) for p, theta in pairs if p.name in told and told[p.name].identified]
-    data = changed(file, [p for p, _ in kept], np.array([theta for _, theta in kept]))
-    notes = {key: _provenance(told[p.name], recording) for p, _ in kept for key in p.keys}
+    machine = [(p, theta) for p, theta in pairs if not p.of_start]
+    data = changed(found.problem.base, [p for p, _ in machine], np.array([theta for _, theta in machine]))
+    data["step_ms"] = _step_ms(data, config.step_ms)
+    notes = {
+        key: _provenance(told[p.name], recording)
+        for p, _ in machine
+        if not told[p.name].kept
+        for key in p.keys
+    }
     lines = [
         f"# Identified from a recording of '{recording.about.arm}', sha256 {recording.sha256}.",
         "# [I ±σ, recording]: fitted to it. All else is as in the plant file that the fit began with.",
@@ -43,6 +46,15 @@ def write_plant_file(
     except OSError as error:
         raise ConfigurationError("output.unwritable", f"{path}: {error.strerror}") from error
     return load(PlantConfig, path)
+
+
+def _step_ms(data: dict[str, Any], wished: float) -> float:
+    """``wished`` where the plant of ``data`` is stable with it, else the step that it was fitted with."""
+    try:
+        Plant(PlantConfig.model_validate(data | {"step_ms": wished}), seed=0)
+    except ConfigurationError:
+        return float(data["step_ms"])
+    return wished
 
 
 def _provenance(finding: FittedNumber, recording: MotionRecording) -> str:

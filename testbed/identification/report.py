@@ -51,7 +51,7 @@ def found_table(found: Sequence[FittedNumber]) -> Table:
         "fitted": "{fitted:.5g}",
         "σ": "{std:.2g}",
         "σ %": lambda f: f"{f.percent:.2g}" if f.percent < 1e3 else "–",
-        "": lambda f: "identified" if f.identified else "kept at the prior",
+        "": "{told}",
     }
     return listed("stage 3: the most probable plant", columns, found)
 

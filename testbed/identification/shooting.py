@@ -19,13 +19,14 @@ from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core.layout import N_ACTUATORS
 from protocol.errors import ConfigurationError
 from testbed.identification.free_run import Smoothed, Start, measured, predicted
-from testbed.identification.parameters import Parameter, changed, moved_start
+from testbed.identification.parameters import Parameter, changed, entry, moved_start
 from testbed.identification.recording import Array, MotionRecording
 
 _STEP = 0.01  # of a prior's spread, or of what is left of it: over which a difference is taken
 _GAINED = 0.2  # of the cost: a step that gains less is the last one
+_GOOD_PART = 0.5  # of the gain that a linear model promises: such a step is taken
 DAMPINGS = (0.0, 1e1, 1e2, 1e3, 1e4, 1e5)
-"""Times the prior's information: trial steps of one Jacobian."""
+"""Times the prior's information: trial steps of one Jacobian, in turn."""
 
 
 class FitProblem(NamedTuple):
@@ -47,12 +48,21 @@ class FitProblem(NamedTuple):
         """The priors' standard deviations."""
         return np.array([p.spread for p in self.parameters])
 
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """Between which (p,) each parameter may be."""
+        file = [entry(self.base, p.keys[0]) if p.keys else 0.0 for p in self.parameters]
+        lowest = [p.least - at for p, at in zip(self.parameters, file, strict=True)]
+        highest = [p.most - at for p, at in zip(self.parameters, file, strict=True)]
+        return np.array(lowest), np.array(highest)
+
 
 class Fit(NamedTuple):
     """Where the fit ended: ``theta`` (p,) and ``covariance`` (p, p), in the parameters' own kinds.
 
     ``cost`` is χ² of data and prior, ``data`` that of the data alone, ``samples`` the numbers compared.
-    ``runs`` of the plant it took. ``residuals`` (n, k) over their noise.
+    ``runs`` of the plant it took. ``residuals`` (n, k) over their noise. ``kept`` parameters, which the
+    recording does not tell, are at the file's number (``keeping``).
     """
 
     theta: Array
@@ -63,6 +73,7 @@ class Fit(NamedTuple):
     runs: int
     residuals: Array
     jacobian: Array
+    kept: tuple[int, ...] = ()
 
 
 def plant_of(problem: FitProblem, theta: Array) -> PlantConfig:
@@ -109,7 +120,9 @@ def jacobian(
 
     A step that leaves the range of possible plants is taken the other way. ``mapped`` is ``map`` or a pool's.
     """
-    columns = np.zeros((found.size, len(theta)))
+    columns, steps = np.zeros((found.size, len(theta))), steps.copy()
+    beyond = theta + steps > problem.limits[1]
+    steps[beyond] *= -1.0
     moved = [j for j in range(len(theta)) if steps[j] != 0.0]
     points = [theta + steps[j] * np.eye(len(theta))[j] for j in moved]
     for j, point, there in zip(
@@ -121,6 +134,12 @@ def jacobian(
         if there is not None:
             columns[:, j] = (there - found).ravel() / step
     return columns
+
+
+class _Trial(NamedTuple):
+    theta: Array
+    found: Array | None
+    cost: float
 
 
 class Plan(NamedTuple):
@@ -150,7 +169,7 @@ def shoot(
     Raises ConfigurationError when there is no plant at ``theta``.
     """
     mapped: Callable[..., Any] = map if pool is None else pool.map
-    now = _best_of(problem, plan.window_s, [theta], map)
+    now = _trial(problem, plan.window_s, theta)
     if now.found is None:
         plant_of(problem, theta)
         raise ConfigurationError(
@@ -165,21 +184,56 @@ def shoot(
             runs += len(free)
             stds = np.sqrt(np.diag(_inverse(problem, columns, free))[free])
             steps[free] = np.clip(0.3 * stds, 1e-4 * problem.spreads[free], _STEP * problem.spreads[free])
-        downhill = columns.T @ _residuals(problem, now.found).ravel() - now.theta / problem.spreads**2
-        moves = [_inverse(problem, columns, free, damping) @ downhill for damping in plan.dampings]
-        best = _best_of(problem, plan.window_s, [now.theta + move for move in moves], mapped)
-        runs += len(moves)
+        best, tried = _step(problem, plan, now, columns, free)
+        runs += tried
         gained = now.cost - best.cost
         now = best if gained > 0.0 else now
         what = f"windows of {plan.window_s:g} s" if plan.window_s > 0.0 else "one run"
         tell(f"{what}, step {number + 1}: χ² {now.cost:.5g}")
         if gained < _GAINED + plan.least_gain * now.cost:
             break
-    theta, found, cost = now
-    assert found is not None  # it has a cost
-    left = _residuals(problem, found)
-    covariance = _inverse(problem, columns, free)
-    return Fit(theta, covariance, cost, float(np.sum(left**2)), left.size, runs, left, columns)
+    return _fit(problem, now, columns, _inverse(problem, columns, free), runs)
+
+
+def refined(problem: FitProblem, fit: Fit, theta: Array, plan: Plan) -> Fit:
+    """``fit`` moved to ``theta`` and one step of ``plan`` on from there, by its own Jacobian."""
+    now = _trial(problem, plan.window_s, theta)
+    if now.found is None:
+        return fit
+    free = np.array([j for j in range(len(theta)) if j not in plan.held], dtype=np.int64)
+    best, tried = _step(problem, plan, now, fit.jacobian, free)
+    return _fit(problem, best, fit.jacobian, fit.covariance, fit.runs + 1 + tried)
+
+
+def _fit(problem: FitProblem, there: _Trial, columns: Array, covariance: Array, runs: int) -> Fit:
+    assert there.found is not None  # it has a cost
+    left = _residuals(problem, there.found)
+    data = float(np.sum(left**2))
+    return Fit(there.theta, covariance, there.cost, data, left.size, runs, left, columns)
+
+
+def _step(
+    problem: FitProblem, plan: Plan, now: _Trial, columns: Array, free: NDArray[np.int64]
+) -> tuple[_Trial, int]:
+    """The best trial of one step from ``now``, and how many there were: damped more and more.
+
+    The first that gains a good part of what its linear model promises is good enough; one that promises
+    nothing is the last.
+    """
+    assert now.found is not None  # it has a cost
+    left = _residuals(problem, now.found).ravel()
+    downhill = columns.T @ left - now.theta / problem.spreads**2
+    best, tried = now, 0
+    for damping in plan.dampings:
+        move = _inverse(problem, columns, free, damping) @ downhill
+        move = np.clip(now.theta + move, *problem.limits) - now.theta
+        trial, tried = _trial(problem, plan.window_s, now.theta + move), tried + 1
+        best = min(best, trial, key=lambda one: one.cost)
+        there = float(np.sum((left - columns @ move) ** 2) + np.sum((trial.theta / problem.spreads) ** 2))
+        promised = now.cost - there
+        if now.cost - best.cost >= _GOOD_PART * promised or promised < _GAINED:
+            break
+    return best, tried
 
 
 def _inverse(problem: FitProblem, columns: Array, free: NDArray[np.int64], damping: float = 0.0) -> Array:
@@ -193,17 +247,9 @@ def _inverse(problem: FitProblem, columns: Array, free: NDArray[np.int64], dampi
     return whole
 
 
-class _Trial(NamedTuple):
-    theta: Array
-    found: Array | None
-    cost: float
-
-
-def _best_of(problem: FitProblem, window_s: float, points: list[Array], mapped: Callable[..., Any]) -> _Trial:
-    """The point with the least cost."""
-    there = mapped(partial(signals, problem, window_s), points)
-    trials = [_Trial(p, found, _cost(problem, p, found)) for p, found in zip(points, there, strict=True)]
-    return min(trials, key=lambda trial: trial.cost)
+def _trial(problem: FitProblem, window_s: float, theta: Array) -> _Trial:
+    found = signals(problem, window_s, theta)
+    return _Trial(theta, found, _cost(problem, theta, found))
 
 
 def signals_of(joints: Sequence[int]) -> tuple[int, ...]:

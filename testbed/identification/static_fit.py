@@ -114,9 +114,8 @@ class Loads(NamedTuple):
 def loads(config: PlantConfig, poses: Array) -> Loads:
     """What ``config``'s arm asks of its actuators at ``poses`` (m, 6) rad of the joints."""
     heavier = config.payload.model_copy(update={"mass_kg": config.payload.mass_kg + 1.0})
-    own = np.array([standing_push(config, pose) for pose in poses])
-    more = np.array([standing_push(config.model_copy(update={"payload": heavier}), pose) for pose in poses])
-    return Loads(own, more - own)
+    own = standing_push(config, poses)
+    return Loads(own, standing_push(config.model_copy(update={"payload": heavier}), poses) - own)
 
 
 class ForceBalance(NamedTuple):

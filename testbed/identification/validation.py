@@ -8,13 +8,15 @@ from plant_emulator.core.layout import JOINTS, N_ACTUATORS
 from protocol.errors import ConfigurationError
 from testbed.identification.fit import Identified
 from testbed.identification.free_run import measured, predicted
-from testbed.identification.parameters import entry, moved_start
+from testbed.identification.parameters import Parameter, moved_start
 from testbed.identification.recording import Array, MotionRecording
 from testbed.identification.shooting import FitProblem, plant_of
 
 LEAST_FIT = 0.9
 """Of a joint's angle on held-out motion: 1 − |error| / |motion|; below it, a plant is not believed."""
 MOST_SPREADS = 4.0
+MOST_PUSHED = 4.0
+"""σ: a machine without load may well be fitted with a little less than none, and is none."""
 _LAGS = 20
 
 
@@ -83,18 +85,9 @@ def whiteness(residual: Array) -> float:
 
 def check_believable(found: Identified, signals: list[SignalFit]) -> None:
     """Raise ConfigurationError for a parameter at its bound, or a joint that is not predicted."""
-    for parameter, theta in zip(found.problem.parameters, found.whole.theta, strict=True):
-        if parameter.of_start:
-            continue
-        at = entry(found.problem.base, parameter.keys[0]) + theta if parameter.kind == "offset" else 0.0
-        beyond = parameter.kind == "offset" and not parameter.least < at < parameter.most
-        if beyond or abs(theta) > MOST_SPREADS * parameter.spread:
-            raise ConfigurationError(
-                "identification.at_bound",
-                f"{parameter.name}: {abs(theta) / parameter.spread:.1f} spreads of its prior off the file,"
-                f" at most {MOST_SPREADS:g}, or outside {parameter.least:g} to {parameter.most:g}"
-                f" {parameter.unit}: the arm behaves otherwise than the model",
-            )
+    for index, (parameter, theta) in enumerate(zip(found.problem.parameters, found.whole.theta, strict=True)):
+        if not parameter.of_start:
+            _check_parameter(found, index, parameter, float(theta))
     for joint in found.joints:
         one = next(s for s in signals if s.signal == f"{JOINTS[joint]} angle")
         if not one.fit >= LEAST_FIT:
@@ -103,3 +96,28 @@ def check_believable(found: Identified, signals: list[SignalFit]) -> None:
                 f"{one.signal}: {100.0 * one.fit:.1f} % of the held-out motion is predicted, wanted"
                 f" {100.0 * LEAST_FIT:g}: the arm behaves otherwise than the model",
             )
+
+
+def _check_parameter(found: Identified, index: int, parameter: Parameter, theta: float) -> None:
+    low, high = (float(limit[index]) for limit in found.problem.limits)
+    beyond = _pushed(found, index) if theta <= low or theta >= high else 0.0
+    if abs(theta) > MOST_SPREADS * parameter.spread or beyond > MOST_PUSHED:
+        where = (
+            f"{abs(theta) / parameter.spread:.1f} spreads of its prior off the file, at most {MOST_SPREADS:g}"
+        )
+        if beyond > MOST_PUSHED:
+            where = (
+                f"at {parameter.least if theta <= low else parameter.most:g} {parameter.unit}, and the"
+                f" recording asks for {beyond:.0f} σ beyond, at most {MOST_PUSHED:g}"
+            )
+        raise ConfigurationError(
+            "identification.at_bound", f"{parameter.name}: {where}: the arm behaves otherwise than the model"
+        )
+
+
+def _pushed(found: Identified, index: int) -> float:
+    """By how many of its σ the recording would move a parameter on from the bound that it stands at."""
+    fit = found.whole
+    downhill = fit.jacobian[:, index] @ fit.residuals.ravel()
+    downhill -= fit.theta[index] / found.problem.spreads[index] ** 2
+    return float(abs(downhill) * np.sqrt(fit.covariance[index, index]))

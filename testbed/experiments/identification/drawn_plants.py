@@ -19,7 +19,7 @@ from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, 
 from testbed.identification.checks import Machine, check_recording
 from testbed.identification.emulated import FINE_STEP_MS, record
 from testbed.identification.excitation import held_out, standard, widest_overlap
-from testbed.identification.findings import covariance, excess, findings
+from testbed.identification.findings import excess, findings
 from testbed.identification.fit import Identified, identify
 from testbed.identification.parameters import Parameter, base_of, changed, parameters_of
 from testbed.identification.recording import Array
@@ -94,7 +94,7 @@ def identified_plant(config_dir: Path, task: dict[str, Any]) -> IdentifiedRow:
 
 def _row(seed: int, found: Identified, theta: Array) -> IdentifiedRow:
     n = len(theta)
-    off, P = found.whole.theta[:n] - theta, covariance(found)[:n, :n]
+    off, P = found.whole.theta[:n] - theta, found.whole.covariance[:n, :n]
     sigmas = np.abs(off) / np.sqrt(np.diag(P))
     worst = int(np.argmax(sigmas))
     return IdentifiedRow(
