@@ -187,8 +187,7 @@ def _of_joint(config: PlantConfig, joint: int) -> list[Parameter]:
         ("cylinder", "n", "n_s_m") if actuator.cylinder is not None else ("rotary", "nm", "nm_s_rad")
     )
     unit, unit_rate = ("N", "N s/m") if kind == "cylinder" else ("N m", "N m s/rad")
-    part: Key = ("actuators", name)
-    friction: Key = (*part, kind, "friction")
+    friction: Key = ("actuators", name, kind, "friction")
     coulomb = ((*friction, f"coulomb_{force}"), (*friction, f"static_{force}"))  # they scale together
     leak = ("valves", "joints", name, "actuator_leakage_m3_s_pa")
     drag = (*friction, f"viscous_{rate}")
