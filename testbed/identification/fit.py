@@ -17,12 +17,12 @@ from testbed.identification.operating import SUPPLY_EDGE, Operating, file_model,
 from testbed.identification.parameters import Parameter, base_of, parameters_of, start_parameters
 from testbed.identification.pressure_fit import PressureFit, pressure_fit
 from testbed.identification.recording import Array, MotionRecording
-from testbed.identification.shooting import DAMPINGS, Fit, FitProblem, Plan, shoot, signals_of
+from testbed.identification.shooting import DAMPINGS, Fit, FitProblem, Plan, misfit, shoot, signals_of
 from testbed.identification.static_fit import DeadZone, ForceBalance, balance, dead_zone
 
 WINDOW_S = 0.5
-_NEAR = 2.0  # of the noise told at rest: a plant that leaves less needs its last Jacobian only
-_MOST_ROUNDS = 3
+LONG_S = 2.0
+_FAR = 300.0  # of the noise, in one run: a plant that leaves more goes through longer windows first
 _ROUNDING = 1.0 / math.sqrt(12.0) / COUNTS_PER_RADIAN  # rad rms of a count
 
 
@@ -35,18 +35,17 @@ class Simple(NamedTuple):
 
 
 class Identified(NamedTuple):
-    """A fitted plant: the problem, the two simple stages, the fits in windows and as one run."""
+    """A fitted plant: the problem, what the simple stages found, the fit as one run; ``runs`` in all."""
 
     problem: FitProblem
     joints: list[int]
     simple: Simple
-    windows: Fit
     whole: Fit
 
     @property
     def runs(self) -> int:
         """How often the plant was run."""
-        return self.windows.runs + self.whole.runs
+        return self.whole.runs
 
 
 def problem_of(config: PlantConfig, recording: MotionRecording, joints: Sequence[int]) -> FitProblem:
@@ -145,17 +144,16 @@ def identify(
     simple = simple_stages(problem, joints)
     theta = first_guess(problem, simple)
     small = frozenset(k for k, p in enumerate(problem.parameters) if p.of_start or p.is_small)
-    windows = shoot(problem, theta, Plan(WINDOW_S, 3, 1, DAMPINGS, 0.05, small), pool, tell)
-    near, runs = windows, 0
-    for _ in range(_MOST_ROUNDS):
-        near = shoot(problem, near.theta, Plan(0.0, 5, 1, DAMPINGS[:4], 1e-2, frozenset()), pool, tell)
-        runs += near.runs
-        if near.data < _NEAR * near.samples:
-            break
+    windows = shoot(problem, theta, Plan(WINDOW_S, 8, 3, DAMPINGS, 0.05, small), pool, tell)
+    all_free, runs = frozenset[int](), windows.runs + 1
+    if misfit(problem, windows.theta) > _FAR:
+        windows = shoot(problem, windows.theta, Plan(LONG_S, 6, 2, DAMPINGS, 0.05, all_free), pool, tell)
+        runs += windows.runs
+    near = shoot(problem, windows.theta, Plan(0.0, 12, 4, DAMPINGS, 1e-2, all_free), pool, tell)
     problem = problem._replace(std=problem.std * _left_over(near, len(joints)))
-    whole = shoot(problem, near.theta, Plan(0.0, 4, 1, DAMPINGS[:4], 1e-6, frozenset()), pool, tell)
-    whole = whole._replace(runs=whole.runs + runs)
-    return Identified(problem, list(joints), simple, windows, reported(problem, whole))
+    whole = shoot(problem, near.theta, Plan(0.0, 4, 1, DAMPINGS[:4], 1e-6, all_free), pool, tell)
+    whole = whole._replace(runs=whole.runs + near.runs + runs)
+    return Identified(problem, list(joints), simple, reported(problem, whole))
 
 
 def _left_over(near: Fit, joints: int) -> Array:

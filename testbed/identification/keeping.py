@@ -71,5 +71,5 @@ def reported(problem: FitProblem, fit: Fit) -> Fit:
     covariance = told.covariance * np.outer(s, s)
     if not told.kept:
         return fit._replace(covariance=covariance)
-    plan = Plan(0.0, 1, 0, (0.0, 1e2), 1e-6, frozenset(told.kept))
+    plan = Plan(0.0, 1, 0, (0.0, 0.1), 1e-6, frozenset(told.kept))
     return refined(problem, fit, told.theta * s, plan)._replace(covariance=covariance, kept=told.kept)

@@ -74,7 +74,7 @@ def base_of(config: PlantConfig, period_s: float = 0.01) -> dict[str, Any]:
 def _step_ms(config: PlantConfig, period_ms: float) -> float:
     stiff = config.oil.model_copy(update={"bulk_modulus_mpa": _STIFFER * config.oil.bulk_modulus_mpa})
     for most in _STEPS_MS:
-        step = period_ms / math.ceil(period_ms / min(most, config.step_ms) - 1e-6)
+        step = round(period_ms / math.ceil(period_ms / min(most, config.step_ms) - 1e-6), 9)
         try:
             Plant(config.model_copy(update={"oil": stiff, "step_ms": step}), seed=0)
         except ConfigurationError as error:

@@ -52,7 +52,7 @@ def _step_ms(data: dict[str, Any], wished: float) -> float:
     """``wished`` where the plant of ``data`` is stable with it, else the step that it was fitted with."""
     try:
         Plant(PlantConfig.model_validate(data | {"step_ms": wished}), seed=0)
-    except ConfigurationError:
+    except (ConfigurationError, ValueError):
         return float(data["step_ms"])
     return wished
 

@@ -25,8 +25,8 @@ from testbed.identification.recording import Array, MotionRecording
 _STEP = 0.01  # of a prior's spread, or of what is left of it: over which a difference is taken
 _GAINED = 0.2  # of the cost: a step that gains less is the last one
 _GOOD_PART = 0.5  # of the gain that a linear model promises: such a step is taken
-DAMPINGS = (0.0, 1e1, 1e2, 1e3, 1e4, 1e5)
-"""Times the prior's information: trial steps of one Jacobian, in turn."""
+DAMPINGS = (0.0, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
+"""Times the diagonal of the information (Marquardt 1963): trial steps of one Jacobian, in turn."""
 
 
 class FitProblem(NamedTuple):
@@ -108,6 +108,12 @@ def _cost(problem: FitProblem, theta: Array, found: Array | None) -> float:
     return float(np.sum(_residuals(problem, found) ** 2)) + prior
 
 
+def misfit(problem: FitProblem, theta: Array) -> float:
+    """Mean square over the noise of what one run of the plant at ``theta`` leaves; ∞ where there is none."""
+    found = signals(problem, 0.0, theta)
+    return float("inf") if found is None else float(np.mean(_residuals(problem, found) ** 2))
+
+
 def jacobian(
     problem: FitProblem,
     window_s: float,
@@ -145,8 +151,8 @@ class _Trial(NamedTuple):
 class Plan(NamedTuple):
     """How a fit goes: windows of ``window_s`` (0: one run), at most ``most_steps`` steps, damped as told.
 
-    The Jacobian is taken anew before each of the first ``jacobians`` steps, and serves the later ones as it
-    is. It ends with a step that gains less than ``least_gain`` of the cost. ``held`` parameters stay put.
+    A Jacobian serves until a step gains less than half of what it promised; at most ``jacobians`` are taken.
+    It ends with a step that gains less than ``least_gain`` of the cost. ``held`` parameters stay put.
     """
 
     window_s: float
@@ -176,21 +182,22 @@ def shoot(
             "identification.no_start", "the plant cannot be run from where the fit begins"
         )
     free = np.array([j for j in range(len(theta)) if j not in plan.held], dtype=np.int64)
-    steps, runs = np.zeros(len(theta)), 1
+    steps, runs, part, left = np.zeros(len(theta)), 1, 0.0, plan.jacobians
     steps[free] = _STEP * problem.spreads[free]
     for number in range(plan.most_steps):
-        if number < plan.jacobians:
-            columns = jacobian(problem, plan.window_s, now.theta, now.found, steps, mapped)
+        fresh = part < _GOOD_PART and left > 0
+        if fresh:
+            columns, left = jacobian(problem, plan.window_s, now.theta, now.found, steps, mapped), left - 1
             runs += len(free)
             stds = np.sqrt(np.diag(_inverse(problem, columns, free))[free])
             steps[free] = np.clip(0.3 * stds, 1e-4 * problem.spreads[free], _STEP * problem.spreads[free])
-        best, tried = _step(problem, plan, now, columns, free)
-        runs += tried
-        gained = now.cost - best.cost
-        now = best if gained > 0.0 else now
+        best, promised, tried = _step(problem, plan, now, columns, free)
+        gained, now, runs = now.cost - best.cost, best, runs + tried
+        part = gained / promised if promised > 0.0 else 1.0
         what = f"windows of {plan.window_s:g} s" if plan.window_s > 0.0 else "one run"
         tell(f"{what}, step {number + 1}: χ² {now.cost:.5g}")
-        if gained < _GAINED + plan.least_gain * now.cost:
+        done = fresh or left == 0 or part >= _GOOD_PART
+        if done and gained < _GAINED + plan.least_gain * now.cost:
             break
     return _fit(problem, now, columns, _inverse(problem, columns, free), runs)
 
@@ -201,7 +208,7 @@ def refined(problem: FitProblem, fit: Fit, theta: Array, plan: Plan) -> Fit:
     if now.found is None:
         return fit
     free = np.array([j for j in range(len(theta)) if j not in plan.held], dtype=np.int64)
-    best, tried = _step(problem, plan, now, fit.jacobian, free)
+    best, _, tried = _step(problem, plan, now, fit.jacobian, free)
     return _fit(problem, best, fit.jacobian, fit.covariance, fit.runs + 1 + tried)
 
 
@@ -214,16 +221,16 @@ def _fit(problem: FitProblem, there: _Trial, columns: Array, covariance: Array, 
 
 def _step(
     problem: FitProblem, plan: Plan, now: _Trial, columns: Array, free: NDArray[np.int64]
-) -> tuple[_Trial, int]:
-    """The best trial of one step from ``now``, and how many there were: damped more and more.
+) -> tuple[_Trial, float, int]:
+    """The best trial of one step from ``now``, what the whole step promised, and how many trials there were.
 
-    The first that gains a good part of what its linear model promises is good enough; one that promises
-    nothing is the last.
+    They are damped more and more. The first that gains a good part of what its linear model promises is good
+    enough; one that promises nothing is the last.
     """
     assert now.found is not None  # it has a cost
     left = _residuals(problem, now.found).ravel()
     downhill = columns.T @ left - now.theta / problem.spreads**2
-    best, tried = now, 0
+    best, tried, whole = now, 0, 0.0
     for damping in plan.dampings:
         move = _inverse(problem, columns, free, damping) @ downhill
         move = np.clip(now.theta + move, *problem.limits) - now.theta
@@ -231,19 +238,20 @@ def _step(
         best = min(best, trial, key=lambda one: one.cost)
         there = float(np.sum((left - columns @ move) ** 2) + np.sum((trial.theta / problem.spreads) ** 2))
         promised = now.cost - there
+        whole = whole if tried > 1 else promised
         if now.cost - best.cost >= _GOOD_PART * promised or promised < _GAINED:
             break
-    return best, tried
+    return best, whole, tried
 
 
 def _inverse(problem: FitProblem, columns: Array, free: NDArray[np.int64], damping: float = 0.0) -> Array:
-    """(JᵀJ + (1 + damping) prior)⁻¹ of the free parameters, scaled for its condition; zero for held ones."""
+    """(JᵀJ + damping · diag JᵀJ + prior)⁻¹ of the free parameters, scaled for its condition; else zero."""
     s = problem.spreads[free]
     scaled = columns[:, free] * s
+    information = scaled.T @ scaled
+    information += np.diag(damping * np.diag(information) + 1.0)
     whole = np.zeros((columns.shape[1], columns.shape[1]))
-    whole[np.ix_(free, free)] = np.linalg.inv(
-        scaled.T @ scaled + (1.0 + damping) * np.eye(len(free))
-    ) * np.outer(s, s)
+    whole[np.ix_(free, free)] = np.linalg.inv(information) * np.outer(s, s)
     return whole
 
 

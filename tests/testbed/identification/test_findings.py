@@ -60,7 +60,7 @@ def found_at(problem: FitProblem, told: dict[str, float], sure: float = 0.02) ->
     slopes[np.arange(len(theta)), np.arange(len(theta))] = 1.0 / (sure * problem.spreads)
     cost = float(np.sum(left**2))
     fit = Fit(theta, np.diag((sure * problem.spreads) ** 2), cost, cost, left.size, 1, left, slopes)
-    return Identified(problem, [1], Simple([], None, PressureFit(8e8, 1e6, [])), fit, fit)
+    return Identified(problem, [1], Simple([], None, PressureFit(8e8, 1e6, [])), fit)
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_the_true_plant_predicts_what_was_held_out(true_fit: Identified, recorde
     angle = told["lift angle"]
     assert angle.fit > 0.99
     assert angle.before < 0.95
-    assert angle.rms_over_noise == pytest.approx(1.0, abs=0.3)
+    assert angle.rms_over_noise == pytest.approx(1.0, abs=0.8)  # its start is not fitted here
     assert told["lift pressure a"].fit > 0.9
     check_believable(true_fit, list(told.values()))
 
@@ -142,8 +142,8 @@ def test_the_plant_file_loads_and_is_the_plant_that_was_fitted(
     loaded = write_plant_file(path, found, file, recorded._replace(sha256="ab" * 32))
     text = path.read_text()
     assert "sha256 " + "ab" * 32 in text
-    assert "bulk_modulus_mpa: 902.0" in text
-    assert text.count("[I ±2 %, recording abababababab]") >= 4
+    assert "bulk_modulus_mpa: 901.997" in text
+    assert "# [I ±0.3 %, recording abababababab]" in text
     play = next(line for line in text.splitlines() if "half_width_mrad" in line)
     assert "[I" not in play  # it keeps the file's number
     assert loaded == load(PlantConfig, path)
@@ -163,17 +163,17 @@ def test_a_plant_file_that_cannot_be_written_is_one_line(
     file: PlantConfig, true_fit: Identified, recorded: MotionRecording, tmp_path: Path
 ) -> None:
     (tmp_path / "a").write_text("")
-    with pytest.raises(ConfigurationError, match="Not a directory") as caught:
+    with pytest.raises(ConfigurationError, match=r"b\.yaml: ") as caught:
         write_plant_file(tmp_path / "a" / "b.yaml", true_fit, file, recorded)
     assert caught.value.cause == "output.unwritable"
 
 
-def test_a_file_too_stiff_for_its_step_is_written_with_the_fits(
-    file: PlantConfig, problem: FitProblem, recorded: MotionRecording, tmp_path: Path
+def test_a_plant_too_stiff_for_the_files_step_is_written_with_the_fits(
+    file: PlantConfig, problem: FitProblem, true_fit: Identified, recorded: MotionRecording, tmp_path: Path
 ) -> None:
-    stiff = found_at(problem, {"bulk modulus": 0.15})
-    loaded = write_plant_file(tmp_path / "stiff.yaml", stiff, file, recorded)
-    assert loaded.step_ms == problem.base["step_ms"] < file.step_ms
+    hasty = file.model_copy(update={"step_ms": 0.7})
+    loaded = write_plant_file(tmp_path / "stiff.yaml", true_fit, hasty, recorded)
+    assert loaded.step_ms == problem.base["step_ms"] == pytest.approx(0.4)
 
 
 def test_what_a_recording_of_lift_alone_does_not_tell_is_kept(true_fit: Identified) -> None:
