@@ -17,7 +17,7 @@ IDENTIFIED_BELOW = 0.5
 """σ over the prior's spread below which the recording, and not the prior, says what a parameter is."""
 
 
-class Kept(NamedTuple):
+class FileKept(NamedTuple):
     """``kept`` parameters at the file's number, ``theta`` (p,) of all, ``covariance`` (p, p) of its error.
 
     In units of the priors' spreads.
@@ -28,7 +28,7 @@ class Kept(NamedTuple):
     covariance: Array
 
 
-def keep_untold(theta: Array, posterior: Array, machine: list[int]) -> Kept:
+def keep_untold(theta: Array, posterior: Array, machine: list[int]) -> FileKept:
     """Put those of ``machine`` that are not told back to 0, one by one, the others conditioned on it.
 
     ``theta`` (p,) and the covariance ``posterior`` (p, p) of the fit, in units of the priors' spreads.
@@ -46,11 +46,11 @@ def keep_untold(theta: Array, posterior: Array, machine: list[int]) -> Kept:
         kept.append(worst)
         found[kept] = 0.0
     if not kept:
-        return Kept((), found, left)
+        return FileKept((), found, left)
     slopes = np.linalg.solve(posterior[np.ix_(kept, kept)], posterior[kept]).T  # (p, kept) of the means
     left[kept] = 0.0
     left[:, kept] = 0.0
-    return Kept(tuple(kept), found, left + slopes @ slopes.T)
+    return FileKept(tuple(kept), found, left + slopes @ slopes.T)
 
 
 def _inverse(information: Array) -> Array:
