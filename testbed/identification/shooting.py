@@ -196,7 +196,7 @@ def shoot(
         part = gained / promised if promised > 0.0 else 1.0
         what = f"windows of {plan.window_s:g} s" if plan.window_s > 0.0 else "one run"
         tell(f"{what}, step {number + 1}: χ² {now.cost:.5g}")
-        done = fresh or left == 0 or part >= _GOOD_PART
+        done = fresh or left == 0 or part >= _GOOD_PART or promised < _GAINED
         if done and gained < _GAINED + plan.least_gain * now.cost:
             break
     return _fit(problem, now, columns, _inverse(problem, columns, free), runs)
