@@ -24,6 +24,8 @@ import numba
 from numba.core import config
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 
+from foundation.interrupts import interrupt_later
+
 # The packages whose sources count; a kernel's own package always does. What others install has a version.
 OUR_PACKAGES = frozenset(
     {
@@ -86,7 +88,18 @@ def _compiled(function: Any, options: dict[str, Any]) -> Any:
     dispatcher = numba.njit(**options)(function)
     if hasattr(dispatcher, "enable_caching"):  # not when NUMBA_DISABLE_JIT leaves plain Python
         dispatcher._cache = _KernelCache(function)  # type: ignore[no-untyped-call]
+        dispatcher._compile_for_args = _uninterrupted(dispatcher._compile_for_args)
     return dispatcher
+
+
+def _uninterrupted(compile_for_args: Callable[..., Any]) -> Callable[..., Any]:
+    """The method that the native dispatcher calls for new types of arguments, safe from Ctrl-C."""
+
+    def compiled(*arguments: Any, **named: Any) -> Any:
+        with interrupt_later():
+            return compile_for_args(*arguments, **named)
+
+    return compiled
 
 
 class _Module(NamedTuple):

@@ -1,0 +1,67 @@
+"""Ctrl-C waits for the end of what it must not break into."""
+
+import os
+import signal
+import threading
+
+import numpy as np
+import pytest
+
+from foundation.compiled import kernel
+from foundation.interrupts import interrupt_later
+
+
+def press_ctrl_c() -> None:
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_it_comes_after_the_block_and_as_ever_after_that() -> None:
+    done = []
+    with pytest.raises(KeyboardInterrupt):  # noqa: PT012  the end of the block is what raises
+        with interrupt_later():
+            with interrupt_later():
+                press_ctrl_c()
+                done.append("inner")
+            done.append("outer")
+        done.append("beyond")
+    assert done == ["inner", "outer"]
+    with pytest.raises(KeyboardInterrupt):
+        press_ctrl_c()
+
+
+def test_without_one_nothing_comes() -> None:
+    usual = signal.getsignal(signal.SIGINT)
+    with interrupt_later():
+        pass
+    assert signal.getsignal(signal.SIGINT) is usual
+
+
+def test_other_threads_run_it_as_it_is() -> None:
+    ran: list[bool] = []
+
+    def work() -> None:
+        with interrupt_later():
+            ran.append(True)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert ran == [True]
+
+
+def test_a_kernel_is_loaded_before_ctrl_c_ends_its_first_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    @kernel
+    def doubled(x: float) -> float:
+        return 2.0 * x
+
+    load = type(doubled._cache).load_overload
+
+    def interrupted(*arguments: object) -> object:
+        press_ctrl_c()
+        return load(*arguments)
+
+    monkeypatch.setattr(type(doubled._cache), "load_overload", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        doubled(1.0)
+    assert len(doubled.signatures) == 1, "it was loaded all the same"
+    assert np.isclose(doubled(1.0), 2.0)
