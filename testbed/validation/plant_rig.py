@@ -40,7 +40,7 @@ NO_ERRORS: dict[str, Any] = {
         "base_tilt": {"enabled": False},
     },
     "oil": {"thermal_drift": False},
-    "valves": {"joints": dict.fromkeys(JOINT_NAMES)},  # as the set says of all six
+    "valve_sets": {"servo": {"joints": dict.fromkeys(JOINT_NAMES)}},  # six valves alike
 }
 CHECK_POSE = np.radians([0.0, 45.0, -90.0, 0.0, 0.0, 0.0])  # the pose of the published model's checks
 CHECK_TELESCOPE = {"geometry": {"telescope_m": 0.5}}
