@@ -153,7 +153,8 @@ def test_a_stuck_encoder_repeats_its_count_and_says_so(exact: Plant) -> None:
 
 
 def test_an_encoder_may_be_stuck_without_knowing(exact: Plant) -> None:
-    true_count = round((exact.truth().q[LIFT] - 2.0e-3) / RAD_PER_COUNT)
+    offset = 1e-3 * plant_config().errors.encoder_offsets.mrad[LIFT]
+    true_count = round((exact.truth().q[LIFT] + offset) / RAD_PER_COUNT)
     exact.inject(EncoderStuck(joint="lift", reported=False))  # before anybody ever read it
     Driver(exact).run(0.2, LIFT_UP)
     assert abs(exact.read().encoder_counts[LIFT] - true_count) <= 1
