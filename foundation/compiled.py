@@ -10,21 +10,23 @@ cannot be written, kernels work all the same, compiled anew in every process tha
 """
 
 import ast
+import contextlib
 import fcntl
 import hashlib
 import os
 import shutil
+import signal
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
+from types import FrameType
 from typing import Any, NamedTuple, TypeVar, overload
 
 import numba
 from numba.core import config
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
-
-from foundation.interrupts import interrupt_later
 
 # The packages whose sources count; a kernel's own package always does. What others install has a version.
 OUR_PACKAGES = frozenset(
@@ -100,6 +102,28 @@ def _uninterrupted(compile_for_args: Callable[..., Any]) -> Callable[..., Any]:
             return compile_for_args(*arguments, **named)
 
     return compiled
+
+
+@contextlib.contextmanager
+def interrupt_later() -> Iterator[None]:
+    """Within the block Ctrl-C waits; it comes, as it would have, when the block ends.
+
+    For native code that calls Python back and does not look whether that raised: the loading of compiled
+    kernels loses such an exception, fails by something else, or crashes. Without effect in other threads than
+    the main one, which get no signals, and where the signal is ignored.
+    """
+    usual = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(usual):
+        yield
+        return
+    came: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: came.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, usual)
+        if came:
+            usual(*came[-1])
 
 
 class _Module(NamedTuple):

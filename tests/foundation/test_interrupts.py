@@ -7,8 +7,7 @@ import threading
 import numpy as np
 import pytest
 
-from foundation.compiled import kernel
-from foundation.interrupts import interrupt_later
+from foundation.compiled import interrupt_later, kernel
 
 
 def press_ctrl_c() -> None:
