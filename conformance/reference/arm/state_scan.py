@@ -190,6 +190,8 @@ def segment_of_the_scan(peer: Peer) -> None:
 def number_of_the_scan(peer: Peer) -> None:
     watch, here = enabled_rarely(peer)
     stream = opened_stream(peer)
+    assert peer.welcome is not None
+    cycle_ns = peer.welcome.cycle_ns
     given, seen = [], []
     until_ns = peer.now_ns + 4 * RARELY_MS * MS
     while peer.now_ns < until_ns:
@@ -203,7 +205,9 @@ def number_of_the_scan(peer: Peer) -> None:
     for state in seen:
         scan_ns = state.time_ns - watch.offset_ns
         least = max((n for at_ns, n in given if at_ns < scan_ns - LATE_MS * MS), default=None)
-        most = max((n for at_ns, n in given if at_ns <= scan_ns + watch.uncertainty_ms * MS), default=0)
+        # A scan may wait for what comes after its readings, and judge it.
+        judged_ns = scan_ns + cycle_ns + watch.uncertainty_ms * MS
+        most = max((n for at_ns, n in given if at_ns <= judged_ns), default=0)
         if least is not None:  # before, there may be none to be named
             said = f"stream_number {state.stream_number}, the newest of its scan is {least} to {most}"
             require(least <= state.stream_number <= most, said)
