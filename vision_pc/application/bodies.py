@@ -132,6 +132,12 @@ class LookBody(RequestBody):
     frames: int | None = Field(None, ge=1, le=100, examples=[10])
 
 
+class ValveTrialsBody(RequestBody):
+    """Valves are tried out blindly: say that the tool is empty and nobody is within reach of the arm."""
+
+    confirmed: Literal[True] = Field(examples=[True])
+
+
 OrientationBody = body_of(
     "OrientationBody", "Orientation adjustment (7)(8).", OrientationSettings,
     form="frame_true", repetitions=1, limit_deg=None,

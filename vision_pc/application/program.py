@@ -34,18 +34,23 @@ def at_rest(application: VisionApplication, name: str, settings: Any) -> None:
         raise RequestRefused("refused.moving", f"{name}: the arm is moving")
 
 
-def enabled(application: VisionApplication, name: str, settings: Any) -> None:
-    """The arm may move: it is enabled, without a latched stop or fault."""
+def unlatched(application: VisionApplication, name: str, settings: Any) -> None:
+    """The arm may be enabled: it does not stop, without a latched stop or fault."""
     state = application.controller.state
     if state.flags & FLAG_EMERGENCY_LATCHED:
         raise RequestRefused("refused.emergency_latched", f"{name}: the emergency stop is latched")
     if state.group_state is GroupState.ERROR_STOP:
         fault = "" if state.fault is FaultCode.NONE else f" ({state.fault.name.lower()})"
         raise RequestRefused("refused.error_latched", f"{name}: a fault is latched{fault}; reset first")
-    if state.group_state is GroupState.DISABLED:
-        raise RequestRefused("refused.disabled", f"{name}: the arm is disabled; enable first")
     if state.group_state is GroupState.STOPPING:
         raise RequestRefused("refused.stopping", f"{name}: the arm is stopping")
+
+
+def enabled(application: VisionApplication, name: str, settings: Any) -> None:
+    """The arm may move: it is enabled, without a latched stop or fault."""
+    unlatched(application, name, settings)
+    if application.controller.state.group_state is GroupState.DISABLED:
+        raise RequestRefused("refused.disabled", f"{name}: the arm is disabled; enable first")
 
 
 def recording(application: VisionApplication, name: str, settings: Any) -> None:

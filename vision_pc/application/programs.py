@@ -22,9 +22,19 @@ from vision_pc.application.bodies import (
     PositioningMethod,
     ServoingSettings,
     TrajectoryBody,
+    ValveTrialsBody,
 )
 from vision_pc.application.hand_eye_programs import HAND_EYE_PROGRAMS
-from vision_pc.application.program import BLIND, MOVING, STANDING, Program
+from vision_pc.application.program import (
+    BLIND,
+    MOVING,
+    STANDING,
+    Program,
+    at_rest,
+    camera,
+    recording,
+    unlatched,
+)
 from vision_pc.application.results import (
     JudgedLook,
     LineEquationResult,
@@ -39,13 +49,20 @@ from vision_pc.application.results import (
     servoing_json,
     track_json,
 )
+from vision_pc.application.valve_trials import TrialsSeen, trials_json, watch_trials
 from vision_pc.config.programs import (
     LineEquationSettings,
     LocalErrorModelSettings,
     OrientationSettings,
     TrajectorySettings,
 )
-from vision_pc.core.calibration import line_equation, local_error_model, orientation, trajectory_matching
+from vision_pc.core.calibration import (
+    joint_play,
+    line_equation,
+    local_error_model,
+    orientation,
+    trajectory_matching,
+)
 from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.calibration.local_error_model import LocalTrack, camera_in_tool
 from vision_pc.core.calibration.orientation import OrientationResult
@@ -136,6 +153,10 @@ async def _move(application: VisionApplication, body: MoveBody, report: Report) 
     X_BT_ref = _target(body, (await application.arm.view()).X_BT)
     view = await application.arm.move_to(X_BT_ref, duration_s=body.duration_s)
     return MoveResult(X_BT_ref, view.X_BT)
+
+
+async def _valve_trials(application: VisionApplication, body: ValveTrialsBody, report: Report) -> TrialsSeen:
+    return await watch_trials(application, report)
 
 
 def _target(body: MoveBody, X_BT: Array) -> Array:
@@ -248,6 +269,16 @@ PROGRAMS: tuple[Program[Any, Any], ...] = (
         to_json=move_json,
         body=MoveBody,
         needs=BLIND,
+    ),
+    Program(
+        "valve-trials",
+        "Watch the controller try out its valves: each joint's play, the camera's delay",
+        run=_valve_trials,
+        to_json=trials_json,
+        body=ValveTrialsBody,
+        needs=(camera, at_rest, unlatched, recording),
+        core=joint_play.joint_play,
+        source="docs/commissioning.md",
     ),
     *HAND_EYE_PROGRAMS,
 )

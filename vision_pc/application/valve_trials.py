@@ -1,0 +1,111 @@
+"""Watching a controller try out its valves: the play of each joint and the camera's delay, by odometry.
+
+The controller must have been started in its excitation mode (``controller.excitation.enabled``): ENABLE then
+begins, and the group shows MOVING until all of its joints are done. Vision commands nothing else.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nominal_arm.description import JOINT_NAMES
+from protocol.errors import LinkLost, MeasurementFailed, RequestRefused
+from protocol.faults import CommandCode, GroupState
+from protocol.reference_messages import State
+from vision_pc.application.application import VisionApplication
+from vision_pc.application.results import JSON
+from vision_pc.core.calibration.joint_play import JointSeen, PlayFound, joint_play, mean_delay
+from vision_pc.core.ports import Report
+from vision_pc.core.types import WatchSample
+
+_BEGINS_STATES = 400  # within which the group must show MOVING
+_N_JOINTS = len(JOINT_NAMES)
+
+
+class TrialsSeen(NamedTuple):
+    """What odometry saw of each joint that was tried out: its play, or why it was not found (by name)."""
+
+    plays: dict[str, PlayFound]
+    unseen: dict[str, str]
+
+
+async def watch_trials(application: VisionApplication, report: Report) -> TrialsSeen:
+    """Enable the arm, watch until its controller has tried out its valves, and disable it.
+
+    Raises RequestRefused (``refused.no_trials``) when nothing begins to move: the controller is in no such
+    mode, or has finished; what ``Eyes.watch`` raises; LinkLost.
+    """
+    controller = application.controller
+    states: list[State] = []
+    async with application.eyes.watch(markers=False, odometry=True) as watch:
+        await controller.command(CommandCode.ENABLE)
+        await _begun(application)
+        state = controller.state
+        while state.group_state is GroupState.MOVING:
+            states.append(state)
+            at = int(np.argmax(np.abs(state.valves)))
+            report(min(0.05 + 0.15 * at, 0.95), f"{JOINT_NAMES[at]}: {len(watch.samples)} pictures")
+            state = await controller.next_state()
+    await _disabled(application)
+    offset = controller.clock_offset
+    if offset is None:
+        raise LinkLost("link.no_clock", "the controller's clock is not known yet")
+    return seen_of(states, watch.samples, offset.offset_ns)
+
+
+async def _disabled(application: VisionApplication) -> None:
+    """Return once the arm stands, disabled or with its fault latched."""
+    controller = application.controller
+    await controller.command(CommandCode.DISABLE)
+    while controller.state.group_state in (GroupState.MOVING, GroupState.STOPPING, GroupState.STANDBY):
+        await controller.next_state()
+
+
+async def _begun(application: VisionApplication) -> None:
+    for _ in range(_BEGINS_STATES):
+        if (await application.controller.next_state()).group_state is GroupState.MOVING:
+            return
+    await _disabled(application)
+    raise RequestRefused(
+        "refused.no_trials",
+        "the controller is enabled and nothing moves: start it with controller.excitation.enabled=true",
+    )
+
+
+def seen_of(states: list[State], samples: tuple[WatchSample, ...], offset_ns: int) -> TrialsSeen:
+    """The plays by the ``states`` of the trials; ``offset_ns``: the controller's clock minus the samples'."""
+    t = 1e-9 * np.array([state.time_ns - states[0].time_ns for state in states])
+    q = np.array([state.q_meas for state in states])
+    valves = np.array([state.valves for state in states])
+    poses = [(s.time_ns + offset_ns - states[0].time_ns, s.X_C0C) for s in samples if s.X_C0C is not None]
+    found = TrialsSeen({}, {})
+    for joint, name in enumerate(JOINT_NAMES):
+        rows = np.flatnonzero(np.abs(valves[:, joint]) > 0.0)
+        if len(rows) == 0:
+            continue
+        span = slice(rows[0], rows[-1] + 1)
+        mine = [(1e-9 * at, X) for at, X in poses if t[rows[0]] <= 1e-9 * at <= t[rows[-1]]]
+        times = np.array([at for at, _ in mine])
+        turned = np.array([X for _, X in mine]).reshape(-1, 4, 4)
+        try:
+            found.plays[name] = joint_play(
+                JointSeen(joint, t[span], q[span], valves[span, joint], times, turned)
+            )
+        except MeasurementFailed as error:
+            found.unseen[name] = str(error)
+    return found
+
+
+def trials_json(seen: TrialsSeen) -> JSON:
+    """Half the plays in mrad and the camera's delay in ms, each with its σ."""
+    delay = None
+    if seen.plays:
+        late, std = mean_delay(list(seen.plays.values()))
+        delay = {"value": 1e3 * late, "std": 1e3 * std}
+    return {
+        "play_mrad": {
+            name: {"value": 1e3 * play.half, "std": 1e3 * play.half_std} for name, play in seen.plays.items()
+        },
+        "unseen": seen.unseen,
+        "camera_delay_ms": delay,
+    }
