@@ -28,11 +28,11 @@ def test_no_public_class_name_is_used_twice(every: list[measures.Module]) -> Non
     assert measures.names_used_twice(every) == {}
 
 
-def test_no_function_is_long_and_only_named_kernels_take_many_parameters(
+def test_no_function_is_long_and_only_a_named_kernel_takes_many_parameters(
     every: list[measures.Module],
 ) -> None:
     """A compiled kernel neither allocates nor takes a bundle of arrays apart: it gets them one by one."""
     long = {named.place.split()[-1] for named in measures.long_functions(every)}
     wide = {named.place.split()[-1] for named in measures.many_parameters(every)}
     assert long == set()
-    assert wide == {"_compare", "booked_steps"}, "inner loops of patches and ledger"
+    assert wide == {"booked_steps"}, "the inner loop of the ledger"

@@ -30,8 +30,8 @@ pytestmark = [pytest.mark.bench, pytest.mark.timeout(1800)]
 
 # Yardsticks for a simulated second; where one takes 7.4 ms:
 LIMIT = 17.0  # eight times real time
-LIMIT_WITH_PIXELS = 45.0  # three times
-LIMIT_FOLLOWED = 75.0  # 1.8 times, every picture of ten a second
+LIMIT_WITH_PIXELS = 40.0  # 3.4 times
+LIMIT_FOLLOWED = 65.0  # 2.1 times, every picture of ten a second
 SECONDS = 20.0
 PARTS: dict[str, list[tuple[type, str]]] = {
     "plant": [(Plant, "advance"), (Plant, "read"), (Plant, "write"), (Plant, "truth")],

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from vision_pc.core import se3
 from vision_pc.core.odometry import bundle_adjustment
+from vision_pc.core.odometry.templates import Templates
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel, Image
@@ -31,7 +32,8 @@ class Keyframe(NamedTuple):
 
     ``pixels`` (n, 2) where it shows them, ``rays`` (n, 2) the same undistorted, ``surfaces`` (n, 3) from
     ``patches.planes``; ``right_rays`` (n, 2) in the right eye, where ``seen_right`` (n,). Keyframes are
-    numbered in the order in which they were made.
+    numbered in the order in which they were made. ``templates`` are of all points that it was made with,
+    ``rows`` (n,) which of those these are.
     """
 
     number: int
@@ -44,6 +46,8 @@ class Keyframe(NamedTuple):
     surfaces: Array
     right_rays: Array
     seen_right: Flags
+    templates: Templates
+    rows: Indices
 
     def only(self, chosen: Flags) -> "Keyframe":
         """The keyframe with the ``chosen`` (n,) of its points."""
@@ -54,6 +58,7 @@ class Keyframe(NamedTuple):
             surfaces=self.surfaces[chosen],
             right_rays=self.right_rays[chosen],
             seen_right=self.seen_right[chosen],
+            rows=self.rows[chosen],
         )
 
 

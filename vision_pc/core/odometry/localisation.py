@@ -11,6 +11,7 @@ from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import patches, tracking
 from vision_pc.core.odometry.keyframe_map import Indices, Keyframe, KeyframeMap
+from vision_pc.core.odometry.templates import Templates
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics, stereo_pose
 from vision_pc.core.perception.stereo_pose import BodyPoses, BodyView, Priors
@@ -19,6 +20,7 @@ from vision_pc.core.types import CameraCalibration, CameraModel, Image, StereoOf
 
 _NO_OFFSET = StereoOffset(0.0, 0.0, 1e-9, 1e-9)
 _SHARED = 2.0  # depths share the errors of the poses at which they were learnt: measured against the truth
+_KEPT = 3  # keyframes whose patches are kept: 4 MB each
 _LEAST_NOISE_PX = 0.03  # what matching leaves even in clean pictures
 
 
@@ -57,6 +59,7 @@ class Localiser:
         self._settings = settings
         self._map = keyframe_map
         self._noise_px = settings.noise_px
+        self._kept: list[Templates] = []
 
     def localise(
         self, frame: Frame, keyframe: Keyframe, expected: Array, both_eyes: bool
@@ -69,6 +72,7 @@ class Localiser:
         )
         visible = tracking.inside(guess, frame.left_static)
         part = keyframe.only(visible)
+        self._keep(keyframe.templates)
         coarse = tracking.track_halved(
             keyframe.halved, frame.halved, part.pixels, guess[visible], self._settings
         )
@@ -83,6 +87,13 @@ class Localiser:
             if int(inliers.sum()) >= self._settings.minimum_inliers:
                 return self._refined(frame, part.only(inliers), pixels[inliers], X_CC0, both_eyes)
         return "too_few_points"
+
+    def _keep(self, templates: Templates) -> None:
+        """Keep these and those of the few keyframes looked for last; the others are forgotten."""
+        self._kept = [kept for kept in self._kept if kept is not templates] + [templates]
+        for old in self._kept[:-_KEPT]:
+            old.forget()
+        self._kept = self._kept[-_KEPT:]
 
     def _coarse_pose(self, points: Array, pixels: Array, expected: Array) -> tuple[Array, Flags]:
         """X_CC0 from the left eye alone by RANSAC, and the points that agree with it."""

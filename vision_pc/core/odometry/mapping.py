@@ -8,6 +8,7 @@ from vision_pc.core import se3
 from vision_pc.core.odometry import patches, tracking
 from vision_pc.core.odometry.keyframe_map import Keyframe, KeyframeMap, triangulated
 from vision_pc.core.odometry.localisation import Frame, PoseEstimate
+from vision_pc.core.odometry.templates import Templates
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
@@ -66,11 +67,12 @@ class Mapper:
     def _add_keyframe(self, frame: Frame, estimate: PoseEstimate) -> None:
         rays = intrinsics.normalised(self._camera.left, estimate.pixels)
         depths = se3.apply(se3.inverse(estimate.X_C0C), self._map.points[estimate.ids])[:, 2]
+        left = frame.pair.left.copy()
         self._map.keyframes.append(
             Keyframe(
                 self._map.next_number,
                 estimate.X_C0C,
-                frame.pair.left.copy(),
+                left,
                 frame.halved,
                 estimate.ids,
                 estimate.pixels,
@@ -78,8 +80,13 @@ class Mapper:
                 patches.planes(rays, depths),
                 estimate.right_rays,
                 estimate.seen_right,
+                self._templates(left, estimate.pixels),
+                np.arange(len(rays)),
             )
         )
+
+    def _templates(self, image: Image, pixels: Array) -> Templates:
+        return Templates(image, pixels, 2 * (self._settings.patch_px // 2) + 1)
 
     def _new_points(self, frame: Frame, taken: Array) -> tuple[Array, Array, Array]:
         """New points (m, 3) in C, their left pixels (m, 2) and right rays (m, 2), where the picture holds
@@ -104,6 +111,8 @@ class Mapper:
             patches.planes(rays, points_C[:, 2]),
             rays,
             np.zeros(len(rays), dtype=bool),
+            self._templates(left, pixels),
+            np.arange(len(rays)),
         )
         found, matched = patches.found(
             patch, right, found, se3.identity(), self._camera.left, self._camera.right, self._settings

@@ -7,22 +7,27 @@ contrast normalised out.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from foundation.compiled import kernel
+from foundation.compiled import allocation_free
 from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
-from vision_pc.core.odometry.keyframe_map import Keyframe
+from vision_pc.core.odometry.keyframe_map import Indices, Keyframe
+from vision_pc.core.odometry.templates import FLAT, Patches, is_inside
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraModel, Image
 
+Whole = NDArray[np.int32]
+
 _STEPS = 20
 _CONVERGED = 0.002  # px
 _WANDERED = 4.0  # px from the guess, after which it is another patch
-_FLAT = 1e-3  # grey levels, the norm below which a patch has no texture
+_ONE = np.uintp(1)
 _NEIGHBOURS = 10
 _SLANTED = (
     0.5  # share of the inverse depth that the fitted plane may miss by before it is thought a depth edge
@@ -90,137 +95,114 @@ def found(
     """
     X_EK = se3.inverse(X_C0C @ eye.X_CE) @ keyframe.X_C0C
     warps = distortions(keyframe.rays, keyframe.surfaces, X_EK, keyframe_eye, eye)
-    ends, likeness = _match(keyframe.left, image, keyframe.pixels, guess, warps, settings.patch_px // 2)
+    sought = keyframe.templates.patches()
+    ends, likeness = guess.copy(), np.empty(len(guess))
+    _match(sought, keyframe.rows, image, ends, likeness, warps, _room(sought.side))
     return ends, likeness >= settings.likeness
 
 
-@kernel(nogil=True)
+class _Room(NamedTuple):
+    """Where each pixel of a patch is sought: column and row of the pixel above and left of it, and the rest;
+    what the picture shows there, four grey levels in a word.
+    """
+
+    column: Whole
+    row: Whole
+    words: Whole
+    right: Array
+    down: Array
+
+
+def _room(side: int) -> _Room:
+    column, row, words = np.empty((3, side * side), dtype=np.int32)
+    right, down = np.empty((2, side * side))
+    return _Room(column, row, words, right, down)
+
+
+@allocation_free(nogil=True)
 def _match(
-    keyframe: Image, image: Image, centres: Array, guess: Array, warps: Array, half: int
-) -> tuple[Array, Array]:
-    side = 2 * half + 1
-    patch, gx, gy = np.zeros((3, side, side))
-    ends, likeness = guess.copy(), np.full(len(centres), -1.0)
-    for n in range(len(centres)):
-        if not _sample(keyframe, centres[n, 0], centres[n, 1], half, patch):
-            continue
-        hxx, hxy, hyy = _gradients(patch, gx, gy)
+    sought: Patches, rows: Indices, image: Image, ends: Array, likeness: Array, warps: Array, room: _Room
+) -> None:
+    """Move ``ends`` (n, 2) from the guesses to the matches, and fill ``likeness`` (n,); -1: none."""
+    half = sought.side // 2
+    for n in range(len(rows)):
+        patterns, products = sought.patterns[rows[n]], sought.products[rows[n]]
+        hxx, hxy, hyy = products[0], products[1], products[2]
         determinant = hxx * hyy - hxy * hxy
-        if determinant < 1e-12:
+        likeness[n] = -1.0
+        if not determinant >= 1e-12:
             continue
         a, b, c, d = warps[n, 0, 0], warps[n, 0, 1], warps[n, 1, 0], warps[n, 1, 1]
-        x, y = guess[n]
+        first_x, first_y = ends[n, 0], ends[n, 1]
+        x, y = first_x, first_y
         for _ in range(_STEPS):
-            if not _is_inside(image, x, y, a, b, c, d, half):
+            if not is_inside(image, x, y, (a, b, c, d), half):
                 break
-            bx, by, alike = _compare(image, x, y, a, b, c, d, half, patch, gx, gy)
+            bx, by, alike = _compare(image, x, y, (a, b, c, d), patterns, sought.side, room)
             if alike < -1.0:
                 break
             u, v = (hyy * bx - hxy * by) / determinant, (hxx * by - hxy * bx) / determinant
             x, y = x - (a * u + b * v), y - (c * u + d * v)
-            if not math.hypot(x - guess[n, 0], y - guess[n, 1]) < _WANDERED:
+            if not math.hypot(x - first_x, y - first_y) < _WANDERED:
                 break
             if math.hypot(u, v) < _CONVERGED:
                 ends[n, 0], ends[n, 1] = x, y
                 likeness[n] = alike
                 break
-    return ends, likeness
 
 
-@kernel(nogil=True)
-def _is_inside(image: Image, x: float, y: float, a: float, b: float, c: float, d: float, half: int) -> bool:
-    """Whether a patch around (x, y) under the distortion [[a, b], [c, d]] stays in ``image``."""
-    height, width = image.shape
-    reach_x, reach_y = half * (abs(a) + abs(b)), half * (abs(c) + abs(d))
-    return x - reach_x >= 0.0 and y - reach_y >= 0.0 and x + reach_x < width - 1 and y + reach_y < height - 1
-
-
-@kernel(nogil=True, inline="always")
-def _value(image: Image, column: float, row: float) -> float:
-    """The picture's grey level between pixels, bilinear."""
-    left, top = int(column), int(row)
-    fx, fy = column - left, row - top
-    corner = float(image[top, left])
-    upper = corner + fx * (float(image[top, left + 1]) - corner)
-    corner = float(image[top + 1, left])
-    lower = corner + fx * (float(image[top + 1, left + 1]) - corner)
-    return upper + fy * (lower - upper)
-
-
-@kernel(nogil=True)
-def _sample(image: Image, x: float, y: float, half: int, patch: Array) -> bool:
-    """Fill ``patch`` from ``image`` around (x, y), of mean 0 and norm 1; False if it leaves it or is flat."""
-    if not _is_inside(image, x, y, 1.0, 0.0, 0.0, 1.0, half):
-        return False
-    side = 2 * half + 1
-    total = squares = 0.0
-    for i in range(side):
-        for j in range(side):
-            value = _value(image, x + (j - half), y + (i - half))
-            patch[i, j] = value
-            total += value
-            squares += value * value
-    mean = total / (side * side)
-    norm = math.sqrt(max(squares - total * mean, 0.0))
-    if norm < _FLAT:
-        return False
-    for i in range(side):
-        for j in range(side):
-            patch[i, j] = (patch[i, j] - mean) / norm
-    return True
-
-
-@kernel(nogil=True, fastmath={"contract", "reassoc"})
+@allocation_free(fastmath={"contract", "reassoc"})
 def _compare(
     image: Image,
     x: float,
     y: float,
-    a: float,
-    b: float,
-    c: float,
-    d: float,
-    half: int,
-    patch: Array,
-    gx: Array,
-    gy: Array,
+    warp: tuple[float, float, float, float],
+    patterns: Array,
+    side: int,
+    room: _Room,
 ) -> tuple[float, float, float]:
-    """What ``image`` shows, brought to mean 0 and norm 1, projected on ``gx``, ``gy`` and ``patch``: the
-    gradient-weighted difference, and the normalised cross-correlation; -2 for that where the picture is flat.
+    """What ``image`` shows, brought to mean 0 and norm 1, projected on the patterns: the gradient-weighted
+    difference, and the normalised cross-correlation; -2 for that where the picture is flat.
 
-    One pass without storing what is seen: all three patterns have mean 0, so its mean drops out.
+    Nothing is subtracted from what is seen: all three patterns have mean 0, so its mean drops out.
     """
-    side = 2 * half + 1
-    total = squares = alike = along_x = along_y = 0.0
+    a, b, c, d = warp
+    half, count = side // 2, side * side
     for i in range(side):
-        v = i - half
-        column, row = x + b * v - a * half, y + d * v - c * half
+        column, row = x + b * (i - half) - a * half, y + d * (i - half) - c * half
         for j in range(side):
-            value = _value(image, column + a * j, row + c * j)
-            total += value
-            squares += value * value
-            alike += value * patch[i, j]
-            along_x += value * gx[i, j]
-            along_y += value * gy[i, j]
-    norm = math.sqrt(max(squares - total * total / (side * side), 0.0))
-    if norm < _FLAT:
+            k = i * side + j
+            across, along = column + a * j, row + c * j
+            left, top = np.int32(across), np.int32(along)
+            room.column[k], room.row[k] = left, top
+            room.right[k], room.down[k] = across - left, along - top
+    for k in range(count):
+        x0, y0 = np.uintp(room.column[k]), np.uintp(room.row[k])  # unsigned: no place counts from the end
+        word = np.uint32(image[y0, x0]) | (np.uint32(image[y0, x0 + _ONE]) << np.uint32(8))
+        word |= np.uint32(image[y0 + _ONE, x0]) << np.uint32(16)
+        word |= np.uint32(image[y0 + _ONE, x0 + _ONE]) << np.uint32(24)
+        room.words[k] = np.int32(word)
+    return _projected(room.words, room.right, room.down, patterns)
+
+
+@allocation_free(fastmath={"contract", "reassoc"})
+def _projected(words: Whole, right: Array, down: Array, patterns: Array) -> tuple[float, float, float]:
+    """The second half of ``_compare``: everything is in a row here, which compilers vectorise."""
+    patch, gx, gy = patterns[0], patterns[1], patterns[2]
+    byte, count = np.int32(255), words.shape[0]
+    total = squares = alike = along_x = along_y = 0.0
+    for k in range(count):
+        word = words[k]
+        upper, lower = float(word & byte), float((word >> np.int32(16)) & byte)
+        upper += right[k] * (float((word >> np.int32(8)) & byte) - upper)
+        lower += right[k] * (float((word >> np.int32(24)) & byte) - lower)
+        value = upper + down[k] * (lower - upper)
+        total += value
+        squares += value * value
+        alike += value * patch[k]
+        along_x += value * gx[k]
+        along_y += value * gy[k]
+    norm = math.sqrt(max(squares - total * total / count, 0.0))
+    if norm < FLAT:
         return 0.0, 0.0, -2.0
     return along_x / norm, along_y / norm, alike / norm
-
-
-@kernel(nogil=True)
-def _gradients(patch: Array, gx: Array, gy: Array) -> tuple[float, float, float]:
-    """Fill the gradients of ``patch`` and return their sums of squares xx, xy, yy.
-
-    Central differences, zero at the rim, without what only changes brightness or contrast: orthogonal to 1
-    and to ``patch``, which is the derivative of a patch that is kept at mean 0 and norm 1.
-    """
-    side = patch.shape[0]
-    for i in range(1, side - 1):
-        for j in range(1, side - 1):
-            gx[i, j] = 0.5 * (patch[i, j + 1] - patch[i, j - 1])
-            gy[i, j] = 0.5 * (patch[i + 1, j] - patch[i - 1, j])
-    for g in (gx, gy):
-        g[0], g[-1], g[:, 0], g[:, -1] = 0.0, 0.0, 0.0, 0.0
-        g -= g.mean()
-        g -= patch * (g * patch).sum()
-    return (gx * gx).sum(), (gx * gy).sum(), (gy * gy).sum()
