@@ -1,5 +1,6 @@
 """What every test may ask for; real-time tests and the order of two processes are in support/real_time.py."""
 
+import signal
 from pathlib import Path
 
 import hypothesis
@@ -15,6 +16,10 @@ pytest_plugins = ["tests.support.real_time"]
 hypothesis.settings.register_profile("search", deadline=None, derandomize=False)
 hypothesis.settings.register_profile("longreach", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("longreach")
+
+# A job in the background of a shell without job control ignores Ctrl-C, and so would all that tests start.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

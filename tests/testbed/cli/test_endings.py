@@ -1,5 +1,6 @@
 """How commands end that cannot go on: one line and a status, no traceback, nothing half made left behind."""
 
+import contextlib
 import os
 import signal
 import socket
@@ -76,13 +77,18 @@ def interrupted(*arguments: str, after: Path) -> tuple[int, str]:
         [*LONGREACH, *arguments], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
         start_new_session=True,
     )  # fmt: skip
-    deadline_s = time.monotonic() + 240.0  # a start on a busy machine
-    while not list(after.parent.glob(after.name)):
-        assert child.poll() is None, child.communicate()
-        assert time.monotonic() < deadline_s
-        time.sleep(0.05)
-    os.killpg(child.pid, signal.SIGINT)
-    _, told = child.communicate(timeout=60.0)
+    try:
+        deadline_s = time.monotonic() + 240.0  # a start on a busy machine
+        while not list(after.parent.glob(after.name)):
+            assert child.poll() is None, child.communicate()
+            assert time.monotonic() < deadline_s
+            time.sleep(0.05)
+        os.killpg(child.pid, signal.SIGINT)
+        _, told = child.communicate(timeout=60.0)
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
+        child.communicate()
     assert "Traceback" not in told
     return child.returncode, told
 
