@@ -11,8 +11,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from testbed.campaigns.campaign import CampaignRequest
+from testbed.campaigns.experiment import Finished
 from testbed.campaigns.row_file import RowFile
 from testbed.campaigns.typed_rows import typed
+from testbed.experiments.catalogue import CATALOGUE
 from testbed.experiments.positioning.changed import CHANGES, ChangedRow
 from testbed.experiments.positioning.corrected_figures import (
     LIMIT_MM,
@@ -44,6 +47,11 @@ class Kept(NamedTuple):
     commit: str
     rows: list[dict[str, Any]]
 
+    @property
+    def experiment(self) -> str:
+        """Its name, as typed: ``longreach experiment NAME …``."""
+        return self.command.split()[2]
+
 
 def kept(directory: Path) -> Kept:
     """The campaign in ``directory``."""
@@ -65,8 +73,9 @@ def keep(run: Path, name: str, commit: str, command: str, results: Path = RESULT
 def sections(results: Path = RESULTS) -> dict[str, str]:
     """Every generated section by its name."""
     found = [kept(path.parent) for path in sorted(results.glob(f"*/{_ABOUT}"))]
-    drawn = [one for one in found if "change" not in one.rows[0]]
-    changed = [one for one in found if "change" in one.rows[0]]
+    drawn = [one for one in found if one.experiment == "best-mode"]
+    changed = [one for one in found if one.experiment == "changed-machine"]
+    others = [one for one in found if one not in drawn and one not in changed]
     heads = (
         "rows | command | runs | one look: within 5 mm | median, 95 % | two looks | median, 95 % | stopped"
     )
@@ -75,11 +84,28 @@ def sections(results: Path = RESULTS) -> dict[str, str]:
     return {
         "evidence": table(heads, (_campaign(one) for one in drawn)),
         "changed machines": "\n\n".join(
-            f"`{one.command}`, commit `{one.commit}`, `docs/results/{one.name}`:\n\n"
-            + table(lines + " | stopped | limits met", _changes(one))
-            for one in changed
+            _headed(one, table(lines + " | stopped | limits met", _changes(one))) for one in changed
+        ),
+        "other campaigns": "\n\n".join(
+            _headed(one, table("figure | found | asked | met", _verdict(one))) for one in others
         ),
     }
+
+
+def _headed(one: Kept, rows: str) -> str:
+    """A table under what was typed, on which commit, and where its rows are."""
+    about = f"`{one.command}`, commit `{one.commit}`, `docs/results/{one.name}`"
+    return f"{about}, {len(one.rows)} rows:\n\n{rows}"
+
+
+def _verdict(one: Kept) -> list[list[str]]:
+    """The verdict that the experiment itself gives of such rows."""
+    experiment = CATALOGUE[one.experiment].load()
+    rows = [typed(experiment.row, row) for row in one.rows]
+    request = CampaignRequest(ROOT / "configs", RESULTS)
+    done = Finished(request, experiment.settings(), (), rows, len(rows))
+    words = {True: "yes", False: "NO", None: ""}
+    return [[check.what, check.found, check.asked, words[check.met]] for check in experiment.verdict(done)]
 
 
 def _campaign(one: Kept) -> Sequence[str]:
