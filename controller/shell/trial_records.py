@@ -5,9 +5,9 @@ import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from controller.core.excitation.excitation_state import Phase
 from controller.core.excitation.plan import ExcitationPlan, Stroke
 from controller.core.excitation.program import ExcitationSample
-from controller.core.excitation.strokes import Phase
 from controller.core.scan_program import ScanProgram
 from foundation.event_log import EventLog
 from nominal_arm.commissioned import Basis

@@ -10,17 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from controller.core.excitation.excitation_state import Excitation, Measured, Phase, Trouble, begun, driven
 from controller.core.excitation.plan import N_JOINTS, ExcitationPlan, StrokeKind
-from controller.core.excitation.strokes import (
-    Excitation,
-    Measured,
-    Phase,
-    Trouble,
-    begun,
-    driven,
-    ended,
-    excite,
-)
+from controller.core.excitation.strokes import ended, excite
 from controller.core.requests import enter_mode
 from controller.core.scan import scan
 from controller.core.scan_types import ScanEvent, ScanInput, ScanOutput, ScanState, Sextuple, idle

@@ -4,13 +4,19 @@ A state machine of the kind that runs in a PLC: nothing is known of the valve be
 when the joint has moved, is fast enough or has turned far enough. The other valves stay centred.
 """
 
-from enum import IntEnum
-from typing import NamedTuple
-
 import numpy as np
 
+from controller.core.excitation.excitation_state import (
+    SWING_RAD_S,
+    Excitation,
+    Measured,
+    Phase,
+    Trouble,
+    sense_of,
+    turned_by,
+)
+from controller.core.excitation.guards import broken_off, room_for
 from controller.core.excitation.plan import (
-    N_JOINTS,
     ExcitationLimits,
     ExcitationPlan,
     Stroke,
@@ -29,111 +35,11 @@ _LAG_S = 0.1  # of valve and speed filter, at most that of a servo valve
 _UP_SHARE = 0.45  # of the way, on which a ramp rises
 _LOW = 0.3  # of a ramp's top speed (and its square, of the way): where it surely moves
 _UNSURE = 3.0  # times what a ramp begins below a rim that only a search has seen
-_BLOCKED_S = 1.0  # without motion under a valve that moved the joint before
-_OSCILLATIONS = 4  # reversals of the speed in one stroke
-_SWING_RAD_S = 4.0e-3  # a reversal counts from this speed on either side
 # Another joint creeps behind its closed valve, quicker the more it bears: it is brought back between strokes.
 _CREPT_RAD = 10e-3
 _BACK_RAD = 2e-3
 _BACK_SPEED = 0.3  # of a ramp's top speed
-_OVER = 1.6  # of the travel asked for, at which the stroke is broken off
-_ENOUGH = 1.35  # of the travel, at which a falling ramp is cut short: a slow valve still closes before _OVER
-
-
-class Phase(IntEnum):
-    """What the excitation does now."""
-
-    RESTING = 0
-    RISING = 1
-    TURNING = 2
-    FALLING = 3
-    HOLDING = 4
-    ENDED = 5
-    RETURNING = 6
-
-
-class Trouble(NamedTuple):
-    """Why an excitation was broken off: cause (``commissioning.…``), joint, value and limit (SI, bar)."""
-
-    cause: str
-    joint: int
-    value: float
-    limit: float
-
-
-class Measured(NamedTuple):
-    """What one scan measures: ``q`` (6,), and the greatest pressure in any chamber."""
-
-    q: Array
-    pressure_bar: float
-
-
-class Excitation(NamedTuple):
-    """Where the excitation stands. ``stroke``: index into the settings' strokes.
-
-    ``spool``: of the stroke's joint, signed. ``q_start`` (6,): where the stroke began. ``home``, ``away``:
-    where the joint stood before its first stroke, and the sense in which it has room. ``rim`` (6, 2): the
-    spool's size at which the valve begins to pass oil, raising and lowering, as far as seen; 0 before.
-    ``slope`` (6, 2), rad/s: speed over spool beyond that, 0 before.
-    ``slack`` (6,): by how much the command surely turns back without an answer. ``top_speed``, ``top``: of
-    the running ramp, and its spool's size there; ``low_speed``, ``low``: likewise where it had begun to move.
-    ``place`` (6,): where the arm stood at first; ``creep`` (6,), rad/s: before the stroke; ``returning``: the
-    joint that is brought back to its place, None otherwise: then ``spool`` is its valve's.
-    """
-
-    stroke: int
-    phase: Phase
-    phase_s: float
-    stroke_s: float
-    still_s: float
-    spool: float
-    speed: Array
-    q_before: Array
-    q_start: Array
-    home: float
-    away: float
-    rim: Array
-    slope: Array
-    slack: Array
-    top_speed: float
-    top: float
-    low_speed: float
-    low: float
-    swing: float
-    reversals: int
-    place: Array
-    creep: Array
-    returning: int | None
-
-
-def begun(q: Array, stroke: int = 0) -> Excitation:
-    """An excitation that begins with ``stroke``, the arm at ``q`` (6,)."""
-    zero = np.zeros(N_JOINTS)
-    return Excitation(
-        stroke=stroke,
-        phase=Phase.RESTING,
-        phase_s=0.0,
-        stroke_s=0.0,
-        still_s=0.0,
-        spool=0.0,
-        speed=zero,
-        q_before=q,
-        q_start=q,
-        home=0.0,
-        away=1.0,
-        rim=np.zeros((N_JOINTS, 2)),
-        slope=np.zeros((N_JOINTS, 2)),
-        slack=zero,
-        top_speed=0.0,
-        top=0.0,
-        low_speed=0.0,
-        low=0.0,
-        swing=0.0,
-        reversals=0,
-        place=q,
-        creep=zero,
-        returning=None,
-    )
+_ENOUGH = 1.35  # of the travel, at which a falling ramp is cut short: a slow valve still closes before the guards break it off
 
 
 def excite(
@@ -164,22 +70,12 @@ def ended(state: Excitation) -> Excitation:
     return state._replace(phase=Phase.ENDED, spool=0.0)
 
 
-def driven(settings: ExcitationPlan, state: Excitation) -> int:
-    """The joint whose valve ``spool`` is; every other valve is centred."""
-    return settings.strokes[state.stroke].joint if state.returning is None else state.returning
-
-
-def sense_of(state: Excitation, stroke: Stroke) -> float:
-    """The sign of the spool in ``stroke``."""
-    return state.away if stroke.outward else -state.away
-
-
 def _observed(state: Excitation, q: Array, joint: int, dt_s: float) -> Excitation:
     keep = pt1_step(1.0, 0.0, _SPEED_FILTER_S, dt_s)
     speed = keep * state.speed + (1.0 - keep) * (q - state.q_before) / dt_s
     still = abs(speed[joint]) < _STILL_RAD_S
     swing, reversals = state.swing, state.reversals
-    if abs(speed[joint]) > _SWING_RAD_S and speed[joint] * swing <= 0.0:
+    if abs(speed[joint]) > SWING_RAD_S and speed[joint] * swing <= 0.0:
         reversals += swing != 0.0
         swing = float(np.sign(speed[joint]))
     return state._replace(
@@ -208,7 +104,7 @@ def _rest(
         back = state._replace(phase=Phase.RETURNING, phase_s=0.0, spool=0.0, q_start=q, returning=who)
         return back, None
     if stroke.kind is StrokeKind.SEARCH and stroke.outward:
-        away, trouble = _room(limits, stroke.joint, float(q[stroke.joint]))
+        away, trouble = room_for(limits, stroke.joint, float(q[stroke.joint]))
         if trouble is not None:
             return ended(state), trouble
         state = state._replace(home=float(q[stroke.joint]), away=away)
@@ -259,17 +155,6 @@ def _first_spool(limits: ExcitationLimits, state: Excitation, stroke: Stroke) ->
     return sense * min(rim + (stroke.speed / slope if slope > 0.0 else 0.0), limits.spool_max)
 
 
-def _room(limits: ExcitationLimits, joint: int, q: float) -> tuple[float, Trouble | None]:
-    """The sense in which the joint has room for its strokes."""
-    need = _OVER * float(limits.travel[joint])
-    low, high = limits.joint_range[:, joint]
-    if high - q >= need and q - low >= 0.5 * need:
-        return 1.0, None
-    if q - low >= need and high - q >= 0.5 * need:
-        return -1.0, None
-    return 1.0, Trouble("commissioning.no_room", joint, float(max(high - q, q - low)), need)
-
-
 def _side(sense: float) -> int:
     return 0 if sense > 0.0 else 1
 
@@ -295,10 +180,6 @@ def _wanted(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> floa
     return min(max(back, 0.3 * travel), 1.3 * travel)
 
 
-def _turned(state: Excitation, stroke: Stroke, q: Array) -> float:
-    return sense_of(state, stroke) * float(q[stroke.joint] - state.q_start[stroke.joint])
-
-
 def _done(state: Excitation, settings: ExcitationPlan) -> Excitation:
     following = state.stroke + 1
     phase = Phase.RESTING if following < len(settings.strokes) else Phase.ENDED
@@ -308,7 +189,7 @@ def _done(state: Excitation, settings: ExcitationPlan) -> Excitation:
 def _search(settings: ExcitationPlan, state: Excitation, q: Array, dt_s: float) -> Excitation:
     stroke = settings.strokes[state.stroke]
     sense = sense_of(state, stroke)
-    if _turned(state, stroke, q) >= settings.limits.moved:
+    if turned_by(state, stroke, q) >= settings.limits.moved:
         rim = state.rim.copy()
         rim[stroke.joint, _side(sense)] = abs(state.spool)
         return _done(state._replace(rim=rim), settings)
@@ -327,14 +208,14 @@ def _ramp(settings: ExcitationPlan, state: Excitation, q: Array, dt_s: float) ->
     if state.phase is Phase.TURNING:
         step = sense * max(_turning_rate(state, stroke) * dt_s, abs(step))
     spool = state.spool - step
-    far = _turned(state, stroke, q) > _ENOUGH * float(limits.travel[stroke.joint])
+    far = turned_by(state, stroke, q) > _ENOUGH * float(limits.travel[stroke.joint])
     if far or sense * spool <= 0.0 or (speed < _FALLEN * state.top_speed and state.still_s > 0.1):
         return _done(state, settings)
     return state._replace(spool=spool)
 
 
 def _rising(limits: ExcitationLimits, state: Excitation, stroke: Stroke, q: Array, step: float) -> Excitation:
-    sense, turned = sense_of(state, stroke), _turned(state, stroke, q)
+    sense, turned = sense_of(state, stroke), turned_by(state, stroke, q)
     speed, wanted = sense * float(state.speed[stroke.joint]), _wanted(limits, state, stroke)
     if speed >= stroke.speed or turned >= _UP_SHARE * wanted:
         state = _with_rim(state, stroke, speed)
@@ -370,41 +251,6 @@ def _with_slack(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> 
 
 def _step(settings: ExcitationPlan, state: Excitation, q: Array) -> Excitation:
     limits, stroke = settings.limits, settings.strokes[state.stroke]
-    if state.phase_s >= limits.step_s or _turned(state, stroke, q) >= _wanted(limits, state, stroke):
+    if state.phase_s >= limits.step_s or turned_by(state, stroke, q) >= _wanted(limits, state, stroke):
         return _done(state, settings)
     return state
-
-
-def broken_off(limits: ExcitationLimits, stroke: Stroke, state: Excitation, seen: Measured) -> Trouble | None:
-    """The first limit that the running stroke has broken; None while it is inside all of them."""
-    joint, sense = stroke.joint, sense_of(state, stroke)
-    turned, speed = _turned(state, stroke, seen.q), abs(float(state.speed[joint]))
-    backwards = sense * float(state.speed[joint]) < -_SWING_RAD_S
-    far = _OVER * float(limits.travel[joint])
-    low, high = limits.joint_range[:, joint]
-    angle = float(seen.q[joint])
-    others = np.abs(seen.q - state.q_start - state.stroke_s * state.creep)
-    others[joint] = 0.0
-    blocked = (
-        state.still_s > _BLOCKED_S
-        and turned > limits.moved
-        and state.swing != 0.0  # a closed valve creeps, but slowly
-        and state.phase not in (Phase.TURNING, Phase.FALLING)
-    )
-    checks = (
-        (turned < -2.0 * limits.moved and backwards, "wrong_way", turned, -2.0 * limits.moved),
-        (abs(state.spool) > limits.spool_max, "no_motion", abs(state.spool), limits.spool_max),
-        (state.stroke_s > limits.stroke_s, "too_slow", state.stroke_s, limits.stroke_s),
-        (blocked, "blocked", turned, far),
-        (state.reversals >= _OSCILLATIONS, "oscillates", float(state.reversals), float(_OSCILLATIONS)),
-        (turned > far, "too_far", turned, far),
-        (speed > limits.speed_limit[joint], "too_fast", speed, float(limits.speed_limit[joint])),
-        (sense > 0.0 and angle > high, "joint_limit", angle, float(high)),
-        (sense < 0.0 and angle < low, "joint_limit", angle, float(low)),
-        (seen.pressure_bar > limits.pressure_bar, "pressure", seen.pressure_bar, limits.pressure_bar),
-        (float(others.max()) > limits.others, "other_joint_moved", float(others.max()), limits.others),
-    )
-    for broken, cause, value, limit in checks:
-        if broken:
-            return Trouble(f"commissioning.{cause}", joint, value, limit)
-    return None

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
+from controller.core.excitation.excitation_state import Measured, Phase, begun, driven
 from controller.core.excitation.plan import StrokeKind
-from controller.core.excitation.strokes import Measured, Phase, begun, driven, excite
+from controller.core.excitation.strokes import excite
 from tests.controller.excitation.toy_valve import DT_S, FULL_SPEED, START, ToyValve, plan_for, tried
 
 

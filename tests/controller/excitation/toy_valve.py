@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from controller.config import ControllerConfig
+from controller.core.excitation.excitation_state import Excitation, Measured, Phase, Trouble, begun
 from controller.core.excitation.plan import ExcitationPlan, excitation_plan
 from controller.core.excitation.program import ExcitationSample
-from controller.core.excitation.strokes import Excitation, Measured, Phase, Trouble, begun, excite
+from controller.core.excitation.strokes import excite
 from foundation.configuration import load
 from nominal_arm.description import NominalArm
 from tests.controller.conftest import CONFIGS

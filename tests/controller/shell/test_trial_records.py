@@ -9,8 +9,8 @@ import pytest
 
 from controller.commissioning import basis_of
 from controller.config import ControllerConfig
+from controller.core.excitation.excitation_state import Phase, Trouble, begun
 from controller.core.excitation.program import ExcitationSample
-from controller.core.excitation.strokes import Phase, Trouble, begun
 from controller.core.scan_program import ScanProgram
 from controller.shell.trial_records import TrialRecords
 from foundation.configuration import load
