@@ -39,7 +39,7 @@ _UNSURE = 3.0  # times what a ramp begins below a rim that only a search has see
 _CREPT_RAD = 10e-3
 _BACK_RAD = 2e-3
 _BACK_SPEED = 0.3  # of a ramp's top speed
-_ENOUGH = 1.35  # of the travel, at which a falling ramp is cut short: a slow valve still closes before the guards break it off
+_ENOUGH = 1.35  # of the travel, at which a falling ramp is cut short: a slow valve still closes in time
 
 
 def excite(
