@@ -6,17 +6,21 @@ A test marked ``realtime`` talks over real sockets with deadlines; other work on
 late. With ``realtime("processes")`` it starts real services, which need most of the machine. With ``-n 2``
 all other tests run first, file by file, in both processes. Then the first process runs the tests with
 services, one at a time, and the second those with sockets, which mostly wait. A real-time test that fails
-is tried once more with new fixtures. The first failure is printed, and "N retried" stands in pytest's own
-closing line. A test without the mark is never tried again.
+is tried once more with new fixtures, and without what the first try left open. The first failure is printed,
+and "N retried" stands in pytest's own closing line. A test without the mark is never tried again.
 """
 
+import gc
 import json
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import pytest
 from _pytest.runner import runtestprotocol
+from _pytest.threadexception import thread_exceptions
+from _pytest.unraisableexception import unraisable_exceptions
 from xdist.scheduler import LoadScopeScheduling
 
 MARK = "realtime"
@@ -47,10 +51,22 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
     if failed:
         item.session._setupstate.teardown_exact(None)  # fixtures of every scope are made anew
         item._initrequest()  # type: ignore[attr-defined]
+        _forget_what_is_left_open(item.config)
         item.stash[_SECOND_TRY] = True
         hook.pytest_runtest_protocol(item=item, nextitem=nextitem)
     hook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
     return True
+
+
+def _forget_what_is_left_open(config: pytest.Config) -> None:
+    """Collect what a failed try left behind (sockets, threads), so that the next one is not judged by it."""
+    for name in ("last_exc", "last_type", "last_value", "last_traceback"):
+        if hasattr(sys, name):
+            delattr(sys, name)  # they keep the frames of the failure, and all that these hold
+    gc.collect()
+    for left in (unraisable_exceptions, thread_exceptions):
+        if left in config.stash:
+            config.stash[left].clear()
 
 
 def pytest_report_teststatus(

@@ -41,6 +41,22 @@ def tries():
 def test_flaky(tries):
     assert tries > {wanted}, "too early"
 """
+LEAKY = """
+import pathlib, socket, threading, pytest
+TRIES = pathlib.Path(__file__).with_suffix(".tries")
+@pytest.mark.realtime
+def test_leaky():
+    first = not TRIES.exists()
+    TRIES.write_text("1")
+    if first:
+        left_open = socket.socket()
+        round_about = [left_open]
+        round_about.append(round_about)
+        thread = threading.Thread(target=lambda: 1 / 0)
+        thread.start()
+        thread.join()
+        assert False, "too early"
+"""
 MARKED = "@pytest.mark.realtime"
 
 
@@ -67,6 +83,12 @@ def test_a_real_time_test_is_retried_once_with_new_fixtures_and_counted(
     assert "1 passed, 1 retried" in lines[-1]
     assert any("1 retried: test_it.py::test_flaky" in line for line in lines)
     assert any("too early" in line for line in lines), "what failed is printed"
+
+
+def test_what_the_first_try_left_open_is_not_the_second_ones_fault(tmp_path: Path) -> None:
+    status, lines = run(tmp_path, "-W", "error", test_it=LEAKY)
+    assert status == 0, lines
+    assert "1 passed, 1 retried" in lines[-1]
 
 
 def test_what_fails_twice_has_failed(tmp_path: Path) -> None:

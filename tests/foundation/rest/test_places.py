@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 
 import pytest
 from fastapi import FastAPI
@@ -40,48 +41,45 @@ def app(release: threading.Event) -> FastAPI:
 
 
 def until(condition: Callable[[], bool]) -> None:
-    """Return when ``condition()`` holds; fail after five seconds."""
-    limit = time.monotonic() + 5.0
+    """Return when ``condition()`` holds; fail after twenty seconds."""
+    limit = time.monotonic() + 20.0
     while not condition():
         assert time.monotonic() < limit
         time.sleep(0.005)
 
 
-def asked(place: Serving, path: str) -> http.client.HTTPConnection:
-    """A connection that has sent a whole request."""
-    connection = http.client.HTTPConnection("127.0.0.1", place.port, timeout=5.0)
+def asked(closing: ExitStack, place: Serving, path: str) -> http.client.HTTPConnection:
+    """A connection that has sent a whole request; ``closing`` closes it."""
+    connection = http.client.HTTPConnection("127.0.0.1", place.port, timeout=20.0)
+    closing.callback(connection.close)
     connection.request("GET", path)
     return connection
 
 
 def test_half_open_requests_yield_and_what_is_served_stays() -> None:
     release = threading.Event()
-    with serving(app(release), places=PLACES) as place:
+    with serving(app(release), places=PLACES) as place, ExitStack() as closing:
+        closing.callback(release.set)
         connections = place.server.server_state.connections
-        served = asked(place, "/slow")
+        served = asked(closing, place, "/slow")
         until(lambda: len(place.server.server_state.tasks) == 1)
-        half_open = []
         for _ in range(3 * PLACES):
-            half_open.append(socket.create_connection(("127.0.0.1", place.port)))
-            half_open[-1].sendall(HALF_OPEN)
-        until(lambda: len(connections) == PLACES)
-        quick = asked(place, "/thing")
+            half_open = closing.enter_context(socket.create_connection(("127.0.0.1", place.port)))
+            half_open.sendall(HALF_OPEN)
+        quick = asked(closing, place, "/thing")
         assert quick.getresponse().read() == b'"here"'
-        assert len(connections) <= PLACES
+        until(lambda: len(connections) <= PLACES)
         release.set()
         assert served.getresponse().read() == b'"at last"'
-        for one in (quick, served, *half_open):
-            one.close()
 
 
 def test_where_everybody_is_being_served_a_newcomer_is_told() -> None:
     release = threading.Event()
-    with serving(app(release), places=PLACES) as place:
-        served = [asked(place, "/slow") for _ in range(PLACES)]
+    with serving(app(release), places=PLACES) as place, ExitStack() as closing:
+        closing.callback(release.set)
+        served = [asked(closing, place, "/slow") for _ in range(PLACES)]
         until(lambda: len(place.server.server_state.tasks) == PLACES)
-        late = asked(place, "/thing")
+        late = asked(closing, place, "/thing")
         assert late.getresponse().status == 503
         release.set()
         assert [one.getresponse().status for one in served] == [200] * PLACES
-        for one in (late, *served):
-            one.close()
