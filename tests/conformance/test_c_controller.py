@@ -65,6 +65,7 @@ def test_as_a_program_it_passes_a_case_of_each_subject(tmp_path: Path) -> None:
 
 
 @pytest.mark.experiment
+@pytest.mark.timeout(400)
 def test_as_a_program_it_passes_every_case(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with running(compiled(tmp_path)) as port:
         summary = run_reference("127.0.0.1", port, numbers=UNSIGNED, motion=True)

@@ -169,7 +169,8 @@ def bent_in_form(peer: Peer, message: Message) -> Iterator[bytes]:
 
 
 def bent_in_order(peer: Peer, message: Message) -> Iterator[bytes]:
-    """``message`` late, leaping, and too old."""
+    """``message`` late, leaping, and too old. Begins with a heartbeat: nothing sent before it is newer."""
+    peer.alive("before datagrams out of order")
     yield peer.encoded(message, sequence=(peer.sequence - 3) % peer.sequences)
     yield peer.encoded(message, sequence=(peer.sequence - 300) % peer.sequences)
     yield peer.encoded(message, sequence=(peer.sequence + 70_000) % peer.sequences)
