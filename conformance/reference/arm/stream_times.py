@@ -72,7 +72,7 @@ def silence_stops(peer: Peer) -> None:
     uncertain = watch.uncertainty_ms
     require(after < SILENCE_MS + LATE_MS + uncertain, f"centred only {after:.1f} ms after the last reference")
     earliest = SILENCE_MS - 2 * cycle_ms - 2.0
-    # The scan decides after the encoders were read, and before STATE comes: no later than that it was too early.
+    # The scan decides after the encoders were read and before STATE comes; only what came too soon is early.
     came_ms = (last.came_ns - sent_ns) / MS
     require(came_ms > earliest - 1.0, f"centred already {came_ms:.1f} ms after the last reference")
     _require_ramp(seen, earliest - RAMP_MS, cycle_ms)
