@@ -19,7 +19,7 @@ ARGS ?=
 PROCESSES ?= 2
 FOREIGN_TOOLS := mbpoll tshark gcc
 
-.PHONY: help setup setup-dev demo test coverage foreign-tools bench experiments lint types imports compose-test sbom audit lock clean
+.PHONY: help setup setup-dev demo test coverage foreign-tools bench experiments lint types imports compose-test sbom audit lock page-vendor clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -107,6 +107,9 @@ lock:  ## resolve pyproject.toml again into both lock files
 	$(VENV)-lock/bin/uv pip compile pyproject.toml --group peers -c requirements-dev.lock $(LOCK_FLAGS) -o requirements-peers.lock
 	$(VENV)-lock/bin/uv pip compile --group pyproject.toml:audit $(LOCK_FLAGS) -o requirements-audit.lock
 	rm -rf $(VENV)-lock
+
+page-vendor: $(RUN_STAMP)  ## the libraries of our pages, made again from the npm registry (needs npm)
+	$(BIN)/python -m tools.page_vendor
 
 clean:  ## remove the virtual environment and every cache
 	rm -rf $(VENV) $(AUDIT) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis .benchmarks

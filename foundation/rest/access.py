@@ -11,11 +11,13 @@ class Access(NamedTuple):
     """``allowed_hosts``: names, without port, beside loopback and the address that was reached.
 
     ``tokens``: by role; none: nobody is asked for one. ``stops``: paths that whoever may look may POST to.
+    ``public``: paths that may be read without a token: a page that asks for one, and nothing else.
     """
 
     allowed_hosts: tuple[str, ...] = ()
     tokens: Mapping[Role, bytes] = MappingProxyType({})
     stops: frozenset[str] = frozenset()
+    public: frozenset[str] = frozenset()
 
 
 ANYBODY_HERE = Access()
@@ -37,7 +39,9 @@ class RestSettings(Protocol):
         """Where the tokens are."""
 
 
-def configured_access(settings: RestSettings, setting: str, stops: Iterable[str] = ()) -> Access:
+def configured_access(
+    settings: RestSettings, setting: str, stops: Iterable[str] = (), public: Iterable[str] = ()
+) -> Access:
     """What ``settings``, found at ``setting``, say. Raises ConfigurationError as ``read_tokens`` does."""
     tokens = read_tokens(settings.tokens, settings.host, setting)
-    return Access((settings.host, *settings.allowed_hosts), tokens, frozenset(stops))
+    return Access((settings.host, *settings.allowed_hosts), tokens, frozenset(stops), frozenset(public))

@@ -14,7 +14,6 @@ from foundation.problems import problem
 from foundation.rest.access import Access
 from foundation.rest.refusals import (
     DATA_POLICY,
-    NO_FRAMES,
     SECURITY_HEADERS,
     Refusal,
     RefusalLog,
@@ -26,13 +25,6 @@ from foundation.rest.tokens import TokenCheck
 
 _HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+?)\.?(:[0-9]{1,5})?", re.IGNORECASE)
 _OWN_SITE = frozenset({"same-origin", "none"})  # none: the person typed the address
-_CDN = "https://cdn.jsdelivr.net"  # FastAPI's pages at /docs and /redoc load their scripts from it
-_PAGE_POLICY = (
-    f"default-src 'none'; {NO_FRAMES}; connect-src 'self'; "
-    f"script-src 'self' 'unsafe-inline' {_CDN}; "
-    f"style-src 'self' 'unsafe-inline' {_CDN} https://fonts.googleapis.com; "
-    "font-src https://fonts.gstatic.com; img-src 'self' data: https:; worker-src 'self' blob:"
-)
 
 
 class AccessGuard:
@@ -47,7 +39,7 @@ class AccessGuard:
     def __init__(self, app: ASGIApp, access: Access, refusals: RefusalLog) -> None:
         self._app = app
         self._allowed = frozenset(host.lower() for host in access.allowed_hosts)
-        self._tokens = TokenCheck(access.tokens, access.stops) if access.tokens else None
+        self._tokens = TokenCheck(access.tokens, access.stops, access.public) if access.tokens else None
         self._refusals = refusals
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -186,8 +178,7 @@ def _after(body: bytes, receive: Receive) -> Receive:
 def _secure(headers: MutableHeaders) -> None:
     for name, value in SECURITY_HEADERS.items():
         headers.setdefault(name, value)
-    is_page = headers.get("content-type", "").startswith("text/html")
-    headers.setdefault("Content-Security-Policy", _PAGE_POLICY if is_page else DATA_POLICY)
+    headers.setdefault("Content-Security-Policy", DATA_POLICY)
 
 
 def _problem(scope: Scope, status: HTTPStatus, cause: str, detail: str) -> Refusal:

@@ -34,14 +34,22 @@ class TokenSources(StrictModel):
 
 
 class TokenCheck:
-    """Decides by the Authorization header; ``open_to_look``: paths that whoever may look may POST to."""
+    """Decides by the Authorization header.
 
-    def __init__(self, tokens: Mapping[Role, bytes], open_to_look: Iterable[str] = ()) -> None:
+    ``open_to_look``: paths that whoever may look may POST to. ``public``: paths that anybody may read.
+    """
+
+    def __init__(
+        self, tokens: Mapping[Role, bytes], open_to_look: Iterable[str] = (), public: Iterable[str] = ()
+    ) -> None:
         self._tokens = dict(tokens)
+        self._public = frozenset(public)
         self._open_to_look = frozenset(open_to_look)
 
     def refusal(self, scope: Scope) -> Refusal | None:
         """Why the request is refused, before its body is read; None when it may go on."""
+        if scope["method"] in _READING and scope["path"] in self._public:
+            return None
         given = header_values(scope, b"authorization")
         if not given:
             why = "this service wants a token: Authorization: Bearer TOKEN"

@@ -24,6 +24,7 @@ from starlette.types import Scope
 from foundation.event_log import EventLog, process_log
 from foundation.problems import problem
 from foundation.rest.access import configured_access
+from foundation.rest.docs_page import add_docs
 from foundation.rest.refusals import Refusal
 from foundation.rest.server import RestServer, install_problems
 from foundation.scheduling import Policy, take_policy
@@ -132,8 +133,9 @@ async def _patience() -> Any:
 
 def create_app(plant: FaultedPlant, allowed: bool) -> FastAPI:
     """The application over one plant."""
-    app = FastAPI(title="Longreach plant emulator: faults", version="1")
+    app = FastAPI(title="Longreach plant emulator: faults", version="1", docs_url=None, redoc_url=None)
     install_problems(app, _STATUS_OF_CAUSE, _explained, None if allowed else _not_allowed)
+    add_docs(app)
     _add_reading(app, plant, allowed)
     _add_changing(app, plant)
     return app

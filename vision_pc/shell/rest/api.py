@@ -9,6 +9,7 @@ from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 
 from foundation.problems import MEDIA_TYPE, problem
+from foundation.rest.docs_page import add_docs
 from foundation.rest.home import Home, run_endpoints_at
 from foundation.rest.refusals import respond
 from foundation.rest.server import install_problems
@@ -57,7 +58,10 @@ def create_app(
         version="1",
         description=DESCRIPTION,
         responses={"4XX": _PROBLEM, "5XX": _PROBLEM},
+        docs_url=None,
+        redoc_url=None,
     )
+    add_docs(app)
     install_problems(app, STATUS_OF_CAUSE)
     if home is not None:
         run_endpoints_at(app, home)

@@ -1,0 +1,75 @@
+"""Files of pages: served by their names, compressed, with a policy; nothing else can be had."""
+
+import gzip
+from pathlib import Path
+
+import httpx
+import pytest
+from fastapi import FastAPI
+
+from foundation.rest.docs_page import add_docs
+from foundation.rest.files import PageFiles, add_files
+
+
+@pytest.fixture
+def client(tmp_path: Path) -> httpx.AsyncClient:
+    folder = tmp_path / "page"
+    (folder / "vendor").mkdir(parents=True)
+    (folder / "private").mkdir()
+    (tmp_path / "secret.js").write_text("secret")
+    (folder / "index.html").write_text("<!doctype html>")
+    (folder / "app.js").write_text("// ours")
+    (folder / "vendor" / "theirs.js").write_text("// theirs")
+    (folder / "private" / "other.js").write_text("// not for anybody")
+    (folder / "notes.py").write_text("# not for anybody")
+    app = FastAPI(docs_url=None, redoc_url=None)
+    add_files(app, PageFiles(folder, "/page", "/"))
+    return httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://files")
+
+
+async def test_files_are_served_by_name_with_type_and_policy(client: httpx.AsyncClient) -> None:
+    index = await client.get("/")
+    assert index.headers["content-type"] == "text/html; charset=utf-8"
+    assert "script-src 'self'" in index.headers["content-security-policy"]
+    assert "unsafe" not in index.headers["content-security-policy"]
+    ours = await client.get("/page/app.js")
+    assert ours.headers["content-type"] == "text/javascript; charset=utf-8"  # else a module is not run
+    assert ours.text == "// ours"
+    assert (await client.get("/page/vendor/theirs.js")).text == "// theirs"
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/page/index.html", "/page/notes.py", "/page/private/other.js", "/page/../secret.js", "/page/%2e%2e/secret.js",
+     "/page/", "/page/vendor", "/secret.js"],
+)  # fmt: skip
+async def test_nothing_else_can_be_had(client: httpx.AsyncClient, path: str) -> None:
+    answer = await client.get(httpx.URL(f"http://files{path}"))
+    assert answer.status_code == 404
+
+
+async def test_a_file_is_compressed_for_who_can_read_that(client: httpx.AsyncClient) -> None:
+    zipped = await client.get("/page/app.js", headers={"Accept-Encoding": "gzip"})
+    assert zipped.headers["content-encoding"] == "gzip"
+    assert zipped.text == "// ours"  # httpx unpacks it
+    plain = await client.get("/page/app.js", headers={"Accept-Encoding": "identity"})
+    assert "content-encoding" not in plain.headers
+    assert plain.headers["etag"] == zipped.headers["etag"]
+
+
+async def test_who_has_the_file_is_told_so(client: httpx.AsyncClient) -> None:
+    first = await client.get("/page/app.js")
+    again = await client.get("/page/app.js", headers={"If-None-Match": first.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    other = await client.get("/page/app.js", headers={"If-None-Match": '"another"'})
+    assert other.status_code == 200
+
+
+async def test_the_page_of_an_api_names_only_files_that_are_there() -> None:
+    app = FastAPI(docs_url=None, redoc_url=None)
+    add_docs(app)
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://files") as client:
+        script = await client.get("/docs/files/vendor/swagger-ui.js", headers={"Accept-Encoding": "gzip"})
+        assert script.status_code == 200
+        assert len(gzip.compress(script.content)) < 500_000
+        assert "licence" in (await client.get("/docs/files/vendor/THIRD_PARTY.md")).text
