@@ -55,10 +55,31 @@ class Made(NamedTuple):
 PACKAGES = {
     package.name: package
     for package in (
-        Package("three", "0.187.0", "Qiu7R+Cmh8CstZsY1uJOSWnVlfo7ZtNLV7mF8Jltk3LB3AtDu9cRZlcnRKkAk8Y4z6KKw35z7Y7Urd7jWY8etA==", "MIT"),
-        Package("uplot", "1.6.32", "KIMVnG68zvu5XXUbC4LQEPnhwOxBuLyW1AHtpm6IKTXImkbLgkMy+jabjLgSLMasNuGGzQm/ep3tOkyTxpiQIw==", "MIT"),
-        Package("swagger-ui-dist", "5.35.0", "U06rpMtW9V3XPGOBeamTUSr0Z09jMX4IJuANpE/EZbAhw0G8CgwrzU4YmXkn/h0wCDNsXdGarTNNHC3sU8yVUQ==", "Apache-2.0", ("LICENSE", "NOTICE", "swagger-ui-bundle.js.LICENSE.txt")),
-        Package("@esbuild/linux-x64", "0.28.2", "4xTZr1FUmSoQW4XIWmit3tzQrUTZM+N3P0XV8xROKYF50XfI7xeO90+1bZvNwxIufQ9hDQVRJH5YhgPVF8A/HQ==", "MIT"),
+        Package(
+            "three",
+            "0.187.0",
+            "Qiu7R+Cmh8CstZsY1uJOSWnVlfo7ZtNLV7mF8Jltk3LB3AtDu9cRZlcnRKkAk8Y4z6KKw35z7Y7Urd7jWY8etA==",
+            "MIT",
+        ),
+        Package(
+            "uplot",
+            "1.6.32",
+            "KIMVnG68zvu5XXUbC4LQEPnhwOxBuLyW1AHtpm6IKTXImkbLgkMy+jabjLgSLMasNuGGzQm/ep3tOkyTxpiQIw==",
+            "MIT",
+        ),
+        Package(
+            "swagger-ui-dist",
+            "5.35.0",
+            "U06rpMtW9V3XPGOBeamTUSr0Z09jMX4IJuANpE/EZbAhw0G8CgwrzU4YmXkn/h0wCDNsXdGarTNNHC3sU8yVUQ==",
+            "Apache-2.0",
+            ("LICENSE", "NOTICE", "swagger-ui-bundle.js.LICENSE.txt"),
+        ),
+        Package(
+            "@esbuild/linux-x64",
+            "0.28.2",
+            "4xTZr1FUmSoQW4XIWmit3tzQrUTZM+N3P0XV8xROKYF50XfI7xeO90+1bZvNwxIufQ9hDQVRJH5YhgPVF8A/HQ==",
+            "MIT",
+        ),
     )
 }
 _UPLOT_ENTRY = "export {default} from './uplot/package/dist/uPlot.esm.js';\n"
@@ -69,7 +90,7 @@ FILES = (
     Made(DOCS, "swagger-ui.js", "swagger-ui-dist", "swagger-ui-bundle.js"),
     Made(DOCS, "swagger-ui.css", "swagger-ui-dist", "swagger-ui.css"),
 )
-_BUNDLE = ("--bundle", "--format=esm", "--minify", "--target=es2022", "--legal-comments=none", "--log-level=warning")
+_BUNDLE = ("--bundle", "--format=esm", "--minify", "--target=es2022", "--legal-comments=none")
 
 
 def main() -> int:
@@ -118,7 +139,7 @@ def content(made: Made, folder: Path) -> bytes:
 def third_party(place: Path, folder: Path) -> str:
     """The page of one folder: every file with its package, licence and hash, then the licences' texts."""
     files = [made for made in FILES if made.folder == place]
-    lines = ["# Libraries of others", "", "Made by `make page-vendor` (`tools/page_vendor.py`). Do not edit.", ""]
+    lines = ["# Libraries of others", "", "Made by `make page-vendor` (`tools/page_vendor.py`).", ""]
     lines += ["| file | package | licence | sha256 |", "|---|---|---|---|"]
     for made in files:
         package = PACKAGES[made.package]

@@ -1,4 +1,4 @@
-"""Files of pages that a REST API serves beside its resources: known by name, compressed once, never a path."""
+"""Files of pages that a REST API serves beside its resources: by name, compressed once, never by path."""
 
 import asyncio
 import gzip

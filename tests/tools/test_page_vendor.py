@@ -11,7 +11,8 @@ from tools.page_vendor import FILES, PACKAGES, Made
 @pytest.mark.parametrize("made", FILES, ids=lambda made: made.name)
 def test_a_file_is_what_its_page_says(made: Made) -> None:
     told = (made.folder / "THIRD_PARTY.md").read_text(encoding="utf-8")
-    row = re.search(rf"^\| {re.escape(made.name)} \| (\S+) (\S+) \| (\S+) \| ([0-9a-f]{{64}}) \|$", told, re.M)
+    wanted = rf"^\| {re.escape(made.name)} \| (\S+) (\S+) \| (\S+) \| ([0-9a-f]{{64}}) \|$"
+    row = re.search(wanted, told, re.MULTILINE)
     assert row is not None
     package = PACKAGES[made.package]
     assert row.groups()[:3] == (package.name, package.version, package.licence)

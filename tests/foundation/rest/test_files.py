@@ -40,9 +40,17 @@ async def test_files_are_served_by_name_with_type_and_policy(client: httpx.Async
 
 @pytest.mark.parametrize(
     "path",
-    ["/page/index.html", "/page/notes.py", "/page/private/other.js", "/page/../secret.js", "/page/%2e%2e/secret.js",
-     "/page/", "/page/vendor", "/secret.js"],
-)  # fmt: skip
+    [
+        "/page/index.html",
+        "/page/notes.py",
+        "/page/private/other.js",
+        "/page/../secret.js",
+        "/page/%2e%2e/secret.js",
+        "/page/",
+        "/page/vendor",
+        "/secret.js",
+    ],
+)
 async def test_nothing_else_can_be_had(client: httpx.AsyncClient, path: str) -> None:
     answer = await client.get(httpx.URL(f"http://files{path}"))
     assert answer.status_code == 404
