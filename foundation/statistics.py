@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from foundation.directories import writable_directory
 from foundation.event_log import EventLog
+from foundation.recording.directories import writable_directory
 
 _PERIOD_S = 10.0
 _PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 1e6

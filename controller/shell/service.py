@@ -27,11 +27,11 @@ from controller.shell.reference_port import ReferencePort
 from controller.shell.trial_records import TrialRecords
 from controller.shell.warm_up import warm_up
 from foundation.configuration import configuration_hash
-from foundation.directories import recording_directory
 from foundation.durations import DurationHistogram, percent_missed
 from foundation.event_log import EventLog, Level
 from foundation.link_key import read_key
 from foundation.overload import Limit, Tally
+from foundation.recording.directories import recording_directory
 from foundation.scheduling import take_fifo
 from foundation.self_watch import SelfWatch
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end

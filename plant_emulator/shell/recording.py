@@ -13,17 +13,14 @@ import numpy as np
 from mcap.exceptions import InvalidMagic, McapError
 from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
-from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
+from foundation.recording.mcap_file import Format, Topic
+from foundation.recording.recording_thread import RecordingThread
 from plant_emulator.core.faults.schedule import FaultChange
 from plant_emulator.core.truth import PlantTruth
 
 TRUTH, CAPTURE, FAULT, EVENT = "/plant/truth", "/plant/capture", "/plant/fault", "/plant/event"
-# The library keeps 0.7 kB of index in memory for each chunk until the file is closed: a chunk a capture grew
-# by 25 MB an hour.
-_CHUNK_BYTES = 1 << 20  # an upper bound; time closes a chunk sooner
-_CHUNK_NS = 5_000_000_000
 _SCHEMA = json.dumps(
     {
         "type": "object",
@@ -63,6 +60,32 @@ class TruthRecord(NamedTuple):
     log_ns: int
     frame_id: int | None
     truth: PlantTruth
+
+
+def _json(said: Mapping[str, Any]) -> bytes:
+    return json.dumps(said, separators=(",", ":")).encode()
+
+
+def _truth_json(record: TruthRecord) -> bytes:
+    frame = {} if record.frame_id is None else {"frame_id": record.frame_id}
+    values = {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in record.truth._asdict().items()
+    }
+    return _json(frame | values)
+
+
+def _format(name: str, schema: bytes) -> Format:
+    return Format(name, "jsonschema", schema, "json")
+
+
+_TOPICS = (
+    Topic(TRUTH, _format("longreach.PlantTruth", _SCHEMA), _truth_json),
+    Topic(CAPTURE, _format("longreach.PlantTruth", _SCHEMA), _truth_json),
+    Topic(FAULT, _format("longreach.Fault", _FAULT_SCHEMA), _json),
+    Topic(EVENT, _format("longreach.Event", _EVENT_SCHEMA), _json),
+)
+_NUMBERS = {topic.name: number for number, topic in enumerate(_TOPICS)}
 
 
 class EventRecord(NamedTuple):
@@ -107,76 +130,50 @@ class Recording(NamedTuple):
 
 
 class TruthRecorder:
-    """Writes a recording. Every fault and event is on its way to the disk when the call returns, a capture
-    within 5 s.
+    """Writes a recording, in a thread of its own: see ``foundation.recording.recording_thread``.
 
-    ``failure``: why nothing more can be written, such as a full disk; empty while all is well.
+    Everything is on its way to the disk within half a second. Faults and events are never dropped.
     """
 
     def __init__(self, path: Path, run: Mapping[str, Any]) -> None:
         """Create ``path``; ``run`` goes into the metadata. Raises OSError when it cannot be written."""
         self.path = path
-        self._file = path.open("xb")
-        self._writer: Any = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._writer.start(profile="", library="longreach")
-        truth_schema = self._writer.register_schema("longreach.PlantTruth", "jsonschema", _SCHEMA)
-        fault_schema = self._writer.register_schema("longreach.Fault", "jsonschema", _FAULT_SCHEMA)
-        event_schema = self._writer.register_schema("longreach.Event", "jsonschema", _EVENT_SCHEMA)
-        schemas = {TRUTH: truth_schema, CAPTURE: truth_schema, FAULT: fault_schema, EVENT: event_schema}
-        self._channels = {
-            topic: self._writer.register_channel(topic, "json", schema) for topic, schema in schemas.items()
-        }
-        self._writer.add_metadata("run", {"configuration": json.dumps(run)})
-        self._writer.flush()  # type: ignore[no-untyped-call]
-        self.written = 0
-        self.failure = ""
-        self._closed_ns = 0
+        self._recorder = RecordingThread(path, _TOPICS, {"run": {"configuration": json.dumps(run)}})
+
+    @property
+    def failure(self) -> str:
+        """Why nothing more can be written, such as a full disk; empty while all is well."""
+        return self._recorder.failure
+
+    @property
+    def written(self) -> int:
+        """How many messages were written."""
+        return self._recorder.written
+
+    @property
+    def dropped(self) -> int:
+        """How many truths were dropped because the disk did not keep up."""
+        return self._recorder.dropped
 
     def truth(self, truth: PlantTruth, log_ns: int) -> None:
         """Record the truth at ``log_ns``."""
-        self._add(TRUTH, _jsonable(truth), log_ns, truth.time_ns)
+        self._recorder.put(_NUMBERS[TRUTH], TruthRecord(log_ns, None, truth), log_ns, truth.time_ns)
 
     def capture(self, truth: PlantTruth, log_ns: int, frame_id: int) -> None:
         """Record the truth at the instant at which frame ``frame_id`` is exposed."""
-        data = {"frame_id": frame_id} | _jsonable(truth)
-        due = log_ns - self._closed_ns >= _CHUNK_NS
-        self._add(CAPTURE, data, log_ns, truth.time_ns, flushed=due)
+        self._recorder.put(_NUMBERS[CAPTURE], TruthRecord(log_ns, frame_id, truth), log_ns, truth.time_ns)
 
     def fault(self, change: FaultChange, log_ns: int) -> None:
         """Record that a fault was planned, began, ended or was withdrawn."""
-        self._add(FAULT, change.as_dict(), log_ns, change.time_ns, flushed=True)
+        self._recorder.put(_NUMBERS[FAULT], change.as_dict(), log_ns, change.time_ns, wanted=True)
 
     def event(self, fields: Mapping[str, Any], log_ns: int, time_ns: int) -> None:
         """Record that something happened."""
-        self._add(EVENT, dict(fields), log_ns, time_ns, flushed=True)
+        self._recorder.put(_NUMBERS[EVENT], dict(fields), log_ns, time_ns, wanted=True)
 
     def close(self) -> None:
-        """Write the summary and close the file. What can no longer be written is left out."""
-        try:
-            if not self.failure:
-                self._writer.finish()
-            self._file.close()
-        except OSError as error:
-            self._fail(error)
-
-    def _add(
-        self, topic: str, data: dict[str, Any], log_ns: int, time_ns: int, *, flushed: bool = False
-    ) -> None:
-        if self.failure:
-            return
-        said = json.dumps(data, separators=(",", ":")).encode()
-        try:
-            self._writer.add_message(self._channels[topic], log_ns, said, time_ns)
-            if flushed:
-                self._writer.flush()
-                self._closed_ns = log_ns
-        except OSError as error:
-            self._fail(error)
-        else:
-            self.written += 1
-
-    def _fail(self, error: OSError) -> None:
-        self.failure = error.strerror or str(error)
+        """Write what waits and the summary, and close the file. What can no longer be written is left out."""
+        self._recorder.close()
 
 
 def read_truth(path: Path) -> Recording:
@@ -226,13 +223,6 @@ def _further(known: FaultRecord | None, change: Mapping[str, Any], log_ns: int) 
     if change["phase"] == "began":
         return known._replace(log_ns=log_ns, began_ns=change["time_ns"])
     return known._replace(ended_ns=change["time_ns"]) if change["phase"] == "ended" else known
-
-
-def _jsonable(truth: PlantTruth) -> dict[str, Any]:
-    return {
-        name: value.tolist() if isinstance(value, np.ndarray) else value
-        for name, value in truth._asdict().items()
-    }
 
 
 def _truth(data: Mapping[str, Any]) -> PlantTruth:

@@ -6,10 +6,10 @@ import time
 from contextlib import closing
 from typing import Any
 
-from foundation.directories import recording_directory
 from foundation.event_log import EventLog
 from foundation.overload import Limit, Tally
 from foundation.ports import bound_tcp
+from foundation.recording.directories import recording_directory
 from foundation.scheduling import take_fifo
 from foundation.self_watch import SelfWatch
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
@@ -240,6 +240,7 @@ class PlantService:
             "coupler": self._coupler.statistics.as_dict(),
             "camera": self._camera.statistics | camera,
             "truth_records": 0 if self._recorder is None else self._recorder.written,
+            "truths_dropped": 0 if self._recorder is None else self._recorder.dropped,
             "scheduling": self._scheduling,
             "memory_at_start": self._memory_at_start,
             "memory_at_end": self._memory_at_end or self._memory(),

@@ -1,0 +1,157 @@
+"""The file: other readers find everything, a kill leaves whole chunks, nothing grows in memory."""
+
+import errno
+import struct
+import tracemalloc
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+
+from foundation.recording.mcap_file import CHUNK_NS, Format, McapFile, Topic
+
+TEXT = Format("longreach.Text", "jsonschema", b'{"type": "object"}', "json")
+TOPICS = (
+    Topic("/a", TEXT, str.encode),
+    Topic("/b", TEXT, str.encode),
+    Topic("/c", Format("longreach.Other", "", b"", "bytes"), bytes),
+)
+
+
+def made(path: Path) -> McapFile:
+    """A new recording of the three topics."""
+    return McapFile(path, TOPICS, {"run": {"session": "7"}, "host": {}})
+
+
+def written(path: Path, count: int = 100, step_ns: int = CHUNK_NS // 10) -> None:
+    """A closed recording of ``count`` messages, three of four on /a."""
+    with closing(made(path)) as file:
+        for number in range(count):
+            topic = 0 if number % 4 else 2
+            file.add(topic, f"{number}" if topic == 0 else bytes([number]), number * step_ns, number)
+
+
+def kept(data: bytes, path: Path) -> list[int]:
+    """Publishing times of all messages that a stream reader finds in ``data`` before it ends or is cut."""
+    path.write_bytes(data)
+    found = []
+    with path.open("rb") as stream:
+        try:
+            records = StreamReader(stream, validate_crcs=True).records
+            found.extend(record.publish_time for record in records if isinstance(record, Message))
+        except (McapError, struct.error):
+            pass
+    return found
+
+
+def test_the_library_finds_everything_by_its_index(tmp_path: Path) -> None:
+    written(tmp_path / "f.mcap")
+    with (tmp_path / "f.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        found = [
+            (channel.topic, m.log_time, m.publish_time, m.data) for _, channel, m in reader.iter_messages()
+        ]
+        only = [m.publish_time for _, _, m in reader.iter_messages("/c", starting_at=20 * CHUNK_NS // 10)]
+        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+        summary = reader.get_summary()
+    assert found == [
+        ("/a", n * CHUNK_NS // 10, n, f"{n}".encode()) if n % 4 else ("/c", n * CHUNK_NS // 10, n, bytes([n]))
+        for n in range(100)
+    ]
+    assert only == list(range(20, 100, 4))
+    assert metadata == {"run": {"session": "7"}, "host": {}}
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.channel_message_counts == {1: 75, 3: 25}
+    assert summary.statistics.message_end_time == 99 * CHUNK_NS // 10
+    assert [schema.name for schema in summary.schemas.values()] == ["longreach.Text", "longreach.Other"]
+    assert [summary.schemas[c.schema_id].name for c in summary.channels.values()][1] == "longreach.Text"
+    assert len(summary.chunk_indexes) == 10
+
+
+def test_a_kill_at_any_time_takes_along_less_than_a_chunk(tmp_path: Path) -> None:
+    path, copy, step_ns = tmp_path / "f.mcap", tmp_path / "copy.mcap", CHUNK_NS // 7
+    with closing(made(path)) as file:
+        for number in range(60):
+            file.add(0, f"{number}", number * step_ns, number)
+            found = kept(path.read_bytes(), copy)
+            assert found == list(range(len(found)))
+            assert (number - len(found)) * step_ns < CHUNK_NS
+
+
+def test_a_cut_leaves_whole_chunks(tmp_path: Path) -> None:
+    written(tmp_path / "f.mcap", 30)
+    whole = (tmp_path / "f.mcap").read_bytes()
+    found = [kept(whole[:cut], tmp_path / "copy.mcap") for cut in range(60, len(whole))]
+    assert {len(times) for times in found} == {0, 10, 20, 30}
+    assert all(times == list(range(len(times))) for times in found)
+
+
+def test_a_chunk_holds_no_more_than_its_bytes(tmp_path: Path) -> None:
+    with closing(made(tmp_path / "f.mcap")) as file:
+        for number in range(9):
+            file.add(2, bytes(100_000), number, number)
+    with (tmp_path / "f.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert [index.uncompressed_size > 300_000 for index in summary.chunk_indexes] == [True] * 3
+
+
+def test_the_index_does_not_stay_in_memory(tmp_path: Path) -> None:
+    """As a list of the library's it would take 0.6 kB a chunk."""
+    with closing(made(tmp_path / "f.mcap")) as file:
+        for number in range(200):
+            file.add(0, "x", number * CHUNK_NS, 0)
+        tracemalloc.start()
+        try:
+            for number in range(200, 1200):
+                file.add(0, "x", number * CHUNK_NS, 0)
+            grown, _ = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+    assert grown < 100_000
+
+
+class FullDisk:
+    """A file that has room for some more bytes."""
+
+    def __init__(self, inner: object, room: int) -> None:
+        self._inner = inner
+        self._room = room
+
+    def write(self, data: memoryview) -> int:
+        """As a disk does that fills up: part of it, then an error."""
+        if not self._room:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        taken = min(len(data), self._room)
+        self._room -= taken
+        return self._inner.write(data[:taken])  # type: ignore[attr-defined, no-any-return]
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._inner, name)
+
+
+def test_what_a_full_disk_takes_of_a_chunk_is_taken_back(tmp_path: Path) -> None:
+    path = tmp_path / "f.mcap"
+    file = made(path)
+    with closing(file._file), closing(file._index):
+        file.add(0, "first", 0, 0)
+        file.flush()
+        size = path.stat().st_size
+        file._file = FullDisk(file._file, 50)  # type: ignore[assignment]
+        file.add(0, "second", 1, 1)
+        with pytest.raises(OSError, match="No space left"):
+            file.flush()
+        assert path.stat().st_size == size
+    assert kept(path.read_bytes(), tmp_path / "copy.mcap") == [0]
+
+
+def test_an_existing_file_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "f.mcap").write_bytes(b"precious")
+    with pytest.raises(FileExistsError):
+        made(tmp_path / "f.mcap")
+    assert (tmp_path / "f.mcap").read_bytes() == b"precious"
