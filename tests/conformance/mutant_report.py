@@ -32,7 +32,7 @@ FOR_NO_KEY = {722}
 SLOW = {327, 328}
 # Each has MUTANTS, a tuple of BrokenController.
 SOURCES: tuple[str, ...] = (
-    "tests.conformance.named_mutants",
+    "tests.conformance.mutants.named",
     "tests.conformance.systematic_table",
     "tests.conformance.systematic_fields",
     "tests.conformance.systematic_checks",

@@ -21,8 +21,8 @@ from controller.core.inbox import Inbox
 from protocol.authentication import LinkKey
 from protocol.server_session import ReferenceServer
 from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
-from tests.conformance.key_mutants import KEY
 from tests.conformance.mutant_report import BrokenController
+from tests.conformance.mutants.key import KEY
 from tests.support.paths import ROOT
 
 # In the order in which they need one another; only the named functions and classes are changed.

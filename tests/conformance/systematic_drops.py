@@ -13,8 +13,8 @@ from protocol.faults import Reason
 from protocol.server_session import ReferenceServer
 from protocol.session_events import DatagramDropped, ServerEvent
 from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.key_mutants import KEY
 from tests.conformance.mutant_report import BrokenController
+from tests.conformance.mutants.key import KEY
 from tests.support.paths import DOCS
 
 _TABLE = re.compile(r"^\| .* \| (`[a-z_.]+`.*) \|$", re.MULTILINE)

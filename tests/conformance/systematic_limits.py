@@ -13,9 +13,9 @@ from protocol.authentication import LinkKey
 from protocol.reference_messages import Welcome
 from protocol.server_session import ReferenceServer
 from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
-from tests.conformance.key_mutants import KEY
 from tests.conformance.mutant_report import BrokenController
-from tests.conformance.mutants import reworked
+from tests.conformance.mutants.breaking import reworked
+from tests.conformance.mutants.key import KEY
 
 MS = 1_000_000
 

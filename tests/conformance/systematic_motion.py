@@ -32,7 +32,7 @@ from protocol.reference_messages import (
 from protocol.session_events import ServerEvent, StreamedPoseReceived
 from tests.conformance.controllers import ControllerUnderTest, settings
 from tests.conformance.mutant_report import BrokenController
-from tests.conformance.mutants import reworked
+from tests.conformance.mutants.breaking import reworked
 
 Make = Callable[[], ControllerUnderTest]
 

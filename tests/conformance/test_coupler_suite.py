@@ -11,8 +11,8 @@ from conformance.case import CaseOutcome
 from conformance.command import app
 from conformance.records import write_records
 from conformance.runner import coupler_cases, run_coupler
-from tests.conformance.coupler_mutants import MUTANTS, Mutant
 from tests.conformance.couplers import ThreadedCoupler
+from tests.conformance.mutants.coupler import MUTANTS, Mutant
 
 CONTROL = 601
 pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("clock")]

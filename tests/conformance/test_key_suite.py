@@ -10,9 +10,9 @@ from conformance.command import app
 from conformance.runner import reference_cases, run_reference
 from protocol.authentication import LinkKey
 from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.key_mutants import KEY, KEY_MUTANTS, KeyedController
-from tests.conformance.link_key_mutants import LINK_KEY_MUTANTS
-from tests.conformance.mutants import Mutant
+from tests.conformance.mutants.breaking import Mutant
+from tests.conformance.mutants.key import KEY, KEY_MUTANTS, KeyedController
+from tests.conformance.mutants.link_key import LINK_KEY_MUTANTS
 from tests.conformance.test_reference_suite import CONTROL, failures
 
 simulated = pytest.mark.usefixtures("network")

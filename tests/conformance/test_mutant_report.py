@@ -15,7 +15,7 @@ from tests.conformance.mutant_report import (
     report,
     verdict,
 )
-from tests.conformance.mutants import NoMagic
+from tests.conformance.mutants.datagram import NoMagic
 
 
 @pytest.mark.experiment

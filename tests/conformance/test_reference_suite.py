@@ -18,13 +18,8 @@ from protocol.errors import ConfigurationError
 from protocol.reference_messages import CAPABILITY_PATHS
 from protocol.server_session import ReferenceServer
 from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
-from tests.conformance.ending_mutants import ENDING_MUTANTS
-from tests.conformance.handshake_mutants import HANDSHAKE_MUTANTS
-from tests.conformance.link_mutants import LINK_MUTANTS
-from tests.conformance.mutants import MUTANTS, Mutant
-from tests.conformance.repetition_mutants import REPETITION_MUTANTS
-from tests.conformance.stop_mutants import STOP_MUTANTS
-from tests.conformance.stream_mutants import STREAM_MUTANTS
+from tests.conformance.mutants.breaking import Mutant
+from tests.conformance.mutants.named import PLAIN
 from tests.support.paths import DOCS
 
 pytestmark = pytest.mark.long
@@ -64,19 +59,7 @@ def test_on_real_sockets_it_passes_a_case_of_each_subject() -> None:
 
 
 @simulated
-@pytest.mark.parametrize(
-    "mutant",
-    [
-        *MUTANTS,
-        *HANDSHAKE_MUTANTS,
-        *STREAM_MUTANTS,
-        *STOP_MUTANTS,
-        *ENDING_MUTANTS,
-        *REPETITION_MUTANTS,
-        *LINK_MUTANTS,
-    ],
-    ids=lambda m: f"{m.make.__name__}-{m.case}",
-)
+@pytest.mark.parametrize("mutant", PLAIN, ids=lambda m: f"{m.make.__name__}-{m.case}")
 def test_each_broken_controller_is_caught_by_the_case_meant_for_it(mutant: Mutant) -> None:
     with mutant.make() as controller:
         summary = run_reference("127.0.0.1", controller.port, numbers=[CONTROL, mutant.case], motion=True)
@@ -192,7 +175,7 @@ def test_the_command_prints_writes_and_ends_with_its_verdict(tmp_path: Path) -> 
     assert good.exit_code == 0, good.output
     assert "1 pass, 0 flaky, 0 fail, 1 unsupported" in good.output
     assert json.loads((tmp_path / "r.json").read_text())["counts"]["pass"] == 1
-    mutant = MUTANTS[0]
+    mutant = PLAIN[0]
     with mutant.make() as broken:
         arguments = ["reference", "--port", str(broken.port), "--case", str(mutant.case)]
         bad = runner.invoke(app, [*arguments, "--records", str(tmp_path / "out")])

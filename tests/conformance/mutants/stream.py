@@ -11,7 +11,7 @@ from protocol.server_session import ReferenceServer
 from protocol.session_events import ServerEvent, StreamedPoseReceived
 from protocol.session_factory import LinkSession
 from tests.conformance.controllers import ControllerUnderTest, settings
-from tests.conformance.mutants import Mutant
+from tests.conformance.mutants.breaking import Mutant
 
 
 class WaitsForReferences(ControllerUnderTest):

@@ -9,8 +9,8 @@ from protocol.reference_messages import Acknowledgement
 from protocol.server_session import ReferenceServer
 from protocol.session_events import ServerEvent, SessionClosed
 from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
-from tests.conformance.handshake_mutants import EndsTheOldAtHello
-from tests.conformance.mutants import Mutant
+from tests.conformance.mutants.breaking import Mutant
+from tests.conformance.mutants.handshake import EndsTheOldAtHello
 
 
 class _Unaware(Inbox):

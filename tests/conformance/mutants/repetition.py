@@ -10,7 +10,7 @@ from protocol.reference_messages import Acknowledgement, ReferencePose, Request
 from protocol.server_session import ReferenceServer
 from protocol.session_events import ServerEvent
 from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
-from tests.conformance.mutants import Mutant, reworked
+from tests.conformance.mutants.breaking import Mutant, reworked
 
 KIND, SENT, OWN_SENT = 6, slice(32, 40), slice(40, 48)
 

@@ -9,7 +9,7 @@ from protocol.faults import CommandCode
 from protocol.reference_messages import Acknowledgement, Command, Request, is_stop, overtaken
 from protocol.session_events import RequestReceived, ServerEvent, SessionClosed, StreamedPoseReceived
 from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.mutants import Mutant
+from tests.conformance.mutants.breaking import Mutant
 
 KIND = 6
 

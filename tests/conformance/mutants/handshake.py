@@ -8,7 +8,7 @@ from protocol.reference_messages import Heartbeat, Hello, Welcome
 from protocol.server_session import ReferenceServer
 from protocol.session_events import DatagramDropped, ServerEvent
 from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
-from tests.conformance.mutants import Mutant
+from tests.conformance.mutants.breaking import Mutant
 
 
 class _BeginsWithHello(ReferenceServer):

@@ -11,7 +11,8 @@ from protocol.reference_messages import State
 from protocol.server_session import ReferenceServer
 from protocol.session_events import DatagramDropped, ServerEvent
 from tests.conformance.controllers import LINK_TIMEOUT_MS, ControllerUnderTest
-from tests.conformance.mutants import Mutant, _NoDuplicates, _with_window
+from tests.conformance.mutants.breaking import Mutant, with_window
+from tests.conformance.mutants.datagram import NoDuplicates
 
 KEY = LinkKey(bytes(range(32)))
 KIND = 6
@@ -128,7 +129,7 @@ class UsesReplays(KeyedController):
     """Does not look whether a number came before."""
 
     def make_server(self) -> ReferenceServer:
-        return _with_window(super().make_server(), _NoDuplicates)
+        return with_window(super().make_server(), NoDuplicates)
 
 
 class _LowerHalf(channel.SequenceWindow):
@@ -163,7 +164,7 @@ class CountsReplaysOff(KeyedController):
                 late = arrival is channel.Arrival.DUPLICATE and sequence != self.newest
                 return (channel.Arrival.LATE if late else arrival), skipped
 
-        return _with_window(super().make_server(), Forgetful)
+        return with_window(super().make_server(), Forgetful)
 
 
 class BeginsWithAnything(KeyedController):

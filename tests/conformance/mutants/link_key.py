@@ -13,9 +13,9 @@ from protocol.faults import Reason
 from protocol.reference_messages import Bye
 from protocol.server_session import ReferenceServer
 from protocol.session_events import ServerEvent
-from tests.conformance.key_mutants import KEY, KeyedController
-from tests.conformance.link_mutants import ShortWindow
-from tests.conformance.mutants import Mutant
+from tests.conformance.mutants.breaking import Mutant
+from tests.conformance.mutants.key import KEY, KeyedController
+from tests.conformance.mutants.link import ShortWindow
 
 _LOW = 0xFFFFFFFF
 

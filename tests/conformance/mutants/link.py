@@ -25,7 +25,8 @@ from protocol.reference_messages import (
 from protocol.server_session import ReferenceServer
 from protocol.session_events import ServerEvent
 from tests.conformance.controllers import ControllerUnderTest
-from tests.conformance.mutants import DoesNotWrap, Mutant, _with_ledger, _with_window, reworked
+from tests.conformance.mutants.breaking import Mutant, reworked, with_ledger, with_window
+from tests.conformance.mutants.datagram import DoesNotWrap
 
 SESSION, SEQUENCE, SENT_NS = 16, 24, 32
 _LOW = 0xFFFFFFFF
@@ -252,7 +253,7 @@ class RemembersHalfTheWindow(ControllerUnderTest):
     """Tells late from old within 32 numbers."""
 
     def make_server(self) -> ReferenceServer:
-        return _with_window(super().make_server(), ShortWindow)
+        return with_window(super().make_server(), ShortWindow)
 
 
 class ChangesItsMind(ControllerUnderTest):
@@ -307,7 +308,7 @@ class ForgetsItsAnswers(ControllerUnderTest):
     """Takes a repeated request for one that was overtaken."""
 
     def make_server(self) -> ReferenceServer:
-        return _with_ledger(super().make_server(), _Unanswering)
+        return with_ledger(super().make_server(), _Unanswering)
 
 
 class JudgesTheContentFirst(ControllerUnderTest):
