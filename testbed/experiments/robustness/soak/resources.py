@@ -11,10 +11,11 @@ import numpy as np
 from foundation.statistics import resident_mb
 
 PERIOD_S = 10.0
+_LOOKS, _BETWEEN_S = 5, 0.2  # for a sample: the least counts, as a picture in work comes and goes
 
 
 class ResourceSample(NamedTuple):
-    """What a service and its children held at one time."""
+    """What a service and its children held at one time, pictures in work left out."""
 
     at_s: float
     memory_mb: float
@@ -72,19 +73,26 @@ class ResourceWatch(threading.Thread):
         """The thread's work."""
         while True:
             parents = _parents()
-            for name, pid in self._pids.items():
-                family = _family(pid, parents)
-                at_s = time.monotonic() - self._began_s
-                self.samples[name].append(
-                    ResourceSample(at_s, sum(map(resident_mb, family)), sum(map(_handles, family)))
-                )
-            if self._ended.wait(PERIOD_S):
+            families = {name: _family(pid, parents) for name, pid in self._pids.items()}
+            held = _held(families)
+            for _ in range(_LOOKS - 1):
+                if not self._ended.wait(_BETWEEN_S):
+                    now = _held(families)
+                    held = {name: min(held[name], now[name]) for name in held}
+            at_s = time.monotonic() - self._began_s
+            for name, family in families.items():
+                self.samples[name].append(ResourceSample(at_s, held[name], sum(map(_handles, family))))
+            if self._ended.wait(PERIOD_S - _LOOKS * _BETWEEN_S):
                 return
 
     def end(self) -> None:
         """Take a last sample and end."""
         self._ended.set()
         self.join()
+
+
+def _held(families: Mapping[str, set[int]]) -> dict[str, float]:
+    return {name: sum(map(resident_mb, family)) for name, family in families.items()}
 
 
 def _family(pid: int, parents: Mapping[int, int]) -> set[int]:
