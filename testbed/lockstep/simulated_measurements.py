@@ -7,6 +7,7 @@ rectification, prints and what hides what on one side; poses, covariances, offse
 """
 
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -21,10 +22,11 @@ from testbed.lockstep.true_view import TrueView
 from testbed.lockstep.world import World
 from testbed.scenarios.settings import Settings
 from vision_pc.core.perception import intrinsics, markers
+from vision_pc.core.perception.camera_correction import as_believed, as_found
+from vision_pc.core.perception.camera_errors import fitted_errors
 from vision_pc.core.perception.look import FrameMarkers, FrameStamp, observation_of, priors_after
-from vision_pc.core.pixel_sensor import with_believed_offset
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraModel, FrameObservation, OdometryPose, StereoOffset
+from vision_pc.core.types import CameraErrors, CameraModel, FrameObservation, OdometryPose, WatchSample
 
 _STREAM = 0x65796573  # the model's own random numbers
 
@@ -89,28 +91,33 @@ class SimulatedSensor:
         """What vision makes of the corners that this frame would show."""
         settings = self._config.markers
         priors = priors_after(previous, settings, frame.capture_ns)
+        camera = as_found(self.camera, previous)
         sightings, unfit = [], dict[int, str]()
         for number, seen in sorted(self._view.markers(frame.shown).items()):
             if number not in settings.sizes or seen.left is None or self._misses():
                 continue
-            left = self._rays(number, 0, seen.left)
-            right = None if seen.right is None else self._rays(number, 1, seen.right)
+            left = self._rays(camera.left, number, 0, seen.left)
+            right = None if seen.right is None else self._rays(camera.right, number, 1, seen.right)
             start = markers.planar_start(number, left, settings)
-            outcome = markers.from_rays(start, right, self.camera, settings, priors)
+            outcome = markers.from_rays(start, right, camera, settings, priors)
             if isinstance(outcome, str):
                 unfit[number] = outcome
             else:
                 sightings.append(outcome)
         stamp = FrameStamp(frame.frame_id, frame.capture_ns)
         found = FrameMarkers(sightings, Counter(), unfit, since_full_search=0)
-        return observation_of(stamp, found, self.camera, settings, priors, previous)
+        return observation_of(stamp, found, camera, settings, priors, previous)
 
-    def odometry(self, offset: StereoOffset | None) -> "FrameOdometry":
-        """Odometry that begins with the next frame, for a right eye that is off by ``offset``."""
+    def errors(self, samples: Sequence[WatchSample]) -> CameraErrors | None:
+        """What the samples of a watch say of the camera."""
+        return fitted_errors(samples, self.camera, self._config.markers)
+
+    def odometry(self, previous: FrameObservation | None) -> "FrameOdometry":
+        """Odometry that begins with the next frame, for a camera as ``previous`` has it."""
         config = self._config
         return FrameOdometry(
             ModelOdometry(
-                with_believed_offset(self.camera, offset),
+                as_believed(self.camera, previous),
                 config.odometry,
                 config.markers.tool,
                 self._model.tracking,
@@ -122,12 +129,11 @@ class SimulatedSensor:
     def _misses(self) -> bool:
         return bool(self._rng.random() < self._model.corners.missed_share)
 
-    def _rays(self, marker: int, eye: int, exact: Array) -> Array:
+    def _rays(self, model: CameraModel, marker: int, eye: int, exact: Array) -> Array:
         """Rays (4, 2) of the corners as refined in the picture."""
         corners = self._model.corners
         bias = [self._bias(marker, 4 * eye + k, pixel) for k, pixel in enumerate(exact)]
         noise = self._rng.normal(0.0, corners.noise_px, (4, 2))
-        model: CameraModel = (self.camera.left, self.camera.right)[eye]
         return intrinsics.normalised(model, exact + corners.bias_px * np.array(bias) + noise)
 
     def _bias(self, marker: int, corner: int, pixel: Array) -> Array:

@@ -16,7 +16,7 @@ from vision_pc.core.odometry.tracking import Flags, inside
 from vision_pc.core.perception import intrinsics, stereo_pose
 from vision_pc.core.perception.stereo_pose import BodyView, Priors
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, OdometryPose, StereoOffset
+from vision_pc.core.types import CameraCalibration, OdometryPose, PointPairs, StereoOffset
 
 _NO_OFFSET = StereoOffset(0.0, 0.0, 1e-9, 1e-9)
 _NO_SCALE = 1e-9
@@ -78,6 +78,7 @@ class ModelOdometry:
         self._masked_for: Array | None = None
         everything = np.ones((camera.height, camera.width), dtype=bool)
         self._static = (everything, everything)
+        self._pairs: PointPairs | None = None
         self.last_loss: str | None = None
 
     def process(self, shown: Capture, X_CM: Array | None, time_ns: int, number: int) -> OdometryPose | None:
@@ -123,11 +124,10 @@ class ModelOdometry:
     def _solve(self, seen: _Seen) -> Array:
         """The pose's covariance; the pose itself is kept."""
         noise = self._rng.normal(0.0, self._noise.noise_px, (2, len(seen.ids), 2))
+        left, right = seen.left + noise[0], seen.right + noise[1]
+        self._pairs = PointPairs(left[seen.in_right], right[seen.in_right])
         rays = np.stack(
-            [
-                intrinsics.normalised(self._camera.left, seen.left + noise[0]),
-                intrinsics.normalised(self._camera.right, seen.right + noise[1]),
-            ]
+            [intrinsics.normalised(self._camera.left, left), intrinsics.normalised(self._camera.right, right)]
         )
         weights = np.stack([np.ones(len(seen.ids)), seen.in_right.astype(np.float64)])
         priors = Priors(max(self._noise.noise_px, 1e-3), _NO_SCALE, _NO_OFFSET)
@@ -161,4 +161,5 @@ class ModelOdometry:
         return len(self._keyframes[-1])
 
     def _found(self, covariance: Array, time_ns: int, number: int, points: int) -> OdometryPose:
-        return OdometryPose(time_ns, number, self._X_C0C, covariance, points, 1.0, self._noise.noise_px)
+        noise_px = self._noise.noise_px
+        return OdometryPose(time_ns, number, self._X_C0C, covariance, points, 1.0, noise_px, self._pairs)

@@ -121,6 +121,14 @@ class FrameEyes(Generic[F]):
             await gathering.cancel()
         self._record.watched(watcher.health)
         watcher.require()
+        if markers and odometry:
+            await self._calibrated(watcher)
+
+    async def _calibrated(self, watcher: Watcher[F]) -> None:
+        """Find the camera's errors, where that is configured, and see with them from now on."""
+        await self._runtime.worker.run(watcher.calibrate)
+        if self._latest is not None and watcher.observation is not None:
+            self._latest = (self._latest[0], watcher.observation)
 
     async def _gather(self, watcher: Watcher[F], last_ns: int, until_ns: list[int]) -> None:
         while not until_ns or last_ns < until_ns[0]:

@@ -95,6 +95,25 @@ class ObjectMarkerSettings(StrictModel):
     y_m: float = Field(ge=-5.0, le=5.0)
 
 
+class CalibrationDoubts(StrictModel):
+    """How far the camera may be off its calibration, 1 σ, and what of the legs is used to find it.
+
+    ``baseline`` relative; of the right eye against the left ``focal_difference_px``, ``radial_difference``
+    (k1), ``tangential`` (p1, p2) and ``roll_rad``. ``pictures`` along the legs at most; points that odometry
+    follows tell their rows to ``row_std_px`` at best, and all together are worth ``row_points``.
+    """
+
+    enabled: bool
+    baseline: float = Field(gt=0.0, le=0.1)
+    focal_difference_px: float = Field(gt=0.0, le=50.0)
+    radial_difference: float = Field(gt=0.0, le=0.5)
+    tangential: float = Field(gt=0.0, le=0.1)
+    roll_rad: float = Field(gt=0.0, le=0.1)
+    pictures: int = Field(ge=5, le=1000)
+    row_std_px: float = Field(gt=0.0, le=5.0)
+    row_points: float = Field(ge=1.0)
+
+
 class MarkerSettings(StrictModel):
     """Detection, refinement and what is taken for granted about noise and printing.
 
@@ -118,6 +137,7 @@ class MarkerSettings(StrictModel):
     focal_std: float = Field(ge=0.0, le=0.05)
     radial_std: float = Field(ge=0.0, le=0.5)
     placement_std_m: float = Field(ge=0.0, le=0.05)
+    calibration: CalibrationDoubts
 
     @model_validator(mode="after")
     def _ids_differ(self) -> "MarkerSettings":

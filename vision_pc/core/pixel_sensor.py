@@ -1,9 +1,13 @@
 """What can be measured in a stereo pair: markers, and where the camera went."""
 
+from collections.abc import Sequence
+
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.odometry import StereoOdometry
 from vision_pc.core.perception import intrinsics, look
-from vision_pc.core.types import CameraCalibration, FrameObservation, StereoOffset, StereoPair
+from vision_pc.core.perception.camera_correction import as_believed, as_found
+from vision_pc.core.perception.camera_errors import fitted_errors
+from vision_pc.core.types import CameraErrors, FrameObservation, StereoPair, WatchSample
 
 
 class PixelSensor:
@@ -15,15 +19,14 @@ class PixelSensor:
 
     def observe(self, frame: StereoPair, previous: FrameObservation | None) -> FrameObservation:
         """Tool and object of interest in this pair."""
-        return look.observe(frame, self.camera, self._config.markers, previous)
+        return look.observe(frame, as_found(self.camera, previous), self._config.markers, previous)
 
-    def odometry(self, offset: StereoOffset | None) -> StereoOdometry:
-        """Odometry whose first camera frame is C0, for a right eye that is off by ``offset``."""
+    def odometry(self, previous: FrameObservation | None) -> StereoOdometry:
+        """Odometry whose first camera frame is C0, for a camera as ``previous`` has it."""
         return StereoOdometry(
-            with_believed_offset(self.camera, offset), self._config.odometry, self._config.markers.tool
+            as_believed(self.camera, previous), self._config.odometry, self._config.markers.tool
         )
 
-
-def with_believed_offset(camera: CameraCalibration, offset: StereoOffset | None) -> CameraCalibration:
-    """``camera`` with the offset of the right eye that the markers told, if they did."""
-    return camera if offset is None else intrinsics.with_offset(camera, offset.x_px, offset.y_px)
+    def errors(self, samples: Sequence[WatchSample]) -> CameraErrors | None:
+        """What the samples of a watch say of the camera."""
+        return fitted_errors(samples, self.camera, self._config.markers)

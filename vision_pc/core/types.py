@@ -83,6 +83,24 @@ class StereoOffset(NamedTuple):
     std_y_px: float
 
 
+class CameraErrors(NamedTuple):
+    """How a camera differs from its calibration: ``values`` (10,) and their ``covariance``.
+
+    In order: the right eye's offset (x, y px), the baseline's relative error, how much longer the right
+    eye's focal lengths are (x, y px), its turn about its axis (rad), k1 of both eyes, and how much more k1,
+    p1 and p2 the right one has.
+    """
+
+    values: Array
+    covariance: Array
+
+    @property
+    def offset(self) -> StereoOffset:
+        """The right eye's offset alone."""
+        stds = np.sqrt(np.diag(self.covariance)[:2])
+        return StereoOffset(float(self.values[0]), float(self.values[1]), float(stds[0]), float(stds[1]))
+
+
 class FrameObservation(NamedTuple):
     """What one pair shows. A pose that was not measured is None, never a zero.
 
@@ -90,6 +108,7 @@ class FrameObservation(NamedTuple):
     (rectification offset, print size) and that averaging does not remove. ``rejected`` counts what was seen
     and refused, by cause (``unknown_id``, ``repeated_id``, ``edges``, ``residual``, ``wrong_size``,
     ``ambiguous``). ``missing_*`` says why a pose is None: ``wrong_size``, ``ambiguous`` or ``not_seen``.
+    ``errors`` of the camera, once they were found: then the offset is no longer learnt frame by frame.
     """
 
     capture_ns: int
@@ -106,6 +125,7 @@ class FrameObservation(NamedTuple):
     missing_tool: str | None = None
     missing_object: str | None = None
     since_full_search: int = 0
+    errors: CameraErrors | None = None
 
 
 class Look(NamedTuple):
@@ -164,8 +184,18 @@ def _deviations(covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.diag(covariance)))
 
 
+class PointPairs(NamedTuple):
+    """Points of one pair that both eyes see, ``left`` and ``right`` (n, 2) distorted px."""
+
+    left: Array
+    right: Array
+
+
 class OdometryPose(NamedTuple):
-    """The camera's pose in the first camera frame, from one pair, and how well it is known."""
+    """The camera's pose in the first camera frame, from one pair, and how well it is known.
+
+    ``pairs``: the points that hold it and that both eyes see.
+    """
 
     capture_ns: int
     frame_id: int
@@ -174,16 +204,22 @@ class OdometryPose(NamedTuple):
     inliers: int
     coverage: float
     residual_px: float
+    pairs: PointPairs | None = None
 
 
 class WatchSample(NamedTuple):
-    """One pair along a path: X_BT at its capture, odometry and markers where wanted and measured."""
+    """One pair along a path: X_BT at its capture, odometry and markers where wanted and measured.
+
+    ``observation`` and ``pairs``: where both were wanted, all that the pair shows.
+    """
 
     time_ns: int
     X_BT: Array
     X_C0C: Array | None
     X_CM: Array | None
     X_CO: Array | None
+    observation: FrameObservation | None = None
+    pairs: PointPairs | None = None
 
 
 class WatchHealth(NamedTuple):

@@ -6,7 +6,7 @@ corner refinement, its iterative pose). Odometry stays ours, in place of ORB-SLA
 rendered for it alone, and markers are searched where they were, both to save time.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from typing import NamedTuple
 
@@ -25,7 +25,14 @@ from vision_pc.core.perception.markers import corner_points
 from vision_pc.core.perception.object_of_interest import marker_in_object
 from vision_pc.core.pixel_sensor import PixelSensor
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import FrameObservation, Image, OdometryPose, StereoOffset, StereoPair
+from vision_pc.core.types import (
+    CameraErrors,
+    FrameObservation,
+    Image,
+    OdometryPose,
+    StereoPair,
+    WatchSample,
+)
 
 _COVARIANCE = np.diag([0.005**2] * 3 + [0.02**2] * 3)  # the same for every pose: frames are averaged evenly
 _NO_BIAS = np.zeros((6, 6))
@@ -86,9 +93,13 @@ class OpencvSensor:
             offset=None,
         )
 
-    def odometry(self, offset: StereoOffset | None) -> "OpencvOdometry":
+    def odometry(self, previous: FrameObservation | None) -> "OpencvOdometry":
         """Vision's own odometry; these markers tell of no offset."""
-        return OpencvOdometry(self._pixels.odometry(offset))
+        return OpencvOdometry(self._pixels.odometry(previous))
+
+    def errors(self, _samples: Sequence[WatchSample]) -> CameraErrors | None:
+        """These markers tell nothing of the camera."""
+        return None
 
     def _poses(self, frame: OpencvFrame, settings: MarkerSettings) -> dict[int, Array]:
         """X_CA of every known marker that OpenCV finds."""

@@ -1,6 +1,7 @@
 """A sight with rendered pictures that notes, beside everything vision measures, what was true."""
 
 from collections import defaultdict
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,9 +13,17 @@ from testbed.lockstep.frames import PixelFrames, Sight
 from testbed.lockstep.true_view import TrueView
 from testbed.lockstep.world import World
 from vision_pc.core.odometry import StereoOdometry
-from vision_pc.core.pixel_sensor import PixelSensor, with_believed_offset
+from vision_pc.core.perception.camera_correction import as_believed
+from vision_pc.core.pixel_sensor import PixelSensor
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, FrameObservation, OdometryPose, StereoOffset, StereoPair
+from vision_pc.core.types import (
+    CameraCalibration,
+    CameraErrors,
+    FrameObservation,
+    OdometryPose,
+    StereoPair,
+    WatchSample,
+)
 
 _SAME_PLACE_PX = 0.3  # a corner that moved by less is at the same place in the picture
 
@@ -88,11 +97,15 @@ class NotingSensor:
                     self._note(number, eye, seen, true)
         return observation
 
-    def odometry(self, offset: StereoOffset | None) -> "NotingOdometry":
+    def odometry(self, previous: FrameObservation | None) -> "NotingOdometry":
         """Vision's odometry, noted as a new watch."""
-        followed = Followed(with_believed_offset(self._pixels.camera, offset), [])
+        followed = Followed(as_believed(self._pixels.camera, previous), [])
         self._notes.watches.append(followed)
-        return NotingOdometry(self._pixels.odometry(offset), self.shown, followed)
+        return NotingOdometry(self._pixels.odometry(previous), self.shown, followed)
+
+    def errors(self, samples: Sequence[WatchSample]) -> CameraErrors | None:
+        """What vision makes of a watch."""
+        return self._pixels.errors(samples)
 
     def _note(self, number: int, eye: int, seen: Array, true: Array) -> None:
         for corner in range(4):

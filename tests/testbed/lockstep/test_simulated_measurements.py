@@ -49,13 +49,17 @@ QUIET = EyeModelConfig(
 class Stage:
     """A model sight before a plant that stands still, and what it is shown."""
 
-    def __init__(self, model: EyeModelConfig, seed: int = 1, **scene: Any) -> None:
+    def __init__(
+        self, model: EyeModelConfig, seed: int = 1, vision: dict[str, Any] | None = None, **scene: Any
+    ) -> None:
         as_drawn = [
             {name: getattr(marker, name) for name in ("marker_id", "side_m", "quiet_zone_m", "centre_m")}
             for marker in settings().scene.object_of_interest.markers
         ]
         world = merged(NOMINAL, {"object_of_interest": {"markers": as_drawn}})
-        self.settings: Settings = load_settings(CONFIGS, {"scene": merged(world, scene)})
+        self.settings: Settings = load_settings(
+            CONFIGS, {"scene": merged(world, scene), "vision": vision or {}}
+        )
         mounts = Scene(self.settings.scene).mounts
         self.truth: PlantTruth = Plant(self.settings.plant, 1, mounts).truth()
         self.sensor = SimulatedSensor(self.settings, model, seed)

@@ -23,7 +23,7 @@ from vision_pc.core.calibration.backlash import (
     slew_lever,
 )
 from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
-from vision_pc.core.calibration.odometry_ruler import Ruler, fitted_ruler
+from vision_pc.core.calibration.odometry_ruler import SHARED, Ruler, fitted_ruler
 from vision_pc.core.calibration.watched_drive import TakeUp, drive, first_take_up
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.se3 import Array, hat, inverse, nearest_rotation, transform
@@ -150,7 +150,10 @@ async def watched_path(
     held = [s.X_CO for s in watch.samples if s.X_C0C is not None]
     unseen = np.full(3, np.nan)
     p_CO = np.array([unseen if X is None else X[:3, 3] for X in held])
-    return ruled(track, fitted_ruler(track.X_KC, p_CO, settings.ruler))
+    measured = ruled(track, fitted_ruler(track.X_KC, p_CO, settings.ruler))
+    newest = watch.samples[-1].observation
+    found = newest is not None and newest.errors is not None
+    return measured._replace(ruler=SHARED) if found else measured
 
 
 def ruled(track: LocalTrack, ruler: Ruler | None) -> LocalTrack:

@@ -43,6 +43,10 @@ class Ruler(NamedTuple):
         return np.asarray(found + np.outer(elsewhere, elsewhere))
 
 
+SHARED = Ruler(np.zeros((3, 3)), np.zeros((3, 3, 3)), 0.0)
+"""Of odometry that sees with the look's own camera, its errors found: their lengths are alike."""
+
+
 def fitted_ruler(X_KC: Array, p_CO: Array, settings: RulerSettings) -> Ruler | None:
     """The ruler from poses (n, 4, 4) by odometry and where the camera saw the object there, (n, 3), NaN where
     it did not. None where it was seen too seldom, or in too small a space, to tell.

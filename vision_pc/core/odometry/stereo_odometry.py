@@ -11,8 +11,9 @@ from vision_pc.core.odometry.mapping import Mapper
 from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.odometry.relocalisation import relocalised
 from vision_pc.core.odometry.smoothing import is_noisy, smoothed
+from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, OdometryPose, StereoPair
+from vision_pc.core.types import CameraCalibration, OdometryPose, PointPairs, StereoPair
 
 _TRIES = 3  # keyframes to try before a frame is lost
 _TOOL_MOVED = 2e-3  # m or rad
@@ -86,7 +87,14 @@ class StereoOdometry:
             len(outcome.ids),
             float(cells.mean()),
             outcome.residual_px,
+            self._pairs(outcome),
         )
+
+    def _pairs(self, found: PoseEstimate) -> PointPairs:
+        """The points of ``found`` that both eyes see."""
+        both = found.seen_right
+        right = intrinsics.distorted(self._camera.right, found.right_rays[both])
+        return PointPairs(found.pixels[both], right)
 
     def _has_moved(self, X_CM: Array) -> bool:
         """Whether the tool is elsewhere in the picture than where it was last left out."""

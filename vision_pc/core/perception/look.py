@@ -43,7 +43,10 @@ def priors_after(previous: FrameObservation | None, settings: MarkerSettings, ca
     offset = StereoOffset(0.0, 0.0, settings.offset_std_px, settings.offset_std_px)
     if previous is not None and previous.offset is not None:
         offset = _drifted(previous.offset, 1e-9 * (capture_ns - previous.capture_ns), settings)
-    return Priors(settings.corner_std_px, settings.print_size_std, offset)
+    corner, size, radial = settings.corner_std_px, settings.print_size_std, settings.radial_std
+    if previous is None or previous.errors is None:
+        return Priors(corner, size, offset, radial)
+    return Priors(corner, size, offset, math.sqrt(previous.errors.covariance[6, 6]), known=True)
 
 
 def _drifted(offset: StereoOffset, passed_s: float, settings: MarkerSettings) -> StereoOffset:
@@ -107,6 +110,7 @@ def observation_of(
             target, {marker.id for marker in settings.object}, seen.sightings, seen.unfit
         ),
         since_full_search=seen.since_full_search,
+        errors=None if previous is None else previous.errors,
     )
 
 

@@ -63,14 +63,14 @@ def locate(
     solution = stereo_pose.solve(views, starts, camera, priors)
     bodies = []
     for X, covariance, bias in zip(solution.X_CA, solution.covariances, solution.biases, strict=True):
-        lens = _lens_covariance(X, settings)
+        lens = _lens_covariance(X, settings, priors.radial_std)
         bodies.append(LocatedBody(X, covariance + lens, bias + lens))
     if object_start is not None and settings.placement_std_m > 0.0:
         bodies[-1] = _misplaced(bodies[-1], len(parts), settings)
     return LocatedScene(
         bodies[0] if tool_start is not None else None,
         bodies[-1] if object_start is not None else None,
-        _floored(solution.offset, priors.offset, [body.X for body in bodies], camera, settings),
+        _floored(solution.offset, priors, [body.X for body in bodies], camera, settings),
         refused,
     )
 
@@ -148,7 +148,7 @@ def _object_view(parts: list[Sighting], settings: MarkerSettings) -> BodyView:
     )
 
 
-def _lens_covariance(X: Array, settings: MarkerSettings) -> Array:
+def _lens_covariance(X: Array, settings: MarkerSettings, radial_std: float) -> Array:
     """What errors of the focal length and of k1, which both eyes share, do: the one stretches every range,
     the other moves what is far from the middle of the picture, radially.
 
@@ -156,9 +156,9 @@ def _lens_covariance(X: Array, settings: MarkerSettings) -> Array:
     a little otherwise in the camera's body, and no relation between things seen changes.
     """
     covariance = np.diag([0.0, 0.0, (settings.focal_std * float(X[2, 3])) ** 2, 0.0, 0.0, 0.0])
-    if settings.radial_std > 0.0:
+    if radial_std > 0.0:
         across = X[:2, 3]
-        moved = settings.radial_std * float(across @ across) / float(X[2, 3]) ** 2 * across
+        moved = radial_std * float(across @ across) / float(X[2, 3]) ** 2 * across
         covariance[:2, :2] += np.outer(moved, moved)
     return covariance
 
@@ -172,12 +172,17 @@ def _misplaced(body: LocatedBody, markers: int, settings: MarkerSettings) -> Loc
 
 def _floored(
     after: StereoOffset,
-    before: StereoOffset,
+    priors: Priors,
     poses: list[Array],
     camera: CameraCalibration,
     settings: MarkerSettings,
 ) -> StereoOffset:
-    """``after``, never more certain than the floor: lens and print errors do not average out over frames."""
+    """``after``, never more certain than the floor: lens and print errors do not average out over frames.
+    ``before``, where it is known from more than frames.
+    """
+    if priors.known:
+        return priors.offset
+    before = priors.offset
     floor = settings.offset_floor_px
     across = max(floor, _shared_px(poses, camera, settings)) if settings.shared_prints else floor
     return after._replace(

@@ -38,11 +38,16 @@ class BodyView(NamedTuple):
 
 
 class Priors(NamedTuple):
-    """What is assumed beforehand: corner noise, print size, offset of the right eye."""
+    """What is assumed beforehand: corner noise, print size, offset of the right eye, k1 of both eyes.
+
+    ``known``: the offset was found with the camera's other errors, and single frames do not change it.
+    """
 
     corner_std_px: float
     print_size_std: float
     offset: StereoOffset
+    radial_std: float = 0.0
+    known: bool = False
 
 
 class BodyPoses(NamedTuple):

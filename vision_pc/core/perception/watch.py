@@ -1,5 +1,6 @@
 """Samples along a motion: markers and odometry of every frame, beside where the arm said it was."""
 
+from collections.abc import Sequence
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
@@ -8,10 +9,10 @@ from protocol.errors import MeasurementFailed
 from vision_pc.core.perception import look
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import (
+    CameraErrors,
     CameraFrame,
     FrameObservation,
     OdometryPose,
-    StereoOffset,
     WatchHealth,
     WatchSample,
 )
@@ -37,8 +38,12 @@ class Sensor(Protocol[F_contra]):
         """Tool and object of interest in ``frame``, after ``previous``."""
         ...
 
-    def odometry(self, offset: StereoOffset | None, /) -> Odometry[F_contra]:
-        """Odometry whose first frame is C0, for a right eye that is off by ``offset`` (None: not known)."""
+    def odometry(self, previous: FrameObservation | None, /) -> Odometry[F_contra]:
+        """Odometry whose first frame is C0, for a camera as off its calibration as ``previous`` has it."""
+        ...
+
+    def errors(self, samples: Sequence[WatchSample], /) -> CameraErrors | None:
+        """What the samples of a watch of markers and odometry say of the camera; None where too little."""
         ...
 
 
@@ -76,6 +81,8 @@ class Watcher(Generic[F]):
             None if tracked is None else tracked.X_C0C,
             None if seen is None else seen.X_CM,
             None if seen is None else seen.X_CO,
+            seen,
+            None if seen is None or tracked is None else tracked.pairs,
         )
         self._samples.append(sample)
         if seen is not None:
@@ -97,8 +104,7 @@ class Watcher(Generic[F]):
 
     def _tracked(self, frame: F, observation: FrameObservation | None) -> OdometryPose | None:
         if self._odometry is None:
-            offset = None if self._observation is None else self._observation.offset
-            self._odometry = self._sensor.odometry(offset)
+            self._odometry = self._sensor.odometry(self._observation)
         tracked = self._odometry.process(frame, None if observation is None else observation.X_CM)
         if tracked is None:
             self._last_loss = self._odometry.last_loss
@@ -120,6 +126,13 @@ class Watcher(Generic[F]):
     def observation(self) -> FrameObservation | None:
         """The newest observation of markers, for whoever looks next."""
         return self._observation
+
+    def calibrate(self) -> None:
+        """Find the camera's errors from all samples: the newest observation and sample then know them."""
+        errors = self._sensor.errors(self._samples)
+        if errors is not None and self._observation is not None:
+            self._observation = self._observation._replace(errors=errors, offset=errors.offset)
+            self._samples[-1] = self._samples[-1]._replace(observation=self._observation)
 
     @property
     def health(self) -> WatchHealth:
