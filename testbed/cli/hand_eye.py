@@ -21,12 +21,15 @@ app.add_typer(session, name="session")
 def solve(
     source: SampleSource,
     method: Annotated[Method, typer.Option(help="Which solver.")] = Method.ROBUST,
+    as_given: Annotated[
+        bool, typer.Option("--as-given", help="Only tell what would have refused the samples.")
+    ] = False,
     json_file: JsonFile = None,
 ) -> None:
     """X from samples, with covariance, residuals, proof and verdict; or the reason why not."""
     from testbed.cli.hand_eye_files import run_solve
 
-    run_solve(source, method, json_file)
+    run_solve(source, method, as_given, json_file)
 
 
 @app.command(epilog="Example: longreach hand-eye compare hand.tum camera.tum --camera-in-target")
@@ -70,3 +73,15 @@ def real_data(json_file: JsonFile = None) -> None:
     from testbed.experiments.hand_eye.experiments import run_real_data
 
     raise typer.Exit(0 if run_real_data(json_file) else 1)
+
+
+@app.command("bad-files", epilog="Example: longreach hand-eye bad-files --seed 3 --json bad.json")
+def bad_files(
+    samples: Annotated[int, typer.Option(min=8, help="Samples of the good file.")] = 15,
+    seed: Annotated[int, typer.Option(help="What draws the good file.")] = 1,
+    json_file: JsonFile = None,
+) -> None:
+    """A good file spoiled in every way that is known, and what `solve` answers to each."""
+    from testbed.experiments.hand_eye.bad_files import run_bad_files
+
+    raise typer.Exit(0 if run_bad_files(samples, seed, json_file) else 1)

@@ -7,7 +7,7 @@ import numpy as np
 
 from plant_emulator.config.boards import CabinetConfig
 from plant_emulator.core.camera.cabinet import cabinet_front
-from protocol.errors import RequestRefused
+from protocol.errors import MeasurementFailed, RequestRefused
 from testbed.cli.hand_eye_options import PicturedBoard, SampleSource
 from testbed.experiments.hand_eye import intrinsics_experiment
 from testbed.experiments.hand_eye import tables as experiment_tables
@@ -18,7 +18,7 @@ from testbed.hand_eye.trajectories import PairingOptions
 from testbed.reporting.console import out, write_json
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from vision_pc.core.hand_eye.samples import PosePairs
-from vision_pc.core.hand_eye.solvers import bundle, methods
+from vision_pc.core.hand_eye.solvers import bundle, judgement
 from vision_pc.core.hand_eye.solvers.bundle import RobotNoise
 from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.hand_eye.solvers.result import HandEyeResult
@@ -51,26 +51,37 @@ def _offset(text: str) -> float | None:
         ) from error
 
 
-def run_solve(source: SampleSource, method: Method, json_file: Path | None) -> None:
-    """Print X and all that is known about it. Raises LongreachError where there is no solution."""
+def run_solve(source: SampleSource, method: Method, as_given: bool, json_file: Path | None) -> None:
+    """Print X and all that is known about it. Raises LongreachError where there is no X to believe."""
     pairs = _samples(source)
-    result = methods.solve(pairs, method)
+    try:
+        result, found = judgement.believed(pairs, method, as_given)
+    except MeasurementFailed as error:
+        raise MeasurementFailed(error.cause, f"{source.file.name}: {error}") from error
     out.print(presentation.result_table(result))
     out.print(presentation.sample_table(result))
     for note in result.notes:
         out.print(f"note: {note}", style="yellow", highlight=False, soft_wrap=True)
     figures = presentation.result_figures(result)
     if pairs.corners is not None:
-        figures["image_space"] = _adjusted(pairs, result)
+        figures["image_space"] = _adjusted(pairs, result, as_given)
+    for line, style in presentation.judgement_lines(found):
+        out.print(line, style=style, highlight=False, soft_wrap=True)
+    figures["verdict"] = presentation.judgement_figures(found)
     write_json(json_file, figures)
 
 
-def _adjusted(pairs: PosePairs, result: HandEyeResult) -> dict[str, object]:
+def _adjusted(pairs: PosePairs, result: HandEyeResult, as_given: bool) -> dict[str, object]:
     noise = result.noise
     robot = None
     if noise is not None and noise.robot_rotation > 0.0 and noise.robot_translation > 0.0:
         robot = RobotNoise(noise.robot_rotation, noise.robot_translation)
     found = bundle.adjust(pairs, result, robot)
+    doubt = judgement.corner_doubt(found.pixel_noise)
+    if doubt is not None:
+        if doubt.refused and not as_given:
+            raise MeasurementFailed(doubt.cause, doubt.reason)
+        out.print(f"questioned: {doubt.reason}", style="yellow", highlight=False, soft_wrap=True)
     std = 1e3 * np.sqrt(np.diag(found.covariance)[:3])
     x, y, z = 1e3 * found.X[:3, 3]
     out.print(

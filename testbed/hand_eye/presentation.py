@@ -10,6 +10,7 @@ from rich.table import Table
 from testbed.reporting.console import table
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.samples import Setup
+from vision_pc.core.hand_eye.solvers.judgement import Judgement
 from vision_pc.core.hand_eye.solvers.result import HandEyeResult
 from vision_pc.core.perception.zhang_intrinsics import Intrinsics
 from vision_pc.core.se3 import Array
@@ -88,6 +89,29 @@ def result_table(result: HandEyeResult) -> Table:
     rows.append(("about a second axis", f"{f['observability']['second_axis_deg']:.1f} deg rms"))
     rows.append(("samples used", f"{int(result.inliers.sum())} of {len(result.names)}"))
     return table(f"{result.method}, {result.setup}", ("", "value"), rows)
+
+
+def judgement_figures(judgement: Judgement) -> dict[str, Any]:
+    """What to believe of a calibration, for JSON."""
+    scale = judgement.scale
+    return {
+        "word": judgement.verdict,
+        "doubts": judgement.doubts,
+        "scale": None if scale is None else {"factor": scale.factor, "std": scale.std},
+        "next_best_noise_ratio": judgement.next_best,
+    }
+
+
+def judgement_lines(judgement: Judgement) -> list[tuple[str, str]]:
+    """The verdict for the terminal, each line with its style."""
+    lines = []
+    if judgement.scale is not None:
+        scale = judgement.scale
+        lines.append((f"camera lengths fit when multiplied by {scale.factor:.4f} ± {scale.std:.4f}", ""))
+    if judgement.next_best is not None:
+        lines.append((f"the best reading with a mistake fits {judgement.next_best:.3g} times worse", ""))
+    lines += [(f"{'refused' if d.refused else 'questioned'}: {d.reason}", "yellow") for d in judgement.doubts]
+    return [*lines, (f"verdict: {judgement.verdict}", "bold")]
 
 
 def sample_table(result: HandEyeResult) -> Table:

@@ -27,7 +27,7 @@ def exact_pairs(scene: HandEyeScene, setup: Setup = Setup.EYE_IN_HAND) -> PosePa
 
 
 def noisy_pairs(
-    seed: int, count: int = 15, rotation_deg: float = 0.1, translation_mm: float = 0.5
+    seed: int | list[int], count: int = 15, rotation_deg: float = 0.1, translation_mm: float = 0.5
 ) -> tuple[PosePairs, HandEyeScene]:
     rng = np.random.default_rng(seed)
     scene = scenes.viewing_scene(rng, count)

@@ -11,7 +11,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol.errors import MeasurementFailed
 from vision_pc.core import se3_stacks as stacks
@@ -98,11 +97,9 @@ def guessed_noise(p: Parts, setup: Setup) -> Noise:
     """
     n = len(p.H)
     wanted = (n + 4) // 2
-    triples = _triples(n)
-    weights = np.zeros((len(triples), n))
-    np.put_along_axis(weights, triples, 1.0, axis=-1)
+    weights = triple_weights(n)
     X, Z = separable.solve(p, weights)
-    turns, shifts = _sizes(p, X, Z)
+    turns, shifts = misfits(p, X, Z)
     score = _quantile(turns, wanted) * _quantile(shifts, wanted)
     best = [_concentrated(p, setup, X[k], Z[k], wanted) for k in np.argsort(score, kind="stable")[:_BEST]]
     turn, shift = min(best, key=lambda sizes: sizes[0] * sizes[1])
@@ -112,36 +109,39 @@ def guessed_noise(p: Parts, setup: Setup) -> Noise:
     return noise_model.beginning(NoiseSource.CAMERA, turn * small_sample, shift * small_sample)
 
 
-def _triples(n: int) -> NDArray[np.intp]:
-    """Triples of samples (about 300, 3): all of them, every few, or scattered ones where they are many.
+def triple_weights(n: int) -> Array:
+    """Weights (about 300, n) of triples of samples: all, every few, or scattered ones where they are many.
 
     Scattered by the three-dimensional golden ratio (Roberts' R3 sequence), which needs no random numbers.
     """
     if math.comb(n, 3) <= 10 * _TRIPLES:
         every = list(itertools.combinations(range(n), 3))
-        return np.array(every[:: max(1, math.ceil(len(every) / _TRIPLES))])
-    ratio = 1.0 / 1.2207440846057596 ** np.arange(1, 4)
-    scattered = (n * np.modf(np.outer(np.arange(1, 2 * _TRIPLES), ratio))[0]).astype(np.intp)
-    distinct = np.array([len(set(triple)) == 3 for triple in scattered.tolist()])
-    chosen: NDArray[np.intp] = scattered[distinct][:_TRIPLES]
-    return chosen
+        chosen = np.array(every[:: max(1, math.ceil(len(every) / _TRIPLES))])
+    else:
+        ratio = 1.0 / 1.2207440846057596 ** np.arange(1, 4)
+        scattered = (n * np.modf(np.outer(np.arange(1, 2 * _TRIPLES), ratio))[0]).astype(np.intp)
+        distinct = np.array([len(set(triple)) == 3 for triple in scattered.tolist()])
+        chosen = scattered[distinct][:_TRIPLES]
+    weights = np.zeros((len(chosen), n))
+    np.put_along_axis(weights, chosen, 1.0, axis=-1)
+    return weights
 
 
 def _concentrated(p: Parts, setup: Setup, X: Array, Z: Array, wanted: int) -> tuple[float, float]:
     """The quantiles of turn and shift after refitting to the ``wanted`` best samples, a few times."""
     for _ in range(_CONCENTRATIONS):
-        turns, shifts = _sizes(p, X, Z)
+        turns, shifts = misfits(p, X, Z)
         turn, shift = _quantile(turns, wanted), _quantile(shifts, wanted)
         noise = Noise(max(float(turn), 1e-9), max(float(shift), 1e-9))
         size = (turns / noise.camera_rotation) ** 2 + (shifts / noise.camera_translation) ** 2
         weights = np.zeros(len(size))
         weights[np.argsort(size, kind="stable")[:wanted]] = 1.0
         X, Z = _refined(p, setup, noise, weights, (X, Z))
-    turns, shifts = _sizes(p, X, Z)
+    turns, shifts = misfits(p, X, Z)
     return float(_quantile(turns, wanted)), float(_quantile(shifts, wanted))
 
 
-def _sizes(p: Parts, X: Array, Z: Array) -> tuple[Array, Array]:
+def misfits(p: Parts, X: Array, Z: Array) -> tuple[Array, Array]:
     """Rotation (rad, chordal) and translation (m) sizes of the residuals (..., n)."""
     expected = stacks.inverse(X)[..., None, :, :] @ stacks.inverse(p.H) @ Z[..., None, :, :]
     gap = p.P - expected

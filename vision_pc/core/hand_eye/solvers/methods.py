@@ -57,8 +57,8 @@ def solve(
 
     ``settings`` concern ``robust``, ``maximum-likelihood`` and ``chordal``. Raises MeasurementFailed when X
     is not observable (``measurement.hand_eye.too_few_samples``, ``.too_little_rotation``,
-    ``.parallel_axes``) or the solver has no proper answer (``.no_solution``, ``.left_handed``,
-    ``.no_consensus``, ``.sdp``, ``.singular``).
+    ``.parallel_axes``, ``.motions_differ``) or the solver has no proper answer (``.no_solution``,
+    ``.left_handed``, ``.no_consensus``, ``.sdp``, ``.singular``).
     """
     settings = settings or RobustSettings()
     motions = all_motions(pairs)

@@ -21,7 +21,8 @@ class ObservabilityLimits(NamedTuple):
 
     About axes other than the main one the hand must turn ``second_axis`` rms at least (rad),
     ``above_noise`` times the rotation noise that the motions show, and enough that this noise, averaged
-    over the samples, leaves the rotation of X known to ``uncertainty`` (rad).
+    over the samples, leaves the rotation of X known to ``uncertainty`` (rad). Where it forbids an answer and
+    is above ``strangers``, it is no noise: whatever X is, hand and camera turn by equal angles.
     """
 
     samples: int = 3
@@ -29,6 +30,7 @@ class ObservabilityLimits(NamedTuple):
     second_axis: float = math.radians(0.3)
     above_noise: float = 1.2
     uncertainty: float = 0.1
+    strangers: float = math.radians(5.0)
 
 
 class Observability(NamedTuple):
@@ -73,6 +75,12 @@ def verdict(samples: int, motions: Motions, limits: ObservabilityLimits | None =
         cause = "measurement.hand_eye.too_little_rotation"
         reason = (
             f"largest rotation between samples is {_deg(largest)}, at least {_deg(limits.rotation)} is needed"
+        )
+    elif limits.second_axis <= second < needed and mismatch > limits.strangers:
+        cause = "measurement.hand_eye.motions_differ"
+        reason = (
+            f"hand and camera turn by different angles between the same samples, {_deg(mismatch)} apart, "
+            f"limit {_deg(limits.strangers)}: their poses do not belong together"
         )
     elif second < needed:
         cause = "measurement.hand_eye.parallel_axes"

@@ -1,0 +1,263 @@
+"""What to believe of a calibration: is there a better reading of its samples, a scale, too much noise?
+
+A proof of the global optimum says that nothing fits the problem better, not that it was the right problem.
+Here each doubt has a cause, a sentence with the figure and its limit, and says whether X may be used at all.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from protocol.errors import MeasurementFailed
+from vision_pc.core.hand_eye.samples import PosePairs, Setup
+from vision_pc.core.hand_eye.solvers import methods, readings, scale
+from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
+from vision_pc.core.hand_eye.solvers.methods import Method
+from vision_pc.core.hand_eye.solvers.noise import few_sample_factor
+from vision_pc.core.hand_eye.solvers.readings import Reading
+from vision_pc.core.hand_eye.solvers.result import HandEyeResult
+from vision_pc.core.hand_eye.solvers.scale import Scale
+
+_AS_WELL = 1.5  # times the least misfit: chance, not a better reading
+_LEAST = 1e-9  # rad and m: exact synthetic data still need finite weights
+_SCALES = {
+    1000.0: "camera lengths in m beside a hand in mm",
+    1e-3: "camera lengths in mm beside a hand in m",
+    100.0: "camera lengths in m beside a hand in cm",
+    0.01: "camera lengths in cm beside a hand in m",
+    10.0: "camera lengths in cm beside a hand in mm",
+    0.1: "camera lengths in mm beside a hand in cm",
+    25.4: "camera lengths in inches beside a hand in mm",
+    1.0 / 25.4: "camera lengths in mm beside a hand in inches",
+    0.0254: "camera lengths in inches beside a hand in m",
+    1.0 / 0.0254: "camera lengths in m beside a hand in inches",
+    0.3048: "camera lengths in feet beside a hand in m",
+}
+
+
+class JudgementLimits(NamedTuple):
+    """From where on a calibration is questioned, and from where on it is refused.
+
+    Readings are compared from ``least_samples`` on: with fewer, chance makes a wrong one fit better. Right
+    samples with 0.05° to 1.5° of noise never had another reading fit 2 times better (5 samples, 1.5 from 6
+    on), mistaken ones 5 times and more; where there is no solution, ``explains`` is enough. ``scale_…`` bound
+    |λ − 1|, which must be ``scale_sigmas`` off as well.
+    ``noise_deg``, ``noise_share`` (of the target's median distance) and ``corner_px`` question, ``refuse``
+    times as much refuses.
+    """
+
+    least_samples: int = 5
+    better: float = 3.0
+    explains: float = 1.5
+    scale_questioned: float = 0.01
+    scale_refused: float = 0.05
+    scale_sigmas: float = 5.0
+    noise_deg: float = 2.0
+    noise_share: float = 0.05
+    corner_px: float = 0.3
+    refuse: float = 5.0
+
+
+class Doubt(NamedTuple):
+    """``reason`` is a sentence with figure and limit, ``cause`` its machine name; ``refused``: no X."""
+
+    cause: str
+    reason: str
+    refused: bool
+
+
+class Judgement(NamedTuple):
+    """All doubts, the gravest first; the ``scale`` between the sides; and ``next_best``: how many times more
+
+    noise the best other reading leaves (None where readings are not compared).
+    """
+
+    doubts: tuple[Doubt, ...]
+    scale: Scale | None
+    next_best: float | None
+
+    @property
+    def verdict(self) -> str:
+        """One word: good, questioned or refused."""
+        if not self.doubts:
+            return "good"
+        return "refused" if self.doubts[0].refused else "questioned"
+
+    def demand(self) -> None:
+        """Raise MeasurementFailed with the first doubt that forbids X."""
+        if self.doubts and self.doubts[0].refused:
+            raise MeasurementFailed(self.doubts[0].cause, self.doubts[0].reason)
+
+
+class _Misread(NamedTuple):
+    """The mistake that explains the samples, in ``words``, and the ``noise`` they have without it."""
+
+    cause: str
+    words: str
+    noise: Noise
+
+
+def believed(pairs: PosePairs, method: Method, as_given: bool = False) -> tuple[HandEyeResult, Judgement]:
+    """The calibration and what to believe of it. Raises MeasurementFailed where that is nothing.
+
+    ``as_given`` only tells the doubts that would have refused it.
+    """
+    try:
+        result = methods.solve(pairs, method)
+    except MeasurementFailed as error:
+        raise explained(pairs, error) from error
+    found = judged(pairs, result)
+    if not as_given:
+        found.demand()
+    return result, found
+
+
+def judged(pairs: PosePairs, result: HandEyeResult, limits: JudgementLimits | None = None) -> Judgement:
+    """The doubts about ``result``, which any method has made of ``pairs``."""
+    limits = limits or JudgementLimits()
+    doubts = _noise_doubts(pairs, result, limits) + _exchange_doubts(result)
+    if len(pairs) < limits.least_samples:
+        few = f"{len(pairs)} samples are too few to tell a mistaken file; {limits.least_samples} can"
+        doubts.append(Doubt("measurement.hand_eye.few_samples", few, refused=False))
+        return Judgement(_gravest_first(doubts), None, None)
+    as_given, others = readings.given(pairs), readings.others(pairs)
+    misread = _misread(as_given, others, limits)
+    if as_given is not None and misread is not None:
+        words = f"{misread.words}, as given {_fits(as_given)}"
+        return Judgement((Doubt(misread.cause, words, refused=True),), None, None)
+    found = _scale(pairs, result)
+    if (doubt := _scale_doubt(found, limits)) is not None:
+        doubts.append(doubt)
+    mistaken = [reading.misfit for reading in others if reading.mistake]
+    next_best = min(mistaken) / as_given.misfit if mistaken and as_given is not None else None
+    return Judgement(_gravest_first(doubts), found, next_best)
+
+
+def explained(
+    pairs: PosePairs, error: MeasurementFailed, limits: JudgementLimits | None = None
+) -> MeasurementFailed:
+    """``error`` of a solver, or in its place the mistake that explains it: a reading that fits well."""
+    limits = limits or JudgementLimits()
+    if len(pairs) < limits.least_samples:
+        return error
+    as_given, others = readings.given(pairs), readings.others(pairs)
+    misread = _misread(as_given, others, limits._replace(better=limits.explains))
+    if misread is None or math.degrees(misread.noise.camera_rotation) > limits.noise_deg:
+        return error
+    words = f"{misread.words}, as given no solution ({error.cause})"
+    return MeasurementFailed(misread.cause, words)
+
+
+def corner_doubt(noise_px: float, limits: JudgementLimits | None = None) -> Doubt | None:
+    """What corner noise (px a coordinate) says of corners, lens and camera matrix; None where it is usual."""
+    limits = limits or JudgementLimits()
+    if noise_px <= limits.corner_px:
+        return None
+    reason = (
+        f"corner noise is {noise_px:.3f} px, limit {limits.corner_px:g} px: "
+        "camera_matrix or distortion of another camera or picture size, blur, or corners out of order"
+    )
+    refused = noise_px > limits.refuse * limits.corner_px
+    return Doubt("measurement.hand_eye.corner_noise", reason, refused)
+
+
+def _gravest_first(doubts: list[Doubt]) -> tuple[Doubt, ...]:
+    return tuple(sorted(doubts, key=lambda doubt: not doubt.refused))
+
+
+def _misread(
+    as_given: Reading | None, others: tuple[Reading, ...], limits: JudgementLimits
+) -> _Misread | None:
+    """The simplest of the readings that fit best, if they fit several times better than the given one."""
+    if not others or (as_given is not None and as_given.misfit < limits.better * others[0].misfit):
+        return None
+    near = [reading for reading in others if reading.misfit <= _AS_WELL * others[0].misfit]
+    least = min(_mistakes(reading) for reading in near)
+    likely = [reading for reading in near if _mistakes(reading) == least]
+    words = " or ".join(_described(reading) for reading in likely)
+    cause = "misread" if all(reading.mistake for reading in likely) else "scale"
+    return _Misread(f"measurement.hand_eye.{cause}", f"likely {words}: {_fits(likely[0])}", likely[0].noise)
+
+
+def _mistakes(reading: Reading) -> int:
+    return bool(reading.mistake) + (reading.scale != 1.0)
+
+
+def _described(reading: Reading) -> str:
+    if reading.scale == 1.0:
+        return reading.mistake
+    lengths = f"camera lengths have to be multiplied by {reading.scale:.4g}{_named(reading.scale)}"
+    return f"{reading.mistake}, and {lengths}" if reading.mistake else lengths
+
+
+def _named(factor: float) -> str:
+    known = [words for value, words in _SCALES.items() if abs(factor / value - 1.0) < 0.03]
+    return f" ({known[0] if known else 'a target of another size than said, or a wrong focal length'})"
+
+
+def _fits(reading: Reading) -> str:
+    turn, shift = math.degrees(reading.noise.camera_rotation), 1e3 * reading.noise.camera_translation
+    return f"noise {turn:.3g} deg {shift:.3g} mm"
+
+
+def _scale(pairs: PosePairs, result: HandEyeResult) -> Scale:
+    """The scale between the sides by the used samples, with the noise that remains once they are scaled."""
+    kept = pairs.subset(result.inliers[np.array(pairs.order)])
+    equations = Equations(kept.H, kept.P, np.ones(len(kept)), kept.setup)
+    turn, shift = _rms(result)
+    found = Scale(1.0, math.inf)
+    for _ in range(2):
+        found, shift = scale.refined(equations, result.X, result.Z, Noise(turn, shift))
+        shift *= math.sqrt(_few(len(kept)))
+    return found._replace(std=found.std * math.sqrt(few_sample_factor(len(kept))))
+
+
+def _rms(result: HandEyeResult) -> tuple[float, float]:
+    """Rotation (rad) and translation (m) noise a component, of the used samples' residuals."""
+    r = result.residuals[result.inliers]
+    squares = _few(len(r)) * np.mean(r**2, axis=0)
+    turn, shift = math.sqrt(squares[3:].mean()), math.sqrt(squares[:3].mean())
+    return max(turn, _LEAST), max(shift, _LEAST)
+
+
+def _few(samples: int) -> float:
+    """What mean squares are larger than they show, because twelve unknowns were fitted to them."""
+    return 6.0 * samples / max(6.0 * samples - 12.0, 1.0)
+
+
+def _scale_doubt(found: Scale, limits: JudgementLimits) -> Doubt | None:
+    off = abs(found.factor - 1.0)
+    if off <= max(limits.scale_questioned, limits.scale_sigmas * found.std):
+        return None
+    reason = (
+        f"camera lengths fit when multiplied by {found.factor:.4g} ± {found.std:.2g}, "
+        f"limit 1 ± {limits.scale_questioned:g}{_named(found.factor)}"
+    )
+    return Doubt("measurement.hand_eye.scale", reason, off > limits.scale_refused)
+
+
+def _noise_doubts(pairs: PosePairs, result: HandEyeResult, limits: JudgementLimits) -> list[Doubt]:
+    turn, shift = _rms(result)
+    distance = float(np.median(np.linalg.norm(pairs.P[:, :3, 3], axis=-1)))
+    excess = max(math.degrees(turn) / limits.noise_deg, shift / (limits.noise_share * distance))
+    if excess <= 1.0:
+        return []
+    reason = (
+        f"noise is {math.degrees(turn):.3g} deg {1e3 * shift:.3g} mm, limit {limits.noise_deg:g} deg and "
+        f"{100.0 * limits.noise_share:g} % of the target's {1e3 * distance:.4g} mm: "
+        "blurred pictures, another camera's intrinsics, a moved target, or poses that do not belong together"
+    )
+    return [Doubt("measurement.hand_eye.noise", reason, excess > limits.refuse)]
+
+
+def _exchange_doubts(result: HandEyeResult) -> list[Doubt]:
+    """A camera in the hand that is farther from the hand than the target is from the base."""
+    reach, away = float(np.linalg.norm(result.X[:3, 3])), float(np.linalg.norm(result.Z[:3, 3]))
+    if result.setup is Setup.EYE_TO_HAND or reach <= away:
+        return []
+    reason = (
+        f"the camera is {1e3 * reach:.0f} mm from the hand, but the target only {1e3 * away:.0f} mm from the "
+        "base: exchanged sides, or both inverted, fit as well, and nothing in the poses tells them apart"
+    )
+    return [Doubt("measurement.hand_eye.exchanged", reason, refused=False)]
