@@ -28,9 +28,11 @@ from vision_pc.core.calibration.joint_play import JointSeen, PlayFound, joint_pl
 
 DEADBAND_MOST = 0.3  # what the compensation can hold
 _GAINS = (0.05, 20.0)
-# A joint that leaves more is not the model's. The emulated ones leave half an encoder digit, but a boom that
-# load-holding valves let down by fits and starts leaves 0.3 mrad: there the spread told is wide.
-_RESIDUAL_RAD = 5.0e-4
+# A joint that leaves more is not the model's: three digits of an encoder whose rounding leaves a third,
+# 0.02 mrad, as do booms that load-holding valves let down by fits and starts. With the slowest valve, 0.25
+# rad/s a spool, over 5 s of ramp it stands for 1.2e-4 of spool: not 5 % of the smallest deadband, 0.3 %.
+_RESIDUAL_RAD = 1.5e-4
+RESOLVED = 0.1  # of a play: it is told to 20 % with two of such σ
 _CURVED = 0.02  # share of the flow at the greatest opening that curvature must make to be told
 _KNOTS = (0.25, 0.5, 0.75, 1.0)
 
@@ -49,6 +51,11 @@ class JointFindings(NamedTuple):
     opened: tuple[float, float]
     play: PlayFound | None = None
     unseen: str = ""
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the play is told to 20 %, by twice its standard deviation."""
+        return self.play is not None and self.play.half_std <= RESOLVED * abs(self.play.half)
 
     @property
     def hysteresis(self) -> Uncertain:

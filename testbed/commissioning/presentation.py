@@ -32,7 +32,7 @@ def findings_table(found: Mapping[int, JointFindings]) -> Table:
 
 def _row(joint: int, sense: str, one: JointFindings, edge: EdgeFindings) -> tuple[object, ...]:
     edge_cells = (
-        sense,
+        f"{sense}, by its outlet" if edge.by_outlet else sense,
         _told(edge.deadband, 100.0, 3),
         _told(edge.hysteresis, 100.0, 2),
         _told(edge.lag, 1e3, 0),
@@ -49,10 +49,17 @@ def _row(joint: int, sense: str, one: JointFindings, edge: EdgeFindings) -> tupl
         *edge_cells,
         _told(friction.friction, 1.0, 1),
         _told(friction.load, 1.0, 1),
-        one.unseen if one.play is None else _told(Uncertain(one.play.half, one.play.half_std), 1e3, 3),
+        _play_told(one),
         f"{1e3 * one.travel:.0f}",
         f"{one.seconds:.0f}",
     )
+
+
+def _play_told(one: JointFindings) -> str:
+    if one.play is None:
+        return one.unseen
+    told = _told(Uncertain(one.play.half, one.play.half_std), 1e3, 3)
+    return told if one.resolved else f"{told} (not to 20 %)"
 
 
 def _told(number: Uncertain, unit: float, digits: int) -> str:

@@ -101,8 +101,9 @@ class StrokeRecord(NamedTuple):
     ``u`` (n,): the spool's size; ``turned`` (n,) rad; ``q`` (n,). ``e`` (n,) rad/s: nominal speed at full
     opening by the pressure left across the edge that fills, ``inlet`` (n,) bar: of the chamber that it fills.
     ``e_by_load``, ``load`` (n,): the same for a valve whose edges are alike, by p_a − ratio · p_b, bar,
-    positive against the motion. ``nominal`` (n,) rad/s: at the rated pressures. ``top``: index of the
-    greatest spool.
+    positive against the motion. ``e_by_outlet``, ``outlet``: as the first two, of the edge and the chamber
+    that are emptied. ``fed_bar`` (n,): by how much ``inlet`` is above the tank. ``nominal`` (n,) rad/s:
+    at the rated pressures. ``top``: index of the greatest spool.
     """
 
     kind: StrokeKind
@@ -117,6 +118,9 @@ class StrokeRecord(NamedTuple):
     q: Array
     top: int
     nominal: Array
+    e_by_outlet: Array
+    outlet: Array
+    fed_bar: Array
 
 
 def strokes_in(recording: JointRecording, compensated: bool) -> list[StrokeRecord]:
@@ -141,7 +145,7 @@ def _along(rec: JointRecording, kind: StrokeKind, rows: NDArray[np.intp], sense:
     u = sense * rec.valve[rows]
     q = rec.q[rows, rec.joint]
     load = rec.chambers[rows, 0] - rec.area_ratio * rec.chambers[rows, 1]
-    inlet = rec.chambers[rows, 0 if sense > 0.0 else 1]
+    inlet, outlet = rec.chambers[rows].T if sense > 0.0 else rec.chambers[rows, ::-1].T
     return StrokeRecord(
         kind=kind,
         sense=sense,
@@ -155,6 +159,9 @@ def _along(rec: JointRecording, kind: StrokeKind, rows: NDArray[np.intp], sense:
         q=q,
         top=int(np.argmax(u)),
         nominal=rec.full_speed[rows, 0 if sense > 0.0 else 1],
+        e_by_outlet=_available_by_outlet(rec, rows, outlet, sense),
+        outlet=outlet,
+        fed_bar=inlet - rec.back[rows],
     )
 
 
@@ -169,6 +176,19 @@ def _available(rec: JointRecording, rows: NDArray[np.intp], inlet: Array, sense:
     raising = sense > 0.0
     rated = (supply - r * back if raising else r * r * (r * supply - back)) / (1.0 + r**3)
     left = np.maximum(rec.supply[rows] - inlet, 1.0)
+    return np.asarray(rec.full_speed[rows, 0 if raising else 1] * np.sqrt(left / rated))
+
+
+def _available_by_outlet(rec: JointRecording, rows: NDArray[np.intp], outlet: Array, sense: float) -> Array:
+    """Nominal speed with the emptying edge full open, at the pressure across it to the tank.
+
+    As in ``_available`` with A_b v = K √(p_b − p_t): at the nominal speed the drop is r² times the filling
+    edge's, extending, and 1/r² times that, retracting.
+    """
+    r, (supply, back) = rec.area_ratio, rec.rated
+    raising = sense > 0.0
+    rated = (r * r * (supply - r * back) if raising else r * supply - back) / (1.0 + r**3)
+    left = np.maximum(outlet - rec.back[rows], 0.0)
     return np.asarray(rec.full_speed[rows, 0 if raising else 1] * np.sqrt(left / rated))
 
 

@@ -9,6 +9,10 @@ moving the load is not taken for deadband.
 On its way up the spool lags behind its command by half the hysteresis h and by the delay τ, on its way down
 it leads by the first: c_rising = d + h/2 + ρ τ, c_falling = d − h/2 − ρ τ at the ramp's rate ρ. So the mean
 is the deadband d, whatever h and τ are.
+
+A load that runs ahead of its oil empties the chamber behind it as fast as the *outlet* edge lets it, while
+the other one is filled from the tank: then e and p are the outlet's, and so is the deadband. Return edges
+open first, so that it is the smaller one.
 """
 
 import math
@@ -26,19 +30,22 @@ from testbed.commissioning.uncertain import Uncertain, repeated
 
 _SLOW, _FAST = 0.15, 0.92  # of the ramp's top speed, between which its halves are used
 _SMOOTH_S = 0.2  # of the speed that sorts samples; the fit itself uses angles
+_FED_BAR = 1.0  # above the tank: less, and a chamber is filled from there
+_SWINGS_RAD = 5.0e-5  # left by rows in motion, from which on rows with flow are tried: a load swings
+_OPENING = 0.3  # of the rising ramp, in which the valve may still be closed
 _LEAST_S = 0.2  # in motion, on one half of a triangle or on a step
 _GAP_SAMPLES = 20
 _CLEARLY = 1.3  # times less is left: more than chance
 _SETTLES_S = 0.15  # a step's flow, after its delay
 _DELAYS_S = np.arange(0.0, 0.3, 0.001)
 # Standard deviation of what repeating does not average out: leakage past the spool and the orifice's laminar
-# part shift the rim by up to about 2e-4 of the spool, the other errors grow with the deadband.
-_RIM_FLOOR, _RIM_SHARE = 1.0e-4, 0.01
+# part shift the rim, the other errors grow with the deadband. [M] drawn machines of 9000 to 9027.
+_RIM_FLOOR, _RIM_SHARE = 6.0e-5, 0.0025
 _GAIN_FLOOR = 0.01
 _DELAY_FLOOR_S = 0.003
 _CURVATURE_STD = 1.0  # prior of the flow's curvature: progressive notches have 0.7
 _NOISE_RAD = 2.0e-5  # of an encoder reading
-_WIDTH_FLOOR = 1.0e-4  # of spool
+_WIDTH_FLOOR, _WIDTH_SHARE = 1.5e-5, 8.0e-4  # of spool, of the rim; [M] as the rims'
 
 
 class _Part(NamedTuple):
@@ -78,7 +85,8 @@ class EdgeFindings(NamedTuple):
     ``deadband``, ``hysteresis``: of the spool. ``lag`` (s): from a slowly changing command to the flow;
     ``response`` (s): from a step to its flow. ``gain``: true flow over nominal where the valve opens;
     ``curvature`` k of the flow, f(x) = x + k x²; ``compliance`` (rad/bar): of the oil; ``flow``: (spool,
-    speed over nominal at full spool) of every step. ``residual`` (rad): rms of the ramps.
+    speed over nominal at full spool) of every step. ``residual`` (rad): rms of the ramps. ``by_outlet``: the
+    load ran ahead of its oil, and the deadband is that of the edge that lets it out.
     """
 
     deadband: Uncertain
@@ -90,6 +98,7 @@ class EdgeFindings(NamedTuple):
     compliance: float
     flow: tuple[tuple[float, float], ...]
     residual: float
+    by_outlet: bool = False
 
 
 def edge_findings(strokes: Sequence[StrokeRecord], sense: float) -> EdgeFindings:
@@ -97,28 +106,49 @@ def edge_findings(strokes: Sequence[StrokeRecord], sense: float) -> EdgeFindings
 
     Both readings of the pressures are tried: the filling edge alone, which holds for every valve, and four
     edges alike, which suffers less from air in the oil. The second is told where it leaves clearly less.
-    Where the data do not tell them apart, half of their difference counts into the deadband's spread.
+    Where the load runs ahead neither holds, and the outlet edge is told.
     """
     mine = [stroke for stroke in strokes if stroke.sense == sense]
+    if _runs_ahead(mine):
+        return _by_outlet(mine)
     alike = [stroke._replace(e=stroke.e_by_load, inlet=stroke.load) for stroke in mine]
     filling, all_four = _found(mine), _found(alike)
-    clearly = all_four.residual * _CLEARLY < filling.residual
-    told, other = (all_four, filling) if clearly else (filling, all_four)
-    if other.residual > _CLEARLY**2 * told.residual:
-        return told
-    apart = 0.5 * (told.deadband.value - other.deadband.value)
-    deadband = Uncertain(told.deadband.value, math.hypot(told.deadband.std, apart))
-    return told._replace(deadband=deadband)
+    return all_four if all_four.residual * _CLEARLY < filling.residual else filling
+
+
+def _full_triangles(strokes: Sequence[StrokeRecord]) -> list[StrokeRecord]:
+    return [stroke for stroke in strokes if stroke.kind is StrokeKind.RAMP][1:]  # one found the way
+
+
+def _runs_ahead(strokes: Sequence[StrokeRecord]) -> bool:
+    """Whether the chamber to be filled stands at the tank's pressure for most of the ramps' motion."""
+    shares = []
+    for stroke in _full_triangles(strokes):
+        speed = smoothed_speed(stroke)
+        shares.append(np.mean(stroke.fed_bar[speed > _SLOW * speed.max()] < _FED_BAR))
+    return bool(shares) and float(np.mean(shares)) > 0.5
+
+
+def _by_outlet(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
+    """The findings by the outlet edge; gain and flow over the inlet's nominal speed, as the others'."""
+    told = _found([stroke._replace(e=stroke.e_by_outlet, inlet=-stroke.outlet) for stroke in strokes])
+    shares = [np.median(stroke.e_by_outlet / stroke.e) for stroke in _full_triangles(strokes)]
+    share = float(np.mean(shares))
+    return told._replace(
+        gain=Uncertain(share * told.gain.value, share * told.gain.std),
+        flow=tuple((spool, share * speed) for spool, speed in told.flow),
+        by_outlet=True,
+    )
 
 
 def _found(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
-    triangles = [stroke for stroke in strokes if stroke.kind is StrokeKind.RAMP][1:]  # one found the way
+    triangles = _full_triangles(strokes)
     stepped = [stroke for stroke in strokes if stroke.kind is StrokeKind.STEP]
     steps = [fit_step(stroke) for stroke in stepped]
     if len(triangles) < 2 or len(steps) < 2:
         why = f"{len(triangles)} full ramps and {len(steps)} steps: two of each are wanted"
         raise MeasurementFailed("measurement.too_few_strokes", why)
-    ramps = fit_ramps(triangles, [(s, fit.delay) for s, fit in zip(stepped, steps, strict=True)])
+    ramps = _fit_flowing(triangles, [(s, fit.delay) for s, fit in zip(stepped, steps, strict=True)])
     middle = 0.5 * (ramps.rising + ramps.falling)
     hysteresis, lag = _loop(ramps)
     return EdgeFindings(
@@ -134,6 +164,58 @@ def _found(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
     )
 
 
+def _fit_flowing(triangles: Sequence[StrokeRecord], steps: Sequence[tuple[StrokeRecord, float]]) -> RampFits:
+    """The fit by rows in motion; where a load swings, by rows with flow, if that leaves clearly less.
+
+    A load that swings on its oil is quick and slow while the flow hardly changes, and rows that are sorted by
+    its speed hold such in which the spool still stands in its hysteresis.
+    """
+    try:
+        by_speed = fit_ramps(triangles, steps)
+    except MeasurementFailed as error:
+        return _fit_by_flow(triangles, steps, error)
+    left = float(np.sqrt(np.mean(by_speed.residual**2)))
+    if left < _SWINGS_RAD:
+        return by_speed
+    try:
+        by_flow = _fit_by_flow(triangles, steps, None)
+    except MeasurementFailed:
+        return by_speed
+    return by_flow if _CLEARLY * float(np.sqrt(np.mean(by_flow.residual**2))) < left else by_speed
+
+
+def _fit_by_flow(
+    triangles: Sequence[StrokeRecord],
+    steps: Sequence[tuple[StrokeRecord, float]],
+    error: MeasurementFailed | None,
+) -> RampFits:
+    """By the triangles whose both halves show flow. Raises ``error``, if any, where two are too few."""
+    compliance = _compliance(triangles)
+    told, why = [], error
+    for stroke in triangles:
+        try:
+            _halves(stroke, compliance)
+            told.append(stroke)
+        except MeasurementFailed as short:
+            why = why or short
+    if why is not None and len(told) < 2:
+        raise why
+    return fit_ramps(told, steps, compliance)
+
+
+def _compliance(triangles: Sequence[StrokeRecord]) -> float:
+    """The oil's compliance (rad/bar) without a valve's model: while a ramp rises, its flow has no swings."""
+    found = []
+    for stroke in triangles:
+        rows = np.arange(round(_OPENING * stroke.top), stroke.top)
+        x = np.linspace(-1.0, 1.0, len(rows))
+        matrix = np.column_stack([x**k for k in range(4)] + [stroke.inlet[rows[0]] - stroke.inlet[rows]])
+        units = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
+        solved, *_ = np.linalg.lstsq(matrix / units, stroke.turned[rows], rcond=None)
+        found.append(float(solved[-1] / units[-1]))
+    return max(float(np.median(found)), 0.0)
+
+
 def _loop(ramps: RampFits) -> tuple[Uncertain, Uncertain]:
     """Hysteresis (of spool) and lag (s): the loop's width is h + 2 ρ τ, at two rates ρ or more."""
     width = ramps.rising - ramps.falling
@@ -143,25 +225,31 @@ def _loop(ramps: RampFits) -> tuple[Uncertain, Uncertain]:
             "measurement.one_pace", "all ramps have one pace: hysteresis and lag look alike"
         )
     found, *_ = np.linalg.lstsq(matrix, width, rcond=None)
-    error = math.hypot(_WIDTH_FLOOR, float(np.std(width - matrix @ found)) * 2.0)
+    floor = math.hypot(_WIDTH_FLOOR, _WIDTH_SHARE * float(ramps.rising.mean()))
+    error = math.hypot(floor, float(np.std(width - matrix @ found)) * 2.0)
     covariance = error**2 * np.linalg.inv(matrix.T @ matrix)
     stds = np.sqrt(np.diag(covariance))
     return Uncertain(float(found[0]), float(stds[0])), Uncertain(float(found[1]), float(stds[1]))
 
 
 def fit_ramps(
-    triangles: Sequence[StrokeRecord], steps: Sequence[tuple[StrokeRecord, float]] = ()
+    triangles: Sequence[StrokeRecord],
+    steps: Sequence[tuple[StrokeRecord, float]] = (),
+    compliance: float = 0.0,
 ) -> RampFits:
     """The RampFits of one sense's triangles: one gain, curvature and compliance, two rims each.
 
     ``steps``, each with its delay (s), reach further open than triangles: they tell the curvature.
+    ``compliance`` (rad/bar) sorts rows by the flow that it makes of speed and pressure; 0: by the speed.
 
     Given the rims, all else is linear: they alone are sought, by Gauss-Newton. Raises MeasurementFailed when
     too little of a triangle moved, or when flow over nominal is not positive.
     """
     rates = np.array([_rate(stroke) for stroke in triangles])
     one_each = iter(np.eye(2 * len(triangles)))
-    halves = [_Part(stroke, rows, next(one_each)) for stroke in triangles for rows in _halves(stroke)]
+    halves = [
+        _Part(stroke, rows, next(one_each)) for stroke in triangles for rows in _halves(stroke, compliance)
+    ]
     outward = np.zeros(2 * len(triangles))
     outward[0::2] = _at_rest(rates)
     parts = halves + [_Part(s, rows, outward) for s, delay in steps for rows in _plateau(s, delay)]
@@ -214,9 +302,9 @@ def _rate(stroke: StrokeRecord) -> float:
     return float(np.median(np.abs(np.diff(stroke.u)) / np.diff(stroke.t)))
 
 
-def _halves(stroke: StrokeRecord) -> list[NDArray[np.intp]]:
-    """The rows in motion on the rising and the falling half of a triangle."""
-    speed = smoothed_speed(stroke)
+def _halves(stroke: StrokeRecord, compliance: float) -> list[NDArray[np.intp]]:
+    """The rows in motion, or with flow, on the rising and the falling half of a triangle."""
+    speed = smoothed_speed(stroke, compliance)
     top = float(speed.max())
     index = np.arange(len(speed))
     slow = np.abs(np.gradient(stroke.u, stroke.t)) < 1.5 * _rate(stroke)  # not the quick turn at the top
@@ -278,12 +366,14 @@ def fit_step(stroke: StrokeRecord) -> StepFit:
     return StepFit(float(stroke.u[stroke.top]), delay, speed, residual)
 
 
-def smoothed_speed(stroke: StrokeRecord) -> Array:
-    """The mean speed (n,) rad/s along the stroke's sense over a window about each sample."""
+def smoothed_speed(stroke: StrokeRecord, compliance: float = 0.0) -> Array:
+    """The mean speed (n,) rad/s along the stroke's sense over a window about each sample; with
+    ``compliance`` (rad/bar) that of the oil that flows in."""
+    passed = stroke.turned + compliance * stroke.inlet
     half = max(1, round(0.5 * _SMOOTH_S / float(np.median(np.diff(stroke.t)))))
     index = np.arange(len(stroke.t))
     before, after = np.maximum(index - half, 0), np.minimum(index + half, len(index) - 1)
-    return np.asarray((stroke.turned[after] - stroke.turned[before]) / (stroke.t[after] - stroke.t[before]))
+    return np.asarray((passed[after] - passed[before]) / (stroke.t[after] - stroke.t[before]))
 
 
 def _integral(t: Array, values: Array) -> Array:

@@ -47,7 +47,8 @@ class Excitation(NamedTuple):
     spool's size at which the valve begins to pass oil, raising and lowering, as far as seen; 0 before.
     ``slope`` (6, 2), rad/s: speed over spool beyond that, 0 before.
     ``slack`` (6,): by how much the command surely turns back without an answer. ``top_speed``, ``top``: of
-    the running ramp, and its spool's size there; ``low_speed``, ``low``: likewise where it had begun to move.
+    the running ramp (or of a step so far), and its spool's size there; ``low_speed``, ``low``: likewise where
+    it had begun to move.
     ``place`` (6,): where the arm stood at first; ``creep`` (6,), rad/s: before the stroke; ``returning``: the
     joint that is brought back to its place, None otherwise: then ``spool`` is its valve's.
     """

@@ -40,6 +40,7 @@ _CREPT_RAD = 10e-3
 _BACK_RAD = 2e-3
 _BACK_SPEED = 0.3  # of a ramp's top speed
 _ENOUGH = 1.35  # of the travel, at which a falling ramp is cut short: a slow valve still closes in time
+_RUNS_AWAY = 1.5  # times a ramp's top speed, at which a step has shown enough
 
 
 def excite(
@@ -110,7 +111,7 @@ def _rest(
         state = state._replace(home=float(q[stroke.joint]), away=away)
     phase = Phase.HOLDING if stroke.kind is StrokeKind.STEP else Phase.RISING
     state = state._replace(phase=phase, phase_s=0.0, stroke_s=0.0, still_s=0.0, q_start=q, low_speed=0.0)
-    state = state._replace(creep=state.speed)
+    state = state._replace(creep=state.speed, top_speed=0.0)
     return state._replace(spool=_first_spool(limits, state, stroke), swing=0.0, reversals=0), None
 
 
@@ -203,8 +204,11 @@ def _ramp(settings: ExcitationPlan, state: Excitation, q: Array, dt_s: float) ->
     step = sense * stroke.pace * limits.ramp_rate * dt_s
     if state.phase is Phase.RISING:
         return _rising(limits, state, stroke, q, step)
-    if state.phase is Phase.TURNING and speed < _TURNED * state.top_speed:
+    slower = speed < _TURNED * state.top_speed
+    if state.phase is Phase.TURNING and slower:
         state = _with_slack(limits, state, stroke)
+    elif state.phase is Phase.FALLING and not slower:  # a swing of the load had only looked like it
+        state = state._replace(phase=Phase.TURNING)
     if state.phase is Phase.TURNING:
         step = sense * max(_turning_rate(state, stroke) * dt_s, abs(step))
     spool = state.spool - step
@@ -251,6 +255,23 @@ def _with_slack(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> 
 
 def _step(settings: ExcitationPlan, state: Excitation, q: Array) -> Excitation:
     limits, stroke = settings.limits, settings.strokes[state.stroke]
-    if state.phase_s >= limits.step_s or turned_by(state, stroke, q) >= _wanted(limits, state, stroke):
-        return _done(state, settings)
+    speed = sense_of(state, stroke) * float(state.speed[stroke.joint])
+    state = state._replace(top_speed=max(state.top_speed, speed))
+    far = turned_by(state, stroke, q) >= _wanted(limits, state, stroke)
+    if far or state.phase_s >= limits.step_s or speed > _RUNS_AWAY * float(limits.top_speed[stroke.joint]):
+        return _done(_with_steeper(state, stroke), settings)
     return state
+
+
+def _with_steeper(state: Excitation, stroke: Stroke) -> Excitation:
+    """``state`` after a step that was faster than the ramps had said: the next one opens by less.
+
+    A load that swings spoils what a ramp says, and oil that flows progressively is quicker further out.
+    """
+    joint, side = stroke.joint, _side(sense_of(state, stroke))
+    opened = abs(state.spool) - float(state.rim[joint, side])
+    if opened <= 0.0:
+        return state
+    slope = state.slope.copy()
+    slope[joint, side] = max(state.top_speed / opened, float(slope[joint, side]))
+    return state._replace(slope=slope)

@@ -41,6 +41,28 @@ def test_an_excitation_ends_where_it_began() -> None:
     assert abs(valve.q[2] - START[2]) < 0.02
 
 
+def test_a_step_that_runs_away_ends_and_makes_the_next_one_smaller() -> None:
+    """Ramps saw a quarter of what the valve gives further out, as behind a load that swings."""
+    plan = plan_for(5)
+    first = next(k for k, stroke in enumerate(plan.strokes) if stroke.kind is StrokeKind.STEP)
+    rim, slope = np.zeros((6, 2)), np.ones((6, 2))
+    rim[5] = 0.05
+    state = begun(START, first)._replace(rim=rim, slope=slope, still_s=9.0, phase_s=9.0)
+    q, speed, spools = START.copy(), np.zeros(6), [0.0]
+    while state.stroke == first and len(spools) < 400:
+        state, trouble = excite(plan, state, Measured(q, 100.0), DT_S)
+        assert trouble is None
+        spools.append(abs(state.spool))
+        speed[5] = 4.0 * max(spools[-1] - 0.05, 0.0)
+        q = q + DT_S * speed
+    opened = max(spools) - 0.05
+    assert opened == pytest.approx(plan.strokes[first].speed, rel=1e-6)
+    assert state.slope[5, 0] == pytest.approx(4.0, rel=0.1)
+    again = state._replace(stroke=first + 2, still_s=9.0, phase_s=9.0, speed=np.zeros(6), q_before=q)
+    again, _ = excite(plan, again, Measured(q, 100.0), DT_S)
+    assert abs(again.spool) - 0.05 == pytest.approx(plan.strokes[first + 2].speed / 4.0, rel=0.15)
+
+
 def test_the_sense_with_room_is_taken() -> None:
     valve = ToyValve(3)
     valve.q[3] = np.radians(84.0)

@@ -41,6 +41,41 @@ def test_drawn_valves_are_found(seed: int) -> None:
         assert len(found.flow) == 3
 
 
+def test_a_load_that_runs_ahead_is_metered_by_its_outlet() -> None:
+    """The chamber to be filled stands at the tank's pressure, and its edge says nothing of the motion."""
+    strokes = [
+        stroke._replace(
+            e=stroke.e * (1.0 + 0.3 * stroke.t),
+            e_by_load=stroke.e * (1.0 + 0.3 * stroke.t),
+            inlet=np.full_like(stroke.t, 10.0),
+            fed_bar=np.zeros_like(stroke.t),
+            e_by_outlet=stroke.e,
+        )
+        for stroke in strokes_of(ToyValve(5, 0.05, 0.06, gain=1.2))
+    ]
+    found = edge_findings(strokes, 1.0)
+    assert found.by_outlet
+    assert found.deadband.value == pytest.approx(0.05, rel=0.02)
+    share = np.median(strokes[4].e_by_outlet / strokes[4].e)
+    assert 0.3 * share < found.gain.value < 3.0 * share
+    filled = [stroke._replace(fed_bar=np.full_like(stroke.t, 20.0)) for stroke in strokes]
+    misled = edge_findings(filled, 1.0)
+    assert not misled.by_outlet
+    assert misled.deadband.value != pytest.approx(0.05, rel=0.02)
+
+
+def test_a_load_that_swings_on_its_oil_is_told_by_the_flow() -> None:
+    """Speed and pressure swing against each other: the flow of the two together does not."""
+    strokes = []
+    for stroke in strokes_of(ToyValve(5, 0.05, 0.05, play=0.03)):
+        swing = 20.0 * np.sin(2.0 * np.pi * 1.4 * stroke.t) * (stroke.turned > 1e-3)
+        strokes.append(stroke._replace(turned=stroke.turned - 3e-4 * swing, inlet=stroke.inlet + swing))
+    found = edge_findings(strokes, 1.0)
+    assert found.deadband.value == pytest.approx(0.05, rel=0.02)
+    assert found.hysteresis.value == pytest.approx(0.03, rel=0.1)
+    assert found.compliance == pytest.approx(3e-4, rel=0.1)
+
+
 def test_a_recording_survives_its_file(tmp_path) -> None:  # type: ignore[no-untyped-def]
     plan = plan_for(5)
     _, _, samples = tried(ToyValve(5), plan)
@@ -61,9 +96,8 @@ def test_too_few_strokes_are_refused() -> None:
 
 def test_a_ramp_that_hardly_moved_is_refused() -> None:
     ramp = next(stroke for stroke in strokes_of(ToyValve(5)) if stroke.kind is StrokeKind.RAMP)
-    short = ramp._replace(
-        **{name: getattr(ramp, name)[: ramp.top + 12] for name in ("t", "u", "turned", "e", "load", "q")}
-    )
+    series = ("t", "u", "turned", "e", "load", "q", "inlet")
+    short = ramp._replace(**{name: getattr(ramp, name)[: ramp.top + 12] for name in series})
     with pytest.raises(MeasurementFailed) as raised:
         fit_ramps([short])
     assert raised.value.cause == "measurement.ramp_too_short"

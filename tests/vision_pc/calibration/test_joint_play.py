@@ -64,6 +64,20 @@ def test_play_before_the_encoder_is_found_with_an_honest_spread(seed: int) -> No
     assert abs(found.delay - 0.012) < 3.5 * found.delay_std
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_boom_that_swings_beside_its_joint_is_not_taken_for_play(seed: int) -> None:
+    seen = seen_of(encoder_side=2e-4, seed=seed)
+    swing = np.array([exp_so3(np.array([0.0, 0.0, 6e-4 * np.sin(9.0 * t + 0.3)])) for t in seen.seen_t])
+    turned = seen.X_C0C.copy()
+    turned[:, :3, 3] = (swing @ (turned[:, :3, 3] + [_LEVER_M, 0.0, 0.0])[..., None])[..., 0]
+    turned[:, :3, 3] -= [_LEVER_M, 0.0, 0.0]
+    turned[:, :3, :3] = swing @ turned[:, :3, :3]
+    found = joint_play(seen._replace(X_C0C=turned))
+    assert found.half == pytest.approx(2e-4, rel=0.2)
+    assert abs(found.half - 2e-4) < 3.5 * found.half_std
+    assert found.half_std < 2.5e-5  # 6e-5 and more without the swings
+
+
 def test_loose_steel_behind_the_encoder_has_the_other_sign() -> None:
     found = joint_play(seen_of(load_side=4e-4))
     assert found.half == pytest.approx(-4e-4, rel=0.1)

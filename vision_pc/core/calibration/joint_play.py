@@ -10,7 +10,8 @@ with s = ±1 the sense of motion, v and a the encoder's speed and acceleration, 
 closed valves. Between s = −1 and s = +1 lie
 2 b: b > 0 where the tool moves while the encoder stands (play on the encoder's side), b < 0 where the encoder
 moves while the tool stands (loose steel behind it). Slow triangles pass the same angles out and back at
-many speeds, which keeps b apart from τ.
+many speeds, which keeps b apart from τ. A long boom swings on beside all of that: where one frequency takes
+clearly more away than chance, each triangle has a swing of its own with it.
 """
 
 import math
@@ -31,6 +32,8 @@ _SLOW_RAD_S = 2e-3  # above it the encoder surely moves, and the play is on one 
 _CROSSED_RAD = 2e-3  # after so much of a triangle the load has come along
 _WINDOW_S = 0.2  # of the encoder's speed and acceleration
 _SWING_S = 0.8  # longer than a swing of the boom: what is left of the speed over it does not swing
+_SWINGS_RAD_S = 2.0 * math.pi * np.arange(0.4, 4.6, 0.05)  # up to half of ten pictures a second
+_SWUNG = 0.85  # of what is left without: less is a swing
 _LEAST_FRAMES = 8  # of a triangle's half
 _LEAST_PAIRS = 2
 _FLOOR_RAD = 2.0e-6  # what all triangles share: the arc beyond its third order, swing, the map's points
@@ -75,10 +78,11 @@ class _Rows(NamedTuple):
 
 
 class _Motion(NamedTuple):
-    """The encoders at every capture: angle, speed, its swinging part and acceleration (m,) of the joint,
-    ``others`` (m, 5).
+    """The encoders at every capture at ``t`` (m,) s: angle, speed, its swinging part and acceleration (m,) of
+    the joint, ``others`` (m, 5).
     """
 
+    t: Array
     q: Array
     v: Array
     swing: Array
@@ -127,6 +131,7 @@ def _motion(seen: JointSeen) -> _Motion:
     columns = [np.interp(times, seen.t, q) for k, q in enumerate(seen.q.T) if k != seen.joint]
     others = np.column_stack(columns)
     return _Motion(
+        times,
         here,
         speed,
         speed - steady,
@@ -169,9 +174,13 @@ def _found(along: Array, motion: _Motion, halves: Sequence[_Rows]) -> PlayFound:
     The spread is that of leaving out one triangle after the other: what a swing leaves in a triangle is alike
     from frame to frame.
     """
-    whole = _fit(along, motion, halves)
+    whole, omega = _fit(along, motion, halves), 0.0
+    swings = [_fit(along, motion, halves, each) for each in _SWINGS_RAD_S]
+    best = int(np.argmin([fit.residual for fit in swings]))
+    if swings[best].residual < _SWUNG * whole.residual:
+        whole, omega = swings[best], float(_SWINGS_RAD_S[best])
     n = len(halves)
-    others = [_fit(along, motion, [*halves[:k], *halves[k + 1 :]]) for k in range(n)]
+    others = [_fit(along, motion, [*halves[:k], *halves[k + 1 :]], omega) for k in range(n)]
     widened = (n - 1) / math.sqrt(n) * math.sqrt((n - 1) / (n - 3))
     half_std, delay_std = (widened * float(np.std([fit[k] for fit in others])) for k in (0, 1))
     return PlayFound(
@@ -184,7 +193,8 @@ def _found(along: Array, motion: _Motion, halves: Sequence[_Rows]) -> PlayFound:
     )
 
 
-def _fit(along: Array, motion: _Motion, halves: Sequence[_Rows]) -> _Fit:
+def _fit(along: Array, motion: _Motion, halves: Sequence[_Rows], omega: float = 0.0) -> _Fit:
+    """``omega`` (rad/s): of the swings; 0: without. What is left counts by its degrees of freedom."""
     rows = np.concatenate([half.rows for half in halves])
     senses = np.concatenate([np.full(len(half.rows), half.sense) for half in halves])
     x = motion.q[rows] - motion.q[rows].mean()
@@ -195,10 +205,26 @@ def _fit(along: Array, motion: _Motion, halves: Sequence[_Rows]) -> _Fit:
     turned = along[rows] @ (slopes / size**2)  # in radians of the joint
     matrix = np.column_stack(
         [np.ones_like(x), x, x**2, x**3, senses, motion.v[rows], motion.swing[rows], motion.a[rows],
-         motion.others[rows]]
+         motion.others[rows], *_swings(motion.t, halves, omega)]
     )  # fmt: skip
     units = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
     scaled, *_ = np.linalg.lstsq(matrix / units, turned, rcond=None)
     solved = scaled / units
     left = turned - matrix @ solved
-    return _Fit(float(solved[4] / solved[1]), -float(solved[5] / solved[1]), float(np.sqrt(np.mean(left**2))))
+    free = max(len(turned) - matrix.shape[1], 1)
+    rms = math.sqrt(float(left @ left) / free)
+    return _Fit(float(solved[4] / solved[1]), -float(solved[5] / solved[1]), rms)
+
+
+def _swings(t: Array, halves: Sequence[_Rows], omega: float) -> list[Array]:
+    """Cosine and sine, (m, 2), over the captures of every triangle, 0 elsewhere; none without ``omega``."""
+    if omega == 0.0:
+        return []
+    ends = np.cumsum([0, *(len(half.rows) for half in halves)])
+    found = []
+    for half, first, end in zip(halves, ends, ends[1:], strict=False):
+        phase = omega * (t[half.rows] - t[half.rows[0]])
+        both = np.zeros((ends[-1], 2))
+        both[first:end] = np.column_stack([np.cos(phase), np.sin(phase)])
+        found.append(both)
+    return found
