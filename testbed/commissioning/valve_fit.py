@@ -150,9 +150,12 @@ def _found(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
         raise MeasurementFailed("measurement.too_few_strokes", why)
     ramps = _fit_flowing(triangles, [(s, fit.delay) for s, fit in zip(stepped, steps, strict=True)])
     middle = 0.5 * (ramps.rising + ramps.falling)
-    hysteresis, lag = _loop(ramps)
+    residual = float(np.sqrt(np.mean(ramps.residual**2)))
+    beyond = max(residual / _NOISE_RAD, 1.0)  # what is left beyond the noise is the model's
+    hysteresis, lag = _loop(ramps, beyond)
+    floor = beyond * math.hypot(_RIM_FLOOR, _RIM_SHARE * float(middle.mean()))
     return EdgeFindings(
-        deadband=repeated(middle.tolist(), math.hypot(_RIM_FLOOR, _RIM_SHARE * float(middle.mean()))),
+        deadband=repeated(middle.tolist(), floor),
         hysteresis=hysteresis,
         lag=lag,
         response=repeated([step.delay for step in steps], _DELAY_FLOOR_S),
@@ -160,7 +163,7 @@ def _found(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
         curvature=ramps.curvature,
         compliance=ramps.compliance,
         flow=tuple((step.spool, step.relative_speed) for step in steps),
-        residual=float(np.sqrt(np.mean(ramps.residual**2))),
+        residual=residual,
     )
 
 
@@ -216,8 +219,11 @@ def _compliance(triangles: Sequence[StrokeRecord]) -> float:
     return max(float(np.median(found)), 0.0)
 
 
-def _loop(ramps: RampFits) -> tuple[Uncertain, Uncertain]:
-    """Hysteresis (of spool) and lag (s): the loop's width is h + 2 ρ τ, at two rates ρ or more."""
+def _loop(ramps: RampFits, beyond: float) -> tuple[Uncertain, Uncertain]:
+    """Hysteresis (of spool) and lag (s): the loop's width is h + 2 ρ τ, at two rates ρ or more.
+
+    ``beyond``: times the floor of the spread.
+    """
     width = ramps.rising - ramps.falling
     matrix = np.column_stack([np.ones_like(width), 2.0 * ramps.rate])
     if np.ptp(ramps.rate) < 0.2 * ramps.rate.mean():
@@ -225,7 +231,7 @@ def _loop(ramps: RampFits) -> tuple[Uncertain, Uncertain]:
             "measurement.one_pace", "all ramps have one pace: hysteresis and lag look alike"
         )
     found, *_ = np.linalg.lstsq(matrix, width, rcond=None)
-    floor = math.hypot(_WIDTH_FLOOR, _WIDTH_SHARE * float(ramps.rising.mean()))
+    floor = beyond * math.hypot(_WIDTH_FLOOR, _WIDTH_SHARE * float(ramps.rising.mean()))
     error = math.hypot(floor, float(np.std(width - matrix @ found)) * 2.0)
     covariance = error**2 * np.linalg.inv(matrix.T @ matrix)
     stds = np.sqrt(np.diag(covariance))
