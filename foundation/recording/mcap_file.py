@@ -17,6 +17,8 @@ import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
+    Attachment,
+    AttachmentIndex,
     Channel,
     Chunk,
     ChunkIndex,
@@ -43,7 +45,7 @@ _MESSAGE = struct.Struct("<BQHIQQ")
 
 class Format(NamedTuple):
     """What the messages of a topic are: ``schema`` its name, ``data`` its text, ``encoding`` of schema and
-    of message as MCAP's registry of well-known encodings names them.
+    of message as MCAP's registry of well-known encodings names them. Without name and encoding there is none.
     """
 
     schema: str
@@ -53,11 +55,14 @@ class Format(NamedTuple):
 
 
 class Topic(NamedTuple):
-    """One topic of a recording. ``encode`` returns the bytes of what is recorded on it."""
+    """One topic of a recording. ``encode`` returns the bytes of what is recorded on it; ``metadata`` is for
+    files of others.
+    """
 
     name: str
     format: Format
     encode: Callable[[Any], bytes]
+    metadata: tuple[tuple[str, str], ...] = ()
 
 
 Entries = Mapping[str, Mapping[str, str]]  # metadata: records by name, text by key
@@ -71,15 +76,21 @@ class McapFile:
     """
 
     def __init__(
-        self, path: Path, topics: Sequence[Topic], metadata: Mapping[str, Mapping[str, str]]
+        self,
+        path: Path,
+        topics: Sequence[Topic],
+        metadata: Entries,
+        attachments: Sequence[Attachment] = (),
     ) -> None:
         """Create ``path``. Raises FileExistsError where it exists, OSError when it cannot be written."""
         self.path = path
         self._topics = tuple(topics)
+        self._schemas, self._channels = _described(self._topics)
         self._file = path.open("xb", buffering=0)
         self._size = 0
         self._index = tempfile.TemporaryFile(dir=path.parent)  # noqa: SIM115  closed with the recording
         self._metadata_index: list[MetadataIndex] = []
+        self._attachment_index: list[AttachmentIndex] = []
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
         self._chunk = bytearray()
         self._places: dict[int, list[tuple[int, int]]] = {}
@@ -88,10 +99,14 @@ class McapFile:
         self._chunks = 0
         self._first_ns: int | None = None
         self._last_ns = 0
-        self._write(MCAP0_MAGIC + _bytes(Header("", LIBRARY), *self._schemas(), *self._channels()))
+        self._write(MCAP0_MAGIC + _bytes(Header("", LIBRARY), *self._schemas, *self._channels))
         for name, entries in metadata.items():
             record = _bytes(Metadata(name, dict(entries)))
             self._metadata_index.append(MetadataIndex(self._size, len(record), name))
+            self._write(record)
+        for attached in attachments:
+            record = _bytes(attached)
+            self._attachment_index.append(_index_of(attached, self._size, len(record)))
             self._write(record)
 
     @property
@@ -179,28 +194,9 @@ class McapFile:
         self._index.close()
         self._file.close()
 
-    def _schemas(self) -> list[Schema]:
-        """One record a schema, as several topics may share one."""
-        found = {topic.format: number for number, topic in reversed(list(enumerate(self._topics, 1)))}
-        ordered = sorted(found.items(), key=lambda item: item[1])
-        return [Schema(number, said.data, said.schema_encoding, said.schema) for said, number in ordered]
-
-    def _channels(self) -> list[Channel]:
-        numbers = {(schema.name, schema.data): schema.id for schema in self._schemas()}
-        return [
-            Channel(
-                number,
-                topic.name,
-                topic.format.message_encoding,
-                {},
-                numbers[topic.format.schema, topic.format.data],
-            )
-            for number, topic in enumerate(self._topics, 1)
-        ]
-
     def _statistics(self) -> Statistics:
         return Statistics(
-            attachment_count=0,
+            attachment_count=len(self._attachment_index),
             channel_count=len(self._topics),
             channel_message_counts={number: n for number, n in enumerate(self._counts, 1) if n},
             chunk_count=self._chunks,
@@ -208,7 +204,7 @@ class McapFile:
             message_end_time=self._last_ns,
             message_start_time=self._first_ns or 0,
             metadata_count=len(self._metadata_index),
-            schema_count=len(self._schemas()),
+            schema_count=len(self._schemas),
         )
 
     def _write_summary(self) -> None:
@@ -216,12 +212,15 @@ class McapFile:
         start, crc = self._size, 0
         offsets: list[SummaryOffset] = []
         groups: list[tuple[Opcode, list[Any]]] = [
-            (Opcode.SCHEMA, self._schemas()),
-            (Opcode.CHANNEL, self._channels()),
+            (Opcode.SCHEMA, self._schemas),
+            (Opcode.CHANNEL, self._channels),
             (Opcode.STATISTICS, [self._statistics()]),
             (Opcode.METADATA_INDEX, self._metadata_index),
+            (Opcode.ATTACHMENT_INDEX, self._attachment_index),
         ]
         for opcode, records in groups:
+            if not records:
+                continue
             group = _bytes(*records)
             offsets.append(SummaryOffset(opcode, self._size, len(group)))
             crc = zlib.crc32(group, crc)
@@ -252,6 +251,31 @@ class McapFile:
             with contextlib.suppress(OSError):
                 self._file.truncate(begun)
             raise
+
+
+def _described(topics: Sequence[Topic]) -> tuple[list[Schema], list[Channel]]:
+    """A record for every topic, and for every schema that they name."""
+    schemas: dict[tuple[str, str, bytes], Schema] = {}
+    channels = []
+    for number, (name, said, _, metadata) in enumerate(topics, 1):
+        key = (said.schema, said.schema_encoding, said.data)
+        if any(key) and key not in schemas:
+            schemas[key] = Schema(len(schemas) + 1, said.data, said.schema_encoding, said.schema)
+        schema_id = schemas[key].id if any(key) else 0
+        channels.append(Channel(number, name, said.message_encoding, dict(metadata), schema_id))
+    return list(schemas.values()), channels
+
+
+def _index_of(attached: Attachment, offset: int, length: int) -> AttachmentIndex:
+    return AttachmentIndex(
+        offset=offset,
+        length=length,
+        log_time=attached.log_time,
+        create_time=attached.create_time,
+        data_size=len(attached.data),
+        name=attached.name,
+        media_type=attached.media_type,
+    )
 
 
 def _bytes(*records: McapRecord) -> bytes:

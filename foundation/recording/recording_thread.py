@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from foundation.recording.mcap_file import CHUNK_NS, Entries, McapFile, Topic
 
@@ -13,6 +13,52 @@ _Item = tuple[int, Any, int, int]
 # [D] At 60 messages a second a disk may hang for half a minute before one is lost.
 WAITING_MAX = 2000
 _CLOSE_S = 10.0
+
+
+class RecordSink(Protocol):
+    """Where messages of known topics go: to a thread, or into the file at once."""
+
+    path: Path
+    failure: str
+    dropped: int
+
+    @property
+    def written(self) -> int:
+        """How many messages were taken into the file."""
+        ...
+
+    def put(self, topic: int, message: Any, log_ns: int, publish_ns: int, *, wanted: bool = False) -> None:
+        """Record ``message`` on topic number ``topic``; never drop what is ``wanted``."""
+        ...
+
+    def close(self) -> None:
+        """Write what waits and the summary, and close the file."""
+        ...
+
+
+class DirectRecording:
+    """Records at once, for simulated time: the same file from the same run. Raises OSError of a full disk."""
+
+    failure = ""
+    dropped = 0
+
+    def __init__(self, path: Path, topics: Sequence[Topic], metadata: Entries) -> None:
+        """Create ``path``. Raises FileExistsError where it exists, OSError when it cannot be written."""
+        self.path = path
+        self._file = McapFile(path, topics, metadata)
+
+    @property
+    def written(self) -> int:
+        """How many messages were taken into the file."""
+        return self._file.messages
+
+    def put(self, topic: int, message: Any, log_ns: int, publish_ns: int, *, wanted: bool = False) -> None:
+        """Record ``message`` on topic number ``topic``."""
+        self._file.add(topic, message, log_ns, publish_ns)
+
+    def close(self) -> None:
+        """Write the summary and close the file."""
+        self._file.close()
 
 
 class RecordingThread:

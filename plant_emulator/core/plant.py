@@ -32,7 +32,7 @@ from plant_emulator.core.layout import (
     TEMPERATURE,
 )
 from plant_emulator.core.mechanics.elastic import start_angles
-from plant_emulator.core.mechanics.geometry import base_tilt, transform
+from plant_emulator.core.mechanics.geometry import Chain, base_tilt, transform
 from plant_emulator.core.mechanics.loose import set_phases
 from plant_emulator.core.mechanics.multibody import forward_kinematics
 from plant_emulator.core.model import Model, build_model, put_payload
@@ -222,6 +222,23 @@ class Plant:
             flows=work.flows[:, [col.F_NET_A, col.F_NET_B]].copy(),
             faults=tuple(sorted(fault.name for fault in self.faults.in_force())),
         )
+
+    @property
+    def chain(self) -> Chain:
+        """The arm's joints and hinges, base first, at home."""
+        return self._chain
+
+    def links(self) -> Array:
+        """Poses (n, 4, 4) in the world of the chain's bodies, each at its own joint, as parallel to the base
+        at home; for drawings.
+        """
+        where, chain = self._model.places, self._chain
+        self._poses(self._state[where.angle])
+        work = self._work.multibody
+        X_WL = np.broadcast_to(np.eye(4), (len(chain.names), 4, 4)).copy()
+        X_WL[:, :3, :3] = work.rotation[1:]
+        X_WL[:, :3, 3] = np.einsum("nij,nj->ni", work.rotation[1:], chain.point) + work.origin[1:]
+        return np.asarray(self._mounts.X_WB @ X_WL)
 
     def motion(self) -> CameraMotion:
         """How camera and tool marker move now, for pictures of finite exposure."""

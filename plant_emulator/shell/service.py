@@ -10,6 +10,7 @@ from foundation.event_log import EventLog
 from foundation.overload import Limit, Tally
 from foundation.ports import bound_tcp
 from foundation.recording.directories import recording_directory
+from foundation.recording.session import session_entries
 from foundation.scheduling import take_fifo
 from foundation.self_watch import SelfWatch
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
@@ -23,7 +24,8 @@ from plant_emulator.shell.camera_sender import CameraSender
 from plant_emulator.shell.coupler import Coupler
 from plant_emulator.shell.fault_desk import FaultDesk
 from plant_emulator.shell.integrator import Integrator, SlowCycle
-from plant_emulator.shell.recording import TruthRecorder
+from plant_emulator.shell.scene_messages import drawing
+from plant_emulator.shell.truth_recorder import TruthRecorder
 from protocol.errors import ConfigurationError
 from protocol.process_image import ValveImage, acknowledge, encode_sensors
 
@@ -141,9 +143,9 @@ class PlantService:
             view = CameraView(truth.X_WC, truth.X_WM)
             frame_id = self._camera.capture(view, motion, deadline_ns, self._plant.faults.in_force())
             if self._recorder is not None:
-                self._recorder.capture(truth, deadline_ns, frame_id)
+                self._recorder.capture(truth, deadline_ns, frame_id, self._plant.links())
         elif record and self._recorder is not None:
-            self._recorder.truth(truth, deadline_ns)
+            self._recorder.truth(truth, deadline_ns, self._plant.links())
         self._tell_recording()
 
     def _tell_recording(self) -> None:
@@ -195,8 +197,9 @@ class PlantService:
             "scene": self._config.scene.model_dump(mode="json"),
             "plant_service": self._config.service.model_dump(mode="json"),
         }
+        drawn = drawing(self._config.scene, self._plant.chain, time.monotonic_ns())
         try:
-            return TruthRecorder(directory / "truth.mcap", run)
+            return TruthRecorder(directory / "truth.mcap", run, drawn, session_entries(_NAME))
         except OSError as error:
             raise ConfigurationError(
                 "configuration.recording", f"--record-dir {directory}: truth.mcap: {error.strerror}"

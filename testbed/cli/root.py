@@ -18,6 +18,7 @@ LOADED_LATER = {  # what a group of commands needs, such as matplotlib and dask,
     "conformance": "conformance.command",
     "hand-eye": "testbed.cli.hand_eye",
     "picture": "testbed.pictures.command",
+    "recording": "testbed.cli.recording",
     "token": "testbed.cli.token",
 }
 

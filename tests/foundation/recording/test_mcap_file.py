@@ -76,7 +76,7 @@ def test_the_library_finds_everything_by_its_index(tmp_path: Path) -> None:
 def test_a_kill_at_any_time_takes_along_less_than_a_chunk(tmp_path: Path) -> None:
     path, copy, step_ns = tmp_path / "f.mcap", tmp_path / "copy.mcap", CHUNK_NS // 7
     with closing(made(path)) as file:
-        for number in range(60):
+        for number in range(30):
             file.add(0, f"{number}", number * step_ns, number)
             found = kept(path.read_bytes(), copy)
             assert found == list(range(len(found)))
@@ -86,7 +86,7 @@ def test_a_kill_at_any_time_takes_along_less_than_a_chunk(tmp_path: Path) -> Non
 def test_a_cut_leaves_whole_chunks(tmp_path: Path) -> None:
     written(tmp_path / "f.mcap", 30)
     whole = (tmp_path / "f.mcap").read_bytes()
-    found = [kept(whole[:cut], tmp_path / "copy.mcap") for cut in range(60, len(whole))]
+    found = [kept(whole[:cut], tmp_path / "copy.mcap") for cut in range(60, len(whole), 37)]
     assert {len(times) for times in found} == {0, 10, 20, 30}
     assert all(times == list(range(len(times))) for times in found)
 

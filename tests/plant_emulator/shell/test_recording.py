@@ -8,21 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.exceptions import InvalidMagic
 from mcap.reader import make_reader
 
+from foundation.recording.reading import RecordingUnreadable
 from plant_emulator.core.faults.kinds import SupplyLost, ValveSlow
 from plant_emulator.core.faults.schedule import FaultSchedule
 from plant_emulator.core.truth import PlantTruth
-from plant_emulator.shell.recording import (
-    CAPTURE,
-    EVENT,
-    FAULT,
-    TRUTH,
-    FaultRecord,
-    TruthRecorder,
-    read_truth,
-)
+from plant_emulator.shell.recording import FaultRecord, read_truth
+from plant_emulator.shell.truth_recorder import CAPTURE, EVENT, FAULT, LOG, TRUTH, TruthRecorder
 
 RUN = {"plant": {"step_ms": 0.5}, "scene": {"seed": 7}}
 
@@ -117,11 +110,11 @@ def test_another_reader_finds_the_topics(tmp_path: Path) -> None:
         counts: dict[str, int] = {}
         for schema, channel, message in reader.iter_messages():
             assert schema is not None
-            assert schema.encoding == "jsonschema"
-            assert channel.message_encoding == "json"
+            assert schema.encoding == "protobuf"
+            assert channel.message_encoding == "protobuf"
             assert message.log_time >= 1000
             counts[channel.topic] = counts.get(channel.topic, 0) + 1
-    assert counts == {TRUTH: 40, CAPTURE: 10, FAULT: 5, EVENT: 1}
+    assert counts == {TRUTH: 40, CAPTURE: 10, FAULT: 5, EVENT: 1, LOG: 6}
 
 
 def eventually(said: Callable[[], bool]) -> None:
@@ -168,7 +161,7 @@ def test_an_existing_recording_is_never_overwritten(tmp_path: Path) -> None:
 
 def test_what_is_not_a_recording_is_refused(tmp_path: Path) -> None:
     (tmp_path / "other").write_bytes(b"not an MCAP file at all")
-    with pytest.raises(InvalidMagic):
+    with pytest.raises(RecordingUnreadable):
         read_truth(tmp_path / "other")
 
 
@@ -178,7 +171,7 @@ def test_a_full_disk_ends_the_recording_and_says_so(tmp_path: Path) -> None:
         recorder.capture(truth(0), 5_000_000_000, 1)
         eventually(lambda: len(read_truth(path).truths) == 1)
         full = os.open("/dev/full", os.O_WRONLY)
-        os.dup2(full, recorder._recorder._file._file.fileno())
+        os.dup2(full, recorder._to._file._file.fileno())
         os.close(full)
         recorder.capture(truth(1), 11_000_000_000, 2)
         eventually(lambda: recorder.failure == "No space left on device")

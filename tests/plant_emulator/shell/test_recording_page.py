@@ -8,12 +8,17 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from foundation.configuration import load
+from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.faults.kinds import SupplyLost
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth
-from plant_emulator.shell.recording import CAPTURE, EVENT, FAULT, TRUTH, TruthRecorder
+from plant_emulator.shell.scene_messages import drawing
+from plant_emulator.shell.truth_message import columns_of
+from plant_emulator.shell.truth_recorder import TOPICS, FaultMessage, TruthRecorder
 from tests.plant_emulator.plant_world import Driver, plant_config
 from tests.support.pages import page, rows
+from tests.support.paths import CONFIGS
 
 PAGE = page("recording.md")
 
@@ -23,11 +28,12 @@ def recording(tmp_path: Path) -> Path:
     """A short recording of a plant that loses its supply."""
     plant = Plant(plant_config(), seed=1)
     plant.inject(SupplyLost(), start_ns=20_000_000)
-    recorder = TruthRecorder(tmp_path / "truth.mcap", {"plant": {}, "scene": {}, "plant_service": {}})
+    drawn = drawing(load(SceneConfig, CONFIGS / "scene.yaml"), plant.chain, 0)
+    recorder = TruthRecorder(tmp_path / "truth.mcap", {}, drawn, {"id": "7"})
     driver = Driver(plant)
     for number in range(4):
         driver.run(0.01)
-        recorder.truth(plant.truth(), plant.time_ns)
+        recorder.truth(plant.truth(), plant.time_ns, plant.links())
         recorder.capture(plant.truth(), plant.time_ns, number)
     recorder.event({"event": "status", "status": 1}, plant.time_ns, plant.time_ns)
     for change in plant.faults.changes:
@@ -40,7 +46,9 @@ def test_every_field_of_the_truth_is_there_with_its_shape() -> None:
     table = rows(PAGE, "field | shape")
     assert tuple(table) == PlantTruth._fields
     truth = Plant(plant_config(), seed=1).truth()
-    for name, (shape, *_) in table.items():
+    for name, (shape, _, message, _) in table.items():
+        columns = columns_of(name)
+        assert message == f"`{columns[0]}`" + (f" … `{columns[-1]}`" if len(columns) > 1 else "")
         value = getattr(truth, name)
         if name == "faults":
             assert shape == "any"
@@ -50,19 +58,17 @@ def test_every_field_of_the_truth_is_there_with_its_shape() -> None:
 
 def test_every_channel_is_there_with_its_schema(recording: Path) -> None:
     table = rows(PAGE, "channel")
-    assert set(table) == {TRUTH, CAPTURE, FAULT, EVENT}
+    assert list(table) == [topic.name for topic in TOPICS]
     with recording.open("rb") as stream:
         reader = make_reader(stream)
         found = {channel.topic: schema.name for schema, channel, _ in reader.iter_messages() if schema}
         metadata = {record.name: set(record.metadata) for record in reader.iter_metadata()}
     assert found == {topic: cells[0].strip("`") for topic, cells in table.items()}
-    assert metadata == {"run": {"configuration"}}
+    assert metadata == {"run": {"configuration"}, "session": {"id"}}
 
 
 def test_every_field_of_a_fault_is_there() -> None:
-    plant = Plant(plant_config(), seed=1)
-    plant.inject(SupplyLost())
-    assert set(rows(PAGE, "field | unit")) == set(plant.faults.changes[0].as_dict())
+    assert list(rows(PAGE, "field | unit")) == [field.name for field in FaultMessage.DESCRIPTOR.fields]
 
 
 def test_the_ten_lines_run(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:

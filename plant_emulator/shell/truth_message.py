@@ -1,0 +1,88 @@
+"""The truth as a Protobuf message: flat fields with their units in their names, read back to the last bit."""
+
+from collections.abc import Iterator
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+
+from foundation.recording.messages import MessageField, message_class
+from plant_emulator.core.layout import HINGES, JOINTS
+from plant_emulator.core.truth import PlantTruth
+
+_AXES = ("x", "y", "z")
+# What a plot may want of the truth has a column a number.
+_COLUMNS: dict[str, tuple[str, ...]] = {
+    "q": tuple(f"q_{joint}_rad" for joint in JOINTS),
+    "q_rate": tuple(f"q_rate_{joint}_rad_s" for joint in JOINTS),
+    "deflections": tuple(f"bending_{hinge}_rad" for hinge in HINGES),
+    "p_CM": tuple(f"p_CM_{axis}_m" for axis in _AXES),
+    "p_CO": tuple(f"p_CO_{axis}_m" for axis in _AXES),
+    "pressures": tuple(f"pressure_{joint}_{side}_pa" for joint in JOINTS for side in "ab"),
+    "valves": tuple(f"valve_{joint}" for joint in JOINTS),
+    "spools": tuple(f"spool_{joint}" for joint in JOINTS),
+    "flows": tuple(f"flow_{joint}_{side}_m3_s" for joint in JOINTS for side in "ab"),
+}
+_SHAPES = {"pressures": (len(JOINTS), 2), "flows": (len(JOINTS), 2)}
+_MATRICES = dict.fromkeys(("X_BT", "X_WB", "X_WT", "X_WC", "X_WM", "X_WO"), (4, 4)) | dict.fromkeys(
+    ("R_CM", "R_CO"), (3, 3)
+)
+_SCALARS = {
+    "supply": "supply_pa",
+    "oil_temperature_degc": "oil_temperature_degc",
+    "payload_kg": "payload_kg",
+}
+
+
+def _fields() -> Iterator[MessageField]:
+    yield MessageField("frame_id", "int64")
+    for name in PlantTruth._fields:
+        if name in _COLUMNS:
+            yield from map(MessageField, _COLUMNS[name])
+        elif name in _MATRICES:
+            yield MessageField(name, repeated=True)
+        elif name in _SCALARS:
+            yield MessageField(_SCALARS[name])
+        else:
+            yield MessageField(name, "string" if name == "faults" else "int64", repeated=name == "faults")
+
+
+def columns_of(name: str) -> tuple[str, ...]:
+    """The fields of the message that hold field ``name`` of the truth."""
+    return _COLUMNS.get(name) or (_SCALARS.get(name, name),)
+
+
+TruthMessage = message_class("PlantTruth", list(_fields()))
+_FLAT = tuple(column for columns in _COLUMNS.values() for column in columns)
+_flat_of = attrgetter(*_FLAT)
+
+
+def truth_bytes(truth: PlantTruth, frame_id: int | None) -> bytes:
+    """The message of a truth; ``frame_id`` None: it belongs to no frame."""
+    values = np.concatenate([np.ravel(getattr(truth, name)) for name in _COLUMNS]).tolist()
+    said = TruthMessage(**dict(zip(_FLAT, values, strict=True)))
+    if frame_id is not None:
+        said.frame_id = frame_id
+    said.time_ns = truth.time_ns
+    for name, column in _SCALARS.items():
+        setattr(said, column, getattr(truth, name))
+    for name in _MATRICES:
+        getattr(said, name).extend(getattr(truth, name).ravel().tolist())
+    said.faults.extend(truth.faults)
+    return bytes(said.SerializeToString())
+
+
+def truth_of(data: bytes) -> tuple[PlantTruth, int | None]:
+    """The truth of a message, and its frame."""
+    said = TruthMessage.FromString(data)
+    flat, begun = np.array(_flat_of(said)), 0
+    values: dict[str, Any] = {"time_ns": said.time_ns, "faults": tuple(said.faults)}
+    for name, columns in _COLUMNS.items():
+        shape = _SHAPES.get(name, (len(columns),))
+        values[name] = flat[begun : begun + len(columns)].reshape(shape)
+        begun += len(columns)
+    for name, column in _SCALARS.items():
+        values[name] = getattr(said, column)
+    for name, matrix in _MATRICES.items():
+        values[name] = np.array(getattr(said, name)).reshape(matrix)
+    return PlantTruth(**values), said.frame_id if said.HasField("frame_id") else None

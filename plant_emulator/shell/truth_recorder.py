@@ -1,0 +1,172 @@
+"""The plant's recorder: its topics, what they hold, and what is never dropped."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from numpy.typing import NDArray
+
+from foundation.recording.mcap_file import Entries, Topic
+from foundation.recording.messages import MessageField, format_of, log_line, message_class, transforms
+from foundation.recording.recording_thread import RecordingThread, RecordSink
+from plant_emulator.core.faults.schedule import FaultChange
+from plant_emulator.core.truth import PlantTruth
+from plant_emulator.shell.scene_messages import SceneDrawing, frames
+from plant_emulator.shell.truth_message import TruthMessage, truth_bytes
+
+TRUTH, CAPTURE, FAULT, EVENT = "/plant/truth", "/plant/capture", "/plant/fault", "/plant/event"
+FRAMES, SCENE, CAMERA, LOG = "/tf_true", "/scene", "/camera_true/left/calibration", "/plant/log"
+
+FaultMessage = message_class(
+    "Fault",
+    (
+        MessageField("phase", "string"),
+        MessageField("time_ns", "int64"),
+        MessageField("number", "int64"),
+        MessageField("name", "string"),
+        MessageField("start_ns", "int64"),
+        MessageField("end_ns", "int64"),
+        MessageField("fault_json", "string"),
+    ),
+)
+EventMessage = message_class(
+    "Event", (MessageField("event", "string"), MessageField("fields_json", "string"))
+)
+
+
+class TruthRecord(NamedTuple):
+    """One recorded instant. ``frame_id`` is None between captures."""
+
+    log_ns: int
+    frame_id: int | None
+    truth: PlantTruth
+
+
+class _Posed(NamedTuple):
+    log_ns: int
+    truth: PlantTruth
+    links: tuple[str, ...]
+    X_WL: NDArray[np.float64]
+
+
+def _fault_bytes(said: Mapping[str, Any]) -> bytes:
+    plain = {name: value for name, value in said.items() if name != "fault" and value is not None}
+    return bytes(FaultMessage(**plain, fault_json=_json(said["fault"])).SerializeToString())
+
+
+def _event_bytes(said: Mapping[str, Any]) -> bytes:
+    rest = {name: value for name, value in said.items() if name != "event"}
+    return bytes(EventMessage(event=said["event"], fields_json=_json(rest)).SerializeToString())
+
+
+def _frames_bytes(posed: _Posed) -> bytes:
+    return transforms(frames(posed.truth, posed.links, posed.X_WL), posed.log_ns)
+
+
+def _log_bytes(line: tuple[int, str, str]) -> bytes:
+    return log_line(line[0], line[1], "plant_emulator", line[2])
+
+
+def _json(said: Any) -> str:
+    return json.dumps(said, separators=(",", ":"))
+
+
+TOPICS = (
+    Topic(TRUTH, format_of(TruthMessage), lambda record: truth_bytes(record.truth, None)),
+    Topic(CAPTURE, format_of(TruthMessage), lambda record: truth_bytes(record.truth, record.frame_id)),
+    Topic(FAULT, format_of(FaultMessage), _fault_bytes),
+    Topic(EVENT, format_of(EventMessage), _event_bytes),
+    Topic(FRAMES, format_of(FrameTransforms), _frames_bytes),
+    Topic(SCENE, format_of(SceneUpdate), bytes),
+    Topic(CAMERA, format_of(CameraCalibration), bytes),
+    Topic(LOG, format_of(Log), _log_bytes),
+)
+_NUMBERS = {topic.name: number for number, topic in enumerate(TOPICS)}
+
+
+class TruthRecorder:
+    """Records the truth. Nothing is encoded or written before a call returns, see ``RecordingThread``.
+
+    Everything is on its way to the disk within half a second. Faults, events and the drawing are never
+    dropped.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        run: Mapping[str, Any],
+        drawn: SceneDrawing | None = None,
+        session: Mapping[str, str] | None = None,
+        made: Callable[[Path, Sequence[Topic], Entries], RecordSink] = RecordingThread,
+    ) -> None:
+        """Create ``path``; ``run`` and ``session`` go into the metadata. Raises OSError when it cannot be
+        written.
+        """
+        self._links = () if drawn is None else drawn.links
+        entries = {"run": {"configuration": _json(run)}, "session": dict(session or {})}
+        self._to = made(path, TOPICS, entries)
+        self._drawn = drawn
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self._to.path
+
+    @property
+    def failure(self) -> str:
+        """Why nothing more can be written, such as a full disk; empty while all is well."""
+        return self._to.failure
+
+    @property
+    def written(self) -> int:
+        """How many messages were written."""
+        return self._to.written
+
+    @property
+    def dropped(self) -> int:
+        """How many messages were dropped because the disk did not keep up."""
+        return self._to.dropped
+
+    def truth(self, truth: PlantTruth, log_ns: int, X_WL: NDArray[np.float64] | None = None) -> None:
+        """Record the truth at ``log_ns``, and where the drawing's links then are: ``X_WL`` (n, 4, 4)."""
+        self._put(TRUTH, TruthRecord(log_ns, None, truth), X_WL)
+
+    def capture(
+        self, truth: PlantTruth, log_ns: int, frame_id: int, X_WL: NDArray[np.float64] | None = None
+    ) -> None:
+        """Record the truth at the instant at which frame ``frame_id`` is exposed."""
+        self._put(CAPTURE, TruthRecord(log_ns, frame_id, truth), X_WL)
+
+    def fault(self, change: FaultChange, log_ns: int) -> None:
+        """Record that a fault was planned, began, ended or was withdrawn."""
+        said = change.as_dict()
+        self._to.put(_NUMBERS[FAULT], said, log_ns, change.time_ns, wanted=True)
+        line = (log_ns, "warning", f"fault {said['number']} {said['phase']}: {said['name']}")
+        self._to.put(_NUMBERS[LOG], line, log_ns, change.time_ns, wanted=True)
+
+    def event(self, fields: Mapping[str, Any], log_ns: int, time_ns: int) -> None:
+        """Record that something happened: ``event`` and what belongs to it."""
+        self._to.put(_NUMBERS[EVENT], dict(fields), log_ns, time_ns, wanted=True)
+        line = (log_ns, "info", ", ".join(f"{name} {value}" for name, value in fields.items()))
+        self._to.put(_NUMBERS[LOG], line, log_ns, time_ns, wanted=True)
+
+    def close(self) -> None:
+        """Write what waits and the summary, and close the file. What can no longer be written is left out."""
+        self._to.close()
+
+    def _put(self, topic: str, record: TruthRecord, X_WL: NDArray[np.float64] | None) -> None:
+        log_ns, time_ns = record.log_ns, record.truth.time_ns
+        if self._drawn is not None:
+            self._to.put(_NUMBERS[SCENE], self._drawn.scene, log_ns, time_ns, wanted=True)
+            self._to.put(_NUMBERS[CAMERA], self._drawn.camera, log_ns, time_ns, wanted=True)
+            self._drawn = None
+        self._to.put(_NUMBERS[topic], record, log_ns, time_ns)
+        if X_WL is not None:
+            posed = _Posed(log_ns, record.truth, self._links, X_WL)
+            self._to.put(_NUMBERS[FRAMES], posed, log_ns, time_ns)

@@ -1,0 +1,110 @@
+"""`longreach recording`: what is in a recording, whether it is whole, and what can be made of it."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from foundation.recording.recovery import Contents, contents, recover
+from testbed.cli.options import JsonFile
+from testbed.recordings.tables import write_tables
+from testbed.reporting.console import out, table, write_json
+
+_HELP = "What is in a recording, whether it is whole, what can be made of it."
+app = typer.Typer(help=_HELP, no_args_is_help=True)
+
+File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording, such as truth.mcap.")]
+
+
+@app.callback()
+def recording() -> None:
+    """What is in a recording, whether it is whole, what can be made of it."""
+
+
+@app.command(epilog="Example: longreach recording info runs/demo/plant_emulator/truth.mcap")
+def info(file: File, json_file: JsonFile = None) -> None:
+    """Topics, schemas, counts, rates and metadata of a recording, also of one that was cut off."""
+    found = contents(file)
+    _show(found)
+    for name, entries in found.metadata.items():
+        told = ", ".join(f"{key} {value if len(value) < 60 else '…'}" for key, value in entries.items())
+        out.print(f"{name}: {told}", highlight=False)
+    for attached in found.attachments:
+        out.print(f"attached: {attached.name}, {len(attached.data)} bytes", highlight=False)
+    write_json(json_file, _figures(found))
+
+
+@app.command(epilog="Example: longreach recording verify runs/demo/plant_emulator/truth.mcap")
+def verify(file: File, json_file: JsonFile = None) -> None:
+    """Check every checksum; exit status 1 when the file is damaged or was cut off."""
+    found = contents(file)
+    for damage in found.damages:
+        out.print(f"at byte {damage.offset}: {damage.what}", highlight=False)
+    if found.stray:
+        out.print(f"{found.stray} messages of channels that are not described", highlight=False)
+    told = "whole" if _whole(found) else "not whole: `longreach recording recover` keeps what can be read"
+    out.print(f"{found.messages} messages read; {told}", highlight=False)
+    write_json(json_file, _figures(found))
+    raise typer.Exit(0 if _whole(found) else 1)
+
+
+@app.command("recover", epilog="Example: longreach recording recover truth.mcap truth.recovered.mcap")
+def recover_command(
+    file: File,
+    target: Annotated[Path, typer.Argument(metavar="NEW", help="Where the whole file goes.")],
+    json_file: JsonFile = None,
+) -> None:
+    """Write what can be read of a cut or damaged recording anew, with its index; tell what could not."""
+    found = recover(file, target)
+    for damage in found.damages:
+        out.print(f"lost at byte {damage.offset}: {damage.what}", highlight=False)
+    out.print(f"{found.messages} messages, {_length(found):.1f} s in {target}", highlight=False)
+    write_json(json_file, _figures(found))
+
+
+@app.command("to-csv", epilog="Example: longreach recording to-csv truth.mcap --out tables")
+def to_csv(
+    file: File,
+    directory: Annotated[Path, typer.Option("--out", help="Where the tables go.")],
+    json_file: JsonFile = None,
+) -> None:
+    """One CSV file a topic, a column a number, times in nanoseconds."""
+    rows, left_out = write_tables(file, directory)
+    for name, count in rows.items():
+        out.print(f"{directory / name}: {count} rows", highlight=False)
+    if left_out:
+        out.print(f"left out, of an unknown encoding: {', '.join(left_out)}", highlight=False)
+    write_json(json_file, {"rows": rows, "left_out": left_out})
+
+
+def _whole(found: Contents) -> bool:
+    return found.complete and not found.damages and not found.stray
+
+
+def _length(found: Contents) -> float:
+    return (found.last_ns - found.first_ns) * 1e-9
+
+
+def _show(found: Contents) -> None:
+    seconds = max(_length(found), 1e-9)
+    rows = [
+        (topic.name, topic.format.schema, count := found.counts.get(channel, 0), f"{count / seconds:.1f}")
+        for channel, topic in found.topics.items()
+    ]
+    out.print(table("", ("topic", "schema", "messages", "a second"), rows))
+    state = "whole" if _whole(found) else "not whole"
+    out.print(f"{found.messages} messages, {_length(found):.1f} s, {state}", highlight=False)
+
+
+def _figures(found: Contents) -> dict[str, object]:
+    counts = {topic.name: found.counts.get(channel, 0) for channel, topic in found.topics.items()}
+    return {
+        "messages": found.messages,
+        "counts": counts,
+        "seconds": _length(found),
+        "whole": _whole(found),
+        "complete": found.complete,
+        "damages": [damage._asdict() for damage in found.damages],
+        "stray": found.stray,
+        "metadata": found.metadata,
+    }
