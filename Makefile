@@ -18,8 +18,9 @@ LOCK_FLAGS := --generate-hashes --no-emit-index-url --no-header --python-version
 ARGS ?=
 PROCESSES ?= 2
 FOREIGN_TOOLS := mbpoll tshark gcc
+BROWSERS := chromium chromium-browser google-chrome
 
-.PHONY: help setup setup-dev demo test coverage foreign-tools bench experiments lint types imports compose-test sbom audit lock page-vendor clean
+.PHONY: help setup setup-dev demo test coverage foreign-tools browser bench experiments lint types imports compose-test sbom audit lock page-vendor clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -64,6 +65,13 @@ foreign-tools:  ## Debian's mbpoll, tshark and C compiler, which some tests use 
 	else echo "foreign tools:$$missing absent, and neither root nor sudo to install them; their tests are skipped" >&2; exit 1; fi; \
 	$$as_root apt-get update -qq && DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y -qq --no-install-recommends $${missing/gcc/gcc libc6-dev} > /dev/null \
 	|| { echo "foreign tools:$$missing could not be installed; their tests are skipped" >&2; exit 1; }
+
+browser:  ## Debian's Chromium, in which the tests try the console (root or sudo)
+	@for name in $(BROWSERS); do if command -v $$name > /dev/null; then echo "browser: $$name is there"; exit 0; fi; done; \
+	if [ "$$(id -u)" = 0 ]; then as_root=; elif command -v sudo > /dev/null; then as_root=sudo; \
+	else echo "browser: absent, and neither root nor sudo to install it; the console is NOT tried" >&2; exit 1; fi; \
+	$$as_root apt-get update -qq && DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y -qq --no-install-recommends chromium > /dev/null \
+	|| { echo "browser: chromium could not be installed; the console is NOT tried" >&2; exit 1; }
 
 bench: $(PEERS_STAMP)  ## benchmarks, with their limits and their peers (one of them GPL: never in a dependency)
 	$(BIN)/python -m pytest -m bench --benchmark-enable -s $(ARGS)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
-CONSOLE = ROOT / "vision_pc" / "shell" / "console" / "page" / "vendor"
+CONSOLE = ROOT / "vision_pc" / "shell" / "rest" / "console" / "page" / "vendor"
 DOCS = ROOT / "foundation" / "rest" / "docs" / "vendor"
 _THREE = (
     "AmbientLight, BoxGeometry, BufferAttribute, BufferGeometry, Color, CylinderGeometry, DirectionalLight, "

@@ -69,7 +69,12 @@ class AccessGuard:
         for site in header_values(scope, b"sec-fetch-site"):
             if site.lower() not in _OWN_SITE:
                 return _foreign_origin(scope, f"a page of another origin ({site[:20]})")
-        return None if self._tokens is None else self._tokens.refusal(scope)
+        if self._tokens is None:
+            return None
+        refusal = self._tokens.refusal(scope)
+        if refusal is None:
+            scope["longreach.role"] = self._tokens.role_of(scope)
+        return refusal
 
     def _is_ours(self, host: str, scope: Scope) -> bool:
         match = _HOST.fullmatch(host)

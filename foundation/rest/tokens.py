@@ -63,6 +63,11 @@ class TokenCheck:
             return _refusal(scope, HTTPStatus.FORBIDDEN, "refused.role", why)
         return None
 
+    def role_of(self, scope: Scope) -> Role | None:
+        """Of whoever asks; None without a token."""
+        given = header_values(scope, b"authorization")
+        return self._role_of(given[0]) if len(given) == 1 else None
+
     def _role_of(self, authorization: str) -> Role | None:
         presented = _presented(authorization)
         # Every token is compared, each in constant time: how long it takes tells nothing of them.

@@ -11,6 +11,7 @@ from foundation.configuration import merged, parse_overrides
 from testbed.cli.options import (
     DEFAULT_CONFIG,
     ConfigDir,
+    DemoOptions,
     IdentifyOptions,
     JsonFile,
     Scenario,
@@ -124,8 +125,7 @@ def commission(
 @unfolded
 def demo(
     start: StartOptions,
-    lockstep: Annotated[bool, typer.Option("--lockstep", help="In simulated time, without sockets.")] = False,
-    looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 2,
+    chosen: DemoOptions,
     scenario: Scenario = "standard",
     seed: Seed = 1,
     config_dir: ConfigDir = DEFAULT_CONFIG,
@@ -138,11 +138,11 @@ def demo(
     from testbed.reporting.presentation import Choice
 
     overrides = with_faults(chosen_overrides(config_dir, scenario, seed, settings or []), start.allow_faults)
-    choice = Choice(scenario, seed, looks)
-    if lockstep:
+    choice = Choice(scenario, seed, chosen.looks)
+    if chosen.lockstep:
         passed = run_lockstep_demo(config_dir, overrides, choice, start.runs, json_file)
     else:
-        passed = run_demo(config_dir, overrides, choice, start.free_ports, start.runs, json_file)
+        passed = run_demo(config_dir, overrides, choice, start.free_ports, start.runs, json_file, chosen.hold)
     raise typer.Exit(0 if passed else 1)
 
 

@@ -34,6 +34,16 @@ class StartOptions(NamedTuple):
     runs: Annotated[Path, typer.Option(help="Where directories of runs are made.")] = Path("runs")
 
 
+class DemoOptions(NamedTuple):
+    """How the demonstration runs, and how far."""
+
+    lockstep: Annotated[bool, typer.Option("--lockstep", help="In simulated time, without sockets.")] = False
+    hold: Annotated[
+        bool, typer.Option("--hold", help="At the end leave all running, with the console, until Ctrl-C.")
+    ] = False
+    looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 2
+
+
 class SoakOptions(NamedTuple):
     """How long a soak lasts, and how hard it is."""
 

@@ -1,5 +1,6 @@
 """`longreach demo`: the whole loop in real time over the REST face, judged by the plant's recording."""
 
+import contextlib
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,8 +12,8 @@ from testbed.demonstration.sequence import JSON, Recorder, Rest, TimedTruth, dem
 from testbed.realtime.launch import PLANT, VISION, Launch, prepare
 from testbed.realtime.rest_rig import RestRig, StateSampler
 from testbed.realtime.supervisor import Supervisor
-from testbed.realtime.up import end_on_sigterm, show_fault_api, started
-from testbed.reporting.console import Bars, bars
+from testbed.realtime.up import end_on_sigterm, show_console, show_fault_api, started, tell
+from testbed.reporting.console import Bars, bars, out
 from testbed.reporting.outcome import Outcome
 from testbed.reporting.plots import TracedView
 from testbed.reporting.presentation import Choice, present, read_events
@@ -42,19 +43,32 @@ def run_demo(
     any_ports: bool,
     runs: Path,
     json_file: Path | None,
+    hold: bool = False,
 ) -> bool:
     """Whether the true error ended inside the limit; prints the table and writes the report.
 
-    Raises LongreachError when the services cannot be started.
+    ``hold``: leave everything running at the end, until Ctrl-C. Raises LongreachError when the services
+    cannot be started.
     """
     began = time.monotonic()
     end_on_sigterm()
     with run_directory(runs) as directory:
         launch = prepare(config_dir, overrides, directory, any_ports=any_ports)
         with bars() as shown, started(launch, shown) as supervisor:
+            show_console(launch)
             show_fault_api(launch)
             driven = drive(launch, choice, shown, supervisor)
+            if hold:
+                _held(launch, supervisor)
         return _presented(launch, choice, driven, time.monotonic() - began, json_file)
+
+
+def _held(launch: Launch, supervisor: Supervisor) -> None:
+    """Wait for Ctrl-C, as `longreach up` does; the verdict follows."""
+    out.print("all goes on running; Ctrl-C ends it and tells the verdict", highlight=False)
+    show_console(launch)
+    with contextlib.suppress(KeyboardInterrupt):
+        supervisor.watch(tell=tell)
 
 
 def _presented(launch: Launch, choice: Choice, driven: Driven, wall_s: float, json_file: Path | None) -> bool:

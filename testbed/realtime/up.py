@@ -52,8 +52,14 @@ def show(launch: Launch, supervisor: Supervisor) -> None:
     ]
     out.print(table("running", ("service", "process", "scheduling", "log"), rows))
     show_fault_api(launch)
+    show_console(launch)
     out.print(f"REST API: {launch.rest_url}/docs   end with Ctrl-C", highlight=False)
     out.print("kill PROCESS ends that service, and it is started anew alone", highlight=False)
+
+
+def show_console(launch: Launch) -> None:
+    """Print the address of the operator's console; where it wants a token, who opens it is asked for one."""
+    out.print(f"console: {launch.rest_url}/", highlight=False)
 
 
 def show_fault_api(launch: Launch) -> None:

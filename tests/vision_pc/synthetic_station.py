@@ -1,6 +1,7 @@
 """A station for tests: the real controller link and socket arm over loopback, eyes on the synthetic arm."""
 
 import asyncio
+import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -9,23 +10,44 @@ from typing import Any
 import httpx
 import numpy as np
 
-from protocol.errors import RequestRefused
+from foundation.configuration import load
+from nominal_arm.description import NominalArm
+from nominal_arm.dimensions import dh_links
+from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import GroupState
 from protocol.reference_messages import ANY_ARM
 from tests.support.log_lines import HeardLog
+from tests.support.paths import CONFIGS
 from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import SyntheticRig, SyntheticWatch, draw
 from vision_pc.application.application import VisionApplication
+from vision_pc.application.console.overlay import Seen
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.ports import CameraStatus
 from vision_pc.config.programs import ProgramSettings
-from vision_pc.config.vision import LinkSettings, MotionSettings
-from vision_pc.core.types import Look
+from vision_pc.config.vision import LinkSettings, MotionSettings, VisionConfig
+from vision_pc.core.perception.intrinsics import calibration, distorted
+from vision_pc.core.types import FrameObservation, Look, MarkerObservation, StereoPair
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.rest.api import create_app
 from vision_pc.shell.rest.operations import Operations
+
+CAMERA = calibration(load(VisionConfig, CONFIGS / "vision.yaml").camera)
+TOOL_ID = 7
+_SQUARE = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+
+
+def observed(look: Look, frame: int) -> FrameObservation:
+    """What a picture would show of a look: two markers of 10 cm, by their corners."""
+    markers = []
+    for number, X in ((TOOL_ID, look.X_CM), (TOOL_ID + 1, look.X_CO)):
+        corners = (X @ np.array([[-s, t, 0, 20] for s, t in _SQUARE]).T / 20)[:3].T
+        pixels = distorted(CAMERA.left, corners[:, :2] / corners[:, 2:])
+        markers.append(MarkerObservation(number, 0.1, pixels, None, X, np.eye(6), 0.1, 99.0))
+    known = (look.X_CM, np.eye(6), np.eye(6), look.X_CO, np.eye(6), np.eye(6))
+    return FrameObservation(look.time_ns, frame, *known, tuple(markers), {}, None)
 
 
 class SyntheticEyes:
@@ -35,6 +57,9 @@ class SyntheticEyes:
         self.rig, self.controller = rig, controller
         self.connected = True
         self.look_s = 0.02
+        self.pictures = 0
+        self.picture_s = 0.02
+        self.measured: Seen | None = None
 
     async def look(self, frames: int | None = None) -> Look:
         if self.controller.group is GroupState.MOVING:
@@ -53,6 +78,21 @@ class SyntheticEyes:
 
     async def latest_png(self) -> bytes:
         return b"\x89PNG\r\n\x1a\n" + bytes(8)
+
+    def seen(self) -> Seen | None:
+        return self.measured
+
+    async def observe(self) -> None:
+        look = await self.rig.look(1)
+        self.measured = Seen(observed(look, self.pictures), CAMERA, TOOL_ID)
+
+    async def pair_after(self, capture_ns: int) -> StereoPair:
+        if not self.connected:
+            raise LinkLost("link.camera_silent", "no picture")
+        await asyncio.sleep(self.picture_s)
+        self.pictures += 1
+        picture = np.full((CAMERA.height, CAMERA.width), 60 + self.pictures % 60, dtype=np.uint8)
+        return StereoPair(picture, picture, time.monotonic_ns(), self.pictures)
 
 
 class Bench:
@@ -80,6 +120,10 @@ class Bench:
                 return operation
             await asyncio.sleep(0.01)
         raise AssertionError(f"{location} did not end")
+
+    def silence(self) -> None:
+        """Have the controller say nothing more, as if it had been killed; from any thread."""
+        self.controller.muted = True
 
     def events(self, name: str) -> list[dict[str, Any]]:
         return self.log.lines(name)
@@ -112,6 +156,7 @@ async def bench(
     arm = LinkArm(link, MotionSettings(settle_timeout_s=0.5, rest_s=0.01))
     eyes = SyntheticEyes(rig, controller)
     station = VisionApplication(arm, eyes, link, eyes, quick(shipped()), BOOM, log)
+    station.links = dh_links(load(NominalArm, CONFIGS / "arm.yaml"))
     operations = Operations(arm.halt, log)
     transport = httpx.ASGITransport(app=create_app(station, operations), raise_app_exceptions=False)
     async with httpx.AsyncClient(transport=transport, base_url="http://vision") as client:

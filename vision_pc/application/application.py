@@ -6,7 +6,7 @@ The programs themselves are rows of ``programs.PROGRAMS``. Nothing here reads a 
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 
-from nominal_arm.dimensions import BoomDimensions
+from nominal_arm.dimensions import BoomDimensions, DhLink
 from protocol.errors import RequestRefused
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.ports import Camera, Controller, HealthyLog, StoppableArm
@@ -43,6 +43,7 @@ class VisionApplication:
     ``calibration`` and ``track`` are the newest local calibration and local track, None before the first.
     ``positioning`` are the settings by which looks are judged. ``hand_eye`` is the guided session, if there
     is one on this rig. ``overload`` returns one sentence while the machine is overloaded, else nothing.
+    ``links`` are those of the arm's drawing, for who draws it.
     """
 
     def __init__(
@@ -68,6 +69,7 @@ class VisionApplication:
         self.track: LocalTrack | None = None
         self.positioning = settings.positioning
         self.overload: Callable[[], str] = str
+        self.links: tuple[DhLink, ...] = ()
         self._latest: JudgedLook | None = None
 
     @property

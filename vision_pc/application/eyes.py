@@ -14,6 +14,7 @@ import numpy as np
 from protocol.errors import RequestRefused
 from protocol.faults import GroupState
 from vision_pc.application.annotate import annotated, png
+from vision_pc.application.console.overlay import Seen
 from vision_pc.application.ports import (
     BackgroundWork,
     CameraStatus,
@@ -179,6 +180,7 @@ class CameraEyes(FrameEyes[StereoPair]):
         sensor = PixelSensor(config)
         super().__init__(frames, sensor, states, config.look, runtime, record)
         self._camera = sensor.camera
+        self._tool_id = config.markers.tool.id
         self._clearance_m = config.programs.positioning.clearance_m
 
     def status(self) -> CameraStatus:
@@ -197,9 +199,21 @@ class CameraEyes(FrameEyes[StereoPair]):
 
     async def latest_png(self) -> bytes:
         """The newest picture with detections, PNG. Raises LinkLost when the camera never gave one."""
-        pair = self._frames.newest or await self._frames.frame_after(0)
-        if self._latest is None or self._latest[0].capture_ns < pair.capture_ns:
-            await self._observed(pair)
+        await self.observe()
         assert self._latest is not None
         shown = self._latest
         return await self.aside(lambda: png(annotated(*shown, self._camera, self._clearance_m)))
+
+    async def observe(self) -> None:
+        """Measure in the newest picture, if it was not. Raises LinkLost when the camera never gave one."""
+        pair = self._frames.newest or await self._frames.frame_after(0)
+        if self._latest is None or self._latest[0].capture_ns < pair.capture_ns:
+            await self._observed(pair)
+
+    def seen(self) -> Seen | None:
+        """What was measured in a picture last, None before the first measurement."""
+        return None if self._latest is None else Seen(self._latest[1], self._camera, self._tool_id)
+
+    async def pair_after(self, capture_ns: int) -> StereoPair:
+        """The first pair captured after ``capture_ns``. Raises LinkLost."""
+        return await self._frames.frame_after(capture_ns)

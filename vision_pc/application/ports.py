@@ -12,9 +12,10 @@ from protocol.channel import LinkStatistics
 from protocol.clock_offset import OffsetEstimate
 from protocol.faults import CommandCode
 from protocol.reference_messages import Acknowledgement, State
+from vision_pc.application.console.overlay import Seen
 from vision_pc.core.ports import Arm
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraFrame, FrameObservation, Look, WatchHealth
+from vision_pc.core.types import CameraFrame, FrameObservation, Look, StereoPair, WatchHealth
 
 T = TypeVar("T")
 FrameT_co = TypeVar("FrameT_co", bound=CameraFrame, covariant=True)
@@ -103,10 +104,22 @@ class CameraStatus(NamedTuple):
 
 
 class Camera(Protocol):
-    """The stereo camera's health, and its newest picture."""
+    """The stereo camera's health, its newest picture, and what was seen in one."""
 
     def status(self) -> CameraStatus: ...
     async def latest_png(self) -> bytes: ...
+
+    def seen(self) -> Seen | None:
+        """What was measured in a picture last, None before the first measurement."""
+        ...
+
+    async def observe(self) -> None:
+        """Measure in the newest picture, if it was not. Raises LinkLost when the camera never gave one."""
+        ...
+
+    async def pair_after(self, capture_ns: int) -> StereoPair:
+        """The first pair captured after ``capture_ns``. Raises LinkLost."""
+        ...
 
 
 class Worker(Protocol):

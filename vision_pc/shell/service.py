@@ -31,7 +31,7 @@ from vision_pc.shell.camera_eyes import open_eyes
 from vision_pc.shell.cameras import open_camera
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
-from vision_pc.shell.rest.api import STOPS, create_app
+from vision_pc.shell.rest.api import PUBLIC, STOPS, create_app
 from vision_pc.shell.rest.operations import Operations
 
 _NAME = "vision_pc"
@@ -57,7 +57,7 @@ class VisionService:
         self._log = log
         self._arm = arm
         self._programs = programs
-        self._access = configured_access(config.api, "vision.api", STOPS)
+        self._access = configured_access(config.api, "vision.api", STOPS, PUBLIC)
         self._socket = bound_tcp(config.api.host, config.api.port, "vision.api")
         self._sessions = SessionStore(config.sessions_dir)
         try:
@@ -91,6 +91,7 @@ class VisionService:
         application = VisionApplication(arm, eyes, link, eyes, config.programs, nominal.boom, log, guided)
         watch = SelfWatch(log, _LIMITS, self._work, log.record_dir)
         application.overload = lambda: watch.overload
+        application.links = nominal.links
         operations = Operations(arm.halt, log)
         app = create_app(application, operations, self._programs, Home(asyncio.get_running_loop()))
         self._server = server = RestServer(app, self._access, log)

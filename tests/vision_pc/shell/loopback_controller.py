@@ -58,6 +58,7 @@ class LoopbackController(asyncio.DatagramProtocol):
         self.motion: list[tuple[Array, Array, int]] = []  # X_from, X_goal, cycles
         self.motion_id, self.motion_done, self.cycle, self.step = 0, False, 0, 0
         self.never_settles, self.swing_rad = False, 0.0
+        self.muted = False
         self.requests: list[Any] = []
         self.port = 0
         self._transport: asyncio.DatagramTransport | None = None
@@ -89,6 +90,8 @@ class LoopbackController(asyncio.DatagramProtocol):
 
     # the link
     def datagram_received(self, data: bytes, addr: Any) -> None:
+        if self.muted:
+            return
         for event in self.session.receive(data, addr, self.now_ns()):
             if isinstance(event, RequestReceived):
                 self.requests.append(event.message)
@@ -101,6 +104,8 @@ class LoopbackController(asyncio.DatagramProtocol):
 
     def _send(self) -> None:
         assert self._transport is not None
+        if self.muted:
+            return
         for datagram, addr in self.session.outgoing(self.now_ns()):
             self._transport.sendto(datagram, addr)
 

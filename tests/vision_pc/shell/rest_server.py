@@ -4,7 +4,8 @@ import asyncio
 import contextlib
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
 
 from fastapi import FastAPI
 
@@ -12,8 +13,9 @@ from foundation.rest.access import Access
 from foundation.rest.home import Home
 from foundation.rest.server import RestServer
 from foundation.rest.thread import serve_in_thread
+from foundation.rest.tokens import Role
 from tests.vision_pc.synthetic_station import Bench, bench
-from vision_pc.shell.rest.api import STOPS, create_app
+from vision_pc.shell.rest.api import PUBLIC, STOPS, create_app
 
 
 @contextlib.contextmanager
@@ -25,21 +27,24 @@ def rest_face() -> Iterator[str]:
 
 @contextlib.contextmanager
 def served_bench(
-    enabled: bool = True, add: Callable[[FastAPI], None] = lambda app: None
+    enabled: bool = True,
+    add: Callable[[FastAPI], None] = lambda app: None,
+    tokens: Mapping[Role, bytes] = MappingProxyType({}),
+    link_timeout_ms: int = 30_000,  # this machine may be busy
 ) -> Iterator[tuple[str, Bench]]:
-    """Its URL, and what it works on; ``add`` adds routes of the test's own."""
+    """Its URL, and what it works on; ``add`` adds routes of the test's own; ``tokens``: who is asked."""
     listening = socket.create_server(("127.0.0.1", 0), backlog=512)
     started, leave = threading.Event(), threading.Event()
     benches: list[Bench] = []
 
     async def serve() -> None:
-        async with bench(link_timeout_ms=30_000) as made:  # this machine may be busy
+        async with bench(link_timeout_ms=link_timeout_ms) as made:
             made.controller.speed = 50.0
             if enabled:
                 await made.post("/enable")
             app = create_app(made.station, made.operations, home=Home(asyncio.get_running_loop()))
             add(app)
-            server = RestServer(app, Access(stops=frozenset(STOPS)), made.station.log)
+            server = RestServer(app, Access((), tokens, frozenset(STOPS), PUBLIC), made.station.log)
             task = asyncio.create_task(serve_in_thread(server, listening))
             benches.append(made)
             started.set()

@@ -1,6 +1,5 @@
 """The REST API: state, looks, commands, and every long step as an operation resource."""
 
-import math
 from collections.abc import Awaitable, Callable, Sequence
 from http import HTTPStatus
 from typing import Any
@@ -14,20 +13,22 @@ from foundation.rest.home import Home, run_endpoints_at
 from foundation.rest.refusals import respond
 from foundation.rest.server import install_problems
 from protocol.faults import CommandCode
-from protocol.reference_messages import FLAG_EMERGENCY_LATCHED, FLAG_PLANT_LINK_OK, FLAG_SETTLED, State
 from vision_pc.application.application import VisionApplication
+from vision_pc.application.console.overview import Overview
 from vision_pc.application.hand_eye_programs import HAND_EYE
 from vision_pc.application.program import Program, by_name
 from vision_pc.application.programs import PROGRAMS
-from vision_pc.application.results import JSON, calibration_json, look_json, pose_json
-from vision_pc.core.se3 import from_pose
+from vision_pc.application.results import JSON, calibration_json, look_json
+from vision_pc.shell.rest.console.routes import PAGE, Console, add_console
 from vision_pc.shell.rest.hand_eye_routes import add_session
 from vision_pc.shell.rest.link_view import LinkView, link_view
 from vision_pc.shell.rest.operation_routes import add_programs, add_resources
 from vision_pc.shell.rest.operations import Operations
 from vision_pc.shell.rest.problems import STATUS_OF_CAUSE
+from vision_pc.shell.rest.state_view import state_json
 
 STOPS = ("/stop", "/disable", "/emergency-stop")  # whoever may look may stop
+PUBLIC = PAGE.paths  # the console asks for the token itself
 DESCRIPTION = """
 Drives the tool to the object: orientation adjustment, local calibration by motion, look-then-move.
 
@@ -61,8 +62,9 @@ def create_app(
         docs_url=None,
         redoc_url=None,
     )
-    add_docs(app)
     install_problems(app, STATUS_OF_CAUSE)
+    add_docs(app)
+    add_console(app, Console(application, operations, Overview(application.links), home))
     if home is not None:
         run_endpoints_at(app, home)
     _add_state(app, application, operations)
@@ -158,50 +160,3 @@ def _add_commands(app: FastAPI, application: VisionApplication, operations: Oper
     add("/reset", CommandCode.RESET, commanded, "Clear a latched fault")
     add("/emergency-stop", CommandCode.EMERGENCY_STOP, ending, "Latch the emergency stop")
     add("/emergency-release", CommandCode.EMERGENCY_RELEASE, commanded, "Release it; a reset must follow")
-
-
-def state_json(application: VisionApplication) -> JSON:
-    """The controller's newest state, the links and the camera. Raises LinkLost without a controller."""
-    state = application.controller.state
-    clock = application.controller.clock_offset
-    camera = application.camera.status()
-    return _arm_json(state) | {
-        "link": {
-            "age_ms": round(application.controller.state_age_ns / 1e6, 3),
-            "clock_offset_ns": None if clock is None else clock.offset_ns,
-            "clock_uncertainty_ns": None if clock is None else clock.uncertainty_ns,
-            "round_trip_us": None if clock is None else clock.round_trip_ns / 1e3,
-        },
-        "camera": camera._asdict(),
-    }
-
-
-def _arm_json(state: State) -> JSON:
-    def joints_deg(values: tuple[float, ...]) -> list[float]:
-        return [round(math.degrees(v), 5) for v in values]
-
-    return {
-        "group_state": state.group_state.name.lower(),
-        "fault": state.fault.name.lower(),
-        "severity": state.severity.name.lower(),
-        "emergency_latched": bool(state.flags & FLAG_EMERGENCY_LATCHED),
-        "plant_link_ok": bool(state.flags & FLAG_PLANT_LINK_OK),
-        "settled": bool(state.flags & FLAG_SETTLED),
-        "motion": {"id": state.motion_id, "done": state.motion_done, "segment": state.segment},
-        "q_meas_deg": joints_deg(state.q_meas),
-        "q_cmd_deg": joints_deg(state.q_cmd),
-        "valves": list(state.valves),
-        "X_BT": pose_json(from_pose(state.X_BT)),
-        "X_BT_cmd": pose_json(from_pose(state.X_BT_cmd)),
-        "supply_bar": state.supply_bar,
-        "cycle": {
-            "count": state.cycle,
-            "overruns": state.overruns,
-            "lateness_p50_us": state.lateness_p50_us,
-            "lateness_p99_us": state.lateness_p99_us,
-            "lateness_max_us": state.lateness_max_us,
-            "plant_exchange_failures": state.plant_exchange_failures,
-        },
-        "references_lost": state.references_lost,
-        "references_dropped": state.references_dropped,
-    }

@@ -1,0 +1,229 @@
+"""The console in a real browser, over the synthetic arm: what an operator does, and what goes wrong.
+
+Playwright drives Debian's Chromium (`make browser`). The arm in 3D is left out: drawing it without a graphics
+processor takes a core.
+"""
+
+import contextlib
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import axe_playwright_python
+import httpx
+import pytest
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from foundation.rest.tokens import Role
+from protocol.faults import FaultCode, GroupState
+from tests.vision_pc.shell.rest_server import served_bench
+from tests.vision_pc.synthetic_station import Bench
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+pytestmark = [
+    pytest.mark.realtime("processes"),
+    pytest.mark.timeout(400),
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here (make browser): the console was NOT tried"),
+]
+WITHIN_MS = 60_000.0  # this machine may be busy
+ARGUMENTS = ["--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--disable-software-rasterizer"]
+AXE = Path(axe_playwright_python.__file__).parent / "axe.min.js"
+LOOK, OPERATE = bytes(range(32)), bytes(range(1, 33))
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        launched = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS, timeout=120_000)
+        with contextlib.closing(launched):
+            yield launched
+
+
+@contextlib.contextmanager
+def opened(browser: Browser, url: str, **options: Any) -> Iterator[Page]:
+    """The console at ``url``, alive; fails if anything of another host was asked for or the policy broken."""
+    foreign: list[str] = []
+    with contextlib.closing(browser.new_context(**options)) as context:
+        context.set_default_timeout(WITHIN_MS)
+        page = context.new_page()
+        home = re.escape(str(httpx.URL(url).copy_with(path="", fragment=None)).rstrip("/"))
+        page.on("request", lambda asked: foreign.append(asked.url))
+        page.on("pageerror", lambda error: foreign.append(f"error: {error}"))
+        page.on(
+            "console", lambda said: foreign.append(said.text) if "Content Security" in said.text else None
+        )
+        page.goto(url)
+        yield page
+    assert [each for each in foreign if not re.match(rf"{home}/|(blob|data):", each)] == []
+
+
+@contextlib.contextmanager
+def console(browser: Browser, **options: Any) -> Iterator[tuple[Page, Bench, str]]:
+    """The console over a bench that is disabled, with pictures twice a second."""
+    with served_bench(enabled=False) as (url, bench):
+        bench.eyes.picture_s = 0.5
+        with opened(browser, url, **options) as page:
+            is_state(page, "disabled")
+            yield page, bench, url
+
+
+def is_state(page: Page, state: str) -> None:
+    expect(page.locator("#ladder li.on")).to_have_attribute("data-state", state, timeout=WITHIN_MS)
+
+
+def hold(page: Page, button: str) -> None:
+    expect(page.locator(button)).to_be_enabled(timeout=WITHIN_MS)
+    page.locator(button).hover()
+    page.mouse.down()
+    page.wait_for_timeout(800)
+    page.mouse.up()
+
+
+def note(page: Page, kind: str, words: str) -> None:
+    """The procedure's row says so."""
+    row = page.locator(f'#procedure li[data-kind="{kind}"] .note')
+    expect(row).to_contain_text(words, timeout=WITHIN_MS)
+
+
+def eventually(happened: Callable[[], bool], page: Page) -> None:
+    for _ in range(600):
+        if happened():
+            return
+        page.wait_for_timeout(100)
+    raise AssertionError("did not happen")
+
+
+def test_the_procedure_by_clicks_ends_inside_the_tolerance(browser: Browser) -> None:
+    with console(browser) as (page, bench, _):
+        assert page.locator("#start-look-then-move").is_disabled()
+        page.locator("#enable").click()  # a slip enables nothing
+        expect(page.locator("#answer")).to_contain_text("hold it")
+        hold(page, "#enable")
+        is_state(page, "standby")
+        for kind in ("orientation-adjustment", "local-track", "look-then-move"):
+            hold(page, f"#start-{kind}")
+            note(page, kind, "done")
+        expect(page.locator("#verdict-told")).to_contain_text("Inside ±5 mm, certainly.")
+        expect(page.locator("#verdict-told")).to_contain_text(re.compile(r"Told before: .* inside"))
+        assert max(abs(1e3 * bench.rig.true_error(0.1)[:2])) < 5.0
+        page.locator("#jog-x-plus").hover()
+        expect(page.locator("#curl")).to_contain_text('"offset_tool_m":[0.02,0,0]')
+        expect(page.locator("#overlay path.told")).to_have_count(1)
+        assert int(page.locator("#left").get_attribute("data-frame") or 0) > 0
+
+
+def test_stop_ends_a_motion_by_click_and_by_key(browser: Browser) -> None:
+    with console(browser) as (page, bench, url):
+        bench.controller.speed = 0.002
+        for stop in (lambda: page.locator("#stop").click(), lambda: page.keyboard.press("Space"),
+                     lambda: page.keyboard.press("Escape")):  # fmt: skip
+            if bench.controller.group is GroupState.DISABLED:
+                hold(page, "#enable")
+            is_state(page, "standby")
+            expect(page.locator("#jog-x-plus")).to_be_enabled(timeout=WITHIN_MS)
+            page.locator("#jog-x-plus").click()  # it keeps the focus: Space must not press it again
+            is_state(page, "moving")
+            began = len(httpx.get(f"{url}/operations").json())
+            stop()
+            expect(page.locator("#stop-told")).to_contain_text("stopped", timeout=WITHIN_MS)
+            eventually(lambda: bench.controller.group is GroupState.STANDBY, page)
+            operations = httpx.get(f"{url}/operations").json()
+            assert len(operations) == began
+            eventually(
+                lambda: httpx.get(f"{url}/operations").json()[-1]["state"] in ("cancelled", "failed"), page
+            )
+
+
+def test_a_fault_is_told_with_the_way_on_and_a_lost_service_greys_the_page(browser: Browser) -> None:
+    with contextlib.ExitStack() as outer:
+        with served_bench() as (url, bench):
+            bench.eyes.picture_s = 0.5
+            page = outer.enter_context(opened(browser, url))
+            is_state(page, "standby")
+            bench.controller.break_down(FaultCode.FOLLOWING_ERROR)
+            is_state(page, "error_stop")
+            expect(page.locator("#alarm-rows tr.active")).to_contain_text("fault.following_error")
+            expect(page.locator("#resume li.next")).to_contain_text("Hold RESET")
+            hold(page, "#reset")
+            is_state(page, "disabled")
+            expect(page.locator("#resume")).to_be_hidden()
+            hold(page, "#enable")
+            is_state(page, "standby")
+        expect(page.locator("html")).to_have_class("stale", timeout=WITHIN_MS)
+        expect(page.locator("#chips")).to_contain_text("no word from the vision PC")
+        expect(page.locator("#enable")).to_be_disabled()
+        page.keyboard.press("Escape")
+        expect(page.locator("#stop-told")).to_contain_text("NOT acknowledged", timeout=WITHIN_MS)
+
+
+def test_a_silent_controller_is_named_and_stop_says_that_nobody_heard(browser: Browser) -> None:
+    with served_bench(link_timeout_ms=2_000) as (url, bench):
+        bench.eyes.picture_s = 0.5
+        with opened(browser, url) as page:
+            is_state(page, "standby")
+            bench.silence()
+            expect(page.locator("#alarm-rows tr.active").first).to_contain_text("link.", timeout=WITHIN_MS)
+            expect(page.locator("#chips .abnormal-1").first).to_be_visible()
+            page.locator("#stop").click()
+            expect(page.locator("#stop-told")).to_contain_text("hardware stop", timeout=WITHIN_MS)
+
+
+def test_a_token_is_asked_for_and_a_watcher_may_stop_alone(browser: Browser) -> None:
+    with served_bench(tokens={Role.LOOK: LOOK, Role.OPERATE: OPERATE}) as (url, bench):
+        bench.eyes.picture_s = 0.5
+        with opened(browser, url) as page:
+            expect(page.locator("#sign-in")).to_be_visible(timeout=WITHIN_MS)
+            page.locator("#token").fill("ab" * 32)
+            page.locator("#sign-in button").click()
+            expect(page.locator("#sign-in-why")).to_contain_text("none of this service", timeout=WITHIN_MS)
+            page.locator("#token").fill(LOOK.hex())
+            page.locator("#sign-in button").click()
+            is_state(page, "standby")
+            expect(page.locator("#whoami")).to_contain_text("look")
+            expect(page.locator("#start-local-track")).to_be_disabled()
+            page.locator("#stop").click()
+            expect(page.locator("#stop-told")).to_contain_text("stopped", timeout=WITHIN_MS)
+        with opened(browser, f"{url}#t={OPERATE.hex()}") as page:
+            is_state(page, "standby")
+            expect(page.locator("#whoami")).to_contain_text("operate")
+            assert OPERATE.hex() not in page.url  # it is in no history either
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_everybody_can_use_it(browser: Browser, theme: str) -> None:
+    phone = {"width": 390, "height": 844}
+    with console(browser, color_scheme=theme, viewport={"width": 1440, "height": 900}) as (page, bench, _):
+        bench.controller.break_down(FaultCode.JOINT_LIMIT)  # with colours for what is abnormal
+        is_state(page, "error_stop")
+        expect(page.locator("html")).to_have_attribute("data-theme", theme)
+        assert serious(page) == []
+        page.set_viewport_size(phone)
+        page.wait_for_timeout(500)
+        assert page.evaluate("document.documentElement.scrollWidth") <= phone["width"]
+        place = page.locator("#stop").bounding_box()
+        assert place is not None
+        assert place["y"] + place["height"] <= phone["height"]  # in view without scrolling
+        page.locator("#reset").focus()  # by keyboard alone
+        page.keyboard.down("Enter")
+        page.wait_for_timeout(800)
+        page.keyboard.up("Enter")
+        is_state(page, "disabled")
+
+
+def serious(page: Page) -> list[str]:
+    """What axe calls serious or critical."""
+    page.evaluate(AXE.read_text(encoding="utf-8"))  # the policy lets the debugger alone run what is not ours
+    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")
+    return [
+        f"{each['id']}: {node['html'][:120]} {node['failureSummary']}"
+        for each in found["violations"]
+        if each["impact"] in ("serious", "critical")
+        for node in each["nodes"]
+    ]
+
+
+def test_the_pages_of_the_api_come_from_here(browser: Browser) -> None:
+    with served_bench() as (url, _), opened(browser, f"{url}/docs") as page:
+        expect(page.locator(".opblock").first).to_be_visible(timeout=WITHIN_MS)

@@ -1,0 +1,172 @@
+// What the operator asks for: the group, the procedure, jogging. Each is one public request, shown as a curl line.
+
+import { curl, send } from './api.js';
+import { ago, attribute, byId, make, signed, write } from './dom.js';
+import { onHold } from './hold.js';
+
+const GROUP = [
+  { id: 'enable', words: 'ENABLE', path: '/enable', hold: true },
+  { id: 'disable', words: 'Disable', path: '/disable' },
+  { id: 'reset', words: 'Reset', path: '/reset', hold: true },
+  { id: 'release', words: 'Release', path: '/emergency-release', hold: true },
+];
+const STEPS = [
+  { kind: 'look', words: 'Look', verb: 'Look', free: true },
+  { kind: 'orientation-adjustment', words: '1 Turn parallel', verb: 'Turn' },
+  { kind: 'local-track', words: '2 Local calibration', verb: 'Calibrate', method: 'corrected' },
+  { kind: 'trajectory-matching', words: '2 Local calibration', verb: 'Calibrate', method: 'calibrated' },
+  { kind: 'look-then-move', words: '3 Go to the object', verb: 'Go', primary: true },
+  { kind: 'looking-and-moving', words: '4 Visual servoing', verb: 'Servo' },
+  { kind: 'home', words: 'Back to the first pose', verb: 'Go back' },
+];
+const results = new Map(); // of operations that have ended, by id
+let shot = null;
+let may = false; // operate
+
+const method = () => byId('method').value;
+const enabled = () => shot?.state?.group_state === 'standby';
+const running = () => shot?.operations.find((operation) => !operation.result && ['queued', 'running'].includes(operation.state));
+
+/** Makes the buttons. `stale()`: whether what is shown is old. */
+export function installActions() {
+  for (const action of GROUP) byId('group-buttons').append(button(action.words, () => ['POST', action.path], action));
+  for (const step of STEPS) byId('procedure').append(row(step));
+  for (const axis of 'xyz') for (const sign of [-1, 1]) {
+    byId('jog').append(button(`${sign < 0 ? '−' : '+'} ${axis}`, () => jogRequest(axis, sign), { id: `jog-${axis}${sign < 0 ? '-minus' : '-plus'}` }));
+  }
+  byId('copy').addEventListener('click', () => navigator.clipboard?.writeText(byId('curl').textContent));
+  byId('method').addEventListener('change', () => update(shot, may));
+  document.addEventListener('stopped', () => say('Stopped. What was running has ended; ENABLE still holds.', true));
+}
+
+/** A button that sends what `request()` says, by a press or held. */
+function button(words, request, { id, hold, primary } = {}) {
+  const made = make('button', { type: 'button', id, class: primary ? 'primary' : '' }, words);
+  if (hold) made.append(make('small', {}, 'hold'));
+  const act = async () => {
+    const asked = request();
+    if (!asked) return;
+    const answer = await send(...asked);
+    say(answer.ok ? `${words}: accepted.` : answer.words, answer.ok);
+  };
+  if (hold) onHold(made, act, () => say(`${words}: hold it for 0.6 s.`, true));
+  else made.addEventListener('click', act);
+  for (const kind of ['focus', 'pointerenter']) {
+    made.addEventListener(kind, () => { const asked = request(); if (asked) write(byId('curl'), curl(...asked)); });
+  }
+  return made;
+}
+
+function row(step) {
+  const start = button(step.verb, () => stepRequest(step), { id: `start-${step.kind}`, hold: !step.free, primary: step.primary });
+  attribute(start, 'aria-label', `${step.words}${step.free ? '' : ': hold'}`);
+  const cancel = make('button', { type: 'button', id: `cancel-${step.kind}`, hidden: true }, 'Cancel');
+  cancel.addEventListener('click', async () => {
+    const operation = running();
+    if (!operation) return;
+    const answer = await send('POST', `/operations/${operation.id}/cancel`);
+    say(answer.ok ? 'Cancelled; the arm was stopped.' : answer.words, answer.ok);
+  });
+  return make('li', { 'data-kind': step.kind, 'data-method': step.method }, make('span', {}, step.words), make('span', {}, start, cancel), make('progress', { max: 1, value: 0, hidden: true, 'aria-label': `Progress of ${step.words}` }), make('small', { class: 'note' }, ''));
+}
+
+function stepRequest(step) {
+  if (step.kind === 'home') return shot?.home && ['POST', '/operations/move', { X_BT: shot.home }];
+  if (step.kind === 'look-then-move') return ['POST', '/operations/look-then-move', { method: method() }];
+  return ['POST', `/operations/${step.kind}`];
+}
+
+function jogRequest(axis, sign) {
+  const metres = (sign * Number(byId('jog-step').value)) / 1000;
+  const offset = [...'xyz'].map((name) => (name === axis ? metres : 0));
+  const frame = byId('jog-frame').value;
+  if (frame === 'tool') return ['POST', '/operations/move', { offset_tool_m: offset }];
+  if (frame === 'base') return ['POST', '/operations/move', { offset_base_m: offset }];
+  const R = shot?.calibration?.R_BC;
+  if (!R) { say('Camera axes are known after “trajectory matching”.', false); return null; }
+  return ['POST', '/operations/move', { offset_base_m: R.map((line) => Number(line.reduce((sum, r, i) => sum + r * offset[i], 0).toFixed(6))) }];
+}
+
+/** One line about the last request. */
+export function say(words, fine) {
+  write(byId('answer'), words);
+  attribute(byId('answer'), 'class', fine ? '' : 'refused');
+}
+
+/** Brings buttons and rows up to date with a snapshot; `operate`: whether this token may move the arm. */
+export function update(snapshot, operate) {
+  shot = snapshot;
+  may = operate;
+  const state = shot?.state;
+  const busy = running();
+  able('enable', may && state?.group_state === 'disabled', 'already enabled, or a fault is latched');
+  able('disable', state && state.group_state !== 'disabled', 'is disabled');
+  able('reset', may && state?.group_state === 'error_stop' && !state.emergency_latched, 'nothing to reset');
+  able('release', may && Boolean(state?.emergency_latched), 'no emergency stop is latched');
+  for (const step of STEPS) showStep(step, busy);
+  for (const jog of byId('jog').children) able(jog.id, may && enabled() && !busy, 'enable first, and wait until nothing runs');
+}
+
+function able(id, is, why) {
+  const made = byId(id);
+  if (made.disabled === Boolean(is)) made.disabled = !is;
+  attribute(made, 'title', is ? '' : why);
+}
+
+function showStep(step, busy) {
+  const line = byId('procedure').querySelector(`[data-kind="${step.kind}"]`);
+  line.hidden = Boolean(step.method) && step.method !== method();
+  const mine = step.kind === 'home' ? 'move' : step.kind;
+  const last = shot?.operations.findLast((operation) => operation.kind === mine);
+  const runs = busy && busy === last;
+  able(`start-${step.kind}`, may && !busy && (step.kind === 'look' ? shot?.state : enabled()), busy ? `${busy.kind} is running` : 'enable first');
+  byId(`start-${step.kind}`).hidden = Boolean(runs);
+  byId(`cancel-${step.kind}`).hidden = !runs || !may;
+  const bar = line.querySelector('progress');
+  bar.hidden = !runs;
+  if (runs) bar.value = last.progress;
+  const note = line.querySelector('.note');
+  write(note, last ? words(last) : hint(step));
+  note.classList.toggle('failed', last?.state === 'failed');
+}
+
+function hint(step) {
+  if (step.kind === 'look-then-move') {
+    const ready = method() === 'corrected' ? shot?.tracked : shot?.calibration;
+    return ready ? 'ready' : 'after step 2';
+  }
+  return '';
+}
+
+/** An operation in one line. */
+function words(operation) {
+  if (['queued', 'running'].includes(operation.state)) return operation.note;
+  const when = ago(shot.time - operation.ended_at);
+  if (operation.state === 'failed') return `▲ failed ${when}: ${operation.note} (${operation.cause})`;
+  if (operation.state === 'cancelled') return `cancelled ${when}`;
+  fetchResult(operation);
+  return `done ${when}${summary(operation.kind, results.get(operation.id))}`;
+}
+
+async function fetchResult(operation) {
+  if (results.has(operation.id)) return;
+  results.set(operation.id, null);
+  const answer = await send('GET', `/operations/${operation.id}`);
+  if (answer.ok && answer.document) results.set(operation.id, answer.document.result);
+  else results.delete(operation.id);
+  while (results.size > 20) results.delete(results.keys().next().value); // a page stays open over night
+}
+
+function summary(kind, result) {
+  if (!result) return '';
+  const worst = (xyz) => Math.max(...Object.values(xyz).map(Math.abs));
+  if (kind === 'orientation-adjustment') return `, ${worst(result.after_deg).toFixed(2)}° left`;
+  if (kind === 'trajectory-matching') return `, rotation known to ${result.rotation_std_deg.toFixed(2)}°`;
+  if (kind === 'local-track') return `, ${result.samples} samples`;
+  if (kind === 'move') return `, ${result.miss_mm.toFixed(1)} mm beside`;
+  if (result.look ?? result.error_mm) {
+    const error = (result.look ?? result).error_mm;
+    return `: x ${signed(error.x)}, y ${signed(error.y)}, z ${signed(error.z)} mm`;
+  }
+  return '';
+}

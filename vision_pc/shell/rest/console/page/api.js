@@ -1,0 +1,59 @@
+// Every request of the page: the token, the words of a refusal, and the same as a curl line.
+
+const KEY = 'longreach-token';
+let wanted = () => {};
+
+/** Takes a token out of the address (`#t=…`), where it reaches no log, into this tab's memory. */
+export function takeToken() {
+  const given = new URLSearchParams(location.hash.slice(1)).get('t');
+  if (given) {
+    sessionStorage.setItem(KEY, given);
+    history.replaceState(null, '', location.pathname + location.search);
+  }
+}
+
+export const setToken = (token) => sessionStorage.setItem(KEY, token.trim());
+export const forgetToken = () => sessionStorage.removeItem(KEY);
+export const onTokenWanted = (tell) => { wanted = tell; };
+
+/** `fetch` with the token, never with what the browser remembers. */
+export function ask(path, options = {}) {
+  const token = sessionStorage.getItem(KEY);
+  const headers = { ...options.headers };
+  if (token) headers.Authorization = `Bearer ${token}`;
+  return fetch(path, { ...options, headers, credentials: 'omit', cache: 'no-store' });
+}
+
+/** What a request led to: `ok`, `status`, the document, and a sentence for a person. */
+export async function send(method, path, body) {
+  const options = { method };
+  if (body !== undefined) {
+    options.headers = { 'Content-Type': 'application/json' };
+    options.body = JSON.stringify(body);
+  }
+  let answer;
+  try {
+    answer = await ask(path, { ...options, signal: AbortSignal.timeout(10_000) });
+  } catch {
+    return { ok: false, status: 0, document: null, words: 'The vision PC does not answer. Nothing was moved by this.' };
+  }
+  const document = await answer.json().catch(() => null);
+  if (answer.status === 401) wanted(document);
+  return { ok: answer.ok, status: answer.status, document, words: answer.ok ? '' : refusal(document, answer.status) };
+}
+
+/** A problem document as one line. */
+export function refusal(document, status) {
+  if (!document) return `Refused (${status}).`;
+  return `▲ ${document.detail} (${document.cause})`;
+}
+
+/** The same request for a shell. */
+export function curl(method, path, body) {
+  const parts = ['curl'];
+  if (method !== 'GET') parts.push(`-X ${method}`);
+  parts.push(location.origin + path);
+  if (sessionStorage.getItem(KEY)) parts.push(`-H "Authorization: Bearer $(cat operate.token)"`);
+  if (body !== undefined) parts.push(`-H 'content-type: application/json' -d '${JSON.stringify(body)}'`);
+  return parts.join(' ');
+}

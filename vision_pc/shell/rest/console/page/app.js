@@ -1,0 +1,122 @@
+// The console: puts the streams and the parts of the page together, and judges what is stale.
+
+import { forgetToken, onTokenWanted, send, setToken, takeToken } from './api.js';
+import { installActions, say, update } from './actions.js';
+import { byId, write } from './dom.js';
+import { installLayers, pictureAge, showOverlay, showPicture } from './picture.js';
+import { showAlarms, showChips, showLadder, showResume } from './panels.js';
+import { addToPlots, drawPlots, installPlots } from './plots.js';
+import { installScene, paintScene, showArm } from './scene.js';
+import { installStop } from './stop.js';
+import { followPictures, followState } from './stream.js';
+import { showVerdict } from './verdict.js';
+
+const STALE_MS = 500;
+let shot = null;
+let came = 0;
+let instance = null;
+let operate = false;
+let lookSeen = { ns: 0, at: 0 };
+let lastTrouble = null;
+
+function showSnapshot(snapshot) {
+  if (instance && instance !== snapshot.service.instance) {
+    banner('The vision PC was started anew. What it had learned is gone, and the arm is disabled: begin with ENABLE.', true);
+    say('', true);
+  }
+  instance = snapshot.service.instance;
+  shot = snapshot;
+  came = performance.now();
+  lastTrouble = null;
+  judge();
+  showLadder(shot.state);
+  showResume(shot.state, shot.alarms);
+  showAlarms(shot.alarms, shot.time);
+  showOverlay(shot.overlay);
+  update(shot, operate);
+  if (shot.look && shot.look.time_ns !== lookSeen.ns) lookSeen = { ns: shot.look.time_ns, at: shot.time };
+  showVerdict(shot.look, shot.told, shot.time - lookSeen.at);
+  showArm(shot);
+  addToPlots(shot);
+}
+
+/** Greys what is old, and says so: a page that stands still must not look alive. */
+function judge() {
+  const old = came ? performance.now() - came : null;
+  const stale = old === null || old > STALE_MS;
+  document.documentElement.classList.toggle('stale', stale);
+  showChips(shot, stale ? (old === null ? null : Math.round(old / 1000)) : null);
+  if (stale && shot) update(null, false);
+  pictureAge(shot?.camera.trouble ? `The camera: ${shot.camera.trouble.replace('link.camera_', '')}.` : stale ? 'The vision PC does not answer.' : '');
+}
+
+function lost(trouble) {
+  lastTrouble = trouble;
+  if (trouble.status === 401) signIn(trouble.document);
+  else if (trouble.status === 503) banner(`▲ ${trouble.document?.detail ?? 'The vision PC has no place for another console.'}`, true);
+}
+
+let bannerEnds = null;
+
+function banner(words, brief) {
+  const place = byId('banner');
+  write(place, words);
+  place.hidden = !words;
+  place.classList.toggle('note', brief);
+  clearTimeout(bannerEnds);
+  if (brief) bannerEnds = setTimeout(() => { place.hidden = true; }, 15_000);
+}
+
+async function whoAmI() {
+  const answer = await send('GET', '/access');
+  if (!answer.ok || !answer.document) return;
+  operate = answer.document.role === 'operate';
+  write(byId('whoami'), answer.document.token_wanted ? `${answer.document.role} (token)` : 'operate');
+  if (!operate) say('You may look and stop. Sign in with the operator’s token to move the arm.', true);
+}
+
+function signIn(document_) {
+  const dialog = byId('sign-in');
+  if (dialog.open) return;
+  write(byId('sign-in-why'), document_?.cause === 'refused.wrong_token' ? '▲ The token is none of this service’s.' : 'Paste it from its file, or open the address that was printed with #t=…');
+  dialog.showModal();
+}
+
+function installSignIn(begin) {
+  onTokenWanted(signIn);
+  byId('sign-in').addEventListener('cancel', (event) => event.preventDefault());
+  byId('sign-in').querySelector('form').addEventListener('submit', () => {
+    forgetToken();
+    setToken(byId('token').value);
+    byId('token').value = '';
+    begin();
+  });
+}
+
+function installTheme() {
+  const wanted = matchMedia('(prefers-color-scheme: dark)');
+  const paint = () => {
+    document.documentElement.dataset.theme = localStorage.getItem('longreach-theme') ?? (wanted.matches ? 'dark' : 'light');
+    paintScene();
+    installPlots();
+  };
+  wanted.addEventListener('change', paint);
+  byId('theme').addEventListener('click', () => {
+    localStorage.setItem('longreach-theme', document.documentElement.dataset.theme === 'dark' ? 'light' : 'dark');
+    paint();
+  });
+  paint();
+}
+
+takeToken();
+installStop();
+installActions();
+installLayers();
+installScene();
+installTheme();
+update(null, false);
+const again = [followState(showSnapshot, lost), followPictures(showPicture, () => {})];
+installSignIn(() => { whoAmI(); for (const begin of again) begin(); });
+whoAmI();
+setInterval(judge, 250);
+setInterval(() => { if (!document.hidden) drawPlots(); }, 300);

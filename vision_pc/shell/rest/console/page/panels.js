@@ -1,0 +1,79 @@
+// Links and health, the ladder of the group's states, the way on after a fault, and alarms.
+
+import { attribute, byId, clock, make, milliseconds, write } from './dom.js';
+
+const STATES = { disabled: 'disabled', standby: 'standby', moving: 'moving', stopping: 'stopping', error_stop: 'error stop' };
+const MARKS = { 1: '▲', 2: '◆', 3: '●' };
+
+/** Chips of the header: [name, value, priority of what is wrong or 0]. */
+export function showChips(shot, stale) {
+  const state = shot?.state;
+  const chips = stale !== null || !shot ? [['console', `no word from the vision PC${stale === null ? '' : ` for ${stale} s`}`, 1]] : [
+    ['controller', state ? milliseconds(shot.link.age_ms) + ' ago' : 'no session', state ? (shot.link.age_ms > 200 ? 2 : 0) : 1],
+    ['plant', !state ? 'unknown' : state.plant_link_ok ? 'answers' : 'silent', !state ? 0 : state.plant_link_ok ? 0 : 1],
+    ['camera', shot.camera.trouble ? shot.camera.trouble.replace('link.camera_', '') : `${shot.camera.rate_hz.toFixed(1)} /s`, shot.camera.trouble ? 2 : 0],
+    ['recording', shot.recording ? 'on' : 'FAILED', shot.recording ? 0 : 2],
+    ['machine', shot.overload ? 'overloaded' : 'keeps up', shot.overload ? 3 : 0],
+    ['link', shot.link.authenticated ? 'signed' : 'unsigned', 0],
+    ['consoles', String(shot.watchers), 0],
+  ];
+  const list = byId('chips');
+  while (list.children.length > chips.length) list.lastChild.remove();
+  while (list.children.length < chips.length) list.append(make('li', {}, '', make('b')));
+  chips.forEach(([name, value, wrong], index) => {
+    const chip = list.children[index];
+    attribute(chip, 'class', wrong ? `abnormal-${wrong}` : '');
+    chip.firstChild.data = `${name} `;
+    write(chip.lastChild, wrong ? `${MARKS[wrong]} ${value}` : value);
+  });
+}
+
+/** The ladder; the present state is the one that is filled. */
+export function showLadder(state) {
+  const ladder = byId('ladder');
+  if (!ladder.children.length) for (const [name, words] of Object.entries(STATES)) ladder.append(make('li', { 'data-state': name }, words));
+  for (const rung of ladder.children) {
+    const on = rung.dataset.state === state?.group_state;
+    rung.classList.toggle('on', on);
+    rung.classList.toggle('fault', on && rung.dataset.state === 'error_stop');
+    if (on) attribute(rung, 'aria-current', 'step'); else rung.removeAttribute('aria-current');
+  }
+}
+
+/** Step by step on after a fault: only what is left is to be done. */
+export function showResume(state, alarms) {
+  const list = byId('resume');
+  const broken = state && (state.group_state === 'error_stop' || state.emergency_latched);
+  list.hidden = !broken;
+  if (!broken) return;
+  const cause = alarms.find((alarm) => alarm.ended_at === null && alarm.cause.startsWith('fault.'));
+  const steps = [
+    ['Release the emergency stop', !state.emergency_latched],
+    ['Hold RESET', false],
+    ['Hold ENABLE; then repeat the step that was interrupted', false],
+  ];
+  const next = steps.findIndex(([, done]) => !done);
+  const rows = [make('li', { class: 'cause' }, cause ? `${cause.detail}. ${cause.advice}` : `fault: ${state.fault}`), ...steps.map(([words, done], index) => make('li', { class: done ? 'done' : index === next ? 'next' : '' }, words))];
+  const told = rows.map((row) => row.className + row.textContent).join('|');
+  if (list.dataset.told !== told) { list.dataset.told = told; list.replaceChildren(...rows); }
+}
+
+/** Active alarms first, then those that ended. */
+export function showAlarms(alarms, nowS) {
+  const active = alarms.filter((alarm) => alarm.ended_at === null);
+  write(byId('alarm-count'), active.length ? `${active.length} active` : 'none active');
+  const rows = alarms.map((alarm) => {
+    const lasts = alarm.ended_at === null;
+    const ended = lasts ? '' : alarm.ended_at > alarm.began_at ? `ended ${clock(alarm.ended_at)}` : '';
+    return make('tr', { class: lasts ? 'active' : 'ended' },
+      make('td', { class: 'num' }, clock(alarm.began_at)),
+      make('td', {}, lasts ? make('span', { class: `prio prio-${alarm.priority}` }, `${MARKS[alarm.priority]} ${alarm.priority}`) : make('span', { class: 'prio' }, '–')),
+      make('td', {}, `${alarm.detail}. `, make('b', {}, lasts ? alarm.advice : ''), make('small', {}, make('code', {}, alarm.cause), ended && ` · ${ended}`)));
+  });
+  if (!rows.length) rows.push(make('tr', { class: 'ended' }, make('td', { colspan: 3 }, 'Nothing has happened since the console was opened.')));
+  const told = rows.map((row) => row.textContent).join('|');
+  const body = byId('alarm-rows');
+  if (body.dataset.told !== told) { body.dataset.told = told; body.replaceChildren(...rows); }
+  document.title = active.length ? `${MARKS[active[0].priority]} ${active[0].cause} · Longreach` : 'Longreach console';
+}
+

@@ -1,0 +1,135 @@
+// The live picture: canvases for both eyes and the loupe, and what was detected as drawings over them.
+
+import { byId, signed, write } from './dom.js';
+
+const SVG = 'http://www.w3.org/2000/svg';
+const LOUPE = 4;
+let newest = null; // the left eye's bitmap
+let drawn = null; // the newest overlay
+let arrived = 0;
+
+/** Shows one message of the stream. */
+export async function showPicture(message) {
+  const [left, right] = await Promise.all([createImageBitmap(message.left), createImageBitmap(message.right)]);
+  paint(byId('left'), left);
+  paint(byId('right'), right);
+  right.close();
+  newest?.close();
+  newest = left;
+  arrived = performance.now();
+  paintLoupe();
+  byId('no-picture').hidden = true;
+  write(byId('frame-told'), `frame ${message.frame} · ${Math.round(message.ageMs)} ms old`);
+  byId('left').dataset.frame = message.frame;
+}
+
+/** Says over the picture why there is no fresh one. */
+export function pictureAge(trouble) {
+  const old = performance.now() - arrived;
+  const silent = !arrived || old > 1000;
+  byId('no-picture').hidden = !silent;
+  if (silent) write(byId('no-picture'), arrived ? `▲ This picture is ${(old / 1000).toFixed(0)} s old. ${trouble ?? ''}` : trouble ?? 'Waiting for pictures');
+}
+
+function paint(canvas, bitmap) {
+  if (canvas.width !== bitmap.width) { canvas.width = bitmap.width; canvas.height = bitmap.height; }
+  canvas.getContext('2d').drawImage(bitmap, 0, 0);
+}
+
+/** Where the loupe looks: the aim, else the tool, else the middle. */
+function centre() {
+  const [width, height] = drawn?.size ?? [1280, 720];
+  return drawn?.aim?.at ?? drawn?.tool?.origin ?? [width / 2, height / 2];
+}
+
+function paintLoupe() {
+  const canvas = byId('loupe');
+  const [x, y] = centre();
+  const [w, h] = [canvas.width / LOUPE, canvas.height / LOUPE];
+  const context = canvas.getContext('2d');
+  context.imageSmoothingEnabled = false;
+  context.fillRect(0, 0, canvas.width, canvas.height);
+  if (newest) context.drawImage(newest, x - w / 2, y - h / 2, w, h, 0, 0, canvas.width, canvas.height);
+}
+
+/** Draws what was detected. */
+export function showOverlay(overlay) {
+  if (overlay && drawn && overlay.frame_id === drawn.frame_id && JSON.stringify(overlay.aim) === JSON.stringify(drawn.aim)) return;
+  drawn = overlay;
+  const svg = byId('overlay');
+  svg.replaceChildren();
+  byId('loupe-overlay').replaceChildren();
+  write(byId('seen-told'), words(overlay));
+  if (!overlay) return;
+  svg.setAttribute('viewBox', `0 0 ${overlay.size[0]} ${overlay.size[1]}`);
+  shapes(overlay, svg, 1);
+  labels(overlay, svg);
+  const [x, y] = centre();
+  const loupe = byId('loupe-overlay');
+  loupe.setAttribute('viewBox', `${x - 80} ${y - 45} 160 90`);
+  shapes({ ...overlay, markers: [] }, loupe, 1 / LOUPE);
+}
+
+function shapes(overlay, svg, scale) {
+  const layers = Object.fromEntries([...document.querySelectorAll('[data-layer]')].map((box) => [box.dataset.layer, box.checked]));
+  const line = (d, kind, width) => {
+    svg.append(path(d, 'casing', (width + 2.4) * scale), path(d, kind, width * scale));
+  };
+  if (layers.markers) for (const marker of overlay.markers) line(closed(marker.corners), `marker ${marker.role}`, 2);
+  if (layers.axes) {
+    for (const axes of [overlay.tool, overlay.object]) {
+      if (!axes) continue;
+      for (const axis of ['x', 'y', 'z']) line(open([axes.origin, axes[axis]]), `ax-${axis}`, 2);
+    }
+  }
+  const aim = overlay.aim;
+  if (aim?.at && layers.error) {
+    if (aim.square) line(closed(aim.square), 'square', 2);
+    if (overlay.tool) line(open([overlay.tool.origin, aim.at]), 'arrow', 2.4);
+    line(cross(aim.at, 7 * Math.max(scale, 0.4)), 'aim', 1.8);
+  }
+  if (aim?.ellipse && layers.told) line(closed(aim.ellipse), 'told', 2.4);
+}
+
+function labels(overlay, svg) {
+  for (const marker of overlay.markers) {
+    const xs = marker.corners.map((corner) => corner[0]);
+    const ys = marker.corners.map((corner) => corner[1]);
+    text(svg, marker.role === 'tool' ? 'tool' : `object ${marker.id}`, Math.min(...xs), Math.max(...ys) + 20);
+  }
+}
+
+/** What is seen, in one line. */
+function words(overlay) {
+  if (!overlay) return 'nothing measured yet';
+  const of = (name, axes) => (axes ? `${name} seen` : `▲ ${name} ${(overlay.missing[name] ?? 'not_seen').replaceAll('_', ' ')}`);
+  const residual = Math.max(...overlay.markers.map((marker) => marker.residual_px), 0);
+  const error = overlay.error_mm ? ` · off by ${overlay.error_mm.map((mm) => signed(mm, 1)).join(' ')} mm` : '';
+  return `${of('tool', overlay.tool)} · ${of('object', overlay.object)} · ${residual.toFixed(2)} px${error}`;
+}
+
+const open = (points) => `M${points.map((point) => point.join(' ')).join('L')}`;
+const closed = (points) => `${open(points)}Z`;
+const cross = ([x, y], r) => `M${x - r} ${y}H${x + r}M${x} ${y - r}V${y + r}`;
+
+function path(d, kind, width) {
+  const element = document.createElementNS(SVG, 'path');
+  element.setAttribute('d', d);
+  element.setAttribute('class', kind);
+  element.setAttribute('stroke-width', width);
+  return element;
+}
+
+function text(svg, words_, x, y) {
+  const element = document.createElementNS(SVG, 'text');
+  element.setAttribute('x', x);
+  element.setAttribute('y', y);
+  element.textContent = words_;
+  svg.append(element);
+}
+
+/** Draws anew when a layer is switched. */
+export function installLayers() {
+  byId('layers').addEventListener('change', () => { const last = drawn; drawn = null; showOverlay(last); });
+}
+
