@@ -22,9 +22,8 @@ from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import SyntheticRig, SyntheticWatch, draw
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.console.overlay import Seen
 from vision_pc.application.link_arm import LinkArm
-from vision_pc.application.ports import CameraStatus
+from vision_pc.application.ports import CameraStatus, Seen
 from vision_pc.config.programs import ProgramSettings
 from vision_pc.config.vision import LinkSettings, MotionSettings, VisionConfig
 from vision_pc.core.perception.intrinsics import calibration, distorted

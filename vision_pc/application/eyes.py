@@ -14,7 +14,6 @@ import numpy as np
 from protocol.errors import RequestRefused
 from protocol.faults import GroupState
 from vision_pc.application.annotate import annotated, png
-from vision_pc.application.console.overlay import Seen
 from vision_pc.application.ports import (
     BackgroundWork,
     CameraStatus,
@@ -22,6 +21,7 @@ from vision_pc.application.ports import (
     EyesRecord,
     FrameSource,
     Runtime,
+    Seen,
     StateSource,
 )
 from vision_pc.config.vision import LookSettings, VisionConfig

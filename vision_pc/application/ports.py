@@ -12,10 +12,16 @@ from protocol.channel import LinkStatistics
 from protocol.clock_offset import OffsetEstimate
 from protocol.faults import CommandCode
 from protocol.reference_messages import Acknowledgement, State
-from vision_pc.application.console.overlay import Seen
 from vision_pc.core.ports import Arm
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraFrame, FrameObservation, Look, StereoPair, WatchHealth
+from vision_pc.core.types import (
+    CameraCalibration,
+    CameraFrame,
+    FrameObservation,
+    Look,
+    StereoPair,
+    WatchHealth,
+)
 
 T = TypeVar("T")
 FrameT_co = TypeVar("FrameT_co", bound=CameraFrame, covariant=True)
@@ -101,6 +107,14 @@ class CameraStatus(NamedTuple):
     dropped: int = 0
     reconnects: int = 0
     trouble: str | None = None
+
+
+class Seen(NamedTuple):
+    """What one pair shows, the camera that took it, and which marker is the tool's."""
+
+    observation: FrameObservation
+    camera: CameraCalibration
+    tool_id: int
 
 
 class Camera(Protocol):

@@ -5,22 +5,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from vision_pc.application.ports import Seen
 from vision_pc.core.perception.intrinsics import distorted
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, FrameObservation
+from vision_pc.core.types import CameraCalibration
 
 _AXIS_M = 0.06
 _NEAREST_M = 0.05  # what is nearer than this, or behind the eye, is not drawn
 _ELLIPSE_POINTS = 48
 JSON = dict[str, Any]
-
-
-class Seen(NamedTuple):
-    """What one pair shows, the camera that took it, and which marker is the tool's."""
-
-    observation: FrameObservation
-    camera: CameraCalibration
-    tool_id: int
 
 
 class ToldEllipse(NamedTuple):
