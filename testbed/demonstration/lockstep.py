@@ -27,16 +27,20 @@ class LockstepRun(NamedTuple):
     log: RunLog
 
 
-def run_lockstep(config_dir: Path, overrides: Overrides, choice: Choice, shown: Bars) -> LockstepRun:
+def run_lockstep(
+    config_dir: Path, overrides: Overrides, choice: Choice, shown: Bars, record: Path | None = None
+) -> LockstepRun:
     """A whole demonstration in lockstep; a step that fails ends it and is told in the outcome's details.
 
-    Raises ConfigurationError.
+    ``record``: where the truth is recorded, from when the link is open. Raises ConfigurationError.
     """
     began = time.perf_counter()
     settings = load_settings(config_dir, overrides)
     log = RunLog()
     log.add(0, "run", scenario=choice.scenario, seed=choice.seed, overrides=overrides)
     rig = LockstepRig(settings, choice.seed, log)
+    if record is not None:
+        rig.world.record_in(record, f"lockstep {choice.scenario} seed {choice.seed}")
     recorder = Recorder(rig, shown)
     details = {}
     try:
@@ -44,6 +48,9 @@ def run_lockstep(config_dir: Path, overrides: Overrides, choice: Choice, shown: 
     except LongreachError as error:
         details["failure"] = f"{error.cause}: {error}"
         log.add(rig.world.time_ns, "failure", cause=error.cause, message=str(error))
+    finally:
+        if rig.world.recording is not None:
+            rig.world.recording.close()
     truths = [TimedTruth(truth.time_ns + VISION_CLOCK_NS, truth) for truth in rig.world.truths]
     views = [
         TracedView(s.time_ns - CONTROLLER_CLOCK_NS + VISION_CLOCK_NS, s.X_BT.p_m, s.q_cmd, s.q_meas)
@@ -69,8 +76,10 @@ def run_lockstep_demo(
     """Whether the true error ended inside the limit; prints the table and writes the report."""
     clearance_m = load_settings(config_dir, overrides).vision.programs.positioning.clearance_m
     with run_directory(runs) as directory:
+        record = directory / "plant_emulator" / "truth.mcap"
+        record.parent.mkdir()
         with bars() as shown:
-            done = run_lockstep(config_dir, overrides, choice, shown)
+            done = run_lockstep(config_dir, overrides, choice, shown, record)
         curves = traces(done.truths, done.views, clearance_m)
         pictures = [rest.picture for rest in done.rests]
         return present(directory, done.outcome, curves, pictures, done.log.events, json_file)

@@ -7,6 +7,7 @@ image of a scan reaches the plant with the next exchange.
 """
 
 from collections.abc import Callable
+from pathlib import Path
 
 from foundation.link_key import read_key
 from plant_emulator.core.camera.scene import Scene
@@ -21,6 +22,7 @@ from testbed.lockstep.clock import LockstepClock
 from testbed.lockstep.controller_side import ControllerSide
 from testbed.lockstep.link_record import LinkRecord
 from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.truth_recording import LockstepRecording
 from testbed.scenarios.settings import Settings
 from vision_pc.application.reference_link import ReferenceLink
 
@@ -48,6 +50,7 @@ class World:
         self.plant = Plant(settings.plant, seed, Scene(settings.scene).mounts)
         self.camera = CameraSide(settings)
         self.truths: list[PlantTruth] = []
+        self.recording: LockstepRecording | None = None
         self.lead_ns = 0
         self.to_controller: Wire = list
         self.to_vision: Wire = list
@@ -95,6 +98,10 @@ class World:
         """Let time pass until the reference link is open, at most 5 s."""
         self.clock.advance_until(lambda: self.connected, _CONNECT_S)
 
+    def record_in(self, path: Path, session: str) -> None:
+        """Record the truth from now on in ``path``, until ``recording`` is closed. Raises OSError."""
+        self.recording = LockstepRecording(path, session, self.settings, self.plant, self.camera)
+
     def step(self) -> None:
         """Pass one controller cycle; for the clock alone."""
         self.link.tick()
@@ -126,6 +133,8 @@ class World:
             self._tell_faults()
             if stop_ns % TRUTH_PERIOD_NS == 0:
                 self.truths.append(self.plant.truth())
+                if self.recording is not None:
+                    self.recording.truth(self.truths[-1])
             if stop_ns % self.camera.period_ns == 0:
                 self.camera.expose(stop_ns, self.plant)
 
@@ -133,6 +142,8 @@ class World:
         for change in self.plant.faults.changes[self._fault_changes_told :]:
             self.log.add(change.time_ns, "fault", **change.injection.as_dict(), phase=change.phase)
             self._fault_changes_told += 1
+            if self.recording is not None:
+                self.recording.fault(change)
 
 
 def _next(time_ns: int, period_ns: int) -> int:
