@@ -1,0 +1,77 @@
+"""`longreach export`: the arm as a file that other tools read."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from foundation.configuration import parse_overrides
+from protocol.errors import ConfigurationError
+from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, Settings
+from testbed.exports.arm_tree import ArmTree, inexpressible, nominal_tree, true_tree
+from testbed.exports.mjcf import mjcf
+from testbed.exports.urdf import urdf
+from testbed.reporting.console import out, writable, write_json
+from testbed.scenarios.settings import load_settings
+
+app = typer.Typer(help="The arm as a file for other tools.", no_args_is_help=True)
+
+Target = Annotated[Path, typer.Option("--out", help="Where the file goes.", callback=writable)]
+TrueArm = Annotated[
+    bool,
+    typer.Option("--true", help="The plant's own arm, with hinges and masses, instead of the nominal one."),
+]
+
+
+@app.command("urdf", epilog="Example: longreach export urdf --out arm.urdf")
+def urdf_command(
+    file: Target,
+    true: TrueArm = False,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    json_file: JsonFile = None,
+) -> None:
+    """The arm as URDF, for ROS, Pinocchio and viewers: links, joints, masses; no springs, no gravity."""
+    _write(urdf, _tree(config_dir, settings, true), file, json_file)
+
+
+@app.command("mjcf", epilog="Example: longreach export mjcf --true --out arm.xml")
+def mjcf_command(
+    file: Target,
+    true: TrueArm = False,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    settings: Settings = None,
+    json_file: JsonFile = None,
+) -> None:
+    """The arm as MJCF, for MuJoCo; with --true also the springs and dampers of its hinges, and gravity."""
+    _write(mjcf, _tree(config_dir, settings, true, springs=True), file, json_file)
+
+
+def _tree(config_dir: Path, assignments: list[str] | None, true: bool, springs: bool = False) -> ArmTree:
+    """The arm that was asked for.
+
+    Raises ConfigurationError (``export.inexpressible``) for ``springs`` of a true arm that has forces which
+    are no springs of one joint.
+    """
+    chosen = load_settings(config_dir, parse_overrides(assignments or []))
+    if not true:
+        return nominal_tree(chosen.arm)
+    left_out = inexpressible(chosen.plant) if springs else []
+    if left_out:
+        off = " ".join(f"--set {key}=false" for key in left_out)
+        raise ConfigurationError(
+            "export.inexpressible",
+            f"{', '.join(left_out)}: MJCF has no form for these forces; export without them: {off}",
+        )
+    return true_tree(chosen.arm, chosen.plant)
+
+
+def _write(form: Callable[[ArmTree], str], tree: ArmTree, file: Path, json_file: Path | None) -> None:
+    text = form(tree)
+    file.write_text(text, encoding="utf-8")
+    moving = [joint.name for joint in tree.joints if not joint.locked]
+    mass_kg = sum(joint.body.mass for joint in tree.joints)
+    weight = f"{mass_kg:.1f} kg" if mass_kg > 0.0 else "no masses"
+    out.print(f"{file}: {tree.name}, {len(moving)} joints, {weight}", highlight=False, soft_wrap=True)
+    write_json(json_file, {"file": file, "name": tree.name, "joints": moving, "mass_kg": mass_kg})
