@@ -5,13 +5,13 @@ A hash of all of them is part of every row's configuration: a row is reused only
 
 import ast
 import hashlib
-import importlib.metadata
-import platform
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
+
+from testbed.reporting.run_record import library_versions
 
 PACKAGES = (
     "foundation",
@@ -23,16 +23,6 @@ PACKAGES = (
     "conformance",
     "dissector",
     "testbed",
-)
-LIBRARIES = (
-    "longreach",
-    "numpy",
-    "scipy",
-    "numba",
-    "llvmlite",
-    "opencv-python-headless",
-    "clarabel",
-    "ruckig",
 )
 _SCENARIOS = "scenarios"
 _DIGITS = 16
@@ -52,18 +42,6 @@ def provenance_of(function: Callable[..., Any]) -> Provenance:
         function = function.func
     module = function.__module__
     return Provenance(f"{module}.{function.__qualname__}", sources_hash(module), library_versions())
-
-
-@cache
-def library_versions() -> dict[str, str]:
-    """Name → version, as installed here; empty for what is not installed."""
-    versions = {"python": platform.python_version()}
-    for name in LIBRARIES:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = ""
-    return versions
 
 
 @cache

@@ -20,6 +20,7 @@ LOADED_LATER = {  # what a group of commands needs, such as matplotlib and dask,
     "export": "testbed.exports.command",
     "picture": "testbed.pictures.command",
     "recording": "testbed.cli.recording",
+    "runs": "testbed.cli.runs",
     "token": "testbed.cli.token",
 }
 

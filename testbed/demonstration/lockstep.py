@@ -13,7 +13,8 @@ from testbed.reporting.console import Bars, bars
 from testbed.reporting.outcome import Outcome
 from testbed.reporting.plots import TracedView
 from testbed.reporting.presentation import Choice, present
-from testbed.reporting.report import run_directory
+from testbed.reporting.run_directory import run_directory
+from testbed.reporting.run_record import note_settings
 from testbed.scenarios.settings import Overrides, load_settings
 
 
@@ -74,8 +75,10 @@ def run_lockstep_demo(
     config_dir: Path, overrides: Overrides, choice: Choice, runs: Path, json_file: Path | None
 ) -> bool:
     """Whether the true error ended inside the limit; prints the table and writes the report."""
-    clearance_m = load_settings(config_dir, overrides).vision.programs.positioning.clearance_m
+    settings = load_settings(config_dir, overrides)
+    clearance_m = settings.vision.programs.positioning.clearance_m
     with run_directory(runs) as directory:
+        note_settings(directory, settings, config_dir)
         record = directory / "plant_emulator" / "truth.mcap"
         record.parent.mkdir()
         with bars() as shown:

@@ -17,7 +17,8 @@ from testbed.reporting.console import Bars, bars, out
 from testbed.reporting.outcome import Outcome
 from testbed.reporting.plots import TracedView
 from testbed.reporting.presentation import Choice, present, read_events
-from testbed.reporting.report import run_directory
+from testbed.reporting.run_directory import run_directory
+from testbed.reporting.run_record import note_settings
 from testbed.scenarios.settings import Overrides
 
 _HEALTHY_S = 60.0
@@ -54,6 +55,7 @@ def run_demo(
     end_on_sigterm()
     with run_directory(runs) as directory:
         launch = prepare(config_dir, overrides, directory, any_ports=any_ports)
+        note_settings(directory, launch.settings, config_dir)
         with bars() as shown, started(launch, shown) as supervisor:
             show_console(launch)
             show_fault_api(launch)

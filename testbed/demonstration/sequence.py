@@ -20,6 +20,7 @@ from testbed.reporting.report import Picture
 from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.calibration.orientation import OrientationResult
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult
+from vision_pc.core.positioning.expected_end import ExpectedEnd
 from vision_pc.core.positioning.look_then_move import PositioningResult
 from vision_pc.core.se3 import angle_between
 
@@ -74,6 +75,7 @@ class Rest(NamedTuple):
     look: SeenPoses | None
     note: str
     picture: Picture
+    told: ExpectedEnd | None = None
 
 
 class TimedTruth(NamedTuple):
@@ -99,7 +101,8 @@ class Recorder:
             look = self._rig.latest_look() if looks_itself else self._look(bar)
             time_ns = self._rig.now_ns() if look is None else look.time_ns
             picture = Picture(f"after: {label}", self._rig.picture())
-            self.rests.append(Rest(label, look_number, time_ns, look, note_of(result), picture))
+            rest = Rest(label, look_number, time_ns, look, note_of(result), picture, told_of(result))
+            self.rests.append(rest)
 
     def _look(self, bar: Bar) -> SeenPoses | None:
         try:
@@ -117,6 +120,15 @@ def demonstrate(rig: Rig, recorder: Recorder, looks: int) -> None:
     recorder.step("trajectory matching", "trajectory-matching", {})
     for number in range(1, looks + 1):
         recorder.step(f"look {number}", "look-then-move", {"inputs": 1}, look_number=number)
+
+
+def told_of(result: Any) -> ExpectedEnd | None:
+    """Where a program said, before it drove, that it would end."""
+    if isinstance(result, CorrectedResult):
+        return told_of(result.positioning)
+    if isinstance(result, PositioningResult) and result.steps:
+        return result.steps[0].expected
+    return None
 
 
 def note_of(result: Any) -> str:
@@ -165,6 +177,7 @@ def stages(rests: Sequence[Rest], truths: Sequence[TimedTruth], clearance_m: flo
             None if rest.look is None else _seen(rest.look, clearance_m),
             _true(rest.time_ns, times_ns, truths, clearance_m),
             rest.note,
+            rest.told,
         )
         for rest in rests
     )

@@ -10,7 +10,8 @@ from types import FrameType
 from testbed.realtime.launch import Launch, prepare
 from testbed.realtime.supervisor import Supervisor, supervised
 from testbed.reporting.console import Bars, out, table
-from testbed.reporting.report import run_directory
+from testbed.reporting.run_directory import run_directory
+from testbed.reporting.run_record import note_settings
 from testbed.scenarios.settings import Overrides
 
 
@@ -22,6 +23,7 @@ def run_up(config_dir: Path, overrides: Overrides, any_ports: bool, runs: Path) 
     end_on_sigterm()
     with run_directory(runs) as directory:
         launch = prepare(config_dir, overrides, directory, any_ports=any_ports)
+        note_settings(directory, launch.settings, config_dir)
         try:
             with supervised(launch.services, launch.directory) as supervisor:
                 show(launch, supervisor)

@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vision_pc.core.positioning.expected_end import ExpectedEnd
+
 Array = NDArray[np.float64]
 
 LIMIT_M = 0.005
@@ -28,7 +30,8 @@ class Stage(NamedTuple):
     """The arm at rest after one step.
 
     ``look`` counts look-then-moves (0: another step). ``image`` is what a look measured there, None where it
-    failed; ``true`` is the plant's own truth at the same time; ``note`` what the step itself reported.
+    failed; ``true`` is the plant's own truth at the same time; ``note`` what the step itself reported;
+    ``told`` where its drive was expected to end, if that was told before.
     """
 
     label: str
@@ -37,6 +40,7 @@ class Stage(NamedTuple):
     image: Errors | None
     true: Errors
     note: str = ""
+    told: ExpectedEnd | None = None
 
 
 class Outcome(NamedTuple):

@@ -13,6 +13,7 @@ from testbed.reporting.console import out, write_json
 from testbed.reporting.outcome import Outcome
 from testbed.reporting.plots import Traces
 from testbed.reporting.report import Picture, write_report
+from testbed.reporting.run_record import note
 
 
 class Choice(NamedTuple):
@@ -44,6 +45,9 @@ def present(
     json_file: Path | None,
 ) -> bool:
     """Whether ``outcome`` has passed; its table, verdict and report are out."""
+    known = ("mode", "scenario", "seed", "passed", "simulated_s")
+    told = {name: getattr(outcome, name) for name in known}
+    note(directory, **told, verdict=outcomes.verdict(outcome))
     report = write_report(directory, outcome, traces, pictures, events)
     out.print(outcome_table(outcome))
     for stage in outcome.stages:

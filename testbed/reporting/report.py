@@ -3,18 +3,22 @@
 import base64
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
+import numpy as np
 from jinja2 import Environment, PackageLoader
 
-from protocol.errors import ConfigurationError
 from testbed.reporting import outcome as outcomes
 from testbed.reporting import plots
+from testbed.reporting import run_record as record
 from testbed.reporting.console import plain
+from testbed.reporting.events import event_lines, spans
 from testbed.reporting.outcome import Outcome
+
+_JPEG = [cv2.IMWRITE_JPEG_QUALITY, 88]  # what was recorded keeps every pixel; the report shows it
 
 
 class Picture(NamedTuple):
@@ -22,37 +26,6 @@ class Picture(NamedTuple):
 
     caption: str
     png: bytes
-
-
-@contextmanager
-def run_directory(runs: Path) -> Iterator[Path]:
-    """A new directory below ``runs``, named by the time of day; one left empty is removed with the block.
-
-    Raises ConfigurationError where none can be made.
-    """
-    there = runs.exists()
-    directory = _new_directory(runs)
-    try:
-        yield directory
-    finally:
-        with suppress(OSError):  # it holds something
-            directory.rmdir()
-            if not there:
-                runs.rmdir()
-
-
-def _new_directory(runs: Path) -> Path:
-    stamp = time.strftime("%Y%m%d-%H%M%S")
-    for attempt in range(100):
-        directory = runs / (stamp if attempt == 0 else f"{stamp}-{attempt}")
-        try:
-            directory.mkdir(parents=True)
-        except FileExistsError:
-            continue
-        except OSError as error:
-            raise ConfigurationError("output.unwritable", f"{directory}: {error.strerror}") from error
-        return directory
-    raise ConfigurationError("output.unwritable", f"{runs / stamp}: a hundred runs in one second")
 
 
 def write_report(
@@ -64,31 +37,31 @@ def write_report(
 ) -> Path:
     """The HTML file, written to ``directory`` with ``figures.json`` and ``events.jsonl`` beside it.
 
-    It needs no other file and no network: the pictures are inside.
+    It needs no other file and no network: the pictures are inside. What was recorded is linked.
     """
     lines = [json.dumps(plain(event), sort_keys=True, ensure_ascii=False) for event in events]
     (directory / "events.jsonl").write_text("".join(line + "\n" for line in lines), encoding="utf-8")
     figures = outcomes.figures(outcome)
     (directory / "figures.json").write_text(json.dumps(plain(figures), indent=2) + "\n", encoding="utf-8")
-    drawn = (
-        Picture("The tool's way", plots.path_plot(traces, outcome.stages)),
-        Picture(
-            "True error over time; the shaded band is wanted in x and y",
-            plots.error_plot(traces, outcome.stages),
-        ),
-        Picture("Beside the object after each look", plots.target_plot(outcome.stages)),
-        Picture("Joint tracking at the encoders", plots.joint_plot(traces, outcome.stages)),
-    )
+    stages = outcome.stages
     environment = Environment(loader=PackageLoader("testbed.reporting"), autoescape=True)
     html = environment.get_template("report.html.j2").render(
         outcome=outcome,
         verdict=outcomes.verdict(outcome),
-        headings=outcomes.HEADINGS,
-        rows=outcomes.rows(outcome.stages),
-        plots=[(picture.caption, _data_uri(picture.png)) for picture in drawn],
+        rows=outcomes.rows(stages),
+        plots=[
+            ("Beside the object after each look", plots.target_plot(stages)),
+            ("True error over time; the shaded band is wanted in x and y", plots.error_plot(traces, stages)),
+            ("The tool's way", plots.path_plot(traces, stages)),
+            ("Joint tracking at the encoders", plots.joint_plot(traces, stages)),
+        ],
         pictures=[(picture.caption, _data_uri(picture.png)) for picture in pictures],
-        details=plain(outcome.details),
-        events=lines,
+        details={key: value for key, value in plain(outcome.details).items() if key != "directory"},
+        run=record.read(directory),
+        files=_files(directory),
+        spans=spans(events),
+        lasted_s=max((line.at_s for line in event_lines(events)), default=0.0),
+        events=event_lines(events),
         written=time.strftime("%Y-%m-%d %H:%M:%S"),
     )
     path = directory / "report.html"
@@ -96,5 +69,16 @@ def write_report(
     return path
 
 
+def _files(directory: Path) -> list[tuple[str, str]]:
+    """What the run left behind: paths below ``directory``, and their sizes."""
+    files = sorted(path for path in directory.rglob("*") if path.is_file() and path.name != "report.html")
+    return [
+        (path.relative_to(directory).as_posix(), f"{1e-3 * path.stat().st_size:,.0f} kB") for path in files
+    ]
+
+
 def _data_uri(png: bytes) -> str:
-    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
+    picture = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None  # it was encoded here
+    jpeg = cv2.imencode(".jpg", picture, _JPEG)[1].tobytes()
+    return "data:image/jpeg;base64," + base64.b64encode(jpeg).decode("ascii")

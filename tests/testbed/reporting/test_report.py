@@ -8,11 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-from protocol.errors import ConfigurationError
 from testbed.reporting import outcome as outcomes
 from testbed.reporting import plots
+from testbed.reporting import run_record as record
+from testbed.reporting.events import OperationSpan, event_lines, spans
 from testbed.reporting.outcome import Errors, Outcome, Stage
-from testbed.reporting.report import Picture, run_directory, write_report
+from testbed.reporting.report import Picture, write_report
+from vision_pc.core.positioning.expected_end import expected_end
 
 
 def errors(x_mm: float, y_mm: float, z_mm: float) -> Errors:
@@ -69,53 +71,65 @@ def test_a_failed_look_is_a_dash_in_the_table_and_null_in_the_figures() -> None:
     assert stages[3]["true"]["y_mm"] == pytest.approx(-2.0)
 
 
-def test_the_report_is_one_file_with_its_pictures_inside(tmp_path: Path, traces: plots.Traces) -> None:
+EVENTS: list[dict[str, object]] = [
+    {"time_ns": 5_000, "event": "operation_queued", "kind": "look", "service": "vision_pc", "level": "info"},
+    {"time_ns": 2_000_005_000, "event": "operation_ended", "kind": "look", "problem": None},
+    {"time_ns": 2_000_005_000, "event": "operation_queued", "kind": "move"},
+    {"time_ns": 3_000_005_000, "event": "<script>alert(1)</script>", "level": "warning", "detail": "late"},
+    {"time_ns": 4_000_005_000, "event": "operation_ended", "problem": {"cause": "link.lost"}},
+]
+
+
+def reported(directory: Path, traces: plots.Traces) -> str:
     made = run(errors(1.0, 1.0, 1.0), errors(1.0, -2.0, 3.0))
     _, png = cv2.imencode(".png", np.full((72, 128, 3), 90, np.uint8))
-    events = [{"t_ns": 5, "event": "<script>alert(1)</script>"}]
-    path = write_report(tmp_path, made, traces, [Picture("before & after", png.tobytes())], events)
-    html = path.read_text(encoding="utf-8")
-    sources = re.findall(r'(?:src|href)="([^"]{0,30})', html)
-    assert len(sources) == 5
-    assert all(source.startswith("data:image/png;base64,") for source in sources)
+    path = write_report(directory, made, traces, [Picture("before & after", png.tobytes())], EVENTS)
+    return path.read_text(encoding="utf-8")
+
+
+def test_the_report_is_one_file_with_its_pictures_inside(tmp_path: Path, traces: plots.Traces) -> None:
+    html = reported(tmp_path, traces)
+    assert len(re.findall(r'src="data:image/jpeg;base64,', html)) == len(re.findall(r"\bsrc=", html)) == 1
+    assert html.count("<svg") == 4
+    assert not re.findall(r'(?:src|href)="(?:https?:)?//', html)
     assert "<script>" not in html
-    assert outcomes.verdict(made).replace("'", "&#39;") in html
+    assert "within ±5 mm in x and y" in html
     assert "before &amp; after" in html
     assert json.loads((tmp_path / "figures.json").read_text())["passed"] is True
-    assert json.loads((tmp_path / "events.jsonl").read_text()) == events[0]
+    assert json.loads((tmp_path / "events.jsonl").read_text().splitlines()[0]) == EVENTS[0]
 
 
-def test_plots_are_pictures_with_something_on_them(traces: plots.Traces) -> None:
+def test_the_report_says_what_made_the_run_and_links_what_it_recorded(
+    tmp_path: Path, traces: plots.Traces, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["/somewhere/longreach", "demo", "--seed", "4"])
+    record.note(tmp_path, **record.beginning(), changed={"plant.payload.mass_kg": (50.0, 75.0)})
+    (tmp_path / "plant_emulator").mkdir()
+    (tmp_path / "plant_emulator" / "truth.mcap").write_bytes(b"\x89MCAP")
+    html = reported(tmp_path, traces)
+    assert "<code>longreach demo --seed 4</code>" in html
+    assert "plant.payload.mass_kg" in html
+    assert 'href="plant_emulator/truth.mcap"' in html
+    assert str(tmp_path) not in html, "nothing of this machine's paths is in it"
+
+
+def test_identifiers_of_the_figures_do_not_clash(tmp_path: Path, traces: plots.Traces) -> None:
+    identifiers = re.findall(r'\bid="([^"]+)"', reported(tmp_path, traces))
+    assert identifiers
+    assert len(set(identifiers)) == len(identifiers)
+
+
+def test_operations_are_spans_and_a_failed_one_has_its_cause() -> None:
+    look, move = OperationSpan("look", 0.0, 2.0, ""), OperationSpan("move", 2.0, 4.0, "link.lost")
+    assert spans(EVENTS) == [look, move]
+    assert spans(EVENTS[:4])[-1] == OperationSpan("move", 2.0, 3.0, "has not ended")
+    lines = event_lines([*EVENTS, {"time_ns": 6_000, "event": "state"}])
+    assert len(lines) == len(EVENTS)
+    assert (lines[3].at_s, lines[3].level, lines[3].words) == (3.0, "warning", "detail late")
+
+
+def test_the_told_ellipse_is_drawn_where_something_was_told() -> None:
     stages = run(errors(9.0, 3.0, 1.0), errors(1.0, -2.0, 3.0)).stages
-    drawn = [
-        plots.path_plot(traces, stages),
-        plots.error_plot(traces, stages),
-        plots.joint_plot(traces, stages),
-        plots.target_plot(stages),
-    ]
-    for png in drawn:
-        image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
-        assert image is not None
-        assert np.mean(image < 250) > 0.01
-
-
-def test_two_runs_in_one_second_get_two_directories(tmp_path: Path) -> None:
-    with run_directory(tmp_path / "runs") as first, run_directory(tmp_path / "runs") as second:
-        assert first != second
-
-
-def test_an_empty_run_directory_does_not_stay(tmp_path: Path) -> None:
-    runs = tmp_path / "runs"
-    with pytest.raises(KeyboardInterrupt), run_directory(runs):
-        raise KeyboardInterrupt
-    assert not runs.exists()
-    with run_directory(runs) as directory:
-        (directory / "report.html").write_text("kept")
-    assert directory.is_dir()
-
-
-def test_a_run_directory_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("no directory")
-    with pytest.raises(ConfigurationError) as told, run_directory(tmp_path / "file"):
-        pass
-    assert told.value.cause == "output.unwritable"
+    told = expected_end(np.zeros(3), np.diag([4e-6, 1e-6, 9e-6]), 0.005)
+    assert "told before" not in plots.target_plot(stages)
+    assert "look 1, told before: 95 %" in plots.target_plot([s._replace(told=told) for s in stages[:3]])

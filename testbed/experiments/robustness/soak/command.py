@@ -24,7 +24,8 @@ from testbed.realtime.launch import CONTROLLER, PLANT, VISION, Launch, prepare
 from testbed.realtime.rest_rig import RestRig
 from testbed.realtime.up import end_on_sigterm, started
 from testbed.reporting.console import bars, err, write_json
-from testbed.reporting.report import run_directory
+from testbed.reporting.run_directory import run_directory
+from testbed.reporting.run_record import note, note_settings
 from testbed.scenarios.settings import Overrides, with_faults
 
 _HEALTHY_S = 60.0
@@ -60,10 +61,13 @@ def run_soak(request: SoakRequest, json_file: Path | None) -> bool:
     overrides = with_faults(request.overrides, request.faults)
     with run_directory(request.runs) as directory:
         launch = prepare(request.config_dir, overrides, directory, any_ports=request.any_ports)
+        note_settings(directory, launch.settings, request.config_dir)
         figures = _soaked(launch, request)
         show(figures)
         verdict = checks(figures)
         show_checks(verdict)
+        missed = ", ".join(check.what for check in verdict if check.met is False)
+        note(directory, seed=request.seed, verdict=f"not met: {missed}" if missed else "all limits met")
         figures["checks"] = [check._asdict() for check in verdict]
         write_json(launch.directory / "soak.json", figures)
     write_json(json_file, figures)

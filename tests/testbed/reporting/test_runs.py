@@ -1,0 +1,161 @@
+"""Directories of runs and their records: what made each, how it ended, and the command that shows them."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from protocol.errors import ConfigurationError, LinkLost
+from testbed.cli.runs import app
+from testbed.reporting import run_record as record
+from testbed.reporting.run_directory import all_runs, one_run, run_directory
+from testbed.scenarios.settings import Settings, load_settings
+from tests.support.paths import CONFIGS
+
+
+def made(runs: Path, name: str, **facts: Any) -> Path:
+    """A run that has ended, with a file of a kilobyte."""
+    directory = runs / name
+    directory.mkdir(parents=True)
+    (directory / "report.html").write_text("x" * 1000)
+    given = {"command": ["longreach", "demo"], "took_s": 12.0, "ended_by": "", **facts}
+    (directory / record.RECORD_FILE).write_text(json.dumps(given))
+    return directory
+
+
+def asked(*arguments: str) -> tuple[int, str]:
+    """Exit status and output of ``longreach runs``."""
+    done = CliRunner().invoke(app, list(arguments), env={"COLUMNS": "200"})
+    return done.exit_code, done.output + str(done.exception or "")
+
+
+def test_two_runs_in_one_second_get_two_directories(tmp_path: Path) -> None:
+    with run_directory(tmp_path / "runs") as first, run_directory(tmp_path / "runs") as second:
+        assert first != second
+
+
+def test_a_run_directory_without_results_does_not_stay(tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    with pytest.raises(KeyboardInterrupt), run_directory(runs):
+        raise KeyboardInterrupt
+    assert not runs.exists()
+    with run_directory(runs) as directory:
+        (directory / "report.html").write_text("kept")
+    assert directory.is_dir()
+
+
+def test_a_run_directory_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no directory")
+    with pytest.raises(ConfigurationError) as told, run_directory(tmp_path / "file"):
+        pass
+    assert told.value.cause == "output.unwritable"
+
+
+def test_a_record_says_what_made_the_run_and_how_it_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["/somewhere/bin/longreach", "demo", "--seed", "3"])
+    def fail(directory: Path) -> None:
+        (directory / "plant.log").write_text("a line")
+        assert record.read(directory).is_running
+        assert record.read(directory).ending == "running"
+        raise LinkLost("link.camera_silent", "no picture")
+
+    with pytest.raises(LinkLost), run_directory(tmp_path) as directory:
+        fail(directory)
+    run = record.read(directory)
+    assert (run.command, run.ending) == ("longreach demo --seed 3", "link.camera_silent: no picture")
+    assert not run.is_running
+    assert run.facts["machine"]["cores"] == len(os.sched_getaffinity(0))
+    assert run.facts["libraries"]["numpy"]
+    assert run.facts["took_s"] >= 0.0
+    record.note(directory, verdict="within ±5 mm")
+    assert record.read(directory).ending == "within ±5 mm"
+
+
+def test_a_run_whose_process_has_gone_was_cut_off(tmp_path: Path) -> None:
+    directory = made(tmp_path, "20261122-120000", process=2**22 + 1)
+    facts = record.read(directory).facts
+    (directory / record.RECORD_FILE).write_text(json.dumps({k: v for k, v in facts.items() if k != "took_s"}))
+    assert record.read(directory).ending == "cut off"
+    (directory / record.RECORD_FILE).write_text("{ half a")
+    assert record.read(directory).ending == "no record"
+
+
+def test_what_is_not_as_shipped_is_listed_by_key(shipped_settings: Settings) -> None:
+    other = load_settings(CONFIGS, {"plant": {"payload": {"mass_kg": 77.0}}, "vision": {"api": {"port": 1}}})
+    changed = record.changed_settings(other, shipped_settings)
+    shipped_kg = shipped_settings.plant.payload.mass_kg
+    assert changed == {
+        "plant.payload.mass_kg": (shipped_kg, 77.0),
+        "vision.api.port": (shipped_settings.vision.api.port, 1),
+    }
+    assert record.changed_settings(shipped_settings, shipped_settings) == {}
+
+
+def test_a_run_is_found_by_its_name_a_beginning_or_as_the_last(tmp_path: Path) -> None:
+    old, new = made(tmp_path, "20261121-090000"), made(tmp_path, "20261122-090000")
+    (tmp_path / "plant-survey").mkdir()
+    assert [run.directory for run in all_runs(tmp_path)] == [new, old]
+    assert one_run(tmp_path, "last").directory == new
+    assert one_run(tmp_path, "20261121").directory == old
+    for name, words in (("2026", "several"), ("1999", "no such run"), ("", "no such run")):
+        with pytest.raises(ConfigurationError, match=words):
+            one_run(tmp_path, name)
+    with pytest.raises(ConfigurationError, match="no such directory"):
+        all_runs(tmp_path / "nowhere")
+
+
+def test_clean_removes_the_oldest_runs_only_when_told_and_nothing_else(tmp_path: Path) -> None:
+    names = [f"2026112{day}-090000" for day in range(5)]
+    for name in names:
+        made(tmp_path, name)
+    running = tmp_path / names[0] / record.RECORD_FILE
+    running.write_text(json.dumps({"command": [], "process": os.getpid()}))
+    (tmp_path / "commission").mkdir()
+    there = sorted(path.name for path in tmp_path.iterdir())
+    status, told = asked("clean", "--keep", "2", "--runs", str(tmp_path))
+    assert status == 0
+    assert "2 runs" in told
+    assert "--yes" in told
+    assert sorted(path.name for path in tmp_path.iterdir()) == there
+    assert asked("clean", "--keep", "2", "--yes", "--runs", str(tmp_path))[0] == 0
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert left == [names[0], names[3], names[4], "commission"]
+
+
+def test_two_runs_are_compared_by_what_made_them_settings_and_stages(tmp_path: Path) -> None:
+    stage = {"label": "look 1", "true": {"x_mm": 1.0, "y_mm": -2.0, "z_mm": None}}
+    changed: dict[str, dict[str, Any]] = {"one": {"arm.d": (1.0, 2.0)}, "two": {}}
+    for name, seed, key in (("20261121-090000", 1, "one"), ("20261122-090000", 2, "two")):
+        directory = made(tmp_path, name, seed=seed, changed=changed[key], scenario="standard")
+        (directory / "figures.json").write_text(json.dumps({"stages": [stage]}))
+    out = tmp_path / "compared.json"
+    status, told = asked("compare", "20261121", "last", "--runs", str(tmp_path), "--json", str(out))
+    assert status == 0, told
+    document = json.loads(out.read_text())
+    assert [row["key"] for row in document["facts"]] == ["seed"]
+    assert document["settings"] == [{"key": "arm.d", "first": "2.0", "second": "–"}]
+    assert document["stages"][0]["first"] == "+1.00 -2.00 –"
+
+
+def test_list_and_show_tell_commands_endings_and_files(tmp_path: Path) -> None:
+    made(tmp_path, "20261122-090000", verdict="all limits met", seed=7, changed={"arm.d": (1.0, 2.0)})
+    status, told = asked("list", "--runs", str(tmp_path))
+    assert status == 0
+    assert "longreach demo" in told
+    assert "all limits met" in told
+    status, told = asked("show", "--runs", str(tmp_path))
+    assert status == 0
+    for words in ("arm.d", "report.html", "seed"):
+        assert words in told
+
+
+def test_a_run_without_a_report_is_not_opened(tmp_path: Path) -> None:
+    (made(tmp_path, "20261122-090000") / "report.html").unlink()
+    status, told = asked("open", "last", "--runs", str(tmp_path))
+    assert status != 0
+    assert "no report.html" in told
