@@ -219,6 +219,7 @@ class ControllerConfig(StrictModel):
     plant_link: PlantLinkConfig
     reference_link: ReferenceLinkConfig
     flight_recorder_scans: int = Field(ge=1, le=100_000)
+    recording_hz: float = Field(default=0.0, ge=0.0, le=1000.0)
     fifo_priority: int = Field(ge=0, le=99)
 
     @model_validator(mode="after")

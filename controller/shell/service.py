@@ -24,6 +24,7 @@ from controller.shell.cyclic_task import CyclicTask
 from controller.shell.flight_dump import dump
 from controller.shell.plant_link import PlantLink
 from controller.shell.reference_port import ReferencePort
+from controller.shell.scan_recorder import ScanRecorder
 from controller.shell.trial_records import TrialRecords
 from controller.shell.warm_up import warm_up
 from foundation.configuration import configuration_hash
@@ -75,6 +76,7 @@ class ControllerService:
             self._record_dir = recording_directory(options.record_dir)
             self._trials = TrialRecords(self._record_dir, self._program, basis_of(arm, config), log)
             self._statistics = StatisticsFile(options.statistics, "controller", log, self._gathered)
+            self._scans = self._scan_recorder(arm)
         except ConfigurationError:
             self._reference.release()
             raise
@@ -132,6 +134,8 @@ class ControllerService:
         shown = to_state(output.view, self._statistics_at(now_ns))
         self._reference.publish(answers, shown, now_ns, output.refusal)
         self._recorder.record(inputs, output)
+        if self._scans is not None:
+            self._scans.scan(inputs, output)
         self._trials.follow()
         self._follow_up(self._program.state, requests, output, now_ns)
 
@@ -205,8 +209,15 @@ class ControllerService:
         self._reference.close()
         await asyncio.gather(*self._dumps)
         await self._trials.close()
+        if self._scans is not None:
+            await asyncio.to_thread(self._scans.close)
         self._statistics.write()
         self._log.write("stopped", cycles=self._task.lateness.count, overruns=self._task.overruns)
+
+    def _scan_recorder(self, arm: NominalArm) -> ScanRecorder | None:
+        if self._record_dir is None or self._config.recording_hz == 0.0:
+            return None
+        return ScanRecorder(self._record_dir, arm, self._config, self._log)
 
     def _say_ready(self) -> None:
         host, port = self._reference.address
@@ -237,6 +248,8 @@ class ControllerService:
             "plant_exchange_failures": dict(self._plant.failures),
             "plant_connections": self._plant.connections,
             "images_refused": self._images_refused,
+            "scan_records": 0 if self._scans is None else self._scans.written,
+            "scan_records_dropped": 0 if self._scans is None else self._scans.dropped,
             "reference_link": asdict(self._reference.server.statistics)
             | {"flooded": self._reference.flooded},
             "rss_mb_at_start": self._memory_mb,

@@ -95,13 +95,25 @@ def put_pose(pose: Any, X: Array) -> None:
 
 def transforms(frames: Iterable[PosedFrame], time_ns: int) -> bytes:
     """foxglove.FrameTransforms of ``frames`` at ``time_ns``."""
-    said, every = FrameTransforms(), list(frames)
+    every = list(frames)
     quaternions = Rotation.from_matrix(np.array([frame.X[:3, :3] for frame in every])).as_quat().tolist()
-    for frame, (x, y, z, w) in zip(every, quaternions, strict=True):
-        made = said.transforms.add(parent_frame_id=frame.parent, child_frame_id=frame.child)
+    named = zip(every, quaternions, strict=True)
+    return posed(
+        [(frame.parent, frame.child, frame.X[:3, 3].tolist(), (w, x, y, z)) for frame, (x, y, z, w) in named],
+        time_ns,
+    )
+
+
+def posed(frames: Iterable[tuple[str, str, Sequence[float], Sequence[float]]], time_ns: int) -> bytes:
+    """foxglove.FrameTransforms at ``time_ns`` of frames, each parent, child, position (3,) and quaternion
+    w, x, y, z.
+    """
+    said = FrameTransforms()
+    for parent, child, p, q_wxyz in frames:
+        made = said.transforms.add(parent_frame_id=parent, child_frame_id=child)
         put_time(made.timestamp, time_ns)
-        made.translation.x, made.translation.y, made.translation.z = frame.X[:3, 3].tolist()
-        made.rotation.x, made.rotation.y, made.rotation.z, made.rotation.w = x, y, z, w
+        made.translation.x, made.translation.y, made.translation.z = p
+        made.rotation.w, made.rotation.x, made.rotation.y, made.rotation.z = q_wxyz
     return bytes(said.SerializeToString())
 
 

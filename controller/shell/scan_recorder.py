@@ -1,0 +1,138 @@
+"""What the controller saw and commanded, scan by scan, recorded beside the cycle."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Log_pb2 import Log
+
+from controller.config import ControllerConfig
+from controller.core.scan_types import ControllerView, ScanEvent, ScanInput, ScanOutput
+from foundation.event_log import EventLog, Level
+from foundation.recording.mcap_file import Topic
+from foundation.recording.messages import MessageField, format_of, log_line, message_class, posed
+from foundation.recording.recording_thread import RecordingThread
+from foundation.recording.session import session_entries
+from nominal_arm.description import NominalArm
+from protocol.errors import ConfigurationError
+from protocol.pose import Pose
+from protocol.process_image import SensorImage
+
+FILE = "controller.mcap"
+STATE, FRAMES, LOG = "/controller/state", "/tf", "/controller/log"
+WORLD, TOOL, COMMANDED = "world", "nominal/tool", "nominal/tool_commanded"
+
+_JOINTS = ("slew", "lift", "tilt", "wrist1", "wrist2", "wrist3")
+_SIXES = {"q_meas": "q_meas_{}_rad", "q_cmd": "q_cmd_{}_rad", "valves": "valve_{}"}
+_POSES = ("X_BT", "X_BT_cmd")
+_COUNTS = (
+    "cycle", "group_state", "fault", "severity", "flags", "motion_id", "segment", "plant_exchange_failures",
+    "stream_number",
+)  # fmt: skip
+_POSE = ("p_x_m", "p_y_m", "p_z_m", "q_w", "q_x", "q_y", "q_z")
+_PRESSURES = tuple(f"pressure_{joint}_{side}_bar" for joint in _JOINTS for side in "ab")
+_READ = ("return_bar", "oil_temperature_degc")
+
+
+def _fields() -> Iterator[MessageField]:
+    yield from (MessageField(name, "int64") for name in _COUNTS)
+    yield MessageField("motion_done", "bool")
+    yield MessageField("reference_link_alive", "bool")
+    yield MessageField("dt_s")
+    yield MessageField("supply_bar")
+    for pattern in _SIXES.values():
+        yield from (MessageField(pattern.format(joint)) for joint in _JOINTS)
+    for name in _POSES:
+        yield from (MessageField(f"{name}_{part}") for part in _POSE)
+    yield from map(MessageField, (*_PRESSURES, *_READ))
+
+
+StateMessage = message_class("ControllerState", list(_fields()))
+
+
+def state_bytes(inputs: ScanInput, view: ControllerView) -> bytes:
+    """longreach.ControllerState of a scan; pressures and oil are absent where the exchange failed."""
+    values: dict[str, Any] = {name: int(getattr(view, name)) for name in _COUNTS}
+    values |= {"motion_done": view.motion_done, "reference_link_alive": inputs.reference_link_alive}
+    values |= {"dt_s": inputs.dt_s, "supply_bar": view.supply_bar}
+    for name, pattern in _SIXES.items():
+        values |= zip(map(pattern.format, _JOINTS), getattr(view, name), strict=True)
+    for name in _POSES:
+        pose: Pose = getattr(view, name)
+        values |= zip((f"{name}_{part}" for part in _POSE), (*pose.p_m, *pose.q_wxyz), strict=True)
+    sensors = inputs.sensors
+    if isinstance(sensors, SensorImage):
+        values |= zip(_PRESSURES, (bar for pair in sensors.pressures_bar for bar in pair), strict=True)
+        values |= {name: getattr(sensors, name) for name in _READ}
+    return bytes(StateMessage(**values).SerializeToString())
+
+
+def _frames_bytes(view: ControllerView) -> bytes:
+    frames = ((TOOL, view.X_BT), (COMMANDED, view.X_BT_cmd))
+    known = [(WORLD, child, pose.p_m, pose.q_wxyz) for child, pose in frames if pose.is_finite()]
+    return posed(known, view.time_ns)
+
+
+def _log_bytes(said: tuple[int, Level, ScanEvent]) -> bytes:
+    now_ns, level, event = said
+    return log_line(
+        now_ns, level, "controller", f"{event.name}: {event.cause} {event.value:g} ({event.limit:g})"
+    )
+
+
+TOPICS = (
+    Topic(STATE, format_of(StateMessage), lambda scan: state_bytes(*scan)),
+    Topic(FRAMES, format_of(FrameTransforms), _frames_bytes),
+    Topic(LOG, format_of(Log), _log_bytes),
+)
+_STATE, _FRAMES, _LOG = range(len(TOPICS))
+
+
+class ScanRecorder:
+    """Records every ``every``-th scan, and all events. A call keeps references and waits for nothing.
+
+    ``dropped``: messages that a disk that hung left no room for.
+    """
+
+    def __init__(self, directory: Path, arm: NominalArm, config: ControllerConfig, log: EventLog) -> None:
+        """Create controller.mcap in ``directory``. Raises ConfigurationError when it cannot be written."""
+        said = {"arm": arm.model_dump(mode="json"), "controller": config.model_dump(mode="json")}
+        metadata = {"run": {"configuration": json.dumps(said)}, "session": session_entries("controller")}
+        try:
+            self._to = RecordingThread(directory / FILE, TOPICS, metadata)
+        except OSError as error:
+            why = f"--record-dir {directory}: {FILE}: {error.strerror}"
+            raise ConfigurationError("configuration.recording", why) from error
+        self.every = max(round(1e3 / (config.recording_hz * config.cycle_ms)), 1)
+        self._log = log
+        self._told = False
+
+    @property
+    def written(self) -> int:
+        """How many messages were written."""
+        return self._to.written
+
+    @property
+    def dropped(self) -> int:
+        """How many messages were dropped."""
+        return self._to.dropped
+
+    def scan(self, inputs: ScanInput, output: ScanOutput) -> None:
+        """Record a scan; say once when nothing more can be recorded."""
+        view, now_ns = output.view, inputs.now_ns
+        if view.cycle % self.every == 0:
+            self._to.put(_STATE, (inputs, view), now_ns, now_ns)
+            self._to.put(_FRAMES, view, now_ns, now_ns)
+        for event in output.events:
+            level: Level = "error" if event.name == "fault" else "info"
+            self._to.put(_LOG, (now_ns, level, event), now_ns, now_ns, wanted=True)
+        if self._to.failure and not self._told:
+            self._told = True
+            why = {"cause": "recording.unwritable", "detail": f"{self._to.path}: {self._to.failure}"}
+            self._log.write("recording_failed", "error", **why)
+
+    def close(self) -> None:
+        """Write what waits, and close the file."""
+        self._to.close()
