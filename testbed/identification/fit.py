@@ -107,7 +107,8 @@ def first_guess(problem: FitProblem, simple: Simple) -> Array:
         sign, name = zone.name[-1], JOINTS[zone.joint]
         band = float(nominal[zone.joint, col.A_DEADBAND + SUPPLY_EDGE[zone.way]])
         guess[f"{name} deadband {sign}"] = _log(zone.deadband, band)
-        loops.setdefault(name, []).append(2.0 * zone.hysteresis)
+        file = float(problem.base["valves"]["joints"][name]["hysteresis"])
+        loops.setdefault(name, []).append(file + 2.0 * zone.hysteresis)
     for name, widths in loops.items():
         file = float(problem.base["valves"]["joints"][name]["hysteresis"])
         guess[f"{name} hysteresis"] = _log(float(np.mean(widths)), file)

@@ -10,17 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lsim
 
+from foundation.compiled import allocation_free
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.core import columns as col
 from plant_emulator.core.columns import EDGES
 from plant_emulator.core.hydraulics.chambers import ATMOSPHERE
+from plant_emulator.core.hydraulics.valves import slew_limited
 from plant_emulator.core.layout import JOINTS
 from plant_emulator.core.mechanics.linkage import actuator_reach
 from plant_emulator.core.model import Model, build_model, put_payload
+from testbed.identification.compiled_run import spool_words
 from testbed.identification.free_run import Smoothed, smoothed
 from testbed.identification.recording import Array, MotionRecording
 
 _FAST = 5.0  # times its noise: a speed that counts as motion
+_FINE_S = 1e-3
 _SETTLED = 0.004  # of full stroke, between the valve word and where the spool is by the file's dynamics
 
 SUPPLY_EDGE = {1: EDGES.index("supply_a"), -1: EDGES.index("supply_b")}
@@ -42,7 +46,7 @@ class Operating(NamedTuple):
     drops: Array  # (n, 2) Pa over the edges that the spool's sign opens: into chamber a, into chamber b
     push: Array  # N, of both chambers
     moving: NDArray[np.bool_]  # (n,): fast enough to tell
-    steady: NDArray[np.bool_]  # (n,): the spool is where its word is
+    steady: NDArray[np.bool_]  # (n,): the spool is where its word sends it
 
 
 def file_model(base: dict[str, Any]) -> Model:
@@ -61,7 +65,7 @@ def operating(base: dict[str, Any], model: Model, recording: MotionRecording, jo
     reach = np.array([actuator_reach(float(angle) - offset, *linkage) for angle in told.angles[:, joint]])
     position, lever = reach[:, 0], reach[:, 1]
     speed = lever * told.rates[:, joint]
-    spool, drive = _spool(base["valves"]["joints"][JOINTS[joint]], recording, joint)
+    spool, drive, sent = _spool(base["valves"]["joints"][JOINTS[joint]], recording, joint)
     pressures = told.pressures[:, joint]
     areas = row[[col.A_AREA_A, col.A_AREA_B]]
     volumes = np.column_stack(
@@ -85,20 +89,36 @@ def operating(base: dict[str, Any], model: Model, recording: MotionRecording, jo
         from_pump - pressures,
         pressures[:, 0] * areas[0] - pressures[:, 1] * areas[1],
         np.abs(speed) > _FAST * _speed_noise(told, recording, joint, lever),
-        np.abs(spool - recording.valves[:, joint]) < _SETTLED,
+        np.abs(spool - sent) < _SETTLED,
     )
 
 
-def _spool(valves: dict[str, Any], recording: MotionRecording, joint: int) -> tuple[Array, Array]:
-    """Where the spool is (n,), and its delayed word (n,), by the file's delay and second order."""
-    t, word = recording.time_s - recording.time_s[0], recording.valves[:, joint]
-    fine = np.arange(0.0, t[-1] + 5e-4, 1e-3)
+def _spool(valves: dict[str, Any], recording: MotionRecording, joint: int) -> tuple[Array, Array, Array]:
+    """Where the spool is (n,), its delayed and slewing word (n,), and where the word sends it (n,).
+
+    By the file's hysteresis, delay, stroke rates and second order.
+    """
+    t, sent = recording.time_s - recording.time_s[0], np.empty((len(recording.time_s), 1))
+    word = np.ascontiguousarray(recording.valves[:, joint : joint + 1])
+    spool_words(word, np.array([0.5 * valves["hysteresis"]]), sent)
+    fine = np.arange(0.0, t[-1] + 5e-4, _FINE_S)
     late = np.searchsorted(t, fine - 1e-3 * valves["delay_ms"] + 1e-9, side="right") - 1
-    command = np.where(late >= 0, word[np.maximum(late, 0)], 0.0)
+    command = np.where(late >= 0, sent[np.maximum(late, 0), 0], 0.0)
+    limit = valves["slew_limit_per_s"]
+    _slew(command, limit["out"], limit["back"], _FINE_S)
     omega, zeta = 2.0 * math.pi * valves["bandwidth_hz"], valves["damping_ratio"]
     second = ([omega**2], [1.0, 2.0 * zeta * omega, omega**2])
     _, moved, _ = lsim(second, command, fine, interp=False)
-    return np.interp(t, fine, moved), np.interp(t, fine, command)
+    return np.interp(t, fine, moved), np.interp(t, fine, command), sent[:, 0]
+
+
+@allocation_free
+def _slew(command: Array, out: float, back: float, step_s: float) -> None:
+    """Put into ``command`` (n,) how far a valve gets on its way there, ``step_s`` a sample."""
+    now = 0.0
+    for k in range(command.shape[0]):
+        now, _ = slew_limited(now, command[k], out, back, step_s)
+        command[k] = now
 
 
 def _speed_noise(told: Smoothed, recording: MotionRecording, joint: int, lever: Array) -> float:

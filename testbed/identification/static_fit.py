@@ -29,7 +29,8 @@ _VIBRATION = 0.5  # of the file's Coulomb level: what bending and other joints l
 
 
 class DeadZone(NamedTuple):
-    """Of one joint, one way: where the flow begins, half of the hysteresis, rated flow over the file's.
+    """Of one joint, one way: where the flow begins, half of the hysteresis beyond the file's, rated flow
+    over the file's.
 
     All from the meter-in edge; the first two in spool words, 0 to 1.
     """
@@ -63,7 +64,7 @@ def dead_zone(series: Operating, model: Model, way: int) -> DeadZone | None:
     """The dead zone of ``series`` for openings of sign ``way``; None with too few samples that flow.
 
     Meter-in flow over √Δp is K times the flow curve from |x| − d ∓ h on, the sign by whether the spool opens
-    or closes: the loop of hysteresis, and of any lag that is not the file's.
+    or closes, or did so last: the loop that hysteresis and lag make beyond the file's.
     Samples inside the dead zone belong to it as well: to leave them out by their speed would pull d to zero.
     """
     chamber = 0 if way > 0 else 1
@@ -72,7 +73,7 @@ def dead_zone(series: Operating, model: Model, way: int) -> DeadZone | None:
     small = spool < 2.0 * band + _SMALL * max(spool.max() - band, 0.0)
     used = series.steady & small & (np.sign(series.spool) == way) & (spool > 1e-6) & (drop > 5e5)
     through = _through(series, model, chamber)[used]
-    x, opens = spool[used], np.sign(series.opening_rate[used])
+    x, opens = spool[used], _latest_sign(series.opening_rate)[used]
     top = float(x.max(initial=0.0))
     if used.sum() < 2 * LEAST_SAMPLES or (x > 0.5 * top).sum() < LEAST_SAMPLES:
         return None
@@ -93,6 +94,12 @@ def dead_zone(series: Operating, model: Model, way: int) -> DeadZone | None:
     slopes = np.asarray(found.jac)
     stds = spread * np.sqrt(np.abs(np.diag(np.linalg.pinv(slopes.T @ slopes))))
     return DeadZone(series.joint, way, d, h, flow, float(stds[1]), int(used.sum()))
+
+
+def _latest_sign(values: Array) -> Array:
+    """The sign (n,) of ``values`` (n,), or where they are 0 the last one before; 0 before any."""
+    last = np.maximum.accumulate(np.where(values != 0.0, np.arange(len(values)), 0))
+    return np.asarray(np.sign(values[last]))
 
 
 def _through(series: Operating, model: Model, chamber: int) -> Array:

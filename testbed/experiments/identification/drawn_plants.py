@@ -5,6 +5,7 @@ plant file to the recording. Asked is whether the truth lies where the fit says,
 whether motion that was not fitted is predicted.
 """
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -16,6 +17,7 @@ from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, inside, seeds
+from testbed.experiments.identification.tuned_control import followed_mm, tuned_to
 from testbed.identification.checks import Machine, check_recording
 from testbed.identification.emulated import FINE_STEP_MS, record
 from testbed.identification.excitation import held_out, standard, widest_overlap
@@ -23,8 +25,10 @@ from testbed.identification.findings import excess, findings
 from testbed.identification.fit import Identified, identify
 from testbed.identification.parameters import Parameter, base_of, changed, parameters_of
 from testbed.identification.recording import Array
+from testbed.identification.shooting import plant_of
 from testbed.identification.validation import validate
 from testbed.reporting.console import Columns, listed
+from testbed.scenarios.settings import load_settings
 
 FILE_KG = 60.0  # [D] the plant file's payload, around which the true one is drawn
 JOINTS = (0, 1, 2)
@@ -36,13 +40,19 @@ class DrawSettings(NamedTuple):
     """Which valves."""
 
     valve_set: Annotated[str, typer.Option(help="Which of plant.yaml's valve_sets.")] = "servo"
+    tuned: Annotated[
+        bool,
+        typer.Option("--tuned", help="Also drive the drawn plant, its controller tuned on the fitted file."),
+    ] = False
 
 
 class IdentifiedRow(NamedTuple):
     """One plant: NEES over its parameters, the parameter that is furthest off in σ, and the prediction.
 
     ``fit`` and ``before``: the least share of a joint's held-out motion that the fitted plant and the plant
-    file predict. ``chi2``: of what is left, over the noise.
+    file predict. ``chi2``: of what is left, over the noise. ``untuned_mm``, ``on_file_mm``, ``on_plant_mm``:
+    how far (rms) the drawn plant's tool is from its reference in one motion, with the controller as
+    configured, tuned on the fitted plant, and tuned on the drawn one itself; nan unless asked for.
     """
 
     seed: int
@@ -56,6 +66,9 @@ class IdentifiedRow(NamedTuple):
     fit: float
     before: float
     plant_runs: int
+    untuned_mm: float = float("nan")
+    on_file_mm: float = float("nan")
+    on_plant_mm: float = float("nan")
     failure: str = ""
     cpu_s: float = float("nan")
 
@@ -87,9 +100,34 @@ def identified_plant(config_dir: Path, task: dict[str, Any]) -> IdentifiedRow:
     told = record(true_plant, machine, standard(overlap), held_out(overlap), task["seed"])
     found = identify(file, told, check_recording(told, machine))
     angles = [signal for signal in validate(found, told) if signal.signal.endswith("angle")]
-    return _row(task["seed"], found, theta)._replace(
+    row = _row(task["seed"], found, theta)._replace(
         fit=min(signal.fit for signal in angles), before=min(signal.before for signal in angles)
     )
+    return row._replace(**_tuned(config_dir, task, true_plant, found)) if task["tuned"] else row
+
+
+def _tuned(
+    config_dir: Path, task: dict[str, Any], true_plant: PlantConfig, found: Identified
+) -> dict[str, float]:
+    """How the drawn plant follows with three controllers, mm."""
+    own = {
+        "plant": {"payload": {"mass_kg": FILE_KG}, "valve_set": task["valve_set"]},
+        "controller": {
+            "valves": {
+                "name": task["valve_set"],
+                "pressure_compensated": task["valve_set"] == "mobile",
+            }
+        },
+    }
+    settings = load_settings(config_dir, own)
+    plants = {"on_file_mm": plant_of(found.problem, found.whole.theta), "on_plant_mm": true_plant}
+    controllers = {"untuned_mm": settings.controller} | {
+        name: tuned_to(settings, plant) for name, plant in plants.items()
+    }
+    return {
+        name: followed_mm(settings, true_plant, controller, task["seed"])
+        for name, controller in controllers.items()
+    }
 
 
 def _row(seed: int, found: Identified, theta: Array) -> IdentifiedRow:
@@ -114,7 +152,10 @@ def _row(seed: int, found: Identified, theta: Array) -> IdentifiedRow:
 
 def draw_tasks(request: CampaignRequest, settings: DrawSettings) -> list[Task]:
     """One task a seed."""
-    return [{"key": f"{seed}", "seed": seed, "valve_set": settings.valve_set} for seed in seeds(request)]
+    return [
+        {"key": f"{seed}", "seed": seed, "valve_set": settings.valve_set, "tuned": settings.tuned}
+        for seed in seeds(request)
+    ]
 
 
 def draw_table(done: Drawn) -> list[Table]:
@@ -131,6 +172,12 @@ def draw_table(done: Drawn) -> list[Table]:
         "fitted": lambda row: f"{100.0 * row.fit:.2f}",
         "CPU s": "{cpu_s:.0f}",
     }
+    if done.settings.tuned:
+        columns |= {
+            "followed mm, untuned": "{untuned_mm:.2f}",
+            "tuned on the file": "{on_file_mm:.2f}",
+            "on the plant": "{on_plant_mm:.2f}",
+        }
     return [listed("plants drawn from the priors, identified from one recording each", columns, done.rows)]
 
 
@@ -145,6 +192,19 @@ def draw_verdict(done: Drawn) -> list[Check]:
         inside("NEES, mean", float(np.mean([row.nees for row in good])), (0.8, 1.25)),
         at_least("held-out motion predicted, least", 100.0 * min(row.fit for row in good), 99.0, "%"),
         at_most("CPU time of a run, most", max(row.cpu_s for row in good), 360.0, "s"),
+        *_tuned_checks(good),
+    ]
+
+
+def _tuned_checks(good: list[IdentifiedRow]) -> list[Check]:
+    """Tuned on the file, the plant follows as if tuned on itself, within a tenth in the worst run."""
+    ratios = [row.on_file_mm / row.on_plant_mm for row in good if math.isfinite(row.on_file_mm)]
+    gained = [row.on_file_mm / row.untuned_mm for row in good if math.isfinite(row.on_file_mm)]
+    if not ratios:
+        return []
+    return [
+        at_most("following, tuned on the file over tuned on the plant, most", max(ratios), 1.1),
+        at_most("following, tuned on the file over untuned, median", float(np.median(gained)), 1.0),
     ]
 
 

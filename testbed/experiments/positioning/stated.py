@@ -43,8 +43,8 @@ def stated_commissioning(settings: Settings, seed: int) -> Commissioned:
     for name, drive in zip(JOINT_NAMES, settings.arm.drives, strict=True):
         actuator = getattr(plant.actuators, name)
         valve = plant.valves.of(name, actuator.rated_flow_l_min)
-        gains = _gains(valve, actuator, drive) if compensated else (1.0, 1.0)
-        valves[name] = _stated(rng, valve, gains, getattr(before, name))
+        gains = full_flow(valve, actuator, drive) if compensated else (1.0, 1.0)
+        valves[name] = stated_valve(rng, valve, gains, getattr(before, name))
     known = ValveSet(name=before.name, pressure_compensated=compensated, **valves)
     half = plant.errors.backlash.half_width_mrad
     play = {name: _number(rng, value, _PLAY) for name, value in zip(JOINT_NAMES, half, strict=True)}
@@ -53,12 +53,12 @@ def stated_commissioning(settings: Settings, seed: int) -> Commissioned:
         made_by=STATED,
         basis=basis_of(settings.arm, settings.controller),
         valves=known,
-        tuning=_tuning(known, settings),
+        tuning=tuned_gains(known, settings),
         play_mrad=JointPlay(**play),
     )
 
 
-def _tuning(known: ValveSet, settings: Settings) -> JointTuning:
+def tuned_gains(known: ValveSet, settings: Settings) -> JointTuning:
     """Gains lowered to the margins that commissioning keeps, at the lag that is stated."""
     control = settings.controller.joint_control
     filtered, gains = 1e-3 * control.pt1_time_constant_ms, list(control.gain_1_s)
@@ -69,7 +69,7 @@ def _tuning(known: ValveSet, settings: Settings) -> JointTuning:
     return JointTuning(gain_1_s=(a, b, c, d, e, f))
 
 
-def _gains(valve: Valve, actuator: ActuatorConfig, drive: Drive) -> tuple[float, float]:
+def full_flow(valve: Valve, actuator: ActuatorConfig, drive: Drive) -> tuple[float, float]:
     """Speed at full spool over the nominal one, out and back, where flow does not depend on the load."""
     out, back = (flow * LITRE_PER_MINUTE for flow in (valve.flow_extend_l_min, valve.flow_retract_l_min))
     if isinstance(drive, CylinderDrive):
@@ -82,10 +82,10 @@ def _gains(valve: Valve, actuator: ActuatorConfig, drive: Drive) -> tuple[float,
     return out / volume / drive.speed_rad_s, back / volume / drive.speed_rad_s
 
 
-def _stated(
-    rng: np.random.Generator, valve: Valve, gains: tuple[float, float], before: JointValve
+def stated_valve(
+    rng: np.random.Generator | None, valve: Valve, gains: tuple[float, float], before: JointValve
 ) -> JointValve:
-    """Both directions; on both arms a piston that extends raises its joint."""
+    """Both directions; on both arms a piston that extends raises its joint. No ``rng``: without error."""
     supply_a, return_b, supply_b, return_a = valve.deadband
     slopes = valve.slope_extend, valve.slope_retract
     overlaps = max(supply_a, return_b), max(supply_b, return_a)
@@ -103,7 +103,7 @@ def _stated(
     )
 
 
-def _edge(rng: np.random.Generator, overlap: float, gain: float, slope: float) -> ValveEdge:
+def _edge(rng: np.random.Generator | None, overlap: float, gain: float, slope: float) -> ValveEdge:
     """The flow curve is slope · s + (1 − slope) · s² of the share s of the spool's way that is left."""
     way = 1.0 - overlap
     curve = tuple((float(x), float(x + (1.0 / slope - 1.0) * x * x / way)) for x in _KNOTS)
@@ -114,6 +114,7 @@ def _edge(rng: np.random.Generator, overlap: float, gain: float, slope: float) -
     )
 
 
-def _number(rng: np.random.Generator, true: float, share: float, least: float = 0.0) -> MeasuredNumber:
+def _number(rng: np.random.Generator | None, true: float, share: float, least: float = 0.0) -> MeasuredNumber:
     std = max(share * abs(true), least)
-    return MeasuredNumber(value=max(true + std * float(rng.standard_normal()), 0.0), std=std)
+    error = 0.0 if rng is None else float(rng.standard_normal())
+    return MeasuredNumber(value=max(true + std * error, 0.0), std=std)

@@ -13,6 +13,7 @@ from testbed.identification.emulated import FINE_STEP_MS, record
 from testbed.identification.excitation import Piece
 from testbed.identification.fit import problem_of, simple_stages
 from testbed.identification.free_run import measured, predicted, start_of
+from testbed.identification.operating import file_model, operating
 from testbed.identification.parameters import base_of, changed, entry, parameters_of, value
 from testbed.identification.recording import MotionRecording
 from testbed.identification.shooting import DAMPINGS, FitProblem, Plan, jacobian, shoot, signals
@@ -183,3 +184,22 @@ def test_hysteresis_is_the_plants_own(file: PlantConfig) -> None:
     words = np.array([[0.0, 0.1, 0, 0, 0, 0], [0.0, 0.08, 0, 0, 0, 0], [0.0, 0.0, 0, 0, 0, 0]])
     short = told.part(0.0, 0.03)._replace(valves=words)
     np.testing.assert_allclose(drive_of(config).along(short).held[:, 1], [0.085, 0.085, 0.015])
+
+
+def test_the_first_stage_moves_spools_through_their_loop_and_at_their_rate(file: PlantConfig) -> None:
+    """The word is out at once: the spool comes at its rate, and stays short of it by half of the loop."""
+    base = base_of(file)
+    base["valves"]["joints"]["lift"] |= {
+        "hysteresis": 0.02,
+        "slew_limit_per_s": {"out": 1.0, "back": 2.0},
+        "bandwidth_hz": 50.0,
+        "delay_ms": 0.0,
+    }
+    out, back = Piece("step", (1,), 0.1, 1.0), Piece("rest", (), 0.0, 0.5)
+    told = record(file, MACHINE, [back, out], [], seed=1)
+    spool = operating(base, file_model(base), told, 1).spool
+    begins = 0.5
+    at = np.interp(begins + np.array([0.05, 0.25, 0.31, 0.45]), told.time_s, spool)
+    assert 0.04 < at[0] < 0.05  # 50 ms of its rate, less the lag of 50 Hz
+    assert 0.07 < at[2] < 0.085  # 10 ms of its way back
+    np.testing.assert_allclose(at[[1, 3]], [0.09, 0.01], atol=0.001)  # either side of the loop
