@@ -13,6 +13,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
+from controller.config import ControllerConfig
 from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
 from testbed.campaigns.campaign import CampaignRequest, Task
@@ -103,13 +104,13 @@ def identified_plant(config_dir: Path, task: dict[str, Any]) -> IdentifiedRow:
     row = _row(task["seed"], found, theta)._replace(
         fit=min(signal.fit for signal in angles), before=min(signal.before for signal in angles)
     )
-    return row._replace(**_tuned(config_dir, task, true_plant, found)) if task["tuned"] else row
+    return _with_following(row, config_dir, task, true_plant, found) if task["tuned"] else row
 
 
-def _tuned(
-    config_dir: Path, task: dict[str, Any], true_plant: PlantConfig, found: Identified
-) -> dict[str, float]:
-    """How the drawn plant follows with three controllers, mm."""
+def _with_following(
+    row: IdentifiedRow, config_dir: Path, task: dict[str, Any], true_plant: PlantConfig, found: Identified
+) -> IdentifiedRow:
+    """``row`` with how the drawn plant follows with three controllers."""
     own = {
         "plant": {"payload": {"mass_kg": FILE_KG}, "valve_set": task["valve_set"]},
         "controller": {
@@ -120,14 +121,16 @@ def _tuned(
         },
     }
     settings = load_settings(config_dir, own)
-    plants = {"on_file_mm": plant_of(found.problem, found.whole.theta), "on_plant_mm": true_plant}
-    controllers = {"untuned_mm": settings.controller} | {
-        name: tuned_to(settings, plant) for name, plant in plants.items()
-    }
-    return {
-        name: followed_mm(settings, true_plant, controller, task["seed"])
-        for name, controller in controllers.items()
-    }
+
+    def followed(controller: ControllerConfig) -> float:
+        return followed_mm(settings, true_plant, controller, task["seed"])
+
+    fitted = plant_of(found.problem, found.whole.theta)
+    return row._replace(
+        untuned_mm=followed(settings.controller),
+        on_file_mm=followed(tuned_to(settings, fitted)),
+        on_plant_mm=followed(tuned_to(settings, true_plant)),
+    )
 
 
 def _row(seed: int, found: Identified, theta: Array) -> IdentifiedRow:
@@ -172,12 +175,12 @@ def draw_table(done: Drawn) -> list[Table]:
         "fitted": lambda row: f"{100.0 * row.fit:.2f}",
         "CPU s": "{cpu_s:.0f}",
     }
-    if done.settings.tuned:
-        columns |= {
-            "followed mm, untuned": "{untuned_mm:.2f}",
-            "tuned on the file": "{on_file_mm:.2f}",
-            "on the plant": "{on_plant_mm:.2f}",
-        }
+    followed: Columns = {
+        "followed mm, untuned": "{untuned_mm:.2f}",
+        "tuned on the file": "{on_file_mm:.2f}",
+        "on the plant": "{on_plant_mm:.2f}",
+    }
+    columns = {**columns, **followed} if done.settings.tuned else columns
     return [listed("plants drawn from the priors, identified from one recording each", columns, done.rows)]
 
 

@@ -278,7 +278,7 @@ def _edges(rows: list[CommissioningRow]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _resolved_right(rows: list[CommissioningRow]) -> float:
-    """The share of plays told to 20 % (by 2 σ: 95 of 100) that are so; 0 when none was."""
+    """The share of plays told to 20 % (by 2 σ: 95 of 100) that are so; 0 when none is."""
     told = [abs(row.play_percent) <= 100.0 * PLAY_LIMIT for row in rows if row.play_resolved]
     return float(np.mean(told)) if told else 0.0
 
