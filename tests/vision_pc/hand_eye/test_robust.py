@@ -164,3 +164,21 @@ def test_verdict_counts_what_it_saw() -> None:
     assert seen.mismatch == pytest.approx(0.0, abs=1e-12)
     strict = verdict(5, Motions(A, A), ObservabilityLimits(second_axis=np.radians(8.0)))
     assert strict.cause == "measurement.hand_eye.parallel_axes"
+
+
+def test_neither_side_s_noise_vanishes() -> None:
+    """All noise is the robot's; the likelihood alone calls the camera's 45 and 210 times smaller in these."""
+    for run in (3, 4):
+        rng = np.random.default_rng([32, run])
+        pairs = scenes.measured(scenes.viewing_scene(rng, 20), scenes.noise(0.1, 0.3, robot=True), rng)
+        found = methods.solve(pairs, Method.MAXIMUM_LIKELIHOOD).noise
+        assert found is not None
+        assert 1.0 / 30.0 < found.camera_rotation / found.robot_rotation < 0.5
+
+
+@pytest.mark.parametrize(
+    ("samples", "said"), [(5, "all is taken as the camera's"), (7, "mostly the prior's")]
+)
+def test_few_samples_say_how_their_noise_is_split(samples: int, said: str) -> None:
+    pairs, _ = noisy_pairs(33, samples)
+    assert any(said in note for note in methods.solve(pairs).notes)

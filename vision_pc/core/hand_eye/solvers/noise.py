@@ -7,6 +7,7 @@ Taking both as unknown costs nothing measurable when only one is noisy; assuming
 the errors.
 """
 
+import math
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -20,9 +21,10 @@ _ROUNDS = 40
 _LINEARISATIONS = 2
 _STEPS = 4  # of Gauss-Newton before each
 _FOR_RATIO = 6  # samples: with fewer the unknowns can fit all translations and call their noise zero
-_FOR_SOURCE = 8  # samples: with fewer camera and robot noise cannot be told apart
+_FOR_SOURCE = 8  # samples: with fewer only the prior tells camera from robot noise
 _SETTLED = 1e-3
 _NEGLIGIBLE = 1e-3  # of the residuals' total: a component below it is done
+_RATIO_STD = math.log(30.0) / 2.0  # of log(camera over robot noise): within a factor of 30 for 95 %
 USUAL_RATIO = (1.7e-3, 1e-3)  # 0.1 degrees to 1 mm
 _LEAST = 1e-9  # rad and m: exact synthetic data still need finite weights
 
@@ -58,11 +60,11 @@ def estimated(
 ) -> tuple[Estimate, Noise]:
     """The maximum-likelihood estimate from X, Z (4, 4), and the noise of ``source`` that its residuals show.
 
-    ``noise`` gives the size from which to search. Under 8 samples all of it is taken as the
-    camera's, and under 6 the ratio of rotation to translation is kept.
+    ``noise`` gives the size from which to search. Under 6 samples all of it is taken as the camera's, and the
+    ratio of rotation to translation is kept.
     """
     samples = int((equations.weights > 0.5).sum())
-    if source is NoiseSource.BOTH and (equations.tied or samples < _FOR_SOURCE):
+    if source is NoiseSource.BOTH and (equations.tied or samples < _FOR_RATIO):
         source = NoiseSource.CAMERA
     if samples < _FOR_RATIO:
         noise = beginning(source, *USUAL_RATIO)
@@ -105,20 +107,41 @@ def _shown(linear: _LinearisedNoise, noise: Noise, keep_ratio: bool) -> Noise:
     """The noise whose every component explains the residuals: each is scaled by what they show of it."""
     sizes = np.array([getattr(noise, name) for name in linear.fields])
     for _ in range(_ROUNDS):
-        shown, share = _shown_over_expected(linear, sizes)
+        squares, expected = _shown_and_expected(linear, sizes)
+        living = np.where(sizes <= _LEAST, 0.0, expected)
+        share = living / max(float(living.sum()), 1e-12)
         if keep_ratio:
-            shown = np.full(len(shown), float(shown @ share))
+            shown = np.full(len(sizes), float((squares / expected) @ share))
+        else:
+            shown = _with_prior(squares, expected, sizes)
         sizes = np.maximum(sizes * np.sqrt(shown), _LEAST)
-        open_still = (share > _NEGLIGIBLE) & (np.abs(np.log(np.maximum(shown, 1e-30))) > _SETTLED)
-        if not open_still.any():
+        counts = (share > _NEGLIGIBLE) if len(sizes) < len(Noise._fields) else (sizes > _LEAST)
+        if not (counts & (np.abs(np.log(np.maximum(shown, 1e-30))) > _SETTLED)).any():
             break
     return noise._replace(**dict(zip(linear.fields, sizes.tolist(), strict=True)))
 
 
-def _shown_over_expected(linear: _LinearisedNoise, sizes: Array) -> tuple[Array, Array]:
-    """For each component: squared residuals over their expectation, and its share of the total expectation.
+def _with_prior(squares: Array, expected: Array, sizes: Array) -> Array:
+    """What each component is to be multiplied by (its square): squares over expectation, with the prior.
 
-    The first is 1 when the noise is right. A share is 0 for a component that has shrunk to nothing.
+    Where both sides are unknown, the logarithm of camera over robot noise is normal around 0: its slope
+    counts as squares for the smaller side and as expectation for the larger one. Without it the restricted
+    likelihood, which is nearly flat along that ratio, often lets one side vanish.
+    """
+    if len(sizes) < len(Noise._fields):
+        return np.asarray(squares / expected)
+    camera_over_robot = np.log(sizes[:2] / sizes[2:]) / _RATIO_STD**2
+    slope = np.concatenate([-camera_over_robot, camera_over_robot])
+    damping = 1.0 / _RATIO_STD**2
+    return np.asarray(
+        (squares + np.maximum(slope, 0.0) + damping) / (expected + np.maximum(-slope, 0.0) + damping)
+    )
+
+
+def _shown_and_expected(linear: _LinearisedNoise, sizes: Array) -> tuple[Array, Array]:
+    """For each component the squared residuals that it is to explain, and how much that should be.
+
+    They are equal when the noise is right.
     """
     parts = sizes[:, None, None, None] ** 2 * linear.units
     W = np.linalg.inv(np.linalg.cholesky(parts.sum(axis=0)))
@@ -135,8 +158,16 @@ def _shown_over_expected(linear: _LinearisedNoise, sizes: Array) -> tuple[Array,
 
     fitted = np.sum(across(J) * covariance, axis=(-2, -1))
     expected = np.maximum(np.trace(K, axis1=-2, axis2=-1).sum(axis=-1) - fitted, 1e-12)
-    living = np.where(sizes <= _LEAST, 0.0, expected)
-    return across(r[:, None])[:, 0, 0] / expected, living / max(float(living.sum()), 1e-12)
+    return across(r[:, None])[:, 0, 0], expected
+
+
+def few_sample_note(samples: int) -> str | None:
+    """What to say of noise that few samples cannot split into camera and robot; None from 8 on."""
+    if samples < _FOR_RATIO:
+        return f"{samples} samples are too few to tell camera from robot noise: all is taken as the camera's"
+    if samples < _FOR_SOURCE:
+        return f"{samples} samples hardly tell camera from robot noise: their split is mostly the prior's"
+    return None
 
 
 def few_sample_factor(samples: int) -> float:

@@ -72,6 +72,9 @@ def solve(pairs: PosePairs, motions: Motions, settings: RobustSettings) -> Solve
         notes += _noise_notes(estimate.cost, degrees)
     covariance = ml.covariance_of_X(estimate)
     if settings.noise is None:
+        few = noise_model.few_sample_note(int(weights.sum()))
+        if few is not None and settings.source is NoiseSource.BOTH:
+            notes.append(few)
         covariance = covariance * noise_model.few_sample_factor(int(weights.sum()))
     return SolverEstimate(estimate.X, estimate.Z, tuple(notes), weights > 0.5, certificate, covariance, noise)
 
