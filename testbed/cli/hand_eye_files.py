@@ -82,7 +82,8 @@ def _adjusted(pairs: PosePairs, result: HandEyeResult, as_given: bool) -> dict[s
         if doubt.refused and not as_given:
             raise MeasurementFailed(doubt.cause, doubt.reason)
         out.print(f"questioned: {doubt.reason}", style="yellow", highlight=False, soft_wrap=True)
-    std = 1e3 * np.sqrt(np.diag(found.covariance)[:3])
+    covariance = found.covariance + (0.0 if result.of_lens is None else result.of_lens)
+    std = 1e3 * np.sqrt(np.diag(covariance)[:3])
     x, y, z = 1e3 * found.X[:3, 3]
     out.print(
         f"image-space adjustment: {x:.3f} {y:.3f} {z:.3f} mm, standard deviation {std[0]:.3f} {std[1]:.3f} "
@@ -93,7 +94,7 @@ def _adjusted(pairs: PosePairs, result: HandEyeResult, as_given: bool) -> dict[s
     return {
         "X": presentation.pose_figures(found.X),
         "Z": presentation.pose_figures(found.Z),
-        "covariance_p_theta": found.covariance,
+        "covariance_p_theta": covariance,
         "corner_noise_px": found.pixel_noise,
         "sample_rms_px": found.sample_rms_px,
     }
@@ -134,7 +135,13 @@ def run_intrinsics_of_pictures(
         highlight=False,
         soft_wrap=True,
     )
-    fit = {"K": K, "distortion": found.distortion, "std_px": found.std_px, "coverage": found.coverage}
+    fit = {
+        "K": K,
+        "distortion": found.distortion,
+        "std_px": found.std_px,
+        "covariance": found.covariance,
+        "coverage": found.coverage,
+    }
     view_rms_px = dict(zip(found.names, found.view_rms_px.tolist(), strict=True))
     write_json(json_file, row._asdict() | fit | {"view_rms_px": view_rms_px})
 

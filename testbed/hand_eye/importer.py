@@ -8,6 +8,7 @@ import csv
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,7 +24,8 @@ from testbed.hand_eye.pose_text import (
     unit_scale,
 )
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, Setup, pose_pairs
+from vision_pc.core.hand_eye.samples import CornerViews, KnownLens, PosePairs, Setup, pose_pairs
+from vision_pc.core.hand_eye.solvers.lens import checked
 from vision_pc.core.se3 import Array
 
 FORMAT = "longreach-hand-eye/1"
@@ -69,7 +71,7 @@ def _from_json(text: str, options: ImportOptions) -> PosePairs:
         )
     known = {
         "format", "setup", "length_unit", "marker_id", "samples",
-        "camera_matrix", "distortion", "target_points_m",
+        "camera_matrix", "distortion", "camera_covariance", "target_points_m",
     }  # fmt: skip
     _only(data, known, "the file")
     if data.get("format", FORMAT) != FORMAT:
@@ -92,7 +94,7 @@ def _from_json(text: str, options: ImportOptions) -> PosePairs:
         names.append(name)
         pixels.append(sample.get("corners_px"))
     corners = _corners(data, pixels, names)
-    return _pairs(hands, cameras, setup, names, options, corners)
+    return replace(_pairs(hands, cameras, setup, names, options, corners), lens=_lens(data))
 
 
 def _bare_pair(pair: Any, k: int) -> dict[str, Any]:
@@ -176,6 +178,20 @@ def _corners(data: Mapping[str, Any], pixels: list[Any], names: list[str]) -> Co
         flat = [[math.nan, math.nan] if pixel is None else pixel for pixel in value]
         seen.append(numbers(flat, 2 * len(points), f"sample {name}: corners_px").reshape(-1, 2))
     return CornerViews(points, np.stack(seen), K, distortion)
+
+
+def _lens(data: Mapping[str, Any]) -> KnownLens | None:
+    """The file's camera matrix with its covariance; None where it gives none."""
+    given = data.get("camera_covariance")
+    if given is None:
+        return None
+    size = 9 if isinstance(given, list) and len(given) == 9 else 4
+    covariance = numbers(given, size * size, "camera_covariance").reshape(size, size)
+    K = numbers(data.get("camera_matrix"), 9, "camera_matrix").reshape(3, 3)
+    distortion = np.zeros(5)
+    coefficients = np.asarray(data.get("distortion", []), dtype=np.float64).ravel()[:5]
+    distortion[: len(coefficients)] = coefficients
+    return checked(K, distortion, covariance)
 
 
 def _pairs(

@@ -48,11 +48,7 @@ def result_figures(result: HandEyeResult) -> dict[str, Any]:
     }
     if result.certificate is not None:
         figures["certificate"] = asdict(result.certificate) | {"holds": result.certificate.holds}
-    if result.covariance is not None:
-        std = np.sqrt(np.diag(result.covariance))
-        figures["covariance_p_theta"] = result.covariance
-        figures["std_mm"] = 1e3 * std[:3]
-        figures["std_deg"] = np.degrees(std[3:])
+    figures |= _uncertainty_figures(result)
     if result.noise is not None:
         figures["noise"] = {
             "camera_deg": math.degrees(result.noise.camera_rotation),
@@ -60,6 +56,20 @@ def result_figures(result: HandEyeResult) -> dict[str, Any]:
             "robot_deg": math.degrees(result.noise.robot_rotation),
             "robot_mm": 1e3 * result.noise.robot_translation,
         }
+    return figures
+
+
+def _uncertainty_figures(result: HandEyeResult) -> dict[str, Any]:
+    """X's covariance and standard deviations, and the camera matrix's part of them, where there are such."""
+    figures: dict[str, Any] = {}
+    if result.covariance is not None:
+        std = np.sqrt(np.diag(result.covariance))
+        figures["covariance_p_theta"] = result.covariance
+        figures["std_mm"] = 1e3 * std[:3]
+        figures["std_deg"] = np.degrees(std[3:])
+    if result.of_lens is not None:
+        std = np.sqrt(np.diag(result.of_lens))
+        figures["camera_matrix"] = {"std_mm": 1e3 * std[:3], "std_deg": np.degrees(std[3:])}
     return figures
 
 
@@ -75,6 +85,10 @@ def result_table(result: HandEyeResult) -> Table:
     if "std_mm" in f:
         rows.append(("standard deviation, mm", " ".join(f"{v:.3f}" for v in f["std_mm"])))
         rows.append(("standard deviation, deg", " ".join(f"{v:.4f}" for v in f["std_deg"])))
+    if "camera_matrix" in f:
+        of = f["camera_matrix"]
+        rows.append(("  of which the camera matrix, mm", " ".join(f"{v:.3f}" for v in of["std_mm"])))
+        rows.append(("  of which the camera matrix, deg", " ".join(f"{v:.4f}" for v in of["std_deg"])))
     if "noise" in f:
         rows.append(
             ("noise of camera", f"{f['noise']['camera_deg']:.4f} deg {f['noise']['camera_mm']:.3f} mm")

@@ -17,12 +17,14 @@ from testbed.experiments.hand_eye import tables as experiment_tables
 from testbed.experiments.hand_eye.intrinsics_experiment import IntrinsicsRow
 from testbed.experiments.hand_eye.localisation import LocalisationRow
 from testbed.experiments.hand_eye.noise_sweep import NoiseOn, NoiseSweep
+from testbed.experiments.hand_eye.real_data import HoldOutRow
 from testbed.experiments.hand_eye.stress import StressRow
 from testbed.reporting.console import bars, out, write_json
-from vision_pc.core.hand_eye.solvers.methods import Method
+from vision_pc.core.hand_eye.solvers.methods import CLASSICAL, Method
 
 _ENOUGH = 100  # runs: with fewer, chance decides whether a mean is inside its limits
 LARGEST_DQCR_DIFFERENCE = 1e-6
+_BEHIND = 1.02  # of the best classical method's hold-out error
 
 
 class NestedRow(NamedTuple):
@@ -352,10 +354,24 @@ def run_real_data(json_file: Path | None) -> bool:
         Check("moveit off the published translation", f"{off:.2f} mm = {share:.2f} %", "≤ 1 %", share <= 1.0),
         Check("ethz_arm_sim hold-out", f"{ethz.hold_out_mm:.3f} mm", "≤ 1.6 mm", ethz.hold_out_mm <= 1.6),
     ]
+    checks += [check for data in robust for check in _against_classical(data, rows)]
     show_checks(checks)
     passed = all(check.met for check in checks)
     write_json(json_file, {"rows": rows, "checks": checks, "passed": passed})
     return passed
+
+
+def _against_classical(data: str, rows: Sequence[HoldOutRow]) -> list[Check]:
+    """The robust solver's hold-out errors over those of the best classical method, each for itself."""
+    of = {row.method: row for row in rows if row.data == data and row.error is None}
+    classical = [of[method.value] for method in CLASSICAL if method.value in of]
+    mine = of[Method.ROBUST.value]
+    mm = mine.hold_out_mm / min(row.hold_out_mm for row in classical)
+    deg = mine.hold_out_deg / min(row.hold_out_deg for row in classical)
+    return [
+        Check(f"{data} robust over best classical, {unit}", f"{ratio:.3f}", f"≤ {_BEHIND}", ratio <= _BEHIND)
+        for unit, ratio in (("mm", mm), ("deg", deg))
+    ]
 
 
 def _at_most(what: str, value: float, limit: float, unit: str) -> Check:

@@ -350,3 +350,18 @@ def test_recordings_that_do_not_belong_together_are_refused() -> None:
     with pytest.raises(RequestRefused, match="do not turn together") as caught:
         trajectories.pair(hand, still, PairingOptions(offset_s=None))
     assert caught.value.cause == "refused.hand_eye.clocks"
+
+
+def test_the_camera_covariance_of_a_file_is_read_and_checked(tmp_path: Path, scene: HandEyeScene) -> None:
+    data = document(scene)
+    data["camera_matrix"] = [[900.0, 0.0, 640.0], [0.0, 900.0, 360.0], [0.0, 0.0, 1.0]]
+    data["camera_covariance"] = np.diag([1.0, 1.0, 4.0, 4.0]).tolist()
+    lens = load(saved(tmp_path, data)).lens
+    assert lens is not None
+    assert lens.K[0, 0] == 900.0
+    np.testing.assert_array_equal(np.diag(lens.covariance), [1.0, 1.0, 4.0, 4.0])
+    data["camera_covariance"] = np.diag(np.ones(9)).tolist()
+    assert load(saved(tmp_path, data)).lens is not None
+    data["camera_covariance"] = [1.0, 1.0]
+    with pytest.raises(RequestRefused, match="camera_covariance: 16 numbers are wanted"):
+        load(saved(tmp_path, data))

@@ -52,6 +52,7 @@ def test_rendered_camera_is_found(pictures: list[tuple[str, Image]], detector: D
     assert line.fx_error_percent == pytest.approx(0.0, abs=0.6)
     assert line.rms_px < (0.4 if detector is Detector.CLASSIC else 0.12)
     assert abs(found.K[0, 0] - CAMERA.K[0, 0]) < 5.0 * found.std_px[0]
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)[:4]), found.std_px, rtol=0.05)
     assert found.coverage.sum() == 9 * 48
     assert line.empty_cells_percent == pytest.approx(100.0 * (found.coverage == 0).mean())
 

@@ -59,12 +59,23 @@ class CornerViews(NamedTuple):
     distortion: Array
 
 
+class KnownLens(NamedTuple):
+    """``K`` (3, 3) px, ``distortion`` (5,) k1 k2 p1 p2 k3 that the pictures were measured with, and how well
+
+    they are known: ``covariance`` (4, 4) of fx, fy, cx, cy, px², or (9, 9) with the distortion behind.
+    """
+
+    K: Array
+    distortion: Array
+    covariance: Array
+
+
 @dataclass(frozen=True, eq=False)
 class PosePairs:
     """Checked samples in canonical order. Build them with ``pose_pairs``.
 
     ``H`` and ``P`` are (n, 4, 4) of the form H X P = Z; ``names`` are the caller's, in the same order;
-    ``order[k]`` is the caller's position of sample k.
+    ``order[k]`` is the caller's position of sample k. ``lens`` where the file tells it.
     """
 
     setup: Setup
@@ -73,6 +84,7 @@ class PosePairs:
     names: tuple[str, ...]
     order: tuple[int, ...]
     corners: CornerViews | None = None
+    lens: KnownLens | None = None
 
     def __len__(self) -> int:
         return len(self.names)
@@ -87,9 +99,8 @@ class PosePairs:
         chosen = np.flatnonzero(keep)
         corners = self.corners and self.corners._replace(pixels=self.corners.pixels[chosen])
         names = tuple(self.names[k] for k in chosen)
-        return PosePairs(
-            self.setup, self.H[chosen], self.P[chosen], names, tuple(range(len(chosen))), corners
-        )
+        order = tuple(range(len(chosen)))
+        return PosePairs(self.setup, self.H[chosen], self.P[chosen], names, order, corners, self.lens)
 
 
 def pose_pairs(

@@ -65,7 +65,8 @@ class BoardView(NamedTuple):
 
 
 class Intrinsics(NamedTuple):
-    """``K`` (3, 3) px, ``distortion`` (5,) k1 k2 p1 p2 k3; ``std_px`` (4,) of fx, fy, cx, cy.
+    """``K`` (3, 3) px, ``distortion`` (5,) k1 k2 p1 p2 k3; ``std_px`` (4,) of fx, fy, cx, cy, and the
+    ``covariance`` (9, 9) of these and the distortion.
 
     ``rms_px`` over all corners; per view in ``names``' order ``view_rms_px`` (n,) and ``X_CB`` (n, 4, 4),
     the board in the camera; ``coverage`` (6, 8) counts corners by picture cell; ``outlying`` names views
@@ -75,6 +76,7 @@ class Intrinsics(NamedTuple):
     K: Array
     distortion: Array
     std_px: Array
+    covariance: Array
     rms_px: float
     names: tuple[str, ...]
     view_rms_px: Array
@@ -178,6 +180,7 @@ def calibrate(views: Sequence[BoardView], width: int, height: int) -> Intrinsics
         _doubles(K),
         _doubles(distortion).ravel()[:5],
         std_px,
+        _covariance(views, _doubles(K), _doubles(distortion).ravel()[:5], X_CB, float(rms)),
         float(rms),
         tuple(v.name for v in views),
         view_rms,
@@ -185,6 +188,24 @@ def calibrate(views: Sequence[BoardView], width: int, height: int) -> Intrinsics
         coverage(views, width, height),
         tuple(v.name for v, e in zip(views, view_rms, strict=True) if e > limit),
     )
+
+
+def _covariance(views: Sequence[BoardView], K: Array, distortion: Array, X_CB: Array, rms_px: float) -> Array:
+    """The covariance (9, 9) of fx, fy, cx, cy and distortion, the boards' poses unknown too.
+
+    OpenCV gives standard deviations alone, but focal lengths err together and distortion offsets the centre.
+    """
+    information, corners = np.zeros((9, 9)), 0
+    for view, X in zip(views, X_CB, strict=True):
+        slopes = cv2.projectPoints(view.points_m, cv2.Rodrigues(X[:3, :3])[0], X[:3, 3], K, distortion)[1]
+        by_pose, by_camera = slopes[:, :6], slopes[:, 6:15]
+        rest = by_camera - by_pose @ np.linalg.lstsq(by_pose, by_camera, rcond=None)[0]
+        information += rest.T @ rest
+        corners += len(view.pixels)
+    freedom = 2.0 * corners - 9.0 - 6.0 * len(views)
+    variance = rms_px**2 * corners / max(freedom, 1.0)
+    scale = 1.0 / np.sqrt(np.diag(information))
+    return np.asarray(variance * np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale))
 
 
 def _require_focal_length(K: Array, std_px: Array, X_CB: Array) -> None:

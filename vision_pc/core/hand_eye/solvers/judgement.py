@@ -11,7 +11,7 @@ import numpy as np
 
 from protocol.errors import MeasurementFailed
 from vision_pc.core.hand_eye.samples import PosePairs, Setup
-from vision_pc.core.hand_eye.solvers import methods, readings, scale
+from vision_pc.core.hand_eye.solvers import lens, methods, readings, scale
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
 from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.hand_eye.solvers.noise import few_sample_factor
@@ -20,7 +20,6 @@ from vision_pc.core.hand_eye.solvers.result import HandEyeResult
 from vision_pc.core.hand_eye.solvers.scale import Scale
 
 _AS_WELL = 1.5  # times the least misfit: chance, not a better reading
-_LEAST = 1e-9  # rad and m: exact synthetic data still need finite weights
 _SCALES = {
     1000.0: "camera lengths in m beside a hand in mm",
     1e-3: "camera lengths in mm beside a hand in m",
@@ -99,9 +98,9 @@ class _Misread(NamedTuple):
 
 
 def believed(pairs: PosePairs, method: Method, as_given: bool = False) -> tuple[HandEyeResult, Judgement]:
-    """The calibration and what to believe of it. Raises MeasurementFailed where that is nothing.
+    """The calibration, the lens's share in its covariance, and what to believe of it.
 
-    ``as_given`` only tells the doubts that would have refused it.
+    Raises MeasurementFailed where that is nothing; ``as_given`` only tells the doubts that would refuse it.
     """
     try:
         result = methods.solve(pairs, method)
@@ -110,7 +109,7 @@ def believed(pairs: PosePairs, method: Method, as_given: bool = False) -> tuple[
     found = judged(pairs, result)
     if not as_given:
         found.demand()
-    return result, found
+    return lens.widened(pairs, result), found
 
 
 def judged(pairs: PosePairs, result: HandEyeResult, limits: JudgementLimits | None = None) -> Judgement:
@@ -205,25 +204,12 @@ def _scale(pairs: PosePairs, result: HandEyeResult) -> Scale:
     """The scale between the sides by the used samples, with the noise that remains once they are scaled."""
     kept = pairs.subset(result.inliers[np.array(pairs.order)])
     equations = Equations(kept.H, kept.P, np.ones(len(kept)), kept.setup)
-    turn, shift = _rms(result)
-    found = Scale(1.0, math.inf)
+    noise, found = result.residual_noise(), Scale(1.0, math.inf)
+    fitted = math.sqrt(6.0 * len(kept) / max(6.0 * len(kept) - 13.0, 1.0))
     for _ in range(2):
-        found, shift = scale.refined(equations, result.X, result.Z, Noise(turn, shift))
-        shift *= math.sqrt(_few(len(kept)))
+        found, shift = scale.refined(equations, result.X, result.Z, noise)
+        noise = noise._replace(camera_translation=fitted * shift)
     return found._replace(std=found.std * math.sqrt(few_sample_factor(len(kept))))
-
-
-def _rms(result: HandEyeResult) -> tuple[float, float]:
-    """Rotation (rad) and translation (m) noise a component, of the used samples' residuals."""
-    r = result.residuals[result.inliers]
-    squares = _few(len(r)) * np.mean(r**2, axis=0)
-    turn, shift = math.sqrt(squares[3:].mean()), math.sqrt(squares[:3].mean())
-    return max(turn, _LEAST), max(shift, _LEAST)
-
-
-def _few(samples: int) -> float:
-    """What mean squares are larger than they show, because twelve unknowns were fitted to them."""
-    return 6.0 * samples / max(6.0 * samples - 12.0, 1.0)
 
 
 def _scale_doubt(found: Scale, limits: JudgementLimits) -> Doubt | None:
@@ -238,7 +224,8 @@ def _scale_doubt(found: Scale, limits: JudgementLimits) -> Doubt | None:
 
 
 def _noise_doubts(pairs: PosePairs, result: HandEyeResult, limits: JudgementLimits) -> list[Doubt]:
-    turn, shift = _rms(result)
+    noise = result.residual_noise()
+    turn, shift = noise.camera_rotation, noise.camera_translation
     distance = float(np.median(np.linalg.norm(pairs.P[:, :3, 3], axis=-1)))
     excess = max(math.degrees(turn) / limits.noise_deg, shift / (limits.noise_share * distance))
     if excess <= 1.0:

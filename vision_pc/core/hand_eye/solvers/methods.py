@@ -44,7 +44,7 @@ class Method(StrEnum):
 
 
 _POSE_METHODS = {Method.LI, Method.SHAH, Method.CHORDAL, Method.MAXIMUM_LIKELIHOOD, Method.ROBUST}
-_CLASSICAL = {Method(c.value): c for c in Classical}
+CLASSICAL = {Method(c.value): c for c in Classical}
 
 
 def solve(
@@ -78,8 +78,8 @@ def solve(
         noise = settings.noise or Noise(*noise_model.USUAL_RATIO)
         X, Z, certificate = chordal.solve(chordal.problem(pairs.H, pairs.P, np.ones(len(pairs)), noise))
         found = SolverEstimate(X, Z, certificate=certificate)
-    elif method in _CLASSICAL:
-        found = classical.from_poses(pairs, motions, _CLASSICAL[method])
+    elif method in CLASSICAL:
+        found = classical.from_poses(pairs, motions, CLASSICAL[method])
     else:
         found = _by_dual_quaternions(motions, method)
     return _result(pairs, method, seen, found)
@@ -104,8 +104,8 @@ def solve_motions(motions: Motions, method: Method, noise: Noise | None = None) 
         if noise is None:
             return noise_model.estimated(equations, start, start, first, NoiseSource.CAMERA)[0].X
         return ml.maximize(equations, start, start, first).X
-    if method in _CLASSICAL:
-        return classical.from_motions(motions, _CLASSICAL[method])
+    if method in CLASSICAL:
+        return classical.from_motions(motions, CLASSICAL[method])
     return _by_dual_quaternions(motions, method).X
 
 

@@ -14,6 +14,8 @@ from vision_pc.core.se3 import Array
 LEAST_EIGENVALUE = -1e-9  # relative; what counts as positive semidefinite in double precision
 STATIONARITY = 1e-8  # relative; an interior-point solver's digits: the objective is off by its square
 
+_LEAST = 1e-9  # rad and m: exact synthetic data still need finite weights
+
 
 @dataclass(frozen=True)
 class Certificate:
@@ -59,7 +61,8 @@ class HandEyeResult:
     X is the camera in the hand (eye in hand) or in the base (eye to hand); Z the target in the base or in
     the hand. Per sample, in the caller's order: ``residuals`` (n, 6) = [translation m; rotation rad] of the
     camera's measurement minus prediction in camera axes, ``inliers`` (n,), ``names``. ``covariance`` (6, 6)
-    of X's perturbation [δp; δθ] in the axes of its outer frame (``se3.retract``).
+    of X's perturbation [δp; δθ] in the axes of its outer frame (``se3.retract``); ``of_lens`` is the part of
+    it that the camera matrix's own error makes, where that was reckoned in.
     """
 
     method: str
@@ -74,3 +77,12 @@ class HandEyeResult:
     covariance: Array | None = None
     noise: Noise | None = None
     notes: tuple[str, ...] = field(default=())
+    of_lens: Array | None = None
+
+    def residual_noise(self) -> Noise:
+        """The noise a component as the used samples' residuals show it, all of it as the camera's."""
+        r = self.residuals[self.inliers]
+        # twelve unknowns were fitted to them
+        squares = np.mean(r**2, axis=0) * 6.0 * len(r) / max(6.0 * len(r) - 12.0, 1.0)
+        turn, shift = float(np.sqrt(squares[3:].mean())), float(np.sqrt(squares[:3].mean()))
+        return Noise(max(turn, _LEAST), max(shift, _LEAST))

@@ -1,0 +1,106 @@
+"""The camera matrix's share in the uncertainty of X: an error that all samples have in common.
+
+A focal length that is too long puts every target too far, a principal point that is off turns every target
+about the camera; residuals hardly show either, and no number of samples averages it out. The error of each
+measured pose follows from the pose's own equation: the pixels stay, so J_pose δP + J_camera δc = 0. How those
+errors move X is the estimator's linear answer; the camera's covariance is carried through both.
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from protocol.errors import RequestRefused
+from vision_pc.core import se3_stacks as stacks
+from vision_pc.core.hand_eye.samples import KnownLens, PosePairs
+from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
+from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations
+from vision_pc.core.hand_eye.solvers.result import HandEyeResult
+from vision_pc.core.se3 import Array
+
+FOCAL_STD = 0.002  # [E] relative; calibrations of one camera by different hands agree to 0.1 to 0.3 %
+PRINCIPAL_STD = 0.002  # [E] of the focal length: 1 to 2 px at 720p
+_USUAL_FOCAL_PX = 1000.0  # of a camera that nobody described; results do not depend on it
+_HALF_SIDE = 0.1  # of a target whose corners nobody gave, over its distance
+_PARAMETERS = 9
+
+
+def usual(K: Array | None = None, distortion: Array | None = None) -> KnownLens:
+    """A lens known as well as calibrations usually are: focal length to 0.2 %, axis to 2 mrad."""
+    if K is None:
+        K = np.diag([_USUAL_FOCAL_PX, _USUAL_FOCAL_PX, 1.0])
+    f = np.array([K[0, 0], K[1, 1]])
+    common = np.zeros((4, 4))  # both focal lengths are off by the same share
+    common[:2, :2] = np.outer(FOCAL_STD * f, FOCAL_STD * f)
+    common[2:, 2:] = np.diag((PRINCIPAL_STD * f) ** 2)
+    return KnownLens(K, np.zeros(5) if distortion is None else distortion, common)
+
+
+def checked(K: Array, distortion: Array, covariance: Array) -> KnownLens:
+    """A lens as a file describes it. Raises RequestRefused (``refused.hand_eye.camera_covariance``)."""
+    size = len(covariance)
+    shapes = ((4, 4), (_PARAMETERS, _PARAMETERS))
+    symmetric = covariance.shape in shapes and bool(np.isfinite(covariance).all())
+    if symmetric:
+        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        unit = covariance / np.outer(scale, scale)
+        symmetric = bool(np.abs(unit - unit.T).max() < 1e-6 and np.linalg.eigvalsh(unit)[0] > -1e-6)
+    if not symmetric:
+        raise RequestRefused(
+            "refused.hand_eye.camera_covariance",
+            f"camera_covariance is {covariance.shape[0]}x{covariance.shape[-1] if size else 0}: 4x4 of fx fy "
+            "cx cy or 9x9 with k1 k2 p1 p2 k3 is wanted, symmetric, no variance below 0",
+        )
+    return KnownLens(K, distortion, covariance)
+
+
+def widened(pairs: PosePairs, result: HandEyeResult) -> HandEyeResult:
+    """``result`` with the lens's share in its covariance: the file's lens, else one known as usual."""
+    if result.covariance is None:
+        return result
+    lens = pairs.lens
+    notes = result.notes
+    if lens is None:
+        corners = pairs.corners
+        lens = usual() if corners is None else usual(corners.K, corners.distortion)
+        notes += (
+            f"camera_covariance is not given: focal length taken as known to {100.0 * FOCAL_STD:g} %, "
+            f"principal point to {100.0 * PRINCIPAL_STD:g} % of it",
+        )
+    of_lens = share(pairs, result, lens)
+    return replace(result, covariance=result.covariance + of_lens, of_lens=of_lens, notes=notes)
+
+
+def share(pairs: PosePairs, result: HandEyeResult, lens: KnownLens) -> Array:
+    """What ``lens`` adds to the covariance of X (6, 6), by the samples that ``result`` used.
+
+    Where no corners are known, a square target of a fifth of its distance stands in for it.
+    """
+    kept = pairs.subset(result.inliers[np.array(pairs.order)])
+    equations = Equations(kept.H, kept.P, np.ones(len(kept)), kept.setup)
+    noise = result.noise or result.residual_noise()
+    moved = np.stack([_moved(kept, k, lens) for k in range(len(kept))])
+    r = ml.residuals(kept.H, kept.P, result.X, result.Z)
+    W = ml.whitener(equations, result.X, result.Z, noise)
+    J = ml.whitened(W, ml.jacobian(equations, result.X, result.Z, r)).reshape(-1, 12)
+    D = ml.whitened(W, moved).reshape(-1, moved.shape[-1])
+    by_lens = np.linalg.solve(J.T @ J, J.T @ D)[:6]
+    return np.asarray(by_lens @ lens.covariance @ by_lens.T)
+
+
+def _moved(pairs: PosePairs, k: int, lens: KnownLens) -> Array:
+    """How the measured target of sample k moves, [δp; δθ] in camera axes, for each of the lens's numbers."""
+    P = pairs.P[k]
+    if pairs.corners is None:
+        side = _HALF_SIDE * float(np.linalg.norm(P[:3, 3]))
+        points = side * np.array([(x, y, 0.0) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
+    else:
+        points = pairs.corners.points_P[np.isfinite(pairs.corners.pixels[k]).all(axis=-1)]
+    turned = points @ P[:3, :3].T
+    nothing = np.zeros(3)
+    slopes = cv2.projectPoints(turned + P[:3, 3], nothing, nothing, lens.K, lens.distortion)[1]
+    by_point = slopes[:, 3:6].reshape(-1, 2, 3)
+    by_pose = np.concatenate([by_point, -by_point @ stacks.hat(turned)], axis=-1).reshape(-1, 6)
+    by_lens = slopes[:, 6 : 6 + len(lens.covariance)]
+    return np.asarray(-np.linalg.lstsq(by_pose, by_lens, rcond=None)[0])
