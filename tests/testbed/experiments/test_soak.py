@@ -132,7 +132,7 @@ def test_a_failed_look_is_noted_and_the_duty_goes_on(
 ) -> None:
     rig, journal = _Rig(clock), Journal()
     duty = _duty(rig, journal, lambda: None, monkeypatch)
-    duty.keep(150.0)
+    duty.keep(150.0, 70.0)
     assert rig.commands == ["enable", "reset", "reset", "enable"]
     assert [i.cause for i in journal.incidents] == ["link.camera_silent", "refused.plant_not_ready"]
     assert duty.done["look"] > 20
@@ -145,7 +145,7 @@ def test_the_end_of_a_service_ends_the_duty(clock: list[float], monkeypatch: pyt
 
     duty = _duty(_Rig(clock), Journal(), gone, monkeypatch)
     with pytest.raises(LongreachError, match="controller ended"):
-        duty.keep(150.0)
+        duty.keep(150.0, 70.0)
 
 
 def _figures(**changes: Any) -> dict[str, Any]:

@@ -91,7 +91,7 @@ def _soaked(launch: Launch, request: SoakRequest) -> dict[str, Any]:
             for client in clients:
                 client.start()
             try:
-                duty.keep(seconds)
+                duty.keep(seconds, _WARM_UP_SHARE * seconds)
                 rig.command("disable")
             except LongreachError as error:
                 ended_by = str(error)

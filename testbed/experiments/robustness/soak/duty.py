@@ -12,7 +12,8 @@ from testbed.reporting.console import Bar
 _LOOK: JSON = {"frames": 50}  # five seconds of looking at 10 pictures a second
 _STROKE_M = 0.15
 _MOVE_EVERY_S = 60.0
-_CALIBRATE_EVERY = 10  # motions, from the second on: what odometry needs for good is taken in the warm-up
+_CALIBRATE_EVERY = 10  # motions
+_IN_WARM_UP = 2  # motions: odometry takes its working memory over its first few runs
 _RECOVERY_S = 30.0
 _RETRY_S = 0.5
 
@@ -30,8 +31,11 @@ class Duty:
         self._alive = alive
         self._stroke_m = _STROKE_M
 
-    def keep(self, seconds: float) -> None:
-        """Work for ``seconds``. Raises LongreachError when a service has ended or nothing can be enabled."""
+    def keep(self, seconds: float, warm_up_s: float) -> None:
+        """Work for ``seconds``, calibrating more often in the first ``warm_up_s`` of them.
+
+        Raises LongreachError when a service has ended or nothing can be enabled.
+        """
         overall = _Overall(self._bar, self._journal, seconds)
         self._recover()
         moves, next_move_s = 0, 0.0
@@ -41,7 +45,7 @@ class Duty:
                 continue
             next_move_s = self._journal.now_s + _MOVE_EVERY_S
             moves += 1
-            if moves % _CALIBRATE_EVERY != 2:
+            if moves % (_IN_WARM_UP if self._journal.now_s < warm_up_s else _CALIBRATE_EVERY):
                 self._attempt("move", {"offset_base_m": [0.0, self._stroke_m, 0.0]}, overall)
                 self._stroke_m = -self._stroke_m
             else:
