@@ -30,6 +30,7 @@ COPY vision_pc vision_pc
 COPY conformance conformance
 COPY dissector dissector
 COPY testbed testbed
+COPY longreach longreach
 RUN pip install --no-cache-dir --quiet --no-deps --no-build-isolation . && rm -rf /build/*
 
 WORKDIR /srv/longreach

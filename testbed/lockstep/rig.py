@@ -4,9 +4,11 @@ import contextlib
 from collections.abc import Sequence
 from typing import Any
 
+from pydantic import ValidationError
+
 from foundation.event_log import Level
 from nominal_arm.dimensions import boom_dimensions
-from protocol.errors import LinkLost, LongreachError
+from protocol.errors import LinkLost, LongreachError, RequestRefused
 from protocol.faults import CommandCode
 from testbed.lockstep.clock import run
 from testbed.lockstep.eyes import SightMaker, camera_eyes, eyes_with
@@ -71,9 +73,22 @@ class LockstepRig:
         run(self.link.next_state())
 
     def operate(self, kind: str, body: JSON, bar: Bar) -> Any:
-        """The typed result of a program; whatever ends it early stops the arm, as behind the API."""
+        """The typed result of a program; whatever ends it early stops the arm, as behind the API.
+
+        Raises RequestRefused for a program that there is not (``refused.unknown_program``) and for a body
+        that the API would not take (``request.invalid``).
+        """
+        if kind not in self._programs:
+            known = ", ".join(self._programs)
+            raise RequestRefused("refused.unknown_program", f"no program {kind}; known: {known}")
         program = self._programs[kind]
-        settings = program.requested(self.application, program.body(**body))
+        try:
+            asked = program.body(**body)
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, (kind, *first["loc"])))
+            raise RequestRefused("request.invalid", f"{where}: {first['msg']}") from error
+        settings = program.requested(self.application, asked)
         program.refuse_now(self.application, settings)
         self.world.log.add(self.world.time_ns, "operation", kind=kind, body=body)
         try:

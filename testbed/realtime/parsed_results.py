@@ -2,30 +2,49 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from protocol.pose import Pose
-from vision_pc.application.results import JSON
+from vision_pc.application.results import JSON, JudgedLook
 from vision_pc.core.calibration.local_calibration import LocalCalibration, ResidualTable
 from vision_pc.core.calibration.orientation import OrientationResult
 from vision_pc.core.positioning.expected_end import ExpectedEnd
 from vision_pc.core.positioning.look_then_move import Ended, LookVerdict, PositioningResult, Step
 from vision_pc.core.se3 import Array, from_pose
+from vision_pc.core.types import Look, StereoOffset
 
 
-class ReportedLook(NamedTuple):
-    """Tool marker and object in the camera, as the API reports a look."""
+def look_of(told: JSON) -> JudgedLook:
+    """A look with its verdict. The API tells standard deviations alone: each is taken for independent.
 
-    time_ns: int
-    X_CM: Array
-    X_CO: Array
+    What one frame's noise was, and how sure the offset of the eyes is, it does not tell: NaN.
+    """
+    told_offset, unknown = told["stereo_offset_px"], np.full((6, 6), math.nan)
+    offset = None
+    if told_offset is not None:
+        x_px, y_px = told_offset
+        offset = StereoOffset(x_px, y_px, math.nan, math.nan)
+    look = Look(
+        time_ns=int(told["time_ns"]),
+        X_CM=_pose(told["X_CM"]),
+        X_CO=_pose(told["X_CO"]),
+        X_BT=_pose(told["X_BT"]),
+        frames=told["frames"],
+        failed_tool=told["failed_tool"],
+        failed_object=told["failed_object"],
+        cov_CM=_spread(told["std_tool_mm"], told["std_tool_deg"]),
+        cov_CO=_spread(told["std_object_mm"], told["std_object_deg"]),
+        frame_cov_CM=unknown,
+        frame_cov_CO=unknown,
+        offset=offset,
+    )
+    return JudgedLook(look, _verdict(told))
 
 
-def look_of(told: JSON) -> ReportedLook:
-    """The poses of a look."""
-    return ReportedLook(int(told["time_ns"]), _pose(told["X_CM"]), _pose(told["X_CO"]))
+def _spread(std_mm: JSON, std_deg: JSON) -> Array:
+    return np.diag(np.concatenate((_metres(std_mm), np.radians(_xyz(std_deg)))) ** 2)
 
 
 def orientation_of(told: JSON) -> OrientationResult:

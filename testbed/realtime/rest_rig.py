@@ -9,9 +9,10 @@ import httpx
 import numpy as np
 
 from protocol.errors import LinkLost, LongreachError, MeasurementFailed, MotionUnsettled, RequestRefused
-from testbed.realtime.parsed_results import RESULT_OF, ReportedLook, look_of
+from testbed.realtime.parsed_results import RESULT_OF, look_of
 from testbed.reporting.console import Bar
 from testbed.reporting.plots import TracedView
+from vision_pc.core.types import Look
 
 JSON = dict[str, Any]
 _POLL_S = 0.2
@@ -59,9 +60,9 @@ class RestRig:
         problem = operation["problem"] or {"cause": "refused.cancelled", "detail": f"{kind} was cancelled"}
         raise error_of(problem)
 
-    def latest_look(self) -> ReportedLook:
+    def latest_look(self) -> Look:
         """The latest look of any program."""
-        return look_of(self._ask("GET", "/looks/latest"))
+        return look_of(self._ask("GET", "/looks/latest")).look
 
     def state(self) -> JSON:
         """The controller's newest state."""

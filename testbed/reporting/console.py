@@ -138,11 +138,11 @@ class Bars:
     def step(self, label: str) -> Iterator[Bar]:
         """A bar for one step; it is full when the block ends well, and stays where it was when it fails."""
         task = self._progress.add_task(label, total=1.0, note="", left="")
-        yield _QuietBar() if self._quiet else Bar(self._progress, task, label)
+        yield QuietBar() if self._quiet else Bar(self._progress, task, label)
         self._progress.update(task, completed=1.0, left="")
 
 
-class _QuietBar(Bar):
+class QuietBar(Bar):
     """A bar that nobody sees."""
 
     def __init__(self) -> None:

@@ -4,23 +4,40 @@ import numpy as np
 
 from testbed.demonstration.sequence import note_of
 from testbed.realtime.parsed_results import RESULT_OF, look_of
-from vision_pc.application.results import calibration_json, orientation_json, pose_json, positioning_json
+from vision_pc.application.results import (
+    JudgedLook,
+    calibration_json,
+    look_json,
+    orientation_json,
+    positioning_json,
+)
 from vision_pc.core.calibration.local_calibration import LocalCalibration, ResidualTable
 from vision_pc.core.calibration.orientation import OrientationResult
 from vision_pc.core.positioning.expected_end import expected_end
 from vision_pc.core.positioning.look_then_move import Ended, LookVerdict, PositioningResult, Step
 from vision_pc.core.se3 import transform
+from vision_pc.core.types import Look, StereoOffset
 
 X = transform(np.diag([1.0, -1.0, -1.0]), np.array([0.1, -0.2, 1.3]))
 LENGTHS_M = np.array([0.012, -0.0035, 0.4])
 VERDICT = LookVerdict(LENGTHS_M, np.abs(LENGTHS_M) / 10, 0.005, 0.1, inside=False, certain=True)
 
 
-def test_the_poses_of_a_look() -> None:
-    read = look_of({"time_ns": 7, "X_CM": pose_json(X), "X_CO": pose_json(np.eye(4))})
-    assert read.time_ns == 7
-    assert np.allclose(read.X_CM, X)
-    assert np.allclose(read.X_CO, np.eye(4))
+def test_a_look() -> None:
+    spread = np.diag(np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]) * 1e-6)
+    look = Look(
+        7, X, np.eye(4), X, 5, 1, 2, spread, 4.0 * spread, spread, spread, StereoOffset(0.1, 0.2, 1, 1)
+    )
+    read, verdict = look_of(look_json(JudgedLook(look, VERDICT)))
+    assert (read.time_ns, read.frames, read.failed_tool, read.failed_object) == (7, 5, 1, 2)
+    assert np.allclose((read.X_CM, read.X_CO, read.X_BT), (X, np.eye(4), X))
+    assert np.allclose(read.cov_CM, look.cov_CM, rtol=1e-2)
+    assert np.allclose(read.cov_CO, look.cov_CO, rtol=1e-2)
+    assert np.isnan(read.frame_cov_CM).all()
+    assert read.offset is not None
+    assert (read.offset.x_px, read.offset.y_px) == (0.1, 0.2)
+    assert np.allclose(verdict.error_m, VERDICT.error_m)
+    assert (verdict.inside, verdict.certain, verdict.tolerance_m) == (False, True, 0.005)
 
 
 def test_a_look_then_move() -> None:

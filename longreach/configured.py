@@ -1,0 +1,22 @@
+"""The configuration of a rig or part, chosen as on the command line."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
+
+CONFIGS = Path("configs")  # as the command line's --config-dir
+Assignments = Mapping[str, Any]
+"""As ``--set``: ``{"plant.payload.mass_kg": 80}``."""
+
+
+def configured(config_dir: Path | str, scenario: str | None, seed: int, set: Assignments | None) -> Settings:
+    """Every file of ``config_dir`` with a scenario's world and the assignments over it.
+
+    Raises ConfigurationError.
+    """
+    assignments = [f"{key}={json.dumps(value)}" for key, value in (set or {}).items()]
+    folder = Path(config_dir)
+    return load_settings(folder, chosen_overrides(folder, scenario, seed, assignments))

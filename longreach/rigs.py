@@ -1,0 +1,161 @@
+"""Rigs to drive: in simulated time in this process, or a running one over its REST API."""
+
+import contextlib
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Self
+
+from longreach.configured import CONFIGS, Assignments, configured
+from plant_emulator.core.plant import Plant
+from plant_emulator.core.truth import PlantTruth
+from protocol.errors import LongreachError, RequestRefused
+from testbed.demonstration.sequence import Rig
+from testbed.lockstep.rig import LockstepRig
+from testbed.lockstep.run_log import RunLog
+from testbed.realtime.rest_rig import RestRig
+from testbed.reporting.console import QuietBar
+from vision_pc.application.program import Program
+from vision_pc.application.programs import PROGRAMS
+from vision_pc.application.results import JudgedLook
+
+CANCELLED = "refused.cancelled"
+
+
+class _CancelBar(QuietBar):
+    """A report that ends its program once it is cancelled."""
+
+    def __init__(self) -> None:
+        self.cancelled = threading.Event()
+
+    def update(self, fraction: float, note: str = "") -> None:
+        """Go on, or raise RequestRefused."""
+        if self.cancelled.is_set():
+            raise RequestRefused(CANCELLED, "cancelled by the caller")
+
+
+class DrivenRig:
+    """What every rig does. Each call returns when it is done, or raises LongreachError with its cause."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._bar = _CancelBar()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the rig; a running one goes on."""
+
+    def enable(self) -> None:
+        """Let the arm move."""
+        self._rig.command("enable")
+
+    def disable(self) -> None:
+        """Let the arm no longer move."""
+        self._rig.command("disable")
+
+    def stop(self) -> None:
+        """Stop the arm."""
+        self._rig.command("stop")
+
+    def reset(self) -> None:
+        """Clear a latched fault."""
+        self._rig.command("reset")
+
+    def look(self) -> JudgedLook:
+        """Tool and object as the camera sees them at rest, and the verdict against the tolerance.
+
+        Over REST the covariances are the standard deviations that the API tells, taken as independent.
+        """
+        look: JudgedLook = self.run("look")
+        return look
+
+    def run(self, program: str, /, **request: Any) -> Any:
+        """The typed result of a program of the REST API, such as ``look-then-move``, with its members.
+
+        Over REST a program without a type of its own returns the API's JSON. What ends it early stops the
+        arm.
+        """
+        self._bar.cancelled.clear()
+        return self._rig.operate(program, request, self._bar)
+
+    def cancel(self) -> None:
+        """End the running program, from another thread: its ``run`` raises ``refused.cancelled``."""
+        self._bar.cancelled.set()
+
+    def picture(self) -> bytes:
+        """The newest picture with what was found in it, PNG."""
+        return self._rig.picture()
+
+
+class SimulatedRig(DrivenRig):
+    """Plant, controller and vision in simulated time; the truth is at hand. ``lockstep_rig``: all of it."""
+
+    def __init__(self, rig: LockstepRig) -> None:
+        super().__init__(rig)
+        self.lockstep_rig = rig
+
+    @property
+    def truth(self) -> PlantTruth:
+        """Where everything really is now; no program knows it."""
+        return self.plant.truth()
+
+    @property
+    def plant(self) -> Plant:
+        """The plant, to change its load or to break it."""
+        return self.lockstep_rig.world.plant
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time since the start."""
+        return 1e-9 * self.lockstep_rig.world.time_ns
+
+
+class ConnectedRig(DrivenRig):
+    """A running rig over REST. It has no ``truth``: that is in the plant's recording alone."""
+
+    def __init__(self, rig: RestRig) -> None:
+        super().__init__(rig)
+        self._rest = rig
+
+    def close(self) -> None:
+        """Close the connection; the rig goes on."""
+        self._rest.close()
+
+    def run(self, program: str, /, **request: Any) -> Any:
+        """As ``DrivenRig.run``; Ctrl-C and a cancelled call stop the arm."""
+        try:
+            return super().run(program, **request)
+        except BaseException as error:
+            if not isinstance(error, LongreachError) or error.cause == CANCELLED:
+                with contextlib.suppress(LongreachError):
+                    self.stop()
+            raise
+
+
+def lockstep(
+    scenario: str | None = None,
+    seed: int = 1,
+    set: Assignments | None = None,
+    config_dir: Path | str = CONFIGS,
+    programs: Sequence[Program[Any, Any]] = (),
+) -> SimulatedRig:
+    """A rig in simulated time, in the world that ``scenario`` draws for ``seed`` (None: as configured).
+
+    The same seed is the same run. ``programs``: of your own, beside those of the API.
+    Raises ConfigurationError.
+    """
+    settings = configured(config_dir, scenario, seed, set)
+    return SimulatedRig(LockstepRig(settings, seed, RunLog(), programs=(*PROGRAMS, *programs)))
+
+
+def connect(url: str, token: bytes | None = None) -> ConnectedRig:
+    """The rig whose vision PC serves at ``url``; ``token``: of the role ``operate``, where it wants one.
+
+    Nothing is sent yet: the first call raises LinkLost (``link.rest``) when nobody answers.
+    """
+    return ConnectedRig(RestRig(url, token))
