@@ -122,7 +122,10 @@ class MarkerSettings(StrictModel):
     than print sizes and focal length allow: frames of the same prints share their errors.
     """
 
-    dictionary: Literal["DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000"]
+    dictionary: Literal[
+        "DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL",
+        "DICT_APRILTAG_16h5", "DICT_APRILTAG_25h9", "DICT_APRILTAG_36h10", "DICT_APRILTAG_36h11",
+    ]  # fmt: skip
     tool: ToolMarkerSettings
     object: tuple[ObjectMarkerSettings, ...] = Field(min_length=1)
     threshold_window_px: int = Field(ge=3, le=101)

@@ -336,6 +336,24 @@ def test_marker_cut_off_by_the_rim_is_not_guessed(
     assert seen.X_CM is None
 
 
+@pytest.mark.parametrize(
+    "dictionary", ["DICT_ARUCO_ORIGINAL", *(f"DICT_APRILTAG_{f}" for f in ("16h5", "25h9", "36h10", "36h11"))]
+)
+def test_other_families_are_found_and_refined(config: VisionConfig, dictionary: str) -> None:
+    settings = type(config.markers).model_validate(config.markers.model_dump() | {"dictionary": dictionary})
+    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    tag = cv2.aruco.generateImageMarker(family, 2, 96)
+    picture = np.full((300, 300), 200, np.uint8)
+    picture[100:196, 90:186] = np.where(tag > 0, 200, 30)
+    found, refused = markers.detect(cv2.GaussianBlur(picture, (0, 0), 0.7), settings)
+    assert (set(found), dict(refused)) == ({2}, {})
+    exact = np.array([[89.5, 99.5], [185.5, 99.5], [185.5, 195.5], [89.5, 195.5]])
+    np.testing.assert_allclose(found[2], exact, atol=1.5)
+    refined = marker_edges.refine(cv2.GaussianBlur(picture, (0, 0), 0.7), found[2], lambda pixels: pixels)
+    assert refined is not None
+    np.testing.assert_allclose(refined, exact, atol=0.1)
+
+
 def test_detection_keeps_to_its_region(
     camera: CameraCalibration, config: VisionConfig, generator: np.random.Generator
 ) -> None:
