@@ -48,12 +48,11 @@ export function showResume(state, alarms) {
   if (!broken) return;
   const cause = alarms.find((alarm) => alarm.ended_at === null && alarm.cause.startsWith('fault.'));
   const steps = [
-    ['Release the emergency stop', !state.emergency_latched],
-    ['Hold RESET', false],
-    ['Hold ENABLE; then repeat the step that was interrupted', false],
+    ...(state.emergency_latched ? ['Hold RELEASE: the emergency stop is latched'] : []),
+    'Hold RESET',
+    'Hold ENABLE; then repeat the step that was interrupted',
   ];
-  const next = steps.findIndex(([, done]) => !done);
-  const rows = [make('li', { class: 'cause' }, cause ? `${cause.detail}. ${cause.advice}` : `fault: ${state.fault}`), ...steps.map(([words, done], index) => make('li', { class: done ? 'done' : index === next ? 'next' : '' }, words))];
+  const rows = [make('li', { class: 'cause' }, cause ? `${cause.detail}. ${cause.advice}` : `fault: ${state.fault}`), ...steps.map((words, index) => make('li', { class: index ? '' : 'next' }, words))];
   const told = rows.map((row) => row.className + row.textContent).join('|');
   if (list.dataset.told !== told) { list.dataset.told = told; list.replaceChildren(...rows); }
 }
