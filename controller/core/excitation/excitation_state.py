@@ -50,7 +50,8 @@ class Excitation(NamedTuple):
     the running ramp (or of a step so far), and its spool's size there; ``low_speed``, ``low``: likewise where
     it had begun to move.
     ``place`` (6,): where the arm stood at first; ``creep`` (6,), rad/s: before the stroke; ``returning``: the
-    joint that is brought back to its place, None otherwise: then ``spool`` is its valve's.
+    joint that is brought back to its place, None otherwise: then ``spool`` is its valve's. ``drift`` (6,),
+    rad/s: the speed without what swings.
     """
 
     stroke: int
@@ -76,6 +77,7 @@ class Excitation(NamedTuple):
     place: Array
     creep: Array
     returning: int | None
+    drift: Array
 
 
 def begun(q: Array, stroke: int = 0) -> Excitation:
@@ -105,6 +107,7 @@ def begun(q: Array, stroke: int = 0) -> Excitation:
         place=q,
         creep=zero,
         returning=None,
+        drift=zero,
     )
 
 

@@ -27,6 +27,9 @@ from controller.core.servo.joint_control import pt1_step
 
 _SPEED_FILTER_S = 0.06  # an encoder's last digit is 0.2 mrad/s behind it
 _STILL_RAD_S = 1.0e-3
+# A joint behind a closed valve that leaks creeps steadily, which is rest as well: nothing swings.
+_DRIFT_FILTER_S = 1.0
+_CREEPS_RAD_S = 1.5e-3  # a wrist's, twice
 _FALLEN = 0.05  # of the ramp's top speed, at which a falling ramp has done its work
 # A spool with hysteresis stands still while its command turns back: that part is passed quickly.
 _TURNING_1_S = 1.5  # of the opening at the top, each second; at least the ramp's own rate
@@ -74,13 +77,18 @@ def ended(state: Excitation) -> Excitation:
 def _observed(state: Excitation, q: Array, joint: int, dt_s: float) -> Excitation:
     keep = pt1_step(1.0, 0.0, _SPEED_FILTER_S, dt_s)
     speed = keep * state.speed + (1.0 - keep) * (q - state.q_before) / dt_s
+    slowly = pt1_step(1.0, 0.0, _DRIFT_FILTER_S, dt_s)
+    drift = slowly * state.drift + (1.0 - slowly) * (q - state.q_before) / dt_s
     still = abs(speed[joint]) < _STILL_RAD_S
+    if state.phase is Phase.RESTING and abs(drift[joint]) < _CREEPS_RAD_S:
+        still = still or abs(speed[joint] - drift[joint]) < _STILL_RAD_S
     swing, reversals = state.swing, state.reversals
     if abs(speed[joint]) > SWING_RAD_S and speed[joint] * swing <= 0.0:
         reversals += swing != 0.0
         swing = float(np.sign(speed[joint]))
     return state._replace(
         speed=speed,
+        drift=drift,
         q_before=q,
         still_s=state.still_s + dt_s if still else 0.0,
         swing=swing,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from controller.core.excitation.excitation_state import Measured, Phase, begun, driven
 from controller.core.excitation.plan import StrokeKind
 from controller.core.excitation.strokes import excite
-from tests.controller.excitation.toy_valve import DT_S, FULL_SPEED, START, ToyValve, plan_for, tried
+from tests.controller.excitation.toy_valve import DT_S, FULL_SPEED, LSB, START, ToyValve, plan_for, tried
 
 
 @hypothesis_settings(max_examples=4, deadline=None)
@@ -61,6 +61,26 @@ def test_a_step_that_runs_away_ends_and_makes_the_next_one_smaller() -> None:
     again = state._replace(stroke=first + 2, still_s=9.0, phase_s=9.0, speed=np.zeros(6), q_before=q)
     again, _ = excite(plan, again, Measured(q, 100.0), DT_S)
     assert abs(again.spool) - 0.05 == pytest.approx(plan.strokes[first + 2].speed / 4.0, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("creep", "swing", "rests"), [(0.0, 0.0, True), (1.1e-3, 0.0, True), (0.0, 6e-3, False)]
+)
+def test_a_joint_that_creeps_rests_and_one_that_swings_does_not(
+    creep: float, swing: float, rests: bool
+) -> None:
+    """Creep and swing in rad/s; the swing is a long boom's."""
+    plan = plan_for(4)
+    noise = 0.3 * LSB * np.random.default_rng(3).standard_normal((1000, 6))
+    state, omega = begun(START), 2.0 * np.pi * 1.2
+    for k in range(1000):
+        q = START.copy()
+        q[4] += creep * DT_S * k - swing / omega * np.cos(omega * DT_S * k)
+        state, trouble = excite(plan, state, Measured(np.rint((q + noise[k]) / LSB) * LSB, 100.0), DT_S)
+        assert trouble is None
+        if state.phase is not Phase.RESTING:
+            break
+    assert (state.phase is not Phase.RESTING) is rests
 
 
 def test_the_sense_with_room_is_taken() -> None:
