@@ -100,7 +100,8 @@ class CalibrationDoubts(StrictModel):
 
     ``baseline`` relative; of the right eye against the left ``focal_difference_px``, ``radial_difference``
     (k1), ``tangential`` (p1, p2) and ``roll_rad``. ``pictures`` along the legs at most; points that odometry
-    follows tell their rows to ``row_std_px`` at best, and all together are worth ``row_points``.
+    follows tell their rows to ``row_std_px`` at best, and all together are worth ``row_points``. Corners may
+    be off their flat print by ``plate_std_m``, and by what they move in ``exposed_s`` of a picture.
     """
 
     enabled: bool
@@ -112,6 +113,8 @@ class CalibrationDoubts(StrictModel):
     pictures: int = Field(ge=5, le=1000)
     row_std_px: float = Field(gt=0.0, le=5.0)
     row_points: float = Field(ge=1.0)
+    plate_std_m: float = Field(gt=0.0, le=0.05)
+    exposed_s: float = Field(ge=0.0, le=1.0)
 
 
 class MarkerSettings(StrictModel):

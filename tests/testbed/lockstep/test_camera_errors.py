@@ -31,7 +31,8 @@ def legs(stage: Stage, per_leg: int = 12) -> list[SimulatedFrame]:
     corners = 0.2 * np.array([[-1.0, -1.0, -1.0], [0.0, -1.0, -1.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0]])
     at = np.linspace(0.0, 3.0, 3 * per_leg)
     way = np.column_stack([np.interp(at, range(4), corners[:, axis]) for axis in range(3)])
-    return [stage.exposed(stage.moved(step)) for step in way]
+    frames = [stage.exposed(stage.moved(step)) for step in way]
+    return [frame._replace(capture_ns=500_000_000 * k) for k, frame in enumerate(frames)]
 
 
 def watched(stage: Stage, frames: list[SimulatedFrame]) -> Watcher[SimulatedFrame]:

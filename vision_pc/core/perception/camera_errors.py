@@ -32,13 +32,24 @@ _POINT_STEP = 1e-6  # m
 _LEAST_PICTURES = 12
 _LEAST_M = 0.1  # that the object must wander in camera axes
 
-_Picture = tuple[FrameObservation, PointPairs | None]
+_PRINT = 16  # unknowns of a print: size, place (3), and how far each corner is off besides (4 × 3)
+_INPLANE = 0.3  # of a plate's bend moves corners within its plane
+
+
+class _Picture(NamedTuple):
+    """What is used of a sample, and how far corners may be off in it (px): rows of a moving picture are read
+    one after another.
+    """
+
+    observation: FrameObservation
+    pairs: PointPairs | None
+    std_px: float
 
 
 class _Corners(NamedTuple):
     """All corners seen, a row each: ``points`` (n, 3) in their body, ``centres`` (n, 3) of their prints,
     ``left`` and ``right`` (n, 2) px (right NaN where not seen), ``body`` (n,) which pose they hang on,
-    ``marker`` (n,) which print.
+    ``marker`` (n,) which print, ``corner`` (n,) which of its four, ``std_px`` (n,).
     """
 
     points: Array
@@ -47,6 +58,8 @@ class _Corners(NamedTuple):
     right: Array
     body: NDArray[np.int64]
     marker: NDArray[np.int64]
+    corner: NDArray[np.int64]
+    std_px: Array
 
 
 class _Rows(NamedTuple):
@@ -64,17 +77,17 @@ def fitted_errors(
     None where that is not asked for, or the object was seen too seldom or in too small a space.
     """
     doubts = settings.calibration
-    chosen = _spread_out(samples, doubts) if doubts.enabled else []
+    chosen = _spread_out(samples, camera, settings) if doubts.enabled else []
     if len(chosen) < _LEAST_PICTURES:
         return None
-    corners, poses = _corners([observation for observation, _ in chosen], settings)
-    rows = _rows([pairs for _, pairs in chosen if pairs is not None])
+    corners, poses = _corners(chosen, settings)
+    rows = _rows([picture.pairs for picture in chosen if picture.pairs is not None])
     markers = len(settings.sizes)
-    shared = np.zeros(_CAMERA + 4 * markers)  # camera, then size and place (3) of each print
+    shared = np.zeros(_CAMERA + _PRINT * markers)
     stds = np.concatenate([prior_stds(settings), _print_stds(settings)])
     for _ in range(_ROUNDS):
         H, g = np.diag(stds**-2.0), -shared / stds**2
-        reduced, eliminated = _corner_equations(corners, poses, shared, camera, settings)
+        reduced, eliminated = _corner_equations(corners, poses, shared, camera)
         row_H, row_g = _row_equations(rows, shared[:_CAMERA], camera, doubts)
         H += reduced.H
         g += reduced.g
@@ -87,25 +100,37 @@ def fitted_errors(
     return CameraErrors(shared[:_CAMERA], covariance)
 
 
-def _spread_out(samples: Sequence[WatchSample], doubts: CalibrationDoubts) -> list[_Picture]:
+def _spread_out(
+    samples: Sequence[WatchSample], camera: CameraCalibration, settings: MarkerSettings
+) -> list[_Picture]:
     """Pictures that show the object, evenly along the way that it makes in them; none where that is short."""
-    seen = [(s.X_CO, (s.observation, s.pairs)) for s in samples if s.X_CO is not None and s.observation]
-    if not seen:
+    doubts = settings.calibration
+    seen = [(s.X_CO, s.time_ns, s.observation, s.pairs) for s in samples if s.X_CO is not None]
+    places = np.array([X_CO[:3, 3] for X_CO, *_ in seen]).reshape(-1, 3)
+    if len(seen) < _LEAST_PICTURES or np.ptp(places, axis=0).max() < _LEAST_M:
         return []
-    places = np.array([X_CO[:3, 3] for X_CO, _ in seen])
-    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
-    if np.ptp(places, axis=0).max() < _LEAST_M:
-        return []
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    way = np.append(0.0, np.cumsum(steps))
+    between = steps / np.maximum(1e-9 * np.diff([float(time_ns) for _, time_ns, *_ in seen]), 1e-3)
+    speed = (
+        np.maximum(np.append(between, 0.0), np.insert(between, 0, 0.0)) * camera.left.K[0, 0] / places[:, 2]
+    )
+    std_px = np.hypot(settings.corner_std_px, doubts.exposed_s * speed)
     chosen = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], doubts.pictures)))
-    return [seen[min(int(k), len(seen) - 1)][1] for k in chosen]
+    pictures = []
+    for k in np.minimum(chosen, len(seen) - 1).tolist():
+        _, _, observation, pairs = seen[k]
+        if observation is not None:
+            pictures.append(_Picture(observation, pairs, float(std_px[k])))
+    return pictures
 
 
-def _corners(observations: list[FrameObservation], settings: MarkerSettings) -> tuple[_Corners, Array]:
+def _corners(pictures: list[_Picture], settings: MarkerSettings) -> tuple[_Corners, Array]:
     """The corners of all markers, and the poses (k, 4, 4) of the bodies that they hang on."""
     seen_at: list[_Corners] = []
     poses: list[Array] = []
-    numbers = sorted(settings.sizes)
-    for seen in observations:
+    numbers, at_rest = sorted(settings.sizes), settings.corner_std_px  # the tool rests in the picture
+    for seen, _, std_px in pictures:
         for X, ids in ((seen.X_CM, {settings.tool.id}), (seen.X_CO, {m.id for m in settings.object})):
             parts = [marker for marker in seen.markers if marker.marker_id in ids]
             if X is None or not parts:
@@ -116,7 +141,10 @@ def _corners(observations: list[FrameObservation], settings: MarkerSettings) -> 
                 right = np.full((4, 2), np.nan) if marker.corners_right is None else marker.corners_right
                 points, centre = se3.apply(hung, corner_points(marker.size)), np.tile(hung[:3, 3], (4, 1))
                 body, print_of = np.full(4, len(poses)), np.full(4, numbers.index(number))
-                seen_at.append(_Corners(points, centre, marker.corners_left, right, body, print_of))
+                four, std = np.arange(4), np.full(4, std_px if number != settings.tool.id else at_rest)
+                seen_at.append(
+                    _Corners(points, centre, marker.corners_left, right, body, print_of, four, std)
+                )
             poses.append(X)
     whole: Any = (np.concatenate(column) for column in zip(*seen_at, strict=True))
     return _Corners(*whole), np.array(poses)
@@ -130,10 +158,11 @@ def _rows(pairs: list[PointPairs]) -> _Rows:
 
 def _print_stds(settings: MarkerSettings) -> Array:
     """Of each print's size and place; the tool's hangs where it hangs, and is nobody's but its own."""
-    place = max(settings.placement_std_m, 1e-6)
+    place, bend = max(settings.placement_std_m, 1e-6), settings.calibration.plate_std_m
+    corners = 4 * [_INPLANE * bend, _INPLANE * bend, bend]
     return np.concatenate(
         [
-            [settings.print_size_std, *[1e-6 if number == settings.tool.id else place] * 3]
+            [settings.print_size_std, *[1e-6 if number == settings.tool.id else place] * 3, *corners]
             for number in sorted(settings.sizes)
         ]
     )
@@ -160,29 +189,30 @@ class _Eliminated(NamedTuple):
 
 
 def _corner_equations(
-    corners: _Corners, poses: Array, shared: Array, camera: CameraCalibration, settings: MarkerSettings
+    corners: _Corners, poses: Array, shared: Array, camera: CameraCalibration
 ) -> tuple[_Reduced, _Eliminated]:
     """Normal equations of all corners in both eyes."""
     R = poses[corners.body, :3, :3]
-    prints = shared[_CAMERA:].reshape(-1, 4)[corners.marker]
-    own = corners.points - corners.centres
-    levers = np.einsum("nij,nj->ni", R, corners.points + own * prints[:, :1] + prints[:, 1:])
+    prints = shared[_CAMERA:].reshape(-1, _PRINT)[corners.marker]
+    own, at = corners.points - corners.centres, np.arange(len(corners.points))
+    bent = prints[:, 4:].reshape(-1, 4, 3)[at, corners.corner]
+    levers = np.einsum("nij,nj->ni", R, corners.points + own * prints[:, :1] + prints[:, 1:4] + bent)
     points = levers + poses[corners.body, :3, 3]
     n, s, count = len(points), len(shared), len(poses)
     moves = np.zeros((n, 3, _POSE + s))  # of the point in C
     moves[:, :, :3] = np.eye(3)
     moves[:, :, 3:6] = -np.array([se3.hat(lever) for lever in levers])
-    first = _POSE + _CAMERA + 4 * corners.marker
-    at = np.arange(n)
+    first = _POSE + _CAMERA + _PRINT * corners.marker
     moves[at, :, first] = np.einsum("nij,nj->ni", R, own)
     for axis in range(3):
         moves[at, :, first + 1 + axis] = R[:, :, axis]
+        moves[at, :, first + 4 + 3 * corners.corner + axis] = R[:, :, axis]
     H, g = np.zeros((count, _POSE + s, _POSE + s)), np.zeros((count, _POSE + s))
     for eye, measured in enumerate((corners.left, corners.right)):
         residual, J = _linearised(points, measured, eye, shared[:_CAMERA], camera)
         whole = np.einsum("nri,nij->nrj", J[:, :, :3], moves)
         whole[:, :, _POSE : _POSE + _CAMERA] += J[:, :, 3:]
-        _gather(H, g, whole, residual, corners.body, settings.corner_std_px)
+        _gather(H, g, whole, residual, corners)
     inverses = np.asarray(np.linalg.inv(H[:, :_POSE, :_POSE]), dtype=np.float64)
     coupling = H[:, :_POSE, _POSE:]
     carried = np.einsum("kia,kij->kaj", coupling, inverses)
@@ -193,14 +223,15 @@ def _corner_equations(
     return reduced, _Eliminated(inverses, g[:, :_POSE], coupling)
 
 
-def _gather(H: Array, g: Array, J: Array, residual: Array, body: NDArray[np.int64], std: float) -> None:
+def _gather(H: Array, g: Array, J: Array, residual: Array, corners: _Corners) -> None:
     """Add rows ``J`` (n, 2, u) with their ``residual`` (n, 2), NaN where not seen, to each body's."""
     seen = np.isfinite(residual).all(axis=1)
-    error = residual[seen] / std
+    std, body = corners.std_px[seen], corners.body[seen]
+    error = residual[seen] / std[:, None]
     weight = np.sqrt(1.0 / np.maximum(1.0, np.linalg.norm(error, axis=1) / _HUBER))
     scaled, error = J[seen] * (weight / std)[:, None, None], error * weight[:, None]
-    np.add.at(H, body[seen], np.einsum("nra,nrb->nab", scaled, scaled))
-    np.add.at(g, body[seen], np.einsum("nra,nr->na", scaled, error))
+    np.add.at(H, body, np.einsum("nra,nrb->nab", scaled, scaled))
+    np.add.at(g, body, np.einsum("nra,nr->na", scaled, error))
 
 
 def _linearised(
