@@ -77,7 +77,7 @@ CHANGES = {
     ),
     "deadband_1": ChangedMachine("… 1 %", ("plant.valves.deadband=0.01",)),
     "deadband_2": ChangedMachine("… 2 %", ("plant.valves.deadband=0.02",)),
-    "mobile": ChangedMachine("mobile valves, taken for servo valves", ("plant.valve_set=mobile",)),
+    "mobile": ChangedMachine("mobile valves", ("plant.valve_set=mobile",)),
     "several": ChangedMachine(
         "several at once: deadband 1 %, play ×2, friction ×1.5, lens, print",
         ("plant.valves.deadband=0.01", _DOUBLED, *_RUBBING, _LENS, _PRINT),

@@ -192,6 +192,7 @@ def test_covariances_are_honest(
             "focal_std": 0.0,
             "offset_std_px": 1e-6,
             "offset_floor_px": 1e-6,
+            "placement_std_m": 0.0,
         }
     )
     X_CM, X_CO = facing(0.2, 0.05, 0.42, (2, 3, -4)), facing(-0.25, 0.05, 1.1, (5, -8, 3))
@@ -217,7 +218,8 @@ def test_markers_put_by_hand_and_a_lens_that_bends_are_in_what_is_told(
 ) -> None:
     X_CM, X_CO = facing(0.2, 0.05, 0.42, (2, 3, -4)), facing(-0.25, 0.05, 1.1, (5, -8, 3))
     scene = (*object_markers(X_CO), tool_marker(X_CM))
-    plain = observed(camera, config.markers, scene, generator)
+    exact = config.markers.model_copy(update={"placement_std_m": 0.0})
+    plain = observed(camera, exact, scene, generator)
     by_hand = config.markers.model_copy(update={"placement_std_m": 6e-4, "radial_std": 0.0035})
     told = observed(camera, by_hand, scene, generator)
     assert plain.bias_CO is not None
