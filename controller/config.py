@@ -58,7 +58,9 @@ class ParkingConfig(StrictModel):
     fastest_mrad_s: float = Field(gt=0.0, le=200.0)
     patience_ms: float = Field(ge=0.0, le=60_000.0)
     loaded: tuple[bool, bool, bool, bool, bool, bool]
+    quiet_mm: float = Field(gt=0.0, le=20.0)
     rest_ms: float = Field(gt=0.0, le=600_000.0)
+    rest_exact_ms: float = Field(gt=0.0, le=600_000.0)
     alarm_mm: float = Field(gt=0.0, le=100.0)
 
     @model_validator(mode="after")

@@ -23,16 +23,8 @@ from controller.core.scan_types import (
 )
 from controller.core.servo.drives import Circuit, load_pressures
 from controller.core.servo.joint_control import JointFilters, unmoved
-from controller.core.servo.parking import (
-    BAND,
-    DRIFT,
-    KEPT,
-    PHASE,
-    at_rest,
-    park_step,
-    parked_here,
-    parking_ended,
-)
+from controller.core.servo.parking import at_rest, park_step, parked_here
+from controller.core.servo.parking_state import BAND, DRIFT, KEPT, PHASE, off_place, parking_ended
 from controller.core.servo.pose_servo import tool_state
 from controller.core.servo.servo_step import (
     FURTHEST,
@@ -65,6 +57,7 @@ from protocol.reference_messages import (
 # The plant may take the watchdog's reset on the edge or on the level: a slow square wave serves both.
 _RESET_HALF_PERIOD = 8
 _UNLOADED = np.zeros(6)
+_STILL_ASTRAY = 0.8  # of the alarm's limit: nearer, a parked tool that was astray no longer is
 
 
 def scan(settings: ScanSettings, state: ScanState, inputs: ScanInput) -> tuple[ScanState, ScanOutput]:
@@ -206,15 +199,17 @@ def _parked(
         return state._replace(parking=parking_ended(state.parking), parked=False, astray=False)
     parking = state.parking.copy()
     park_step(settings.servo, settings.parking, given, state.watch.turned, out, parking)
-    away = norm(state.motion.desired.p - state.tool.p_BT)
     parked = state.parked or at_rest(settings.parking, parking)
-    astray = parked and away > settings.parking_alarm
     if parked and not state.parked:
         parking = parked_here(parking)
+    away = norm(state.tool.J_BT[:3] @ off_place(parking))
+    limit = settings.parking_alarm * (_STILL_ASTRAY if state.astray else 1.0)
+    astray = parked and away > limit
+    if parked and not state.parked:
         events.append(ScanEvent("parked", "VALVES_SHUT", away, settings.parking_alarm))
     for joint in np.flatnonzero((parking[PHASE] == KEPT) & (state.parking[PHASE] != KEPT)):
-        held = 2.0 * parking[BAND, joint] / settings.parking.rest
-        cause = f"{JOINT_NAMES[joint].upper()}_IS_KEPT_BY_THE_SERVO"
+        held = 2.0 * parking[BAND, joint] / settings.parking.rest[joint]
+        cause = f"{JOINT_NAMES[joint].upper()}_IS_KEPT_BY_AN_OPENING"
         events.append(ScanEvent("leaking", cause, abs(float(parking[DRIFT, joint])), float(held)))
     if astray and not state.astray:
         events.append(ScanEvent("astray", "PARKED_TOOL_LEFT_ITS_PLACE", away, settings.parking_alarm))

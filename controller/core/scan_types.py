@@ -8,7 +8,7 @@ from controller.core.kinematics.rotations import Array
 from controller.core.plant_watch import PlantRefusal, PlantWatch, unseen
 from controller.core.references.streaming import OpenStream
 from controller.core.servo.joint_control import JointFilters, unmoved
-from controller.core.servo.parking import parking_begun
+from controller.core.servo.parking_state import parking_begun
 from controller.core.servo.pose_servo import ToolState, tool_state
 from controller.core.settings import ScanSettings
 from controller.core.supervision import RESTED, Fault, ServoOutput, Timers

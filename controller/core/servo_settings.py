@@ -6,7 +6,7 @@ from controller.config import ControllerConfig
 from controller.core.kinematics.rotations import Array
 from controller.core.servo.drives import drive_table, rated_circuit
 from controller.core.servo.joint_control import JointGains
-from controller.core.servo.parking import ParkingLaw
+from controller.core.servo.parking_state import ParkingLaw
 from controller.core.servo.pose_servo import ServoGains
 from controller.core.servo.servo_step import ServoConstants
 from nominal_arm.commissioned import CURVE_KNOTS, ValveSet
@@ -20,6 +20,8 @@ _CARRIED = 0.4  # gain times lateness that a joint's loop bears: 23° of its pha
 # A joint's gain goes with the pace of its oil's spring: so long, times the gain, until a joint breaks away,
 # and until it rests after its valve has shut.
 _BREAKS_AWAY, _RUNS_ON = 0.7, 0.3
+_KEEPING = 0.6  # of the joint's gain: keeps a joint that leaks, so softly that its load does not swing
+_EXACT = 0.005  # of spool: a valve with less hysteresis passes a small flow steadily
 
 
 def servo_constants(arm: NominalArm, config: ControllerConfig) -> ServoConstants:
@@ -88,6 +90,7 @@ def parking_law(config: ControllerConfig) -> ParkingLaw:
     half_std = np.array([[0.5 * valve.hysteresis.std] for valve in valves])
     std = np.array([[edge.deadband.std for edge in (valve.raising, valve.lowering)] for valve in valves])
     gain, late = _joint_gains(config).gain, _lateness(config)
+    exact = np.array([valve.hysteresis.value + valve.hysteresis.std < _EXACT for valve in valves])
     return ParkingLaw(
         band=parking.band_mm * _MM,
         band_least=parking.band_least_mrad * _MRAD,
@@ -95,12 +98,14 @@ def parking_law(config: ControllerConfig) -> ParkingLaw:
         slowest=parking.slowest_mrad_s * _MRAD,
         fastest=parking.fastest_mrad_s * _MRAD,
         patience=parking.patience_ms * _MS,
+        quiet=parking.quiet_mm * _MM,
         deadband=_edges(config.valves, "deadband") + half,
         spread=np.hypot(std, half_std),
         latest=late + _BREAKS_AWAY / gain,
         shutting=late + _RUNS_ON / gain,
         loaded=np.array(parking.loaded, dtype=float),
-        rest=parking.rest_ms * _MS,
+        rest=np.where(exact, parking.rest_exact_ms, parking.rest_ms) * _MS,
+        keeping=_KEEPING * gain,
         dt_s=config.cycle_ms * _MS,
     )
 

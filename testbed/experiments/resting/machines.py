@@ -1,10 +1,11 @@
 """Drawn machines with a drawn motion each, and how they come to its end: controller and plant alone."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from controller.core.servo.pose_servo import resolve, tool_state
@@ -22,6 +23,7 @@ from testbed.experiments.positioning.corrected_run import commissioned
 from testbed.experiments.positioning.scenarios import arm_files
 from testbed.experiments.positioning.worlds import ARMS
 from testbed.lockstep.core_loop import ClosedLoop
+from testbed.reporting.console import table
 from testbed.scenarios.settings import Settings, load_settings
 
 _STREAM = 0x72657374
@@ -32,6 +34,15 @@ VALVE_SETS = ("servo", "mobile")
 WORLD = "drawn targets within 0.3 m, 0 to 100 kg, friction ×0.6 to 1.7; mobile valves drawn"
 
 JSON = dict[str, Any]
+
+
+class Kind(NamedTuple):
+    """What rows of this package tell of a machine: ``arm``, set of ``valves``, ``law`` at rest, its load."""
+
+    arm: str
+    valves: str
+    law: str
+    mass_kg: float
 
 
 class DrawnMachine(NamedTuple):
@@ -138,3 +149,9 @@ def machines(runs: int, first: int) -> Iterator[JSON]:
     """``seed``, ``arm`` and ``valves`` of so many runs: the four kinds of machine in turn."""
     for k in range(runs):
         yield {"seed": first + k, "arm": ARMS[k // 2 % 2], "valves": VALVE_SETS[k % 2]}
+
+
+def broken_off(rows: Sequence[Any]) -> list[Table]:
+    """A table of the ``rows`` that failed, with their machines and why; none when none did."""
+    failed = [(row.seed, *row.machine[:2], row.failure[:90]) for row in rows if row.failure]
+    return [table("broken off", ("seed", "arm", "valves", "why"), failed)] if failed else []

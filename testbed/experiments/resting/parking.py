@@ -8,7 +8,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from controller.core.servo.parking import KEPT, PHASE
+from controller.core.servo.parking_state import KEPT, PHASE
 from nominal_arm.description import JOINT_NAMES
 from protocol.reference_messages import FLAG_SETTLED
 from testbed.campaigns.campaign import CampaignRequest, Task
@@ -18,7 +18,9 @@ from testbed.experiments.resting.machines import (
     JSON,
     VALVE_SETS,
     WORLD,
+    Kind,
     arrived,
+    broken_off,
     drawn_machine,
     left,
     machines,
@@ -27,7 +29,7 @@ from testbed.experiments.resting.machines import (
 from testbed.lockstep.core_loop import ClosedLoop
 from testbed.reporting.console import table
 
-_WAIT_S = 60.0  # for the arm to park; it is watched after that, parked or not
+_WAIT_S = 150.0  # for the arm to park; it is watched after that, parked or not
 _SAMPLE_S = 0.5
 MOVED_MM = 1.0  # asked of ten minutes
 
@@ -49,11 +51,8 @@ class ParkingRow(NamedTuple):
 
     failure: str
     seed: int
-    arm: str
-    valves: str
-    law: str
+    machine: Kind
     minutes: float
-    mass_kg: float
     rested_s: float
     moved_mm: float
     end_mm: float
@@ -83,8 +82,9 @@ def park_and_watch(config_dir: Path, task: JSON) -> JSON:
     rested_s = _rested_after(loop, task["parks"])
     watched = _watch(loop, round(60.0 * task["minutes"] / loop.settings.cycle_s))
     return {
-        **{key: task[key] for key in ("seed", "arm", "valves", "law", "minutes")},
-        "mass_kg": machine.mass_kg,
+        "seed": task["seed"],
+        "machine": Kind(task["arm"], task["valves"], task["law"], machine.mass_kg),
+        "minutes": task["minutes"],
         "rested_s": rested_s,
         **watched,
     }
@@ -125,12 +125,17 @@ def _watch(loop: ClosedLoop, cycles: int) -> JSON:
     }
 
 
+def _of(done: ParkedRows, arm: str, valves: str) -> list[ParkingRow]:
+    kind = (arm, valves)
+    return [row for row in done.rows if not row.failure and (row.machine.arm, row.machine.valves) == kind]
+
+
 def parking_table(done: ParkedRows) -> list[Table]:
     """By arm and set of valves: millimetres moved, and how they were kept."""
     lines = []
     for arm in ARMS:
         for valves in VALVE_SETS:
-            rows = [r for r in done.rows if not r.failure and (r.arm, r.valves) == (arm, valves)]
+            rows = _of(done, arm, valves)
             if rows:
                 moved = np.array([row.moved_mm for row in rows])
                 lines.append(
@@ -146,10 +151,8 @@ def parking_table(done: ParkedRows) -> list[Table]:
         "arm", "valves", "runs", "at rest", "moved mm, median", "worst", "at the end", "joint mrad, worst",
         "inches", "kept by the servo", "astray", f"≤ {MOVED_MM:g} mm",
     )  # fmt: skip
-    failed = [(row.seed, row.arm, row.valves, row.failure[:90]) for row in done.rows if row.failure]
     title = f"{done.settings.minutes:g} minutes at rest, law: {done.settings.law}"
-    shown = [table(title, headings, lines)]
-    return [*shown, table("broken off", ("seed", "arm", "valves", "why"), failed)] if failed else shown
+    return [table(title, headings, lines), *broken_off(done.rows)]
 
 
 def parking_verdict(done: ParkedRows) -> list[Check]:
@@ -157,7 +160,7 @@ def parking_verdict(done: ParkedRows) -> list[Check]:
     checks = [at_most("runs that failed", float(sum(bool(row.failure) for row in done.rows)), 0.0)]
     for arm in ARMS:
         for valves in VALVE_SETS:
-            moved = [r.moved_mm for r in done.rows if not r.failure and (r.arm, r.valves) == (arm, valves)]
+            moved = [row.moved_mm for row in _of(done, arm, valves)]
             if moved:
                 checks.append(at_most(f"moved by most, {arm}, {valves}", max(moved), MOVED_MM, "mm"))
     return checks

@@ -16,7 +16,9 @@ from testbed.experiments.resting.machines import (
     JSON,
     VALVE_SETS,
     WORLD,
+    Kind,
     arrived,
+    broken_off,
     drawn_machine,
     left,
     machines,
@@ -43,11 +45,8 @@ class SettleRow(NamedTuple):
 
     failure: str
     seed: int
-    arm: str
-    valves: str
-    law: str
+    machine: Kind
     known_percent: float
-    mass_kg: float
     slew_s: float
     lift_s: float
     tilt_s: float
@@ -91,9 +90,9 @@ def settle(config_dir: Path, task: JSON) -> JSON:
     outside = np.asarray(np.array(errors) > _INSIDE_RAD)
     times = [came_in(column, loop.settings.cycle_s) for column in outside.T]
     return {
-        **{key: task[key] for key in ("seed", "arm", "valves", "law")},
+        "seed": task["seed"],
+        "machine": Kind(task["arm"], task["valves"], task["law"], machine.mass_kg),
         "known_percent": 100.0 * task["known"],
-        "mass_kg": machine.mass_kg,
         **{f"{name}_s": time for name, time in zip(JOINT_NAMES, times, strict=True)},
         "all_s": came_in(np.asarray(outside.any(axis=1)), loop.settings.cycle_s),
         "end_mrad": 1e3 * float(errors[-1].max()),
@@ -121,9 +120,7 @@ def settle_table(done: SettledRows) -> list[Table]:
         "arm", "valves", "% known", "law", "runs", *(f"{name} s" for name in JOINT_NAMES), "all s",
         "came in", "left mrad, worst",
     )  # fmt: skip
-    failed = [(row.seed, row.arm, row.valves, row.failure[:90]) for row in done.rows if row.failure]
-    shown = [table("into 0.3 mrad for good, median; –: most never", headings, lines)]
-    return [*shown, table("broken off", ("seed", "arm", "valves", "why"), failed)] if failed else shown
+    return [table("into 0.3 mrad for good, median; –: most never", headings, lines), *broken_off(done.rows)]
 
 
 def _kinds(done: SettledRows) -> list[tuple[str, str, float, str]]:
@@ -133,8 +130,8 @@ def _kinds(done: SettledRows) -> list[tuple[str, str, float, str]]:
 
 
 def _of(done: SettledRows, arm: str, valves: str, percent: float, law: str) -> list[SettleRow]:
-    kind = (arm, valves, percent, law)
-    return [r for r in done.rows if not r.failure and (r.arm, r.valves, r.known_percent, r.law) == kind]
+    kind = (arm, valves, law, percent)
+    return [row for row in done.rows if not row.failure and (*row.machine[:3], row.known_percent) == kind]
 
 
 def _median(times: np.ndarray) -> str:

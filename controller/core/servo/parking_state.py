@@ -1,0 +1,77 @@
+"""What parking keeps of each joint from scan to scan, and the constants of its laws."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from controller.core.kinematics.rotations import Array
+
+# Rows of the state (STATE_ROWS, 6), a column for each joint.
+# PHASE: FOLLOWING the joint law, SHUT, OPEN (an inch), NUDGED, or KEPT; SINCE: how long (s). SPEED: of the
+# joint, filtered (rad/s); ERROR: filtered (rad); HELD: how long the following joint has been inside its band
+# (s), or since when it follows no more; BAND: that (rad). PARKED: 1 once the whole arm was at rest; PLACE:
+# error where the joint rested then (rad), 0 before. QUIET: how long the error has been about QUIET_AT (rad),
+# and the load about LOAD_AT (bar). Of the last inch or nudge, SENSE: ±1; OPENED: spool, without its sign;
+# FROM: error at which it began (rad); SEEN: 1 once the joint moved in it; FINE: 1 when it is shorter than can
+# be watched well; HASTE: how many in a row were due too soon. Of the shut joint, SHUT_AT: error when it had
+# come to rest (rad); DRIFT: its creep, as a rate of the error (rad/s); CREPT: error, filtered for seconds
+# (rad); MARK: that at the last nudge, AFTER: time since (s). BIAS: of the kept joint, its leak in terms of
+# speed (rad/s). Learned, raising and lowering: EDGE, the spool at which the joint moves; DOUBT, how far
+# before it an inch begins; NUDGE, where a nudge begins (spool), 0 before the first; PUSH, the change of load
+# pressure at which it ends (bar).
+PHASE, SINCE, SPEED, ERROR, HELD, BAND, PARKED, PLACE, QUIET, QUIET_AT = range(10)
+SENSE, OPENED, FROM, SEEN, FINE, HASTE, SHUT_AT, DRIFT, MARK, AFTER, BIAS, LOAD_AT, CREPT = range(10, 23)
+EDGE, DOUBT, NUDGE, PUSH, STATE_ROWS = 23, 25, 27, 29, 31
+
+FOLLOWING, SHUT, OPEN, KEPT, NUDGED = 0.0, 1.0, 2.0, 3.0, 4.0
+
+
+class ParkingLaw(NamedTuple):
+    """Constants of parking; arrays are (6,) or (6, 2): raising and lowering.
+
+    ``band`` (m, of the tool at the joint's lever) between ``band_least`` and ``band_most`` (rad): error at
+    which a shut joint begins an inch. ``slowest``, ``fastest``: of an inch (rad/s). ``patience`` (s): time
+    that the joint law has to arrive. ``quiet`` (m): a joint rests that moves the tool by no more in 10 s.
+    ``deadband``, ``spread``: what is known of it when it opens (spool). ``latest`` (s): from a command until
+    motion is seen; ``shutting`` (s): how long a joint moves on when its valve is told to shut; ``loaded``: 1
+    where gravity makes a joint creep, 0 where parked it only relaxes. ``rest`` (6,), s: a joint that leaks
+    through twice its band in less is kept by an opening. ``keeping`` (6,), 1/s: gain of that.
+    ``dt_s``: of a scan.
+    """
+
+    band: float
+    band_least: float
+    band_most: float
+    slowest: float
+    fastest: float
+    patience: float
+    quiet: float
+    deadband: Array
+    spread: Array
+    latest: Array
+    shutting: Array
+    loaded: Array
+    rest: Array
+    keeping: Array
+    dt_s: float
+
+
+def parking_begun(law: ParkingLaw | None) -> Array:
+    """The state (STATE_ROWS, 6) before the first inch: every valve as it is known."""
+    state = np.zeros((STATE_ROWS, 6))
+    if law is not None:
+        state[EDGE : EDGE + 2], state[DOUBT : DOUBT + 2] = law.deadband.T, law.spread.T
+    return state
+
+
+def parking_ended(state: Array) -> Array:
+    """``state`` when a motion begins: the joint law drives all joints; what was learned is kept."""
+    follows = state.copy()
+    follows[PHASE] = FOLLOWING
+    follows[[SINCE, HELD, PARKED, PLACE, HASTE, DRIFT, QUIET, BIAS, MARK, AFTER]] = 0.0
+    return follows
+
+
+def off_place(state: Array) -> Array:
+    """How far (rad) each joint (6,) is off its place, by its filtered encoder."""
+    return np.asarray(state[ERROR] - state[PLACE])
