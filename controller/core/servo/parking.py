@@ -56,7 +56,8 @@ _CREEP_FILTER_S = 3.0  # of the slow creep of a parked joint: good for a microra
 _RATE_S = 1.0  # a creep that was watched for this long is believed by half
 _ARRIVED_RAD = 9.6e-5  # two digits: until the arm is parked, no joint is brought nearer
 _QUIET_S = 10.0  # the arm is parked when no joint moved for so long,
-_LONGEST_S = 120.0  # or when its joints have been away from the joint law for so long
+_LEANS_S = 35.0  # nor a kept one, which by then leans on one flank of the play before its encoder,
+_LONGEST_S = 180.0  # or when its joints have been away from the joint law for so long
 _QUIET_BAR = 0.05  # with a slew of 4 cm³/degree 0.01 mrad of its friction
 _HASTES = 3.0  # moves in a row that were due too soon tell a joint that leaks from one that still relaxes
 _WATCHED_S = 4.0  # so long a parked joint is watched before it is nudged
@@ -70,7 +71,8 @@ def at_rest(law: ParkingLaw, state: Array) -> bool:
     """Whether no joint moves the tool any more, each shut near its place or kept; or it never will."""
     away = state[PHASE] != FOLLOWING
     stands = (state[PHASE] == SHUT) & (np.abs(state[ERROR]) < 1.5 * state[BAND])
-    rests = (stands | (state[PHASE] == KEPT)) & (state[QUIET] > _QUIET_S)
+    leans = (state[PHASE] == KEPT) & (state[QUIET] > _LEANS_S)
+    rests = (stands & (state[QUIET] > _QUIET_S)) | leans
     return bool(rests.all() or (away & (state[HELD] > _LONGEST_S)).all())
 
 
@@ -111,7 +113,7 @@ def park_step(
             slope = joints.curve[i, side, 1, 1] / joints.curve[i, side, 1, 0]
             gains[side] = joints.flow_gain[i, side] * slope * speeds[i, side]
         spool = _moved(law, state, i, out[LEFT, i], given.load[i], gains)
-        _listened(law, state, i, lever, given.load[i])
+        _listened(law, state, i, lever, out[LEFT, i], given.load[i])
         out[VALVES, i] = max(-joints.limit, min(joints.limit, spool))
         out[Q_CMD, i], out[QD_CMD, i], out[PT1, i] = given.q_meas[i], 0.0, 0.0
 
@@ -130,16 +132,18 @@ def _moved(law: ParkingLaw, state: Array, i: int, error: float, load: float, gai
 
 
 @kernel
-def _listened(law: ParkingLaw, state: Array, i: int, lever: float, load: float) -> None:
+def _listened(law: ParkingLaw, state: Array, i: int, lever: float, error: float, load: float) -> None:
     """Count how long joint ``i`` has moved the tool by no more than the quiet, and been off the joint law.
 
     One without load relaxes within the play before its encoder; the oil, ``load`` (bar), tells how long.
     """
+    keep = math.exp(-law.dt_s / _CREEP_FILTER_S)
+    state[CREPT, i] = keep * state[CREPT, i] + (1.0 - keep) * error
     state[HELD, i] += law.dt_s
     state[QUIET, i] += law.dt_s
     relaxes = law.loaded[i] == 0.0 and abs(load - state[LOAD_AT, i]) > _QUIET_BAR
-    if relaxes or abs(state[ERROR, i] - state[QUIET_AT, i]) > law.quiet / lever:
-        state[QUIET, i], state[QUIET_AT, i], state[LOAD_AT, i] = 0.0, state[ERROR, i], load
+    if relaxes or abs(state[CREPT, i] - state[QUIET_AT, i]) > law.quiet / lever:
+        state[QUIET, i], state[QUIET_AT, i], state[LOAD_AT, i] = 0.0, state[CREPT, i], load
 
 
 @kernel
@@ -149,7 +153,7 @@ def _arrived(law: ParkingLaw, state: Array, i: int, error: float) -> bool:
     if state[HELD, i] < 2.0 * law.shutting[i] and state[SINCE, i] < law.patience:
         return False
     shut(state, i, error)
-    state[DRIFT, i], state[HELD, i] = 0.0, 0.0
+    state[DRIFT, i], state[HELD, i], state[CREPT, i] = 0.0, 0.0, error
     return True
 
 
@@ -163,8 +167,6 @@ def _watched(law: ParkingLaw, state: Array, i: int, error: float, load: float, g
     since, pause = state[SINCE, i], 2.0 * law.shutting[i]
     keep = math.exp(-law.dt_s / min(max(0.3 * since, 0.02), _ERROR_FILTER_S))
     state[ERROR, i] = keep * state[ERROR, i] + (1.0 - keep) * error
-    keep = math.exp(-law.dt_s / _CREEP_FILTER_S)
-    state[CREPT, i] = keep * state[CREPT, i] + (1.0 - keep) * error
     if since < pause:
         state[SHUT_AT, i] = state[ERROR, i]
         return 0.0

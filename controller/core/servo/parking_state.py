@@ -10,7 +10,7 @@ from controller.core.kinematics.rotations import Array
 # PHASE: FOLLOWING the joint law, SHUT, OPEN (an inch), NUDGED, or KEPT; SINCE: how long (s). SPEED: of the
 # joint, filtered (rad/s); ERROR: filtered (rad); HELD: how long the following joint has been inside its band
 # (s), or since when it follows no more; BAND: that (rad). PARKED: 1 once the whole arm was at rest; PLACE:
-# error where the joint rested then (rad), 0 before. QUIET: how long the error has been about QUIET_AT (rad),
+# error where the joint rested then (rad), 0 before. QUIET: how long CREPT has been about QUIET_AT (rad),
 # and the load about LOAD_AT (bar). Of the last inch or nudge, SENSE: ±1; OPENED: spool, without its sign;
 # FROM: error at which it began (rad); SEEN: 1 once the joint moved in it; FINE: 1 when it is shorter than can
 # be watched well; HASTE: how many in a row were due too soon. Of the shut joint, SHUT_AT: error when it had

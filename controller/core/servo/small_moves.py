@@ -26,9 +26,11 @@ from controller.core.servo.parking_state import (
     NUDGED,
     OPEN,
     OPENED,
+    PARKED,
     PHASE,
     PLACE,
     PUSH,
+    QUIET,
     SEEN,
     SENSE,
     SHUT,
@@ -56,6 +58,8 @@ _PUSH_BAR, _LEAST_BAR, _MOST_BAR = (
     3.0,
 )  # of the load pressure: the first nudge's, bounds of others
 _KEPT_FILTER_S = 0.1  # of a kept joint's error
+_CALM_S = 5.0  # quiet for so long, a kept joint needs little: less gain of a slower filter, and it leans
+_SOFT, _SOFT_FILTER_S, _LEANS_RAD_S = 0.25, 1.0, 4e-6  # ten times what the encoder's noise makes of that gain
 _KEPT_ZONE_RAD = 2.4e-5  # half a digit: nearer, the leak is taken for known
 _LEARNS = 0.12  # of the gain squared: so slowly that it does not swing through the play
 
@@ -181,16 +185,21 @@ def kept(law: ParkingLaw, state: Array, i: int, error: float, gains: Array) -> f
     """The opening that passes what the joint loses, on one side of the valve's overlap for good.
 
     A servo valve that went through its overlap to and fro would take the joint through the play before its
-    encoder. Its leak has one sense, and the opening too; a joint that stands too high sinks by itself.
+    encoder. Its leak has one sense, and the opening too; a joint that stands too high sinks by itself. Once
+    it is calm it leans on that flank of the play on which the encoder sees it sink: without, noise would let
+    it wander from one to the other.
     """
     sense = state[SENSE, i]
     side = 0 if sense > 0.0 else 1
-    keep, gain, k = math.exp(-law.dt_s / _KEPT_FILTER_S), gains[side], law.keeping[i]
+    gain, k, filter_s, lean = gains[side], law.keeping[i], _KEPT_FILTER_S, 0.0
+    if state[QUIET, i] > _CALM_S or state[PARKED, i] > 0.0:
+        k, filter_s, lean = _SOFT * k, _SOFT_FILTER_S, _LEANS_RAD_S
+    keep = math.exp(-law.dt_s / filter_s)
     state[ERROR, i] = keep * state[ERROR, i] + (1.0 - keep) * error
     below = sense * (state[ERROR, i] - state[PLACE, i])
     outside = max(abs(below) - _KEPT_ZONE_RAD, 0.0)
     doubt = gain * _SURE * law.spread[i, side]
     bias = state[BIAS, i] + _LEARNS * k * k * math.copysign(outside, below) * law.dt_s
     state[BIAS, i] = min(max(bias, -doubt), doubt + law.fastest)
-    opened = state[EDGE + side, i] + (k * below + state[BIAS, i]) / gain
+    opened = state[EDGE + side, i] + (k * below + state[BIAS, i] - lean) / gain
     return float(sense * max(opened, 0.0))

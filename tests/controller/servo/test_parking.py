@@ -11,6 +11,7 @@ from controller.core.servo.parking import _listened, _moved, at_rest, parked_her
 from controller.core.servo.parking_state import (
     AFTER,
     BAND,
+    CREPT,
     DOUBT,
     EDGE,
     ERROR,
@@ -90,7 +91,7 @@ class Joint(NamedTuple):
 def _rest(law: ParkingLaw, joint: Joint, seconds: float, parked: bool = True) -> Rest:
     rng, state = np.random.default_rng(5), parking_begun(law)
     state[PHASE, 0], state[BAND, 0], state[PARKED, 0] = SHUT, BAND_RAD, float(parked)
-    state[ERROR, 0] = joint.error
+    state[ERROR, 0] = state[CREPT, 0] = joint.error
     commands = deque([0.0] * round(DELAY_S / DT_S), maxlen=round(DELAY_S / DT_S))
     angle, seen, spool = -joint.error, -joint.error, 0.0
     shaft = angle + math.copysign(joint.half_play, joint.creep)
@@ -101,6 +102,7 @@ def _rest(law: ParkingLaw, joint: Joint, seconds: float, parked: bool = True) ->
         keep = math.exp(-DT_S / 0.03)
         state[SPEED, 0] = keep * state[SPEED, 0] + (1.0 - keep) * (seen - before) / DT_S
         state[[SINCE, AFTER], 0] += DT_S
+        _listened(law, state, 0, 4.0, -seen, 50.0)
         command = _moved(law, state, 0, -seen, 50.0 + BAR_RAD * angle, GAINS)
         late = commands[0]
         commands.append(command)
@@ -125,9 +127,9 @@ def test_it_comes_to_rest_inside_its_band_with_the_valve_shut(known: float, erro
 def test_a_parked_joint_that_creeps_is_nudged_within_the_play_of_its_encoder(
     creep: float, half_play: float
 ) -> None:
-    """Ten minutes of a load that sinks: never to the other side, nor far beyond play and band."""
+    """Ten minutes of a load that sinks: never to the other side, nor far beyond play and bands."""
     rest = _rest(_law(0.08, 0.002), Joint(0.0, 0.081, creep, half_play), 600.0)
-    assert np.ptp(rest.errors) < 4.0 * BAND_RAD < abs(600.0 * creep)
+    assert np.ptp(rest.errors) < 5.0 * BAND_RAD < abs(600.0 * creep)
     opened = rest.spools[rest.spools != 0.0]
     assert opened.size > 0
     assert (np.sign(opened) == -np.sign(creep)).all()
@@ -150,7 +152,7 @@ def test_a_parked_joint_that_stands_is_left_where_it_rests() -> None:
             here[ERROR, 0] = here[SHUT_AT, 0] = 1.4 * BAND_RAD + error  # it moved once, and stands
             assert _moved(law, here, 0, 1.4 * BAND_RAD + error, 50.0, GAINS) == 0.0
     unloaded = law._replace(loaded=np.zeros(6))
-    here[SHUT_AT, 0] = 0.0
+    here[SHUT_AT, 0], here[CREPT, 0] = 0.0, 1.4 * BAND_RAD + 3.0 * BAND_RAD
     assert _moved(unloaded, here, 0, 1.4 * BAND_RAD + 3.0 * BAND_RAD, 50.0, GAINS) == 0.0
     assert _moved(law, here, 0, 1.4 * BAND_RAD + 3.0 * BAND_RAD, 50.0, GAINS) > 0.0
 
@@ -158,7 +160,7 @@ def test_a_parked_joint_that_stands_is_left_where_it_rests() -> None:
 def test_a_parked_joint_that_was_pushed_far_away_is_brought_back() -> None:
     rest = _rest(_law(0.08, 0.002), Joint(2e-3, 0.08, -4e-6), 60.0)
     assert OPEN in rest.phases
-    assert np.abs(rest.errors[-2000:]).max() < 5.0 * BAND_RAD
+    assert np.abs(rest.errors[-2000:]).max() < 7.0 * BAND_RAD
 
 
 @pytest.mark.parametrize("creep", [-1e-3, 4e-4])
@@ -167,7 +169,7 @@ def test_a_joint_that_leaks_too_fast_is_kept_by_an_opening(creep: float) -> None
     rest = _rest(_law(0.08, 0.004), Joint(0.0, 0.083, creep, 5e-5), 90.0, parked=False)
     assert rest.state[PHASE, 0] == KEPT
     settled = round(40.0 / DT_S)
-    assert np.ptp(rest.errors[-settled:]) < 1.5 * BAND_RAD
+    assert np.ptp(rest.errors[-settled:]) < 2.5 * BAND_RAD
     assert (np.sign(rest.spools[-settled:]) == -np.sign(creep)).all()
     slow = _rest(_law(0.08, 0.002), Joint(0.0, 0.083, 0.02 * creep), 90.0, parked=False)
     assert slow.state[PHASE, 0] != KEPT
@@ -182,10 +184,12 @@ def test_the_arm_rests_when_every_joint_does() -> None:
         restless = state.copy()
         restless[row, 3] = value
         assert not at_rest(law, restless)
-        restless[HELD] = 121.0  # as it is, then; but not while the joint law still drives
+        restless[HELD] = 181.0  # as it is, then; but not while the joint law still drives
         assert at_rest(law, restless) == (value != FOLLOWING or row != PHASE)
     leaking = state.copy()
     leaking[PHASE, 4], leaking[ERROR, 4] = KEPT, 3e-4
+    assert not at_rest(law, leaking)
+    leaking[QUIET, 4] = 36.0
     assert at_rest(law, leaking)
 
 
@@ -194,8 +198,8 @@ def test_what_moves_the_tool_is_not_quiet_nor_is_a_slew_whose_oil_relaxes() -> N
     state = parking_begun(law)
 
     def listened(joint: int, error: float, load: float) -> float:
-        state[ERROR, joint] = error
-        _listened(law, state, joint, 5.0, load)
+        state[CREPT, joint] = error
+        _listened(law, state, joint, 5.0, error, load)
         return float(state[QUIET, joint])
 
     for joint in (0, 1):
