@@ -16,12 +16,13 @@ from controller.core.kinematics.rotations import Array
 # be watched well; HASTE: how many in a row were due too soon. Of the shut joint, SHUT_AT: error when it had
 # come to rest (rad); DRIFT: its creep, as a rate of the error (rad/s); CREPT: error, filtered for seconds
 # (rad); MARK: that at the last nudge, AFTER: time since (s). BIAS: of the kept joint, its leak in terms of
-# speed (rad/s). Learned, raising and lowering: EDGE, the spool at which the joint moves; DOUBT, how far
-# before it an inch begins; NUDGE, where a nudge begins (spool), 0 before the first; PUSH, the change of load
-# pressure at which it ends (bar).
+# speed (rad/s); OWED: what rounding has kept from its valve (spool). Learned, raising and lowering: EDGE, the
+# spool at which the joint moves; DOUBT, how far before it an inch begins; NUDGE, where a nudge begins
+# (spool), 0 before the first; PUSH, the change of load pressure at which it ends (bar).
 PHASE, SINCE, SPEED, ERROR, HELD, BAND, PARKED, PLACE, QUIET, QUIET_AT = range(10)
-SENSE, OPENED, FROM, SEEN, FINE, HASTE, SHUT_AT, DRIFT, MARK, AFTER, BIAS, LOAD_AT, CREPT = range(10, 23)
-EDGE, DOUBT, NUDGE, PUSH, STATE_ROWS = 23, 25, 27, 29, 31
+SENSE, OPENED, FROM, SEEN, FINE, HASTE, SHUT_AT, DRIFT = range(10, 18)
+MARK, AFTER, BIAS, LOAD_AT, CREPT, OWED = range(18, 24)
+EDGE, DOUBT, NUDGE, PUSH, STATE_ROWS = 24, 26, 28, 30, 32
 
 FOLLOWING, SHUT, OPEN, KEPT, NUDGED = 0.0, 1.0, 2.0, 3.0, 4.0
 

@@ -26,6 +26,7 @@ from controller.core.servo.parking_state import (
     NUDGED,
     OPEN,
     OPENED,
+    OWED,
     PARKED,
     PHASE,
     PLACE,
@@ -39,6 +40,7 @@ from controller.core.servo.parking_state import (
     ParkingLaw,
 )
 from foundation.compiled import kernel
+from protocol.process_image import VALVE_FULL_SCALE
 
 _SEEN_RAD = 9.6e-5  # two digits of a 17 bit encoder: less may be noise
 _BEYOND = 0.3  # of the band: how far beyond its place a creeping joint is put
@@ -57,6 +59,7 @@ _PUSH_BAR, _LEAST_BAR, _MOST_BAR = (
     0.03,
     3.0,
 )  # of the load pressure: the first nudge's, bounds of others
+_WORD = 1.0 / VALVE_FULL_SCALE  # of spool
 _KEPT_FILTER_S = 0.1  # of a kept joint's error
 _CALM_S = 5.0  # quiet for so long, a kept joint needs little: less gain of a slower filter, and it leans
 _SOFT, _SOFT_FILTER_S, _LEANS_RAD_S = 0.25, 1.0, 4e-6  # ten times what the encoder's noise makes of that gain
@@ -188,6 +191,9 @@ def kept(law: ParkingLaw, state: Array, i: int, error: float, gains: Array) -> f
     encoder. Its leak has one sense, and the opening too; a joint that stands too high sinks by itself. Once
     it is calm it leans on that flank of the play on which the encoder sees it sink: without, noise would let
     it wander from one to the other.
+
+    One step of the valve's word is 15 µrad/s of the crane's lift, more than the balance bears: what a scan
+    rounds off, the next ones make up for.
     """
     sense = state[SENSE, i]
     side = 0 if sense > 0.0 else 1
@@ -201,5 +207,7 @@ def kept(law: ParkingLaw, state: Array, i: int, error: float, gains: Array) -> f
     doubt = gain * _SURE * law.spread[i, side]
     bias = state[BIAS, i] + _LEARNS * k * k * math.copysign(outside, below) * law.dt_s
     state[BIAS, i] = min(max(bias, -doubt), doubt + law.fastest)
-    opened = state[EDGE + side, i] + (k * below + state[BIAS, i] - lean) / gain
-    return float(sense * max(opened, 0.0))
+    opened = max(state[EDGE + side, i] + (k * below + state[BIAS, i] - lean) / gain, 0.0)
+    word = round((opened + state[OWED, i]) / _WORD)
+    state[OWED, i] += opened - _WORD * word
+    return float(sense * _WORD * word)

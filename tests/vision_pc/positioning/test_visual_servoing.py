@@ -60,8 +60,9 @@ async def test_what_the_servo_leaves_is_pulled_in() -> None:
     arm = rig(2)
     R_TC = await calibrated(arm)
     arm.hangs = np.array([0.002, -0.003, 0.002])
-    with pytest.raises(MeasurementFailed, match="off after"):
+    with pytest.raises(MeasurementFailed, match=r"at rest \d+ times, [1-9]") as failed:
         await approached(arm, R_TC, pull_gain=0.0, timeout_s=20.0)
+    assert failed.value.cause == "measurement.play_too_wide"
     result = await approached(arm, R_TC)
     assert np.abs(result.error_m[:2]).max() <= SETTINGS.settle_m
 

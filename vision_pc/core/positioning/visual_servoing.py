@@ -21,6 +21,8 @@ from vision_pc.core.ports import Arm, Eyes, ReferenceStream, Report, Watch
 from vision_pc.core.se3 import Array, transform
 from vision_pc.core.types import WatchSample
 
+_RESTS = 5  # so often at rest outside what is accepted: not slow, but loose
+
 
 class Convergence(NamedTuple):
     """How looking and moving ended.
@@ -51,6 +53,7 @@ class ServoingLaw:
         self._target: Array | None = None
         self._gap_m = 0.0
         self._pulls = 0
+        self.nearest_m = math.inf  # at rest, worse of |x| and |y|; inf before the first rest
         self.newest = np.zeros(3)  # error (3,) in camera axes that the last picture showed
         self._errors: deque[Array] = deque(maxlen=settings.settle_pictures)
         self._left: deque[Array] = deque(maxlen=settings.settle_pictures)
@@ -87,6 +90,7 @@ class ServoingLaw:
             pulled = self._target + _bounded(s.pull_gain * left, s.step_m)
             self._target = there + _bounded(pulled - there, s.pull_m)
             self._pulls += 1
+            self.nearest_m = min(self.nearest_m, float(np.abs(self.errors.mean(axis=0))[:2].max()))
             for kept in (self._errors, self._left, self._measured):
                 kept.clear()
 
@@ -95,6 +99,11 @@ class ServoingLaw:
         assert self._target is not None
         ahead = self._target - X_BT_cmd[:3, 3]
         return transform(self._hold, X_BT_cmd[:3, 3] + _bounded(ahead, self._settings.lead_m))
+
+    @property
+    def rests(self) -> int:
+        """How often the tool came to rest elsewhere, and was pulled."""
+        return self._pulls
 
     @property
     def settled(self) -> bool:
@@ -130,7 +139,8 @@ async def servo_to_object(
 
     ``R_TC`` from a local calibration or map. Raises MeasurementFailed with the arm stopped: ``view_lost``
     (tool or object unseen for ``lost_s``), ``camera_silent``, ``camera_frozen``, ``step_too_large``,
-    ``not_settled`` after ``timeout_s``; errors of arm and eyes pass through.
+    ``not_settled`` after ``timeout_s``, ``play_too_wide`` when it had come to rest by then, but never there;
+    errors of arm and eyes pass through.
     """
     report(0.0, "looking")
     async with eyes.watch(markers=True, odometry=False) as watch:
@@ -184,10 +194,20 @@ async def _follow_object(
         left = float(np.linalg.norm(law.newest))
         report(min(0.95, max(0.0, 1.0 - left / max(start, 1e-3))), f"{1e3 * left:.1f} mm to go")
         if 1e-9 * (seen_ns - first.time_ns) > settings.timeout_s:
-            raise MeasurementFailed(
-                "measurement.not_settled",
-                f"looking and moving: {1e3 * left:.1f} mm off after {settings.timeout_s:g} s",
-            )
+            raise _unsettled(law, left, settings)
+
+
+def _unsettled(law: ServoingLaw, left: float, settings: VisualServoingSettings) -> MeasurementFailed:
+    """Why the time was not enough: the tool never came to rest, or it always did beside the object."""
+    off = f"looking and moving: {1e3 * left:.1f} mm off after {settings.timeout_s:g} s"
+    if law.rests < _RESTS:
+        return MeasurementFailed("measurement.not_settled", off)
+    most_mm = 1e3 * settings.settle_m * settings.settle_most
+    return MeasurementFailed(
+        "measurement.play_too_wide",
+        f"{off}; at rest {law.rests} times, {1e3 * law.nearest_m:.1f} mm off at best, "
+        f"{most_mm:.1f} mm are accepted: the joints have more play than that",
+    )
 
 
 class _Detections:
