@@ -29,7 +29,7 @@ from testbed.experiments.resting.machines import (
 from testbed.lockstep.core_loop import ClosedLoop
 from testbed.reporting.console import table
 
-_WAIT_S = 200.0  # for the arm to park; it is watched after that, parked or not
+_WAIT_S = 320.0  # for the arm to park; it is watched after that, parked or not
 _SAMPLE_S = 0.5
 MOVED_MM = 1.0  # asked of ten minutes
 

@@ -188,7 +188,7 @@ def test_the_arm_rests_when_every_joint_does() -> None:
         restless = state.copy()
         restless[row, 3] = value
         assert not at_rest(law, restless)
-        restless[HELD] = 181.0  # as it is, then; but not while the joint law still drives
+        restless[HELD] = 301.0  # as it is, then; but not while the joint law still drives
         assert at_rest(law, restless) == (value != FOLLOWING or row != PHASE)
     leaking = state.copy()
     leaking[PHASE, 4], leaking[ERROR, 4] = KEPT, 3e-4
