@@ -36,7 +36,7 @@ WORLD = "drawn targets within 0.3 m, 0 to 100 kg, friction ×0.6 to 1.7; mobile 
 JSON = dict[str, Any]
 
 
-class Kind(NamedTuple):
+class MachineKind(NamedTuple):
     """What rows of this package tell of a machine: ``arm``, set of ``valves``, ``law`` at rest, its load."""
 
     arm: str

@@ -18,7 +18,7 @@ from testbed.experiments.resting.machines import (
     JSON,
     VALVE_SETS,
     WORLD,
-    Kind,
+    MachineKind,
     arrived,
     broken_off,
     drawn_machine,
@@ -51,7 +51,7 @@ class ParkingRow(NamedTuple):
 
     failure: str
     seed: int
-    machine: Kind
+    machine: MachineKind
     minutes: float
     rested_s: float
     moved_mm: float
@@ -83,7 +83,7 @@ def park_and_watch(config_dir: Path, task: JSON) -> JSON:
     watched = _watch(loop, round(60.0 * task["minutes"] / loop.settings.cycle_s))
     return {
         "seed": task["seed"],
-        "machine": Kind(task["arm"], task["valves"], task["law"], machine.mass_kg),
+        "machine": MachineKind(task["arm"], task["valves"], task["law"], machine.mass_kg),
         "minutes": task["minutes"],
         "rested_s": rested_s,
         **watched,

@@ -16,7 +16,7 @@ from testbed.experiments.resting.machines import (
     JSON,
     VALVE_SETS,
     WORLD,
-    Kind,
+    MachineKind,
     arrived,
     broken_off,
     drawn_machine,
@@ -45,7 +45,7 @@ class SettleRow(NamedTuple):
 
     failure: str
     seed: int
-    machine: Kind
+    machine: MachineKind
     known_percent: float
     slew_s: float
     lift_s: float
@@ -91,7 +91,7 @@ def settle(config_dir: Path, task: JSON) -> JSON:
     times = [came_in(column, loop.settings.cycle_s) for column in outside.T]
     return {
         "seed": task["seed"],
-        "machine": Kind(task["arm"], task["valves"], task["law"], machine.mass_kg),
+        "machine": MachineKind(task["arm"], task["valves"], task["law"], machine.mass_kg),
         "known_percent": 100.0 * task["known"],
         **{f"{name}_s": time for name, time in zip(JOINT_NAMES, times, strict=True)},
         "all_s": came_in(np.asarray(outside.any(axis=1)), loop.settings.cycle_s),

@@ -12,7 +12,7 @@ from protocol.reference_messages import ReferencePose
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Finished
 from testbed.campaigns.typed_rows import flat
-from testbed.experiments.resting.machines import Kind, arrived, drawn_machine, machines, stepped
+from testbed.experiments.resting.machines import MachineKind, arrived, drawn_machine, machines, stepped
 from testbed.experiments.resting.parking import (
     ParkingOptions,
     ParkingRow,
@@ -121,7 +121,7 @@ def test_parking_is_met_or_not_by_the_worst_run_of_each_kind() -> None:
     tasks = parking_tasks(REQUEST, ParkingOptions())
     assert len({task["key"] for task in tasks}) == 4
     rows = [
-        ParkingRow("", t["seed"], Kind(t["arm"], t["valves"], "parking", 20.0), 10.0, 5.0, 0.4 + 0.3 * k,
+        ParkingRow("", t["seed"], MachineKind(t["arm"], t["valves"], "parking", 20.0), 10.0, 5.0, 0.4 + 0.3 * k,
                    0.2, 0.1, 3, "", 0, 60.0)
         for k, t in enumerate(tasks)
     ]  # fmt: skip
@@ -137,7 +137,7 @@ def test_arms_that_never_come_in_are_told() -> None:
     tasks = settle_tasks(REQUEST, SettleOptions(known="80,100"))
     assert len({task["key"] for task in tasks}) == 16
     rows = [
-        SettleRow("", t["seed"], Kind(t["arm"], t["valves"], t["law"], 20.0), 100.0 * t["known"], *[1.0] * 6,
+        SettleRow("", t["seed"], MachineKind(t["arm"], t["valves"], t["law"], 20.0), 100.0 * t["known"], *[1.0] * 6,
                   math.nan if t["law"] == "joint" else 4.0, 0.1, 3.0)
         for t in tasks
     ]  # fmt: skip
