@@ -121,7 +121,8 @@ def test_parking_is_met_or_not_by_the_worst_run_of_each_kind() -> None:
     tasks = parking_tasks(REQUEST, ParkingOptions())
     assert len({task["key"] for task in tasks}) == 4
     rows = [
-        ParkingRow("", t["seed"], MachineKind(t["arm"], t["valves"], "parking", 20.0), 10.0, 5.0, 0.4 + 0.3 * k,
+        ParkingRow("", t["seed"], MachineKind(t["arm"], t["valves"], "parking", 20.0), 10.0, 5.0,
+                   0.4 + 0.3 * k,
                    0.2, 0.1, 3, "", 0, 60.0)
         for k, t in enumerate(tasks)
     ]  # fmt: skip
@@ -137,7 +138,8 @@ def test_arms_that_never_come_in_are_told() -> None:
     tasks = settle_tasks(REQUEST, SettleOptions(known="80,100"))
     assert len({task["key"] for task in tasks}) == 16
     rows = [
-        SettleRow("", t["seed"], MachineKind(t["arm"], t["valves"], t["law"], 20.0), 100.0 * t["known"], *[1.0] * 6,
+        SettleRow("", t["seed"], MachineKind(t["arm"], t["valves"], t["law"], 20.0), 100.0 * t["known"],
+                  *[1.0] * 6,
                   math.nan if t["law"] == "joint" else 4.0, 0.1, 3.0)
         for t in tasks
     ]  # fmt: skip
