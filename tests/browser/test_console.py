@@ -137,6 +137,25 @@ def test_stop_ends_a_motion_by_click_and_by_key(browser: Browser) -> None:
             )
 
 
+def test_however_many_windows_are_open_stop_has_a_connection(browser: Browser) -> None:
+    with console(browser) as (page, bench, url):
+        windows = [page]
+        for _ in range(3):  # the streams of three alone would take all six connections of a browser
+            windows.append(page.context.new_page())
+            windows[-1].goto(url)
+        third, fourth = windows[2:]
+        is_state(third, "disabled")
+        expect(third.locator("#no-picture")).to_contain_text("Other windows", timeout=WITHIN_MS)
+        expect(fourth.locator("#banner")).to_contain_text("as many windows as it can", timeout=WITHIN_MS)
+        hold(third, "#enable")
+        is_state(third, "standby")
+        fourth.keyboard.press("Escape")
+        expect(fourth.locator("#stop-told")).to_contain_text("stopped", timeout=WITHIN_MS)
+        page.close()
+        is_state(fourth, "standby")
+        assert bench.controller.group is GroupState.STANDBY
+
+
 def test_a_fault_is_told_with_the_way_on_and_a_lost_service_greys_the_page(browser: Browser) -> None:
     with contextlib.ExitStack() as outer:
         with served_bench() as (url, bench):

@@ -18,6 +18,7 @@ let instance = null;
 let operate = false;
 let lookSeen = { ns: 0, at: 0 };
 let lastTrouble = null;
+let crowded = false; // no place for pictures among the windows of this browser
 
 function showSnapshot(snapshot) {
   if (instance && instance !== snapshot.service.instance) {
@@ -27,6 +28,7 @@ function showSnapshot(snapshot) {
   instance = snapshot.service.instance;
   shot = snapshot;
   came = performance.now();
+  if (lastTrouble?.crowded) banner('', false);
   lastTrouble = null;
   judge();
   showLadder(shot.state);
@@ -47,13 +49,19 @@ function judge() {
   document.documentElement.classList.toggle('stale', stale);
   showChips(shot, stale ? (old === null ? null : Math.round(old / 1000)) : null);
   if (stale && shot) update(null, false);
-  pictureAge(shot?.camera.trouble ? `The camera: ${shot.camera.trouble.replace('link.camera_', '')}.` : stale ? 'The vision PC does not answer.' : '');
+  pictureAge(shot?.camera.trouble ? `The camera: ${shot.camera.trouble.replace('link.camera_', '')}.` : stale ? 'The vision PC does not answer.'
+    : crowded ? 'Other windows of this browser show the pictures.' : '');
 }
 
 function lost(trouble) {
   lastTrouble = trouble;
   if (trouble.status === 401) signIn(trouble.document);
+  else if (trouble.crowded) banner('This browser shows the machine in as many windows as it can: close one, and it comes alive here. STOP works.', false);
   else if (trouble.status === 503) banner(`▲ ${trouble.document?.detail ?? 'The vision PC has no place for another console.'}`, true);
+}
+
+function noPicture(trouble) {
+  crowded = trouble.crowded ?? false;
 }
 
 let bannerEnds = null;
@@ -115,7 +123,7 @@ installLayers();
 installScene();
 installTheme();
 update(null, false);
-const again = [followState(showSnapshot, lost), followPictures(showPicture, () => {})];
+const again = [followState(showSnapshot, lost), followPictures(showPicture, noPicture)];
 installSignIn(() => { whoAmI(); for (const begin of again) begin(); });
 whoAmI();
 setInterval(judge, 250);

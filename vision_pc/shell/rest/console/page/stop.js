@@ -2,6 +2,7 @@
 
 import { ask, refusal } from './api.js';
 import { byId, milliseconds, write } from './dom.js';
+import { yieldConnections } from './stream.js';
 
 const EVERY_MS = 200;
 const LATER_MS = 1000; // once it has not been heard for three seconds
@@ -12,6 +13,7 @@ let pressed = null; // when, while there is no acknowledgement
 export function stop() {
   if (pressed !== null) return;
   pressed = performance.now();
+  yieldConnections(false);
   byId('stop-told').className = 'waiting';
   repeat({ underWay: 0, why: '' });
 }
@@ -20,6 +22,7 @@ function repeat(attempts) {
   if (pressed === null) return;
   if (attempts.underWay < MOST_UNDER_WAY) attempt(attempts);
   const since = performance.now() - pressed;
+  if (since > 2 * EVERY_MS) yieldConnections(true); // it may wait behind other windows' streams
   write(byId('stop-told'), since < EVERY_MS ? 'STOP sent …'
     : `▲ NOT acknowledged for ${(since / 1000).toFixed(1)} s${attempts.why && `: ${attempts.why}`}`);
   if (since > 3000) write(byId('stop-told'), `▲ NOT acknowledged for ${Math.round(since / 1000)} s: press the hardware stop${attempts.why && ` (${attempts.why})`}`);

@@ -3,6 +3,39 @@
 import { ask } from './api.js';
 
 const AGAIN_MS = [300, 600, 1200, 2500, 5000];
+const STATE = '/events';
+const PICTURES = '/camera/live';
+const MOST = { [STATE]: 3, [PICTURES]: 2 }; // in all windows of a browser, which has six connections to a service
+const YIELDED_MS = 1500;
+const yields = []; // what has each stream of this page end for a while
+const windows = new BroadcastChannel('longreach-console');
+windows.addEventListener('message', (event) => yieldHere(event.data));
+
+/**
+ * Frees connections for a STOP, where the windows could not count them (`withPlace`): all windows of the browser let
+ * go of their pictures, and with `all` of the state too, for a moment.
+ */
+export function yieldConnections(all) {
+  yieldHere({ all });
+  windows.postMessage({ all });
+}
+
+function yieldHere({ all }) {
+  for (const { path, end } of yields) if (all || path !== STATE) end();
+}
+
+/** Does `work` while this browser has fewer than `MOST` such streams; a page from elsewhere without TLS cannot count. */
+async function withPlace(path, work) {
+  if (!navigator.locks) return work();
+  for (let place = 1; place <= MOST[path]; place++) {
+    const had = await navigator.locks.request(`longreach ${path} ${place}`, { ifAvailable: true }, async (lock) => {
+      if (lock) await work();
+      return lock !== null;
+    });
+    if (had) return undefined;
+  }
+  throw Object.assign(new Error('crowded'), { crowded: true });
+}
 
 /** Follows `path` while the page is visible: `read(reader, alive)` until it breaks, then again; `lost(why)` between. */
 function follow(path, read, lost) {
@@ -13,13 +46,15 @@ function follow(path, read, lost) {
     running = ended;
     while (!ended.signal.aborted) {
       try {
-        const answer = await ask(path, { signal: ended.signal });
-        if (!answer.ok) throw Object.assign(new Error('refused'), { document: await answer.json().catch(() => null), status: answer.status });
-        await read(answer.body.getReader(), () => { failures = 0; });
+        await withPlace(path, async () => {
+          const answer = await ask(path, { signal: ended.signal });
+          if (!answer.ok) throw Object.assign(new Error('refused'), { document: await answer.json().catch(() => null), status: answer.status });
+          await read(answer.body.getReader(), () => { failures = 0; });
+        });
         lost({ status: 0 });
       } catch (error) {
         if (ended.signal.aborted) return;
-        lost({ status: error.status ?? 0, document: error.document ?? null });
+        lost({ status: error.status ?? 0, document: error.document ?? null, crowded: error.crowded ?? false });
       }
       const wait = AGAIN_MS[Math.min(failures++, AGAIN_MS.length - 1)];
       await new Promise((resolve) => { setTimeout(resolve, wait); });
@@ -30,13 +65,23 @@ function follow(path, read, lost) {
     else if (running === null) begin();
   };
   document.addEventListener('visibilitychange', seen);
+  let later = null;
+  yields.push({
+    path,
+    end() {
+      running?.abort();
+      running = new AbortController(); // nothing begins before the time is over
+      clearTimeout(later);
+      later = setTimeout(() => { running = null; seen(); }, YIELDED_MS);
+    },
+  });
   seen();
   return () => { failures = 0; running?.abort(); running = null; seen(); };
 }
 
 /** Snapshots of the state. Returns a function that begins anew, such as with another token. */
 export function followState(show, lost) {
-  return follow('/events', async (reader, alive) => {
+  return follow(STATE, async (reader, alive) => {
     const text = new TextDecoder();
     let rest = '';
     for (;;) {
@@ -54,7 +99,7 @@ export function followState(show, lost) {
 
 /** Pictures: `show({left, right, frame, ageMs})` with the newest whole message; older ones are dropped. */
 export function followPictures(show, lost) {
-  return follow('/camera/live', async (reader, alive) => {
+  return follow(PICTURES, async (reader, alive) => {
     let rest = new Uint8Array(0);
     let drawing = false;
     let next = null;
