@@ -37,6 +37,7 @@ OUR_PACKAGES = frozenset(
         "controller",
         "plant_emulator",
         "vision_pc",
+        "longreach",
         "conformance",
         "dissector",
         "testbed",

@@ -23,6 +23,7 @@ PACKAGES = (
     "conformance",
     "dissector",
     "testbed",
+    "longreach",
 )
 _SCENARIOS = "scenarios"
 _DIGITS = 16

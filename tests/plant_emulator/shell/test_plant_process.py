@@ -100,7 +100,7 @@ def test_serves_moves_records_and_ends(tmp_path: Path) -> None:
     statistics = tmp_path / "statistics.json"
     with running("--record-dir", str(tmp_path / "run"), "--statistics", str(statistics)) as (process, ready):
         assert ready["event"] == "ready"
-        assert ready["scheduling"] in ("fifo", "normal")
+        assert ready["scheduling"] in ("fifo", "short_slice", "normal")
         master = ModbusClient("127.0.0.1", ready["modbus"]["port"], timeout=2.0, auto_open=True)
         with socket.create_connection(("127.0.0.1", ready["camera_stream"]["port"]), timeout=30.0) as stream:
             cycles = []
