@@ -101,7 +101,7 @@ class ScanRecorder:
         said = {"arm": arm.model_dump(mode="json"), "controller": config.model_dump(mode="json")}
         metadata = {"run": {"configuration": json.dumps(said)}, "session": session_entries("controller")}
         try:
-            self._to = RecordingThread(directory / FILE, TOPICS, metadata)
+            self._to = RecordingThread(directory / FILE, TOPICS, metadata, config.fifo_priority)
         except OSError as error:
             why = f"--record-dir {directory}: {FILE}: {error.strerror}"
             raise ConfigurationError("configuration.recording", why) from error

@@ -1,6 +1,7 @@
 """A recording beside a loop: what is recorded is handed over, a thread of its own encodes and writes it."""
 
 import queue
+import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -8,11 +9,14 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from foundation.recording.mcap_file import CHUNK_NS, Entries, McapFile, Topic
+from foundation.scheduling import take_fifo
 
 _Item = tuple[int, Any, int, int]
 # [D] At 60 messages a second a disk may hang for half a minute before one is lost.
 WAITING_MAX = 2000
 _CLOSE_S = 10.0
+_BELOW_ALL = 1  # of FIFO priorities
+_SWITCH_S = 0.0001  # how long the thread keeps the loop from the interpreter; Python's own are 5 ms
 
 
 class RecordSink(Protocol):
@@ -69,14 +73,23 @@ class RecordingThread:
     disk; empty while all is well. What was put reaches the operating system within half a second.
     """
 
-    def __init__(self, path: Path, topics: Sequence[Topic], metadata: Entries) -> None:
-        """Create ``path``. Raises FileExistsError where it exists, OSError when it cannot be written."""
+    def __init__(
+        self, path: Path, topics: Sequence[Topic], metadata: Entries, fifo_priority: int = 0
+    ) -> None:
+        """Create ``path``. ``fifo_priority``: of the loop, 0 where it asks for none.
+
+        The thread takes the lowest where the loop has one: while it has the interpreter, which the loop waits
+        for, no ordinary process may put it aside. Raises FileExistsError where it exists, OSError when it
+        cannot be written.
+        """
         self.path = path
         self.dropped = 0
         self.failure = ""
         self._file = McapFile(path, topics, metadata)
+        self._fifo_priority = min(fifo_priority, _BELOW_ALL)
         self._items: queue.SimpleQueue[_Item | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._write_items, name=f"record-{path.name}", daemon=True)
+        sys.setswitchinterval(_SWITCH_S)
         self._thread.start()
 
     @property
@@ -99,6 +112,7 @@ class RecordingThread:
         self._thread.join(_CLOSE_S)
 
     def _write_items(self) -> None:
+        take_fifo(self._fifo_priority)
         try:
             self._keep_writing()
             self._file.close()

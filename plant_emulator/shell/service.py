@@ -1,6 +1,7 @@
 """The emulator's process: physics in real time, its fieldbus face, its camera, its recording."""
 
 import asyncio
+import functools
 import socket
 import time
 from contextlib import closing
@@ -10,6 +11,7 @@ from foundation.event_log import EventLog
 from foundation.overload import Limit, Tally
 from foundation.ports import bound_tcp
 from foundation.recording.directories import recording_directory
+from foundation.recording.recording_thread import RecordingThread
 from foundation.recording.session import session_entries
 from foundation.scheduling import take_fifo
 from foundation.self_watch import SelfWatch
@@ -199,7 +201,8 @@ class PlantService:
         }
         drawn = drawing(self._config.scene, self._plant.chain, time.monotonic_ns())
         try:
-            return TruthRecorder(directory / "truth.mcap", run, drawn, session_entries(_NAME))
+            made = functools.partial(RecordingThread, fifo_priority=self._config.service.fifo_priority)
+            return TruthRecorder(directory / "truth.mcap", run, drawn, session_entries(_NAME), made)
         except OSError as error:
             raise ConfigurationError(
                 "configuration.recording", f"--record-dir {directory}: truth.mcap: {error.strerror}"
