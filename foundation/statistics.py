@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -27,26 +28,34 @@ class StatisticsFile:
         self._service = service
         self._log = log
         self._gather = gather
+        self._replacing = threading.Lock()
         if path is not None:
             writable_directory(path.parent, "configuration.statistics_unwritable", f"--statistics {path}")
 
     async def keep_writing(self) -> None:
-        """Write every ten seconds, until cancelled."""
+        """Write every ten seconds, until cancelled; in a thread, as a disk may hang for longer than a link."""
         while True:
             await asyncio.sleep(_PERIOD_S)
-            self.write()
+            if self._path is not None:
+                await asyncio.to_thread(self._replace, self._path, self._text())
 
     def write(self) -> None:
         """Write the statistics of now, with the service's name before them. A failure is logged."""
-        if self._path is None:
-            return
+        if self._path is not None:
+            self._replace(self._path, self._text())
+
+    def _text(self) -> str:
         shown = {"service": self._service, **self._gather(), "log_lines_dropped": self._log.dropped}
-        partial = self._path.with_name(self._path.name + ".part")
+        return json.dumps(shown, indent=2) + "\n"
+
+    def _replace(self, path: Path, text: str) -> None:
+        partial = path.with_name(path.name + ".part")
         try:
-            partial.write_text(json.dumps(shown, indent=2) + "\n", encoding="utf-8")
-            partial.replace(self._path)
+            with self._replacing:
+                partial.write_text(text, encoding="utf-8")
+                partial.replace(path)
         except OSError as error:
-            why = f"{self._path}: {error.strerror}"
+            why = f"{path}: {error.strerror}"
             self._log.write("statistics_failed", "error", cause="statistics.unwritable", detail=why)
 
 
