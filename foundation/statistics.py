@@ -33,7 +33,7 @@ class StatisticsFile:
             writable_directory(path.parent, "configuration.statistics_unwritable", f"--statistics {path}")
 
     async def keep_writing(self) -> None:
-        """Write every ten seconds, until cancelled; in a thread, as a disk may hang for longer than a link."""
+        """Write every ten seconds, until cancelled; in a thread: a disk may hang longer than a link."""
         while True:
             await asyncio.sleep(_PERIOD_S)
             if self._path is not None:
