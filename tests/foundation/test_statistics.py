@@ -1,5 +1,6 @@
 """The statistics file: whole at any time, signed with its service; a disk that fails is logged."""
 
+import asyncio
 import json
 import os
 import subprocess
@@ -46,6 +47,32 @@ def test_a_reader_never_sees_half_a_file(log: HeardLog, tmp_path: Path) -> None:
         done.set()
         writer.join()
         log.close()
+
+
+async def test_a_disk_that_hangs_does_not_hold_the_loop(
+    log: HeardLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hangs, goes_on = threading.Event(), threading.Event()
+    stood_still = threading.Event()
+
+    def hang(_self: Path, _text: str, encoding: str) -> int:
+        hangs.set()
+        if not goes_on.wait(60.0):
+            stood_still.set()
+        return 0
+
+    monkeypatch.setattr("foundation.statistics._PERIOD_S", 0.0)
+    monkeypatch.setattr(Path, "write_text", hang)
+    file = StatisticsFile(tmp_path / "statistics.json", "vision_pc", log, dict)
+    writing = asyncio.create_task(file.keep_writing())
+    try:
+        assert await asyncio.to_thread(hangs.wait, 60.0)
+    finally:
+        goes_on.set()
+        writing.cancel()
+        await asyncio.gather(writing, return_exceptions=True)
+        log.close()
+    assert not stood_still.is_set(), "the loop waited for the disk"
 
 
 def test_a_disk_that_fails_later_is_logged_and_leaves_the_old_file(log: HeardLog, tmp_path: Path) -> None:
