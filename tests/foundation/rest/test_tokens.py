@@ -211,7 +211,7 @@ def test_tokens_are_two_and_kept_to_oneself(tmp_path: Path) -> None:
 def test_a_service_does_not_start_beyond_loopback_without_a_token(module: str, setting: str) -> None:
     done = subprocess.run(
         [sys.executable, "-m", module, "--set", f"{setting}.host=0.0.0.0"],
-        capture_output=True, text=True, timeout=60.0, check=False,
+        capture_output=True, text=True, timeout=300.0, check=False,
     )  # fmt: skip
     assert done.returncode == 2
     assert "configuration.token_wanted" in done.stderr
