@@ -10,6 +10,7 @@ from testbed.scenarios.settings import load_settings
 from testbed.validation.case import ValidationCase
 from testbed.validation.error_sources import Finding, findings, sources
 from testbed.validation.plant import FAMILIES, validation_steps
+from vision_pc.config.camera import PinholePair
 
 _RELATIONS = {"near": "", "at_most": "≤ ", "at_least": "≥ "}
 
@@ -62,7 +63,9 @@ def validate_error_sources(config_dir: Path, json_file: Path | None) -> bool:
 
     Raises ConfigurationError when a number has no provenance.
     """
-    nominal = load_settings(config_dir, {}).vision.camera.left.model_dump(exclude={"distortion"})
+    told = load_settings(config_dir, {}).vision.camera.calibration
+    assert isinstance(told, PinholePair)  # as shipped
+    nominal = told.left.model_dump(exclude={"distortion"})
     count = len(sources(nominal))
     found: list[Finding] = []
     with bars() as shown, shown.step("switching on one by one") as bar:

@@ -1,14 +1,17 @@
 """Frames of the emulated camera as vision gets them: rendered while somebody waits for one."""
 
 from abc import ABC, abstractmethod
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from plant_emulator.core.camera.camera_motion import Capture
+from protocol.errors import ConfigurationError
 from testbed.lockstep.camera_side import Exposure
 from testbed.lockstep.world import VISION_CLOCK_NS, World
 from vision_pc.application.camera_feed import CameraFeed
 from vision_pc.application.ports import CameraStatus, FrameSource
+from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.core.perception.frozen_pictures import FrozenPictures
+from vision_pc.core.perception.rectification import Rectifier
 from vision_pc.core.perception.watch import Sensor
 from vision_pc.core.types import CameraFrame, StereoPair
 
@@ -25,8 +28,18 @@ class Sight(NamedTuple):
 class LockstepFrames(CameraFeed[F], ABC):
     """Vision's feed, filled from the world's exposures; in lockstep a frame arrives when it is sent."""
 
+    rectifies: ClassVar[bool] = False
+
     def __init__(self, world: World) -> None:
-        super().__init__(world.settings.vision.camera, world.clock)
+        """Raise ConfigurationError where frames that nobody rectifies meet a raw camera's calibration."""
+        camera = world.settings.vision.camera
+        if isinstance(camera.calibration, StereoCalibration) and not self.rectifies:
+            raise ConfigurationError(
+                "configuration.raw_camera",
+                f"vision.camera.calibration: {camera.calibration.source}: these eyes take no raw pairs, "
+                "rendered pictures do (--eyes pixels)",
+            )
+        super().__init__(camera, world.clock)
         self._world = world
         self.connected()
 
@@ -49,18 +62,24 @@ class LockstepFrames(CameraFeed[F], ABC):
 
 
 class PixelFrames(LockstepFrames[StereoPair]):
-    """Rendered stereo pairs."""
+    """Rendered stereo pairs, rectified where vision's calibration is a raw camera's."""
+
+    rectifies = True
 
     def __init__(self, world: World) -> None:
         super().__init__(world)
-        self._pictures = FrozenPictures(world.settings.vision.camera.frozen_frames)
+        settings = world.settings.vision.camera
+        told = settings.calibration
+        self._rectified = Rectifier(told) if isinstance(told, StereoCalibration) else None
+        self._pictures = FrozenPictures(settings.frozen_frames)
 
     def exposed(self, exposure: Exposure) -> None:
         """Render and publish the pair of ``exposure``."""
         if exposure.shot.delivered:
             header, left, right = self._world.camera.photograph(exposure)
             pair = StereoPair(left, right, header.capture_ns + VISION_CLOCK_NS, header.frame_id)
-            self.publish(pair, frozen=self._pictures.add(left))
+            frozen = self._pictures.add(left)
+            self.publish(self._rectified(pair) if self._rectified else pair, frozen=frozen)
 
 
 class SimulatedFrame(NamedTuple):

@@ -9,7 +9,7 @@ from typing import Generic, TypeVar
 
 from protocol.errors import LinkLost
 from vision_pc.application.ports import CameraStatus, Clock
-from vision_pc.config.vision import CameraSettings
+from vision_pc.config.camera import CameraSettings
 from vision_pc.core.types import CameraFrame
 
 F = TypeVar("F", bound=CameraFrame)
@@ -33,6 +33,7 @@ class CameraFeed(Generic[F]):
         self._reconnects = -1
         self._started_ns = clock.now_ns
         self._trouble: str | None = "link.camera_missing"
+        self._detail = ""
 
     @property
     def newest(self) -> F | None:
@@ -51,6 +52,7 @@ class CameraFeed(Generic[F]):
             dropped=self._dropped,
             reconnects=max(self._reconnects, 0),
             trouble=trouble,
+            detail=self._detail if trouble is not None else "",
         )
 
     async def frame_after(self, capture_ns: int) -> F:
@@ -67,12 +69,12 @@ class CameraFeed(Generic[F]):
     def connected(self) -> None:
         """Note that a connection to the camera stands."""
         self._reconnects += 1
-        self._trouble = None
+        self._trouble, self._detail = None, ""
         self._started_ns = self._clock.now_ns
 
-    def lost(self, cause: str) -> None:
-        """Note that the connection ended or could not be made."""
-        self._trouble = cause
+    def lost(self, cause: str, detail: str = "") -> None:
+        """Note that the connection ended or could not be made; ``detail`` says more than the cause."""
+        self._trouble, self._detail = cause, detail
 
     def publish(self, frame: F, dropped: int = 0, frozen: bool = False) -> None:
         """Take a frame before which ``dropped`` never came; ``frozen``: it only repeats the one before."""
@@ -106,7 +108,9 @@ class CameraFeed(Generic[F]):
             else f"newest picture is {self._age_ms():.0f} ms old"
         )
         return LinkLost(
-            cause, f"camera ({self._settings.source}): {age}, limit {self._settings.stale_ms:g} ms"
+            cause,
+            f"camera ({self._settings.source}): {age}, limit {self._settings.stale_ms:g} ms"
+            + (f"; {self._detail}" if self._detail else ""),
         )
 
     def _age_ms(self) -> float:

@@ -97,7 +97,7 @@ class CameraStatus(NamedTuple):
     """How a camera is doing. ``age_ms`` since the newest frame was captured, None before the first.
 
     ``frames`` delivered, ``dropped`` never came although numbered, ``reconnects`` after the first connection,
-    ``trouble`` the present cause (``link.…``) or None.
+    ``trouble`` the present cause (``link.…``) or None, ``detail`` what is known of it beyond that.
     """
 
     connected: bool
@@ -107,6 +107,7 @@ class CameraStatus(NamedTuple):
     dropped: int = 0
     reconnects: int = 0
     trouble: str | None = None
+    detail: str = ""
 
 
 class Seen(NamedTuple):

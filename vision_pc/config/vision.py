@@ -12,66 +12,14 @@ from foundation.secret_source import SecretSource
 from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError
 from protocol.reference_messages import ANY_ARM
+from vision_pc.config.camera import CameraSettings, Port
 from vision_pc.config.hand_eye import CabinetSettings, GuidedSettings
 from vision_pc.config.programs import ProgramSettings
 
 Positive = Annotated[float, Field(gt=0.0)]
-Port = Annotated[int, Field(ge=1, le=65535)]
 
 # Keys that this file once had: all of the arm's dimensions are derived from arm.yaml.
 _MOVED_TO_ARM = ("programs.local_map.arm", "hand_eye.arm.links", "hand_eye.wrist_to_tool_m")
-
-
-class EyeSettings(StrictModel):
-    """Pinhole of one eye, pixel centres at integers; distortion k1 k2 p1 p2 k3, zeros for rectified
-    pictures.
-    """
-
-    fx_px: float = Field(ge=50.0, le=10_000.0)
-    fy_px: float = Field(ge=50.0, le=10_000.0)
-    cx_px: float = Field(ge=0.0, le=8192.0)
-    cy_px: float = Field(ge=0.0, le=8192.0)
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-class StreamSettings(StrictModel):
-    """Raw TCP stream of stereo frames."""
-
-    host: str = "127.0.0.1"
-    port: Port = 47100
-    reconnect_ms: float = Field(500.0, ge=10.0, le=60_000.0)
-
-
-class UvcSettings(StrictModel):
-    """A side-by-side UVC camera, such as a ZED2."""
-
-    device: int | str = 0
-    frame_rate_hz: float = Field(60.0, ge=1.0, le=240.0)
-    latency_ms: float = Field(30.0, ge=0.0, le=500.0)
-
-
-class DirectorySettings(StrictModel):
-    """A recorded directory of left/right PNG pairs with ``captures.csv``."""
-
-    path: Path = Path("recording")
-    speed: float = Field(1.0, ge=0.0, le=1000.0)
-
-
-class CameraSettings(StrictModel):
-    """The stereo camera: where its pictures come from and its calibration."""
-
-    source: Literal["stream", "uvc", "directory"] = "stream"
-    stale_ms: float = Field(ge=10.0, le=60_000.0)
-    frozen_frames: int = Field(ge=0, le=1000)
-    stream: StreamSettings = StreamSettings()
-    uvc: UvcSettings = UvcSettings()
-    directory: DirectorySettings = DirectorySettings()
-    width_px: int = Field(ge=64, le=8192)
-    height_px: int = Field(ge=64, le=8192)
-    left: EyeSettings
-    right: EyeSettings
-    baseline_m: float = Field(gt=0.005, le=2.0)
-    right_rotation_vector_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class ToolMarkerSettings(StrictModel):

@@ -58,6 +58,7 @@ def test_a_record_says_what_made_the_run_and_how_it_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sys.argv", ["/somewhere/bin/longreach", "demo", "--seed", "3"])
+
     def fail(directory: Path) -> None:
         (directory / "plant.log").write_text("a line")
         assert record.read(directory).is_running

@@ -272,8 +272,8 @@ def test_no_belief_is_the_plants_own_number(arm: str) -> None:
         ("plant.valves.joints.lift.deadband.supply_b=0.005", "controller.valves.lift.raising.deadband.value"),
         ("plant.errors.backlash.half_width_mrad=[0.3,1,1,1,1,1]", "vision.hand_eye.arm.play_mrad[0]"),
         ("plant.valves.joints.tilt.flow_l_min=100.0", "arm.drives[2].extend_m_s"),
-        ("scene.camera.lens.fx_px=530.0", "vision.camera.left.fx_px"),
-        ("scene.camera.baseline_m=0.12", "vision.camera.baseline_m"),
+        ("scene.camera.lens.fx_px=530.0", "vision.camera.calibration.left.fx_px"),
+        ("scene.camera.baseline_m=0.12", "vision.camera.calibration.baseline_m"),
         ("vision.markers.print_size_std=0.0006", "vision.markers.print_size_std"),
     ],
 )

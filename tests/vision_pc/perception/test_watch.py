@@ -13,7 +13,8 @@ from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
 from protocol.errors import MeasurementFailed
 from tests.vision_pc.conftest import VISION_YAML
-from vision_pc.config.vision import EyeSettings, VisionConfig
+from vision_pc.config.camera import EyeSettings, PinholePair
+from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics, look
 from vision_pc.core.perception.watch import Watcher
@@ -69,8 +70,8 @@ class World:
             cy_px=lens.cy_px,
             distortion=(lens.k1, lens.k2, lens.p1, lens.p2, lens.k3),
         )
-        told = {"left": eye, "right": eye, "baseline_m": self.config.camera.baseline_m}
-        return intrinsics.calibration(config.camera.model_copy(update=told))
+        told = PinholePair(left=eye, right=eye, baseline_m=self.config.camera.baseline_m)
+        return intrinsics.calibration(config.camera.model_copy(update={"calibration": told}))
 
 
 @pytest.fixture(scope="module")

@@ -12,13 +12,18 @@ import cv2
 import numpy as np
 import pytest
 
-from protocol.errors import ConfigurationError, LinkLost
+from protocol.errors import ConfigurationError, FrameRefused, LinkLost
 from protocol.stereo_frame import FrameHeader, encode_header
-from vision_pc.config.vision import CameraSettings, VisionConfig
+from tests.vision_pc.perception.test_rectification import raw_camera
+from vision_pc.config.camera import CameraSettings
+from vision_pc.config.stereo_camera import LensModel
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core.buffers import BufferPool
+from vision_pc.core.perception.rectification import Rectifier
 from vision_pc.core.types import StereoPair
-from vision_pc.shell.cameras import CameraSource, open_camera
+from vision_pc.shell.cameras import CameraSource, open_camera, uvc
 from vision_pc.shell.cameras.directory import PairRecorder, recorded, recorded_pairs
-from vision_pc.shell.cameras.stream import BufferPool, StreamClock
+from vision_pc.shell.cameras.stream import StreamClock
 
 pytestmark = pytest.mark.realtime
 
@@ -222,7 +227,9 @@ async def test_pictures_of_another_size_are_refused(config: VisionConfig, sender
     async with opened(camera_settings.model_copy(update={"stream": slow})) as camera:
         await asyncio.to_thread(sender.wait)
         sender.send(1, size=(WIDTH, 2 * HEIGHT))
-        with pytest.raises(LinkLost) as lost:
+        with pytest.raises(
+            LinkLost, match=f"are {WIDTH}×{2 * HEIGHT} px, configured are {WIDTH}×{HEIGHT}"
+        ) as lost:
             await camera.frame_after(0)
         assert lost.value.cause == "frame.wrong_size"
 
@@ -272,9 +279,50 @@ async def test_film_of_another_size_is_refused(config: VisionConfig, tmp_path: P
     film.write(np.zeros((HEIGHT, WIDTH, 3), np.uint8))
     film.release()
     async with opened(settings(config, "uvc", uvc={"device": str(path)})) as camera:
-        with pytest.raises(LinkLost) as lost:
+        told = f"{WIDTH // 2}x{HEIGHT} px an eye came, {WIDTH}x{HEIGHT} are wanted"
+        with pytest.raises(LinkLost, match=told) as lost:
             await camera.frame_after(0)
         assert lost.value.cause == "frame.wrong_size"
+        assert str(path) in camera.status().detail
+
+
+async def test_raw_pairs_of_film_and_directory_come_rectified(config: VisionConfig, tmp_path: Path) -> None:
+    raw = raw_camera(LensModel.BROWN_CONRADY, (WIDTH, HEIGHT), 60.0)
+    told = {"calibration": raw.model_dump(), "frozen_frames": 0}
+    v, u = np.mgrid[0:HEIGHT, 0:WIDTH]
+    pair = StereoPair((u * 2).astype(np.uint8), (v * 3).astype(np.uint8), 1, 1)
+    expected = Rectifier(raw)(pair)
+    recorder = PairRecorder(tmp_path)
+    recorder.add(pair)
+    recorder.close()
+    async with opened(settings(config, "directory", directory={"path": tmp_path}, **told)) as camera:
+        found = await camera.frame_after(0)
+        np.testing.assert_array_equal(found.left, expected.left)
+        np.testing.assert_array_equal(found.right, expected.right)
+    assert (found.left != pair.left).any()
+    path = tmp_path / "film.avi"
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (2 * WIDTH, HEIGHT))
+    film.write(cv2.cvtColor(np.hstack([pair.left, pair.right]), cv2.COLOR_GRAY2BGR))
+    film.release()
+    async with opened(settings(config, "uvc", uvc={"device": str(path)}, **told)) as camera:
+        found = await camera.frame_after(0)
+        assert np.abs(found.left.astype(int) - expected.left).mean() < 3.0  # what the film's coding leaves
+
+
+def test_pictures_of_every_kind_become_grey() -> None:
+    level = np.full((4, 6), 77, dtype=np.uint8)
+    bgr = cv2.cvtColor(level, cv2.COLOR_GRAY2BGR)
+    yuyv = np.dstack([level, np.full_like(level, 128)])
+    for picture in (level, level[..., None], bgr, cv2.cvtColor(bgr, cv2.COLOR_BGR2BGRA), yuyv,
+                    level.astype(np.uint16) * 256):  # fmt: skip
+        np.testing.assert_array_equal(uvc.grey(np.asarray(picture)), level)
+    coloured = np.zeros((2, 2, 3), dtype=np.uint8)
+    coloured[..., 1] = 255
+    assert uvc.grey(coloured)[0, 0] == 150  # green weighs 0.587
+    with pytest.raises(FrameRefused, match="5 channels of uint8 came; grey, BGR"):
+        uvc.grey(np.zeros((2, 2, 5), dtype=np.uint8))
+    with pytest.raises(FrameRefused, match="5 px wide came"):
+        uvc.halves(np.zeros((2, 5), dtype=np.uint8), "film.avi")
 
 
 def record(directory: Path, count: int = 4) -> list[StereoPair]:

@@ -5,8 +5,10 @@ import math
 import cv2
 import numpy as np
 
-from vision_pc.config.vision import CameraSettings, EyeSettings
+from vision_pc.config.camera import CameraSettings, EyeSettings
+from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.core import se3
+from vision_pc.core.perception.rectification import rectified_camera
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel
 
@@ -14,13 +16,19 @@ _UNDISTORT_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
 
 
 def calibration(settings: CameraSettings) -> CameraCalibration:
-    """The calibration that the configuration describes."""
-    R_CR = se3.exp_so3(np.radians(settings.right_rotation_vector_deg))
+    """The calibration that the configuration describes; of a raw camera, that of its rectified pairs.
+
+    Raises ConfigurationError as ``rectification.geometry``.
+    """
+    told = settings.calibration
+    if isinstance(told, StereoCalibration):
+        return rectified_camera(told)
+    R_CR = se3.exp_so3(np.radians(told.right_rotation_vector_deg))
     return CameraCalibration(
         settings.width_px,
         settings.height_px,
-        _eye(settings.left, se3.identity()),
-        _eye(settings.right, se3.transform(R_CR, (settings.baseline_m, 0.0, 0.0))),
+        _eye(told.left, se3.identity()),
+        _eye(told.right, se3.transform(R_CR, (told.baseline_m, 0.0, 0.0))),
     )
 
 

@@ -4,7 +4,7 @@ directory.
 
 from collections.abc import Callable
 
-from vision_pc.config.vision import CameraSettings
+from vision_pc.config.camera import CameraSettings
 from vision_pc.shell.cameras.directory import DirectoryCamera
 from vision_pc.shell.cameras.source import CameraSource
 from vision_pc.shell.cameras.stream import StreamCamera

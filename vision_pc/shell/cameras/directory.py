@@ -9,7 +9,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from protocol.errors import ConfigurationError
+from protocol.errors import ConfigurationError, FrameRefused
 from vision_pc.core.types import Image, StereoPair
 from vision_pc.shell.cameras.source import CameraSource
 
@@ -109,13 +109,9 @@ class DirectoryCamera(CameraSource):
                     self._stop.wait(max(capture_ns - time.monotonic_ns(), 0) / 1e9)
                 if self._stop.is_set():
                     return
-                if (
-                    left.shape != (self._settings.height_px, self._settings.width_px)
-                    or right.shape != left.shape
-                ):
-                    self._is_gone("frame.wrong_size")
-                    return
+                self._check_size(left, str(entry.left))
+                self._check_size(right, str(entry.right))
                 self._deliver(StereoPair(left, right, capture_ns, entry.frame_id))
             self._is_gone("link.recording_ended")
-        except ConfigurationError as error:
-            self._is_gone(error.cause)
+        except (ConfigurationError, FrameRefused) as error:
+            self._is_gone(error.cause, str(error))

@@ -8,7 +8,8 @@ import numpy as np
 
 from foundation.configuration import load
 from protocol.errors import ConfigurationError, MeasurementFailed
-from vision_pc.config.vision import CameraSettings, EyeSettings, OdometrySettings, RectifiedPairSettings
+from vision_pc.config.camera import CameraSettings, EyeSettings, PinholePair
+from vision_pc.config.vision import OdometrySettings, RectifiedPairSettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import StereoOdometry
 from vision_pc.core.perception import intrinsics
@@ -69,9 +70,9 @@ def read_calibration(path: Path, pair: StereoPair) -> CameraCalibration:
             frozen_frames=0,
             width_px=width,
             height_px=height,
-            left=left,
-            right=left.model_copy(update={"cx_px": right_cx}),
-            baseline_m=found.baseline_m,
+            calibration=PinholePair(
+                left=left, right=left.model_copy(update={"cx_px": right_cx}), baseline_m=found.baseline_m
+            ),
         )
     )
 

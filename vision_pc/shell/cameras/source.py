@@ -7,19 +7,27 @@ from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 from vision_pc.application.camera_feed import CameraFeed
-from vision_pc.config.vision import CameraSettings
+from vision_pc.config.camera import CameraSettings
+from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.core.perception.frozen_pictures import FrozenPictures
-from vision_pc.core.types import StereoPair
+from vision_pc.core.perception.rectification import Rectifier, refuse_size
+from vision_pc.core.types import Image, StereoPair
 from vision_pc.shell.monotonic_clock import MonotonicClock
 
 _JOIN_S = 1.0
 
 
 class CameraSource(CameraFeed[StereoPair]):
-    """Pairs from a camera. The thread in ``_produce`` blocks; everything else belongs to the event loop."""
+    """Pairs from a camera, rectified where ``calibration`` is a raw camera's.
+
+    The thread in ``_produce`` blocks; everything else belongs to the event loop.
+    """
 
     def __init__(self, settings: CameraSettings) -> None:
+        """Compute the maps of a raw camera. Raises ConfigurationError for a lens that folds over."""
         super().__init__(settings, MonotonicClock())
+        told = settings.calibration
+        self._rectified = Rectifier(told) if isinstance(told, StereoCalibration) else None
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._produce, name=f"camera-{settings.source}", daemon=True)
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -55,13 +63,17 @@ class CameraSource(CameraFeed[StereoPair]):
         """From the thread: a connection stands."""
         self._call(self.connected)
 
-    def _is_gone(self, cause: str) -> None:
+    def _is_gone(self, cause: str, detail: str = "") -> None:
         """From the thread: the connection ended or could not be made."""
-        self._call(self.lost, cause)
+        self._call(self.lost, cause, detail)
+
+    def _check_size(self, picture: Image, source: str) -> None:
+        """Raises FrameRefused (``frame.wrong_size``) where one eye's picture is not as configured."""
+        refuse_size(picture, (self._settings.width_px, self._settings.height_px), source)
 
     def _deliver(self, pair: StereoPair, dropped: int = 0) -> None:
-        """From the thread: a pair, before which ``dropped`` never came."""
-        self._call(self._arrived, pair, dropped)
+        """From the thread: a pair of the configured size, before which ``dropped`` never came."""
+        self._call(self._arrived, self._rectified(pair) if self._rectified else pair, dropped)
 
     def _arrived(self, pair: StereoPair, dropped: int) -> None:
         self.publish(pair, dropped, frozen=self._pictures.add(pair.left))

@@ -1,24 +1,21 @@
 """The emulated camera: stereo frames over raw TCP, received into buffers that are used again."""
 
 import socket
-import sys
 import time
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol.errors import FrameRefused, LinkLost
 from protocol.stereo_frame import HEADER_BYTES, FrameHeader, decode_header
-from vision_pc.config.vision import CameraSettings
+from vision_pc.config.camera import CameraSettings
+from vision_pc.core.buffers import BufferPool
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras.source import CameraSource
 
 _RECEIVE_BUFFER_BYTES = 1 << 20
 _CLOCK_WINDOW = 200  # frames whose least delay gives the sender's clock
 _POLL_S = 0.2  # how soon the thread sees that it is to stop
-_POOLED = 16  # more at once are held by what waits for the garbage collector, and are not kept
-_UNUSED = 2  # references to a buffer that nobody else holds: the pool's and the question's
 
 
 class StreamClock:
@@ -39,24 +36,6 @@ class StreamClock:
         return sender_ns + min(self._differences)
 
 
-class BufferPool:
-    """At most 16 byte buffers of one size, each handed out again only when no picture made of it is left."""
-
-    def __init__(self) -> None:
-        self._buffers: list[NDArray[np.uint8]] = []
-
-    def take(self, size: int) -> NDArray[np.uint8]:
-        """A buffer (size,) that nobody reads."""
-        self._buffers = [buffer for buffer in self._buffers if len(buffer) == size]
-        for index in range(len(self._buffers)):
-            if sys.getrefcount(self._buffers[index]) == _UNUSED:
-                return self._buffers[index]
-        buffer = np.empty(size, dtype=np.uint8)
-        if len(self._buffers) < _POOLED:
-            self._buffers.append(buffer)
-        return buffer
-
-
 class StreamCamera(CameraSource):
     """Connects to the stream, and again whenever it ends, is silent for too long or loses its place."""
 
@@ -73,7 +52,7 @@ class StreamCamera(CameraSource):
                     self._is_there()
                     self._receive(connection)
             except (FrameRefused, LinkLost) as error:
-                self._is_gone(error.cause)
+                self._is_gone(error.cause, str(error))
             except OSError:
                 self._is_gone("link.camera_missing")
             self._stop.wait(stream.reconnect_ms / 1e3)

@@ -96,6 +96,8 @@ def _add_state(app: FastAPI, application: VisionApplication, operations: Operati
         status = HTTPStatus.SERVICE_UNAVAILABLE
         trouble = link_view(controller).trouble
         why = f"; {trouble.cause}: {trouble.detail}" if trouble else ""
+        if camera.trouble is not None:
+            why += f"; {camera.trouble}" + (f": {camera.detail}" if camera.detail else "")
         detail = f"not answering: {missing}{why}" + (f"; {overload}" if overload else "")
         told = {"overload": overload or None} | parts
         return respond(problem(status, "link.degraded", detail, instance=request.url.path) | told)

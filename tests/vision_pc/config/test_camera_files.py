@@ -1,0 +1,319 @@
+"""Calibration files of others become one value with one set of signs; bad ones are refused by file and key.
+
+All files here are written from the formats' descriptions, for one camera whose eyes are known.
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from foundation.configuration import load, parse_overrides
+from protocol.errors import ConfigurationError
+from tests.vision_pc.conftest import VISION_YAML
+from vision_pc.config.camera_files.parts import rotation, rotation_vector
+from vision_pc.config.camera_files.reading import read_calibration, read_calibrations, write_calibration
+from vision_pc.config.stereo_camera import LensModel, StereoCalibration
+from vision_pc.config.vision import VisionConfig
+
+SIZE = (1280, 720)
+K1 = np.array([[700.1, 0.0, 641.2], [0.0, 699.4, 355.7], [0.0, 0.0, 1.0]])
+K2 = np.array([[698.3, 0.0, 638.9], [0.0, 697.9, 362.4], [0.0, 0.0, 1.0]])
+D1 = (-0.17, 0.025, 0.0003, -0.0002, 0.001)
+D2 = (-0.168, 0.024, -0.0001, 0.0004, 0.0)
+FISHEYE1, FISHEYE2 = (0.02, -0.01, 0.003, -0.0005), (0.021, -0.011, 0.002, -0.0004)
+TURN = np.array(
+    [-0.0042, 0.0085, -0.0015]
+)  # of R_RL: a point p of the left eye is at R p + T in the right one
+R = cv2.Rodrigues(TURN)[0]
+T = np.array([-0.1199, 0.0003, -0.0008])
+
+ZED = """\
+[LEFT_CAM_2K]
+fx=1400.2
+fy=1398.8
+cx=1104.0
+cy=620.0
+k1=-0.17
+k2=0.025
+p1=0
+p2=0
+k3=0
+[LEFT_CAM_HD]
+fx = 700.1
+fy = 699.4
+cx = 641.2
+cy = 355.7
+k1 = -0.17
+k2 = 0.025
+p1 = 0.0003
+p2 = -0.0002
+k3 = 0.001
+
+[RIGHT_CAM_HD]
+fx=698.3
+fy=697.9
+cx=638.9
+cy=362.4
+k1=-0.168
+k2=0.024
+p1=-0.0001
+p2=0.0004
+k3=0
+
+[STEREO]
+Baseline=119.9
+TY=0.3
+TZ=-0.8
+CV_2K=0.01
+CV_HD=0.0085
+RX_HD=-0.0042
+RZ_HD=-0.0015
+
+[MISC]
+Sensor_ID=1
+"""
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def camchain(model: str = "radtan", coefficients: tuple[tuple[float, ...], ...] = (D1[:4], D2[:4])) -> str:
+    X = np.eye(4)
+    X[:3, :3], X[:3, 3] = R, T
+    cams = []
+    for k, (K, D) in enumerate(zip((K1, K2), coefficients, strict=True)):
+        places = [float(K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2))]
+        chain = f"  T_cn_cnm1: {X.tolist()}\n" if k else ""
+        cams.append(
+            f"cam{k}:\n  camera_model: pinhole\n  intrinsics: {places}\n  distortion_model: {model}\n"
+            f"  distortion_coeffs: {list(D)}\n  resolution: {list(SIZE)}\n{chain}"
+            f"  rostopic: /cam{k}/image_raw\n"
+        )
+    return "".join(cams)
+
+
+def camera_infos() -> tuple[str, str]:
+    """As ROS's camera_calibration writes them, rectified by cv2.stereoRectify."""
+    R1, R2, P1, P2, *_ = cv2.stereoRectify(K1, np.array(D1), K2, np.array(D2), SIZE, R, T, alpha=0.0)
+    texts = []
+    for name, K, D, R_rectified, P in (("left", K1, D1, R1, P1), ("right", K2, D2, R2, P2)):
+        entry = "{}: {{rows: {}, cols: {}, data: {}}}\n".format
+        texts.append(
+            f"image_width: {SIZE[0]}\nimage_height: {SIZE[1]}\ncamera_name: {name}\n"
+            + entry("camera_matrix", 3, 3, K.ravel().tolist())
+            + "distortion_model: plumb_bob\n"
+            + entry("distortion_coefficients", 1, 5, list(D))
+            + entry("rectification_matrix", 3, 3, R_rectified.ravel().tolist())
+            + entry("projection_matrix", 3, 4, P.ravel().tolist())
+        )
+    return texts[0], texts[1]
+
+
+def storage(path: Path, unit: float = 1.0, **matrices: np.ndarray) -> Path:
+    """A file of OpenCV's own FileStorage."""
+    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in matrices.items():
+        file.write(name, np.asarray(value, dtype=np.float64) * (unit if name == "T" else 1.0))
+    file.release()
+    return path
+
+
+def check(found: StereoCalibration, coefficients: tuple[tuple[float, ...], ...] = (D1, D2)) -> None:
+    """The camera of this file."""
+    assert (found.width_px, found.height_px) == SIZE
+    for eye, K, D in ((found.left, K1, coefficients[0]), (found.right, K2, coefficients[1])):
+        np.testing.assert_allclose(
+            (eye.fx_px, eye.fy_px, eye.cx_px, eye.cy_px), K[[0, 1, 0, 1], [0, 1, 2, 2]]
+        )
+        np.testing.assert_allclose(eye.distortion, D)
+    R_LR = cv2.Rodrigues(np.radians(np.array(found.right_rotation_vector_deg)))[0]
+    np.testing.assert_allclose(R_LR, R.T, atol=1e-12)
+    np.testing.assert_allclose(found.right_position_m, -R.T @ T, atol=1e-12)
+
+
+def test_a_zed_file_is_read_at_the_size_that_is_asked_for(tmp_path: Path) -> None:
+    check(read_calibration(write(tmp_path / "SN1.conf", ZED), SIZE))
+
+
+@pytest.mark.parametrize("line", ["TY=0.3\n", "TZ=-0.8\n"])
+def test_older_zed_files_have_no_small_shifts(tmp_path: Path, line: str) -> None:
+    found = read_calibration(write(tmp_path / "SN1.conf", ZED.replace(line, "")), SIZE)
+    t_RL = -R @ np.array(found.right_position_m)
+    gone = 1 if line[1] == "Y" else 2
+    wanted = T.copy()
+    wanted[gone] = 0.0
+    np.testing.assert_allclose(t_RL, wanted, atol=1e-12)
+
+
+def test_newer_zed_files_hold_the_distortion_apart_and_shifts_by_resolution(tmp_path: Path) -> None:
+    eye = "[{}_CAM_HD]\nfx=700\nfy=700\ncx=640\ncy=360\n"
+    bent = "[{}_DISTO]\nk1=-0.1\nk2=0.02\np1=0.001\np2=0\nk3=0.01\nk4=0.2\nk5=0.01\nk6=0.003\n"
+    stereo = "[STEREO]\nBaseline=120\nTY=9\nTY_HD=0.1\nTZ_HD=0.2\nCV_HD=0\nRX_HD=0\nRZ_HD=0\n"
+    text = "".join(part.format(side) for part in (eye, bent) for side in ("LEFT", "RIGHT")) + stereo
+    found = read_calibration(write(tmp_path / "SN2.conf", text), SIZE)
+    assert found.left.lens is LensModel.RATIONAL
+    assert found.left.distortion == (-0.1, 0.02, 0.001, 0.0, 0.01, 0.2, 0.01, 0.003)
+    np.testing.assert_allclose(found.right_position_m, (0.12, -0.0001, -0.0002))
+
+
+def test_kalibrs_camchain(tmp_path: Path) -> None:
+    check(read_calibration(write(tmp_path / "camchain.yaml", camchain())), ((*D1[:4], 0.0), (*D2[:4], 0.0)))
+    fisheye = write(tmp_path / "fisheye.yaml", camchain("equidistant", (FISHEYE1, FISHEYE2)))
+    found = read_calibration(fisheye)
+    assert found.left.lens is LensModel.FISHEYE
+    check(found, (FISHEYE1, FISHEYE2))
+
+
+def test_two_camera_infos_of_ros(tmp_path: Path) -> None:
+    left, right = camera_infos()
+    paths = [write(tmp_path / "left.yaml", left), write(tmp_path / "right.yaml", right)]
+    check(read_calibrations(paths))
+    with pytest.raises(ConfigurationError, match=r"left\.yaml: projection_matrix.*; likely the left"):
+        read_calibrations(paths[::-1])
+    with pytest.raises(ConfigurationError, match="one eye, both are wanted: longreach camera convert"):
+        read_calibration(paths[0])
+
+
+def test_what_opencv_stores(tmp_path: Path) -> None:
+    both = storage(tmp_path / "stereo.yml", 1000.0, M1=K1, D1=np.array([D1]), M2=K2, D2=np.array([D2]), R=R,
+                   T=T.reshape(3, 1))  # fmt: skip
+    check(read_calibration(both, SIZE, length_m=0.001))
+    inner = storage(tmp_path / "intrinsics.yml", M1=K1, D1=np.array([D1]), M2=K2, D2=np.array([D2]))
+    outer = storage(tmp_path / "extrinsics.yml", R=R, T=T.reshape(3, 1))
+    check(read_calibrations([inner, outer], SIZE))
+    with pytest.raises(ConfigurationError, match=r"image_width, image_height is missing: .*--size"):
+        read_calibration(both)
+    with pytest.raises(ConfigurationError, match=r"119\.9.* m apart, 0\.005 to 2 are believed; likely milli"):
+        read_calibration(both, SIZE)
+
+
+def test_our_own_file_gives_the_same_numbers_back(tmp_path: Path) -> None:
+    first = read_calibration(write(tmp_path / "SN1.conf", ZED), SIZE)
+    size = len(first.parameters)
+    root = np.random.default_rng(1).normal(size=(size, size)) * np.geomspace(1e-9, 1.0, size)[:, None]
+    covariance = tuple(tuple(row) for row in (root @ root.T).tolist())
+    known = first.model_copy(update={"covariance": covariance, "rms_px": 0.12})
+    write_calibration(tmp_path / "camera.yaml", known)
+    again = read_calibration(tmp_path / "camera.yaml")
+    assert again == known
+    assert again.parameters[:2] == ("left.fx_px", "left.fy_px")
+    assert size == 24
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "told"),
+    [
+        ("fx = 700.1", "fx = abc", r"SN1\.conf: \[LEFT_CAM_HD\] fx = 'abc': a number is wanted"),
+        ("fx = 700.1", "fx = nan", r"\[LEFT_CAM_HD\] fx = 'nan': a finite number is wanted"),
+        ("fx = 700.1\n", "", r"\[LEFT_CAM_HD\] fx is missing"),
+        ("[RIGHT_CAM_HD]", "[RIGHT_CAM_FHD]", r"\[RIGHT_CAM_HD\] is missing: .*1280x720.* has LEFT_CAM_2K"),
+        ("RX_HD=-0.0042\n", "", r"\[STEREO\] RX_HD is missing: radians"),
+        ("Baseline=119.9", "Baseline=0.1199", r"0\.00086\d* m apart.*likely millimetres"),
+        ("Baseline=119.9", "Baseline=-119.9", r"not to the right of the first"),
+        ("CV_HD=0.0085", "CV_HD=1.2", r"turned by 68\.\d degrees, at most 45"),
+        ("cx = 641.2", "cx = 1641.2", r"left\.cx_px, cy_px: .* outside a picture of 1280x720"),
+        ("[MISC]", "[STEREO]", r"no ZED file: .*section 'STEREO' already exists"),
+    ],
+)
+def test_a_bad_zed_file_is_refused_by_key_and_value(
+    tmp_path: Path, was: str, becomes: str, told: str
+) -> None:
+    assert was in ZED
+    path = write(tmp_path / "SN1.conf", ZED.replace(was, becomes))
+    with pytest.raises(ConfigurationError, match=told) as refusal:
+        read_calibration(path, SIZE)
+    assert "\n" not in str(refusal.value)
+    assert str(path) in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "is empty; a ZED file"),
+        ("a: 1\n", "has a; a ZED file"),
+        ("- 1\n", "a mapping is wanted"),
+        (camchain().replace("pinhole", "omni"), r"cam0\.camera_model = 'omni': pinhole is wanted"),
+        (camchain().replace("radtan", "fov"), r"distortion_model = 'fov': radtan, equidistant or none"),
+        (camchain().replace("T_cn_cnm1", "T_cam_imu"), r"cam1\.T_cn_cnm1 is missing"),
+        (camchain("equidistant", (D1, D2)), r"cam0\.distortion_coeffs = .*4 coefficients"),
+        (camchain("radtan", ((0.1, 0.2, 0.3), D2[:4])), r"cam0\.distortion_coeffs = .*4, 5 or 8"),
+        (camchain().replace("[1280, 720]", "[1280]"), r"cam0\.resolution = .*width and height"),
+        ("%YAML:1.0\n---\nM1: [1, 2\n", "no FileStorage of OpenCV"),
+        ("%YAML:1.0\n---\nM1: 3\n", r"D1 is missing: as cv2\.stereoCalibrate"),
+    ],
+)
+def test_other_bad_files_are_refused_in_one_line(tmp_path: Path, text: str, told: str) -> None:
+    with pytest.raises(ConfigurationError, match=told) as refusal:
+        read_calibration(write(tmp_path / "camera.yaml", text), SIZE)
+    assert "\n" not in str(refusal.value)
+
+
+def test_binary_absent_and_mirrored_files(tmp_path: Path) -> None:
+    (tmp_path / "svo.yaml").write_bytes(b"\x89PNG\xff\xfe")
+    with pytest.raises(ConfigurationError, match="no text at byte 0"):
+        read_calibration(tmp_path / "svo.yaml")
+    with pytest.raises(ConfigurationError, match="No such file"):
+        read_calibration(tmp_path / "none.yaml")
+    mirrored = camchain().replace(f"{float(R[0, 0])}", f"{-float(R[0, 0])}")
+    with pytest.raises(ConfigurationError, match="a rotation is wanted"):
+        read_calibration(write(tmp_path / "mirrored.yaml", mirrored))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-4, 0.5, 2.0])
+def test_rotation_vectors_agree_with_opencv(angle: float) -> None:
+    vector = angle * np.array([0.6, -0.48, 0.64])
+    np.testing.assert_allclose(rotation(vector), cv2.Rodrigues(vector)[0], atol=1e-12)
+    np.testing.assert_allclose(rotation_vector(Path("x"), "R", rotation(vector)), vector, atol=1e-12)
+
+
+def test_the_configuration_takes_a_file_in_place_of_numbers(tmp_path: Path) -> None:
+    path = write(tmp_path / "SN1.conf", ZED)
+    asked = parse_overrides([f"vision.camera.calibration={path}"])["vision"]
+    config = load(VisionConfig, VISION_YAML, asked)
+    assert isinstance(config.camera.calibration, StereoCalibration)
+    check(config.camera.calibration)
+    assert VisionConfig.model_validate(config.model_dump()) == config
+
+
+@pytest.mark.parametrize(
+    ("assignments", "told"),
+    [
+        (["vision.camera.left={fx_px: 700}"], r"camera\.left: is now camera\.calibration\.left"),
+        (["vision.camera.baseline_m=0.1"], r"camera\.baseline_m: is now camera\.calibration"),
+        (["vision.camera.calibration=camera.yaml"], "camera.yaml: No such file"),
+        (["vision.camera.calibration={left: {fx_px: 10}}"], r"calibration\.rectified\.left\.fx_px = 10"),
+    ],
+)
+def test_two_cameras_at_once_and_files_that_are_not_there_are_refused(
+    assignments: list[str], told: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=told):
+        load(VisionConfig, VISION_YAML, parse_overrides(assignments)["vision"])
+
+
+def test_numbers_cannot_be_set_beside_a_file() -> None:
+    both = ["vision.camera.calibration=camera.yaml", "vision.camera.calibration.left.fx_px=700"]
+    with pytest.raises(ConfigurationError, match="calibration already has a value"):
+        parse_overrides(both)
+
+
+def test_a_file_for_another_size_says_both(tmp_path: Path) -> None:
+    path = write(tmp_path / "camchain.yaml", camchain())
+    asked = [
+        f"vision.camera.calibration={path}",
+        "vision.camera.width_px=1920",
+        "vision.camera.height_px=1080",
+    ]
+    with pytest.raises(ConfigurationError, match=r"of 1280x720 px.* are 1920x1080") as refusal:
+        load(VisionConfig, VISION_YAML, parse_overrides(asked)["vision"])
+    assert refusal.value.cause == "configuration.calibration_size"
+    asked[0] = f"vision.camera.calibration={write(tmp_path / 'SN1.conf', ZED)}"
+    with pytest.raises(ConfigurationError, match=r"\[LEFT_CAM_FHD\] is missing"):
+        load(VisionConfig, VISION_YAML, parse_overrides(asked)["vision"])
+    asked[1] = "vision.camera.width_px=1000"
+    with pytest.raises(ConfigurationError, match="no ZED takes pictures of 1000x1080 px"):
+        load(VisionConfig, VISION_YAML, parse_overrides(asked)["vision"])

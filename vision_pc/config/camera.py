@@ -1,0 +1,127 @@
+"""Configuration of vision's stereo camera: where its pictures come from, and what is believed of it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, model_validator
+
+from foundation.configuration import StrictModel
+from protocol.errors import ConfigurationError
+from vision_pc.config.stereo_camera import StereoCalibration
+
+Port = Annotated[int, Field(ge=1, le=65535)]
+
+_MOVED = ("left", "right", "baseline_m", "right_rotation_vector_deg")
+"""Keys that stood beside ``calibration`` before it could be a file: both at once would be two cameras."""
+
+
+class EyeSettings(StrictModel):
+    """Pinhole of one eye, pixel centres at integers; distortion k1 k2 p1 p2 k3, zeros for rectified
+    pictures.
+    """
+
+    fx_px: float = Field(ge=50.0, le=10_000.0)
+    fy_px: float = Field(ge=50.0, le=10_000.0)
+    cx_px: float = Field(ge=0.0, le=8192.0)
+    cy_px: float = Field(ge=0.0, le=8192.0)
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class PinholePair(StrictModel):
+    """What is believed of pictures that are used as they come: they are rectified, or nearly."""
+
+    left: EyeSettings
+    right: EyeSettings
+    baseline_m: float = Field(gt=0.005, le=2.0)
+    right_rotation_vector_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class StreamSettings(StrictModel):
+    """Raw TCP stream of stereo frames."""
+
+    host: str = "127.0.0.1"
+    port: Port = 47100
+    reconnect_ms: float = Field(500.0, ge=10.0, le=60_000.0)
+
+
+class UvcSettings(StrictModel):
+    """A side-by-side UVC camera, such as a ZED2. ``exposure_us`` and ``gain``: none leaves them to the
+    camera.
+
+    Exposure is set as V4L2 has it, in steps of 100 µs; the gain has the driver's own unit.
+    """
+
+    device: int | str = 0
+    frame_rate_hz: float = Field(60.0, ge=1.0, le=240.0)
+    latency_ms: float = Field(30.0, ge=0.0, le=500.0)
+    exposure_us: float | None = Field(None, ge=100.0, le=1_000_000.0)
+    gain: float | None = Field(None, ge=0.0, le=10_000.0)
+
+
+class DirectorySettings(StrictModel):
+    """A recorded directory of left/right PNG pairs with ``captures.csv``."""
+
+    path: Path = Path("recording")
+    speed: float = Field(1.0, ge=0.0, le=1000.0)
+
+
+def _opened(value: Any, info: ValidationInfo) -> Any:
+    """A mapping as it stands, or what is in the file that is named."""
+    if not isinstance(value, str | Path):
+        return value
+    from vision_pc.config.camera_files.reading import (
+        read_calibration,  # numpy, which most commands do without
+    )
+
+    beside = (info.context or {}).get("directory", Path()) / value
+    path = beside if beside.exists() else Path(value)
+    size = (info.data.get("width_px", 0), info.data.get("height_px", 0))
+    found = read_calibration(path, size)
+    if (found.width_px, found.height_px) != size:
+        raise ConfigurationError(
+            "configuration.calibration_size",
+            f"{path}: is for pictures of {found.width_px}x{found.height_px} px, camera.width_px and "
+            f"height_px are {size[0]}x{size[1]}; calibrate at this size, or set the size of the file",
+        )
+    return found
+
+
+def _kind(value: Any) -> str:
+    raw = "format" in value if isinstance(value, Mapping) else isinstance(value, StereoCalibration)
+    return "raw" if raw else "rectified"
+
+
+Calibration = Annotated[
+    Annotated[PinholePair, Tag("rectified")] | Annotated[StereoCalibration, Tag("raw")], Discriminator(_kind)
+]
+
+
+class CameraSettings(StrictModel):
+    """The stereo camera: where its pictures come from and its calibration.
+
+    ``calibration`` is a ``PinholePair`` for pictures that are used as they come, or the path of a camera's
+    calibration file (ours, ZED, Kalibr, OpenCV): every pair is then rectified by it, and vision has the
+    rectified pictures' intrinsics. A relative path counts from the directory of ``vision.yaml``, else from
+    the working directory.
+    """
+
+    source: Literal["stream", "uvc", "directory"] = "stream"
+    stale_ms: float = Field(ge=10.0, le=60_000.0)
+    frozen_frames: int = Field(ge=0, le=1000)
+    stream: StreamSettings = StreamSettings()
+    uvc: UvcSettings = UvcSettings()
+    directory: DirectorySettings = DirectorySettings()
+    width_px: int = Field(ge=64, le=8192)
+    height_px: int = Field(ge=64, le=8192)
+    calibration: Annotated[Calibration, BeforeValidator(_opened)]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_two_cameras(cls, document: Any) -> Any:
+        for key in _MOVED:
+            if isinstance(document, Mapping) and key in document:
+                raise ConfigurationError(
+                    "configuration.unknown_key", f"vision.yaml: camera.{key}: is now camera.calibration.{key}"
+                )
+        return document

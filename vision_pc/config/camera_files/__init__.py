@@ -1,0 +1,1 @@
+"""Calibration files of stereo cameras: our own, and those of others."""

@@ -1,0 +1,153 @@
+"""A stereo camera as it comes: both lenses, and where the right eye is. This model is also our own file of
+one.
+
+Pixel centres lie at integers, as in OpenCV. C is the left eye: x right, y down, z forward.
+"""
+
+import math
+from enum import StrEnum
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from foundation.configuration import StrictModel
+
+FORMAT = "longreach-camera/1"
+_LEAST_BASELINE_M, _LARGEST_BASELINE_M = 0.005, 2.0
+_LARGEST_TURN_DEG = 45.0
+
+Vector3 = tuple[float, float, float]
+Row = tuple[float, ...]
+Focal = Annotated[float, Field(ge=50.0, le=20_000.0)]
+Place = Annotated[float, Field(ge=-8192.0, le=16_384.0)]
+
+
+class LensModel(StrEnum):
+    """How a lens bends rays; coefficients in OpenCV's order and signs.
+
+    ``brown-conrady`` k1 k2 p1 p2 k3 (ROS plumb_bob, Kalibr radtan), ``rational`` k1 k2 p1 p2 k3 k4 k5 k6,
+    ``fisheye`` k1 k2 k3 k4 (Kannala-Brandt; Kalibr and ROS: equidistant).
+    """
+
+    BROWN_CONRADY = "brown-conrady"
+    RATIONAL = "rational"
+    FISHEYE = "fisheye"
+
+
+COEFFICIENTS = {
+    LensModel.BROWN_CONRADY: ("k1", "k2", "p1", "p2", "k3"),
+    LensModel.RATIONAL: ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    LensModel.FISHEYE: ("k1", "k2", "k3", "k4"),
+}
+
+
+class RawEye(StrictModel):
+    """One eye's lens as it is: focal lengths, principal point and ``distortion`` by ``lens``."""
+
+    lens: LensModel
+    fx_px: Focal
+    fy_px: Focal
+    cx_px: Place
+    cy_px: Place
+    distortion: Row
+
+    @model_validator(mode="after")
+    def _coefficients_are_counted(self) -> Self:
+        wanted = COEFFICIENTS[self.lens]
+        if len(self.distortion) != len(wanted):
+            raise ValueError(
+                f"distortion: {len(self.distortion)} numbers, {self.lens} has {len(wanted)}: "
+                f"{' '.join(wanted)}"
+            )
+        return self
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns of this eye, in the covariance's order."""
+        return ("fx_px", "fy_px", "cx_px", "cy_px", *COEFFICIENTS[self.lens])
+
+
+class StereoCalibration(StrictModel):
+    """Both eyes of a raw stereo camera.
+
+    ``right_position_m`` (x, y, z) and ``right_rotation_vector_deg`` are the right eye in C: a point p_R in
+    its axes is at R p_R + position. ``covariance`` of the errors, where it is known: rows and columns are
+    ``parameters``, rotation vector in radians. ``source`` says where the numbers come from.
+    """
+
+    format: Literal["longreach-camera/1"]
+    source: str = Field("", max_length=500)
+    width_px: int = Field(ge=64, le=8192)
+    height_px: int = Field(ge=64, le=8192)
+    left: RawEye
+    right: RawEye
+    right_position_m: Vector3
+    right_rotation_vector_deg: Vector3 = (0.0, 0.0, 0.0)
+    rms_px: float | None = Field(None, ge=0.0)
+    covariance: tuple[Row, ...] | None = None
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of all unknowns: those of the left eye, of the right eye, then turn and place of the
+        latter.
+        """
+        eyes = [
+            f"{eye}.{name}" for eye, of in (("left", self.left), ("right", self.right)) for name in of.names
+        ]
+        turn = [f"right.rotation_{axis}_rad" for axis in "xyz"]
+        return (*eyes, *turn, *(f"right.position_{axis}_m" for axis in "xyz"))
+
+    @model_validator(mode="after")
+    def _eyes_belong_together(self) -> Self:
+        x, y, z = self.right_position_m
+        baseline = math.hypot(x, y, z)
+        if not _LEAST_BASELINE_M <= baseline <= _LARGEST_BASELINE_M:
+            raise ValueError(
+                f"right_position_m: the eyes are {baseline:g} m apart, {_LEAST_BASELINE_M:g} to "
+                f"{_LARGEST_BASELINE_M:g} are believed; likely millimetres taken for metres or the reverse"
+            )
+        turn = math.hypot(*self.right_rotation_vector_deg)
+        if turn > _LARGEST_TURN_DEG:
+            raise ValueError(
+                f"right_rotation_vector_deg: the right eye is turned by {turn:.1f} degrees, at most "
+                f"{_LARGEST_TURN_DEG:g} are believed; likely radians taken for degrees, or another "
+                "camera's axes"
+            )
+        if x <= math.hypot(y, z):
+            raise ValueError(
+                f"right_position_m: the second eye is not to the right of the first (x {x:g} m); likely the "
+                "eyes are exchanged, or the inverse transform is given"
+            )
+        if (self.left.lens is LensModel.FISHEYE) != (self.right.lens is LensModel.FISHEYE):
+            raise ValueError("right.lens: one eye is a fisheye and the other is not")
+        return self
+
+    @model_validator(mode="after")
+    def _principal_points_are_near(self) -> Self:
+        for name, eye in (("left", self.left), ("right", self.right)):
+            if not (0.0 < eye.cx_px < self.width_px and 0.0 < eye.cy_px < self.height_px):
+                raise ValueError(
+                    f"{name}.cx_px, cy_px: ({eye.cx_px:g}, {eye.cy_px:g}) lies outside a picture of "
+                    f"{self.width_px}x{self.height_px} px; likely numbers for another picture size"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _covariance_fits(self) -> Self:
+        if self.covariance is None:
+            return self
+        size = len(self.parameters)
+        if len(self.covariance) != size or any(len(row) != size for row in self.covariance):
+            raise ValueError(
+                f"covariance: {size} rows and columns are wanted, one for each of the parameters"
+            )
+        for i, row in enumerate(self.covariance):
+            if row[i] < 0.0 or any(
+                abs(value - self.covariance[j][i])
+                > 1e-6 * math.sqrt(row[i] * max(self.covariance[j][j], 0.0))
+                for j, value in enumerate(row)
+            ):
+                raise ValueError(
+                    f"covariance: row {i + 1} is not of a symmetric matrix with a positive diagonal"
+                )
+        return self
