@@ -78,7 +78,7 @@ class LinkArm:
         """
         begun = False
         waited = 0
-        done_ns: int | None = None
+        done: list[State] = []
         while True:
             state = await self._link.next_state()
             refuse_broken(state)
@@ -92,11 +92,13 @@ class LinkArm:
             begun = True
             if not state.motion_done:
                 continue
-            done_ns = state.time_ns if done_ns is None else done_ns
+            done.append(state)
             if state.flags & FLAG_SETTLED:
                 return view_of((await self._rested(state.time_ns))[-1], self._link)
-            if state.time_ns - done_ns > self._settings.settle_timeout_s * 1e9:
-                return view_of(self._still(await self._rested(state.time_ns)), self._link)
+            if state.time_ns - done[0].time_ns > self._settings.settle_timeout_s * 1e9:
+                rested = await self._rested(state.time_ns)
+                view = view_of(self._still(rested), self._link)
+                return view._replace(unrest=_to_and_fro(done[len(done) // 2 :] + rested))
 
     async def _rested(self, from_ns: int) -> list[State]:
         """The states while the arm rests; by the controller's clock, so that lockstep can use it too."""
@@ -117,3 +119,8 @@ class LinkArm:
                 f"{self._settings.settle_timeout_s:g} s after its motion",
             )
         return states[-1]
+
+
+def _to_and_fro(states: list[State]) -> Array:
+    """How far (6,) rad each encoder went in the later half of the waiting, when the motion had died away."""
+    return np.asarray(np.ptp([state.q_meas for state in states], axis=0), dtype=np.float64)

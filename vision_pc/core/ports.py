@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractAsyncContextManager
 from typing import NamedTuple, Protocol
 
+import numpy as np
+
 from protocol.faults import FaultCode, GroupState, Severity
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Look, StereoPair, WatchHealth, WatchSample
@@ -15,11 +17,16 @@ Report = Callable[[float, str], None]
 """Called by programs as ``report(progress, note)`` with progress 0…1."""
 
 
+NO_UNREST = np.zeros(6)
+NO_UNREST.setflags(write=False)
+
+
 class ArmView(NamedTuple):
     """The controller's own view of the arm at one instant; ``time_ns`` on the vision PC's clock.
 
     ``X_BT`` is the rigid model at the encoders, ``X_BT_cmd`` the desired pose; ``settled`` is the
-    controller's own judgement.
+    controller's own judgement. ``unrest`` (6,) rad: how far each encoder went to and fro before the arm,
+    never settled, was taken for resting; zeros where it settled, or where nobody waited for it.
     """
 
     time_ns: int
@@ -33,6 +40,7 @@ class ArmView(NamedTuple):
     q_cmd: Array
     X_BT: Array
     X_BT_cmd: Array
+    unrest: Array = NO_UNREST
 
 
 class ReferenceStream(Protocol):

@@ -114,6 +114,33 @@ async def test_an_arm_that_cannot_be_brought_on_is_named_and_told_beforehand() -
     assert len(result.positioning.steps) <= PROGRAMS.positioning.corrections + 1
 
 
+class HuntingRig(BandedRig):
+    """Its slew goes to and fro by 2 mrad where it should rest, ``from_motion`` on."""
+
+    from_motion = 0
+
+    async def view(self) -> ArmView:
+        hunts = self.motions >= self.from_motion
+        return (await super().view())._replace(unrest=np.array([2e-3, 0.0, 0.0, 0.0, 0.0, 0.0]) * hunts)
+
+
+@pytest.mark.parametrize("later", [False, True])
+async def test_an_arm_that_hunts_is_not_promised_to_stand_inside(later: bool) -> None:
+    arm = HuntingRig(10, [6e-3, 2.7e-3, 2.4e-3])
+    await adjust_orientation(arm, arm, silent, PROGRAMS.orientation)
+    arm.from_motion = 10_000 if later else 0
+    track = await record_local_track(arm, arm, silent, settings(), BOOM)
+    arm.from_motion = 0
+    positioning = PROGRAMS.positioning
+    result = await look_then_move_corrected(arm, arm, silent, positioning, settings(), BOOM, track)
+    reach = float(np.linalg.norm(track.X_BT_now[:2, 3]))
+    told = result.positioning.steps[0].expected
+    assert (told.inside > 0.9) is later  # nothing was seen of it before
+    if not later:
+        assert told.std_m[0] > 0.5 * 2e-3 * reach * 0.9
+    assert result.seen.inside < 0.9  # of the end, odometry knows where it was, not where it will be
+
+
 def test_turns_of_the_joints_are_found_again_in_the_step_they_make() -> None:
     turns = np.array([4e-4, -3e-4, 2e-4])
     moved = Q_START.copy()

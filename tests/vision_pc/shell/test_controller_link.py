@@ -171,6 +171,13 @@ async def test_an_arm_that_swings_on_is_told_and_one_that_hangs_beside_its_refer
     controller.never_settles = True
     view = await arm.move_to(shifted(0.0, 0.05, 0.0))
     assert not view.settled
+    assert not view.unrest.any()
+    controller.swing_rad = 0.0008  # less than it is taken for resting with
+    view = await arm.move_to(shifted(0.0, 0.04, 0.0))
+    assert np.allclose(view.unrest, 0.0016)
+    controller.never_settles = False
+    assert not (await arm.move_to(shifted(0.0, 0.03, 0.0))).unrest.any()
+    controller.never_settles = True
     controller.swing_rad = 0.004
     with pytest.raises(MotionUnsettled) as failed:
         await arm.move_to(shifted(0.0, 0.0, 0.0))

@@ -52,6 +52,7 @@ class LocalTrack(NamedTuple):
     reference. ``left`` (P, 3) rad: the same of slew, lift and tilt; ``take_up``: how the last path ended.
     ``misses`` (D, 3) m in B: how far from what was wanted fine drives ended, by odometry. ``ruler``: what
     makes odometry's lengths the look's, already in ``X_KC``; None where it is not asked for or not told.
+    ``unrest`` m: how far the tool was seen to go to and fro, by its encoders, where it should have rested.
     """
 
     X_KC: Array
@@ -63,6 +64,7 @@ class LocalTrack(NamedTuple):
     take_up: TakeUp
     misses: Array
     ruler: Ruler | None = None
+    unrest: float = 0.0
 
     @property
     def X_BT_now(self) -> Array:
@@ -145,6 +147,7 @@ async def watched_path(
         end = await drive(arm, waypoints, take_up, dimensions, settings)
     overrun = slew_between(end.view.X_BT_cmd, end.view.X_BT)
     track = track_of(watch.samples, overrun)._replace(left=end.left[None], take_up=end.take_up)
+    track = track._replace(unrest=end.take_up.unrest_m(end.view.X_BT, dimensions))
     if not markers:
         return track
     held = [s.X_CO for s in watch.samples if s.X_C0C is not None]
@@ -175,7 +178,7 @@ def track_of(samples: tuple[WatchSample, ...], overrun: float) -> LocalTrack:
     X_KC[-1] = np.eye(4)
     time_s = 1e-9 * np.array([float(s.time_ns) for s in held])
     speeds, velocity = _speeds(X_BT[:, :3, 3], time_s), _velocities(X_BT[:, :3, 3], time_s)
-    nothing = TakeUp(np.zeros(3), np.zeros(3))
+    nothing = TakeUp(np.zeros(3), np.zeros(3), np.zeros(3))
     return LocalTrack(
         X_KC, X_BT, speeds, velocity, np.array([overrun]), np.zeros((1, 3)), nothing, np.zeros((0, 3))
     )
@@ -194,6 +197,7 @@ def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
         further.take_up,
         np.concatenate([track.misses, further.misses]),
         track.ruler,
+        further.unrest,
     )
 
 

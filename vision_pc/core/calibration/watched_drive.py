@@ -25,17 +25,23 @@ class TakeUp(NamedTuple):
     """How a drive ends: turns (3,) rad of slew, lift and tilt, in their positive sense where positive.
 
     ``gaps`` (3,) rad: the greatest distance between commanded and measured angle that was seen at rest, which
-    is at most the band in which the joint's valve does not answer.
+    is at most the band in which the joint's valve does not answer. ``unrest`` (3,) rad: the farthest that it
+    went to and fro by its encoder where it should have rested.
     """
 
     turns: Array
     gaps: Array
+    unrest: Array
+
+    def unrest_m(self, X_BT: Array, dimensions: BoomDimensions) -> float:
+        """How far the tool at the pose (4, 4) goes to and fro by the joints' unrest, m."""
+        return float(np.linalg.norm(boom_levers(X_BT, dimensions) * self.unrest))
 
 
 def first_take_up(settings: LocalErrorModelSettings) -> TakeUp:
     """What is done before anything was seen of the machine."""
     boom = settings.adaptive.boom_take_up_rad
-    return TakeUp(np.array([settings.take_up_rad, boom, boom]), np.zeros(3))
+    return TakeUp(np.array([settings.take_up_rad, boom, boom]), np.zeros(3), np.zeros(3))
 
 
 class DriveEnd(NamedTuple):
@@ -133,4 +139,4 @@ def _widened(take_up: TakeUp, view: ArmView, settings: LocalErrorModelSettings) 
     across = np.where(gaps > settings.adaptive.gap_rad, settings.adaptive.bands * gaps, 0.0)
     sizes = np.minimum(np.maximum(np.abs(take_up.turns), across), settings.adaptive.most_rad)
     sense = np.where(take_up.turns < 0.0, -1.0, 1.0)
-    return TakeUp(sense * sizes, gaps)
+    return TakeUp(sense * sizes, gaps, np.maximum(take_up.unrest, view.unrest[_BOOM]))

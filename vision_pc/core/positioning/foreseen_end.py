@@ -51,7 +51,7 @@ def foreseen_end(
         covariance = _after_fine_corrections(covariance, settings.nudge_m, map_settings.servo_std_m)
     if settings.corrections or map_settings.adaptive.enabled:  # the model, too, goes by odometry's lengths
         covariance += _odometry_covariance(wanted.x, fitted.R.T, fitted.scale, track, map_settings)
-    covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
+    covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + _unrest_covariance(track)
     return expected_end(np.zeros(3), covariance, settings.tolerance_m, spread.freedom)
 
 
@@ -68,7 +68,7 @@ def seen_end(
     ``fitted``: the model of its last drive, ``track`` with it.
     """
     covariance = _odometry_covariance(residuals[0], np.eye(3), fitted.scale, track, map_settings)
-    covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3]
+    covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + _unrest_covariance(track)
     return expected_end(residuals[-1], covariance, settings.tolerance_m)
 
 
@@ -79,6 +79,14 @@ def _after_fine_corrections(end_covariance: Array, nudge_m: float, servo_std_m: 
     """
     kept = np.diag([1.0, 1.0, 0.0]) / ((_KEPT * nudge_m) ** 2 + servo_std_m**2)
     return np.asarray(np.linalg.inv(np.linalg.inv(end_covariance) + kept), dtype=np.float64)
+
+
+def _unrest_covariance(track: LocalTrack) -> Array:
+    """Covariance (3, 3) m² of where an arm that goes to and fro is when it is looked at; no drive ends that.
+
+    Half of the way: a sine's standard deviation is 0.35 of it, and loose steel goes farther than its encoder.
+    """
+    return (0.5 * track.unrest) ** 2 * np.eye(3)
 
 
 def _odometry_covariance(
