@@ -46,7 +46,8 @@ class EventLog:
     """Writes one line an event. ``dropped``: lines that stderr did not take.
 
     ``service``: who writes. ``record_dir``: where the events are also recorded; None without ``record_in``.
-    ``room``: whether there is disk left for them, as a ``SelfWatch`` finds.
+    ``room``: whether there is disk left for them, as a ``SelfWatch`` finds. ``listener`` is told every event
+    by its name, level and fields, in the thread that writes it.
     """
 
     def __init__(self, service: str, stream: TextIO | None = None) -> None:
@@ -54,6 +55,7 @@ class EventLog:
         self.dropped = 0
         self.record_dir: Path | None = None
         self.room = True
+        self.listener: Callable[[str, Level, dict[str, Any]], object] | None = None
         self.service = service
         self._stream = sys.stderr if stream is None else stream
         self._file: TextIO | None = None
@@ -120,6 +122,8 @@ class EventLog:
     def _append(self, occurrence: _Occurrence) -> None:
         line = self._line(occurrence)
         self._show(line)
+        if self.listener is not None:
+            self.listener(occurrence.event, occurrence.level, occurrence.fields)
         with self._recording:
             if self._file is not None:
                 try:

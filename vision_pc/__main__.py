@@ -28,7 +28,7 @@ def main(argv: list[str] | None = None, programs: Sequence[Program[Any, Any]] = 
         description=__doc__,
         example="python -m vision_pc --config-dir configs --set vision.api.port=8010 --record-dir run",
         files="arm.yaml and vision.yaml",
-        records="events.jsonl and the pictures of looks",
+        records="vision.mcap, events.jsonl and the pictures of looks",
         make=made,
     )
     return service_main(service, argv)

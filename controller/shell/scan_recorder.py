@@ -1,19 +1,20 @@
 """What the controller saw and commanded, scan by scan, recorded beside the cycle."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from controller.config import ControllerConfig
 from controller.core.scan_types import ControllerView, ScanEvent, ScanInput, ScanOutput
-from foundation.event_log import EventLog, Level
-from foundation.recording.mcap_file import Topic
+from foundation.event_log import Level
+from foundation.recording.mcap_file import Entries, Topic
 from foundation.recording.messages import MessageField, format_of, log_line, message_class, posed
-from foundation.recording.recording_thread import RecordingThread
+from foundation.recording.recording_thread import RecordingThread, RecordSink
 from foundation.recording.session import session_entries
 from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError
@@ -90,18 +91,40 @@ TOPICS = (
 _STATE, _FRAMES, _LOG = range(len(TOPICS))
 
 
+class RecordingJournal(Protocol):
+    """Where it is said that nothing more can be recorded."""
+
+    def write(self, event: str, level: Level = "info", /, **fields: Any) -> None:
+        """Write one event."""
+        ...
+
+
 class ScanRecorder:
     """Records every ``every``-th scan, and all events. A call keeps references and waits for nothing.
 
     ``dropped``: messages that a disk that hung left no room for.
     """
 
-    def __init__(self, directory: Path, arm: NominalArm, config: ControllerConfig, log: EventLog) -> None:
-        """Create controller.mcap in ``directory``. Raises ConfigurationError when it cannot be written."""
+    def __init__(
+        self,
+        directory: Path,
+        arm: NominalArm,
+        config: ControllerConfig,
+        log: RecordingJournal,
+        *,
+        session: Mapping[str, str] | None = None,
+        made: Callable[[Path, Sequence[Topic], Entries], RecordSink] | None = None,
+    ) -> None:
+        """Create controller.mcap in ``directory``; ``made`` opens it, by default a thread below the cycle's.
+
+        Raises ConfigurationError when it cannot be written.
+        """
         said = {"arm": arm.model_dump(mode="json"), "controller": config.model_dump(mode="json")}
-        metadata = {"run": {"configuration": json.dumps(said)}, "session": session_entries("controller")}
+        entries = session_entries("controller") if session is None else dict(session)
+        metadata = {"run": {"configuration": json.dumps(said)}, "session": entries}
+        opened = made or partial(RecordingThread, fifo_priority=config.fifo_priority)
         try:
-            self._to = RecordingThread(directory / FILE, TOPICS, metadata, config.fifo_priority)
+            self._to = opened(directory / FILE, TOPICS, metadata)
         except OSError as error:
             why = f"--record-dir {directory}: {FILE}: {error.strerror}"
             raise ConfigurationError("configuration.recording", why) from error

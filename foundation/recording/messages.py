@@ -1,6 +1,7 @@
 """What is recorded as Protobuf: well-known schemas that viewers draw, and flat messages made from a table."""
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,6 +62,25 @@ def message_class(name: str, fields: Sequence[MessageField]) -> Any:
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"longreach.{name}"))
+
+
+EventMessage = message_class(
+    "Event", (MessageField("event", "string"), MessageField("fields_json", "string"))
+)
+
+
+def event_bytes(said: Mapping[str, Any]) -> bytes:
+    """longreach.Event of ``event`` and whatever else ``said`` holds."""
+    rest = {name: value for name, value in said.items() if name != "event"}
+    text = json.dumps(rest, separators=(",", ":"), default=str)
+    return bytes(EventMessage(event=said["event"], fields_json=text).SerializeToString())
+
+
+def fields_of(data: bytes) -> dict[str, Any]:
+    """What ``event_bytes`` was given."""
+    said = EventMessage.FromString(data)
+    fields: dict[str, Any] = json.loads(said.fields_json)
+    return {"event": said.event} | fields
 
 
 def format_of(message: Any) -> Format:

@@ -9,6 +9,7 @@ import numpy as np
 from mcap.records import Channel, Footer, Message, Metadata
 from numpy.typing import NDArray
 
+from foundation.recording.messages import fields_of
 from foundation.recording.reading import walk
 from plant_emulator.shell.truth_message import truth_of
 from plant_emulator.shell.truth_recorder import (
@@ -16,7 +17,6 @@ from plant_emulator.shell.truth_recorder import (
     EVENT,
     FAULT,
     TRUTH,
-    EventMessage,
     FaultMessage,
     TruthRecord,
 )
@@ -86,7 +86,7 @@ def read_truth(path: Path) -> Recording:
                     change = _change(record.data)
                     faults[change["number"]] = _further(faults.get(change["number"]), change, record.log_time)
                 elif topic == EVENT:
-                    events.append(EventRecord(record.log_time, record.publish_time, _fields(record.data)))
+                    events.append(EventRecord(record.log_time, record.publish_time, fields_of(record.data)))
                 elif topic in (TRUTH, CAPTURE):
                     truth, frame_id = truth_of(record.data)
                     truths.append(TruthRecord(record.log_time, frame_id, truth))
@@ -99,12 +99,6 @@ def _change(data: bytes) -> dict[str, Any]:
     said = FaultMessage.FromString(data)
     plain = {field.name: value for field, value in said.ListFields() if field.name != "fault_json"}
     return plain | {"fault": json.loads(said.fault_json)}
-
-
-def _fields(data: bytes) -> dict[str, Any]:
-    said = EventMessage.FromString(data)
-    fields: dict[str, Any] = json.loads(said.fields_json)
-    return {"event": said.event} | fields
 
 
 def _further(known: FaultRecord | None, change: Mapping[str, Any], log_ns: int) -> FaultRecord:

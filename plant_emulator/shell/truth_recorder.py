@@ -13,7 +13,15 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from numpy.typing import NDArray
 
 from foundation.recording.mcap_file import Entries, Topic
-from foundation.recording.messages import MessageField, format_of, log_line, message_class, transforms
+from foundation.recording.messages import (
+    EventMessage,
+    MessageField,
+    event_bytes,
+    format_of,
+    log_line,
+    message_class,
+    transforms,
+)
 from foundation.recording.recording_thread import RecordingThread, RecordSink
 from plant_emulator.core.faults.schedule import FaultChange
 from plant_emulator.core.truth import PlantTruth
@@ -34,9 +42,6 @@ FaultMessage = message_class(
         MessageField("end_ns", "int64"),
         MessageField("fault_json", "string"),
     ),
-)
-EventMessage = message_class(
-    "Event", (MessageField("event", "string"), MessageField("fields_json", "string"))
 )
 
 
@@ -60,11 +65,6 @@ def _fault_bytes(said: Mapping[str, Any]) -> bytes:
     return bytes(FaultMessage(**plain, fault_json=_json(said["fault"])).SerializeToString())
 
 
-def _event_bytes(said: Mapping[str, Any]) -> bytes:
-    rest = {name: value for name, value in said.items() if name != "event"}
-    return bytes(EventMessage(event=said["event"], fields_json=_json(rest)).SerializeToString())
-
-
 def _frames_bytes(posed: _Posed) -> bytes:
     return transforms(frames(posed.truth, posed.links, posed.X_WL), posed.log_ns)
 
@@ -81,7 +81,7 @@ TOPICS = (
     Topic(TRUTH, format_of(TruthMessage), lambda record: truth_bytes(record.truth, None)),
     Topic(CAPTURE, format_of(TruthMessage), lambda record: truth_bytes(record.truth, record.frame_id)),
     Topic(FAULT, format_of(FaultMessage), _fault_bytes),
-    Topic(EVENT, format_of(EventMessage), _event_bytes),
+    Topic(EVENT, format_of(EventMessage), event_bytes),
     Topic(FRAMES, format_of(FrameTransforms), _frames_bytes),
     Topic(SCENE, format_of(SceneUpdate), bytes),
     Topic(CAMERA, format_of(CameraCalibration), bytes),

@@ -33,15 +33,17 @@ def run_lockstep(
 ) -> LockstepRun:
     """A whole demonstration in lockstep; a step that fails ends it and is told in the outcome's details.
 
-    ``record``: where the truth is recorded, from when the link is open. Raises ConfigurationError.
+    ``record``: the directory in which all parts are recorded, from when the link is open. Raises
+    ConfigurationError.
     """
     began = time.perf_counter()
     settings = load_settings(config_dir, overrides)
     log = RunLog()
     log.add(0, "run", scenario=choice.scenario, seed=choice.seed, overrides=overrides)
     rig = LockstepRig(settings, choice.seed, log)
+    recordings = None
     if record is not None:
-        rig.world.record_in(record, f"lockstep {choice.scenario} seed {choice.seed}")
+        recordings = rig.record_in(record, f"lockstep {choice.scenario} seed {choice.seed}")
     recorder = Recorder(rig, shown)
     details = {}
     try:
@@ -50,8 +52,8 @@ def run_lockstep(
         details["failure"] = f"{error.cause}: {error}"
         log.add(rig.world.time_ns, "failure", cause=error.cause, message=str(error))
     finally:
-        if rig.world.recording is not None:
-            rig.world.recording.close()
+        if recordings is not None:
+            recordings.close()
     truths = [TimedTruth(truth.time_ns + VISION_CLOCK_NS, truth) for truth in rig.world.truths]
     views = [
         TracedView(s.time_ns - CONTROLLER_CLOCK_NS + VISION_CLOCK_NS, s.X_BT.p_m, s.q_cmd, s.q_meas)
@@ -79,10 +81,8 @@ def run_lockstep_demo(
     clearance_m = settings.vision.programs.positioning.clearance_m
     with run_directory(runs) as directory:
         note_settings(directory, settings, config_dir)
-        record = directory / "plant_emulator" / "truth.mcap"
-        record.parent.mkdir()
         with bars() as shown:
-            done = run_lockstep(config_dir, overrides, choice, shown, record)
+            done = run_lockstep(config_dir, overrides, choice, shown, directory)
         curves = traces(done.truths, done.views, clearance_m)
         pictures = [rest.picture for rest in done.rests]
         return present(directory, done.outcome, curves, pictures, done.log.events, json_file)

@@ -5,6 +5,7 @@ from controller.core.excitation.program import ExcitationProgram, ExcitationSamp
 from controller.core.inbox import Inbox
 from controller.core.scan_program import ScanProgram
 from controller.core.scan_types import ScanInput, ScanOutput
+from controller.shell.scan_recorder import ScanRecorder
 from foundation.configuration import configuration_hash
 from foundation.link_key import read_key
 from protocol.process_image import ValveImage, decode_sensors, encode_valves
@@ -18,7 +19,8 @@ _VISION = "vision"
 class ControllerSide:
     """The controller's programs: the server session and the scan, on the controller's clock.
 
-    In the excitation mode ``excitation`` is its state, and ``samples`` all that it recorded.
+    ``recorder``, where there is one, is told every scan. In the excitation mode ``excitation`` is its state,
+    and ``samples`` all that it recorded.
     """
 
     def __init__(self, settings: Settings, seed: int) -> None:
@@ -34,6 +36,7 @@ class ControllerSide:
             key=read_key(config.reference_link.link_key),
         )
         self.valve_words = encode_valves(ValveImage(0, 0, (0.0,) * 6))
+        self.recorder: ScanRecorder | None = None
 
     def cycle(
         self, sensor_words: list[int] | None, datagrams: list[bytes], arrival_ns: int, now_ns: int
@@ -47,17 +50,18 @@ class ControllerSide:
         for answer in self._inbox.put(events):
             self._server.acknowledge(answer, now_ns)
         requests, alive = self._inbox.take(self._server.link_alive(now_ns))
-        output = self._program.scan(
-            ScanInput(
-                now_ns=now_ns,
-                sensed_ns=now_ns,
-                dt_s=1e-9 * self.cycle_ns,
-                sensors=None if sensor_words is None else decode_sensors(sensor_words),
-                requests=requests,
-                reference_link_alive=alive,
-                streamed=self._inbox.take_streamed(),
-            )
+        inputs = ScanInput(
+            now_ns=now_ns,
+            sensed_ns=now_ns,
+            dt_s=1e-9 * self.cycle_ns,
+            sensors=None if sensor_words is None else decode_sensors(sensor_words),
+            requests=requests,
+            reference_link_alive=alive,
+            streamed=self._inbox.take_streamed(),
         )
+        output = self._program.scan(inputs)
+        if self.recorder is not None:
+            self.recorder.scan(inputs, output)
         for acknowledgement in output.acknowledgements:
             self._server.acknowledge(acknowledgement, now_ns)
         if output.refusal is not None:

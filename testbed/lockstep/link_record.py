@@ -12,7 +12,7 @@ from protocol.session_events import (
 )
 from testbed.lockstep.clock import LockstepClock
 from testbed.lockstep.run_log import RunLog
-from vision_pc.application.reference_link import Submitted
+from vision_pc.application.reference_link import Streamed, Submitted
 
 
 class LinkRecord:
@@ -23,7 +23,7 @@ class LinkRecord:
         self._log = log
         self._clock = clock
 
-    def __call__(self, event: Submitted | ClientEvent) -> None:
+    def __call__(self, event: Submitted | Streamed | ClientEvent) -> None:
         """Write what a reader of the run's log wants to know of ``event``."""
         if isinstance(event, StateReceived):
             self._received(event.state)

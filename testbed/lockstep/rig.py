@@ -1,7 +1,8 @@
 """The vision application in lockstep: the programs of the same table as behind the API, without the API."""
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
@@ -12,6 +13,7 @@ from protocol.errors import LinkLost, LongreachError, RequestRefused
 from protocol.faults import CommandCode
 from testbed.lockstep.clock import run
 from testbed.lockstep.eyes import SightMaker, camera_eyes, eyes_with
+from testbed.lockstep.recordings import LockstepRecordings
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import World
 from testbed.reporting.console import Bar
@@ -32,10 +34,13 @@ class SimulatedTimeLog:
 
     def __init__(self, world: World) -> None:
         self._world = world
+        self.listener: Callable[[str, Level, dict[str, Any]], object] | None = None
 
-    def write(self, event: str, _level: Level = "info", /, **fields: Any) -> None:
-        """Append one event."""
+    def write(self, event: str, level: Level = "info", /, **fields: Any) -> None:
+        """Append one event, and tell it to the listener."""
         self._world.log.add(self._world.time_ns, event, **fields)
+        if self.listener is not None:
+            self.listener(event, level, fields)
 
 
 class LockstepRig:
@@ -59,13 +64,23 @@ class LockstepRig:
         self.camera = camera_eyes(self.world)
         self.eyes = eyes_with(self.world, sight(self.world)) if sight else self.camera
         arm = LinkArm(self.link, vision.motion)
-        log_of_vision = SimulatedTimeLog(self.world)
+        self._log = SimulatedTimeLog(self.world)
         boom = boom_dimensions(settings.arm)
         self.application = VisionApplication(
-            arm, self.eyes, self.link, self.camera, vision.programs, boom, log_of_vision
+            arm, self.eyes, self.link, self.camera, vision.programs, boom, self._log
         )
         self._programs = by_name(programs)
         self.world.connect()
+
+    def record_in(self, directory: Path, session: str) -> LockstepRecordings:
+        """Record all three parts below ``directory`` from now on, until what is returned is closed.
+
+        Raises OSError or ConfigurationError where a file cannot be made.
+        """
+        eyes = self.camera if self.eyes is self.camera else None
+        recordings = LockstepRecordings(directory, session, self.world, eyes)
+        self._log.listener = recordings.vision.event
+        return recordings
 
     def command(self, name: str) -> None:
         """Send the command. Returns when it is accepted."""
@@ -90,16 +105,16 @@ class LockstepRig:
             raise RequestRefused("request.invalid", f"{where}: {first['msg']}") from error
         settings = program.requested(self.application, asked)
         program.refuse_now(self.application, settings)
-        self.world.log.add(self.world.time_ns, "operation", kind=kind, body=body)
+        self._log.write("operation", kind=kind, body=body)
         try:
             result: Any = run(program.run(self.application, settings, bar.update))
         except LongreachError as error:
             with contextlib.suppress(LinkLost):
                 run(self.application.arm.halt())
-            self.world.log.add(self.world.time_ns, "operation_failed", kind=kind, cause=error.cause)
+            self._log.write("operation_failed", kind=kind, cause=error.cause)
             raise
         ended = program.to_json(result)
-        self.world.log.add(self.world.time_ns, "operation_ended", kind=kind, result=ended)
+        self._log.write("operation_ended", kind=kind, result=ended)
         return result
 
     def latest_look(self) -> Look:

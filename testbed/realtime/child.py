@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TextIO
 
 from foundation.event_log import event_of, in_words
+from foundation.recording.session import SESSION_VARIABLE
 from foundation.signs_of_life import LONGEST_SILENCE, SOCKET, Listener
 from protocol.errors import LongreachError
 
@@ -30,11 +31,12 @@ class ServiceFailed(LongreachError):
 
 
 class Service(NamedTuple):
-    """One process to run: ``python -m module *arguments``."""
+    """One process to run: ``python -m module *arguments``. ``session``: that its recordings are of."""
 
     name: str
     module: str
     arguments: tuple[str, ...]
+    session: str = ""
 
     def numbered(self, start: int) -> "Service":
         """As it is started the first, second, … time: from the second on its records have a number."""
@@ -71,7 +73,7 @@ class Child:
             stderr=subprocess.PIPE,
             text=True,
             errors="replace",
-            env=os.environ | told,
+            env=os.environ | told | ({SESSION_VARIABLE: service.session} if service.session else {}),
             # Ctrl-C is ours to pass on, in order. Not a session of its own: kernels that share a processor
             # between sessions (sched_autogroup) would let the idle renderer take as much as vision.
             process_group=0,

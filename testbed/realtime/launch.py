@@ -1,6 +1,7 @@
 """The three services as the supervisor starts them: their command lines, ports and files."""
 
 import socket
+import uuid
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -85,6 +86,7 @@ def prepare(config_dir: Path, overrides: Overrides, directory: Path, *, any_port
     settings = load_settings(config_dir, overrides)
     check_ports(ports_in_use(settings))
     api = settings.vision.api
+    session = str(uuid.uuid4())
     launch = Launch((), settings, f"http://{api.host}:{api.port}", directory)
     common = ["--config-dir", str(config_dir)]
     for setting in flattened(overrides):
@@ -92,6 +94,6 @@ def prepare(config_dir: Path, overrides: Overrides, directory: Path, *, any_port
 
     def service(name: str) -> Service:
         records = ["--record-dir", str(launch.records(name))]
-        return Service(name, name, (*common, *records, "--statistics", str(launch.statistics(name))))
+        return Service(name, name, (*common, *records, "--statistics", str(launch.statistics(name))), session)
 
     return launch._replace(services=tuple(map(service, (PLANT, CONTROLLER, VISION))))

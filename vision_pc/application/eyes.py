@@ -22,6 +22,7 @@ from vision_pc.application.ports import (
     FrameSource,
     Runtime,
     Seen,
+    SightRecorder,
     StateSource,
 )
 from vision_pc.config.vision import LookSettings, VisionConfig
@@ -85,6 +86,12 @@ class FrameEyes(Generic[F]):
         self._runtime = runtime
         self._record = record
         self._latest: tuple[F, FrameObservation] | None = None
+        self._recorder: SightRecorder[F] | None = None
+
+    def recorded_by(self, recorder: SightRecorder[F]) -> None:
+        """Have every measurement and look from now on recorded."""
+        self._recorder = recorder
+        self._sensor = recorder.tapped(self._sensor)
 
     async def look(self, frames: int | None = None) -> Look:
         """A look over ``frames`` fresh frames (None: as configured) with the arm at rest.
@@ -99,6 +106,8 @@ class FrameEyes(Generic[F]):
         time_ns = int(np.mean([observation.capture_ns for observation in observations]))
         look = combine(observations, await self._states.pose_at(time_ns), time_ns, self._settings)
         self._record.looked(look)
+        if self._recorder is not None:
+            self._recorder.looked(look, observations)
         return look
 
     @asynccontextmanager

@@ -4,7 +4,7 @@ The service implements these ports with an event loop, sockets and threads; lock
 letting simulated time pass. Everything above them is the same code.
 """
 
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from foundation.event_log import Level
@@ -12,6 +12,7 @@ from protocol.channel import LinkStatistics
 from protocol.clock_offset import OffsetEstimate
 from protocol.faults import CommandCode
 from protocol.reference_messages import Acknowledgement, State
+from vision_pc.core.perception.watch import Sensor
 from vision_pc.core.ports import Arm
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import (
@@ -25,6 +26,7 @@ from vision_pc.core.types import (
 
 T = TypeVar("T")
 FrameT_co = TypeVar("FrameT_co", bound=CameraFrame, covariant=True)
+F = TypeVar("F", bound=CameraFrame)
 FrameT_contra = TypeVar("FrameT_contra", bound=CameraFrame, contravariant=True)
 
 
@@ -225,4 +227,16 @@ class EyesRecord(Protocol[FrameT_contra]):
 
     def watched(self, health: WatchHealth) -> None:
         """Keep what a watch missed, whatever becomes of it."""
+        ...
+
+
+class SightRecorder(Protocol[F]):
+    """Records measurements as they are made, so that they can be made again and compared."""
+
+    def tapped(self, sensor: Sensor[F]) -> Sensor[F]:
+        """A sensor that measures as ``sensor`` does, and records what it is asked and what it finds."""
+        ...
+
+    def looked(self, look: Look, observations: Sequence[FrameObservation]) -> None:
+        """Record a look that succeeded, and what was observed in each of its frames."""
         ...

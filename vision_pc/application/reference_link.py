@@ -41,14 +41,20 @@ class Submitted(NamedTuple):
     request: Request
 
 
-Journal = Callable[[Submitted | ClientEvent], None]
+class Streamed(NamedTuple):
+    """A reference of an open stream was handed to the session."""
+
+    reference: StreamedPose
+
+
+Journal = Callable[[Submitted | Streamed | ClientEvent], None]
 """Is told everything that happens on the link, for logs and recordings."""
 
 
 class ReferenceLink:
     """One link to the controller; it reconnects on its own from ``connect`` until ``disconnect``.
 
-    ``peer`` names the controller in messages.
+    ``peer`` names the controller in messages. ``listeners`` are told what ``journal`` is told, after it.
     """
 
     def __init__(
@@ -57,6 +63,7 @@ class ReferenceLink:
         self._session = session
         self._clock = clock
         self._transport = transport
+        self.listeners: list[Journal] = []
         self._journal = journal
         self._peer = peer
         self._history = StateHistory()
@@ -205,7 +212,7 @@ class ReferenceLink:
         except LinkLost as error:
             raise self.not_connected() from error
         self._answers[command_id] = None
-        self._journal(Submitted(command_id, request))
+        self._tell(Submitted(command_id, request))
         self._transport.flush()
         return command_id
 
@@ -227,6 +234,7 @@ class ReferenceLink:
             self._session.stream(reference, self._clock.now_ns)
         except LinkLost as error:
             raise self.not_connected() from error
+        self._tell(Streamed(reference))
         self._transport.flush()
 
     def refusal_of(self, stream_id: int) -> StreamRefused | None:
@@ -250,8 +258,12 @@ class ReferenceLink:
             self._lost(event)
         elif isinstance(event, ConnectionDelayed):
             self._lost_reason = event.reason
-        self._journal(event)
+        self._tell(event)
         self._clock.wake()
+
+    def _tell(self, event: Submitted | Streamed | ClientEvent) -> None:
+        for journal in (self._journal, *self.listeners):
+            journal(event)
 
     def _lost(self, event: SessionLost) -> None:
         self._lost_reason = event.reason

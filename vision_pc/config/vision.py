@@ -212,6 +212,19 @@ class ApiSettings(StrictModel):
     tokens: TokenSources = TokenSources()
 
 
+class RecordingSettings(StrictModel):
+    """What ``vision.mcap`` of --record-dir holds of pictures.
+
+    ``none``: their checksums alone, by which pictures rendered again from the plant's recording are proved
+    the same; ``jpeg``: also the left eye's, ``jpeg_hz`` times a second at most, for people; ``raw``: every
+    pixel of both eyes.
+    """
+
+    images: Literal["none", "jpeg", "raw"] = "none"
+    jpeg_quality: int = Field(85, ge=1, le=100)
+    jpeg_hz: float = Field(1.0, gt=0.0, le=240.0)
+
+
 class VisionConfig(StrictModel):
     """Everything in ``vision.yaml``; the arm's dimensions come from ``arm.yaml``."""
 
@@ -226,6 +239,7 @@ class VisionConfig(StrictModel):
     sessions_dir: Path = Path("runs/hand-eye")
     cabinet: CabinetSettings | None = None
     api: ApiSettings = ApiSettings()
+    recording: RecordingSettings = RecordingSettings()
 
     @model_validator(mode="before")
     @classmethod

@@ -22,15 +22,18 @@ from nominal_arm.description import NominalArm
 from nominal_arm.dimensions import dimensions
 from protocol.errors import ConfigurationError
 from vision_pc.application.application import VisionApplication
+from vision_pc.application.eyes import CameraEyes
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.hand_eye.store import SessionStore
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.program import Program
+from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.config.vision import VisionConfig
 from vision_pc.shell.camera_eyes import open_eyes
 from vision_pc.shell.cameras import open_camera
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
+from vision_pc.shell.recording.opening import open_recording
 from vision_pc.shell.rest.api import PUBLIC, STOPS, create_app
 from vision_pc.shell.rest.operations import Operations
 
@@ -65,6 +68,7 @@ class VisionService:
             if options.record_dir is not None:
                 log.record_in(options.record_dir)
             self._statistics = StatisticsFile(options.statistics, _NAME, log, self._gathered)
+            self._recorder = open_recording(options.record_dir, config, arm, log)
         except ConfigurationError:
             self._socket.close()
             raise
@@ -86,6 +90,7 @@ class VisionService:
         camera = open_camera(config.camera)
         self._opened = opened = open_eyes(camera, link, config, log)
         eyes = opened.eyes
+        self._record_from(eyes, link)
         arm = LinkArm(link, config.motion)
         guided = GuidedCalibration(arm, eyes, link, config, nominal, log, self._sessions)
         application = VisionApplication(arm, eyes, link, eyes, config.programs, nominal.boom, log, guided)
@@ -116,7 +121,17 @@ class VisionService:
             await camera.close()
             opened.worker.close()
             self._statistics.write()
-            log.write("stopped")
+            await self._say_stopped()
+
+    def _record_from(self, eyes: CameraEyes, link: ReferenceLink) -> None:
+        if self._recorder is not None:
+            eyes.recorded_by(self._recorder)
+            self._recorder.listen_to(link)
+
+    async def _say_stopped(self) -> None:
+        self._log.write("stopped")
+        if self._recorder is not None:
+            await asyncio.to_thread(self._recorder.close)
 
     def _say_ready(self) -> None:
         host, port = self._socket.getsockname()
@@ -144,4 +159,5 @@ class VisionService:
             "camera": self._opened.eyes.status()._asdict(),
             "scheduling": self._opened.worker.scheduling,
             "rest_refused": dict(self._server.refused),
+            "recording": {} if self._recorder is None else self._recorder.counts(),
         }

@@ -15,7 +15,9 @@ from typing import Any
 
 import pytest
 
+from controller.shell.scan_recorder import FILE, TOPICS
 from foundation.configuration import configuration_hash
+from foundation.recording.recovery import contents
 from nominal_arm.description import NominalArm
 from protocol.client_session import ReferenceClient
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason
@@ -184,7 +186,7 @@ async def test_a_motion_from_end_to_end_and_a_clean_exit(
     server: PlantServer, start: Start, connect: Connect, tmp_path: Path
 ) -> None:
     figures = tmp_path / "figures.json"
-    child = await start(*_ports(server), "--statistics", str(figures))
+    child = await start(*_ports(server), "--statistics", str(figures), "--record-dir", str(tmp_path))
     await child.wait_ready()
     client = await connect(child)
     assert await client.command(CommandCode.ENABLE) is Reason.ACCEPTED
@@ -216,6 +218,10 @@ async def test_a_motion_from_end_to_end_and_a_clean_exit(
     assert written["late_p999_us"] >= written["late_p50_us"] > 0
     assert written["rss_mb"] > 10.0
     assert written["scheduling"] in ("normal", "short_slice", "fifo")
+    recorded = contents(tmp_path / FILE)
+    assert (recorded.complete, recorded.damages) == (True, ())
+    counted = {topic.name for channel, topic in recorded.topics.items() if recorded.counts.get(channel)}
+    assert counted == {topic.name for topic in TOPICS}
 
 
 async def test_a_silent_client_stops_the_motion_and_the_flight_is_recorded(
@@ -243,7 +249,7 @@ async def test_a_silent_client_stops_the_motion_and_the_flight_is_recorded(
     status, lines, _ = await child.ended(signal.SIGINT)
     assert status == 0
     assert any(line["event"] == "fault" and line["cause"] == "REFERENCE_LINK_LOST" for line in lines)
-    (flight,) = (tmp_path / "flights").iterdir()
+    (flight,) = (tmp_path / "flights").glob("*.jsonl")
     scans = [json.loads(line) for line in flight.read_text().splitlines()]
     assert len(scans) > 100
     cycles = [entry["view"]["cycle"] for entry in scans]

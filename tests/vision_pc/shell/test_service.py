@@ -11,8 +11,10 @@ from pathlib import Path
 import httpx
 import pytest
 
+from foundation.recording.recovery import contents
 from tests.support.paths import CONFIGS
 from vision_pc.__main__ import main
+from vision_pc.shell.recording.vision_recorder import EVENT, FILE, LOG
 
 pytestmark = pytest.mark.realtime
 
@@ -64,6 +66,11 @@ def test_it_says_ready_serves_and_ends_when_told(tmp_path: Path) -> None:
     figures = json.loads((tmp_path / "figures.json").read_text())
     assert figures["camera"]["connected"] is False
     assert 20.0 < figures["memory_mb"] < 1000.0
+    recorded = contents(tmp_path / FILE)
+    assert (recorded.complete, recorded.damages) == (True, ())
+    assert figures["recording"]["written"] > 0
+    counted = {topic.name for channel, topic in recorded.topics.items() if recorded.counts.get(channel)}
+    assert counted == {EVENT, LOG}  # it heard of nobody and saw nothing
     last = json.loads((tmp_path / "events.jsonl").read_text().splitlines()[-1])
     assert last["event"] == "stopped"
     assert last["time_ns"] - told_ns < 1_500_000_000  # the interpreter's own end comes on top

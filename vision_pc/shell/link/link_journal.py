@@ -10,7 +10,7 @@ from protocol.session_events import (
     StreamRefusedReceived,
 )
 from vision_pc.application.ports import Clock, Log
-from vision_pc.application.reference_link import Submitted
+from vision_pc.application.reference_link import Streamed, Submitted
 
 _LOG_DROPS_NS = 1_000_000_000  # at most one line a second, whatever the peer sends
 
@@ -25,7 +25,7 @@ class LinkJournal:
         self._refused_stream: int | None = None
         self._drop_logged_ns = 0
 
-    def __call__(self, event: Submitted | ClientEvent) -> None:
+    def __call__(self, event: Submitted | Streamed | ClientEvent) -> None:
         """Write what a reader of the log wants to know of ``event``."""
         if isinstance(event, Submitted):
             self._open[event.command_id] = event.request

@@ -1,0 +1,290 @@
+"""The vision PC's messages: what was measured in which frame, with a digest of all of it, and references."""
+
+import json
+import zlib
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from foundation.recording.messages import MessageField, message_class
+from protocol.pose import Pose
+from protocol.reference_messages import Command, ReferencePath, ReferencePose, Request, StreamedPose
+from vision_pc.core.digest import digest
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraErrors, FrameObservation, Look, OdometryPose, StereoPair
+
+_AXES = ("x", "y", "z")
+
+
+class NumberedObservation(NamedTuple):
+    """An observation under its number; ``previous`` is the number of the one that it went on from, None
+    without one, and ``corrected`` whether camera errors had been put into that since.
+    """
+
+    number: int
+    previous: int | None
+    corrected: bool
+    observation: FrameObservation
+
+
+class OdometryStart(NamedTuple):
+    """Odometry number ``odometry`` begins, after observation ``previous`` as in ``NumberedObservation``."""
+
+    odometry: int
+    previous: int | None
+    corrected: bool
+    capture_ns: int
+
+
+class TrackedFrame(NamedTuple):
+    """What odometry ``found`` in a frame, or why it lost it; ``tool_given``: it was told where the tool
+    marker is.
+    """
+
+    odometry: int
+    capture_ns: int
+    frame_id: int
+    tool_given: bool
+    found: OdometryPose | str
+
+
+class Fitted(NamedTuple):
+    """The camera's errors as found from the samples of these captures; None where they told too little."""
+
+    captures_ns: tuple[int, ...]
+    errors: CameraErrors | None
+
+
+class CombinedLook(NamedTuple):
+    """A look and the numbers of the observations that it is made of; -1 for one that is not known."""
+
+    look: Look
+    observations: tuple[int, ...]
+
+
+def _place(name: str) -> list[MessageField]:
+    return [MessageField(f"p_{name}_{axis}_m") for axis in _AXES]
+
+
+def _several(*names: str, kind: str = "double") -> list[MessageField]:
+    return [MessageField(name, kind, repeated=True) for name in names]
+
+
+def _integers(*names: str) -> list[MessageField]:
+    return [MessageField(name, "int64") for name in names]
+
+
+_OFFSET = tuple(f"offset_{name}_px" for name in ("x", "y", "std_x", "std_y"))
+
+FrameMessage = message_class(
+    "Frame", [*_integers("frame_id", "capture_ns", "width", "height", "crc_left", "crc_right")]
+)
+ObservationMessage = message_class(
+    "Observation",
+    [
+        *_integers("number", "frame_id", "capture_ns", "previous"),
+        MessageField("corrected", "bool"),
+        MessageField("digest", "string"),
+        *_place("CM"),
+        *_place("CO"),
+        *_several("X_CM", "X_CO", "cov_CM", "cov_CO"),
+        *_several("marker_ids", kind="int64"),
+        *_several("corners_left_px", "corners_right_px", "marker_residuals_px"),
+        *map(MessageField, _OFFSET),
+        MessageField("missing_tool", "string"),
+        MessageField("missing_object", "string"),
+        MessageField("rejected_json", "string"),
+        *_integers("since_full_search"),
+    ],
+)
+OdometryStartMessage = message_class(
+    "OdometryStart",
+    [*_integers("odometry", "previous", "capture_ns"), MessageField("corrected", "bool")],
+)
+OdometryMessage = message_class(
+    "Odometry",
+    [
+        *_integers("odometry", "frame_id", "capture_ns"),
+        MessageField("tool_given", "bool"),
+        MessageField("digest", "string"),
+        MessageField("lost", "string"),
+        *_place("C0C"),
+        *_several("X_C0C", "covariance"),
+        *_integers("inliers"),
+        MessageField("coverage"),
+        MessageField("residual_px"),
+    ],
+)
+CameraErrorsMessage = message_class(
+    "CameraErrors",
+    [
+        *_several("captures_ns", kind="int64"),
+        MessageField("digest", "string"),
+        *_several("values", "covariance"),
+    ],
+)
+LookMessage = message_class(
+    "Look",
+    [
+        *_integers("time_ns"),
+        *_several("observations", kind="int64"),
+        MessageField("digest", "string"),
+        *_place("CM"),
+        *_place("CO"),
+        *_several("X_CM", "X_CO", "X_BT", "cov_CM", "cov_CO", "frame_cov_CM", "frame_cov_CO"),
+        *_integers("frames", "failed_tool", "failed_object"),
+        *map(MessageField, _OFFSET),
+    ],
+)
+ReferenceMessage = message_class(
+    "Reference",
+    [
+        *_integers("number"),
+        MessageField("kind", "string"),
+        MessageField("command", "string"),
+        *_several("p_m", "q_wxyz", "twist"),
+        MessageField("duration_s"),
+        MessageField("segment_s"),
+        MessageField("dwell_s"),
+        *_integers("measured_ns", "stream"),
+    ],
+)
+ClockMessage = message_class("Clock", [*_integers("offset_ns", "uncertainty_ns")])
+
+
+def frame_bytes(pair: StereoPair) -> bytes:
+    """longreach.Frame with the CRC-32 of each eye's pixels."""
+    height, width = pair.left.shape
+    crcs = {f"crc_{eye}": checksum(getattr(pair, eye)) for eye in ("left", "right")}
+    said = FrameMessage(
+        frame_id=pair.frame_id, capture_ns=pair.capture_ns, width=width, height=height, **crcs
+    )
+    return bytes(said.SerializeToString())
+
+
+def checksum(pixels: Any) -> int:
+    """CRC-32 of a picture, row by row."""
+    return zlib.crc32(np.ascontiguousarray(pixels).data)
+
+
+def observation_bytes(made: NumberedObservation) -> bytes:
+    """longreach.Observation; ``digest`` is of everything that was measured, also what has no field."""
+    seen = made.observation
+    markers = seen.markers
+    nowhere = np.full((4, 2), np.nan)
+    rights = [nowhere if marker.corners_right is None else marker.corners_right for marker in markers]
+    return _filled(
+        ObservationMessage,
+        number=made.number,
+        frame_id=seen.frame_id,
+        capture_ns=seen.capture_ns,
+        previous=made.previous,
+        corrected=made.corrected,
+        digest=digest(seen),
+        **_placed("CM", seen.X_CM),
+        **_placed("CO", seen.X_CO),
+        **{name: getattr(seen, name) for name in ("X_CM", "X_CO", "cov_CM", "cov_CO")},
+        marker_ids=[marker.marker_id for marker in markers],
+        corners_left_px=_flat([marker.corners_left for marker in markers]),
+        corners_right_px=_flat(rights),
+        marker_residuals_px=[marker.residual_px for marker in markers],
+        **({} if seen.offset is None else dict(zip(_OFFSET, seen.offset, strict=True))),
+        missing_tool=seen.missing_tool,
+        missing_object=seen.missing_object,
+        rejected_json=json.dumps(seen.rejected, sort_keys=True) if seen.rejected else None,
+        since_full_search=seen.since_full_search,
+    )
+
+
+def start_bytes(made: OdometryStart) -> bytes:
+    """longreach.OdometryStart."""
+    return _filled(OdometryStartMessage, **made._asdict())
+
+
+def tracked_bytes(made: TrackedFrame) -> bytes:
+    """longreach.Odometry: the pose, or why it is lost."""
+    stamp = {name: getattr(made, name) for name in ("odometry", "frame_id", "capture_ns", "tool_given")}
+    pose = made.found
+    if isinstance(pose, str):
+        return _filled(OdometryMessage, **stamp, digest=digest(pose), lost=pose)
+    measured = ("covariance", "inliers", "coverage", "residual_px")
+    return _filled(
+        OdometryMessage,
+        **stamp,
+        digest=digest(pose),
+        **_placed("C0C", pose.X_C0C),
+        X_C0C=pose.X_C0C,
+        **{name: getattr(pose, name) for name in measured},
+    )
+
+
+def fitted_bytes(made: Fitted) -> bytes:
+    """longreach.CameraErrors; without values where nothing was found."""
+    found = {} if made.errors is None else made.errors._asdict()
+    return _filled(CameraErrorsMessage, captures_ns=made.captures_ns, digest=digest(made.errors), **found)
+
+
+def look_bytes(made: CombinedLook) -> bytes:
+    """longreach.Look."""
+    look = made.look
+    fields = {name: value for name, value in look._asdict().items() if name != "offset"}
+    return _filled(
+        LookMessage,
+        observations=made.observations,
+        digest=digest(look),
+        **_placed("CM", look.X_CM),
+        **_placed("CO", look.X_CO),
+        **({} if look.offset is None else dict(zip(_OFFSET, look.offset, strict=True))),
+        **fields,
+    )
+
+
+def reference_bytes(number: int, request: Request | StreamedPose) -> bytes:
+    """longreach.Reference: what was asked of the controller, all its poses in B one after another."""
+    kind = type(request).__name__
+    match request:
+        case Command():
+            said: dict[str, Any] = {"command": request.code.name}
+        case ReferencePose():
+            pose, duration_s = request.X_BT_ref, request.duration_s
+            return _filled(
+                ReferenceMessage, number=number, kind=kind, **_poses([pose]), duration_s=duration_s
+            )
+        case ReferencePath():
+            said = {"segment_s": request.segment_s, "dwell_s": request.dwell_s}
+        case StreamedPose():
+            said = {"measured_ns": request.time_ns, "stream": request.stream_id, "twist": request.twist_ref}
+    return _filled(ReferenceMessage, number=number, kind=kind, **_poses(poses_of(request)), **said)
+
+
+def clock_bytes(offset: tuple[int, int]) -> bytes:
+    """longreach.Clock: the controller's clock minus the vision PC's, and how far that may be off."""
+    return _filled(ClockMessage, offset_ns=offset[0], uncertainty_ns=offset[1])
+
+
+def poses_of(request: Request | StreamedPose) -> tuple[Pose, ...]:
+    """The poses of T in B that a request names, in order."""
+    if isinstance(request, ReferencePath):
+        return request.waypoints
+    return () if isinstance(request, Command) else (request.X_BT_ref,)
+
+
+def _poses(poses: Sequence[Pose]) -> dict[str, list[float]]:
+    return {"p_m": _flat([pose.p_m for pose in poses]), "q_wxyz": _flat([pose.q_wxyz for pose in poses])}
+
+
+def _placed(name: str, X: Array | None) -> dict[str, float]:
+    """The position of ``X`` in fields of its own, for plots."""
+    return {} if X is None else {f"p_{name}_{axis}_m": float(X[i, 3]) for i, axis in enumerate(_AXES)}
+
+
+def _flat(parts: Sequence[Any]) -> list[float]:
+    return [] if len(parts) == 0 else np.ravel(np.asarray(parts, dtype=np.float64)).tolist()
+
+
+def _filled(message: Any, **values: Any) -> bytes:
+    """A message with what is there; matrices row by row."""
+    told = {name: value for name, value in values.items() if value is not None}
+    arrays = {name: value.ravel().tolist() for name, value in told.items() if isinstance(value, np.ndarray)}
+    return bytes(message(**{**told, **arrays}).SerializeToString())
