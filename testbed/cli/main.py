@@ -87,6 +87,32 @@ def up(
     run_up(config_dir, with_faults(overrides, start.allow_faults), start.free_ports, start.runs)
 
 
+@app.command(epilog="Example: longreach replay runs/demo/vision_pc/vision.mcap --set vision.look.frames=5")
+def replay(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording of the vision PC: vision.mcap.")],
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            help="The plant's recording to render pictures from; by default that of the same run, where FILE "
+            "holds none."
+        ),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="What if: replay with other settings of vision, and tell what moves."),
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="With --set: draw what moves to this file.", callback=writable)
+    ] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Run vision's perception again over a recording; exit status 1 unless all comes out as recorded."""
+    from testbed.recordings.command import ReplayRequest, run_replay
+
+    request = ReplayRequest(file, truth, settings or [], plot, json_file)
+    raise typer.Exit(0 if run_replay(request) else 1)
+
+
 @app.command(epilog="Example: longreach commission --joints slew,lift --out runs/commission/monday")
 def commission(
     joints: Annotated[

@@ -1,0 +1,124 @@
+"""`longreach replay`: vision's recording run again, compared to the last bit or with other settings."""
+
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from foundation.configuration import parse_overrides
+from foundation.recording.session import session_entries
+from protocol.errors import ConfigurationError
+from testbed.recordings.comparison import ALIKE, ReplayComparison
+from testbed.recordings.perception_replay import (
+    PerceptionReplay,
+    RecordedVision,
+    pixels_for,
+    recorded_vision,
+)
+from testbed.recordings.pixels import RenderedPixels
+from testbed.recordings.what_if import Moved, WhatIf
+from testbed.reporting.console import out, table, write_json
+
+
+class ReplayRequest(NamedTuple):
+    """What is replayed, from whose pictures, with which other settings, and where the results go."""
+
+    file: Path
+    truth: Path | None
+    settings: list[str]
+    plot: Path | None
+    json_file: Path | None
+
+
+def run_replay(request: ReplayRequest) -> bool:
+    """Whether all came out as recorded; with other settings, whether it could be run.
+
+    Raises RecordingUnreadable, ConfigurationError, OSError.
+    """
+    overrides = parse_overrides(request.settings)
+    if others := sorted(set(overrides) - {"vision"}):
+        raise ConfigurationError(
+            "configuration.unknown_file", f"--set {others[0]}…: a replay has the settings of vision alone"
+        )
+    recording = recorded_vision(request.file, overrides.get("vision"))
+    pixels = pixels_for(recording, request.truth)
+    what_if = WhatIf()
+    replay = PerceptionReplay(recording, pixels, what_if.take)
+    times_ns: deque[int] = deque(maxlen=1)
+    began_s, first_ns = time.process_time(), list[int]()
+
+    def advanced(log_ns: int) -> None:
+        times_ns.append(log_ns)
+        if not first_ns:
+            first_ns.append(log_ns)
+
+    compared = replay.run(advanced)
+    took_s = time.process_time() - began_s
+    recorded_s = 1e-9 * (times_ns[0] - first_ns[0]) if first_ns else 0.0
+    for damage in replay.damages:
+        out.print(f"not read, at byte {damage.offset}: {damage.what}", highlight=False)
+    made = "rendered again" if isinstance(pixels, RenderedPixels) else "as recorded"
+    out.print(f"{recorded_s:.1f} s of arm time in {took_s:.1f} s of one core; pixels {made}", highlight=False)
+    figures = {"recorded_s": recorded_s, "cpu_s": took_s, "pixels": made, **_figures(compared, replay)}
+    if overrides:
+        figures["moved"] = _tell_moved(what_if, request.plot)
+    else:
+        _show_compared(compared, recording)
+    write_json(request.json_file, figures)
+    return bool(overrides) or (compared.identical and not replay.damages)
+
+
+def _figures(compared: ReplayComparison, replay: PerceptionReplay) -> dict[str, Any]:
+    return {
+        "exact": compared.exact,
+        "alike": dict(compared.alike),
+        "of": dict(compared.of),
+        "largest_difference": compared.largest,
+        "first_difference": None if compared.first is None else compared.first._asdict(),
+        "damages": [damage._asdict() for damage in replay.damages],
+    }
+
+
+def _tell_moved(what_if: WhatIf, plot: Path | None) -> list[Any]:
+    rows = what_if.table()
+    _show_moved(rows)
+    if plot is not None:
+        what_if.plot(plot)
+        out.print(f"plot: {plot}", highlight=False)
+    return [row._asdict() for row in rows]
+
+
+def _show_compared(compared: ReplayComparison, recording: RecordedVision) -> None:
+    word = "identical" if compared.exact else f"alike within {ALIKE:g}"
+    for kind, count in compared.of.items():
+        out.print(f"{kind}: {compared.alike[kind]} of {count} {word}", highlight=False)
+    if not compared.exact:
+        out.print(
+            f"not compared to the last bit, as versions differ: {_versions(recording)}", highlight=False
+        )
+    if compared.first is not None:
+        out.print(f"first difference: {compared.first.in_words()}", highlight=False, soft_wrap=True)
+
+
+def _versions(recording: RecordedVision) -> str:
+    here = session_entries("vision_pc", {})
+    differing = [name for name in here if name.startswith("version") or name == "machine"]
+    told = [
+        f"{name.removeprefix('version ')} {recording.session.get(name, 'unknown')}, here {here[name]}"
+        for name in differing
+        if recording.session.get(name) != here[name]
+    ]
+    return "; ".join(told)
+
+
+def _show_moved(rows: list[Moved]) -> None:
+    shown = [
+        (row.what, row.recorded, row.replayed, *(_millimetres(mm) for mm in (row.median_mm, row.largest_mm)))
+        for row in rows
+    ]
+    columns = ("measured", "recorded", "replayed", "moved by, median mm", "largest mm")
+    out.print(table("with other settings, over the same pixels", columns, shown))
+
+
+def _millimetres(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3f}"

@@ -1,0 +1,116 @@
+"""What was recorded beside what comes out again: to the last bit, or within a limit, and where they part."""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+from foundation.recording.decoding import Values, decoder
+from foundation.recording.messages import format_of
+from vision_pc.shell.recording import vision_messages as own
+
+ALIKE = 1e-9  # of other versions or another processor: m, rad, px
+_DECODERS: dict[str, Callable[[bytes], Values]] = {}
+
+
+class Difference(NamedTuple):
+    """The first place where a replay parts from its recording."""
+
+    kind: str
+    number: int
+    capture_ns: int
+    field: str
+    recorded: Any
+    replayed: Any
+
+    def in_words(self) -> str:
+        """One line that says it all."""
+        where = f"{self.kind} {self.number} (captured at {self.capture_ns * 1e-9:.3f} s): {self.field}"
+        return f"{where}: recorded {_shown(self.recorded)}, replayed {_shown(self.replayed)}"
+
+
+class ReplayComparison:
+    """Counts what is the same, by kind, and keeps the first that is not.
+
+    ``exact``: the same is what has the same digest; otherwise what differs in no field by more than
+    ``ALIKE``, for other versions of the libraries. ``largest`` is the largest difference of a number.
+    """
+
+    def __init__(self, exact: bool) -> None:
+        self.exact = exact
+        self.alike: Counter[str] = Counter()
+        self.of: Counter[str] = Counter()
+        self.first: Difference | None = None
+        self.largest = 0.0
+
+    @property
+    def identical(self) -> bool:
+        """Whether everything was the same."""
+        return self.alike == self.of
+
+    def message(self, kind: str, number: int, recorded: Any, replayed: bytes) -> bool:
+        """Compare a recorded message with the bytes of a replayed one. Return whether they are the same."""
+        again = type(recorded).FromString(replayed)
+        if self.exact and recorded.digest == again.digest:
+            return self.same(kind)
+        for field, before, now in _parting(recorded, again):
+            self.largest = max(self.largest, _apart(before, now))
+            if self.exact or _apart(before, now) > ALIKE:
+                return self.different(kind, number, _stamp(recorded), field, before, now)
+        if self.exact:
+            return self.different(kind, number, _stamp(recorded), "digest", recorded.digest, again.digest)
+        return self.same(kind)
+
+    def same(self, kind: str) -> bool:
+        """Count one that is the same. Return True."""
+        self.of[kind] += 1
+        self.alike[kind] += 1
+        return True
+
+    def different(
+        self, kind: str, number: int, capture_ns: int, field: str, recorded: Any, replayed: Any
+    ) -> bool:
+        """Count one that is not, and keep it if it is the first. Return False."""
+        self.of[kind] += 1
+        if self.first is None:
+            self.first = Difference(kind, number, capture_ns, field, recorded, replayed)
+        return False
+
+
+def _parting(recorded: Any, replayed: Any) -> Iterator[tuple[str, Any, Any]]:
+    """Fields in which two messages differ, those of either; the digest is left out."""
+    before, now = (_flat(message) for message in (recorded, replayed))
+    for field in [*before, *(field for field in now if field not in before)]:
+        if field != "digest" and _apart(before.get(field), now.get(field)) > 0.0:
+            yield field, before.get(field), now.get(field)
+
+
+def _flat(message: Any) -> Values:
+    kind = type(message)
+    name = kind.DESCRIPTOR.full_name
+    if name not in _DECODERS:
+        made = decoder(format_of(kind))
+        assert made is not None
+        _DECODERS[name] = made
+    return _DECODERS[name](message.SerializeToString())
+
+
+def _apart(before: Any, now: Any) -> float:
+    """How far two values are apart: infinitely, where they are no numbers and not the same."""
+    if isinstance(before, float) and isinstance(now, float):
+        if math.isnan(before) and math.isnan(now):
+            return 0.0
+        return abs(before - now) if math.isfinite(before - now) else math.inf
+    return 0.0 if before == now else math.inf
+
+
+def _stamp(message: Any) -> int:
+    if isinstance(message, own.LookMessage):
+        return int(message.time_ns)
+    if isinstance(message, own.CameraErrorsMessage):
+        return int(message.captures_ns[-1]) if message.captures_ns else 0
+    return int(message.capture_ns)
+
+
+def _shown(value: Any) -> str:
+    return "nothing" if value is None else repr(value)

@@ -1,0 +1,260 @@
+"""Vision's perception run again over a recording: the same frames in the same order, with its own code.
+
+Every observation goes on from the one that it went on from then, as it comes out now: nothing but pixels, the
+arm's poses and the order is taken from the recording.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from mcap.records import Channel, Message, Metadata
+
+from foundation.configuration import merged, validated
+from foundation.recording.reading import Damage, RecordingUnreadable, walk
+from foundation.recording.session import session_entries
+from protocol.errors import MeasurementFailed
+from testbed.recordings.comparison import ReplayComparison
+from testbed.recordings.pixels import KeptPixels, Pixels, RecordedStamp, RenderedPixels, checked
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core.odometry import StereoOdometry
+from vision_pc.core.perception.look import combine
+from vision_pc.core.pixel_sensor import PixelSensor
+from vision_pc.core.types import CameraErrors, FrameObservation, OdometryPose, StereoPair, WatchSample
+from vision_pc.shell.recording import vision_messages as own
+from vision_pc.shell.recording import vision_recorder as topics
+
+_CLASSES: dict[str, Any] = {
+    topics.FRAME: own.FrameMessage,
+    topics.OBSERVATION: own.ObservationMessage,
+    topics.ODOMETRY_START: own.OdometryStartMessage,
+    topics.ODOMETRY: own.OdometryMessage,
+    topics.ERRORS: own.CameraErrorsMessage,
+    topics.LOOK: own.LookMessage,
+    topics.IMAGES[0]: RawImage,
+    topics.IMAGES[1]: RawImage,
+}
+_KEPT_FRAMES = 4
+_KEPT_OBSERVATIONS = 1100  # more than the frames of any look
+FRAME, OBSERVATION, ODOMETRY, ERRORS, LOOK = "frame", "observation", "odometry pose", "camera errors", "look"
+
+
+class RecordedVision(NamedTuple):
+    """What a recording says of itself. ``exact``: made by these very versions on this kind of machine."""
+
+    path: Path
+    config: VisionConfig
+    session: Mapping[str, str]
+    images: str
+    exact: bool
+
+
+def recorded_vision(path: Path, overrides: Mapping[str, Any] | None = None) -> RecordedVision:
+    """The recording at ``path``, its configuration with ``overrides`` laid over it.
+
+    Raises OSError, RecordingUnreadable (``recording.not_vision``), ConfigurationError.
+    """
+    metadata: dict[str, dict[str, str]] = {}
+    with path.open("rb") as stream:
+        for record in walk(stream):
+            if isinstance(record, Metadata):
+                metadata[record.name] = record.metadata
+            elif isinstance(record, Message):
+                break
+    run = json.loads(metadata.get("run", {}).get("configuration", "{}"))
+    if "vision" not in run:
+        why = f"{path.name}: no recording of the vision PC, whose name is {topics.FILE}"
+        raise RecordingUnreadable("recording.not_vision", why)
+    config = validated(VisionConfig, merged(run["vision"], overrides or {}), path.name)
+    session = metadata.get("session", {})
+    here = session_entries("vision_pc", {})
+    same = all(session.get(name) == value for name, value in here.items() if name not in ("id", "service"))
+    return RecordedVision(path, config, session, run["vision"]["recording"]["images"], same)
+
+
+def pixels_for(recording: RecordedVision, truth: Path | None) -> Pixels:
+    """The recording's own pictures, or those rendered again from the plant's recording of its session.
+
+    ``truth``: that recording; None: where `longreach up` leaves it. Raises RecordingUnreadable.
+    """
+    if truth is None and recording.images == "raw":
+        return KeptPixels()
+    source = truth or recording.path.parents[1] / "plant_emulator" / "truth.mcap"
+    if not source.is_file():
+        why = f"{recording.path.name} holds no whole pictures and there is no {source}; --truth names it"
+        raise RecordingUnreadable("recording.no_pictures", why)
+    return RenderedPixels(source)
+
+
+class PerceptionReplay:
+    """Takes a recording's messages in their order. ``on_message`` gets each with what came out again.
+
+    ``damages``: what of the file could not be read.
+    """
+
+    def __init__(
+        self,
+        recording: RecordedVision,
+        pixels: Pixels,
+        on_message: Callable[[str, Any, bytes], None] | None = None,
+    ) -> None:
+        self.comparison = ReplayComparison(recording.exact)
+        self.damages: list[Damage] = []
+        self._recording = recording
+        self._pixels = pixels
+        self._on_message = on_message
+        self._sensor = PixelSensor(recording.config)
+        self._pairs: dict[tuple[int, int], StereoPair] = {}
+        self._observations: dict[int, FrameObservation] = {}
+        self._at: dict[int, FrameObservation] = {}
+        self._poses: dict[int, OdometryPose] = {}
+        self._odometry: dict[int, StereoOdometry] = {}
+        self._errors: CameraErrors | None = None
+        self._looks = 0
+
+    def run(self, advanced: Callable[[int], None] = lambda _: None) -> ReplayComparison:
+        """Replay all of it; ``advanced`` is told the log time of each message.
+
+        Raises RecordingUnreadable for a frame without pictures (``recording.missing_frame``).
+        """
+        takers: dict[str, Callable[[Any], None]] = {
+            topics.OBSERVATION: self._observation,
+            topics.ODOMETRY_START: self._odometry_start,
+            topics.ODOMETRY: self._tracked,
+            topics.ERRORS: self._fitted,
+            topics.LOOK: self._look,
+        }
+        frames: list[Any] = []  # wait for their pictures, which follow them
+        for topic, record in self._messages():
+            if topic in topics.IMAGES:
+                self._image(topic, record.data)
+                continue
+            said = _CLASSES[topic].FromString(record.data)
+            if topic == topics.FRAME:
+                frames.append(said)
+                continue
+            while frames:
+                self._frame(frames.pop(0))
+            takers[topic](said)
+            advanced(record.log_time)
+        return self.comparison
+
+    def _messages(self) -> Iterator[tuple[str, Message]]:
+        named: dict[int, str] = {}
+        with self._recording.path.open("rb") as stream:
+            for record in walk(stream):
+                if isinstance(record, Channel):
+                    named[record.id] = record.topic
+                elif isinstance(record, Message) and named.get(record.channel_id) in _CLASSES:
+                    yield named[record.channel_id], record
+                elif isinstance(record, Damage):
+                    self.damages.append(record)
+
+    def _image(self, topic: str, data: bytes) -> None:
+        if isinstance(self._pixels, KeptPixels) and self._recording.images == "raw":
+            self._pixels.add(topics.IMAGES.index(topic), RawImage.FromString(data))
+
+    def _frame(self, said: Any) -> None:
+        stamp = RecordedStamp(*(getattr(said, name) for name in RecordedStamp._fields))
+        eyes = self._pixels.of(stamp)
+        if eyes is None:
+            why = f"frame {stamp.frame_id}: neither kept nor in the plant's recording"
+            raise RecordingUnreadable("recording.missing_frame", why)
+        wrong = checked(stamp, eyes)
+        if wrong:
+            eye, before, now = wrong[0]
+            told = (f"CRC-32 of the {eye} eye's pixels", f"{before:#010x}", f"{now:#010x}")
+            self.comparison.different(FRAME, stamp.frame_id, stamp.capture_ns, *told)
+        else:
+            self.comparison.same(FRAME)
+        self._pairs[stamp.frame_id, stamp.capture_ns] = StereoPair(*eyes, stamp.capture_ns, stamp.frame_id)
+        while len(self._pairs) > _KEPT_FRAMES:
+            del self._pairs[next(iter(self._pairs))]
+
+    def _observation(self, said: Any) -> None:
+        previous = self._known(said)
+        found = self._sensor.observe(self._pair(said), previous)
+        before = said.previous if said.HasField("previous") else None
+        again = own.observation_bytes(own.NumberedObservation(said.number, before, said.corrected, found))
+        self._observations[said.number] = self._at[found.capture_ns] = found
+        self._observations.pop(said.number - _KEPT_OBSERVATIONS, None)
+        self._compared(OBSERVATION, said.frame_id, said, again)
+
+    def _odometry_start(self, said: Any) -> None:
+        self._odometry = {said.odometry: self._sensor.odometry(self._known(said))}
+        self._at = {time_ns: seen for time_ns, seen in self._at.items() if time_ns == max(self._at)}
+        self._poses.clear()
+
+    def _tracked(self, said: Any) -> None:
+        pair = self._pair(said)
+        seen = self._at.get(pair.capture_ns)
+        X_CM = seen.X_CM if said.tool_given and seen is not None else None
+        odometry = self._odometry[said.odometry]
+        found = odometry.process(pair, X_CM)
+        if found is not None:
+            self._poses[pair.capture_ns] = found
+        made = own.TrackedFrame(
+            said.odometry,
+            pair.capture_ns,
+            pair.frame_id,
+            X_CM is not None,
+            found or odometry.last_loss or "lost",
+        )
+        self._compared(ODOMETRY, said.frame_id, said, own.tracked_bytes(made))
+
+    def _fitted(self, said: Any) -> None:
+        captures = tuple(said.captures_ns)
+        found = self._sensor.errors([self._sample(capture_ns) for capture_ns in captures])
+        self._errors = found or self._errors
+        self._compared(ERRORS, len(captures), said, own.fitted_bytes(own.Fitted(captures, found)))
+
+    def _look(self, said: Any) -> None:
+        self._looks += 1
+        numbers = tuple(said.observations)
+        seen = [self._observations[number] for number in numbers if number in self._observations]
+        X_BT = np.reshape(said.X_BT, (4, 4))
+        try:
+            look = combine(seen, X_BT, said.time_ns, self._recording.config.look)
+        except MeasurementFailed as error:
+            self.comparison.different(LOOK, self._looks, said.time_ns, "outcome", "a look", error.cause)
+            return
+        self._compared(LOOK, self._looks, said, own.look_bytes(own.CombinedLook(look, numbers)))
+
+    def _compared(self, kind: str, number: int, recorded: Any, replayed: bytes) -> None:
+        self.comparison.message(kind, number, recorded, replayed)
+        if self._on_message is not None:
+            self._on_message(kind, recorded, replayed)
+
+    def _pair(self, said: Any) -> StereoPair:
+        found = self._pairs.get((said.frame_id, said.capture_ns))
+        if found is None:
+            why = f"frame {said.frame_id}: measured in, but its pixels were not kept (frames_missed)"
+            raise RecordingUnreadable("recording.missing_frame", why)
+        return found
+
+    def _known(self, said: Any) -> FrameObservation | None:
+        """The observation that this one went on from, as it came out again."""
+        if not said.HasField("previous"):
+            return None
+        found = self._observations.get(said.previous)
+        if found is None:
+            why = f"observation {said.previous} was made before the recording, or was lost"
+            raise RecordingUnreadable("recording.missing_observation", why)
+        if said.corrected and self._errors is not None:
+            return found._replace(errors=self._errors, offset=self._errors.offset)
+        return found
+
+    def _sample(self, capture_ns: int) -> WatchSample:
+        seen, pose = self._at.get(capture_ns), self._poses.get(capture_ns)
+        return WatchSample(
+            capture_ns,
+            np.eye(4),
+            None if pose is None else pose.X_C0C,
+            None if seen is None else seen.X_CM,
+            None if seen is None else seen.X_CO,
+            seen,
+            None if pose is None else pose.pairs,
+        )

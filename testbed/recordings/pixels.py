@@ -1,0 +1,111 @@
+"""The pictures of a recording: those that it holds, or the same rendered again from the plant's recording."""
+
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter
+
+from foundation.recording.reading import RecordingUnreadable
+from plant_emulator.config.scene import SceneConfig
+from plant_emulator.core.camera.camera_motion import CameraView, Capture
+from plant_emulator.core.camera.exposures import Exposures, Shot
+from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.camera.stereo_camera import StereoCamera
+from plant_emulator.core.faults.kinds import Fault
+from plant_emulator.shell.recording import FaultRecord, read_truth
+
+Eyes = tuple[NDArray[np.uint8], NDArray[np.uint8]]
+
+
+class RecordedStamp(NamedTuple):
+    """What a recording says of a frame: its number and time, its size and its pixels' CRC-32."""
+
+    frame_id: int
+    capture_ns: int
+    width: int
+    height: int
+    crc_left: int
+    crc_right: int
+
+
+class Pixels(Protocol):
+    """Where a frame's pictures come from."""
+
+    def of(self, stamp: RecordedStamp) -> Eyes | None:
+        """Both eyes' pictures; None where there are none of this frame."""
+        ...
+
+
+class KeptPixels:
+    """The pictures that the recording itself holds; each is given out once."""
+
+    def __init__(self) -> None:
+        self._kept: dict[int, dict[int, NDArray[np.uint8]]] = {}
+
+    def add(self, eye: int, image: Any) -> None:
+        """Keep a foxglove.RawImage of an eye until its frame is asked for."""
+        capture_ns = image.timestamp.seconds * 1_000_000_000 + image.timestamp.nanos
+        picture = np.frombuffer(image.data, dtype=np.uint8).reshape(image.height, image.width)
+        self._kept.setdefault(capture_ns, {})[eye] = picture
+
+    def of(self, stamp: RecordedStamp) -> Eyes | None:
+        """The frame's pictures, if both are there; those of earlier frames are forgotten."""
+        found = self._kept.pop(stamp.capture_ns, {})
+        self._kept = {time_ns: eyes for time_ns, eyes in self._kept.items() if time_ns > stamp.capture_ns}
+        return (found[0], found[1]) if len(found) == 2 else None
+
+
+class RenderedPixels:
+    """The pictures of an emulated camera once more, from where it was and what faults were in force."""
+
+    def __init__(self, truth: Path) -> None:
+        """Read the plant's recording at ``truth``.
+
+        Raises OSError, RecordingUnreadable (also ``recording.motion_not_recorded``: pictures of a camera
+        that shows motion cannot be made again).
+        """
+        recording = read_truth(truth)
+        config = SceneConfig.model_validate(recording.run.get("scene", {}))
+        if config.camera.shows_motion:
+            why = f"{truth.name}: its camera shows motion within an exposure, which is not recorded"
+            raise RecordingUnreadable("recording.motion_not_recorded", why)
+        faults = [(record, _fault(record.fault)) for record in recording.faults]
+        exposures = Exposures(config.camera, config.seed)
+        self._shots: dict[int, Shot] = {}
+        for record in recording.truths:
+            if record.frame_id is not None:
+                view = CameraView(record.truth.X_WC, record.truth.X_WM)
+                now = [fault for said, fault in faults if _in_force(said, record.truth.time_ns)]
+                shot = exposures.shot(Capture(record.frame_id, record.log_ns, view), now)
+                self._shots[shot.frame_id] = shot
+        self._camera = StereoCamera(config.camera, Scene(config), config.seed)
+
+    def of(self, stamp: RecordedStamp) -> Eyes | None:
+        """The frame rendered, if the plant recorded its capture."""
+        shot = self._shots.get(stamp.frame_id)
+        if shot is None:
+            return None
+        left, right = self._camera.take(shot)
+        return left, right
+
+
+def checked(stamp: RecordedStamp, eyes: Eyes) -> tuple[tuple[str, int, int], ...]:
+    """Which eye's pixels are not those of the recording: its name, the CRC-32 as recorded and as it is."""
+    told = (("left", stamp.crc_left, eyes[0]), ("right", stamp.crc_right, eyes[1]))
+    found = ((name, crc, zlib.crc32(np.ascontiguousarray(picture).data)) for name, crc, picture in told)
+    return tuple(each for each in found if each[1] != each[2])
+
+
+def _fault(said: Mapping[str, Any]) -> Fault:
+    found: Fault = TypeAdapter(Fault).validate_python(dict(said))
+    return found
+
+
+def _in_force(said: FaultRecord, time_ns: int) -> bool:
+    if said.began_ns is None or time_ns < said.began_ns:
+        return False
+    return said.ended_ns is None or time_ns < said.ended_ns

@@ -1,0 +1,217 @@
+"""A recording replayed: identical, also with pictures rendered again; a flipped pixel found at its frame."""
+
+import json
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from mcap.records import Message
+
+from foundation.recording.mcap_file import McapFile
+from foundation.recording.reading import RecordingUnreadable, walk
+from foundation.recording.recovery import contents
+from protocol.errors import ConfigurationError
+from testbed.recordings.command import ReplayRequest, run_replay
+from testbed.recordings.comparison import ReplayComparison
+from testbed.recordings.perception_replay import (
+    FRAME,
+    LOOK,
+    OBSERVATION,
+    PerceptionReplay,
+    pixels_for,
+    recorded_vision,
+)
+from testbed.recordings.pixels import RenderedPixels
+from tests.testbed.lockstep.recorded_run import FILES, RecordedRun, recorded_run
+from vision_pc.shell.recording import vision_messages as own
+from vision_pc.shell.recording import vision_recorder as topics
+
+Change = Callable[[str, int, bytes], bytes | None]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
+    return recorded_run(tmp_path_factory.mktemp("run"), images="raw")
+
+
+def edited(source: Path, target: Path, change: Change, session: dict[str, str] | None = None) -> Path:
+    """``source`` with each message as ``change(topic, how many before it, data)`` has it; None: without."""
+    found = contents(source)
+    numbers = {channel: number for number, channel in enumerate(found.topics)}
+    metadata = {**found.metadata, "session": {**found.metadata["session"], **(session or {})}}
+    counts = dict.fromkeys(found.topics, 0)
+    with (
+        closing(McapFile(target, list(found.topics.values()), metadata)) as file,
+        source.open("rb") as stream,
+    ):
+        for record in walk(stream):
+            if isinstance(record, Message):
+                channel = record.channel_id
+                data = change(found.topics[channel].name, counts[channel], record.data)
+                counts[channel] += 1
+                if data is not None:
+                    file.add(numbers[channel], data, record.log_time, record.publish_time)
+    return target
+
+
+def kept(topic: str, count: int, data: bytes) -> bytes:
+    return data
+
+
+def replayed(path: Path, truth: Path | None = None) -> ReplayComparison:
+    recording = recorded_vision(path)
+    return PerceptionReplay(recording, pixels_for(recording, truth)).run()
+
+
+def request(path: Path, **given: Any) -> ReplayRequest:
+    return ReplayRequest(path, None, [], None, None)._replace(**given)
+
+
+@pytest.mark.parametrize("again", [False, True], ids=["pixels kept", "pixels rendered again"])
+def test_everything_comes_out_as_recorded(recorded: RecordedRun, again: bool) -> None:
+    truth = recorded.directory / FILES[0]
+    compared = replayed(recorded.directory / FILES[2], truth if again else None)
+    assert compared.first is None
+    assert compared.exact
+    assert compared.alike == compared.of
+    assert compared.of[FRAME] == compared.of[OBSERVATION] > 5
+    assert compared.of[LOOK] == 2
+
+
+def test_without_pixels_those_of_the_same_run_are_rendered(recorded: RecordedRun, tmp_path: Path) -> None:
+    """As `longreach up` lays the files out; with no plant's recording beside it, that is said."""
+    source = recorded.directory / FILES[2]
+    recording = recorded_vision(source)._replace(images="none")
+    assert isinstance(pixels_for(recording, None), RenderedPixels)
+    alone = edited(source, tmp_path / "vision.mcap", kept)
+    with pytest.raises(RecordingUnreadable, match="holds no whole pictures") as refused:
+        pixels_for(recorded_vision(alone)._replace(images="none"), None)
+    assert refused.value.cause == "recording.no_pictures"
+
+
+def flipped(data: bytes, row: int, column: int, bit: int) -> bytes:
+    image = RawImage.FromString(data)
+    pixels = bytearray(image.data)
+    pixels[row * image.width + column] ^= 1 << bit
+    image.data = bytes(pixels)
+    return bytes(image.SerializeToString())
+
+
+def test_one_flipped_bit_of_one_pixel_is_found_at_its_frame(recorded: RecordedRun, tmp_path: Path) -> None:
+    def change(topic: str, count: int, data: bytes) -> bytes:
+        return flipped(data, 3, 5, 0) if (topic, count) == (topics.IMAGES[1], 4) else data
+
+    path = edited(recorded.directory / FILES[2], tmp_path / "vision.mcap", change)
+    compared = replayed(path)
+    frames = [said.frame_id for said in all_of(path, topics.FRAME, own.FrameMessage)]
+    assert compared.first is not None
+    assert (compared.first.kind, compared.first.number) == (FRAME, frames[4])
+    assert "CRC-32 of the right eye's pixels: recorded '0x" in compared.first.in_words()
+    assert compared.of[FRAME] - compared.alike[FRAME] == 1
+    assert not run_replay(request(path))
+
+
+def test_a_pixel_that_moves_a_corner_shows_in_the_frame_s_detections(
+    recorded: RecordedRun, tmp_path: Path
+) -> None:
+    """Both values are told, and the checksum with it."""
+    source = recorded.directory / FILES[2]
+    third = all_of(source, topics.OBSERVATION, own.ObservationMessage)[2]
+    column, row = (round(value) for value in third.corners_left_px[:2])
+
+    def change(topic: str, count: int, data: bytes) -> bytes:
+        if (topic, count) != (topics.IMAGES[0], 2):
+            return data
+        for offset in range(-3, 4):
+            data = flipped(data, row + offset, column + offset, 7)
+        return data
+
+    compared = replayed(edited(source, tmp_path / "vision.mcap", change))
+    assert compared.first is not None
+    assert compared.first.number == third.frame_id
+    assert compared.of[OBSERVATION] > compared.alike[OBSERVATION]
+
+
+def all_of(path: Path, topic: str, message: Any) -> list[Any]:
+    """Every message of a topic."""
+    found: list[Any] = []
+
+    def change(name: str, count: int, data: bytes) -> bytes | None:
+        if name == topic:
+            found.append(message.FromString(data))
+        return None
+
+    edited(path, path.with_suffix(f".{len(list(path.parent.iterdir()))}"), change)
+    return found
+
+
+def test_other_versions_are_compared_by_numbers_and_that_is_said(
+    recorded: RecordedRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def nudged(topic: str, count: int, data: bytes) -> bytes:
+        if (topic, count) != (topics.LOOK, 0):
+            return data
+        said = own.LookMessage.FromString(data)
+        said.X_CM[3] += 1e-11
+        said.digest = "of another machine"
+        return bytes(said.SerializeToString())
+
+    source = recorded.directory / FILES[2]
+    path = edited(source, tmp_path / "vision.mcap", nudged, {"version numpy": "1.0"})
+    assert run_replay(request(path))
+    told = capsys.readouterr().out
+    assert "look: 2 of 2 alike within 1e-09" in told
+    assert "numpy 1.0, here" in told
+    here = edited(source, tmp_path / "here.mcap", nudged)
+    compared = replayed(here)
+    assert compared.first is not None
+    assert compared.first.field == "X_CM[3]"
+
+
+def test_what_if_tells_what_moves(
+    recorded: RecordedRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = recorded.directory / FILES[2]
+    plot, figures = tmp_path / "moved.svg", tmp_path / "moved.json"
+    settings = ["vision.markers.offset_std_px=0.05"]
+    assert run_replay(request(path, settings=settings, plot=plot, json_file=figures))
+    assert "object in a look" in capsys.readouterr().out
+    assert plot.read_text().startswith("<?xml")
+    moved = {row["what"]: row for row in json.loads(figures.read_text())["moved"]}
+    assert moved["object in a frame"]["both"] == moved["object in a frame"]["recorded"] > 5
+    assert moved["object in a frame"]["largest_mm"] > 0.0
+
+
+def test_what_cannot_be_replayed_is_named(recorded: RecordedRun, tmp_path: Path) -> None:
+    source = recorded.directory / FILES[2]
+
+    def without(name: str, number: int) -> Change:
+        return lambda topic, count, data: None if (topic, count) == (name, number) else data
+
+    for number, (topic, cause) in enumerate(
+        ((topics.IMAGES[0], "missing_frame"), (topics.OBSERVATION, "missing_observation"))
+    ):
+        path = edited(source, tmp_path / f"{number}.mcap", without(topic, 1))
+        with pytest.raises(RecordingUnreadable) as refused:
+            replayed(path)
+        assert refused.value.cause == f"recording.{cause}"
+    with pytest.raises(RecordingUnreadable) as refused:
+        recorded_vision(recorded.directory / FILES[0])
+    assert refused.value.cause == "recording.not_vision"
+    with pytest.raises(ConfigurationError, match="the settings of vision alone"):
+        run_replay(request(source, settings=["plant.payload.mass_kg=3"]))
+
+
+def test_a_recording_that_was_cut_off_is_replayed_as_far_as_it_goes(
+    recorded: RecordedRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = (recorded.directory / FILES[2]).read_bytes()
+    path = tmp_path / "vision.mcap"
+    path.write_bytes(whole[: len(whole) // 2])
+    assert not run_replay(request(path))
+    told = capsys.readouterr().out
+    assert "not read, at byte" in told
+    assert "first difference" not in told
