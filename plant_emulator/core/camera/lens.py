@@ -11,15 +11,19 @@ Real64 = NDArray[np.float64]
 Real32 = NDArray[np.float32]
 
 
+_STRAIGHT = 0.01  # coefficients below it bend a marker's side by less than its rim is wide
+
+
 class Lens:
     """Pinhole with Brown-Conrady distortion; pixel (0, 0) is centred at image coordinates (0, 0), as in
-    OpenCV.
+    OpenCV. ``bends``: straight lines are visibly bent, as in pictures that nobody rectified.
     """
 
     def __init__(self, config: LensConfig, shift_u_px: float = 0.0, shift_v_px: float = 0.0) -> None:
         self.focal = np.array([config.fx_px, config.fy_px])
         self.centre = np.array([config.cx_px + shift_u_px, config.cy_px + shift_v_px])
         self._coefficients = np.array([config.k1, config.k2, config.p1, config.p2, config.k3])
+        self.bends = bool(np.abs(self._coefficients).max() > _STRAIGHT)
 
     def project(self, points: Real64) -> Real64:
         """Image coordinates (n, 2) px of points (n, 3) in the eye's axes; NaN where not in front."""

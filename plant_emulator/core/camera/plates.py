@@ -19,6 +19,7 @@ Box = tuple[int, int, int, int]
 _COARSEST_TEXELS = 8
 _RIM_PX = 2  # a plate's rim touches pixels this far outside its projected corners
 _NEAREST_M = 0.02
+_ALONG = 8  # points on each side of a plate, where the lens bends straight lines
 
 
 class Bend(NamedTuple):
@@ -156,8 +157,18 @@ def ray_to_plane(X_EP: Matrix) -> Matrix:
     return np.asarray(np.linalg.inv(columns), dtype=np.float64)
 
 
+def _outlines(rims: Matrix) -> Matrix:
+    """Points (n, 8 m, 3) along the sides of plates whose corners are ``rims`` (n, 8, 3)."""
+    squares = rims.reshape(-1, 2, 4, 1, 3)
+    share = np.linspace(0.0, 1.0, _ALONG, endpoint=False)[:, None]
+    sides = squares * (1.0 - share) + np.roll(squares, -1, axis=2) * share
+    return np.asarray(sides.reshape(len(rims), -1, 3))
+
+
 def _boxes(rims: Matrix, R: Matrix, p: Matrix, lens: Lens, size: tuple[int, int]) -> NDArray[np.int64]:
     """Pixel rows and columns (n, 4) that each plate may touch: top, bottom, left, right."""
+    if lens.bends:
+        rims = _outlines(rims)
     in_eye = rims[:, None] @ np.swapaxes(R, -1, -2) + p[:, :, None]
     near = in_eye[..., 2] <= _NEAREST_M
     image = lens.project(in_eye.reshape(-1, 3)).reshape(*in_eye.shape[:3], 2)
