@@ -86,6 +86,11 @@ class VisionApplication:
             raise RequestRefused("refused.no_look_yet", "nothing was looked at since the service started")
         return self._latest
 
+    async def look_alone(self, frames: int | None) -> JudgedLook:
+        """A look without a controller, remembered as any other. Raises as ``Camera.look_alone``."""
+        self._remember(await self.camera.look_alone(frames))
+        return self.latest_look
+
     def _remember(self, look: Look) -> None:
         self._latest = JudgedLook(look, judge(look, self.positioning))
         shown = look_json(self._latest)

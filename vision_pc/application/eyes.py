@@ -202,6 +202,23 @@ class CameraEyes(FrameEyes[StereoPair]):
         middle_ns = int(np.mean([pair.capture_ns for pair in pairs]))
         return PairsAtRest(tuple(pairs), await self._states.pose_at(middle_ns))
 
+    async def look_alone(self, frames: int | None = None) -> Look:
+        """A look whose ``X_BT`` is NaN, for a camera that is put into service before the controller is.
+
+        Raises MeasurementFailed as ``look``, LinkLost when the camera is silent.
+        """
+        newest_ns, observations = self._runtime.clock.now_ns, []
+        for _ in range(frames or self._settings.frames):
+            frame = await self._frames.frame_after(newest_ns)
+            newest_ns = frame.capture_ns
+            observations.append(await self._observed(frame))
+        assert self._latest is not None
+        self._record.pictured(*self._latest)
+        time_ns = int(np.mean([observation.capture_ns for observation in observations]))
+        look = combine(observations, np.full((4, 4), np.nan), time_ns, self._settings)
+        self._record.looked(look)
+        return look
+
     async def aside(self, work: Callable[[], T]) -> T:
         """What ``work`` returns, computed where the eyes compute: the link is not held up."""
         return await self._runtime.worker.run(work)

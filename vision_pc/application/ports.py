@@ -126,6 +126,13 @@ class Camera(Protocol):
     def status(self) -> CameraStatus: ...
     async def latest_png(self) -> bytes: ...
 
+    async def look_alone(self, frames: int | None = None) -> Look:
+        """A look without a controller: where the arm is, and whether it rests, nobody tells.
+
+        Raises MeasurementFailed and LinkLost as ``Eyes.look``.
+        """
+        ...
+
     def seen(self) -> Seen | None:
         """What was measured in a picture last, None before the first measurement."""
         ...

@@ -29,8 +29,8 @@ def camera(application: VisionApplication, name: str, settings: Any) -> None:
 
 
 def at_rest(application: VisionApplication, name: str, settings: Any) -> None:
-    """The arm does not move."""
-    if application.controller.state.group_state is GroupState.MOVING:
+    """The arm does not move, as far as a controller tells."""
+    if application.controller.connected and application.controller.state.group_state is GroupState.MOVING:
         raise RequestRefused("refused.moving", f"{name}: the arm is moving")
 
 
@@ -71,11 +71,12 @@ BLIND: tuple[Need, ...] = (at_rest, enabled, recording)
 class Program(Generic[SettingsT, ResultT]):
     """One program.
 
-    ``name`` is its address in the API and its name in logs, ``title`` what it does in one line. ``run`` is
-    called with the application, the settings of this request and a report; it returns a typed result, of
-    which ``to_json`` makes what the API answers (mm, degrees). ``body`` is what a request may say, laid over
-    ``settings`` (None: the body itself is what ``run`` gets). ``needs`` must all be met before it begins, in
-    this order. ``core`` is the function to read, ``source`` where its method comes from, ``tag`` its group.
+    ``name`` is its address in the API and its name in logs, ``title`` what it does in one line. ``run``
+    is called with the application, the settings of this request and a report; it returns a typed result,
+    of which ``to_json`` makes what the API answers (mm, degrees). ``body`` is what a request may say,
+    laid over ``settings`` (None: the body itself is what ``run`` gets). ``needs`` must all be met before
+    it begins, in this order; ``without_controller``: it begins without a controller too. ``core`` is the
+    function to read, ``source`` where its method comes from, ``tag`` its group.
     """
 
     name: str
@@ -88,6 +89,7 @@ class Program(Generic[SettingsT, ResultT]):
     core: Callable[..., Any] | None = None
     source: str = "–"
     tag: str = "operations"
+    without_controller: bool = False
 
     def requested(self, application: VisionApplication, body: RequestBody) -> BaseModel:
         """The settings of one request.
@@ -101,7 +103,8 @@ class Program(Generic[SettingsT, ResultT]):
 
     def refuse_now(self, application: VisionApplication, settings: Any) -> None:
         """Raises RequestRefused or LinkLost when the program cannot begin in the present state."""
-        _ = application.controller.state  # without a controller, that is the cause
+        if not self.without_controller:
+            _ = application.controller.state  # without a controller, that is the cause
         for need in self.needs:
             need(application, self.name, settings)
 

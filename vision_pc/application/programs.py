@@ -74,6 +74,9 @@ from vision_pc.core.se3 import Array, from_pose, transform
 
 
 async def _look(application: VisionApplication, body: LookBody, report: Report) -> JudgedLook:
+    if not application.controller.connected:
+        report(0.1, "looking; no controller is connected")
+        return await application.look_alone(body.frames)
     report(0.1, "looking")
     await application.eyes.look(body.frames)
     return application.latest_look
@@ -196,6 +199,7 @@ PROGRAMS: tuple[Program[Any, Any], ...] = (
         to_json=look_json,
         body=LookBody,
         needs=STANDING,
+        without_controller=True,
     ),
     Program(
         "orientation-adjustment",

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from vision_pc.application.ports import Seen
 from vision_pc.core.calibration.line_equation import LineEquation
 from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.calibration.local_error_model import LocalTrack
@@ -90,7 +91,8 @@ def look_json(judged: JudgedLook) -> JSON:
         "time_ns": look.time_ns,
         "X_CM": pose_json(look.X_CM),
         "X_CO": pose_json(look.X_CO),
-        "X_BT": pose_json(look.X_BT),
+        "X_BT": pose_json(look.X_BT) if look.arm_known else None,
+        "controller": "connected" if look.arm_known else "not connected: where the arm is was not told",
         "orientation_error_deg": degrees(orientation_error(look)),
         "frames": look.frames,
         "failed_tool": look.failed_tool,
@@ -101,6 +103,32 @@ def look_json(judged: JudgedLook) -> JSON:
         "std_object_deg": degrees(look.std_object_rad),
         "stereo_offset_px": None if look.offset is None else [look.offset.x_px, look.offset.y_px],
     }
+
+
+def seen_json(seen: Seen | None) -> JSON:
+    """What the newest picture shows: markers by number, tool and object where they were measured, and why
+    not.
+    """
+    if seen is None:
+        return {"markers": [], "X_CM": None, "X_CO": None}
+    found = seen.observation
+    offset = found.offset
+    return {
+        "frame_id": found.frame_id,
+        "markers": [
+            {"id": one.marker_id, "size_mm": 1e3 * one.size, "X_CA": pose_json(one.X_CA),
+             "corners_left_px": one.corners_left.round(3).tolist(),
+             "both_eyes": one.corners_right is not None, "residual_px": one.residual_px}
+            for one in found.markers
+        ],
+        "rejected": dict(found.rejected),
+        "X_CM": None if found.X_CM is None else pose_json(found.X_CM),
+        "X_CO": None if found.X_CO is None else pose_json(found.X_CO),
+        "missing_tool": found.missing_tool,
+        "missing_object": found.missing_object,
+        "stereo_offset_px": None if offset is None else [offset.x_px, offset.y_px],
+        "stereo_offset_std_px": None if offset is None else [offset.std_x_px, offset.std_y_px],
+    }  # fmt: skip
 
 
 def orientation_json(result: OrientationResult) -> JSON:

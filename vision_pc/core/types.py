@@ -133,7 +133,8 @@ class Look(NamedTuple):
 
     ``frames`` pairs were tried; ``failed_tool`` / ``failed_object`` did not show the tool / the object;
     ``cov_CM`` / ``cov_CO`` are of the combined pose, ``frame_cov_*`` of one frame's noise. ``std_*`` are
-    square roots of their diagonals: ``_m`` per axis of C in metres, ``_rad`` about the axes of C.
+    square roots of their diagonals: ``_m`` per axis of C in metres, ``_rad`` about the axes of C. ``X_BT`` is
+    NaN where nobody told where the arm is: nothing can be computed from it.
     """
 
     time_ns: int
@@ -148,6 +149,11 @@ class Look(NamedTuple):
     frame_cov_CM: Array
     frame_cov_CO: Array
     offset: StereoOffset | None
+
+    @property
+    def arm_known(self) -> bool:
+        """Whether a controller told where the arm was."""
+        return bool(np.isfinite(self.X_BT).all())
 
     @property
     def std_tool_m(self) -> Array:

@@ -1,4 +1,6 @@
-"""A camera that nobody rectified: plates are painted whole although their sides are bent, and as OpenCV has it."""
+"""A camera that nobody rectified: plates are painted whole although their sides are bent, and as OpenCV has
+it.
+"""
 
 import numpy as np
 

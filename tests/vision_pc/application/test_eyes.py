@@ -21,8 +21,10 @@ from tests.vision_pc.rendering import Marker, draw_marker, draw_wall, facing, fi
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward
 from vision_pc.application.reference_link import ReferenceLink
+from vision_pc.application.results import JudgedLook, look_json
 from vision_pc.config.vision import LinkSettings, VisionConfig
 from vision_pc.core.perception.intrinsics import calibration
+from vision_pc.core.positioning.look_then_move import judge
 from vision_pc.core.se3 import transform
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.camera_eyes import OpenedEyes, open_eyes
@@ -136,6 +138,25 @@ async def test_a_look_measures_fresh_pairs_and_keeps_a_picture(bench: Bench, tmp
     kept = cv2.imread(str(tmp_path / "look-0001.png"))
     assert kept is not None
     assert kept.shape == (720, 1280, 3)
+
+
+async def test_a_look_without_a_controller_says_that_nobody_told_where_the_arm_is(
+    bench: Bench, config: VisionConfig
+) -> None:
+    bench.link.disconnect()
+    with pytest.raises(LinkLost):
+        await bench.eyes.look(2)
+    look = await bench.eyes.look_alone(3)
+    assert np.allclose(look.X_CM[:3, 3], X_CM[:3, 3], atol=1e-3)
+    assert not look.arm_known
+    assert np.isnan(look.X_BT).all()
+    shown = look_json(JudgedLook(look, judge(look, config.programs.positioning)))
+    assert shown["X_BT"] is None
+    assert shown["controller"].startswith("not connected")
+    bench.camera.silent = True
+    with pytest.raises(LinkLost) as lost:
+        await bench.eyes.look_alone(2)
+    assert lost.value.cause == "link.camera_silent"
 
 
 async def test_the_loop_stays_free_while_the_thread_looks(bench: Bench) -> None:

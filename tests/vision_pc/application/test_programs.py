@@ -33,7 +33,8 @@ BODY = body_of("Body", "A body.", Settings, near_mm=Copy(5.0, also={"widened": 0
 
 def application(state: GroupState = GroupState.STANDBY, *, camera: bool = True, log: bool = True) -> Any:
     """An application of which only the state matters."""
-    controller = SimpleNamespace(state=SimpleNamespace(group_state=state, flags=0, fault=FaultCode.NONE))
+    told = SimpleNamespace(group_state=state, flags=0, fault=FaultCode.NONE)
+    controller = SimpleNamespace(state=told, connected=True)
     status = SimpleNamespace(status=lambda: CameraStatus(camera, 0.0, 1, 10.0))
     unused: Any = None
     return VisionApplication(
@@ -166,3 +167,29 @@ def _asked(program: Program[Any, Any]) -> Any:
     if program.name.startswith("hand-eye") or program.settings is None:
         return None
     return program.requested(application(), program.body())
+
+
+async def test_a_look_begins_without_a_controller_and_nothing_else_does() -> None:
+    class Absent:
+        connected = False
+
+        @property
+        def state(self) -> Any:
+            raise LinkLost("link.not_connected", "no controller")
+
+    asked: list[int | None] = []
+
+    async def look_alone(frames: int | None) -> str:
+        asked.append(frames)
+        return "a look"
+
+    bare: Any = application()
+    bare.controller, bare.look_alone = Absent(), look_alone
+    look = by_name(PROGRAMS)["look"]
+    look.refuse_now(bare, look.requested(bare, look.body(frames=4)))
+    assert await look.run(bare, look.body(frames=4), lambda part, what: None) == "a look"
+    assert asked == [4]
+    for program in PROGRAMS:
+        if program.name != "look":
+            with pytest.raises(LinkLost, match="no controller"):
+                program.refuse_now(bare, None)

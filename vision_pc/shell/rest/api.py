@@ -18,7 +18,7 @@ from vision_pc.application.console.overview import Overview
 from vision_pc.application.hand_eye_programs import HAND_EYE
 from vision_pc.application.program import Program, by_name
 from vision_pc.application.programs import PROGRAMS
-from vision_pc.application.results import JSON, calibration_json, look_json
+from vision_pc.application.results import JSON, calibration_json, look_json, seen_json
 from vision_pc.shell.rest.console.routes import PAGE, Console, add_console
 from vision_pc.shell.rest.hand_eye_routes import add_session
 from vision_pc.shell.rest.link_view import LinkView, link_view
@@ -124,6 +124,15 @@ def _add_looks(app: FastAPI, application: VisionApplication) -> None:
     async def latest_look() -> JSON:
         """404 until something was looked at."""
         return look_json(application.latest_look)
+
+    @app.get("/camera/markers", tags=["looks"], summary="The markers in the newest picture")
+    async def markers() -> JSON:
+        """Markers, tool and object, with or without a controller; nothing is averaged."""
+        await application.camera.observe()
+        connected = application.controller.connected
+        return seen_json(application.camera.seen()) | {
+            "controller": "connected" if connected else "not connected"
+        }
 
     @app.get("/camera/latest.png", tags=["looks"], summary="The newest picture with detections drawn in",
              response_class=Response, responses={200: {"content": {"image/png": {}}}})  # fmt: skip
