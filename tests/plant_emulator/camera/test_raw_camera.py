@@ -2,12 +2,12 @@
 it.
 """
 
+import cv2
 import numpy as np
 
 from plant_emulator.core.camera import plates
 from plant_emulator.core.camera.lens import Lens
 from tests.plant_emulator.camera.camera_world import CLEAN, camera, clean_camera, start_view
-from tests.plant_emulator.camera.test_true_camera import FOUND_PX, found_in
 
 RAW = {
     "lens": {"fx_px": 533.4, "fy_px": 532.7, "cx_px": 651.6, "cy_px": 348.3, "k1": -0.12, "k2": 0.02,
@@ -22,8 +22,12 @@ def test_markers_lie_where_opencv_projects_them_in_both_raw_eyes() -> None:
     view = start_view(eyes.scene)
     pair = eyes.render(view.X_WC, view.X_WM, 1)
     exact = eyes.project_corners(view.X_WC, view.X_WM)
-    errors = [found_in(pair[k], exact[number][k]) - exact[number][k] for number in (1, 2, 3) for k in (0, 1)]
-    assert np.sqrt(np.mean(np.square(errors))) < FOUND_PX
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000))
+    for k, picture in enumerate(pair):
+        found, numbers, _ = detector.detectMarkers(picture)
+        assert {1, 2, 3} <= set(numbers.ravel().tolist())
+        for corners, number in zip(found, numbers.ravel().tolist(), strict=True):
+            np.testing.assert_allclose(corners[0], exact[number][k], atol=1.5)  # unrefined; bent by tens
 
 
 def test_a_plate_is_painted_as_far_as_its_bent_sides_reach() -> None:
