@@ -25,7 +25,7 @@ def test_markers_lie_where_opencv_projects_them_in_both_raw_eyes() -> None:
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000))
     for k, picture in enumerate(pair):
         found, numbers, _ = detector.detectMarkers(picture)
-        assert {1, 2, 3} <= set(numbers.ravel().tolist())
+        assert {0, 1, 3} <= set(numbers.ravel().tolist())  # the tool hides a part of marker 2
         for corners, number in zip(found, numbers.ravel().tolist(), strict=True):
             np.testing.assert_allclose(corners[0], exact[number][k], atol=1.5)  # unrefined; bent by tens
 
