@@ -87,12 +87,12 @@ def verdict_json(verdict: LookVerdict) -> JSON:
 def look_json(judged: JudgedLook) -> JSON:
     """A look with its verdict."""
     look, verdict = judged
-    return verdict_json(verdict) | {
+    alone = {} if look.arm_known else {"controller": "not connected: where the arm is was not told"}
+    return verdict_json(verdict) | alone | {
         "time_ns": look.time_ns,
         "X_CM": pose_json(look.X_CM),
         "X_CO": pose_json(look.X_CO),
         "X_BT": pose_json(look.X_BT) if look.arm_known else None,
-        "controller": "connected" if look.arm_known else "not connected: where the arm is was not told",
         "orientation_error_deg": degrees(orientation_error(look)),
         "frames": look.frames,
         "failed_tool": look.failed_tool,
