@@ -93,6 +93,9 @@ def test_overload_that_a_service_told_explains_what_came_just_before(
     assert [tuple(each) for each in journal.overloads] == [(OVERLOAD, 8.0, 50.0)]
 
 
+HOME = {"p_m": [3.9, 0.0, 1.0], "q_wxyz": [0.5, -0.5, 0.5, -0.5]}
+
+
 class _Rig:
     """An arm whose second look fails and latches a fault, and which refuses the first RESET."""
 
@@ -101,9 +104,11 @@ class _Rig:
         self.group = "disabled"
         self.commands: list[str] = []
         self.looks = 0
+        self.at = HOME
+        self.went: list[JSON] = []
 
     def state(self) -> JSON:
-        return {"group_state": self.group}
+        return {"group_state": self.group, "X_BT": self.at}
 
     def command(self, name: str) -> None:
         self.commands.append(name)
@@ -114,6 +119,9 @@ class _Rig:
     def operate(self, kind: str, body: JSON, bar: Bar) -> None:
         self.clock[0] += 5.0
         self.looks += kind == "look"
+        if kind == "move":
+            self.went.append(body["X_BT"])
+            self.at = {**HOME, "p_m": [3.0, 1.0, 2.0]}  # a fault stopped it there
         if kind == "look" and self.looks == 2:
             self.group = "error_stop"
             raise LinkLost("link.camera_silent", "no picture")
@@ -137,6 +145,7 @@ def test_a_failed_look_is_noted_and_the_duty_goes_on(
     assert [i.cause for i in journal.incidents] == ["link.camera_silent", "refused.plant_not_ready"]
     assert duty.done["look"] > 20
     assert (duty.done["move"], duty.done["trajectory-matching"]) == (2, 1)
+    assert rig.went == [{**HOME, "p_m": [3.9, 0.15, 1.0]}, HOME]  # wherever it was stopped
 
 
 def test_the_end_of_a_service_ends_the_duty(clock: list[float], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,7 +29,7 @@ class Duty:
         self._journal = journal
         self._bar = bar
         self._alive = alive
-        self._stroke_m = _STROKE_M
+        self._out = False
 
     def keep(self, seconds: float, warm_up_s: float) -> None:
         """Work for ``seconds``, calibrating more often in the first ``warm_up_s`` of them.
@@ -38,6 +38,7 @@ class Duty:
         """
         overall = _Overall(self._bar, self._journal, seconds)
         self._recover()
+        home = self._rig.state()["X_BT"]
         moves, next_move_s = 0, 0.0
         while self._journal.now_s < seconds:
             if self._journal.now_s < next_move_s:
@@ -46,8 +47,8 @@ class Duty:
             next_move_s = self._journal.now_s + _MOVE_EVERY_S
             moves += 1
             if moves % (_IN_WARM_UP if self._journal.now_s < warm_up_s else _CALIBRATE_EVERY):
-                self._attempt("move", {"offset_base_m": [0.0, self._stroke_m, 0.0]}, overall)
-                self._stroke_m = -self._stroke_m
+                self._out = not self._out
+                self._attempt("move", {"X_BT": _stroked(home) if self._out else home}, overall)
             else:
                 self._attempt("trajectory-matching", {}, overall)
 
@@ -83,6 +84,14 @@ class Duty:
                 if time.monotonic() - began_s > _RECOVERY_S:
                     raise
                 time.sleep(_RETRY_S)
+
+
+def _stroked(home: JSON) -> JSON:
+    """The other end of the stroke. By its place: a fault may stop the arm anywhere, and by strokes that were
+    counted from where it stood it went away from its object.
+    """
+    x, y, z = home["p_m"]
+    return {"p_m": [x, y + _STROKE_M, z], "q_wxyz": home["q_wxyz"]}
 
 
 class _Overall(Bar):
