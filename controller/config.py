@@ -47,6 +47,9 @@ class JointControlConfig(StrictModel):
         return self
 
 
+JointFelt = Annotated[float, Field(ge=0.0, le=10.0)]
+
+
 class ParkingConfig(StrictModel):
     """How the arm is brought to rest at the end of a motion and kept there, where it is switched on."""
 
@@ -61,6 +64,7 @@ class ParkingConfig(StrictModel):
     quiet_mm: float = Field(gt=0.0, le=20.0)
     rest_ms: float = Field(gt=0.0, le=600_000.0)
     rest_exact_ms: float = Field(gt=0.0, le=600_000.0)
+    felt_mrad_bar: tuple[JointFelt, JointFelt, JointFelt, JointFelt, JointFelt, JointFelt]
     alarm_mm: float = Field(gt=0.0, le=100.0)
 
     @model_validator(mode="after")

@@ -106,6 +106,8 @@ def parking_law(config: ControllerConfig) -> ParkingLaw:
         loaded=np.array(parking.loaded, dtype=float),
         rest=np.where(exact, parking.rest_exact_ms, parking.rest_ms) * _MS,
         keeping=_KEEPING * gain,
+        exact=exact.astype(float),
+        felt=np.array(parking.felt_mrad_bar) * _MRAD,
         dt_s=config.cycle_ms * _MS,
     )
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from controller.core.kinematics.rotations import Array
 from controller.core.servo.drives import full_spool_speeds
+from controller.core.servo.keeping import kept, kept_begun
 from controller.core.servo.parking_state import (
     AFTER,
     BAND,
@@ -42,8 +43,6 @@ from controller.core.servo.servo_step import LEFT, PT1, Q_CMD, QD_CMD, VALVES, S
 from controller.core.servo.small_moves import (
     inch_begun,
     inched,
-    kept,
-    kept_begun,
     nudge_begun,
     nudged,
     shut,
@@ -62,6 +61,7 @@ _QUIET_BAR = 0.05  # with a slew of 4 cm³/degree 0.01 mrad of its friction
 _HASTES = 3.0  # moves in a row that were due too soon tell a joint that leaks from one that still relaxes
 _WATCHED_S = 4.0  # so long a parked joint is watched before it is nudged
 _NUDGED_AT = 0.5  # of the band: a parked joint that crept so far is nudged
+_NEAR_RAD = 5e-4  # from there on a valve that passes small flows steadily keeps a joint that is felt
 _FAR_RAD = 1e-3  # a parked joint that was pushed so far off is brought back by an inch
 _FORGETS = 0.95  # of a creep that was seen: what comes after a nudge is less, as long as it held
 _AGAIN_RAD = 7e-6  # beyond where its encoder was at the last nudge: by the slow filter; its noise is 1 µrad
@@ -125,7 +125,7 @@ def _moved(law: ParkingLaw, state: Array, i: int, error: float, load: float, gai
     if phase == SHUT:
         return float(_watched(law, state, i, error, load, gains))
     if phase == KEPT:
-        return float(kept(law, state, i, error, gains))
+        return float(kept(law, state, i, error, load, gains))
     if phase == NUDGED:
         return float(nudged(law, state, i, error, load, gains))
     return float(inched(law, state, i, error, gains))
@@ -180,9 +180,10 @@ def _watched(law: ParkingLaw, state: Array, i: int, error: float, load: float, g
     hasty = law.loaded[i] > 0.0 and crept and sense * rate * law.rest[i] > 2.0 * band
     state[HASTE, i] = state[HASTE, i] + 1.0 if hasty and sense == state[SENSE, i] else 0.0
     gain = gains[0 if sense > 0.0 else 1]
-    if state[HASTE, i] >= _HASTES:
-        kept_begun(state, i, rate)
-        return float(kept(law, state, i, error, gains))
+    steadily = law.exact[i] > 0.0 and law.felt[i] > 0.0 and law.loaded[i] > 0.0 and abs(off) < _NEAR_RAD
+    if steadily or state[HASTE, i] >= _HASTES:
+        kept_begun(state, i, rate, load)
+        return float(kept(law, state, i, error, load, gains))
     if state[PARKED, i] > 0.0 and abs(off) < _FAR_RAD:
         state[DRIFT, i] = sense * max(sense * rate, _FORGETS * sense * state[DRIFT, i], 0.0)
         return float(nudge_begun(state, i, state[CREPT, i], sense, load))

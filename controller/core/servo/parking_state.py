@@ -16,13 +16,14 @@ from controller.core.kinematics.rotations import Array
 # be watched well; HASTE: how many in a row were due too soon. Of the shut joint, SHUT_AT: error when it had
 # come to rest (rad); DRIFT: its creep, as a rate of the error (rad/s); CREPT: error, filtered for seconds
 # (rad); MARK: that at the last nudge, AFTER: time since (s). BIAS: of the kept joint, its leak in terms of
-# speed (rad/s); OWED: what rounding has kept from its valve (spool). Learned, raising and lowering: EDGE, the
-# spool at which the joint moves; DOUBT, how far before it an inch begins; NUDGE, where a nudge begins
-# (spool), 0 before the first; PUSH, the change of load pressure at which it ends (bar).
+# speed (rad/s); OWED: what rounding has kept from its valve (spool); FELT: its load, filtered for long (bar);
+# SINCE: how long it has been too high (s); MARK: error when its valve was shut for that (rad). Learned,
+# raising and lowering: EDGE, the spool at which the joint moves; DOUBT, how far before it an inch begins;
+# NUDGE, where a nudge begins (spool), 0 before the first; PUSH, its end by the load pressure (bar).
 PHASE, SINCE, SPEED, ERROR, HELD, BAND, PARKED, PLACE, QUIET, QUIET_AT = range(10)
 SENSE, OPENED, FROM, SEEN, FINE, HASTE, SHUT_AT, DRIFT = range(10, 18)
-MARK, AFTER, BIAS, LOAD_AT, CREPT, OWED = range(18, 24)
-EDGE, DOUBT, NUDGE, PUSH, STATE_ROWS = 24, 26, 28, 30, 32
+MARK, AFTER, BIAS, LOAD_AT, CREPT, OWED, FELT = range(18, 25)
+EDGE, DOUBT, NUDGE, PUSH, STATE_ROWS = 25, 27, 29, 31, 33
 
 FOLLOWING, SHUT, OPEN, KEPT, NUDGED = 0.0, 1.0, 2.0, 3.0, 4.0
 
@@ -37,6 +38,8 @@ class ParkingLaw(NamedTuple):
     motion is seen; ``shutting`` (s): how long a joint moves on when its valve is told to shut; ``loaded``: 1
     where gravity makes a joint creep, 0 where parked it only relaxes. ``rest`` (6,), s: a joint that leaks
     through twice its band in less is kept by an opening. ``keeping`` (6,), 1/s: gain of that.
+    ``exact`` (6,): 1 for a valve that passes a small flow steadily. ``felt`` (6,), rad/bar: how far a kept
+    joint has moved when friction, a spring before it slides, has changed the load pressure; 0: not used.
     ``dt_s``: of a scan.
     """
 
@@ -54,6 +57,8 @@ class ParkingLaw(NamedTuple):
     loaded: Array
     rest: Array
     keeping: Array
+    exact: Array
+    felt: Array
     dt_s: float
 
 

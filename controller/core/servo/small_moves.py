@@ -1,9 +1,9 @@
-"""How a joint whose valve is shut is moved by a tenth of a milliradian: inches, nudges, and keeping.
+"""How a joint whose valve is shut is moved by a tenth of a milliradian: inches and nudges.
 
 An *inch* brings a joint back by a way that its encoder sees. A *nudge* is shorter than the play before the
 encoder: the valve opens until the oil feels it, and how long the joint takes to sink back tells how far it
 rose.
-A joint that leaks too fast for either is *kept*: its valve passes what it loses, so that it need not move.
+A joint that leaks too fast for either is *kept* (``keeping``).
 """
 
 import math
@@ -12,26 +12,21 @@ from controller.core.kinematics.rotations import Array
 from controller.core.servo.parking_state import (
     AFTER,
     BAND,
-    BIAS,
     DOUBT,
     DRIFT,
     EDGE,
     ERROR,
     FINE,
     FROM,
-    KEPT,
     LOAD_AT,
     MARK,
     NUDGE,
     NUDGED,
     OPEN,
     OPENED,
-    OWED,
-    PARKED,
     PHASE,
     PLACE,
     PUSH,
-    QUIET,
     SEEN,
     SENSE,
     SHUT,
@@ -40,7 +35,6 @@ from controller.core.servo.parking_state import (
     ParkingLaw,
 )
 from foundation.compiled import kernel
-from protocol.process_image import VALVE_FULL_SCALE
 
 _SEEN_RAD = 9.6e-5  # two digits of a 17 bit encoder: less may be noise
 _BEYOND = 0.3  # of the band: how far beyond its place a creeping joint is put
@@ -59,12 +53,6 @@ _PUSH_BAR, _LEAST_BAR, _MOST_BAR = (
     0.03,
     3.0,
 )  # of the load pressure: the first nudge's, bounds of others
-_WORD = 1.0 / VALVE_FULL_SCALE  # of spool
-_KEPT_FILTER_S = 0.1  # of a kept joint's error
-_CALM_S = 5.0  # quiet for so long, a kept joint needs little: less gain of a slower filter, and it leans
-_SOFT, _SOFT_FILTER_S, _LEANS_RAD_S = 0.25, 1.0, 4e-6  # ten times what the encoder's noise makes of that gain
-_KEPT_ZONE_RAD = 2.4e-5  # half a digit: nearer, the leak is taken for known
-_LEARNS = 0.12  # of the gain squared: so slowly that it does not swing through the play
 
 
 @kernel
@@ -173,41 +161,3 @@ def nudged(law: ParkingLaw, state: Array, i: int, error: float, load: float, gai
     state[NUDGE + side, i] = max(state[OPENED, i] - rise * _AHEAD_S, _SURELY_SHUT * state[EDGE + side, i])
     shut(state, i, error)
     return 0.0
-
-
-@kernel
-def kept_begun(state: Array, i: int, drift: float) -> None:
-    """From now on joint ``i``, which leaks by ``drift`` (rad/s), is kept."""
-    state[PHASE, i], state[SINCE, i], state[DRIFT, i] = KEPT, 0.0, drift
-    state[SENSE, i] = 1.0 if drift > 0.0 else -1.0
-    state[BIAS, i] = abs(drift)
-
-
-@kernel
-def kept(law: ParkingLaw, state: Array, i: int, error: float, gains: Array) -> float:
-    """The opening that passes what the joint loses, on one side of the valve's overlap for good.
-
-    A servo valve that went through its overlap to and fro would take the joint through the play before its
-    encoder. Its leak has one sense, and the opening too; a joint that stands too high sinks by itself. Once
-    it is calm it leans on that flank of the play on which the encoder sees it sink: without, noise would let
-    it wander from one to the other.
-
-    One step of the valve's word is 15 µrad/s of the crane's lift, more than the balance bears: what a scan
-    rounds off, the next ones make up for.
-    """
-    sense = state[SENSE, i]
-    side = 0 if sense > 0.0 else 1
-    gain, k, filter_s, lean = gains[side], law.keeping[i], _KEPT_FILTER_S, 0.0
-    if state[QUIET, i] > _CALM_S or state[PARKED, i] > 0.0:
-        k, filter_s, lean = _SOFT * k, _SOFT_FILTER_S, _LEANS_RAD_S
-    keep = math.exp(-law.dt_s / filter_s)
-    state[ERROR, i] = keep * state[ERROR, i] + (1.0 - keep) * error
-    below = sense * (state[ERROR, i] - state[PLACE, i])
-    outside = max(abs(below) - _KEPT_ZONE_RAD, 0.0)
-    doubt = gain * _SURE * law.spread[i, side]
-    bias = state[BIAS, i] + _LEARNS * k * k * math.copysign(outside, below) * law.dt_s
-    state[BIAS, i] = min(max(bias, -doubt), doubt + law.fastest)
-    opened = max(state[EDGE + side, i] + (k * below + state[BIAS, i] - lean) / gain, 0.0)
-    word = round((opened + state[OWED, i]) / _WORD)
-    state[OWED, i] += opened - _WORD * word
-    return float(sense * _WORD * word)

@@ -63,6 +63,8 @@ def _law(deadband: float, spread: float) -> ParkingLaw:
         loaded=ONES,
         rest=3.0 * ONES,
         keeping=1.5 * ONES,
+        exact=0.0 * ONES,
+        felt=0.0 * ONES,
         dt_s=DT_S,
     )
 
@@ -80,13 +82,14 @@ class Rest(NamedTuple):
 class Joint(NamedTuple):
     """A joint ``error`` off whose valve opens at ``edge``; it creeps by itself (rad/s).
 
-    ``half_play``: before its encoder (rad).
+    ``half_play``: before its encoder (rad); ``ramp``: of the creep (rad/s²).
     """
 
     error: float
     edge: float
     creep: float
     half_play: float = 0.0
+    ramp: float = 0.0
 
 
 def _rest(law: ParkingLaw, joint: Joint, seconds: float, parked: bool = True) -> Rest:
@@ -97,7 +100,7 @@ def _rest(law: ParkingLaw, joint: Joint, seconds: float, parked: bool = True) ->
     angle, seen, spool = -joint.error, -joint.error, 0.0
     shaft = angle + math.copysign(joint.half_play, joint.creep)
     rows = []
-    for _ in range(round(seconds / DT_S)):
+    for scan in range(round(seconds / DT_S)):
         shaft = min(max(shaft, angle - joint.half_play), angle + joint.half_play)
         before, seen = seen, DIGIT * round((shaft + rng.normal(0.0, 0.3 * DIGIT)) / DIGIT)
         keep = math.exp(-DT_S / 0.03)
@@ -109,7 +112,7 @@ def _rest(law: ParkingLaw, joint: Joint, seconds: float, parked: bool = True) ->
         commands.append(round(command * VALVE_FULL_SCALE) / VALVE_FULL_SCALE)
         spool += (late - spool) * (1.0 - math.exp(-DT_S / LAG_S))
         beyond = max(abs(spool) - joint.edge, 0.0)
-        angle += DT_S * (math.copysign(GAIN * beyond, spool) + joint.creep)
+        angle += DT_S * (math.copysign(GAIN * beyond, spool) + joint.creep + joint.ramp * DT_S * scan)
         rows.append((-angle, -shaft, command, state[PHASE, 0]))
     return Rest(*np.array(rows).T, state)
 
@@ -177,6 +180,38 @@ def test_a_joint_that_leaks_too_fast_is_kept_by_an_opening(creep: float) -> None
     assert (np.sign(rest.spools[-settled:]) == -np.sign(creep)).all()
     slow = _rest(_law(0.08, 0.002), Joint(0.0, 0.083, 0.02 * creep), 90.0, parked=False)
     assert slow.state[PHASE, 0] != KEPT
+
+
+def test_a_valve_that_passes_small_flows_keeps_a_loaded_joint_that_is_felt() -> None:
+    law, joint = _law(0.02, 0.001), Joint(0.0, 0.0205, -1e-5, 5e-5)
+    assert _rest(law, joint, 30.0, parked=False).state[PHASE, 0] != KEPT
+    felt = law._replace(exact=ONES, felt=ONES / BAR_RAD)
+    assert _rest(felt, joint, 30.0, parked=False).state[PHASE, 0] == KEPT
+    for lacks in ("exact", "felt", "loaded"):
+        less = felt._replace(**{lacks: 0.0 * ONES})
+        assert _rest(less, joint, 30.0, parked=False).state[PHASE, 0] != KEPT
+
+
+def test_a_kept_joint_is_felt_within_the_play_before_its_encoder() -> None:
+    """Oil drains away for minutes, and with it what the valve has to pass; the encoder sees little of it."""
+    law = _law(0.02, 0.001)._replace(exact=ONES, rest=1e3 * ONES)
+    joint = Joint(0.0, 0.0205, -2e-5, 6e-5, -1e-6)
+    unfelt, felt = (
+        _rest(one, joint, 150.0, parked=False) for one in (law, law._replace(felt=ONES / BAR_RAD))
+    )
+    moved = [np.ptp(rest.errors[round(60.0 / DT_S) :]) for rest in (unfelt, felt)]
+    assert felt.state[PHASE, 0] == KEPT
+    assert moved[1] < 0.6 * moved[0]
+    assert moved[1] < 6e-5
+
+
+def test_a_kept_joint_whose_leak_turns_over_is_kept_on_the_other_side() -> None:
+    law = _law(0.02, 0.001)._replace(exact=ONES, felt=ONES / BAR_RAD)
+    rest = _rest(law, Joint(0.0, 0.0205, -2e-5, 5e-5, 1e-6), 150.0, parked=False)
+    assert (np.sign(rest.spools[-100:]) == -1.0).all()
+    assert rest.spools.max() > 0.0
+    assert np.abs(rest.errors[-100:]).max() < 2e-4
+    assert np.abs(rest.errors).max() < 5e-4
 
 
 def test_the_arm_rests_when_every_joint_does() -> None:
