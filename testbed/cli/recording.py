@@ -7,6 +7,8 @@ import typer
 
 from foundation.recording.recovery import Contents, contents, recover
 from testbed.cli.options import JsonFile
+from testbed.recordings.layout import layout_text
+from testbed.recordings.merging import merge
 from testbed.recordings.tables import write_tables
 from testbed.reporting.console import out, table, write_json
 
@@ -75,6 +77,37 @@ def to_csv(
     if left_out:
         out.print(f"left out, of an unknown encoding: {', '.join(left_out)}", highlight=False)
     write_json(json_file, {"rows": rows, "left_out": left_out})
+
+
+@app.command("merge", epilog="Example: longreach recording merge runs/demo --out session.mcap")
+def merge_command(
+    what: Annotated[
+        list[Path], typer.Argument(metavar="RUN|FILE...", help="A run's directory, or its recordings.")
+    ],
+    target: Annotated[Path, typer.Option("--out", help="Where the merged recording goes.")],
+    attached: Annotated[
+        list[Path] | None, typer.Option("--attach", help="A file to attach, such as the arm's URDF.")
+    ] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Put the recordings of one session on the vision PC's clock, in one file; tell how sure that is."""
+    files = [file for path in what for file in (sorted(path.rglob("*.mcap")) if path.is_dir() else [path])]
+    clocks = merge(files, target, attached or [])
+    rows = [
+        (name, f"{1e-6 * at.offset_ns:+.3f}", f"{at.drift_ppm:+.2f}", f"{1e-3 * at.uncertainty_ns:.0f}")
+        for name, at in clocks.items()
+    ]
+    out.print(table("vision's clock minus each part's", ("part", "ms", "ppm", "± µs"), rows))
+    write_json(json_file, {name: clock._asdict() for name, clock in clocks.items()})
+
+
+@app.command("layout", epilog="Example: longreach recording layout longreach.json")
+def layout_command(
+    target: Annotated[Path, typer.Argument(metavar="NEW", help="Where the layout goes.")],
+) -> None:
+    """Write a viewer's layout: scene, picture with outlines, plots and log of a merged recording."""
+    with target.open("x", encoding="utf-8") as file:
+        file.write(layout_text())
 
 
 def _whole(found: Contents) -> bool:

@@ -25,16 +25,11 @@ from testbed.recordings.perception_replay import (
     recorded_vision,
 )
 from testbed.recordings.pixels import RenderedPixels
-from tests.testbed.lockstep.recorded_run import FILES, RecordedRun, recorded_run
+from tests.testbed.lockstep.recorded_run import FILES, RecordedRun
 from vision_pc.shell.recording import vision_messages as own
 from vision_pc.shell.recording import vision_recorder as topics
 
 Change = Callable[[str, int, bytes], bytes | None]
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> RecordedRun:
-    return recorded_run(tmp_path_factory.mktemp("run"), images="raw")
 
 
 def edited(source: Path, target: Path, change: Change, session: dict[str, str] | None = None) -> Path:
