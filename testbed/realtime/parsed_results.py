@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from protocol.errors import LinkLost
 from protocol.pose import Pose
 from vision_pc.application.results import JSON, JudgedLook
 from vision_pc.core.calibration.local_calibration import LocalCalibration, ResidualTable
@@ -19,8 +20,11 @@ from vision_pc.core.types import Look, StereoOffset
 def look_of(told: JSON) -> JudgedLook:
     """A look with its verdict. The API tells standard deviations alone: each is taken for independent.
 
-    What one frame's noise was, and how sure the offset of the eyes is, it does not tell: NaN.
+    What one frame's noise was, and how sure the offset of the eyes is, it does not tell: NaN. Raises LinkLost
+    for a look that was made while no controller was connected: it does not say where the arm stood.
     """
+    if told["X_BT"] is None:
+        raise LinkLost("link.not_connected", "look: no controller was connected: arm unknown")
     told_offset, unknown = told["stereo_offset_px"], np.full((6, 6), math.nan)
     offset = None
     if told_offset is not None:

@@ -1,7 +1,9 @@
 """What a program returns and what is read from the API's answer of it are the same."""
 
 import numpy as np
+import pytest
 
+from protocol.errors import LinkLost
 from testbed.demonstration.sequence import note_of
 from testbed.realtime.parsed_results import RESULT_OF, look_of
 from vision_pc.application.results import (
@@ -38,6 +40,16 @@ def test_a_look() -> None:
     assert (read.offset.x_px, read.offset.y_px) == (0.1, 0.2)
     assert np.allclose(verdict.error_m, VERDICT.error_m)
     assert (verdict.inside, verdict.certain, verdict.tolerance_m) == (False, True, 0.005)
+
+
+def test_a_look_without_the_arms_pose_is_a_lost_link() -> None:
+    unknown, spread = np.full((4, 4), np.nan), 1e-6 * np.eye(6)
+    look = Look(7, X, np.eye(4), unknown, 5, 1, 2, spread, spread, spread, spread, None)
+    told = look_json(JudgedLook(look, VERDICT))
+    assert told["X_BT"] is None
+    with pytest.raises(LinkLost) as lost:
+        look_of(told)
+    assert lost.value.cause == "link.not_connected"
 
 
 def test_a_look_then_move() -> None:
