@@ -5,6 +5,7 @@ The programs themselves are rows of ``programs.PROGRAMS``. Nothing here reads a 
 
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
+from typing import Any
 
 from nominal_arm.dimensions import BoomDimensions, DhLink
 from protocol.errors import RequestRefused
@@ -42,8 +43,8 @@ class VisionApplication:
 
     ``calibration`` and ``track`` are the newest local calibration and local track, None before the first.
     ``positioning`` are the settings by which looks are judged. ``hand_eye`` is the guided session, if there
-    is one on this rig. ``overload`` returns one sentence while the machine is overloaded, else nothing.
-    ``links`` are those of the arm's drawing, for who draws it.
+    is one on this rig. ``overload`` returns one sentence while the machine is overloaded, else nothing,
+    ``figures`` what the service counts of itself. ``links`` are those of the arm's drawing, for who draws it.
     """
 
     def __init__(
@@ -69,6 +70,7 @@ class VisionApplication:
         self.track: LocalTrack | None = None
         self.positioning = settings.positioning
         self.overload: Callable[[], str] = str
+        self.figures: Callable[[], dict[str, Any]] = dict
         self.links: tuple[DhLink, ...] = ()
         self._latest: JudgedLook | None = None
 

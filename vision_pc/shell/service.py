@@ -95,7 +95,7 @@ class VisionService:
         guided = GuidedCalibration(arm, eyes, link, config, nominal, log, self._sessions)
         application = VisionApplication(arm, eyes, link, eyes, config.programs, nominal.boom, log, guided)
         watch = SelfWatch(log, _LIMITS, self._work, log.record_dir)
-        application.overload = lambda: watch.overload
+        application.overload, application.figures = lambda: watch.overload, self._gathered
         application.links = nominal.links
         operations = Operations(arm.halt, log)
         app = create_app(application, operations, self._programs, Home(asyncio.get_running_loop()))

@@ -22,6 +22,7 @@ from vision_pc.application.results import JSON, calibration_json, look_json, see
 from vision_pc.shell.rest.console.routes import PAGE, Console, add_console
 from vision_pc.shell.rest.hand_eye_routes import add_session
 from vision_pc.shell.rest.link_view import LinkView, link_view
+from vision_pc.shell.rest.metrics import add_metrics
 from vision_pc.shell.rest.operation_routes import add_programs, add_resources
 from vision_pc.shell.rest.operations import Operations
 from vision_pc.shell.rest.problems import STATUS_OF_CAUSE
@@ -68,6 +69,7 @@ def create_app(
     if home is not None:
         run_endpoints_at(app, home)
     _add_state(app, application, operations)
+    add_metrics(app, application)
     _add_looks(app, application)
     _add_commands(app, application, operations)
     table = by_name(programs).values()
