@@ -61,6 +61,7 @@ def replayed(path: Path, truth: Path | None) -> tuple[ReplayComparison, float, f
 
 
 @pytest.mark.bench
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize(("images", "frames"), [("none", FRAMES), ("raw", RAW_FRAMES)])
 def test_a_thousand_frames_come_out_identical(tmp_path: Path, images: str, frames: int) -> None:
     path = recorded(tmp_path, images, frames)
