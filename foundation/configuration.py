@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -13,6 +14,10 @@ from protocol.errors import ConfigurationError
 
 _CAUSES = {"extra_forbidden": "unknown_key", "enum": "literal_error"}
 """Pydantic's word for an error → ours; a word out of several is one error, written as an enum or not."""
+
+
+BASE_FILE = "base.yaml"
+_MOST_LAYERS = 8
 
 
 class StrictModel(BaseModel):
@@ -84,12 +89,50 @@ def merged(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, A
     return result
 
 
+class _Base(StrictModel):
+    """``base.yaml``: the directory, counted from its own, over whose files its own are laid."""
+
+    over: str
+
+
+def layers(directory: Path) -> list[Path]:
+    """The directories of which a configuration directory is made, the lowest first; most have one.
+
+    A directory with a ``base.yaml`` lies over the one that it names. Raises ConfigurationError.
+    """
+    found = [directory]
+    while (found[-1] / BASE_FILE).is_file():
+        file = found[-1] / BASE_FILE
+        below = validated(_Base, read_yaml(file), str(file)).over
+        found.append(Path(os.path.normpath(found[-1] / below)))
+        if not found[-1].is_dir():
+            raise ConfigurationError("configuration.no_base", f"{file}: over: no directory {found[-1]}")
+        if len(found) > _MOST_LAYERS:
+            why = f"{file}: over = {below!r}: more than {_MOST_LAYERS} directories over each other"
+            raise ConfigurationError("configuration.base_circle", why)
+    return found[::-1]
+
+
+def laid_over(directory: Path, name: str) -> tuple[dict[str, Any], str]:
+    """The content of a file of a configuration directory, merged from its layers, and which files that were.
+
+    Raises ConfigurationError as ``read_yaml`` and ``layers`` do.
+    """
+    files = [layer / name for layer in layers(directory)]
+    there = [file for file in files if file.is_file()] or files[:1]
+    content: dict[str, Any] = {}
+    for file in there:
+        content = merged(content, read_yaml(file))
+    return content, " over ".join(map(str, reversed(there)))
+
+
 def load(model: type[ModelT], path: Path, overrides: Mapping[str, Any] | None = None) -> ModelT:
-    """The file at ``path``, with ``overrides`` merged over it, as a validated ``model``.
+    """The file at ``path``, laid over its base's, and ``overrides`` over it, as a validated ``model``.
 
     Raises ConfigurationError with one line that names file, key, value and limit of the first fault.
     """
-    return validated(model, merged(read_yaml(path), overrides or {}), str(path), path.parent)
+    content, where = laid_over(path.parent, path.name)
+    return validated(model, merged(content, overrides or {}), where, path.parent)
 
 
 def validated(

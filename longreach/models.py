@@ -83,9 +83,11 @@ class SteppedPlant:
         return self.physics.truth()
 
 
-def arm(config_dir: Path | str = CONFIGS, set: Assignments | None = None) -> ArmKinematics:
-    """The nominal arm of ``config_dir``/arm.yaml. Raises ConfigurationError."""
-    return ArmKinematics(configured(config_dir, None, 0, set).arm)
+def arm(
+    name: str | None = None, set: Assignments | None = None, config_dir: Path | str = CONFIGS
+) -> ArmKinematics:
+    """The nominal arm of this name, or of a directory; None: of ``config_dir``. Raises ConfigurationError."""
+    return ArmKinematics(configured(config_dir, name, None, 0, set).arm)
 
 
 def plant(
@@ -93,12 +95,15 @@ def plant(
     seed: int = 1,
     set: Assignments | None = None,
     config_dir: Path | str = CONFIGS,
+    arm: str | None = None,
 ) -> SteppedPlant:
     """The plant at rest, in the world that ``scenario`` draws for ``seed`` (None: as configured).
 
+    ``arm``: a name or a directory, as the command line's ``--arm``.
+
     Raises ConfigurationError.
     """
-    settings = configured(config_dir, scenario, seed, set)
+    settings = configured(config_dir, arm, scenario, seed, set)
     return SteppedPlant(Plant(settings.plant, seed, Scene(settings.scene).mounts))
 
 

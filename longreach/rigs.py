@@ -143,13 +143,15 @@ def lockstep(
     set: Assignments | None = None,
     config_dir: Path | str = CONFIGS,
     programs: Sequence[Program[Any, Any]] = (),
+    arm: str | None = None,
 ) -> SimulatedRig:
     """A rig in simulated time, in the world that ``scenario`` draws for ``seed`` (None: as configured).
 
-    The same seed is the same run. ``programs``: of your own, beside those of the API.
+    The same seed is the same run. ``programs``: of your own, beside those of the API. ``arm``: a name or a
+    directory, as the command line's ``--arm``.
     Raises ConfigurationError.
     """
-    settings = configured(config_dir, scenario, seed, set)
+    settings = configured(config_dir, arm, scenario, seed, set)
     return SimulatedRig(LockstepRig(settings, seed, RunLog(), programs=(*PROGRAMS, *programs)))
 
 

@@ -10,6 +10,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from rich.table import Table
 
+from foundation.configuration import BASE_FILE
 from testbed.campaigns.campaign import CampaignRequest, Task, run_campaign
 from testbed.campaigns.typed_rows import typed
 from testbed.reporting.console import out, table, write_json
@@ -146,6 +147,8 @@ def _conditions(experiment: Experiment[S, R], done: Finished[S, R]) -> str:
         for name, words in (("world", experiment.world), ("eyes", experiment.eyes))
         if words
     ]
+    if (request.config_dir / BASE_FILE).is_file():
+        parts.append(f"configuration: {request.config_dir}")
     parts += [
         f"{name.replace('_', ' ')}: {_words(value)}"
         for name, value in chosen.items()

@@ -11,6 +11,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from foundation.configuration import layers
 from testbed.reporting.run_record import library_versions
 
 PACKAGES = (
@@ -104,14 +105,19 @@ def _root(package: str) -> Path | None:
 
 
 def content_hash(path: Path, scenario: str | None = None) -> str:
-    """The hash of a file, or of all files below a directory, with their names; "" where there is none.
+    """The hash of a file, or of all files below a directory and its base, with their names; "" for none.
 
     Of the files in ``scenarios/`` only that of ``scenario`` counts, where one is named.
     """
     if path.is_file():
         return _hash([(b"", path.read_bytes())])
-    files = [file for file in sorted(path.rglob("*")) if file.is_file() and _readable(file, scenario)]
-    return _hash((str(f.relative_to(path)).encode(), f.read_bytes()) for f in files) if files else ""
+    files = [
+        (str(file.relative_to(directory)).encode(), file.read_bytes())
+        for directory in layers(path)
+        for file in sorted(directory.rglob("*"))
+        if file.is_file() and _readable(file, scenario)
+    ]
+    return _hash(files) if files else ""
 
 
 def _readable(file: Path, scenario: str | None) -> bool:

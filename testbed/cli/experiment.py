@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 from foundation.command_options import options_of, with_signature
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Experiment, perform
+from testbed.cli.arm_option import with_arm
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
 from testbed.experiments.catalogue import CATALOGUE, Entry
 from testbed.reporting.console import out, table, writable
@@ -48,7 +49,7 @@ class ExperimentGroup(TyperGroup):
         """The command called ``cmd_name``; None where there is none."""
         if cmd_name not in CATALOGUE:
             return super().get_command(ctx, cmd_name)
-        return typer.main.get_command(_app_of(CATALOGUE[cmd_name], cmd_name))
+        return with_arm(typer.main.get_command(_app_of(CATALOGUE[cmd_name], cmd_name)))
 
 
 app = typer.Typer(cls=ExperimentGroup, help="Seeded experiments that write tables.", no_args_is_help=True)

@@ -9,6 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 from protocol.errors import LongreachError
+from testbed.cli.arm_option import with_arm
 from testbed.reporting.console import err
 
 FAILED = 2
@@ -21,6 +22,7 @@ LOADED_LATER = {  # what a group of commands needs, such as matplotlib and dask,
     "picture": "testbed.pictures.command",
     "recording": "testbed.cli.recording",
     "runs": "testbed.cli.runs",
+    "arm": "testbed.cli.arm",
     "token": "testbed.cli.token",
 }
 
@@ -41,7 +43,8 @@ class RootGroup(TyperGroup):
                 group = typer.main.get_group(importlib.import_module(LOADED_LATER[name]).app)
                 group.name = name
                 self.commands[name] = group
-        return super().get_command(ctx, cmd_name)
+        found = super().get_command(ctx, cmd_name)
+        return None if found is None else with_arm(found)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; refusals, an operating system that will not, and Ctrl-C end the process."""

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from controller.core.kinematics.denavit_hartenberg import LINKS, chain, dh_table
 from nominal_arm.dimensions import boom_dimensions
@@ -16,6 +17,7 @@ from vision_pc.core.se3 import Array, exp_so3, transform
 _AXIS_M = 0.28
 _COLOURS = ("tab:red", "tab:green", "tab:blue")
 _DPI = 110
+_SWEEP = 60
 
 
 class _Drawn(NamedTuple):
@@ -27,8 +29,11 @@ class _Drawn(NamedTuple):
     text: tuple[float, float]
 
 
-def draw_machine(settings: Settings, path: Path) -> None:
-    """Write the picture to ``path``: booms, wrist, tool, camera and object in the slewing plane."""
+def draw_machine(settings: Settings, path: Path, reach: bool = False) -> None:
+    """Write the picture to ``path``: booms, wrist, tool, camera and object in the slewing plane.
+
+    ``reach``: also where the wrist can go, and the workspace of the tool.
+    """
     frames = chain(dh_table(settings.arm.dh), np.radians(settings.plant.start_pose_deg))
     X_BT = np.vstack([frames[LINKS], [0.0, 0.0, 0.0, 1.0]])
     boom = boom_dimensions(settings.arm)
@@ -41,6 +46,8 @@ def draw_machine(settings: Settings, path: Path) -> None:
     X_BO = transform(X_BT[:3, :3] @ R_TM_NOMINAL @ exp_so3(np.radians(target.tilt_deg)), target.position_m)
     figure = Figure(figsize=(9.6, 4.8), layout="constrained")
     axes = figure.add_subplot()
+    if reach:
+        _reach(axes, settings)
     _machine(axes, lift, tilt, wrist, X_BT)
     _object(axes, X_BC, X_BO)
     for drawn in (
@@ -51,10 +58,32 @@ def draw_machine(settings: Settings, path: Path) -> None:
         _Drawn("O", "object of interest", X_BO, (-40.0, -52.0)),
     ):
         _frame(axes, drawn)
-    axes.set(xlabel="x of B, m", ylabel="z of B, m", aspect="equal", xlim=(-0.8, 5.4), ylim=(-0.35, 2.55))
+    axes.set(xlabel="x of B, m", ylabel="z of B, m", aspect="equal")
+    if reach:
+        axes.legend(loc="upper left", fontsize=9)
+    else:
+        axes.set(xlim=(-0.8, max(5.4, X_BO[0, 3] + 0.8)), ylim=(-0.35, max(2.55, tilt[2] + 0.45)))
     axes.grid(color="0.92")
     axes.set_axisbelow(True)
     figure.savefig(path, dpi=_DPI)
+
+
+def _reach(axes: Axes, settings: Settings) -> None:
+    """The edge of what lift and tilt reach with the wrist's centre, and the box of the tool's workspace."""
+    table, (_, lift, tilt, *_) = dh_table(settings.arm.dh), settings.arm.joints
+    lifts, tilts = (np.linspace(j.lower_deg, j.upper_deg, _SWEEP) for j in (lift, tilt))
+    ends = np.ones(_SWEEP)
+    swept = [
+        *zip(lifts, ends * tilt.upper_deg, strict=True),
+        *zip(ends * lift.upper_deg, tilts[::-1], strict=True),
+        *zip(lifts[::-1], ends * tilt.lower_deg, strict=True),
+        *zip(ends * lift.lower_deg, tilts, strict=True),
+    ]
+    edge = np.array([chain(table, np.radians([0.0, a, b, 0.0, 0.0, 0.0]))[4, :, 3] for a, b in swept])
+    axes.fill(edge[:, 0], edge[:, 2], color="tab:green", alpha=0.12, label="reach of the wrist's centre")
+    box = settings.arm.workspace
+    corner, size = (box.x_m[0], box.z_m[0]), (box.x_m[1] - box.x_m[0], box.z_m[1] - box.z_m[0])
+    axes.add_patch(Rectangle(corner, *size, fill=False, linestyle="--", color="0.4", label="workspace of T"))
 
 
 def _machine(axes: Axes, lift: Array, tilt: Array, wrist: Array, X_BT: Array) -> None:

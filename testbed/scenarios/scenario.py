@@ -14,8 +14,10 @@ import numpy as np
 import yaml
 from pydantic import Field, model_validator
 
-from foundation.configuration import StrictModel, load, merged
+from foundation.configuration import StrictModel, laid_over, layers, merged, validated
 from protocol.errors import ConfigurationError
+
+_SCENARIOS = "scenarios"
 
 Value = float | list[float]
 
@@ -128,8 +130,11 @@ def flattened(overrides: Mapping[str, Any], prefix: str = "") -> list[str]:
 
 
 def names(config_dir: Path) -> list[str]:
-    """The scenarios that ``config_dir`` holds, sorted."""
-    return sorted(path.stem for path in (config_dir / "scenarios").glob("*.yaml"))
+    """The scenarios that ``config_dir`` and its base hold, sorted. Raises ConfigurationError."""
+    if not config_dir.is_dir():
+        raise ConfigurationError("configuration.no_directory", f"no directory {config_dir}")
+    below = (directory / _SCENARIOS for directory in layers(config_dir))
+    return sorted({file.stem for directory in below for file in directory.glob("*.yaml")})
 
 
 def load_scenario(config_dir: Path, name: str) -> Scenario:
@@ -137,9 +142,11 @@ def load_scenario(config_dir: Path, name: str) -> Scenario:
 
     Raises ConfigurationError when there is none, or its file is wrong.
     """
-    if name not in names(config_dir):
-        known = ", ".join(names(config_dir)) or "none"
+    known_names = names(config_dir)
+    if name not in known_names:
+        known = ", ".join(known_names) or "none"
         raise ConfigurationError(
             "configuration.unknown_scenario", f"no scenario '{name}' in {config_dir}; known: {known}"
         )
-    return load(Scenario, config_dir / "scenarios" / f"{name}.yaml")
+    content, where = laid_over(config_dir, f"{_SCENARIOS}/{name}.yaml")
+    return validated(Scenario, content, where)

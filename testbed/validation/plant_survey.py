@@ -46,7 +46,7 @@ class SurveyedArm(NamedTuple):
 ARMS = (
     SurveyedArm("default arm", "plant.yaml", (30.0, 70.0, 130.0, 230.0), (0, 15, 30, 45, 60, 75, 90),
         (-130, -110, -90, -70, -50, -30)),
-    SurveyedArm("long crane", "plant_long_crane.yaml", (90.0, 150.0, 250.0), (0, 15, 30, 45, 60, 75),
+    SurveyedArm("long crane", "arms/long_crane/plant.yaml", (90.0, 150.0, 250.0), (0, 15, 30, 45, 60, 75),
         (-120, -100, -80, -60, -40)),
 )  # fmt: skip
 STATED_REACH_M, STATED_SAG_MM = 4.1, {30.0: 13.0, 130.0: 28.0, 230.0: 43.0}  # of an earlier model of this arm

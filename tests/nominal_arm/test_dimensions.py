@@ -55,7 +55,7 @@ def test_the_links_are_the_controllers_table(arm: NominalArm) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "boom", "forearm"), [("arm.yaml", 1.6, 3.00337), ("arm_long_crane.yaml", 3.20624, 6.20322)]
+    ("name", "boom", "forearm"), [("arm.yaml", 1.6, 3.00337), ("arms/long_crane/arm.yaml", 3.20624, 6.20322)]
 )
 def test_shipped_arms(name: str, boom: float, forearm: float) -> None:
     derived = boom_dimensions(load(NominalArm, CONFIGS / name))

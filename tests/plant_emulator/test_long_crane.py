@@ -14,7 +14,7 @@ from tests.plant_emulator.plant_world import CONFIGS, Driver
 
 
 def crane(**changes: object) -> PlantConfig:
-    return load(PlantConfig, CONFIGS / "plant_long_crane.yaml", changes)
+    return load(PlantConfig, CONFIGS / "arms/long_crane/plant.yaml", changes)
 
 
 def test_is_longer_and_softer_than_the_default_arm() -> None:

@@ -80,7 +80,7 @@ def test_refused_with_key_value_limit_and_reason(changes: dict[str, Any], parts:
         assert part in message
 
 
-@pytest.mark.parametrize("name", ["plant.yaml", "plant_long_crane.yaml"])
+@pytest.mark.parametrize("name", ["plant.yaml", "arms/long_crane/plant.yaml"])
 def test_every_number_has_its_provenance_beside_it(name: str) -> None:
     """Each line with a number, or the line that opens its block, carries one of the marks."""
     text = (CONFIGS / name).read_text(encoding="utf-8")

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from enum import StrEnum
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -29,14 +28,7 @@ from testbed.reporting.console import table
 BRANCHES = {"one_shot": "one shot, no correction", "look1": "one look", "look2": "two looks"}
 
 
-class ChosenArm(StrEnum):
-    """Which arm runs."""
-
-    PLANT = "plant"
-    LONG_CRANE = "plant_long_crane"
-    BOTH = "both"
-
-
+BOTH_ARMS = "both"
 ChosenWorld = Annotated[WorldName, typer.Option(help="What differs from one machine to the next.")]
 
 
@@ -44,7 +36,10 @@ class DrawnSettings(NamedTuple):
     """What drawn scenarios are run, and how they are seen."""
 
     world: ChosenWorld = WorldName.LAB
-    arm: Annotated[ChosenArm | None, typer.Option(help="In place of the world's own; both: in turn.")] = None
+    arm: Annotated[
+        str | None,
+        typer.Option(help="Of CONFIG_DIR/arms, or a directory; in place of the world's own; both: in turn."),
+    ] = None
     eyes: ChosenEyes = EyesKind.MODEL
     assignments: Assignments = None
     adapting: Adapting = False
@@ -59,8 +54,8 @@ def positioning_tasks(request: CampaignRequest, settings: DrawnSettings) -> list
     asked: dict[str, Any] = {"world": str(settings.world), "eyes": str(settings.eyes)}
     asked |= {"assignments": settings.assignments or []}
     asked |= {name: True for name in ("adapting", "commissioned") if getattr(settings, name)}
-    one = WORLDS[settings.world].arm if settings.arm is None else str(settings.arm)
-    chosen = ARMS if settings.arm is ChosenArm.BOTH else (one,)
+    one = WORLDS[settings.world].arm if settings.arm is None else settings.arm
+    chosen = ARMS if settings.arm == BOTH_ARMS else (one,)
     return [
         {"key": f"{chosen[seed % len(chosen)]}-{seed}", "seed": seed, "arm": chosen[seed % len(chosen)]}
         | asked

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 
-from foundation.configuration import merged, parse_overrides
+from foundation.configuration import laid_over, merged, parse_overrides
 from plant_emulator.core.truth import tool_error
 from protocol.errors import LongreachError
 from testbed.campaigns.typed_rows import UNKNOWN, XYZ, xyz
@@ -133,8 +132,7 @@ def settings_of(config_dir: Path, task: JSON) -> Settings:
 
 def adapting(config_dir: Path) -> JSON:
     """What is laid over vision.yaml for a machine that is not the laboratory's."""
-    content: JSON = yaml.safe_load((config_dir / "vision_adapting.yaml").read_text(encoding="utf-8"))
-    return content
+    return laid_over(config_dir, "vision_adapting.yaml")[0]
 
 
 def commissioned(config_dir: Path, asked: JSON, settings: Settings, seed: int) -> Settings:

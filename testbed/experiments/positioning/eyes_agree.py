@@ -18,8 +18,8 @@ from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished
 from testbed.campaigns.options import EyesKind
 from testbed.experiments.positioning.corrected import (
+    BOTH_ARMS,
     BRANCHES,
-    ChosenArm,
     ChosenWorld,
     DrawnSettings,
     positioning_tasks,
@@ -39,7 +39,7 @@ class AgreeSettings(NamedTuple):
     """Which scenarios."""
 
     world: ChosenWorld = WorldName.LAB
-    arm: Annotated[ChosenArm, typer.Option(help="Which arm runs; both: in turn.")] = ChosenArm.BOTH
+    arm: Annotated[str, typer.Option(help="Which arm runs; both: in turn.")] = BOTH_ARMS
 
 
 class EyesRow(NamedTuple):

@@ -6,7 +6,6 @@ is what counts, not the residuals along it.
 """
 
 from collections.abc import Callable
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -18,8 +17,8 @@ from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
 from nominal_arm.dimensions import boom_dimensions
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished
-from testbed.experiments.positioning.scenarios import arm_files
 from testbed.reporting.console import Columns, listed
+from testbed.scenarios.arms import DEFAULT_ARM, arm_overrides
 from testbed.scenarios.settings import load_settings
 from vision_pc.config.programs import ProgramSettings
 from vision_pc.core.calibration.backlash import before_take_up
@@ -86,17 +85,10 @@ def simulated_track(start: Array, waypoints: list[Array], dwell_s: float) -> Tra
     return Track(np.array(poses), np.array(speeds), time_s)
 
 
-class OneArm(StrEnum):
-    """Which arm."""
-
-    PLANT = "plant"
-    LONG_CRANE = "plant_long_crane"
-
-
 class PathSettings(NamedTuple):
     """Whose start pose and shape."""
 
-    arm: Annotated[OneArm, typer.Option(help="Whose start pose and shape.")] = OneArm.PLANT
+    arm: Annotated[str, typer.Option(help="Whose start pose and shape.")] = DEFAULT_ARM
 
 
 class PathRow(NamedTuple):
@@ -118,12 +110,12 @@ Paths = Finished[PathSettings, PathRow]
 
 def path_tasks(request: CampaignRequest, settings: PathSettings) -> list[Task]:
     """One task a candidate."""
-    return [{"key": f"{settings.arm}-{name}", "path": name, "arm": str(settings.arm)} for name in CANDIDATES]
+    return [{"key": f"{settings.arm}-{name}", "path": name, "arm": settings.arm} for name in CANDIDATES]
 
 
 def measured_path(config_dir: Path, task: Task) -> PathRow:
     """A candidate's information, together with the prior, carried to goals all round."""
-    settings = load_settings(config_dir, arm_files(config_dir, task["arm"]))
+    settings = load_settings(config_dir, arm_overrides(config_dir, task["arm"]))
     programs = settings.vision.programs
     X_BT = tool_pose(dh_table(settings.arm.dh), np.radians(settings.plant.start_pose_deg))
     boom = boom_dimensions(settings.arm)

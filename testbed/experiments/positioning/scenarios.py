@@ -7,9 +7,9 @@ object, and when the arm reaches the goal with room to spare. Everything else is
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
+from zlib import crc32
 
 import numpy as np
-import yaml
 
 from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
 from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
@@ -21,6 +21,7 @@ from plant_emulator.core.camera.scene import R_WO_FACING_ARM, Scene
 from protocol.errors import ConfigurationError
 from testbed.experiments.positioning.worlds import ARMS, DrawnWorld, drawn
 from testbed.lockstep.true_view import TrueView
+from testbed.scenarios.arms import DEFAULT_ARM, arm_overrides
 from testbed.scenarios.settings import Settings, load_settings
 from vision_pc.core.se3 import Array, exp_so3, inverse, log_so3, transform
 
@@ -49,16 +50,17 @@ class _Pose(NamedTuple):
 
 
 def draw(config_dir: Path, seed: int, arm: str, world: DrawnWorld) -> Drawn:
-    """The scenario of ``seed`` on ``arm`` (one of ``ARMS``).
+    """The scenario of ``seed`` on ``arm``, a name of ``arms/`` or a directory.
 
     ``shown`` counts what was drawn and not kept: ``unreachable`` and ``unseen``. Raises ConfigurationError
     for an unknown arm, or when no draw of many can be done.
     """
-    files = arm_files(config_dir, arm)
+    files = arm_overrides(config_dir, arm)
     settings = load_settings(config_dir, files)
-    beside = drawn(world, seed, ARMS.index(arm), settings)
+    stream = _stream(arm)
+    beside = drawn(world, seed, stream, settings)
     usual = load_settings(config_dir, merged(files, beside))
-    rng = np.random.default_rng([seed, _STREAM, ARMS.index(arm)])
+    rng = np.random.default_rng([seed, _STREAM, stream])
     leg_m = settings.vision.programs.local_map.leg_m
     unreachable, unseen = 0, 0
     while unreachable + unseen < _TRIES:
@@ -87,17 +89,10 @@ def draw(config_dir: Path, seed: int, arm: str, world: DrawnWorld) -> Drawn:
     return Drawn(overrides, shown)
 
 
-def arm_files(config_dir: Path, arm: str) -> JSON:
-    """The whole files that describe ``arm`` in place of the default one's. Raises ConfigurationError."""
-    if arm not in ARMS:
-        raise ConfigurationError("configuration.unknown_arm", f"no arm '{arm}'; known: {', '.join(ARMS)}")
-    if arm == ARMS[0]:
-        return {}
-    suffix = arm.removeprefix("plant_")
-    return {
-        name: yaml.safe_load((config_dir / f"{name}_{suffix}.yaml").read_text(encoding="utf-8"))
-        for name in ("plant", "arm", "controller", "vision")
-    }
+def _stream(arm: str) -> int:
+    """What tells the draws of one arm from those of another."""
+    former = dict.fromkeys((ARMS[0], DEFAULT_ARM), 0) | dict.fromkeys((ARMS[1], "long_crane"), 1)
+    return former.get(arm, crc32(Path(arm).name.encode()))
 
 
 def _posed(rng: np.random.Generator, settings: Settings) -> _Pose:

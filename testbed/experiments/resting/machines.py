@@ -20,10 +20,10 @@ from protocol.pose import Pose
 from protocol.reference_messages import ReferencePose
 from testbed.experiments.positioning import axes
 from testbed.experiments.positioning.corrected_run import commissioned
-from testbed.experiments.positioning.scenarios import arm_files
 from testbed.experiments.positioning.worlds import ARMS
 from testbed.lockstep.core_loop import ClosedLoop
 from testbed.reporting.console import table
+from testbed.scenarios.arms import arm_overrides
 from testbed.scenarios.settings import Settings, load_settings
 
 _STREAM = 0x72657374
@@ -60,7 +60,7 @@ def drawn_machine(config_dir: Path, task: JSON) -> DrawnMachine:
     are drawn about plant.yaml's and stated as commissioned; servo valves are as the data sheet says.
     """
     rng = np.random.default_rng([task["seed"], _STREAM])
-    overrides = arm_files(config_dir, task["arm"])
+    overrides = arm_overrides(config_dir, task["arm"])
     usual = load_settings(config_dir, overrides)
     mass_kg = rng.uniform(0.0, _MOST_KG)
     own: JSON = {

@@ -19,7 +19,7 @@ from protocol.process_image import CONTROL_ENABLE, ValveImage
 from tests.plant_emulator.plant_world import Driver, plant_config
 from tests.support.paths import CONFIGS
 
-ARMS = ("plant.yaml", "plant_long_crane.yaml")
+ARMS = ("plant.yaml", "arms/long_crane/plant.yaml")
 EDGES = slice(col.A_DEADBAND, col.A_DEADBAND + len(col.EDGES))
 
 

@@ -26,7 +26,7 @@ def everything(arm: str, **changes: Any) -> PlantConfig:
     return load(PlantConfig, CONFIGS / arm, {"errors": on(*ENTRIES), **changes})
 
 
-@pytest.mark.parametrize("arm", ["plant.yaml", "plant_long_crane.yaml"])
+@pytest.mark.parametrize("arm", ["plant.yaml", "arms/long_crane/plant.yaml"])
 def test_both_arms_run_with_everything_on_and_a_seed_repeats(arm: str) -> None:
     ends = []
     for seed in (3, 3, 4):

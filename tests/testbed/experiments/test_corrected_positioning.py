@@ -13,8 +13,8 @@ from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Finished, perform
 from testbed.campaigns.typed_rows import flat, typed
 from testbed.experiments.positioning.corrected import (
+    BOTH_ARMS,
     BRANCHES,
-    ChosenArm,
     DrawnSettings,
     positioning_table,
     positioning_tasks,
@@ -91,7 +91,7 @@ def test_an_unknown_arm_is_refused_by_name() -> None:
 
 def test_both_arms_take_turns() -> None:
     request = CampaignRequest(CONFIGS, Path("unused"), runs=4)
-    tasks = positioning_tasks(request, DrawnSettings(arm=ChosenArm.BOTH))
+    tasks = positioning_tasks(request, DrawnSettings(arm=BOTH_ARMS))
     assert {task["arm"] for task in tasks} == set(ARMS)
     assert len({task["key"] for task in tasks}) == 4
 

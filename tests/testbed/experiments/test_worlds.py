@@ -11,8 +11,9 @@ from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.plant import Plant
 from testbed.experiments.positioning import worlds
 from testbed.experiments.positioning.axes import Axis
-from testbed.experiments.positioning.scenarios import arm_files, draw
+from testbed.experiments.positioning.scenarios import draw
 from testbed.experiments.positioning.worlds import ARMS, WORLDS, DrawnWorld, WorldName
+from testbed.scenarios.arms import arm_overrides
 from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
 
@@ -22,7 +23,7 @@ AXES = {axis.name: axis for world in WORLDS.values() for axis in world.axes}
 
 
 def usual(arm: str = "plant") -> Any:
-    return load_settings(CONFIGS, arm_files(CONFIGS, arm))
+    return load_settings(CONFIGS, arm_overrides(CONFIGS, arm))
 
 
 def leaves(overrides: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -40,7 +41,7 @@ def test_an_axis_changes_the_truth_alone_and_is_what_the_plant_takes(axis: Axis)
         for seed in range(3):
             made = axis.draw(np.random.default_rng(seed), base)
             assert set(made) <= {"plant", "scene"}, "neither controller nor vision is told"
-            load_settings(CONFIGS, merged(arm_files(CONFIGS, arm), made))
+            load_settings(CONFIGS, merged(arm_overrides(CONFIGS, arm), made))
             assert leaves(made) == leaves(axis.draw(np.random.default_rng(seed), base))
     assert axis.width
     assert "[S]" in axis.source or "[E]" in axis.source

@@ -26,17 +26,17 @@ from tests.testbed.exports.readers import READERS, MujocoReader, PinocchioReader
 from vision_pc.core.se3 import Array, exp_so3, transform
 
 FORMS = {"urdf": urdf, "mjcf": mjcf}
-ARMS = {"4 m arm": "", "10 m crane": "_long_crane"}
+ARMS = {"4 m arm": "", "10 m crane": "arms/long_crane/"}
 POSES = 1000
 ROUNDING = 1e-12  # of poses, m and 1; the readers' own rounding is 1e-14
 
 
 def nominal(which: str) -> NominalArm:
-    return load(NominalArm, CONFIGS / f"arm{ARMS[which]}.yaml")
+    return load(NominalArm, CONFIGS / f"{ARMS[which]}arm.yaml")
 
 
 def plant(which: str, **changes: object) -> PlantConfig:
-    return load(PlantConfig, CONFIGS / f"plant{ARMS[which]}.yaml", changes)
+    return load(PlantConfig, CONFIGS / f"{ARMS[which]}plant.yaml", changes)
 
 
 def written(tree: ArmTree, form: str, folder: Path) -> Path:

@@ -19,8 +19,8 @@ from foundation.configuration import parse_overrides
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.units import BAR, LITRE_PER_MINUTE
 from plant_emulator.config.valves import JOINT_NAMES, JointName
-from testbed.experiments.positioning.scenarios import arm_files
 from testbed.experiments.positioning.worlds import ARMS
+from testbed.scenarios.arms import arm_overrides
 from testbed.scenarios.settings import Settings, load_settings
 from tests.support.paths import CONFIGS
 
@@ -217,7 +217,7 @@ def of_hidden(settings: Settings) -> list[Known]:
 
 @cache
 def settings_of(arm: str) -> Settings:
-    return load_settings(CONFIGS, arm_files(CONFIGS, arm))
+    return load_settings(CONFIGS, arm_overrides(CONFIGS, arm))
 
 
 def speeds(plant: PlantConfig, name: JointName) -> list[Known]:

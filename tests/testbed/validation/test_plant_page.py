@@ -43,7 +43,7 @@ def test_the_number_of_states_is_right() -> None:
     assert f"of {N_STATES} states" in PAGE
 
 
-@pytest.mark.parametrize("name", ["plant.yaml", "plant_long_crane.yaml"])
+@pytest.mark.parametrize("name", ["plant.yaml", "arms/long_crane/plant.yaml"])
 def test_every_switch_is_a_key_of_both_files(name: str) -> None:
     table = rows("What makes rigid-body positioning wrong")
     keys = [key for row in table for key in re.findall(r"`([a-z_.]+)`", row[0])]

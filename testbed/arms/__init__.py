@@ -1,0 +1,1 @@
+"""Arms of one's own: whether drawing and machine agree, and a directory to begin with."""

@@ -1,0 +1,90 @@
+"""`longreach arm`: which arms there are, whether one is right, and how to begin one of one's own."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.text import Text
+
+from nominal_arm.dimensions import boom_dimensions
+from protocol.errors import ConfigurationError
+from testbed.arms.check import ArmFinding, check_arm
+from testbed.arms.new import begin_arm
+from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
+from testbed.reporting.console import out, table, writable, write_json
+from testbed.scenarios.arms import ARMS_DIR, DEFAULT_ARM, arm_directory, arm_names
+from testbed.scenarios.settings import load_settings, loaders
+
+app = typer.Typer(help="Arms: which there are, whether one is right, one of your own.", no_args_is_help=True)
+_STYLES = {"ok": "green", "warning": "yellow", "failed": "bold red"}
+Chosen = Annotated[str, typer.Argument(metavar="[NAME|DIR]", help="Of CONFIG_DIR/arms, or a directory.")]
+
+
+@app.callback()
+def arm() -> None:
+    """Arms: which there are, whether one is right, one of your own."""
+
+
+@app.command("list", epilog="Example: longreach arm list")
+def list_arms(config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None) -> None:
+    """The arms that --arm takes by name: what each is, and its reach."""
+    rows = []
+    for name in arm_names(config_dir):
+        described = load_settings(arm_directory(config_dir, name), {}).arm
+        boom = boom_dimensions(described)
+        rows.append((name, described.name, boom.boom + boom.forearm + boom.wrist_to_tool))
+    cells = [(name, what, f"{reach:.2f}") for name, what, reach in rows]
+    out.print(table("arms", ("--arm", "arm.yaml's name", "lift pivot to tool, m"), cells))
+    keys = ("arm", "name", "reach_m")
+    write_json(json_file, {"arms": [dict(zip(keys, row, strict=True)) for row in rows]})
+
+
+@app.command("check", epilog="Example: longreach arm check long_crane")
+def check(
+    chosen: Chosen = DEFAULT_ARM, config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None
+) -> None:
+    """Whether drawing, machine, controller and scene agree, a line each; exit status 1 when one does not."""
+    findings = list(_findings(arm_directory(config_dir, chosen)))
+    cells = [(f.name, Text(f.verdict, _STYLES[f.verdict]), f.found, f.advice) for f in findings]
+    out.print(table(f"arm {chosen}", ("what", "verdict", "found", "advice"), cells))
+    write_json(json_file, {"arm": chosen, "findings": [finding._asdict() for finding in findings]})
+    raise typer.Exit(1 if any(finding.verdict == "failed" for finding in findings) else 0)
+
+
+def _findings(directory: Path) -> Iterator[ArmFinding]:
+    """Each file that cannot be read, or what the files say of each other."""
+    wrong = []
+    for name, load in loaders(directory, {}).items():
+        try:
+            load()
+        except ConfigurationError as error:
+            wrong.append(ArmFinding(f"{name}.yaml", "failed", str(error), error.cause))
+    yield from wrong or check_arm(load_settings(directory, {}))
+
+
+@app.command("new", epilog="Example: longreach arm new rock_breaker --like long_crane")
+def new(
+    chosen: Annotated[str, typer.Argument(metavar="NAME|DIR", help="Made in CONFIG_DIR/arms, or there.")],
+    like: Annotated[str, typer.Option(help="The arm to begin with.")] = DEFAULT_ARM,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+) -> None:
+    """Make a directory with what differs from arm to arm, copied from one that is there, to be edited."""
+    source = arm_directory(config_dir, like)
+    directory = Path(chosen) if "/" in chosen else config_dir / ARMS_DIR / chosen
+    for path in begin_arm(directory, source, load_settings(source, {})):
+        out.print(str(path), highlight=False, soft_wrap=True)
+    out.print(f"edit them, then: longreach arm check {chosen}", style="dim", highlight=False, soft_wrap=True)
+
+
+@app.command("draw", epilog="Example: longreach arm draw long_crane --out long_crane.png")
+def draw(
+    chosen: Chosen = DEFAULT_ARM,
+    path: Annotated[Path, typer.Option("--out", help="PNG or SVG.", callback=writable)] = Path("arm.png"),
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+) -> None:
+    """The arm from the side at its start pose, the object, the wrist's reach and the tool's workspace."""
+    from testbed.pictures.machine import draw_machine
+
+    draw_machine(load_settings(arm_directory(config_dir, chosen), {}), path, reach=True)
+    out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB", highlight=False)
