@@ -44,7 +44,7 @@ def draw_machine(settings: Settings, path: Path, reach: bool = False) -> None:
     X_BC = X_BT @ transform(np.eye(3), mount.mount_position_m)
     target = settings.scene.object_of_interest
     X_BO = transform(X_BT[:3, :3] @ R_TM_NOMINAL @ exp_so3(np.radians(target.tilt_deg)), target.position_m)
-    figure = Figure(figsize=(9.6, 4.8), layout="constrained")
+    figure = Figure(figsize=(9.6, 7.2 if reach else 4.8), layout="constrained")
     axes = figure.add_subplot()
     if reach:
         _reach(axes, settings)
@@ -60,7 +60,7 @@ def draw_machine(settings: Settings, path: Path, reach: bool = False) -> None:
         _frame(axes, drawn)
     axes.set(xlabel="x of B, m", ylabel="z of B, m", aspect="equal")
     if reach:
-        axes.legend(loc="upper left", fontsize=9)
+        axes.legend(loc="upper right", fontsize=9)
     else:
         axes.set(xlim=(-0.8, max(5.4, X_BO[0, 3] + 0.8)), ylim=(-0.35, max(2.55, tilt[2] + 0.45)))
     axes.grid(color="0.92")
