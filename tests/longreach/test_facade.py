@@ -126,7 +126,7 @@ def test_both_rigs_have_every_call_of_the_async_one() -> None:
 
 
 def test_kinematics_go_there_and_back_and_say_where_they_cannot() -> None:
-    arm = longreach.arm(CONFIGS)
+    arm = longreach.arm(config_dir=CONFIGS)
     q = np.radians([10.0, 50.0, -80.0, 5.0, -40.0, 10.0])
     np.testing.assert_allclose(arm.ik(arm.fk(q), near=q + 0.05), q, atol=1e-12)
     step = np.array([0.0, 1e-6, 0.0, 0.0, 0.0, 0.0])
