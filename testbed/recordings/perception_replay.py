@@ -215,6 +215,10 @@ class PerceptionReplay:
         self._looks += 1
         numbers = tuple(said.observations)
         seen = [self._observations[number] for number in numbers if number in self._observations]
+        if len(seen) < len(numbers):
+            told = f"{len(numbers) - len(seen)} of {len(numbers)} observations are not in the recording"
+            self.comparison.different(LOOK, self._looks, said.time_ns, "observations", told, "not made")
+            return
         X_BT = np.reshape(said.X_BT, (4, 4))
         try:
             look = combine(seen, X_BT, said.time_ns, self._recording.config.look)

@@ -53,7 +53,7 @@ IMAGES = ("/camera/left/image", "/camera/right/image")
 
 WAITING_FRAMES = 20  # [D] two seconds at 10 a second, 37 MB of pixels: more are left out, and counted
 _CLOCK_NS = 1_000_000_000
-_REMEMBERED = 8  # observations from which the next one may go on
+_REMEMBERED = 1001  # observations, some 8 MB: as many as a look may take, and the one before
 
 
 class _Image(NamedTuple):

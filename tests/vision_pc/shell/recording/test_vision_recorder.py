@@ -13,9 +13,9 @@ from foundation.configuration import load
 from foundation.recording.mcap_file import Entries, Topic
 from tests.support.paths import CONFIGS
 from vision_pc.config.vision import VisionConfig
-from vision_pc.core.types import CameraErrors, FrameObservation, StereoPair
+from vision_pc.core.types import CameraErrors, FrameObservation, Look, StereoPair
 from vision_pc.shell.recording import vision_recorder as names
-from vision_pc.shell.recording.vision_messages import ObservationMessage
+from vision_pc.shell.recording.vision_messages import CombinedLook, ObservationMessage
 from vision_pc.shell.recording.vision_recorder import WAITING_FRAMES, VisionRecorder
 
 CONFIG = load(VisionConfig, CONFIGS / "vision.yaml")
@@ -54,7 +54,7 @@ def recorder(**settings: Any) -> tuple[VisionRecorder, HeldSink]:
 
 
 def pair(number: int) -> StereoPair:
-    picture = np.full((48, 64), number, dtype=np.uint8)
+    picture = np.full((48, 64), number % 250, dtype=np.uint8)
     return StereoPair(picture, picture + 1, number * PERIOD_NS, number)
 
 
@@ -123,3 +123,15 @@ def test_a_disk_that_takes_nothing_more_is_told_once() -> None:
     made.event("second", "info", {"a": 1})
     made.event("third", "info", {})
     assert told == ["vision.mcap: No space left on device"]
+
+
+def test_a_look_names_every_observation_that_it_is_made_of() -> None:
+    """Also one of a thousand frames, the most that a look may take."""
+    made, sink = recorder()
+    found = [seen(number) for number in range(1000)]
+    for number, observation in enumerate(found):
+        made.observed(pair(number), found[number - 1] if number else None, observation)
+    look: Any = dict.fromkeys(Look._fields, None) | {"time_ns": 5, "X_CM": np.eye(4), "X_CO": np.eye(4)}
+    made.looked(Look(**look), found)
+    (put,) = [message for _, message in sink.waiting if isinstance(message, CombinedLook)]
+    assert put.observations == tuple(range(1, 1001))
