@@ -6,7 +6,7 @@ import { byId, write } from './dom.js';
 import { installLayers, pictureAge, showOverlay, showPicture } from './picture.js';
 import { showAlarms, showChips, showLadder, showResume } from './panels.js';
 import { addToPlots, drawPlots, installPlots } from './plots.js';
-import { installScene, paintScene, showArm } from './scene.js';
+import { installArm, paintArm, showArm } from './arm.js';
 import { installStop } from './stop.js';
 import { followPictures, followState } from './stream.js';
 import { showVerdict } from './verdict.js';
@@ -33,8 +33,8 @@ function showSnapshot(snapshot) {
   judge();
   showLadder(shot.state);
   showResume(shot.state, shot.alarms);
-  showAlarms(shot.alarms, shot.time);
-  showOverlay(shot.overlay);
+  showAlarms(shot.alarms);
+  showOverlay(shot.overlay, shot.tolerance_mm);
   update(shot, operate);
   if (shot.look && shot.look.time_ns !== lookSeen.ns) lookSeen = { ns: shot.look.time_ns, at: shot.time };
   showVerdict(shot.look, shot.told, shot.time - lookSeen.at);
@@ -105,7 +105,7 @@ function installTheme() {
   const wanted = matchMedia('(prefers-color-scheme: dark)');
   const paint = () => {
     document.documentElement.dataset.theme = localStorage.getItem('longreach-theme') ?? (wanted.matches ? 'dark' : 'light');
-    paintScene();
+    paintArm();
     installPlots();
   };
   wanted.addEventListener('change', paint);
@@ -120,7 +120,7 @@ takeToken();
 installStop();
 installActions();
 installLayers();
-installScene();
+installArm();
 installTheme();
 update(null, false);
 const again = [followState(showSnapshot, lost), followPictures(showPicture, noPicture)];

@@ -57,9 +57,19 @@ export function showResume(state, alarms) {
   if (list.dataset.told !== told) { list.dataset.told = told; list.replaceChildren(...rows); }
 }
 
+/** The worst of what is wrong now, in one line that is always in view. */
+function showWorst(active) {
+  const line = byId('alarm-line');
+  const [worst] = active;
+  attribute(line, 'class', worst ? `line-${worst.priority}` : '');
+  const more = active.length > 1 ? ` (and ${active.length - 1} more)` : '';
+  write(line.firstElementChild, worst ? `${MARKS[worst.priority]} ${clock(worst.began_at)} ${worst.detail}. ${worst.advice}${more}` : 'No alarm');
+}
+
 /** Active alarms first, then those that ended. */
-export function showAlarms(alarms, nowS) {
+export function showAlarms(alarms) {
   const active = alarms.filter((alarm) => alarm.ended_at === null);
+  showWorst(active);
   write(byId('alarm-count'), active.length ? `${active.length} active` : 'none active');
   const rows = alarms.map((alarm) => {
     const lasts = alarm.ended_at === null;

@@ -3,10 +3,12 @@
 import { byId, signed, write } from './dom.js';
 
 const SVG = 'http://www.w3.org/2000/svg';
-const LOUPE = 4;
+const LOUPE = { mm: 30, least: 24, most: 160 }; // what it is wide, and its limits in pixels of the left eye
 let newest = null; // the left eye's bitmap
 let drawn = null; // the newest overlay
+let tolerance = 5; // mm
 let arrived = 0;
+let fastest = []; // [when, delay] of deliveries: the clocks of page and vision PC differ by an unknown constant
 
 /** Shows one message of the stream. */
 export async function showPicture(message) {
@@ -19,8 +21,17 @@ export async function showPicture(message) {
   arrived = performance.now();
   paintLoupe();
   byId('no-picture').hidden = true;
-  write(byId('frame-told'), `frame ${message.frame} · ${Math.round(message.ageMs)} ms old`);
+  write(byId('frame-told'), `frame ${message.frame} · ${Math.round(message.ageMs + late(message.encodedMs))} ms old`);
+  byId('left').dataset.captureMs = message.encodedMs - message.ageMs;
   byId('left').dataset.frame = message.frame;
+}
+
+/** How much longer this delivery took than the fastest of the last minute, ms. */
+function late(encodedMs) {
+  const delay = arrived - encodedMs;
+  fastest = fastest.filter(([when, other]) => arrived - when < 60_000 && other < delay);
+  fastest.push([arrived, delay]);
+  return delay - fastest[0][1];
 }
 
 /** Says over the picture why there is no fresh one. */
@@ -42,10 +53,19 @@ function centre() {
   return drawn?.aim?.at ?? drawn?.tool?.origin ?? [width / 2, height / 2];
 }
 
+/** Width and height of what the loupe shows, px of the left eye: a few tolerances where the aim is known. */
+function loupeSize() {
+  const square = drawn?.aim?.square;
+  const px = square ? (Math.hypot(square[1][0] - square[0][0], square[1][1] - square[0][1]) * LOUPE.mm) / (2 * tolerance) : LOUPE.most;
+  const width = Math.min(Math.max(px, LOUPE.least), LOUPE.most);
+  write(byId('loupe-told'), square ? `${((width / px) * LOUPE.mm).toFixed(0)} mm across, at the aim` : 'the middle');
+  return [width, (width * 9) / 16];
+}
+
 function paintLoupe() {
   const canvas = byId('loupe');
   const [x, y] = centre();
-  const [w, h] = [canvas.width / LOUPE, canvas.height / LOUPE];
+  const [w, h] = loupeSize();
   const context = canvas.getContext('2d');
   context.imageSmoothingEnabled = false;
   context.fillRect(0, 0, canvas.width, canvas.height);
@@ -53,7 +73,8 @@ function paintLoupe() {
 }
 
 /** Draws what was detected. */
-export function showOverlay(overlay) {
+export function showOverlay(overlay, toleranceMm) {
+  tolerance = toleranceMm ?? tolerance;
   if (overlay && drawn && overlay.frame_id === drawn.frame_id && JSON.stringify(overlay.aim) === JSON.stringify(drawn.aim)) return;
   drawn = overlay;
   const svg = byId('overlay');
@@ -66,8 +87,9 @@ export function showOverlay(overlay) {
   labels(overlay, svg);
   const [x, y] = centre();
   const loupe = byId('loupe-overlay');
-  loupe.setAttribute('viewBox', `${x - 80} ${y - 45} 160 90`);
-  shapes({ ...overlay, markers: [] }, loupe, 1 / LOUPE);
+  const [w, h] = loupeSize();
+  loupe.setAttribute('viewBox', `${x - w / 2} ${y - h / 2} ${w} ${h}`);
+  shapes({ ...overlay, markers: [] }, loupe, w / 320);
 }
 
 function shapes(overlay, svg, scale) {

@@ -1,29 +1,33 @@
-// The arm in 3D, by its drawing: base axes x forward, y left, z up. Drawn only when something has changed.
+// The arm in 3D, by its drawing: base axes x forward, y left, z up. Drawn only when it has moved by what can be seen:
+// encoders tremble at rest, and without a graphics processor each drawing takes a tenth of a second.
 
 import {
   AmbientLight, BufferAttribute, BufferGeometry, Color, CylinderGeometry, DirectionalLight, GridHelper, Line,
   LineBasicMaterial, LineDashedMaterial, Mesh, MeshLambertMaterial, OrbitControls, PerspectiveCamera, Quaternion, Scene,
   SphereGeometry, Vector3, WebGLRenderer,
 } from './vendor/three.js';
-import { byId, write } from './dom.js';
+import { byId } from './dom.js';
 
 const MOST = 3000; // points of the driven path
 const NEXT_M = 0.004;
 const RADII = [0.16, 0.13, 0.1, 0.1, 0.075, 0.05, 0.04, 0.03];
 const UP = new Vector3(0, 1, 0);
+const SEEN_M = 0.001;
+const AGAIN_MS = 200; // between two drawings of a moving arm
 let view = null;
 
-/** Makes the scene; without WebGL the page says so and goes on. */
-export function installScene() {
+/**
+ * Makes the scene; false where the browser cannot, or only at the cost of a core of its processor (unless `anyway`).
+ */
+export function installScene(anyway = false) {
   const canvas = byId('scene-canvas');
   let renderer;
   try {
-    renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true });
+    const context = canvas.getContext('webgl2', { antialias: true, alpha: true, failIfMajorPerformanceCaveat: !anyway });
+    if (!context) return false;
+    renderer = new WebGLRenderer({ canvas, context });
   } catch {
-    canvas.hidden = true;
-    byId('scene-none').hidden = false;
-    write(byId('scene-none'), 'This browser draws no 3D (WebGL is off). Everything else works.');
-    return;
+    return false;
   }
   const scene = new Scene();
   const camera = new PerspectiveCamera(34, 1, 0.1, 100);
@@ -36,10 +40,16 @@ export function installScene() {
   const sun = new DirectionalLight(0xffffff, 2.2);
   sun.position.set(2, -4, 8);
   scene.add(new AmbientLight(0xffffff, 1.5), sun);
-  view = { scene, camera, controls, renderer, canvas, links: [], joints: [], path: [], shownPath: null, aim: null, framed: false, told: '' };
+  view = { scene, camera, controls, renderer, canvas, links: [], joints: [], path: [], shownPath: null, aim: null, framed: false, told: '', last: [] };
   paintScene();
   controls.addEventListener('change', draw);
   new ResizeObserver(draw).observe(canvas);
+  return true;
+}
+
+/** Whether `points` are where `before` were, as far as a person could see. */
+export function still(points, before) {
+  return points.length === before.length && points.every((point, index) => point.every((value, axis) => Math.abs(value - before[index][axis]) < SEEN_M));
 }
 
 /** Takes the colours of the page as it is. */
@@ -64,10 +74,10 @@ export function paintScene() {
 
 /** Shows a snapshot. */
 export function showArm(shot) {
-  if (!view || !shot.skeleton.length) return;
-  const told = JSON.stringify([shot.skeleton, shot.look?.time_ns, shot.calibration?.R_BC]);
-  if (told === view.told) return;
-  view.told = told;
+  if (!view || view.canvas.hidden || !shot.skeleton.length || performance.now() - view.drawnAt < AGAIN_MS) return;
+  const told = JSON.stringify([shot.look?.time_ns, shot.calibration?.R_BC]);
+  if (told === view.told && still(shot.skeleton, view.last)) return;
+  Object.assign(view, { told, last: shot.skeleton, drawnAt: performance.now() });
   const points = shot.skeleton.map((point) => new Vector3(...point));
   points.splice(1, 0, new Vector3(0, 0, points[1].z)); // the pillar, then across to the lift's pivot
   if (!view.links.length) build(points);

@@ -97,7 +97,7 @@ export function followState(show, lost) {
   }, lost);
 }
 
-/** Pictures: `show({left, right, frame, ageMs})` with the newest whole message; older ones are dropped. */
+/** Pictures: `show({left, right, frame, ageMs, encodedMs})` with the newest whole message; older ones are dropped. */
 export function followPictures(show, lost) {
   return follow(PICTURES, async (reader, alive) => {
     let rest = new Uint8Array(0);
@@ -146,6 +146,7 @@ function picture(bytes) {
   const left = view.getUint32(24, true);
   return {
     ageMs: Number(view.getBigUint64(12, true) - view.getBigUint64(4, true)) / 1e6,
+    encodedMs: Number(view.getBigUint64(12, true)) / 1e6,
     frame: view.getUint32(20, true),
     left: new Blob([bytes.subarray(HEADER, HEADER + left)], { type: 'image/jpeg' }),
     right: new Blob([bytes.subarray(HEADER + left)], { type: 'image/jpeg' }),

@@ -32,7 +32,7 @@ function bars(look) {
     Object.assign(whisker.style, { left: at(mm - 2 * std), right: `calc(100% - ${at(mm + 2 * std)})` });
     band.hidden = axis === 'z'; // the tolerance is of x and y
     track.classList.toggle('out', axis !== 'z' && Math.abs(mm) > tolerance);
-    write(row.children[2], `${signed(mm)} mm`);
+    write(row.children[2], `${signed(mm, Math.abs(mm) < 10 ? 2 : Math.abs(mm) < 100 ? 1 : 0)} mm`);
   });
 }
 
