@@ -1,0 +1,44 @@
+"""Debian's Chromium under Playwright (`make browser`), and what an operator does in it."""
+
+import contextlib
+import shutil
+from collections.abc import Iterator
+
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+ABSENT = "no Chromium here (make browser): the console was NOT tried"
+WITHIN_MS = 60_000.0  # this machine may be busy
+_HOLD_MS = 800
+# Without a graphics processor a drawing in 3D takes a core: the page then draws the arm from the side.
+_ARGUMENTS = ["--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--disable-software-rasterizer"]
+
+
+@contextlib.contextmanager
+def launched() -> Iterator[Browser]:
+    """A browser; what it expects may take a while."""
+    expect.set_options(timeout=WITHIN_MS)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=_ARGUMENTS, timeout=120_000)
+        with contextlib.closing(browser):
+            yield browser
+
+
+def is_state(page: Page, state: str, within_ms: float = WITHIN_MS) -> None:
+    """Wait for this state of the axes group."""
+    expect(page.locator("#ladder li.on")).to_have_attribute("data-state", state, timeout=within_ms)
+
+
+def hold(page: Page, button: str) -> None:
+    """Hold a button for as long as it wants to be held."""
+    expect(page.locator(button)).to_be_enabled(timeout=WITHIN_MS)
+    page.locator(button).hover()
+    page.mouse.down()
+    page.wait_for_timeout(_HOLD_MS)
+    page.mouse.up()
+
+
+def note(page: Page, kind: str, words: str) -> None:
+    """Wait until the procedure's row says so."""
+    row = page.locator(f'#procedure li[data-kind="{kind}"] .note')
+    expect(row).to_contain_text(words, timeout=WITHIN_MS)

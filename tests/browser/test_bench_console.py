@@ -1,0 +1,238 @@
+"""What the console costs and how fast it is: the real services, a real browser, `make bench`."""
+
+import contextlib
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from plant_emulator.shell.recording import read_truth
+from testbed.realtime.launch import PLANT, VISION
+from tests.browser.chromium import ABSENT, CHROMIUM, hold, is_state, launched
+from tests.integration.services import Running, running
+
+pytestmark = [
+    pytest.mark.bench,
+    pytest.mark.timeout(7200),
+    pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
+]
+DESK: Any = {"width": 1440, "height": 900}
+WATCHED_S = 60.0
+ROUNDS, WINDOW_S = 8, 10.0
+MINUTES = float(os.environ.get("CONSOLE_MINUTES", "30"))
+TRIALS, TRUTH_HZ = int(os.environ.get("CONSOLE_STOPS", "100")), 250
+CENTRED = 1e-3  # share of full opening
+PAGE_KB, WATCHER_PERCENT, CANVAS_MS, HEAP_MB, STOP_MS = 250.0, 6.0, 120.0, 1.0, 150.0
+HEALTHY_S = 120.0
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with launched() as started:
+        yield started
+
+
+@contextlib.contextmanager
+def services(directory: Path, *assignments: str) -> Iterator[Running]:
+    """The three services, with pictures and a session."""
+    with running(directory, *assignments) as rig:
+        until_s = time.monotonic() + HEALTHY_S
+        while rig.face.get("/health").status_code != httpx.codes.OK:
+            assert time.monotonic() < until_s, rig.face.get("/health").text
+            time.sleep(0.5)
+        yield rig
+
+
+@contextlib.contextmanager
+def opened(browser: Browser, rig: Running) -> Iterator[Page]:
+    with contextlib.closing(browser.new_context(viewport=DESK)) as context:
+        context.set_default_timeout(60_000)
+        page = context.new_page()
+        page.goto(rig.launch.rest_url)
+        is_state(page, "disabled")
+        page.wait_for_function("Number(document.querySelector('#left').dataset.frame) > 0")
+        yield page
+
+
+def monotonic_of(page: Page) -> tuple[float, float]:
+    """What to add to the page's ``performance.now()`` for the monotonic clock, and ± how much, ms."""
+    tied = []
+    for _ in range(60):
+        before = time.monotonic_ns() / 1e6
+        now = page.evaluate("performance.now()")
+        after = time.monotonic_ns() / 1e6
+        tied.append((after - before, 0.5 * (before + after) - now))
+    span, offset = min(tied)
+    return offset, 0.5 * span
+
+
+def told(name: str, values: Any, unit: str) -> str:
+    p50, p95, p99 = np.percentile(values, [50, 95, 99])
+    most = np.max(values)
+    return f"{name}, {len(values)}: p50 {p50:.1f}, p95 {p95:.1f}, p99 {p99:.1f}, most {most:.1f} {unit}"
+
+
+def test_from_capture_to_canvas_and_the_page_itself(browser: Browser, tmp_path: Path) -> None:
+    with services(tmp_path) as rig, opened(browser, rig) as page:
+        sizes = page.evaluate("""['navigation', 'resource'].flatMap((kind) =>
+            performance.getEntriesByType(kind).map((each) => [each.name, each.encodedBodySize]))""")
+        page_kb = sum(size for name, size in sizes if "/events" not in name and "/live" not in name) / 1e3
+        offset, doubt = monotonic_of(page)
+        page.evaluate("""() => {
+            const left = document.querySelector('#left');
+            window.drawn = [];
+            new MutationObserver(() => window.drawn.push([performance.now(), Number(left.dataset.captureMs)]))
+                .observe(left, { attributeFilter: ['data-frame'] });
+        }""")
+        page.wait_for_timeout(1e3 * WATCHED_S)
+        drawn = np.array(page.evaluate("window.drawn"))
+    taken = drawn[:, 0] + offset - drawn[:, 1]
+    print(f"\npage: {page_kb:.0f} kB compressed")
+    print(told("capture to canvas", taken, f"ms (clocks tied to ±{doubt:.1f} ms)"))
+    print(f"pictures: {len(drawn) / WATCHED_S:.1f} a second")
+    assert page_kb <= PAGE_KB
+    assert np.percentile(taken, 95) <= CANVAS_MS
+
+
+def follow(url: str, path: str, ended: threading.Event) -> None:
+    with httpx.Client(timeout=10.0) as client, client.stream("GET", url + path) as answer:
+        for _ in answer.iter_bytes():
+            if ended.is_set():
+                return
+
+
+@contextlib.contextmanager
+def watchers(url: str, count: int) -> Iterator[None]:
+    """As many that follow state and pictures as a console does."""
+    ended = threading.Event()
+    paths = ["/events", "/camera/live"] * count
+    threads = [threading.Thread(target=follow, args=(url, path, ended)) for path in paths]
+    for thread in threads:
+        thread.start()
+    try:
+        time.sleep(1.0)
+        yield
+    finally:
+        ended.set()
+        for thread in threads:
+            thread.join()
+
+
+def processor_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def window(rig: Running, count: int) -> tuple[float, int]:
+    """Percent of a core that vision takes with ``count`` watchers, and the scans that overran meanwhile."""
+    pid = rig.supervisor.children[VISION].pid
+    with watchers(rig.launch.rest_url, count):
+        overruns = rig.face.get("/state").json()["cycle"]["overruns"]
+        began_s, used_s = time.monotonic(), processor_s(pid)
+        time.sleep(WINDOW_S)
+        share = (processor_s(pid) - used_s) / (time.monotonic() - began_s)
+        return 100.0 * share, rig.face.get("/state").json()["cycle"]["overruns"] - overruns
+
+
+def test_watchers_cost_little_and_disturb_no_scan(tmp_path: Path) -> None:
+    rng, counts = np.random.default_rng(1), (0, 1, 5)
+    with services(tmp_path) as rig:
+        taken = [  # each round has every number of watchers, in random order
+            {int(count): window(rig, int(count)) for count in rng.permutation(counts)} for _ in range(ROUNDS)
+        ]
+    print()
+    for count in counts:
+        shares, late = np.transpose([each[count] for each in taken])
+        print(f"{count} watchers: {np.mean(shares):.1f} % of a core (± {np.std(shares):.1f}), "
+              f"{np.mean(late):.2f} overruns in {WINDOW_S:.0f} s")  # fmt: skip
+    one = np.mean([each[1][0] - each[0][0] for each in taken])
+    more = np.array([each[5][1] - each[0][1] for each in taken], dtype=float)
+    half = 1.96 * np.std(more, ddof=1) / np.sqrt(len(more))
+    print(
+        f"a watcher: {one:.1f} % of a core; five: {np.mean(more):+.2f} ± {half:.2f} overruns (95 %, paired)"
+    )
+    assert one <= WATCHER_PERCENT
+    assert np.mean(more) - half <= 0.0
+
+
+def test_the_heap_of_an_open_page_stays_flat(browser: Browser, tmp_path: Path) -> None:
+    with services(tmp_path) as rig, opened(browser, rig) as page:
+        debugger = page.context.new_cdp_session(page)
+        page.wait_for_timeout(130_000)  # the strips are full
+        began_s, taken = time.monotonic(), []
+        while time.monotonic() - began_s < 60.0 * MINUTES:
+            debugger.send("HeapProfiler.collectGarbage")
+            used = debugger.send("Runtime.getHeapUsage")["usedSize"] / 1e6
+            taken.append((time.monotonic() - began_s, used))
+            page.wait_for_timeout(20_000)
+    times_s, used_mb = np.transpose(taken)
+    (slope, _), covariance = np.polyfit(times_s / 600.0, used_mb, 1, cov=True)
+    print(f"\nheap over {MINUTES:g} min: {used_mb[0]:.2f} to {used_mb[-1]:.2f} MB, "
+          f"{slope:+.3f} ± {1.96 * covariance[0, 0] ** 0.5:.3f} MB in 10 min")  # fmt: skip
+    assert slope <= HEAP_MB
+
+
+def moving(rig: Running, number: int) -> None:
+    """Returns in the middle of a motion."""
+    offset = [0.0, 0.15 * (-1) ** number, 0.0]
+    accepted = rig.face.post("/operations/move", json={"offset_base_m": offset, "duration_s": 3.0})
+    assert accepted.status_code == httpx.codes.ACCEPTED, accepted.text
+    eventually(lambda: rig.face.get("/state").json()["group_state"] == "moving")
+    time.sleep(0.7 + 0.01 * number)  # at any phase
+
+
+def eventually(happened: Callable[[], bool]) -> None:
+    until_s = time.monotonic() + 20.0
+    while not happened():
+        assert time.monotonic() < until_s, "did not happen"
+        time.sleep(0.02)
+
+
+def test_from_the_click_on_stop_to_centred_valves(browser: Browser, tmp_path: Path) -> None:
+    pressed, heard = [], []
+    with services(tmp_path, f"plant_service.truth_hz={TRUTH_HZ}") as rig:
+        with opened(browser, rig) as page:
+            page.evaluate("""() => {
+                window.told = [];
+                document.querySelector('#stop').addEventListener('pointerdown',
+                    (event) => { window.pressed = event.timeStamp; }, { capture: true });
+                document.addEventListener('stopped',
+                    () => window.told.push([window.pressed, performance.now()]));
+            }""")
+            hold(page, "#enable")
+            is_state(page, "standby")
+            for number in range(TRIALS):
+                moving(rig, number)
+                page.locator("#stop").click()
+                page.wait_for_function(f"window.told.length === {number + 1}")
+                eventually(lambda: rig.face.get("/state").json()["group_state"] == "standby")
+                expect(page.locator("#jog-x-plus")).to_be_enabled()
+            offset, _ = monotonic_of(page)
+            for click, answer in page.evaluate("window.told"):
+                pressed.append(1e6 * (click + offset))
+                heard.append(answer - click)
+        truths = read_truth_of(rig)
+    centred = [1e-6 * (first_centred(truths, click) - click) for click in pressed]
+    print("\n" + told("click on STOP to acknowledged", heard, "ms"))
+    print(told("click on STOP to centred valves", centred, f"ms, by a truth every {1e3 / TRUTH_HZ:g} ms"))
+    assert np.percentile(heard, 99) <= STOP_MS
+
+
+def read_truth_of(rig: Running) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,) and whether all valves were centred (n,), by the plant's own recording."""
+    recording = read_truth(rig.launch.records(PLANT) / "truth.mcap")
+    valves = np.array([record.truth.valves for record in recording.truths])
+    return recording.log_ns, np.all(np.abs(valves) <= CENTRED, axis=1)
+
+
+def first_centred(truths: tuple[np.ndarray, np.ndarray], click_ns: float) -> float:
+    times, centred = truths
+    after = np.flatnonzero(centred & (times >= click_ns))
+    return float(times[after[0]]) if len(after) else np.inf
