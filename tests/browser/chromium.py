@@ -4,7 +4,7 @@ import contextlib
 import shutil
 from collections.abc import Iterator
 
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, Request, expect, sync_playwright
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 ABSENT = "no Chromium here (make browser): the console was NOT tried"
@@ -30,12 +30,31 @@ def is_state(page: Page, state: str, within_ms: float = WITHIN_MS) -> None:
 
 
 def hold(page: Page, button: str) -> None:
-    """Hold a button for as long as it wants to be held."""
-    expect(page.locator(button)).to_be_enabled(timeout=WITHIN_MS)
-    page.locator(button).hover()
-    page.mouse.down()
-    page.wait_for_timeout(_HOLD_MS)
-    page.mouse.up()
+    """Hold a button for as long as it wants to be held, until the page has sent a command.
+
+    While a busy machine has the page hear nothing, its buttons are off: then once more.
+    """
+    sent: list[str] = []
+
+    def note_command(asked: Request) -> None:
+        if asked.method == "POST":
+            sent.append(asked.url)
+
+    page.on("request", note_command)
+    try:
+        for _ in range(20):
+            expect(page.locator(button)).to_be_enabled(timeout=WITHIN_MS)
+            page.locator(button).hover()
+            page.mouse.down()
+            page.wait_for_timeout(_HOLD_MS)
+            page.mouse.up()
+            for _ in range(20):
+                if sent:
+                    return
+                page.wait_for_timeout(100)
+    finally:
+        page.remove_listener("request", note_command)
+    raise AssertionError(f"{button} was held, and nothing was sent")
 
 
 def note(page: Page, kind: str, words: str) -> None:

@@ -52,7 +52,7 @@ function button(words, request, { id, hold, primary } = {}) {
   if (hold) onHold(made, act, () => say(`${words}: hold it for 0.6 s.`, true));
   else made.addEventListener('click', act);
   for (const kind of ['focus', 'pointerenter']) {
-    made.addEventListener(kind, () => { const asked = request(); if (asked) write(byId('curl'), curl(...asked)); });
+    made.addEventListener(kind, () => { const asked = request(); if (asked) showCurl(...asked); });
   }
   return made;
 }
@@ -85,6 +85,11 @@ function jogRequest(axis, sign) {
   const R = shot?.calibration?.R_BC;
   if (!R) { say('Camera axes are known after “trajectory matching”.', false); return null; }
   return ['POST', '/operations/move', { offset_base_m: R.map((line) => Number(line.reduce((sum, r, i) => sum + r * offset[i], 0).toFixed(6))) }];
+}
+
+/** Shows the request as a curl line. */
+export function showCurl(...asked) {
+  write(byId('curl'), curl(...asked));
 }
 
 /** One line about the last request. */

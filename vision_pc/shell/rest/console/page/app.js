@@ -9,6 +9,7 @@ import { addToPlots, drawPlots, installPlots } from './plots.js';
 import { installArm, paintArm, showArm } from './arm.js';
 import { installStop } from './stop.js';
 import { followPictures, followState } from './stream.js';
+import { installTargets, pictureSize } from './targets.js';
 import { showVerdict } from './verdict.js';
 
 const STALE_MS = 500;
@@ -35,6 +36,7 @@ function showSnapshot(snapshot) {
   showResume(shot.state, shot.alarms);
   showAlarms(shot.alarms);
   showOverlay(shot.overlay, shot.tolerance_mm);
+  pictureSize(shot.overlay?.size);
   update(shot, operate);
   if (shot.look && shot.look.time_ns !== lookSeen.ns) lookSeen = { ns: shot.look.time_ns, at: shot.time };
   showVerdict(shot.look, shot.told, shot.time - lookSeen.at);
@@ -124,6 +126,7 @@ installArm();
 installTheme();
 update(null, false);
 const again = [followState(showSnapshot, lost), followPictures(showPicture, noPicture)];
+installTargets();
 installSignIn(() => { whoAmI(); for (const begin of again) begin(); });
 whoAmI();
 setInterval(judge, 250);

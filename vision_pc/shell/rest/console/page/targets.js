@@ -1,0 +1,168 @@
+// Targets by a click in the picture: what was recognised there, how well it is known, whether the arm reaches it.
+
+import { say, showCurl } from './actions.js';
+import { send } from './api.js';
+import { attribute, byId, make, write } from './dom.js';
+
+const SVG = 'http://www.w3.org/2000/svg';
+const EVERY_MS = 1000;
+const STEP_PX = 10; // of the cross that keys move; with Shift one pixel
+const KNOWN = { measured: 'seen', carried: 'carried by odometry', lost: '▲ lost: click it again' };
+let size = [1280, 720]; // of the camera's pictures
+let targets = [];
+let holes = [];
+let asked = null; // the click that wants its place in the other eye: its body, and candidates
+let cross = null; // where keys have pointed
+
+/** Has clicks make targets, where the service knows them. */
+export async function installTargets() {
+  const answer = await send('GET', '/targets');
+  if (!answer.ok) {
+    if (answer.status !== 404) setTimeout(installTargets, 3000); // such as before somebody signed in
+    return;
+  }
+  byId('targets').hidden = false;
+  take(answer.document);
+  byId('left').parentElement.classList.add('aimable');
+  attribute(byId('left'), 'tabindex', '0');
+  attribute(byId('left'), 'aria-label', 'Left eye, live. Click a place, or point with the arrow keys and press Enter, to make it the target');
+  byId('left').parentElement.addEventListener('click', (event) => click(pixel(event, byId('left'))));
+  byId('left').addEventListener('keydown', keys);
+  byId('left').addEventListener('blur', () => { cross = null; draw(); });
+  byId('right').addEventListener('click', (event) => clickRight(pixel(event, byId('right'))));
+  byId('find-holes').addEventListener('click', find);
+  setInterval(poll, EVERY_MS);
+}
+
+/** The size of the pictures, which clicks are told in. */
+export function pictureSize(given) {
+  if (given) size = given;
+}
+
+export const aimed = () => targets.find((target) => target.aimed);
+
+function pixel(event, canvas) {
+  const box = canvas.getBoundingClientRect();
+  return [((event.clientX - box.left) / box.width) * size[0], ((event.clientY - box.top) / box.height) * size[1]].map((px) => Number(px.toFixed(1)));
+}
+
+function keys(event) {
+  const way = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+  if (event.key === 'Enter' && cross) click(cross);
+  if (!way) return;
+  event.preventDefault();
+  const step = event.shiftKey ? 1 : STEP_PX;
+  cross ??= [size[0] / 2, size[1] / 2];
+  cross = cross.map((at, axis) => Math.min(Math.max(at + step * way[axis], 0), size[axis]));
+  draw();
+}
+
+/** A click in the left eye: bound to the picture that was on the screen. */
+function click([u, v]) {
+  const frame = Number(byId('left').dataset.frame);
+  return ask({ u_px: u, v_px: v, ...(frame ? { frame_id: frame } : {}) });
+}
+
+/** The same place in the right eye, where the left alone does not tell it. */
+function clickRight([u, v]) {
+  if (!asked) { say('Click in the left eye first; the right one is asked for when the left alone does not tell the place.', true); return null; }
+  return ask({ ...asked.body, other_u_px: u, other_v_px: v });
+}
+
+async function ask(body) {
+  showCurl('POST', '/targets', body);
+  say('Measuring what is there …', true);
+  const answer = await send('POST', '/targets', body);
+  asked = null;
+  holes = [];
+  if (answer.ok) {
+    const made = answer.document;
+    say(`Target ${made.id}: ${made.recognised}, known to ±${worst(made)} mm${far(made)}. Hold Go to drive there.`, made.reachable !== false);
+  } else {
+    const candidates = answer.document?.candidates ?? [];
+    if (candidates.length) asked = { body, candidates };
+    say(`${answer.words}${candidates.length ? ' Click the same place in the right eye: the candidates are drawn there.' : ''}`, false);
+  }
+  await poll();
+}
+
+async function find() {
+  showCurl('GET', '/targets?detect=true');
+  const answer = await send('GET', '/targets?detect=true');
+  if (!answer.ok) { say(answer.words, false); return; }
+  holes = answer.document.holes;
+  take(answer.document);
+  say(holes.length ? `${holes.length} holes found: click one to make it the target.` : 'No hole was found in this picture.', true);
+}
+
+async function poll() {
+  if (document.hidden) return;
+  const answer = await send('GET', '/targets');
+  if (answer.ok) take(answer.document);
+}
+
+function take(document_) {
+  targets = document_.targets;
+  rows();
+  draw();
+}
+
+const worst = (target) => Math.max(...Object.values(target.std_mm)).toFixed(1);
+const far = (target) => (target.distance_mm === null ? '' : `, ${target.distance_mm.toFixed(0)} mm away${target.reachable ? '' : ', OUT OF REACH of one step'}`);
+
+function rows() {
+  const told = JSON.stringify(targets.map((t) => [t.id, t.known, t.aimed, t.recognised, t.std_mm, t.distance_mm]));
+  const list = byId('target-rows');
+  if (list.dataset.told === told) return;
+  list.dataset.told = told;
+  const markers = { id: '', aimed: !aimed(), recognised: 'the object’s markers', known: '' };
+  list.replaceChildren(...[markers, ...targets].map(row));
+}
+
+function row(target) {
+  const name = target.id ? `${target.id} ${target.recognised}` : target.recognised;
+  const line = make('li', { class: target.aimed ? 'aimed' : '' }, make('b', {}, target.aimed ? `▸ ${name}` : name));
+  if (!target.id) return line;
+  line.append(make('span', {}, `${KNOWN[target.known] ?? target.known} · ±${worst(target)} mm${far(target)}`));
+  const aim = make('button', { type: 'button', disabled: target.aimed, 'aria-label': `Aim at ${name}` }, 'Aim');
+  const forget = make('button', { type: 'button', 'aria-label': `Forget ${name}` }, 'Forget');
+  act(aim, 'POST', `/targets/${target.id}/aim`);
+  act(forget, 'DELETE', `/targets/${target.id}`);
+  line.append(make('span', { class: 'acts' }, aim, forget));
+  return line;
+}
+
+function act(button, method, path) {
+  for (const kind of ['focus', 'pointerenter']) button.addEventListener(kind, () => showCurl(method, path));
+  button.addEventListener('click', async () => {
+    const answer = await send(method, path);
+    if (!answer.ok) say(answer.words, false);
+    await poll();
+  });
+}
+
+/** Outlines of targets that are seen from here, of holes that were found, candidates, and the keys' cross. */
+function draw() {
+  const seen = targets.filter((target) => target.known === 'measured' && !target.carried_mm);
+  byId('aims').setAttribute('viewBox', `0 0 ${size[0]} ${size[1]}`);
+  byId('aims').replaceChildren(
+    ...holes.map((hole) => path(hole.outline, 'hole')),
+    ...seen.map((target) => path(target.outline, target.aimed ? 'goal' : 'kept')),
+    ...(cross ? [mark(cross, 'cross')] : []),
+  );
+  byId('right-aims').setAttribute('viewBox', `0 0 ${size[0]} ${size[1]}`);
+  byId('right-aims').replaceChildren(...(asked?.candidates ?? []).map((candidate) => mark(candidate.other_px, 'cross')));
+}
+
+function path(points, kind) {
+  return shape(`M${points.map((point) => point.join(' ')).join('L')}Z`, kind);
+}
+
+const mark = ([u, v], kind) => shape(`M${u - 16} ${v}H${u + 16}M${u} ${v - 16}V${v + 16}`, kind);
+
+function shape(d, kind) {
+  const element = document.createElementNS(SVG, 'path');
+  element.setAttribute('d', d);
+  element.setAttribute('class', kind);
+  return element;
+}
