@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -57,7 +58,7 @@ def opened(browser: Browser, rig: Running) -> Iterator[Page]:
         page = context.new_page()
         page.goto(rig.launch.rest_url)
         is_state(page, "disabled")
-        page.wait_for_function("Number(document.querySelector('#left').dataset.frame) > 0")
+        expect(page.locator("#left")).to_have_attribute("data-frame", re.compile("[1-9]"))
         yield page
 
 
@@ -211,7 +212,7 @@ def test_from_the_click_on_stop_to_centred_valves(browser: Browser, tmp_path: Pa
             for number in range(TRIALS):
                 moving(rig, number)
                 page.locator("#stop").click()
-                page.wait_for_function(f"window.told.length === {number + 1}")
+                eventually(lambda wanted=number + 1: page.evaluate("window.told.length") == wanted)
                 eventually(lambda: rig.face.get("/state").json()["group_state"] == "standby")
                 expect(page.locator("#jog-x-plus")).to_be_enabled()
             offset, _ = monotonic_of(page)

@@ -273,7 +273,7 @@ def test_a_click_in_the_picture_makes_a_target(browser: Browser) -> None:
         bench.eyes.picture_s = 0.5
         with opened(browser, url, wall.answer_for, viewport={"width": 1440, "height": 900}) as page:
             expect(page.locator("#targets")).to_be_visible(timeout=WITHIN_MS)
-            page.wait_for_function("Number(document.querySelector('#left').dataset.frame) > 0")
+            expect(page.locator("#left")).to_have_attribute("data-frame", re.compile("[1-9]"))
             box = page.locator("#left").bounding_box()
             assert box is not None
             page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.25 * box["height"])
