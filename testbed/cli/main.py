@@ -198,22 +198,36 @@ def soak(
 def odometry(
     left: Annotated[Path, typer.Option(help="Directory of the left eye's rectified pictures.")],
     right: Annotated[Path, typer.Option(help="Directory of the right eye's.")],
-    calib: Annotated[Path, typer.Option(help="YAML with fx_px … baseline_m, or KITTI's calib.txt.")],
+    calib: Annotated[
+        Path,
+        typer.Option(
+            help="YAML with fx_px, fy_px, cx_px, cy_px, baseline_m (and right_cx_px, width_px, height_px), "
+            "or KITTI's calib.txt with P0: and P1:."
+        ),
+    ],
     trajectory: Annotated[Path, typer.Option("--out", help="Where the TUM trajectory goes.")] = Path(
         "trajectory.tum"
     ),
     rate_hz: Annotated[
         float, typer.Option(min=0.1, help="Pairs a second, where neither times.txt nor names tell.")
     ] = 10.0,
+    truth: Annotated[
+        Path | None,
+        typer.Option(help="True poses of the left camera (TUM): prints ATE, RPE, scale and drift."),
+    ] = None,
     config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
     json_file: JsonFile = None,
 ) -> None:
-    """The camera's path from a directory of rectified pairs; exit status 1 when a pair was lost."""
-    from testbed.cli.odometry import run_odometry
+    """The camera's path from a directory of rectified pairs; exit status 1 when a pair was lost.
 
-    found_all = run_odometry(config_dir, left, right, calib, rate_hz, trajectory, settings or [], json_file)
-    raise typer.Exit(0 if found_all else 1)
+    Beside the trajectory a CSV has a line a pair: map, loss and its cause, health, covariance. What comes
+    after a gap that nothing bridges has a trajectory of its own.
+    """
+    from testbed.cli.odometry import OdometryRequest, run_odometry
+
+    request = OdometryRequest(config_dir, left, right, calib, rate_hz, trajectory, truth, settings or [])
+    raise typer.Exit(0 if run_odometry(request, json_file) else 1)
 
 
 @app.command(epilog="Example: longreach identify machine.csv --record   then: longreach identify machine.csv")

@@ -153,6 +153,7 @@ class ModelOdometry:
             intrinsics.normalised(self._camera.left, left[chosen]),
             intrinsics.normalised(self._camera.right, found),
             self._camera,
+            self._settings.least_disparity_px,
         )
         first = len(self._map)
         self._true = np.vstack([self._true, points[chosen][sensible]])

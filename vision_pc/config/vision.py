@@ -128,7 +128,8 @@ class OdometrySettings(StrictModel):
     """Stereo odometry against a persistent keyframe map.
 
     A frame in which ``second_motion_share`` of the points agree on another motion than the rest is lost: what
-    moves cannot be told from the world. 0: not asked.
+    moves cannot be told from the world. 0: not asked. With ``prior_floor_px`` above 0 the motion before
+    tells, as long as it foresees the picture to that and what it failed by of late.
     """
 
     features: int = Field(ge=30, le=5000)
@@ -148,6 +149,9 @@ class OdometrySettings(StrictModel):
     minimum_inliers: int = Field(ge=6, le=1000)
     minimum_coverage: float = Field(ge=0.0, le=1.0)
     second_motion_share: float = Field(ge=0.0, le=0.5)
+    prior_floor_px: float = Field(ge=0.0, le=50.0)
+    least_disparity_px: float = Field(gt=0.0, le=20.0)
+    depth_floor_px: float = Field(gt=0.0, le=2.0)
     keyframe_overlap: float = Field(gt=0.05, le=0.99)
     adjusted_keyframes: int = Field(ge=0, le=20)
     keyframes: int = Field(ge=2, le=1000)
@@ -159,8 +163,27 @@ class OdometrySettings(StrictModel):
         return self.huber_px / 3.0
 
 
+class RecordedSettings(StrictModel):
+    """What odometry does otherwise in recordings of a camera that nobody here knows.
+
+    After ``restart_after`` pairs lost in a row a new map is begun; every ``rejoin_every`` pairs the old ones
+    are searched. ``disparity_std_px``: of the offset that all disparities share, part of the covariance.
+    """
+
+    restart_after: int = Field(ge=1, le=1000)
+    rejoin_every: int = Field(ge=1, le=1000)
+    second_motion_share: float = Field(ge=0.0, le=0.5)
+    prior_floor_px: float = Field(ge=0.0, le=50.0)
+    depth_floor_px: float = Field(gt=0.0, le=2.0)
+    disparity_std_px: float = Field(ge=0.0, le=5.0)
+
+
 class RectifiedPairSettings(StrictModel):
-    """Intrinsics of a recorded sequence of rectified pictures, one file beside it."""
+    """Intrinsics of a recorded sequence of rectified pictures, one file beside it.
+
+    ``width_px`` and ``height_px``: of the pictures that they are for; without them the principal point must
+    lie near the middle.
+    """
 
     fx_px: float = Field(ge=50.0, le=10_000.0)
     fy_px: float = Field(ge=50.0, le=10_000.0)
@@ -168,6 +191,8 @@ class RectifiedPairSettings(StrictModel):
     cy_px: float = Field(ge=0.0, le=8192.0)
     right_cx_px: float | None = Field(None, ge=0.0, le=8192.0)
     baseline_m: float = Field(gt=0.005, le=2.0)
+    width_px: int | None = Field(None, ge=32, le=16_384)
+    height_px: int | None = Field(None, ge=32, le=16_384)
 
 
 class LinkSettings(StrictModel):
@@ -232,6 +257,7 @@ class VisionConfig(StrictModel):
     markers: MarkerSettings
     look: LookSettings
     odometry: OdometrySettings
+    recorded_odometry: RecordedSettings
     link: LinkSettings = LinkSettings()
     motion: MotionSettings = MotionSettings()
     programs: ProgramSettings

@@ -258,10 +258,10 @@ def test_triangulation_inverts_projection_for_any_pair_of_eyes(camera: CameraCal
     rays = [
         intrinsics.normalised(eye, intrinsics.project(eye, points)) for eye in (turned.left, turned.right)
     ]
-    found, good = triangulated(rays[0], rays[1], turned)
+    found, good = triangulated(rays[0], rays[1], turned, 3.0)
     assert good.all()
     np.testing.assert_allclose(found, points, rtol=1e-9)
-    _, backwards = triangulated(rays[0] - [0.5, 0.0], rays[1], turned)
+    _, backwards = triangulated(rays[0] - [0.5, 0.0], rays[1], turned, 3.0)
     assert not backwards.any()
 
 

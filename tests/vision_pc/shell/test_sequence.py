@@ -1,5 +1,6 @@
 """Sequences from disk: calibrations, times and refusals, and a trajectory that a TUM reader understands."""
 
+import csv
 from pathlib import Path
 
 import cv2
@@ -42,8 +43,16 @@ def test_sequence_is_followed_and_written(
     calibration = tmp_path / "camera.yaml"
     calibration.write_text(YAML, encoding="utf-8")
     heard: list[int] = []
-    outcome = sequence.follow(left, right, calibration, config.odometry, report=lambda k, _: heard.append(k))
-    assert (outcome.frames, outcome.lost, outcome.last_loss, heard) == (3, 0, None, [0, 1, 2])
+    outcome = sequence.follow(
+        left, right, calibration, config, report=lambda record: heard.append(record.frame_id)
+    )
+    assert (outcome.lost, outcome.losses, outcome.apart, heard) == (0, {}, [], [0, 1, 2])
+    sequence.write_side_file(tmp_path / "path.csv", outcome)
+    with (tmp_path / "path.csv").open(newline="") as stream:
+        lines = list(csv.DictReader(stream))
+    assert [(line["map"], line["joined"], line["loss"]) for line in lines] == [("0", "1", "")] * 3
+    assert float(lines[2]["c_00"]) > float(lines[1]["c_00"]) > 0.0
+    assert len(lines[0]) == 16 + 21
     sequence.write_tum(tmp_path / "path.tum", outcome.poses)
     table = np.loadtxt(tmp_path / "path.tum")
     np.testing.assert_allclose(np.diff(table[:, 0]), 0.05, atol=1e-6)
@@ -83,19 +92,34 @@ def test_times_come_from_the_table_beside(tmp_path: Path) -> None:
 
 
 def test_bad_sequences_are_refused(config: VisionConfig, tmp_path: Path) -> None:
-    blank = StereoPair(np.zeros((64, 64), np.uint8), np.zeros((64, 64), np.uint8), 0, 0)
+    blank = StereoPair(np.zeros((720, 1280), np.uint8), np.zeros((720, 1280), np.uint8), 0, 0)
     left, right = written(tmp_path, [blank] * 2, ["0", "1"])
     calibration = tmp_path / "calib.txt"
     with pytest.raises(ConfigurationError, match="no such directory"):
         next(sequence.read_pairs(left, tmp_path / "nowhere", 10.0))
     with pytest.raises(ConfigurationError, match=r"calib\.txt"):
-        sequence.follow(left, right, calibration, config.odometry)
+        sequence.follow(left, right, calibration, config)
     calibration.write_text("P0: 1 2 3\n", encoding="ascii")
     with pytest.raises(ConfigurationError, match="P0: and P1: are wanted"):
-        sequence.follow(left, right, calibration, config.odometry)
+        sequence.follow(left, right, calibration, config)
     calibration.write_text(KITTI, encoding="ascii")
     with pytest.raises(MeasurementFailed, match="all 2 pairs lost, last cause too_dark"):
-        sequence.follow(left, right, calibration, config.odometry)
+        sequence.follow(left, right, calibration, config)
     (right / "1.png").unlink()
     with pytest.raises(ConfigurationError, match="2 pictures, but 1"):
         next(sequence.read_pairs(left, right, 10.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (YAML, "cx_px 639.5 is 264 px from the middle of pictures of 752 x 480"),
+        (YAML + "width_px: 1280\nheight_px: 720\n", "for pictures of 1280 x 720, but 752 x 480 came"),
+    ],
+)
+def test_a_calibration_for_another_size_is_named(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "camera.yaml").write_text(text, encoding="utf-8")
+    blank = np.zeros((480, 752), np.uint8)
+    with pytest.raises(ConfigurationError, match=words) as refused:
+        sequence.read_calibration(tmp_path / "camera.yaml", StereoPair(blank, blank, 0, 0))
+    assert refused.value.cause == "configuration.wrong_size"

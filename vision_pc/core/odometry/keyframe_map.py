@@ -19,12 +19,11 @@ from vision_pc.core.types import CameraCalibration, CameraModel, Image
 
 Indices = NDArray[np.int64]
 
-_NEAR, _FAR = 0.1, 50.0  # m: depths outside are mismatches or tell nothing about position
+_NEAR = 0.1  # m: nearer depths are mismatches
 _LARGEST_TURN = np.radians(25.0)  # beyond it a keyframe's patches no longer look alike
 _LARGEST_ZOOM = 1.35
 _LEAST_SHARED = 15  # points with the window, for a keyframe to hold it
 _LEAST_SCALE_STD = 2e-5
-_LEAST_STD_PX = 0.01  # of the right eye's view: bias of the matching keeps depths from being known better
 
 
 class Keyframe(NamedTuple):
@@ -69,11 +68,12 @@ class KeyframeMap:
     whole map, relative.
     """
 
-    def __init__(self, camera: CameraCalibration) -> None:
+    def __init__(self, camera: CameraCalibration, depth_floor_px: float) -> None:
         self.keyframes: list[Keyframe] = []
         self.points = np.zeros((0, 3))
         self._eyes = (camera.left, camera.right)
-        self._least_std = _LEAST_STD_PX / (camera.right.K[0, 0] * np.linalg.norm(camera.right.X_CE[:3, 3]))
+        self._depth_floor_px = depth_floor_px
+        self._least_std = depth_floor_px / disparity_metres(camera)
         self._origins, self._directions = np.zeros((0, 3)), np.zeros((0, 3))
         self._inverse_depths, self._information = np.zeros(0), np.zeros(0)
         self._first = np.zeros(0, dtype=np.int64)  # number of the keyframe that first shows each point
@@ -90,7 +90,7 @@ class KeyframeMap:
             [self._directions, (points_C * inverse_depths[:, None]) @ X_C0C[:3, :3].T]
         )
         self._inverse_depths = np.concatenate([self._inverse_depths, inverse_depths])
-        std = noise_px * self._least_std / _LEAST_STD_PX
+        std = noise_px * self._least_std / self._depth_floor_px
         self._information = np.concatenate([self._information, np.full(count, std**-2.0)])
         self._first = np.concatenate([self._first, np.full(count, self.next_number)])
         self.points = np.vstack([self.points, se3.apply(X_C0C, points_C)])
@@ -239,9 +239,16 @@ def _image_rates(eye: CameraModel, X_CC0: Array, points: Array, rates: Array) ->
     return np.asarray(slopes * (eye.K[0, 0], eye.K[1, 1]))
 
 
-def triangulated(left_rays: Array, right_rays: Array, camera: CameraCalibration) -> tuple[Array, Flags]:
+def disparity_metres(camera: CameraCalibration) -> float:
+    """Depth times disparity, px m."""
+    return float(camera.right.K[0, 0] * np.linalg.norm(camera.right.X_CE[:3, 3]))
+
+
+def triangulated(
+    left_rays: Array, right_rays: Array, camera: CameraCalibration, least_disparity_px: float
+) -> tuple[Array, Flags]:
     """Points (n, 3) in C on the left eye's rays (n, 2) where the right eye's columns (n, 2) put them, and
-    which are at a sensible depth (n,).
+    which are at a sensible depth (n,): with at least this disparity.
     """
     X_RC = se3.inverse(camera.right.X_CE)
     directions = np.column_stack([left_rays, np.ones(len(left_rays))])
@@ -249,4 +256,6 @@ def triangulated(left_rays: Array, right_rays: Array, camera: CameraCalibration)
     divisor = right_rays[:, 0] * a[:, 2] - a[:, 0]
     usable = divisor < -1e-6 if b[0] < 0.0 else divisor > 1e-6
     depth = (b[0] - right_rays[:, 0] * b[2]) / np.where(usable, divisor, 1.0)
-    return directions * depth[:, None], usable & (depth > _NEAR) & (depth < _FAR)
+    return directions * depth[:, None], usable & (depth > _NEAR) & (
+        depth * least_disparity_px < disparity_metres(camera)
+    )

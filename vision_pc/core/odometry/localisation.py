@@ -11,6 +11,7 @@ from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import patches, tracking
 from vision_pc.core.odometry.keyframe_map import Indices, Keyframe, KeyframeMap
+from vision_pc.core.odometry.motion_prior import MotionPrior
 from vision_pc.core.odometry.templates import Templates
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics, stereo_pose
@@ -21,6 +22,8 @@ from vision_pc.core.types import CameraCalibration, CameraModel, Image, StereoOf
 _NO_OFFSET = StereoOffset(0.0, 0.0, 1e-9, 1e-9)
 _SHARED = 2.0  # depths share the errors of the poses at which they were learnt: measured against the truth
 _KEPT = 3  # keyframes whose patches are kept: 4 MB each
+_NOWHERE = np.zeros((0, 2))
+_FEW = 0.5  # of the points that should be seen: fewer may not bring about a motion that nobody foresaw
 _LEAST_NOISE_PX = 0.03  # what matching leaves even in clean pictures
 
 
@@ -37,7 +40,8 @@ class Frame(NamedTuple):
 
 class PoseEstimate(NamedTuple):
     """A pair's pose against the map, with the map points (n,) that hold it, where the left eye sees them,
-    and the right eye's rays (n, 2) to those that it sees (n,).
+    and the right eye's rays (n, 2) to those that it sees (n,). ``moving`` (m, 2): where the left eye saw
+    points that went another way.
     """
 
     X_C0C: Array
@@ -47,6 +51,15 @@ class PoseEstimate(NamedTuple):
     right_rays: Array
     seen_right: Flags
     residual_px: float
+    moving: Array = _NOWHERE
+
+
+class _Motion(NamedTuple):
+    """A pose, the points (n,) that agree with it, and those that agree on another."""
+
+    X_CC0: Array
+    inliers: Flags
+    moving: Flags
 
 
 class Localiser:
@@ -62,10 +75,16 @@ class Localiser:
         self._kept: list[Templates] = []
 
     def localise(
-        self, frame: Frame, keyframe: Keyframe, expected: Array, both_eyes: bool
+        self,
+        frame: Frame,
+        keyframe: Keyframe,
+        expected: Array,
+        both_eyes: bool,
+        prior: MotionPrior | None = None,
     ) -> PoseEstimate | str:
         """The pose of ``frame``, expected about at ``expected`` (X_C0C), or why the keyframe's points do
         not hold. Of both eyes, or of the left one alone: quicker, and it teaches less about depths.
+        Where two motions fit, ``prior`` decides, if it can.
         """
         guess = intrinsics.project(
             self._camera.left, se3.apply(se3.inverse(expected), self._map.points[keyframe.ids])
@@ -80,13 +99,40 @@ class Localiser:
         good &= coarse.good & tracking.inside(pixels, frame.left_static)
         part, pixels = part.only(good), pixels[good]
         if len(pixels) >= self._settings.minimum_inliers:
-            points = self._map.points[part.ids]
-            X_CC0, inliers = self._coarse_pose(points, pixels, expected)
-            if self._disputed(points[~inliers], pixels[~inliers], expected, len(points)):
-                return "two_motions"
+            chosen = self._chosen(self._map.points[part.ids], pixels, expected, prior, int(visible.sum()))
+            if isinstance(chosen, str):
+                return chosen
+            inliers = chosen.inliers
             if int(inliers.sum()) >= self._settings.minimum_inliers:
-                return self._refined(frame, part.only(inliers), pixels[inliers], X_CC0, both_eyes)
+                part, residual = part.only(inliers), None if prior is None else prior.residual_px
+                found = self._refined(frame, part, pixels[inliers], chosen.X_CC0, both_eyes, residual)
+                return found if isinstance(found, str) else found._replace(moving=pixels[chosen.moving])
         return "too_few_points"
+
+    def _chosen(
+        self, points: Array, pixels: Array, expected: Array, prior: MotionPrior | None, visible: int
+    ) -> "_Motion | str":
+        """The motion to believe of those that fit ``points``, or the loss's cause.
+
+        A motion that nobody foresaw takes the larger part of the ``visible`` points.
+        """
+        X_CC0, inliers = self._coarse_pose(points, pixels, expected)
+        rest = np.flatnonzero(~inliers)
+        other = self._second(points[rest], pixels[rest], expected, len(points))
+        nothing = np.zeros(len(points), dtype=bool)
+        if other is None:
+            held = int(inliers.sum())
+            if prior is not None and held < _FEW * visible and not prior.agrees(X_CC0, points, self._camera):
+                return "sudden_motion"
+            return _Motion(X_CC0, inliers, nothing)
+        theirs = nothing.copy()
+        theirs[rest[other[1]]] = True
+        if prior is None:
+            return "two_motions"
+        ours_fits = prior.agrees(X_CC0, points, self._camera)
+        if ours_fits == prior.agrees(other[0], points, self._camera):
+            return "two_motions"
+        return _Motion(X_CC0, inliers, theirs) if ours_fits else _Motion(other[0], theirs, inliers)
 
     def _keep(self, templates: Templates) -> None:
         """Keep these and those of the few keyframes looked for last; the others are forgotten."""
@@ -117,21 +163,29 @@ class Localiser:
             X_CC0 = se3.transform(se3.exp_so3(rotation.ravel()), position.ravel())
         return X_CC0, flags
 
-    def _disputed(self, points: Array, pixels: Array, expected: Array, of: int) -> bool:
-        """Whether points that disagree with a pose agree on another: something large moves, or all but it.
-
-        They must be ``second_motion_share`` of ``of`` points at least.
+    def _second(self, points: Array, pixels: Array, expected: Array, of: int) -> tuple[Array, Flags] | None:
+        """Another pose on which points agree that disagree with the first: something large moves, or all
+        but it. They must be ``second_motion_share`` of ``of`` points at least.
         """
         share = self._settings.second_motion_share
         least = max(self._settings.minimum_inliers, int(share * of))
         if share == 0.0 or len(points) < least:
-            return False
-        return int(self._coarse_pose(points, pixels, expected)[1].sum()) >= least
+            return None
+        found = self._coarse_pose(points, pixels, expected)
+        return found if int(found[1].sum()) >= least else None
 
     def _refined(
-        self, frame: Frame, keyframe: Keyframe, pixels: Array, X_CC0: Array, both_eyes: bool
+        self,
+        frame: Frame,
+        keyframe: Keyframe,
+        pixels: Array,
+        X_CC0: Array,
+        both_eyes: bool,
+        most_px: float | None,
     ) -> PoseEstimate | str:
-        """The pose from the eyes' residuals, robustly, and its health."""
+        """The pose from the eyes' residuals, robustly, and its health. A residual above ``most_px`` is that
+        of two motions in one.
+        """
         points = self._map.points[keyframe.ids]
         right = intrinsics.project(self._camera.right, se3.apply(X_CC0, points))
         seen_right = np.zeros(len(points), dtype=bool)
@@ -153,6 +207,9 @@ class Localiser:
             return "too_few_points"
         if float(cells.mean()) < self._settings.minimum_coverage:
             return "poor_coverage"
+        left = float(np.sqrt(np.mean(errors[0][held] ** 2)))
+        if most_px is not None and left > most_px:
+            return "two_motions"
         return self._settled(keyframe.ids[held], pixels[held], rays[:, held], seen[:, held], X_CC0)
 
     def _seen_right(

@@ -5,9 +5,10 @@ import numpy as np
 
 from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
-from vision_pc.core.odometry import patches, tracking
+from vision_pc.core.odometry import pair_faults, patches, tracking
 from vision_pc.core.odometry.keyframe_map import Keyframe, KeyframeMap, triangulated
 from vision_pc.core.odometry.localisation import Frame, PoseEstimate
+from vision_pc.core.odometry.moving_regions import without
 from vision_pc.core.odometry.templates import Templates
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics
@@ -29,11 +30,13 @@ class Mapper:
         self._settings = settings
         self._map = keyframe_map
 
-    def begin(self, frame: Frame, X_C0C: Array) -> PoseEstimate | None:
-        """The first keyframe at ``X_C0C``, or None when the pair shows too little to hold on to."""
+    def begin(self, frame: Frame, X_C0C: Array) -> PoseEstimate | str:
+        """The first keyframe at ``X_C0C``, or why the pair shows too little to hold on to: ``no_texture``,
+        ``bad_rectification``, ``swapped_eyes``; the last two with their figure behind a colon.
+        """
         points_C, pixels, right_rays = self._new_points(frame, np.zeros((0, 2)))
         if len(pixels) < self._settings.minimum_inliers:
-            return None
+            return pair_faults.fault(frame, self._settings)
         ids = self._map.add_points(X_C0C, points_C, self._settings.noise_px)
         self._map.initialise_scale(ids)
         estimate = PoseEstimate(
@@ -49,6 +52,8 @@ class Mapper:
         """
         if len(self._map.keyframes) >= self._settings.keyframes:
             self._map.forget(self._map.nearest(estimate.X_C0C)[-1])
+        if len(estimate.moving):
+            frame = frame._replace(left_static=without(frame.left_static, estimate.moving))
         points_C, pixels, right_rays = self._new_points(frame, estimate.pixels)
         ids = self._map.add_points(estimate.X_C0C, points_C, self._settings.noise_px)
         grown = estimate._replace(
@@ -127,6 +132,7 @@ class Mapper:
             intrinsics.normalised(self._camera.left, left),
             intrinsics.normalised(self._camera.right, right),
             self._camera,
+            self._settings.least_disparity_px,
         )
         row_error = np.nan_to_num(
             right[:, 1] - intrinsics.project(self._camera.right, points_C)[:, 1], nan=np.inf

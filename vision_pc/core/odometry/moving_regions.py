@@ -11,6 +11,7 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel
 
 _RIM_PX = 12  # a tracking window that touches the tool is disturbed by it
+_AROUND_PX = 40  # of a point that moves: what it belongs to moves with it
 _NEAREST = 0.05  # m: what is nearer to the lens is cut off
 
 
@@ -49,3 +50,11 @@ def _in_front(polygon: Array) -> Array:
         if (a[2] - _NEAREST) * (b[2] - _NEAREST) < 0.0:
             kept.append(a + (b - a) * (_NEAREST - a[2]) / (b[2] - a[2]))
     return np.array(kept).reshape(-1, 3)
+
+
+def without(static: Flags, moving: Array) -> Flags:
+    """``static`` (height, width) without what lies around the pixels ``moving`` (n, 2)."""
+    mask = static.astype(np.uint8)
+    for x, y in moving:
+        cv2.circle(mask, (round(float(x)), round(float(y))), _AROUND_PX, 0, cv2.FILLED)
+    return mask.astype(bool)

@@ -8,6 +8,7 @@ from vision_pc.core.odometry import tracking
 from vision_pc.core.odometry.keyframe_map import Keyframe, KeyframeMap
 from vision_pc.core.odometry.localisation import Frame, Localiser, PoseEstimate
 from vision_pc.core.odometry.mapping import Mapper
+from vision_pc.core.odometry.motion_prior import MotionHistory
 from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.odometry.relocalisation import relocalised
 from vision_pc.core.odometry.smoothing import is_noisy, smoothed
@@ -35,7 +36,7 @@ class StereoOdometry:
         self._camera = camera
         self._settings = settings
         self._tool = tool
-        self._map = KeyframeMap(camera)
+        self._map = KeyframeMap(camera, settings.depth_floor_px)
         self._localiser = Localiser(camera, settings, self._map)
         self._mapper = Mapper(camera, settings, self._map)
         self._X_C0C = se3.identity()
@@ -45,7 +46,9 @@ class StereoOdometry:
         self._masked_for: Array | None = None
         self._smooths = False
         self._lost_frames = self._frames = 0
+        self._history = MotionHistory(settings.prior_floor_px)
         self.last_loss: str | None = None
+        self.last_detail: str | None = None
 
     @property
     def keyframes(self) -> int:
@@ -57,7 +60,8 @@ class StereoOdometry:
 
         ``X_CM``: the tool marker as seen in this pair, to keep the tool out of the static world; the last
         one holds. Causes: ``too_dark``, ``no_texture``, ``too_few_points``, ``poor_coverage``,
-        ``two_motions``.
+        ``two_motions``, ``sudden_motion``, ``bad_rectification``, ``swapped_eyes``; ``last_detail`` has the
+        figure of the last two.
         """
         if X_CM is not None and self._tool is not None and self._has_moved(X_CM):
             self._static = static_pixels(X_CM, self._tool, self._camera)
@@ -70,14 +74,17 @@ class StereoOdometry:
         self._frames += 1
         if isinstance(outcome, str):
             dark = float(pair.left[::_DARK_STEP, ::_DARK_STEP].mean()) < _DARK
-            self.last_loss = "too_dark" if dark else outcome
+            cause, _, detail = outcome.partition(": ")
+            self.last_loss, self.last_detail = ("too_dark", None) if dark else (cause, detail or None)
             self._motion = se3.identity()
             self._lost_frames += 1
+            self._history.lost()
             return None
         self._motion = se3.identity() if self._lost_frames else se3.inverse(self._X_C0C) @ outcome.X_C0C
+        self._history.found(outcome.X_C0C, self._camera, self._map.points[outcome.ids], outcome.residual_px)
         self._X_C0C = outcome.X_C0C
         self._lost_frames = 0
-        self.last_loss = None
+        self.last_loss = self.last_detail = None
         cells = tracking.grid_cells(outcome.pixels, pair.left.shape, self._settings)
         return OdometryPose(
             pair.capture_ns,
@@ -104,7 +111,7 @@ class StereoOdometry:
 
     def _initialise(self, frame: Frame) -> PoseEstimate | str:
         """The first pair's pose, the identity, with a first keyframe."""
-        return self._mapper.begin(frame, self._X_C0C) or "no_texture"
+        return self._mapper.begin(frame, self._X_C0C)
 
     def _localise(self, frame: Frame) -> PoseEstimate | str:
         """The pose against the most similar keyframes: from the expected motion on, from none, or from
@@ -113,7 +120,11 @@ class StereoOdometry:
         outcome: PoseEstimate | str = "too_few_points"
         for expected in (self._X_C0C @ self._motion, self._X_C0C):
             for keyframe in self._map.nearest(expected)[:_TRIES]:
-                outcome = self._localiser.localise(frame, keyframe, expected, self._both_eyes())
+                outcome = self._localiser.localise(
+                    frame, keyframe, expected, self._both_eyes(), self._history.prior
+                )
+                if outcome in ("two_motions", "sudden_motion") and self._history.prior is not None:
+                    return outcome  # another start would only let the other motion win
                 if isinstance(outcome, PoseEstimate):
                     if len(outcome.ids) < self._settings.keyframe_overlap * len(keyframe.ids):
                         return self._add_keyframe(frame, keyframe, outcome)

@@ -1,6 +1,8 @@
 """Odometry over a recorded sequence: two directories of rectified pictures in, a TUM trajectory out."""
 
-from collections.abc import Callable, Iterator
+import csv
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,25 +11,71 @@ import numpy as np
 from foundation.configuration import load
 from protocol.errors import ConfigurationError, MeasurementFailed
 from vision_pc.config.camera import CameraSettings, EyeSettings, PinholePair
-from vision_pc.config.vision import OdometrySettings, RectifiedPairSettings
+from vision_pc.config.vision import RectifiedPairSettings, VisionConfig
 from vision_pc.core import se3
-from vision_pc.core.odometry import StereoOdometry
+from vision_pc.core.odometry.segments import SegmentedOdometry
 from vision_pc.core.perception import intrinsics
+from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, StereoPair
 from vision_pc.shell.cameras.directory import read_grey
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".bmp", ".tif", ".tiff")
+_OFF_CENTRE = 0.15  # of width or height: rectification moves principal points by a tenth at most
 _NS_FROM = 10**15  # a file name that is a number this great counts nanoseconds
 
 
-class SequenceResult(NamedTuple):
-    """What became of a sequence: its poses, and in how many pairs the odometry was lost, last for what."""
+class PairRecord(NamedTuple):
+    """What became of one pair: its pose in the C0 of map ``segment``, or None and the ``loss``'s cause with
+    its figure.
+    """
 
-    poses: list[OdometryPose]
-    frames: int
-    lost: int
-    last_loss: str | None
+    frame_id: int
+    capture_ns: int
+    segment: int | None
+    pose: OdometryPose | None
+    loss: str | None
+    detail: str | None
+
+
+class SequenceResult(NamedTuple):
+    """What became of a sequence, pair by pair; ``joints[k]``: map k's C0 in the first's, None: unknown."""
+
+    records: list[PairRecord]
+    joints: list[Array | None]
     keyframes: int
+
+    @property
+    def poses(self) -> list[OdometryPose]:
+        """Those in the first map's C0, in order of time: of the first map and of maps joined to it."""
+        return self.poses_of(0)
+
+    @property
+    def lost(self) -> int:
+        """In how many pairs the odometry was lost."""
+        return sum(record.pose is None for record in self.records)
+
+    @property
+    def losses(self) -> Counter[str]:
+        """How often each cause occurred."""
+        return Counter(record.loss for record in self.records if record.loss is not None)
+
+    @property
+    def apart(self) -> list[int]:
+        """Maps that nothing joins to the first one."""
+        return [k for k, joint in enumerate(self.joints) if joint is None]
+
+    def poses_of(self, k: int) -> list[OdometryPose]:
+        """The poses of map ``k``; for the first, of all that are joined to it."""
+        found = []
+        for record in self.records:
+            if record.pose is None or record.segment is None:
+                continue
+            joint = self.joints[record.segment]
+            if record.segment == k:
+                found.append(record.pose)
+            elif k == 0 and joint is not None:
+                found.append(record.pose._replace(X_C0C=joint @ record.pose.X_C0C))
+        return found
 
 
 def read_pairs(left: Path, right: Path, rate_hz: float) -> Iterator[StereoPair]:
@@ -62,6 +110,7 @@ def read_calibration(path: Path, pair: StereoPair) -> CameraCalibration:
     """
     found = _kitti(path) if path.suffix == ".txt" else load(RectifiedPairSettings, path)
     height, width = pair.left.shape
+    _check_size(path, found, width, height)
     left = EyeSettings(fx_px=found.fx_px, fy_px=found.fy_px, cx_px=found.cx_px, cy_px=found.cy_px)
     right_cx = found.cx_px if found.right_cx_px is None else found.right_cx_px
     return intrinsics.calibration(
@@ -81,31 +130,49 @@ def follow(
     left: Path,
     right: Path,
     calibration: Path,
-    settings: OdometrySettings,
+    config: VisionConfig,
     rate_hz: float = 10.0,
-    report: Callable[[int, OdometryPose | None], None] = lambda index, pose: None,
+    report: Callable[[PairRecord], None] = lambda record: None,
 ) -> SequenceResult:
     """The odometry of a whole sequence; ``report`` hears of every pair. Raises MeasurementFailed if all
     were lost.
     """
-    poses: list[OdometryPose] = []
-    odometry: StereoOdometry | None = None
-    frames, last_loss = 0, None
-    for pair in read_pairs(left, right, rate_hz):
-        if odometry is None:
-            odometry = StereoOdometry(read_calibration(calibration, pair), settings)
-        pose = odometry.process(pair)
-        frames += 1
-        if pose is None:
-            last_loss = odometry.last_loss
-        else:
-            poses.append(pose)
-        report(pair.frame_id, pose)
-    if odometry is None or not poses:
+    result = follow_pairs(
+        read_pairs(left, right, rate_hz),
+        lambda pair: SegmentedOdometry(
+            read_calibration(calibration, pair), config.odometry, config.recorded_odometry
+        ),
+        report,
+    )
+    if result.lost == len(result.records):
+        last = result.records[-1]
+        figure = "" if last.detail is None else f" ({last.detail})"
         raise MeasurementFailed(
-            "measurement.odometry_lost", f"{left}: all {frames} pairs lost, last cause {last_loss}"
+            "measurement.odometry_lost",
+            f"{left}: all {len(result.records)} pairs lost, last cause {last.loss}{figure}",
         )
-    return SequenceResult(poses, frames, frames - len(poses), last_loss, odometry.keyframes)
+    return result
+
+
+def follow_pairs(
+    pairs: Iterable[StereoPair],
+    begin: Callable[[StereoPair], SegmentedOdometry],
+    report: Callable[[PairRecord], None] = lambda record: None,
+) -> SequenceResult:
+    """What odometry, begun with the first of ``pairs``, finds in all of them."""
+    records: list[PairRecord] = []
+    odometry: SegmentedOdometry | None = None
+    for pair in pairs:
+        odometry = odometry or begin(pair)
+        placed = odometry.process(pair)
+        segment, pose = (None, None) if placed is None else placed
+        loss = odometry.last_loss if pose is None else None
+        detail = odometry.last_detail if pose is None else None
+        records.append(PairRecord(pair.frame_id, pair.capture_ns, segment, pose, loss, detail))
+        report(records[-1])
+    return SequenceResult(
+        records, [] if odometry is None else odometry.joints, 0 if odometry is None else odometry.keyframes
+    )
 
 
 def write_tum(path: Path, poses: list[OdometryPose]) -> None:
@@ -116,6 +183,52 @@ def write_tum(path: Path, poses: list[OdometryPose]) -> None:
         numbers = " ".join(f"{value:.9f}" for value in (x, y, z, qx, qy, qz, qw))
         lines.append(f"{pose.capture_ns / 1e9:.9f} {numbers}\n")
     path.write_text("".join(lines), encoding="ascii")
+
+
+def write_side_file(path: Path, result: SequenceResult) -> None:
+    """Write a line a pair to ``path`` (CSV): time, map, loss, health, pose in its map's C0, and covariance.
+
+    ``joined``: the pose is in the trajectory, because its map is the first or joined to it. ``c_ij`` are the
+    upper half of the covariance of [δp; δθ] in m and rad, axes of C0.
+    """
+    upper = [(i, j) for i in range(6) for j in range(i, 6)]
+    names = "pair,time_s,map,joined,loss,detail,inliers,coverage,residual_px,x_m,y_m,z_m,qw,qx,qy,qz"
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        table = csv.writer(stream)
+        table.writerow([*names.split(","), *(f"c_{i}{j}" for i, j in upper)])
+        for record in result.records:
+            line: list[object] = [record.frame_id, f"{record.capture_ns / 1e9:.9f}"]
+            if record.pose is None or record.segment is None:
+                line += ["", "", record.loss, record.detail or ""]
+            else:
+                pose, joined = record.pose, result.joints[record.segment] is not None
+                position, turn = se3.to_pose(pose.X_C0C)
+                line += [record.segment, int(joined), "", "", pose.inliers, f"{pose.coverage:.3f}"]
+                line += [f"{pose.residual_px:.4f}", *(f"{value:.9f}" for value in (*position, *turn))]
+                line += [f"{pose.covariance[i, j]:.6e}" for i, j in upper]
+            table.writerow(line)
+
+
+def _check_size(path: Path, found: RectifiedPairSettings, width: int, height: int) -> None:
+    """Raises ConfigurationError where the calibration is not for pictures of this size."""
+    wanted = (found.width_px or width, found.height_px or height)
+    if wanted != (width, height):
+        raise ConfigurationError(
+            "configuration.wrong_size",
+            f"{path}: for pictures of {wanted[0]} x {wanted[1]}, but {width} x {height} came",
+        )
+    if found.width_px is None:
+        middle = ((width - 1) / 2.0, (height - 1) / 2.0)
+        for name, value, centre, size in zip(
+            ("cx_px", "cy_px"), (found.cx_px, found.cy_px), middle, (width, height), strict=True
+        ):
+            if abs(value - centre) > _OFF_CENTRE * size:
+                raise ConfigurationError(
+                    "configuration.wrong_size",
+                    f"{path}: {name} {value:g} is {abs(value - centre):.0f} px from the middle of pictures of"
+                    f" {width} x {height} ({_OFF_CENTRE * size:.0f} px at most): it is for another size, or"
+                    " lacks width_px and height_px",
+                )
 
 
 def _pictures(directory: Path) -> list[Path]:

@@ -1,0 +1,63 @@
+"""ATE, RPE, scale and drift of trajectories whose errors are known."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from protocol.errors import ConfigurationError
+from testbed.reporting.trajectory_errors import read_tum, trajectory_errors
+from vision_pc.core import se3
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import OdometryPose
+
+X_WC0 = se3.transform(se3.exp_so3([0.3, -0.2, 1.0]), (5.0, -2.0, 1.0))
+
+
+def path(count: int = 40) -> list[Array]:
+    angles = np.linspace(0.0, 2.0, count)
+    return [se3.transform(se3.exp_so3([0.0, a, 0.0]), (3.0 * np.sin(a), 0.1 * a, 3.0 * a)) for a in angles]
+
+
+def poses(of: list[Array]) -> list[OdometryPose]:
+    return [OdometryPose(k * 100_000_000, k, X, np.eye(6), 100, 1.0, 0.1) for k, X in enumerate(of)]
+
+
+def truth() -> tuple[Array, Array]:
+    return 0.1 * np.arange(40) + 0.01, np.stack([X_WC0 @ X for X in path()])
+
+
+def test_a_right_path_in_another_world_has_no_error() -> None:
+    errors = trajectory_errors(poses(path()), *truth(), "truth")
+    assert errors.ate_mm < 1e-6
+    assert errors.rpe_mm < 1e-6
+    assert errors.scale == pytest.approx(1.0, abs=1e-12)
+    assert errors.drift_percent is not None
+    assert errors.drift_percent < 1e-6
+
+
+def test_a_scale_is_found_and_is_the_drift() -> None:
+    stretched = [se3.transform(X[:3, :3], 1.02 * X[:3, 3]) for X in path()]
+    errors = trajectory_errors(poses(stretched), *truth(), "truth")
+    assert errors.scale == pytest.approx(1.02, abs=1e-9)
+    assert errors.drift_percent == pytest.approx(2.0, rel=0.05)
+
+
+def test_one_jump_is_one_error_from_pose_to_pose() -> None:
+    jumped = [se3.transform(X[:3, :3], X[:3, 3] + (0.5 if k >= 20 else 0.0)) for k, X in enumerate(path())]
+    errors = trajectory_errors(poses(jumped), *truth(), "truth")
+    assert errors.rpe_mm == pytest.approx(1e3 * 0.5 * np.sqrt(3.0) / np.sqrt(39), rel=1e-6)
+    assert errors.ate_mm > 100.0
+
+
+def test_truth_that_does_not_fit_is_named(tmp_path: Path) -> None:
+    times, true = truth()
+    with pytest.raises(ConfigurationError, match="do not overlap"):
+        trajectory_errors(poses(path()), times + 1000.0, true, "truth")
+    (tmp_path / "t.tum").write_text("0 1 2 3\n")
+    with pytest.raises(ConfigurationError, match="4 columns"):
+        read_tum(tmp_path / "t.tum")
+    (tmp_path / "t.tum").write_text("1 4 5 6 0 0 0 2\n0 1 2 3 0 0 1 0\n")
+    seconds, found = read_tum(tmp_path / "t.tum")
+    assert seconds.tolist() == [0.0, 1.0]
+    np.testing.assert_allclose(found[0], se3.transform(np.diag([-1.0, -1.0, 1.0]), (1, 2, 3)), atol=1e-12)

@@ -1,0 +1,122 @@
+"""Odometry of recordings: what moves is told by the motion before, gaps begin maps, bad pairs are named."""
+
+import numpy as np
+import pytest
+
+from tests.vision_pc.odometry.test_odometry import pair_at
+from tests.vision_pc.odometry.test_odometry_worlds import composed
+from tests.vision_pc.rendering import wall_texture
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core import se3
+from vision_pc.core.odometry import StereoOdometry
+from vision_pc.core.odometry.segments import SegmentedOdometry, WayError
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraCalibration, OdometryPose, PointPairs, StereoPair
+
+
+@pytest.fixture(scope="module")
+def texture() -> Array:
+    return wall_texture(1, 22.0)
+
+
+def at(x: float) -> Array:
+    return se3.transform(np.eye(3), (x, 0.3 * x, 0.0))
+
+
+def with_mover(
+    camera: CameraCalibration, texture: Array, share: float, count: int, enters: int
+) -> list[tuple[Array, StereoPair]]:
+    """From frame ``enters`` on something textured hides a ``share`` of the picture and goes its own way."""
+    found = []
+    for k in range(count):
+        X = at(0.02 * k)
+        pair = pair_at(camera, texture, X, seed=k)
+        if k >= enters:
+            Y = X @ se3.transform(np.eye(3), (-0.015 * (k - enters), 0.0, 0.0))
+            pair = composed(pair, pair_at(camera, texture, Y, z=1.2, seed=90 + k), share)
+        found.append((X, pair))
+    return found
+
+
+@pytest.mark.parametrize(("share", "located"), [(0.3, 8), (0.6, 5)])
+def test_what_the_motion_before_foresaw_is_believed(
+    camera: CameraCalibration, config: VisionConfig, texture: Array, share: float, located: int
+) -> None:
+    odometry = SegmentedOdometry(camera, config.odometry, config.recorded_odometry)
+    right = 0
+    for X, pair in with_mover(camera, texture, share, 8, 5):
+        placed = odometry.process(pair)
+        if placed is None:
+            assert odometry.last_loss in ("two_motions", "sudden_motion")
+        elif odometry.joints[placed.segment] is not None:
+            assert np.linalg.norm(se3.local(X, placed.pose.X_C0C)[:3]) < 0.5e-3
+            right += 1
+    assert right >= located
+
+
+def test_after_a_gap_a_new_map_begins_and_is_joined_when_the_old_is_seen_again(
+    camera: CameraCalibration, config: VisionConfig, texture: Array
+) -> None:
+    odometry = SegmentedOdometry(camera, config.odometry, config.recorded_odometry)
+    elsewhere = wall_texture(5, 22.0, 1000)
+    dark = np.zeros((720, 1280), np.uint8)
+    black = StereoPair(dark, dark, 0, 0)
+    first = odometry.process(pair_at(camera, texture, at(0.0)))
+    assert first is not None
+    for _ in range(4):
+        assert odometry.process(black) is None
+        assert odometry.last_loss == "too_dark"
+    assert odometry.process(pair_at(camera, elsewhere, at(0.0), seed=1)) is not None
+    assert odometry.joints[1:] == [None]
+    back = None
+    for k in range(1, 4):  # both walls are of the same place: the newer one is only painted otherwise
+        back = odometry.process(pair_at(camera, texture if k > 1 else elsewhere, at(0.02 * k), seed=1 + k))
+    assert back is not None
+    assert back.segment == 0
+    assert np.linalg.norm(se3.local(at(0.06), back.pose.X_C0C)[:3]) < 0.5e-3
+
+
+@pytest.mark.parametrize(
+    ("spoil", "cause", "figure"),
+    [
+        (
+            lambda pair: pair._replace(right=np.roll(pair.right, 3, axis=0)),
+            "bad_rectification",
+            "rows +3.0 px",
+        ),
+        (lambda pair: pair._replace(left=pair.right, right=pair.left), "swapped_eyes", "farther right"),
+    ],
+)
+def test_a_pair_that_cannot_be_used_is_named_with_its_figure(
+    camera: CameraCalibration, config: VisionConfig, texture: Array, spoil: object, cause: str, figure: str
+) -> None:
+    odometry = StereoOdometry(camera, config.odometry)
+    assert callable(spoil)
+    assert odometry.process(spoil(pair_at(camera, texture, at(0.0)))) is None
+    assert odometry.last_loss == cause
+    assert odometry.last_detail is not None
+    assert figure in odometry.last_detail
+
+
+def test_the_error_of_the_way_grows_with_it_and_goes_back_with_it() -> None:
+    """An offset of 0.2 px at a disparity of 40 px is half a per cent of the way; it is none at the start."""
+    left = np.array([[100.0, 50.0]] * 10)
+    points = PointPairs(left, left - [40.0, 0.0])
+    error = WayError(0.2)
+
+    def std(x: float) -> float:
+        pose = OdometryPose(0, 0, at(x), 1e-18 * np.eye(6), 10, 1.0, 0.1, points)
+        return float(np.sqrt(error.after(pose, grown=False)[0, 0]))
+
+    assert std(0.0) < 1e-8
+    assert std(1.0) == pytest.approx(0.005, rel=1e-6)
+    assert std(2.0) == pytest.approx(0.010, rel=1e-6)
+    assert std(0.0) < 1e-8
+    offset = WayError(0.0)
+    base = np.diag([0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6])
+    turned = OdometryPose(0, 0, at(0.0), base, 10, 1.0, 0.1, points)
+    offset.after(turned, grown=True)
+    ahead = turned._replace(X_C0C=se3.transform(np.eye(3), (0.0, 0.0, 2.0)), covariance=np.zeros((6, 6)))
+    assert np.sqrt(offset.after(ahead, grown=False)[0, 0]) == pytest.approx(2e-3), (
+        "a turn swings what is ahead"
+    )

@@ -1,0 +1,87 @@
+"""What the motion so far foresees of the next picture, and how far that may be wrong."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vision_pc.core import se3
+from vision_pc.core.perception import intrinsics
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraCalibration
+
+_REMEMBERED = 6  # pictures
+_FEWEST = 3
+_TIMES = 3.0  # the largest surprise of late, or the usual residual
+_RESIDUAL_FLOOR_PX = 0.1
+
+
+class MotionPrior(NamedTuple):
+    """The camera foreseen, within how many pixels (median over the points) its picture must be, and the
+    largest residual of one motion.
+    """
+
+    X_C0C: Array
+    tolerance_px: float
+    residual_px: float
+
+    def agrees(self, X_CC0: Array, points: Array, camera: CameraCalibration) -> bool:
+        """Whether a camera at ``X_CC0`` sees ``points`` (n, 3) about where they were foreseen."""
+        return shift_px(se3.inverse(self.X_C0C), X_CC0, points, camera) < self.tolerance_px
+
+
+class MotionHistory:
+    """Learns from picture to picture how well constant motion foresees; ``floor_px`` 0: nothing is foreseen.
+
+    Through pictures lost the motion goes on, and the tolerance grows with the square of their number, as a
+    bounded acceleration lets the place go astray.
+    """
+
+    def __init__(self, floor_px: float) -> None:
+        self._floor_px = floor_px
+        self._surprises: list[float] = []
+        self._residuals: list[float] = []
+        self._X_C0C: Array | None = None
+        self._motion: Array | None = None
+        self._lost = 0
+
+    @property
+    def prior(self) -> MotionPrior | None:
+        """What is foreseen of the next picture; None before enough was seen."""
+        if not self._floor_px or len(self._surprises) < _FEWEST or self._motion is None:
+            return None
+        tolerance = self._floor_px + _TIMES * max(self._surprises)
+        residual = _RESIDUAL_FLOOR_PX + _TIMES * float(np.median(self._residuals))
+        return MotionPrior(self._foreseen(), tolerance * (1 + self._lost) ** 2, residual)
+
+    def found(self, X_C0C: Array, camera: CameraCalibration, points: Array, residual_px: float) -> None:
+        """The camera was at ``X_C0C`` and saw ``points`` (n, 3), ``residual_px`` off where they should be."""
+        if not self._floor_px:
+            return
+        if self._X_C0C is not None and not self._lost:
+            if self._motion is not None:
+                foreseen = se3.inverse(self._foreseen())
+                surprise = shift_px(foreseen, se3.inverse(X_C0C), points, camera)
+                self._surprises = [*self._surprises, surprise][-_REMEMBERED:]
+            self._motion = se3.inverse(self._X_C0C) @ X_C0C
+            self._residuals = [*self._residuals, residual_px][-_REMEMBERED:]
+        self._X_C0C, self._lost = X_C0C, 0
+
+    def lost(self) -> None:
+        """Nothing was found in a picture."""
+        self._lost += 1
+
+    def _foreseen(self) -> Array:
+        assert self._X_C0C is not None
+        assert self._motion is not None
+        X = self._X_C0C
+        for _ in range(1 + self._lost):
+            X = X @ self._motion
+        return X
+
+
+def shift_px(X_CC0: Array, other_CC0: Array, points: Array, camera: CameraCalibration) -> float:
+    """Median distance (px) between the left eye's views of ``points`` (n, 3) from two places."""
+    one, other = (intrinsics.project(camera.left, se3.apply(X, points)) for X in (X_CC0, other_CC0))
+    apart = np.linalg.norm(one - other, axis=1)
+    seen = np.isfinite(apart)
+    return float(np.median(apart[seen])) if seen.any() else np.inf

@@ -1,0 +1,148 @@
+"""Odometry of a whole recording: new maps after losses, joined when an old one is seen again."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vision_pc.config.vision import OdometrySettings, RecordedSettings
+from vision_pc.core import se3
+from vision_pc.core.odometry.stereo_odometry import StereoOdometry
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraCalibration, OdometryPose, StereoPair
+
+_FEWEST_DISPARITIES = 5
+
+
+class PlacedPose(NamedTuple):
+    """A pose in the C0 of map number ``segment``, with the covariance of the whole way from there."""
+
+    segment: int
+    pose: OdometryPose
+
+
+class SegmentedOdometry:
+    """``StereoOdometry`` that begins a new map when it was lost for ``restart_after`` pairs in a row.
+
+    ``joints[k]`` is the pose of map k's C0 in the first map's, None as long as nothing that both show was
+    seen: between them is a gap of unknown length.
+    """
+
+    def __init__(
+        self, camera: CameraCalibration, settings: OdometrySettings, recorded: RecordedSettings
+    ) -> None:
+        self._camera = camera
+        self._settings = settings.model_copy(
+            update={
+                name: getattr(recorded, name)
+                for name in ("second_motion_share", "prior_floor_px", "depth_floor_px")
+            }
+        )
+        self._recorded = recorded
+        self._maps = [StereoOdometry(camera, self._settings)]
+        self._errors = [WayError(recorded.disparity_std_px)]
+        self._current = 0
+        self._lost = self._since_search = 0
+        self.joints: list[Array | None] = [se3.identity()]
+
+    @property
+    def keyframes(self) -> int:
+        """How many keyframes all maps hold."""
+        return sum(one.keyframes for one in self._maps)
+
+    @property
+    def last_loss(self) -> str | None:
+        """Why the last pair was lost, None if it was not."""
+        return self._maps[self._current].last_loss
+
+    @property
+    def last_detail(self) -> str | None:
+        """The loss's figure, where it has one."""
+        return self._maps[self._current].last_detail
+
+    def process(self, pair: StereoPair) -> PlacedPose | None:
+        """The camera's pose at ``pair``, or None when it is lost; then ``last_loss`` names the cause."""
+        pose = self._follow(self._current, pair)
+        if pose is None:
+            self._lost += 1
+            if self._lost < self._recorded.restart_after or not self._maps[self._current].keyframes:
+                return None
+            return self._begun(pair)
+        self._lost = 0
+        placed = PlacedPose(self._current, pose)
+        return self._rejoined(pair, pose) or placed
+
+    def _follow(self, k: int, pair: StereoPair) -> OdometryPose | None:
+        """The pose in map ``k``."""
+        before = self._maps[k].keyframes
+        pose = self._maps[k].process(pair)
+        if pose is None:
+            return None
+        grown = self._maps[k].keyframes > before
+        return pose._replace(covariance=self._errors[k].after(pose, grown))
+
+    def _begun(self, pair: StereoPair) -> PlacedPose | None:
+        """The first pose of a new map, if the pair suffices for one."""
+        fresh = StereoOdometry(self._camera, self._settings)
+        pose = fresh.process(pair)
+        if pose is None:
+            return None
+        self._maps.append(fresh)
+        self._errors.append(WayError(self._recorded.disparity_std_px))
+        self._errors[-1].after(pose, grown=True)
+        self.joints.append(None)
+        self._current = len(self._maps) - 1
+        self._lost = self._since_search = 0
+        return PlacedPose(self._current, pose)
+
+    def _rejoined(self, pair: StereoPair, pose: OdometryPose) -> PlacedPose | None:
+        """The pose in the first map's part, where ``pair`` shows it again; the newer map is then left."""
+        if self.joints[self._current] is not None:
+            return None
+        self._since_search += 1
+        if self._since_search < self._recorded.rejoin_every:
+            return None
+        self._since_search = 0
+        for k in range(self._current - 1, -1, -1):
+            found = self._follow(k, pair)
+            if found is None:
+                continue
+            self._join(found.X_C0C @ se3.inverse(pose.X_C0C), k)
+            return PlacedPose(k, found)
+        return None
+
+    def _join(self, X_old_new: Array, k: int) -> None:
+        """Map ``k`` holds the current one's C0 at ``X_old_new``: all that hangs on it is placed too."""
+        there = self.joints[k]
+        if there is not None:
+            self.joints[self._current] = there @ X_old_new
+        self._current = k
+
+
+class WayError:
+    """Adds up what odometry gets wrong along its way: each keyframe's error goes on into the next, and an
+    offset of all disparities, ``disparity_std_px``, scales the way.
+    """
+
+    def __init__(self, disparity_std_px: float) -> None:
+        self._std_px = disparity_std_px
+        self._base = np.zeros((6, 6))
+        self._base_at = self._at = np.zeros(3)
+        self._rate = np.zeros(3)  # m of the place a px of offset
+
+    def after(self, pose: OdometryPose, grown: bool) -> Array:
+        """The covariance (6×6) of ``pose`` in its C0; ``grown``: the pair became a keyframe."""
+        place = pose.X_C0C[:3, 3]
+        if pose.pairs is not None:
+            disparities = pose.pairs.left[:, 0] - pose.pairs.right[:, 0]
+            seen = disparities[disparities > 0.0]
+            if len(seen) >= _FEWEST_DISPARITIES:  # near points hold the place: weights by disparity squared
+                self._rate = self._rate + (place - self._at) * (seen.sum() / (seen @ seen))
+        self._at = place
+        lever = np.eye(6)
+        lever[:3, 3:] = -se3.hat(place - self._base_at)
+        total = lever @ self._base @ lever.T + pose.covariance
+        if grown:
+            self._base, self._base_at = total, place
+        shared = np.zeros((6, 6))
+        shared[:3, :3] = self._std_px**2 * np.outer(self._rate, self._rate)
+        return np.asarray(total + shared)
