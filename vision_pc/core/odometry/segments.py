@@ -66,7 +66,7 @@ class SegmentedOdometry:
             self._lost += 1
             if self._lost < self._recorded.restart_after or not self._maps[self._current].keyframes:
                 return None
-            return self._begun(pair)
+            return self._returned(pair) or self._begun(pair)
         self._lost = 0
         placed = PlacedPose(self._current, pose)
         return self._rejoined(pair, pose) or placed
@@ -79,6 +79,15 @@ class SegmentedOdometry:
             return None
         grown = self._maps[k].keyframes > before
         return pose._replace(covariance=self._errors[k].after(pose, grown))
+
+    def _returned(self, pair: StereoPair) -> PlacedPose | None:
+        """The pose in an older map that ``pair`` shows; nothing is then known of the map that was lost."""
+        for k in range(self._current - 1, -1, -1):
+            pose = self._follow(k, pair)
+            if pose is not None:
+                self._current, self._lost = k, 0
+                return PlacedPose(k, pose)
+        return None
 
     def _begun(self, pair: StereoPair) -> PlacedPose | None:
         """The first pose of a new map, if the pair suffices for one."""
