@@ -7,6 +7,7 @@ from vision_pc.core.odometry import tracking
 from vision_pc.core.odometry.localisation import Frame
 from vision_pc.core.se3 import Array
 
+_MOST = 0.8
 _WINDOW_PX = 31  # wider than odometry's own: nothing is known of where to look
 
 
@@ -23,11 +24,11 @@ def fault(frame: Frame, settings: OdometrySettings) -> str:
     moved: Array = found.points[found.good] - pixels[found.good]
     rows, columns = np.median(moved, axis=0)[::-1]
     spread = 1.4826 * float(np.median(np.abs(moved[:, 1] - rows)))
-    if abs(rows) > settings.row_error_px or spread > settings.row_error_px:
+    if abs(rows) > max(settings.row_error_px, spread):  # matches in noise spread wider than they are off
         return (
             f"bad_rectification: right rows {rows:+.1f} px off, spread {spread:.1f} px, {len(moved)} points"
         )
     backwards = int((moved[:, 0] > settings.least_disparity_px).sum())
-    if columns > 0.0 and backwards > 0.5 * len(moved):
+    if columns > 0.0 and backwards > _MOST * len(moved):
         return f"swapped_eyes: {backwards} of {len(moved)} points farther right in the right picture"
     return "no_texture"
