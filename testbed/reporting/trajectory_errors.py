@@ -65,7 +65,7 @@ def trajectory_errors(
     nearest = np.abs(mine_s[:, None] - times_s[None]).argmin(axis=1)
     apart = np.abs(mine_s - times_s[nearest])
     period = float(np.median(np.diff(mine_s))) if len(found) > 1 else 0.0
-    chosen = np.flatnonzero(apart <= 0.5 * period)
+    chosen = [k for k, gap in enumerate(apart) if gap <= 0.5 * period]
     if len(chosen) < _FEWEST:
         raise ConfigurationError(
             "configuration.bad_truth",
