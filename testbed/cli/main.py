@@ -14,6 +14,7 @@ from testbed.cli.options import (
     DemoOptions,
     IdentifyOptions,
     JsonFile,
+    OdometryOptions,
     Scenario,
     Seed,
     Settings,
@@ -195,6 +196,7 @@ def soak(
 @app.command(
     epilog="Example: longreach odometry --left image_0 --right image_1 --calib calib.txt --out path.tum"
 )
+@unfolded
 def odometry(
     left: Annotated[Path, typer.Option(help="Directory of the left eye's rectified pictures.")],
     right: Annotated[Path, typer.Option(help="Directory of the right eye's.")],
@@ -205,16 +207,7 @@ def odometry(
             "or KITTI's calib.txt with P0: and P1:."
         ),
     ],
-    trajectory: Annotated[Path, typer.Option("--out", help="Where the TUM trajectory goes.")] = Path(
-        "trajectory.tum"
-    ),
-    rate_hz: Annotated[
-        float, typer.Option(min=0.1, help="Pairs a second, where neither times.txt nor names tell.")
-    ] = 10.0,
-    truth: Annotated[
-        Path | None,
-        typer.Option(help="True poses of the left camera (TUM): prints ATE, RPE, scale and drift."),
-    ] = None,
+    options: OdometryOptions,
     config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
     json_file: JsonFile = None,
@@ -226,7 +219,7 @@ def odometry(
     """
     from testbed.cli.odometry import OdometryRequest, run_odometry
 
-    request = OdometryRequest(config_dir, left, right, calib, rate_hz, trajectory, truth, settings or [])
+    request = OdometryRequest(config_dir, left, right, calib, options, settings or [])
     raise typer.Exit(0 if run_odometry(request, json_file) else 1)
 
 

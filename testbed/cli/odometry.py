@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from foundation.configuration import load, parse_overrides
+from testbed.cli.options import OdometryOptions
 from testbed.reporting.console import bars, out, write_json
 from testbed.reporting.trajectory_errors import TrajectoryErrors, read_tum, trajectory_errors
 from vision_pc.config.vision import VisionConfig
@@ -25,9 +26,7 @@ class OdometryRequest(NamedTuple):
     left: Path
     right: Path
     calibration: Path
-    rate_hz: float
-    trajectory: Path
-    truth: Path | None
+    options: OdometryOptions
     settings: list[str]
 
 
@@ -37,7 +36,7 @@ def run_odometry(request: OdometryRequest, json_file: Path | None) -> bool:
     """
     overrides = parse_overrides(request.settings).get("vision")
     config = load(VisionConfig, request.config_dir / "vision.yaml", overrides)
-    truth = None if request.truth is None else read_tum(request.truth)
+    truth = None if request.options.truth is None else read_tum(request.options.truth)
     count = count_pairs(request.left)
     with bars() as shown, shown.step("following the camera") as bar:
 
@@ -46,9 +45,11 @@ def run_odometry(request: OdometryRequest, json_file: Path | None) -> bool:
             bar.update((record.frame_id + 1) / count, f"pair {record.frame_id + 1} of {count}: {held}")
 
         began = time.process_time()
-        result = follow(request.left, request.right, request.calibration, config, request.rate_hz, report)
+        result = follow(
+            request.left, request.right, request.calibration, config, request.options.rate_hz, report
+        )
         spent_ms = 1e3 * (time.process_time() - began) / len(result.records)
-    files = _written(request.trajectory, result)
+    files = _written(request.options.trajectory, result)
     _print(result, spent_ms, files)
     figures: dict[str, object] = {
         "pairs": len(result.records),
@@ -61,7 +62,7 @@ def run_odometry(request: OdometryRequest, json_file: Path | None) -> bool:
         "trajectories": [str(path) for path in files],
     }
     if truth is not None:
-        errors = trajectory_errors(result.poses, *truth, str(request.truth))
+        errors = trajectory_errors(result.poses, *truth, str(request.options.truth))
         _print_errors(errors)
         figures["truth"] = errors._asdict()
     write_json(json_file, figures)

@@ -52,6 +52,21 @@ class SoakOptions(NamedTuple):
     faults: Annotated[bool, typer.Option("--faults", help="Break the plant at random times.")] = False
 
 
+class OdometryOptions(NamedTuple):
+    """Where a recording's path goes, and what it is compared with."""
+
+    trajectory: Annotated[Path, typer.Option("--out", help="Where the TUM trajectory goes.")] = Path(
+        "trajectory.tum"
+    )
+    rate_hz: Annotated[
+        float, typer.Option(min=0.1, help="Pairs a second, where neither times.txt nor names tell.")
+    ] = 10.0
+    truth: Annotated[
+        Path | None,
+        typer.Option(help="True poses of the left camera (TUM): prints ATE, RPE, scale and drift."),
+    ] = None
+
+
 class IdentifyOptions(NamedTuple):
     """What is made of a recording, or a recording of what."""
 
