@@ -31,6 +31,7 @@ COPY conformance conformance
 COPY dissector dissector
 COPY testbed testbed
 COPY longreach longreach
+COPY configs configs
 RUN pip install --no-cache-dir --quiet --no-deps --no-build-isolation . && rm -rf /build/*
 
 WORKDIR /srv/longreach

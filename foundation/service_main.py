@@ -17,6 +17,7 @@ import uvloop
 
 from foundation.configuration import merged, parse_overrides
 from foundation.event_log import EventLog, process_log
+from foundation.shipped import usual_configs
 from foundation.signs_of_life import signs_of_life
 from protocol.errors import LongreachError
 
@@ -122,7 +123,7 @@ def _options(program: ServiceProgram, argv: list[str] | None) -> ServiceOptions:
     parser = argparse.ArgumentParser(f"python -m {program.name}", None, program.description, epilog)
     parser.add_argument("--version", action="store_true", help="print the version and end")
     parser.add_argument(
-        "--config-dir", type=Path, default=Path("configs"), help=f"directory of {program.files}"
+        "--config-dir", type=Path, default=usual_configs(), help=f"directory of {program.files}"
     )
     parser.add_argument(
         "--set",

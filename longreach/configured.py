@@ -5,10 +5,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from foundation.shipped import usual_configs
 from testbed.scenarios.arms import arm_directory
 from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
 
-CONFIGS = Path("configs")  # as the command line's --config-dir
+CONFIGS = usual_configs()  # as the command line's --config-dir
 Assignments = Mapping[str, Any]
 """As ``--set``: ``{"plant.payload.mass_kg": 80}``."""
 

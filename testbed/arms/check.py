@@ -194,9 +194,7 @@ def _start(settings: Settings) -> Iterator[ArmFinding]:
     yield ArmFinding("start, workspace", *_in_workspace(settings, p, key))
 
 
-def _in_workspace(
-    settings: Settings, p: NDArray[np.float64], key: str
-) -> tuple[Verdict, str, str]:
+def _in_workspace(settings: Settings, p: NDArray[np.float64], key: str) -> tuple[Verdict, str, str]:
     box = settings.arm.workspace
     limits = zip("xyz", p, (box.x_m, box.y_m, box.z_m), strict=True)
     outside = [

@@ -8,7 +8,7 @@ import typer
 from foundation.command_options import unfolded
 from testbed.cli.hand_eye_options import PicturedBoard, SampleSource
 from testbed.cli.hand_eye_session import app as session
-from testbed.cli.options import JsonFile
+from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
 from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.perception.zhang_intrinsics import Detector
 
@@ -59,7 +59,7 @@ def intrinsics(
 def drawing(
     file: Annotated[Path, typer.Argument(help="PNG to write.")],
     scenario: Annotated[str, typer.Option(help="Whose cabinet.")] = "hand_eye",
-    config_dir: Annotated[Path, typer.Option("--config-dir", help="Configuration.")] = Path("configs"),
+    config_dir: ConfigDir = DEFAULT_CONFIG,
 ) -> None:
     """The emulated cabinet's front as its maker would draw it: what the vision PC is given to find it by."""
     from testbed.cli.hand_eye_files import run_drawing

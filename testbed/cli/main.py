@@ -1,5 +1,6 @@
 """The `longreach` command: starts, shows and examines the parts put together."""
 
+import shutil
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +9,8 @@ import typer
 from dissector.command import sniff
 from foundation.command_options import unfolded
 from foundation.configuration import merged, parse_overrides
+from foundation.shipped import shipped_configs
+from protocol.errors import ConfigurationError
 from testbed.cli.options import (
     DEFAULT_CONFIG,
     ConfigDir,
@@ -70,6 +73,19 @@ def doctor(
     from testbed.cli.doctor import examine
 
     raise typer.Exit(0 if examine(config_dir, settings or [], runs, json_file) else 1)
+
+
+@app.command(epilog="Example: longreach init   then: edit configs/vision.yaml")
+def init(
+    directory: Annotated[
+        Path, typer.Argument(metavar="[DIR]", help="Made; `configs` is found by itself.")
+    ] = Path("configs"),
+) -> None:
+    """Copy the shipped configuration, to be edited: files, scenarios and arms."""
+    if directory.exists():
+        raise ConfigurationError("configuration.not_empty", f"{directory} is there: nothing was copied")
+    shutil.copytree(shipped_configs(), directory)
+    typer.echo(f"{directory}: copied from {shipped_configs()}; --config-dir {directory}")
 
 
 @app.command(epilog="Example: longreach up --scenario standard --seed 3 --allow-faults")

@@ -5,9 +5,12 @@ from typing import Annotated, NamedTuple
 
 import typer
 
+from foundation.shipped import usual_configs
 from testbed.reporting.console import writable
 
-ConfigDir = Annotated[Path, typer.Option("--config-dir", help="Where the configuration files are.")]
+ConfigDir = Annotated[
+    Path, typer.Option("--config-dir", help="Configuration; `longreach init` copies what is shipped.")
+]
 Scenario = Annotated[str, typer.Option(help="Which of CONFIG_DIR/scenarios to draw the world from.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed is the same world; the first of several.")]
 Settings = Annotated[
@@ -19,7 +22,7 @@ JsonFile = Annotated[
     typer.Option("--json", help="Also write every printed figure to this file.", callback=writable),
 ]
 
-DEFAULT_CONFIG = Path("configs")
+DEFAULT_CONFIG = usual_configs()
 
 
 class StartOptions(NamedTuple):

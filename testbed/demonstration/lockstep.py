@@ -80,7 +80,7 @@ def run_lockstep_demo(
     settings = load_settings(config_dir, overrides)
     clearance_m = settings.vision.programs.positioning.clearance_m
     with run_directory(runs) as directory:
-        note_settings(directory, settings, config_dir)
+        note_settings(directory, settings)
         with bars() as shown:
             done = run_lockstep(config_dir, overrides, choice, shown, directory)
         curves = traces(done.truths, done.views, clearance_m)

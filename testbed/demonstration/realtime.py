@@ -55,7 +55,7 @@ def run_demo(
     end_on_sigterm()
     with run_directory(runs) as directory:
         launch = prepare(config_dir, overrides, directory, any_ports=any_ports)
-        note_settings(directory, launch.settings, config_dir)
+        note_settings(directory, launch.settings)
         with bars() as shown, started(launch, shown) as supervisor:
             show_console(launch)
             show_fault_api(launch)

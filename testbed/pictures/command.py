@@ -10,6 +10,7 @@ import typer
 from plant_emulator.core.camera.camera_motion import CameraView
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.plant import Plant
+from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
 from testbed.pictures.effects import effects, pictured
 from testbed.pictures.machine import draw_machine
 from testbed.pictures.sheet import Pair, contact_sheet
@@ -28,12 +29,8 @@ def _pictures() -> None:
 @app.command("effects", epilog="Example: longreach picture effects --out runs/effects")
 def effects_command(
     directory: Annotated[Path, typer.Option("--out", help="Where the pictures go.")],
-    config_dir: Annotated[
-        Path, typer.Option("--config-dir", help="Where the configuration files are.")
-    ] = Path("configs"),
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Also write every printed figure to this file.")
-    ] = None,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+    json_file: JsonFile = None,
 ) -> None:
     """One picture per effect of camera and scene, off and on, and all of them on one sheet."""
     settings = load_settings(config_dir, {})
@@ -63,9 +60,7 @@ def effects_command(
 @app.command("machine", epilog="Example: longreach picture machine docs/images/machine.png")
 def machine_command(
     path: Annotated[Path, typer.Argument(help="Where the picture goes (PNG or SVG).")],
-    config_dir: Annotated[
-        Path, typer.Option("--config-dir", help="Where the configuration files are.")
-    ] = Path("configs"),
+    config_dir: ConfigDir = DEFAULT_CONFIG,
 ) -> None:
     """The nominal arm from the side at its start pose, with the frames B, T, C, M and O."""
     draw_machine(load_settings(config_dir, {}), path)

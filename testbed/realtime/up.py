@@ -23,7 +23,7 @@ def run_up(config_dir: Path, overrides: Overrides, any_ports: bool, runs: Path) 
     end_on_sigterm()
     with run_directory(runs) as directory:
         launch = prepare(config_dir, overrides, directory, any_ports=any_ports)
-        note_settings(directory, launch.settings, config_dir)
+        note_settings(directory, launch.settings)
         try:
             with supervised(launch.services, launch.directory) as supervisor:
                 show(launch, supervisor)

@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from foundation.shipped import shipped_configs
 from testbed.reporting.console import plain
 from testbed.scenarios.settings import Settings, load_settings
 
@@ -102,11 +103,9 @@ def read(directory: Path) -> KeptRun:
     return KeptRun(directory, facts if isinstance(facts, dict) else {})
 
 
-def note_settings(directory: Path, used: Settings, config_dir: Path) -> None:
-    """Add where ``used`` differs from what is shipped; outside a checkout, from ``config_dir``."""
-    shipped = _ROOT / "configs"
-    files = shipped if shipped.is_dir() else config_dir
-    note(directory, changed=changed_settings(used, load_settings(files, {})))
+def note_settings(directory: Path, used: Settings) -> None:
+    """Add where ``used`` differs from what is shipped."""
+    note(directory, changed=changed_settings(used, load_settings(shipped_configs(), {})))
 
 
 def changed_settings(used: Settings, shipped: Settings) -> dict[str, tuple[Any, Any]]:

@@ -61,7 +61,7 @@ def run_soak(request: SoakRequest, json_file: Path | None) -> bool:
     overrides = with_faults(request.overrides, request.faults)
     with run_directory(request.runs) as directory:
         launch = prepare(request.config_dir, overrides, directory, any_ports=request.any_ports)
-        note_settings(directory, launch.settings, request.config_dir)
+        note_settings(directory, launch.settings)
         figures = _soaked(launch, request)
         show(figures)
         verdict = checks(figures)

@@ -1,0 +1,82 @@
+"""The wheel alone, unpacked beside an empty folder: it has all that it runs with."""
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from hatchling.builders.wheel import WheelBuilder
+from typer.testing import CliRunner
+
+from foundation.shipped import shipped_configs
+from testbed.cli.main import app
+from tests.support.paths import CONFIGS, ROOT
+
+pytestmark = pytest.mark.long
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Built by the back end itself: neither pip nor a registry is asked."""
+    (built,) = WheelBuilder(str(ROOT)).build(directory=str(tmp_path_factory.mktemp("dist")))
+    return Path(built)
+
+
+@pytest.fixture
+def installed(wheel: Path, tmp_path: Path) -> Path:
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "site")
+    (tmp_path / "empty").mkdir()
+    return tmp_path / "site"
+
+
+def run(site: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """A command of the unpacked wheel, in an empty folder."""
+    environment = os.environ | {"PYTHONPATH": str(site)}
+    command = [sys.executable, "-m", "testbed.cli.main", *arguments]
+    empty = site.parent / "empty"
+    return subprocess.run(command, cwd=empty, env=environment, capture_output=True, text=True, timeout=1800)
+
+
+def test_configuration_and_the_consoles_page_are_in_it(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    configs = {f"longreach/{path.relative_to(ROOT)}" for path in CONFIGS.rglob("*") if path.is_file()}
+    assert len(configs) > 15
+    assert configs <= names
+    assert "longreach/py.typed" in names
+    pages = [
+        str(path.relative_to(ROOT))
+        for package in ("vision_pc", "foundation", "testbed")
+        for path in (ROOT / package).rglob("*")
+        if path.suffix in {".html", ".js", ".css", ".j2"}
+    ]
+    assert len(pages) > 10
+    assert set(pages) <= names
+
+
+def test_an_arm_is_checked_in_an_empty_folder(installed: Path) -> None:
+    done = run(installed, "arm", "check", "long_crane", "--json", "found.json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads((installed.parent / "empty" / "found.json").read_text())["arm"] == "long_crane"
+    where = run(installed, "init", "mine")
+    assert str(installed / "longreach" / "configs") in where.stdout
+
+
+@pytest.mark.experiment
+def test_the_demonstration_ends_at_the_object(installed: Path) -> None:
+    done = run(installed, "demo", "--lockstep", "--seed", "1")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_init_copies_what_is_shipped_once(tmp_path: Path) -> None:
+    def copied() -> int:
+        return CliRunner().invoke(app, ["init", str(tmp_path / "mine")]).exit_code
+
+    assert copied() == 0
+    names = [sorted(p.relative_to(d) for p in d.rglob("*")) for d in (shipped_configs(), tmp_path / "mine")]
+    assert names[0] == names[1]
+    assert copied() == 2
