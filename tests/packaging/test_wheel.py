@@ -67,8 +67,8 @@ def test_an_empty_folder_finds_the_configuration(installed: Path) -> None:
     told = run(
         installed,
         "-c",
-        "from foundation.configuration import laid_over; from foundation.shipped import usual_configs as found;"
-        "print(found(), laid_over(found() / 'arms/long_crane', 'plant.yaml')[0]['geometry']['telescope_m'])",
+        "from foundation.configuration import laid_over; from foundation.shipped import usual_configs as at;"
+        "print(at(), laid_over(at() / 'arms/long_crane', 'plant.yaml')[0]['geometry']['telescope_m'])",
     )
     assert told.split() == [str(installed / "longreach" / "configs"), "3.0"]
 
