@@ -18,6 +18,7 @@ _CAUSES = {"extra_forbidden": "unknown_key", "enum": "literal_error"}
 
 BASE_FILE = "base.yaml"
 _MOST_LAYERS = 8
+_BESIDE = Path(__file__).parents[1]  # of a checkout, or of what a wheel installed
 
 
 class StrictModel(BaseModel):
@@ -45,6 +46,20 @@ class _UniqueKeyLoader(yaml.CSafeLoader):  # libyaml's: a third of the time
 
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
+
+
+def shipped_configs() -> Path:
+    """The directory of the shipped configuration. Raises ConfigurationError when it is not there."""
+    for directory in (_BESIDE / "longreach" / "configs", _BESIDE / "configs"):
+        if (directory / "arm.yaml").is_file():
+            return directory
+    raise ConfigurationError("configuration.not_shipped", f"no configuration beside {_BESIDE / 'longreach'}")
+
+
+def usual_configs() -> Path:
+    """``configs`` of the working directory where there is one, else the shipped configuration."""
+    here = Path("configs")
+    return here if here.is_dir() else shipped_configs()
 
 
 def read_yaml(path: Path) -> dict[str, Any]:

@@ -8,8 +8,7 @@ import typer
 
 from dissector.command import sniff
 from foundation.command_options import unfolded
-from foundation.configuration import merged, parse_overrides
-from foundation.shipped import shipped_configs
+from foundation.configuration import merged, parse_overrides, shipped_configs
 from protocol.errors import ConfigurationError
 from testbed.cli.options import (
     DEFAULT_CONFIG,

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import typer
 
+from foundation.configuration import usual_configs
 from plant_emulator.core.camera.camera_motion import CameraView
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.plant import Plant
-from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
 from testbed.pictures.effects import effects, pictured
 from testbed.pictures.machine import draw_machine
 from testbed.pictures.sheet import Pair, contact_sheet
@@ -18,6 +18,7 @@ from testbed.reporting.console import bars, out, table, write_json
 from testbed.scenarios.settings import load_settings
 
 app = typer.Typer(help="Pictures that explain.", no_args_is_help=True)
+ConfigDir = Annotated[Path, typer.Option("--config-dir", help="Where the configuration files are.")]
 _HEADINGS = ("effect", "switch in scene.yaml, or fault", "mean change, grey", "pixels changed, %")
 
 
@@ -29,8 +30,10 @@ def _pictures() -> None:
 @app.command("effects", epilog="Example: longreach picture effects --out runs/effects")
 def effects_command(
     directory: Annotated[Path, typer.Option("--out", help="Where the pictures go.")],
-    config_dir: ConfigDir = DEFAULT_CONFIG,
-    json_file: JsonFile = None,
+    config_dir: ConfigDir = usual_configs(),
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Also write every printed figure to this file.")
+    ] = None,
 ) -> None:
     """One picture per effect of camera and scene, off and on, and all of them on one sheet."""
     settings = load_settings(config_dir, {})
@@ -60,7 +63,7 @@ def effects_command(
 @app.command("machine", epilog="Example: longreach picture machine docs/images/machine.png")
 def machine_command(
     path: Annotated[Path, typer.Argument(help="Where the picture goes (PNG or SVG).")],
-    config_dir: ConfigDir = DEFAULT_CONFIG,
+    config_dir: ConfigDir = usual_configs(),
 ) -> None:
     """The nominal arm from the side at its start pose, with the frames B, T, C, M and O."""
     draw_machine(load_settings(config_dir, {}), path)
