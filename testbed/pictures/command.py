@@ -19,6 +19,7 @@ from testbed.scenarios.settings import load_settings
 
 app = typer.Typer(help="Pictures that explain.", no_args_is_help=True)
 ConfigDir = Annotated[Path, typer.Option("--config-dir", help="Where the configuration files are.")]
+DEFAULT_CONFIG = usual_configs()
 _HEADINGS = ("effect", "switch in scene.yaml, or fault", "mean change, grey", "pixels changed, %")
 
 
@@ -30,7 +31,7 @@ def _pictures() -> None:
 @app.command("effects", epilog="Example: longreach picture effects --out runs/effects")
 def effects_command(
     directory: Annotated[Path, typer.Option("--out", help="Where the pictures go.")],
-    config_dir: ConfigDir = usual_configs(),
+    config_dir: ConfigDir = DEFAULT_CONFIG,
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Also write every printed figure to this file.")
     ] = None,
@@ -63,7 +64,7 @@ def effects_command(
 @app.command("machine", epilog="Example: longreach picture machine docs/images/machine.png")
 def machine_command(
     path: Annotated[Path, typer.Argument(help="Where the picture goes (PNG or SVG).")],
-    config_dir: ConfigDir = usual_configs(),
+    config_dir: ConfigDir = DEFAULT_CONFIG,
 ) -> None:
     """The nominal arm from the side at its start pose, with the frames B, T, C, M and O."""
     draw_machine(load_settings(config_dir, {}), path)
