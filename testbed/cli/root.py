@@ -15,6 +15,7 @@ from testbed.reporting.console import err
 FAILED = 2
 INTERRUPTED = 130  # as a shell has it for SIGINT
 LOADED_LATER = {  # what a group of commands needs, such as matplotlib and dask, no other command waits for
+    "camera": "testbed.cli.camera",
     "experiment": "testbed.cli.experiment",
     "conformance": "conformance.command",
     "hand-eye": "testbed.cli.hand_eye",

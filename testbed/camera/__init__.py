@@ -1,0 +1,1 @@
+"""A stereo camera put into service: its pairs checked, its calibration made."""

@@ -1,0 +1,217 @@
+"""`longreach camera check`: is this camera fit for vision, what is wrong with it, and what to do about
+that.
+"""
+
+import contextlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from protocol.errors import MeasurementFailed
+from testbed.camera.boards import AskedBoard, found_board
+from testbed.camera.pairs import Taken, take
+from testbed.reporting.console import out, table, write_json
+from vision_pc.config.camera import PinholePair
+from vision_pc.config.stereo_camera import StereoCalibration
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core.perception import intrinsics, look, pair_check
+from vision_pc.core.perception.board_offset import board_offset
+from vision_pc.core.perception.pair_check import PictureReport, RowReport
+from vision_pc.core.perception.rectification import Rectifier, refuse_size
+from vision_pc.core.perception.stereo_fit import PairView
+from vision_pc.core.types import FrameObservation, PointPairs, StereoOffset, StereoPair
+
+_LEAST_POINTS = 60
+_ROWS_PX, _SPREAD_PX, _CELL_PX = 1.0, 0.8, 1.0  # [D] half of what odometry takes, the worst called rectified
+_OFFSET_PX = 3.5  # [S] the worst that users reported of rectified cameras
+_EDGE_PX = 2.0  # [D] three times a sharp picture's
+_WHITE, _DARK, _BRIGHT = 0.05, 30.0, 225.0  # [D]
+_JITTER = 0.25  # [D] of the median interval
+_CALIBRATE = "calibrate it: longreach camera calibrate"
+
+
+class Finding(NamedTuple):
+    """One thing that was looked at: what came, what is wanted, whether it is so, and what to do if not."""
+
+    what: str
+    found: str
+    wanted: str
+    good: bool
+    advice: str = ""
+
+
+def run_check(
+    source: str, config: VisionConfig, most: int, board: AskedBoard | None, json_file: Path | None
+) -> bool:
+    """Print every finding. Returns whether all are good. Raises LongreachError where nothing can be looked
+    at.
+    """
+    camera = config.camera
+    taken = take(source, camera.model_copy(update={"calibration": PLAIN}), most)
+    size = (camera.width_px, camera.height_px)
+    for pair in taken.pairs:
+        for picture in (pair.left, pair.right):
+            refuse_size(
+                picture, size, f"{source}: set vision.camera.width_px and height_px, or the camera's mode"
+            )
+    told = camera.calibration
+    raw = isinstance(told, StereoCalibration)
+    rectify = Rectifier(told) if isinstance(told, StereoCalibration) else None
+    rectified = [rectify(pair) for pair in taken.pairs] if rectify else taken.pairs
+    views = [] if board is None else boards_in(rectified, board)
+    rows = pair_check.rows_of(
+        [PointPairs(view.left, view.right) for view in views]
+        or [pair_check.matched(pair) for pair in rectified],
+        size,
+    )
+    found = [
+        Finding("picture size an eye", f"{size[0]}x{size[1]} px", f"{size[0]}x{size[1]} px", True),
+        *stamps(taken),
+        *row_findings(rows, raw),
+        *offset_findings(offset_of(rectified, config, views)),
+        *(
+            f
+            for eye, k in (("left", 0), ("right", 1))
+            for f in picture_findings(eye, [p[k] for p in taken.pairs])
+        ),
+    ]
+    how = f"rectified by {told.source}" if isinstance(told, StereoCalibration) else "taken for rectified"
+    title = f"{source}: {len(taken.pairs)} pairs, {how}"
+    cells = [
+        [f.what, f.found, f.wanted, "good" if f.good else "BAD", "" if f.good else f.advice] for f in found
+    ]
+    out.print(table(title, ("what", "found", "wanted", "verdict", "what to do"), cells))
+    if rows is not None:
+        out.print(table("rows of the right eye below the left's, px, by place in the picture",
+                        ("left", "", "", "right"), cells_of(rows)))  # fmt: skip
+    good = all(f.good for f in found)
+    bad = ", ".join(f.what for f in found if not f.good)
+    out.print(
+        f"verdict: {'good' if good else 'BAD: ' + bad}",
+        style="green" if good else "bold red",
+        highlight=False,
+    )
+    write_json(json_file, figures(found, rows, good))
+    return good
+
+
+PLAIN = PinholePair.model_validate(
+    {eye: {"fx_px": 500.0, "fy_px": 500.0, "cx_px": 0.0, "cy_px": 0.0} for eye in ("left", "right")}
+    | {"baseline_m": 0.1}
+)
+"""Stands for "no rectification" while pairs are taken; no number of it is used."""
+
+
+def figures(found: Sequence[Finding], rows: RowReport | None, good: bool) -> dict[str, Any]:
+    """What is printed, for a file."""
+    return {"good": good, "findings": [f._asdict() for f in found], "rows": rows._asdict() if rows else None}
+
+
+def cells_of(rows: RowReport) -> list[list[str]]:
+    """The rows' medians by place, as shown."""
+    return [[f"{value:+.2f}" for value in row] for row in rows.cells_px]
+
+
+def stamps(taken: Taken) -> list[Finding]:
+    """Rate, order and evenness of the capture times, where there are any."""
+    if not taken.stamped or len(taken.pairs) < 3:
+        return [Finding("stamps", "none", "of a live camera or a recording", True)]
+    steps = np.diff([pair.capture_ns for pair in taken.pairs]) * 1e-9
+    if (steps <= 0.0).any():
+        count = int((steps <= 0.0).sum())
+        return [Finding("stamps", f"{count} not after the one before", "ascending", False,
+                        "stamps run backwards: another clock, or pictures out of order")]  # fmt: skip
+    median = float(np.median(steps))
+    jitter = float(np.median(np.abs(steps - median))) * 1.4826 / median
+    gaps = int((steps > 1.8 * median).sum())
+    return [
+        Finding("pairs a second", f"{1.0 / median:.1f}", "as configured", True),
+        Finding("jitter of the stamps", f"{100 * jitter:.0f} % of an interval, {gaps} gaps",
+                f"at most {100 * _JITTER:.0f} %", jitter <= _JITTER,
+                "stamped late by a busy host: fewer pictures a second, or stamps of the camera"),
+    ]  # fmt: skip
+
+
+def row_findings(rows: RowReport | None, raw: bool) -> list[Finding]:
+    """Whether the rows belong together."""
+    count = 0 if rows is None else rows.points
+    if rows is None or count < _LEAST_POINTS:
+        return [Finding("matched points", str(count), f"at least {_LEAST_POINTS}", False,
+                        "show both eyes something with texture, in focus and light")]  # fmt: skip
+    worst = (
+        float(np.nanmax(np.abs(rows.cells_px - rows.median_px))) if np.isfinite(rows.cells_px).any() else 0.0
+    )
+    again = (
+        f"the file does not fit this camera: {_CALIBRATE}"
+        if raw
+        else f"these pairs are not rectified: {_CALIBRATE}"
+    )
+    return [
+        Finding("eyes", f"median disparity {rows.disparity_px:+.1f} px", "above 0", rows.disparity_px > 0.0,
+                "left and right are exchanged"),
+        Finding("rows off, median", f"{rows.median_px:+.2f} px of {count} points", f"within {_ROWS_PX:g} px",
+                abs(rows.median_px) <= _ROWS_PX, again),
+        Finding("rows off, spread", f"{rows.spread_px:.2f} px", f"at most {_SPREAD_PX:g} px",
+                rows.spread_px <= _SPREAD_PX, again),
+        Finding("rows off, by place", f"{worst:.2f} px from the median", f"at most {_CELL_PX:g} px",
+                worst <= _CELL_PX, again),
+    ]  # fmt: skip
+
+
+def boards_in(pairs: Sequence[StereoPair], board: AskedBoard) -> list[PairView]:
+    """The board's corners in the pairs where both eyes see it: exact points, of which none is mistaken."""
+    views = []
+    for k, pair in enumerate(pairs):
+        with contextlib.suppress(MeasurementFailed):
+            views.append(found_board(pair, board, str(k)))
+    return views
+
+
+def offset_of(
+    pairs: Sequence[StereoPair], config: VisionConfig, views: Sequence[PairView]
+) -> StereoOffset | None:
+    """The right eye's offset by a board's squares, else by the configured markers; None where neither is
+    seen.
+    """
+    camera = intrinsics.calibration(config.camera)
+    if views:
+        return board_offset(views, camera)
+    seen: FrameObservation | None = None
+    markers = 0
+    for pair in pairs:
+        seen = look.observe(pair, camera, config.markers, seen)
+        markers += len(seen.markers)
+    return None if seen is None or not markers else seen.offset
+
+
+def offset_findings(offset: StereoOffset | None) -> list[Finding]:
+    """Whether ranges can be believed."""
+    if offset is None:
+        return [
+            Finding("disparity offset", "no marker or board seen", "a known marker or board in view", True)
+        ]
+    shown = f"{offset.x_px:+.2f} ± {offset.std_x_px:.2f} px across, "
+    shown += f"{offset.y_px:+.2f} ± {offset.std_y_px:.2f} down"
+    good = abs(offset.x_px) <= _OFFSET_PX
+    return [Finding("disparity offset", shown, f"within {_OFFSET_PX:g} px", good,
+                    f"ranges are wrong: {_CALIBRATE}, or another size is printed")]  # fmt: skip
+
+
+def picture_findings(eye: str, pictures: Sequence[Any]) -> list[Finding]:
+    """Exposure and sharpness of one eye, the median over the pictures."""
+    reports = np.array([pair_check.picture_report(picture) for picture in pictures])
+    of = PictureReport(*(float(np.nanmedian(column)) if np.isfinite(column).any() else float("nan")
+                         for column in reports.T))  # fmt: skip
+    lit = _DARK <= of.mean_grey <= _BRIGHT and of.white_share <= _WHITE
+    sharp = not of.edge_px > _EDGE_PX
+    edges = "no edge to measure" if np.isnan(of.edge_px) else f"edges {of.edge_px:.2f} px wide"
+    return [
+        Finding(f"{eye} exposure",
+                f"mean {of.mean_grey:.0f}, {of.white_share:.1%} white, {of.black_share:.1%} black",
+                f"mean {_DARK:g} to {_BRIGHT:g}, at most {_WHITE:.0%} white", lit,
+                "set vision.camera.uvc.exposure_us and gain, or more light"),
+        Finding(f"{eye} sharpness", edges, f"at most {_EDGE_PX:g} px", sharp,
+                "clean and focus the lens, expose for a shorter time"),
+    ]  # fmt: skip

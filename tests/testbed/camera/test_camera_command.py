@@ -1,0 +1,113 @@
+"""`longreach camera`: pictures of the emulator's raw camera become a file by which its pairs are
+rectified.
+"""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+from testbed.cli.main import app
+from tests.support.paths import CONFIGS
+from tests.vision_pc.config.test_camera_files import ZED
+from tests.vision_pc.perception.test_pair_check import SIZE, pair_with
+from vision_pc.config.camera_files.reading import read_calibration
+
+pytestmark = pytest.mark.long
+
+BOARD = ["--columns", "9", "--rows", "6", "--square-mm", "60"]
+CONFIG = ["--config-dir", str(CONFIGS)]
+SMALL = ["--set", f"vision.camera.width_px={SIZE[0]}", "--set", f"vision.camera.height_px={SIZE[1]}"]
+
+
+def ended(*words: object) -> Result:
+    return CliRunner().invoke(app, ["camera", *map(str, words)], terminal_width=200)
+
+
+def pictures(directory: Path, down: float, count: int = 3, *, exchanged: bool = False) -> Path:
+    """Pairs whose right rows are ``down`` px too low, as files left… and right…."""
+    directory.mkdir()
+    pair = pair_with(down)
+    for k in range(count):
+        for eye, picture in (("left", pair.left), ("right", pair.right)):
+            name = {"left": "right", "right": "left"}[eye] if exchanged else eye
+            cv2.imwrite(str(directory / f"{name}{k:02d}.png"), picture)
+    return directory
+
+
+def test_a_film_of_the_raw_camera_becomes_a_file_that_rectifies_it(tmp_path: Path) -> None:
+    film, file, figures = tmp_path / "boards.avi", tmp_path / "camera.yaml", tmp_path / "figures.json"
+    made = ended("emulate", *BOARD, "--pairs", 12, "--out", film, *CONFIG)
+    assert made.exit_code == 0, made.output
+    done = ended("calibrate", film, *BOARD, "--out", file, "--json", figures, *CONFIG)
+    assert done.exit_code == 0, done.output
+    found = read_calibration(file)
+    assert found.right_position_m[0] == pytest.approx(0.11967, rel=0.005)
+    assert found.left.fx_px == pytest.approx(533.4, rel=0.01)
+    assert found.covariance is not None
+    assert json.loads(figures.read_text())["rows_rms_px"] < 0.2
+    use = ["--set", f"vision.camera.calibration={file}"]
+    raw = ended("check", film, "--board", "--pairs", 3, *BOARD, *CONFIG)
+    assert raw.exit_code == 1
+    assert "BAD: rows off, median" in raw.output
+    good = ended("check", film, "--board", "--pairs", 3, *BOARD, *use, *CONFIG)
+    assert good.exit_code == 0, good.output
+
+
+@pytest.mark.parametrize(
+    ("down", "exchanged", "bad"), [(0.1, False, ""), (3.0, False, "rows off, median"), (0.1, True, "eyes")]
+)
+def test_the_check_says_what_is_bad_and_ends_accordingly(
+    tmp_path: Path, down: float, exchanged: bool, bad: str
+) -> None:
+    done = ended("check", pictures(tmp_path / "pairs", down, exchanged=exchanged), *SMALL, *CONFIG)
+    assert done.exit_code == (1 if bad else 0), done.output
+    assert (f"BAD: {bad}" if bad else "verdict: good") in done.output
+
+
+def test_pictures_of_another_size_say_both(tmp_path: Path) -> None:
+    done = ended("check", pictures(tmp_path / "pairs", 0.0), *CONFIG)
+    assert done.exit_code == 2
+    assert "frame.wrong_size: pictures of 480x270 px an eye came, 1280x720 are wanted" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("made", "told"),
+    [
+        ([], "no such directory, film or device"),
+        (["left1.png"], "1 pictures of the left eye and 0 of the right one"),
+    ],
+)
+def test_a_source_that_holds_no_pairs_is_named(tmp_path: Path, made: list[str], told: str) -> None:
+    directory = tmp_path / "pairs"
+    if made:
+        directory.mkdir()
+    for name in made:
+        cv2.imwrite(str(directory / name), np.zeros((4, 4), np.uint8))
+    for command in ("check", "calibrate"):
+        done = ended(command, directory, *CONFIG)
+        assert done.exit_code == 2
+        assert told in done.stderr
+
+
+def test_pairs_without_a_board_are_no_calibration(tmp_path: Path) -> None:
+    to = tmp_path / "camera.yaml"
+    done = ended("calibrate", pictures(tmp_path / "pairs", 0.0), "--out", to, *CONFIG)
+    assert done.exit_code == 2
+    assert "refused.camera.too_few_views: 0 pairs show the board in both eyes, at least 8" in done.stderr
+    assert not to.exists()
+
+
+def test_a_zed_file_is_converted_and_a_bad_size_is_named(tmp_path: Path) -> None:
+    zed, to = tmp_path / "SN1.conf", tmp_path / "camera.yaml"
+    zed.write_text(ZED)
+    assert ended("convert", zed, "--size", "1280x720", "--out", to).exit_code == 0
+    assert read_calibration(to) == read_calibration(zed, (1280, 720))
+    assert "WIDTHxHEIGHT is wanted" in ended("convert", zed, "--size", "720p").stderr
+    asked = ended("convert", zed)
+    assert asked.exit_code == 2
+    assert "give --size WIDTHxHEIGHT of one eye" in asked.stderr
