@@ -12,8 +12,8 @@ SIZE = (480, 270)
 
 def textured(seed: int = 1) -> Image:
     grey = np.random.default_rng(seed).uniform(0.0, 255.0, (SIZE[1] + 80, SIZE[0] + 80)).astype(np.float32)
-    smooth = cv2.GaussianBlur(grey, (0, 0), 2.5)
-    return np.asarray(np.clip(128.0 + 5.0 * (smooth - 128.0), 0.0, 255.0), dtype=np.uint8)
+    smooth = cv2.GaussianBlur(grey, (0, 0), 1.3)
+    return np.asarray(np.clip(128.0 + 3.0 * (smooth - 128.0), 0.0, 255.0), dtype=np.uint8)
 
 
 def pair_with(down: float, disparity: float = 12.0, turn_deg: float = 0.0) -> StereoPair:
