@@ -213,7 +213,8 @@ def _stereo(views: Sequence[PairView], size: tuple[int, int], lens: LensModel) -
             for pixels in seen
         ]
         found = cv2.stereoCalibrateExtended(
-            points, *seen, eyes[0][1], eyes[0][2], eyes[1][1], eyes[1][2], size, np.eye(3), np.zeros(3),
+            points, seen[0], seen[1], eyes[0][1], eyes[0][2], eyes[1][1], eyes[1][2], size,
+            np.eye(3), np.zeros(3),
             flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS, criteria=_UNTIL,
         )  # fmt: skip
     except cv2.error as error:
@@ -224,16 +225,11 @@ def _stereo(views: Sequence[PairView], size: tuple[int, int], lens: LensModel) -
     rms, K1, D1, K2, D2, R, T, _, _, turns, shifts, per_view = found
     D = [_doubles(one).ravel()[:count] for one in (D1, D2)]
     view_rms = np.sqrt((_doubles(per_view).reshape(len(views), 2) ** 2).mean(axis=1))
-    poses = [_doubles(many).reshape(len(views), 3) for many in (turns, shifts)]
-    return _Raw(
-        (_doubles(K1), _doubles(K2)),
-        (D[0], D[1]),
-        _doubles(R),
-        _doubles(T).ravel(),
-        *poses,
-        float(rms),
-        view_rms,
-    )
+    board_turns = _doubles(turns).reshape(len(views), 3)
+    board_shifts = _doubles(shifts).reshape(len(views), 3)
+    cameras, bends = (_doubles(K1), _doubles(K2)), (D[0], D[1])
+    stereo = _doubles(R), _doubles(T).ravel()
+    return _Raw(cameras, bends, stereo[0], stereo[1], board_turns, board_shifts, float(rms), view_rms)
 
 
 def _doubles(values: Any) -> Array:
@@ -281,7 +277,7 @@ def _covariance(views: Sequence[PairView], raw: _Raw) -> Array:
     """Of all parameters in the order of ``StereoCalibration.parameters``, the boards' poses unknown too."""
     count = 4 + len(raw.D[0])
     size = 2 * count + 6
-    turn = cv2.Rodrigues(raw.R)[0].ravel()
+    turn = _doubles(cv2.Rodrigues(raw.R)[0]).ravel()
     information, squares, seen = np.zeros((size, size)), 0.0, 0
     for view, board_turn, board_shift in zip(views, raw.turns, raw.shifts, strict=True):
         left, by_pose, by_left = _projected(view, board_turn, board_shift, raw.K[0], raw.D[0])
@@ -317,7 +313,8 @@ def _covariance(views: Sequence[PairView], raw: _Raw) -> Array:
 def _projected(view: PairView, turn: Array, shift: Array, K: Array, D: Array) -> tuple[Array, Array, Array]:
     """Pixels (2 k,), their derivatives by the board's pose (2 k, 6), and by fx fy cx cy and distortion."""
     pixels, slopes = cv2.projectPoints(view.points_m, turn, shift, K, D)
-    return _doubles(pixels).ravel(), slopes[:, :6], slopes[:, 6 : 10 + len(D)]
+    by = _doubles(slopes)
+    return _doubles(pixels).ravel(), by[:, :6], by[:, 6 : 10 + len(D)]
 
 
 def _to_ours(turn: Array, shift: Array) -> Array:
