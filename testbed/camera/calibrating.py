@@ -7,7 +7,7 @@ import numpy as np
 from protocol.errors import ConfigurationError, MeasurementFailed, RequestRefused
 from testbed.camera.boards import AskedBoard, found_board
 from testbed.camera.checking import PLAIN
-from testbed.camera.pairs import take
+from testbed.camera.pairs import Taken, take
 from testbed.reporting.console import bars, out, table, write_json
 from vision_pc.config.camera import CameraSettings
 from vision_pc.config.camera_files.reading import read_calibrations, write_calibration
@@ -33,20 +33,7 @@ def run_calibrate(
     """
     taken = take(source, settings.model_copy(update={"calibration": PLAIN}), most)
     height, width = taken.pairs[0].left.shape
-    views: list[PairView] = []
-    missed: list[str] = []
-    with bars() as shown, shown.step("looking for the board") as bar:
-        for k, (name, pair) in enumerate(zip(taken.names, taken.pairs, strict=True)):
-            if pair.left.shape != (height, width) or pair.right.shape != (height, width):
-                raise RequestRefused(
-                    "refused.camera.sizes",
-                    f"{source}: {name} differs in size from {taken.names[0]}, {width}x{height}",
-                )
-            try:
-                views.append(found_board(pair, board, name))
-            except MeasurementFailed:
-                missed.append(name)
-            bar.update((k + 1) / len(taken.pairs), f"{len(views)} boards in both eyes")
+    views, missed = _boards(source, taken, board, (height, width))
     if missed:
         out.print(
             f"no board in both eyes: {', '.join(missed)}", style="yellow", highlight=False, soft_wrap=True
@@ -63,6 +50,28 @@ def run_calibrate(
     write_json(json_file, {"fit": found._asdict() | {"calibration": found.calibration.model_dump()},
                            "rows_rms_px": rows_px, "missed": missed})  # fmt: skip
     return rows_px <= _ROWS_PX
+
+
+def _boards(
+    source: str, taken: Taken, board: AskedBoard, shape: tuple[int, int]
+) -> tuple[list[PairView], list[str]]:
+    """The boards that both eyes see, and the names of pairs without one."""
+    height, width = shape
+    views: list[PairView] = []
+    missed: list[str] = []
+    with bars() as shown, shown.step("looking for the board") as bar:
+        for k, (name, pair) in enumerate(zip(taken.names, taken.pairs, strict=True)):
+            if pair.left.shape != (height, width) or pair.right.shape != (height, width):
+                raise RequestRefused(
+                    "refused.camera.sizes",
+                    f"{source}: {name} differs in size from {taken.names[0]}, {width}x{height}",
+                )
+            try:
+                views.append(found_board(pair, board, name))
+            except MeasurementFailed:
+                missed.append(name)
+            bar.update((k + 1) / len(taken.pairs), f"{len(views)} boards in both eyes")
+    return views, missed
 
 
 def _guide(views: list[PairView], size: tuple[int, int]) -> None:

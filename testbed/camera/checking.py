@@ -32,7 +32,7 @@ _JITTER = 0.25  # [D] of the median interval
 _CALIBRATE = "calibrate it: longreach camera calibrate"
 
 
-class Finding(NamedTuple):
+class CameraFinding(NamedTuple):
     """One thing that was looked at: what came, what is wanted, whether it is so, and what to do if not."""
 
     what: str
@@ -67,7 +67,7 @@ def run_check(
         size,
     )
     found = [
-        Finding("picture size an eye", f"{size[0]}x{size[1]} px", f"{size[0]}x{size[1]} px", True),
+        CameraFinding("picture size an eye", f"{size[0]}x{size[1]} px", f"{size[0]}x{size[1]} px", True),
         *stamps(taken),
         *row_findings(rows, raw),
         *offset_findings(offset_of(rectified, config, views)),
@@ -78,7 +78,13 @@ def run_check(
         ),
     ]
     how = f"rectified by {told.source}" if isinstance(told, StereoCalibration) else "taken for rectified"
-    title = f"{source}: {len(taken.pairs)} pairs, {how}"
+    _show(f"{source}: {len(taken.pairs)} pairs, {how}", found, rows)
+    good = all(f.good for f in found)
+    write_json(json_file, figures(found, rows, good))
+    return good
+
+
+def _show(title: str, found: Sequence[CameraFinding], rows: RowReport | None) -> None:
     cells = [
         [f.what, f.found, f.wanted, "good" if f.good else "BAD", "" if f.good else f.advice] for f in found
     ]
@@ -93,8 +99,6 @@ def run_check(
         style="green" if good else "bold red",
         highlight=False,
     )
-    write_json(json_file, figures(found, rows, good))
-    return good
 
 
 PLAIN = PinholePair.model_validate(
@@ -104,7 +108,7 @@ PLAIN = PinholePair.model_validate(
 """Stands for "no rectification" while pairs are taken; no number of it is used."""
 
 
-def figures(found: Sequence[Finding], rows: RowReport | None, good: bool) -> dict[str, Any]:
+def figures(found: Sequence[CameraFinding], rows: RowReport | None, good: bool) -> dict[str, Any]:
     """What is printed, for a file."""
     return {"good": good, "findings": [f._asdict() for f in found], "rows": rows._asdict() if rows else None}
 
@@ -114,31 +118,31 @@ def cells_of(rows: RowReport) -> list[list[str]]:
     return [[f"{value:+.2f}" for value in row] for row in rows.cells_px]
 
 
-def stamps(taken: Taken) -> list[Finding]:
+def stamps(taken: Taken) -> list[CameraFinding]:
     """Rate, order and evenness of the capture times, where there are any."""
     if not taken.stamped or len(taken.pairs) < 3:
-        return [Finding("stamps", "none", "of a live camera or a recording", True)]
+        return [CameraFinding("stamps", "none", "of a live camera or a recording", True)]
     steps = np.diff([pair.capture_ns for pair in taken.pairs]) * 1e-9
     if (steps <= 0.0).any():
         count = int((steps <= 0.0).sum())
-        return [Finding("stamps", f"{count} not after the one before", "ascending", False,
+        return [CameraFinding("stamps", f"{count} not after the one before", "ascending", False,
                         "stamps run backwards: another clock, or pictures out of order")]  # fmt: skip
     median = float(np.median(steps))
     jitter = float(np.median(np.abs(steps - median))) * 1.4826 / median
     gaps = int((steps > 1.8 * median).sum())
     return [
-        Finding("pairs a second", f"{1.0 / median:.1f}", "as configured", True),
-        Finding("jitter of the stamps", f"{100 * jitter:.0f} % of an interval, {gaps} gaps",
+        CameraFinding("pairs a second", f"{1.0 / median:.1f}", "as configured", True),
+        CameraFinding("jitter of the stamps", f"{100 * jitter:.0f} % of an interval, {gaps} gaps",
                 f"at most {100 * _JITTER:.0f} %", jitter <= _JITTER,
                 "stamped late by a busy host: fewer pictures a second, or stamps of the camera"),
     ]  # fmt: skip
 
 
-def row_findings(rows: RowReport | None, raw: bool) -> list[Finding]:
+def row_findings(rows: RowReport | None, raw: bool) -> list[CameraFinding]:
     """Whether the rows belong together."""
     count = 0 if rows is None else rows.points
     if rows is None or count < _LEAST_POINTS:
-        return [Finding("matched points", str(count), f"at least {_LEAST_POINTS}", False,
+        return [CameraFinding("matched points", str(count), f"at least {_LEAST_POINTS}", False,
                         "show both eyes something with texture, in focus and light")]  # fmt: skip
     worst = (
         float(np.nanmax(np.abs(rows.cells_px - rows.median_px))) if np.isfinite(rows.cells_px).any() else 0.0
@@ -149,13 +153,15 @@ def row_findings(rows: RowReport | None, raw: bool) -> list[Finding]:
         else f"these pairs are not rectified: {_CALIBRATE}"
     )
     return [
-        Finding("eyes", f"median disparity {rows.disparity_px:+.1f} px", "above 0", rows.disparity_px > 0.0,
+        CameraFinding("eyes", f"median disparity {rows.disparity_px:+.1f} px", "above 0",
+                rows.disparity_px > 0.0,
                 "left and right are exchanged"),
-        Finding("rows off, median", f"{rows.median_px:+.2f} px of {count} points", f"within {_ROWS_PX:g} px",
+        CameraFinding("rows off, median", f"{rows.median_px:+.2f} px of {count} points",
+                f"within {_ROWS_PX:g} px",
                 abs(rows.median_px) <= _ROWS_PX, again),
-        Finding("rows off, spread", f"{rows.spread_px:.2f} px", f"at most {_SPREAD_PX:g} px",
+        CameraFinding("rows off, spread", f"{rows.spread_px:.2f} px", f"at most {_SPREAD_PX:g} px",
                 rows.spread_px <= _SPREAD_PX, again),
-        Finding("rows off, by place", f"{worst:.2f} px from the median", f"at most {_CELL_PX:g} px",
+        CameraFinding("rows off, by place", f"{worst:.2f} px from the median", f"at most {_CELL_PX:g} px",
                 worst <= _CELL_PX, again),
     ]  # fmt: skip
 
@@ -186,20 +192,22 @@ def offset_of(
     return None if seen is None or not markers else seen.offset
 
 
-def offset_findings(offset: StereoOffset | None) -> list[Finding]:
+def offset_findings(offset: StereoOffset | None) -> list[CameraFinding]:
     """Whether ranges can be believed."""
     if offset is None:
         return [
-            Finding("disparity offset", "no marker or board seen", "a known marker or board in view", True)
+            CameraFinding(
+                "disparity offset", "no marker or board seen", "a known marker or board in view", True
+            )
         ]
     shown = f"{offset.x_px:+.2f} ± {offset.std_x_px:.2f} px across, "
     shown += f"{offset.y_px:+.2f} ± {offset.std_y_px:.2f} down"
     good = abs(offset.x_px) <= _OFFSET_PX
-    return [Finding("disparity offset", shown, f"within {_OFFSET_PX:g} px", good,
+    return [CameraFinding("disparity offset", shown, f"within {_OFFSET_PX:g} px", good,
                     f"ranges are wrong: {_CALIBRATE}, or another size is printed")]  # fmt: skip
 
 
-def picture_findings(eye: str, pictures: Sequence[Any]) -> list[Finding]:
+def picture_findings(eye: str, pictures: Sequence[Any]) -> list[CameraFinding]:
     """Exposure and sharpness of one eye, the median over the pictures."""
     reports = np.array([pair_check.picture_report(picture) for picture in pictures])
     of = PictureReport(*(float(np.nanmedian(column)) if np.isfinite(column).any() else float("nan")
@@ -208,10 +216,10 @@ def picture_findings(eye: str, pictures: Sequence[Any]) -> list[Finding]:
     sharp = not of.edge_px > _EDGE_PX
     edges = "no edge to measure" if np.isnan(of.edge_px) else f"edges {of.edge_px:.2f} px wide"
     return [
-        Finding(f"{eye} exposure",
+        CameraFinding(f"{eye} exposure",
                 f"mean {of.mean_grey:.0f}, {of.white_share:.1%} white, {of.black_share:.1%} black",
                 f"mean {_DARK:g} to {_BRIGHT:g}, at most {_WHITE:.0%} white", lit,
                 "set vision.camera.uvc.exposure_us and gain, or more light"),
-        Finding(f"{eye} sharpness", edges, f"at most {_EDGE_PX:g} px", sharp,
+        CameraFinding(f"{eye} sharpness", edges, f"at most {_EDGE_PX:g} px", sharp,
                 "clean and focus the lens, expose for a shorter time"),
     ]  # fmt: skip

@@ -1,16 +1,20 @@
 """`longreach camera`: put a stereo camera into service: check it, calibrate it, convert others' files."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from foundation.command_options import unfolded
 from foundation.configuration import load, parse_overrides
+from protocol.errors import RequestRefused
 from testbed.cli.hand_eye_options import PicturedBoard
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, Seed, Settings
 from vision_pc.config.stereo_camera import LensModel
 from vision_pc.config.vision import VisionConfig
+
+if TYPE_CHECKING:
+    from testbed.camera.boards import AskedBoard
 
 app = typer.Typer(help="A stereo camera: check, calibrate, convert.", no_args_is_help=True)
 
@@ -48,10 +52,9 @@ def check(
     json_file: JsonFile = None,
 ) -> None:
     """Rows, disparity, size, rate, stamps, sharpness and exposure; exit status 1 when something is bad."""
-    from testbed.camera.boards import board_of
     from testbed.camera.checking import run_check
 
-    asked = board_of(board) if with_board else None
+    asked = _board_of(board) if with_board else None
     raise typer.Exit(0 if run_check(source, _vision(config_dir, settings), pairs, asked, json_file) else 1)
 
 
@@ -70,10 +73,9 @@ def calibrate(
     json_file: JsonFile = None,
 ) -> None:
     """Calibrate raw pairs of one board, held everywhere in both pictures, tilted and at several distances."""
-    from testbed.camera.boards import board_of
     from testbed.camera.calibrating import run_calibrate
 
-    asked, vision = board_of(board), _vision(config_dir, settings)
+    asked, vision = _board_of(board), _vision(config_dir, settings)
     good = run_calibrate(source, vision.camera, asked, lens, pairs, to, json_file)
     raise typer.Exit(0 if good else 1)
 
@@ -103,12 +105,11 @@ def emulate(
     settings: Settings = None,
 ) -> None:
     """Pairs of a board as the emulator's raw camera takes them."""
-    from testbed.camera.boards import board_of
     from testbed.camera.emulating import run_emulate
     from testbed.scenarios.settings import chosen_overrides, load_settings
 
     overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
-    run_emulate(load_settings(config_dir, overrides).scene, board_of(board), pairs, seed, to)
+    run_emulate(load_settings(config_dir, overrides).scene, _board_of(board), pairs, seed, to)
 
 
 @app.command(epilog="Example: longreach camera loop camera.yaml --runs 3 --seed 40001")
@@ -132,3 +133,18 @@ def _size(text: str | None) -> tuple[int, int] | None:
     if not (width.isdigit() and height.isdigit()):
         raise typer.BadParameter(f"{text}: WIDTHxHEIGHT is wanted, such as 1280x720", param_hint="--size")
     return int(width), int(height)
+
+
+def _board_of(asked: PicturedBoard) -> "AskedBoard":
+    """The board that the command line describes. Raises RequestRefused for an unknown dictionary."""
+    import cv2
+
+    from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
+
+    square_m = 1e-3 * asked.square_mm
+    if not asked.charuco:
+        return Checkerboard(asked.columns, asked.rows, square_m)
+    dictionary = getattr(cv2.aruco, asked.dictionary, None)
+    if not asked.dictionary.startswith("DICT_") or not isinstance(dictionary, int):
+        raise RequestRefused("refused.camera.dictionary", f"OpenCV has no dictionary {asked.dictionary!r}")
+    return Charuco(asked.columns, asked.rows, square_m, 1e-3 * asked.marker_mm, dictionary)
