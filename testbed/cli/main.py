@@ -238,6 +238,30 @@ def odometry(
     raise typer.Exit(0 if run_odometry(request, json_file) else 1)
 
 
+@app.command(
+    epilog="Example: longreach markers left.png --right right.png --number 1 --number 2 --drawn seen"
+)
+def markers(
+    pictures: Annotated[list[Path], typer.Argument(metavar="PICTURE…", help="Pictures of one eye.")],
+    right: Annotated[
+        list[Path] | None, typer.Option(help="The right eye's, in the same order; repeatable.")
+    ] = None,
+    dictionary: Annotated[
+        str, typer.Option(help="As in markers.dictionary of vision.yaml.")
+    ] = "DICT_5X5_1000",
+    number: Annotated[list[int] | None, typer.Option(help="A wanted number; repeatable.")] = None,
+    directory: Annotated[
+        Path | None, typer.Option("--drawn", help="Also draw what was found into this directory.")
+    ] = None,
+    json_file: JsonFile = None,
+) -> None:
+    """Markers in pictures, without rig or controller; exit status 1 where one that is wanted is missing."""
+    from testbed.cli.markers import run_markers
+
+    found = run_markers(pictures, right or [], dictionary, number or [], directory, json_file)
+    raise typer.Exit(0 if found else 1)
+
+
 @app.command(epilog="Example: longreach identify machine.csv --record   then: longreach identify machine.csv")
 @unfolded
 def identify(

@@ -1,0 +1,94 @@
+"""`longreach markers` on drawn pictures: numbers, corners, small ones, pairs, and refusals."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from testbed.cli.main import app
+from vision_pc.core.perception.picture_markers import found_markers
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import Image
+
+DICTIONARY = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_1000)
+_TIMES = 8
+
+
+def picture(places: dict[int, tuple[float, float, float]]) -> Image:
+    """Upright markers, by number (x, y of the first corner, side) px, each pixel the mean of 64 samples."""
+    large = np.full((240 * _TIMES, 320 * _TIMES), 200, np.uint8)
+    for number, (x, y, side) in places.items():
+        size = round(_TIMES * side)
+        column, row = round(_TIMES * (x + 0.5)), round(_TIMES * (y + 0.5))  # pixel centres at integers
+        large[row : row + size, column : column + size] = cv2.aruco.generateImageMarker(
+            DICTIONARY, number, size
+        )
+    small = cv2.resize(large, (320, 240), interpolation=cv2.INTER_AREA)
+    noise = np.random.default_rng(1).normal(0.0, 2.0, small.shape)
+    return np.clip(cv2.GaussianBlur(small.astype(float), (0, 0), 0.6) + noise, 0, 255).astype(np.uint8)
+
+
+def corners(x: float, y: float, side: float) -> Array:
+    return np.array([[x, y], [x + side, y], [x + side, y + side], [x, y + side]])
+
+
+def test_corners_are_as_good_as_they_say_and_small_markers_are_kept() -> None:
+    places = {3: (40.25, 30.5, 40.0), 7: (150.5, 60.25, 13.0)}
+    found = found_markers(picture(places), "DICT_4X4_1000")
+    assert [marker.number for marker in found] == [3, 7]
+    assert [(marker.method, marker.std_px) for marker in found] == [("edges", 0.05), ("edges", 0.15)]
+    for marker in found:
+        errors = marker.corners - corners(*places[marker.number])
+        assert np.abs(errors).max() < 4.0 * marker.std_px
+        assert marker.side_px == pytest.approx(places[marker.number][2], abs=0.5)
+    assert [marker.number for marker in found_markers(picture(places), "DICT_4X4_1000", frozenset({7}))] == [
+        7
+    ]
+    too_small = found_markers(picture({7: (150.5, 60.25, 10.0)}), "DICT_4X4_1000")
+    assert too_small == []
+
+
+def test_a_pair_is_listed_drawn_and_written(tmp_path: Path) -> None:
+    left, right = tmp_path / "left.png", tmp_path / "right.png"
+    cv2.imwrite(str(left), picture({3: (60.0, 30.0, 40.0)}))
+    cv2.imwrite(str(right), picture({3: (51.5, 30.0, 40.0)}))
+    told = tmp_path / "markers.json"
+    options = [
+        "--dictionary",
+        "DICT_4X4_1000",
+        "--right",
+        right,
+        "--drawn",
+        tmp_path / "drawn",
+        "--json",
+        told,
+    ]
+    result = CliRunner().invoke(app, ["markers", str(left), *map(str, options)])
+    assert result.exit_code == 0, result.output
+    seen = json.loads(told.read_text())["pictures"][0]
+    apart = np.array(seen["markers"][0]["corners_px"]) - seen["right_markers"][0]["corners_px"]
+    np.testing.assert_allclose(apart.mean(axis=0), [8.5, 0.0], atol=0.1)
+    assert len(list((tmp_path / "drawn").iterdir())) == 2
+    missing = CliRunner().invoke(
+        app, ["markers", str(left), "--dictionary", "DICT_4X4_1000", "--number", "4"]
+    )
+    assert missing.exit_code == 1
+    assert "INCOMPLETE" in missing.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "cause"),
+    [
+        (["{here}/none.png"], "configuration.bad_recording"),
+        (["{here}/a.png", "--dictionary", "DICT_9X9"], "configuration.unknown_dictionary"),
+        (["{here}/a.png", "{here}/a.png", "--right", "{here}/a.png"], "configuration.bad_pairs"),
+    ],
+)
+def test_what_cannot_be_read_is_named(tmp_path: Path, arguments: list[str], cause: str) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((64, 64), 90, np.uint8))
+    result = CliRunner().invoke(app, ["markers", *(word.format(here=tmp_path) for word in arguments)])
+    assert result.exit_code == 2
+    assert f"longreach: {cause}: " in result.stderr
