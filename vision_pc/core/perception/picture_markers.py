@@ -77,7 +77,7 @@ def refined(image: Image, number: int, rough: Array) -> PictureMarker:
     return PictureMarker(number, rough, "rough", _ROUGH_STD_PX)
 
 
-def drawn(image: Image, markers: list[PictureMarker]) -> Array:
+def drawn(image: Image, markers: list[PictureMarker]) -> Image:
     """``image`` in colour with outline, number and first corner of every marker."""
     picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     for marker in markers:
@@ -87,7 +87,7 @@ def drawn(image: Image, markers: list[PictureMarker]) -> Array:
         x, y = (round(float(value)) for value in marker.corners[0])
         cv2.circle(picture, (x, y), 2, (60, 60, 255), -1)
         cv2.putText(picture, str(marker.number), (x + 4, y - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1)
-    return picture
+    return np.asarray(picture, dtype=np.uint8)
 
 
 def _is_known(quads: list[tuple[int, Array]], number: int, place: Array) -> bool:
