@@ -79,7 +79,7 @@ class ObjectConfig(StrictModel):
 
     position_m: Vector3
     tilt_deg: Angles = (0.0, 0.0, 0.0)
-    markers: tuple[WallMarkerConfig, ...] = Field(min_length=1, max_length=16)
+    markers: tuple[WallMarkerConfig, ...] = Field(max_length=16)
 
     @model_validator(mode="after")
     def _ids_differ(self) -> "ObjectConfig":

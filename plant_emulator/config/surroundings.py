@@ -11,12 +11,19 @@ Length = Annotated[float, Field(gt=0.01, le=10.0)]
 
 
 class DrillHoleConfig(StrictModel):
-    """A drill hole drawn on the wall, centre in O axes (x right, y up), with a broken, brighter rim."""
+    """A drill hole in the wall, centre in O axes (x right, y up), with a brighter rim.
+
+    ``depth_m`` 0: a disc of paint. Deeper: a tube straight into the wall, in which what is seen moves with
+    the eye; its rim has broken out by up to ``broken`` of its radius in places that ``seed`` chooses.
+    """
 
     centre_m: tuple[float, float]
     diameter_mm: float = Field(gt=1.0, le=500.0)
     grey: int = Field(default=18, ge=0, le=255)
     rim_grey: int = Field(default=165, ge=0, le=255)
+    depth_m: float = Field(default=0.0, ge=0.0, le=20.0)
+    broken: float = Field(default=0.0, ge=0.0, le=0.5)
+    seed: int = Field(default=1, ge=0, lt=2**31)
 
 
 class BarePatchConfig(StrictModel):

@@ -5,7 +5,8 @@ from typing import Any
 
 from testbed.lockstep.frames import PixelFrames, Sight
 from testbed.lockstep.world import World
-from vision_pc.application.eyes import CameraEyes, FrameEyes
+from vision_pc.application.camera_eyes import CameraEyes
+from vision_pc.application.eyes import FrameEyes
 from vision_pc.application.ports import Runtime
 from vision_pc.core.types import CameraFrame, FrameObservation, Look, WatchHealth
 

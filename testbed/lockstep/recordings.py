@@ -11,7 +11,7 @@ from foundation.recording.recording_thread import DirectRecording
 from foundation.recording.session import SESSION_VARIABLE, session_entries
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.world import World
-from vision_pc.application.eyes import CameraEyes
+from vision_pc.application.camera_eyes import CameraEyes
 from vision_pc.shell.recording.vision_recorder import FILE, VisionRecorder
 
 TRUTH = Path("plant_emulator") / "truth.mcap"

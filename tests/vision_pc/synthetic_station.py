@@ -24,9 +24,13 @@ from tests.vision_pc.synthetic import SyntheticRig, SyntheticWatch, draw
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.ports import CameraStatus, Seen
+from vision_pc.application.targets.keeper import KeptTarget, TargetKeeper
 from vision_pc.config.programs import ProgramSettings
+from vision_pc.config.targets import TargetSettings
 from vision_pc.config.vision import LinkSettings, MotionSettings, VisionConfig
 from vision_pc.core.perception.intrinsics import calibration, distorted
+from vision_pc.core.targets.measuring import Click
+from vision_pc.core.targets.target import Candidate, TargetObservation, TargetRefused
 from vision_pc.core.types import FrameObservation, Look, MarkerObservation, StereoPair
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
@@ -59,6 +63,8 @@ class SyntheticEyes:
         self.pictures = 0
         self.picture_s = 0.02
         self.measured: Seen | None = None
+        self.targets = TargetKeeper(TargetSettings())
+        self.carries = False
 
     async def look(self, frames: int | None = None) -> Look:
         if self.controller.group is GroupState.MOVING:
@@ -84,6 +90,22 @@ class SyntheticEyes:
     async def observe(self) -> None:
         look = await self.rig.look(1)
         self.measured = Seen(observed(look, self.pictures), CAMERA, TOOL_ID)
+
+    async def target_at(self, click: Click, frame_id: int | None) -> KeptTarget:
+        if frame_id == 1:
+            raise TargetRefused("target.frame_too_old", "target: picture 1 is no longer kept")
+        if click.pixel[0] < 0.0:
+            places = (Candidate((5.0, 6.0), np.array([0.1, 0.2, 1.0])),)
+            raise TargetRefused("target.ambiguous", "target: places look alike", places)
+        look, square = await self.rig.look(1), 10.0 * np.array(_SQUARE)
+        seen = TargetObservation("hole", look.X_CO, 1e-6 * np.eye(6), np.eye(6), 0.9, square, 0.045)
+        return self.targets.add(seen, 7, look.X_BT, None)
+
+    async def detected_holes(self, diameter_mm: float | None) -> tuple[int, list[TargetObservation]]:
+        kept = await self.target_at(Click("left", np.zeros(2)), None)
+        self.targets.remove(kept.id)
+        seen = TargetObservation("hole", kept.X_CO, kept.covariance, np.eye(6), 0.9, kept.outline, 0.045)
+        return 8, [seen]
 
     async def pair_after(self, capture_ns: int) -> StereoPair:
         if not self.connected:

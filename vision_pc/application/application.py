@@ -10,6 +10,7 @@ from typing import Any
 from nominal_arm.dimensions import BoomDimensions, DhLink
 from protocol.errors import RequestRefused
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
+from vision_pc.application.link_arm import CarryingArm
 from vision_pc.application.ports import Camera, Controller, HealthyLog, StoppableArm
 from vision_pc.application.results import JudgedLook, look_json
 from vision_pc.config.programs import ProgramSettings
@@ -58,7 +59,7 @@ class VisionApplication:
         log: HealthyLog,
         hand_eye: GuidedCalibration | None = None,
     ) -> None:
-        self.arm = arm
+        self.arm: StoppableArm = CarryingArm(arm, eyes, camera)
         self.eyes = ReportingEyes(eyes, self._remember)
         self.controller = controller
         self.camera = camera

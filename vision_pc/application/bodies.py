@@ -167,9 +167,10 @@ class PositioningMethod(StrEnum):
 
 
 class LookThenMoveSettings(PositioningSettings):
-    """Look-then-move, and by which calibration."""
+    """Look-then-move, by which calibration, and to which target (None: as aimed)."""
 
     method: PositioningMethod = PositioningMethod.CALIBRATED
+    target: str | None = None
 
 
 LookThenMoveBody = body_of(
@@ -178,6 +179,10 @@ LookThenMoveBody = body_of(
     LookThenMoveSettings,
     # Its own: it has a default, because no configuration chooses it.
     method=Own(Literal["calibrated", "corrected"], "calibrated"),
+    target=Own(
+        str | None,
+        Field(None, max_length=20, description="Of `/targets`; it is aimed at from then on", examples=[None]),
+    ),
     inputs=1,
     clearance_m=0.1,
     tolerance_mm=5.0,

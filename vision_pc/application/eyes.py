@@ -5,7 +5,7 @@ Campaigns in lockstep therefore measure the eyes that ship. What differs there i
 frames, and with simulated measurements the sensor.
 """
 
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Generic, TypeVar
 
@@ -13,24 +13,19 @@ import numpy as np
 
 from protocol.errors import RequestRefused
 from protocol.faults import GroupState
-from vision_pc.application.annotate import annotated, png
 from vision_pc.application.ports import (
     BackgroundWork,
-    CameraStatus,
     Clock,
     EyesRecord,
     FrameSource,
     Runtime,
-    Seen,
     SightRecorder,
     StateSource,
 )
-from vision_pc.config.vision import LookSettings, VisionConfig
+from vision_pc.config.vision import LookSettings
 from vision_pc.core.perception.look import combine
 from vision_pc.core.perception.watch import Sensor, Watcher
-from vision_pc.core.pixel_sensor import PixelSensor
-from vision_pc.core.ports import PairsAtRest
-from vision_pc.core.types import CameraFrame, FrameObservation, Look, StereoPair, WatchHealth, WatchSample
+from vision_pc.core.types import CameraFrame, FrameObservation, Look, WatchHealth, WatchSample
 
 T = TypeVar("T")
 F = TypeVar("F", bound=CameraFrame)
@@ -120,6 +115,7 @@ class FrameEyes(Generic[F]):
         clock = self._runtime.clock
         previous = None if self._latest is None else self._latest[1]
         watcher = Watcher(self._sensor, markers=markers, odometry=odometry, previous=previous)
+        watcher.object_wanted = self._object_wanted()
         last_ns = await self._sampled(watcher, clock.now_ns)
         until_ns: list[int] = []
         gathering = self._runtime.background.start(self._gather(watcher, last_ns, until_ns))
@@ -133,6 +129,10 @@ class FrameEyes(Generic[F]):
         watcher.require()
         if markers and odometry:
             await self._calibrated(watcher)
+
+    def _object_wanted(self) -> bool:
+        """Whether a watch of markers that never sees the object has failed."""
+        return True
 
     async def _calibrated(self, watcher: Watcher[F]) -> None:
         """Find the camera's errors, where that is configured, and see with them from now on."""
@@ -173,73 +173,3 @@ class FrameEyes(Generic[F]):
     def _refuse_moving(self) -> None:
         if self._states.state.group_state is GroupState.MOVING:
             raise RequestRefused("refused.moving", "look: the arm is moving")
-
-
-class CameraEyes(FrameEyes[StereoPair]):
-    """Eyes on a camera with pixels; they also hand its pictures to people and to calibrations."""
-
-    def __init__(
-        self,
-        frames: FrameSource[StereoPair],
-        states: StateSource,
-        config: VisionConfig,
-        runtime: Runtime,
-        record: EyesRecord[StereoPair],
-    ) -> None:
-        sensor = PixelSensor(config)
-        super().__init__(frames, sensor, states, config.look, runtime, record)
-        self._camera = sensor.camera
-        self._tool_id = config.markers.tool.id
-        self._clearance_m = config.programs.positioning.clearance_m
-
-    def status(self) -> CameraStatus:
-        """How the camera is doing."""
-        return self._frames.status()
-
-    async def pairs_at_rest(self, frames: int) -> PairsAtRest:
-        """Fresh pairs with the arm at rest. Raises as ``look``, but measures nothing."""
-        pairs = [pair async for pair in self._frames_at_rest(frames)]
-        middle_ns = int(np.mean([pair.capture_ns for pair in pairs]))
-        return PairsAtRest(tuple(pairs), await self._states.pose_at(middle_ns))
-
-    async def look_alone(self, frames: int | None = None) -> Look:
-        """A look whose ``X_BT`` is NaN, for a camera that is put into service before the controller is.
-
-        Raises MeasurementFailed as ``look``, LinkLost when the camera is silent.
-        """
-        newest_ns, observations = self._runtime.clock.now_ns, []
-        for _ in range(frames or self._settings.frames):
-            frame = await self._frames.frame_after(newest_ns)
-            newest_ns = frame.capture_ns
-            observations.append(await self._observed(frame))
-        assert self._latest is not None
-        self._record.pictured(*self._latest)
-        time_ns = int(np.mean([observation.capture_ns for observation in observations]))
-        look = combine(observations, np.full((4, 4), np.nan), time_ns, self._settings)
-        self._record.looked(look)
-        return look
-
-    async def aside(self, work: Callable[[], T]) -> T:
-        """What ``work`` returns, computed where the eyes compute: the link is not held up."""
-        return await self._runtime.worker.run(work)
-
-    async def latest_png(self) -> bytes:
-        """The newest picture with detections, PNG. Raises LinkLost when the camera never gave one."""
-        await self.observe()
-        assert self._latest is not None
-        shown = self._latest
-        return await self.aside(lambda: png(annotated(*shown, self._camera, self._clearance_m)))
-
-    async def observe(self) -> None:
-        """Measure in the newest picture, if it was not. Raises LinkLost when the camera never gave one."""
-        pair = self._frames.newest or await self._frames.frame_after(0)
-        if self._latest is None or self._latest[0].capture_ns < pair.capture_ns:
-            await self._observed(pair)
-
-    def seen(self) -> Seen | None:
-        """What was measured in a picture last, None before the first measurement."""
-        return None if self._latest is None else Seen(self._latest[1], self._camera, self._tool_id)
-
-    async def pair_after(self, capture_ns: int) -> StereoPair:
-        """The first pair captured after ``capture_ns``. Raises LinkLost."""
-        return await self._frames.frame_after(capture_ns)

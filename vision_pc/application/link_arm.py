@@ -1,7 +1,8 @@
 """The arm over the reference link: the ``Arm`` port that calibration programs drive."""
 
 import contextlib
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from contextlib import AbstractAsyncContextManager
 
 import numpy as np
 
@@ -13,10 +14,11 @@ from protocol.reference_messages import (
     ReferencePose,
     State,
 )
+from vision_pc.application.ports import Camera, StoppableArm
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.application.reference_stream import ArmStream, refuse_broken, view_of
 from vision_pc.config.vision import MotionSettings
-from vision_pc.core.ports import ArmView
+from vision_pc.core.ports import ArmView, Eyes, ReferenceStream
 from vision_pc.core.se3 import Array, to_pose
 
 _BEGIN_STATES = 50  # states after the acknowledgement by which the motion must have begun
@@ -124,3 +126,47 @@ class LinkArm:
 def _to_and_fro(states: list[State]) -> Array:
     """How far (6,) rad each encoder went in the later half of the waiting, when the motion had died away."""
     return np.asarray(np.ptp([state.q_meas for state in states], axis=0), dtype=np.float64)
+
+
+class CarryingArm:
+    """Implements ``StoppableArm``: an arm whose motions odometry watches while targets are kept.
+
+    Without targets, or within a watch, it is the arm itself.
+    """
+
+    def __init__(self, arm: StoppableArm, eyes: Eyes, camera: Camera) -> None:
+        self._arm = arm
+        self._eyes = eyes
+        self._camera = camera
+
+    async def view(self) -> ArmView:
+        """As the arm's."""
+        return await self._arm.view()
+
+    async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
+        """As the arm's, watched."""
+        return await self._watched(lambda: self._arm.move_to(X_BT_ref, duration_s=duration_s))
+
+    async def follow(
+        self, waypoints: Sequence[Array], segment_s: float = 0.0, dwell_s: float = 0.0
+    ) -> ArmView:
+        """As the arm's, watched."""
+        return await self._watched(lambda: self._arm.follow(waypoints, segment_s=segment_s, dwell_s=dwell_s))
+
+    def streaming(self) -> AbstractAsyncContextManager[ReferenceStream]:
+        """As the arm's: whoever streams watches for himself."""
+        return self._arm.streaming()
+
+    async def stop(self) -> None:
+        """As the arm's."""
+        await self._arm.stop()
+
+    async def halt(self) -> None:
+        """As the arm's."""
+        await self._arm.halt()
+
+    async def _watched(self, move: Callable[[], Awaitable[ArmView]]) -> ArmView:
+        if not self._camera.carries:
+            return await move()
+        async with self._eyes.watch(markers=False, odometry=True):
+            return await move()

@@ -12,9 +12,12 @@ from protocol.channel import LinkStatistics
 from protocol.clock_offset import OffsetEstimate
 from protocol.faults import CommandCode
 from protocol.reference_messages import Acknowledgement, State
+from vision_pc.application.targets.keeper import KeptTarget, TargetKeeper
 from vision_pc.core.perception.watch import Sensor
 from vision_pc.core.ports import Arm
 from vision_pc.core.se3 import Array
+from vision_pc.core.targets.measuring import Click
+from vision_pc.core.targets.target import TargetObservation
 from vision_pc.core.types import (
     CameraCalibration,
     CameraFrame,
@@ -143,6 +146,24 @@ class Camera(Protocol):
 
     async def pair_after(self, capture_ns: int) -> StereoPair:
         """The first pair captured after ``capture_ns``. Raises LinkLost."""
+        ...
+
+    @property
+    def targets(self) -> TargetKeeper:
+        """The targets that were clicked."""
+        ...
+
+    @property
+    def carries(self) -> bool:
+        """Whether a motion must be watched, because targets are kept and nobody watches."""
+        ...
+
+    async def target_at(self, click: Click, frame_id: int | None) -> KeptTarget:
+        """Measure what a click means, and keep it. Raises TargetRefused, RequestRefused, LinkLost."""
+        ...
+
+    async def detected_holes(self, diameter_mm: float | None) -> tuple[int, list[TargetObservation]]:
+        """The number of the newest picture and all holes in it. Raises LinkLost."""
         ...
 
 

@@ -50,6 +50,7 @@ from vision_pc.application.results import (
     track_json,
 )
 from vision_pc.application.valve_trials import TrialsSeen, trials_json, watch_trials
+from vision_pc.application.visit import VISIT
 from vision_pc.config.programs import (
     LineEquationSettings,
     LocalErrorModelSettings,
@@ -121,6 +122,8 @@ async def _look_then_move(
 ) -> PositioningResult | CorrectedResult:
     arm, eyes = application.arm, application.eyes
     application.positioning = settings
+    if settings.target is not None:
+        application.camera.targets.aim(settings.target)
     if settings.method is PositioningMethod.CORRECTED:
         assert application.track is not None  # needed
         track, application.track = application.track, None  # a motion that fails leaves a gap in it
@@ -182,6 +185,12 @@ def calibration_of_the_method(
     elif application.calibration is None:
         why = "no local calibration yet: run trajectory-matching first"
         raise RequestRefused("refused.not_calibrated", why)
+
+
+def known_target(application: VisionApplication, name: str, settings: LookThenMoveSettings) -> None:
+    """The target that is named, if one is."""
+    if settings.target is not None:
+        application.camera.targets.get(settings.target)
 
 
 def camera_axes(application: VisionApplication, name: str, settings: Any) -> None:
@@ -248,7 +257,7 @@ PROGRAMS: tuple[Program[Any, Any], ...] = (
         to_json=positioning_json,
         body=LookThenMoveBody,
         settings=lambda application: LookThenMoveSettings(**application.settings.positioning.model_dump()),
-        needs=(*MOVING, calibration_of_the_method),
+        needs=(*MOVING, calibration_of_the_method, known_target),
         core=look_then_move.look_then_move,
         source="Mäkinen et al. 2023, (20)-(22); `corrected_positioning.py`: the best mode, part two (below)",
     ),
@@ -284,5 +293,6 @@ PROGRAMS: tuple[Program[Any, Any], ...] = (
         core=joint_play.joint_play,
         source="docs/commissioning.md",
     ),
+    VISIT,
     *HAND_EYE_PROGRAMS,
 )

@@ -88,21 +88,25 @@ def look_json(judged: JudgedLook) -> JSON:
     """A look with its verdict."""
     look, verdict = judged
     alone = {} if look.arm_known else {"controller": "not connected: where the arm is was not told"}
-    return verdict_json(verdict) | alone | {
-        "time_ns": look.time_ns,
-        "X_CM": pose_json(look.X_CM),
-        "X_CO": pose_json(look.X_CO),
-        "X_BT": pose_json(look.X_BT) if look.arm_known else None,
-        "orientation_error_deg": degrees(orientation_error(look)),
-        "frames": look.frames,
-        "failed_tool": look.failed_tool,
-        "failed_object": look.failed_object,
-        "std_tool_mm": xyz(look.std_tool_m),
-        "std_object_mm": xyz(look.std_object_m),
-        "std_tool_deg": degrees(look.std_tool_rad),
-        "std_object_deg": degrees(look.std_object_rad),
-        "stereo_offset_px": None if look.offset is None else [look.offset.x_px, look.offset.y_px],
-    }
+    return (
+        verdict_json(verdict)
+        | alone
+        | {
+            "time_ns": look.time_ns,
+            "X_CM": pose_json(look.X_CM),
+            "X_CO": pose_json(look.X_CO),
+            "X_BT": pose_json(look.X_BT) if look.arm_known else None,
+            "orientation_error_deg": degrees(orientation_error(look)),
+            "frames": look.frames,
+            "failed_tool": look.failed_tool,
+            "failed_object": look.failed_object,
+            "std_tool_mm": xyz(look.std_tool_m),
+            "std_object_mm": xyz(look.std_object_m),
+            "std_tool_deg": degrees(look.std_tool_rad),
+            "std_object_deg": degrees(look.std_object_rad),
+            "stereo_offset_px": None if look.offset is None else [look.offset.x_px, look.offset.y_px],
+        }
+    )
 
 
 def seen_json(seen: Seen | None) -> JSON:

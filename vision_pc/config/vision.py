@@ -15,6 +15,7 @@ from protocol.reference_messages import ANY_ARM
 from vision_pc.config.camera import CameraSettings, Port
 from vision_pc.config.hand_eye import CabinetSettings, GuidedSettings
 from vision_pc.config.programs import ProgramSettings
+from vision_pc.config.targets import TargetSettings
 
 Positive = Annotated[float, Field(gt=0.0)]
 
@@ -264,6 +265,7 @@ class VisionConfig(StrictModel):
     hand_eye: GuidedSettings = GuidedSettings()
     sessions_dir: Path = Path("runs/hand-eye")
     cabinet: CabinetSettings | None = None
+    targets: TargetSettings = TargetSettings()
     api: ApiSettings = ApiSettings()
     recording: RecordingSettings = RecordingSettings()
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from foundation.event_log import EventLog
 from vision_pc.application.annotate import annotated, png
-from vision_pc.application.eyes import CameraEyes
+from vision_pc.application.camera_eyes import CameraEyes
 from vision_pc.application.ports import FrameSource, Runtime, StateSource
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.perception.intrinsics import calibration

@@ -22,7 +22,7 @@ from nominal_arm.description import NominalArm
 from nominal_arm.dimensions import dimensions
 from protocol.errors import ConfigurationError
 from vision_pc.application.application import VisionApplication
-from vision_pc.application.eyes import CameraEyes
+from vision_pc.application.camera_eyes import CameraEyes
 from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.hand_eye.store import SessionStore
 from vision_pc.application.link_arm import LinkArm

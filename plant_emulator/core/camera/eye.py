@@ -7,13 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.config.camera import CameraConfig
-from plant_emulator.core.camera import panel_painter, rasteriser, rays, wall_painter
+from plant_emulator.core.camera import panel_painter, rasteriser, rays
 from plant_emulator.core.camera.camera_motion import Capture
 from plant_emulator.core.camera.lighting import NO_GLARE, glare_on, shadow_on
 from plant_emulator.core.camera.plates import Placed, Plate, Sheets, placed, ray_to_plane, sheets
 from plant_emulator.core.camera.scene import Cover, Scene
 from plant_emulator.core.camera.true_eye import TrueEye
-from plant_emulator.core.camera.wall_texture import SIZE, SIZE_BITS, Texture
+from plant_emulator.core.camera.wall import bores, wall_painter
+from plant_emulator.core.camera.wall.wall_texture import SIZE, SIZE_BITS, Texture
 
 Grey = NDArray[np.uint8]
 Matrix = NDArray[np.float64]
@@ -62,6 +63,11 @@ class Eye:
         return picture
 
     @cached_property
+    def _bores(self) -> tuple[bores.Bore, ...]:
+        wall = self._scene.config.wall
+        return tuple(bores.bore(hole, wall) for hole in wall.drill_holes if hole.depth_m > 0.0)
+
+    @cached_property
     def _on_wall(self) -> Sheets:
         return self._sheets(self._scene.wall_plates)
 
@@ -106,6 +112,10 @@ class Eye:
             relief,
             _SKY_GREY,
         )
+        if self._bores:
+            shadow = shadow_on(self._scene.config.lighting.shadow, np.eye(4), time_s)
+            seen = bores.view(X_EOs, wall, shadow)
+            bores.cut(picture, self._rays, self._bores, seen, X_EOs[0], self.lens)
 
     def _paint_plates(
         self, picture: Grey, group: Sheets, X_EPs: Matrix, X_OPs: Matrix, time_s: float

@@ -16,7 +16,7 @@ from plant_emulator.core.camera.eye import Eye
 from plant_emulator.core.camera.imager import AutoExposure, Imager
 from plant_emulator.core.camera.scene import Cover, Scene
 from plant_emulator.core.camera.true_eye import true_eyes
-from plant_emulator.core.camera.wall_texture import Texture, drilled, packed_levels, wall_texture
+from plant_emulator.core.camera.wall.wall_texture import Texture, drilled, packed_levels, wall_texture
 
 Grey = NDArray[np.uint8]
 Matrix = NDArray[np.float64]

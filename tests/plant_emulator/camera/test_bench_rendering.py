@@ -8,7 +8,7 @@ import pytest
 
 from plant_emulator.core.camera.scene import Plate
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
-from plant_emulator.core.camera.wall_texture import SIZE, wall_texture
+from plant_emulator.core.camera.wall.wall_texture import SIZE, wall_texture
 from tests.plant_emulator.camera.camera_world import (
     CLEAN,
     CameraView,

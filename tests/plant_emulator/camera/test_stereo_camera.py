@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates
 
 from plant_emulator.core.camera.scene import rotation_matrix
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
-from plant_emulator.core.camera.wall_texture import SIZE, wall_texture
+from plant_emulator.core.camera.wall.wall_texture import SIZE, wall_texture
 from plant_emulator.core.mechanics.geometry import transform
 from tests.plant_emulator.camera.camera_world import (
     CLEAN,

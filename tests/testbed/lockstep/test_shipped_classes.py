@@ -13,8 +13,9 @@ from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
 from testbed.scenarios.settings import Settings, load_settings
 from tests.support.paths import CONFIGS
+from vision_pc.application.camera_eyes import CameraEyes
 from vision_pc.application.camera_feed import CameraFeed
-from vision_pc.application.eyes import CameraEyes, FrameEyes
+from vision_pc.application.eyes import FrameEyes
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.shell import service

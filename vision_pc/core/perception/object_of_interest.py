@@ -63,7 +63,7 @@ def locate(
     solution = stereo_pose.solve(views, starts, camera, priors)
     bodies = []
     for X, covariance, bias in zip(solution.X_CA, solution.covariances, solution.biases, strict=True):
-        lens = _lens_covariance(X, settings, priors.radial_std)
+        lens = lens_covariance(X, settings, priors.radial_std)
         bodies.append(LocatedBody(X, covariance + lens, bias + lens))
     if object_start is not None and settings.placement_std_m > 0.0:
         bodies[-1] = _misplaced(bodies[-1], len(parts), settings)
@@ -148,7 +148,7 @@ def _object_view(parts: list[Sighting], settings: MarkerSettings) -> BodyView:
     )
 
 
-def _lens_covariance(X: Array, settings: MarkerSettings, radial_std: float) -> Array:
+def lens_covariance(X: Array, settings: MarkerSettings, radial_std: float) -> Array:
     """What errors of the focal length and of k1, which both eyes share, do: the one stretches every range,
     the other moves what is far from the middle of the picture, radially.
 

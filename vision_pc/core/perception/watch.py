@@ -52,7 +52,7 @@ class Watcher(Generic[F]):
 
     ``previous``: the newest observation before the watch; what it knows of the right eye's offset and of
     where the markers are is carried on. Without one the first frame is searched. The first tracked camera
-    frame is C0.
+    frame is C0. ``object_wanted``: where markers are, ``require`` asks for the object's as well.
     """
 
     def __init__(
@@ -67,6 +67,7 @@ class Watcher(Generic[F]):
         self._inliers: list[int] = []
         self._missing: dict[str, list[str | None]] = {"tool": [], "object": []}
         self._last_loss: str | None = None
+        self.object_wanted = True
 
     def add(self, frame: F, X_BT: Array) -> WatchSample:
         """The sample of ``frame``, which has been added to ``samples``; ``X_BT`` is the controller's at its
@@ -166,6 +167,8 @@ class Watcher(Generic[F]):
             )
         for what, missing in self._missing.items():
             seen = missing.count(None)
+            if what == "object" and not self.object_wanted:
+                continue
             if self._markers and seen <= missing.count("wrong_size"):
                 raise MeasurementFailed(
                     f"measurement.{what}_{look.usual_reason(missing)}",

@@ -27,6 +27,7 @@ from vision_pc.shell.rest.operation_routes import add_programs, add_resources
 from vision_pc.shell.rest.operations import Operations
 from vision_pc.shell.rest.problems import STATUS_OF_CAUSE
 from vision_pc.shell.rest.state_view import state_json
+from vision_pc.shell.rest.target_routes import add_targets
 
 STOPS = ("/stop", "/disable", "/emergency-stop")  # whoever may look may stop
 PUBLIC = PAGE.paths  # the console asks for the token itself
@@ -72,6 +73,7 @@ def create_app(
     add_metrics(app, application)
     _add_looks(app, application)
     _add_commands(app, application, operations)
+    add_targets(app, application, operations)
     table = by_name(programs).values()
     add_programs(app, application, operations, (program for program in table if program.tag != HAND_EYE))
     add_resources(app, operations)

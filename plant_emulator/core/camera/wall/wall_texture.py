@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.config.surroundings import WallConfig
-from plant_emulator.core.camera import wall_painter
+from plant_emulator.core.camera.wall import wall_painter
 
 SIZE_BITS = 12
 SIZE = 1 << SIZE_BITS
@@ -72,6 +72,8 @@ def drilled(finest: Grey, wall: WallConfig) -> Grey:
     result = _bared(finest, wall)
     per_m, fraction = 1000.0 / wall.texel_mm, 8
     for hole in wall.drill_holes:
+        if hole.depth_m > 0.0:
+            continue  # a tube is no paint: ``bores`` cuts it into the picture
         column = SIZE / 2.0 + per_m * hole.centre_m[0] - 0.5
         row = SIZE / 2.0 - per_m * hole.centre_m[1] - 0.5
         centre = (round(column * (1 << fraction)), round(row * (1 << fraction)))

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import allocation_free, kernel
-from plant_emulator.core.camera.fetching import fetch_ahead, fetch_line
 from plant_emulator.core.camera.rays import Rays
+from plant_emulator.core.camera.wall.fetching import fetch_ahead, fetch_line
 
 Grey = NDArray[np.uint8]
 Words = NDArray[np.int32]
@@ -217,13 +217,13 @@ def _bend(along: Real32, down: Real32, relief: Real32, count: int) -> None:
         u, v = along[j], down[j]
         bent_u, bent_v = u, v
         for _ in range(2):
-            rise = height * _relief(bent_u * waves, bent_v * waves)
+            rise = height * relief_height(bent_u * waves, bent_v * waves)
             bent_u, bent_v = u + (foot_u - u) * rise, v + (foot_v - v) * rise
         along[j], down[j] = bent_u, bent_v
 
 
 @allocation_free(fastmath=True, inline="always")
-def _relief(x: Scalar32, y: Scalar32) -> Scalar32:
+def relief_height(x: Scalar32, y: Scalar32) -> Scalar32:
     """Height of the undulation, -1…1, at a place counted in wavelengths."""
     return _HALF * (_wave(x) + _wave(_SECOND_WAVE * y + _SECOND_PHASE))
 

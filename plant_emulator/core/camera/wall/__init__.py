@@ -1,0 +1,1 @@
+"""The wall: its texture, its painter, and the holes drilled into it."""

@@ -1,0 +1,68 @@
+"""Targets over the REST face, in process."""
+
+from collections.abc import AsyncIterator
+
+import pytest
+
+from tests.vision_pc.synthetic_station import Bench, bench
+
+pytestmark = pytest.mark.realtime
+
+
+@pytest.fixture
+async def station() -> AsyncIterator[Bench]:
+    async with bench() as made:
+        yield made
+
+
+async def test_a_click_makes_a_target_that_is_aimed_at_and_can_be_forgotten(station: Bench) -> None:
+    made = await station.post("/targets", {"u_px": 812.4, "v_px": 301.0, "frame_id": 4711})
+    assert made.status_code == 201, made.text
+    assert made.headers["Location"] == "/targets/t1"
+    document = made.json()
+    assert document["recognised"] == "hole 45.0 mm"
+    assert document["aimed"] is True
+    assert document["std_mm"]["x"] == pytest.approx(1.0)
+    listed = (await station.client.get("/targets", params={"detect": True})).json()
+    assert [target["id"] for target in listed["targets"]] == ["t1"]
+    assert listed["holes"][0]["diameter_mm"] == 45.0
+    await station.post("/targets", {"u_px": 1.0, "v_px": 1.0})
+    aimed = await station.post("/targets/t1/aim")
+    assert aimed.json()["aimed"] is True
+    assert (await station.client.get("/targets/t2")).json()["aimed"] is False
+    assert (await station.client.delete("/targets/t1")).status_code == 204
+    assert (await station.client.get("/targets/t1")).status_code == 404
+    assert station.events("target_made")
+
+
+async def test_what_cannot_be_told_is_a_problem_with_its_cause_and_candidates(station: Bench) -> None:
+    answer = await station.post("/targets", {"u_px": -5.0, "v_px": 3.0})
+    assert answer.status_code == 422
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert answer.json()["cause"] == "target.ambiguous"
+    assert answer.json()["candidates"] == [{"other_px": [5.0, 6.0], "p_C_m": [0.1, 0.2, 1.0]}]
+    old = await station.post("/targets", {"u_px": 5.0, "v_px": 3.0, "frame_id": 1})
+    assert old.json()["cause"] == "target.frame_too_old"
+    assert (await station.post("/targets", {"u_px": 5.0})).status_code == 422
+    assert (await station.client.get("/targets")).json() == {"targets": []}
+
+
+async def test_programs_refuse_a_target_that_is_not_there(station: Bench) -> None:
+    await station.post("/enable")
+    assert (await station.run("local-track"))["state"] == "succeeded"
+    request = {"method": "corrected", "target": "t9"}
+    answer = await station.post("/operations/look-then-move", request)
+    assert answer.status_code == 404
+    assert answer.json()["cause"] == "refused.unknown_target"
+    assert (await station.post("/operations/visit", {"targets": ["t9"]})).status_code == 404
+    assert (await station.post("/operations/visit", {"targets": []})).status_code == 422
+
+
+async def test_a_row_of_targets_is_visited_with_one_track(station: Bench) -> None:
+    await station.post("/enable")
+    for _ in range(2):
+        await station.post("/targets", {"u_px": 5.0, "v_px": 3.0})
+    ended = await station.run("visit", {"targets": ["t1", "t2"]})
+    assert ended["state"] == "succeeded", ended["problem"]
+    assert [each["calibrated"] for each in ended["result"]["targets"]] == [True, False]
+    assert [each["target"] for each in ended["result"]["targets"]] == ["t1", "t2"]

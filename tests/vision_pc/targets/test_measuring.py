@@ -1,0 +1,136 @@
+"""Targets in pictures of a renderer that shares no code with the plant's: right, honest, or refused."""
+
+import numpy as np
+import pytest
+
+from tests.vision_pc.rendering import facing
+from tests.vision_pc.targets.wall_scene import (
+    CAMERA,
+    DIAMETER,
+    HOLES,
+    SIZE,
+    X_CM,
+    WallScene,
+    rock,
+    scene,
+)
+from vision_pc.core import se3
+from vision_pc.core.targets.measuring import Click, KnownTarget, again, at_click, holes
+from vision_pc.core.targets.target import TargetRefused, frame_on
+
+TILTED = facing(0.03, -0.02, 1.0, (9.0, -13.0, 4.0))
+
+
+@pytest.fixture(scope="module")
+def face() -> WallScene:
+    return scene(rock(), TILTED)
+
+
+def refused(sighted: object, click: Click) -> TargetRefused:
+    with pytest.raises(TargetRefused) as caught:
+        at_click(sighted, click)  # type: ignore[arg-type]
+    return caught.value
+
+
+@pytest.mark.parametrize("eye", ["left", "right"])
+def test_a_clicked_place_is_where_it_is_with_the_surfaces_normal(face: WallScene, eye: str) -> None:
+    for place in ((-0.02, 0.05), (0.25, -0.10), (-0.30, -0.12)):
+        seen = at_click(face.sighted(), Click(eye, face.pixel(*place, eye)))  # type: ignore[arg-type]
+        assert seen.kind == "plane"
+        truth = frame_on(face.point(*place), face.X_CW[:3, 2])
+        off = se3.local(seen.X_CO, truth)
+        assert np.linalg.norm(off[:3]) < 0.003  # the right eye's offset is known from the tool's marker alone
+        assert np.degrees(np.arccos(seen.X_CO[:3, 2] @ truth[:3, 2])) < 1.5
+        assert off @ np.linalg.solve(seen.covariance, off) < 30.0  # χ² of six: 1 in 25,000
+        assert np.sqrt(seen.covariance[2, 2]) < 0.004
+
+
+def test_every_hole_is_found_and_measured_and_nothing_else(face: WallScene) -> None:
+    found = holes(face.sighted())
+    assert len(found) == len(HOLES)
+    for place in HOLES:
+        seen = min(found, key=lambda hole: float(np.linalg.norm(hole.X_CO[:3, 3] - face.point(*place))))
+        p = face.point(*place)
+        ray = p / np.linalg.norm(p)
+        off = seen.X_CO[:3, 3] - p
+        assert np.linalg.norm(off - ray * (ray @ off)) < 0.0005
+        assert seen.diameter_m == pytest.approx(DIAMETER, abs=0.002)
+        assert off @ np.linalg.solve(seen.covariance[:3, :3], off) < 22.0
+        assert np.abs(seen.outline.mean(axis=0) - face.pixel(*place)).max() < 1.0
+
+
+def test_a_click_in_a_hole_means_the_hole_and_a_hole_of_another_size_is_none(face: WallScene) -> None:
+    pixel = face.pixel(*HOLES[0]) + np.array([4.0, -3.0])
+    seen = at_click(face.sighted(), Click("left", pixel))
+    assert seen.kind == "hole"
+    assert np.linalg.norm(seen.X_CO[:3, 3] - face.point(*HOLES[0])) < 0.003
+    assert refused(face.sighted(), Click("left", pixel, "hole", 70.0)).cause in (
+        "target.wrong_size",
+        "target.no_match",
+    )
+    assert refused(face.sighted(), Click("left", face.pixel(-0.3, -0.2), "hole")).cause == "target.no_hole"
+
+
+def test_a_pattern_that_repeats_is_ambiguous_until_the_other_eye_is_clicked_too() -> None:
+    cells = np.indices((SIZE, SIZE)) // 25
+    chessboard = np.where(cells.sum(axis=0) % 2, 60.0, 180.0).astype(np.float32)
+    board = scene(chessboard, facing(0.0, 0.0, 1.0, (4.0, -6.0, 3.0)))
+    pixel = board.pixel(0.012, 0.013)
+    why = refused(board.sighted(), Click("left", pixel, "plane"))
+    assert why.cause == "target.ambiguous"
+    assert len(why.candidates) > 1
+    true = board.point(0.012, 0.013)
+    assert min(np.linalg.norm(candidate.p_C - true) for candidate in why.candidates) < 0.02
+    other = board.pixel(0.012, 0.013, "right")
+    seen = at_click(board.sighted(), Click("left", pixel, "plane", other=other))
+    assert np.linalg.norm(seen.X_CO[:3, 3] - true) < 0.004
+
+
+@pytest.mark.parametrize(
+    ("pixel", "cause"),
+    [
+        ((5.0, 300.0), "outside_picture"),
+        ((640.0, 719.0), "outside_picture"),
+        ((2000.0, 5.0), "outside_picture"),
+    ],
+)
+def test_a_click_outside_the_picture_is_refused(
+    face: WallScene, pixel: tuple[float, float], cause: str
+) -> None:
+    assert refused(face.sighted(), Click("left", np.array(pixel))).cause == f"target.{cause}"
+
+
+def test_a_bare_wall_is_refused() -> None:
+    bare = scene(np.full((SIZE, SIZE), 118.0, np.float32), TILTED)
+    for u in (400.0, 600.0, 900.0):
+        assert refused(bare.sighted(), Click("left", np.array([u, 250.0]))).cause == "target.low_texture"
+
+
+def test_a_place_on_a_depth_edge_is_refused() -> None:
+    near = facing(0.03, -0.02, 0.86, (9.0, -13.0, 4.0))
+    edge = scene(rock(), TILTED, step=(-0.05, near))
+    pixel = se3.apply(near, np.array([[-0.05, 0.0, 0.0]]))[0]
+    at = CAMERA.left.K[:2, :2] @ (pixel[:2] / pixel[2]) + CAMERA.left.K[:2, 2]
+    for offset in (-2.0, 3.0, 8.0):
+        cause = refused(edge.sighted(), Click("left", at + np.array([offset, 0.0]), "plane")).cause
+        assert cause in ("target.depth_edge", "target.not_planar", "target.ambiguous", "target.no_match")
+
+
+def test_a_known_hole_is_measured_again_from_a_wrong_guess_and_keeps_its_axes(face: WallScene) -> None:
+    X = frame_on(face.point(*HOLES[2]), face.X_CW[:3, 2])
+    turned = X @ se3.transform(se3.exp_so3([0.0, 0.0, 0.4]), [0.004, -0.003, 0.006])
+    known = KnownTarget("hole", turned, np.diag([4e-6] * 3 + [1e-4] * 3), DIAMETER)
+    seen = again(face.sighted(), known)
+    assert np.linalg.norm(seen.X_CO[:3, 3] - X[:3, 3]) < 0.003
+    assert se3.angle_between(seen.X_CO[:3, :3], turned[:3, :3]) < np.radians(1.0)
+    far = known._replace(X_CO=se3.transform(X[:3, :3], face.point(0.3, -0.1)))
+    with pytest.raises(TargetRefused, match="where it is expected"):
+        again(face.sighted(), far)
+
+
+def test_a_known_target_behind_the_tool_is_hidden(face: WallScene) -> None:
+    behind = X_CM[:3, 3] * (1.0 / X_CM[2, 3])
+    known = KnownTarget("hole", frame_on(behind, face.X_CW[:3, 2]), 1e-6 * np.eye(6), DIAMETER)
+    with pytest.raises(TargetRefused) as caught:
+        again(face.sighted(), known)
+    assert caught.value.cause == "target.hidden"

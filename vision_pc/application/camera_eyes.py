@@ -1,0 +1,210 @@
+"""Eyes on a camera with pixels: its pictures for people and for calibrations, and targets clicked in them."""
+
+from collections import deque
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import TypeVar
+
+import numpy as np
+
+from vision_pc.application.annotate import annotated, png
+from vision_pc.application.eyes import FrameEyes, LiveWatch
+from vision_pc.application.ports import CameraStatus, EyesRecord, FrameSource, Runtime, Seen, StateSource
+from vision_pc.application.targets.aimed_sensor import AimedSensor
+from vision_pc.application.targets.keeper import KeptTarget, TargetKeeper
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core import se3
+from vision_pc.core.perception.look import combine
+from vision_pc.core.ports import PairsAtRest
+from vision_pc.core.se3 import Array
+from vision_pc.core.targets.measuring import Click, at_click, holes
+from vision_pc.core.targets.target import TargetObservation, TargetRefused
+from vision_pc.core.types import FrameObservation, Look, StereoPair
+
+T = TypeVar("T")
+_MOST_SHOWN = 32
+_MOVED = 0.001  # m, rad: an arm that did so since a picture was taken has moved
+_R_TM = np.diag([1.0, -1.0, -1.0])  # nominal axes of the tool's marker
+
+
+class CameraEyes(FrameEyes[StereoPair]):
+    """Eyes on a camera with pixels; they also hand its pictures to people and to calibrations.
+
+    ``targets`` are those that were clicked. ``carries``: whether motions must be watched for them.
+    """
+
+    def __init__(
+        self,
+        frames: FrameSource[StereoPair],
+        states: StateSource,
+        config: VisionConfig,
+        runtime: Runtime,
+        record: EyesRecord[StereoPair],
+    ) -> None:
+        self.targets = TargetKeeper(config.targets)
+        sensor = AimedSensor(config, self.targets)
+        super().__init__(frames, sensor, states, config.look, runtime, record)
+        self._aimed = sensor
+        self._camera = sensor.camera
+        self._tool_id = config.markers.tool.id
+        self._clearance_m = config.programs.positioning.clearance_m
+        self._kept_ns = int(1e9 * config.targets.kept_s)
+        self._shown: deque[StereoPair] = deque(maxlen=_MOST_SHOWN)
+        self._watching = False
+
+    def status(self) -> CameraStatus:
+        """How the camera is doing."""
+        return self._frames.status()
+
+    @property
+    def carries(self) -> bool:
+        """Whether a motion must be watched, because targets are kept and nobody watches."""
+        return bool(self.targets.list()) and not self._watching
+
+    async def look(self, frames: int | None = None) -> Look:
+        """As ``FrameEyes.look``; a target that is aimed at is measured, or stands where it was carried.
+
+        Raises RequestRefused (``refused.target_lost``) where nobody knows that.
+        """
+        if self.targets.aimed is None:
+            return await super().look(frames)
+        self.targets.refuse_lost(self._X_BT)
+        self._aimed.resting, self._aimed.measured = True, 0
+        try:
+            look = await super().look(frames)
+        finally:
+            self._aimed.resting = False
+        measured = 2 * self._aimed.measured > look.frames
+        self.targets.looked(look.X_CO, look.cov_CO, look.X_BT, measured)
+        return look
+
+    @asynccontextmanager
+    async def watch(self, *, markers: bool, odometry: bool) -> AsyncIterator[LiveWatch[StereoPair]]:
+        """As ``FrameEyes.watch``; targets are carried along where odometry is watched."""
+        if not self.targets.list():
+            async with super().watch(markers=markers, odometry=odometry) as watching:
+                yield watching
+            return
+        X_BT, X_C0C, self._watching = self._X_BT, None, True
+        try:
+            async with super().watch(markers=markers, odometry=odometry) as watching:
+                yield watching
+            X_C0C = watching.samples[-1].X_C0C
+        finally:
+            self._watching = False
+            self.targets.carry(X_C0C, X_BT, self._X_BT)
+
+    async def pairs_at_rest(self, frames: int) -> PairsAtRest:
+        """Fresh pairs with the arm at rest. Raises as ``look``, but measures nothing."""
+        pairs = [pair async for pair in self._frames_at_rest(frames)]
+        middle_ns = int(np.mean([pair.capture_ns for pair in pairs]))
+        return PairsAtRest(tuple(pairs), await self._states.pose_at(middle_ns))
+
+    async def look_alone(self, frames: int | None = None) -> Look:
+        """A look whose ``X_BT`` is NaN, for a camera that is put into service before the controller is.
+
+        Raises MeasurementFailed as ``look``, LinkLost when the camera is silent.
+        """
+        newest_ns, observations = self._runtime.clock.now_ns, []
+        for _ in range(frames or self._settings.frames):
+            frame = await self._frames.frame_after(newest_ns)
+            newest_ns = frame.capture_ns
+            observations.append(await self._observed(frame))
+        assert self._latest is not None
+        self._record.pictured(*self._latest)
+        time_ns = int(np.mean([observation.capture_ns for observation in observations]))
+        look = combine(observations, np.full((4, 4), np.nan), time_ns, self._settings)
+        self._record.looked(look)
+        return look
+
+    async def aside(self, work: Callable[[], T]) -> T:
+        """What ``work`` returns, computed where the eyes compute: the link is not held up."""
+        return await self._runtime.worker.run(work)
+
+    async def latest_png(self) -> bytes:
+        """The newest picture with detections, PNG. Raises LinkLost when the camera never gave one."""
+        await self.observe()
+        assert self._latest is not None
+        shown = self._latest
+        self._show(shown[0])
+        return await self.aside(lambda: png(annotated(*shown, self._camera, self._clearance_m)))
+
+    async def observe(self) -> None:
+        """Measure in the newest picture, if it was not. Raises LinkLost when the camera never gave one."""
+        pair = self._frames.newest or await self._frames.frame_after(0)
+        if self._latest is None or self._latest[0].capture_ns < pair.capture_ns:
+            await self._observed(pair)
+
+    def seen(self) -> Seen | None:
+        """What was measured in a picture last, None before the first measurement."""
+        return None if self._latest is None else Seen(self._latest[1], self._camera, self._tool_id)
+
+    async def pair_after(self, capture_ns: int) -> StereoPair:
+        """The first pair captured after ``capture_ns``, to be shown to people. Raises LinkLost."""
+        pair = await self._frames.frame_after(capture_ns)
+        self._show(pair)
+        return pair
+
+    async def target_at(self, click: Click, frame_id: int | None) -> KeptTarget:
+        """Measure what a click means in a picture that was shown (None: in a fresh one), and keep it.
+
+        Raises TargetRefused: ``target.frame_too_old`` for a picture that is no longer kept or was taken
+        before the arm moved, and as ``at_click``; RequestRefused (``refused.moving``), LinkLost.
+        """
+        pair = await self._clicked(frame_id)
+        X_BT = await self._at_rest_since(pair)
+        observation, found = await self.aside(lambda: self._measured(pair, click))
+        X_CM = observation.X_CM
+        X_BO = None
+        if X_CM is not None:
+            X_BO = X_BT @ se3.transform(_R_TM, np.zeros(3)) @ se3.inverse(X_CM) @ found.X_CO
+        return self.targets.add(found, pair.frame_id, X_BT, X_BO)
+
+    async def detected_holes(self, diameter_mm: float | None) -> tuple[int, list[TargetObservation]]:
+        """The number of the newest picture and all holes in it. Raises LinkLost."""
+        pair = self._frames.newest or await self._frames.frame_after(0)
+        self._show(pair)
+        before = None if self._latest is None else self._latest[1]
+        found = await self.aside(
+            lambda: holes(self._aimed.sighted(pair, self._aimed.plain(pair, before)), diameter_mm)
+        )
+        return pair.frame_id, found
+
+    @property
+    def _X_BT(self) -> Array:
+        """Where the controller has the tool now. Raises LinkLost."""
+        return se3.from_pose(self._states.state.X_BT)
+
+    def _object_wanted(self) -> bool:
+        return self.targets.aimed is None
+
+    def _show(self, pair: StereoPair) -> None:
+        if not self._shown or self._shown[-1].frame_id != pair.frame_id:
+            self._shown.append(pair)
+
+    async def _clicked(self, frame_id: int | None) -> StereoPair:
+        now_ns = self._runtime.clock.now_ns
+        if frame_id is None:
+            return await self._frames.frame_after(now_ns)
+        kept = [pair for pair in self._shown if pair.frame_id & 0xFFFFFFFF == frame_id & 0xFFFFFFFF]
+        if not kept or now_ns - kept[-1].capture_ns > self._kept_ns:
+            raise TargetRefused(
+                "target.frame_too_old",
+                f"target: picture {frame_id} is not among those shown in the last {1e-9 * self._kept_ns:g} s",
+            )
+        return kept[-1]
+
+    async def _at_rest_since(self, pair: StereoPair) -> Array:
+        self._refuse_moving()
+        then, now = await self._states.pose_at(pair.capture_ns), self._X_BT
+        moved = se3.local(then, now)
+        if np.linalg.norm(moved[:3]) > _MOVED or np.linalg.norm(moved[3:]) > _MOVED:
+            raise TargetRefused(
+                "target.frame_too_old", f"target: the arm has moved since picture {pair.frame_id}"
+            )
+        return now
+
+    def _measured(self, pair: StereoPair, click: Click) -> tuple[FrameObservation, TargetObservation]:
+        before = None if self._latest is None else self._latest[1]
+        observation = self._aimed.plain(pair, before)
+        return observation, at_click(self._aimed.sighted(pair, observation), click)

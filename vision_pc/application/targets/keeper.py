@@ -1,0 +1,142 @@
+"""The targets of a session: where they are in the camera now, and how that is known.
+
+A target is measured where it can be seen. While the arm drives, odometry carries it from rest to rest. A
+motion that nobody watched loses it: it must be clicked anew.
+"""
+
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from protocol.errors import RequestRefused
+from vision_pc.config.targets import TargetSettings
+from vision_pc.core import se3
+from vision_pc.core.se3 import Array
+from vision_pc.core.targets.measuring import KnownTarget
+from vision_pc.core.targets.target import Kind, TargetObservation
+
+Known = Literal["measured", "carried", "lost"]
+_MOST = 100
+_STILL = 0.003  # m or rad: more than a settled arm creeps
+
+
+@dataclass
+class KeptTarget:
+    """A target. ``X_CO`` (4, 4) and ``covariance`` (6, 6) hold while the arm stands at ``X_BT``.
+
+    ``known``: measured there, carried there by odometry, or lost; ``way_m`` how far it was carried since it
+    was measured. ``X_BO`` in the base, by the tool's marker, when it was clicked; None where it was not seen.
+    """
+
+    id: str
+    kind: Kind
+    X_CO: Array
+    covariance: Array
+    diameter_m: float | None
+    quality: float
+    outline: Array
+    frame_id: int
+    X_BT: Array
+    X_BO: Array | None
+    known: Known = "measured"
+    way_m: float = 0.0
+
+    @property
+    def believed(self) -> KnownTarget:
+        """Where it is, for who measures it again."""
+        return KnownTarget(self.kind, self.X_CO, self.covariance, self.diameter_m)
+
+
+class TargetKeeper:
+    """All targets by their ids, oldest first, and which of them programs look at (None: the markers)."""
+
+    def __init__(self, settings: TargetSettings) -> None:
+        self._settings = settings
+        self._all: OrderedDict[str, KeptTarget] = OrderedDict()
+        self._made = 0
+        self._aimed: str | None = None
+
+    def list(self) -> list[KeptTarget]:
+        """All, oldest first."""
+        return [*self._all.values()]
+
+    def get(self, target_id: str) -> KeptTarget:
+        """One. Raises RequestRefused (``refused.unknown_target``)."""
+        if target_id not in self._all:
+            known = ", ".join(self._all) or "none"
+            raise RequestRefused("refused.unknown_target", f"no target '{target_id}'; known: {known}")
+        return self._all[target_id]
+
+    @property
+    def aimed(self) -> KeptTarget | None:
+        """What programs look at in place of the object's markers."""
+        return None if self._aimed is None else self._all[self._aimed]
+
+    def aim(self, target_id: str | None) -> None:
+        """Have programs look at a target from now on; None: at the markers. Raises as ``get``."""
+        if target_id is not None:
+            self.get(target_id)
+        self._aimed = target_id
+
+    def add(self, seen: TargetObservation, frame_id: int, X_BT: Array, X_BO: Array | None) -> KeptTarget:
+        """Keep a new one and aim at it; the oldest goes where there would be too many."""
+        self._made += 1
+        kept = KeptTarget(
+            f"t{self._made}", seen.kind, seen.X_CO, seen.covariance, seen.diameter_m, seen.quality,
+            seen.outline, frame_id, X_BT, X_BO,
+        )  # fmt: skip
+        self._all[kept.id] = kept
+        self._aimed = kept.id
+        while len(self._all) > _MOST:
+            self._all.popitem(last=False)
+        return kept
+
+    def remove(self, target_id: str) -> None:
+        """Forget one. Raises as ``get``."""
+        self.get(target_id)
+        del self._all[target_id]
+        if self._aimed == target_id:
+            self._aimed = None
+
+    def looked(self, X_CO: Array, covariance: Array, X_BT: Array, measured: bool) -> None:
+        """Note what a look saw of the target that is aimed at."""
+        kept = self.aimed
+        if kept is None:
+            return
+        kept.X_CO, kept.covariance, kept.X_BT = X_CO, covariance, X_BT
+        if measured:
+            kept.known, kept.way_m = "measured", 0.0
+
+    def carry(self, X_C0C: Array | None, X_BT_before: Array, X_BT: Array) -> None:
+        """The camera went from C0, where the arm stood at ``X_BT_before``, to C; None: nobody knows where."""
+        for kept in self._all.values():
+            if X_C0C is None or _apart(kept.X_BT, X_BT_before):
+                kept.known = "lost"
+                continue
+            if kept.known == "lost":
+                continue
+            X_CC0 = se3.inverse(X_C0C)
+            way = float(np.linalg.norm(X_C0C[:3, 3]))
+            turn = np.zeros((6, 6))
+            turn[:3, :3] = turn[3:, 3:] = X_CC0[:3, :3]
+            std = self._settings.carried_std_m + self._settings.carried_std * way
+            reach = float(np.linalg.norm(kept.X_CO[:3, 3]))
+            more = np.diag([std**2] * 3 + [(std / max(reach, 0.3)) ** 2] * 3)
+            kept.X_CO = X_CC0 @ kept.X_CO
+            kept.covariance = turn @ kept.covariance @ turn.T + more
+            kept.X_BT, kept.known, kept.way_m = X_BT, "carried", kept.way_m + way
+
+    def refuse_lost(self, X_BT: Array) -> None:
+        """Raises RequestRefused (``refused.target_lost``) when the aimed target's place is not known here."""
+        kept = self.aimed
+        if kept is not None and (kept.known == "lost" or _apart(kept.X_BT, X_BT)):
+            raise RequestRefused(
+                "refused.target_lost", f"target {kept.id}: the arm was moved unwatched; click it again"
+            )
+
+
+def _apart(X_A: Array, X_B: Array) -> bool:
+    moved = se3.local(X_A, X_B)
+    return bool(np.linalg.norm(moved[:3]) > _STILL or np.linalg.norm(moved[3:]) > _STILL)

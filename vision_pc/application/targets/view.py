@@ -1,0 +1,99 @@
+"""Targets at the boundary: mm and degrees, and what an operator is to know of each."""
+
+import math
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from vision_pc.application.results import JSON, degrees, pose_json, xyz
+from vision_pc.application.targets.keeper import KeptTarget, TargetKeeper
+from vision_pc.config.programs import PositioningSettings
+from vision_pc.core.se3 import Array
+from vision_pc.core.targets.measuring import Click
+from vision_pc.core.targets.target import Candidate, TargetObservation
+
+Pixel = float
+
+
+class ClickBody(BaseModel):
+    """A click on one eye's picture, in px of the camera's own pictures (the live right eye is half as large).
+
+    ``frame_id`` of the picture that was clicked, among those shown in the last 3 s; None: a fresh one.
+    ``kind`` auto: a hole where one is under the click, else the surface. ``other_u_px``, ``other_v_px``: the
+    same place in the other eye, where one click is ambiguous.
+    """
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    eye: Literal["left", "right"] = "left"
+    u_px: float = Field(ge=-10_000.0, le=10_000.0, examples=[812.4])
+    v_px: float = Field(ge=-10_000.0, le=10_000.0, examples=[301.0])
+    frame_id: int | None = Field(None, ge=0, lt=2**63, examples=[4711])
+    kind: Literal["auto", "plane", "hole"] = "auto"
+    diameter_mm: float | None = Field(None, gt=5.0, le=500.0, examples=[45.0])
+    other_u_px: float | None = Field(None, ge=-10_000.0, le=10_000.0)
+    other_v_px: float | None = Field(None, ge=-10_000.0, le=10_000.0)
+
+    def click(self) -> Click:
+        """The click itself."""
+        other = None
+        if self.other_u_px is not None and self.other_v_px is not None:
+            other = np.array([self.other_u_px, self.other_v_px])
+        return Click(self.eye, np.array([self.u_px, self.v_px]), self.kind, self.diameter_mm, other)
+
+
+def target_json(
+    kept: KeptTarget, keeper: TargetKeeper, settings: PositioningSettings, p_CM: Array | None
+) -> JSON:
+    """One target; ``p_CM`` (3,) where the tool's marker was seen last, None before that."""
+    aimed = keeper.aimed
+    step = None if p_CM is None else kept.X_CO[:3, 3] - p_CM - np.array([0.0, 0.0, settings.clearance_m])
+    length = None if step is None else float(np.linalg.norm(step))
+    return {
+        "id": kept.id,
+        "kind": kept.kind,
+        "known": kept.known,
+        "aimed": aimed is not None and aimed.id == kept.id,
+        "recognised": _in_words(kept.kind, kept.diameter_m),
+        "frame_id": kept.frame_id,
+        "X_CO": pose_json(kept.X_CO),
+        "X_BO": None if kept.X_BO is None else pose_json(kept.X_BO),
+        "normal_C": [round(float(v), 6) for v in kept.X_CO[:3, 2]],
+        "std_mm": xyz(np.sqrt(np.diag(kept.covariance)[:3])),
+        "std_deg": degrees(np.sqrt(np.diag(kept.covariance)[3:])),
+        "diameter_mm": None if kept.diameter_m is None else round(1e3 * kept.diameter_m, 2),
+        "quality": round(kept.quality, 3),
+        "outline": _pixels(kept.outline),
+        "carried_mm": round(1e3 * kept.way_m, 1),
+        "distance_mm": None if length is None else round(1e3 * length, 1),
+        "reachable": None if length is None else length <= settings.step_limit_m,
+    }
+
+
+def hole_json(seen: TargetObservation) -> JSON:
+    """A hole that was detected and is no target yet."""
+    middle = seen.outline.mean(axis=0)
+    return {
+        "at": [round(float(v), 2) for v in middle],
+        "p_C_m": [round(float(v), 5) for v in seen.X_CO[:3, 3]],
+        "std_mm": xyz(np.sqrt(np.diag(seen.covariance)[:3])),
+        "diameter_mm": round(1e3 * (seen.diameter_m or math.nan), 2),
+        "quality": round(seen.quality, 3),
+        "outline": _pixels(seen.outline),
+    }
+
+
+def candidate_json(candidate: Candidate) -> JSON:
+    """One of several places that a click may mean."""
+    return {
+        "other_px": [round(float(v), 2) for v in candidate.right_px],
+        "p_C_m": [round(float(v), 4) for v in candidate.p_C],
+    }
+
+
+def _in_words(kind: str, diameter_m: float | None) -> str:
+    return "surface" if diameter_m is None else f"{kind} {1e3 * diameter_m:.1f} mm"
+
+
+def _pixels(outline: Array) -> list[list[float]]:
+    return [[round(float(u), 2), round(float(v), 2)] for u, v in outline]

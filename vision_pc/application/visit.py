@@ -1,0 +1,115 @@
+"""A row of targets, one after the other, with one local track."""
+
+from typing import Annotated, NamedTuple
+
+from pydantic import Field
+
+from protocol.errors import MeasurementFailed, RequestRefused
+from vision_pc.application.application import VisionApplication
+from vision_pc.application.bodies import Copy, LookThenMoveSettings, Own, body_of
+from vision_pc.application.program import MOVING, Program
+from vision_pc.application.results import JSON, positioning_json
+from vision_pc.core.calibration.local_error_model import record_local_track
+from vision_pc.core.ports import Report
+from vision_pc.core.positioning.corrected_positioning import CorrectedResult, look_then_move_corrected
+
+Id = Annotated[str, Field(max_length=20)]
+
+
+class VisitSettings(LookThenMoveSettings):
+    """The targets in their order, and how each is driven to."""
+
+    targets: tuple[Id, ...]
+
+
+class Visited(NamedTuple):
+    """One target: its id, how it is known at the end, how the tool came there, whether a track was made."""
+
+    target: str
+    known: str
+    way_m: float
+    calibrated: bool
+    result: CorrectedResult
+
+
+async def visit(
+    application: VisionApplication, settings: VisitSettings, report: Report
+) -> tuple[Visited, ...]:
+    """Drive to each target in turn by corrected positioning; where the model no longer knows its goal well
+    enough a new local track is recorded, once for each target. The last target stays aimed at.
+    """
+    application.positioning = settings
+    visited: list[Visited] = []
+    for number, target in enumerate(settings.targets):
+
+        def told(progress: float, note: str, number: int = number, target: str = target) -> None:
+            report((number + progress) / len(settings.targets), f"{target}: {note}")
+
+        application.camera.targets.aim(target)
+        calibrated = application.track is None
+        try:
+            result = await _driven(application, settings, told)
+        except MeasurementFailed as error:
+            if calibrated or error.cause != "measurement.ill_conditioned":
+                raise
+            calibrated, application.track = True, None
+            result = await _driven(application, settings, told)
+        kept = application.camera.targets.get(target)
+        visited.append(Visited(target, kept.known, kept.way_m, calibrated, result))
+    return tuple(visited)
+
+
+async def _driven(application: VisionApplication, settings: VisitSettings, report: Report) -> CorrectedResult:
+    arm, eyes, map_settings = application.arm, application.eyes, application.settings.local_map
+    track, application.track = application.track, None
+    if track is None:
+        track = await record_local_track(arm, eyes, report, map_settings, application.dimensions)
+    result = await look_then_move_corrected(
+        arm, eyes, report, settings, map_settings, application.dimensions, track
+    )
+    application.track = result.track
+    return result
+
+
+def known_targets(application: VisionApplication, name: str, settings: VisitSettings) -> None:
+    """All of the targets that are named."""
+    for target in settings.targets:
+        if application.camera.targets.get(target).known == "lost":
+            raise RequestRefused("refused.target_lost", f"{name}: {target} was lost; click it again")
+
+
+def visit_json(visited: tuple[Visited, ...]) -> JSON:
+    """Every target with its drive."""
+    return {
+        "targets": [
+            {
+                "target": each.target,
+                "known": each.known,
+                "carried_mm": round(1e3 * each.way_m, 1),
+                "calibrated": each.calibrated,
+            }
+            | positioning_json(each.result)
+            for each in visited
+        ]
+    }
+
+
+VISIT = Program(
+    "visit",
+    "Drive to a row of targets, one after the other",
+    run=visit,
+    to_json=visit_json,
+    body=body_of(
+        "VisitBody",
+        "Targets of `/targets` in their order, by the corrected look-then-move.",
+        VisitSettings,
+        targets=Own(tuple[Id, ...], Field(min_length=1, max_length=50, examples=[["t1", "t2"]])),
+        clearance_m=0.1,
+        tolerance_mm=5.0,
+        corrections=Copy(description="Drives by odometry alone; 0: one shot"),
+    ),
+    settings=lambda application: VisitSettings(**application.settings.positioning.model_dump(), targets=()),
+    needs=(*MOVING, known_targets),
+    core=look_then_move_corrected,
+    source="`application/visit.py` (docs/targets.md)",
+)
