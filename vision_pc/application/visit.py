@@ -17,9 +17,9 @@ Id = Annotated[str, Field(max_length=20)]
 
 
 class VisitSettings(LookThenMoveSettings):
-    """The targets in their order, and how each is driven to."""
+    """The targets in their order (none: all), and how each is driven to."""
 
-    targets: tuple[Id, ...]
+    targets: tuple[Id, ...] = ()
 
 
 class Visited(NamedTuple):
@@ -40,10 +40,11 @@ async def visit(
     """
     application.positioning = settings
     visited: list[Visited] = []
-    for number, target in enumerate(settings.targets):
+    row = _row(application, settings)
+    for number, target in enumerate(row):
 
         def told(progress: float, note: str, number: int = number, target: str = target) -> None:
-            report((number + progress) / len(settings.targets), f"{target}: {note}")
+            report((number + progress) / len(row), f"{target}: {note}")
 
         application.camera.targets.aim(target)
         calibrated = application.track is None
@@ -71,9 +72,16 @@ async def _driven(application: VisionApplication, settings: VisitSettings, repor
     return result
 
 
+def _row(application: VisionApplication, settings: VisitSettings) -> tuple[Id, ...]:
+    return settings.targets or tuple(kept.id for kept in application.camera.targets.list())
+
+
 def known_targets(application: VisionApplication, name: str, settings: VisitSettings) -> None:
     """All of the targets that are named."""
-    for target in settings.targets:
+    row = _row(application, settings)
+    if not row:
+        raise RequestRefused("refused.unknown_target", f"{name}: there are no targets")
+    for target in row:
         if application.camera.targets.get(target).known == "lost":
             raise RequestRefused("refused.target_lost", f"{name}: {target} was lost; click it again")
 
@@ -103,12 +111,15 @@ VISIT = Program(
         "VisitBody",
         "Targets of `/targets` in their order, by the corrected look-then-move.",
         VisitSettings,
-        targets=Own(tuple[Id, ...], Field(min_length=1, max_length=50, examples=[["t1", "t2"]])),
+        targets=Own(
+            Annotated[tuple[Id, ...], Field(min_length=1, max_length=50)] | None,
+            Field(None, examples=[["t1", "t2"]], description="Left out: all, oldest first"),
+        ),
         clearance_m=0.1,
         tolerance_mm=5.0,
         corrections=Copy(description="Drives by odometry alone; 0: one shot"),
     ),
-    settings=lambda application: VisitSettings(**application.settings.positioning.model_dump(), targets=()),
+    settings=lambda application: VisitSettings(**application.settings.positioning.model_dump()),
     needs=(*MOVING, known_targets),
     core=look_then_move_corrected,
     source="`application/visit.py` (docs/targets.md)",
