@@ -131,39 +131,39 @@ def _to_and_fro(states: list[State]) -> Array:
 class CarryingArm:
     """Implements ``StoppableArm``: an arm whose motions odometry watches while targets are kept.
 
-    Without targets, or within a watch, it is the arm itself.
+    Without targets, or within a watch, it is the arm itself, ``driven``.
     """
 
     def __init__(self, arm: StoppableArm, eyes: Eyes, camera: Camera) -> None:
-        self._arm = arm
+        self.driven = arm
         self._eyes = eyes
         self._camera = camera
 
     async def view(self) -> ArmView:
         """As the arm's."""
-        return await self._arm.view()
+        return await self.driven.view()
 
     async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
         """As the arm's, watched."""
-        return await self._watched(lambda: self._arm.move_to(X_BT_ref, duration_s=duration_s))
+        return await self._watched(lambda: self.driven.move_to(X_BT_ref, duration_s=duration_s))
 
     async def follow(
         self, waypoints: Sequence[Array], segment_s: float = 0.0, dwell_s: float = 0.0
     ) -> ArmView:
         """As the arm's, watched."""
-        return await self._watched(lambda: self._arm.follow(waypoints, segment_s=segment_s, dwell_s=dwell_s))
+        return await self._watched(lambda: self.driven.follow(waypoints, segment_s=segment_s, dwell_s=dwell_s))
 
     def streaming(self) -> AbstractAsyncContextManager[ReferenceStream]:
         """As the arm's: whoever streams watches for himself."""
-        return self._arm.streaming()
+        return self.driven.streaming()
 
     async def stop(self) -> None:
         """As the arm's."""
-        await self._arm.stop()
+        await self.driven.stop()
 
     async def halt(self) -> None:
         """As the arm's."""
-        await self._arm.halt()
+        await self.driven.halt()
 
     async def _watched(self, move: Callable[[], Awaitable[ArmView]]) -> ArmView:
         if not self._camera.carries:

@@ -16,7 +16,7 @@ from tests.support.paths import CONFIGS
 from vision_pc.application.camera_eyes import CameraEyes
 from vision_pc.application.camera_feed import CameraFeed
 from vision_pc.application.eyes import FrameEyes
-from vision_pc.application.link_arm import LinkArm
+from vision_pc.application.link_arm import CarryingArm, LinkArm
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.shell import service
 from vision_pc.shell.camera_eyes import open_eyes

@@ -13,7 +13,8 @@ from vision_pc.core.targets.measuring import KnownTarget, Sighted, again
 from vision_pc.core.targets.target import TargetRefused
 from vision_pc.core.types import CameraErrors, FrameObservation, StereoPair, WatchSample
 
-_NOISE = 1e-10  # m², rad²: a carried pose is the same in every frame; all of its doubt is shared
+_NOISE = 1e-8  # m², rad²
+_OWN = 0.1  # share of a carried pose's covariance that may differ from frames that do show the target
 
 
 class AimedSensor:
@@ -66,7 +67,7 @@ class AimedSensor:
         return self._pixels.observe(frame, previous)
 
     def _carried(self, seen: FrameObservation, known: KnownTarget) -> FrameObservation:
-        noise = _NOISE * np.eye(6)
+        noise = _OWN * known.covariance + _NOISE * np.eye(6)
         return _with(seen, known.X_CO, known.covariance + noise, known.covariance)
 
 
