@@ -43,7 +43,8 @@ def test_link_arm_and_eyes_are_of_the_service_s_own_classes(settings: Settings) 
     log.close()
     assert type(rig.link) is type(endpoint.link) is ReferenceLink
     assert type(rig.eyes) is type(opened.eyes) is CameraEyes
-    assert type(rig.application.arm) is service.LinkArm is LinkArm
+    assert isinstance(rig.application.arm, CarryingArm)
+    assert type(rig.application.arm.driven) is service.LinkArm is LinkArm
 
 
 def test_simulated_measurements_go_through_the_same_looks_and_watches(settings: Settings) -> None:
