@@ -1,16 +1,16 @@
 """Eyes on a camera with pixels: its pictures for people and for calibrations, and targets clicked in them."""
 
 from collections import deque
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
 
 from vision_pc.application.annotate import annotated, png
-from vision_pc.application.eyes import FrameEyes, LiveWatch
+from vision_pc.application.eyes import FrameEyes
 from vision_pc.application.ports import CameraStatus, EyesRecord, FrameSource, Runtime, Seen, StateSource
 from vision_pc.application.targets.aimed_sensor import AimedSensor
+from vision_pc.application.targets.carrier import TargetCarrier
 from vision_pc.application.targets.keeper import KeptTarget, TargetKeeper
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
@@ -43,14 +43,15 @@ class CameraEyes(FrameEyes[StereoPair]):
     ) -> None:
         self.targets = TargetKeeper(config.targets)
         sensor = AimedSensor(config, self.targets)
-        super().__init__(frames, sensor, states, config.look, runtime, record)
+        carrier = TargetCarrier(self.targets, sensor, states)
+        super().__init__(frames, sensor, states, config.look, runtime, record, carrier)
         self._aimed = sensor
         self._camera = sensor.camera
         self._tool_id = config.markers.tool.id
         self._clearance_m = config.programs.positioning.clearance_m
         self._kept_ns = int(1e9 * config.targets.kept_s)
         self._shown: deque[StereoPair] = deque(maxlen=_MOST_SHOWN)
-        self._watching = False
+        self._carrier = carrier
 
     def status(self) -> CameraStatus:
         """How the camera is doing."""
@@ -59,40 +60,7 @@ class CameraEyes(FrameEyes[StereoPair]):
     @property
     def carries(self) -> bool:
         """Whether a motion must be watched, because targets are kept and nobody watches."""
-        return bool(self.targets.list()) and not self._watching
-
-    async def look(self, frames: int | None = None) -> Look:
-        """As ``FrameEyes.look``; a target that is aimed at is measured, or stands where it was carried.
-
-        Raises RequestRefused (``refused.target_lost``) where nobody knows that.
-        """
-        if self.targets.aimed is None:
-            return await super().look(frames)
-        self.targets.refuse_lost(self._X_BT)
-        self._aimed.resting, self._aimed.measured = True, 0
-        try:
-            look = await super().look(frames)
-        finally:
-            self._aimed.resting = False
-        measured = 2 * self._aimed.measured > look.frames
-        self.targets.looked(look.X_CO, look.cov_CO, look.X_BT, measured)
-        return look
-
-    @asynccontextmanager
-    async def watch(self, *, markers: bool, odometry: bool) -> AsyncIterator[LiveWatch[StereoPair]]:
-        """As ``FrameEyes.watch``; targets are carried along where odometry is watched."""
-        if not self.targets.list():
-            async with super().watch(markers=markers, odometry=odometry) as watching:
-                yield watching
-            return
-        X_BT, X_C0C, self._watching = self._X_BT, None, True
-        try:
-            async with super().watch(markers=markers, odometry=odometry) as watching:
-                yield watching
-            X_C0C = watching.samples[-1].X_C0C
-        finally:
-            self._watching = False
-            self.targets.carry(X_C0C, X_BT, self._X_BT)
+        return self._carrier.carries
 
     async def pairs_at_rest(self, frames: int) -> PairsAtRest:
         """Fresh pairs with the arm at rest. Raises as ``look``, but measures nothing."""
@@ -170,14 +138,6 @@ class CameraEyes(FrameEyes[StereoPair]):
         )
         return pair.frame_id, found
 
-    @property
-    def _X_BT(self) -> Array:
-        """Where the controller has the tool now. Raises LinkLost."""
-        return se3.from_pose(self._states.state.X_BT)
-
-    def _object_wanted(self) -> bool:
-        return self.targets.aimed is None
-
     def _show(self, pair: StereoPair) -> None:
         if not self._shown or self._shown[-1].frame_id != pair.frame_id:
             self._shown.append(pair)
@@ -196,7 +156,7 @@ class CameraEyes(FrameEyes[StereoPair]):
 
     async def _at_rest_since(self, pair: StereoPair) -> Array:
         self._refuse_moving()
-        then, now = await self._states.pose_at(pair.capture_ns), self._X_BT
+        then, now = await self._states.pose_at(pair.capture_ns), self._carrier.X_BT
         moved = se3.local(then, now)
         if np.linalg.norm(moved[:3]) > _MOVED or np.linalg.norm(moved[3:]) > _MOVED:
             raise TargetRefused(

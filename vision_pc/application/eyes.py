@@ -5,8 +5,8 @@ Campaigns in lockstep therefore measure the eyes that ship. What differs there i
 frames, and with simulated measurements the sensor.
 """
 
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractContextManager, asynccontextmanager, nullcontext
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from protocol.errors import RequestRefused
 from protocol.faults import GroupState
 from vision_pc.application.ports import (
+    Attendant,
     BackgroundWork,
     Clock,
     EyesRecord,
@@ -62,6 +63,20 @@ class LiveWatch(Generic[F]):
         return None
 
 
+class Unattended:
+    """Implements ``Attendant`` where nobody goes along."""
+
+    object_wanted = True
+
+    def looking(self) -> AbstractContextManager[Callable[[Look], None]]:
+        """A block of its own."""
+        return nullcontext(lambda _look: None)
+
+    def watching(self) -> AbstractContextManager[Callable[[tuple[WatchSample, ...]], None]]:
+        """A block of its own."""
+        return nullcontext(lambda _samples: None)
+
+
 class FrameEyes(Generic[F]):
     """Implements ``vision_pc.core.ports.Eyes`` over a source of frames and a sensor that measures in them."""
 
@@ -73,6 +88,7 @@ class FrameEyes(Generic[F]):
         settings: LookSettings,
         runtime: Runtime,
         record: EyesRecord[F],
+        attendant: Attendant | None = None,
     ) -> None:
         self._frames = frames
         self._sensor = sensor
@@ -80,6 +96,7 @@ class FrameEyes(Generic[F]):
         self._settings = settings
         self._runtime = runtime
         self._record = record
+        self._attendant = attendant or Unattended()
         self._latest: tuple[F, FrameObservation] | None = None
         self._recorder: SightRecorder[F] | None = None
 
@@ -94,12 +111,14 @@ class FrameEyes(Generic[F]):
         Raises MeasurementFailed when tool or object is seen in too few of them, RequestRefused
         (``refused.moving``) while the arm moves, LinkLost when camera or controller is silent.
         """
-        fresh = self._frames_at_rest(frames or self._settings.frames)
-        observations = [await self._observed(frame) async for frame in fresh]
-        if self._latest is not None:
-            self._record.pictured(*self._latest)
-        time_ns = int(np.mean([observation.capture_ns for observation in observations]))
-        look = combine(observations, await self._states.pose_at(time_ns), time_ns, self._settings)
+        with self._attendant.looking() as looked:
+            fresh = self._frames_at_rest(frames or self._settings.frames)
+            observations = [await self._observed(frame) async for frame in fresh]
+            if self._latest is not None:
+                self._record.pictured(*self._latest)
+            time_ns = int(np.mean([observation.capture_ns for observation in observations]))
+            look = combine(observations, await self._states.pose_at(time_ns), time_ns, self._settings)
+            looked(look)
         self._record.looked(look)
         if self._recorder is not None:
             self._recorder.looked(look, observations)
@@ -115,24 +134,22 @@ class FrameEyes(Generic[F]):
         clock = self._runtime.clock
         previous = None if self._latest is None else self._latest[1]
         watcher = Watcher(self._sensor, markers=markers, odometry=odometry, previous=previous)
-        watcher.object_wanted = self._object_wanted()
-        last_ns = await self._sampled(watcher, clock.now_ns)
-        until_ns: list[int] = []
-        gathering = self._runtime.background.start(self._gather(watcher, last_ns, until_ns))
-        try:
-            yield LiveWatch(watcher, gathering, clock)
-            until_ns.append(clock.now_ns)
-            await gathering.join()
-        finally:
-            await gathering.cancel()
-        self._record.watched(watcher.health)
-        watcher.require()
+        watcher.object_wanted = self._attendant.object_wanted
+        with self._attendant.watching() as watched:
+            last_ns = await self._sampled(watcher, clock.now_ns)
+            until_ns: list[int] = []
+            gathering = self._runtime.background.start(self._gather(watcher, last_ns, until_ns))
+            try:
+                yield LiveWatch(watcher, gathering, clock)
+                until_ns.append(clock.now_ns)
+                await gathering.join()
+            finally:
+                await gathering.cancel()
+            self._record.watched(watcher.health)
+            watcher.require()
+            watched(watcher.samples)
         if markers and odometry:
             await self._calibrated(watcher)
-
-    def _object_wanted(self) -> bool:
-        """Whether a watch of markers that never sees the object has failed."""
-        return True
 
     async def _calibrated(self, watcher: Watcher[F]) -> None:
         """Find the camera's errors, where that is configured, and see with them from now on."""

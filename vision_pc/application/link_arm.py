@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import AbstractAsyncContextManager
+from functools import partial
 
 import numpy as np
 
@@ -151,7 +152,8 @@ class CarryingArm:
         self, waypoints: Sequence[Array], segment_s: float = 0.0, dwell_s: float = 0.0
     ) -> ArmView:
         """As the arm's, watched."""
-        return await self._watched(lambda: self.driven.follow(waypoints, segment_s=segment_s, dwell_s=dwell_s))
+        timed = partial(self.driven.follow, segment_s=segment_s, dwell_s=dwell_s)
+        return await self._watched(lambda: timed(waypoints))
 
     def streaming(self) -> AbstractAsyncContextManager[ReferenceStream]:
         """As the arm's: whoever streams watches for himself."""

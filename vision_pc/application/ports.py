@@ -5,6 +5,7 @@ letting simulated time pass. Everything above them is the same code.
 """
 
 from collections.abc import Callable, Coroutine, Sequence
+from contextlib import AbstractContextManager
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from foundation.event_log import Level
@@ -25,6 +26,7 @@ from vision_pc.core.types import (
     Look,
     StereoPair,
     WatchHealth,
+    WatchSample,
 )
 
 T = TypeVar("T")
@@ -206,6 +208,23 @@ class Runtime(NamedTuple):
     clock: Clock
     worker: Worker
     background: Background
+
+
+class Attendant(Protocol):
+    """What goes along with every look and watch of the eyes."""
+
+    @property
+    def object_wanted(self) -> bool:
+        """Whether a watch of markers that never sees the object's has failed."""
+        ...
+
+    def looking(self) -> AbstractContextManager[Callable[[Look], None]]:
+        """A block around a look, in which it is told what was seen. Raises what refuses the look."""
+        ...
+
+    def watching(self) -> AbstractContextManager[Callable[[tuple[WatchSample, ...]], None]]:
+        """A block around a watch, in which it is told the samples; left untold, it has failed."""
+        ...
 
 
 class FrameSource(Protocol[FrameT_co]):
