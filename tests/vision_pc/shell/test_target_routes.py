@@ -26,10 +26,12 @@ async def test_a_click_makes_a_target_that_is_aimed_at_and_can_be_forgotten(stat
     listed = (await station.client.get("/targets", params={"detect": True})).json()
     assert [target["id"] for target in listed["targets"]] == ["t1"]
     assert listed["holes"][0]["diameter_mm"] == 45.0
-    await station.post("/targets", {"u_px": 1.0, "v_px": 1.0})
+    second = await station.post("/targets", {"u_px": 1.0, "v_px": 1.0})
+    assert second.status_code == 201, second.text
     aimed = await station.post("/targets/t1/aim")
     assert aimed.json()["aimed"] is True
-    assert (await station.client.get("/targets/t2")).json()["aimed"] is False
+    other = (await station.client.get(second.headers["Location"])).json()
+    assert other["aimed"] is False
     assert (await station.client.delete("/targets/t1")).status_code == 204
     assert (await station.client.get("/targets/t1")).status_code == 404
     assert station.events("target_made")
