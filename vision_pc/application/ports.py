@@ -13,10 +13,10 @@ from protocol.channel import LinkStatistics
 from protocol.clock_offset import OffsetEstimate
 from protocol.faults import CommandCode
 from protocol.reference_messages import Acknowledgement, State
-from vision_pc.application.targets.keeper import KeptTarget, TargetKeeper
 from vision_pc.core.perception.watch import Sensor
 from vision_pc.core.ports import Arm
 from vision_pc.core.se3 import Array
+from vision_pc.core.targets.keeper import KeptTarget, TargetKeeper
 from vision_pc.core.targets.measuring import Click
 from vision_pc.core.targets.target import TargetObservation
 from vision_pc.core.types import (

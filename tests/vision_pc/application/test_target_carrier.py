@@ -12,8 +12,8 @@ from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.application.targets.aimed_sensor import AimedSensor
 from vision_pc.application.targets.carrier import TargetCarrier
-from vision_pc.application.targets.keeper import TargetKeeper
 from vision_pc.core.se3 import Array, to_pose, transform
+from vision_pc.core.targets.keeper import TargetKeeper
 from vision_pc.core.targets.target import TargetObservation
 from vision_pc.core.types import Look
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from protocol.errors import RequestRefused
-from vision_pc.application.targets.keeper import TargetKeeper
 from vision_pc.config.targets import TargetSettings
 from vision_pc.core import se3
+from vision_pc.core.targets.keeper import TargetKeeper
 from vision_pc.core.targets.target import TargetObservation
 
 START, AFTER = se3.transform(np.eye(3), [3.9, 0.0, 1.0]), se3.transform(np.eye(3), [4.2, 0.1, 1.1])

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vision_pc.application.targets.keeper import TargetKeeper
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.odometry import StereoOdometry
 from vision_pc.core.pixel_sensor import PixelSensor
 from vision_pc.core.se3 import Array
+from vision_pc.core.targets.keeper import TargetKeeper
 from vision_pc.core.targets.measuring import KnownTarget, Sighted, again
 from vision_pc.core.targets.target import TargetRefused
 from vision_pc.core.types import CameraErrors, FrameObservation, StereoPair, WatchSample

@@ -5,9 +5,9 @@ from contextlib import contextmanager
 
 from vision_pc.application.ports import StateSource
 from vision_pc.application.targets.aimed_sensor import AimedSensor
-from vision_pc.application.targets.keeper import TargetKeeper
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
+from vision_pc.core.targets.keeper import TargetKeeper
 from vision_pc.core.types import Look, WatchSample
 
 

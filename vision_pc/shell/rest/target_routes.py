@@ -9,8 +9,8 @@ from fastapi.responses import JSONResponse
 from foundation.rest.refusals import respond
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.results import JSON
-from vision_pc.application.targets.keeper import KeptTarget
 from vision_pc.application.targets.view import ClickBody, candidate_json, hole_json, target_json
+from vision_pc.core.targets.keeper import KeptTarget
 from vision_pc.core.targets.target import TargetRefused
 from vision_pc.shell.rest.operations import Operations
 from vision_pc.shell.rest.problems import problem_of
