@@ -10,6 +10,7 @@ from controller.commissioning import commissioned_config
 from nominal_arm.commissioned import found_numbers
 from nominal_arm.description import JOINT_NAMES
 from plant_emulator.config.valves import JOINT_NAMES as VALVE_NAMES
+from protocol.errors import ConfigurationError
 from testbed.experiments.positioning.corrected_run import adapting, settings_of
 from testbed.experiments.positioning.stated import STATED
 from testbed.experiments.positioning.worlds import ARMS
@@ -66,5 +67,5 @@ def test_vision_that_adapts_is_one_file_and_keeps_the_arms_own_numbers(arm: str)
 
 
 def test_a_configuration_without_that_file_is_not_silently_plain(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(ConfigurationError):
         adapting(tmp_path)
