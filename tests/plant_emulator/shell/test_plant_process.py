@@ -274,7 +274,6 @@ def refused(settings: tuple[str, ...], arguments: tuple[str, ...] = ()) -> str:
         ("plant_service.period_ms=.nan", "configuration.finite_number", "period_ms"),
         ("scene.camera.lens.cx_px=2000", "configuration.value_error", "principal point"),
         ("scene.camera.lens.k1=-0.5", "configuration.value_error", "folds over"),
-        ("scene.object_of_interest.markers=[]", "configuration.too_short", "object_of_interest.markers"),
     ],
 )
 def test_bad_configuration_is_one_line(
