@@ -255,6 +255,8 @@ async def test_an_interrupted_write_leaves_the_session_before(tmp_path: Path) ->
 class _Camera:
     """A camera whose pictures come."""
 
+    carries = False  # no targets
+
     def status(self) -> CameraStatus:
         return CameraStatus(True, 0.0, 1, 10.0)
 
@@ -262,7 +264,8 @@ class _Camera:
 async def test_the_session_over_rest(tmp_path: Path) -> None:
     rig = quick_rig(tmp_path)
     operations = Operations(rig.halt, rig.log)
-    controller: Any = SimpleNamespace(state=SimpleNamespace(group_state=GroupState.STANDBY, flags=0))
+    standing = SimpleNamespace(group_state=GroupState.STANDBY, flags=0)
+    controller: Any = SimpleNamespace(state=standing, connected=True)
     programs = rig.settings.vision.programs
     eyes: Any = rig
     application = VisionApplication(  # type: ignore[arg-type]

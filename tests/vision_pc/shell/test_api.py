@@ -374,7 +374,8 @@ async def test_without_a_controller(station: Bench) -> None:
     assert document["camera"] is True
     for path in ("/state",):
         assert (await station.client.get(path)).status_code == 503
-    assert refused(await station.post("/operations/look"), 503, "link.shutdown")
+    assert refused(await station.post("/operations/local-track"), 503, "link.shutdown")
+    assert (await station.post("/operations/look")).status_code == 202  # a camera is put into service alone
     assert (await station.post("/stop")).status_code == 503
 
 
