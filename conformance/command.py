@@ -47,7 +47,8 @@ class Asking(NamedTuple):
     case: Annotated[list[int] | None, typer.Option("--case", help="Only this case; repeatable.")] = None
     list_cases: Annotated[bool, typer.Option("--list", help="List the cases and end.")] = False
     records: Annotated[
-        Path | None, typer.Option(help="Write JUnit, JSON and the bytes of every case into this directory.")
+        Path | None,
+        typer.Option("--out", help="Write JUnit, JSON and the bytes of every case into this directory."),
     ] = None
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the results to this file.")] = None
     profile: Annotated[
@@ -69,7 +70,7 @@ class Asking(NamedTuple):
         return Manner(None if self.profile is None else profile_from(self.profile), self.first_hour)
 
 
-@app.command(epilog="Example: longreach conformance reference --host 127.0.0.1 --port 47000 --records out")
+@app.command(epilog="Example: longreach conformance reference --host 127.0.0.1 --port 47000 --out answers")
 @unfolded
 def reference(
     asking: Asking,

@@ -12,18 +12,16 @@ from typer.core import TyperGroup
 from foundation.command_options import options_of, with_signature
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Experiment, perform
-from testbed.cli.arm_option import with_arm
+from testbed.cli.every_command import dressed
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
 from testbed.experiments.catalogue import CATALOGUE, Entry
 from testbed.reporting.console import out, table, writable
 
-Runs = Annotated[int | None, typer.Option("--runs", min=1, help="How many seeds, from --seed on.")]
+Count = Annotated[int | None, typer.Option("--count", min=1, help="How many seeds, from --seed on.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed is the same world; the first of several.")]
 Out = Annotated[
     Path | None,
-    typer.Option(
-        "--out", "--directory", help="Rows and pictures; rows that are there are not measured again."
-    ),
+    typer.Option("--out", help="Rows and pictures; rows that are there are not measured again."),
 ]
 Fresh = Annotated[bool, typer.Option("--fresh", help="Measure all rows anew, also those that are there.")]
 Workers = Annotated[
@@ -49,7 +47,7 @@ class ExperimentGroup(TyperGroup):
         """The command called ``cmd_name``; None where there is none."""
         if cmd_name not in CATALOGUE:
             return super().get_command(ctx, cmd_name)
-        return with_arm(typer.main.get_command(_app_of(CATALOGUE[cmd_name], cmd_name)))
+        return dressed(typer.main.get_command(_app_of(CATALOGUE[cmd_name], cmd_name)))
 
 
 app = typer.Typer(cls=ExperimentGroup, help="Seeded experiments that write tables.", no_args_is_help=True)
@@ -85,7 +83,7 @@ def command_of(entry: Entry) -> Callable[..., None]:
         wanted = entry.load(options.pop("method", None))
         request = CampaignRequest(
             config_dir=options.pop("config_dir"),
-            runs=options.pop("runs", None) or wanted.runs,
+            runs=options.pop("count", None) or wanted.runs,
             seed=options.pop("seed", wanted.seed),
             out=options.pop("out") or wanted.directory,
             scheduler=options.pop("scheduler"),
@@ -111,7 +109,7 @@ def _method(entry: Entry) -> list[inspect.Parameter]:
 
 def _common(chosen: Experiment[Any, Any], alone: bool) -> list[inspect.Parameter]:
     counted = [
-        _parameter("runs", Runs, chosen.runs if alone else None),
+        _parameter("count", Count, chosen.runs if alone else None),
         _parameter("seed", Seed, chosen.seed),
     ]
     return [

@@ -87,13 +87,13 @@ def bad_files(
     raise typer.Exit(0 if run_bad_files(samples, seed, json_file) else 1)
 
 
-@app.command("camera-share", epilog="Example: longreach hand-eye camera-share --runs 60 --seed 40001")
+@app.command("camera-share", epilog="Example: longreach hand-eye camera-share --count 60 --seed 40001")
 def camera_share(
-    runs: Annotated[int, typer.Option(min=1, help="Drawn calibrations.")] = 40,
+    count: Annotated[int, typer.Option(min=1, help="Drawn calibrations.")] = 40,
     seed: Annotated[int, typer.Option(help="Of the first one.")] = 40001,
     json_file: JsonFile = None,
 ) -> None:
     """Whether X's covariance is honest when the camera matrix came from the same pictures (NEES)."""
     from testbed.experiments.hand_eye.camera_share import run_camera_share
 
-    raise typer.Exit(0 if run_camera_share(runs, seed, json_file) else 1)
+    raise typer.Exit(0 if run_camera_share(count, seed, json_file) else 1)

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from click import get_current_context
 
 app = typer.Typer(help="Guided hand-eye sampling on a running rig, step by step.", no_args_is_help=True)
 
@@ -34,14 +33,15 @@ def session(
     context.obj = token_file
 
 
-def _do(url: str, act: Callable[[Any], None]) -> None:
+def _do(context: typer.Context, url: str, act: Callable[[Any], None]) -> None:
     from testbed.hand_eye.session_client import with_session
 
-    with_session(url, get_current_context().find_object(Path), act)
+    with_session(url, context.find_object(Path), act)
 
 
 @app.command(epilog="Example: longreach hand-eye session start monday --poses 17")
 def start(
+    context: typer.Context,
     name: Name,
     poses: Annotated[int | None, typer.Option(min=5, max=100, help="Samples wanted.")] = None,
     marker_id: Annotated[int | None, typer.Option(min=0, help="Number of the marker.")] = None,
@@ -57,29 +57,34 @@ def start(
     body["marker_size_m"] = None if marker_mm is None else 1e-3 * marker_mm
     given = {key: value for key, value in body.items() if value is not None}
     _do(
+        context,
         url,
         lambda face: session_text.started(face.step("start", given, "checking the starting pose"), json_file),
     )
 
 
 @app.command(epilog="Example: longreach hand-eye session propose")
-def propose(url: Url = DEFAULT_URL, anywhere: Anywhere = False, json_file: JsonFile = None) -> None:
+def propose(
+    context: typer.Context, url: Url = DEFAULT_URL, anywhere: Anywhere = False, json_file: JsonFile = None
+) -> None:
     """The next pose: the one that tells most about the camera's place in the hand."""
     from testbed.hand_eye import session_text
 
-    _do(url, lambda face: session_text.proposed(face.propose(not anywhere), json_file))
+    _do(context, url, lambda face: session_text.proposed(face.propose(not anywhere), json_file))
 
 
 @app.command(epilog="Example: longreach hand-eye session go")
-def go(url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
+def go(context: typer.Context, url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
     """Drive to the proposed pose and wait until the arm has settled; the controller may refuse it."""
     from testbed.hand_eye import session_text
 
-    _do(url, lambda face: session_text.gone(face.step("go", {}, "moving"), json_file))
+    _do(context, url, lambda face: session_text.gone(face.step("go", {}, "moving"), json_file))
 
 
 @app.command("next", epilog="Example: longreach hand-eye session next")
-def following(url: Url = DEFAULT_URL, anywhere: Anywhere = False, json_file: JsonFile = None) -> None:
+def following(
+    context: typer.Context, url: Url = DEFAULT_URL, anywhere: Anywhere = False, json_file: JsonFile = None
+) -> None:
     """Propose and go, until the controller accepts a pose."""
     from testbed.hand_eye import session_text
 
@@ -88,27 +93,29 @@ def following(url: Url = DEFAULT_URL, anywhere: Anywhere = False, json_file: Jso
         session_text.proposed(done, None)
         session_text.gone(done, json_file)
 
-    _do(url, act)
+    _do(context, url, act)
 
 
 @app.command(epilog="Example: longreach hand-eye session back")
-def back(url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
+def back(context: typer.Context, url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
     """Drive back to the starting pose, over the samples where the straight way is refused."""
     from testbed.hand_eye import session_text
 
-    _do(url, lambda face: session_text.gone(face.step("back", {}, "moving back"), json_file))
+    _do(context, url, lambda face: session_text.gone(face.step("back", {}, "moving back"), json_file))
 
 
 @app.command(epilog="Example: longreach hand-eye session sample")
-def sample(url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
+def sample(context: typer.Context, url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
     """Take a sample where the arm stands."""
     from testbed.hand_eye import session_text
 
-    _do(url, lambda face: session_text.sampled(face.step("sample", {}, "taking a sample"), json_file))
+    _do(
+        context, url, lambda face: session_text.sampled(face.step("sample", {}, "taking a sample"), json_file)
+    )
 
 
 @app.command(epilog="Example: longreach hand-eye session run   (takes what is missing, then solve)")
-def run(url: Url = DEFAULT_URL, anywhere: Anywhere = False) -> None:
+def run(context: typer.Context, url: Url = DEFAULT_URL, anywhere: Anywhere = False) -> None:
     """Take samples until the session is complete: sample, next, sample, next, …"""
     from testbed.hand_eye import session_text
 
@@ -121,31 +128,36 @@ def run(url: Url = DEFAULT_URL, anywhere: Anywhere = False) -> None:
             view = face.view()
         session_text.listed(view, None)
 
-    _do(url, act)
+    _do(context, url, act)
 
 
 @app.command("list", epilog="Example: longreach hand-eye session list --json session.json")
-def listing(url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
+def listing(context: typer.Context, url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
     """The open session: every sample with its residual."""
     from testbed.hand_eye import session_text
 
-    _do(url, lambda face: session_text.listed(face.view(), json_file))
+    _do(context, url, lambda face: session_text.listed(face.view(), json_file))
 
 
 @app.command(epilog="Example: longreach hand-eye session remove 3")
-def remove(name: SampleName, url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
+def remove(
+    context: typer.Context, name: SampleName, url: Url = DEFAULT_URL, json_file: JsonFile = None
+) -> None:
     """Leave a sample out for good."""
     from testbed.hand_eye import session_text
 
-    _do(url, lambda face: session_text.listed(face.remove(name), json_file))
+    _do(context, url, lambda face: session_text.listed(face.remove(name), json_file))
 
 
 @app.command(epilog="Example: longreach hand-eye session redo 3")
-def redo(name: SampleName, url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
+def redo(
+    context: typer.Context, name: SampleName, url: Url = DEFAULT_URL, json_file: JsonFile = None
+) -> None:
     """Drive back to a sample's pose and take it again."""
     from testbed.hand_eye import session_text
 
     _do(
+        context,
         url,
         lambda face: session_text.sampled(
             face.step("redo", {"sample": name}, f"sample {name} again"), json_file
@@ -154,25 +166,34 @@ def redo(name: SampleName, url: Url = DEFAULT_URL, json_file: JsonFile = None) -
 
 
 @app.command(epilog="Example: longreach hand-eye session solve --json x.json")
-def solve(url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
+def solve(context: typer.Context, url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
     """X with covariance, residuals, proof and verdict; exit status 1 when it is not good enough yet."""
     from testbed.hand_eye import session_text
 
     verdicts: list[bool] = []
-    _do(url, lambda face: verdicts.append(session_text.solved(face.step("solve", {}, "solving"), json_file)))
+    _do(
+        context,
+        url,
+        lambda face: verdicts.append(session_text.solved(face.step("solve", {}, "solving"), json_file)),
+    )
     raise typer.Exit(0 if verdicts[0] else 1)
 
 
 @app.command(epilog="Example: longreach hand-eye session locate   (after solve)")
-def locate(url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
+def locate(context: typer.Context, url: Url = DEFAULT_URL, json_file: JsonFile = None) -> None:
     """The control cabinet's knob, switch and key hole in hand and base."""
     from testbed.hand_eye import session_text
 
-    _do(url, lambda face: session_text.located(face.step("locate", {}, "looking at the cabinet"), json_file))
+    _do(
+        context,
+        url,
+        lambda face: session_text.located(face.step("locate", {}, "looking at the cabinet"), json_file),
+    )
 
 
 @app.command(epilog="Example: longreach hand-eye session resume monday")
 def resume(
+    context: typer.Context,
     name: Annotated[str | None, typer.Argument(help="The session's name; none: list them.")] = None,
     url: Url = DEFAULT_URL,
     json_file: JsonFile = None,
@@ -186,7 +207,7 @@ def resume(
         else:
             session_text.listed(face.resume(name), json_file)
 
-    _do(url, act)
+    _do(context, url, act)
 
 
 @app.command(epilog="Example: longreach hand-eye session export runs/hand-eye/monday.json samples.json")

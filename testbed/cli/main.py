@@ -17,6 +17,7 @@ from testbed.cli.options import (
     IdentifyOptions,
     JsonFile,
     OdometryOptions,
+    RunsDir,
     Scenario,
     Seed,
     Settings,
@@ -56,7 +57,6 @@ app.command(epilog="Example: longreach proxy --listen-port 47001 --port 47000 --
 FreePorts = Annotated[
     bool, typer.Option("--free-ports", help="Use any free ports instead of the configured ones.")
 ]
-Runs = Annotated[Path, typer.Option(help="Where directories of runs are made.")]
 
 DEFAULT_RUNS = Path("runs")
 
@@ -65,7 +65,7 @@ DEFAULT_RUNS = Path("runs")
 def doctor(
     config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
-    runs: Runs = DEFAULT_RUNS,
+    runs: RunsDir = DEFAULT_RUNS,
     json_file: JsonFile = None,
 ) -> None:
     """Examine machine, ports and configuration; exit status 1 when something would not work."""
@@ -196,7 +196,7 @@ def soak(
     config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
     free_ports: FreePorts = False,
-    runs: Runs = DEFAULT_RUNS,
+    runs: RunsDir = DEFAULT_RUNS,
     json_file: JsonFile = None,
 ) -> None:
     """Run all three services at rest and in motion, polled and followed; exit status 0 within all limits."""
@@ -238,9 +238,7 @@ def odometry(
     raise typer.Exit(0 if run_odometry(request, json_file) else 1)
 
 
-@app.command(
-    epilog="Example: longreach markers left.png --right right.png --number 1 --number 2 --drawn seen"
-)
+@app.command(epilog="Example: longreach markers left.png --right right.png --number 1 --number 2 --out seen")
 def markers(
     pictures: Annotated[list[Path], typer.Argument(metavar="PICTURE…", help="Pictures of one eye.")],
     right: Annotated[
@@ -251,7 +249,7 @@ def markers(
     ] = "DICT_5X5_1000",
     number: Annotated[list[int] | None, typer.Option(help="A wanted number; repeatable.")] = None,
     directory: Annotated[
-        Path | None, typer.Option("--drawn", help="Also draw what was found into this directory.")
+        Path | None, typer.Option("--out", help="Also draw what was found into this directory.")
     ] = None,
     json_file: JsonFile = None,
 ) -> None:

@@ -12,6 +12,7 @@ ConfigDir = Annotated[
     Path, typer.Option("--config-dir", help="Configuration; `longreach init` copies what is shipped.")
 ]
 Scenario = Annotated[str, typer.Option(help="Which of CONFIG_DIR/scenarios to draw the world from.")]
+RunsDir = Annotated[Path, typer.Option("--out", help="Where directories of runs are made.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed is the same world; the first of several.")]
 Settings = Annotated[
     list[str] | None,
@@ -34,7 +35,7 @@ class StartOptions(NamedTuple):
     allow_faults: Annotated[
         bool, typer.Option("--allow-faults", help="Let the plant's HTTP face for faults break things.")
     ] = False
-    runs: Annotated[Path, typer.Option(help="Where directories of runs are made.")] = Path("runs")
+    runs: RunsDir = Path("runs")
 
 
 class DemoOptions(NamedTuple):

@@ -9,7 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 from protocol.errors import LongreachError
-from testbed.cli.arm_option import with_arm
+from testbed.cli.every_command import dressed
 from testbed.reporting.console import err
 
 FAILED = 2
@@ -45,7 +45,7 @@ class RootGroup(TyperGroup):
                 group.name = name
                 self.commands[name] = group
         found = super().get_command(ctx, cmd_name)
-        return None if found is None else with_arm(found)
+        return None if found is None else dressed(found)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; refusals, an operating system that will not, and Ctrl-C end the process."""

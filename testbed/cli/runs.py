@@ -17,7 +17,7 @@ from testbed.reporting.run_directory import all_runs, one_run
 from testbed.reporting.run_record import KeptRun
 
 app = typer.Typer(help="Runs that were kept.", no_args_is_help=True)
-Runs = Annotated[Path, typer.Option(help="Where directories of runs are.")]
+Runs = Annotated[Path, typer.Option("--out", help="Where directories of runs are.")]
 Run = Annotated[str, typer.Argument(metavar="RUN", help="Its name, how that begins, or: last.")]
 DEFAULT_RUNS = Path("runs")
 _CODE = ("version", "commit", "uncommitted", "libraries")

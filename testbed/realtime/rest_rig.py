@@ -101,7 +101,8 @@ class RestRig:
         try:
             response = self._client.request(method, path, **request)
         except httpx.HTTPError as error:
-            raise LinkLost("link.rest", f"{method} {self._client.base_url}{path}: {error}") from error
+            why = f"{method} {self._client.base_url}{path}: {error}; `longreach up` starts the three services"
+            raise LinkLost("link.rest", why) from error
         if response.is_success:
             return response
         try:

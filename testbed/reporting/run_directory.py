@@ -62,7 +62,7 @@ def all_runs(runs: Path) -> list[KeptRun]:
     Raises ConfigurationError where there is no such directory.
     """
     if not runs.is_dir():
-        raise ConfigurationError("runs.no_directory", f"{runs}: no such directory; --runs names another")
+        raise ConfigurationError("runs.no_directory", f"{runs}: no such directory; --out names another")
     found = (path for path in runs.iterdir() if path.is_dir() and _STAMP.fullmatch(path.name))
     return [record.read(path) for path in sorted(found, key=lambda path: path.name, reverse=True)]
 

@@ -47,7 +47,7 @@ def test_the_command_writes_records_and_ends_with_its_verdict(tmp_path: Path) ->
     runner = CliRunner()
     with ThreadedCoupler() as coupler:
         arguments = ["coupler", "--port", str(coupler.port), "--case", "601", "--case", "651"]
-        good = runner.invoke(app, [*arguments, "--records", str(tmp_path)])
+        good = runner.invoke(app, [*arguments, "--out", str(tmp_path)])
     assert good.exit_code == 0, good.output
     assert "1 pass, 0 flaky, 0 fail, 1 unsupported" in good.output
     assert json.loads((tmp_path / "results.json").read_text())["suite"] == "coupler"

@@ -178,7 +178,7 @@ def test_the_command_prints_writes_and_ends_with_its_verdict(tmp_path: Path) -> 
     mutant = PLAIN[0]
     with mutant.make() as broken:
         arguments = ["reference", "--port", str(broken.port), "--case", str(mutant.case)]
-        bad = runner.invoke(app, [*arguments, "--records", str(tmp_path / "out")])
+        bad = runner.invoke(app, [*arguments, "--out", str(tmp_path / "out")])
     assert bad.exit_code == 1
     assert "0 pass, 0 flaky, 1 fail, 0 unsupported" in bad.output
     transcripts = {path.name for path in (tmp_path / "out" / "transcripts").iterdir()}

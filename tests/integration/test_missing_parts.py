@@ -63,7 +63,7 @@ def test_a_plant_that_is_killed_stops_the_controller_with_a_latched_cause(tmp_pa
 
 
 def test_up_tells_where_things_run_and_ends_cleanly_on_sigterm(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "testbed.cli", "up", "--free-ports", "--runs", str(tmp_path)]
+    command = [sys.executable, "-m", "testbed.cli", "up", "--free-ports", "--out", str(tmp_path)]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as up:
         assert up.stdout is not None
         said = ""

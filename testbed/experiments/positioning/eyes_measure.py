@@ -183,7 +183,7 @@ def parameters(rows: Sequence[MeasuredRow]) -> JSON:
 class MeasureSettings(NamedTuple):
     """Where the model's parameters go."""
 
-    output: Annotated[Path, typer.Option(help="The file to write.")] = Path("configs/eye_model.yaml")
+    model_file: Annotated[Path, typer.Option(help="The file to write.")] = Path("configs/eye_model.yaml")
 
 
 Noted = Finished[MeasureSettings, MeasuredRow]
@@ -224,10 +224,10 @@ def measure_table(done: Noted) -> list[Table]:
 def measure_verdict(done: Noted) -> list[Check]:
     """All conditions could be measured; their parameters are written to the file that was asked for."""
     failed = sum(bool(row.failure) for row in done.rows)
-    done.settings.output.write_text(
+    done.settings.model_file.write_text(
         _text(_measured(done), done.request.seed, done.request.runs), encoding="utf-8"
     )
-    return [Check(f"measured, and written to {done.settings.output}", f"{failed} runs failed", "", True)]
+    return [Check(f"measured, and written to {done.settings.model_file}", f"{failed} runs failed", "", True)]
 
 
 EYES_MEASURE = Experiment(
@@ -256,7 +256,7 @@ def _text(measured: JSON, first_seed: int, runs: int) -> str:
         "# What rendered pictures do to corners and tracked points, for",
         "# testbed/lockstep/simulated_measurements.py, which stands in for them.",
         f"# Provenance: [M] all of it, on {today}: longreach experiment eyes-measure "
-        f"--runs {runs} --seed {first_seed}",
+        f"--count {runs} --seed {first_seed}",
     ]
     for condition, parts in measured.items():
         lines.append(f"{condition}:")

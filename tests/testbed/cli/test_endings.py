@@ -47,12 +47,23 @@ def test_a_host_without_an_address_is_named(arguments: tuple[str, ...]) -> None:
     assert "longreach: configuration.unknown_host: host 'no.such.host.invalid'" in done.stderr
 
 
+@pytest.mark.parametrize("step", ["propose", "go", "sample", "list", "solve", "resume"])
+def test_a_session_without_a_rig_says_what_to_start(step: str) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as nobody:  # bound, never listening
+        nobody.bind(("127.0.0.1", 0))
+        url = f"http://127.0.0.1:{nobody.getsockname()[1]}"
+        done = ended("hand-eye", "session", step, "--url", url)
+    assert done.exit_code == 2
+    assert "longreach: link.rest: " in done.stderr
+    assert "`longreach up` starts" in done.stderr
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("demo", "--lockstep", "--runs", "{file}/runs"),
-        ("up", "--free-ports", "--runs", "{file}/runs"),
-        ("experiment", "stream-cuts", "--runs", "1", "--out", "{file}/rows"),
+        ("demo", "--lockstep", "--out", "{file}/runs"),
+        ("up", "--free-ports", "--out", "{file}/runs"),
+        ("experiment", "stream-cuts", "--count", "1", "--out", "{file}/rows"),
         ("doctor", "--json", "{file}/doctor.json"),
         ("picture", "effects", "--out", "{file}/pictures"),
         ("validate", "plant-survey", "--out", "{file}/survey"),
@@ -96,7 +107,7 @@ def interrupted(*arguments: str, after: Path) -> tuple[int, str]:
 @pytest.mark.timeout(400)
 def test_ctrl_c_in_lockstep_leaves_no_empty_directory(tmp_path: Path) -> None:
     status, told = interrupted(
-        "demo", "--lockstep", "--runs", str(tmp_path / "runs"), after=tmp_path / "runs" / "*"
+        "demo", "--lockstep", "--out", str(tmp_path / "runs"), after=tmp_path / "runs" / "*"
     )
     assert status == 130
     assert told.strip() == "longreach: ended by Ctrl-C"
@@ -106,7 +117,7 @@ def test_ctrl_c_in_lockstep_leaves_no_empty_directory(tmp_path: Path) -> None:
 @pytest.mark.timeout(400)
 def test_ctrl_c_in_a_campaign_keeps_the_rows_and_says_so(tmp_path: Path) -> None:
     status, told = interrupted(
-        "experiment", "plant-campaign", "--runs", "400", "--out", str(tmp_path), after=tmp_path / "rows.csv"
+        "experiment", "plant-campaign", "--count", "400", "--out", str(tmp_path), after=tmp_path / "rows.csv"
     )
     assert status == 130
     assert f"rows are kept in {tmp_path}/rows.csv; the same command goes on from there" in told
@@ -120,7 +131,7 @@ def test_a_taken_port_is_named_before_anything_starts(command: tuple[str, ...], 
         holder.listen()
         port = holder.getsockname()[1]
         runs = tmp_path / "runs"
-        done = ended(*command, "--runs", str(runs), "--set", f"vision.api.port={port}")
+        done = ended(*command, "--out", str(runs), "--set", f"vision.api.port={port}")
     assert done.exit_code == 2
     assert f"rest port 127.0.0.1:{port}/tcp (vision.api.port): Address already in use" in done.stderr
     assert f"held by process {os.getpid()} (" in done.stderr

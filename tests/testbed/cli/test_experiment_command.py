@@ -23,7 +23,7 @@ def test_every_experiment_has_a_command_with_the_options_of_all(name: str) -> No
     assert isinstance(CATALOGUE[name].load(), Experiment)
     shown = CliRunner().invoke(app, ["experiment", name, "--help"], terminal_width=200)
     assert shown.exit_code == 0
-    for option in ("--out", "--directory", "--fresh", "--scheduler", "--workers", "--config-dir", "--json"):
+    for option in ("--out", "--fresh", "--scheduler", "--workers", "--config-dir", "--json"):
         assert option in shown.output
 
 
@@ -41,7 +41,7 @@ def test_positioning_has_both_methods_and_their_own_defaults() -> None:
 
 def test_a_verdict_is_met_or_not_by_each_limit_and_says_the_conditions(tmp_path: Path) -> None:
     rows, report = tmp_path / "rows", tmp_path / "report.json"
-    command = ["experiment", "plant-campaign", "--runs", "2", "--workers", "0", "--step-ms", "0.5"]
+    command = ["experiment", "plant-campaign", "--count", "2", "--workers", "0", "--step-ms", "0.5"]
     command += ["--out", str(rows), "--json", str(report)]
     first = CliRunner().invoke(app, command)
     assert "runs that failed" in first.output

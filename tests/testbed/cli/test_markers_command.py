@@ -61,7 +61,7 @@ def test_a_pair_is_listed_drawn_and_written(tmp_path: Path) -> None:
         "DICT_4X4_1000",
         "--right",
         right,
-        "--drawn",
+        "--out",
         tmp_path / "drawn",
         "--json",
         told,

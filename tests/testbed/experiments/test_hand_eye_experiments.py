@@ -158,8 +158,8 @@ def test_intrinsics_of_pictures(tmp_path: Path) -> None:
 
 def test_experiment_draws_and_writes(tmp_path: Path) -> None:
     plot, report = tmp_path / "fig7.png", tmp_path / "fig7.json"
-    options = ["--runs", "1", "--largest", "2", "--plot", str(plot), "--json", str(report)]
-    options += ["--directory", str(tmp_path)]
+    options = ["--count", "1", "--largest", "2", "--plot", str(plot), "--json", str(report)]
+    options += ["--out", str(tmp_path)]
     result = CliRunner().invoke(app, ["experiment", "hua-fig7", *options])
     assert result.exit_code == 0, result.output
     assert cv2.imread(str(plot)) is not None

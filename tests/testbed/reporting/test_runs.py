@@ -118,12 +118,12 @@ def test_clean_removes_the_oldest_runs_only_when_told_and_nothing_else(tmp_path:
     running.write_text(json.dumps({"command": [], "process": os.getpid()}))
     (tmp_path / "commission").mkdir()
     there = sorted(path.name for path in tmp_path.iterdir())
-    status, told = asked("clean", "--keep", "2", "--runs", str(tmp_path))
+    status, told = asked("clean", "--keep", "2", "--out", str(tmp_path))
     assert status == 0
     assert "2 runs" in told
     assert "--yes" in told
     assert sorted(path.name for path in tmp_path.iterdir()) == there
-    assert asked("clean", "--keep", "2", "--yes", "--runs", str(tmp_path))[0] == 0
+    assert asked("clean", "--keep", "2", "--yes", "--out", str(tmp_path))[0] == 0
     left = sorted(path.name for path in tmp_path.iterdir())
     assert left == [names[0], names[3], names[4], "commission"]
 
@@ -135,7 +135,7 @@ def test_two_runs_are_compared_by_what_made_them_settings_and_stages(tmp_path: P
         directory = made(tmp_path, name, seed=seed, changed=changed[key], scenario="standard")
         (directory / "figures.json").write_text(json.dumps({"stages": [stage]}))
     out = tmp_path / "compared.json"
-    status, told = asked("compare", "20261121", "last", "--runs", str(tmp_path), "--json", str(out))
+    status, told = asked("compare", "20261121", "last", "--out", str(tmp_path), "--json", str(out))
     assert status == 0, told
     document = json.loads(out.read_text())
     assert [row["key"] for row in document["facts"]] == ["seed"]
@@ -145,11 +145,11 @@ def test_two_runs_are_compared_by_what_made_them_settings_and_stages(tmp_path: P
 
 def test_list_and_show_tell_commands_endings_and_files(tmp_path: Path) -> None:
     made(tmp_path, "20261122-090000", verdict="all limits met", seed=7, changed={"arm.d": (1.0, 2.0)})
-    status, told = asked("list", "--runs", str(tmp_path))
+    status, told = asked("list", "--out", str(tmp_path))
     assert status == 0
     assert "longreach demo" in told
     assert "all limits met" in told
-    status, told = asked("show", "--runs", str(tmp_path))
+    status, told = asked("show", "--out", str(tmp_path))
     assert status == 0
     for words in ("arm.d", "report.html", "seed"):
         assert words in told
@@ -157,6 +157,6 @@ def test_list_and_show_tell_commands_endings_and_files(tmp_path: Path) -> None:
 
 def test_a_run_without_a_report_is_not_opened(tmp_path: Path) -> None:
     (made(tmp_path, "20261122-090000") / "report.html").unlink()
-    status, told = asked("open", "last", "--runs", str(tmp_path))
+    status, told = asked("open", "last", "--out", str(tmp_path))
     assert status != 0
     assert "no report.html" in told

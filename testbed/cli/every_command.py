@@ -1,0 +1,70 @@
+"""What every command has that it need not say: `--arm` beside `--config-dir`, `-v` and `-q`, former names."""
+
+from collections.abc import Iterator, Sequence
+from functools import cache, partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from testbed.scenarios.arms import arm_directory
+
+FORMER_NAMES = {"--runs": "--count", "--directory": "--out", "--records": "--out", "--drawn": "--out"}
+"""Of options, in commands that pages and kept rows show: still understood where nothing else has the name."""
+_DIRECTORY = "config_dir"
+
+
+def dressed(command: Any) -> Any:
+    """``command``, and all commands of a group, with what every command has.
+
+    An experiment that has an `--arm` of its own, such as one that runs several, keeps that.
+    """
+    for inner in getattr(command, "commands", {}).values():
+        dressed(inner)
+    own = {parameter.name: parameter for parameter in command.params}
+    if _DIRECTORY in own and "arm" not in own:
+        own[_DIRECTORY].is_eager = True  # read first, so that the arm's takes its place
+        command.params.insert(command.params.index(own[_DIRECTORY]) + 1, _arm_option())
+    if not isinstance(command.parse_args, partial):
+        command.parse_args = partial(_parsed, command, command.parse_args)
+    return command
+
+
+def _parsed(command: Any, parse: Any, ctx: Any, arguments: list[str]) -> Any:
+    known = {name for parameter in command.params for name in parameter.opts}
+    return parse(ctx, list(_renamed(arguments, known)))
+
+
+def _renamed(arguments: Sequence[str], known: set[str]) -> Iterator[str]:
+    for argument in arguments:
+        name, equals, value = argument.partition("=")
+        now = FORMER_NAMES.get(name)
+        yield argument if now is None or name in known or now not in known else f"{now}{equals}{value}"
+
+
+def _chosen(ctx: typer.Context, arm: str | None) -> None:
+    if arm is not None:
+        ctx.params[_DIRECTORY] = arm_directory(Path(ctx.params[_DIRECTORY]), arm)
+
+
+@cache
+def _arm_option() -> Any:
+    app = typer.Typer(add_completion=False)
+
+    @app.command()
+    def template(
+        _arm: Annotated[
+            str | None,
+            typer.Option(
+                "--arm",
+                metavar="NAME|DIR",
+                help="Of CONFIG_DIR/arms, see `longreach arm list`, or a directory with base.yaml.",
+                callback=_chosen,
+                expose_value=False,
+            ),
+        ] = None,
+    ) -> None: ...
+
+    (option,) = typer.main.get_command(app).params
+    option.name = "arm"
+    return option

@@ -1,0 +1,101 @@
+"""One word for one thing in every command, and every command that a page shows is understood."""
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from click.testing import Result
+from typer.testing import CliRunner
+
+from testbed.cli.every_command import FORMER_NAMES
+from testbed.cli.main import app
+
+pytestmark = pytest.mark.long
+
+ROOT = Path(__file__).parents[3]
+EVIDENCE = ROOT / "docs" / "evidence.md"  # shows the commands that were run, under the names they had then
+PAGES = [ROOT / "README.md", *(page for page in (ROOT / "docs").rglob("*.md") if page != EVIDENCE)]
+SAID_OTHERWISE = {"--runs", "--directory", "--output", "--outdir", "--drawn", "--n", "--number-of-runs"}
+WITHOUT_FIGURES = {  # commands that print none, so that there is nothing for --json to write
+    "up", "sniff", "init", "token new", "arm new", "arm draw", "picture machine", "runs open",
+    "recording layout", "camera convert", "camera emulate", "hand-eye drawing", "hand-eye session run",
+    "hand-eye session export", "experiment list",
+}  # fmt: skip
+_SHOWN = re.compile(r"longreach((?: +(?:'[^']*'|[^\s`|#()<>]+))+)")
+
+
+def walked(command: Any, path: tuple[str, ...], context: Any) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Every command below ``command`` that is no group, by its words."""
+    names = command.list_commands(context) if hasattr(command, "list_commands") else []
+    for name in names:
+        yield from walked(command.get_command(context, name), (*path, name), context)
+    if not names:
+        yield path, command
+
+
+@pytest.fixture(scope="module")
+def commands() -> dict[str, Any]:
+    root = typer.main.get_command(app)
+    return {" ".join(path): command for path, command in walked(root, (), typer.Context(root))}
+
+
+def options(command: Any) -> set[str]:
+    return {name for parameter in command.params for name in parameter.opts if name.startswith("-")}
+
+
+def asked(*words: str) -> Result:
+    return CliRunner().invoke(app, list(words))
+
+
+def test_one_word_for_one_thing(commands: dict[str, Any]) -> None:
+    for path, command in commands.items():
+        assert not options(command) & SAID_OTHERWISE, path
+        assert path in WITHOUT_FIGURES or "--json" in options(command), path
+    assert set(commands) >= WITHOUT_FIGURES
+    several = {"camera loop", "hand-eye camera-share", "experiment paper", "experiment best-mode"}
+    assert all({"--count", "--seed"} <= options(commands[path]) for path in several)
+
+
+def _shown(text: str) -> Iterator[list[str]]:
+    for found in _SHOWN.finditer(text.replace("\\\n", " ")):
+        try:
+            yield shlex.split(found[1])
+        except ValueError:  # a quotation mark of the sentence around it
+            continue
+
+
+def _unknown(words: list[str], commands: dict[str, Any]) -> list[str]:
+    """The options of a shown command that it would not understand; none where it is no command of ours."""
+    path = next((n for n in (3, 2, 1) if " ".join(words[:n]) in commands), 0)
+    known = options(commands[" ".join(words[:path])]) | {"--help"} if path else set()
+    given = {
+        word.partition("=")[0].strip("[],;.…") for word in words[path:] if word.startswith(("--", "[--"))
+    }
+    return sorted(name for name in given if path and not known & {name, FORMER_NAMES.get(name)})
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_what_a_page_shows_is_understood(page: Path, commands: dict[str, Any]) -> None:
+    for words in _shown(page.read_text(encoding="utf-8")):
+        assert not _unknown(words, commands), words
+
+
+def test_every_example_is_one(commands: dict[str, Any]) -> None:
+    for path, command in commands.items():
+        for words in _shown(command.epilog or ""):
+            assert " ".join(words).startswith(path), path
+            assert not _unknown(words, commands), words
+
+
+def test_former_names_still_lead_there_and_are_not_shown(tmp_path: Path) -> None:
+    words = ["experiment", "plant-campaign", "--runs", "1", "--step-ms", "0.5", "--workers", "0"]
+    done = asked(*words, f"--directory={tmp_path}")
+    assert "1 runs, seeds 1 to 1" in done.output
+    assert (tmp_path / "rows.csv").is_file()
+    shown = asked("experiment", "plant-campaign", "--help").output
+    assert "--count" in shown
+    assert "--runs" not in shown
