@@ -50,6 +50,7 @@ CATALOGUE = {
     "hua-intrinsics": _one(f"{_HAND_EYE}:INTRINSICS"),
     "hand-eye-stress": _one(f"{_HAND_EYE}:STRESS"),
     "hand-eye-guided": _one("hand_eye.guided_campaign:GUIDED"),
+    "odometry-matrix": _one("odometry.matrix:ODOMETRY_MATRIX"),
     "stream-cuts": _one("robustness.stream_cuts:STREAM_CUTS"),
     "controller-kills": _one("robustness.controller_kills:CONTROLLER_KILLS"),
     "attacks": _one("robustness.attacks.campaign:ATTACKS_EXPERIMENT"),

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
+from testbed.experiments.odometry import orb_slam3
+from testbed.experiments.odometry.orb_slam3 import PeerTrack
 from tests.support.yardstick import yardstick_ms
-from tests.vision_pc.odometry import orb_slam3
-from tests.vision_pc.odometry.orb_slam3 import Followed
 from tests.vision_pc.odometry.test_odometry import pair_at, poses
 from tests.vision_pc.perception.test_markers import object_markers
 from tests.vision_pc.rendering import Marker, facing, wall_texture
@@ -140,7 +140,7 @@ def learnt(pairs: list[StereoPair], camera: CameraCalibration, config: VisionCon
     return intrinsics.with_offset(camera, seen.offset.x_px, seen.offset.y_px)
 
 
-def follow(camera: CameraCalibration, config: VisionConfig, pairs: list[StereoPair]) -> Followed:
+def follow(camera: CameraCalibration, config: VisionConfig, pairs: list[StereoPair]) -> PeerTrack:
     odometry, found, spent = StereoOdometry(camera, config.odometry), [], []
     for pair in pairs:
         began = time.process_time()
@@ -148,10 +148,10 @@ def follow(camera: CameraCalibration, config: VisionConfig, pairs: list[StereoPa
         spent.append(time.process_time() - began)
         if pose is not None:
             found.append(pose)
-    return Followed(found, spent)
+    return PeerTrack(found, spent)
 
 
-def one_map(followed: Followed) -> Followed:
+def one_map(followed: PeerTrack) -> PeerTrack:
     """The longest stretch without a loss: after one the peer begins a map of its own, elsewhere."""
     ids = [pose.frame_id for pose in followed.poses]
     stretches = np.split(np.arange(len(ids)), 1 + np.flatnonzero(np.diff(ids) != 1))
@@ -159,7 +159,7 @@ def one_map(followed: Followed) -> Followed:
     return followed._replace(poses=[followed.poses[k] for k in longest])
 
 
-def milliseconds(followed: Followed) -> float:
+def milliseconds(followed: PeerTrack) -> float:
     return 1e3 * float(np.median(followed.spent_s))
 
 

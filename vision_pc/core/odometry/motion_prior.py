@@ -45,6 +45,11 @@ class MotionHistory:
         self._lost = 0
 
     @property
+    def undecided(self) -> bool:
+        """Whether motions are to be foreseen, but none can be yet."""
+        return bool(self._floor_px) and self.prior is None
+
+    @property
     def prior(self) -> MotionPrior | None:
         """What is foreseen of the next picture; None before enough was seen."""
         if not self._floor_px or len(self._surprises) < _FEWEST or self._motion is None:

@@ -50,6 +50,15 @@ class SegmentedOdometry:
         return sum(one.keyframes for one in self._maps)
 
     @property
+    def withdrawn(self) -> list[int]:
+        """Maps whose poses are not to be believed after all: two motions were seen before any was foreseen,
+        or, where that happened, the sequence ended too soon for anything else.
+        """
+        mixed = [k for k, one in enumerate(self._maps) if one.mixed]
+        last = len(self._maps) - 1
+        return [*mixed, last] if mixed and last not in mixed and self._maps[last].undecided else mixed
+
+    @property
     def last_loss(self) -> str | None:
         """Why the last pair was lost, None if it was not."""
         return self._maps[self._current].last_loss
@@ -73,6 +82,8 @@ class SegmentedOdometry:
 
     def _follow(self, k: int, pair: StereoPair) -> OdometryPose | None:
         """The pose in map ``k``."""
+        if self._maps[k].mixed:
+            return None
         before = self._maps[k].keyframes
         pose = self._maps[k].process(pair)
         if pose is None:
@@ -80,9 +91,13 @@ class SegmentedOdometry:
         grown = self._maps[k].keyframes > before
         return pose._replace(covariance=self._errors[k].after(pose, grown))
 
+    def _older(self) -> list[int]:
+        """The maps before the current one that may be believed, the newest first."""
+        return [k for k in range(self._current - 1, -1, -1) if not self._maps[k].mixed]
+
     def _returned(self, pair: StereoPair) -> PlacedPose | None:
         """The pose in an older map that ``pair`` shows; nothing is then known of the map that was lost."""
-        for k in range(self._current - 1, -1, -1):
+        for k in self._older():
             pose = self._follow(k, pair)
             if pose is not None:
                 self._current, self._lost = k, 0
@@ -111,7 +126,7 @@ class SegmentedOdometry:
         if self._since_search < self._recorded.rejoin_every:
             return None
         self._since_search = 0
-        for k in range(self._current - 1, -1, -1):
+        for k in self._older():
             found = self._follow(k, pair)
             if found is None:
                 continue

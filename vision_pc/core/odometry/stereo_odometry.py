@@ -49,11 +49,18 @@ class StereoOdometry:
         self._history = MotionHistory(settings.prior_floor_px)
         self.last_loss: str | None = None
         self.last_detail: str | None = None
+        self.mixed = False
+        """Its points went two ways before anything foresaw which is the world's: none can be believed."""
 
     @property
     def keyframes(self) -> int:
         """How many keyframes the map holds."""
         return len(self._map.keyframes)
+
+    @property
+    def undecided(self) -> bool:
+        """Whether motions are to be foreseen, but none can be yet."""
+        return self._history.undecided
 
     def process(self, pair: StereoPair, X_CM: Array | None = None) -> OdometryPose | None:
         """The camera's pose at ``pair``, or None when it is lost; then ``last_loss`` names the cause.
@@ -78,6 +85,7 @@ class StereoOdometry:
             self.last_loss, self.last_detail = ("too_dark", None) if dark else (cause, detail or None)
             self._motion = se3.identity()
             self._lost_frames += 1
+            self.mixed |= cause == "two_motions" and self._history.undecided
             self._history.lost()
             return None
         self._motion = se3.identity() if self._lost_frames else se3.inverse(self._X_C0C) @ outcome.X_C0C

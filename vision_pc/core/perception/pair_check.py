@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image, PointPairs, StereoPair
@@ -64,26 +65,20 @@ def matched(pair: StereoPair) -> PointPairs:
     left, right = left[near], right[near]
     if not len(left):
         return PointPairs(none, none)
-    fine, ok, _ = cv2.calcOpticalFlowPyrLK(
-        pair.left,
-        pair.right,
-        left,
-        right.copy(),
-        winSize=_WINDOW,
-        maxLevel=0,
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )
-    back, back_ok, _ = cv2.calcOpticalFlowPyrLK(
-        pair.right,
-        pair.left,
-        fine,
-        left.copy(),
-        winSize=_WINDOW,
-        maxLevel=0,
-        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-    )
-    good = (ok.ravel() > 0) & (back_ok.ravel() > 0) & (np.abs(back - left).max(axis=1) < _BACK_PX)
+    fine, ok = _followed(pair.left, pair.right, left, right)
+    back, back_ok = _followed(pair.right, pair.left, fine, left)
+    good = ok & back_ok & (np.abs(back - left).max(axis=1) < _BACK_PX)
     return PointPairs(left[good].astype(np.float64), np.asarray(fine, dtype=np.float64)[good])
+
+
+def _followed(
+    before: Image, after: Image, points: NDArray[np.float32], guess: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Where ``points`` (n, 2) of ``before`` are in ``after``, near ``guess`` (n, 2), and which were found."""
+    ends, found, _ = cv2.calcOpticalFlowPyrLK(
+        before, after, points, guess.copy(), winSize=_WINDOW, maxLevel=0, flags=cv2.OPTFLOW_USE_INITIAL_FLOW
+    )
+    return np.asarray(ends, dtype=np.float32), np.asarray(found).ravel() > 0
 
 
 def rows_of(points: Sequence[PointPairs], size: tuple[int, int]) -> RowReport | None:

@@ -61,8 +61,9 @@ class SequenceResult(NamedTuple):
 
     @property
     def apart(self) -> list[int]:
-        """Maps that nothing joins to the first one."""
-        return [k for k, joint in enumerate(self.joints) if joint is None]
+        """Maps with poses that nothing joins to the first one."""
+        held = {record.segment for record in self.records}
+        return [k for k, joint in enumerate(self.joints) if joint is None and k in held]
 
     def poses_of(self, k: int) -> list[OdometryPose]:
         """The poses of map ``k``; for the first, of all that are joined to it."""
@@ -159,7 +160,9 @@ def follow_pairs(
     begin: Callable[[StereoPair], SegmentedOdometry],
     report: Callable[[PairRecord], None] = lambda record: None,
 ) -> SequenceResult:
-    """What odometry, begun with the first of ``pairs``, finds in all of them."""
+    """What odometry, begun with the first of ``pairs``, finds in all of them; poses that later pairs show to
+    be of two motions are lost after all.
+    """
     records: list[PairRecord] = []
     odometry: SegmentedOdometry | None = None
     for pair in pairs:
@@ -170,9 +173,16 @@ def follow_pairs(
         detail = odometry.last_detail if pose is None else None
         records.append(PairRecord(pair.frame_id, pair.capture_ns, segment, pose, loss, detail))
         report(records[-1])
-    return SequenceResult(
-        records, [] if odometry is None else odometry.joints, 0 if odometry is None else odometry.keyframes
-    )
+    if odometry is None:
+        return SequenceResult([], [], 0)
+    withdrawn = odometry.withdrawn
+    records = [
+        record._replace(segment=None, pose=None, loss="two_motions")
+        if record.segment in withdrawn
+        else record
+        for record in records
+    ]
+    return SequenceResult(records, odometry.joints, odometry.keyframes)
 
 
 def write_tum(path: Path, poses: list[OdometryPose]) -> None:

@@ -1,10 +1,11 @@
-"""ORB-SLAM3 as a peer of the benchmarks, through `pyorbslam3` (GPL-3: nothing but benchmarks touches it).
+"""ORB-SLAM3 as a peer, through `pyorbslam3` (GPL-3: no dependency, used where somebody installed it).
 
 Its vocabulary is not in the wheel. Tracking without loops needs one only to bring descriptors of like kind
 together, so one is grown here from the same walls: hierarchical k-medians over ORB descriptors, in DBoW2's
 text form (Gálvez-López and Tardós 2012).
 """
 
+import importlib.util
 import tempfile
 import time
 from pathlib import Path
@@ -57,16 +58,21 @@ Viewer.ViewpointF: 500.0
 """
 
 
-class Followed(NamedTuple):
+class PeerTrack(NamedTuple):
     """The poses that were valid, and the processor time of every frame, all threads, s."""
 
     poses: list[OdometryPose]
     spent_s: list[float]
 
 
+def installed() -> bool:
+    """Whether the peer is there: `make bench` installs it."""
+    return importlib.util.find_spec("pyorbslam3") is not None
+
+
 def vocabulary(pictures: list[NDArray[np.uint8]], path: Path) -> None:
     """Write a vocabulary of the descriptors in ``pictures`` to ``path``."""
-    orb = cv2.ORB_create(2000, fastThreshold=5)
+    orb = cv2.ORB.create(2000, fastThreshold=5)
     found = np.concatenate([orb.detectAndCompute(picture, None)[1] for picture in pictures])
     lines = [f"{_BRANCHES} {_LEVELS} 0 0"]
     _grow(found, 0, 1, lines, np.random.default_rng(1))
@@ -101,10 +107,10 @@ def _medians(
 
 
 def _nearest(descriptors: Descriptors, centres: Descriptors) -> NDArray[np.intp]:
-    return np.argmin(np.bitwise_count(descriptors[:, None] ^ centres[None]).sum(axis=2), axis=1)
+    return np.asarray(np.argmin(np.bitwise_count(descriptors[:, None] ^ centres[None]).sum(axis=2), axis=1))
 
 
-def follow(camera: CameraCalibration, words: Path, pairs: list[StereoPair]) -> Followed:
+def follow(camera: CameraCalibration, words: Path, pairs: list[StereoPair]) -> PeerTrack:
     """ORB-SLAM3's poses of rectified ``pairs``, at 15 pairs a second."""
     from pyorbslam3 import Sensor, Slam
 
@@ -136,4 +142,4 @@ def follow(camera: CameraCalibration, words: Path, pairs: list[StereoPair]) -> F
                 points = int(result.num_tracked_points)
                 poses.append(OdometryPose(pair.capture_ns, k, X, np.eye(6), points, 1.0, 0.0))
         slam.shutdown()
-    return Followed(poses, spent)
+    return PeerTrack(poses, spent)

@@ -1,0 +1,108 @@
+"""The odometry matrix: what counts as wrong and not told, what a kind is made of, and one row of it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from protocol.errors import ConfigurationError
+from testbed.campaigns.campaign import CampaignRequest
+from testbed.campaigns.experiment import Check, Finished
+from testbed.experiments.odometry.judging import gross, is_wrong, judged
+from testbed.experiments.odometry.matrix import (
+    MatrixRow,
+    MatrixSettings,
+    matrix_tasks,
+    matrix_verdict,
+    one_row,
+)
+from testbed.experiments.odometry.sequences import KINDS, sequence
+from vision_pc.core import se3
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import OdometryPose
+from vision_pc.shell.cameras.sequence import PairRecord, SequenceResult
+
+CONFIGS = Path("configs")
+STD_M = 1e-3
+
+
+def at(x: float) -> Array:
+    return se3.transform(np.eye(3), (x, 0.0, 0.0))
+
+
+def record(k: int, X_C0C: Array | None, segment: int = 0) -> PairRecord:
+    if X_C0C is None:
+        return PairRecord(k, k, None, None, "too_dark", None)
+    pose = OdometryPose(k, k, X_C0C, STD_M**2 * np.eye(6), 50, 0.5, 0.1)
+    return PairRecord(k, k, segment, pose, None, None)
+
+
+def test_wrong_is_beyond_the_floor_and_beyond_what_was_told() -> None:
+    told = STD_M**2 * np.eye(6)
+    for x, wrong in ((0.9e-3, False), (2.9e-3, False), (3.1e-3, True)):
+        assert is_wrong(np.array([0.0, x, 0.0, 0.0, 0.0, 0.0]), told) == wrong
+    assert not is_wrong(np.array([0.9e-3, 0.0, 0.0, 0.0, 0.0, 0.0]), 1e-12 * told)  # below the floor
+    assert is_wrong(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 4e-3]), told)
+
+
+def test_every_map_is_judged_from_its_own_first_pair_on() -> None:
+    """Map 1 begins 0.5 m away, which nobody claims to know; its second pose is 10 mm off, σ 1 mm."""
+    true = np.stack([at(0.1 * k) for k in range(6)])
+    records = [record(0, at(0.0)), record(1, at(0.101)), record(2, None)]
+    records += [record(3, at(0.0), 1), record(4, at(0.11), 1), record(5, at(0.0), 2)]
+    found = judged(SequenceResult(records, [at(0.0), None, None], 1), true)
+    assert (found.located, found.wrong, found.gross) == (4, 1, 0)  # a map of one pair tells no place
+    assert found.worst_m == pytest.approx(0.01)
+    assert found.nees == pytest.approx((1.0 + 100.0) / 2.0)
+
+
+def test_a_jump_of_the_peer_is_gross() -> None:
+    true = np.stack([at(0.1 * k) for k in range(4)])
+    assert gross([(k, at(0.1 * k)) for k in range(4)], true)[0] == 0
+    jumped, worst = gross([(0, at(0.0)), (1, at(0.1)), (2, at(0.0)), (3, at(0.1))], true)
+    assert (jumped, round(worst, 6)) == (2, 0.2)
+
+
+@pytest.mark.parametrize("name", ["gap_5", "left_out_5"])
+def test_a_gap_is_in_the_middle(name: str) -> None:
+    made = sequence(CONFIGS, name, 1, 8)
+    dark = [k for k, pair in enumerate(made.pairs) if pair.left.mean() < 4.0]
+    steps = np.diff([pair.capture_ns for pair in made.pairs])
+    assert len(made.pairs) == len(made.X_C0C) == 8
+    if name == "gap_5":
+        assert dark == [4, 5, 6, 7]
+        assert set(steps) == {100_000_000}
+    else:
+        assert not dark
+        assert steps.tolist() == [100_000_000] * 3 + [600_000_000] + [100_000_000] * 3
+
+
+def test_a_row_is_right_within_what_it_tells() -> None:
+    row = one_row(CONFIGS, {"kind": "wall", "seed": 1, "pairs": 6, "peer": False})
+    assert (row.located, row.wrong, row.gross, row.losses) == (6, 0, 0, "")
+    assert row.worst_mm < 3.0 * row.told_mm + 1.0
+    assert np.isnan(row.peer_located)
+
+
+def test_a_calibration_of_another_size_is_a_refusal_and_no_failure() -> None:
+    row = one_row(CONFIGS, {"kind": "another_size", "seed": 1, "pairs": 2, "peer": True})
+    assert (row.located, row.losses) == (0, "configuration.wrong_size")
+
+
+def test_tasks_and_verdict_name_every_kind() -> None:
+    request = CampaignRequest(CONFIGS, Path("nowhere"), runs=2, seed=5)
+    assert len(matrix_tasks(request, MatrixSettings())) == 2 * len(KINDS)
+    with pytest.raises(ConfigurationError, match="--kind walls: one of still_wall, wall"):
+        matrix_tasks(request, MatrixSettings(kind=["walls"]))
+    nan = float("nan")
+    good = MatrixRow("wall", 5, 40, 40, 1, "", 1.0, 1.0, 1.0, 0, 0, 6.0, 20.0, nan, nan, nan, nan, nan)
+    useless = good._replace(kind="swapped", located=0, nees=nan)
+    assert all(c.met for c in _checks([good, useless]))
+    for worse in (good._replace(wrong=1), good._replace(nees=60.0), useless._replace(located=3)):
+        assert [c.met for c in _checks([good, useless, worse])].count(False) == 1
+
+
+def _checks(rows: list[MatrixRow]) -> list[Check]:
+    return list(
+        matrix_verdict(Finished(CampaignRequest(CONFIGS, Path("nowhere")), MatrixSettings(), (), rows, 0))
+    )
