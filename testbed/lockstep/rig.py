@@ -24,6 +24,7 @@ from vision_pc.application.program import Program, by_name
 from vision_pc.application.programs import PROGRAMS
 from vision_pc.application.results import JSON
 from vision_pc.core.types import Look
+from vision_pc.shell.recording.recorded_ports import record_programs
 
 
 class SimulatedTimeLog:
@@ -77,8 +78,8 @@ class LockstepRig:
 
         Raises OSError or ConfigurationError where a file cannot be made.
         """
-        eyes = self.camera if self.eyes is self.camera else None
-        recordings = LockstepRecordings(directory, session, self.world, eyes)
+        recordings = LockstepRecordings(directory, session, self.world, self.eyes)
+        record_programs(self.application, recordings.vision)
         self._log.listener = recordings.vision.event
         return recordings
 

@@ -25,18 +25,18 @@ class ReportingEyes:
     """Eyes that call ``on_look`` with every look before the program gets it."""
 
     def __init__(self, eyes: Eyes, on_look: Callable[[Look], None]) -> None:
-        self._eyes = eyes
+        self.seeing = eyes
         self._on_look = on_look
 
     async def look(self, frames: int | None = None) -> Look:
         """Take a look, report it and return it."""
-        look = await self._eyes.look(frames)
+        look = await self.seeing.look(frames)
         self._on_look(look)
         return look
 
     def watch(self, *, markers: bool, odometry: bool) -> AbstractAsyncContextManager[Watch]:
         """A watch of the eyes themselves."""
-        return self._eyes.watch(markers=markers, odometry=odometry)
+        return self.seeing.watch(markers=markers, odometry=odometry)
 
 
 class VisionApplication:
@@ -59,7 +59,8 @@ class VisionApplication:
         log: HealthyLog,
         hand_eye: GuidedCalibration | None = None,
     ) -> None:
-        self.arm: StoppableArm = CarryingArm(arm, eyes, camera)
+        self._carrying = CarryingArm(arm, eyes, camera)
+        self.arm: StoppableArm = self._carrying
         self.eyes = ReportingEyes(eyes, self._remember)
         self.controller = controller
         self.camera = camera
@@ -74,6 +75,11 @@ class VisionApplication:
         self.figures: Callable[[], dict[str, Any]] = dict
         self.links: tuple[DhLink, ...] = ()
         self._latest: JudgedLook | None = None
+
+    def tap(self, arm: Callable[[StoppableArm], StoppableArm], eyes: Callable[[Eyes], Eyes]) -> None:
+        """Have programs reach arm and eyes through what ``arm`` and ``eyes`` make of them: recorders."""
+        self._carrying.driven = arm(self._carrying.driven)
+        self._carrying.watching = self.eyes.seeing = eyes(self.eyes.seeing)
 
     @property
     def guided(self) -> GuidedCalibration:

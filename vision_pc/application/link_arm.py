@@ -132,12 +132,12 @@ def _to_and_fro(states: list[State]) -> Array:
 class CarryingArm:
     """Implements ``StoppableArm``: an arm whose motions odometry watches while targets are kept.
 
-    Without targets, or within a watch, it is the arm itself, ``driven``.
+    Without targets, or within a watch, it is the arm itself, ``driven``; the eyes are ``watching``.
     """
 
     def __init__(self, arm: StoppableArm, eyes: Eyes, camera: Camera) -> None:
         self.driven = arm
-        self._eyes = eyes
+        self.watching = eyes
         self._camera = camera
 
     async def view(self) -> ArmView:
@@ -170,5 +170,5 @@ class CarryingArm:
     async def _watched(self, move: Callable[[], Awaitable[ArmView]]) -> ArmView:
         if not self._camera.carries:
             return await move()
-        async with self._eyes.watch(markers=False, odometry=True):
+        async with self.watching.watch(markers=False, odometry=True):
             return await move()

@@ -27,13 +27,13 @@ from vision_pc.application.hand_eye.guided_calibration import GuidedCalibration
 from vision_pc.application.hand_eye.store import SessionStore
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.program import Program
-from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.config.vision import VisionConfig
 from vision_pc.shell.camera_eyes import open_eyes
 from vision_pc.shell.cameras import open_camera
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.recording.opening import open_recording
+from vision_pc.shell.recording.recorded_ports import record_programs
 from vision_pc.shell.rest.api import PUBLIC, STOPS, create_app
 from vision_pc.shell.rest.operations import Operations
 
@@ -90,14 +90,14 @@ class VisionService:
         camera = open_camera(config.camera)
         self._opened = opened = open_eyes(camera, link, config, log)
         eyes = opened.eyes
-        self._record_from(eyes, link)
         arm = LinkArm(link, config.motion)
         guided = GuidedCalibration(arm, eyes, link, config, nominal, log, self._sessions)
         application = VisionApplication(arm, eyes, link, eyes, config.programs, nominal.boom, log, guided)
         watch = SelfWatch(log, _LIMITS, self._work, log.record_dir)
         application.overload, application.figures = lambda: watch.overload, self._gathered
         application.links = nominal.links
-        operations = Operations(arm.halt, log)
+        self._record_from(eyes, application)
+        operations = Operations(application.arm.halt, log)
         app = create_app(application, operations, self._programs, Home(asyncio.get_running_loop()))
         self._server = server = RestServer(app, self._access, log)
         leaving: list[asyncio.Task[None]] = []
@@ -123,10 +123,11 @@ class VisionService:
             self._statistics.write()
             await self._say_stopped()
 
-    def _record_from(self, eyes: CameraEyes, link: ReferenceLink) -> None:
+    def _record_from(self, eyes: CameraEyes, application: VisionApplication) -> None:
         if self._recorder is not None:
             eyes.recorded_by(self._recorder)
-            self._recorder.listen_to(link)
+            record_programs(application, self._recorder)
+            self._recorder.listen_to(self._link)
 
     async def _say_stopped(self) -> None:
         self._log.write("stopped")

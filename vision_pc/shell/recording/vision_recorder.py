@@ -38,14 +38,17 @@ from vision_pc.core.types import (
     StereoPair,
     WatchSample,
 )
+from vision_pc.shell.recording import read_messages as reads
 from vision_pc.shell.recording import vision_messages as own
 from vision_pc.shell.recording import vision_pictures as pictures
 from vision_pc.shell.recording.recorded_sensor import RecordedSensor
 
 FILE = "vision.mcap"
+EYES, SIMULATED = "eyes", "simulated"  # in the metadata `session`, where there were no pictures
 FRAME, OBSERVATION, LOOK = "/vision/frame", "/vision/observation", "/vision/look"
 ODOMETRY_START, ODOMETRY, ERRORS = "/vision/odometry_start", "/vision/odometry", "/vision/camera_errors"
 REFERENCE, CLOCK, EVENT, LOG = "/vision/reference", "/vision/clock", "/vision/event", "/vision/log"
+READ, SAMPLE = "/vision/read", "/vision/sample"
 FRAMES, TRACK, PATH = "/vision/tf", "/vision/track", "/vision/path"
 ANNOTATIONS = "/camera/left/annotations"
 CALIBRATIONS = ("/camera/left/calibration", "/camera/right/calibration")
@@ -74,6 +77,8 @@ def topics(settings: RecordingSettings) -> tuple[Topic, ...]:
         Topic(ERRORS, format_of(own.CameraErrorsMessage), own.fitted_bytes),
         Topic(LOOK, format_of(own.LookMessage), own.look_bytes),
         Topic(REFERENCE, format_of(own.ReferenceMessage), lambda said: own.reference_bytes(*said)),
+        Topic(READ, format_of(reads.ReadMessage), reads.read_bytes),
+        Topic(SAMPLE, format_of(reads.SampleMessage), reads.sample_bytes),
         Topic(CLOCK, format_of(own.ClockMessage), own.clock_bytes),
         Topic(EVENT, format_of(EventMessage), event_bytes),
         Topic(LOG, format_of(LogMessage), lambda line: log_line(*line)),
@@ -87,11 +92,11 @@ def topics(settings: RecordingSettings) -> tuple[Topic, ...]:
 
 
 class VisionRecorder:
-    """Implements ``MeasurementRecord``, ``SightRecorder`` and a listener of the link.
+    """Implements ``MeasurementRecord``, ``ReadRecord``, ``SightRecorder`` and a listener of the link.
 
     ``failed`` is called once when nothing more can be written, with the reason. ``missed``: frames of which
-    neither checksum nor pixels were kept, because too many waited. Measurements may be told by one thread
-    while looks and references are told by another.
+    neither checksum nor pixels were kept, because too many waited. ``looks`` were told.
+    Measurements may be told by one thread while looks and references are told by another.
     """
 
     def __init__(
@@ -109,7 +114,7 @@ class VisionRecorder:
         self._frames_put = self._frames_taken = 0
         entries = {"run": {"configuration": json.dumps(run)}, "session": dict(session)}
         self.sink = made(path, [self._counted(topic) for topic in every], entries)
-        self.missed = 0
+        self.missed = self.looks = 0
         self.failed: Callable[[str], object] = str
         self._told = False
         self._now_ns = now_ns
@@ -164,7 +169,17 @@ class VisionRecorder:
         """Record a look."""
         numbers = tuple(self._known(each)[0] for each in observations)
         made = own.CombinedLook(look, tuple(-1 if number is None else number for number in numbers))
+        self.looks += 1
         self._put(LOOK, made, look.time_ns, wanted=True)
+
+    # Told by what programs reach arm and eyes through.
+    def read(self, read: reads.Read) -> None:
+        """Record an answer that a program got."""
+        self._put(READ, read, self._now_ns(), wanted=True)
+
+    def sampled(self, made: reads.NumberedSample) -> None:
+        """Record a sample of a watch that a program may see."""
+        self._put(SAMPLE, made, made.sample.time_ns, wanted=True)
 
     # Told by the link and by the log.
     def listen_to(self, link: ReferenceLink) -> None:
