@@ -120,12 +120,18 @@ def replay(
     plot: Annotated[
         Path | None, typer.Option(help="With --set: draw what moves to this file.", callback=writable)
     ] = None,
+    decisions: Annotated[
+        bool, typer.Option("--decisions", help="Programs alone: no picture is measured in again.")
+    ] = False,
     json_file: JsonFile = None,
 ) -> None:
-    """Run vision's perception again over a recording; exit status 1 unless all comes out as recorded."""
+    """Run vision's perception and programs again over a recording; exit status 1 unless all is as recorded.
+
+    Every measurement and every reference is compared; the first that differs is told with both values.
+    """
     from testbed.recordings.command import ReplayRequest, run_replay
 
-    request = ReplayRequest(file, truth, settings or [], plot, json_file)
+    request = ReplayRequest(file, truth, settings or [], plot, json_file, decisions)
     raise typer.Exit(0 if run_replay(request) else 1)
 
 

@@ -6,28 +6,33 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from foundation.configuration import parse_overrides
+from foundation.recording.reading import Damage
 from foundation.recording.session import session_entries
 from protocol.errors import ConfigurationError
 from testbed.recordings.comparison import ALIKE, ReplayComparison
+from testbed.recordings.decision_replay import DecisionReplay
 from testbed.recordings.perception_replay import (
     PerceptionReplay,
-    RecordedVision,
     pixels_for,
-    recorded_vision,
 )
 from testbed.recordings.pixels import RenderedPixels
+from testbed.recordings.recorded_vision import RecordedVision, recorded_vision
 from testbed.recordings.what_if import Moved, WhatIf
 from testbed.reporting.console import out, table, write_json
 
 
 class ReplayRequest(NamedTuple):
-    """What is replayed, from whose pictures, with which other settings, and where the results go."""
+    """What is replayed, from whose pictures, with which other settings, and where the results go.
+
+    ``decisions``: programs alone, for which no picture is needed.
+    """
 
     file: Path
     truth: Path | None
     settings: list[str]
     plot: Path | None
     json_file: Path | None
+    decisions: bool = False
 
 
 def run_replay(request: ReplayRequest) -> bool:
@@ -40,10 +45,35 @@ def run_replay(request: ReplayRequest) -> bool:
         raise ConfigurationError(
             "configuration.unknown_file", f"--set {others[0]}…: a replay has the settings of vision alone"
         )
+    if overrides and request.decisions:
+        raise ConfigurationError(
+            "configuration.decisions_what_if", "--set changes what is measured; --decisions measures nothing"
+        )
     recording = recorded_vision(request.file, overrides.get("vision"))
+    figures: dict[str, Any] = {}
+    compared: list[ReplayComparison] = []
+    damages: tuple[Damage, ...] = ()
+    if recording.pictured and not request.decisions:
+        replayed = _replay_perception(recording, request, bool(overrides), figures)
+        compared.append(replayed.comparison)
+        damages = tuple(replayed.damages)
+    if not overrides:
+        decided = _replay_decisions(recording, figures)
+        compared.append(decided.comparison)
+        damages = damages or tuple(decided.damages)
+        _show_compared(compared, recording)
+    for damage in damages:
+        out.print(f"not read, at byte {damage.offset}: {damage.what}", highlight=False)
+    write_json(request.json_file, figures | {"damages": [damage._asdict() for damage in damages]})
+    return bool(overrides) or (all(each.identical for each in compared) and not damages)
+
+
+def _replay_perception(
+    recording: RecordedVision, request: ReplayRequest, what_if: bool, figures: dict[str, Any]
+) -> PerceptionReplay:
     pixels = pixels_for(recording, request.truth)
-    what_if = WhatIf()
-    replay = PerceptionReplay(recording, pixels, what_if.take)
+    moved = WhatIf()
+    replay = PerceptionReplay(recording, pixels, moved.take)
     times_ns: deque[int] = deque(maxlen=1)
     began_s, first_ns = time.process_time(), list[int]()
 
@@ -55,27 +85,36 @@ def run_replay(request: ReplayRequest) -> bool:
     compared = replay.run(advanced)
     took_s = time.process_time() - began_s
     recorded_s = 1e-9 * (times_ns[0] - first_ns[0]) if first_ns else 0.0
-    for damage in replay.damages:
-        out.print(f"not read, at byte {damage.offset}: {damage.what}", highlight=False)
     made = "rendered again" if isinstance(pixels, RenderedPixels) else "as recorded"
     out.print(f"{recorded_s:.1f} s of arm time in {took_s:.1f} s of one core; pixels {made}", highlight=False)
-    figures = {"recorded_s": recorded_s, "cpu_s": took_s, "pixels": made, **_figures(compared, replay)}
-    if overrides:
-        figures["moved"] = _tell_moved(what_if, request.plot)
-    else:
-        _show_compared(compared, recording)
-    write_json(request.json_file, figures)
-    return bool(overrides) or (compared.identical and not replay.damages)
+    figures |= {"recorded_s": recorded_s, "cpu_s": took_s, "pixels": made, **_figures(compared)}
+    if what_if:
+        figures["moved"] = _tell_moved(moved, request.plot)
+    return replay
 
 
-def _figures(compared: ReplayComparison, replay: PerceptionReplay) -> dict[str, Any]:
+def _replay_decisions(recording: RecordedVision, figures: dict[str, Any]) -> DecisionReplay:
+    replay = DecisionReplay(recording)
+    compared = replay.run()
+    for why, count in replay.not_run.items():
+        out.print(f"not run again, {count}: {why}", highlight=False)
+    if replay.commands:
+        out.print(f"commands that no program decided, while one ran: {replay.commands}", highlight=False)
+    figures["decisions"] = {
+        "not_run": dict(replay.not_run),
+        "commands": replay.commands,
+        **_figures(compared),
+    }
+    return replay
+
+
+def _figures(compared: ReplayComparison) -> dict[str, Any]:
     return {
         "exact": compared.exact,
         "alike": dict(compared.alike),
         "of": dict(compared.of),
         "largest_difference": compared.largest,
         "first_difference": None if compared.first is None else compared.first._asdict(),
-        "damages": [damage._asdict() for damage in replay.damages],
     }
 
 
@@ -88,16 +127,17 @@ def _tell_moved(what_if: WhatIf, plot: Path | None) -> list[Any]:
     return [row._asdict() for row in rows]
 
 
-def _show_compared(compared: ReplayComparison, recording: RecordedVision) -> None:
-    word = "identical" if compared.exact else f"alike within {ALIKE:g}"
-    for kind, count in compared.of.items():
-        out.print(f"{kind}: {compared.alike[kind]} of {count} {word}", highlight=False)
-    if not compared.exact:
-        out.print(
-            f"not compared to the last bit, as versions differ: {_versions(recording)}", highlight=False
-        )
-    if compared.first is not None:
-        out.print(f"first difference: {compared.first.in_words()}", highlight=False, soft_wrap=True)
+def _show_compared(each: list[ReplayComparison], recording: RecordedVision) -> None:
+    word = "identical" if recording.exact else f"alike within {ALIKE:g}"
+    for compared in each:
+        for kind, count in compared.of.items():
+            out.print(f"{kind}: {compared.alike[kind]} of {count} {word}", highlight=False)
+        if compared.first is not None:
+            told = f"first difference: {compared.first.in_words()}"
+            out.print(told, highlight=False, soft_wrap=True)
+    if not recording.exact:
+        versions = _versions(recording)
+        out.print(f"not compared to the last bit, as versions differ: {versions}", highlight=False)
 
 
 def _versions(recording: RecordedVision) -> str:

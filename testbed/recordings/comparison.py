@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from foundation.recording.decoding import Values, decoder
@@ -10,22 +10,25 @@ from foundation.recording.messages import format_of
 from vision_pc.shell.recording import vision_messages as own
 
 ALIKE = 1e-9  # of other versions or another processor: m, rad, px
+REFERENCE, OPERATION = "reference", "operation"
+_HAPPENED = {REFERENCE: "sent", OPERATION: "begun"}  # all others are of a frame
 _DECODERS: dict[str, Callable[[bytes], Values]] = {}
 
 
 class Difference(NamedTuple):
-    """The first place where a replay parts from its recording."""
+    """The first place where a replay parts from its recording, ``time_ns`` on vision's clock."""
 
     kind: str
     number: int
-    capture_ns: int
+    time_ns: int
     field: str
     recorded: Any
     replayed: Any
 
     def in_words(self) -> str:
         """One line that says it all."""
-        where = f"{self.kind} {self.number} (captured at {self.capture_ns * 1e-9:.3f} s): {self.field}"
+        happened = _HAPPENED.get(self.kind, "captured")
+        where = f"{self.kind} {self.number} ({happened} at {self.time_ns * 1e-9:.3f} s): {self.field}"
         return f"{where}: recorded {_shown(self.recorded)}, replayed {_shown(self.replayed)}"
 
 
@@ -48,18 +51,36 @@ class ReplayComparison:
         """Whether everything was the same."""
         return self.alike == self.of
 
-    def message(self, kind: str, number: int, recorded: Any, replayed: bytes) -> bool:
-        """Compare a recorded message with the bytes of a replayed one. Return whether they are the same."""
+    def message(
+        self, kind: str, number: int, recorded: Any, replayed: bytes, time_ns: int | None = None
+    ) -> bool:
+        """Compare a recorded message with the bytes of a replayed one. Return whether they are the same.
+
+        ``time_ns``: when it was; None: it says so itself.
+        """
         again = type(recorded).FromString(replayed)
-        if self.exact and recorded.digest == again.digest:
+        digests = [getattr(message, "digest", None) for message in (recorded, again)]
+        if self.exact and digests[0] is not None and digests[0] == digests[1]:
             return self.same(kind)
-        for field, before, now in _parting(recorded, again):
-            self.largest = max(self.largest, _apart(before, now))
-            if self.exact or _apart(before, now) > ALIKE:
-                return self.different(kind, number, _stamp(recorded), field, before, now)
-        if self.exact:
-            return self.different(kind, number, _stamp(recorded), "digest", recorded.digest, again.digest)
-        return self.same(kind)
+        stamp = _stamp(recorded) if time_ns is None else time_ns
+        parted = self._parted(_flat(recorded), _flat(again))
+        if parted is None and self.exact and digests[0] != digests[1]:
+            parted = "digest", digests[0], digests[1]
+        return self.same(kind) if parted is None else self.different(kind, number, stamp, *parted)
+
+    def values(self, kind: str, number: int, time_ns: int, recorded: Values, replayed: Values) -> bool:
+        """Compare values by name. Return whether they are the same."""
+        parted = self._parted(recorded, replayed)
+        return self.same(kind) if parted is None else self.different(kind, number, time_ns, *parted)
+
+    def _parted(self, before: Values, now: Values) -> tuple[str, Any, Any] | None:
+        """The first field that is not the same, and both its values."""
+        for field in [*before, *(field for field in now if field not in before)]:
+            apart = 0.0 if field == "digest" else _apart(before.get(field), now.get(field))
+            self.largest = max(self.largest, apart)
+            if apart > (0.0 if self.exact else ALIKE):
+                return field, before.get(field), now.get(field)
+        return None
 
     def same(self, kind: str) -> bool:
         """Count one that is the same. Return True."""
@@ -68,21 +89,13 @@ class ReplayComparison:
         return True
 
     def different(
-        self, kind: str, number: int, capture_ns: int, field: str, recorded: Any, replayed: Any
+        self, kind: str, number: int, time_ns: int, field: str, recorded: Any, replayed: Any
     ) -> bool:
         """Count one that is not, and keep it if it is the first. Return False."""
         self.of[kind] += 1
         if self.first is None:
-            self.first = Difference(kind, number, capture_ns, field, recorded, replayed)
+            self.first = Difference(kind, number, time_ns, field, recorded, replayed)
         return False
-
-
-def _parting(recorded: Any, replayed: Any) -> Iterator[tuple[str, Any, Any]]:
-    """Fields in which two messages differ, those of either; the digest is left out."""
-    before, now = (_flat(message) for message in (recorded, replayed))
-    for field in [*before, *(field for field in now if field not in before)]:
-        if field != "digest" and _apart(before.get(field), now.get(field)) > 0.0:
-            yield field, before.get(field), now.get(field)
 
 
 def _flat(message: Any) -> Values:

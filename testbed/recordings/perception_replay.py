@@ -4,22 +4,19 @@ Every observation goes on from the one that it went on from then, as it comes ou
 arm's poses and the order is taken from the recording.
 """
 
-import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
-from mcap.records import Channel, Message, Metadata
+from mcap.records import Channel, Message
 
-from foundation.configuration import merged, validated
 from foundation.recording.reading import Damage, RecordingUnreadable, walk
-from foundation.recording.session import session_entries
 from protocol.errors import MeasurementFailed
 from testbed.recordings.comparison import ReplayComparison
 from testbed.recordings.pixels import KeptPixels, Pixels, RecordedStamp, RenderedPixels, checked
-from vision_pc.config.vision import VisionConfig
+from testbed.recordings.recorded_vision import RecordedVision
 from vision_pc.core.odometry import StereoOdometry
 from vision_pc.core.perception.look import combine
 from vision_pc.core.pixel_sensor import PixelSensor
@@ -40,39 +37,6 @@ _CLASSES: dict[str, Any] = {
 _KEPT_FRAMES = 4
 _KEPT_OBSERVATIONS = 1100  # more than the frames of any look
 FRAME, OBSERVATION, ODOMETRY, ERRORS, LOOK = "frame", "observation", "odometry pose", "camera errors", "look"
-
-
-class RecordedVision(NamedTuple):
-    """What a recording says of itself. ``exact``: made by these very versions on this kind of machine."""
-
-    path: Path
-    config: VisionConfig
-    session: Mapping[str, str]
-    images: str
-    exact: bool
-
-
-def recorded_vision(path: Path, overrides: Mapping[str, Any] | None = None) -> RecordedVision:
-    """The recording at ``path``, its configuration with ``overrides`` laid over it.
-
-    Raises OSError, RecordingUnreadable (``recording.not_vision``), ConfigurationError.
-    """
-    metadata: dict[str, dict[str, str]] = {}
-    with path.open("rb") as stream:
-        for record in walk(stream):
-            if isinstance(record, Metadata):
-                metadata[record.name] = record.metadata
-            elif isinstance(record, Message):
-                break
-    run = json.loads(metadata.get("run", {}).get("configuration", "{}"))
-    if "vision" not in run:
-        why = f"{path.name}: no recording of the vision PC, whose name is {topics.FILE}"
-        raise RecordingUnreadable("recording.not_vision", why)
-    config = validated(VisionConfig, merged(run["vision"], overrides or {}), path.name)
-    session = metadata.get("session", {})
-    here = session_entries("vision_pc", {})
-    same = all(session.get(name) == value for name, value in here.items() if name not in ("id", "service"))
-    return RecordedVision(path, config, session, run["vision"]["recording"]["images"], same)
 
 
 def pixels_for(recording: RecordedVision, truth: Path | None) -> Pixels:

@@ -12,7 +12,8 @@ from testbed.lockstep.recordings import TRUTH, VISION
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
 from testbed.recordings.comparison import ReplayComparison
-from testbed.recordings.perception_replay import FRAME, PerceptionReplay, pixels_for, recorded_vision
+from testbed.recordings.perception_replay import FRAME, PerceptionReplay, pixels_for
+from testbed.recordings.recorded_vision import recorded_vision
 from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.core.se3 import Array

@@ -1,18 +1,13 @@
 """A recording replayed: identical, also with pictures rendered again; a flipped pixel found at its frame."""
 
 import json
-from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
-from mcap.records import Message
 
-from foundation.recording.mcap_file import McapFile
-from foundation.recording.reading import RecordingUnreadable, walk
-from foundation.recording.recovery import contents
+from foundation.recording.reading import RecordingUnreadable
 from protocol.errors import ConfigurationError
 from testbed.recordings.command import ReplayRequest, run_replay
 from testbed.recordings.comparison import ReplayComparison
@@ -22,38 +17,13 @@ from testbed.recordings.perception_replay import (
     OBSERVATION,
     PerceptionReplay,
     pixels_for,
-    recorded_vision,
 )
 from testbed.recordings.pixels import RenderedPixels
+from testbed.recordings.recorded_vision import recorded_vision
 from tests.testbed.lockstep.recorded_run import FILES, RecordedRun
+from tests.testbed.recordings.editing import Change, edited, kept
 from vision_pc.shell.recording import vision_messages as own
 from vision_pc.shell.recording import vision_recorder as topics
-
-Change = Callable[[str, int, bytes], bytes | None]
-
-
-def edited(source: Path, target: Path, change: Change, session: dict[str, str] | None = None) -> Path:
-    """``source`` with each message as ``change(topic, how many before it, data)`` has it; None: without."""
-    found = contents(source)
-    numbers = {channel: number for number, channel in enumerate(found.topics)}
-    metadata = {**found.metadata, "session": {**found.metadata["session"], **(session or {})}}
-    counts = dict.fromkeys(found.topics, 0)
-    with (
-        closing(McapFile(target, list(found.topics.values()), metadata)) as file,
-        source.open("rb") as stream,
-    ):
-        for record in walk(stream):
-            if isinstance(record, Message):
-                channel = record.channel_id
-                data = change(found.topics[channel].name, counts[channel], record.data)
-                counts[channel] += 1
-                if data is not None:
-                    file.add(numbers[channel], data, record.log_time, record.publish_time)
-    return target
-
-
-def kept(topic: str, count: int, data: bytes) -> bytes:
-    return data
 
 
 def replayed(path: Path, truth: Path | None = None) -> ReplayComparison:

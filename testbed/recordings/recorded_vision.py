@@ -1,0 +1,55 @@
+"""What a recording of the vision PC says of itself: its configuration, and what made it."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mcap.records import Message, Metadata
+
+from foundation.configuration import merged, validated
+from foundation.recording.reading import RecordingUnreadable, walk
+from foundation.recording.session import session_entries
+from nominal_arm.description import NominalArm
+from vision_pc.config.vision import VisionConfig
+from vision_pc.shell.recording import vision_recorder as topics
+
+
+class RecordedVision(NamedTuple):
+    """What a recording says of itself. ``exact``: made by these very versions on this kind of machine.
+
+    ``pictured``: its eyes had pictures.
+    """
+
+    path: Path
+    config: VisionConfig
+    arm: NominalArm
+    session: Mapping[str, str]
+    images: str
+    exact: bool
+    pictured: bool
+
+
+def recorded_vision(path: Path, overrides: Mapping[str, Any] | None = None) -> RecordedVision:
+    """The recording at ``path``, its configuration with ``overrides`` laid over it.
+
+    Raises OSError, RecordingUnreadable (``recording.not_vision``), ConfigurationError.
+    """
+    metadata: dict[str, dict[str, str]] = {}
+    with path.open("rb") as stream:
+        for record in walk(stream):
+            if isinstance(record, Metadata):
+                metadata[record.name] = record.metadata
+            elif isinstance(record, Message):
+                break
+    run = json.loads(metadata.get("run", {}).get("configuration", "{}"))
+    if "vision" not in run:
+        why = f"{path.name}: no recording of the vision PC, whose name is {topics.FILE}"
+        raise RecordingUnreadable("recording.not_vision", why)
+    config = validated(VisionConfig, merged(run["vision"], overrides or {}), path.name)
+    arm = validated(NominalArm, run["arm"], path.name)
+    session = metadata.get("session", {})
+    here = session_entries("vision_pc", {})
+    same = all(session.get(name) == value for name, value in here.items() if name not in ("id", "service"))
+    pictured = session.get(topics.EYES) != topics.SIMULATED
+    return RecordedVision(path, config, arm, session, run["vision"]["recording"]["images"], same, pictured)
