@@ -43,6 +43,7 @@ CATALOGUE = {
     "lockstep-demo": _one("positioning.lockstep_demo:LOCKSTEP_DEMO"),
     "eyes-measure": _one("positioning.eyes_measure:EYES_MEASURE"),
     "eyes-agree": _one("positioning.eyes_agree:EYES_AGREE"),
+    "targets": _one("targets.one_look:TARGETS"),
     "path-information": _one("positioning.path_information:PATH_INFORMATION"),
     "hua-fig5": _one(f"{_HAND_EYE}:LOCALISATION"),
     "hua-fig6": _one(f"{_HAND_EYE}:LOCALISATION"),  # the same localisations: Fig. 5 their error, 6 their rate

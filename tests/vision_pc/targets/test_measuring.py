@@ -15,8 +15,10 @@ from tests.vision_pc.targets.wall_scene import (
     scene,
 )
 from vision_pc.core import se3
+from vision_pc.core.targets import plane_patch
 from vision_pc.core.targets.measuring import Click, KnownTarget, again, at_click, holes
 from vision_pc.core.targets.target import TargetRefused, frame_on
+from vision_pc.core.targets.wider_patch import normal_std, wider
 
 TILTED = facing(0.03, -0.02, 1.0, (9.0, -13.0, 4.0))
 
@@ -126,6 +128,34 @@ def test_a_known_hole_is_measured_again_from_a_wrong_guess_and_keeps_its_axes(fa
     far = known._replace(X_CO=se3.transform(X[:3, :3], face.point(0.3, -0.1)))
     with pytest.raises(TargetRefused, match="where it is expected"):
         again(face.sighted(), far)
+
+
+def test_however_often_the_tools_marker_was_seen_its_print_bounds_what_is_told_of_depth(
+    face: WallScene,
+) -> None:
+    sighted, place = face.sighted(), (-0.02, 0.05)
+    offset = sighted.observation.offset
+    assert offset is not None
+    often = offset._replace(std_x_px=0.03)
+    surest = sighted._replace(observation=sighted.observation._replace(offset=often))
+    Z, Z_M = face.point(*place)[2], X_CM[2, 3]
+    printed = sighted.markers.print_size_std * Z**2 / Z_M  # a print's share of the marker's disparity
+    assert at_click(surest, Click("left", face.pixel(*place))).covariance[2, 2] ** 0.5 > printed
+    blind = sighted._replace(observation=sighted.observation._replace(X_CM=None, X_CO=None))
+    assert at_click(blind, Click("left", face.pixel(*place))).covariance[2, 2] ** 0.5 > 0.001
+
+
+def test_a_normal_is_better_known_where_the_surface_is_flat_far_around(face: WallScene) -> None:
+    far = scene(rock(contrast=8.0), facing(0.03, -0.02, 1.9, (9.0, -13.0, 4.0)), tool=False)
+    pixel = far.pixel(0.30, -0.20)
+    small = plane_patch.align(far.pair, CAMERA, pixel, 1.0 / far.point(0.30, -0.20)[2], 30)
+    large = wider(far.pair, CAMERA, small, pixel, 56, None)
+    assert normal_std(large) < 0.5 * normal_std(small)
+    truth = far.X_CW[:3, 2]
+    turned = [
+        np.degrees(np.arccos(abs(plane.n @ truth) / np.linalg.norm(plane.n))) for plane in (small, large)
+    ]
+    assert turned[1] < 1.5
 
 
 def test_a_known_target_behind_the_tool_is_hidden(face: WallScene) -> None:

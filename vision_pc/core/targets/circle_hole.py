@@ -18,6 +18,7 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.targets import plane_patch, row_matching
 from vision_pc.core.targets.plane_patch import PlanePatch
 from vision_pc.core.targets.target import TargetRefused, frame_on
+from vision_pc.core.targets.wider_patch import wider
 from vision_pc.core.types import CameraCalibration, CameraModel, Image, StereoPair
 
 _RAYS = 96
@@ -31,10 +32,11 @@ _MASKED = 1.45  # radii about the middle that the surface is not taken from: bro
 _RING = 2.6  # radii that the surface is taken from, and at least:
 _LEAST_RING_PX = 24
 _MOST_RING_PX = 60
+_WIDER_RING_PX = 45
 _EYES_APART = 0.08  # of the diameter by which the two eyes' middles may differ
 _ROUNDS = 3
-_FLOOR_PX = 0.06  # [M] what texture about the rim and light in the hole do to its edges (docs/targets.md)
-_BREAKS = 0.006  # [M] of the radius: what places where the rim breaks out do to the middle
+_FLOOR_PX = 0.08  # [M] what texture about the rim and light in the hole do to its edges (docs/targets.md)
+_BREAKS = 0.003  # [M] of the radius: what places where the rim breaks out do to the middle
 _TIGHT = 2.5  # of the usual distance from the circle: what is farther out of it is no part of the edge
 _SHIFTS = (0.21, 0.27, 0.33, 0.39)  # of the way round, between the three points of a circle that is tried
 
@@ -117,12 +119,21 @@ def _surface(pair: StereoPair, camera: CameraCalibration, spot: DarkSpot, invers
     half = int(min(max(_RING * spot.radius, spot.radius + _LEAST_RING_PX), _MOST_RING_PX))
     rows, columns = np.mgrid[-half : half + 1, -half : half + 1]
     ring = np.hypot(rows, columns) > _MASKED * spot.radius + 2.0
-    return plane_patch.align(pair, camera, np.rint(spot.middle), inverse_depth, half, ring)
+    middle = np.rint(spot.middle)
+    plane = plane_patch.align(pair, camera, middle, inverse_depth, half, ring)
+    if half >= _WIDER_RING_PX:
+        return plane
+    all_around = np.pad(ring, _WIDER_RING_PX - half, constant_values=True)
+    return wider(pair, camera, plane, middle, _WIDER_RING_PX, all_around)
 
 
 def _hole(camera: CameraCalibration, left: _Circle, right: _Circle, plane: PlanePatch) -> Hole:
-    middle = 0.5 * (left.middle + right.middle)
     origin, axes = _axes(plane)
+    # Along the baseline the right eye's middle moves with the plane's depth, which knows less than the left.
+    baseline = axes[:, :2].T @ camera.right.X_CE[:3, 3]
+    baseline /= np.linalg.norm(baseline)
+    apart = right.middle - left.middle
+    middle = left.middle + 0.5 * (apart - baseline * (baseline @ apart))
     X = frame_on(origin + axes[:, :2] @ middle, plane.n)
     covariance = np.zeros((6, 6))
     # What texture does to an edge both eyes see alike: two eyes are no surer than one.

@@ -18,14 +18,17 @@ from vision_pc.core.targets.circle_hole import DarkSpot
 from vision_pc.core.targets.hole_search import dark_spots
 from vision_pc.core.targets.plane_patch import PlanePatch
 from vision_pc.core.targets.target import Kind, TargetObservation, TargetRefused, frame_on, with_roll
+from vision_pc.core.targets.wider_patch import wider
 from vision_pc.core.types import CameraCalibration, FrameObservation, StereoPair
 
 _HALF = 30  # px of a plane's patch on either side
+_WIDER = (42, 56)  # px, where the normal wants more
 _CLICK_REACH = 70  # px about a click in which a hole may reach it
 _INSIDE = 1.4  # radii from a hole's middle at which a click still means it
 _DEPTH_SHARE = 0.15  # by which the depth of a known target may have changed
 _AGAIN_M = 0.02  # how far a known target may lie from where it is expected, besides three standard deviations
 _HIDDEN_RADIUS_PX = 12
+_LENS_PX = 0.06  # [E] disparity that a k1 of 0.001, which nobody told of, makes where the tool usually is
 _SECOND_CLICK = 0.06  # share of the depth by which a click in the other eye may be off
 
 
@@ -78,8 +81,7 @@ def at_click(sighted: Sighted, click: Click) -> TargetObservation:
         if hole is not None:
             return hole
     found = row_matching.match(pair, camera, click.pixel, depths)
-    plane = plane_patch.align(pair, camera, click.pixel, found.inverse_depth, _HALF)
-    return _on_plane(sighted, camera, plane)
+    return _on_plane(sighted, camera, _plane(pair, camera, click.pixel, found.inverse_depth))
 
 
 def holes(sighted: Sighted, diameter_mm: float | None = None) -> list[TargetObservation]:
@@ -105,7 +107,7 @@ def again(sighted: Sighted, known: KnownTarget) -> TargetObservation:
     depths = float(p[2]) * (1.0 - _DEPTH_SHARE), float(p[2]) * (1.0 + _DEPTH_SHARE)
     if known.kind == "plane":
         found = row_matching.match(sighted.pair, camera, pixel, depths)
-        plane = plane_patch.align(sighted.pair, camera, pixel, found.inverse_depth, _HALF)
+        plane = _plane(sighted.pair, camera, pixel, found.inverse_depth)
         seen = _with_known_place(_on_plane(sighted, camera, plane), known)
     else:
         seen = _hole_again(sighted, camera, known, pixel, depths)
@@ -117,6 +119,13 @@ def again(sighted: Sighted, known: KnownTarget) -> TargetObservation:
             f"target: found {1e3 * off:.0f} mm from where it is expected, limit {1e3 * limit:.0f} mm",
         )
     return seen._replace(X_CO=_turned_least(known.X_CO, seen.X_CO))
+
+
+def _plane(pair: StereoPair, camera: CameraCalibration, pixel: Array, inverse_depth: float) -> PlanePatch:
+    plane = plane_patch.align(pair, camera, pixel, inverse_depth, _HALF)
+    for half in _WIDER:
+        plane = wider(pair, camera, plane, pixel, half, None)
+    return plane
 
 
 def _hole_at(
@@ -209,16 +218,42 @@ def _moved_by_plane(plane: PlanePatch) -> Array:
 
 
 def _bias(sighted: Sighted, X: Array, plane: PlanePatch) -> Array:
-    """What all frames share: the right eye's offset is not known exactly, nor are the focal length and k1."""
-    offset, errors = sighted.observation.offset, sighted.observation.errors
-    std_px = sighted.markers.offset_std_px if offset is None else offset.std_x_px
-    ray, step = X[:3, 3] / X[2, 3], std_px * plane.offset_rate
-    n = plane.n + np.array([0.0, 0.0, step])
-    moved = se3.local(X, se3.transform(frame_on(X[:3, 3], n)[:3, :3], ray / (n @ ray)))
-    turned = frame_on(X[:3, 3], plane.n)[:3, :3]
-    moved[3:] = se3.log_so3(frame_on(X[:3, 3], n)[:3, :3] @ turned.T)
-    radial = sighted.markers.radial_std if errors is None else math.sqrt(errors.covariance[6, 6])
-    return np.asarray(np.outer(moved, moved) + lens_covariance(X, sighted.markers, radial))
+    """What all frames share: errors of the right eye's offset, of baseline and focal length, and of k1."""
+    radial, errors = sighted.markers.radial_std, sighted.observation.errors
+    if errors is not None:
+        radial = math.sqrt(errors.covariance[6, 6])
+    covariance = np.asarray(lens_covariance(X, sighted.markers, radial))
+    ray, before = X[:3, 3] / X[2, 3], frame_on(X[:3, 3], plane.n)
+    for offset_px, baseline in _shared_errors(sighted):
+        n = plane.n * (1.0 + baseline) + np.array([0.0, 0.0, offset_px * plane.offset_rate])
+        moved = se3.local(before, frame_on(ray / (n @ ray), n))
+        covariance += np.outer(moved, moved)
+    return covariance
+
+
+def _shared_errors(sighted: Sighted) -> list[tuple[float, float]]:
+    """Independent errors, 1 σ: each the right eye's offset (px) and the baseline's share that go together.
+
+    The markers tell the offset by their size: a print or a baseline that is off by a share stands for a
+    disparity that is off by that share of the marker's, and frames do not average it out.
+    """
+    observation, markers = sighted.observation, sighted.markers
+    if observation.errors is not None:
+        pair = observation.errors.covariance[np.ix_([0, 2], [0, 2])]
+        (a, _), (b, c) = np.linalg.cholesky(pair + np.diag([1e-18, 1e-18]))
+        return [(float(a), float(b)), (0.0, float(c))]
+    std_px = markers.offset_std_px if observation.offset is None else observation.offset.std_x_px
+    seen = [X for X in (observation.X_CM, observation.X_CO) if X is not None]
+    base = markers.calibration.baseline
+    if not seen:
+        return [(std_px, 0.0), (0.0, base)]
+    camera = sighted.camera
+    rate = float(camera.left.K[0, 0] * np.linalg.norm(camera.right.X_CE[:3, 3]))
+    disparities = np.array([rate / X[2, 3] for X in seen])
+    weights = disparities**-2.0 / (disparities**-2.0).sum()
+    print_px = markers.print_size_std * float((disparities**-2.0).sum()) ** -0.5
+    own_px = math.sqrt(max(std_px**2 - print_px**2, markers.offset_floor_px**2))
+    return [(own_px, 0.0), (_LENS_PX, 0.0), (print_px, 0.0), (-float(weights @ disparities) * base, base)]
 
 
 def _with_known_place(seen: TargetObservation, known: KnownTarget) -> TargetObservation:

@@ -32,6 +32,7 @@ _LEFT_OVER = 2.5  # grey: what may be left over for all that
 _STEEPEST = math.radians(65.0)
 _LEAST_PIXELS = 300
 _FLOOR_PX = 0.004  # [M] what interpolation leaves (docs/targets.md)
+_CURVED = 0.04  # 1/m [E] of a wall that rises by 4 mm over a metre: its middle lies off the plane
 _MORE = 1.5  # [M] variance over what the residuals tell: gradients are noisy too
 _WORST_PX = 0.25  # disparity that is not known better than this is not known
 
@@ -115,7 +116,8 @@ def align(
     rate = _disparity_rate(camera)
     floor = (_FLOOR_PX / rate) ** 2
     reach = float(np.abs(patch.x).max())
-    covariance = whole[:3, :3] + np.diag([floor, 3.0 * floor / reach**2, 3.0 * floor / reach**2])
+    bent = (_CURVED * reach**2 / 3.0) ** 2
+    covariance = whole[:3, :3] + np.diag([floor + bent, 3.0 * floor / reach**2, 3.0 * floor / reach**2])
     quality = _refuse_misfit(patch, sums.residuals, whole[0, 0] ** 0.5 * rate)
     plane = PlanePatch(theta[:3], covariance, ray, quality, 1.0 / rate)
     _refuse_steep(plane)

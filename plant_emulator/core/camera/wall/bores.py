@@ -76,6 +76,13 @@ def bore(hole: DrillHoleConfig, wall: WallConfig) -> Bore:
     return Bore(shape, mouth, mouth + _COLLAR * radius + ragged)
 
 
+def height_of_wall(wall: WallConfig, x: float, y: float) -> float:
+    """How far (m) the undulating wall stands before its plane at a place of O."""
+    corner = SIZE / 2.0 * wall.texel_mm / 1000.0
+    u, v = (np.float32((place + corner) / wall.undulation_length_m) for place in (x, -y))
+    return 1e-3 * wall.undulation_mm * float(relief_height(u, v))
+
+
 def view(X_EOs: Matrix, wall: WallConfig, shadow: Matrix) -> View:
     """The wall as an eye sees it at the instants of the first and the last row, or of all."""
     centre_O = -X_EOs[0][:3, :3].T @ X_EOs[0][:3, 3]
