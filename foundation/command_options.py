@@ -1,9 +1,31 @@
-"""Options of a command that belong together, as one parameter of the function behind it."""
+"""What commands share: the usual configuration, and options that belong together as one parameter.
+
+Imported by every `--help`: nothing heavy may be.
+"""
 
 import dataclasses
 import inspect
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, get_type_hints
+
+from protocol.errors import ConfigurationError
+
+_BESIDE = Path(__file__).parents[1]  # of a checkout, or of what a wheel installed
+
+
+def shipped_configs() -> Path:
+    """The directory of the shipped configuration. Raises ConfigurationError when it is not there."""
+    for directory in (_BESIDE / "longreach" / "configs", _BESIDE / "configs"):
+        if (directory / "arm.yaml").is_file():
+            return directory
+    raise ConfigurationError("configuration.not_shipped", f"no configuration beside {_BESIDE / 'longreach'}")
+
+
+def usual_configs() -> Path:
+    """``configs`` of the working directory where there is one, else the shipped configuration."""
+    here = Path("configs")
+    return here if here.is_dir() else shipped_configs()
 
 
 def options_of(kind: type[Any]) -> list[inspect.Parameter]:

@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -18,7 +19,6 @@ _CAUSES = {"extra_forbidden": "unknown_key", "enum": "literal_error"}
 
 BASE_FILE = "base.yaml"
 _MOST_LAYERS = 8
-_BESIDE = Path(__file__).parents[1]  # of a checkout, or of what a wheel installed
 
 
 class StrictModel(BaseModel):
@@ -46,20 +46,6 @@ class _UniqueKeyLoader(yaml.CSafeLoader):  # libyaml's: a third of the time
 
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
-
-
-def shipped_configs() -> Path:
-    """The directory of the shipped configuration. Raises ConfigurationError when it is not there."""
-    for directory in (_BESIDE / "longreach" / "configs", _BESIDE / "configs"):
-        if (directory / "arm.yaml").is_file():
-            return directory
-    raise ConfigurationError("configuration.not_shipped", f"no configuration beside {_BESIDE / 'longreach'}")
-
-
-def usual_configs() -> Path:
-    """``configs`` of the working directory where there is one, else the shipped configuration."""
-    here = Path("configs")
-    return here if here.is_dir() else shipped_configs()
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -168,9 +154,19 @@ def validated(
         value = "" if hidden else f" = {first['input']!r}"
         more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
         cause = _CAUSES.get(first["type"], first["type"])
-        raise ConfigurationError(
-            f"configuration.{cause}", f"{where}: {key}{value}: {first['msg']}{more}"
-        ) from error
+        told = first["msg"] if cause != "unknown_key" else _like(model, first["loc"])
+        raise ConfigurationError(f"configuration.{cause}", f"{where}: {key}{value}: {told}{more}") from error
+
+
+def _like(model: Any, loc: tuple[int | str, ...]) -> str:
+    """What may have been meant by a key that ``model`` does not have at ``loc``."""
+    for part in loc[:-1]:
+        field = getattr(model, "model_fields", {}).get(part)
+        model = None if field is None else field.annotation
+    known = list(getattr(model, "model_fields", {}))
+    close = get_close_matches(str(loc[-1]), known, 1)
+    hint = f"did you mean {close[0]}?" if close else f"known: {', '.join(known)}"
+    return f"no such key; {hint}" if known else "no such key"
 
 
 def or_its_file(model: type[BaseModel]) -> BeforeValidator:

@@ -15,7 +15,8 @@ from typing import Any, NamedTuple, Protocol
 
 import uvloop
 
-from foundation.configuration import merged, parse_overrides, usual_configs
+from foundation.command_options import usual_configs
+from foundation.configuration import merged, parse_overrides
 from foundation.event_log import EventLog, process_log
 from foundation.signs_of_life import signs_of_life
 from protocol.errors import LongreachError

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from foundation.configuration import usual_configs
+from foundation.command_options import usual_configs
 from testbed.scenarios.arms import arm_directory
 from testbed.scenarios.settings import Settings, chosen_overrides, load_settings
 

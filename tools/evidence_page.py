@@ -15,7 +15,7 @@ from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Finished
 from testbed.campaigns.row_file import RowFile
 from testbed.campaigns.typed_rows import typed
-from testbed.experiments.catalogue import CATALOGUE
+from testbed.experiments.catalogue import catalogue
 from testbed.experiments.positioning.changed import CHANGES, ChangedRow
 from testbed.experiments.positioning.corrected_figures import (
     LIMIT_MM,
@@ -100,7 +100,7 @@ def _headed(one: Kept, rows: str) -> str:
 
 def _verdict(one: Kept) -> list[list[str]]:
     """The verdict that the experiment itself gives of such rows."""
-    experiment = CATALOGUE[one.experiment].load()
+    experiment = catalogue()[one.experiment].load()
     rows = [typed(experiment.row, row) for row in one.rows]
     request = CampaignRequest(ROOT / "configs", RESULTS)
     done = Finished(request, experiment.settings(), (), rows, len(rows))

@@ -1,9 +1,10 @@
 """The board that both eyes look at."""
 
+from vision_pc.config.choices import Detector
 from vision_pc.core.perception import stereo_fit
 from vision_pc.core.perception import zhang_intrinsics as zhang
 from vision_pc.core.perception.stereo_fit import PairView
-from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard, Detector
+from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
 from vision_pc.core.types import StereoPair
 
 AskedBoard = Checkerboard | Charuco

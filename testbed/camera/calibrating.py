@@ -11,7 +11,8 @@ from testbed.camera.pairs import Taken, take
 from testbed.reporting.console import bars, out, table, write_json
 from vision_pc.config.camera import CameraSettings
 from vision_pc.config.camera_files.reading import read_calibrations, write_calibration
-from vision_pc.config.stereo_camera import LensModel, StereoCalibration
+from vision_pc.config.choices import LensModel
+from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.core.perception import stereo_fit
 from vision_pc.core.perception.rectification import geometry, rectified_camera
 from vision_pc.core.perception.stereo_fit import PairView, StereoFit

@@ -23,6 +23,7 @@ import dask
 import distributed as untyped
 import numba
 from distributed.client import FuturesCancelledError
+from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.comm.core import CommClosedError
 from distributed.scheduler import KilledWorker
 
@@ -365,6 +366,7 @@ def _started(workers: int) -> Iterator[Any]:
 def _reached(scheduler: str) -> Iterator[Any]:
     """A client of the scheduler at ``scheduler``, which has at least one worker."""
     try:
+        parse_host_port(parse_address(scheduler, strict=True)[1])  # before a client is made that cannot be
         client = distributed.Client(scheduler, timeout=REACH_S, set_as_default=False)
     except ValueError as error:
         raise ConfigurationError(

@@ -76,15 +76,13 @@ class Experiment(Generic[S, R]):
     ``settings``: a NamedTuple of options, annotated for the command line. ``run`` is called with the
     configuration directory and a task, or with the task alone where it is not ``configured``. ``table``,
     ``plot`` (name → PNG) and ``figures`` (for JSON) show the rows, ``verdict`` compares them with limits.
-    ``runs``, ``seed``: the defaults; 0 runs: the tasks do not depend on them. ``cost``: CPU time of a run.
+    ``runs``, ``seed``: the defaults; 0 runs: the tasks do not depend on them.
     ``world``, ``eyes``: where the settings do not say. ``workers``: 0 where a run is shorter than the start
     of a worker. ``out``: where rows are kept, if not in ``runs/NAME``.
     """
 
     name: str
     title: str
-    shows: str
-    cost: str
     settings: type[S]
     row: type[R]
     tasks: Callable[[CampaignRequest, S], Sequence[Task]]

@@ -2,22 +2,20 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.text import Text
 
-from nominal_arm.dimensions import boom_dimensions
 from protocol.errors import ConfigurationError
-from testbed.arms.check import ArmFinding, check_arm
-from testbed.arms.new import begin_arm
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
 from testbed.reporting.console import out, table, writable, write_json
-from testbed.scenarios.arms import ARMS_DIR, DEFAULT_ARM, arm_directory, arm_names
-from testbed.scenarios.settings import load_settings, loaders
+
+if TYPE_CHECKING:
+    from testbed.arms.check import ArmFinding
 
 app = typer.Typer(help="Arms: which there are, whether one is right, one of your own.", no_args_is_help=True)
 _STYLES = {"ok": "green", "warning": "yellow", "failed": "bold red"}
+DEFAULT_ARM = "default"
 Chosen = Annotated[str, typer.Argument(metavar="[NAME|DIR]", help="Of CONFIG_DIR/arms, or a directory.")]
 
 
@@ -29,6 +27,10 @@ def arm() -> None:
 @app.command("list", epilog="Example: longreach arm list")
 def list_arms(config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None) -> None:
     """The arms that --arm takes by name: what each is, and its reach."""
+    from nominal_arm.dimensions import boom_dimensions
+    from testbed.scenarios.arms import arm_directory, arm_names
+    from testbed.scenarios.settings import load_settings
+
     rows = []
     for name in arm_names(config_dir):
         described = load_settings(arm_directory(config_dir, name), {}).arm
@@ -45,6 +47,10 @@ def check(
     chosen: Chosen = DEFAULT_ARM, config_dir: ConfigDir = DEFAULT_CONFIG, json_file: JsonFile = None
 ) -> None:
     """Whether drawing, machine, controller and scene agree, a line each; exit status 1 when one does not."""
+    from rich.text import Text
+
+    from testbed.scenarios.arms import arm_directory
+
     findings = list(_findings(arm_directory(config_dir, chosen)))
     cells = [(f.name, Text(f.verdict, _STYLES[f.verdict]), f.found, f.advice) for f in findings]
     out.print(table(f"arm {chosen}", ("what", "verdict", "found", "advice"), cells))
@@ -52,8 +58,11 @@ def check(
     raise typer.Exit(1 if any(finding.verdict == "failed" for finding in findings) else 0)
 
 
-def _findings(directory: Path) -> Iterator[ArmFinding]:
+def _findings(directory: Path) -> "Iterator[ArmFinding]":
     """Each file that cannot be read, or what the files say of each other."""
+    from testbed.arms.check import ArmFinding, check_arm
+    from testbed.scenarios.settings import load_settings, loaders
+
     wrong = []
     for name, load in loaders(directory, {}).items():
         try:
@@ -70,6 +79,10 @@ def new(
     config_dir: ConfigDir = DEFAULT_CONFIG,
 ) -> None:
     """Make a directory with what differs from arm to arm, copied from one that is there, to be edited."""
+    from testbed.arms.new import begin_arm
+    from testbed.scenarios.arms import ARMS_DIR, arm_directory
+    from testbed.scenarios.settings import load_settings
+
     source = arm_directory(config_dir, like)
     directory = Path(chosen) if "/" in chosen else config_dir / ARMS_DIR / chosen
     for path in begin_arm(directory, source, load_settings(source, {})):
@@ -85,6 +98,8 @@ def draw(
 ) -> None:
     """The arm from the side at its start pose, the object, the wrist's reach and the tool's workspace."""
     from testbed.pictures.machine import draw_machine
+    from testbed.scenarios.arms import arm_directory
+    from testbed.scenarios.settings import load_settings
 
     draw_machine(load_settings(arm_directory(config_dir, chosen), {}), path, reach=True)
     out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB", highlight=False)

@@ -6,15 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from foundation.command_options import unfolded
-from foundation.configuration import load, parse_overrides
 from protocol.errors import RequestRefused
-from testbed.cli.hand_eye_options import PicturedBoard
+from testbed.cli.hand_eye.options import PicturedBoard
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, Seed, Settings
-from vision_pc.config.stereo_camera import LensModel
-from vision_pc.config.vision import VisionConfig
+from vision_pc.config.choices import LensModel
 
 if TYPE_CHECKING:
     from testbed.camera.boards import AskedBoard
+    from vision_pc.config.vision import VisionConfig
 
 app = typer.Typer(help="A stereo camera: check, calibrate, convert.", no_args_is_help=True)
 
@@ -29,7 +28,10 @@ Out = Annotated[Path, typer.Option("--out", help="Where the calibration goes.")]
 Size = Annotated[str | None, typer.Option(help="One eye's picture, WIDTHxHEIGHT.")]
 
 
-def _vision(config_dir: Path, settings: list[str] | None) -> VisionConfig:
+def _vision(config_dir: Path, settings: list[str] | None) -> "VisionConfig":
+    from foundation.configuration import load, parse_overrides
+    from vision_pc.config.vision import VisionConfig
+
     return load(VisionConfig, config_dir / "vision.yaml", parse_overrides(settings or []).get("vision"))
 
 

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-
-from testbed.scenarios.arms import arm_directory
+from typer.exceptions import TyperException
 
 FORMER_NAMES = {"--runs": "--count", "--directory": "--out", "--records": "--out", "--drawn": "--out"}
 """Of options, in commands that pages and kept rows show: still understood where nothing else has the name."""
@@ -32,7 +31,12 @@ def dressed(command: Any) -> Any:
 
 def _parsed(command: Any, parse: Any, ctx: Any, arguments: list[str]) -> Any:
     known = {name for parameter in command.params for name in parameter.opts}
-    return parse(ctx, list(_renamed(arguments, known)))
+    try:
+        return parse(ctx, list(_renamed(arguments, known)))
+    except TyperException as refused:
+        error: Any = refused
+        error.ctx = getattr(error, "ctx", None) or ctx  # so that the line tells which help to read
+        raise
 
 
 def _renamed(arguments: Sequence[str], known: set[str]) -> Iterator[str]:
@@ -44,6 +48,8 @@ def _renamed(arguments: Sequence[str], known: set[str]) -> Iterator[str]:
 
 def _chosen(ctx: typer.Context, arm: str | None) -> None:
     if arm is not None:
+        from testbed.scenarios.arms import arm_directory
+
         ctx.params[_DIRECTORY] = arm_directory(Path(ctx.params[_DIRECTORY]), arm)
 
 

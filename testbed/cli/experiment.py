@@ -1,21 +1,22 @@
 """`longreach experiment NAME`: one command for every experiment of the catalogue."""
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from rich.table import Table
 
 from foundation.command_options import options_of, with_signature
-from testbed.campaigns.campaign import CampaignRequest
-from testbed.campaigns.experiment import Experiment, perform
-from testbed.cli.every_command import dressed
+from testbed.cli.later import LaterGroup
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
-from testbed.experiments.catalogue import CATALOGUE, Entry
-from testbed.reporting.console import out, table, writable
+from testbed.experiments.catalogue import Entry, catalogue
+from testbed.reporting.console import out, writable, write_json
+
+if TYPE_CHECKING:
+    from testbed.campaigns.experiment import Experiment
 
 Count = Annotated[int | None, typer.Option("--count", min=1, help="How many seeds, from --seed on.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed is the same world; the first of several.")]
@@ -35,19 +36,20 @@ Plot = Annotated[
     Path | None, typer.Option("--plot", help="Write the picture to this file.", callback=writable)
 ]
 
+_ALL_ARMS = "both"  # of an experiment that runs two
 
-class ExperimentGroup(TyperGroup):
+
+class ExperimentGroup(LaterGroup):
     """The catalogue's experiments as commands; one is loaded when it is asked for."""
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        """The names: ``list``, then the experiments."""
-        return ["list", *CATALOGUE]
+    @property
+    def later(self) -> dict[str, str]:  # type: ignore[override]
+        """What each experiment shows, with what a run of it costs."""
+        return {name: f"{entry.shows} ({entry.cost} a run)" for name, entry in catalogue().items()}
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command called ``cmd_name``; None where there is none."""
-        if cmd_name not in CATALOGUE:
-            return super().get_command(ctx, cmd_name)
-        return dressed(typer.main.get_command(_app_of(CATALOGUE[cmd_name], cmd_name)))
+    def load(self, name: str) -> Any:
+        """The command of the experiment called ``name``."""
+        return typer.main.get_command(_app_of(catalogue()[name], name))
 
 
 app = typer.Typer(cls=ExperimentGroup, help="Seeded experiments that write tables.", no_args_is_help=True)
@@ -58,20 +60,28 @@ def experiment() -> None:
     """Seeded experiments that write tables."""
 
 
-@app.command("list")
-def list_experiments() -> None:
-    """All experiments: what each shows, how many runs it makes by default, and what a run costs."""
-    cells = []
-    for name, entry in CATALOGUE.items():
-        chosen = entry.load()
-        cells.append((name, chosen.shows, chosen.runs or "–", chosen.cost))
-    out.print(table("experiments", ("longreach experiment", "shows", "runs", "a run costs"), cells))
+@app.command("list", epilog="Example: longreach experiment list --json experiments.json")
+def list_experiments(json_file: JsonFile = None) -> None:
+    """All experiments: what each shows, and what a run costs."""
+    entries = [(name, entry.shows, entry.cost) for name, entry in catalogue().items()]
+    out.print(_words("experiments", ("longreach experiment", "shows", "a run costs"), entries))
+    keys = ("experiment", "shows", "run_costs")
+    write_json(json_file, {"experiments": [dict(zip(keys, entry, strict=True)) for entry in entries]})
+
+
+def _words(title: str, columns: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Table:
+    made = Table(title=title, title_justify="left")
+    for column in columns:
+        made.add_column(column, overflow="fold")
+    for row in rows:
+        made.add_row(*row)
+    return made
 
 
 def _app_of(entry: Entry, name: str) -> typer.Typer:
     made = typer.Typer(add_completion=False)
     example = f"Example: longreach experiment {name} --json {name}.json"
-    made.command(name, help=entry.load().shows, epilog=example)(command_of(entry))
+    made.command(name, help=entry.shows, epilog=example)(command_of(entry))
     return made
 
 
@@ -80,7 +90,13 @@ def command_of(entry: Entry) -> Callable[..., None]:
     usual = entry.load()
 
     def command(**options: Any) -> None:
+        from testbed.campaigns.campaign import CampaignRequest
+        from testbed.campaigns.experiment import perform
+        from testbed.scenarios.arms import arm_directory
+
         wanted = entry.load(options.pop("method", None))
+        if options.get("arm") not in (None, _ALL_ARMS):
+            arm_directory(options["config_dir"], options["arm"])  # refused now, not by every run
         request = CampaignRequest(
             config_dir=options.pop("config_dir"),
             runs=options.pop("count", None) or wanted.runs,
@@ -107,7 +123,7 @@ def _method(entry: Entry) -> list[inspect.Parameter]:
     return [_parameter("method", kind, next(iter(methods)))]
 
 
-def _common(chosen: Experiment[Any, Any], alone: bool) -> list[inspect.Parameter]:
+def _common(chosen: "Experiment[Any, Any]", alone: bool) -> list[inspect.Parameter]:
     counted = [
         _parameter("count", Count, chosen.runs if alone else None),
         _parameter("seed", Seed, chosen.seed),

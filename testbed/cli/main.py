@@ -1,14 +1,13 @@
 """The `longreach` command: starts, shows and examines the parts put together."""
 
+import os
 import shutil
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from dissector.command import sniff
-from foundation.command_options import unfolded
-from foundation.configuration import merged, parse_overrides, shipped_configs
+from foundation.command_options import shipped_configs, unfolded
 from protocol.errors import ConfigurationError
 from testbed.cli.options import (
     DEFAULT_CONFIG,
@@ -25,15 +24,12 @@ from testbed.cli.options import (
     StartOptions,
 )
 from testbed.cli.root import RootGroup, show_version
-from testbed.fault_proxy.command import proxy
 from testbed.reporting.console import writable
-from testbed.scenarios.settings import chosen_overrides, with_faults
 
 app = typer.Typer(
     name="longreach",
     cls=RootGroup,
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode="rich",
 )
 
@@ -51,8 +47,6 @@ def longreach(
 validate = typer.Typer(help="Compare parts with known answers.", no_args_is_help=True)
 app.add_typer(validate, name="validate")
 
-app.command(epilog="Example: longreach sniff --interface lo --port 47000")(sniff)
-app.command(epilog="Example: longreach proxy --listen-port 47001 --port 47000 --loss 0.02")(proxy)
 
 FreePorts = Annotated[
     bool, typer.Option("--free-ports", help="Use any free ports instead of the configured ones.")
@@ -98,6 +92,7 @@ def up(
 ) -> None:
     """Start plant, controller and vision, watch them, and end them on Ctrl-C."""
     from testbed.realtime.up import run_up
+    from testbed.scenarios.settings import chosen_overrides, with_faults
 
     overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
     run_up(config_dir, with_faults(overrides, start.allow_faults), start.free_ports, start.runs)
@@ -159,6 +154,7 @@ def commission(
 
     Exit status 1 when a joint was broken off or its numbers are refused; what was found is kept.
     """
+    from foundation.configuration import parse_overrides
     from testbed.commissioning.command import CommissionRequest, run_commission
 
     overrides = parse_overrides(settings or [])
@@ -184,6 +180,7 @@ def demo(
     from testbed.demonstration.lockstep import run_lockstep_demo
     from testbed.demonstration.realtime import run_demo
     from testbed.reporting.presentation import Choice
+    from testbed.scenarios.settings import chosen_overrides, with_faults
 
     overrides = with_faults(chosen_overrides(config_dir, scenario, seed, settings or []), start.allow_faults)
     choice = Choice(scenario, seed, chosen.looks)
@@ -206,6 +203,7 @@ def soak(
     json_file: JsonFile = None,
 ) -> None:
     """Run all three services at rest and in motion, polled and followed; exit status 0 within all limits."""
+    from foundation.configuration import merged, parse_overrides
     from testbed.experiments.robustness.soak.command import SoakRequest, run_soak
 
     cycle = {"controller": {"cycle_ms": chosen.cycle_ms}}
@@ -321,6 +319,7 @@ def plant_survey_command(
 
 def main() -> None:
     """Run the command line."""
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "ERROR")  # its warnings say what our refusals say
     app()
 
 

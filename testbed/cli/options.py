@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple
 
 import typer
 
-from foundation.configuration import usual_configs
+from foundation.command_options import usual_configs
 from testbed.reporting.console import writable
 
 ConfigDir = Annotated[

@@ -1,16 +1,15 @@
 """`longreach recording`: what is in a recording, whether it is whole, and what can be made of it."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from foundation.recording.recovery import Contents, contents, recover
 from testbed.cli.options import JsonFile
-from testbed.recordings.layout import layout_text
-from testbed.recordings.merging import merge
-from testbed.recordings.tables import write_tables
 from testbed.reporting.console import out, table, write_json
+
+if TYPE_CHECKING:
+    from foundation.recording.recovery import Contents
 
 _HELP = "What is in a recording, whether it is whole, what can be made of it."
 app = typer.Typer(help=_HELP, no_args_is_help=True)
@@ -26,6 +25,8 @@ def recording() -> None:
 @app.command(epilog="Example: longreach recording info runs/demo/plant_emulator/truth.mcap")
 def info(file: File, json_file: JsonFile = None) -> None:
     """Topics, schemas, counts, rates and metadata of a recording, also of one that was cut off."""
+    from foundation.recording.recovery import contents
+
     found = contents(file)
     _show(found)
     for name, entries in found.metadata.items():
@@ -39,6 +40,8 @@ def info(file: File, json_file: JsonFile = None) -> None:
 @app.command(epilog="Example: longreach recording verify runs/demo/plant_emulator/truth.mcap")
 def verify(file: File, json_file: JsonFile = None) -> None:
     """Check every checksum; exit status 1 when the file is damaged or was cut off."""
+    from foundation.recording.recovery import contents
+
     found = contents(file)
     for damage in found.damages:
         out.print(f"at byte {damage.offset}: {damage.what}", highlight=False)
@@ -57,6 +60,8 @@ def recover_command(
     json_file: JsonFile = None,
 ) -> None:
     """Write what can be read of a cut or damaged recording anew, with its index; tell what could not."""
+    from foundation.recording.recovery import recover
+
     found = recover(file, target)
     for damage in found.damages:
         out.print(f"lost at byte {damage.offset}: {damage.what}", highlight=False)
@@ -71,6 +76,8 @@ def to_csv(
     json_file: JsonFile = None,
 ) -> None:
     """One CSV file a topic, a column a number, times in nanoseconds."""
+    from testbed.recordings.tables import write_tables
+
     rows, left_out = write_tables(file, directory)
     for name, count in rows.items():
         out.print(f"{directory / name}: {count} rows", highlight=False)
@@ -91,6 +98,8 @@ def merge_command(
     json_file: JsonFile = None,
 ) -> None:
     """Put the recordings of one session on the vision PC's clock, in one file; tell how sure that is."""
+    from testbed.recordings.merging import merge
+
     files = [file for path in what for file in (sorted(path.rglob("*.mcap")) if path.is_dir() else [path])]
     clocks = merge(files, target, attached or [])
     rows = [
@@ -106,19 +115,21 @@ def layout_command(
     target: Annotated[Path, typer.Argument(metavar="NEW", help="Where the layout goes.")],
 ) -> None:
     """Write a viewer's layout: scene, picture with outlines, plots and log of a merged recording."""
+    from testbed.recordings.layout import layout_text
+
     with target.open("x", encoding="utf-8") as file:
         file.write(layout_text())
 
 
-def _whole(found: Contents) -> bool:
+def _whole(found: "Contents") -> bool:
     return found.complete and not found.damages and not found.stray
 
 
-def _length(found: Contents) -> float:
+def _length(found: "Contents") -> float:
     return (found.last_ns - found.first_ns) * 1e-9
 
 
-def _show(found: Contents) -> None:
+def _show(found: "Contents") -> None:
     seconds = max(_length(found), 1e-9)
     rows = [
         (topic.name, topic.format.schema, count := found.counts.get(channel, 0), f"{count / seconds:.1f}")
@@ -129,7 +140,7 @@ def _show(found: Contents) -> None:
     out.print(f"{found.messages} messages, {_length(found):.1f} s, {state}", highlight=False)
 
 
-def _figures(found: Contents) -> dict[str, object]:
+def _figures(found: "Contents") -> dict[str, object]:
     counts = {topic.name: found.counts.get(channel, 0) for channel, topic in found.topics.items()}
     return {
         "messages": found.messages,

@@ -1,56 +1,99 @@
 """How every command of ``longreach`` ends: expected trouble is one line and a status, never a traceback."""
 
-import importlib
 import importlib.metadata
+import re
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import MappingProxyType
 from typing import Any
 
 import typer
-from typer.core import TyperGroup
+from typer.exceptions import TyperException
 
 from protocol.errors import LongreachError
-from testbed.cli.every_command import dressed
+from testbed.cli.later import Later, LaterGroup
 from testbed.reporting.console import err
 
 FAILED = 2
 INTERRUPTED = 130  # as a shell has it for SIGINT
-LOADED_LATER = {  # what a group of commands needs, such as matplotlib and dask, no other command waits for
-    "camera": "testbed.cli.camera",
-    "experiment": "testbed.cli.experiment",
-    "conformance": "conformance.command",
-    "hand-eye": "testbed.cli.hand_eye",
-    "export": "testbed.exports.command",
-    "picture": "testbed.pictures.command",
-    "recording": "testbed.cli.recording",
-    "runs": "testbed.cli.runs",
-    "arm": "testbed.cli.arm",
-    "token": "testbed.cli.token",
+LATER = {
+    "experiment": Later("testbed.cli.experiment", "Seeded experiments that write tables."),
+    "runs": Later("testbed.cli.runs", "Runs that were kept."),
+    "recording": Later(
+        "testbed.cli.recording", "What is in a recording, whether it is whole, what can be made of it."
+    ),
+    "arm": Later("testbed.cli.arm", "Arms: which there are, whether one is right, one of your own."),
+    "camera": Later("testbed.cli.camera", "A stereo camera: check, calibrate, convert."),
+    "hand-eye": Later("testbed.cli.hand_eye.command", "Hand-eye calibration, guided on a rig or from files."),
+    "conformance": Later(
+        "conformance.command",
+        "Numbered questions to any controller or coupler, each citing a written clause.",
+    ),
+    "sniff": Later(
+        "dissector.command:sniff",
+        "Print every datagram of the reference link, with the cause where a receiver would drop it.",
+        "Example: longreach sniff --interface lo --port 47000",
+    ),
+    "proxy": Later(
+        "testbed.fault_proxy.command:proxy",
+        "Stand between two peers and lose, delay, reorder, cut or bend what passes, until Ctrl-C.",
+        "Example: longreach proxy --listen-port 47001 --port 47000 --loss 0.02",
+    ),
+    "export": Later("testbed.exports.command", "The arm as a file for other tools."),
+    "picture": Later("testbed.pictures.command", "Pictures that explain."),
+    "token": Later("testbed.cli.token", "Tokens of the REST APIs, and keys of the link."),
+}
+PANELS = {  # in the order of use
+    "Run": ("demo", "up", "experiment", "doctor"),
+    "See what came out": ("runs", "recording", "replay"),
+    "Your arm, camera and machine": (
+        "init", "arm", "camera", "hand-eye", "commission", "identify", "markers", "odometry",
+    ),
+    "Put to the test": ("validate", "soak", "conformance", "sniff", "proxy"),
+    "For other tools": ("export", "picture", "token"),
+}  # fmt: skip
+_PANEL = {name: panel for panel, names in PANELS.items() for name in names}
+_CAUSES = {  # of what the command line itself refuses
+    "NoSuchOption": "unknown_option",
+    "MissingParameter": "missing",
+    "BadParameter": "bad_value",
+    "BadOptionUsage": "malformed",
+    "BadArgumentUsage": "malformed",
 }
 
 
-class RootGroup(TyperGroup):
-    """The group of all commands. A group among them is loaded when it is asked for, or help for all."""
+class RootGroup(LaterGroup):
+    """The group of all commands."""
+
+    later = MappingProxyType({name: one.told for name, one in LATER.items()})
+
+    def load(self, name: str) -> Any:
+        """The command or group called ``name``."""
+        return LATER[name].load()
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """The names in the order of the help."""
-        own = [name for name in super().list_commands(ctx) if name not in LOADED_LATER]
-        return [*own, *LOADED_LATER]
+        """The names in the order of use."""
+        names = super().list_commands(ctx)
+        return [*(name for name in _PANEL if name in names), *(name for name in names if name not in _PANEL)]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command called ``cmd_name``; None where there is none: then all are there for suggestions."""
-        unknown = cmd_name not in self.commands and cmd_name not in LOADED_LATER
-        for name in LOADED_LATER if unknown else {cmd_name} & set(LOADED_LATER):
-            if name not in self.commands:
-                group = typer.main.get_group(importlib.import_module(LOADED_LATER[name]).app)
-                group.name = name
-                self.commands[name] = group
+        """The command called ``cmd_name``, in its panel of the help."""
         found = super().get_command(ctx, cmd_name)
-        return None if found is None else dressed(found)
+        if found is not None:
+            found.rich_help_panel = _PANEL.get(cmd_name)
+        return found
+
+    def make_context(self, *args: Any, **extra: Any) -> Any:
+        """What the words before the command mean."""
+        with _one_line():
+            return super().make_context(*args, **extra)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; refusals, an operating system that will not, and Ctrl-C end the process."""
         try:
-            return super().invoke(ctx)
+            with _one_line():
+                return super().invoke(ctx)
         except LongreachError as error:
             _end(f"{error.cause}: {error}", FAILED)
         except KeyboardInterrupt:
@@ -60,6 +103,31 @@ class RootGroup(TyperGroup):
         except OSError as error:
             what = f"{error.filename}: {error.strerror}" if error.filename else str(error)
             _end(f"system.refused: {what}", FAILED)
+
+
+@contextmanager
+def _one_line() -> Iterator[None]:
+    """What the command line refuses becomes one line, in place of usage, hint and a frame."""
+    try:
+        yield
+    except TyperException as error:
+        if type(error).__name__ == "NoArgsIsHelpError":
+            raise  # is help
+        other = "unknown_command" if "No such command" in error.message else "wrong"
+        cause = _CAUSES.get(type(error).__name__, other)
+        command = getattr(getattr(error, "ctx", None), "command_path", "longreach")
+        _end(f"usage.{cause}: {_in_words(error)}; see `{command} --help`", FAILED)
+
+
+def _in_words(error: TyperException) -> str:
+    close = sorted(getattr(error, "possibilities", None) or [])
+    told = error.message if close else " ".join(error.format_message().split()).rstrip(".")
+    why: Any = error.__cause__
+    if hasattr(why, "errors"):  # pydantic's, which has the value
+        given = why.errors()[0]["input"]
+        told = told.replace(": Value error, ", ": ").replace(": Input should", f" = {given}: should")
+    told = re.sub(r"\. Did you mean (.*)\?$", r"; did you mean \1?", told)
+    return f"{told}; did you mean {' or '.join(close)}?" if close else told
 
 
 def _end(told: str, status: int) -> None:

@@ -5,7 +5,7 @@ import shutil
 import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -13,8 +13,9 @@ from rich.table import Table
 from protocol.errors import ConfigurationError
 from testbed.cli.options import JsonFile
 from testbed.reporting.console import listed, out, table, write_json
-from testbed.reporting.run_directory import all_runs, one_run
-from testbed.reporting.run_record import KeptRun
+
+if TYPE_CHECKING:
+    from testbed.reporting.run_record import KeptRun
 
 app = typer.Typer(help="Runs that were kept.", no_args_is_help=True)
 Runs = Annotated[Path, typer.Option("--out", help="Where directories of runs are.")]
@@ -32,6 +33,8 @@ def runs_group() -> None:
 @app.command("list", epilog="Example: longreach runs list --json runs.json")
 def list_command(runs: Runs = DEFAULT_RUNS, json_file: JsonFile = None) -> None:
     """All runs, the newest first: command, code, how each ended, how much room it takes."""
+    from testbed.reporting.run_directory import all_runs
+
     found = all_runs(runs)
     columns = {
         "run": lambda run: run.directory.name,
@@ -48,6 +51,8 @@ def list_command(runs: Runs = DEFAULT_RUNS, json_file: JsonFile = None) -> None:
 @app.command(epilog="Example: longreach runs show last")
 def show(run: Run = "last", runs: Runs = DEFAULT_RUNS, json_file: JsonFile = None) -> None:
     """One run: what made it, what in its configuration is not as shipped, and its files."""
+    from testbed.reporting.run_directory import one_run
+
     found = one_run(runs, run)
     rows = [("command", found.command), ("code", found.code), ("ended", found.ending)]
     rows += [(key, value) for key, value in found.facts.get("machine", {}).items()]
@@ -65,6 +70,8 @@ def show(run: Run = "last", runs: Runs = DEFAULT_RUNS, json_file: JsonFile = Non
 @app.command(epilog="Example: longreach runs compare 20261122-2101 last")
 def compare(first: Run, second: Run, runs: Runs = DEFAULT_RUNS, json_file: JsonFile = None) -> None:
     """How two runs differ: in what made them, in configuration, and in the error after each stage."""
+    from testbed.reporting.run_directory import one_run
+
     one, other = one_run(runs, first), one_run(runs, second)
     facts = _differences(_comparable(one), _comparable(other))
     settings = _differences(
@@ -92,6 +99,8 @@ def clean(
     json_file: JsonFile = None,
 ) -> None:
     """Remove all runs but the newest. One that is still running stays, and so does whatever is no run."""
+    from testbed.reporting.run_directory import all_runs
+
     old = [run for run in all_runs(runs)[keep:] if not run.is_running]
     room_mb = sum(run.size_mb for run in old)
     if yes:
@@ -107,6 +116,8 @@ def clean(
 @app.command("open", epilog="Example: longreach runs open last")
 def open_command(run: Run = "last", runs: Runs = DEFAULT_RUNS) -> None:
     """Open a run's report in the browser, and print where it is."""
+    from testbed.reporting.run_directory import one_run
+
     found = one_run(runs, run)
     report = found.directory / "report.html"
     if not report.is_file():
@@ -115,11 +126,11 @@ def open_command(run: Run = "last", runs: Runs = DEFAULT_RUNS) -> None:
     webbrowser.open(report.resolve().as_uri())
 
 
-def _facts(run: KeptRun) -> dict[str, Any]:
+def _facts(run: "KeptRun") -> dict[str, Any]:
     return {**run.facts, "run": run.directory.name, "ending": run.ending, "mb": run.size_mb}
 
 
-def _comparable(run: KeptRun) -> dict[str, Any]:
+def _comparable(run: "KeptRun") -> dict[str, Any]:
     kept = {key: value for key, value in run.facts.items() if key not in _SHOWN}
     return {"command": run.command, "code": run.code, **run.facts.get("machine", {}), **kept}
 
@@ -131,12 +142,12 @@ def _differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[tuple
     ]
 
 
-def _stages(one: KeptRun, other: KeptRun) -> list[tuple[str, str, str]]:
+def _stages(one: "KeptRun", other: "KeptRun") -> list[tuple[str, str, str]]:
     first, second = _errors(one), _errors(other)
     return [(label, first.get(label, "–"), second.get(label, "–")) for label in {**first, **second}]
 
 
-def _errors(run: KeptRun) -> dict[str, str]:
+def _errors(run: "KeptRun") -> dict[str, str]:
     try:
         stages = json.loads((run.directory / "figures.json").read_text(encoding="utf-8"))["stages"]
     except (OSError, ValueError, KeyError):

@@ -2,18 +2,16 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from foundation.configuration import parse_overrides
 from protocol.errors import ConfigurationError
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile, Settings
-from testbed.exports.arm_tree import ArmTree, inexpressible, nominal_tree, true_tree
-from testbed.exports.mjcf import mjcf
-from testbed.exports.urdf import urdf
 from testbed.reporting.console import out, writable, write_json
-from testbed.scenarios.settings import load_settings
+
+if TYPE_CHECKING:
+    from testbed.exports.arm_tree import ArmTree
 
 app = typer.Typer(help="The arm as a file for other tools.", no_args_is_help=True)
 
@@ -33,6 +31,8 @@ def urdf_command(
     json_file: JsonFile = None,
 ) -> None:
     """The arm as URDF, for ROS, Pinocchio and viewers: links, joints, masses; no springs, no gravity."""
+    from testbed.exports.urdf import urdf
+
     _write(urdf, _tree(config_dir, settings, true), file, json_file)
 
 
@@ -45,15 +45,21 @@ def mjcf_command(
     json_file: JsonFile = None,
 ) -> None:
     """The arm as MJCF, for MuJoCo; with --true also the springs and dampers of its hinges, and gravity."""
+    from testbed.exports.mjcf import mjcf
+
     _write(mjcf, _tree(config_dir, settings, true, springs=True), file, json_file)
 
 
-def _tree(config_dir: Path, assignments: list[str] | None, true: bool, springs: bool = False) -> ArmTree:
+def _tree(config_dir: Path, assignments: list[str] | None, true: bool, springs: bool = False) -> "ArmTree":
     """The arm that was asked for.
 
     Raises ConfigurationError (``export.inexpressible``) for ``springs`` of a true arm that has forces which
     are no springs of one joint.
     """
+    from foundation.configuration import parse_overrides
+    from testbed.exports.arm_tree import inexpressible, nominal_tree, true_tree
+    from testbed.scenarios.settings import load_settings
+
     chosen = load_settings(config_dir, parse_overrides(assignments or []))
     if not true:
         return nominal_tree(chosen.arm)
@@ -67,7 +73,7 @@ def _tree(config_dir: Path, assignments: list[str] | None, true: bool, springs: 
     return true_tree(chosen.arm, chosen.plant)
 
 
-def _write(form: Callable[[ArmTree], str], tree: ArmTree, file: Path, json_file: Path | None) -> None:
+def _write(form: "Callable[[ArmTree], str]", tree: "ArmTree", file: Path, json_file: Path | None) -> None:
     text = form(tree)
     file.write_text(text, encoding="utf-8")
     moving = [joint.name for joint in tree.joints if not joint.locked]

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Annotated, NamedTuple
 
-import numpy as np
 import typer
 
 from protocol.errors import ConfigurationError
@@ -77,6 +76,8 @@ class FaultLine:
     """
 
     def __init__(self, faults: Faults, seed: int, direction: int) -> None:
+        import numpy as np  # here, so that the help of the command need not wait for it
+
         self.counts = dict.fromkeys(Event, 0)
         self._faults = faults
         self._rng = np.random.default_rng([seed, direction])

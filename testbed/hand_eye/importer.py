@@ -23,8 +23,9 @@ from testbed.hand_eye.pose_text import (
     rotation_of_vector,
     unit_scale,
 )
+from vision_pc.config.choices import Setup
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import CornerViews, KnownLens, PosePairs, Setup, pose_pairs
+from vision_pc.core.hand_eye.samples import CornerViews, KnownLens, PosePairs, pose_pairs
 from vision_pc.core.hand_eye.solvers.lens import checked
 from vision_pc.core.se3 import Array
 

@@ -8,8 +8,8 @@ import numpy as np
 from rich.table import Table
 
 from testbed.reporting.console import table
+from vision_pc.config.choices import Setup
 from vision_pc.core import se3
-from vision_pc.core.hand_eye.samples import Setup
 from vision_pc.core.hand_eye.solvers.judgement import Judgement
 from vision_pc.core.hand_eye.solvers.result import HandEyeResult
 from vision_pc.core.perception.zhang_intrinsics import Intrinsics

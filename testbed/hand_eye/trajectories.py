@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from protocol.errors import RequestRefused
 from testbed.hand_eye.importer import ImportOptions
 from testbed.hand_eye.pose_text import file_text, rotation_of_quaternion
+from vision_pc.config.choices import Setup
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import PosePairs, Setup, pose_pairs
+from vision_pc.core.hand_eye.samples import PosePairs, pose_pairs
 from vision_pc.core.se3 import Array
 
 _RECORDING_HZ = 2.0  # a faster one is a recording in motion, a slower one a list of poses

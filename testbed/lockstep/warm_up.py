@@ -2,7 +2,7 @@
 
 import sys
 
-from foundation.configuration import usual_configs
+from foundation.command_options import usual_configs
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import bars

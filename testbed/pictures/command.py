@@ -3,24 +3,14 @@
 from pathlib import Path
 from typing import Annotated
 
-import cv2
-import numpy as np
 import typer
 
-from foundation.configuration import usual_configs
-from plant_emulator.core.camera.camera_motion import CameraView
-from plant_emulator.core.camera.scene import Scene
-from plant_emulator.core.plant import Plant
-from testbed.pictures.effects import effects, pictured
-from testbed.pictures.machine import draw_machine
-from testbed.pictures.sheet import Pair, contact_sheet
-from testbed.reporting.console import bars, out, table, write_json
-from testbed.scenarios.settings import load_settings
+from foundation.command_options import usual_configs
+from testbed.reporting.console import out
 
 app = typer.Typer(help="Pictures that explain.", no_args_is_help=True)
 ConfigDir = Annotated[Path, typer.Option("--config-dir", help="Where the configuration files are.")]
 DEFAULT_CONFIG = usual_configs()
-_HEADINGS = ("effect", "switch in scene.yaml, or fault", "mean change, grey", "pixels changed, %")
 
 
 @app.callback()
@@ -37,28 +27,9 @@ def effects_command(
     ] = None,
 ) -> None:
     """One picture per effect of camera and scene, off and on, and all of them on one sheet."""
-    settings = load_settings(config_dir, {})
-    truth = Plant(settings.plant, 1, Scene(settings.scene).mounts).truth()
-    view = CameraView(truth.X_WC, truth.X_WM)
-    directory.mkdir(parents=True, exist_ok=True)
-    wanted, pairs, rows = effects(settings.scene), [], []
-    with bars() as shown, shown.step("rendering") as bar:
-        for number, effect in enumerate(wanted, 1):
-            off, on = pictured(effect, settings.scene, view)
-            stem = effect.name.replace(",", "").replace(" ", "_")
-            for state, picture in (("off", off), ("on", on)):
-                cv2.imwrite(str(directory / f"{stem}_{state}.png"), picture)
-            change = np.abs(on.astype(float) - off)
-            rows.append((effect.name, effect.switch, change.mean(), 100.0 * (change > 0.0).mean()))
-            pairs.append(Pair(effect.name, effect.switch, off, on))
-            bar.update(number / len(wanted), effect.name)
-    path = directory / "camera_effects.png"
-    cv2.imwrite(str(path), contact_sheet(pairs), [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    shown_rows = [(name, switch, f"{mean:.2f}", f"{share:.1f}") for name, switch, mean, share in rows]
-    out.print(table("effects of camera and scene, off against on", _HEADINGS, shown_rows))
-    out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB", highlight=False)
-    keys = ("name", "switch", "mean_change_grey", "changed_percent")
-    write_json(json_file, {"effects": [dict(zip(keys, row, strict=True)) for row in rows]})
+    from testbed.pictures.effect_sheet import draw_effects
+
+    draw_effects(config_dir, directory, json_file)
 
 
 @app.command("machine", epilog="Example: longreach picture machine docs/images/machine.png")
@@ -67,5 +38,8 @@ def machine_command(
     config_dir: ConfigDir = DEFAULT_CONFIG,
 ) -> None:
     """The nominal arm from the side at its start pose, with the frames B, T, C, M and O."""
+    from testbed.pictures.machine import draw_machine
+    from testbed.scenarios.settings import load_settings
+
     draw_machine(load_settings(config_dir, {}), path)
     out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB", highlight=False)

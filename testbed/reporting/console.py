@@ -9,7 +9,6 @@ from pathlib import Path
 from string import Formatter
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -28,6 +27,8 @@ err = Console(stderr=True, width=None if sys.stderr.isatty() else _PLAIN_WIDTH)
 
 def plain(value: Any) -> Any:
     """``value`` with arrays, tuples and paths turned into what JSON can hold; NaN becomes None."""
+    import numpy as np  # here, so that a command which only shows its help need not wait for it
+
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if hasattr(value, "_asdict"):

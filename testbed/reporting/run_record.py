@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from foundation.configuration import shipped_configs
+from foundation.command_options import shipped_configs
 from testbed.reporting.console import plain
 from testbed.scenarios.settings import Settings, load_settings
 

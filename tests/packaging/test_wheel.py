@@ -10,7 +10,7 @@ import pytest
 from hatchling.builders.wheel import WheelBuilder
 from typer.testing import CliRunner
 
-from foundation.configuration import shipped_configs
+from foundation.command_options import shipped_configs
 from testbed.cli.main import app
 from tests.support.paths import CONFIGS, ROOT
 
@@ -67,7 +67,8 @@ def test_an_empty_folder_finds_the_configuration(installed: Path) -> None:
     told = run(
         installed,
         "-c",
-        "from foundation.configuration import laid_over, usual_configs as at;"
+        "from foundation.command_options import usual_configs as at;"
+        "from foundation.configuration import laid_over;"
         "print(at(), laid_over(at() / 'arms/long_crane', 'plant.yaml')[0]['geometry']['telescope_m'])",
     )
     assert told.split() == [str(installed / "longreach" / "configs"), "3.0"]

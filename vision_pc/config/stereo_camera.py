@@ -5,12 +5,12 @@ Pixel centres lie at integers, as in OpenCV. C is the left eye: x right, y down,
 """
 
 import math
-from enum import StrEnum
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from foundation.configuration import StrictModel
+from vision_pc.config.choices import LensModel
 
 FORMAT = "longreach-camera/1"
 _LEAST_BASELINE_M, _LARGEST_BASELINE_M = 0.005, 2.0
@@ -20,18 +20,6 @@ Vector3 = tuple[float, float, float]
 Row = tuple[float, ...]
 Focal = Annotated[float, Field(ge=50.0, le=20_000.0)]
 Place = Annotated[float, Field(ge=-8192.0, le=16_384.0)]
-
-
-class LensModel(StrEnum):
-    """How a lens bends rays; coefficients in OpenCV's order and signs.
-
-    ``brown-conrady`` k1 k2 p1 p2 k3 (ROS plumb_bob, Kalibr radtan), ``rational`` k1 k2 p1 p2 k3 k4 k5 k6,
-    ``fisheye`` k1 k2 k3 k4 (Kannala-Brandt; Kalibr and ROS: equidistant).
-    """
-
-    BROWN_CONRADY = "brown-conrady"
-    RATIONAL = "rational"
-    FISHEYE = "fisheye"
 
 
 COEFFICIENTS = {

@@ -17,9 +17,9 @@ from protocol.errors import LongreachError
 from testbed.experiments.hand_eye import scenes
 from testbed.hand_eye.importer import FORMAT, load
 from testbed.reporting.console import out, table, write_json
+from vision_pc.config.choices import Method
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.solvers import judgement
-from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.se3 import Array
 
 Document = dict[str, Any]

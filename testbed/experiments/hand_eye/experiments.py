@@ -20,7 +20,8 @@ from testbed.experiments.hand_eye.noise_sweep import NoiseOn, NoiseSweep
 from testbed.experiments.hand_eye.real_data import HoldOutRow
 from testbed.experiments.hand_eye.stress import StressRow
 from testbed.reporting.console import bars, out, write_json
-from vision_pc.core.hand_eye.solvers.methods import CLASSICAL, Method
+from vision_pc.config.choices import Method
+from vision_pc.core.hand_eye.solvers.methods import CLASSICAL
 
 _ENOUGH = 100  # runs: with fewer, chance decides whether a mean is inside its limits
 LARGEST_DQCR_DIFFERENCE = 1e-6
@@ -129,8 +130,6 @@ def _checks_by_bound(sweep: NoiseSweep, noise_on: NoiseOn, runs: int) -> list[Ch
 NOISE_SWEEP = Experiment(
     name="hua-fig7",
     title="Error of X against the noise level, every method, with the Cramér-Rao bound.",
-    shows="how close to the Cramér-Rao bound each hand-eye method comes as noise grows (Hua et al., Fig. 7)",
-    cost="4 CPU s a level of 200",
     settings=SweepSettings,
     row=NestedRow,
     tasks=sweep_tasks,
@@ -184,8 +183,6 @@ def localisation_verdict(done: Located) -> list[Check]:
 LOCALISATION = Experiment(
     name="hua-fig5",
     title="Localisation of knob, switch and key hole with every method.",
-    shows="errors and rates of localisation with every method, beside the paper's (Hua et al., Fig. 5 and 6)",
-    cost="4 CPU s",
     settings=LocalisationSettings,
     row=NestedRow,
     tasks=localisation_tasks,
@@ -250,8 +247,6 @@ def intrinsics_verdict(done: Calibrated) -> list[Check]:
 INTRINSICS = Experiment(
     name="hua-intrinsics",
     title="Zhang's method on the paper's camera, emulated, and on OpenCV's real pictures.",
-    shows="intrinsics of the paper's camera, emulated, and of OpenCV's pictures (Hua et al., Fig. 4)",
-    cost="40 CPU s",
     settings=IntrinsicsSettings,
     row=NestedRow,
     tasks=intrinsics_tasks,
@@ -322,8 +317,6 @@ def stress_verdict(done: Stressed) -> list[Check]:
 STRESS = Experiment(
     name="hand-eye-stress",
     title="Two bad samples of fifteen, and rotations under 5°, with every method.",
-    shows="what bad samples and small rotations do to every hand-eye method",
-    cost="10 CPU s a block of 25",
     settings=NoSettings,
     row=NestedRow,
     tasks=stress_tasks,

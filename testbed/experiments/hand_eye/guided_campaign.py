@@ -22,7 +22,7 @@ from testbed.experiments.hand_eye.guided_experiment import (
 from testbed.reporting.console import table
 from testbed.reporting.plots import png
 from testbed.scenarios.settings import chosen_overrides, load_settings
-from vision_pc.core.hand_eye.solvers.methods import Method
+from vision_pc.config.choices import Method
 
 _PAPER_MM = 2.9  # Hua et al. 2024, Fig. 5: DQCR
 
@@ -239,8 +239,6 @@ def guided_plot(done: Guided) -> dict[str, bytes]:
 GUIDED = Experiment(
     name="hand-eye-guided",
     title="Guided hand-eye sessions on the emulated arm.",
-    shows="error of X, its covariance, samples needed and located targets of guided sessions",
-    cost="60 CPU s",
     settings=GuidedCampaignSettings,
     row=GuidedRow,
     tasks=guided_tasks,

@@ -21,11 +21,11 @@ from testbed.lockstep import guided_rig
 from testbed.lockstep.guided_rig import GuidedRig, quiet
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from vision_pc.application.hand_eye.driving import ended_in_fault
+from vision_pc.config.choices import Method
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.guided import solution as guided_solution
 from vision_pc.core.hand_eye.guided.session import Session
 from vision_pc.core.hand_eye.solvers import methods
-from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.hand_eye.solvers.result import HandEyeResult
 from vision_pc.core.se3 import Array
 

@@ -13,8 +13,9 @@ import numpy as np
 
 from protocol.errors import MeasurementFailed
 from testbed.experiments.hand_eye.boards import BoardCamera, BoardRenderer, random_board_pose
+from vision_pc.config.choices import Detector
 from vision_pc.core.perception import zhang_intrinsics as zhang
-from vision_pc.core.perception.zhang_intrinsics import BoardView, Charuco, Checkerboard, Detector, Intrinsics
+from vision_pc.core.perception.zhang_intrinsics import BoardView, Charuco, Checkerboard, Intrinsics
 from vision_pc.core.types import Image
 
 PAPER_CAMERA = BoardCamera(  # section 5.2; the distortion in OpenCV's order, as the ROS tool prints it

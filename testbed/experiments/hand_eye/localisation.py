@@ -16,10 +16,10 @@ import numpy as np
 from protocol.errors import MeasurementFailed
 from testbed.experiments.hand_eye import scenes
 from testbed.experiments.hand_eye.scenes import HandEyeScene
+from vision_pc.config.choices import Method, Setup
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, Setup, pose_pairs
+from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, pose_pairs
 from vision_pc.core.hand_eye.solvers import bundle, methods
-from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.se3 import Array
 
 PAPER_MM = {"tsai": 4.4, "horaud": 4.0, "daniilidis": 3.4, "dqcr": 2.9}

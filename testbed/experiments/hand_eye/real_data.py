@@ -18,13 +18,13 @@ from testbed.experiments.hand_eye import intrinsics_experiment
 from testbed.experiments.hand_eye.intrinsics_experiment import IntrinsicsRow
 from testbed.hand_eye import trajectories
 from testbed.hand_eye.importer import ImportOptions, load
+from vision_pc.config.choices import Detector, Method, Setup
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import PosePairs, Setup
+from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers import methods
-from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.perception import zhang_intrinsics as zhang
-from vision_pc.core.perception.zhang_intrinsics import Checkerboard, Detector
+from vision_pc.core.perception.zhang_intrinsics import Checkerboard
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
 

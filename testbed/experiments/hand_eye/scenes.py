@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vision_pc.config.choices import Setup
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import PosePairs, Setup, pose_pairs
+from vision_pc.core.hand_eye.samples import PosePairs, pose_pairs
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
 from vision_pc.core.hand_eye.solvers.motions import Motions

@@ -10,9 +10,9 @@ import numpy as np
 from protocol.errors import LongreachError, MeasurementFailed
 from testbed.experiments.hand_eye import scenes
 from testbed.experiments.hand_eye.scenes import HandEyeScene
+from vision_pc.config.choices import Method
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.solvers import methods
-from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.hand_eye.solvers.result import HandEyeResult
 from vision_pc.core.se3 import Array
 

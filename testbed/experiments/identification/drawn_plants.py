@@ -214,8 +214,6 @@ def _tuned_checks(good: list[IdentifiedRow]) -> list[Check]:
 IDENTIFICATION = Experiment(
     name="identification",
     title="Plants drawn from the priors, identified from one recording each.",
-    shows="whether `longreach identify` finds a plant's parameters, and is as sure as it may be",
-    cost="90 CPU s",
     settings=DrawSettings,
     row=IdentifiedRow,
     tasks=draw_tasks,

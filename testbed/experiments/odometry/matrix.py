@@ -285,8 +285,6 @@ def matrix_figures(done: Rows) -> dict[str, Any]:
 ODOMETRY_MATRIX = Experiment(
     name="odometry-matrix",
     title="Odometry of recordings on rendered sequences of every kind, beside ORB-SLAM3.",
-    shows="whether odometry is right or says so, before movers, gaps, darkness, blur, bad rectification",
-    cost="8 CPU s",
     settings=MatrixSettings,
     row=MatrixRow,
     tasks=matrix_tasks,

@@ -15,7 +15,7 @@ from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
 from testbed.campaigns.options import Assignments, Scenario
 from testbed.campaigns.row_file import Row
-from testbed.experiments.paper.campaign import COST, OUT, PaperEyes, PaperSettings, paper_task
+from testbed.experiments.paper.campaign import OUT, PaperEyes, PaperSettings, paper_task
 from testbed.experiments.paper.comparison import FACTOR, TABLES, values
 from testbed.experiments.paper.measurement import measure
 from testbed.reporting.console import table
@@ -267,8 +267,6 @@ def _told(column: _Column, made: dict[str, float]) -> str:
 ABLATION = Experiment(
     name="ablation",
     title="The tables' means with the error sources switched off one at a time.",
-    shows="which error source makes which figure of the paper",
-    cost=COST,
     settings=AblationSettings,
     row=dict,
     tasks=ablation_tasks,

@@ -18,6 +18,8 @@ from testbed.campaigns.campaign import CampaignRequest, Task, run_campaign
 from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
 from testbed.campaigns.options import Assignments, Scenario
 from testbed.campaigns.row_file import Row
+from testbed.experiments.catalogue import PAPER as ALL_PARTS
+from testbed.experiments.catalogue import PAPER_PARTS
 from testbed.experiments.paper import comparison, figures, published
 from testbed.experiments.paper.comparison import FACTOR, TABLES, Compared
 from testbed.experiments.paper.measurement import measure, trace
@@ -27,7 +29,6 @@ from testbed.scenarios.scenario import load_scenario
 from testbed.scenarios.settings import load_settings
 
 OUT = Path("runs/paper")
-COST = "6 CPU s with the model, 90 with pictures"
 Measured = dict[str, list[Row]]
 
 
@@ -207,8 +208,6 @@ def _experiment(name: str, title: str, names: Sequence[str]) -> Experiment[Paper
     return Experiment(
         name=name,
         title=title,
-        shows=title,
-        cost=COST,
         settings=PaperSettings,
         row=dict,
         tasks=of(paper_tasks),
@@ -222,17 +221,7 @@ def _experiment(name: str, title: str, names: Sequence[str]) -> Experiment[Paper
     )
 
 
-_SHOWN = {
-    "table2": "Table 2, the line equation: errors of nine measurements, beside ours.",
-    "table3": "Table 3, the match's residuals, beside ours.",
-    "table4": "Table 4, trajectory matching: ten measurements of two inputs, beside ours.",
-    "fig5": "Figure 5, Euler angles before and after the orientation adjustment.",
-    "fig6": "Figure 6, the circle of the line equation.",
-    "fig7": "Figure 7, errors over the line equation.",
-    "fig8": "Figure 8, the matched trajectories.",
-    "fig9": "Figure 9, errors over two inputs after the match.",
-}
-PAPER = _experiment("paper", "All tables and figures of Mäkinen et al. 2023 in one report.", tuple(_SHOWN))
+PAPER = _experiment("paper", ALL_PARTS, tuple(PAPER_PARTS))
 TABLE2, TABLE3, TABLE4, FIG5, FIG6, FIG7, FIG8, FIG9 = (
-    _experiment(name, title, (name,)) for name, title in _SHOWN.items()
+    _experiment(name, title, (name,)) for name, title in PAPER_PARTS.items()
 )

@@ -14,7 +14,7 @@ from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
 from testbed.campaigns.options import Assignments, Scenario
 from testbed.campaigns.row_file import Row
-from testbed.experiments.paper.campaign import COST, OUT, PaperEyes, PaperSettings, paper_task
+from testbed.experiments.paper.campaign import OUT, PaperEyes, PaperSettings, paper_task
 from testbed.experiments.paper.comparison import SUB_CENTIMETRE_MM, worst
 from testbed.experiments.paper.measurement import measure
 from testbed.reporting.console import table
@@ -218,8 +218,6 @@ def _plot(name: str, records: list[dict[str, Any]]) -> bytes:
 SWEEP = Experiment(
     name="sweep",
     title="Both of the paper's methods over eight conditions.",
-    shows="errors over payload, mount, distance, noise, texture, play, flexibility and latency",
-    cost=COST,
     settings=ConditionSettings,
     row=dict,
     tasks=sweep_tasks,

@@ -203,8 +203,6 @@ def changed_verdict(done: Tried) -> list[Check]:
 CHANGED_MACHINE = Experiment(
     name="changed-machine",
     title="One thing of the machine changed at a time, told to nobody.",
-    shows="what a changed valve, play, lens … does to one look, and to what was told before it",
-    cost="30 CPU s",
     settings=ChangedSettings,
     row=ChangedRow,
     tasks=changed_tasks,

@@ -153,8 +153,6 @@ def stops_table(title: str, first: str, rows: Sequence[Any], words: Mapping[str,
 BEST_MODE = Experiment(
     name="best-mode",
     title="One look, then within 5 mm.",
-    shows="how often one look, corrected on the way, brings the tool within 5 mm over drawn scenarios",
-    cost="30 CPU s",
     settings=DrawnSettings,
     row=PositioningRow,
     tasks=positioning_tasks,

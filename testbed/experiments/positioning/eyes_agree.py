@@ -197,8 +197,6 @@ def agree_figures(done: Seen) -> dict[str, Any]:
 EYES_AGREE = Experiment(
     name="eyes-agree",
     title="The same seeds with pictures and with the eye model.",
-    shows="whether runs without pictures end as runs with them do, in pairs",
-    cost="30 CPU s; 150 with pictures",
     settings=AgreeSettings,
     row=EyesRow,
     tasks=agree_tasks,

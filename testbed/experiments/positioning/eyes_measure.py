@@ -233,8 +233,6 @@ def measure_verdict(done: Noted) -> list[Check]:
 EYES_MEASURE = Experiment(
     name="eyes-measure",
     title="Measure in rendered pictures what the eye model needs, and write its file.",
-    shows="what rendered pictures do to corners and tracked points, for the eye model's file",
-    cost="150 CPU s",
     settings=MeasureSettings,
     row=MeasuredRow,
     tasks=measure_tasks,

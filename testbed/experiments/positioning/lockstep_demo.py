@@ -198,8 +198,6 @@ def demo_figures(done: Demonstrated) -> dict[str, Any]:
 LOCKSTEP_DEMO = Experiment(
     name="lockstep-demo",
     title="Demonstrations in lockstep over many seeds.",
-    shows="how many demonstrations end under 10 and under 5 mm, after one look and after more",
-    cost="60 CPU s",
     settings=DemoSettings,
     row=DemoRow,
     tasks=demo_tasks,

@@ -168,8 +168,6 @@ def path_verdict(done: Paths) -> list[Check]:
 PATH_INFORMATION = Experiment(
     name="path-information",
     title="What each candidate calibration path leaves unknown of a goal.",
-    shows="which calibration path tells most about where a goal will be hit, from its information matrix",
-    cost="0.1 CPU s",
     settings=PathSettings,
     row=PathRow,
     tasks=path_tasks,

@@ -113,8 +113,6 @@ def servoing_verdict(done: Served) -> list[Check]:
 LOOKING_AND_MOVING = Experiment(
     name="looking-and-moving",
     title="Visual servoing beside look-then-move.",
-    shows="whether the closed loop at camera rate ends under 2 mm, beside look-then-move from the same start",
-    cost="60 CPU s",
     settings=DrawnSettings,
     row=ServoingRow,
     tasks=positioning_tasks,

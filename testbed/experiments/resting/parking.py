@@ -169,8 +169,6 @@ def parking_verdict(done: ParkedRows) -> list[Check]:
 PARKING = Experiment(
     name="parking",
     title="The arm parked, and left alone.",
-    shows="how far the tool moves in ten minutes at rest, with either arm and either set of valves",
-    cost="60 to 90 CPU s of ten minutes",
     settings=ParkingOptions,
     row=ParkingRow,
     tasks=parking_tasks,

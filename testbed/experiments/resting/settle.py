@@ -155,8 +155,6 @@ def settle_verdict(done: SettledRows) -> list[Check]:
 SETTLE = Experiment(
     name="settle",
     title="Into 0.3 mrad and there for good.",
-    shows="how long joints take into 0.3 mrad, by valves, law and what is known of the deadbands",
-    cost="3 to 6 CPU s a motion, six motions a run",
     settings=SettleOptions,
     row=SettleRow,
     tasks=settle_tasks,

@@ -336,8 +336,6 @@ def commissioning_figures(done: FoundJoints) -> JSON:
 COMMISSIONING = Experiment(
     name="commissioning",
     title="Commissioning of drawn machines.",
-    shows="whether commissioning finds the valves of drawn machines, and tells its spread honestly",
-    cost="20 to 35 CPU s a joint",
     settings=CommissioningOptions,
     row=CommissioningRow,
     tasks=commissioning_tasks,

@@ -321,8 +321,6 @@ def kill_verdict(done: Killed) -> list[Check]:
 CONTROLLER_KILLS = Experiment(
     name="controller-kills",
     title="Kill and suspend the controller at random points of motions.",
-    shows="whether the plant stops by itself when its controller is killed or suspended, in real time",
-    cost="4 s of real time",
     settings=KillSettings,
     row=SessionRow,
     tasks=kill_tasks,

@@ -245,8 +245,6 @@ def treatment_figures(done: Treated) -> dict[str, Any]:
 PLANT_CAMPAIGN = Experiment(
     name="plant-campaign",
     title="Rough treatment of the plant at random poses.",
-    shows="whether oil and energy balance in sudden stops, payload drops, end-stop impacts, pump losses",
-    cost="2 CPU s",
     settings=TreatmentSettings,
     row=TreatmentRow,
     tasks=treatment_tasks,

@@ -118,8 +118,6 @@ def cut_figures(done: Cuts) -> dict[str, Any]:
 STREAM_CUTS = Experiment(
     name="stream-cuts",
     title="Cut the reference stream at random moments.",
-    shows="how soon valves and oil stop when the stream of references is cut",
-    cost="1 CPU s",
     settings=CutSettings,
     row=CutRow,
     tasks=cut_tasks,

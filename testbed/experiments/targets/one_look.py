@@ -128,8 +128,6 @@ def _accuracy(words: str, lateral_mm: float | None, rows: list[TargetRow]) -> li
 TARGETS = Experiment(
     name="targets",
     title="Targets without markers, one pair each.",
-    shows="how exactly holes and clicked places are known, how honestly, and what is refused",
-    cost="0.4 CPU s",
     settings=TargetSceneSettings,
     row=TargetRow,
     tasks=target_tasks,

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from testbed.campaigns.experiment import Experiment, at_least, inside
 from testbed.cli.main import app
-from testbed.experiments.catalogue import CATALOGUE
+from testbed.experiments.catalogue import catalogue
 
 OLD_COMMANDS = (
     "paper", "table2", "table3", "table4", "fig5", "fig6", "fig7", "fig8", "fig9", "ablation", "sweep",
@@ -20,7 +20,7 @@ OLD_COMMANDS = (
 
 @pytest.mark.parametrize("name", [*OLD_COMMANDS, "positioning"])
 def test_every_experiment_has_a_command_with_the_options_of_all(name: str) -> None:
-    assert isinstance(CATALOGUE[name].load(), Experiment)
+    assert isinstance(catalogue()[name].load(), Experiment)
     shown = CliRunner().invoke(app, ["experiment", name, "--help"], terminal_width=200)
     assert shown.exit_code == 0
     for option in ("--out", "--fresh", "--scheduler", "--workers", "--config-dir", "--json"):
@@ -30,11 +30,11 @@ def test_every_experiment_has_a_command_with_the_options_of_all(name: str) -> No
 def test_the_list_says_what_each_shows_and_costs() -> None:
     listed = CliRunner().invoke(app, ["experiment", "list"])
     assert listed.exit_code == 0
-    assert all(name in listed.output for name in CATALOGUE)
+    assert all(name in listed.output for name in catalogue())
 
 
 def test_positioning_has_both_methods_and_their_own_defaults() -> None:
-    corrected, servoing = (CATALOGUE["positioning"].load(name) for name in ("corrected", "visual-servoing"))
+    corrected, servoing = (catalogue()["positioning"].load(name) for name in ("corrected", "visual-servoing"))
     assert (corrected.name, corrected.runs) == ("best-mode", 200)
     assert (servoing.name, servoing.runs) == ("looking-and-moving", 60)
 

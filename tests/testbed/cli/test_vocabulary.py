@@ -23,7 +23,7 @@ SAID_OTHERWISE = {"--runs", "--directory", "--output", "--outdir", "--drawn", "-
 WITHOUT_FIGURES = {  # commands that print none, so that there is nothing for --json to write
     "up", "sniff", "init", "token new", "arm new", "arm draw", "picture machine", "runs open",
     "recording layout", "camera convert", "camera emulate", "hand-eye drawing", "hand-eye session run",
-    "hand-eye session export", "experiment list",
+    "hand-eye session export",
 }  # fmt: skip
 _SHOWN = re.compile(r"longreach((?: +(?:'[^']*'|[^\s`|#()<>]+))+)")
 
@@ -32,7 +32,7 @@ def walked(command: Any, path: tuple[str, ...], context: Any) -> Iterator[tuple[
     """Every command below ``command`` that is no group, by its words."""
     names = command.list_commands(context) if hasattr(command, "list_commands") else []
     for name in names:
-        yield from walked(command.get_command(context, name), (*path, name), context)
+        yield from walked(command.resolve_command(context, [name])[1], (*path, name), context)
     if not names:
         yield path, command
 

@@ -18,7 +18,7 @@ from testbed.experiments.hand_eye.guided_campaign import GUIDED, GuidedCampaignS
 from testbed.experiments.hand_eye.noise_sweep import NoiseOn, gathered, level_of, noise_sweep
 from tests.support.paths import CONFIGS
 from tests.vision_pc.hand_eye.data import random_scene
-from vision_pc.core.hand_eye.solvers.methods import Method
+from vision_pc.config.choices import Method
 from vision_pc.core.perception.zhang_intrinsics import Checkerboard
 from vision_pc.core.se3 import Array
 

@@ -5,10 +5,10 @@ import pytest
 
 from protocol.errors import RequestRefused
 from testbed.experiments.hand_eye import real_data
+from vision_pc.config.choices import Method
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.samples import pose_pairs
 from vision_pc.core.hand_eye.solvers import methods
-from vision_pc.core.hand_eye.solvers.methods import Method
 
 try:
     real_data.data_directory()

@@ -21,7 +21,7 @@ from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import bars
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from tests.support.paths import CONFIGS
-from vision_pc.core.hand_eye.solvers.methods import Method
+from vision_pc.config.choices import Method
 
 pytestmark = pytest.mark.long
 

@@ -14,8 +14,8 @@ from testbed.hand_eye.importer import FORMAT, ImportOptions, load
 from testbed.hand_eye.trajectories import PairingOptions, Trajectory
 from tests.support.paths import DOCS
 from tests.vision_pc.hand_eye.data import exact_pairs, random_scene
+from vision_pc.config.choices import Setup
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import Setup
 from vision_pc.core.hand_eye.solvers import methods
 from vision_pc.core.se3 import Array
 

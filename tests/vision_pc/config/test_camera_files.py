@@ -14,7 +14,8 @@ from protocol.errors import ConfigurationError
 from tests.vision_pc.conftest import VISION_YAML
 from vision_pc.config.camera_files.parts import rotation, rotation_vector
 from vision_pc.config.camera_files.reading import read_calibration, read_calibrations, write_calibration
-from vision_pc.config.stereo_camera import LensModel, StereoCalibration
+from vision_pc.config.choices import LensModel
+from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.config.vision import VisionConfig
 
 SIZE = (1280, 720)

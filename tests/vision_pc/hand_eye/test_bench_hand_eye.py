@@ -8,9 +8,9 @@ import pytest
 
 from testbed.experiments.hand_eye import scenes
 from tests.support.yardstick import yardstick_ms
+from vision_pc.config.choices import Method
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import methods
-from vision_pc.core.hand_eye.solvers.methods import Method
 
 pytestmark = pytest.mark.bench
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed
-from testbed.cli.hand_eye_files import run_drawing
+from testbed.cli.hand_eye.files import run_drawing
 from testbed.experiments.hand_eye.guided_experiment import needed
 from tests.vision_pc.hand_eye.still_rig import CONFIGS, X_BT_START, still_settings
 from vision_pc.config.hand_eye import GuidedSettings

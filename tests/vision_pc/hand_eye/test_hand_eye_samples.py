@@ -7,8 +7,9 @@ import pytest
 
 from protocol.errors import RequestRefused
 from tests.vision_pc.hand_eye.data import random_scene
+from vision_pc.config.choices import Setup
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import Setup, pose_pairs
+from vision_pc.core.hand_eye.samples import pose_pairs
 from vision_pc.core.se3 import Array
 
 NAMES = tuple(f"pose-{k}" for k in range(8))

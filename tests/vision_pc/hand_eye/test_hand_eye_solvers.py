@@ -9,12 +9,12 @@ import pytest
 from protocol.errors import MeasurementFailed
 from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import exact_pairs, noisy_pairs, random_poses, random_scene
+from vision_pc.config.choices import Method, Setup
 from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import Setup, pose_pairs
+from vision_pc.core.hand_eye.samples import pose_pairs
 from vision_pc.core.hand_eye.solvers import classical, methods
 from vision_pc.core.hand_eye.solvers.classical import Classical
-from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.hand_eye.solvers.motions import Motions, all_motions, dual_quaternions
 
 MOTION_METHODS = [

@@ -9,11 +9,11 @@ import pytest
 from protocol.errors import RequestRefused
 from testbed.experiments.hand_eye import camera_share, scenes
 from tests.vision_pc.hand_eye.data import noisy_pairs
+from vision_pc.config.choices import Method
 from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import KnownLens, PosePairs, pose_pairs
 from vision_pc.core.hand_eye.solvers import lens, methods
-from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.hand_eye.solvers.robust import RobustSettings
 from vision_pc.core.se3 import Array
 

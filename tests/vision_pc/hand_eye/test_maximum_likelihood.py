@@ -7,9 +7,9 @@ import scipy.optimize
 from protocol.errors import MeasurementFailed
 from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import random_poses, random_scene
+from vision_pc.config.choices import Setup
 from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import Setup
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers import noise as noise_model
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise

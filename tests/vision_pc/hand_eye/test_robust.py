@@ -6,11 +6,11 @@ import pytest
 from protocol.errors import MeasurementFailed
 from testbed.experiments.hand_eye import scenes
 from tests.vision_pc.hand_eye.data import noisy_pairs, random_poses
+from vision_pc.config.choices import Method
 from vision_pc.core import se3
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import pose_pairs
 from vision_pc.core.hand_eye.solvers import consensus, methods
-from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.hand_eye.solvers.motions import Motions, all_motions
 from vision_pc.core.hand_eye.solvers.noise import NoiseSource
 from vision_pc.core.hand_eye.solvers.observability import ObservabilityLimits, verdict

@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.yardstick import yardstick_ms
 from tests.vision_pc.perception.test_rectification import raw_camera
-from vision_pc.config.stereo_camera import LensModel
+from vision_pc.config.choices import LensModel
 from vision_pc.core.perception.rectification import Rectifier, geometry
 from vision_pc.core.types import StereoPair
 

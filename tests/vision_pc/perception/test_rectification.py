@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from protocol.errors import ConfigurationError, FrameRefused
-from vision_pc.config.stereo_camera import COEFFICIENTS, LensModel, RawEye, StereoCalibration
+from vision_pc.config.choices import LensModel
+from vision_pc.config.stereo_camera import COEFFICIENTS, RawEye, StereoCalibration
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.perception.rectification import (

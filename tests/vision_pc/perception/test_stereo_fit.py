@@ -5,7 +5,8 @@ import pytest
 
 from protocol.errors import MeasurementFailed, RequestRefused
 from tests.vision_pc.perception.test_rectification import raw_camera, seen_raw
-from vision_pc.config.stereo_camera import LensModel, StereoCalibration
+from vision_pc.config.choices import LensModel
+from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.core import se3
 from vision_pc.core.perception import stereo_fit
 from vision_pc.core.perception.stereo_fit import PairView

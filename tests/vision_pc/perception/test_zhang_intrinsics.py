@@ -7,8 +7,9 @@ import pytest
 from protocol.errors import MeasurementFailed, RequestRefused
 from testbed.experiments.hand_eye.boards import BoardCamera, BoardRenderer, random_board_pose
 from testbed.experiments.hand_eye.intrinsics_experiment import detect, row
+from vision_pc.config.choices import Detector
 from vision_pc.core.perception import zhang_intrinsics as zhang
-from vision_pc.core.perception.zhang_intrinsics import BoardView, Charuco, Checkerboard, Detector
+from vision_pc.core.perception.zhang_intrinsics import BoardView, Charuco, Checkerboard
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
 

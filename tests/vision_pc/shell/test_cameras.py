@@ -16,7 +16,7 @@ from protocol.errors import ConfigurationError, FrameRefused, LinkLost
 from protocol.stereo_frame import FrameHeader, encode_header
 from tests.vision_pc.perception.test_rectification import raw_camera
 from vision_pc.config.camera import CameraSettings
-from vision_pc.config.stereo_camera import LensModel
+from vision_pc.config.choices import LensModel
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.buffers import BufferPool
 from vision_pc.core.perception.rectification import Rectifier

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
+from vision_pc.config.choices import Method
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.guided import sampling as guided_sampling
 from vision_pc.core.hand_eye.guided import solution as guided_solution
@@ -19,7 +20,6 @@ from vision_pc.core.hand_eye.guided.target import TargetLook
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import bundle, methods
 from vision_pc.core.hand_eye.solvers.bundle import RobotNoise
-from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.hand_eye.solvers.result import HandEyeResult
 from vision_pc.core.ports import ArmView
 from vision_pc.core.se3 import Array

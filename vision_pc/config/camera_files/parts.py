@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from protocol.errors import ConfigurationError
-from vision_pc.config.stereo_camera import COEFFICIENTS, FORMAT, LensModel, StereoCalibration
+from vision_pc.config.choices import LensModel
+from vision_pc.config.stereo_camera import COEFFICIENTS, FORMAT, StereoCalibration
 
 Matrix = NDArray[np.float64]
 

@@ -23,7 +23,8 @@ from vision_pc.config.camera_files.parts import (
     number,
     rotation,
 )
-from vision_pc.config.stereo_camera import COEFFICIENTS, LensModel, StereoCalibration
+from vision_pc.config.choices import LensModel
+from vision_pc.config.stereo_camera import COEFFICIENTS, StereoCalibration
 
 RESOLUTIONS = {
     (2208, 1242): "2K",

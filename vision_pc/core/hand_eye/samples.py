@@ -12,22 +12,15 @@ Both are H X P = Z with H = X_BT or its inverse, and P = X_CP; the solvers know 
 """
 
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import RequestRefused
+from vision_pc.config.choices import Setup
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.se3 import Array, nearest_rotation
-
-
-class Setup(StrEnum):
-    """Where the camera is mounted."""
-
-    EYE_IN_HAND = "eye-in-hand"
-    EYE_TO_HAND = "eye-to-hand"
 
 
 class SampleLimits(NamedTuple):

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import ConfigurationError, FrameRefused
-from vision_pc.config.stereo_camera import LensModel, RawEye, StereoCalibration
+from vision_pc.config.choices import LensModel
+from vision_pc.config.stereo_camera import RawEye, StereoCalibration
 from vision_pc.core import se3
 from vision_pc.core.buffers import BufferPool
 from vision_pc.core.se3 import Array

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import MeasurementFailed, RequestRefused
-from vision_pc.config.stereo_camera import COEFFICIENTS, FORMAT, LensModel, StereoCalibration
+from vision_pc.config.choices import LensModel
+from vision_pc.config.stereo_camera import COEFFICIENTS, FORMAT, StereoCalibration
 from vision_pc.core import se3
 from vision_pc.core.perception.zhang_intrinsics import BoardView
 from vision_pc.core.se3 import Array

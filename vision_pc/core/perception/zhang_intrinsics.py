@@ -7,7 +7,6 @@ window of 11 px, whatever the size of the squares), ``fitted`` with the window k
 
 import math
 from collections.abc import Sequence
-from enum import StrEnum
 from typing import Any, NamedTuple
 
 import cv2
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import MeasurementFailed, RequestRefused
+from vision_pc.config.choices import Detector
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
 
@@ -26,14 +26,6 @@ _OUTLYING = 3.0  # times the median view's error
 _UNDETERMINED = 0.05  # relative standard deviation of the focal length
 _PARALLEL_COS = math.cos(math.radians(5.0))
 _CELLS = (6, 8)
-
-
-class Detector(StrEnum):
-    """How the corners of a checkerboard are found."""
-
-    CLASSIC = "classic"
-    FITTED = "fitted"
-    SECTORS = "sectors"
 
 
 class Checkerboard(NamedTuple):

@@ -100,8 +100,6 @@ def _none(what: str, found: list[str]) -> Check:
 ATTACKS_EXPERIMENT = Experiment(
     name="attacks",
     title="Attack every listener of the running services, as a stranger can.",
-    shows="whether a stranger's requests end a motion, delay a stop or stall the fieldbus, in real time",
-    cost="35 s of real time an attack",
     settings=AttackSettings,
     row=AttackRow,
     tasks=attack_tasks,

@@ -9,11 +9,12 @@ import numpy as np
 
 from nominal_arm.dimensions import DhLink
 from protocol.errors import RequestRefused
+from vision_pc.config.choices import Setup
 from vision_pc.config.hand_eye import JOINTS, GuidedSettings
 from vision_pc.core.hand_eye.guided.nominal_model import Links
 from vision_pc.core.hand_eye.guided.sampling import Proposal
 from vision_pc.core.hand_eye.guided.views import Surroundings
-from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, Setup, pose_pairs
+from vision_pc.core.hand_eye.samples import CornerViews, PosePairs, pose_pairs
 from vision_pc.core.perception.markers import corner_points
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration

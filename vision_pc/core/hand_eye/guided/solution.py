@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vision_pc.config.choices import Method
 from vision_pc.config.hand_eye import ArmUncertainty, GuidedSettings
 from vision_pc.core.hand_eye.guided import nominal_model, shared_errors
 from vision_pc.core.hand_eye.guided.nominal_model import Links
@@ -27,7 +28,6 @@ from vision_pc.core.hand_eye.guided.shared_errors import Doubts, SharedFit
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers import methods
-from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.hand_eye.solvers.result import HandEyeResult
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraModel

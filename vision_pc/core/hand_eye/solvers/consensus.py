@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
+from vision_pc.config.choices import Setup
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import Setup
 from vision_pc.core.hand_eye.solvers import maximum_likelihood as ml
 from vision_pc.core.hand_eye.solvers import noise as noise_model
 from vision_pc.core.hand_eye.solvers import separable

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
-from vision_pc.core.hand_eye.samples import PosePairs, Setup
+from vision_pc.config.choices import Method, Setup
+from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import lens, methods, readings, scale
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Equations, Noise
-from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.hand_eye.solvers.noise import few_sample_factor
 from vision_pc.core.hand_eye.solvers.readings import Reading
 from vision_pc.core.hand_eye.solvers.result import HandEyeResult

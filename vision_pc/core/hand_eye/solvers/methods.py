@@ -1,10 +1,10 @@
 """One entrance to all hand-eye solvers: checked samples in, a calibration with its verdict out."""
 
 import math
-from enum import StrEnum
 
 import numpy as np
 
+from vision_pc.config.choices import Method
 from vision_pc.core import se3_stacks as stacks
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import chordal, classical, dual_quaternion, robust
@@ -19,31 +19,6 @@ from vision_pc.core.hand_eye.solvers.result import HandEyeResult, SolverEstimate
 from vision_pc.core.hand_eye.solvers.robust import RobustSettings
 from vision_pc.core.se3 import Array
 
-
-class Method(StrEnum):
-    """All solvers. The equation that each one solves: ``Method.equation``."""
-
-    TSAI = "tsai"
-    PARK = "park"
-    HORAUD = "horaud"
-    ANDREFF = "andreff"
-    DANIILIDIS = "daniilidis"
-    LI = "li"
-    SHAH = "shah"
-    DQCR_PUBLISHED = "dqcr-published"
-    DQCR = "dqcr"
-    JOINT = "joint-dual-quaternion"
-    CHORDAL = "chordal"
-    MAXIMUM_LIKELIHOOD = "maximum-likelihood"
-    ROBUST = "robust"
-
-    @property
-    def equation(self) -> str:
-        """``AX=XB`` (relative motions) or ``AX=ZB`` (poses; X and Z together)."""
-        return "AX=ZB" if self in _POSE_METHODS else "AX=XB"
-
-
-_POSE_METHODS = {Method.LI, Method.SHAH, Method.CHORDAL, Method.MAXIMUM_LIKELIHOOD, Method.ROBUST}
 CLASSICAL = {Method(c.value): c for c in Classical}
 
 

@@ -19,8 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from protocol.errors import MeasurementFailed
+from vision_pc.config.choices import Setup
 from vision_pc.core import se3_stacks as stacks
-from vision_pc.core.hand_eye.samples import PosePairs, Setup
+from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import consensus, scale, separable
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Noise
 from vision_pc.core.hand_eye.solvers.motions import all_motions

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vision_pc.core.hand_eye.samples import Setup
+from vision_pc.config.choices import Setup
 from vision_pc.core.hand_eye.solvers.maximum_likelihood import Noise
 from vision_pc.core.hand_eye.solvers.observability import Observability
 from vision_pc.core.se3 import Array

@@ -6,13 +6,12 @@ from typing import Annotated
 import typer
 
 from foundation.command_options import unfolded
-from testbed.cli.hand_eye_options import PicturedBoard, SampleSource
-from testbed.cli.hand_eye_session import app as session
+from testbed.cli.hand_eye.options import PicturedBoard, SampleSource
+from testbed.cli.hand_eye.session import app as session
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
-from vision_pc.core.hand_eye.solvers.methods import Method
-from vision_pc.core.perception.zhang_intrinsics import Detector
+from vision_pc.config.choices import Detector, Method
 
-app = typer.Typer(help="Hand-eye calibration from files and pictures.", no_args_is_help=True)
+app = typer.Typer(help="Hand-eye calibration, guided on a rig or from files.", no_args_is_help=True)
 app.add_typer(session, name="session")
 
 
@@ -27,7 +26,7 @@ def solve(
     json_file: JsonFile = None,
 ) -> None:
     """X from samples, with covariance, residuals, proof and verdict; or the reason why not."""
-    from testbed.cli.hand_eye_files import run_solve
+    from testbed.cli.hand_eye.files import run_solve
 
     run_solve(source, method, as_given, json_file)
 
@@ -36,7 +35,7 @@ def solve(
 @unfolded
 def compare(source: SampleSource, json_file: JsonFile = None) -> None:
     """All methods on the same samples: two-fold hold-out errors."""
-    from testbed.cli.hand_eye_files import run_compare
+    from testbed.cli.hand_eye.files import run_compare
 
     run_compare(source, json_file)
 
@@ -50,7 +49,7 @@ def intrinsics(
     json_file: JsonFile = None,
 ) -> None:
     """Camera matrix and distortion, errors by view, outlying views and empty parts of the picture."""
-    from testbed.cli.hand_eye_files import run_intrinsics_of_pictures
+    from testbed.cli.hand_eye.files import run_intrinsics_of_pictures
 
     run_intrinsics_of_pictures(pictures, board, detector, json_file)
 
@@ -62,7 +61,7 @@ def drawing(
     config_dir: ConfigDir = DEFAULT_CONFIG,
 ) -> None:
     """The emulated cabinet's front as its maker would draw it: what the vision PC is given to find it by."""
-    from testbed.cli.hand_eye_files import run_drawing
+    from testbed.cli.hand_eye.files import run_drawing
 
     run_drawing(file, scenario, config_dir)
 

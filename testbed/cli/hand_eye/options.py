@@ -5,7 +5,7 @@ from typing import Annotated, NamedTuple
 
 import typer
 
-from vision_pc.core.hand_eye.samples import Setup
+from vision_pc.config.choices import Setup
 
 
 class SampleSource(NamedTuple):

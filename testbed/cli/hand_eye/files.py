@@ -8,7 +8,7 @@ import numpy as np
 from plant_emulator.config.boards import CabinetConfig
 from plant_emulator.core.camera.cabinet import cabinet_front
 from protocol.errors import MeasurementFailed, RequestRefused
-from testbed.cli.hand_eye_options import PicturedBoard, SampleSource
+from testbed.cli.hand_eye.options import PicturedBoard, SampleSource
 from testbed.experiments.hand_eye import intrinsics_experiment
 from testbed.experiments.hand_eye import tables as experiment_tables
 from testbed.experiments.hand_eye.real_data import hold_out
@@ -17,13 +17,13 @@ from testbed.hand_eye.importer import ImportOptions, load
 from testbed.hand_eye.trajectories import PairingOptions
 from testbed.reporting.console import out, write_json
 from testbed.scenarios.settings import chosen_overrides, load_settings
+from vision_pc.config.choices import Detector, Method
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import bundle, judgement
 from vision_pc.core.hand_eye.solvers.bundle import RobotNoise
-from vision_pc.core.hand_eye.solvers.methods import Method
 from vision_pc.core.hand_eye.solvers.result import HandEyeResult
 from vision_pc.core.perception import zhang_intrinsics as zhang
-from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard, Detector
+from vision_pc.core.perception.zhang_intrinsics import Charuco, Checkerboard
 from vision_pc.core.types import Image
 
 

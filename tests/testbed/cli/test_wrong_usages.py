@@ -1,0 +1,88 @@
+"""What a command line gets wrong is one line on stderr that names it, with a cause, and status 2."""
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from testbed.cli.main import app
+from tests.support.paths import ROOT
+
+pytestmark = pytest.mark.long
+
+WRONG = (  # command, cause, what the line says beside it
+    ("dmeo", "usage.unknown_command", "did you mean 'demo'?"),
+    ("--verison", "usage.unknown_option", "did you mean --version?"),
+    ("demo --sed 3", "usage.unknown_option", "did you mean --seed"),
+    ("demo --runs 3", "usage.unknown_option", "longreach demo --help"),
+    ("demo --seed", "usage.malformed", "longreach demo --help"),
+    ("demo --seed x", "usage.bad_value", "'--seed' = x"),
+    ("demo --seed -1", "usage.bad_value", "greater than or equal to 0"),
+    ("demo --looks 99", "usage.bad_value", "less than or equal to 9"),
+    ("demo 3", "usage.wrong", "(3)"),
+    ("demo --lockstep --config-dir /nosuch", "configuration.no_directory", "/nosuch"),
+    ("demo --lockstep --scenario stadnard", "configuration.unknown_scenario", "known: drill_face"),
+    ("demo --lockstep --arm long_cran", "configuration.unknown_arm", "did you mean long_crane?"),
+    ("demo --lockstep --arm ./nosuch", "configuration.unknown_arm", "no directory ./nosuch"),
+    ("demo --lockstep --set mass", "configuration.bad_override", "FILE.KEY"),
+    ("demo --lockstep --set plnt.a=3", "configuration.unknown_file", "known: arm, controller"),
+    ("demo --lockstep --set plant.payload.mas_kg=3", "configuration.unknown_key", "did you mean mass_kg?"),
+    ("demo --lockstep --set plant.payload.mass_kg=x", "configuration.float_parsing", "payload.mass_kg = 'x'"),
+    ("experiment best-mde", "usage.unknown_command", "did you mean 'best-mode'?"),
+    ("experiment plant-campaign --count 0", "usage.bad_value", "greater than or equal to 1"),
+    ("experiment plant-campaign --workers 99", "usage.bad_value", "less than or equal to 64"),
+    ("experiment best-mode --world lba", "usage.bad_value", "'lab', 'harder'"),
+    ("experiment best-mode --arm longcrane", "configuration.unknown_arm", "did you mean long_crane?"),
+    ("experiment plant-campaign --scheduler here --out {tmp}/a", "configuration.bad_address", "tcp:"),
+    ("experiment plant-campaign --count 1 --out {file}/x", "output.unwritable", "tasks.jsonl"),
+    ("runs list --out /nosuch", "runs.no_directory", "--out names another"),
+    ("runs show nosuch --out {tmp}", "runs.not_found", "no such run"),
+    ("runs compare last", "usage.missing", "'RUN'"),
+    ("recording info /nosuch.mcap", "system.refused", "/nosuch.mcap: No such file"),
+    ("recording verify {file}", "recording.no_recording", "MCAP"),
+    ("recording to-csv {file}", "usage.missing", "'--out'"),
+    ("replay /nosuch.mcap", "system.refused", "No such file"),
+    ("arm check nosuch", "configuration.unknown_arm", "known: default"),
+    ("arm draw --out {file}/x.png", "output.unwritable", "/file/"),
+    ("camera chek", "usage.unknown_command", "did you mean 'check'?"),
+    ("camera check /nosuch", "configuration.no_recording", "no such directory, film or device"),
+    ("camera emulate", "usage.missing", "'--out'"),
+    ("hand-eye solve {file}", "refused.hand_eye.unreadable", "not JSON"),
+    ("hand-eye solve {file} --method best", "usage.bad_value", "'tsai', 'park'"),
+    ("hand-eye intrinsics {file}", "refused.intrinsics.unreadable", "not a picture"),
+    ("hand-eye session list --url nonsense", "link.rest", "nonsense"),
+    ("commission --joints slw --out {tmp}/b", "configuration.unknown_joint", "known: slew, lift"),
+    ("identify", "usage.missing", "'RECORDING'"),
+    ("identify {file}", "recording.not_one", "the first line"),
+    ("markers {file}", "configuration.bad_recording", "no picture"),
+    ("odometry --left /none --right /none --calib /none", "configuration.bad_sequence", "/none: no such"),
+    ("validate plnt", "usage.unknown_command", "did you mean 'plant'?"),
+    ("validate error-sources --config-dir /nosuch", "configuration.unreadable", "/nosuch"),
+    ("soak --minutes 0", "usage.bad_value", "greater than or equal to 0.1"),
+    ("conformance reference --port 70000", "usage.bad_value", "less than or equal to 65535"),
+    ("conformance reference --case 9999", "conformance.unknown_case", "see --list"),
+    ("conformance coupler --profile nosuch", "conformance.unknown_part", "no such part; there are paths"),
+    ("sniff --pcap {file}", "sniff.not_pcap", "editcap"),
+    ("proxy --port 47000", "usage.missing", "'--listen-port'"),
+    ("proxy --listen-port 0 --port 1 --loss 2", "usage.bad_value", "less than or equal to 1"),
+    ("export urdf", "usage.missing", "'--out'"),
+    ("init {tmp}", "configuration.not_empty", "nothing was copied"),
+    ("token new {file}", "configuration.secret_exists", "there already"),
+    ("up --scenario nosuch", "configuration.unknown_scenario", "known: drill_face"),
+    ("doctor --json {file}/doctor.json", "output.unwritable", "/file/"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("words", "cause", "told"), WRONG, ids=[words for words, _, _ in WRONG])
+def test_what_is_wrong_is_one_line_that_names_it(
+    words: str, cause: str, told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(ROOT)
+    file = tmp_path / "file"
+    file.write_text("neither JSON, nor pictures, nor a directory\n")
+    done = CliRunner().invoke(app, [word.format(tmp=tmp_path, file=file) for word in words.split()])
+    assert done.exit_code == 2, done.output
+    lines = done.stderr.splitlines()
+    assert len(lines) == 1, lines
+    assert lines[0].startswith(f"longreach: {cause}: ")
+    assert told in lines[0]
