@@ -25,10 +25,7 @@ def decoder(form: Format) -> Callable[[bytes], Values] | None:
         return lambda data: dict(_plain("", json.loads(data)))
     if form.message_encoding != "protobuf" or form.schema_encoding != "protobuf":
         return None
-    pool = descriptor_pool.DescriptorPool()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(form.data).file:
-        pool.Add(file)
-    made = message_factory.GetMessageClass(pool.FindMessageTypeByName(form.schema))
+    made = class_in(form)
 
     def decode(data: bytes) -> Values:
         try:
@@ -37,6 +34,14 @@ def decoder(form: Format) -> Callable[[bytes], Values] | None:
             raise UndecodableMessage("recording.undecodable", f"{form.schema}: {error}") from error
 
     return decode
+
+
+def class_in(form: Format) -> Any:
+    """The Protobuf class that the schema ``form`` of a file describes."""
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(form.data).file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(form.schema))
 
 
 def _fields(prefix: str, message: Any) -> Iterator[tuple[str, Any]]:

@@ -2,7 +2,7 @@
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -68,6 +68,24 @@ def walk(stream: BinaryIO) -> Iterator[Any]:
             if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
                 yield Damage(stream.tell(), "cut off within the last bytes")
             return
+
+
+def messages(
+    path: Path, topics: Container[str], damages: list[Damage] | None = None
+) -> Iterator[tuple[str, Message]]:
+    """The messages of ``topics`` in the recording at ``path``, in its order, each with its topic.
+
+    What of the file could not be read goes into ``damages``. Raises as ``walk``, OSError.
+    """
+    named: dict[int, str] = {}
+    with path.open("rb") as stream:
+        for record in walk(stream):
+            if isinstance(record, Channel):
+                named[record.id] = record.topic
+            elif isinstance(record, Message) and named.get(record.channel_id) in topics:
+                yield named[record.channel_id], record
+            elif isinstance(record, Damage) and damages is not None:
+                damages.append(record)
 
 
 def _found(opcode: int, content: bytes, offset: int) -> Iterator[Any]:

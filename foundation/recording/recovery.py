@@ -1,11 +1,13 @@
 """A recording made whole again: what can be read of a cut or damaged file, written anew with its index."""
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from mcap.records import Attachment, Channel, Footer, Message, Metadata, Schema
 
-from foundation.recording.mcap_file import Format, McapFile, Topic
+from foundation.recording.mcap_file import Entries, Format, McapFile, Topic
 from foundation.recording.reading import Damage, walk
 
 
@@ -105,19 +107,33 @@ def recover(source: Path, target: Path) -> Contents:
     """
     found = contents(source)
     numbers = {channel: number for number, channel in enumerate(found.topics)}
-    file = McapFile(target, list(found.topics.values()), found.metadata, found.attachments)
+    topics = list(found.topics.values())
+    with (
+        new_recording(target, topics, found.metadata, found.attachments) as file,
+        source.open("rb") as stream,
+    ):
+        for record in walk(stream):
+            if isinstance(record, Message) and record.channel_id in numbers:
+                file.add(numbers[record.channel_id], record.data, record.log_time, record.publish_time)
+    return found
+
+
+@contextmanager
+def new_recording(
+    path: Path, topics: Sequence[Topic], metadata: Entries, attachments: Sequence[Attachment] = ()
+) -> Iterator[McapFile]:
+    """A recording at ``path``, whole at the end of the block; where the block fails there is none.
+
+    Raises FileExistsError where it exists, OSError when it cannot be written.
+    """
+    file = McapFile(path, topics, metadata, attachments)
     try:
-        with source.open("rb") as stream:
-            for record in walk(stream):
-                if isinstance(record, Message) and record.channel_id in numbers:
-                    number = numbers[record.channel_id]
-                    file.add(number, record.data, record.log_time, record.publish_time)
+        yield file
         file.close()
     except BaseException:
         file.abandon()
-        target.unlink(missing_ok=True)
+        path.unlink(missing_ok=True)
         raise
-    return found
 
 
 def _topic(channel: Channel, schema: Schema | None) -> Topic:

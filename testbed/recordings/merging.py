@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.records import Attachment, Message
 
-from foundation.recording.mcap_file import Format, McapFile, Topic
+from foundation.recording.decoding import class_in
+from foundation.recording.mcap_file import Topic
 from foundation.recording.messages import PosedFrame, format_of, transforms
-from foundation.recording.reading import RecordingUnreadable, walk
-from foundation.recording.recovery import Contents, contents
+from foundation.recording.reading import RecordingUnreadable, messages, walk
+from foundation.recording.recovery import Contents, contents, new_recording
 from plant_emulator.shell.scene_messages import CAMERA, WORLD
 from plant_emulator.shell.truth_recorder import CAPTURE
 from testbed.recordings.layout import layout_text
@@ -69,8 +69,7 @@ def merge(files: Sequence[Path], target: Path, attached: Sequence[Path] = ()) ->
             numbers[part.service, channel] = len(topics)
             topics.append(topic)
     topics.append(Topic(JOINTS, format_of(FrameTransforms), bytes))
-    file = McapFile(target, topics, _metadata(parts, clocks), _attachments(attached))
-    try:
+    with new_recording(target, topics, _metadata(parts, clocks), _attachments(attached)) as file:
         streams = [_mapped(part, clocks[part.service], numbers) for part in parts.values()]
         joined = False
         for log_ns, number, data, publish_ns in heapq.merge(*streams, key=lambda each: each[0]):
@@ -78,11 +77,6 @@ def merge(files: Sequence[Path], target: Path, attached: Sequence[Path] = ()) ->
                 file.add(len(topics) - 1, _joints(log_ns), log_ns, log_ns)
                 joined = True
             file.add(number, data, log_ns, publish_ns)
-        file.close()
-    except BaseException:
-        file.abandon()
-        target.unlink(missing_ok=True)
-        raise
     return clocks
 
 
@@ -147,18 +141,14 @@ def fitted_clock(samples: Sequence[tuple[int, int, int]]) -> ClockMap:
 
 def _of(part: _Part, topic: str) -> Iterator[tuple[int, bytes]]:
     """Log times and data of a part's messages on ``topic``."""
-    channels = {channel for channel, known in part.found.topics.items() if known.name == topic}
-    with part.path.open("rb") as stream:
-        for record in walk(stream):
-            if isinstance(record, Message) and record.channel_id in channels:
-                yield record.log_time, record.data
+    return ((record.log_time, record.data) for _, record in messages(part.path, {topic}))
 
 
 def _capture_times(part: _Part) -> dict[int, int]:
     form = next((topic.format for topic in part.found.topics.values() if topic.name == CAPTURE), None)
     if form is None:
         return {}
-    made = _message_class(form)
+    made = class_in(form)
     return {made.FromString(data).frame_id: log_ns for log_ns, data in _of(part, CAPTURE)}
 
 
@@ -167,7 +157,7 @@ def _mapped(
 ) -> Iterator[tuple[int, int, bytes, int]]:
     """Log time on the common clock, topic number, data and publish time of each message."""
     stamped = {
-        channel: _message_class(topic.format)
+        channel: class_in(topic.format)
         for channel, topic in part.found.topics.items()
         if topic.format.schema.startswith("foxglove.") and part.service != VISION
     }
@@ -194,13 +184,6 @@ def _move_stamps(message: Any, clock: ClockMap) -> None:
                 each.seconds, each.nanos = divmod(moved_ns, _NS)
             else:
                 _move_stamps(each, clock)
-
-
-def _message_class(form: Format) -> Any:
-    pool = descriptor_pool.DescriptorPool()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(form.data).file:
-        pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName(form.schema))
 
 
 def _joints(log_ns: int) -> bytes:

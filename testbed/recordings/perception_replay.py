@@ -4,15 +4,14 @@ Every observation goes on from the one that it went on from then, as it comes ou
 arm's poses and the order is taken from the recording.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
-from mcap.records import Channel, Message
 
-from foundation.recording.reading import Damage, RecordingUnreadable, walk
+from foundation.recording.reading import Damage, RecordingUnreadable, messages
 from protocol.errors import MeasurementFailed
 from testbed.recordings.comparison import ReplayComparison
 from testbed.recordings.pixels import KeptPixels, Pixels, RecordedStamp, RenderedPixels, checked
@@ -92,7 +91,7 @@ class PerceptionReplay:
             topics.LOOK: self._look,
         }
         frames: list[Any] = []  # wait for their pictures, which follow them
-        for topic, record in self._messages():
+        for topic, record in messages(self._recording.path, _CLASSES, self.damages):
             if topic in topics.IMAGES:
                 self._image(topic, record.data)
                 continue
@@ -105,17 +104,6 @@ class PerceptionReplay:
             takers[topic](said)
             advanced(record.log_time)
         return self.comparison
-
-    def _messages(self) -> Iterator[tuple[str, Message]]:
-        named: dict[int, str] = {}
-        with self._recording.path.open("rb") as stream:
-            for record in walk(stream):
-                if isinstance(record, Channel):
-                    named[record.id] = record.topic
-                elif isinstance(record, Message) and named.get(record.channel_id) in _CLASSES:
-                    yield named[record.channel_id], record
-                elif isinstance(record, Damage):
-                    self.damages.append(record)
 
     def _image(self, topic: str, data: bytes) -> None:
         if isinstance(self._pixels, KeptPixels) and self._recording.images == "raw":

@@ -1,14 +1,13 @@
 """Operations of a recording in their order: what each program read, and what was sent meanwhile."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mcap.records import Channel, Message
+from mcap.records import Message
 
 from foundation.recording.messages import fields_of
-from foundation.recording.reading import Damage, walk
+from foundation.recording.reading import Damage, messages
 from vision_pc.core.types import Look, WatchSample
 from vision_pc.shell.recording import read_messages as reads
 from vision_pc.shell.recording import vision_messages as own
@@ -63,7 +62,7 @@ class RecordedOperations:
         self.ending: Ending | None = None
         self.damages: list[Damage] = []
         self.unread: list[SentReference] = []
-        self._messages = self._read(path)
+        self._messages = messages(path, _TOPICS, self.damages)
         self._ahead: AnsweredCall | None = None
         self._in_operation = False
 
@@ -120,17 +119,6 @@ class RecordedOperations:
         if said["event"] not in _BEGINS:
             return None
         return BegunOperation(said["kind"], said.get(_BEGINS[said["event"]]) or {}, log_ns)
-
-    def _read(self, path: Path) -> Iterator[tuple[str, Message]]:
-        named: dict[int, str] = {}
-        with path.open("rb") as stream:
-            for record in walk(stream):
-                if isinstance(record, Channel):
-                    named[record.id] = record.topic
-                elif isinstance(record, Message) and named.get(record.channel_id) in _TOPICS:
-                    yield named[record.channel_id], record
-                elif isinstance(record, Damage):
-                    self.damages.append(record)
 
 
 def _ending(said: dict[str, Any]) -> Ending | None:
