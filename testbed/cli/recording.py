@@ -86,6 +86,24 @@ def to_csv(
     write_json(json_file, {"rows": rows, "left_out": left_out})
 
 
+@app.command("to-ros2", epilog="Example: longreach recording to-ros2 session.mcap --out bag")
+def to_ros2_command(
+    file: File,
+    directory: Annotated[Path, typer.Option("--out", help="The bag: a directory that is not there yet.")],
+    json_file: JsonFile = None,
+) -> None:
+    """Write a recording as a ROS 2 bag of standard messages: pictures, frames, joints, poses, scene, log."""
+    from testbed.recordings.ros2 import to_ros2
+
+    made = to_ros2(file, directory)
+    for damage in made.damages:
+        out.print(f"not read, at byte {damage.offset}: {damage.what}", highlight=False)
+    out.print(table(str(directory), ("topic", "messages"), [*made.written.items()]))
+    if made.left_out:
+        out.print(f"left out, no standard message says it: {', '.join(made.left_out)}", highlight=False)
+    write_json(json_file, made._asdict() | {"damages": [damage._asdict() for damage in made.damages]})
+
+
 @app.command("merge", epilog="Example: longreach recording merge runs/demo --out session.mcap")
 def merge_command(
     what: Annotated[

@@ -3,11 +3,12 @@
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 from mcap.records import Message
 
 from foundation.recording.mcap_file import McapFile
-from foundation.recording.reading import walk
+from foundation.recording.reading import messages, walk
 from foundation.recording.recovery import contents
 
 Change = Callable[[str, int, bytes], bytes | None]
@@ -36,3 +37,8 @@ def edited(source: Path, target: Path, change: Change, session: dict[str, str] |
 def kept(topic: str, count: int, data: bytes) -> bytes:
     """The message as it is."""
     return data
+
+
+def all_of(path: Path, topic: str, message: Any) -> list[Any]:
+    """Every message of a topic."""
+    return [message.FromString(record.data) for _, record in messages(path, {topic})]

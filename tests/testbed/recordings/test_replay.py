@@ -21,7 +21,7 @@ from testbed.recordings.perception_replay import (
 from testbed.recordings.pixels import RenderedPixels
 from testbed.recordings.recorded_vision import recorded_vision
 from tests.testbed.lockstep.recorded_run import FILES, RecordedRun
-from tests.testbed.recordings.editing import Change, edited, kept
+from tests.testbed.recordings.editing import Change, all_of, edited, kept
 from vision_pc.shell.recording import vision_messages as own
 from vision_pc.shell.recording import vision_recorder as topics
 
@@ -98,19 +98,6 @@ def test_a_pixel_that_moves_a_corner_shows_in_the_frame_s_detections(
     assert compared.first is not None
     assert compared.first.number == third.frame_id
     assert compared.of[OBSERVATION] > compared.alike[OBSERVATION]
-
-
-def all_of(path: Path, topic: str, message: Any) -> list[Any]:
-    """Every message of a topic."""
-    found: list[Any] = []
-
-    def change(name: str, count: int, data: bytes) -> bytes | None:
-        if name == topic:
-            found.append(message.FromString(data))
-        return None
-
-    edited(path, path.with_suffix(f".{len(list(path.parent.iterdir()))}"), change)
-    return found
 
 
 def test_other_versions_are_compared_by_numbers_and_that_is_said(
