@@ -102,7 +102,10 @@ def test_joints_have_the_names_of_the_urdf_and_the_true_ones_their_rates(
 def test_references_looks_and_log_are_there(told: dict[str, list[tuple[int, Any]]]) -> None:
     (_, path), *_ = told["/vision/path"]
     assert path.header.frame_id == path.poses[0].header.frame_id == "nominal/base"
-    assert {(message.name, message.level) for _, message in told["/rosout"]} == {("controller", 20), ("vision_pc", 20)}
+    assert {(message.name, message.level) for _, message in told["/rosout"]} == {
+        ("controller", 20),
+        ("vision_pc", 20),
+    }
     assert told["/vision/track"][0][1].header.frame_id == "odometry"
     texts = {marker.text for _, message in told["/scene"] for marker in message.markers}
     assert {"1", "2", "3"} <= texts
