@@ -230,7 +230,7 @@ def read_truth_of(rig: Running) -> tuple[np.ndarray, np.ndarray]:
     """Times (n,) and whether all valves were centred (n,), by the plant's own recording."""
     recording = read_truth(rig.launch.records(PLANT) / "truth.mcap")
     valves = np.array([record.truth.valves for record in recording.truths])
-    return recording.log_ns, np.all(np.abs(valves) <= CENTRED, axis=1)
+    return recording.log_ns(), np.all(np.abs(valves) <= CENTRED, axis=1)
 
 
 def first_centred(truths: tuple[np.ndarray, np.ndarray], click_ns: float) -> float:

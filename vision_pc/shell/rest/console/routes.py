@@ -12,6 +12,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from importlib.resources import files
 from typing import Any, TypeVar
 
+import numpy as np
 from fastapi import FastAPI, Request
 from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, Field
@@ -20,8 +21,10 @@ from foundation.rest.files import PageFiles, add_files
 from foundation.rest.home import Home
 from foundation.rest.tokens import Role
 from protocol.errors import LongreachError
+from protocol.reference_messages import State
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.console.overview import Glimpse, Overview, ellipse_of, glimpse, told_by
+from vision_pc.application.console.pace import MeasuringPace
 from vision_pc.application.results import JSON
 from vision_pc.shell.rest.console.broadcast import Broadcast
 from vision_pc.shell.rest.console.pictures import PICTURE_PERIOD_S, LivePictures
@@ -30,7 +33,6 @@ from vision_pc.shell.rest.state_view import arm_json
 
 T = TypeVar("T")
 _STATE_PERIOD_S = 0.1
-_MEASURED_EVERY_S = 0.5  # in a picture that nobody else measures in, while somebody watches
 _MOST_OF_STATE, _MOST_OF_PICTURES = 64, 16
 _OPERATIONS_SHOWN = 8
 _TAG: list[Any] = ["console"]
@@ -58,7 +60,7 @@ class Console:
         self._started_s = time.time()
         self._number = 0
         self._failed: set[str] = set()
-        self._measured_s = 0.0
+        self._pace = MeasuringPace()
         self._measuring: asyncio.Task[None] | None = None
         pictures = LivePictures(self._pair_after)
         self.state = Broadcast(self._snapshot, _STATE_PERIOD_S, _MOST_OF_STATE, "the state")
@@ -80,7 +82,7 @@ class Console:
         self._overview.note(now_s, seen)
         self._note_failures(operations)
         if self.pictures.followers and (not operations or operations[-1].state.ended):
-            self._measure_soon(now_s)
+            self._measure_when_due(now_s, seen.state)
         self._number += 1
         told = _told(operations)
         document = {
@@ -104,12 +106,11 @@ class Console:
                 self._overview.alarms.happened(ended_s, str(problem["cause"]), detail)
         self._failed = {operation.id for operation in operations if operation.problem is not None}
 
-    def _measure_soon(self, now_s: float) -> None:
-        """Have markers looked for in the newest picture, if that is due; while a program runs it does so."""
-        if now_s - self._measured_s < _MEASURED_EVERY_S:
+    def _measure_when_due(self, now_s: float, state: State | None) -> None:
+        """Have markers looked for in the newest picture; while a program runs it does so."""
+        if self._measuring is not None and not self._measuring.done():
             return
-        if self._measuring is None or self._measuring.done():
-            self._measured_s = now_s
+        if self._pace.due(now_s, None if state is None else np.array(state.q_meas)):
             self._measuring = asyncio.create_task(self._measure())
 
     async def _measure(self) -> None:
