@@ -172,14 +172,14 @@ async def bench(
         LinkSettings(port=controller.port, state_period_ms=10), ANY_ARM, log, MonotonicClock()
     )
     link = endpoint.link
-    await endpoint.start()
-    await until(lambda: link.connected and link.clock_offset)
     arm = LinkArm(link, MotionSettings(settle_timeout_s=0.5, rest_s=0.01))
     eyes = SyntheticEyes(rig, controller)
     station = VisionApplication(arm, eyes, link, eyes, quick(shipped()), BOOM, log)
     station.links = dh_links(load(NominalArm, CONFIGS / "arm.yaml"))
     operations = Operations(arm.halt, log)
     transport = httpx.ASGITransport(app=create_app(station, operations), raise_app_exceptions=False)
+    await endpoint.start()  # after the app, which takes longer to make than the link bears silence
+    await until(lambda: link.connected and link.clock_offset)
     async with httpx.AsyncClient(transport=transport, base_url="http://vision") as client:
         yield Bench(client, station, operations, controller, eyes, log)
     await operations.close()

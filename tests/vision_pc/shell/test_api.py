@@ -12,7 +12,7 @@ import pytest
 from protocol.faults import CommandCode, FaultCode, GroupState
 from tests.vision_pc.shell.loopback_controller import until
 from tests.vision_pc.synthetic_station import Bench, bench
-from vision_pc.shell.rest import operations
+from vision_pc.shell.rest import operations, waiting
 
 pytestmark = pytest.mark.realtime
 
@@ -122,6 +122,59 @@ async def test_one_operation_at_a_time(station: Bench) -> None:
     assert (await station.client.get("/state")).json()["operation"] == first.json()["id"]
     await station.ended(first.headers["Location"])
     assert (await station.run("look"))["state"] == "succeeded"
+
+
+async def test_a_request_may_wait_for_the_end(station: Bench) -> None:
+    done = await station.post("/operations/look", Prefer="respond-async, wait=60")
+    assert done.status_code == 200
+    assert done.headers["Preference-Applied"] == "wait=60"
+    assert done.json()["state"] == "succeeded"
+    assert done.json()["result"]["verdict"]
+    assert done.headers["Location"] == f"/operations/{done.json()['id']}"
+    failed = await station.post("/operations/local-track", Prefer="wait=60")
+    refused(failed, 409, "refused.disabled")
+
+
+async def test_waiting_ends_with_its_time_and_the_operation_goes_on(station: Bench) -> None:
+    station.eyes.look_s = 0.5
+    going = await station.post("/operations/look", Prefer="wait=0")
+    assert going.status_code == 202
+    assert going.headers["Preference-Applied"] == "wait=0"
+    assert going.json()["state"] in ("queued", "running")
+    assert (await station.ended(going.headers["Location"]))["state"] == "succeeded"
+    plain = await station.post("/operations/look", Prefer="handling=lenient")
+    assert plain.status_code == 202
+    assert "Preference-Applied" not in plain.headers
+    await station.ended(plain.headers["Location"])
+
+
+@pytest.mark.parametrize(
+    ("fields", "wait_s"),
+    [
+        (["wait=3"], 3),
+        (["respond-async, wait=10"], 10),
+        (["handling=lenient", 'Wait = "5" ; x=1'], 5),
+        (["wait=2, wait=9"], 2),
+        (["wait=99999999"], waiting.MAX_WAIT_S),
+        (["wait=-1"], None),
+        (["wait=1.5"], None),
+        (["wait"], None),
+        (["nowait=3"], None),
+        ([], None),
+    ],
+)
+def test_the_header_is_read_as_the_rfc_has_it(fields: list[str], wait_s: int | None) -> None:
+    assert waiting.preferred_wait_s(fields) == wait_s
+
+
+async def test_who_finds_no_place_to_wait_is_answered_at_once(
+    station: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(waiting, "MAX_WAITING", 0)
+    answer = await station.post("/operations/look", Prefer="wait=60")
+    assert answer.status_code == 202
+    assert "Preference-Applied" not in answer.headers
+    await station.ended(answer.headers["Location"])
 
 
 async def test_look_then_move_wants_a_calibration(station: Bench) -> None:

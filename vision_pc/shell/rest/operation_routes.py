@@ -14,12 +14,26 @@ from vision_pc.application.bodies import RequestBody
 from vision_pc.application.program import Program
 from vision_pc.shell.rest.operation_view import OperationView, operation_view
 from vision_pc.shell.rest.operations import Operation, Operations
+from vision_pc.shell.rest.waiting import Waiting, preferred_wait_s
 
 MAX_FOLLOWERS = 64  # 400 cost the link nothing, 1,000 its session
 _KEY_LIVES = (
     "Same key, same operation, while that is among the newest 200; of an older one 410 `refused.key_spent`, "
     "for the newest 10,000 keys. A restart forgets them; nothing moves then before the arm is enabled again."
 )
+_WAITS = (
+    "With the header `Prefer: wait=N` (RFC 7240) the answer comes when the operation has ended, with 200, or "
+    "after N seconds, with 202; it then has `Preference-Applied`. A client that goes away ends nothing."
+)
+_TEXT = {"schema": {"type": "string"}}
+_ANSWERS: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "It has ended: succeeded, failed or cancelled",
+        "headers": {"Location": _TEXT, "Preference-Applied": _TEXT},
+        "model": OperationView,
+    },
+    202: {"headers": {"Location": _TEXT, "Preference-Applied": _TEXT}},
+}
 _Key = Annotated[
     str | None,
     Header(alias="Idempotency-Key", min_length=1, max_length=100, description=_KEY_LIVES),
@@ -33,12 +47,17 @@ def add_programs(
     programs: Iterable[Program[Any, Any]],
 ) -> None:
     """Adds a route for each program; a body may be left out where nothing in it is wanted."""
+    waiting = Waiting()
     for program in programs:
-        _add_program(app, application, operations, program)
+        _add_program(app, application, operations, program, waiting)
 
 
 def _add_program(
-    app: FastAPI, application: VisionApplication, operations: Operations, program: Program[Any, Any]
+    app: FastAPI,
+    application: VisionApplication,
+    operations: Operations,
+    program: Program[Any, Any],
+    waiting: Waiting,
 ) -> None:
     nothing = _empty(program.body)
     left_out: Any = Body() if nothing is None else None  # FastAPI's mark of a body that is wanted
@@ -50,6 +69,10 @@ def _add_program(
             raise RequestRefused("request.repeated_header", "Idempotency-Key is there more than once")
         operation = operations.start(program, application, body or nothing, key)
         response.headers["Location"] = f"/operations/{operation.id}"
+        wait_s = preferred_wait_s(request.headers.getlist("prefer"))
+        if wait_s is not None and await waiting.for_end(operation, wait_s):
+            response.headers["Preference-Applied"] = f"wait={wait_s}"
+            response.status_code = HTTPStatus.OK if operation.state.ended else HTTPStatus.ACCEPTED
         return operation_view(operation)
 
     start.__annotations__["body"] = program.body if nothing is None else program.body | None
@@ -58,8 +81,9 @@ def _add_program(
         tags=[program.tag],
         summary=program.title,
         status_code=HTTPStatus.ACCEPTED,
+        description=_WAITS,
         operation_id=program.name.replace("-", "_"),
-        responses={202: {"headers": {"Location": {"schema": {"type": "string"}}}}},
+        responses=_ANSWERS,
     )(start)
 
 
