@@ -40,7 +40,9 @@ SOURCES: tuple[str, ...] = (
     "tests.conformance.systematic_answers",
     "tests.conformance.systematic_limits",
     "tests.conformance.systematic_state",
-    "tests.conformance.systematic_motion",
+    "tests.conformance.systematic_limits_of_motion",
+    "tests.conformance.systematic_motions",
+    "tests.conformance.systematic_streams",
 )
 
 

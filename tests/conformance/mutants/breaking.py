@@ -5,6 +5,8 @@ from typing import Any, NamedTuple
 from protocol import channel
 from protocol.command_ledger import CommandLedger
 from protocol.datagram import Header, decode, encode
+from protocol.faults import CommandCode
+from protocol.reference_messages import Command, Request
 from protocol.server_session import ReferenceServer
 from tests.conformance.controllers import ControllerUnderTest
 
@@ -45,3 +47,8 @@ def with_window(server: ReferenceServer, window: type[channel.SequenceWindow]) -
     original = server._granted
     server._granted = granted
     return server
+
+
+def says(code: CommandCode, request: Request) -> bool:
+    """Whether ``request`` is the command ``code``."""
+    return isinstance(request, Command) and request.code is code
