@@ -35,8 +35,8 @@ _MOST_RING_PX = 60
 _WIDER_RING_PX = 45
 _EYES_APART = 0.08  # of the diameter by which the two eyes' middles may differ
 _ROUNDS = 3
-_FLOOR_PX = 0.08  # [M] what texture about the rim and light in the hole do to its edges (docs/targets.md)
-_BREAKS = 0.003  # [M] of the radius: what places where the rim breaks out do to the middle
+_FLOOR_PX = 0.04  # [M] what light in the hole and places where the rim breaks out do to its middle
+_GRAIN_PX = 7.5  # [M] along the rim over which the texture that shifts an edge is alike (docs/targets.md)
 _TIGHT = 2.5  # of the usual distance from the circle: what is farther out of it is no part of the edge
 _SHIFTS = (0.21, 0.27, 0.33, 0.39)  # of the way round, between the three points of a circle that is tried
 
@@ -282,10 +282,10 @@ def _fitted(points: Array, px_m: float) -> _Circle:
         )
     J = np.column_stack([off[kept] / far[kept][:, None], np.ones(kept.sum())])
     noise = float(np.std(far[kept] - radius))
-    # Profiles closer together than the edge is wide say the same: so many of them count.
-    apart = min(1.0, 2.0 * math.pi * radius / px_m / _RAYS / 2.5)
+    # Profiles closer together than the grain about the rim say the same: so many of them count.
+    apart = min(1.0, 2.0 * math.pi * radius / px_m / _RAYS / _GRAIN_PX)
     spread = np.linalg.inv(J.T @ J)[:2, :2] * noise**2 / apart
-    covariance = spread + ((_FLOOR_PX * px_m) ** 2 + (_BREAKS * radius) ** 2) * np.eye(2)
+    covariance = spread + (_FLOOR_PX * px_m) ** 2 * np.eye(2)
     return _Circle(middle, radius, covariance, share, points[kept])
 
 
