@@ -14,6 +14,7 @@ from foundation.recording.messages import PosedFrame, put_pose, put_time
 from plant_emulator.config.camera import CameraConfig
 from plant_emulator.config.scene import MarkerConfig, SceneConfig
 from plant_emulator.core.camera.scene import printed_side, wall_marker_pose
+from plant_emulator.core.camera.wall.bores import hole_places
 from plant_emulator.core.mechanics.geometry import Chain, transform
 from plant_emulator.core.truth import PlantTruth
 
@@ -34,17 +35,22 @@ _GREY, _WHITE, _YELLOW, _DARK = (0.5, 0.48, 0.45), (0.95, 0.95, 0.95), (0.95, 0.
 
 
 class SceneDrawing(NamedTuple):
-    """What is drawn of a plant: ``links`` the frames of its bodies, and messages that are recorded once."""
+    """What is drawn of a plant: ``links`` the frames of its bodies, and messages that are recorded once.
+
+    ``holes_O`` (n, 3): middles of the wall's drill holes in O.
+    """
 
     links: tuple[str, ...]
     scene: bytes
     camera: bytes
+    holes_O: Array
 
 
 def drawing(config: SceneConfig, chain: Chain, time_ns: int) -> SceneDrawing:
     """The drawing of an arm in its scene, as of ``time_ns``."""
     links = tuple(f"true/{name}" for name in chain.names)
-    return SceneDrawing(links, _scene(config, chain, links, time_ns), _camera(config.camera, time_ns))
+    scene, camera = _scene(config, chain, links, time_ns), _camera(config.camera, time_ns)
+    return SceneDrawing(links, scene, camera, hole_places(config.wall))
 
 
 def frames(truth: PlantTruth, links: tuple[str, ...], X_WL: Array) -> list[PosedFrame]:

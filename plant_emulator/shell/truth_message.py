@@ -8,8 +8,9 @@ import numpy as np
 
 from foundation.recording.messages import MessageField, message_class
 from plant_emulator.core.layout import HINGES, JOINTS
-from plant_emulator.core.truth import PlantTruth
+from plant_emulator.core.truth import Array, PlantTruth
 
+HOLES = "holes_C_m"
 _AXES = ("x", "y", "z")
 # What a plot may want of the truth has a column a number.
 _COLUMNS: dict[str, tuple[str, ...]] = {
@@ -45,6 +46,7 @@ def _fields() -> Iterator[MessageField]:
             yield MessageField(_SCALARS[name])
         else:
             yield MessageField(name, "string" if name == "faults" else "int64", repeated=name == "faults")
+    yield MessageField(HOLES, repeated=True)
 
 
 def columns_of(name: str) -> tuple[str, ...]:
@@ -57,8 +59,11 @@ _FLAT = tuple(column for columns in _COLUMNS.values() for column in columns)
 _flat_of = attrgetter(*_FLAT)
 
 
-def truth_bytes(truth: PlantTruth, frame_id: int | None) -> bytes:
-    """The message of a truth; ``frame_id`` None: it belongs to no frame."""
+def truth_bytes(truth: PlantTruth, frame_id: int | None, holes_O: Array | None = None) -> bytes:
+    """The message of a truth; ``frame_id`` None: it belongs to no frame.
+
+    ``holes_O`` (n, 3): middles of the wall's drill holes, which are told in C.
+    """
     values = np.concatenate([np.ravel(getattr(truth, name)) for name in _COLUMNS]).tolist()
     said = TruthMessage(**dict(zip(_FLAT, values, strict=True)))
     if frame_id is not None:
@@ -69,7 +74,14 @@ def truth_bytes(truth: PlantTruth, frame_id: int | None) -> bytes:
     for name in _MATRICES:
         getattr(said, name).extend(getattr(truth, name).ravel().tolist())
     said.faults.extend(truth.faults)
+    if holes_O is not None:
+        getattr(said, HOLES).extend((holes_O @ truth.R_CO.T + truth.p_CO).ravel().tolist())
     return bytes(said.SerializeToString())
+
+
+def holes_of(data: bytes) -> Array:
+    """Middles (n, 3) in C of the drill holes that a capture's message tells of."""
+    return np.array(getattr(TruthMessage.FromString(data), HOLES), dtype=np.float64).reshape(-1, 3)
 
 
 def truth_of(data: bytes) -> tuple[PlantTruth, int | None]:

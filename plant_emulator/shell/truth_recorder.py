@@ -46,11 +46,15 @@ FaultMessage = message_class(
 
 
 class TruthRecord(NamedTuple):
-    """One recorded instant. ``frame_id`` is None between captures."""
+    """One recorded instant. ``frame_id`` is None between captures.
+
+    ``holes_O`` (n, 3): middles of the wall's drill holes; what is read has none, ``holes_of`` tells them.
+    """
 
     log_ns: int
     frame_id: int | None
     truth: PlantTruth
+    holes_O: NDArray[np.float64] | None = None
 
 
 class _Posed(NamedTuple):
@@ -77,9 +81,13 @@ def _json(said: Any) -> str:
     return json.dumps(said, separators=(",", ":"))
 
 
+def _capture_bytes(record: TruthRecord) -> bytes:
+    return truth_bytes(record.truth, record.frame_id, record.holes_O)
+
+
 TOPICS = (
     Topic(TRUTH, format_of(TruthMessage), lambda record: truth_bytes(record.truth, None)),
-    Topic(CAPTURE, format_of(TruthMessage), lambda record: truth_bytes(record.truth, record.frame_id)),
+    Topic(CAPTURE, format_of(TruthMessage), _capture_bytes),
     Topic(FAULT, format_of(FaultMessage), _fault_bytes),
     Topic(EVENT, format_of(EventMessage), event_bytes),
     Topic(FRAMES, format_of(FrameTransforms), _frames_bytes),
@@ -109,6 +117,7 @@ class TruthRecorder:
         written.
         """
         self._links = () if drawn is None else drawn.links
+        self._holes_O = None if drawn is None else drawn.holes_O
         entries = {"run": {"configuration": _json(run)}, "session": dict(session or {})}
         self._to = made(path, TOPICS, entries)
         self._drawn = drawn
@@ -141,7 +150,7 @@ class TruthRecorder:
         self, truth: PlantTruth, log_ns: int, frame_id: int, X_WL: NDArray[np.float64] | None = None
     ) -> None:
         """Record the truth at the instant at which frame ``frame_id`` is exposed."""
-        self._put(CAPTURE, TruthRecord(log_ns, frame_id, truth), X_WL)
+        self._put(CAPTURE, TruthRecord(log_ns, frame_id, truth, self._holes_O), X_WL)
 
     def fault(self, change: FaultChange, log_ns: int) -> None:
         """Record that a fault was planned, began, ended or was withdrawn."""

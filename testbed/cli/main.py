@@ -13,6 +13,7 @@ from testbed.cli.options import (
     DEFAULT_CONFIG,
     ConfigDir,
     DemoOptions,
+    DemoTarget,
     IdentifyOptions,
     JsonFile,
     OdometryOptions,
@@ -177,13 +178,17 @@ def demo(
     json_file: JsonFile = None,
 ) -> None:
     """Bring the tool to the object; exit status 0 only within ±5 mm true error in x and y."""
+    from testbed.demonstration.holes import HOLES
     from testbed.demonstration.lockstep import run_lockstep_demo
     from testbed.demonstration.realtime import run_demo
     from testbed.reporting.presentation import Choice
     from testbed.scenarios.settings import chosen_overrides, with_faults
 
+    holes = chosen.target is DemoTarget.HOLE
+    if holes and scenario == "standard":
+        scenario = "drill_face"
     overrides = with_faults(chosen_overrides(config_dir, scenario, seed, settings or []), start.allow_faults)
-    choice = Choice(scenario, seed, chosen.looks)
+    choice = Choice(scenario, seed, HOLES if holes else chosen.looks, holes)
     if chosen.lockstep:
         passed = run_lockstep_demo(config_dir, overrides, choice, start.runs, json_file)
     else:

@@ -1,5 +1,6 @@
 """Options that several commands of `longreach` share, worded once."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -38,6 +39,13 @@ class StartOptions(NamedTuple):
     runs: RunsDir = Path("runs")
 
 
+class DemoTarget(StrEnum):
+    """What the demonstration drives to."""
+
+    OBJECT = "object"
+    HOLE = "hole"
+
+
 class DemoOptions(NamedTuple):
     """How the demonstration runs, and how far."""
 
@@ -46,6 +54,10 @@ class DemoOptions(NamedTuple):
         bool, typer.Option("--hold", help="At the end leave all running, with the console, until Ctrl-C.")
     ] = False
     looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 2
+    target: Annotated[
+        DemoTarget,
+        typer.Option(help="hole: three drill holes in order, no marker on the wall (scenario drill_face)."),
+    ] = DemoTarget.OBJECT
 
 
 class SoakOptions(NamedTuple):

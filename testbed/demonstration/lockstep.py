@@ -4,7 +4,9 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
+from plant_emulator.core.camera.wall.bores import hole_places
 from protocol.errors import LongreachError
+from testbed.demonstration.holes import aimed_truths, visit_holes
 from testbed.demonstration.sequence import Recorder, Rest, TimedTruth, demonstrate, stages, traces
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
@@ -47,14 +49,21 @@ def run_lockstep(
     recorder = Recorder(rig, shown)
     details = {}
     try:
-        demonstrate(rig, recorder, choice.looks)
+        if choice.holes:
+            visit_holes(rig, recorder)
+        else:
+            demonstrate(rig, recorder, choice.looks)
     except LongreachError as error:
         details["failure"] = f"{error.cause}: {error}"
         log.add(rig.world.time_ns, "failure", cause=error.cause, message=str(error))
     finally:
         if recordings is not None:
             recordings.close()
-    truths = [TimedTruth(truth.time_ns + VISION_CLOCK_NS, truth) for truth in rig.world.truths]
+    truths = aimed_truths(
+        [TimedTruth(truth.time_ns + VISION_CLOCK_NS, truth) for truth in rig.world.truths],
+        recorder.rests,
+        hole_places(settings.scene.wall),
+    )
     views = [
         TracedView(s.time_ns - CONTROLLER_CLOCK_NS + VISION_CLOCK_NS, s.X_BT.p_m, s.q_cmd, s.q_meas)
         for s in rig.world.states
@@ -69,6 +78,7 @@ def run_lockstep(
         wall_s=time.perf_counter() - began,
         simulated_s=1e-9 * rig.world.time_ns,
         details=details | {"event_log_sha256": log.digest()},
+        every=choice.holes,
     )
     return LockstepRun(outcome, recorder.rests, truths, views, log)
 

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from plant_emulator.core.camera.wall.bores import hole_places
 from plant_emulator.shell.recording import FaultRecord, read_truth
 from protocol.errors import LongreachError
+from testbed.demonstration.holes import aimed_truths, visit_holes
 from testbed.demonstration.sequence import JSON, Recorder, Rest, TimedTruth, demonstrate, stages, traces
 from testbed.realtime.launch import PLANT, VISION, Launch, prepare
 from testbed.realtime.rest_rig import RestRig, StateSampler
@@ -77,7 +79,8 @@ def _presented(launch: Launch, choice: Choice, driven: Driven, wall_s: float, js
     """Whether the demonstration has passed by the plant's own recording; table and report are out."""
     recording = read_truth(launch.records(PLANT) / "truth.mcap")
     # On one machine the plant's monotonic clock is vision's too.
-    truths = [TimedTruth(record.log_ns, record.truth) for record in recording.truths]
+    told = [TimedTruth(record.log_ns, record.truth) for record in recording.truths]
+    truths = aimed_truths(told, driven.rests, hole_places(launch.settings.scene.wall))
     clearance_m = launch.settings.vision.programs.positioning.clearance_m
     outcome = Outcome(
         mode="real time",
@@ -88,6 +91,7 @@ def _presented(launch: Launch, choice: Choice, driven: Driven, wall_s: float, js
         wall_s=wall_s,
         simulated_s=1e-9 * (truths[-1].time_ns - truths[0].time_ns),
         details=_details(launch, driven, recording.faults),
+        every=choice.holes,
     )
     curves = traces(truths, driven.views, clearance_m)
     pictures = [rest.picture for rest in driven.rests]
@@ -107,7 +111,10 @@ def drive(launch: Launch, choice: Choice, shown: Bars, supervisor: Supervisor) -
         try:
             with shown.step("waiting for links and camera"):
                 rig.wait_healthy(_HEALTHY_S)
-            demonstrate(rig, recorder, choice.looks)
+            if choice.holes:
+                visit_holes(rig, recorder)
+            else:
+                demonstrate(rig, recorder, choice.looks)
         except LongreachError as error:
             supervisor.check()
             failure = error

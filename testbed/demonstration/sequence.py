@@ -17,6 +17,7 @@ from testbed.reporting.console import Bar, Bars
 from testbed.reporting.outcome import Array, Errors, Stage
 from testbed.reporting.plots import TracedView, Traces
 from testbed.reporting.report import Picture
+from vision_pc.application.visit import Visited
 from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.calibration.orientation import OrientationResult
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult
@@ -25,7 +26,7 @@ from vision_pc.core.positioning.look_then_move import PositioningResult
 from vision_pc.core.se3 import angle_between
 
 JSON = dict[str, Any]
-_AROUND_NS = 250_000_000  # truth is averaged over a quarter of a second on either side of a look's time
+AROUND_NS = 250_000_000  # truth is averaged over a quarter of a second on either side of a look's time
 
 
 class SeenPoses(Protocol):
@@ -66,8 +67,18 @@ class Rig(Protocol):
         ...
 
 
+class Clicked(NamedTuple):
+    """A target without markers: where it was seen in C, (3,), when it was clicked on vision's clock."""
+
+    time_ns: int
+    p_C: Array
+
+
 class Rest(NamedTuple):
-    """The arm at rest at ``time_ns`` of vision's clock; ``look`` None where the look failed."""
+    """The arm at rest at ``time_ns`` of vision's clock; ``look`` None where the look failed.
+
+    ``clicked``: the target that was driven to; None: the object of interest.
+    """
 
     label: str
     look_number: int
@@ -76,6 +87,7 @@ class Rest(NamedTuple):
     note: str
     picture: Picture
     told: ExpectedEnd | None = None
+    clicked: Clicked | None = None
 
 
 class TimedTruth(NamedTuple):
@@ -93,16 +105,18 @@ class Recorder:
         self._rig = rig
         self._bars = bars
 
-    def step(self, label: str, kind: str, body: JSON, *, look_number: int = 0) -> None:
+    def step(
+        self, label: str, kind: str, body: JSON, *, look_number: int = 0, clicked: Clicked | None = None
+    ) -> None:
         """Run the operation ``kind``, look, and note the result under ``label``."""
         with self._bars.step(label) as bar:
             result = self._rig.operate(kind, body, bar)
-            looks_itself = kind in ("look", "look-then-move")
+            looks_itself = kind in ("look", "look-then-move", "visit")
             look = self._rig.latest_look() if looks_itself else self._look(bar)
             time_ns = self._rig.now_ns() if look is None else look.time_ns
             picture = Picture(f"after: {label}", self._rig.picture())
-            rest = Rest(label, look_number, time_ns, look, note_of(result), picture, told_of(result))
-            self.rests.append(rest)
+            told = note_of(result), picture, told_of(result)
+            self.rests.append(Rest(label, look_number, time_ns, look, *told, clicked))
 
     def _look(self, bar: Bar) -> SeenPoses | None:
         try:
@@ -124,6 +138,8 @@ def demonstrate(rig: Rig, recorder: Recorder, looks: int) -> None:
 
 def told_of(result: Any) -> ExpectedEnd | None:
     """Where a program said, before it drove, that it would end."""
+    if isinstance(result, tuple) and result and isinstance(result[-1], Visited):
+        return told_of(result[-1].result)
     if isinstance(result, CorrectedResult):
         return told_of(result.positioning)
     if isinstance(result, PositioningResult) and result.steps:
@@ -139,6 +155,8 @@ def note_of(result: Any) -> str:
             f"residuals along the base's axes: mean {_mm(result.residuals.mean_m)} mm, greatest "
             f"{_mm(result.residuals.maximum_m)} mm"
         )
+    if isinstance(result, tuple) and result and isinstance(result[-1], Visited):
+        return note_of(result[-1].result)
     if isinstance(result, CorrectedResult):
         return note_of(result.positioning)
     if isinstance(result, PositioningResult):
@@ -150,7 +168,7 @@ def note_of(result: Any) -> str:
             f"step {_mm(step.p_lc)} mm in the base, expected to end within "
             f"{_mm(step.expected.std_m)} mm (1 σ, camera axes), inside with probability"
             f" {step.expected.inside:.2f}; found {where} the "
-            f"tolerance, {'certainly' if verdict.certain else 'not certainly'}"
+            f"tolerance, {'and so are' if verdict.certain else 'but not all of'} the 95 % intervals"
         )
     if isinstance(result, OrientationResult):
         before, after = (_xyz(np.degrees(errors)) for errors in (result.errors[0], result.errors[-1]))
@@ -192,7 +210,7 @@ def _true(
     time_ns: int, times_ns: NDArray[np.int64], truths: Sequence[TimedTruth], clearance_m: float
 ) -> Errors:
     """The mean of the truths around ``time_ns``; NaN, which passes no limit, where there are none."""
-    around = [truths[int(i)].truth for i in np.flatnonzero(np.abs(times_ns - time_ns) <= _AROUND_NS)]
+    around = [truths[int(i)].truth for i in np.flatnonzero(np.abs(times_ns - time_ns) <= AROUND_NS)]
     if not around:
         return Errors(np.full(3, np.nan), float("nan"))
     errors = np.array([tool_error(truth, clearance_m) for truth in around])

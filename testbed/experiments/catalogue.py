@@ -117,6 +117,11 @@ OURS = {
         "how exactly holes and clicked places are known, how honestly, and what is refused",
         "0.4 CPU s",
     ),
+    "hole-drives": _one(
+        "targets.hole_drives:HOLE_DRIVES",
+        "how far off the tool ends at drill holes that were found and clicked, by one look each",
+        "30 CPU s a hole",
+    ),
     "path-information": _one(
         "positioning.path_information:PATH_INFORMATION",
         "which calibration path tells most about where a goal will be hit, from its information matrix",

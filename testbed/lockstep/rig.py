@@ -23,6 +23,8 @@ from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.program import Program, by_name
 from vision_pc.application.programs import PROGRAMS
 from vision_pc.application.results import JSON
+from vision_pc.core.se3 import Array
+from vision_pc.core.targets.measuring import Click
 from vision_pc.core.types import Look
 from vision_pc.shell.recording.recorded_ports import record_programs
 
@@ -121,6 +123,15 @@ class LockstepRig:
     def latest_look(self) -> Look:
         """The latest look of any program."""
         return self.application.latest_look.look
+
+    def holes(self) -> list[tuple[Array, Array]]:
+        """All drill holes of the newest picture: middle in the left eye's, px (2,), and in C (3,)."""
+        _, found = run(self.camera.detected_holes(None))
+        return [(hole.outline.mean(axis=0), hole.X_CO[:3, 3]) for hole in found]
+
+    def target_at(self, pixel: Array) -> str:
+        """The id of the hole at ``pixel`` (2,) of a fresh left picture, from now on a target."""
+        return run(self.camera.target_at(Click("left", pixel, "hole"), None)).id
 
     def picture(self) -> bytes:
         """The newest picture with detections, PNG."""

@@ -86,6 +86,7 @@ RESULT_OF: dict[str, Callable[[JSON], Any]] = {
     "orientation-adjustment": orientation_of,
     "trajectory-matching": calibration_of,
     "look-then-move": positioning_of,
+    "visit": lambda told: positioning_of(told["targets"][-1]),
 }
 """By program; what is not here stays JSON."""
 

@@ -12,6 +12,7 @@ from protocol.errors import LinkLost, LongreachError, MeasurementFailed, MotionU
 from testbed.realtime.parsed_results import RESULT_OF, look_of
 from testbed.reporting.console import Bar
 from testbed.reporting.plots import TracedView
+from vision_pc.core.se3 import Array
 from vision_pc.core.types import Look
 
 JSON = dict[str, Any]
@@ -63,6 +64,17 @@ class RestRig:
     def latest_look(self) -> Look:
         """The latest look of any program."""
         return look_of(self._ask("GET", "/looks/latest")).look
+
+    def holes(self) -> list[tuple[Array, Array]]:
+        """All drill holes of the newest picture: middle in the left eye's, px (2,), and in C (3,)."""
+        found = self._ask("GET", "/targets", params={"detect": True})["holes"]
+        return [(np.array(hole["at"]), np.array(hole["p_C_m"])) for hole in found]
+
+    def target_at(self, pixel: Array) -> str:
+        """The id of the hole at ``pixel`` (2,) of a fresh left picture, from now on a target."""
+        u, v = (float(value) for value in pixel)
+        made = self._ask("POST", "/targets", json={"u_px": u, "v_px": v, "kind": "hole"})
+        return str(made["id"])
 
     def state(self) -> JSON:
         """The controller's newest state."""

@@ -17,11 +17,12 @@ from testbed.reporting.run_record import note
 
 
 class Choice(NamedTuple):
-    """What a demonstration is asked for."""
+    """What a demonstration is asked for; ``holes``: to drive to three drill holes, not to the object."""
 
     scenario: str
     seed: int
     looks: int
+    holes: bool = False
 
 
 def outcome_table(outcome: Outcome) -> Table:

@@ -94,7 +94,7 @@ def test_the_procedure_by_clicks_ends_inside_the_tolerance(browser: Browser) -> 
         for kind in ("orientation-adjustment", "local-track", "look-then-move"):
             hold(page, f"#start-{kind}")
             note(page, kind, "done")
-        expect(page.locator("#verdict-told")).to_contain_text("Inside ±5 mm, certainly.")
+        expect(page.locator("#verdict-told")).to_contain_text("Inside ±5 mm, and so are the 95 % intervals.")
         expect(page.locator("#verdict-told")).to_contain_text(re.compile(r"Told before: .* inside"))
         assert max(abs(1e3 * bench.rig.true_error(0.1)[:2])) < 5.0
         page.locator("#jog-x-plus").hover()

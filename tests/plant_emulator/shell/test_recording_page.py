@@ -14,7 +14,7 @@ from plant_emulator.core.faults.kinds import SupplyLost
 from plant_emulator.core.plant import Plant
 from plant_emulator.core.truth import PlantTruth
 from plant_emulator.shell.scene_messages import drawing
-from plant_emulator.shell.truth_message import columns_of
+from plant_emulator.shell.truth_message import columns_of, holes_of
 from plant_emulator.shell.truth_recorder import TOPICS, FaultMessage, TruthRecorder
 from tests.plant_emulator.plant_world import Driver, plant_config
 from tests.support.pages import page, rows
@@ -81,3 +81,29 @@ def test_the_ten_lines_run(recording: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert "8 truths" in said.getvalue()
     assert "supply_lost {'kind': 'supply_lost'} 20000000 None" in said.getvalue()
     assert said.getvalue().endswith("complete\n")
+
+
+def test_a_capture_tells_where_the_drill_holes_are_in_the_camera(tmp_path: Path) -> None:
+    plant = Plant(plant_config(), seed=1)
+    holes = [
+        {"centre_m": (-0.2, 0.1), "diameter_mm": 45.0, "depth_m": 0.5},
+        {"centre_m": (0.1, 0.0), "diameter_mm": 45.0},
+    ]
+    scene = load(SceneConfig, CONFIGS / "scene.yaml", {"wall": {"drill_holes": holes, "undulation_mm": 5.0}})
+    with contextlib.closing(
+        TruthRecorder(tmp_path / "t.mcap", {}, drawing(scene, plant.chain, 0))
+    ) as recorder:
+        recorder.truth(plant.truth(), 1)
+        recorder.capture(plant.truth(), 2, 7)
+    with (tmp_path / "t.mcap").open("rb") as stream:
+        messages = [
+            (channel.topic, message.data) for _, channel, message in make_reader(stream).iter_messages()
+        ]
+    told = {topic: holes_of(data) for topic, data in messages if topic in ("/plant/truth", "/plant/capture")}
+    truth = plant.truth()
+    X_CO = np.linalg.inv(truth.X_WC) @ truth.X_WO
+    in_O = (told["/plant/capture"] - X_CO[:3, 3]) @ X_CO[:3, :3]
+    assert np.allclose(in_O[:, :2], [[-0.2, 0.1], [0.1, 0.0]], atol=1e-9)
+    assert np.all(np.abs(in_O[:, 2]) <= 0.005)
+    assert np.ptp(in_O[:, 2]) > 1e-4  # the wall rises and falls
+    assert len(told["/plant/truth"]) == 0

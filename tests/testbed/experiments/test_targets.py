@@ -10,6 +10,12 @@ from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Finished
 from testbed.campaigns.typed_rows import typed
 from testbed.experiments.targets.drawn_walls import Aspect, drawn_wall
+from testbed.experiments.targets.hole_drives import (
+    HoleDriveRow,
+    HoleDriveSettings,
+    hole_drive_table,
+    hole_drive_verdict,
+)
 from testbed.experiments.targets.one_look import (
     TARGETS,
     TargetSceneSettings,
@@ -99,3 +105,22 @@ def test_what_was_refused_counts_as_not_told_and_a_wrong_answer_fails() -> None:
     assert checks["click on a bare wall, 2: wrong answers"].met is False
     assert target_table(finished([*good, refused]))[0].row_count == 1
     assert TARGETS.runs == 200
+
+
+def test_a_hole_that_was_not_reached_is_outside() -> None:
+    good = {"worst_mm": 1.0, "x_mm": 1.0, "y_mm": 0.5, "told": 0.99, "seconds": 25.0}
+    cells = {"seed": 1, "world": "lab", "holes": 2}
+    cells |= {f"hole{number}_{name}": value for number in (1, 2) for name, value in good.items()}
+    rows = [typed(HoleDriveRow, cells) for _ in range(49)]
+    failed = typed(HoleDriveRow, {"seed": 2, "world": "lab", "failure": "target.no_hole: none"})
+    settings = HoleDriveSettings(holes=2)
+
+    def met(rows: list[HoleDriveRow]) -> list[bool | None]:
+        return [check.met for check in hole_drive_verdict(Finished(REQUEST, settings, (), rows, 0))]
+
+    assert met(rows) == [True, None, True, None]
+    assert met([*rows, failed]) == [True, None, True, None]
+    assert met([*rows, failed, failed])[0] is False
+    one = typed(HoleDriveRow, cells | {"hole2_worst_mm": None, "hole2_failure": "target.hidden: x"})
+    assert met([*rows, one, one, one])[2] is False
+    assert hole_drive_table(Finished(REQUEST, settings, (), rows, 0))[0].row_count == 3

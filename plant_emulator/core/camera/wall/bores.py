@@ -83,6 +83,12 @@ def height_of_wall(wall: WallConfig, x: float, y: float) -> float:
     return 1e-3 * wall.undulation_mm * float(relief_height(u, v))
 
 
+def hole_places(wall: WallConfig) -> Matrix:
+    """Middles (n, 3) in O of the mouths of all drill holes."""
+    middles = [(*hole.centre_m, height_of_wall(wall, *hole.centre_m)) for hole in wall.drill_holes]
+    return np.array(middles, dtype=np.float64).reshape(-1, 3)
+
+
 def view(X_EOs: Matrix, wall: WallConfig, shadow: Matrix) -> View:
     """The wall as an eye sees it at the instants of the first and the last row, or of all."""
     centre_O = -X_EOs[0][:3, :3].T @ X_EOs[0][:3, 3]

@@ -76,7 +76,7 @@ function plot(look, told) {
 function words(look, told) {
   const place = byId('verdict-told');
   const before = told ? ` Told before: ${percent(told.inside_probability)} inside, 95 % within ${told.ellipse_95_mm.major.toFixed(1)} × ${told.ellipse_95_mm.minor.toFixed(1)} mm.` : '';
-  const text = look ? `${look.verdict === 'inside' ? 'Inside' : 'Outside'} ±${look.tolerance_mm} mm, ${look.certain ? 'certainly' : 'probably'}.` : 'Look, or run the procedure, to measure the error.';
+  const text = look ? `${look.verdict === 'inside' ? 'Inside' : 'Outside'} ±${look.tolerance_mm} mm, ${look.certain ? 'and so are the 95 % intervals' : 'but the 95 % intervals cross the limit'}.` : 'Look, or run the procedure, to measure the error.';
   if (place.dataset.told === text + before) return;
   place.dataset.told = text + before;
   place.replaceChildren(make('b', {}, text), before);

@@ -1,0 +1,243 @@
+"""`longreach experiment hole-drives`: the worlds of the best mode with holes for markers, one look a hole."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from rich.table import Table
+from typer import Option
+
+from foundation.configuration import merged, parse_overrides
+from plant_emulator.core.camera.wall.bores import hole_places
+from protocol.errors import LongreachError, MeasurementFailed
+from testbed.campaigns.campaign import CampaignRequest, Task
+from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, seeds
+from testbed.campaigns.options import Assignments
+from testbed.experiments.positioning.corrected_figures import LIMIT_MM, quantile, share
+from testbed.experiments.positioning.corrected_run import drawn_by, operate
+from testbed.experiments.positioning.worlds import ARMS, WorldName
+from testbed.lockstep.clock import run
+from testbed.lockstep.rig import LockstepRig
+from testbed.lockstep.run_log import RunLog
+from testbed.reporting.console import table
+from testbed.scenarios.settings import Settings, load_settings
+from vision_pc.core.se3 import Array
+from vision_pc.core.targets.measuring import Click
+
+NAN = float("nan")
+_INSIDE = 0.98
+_MOST = 9
+_STREAM = 0x686F6C65
+_AVERAGED = 25  # truths at 50 Hz: half a second at rest
+JSON = dict[str, Any]
+
+
+class HoleDriveSettings(NamedTuple):
+    """Which world and arm, and how many of the nine holes are driven to."""
+
+    world: Annotated[WorldName, Option(help="What differs from machine to machine.")] = WorldName.LAB
+    arm: Annotated[str, Option("--drawn-arm", help="Which arm the scenarios are drawn for.")] = ARMS[0]
+    holes: Annotated[int, Option(min=1, max=_MOST, help="Holes in one visit, the middle one first.")] = 1
+    assignments: Assignments = None
+
+
+class HoleEnd(NamedTuple):
+    """The tool at a hole: true error in camera axes, the probability told, arm's time for it, failure.
+
+    ``known``: how the hole's place was known at the end, and how far odometry had carried it.
+    """
+
+    x_mm: float = NAN
+    y_mm: float = NAN
+    worst_mm: float = NAN
+    told: float = NAN
+    seconds: float = NAN
+    known: str = ""
+    carried_mm: float = NAN
+    failure: str = ""
+
+
+class HoleDriveRow(NamedTuple):
+    """One machine and its holes, the first driven to first; those after the last wanted are empty."""
+
+    seed: int
+    world: str
+    arm: str
+    holes: int
+    seen: int
+    hole1: HoleEnd
+    hole2: HoleEnd
+    hole3: HoleEnd
+    hole4: HoleEnd
+    hole5: HoleEnd
+    hole6: HoleEnd
+    hole7: HoleEnd
+    hole8: HoleEnd
+    hole9: HoleEnd
+    failure: str
+    cpu_s: float
+
+    @property
+    def ends(self) -> list[HoleEnd]:
+        """Of the holes that were wanted."""
+        return [getattr(self, f"hole{number}") for number in range(1, int(self.holes or 0) + 1)]
+
+
+Driven = Finished[HoleDriveSettings, HoleDriveRow]
+
+
+def hole_drive_tasks(request: CampaignRequest, settings: HoleDriveSettings) -> list[Task]:
+    """One task a seed."""
+    world = str(settings.world)
+    return [
+        {
+            "key": f"{world}-{settings.arm}-{settings.holes}-{seed}",
+            "seed": seed,
+            "world": world,
+            "arm": settings.arm,
+            "holes": settings.holes,
+            "assignments": settings.assignments or [],
+        }
+        for seed in seeds(request)
+    ]
+
+
+def hole_drive(config_dir: Path, task: JSON) -> JSON:
+    """The row of one machine. Raises MeasurementFailed where it sees no hole."""
+    settings = _settings(config_dir, task)
+    rig = LockstepRig(settings, task["seed"], RunLog())
+    rig.command("enable")
+    places = hole_places(settings.scene.wall)
+    row = {name: task[name] for name in ("seed", "world", "arm", "holes")}
+    targets = _clicked(rig, places, task["holes"])
+    ends = {
+        f"hole{number}": _visited(rig, target, place) for number, (target, place) in enumerate(targets, 1)
+    }
+    missing = {
+        f"hole{number}": HoleEnd(failure="target.no_hole")
+        for number in range(len(targets) + 1, task["holes"] + 1)
+    }
+    return row | {"seen": len(targets)} | ends | missing
+
+
+def _settings(config_dir: Path, task: JSON) -> Settings:
+    """The scenario of a seed of the best mode, nine holes where its markers would be."""
+    rng = np.random.default_rng([task["seed"], _STREAM])
+    grid = [(0.0, 0.0)] + [
+        (x, y) for y in (0.17, 0.0, -0.17) for x in (-0.2, 0.0, 0.2) if (x, y) != (0.0, 0.0)
+    ]
+    holes = [
+        {
+            "centre_m": (np.array(place) + rng.uniform(-0.02, 0.02, 2)).tolist(),
+            "diameter_mm": 45.0,
+            "depth_m": rng.uniform(0.2, 1.5),
+            "broken": rng.uniform(0.0, 0.15),
+            "seed": int(rng.integers(2**31)),
+        }
+        for place in grid
+    ]
+    drawn = drawn_by(config_dir, task).overrides
+    scene = {"object_of_interest": {"markers": []}, "wall": {"drill_holes": holes}}
+    return load_settings(
+        config_dir, merged(merged(drawn, {"scene": scene}), parse_overrides(task["assignments"]))
+    )
+
+
+def _clicked(rig: LockstepRig, places: Array, wanted: int) -> list[tuple[str, Array]]:
+    """Targets with the true places in O of their holes: as many as are wanted and seen, the middle one first.
+
+    Raises MeasurementFailed (``target.no_hole``) for none.
+    """
+    truth = rig.world.plant.truth()
+    true_C = places @ truth.R_CO.T + truth.p_CO
+    seen = [(pixel, int(np.linalg.norm(true_C - p_C, axis=1).argmin())) for pixel, p_C in rig.holes()]
+    if not seen:
+        raise MeasurementFailed("target.no_hole", "hole-drives: no hole is seen from the start pose")
+    chosen = sorted(seen, key=lambda hole: hole[1])[:wanted]
+    made = [
+        (run(rig.camera.target_at(Click("left", pixel, "hole"), None)).id, hole) for pixel, hole in chosen
+    ]
+    return [(target, places[hole]) for target, hole in made]
+
+
+def _visited(rig: LockstepRig, target: str, place_O: Array) -> HoleEnd:
+    """The end of one drive."""
+    began_ns = rig.world.time_ns
+    try:
+        (visited,) = operate(rig, "visit", {"targets": [target]})
+    except LongreachError as error:
+        return HoleEnd(failure=f"{error.cause}: {error}")
+    steps = visited.result.positioning.steps
+    clearance = np.array([0.0, 0.0, rig.world.settings.vision.programs.positioning.clearance_m])
+    errors = [
+        truth.p_CO + truth.R_CO @ place_O - truth.p_CM - clearance for truth in rig.world.truths[-_AVERAGED:]
+    ]
+    x, y, _ = 1e3 * np.mean(errors, axis=0)
+    return HoleEnd(
+        x_mm=float(x),
+        y_mm=float(y),
+        worst_mm=float(max(abs(x), abs(y))),
+        told=steps[0].expected.inside if steps else NAN,
+        seconds=1e-9 * (rig.world.time_ns - began_ns),
+        known=visited.known,
+        carried_mm=1e3 * visited.way_m,
+    )
+
+
+def hole_drive_table(done: Driven) -> list[Table]:
+    """By the number of the hole in its visit."""
+    heads = ["hole", "drives", "within 5 mm", "worse of |x|, |y| mm: median", "95 %", "worst", "s a hole"]
+    cells = []
+    for number in range(done.settings.holes):
+        ends = [end for row in done.rows if len(row.ends) > number for end in row.ends[number : number + 1]]
+        cells.append([number + 1, len(ends), *_figures(ends)])
+    every = [end for row in done.rows for end in row.ends]
+    if done.settings.holes > 1:
+        cells.append(["all", len(every), *_figures(every)])
+    return [table("true error at drill holes, no marker on the wall, one look each", heads, cells)]
+
+
+def _figures(ends: Sequence[HoleEnd]) -> list[str]:
+    worst, seconds = (np.array([getattr(end, name) for end in ends]) for name in ("worst_mm", "seconds"))
+    return [
+        f"{share(worst, LIMIT_MM):.0%}",
+        *(f"{quantile(worst, percent):.2f}" for percent in (50, 95, 100)),
+        f"{quantile(seconds, 50):.0f}",
+    ]
+
+
+def hole_drive_verdict(done: Driven) -> list[Check]:
+    """Of the first hole of each run, and of all. A run that failed is outside."""
+    first = np.array([row.ends[0].worst_mm if row.ends else NAN for row in done.rows])
+    judged = _INSIDE if done.settings.world is WorldName.LAB else None
+    checks = [
+        at_least("one look to a hole: share within 5 mm", share(first, LIMIT_MM), judged),
+        at_most("one look to a hole: 95 %", quantile(first, 95), None, "mm"),
+    ]
+    if done.settings.holes > 1:
+        every = np.array([end.worst_mm for row in done.rows for end in row.ends or [HoleEnd()]])
+        seconds = np.array([end.seconds for row in done.rows for end in row.ends])
+        checks += [
+            at_least("all holes of a visit: share within 5 mm", share(every, LIMIT_MM), judged),
+            at_most("arm's time a hole: median", quantile(seconds, 50), None, "s"),
+        ]
+    return checks
+
+
+HOLE_DRIVES = Experiment(
+    name="hole-drives",
+    title="Drill holes driven to, no marker on the wall.",
+    shows="how far off the tool ends at drill holes that were found and clicked, by one look each",
+    cost="30 CPU s a hole",
+    settings=HoleDriveSettings,
+    row=HoleDriveRow,
+    tasks=hole_drive_tasks,
+    run=hole_drive,
+    table=hole_drive_table,
+    verdict=hole_drive_verdict,
+    runs=200,
+    seed=1,
+    eyes="rendered pictures",
+    workers=1,
+)
