@@ -228,8 +228,6 @@ def hole_drive_verdict(done: Driven) -> list[Check]:
 HOLE_DRIVES = Experiment(
     name="hole-drives",
     title="Drill holes driven to, no marker on the wall.",
-    shows="how far off the tool ends at drill holes that were found and clicked, by one look each",
-    cost="30 CPU s a hole",
     settings=HoleDriveSettings,
     row=HoleDriveRow,
     tasks=hole_drive_tasks,
