@@ -59,15 +59,7 @@ def run_lockstep(
     finally:
         if recordings is not None:
             recordings.close()
-    truths = aimed_truths(
-        [TimedTruth(truth.time_ns + VISION_CLOCK_NS, truth) for truth in rig.world.truths],
-        recorder.rests,
-        hole_places(settings.scene.wall),
-    )
-    views = [
-        TracedView(s.time_ns - CONTROLLER_CLOCK_NS + VISION_CLOCK_NS, s.X_BT.p_m, s.q_cmd, s.q_meas)
-        for s in rig.world.states
-    ]
+    truths, views = _truths(rig, recorder.rests), _views(rig)
     clearance_m = settings.vision.programs.positioning.clearance_m
     outcome = Outcome(
         mode="lockstep",
@@ -81,6 +73,18 @@ def run_lockstep(
         every=choice.holes,
     )
     return LockstepRun(outcome, recorder.rests, truths, views, log)
+
+
+def _truths(rig: LockstepRig, rests: list[Rest]) -> list[TimedTruth]:
+    told = [TimedTruth(truth.time_ns + VISION_CLOCK_NS, truth) for truth in rig.world.truths]
+    return aimed_truths(told, rests, hole_places(rig.world.settings.scene.wall))
+
+
+def _views(rig: LockstepRig) -> list[TracedView]:
+    return [
+        TracedView(s.time_ns - CONTROLLER_CLOCK_NS + VISION_CLOCK_NS, s.X_BT.p_m, s.q_cmd, s.q_meas)
+        for s in rig.world.states
+    ]
 
 
 def run_lockstep_demo(
