@@ -1,13 +1,18 @@
 """A calibration of your own: three strokes tell how the camera is turned, and the tool drives to the object.
 
-Prints the true error before and after the one step that rests on it.
+Prints the true error before and after the one step that rests on it, and draws both.
 """
 
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
 import numpy as np
 
 import longreach
 from longreach.rigs import SimulatedRig
 
+picture = Path(sys.argv[1] if len(sys.argv) > 1 else "own_calibration.png")
 STROKE_M = 0.1
 CLEARANCE_M = 0.1  # between marker and object along the camera's z axis, as configured
 
@@ -34,3 +39,11 @@ with longreach.lockstep(seed=1) as rig:
     after = true_error_mm(rig)
 
 print(f"true error before: {before.round(1)} mm, after one step: {after.round(1)} mm")
+
+figure, axes = plt.subplots(figsize=(6, 3.5), layout="constrained")
+for label, error in (("before", before), ("after one step", after)):
+    axes.bar([f"{axis}, {label}" for axis in "xyz"], np.abs(error), label=label)
+axes.set(yscale="log", ylabel="|true error|, mm", title="Three strokes and one step")
+axes.tick_params(axis="x", rotation=30)
+axes.axhline(5.0, color="black", linestyle=":")  # the tolerance
+figure.savefig(picture, dpi=90)

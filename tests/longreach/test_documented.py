@@ -2,8 +2,10 @@
 
 import re
 import runpy
+import sys
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import pytest
 
 from tests.support.pages import page
@@ -59,17 +61,63 @@ def ran_text(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> s
     return capsys.readouterr().out
 
 
+def shown(
+    name: str, picture: Path, capsys: pytest.CaptureFixture[str], patch: pytest.MonkeyPatch
+) -> list[float]:
+    """The numbers that an example prints; ``picture`` is drawn by it, and is one."""
+    patch.setattr(sys, "argv", [name, str(picture)])
+    patch.setenv("MPLBACKEND", "Agg")
+    try:
+        found = printed(EXAMPLES / f"{name}.py", capsys)
+    finally:
+        plt.close("all")
+    assert plt.imread(picture).std() > 0.02  # something is drawn
+    return found
+
+
+def arrived(found: list[float]) -> bool:
+    return max(map(abs, found[:2])) > 100.0 and max(map(abs, found[3:5])) < 10.0
+
+
+def bends_unseen(found: list[float]) -> bool:
+    return found[::2] == [0.0, 50.0, 100.0] and found[1] + 5.0 < found[3] < found[5] - 5.0
+
+
+def third_arm_moves(found: list[float]) -> bool:
+    return found[0] == 50.0 and abs(found[1] - 50.0) < 3.0 and abs(found[2] - 50.0) < 3.0
+
+
+def robust_is_better(found: list[float]) -> bool:
+    classical, robust = found[:2], found[2:]
+    return max(robust) < 5.0 < classical[0] and robust[0] < 0.2 * classical[0]
+
+
+def more_gain_less_lag(found: list[float]) -> bool:
+    gains, lags = found[::3], found[2::3]
+    return gains == [1.0, 2.0, 3.5] and lags[0] > 1.2 * lags[2]
+
+
+def replays(found: list[float]) -> bool:
+    return found[-2] > 20 and abs(found[-1] - 30.0) < 3.0
+
+
+EXAMPLE_CHECKS = {
+    "own_calibration": arrived,
+    "own_disturbance": bends_unseen,
+    "own_arm": third_arm_moves,
+    "compare_solvers": robust_is_better,
+    "tune_a_gain": more_gain_less_lag,
+    "replay_a_recording": replays,
+}
+
+
 def test_every_example_is_run_here() -> None:
-    assert sorted(path.name for path in EXAMPLES.glob("*.py")) == ["own_calibration.py", "own_disturbance.py"]
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == set(EXAMPLE_CHECKS)
 
 
-def test_a_calibration_of_ones_own_reaches_the_object(capsys: pytest.CaptureFixture[str]) -> None:
-    found = printed(EXAMPLES / "own_calibration.py", capsys)
-    assert max(map(abs, found[:2])) > 100.0
-    assert max(map(abs, found[3:5])) < 10.0
-
-
-def test_a_load_takes_the_tool_from_where_it_is_believed(capsys: pytest.CaptureFixture[str]) -> None:
-    found = printed(EXAMPLES / "own_disturbance.py", capsys)
-    assert found[::2] == [0.0, 50.0, 100.0]
-    assert found[1] + 5.0 < found[3] < found[5] - 5.0
+@pytest.mark.parametrize("name", EXAMPLE_CHECKS)
+def test_an_example_shows_what_it_says(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = shown(name, tmp_path / "picture.png", capsys, monkeypatch)
+    assert EXAMPLE_CHECKS[name](found), found
