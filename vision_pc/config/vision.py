@@ -153,6 +153,7 @@ class OdometrySettings(StrictModel):
     prior_floor_px: float = Field(ge=0.0, le=50.0)
     least_disparity_px: float = Field(gt=0.0, le=20.0)
     depth_floor_px: float = Field(gt=0.0, le=2.0)
+    depth_told_px: float = Field(ge=0.0, le=2.0)
     keyframe_overlap: float = Field(gt=0.05, le=0.99)
     adjusted_keyframes: int = Field(ge=0, le=20)
     keyframes: int = Field(ge=2, le=1000)
@@ -168,7 +169,8 @@ class RecordedSettings(StrictModel):
     """What odometry does otherwise in recordings of a camera that nobody here knows.
 
     After ``restart_after`` pairs lost in a row a new map is begun; every ``rejoin_every`` pairs the old ones
-    are searched. ``disparity_std_px``: of the offset that all disparities share, part of the covariance.
+    are searched. ``disparity_std_px``: of the offset that all disparities share, part of the covariance; of
+    what differs from depth to depth ``depth_told_px`` is. The floor weighs them.
     """
 
     restart_after: int = Field(ge=1, le=1000)
@@ -176,6 +178,7 @@ class RecordedSettings(StrictModel):
     second_motion_share: float = Field(ge=0.0, le=0.5)
     prior_floor_px: float = Field(ge=0.0, le=50.0)
     depth_floor_px: float = Field(gt=0.0, le=2.0)
+    depth_told_px: float = Field(ge=0.0, le=2.0)
     disparity_std_px: float = Field(ge=0.0, le=5.0)
 
 

@@ -129,7 +129,8 @@ def _followed(config: VisionConfig, made: Sequence, exact: bool) -> tuple[Sequen
     recorded = config.recorded_odometry
     if exact:  # so told: what `--set vision.recorded_odometry.…` does
         floor = config.odometry.depth_floor_px
-        recorded = recorded.model_copy(update={"depth_floor_px": floor, "disparity_std_px": 0.0})
+        known = {"depth_floor_px": floor, "depth_told_px": floor, "disparity_std_px": 0.0}
+        recorded = recorded.model_copy(update=known)
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "camera.yaml"
         _write(path, made.told)

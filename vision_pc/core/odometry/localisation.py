@@ -229,20 +229,30 @@ class Localiser:
 
     def _settled(self, ids: Indices, pixels: Array, rays: Array, seen: Array, X_CC0: Array) -> PoseEstimate:
         """The pose from the points that held, which in turn learn from it."""
-        solution = self._solve(self._map.points[ids], rays, seen * self._weights(ids, X_CC0), X_CC0)
+        weights = seen * self._weights(ids, X_CC0)
+        solution = self._solve(self._map.points[ids], rays, weights, X_CC0)
         X_CC0 = solution.X_CA[0]
         self._map.rescale(solution.sizes[0], solution.size_stds[0])
         errors = self._errors(self._map.points[ids], rays, X_CC0)
         residual = float(np.sqrt((errors**2 * seen[:, :, None]).sum() / (2.0 * seen.sum())))
         self._map.update(ids, X_CC0, errors, seen, self._noise_px)
         self._noise_px = max(residual, _LEAST_NOISE_PX)
-        covariance = _SHARED * se3.inverse_covariance(X_CC0, solution.covariances[0])
+        covariance = self._told(weights) * se3.inverse_covariance(X_CC0, solution.covariances[0])
         return PoseEstimate(se3.inverse(X_CC0), covariance, ids, pixels, rays[1], seen[1] > 0.0, residual)
 
     def _weights(self, ids: Indices, X_CC0: Array) -> Array:
         """Weights (2, n) 0…1 of the eyes' views: less where an uncertain depth moves the view."""
         moved = np.linalg.norm(self._map.sensitivity(ids, X_CC0), axis=2) * self._map.stds(ids)
         return np.asarray(self._noise_px / np.hypot(self._noise_px, moved))
+
+    def _told(self, weights: Array) -> float:
+        """What the solution's covariance is multiplied by: views (2, n) of ``weights`` are believed less than
+        their errors deserve where the depths' floor is above what depths differ by.
+        """
+        information = weights**2
+        share2 = (self._settings.depth_told_px / self._settings.depth_floor_px) ** 2
+        truly = information + share2 * (1.0 - information)  # variance, of the one that the weight stands for
+        return _SHARED * float((information * truly).sum() / information.sum())
 
     def _solve(self, points: Array, rays: Array, weights: Array, X_CC0: Array) -> BodyPoses:
         return stereo_pose.solve(

@@ -7,8 +7,9 @@ import numpy as np
 from vision_pc.config.vision import OdometrySettings, RecordedSettings
 from vision_pc.core import se3
 from vision_pc.core.odometry.stereo_odometry import StereoOdometry
+from vision_pc.core.odometry.straightening import straightened
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, OdometryPose, StereoPair
+from vision_pc.core.types import CameraCalibration, OdometryPose, PointPairs, StereoPair
 
 _FEWEST_DISPARITIES = 5
 
@@ -34,13 +35,14 @@ class SegmentedOdometry:
         self._settings = settings.model_copy(
             update={
                 name: getattr(recorded, name)
-                for name in ("second_motion_share", "prior_floor_px", "depth_floor_px")
+                for name in ("second_motion_share", "prior_floor_px", "depth_floor_px", "depth_told_px")
             }
         )
         self._recorded = recorded
         self._maps = [StereoOdometry(camera, self._settings)]
         self._errors = [WayError(recorded.disparity_std_px)]
         self._current = 0
+        self._straight = False
         self._lost = self._since_search = 0
         self.joints: list[Array | None] = [se3.identity()]
 
@@ -77,8 +79,18 @@ class SegmentedOdometry:
                 return None
             return self._returned(pair) or self._begun(pair)
         self._lost = 0
+        if not self._straight and pose.pairs is not None:
+            return self._straightened(pair, pose.pairs)
         placed = PlacedPose(self._current, pose)
         return self._rejoined(pair, pose) or placed
+
+    def _straightened(self, pair: StereoPair, seen: PointPairs) -> PlacedPose | None:
+        """The first pose, found anew with the right eye's rows as the first map's points show them."""
+        self._camera, self._straight = straightened(self._camera, seen), True
+        self._maps = [StereoOdometry(self._camera, self._settings)]
+        self._errors = [WayError(self._recorded.disparity_std_px)]
+        pose = self._follow(0, pair)
+        return None if pose is None else PlacedPose(0, pose)
 
     def _follow(self, k: int, pair: StereoPair) -> OdometryPose | None:
         """The pose in map ``k``."""
