@@ -58,6 +58,7 @@ def run_odometry(request: OdometryRequest, json_file: Path | None) -> bool:
         "maps": len(result.joints),
         "maps_apart": len(result.apart),
         "keyframes": result.keyframes,
+        "readout_share": result.readout_share,
         "milliseconds_a_pair": spent_ms,
         "trajectories": [str(path) for path in files],
     }
@@ -87,6 +88,11 @@ def _print(result: SequenceResult, spent_ms: float, files: list[Path]) -> None:
         f"{len(result.records)} pairs, {lost}; {result.keyframes} keyframes; {spent_ms:.1f} ms a pair;"
         f" {files[0]} holds {len(result.poses)} poses"
     )
+    if result.readout_share:
+        out.print(
+            f"the shutter rolls: rows are read over {100.0 * result.readout_share:.0f} % of the time between"
+            " pairs; taken out"
+        )
     for path, k in zip(files[1:], result.apart, strict=True):
         first = next(record for record in result.records if record.segment == k)
         out.print(

@@ -136,7 +136,7 @@ def _followed(config: VisionConfig, made: Sequence, exact: bool) -> tuple[Sequen
         _write(path, made.told)
         try:
             return follow_pairs(
-                made.pairs,
+                lambda: made.pairs,
                 lambda pair: SegmentedOdometry(read_calibration(path, pair), config.odometry, recorded),
             ), ""
         except LongreachError as error:

@@ -12,6 +12,7 @@ from vision_pc.core import se3
 from vision_pc.core.odometry import patches, tracking
 from vision_pc.core.odometry.keyframe_map import Indices, Keyframe, KeyframeMap
 from vision_pc.core.odometry.motion_prior import MotionPrior
+from vision_pc.core.odometry.rolling import PointViews, Readout
 from vision_pc.core.odometry.templates import Templates
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics, stereo_pose
@@ -66,13 +67,19 @@ class Localiser:
     """Finds the camera against the keyframes of ``keyframe_map``, whose points learn from every success."""
 
     def __init__(
-        self, camera: CameraCalibration, settings: OdometrySettings, keyframe_map: KeyframeMap
+        self,
+        camera: CameraCalibration,
+        settings: OdometrySettings,
+        keyframe_map: KeyframeMap,
+        readout: Readout,
     ) -> None:
         self._camera = camera
         self._settings = settings
         self._map = keyframe_map
         self._noise_px = settings.noise_px
         self._kept: list[Templates] = []
+        self._readout = readout
+        self._first_twist: Array | None = None
 
     def localise(
         self,
@@ -143,8 +150,9 @@ class Localiser:
 
     def _coarse_pose(self, points: Array, pixels: Array, expected: Array) -> tuple[Array, Flags]:
         """X_CC0 from the left eye alone by RANSAC, and the points that agree with it."""
-        rays = intrinsics.normalised(self._camera.left, pixels)
         X_CC0 = se3.inverse(expected)
+        rays = intrinsics.normalised(self._camera.left, pixels)
+        rays = self._readout.straight(self._camera.left, rays, se3.apply(X_CC0, points))
         found, rotation, position, inliers = cv2.solvePnPRansac(
             points,
             rays,
@@ -187,16 +195,12 @@ class Localiser:
         of two motions in one.
         """
         points = self._map.points[keyframe.ids]
-        right = intrinsics.project(self._camera.right, se3.apply(X_CC0, points))
+        self._readout.moved(se3.inverse(X_CC0))
+        right = self._expected_right(se3.apply(X_CC0, points))
         seen_right = np.zeros(len(points), dtype=bool)
         if both_eyes:
             right, seen_right = self._seen_right(frame, keyframe, right, X_CC0)
-        rays = np.stack(
-            [
-                intrinsics.normalised(self._camera.left, pixels),
-                intrinsics.normalised(self._camera.right, right),
-            ]
-        )
+        rays = self._rays(pixels, right, se3.apply(X_CC0, points))
         seen = np.stack([np.ones(len(points)), seen_right.astype(np.float64)])
         X_CC0 = self._solve(points, rays, seen * self._weights(keyframe.ids, X_CC0), X_CC0).X_CA[0]
         errors = self._errors(points, rays, X_CC0)
@@ -210,7 +214,25 @@ class Localiser:
         left = float(np.sqrt(np.mean(errors[0][held] ** 2)))
         if most_px is not None and left > most_px:
             return "two_motions"
-        return self._settled(keyframe.ids[held], pixels[held], rays[:, held], seen[:, held], X_CC0)
+        return self._settled(keyframe.only(held), pixels[held], rays[:, held], seen[:, held], X_CC0)
+
+    def _expected_right(self, points_C: Array) -> Array:
+        """Where the right eye's rows show ``points_C`` (n, 3), px (n, 2)."""
+        eye = self._camera.right
+        if not self._readout.share:
+            return intrinsics.project(eye, points_C)
+        in_eye = se3.apply(se3.inverse(eye.X_CE), points_C)
+        rays = self._readout.bent(eye, in_eye[:, :2] / in_eye[:, 2:], points_C)
+        return np.where(in_eye[:, 2:] > 0.0, intrinsics.distorted(eye, rays), np.nan)
+
+    def _rays(self, left: Array, right: Array, points_C: Array) -> Array:
+        """The rays (2, n, 2) of pixels (n, 2) in both eyes, as if all rows were read at once."""
+        return np.stack(
+            [
+                self._readout.straight(eye, intrinsics.normalised(eye, pixels), points_C)
+                for eye, pixels in ((self._camera.left, left), (self._camera.right, right))
+            ]
+        )
 
     def _seen_right(
         self, frame: Frame, keyframe: Keyframe, guess: Array, X_CC0: Array
@@ -227,23 +249,43 @@ class Localiser:
         on_row = np.abs(right[:, 1] - guess[:, 1]) < self._settings.row_error_px
         return right, usable & matched & on_row
 
-    def _settled(self, ids: Indices, pixels: Array, rays: Array, seen: Array, X_CC0: Array) -> PoseEstimate:
+    def _settled(
+        self, keyframe: Keyframe, pixels: Array, rays: Array, seen: Array, X_CC0: Array
+    ) -> PoseEstimate:
         """The pose from the points that held, which in turn learn from it."""
+        ids = keyframe.ids
         weights = seen * self._weights(ids, X_CC0)
         solution = self._solve(self._map.points[ids], rays, weights, X_CC0)
         X_CC0 = solution.X_CA[0]
         self._map.rescale(solution.sizes[0], solution.size_stds[0])
         errors = self._errors(self._map.points[ids], rays, X_CC0)
         residual = float(np.sqrt((errors**2 * seen[:, :, None]).sum() / (2.0 * seen.sum())))
+        views = PointViews(
+            se3.apply(X_CC0, self._map.points[ids]), rays, errors, seen, self._map.sensitivity(ids, X_CC0)
+        )
+        self._learn_readout(keyframe, views, max(residual, _LEAST_NOISE_PX))
         self._map.update(ids, X_CC0, errors, seen, self._noise_px)
         self._noise_px = max(residual, _LEAST_NOISE_PX)
         covariance = self._told(weights) * se3.inverse_covariance(X_CC0, solution.covariances[0])
+        if self._readout.share:
+            depth = float(np.median(views.points_C[:, 2]))
+            covariance = covariance + np.diag(self._readout.std(depth) ** 2)
         return PoseEstimate(se3.inverse(X_CC0), covariance, ids, pixels, rays[1], seen[1] > 0.0, residual)
 
     def _weights(self, ids: Indices, X_CC0: Array) -> Array:
         """Weights (2, n) 0…1 of the eyes' views: less where an uncertain depth moves the view."""
         moved = np.linalg.norm(self._map.sensitivity(ids, X_CC0), axis=2) * self._map.stds(ids)
         return np.asarray(self._noise_px / np.hypot(self._noise_px, moved))
+
+    def _learn_readout(self, keyframe: Keyframe, views: PointViews, noise_px: float) -> None:
+        """Of the first keyframe's points alone: later ones have been shown by several pictures."""
+        if keyframe.number:
+            return
+        if self._first_twist is None:  # the first picture moved as it did until the second one
+            self._first_twist = self._readout.twist
+            return
+        eyes = (self._camera.left, self._camera.right)
+        self._readout.learn(eyes, views, self._first_twist, noise_px)
 
     def _told(self, weights: Array) -> float:
         """What the solution's covariance is multiplied by: views (2, n) of ``weights`` are believed less than

@@ -9,6 +9,7 @@ from vision_pc.core.odometry import pair_faults, patches, tracking
 from vision_pc.core.odometry.keyframe_map import Keyframe, KeyframeMap, triangulated
 from vision_pc.core.odometry.localisation import Frame, PoseEstimate
 from vision_pc.core.odometry.moving_regions import without
+from vision_pc.core.odometry.rolling import Readout
 from vision_pc.core.odometry.templates import Templates
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics
@@ -24,11 +25,16 @@ class Mapper:
     """Adds keyframes to ``keyframe_map``."""
 
     def __init__(
-        self, camera: CameraCalibration, settings: OdometrySettings, keyframe_map: KeyframeMap
+        self,
+        camera: CameraCalibration,
+        settings: OdometrySettings,
+        keyframe_map: KeyframeMap,
+        readout: Readout,
     ) -> None:
         self._camera = camera
         self._settings = settings
         self._map = keyframe_map
+        self._readout = readout
 
     def begin(self, frame: Frame, X_C0C: Array) -> PoseEstimate | str:
         """The first keyframe at ``X_C0C``, or why the pair shows too little to hold on to: ``no_texture``,
@@ -70,8 +76,9 @@ class Mapper:
         return estimate._replace(X_C0C=self._map.keyframes[-1].X_C0C)
 
     def _add_keyframe(self, frame: Frame, estimate: PoseEstimate) -> None:
+        points_C = se3.apply(se3.inverse(estimate.X_C0C), self._map.points[estimate.ids])
         rays = intrinsics.normalised(self._camera.left, estimate.pixels)
-        depths = se3.apply(se3.inverse(estimate.X_C0C), self._map.points[estimate.ids])[:, 2]
+        rays = self._readout.straight(self._camera.left, rays, points_C)
         left = frame.pair.left.copy()
         self._map.keyframes.append(
             Keyframe(
@@ -82,7 +89,7 @@ class Mapper:
                 estimate.ids,
                 estimate.pixels,
                 rays,
-                patches.planes(rays, depths),
+                patches.planes(rays, points_C[:, 2]),
                 estimate.right_rays,
                 estimate.seen_right,
                 self._templates(left, estimate.pixels),
@@ -124,7 +131,10 @@ class Mapper:
         )
         points_C, good = self._triangulated(frame, pixels, found)
         good &= matched
-        return points_C[good], pixels[good], intrinsics.normalised(self._camera.right, found)[good]
+        points_C, seen = points_C[good], intrinsics.normalised(self._camera.right, found)[good]
+        rays = self._readout.straight(self._camera.left, points_C[:, :2] / points_C[:, 2:], points_C)
+        right_rays = self._readout.straight(self._camera.right, seen, points_C)
+        return points_C[:, 2:] * np.column_stack([rays, np.ones(len(rays))]), pixels[good], right_rays
 
     def _triangulated(self, frame: Frame, left: Array, right: Array) -> tuple[Array, Flags]:
         """Points (n, 3) in C of matched pixels (n, 2) of both eyes, and which of them make sense (n,)."""

@@ -6,12 +6,15 @@ import numpy as np
 
 from vision_pc.config.vision import OdometrySettings, RecordedSettings
 from vision_pc.core import se3
+from vision_pc.core.odometry.keyframe_map import disparity_metres
+from vision_pc.core.odometry.rolling import Readout
 from vision_pc.core.odometry.stereo_odometry import StereoOdometry
 from vision_pc.core.odometry.straightening import straightened
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, PointPairs, StereoPair
 
 _FEWEST_DISPARITIES = 5
+_NOTHING = np.zeros((6, 6))
 
 
 class PlacedPose(NamedTuple):
@@ -25,7 +28,7 @@ class SegmentedOdometry:
     """``StereoOdometry`` that begins a new map when it was lost for ``restart_after`` pairs in a row.
 
     ``joints[k]`` is the pose of map k's C0 in the first map's, None as long as nothing that both show was
-    seen: between them is a gap of unknown length.
+    seen: between them is a gap of unknown length. ``readout``: of the camera's shutter, if it rolls.
     """
 
     def __init__(
@@ -39,7 +42,8 @@ class SegmentedOdometry:
             }
         )
         self._recorded = recorded
-        self._maps = [StereoOdometry(camera, self._settings)]
+        self.readout = Readout(camera, learns=True)
+        self._maps = [StereoOdometry(camera, self._settings, readout=self.readout)]
         self._errors = [WayError(recorded.disparity_std_px)]
         self._current = 0
         self._straight = False
@@ -87,7 +91,7 @@ class SegmentedOdometry:
     def _straightened(self, pair: StereoPair, seen: PointPairs) -> PlacedPose | None:
         """The first pose, found anew with the right eye's rows as the first map's points show them."""
         self._camera, self._straight = straightened(self._camera, seen), True
-        self._maps = [StereoOdometry(self._camera, self._settings)]
+        self._maps = [StereoOdometry(self._camera, self._settings, readout=self.readout)]
         self._errors = [WayError(self._recorded.disparity_std_px)]
         pose = self._follow(0, pair)
         return None if pose is None else PlacedPose(0, pose)
@@ -118,17 +122,25 @@ class SegmentedOdometry:
 
     def _begun(self, pair: StereoPair) -> PlacedPose | None:
         """The first pose of a new map, if the pair suffices for one."""
-        fresh = StereoOdometry(self._camera, self._settings)
+        fresh = StereoOdometry(self._camera, self._settings, readout=self.readout)
         pose = fresh.process(pair)
         if pose is None:
             return None
         self._maps.append(fresh)
-        self._errors.append(WayError(self._recorded.disparity_std_px))
+        self._errors.append(WayError(self._recorded.disparity_std_px, self._bent(pose)))
         self._errors[-1].after(pose, grown=True)
         self.joints.append(None)
         self._current = len(self._maps) - 1
         self._lost = self._since_search = 0
         return PlacedPose(self._current, pose)
+
+    def _bent(self, pose: OdometryPose) -> Array:
+        """The covariance of a map's beginning that is owed to a shutter that rolls."""
+        if not self.readout.share or pose.pairs is None:
+            return np.zeros((6, 6))
+        disparity = float(np.median(pose.pairs.left[:, 0] - pose.pairs.right[:, 0]))
+        depth = disparity_metres(self._camera) / max(disparity, self._settings.least_disparity_px)
+        return np.diag(self.readout.begun_std(depth) ** 2)
 
     def _rejoined(self, pair: StereoPair, pose: OdometryPose) -> PlacedPose | None:
         """The pose in the first map's part, where ``pair`` shows it again; the newer map is then left."""
@@ -156,12 +168,12 @@ class SegmentedOdometry:
 
 class WayError:
     """Adds up what odometry gets wrong along its way: each keyframe's error goes on into the next, and an
-    offset of all disparities, ``disparity_std_px``, scales the way.
+    offset of all disparities, ``disparity_std_px``, scales the way. ``begins`` (6×6): of the map's first.
     """
 
-    def __init__(self, disparity_std_px: float) -> None:
+    def __init__(self, disparity_std_px: float, begins: Array = _NOTHING) -> None:
         self._std_px = disparity_std_px
-        self._base = np.zeros((6, 6))
+        self._base = begins
         self._base_at = self._at = np.zeros(3)
         self._rate = np.zeros(3)  # m of the place a px of offset
 

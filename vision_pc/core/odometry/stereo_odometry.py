@@ -11,6 +11,7 @@ from vision_pc.core.odometry.mapping import Mapper
 from vision_pc.core.odometry.motion_prior import MotionHistory
 from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.odometry.relocalisation import relocalised
+from vision_pc.core.odometry.rolling import Readout
 from vision_pc.core.odometry.smoothing import is_noisy, smoothed
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
@@ -27,18 +28,23 @@ class StereoOdometry:
 
     ``camera`` should have the right eye's offset put in (``intrinsics.with_offset``): a disparity error
     bends and scales the path. What moves with the camera is left out by ``tool`` and the tool marker's
-    pose, once one was given.
+    pose, once one was given. ``readout``: of a camera whose shutter may roll.
     """
 
     def __init__(
-        self, camera: CameraCalibration, settings: OdometrySettings, tool: ToolMarkerSettings | None = None
+        self,
+        camera: CameraCalibration,
+        settings: OdometrySettings,
+        tool: ToolMarkerSettings | None = None,
+        readout: Readout | None = None,
     ) -> None:
         self._camera = camera
         self._settings = settings
         self._tool = tool
         self._map = KeyframeMap(camera, settings.depth_floor_px)
-        self._localiser = Localiser(camera, settings, self._map)
-        self._mapper = Mapper(camera, settings, self._map)
+        self._readout = readout or Readout(camera, learns=False)
+        self._localiser = Localiser(camera, settings, self._map, self._readout)
+        self._mapper = Mapper(camera, settings, self._map, self._readout)
         self._X_C0C = se3.identity()
         self._motion = se3.identity()
         everything = np.ones((camera.height, camera.width), dtype=bool)
@@ -77,6 +83,7 @@ class StereoOdometry:
             self._smooths = is_noisy(pair.left)  # once for the whole map: patches are compared across frames
         used = smoothed(pair) if self._smooths else pair
         frame = Frame(used, tracking.halved(used.left), *self._static)
+        self._readout.foresee(None if self._lost_frames else self._X_C0C, self._motion)
         outcome = self._localise(frame) if self._map.keyframes else self._initialise(frame)
         self._frames += 1
         if isinstance(outcome, str):

@@ -38,11 +38,15 @@ class PairRecord(NamedTuple):
 
 
 class SequenceResult(NamedTuple):
-    """What became of a sequence, pair by pair; ``joints[k]``: map k's C0 in the first's, None: unknown."""
+    """What became of a sequence, pair by pair; ``joints[k]``: map k's C0 in the first's, None: unknown.
+
+    ``readout_share``: of the interval between pairs, where the camera's shutter rolls.
+    """
 
     records: list[PairRecord]
     joints: list[Array | None]
     keyframes: int
+    readout_share: float = 0.0
 
     @property
     def poses(self) -> list[OdometryPose]:
@@ -139,7 +143,7 @@ def follow(
     were lost.
     """
     result = follow_pairs(
-        read_pairs(left, right, rate_hz),
+        lambda: read_pairs(left, right, rate_hz),
         lambda pair: SegmentedOdometry(
             read_calibration(calibration, pair), config.odometry, config.recorded_odometry
         ),
@@ -156,17 +160,31 @@ def follow(
 
 
 def follow_pairs(
-    pairs: Iterable[StereoPair],
+    pairs: Callable[[], Iterable[StereoPair]],
     begin: Callable[[StereoPair], SegmentedOdometry],
     report: Callable[[PairRecord], None] = lambda record: None,
 ) -> SequenceResult:
     """What odometry, begun with the first of ``pairs``, finds in all of them; poses that later pairs show to
-    be of two motions are lost after all.
+    be of two motions are lost after all. Where the shutter turns out to roll, all pairs are followed again.
     """
+    result, share = _one_pass(pairs(), begin, 0.0, report)
+    return _one_pass(pairs(), begin, share, report)[0] if share else result
+
+
+def _one_pass(
+    pairs: Iterable[StereoPair],
+    begin: Callable[[StereoPair], SegmentedOdometry],
+    readout_share: float,
+    report: Callable[[PairRecord], None],
+) -> tuple[SequenceResult, float]:
+    """What is found, and the readout's share of the interval between pairs, 0 of a global shutter."""
     records: list[PairRecord] = []
     odometry: SegmentedOdometry | None = None
     for pair in pairs:
-        odometry = odometry or begin(pair)
+        if odometry is None:
+            odometry = begin(pair)
+            if readout_share:
+                odometry.readout.begin(readout_share)
         placed = odometry.process(pair)
         segment, pose = (None, None) if placed is None else placed
         loss = odometry.last_loss if pose is None else None
@@ -174,7 +192,7 @@ def follow_pairs(
         records.append(PairRecord(pair.frame_id, pair.capture_ns, segment, pose, loss, detail))
         report(records[-1])
     if odometry is None:
-        return SequenceResult([], [], 0)
+        return SequenceResult([], [], 0), 0.0
     withdrawn = odometry.withdrawn
     records = [
         record._replace(segment=None, pose=None, loss="two_motions")
@@ -182,7 +200,8 @@ def follow_pairs(
         else record
         for record in records
     ]
-    return SequenceResult(records, odometry.joints, odometry.keyframes)
+    share = odometry.readout.share
+    return SequenceResult(records, odometry.joints, odometry.keyframes, share), share
 
 
 def write_tum(path: Path, poses: list[OdometryPose]) -> None:

@@ -1,0 +1,152 @@
+"""A rolling shutter in recordings: found in the residuals, and taken out of the rays.
+
+Rows are read one after the other, so a moving camera sees the lower rows from a later place. What a point in
+row v misses by is its motion in the picture times the share of the interval between two pictures that has
+passed since the middle row. That share is one number of the camera: it is learnt from all pictures that move.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vision_pc.core import se3
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraCalibration, CameraModel
+
+_SURE = 8.0  # standard deviations, before a shutter is believed to roll
+_LEAST_SHARE, _MOST_SHARE = (
+    0.02,
+    1.05,
+)  # 0.7 ms at 30 pictures a second; a readout ends before the next begins
+_LEAST_POINTS = 20
+_ABOUT = 0.02  # what a pass over a recording knows the share to
+_UNKNOWN = 0.2  # of the motion during the readout: acceleration, and what the share is found to
+
+
+class PointViews(NamedTuple):
+    """Points (n, 3) in C, both eyes' rays (2, n, 2) to them, measured minus expected px (2, n, 2), which were
+    seen (2, n), and how views move with the points' inverse depths (2, n, 2).
+    """
+
+    points_C: Array
+    rays: Array
+    errors_px: Array
+    seen: Array
+    by_depth: Array
+
+    def alone(self, moves: Array) -> Array:
+        """``moves`` (2, n, 2) px in a row, without what other depths of the points would explain: the map's
+        depths have given way to the shutter already.
+        """
+        seen = self.seen[:, :, None] > 0.0
+        by_depth = np.where(seen, self.by_depth, 0.0)
+        shown = np.where(seen, moves, 0.0)
+        size = np.maximum((by_depth**2).sum(axis=(0, 2)), 1e-12)
+        share = (by_depth * shown).sum(axis=(0, 2)) / size
+        return np.asarray((shown - by_depth * share[None, :, None]).ravel())
+
+
+class Readout:
+    """``share``: the readout's length over the interval between pictures, 0 as long as none shows."""
+
+    def __init__(self, camera: CameraCalibration, learns: bool) -> None:
+        self.share = 0.0
+        self._height = camera.height
+        self._learns = learns
+        self._known = False
+        self._information = self._sum = 0.0
+        self._X_C0C: Array | None = None
+        self._before = self._twist = self._fastest = np.zeros(6)
+
+    def begin(self, share: float) -> None:
+        """Begin with a ``share`` that is known about: from an earlier pass over the same pictures."""
+        self.share, self._known = share, True
+        self._information = _ABOUT**-2.0
+        self._sum = share * self._information
+
+    def std(self, depth_m: float) -> Array:
+        """What taking the shutter out leaves unknown of a pose, standard deviations (6,): the motion during
+        the readout is not quite that between pictures.
+        """
+        return self._moved_by(_UNKNOWN * self._twist, depth_m)
+
+    def begun_std(self, depth_m: float) -> Array:
+        """The same (6,) of a map whose first picture was taken in a motion that nobody knows."""
+        return self._moved_by(self._fastest, depth_m)
+
+    def _moved_by(self, twist: Array, depth_m: float) -> Array:
+        way = self.share * twist
+        place = float(np.linalg.norm(way[:3]) + depth_m * np.linalg.norm(way[3:]))
+        return np.array([place] * 3 + [place / depth_m] * 3)
+
+    def foresee(self, X_C0C: Array | None, motion: Array) -> None:
+        """The picture before was taken at ``X_C0C`` after ``motion``; None: it was lost, nothing is known."""
+        self._X_C0C = X_C0C
+        self._before = self._twist = _twist(motion) if X_C0C is not None else np.zeros(6)
+
+    def moved(self, X_C0C: Array) -> None:
+        """This picture was taken about at ``X_C0C``."""
+        if self._learns and self._X_C0C is not None:
+            now = _twist(se3.inverse(self._X_C0C) @ X_C0C)
+            self._twist = now + 0.5 * (now - self._before)  # at the picture, not between it and the last
+            if np.linalg.norm(now) > np.linalg.norm(self._fastest):
+                self._fastest = now
+
+    def straight(self, eye: CameraModel, rays: Array, points_C: Array) -> Array:
+        """``rays`` (n, 2) of ``points_C`` (n, 3) as the whole picture would show them at its middle row's
+        time.
+        """
+        return rays - self._bend(eye, rays, points_C) if self.share else rays
+
+    def bent(self, eye: CameraModel, rays: Array, points_C: Array) -> Array:
+        """The inverse: ``rays`` (n, 2) as the rows show them."""
+        return rays + self._bend(eye, rays, points_C) if self.share else rays
+
+    @property
+    def twist(self) -> Array:
+        """The motion (6,) between pictures, about this one, in the camera's axes."""
+        return self._twist
+
+    def learn(
+        self, eyes: tuple[CameraModel, CameraModel], views: "PointViews", kept: Array, noise_px: float
+    ) -> None:
+        """Learn from what both eyes missed points by, after the pose was found. The keyframe that showed them
+        moved by the twist ``kept`` (6,): of two pictures that move alike nothing is learnt.
+        """
+        if not self._learns or len(views.points_C) < _LEAST_POINTS or not self._twist.any():
+            return
+        since = np.stack([self._since(eye, rays) for eye, rays in zip(eyes, views.rays, strict=True)])
+        way = views.alone(since[:, :, None] * _moves(eyes, views.points_C, self._twist - kept))
+        axes = np.stack([views.alone(_moves(eyes, views.points_C, axis)) for axis in np.eye(6)], axis=1)
+        seen, *_ = np.linalg.lstsq(axes, way, rcond=None)
+        alone = way - axes @ seen  # a pose takes the rest upon itself
+        self._information += float(alone @ alone) / noise_px**2
+        self._sum += float(alone @ (views.alone(views.errors_px) + self.share * alone)) / noise_px**2
+        found = self._sum / max(self._information, 1e-12)
+        sure = self._known or abs(found) * self._information**0.5 > _SURE
+        self.share = found if sure and _LEAST_SHARE < found < _MOST_SHARE else 0.0
+
+    def _bend(self, eye: CameraModel, rays: Array, points_C: Array) -> Array:
+        since = self.share * self._since(eye, rays)
+        return np.asarray(since[:, None] * _rates(eye, points_C, self._twist))
+
+    def _since(self, eye: CameraModel, rays: Array) -> Array:
+        """When each ray's row is read (n,), from −½ to ½ of the readout."""
+        row = eye.K[1, 1] * rays[:, 1] + eye.K[1, 2]
+        return np.asarray((row - 0.5 * (self._height - 1)) / self._height)
+
+
+def _twist(motion: Array) -> Array:
+    return np.concatenate([motion[:3, 3], se3.log_so3(motion[:3, :3])])
+
+
+def _moves(eyes: tuple[CameraModel, CameraModel], points_C: Array, twist: Array) -> Array:
+    """The same in pixels of both eyes (2, n, 2)."""
+    return np.stack([_rates(eye, points_C, twist) * (eye.K[0, 0], eye.K[1, 1]) for eye in eyes])
+
+
+def _rates(eye: CameraModel, points_C: Array, twist: Array) -> Array:
+    """How the rays (n, 2) of points (n, 3) move while the camera makes ``twist`` (6,), in its own axes."""
+    moved = -(twist[:3] + np.cross(twist[3:], points_C)) @ eye.X_CE[:3, :3]
+    at = se3.apply(se3.inverse(eye.X_CE), points_C)
+    return np.asarray((moved[:, :2] - at[:, :2] / at[:, 2:] * moved[:, 2:]) / at[:, 2:])
