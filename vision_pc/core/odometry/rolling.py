@@ -20,7 +20,7 @@ _LEAST_SHARE, _MOST_SHARE = (
 )  # 0.7 ms at 30 pictures a second; a readout ends before the next begins
 _LEAST_POINTS = 20
 _ABOUT = 0.02  # what a pass over a recording knows the share to
-_UNKNOWN = 0.2  # of the motion during the readout: acceleration, and what the share is found to
+_UNKNOWN = 0.12  # of the motion during the readout: acceleration, and what the share is found to
 
 
 class PointViews(NamedTuple):
@@ -66,8 +66,10 @@ class Readout:
 
     def std(self, depth_m: float) -> Array:
         """What taking the shutter out leaves unknown of a pose, standard deviations (6,): the motion during
-        the readout is not quite that between pictures.
+        the readout is not quite that between pictures, or after a loss unknown.
         """
+        if self._X_C0C is None:
+            return self.begun_std(depth_m)
         return self._moved_by(_UNKNOWN * self._twist, depth_m)
 
     def begun_std(self, depth_m: float) -> Array:
