@@ -20,6 +20,7 @@ _LEAST_SHARE, _MOST_SHARE = (
 )  # 0.7 ms at 30 pictures a second; a readout ends before the next begins
 _LEAST_POINTS = 20
 _ABOUT = 0.02  # what a pass over a recording knows the share to
+_HALF = 0.5  # the same where the motion before is unknown too
 _UNKNOWN = 0.12  # of the motion during the readout: acceleration, and what the share is found to
 
 
@@ -70,7 +71,7 @@ class Readout:
         """
         if self._X_C0C is None:
             return self.begun_std(depth_m)
-        return self._moved_by(_UNKNOWN * self._twist, depth_m)
+        return self._moved_by((_UNKNOWN if self._before.any() else _HALF) * self._twist, depth_m)
 
     def begun_std(self, depth_m: float) -> Array:
         """The same (6,) of a map whose first picture was taken in a motion that nobody knows."""
@@ -90,7 +91,8 @@ class Readout:
         """This picture was taken about at ``X_C0C``."""
         if self._learns and self._X_C0C is not None:
             now = _twist(se3.inverse(self._X_C0C) @ X_C0C)
-            self._twist = now + 0.5 * (now - self._before)  # at the picture, not between it and the last
+            before = self._before if self._before.any() else now
+            self._twist = now + 0.5 * (now - before)  # at the picture, not between it and the last
             if np.linalg.norm(now) > np.linalg.norm(self._fastest):
                 self._fastest = now
 
