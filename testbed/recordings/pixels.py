@@ -82,13 +82,16 @@ class RenderedPixels:
                 now = [fault for said, fault in faults if _in_force(said, record.truth.time_ns)]
                 shot = exposures.shot(Capture(record.frame_id, record.log_ns, view), now)
                 self._shots[shot.frame_id] = shot
-        self._camera = StereoCamera(config.camera, Scene(config), config.seed)
+        self._config = config
+        self._camera: StereoCamera | None = None
 
     def of(self, stamp: RecordedStamp) -> Eyes | None:
         """The frame rendered, if the plant recorded its capture."""
         shot = self._shots.get(stamp.frame_id)
         if shot is None:
             return None
+        if self._camera is None:
+            self._camera = StereoCamera(self._config.camera, Scene(self._config), self._config.seed)
         left, right = self._camera.take(shot)
         return left, right
 
