@@ -1,0 +1,147 @@
+"""What other programs make of a run's recordings: by the rules of one viewer, and by another's own reader.
+
+Lichtblick, an open successor of Foxglove Studio, tells in `packages/mcap-support` what it refuses: a schema
+that does not hold all that it names, repeated bytes, kinds of numbers that it does not know, times beyond
+2^53 s. Its earlier versions did not come back from a message that holds its own kind.
+"""
+
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from google.protobuf import descriptor_pb2
+from google.protobuf.descriptor import FieldDescriptor
+
+from foundation.recording.decoding import class_in
+from foundation.recording.mcap_file import Format
+from foundation.recording.messages import MessageField, format_of, message_class
+from foundation.recording.reading import messages
+from foundation.recording.recovery import contents
+from testbed.recordings.merging import merge
+from tests.testbed.lockstep.recorded_run import FILES, RecordedRun
+from vision_pc.shell.recording import vision_recorder as vision
+
+MERGED = "session.mcap"
+_SCALARS = {
+    getattr(FieldDescriptor, f"TYPE_{name}")
+    for name in (
+        "DOUBLE", "FLOAT", "INT32", "SINT32", "SFIXED32", "UINT32", "FIXED32", "INT64", "SINT64", "SFIXED64",
+        "UINT64", "FIXED64", "BOOL", "STRING", "BYTES", "ENUM",
+    )
+}  # fmt: skip
+_STAMP = "google.protobuf.Timestamp"
+
+
+@pytest.fixture(scope="module")
+def files(recorded: RecordedRun, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """All three recordings of a run, and them merged, by name."""
+    merged = tmp_path_factory.mktemp("merged") / MERGED
+    merge([recorded.directory / name for name in FILES], merged)
+    return {path.name: path for path in (*(recorded.directory / name for name in FILES), merged)}
+
+
+def refused(form: Format) -> list[str]:
+    """Why the viewer would refuse a channel of such messages."""
+    if (form.message_encoding, form.schema_encoding) != ("protobuf", "protobuf"):
+        return [f"{form.message_encoding} in {form.schema_encoding}"]
+    described = descriptor_pb2.FileDescriptorSet.FromString(form.data)
+    whole = {file.name for file in described.file}
+    missing = [name for file in described.file for name in file.dependency if name not in whole]
+    if missing:
+        return [f"not in the schema: {name}" for name in missing]
+    return list(_refused_in(class_in(form).DESCRIPTOR, ()))
+
+
+def _refused_in(kind: Any, above: tuple[str, ...]) -> Iterator[str]:
+    if kind.full_name in above:
+        yield f"{kind.full_name} holds itself"
+        return
+    for field in kind.fields:
+        if field.message_type is not None:
+            yield from _refused_in(field.message_type, (*above, kind.full_name))
+        elif field.type not in _SCALARS:
+            yield f"{kind.full_name}.{field.name}: no scalar that is known"
+        elif field.type == FieldDescriptor.TYPE_BYTES and field.is_repeated:
+            yield f"{kind.full_name}.{field.name}: repeated bytes"
+
+
+@pytest.mark.parametrize("name", [*(Path(name).name for name in FILES), MERGED])
+def test_every_schema_keeps_the_viewer_s_rules(files: dict[str, Path], name: str) -> None:
+    found = contents(files[name])
+    assert {
+        topic.name: refused(topic.format) for topic in found.topics.values() if refused(topic.format)
+    } == {}
+    assert len(found.topics) >= 3
+    assert all(".".join(topic.format.schema.split(".")[:-1]) for topic in found.topics.values())
+
+
+def test_what_breaks_the_rules_is_seen() -> None:
+    heap = message_class("Heap", (MessageField("parts", "bytes", repeated=True),))
+    assert refused(format_of(heap)) == ["longreach.Heap.parts: repeated bytes"]
+    whole = format_of(vision.own.LookMessage)
+    assert refused(whole) == []
+    assert refused(whole._replace(message_encoding="json")) == ["json in protobuf"]
+    described = descriptor_pb2.FileDescriptorSet()
+    described.file.add(name="a.proto", dependency=["b.proto"])
+    half = whole._replace(data=described.SerializeToString())
+    assert refused(half) == ["not in the schema: b.proto"]
+    itself = descriptor_pb2.FileDescriptorProto(name="t.proto", package="longreach", syntax="proto3")
+    made = itself.message_type.add(name="Tree")
+    kind = descriptor_pb2.FieldDescriptorProto
+    made.field.add(
+        name="up", number=1, type=kind.TYPE_MESSAGE, type_name=".longreach.Tree", label=kind.LABEL_OPTIONAL
+    )
+    described = descriptor_pb2.FileDescriptorSet(file=[itself])
+    tree = Format("longreach.Tree", "protobuf", described.SerializeToString(), "protobuf")
+    assert refused(tree) == ["longreach.Tree holds itself"]
+
+
+@pytest.mark.parametrize("name", [*(Path(name).name for name in FILES), MERGED])
+def test_all_stamps_are_times_that_the_viewer_reads(files: dict[str, Path], name: str) -> None:
+    found = contents(files[name])
+    classes = {topic.name: class_in(topic.format) for topic in found.topics.values()}
+    stamps = [
+        stamp
+        for topic, record in messages(files[name], classes)
+        for stamp in _stamps(classes[topic].FromString(record.data))
+    ]
+    assert len(stamps) > 5
+    assert all(0 <= stamp.seconds < 2**53 and 0 <= stamp.nanos < 10**9 for stamp in stamps)
+
+
+def _stamps(message: Any) -> Iterator[Any]:
+    for field, value in message.ListFields():
+        if field.message_type is not None:
+            for each in value if field.is_repeated else [value]:
+                if field.message_type.full_name == _STAMP:
+                    yield each
+                else:
+                    yield from _stamps(each)
+
+
+@pytest.mark.skipif(shutil.which("rerun") is None, reason="rerun is not installed (make bench installs it)")
+@pytest.mark.parametrize("name", [Path(FILES[2]).name, MERGED])
+def test_rerun_has_an_entity_for_every_topic(files: dict[str, Path], tmp_path: Path, name: str) -> None:
+    found = contents(files[name])
+    topics = {topic.name for channel, topic in found.topics.items() if found.counts.get(channel)}
+    rows = [line.split() for line in rerun(tmp_path, "mcap", "check", files[name]).splitlines()]
+    states = {row[3]: row[0] for row in rows if len(row) > 3 and row[3].startswith("/")}
+    assert states == dict.fromkeys(topics, "ok")
+    rerun(tmp_path, "mcap", "convert", files[name], "-o", tmp_path / "made.rrd")
+    told = rerun(tmp_path, "rrd", "stats", tmp_path / "made.rrd").splitlines()
+    assert topics <= {line.partition(":")[0] for line in told}
+    assert {"/camera/left/image", "/camera/left/calibration", "/vision/tf"} <= topics
+
+
+def rerun(home: Path, *words: Any) -> str:
+    """What its command line says; without a home of its own it would set up telemetry."""
+    command = [str(shutil.which("rerun")), *map(str, words)]
+    environment = {"HOME": str(home), "PATH": "/usr/bin:/bin"}
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=environment, timeout=120.0, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout + done.stderr
