@@ -1,4 +1,4 @@
-"""What every command has that it need not say: `--arm` beside `--config-dir`, `-v` and `-q`, former names."""
+"""What every command has that it need not say: `--arm` beside `--config-dir`, `-q` and `-v`, former names."""
 
 from collections.abc import Iterator, Sequence
 from functools import cache, partial
@@ -7,6 +7,8 @@ from typing import Annotated, Any
 
 import typer
 from typer.exceptions import TyperException
+
+from testbed.reporting.console import Verbosity
 
 FORMER_NAMES = {"--runs": "--count", "--directory": "--out", "--records": "--out", "--drawn": "--out"}
 """Of options, in commands that pages and kept rows show: still understood where nothing else has the name."""
@@ -24,6 +26,8 @@ def dressed(command: Any) -> Any:
     if _DIRECTORY in own and "arm" not in own:
         own[_DIRECTORY].is_eager = True  # read first, so that the arm's takes its place
         command.params.insert(command.params.index(own[_DIRECTORY]) + 1, _arm_option())
+    if not hasattr(command, "commands"):
+        command.params += [option for option in _told_options() if option.name not in own]
     if not isinstance(command.parse_args, partial):
         command.parse_args = partial(_parsed, command, command.parse_args)
     return command
@@ -51,6 +55,37 @@ def _chosen(ctx: typer.Context, arm: str | None) -> None:
         from testbed.scenarios.arms import arm_directory
 
         ctx.params[_DIRECTORY] = arm_directory(Path(ctx.params[_DIRECTORY]), arm)
+
+
+def _quiet(asked: bool) -> None:
+    Verbosity.quiet = asked
+
+
+def _verbose(asked: bool) -> None:
+    Verbosity.verbose = asked
+
+
+@cache
+def _told_options() -> list[Any]:
+    app = typer.Typer(add_completion=False)
+
+    @app.command()
+    def template(
+        _quiet: Annotated[
+            bool,
+            typer.Option(
+                "--quiet", "-q", help="Results alone, no progress.", callback=_quiet, expose_value=False
+            ),
+        ] = False,
+        _verbose: Annotated[
+            bool,
+            typer.Option(
+                "--verbose", "-v", help="Of a refusal also where.", callback=_verbose, expose_value=False
+            ),
+        ] = False,
+    ) -> None: ...
+
+    return list(typer.main.get_command(app).params)
 
 
 @cache

@@ -13,7 +13,7 @@ from typer.exceptions import TyperException
 
 from protocol.errors import LongreachError
 from testbed.cli.later import Later, LaterGroup
-from testbed.reporting.console import err
+from testbed.reporting.console import Verbosity, err
 
 FAILED = 2
 INTERRUPTED = 130  # as a shell has it for SIGINT
@@ -131,6 +131,8 @@ def _in_words(error: TyperException) -> str:
 
 
 def _end(told: str, status: int) -> None:
+    if Verbosity.verbose:
+        err.print_exception()
     err.print(f"longreach: {told}", style="bold red", highlight=False, soft_wrap=True, markup=False)
     sys.exit(status)
 

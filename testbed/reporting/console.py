@@ -21,6 +21,15 @@ _UNKNOWN_S = 2.0  # before which a pace says nothing
 _PLAIN_WIDTH = 130  # of a pipe or file, which has no width of its own
 Columns = Mapping[str, str | Callable[[Any], object]]
 """Of ``listed``: heading → how its cells are made."""
+
+
+class Verbosity:
+    """How much a command tells beside its results, as -q and -v have it; set anew by every command line."""
+
+    quiet = False  # no bars, no progress, no notes
+    verbose = False  # of a refusal also where it was raised
+
+
 out = Console(width=None if sys.stdout.isatty() else _PLAIN_WIDTH)
 err = Console(stderr=True, width=None if sys.stderr.isatty() else _PLAIN_WIDTH)
 
@@ -56,7 +65,8 @@ def write_json(path: Path | None, figures: Mapping[str, Any]) -> None:
         path.write_text(json.dumps(plain(figures), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise ConfigurationError("output.unwritable", f"{path}: {error.strerror}") from error
-    out.print(f"figures written to {path}", style="dim", highlight=False, soft_wrap=True)
+    if not Verbosity.quiet:
+        out.print(f"figures written to {path}", style="dim", highlight=False, soft_wrap=True)
 
 
 def writable(path: Path | None) -> Path | None:
@@ -156,6 +166,7 @@ class QuietBar(Bar):
 @contextmanager
 def bars(*, quiet: bool = False) -> Iterator[Bars]:
     """A display of progress bars that lives as long as the block; on stderr, so that stdout stays figures."""
+    quiet = quiet or Verbosity.quiet
     columns = (
         SpinnerColumn(finished_text="✓"),
         TextColumn("{task.description:<32}"),
