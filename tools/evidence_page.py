@@ -35,6 +35,7 @@ from tools.tables import table
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "evidence.md"
 RESULTS = ROOT / "docs" / "results"
+ON_PAGE_OF_TARGETS = ("targets", "hole-drives")  # ``tools.targets_page`` shows them
 _ABOUT = "about.json"
 _MOST_MEDIAN_MM, _MOST_RATIO = 1.5, 3.0  # of a changed machine
 
@@ -59,6 +60,11 @@ def kept(directory: Path) -> Kept:
     return Kept(directory.name, about["command"], about["commit"], RowFile(directory / "rows.csv").rows)
 
 
+def every_kept(results: Path = RESULTS) -> list[Kept]:
+    """All campaigns below ``results``, by name."""
+    return [kept(path.parent) for path in sorted(results.glob(f"*/{_ABOUT}"))]
+
+
 def keep(run: Path, name: str, commit: str, command: str, results: Path = RESULTS) -> Path:
     """Copy the rows of ``run``, and their tasks with the hashes of configuration and sources."""
     into = results / name
@@ -72,10 +78,11 @@ def keep(run: Path, name: str, commit: str, command: str, results: Path = RESULT
 
 def sections(results: Path = RESULTS) -> dict[str, str]:
     """Every generated section by its name."""
-    found = [kept(path.parent) for path in sorted(results.glob(f"*/{_ABOUT}"))]
+    found = every_kept(results)
     drawn = [one for one in found if one.experiment == "best-mode"]
     changed = [one for one in found if one.experiment == "changed-machine"]
-    others = [one for one in found if one not in drawn and one not in changed]
+    elsewhere = ("best-mode", "changed-machine", *ON_PAGE_OF_TARGETS)
+    others = [one for one in found if one.experiment not in elsewhere]
     heads = (
         "rows | command | runs | one look: within 5 mm | median, 95 % | two looks | median, 95 % | stopped"
     )
@@ -84,15 +91,15 @@ def sections(results: Path = RESULTS) -> dict[str, str]:
     return {
         "evidence": table(heads, (_campaign(one) for one in drawn)),
         "changed machines": "\n\n".join(
-            _headed(one, table(lines + " | stopped | limits met", _changes(one))) for one in changed
+            headed(one, table(lines + " | stopped | limits met", _changes(one))) for one in changed
         ),
         "other campaigns": "\n\n".join(
-            _headed(one, table("figure | found | asked | met", _verdict(one))) for one in others
+            headed(one, table("figure | found | asked | met", _verdict(one))) for one in others
         ),
     }
 
 
-def _headed(one: Kept, rows: str) -> str:
+def headed(one: Kept, rows: str) -> str:
     """A table under what was typed, on which commit, and where its rows are."""
     about = f"`{one.command}`, commit `{one.commit}`, `docs/results/{one.name}`"
     return f"{about}, {len(one.rows)} rows:\n\n{rows}"

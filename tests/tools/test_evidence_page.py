@@ -9,6 +9,7 @@ from testbed.campaigns.row_file import RowFile
 from testbed.campaigns.typed_rows import XYZ, flat
 from testbed.experiments.positioning.corrected_run import Branch, PositioningRow
 from testbed.experiments.positioning.told import Told
+from tools import targets_page
 from tools.evidence_page import PAGE, keep, rendered, sections
 
 TEXT = PAGE.read_text(encoding="utf-8")
@@ -16,6 +17,34 @@ TEXT = PAGE.read_text(encoding="utf-8")
 
 def test_the_tables_are_those_of_the_rows() -> None:
     assert rendered(TEXT) == TEXT, "run: python -m tools.evidence_page"
+
+
+def test_the_tables_of_targets_are_those_of_the_rows() -> None:
+    text = targets_page.PAGE.read_text(encoding="utf-8")
+    assert targets_page.rendered(text) == text, "run: python -m tools.targets_page"
+
+
+def test_rows_of_targets_stand_on_their_own_page_with_wrong_answers_told(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    file = RowFile(run / "rows.csv")
+    told = {"seen_nees": 1.0, "known_nees": 1.0, "seen_nees_depth": 1.0, "measure_ms": 5.0}
+    errors = {
+        f"{which}_{name}": 0.3
+        for which in ("seen", "known")
+        for name in ("lateral_mm", "normal_deg", "depth_mm")
+    }
+    for seed in range(3):
+        file.append({"row": "plane-2.0", "seed": seed, "refused": None, "wrong": False} | told | errors)
+    file.append({"row": "repetitive", "seed": 1, "refused": None, "wrong": True, "measure_ms": 5.0})
+    (run / "tasks.jsonl").write_text("{}\n", encoding="utf-8")
+    keep(run, "scenes", "abc1234", "longreach experiment targets --runs 3", tmp_path / "results")
+    assert "abc1234" not in sections(tmp_path / "results")["other campaigns"]
+    made = targets_page.sections(tmp_path / "results")["target scenes"]
+    assert "| click, 2 m | 3 | 3 |  | 0.30, 0.30 |" in made
+    assert "| 6 of 6 |" in made
+    assert "| click on a chessboard | 1 | 1, wrong: 1 |" in made
+    assert "| 0 of 1 |" in made
 
 
 def _row(seed: int, error_mm: float, probability: float, failure: str = "") -> PositioningRow:

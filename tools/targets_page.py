@@ -1,0 +1,109 @@
+"""The tables of docs/targets.md, made from the rows under docs/results; ``python -m tools.targets_page``."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.campaigns.campaign import CampaignRequest
+from testbed.campaigns.experiment import Finished
+from testbed.campaigns.typed_rows import typed
+from testbed.experiments.targets.hole_drives import (
+    HOLE_DRIVES,
+    HoleDriveRow,
+    HoleDriveSettings,
+    hole_drive_verdict,
+)
+from testbed.experiments.targets.one_look import TargetSceneSettings, target_verdict
+from testbed.experiments.targets.one_target import ROWS, TargetRow
+from tools.evidence_page import RESULTS, ROOT, Kept, every_kept, headed
+from tools.protocol_page import filled
+from tools.tables import table
+
+PAGE = ROOT / "docs" / "targets.md"
+_REQUEST = CampaignRequest(ROOT / "configs", RESULTS)
+_HEADS = (
+    "row | scenes | told | holes found | across mm, camera known: median, 95 % | along mm, as seen | normal °"
+)
+_HEADS += " | error² / variance told | along | camera known | CPU ms | limits met"
+
+
+def sections(results: Path = RESULTS) -> dict[str, str]:
+    """Every generated section by its name."""
+    kept = every_kept(results)
+    scenes = [one for one in kept if one.experiment == "targets"]
+    drives = [one for one in kept if one.experiment == HOLE_DRIVES.name]
+    told = "figure | found | asked | met"
+    return {
+        "target scenes": "\n\n".join(headed(one, _scenes(one)) for one in scenes),
+        "hole drives": "\n\n".join(headed(one, table(told, _drives(one))) for one in drives),
+    }
+
+
+def _scenes(one: Kept) -> str:
+    rows = [typed(TargetRow, row) for row in one.rows]
+    lines = []
+    for name, asked in ROWS.items():
+        of = [row for row in rows if row.row == name]
+        if of:
+            refusing = asked.kind in ("bare", "repetitive")
+            lines.append([asked.words, len(of), *(_refusals(of) if refusing else _errors(of)), _met(of)])
+    false = sum(row.false or 0 for row in rows if row.visible)
+    pictures = sum(1 for row in rows if row.visible)
+    return table(_HEADS, lines) + f"\n\nFalse holes: {false} in {pictures} pictures."
+
+
+def _refusals(rows: Sequence[TargetRow]) -> list[str]:
+    told = sum(not row.refused for row in rows)
+    return [f"{told}, wrong: {sum(row.wrong for row in rows)}", *[""] * 8]
+
+
+def _errors(rows: Sequence[TargetRow]) -> list[str]:
+    told = sum(not row.refused for row in rows)
+    visible, found = sum(row.visible or 0 for row in rows), sum(row.found or 0 for row in rows)
+
+    def pair(which: str, field: str) -> str:
+        sizes = np.abs(_column(rows, which, field))
+        return f"{np.median(sizes):.2f}, {np.percentile(sizes, 95):.2f}"
+
+    return [
+        str(told),
+        f"{found} of {visible}" if visible else "",
+        pair("known", "lateral_mm"),
+        pair("seen", "depth_mm"),
+        pair("seen", "normal_deg"),
+        *(
+            f"{_column(rows, which, field).mean():.2f}"
+            for which, field in (("seen", "nees"), ("seen", "nees_depth"), ("known", "nees"))
+        ),
+        f"{np.median([row.measure_ms for row in rows]):.0f}",
+    ]
+
+
+def _column(rows: Sequence[TargetRow], which: str, field: str) -> Any:
+    values = np.array([getattr(getattr(row, which), field) for row in rows])
+    return values[np.isfinite(values)]
+
+
+def _met(rows: list[TargetRow]) -> str:
+    checks = target_verdict(Finished(_REQUEST, TargetSceneSettings(), (), rows, len(rows)))
+    judged = [check.met for check in checks if check.met is not None]
+    return f"{sum(judged)} of {len(judged)}"
+
+
+def _drives(one: Kept) -> list[list[str]]:
+    rows = [typed(HoleDriveRow, row) for row in one.rows]
+    settings = HoleDriveSettings(holes=int(max(row.holes or 1 for row in rows)))
+    checks = hole_drive_verdict(Finished(_REQUEST, settings, (), rows, len(rows)))
+    words = {True: "yes", False: "NO", None: ""}
+    return [[check.what, check.found, check.asked, words[check.met]] for check in checks]
+
+
+def rendered(text: str) -> str:
+    """``text`` with the tables made anew."""
+    return filled(text, sections())
+
+
+if __name__ == "__main__":
+    PAGE.write_text(rendered(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
