@@ -24,6 +24,7 @@ PROGRAM = ServiceProgram(
     files="arm.yaml and controller.yaml",
     records="the last scans after a fault",
     make=_made,
+    live="controller",
 )
 
 

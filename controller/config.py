@@ -5,6 +5,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from foundation.configuration import StrictModel, or_its_file
+from foundation.live.settings import LiveSettings
 from foundation.secret_source import SecretSource
 from nominal_arm.commissioned import Commissioned, ValveSet
 
@@ -227,6 +228,7 @@ class ControllerConfig(StrictModel):
     flight_recorder_scans: int = Field(ge=1, le=100_000)
     recording_hz: float = Field(default=0.0, ge=0.0, le=1000.0)
     fifo_priority: int = Field(ge=0, le=99)
+    live: LiveSettings = LiveSettings()
 
     @model_validator(mode="after")
     def _settles(self) -> Self:

@@ -1,4 +1,4 @@
-"""Sockets bound to configured addresses before anything starts, and one line when that cannot be."""
+"""Configured addresses, tried before anything starts or is sent: one line when that cannot be."""
 
 import errno
 import socket
@@ -32,3 +32,12 @@ def _bound(kind: socket.SocketKind, host: str, port: int, key: str) -> socket.so
         cause = "configuration.port_busy" if error.errno == errno.EADDRINUSE else "configuration.bad_address"
         raise ConfigurationError(cause, f"{key} = {host}:{port}: {error.strerror}") from error
     return sock
+
+
+def known_host(host: str) -> str:
+    """``host``, which has an address. Raises ConfigurationError when it has none."""
+    try:
+        socket.getaddrinfo(host, None)
+    except OSError as error:
+        raise ConfigurationError("configuration.unknown_host", f"host '{host}': {error.strerror}") from error
+    return host

@@ -54,7 +54,8 @@ class Switch(NamedTuple):
 class ServiceProgram(NamedTuple):
     """What ``python -m name`` is. ``make`` raises LongreachError for what cannot be started.
 
-    ``files``: the configuration files that it reads; ``records``: what it writes in ``--record-dir``.
+    ``files``: the configuration files that it reads; ``records``: what it writes in ``--record-dir``;
+    ``live``: the file whose key ``live`` says where it shows itself.
     """
 
     name: str
@@ -64,6 +65,7 @@ class ServiceProgram(NamedTuple):
     records: str
     make: Callable[[ServiceOptions, EventLog], RunnableService]
     switches: tuple[Switch, ...] = ()
+    live: str = ""
 
 
 def service_main(program: ServiceProgram, argv: list[str] | None = None) -> int:
@@ -135,6 +137,12 @@ def _options(program: ServiceProgram, argv: list[str] | None) -> ServiceOptions:
     )
     parser.add_argument("--record-dir", type=Path, help=f"write {program.records} in this directory")
     parser.add_argument(
+        "--foxglove",
+        type=int,
+        metavar="PORT",
+        help=f"show what is recorded to viewers at PORT, and figures at /metrics ({program.live}.live.port)",
+    )
+    parser.add_argument(
         "--statistics", type=Path, metavar="FILE", help="write statistics as JSON every 10 s and at the end"
     )
     for switch in program.switches:
@@ -144,6 +152,8 @@ def _options(program: ServiceProgram, argv: list[str] | None) -> ServiceOptions:
         print(f"{program.name} {importlib.metadata.version('longreach')}")
         raise SystemExit(0)
     overrides = parse_overrides(arguments.set)
+    if arguments.foxglove is not None:
+        overrides = merged(overrides, {program.live: {"live": {"port": arguments.foxglove}}})
     for switch in program.switches:
         if getattr(arguments, switch.name.lstrip("-").replace("-", "_")):
             overrides = merged(overrides, switch.overrides)

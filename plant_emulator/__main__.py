@@ -19,6 +19,7 @@ PROGRAM = ServiceProgram(
     files="plant.yaml, scene.yaml and plant_service.yaml",
     records="the truth, truth.mcap,",
     make=_made,
+    live="plant_service",
     switches=(
         Switch(
             "--allow-faults",

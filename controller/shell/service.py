@@ -5,6 +5,7 @@ import contextlib
 import secrets
 import time
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from controller.commissioning import basis_of
@@ -20,6 +21,7 @@ from controller.core.scan_types import (
     ScanState,
     to_state,
 )
+from controller.shell.controller_figures import FIGURES
 from controller.shell.cyclic_task import CyclicTask
 from controller.shell.flight_dump import dump
 from controller.shell.plant_link import PlantLink
@@ -31,6 +33,8 @@ from foundation.configuration import configuration_hash
 from foundation.durations import DurationHistogram, percent_missed
 from foundation.event_log import EventLog, Level
 from foundation.link_key import read_key
+from foundation.live.metrics import Spread, exposition
+from foundation.live.opening import LiveShow, open_show
 from foundation.overload import Limit, Tally
 from foundation.recording.directories import recording_directory
 from foundation.scheduling import take_fifo
@@ -76,7 +80,7 @@ class ControllerService:
             self._record_dir = recording_directory(options.record_dir)
             self._trials = TrialRecords(self._record_dir, self._program, basis_of(arm, config), log)
             self._statistics = StatisticsFile(options.statistics, "controller", log, self._gathered)
-            self._scans = self._scan_recorder(arm)
+            self._show, self._scans = self._open_records(arm)
         except ConfigurationError:
             self._reference.release()
             raise
@@ -211,13 +215,22 @@ class ControllerService:
         await self._trials.close()
         if self._scans is not None:
             await asyncio.to_thread(self._scans.close)
+        if self._show is not None:
+            await asyncio.to_thread(self._show.close)
         self._statistics.write()
         self._log.write("stopped", cycles=self._task.lateness.count, overruns=self._task.overruns)
 
-    def _scan_recorder(self, arm: NominalArm) -> ScanRecorder | None:
-        if self._record_dir is None or self._config.recording_hz == 0.0:
-            return None
-        return ScanRecorder(self._record_dir, arm, self._config, self._log)
+    def _open_records(self, arm: NominalArm) -> tuple[LiveShow | None, ScanRecorder | None]:
+        """What is shown and what is recorded. Raises ConfigurationError."""
+        config, recorded = self._config, self._record_dir is not None
+        fifo = config.fifo_priority
+        show = open_show("controller", config.live, "controller.live", self._log, self._told, fifo)
+        if config.recording_hz == 0.0 or (show is None and not recorded):
+            if show is not None:
+                show.feed.opened(False)(Path(), (), {})  # figures alone
+            return show, None
+        made = None if show is None else show.feed.opened(recorded, fifo)
+        return show, ScanRecorder(self._record_dir or Path(), arm, config, self._log, made=made)
 
     def _say_ready(self) -> None:
         host, port = self._reference.address
@@ -228,10 +241,21 @@ class ControllerService:
             cycle_ms=self._config.cycle_ms,
             scheduling=self._scheduling,
             boot_id=self._boot_id,
+            live=None if self._show is None else self._show.address,
         )
 
     def _work(self) -> dict[str, Tally]:
         return {"scans": Tally(self._task.lateness.count, self._task.overruns)}
+
+    def _told(self) -> str:
+        """Its text for Prometheus; asked for by the thread that feeds the live face."""
+        spreads = (
+            Spread("scan_lateness_seconds", "How late scans began.", self._task.lateness),
+            Spread("scan_duration_seconds", "How long scans computed.", self._scan_times),
+            Spread("plant_round_trip_seconds", "Exchanges with the plant.", self._plant.round_trip),
+        )
+        figures = self._gathered() | {"log_lines_dropped": self._log.dropped}
+        return exposition("controller", FIGURES, figures, spreads)
 
     def _gathered(self) -> dict[str, Any]:
         served, missed = self._task.lateness.count, self._task.overruns
@@ -252,6 +276,7 @@ class ControllerService:
             "scan_records_dropped": 0 if self._scans is None else self._scans.dropped,
             "reference_link": asdict(self._reference.server.statistics)
             | {"flooded": self._reference.flooded},
+            "live_dropped": 0 if self._show is None else self._show.feed.dropped,
             "rss_mb_at_start": self._memory_mb,
             "rss_mb": resident_mb(),
         }

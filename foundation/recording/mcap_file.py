@@ -56,13 +56,14 @@ class Format(NamedTuple):
 
 class Topic(NamedTuple):
     """One topic of a recording. ``encode`` returns the bytes of what is recorded on it; ``metadata`` is for
-    files of others.
+    files of others. ``once``: it is recorded once, and who looks later wants it too.
     """
 
     name: str
     format: Format
     encode: Callable[[Any], bytes]
     metadata: tuple[tuple[str, str], ...] = ()
+    once: bool = False
 
 
 Entries = Mapping[str, Mapping[str, str]]  # metadata: records by name, text by key
@@ -119,8 +120,8 @@ class McapFile:
         """Whether there are messages that a kill would take along."""
         return bool(self._chunk)
 
-    def add(self, topic: int, message: Any, log_ns: int, publish_ns: int) -> None:
-        """Add a message to topic number ``topic``, and close the chunk when it is due.
+    def add(self, topic: int, message: Any, log_ns: int, publish_ns: int) -> bytes:
+        """Add a message to topic number ``topic``, and close the chunk when it is due; return it encoded.
 
         Raises OSError when a chunk cannot be written, such as on a full disk.
         """
@@ -138,6 +139,7 @@ class McapFile:
         self._counts[topic] += 1
         if len(self._chunk) >= CHUNK_BYTES:
             self.flush()
+        return data
 
     def flush(self) -> None:
         """Hand the open chunk to the operating system: a kill of this process then leaves it whole."""
@@ -257,7 +259,7 @@ def _described(topics: Sequence[Topic]) -> tuple[list[Schema], list[Channel]]:
     """A record for every topic, and for every schema that they name."""
     schemas: dict[tuple[str, str, bytes], Schema] = {}
     channels = []
-    for number, (name, said, _, metadata) in enumerate(topics, 1):
+    for number, (name, said, _, metadata, _) in enumerate(topics, 1):
         key = (said.schema, said.schema_encoding, said.data)
         if any(key) and key not in schemas:
             schemas[key] = Schema(len(schemas) + 1, said.data, said.schema_encoding, said.schema)

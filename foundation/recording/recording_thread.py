@@ -4,7 +4,7 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -29,6 +29,10 @@ class RecordSink(Protocol):
     @property
     def written(self) -> int:
         """How many messages were taken into the file."""
+        ...
+
+    def wants(self, topic: int) -> bool:
+        """Whether a message of topic number ``topic`` is of use to anybody."""
         ...
 
     def put(self, topic: int, message: Any, log_ns: int, publish_ns: int, *, wanted: bool = False) -> None:
@@ -56,6 +60,10 @@ class DirectRecording:
         """How many messages were taken into the file."""
         return self._file.messages
 
+    def wants(self, topic: int) -> bool:
+        """Always."""
+        return True
+
     def put(self, topic: int, message: Any, log_ns: int, publish_ns: int, *, wanted: bool = False) -> None:
         """Record ``message`` on topic number ``topic``."""
         self._file.add(topic, message, log_ns, publish_ns)
@@ -74,9 +82,15 @@ class RecordingThread:
     """
 
     def __init__(
-        self, path: Path, topics: Sequence[Topic], metadata: Entries, fifo_priority: int = 0
+        self,
+        path: Path,
+        topics: Sequence[Topic],
+        metadata: Entries,
+        fifo_priority: int = 0,
+        tap: Callable[[int, bytes, int], None] | None = None,
     ) -> None:
-        """Create ``path``. ``fifo_priority``: of the loop, 0 where it asks for none.
+        """Create ``path``. ``fifo_priority``: of the loop, 0 where it asks for none. ``tap`` is called with
+        topic, encoded message and its time once it is taken into the file, in the recording's thread.
 
         The thread takes the lowest where the loop has one: while it has the interpreter, which the loop waits
         for, no ordinary process may put it aside. Raises FileExistsError where it exists, OSError when it
@@ -86,6 +100,7 @@ class RecordingThread:
         self.dropped = 0
         self.failure = ""
         self._file = McapFile(path, topics, metadata)
+        self._tap = tap
         self._fifo_priority = min(fifo_priority, _BELOW_ALL)
         self._items: queue.SimpleQueue[_Item | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._write_items, name=f"record-{path.name}", daemon=True)
@@ -96,6 +111,10 @@ class RecordingThread:
     def written(self) -> int:
         """How many messages were taken into the file."""
         return self._file.messages
+
+    def wants(self, topic: int) -> bool:
+        """Always."""
+        return True
 
     def put(self, topic: int, message: Any, log_ns: int, publish_ns: int, *, wanted: bool = False) -> None:
         """Record ``message`` on topic number ``topic``."""
@@ -133,4 +152,6 @@ class RecordingThread:
                 continue
             if item is None:
                 return
-            self._file.add(*item)
+            data = self._file.add(*item)
+            if self._tap is not None:
+                self._tap(item[0], data, item[2])

@@ -12,12 +12,14 @@ class Access(NamedTuple):
 
     ``tokens``: by role; none: nobody is asked for one. ``stops``: paths that whoever may look may POST to.
     ``public``: paths that may be read without a token: a page that asks for one, and nothing else.
+    ``allowed_origins``: pages of others that may ask, in lower case.
     """
 
     allowed_hosts: tuple[str, ...] = ()
     tokens: Mapping[Role, bytes] = MappingProxyType({})
     stops: frozenset[str] = frozenset()
     public: frozenset[str] = frozenset()
+    allowed_origins: frozenset[str] = frozenset()
 
 
 ANYBODY_HERE = Access()

@@ -39,6 +39,7 @@ class AccessGuard:
     def __init__(self, app: ASGIApp, access: Access, refusals: RefusalLog) -> None:
         self._app = app
         self._allowed = frozenset(host.lower() for host in access.allowed_hosts)
+        self._origins = access.allowed_origins
         self._tokens = TokenCheck(access.tokens, access.stops, access.public) if access.tokens else None
         self._refusals = refusals
 
@@ -50,24 +51,31 @@ class AccessGuard:
                 _secure(MutableHeaders(scope=message))
             await send(message)
 
-        refusal = self._refusal(scope)
+        refusal = self.refusal(scope)
         if refusal is None:
             await self._app(scope, receive, sent)
         else:
-            self._refusals.tell(refusal, str((scope.get("client") or ("unknown",))[0]))
             await respond_unread(refusal)(scope, receive, sent)
 
-    def _refusal(self, scope: Scope) -> Refusal | None:
+    def refusal(self, scope: Scope) -> Refusal | None:
+        """Why a request is refused, which is told to ``refusals``; None when it may go on."""
+        refusal = self._judged(scope)
+        if refusal is not None:
+            self._refusals.tell(refusal, str((scope.get("client") or ("unknown",))[0]))
+        return refusal
+
+    def _judged(self, scope: Scope) -> Refusal | None:
         hosts = header_values(scope, b"host")
         if len(hosts) != 1 or not self._is_ours(hosts[0], scope):
             detail = f"this service is not {', '.join(hosts)[:80] or 'without a name'}: see allowed_hosts"
             return _problem(scope, HTTPStatus.MISDIRECTED_REQUEST, "refused.foreign_host", detail)
         own = f"{scope['scheme']}://{hosts[0]}".lower()
-        for origin in header_values(scope, b"origin"):
-            if origin.lower() != own:
+        origins = [origin.lower() for origin in header_values(scope, b"origin")]
+        for origin in origins:
+            if origin != own and origin not in self._origins:
                 return _foreign_origin(scope, f"a page of {origin[:80]}")
         for site in header_values(scope, b"sec-fetch-site"):
-            if site.lower() not in _OWN_SITE:
+            if site.lower() not in _OWN_SITE and self._origins.isdisjoint(origins):
                 return _foreign_origin(scope, f"a page of another origin ({site[:20]})")
         if self._tokens is None:
             return None

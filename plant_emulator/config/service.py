@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from pydantic import Field
 
 from foundation.configuration import HostName, StrictModel, load
+from foundation.live.settings import LiveSettings
 from foundation.rest.tokens import TokenSources
 from foundation.scheduling import Policy
 from plant_emulator.config.plant import PlantConfig
@@ -43,6 +44,7 @@ class PlantServiceConfig(StrictModel):
     fifo_priority: int = Field(ge=0, le=99)
     renderer_scheduling: Policy
     writer_release_ms: float = Field(ge=10.0, le=60_000.0)
+    live: LiveSettings = LiveSettings()
 
 
 class PlantSideConfig(NamedTuple):

@@ -4,10 +4,14 @@ import asyncio
 import functools
 import socket
 import time
-from contextlib import closing
+from contextlib import ExitStack, closing
+from pathlib import Path
 from typing import Any
 
 from foundation.event_log import EventLog
+from foundation.live.feed import Opened
+from foundation.live.metrics import Spread, exposition
+from foundation.live.opening import LiveShow, open_show
 from foundation.overload import Limit, Tally
 from foundation.ports import bound_tcp
 from foundation.recording.directories import recording_directory
@@ -22,10 +26,12 @@ from plant_emulator.core.camera.camera_motion import STILL, CameraView
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import CouplerSilent
 from plant_emulator.core.plant import Plant
+from plant_emulator.core.truth import PlantTruth
 from plant_emulator.shell.camera_sender import CameraSender
 from plant_emulator.shell.coupler import Coupler
 from plant_emulator.shell.fault_desk import FaultDesk
 from plant_emulator.shell.integrator import Integrator, SlowCycle
+from plant_emulator.shell.plant_figures import FIGURES
 from plant_emulator.shell.scene_messages import drawing
 from plant_emulator.shell.truth_recorder import TruthRecorder
 from protocol.errors import ConfigurationError
@@ -64,8 +70,10 @@ class PlantService:
         self._truths = SlowCycle(round(1e9 / service.truth_hz))
         self._changes_told = 0
         self._words: list[int] | None = None
+        self._truth: PlantTruth | None = None
         self._status = -1
         self._recorder: TruthRecorder | None = None
+        self._show: LiveShow | None = None
         self._camera: CameraSender | None = None
         self._scheduling = "normal"
         self._memory_at_start: dict[str, float] = {}
@@ -84,7 +92,12 @@ class PlantService:
             _bound(service.modbus, "modbus") as modbus,
             _bound(service.camera_stream, "camera_stream") as stream,
             _bound(service.fault_face, "fault_face") as face,
+            ExitStack() as shown,
         ):
+            fifo = service.fifo_priority
+            self._show = open_show(_NAME, service.live, "plant_service.live", self._log, self._told, fifo)
+            if self._show is not None:
+                shown.callback(self._show.close)
             addresses = {"camera_stream": stream.getsockname(), "fault_face": face.getsockname()}
             self._recorder = self._open_recording()
             self._camera = CameraSender(self._config.scene, stream, service.renderer_scheduling)
@@ -139,7 +152,7 @@ class PlantService:
         record = self._recorder is not None and (capture or self._truths.due(deadline_ns))
         if not (capture or record):
             return
-        truth = self._plant.truth()
+        self._truth = truth = self._plant.truth()
         if capture and self._camera is not None:
             motion = self._plant.motion() if self._config.scene.camera.shows_motion else STILL
             view = CameraView(truth.X_WC, truth.X_WM)
@@ -191,8 +204,8 @@ class PlantService:
         self._changes_told = len(changes)
 
     def _open_recording(self) -> TruthRecorder | None:
-        directory = recording_directory(self._record_dir)
-        if directory is None:
+        directory, show = recording_directory(self._record_dir), self._show
+        if directory is None and show is None:
             return None
         run = {
             "plant": self._config.plant.model_dump(mode="json"),
@@ -201,8 +214,12 @@ class PlantService:
         }
         drawn = drawing(self._config.scene, self._plant.chain, time.monotonic_ns())
         try:
-            made = functools.partial(RecordingThread, fifo_priority=self._config.service.fifo_priority)
-            return TruthRecorder(directory / "truth.mcap", run, drawn, session_entries(_NAME), made)
+            fifo = self._config.service.fifo_priority
+            made: Opened = functools.partial(RecordingThread, fifo_priority=fifo)
+            if show is not None:
+                made = show.feed.opened(directory is not None, fifo)
+            path = (directory or Path()) / "truth.mcap"
+            return TruthRecorder(path, run, drawn, session_entries(_NAME), made)
         except OSError as error:
             raise ConfigurationError(
                 "configuration.recording", f"--record-dir {directory}: truth.mcap: {error.strerror}"
@@ -216,7 +233,8 @@ class PlantService:
             period_ms=self._config.service.period_ms,
             scheduling=self._scheduling,
             renderer_scheduling=self._config.service.renderer_scheduling,
-            recording=None if self._recorder is None else str(self._recorder.path),
+            recording=None if self._record_dir is None else str(self._record_dir / "truth.mcap"),
+            live=None if self._show is None else self._show.address,
         )
 
     def _memory(self) -> dict[str, float]:
@@ -235,6 +253,14 @@ class PlantService:
             work["pictures"] = Tally(pictures["frames_rendered"], pictures["frames_skipped"])
         return work
 
+    def _told(self) -> str:
+        """Its text for Prometheus; asked for by the thread that feeds the live face."""
+        spreads = (Spread("step_lateness_seconds", "How late steps began.", self._integrator.lateness),)
+        figures = self._gathered() | {"log_lines_dropped": self._log.dropped}
+        if (truth := self._truth) is not None:
+            figures |= {"oil_temperature_degc": truth.oil_temperature_degc, "supply_pa": truth.supply}
+        return exposition(_NAME, FIGURES, figures, spreads)
+
     def _gathered(self) -> dict[str, Any]:
         assert self._camera is not None
         camera = {"captures_missed": self._captures.dropped, "poses_dropped": self._camera.poses_dropped}
@@ -247,6 +273,7 @@ class PlantService:
             "camera": self._camera.statistics | camera,
             "truth_records": 0 if self._recorder is None else self._recorder.written,
             "truths_dropped": 0 if self._recorder is None else self._recorder.dropped,
+            "live_dropped": 0 if self._show is None else self._show.feed.dropped,
             "scheduling": self._scheduling,
             "memory_at_start": self._memory_at_start,
             "memory_at_end": self._memory_at_end or self._memory(),

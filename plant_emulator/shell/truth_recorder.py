@@ -91,8 +91,8 @@ TOPICS = (
     Topic(FAULT, format_of(FaultMessage), _fault_bytes),
     Topic(EVENT, format_of(EventMessage), event_bytes),
     Topic(FRAMES, format_of(FrameTransforms), _frames_bytes),
-    Topic(SCENE, format_of(SceneUpdate), bytes),
-    Topic(CAMERA, format_of(CameraCalibration), bytes),
+    Topic(SCENE, format_of(SceneUpdate), bytes, once=True),
+    Topic(CAMERA, format_of(CameraCalibration), bytes, once=True),
     Topic(LOG, format_of(Log), _log_bytes),
 )
 _NUMBERS = {topic.name: number for number, topic in enumerate(TOPICS)}

@@ -96,7 +96,8 @@ def up(
     from testbed.scenarios.settings import chosen_overrides, with_faults
 
     overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
-    run_up(config_dir, with_faults(overrides, start.allow_faults), start.free_ports, start.runs)
+    world = with_faults(overrides, start.allow_faults)
+    run_up(config_dir, world, start.free_ports, start.runs, start.foxglove)
 
 
 @app.command(epilog="Example: longreach replay runs/demo/vision_pc/vision.mcap --set vision.look.frames=5")
@@ -192,7 +193,8 @@ def demo(
     if chosen.lockstep:
         passed = run_lockstep_demo(config_dir, overrides, choice, start.runs, json_file)
     else:
-        passed = run_demo(config_dir, overrides, choice, start.free_ports, start.runs, json_file, chosen.hold)
+        held, live = chosen.hold, start.foxglove
+        passed = run_demo(config_dir, overrides, choice, start.free_ports, start.runs, json_file, held, live)
     raise typer.Exit(0 if passed else 1)
 
 

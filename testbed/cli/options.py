@@ -37,6 +37,15 @@ class StartOptions(NamedTuple):
         bool, typer.Option("--allow-faults", help="Let the plant's HTTP face for faults break things.")
     ] = False
     runs: RunsDir = Path("runs")
+    foxglove: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            max=65535,
+            metavar="PORT",
+            help="Show all live: to viewers, and figures at /metrics; 0: any.",
+        ),
+    ] = None
 
 
 class DemoTarget(StrEnum):

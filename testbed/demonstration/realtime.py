@@ -14,7 +14,7 @@ from testbed.demonstration.sequence import JSON, Recorder, Rest, TimedTruth, dem
 from testbed.realtime.launch import PLANT, VISION, Launch, prepare
 from testbed.realtime.rest_rig import RestRig, StateSampler
 from testbed.realtime.supervisor import Supervisor
-from testbed.realtime.up import end_on_sigterm, show_console, show_fault_api, started, tell
+from testbed.realtime.up import end_on_sigterm, show_console, show_fault_api, show_live, started, tell
 from testbed.reporting.console import Bars, bars, out
 from testbed.reporting.outcome import Outcome
 from testbed.reporting.plots import TracedView
@@ -47,6 +47,7 @@ def run_demo(
     runs: Path,
     json_file: Path | None,
     hold: bool = False,
+    foxglove: int | None = None,
 ) -> bool:
     """Whether the true error ended inside the limit; prints the table and writes the report.
 
@@ -56,11 +57,12 @@ def run_demo(
     began = time.monotonic()
     end_on_sigterm()
     with run_directory(runs) as directory:
-        launch = prepare(config_dir, overrides, directory, any_ports=any_ports)
+        launch = prepare(config_dir, overrides, directory, any_ports=any_ports, foxglove=foxglove)
         note_settings(directory, launch.settings)
         with bars() as shown, started(launch, shown) as supervisor:
             show_console(launch)
             show_fault_api(launch)
+            show_live(launch)
             driven = drive(launch, choice, shown, supervisor)
             if hold:
                 _held(launch, supervisor)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from foundation.command_options import unfolded
-from foundation.hosts import known_host
+from foundation.ports import known_host
 from protocol.errors import ConfigurationError
 from testbed.fault_proxy.faults import Faults
 from testbed.fault_proxy.proxy import FaultProxy, Route, TcpProxy, UdpProxy

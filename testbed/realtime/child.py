@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TextIO
 
 from foundation.event_log import event_of, in_words
+from foundation.live.wire import SHARED_VARIABLE
 from foundation.recording.session import SESSION_VARIABLE
 from foundation.signs_of_life import LONGEST_SILENCE, SOCKET, Listener
 from protocol.errors import LongreachError
@@ -31,12 +32,15 @@ class ServiceFailed(LongreachError):
 
 
 class Service(NamedTuple):
-    """One process to run: ``python -m module *arguments``. ``session``: that its recordings are of."""
+    """One process to run: ``python -m module *arguments``. ``session``: that its recordings are of;
+    ``feeds``: the live face that it feeds.
+    """
 
     name: str
     module: str
     arguments: tuple[str, ...]
     session: str = ""
+    feeds: str = ""
 
     def numbered(self, start: int) -> "Service":
         """As it is started the first, second, … time: from the second on its records have a number."""
@@ -66,6 +70,8 @@ class Child:
         self._said_ready = threading.Event()
         self._signs = Listener(f"longreach-{os.getpid()}-{service.name}-{id(self):x}", time.monotonic_ns())
         told = {SOCKET: self._signs.address, LONGEST_SILENCE: f"{_SIGNS_WITHIN_S * 1e6:.0f}"}
+        told |= {SESSION_VARIABLE: service.session} if service.session else {}
+        told |= {SHARED_VARIABLE: service.feeds} if service.feeds else {}
         self._process = subprocess.Popen(
             [sys.executable, "-m", service.module, *service.arguments],
             stdin=subprocess.DEVNULL,
@@ -73,7 +79,7 @@ class Child:
             stderr=subprocess.PIPE,
             text=True,
             errors="replace",
-            env=os.environ | told | ({SESSION_VARIABLE: service.session} if service.session else {}),
+            env=os.environ | told,
             # Ctrl-C is ours to pass on, in order. Not a session of its own: kernels that share a processor
             # between sessions (sched_autogroup) would let the idle renderer take as much as vision.
             process_group=0,

@@ -13,19 +13,22 @@ from testbed.realtime.supervisor import free_port
 from testbed.scenarios.scenario import flattened
 from testbed.scenarios.settings import Overrides, Settings, load_settings
 
-PLANT, CONTROLLER, VISION = "plant_emulator", "controller", "vision_pc"
+_TCP = socket.SOCK_STREAM
+PLANT, CONTROLLER, VISION, LIVE = "plant_emulator", "controller", "vision_pc", "live"
 
 
 class Launch(NamedTuple):
     """What is to be started, in order, and where its results will be.
 
-    ``directory`` gets the services' logs, records and statistics.
+    ``directory`` gets the services' logs, records and statistics. ``foxglove``: the port of the live face
+    that they share; none: there is none.
     """
 
     services: tuple[Service, ...]
     settings: Settings
     rest_url: str
     directory: Path
+    foxglove: int | None = None
 
     def statistics(self, service: str) -> Path:
         """The file in which ``service`` leaves its figures when it ends."""
@@ -76,7 +79,14 @@ def ports_in_use(settings: Settings) -> tuple[PortUse, ...]:
     )
 
 
-def prepare(config_dir: Path, overrides: Overrides, directory: Path, *, any_ports: bool) -> Launch:
+def prepare(
+    config_dir: Path,
+    overrides: Overrides,
+    directory: Path,
+    *,
+    any_ports: bool,
+    foxglove: int | None = None,
+) -> Launch:
     """The launch of all three services with ``overrides``, checked before anything is started.
 
     Raises ConfigurationError, also when a port is taken.
@@ -84,16 +94,24 @@ def prepare(config_dir: Path, overrides: Overrides, directory: Path, *, any_port
     if any_ports:
         overrides = merged(overrides, free_ports())
     settings = load_settings(config_dir, overrides)
-    check_ports(ports_in_use(settings))
+    if foxglove == 0:
+        foxglove = free_port()
+    shared = () if foxglove is None else (PortUse("live", "127.0.0.1", foxglove, _TCP, "--foxglove"),)
+    check_ports((*ports_in_use(settings), *shared))
     api = settings.vision.api
     session = str(uuid.uuid4())
-    launch = Launch((), settings, f"http://{api.host}:{api.port}", directory)
+    launch = Launch((), settings, f"http://{api.host}:{api.port}", directory, foxglove)
+    feeds = "" if foxglove is None else f"longreach-live-{session}"
     common = ["--config-dir", str(config_dir)]
     for setting in flattened(overrides):
         common += ["--set", setting]
 
     def service(name: str) -> Service:
         records = ["--record-dir", str(launch.records(name))]
-        return Service(name, name, (*common, *records, "--statistics", str(launch.statistics(name))), session)
+        options = (*common, *records, "--statistics", str(launch.statistics(name)))
+        return Service(name, name, options, session, feeds)
 
-    return launch._replace(services=tuple(map(service, (PLANT, CONTROLLER, VISION))))
+    services = tuple(map(service, (PLANT, CONTROLLER, VISION)))
+    if foxglove is not None:
+        services += (Service(LIVE, "foundation.live", ("shared", feeds, str(foxglove)), session),)
+    return launch._replace(services=services)

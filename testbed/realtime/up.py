@@ -15,14 +15,16 @@ from testbed.reporting.run_record import note_settings
 from testbed.scenarios.settings import Overrides
 
 
-def run_up(config_dir: Path, overrides: Overrides, any_ports: bool, runs: Path) -> None:
+def run_up(
+    config_dir: Path, overrides: Overrides, any_ports: bool, runs: Path, foxglove: int | None = None
+) -> None:
     """Run the services until Ctrl-C or SIGTERM ends them.
 
     Raises ServiceFailed when one ends by itself.
     """
     end_on_sigterm()
     with run_directory(runs) as directory:
-        launch = prepare(config_dir, overrides, directory, any_ports=any_ports)
+        launch = prepare(config_dir, overrides, directory, any_ports=any_ports, foxglove=foxglove)
         note_settings(directory, launch.settings)
         try:
             with supervised(launch.services, launch.directory) as supervisor:
@@ -55,6 +57,7 @@ def show(launch: Launch, supervisor: Supervisor) -> None:
     out.print(table("running", ("service", "process", "scheduling", "log"), rows))
     show_fault_api(launch)
     show_console(launch)
+    show_live(launch)
     out.print(f"REST API: {launch.rest_url}/docs   end with Ctrl-C", highlight=False)
     out.print("kill PROCESS ends that service, and it is started anew alone", highlight=False)
 
@@ -62,6 +65,13 @@ def show(launch: Launch, supervisor: Supervisor) -> None:
 def show_console(launch: Launch) -> None:
     """Print the address of the operator's console; where it wants a token, who opens it is asked for one."""
     out.print(f"console: {launch.rest_url}/", highlight=False)
+
+
+def show_live(launch: Launch) -> None:
+    """Print where viewers connect, and where Prometheus reads, if there is such a face."""
+    if launch.foxglove is not None:
+        at = f"127.0.0.1:{launch.foxglove}"
+        out.print(f"live: ws://{at} (Foxglove WebSocket), http://{at}/metrics", highlight=False)
 
 
 def show_fault_api(launch: Launch) -> None:

@@ -37,7 +37,9 @@ class Made:
 
 def program(made: Made) -> ServiceProgram:
     switch = Switch("--allow-faults", "breaks things", {"plant_service": {"allowed": True}})
-    return ServiceProgram("plant_emulator", "It.", "so", "a.yaml", "all", made.make, (switch,))
+    return ServiceProgram(
+        "plant_emulator", "It.", "so", "a.yaml", "all", made.make, (switch,), "plant_service"
+    )
 
 
 def refusing(error: Exception) -> Body:
@@ -49,10 +51,19 @@ def refusing(error: Exception) -> Body:
 
 def test_the_command_line_becomes_options(tmp_path: Path) -> None:
     made = Made(lambda log: 0)
-    words = ["--set", "plant.payload.mass_kg=50", "plant.seed=1", "--set", "scene.n=2", "--allow-faults"]
+    words = [
+        "--set",
+        "plant.payload.mass_kg=50",
+        "plant.seed=1",
+        "--set",
+        "scene.n=2",
+        "--allow-faults",
+        "--foxglove",
+        "0",
+    ]
     assert service_main(program(made), [*words, "--config-dir", "c", "--record-dir", str(tmp_path)]) == 0
     overrides = {"plant": {"payload": {"mass_kg": 50}, "seed": 1}, "scene": {"n": 2}}
-    switched = overrides | {"plant_service": {"allowed": True}}
+    switched = overrides | {"plant_service": {"live": {"port": 0}, "allowed": True}}
     assert made.options == ServiceOptions(Path("c"), switched, tmp_path, None)
     assert service_main(program(made), []) == 0
     assert made.options == ServiceOptions(Path("configs"), {}, None, None)

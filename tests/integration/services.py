@@ -26,10 +26,12 @@ class Running(NamedTuple):
 
 
 @contextmanager
-def running(directory: Path, *assignments: str, only: tuple[str, ...] = ()) -> Iterator[Running]:
+def running(
+    directory: Path, *assignments: str, only: tuple[str, ...] = (), foxglove: int | None = None
+) -> Iterator[Running]:
     """All three services (or ``only`` some) with free ports and the standard world of seed 1."""
     overrides = chosen_overrides(CONFIGS, "standard", 1, list(assignments))
-    launch = prepare(CONFIGS, overrides, directory, any_ports=True)
+    launch = prepare(CONFIGS, overrides, directory, any_ports=True, foxglove=foxglove)
     services = [service for service in launch.services if not only or service.name in only]
     with (
         supervised(services, directory) as supervisor,

@@ -45,7 +45,8 @@ class VisionApplication:
     ``calibration`` and ``track`` are the newest local calibration and local track, None before the first.
     ``positioning`` are the settings by which looks are judged. ``hand_eye`` is the guided session, if there
     is one on this rig. ``overload`` returns one sentence while the machine is overloaded, else nothing,
-    ``figures`` what the service counts of itself. ``links`` are those of the arm's drawing, for who draws it.
+    ``figures`` what the service counts of itself, ``looks`` how many were taken. ``links`` are those of
+    the arm's drawing, for who draws it.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class VisionApplication:
         self.overload: Callable[[], str] = str
         self.figures: Callable[[], dict[str, Any]] = dict
         self.links: tuple[DhLink, ...] = ()
+        self.looks = 0
         self._latest: JudgedLook | None = None
 
     def tap(self, arm: Callable[[StoppableArm], StoppableArm], eyes: Callable[[Eyes], Eyes]) -> None:
@@ -102,5 +104,6 @@ class VisionApplication:
 
     def _remember(self, look: Look) -> None:
         self._latest = JudgedLook(look, judge(look, self.positioning))
+        self.looks += 1
         shown = look_json(self._latest)
         self.log.write("look", looked_ns=shown.pop("time_ns"), **shown)

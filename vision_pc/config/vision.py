@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from foundation.configuration import HostName, StrictModel, configuration_hash
+from foundation.live.settings import LiveSettings
 from foundation.rest.tokens import TokenSources
 from foundation.secret_source import SecretSource
 from nominal_arm.description import NominalArm
@@ -271,6 +272,7 @@ class VisionConfig(StrictModel):
     targets: TargetSettings = TargetSettings()
     api: ApiSettings = ApiSettings()
     recording: RecordingSettings = RecordingSettings()
+    live: LiveSettings = LiveSettings()
 
     @model_validator(mode="before")
     @classmethod

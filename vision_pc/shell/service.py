@@ -2,13 +2,15 @@
 
 import asyncio
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 import cv2
 
 from foundation.event_log import EventLog
+from foundation.live.opening import open_show
 from foundation.overload import Limit, Tally
 from foundation.ports import bound_tcp
 from foundation.rest.access import configured_access
@@ -35,6 +37,7 @@ from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.recording.opening import open_recording
 from vision_pc.shell.recording.recorded_ports import record_programs
 from vision_pc.shell.rest.api import PUBLIC, STOPS, create_app
+from vision_pc.shell.rest.metrics import told
 from vision_pc.shell.rest.operations import Operations
 
 _NAME = "vision_pc"
@@ -62,16 +65,24 @@ class VisionService:
         self._programs = programs
         self._access = configured_access(config.api, "vision.api", STOPS, PUBLIC)
         self._socket = bound_tcp(config.api.host, config.api.port, "vision.api")
+        self._told: Callable[[], str] = str
         self._sessions = SessionStore(config.sessions_dir)
         try:
             self._sessions.refuse_strangers()
             if options.record_dir is not None:
                 log.record_in(options.record_dir)
-            self._statistics = StatisticsFile(options.statistics, _NAME, log, self._gathered)
-            self._recorder = open_recording(options.record_dir, config, arm, log)
+            self._open_records(options)
         except ConfigurationError:
             self._socket.close()
             raise
+
+    def _open_records(self, options: ServiceOptions) -> None:
+        """Raises ConfigurationError."""
+        config, log = self._config, self._log
+        self._statistics = StatisticsFile(options.statistics, _NAME, log, self._gathered)
+        self._show = open_show(_NAME, config.live, "vision.live", log, lambda: self._told())
+        feed = None if self._show is None else self._show.feed
+        self._recorder = open_recording(options.record_dir, config, self._arm, log, feed)
 
     async def run(self) -> int:
         """Serve until SIGTERM or SIGINT, then end the running operation and say goodbye.
@@ -94,8 +105,8 @@ class VisionService:
         guided = GuidedCalibration(arm, eyes, link, config, nominal, log, self._sessions)
         application = VisionApplication(arm, eyes, link, eyes, config.programs, nominal.boom, log, guided)
         watch = SelfWatch(log, _LIMITS, self._work, log.record_dir)
-        application.overload, application.figures = lambda: watch.overload, self._gathered
-        application.links = nominal.links
+        application.overload, application.figures = lambda: watch.overload, self._counted
+        application.links, self._told = nominal.links, partial(told, application)
         self._record_from(eyes, application)
         operations = Operations(application.arm.halt, log)
         app = create_app(application, operations, self._programs, Home(asyncio.get_running_loop()))
@@ -133,6 +144,8 @@ class VisionService:
         self._log.write("stopped")
         if self._recorder is not None:
             await asyncio.to_thread(self._recorder.close)
+        if self._show is not None:
+            await asyncio.to_thread(self._show.close)
 
     def _say_ready(self) -> None:
         host, port = self._socket.getsockname()
@@ -142,6 +155,7 @@ class VisionService:
             controller={"host": self._config.link.host, "port": self._config.link.port},
             camera=self._config.camera.source,
             scheduling=self._opened.worker.scheduling,
+            live=None if self._show is None else self._show.address,
         )
 
     def _work(self) -> dict[str, Tally]:
@@ -152,6 +166,9 @@ class VisionService:
             work["scans"] = Tally(state.cycle, state.overruns)
         return work
 
+    def _counted(self) -> dict[str, Any]:
+        return self._gathered() | {"log_lines_dropped": self._log.dropped}
+
     def _gathered(self) -> dict[str, Any]:
         return {
             "time_ns": time.monotonic_ns(),
@@ -160,5 +177,6 @@ class VisionService:
             "camera": self._opened.eyes.status()._asdict(),
             "scheduling": self._opened.worker.scheduling,
             "rest_refused": dict(self._server.refused),
+            "live_dropped": 0 if self._show is None else self._show.feed.dropped,
             "recording": {} if self._recorder is None else self._recorder.counts(),
         }

@@ -59,8 +59,8 @@ def test_it_says_ready_serves_and_ends_when_told(tmp_path: Path) -> None:
         assert httpx.get(f"http://127.0.0.1:{port}/docs").status_code == 200
         metrics = httpx.get(f"http://127.0.0.1:{port}/metrics")
         assert metrics.headers["content-type"].startswith("text/plain; version=0.0.4")
-        assert "longreach_vision_pc_reference_link_connected 0\n" in metrics.text
-        assert "longreach_vision_pc_recording_frames_missed 0\n" in metrics.text
+        assert "longreach_vision_pc_link_connected 0.0\n" in metrics.text
+        assert "longreach_vision_pc_recording_frames_missed_total 0.0\n" in metrics.text
         assert "longreach_vision_pc_controller_cycle" not in metrics.text
         process.send_signal(signal.SIGTERM)
         told_ns = time.monotonic_ns()

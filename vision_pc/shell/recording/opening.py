@@ -4,6 +4,8 @@ import time
 from pathlib import Path
 
 from foundation.event_log import EventLog
+from foundation.live.feed import LiveFeed, Opened
+from foundation.recording.recording_thread import RecordingThread
 from foundation.recording.session import session_entries
 from nominal_arm.description import NominalArm
 from protocol.errors import ConfigurationError
@@ -12,18 +14,20 @@ from vision_pc.shell.recording.vision_recorder import FILE, VisionRecorder
 
 
 def open_recording(
-    directory: Path | None, config: VisionConfig, arm: NominalArm, log: EventLog
+    directory: Path | None, config: VisionConfig, arm: NominalArm, log: EventLog, feed: LiveFeed | None = None
 ) -> VisionRecorder | None:
-    """A recorder of ``vision.mcap`` in ``directory`` that is told all events of ``log``; None without one.
+    """A recorder of ``vision.mcap`` in ``directory`` and of what ``feed`` shows, that is told all events of
+    ``log``; None without either.
 
     Raises ConfigurationError when the file cannot be made.
     """
-    if directory is None:
+    if directory is None and feed is None:
         return None
+    made: Opened = RecordingThread if feed is None else feed.opened(directory is not None)
     run = {"arm": arm.model_dump(mode="json"), "vision": config.model_dump(mode="json")}
     try:
         recorder = VisionRecorder(
-            directory / FILE, config, run, session_entries("vision_pc"), time.monotonic_ns
+            (directory or Path()) / FILE, config, run, session_entries("vision_pc"), time.monotonic_ns, made
         )
     except OSError as error:
         why = f"--record-dir {directory}: {FILE}: {error.strerror}"

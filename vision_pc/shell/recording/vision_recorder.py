@@ -86,7 +86,7 @@ def topics(settings: RecordingSettings) -> tuple[Topic, ...]:
         Topic(TRACK, format_of(PoseInFrame), pictures.track_pose),
         Topic(PATH, format_of(PosesInFrame), lambda said: pictures.path(*said)),
         Topic(ANNOTATIONS, format_of(ImageAnnotations), pictures.annotations),
-        *(Topic(name, format_of(CalibrationMessage), bytes) for name in CALIBRATIONS),
+        *(Topic(name, format_of(CalibrationMessage), bytes, once=True) for name in CALIBRATIONS),
         *(Topic(name, image, lambda taken: shown(*taken)) for name in IMAGES[:eyes]),
     )
 
@@ -244,11 +244,12 @@ class VisionRecorder:
             for topic, said in zip(CALIBRATIONS, self._camera, strict=True):
                 self._put(topic, said, pair.capture_ns, wanted=True)
             self._camera = None
-        if self._frames_put - self._frames_taken >= WAITING_FRAMES:
-            self.missed += 1
-            return
-        self._frames_put += 1
-        self._put(FRAME, pair, pair.capture_ns, wanted=True)
+        if self.sink.wants(self._numbers[FRAME]):
+            if self._frames_put - self._frames_taken >= WAITING_FRAMES:
+                self.missed += 1
+                return
+            self._frames_put += 1
+            self._put(FRAME, pair, pair.capture_ns, wanted=True)
         if self._picture_due(pair.capture_ns):
             for eye, topic in enumerate(IMAGES):
                 if topic in self._numbers:

@@ -30,6 +30,9 @@ class HeldSink:
         self.failure, self.dropped, self.written = "", 0, 0
         self.waiting: list[tuple[int, Any]] = []
 
+    def wants(self, topic: int) -> bool:
+        return True
+
     def put(self, topic: int, message: Any, log_ns: int, publish_ns: int, *, wanted: bool = False) -> None:
         self.waiting.append((topic, message))
 

@@ -1,0 +1,282 @@
+"""The live face: viewers subscribe to what services feed, and Prometheus asks for their figures.
+
+It runs in a process of its own (``foundation.live``): whatever a viewer does, no loop of a service sees it.
+"""
+
+import asyncio
+import contextlib
+import http
+import itertools
+import json
+import socket
+from collections.abc import Iterable
+from typing import Any
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.typing import Subprotocol
+
+from foundation.event_log import EventLog
+from foundation.live import foxglove, wire
+from foundation.live.latest import LatestQueue
+from foundation.problems import MEDIA_TYPE, problem
+from foundation.rest.access import Access
+from foundation.rest.guard import AccessGuard
+from foundation.rest.refusals import DATA_HEADERS, Refusal, RefusalLog
+
+VIEWERS_MAX = 8
+_FIGURES_WITHIN_S = 3.0
+_HANDSHAKE_S = 5.0
+_REQUEST_BYTES = 1 << 16  # of a viewer's message
+_TEXT = "text/plain; version=0.0.4; charset=utf-8"
+
+
+class Feeder:
+    """One service's connection. ``channels``: of its topics, in their order."""
+
+    def __init__(self, said: wire.FeedHello, writer: asyncio.StreamWriter, numbers: Iterable[int]) -> None:
+        self.service = said.service
+        self.session = said.session
+        self.channels = [
+            channel._replace(id=number) for channel, number in zip(said.channels, numbers, strict=False)
+        ]
+        self.newest: dict[int, tuple[int, bytes]] = {}  # of channels that are sent once
+        self._once = said.once
+        self._writer = writer
+        self._wanted: list[int] = []
+        self._asked: list[asyncio.Future[str]] = []
+
+    def tell_wanted(self, channels: frozenset[int]) -> None:
+        """Have the service feed these channels of its own, and no others."""
+        wanted = [number for number, channel in enumerate(self.channels) if channel.id in channels]
+        if wanted != self._wanted:
+            self._wanted = wanted
+            self._say({"wanted": wanted})
+
+    def heard(self, topic: int, log_ns: int, data: bytes) -> int:
+        """The channel of a message."""
+        channel = self.channels[topic].id
+        if topic in self._once:
+            self.newest[channel] = log_ns, data
+        return channel
+
+    async def figures(self) -> str:
+        """What Prometheus is told of the service; empty when it does not say in time."""
+        answer: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        self._asked.append(answer)
+        self._say({"figures": True})
+        try:
+            return await asyncio.wait_for(answer, _FIGURES_WITHIN_S)
+        except TimeoutError:
+            return ""
+
+    def told(self, figures: str) -> None:
+        """It has said them."""
+        for answer in self._asked:
+            if not answer.done():
+                answer.set_result(figures)
+        self._asked.clear()
+
+    def _say(self, said: dict[str, Any]) -> None:
+        self._writer.write(json.dumps(said).encode() + b"\n")
+
+
+class Viewer:
+    """One viewer's connection. ``subscribed``: its own numbers by channel."""
+
+    def __init__(self, connection: ServerConnection) -> None:
+        self.subscribed: dict[int, int] = {}
+        self._connection = connection
+        self._queue: LatestQueue[bytes] = LatestQueue()
+        self._texts: list[str] = []
+        self._more = asyncio.Event()
+
+    def say(self, text: str) -> None:
+        """Send a text before all data."""
+        self._texts.append(text)
+        self._more.set()
+
+    def show(self, channel: int, log_ns: int, data: bytes) -> None:
+        """Send a message; where the viewer does not keep up, newer ones take its place."""
+        number = self.subscribed.get(channel)
+        if number is not None:
+            self._queue.put(channel, foxglove.message_data(number, log_ns, data), len(data))
+            self._more.set()
+
+    async def keep_sending(self) -> None:
+        """Send until cancelled, or until the connection is closed."""
+        with contextlib.suppress(ConnectionClosed):
+            while True:
+                await self._more.wait()
+                self._more.clear()
+                while self._texts:
+                    await self._connection.send(self._texts.pop(0))
+                while not self._texts and (taken := self._queue.take()) is not None:
+                    if taken[0] in self.subscribed:
+                        await self._connection.send(taken[1])
+
+
+class LiveFace:
+    """What is served. ``name``: as viewers show it."""
+
+    def __init__(self, access: Access, log: EventLog, name: str) -> None:
+        self._name = name
+        self._guard = AccessGuard(_nothing, access, RefusalLog(log))
+        self._numbers = itertools.count(1)
+        self._feeders: list[Feeder] = []
+        self._viewers: list[Viewer] = []
+
+    async def serve(self, listener: socket.socket) -> Server:
+        """Serve at ``listener``, which is bound, until the server that is returned is closed."""
+        return await serve(
+            self._met,
+            sock=listener,
+            process_request=self._asked,
+            subprotocols=[Subprotocol(name) for name in foxglove.SUBPROTOCOLS],
+            compression=None,
+            open_timeout=_HANDSHAKE_S,
+            max_size=_REQUEST_BYTES,
+            server_header=None,
+        )
+
+    async def fed(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Take what one service feeds, until it ends."""
+        feeder: Feeder | None = None
+        try:
+            while True:
+                kind, topic, log_ns, size = wire.HEAD.unpack(await reader.readexactly(wire.HEAD.size))
+                if size > wire.MOST:
+                    return
+                data = await reader.readexactly(size)
+                if kind == wire.HELLO:
+                    feeder = self._joined(wire.read_hello(data), writer)
+                elif feeder is not None and kind == wire.FIGURES:
+                    feeder.told(data.decode())
+                elif feeder is not None:
+                    channel = feeder.heard(topic, log_ns, data)
+                    for viewer in self._viewers:
+                        viewer.show(channel, log_ns, data)
+        except (asyncio.IncompleteReadError, OSError):
+            return
+        finally:
+            self._left(feeder)
+            writer.close()
+
+    def _joined(self, said: wire.FeedHello, writer: asyncio.StreamWriter) -> Feeder:
+        feeder = Feeder(said, writer, self._numbers)
+        self._feeders.append(feeder)
+        self._tell(foxglove.advertise(feeder.channels))
+        return feeder
+
+    def _left(self, feeder: Feeder | None) -> None:
+        if feeder in self._feeders:
+            self._feeders.remove(feeder)
+            feeder.told("")
+            gone = [channel.id for channel in feeder.channels]
+            for viewer in self._viewers:
+                for channel in gone:
+                    viewer.subscribed.pop(channel, None)
+            self._tell(foxglove.unadvertise(gone))
+
+    def _tell(self, text: str) -> None:
+        for viewer in self._viewers:
+            viewer.say(text)
+
+    async def _met(self, connection: ServerConnection) -> None:
+        """Serve one viewer until it leaves."""
+        viewer = Viewer(connection)
+        self._viewers.append(viewer)
+        session = self._feeders[0].session if self._feeders else ""
+        viewer.say(foxglove.server_info(self._name, session))
+        for feeder in self._feeders:
+            viewer.say(foxglove.advertise(feeder.channels))
+        sending = asyncio.create_task(viewer.keep_sending())
+        try:
+            async for message in connection:
+                try:
+                    self._subscribe(viewer, foxglove.subscriptions(message))
+                except ValueError as error:
+                    viewer.say(foxglove.warning(str(error)[:200]))
+        except ConnectionClosed:
+            pass
+        finally:
+            self._viewers.remove(viewer)
+            sending.cancel()
+            self._tell_wanted()
+
+    def _subscribe(self, viewer: Viewer, asked: foxglove.Subscriptions) -> None:
+        known = {channel.id for feeder in self._feeders for channel in feeder.channels}
+        for channel, number in list(viewer.subscribed.items()):
+            if number in asked.removed:
+                del viewer.subscribed[channel]
+        new = {channel: number for number, channel in asked.added.items() if channel in known}
+        viewer.subscribed |= new
+        for channel in set(asked.added.values()) - known:
+            viewer.say(foxglove.warning(f"there is no channel {channel}"))
+        for feeder in self._feeders:
+            for channel in new.keys() & feeder.newest.keys():
+                viewer.show(channel, *feeder.newest[channel])
+        self._tell_wanted()
+
+    def _tell_wanted(self) -> None:
+        wanted = frozenset(channel for viewer in self._viewers for channel in viewer.subscribed)
+        for feeder in self._feeders:
+            feeder.tell_wanted(wanted)
+
+    async def _asked(self, connection: ServerConnection, request: Request) -> Response | None:
+        """The answer to what is no viewer, or may not look; None lets the handshake go on."""
+        scope = _scope(connection, request)
+        refusal = self._guard.refusal(scope)
+        if refusal is not None:
+            return _refused(refusal)
+        if scope["path"] == "/metrics":
+            told = [await feeder.figures() for feeder in self._feeders]
+            return _response(http.HTTPStatus.OK, "".join(told).encode(), _TEXT)
+        if scope["path"] != "/":
+            why = "there are / for viewers and /metrics"
+            return _refused(problem(http.HTTPStatus.NOT_FOUND, "request.not_found", why))
+        if len(self._viewers) >= VIEWERS_MAX:
+            why = f"{VIEWERS_MAX} viewers look already"
+            status = http.HTTPStatus.SERVICE_UNAVAILABLE
+            return _refused(problem(status, "refused.too_many_followers", why))
+        return None
+
+
+async def _nothing(*_given: Any) -> None:
+    """No application: the guard is asked for its judgement alone."""
+
+
+def _scope(connection: ServerConnection, request: Request) -> dict[str, Any]:
+    """A handshake as our guard of HTTP reads requests."""
+    headers = [
+        (name.lower().encode(), value.encode("latin-1")) for name, value in request.headers.raw_items()
+    ]
+    return {
+        "type": "http",
+        "method": "GET",
+        "scheme": "http",
+        "path": request.path.partition("?")[0],
+        "headers": headers,
+        "server": connection.local_address,
+        "client": connection.remote_address,
+    }
+
+
+def _refused(refusal: Refusal) -> Response:
+    status = http.HTTPStatus(refusal["status"])
+    response = _response(status, json.dumps(refusal).encode(), MEDIA_TYPE)
+    if status == http.HTTPStatus.UNAUTHORIZED:
+        response.headers["WWW-Authenticate"] = 'Bearer realm="longreach"'
+        response.headers["WWW-Authenticate"] = 'Basic realm="longreach", charset="UTF-8"'
+    return response
+
+
+def _response(status: http.HTTPStatus, body: bytes, media_type: str) -> Response:
+    said = DATA_HEADERS | {
+        "Content-Type": media_type,
+        "Content-Length": str(len(body)),
+        "Connection": "close",
+    }
+    return Response(status.value, status.phrase, Headers(**said), body)
