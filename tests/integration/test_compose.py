@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import yaml
 
+from foundation.configuration import parse_overrides
 from plant_emulator.core.truth import tool_error
 from plant_emulator.shell.recording import read_truth
 from testbed.realtime.rest_rig import RestRig
@@ -41,8 +42,15 @@ def document() -> dict[str, Any]:
     return dict(yaml.safe_load((ROOT / "docker-compose.yml").read_text()))
 
 
+def own_document() -> dict[str, Any]:
+    """What is started without a profile."""
+    compose = document()
+    services = {name: each for name, each in compose["services"].items() if "profiles" not in each}
+    return compose | {"services": services}
+
+
 def test_only_the_rest_port_is_published_and_only_on_loopback() -> None:
-    services = document()["services"]
+    services = own_document()["services"]
     assert set(services) == {"tokens", "plant", "controller", "vision"}
     published = {name: service["ports"] for name, service in services.items() if "ports" in service}
     assert published == {"vision": ["127.0.0.1:${LONGREACH_PORT:-8000}:8000"]}
@@ -56,7 +64,7 @@ def test_fieldbus_and_camera_are_on_an_internal_network() -> None:
 
 
 def test_the_rest_port_wants_the_tokens_that_are_made_at_the_first_start() -> None:
-    services = document()["services"]
+    services = own_document()["services"]
     made = [word for word in services["tokens"]["command"] if word.startswith(TOKENS)]
     assert made == [f"{TOKENS}/look", f"{TOKENS}/operate"]
     for role, path in zip(("look", "operate"), made, strict=True):
@@ -68,10 +76,11 @@ def test_the_rest_port_wants_the_tokens_that_are_made_at_the_first_start() -> No
 
 
 def test_each_service_is_watched_and_waits_for_those_it_needs() -> None:
-    services = document()["services"]
+    services = own_document()["services"]
     first = services.pop("tokens")  # it ends before the others begin
     assert "healthcheck" not in first
     assert all(service["healthcheck"]["test"][0] == "CMD" for service in services.values())
+    assert services["plant"].pop("depends_on") == {"tokens": {"condition": "service_completed_successfully"}}
     assert set(services["controller"]["depends_on"]) == {"plant"}
     wanted = services["vision"]["depends_on"]
     assert wanted.pop("tokens") == {"condition": "service_completed_successfully"}
@@ -86,6 +95,24 @@ def test_the_image_runs_without_privileges_from_locked_dependencies() -> None:
     assert "USER longreach" in lines
     assert any("--require-hashes" in line for line in lines)
     assert all(service["cap_drop"] == ["ALL"] for service in document()["services"].values())
+
+
+def test_the_profile_of_figures_reads_the_faces_that_the_services_have() -> None:
+    services = document()["services"]
+    profile = {name for name, each in services.items() if each.get("profiles") == ["metrics"]}
+    assert profile == {"prometheus", "grafana"}
+    assert services["grafana"]["ports"] == ["127.0.0.1:${LONGREACH_GRAFANA_PORT:-3000}:3000"]
+    (job,) = yaml.safe_load((ROOT / "grafana" / "prometheus.yml").read_text())["scrape_configs"]
+    token = job["authorization"]["credentials_file"]
+    assert token in services["tokens"]["command"]
+    for target, stem in (("plant", "plant_service"), ("controller", "controller"), ("vision", "vision")):
+        assert f"{target}:9100" in job["static_configs"][0]["targets"]
+        command = services[target]["command"]
+        assert f"{stem}.live.tokens.look.file={token}" in command
+        assert f"{stem}.live.allowed_hosts=[{target}]" in command
+        assert f"{stem}.live.port=${{LONGREACH_LIVE_PORT:-null}}" in command
+        words = [word.replace("${LONGREACH_LIVE_PORT:-null}", "null") for word in command if ".live." in word]
+        assert parse_overrides(words)[stem]["live"]["port"] is None, "off without the profile's variable"
 
 
 @pytest.mark.docker

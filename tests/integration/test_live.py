@@ -55,7 +55,7 @@ async def test_every_part_is_shown_with_its_schemas(rig: Running) -> None:
         await viewer.subscribe(*viewer.channels)
         await asyncio.to_thread(work, rig)
         spoken = {
-            "/plant/truth", "/plant/capture", "/plant/event", "/plant/log", "/tf_true", "/scene",
+            "/plant/truth", "/plant/capture", "/tf_true", "/scene",
             "/camera_true/left/calibration", "/controller/state", "/tf", "/controller/log", "/vision/frame",
             "/vision/observation", "/vision/look", "/vision/reference", "/vision/clock", "/vision/event",
             "/vision/log", "/vision/tf", "/vision/path", "/camera/left/annotations",

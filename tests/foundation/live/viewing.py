@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from websockets.asyncio.client import ClientConnection, connect
 
-WITHIN_S = 30.0
+WITHIN_S = 60.0
 
 
 class Shown(NamedTuple):
