@@ -12,7 +12,7 @@ from pathlib import Path
 
 import httpx
 
-from foundation.configuration import shipped_configs
+from foundation.command_options import shipped_configs
 from testbed.realtime.launch import prepare
 from testbed.realtime.rest_rig import RestRig
 from testbed.realtime.supervisor import free_port, supervised
