@@ -13,10 +13,10 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from controller.shell.controller_figures import FIGURES as OF_CONTROLLER
 from plant_emulator.shell.plant_figures import FIGURES as OF_PLANT
+from testbed.dashboard.panels import dashboard, metrics_of
 from testbed.realtime.launch import CONTROLLER, PLANT, VISION
 from tests.foundation.live.viewing import WITHIN_S, watching
 from tests.integration.services import Running, running
-from tools.dashboard import dashboard, metrics_of
 from vision_pc.shell.rest.metrics import FIGURES as OF_VISION
 
 pytestmark = pytest.mark.realtime("processes")

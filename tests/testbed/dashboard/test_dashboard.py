@@ -2,13 +2,13 @@
 
 from controller.shell.controller_figures import FIGURES as OF_CONTROLLER
 from plant_emulator.shell.plant_figures import FIGURES as OF_PLANT
+from testbed.dashboard.panels import PATH, dashboard, expressions_of, metrics_of, text
 from tests.support.paths import ROOT
-from tools.dashboard import PATH, dashboard, expressions_of, metrics_of, text
 from vision_pc.shell.rest.metrics import FIGURES as OF_VISION
 
 
 def test_the_file_is_what_the_table_makes() -> None:
-    assert (ROOT / PATH).read_text(encoding="utf-8") == text(), "run: python -m tools.dashboard"
+    assert (ROOT / PATH).read_text(encoding="utf-8") == text(), "run: python -m testbed.dashboard.panels"
 
 
 def test_every_panel_has_its_place_and_every_curve_its_name() -> None:

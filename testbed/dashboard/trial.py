@@ -1,6 +1,6 @@
 """Has Debian's Prometheus read three running services, and evaluates every expression of the dashboard.
 
-``python -m tools.dashboard_try`` prints a line an expression; exit status 1 where one has no value that
+``python -m testbed.dashboard.trial`` prints a line an expression; exit status 1 where one has no value that
 should have one.
 """
 
@@ -13,11 +13,11 @@ from pathlib import Path
 import httpx
 
 from foundation.command_options import shipped_configs
+from testbed.dashboard.panels import dashboard, expressions_of
 from testbed.realtime.launch import prepare
 from testbed.realtime.rest_rig import RestRig
 from testbed.realtime.supervisor import free_port, supervised
 from testbed.reporting.console import bars
-from tools.dashboard import dashboard, expressions_of
 
 _SCRAPE_S, _READY_S, _RUN_S = 1, 60.0, 20.0
 _QUIET = ("_failures_total", "_refused_total")  # tables that are empty while all is well
