@@ -42,13 +42,18 @@ LATER = {
     ),
     "export": Later("testbed.exports.command", "The arm as a file for other tools."),
     "picture": Later("testbed.pictures.command", "Pictures that explain."),
+    "target": Later(
+        "testbed.cli.target:target",
+        "A marker or board as a PDF at true scale, with rulers that tell whether the printer kept it.",
+        "Example: longreach target --marker 582 --size-mm 50 --out marker.pdf",
+    ),
     "token": Later("testbed.cli.token", "Tokens of the REST APIs, and keys of the link."),
 }
 PANELS = {  # in the order of use
     "Run": ("demo", "up", "experiment", "doctor"),
     "See what came out": ("runs", "recording", "replay"),
     "Your arm, camera and machine": (
-        "init", "arm", "camera", "hand-eye", "commission", "identify", "markers", "odometry",
+        "init", "arm", "target", "camera", "hand-eye", "commission", "identify", "markers", "odometry",
     ),
     "Put to the test": ("validate", "soak", "conformance", "sniff", "proxy"),
     "For other tools": ("export", "picture", "token"),
