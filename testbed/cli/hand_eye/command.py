@@ -6,10 +6,11 @@ from typing import Annotated
 import typer
 
 from foundation.command_options import unfolded
-from testbed.cli.hand_eye.options import PicturedBoard, SampleSource
+from testbed.cli.hand_eye.options import PicturedBoard, PoseLines, SampleSource
 from testbed.cli.hand_eye.session import app as session
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
-from vision_pc.config.choices import Detector, Method
+from testbed.reporting.console import writable
+from vision_pc.config.choices import Detector, Method, Setup
 
 app = typer.Typer(help="Hand-eye calibration, guided on a rig or from files.", no_args_is_help=True)
 app.add_typer(session, name="session")
@@ -52,6 +53,30 @@ def intrinsics(
     from testbed.cli.hand_eye.files import run_intrinsics_of_pictures
 
     run_intrinsics_of_pictures(pictures, board, detector, json_file)
+
+
+@app.command(
+    "samples",
+    epilog="Example: longreach hand-eye samples pictures poses.csv --poses kuka --camera camera.yaml",
+)
+@unfolded
+def samples_of_pictures(
+    pictures: Annotated[Path, typer.Argument(help="Directory of pictures of the board.")],
+    poses: Annotated[Path, typer.Argument(help="The hand in the base, a line a picture.")],
+    camera: Annotated[
+        Path, typer.Option(help="Of `camera calibrate` (its left eye), or JSON of `hand-eye intrinsics`.")
+    ],
+    board: PicturedBoard,
+    form: PoseLines,
+    setup: Annotated[Setup, typer.Option(help="Where the camera is mounted.")] = Setup.EYE_IN_HAND,
+    to: Annotated[Path, typer.Option("--out", help="The file to write.", callback=writable)] = Path(
+        "samples.json"
+    ),
+) -> None:
+    """The samples that `solve` reads, from pictures of a board and the robot's poses."""
+    from testbed.cli.hand_eye.files import run_samples
+
+    run_samples((pictures, poses, camera), board, form, setup, to)
 
 
 @app.command(epilog="Example: longreach hand-eye drawing configs/cabinet.png")

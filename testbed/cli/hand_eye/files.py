@@ -8,16 +8,17 @@ import numpy as np
 from plant_emulator.config.boards import CabinetConfig
 from plant_emulator.core.camera.cabinet import cabinet_front
 from protocol.errors import MeasurementFailed, RequestRefused
-from testbed.cli.hand_eye.options import PicturedBoard, SampleSource
+from testbed.cli.hand_eye.options import PicturedBoard, PoseLines, SampleSource
 from testbed.experiments.hand_eye import intrinsics_experiment
 from testbed.experiments.hand_eye import tables as experiment_tables
 from testbed.experiments.hand_eye.real_data import hold_out
-from testbed.hand_eye import presentation, trajectories
+from testbed.hand_eye import picture_samples, presentation, trajectories
 from testbed.hand_eye.importer import ImportOptions, load
+from testbed.hand_eye.robot_poses import read_robot_poses
 from testbed.hand_eye.trajectories import PairingOptions
 from testbed.reporting.console import out, write_json
 from testbed.scenarios.settings import chosen_overrides, load_settings
-from vision_pc.config.choices import Detector, Method
+from vision_pc.config.choices import Detector, Method, Setup
 from vision_pc.core.hand_eye.samples import PosePairs
 from vision_pc.core.hand_eye.solvers import bundle, judgement
 from vision_pc.core.hand_eye.solvers.bundle import RobotNoise
@@ -144,6 +145,18 @@ def run_intrinsics_of_pictures(
     }
     view_rms_px = dict(zip(found.names, found.view_rms_px.tolist(), strict=True))
     write_json(json_file, row._asdict() | fit | {"view_rms_px": view_rms_px})
+
+
+def run_samples(
+    files: tuple[Path, Path, Path], board: PicturedBoard, lines: PoseLines, setup: Setup, to: Path
+) -> None:
+    """Write the samples of ``files``: pictures, poses, camera. Raises LongreachError naming the file."""
+    pictures, poses, camera = files
+    found = read_robot_poses(poses, lines.poses_as, lines.hand_unit, lines.euler)
+    pairs = picture_samples.matched(picture_samples.pictures_in(pictures), found, poses.name)
+    chosen = _board(board)
+    content, missed = picture_samples.sample_file(pairs, picture_samples.read_camera(camera), chosen, setup)
+    picture_samples.write_samples(content, missed, chosen, to)
 
 
 def run_drawing(file: Path, scenario: str, config_dir: Path) -> None:

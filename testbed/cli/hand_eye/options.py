@@ -5,6 +5,7 @@ from typing import Annotated, NamedTuple
 
 import typer
 
+from testbed.hand_eye.pose_forms import PoseForm
 from vision_pc.config.choices import Setup
 
 
@@ -35,3 +36,17 @@ class PicturedBoard(NamedTuple):
     charuco: Annotated[bool, typer.Option("--charuco", help="The board is a ChArUco board.")] = False
     marker_mm: Annotated[float, typer.Option(min=0.1, help="Side of a ChArUco board's marker.")] = 18.0
     dictionary: Annotated[str, typer.Option(help="Its dictionary, as OpenCV names it.")] = "DICT_5X5_100"
+
+
+class PoseLines(NamedTuple):
+    """How the robot's poses are written."""
+
+    poses_as: Annotated[PoseForm, typer.Option("--poses", help="Whose way of writing poses.")] = (
+        PoseForm.QUATERNION_XYZW
+    )
+    euler: Annotated[
+        str, typer.Option(help="Order of Euler angles: ZYX about turned axes, zyx about fixed ones.")
+    ] = "ZYX"
+    hand_unit: Annotated[
+        str | None, typer.Option(help="m, cm or mm; by default mm of kuka and abb, else m.")
+    ] = None

@@ -23,7 +23,7 @@ SAID_OTHERWISE = {"--runs", "--directory", "--output", "--outdir", "--drawn", "-
 WITHOUT_FIGURES = {  # commands that print none, so that there is nothing for --json to write
     "up", "sniff", "init", "token new", "arm new", "arm draw", "picture machine", "runs open",
     "recording layout", "camera convert", "camera emulate", "hand-eye drawing", "hand-eye session run",
-    "hand-eye session export",
+    "hand-eye session export", "hand-eye samples",
 }  # fmt: skip
 _SHOWN = re.compile(r"longreach((?: +(?:'[^']*'|[^\s`|#()<>]+))+)")
 

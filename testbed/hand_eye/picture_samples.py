@@ -1,0 +1,210 @@
+"""`longreach hand-eye samples`: pictures of a board and the robot's poses become what `solve` reads."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from protocol.errors import MeasurementFailed, RequestRefused
+from testbed.hand_eye.importer import FORMAT
+from testbed.hand_eye.pose_text import file_text, numbers
+from testbed.hand_eye.robot_poses import RobotPoses
+from testbed.reporting.console import out
+from vision_pc.config.camera_files.reading import read_calibration
+from vision_pc.config.choices import Detector, LensModel, Setup
+from vision_pc.core.hand_eye.solvers.lens import checked
+from vision_pc.core.perception import zhang_intrinsics as zhang
+from vision_pc.core.perception.zhang_intrinsics import BoardView, Charuco, Checkerboard
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import Image
+from vision_pc.shell.cameras.directory import read_grey
+
+_PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
+_LEAST = 3
+
+
+class CameraFile(NamedTuple):
+    """A camera's lens; ``covariance`` is None where the file has none, as is ``size`` (width, height) px."""
+
+    K: Array
+    distortion: Array
+    covariance: Array | None
+    size: tuple[int, int] | None
+
+
+def read_camera(path: Path) -> CameraFile:
+    """The left eye of a calibration file, or the JSON of `hand-eye intrinsics`. Raises LongreachError."""
+    if path.suffix.lower() == ".json":
+        try:
+            data = json.loads(file_text(path))
+        except json.JSONDecodeError as error:
+            raise RequestRefused("refused.hand_eye.unreadable", f"{path.name}: not JSON: {error}") from error
+        if not isinstance(data, dict) or not {"K", "distortion", "covariance"} <= set(data):
+            raise RequestRefused(
+                "refused.hand_eye.format",
+                f"{path.name}: K, distortion, covariance of `hand-eye intrinsics` are wanted",
+            )
+        lens = checked(
+            numbers(data["K"], 9, f"{path.name} K").reshape(3, 3),
+            numbers(data["distortion"], 5, f"{path.name} distortion"),
+            numbers(data["covariance"], 81, f"{path.name} covariance").reshape(9, 9),
+        )
+        return CameraFile(*lens, None)
+    found = read_calibration(path)
+    eye = found.left
+    if eye.lens is not LensModel.BROWN_CONRADY:
+        raise RequestRefused(
+            "refused.hand_eye.lens", f"{path.name}: lens is {eye.lens}, {LensModel.BROWN_CONRADY} is wanted"
+        )
+    K = np.array([[eye.fx_px, 0.0, eye.cx_px], [0.0, eye.fy_px, eye.cy_px], [0.0, 0.0, 1.0]])
+    distortion = np.array(eye.distortion)
+    of_left = None
+    if found.covariance is not None:
+        of_left = checked(K, distortion, np.array(found.covariance)[:9, :9]).covariance
+    return CameraFile(K, distortion, of_left, (found.width_px, found.height_px))
+
+
+def pictures_in(directory: Path) -> list[Path]:
+    """The pictures of a directory in the order of the numbers in their names. Raises RequestRefused."""
+    if not directory.is_dir():
+        raise RequestRefused("refused.hand_eye.unreadable", f"{directory}: a directory of pictures is wanted")
+    found = [path for path in directory.iterdir() if path.suffix.lower() in _PICTURES]
+    if not found:
+        raise RequestRefused("refused.hand_eye.count", f"{directory}: no picture in it")
+    return sorted(
+        found, key=lambda path: [int(w) if w.isdigit() else w for w in re.split(r"(\d+)", path.name)]
+    )
+
+
+def matched(pictures: list[Path], poses: RobotPoses, where: str) -> list[tuple[Path, Array]]:
+    """Each picture with its pose: by name where the poses have names, else in order.
+
+    Raises RequestRefused naming what is left over on either side.
+    """
+    if poses.names is None:
+        if len(pictures) != len(poses.X_BT):
+            over = (
+                f"; left over from {pictures[len(poses.X_BT)].name} on"
+                if len(pictures) > len(poses.X_BT)
+                else ""
+            )
+            raise RequestRefused(
+                "refused.hand_eye.count",
+                f"{where}: {len(poses.X_BT)} poses for {len(pictures)} pictures{over}",
+            )
+        return list(zip(pictures, poses.X_BT, strict=True))
+    twice = sorted({name for name in poses.names if poses.names.count(name) > 1})
+    by_name = dict(zip(poses.names, poses.X_BT, strict=True))
+    keys = [path.name if path.name in by_name else path.stem for path in pictures]
+    over = [path.name for path, key in zip(pictures, keys, strict=True) if key not in by_name]
+    missing = sorted(set(poses.names) - set(keys))
+    for names, what in ((twice, "named twice"), (over, "no pose for"), (missing, "no picture for")):
+        if names:
+            raise RequestRefused("refused.hand_eye.count", f"{where}: {what} {', '.join(names[:10])}")
+    return [(path, by_name[key]) for path, key in zip(pictures, keys, strict=True)]
+
+
+def sample_file(
+    pairs: list[tuple[Path, Array]], camera: CameraFile, board: Checkerboard | Charuco, setup: Setup
+) -> tuple[dict[str, Any], list[str]]:
+    """The content of the samples' file, and the names of pictures without a board.
+
+    Raises RequestRefused (``refused.hand_eye.count``) where fewer than three boards are left.
+    """
+    target = _points(board)
+    samples, missed = [], []
+    for path, X_BT in pairs:
+        image = read_grey(path)
+        if camera.size is not None and image.shape != camera.size[::-1]:
+            raise RequestRefused(
+                "refused.hand_eye.sizes",
+                f"{path.name}: {image.shape[1]}x{image.shape[0]} px, the calibration is of "
+                f"{camera.size[0]}x{camera.size[1]}",
+            )
+        try:
+            view = _found(image, board, path.name)
+        except MeasurementFailed:
+            missed.append(path.name)
+            continue
+        seen = {
+            tuple(np.round(point, 9)): pixel
+            for point, pixel in zip(view.points_m, view.pixels.tolist(), strict=True)
+        }
+        samples.append({
+            "name": path.stem,
+            "hand": X_BT.tolist(),
+            "camera": _pose(view, camera).tolist(),
+            "corners_px": [seen.get(tuple(np.round(point, 9))) for point in target],
+        })  # fmt: skip
+    if len(samples) < _LEAST:
+        raise RequestRefused(
+            "refused.hand_eye.count",
+            f"{len(samples)} pictures show the board, 3 are needed; none in {', '.join(missed)}",
+        )
+    content: dict[str, Any] = {
+        "format": FORMAT, "setup": setup.value, "length_unit": "m", "samples": samples,
+        "target_points_m": target.tolist(), "camera_matrix": camera.K.tolist(),
+        "distortion": camera.distortion.tolist(),
+    }  # fmt: skip
+    if camera.covariance is not None:
+        content["camera_covariance"] = camera.covariance.tolist()
+    return content, missed
+
+
+def _points(board: Checkerboard | Charuco) -> Array:
+    if isinstance(board, Charuco):
+        return np.asarray(zhang.charuco_board(board).getChessboardCorners(), dtype=np.float64)
+    y, x = np.mgrid[0 : board.rows, 0 : board.columns]
+    return board.square_m * np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1).astype(np.float64)
+
+
+def _found(image: Image, board: Checkerboard | Charuco, name: str) -> BoardView:
+    if isinstance(board, Charuco):
+        return zhang.find_charuco(image, board, name)
+    view = zhang.find_checkerboard(image, board, Detector.SECTORS, name)
+    grid = view.pixels.reshape(board.rows, board.columns, 2)
+    if (
+        board.columns + board.rows
+    ) % 2:  # half a turn would exchange black and white: the first square is black
+        turned = _grey(image, grid[:2, :2]) > _grey(image, grid[:2, 1:3])
+    else:
+        turned = grid[0, -1, 0] < grid[0, 0, 0]
+    return view._replace(pixels=view.pixels[::-1]) if turned else view
+
+
+def _grey(image: Image, corners: Array) -> float:
+    x, y = np.round(corners.reshape(-1, 2).mean(axis=0)).astype(int)
+    return float(image[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2].mean())
+
+
+def _pose(view: BoardView, camera: CameraFile) -> Array:
+    """The board in the camera (4, 4) by its corners."""
+    points, pixels = view.points_m, view.pixels
+    _, turn, place = cv2.solvePnP(points, pixels, camera.K, camera.distortion, flags=cv2.SOLVEPNP_IPPE)
+    turn, place = cv2.solvePnPRefineLM(points, pixels, camera.K, camera.distortion, turn, place)
+    X = np.eye(4)
+    X[:3, :3], X[:3, 3] = cv2.Rodrigues(turn)[0], place.ravel()
+    return X
+
+
+def write_samples(
+    content: dict[str, Any], missed: list[str], board: Checkerboard | Charuco, to: Path
+) -> None:
+    """Write the file and say what was left out. Raises OSError."""
+    if missed:
+        out.print(f"no board in {', '.join(missed)}", style="yellow", highlight=False, soft_wrap=True)
+    if isinstance(board, Checkerboard) and (board.columns + board.rows) % 2 == 0:
+        out.print(
+            f"a board of {board.columns}x{board.rows} corners looks the same half a turn on: its upper edge must "
+            "be up in every picture", style="yellow", highlight=False, soft_wrap=True,
+        )  # fmt: skip
+    to.write_text(json.dumps(content, indent=1), encoding="utf-8")
+    known = "with" if "camera_covariance" in content else "without"
+    out.print(
+        f"{to}: {len(content['samples'])} samples, {known} the camera's covariance",
+        highlight=False,
+        soft_wrap=True,
+    )
