@@ -99,9 +99,9 @@ def matched(pictures: list[Path], poses: RobotPoses, where: str) -> list[tuple[P
     twice = sorted({name for name in poses.names if poses.names.count(name) > 1})
     by_name = dict(zip(poses.names, poses.X_BT, strict=True))
     keys = [path.name if path.name in by_name else path.stem for path in pictures]
-    over = [path.name for path, key in zip(pictures, keys, strict=True) if key not in by_name]
+    unposed = [path.name for path, key in zip(pictures, keys, strict=True) if key not in by_name]
     missing = sorted(set(poses.names) - set(keys))
-    for names, what in ((twice, "named twice"), (over, "no pose for"), (missing, "no picture for")):
+    for names, what in ((twice, "named twice"), (unposed, "no pose for"), (missing, "no picture for")):
         if names:
             raise RequestRefused("refused.hand_eye.count", f"{where}: {what} {', '.join(names[:10])}")
     return [(path, by_name[key]) for path, key in zip(pictures, keys, strict=True)]
@@ -198,8 +198,8 @@ def write_samples(
         out.print(f"no board in {', '.join(missed)}", style="yellow", highlight=False, soft_wrap=True)
     if isinstance(board, Checkerboard) and (board.columns + board.rows) % 2 == 0:
         out.print(
-            f"a board of {board.columns}x{board.rows} corners looks the same half a turn on: its upper edge must "
-            "be up in every picture", style="yellow", highlight=False, soft_wrap=True,
+            f"a board of {board.columns}x{board.rows} corners looks the same half a turn on: its upper edge "
+            "must be up in every picture", style="yellow", highlight=False, soft_wrap=True,
         )  # fmt: skip
     to.write_text(json.dumps(content, indent=1), encoding="utf-8")
     known = "with" if "camera_covariance" in content else "without"

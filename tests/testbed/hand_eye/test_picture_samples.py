@@ -1,6 +1,7 @@
 """Robots' forms of a pose against scipy, and pictures with poses all the way to X."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,7 +14,8 @@ from testbed.cli.main import app
 from testbed.experiments.hand_eye.boards import BoardCamera, BoardRenderer, random_board_pose
 from testbed.hand_eye.importer import load
 from testbed.hand_eye.picture_samples import matched
-from testbed.hand_eye.robot_poses import PoseForm, RobotPoses, read_robot_poses
+from testbed.hand_eye.pose_forms import PoseForm
+from testbed.hand_eye.robot_poses import RobotPoses, read_robot_poses
 from vision_pc.config.choices import Method
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.solvers import judgement
@@ -44,7 +46,7 @@ WXYZ = R.as_quat()[[3, 0, 1, 2]]
     ],
 )
 @pytest.mark.parametrize("between", [", ", " ", ";"])
-def test_forms(tmp_path: Path, form: PoseForm, values: Array, words: dict[str, str], between: str) -> None:
+def test_forms(tmp_path: Path, form: PoseForm, values: Array, words: dict[str, Any], between: str) -> None:
     line = between.join(f"{value:.12g}" for value in values)
     (tmp_path / "poses.csv").write_text(f"# robot\npicture{between}pose\na.png{between}{line}\n", "utf-8")
     found = read_robot_poses(tmp_path / "poses.csv", form, **words)
@@ -67,7 +69,7 @@ def test_forms(tmp_path: Path, form: PoseForm, values: Array, words: dict[str, s
     ],
 )
 def test_bad_poses_are_named(
-    tmp_path: Path, text: str, form: PoseForm, words: dict[str, str], told: str
+    tmp_path: Path, text: str, form: PoseForm, words: dict[str, Any], told: str
 ) -> None:
     (tmp_path / "poses.csv").write_text(text, "utf-8")
     with pytest.raises(RequestRefused, match=told):
