@@ -49,7 +49,8 @@ def read_robot_poses(
             "refused.hand_eye.format", f"Euler order {order!r}: such as ZYX or xyz is wanted"
         )
     scale = unit_scale(unit) if unit else UNITS["mm" if form in _IN_MM else "m"]
-    poses, names = [], []
+    poses: list[Array] = []
+    names: list[str | None] = []
     for number, line in enumerate(file_text(path).splitlines(), start=1):
         words = re.split(r"[,;\s]+", line.strip().strip("[],;"))
         if not line.strip() or line.lstrip().startswith("#"):
