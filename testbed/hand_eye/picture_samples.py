@@ -117,28 +117,11 @@ def sample_file(
     target = _points(board)
     samples, missed = [], []
     for path, X_BT in pairs:
-        image = read_grey(path)
-        if camera.size is not None and image.shape != camera.size[::-1]:
-            raise RequestRefused(
-                "refused.hand_eye.sizes",
-                f"{path.name}: {image.shape[1]}x{image.shape[0]} px, the calibration is of "
-                f"{camera.size[0]}x{camera.size[1]}",
-            )
-        try:
-            view = _found(image, board, path.name)
-        except MeasurementFailed:
+        sample = _sample(path, X_BT, camera, board, target)
+        if sample is None:
             missed.append(path.name)
-            continue
-        seen = {
-            tuple(np.round(point, 9)): pixel
-            for point, pixel in zip(view.points_m, view.pixels.tolist(), strict=True)
-        }
-        samples.append({
-            "name": path.stem,
-            "hand": X_BT.tolist(),
-            "camera": _pose(view, camera).tolist(),
-            "corners_px": [seen.get(tuple(np.round(point, 9))) for point in target],
-        })  # fmt: skip
+        else:
+            samples.append(sample)
     if len(samples) < _LEAST:
         raise RequestRefused(
             "refused.hand_eye.count",
@@ -152,6 +135,33 @@ def sample_file(
     if camera.covariance is not None:
         content["camera_covariance"] = camera.covariance.tolist()
     return content, missed
+
+
+def _sample(
+    path: Path, X_BT: Array, camera: CameraFile, board: Checkerboard | Charuco, target: Array
+) -> dict[str, Any] | None:
+    """A picture's entry; None where no board is seen. Raises RequestRefused for another size."""
+    image = read_grey(path)
+    if camera.size is not None and image.shape != camera.size[::-1]:
+        raise RequestRefused(
+            "refused.hand_eye.sizes",
+            f"{path.name}: {image.shape[1]}x{image.shape[0]} px, the calibration is of "
+            f"{camera.size[0]}x{camera.size[1]}",
+        )
+    try:
+        view = _found(image, board, path.name)
+    except MeasurementFailed:
+        return None
+    seen = {
+        tuple(np.round(point, 9)): pixel
+        for point, pixel in zip(view.points_m, view.pixels.tolist(), strict=True)
+    }
+    return {
+        "name": path.stem,
+        "hand": X_BT.tolist(),
+        "camera": _pose(view, camera).tolist(),
+        "corners_px": [seen.get(tuple(np.round(point, 9))) for point in target],
+    }
 
 
 def _points(board: Checkerboard | Charuco) -> Array:
