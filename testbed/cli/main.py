@@ -128,7 +128,7 @@ def replay(
     """
     from testbed.recordings.command import ReplayRequest, run_replay
 
-    request = ReplayRequest(file, truth, settings or [], plot, json_file, decisions)
+    request = ReplayRequest(file, truth, settings or [], plot, json_file, decisions, ahead=True)
     raise typer.Exit(0 if run_replay(request) else 1)
 
 

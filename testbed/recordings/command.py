@@ -1,5 +1,6 @@
 """`longreach replay`: vision's recording run again, compared to the last bit or with other settings."""
 
+import contextlib
 import time
 from collections import deque
 from pathlib import Path
@@ -25,7 +26,9 @@ from testbed.reporting.console import out, table, write_json
 class ReplayRequest(NamedTuple):
     """What is replayed, from whose pictures, with which other settings, and where the results go.
 
-    ``decisions``: programs alone, for which no picture is needed.
+    ``decisions``: programs alone, for which no picture is needed. ``ahead``: pictures that must be rendered
+    are by another process; it starts as multiprocessing's do, so a script that asks for it needs a guarded
+    main module.
     """
 
     file: Path
@@ -34,6 +37,7 @@ class ReplayRequest(NamedTuple):
     plot: Path | None
     json_file: Path | None
     decisions: bool = False
+    ahead: bool = False
 
 
 def run_replay(request: ReplayRequest) -> bool:
@@ -82,7 +86,8 @@ def _replay_perception(
         if not first_ns:
             first_ns.append(log_ns)
 
-    with rendered_ahead(pixels, recording.path) as ahead:
+    in_turn = rendered_ahead(pixels, recording.path) if request.ahead else contextlib.nullcontext(pixels)
+    with in_turn as ahead:
         replay = PerceptionReplay(recording, ahead, moved.take)
         compared = replay.run(advanced)
     took_s = time.process_time() - began_s

@@ -67,7 +67,7 @@ from tests.plant_emulator.plant_world import CONFIGS, plant_config
         ({"actuators": {"wrist1": {"dead_volume_a_l": 0.1}}}, ["step_ms", "0.119", "wrist1.dead_volume_a_l"]),
         ({"pump": {"droop_bar": 0.1}}, ["step_ms", "pump.droop_bar"]),
         ({"valves": {"bandwidth_hz": float("nan")}}, ["valves.bandwidth_hz", "finite"]),
-        ({"valves": {"deadbnad": 0.1}}, ["valves.deadbnad", "not permitted"]),
+        ({"valves": {"deadbnad": 0.1}}, ["valves.deadbnad", "did you mean deadband"]),
         ({"errors": {"backlash": {"half_width_mrad": [0.3, -0.1, 0, 0, 0, 0]}}}, ["half_width_mrad", "-0.1"]),
     ],
 )

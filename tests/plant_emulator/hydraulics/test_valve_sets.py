@@ -103,7 +103,7 @@ def test_a_set_that_came_out_of_a_configuration_goes_in_again() -> None:
             ["valves.deadband.supply_a", "-0.01", "greater than or equal to 0"],
         ),
         ({"valves": {"deadband": {"supply_a": 0.1}}}, ["valves.deadband", "return_b, supply_b, return_a"]),
-        ({"valves": {"deadband": {"supply_c": 0.1}}}, ["valves.deadband.supply_c", "not permitted"]),
+        ({"valves": {"deadband": {"supply_c": 0.1}}}, ["valves.deadband.supply_c", "no such key"]),
         ({"valves": {"deadband": True}}, ["valves.deadband"]),
         ({"valves": {"joints": {"boom": {"hysteresis": 0.1}}}}, ["valves.joints.boom", "'slew'"]),
         (

@@ -189,7 +189,7 @@ def commands(found: Any, path: str) -> dict[str, Any]:
     if not hasattr(found, "list_commands"):
         return {path: found}
     ctx = typer.Context(found)
-    inner = {name: found.get_command(ctx, name) for name in found.list_commands(ctx)}
+    inner = {name: found.resolve_command(ctx, [name])[1] for name in found.list_commands(ctx)}
     return {key: leaf for name, one in inner.items() for key, leaf in commands(one, f"{path} {name}").items()}
 
 

@@ -12,7 +12,7 @@ from foundation.configuration import load
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.faults.kinds import FAULTS
 from testbed.cli.main import app
-from testbed.pictures import command
+from testbed.pictures import effect_sheet
 from testbed.pictures.effects import CLEAN, Effect, effects
 from testbed.pictures.machine import draw_machine
 from testbed.pictures.sheet import COLUMNS, Pair, contact_sheet
@@ -50,7 +50,7 @@ def test_the_command_shows_an_effect_off_and_on(tmp_path: Path, monkeypatch: pyt
         wanted = ("vignetting", "marker covered")
         return tuple(effect for effect in effects(scene) if effect.name in wanted)
 
-    monkeypatch.setattr(command, "effects", two)
+    monkeypatch.setattr(effect_sheet, "effects", two)
     figures = tmp_path / "effects.json"
     options = {"--out": tmp_path, "--config-dir": CONFIGS, "--json": figures}
     words = [str(word) for option in options.items() for word in option]

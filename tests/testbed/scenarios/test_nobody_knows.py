@@ -127,6 +127,10 @@ COINCIDENCES = {
     ("controller.valves.*.deadband.value", "plant.oil.air_fraction"): "of spool, and of oil",
     ("controller.valves.*.delay_ms.std", "plant.valves.*.delay_ms"): "a spread, and a size",
     ("vision.recorded_odometry.d*_px", "scene.camera.rectification.vertical_px"): "depth noise, and rows",
+    (
+        "vision.recorded_odometry.disparity_std_px",
+        "scene.camera.rectification.disparity_px",
+    ): "a spread, one eye",
     ("vision.targets.carried_std_m", "scene.object_of_interest.*.misplaced_m*"): "a drive's, and a print's",
 }
 """Pairs of different things that happen to be equal: patterns of both keys → what they are."""
