@@ -7,12 +7,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from foundation.event_log import EventLog
-from foundation.overload import Limit, OverloadWatch, Tally
+from foundation.overload import WINDOW_NS, Limit, OverloadWatch, Tally
 
 LOOP = "loop"
 _TICK_S = 0.05
 _LOOK_S = 1.0
 _LOOP_LIMIT_PERCENT = 20.0
+_STILL_S = 0.3  # a link is given up after 0.5 s of silence
+_WORKED = 0.5  # share of a standstill; above it the service itself is what held its loop up
 _TELL_AGAIN_NS = 30_000_000_000  # while it lasts
 DISK_LOW_MB, DISK_FULL_MB = 200.0, 20.0
 
@@ -37,31 +39,51 @@ class SelfWatch:
         self._counts = counts
         self._record_dir = record_dir
         self._ticks = Tally(0, 0)
+        self._still, self._still_until_ns = "", 0
+        self._before = ""
         self._told_ns = 0
         self._disk_level = 0
 
     @property
     def overload(self) -> str:
         """One sentence with a figure while the machine is overloaded, else empty."""
-        return self._overload.told
+        return self._overload.told or self._still
 
     async def keep_looking(self) -> None:
         """Look until cancelled."""
         looked_s = time.monotonic()
         while True:
-            began_s = time.monotonic()
+            began_s, worked_s = time.monotonic(), time.process_time()
             await asyncio.sleep(_TICK_S)
             now_s = time.monotonic()
+            if now_s - began_s >= _STILL_S:
+                self.stood_still(time.monotonic_ns(), now_s - began_s, time.process_time() - worked_s)
             missed = max(round((now_s - began_s) / _TICK_S) - 1, 0)
             self._ticks = Tally(self._ticks.done + 1, self._ticks.missed + missed)
             if now_s - looked_s >= _LOOK_S:
                 looked_s = now_s
                 self.look(time.monotonic_ns())
 
+    def stood_still(self, now_ns: int, still_s: float, worked_s: float) -> None:
+        """Tell that the loop did not run for ``still_s``, in which this process had ``worked_s`` of a core.
+
+        Had it little, the machine is overloaded for the next seconds; else the service held itself up.
+        """
+        said = f"{self._log.service} stood still for {still_s:.2f} s"
+        if worked_s > _WORKED * still_s:
+            detail = f"{said}; it worked for {worked_s:.2f} s of it: its own work held it up"
+            self._log.write("held_up", "warning", cause="service.held_up", detail=detail)
+            return
+        self._still = f"the machine is overloaded: {said} and had {worked_s:.2f} s of a processor in it"
+        self._still_until_ns = now_ns + WINDOW_NS
+
     def look(self, now_ns: int) -> None:
         """Compare and tell what has changed."""
-        before = self._overload.told
-        told = self._overload.update(now_ns, {LOOP: self._ticks} | dict(self._counts()))
+        before = self._before
+        if now_ns >= self._still_until_ns:
+            self._still = ""
+        told = self._overload.update(now_ns, {LOOP: self._ticks} | dict(self._counts())) or self._still
+        self._before = told
         if told and (not before or now_ns - self._told_ns >= _TELL_AGAIN_NS):
             self._told_ns = now_ns
             self._log.write("overloaded", "warning", cause="machine.overloaded", detail=told)

@@ -1,5 +1,7 @@
 """Overload: named with the worst share of the last seconds, forgotten when it is over."""
 
+import asyncio
+import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -109,3 +111,45 @@ def test_overload_and_its_end_are_events(recorded: tuple[EventLog, list[float]],
     events = (tmp_path / "events.jsonl").read_text()
     assert events.count("machine.overloaded") == 2  # at each beginning, not at each look
     assert events.count("overload_over") == 1
+
+
+def test_a_standstill_without_a_processor_is_overload_for_five_seconds(
+    recorded: tuple[EventLog, list[float]], tmp_path: Path
+) -> None:
+    log, _ = recorded
+    watch = SelfWatch(log, LIMITS, dict, None)
+    watch.look(0)
+    watch.stood_still(S, 0.69, 0.05)
+    assert watch.overload.endswith("service stood still for 0.69 s and had 0.05 s of a processor in it")
+    for second in range(1, 7):
+        watch.look(second * S)
+        assert bool(watch.overload) is (second < 6)
+    log.close()
+    events = (tmp_path / "events.jsonl").read_text()
+    assert events.count("machine.overloaded") == 1
+    assert events.count("overload_over") == 1
+
+
+def test_a_standstill_by_own_work_is_not_the_machines(
+    recorded: tuple[EventLog, list[float]], tmp_path: Path
+) -> None:
+    log, _ = recorded
+    watch = SelfWatch(log, LIMITS, dict, None)
+    watch.stood_still(S, 0.69, 0.60)
+    watch.look(S)
+    assert watch.overload == ""
+    log.close()
+    assert "service.held_up" in (tmp_path / "events.jsonl").read_text()
+
+
+async def test_a_loop_that_is_held_up_is_told(recorded: tuple[EventLog, list[float]], tmp_path: Path) -> None:
+    log, _ = recorded
+    watching = asyncio.create_task(SelfWatch(log, {}, dict, None).keep_looking())
+    await asyncio.sleep(0)
+    until_s = time.process_time() + 0.4
+    while time.process_time() < until_s:  # at least so long by the clock, and all of it this process's
+        pass
+    await asyncio.sleep(0.1)
+    watching.cancel()
+    log.close()
+    assert "stood still" in (tmp_path / "events.jsonl").read_text()
