@@ -97,6 +97,13 @@ def test_the_image_runs_without_privileges_from_locked_dependencies() -> None:
     assert all(service["cap_drop"] == ["ALL"] for service in document()["services"].values())
 
 
+def test_the_image_has_a_folder_of_its_user_for_every_volume_of_secrets() -> None:
+    """A volume that is filled from the image takes over the owner of its folder; else it is root's."""
+    made = next(line for line in (ROOT / "Dockerfile").read_text().splitlines() if "-m 700" in line).split()
+    mounts = {mount.split(":")[1] for mount in document()["services"]["tokens"]["volumes"]}
+    assert mounts <= set(made)
+
+
 def test_the_profile_of_figures_reads_the_faces_that_the_services_have() -> None:
     services = document()["services"]
     profile = {name for name, each in services.items() if each.get("profiles") == ["metrics"]}
