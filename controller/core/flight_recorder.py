@@ -5,23 +5,27 @@ from typing import Any
 
 from controller.core.scan_types import ScanInput, ScanOutput
 
+Scan = tuple[ScanInput, ScanOutput]
+
 
 class FlightRecorder:
     """A ring of the last ``scans`` scans; it keeps references to immutable images and copies nothing."""
 
     def __init__(self, scans: int) -> None:
-        self._ring: deque[tuple[ScanInput, ScanOutput]] = deque(maxlen=scans)
+        self._ring: deque[Scan] = deque(maxlen=scans)
 
     def record(self, inputs: ScanInput, output: ScanOutput) -> None:
         """Keep one scan; the oldest falls out when the ring is full."""
         self._ring.append((inputs, output))
 
-    def entries(self) -> list[dict[str, Any]]:
-        """The scans kept, oldest first, as plain data; times in ns and s, angles in rad, pressures in bar."""
-        return [_plain(inputs, output) for inputs, output in self._ring]
+    def kept(self) -> tuple[Scan, ...]:
+        """The scans kept, oldest first; taken in microseconds, so that a scan may ask."""
+        return tuple(self._ring)
 
 
-def _plain(inputs: ScanInput, output: ScanOutput) -> dict[str, Any]:
+def plain(scan: Scan) -> dict[str, Any]:
+    """One scan as plain data; times in ns and s, angles in rad, pressures in bar."""
+    inputs, output = scan
     view = output.view._asdict()
     view |= {name: int(view[name]) for name in ("group_state", "fault", "severity")}
     view |= {name: view[name]._asdict() for name in ("X_BT", "X_BT_cmd")}

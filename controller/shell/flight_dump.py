@@ -2,29 +2,28 @@
 
 import asyncio
 import json
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
+from controller.core.flight_recorder import Scan, plain
 from foundation.event_log import EventLog
 
 
-async def dump(
-    directory: Path, fault: str, number: int, entries: list[dict[str, Any]], log: EventLog
-) -> None:
-    """Write ``entries`` as JSON lines, oldest first, to ``flight_<number>_<fault>.jsonl``; a full disk is
+async def dump(directory: Path, fault: str, number: int, scans: Sequence[Scan], log: EventLog) -> None:
+    """Write ``scans`` as JSON lines, oldest first, to ``flight_<number>_<fault>.jsonl``; a full disk is
     logged."""
     path = directory / f"flight_{number:03d}_{fault.lower()}.jsonl"
     try:
-        await asyncio.to_thread(_write, path, entries)
+        await asyncio.to_thread(_write, path, scans)
     except OSError as error:
         log.write(
             "flight_record_failed", "error", cause="recording.unwritable", detail=f"{path}: {error.strerror}"
         )
     else:
-        log.write("flight_record", path=str(path), scans=len(entries), fault=fault)
+        log.write("flight_record", path=str(path), scans=len(scans), fault=fault)
 
 
-def _write(path: Path, entries: list[dict[str, Any]]) -> None:
+def _write(path: Path, scans: Sequence[Scan]) -> None:
     with path.open("w", encoding="utf-8") as file:
-        for entry in entries:  # one at a time, so that the scan gets the interpreter in between
-            file.write(json.dumps(entry) + "\n")
+        for each in scans:  # one at a time: the scan gets the interpreter in between, and memory stays small
+            file.write(json.dumps(plain(each)) + "\n")

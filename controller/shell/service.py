@@ -196,7 +196,7 @@ class ControllerService:
     def _dump(self, fault: FaultCode) -> None:
         assert self._record_dir is not None
         number = len(self._dumps) + 1
-        job = dump(self._record_dir, fault.name, number, self._recorder.entries(), self._log)
+        job = dump(self._record_dir, fault.name, number, self._recorder.kept(), self._log)
         self._dumps.append(asyncio.ensure_future(job))
 
     def _asked_to_stop(self) -> None:
