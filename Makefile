@@ -20,7 +20,7 @@ PROCESSES ?= 2
 FOREIGN_TOOLS := mbpoll tshark gcc
 BROWSERS := chromium chromium-browser google-chrome
 
-.PHONY: help setup setup-dev demo test coverage foreign-tools browser bench experiments lint types imports compose-test sbom audit lock page-vendor clean
+.PHONY: help setup setup-dev demo test coverage foreign-tools browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -78,6 +78,11 @@ bench: $(PEERS_STAMP)  ## benchmarks, with their limits and their peers (one of 
 
 experiments: $(DEV_STAMP)  ## long, seeded experiments
 	$(BIN)/python -m pytest -m experiment --timeout 0 -s $(ARGS)
+
+docs: $(DEV_STAMP)  ## the pages as a site with references from the code, examined: dist/site/index.html
+	rm -rf dist/site
+	$(BIN)/python -m sphinx -W --keep-going -q -j $(PROCESSES) -d dist/site-read -c docs . dist/site
+	$(BIN)/python -m tools.site.examine dist/site
 
 lint: $(DEV_STAMP)  ## ruff
 	$(BIN)/ruff check .

@@ -1,0 +1,162 @@
+"""The site's own parts: references from code, navigation, links into the glossary, and its examination."""
+
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+import typer
+from docutils import nodes
+from docutils.frontend import get_default_settings
+from docutils.parsers.rst import Parser
+from docutils.utils import new_document
+
+from testbed.scenarios.settings import MODELS
+from tools.site import commands, configuration_keys, examine, extension, gallery, glossary, python_interface
+
+ROOT = Path(__file__).parents[2]
+YAML = """
+# of the whole
+
+gain: 2.5  # [M] beside
+# above,
+# and more
+limits:
+  low: -1.0  # [D]
+  both: [1.0, 2.0]  # a list
+"""
+SCHEMA = {
+    "properties": {
+        "gain": {"type": "number", "exclusiveMinimum": 0, "maximum": 10},
+        "mode": {"enum": ["a", "b"], "default": "a"},
+        "limits": {"anyOf": [{"$ref": "#/$defs/Limits"}, {"type": "null"}]},
+        "link": {"$ref": "#/$defs/Link", "default": {"port": 7}},
+    },
+    "$defs": {
+        "Limits": {"properties": {"low": {"type": "number"}}},
+        "Link": {"properties": {"port": {"type": "integer", "minimum": 1}}},
+    },
+}
+
+
+def test_a_key_has_its_value_and_the_comments_above_and_beside() -> None:
+    assert [*configuration_keys.keys(YAML)] == [
+        ("gain", "2.5", "[M] beside"),
+        ("limits.low", "-1.0", "[D]"),
+        ("limits.both", "[1.0, 2.0]", "a list"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("path", "told"),
+    [("gain", "number, > 0, ≤ 10"), ("mode", "`a`, `b`"), ("limits.low", "number"), ("limits.none", "")],
+)
+def test_what_is_allowed_is_what_the_model_says(path: str, told: str) -> None:
+    assert configuration_keys.allowed(SCHEMA, path) == told
+
+
+def test_keys_that_the_file_leaves_out_are_there_with_what_they_then_are() -> None:
+    assert dict(configuration_keys.left_out(SCHEMA, {"gain"})) == {"mode": '"a"', "link.port": "7"}
+    assert dict(configuration_keys.left_out(SCHEMA, {"gain", "mode", "link.port"})) == {}
+
+
+def test_every_shipped_key_is_known_to_its_model() -> None:
+    for name, model in MODELS.items():
+        schema = model.model_json_schema()
+        text = (ROOT / "configs" / f"{name}.yaml").read_text(encoding="utf-8")
+        written = [key.path for key in configuration_keys.keys(text)]
+        assert written
+        assert [path for path in written if not configuration_keys.allowed(schema, path)] == []
+
+
+def test_a_command_is_there_with_what_its_help_says() -> None:
+    app, group = typer.Typer(), typer.Typer()
+    app.add_typer(group, name="arm")
+
+    @app.command()
+    def demo(seed: Annotated[int, typer.Option(help="Which world|s.")] = 3) -> None:
+        """Bring the tool *there*."""
+
+    @group.command(epilog="Example: longreach arm new a_b")
+    def new(name: Annotated[str, typer.Argument(metavar="NAME")]) -> None:
+        """Make one."""
+
+    page = commands.page(app)
+    assert [line for line in page.splitlines() if line.startswith("#")] == [
+        "## longreach demo",
+        "## longreach arm new",
+    ]
+    assert "Bring the tool \\*there\\*." in page
+    assert "| `--seed <int>` | Which world\\|s.  \\[default: 3] |" in page
+    assert "```\nlongreach arm new a_b\n```" in page
+
+
+def test_every_example_and_every_module_of_the_interface_is_shown() -> None:
+    page = gallery.page()
+    for path in (ROOT / "examples" / "python").glob("*.py"):
+        assert f"## {path.name}" in page
+        assert path.read_text(encoding="utf-8") in page
+    assert "longreach.rigs" in python_interface.modules()
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    listed = set(extension.by_reader(ROOT).split())
+    pages = {
+        f"/docs/{path.relative_to(ROOT / 'docs').with_suffix('')}" for path in (ROOT / "docs").rglob("*.md")
+    }
+    indexed = {page for page in pages if page.startswith(("/docs/decisions/0", "/docs/results/"))}
+    assert pages - indexed - {"/docs/README"} - listed == set()
+
+
+GLOSSARY = """
+.. list-table::
+   :header-rows: 1
+
+   * - term
+     - meaning here
+   * - scan, cycle
+     - one call
+   * - look
+     - several frames
+"""
+
+
+def parsed(text: str) -> nodes.document:
+    document = new_document("page", get_default_settings(Parser))
+    Parser().parse(text, document)
+    return document
+
+
+def test_a_term_is_a_link_where_it_is_first_used() -> None:
+    found = glossary.terms(parsed(GLOSSARY))
+    assert [term.anchor for term in found] == ["term-scan-cycle", "term-look"]
+    page = parsed("Scans\n=====\n\n``scan`` first, a scan, one more scan, an outlook.\n")
+    done: set[str] = set()
+    for text in list(page.findall(nodes.Text)):
+        if not glossary.inside(text):
+            glossary.link(text, glossary.words(found), "g.html", done)
+    (link,) = page.findall(nodes.reference)
+    assert (link["refuri"], link["reftitle"], link.astext()) == ("g.html#term-scan-cycle", "one call", "scan")
+    assert "first, a scan, one more scan, an outlook." in page.astext()
+
+
+@pytest.mark.parametrize(
+    ("body", "wrong"),
+    [
+        ('<a href="b.html#there">', None),
+        ('<a href="https://elsewhere.example/">', None),
+        ('<a href="c.html">', "a.html: c.html leads nowhere"),
+        ('<a href="b.html#gone">', "a.html: b.html#gone leads nowhere"),
+        ('<img src="none.png">', "a.html: none.png leads nowhere"),
+        ('<script src="https://cdn.example/x.js"></script>', "a.html: fetches https://cdn.example/x.js"),
+        ('<link rel="stylesheet" href="//cdn.example/x.css">', "a.html: fetches //cdn.example/x.css"),
+    ],
+)
+def test_a_site_is_examined(tmp_path: Path, body: str, wrong: str | None) -> None:
+    (tmp_path / "a.html").write_text(body, encoding="utf-8")
+    (tmp_path / "b.html").write_text('<p id="there">', encoding="utf-8")
+    assert [*examine.faults(tmp_path)] == ([wrong] if wrong else [])
+
+
+def test_a_style_that_fetches_is_found(tmp_path: Path) -> None:
+    (tmp_path / "x.css").write_text('@import "https://fonts.example/f.css"; a { background: url(a.png) }')
+    assert [*examine.faults(tmp_path)] == ["x.css: fetches https://fonts.example/f.css"]
