@@ -91,8 +91,9 @@ def _branch(root: Schema, here: Schema, name: str) -> Schema:
         if name in branch.get("properties", {}):
             found: Schema = branch["properties"][name]
             return found
-        if isinstance(found := branch.get("additionalProperties"), dict):  # names of the user's own
-            return found
+        own = branch.get("additionalProperties")  # names of the user's own
+        if isinstance(own, dict):
+            return own
     return {}
 
 
