@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 
 from tests.support.paths import ROOT
-from tools import dependency_audit
-from tools.bill_of_materials import differences
-from tools.dependency_audit import CLEAN, NOT_AUDITED, VULNERABLE, verdict
-from tools.requirements_lock import Pin, read_lock
+from tools.supply_chain import dependency_audit
+from tools.supply_chain.bill_of_materials import differences
+from tools.supply_chain.dependency_audit import CLEAN, NOT_AUDITED, VULNERABLE, verdict
+from tools.supply_chain.requirements_lock import Pin, read_lock
 
 A, B = "a" * 64, "b" * 64
 PINS = [Pin("numpy", "2.4.6", frozenset({A, B})), Pin("scipy", "1.17.1", frozenset({A}))]

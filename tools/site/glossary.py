@@ -42,18 +42,18 @@ def terms(doctree: nodes.document) -> list[Term]:
     return found
 
 
-class Words(NamedTuple):
+class Vocabulary(NamedTuple):
     """The glossary, ready to be found in a text."""
 
     pattern: re.Pattern[str]
     terms: dict[str, Term]
 
 
-def words(found: list[Term]) -> Words:
+def words(found: list[Term]) -> Vocabulary:
     """All terms, the longest first, singular and plural."""
     by_word = {word.lower(): term for term in found for word in term.words}
     longest_first = sorted(map(re.escape, by_word), key=len, reverse=True)
-    return Words(re.compile(rf"\b({'|'.join(longest_first)})s?\b", re.IGNORECASE), by_word)
+    return Vocabulary(re.compile(rf"\b({'|'.join(longest_first)})s?\b", re.IGNORECASE), by_word)
 
 
 def linked(app: Sphinx, doctree: nodes.document, docname: str) -> None:
@@ -69,7 +69,7 @@ def linked(app: Sphinx, doctree: nodes.document, docname: str) -> None:
             link(text, known, where, done)
 
 
-_KEPT: WeakKeyDictionary[Sphinx, Words] = WeakKeyDictionary()
+_KEPT: WeakKeyDictionary[Sphinx, Vocabulary] = WeakKeyDictionary()
 
 
 def inside(text: nodes.Text) -> bool:
@@ -82,7 +82,7 @@ def inside(text: nodes.Text) -> bool:
     return False
 
 
-def link(text: nodes.Text, known: Words, where: str, done: set[str]) -> None:
+def link(text: nodes.Text, known: Vocabulary, where: str, done: set[str]) -> None:
     """Make the first use of every term in ``text`` that is not yet ``done`` a link into ``where``."""
     parts: list[nodes.Node] = []
     told = str(text)

@@ -1,4 +1,4 @@
-"""``python -m tools.dependency_audit PIP_AUDIT LOCK``: known vulnerabilities of what is locked.
+"""``python -m tools.supply_chain.dependency_audit PIP_AUDIT LOCK``: known vulnerabilities of what is locked.
 
 Exit status 0: every package was looked up and none has one. 1: some have. 3: some could not be looked up,
 which is not the same as having none; pip-audit itself ends with 0 then.

@@ -1,4 +1,4 @@
-"""``python -m tools.bill_of_materials LOCK DOCUMENT``: whether a CycloneDX document has all of the lock."""
+"""``python -m tools.supply_chain.bill_of_materials LOCK DOCUMENT``: whether DOCUMENT has all of the lock."""
 
 import json
 import sys
@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from tools.requirements_lock import Pin, read_lock
+from tools.supply_chain.requirements_lock import Pin, read_lock
 
 
 def differences(pins: Iterable[Pin], document: dict[str, Any]) -> list[str]:

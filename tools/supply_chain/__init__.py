@@ -1,0 +1,1 @@
+"""What is installed: the lock, its bill of materials, its known vulnerabilities."""
