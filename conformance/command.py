@@ -24,8 +24,8 @@ from conformance.runner import (
 )
 from conformance.terminal import SHOWN_AT_ONCE, print_cases, print_results, print_step, result_line
 from foundation.command_options import unfolded
-from foundation.link_key import key_from_file
 from foundation.ports import known_host
+from foundation.secret_source import key_from_file
 from protocol.errors import ConfigurationError
 
 app = typer.Typer(help="Numbered questions to any controller or coupler, each citing a written clause.")

@@ -9,7 +9,7 @@ import typer
 
 from dissector.capture import from_file, from_interface
 from dissector.spoken import TagReader, as_fields, as_line, is_ours
-from foundation.link_key import key_from_file
+from foundation.secret_source import key_from_file
 
 
 def sniff(

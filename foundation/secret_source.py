@@ -13,10 +13,11 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from foundation.configuration import StrictModel
-from protocol.authentication import MIN_SECRET_BYTES
+from protocol.authentication import MIN_SECRET_BYTES, LinkKey
 from protocol.errors import ConfigurationError
 
 _MAX_FILE_BYTES = 4096
+_LINK_KEY = "link key"
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
@@ -109,3 +110,17 @@ def write_new_secret(path: Path) -> None:
 
 def _error(what: str, fault: str, why: str) -> ConfigurationError:
     return ConfigurationError(f"configuration.{what.rpartition(' ')[2]}_{fault}", f"{what}: {why}")
+
+
+def read_key(source: SecretSource, environment: Mapping[str, str] | None = None) -> LinkKey | None:
+    """The reference link's shared key that ``source`` names; None when it names none.
+
+    Raises as ``read_secret`` does.
+    """
+    secret = read_secret(source, _LINK_KEY, environment)
+    return None if secret is None else LinkKey(secret)
+
+
+def key_from_file(path: Path) -> LinkKey:
+    """The key in a file of hexadecimal digits. Raises ConfigurationError as ``read_secret`` does."""
+    return LinkKey(secret_from_file(path, _LINK_KEY))

@@ -7,7 +7,7 @@ from controller.core.scan_program import ScanProgram
 from controller.core.scan_types import ScanInput, ScanOutput
 from controller.shell.scan_recorder import ScanRecorder
 from foundation.configuration import configuration_hash
-from foundation.link_key import read_key
+from foundation.secret_source import read_key
 from protocol.process_image import ValveImage, decode_sensors, encode_valves
 from protocol.reference_messages import State
 from protocol.server_session import ReferenceServer

@@ -9,7 +9,7 @@ image of a scan reaches the plant with the next exchange.
 from collections.abc import Callable
 from pathlib import Path
 
-from foundation.link_key import read_key
+from foundation.secret_source import read_key
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import CouplerSilent
 from plant_emulator.core.plant import Plant

@@ -5,7 +5,7 @@ import socket
 import time
 
 from foundation.configuration import configuration_hash
-from foundation.link_key import read_key
+from foundation.secret_source import read_key
 from nominal_arm.description import NominalArm
 from protocol.client_session import ReferenceClient
 from protocol.faults import Reason

@@ -14,7 +14,7 @@ import pytest
 from conformance.outcome import GOOD
 from conformance.parts import OptionalPart
 from conformance.runner import reference_cases, run_reference
-from foundation.link_key import key_from_file
+from foundation.secret_source import key_from_file
 from tests.support.paths import CONFIGS, ROOT
 
 START_S = 90.0

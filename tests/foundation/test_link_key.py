@@ -8,8 +8,7 @@ import pytest
 
 from controller.config import ReferenceLinkConfig
 from foundation.configuration import validated
-from foundation.link_key import read_key
-from foundation.secret_source import SecretSource
+from foundation.secret_source import SecretSource, read_key
 from protocol.authentication import LinkKey
 from protocol.errors import ConfigurationError
 

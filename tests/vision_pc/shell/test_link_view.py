@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from foundation.link_key import key_from_file
-from foundation.secret_source import SecretSource
+from foundation.secret_source import SecretSource, key_from_file
 from protocol.channel import LinkStatistics
 from protocol.errors import ConfigurationError, LinkLost
 from protocol.faults import CommandCode, Reason

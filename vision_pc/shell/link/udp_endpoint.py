@@ -4,7 +4,7 @@ import asyncio
 import secrets
 from typing import Any, cast
 
-from foundation.link_key import read_key
+from foundation.secret_source import read_key
 from protocol.client_session import ReferenceClient
 from protocol.errors import LinkLost
 from vision_pc.application.ports import Clock, Log
