@@ -16,8 +16,8 @@ from testbed.lockstep.run_log import RunLog
 from testbed.realtime.rest_rig import RestRig
 from testbed.reporting.console import QuietBar
 from vision_pc.application.program import Program
-from vision_pc.application.programs import PROGRAMS
 from vision_pc.application.results import JudgedLook
+from vision_pc.shell.installed_programs import every_program
 
 CANCELLED = "refused.cancelled"
 
@@ -147,12 +147,12 @@ def lockstep(
 ) -> SimulatedRig:
     """A rig in simulated time, in the world that ``scenario`` draws for ``seed`` (None: as configured).
 
-    The same seed is the same run. ``programs``: of your own, beside those of the API. ``arm``: a name or a
-    directory, as the command line's ``--arm``.
+    The same seed is the same run. ``programs``: of your own, beside those of the API and of installed
+    packages. ``arm``: a name or a directory, as the command line's ``--arm``.
     Raises ConfigurationError.
     """
     settings = configured(config_dir, arm, scenario, seed, set)
-    return SimulatedRig(LockstepRig(settings, seed, RunLog(), programs=(*PROGRAMS, *programs)))
+    return SimulatedRig(LockstepRig(settings, seed, RunLog(), programs=(*every_program(), *programs)))
 
 
 def connect(url: str, token: bytes | None = None) -> ConnectedRig:

@@ -29,7 +29,7 @@ def fault_state(plant: Plant) -> FaultState:
 def carry_out(message: OrderMessage, plant: Plant, cover: Cover) -> PlantMessage:
     """What the plant says to an order, which is carried out or refused. ``cover``: ``Scene.cover``."""
     try:
-        concerned = _obeyed(message.order, plant, cover)
+        concerned = obey(message.order, plant, cover)
     except RequestRefused as refused:
         answer = OrderAnswer(number=message.number, cause=refused.cause, detail=str(refused))
     else:
@@ -37,7 +37,8 @@ def carry_out(message: OrderMessage, plant: Plant, cover: Cover) -> PlantMessage
     return PlantMessage(state=fault_state(plant), answer=answer)
 
 
-def _obeyed(order: FaultOrder | MendOrder, plant: Plant, cover: Cover) -> list[Injection]:
+def obey(order: FaultOrder | MendOrder, plant: Plant, cover: Cover) -> list[Injection]:
+    """The faults that an order made or mended. Raises RequestRefused."""
     if isinstance(order, MendOrder):
         if order.number is not None:
             return [plant.clear(order.number)]

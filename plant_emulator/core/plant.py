@@ -10,13 +10,15 @@ from plant_emulator.core import columns as col
 from plant_emulator.core.camera.camera_motion import CameraMotion, CameraView, motion_between
 from plant_emulator.core.equilibrium import rest_state
 from plant_emulator.core.faults.effects import (
+    MOST_KG,
     break_hydraulics,
     encoder_shift,
     load_kg,
     sensor_fault_reported,
     stuck_encoders,
+    try_out,
 )
-from plant_emulator.core.faults.kinds import Fault
+from plant_emulator.core.faults.kinds import AnyFault, OwnFault
 from plant_emulator.core.faults.schedule import FaultSchedule, Injection
 from plant_emulator.core.hydraulics.valve_commands import ValveCommands, ValveDrive
 from plant_emulator.core.layout import (
@@ -87,7 +89,7 @@ class Plant:
         self._rng = np.random.default_rng(seed)
         self._mounts = mounts._replace(X_WB=mounts.X_WB @ base_tilt(config))
         self._model, self._chain, self._bare_tool = build_model(config)
-        self._payload_kg = config.payload.mass_kg
+        self._payload_kg = self._load_kg = config.payload.mass_kg
         put_payload(self._model, self._bare_tool, self._payload_kg, config, self._chain)
         set_phases(self._model.loose, seed)
         start = start_angles(config, self._chain.names)
@@ -216,7 +218,7 @@ class Plant:
             pressures=state[PRESSURE_A : PRESSURE_B + N_ACTUATORS].reshape(2, N_ACTUATORS).T.copy(),
             supply=float(state[SUPPLY]),
             oil_temperature_degc=float(state[TEMPERATURE]),
-            payload_kg=self._load_kg(),
+            payload_kg=self._load_kg,
             valves=self._commands.target.copy(),
             spools=state[SPOOL : SPOOL + N_ACTUATORS].copy(),
             flows=work.flows[:, [col.F_NET_A, col.F_NET_B]].copy(),
@@ -272,17 +274,22 @@ class Plant:
 
         Raises RequestRefused outside 0 to 1000 kg.
         """
-        if not 0.0 <= mass_kg <= 1000.0:
-            raise RequestRefused("refused.payload", f"payload {mass_kg:g} kg, wanted 0 to 1000")
+        if not 0.0 <= mass_kg <= MOST_KG:
+            raise RequestRefused("refused.payload", f"payload {mass_kg:g} kg, wanted 0 to {MOST_KG:g}")
         self._payload_kg = mass_kg
         self._apply_faults()
 
-    def inject(self, fault: Fault, start_ns: int | None = None, duration_ns: int | None = None) -> Injection:
+    def inject(
+        self, fault: AnyFault, start_ns: int | None = None, duration_ns: int | None = None
+    ) -> Injection:
         """Break something from simulated time ``start_ns`` on (None: now), for ``duration_ns`` or for good.
 
         What concerns camera and coupler is kept here too, for those who play them to ask. Raises
-        RequestRefused as FaultSchedule.inject does.
+        RequestRefused as FaultSchedule.inject does, and ``refused.disturbance`` for one of another package
+        whose effects are nothing that a plant takes.
         """
+        if isinstance(fault, OwnFault):
+            try_out(fault)
         injection = self.faults.inject(fault, self.time_ns, start_ns, duration_ns)
         self._settle_faults()
         return injection
@@ -304,13 +311,11 @@ class Plant:
 
     def _apply_faults(self) -> None:
         """Bring everything that faults change to what those in force make of it."""
-        faults = self.faults.in_force()
-        break_hydraulics(faults, self._model, self._healthy_omega, self._state)
-        self._encoders.hold(stuck_encoders(faults), self._shafts.angle)
-        put_payload(self._model, self._bare_tool, self._load_kg(), self.config, self._chain)
-
-    def _load_kg(self) -> float:
-        return load_kg(self.faults.in_force(), self._payload_kg)
+        active, now_ns = self.faults.active, self.time_ns
+        self._load_kg = load_kg(active, now_ns, self._payload_kg)
+        break_hydraulics(active, now_ns, self._model, self._healthy_omega, self._state)
+        self._encoders.hold(stuck_encoders(self.faults.in_force()), self._shafts.angle)
+        put_payload(self._model, self._bare_tool, self._load_kg, self.config, self._chain)
 
     def _events(self) -> None:
         """Let what is due by now happen: faults, the watchdog, commands that leave the delay."""

@@ -10,7 +10,7 @@ from typing import Any
 from plant_emulator.config.scene import SceneConfig
 from plant_emulator.core.camera.camera_motion import CameraMotion, CameraView, Capture
 from plant_emulator.core.camera.exposures import Exposures
-from plant_emulator.core.faults.kinds import Fault
+from plant_emulator.core.faults.kinds import AnyFault
 from plant_emulator.shell.child_process import ended, started
 from plant_emulator.shell.renderer import encode_shot
 from protocol.errors import LinkLost
@@ -53,7 +53,7 @@ class CameraSender:
             raise LinkLost("link.renderer_ended", f"the renderer ended with status {self._process.wait()}")
 
     def capture(
-        self, view: CameraView, motion: CameraMotion, capture_ns: int, faults: Sequence[Fault]
+        self, view: CameraView, motion: CameraMotion, capture_ns: int, faults: Sequence[AnyFault]
     ) -> int:
         """Number of the frame that is to show ``view``, unless one of the plant's ``faults`` forbids it.
 

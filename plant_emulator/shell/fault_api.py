@@ -22,6 +22,7 @@ from fastapi.responses import JSONResponse
 from starlette.types import Scope
 
 from foundation.event_log import EventLog, process_log
+from foundation.extensions import lines
 from foundation.problems import problem
 from foundation.rest.access import configured_access
 from foundation.rest.docs_page import add_docs
@@ -29,16 +30,17 @@ from foundation.rest.refusals import Refusal
 from foundation.rest.server import RestServer, install_problems
 from foundation.scheduling import Policy, take_policy
 from plant_emulator.config.service import FaultApiConfig
-from plant_emulator.core.faults.kinds import FAULTS
 from plant_emulator.core.faults.orders import (
     MOST_BYTES,
     FaultOrder,
     FaultState,
     MendOrder,
     OrderAnswer,
-    OrderMessage,
     PlantMessage,
+    message_with,
+    order_with,
 )
+from plant_emulator.shell.installed_faults import every_kind, installed_faults, own_kinds
 from protocol.errors import LinkLost, RequestRefused
 
 PLACES = 64  # connections
@@ -49,6 +51,7 @@ _STATUS_OF_CAUSE = {
     "refused.faults_not_allowed": HTTPStatus.FORBIDDEN,
     "refused.no_such_fault": HTTPStatus.NOT_FOUND,
     "refused.unknown_fault": HTTPStatus.UNPROCESSABLE_ENTITY,
+    "refused.disturbance": HTTPStatus.UNPROCESSABLE_ENTITY,
     "refused.fault_parameter": HTTPStatus.UNPROCESSABLE_ENTITY,
     "refused.unknown_marker": HTTPStatus.UNPROCESSABLE_ENTITY,
     "link.plant_silent": HTTPStatus.SERVICE_UNAVAILABLE,
@@ -73,6 +76,7 @@ class DeskLink:
     def __init__(self, link: socket.socket) -> None:
         self.ended = asyncio.Event()
         self._link = link
+        self._message = message_with(own_kinds())
         self._numbers = itertools.count(1)
         self._one = asyncio.Lock()
         self._told = asyncio.Event()
@@ -92,7 +96,7 @@ class DeskLink:
         """The faults that an order made or mended. Raises RequestRefused; LinkLost without an answer."""
         async with self._one, _patience():
             self._waiting = asyncio.get_running_loop().create_future()
-            message = OrderMessage(number=next(self._numbers), order=order)
+            message = self._message(number=next(self._numbers), order=order)
             self._link.send(message.model_dump_json().encode())
             answer = await self._waiting
             while answer.number != message.number:  # one that came too late for its own order
@@ -132,7 +136,7 @@ async def _patience() -> Any:
 
 
 def create_app(plant: FaultedPlant, allowed: bool) -> FastAPI:
-    """The application over one plant."""
+    """The application over one plant; the disturbances of installed packages are kinds like ours."""
     app = FastAPI(title="Longreach plant emulator: faults", version="1", docs_url=None, redoc_url=None)
     install_problems(app, _STATUS_OF_CAUSE, _explained, None if allowed else _not_allowed)
     add_docs(app)
@@ -142,17 +146,17 @@ def create_app(plant: FaultedPlant, allowed: bool) -> FastAPI:
 
 
 def _add_reading(app: FastAPI, plant: FaultedPlant, allowed: bool) -> None:
-    every_kind = JSONResponse(
+    told = JSONResponse(
         [
             {"kind": kind, "description": model.__doc__, "schema": model.model_json_schema()}
-            for kind, model in FAULTS.items()
+            for kind, model in every_kind().items()
         ]
     ).body
 
     @app.get("/faults/kinds", response_model=list[dict[str, Any]])
     async def kinds() -> Response:
         """Every kind of fault: what it does, and the JSON schema of its parameters."""
-        return Response(every_kind, media_type="application/json")
+        return Response(told, media_type="application/json")
 
     @app.get("/faults")
     async def faults() -> dict[str, Any]:
@@ -171,12 +175,16 @@ def _add_reading(app: FastAPI, plant: FaultedPlant, allowed: bool) -> None:
 
 
 def _add_changing(app: FastAPI, plant: FaultedPlant) -> None:
-    @app.post("/faults", status_code=HTTPStatus.CREATED)
-    async def inject(order: FaultOrder, response: Response) -> dict[str, Any]:
+    order_model = order_with(own_kinds())
+
+    async def inject(order: Any, response: Response) -> dict[str, Any]:
         """Break something, now or later; the answer names its number."""
         (injection,) = await plant.ask(order)
         response.headers["location"] = f"/faults/{injection['number']}"
         return injection
+
+    inject.__annotations__["order"] = order_model
+    app.post("/faults", status_code=HTTPStatus.CREATED)(inject)
 
     @app.delete("/faults/{number}")
     async def clear(number: int) -> dict[str, Any]:
@@ -236,6 +244,8 @@ def main() -> int:
         socket.socket(fileno=link_fd) as link,
         asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner,
     ):
+        for cause, told in lines(installed_faults()):
+            log.write("disturbance_left_out", "error", cause=cause, detail=told)
         config = FaultApiConfig.model_validate_json(sys.stdin.buffer.read())
         take_policy(cast(Policy, scheduling))
         runner.run(serve(config, listener, link, log))

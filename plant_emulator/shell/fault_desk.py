@@ -9,10 +9,11 @@ from foundation.rest.access import configured_access
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.fault_execution import carry_out, fault_state
-from plant_emulator.core.faults.orders import MOST_BYTES, OrderMessage, PlantMessage
+from plant_emulator.core.faults.orders import MOST_BYTES, PlantMessage, message_with
 from plant_emulator.core.faults.schedule import Injection
 from plant_emulator.core.plant import Plant
 from plant_emulator.shell.child_process import ended, started
+from plant_emulator.shell.installed_faults import own_kinds
 from protocol.errors import LinkLost
 
 _TOLD_EVERY_NS = 50_000_000
@@ -28,6 +29,7 @@ class FaultDesk:
         self._scene = scene
         self._config = config
         self._log = log
+        self._message = message_with(own_kinds())
         self._link, self._theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._link.setblocking(False)
         self._told: tuple[tuple[Injection, ...], tuple[Injection, ...]] | None = None
@@ -70,7 +72,7 @@ class FaultDesk:
         except OSError:
             data = b""
         if data:
-            message = OrderMessage.model_validate_json(data)
+            message = self._message.model_validate_json(data)
             self._tell(carry_out(message, self._plant, self._scene.cover))
         else:
             self._link.close()

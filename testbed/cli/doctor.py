@@ -7,6 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from foundation.configuration import parse_overrides
+from plant_emulator.shell.installed_faults import installed_faults
 from protocol.errors import ConfigurationError
 from testbed.realtime import doctor
 from testbed.realtime.arm_check import arm_check
@@ -14,6 +15,7 @@ from testbed.realtime.doctor import HealthCheck
 from testbed.realtime.launch import ports_in_use
 from testbed.reporting.console import bars, out, write_json
 from testbed.scenarios.settings import Overrides, Settings, load_settings, loaders
+from vision_pc.shell.installed_programs import installed_programs
 
 _STYLES = {"ok": "green", "warning": "yellow", "failed": "bold red"}
 _LOCK = Path("requirements.lock")
@@ -37,6 +39,7 @@ def examine(config_dir: Path, assignments: list[str], runs: Path, json_file: Pat
 
 def _all_checks(config_dir: Path, overrides: Overrides, runs: Path) -> Iterator[HealthCheck]:
     yield from doctor.machine_checks(_LOCK, runs)
+    yield _extensions_check()
     for name, load in loaders(config_dir, overrides).items():
         yield doctor.configuration_check(name, load)
     try:
@@ -47,6 +50,16 @@ def _all_checks(config_dir: Path, overrides: Overrides, runs: Path) -> Iterator[
     yield arm_check(settings.arm, settings.vision.link)
     for use in ports_in_use(settings):
         yield doctor.port_check(use)
+
+
+def _extensions_check() -> HealthCheck:
+    """What installed packages add to programs and disturbances, and what of it cannot be used."""
+    both = installed_programs(), installed_faults()
+    names = [f"{name} of {package}" for some in both for name, package in some.packages.items()]
+    wrong = [str(one) for some in both for one in some.left_out]
+    found = "; ".join(wrong or names) or "none"
+    advice = "mend or uninstall the package; the rest works without it" if wrong else ""
+    return HealthCheck("extensions", "warning" if wrong else "ok", found, advice)
 
 
 def _peers_check(settings: Settings) -> HealthCheck:

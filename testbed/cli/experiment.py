@@ -1,19 +1,18 @@
 """`longreach experiment NAME`: one command for every experiment of the catalogue."""
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 
 from foundation.command_options import options_of, with_signature
 from testbed.cli.later import LaterGroup
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
 from testbed.experiments.catalogue import Entry, catalogue
-from testbed.reporting.console import out, writable, write_json
+from testbed.reporting.console import out, words, writable, write_json
 
 if TYPE_CHECKING:
     from testbed.campaigns.experiment import Experiment
@@ -64,18 +63,9 @@ def experiment() -> None:
 def list_experiments(json_file: JsonFile = None) -> None:
     """All experiments: what each shows, and what a run costs."""
     entries = [(name, entry.shows, entry.cost) for name, entry in catalogue().items()]
-    out.print(_words("experiments", ("longreach experiment", "shows", "a run costs"), entries))
+    out.print(words("experiments", ("longreach experiment", "shows", "a run costs"), entries))
     keys = ("experiment", "shows", "run_costs")
     write_json(json_file, {"experiments": [dict(zip(keys, entry, strict=True)) for entry in entries]})
-
-
-def _words(title: str, columns: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Table:
-    made = Table(title=title, title_justify="left")
-    for column in columns:
-        made.add_column(column, overflow="fold")
-    for row in rows:
-        made.add_row(*row)
-    return made
 
 
 def _app_of(entry: Entry, name: str) -> typer.Typer:

@@ -14,6 +14,7 @@ from testbed.cli.options import (
     ConfigDir,
     DemoOptions,
     DemoTarget,
+    Disturbed,
     IdentifyOptions,
     JsonFile,
     OdometryOptions,
@@ -67,6 +68,17 @@ def doctor(
     from testbed.cli.doctor import examine
 
     raise typer.Exit(0 if examine(config_dir, settings or [], runs, json_file) else 1)
+
+
+@app.command(epilog="Example: longreach programs --json programs.json")
+def programs(json_file: JsonFile = None) -> None:
+    """Programs, disturbances and experiments: ours, and what installed packages add.
+
+    Exit status 1 when one of an installed package cannot be run.
+    """
+    from testbed.cli.programs import list_programs
+
+    raise typer.Exit(0 if list_programs(json_file) else 1)
 
 
 @app.command(epilog="Example: longreach init   then: edit configs/vision.yaml")
@@ -172,6 +184,7 @@ def commission(
 def demo(
     start: StartOptions,
     chosen: DemoOptions,
+    disturbed: Disturbed,
     scenario: Scenario = "standard",
     seed: Seed = 1,
     config_dir: ConfigDir = DEFAULT_CONFIG,
@@ -183,13 +196,18 @@ def demo(
     from testbed.demonstration.lockstep import run_lockstep_demo
     from testbed.demonstration.realtime import run_demo
     from testbed.reporting.presentation import Choice
+    from testbed.scenarios.named_requests import fault_orders, named_request
     from testbed.scenarios.settings import chosen_overrides, with_faults
 
     holes = chosen.target is DemoTarget.HOLE
+    programs = tuple(named_request(word) for word in disturbed.program or [])
+    faults = fault_orders(disturbed.fault or [])
     if holes and scenario == "standard":
         scenario = "drill_face"
-    overrides = with_faults(chosen_overrides(config_dir, scenario, seed, settings or []), start.allow_faults)
-    choice = Choice(scenario, seed, HOLES if holes else chosen.looks, holes)
+    breaks = start.allow_faults or bool(faults)
+    overrides = with_faults(chosen_overrides(config_dir, scenario, seed, settings or []), breaks)
+    looks = HOLES if holes else 1 if programs else chosen.looks
+    choice = Choice(scenario, seed, looks, holes, programs, faults)
     if chosen.lockstep:
         passed = run_lockstep_demo(config_dir, overrides, choice, start.runs, json_file)
     else:

@@ -69,6 +69,27 @@ class DemoOptions(NamedTuple):
     ] = DemoTarget.OBJECT
 
 
+class Disturbed(NamedTuple):
+    """What is run and broken, of ours or of an installed package; `longreach programs` lists both."""
+
+    program: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME[,KEY=VALUE]",
+            help="Run this program after the orientation adjustment, in place of calibration and looks; "
+            "repeatable.",
+        ),
+    ] = None
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KIND[,KEY=VALUE]",
+            help="Break this at the start, such as encoder_jump,joint=lift,angle_mrad=5,start_after_s=20; "
+            "repeatable.",
+        ),
+    ] = None
+
+
 class SoakOptions(NamedTuple):
     """How long a soak lasts, and how hard it is."""
 

@@ -50,7 +50,7 @@ LATER = {
     "token": Later("testbed.cli.token", "Tokens of the REST APIs, and keys of the link."),
 }
 PANELS = {  # in the order of use
-    "Run": ("demo", "up", "experiment", "doctor"),
+    "Run": ("demo", "up", "experiment", "programs", "doctor"),
     "See what came out": ("runs", "recording", "replay"),
     "Your arm, camera and machine": (
         "init", "arm", "target", "camera", "hand-eye", "commission", "identify", "markers", "odometry",

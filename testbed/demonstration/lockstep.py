@@ -4,7 +4,9 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
+from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.wall.bores import hole_places
+from plant_emulator.core.fault_execution import obey
 from protocol.errors import LongreachError
 from testbed.demonstration.holes import aimed_truths, visit_holes
 from testbed.demonstration.sequence import Recorder, Rest, TimedTruth, demonstrate, stages, traces
@@ -49,10 +51,12 @@ def run_lockstep(
     recorder = Recorder(rig, shown)
     details = {}
     try:
+        for order in choice.faults:
+            obey(order, rig.world.plant, Scene(settings.scene).cover)
         if choice.holes:
             visit_holes(rig, recorder)
         else:
-            demonstrate(rig, recorder, choice.looks)
+            demonstrate(rig, recorder, choice.looks, choice.programs)
     except LongreachError as error:
         details["failure"] = f"{error.cause}: {error}"
         log.add(rig.world.time_ns, "failure", cause=error.cause, message=str(error))

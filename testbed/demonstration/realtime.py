@@ -6,13 +6,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import httpx
+
+from foundation.secret_source import read_secret
 from plant_emulator.core.camera.wall.bores import hole_places
+from plant_emulator.core.faults.orders import FaultOrder
 from plant_emulator.shell.recording import FaultRecord, read_truth
 from protocol.errors import LongreachError
 from testbed.demonstration.holes import aimed_truths, visit_holes
 from testbed.demonstration.sequence import JSON, Recorder, Rest, TimedTruth, demonstrate, stages, traces
 from testbed.realtime.launch import PLANT, VISION, Launch, prepare
-from testbed.realtime.rest_rig import RestRig, StateSampler
+from testbed.realtime.rest_rig import RestRig, StateSampler, bearer, error_of
 from testbed.realtime.supervisor import Supervisor
 from testbed.realtime.up import end_on_sigterm, show_console, show_fault_api, show_live, started, tell
 from testbed.reporting.console import Bars, bars, out
@@ -113,10 +117,11 @@ def drive(launch: Launch, choice: Choice, shown: Bars, supervisor: Supervisor) -
         try:
             with shown.step("waiting for links and camera"):
                 rig.wait_healthy(_HEALTHY_S)
+            _break(launch, choice.faults)
             if choice.holes:
                 visit_holes(rig, recorder)
             else:
-                demonstrate(rig, recorder, choice.looks)
+                demonstrate(rig, recorder, choice.looks, choice.programs)
         except LongreachError as error:
             supervisor.check()
             failure = error
@@ -136,3 +141,14 @@ def _details(launch: Launch, driven: Driven, faults: Sequence[FaultRecord]) -> d
     if faults:
         details["faults"] = [fault._asdict() for fault in faults]
     return details
+
+
+def _break(launch: Launch, orders: Sequence[FaultOrder]) -> None:
+    """Have the plant break what is ordered. Raises what its API answers."""
+    face = launch.settings.plant_service.fault_face
+    token = read_secret(face.tokens.operate, "operate token")
+    for order in orders:
+        with httpx.Client(base_url=f"http://{face.host}:{face.port}", headers=bearer(token)) as client:
+            answer = client.post("/faults", json=order.model_dump(mode="json"))
+        if not answer.is_success:
+            raise error_of(answer.json())

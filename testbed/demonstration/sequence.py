@@ -17,6 +17,7 @@ from testbed.reporting.console import Bar, Bars
 from testbed.reporting.outcome import Array, Errors, Stage
 from testbed.reporting.plots import TracedView, Traces
 from testbed.reporting.report import Picture
+from testbed.scenarios.named_requests import NamedRequest
 from vision_pc.application.visit import Visited
 from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.calibration.orientation import OrientationResult
@@ -126,11 +127,20 @@ class Recorder:
         return self._rig.latest_look()
 
 
-def demonstrate(rig: Rig, recorder: Recorder, looks: int) -> None:
-    """Run the whole sequence and note it in ``recorder``. Raises what stopped it."""
+def demonstrate(rig: Rig, recorder: Recorder, looks: int, programs: Sequence[NamedRequest] = ()) -> None:
+    """Run the whole sequence and note it in ``recorder``. Raises what stopped it.
+
+    ``programs`` run in place of calibration and looks; the end of the last is what counts.
+    """
     rig.command("enable")
     recorder.step("start", "look", {})
     recorder.step("orientation adjustment", "orientation-adjustment", {})
+    names = [name for name, _ in programs]
+    for index, (name, body) in enumerate(programs):
+        label = f"{name} ({names[: index + 1].count(name)})" if names.count(name) > 1 else name
+        recorder.step(label, name, dict(body), look_number=1 if index == len(programs) - 1 else 0)
+    if programs:
+        return
     recorder.step("trajectory matching", "trajectory-matching", {})
     for number in range(1, looks + 1):
         recorder.step(f"look {number}", "look-then-move", {"inputs": 1}, look_number=number)

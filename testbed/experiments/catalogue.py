@@ -7,9 +7,9 @@ entry points of the group ``longreach.experiments``: name = ``module:EXPERIMENT`
 from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
-from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from foundation.extensions import Declared, declared, of_type
 from protocol.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -36,25 +36,36 @@ class Entry(NamedTuple):
     """An experiment before it is loaded: what it shows, CPU time of a run, and where it is defined.
 
     ``places``: method → ``module:NAME``, the usual method first; modules are counted from ``package``.
+    ``taken``: why an installed package's has no name of its own, else empty.
     """
 
     places: Mapping[str, str]
     shows: str
     cost: str
     package: str = "testbed.experiments."
+    taken: str = ""
 
     def load(self, method: str | None = None) -> "Experiment[Any, Any]":
         """The experiment, by the usual method where none is named.
 
-        Raises ConfigurationError (``experiment.not_loaded``) where an installed package has none there.
+        Raises ConfigurationError (``extension.…``) where an installed package has none there.
         """
+        if self.taken:
+            raise ConfigurationError("extension.name_taken", self.taken)
         module, _, name = self.places[method or next(iter(self.places))].partition(":")
         try:
-            loaded: Experiment[Any, Any] = getattr(import_module(self.package + module), name)
-        except (ImportError, AttributeError) as error:
-            why = f"{self.package}{module}:{name}: {error}"
-            raise ConfigurationError("experiment.not_loaded", why) from error
-        return loaded
+            loaded: Any = getattr(import_module(self.package + module), name)
+        except Exception as error:
+            if not self.package:  # foreign code: whatever it raises is its own fault
+                why = f"{module}:{name}: {type(error).__name__}: {error}"
+                raise ConfigurationError("extension.not_loaded", why) from error
+            raise
+        if not self.package:
+            from testbed.campaigns.experiment import Experiment as Wanted
+
+            loaded = of_type(Wanted, "a testbed.campaigns.experiment.Experiment", loaded)
+        experiment: Experiment[Any, Any] = loaded
+        return experiment
 
 
 def _one(place: str, shows: str, cost: str) -> Entry:
@@ -201,8 +212,11 @@ OURS = {
 @cache
 def catalogue() -> dict[str, Entry]:
     """Ours, and those that installed packages add; a name of ours stays ours."""
-    others = {
-        point.name: Entry({"": point.value}, f"of {point.dist.name if point.dist else '?'}", "–", "")
-        for point in entry_points(group=GROUP)
-    }
+    others = {one.name: Entry({"": one.place}, f"of {one.package}", "–", "", one.taken) for one in added()}
     return {**others, **OURS}
+
+
+@cache
+def added() -> tuple[Declared, ...]:
+    """What installed packages add, those too whose name is taken; nothing is loaded."""
+    return tuple(declared(GROUP, OURS))

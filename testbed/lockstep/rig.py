@@ -21,11 +21,11 @@ from testbed.scenarios.settings import Settings
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.program import Program, by_name
-from vision_pc.application.programs import PROGRAMS
 from vision_pc.application.results import JSON
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.measuring import Click
 from vision_pc.core.types import Look
+from vision_pc.shell.installed_programs import every_program, installed_programs
 from vision_pc.shell.recording.recorded_ports import record_programs
 
 
@@ -51,6 +51,7 @@ class LockstepRig:
 
     Link, arm, eyes and programs are the service's own classes. ``sight``: what the eyes measure with in place
     of rendered pictures, such as ``simulated_sight`` with its model and seed bound.
+    ``programs``: None for ours and those of installed packages.
     """
 
     def __init__(
@@ -59,7 +60,7 @@ class LockstepRig:
         seed: int,
         log: RunLog,
         sight: SightMaker | None = None,
-        programs: Sequence[Program[Any, Any]] = PROGRAMS,
+        programs: Sequence[Program[Any, Any]] | None = None,
     ) -> None:
         self.world = World(settings, seed, log)
         self.link = self.world.link
@@ -72,7 +73,7 @@ class LockstepRig:
         self.application = VisionApplication(
             arm, self.eyes, self.link, self.camera, vision.programs, boom, self._log
         )
-        self._programs = by_name(programs)
+        self._programs = by_name(every_program() if programs is None else programs)
         self.world.connect()
 
     def record_in(self, directory: Path, session: str) -> LockstepRecordings:
@@ -98,7 +99,8 @@ class LockstepRig:
         """
         if kind not in self._programs:
             known = ", ".join(self._programs)
-            raise RequestRefused("refused.unknown_program", f"no program {kind}; known: {known}")
+            why = f"no program {kind}; known: {known}{installed_programs().why_not(kind)}"
+            raise RequestRefused("refused.unknown_program", why)
         program = self._programs[kind]
         try:
             asked = program.body(**body)

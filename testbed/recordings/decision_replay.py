@@ -39,8 +39,8 @@ from testbed.recordings.replayed_ports import (
 )
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.program import Program, by_name
-from vision_pc.application.programs import PROGRAMS
 from vision_pc.core.ports import Eyes
+from vision_pc.shell.installed_programs import every_program
 from vision_pc.shell.recording import read_messages as reads
 from vision_pc.shell.recording import vision_messages as own
 
@@ -129,13 +129,15 @@ class DecisionReplay:
     ``damages``: what of the file could not be read.
     """
 
-    def __init__(self, recording: RecordedVision, programs: tuple[Program[Any, Any], ...] = PROGRAMS) -> None:
+    def __init__(
+        self, recording: RecordedVision, programs: tuple[Program[Any, Any], ...] | None = None
+    ) -> None:
         self.comparison = ReplayComparison(recording.exact)
         self.not_run: Counter[str] = Counter()
         self._operations = RecordedOperations(recording.path)
         self.damages = self._operations.damages
         self._answers = ReplayedAnswers(self._operations, self.comparison)
-        self._programs = by_name(programs)
+        self._programs = by_name(every_program() if programs is None else programs)
         self._arm = ReplayedArm(self._answers)
         self._application = VisionApplication(
             self._arm,

@@ -93,6 +93,16 @@ def table(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) 
     return made
 
 
+def words(title: str, columns: Iterable[str], rows: Iterable[Iterable[object]]) -> Table:
+    """A table of words: all to the left, long ones over several lines."""
+    made = Table(title=title, title_justify="left")
+    for column in columns:
+        made.add_column(column, overflow="fold")
+    for row in rows:
+        made.add_row(*(str(cell) for cell in row))
+    return made
+
+
 def listed(title: str, columns: Columns, rows: Iterable[Any]) -> Table:
     """A table with a line for each typed row.
 

@@ -85,7 +85,7 @@ def verdict(outcome: Outcome) -> str:
         return f"{where}; {word} ±{1e3 * LIMIT_M:.0f} mm"
     x, y, z = 1e3 * last.true.p_m
     return (
-        f"true error after look {outcome.looks}: x {x:+.2f} mm, y {y:+.2f} mm (z {z:+.2f} mm), "
+        f"true error after {last.label}: x {x:+.2f} mm, y {y:+.2f} mm (z {z:+.2f} mm), "
         f"{word} ±{1e3 * LIMIT_M:.0f} mm in x and y"
     )
 

@@ -8,21 +8,29 @@ from typing import Any, NamedTuple
 from rich.table import Table
 from rich.text import Text
 
+from plant_emulator.core.faults.orders import FaultOrder
 from testbed.reporting import outcome as outcomes
 from testbed.reporting.console import out, write_json
 from testbed.reporting.outcome import Outcome
 from testbed.reporting.plots import Traces
 from testbed.reporting.report import Picture, write_report
 from testbed.reporting.run_record import note
+from testbed.scenarios.named_requests import NamedRequest
 
 
 class Choice(NamedTuple):
-    """What a demonstration is asked for; ``holes``: to drive to three drill holes, not to the object."""
+    """What a demonstration is asked for; ``holes``: to drive to three drill holes, not to the object.
+
+    ``programs``: to run after the orientation adjustment, in place of calibration and looks. ``faults``: what
+    breaks, counted from the start.
+    """
 
     scenario: str
     seed: int
     looks: int
     holes: bool = False
+    programs: tuple[NamedRequest, ...] = ()
+    faults: tuple[FaultOrder, ...] = ()
 
 
 def outcome_table(outcome: Outcome) -> Table:

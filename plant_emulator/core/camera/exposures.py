@@ -9,10 +9,10 @@ from plant_emulator.config.camera import CameraConfig
 from plant_emulator.core.camera.camera_motion import Capture
 from plant_emulator.core.camera.drift import Drift
 from plant_emulator.core.faults.kinds import (
+    AnyFault,
     BaseFault,
     CameraBlind,
     CameraFrozen,
-    Fault,
     FramesDropped,
     MarkerCovered,
 )
@@ -51,7 +51,7 @@ class Exposures:
         self._last: Shot | None = None
         self._drift = Drift(config.drift, seed)
 
-    def shot(self, capture: Capture, faults: Sequence[Fault]) -> Shot:
+    def shot(self, capture: Capture, faults: Sequence[AnyFault]) -> Shot:
         """The frame that the camera sends at ``capture`` under the plant's ``faults`` in force."""
         dropping = _latest(faults, FramesDropped)
         lost = max(self._config.dropped_frame_share, dropping.share if dropping else 0.0)
@@ -87,5 +87,5 @@ class Exposures:
         return share > 0.0 and np.random.default_rng((self._seed, stream, frame_id)).random() < share
 
 
-def _latest(faults: Sequence[Fault], kind: type[FaultT]) -> FaultT | None:
+def _latest(faults: Sequence[AnyFault], kind: type[FaultT]) -> FaultT | None:
     return next((fault for fault in reversed(faults) if isinstance(fault, kind)), None)

@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 
 from plant_emulator.core import columns as col
 from plant_emulator.core.faults.kinds import (
+    AnyFault,
     EncoderBias,
     EncoderJump,
     EncoderStuck,
-    Fault,
+    OwnFault,
     PayloadChange,
     PayloadDrop,
     SupplyLost,
@@ -20,19 +21,24 @@ from plant_emulator.core.faults.kinds import (
 from plant_emulator.core.faults.schedule import Injection
 from plant_emulator.core.layout import N_ACTUATORS, SPOOL_RATE
 from plant_emulator.core.model import Model
+from protocol.errors import RequestRefused
 
 Array = NDArray[np.float64]
+MOST_KG = 1000.0
 
 
-def break_hydraulics(faults: Sequence[Fault], model: Model, healthy_omega: Array, state: Array) -> None:
-    """Write into ``model`` and ``state`` what valves and pump are like under ``faults``.
+def break_hydraulics(
+    active: Sequence[Injection], now_ns: int, model: Model, healthy_omega: Array, state: Array
+) -> None:
+    """Write into ``model`` and ``state`` what valves and pump are like at ``now_ns``.
 
     ``healthy_omega`` (6,): the spools' natural frequencies (rad/s). A stuck spool has none, and no rate.
     """
     omega = model.actuators[:, col.A_OMEGA]
     omega[:] = healthy_omega
     model.circuit[col.C_RUNNING] = 1.0
-    for fault in faults:
+    for injection in active:
+        fault = injection.fault
         if isinstance(fault, ValveStuck):
             omega[fault.index] = 0.0
             state[SPOOL_RATE + fault.index] = 0.0
@@ -40,25 +46,34 @@ def break_hydraulics(faults: Sequence[Fault], model: Model, healthy_omega: Array
             omega[fault.index] *= fault.bandwidth_share
         elif isinstance(fault, SupplyLost):
             model.circuit[col.C_RUNNING] = 0.0
+        elif isinstance(fault, OwnFault):
+            elapsed_s = injection.elapsed_s(now_ns)
+            omega *= _six(fault, "valve_speed", fault.valve_speed(elapsed_s), 0.0, 1.0)
+            state[SPOOL_RATE : SPOOL_RATE + N_ACTUATORS][omega == 0.0] = 0.0
+            if not fault.pump_runs(elapsed_s):
+                model.circuit[col.C_RUNNING] = 0.0
 
 
-def load_kg(faults: Sequence[Fault], healthy_kg: float) -> float:
+def load_kg(active: Sequence[Injection], now_ns: int, healthy_kg: float) -> float:
     """The load at the tool (kg); of several faults that change it the latest counts."""
     load = healthy_kg
-    for fault in faults:
+    for injection in active:
+        fault = injection.fault
         if isinstance(fault, PayloadDrop):
             load = 0.0
         elif isinstance(fault, PayloadChange):
             load = fault.mass_kg
+        elif isinstance(fault, OwnFault):
+            load = _within(fault, "load_kg", fault.load_kg(injection.elapsed_s(now_ns), load), 0.0, MOST_KG)
     return load
 
 
-def stuck_encoders(faults: Sequence[Fault]) -> set[int]:
+def stuck_encoders(faults: Sequence[AnyFault]) -> set[int]:
     """The joints whose encoders repeat their count."""
     return {fault.index for fault in faults if isinstance(fault, EncoderStuck)}
 
 
-def sensor_fault_reported(faults: Sequence[Fault]) -> bool:
+def sensor_fault_reported(faults: Sequence[AnyFault]) -> bool:
     """Whether the plant itself knows that a sensor is broken."""
     return any(isinstance(fault, EncoderStuck) and fault.reported for fault in faults)
 
@@ -66,10 +81,46 @@ def sensor_fault_reported(faults: Sequence[Fault]) -> bool:
 def encoder_shift(active: Sequence[Injection], now_ns: int) -> Array:
     """How far (6,), in radians, the encoders' readings are off at ``now_ns``."""
     shift = np.zeros(N_ACTUATORS)
-    for _, fault, start_ns, _ in active:
+    for injection in active:
+        fault = injection.fault
         if isinstance(fault, EncoderJump):
             shift[fault.index] += 1e-3 * fault.angle_mrad
         elif isinstance(fault, EncoderBias):
-            grown = min(1e-9 * (now_ns - start_ns) / fault.ramp_s, 1.0)
+            grown = min(injection.elapsed_s(now_ns) / fault.ramp_s, 1.0)
             shift[fault.index] += 1e-3 * fault.angle_mrad * grown
+        elif isinstance(fault, OwnFault):
+            shift += _six(fault, "encoder_shift", fault.encoder_shift(injection.elapsed_s(now_ns)), -1.0, 1.0)
     return shift
+
+
+def try_out(fault: OwnFault) -> None:
+    """Ask a foreign disturbance for all its effects once, before it is let loose on the plant.
+
+    Raises RequestRefused (``refused.disturbance``).
+    """
+    try:
+        _six(fault, "encoder_shift", fault.encoder_shift(0.0), -1.0, 1.0)
+        _six(fault, "valve_speed", fault.valve_speed(0.0), 0.0, 1.0)
+        _within(fault, "load_kg", fault.load_kg(0.0, 0.0), 0.0, MOST_KG)
+        fault.pump_runs(0.0)
+    except RequestRefused:
+        raise
+    except Exception as error:  # foreign code
+        why = f"{fault.name}: {type(error).__name__}: {error}"
+        raise RequestRefused("refused.disturbance", why) from error
+
+
+def _six(fault: OwnFault, what: str, values: Array, low: float, high: float) -> Array:
+    """``values`` of a foreign method; raises RequestRefused for what no plant takes."""
+    found = np.asarray(values, dtype=np.float64)
+    if found.shape != (N_ACTUATORS,) or not np.all((found >= low) & (found <= high)):
+        why = f"{fault.name}: {what} gave {found.tolist()}: wanted six numbers in {low:g} to {high:g}"
+        raise RequestRefused("refused.disturbance", why)
+    return found
+
+
+def _within(fault: OwnFault, what: str, value: float, low: float, high: float) -> float:
+    if not low <= value <= high:
+        why = f"{fault.name}: {what} gave {value!r}: wanted {low:g} to {high:g}"
+        raise RequestRefused("refused.disturbance", why)
+    return float(value)

@@ -4,12 +4,14 @@ A fault says *what* is wrong; ``fault_schedule`` says from when to when. Units a
 boundary: the same models are the body of the emulator's HTTP face and the ``fault`` of its recording.
 """
 
-from typing import Annotated, Literal, get_args
+from typing import Annotated, ClassVar, Literal, get_args
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from foundation.configuration import StrictModel
-from plant_emulator.core.layout import JOINTS
+from plant_emulator.core.layout import JOINTS, N_ACTUATORS
 
 Joint = Literal["slew", "lift", "tilt", "wrist1", "wrist2", "wrist3"]
 Side = Literal["left", "right", "top", "bottom"]
@@ -145,6 +147,32 @@ class CouplerSilent(BaseFault):
     kind: Literal["coupler_silent"] = "coupler_silent"
 
 
+class OwnFault(BaseFault):
+    """Base of a disturbance of another package: what it does, as pure methods, neutral as they stand here.
+
+    ``elapsed_s`` is the simulated time since it began. Encoders are asked at every reading; valves, pump and
+    load when it begins, and again every ``every_s`` of simulated time, if that is not 0.
+    """
+
+    every_s: ClassVar[float] = 0.0
+
+    def encoder_shift(self, elapsed_s: float) -> NDArray[np.float64]:
+        """How far (6,), rad, the encoders' readings are off, base first."""
+        return np.zeros(N_ACTUATORS)
+
+    def valve_speed(self, elapsed_s: float) -> NDArray[np.float64]:
+        """Share (6,), 0 to 1, that is left of the bandwidth of each spool; 0: it stays where it is."""
+        return np.ones(N_ACTUATORS)
+
+    def pump_runs(self, elapsed_s: float) -> bool:
+        """Whether the pump runs."""
+        return True
+
+    def load_kg(self, elapsed_s: float, load_kg: float) -> float:
+        """The load at the tool (kg, 0 to 1000) in place of ``load_kg``."""
+        return load_kg
+
+
 CameraFault = CameraFrozen | CameraBlind | FramesDropped | MarkerCovered
 Fault = (
     ValveStuck
@@ -161,4 +189,5 @@ Fault = (
     | MarkerCovered
     | CouplerSilent
 )
+AnyFault = Fault | OwnFault
 FAULTS: dict[str, type[BaseFault]] = {kind.model_fields["kind"].default: kind for kind in get_args(Fault)}

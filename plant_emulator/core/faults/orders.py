@@ -3,12 +3,13 @@
 The fault API is a process of its own (decision 0022). These models are all that crosses over, as JSON.
 """
 
-from typing import Annotated, Any
+from functools import cache
+from typing import Annotated, Any, Union, get_args
 
-from pydantic import Field
+from pydantic import Field, create_model
 
 from foundation.configuration import StrictModel
-from plant_emulator.core.faults.kinds import Fault
+from plant_emulator.core.faults.kinds import Fault, OwnFault
 
 LONGEST_S = 3600.0
 MOST_BYTES = 1 << 16  # of a message; 64 faults are a third of it
@@ -57,3 +58,26 @@ class PlantMessage(StrictModel):
 
     state: FaultState
     answer: OrderAnswer | None = None
+
+
+@cache  # one class for all who ask: pydantic takes no other's instances
+def order_with(own: tuple[type[OwnFault], ...]) -> type[FaultOrder]:
+    """An order that may also ask for the disturbances ``own`` of other packages."""
+    if not own:
+        return FaultOrder
+    kinds: Any = Union[(*get_args(Fault), *own)]  # as many as there are
+    every: Any = Annotated[kinds, Field(discriminator="kind")]
+    made: type[FaultOrder] = create_model(
+        "FaultOrder", __base__=FaultOrder, __doc__=FaultOrder.__doc__, fault=(every, ...)
+    )
+    return made
+
+
+@cache
+def message_with(own: tuple[type[OwnFault], ...]) -> type[OrderMessage]:
+    """A message with such an order."""
+    if not own:
+        return OrderMessage
+    order: Any = order_with(own) | MendOrder
+    made: type[OrderMessage] = create_model("OrderMessage", __base__=OrderMessage, order=(order, ...))
+    return made

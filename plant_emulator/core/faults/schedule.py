@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, TypeVar
 
-from plant_emulator.core.faults.kinds import BaseFault, Fault
+from plant_emulator.core.faults.kinds import AnyFault, BaseFault, OwnFault
 from protocol.errors import RequestRefused
 
 MOST = 64
@@ -17,7 +17,7 @@ class Injection(NamedTuple):
     """A fault in force from ``start_ns`` until ``end_ns`` (None: until it is cleared), simulated time."""
 
     number: int
-    fault: Fault
+    fault: AnyFault
     start_ns: int
     end_ns: int | None
 
@@ -30,6 +30,17 @@ class Injection(NamedTuple):
             "end_ns": self.end_ns,
             "fault": self.fault.model_dump(mode="json"),
         }
+
+    def elapsed_s(self, now_ns: int) -> float:
+        """How long it has been in force at ``now_ns``."""
+        return 1e-9 * (now_ns - self.start_ns)
+
+    def again_ns(self, asked_ns: int) -> int:
+        """When after ``asked_ns`` its effects on oil and load are asked again."""
+        every_ns = round(1e9 * self.fault.every_s) if isinstance(self.fault, OwnFault) else 0
+        if every_ns <= 0:
+            return NEVER_NS
+        return self.start_ns + ((asked_ns - self.start_ns) // every_ns + 1) * every_ns
 
     def overlaps(self, other: "Injection") -> bool:
         """Whether the two are ever in force together."""
@@ -60,9 +71,10 @@ class FaultSchedule:
         self.planned: tuple[Injection, ...] = ()
         self.changes: list[FaultChange] = []
         self._numbers = 0
+        self._asked_ns = 0
 
     def inject(
-        self, fault: Fault, now_ns: int, start_ns: int | None = None, duration_ns: int | None = None
+        self, fault: AnyFault, now_ns: int, start_ns: int | None = None, duration_ns: int | None = None
     ) -> Injection:
         """Plan ``fault`` from ``start_ns`` (None: now) for ``duration_ns`` (None: until cleared).
 
@@ -105,14 +117,19 @@ class FaultSchedule:
             self._end(injection, now_ns)
 
     def next_ns(self) -> int:
-        """When the next fault begins or ends."""
+        """When the next fault begins, ends, or is to be asked again."""
         starts = [one.start_ns for one in self.planned]
         ends = [one.end_ns for one in self.active if one.end_ns is not None]
-        return min([*starts, *ends, NEVER_NS])
+        return min([*starts, *ends, self._again_ns(), NEVER_NS])
+
+    def _again_ns(self) -> int:
+        return min((one.again_ns(self._asked_ns) for one in self.active), default=NEVER_NS)
 
     def settle(self, now_ns: int) -> bool:
-        """Let everything due by now begin or end; whether anything did."""
+        """Let everything due by now begin or end; whether anything did, or is to be asked again."""
         before = self.active
+        again = self._again_ns() <= now_ns
+        self._asked_ns = now_ns
         for injection in before:
             if injection.end_ns is not None and injection.end_ns <= now_ns:
                 self._end(injection, now_ns)
@@ -122,7 +139,7 @@ class FaultSchedule:
             self.planned = tuple(one for one in self.planned if one is not injection)
             self.active = (*self.active, injection)
             self._note(now_ns, "began", injection)
-        return self.active != before
+        return again or self.active != before
 
     def all(self) -> tuple[Injection, ...]:
         """Those in force and those planned."""
@@ -132,7 +149,7 @@ class FaultSchedule:
         """The latest fault of this kind in force, or None."""
         return next((one.fault for one in reversed(self.active) if isinstance(one.fault, kind)), None)
 
-    def in_force(self) -> Sequence[Fault]:
+    def in_force(self) -> Sequence[AnyFault]:
         """The faults in force, oldest first."""
         return [injection.fault for injection in self.active]
 

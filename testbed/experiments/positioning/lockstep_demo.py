@@ -9,17 +9,21 @@ import typer
 from rich.table import Table
 
 from foundation.configuration import merged, parse_overrides
+from plant_emulator.shell.installed_faults import installed_faults
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, seeds
 from testbed.campaigns.options import Assignments, Scenario
+from testbed.campaigns.provenance import sources_hash
 from testbed.campaigns.typed_rows import XYZ
 from testbed.demonstration.lockstep import run_lockstep
 from testbed.reporting import outcome as outcomes
 from testbed.reporting.console import Columns, bars, listed, table
 from testbed.reporting.outcome import Outcome
 from testbed.reporting.presentation import Choice
+from testbed.scenarios.named_requests import fault_orders, named_request
 from testbed.scenarios.scenario import load_scenario
 from testbed.scenarios.settings import load_settings
+from vision_pc.shell.installed_programs import installed_programs
 
 LIMITS_MM = (10.0, 5.0)
 WANTED_SHARE = 0.9  # of the runs, under LIMITS_MM[0] after the last look: 18 of 20
@@ -50,8 +54,10 @@ def one_run(config_dir: Path, task: dict[str, Any]) -> dict[str, Any]:
     """The row of one seeded demonstration; ``task`` names its scenario, seed, looks and assignments."""
     scenario, seed = task["scenario"], task["seed"]
     world = merged(load_scenario(config_dir, scenario).world(seed), parse_overrides(task["assignments"]))
+    programs = tuple(named_request(word) for word in task.get("program", ()))
+    choice = Choice(scenario, seed, task["looks"], False, programs, fault_orders(task.get("fault", ())))
     with bars(quiet=True) as shown:
-        done = run_lockstep(config_dir, world, Choice(scenario, seed, task["looks"]), shown)
+        done = run_lockstep(config_dir, world, choice, shown)
     return row_of(done.outcome, world)
 
 
@@ -61,6 +67,23 @@ class DemoSettings(NamedTuple):
     looks: Annotated[int, typer.Option(min=1, max=9, help="How many look-then-moves.")] = 2
     scenario: Scenario = "standard"
     assignments: Assignments = None
+    program: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME[,KEY=VALUE]",
+            help="Run this program, of ours or of an installed package, in place of calibration and looks; "
+            "repeatable.",
+        ),
+    ] = None
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KIND[,KEY=VALUE]", help="Break this at the start; repeatable."),
+    ] = None
+
+    @property
+    def ends(self) -> int:
+        """How many ends of a run count: one of programs, else one a look."""
+        return 1 if self.program else self.looks
 
 
 class LookErrors(NamedTuple):
@@ -134,13 +157,25 @@ def demo_tasks(request: CampaignRequest, settings: DemoSettings) -> list[Task]:
     world = load_scenario(request.config_dir, settings.scenario).world(request.seed)
     assignments = settings.assignments or []
     load_settings(request.config_dir, merged(world, parse_overrides(assignments)))
-    asked = {"scenario": settings.scenario, "looks": settings.looks, "assignments": assignments}
+    asked = {"scenario": settings.scenario, "looks": settings.ends, "assignments": assignments}
+    asked |= _own(settings)
     return [{"key": f"seed-{seed}", "seed": seed} | asked for seed in seeds(request)]
+
+
+def _own(settings: DemoSettings) -> Task:
+    """What is run and broken, with the sources of whatever installed packages add to that."""
+    words = {"program": settings.program or [], "fault": settings.fault or []}
+    fault_orders(words["fault"])
+    names = {named_request(word).name for some in words.values() for word in some}
+    own = [(name, program.run.__module__) for name, program in installed_programs().found.items()]
+    own += [(name, kind.__module__) for name, kind in installed_faults().found.items()]
+    sources = {f"sources of {name}": sources_hash(module) for name, module in own if name in names}
+    return {name: some for name, some in words.items() if some} | sources
 
 
 def demo_table(done: Demonstrated) -> list[Table]:
     """Every run's true errors, and the counts by looks."""
-    looks = range(1, done.settings.looks + 1)
+    looks = range(1, done.settings.ends + 1)
     headings = [
         "seed",
         "payload kg",
@@ -168,13 +203,13 @@ def demo_table(done: Demonstrated) -> list[Table]:
     }
     return [
         table("true errors, mm, camera axes", [*headings, "stopped by"], shown),
-        listed("worse of |x| and |y|, true", columns, counts(done.rows, done.settings.looks)),
+        listed("worse of |x| and |y|, true", columns, counts(done.rows, done.settings.ends)),
     ]
 
 
 def demo_verdict(done: Demonstrated) -> list[Check]:
     """Whether enough runs ended under the first limit after the last look."""
-    last = counts(done.rows, done.settings.looks)[-1]
+    last = counts(done.rows, done.settings.ends)[-1]
     wanted = WANTED_SHARE * last.runs
     return [
         Check(
@@ -191,7 +226,7 @@ def demo_figures(done: Demonstrated) -> dict[str, Any]:
     return {
         "scenario": done.settings.scenario,
         "limit_mm": 1e3 * outcomes.LIMIT_M,
-        "counts": counts(done.rows, done.settings.looks),
+        "counts": counts(done.rows, done.settings.ends),
     }
 
 

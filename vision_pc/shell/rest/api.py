@@ -6,6 +6,7 @@ from typing import Any
 
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
+from pydantic import BaseModel, Field
 
 from foundation.problems import MEDIA_TYPE, problem
 from foundation.rest.docs_page import add_docs
@@ -75,6 +76,7 @@ def create_app(
     _add_commands(app, application, operations)
     add_targets(app, application, operations)
     table = by_name(programs).values()
+    _add_table(app, tuple(table))
     add_programs(app, application, operations, (program for program in table if program.tag != HAND_EYE))
     add_resources(app, operations)
     if application.hand_eye is not None:
@@ -121,6 +123,23 @@ def _add_state(app: FastAPI, application: VisionApplication, operations: Operati
     async def link() -> LinkView:
         """Always answered: session, authentication, every counter of datagrams, and the clock's offset."""
         return link_view(application.controller)
+
+
+class ProgramView(BaseModel):
+    """A program that can be asked for at ``/operations/NAME``."""
+
+    name: str
+    title: str
+    own: bool = Field(description="of an installed package, not of Longreach")
+
+
+def _add_table(app: FastAPI, table: Sequence[Program[Any, Any]]) -> None:
+    ours = {program.name for program in PROGRAMS}
+    views = [ProgramView(name=one.name, title=one.title, own=one.name not in ours) for one in table]
+
+    @app.get("/programs", tags=["operations"], summary="Every program, with those of installed packages")
+    async def programs() -> list[ProgramView]:
+        return views
 
 
 def _add_looks(app: FastAPI, application: VisionApplication) -> None:

@@ -39,6 +39,18 @@ export function installActions() {
   document.addEventListener('stopped', () => say('Stopped. What was running has ended; ENABLE still holds.', true));
 }
 
+/** Adds a row for every program of an installed package, once. */
+export async function offerPrograms() {
+  const answer = await send('GET', '/programs');
+  for (const program of answer.ok ? answer.document : []) {
+    if (!program.own || STEPS.some((step) => step.kind === program.name)) continue;
+    const step = { kind: program.name, words: program.title, verb: 'Run' };
+    STEPS.push(step);
+    byId('procedure').append(row(step));
+  }
+  update(shot, may);
+}
+
 /** A button that sends what `request()` says, by a press or held. */
 function button(words, request, { id, hold, primary } = {}) {
   const made = make('button', { type: 'button', id, class: primary ? 'primary' : '' }, words);

@@ -1,7 +1,7 @@
 // The console: puts the streams and the parts of the page together, and judges what is stale.
 
 import { forgetToken, onTokenWanted, send, setToken, takeToken } from './api.js';
-import { installActions, say, update } from './actions.js';
+import { installActions, offerPrograms, say, update } from './actions.js';
 import { byId, write } from './dom.js';
 import { installLayers, pictureAge, showOverlay, showPicture } from './picture.js';
 import { showAlarms, showChips, showLadder, showResume } from './panels.js';
@@ -82,6 +82,7 @@ async function whoAmI() {
   if (!answer.ok || !answer.document) return;
   operate = answer.document.role === 'operate';
   write(byId('whoami'), answer.document.token_wanted ? `${answer.document.role} (token)` : 'operate');
+  offerPrograms();
   if (!operate) say('You may look and stop. Sign in with the operator’s token to move the arm.', true);
 }
 
