@@ -35,7 +35,7 @@ from tools.tables import table
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "evidence.md"
 RESULTS = ROOT / "docs" / "results"
-ON_PAGE_OF_TARGETS = ("targets", "hole-drives")  # ``tools.targets_page`` shows them
+ON_PAGES_OF_SIGHT = ("targets", "hole-drives", "marker-limits")  # ``tools.sight_pages`` shows them
 _ABOUT = "about.json"
 _MOST_MEDIAN_MM, _MOST_RATIO = 1.5, 3.0  # of a changed machine
 
@@ -81,7 +81,7 @@ def sections(results: Path = RESULTS) -> dict[str, str]:
     found = every_kept(results)
     drawn = [one for one in found if one.experiment == "best-mode"]
     changed = [one for one in found if one.experiment == "changed-machine"]
-    elsewhere = ("best-mode", "changed-machine", *ON_PAGE_OF_TARGETS)
+    elsewhere = ("best-mode", "changed-machine", *ON_PAGES_OF_SIGHT)
     others = [one for one in found if one.experiment not in elsewhere]
     heads = (
         "rows | command | runs | one look: within 5 mm | median, 95 % | two looks | median, 95 % | stopped"
@@ -94,7 +94,7 @@ def sections(results: Path = RESULTS) -> dict[str, str]:
             headed(one, table(lines + " | stopped | limits met", _changes(one))) for one in changed
         ),
         "other campaigns": "\n\n".join(
-            headed(one, table("figure | found | asked | met", _verdict(one))) for one in others
+            headed(one, table("figure | found | asked | met", verdict_lines(one))) for one in others
         ),
     }
 
@@ -105,7 +105,7 @@ def headed(one: Kept, rows: str) -> str:
     return f"{about}, {len(one.rows)} rows:\n\n{rows}"
 
 
-def _verdict(one: Kept) -> list[list[str]]:
+def verdict_lines(one: Kept) -> list[list[str]]:
     """The verdict that the experiment itself gives of such rows."""
     experiment = catalogue()[one.experiment].load()
     rows = [typed(experiment.row, row) for row in one.rows]

@@ -160,6 +160,11 @@ OURS = {
         "error of X, its covariance, samples needed and located targets of guided sessions",
         "60 CPU s",
     ),
+    "marker-limits": _one(
+        "markers.limits:MARKER_LIMITS",
+        "how small, oblique, blurred and noisy markers may be, beside OpenCV and AprilTag",
+        "0.6 CPU s",
+    ),
     "odometry-matrix": _one(
         "odometry.matrix:ODOMETRY_MATRIX",
         "whether odometry is right or says so, before movers, gaps, darkness, blur, bad rectification",

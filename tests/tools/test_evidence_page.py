@@ -9,7 +9,7 @@ from testbed.campaigns.row_file import RowFile
 from testbed.campaigns.typed_rows import XYZ, flat
 from testbed.experiments.positioning.corrected_run import Branch, PositioningRow
 from testbed.experiments.positioning.told import Told
-from tools import targets_page
+from tools import sight_pages
 from tools.evidence_page import PAGE, keep, rendered, sections
 
 TEXT = PAGE.read_text(encoding="utf-8")
@@ -19,9 +19,10 @@ def test_the_tables_are_those_of_the_rows() -> None:
     assert rendered(TEXT) == TEXT, "run: python -m tools.evidence_page"
 
 
-def test_the_tables_of_targets_are_those_of_the_rows() -> None:
-    text = targets_page.PAGE.read_text(encoding="utf-8")
-    assert targets_page.rendered(text) == text, "run: python -m tools.targets_page"
+@pytest.mark.parametrize("page", sight_pages.PAGES, ids=lambda page: page.stem)
+def test_the_tables_of_targets_and_markers_are_those_of_the_rows(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert sight_pages.rendered(text) == text, "run: python -m tools.sight_pages"
 
 
 def test_rows_of_targets_stand_on_their_own_page_with_wrong_answers_told(tmp_path: Path) -> None:
@@ -40,7 +41,7 @@ def test_rows_of_targets_stand_on_their_own_page_with_wrong_answers_told(tmp_pat
     (run / "tasks.jsonl").write_text("{}\n", encoding="utf-8")
     keep(run, "scenes", "abc1234", "longreach experiment targets --runs 3", tmp_path / "results")
     assert "abc1234" not in sections(tmp_path / "results")["other campaigns"]
-    made = targets_page.sections(tmp_path / "results")["target scenes"]
+    made = sight_pages.sections(tmp_path / "results")["target scenes"]
     assert "| click, 2 m | 3 | 3 |  | 0.30, 0.30 |" in made
     assert "| 6 of 6 |" in made
     assert "| click on a chessboard | 1 | 1, wrong: 1 |" in made

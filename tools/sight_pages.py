@@ -1,4 +1,6 @@
-"""The tables of docs/targets.md, made from the rows under docs/results; ``python -m tools.targets_page``."""
+"""The tables of docs/targets.md and docs/markers.md, made from the rows under docs/results;
+``python -m tools.sight_pages``.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +11,8 @@ import numpy as np
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Finished
 from testbed.campaigns.typed_rows import typed
+from testbed.experiments.markers.limits import HEADS, MARKER_LIMITS, by_value, line, summary
+from testbed.experiments.markers.one_picture import AXES, PEERS, WORDS, LimitRow
 from testbed.experiments.targets.hole_drives import (
     HOLE_DRIVES,
     HoleDriveRow,
@@ -17,11 +21,11 @@ from testbed.experiments.targets.hole_drives import (
 )
 from testbed.experiments.targets.one_look import TargetSceneSettings, target_verdict
 from testbed.experiments.targets.one_target import ROWS, TargetRow
-from tools.evidence_page import RESULTS, ROOT, Kept, every_kept, headed
+from tools.evidence_page import RESULTS, ROOT, Kept, every_kept, headed, verdict_lines
 from tools.protocol_page import filled
 from tools.tables import table
 
-PAGE = ROOT / "docs" / "targets.md"
+PAGES = (ROOT / "docs" / "targets.md", ROOT / "docs" / "markers.md")
 _REQUEST = CampaignRequest(ROOT / "configs", RESULTS)
 _HEADS = (
     "row | scenes | told | holes found | across mm, camera known: median, 95 % | along mm, as seen | normal °"
@@ -34,10 +38,13 @@ def sections(results: Path = RESULTS) -> dict[str, str]:
     kept = every_kept(results)
     scenes = [one for one in kept if one.experiment == "targets"]
     drives = [one for one in kept if one.experiment == HOLE_DRIVES.name]
+    limits = [one for one in kept if one.experiment == MARKER_LIMITS.name]
     told = "figure | found | asked | met"
     return {
         "target scenes": "\n\n".join(headed(one, _scenes(one)) for one in scenes),
         "hole drives": "\n\n".join(headed(one, table(told, _drives(one))) for one in drives),
+        "marker limits": "\n\n".join(headed(one, _limits(one)) for one in limits),
+        "marker verdict": "\n\n".join(headed(one, table(told, verdict_lines(one))) for one in limits),
     }
 
 
@@ -92,6 +99,18 @@ def _met(rows: list[TargetRow]) -> str:
     return f"{sum(judged)} of {len(judged)}"
 
 
+def _limits(one: Kept) -> str:
+    """A table an axis, and one of false markers and time."""
+    rows = [typed(LimitRow, row) for row in one.rows]
+    values = {WORDS[axis]: by_value(rows, axis) for axis in AXES}
+    made = [
+        table(" | ".join((words, *HEADS)), (line(*found) for found in of))
+        for words, of in values.items()
+        if of
+    ]
+    return "\n\n".join([*made, table(" | ".join(("what", "ours", *PEERS)), summary(rows))])
+
+
 def _drives(one: Kept) -> list[list[str]]:
     rows = [typed(HoleDriveRow, row) for row in one.rows]
     settings = HoleDriveSettings(holes=int(max(row.holes or 1 for row in rows)))
@@ -106,4 +125,5 @@ def rendered(text: str) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(rendered(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for page in PAGES:
+        page.write_text(rendered(page.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,0 +1,1 @@
+"""What square markers may look like and still be read, beside other readers."""
