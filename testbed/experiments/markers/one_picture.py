@@ -105,8 +105,19 @@ def one_picture(config_dir: Path, task: Task) -> LimitRow:
     told = {name: _timed(read, picture.image, rounds) for name, read in readers(task["family"]).items()}
     ours = told["ours"][0]
     seen = {name: judged(found, ours, picture)._replace(ms=ms) for name, (found, ms) in told.items()}
-    by_all = [seen.get(name, Seen()) for name in ("ours", *PEERS)]
-    row = LimitRow(axis, value, seed, len(picture.corners), *by_all, nees=_nees(ours, picture))
+    row = LimitRow(
+        axis,
+        value,
+        seed,
+        len(picture.corners),
+        ours=seen["ours"],
+        none=seen["none"],
+        subpix=seen["subpix"],
+        contour=seen["contour"],
+        apriltag=seen["apriltag"],
+        pupil=seen.get(PUPIL, Seen()),
+        nees=_nees(ours, picture),
+    )
     if axis == TIME:
         known, tracked = _as_in_rigs(config_dir, task["family"], picture)
         row = row._replace(known_ms=known, tracked_ms=tracked)
