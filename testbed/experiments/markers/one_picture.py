@@ -10,8 +10,8 @@ import numpy as np
 
 from foundation.configuration import load
 from testbed.campaigns.campaign import Task
-from testbed.experiments.markers.readers import PUPIL, REFINEMENTS, Reader, Reading, readers
-from testbed.experiments.markers.rendered_tags import Aspect, TagPicture, clutter, tags
+from testbed.experiments.markers.readers import PUPIL, REFINEMENTS, MarkerReading, Reader, readers
+from testbed.experiments.markers.rendered_tags import MarkerAspect, TagPicture, clutter, tags
 from vision_pc.config.vision import MarkerSettings, VisionConfig
 from vision_pc.core.perception import marker_edges, markers
 from vision_pc.core.se3 import Array
@@ -45,7 +45,7 @@ _STREAM = 0x6D61726B
 _NAN = float("nan")
 
 
-class Seen(NamedTuple):
+class MarkersSeen(NamedTuple):
     """What one reader told of a picture: markers ``found``, ``false`` ones, the sum of squared errors (px²)
     of the corners of those found; the same over the markers that ours ``shared`` with it, and of ours there.
     """
@@ -70,12 +70,12 @@ class LimitRow(NamedTuple):
     value: float
     seed: int
     markers: int
-    ours: Seen
-    none: Seen
-    subpix: Seen
-    contour: Seen
-    apriltag: Seen
-    pupil: Seen = Seen()
+    ours: MarkersSeen
+    none: MarkersSeen
+    subpix: MarkersSeen
+    contour: MarkersSeen
+    apriltag: MarkersSeen
+    pupil: MarkersSeen = MarkersSeen()
     nees: float = _NAN
     known_ms: float = _NAN
     tracked_ms: float = _NAN
@@ -83,10 +83,10 @@ class LimitRow(NamedTuple):
     cpu_s: float = _NAN
 
 
-def aspect_of(axis: str, value: float) -> Aspect:
+def aspect_of(axis: str, value: float) -> MarkerAspect:
     """How markers are seen at ``value`` of ``axis``."""
     name, _, small = axis.partition("_")
-    aspect = Aspect(side_px=_SMALL_PX) if small else Aspect()
+    aspect = MarkerAspect(side_px=_SMALL_PX) if small else MarkerAspect()
     fields = {"side": "side_px", "angle": "angle_deg", "blur": "blur_px", "noise": "noise_grey"}
     return aspect._replace(**{fields[name]: float(value)}) if name in fields else aspect
 
@@ -98,7 +98,7 @@ def one_picture(config_dir: Path, task: Task) -> LimitRow:
     order = (*AXES, EMPTY, TIME).index(axis)
     rng = np.random.default_rng([_STREAM, seed, order, int(100 * value)])
     if axis == EMPTY:
-        picture = TagPicture(clutter(Aspect(noise_grey=value), rng), {})
+        picture = TagPicture(clutter(MarkerAspect(noise_grey=value), rng), {})
     else:
         picture = tags(task["family"], aspect_of(axis, value), rng, *((TIMED,) if axis == TIME else ()))
     rounds = _ROUNDS if axis == TIME else 1
@@ -115,7 +115,7 @@ def one_picture(config_dir: Path, task: Task) -> LimitRow:
         subpix=seen["subpix"],
         contour=seen["contour"],
         apriltag=seen["apriltag"],
-        pupil=seen.get(PUPIL, Seen()),
+        pupil=seen.get(PUPIL, MarkersSeen()),
         nees=_nees(ours, picture),
     )
     if axis == TIME:
@@ -124,12 +124,12 @@ def one_picture(config_dir: Path, task: Task) -> LimitRow:
     return row
 
 
-def judged(found: Sequence[Reading], ours: Sequence[Reading], picture: TagPicture) -> Seen:
+def judged(found: Sequence[MarkerReading], ours: Sequence[MarkerReading], picture: TagPicture) -> MarkersSeen:
     """What ``found`` is worth, and ``ours`` on the markers that both found."""
     right = _right(found, picture)
     mine = _right(ours, picture)
     both = right.keys() & mine.keys()
-    return Seen(
+    return MarkersSeen(
         len(right),
         len(found) - len(right),
         sum(right.values()),
@@ -139,7 +139,7 @@ def judged(found: Sequence[Reading], ours: Sequence[Reading], picture: TagPictur
     )
 
 
-def _right(found: Sequence[Reading], picture: TagPicture) -> dict[int, float]:
+def _right(found: Sequence[MarkerReading], picture: TagPicture) -> dict[int, float]:
     """Sum of the squared errors of the four corners, by number, of markers that are there; once each."""
     return {
         one.number: float(np.square(one.corners - picture.corners[one.number]).sum())
@@ -154,12 +154,12 @@ def _is_there(corners: Array, true: Array) -> bool:
     return bool(np.linalg.norm(corners - true, axis=1).max() < min(0.5 * shortest, 5.0))
 
 
-def _nees(ours: Sequence[Reading], picture: TagPicture) -> float:
+def _nees(ours: Sequence[MarkerReading], picture: TagPicture) -> float:
     right = _right(ours, picture)
     return float(sum(right[one.number] / one.std_px**2 for one in ours if one.number in right))
 
 
-def _timed(read: Reader, image: Image, rounds: int) -> tuple[list[Reading], float]:
+def _timed(read: Reader, image: Image, rounds: int) -> tuple[list[MarkerReading], float]:
     """What is read, and the least CPU time of it in ms."""
     found = read(image) if rounds > 1 else []
     spent = []
@@ -190,7 +190,7 @@ def _as_in_rigs(config_dir: Path, family: str, picture: TagPicture) -> tuple[flo
     return known[1], tracked[1]
 
 
-def _looked(image: Image, settings: MarkerSettings, region: markers.Region | None) -> list[Reading]:
+def _looked(image: Image, settings: MarkerSettings, region: markers.Region | None) -> list[MarkerReading]:
     rough, _ = markers.detect(image, settings, region)
     refined = {number: marker_edges.refine(image, quad, lambda at: at) for number, quad in rough.items()}
-    return [Reading(number, corners) for number, corners in refined.items() if corners is not None]
+    return [MarkerReading(number, corners) for number, corners in refined.items() if corners is not None]

@@ -23,7 +23,7 @@ _ORDER = (1, 0, 3, 2)  # its corners in ours, of the same printed marker
 _CENTRE = 0.5  # px: AprilTag's pixels have their centres there, also in OpenCV's refinement of that name
 
 
-class Reading(NamedTuple):
+class MarkerReading(NamedTuple):
     """A marker that a reader tells of, its corners (4, 2) px in ArUco's order, σ per coordinate if told."""
 
     number: int
@@ -31,7 +31,7 @@ class Reading(NamedTuple):
     std_px: float = float("nan")
 
 
-Reader = Callable[[Image], list[Reading]]
+Reader = Callable[[Image], list[MarkerReading]]
 
 
 def readers(dictionary: str) -> dict[str, Reader]:
@@ -44,8 +44,8 @@ def readers(dictionary: str) -> dict[str, Reader]:
     return made
 
 
-def _ours(image: Image, dictionary: str) -> list[Reading]:
-    return [Reading(one.number, one.corners, one.std_px) for one in found_markers(image, dictionary)]
+def _ours(image: Image, dictionary: str) -> list[MarkerReading]:
+    return [MarkerReading(one.number, one.corners, one.std_px) for one in found_markers(image, dictionary)]
 
 
 def _opencv(dictionary: str, refinement: str) -> Reader:
@@ -56,11 +56,11 @@ def _opencv(dictionary: str, refinement: str) -> Reader:
     detector = cv2.aruco.ArucoDetector(book, parameters)
     centre = _CENTRE if refinement == "apriltag" else 0.0
 
-    def read(image: Image) -> list[Reading]:
+    def read(image: Image) -> list[MarkerReading]:
         quads, ids, _ = detector.detectMarkers(image)
         numbers = [] if ids is None else ids.ravel()
         return [
-            Reading(int(number), quad.reshape(4, 2).astype(np.float64) - centre)
+            MarkerReading(int(number), quad.reshape(4, 2).astype(np.float64) - centre)
             for number, quad in zip(numbers, quads, strict=True)
         ]
 
@@ -76,9 +76,9 @@ def _pupil(family: str) -> Reader:
 
     detector = Detector(families=family, nthreads=1, quad_decimate=1.0)
 
-    def read(image: Image) -> list[Reading]:
+    def read(image: Image) -> list[MarkerReading]:
         return [
-            Reading(int(one.tag_id), np.asarray(one.corners)[list(_ORDER)] - _CENTRE)
+            MarkerReading(int(one.tag_id), np.asarray(one.corners)[list(_ORDER)] - _CENTRE)
             for one in detector.detect(image)
         ]
 

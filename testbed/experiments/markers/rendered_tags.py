@@ -25,7 +25,7 @@ _QUIET = 1.0  # cells of paper around the border: what standards ask for
 _CLUTTER = 40
 
 
-class Aspect(NamedTuple):
+class MarkerAspect(NamedTuple):
     """How markers are seen: side in px as if from the front, angle off the normal, σ of blur and noise."""
 
     side_px: float = 40.0
@@ -42,7 +42,7 @@ class TagPicture(NamedTuple):
 
 
 def tags(
-    dictionary: str, aspect: Aspect, rng: np.random.Generator, count: int = COLUMNS * LINES
+    dictionary: str, aspect: MarkerAspect, rng: np.random.Generator, count: int = COLUMNS * LINES
 ) -> TagPicture:
     """Markers of ``dictionary`` in ``count`` of 6 × 3 tiles of a 720p picture, all numbers different."""
     book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
@@ -56,7 +56,7 @@ def tags(
     return TagPicture(_exposed(ground, aspect, rng), corners)
 
 
-def clutter(aspect: Aspect, rng: np.random.Generator) -> Image:
+def clutter(aspect: MarkerAspect, rng: np.random.Generator) -> Image:
     """A 720p picture without markers: dark and bright quadrangles, half of them of random cells."""
     ground = _ground(rng)
     for _ in range(_CLUTTER):
@@ -92,7 +92,7 @@ def _laid(
     ground: Array,
     cells: Array,
     centre: Array,
-    aspect: Aspect,
+    aspect: MarkerAspect,
     rng: np.random.Generator,
     quiet: float = _QUIET,
 ) -> Array:
@@ -159,7 +159,7 @@ def _blurred(halves: Array, blur_px: float) -> Array:
     return np.asarray(cv2.resize(soft, size, interpolation=cv2.INTER_AREA), dtype=np.float64)
 
 
-def _view(centre: Array, aspect: Aspect, rng: np.random.Generator) -> Array:
+def _view(centre: Array, aspect: MarkerAspect, rng: np.random.Generator) -> Array:
     """Homography from the marker's plane (side 1, y down) to pixels: tilted about a drawn axis, turned."""
     axis, turn = rng.uniform(0.0, 2.0 * math.pi, 2)
     tilt = se3.exp_so3(math.radians(aspect.angle_deg) * np.array([math.cos(axis), math.sin(axis), 0.0]))
@@ -174,6 +174,6 @@ def _mapped(H: Array, points: Array) -> Array:
     return np.asarray(homogeneous[:, :2] / homogeneous[:, 2:])
 
 
-def _exposed(ground: Array, aspect: Aspect, rng: np.random.Generator) -> Image:
+def _exposed(ground: Array, aspect: MarkerAspect, rng: np.random.Generator) -> Image:
     noisy = ground + rng.normal(0.0, aspect.noise_grey, ground.shape)
     return np.clip(np.round(noisy), 0, 255).astype(np.uint8)

@@ -13,9 +13,17 @@ from testbed.campaigns.experiment import Check, Finished
 from testbed.experiments.markers import one_picture as one_picture_module
 from testbed.experiments.markers import readers as readers_module
 from testbed.experiments.markers.limits import LimitSettings, limit_tasks, limit_verdict
-from testbed.experiments.markers.one_picture import AXES, EMPTY, TIME, LimitRow, Seen, judged, one_picture
-from testbed.experiments.markers.readers import Reading, readers
-from testbed.experiments.markers.rendered_tags import Aspect, TagPicture, clutter, tags
+from testbed.experiments.markers.one_picture import (
+    AXES,
+    EMPTY,
+    TIME,
+    LimitRow,
+    MarkersSeen,
+    judged,
+    one_picture,
+)
+from testbed.experiments.markers.readers import MarkerReading, readers
+from testbed.experiments.markers.rendered_tags import MarkerAspect, TagPicture, clutter, tags
 
 CONFIGS = Path("configs")
 FAMILY = "DICT_APRILTAG_36h11"
@@ -28,7 +36,7 @@ def request(runs: int = 2) -> CampaignRequest:
 
 def test_light_across_an_upright_edge_tells_where_the_corners_are() -> None:
     """The centroid of the light's change along a row is the edge, whatever the blur."""
-    picture = tags(FAMILY, Aspect(60.0, 0.0, 1.0, 0.0), np.random.default_rng(3), 1)
+    picture = tags(FAMILY, MarkerAspect(60.0, 0.0, 1.0, 0.0), np.random.default_rng(3), 1)
     (corners,) = picture.corners.values()
     middle = corners.mean(axis=0)
     for k in range(4):
@@ -48,7 +56,7 @@ def test_light_across_an_upright_edge_tells_where_the_corners_are() -> None:
 
 
 def test_angle_and_side_are_those_asked_for() -> None:
-    picture = tags(FAMILY, Aspect(30.0, 60.0), np.random.default_rng(1))
+    picture = tags(FAMILY, MarkerAspect(30.0, 60.0), np.random.default_rng(1))
     for quad in picture.corners.values():
         area = cv2.contourArea(quad.astype(np.float32))
         assert area == pytest.approx(900.0 * math.cos(math.radians(60.0)), rel=0.02)
@@ -56,7 +64,7 @@ def test_angle_and_side_are_those_asked_for() -> None:
 
 @pytest.mark.parametrize("name", ["ours", "none", "subpix", "contour", "apriltag"])
 def test_every_reader_reads_plain_markers_with_their_corners_in_order(name: str) -> None:
-    picture = tags(FAMILY, Aspect(60.0), np.random.default_rng(1))
+    picture = tags(FAMILY, MarkerAspect(60.0), np.random.default_rng(1))
     seen = judged(readers(FAMILY)[name](picture.image), [], picture)
     assert (seen.found, seen.false) == (18, 0)
     assert math.sqrt(seen.square / 18 / 8) < {"ours": 0.04, "apriltag": 0.2}.get(name, 0.8)
@@ -66,7 +74,7 @@ def test_the_april_tag_library_reads_them_where_it_is_installed() -> None:
     reader = readers(FAMILY).get(readers_module.PUPIL)
     if reader is None:
         pytest.skip("pupil-apriltags is not installed (make bench installs it)")
-    picture = tags(FAMILY, Aspect(60.0), np.random.default_rng(1))
+    picture = tags(FAMILY, MarkerAspect(60.0), np.random.default_rng(1))
     seen = judged(reader(picture.image), [], picture)
     assert (seen.found, seen.false) == (18, 0)
     assert math.sqrt(seen.square / 18 / 8) < 0.1
@@ -74,10 +82,14 @@ def test_the_april_tag_library_reads_them_where_it_is_installed() -> None:
 
 def test_a_wrong_number_a_wrong_place_and_turned_corners_are_false() -> None:
     picture = TagPicture(np.zeros((2, 2), np.uint8), {7: SQUARE})
-    for wrong in (Reading(8, SQUARE), Reading(7, SQUARE + 6.0), Reading(7, np.roll(SQUARE, 1, axis=0))):
+    for wrong in (
+        MarkerReading(8, SQUARE),
+        MarkerReading(7, SQUARE + 6.0),
+        MarkerReading(7, np.roll(SQUARE, 1, axis=0)),
+    ):
         seen = judged([wrong], [], picture)
         assert (seen.found, seen.false) == (0, 1)
-    seen = judged([Reading(7, SQUARE + 1.0)], [Reading(7, SQUARE + 2.0)], picture)
+    seen = judged([MarkerReading(7, SQUARE + 1.0)], [MarkerReading(7, SQUARE + 2.0)], picture)
     assert (seen.found, seen.square, seen.shared, seen.shared_square, seen.ours_square) == (
         1,
         8.0,
@@ -88,7 +100,7 @@ def test_a_wrong_number_a_wrong_place_and_turned_corners_are_false() -> None:
 
 
 def test_clutter_is_without_markers_and_not_plain() -> None:
-    image = clutter(Aspect(), np.random.default_rng(2))
+    image = clutter(MarkerAspect(), np.random.default_rng(2))
     _, ids, rejected = cv2.aruco.ArucoDetector(
         cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     ).detectMarkers(image)
@@ -119,11 +131,11 @@ def test_unknown_axes_and_families_are_refused() -> None:
 
 
 def test_the_verdict_names_what_falls_short() -> None:
-    ours = Seen(18, 0, 1.0, 18, 1.0, 1.0, 9.0)
-    peer = Seen(17, 0, 9.0, 18, 2.0, 1.0, 9.0)
+    ours = MarkersSeen(18, 0, 1.0, 18, 1.0, 1.0, 9.0)
+    peer = MarkersSeen(17, 0, 9.0, 18, 2.0, 1.0, 9.0)
     good = LimitRow("side", 20.0, 5, 18, ours, peer, peer, peer, peer, nees=144.0)
     empty = good._replace(
-        axis=EMPTY, markers=0, **dict.fromkeys(("ours", "none"), Seen(0, 0, 0.0, 0, 0.0, 0.0))
+        axis=EMPTY, markers=0, **dict.fromkeys(("ours", "none"), MarkersSeen(0, 0, 0.0, 0, 0.0, 0.0))
     )
     timed = good._replace(axis=TIME, known_ms=8.0, tracked_ms=3.0)
     assert all(check.met is not False for check in _checks([good, empty, timed]))
