@@ -101,6 +101,11 @@ def replays(found: list[float]) -> bool:
     return found[-2] > 20 and abs(found[-1] - 30.0) < 3.0
 
 
+def believes_to_be_there(found: list[float]) -> bool:
+    told_mm, true_mm, after_s = found
+    return told_mm < 6.0 < true_mm < 60.0 and after_s < 20.0
+
+
 EXAMPLE_CHECKS = {
     "own_calibration": arrived,
     "own_disturbance": bends_unseen,
@@ -108,6 +113,7 @@ EXAMPLE_CHECKS = {
     "compare_solvers": robust_is_better,
     "tune_a_gain": more_gain_less_lag,
     "replay_a_recording": replays,
+    "own_controller": believes_to_be_there,
 }
 
 
@@ -115,7 +121,13 @@ def test_every_example_is_run_here() -> None:
     assert {path.stem for path in EXAMPLES.glob("*.py")} == set(EXAMPLE_CHECKS)
 
 
-@pytest.mark.parametrize("name", EXAMPLE_CHECKS)
+ON_SOCKETS = {"own_controller"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.realtime if name in ON_SOCKETS else ()) for name in EXAMPLE_CHECKS],
+)
 def test_an_example_shows_what_it_says(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
