@@ -43,3 +43,22 @@ def machine_command(
 
     draw_machine(load_settings(config_dir, {}), path)
     out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB", highlight=False)
+
+
+@app.command("run", epilog="Example: longreach picture run docs/images/run.webp --seed 1")
+def run_command(
+    path: Annotated[Path, typer.Argument(help="Where the animation goes (WebP or GIF).")],
+    scenario: Annotated[str, typer.Option(help="Draw the world from this scenario.")] = "standard",
+    seed: Annotated[int, typer.Option(min=0, help="The same seed is the same world.")] = 1,
+    config_dir: ConfigDir = DEFAULT_CONFIG,
+) -> None:
+    """One run in simulated time: the arm from the side, what its camera sees, the true error over time."""
+    from testbed.pictures.film import filmed, write_film
+    from testbed.reporting.console import bars
+    from testbed.scenarios.settings import chosen_overrides, load_settings
+
+    settings = load_settings(config_dir, chosen_overrides(config_dir, scenario, seed, []))
+    with bars() as shown:
+        stills, rests = filmed(settings, seed, 2, shown)
+    write_film(settings, stills, rests, path)
+    out.print(f"{path}: {len(stills)} pictures, {path.stat().st_size / 1000:.0f} kB", highlight=False)

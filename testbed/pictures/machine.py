@@ -48,8 +48,8 @@ def draw_machine(settings: Settings, path: Path, reach: bool = False) -> None:
     axes = figure.add_subplot()
     if reach:
         _reach(axes, settings)
-    _machine(axes, lift, tilt, wrist, X_BT)
-    _object(axes, X_BC, X_BO)
+    draw_steel(axes, lift, tilt, wrist, X_BT)
+    draw_object(axes, X_BC, X_BO)
     for drawn in (
         _Drawn("B", "base", np.eye(4), (-52.0, -16.0)),
         _Drawn("T", "tool centre point", X_BT, (-60.0, -62.0)),
@@ -86,7 +86,8 @@ def _reach(axes: Axes, settings: Settings) -> None:
     axes.add_patch(Rectangle(corner, *size, fill=False, linestyle="--", color="0.4", label="workspace of T"))
 
 
-def _machine(axes: Axes, lift: Array, tilt: Array, wrist: Array, X_BT: Array) -> None:
+def draw_steel(axes: Axes, lift: Array, tilt: Array, wrist: Array, X_BT: Array) -> None:
+    """Pillar, boom, arm and wrist between their pivots (3,) and the tool (4, 4), from the side."""
     axes.axhline(0.0, color="0.6", linewidth=1.0)
     axes.plot(
         [0.0, 0.0, lift[0]],
@@ -112,7 +113,8 @@ def _machine(axes: Axes, lift: Array, tilt: Array, wrist: Array, X_BT: Array) ->
     axes.annotate("slew", (0.0, 0.25), (10, 0), textcoords="offset points", color="0.3", fontsize=9)
 
 
-def _object(axes: Axes, X_BC: Array, X_BO: Array) -> None:
+def draw_object(axes: Axes, X_BC: Array, X_BO: Array) -> None:
+    """The object's plate and the camera's view of it, from the side; poses (4, 4) in B."""
     plate = X_BO[:3, 3][:, None] + np.outer(X_BO[:3, 1], [-0.12, 0.28])
     axes.plot(plate[0], plate[2], color="0.25", linewidth=5)
     axes.plot(
