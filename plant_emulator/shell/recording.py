@@ -88,8 +88,8 @@ def read_truth(path: Path) -> Recording:
                 elif topic == EVENT:
                     events.append(EventRecord(record.log_time, record.publish_time, fields_of(record.data)))
                 elif topic in (TRUTH, CAPTURE):
-                    truth, frame_id = truth_of(record.data)
-                    truths.append(TruthRecord(record.log_time, frame_id, truth))
+                    truth, frame_id, motion = truth_of(record.data)
+                    truths.append(TruthRecord(record.log_time, frame_id, truth, motion=motion))
             complete = isinstance(record, Footer)
     return Recording(tuple(truths), tuple(faults.values()), tuple(events), run, complete)
 

@@ -154,11 +154,12 @@ class PlantService:
             return
         self._truth = truth = self._plant.truth()
         if capture and self._camera is not None:
-            motion = self._plant.motion() if self._config.scene.camera.shows_motion else STILL
+            motion = self._plant.motion() if self._config.scene.camera.shows_motion else None
             view = CameraView(truth.X_WC, truth.X_WM)
-            frame_id = self._camera.capture(view, motion, deadline_ns, self._plant.faults.in_force())
+            faults = self._plant.faults.in_force()
+            frame_id = self._camera.capture(view, STILL if motion is None else motion, deadline_ns, faults)
             if self._recorder is not None:
-                self._recorder.capture(truth, deadline_ns, frame_id, self._plant.links())
+                self._recorder.capture(truth, deadline_ns, frame_id, self._plant.links(), motion)
         elif record and self._recorder is not None:
             self._recorder.truth(truth, deadline_ns, self._plant.links())
         self._tell_recording()

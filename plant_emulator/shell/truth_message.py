@@ -7,11 +7,18 @@ from typing import Any
 import numpy as np
 
 from foundation.recording.messages import MessageField, message_class
+from plant_emulator.core.camera.camera_motion import CameraMotion
 from plant_emulator.core.layout import HINGES, JOINTS
 from plant_emulator.core.truth import Array, PlantTruth
 
 HOLES = "holes_C_m"
 _AXES = ("x", "y", "z")
+MOTION = tuple(
+    f"{body}_{kind}_{axis}_{unit}"
+    for body in ("camera", "marker")
+    for kind, unit in (("velocity", "m_s"), ("turning", "rad_s"))
+    for axis in _AXES
+)
 # What a plot may want of the truth has a column a number.
 _COLUMNS: dict[str, tuple[str, ...]] = {
     "q": tuple(f"q_{joint}_rad" for joint in JOINTS),
@@ -47,6 +54,7 @@ def _fields() -> Iterator[MessageField]:
         else:
             yield MessageField(name, "string" if name == "faults" else "int64", repeated=name == "faults")
     yield MessageField(HOLES, repeated=True)
+    yield from map(MessageField, MOTION)
 
 
 def columns_of(name: str) -> tuple[str, ...]:
@@ -59,10 +67,16 @@ _FLAT = tuple(column for columns in _COLUMNS.values() for column in columns)
 _flat_of = attrgetter(*_FLAT)
 
 
-def truth_bytes(truth: PlantTruth, frame_id: int | None, holes_O: Array | None = None) -> bytes:
+def truth_bytes(
+    truth: PlantTruth,
+    frame_id: int | None,
+    holes_O: Array | None = None,
+    motion: CameraMotion | None = None,
+) -> bytes:
     """The message of a truth; ``frame_id`` None: it belongs to no frame.
 
-    ``holes_O`` (n, 3): middles of the wall's drill holes, which are told in C.
+    ``holes_O`` (n, 3): middles of the wall's drill holes, which are told in C. ``motion``: how camera and
+    tool marker moved, where a picture depends on that.
     """
     values = np.concatenate([np.ravel(getattr(truth, name)) for name in _COLUMNS]).tolist()
     said = TruthMessage(**dict(zip(_FLAT, values, strict=True)))
@@ -76,6 +90,9 @@ def truth_bytes(truth: PlantTruth, frame_id: int | None, holes_O: Array | None =
     said.faults.extend(truth.faults)
     if holes_O is not None:
         getattr(said, HOLES).extend((holes_O @ truth.R_CO.T + truth.p_CO).ravel().tolist())
+    if motion is not None:
+        for name, value in zip(MOTION, motion.rates.ravel().tolist(), strict=True):
+            setattr(said, name, value)
     return bytes(said.SerializeToString())
 
 
@@ -84,8 +101,8 @@ def holes_of(data: bytes) -> Array:
     return np.array(getattr(TruthMessage.FromString(data), HOLES), dtype=np.float64).reshape(-1, 3)
 
 
-def truth_of(data: bytes) -> tuple[PlantTruth, int | None]:
-    """The truth of a message, and its frame."""
+def truth_of(data: bytes) -> tuple[PlantTruth, int | None, CameraMotion | None]:
+    """The truth of a message, its frame, and how camera and marker moved, where that is told."""
     said = TruthMessage.FromString(data)
     flat, begun = np.array(_flat_of(said)), 0
     values: dict[str, Any] = {"time_ns": said.time_ns, "faults": tuple(said.faults)}
@@ -97,4 +114,8 @@ def truth_of(data: bytes) -> tuple[PlantTruth, int | None]:
         values[name] = getattr(said, column)
     for name, matrix in _MATRICES.items():
         values[name] = np.array(getattr(said, name)).reshape(matrix)
-    return PlantTruth(**values), said.frame_id if said.HasField("frame_id") else None
+    frame_id = said.frame_id if said.HasField("frame_id") else None
+    if not said.HasField(MOTION[0]):
+        return PlantTruth(**values), frame_id, None
+    rates = np.array([getattr(said, name) for name in MOTION]).reshape(2, 6)
+    return PlantTruth(**values), frame_id, CameraMotion(rates)

@@ -23,6 +23,7 @@ from foundation.recording.messages import (
     transforms,
 )
 from foundation.recording.recording_thread import RecordingThread, RecordSink
+from plant_emulator.core.camera.camera_motion import CameraMotion
 from plant_emulator.core.faults.schedule import FaultChange
 from plant_emulator.core.truth import PlantTruth
 from plant_emulator.shell.scene_messages import SceneDrawing, frames
@@ -49,12 +50,14 @@ class TruthRecord(NamedTuple):
     """One recorded instant. ``frame_id`` is None between captures.
 
     ``holes_O`` (n, 3): middles of the wall's drill holes; what is read has none, ``holes_of`` tells them.
+    ``motion``: how camera and tool marker moved, at captures of a camera that shows it.
     """
 
     log_ns: int
     frame_id: int | None
     truth: PlantTruth
     holes_O: NDArray[np.float64] | None = None
+    motion: CameraMotion | None = None
 
 
 class _Posed(NamedTuple):
@@ -82,7 +85,7 @@ def _json(said: Any) -> str:
 
 
 def _capture_bytes(record: TruthRecord) -> bytes:
-    return truth_bytes(record.truth, record.frame_id, record.holes_O)
+    return truth_bytes(record.truth, record.frame_id, record.holes_O, record.motion)
 
 
 TOPICS = (
@@ -147,10 +150,18 @@ class TruthRecorder:
         self._put(TRUTH, TruthRecord(log_ns, None, truth), X_WL)
 
     def capture(
-        self, truth: PlantTruth, log_ns: int, frame_id: int, X_WL: NDArray[np.float64] | None = None
+        self,
+        truth: PlantTruth,
+        log_ns: int,
+        frame_id: int,
+        X_WL: NDArray[np.float64] | None = None,
+        motion: CameraMotion | None = None,
     ) -> None:
-        """Record the truth at the instant at which frame ``frame_id`` is exposed."""
-        self._put(CAPTURE, TruthRecord(log_ns, frame_id, truth, self._holes_O), X_WL)
+        """Record the truth at the instant at which frame ``frame_id`` is exposed.
+
+        ``motion``: how camera and tool marker move then, where the picture depends on it.
+        """
+        self._put(CAPTURE, TruthRecord(log_ns, frame_id, truth, self._holes_O, motion), X_WL)
 
     def fault(self, change: FaultChange, log_ns: int) -> None:
         """Record that a fault was planned, began, ended or was withdrawn."""

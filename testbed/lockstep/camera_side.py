@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from plant_emulator.core.camera.camera_motion import STILL, CameraView, Capture
+from plant_emulator.core.camera.camera_motion import STILL, CameraMotion, CameraView, Capture
 from plant_emulator.core.camera.exposures import Exposures, Shot
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
@@ -15,10 +15,14 @@ from vision_pc.core.types import Image
 
 
 class Exposure(NamedTuple):
-    """One instant at which the camera exposes: what was true, and the frame that it makes of it."""
+    """One instant at which the camera exposes: what was true, and the frame that it makes of it.
+
+    ``motion``: how camera and marker moved, where the camera's pictures depend on it.
+    """
 
     truth: PlantTruth
     shot: Shot
+    motion: CameraMotion | None = None
 
 
 class SentFrame(NamedTuple):
@@ -44,9 +48,11 @@ class CameraSide:
     def expose(self, time_ns: int, plant: Plant) -> None:
         """Take the frame of ``time_ns``, a multiple of the period, and show it to the viewers."""
         truth = plant.truth()
-        motion = plant.motion() if self._config.shows_motion else STILL
-        capture = Capture(time_ns // self.period_ns, time_ns, CameraView(truth.X_WC, truth.X_WM), motion)
-        exposure = Exposure(truth, self._exposures.shot(capture, plant.faults.in_force()))
+        motion = plant.motion() if self._config.shows_motion else None
+        view = CameraView(truth.X_WC, truth.X_WM)
+        number = time_ns // self.period_ns
+        capture = Capture(number, time_ns, view, STILL if motion is None else motion)
+        exposure = Exposure(truth, self._exposures.shot(capture, plant.faults.in_force()), motion)
         for viewer in list(self.viewers):
             viewer(exposure)
 

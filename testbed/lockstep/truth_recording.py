@@ -48,4 +48,4 @@ class LockstepRecording:
 
     def _exposed(self, exposure: Exposure) -> None:
         truth, links = exposure.truth, self._plant.links()
-        self._recorder.capture(truth, truth.time_ns, exposure.shot.frame_id, links)
+        self._recorder.capture(truth, truth.time_ns, exposure.shot.frame_id, links, exposure.motion)

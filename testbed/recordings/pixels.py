@@ -11,7 +11,7 @@ from pydantic import TypeAdapter
 
 from foundation.recording.reading import RecordingUnreadable
 from plant_emulator.config.scene import SceneConfig
-from plant_emulator.core.camera.camera_motion import CameraView, Capture
+from plant_emulator.core.camera.camera_motion import STILL, CameraView, Capture
 from plant_emulator.core.camera.exposures import Exposures, Shot
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
@@ -65,14 +65,11 @@ class RenderedPixels:
     def __init__(self, truth: Path) -> None:
         """Read the plant's recording at ``truth``.
 
-        Raises OSError, RecordingUnreadable (also ``recording.motion_not_recorded``: pictures of a camera
-        that shows motion cannot be made again).
+        Raises OSError, RecordingUnreadable (also ``recording.motion_not_recorded``: a camera that shows
+        motion, recorded before its motion was).
         """
         recording = read_truth(truth)
         config = SceneConfig.model_validate(recording.run.get("scene", {}))
-        if config.camera.shows_motion:
-            why = f"{truth.name}: its camera shows motion within an exposure, which is not recorded"
-            raise RecordingUnreadable("recording.motion_not_recorded", why)
         faults = [(record, _fault(record.fault)) for record in recording.faults]
         exposures = Exposures(config.camera, config.seed)
         self._shots: dict[int, Shot] = {}
@@ -80,7 +77,12 @@ class RenderedPixels:
             if record.frame_id is not None:
                 view = CameraView(record.truth.X_WC, record.truth.X_WM)
                 now = [fault for said, fault in faults if _in_force(said, record.truth.time_ns)]
-                shot = exposures.shot(Capture(record.frame_id, record.log_ns, view), now)
+                if config.camera.shows_motion and record.motion is None:
+                    why = f"{truth.name}: its camera shows motion within an exposure, which is not recorded"
+                    raise RecordingUnreadable("recording.motion_not_recorded", why)
+                motion = STILL if record.motion is None else record.motion
+                capture = Capture(record.frame_id, record.log_ns, view, motion)
+                shot = exposures.shot(capture, now)
                 self._shots[shot.frame_id] = shot
         self._config = config
         self._camera: StereoCamera | None = None

@@ -1,14 +1,23 @@
 """A recording replayed: identical, also with pictures rendered again; a flipped pixel found at its frame."""
 
 import json
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
+from foundation.configuration import load
 from foundation.recording.reading import RecordingUnreadable
+from plant_emulator.config.scene import SceneConfig
+from plant_emulator.core.plant import Plant
+from plant_emulator.shell.truth_recorder import TruthRecorder
 from protocol.errors import ConfigurationError
+from protocol.reference_messages import ReferencePose
+from testbed.lockstep.clock import run
+from testbed.lockstep.rig import LockstepRig
+from testbed.lockstep.run_log import RunLog
 from testbed.recordings.command import ReplayRequest, run_replay
 from testbed.recordings.comparison import ReplayComparison
 from testbed.recordings.perception_replay import (
@@ -20,6 +29,9 @@ from testbed.recordings.perception_replay import (
 )
 from testbed.recordings.pixels import RenderedPixels
 from testbed.recordings.recorded_vision import recorded_vision
+from testbed.scenarios.settings import load_settings
+from tests.plant_emulator.plant_world import plant_config
+from tests.support.paths import CONFIGS
 from tests.testbed.lockstep.recorded_run import FILES, RecordedRun
 from tests.testbed.recordings.editing import Change, all_of, edited, kept
 from vision_pc.shell.recording import vision_messages as own
@@ -55,6 +67,42 @@ def test_without_pixels_those_of_the_same_run_are_rendered(recorded: RecordedRun
     with pytest.raises(RecordingUnreadable, match="holds no whole pictures") as refused:
         pixels_for(recorded_vision(alone)._replace(images="none"), None)
     assert refused.value.cause == "recording.no_pictures"
+
+
+def moving_frames(directory: Path) -> Path:
+    """A recording of frames taken while the arm moves, by a camera that shows motion."""
+    scene = {"camera": {"motion_blur_samples": 2, "shutter": {"kind": "rolling"}}}
+    settings = load_settings(CONFIGS, {"vision": {"recording": {"images": "none"}}, "scene": scene})
+    rig = LockstepRig(settings, 1, RunLog())
+    with closing(rig.record_in(directory, "session 7")):
+        rig.command("enable")
+        here = rig.world.states[-1].X_BT
+        x, y, z = here.p_m
+        rig.link.submit(ReferencePose(0, here._replace(p_m=(x, y, z - 0.1)), 1.0))
+        run(watched(rig))
+    return directory / FILES[2]
+
+
+async def watched(rig: LockstepRig) -> None:
+    async with rig.application.eyes.watch(markers=True, odometry=False) as watch:
+        await watch.after(1, 5.0)
+
+
+def test_pictures_of_a_camera_that_shows_motion_are_rendered_again(tmp_path: Path) -> None:
+    compared = replayed(moving_frames(tmp_path))
+    assert compared.first is None
+    assert compared.alike[FRAME] == compared.of[FRAME] >= 2
+
+
+def test_that_the_motion_was_not_recorded_is_said(tmp_path: Path) -> None:
+    plant = Plant(plant_config(), seed=1)
+    scene = load(SceneConfig, CONFIGS / "scene.yaml", {"camera": {"motion_blur_samples": 2}})
+    run_of = {"scene": scene.model_dump(mode="json")}
+    with closing(TruthRecorder(tmp_path / "truth.mcap", run_of)) as recorder:
+        recorder.capture(plant.truth(), 1, 0)
+    with pytest.raises(RecordingUnreadable, match="which is not recorded") as refused:
+        RenderedPixels(tmp_path / "truth.mcap")
+    assert refused.value.cause == "recording.motion_not_recorded"
 
 
 def flipped(data: bytes, row: int, column: int, bit: int) -> bytes:
