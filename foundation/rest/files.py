@@ -49,6 +49,10 @@ class PageFiles:
         """What is served."""
         return frozenset(self._files)
 
+    def text(self, path: str) -> str:
+        """A file's text, by the path that it is served at."""
+        return self._files[path].read_text(encoding="utf-8")
+
     async def answer(self, path: str, headers: Mapping[str, str]) -> Response:
         """The response to a GET: compressed where the client can read that, 304 where it has the file."""
         served = self._served.get(path)

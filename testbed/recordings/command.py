@@ -11,6 +11,8 @@ from foundation.recording.reading import Damage
 from foundation.recording.session import session_entries
 from protocol.errors import ConfigurationError
 from testbed.recordings.comparison import ALIKE, ReplayComparison
+from testbed.recordings.console.server import show_recording
+from testbed.recordings.console.timeline import Timeline
 from testbed.recordings.decision_replay import DecisionReplay
 from testbed.recordings.perception_replay import (
     PerceptionReplay,
@@ -71,6 +73,25 @@ def run_replay(request: ReplayRequest) -> bool:
         out.print(f"not read, at byte {damage.offset}: {damage.what}", highlight=False)
     write_json(request.json_file, figures | {"damages": [damage._asdict() for damage in damages]})
     return bool(overrides) or (all(each.identical for each in compared) and not damages)
+
+
+def run_console(file: Path, truth: Path | None, port: int) -> None:
+    """Show a recording in the operator's page until it is interrupted.
+
+    Raises RecordingUnreadable, ConfigurationError, OSError.
+    """
+
+    def told(address: str, timeline: Timeline, pictures: str) -> None:
+        seconds = 1e-9 * (timeline.last_ns - timeline.first_ns)
+        out.print(f"console: {address} ({seconds:.1f} s recorded)", highlight=False, soft_wrap=True)
+        out.print(f"pictures: {pictures}", highlight=False, soft_wrap=True)
+        if timeline.without_states:
+            why = f"nothing of the controller: {timeline.without_states}"
+            out.print(why, highlight=False, soft_wrap=True)
+        for damage in timeline.damages:
+            out.print(f"not read, at byte {damage.offset}: {damage.what}", highlight=False)
+
+    show_recording(recorded_vision(file), truth, port, told)
 
 
 def _replay_perception(

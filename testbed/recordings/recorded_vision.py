@@ -35,13 +35,7 @@ def recorded_vision(path: Path, overrides: Mapping[str, Any] | None = None) -> R
 
     Raises OSError, RecordingUnreadable (``recording.not_vision``), ConfigurationError.
     """
-    metadata: dict[str, dict[str, str]] = {}
-    with path.open("rb") as stream:
-        for record in walk(stream):
-            if isinstance(record, Metadata):
-                metadata[record.name] = record.metadata
-            elif isinstance(record, Message):
-                break
+    metadata = metadata_of(path)
     run = json.loads(metadata.get("run", {}).get("configuration", "{}"))
     if "vision" not in run:
         why = f"{path.name}: no recording of the vision PC, whose name is {topics.FILE}"
@@ -53,3 +47,15 @@ def recorded_vision(path: Path, overrides: Mapping[str, Any] | None = None) -> R
     same = all(session.get(name) == value for name, value in here.items() if name not in ("id", "service"))
     pictured = session.get(topics.EYES) != topics.SIMULATED
     return RecordedVision(path, config, arm, session, run["vision"]["recording"]["images"], same, pictured)
+
+
+def metadata_of(path: Path) -> dict[str, dict[str, str]]:
+    """The metadata of the recording at ``path``, by name. Raises OSError, RecordingUnreadable."""
+    found: dict[str, dict[str, str]] = {}
+    with path.open("rb") as stream:
+        for record in walk(stream):
+            if isinstance(record, Metadata):
+                found[record.name] = record.metadata
+            elif isinstance(record, Message):
+                break
+    return found

@@ -40,14 +40,21 @@ class LivePictures:
 
 def message(pair: StereoPair) -> bytes:
     """The bytes of one pair."""
-    size = (round(pair.right.shape[1] * _RIGHT_SCALE), round(pair.right.shape[0] * _RIGHT_SCALE))
-    left = _jpeg(pair.left, _LEFT_QUALITY)
-    right = _jpeg(
-        np.asarray(cv2.resize(pair.right, size, interpolation=cv2.INTER_AREA), dtype=np.uint8), _RIGHT_QUALITY
-    )
+    left, right = encoded(pair.left, pair.right)
+    return packed(pair.frame_id, pair.capture_ns, time.monotonic_ns(), left, right)
+
+
+def encoded(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[bytes, bytes]:
+    """Both eyes as JPEG, the right one at half its size."""
+    size = (round(right.shape[1] * _RIGHT_SCALE), round(right.shape[0] * _RIGHT_SCALE))
+    smaller = np.asarray(cv2.resize(right, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return _jpeg(left, _LEFT_QUALITY), _jpeg(smaller, _RIGHT_QUALITY)
+
+
+def packed(frame_id: int, capture_ns: int, encoded_ns: int, left: bytes, right: bytes) -> bytes:
+    """The message of two JPEG pictures; ``right`` is empty where there is none."""
     length = HEADER.size - 4 + len(left) + len(right)
-    head = HEADER.pack(length, pair.capture_ns, time.monotonic_ns(), pair.frame_id & 0xFFFFFFFF, len(left))
-    return head + left + right
+    return HEADER.pack(length, capture_ns, encoded_ns, frame_id & 0xFFFFFFFF, len(left)) + left + right
 
 
 def _jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:

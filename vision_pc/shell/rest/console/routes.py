@@ -145,11 +145,12 @@ def add_console(app: FastAPI, console: Console) -> None:
         size. A client that is slow skips pictures.
         """
         console.pictures.refuse_more()
-        return StreamingResponse(_endless(console.pictures), media_type="application/octet-stream")
+        return StreamingResponse(endless(console.pictures), media_type="application/octet-stream")
 
 
-async def _endless(pictures: Broadcast) -> AsyncIterator[bytes]:
-    async for each in pictures.follow():
+async def endless(broadcast: Broadcast) -> AsyncIterator[bytes]:
+    """What is made from now on."""
+    async for each in broadcast.follow():
         yield each
 
 

@@ -141,7 +141,7 @@ function showStep(step, busy) {
   byId(`cancel-${step.kind}`).hidden = !runs || !may;
   const bar = line.querySelector('progress');
   bar.hidden = !runs;
-  if (runs) bar.value = last.progress;
+  if (runs) { if (last.progress === null) bar.removeAttribute('value'); else bar.value = last.progress; }
   const note = line.querySelector('.note');
   write(note, last ? words(last) : hint(step));
   note.classList.toggle('failed', last?.state === 'failed');

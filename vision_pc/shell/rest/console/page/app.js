@@ -5,11 +5,12 @@ import { installActions, offerPrograms, say, update } from './actions.js';
 import { byId, write } from './dom.js';
 import { installLayers, pictureAge, showOverlay, showPicture } from './picture.js';
 import { showAlarms, showChips, showLadder, showResume } from './panels.js';
-import { addToPlots, drawPlots, installPlots } from './plots.js';
+import { addToPlots, clearPlots, drawPlots, installPlots } from './plots.js';
 import { installArm, paintArm, showArm } from './arm.js';
 import { installStop } from './stop.js';
 import { followPictures, followState } from './stream.js';
 import { installTargets, pictureSize } from './targets.js';
+import { installTransport, recorded, showTransport } from './transport.js';
 import { showVerdict } from './verdict.js';
 
 const STALE_MS = 500;
@@ -22,7 +23,7 @@ let lastTrouble = null;
 let crowded = false; // no place for pictures among the windows of this browser
 
 function showSnapshot(snapshot) {
-  if (instance && instance !== snapshot.service.instance) {
+  if (!recorded && instance && instance !== snapshot.service.instance) {
     banner('The vision PC was started anew. What it had learned is gone, and the arm is disabled: begin with ENABLE.', true);
     say('', true);
   }
@@ -38,7 +39,9 @@ function showSnapshot(snapshot) {
   showOverlay(shot.overlay, shot.tolerance_mm);
   pictureSize(shot.overlay?.size);
   update(shot, operate);
-  if (shot.look && shot.look.time_ns !== lookSeen.ns) lookSeen = { ns: shot.look.time_ns, at: shot.time };
+  if (shot.recorded && showTransport(shot.recorded)) clearPlots();
+  if (recorded && shot.look) lookSeen = { ns: shot.look.time_ns, at: shot.looked_at };
+  else if (shot.look && shot.look.time_ns !== lookSeen.ns) lookSeen = { ns: shot.look.time_ns, at: shot.time };
   showVerdict(shot.look, shot.told, shot.time - lookSeen.at);
   showArm(shot);
   addToPlots(shot);
@@ -50,8 +53,8 @@ function judge() {
   const stale = old === null || old > STALE_MS;
   document.documentElement.classList.toggle('stale', stale);
   showChips(shot, stale ? (old === null ? null : Math.round(old / 1000)) : null);
-  if (stale && shot) update(null, false);
-  pictureAge(shot?.camera.trouble ? `The camera: ${shot.camera.trouble.replace('link.camera_', '')}.` : stale ? 'The vision PC does not answer.'
+  if (stale && shot && !recorded) update(null, false);
+  pictureAge(shot?.camera.trouble ? `The camera: ${shot.camera.trouble.replace('link.camera_', '')}.` : stale ? `${recorded ? 'The replay' : 'The vision PC'} does not answer.`
     : crowded ? 'Other windows of this browser show the pictures.' : '');
 }
 
@@ -81,6 +84,7 @@ async function whoAmI() {
   const answer = await send('GET', '/access');
   if (!answer.ok || !answer.document) return;
   operate = answer.document.role === 'operate';
+  if (recorded) return;
   write(byId('whoami'), answer.document.token_wanted ? `${answer.document.role} (token)` : 'operate');
   offerPrograms();
   if (!operate) say('You may look and stop. Sign in with the operator’s token to move the arm.', true);
@@ -120,14 +124,15 @@ function installTheme() {
 }
 
 takeToken();
-installStop();
+if (recorded) installTransport();
+else installStop();
 installActions();
 installLayers();
 installArm();
 installTheme();
 update(null, false);
 const again = [followState(showSnapshot, lost), followPictures(showPicture, noPicture)];
-installTargets();
+if (!recorded) installTargets();
 installSignIn(() => { whoAmI(); for (const begin of again) begin(); });
 whoAmI();
 setInterval(judge, 250);

@@ -1,6 +1,7 @@
 // The live picture: canvases for both eyes and the loupe, and what was detected as drawings over them.
 
 import { byId, signed, write } from './dom.js';
+import { recorded } from './transport.js';
 
 const SVG = 'http://www.w3.org/2000/svg';
 const LOUPE = { mm: 30, least: 24, most: 160 }; // what it is wide, and its limits in pixels of the left eye
@@ -12,16 +13,16 @@ let fastest = []; // [when, delay] of deliveries: the clocks of page and vision 
 
 /** Shows one message of the stream. */
 export async function showPicture(message) {
-  const [left, right] = await Promise.all([createImageBitmap(message.left), createImageBitmap(message.right)]);
+  const [left, right] = await Promise.all([createImageBitmap(message.left), message.right.size ? createImageBitmap(message.right) : null]);
   paint(byId('left'), left);
-  paint(byId('right'), right);
-  right.close();
+  if (right) paint(byId('right'), right);
+  right?.close();
   newest?.close();
   newest = left;
   arrived = performance.now();
   paintLoupe();
   byId('no-picture').hidden = true;
-  write(byId('frame-told'), `frame ${message.frame} · ${Math.round(message.ageMs + late(message.encodedMs))} ms old`);
+  write(byId('frame-told'), recorded ? `frame ${message.frame} · measured in ${(message.ageMs / 1000).toFixed(1)} s before` : `frame ${message.frame} · ${Math.round(message.ageMs + late(message.encodedMs))} ms old`);
   byId('left').dataset.captureMs = message.encodedMs - message.ageMs;
   byId('left').dataset.frame = message.frame;
 }

@@ -51,6 +51,7 @@ function shown([times, ...lines]) {
 /** Adds a snapshot; values that are missing leave a gap. */
 export function addToPlots(shot) {
   for (const { strip, data, now } of made) {
+    if (shot.time === data[0].at(-1)) continue; // a recording that is paused
     const values = shot.state ? strip.of(shot) : strip.lines.map(() => null);
     data[0].push(shot.time);
     values.forEach((value, line) => data[line + 1].push(value));
@@ -58,6 +59,11 @@ export function addToPlots(shot) {
     const worst = values.reduce((most, value) => (value !== null && Math.abs(value) > Math.abs(most ?? 0) ? value : most), values[0]);
     write(now, worst === null ? '–' : worst.toFixed(strip.digits));
   }
+}
+
+/** Forgets what was, such as when a recording was moved. */
+export function clearPlots() {
+  for (const { data } of made) for (const column of data) column.length = 0;
 }
 
 /** Draws; called less often than values come. */
