@@ -84,7 +84,7 @@ def state_of_message(said: Any) -> State:
         values[name] = Pose((parts[0], parts[1], parts[2]), (parts[3], parts[4], parts[5], parts[6]))
     kinds = {"group_state": GroupState, "fault": FaultCode, "severity": Severity}
     values |= {name: kind(values[name]) for name, kind in kinds.items()}
-    counted = dict.fromkeys(
+    counted: dict[str, Any] = dict.fromkeys(
         ("overruns", "lateness_p50_us", "lateness_p99_us", "lateness_max_us", "references_lost",
          "references_dropped"), 0
     )  # fmt: skip

@@ -126,10 +126,10 @@ class Moments:
             for index, (number, px) in enumerate(zip(said.marker_ids, said.marker_residuals_px, strict=True))
         )
         X_CM, X_CO = (np.reshape(X, (4, 4)) if X else None for X in (said.X_CM, said.X_CO))
-        missing = [getattr(said, name) or None for name in ("missing_tool", "missing_object")]
         observation = FrameObservation(
-            said.capture_ns, said.frame_id, X_CM, None, None, X_CO, None, None, markers, {}, None, *missing
-        )
+            said.capture_ns, said.frame_id, X_CM, None, None, X_CO, None, None, markers, {}, None,
+            said.missing_tool or None, said.missing_object or None,
+        )  # fmt: skip
         return Seen(observation, self._camera, self._tool_id)
 
     def _operation(self, each: ShownOperation, time_ns: int) -> JSON:

@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from foundation.recording.reading import messages
@@ -39,7 +40,9 @@ def test_a_kill_loses_less_than_600_ms(tmp_path: Path, part: str) -> None:
         lost = put[len(kept) :]
         lost_ns = killed_ns - lost[0] if lost else 0
         worst_ns, recorded = max(worst_ns, lost_ns), recorded + len(kept)
-        assert lost_ns < LOST_NS, f"kill {number}: {1e-6 * lost_ns:.0f} ms lost"
+        pause_ns = max(np.diff(put[-100:]), default=0)
+        told = f"the process itself paused for up to {1e-6 * pause_ns:.0f} ms before"
+        assert lost_ns < LOST_NS, f"kill {number}: {1e-6 * lost_ns:.0f} ms lost; {told}"
     print(f"\n{part}: {KILLS} of {KILLS} kills: {recorded} of {PARTS[part].topic} kept,", end=" ")
     print(f"{1e-6 * worst_ns:.0f} ms lost at worst")
 

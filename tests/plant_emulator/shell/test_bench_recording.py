@@ -68,7 +68,7 @@ def test_recording_costs_less_than_three_percent_of_a_core(tmp_path: Path) -> No
 
 
 def peer(path: Path, truths: list[PlantTruth]) -> None:
-    """The truth as JSON by the MCAP library's writer, a chunk every 0.4 s."""
+    """The truth as JSON by the MCAP library's writer, chunks of the same time."""
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start()

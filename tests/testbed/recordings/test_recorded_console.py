@@ -1,6 +1,5 @@
-"""A recording in the operator's page: what was so then is shown, nothing can be asked, and it moves as told."""
+"""A recording in the operator's page: what was so then is shown, nothing can be asked; it moves as told."""
 
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -211,11 +210,11 @@ def test_an_empty_recording_is_named(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def page(recorded: RecordedRun) -> Iterator[tuple[httpx.AsyncClient, RecordedConsole, Clock]]:
+def page(recorded: RecordedRun) -> tuple[httpx.AsyncClient, RecordedConsole, Clock]:
     clock, of = Clock(), timeline(recorded)
     console = RecordedConsole(of, ShownPictures(of, recorded.directory / FILES[0]), clock)
     through = httpx.ASGITransport(recorded_app(console))
-    yield httpx.AsyncClient(transport=through, base_url="http://127.0.0.1"), console, clock
+    return httpx.AsyncClient(transport=through, base_url="http://127.0.0.1"), console, clock
 
 
 async def test_the_page_says_that_it_is_recorded_and_moves_as_asked(
@@ -252,9 +251,9 @@ async def test_both_streams_go_on_while_it_is_paused(
     console.transport = console.transport.changed(clock.now_ns, at_s=1e-9 * console.transport.length_ns)
     state = console.state.follow()
     first, second = await anext(state), await anext(state)
+    await state.aclose()
     assert b'"recorded":{"file":"vision.mcap"' in first
     assert first != second, "a page that hears nothing greys"
-    await state.aclose()
     pictures = console.pictures.follow()
     message = await anext(pictures)
     length, capture_ns, shown_ns, _, left = HEADER.unpack_from(message)
