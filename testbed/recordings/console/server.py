@@ -121,17 +121,7 @@ def recorded_app(console: RecordedConsole) -> FastAPI:
     """The page, and what it lives on."""
     app = FastAPI(title="Longreach recording", docs_url=None, redoc_url=None, openapi_url=None)
     install_problems(app, STATUS_OF_CAUSE)
-    page = _page(console.standing()["file"])
-
-    @app.get("/", include_in_schema=False)
-    async def index() -> HTMLResponse:
-        return HTMLResponse(page, headers={"Content-Security-Policy": PAGE_POLICY})
-
-    add_files(app, PAGE)
-
-    @app.get("/access")
-    async def access() -> AccessView:
-        return AccessView(role=Role.LOOK, token_wanted=False)
+    _add_page(app, console.standing()["file"])
 
     @app.get("/events", response_class=StreamingResponse)
     async def events() -> StreamingResponse:
@@ -161,6 +151,22 @@ def recorded_app(console: RecordedConsole) -> FastAPI:
     return app
 
 
+def _add_page(app: FastAPI, file: str) -> None:
+    """The console's page, which says of itself that it shows a recording, and what it asks for first."""
+    said = f'<html lang="en" data-recorded="{html.escape(file)}">'
+    page = PAGE.text("/").replace('<html lang="en">', said, 1)
+
+    @app.get("/", include_in_schema=False)
+    async def index() -> HTMLResponse:
+        return HTMLResponse(page, headers={"Content-Security-Policy": PAGE_POLICY})
+
+    add_files(app, PAGE)
+
+    @app.get("/access")
+    async def access() -> AccessView:
+        return AccessView(role=Role.LOOK, token_wanted=False)
+
+
 def show_recording(
     recording: RecordedVision, truth: Path | None, port: int, told: Callable[[str, Timeline, str], None]
 ) -> None:
@@ -185,10 +191,3 @@ async def _serve(server: RestServer, listener: socket.socket) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, end)
     await server.serve([listener])
-
-
-def _page(file: str) -> str:
-    """The console's page, which says of itself that it shows a recording."""
-    text = PAGE.text("/")
-    said = f'<html lang="en" data-recorded="{html.escape(file)}">'
-    return text.replace('<html lang="en">', said, 1)
