@@ -7,7 +7,7 @@ import signal
 import socket
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from testbed.recordings.recorded_vision import RecordedVision
 from vision_pc.application.results import JSON
 from vision_pc.shell.rest.console.broadcast import Broadcast
 from vision_pc.shell.rest.console.pictures import packed
-from vision_pc.shell.rest.console.routes import PAGE, AccessView, endless
+from vision_pc.shell.rest.console.routes import PAGE, AccessView
 from vision_pc.shell.rest.problems import STATUS_OF_CAUSE
 
 _PERIOD_S, _MOST = 0.1, 16
@@ -46,7 +46,7 @@ class TransportBody(BaseModel, extra="forbid"):
 class RecordedConsole:
     """What all open pages share: one transport, one stream of state, one of pictures.
 
-    ``now_ns``: a clock that goes on while it plays.
+    ``now_ns``: a clock that goes on while it plays. Once it is ``ended`` both streams end.
     """
 
     def __init__(
@@ -57,10 +57,18 @@ class RecordedConsole:
         self._of, self._pictures, self._now_ns = timeline, pictures, now_ns
         self._instance = uuid.uuid4().hex[:8]
         self._number = 0
+        self.ended = False
         self._picture: tuple[Any, int] = (None, 0)
         self._note = ""
         self.state = Broadcast(self._snapshot, _PERIOD_S, _MOST, "the state")
         self.pictures = Broadcast(self._next_picture, _PERIOD_S, _MOST, "the pictures")
+
+    async def until_ended(self, broadcast: Broadcast) -> AsyncIterator[bytes]:
+        """What is made from now on; the server waits for its streams when it ends."""
+        async for each in broadcast.follow():
+            yield each
+            if self.ended:
+                return
 
     @property
     def time_ns(self) -> int:
@@ -126,12 +134,12 @@ def recorded_app(console: RecordedConsole) -> FastAPI:
     @app.get("/events", response_class=StreamingResponse)
     async def events() -> StreamingResponse:
         console.state.refuse_more()
-        return StreamingResponse(endless(console.state), media_type="text/event-stream")
+        return StreamingResponse(console.until_ended(console.state), media_type="text/event-stream")
 
     @app.get("/camera/live", response_class=StreamingResponse)
     async def live() -> StreamingResponse:
         console.pictures.refuse_more()
-        return StreamingResponse(endless(console.pictures), media_type="application/octet-stream")
+        return StreamingResponse(console.until_ended(console.pictures), media_type="application/octet-stream")
 
     @app.get("/recording")
     async def standing() -> JSON:
@@ -180,12 +188,14 @@ def show_recording(
     pictures = ShownPictures(timeline, truth or run / "plant_emulator" / "truth.mcap")
     with socket.create_server(("127.0.0.1", port)) as listener:
         told(f"http://127.0.0.1:{listener.getsockname()[1]}/", timeline, pictures.source)
-        asyncio.run(_serve(RestServer(recorded_app(RecordedConsole(timeline, pictures))), listener))
+        asyncio.run(_serve(RecordedConsole(timeline, pictures), listener))
 
 
-async def _serve(server: RestServer, listener: socket.socket) -> None:
+async def _serve(console: RecordedConsole, listener: socket.socket) -> None:
+    server = RestServer(recorded_app(console))
+
     def end() -> None:
-        server.should_exit = True
+        console.ended = server.should_exit = True
 
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):

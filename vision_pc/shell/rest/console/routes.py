@@ -145,12 +145,11 @@ def add_console(app: FastAPI, console: Console) -> None:
         size. A client that is slow skips pictures.
         """
         console.pictures.refuse_more()
-        return StreamingResponse(endless(console.pictures), media_type="application/octet-stream")
+        return StreamingResponse(_endless(console.pictures), media_type="application/octet-stream")
 
 
-async def endless(broadcast: Broadcast) -> AsyncIterator[bytes]:
-    """What is made from now on."""
-    async for each in broadcast.follow():
+async def _endless(pictures: Broadcast) -> AsyncIterator[bytes]:
+    async for each in pictures.follow():
         yield each
 
 

@@ -22,7 +22,7 @@ export function installTransport() {
   byId('seek').addEventListener('change', () => { dragged = false; });
   byId('speed').addEventListener('change', () => change({ speed: Number(byId('speed').value) }));
   addEventListener('keydown', (event) => {
-    if (event.target.matches?.('input:not([type="checkbox"]), select, textarea, dialog *')) return;
+    if (event.target.matches?.('select, dialog *')) return;
     const way = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     if (event.key !== ' ' && !way) return;
     event.preventDefault();
