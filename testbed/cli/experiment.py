@@ -4,18 +4,17 @@ import inspect
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from foundation.command_options import options_of, with_signature
+from testbed.campaigns.option_shapes import ShownExperiment, pinned
+from testbed.cli.every_command import dressed
 from testbed.cli.later import LaterGroup
 from testbed.cli.options import DEFAULT_CONFIG, ConfigDir, JsonFile
-from testbed.experiments.catalogue import Entry, catalogue
+from testbed.experiments.catalogue import OURS, Entry, catalogue
 from testbed.reporting.console import out, words, writable, write_json
-
-if TYPE_CHECKING:
-    from testbed.campaigns.experiment import Experiment
 
 Count = Annotated[int | None, typer.Option("--count", min=1, help="How many seeds, from --seed on.")]
 Seed = Annotated[int, typer.Option(min=0, help="The same seed is the same world; the first of several.")]
@@ -48,7 +47,18 @@ class ExperimentGroup(LaterGroup):
 
     def load(self, name: str) -> Any:
         """The command of the experiment called ``name``."""
-        return typer.main.get_command(_app_of(catalogue()[name], name))
+        entry = catalogue()[name]
+        return typer.main.get_command(_app_of(entry, name, shown_of(entry)))
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command that ``args`` begin with; for help alone what it runs with is not loaded."""
+        name = args[0]
+        written = pinned(name) if "--help" in args and name in OURS and name not in self.commands else None
+        if written is None:
+            return super().resolve_command(ctx, args)
+        command = dressed(typer.main.get_command(_app_of(OURS[name], name, written)))
+        command.name = name
+        return name, command, args[1:]
 
 
 app = typer.Typer(cls=ExperimentGroup, help="Seeded experiments that write tables.", no_args_is_help=True)
@@ -68,16 +78,22 @@ def list_experiments(json_file: JsonFile = None) -> None:
     write_json(json_file, {"experiments": [dict(zip(keys, entry, strict=True)) for entry in entries]})
 
 
-def _app_of(entry: Entry, name: str) -> typer.Typer:
+def _app_of(entry: Entry, name: str, shown: ShownExperiment) -> typer.Typer:
     made = typer.Typer(add_completion=False)
     example = f"Example: longreach experiment {name} --json {name}.json"
-    made.command(name, help=entry.shows, epilog=example)(command_of(entry))
+    made.command(name, help=entry.shows, epilog=example)(command_of(entry, shown))
     return made
 
 
-def command_of(entry: Entry) -> Callable[..., None]:
-    """The function behind a command: its options are the request's and the experiment's own settings."""
+def shown_of(entry: Entry) -> ShownExperiment:
+    """What help tells of an experiment, which is loaded."""
     usual = entry.load()
+    options = options_of(usual.settings)
+    return ShownExperiment(usual.runs, usual.seed, usual.workers, usual.directory, options)
+
+
+def command_of(entry: Entry, shown: ShownExperiment) -> Callable[..., None]:
+    """The function behind a command: its options are the request's and the experiment's own settings."""
 
     def command(**options: Any) -> None:
         from testbed.campaigns.campaign import CampaignRequest
@@ -100,7 +116,7 @@ def command_of(entry: Entry) -> Callable[..., None]:
         )
         raise typer.Exit(0 if perform(wanted, request, wanted.settings(**options)) else 1)
 
-    parameters = [*options_of(usual.settings), *_method(entry), *_common(usual, len(entry.places) == 1)]
+    parameters = [*shown.parameters, *_method(entry), *_common(shown, len(entry.places) == 1)]
     with_signature(command, parameters)
     return command
 
@@ -113,7 +129,7 @@ def _method(entry: Entry) -> list[inspect.Parameter]:
     return [_parameter("method", kind, next(iter(methods)))]
 
 
-def _common(chosen: "Experiment[Any, Any]", alone: bool) -> list[inspect.Parameter]:
+def _common(chosen: ShownExperiment, alone: bool) -> list[inspect.Parameter]:
     counted = [
         _parameter("count", Count, chosen.runs if alone else None),
         _parameter("seed", Seed, chosen.seed),

@@ -49,8 +49,11 @@ LATER = {
     ),
     "token": Later("testbed.cli.token", "Tokens of the REST APIs, and keys of the link."),
 }
+EXPERIMENTS = {
+    "sensitivity": "Which source of error limits where the tool ends: Sobol indices with their intervals."
+}  # that are commands of their own too
 PANELS = {  # in the order of use
-    "Run": ("demo", "up", "experiment", "programs", "doctor"),
+    "Run": ("demo", "up", "experiment", "sensitivity", "programs", "doctor"),
     "See what came out": ("runs", "recording", "replay"),
     "Your arm, camera and machine": (
         "init", "arm", "target", "camera", "hand-eye", "commission", "identify", "markers", "odometry",
@@ -71,11 +74,21 @@ _CAUSES = {  # of what the command line itself refuses
 class RootGroup(LaterGroup):
     """The group of all commands."""
 
-    later = MappingProxyType({name: one.told for name, one in LATER.items()})
+    later = MappingProxyType({name: one.told for name, one in LATER.items()} | EXPERIMENTS)
 
     def load(self, name: str) -> Any:
         """The command or group called ``name``."""
         return LATER[name].load()
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command that ``args`` begin with, loaded, and the other arguments."""
+        if args[0] not in EXPERIMENTS:
+            return super().resolve_command(ctx, args)
+        from testbed.cli.experiment import ExperimentGroup
+
+        name, command, others = ExperimentGroup().resolve_command(ctx, args)
+        command.epilog = command.epilog.replace("longreach experiment", "longreach")
+        return name, command, others
 
     def list_commands(self, ctx: Any) -> list[str]:
         """The names in the order of use."""

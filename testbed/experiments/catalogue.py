@@ -103,6 +103,11 @@ OURS = {
         "whether the closed loop at camera rate ends under 2 mm, beside look-then-move from the same start",
         "60 CPU s",
     ),
+    "sensitivity": _one(
+        "sensitivity.campaign:SENSITIVITY",
+        "which source of error limits where the tool ends: Sobol indices with their intervals",
+        "10 CPU s, 9 of the lab's and 13 of the real world's a sample, 64 samples",
+    ),
     "changed-machine": _one(
         "positioning.changed:CHANGED_MACHINE",
         "what a changed valve, play, lens … does to one look, and to what was told before it",

@@ -1,14 +1,20 @@
 """One command for every experiment: its options, its verdict with each limit, and under what conditions."""
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
 from testbed.campaigns.experiment import Experiment, at_least, inside
+from testbed.campaigns.option_shapes import PINNED, written_down
+from testbed.cli.experiment import app as typer_group
+from testbed.cli.experiment import shown_of
 from testbed.cli.main import app
-from testbed.experiments.catalogue import catalogue
+from testbed.experiments.catalogue import OURS, catalogue
 
 OLD_COMMANDS = (
     "paper", "table2", "table3", "table4", "fig5", "fig6", "fig7", "fig8", "fig9", "ablation", "sweep",
@@ -25,6 +31,28 @@ def test_every_experiment_has_a_command_with_the_options_of_all(name: str) -> No
     assert shown.exit_code == 0
     for option in ("--out", "--fresh", "--scheduler", "--workers", "--config-dir", "--json"):
         assert option in shown.output
+
+
+def written(names: Iterable[str]) -> dict[str, Any]:
+    return {name: written_down(shown_of(catalogue()[name])) for name in names}
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_help_tells_what_the_experiment_itself_has(name: str) -> None:
+    """After a change of options: python -m tests.testbed.cli.test_experiment_command"""
+    (told,) = written([name]).values()
+    assert json.loads(PINNED.read_text(encoding="utf-8"))[name] == told
+    group = typer.main.get_command(typer_group)
+    without = group.resolve_command(typer.Context(group), [name, "--help"])[1]  # type: ignore[attr-defined]
+    loaded = group.resolve_command(typer.Context(group), [name])[1]  # type: ignore[attr-defined]
+    assert without is not loaded
+    assert helped(without) == helped(loaded)
+
+
+def helped(command: Any) -> list[Any]:
+    """What help shows of each option."""
+    context = typer.Context(command, info_name=command.name)
+    return [option.get_help_record(context) for option in command.get_params(context)]
 
 
 def test_the_list_says_what_each_shows_and_costs() -> None:
@@ -63,3 +91,7 @@ def test_a_limit_that_is_missed_is_not_met_and_information_is_neither() -> None:
     assert at_least("share", float("nan"), 0.95).met is False
     assert at_least("share", 0.94, None).met is None
     assert inside("variance", 1.3, (0.8, 1.2)).met is False
+
+
+if __name__ == "__main__":
+    PINNED.write_text(json.dumps(written(OURS), indent=1) + "\n", encoding="utf-8")

@@ -23,7 +23,7 @@ import sys
 from typer.testing import CliRunner
 from testbed.cli.main import app
 from testbed.cli.root import PANELS
-for words in ([], *([name] for names in PANELS.values() for name in names)):
+for words in ([], *([name] for names in PANELS.values() for name in names), ["experiment", "best-mode"]):
     assert CliRunner().invoke(app, [*words, "--help"]).exit_code == 0, words
     assert not [name for name in {HEAVY} if name in sys.modules], words
 """
@@ -64,7 +64,9 @@ def test_quiet_gives_results_alone_and_verbose_says_where(tmp_path: Path) -> Non
 
 
 @pytest.mark.bench
-@pytest.mark.parametrize("words", [(), ("demo",), ("experiment",), ("camera",)])
+@pytest.mark.parametrize(
+    "words", [(), ("demo",), ("experiment",), ("camera",), ("experiment", "best-mode"), ("sensitivity",)]
+)
 def test_help_costs_less_than_0_4_s_of_processor_time(words: tuple[str, ...]) -> None:
     def cpu_s(*command: str) -> float:
         def once() -> float:
