@@ -25,7 +25,7 @@ _RUN_S = 10.0  # [M] processor time of one run, for what is told before
 _LEAST = 4  # samples, below which no interval is told
 
 
-class Drive(StrEnum):
+class DriveKind(StrEnum):
     """What brings the tool to the object."""
 
     ONE_LOOK = "one-look"
@@ -42,8 +42,8 @@ class SensitivitySettings(NamedTuple):
         str | None, typer.Option(help="Of CONFIG_DIR/arms, or a directory; in place of the world's own.")
     ] = None
     drive: Annotated[
-        Drive, typer.Option(help="one-look: corrected on the way; open-loop: one step, uncorrected.")
-    ] = Drive.ONE_LOOK
+        DriveKind, typer.Option(help="one-look: corrected on the way; open-loop: one step, uncorrected.")
+    ] = DriveKind.ONE_LOOK
 
     @property
     def chosen_arm(self) -> str:
@@ -86,7 +86,7 @@ def one_mixed_run(config_dir: Path, task: Task) -> dict[str, Any]:
     rig.command("enable")
     operate(rig, "orientation-adjustment", {})
     operate(rig, "local-track", {})
-    branch = driven(rig, {} if task["drive"] == Drive.ONE_LOOK else {"corrections": 0})
+    branch = driven(rig, {} if task["drive"] == DriveKind.ONE_LOOK else {"corrections": 0})
     return row | {"true_mm": branch.true_mm, "failure": branch.failure}
 
 
