@@ -53,14 +53,17 @@ class PageFiles:
         """A file's text, by the path that it is served at."""
         return self._files[path].read_text(encoding="utf-8")
 
-    async def answer(self, path: str, headers: Mapping[str, str]) -> Response:
-        """The response to a GET: compressed where the client can read that, 304 where it has the file."""
+    async def answer(self, path: str, headers: Mapping[str, str], policy: str = PAGE_POLICY) -> Response:
+        """The response to a GET: compressed where the client can read that, 304 where it has the file.
+
+        ``policy``: what the page may do.
+        """
         served = self._served.get(path)
         if served is None:  # in a thread: this loop may have a stop to serve
             served = self._served[path] = await asyncio.to_thread(_read, self._files[path])
         media_type = _MEDIA_TYPES["." + self._files[path].name.rpartition(".")[2]]
         told = {"ETag": served.etag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}
-        told["Content-Security-Policy"] = PAGE_POLICY
+        told["Content-Security-Policy"] = policy
         if headers.get("if-none-match") == served.etag:
             return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=told)
         if "gzip" in headers.get("accept-encoding", ""):
@@ -68,11 +71,15 @@ class PageFiles:
         return Response(served.body, media_type=media_type, headers=told)
 
 
-def add_files(app: FastAPI, files: PageFiles) -> None:
-    """Adds a route for each of ``files``, none of them in the schema."""
+def add_files(app: FastAPI, files: PageFiles, asks: str = "") -> None:
+    """Adds a route for each of ``files``, none of them in the schema.
+
+    ``asks``: an address, beside its own, that a page of theirs may ask.
+    """
+    policy = PAGE_POLICY.replace("connect-src 'self'", f"connect-src 'self' {asks}") if asks else PAGE_POLICY
 
     async def file(request: Request) -> Response:
-        return await files.answer(request.url.path, request.headers)
+        return await files.answer(request.url.path, request.headers, policy)
 
     for path in sorted(files.paths):
         app.add_api_route(path, file, include_in_schema=False)

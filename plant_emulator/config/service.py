@@ -22,14 +22,17 @@ class Endpoint(StrictModel):
 
 
 class FaultApiConfig(Endpoint):
-    """Where the HTTP face for faults listens, whether it may break anything, and how it may be called.
+    """Where the emulator's HTTP face listens, whether it may break anything, and how it may be called.
 
-    ``allowed_hosts``: names beside loopback and ``host``. ``tokens``: who may look, who may operate;
-    compulsory where ``host`` is not loopback.
+    ``shows_truth``: it tells where the arm really is. ``allowed_hosts``: names beside loopback and ``host``;
+    ``allowed_origins``: of pages from elsewhere that may ask, such as ``http://127.0.0.1:8000``. ``tokens``:
+    who may look, who may operate; compulsory where ``host`` is not loopback.
     """
 
     allowed: bool
+    shows_truth: bool = False
     allowed_hosts: tuple[HostName, ...] = ()
+    allowed_origins: tuple[str, ...] = ()
     tokens: TokenSources = TokenSources()
 
 

@@ -2,14 +2,17 @@
 
 from collections.abc import Callable
 
+import numpy as np
+
 from plant_emulator.core.faults.kinds import MarkerCovered
 from plant_emulator.core.faults.orders import (
-    FaultOrder,
     FaultState,
     MendOrder,
+    Order,
     OrderAnswer,
     OrderMessage,
     PlantMessage,
+    RestartOrder,
 )
 from plant_emulator.core.faults.schedule import Injection
 from plant_emulator.core.plant import Plant
@@ -26,6 +29,14 @@ def fault_state(plant: Plant) -> FaultState:
     return FaultState.model_construct(time_ns=plant.time_ns, active=active, planned=planned)
 
 
+def true_points(plant: Plant) -> list[list[float]]:
+    """Points (n, 3) of the true arm now in its true base, m: the base, each joint and hinge, the tool."""
+    truth = plant.truth()
+    X_BL = np.linalg.inv(truth.X_WB) @ plant.links()
+    points = np.vstack([X_BL[:, :3, 3], truth.X_BT[:3, 3]])
+    return [[round(float(value), 5) for value in point] for point in points]
+
+
 def carry_out(message: OrderMessage, plant: Plant, cover: Cover) -> PlantMessage:
     """What the plant says to an order, which is carried out or refused. ``cover``: ``Scene.cover``."""
     try:
@@ -37,8 +48,10 @@ def carry_out(message: OrderMessage, plant: Plant, cover: Cover) -> PlantMessage
     return PlantMessage(state=fault_state(plant), answer=answer)
 
 
-def obey(order: FaultOrder | MendOrder, plant: Plant, cover: Cover) -> list[Injection]:
+def obey(order: Order, plant: Plant, cover: Cover) -> list[Injection]:
     """The faults that an order made or mended. Raises RequestRefused."""
+    if isinstance(order, RestartOrder):
+        return []  # by who holds the process
     if isinstance(order, MendOrder):
         if order.number is not None:
             return [plant.clear(order.number)]

@@ -1,9 +1,9 @@
-"""The emulator's HTTP API for faults, in a process of its own: see what is broken, break it, mend it.
+"""The emulator's HTTP API, in a process of its own: see what is broken, break it, mend it, begin anew.
 
-Everyone may read. Breaking and mending is refused unless the emulator was started with ``--allow-faults``.
-Errors are problem documents (RFC 9457) with a machine-readable ``cause``. Started by ``fault_desk`` with its
-configuration as JSON on stdin and two inherited sockets; it ends when the plant's end of the link closes.
-What it is asked is judged here; the plant sees orders that fit the schema, one at a time.
+Everyone may read; where the arm really is only with ``shows_truth``. Changing is refused unless the emulator
+was started with ``--allow-faults``. Errors are problem documents (RFC 9457) with a ``cause``. Started by
+``fault_desk`` with its configuration as JSON on stdin and two inherited sockets; it ends when the plant's end
+of the link closes. What it is asked is judged here; the plant sees orders that fit the schema, one at a time.
 """
 
 import asyncio
@@ -12,12 +12,14 @@ import itertools
 import signal
 import socket
 import sys
+from collections.abc import Sequence
 from http import HTTPStatus
 from typing import Any, Protocol, cast
 
 import uvloop
 from fastapi import FastAPI, Response
 from fastapi.exceptions import RequestValidationError
+from fastapi.middleware.cors import CORSMiddleware
 from fastapi.responses import JSONResponse
 from starlette.types import Scope
 
@@ -32,11 +34,12 @@ from foundation.scheduling import Policy, take_policy
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.faults.orders import (
     MOST_BYTES,
-    FaultOrder,
     FaultState,
     MendOrder,
+    Order,
     OrderAnswer,
     PlantMessage,
+    RestartOrder,
     message_with,
     order_with,
 )
@@ -50,6 +53,7 @@ _SHOWN = 80  # characters of a value that is refused
 _STATUS_OF_CAUSE = {
     "refused.faults_not_allowed": HTTPStatus.FORBIDDEN,
     "refused.no_such_fault": HTTPStatus.NOT_FOUND,
+    "refused.truth_hidden": HTTPStatus.NOT_FOUND,
     "refused.unknown_fault": HTTPStatus.UNPROCESSABLE_ENTITY,
     "refused.disturbance": HTTPStatus.UNPROCESSABLE_ENTITY,
     "refused.fault_parameter": HTTPStatus.UNPROCESSABLE_ENTITY,
@@ -65,7 +69,11 @@ class FaultedPlant(Protocol):
         """The newest state that the plant has told."""
         ...
 
-    async def ask(self, order: FaultOrder | MendOrder) -> list[dict[str, Any]]:
+    async def arm_points_m(self) -> list[list[float]] | None:
+        """Where the arm really is by the newest that the plant has told; None where it does not tell."""
+        ...
+
+    async def ask(self, order: Order) -> list[dict[str, Any]]:
         """The faults that an order made or mended. Raises RequestRefused."""
         ...
 
@@ -80,19 +88,26 @@ class DeskLink:
         self._numbers = itertools.count(1)
         self._one = asyncio.Lock()
         self._told = asyncio.Event()
-        self._state: FaultState | None = None
+        self._newest: PlantMessage | None = None
         self._waiting: asyncio.Future[OrderAnswer] | None = None
         link.setblocking(False)
         asyncio.get_running_loop().add_reader(link.fileno(), self._arrived)
 
     async def state(self) -> FaultState:
         """The newest state that the plant has told. Raises LinkLost when it tells none."""
+        return (await self._told_last()).state
+
+    async def arm_points_m(self) -> list[list[float]] | None:
+        """Where the arm really is, None where that is not shown. Raises LinkLost when nothing is told."""
+        return (await self._told_last()).arm_points_m
+
+    async def _told_last(self) -> PlantMessage:
         async with _patience():
             await self._told.wait()
-        assert self._state is not None
-        return self._state
+        assert self._newest is not None
+        return self._newest
 
-    async def ask(self, order: FaultOrder | MendOrder) -> list[dict[str, Any]]:
+    async def ask(self, order: Order) -> list[dict[str, Any]]:
         """The faults that an order made or mended. Raises RequestRefused; LinkLost without an answer."""
         async with self._one, _patience():
             self._waiting = asyncio.get_running_loop().create_future()
@@ -118,7 +133,7 @@ class DeskLink:
             self.ended.set()
             return
         message = PlantMessage.model_validate_json(data)
-        self._state = message.state
+        self._newest = message
         self._told.set()
         if message.answer is not None and self._waiting is not None and not self._waiting.done():
             self._waiting.set_result(message.answer)
@@ -135,9 +150,14 @@ async def _patience() -> Any:
         ) from error
 
 
-def create_app(plant: FaultedPlant, allowed: bool) -> FastAPI:
-    """The application over one plant; the disturbances of installed packages are kinds like ours."""
-    app = FastAPI(title="Longreach plant emulator: faults", version="1", docs_url=None, redoc_url=None)
+def create_app(plant: FaultedPlant, allowed: bool, origins: Sequence[str] = ()) -> FastAPI:
+    """The application over one plant; the disturbances of installed packages are kinds like ours.
+
+    Pages of ``origins`` may read its answers.
+    """
+    app = FastAPI(title="Longreach plant emulator", version="1", docs_url=None, redoc_url=None)
+    if origins:
+        app.add_middleware(CORSMiddleware, allow_origins=origins, allow_methods=["GET", "POST"])
     install_problems(app, _STATUS_OF_CAUSE, _explained, None if allowed else _not_allowed)
     add_docs(app)
     _add_reading(app, plant, allowed)
@@ -163,6 +183,17 @@ def _add_reading(app: FastAPI, plant: FaultedPlant, allowed: bool) -> None:
         """The simulated time, and what is in force and planned; at most 50 ms old."""
         state = await plant.state()
         return {"allowed": allowed, **state.model_dump()}
+
+    @app.get("/truth")
+    async def truth() -> dict[str, Any]:
+        """Where the arm really is: points in its base from the base over joints and hinges to the tool, m.
+
+        At most 50 ms old. For people who compare; nothing that controls the arm may read it.
+        """
+        points = await plant.arm_points_m()
+        if points is None:
+            raise RequestRefused("refused.truth_hidden", "this emulator was started without --show-truth")
+        return {"time_ns": (await plant.state()).time_ns, "arm_points_m": points}
 
     @app.get("/faults/{number}")
     async def fault(number: int) -> dict[str, Any]:
@@ -197,6 +228,12 @@ def _add_changing(app: FastAPI, plant: FaultedPlant) -> None:
         """Mend everything; what was mended and withdrawn."""
         return await plant.ask(MendOrder(number=None))
 
+    @app.post("/world/restart", status_code=HTTPStatus.ACCEPTED)
+    async def restart() -> dict[str, bool]:
+        """End the emulator; ``longreach up`` starts it anew, with the world as it was at first."""
+        await plant.ask(RestartOrder())
+        return {"restarts": True}
+
 
 def _not_allowed(scope: Scope) -> Refusal | None:
     """The problem of a request that would change anything, before its body is read."""
@@ -223,8 +260,10 @@ def _explained(error: RequestValidationError) -> dict[str, Any]:
 async def serve(config: FaultApiConfig, listener: socket.socket, link: socket.socket, log: EventLog) -> None:
     """Serve until the plant's end of ``link`` closes."""
     plant = DeskLink(link)
-    app = create_app(plant, config.allowed)
-    server = RestServer(app, configured_access(config, "plant_service.fault_face"), log, PLACES)
+    app = create_app(plant, config.allowed, config.allowed_origins)
+    origins = frozenset(origin.lower() for origin in config.allowed_origins)
+    access = configured_access(config, "plant_service.fault_face")._replace(allowed_origins=origins)
+    server = RestServer(app, access, log, PLACES)
     serving = asyncio.create_task(server.serve([listener]))
     link.send(READY)
     await plant.ended.wait()

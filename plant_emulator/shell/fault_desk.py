@@ -3,13 +3,14 @@
 import asyncio
 import contextlib
 import socket
+from collections.abc import Callable
 
 from foundation.event_log import EventLog
 from foundation.rest.access import configured_access
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
-from plant_emulator.core.fault_execution import carry_out, fault_state
-from plant_emulator.core.faults.orders import MOST_BYTES, PlantMessage, message_with
+from plant_emulator.core.fault_execution import carry_out, fault_state, true_points
+from plant_emulator.core.faults.orders import MOST_BYTES, PlantMessage, RestartOrder, message_with
 from plant_emulator.core.faults.schedule import Injection
 from plant_emulator.core.plant import Plant
 from plant_emulator.shell.child_process import ended, started
@@ -22,13 +23,24 @@ _TOLD_EVERY_NS = 50_000_000
 class FaultDesk:
     """Between two steps of the plant at most one order is carried out, whatever the API is asked."""
 
-    def __init__(self, plant: Plant, scene: Scene, config: FaultApiConfig, log: EventLog) -> None:
-        """Raises ConfigurationError as ``configured_access`` does."""
+    def __init__(
+        self,
+        plant: Plant,
+        scene: Scene,
+        config: FaultApiConfig,
+        log: EventLog,
+        restart: Callable[[], object] = lambda: None,
+    ) -> None:
+        """``restart`` is called once the API has its answer to such an order.
+
+        Raises ConfigurationError as ``configured_access`` does.
+        """
         configured_access(config, "plant_service.fault_face")  # judged here, where a refusal ends the start
         self._plant = plant
         self._scene = scene
         self._config = config
         self._log = log
+        self._restart = restart
         self._message = message_with(own_kinds())
         self._link, self._theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._link.setblocking(False)
@@ -74,6 +86,9 @@ class FaultDesk:
         if data:
             message = self._message.model_validate_json(data)
             self._tell(carry_out(message, self._plant, self._scene.cover))
+            if isinstance(message.order, RestartOrder):
+                self._log.write("restart_asked")
+                self._restart()
         else:
             self._link.close()
             self._log.write(
@@ -92,5 +107,7 @@ class FaultDesk:
     def _tell(self, message: PlantMessage) -> None:
         self._told = (self._plant.faults.active, self._plant.faults.planned)
         self._told_ns = self._plant.time_ns
+        if self._config.shows_truth:
+            message = message.model_copy(update={"arm_points_m": true_points(self._plant)})
         with contextlib.suppress(OSError):  # an API that does not take it is not waited for
             self._link.send(message.model_dump_json().encode())

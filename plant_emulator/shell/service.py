@@ -55,7 +55,8 @@ class PlantService:
         service = config.service
         scene = Scene(config.scene)
         self._plant = Plant(config.plant, config.scene.seed, scene.mounts)
-        self._faults = FaultDesk(self._plant, scene, service.fault_face, log)
+        self._asked_to_end = asyncio.Event()
+        self._faults = FaultDesk(self._plant, scene, service.fault_face, log, self._asked_to_end.set)
         self._integrator = Integrator(self._plant, round(service.period_ms * 1e6), self._after_step)
         release_ns = round(service.writer_release_ms * 1e6)
         self._coupler = Coupler(
@@ -80,11 +81,11 @@ class PlantService:
         self._memory_at_end: dict[str, float] = {}
 
     async def run(self) -> int:
-        """Exit status, after serving until SIGTERM or SIGINT, or until the renderer fails.
+        """Exit status, after serving until SIGTERM, SIGINT or a restart is asked for, or the renderer fails.
 
         Raises ConfigurationError when a port is busy or the recording cannot be written.
         """
-        stop = asyncio.Event()
+        stop = self._asked_to_end
         when_asked_to_end(stop.set)
         service = self._config.service
         with (

@@ -105,10 +105,10 @@ def up(
 ) -> None:
     """Start plant, controller and vision, watch them, and end them on Ctrl-C."""
     from testbed.realtime.up import run_up
-    from testbed.scenarios.settings import chosen_overrides, with_faults
+    from testbed.scenarios.settings import chosen_overrides, with_face
 
     overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
-    world = with_faults(overrides, start.allow_faults)
+    world = with_face(overrides, start.allow_faults, start.show_truth)
     run_up(config_dir, world, start.free_ports, start.runs, start.foxglove)
 
 
@@ -206,7 +206,7 @@ def demo(
     from testbed.demonstration.realtime import run_demo
     from testbed.reporting.presentation import Choice
     from testbed.scenarios.named_requests import fault_orders, named_request
-    from testbed.scenarios.settings import chosen_overrides, with_faults
+    from testbed.scenarios.settings import chosen_overrides, with_face
 
     holes = chosen.target is DemoTarget.HOLE
     programs = tuple(named_request(word) for word in disturbed.program or [])
@@ -214,7 +214,8 @@ def demo(
     if holes and scenario == "standard":
         scenario = "drill_face"
     breaks = start.allow_faults or bool(faults)
-    overrides = with_faults(chosen_overrides(config_dir, scenario, seed, settings or []), breaks)
+    world = chosen_overrides(config_dir, scenario, seed, settings or [])
+    overrides = with_face(world, breaks, start.show_truth)
     looks = HOLES if holes else 1 if programs else chosen.looks
     choice = Choice(scenario, seed, looks, holes, programs, faults)
     if chosen.lockstep:

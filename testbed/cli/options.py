@@ -36,6 +36,9 @@ class StartOptions(NamedTuple):
     allow_faults: Annotated[
         bool, typer.Option("--allow-faults", help="Let the plant's HTTP face for faults break things.")
     ] = False
+    show_truth: Annotated[
+        bool, typer.Option("--show-truth", help="Let the console draw where the emulator's arm really is.")
+    ] = False
     runs: RunsDir = Path("runs")
     foxglove: Annotated[
         int | None,

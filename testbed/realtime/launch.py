@@ -65,6 +65,16 @@ def free_ports() -> dict[str, Any]:
     }
 
 
+def _introduced(settings: Settings) -> dict[str, Any]:
+    """Overrides by which the console may ask the emulator's face, and knows where it is."""
+    face, api = settings.plant_service.fault_face, settings.vision.api
+    own = [f"http://{host}:{api.port}" for host in dict.fromkeys((api.host, "127.0.0.1", "localhost"))]
+    return {
+        "plant_service": {"fault_face": {"allowed_origins": [*face.allowed_origins, *own]}},
+        "vision": {"api": {"emulator_face": f"http://{face.host}:{face.port}"}},
+    }
+
+
 def ports_in_use(settings: Settings) -> tuple[PortUse, ...]:
     """Every port that the services will listen on."""
     service, link, api = settings.plant_service, settings.controller.reference_link, settings.vision.api
@@ -94,6 +104,9 @@ def prepare(
     if any_ports:
         overrides = merged(overrides, free_ports())
     settings = load_settings(config_dir, overrides)
+    if settings.plant_service.fault_face.allowed or settings.plant_service.fault_face.shows_truth:
+        overrides = merged(overrides, _introduced(settings))
+        settings = load_settings(config_dir, overrides)
     if foxglove == 0:
         foxglove = free_port()
     shared = () if foxglove is None else (PortUse("live", "127.0.0.1", foxglove, _TCP, "--foxglove"),)

@@ -70,6 +70,8 @@ def chosen_overrides(
     return merged(world, parse_overrides(assignments))
 
 
-def with_faults(overrides: Overrides, allowed: bool) -> Overrides:
-    """``overrides``, and the plant's HTTP face for faults allowed to break things where ``allowed``."""
-    return merged(overrides, {"plant_service": {"fault_face": {"allowed": True}}}) if allowed else overrides
+def with_face(overrides: Overrides, allow_faults: bool, show_truth: bool = False) -> Overrides:
+    """``overrides``, and the emulator's HTTP face allowed to break things, or to tell where the arm is."""
+    wanted = {"allowed": allow_faults, "shows_truth": show_truth}
+    face = {name: True for name, is_wanted in wanted.items() if is_wanted}
+    return merged(overrides, {"plant_service": {"fault_face": face}}) if face else overrides

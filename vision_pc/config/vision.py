@@ -233,12 +233,15 @@ class MotionSettings(StrictModel):
 class ApiSettings(StrictModel):
     """Where the REST API listens, and by what names, beside loopback and ``host``, it may be called.
 
-    ``tokens``: who may look, who may operate; compulsory where ``host`` is not loopback.
+    ``emulator_face``: address of the plant emulator's HTTP face, such as ``http://127.0.0.1:8010``, that the
+    console may ask; this service never does. ``tokens``: who may look, who may operate; compulsory where
+    ``host`` is not loopback.
     """
 
     host: str = "127.0.0.1"
     port: Port = 8000
     allowed_hosts: tuple[HostName, ...] = ()
+    emulator_face: str = Field("", pattern=r"^(https?://[A-Za-z0-9.\[\]:-]+)?$")
     tokens: TokenSources = TokenSources()
 
 

@@ -109,7 +109,8 @@ class VisionService:
         application.links, self._told = nominal.links, partial(told, application)
         self._record_from(eyes, application)
         operations = Operations(application.arm.halt, log)
-        app = create_app(application, operations, self._programs, Home(asyncio.get_running_loop()))
+        home, face = Home(asyncio.get_running_loop()), config.api.emulator_face
+        app = create_app(application, operations, self._programs, home, face)
         self._server = server = RestServer(app, self._access, log)
         leaving: list[asyncio.Task[None]] = []
 

@@ -4,7 +4,7 @@ The fault API is a process of its own (decision 0022). These models are all that
 """
 
 from functools import cache
-from typing import Annotated, Any, Union, get_args
+from typing import Annotated, Any, Literal, Union, get_args
 
 from pydantic import Field, create_model
 
@@ -29,11 +29,20 @@ class MendOrder(StrictModel):
     number: int | None
 
 
+class RestartOrder(StrictModel):
+    """End the emulator in good order; who supervises it starts it anew, with the world as it was at first."""
+
+    restart: Literal[True] = True
+
+
+Order = FaultOrder | MendOrder | RestartOrder
+
+
 class OrderMessage(StrictModel):
     """API → plant: the ``number``-th order."""
 
     number: int
-    order: FaultOrder | MendOrder
+    order: Order
 
 
 class FaultState(StrictModel):
@@ -54,9 +63,13 @@ class OrderAnswer(StrictModel):
 
 
 class PlantMessage(StrictModel):
-    """Plant → API: the state now, after the order that is answered, if one is."""
+    """Plant → API: the state now, after the order that is answered, if one is.
+
+    ``arm_points_m``: as ``true_points`` has them, where the truth is shown.
+    """
 
     state: FaultState
+    arm_points_m: list[list[float]] | None = None
     answer: OrderAnswer | None = None
 
 
@@ -78,6 +91,6 @@ def message_with(own: tuple[type[OwnFault], ...]) -> type[OrderMessage]:
     """A message with such an order."""
     if not own:
         return OrderMessage
-    order: Any = order_with(own) | MendOrder
+    order: Any = order_with(own) | MendOrder | RestartOrder
     made: type[OrderMessage] = create_model("OrderMessage", __base__=OrderMessage, order=(order, ...))
     return made

@@ -3,20 +3,24 @@
 import itertools
 import socket
 from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from typing import NamedTuple
 
 import pytest
 
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.fault_execution import true_points
 from plant_emulator.core.faults.kinds import CouplerSilent, Fault, MarkerCovered, SupplyLost
 from plant_emulator.core.faults.orders import (
     MOST_BYTES,
     FaultOrder,
     MendOrder,
+    Order,
     OrderAnswer,
     OrderMessage,
     PlantMessage,
+    RestartOrder,
 )
 from plant_emulator.core.plant import Plant
 from plant_emulator.shell.fault_desk import FaultDesk
@@ -34,8 +38,9 @@ class Bench(NamedTuple):
     desk: FaultDesk
     link: socket.socket
     log: HeardLog
+    restarts: list[int]
 
-    def order(self, number: int, order: FaultOrder | MendOrder) -> None:
+    def order(self, number: int, order: Order) -> None:
         """What the API would send."""
         self.link.send(OrderMessage(number=number, order=order).model_dump_json().encode())
 
@@ -58,13 +63,19 @@ class Bench(NamedTuple):
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    plant, log = Plant(plant_config(), seed=1), HeardLog("plant_emulator")
-    config = FaultApiConfig(host="127.0.0.1", port=0, allowed=True)
-    desk = FaultDesk(plant, Scene(scene_config()), config, log)
+    with bench_of(shows_truth=False) as made:
+        yield made
+
+
+@contextmanager
+def bench_of(shows_truth: bool) -> Iterator[Bench]:
+    """A bench whose desk shows where the arm really is, or not."""
+    plant, log, restarts = Plant(plant_config(), seed=1), HeardLog("plant_emulator"), []
+    config = FaultApiConfig(host="127.0.0.1", port=0, allowed=True, shows_truth=shows_truth)
+    desk = FaultDesk(plant, Scene(scene_config()), config, log, lambda: restarts.append(plant.time_ns))
     desk._theirs.setblocking(False)
-    yield Bench(plant, desk, desk._theirs, log)
-    desk._link.close()
-    desk._theirs.close()
+    with closing(desk._link), closing(desk._theirs):
+        yield Bench(plant, desk, desk._theirs, log, restarts)
 
 
 def broken(fault: Fault) -> FaultOrder:
@@ -79,6 +90,25 @@ def test_one_order_a_step_however_many_wait(bench: Bench) -> None:
         assert bench.answer().number == number
         assert bool(bench.plant.faults.active) == bool(number % 2)
     assert len(bench.plant.faults.changes) == 5
+
+
+def test_a_restart_is_answered_before_it_is_carried_out(bench: Bench) -> None:
+    bench.order(1, MendOrder(number=None))
+    assert bench.answer().number == 1
+    assert bench.restarts == []
+    bench.order(2, RestartOrder())
+    assert bench.answer().cause == ""
+    assert bench.restarts == [bench.plant.time_ns]
+
+
+def test_where_the_arm_is_is_told_with_the_state_where_that_is_asked_for(bench: Bench) -> None:
+    bench.desk.step()
+    (message,) = bench.told()
+    assert message.arm_points_m is None
+    with bench_of(shows_truth=True) as shown:
+        shown.desk.step()
+        (message,) = shown.told()
+        assert message.arm_points_m == true_points(shown.plant)
 
 
 def test_a_refused_order_is_answered_with_its_cause(bench: Bench) -> None:

@@ -8,6 +8,7 @@ import socket
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 from fastapi import FastAPI
 from hypothesis import given, settings
@@ -16,14 +17,15 @@ from hypothesis import strategies as st
 from foundation.event_log import EventLog
 from plant_emulator.config.service import FaultApiConfig
 from plant_emulator.core.camera.scene import Scene
-from plant_emulator.core.fault_execution import carry_out, fault_state
+from plant_emulator.core.fault_execution import carry_out, fault_state, true_points
 from plant_emulator.core.faults.kinds import FAULTS
-from plant_emulator.core.faults.orders import FaultOrder, FaultState, MendOrder, OrderMessage
+from plant_emulator.core.faults.orders import FaultState, MendOrder, Order, OrderMessage
 from plant_emulator.core.layout import JOINTS
 from plant_emulator.core.plant import Plant
 from plant_emulator.shell import fault_api
 from plant_emulator.shell.fault_api import create_app, serve
 from protocol.errors import LinkLost, RequestRefused
+from protocol.process_image import CONTROL_ENABLE, ValveImage
 from tests.plant_emulator.camera.camera_world import scene_config
 from tests.plant_emulator.faults.test_faults import EVERY
 from tests.plant_emulator.plant_world import plant_config
@@ -37,6 +39,7 @@ class NearPlant:
     """A plant without a link in between; what would cross it is JSON all the same."""
 
     def __init__(self, plant: Plant) -> None:
+        self.shows_truth = False
         self._plant = plant
         self._scene = Scene(scene_config())
 
@@ -44,7 +47,11 @@ class NearPlant:
         """The state now."""
         return FaultState.model_validate_json(fault_state(self._plant).model_dump_json())
 
-    async def ask(self, order: FaultOrder | MendOrder) -> list[dict[str, Any]]:
+    async def arm_points_m(self) -> list[list[float]] | None:
+        """The arm now, where the truth is shown."""
+        return true_points(self._plant) if self.shows_truth else None
+
+    async def ask(self, order: Order) -> list[dict[str, Any]]:
         """The faults that an order made or mended."""
         message = OrderMessage.model_validate_json(OrderMessage(number=1, order=order).model_dump_json())
         answer = carry_out(message, self._plant, self._scene.cover).answer
@@ -223,10 +230,60 @@ def test_without_permission_everything_can_be_read_and_nothing_broken_or_mended(
     assert face.get("/faults").json()["allowed"] is False
     assert face.get(f"/faults/{planned.number}").status_code == 200
     assert len(face.get("/faults/kinds").json()) == len(FAULTS)
-    for method, path in (("POST", "/faults"), ("DELETE", "/faults"), ("DELETE", "/faults/1")):
+    changing = (
+        ("POST", "/faults"),
+        ("DELETE", "/faults"),
+        ("DELETE", "/faults/1"),
+        ("POST", "/world/restart"),
+    )
+    for method, path in changing:
         response = face.request(method, path, json={"fault": {"kind": "payload_drop"}})
         assert "--allow-faults" in problem(response, 403, "refused.faults_not_allowed")
     assert plant.truth().faults == ("supply_lost",)
+
+
+def test_where_the_arm_is_is_told_only_where_it_is_shown(plant: Plant) -> None:
+    near = NearPlant(plant)
+    face = Client(create_app(near, False))
+    assert "--show-truth" in problem(face.get("/truth"), 404, "refused.truth_hidden")
+    near.shows_truth = True
+    told = face.get("/truth").json()
+    points = np.array(told["arm_points_m"])
+    assert told["time_ns"] == plant.time_ns
+    assert points[0] == pytest.approx(np.zeros(3), abs=1e-5)
+    assert points[-1] == pytest.approx(plant.truth().X_BT[:3, 3], abs=1e-5)
+    assert len(points) == len(plant.chain.names) + 1
+    reach = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    plant.write(ValveImage(1, CONTROL_ENABLE, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)))
+    plant.advance(400 * MS)
+    moved = np.array(face.get("/truth").json()["arm_points_m"])
+    assert np.linalg.norm(moved[-1] - points[-1]) > 0.01
+    assert np.linalg.norm(np.diff(moved, axis=0), axis=1) == pytest.approx(
+        reach, abs=0.01
+    )  # it bends a little
+
+
+def test_only_pages_that_are_allowed_may_read_the_answers(plant: Plant) -> None:
+    ours, theirs = "http://127.0.0.1:8000", "http://evil.example"
+    face = Client(create_app(NearPlant(plant), True, [ours]))
+    assert (
+        face.request("GET", "/faults", headers={"origin": ours}).headers["access-control-allow-origin"]
+        == ours
+    )
+    assert (
+        "access-control-allow-origin"
+        not in face.request("GET", "/faults", headers={"origin": theirs}).headers
+    )
+    shut = Client(create_app(NearPlant(plant), True))
+    assert (
+        "access-control-allow-origin" not in shut.request("GET", "/faults", headers={"origin": ours}).headers
+    )
+
+
+def test_a_restart_is_asked_for_without_a_body(face: Client, plant: Plant) -> None:
+    answer = face.post("/world/restart")
+    assert (answer.status_code, answer.json()) == (202, {"restarts": True})
+    assert not plant.faults.all()
 
 
 def test_a_body_that_is_too_large_is_refused_unread(face: Client, plant: Plant) -> None:

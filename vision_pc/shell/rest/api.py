@@ -51,10 +51,12 @@ def create_app(
     operations: Operations,
     programs: Sequence[Program[Any, Any]] = PROGRAMS,
     home: Home | None = None,
+    emulator_face: str = "",
 ) -> FastAPI:
     """The API over one application; guided hand-eye calibration is there when the application has it.
 
-    ``home``: where the application lives, if it is served elsewhere. Raises ConfigurationError when two
+    ``home``: where the application lives, if it is served elsewhere. ``emulator_face``: an address that the
+    console may ask for what no service knows. Raises ConfigurationError when two
     programs have one name.
     """
     app = FastAPI(
@@ -67,7 +69,7 @@ def create_app(
     )
     install_problems(app, STATUS_OF_CAUSE)
     add_docs(app)
-    add_console(app, Console(application, operations, Overview(application.links), home))
+    add_console(app, Console(application, operations, Overview(application.links), home), emulator_face)
     if home is not None:
         run_endpoints_at(app, home)
     _add_state(app, application, operations)

@@ -26,7 +26,7 @@ from testbed.realtime.up import end_on_sigterm, started
 from testbed.reporting.console import bars, err, write_json
 from testbed.reporting.run_directory import run_directory
 from testbed.reporting.run_record import note, note_settings
-from testbed.scenarios.settings import Overrides, with_faults
+from testbed.scenarios.settings import Overrides, with_face
 
 _HEALTHY_S = 60.0
 _WARM_UP_SHARE = 1 / 3  # of the time: caches fill, and vision keeps its last 200 operations
@@ -58,7 +58,7 @@ def run_soak(request: SoakRequest, json_file: Path | None) -> bool:
     Raises LongreachError when the services do not start.
     """
     end_on_sigterm()
-    overrides = with_faults(request.overrides, request.faults)
+    overrides = with_face(request.overrides, request.faults)
     with run_directory(request.runs) as directory:
         launch = prepare(request.config_dir, overrides, directory, any_ports=request.any_ports)
         note_settings(directory, launch.settings)

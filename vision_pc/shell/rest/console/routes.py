@@ -45,6 +45,9 @@ class AccessView(BaseModel):
 
     role: Role = Field(description="look: may read and stop; operate: everything")
     token_wanted: bool = Field(description="whether this service asks for a token at all")
+    emulator_face: str | None = Field(
+        None, description="address of the emulator's own HTTP face; for the console"
+    )
 
 
 class Console:
@@ -118,15 +121,16 @@ class Console:
             await self._at_home(self._application.camera.observe)
 
 
-def add_console(app: FastAPI, console: Console) -> None:
-    """Adds the page at ``/`` and what it lives on to ``app``."""
-    add_files(app, PAGE)
+def add_console(app: FastAPI, console: Console, emulator_face: str = "") -> None:
+    """Adds the page at ``/`` and what it lives on to ``app``. ``emulator_face``: an address it may ask."""
+    add_files(app, PAGE, emulator_face)
 
     @app.get("/access", tags=_TAG, summary="What the token that was sent lets its holder do")
     async def access(request: Request) -> AccessView:
         """Where no token is wanted, everybody operates."""
         role = request.scope.get("longreach.role")
-        return AccessView(role=role or Role.OPERATE, token_wanted=role is not None)
+        role_now, wanted = role or Role.OPERATE, role is not None
+        return AccessView(role=role_now, token_wanted=wanted, emulator_face=emulator_face or None)
 
     @app.get("/events", tags=_TAG, summary="All that a console shows, ten times a second (event stream)",
              response_class=StreamingResponse,
