@@ -38,6 +38,7 @@ from protocol.errors import ConfigurationError
 from protocol.process_image import ValveImage, acknowledge, encode_sensors
 
 _NAME = "plant_emulator"
+_ANSWERED_S = 0.2  # [D]
 _LIMITS = {
     "periods": Limit(1.0, "of the arm's time stood still"),
     "pictures": Limit(20.0, "of the pictures were not rendered"),
@@ -56,7 +57,7 @@ class PlantService:
         scene = Scene(config.scene)
         self._plant = Plant(config.plant, config.scene.seed, scene.mounts)
         self._asked_to_end = asyncio.Event()
-        self._faults = FaultDesk(self._plant, scene, service.fault_face, log, self._asked_to_end.set)
+        self._faults = FaultDesk(self._plant, scene, service.fault_face, log, self._end_soon)
         self._integrator = Integrator(self._plant, round(service.period_ms * 1e6), self._after_step)
         release_ns = round(service.writer_release_ms * 1e6)
         self._coupler = Coupler(
@@ -121,6 +122,10 @@ class PlantService:
         else:
             self._log.write("stopped", simulated_ns=self._plant.time_ns)
         return 1 if failed else 0
+
+    def _end_soon(self) -> None:
+        """End in good order, once the API has told who asked for it."""
+        asyncio.get_running_loop().call_later(_ANSWERED_S, self._asked_to_end.set)
 
     async def _served(
         self, camera: CameraSender, addresses: dict[str, tuple[str, int]], stop: asyncio.Event

@@ -62,4 +62,5 @@ def test_the_address_and_the_ways_are_those_of_the_face() -> None:
     app = fault_api.create_app(NearPlant(Plant(plant_config(), seed=1)), True)
     ways = {route.path for route in app.routes if isinstance(route, APIRoute) and route.include_in_schema}
     assert ways == {"/faults", "/faults/kinds", "/faults/{number}", "/truth", "/world/restart"}
-    assert all(f"{way.partition('/{')[0]}" in PAGE for way in ways)
+    assert "`GET /truth`" in PAGE
+    assert "`POST /world/restart`" in PAGE

@@ -171,8 +171,9 @@ def test_faults_over_http_reach_fieldbus_camera_and_recording(tmp_path: Path) ->
         assert len({header.frame_id for header, _ in frames}) == 16
         refusal = httpx.post(face, json={"fault": {"kind": "marker_covered", "marker_id": 9}})
         assert refusal.json()["cause"] == "refused.unknown_marker"
-        process.terminate()
-        assert process.wait(5.0) == 0
+        restart = httpx.post(face.replace("/faults", "/world/restart"), timeout=READY_S)
+        assert (restart.status_code, restart.json()) == (202, {"restarts": True})
+        assert process.wait(READY_S) == 0
     recording = read_truth(tmp_path / "truth.mcap")
     assert recording.complete
     first, second = recording.faults

@@ -31,6 +31,7 @@ def served_bench(
     add: Callable[[FastAPI], None] = lambda app: None,
     tokens: Mapping[Role, bytes] = MappingProxyType({}),
     link_timeout_ms: int = 30_000,  # this machine may be busy
+    emulator_face: str = "",
 ) -> Iterator[tuple[str, Bench]]:
     """Its URL, and what it works on; ``add`` adds routes of the test's own; ``tokens``: who is asked."""
     listening = socket.create_server(("127.0.0.1", 0), backlog=512)
@@ -42,7 +43,8 @@ def served_bench(
             made.controller.speed = 50.0
             if enabled:
                 await made.post("/enable")
-            app = create_app(made.station, made.operations, home=Home(asyncio.get_running_loop()))
+            home = Home(asyncio.get_running_loop())
+            app = create_app(made.station, made.operations, home=home, emulator_face=emulator_face)
             add(app)
             server = RestServer(app, Access((), tokens, frozenset(STOPS), PUBLIC), made.station.log)
             task = asyncio.create_task(serve_in_thread(server, listening))

@@ -150,6 +150,18 @@ def test_the_page_is_anybodys_and_nothing_else_is() -> None:
         for token, role in ((LOOK, "look"), (OPERATE, "operate")):
             bearer = {"Authorization": f"Bearer {token.hex()}"}
             told = httpx.get(f"{url}/access", headers=bearer).json()
-            assert told == {"role": role, "token_wanted": True}
+            assert told == {"role": role, "token_wanted": True, "emulator_face": None}
     with served_bench() as (url, _), contextlib.closing(httpx.Client()) as client:
-        assert client.get(f"{url}/access").json() == {"role": "operate", "token_wanted": False}
+        told = client.get(f"{url}/access").json()
+        assert told == {"role": "operate", "token_wanted": False, "emulator_face": None}
+        assert "connect-src 'self';" in client.get(url).headers["content-security-policy"]
+
+
+@pytest.mark.realtime
+def test_the_page_may_ask_the_emulator_that_is_named_and_nobody_else() -> None:
+    face = "http://127.0.0.1:8010"
+    with served_bench(emulator_face=face) as (url, _), contextlib.closing(httpx.Client()) as client:
+        assert client.get(f"{url}/access").json()["emulator_face"] == face
+        for path in ("", "/console/app.js"):
+            policy = client.get(f"{url}{path}").headers["content-security-policy"]
+            assert f"connect-src 'self' {face};" in policy

@@ -20,6 +20,7 @@ const STEPS = [
   { kind: 'home', words: 'Back to the first pose', verb: 'Go back' },
 ];
 const results = new Map(); // of operations that have ended, by id
+const rows = []; // [step, its line]
 let shot = null;
 let may = false; // operate
 
@@ -30,7 +31,7 @@ const running = () => shot?.operations.find((operation) => !operation.result && 
 /** Makes the buttons. `stale()`: whether what is shown is old. */
 export function installActions() {
   for (const action of GROUP) byId('group-buttons').append(button(action.words, () => ['POST', action.path], action));
-  for (const step of STEPS) byId('procedure').append(row(step));
+  addSteps(STEPS, byId('procedure'));
   for (const axis of 'xyz') for (const sign of [-1, 1]) {
     byId('jog').append(button(`${sign < 0 ? '−' : '+'} ${axis}`, () => jogRequest(axis, sign), { id: `jog-${axis}${sign < 0 ? '-minus' : '-plus'}` }));
   }
@@ -43,16 +44,22 @@ export function installActions() {
 export async function offerPrograms() {
   const answer = await send('GET', '/programs');
   for (const program of answer.ok ? answer.document : []) {
-    if (!program.own || STEPS.some((step) => step.kind === program.name)) continue;
-    const step = { kind: program.name, words: program.title, verb: 'Run' };
-    STEPS.push(step);
-    byId('procedure').append(row(step));
+    if (!program.own || rows.some(([step]) => step.kind === program.name)) continue;
+    addSteps([{ kind: program.name, words: program.title, verb: 'Run' }], byId('procedure'));
   }
   update(shot, may);
 }
 
+/** Adds a row to `place` for each program of `steps`. */
+export function addSteps(steps, place) {
+  for (const step of steps) {
+    rows.push([step, row(step)]);
+    place.append(rows.at(-1)[1]);
+  }
+}
+
 /** A button that sends what `request()` says, by a press or held. */
-function button(words, request, { id, hold, primary } = {}) {
+export function button(words, request, { id, hold, primary } = {}) {
   const made = make('button', { type: 'button', id, class: primary ? 'primary' : '' }, words);
   if (hold) made.append(make('small', {}, 'hold'));
   const act = async () => {
@@ -63,26 +70,34 @@ function button(words, request, { id, hold, primary } = {}) {
   };
   if (hold) onHold(made, act, () => say(`${words}: hold it for 0.6 s.`, true));
   else made.addEventListener('click', act);
-  for (const kind of ['focus', 'pointerenter']) {
-    made.addEventListener(kind, () => { const asked = request(); if (asked) showCurl(...asked); });
-  }
+  tellCurl(made, request);
   return made;
+}
+
+/** Shows the curl line of `request()` when `element` is pointed at or gets the focus. */
+export function tellCurl(element, request) {
+  for (const kind of ['focus', 'pointerenter']) {
+    element.addEventListener(kind, () => { const asked = request(); if (asked) showCurl(...asked); });
+  }
 }
 
 function row(step) {
   const start = button(step.verb, () => stepRequest(step), { id: `start-${step.kind}`, hold: !step.free, primary: step.primary });
   attribute(start, 'aria-label', `${step.words}${step.free ? '' : ': hold'}`);
   const cancel = make('button', { type: 'button', id: `cancel-${step.kind}`, hidden: true }, 'Cancel');
+  const ending = () => { const operation = running(); return operation && ['POST', `/operations/${operation.id}/cancel`]; };
+  tellCurl(cancel, ending);
   cancel.addEventListener('click', async () => {
-    const operation = running();
-    if (!operation) return;
-    const answer = await send('POST', `/operations/${operation.id}/cancel`);
+    const asked = ending();
+    if (!asked) return;
+    const answer = await send(...asked);
     say(answer.ok ? 'Cancelled; the arm was stopped.' : answer.words, answer.ok);
   });
   return make('li', { 'data-kind': step.kind, 'data-method': step.method }, make('span', {}, step.words), make('span', {}, start, cancel), make('progress', { max: 1, value: 0, hidden: true, 'aria-label': `Progress of ${step.words}` }), make('small', { class: 'note' }, ''));
 }
 
 function stepRequest(step) {
+  if (step.request) return step.request();
   if (step.kind === 'home') return shot?.home && ['POST', '/operations/move', { X_BT: shot.home }];
   if (step.kind === 'look-then-move') return ['POST', '/operations/look-then-move', { method: method() }];
   return ['POST', `/operations/${step.kind}`];
@@ -120,7 +135,7 @@ export function update(snapshot, operate) {
   able('disable', state && state.group_state !== 'disabled', 'is disabled');
   able('reset', may && state?.group_state === 'error_stop' && !state.emergency_latched, 'nothing to reset');
   able('release', may && Boolean(state?.emergency_latched), 'no emergency stop is latched');
-  for (const step of STEPS) showStep(step, busy);
+  for (const [step, line] of rows) showStep(step, line, busy);
   for (const jog of byId('jog').children) able(jog.id, may && enabled() && !busy, 'enable first, and wait until nothing runs');
 }
 
@@ -130,13 +145,12 @@ function able(id, is, why) {
   attribute(made, 'title', is ? '' : why);
 }
 
-function showStep(step, busy) {
-  const line = byId('procedure').querySelector(`[data-kind="${step.kind}"]`);
+function showStep(step, line, busy) {
   line.hidden = Boolean(step.method) && step.method !== method();
   const mine = step.kind === 'home' ? 'move' : step.kind;
   const last = shot?.operations.findLast((operation) => operation.kind === mine);
   const runs = busy && busy === last;
-  able(`start-${step.kind}`, may && !busy && (step.kind === 'look' ? shot?.state : enabled()), busy ? `${busy.kind} is running` : 'enable first');
+  able(`start-${step.kind}`, may && !busy && ready(step), busy ? `${busy.kind} is running` : step.of ? `while ${step.of}` : 'enable first');
   byId(`start-${step.kind}`).hidden = Boolean(runs);
   byId(`cancel-${step.kind}`).hidden = !runs || !may;
   const bar = line.querySelector('progress');
@@ -145,6 +159,12 @@ function showStep(step, busy) {
   const note = line.querySelector('.note');
   write(note, last ? words(last) : hint(step));
   note.classList.toggle('failed', last?.state === 'failed');
+}
+
+/** Whether the group's state lets `step` begin. */
+function ready(step) {
+  if (step.of) return shot?.state?.group_state === step.of;
+  return step.free ? shot?.state : enabled();
 }
 
 function hint(step) {
@@ -180,6 +200,11 @@ function summary(kind, result) {
   if (kind === 'orientation-adjustment') return `, ${worst(result.after_deg).toFixed(2)}° left`;
   if (kind === 'trajectory-matching') return `, rotation known to ${result.rotation_std_deg.toFixed(2)}°`;
   if (kind === 'local-track') return `, ${result.samples} samples`;
+  if (kind === 'hand-eye-start') return `: ${result.verdict}`;
+  if (kind === 'hand-eye-next') return `, ${result.off.mm.toFixed(1)} mm beside`;
+  if (kind === 'hand-eye-sample') return `, sample ${result.count}: ±${result.std_mm.toFixed(2)} mm, ±${result.std_deg.toFixed(3)}°`;
+  if (kind === 'hand-eye-solve') return `: ${result.verdict}`;
+  if (kind === 'valve-trials') return `: play of ${Object.keys(result.play_mrad).length} joints`;
   if (kind === 'move') return `, ${result.miss_mm.toFixed(1)} mm beside`;
   if (result.look ?? result.error_mm) {
     const error = (result.look ?? result).error_mm;

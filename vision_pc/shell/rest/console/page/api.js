@@ -16,9 +16,12 @@ export const setToken = (token) => sessionStorage.setItem(KEY, token.trim());
 export const forgetToken = () => sessionStorage.removeItem(KEY);
 export const onTokenWanted = (tell) => { wanted = tell; };
 
+/** Whether `path` is of this service; else it is the emulator's own address, which gets no token of ours. */
+const isOurs = (path) => path.startsWith('/');
+
 /** `fetch` with the token, never with what the browser remembers. */
 export function ask(path, options = {}) {
-  const token = sessionStorage.getItem(KEY);
+  const token = isOurs(path) && sessionStorage.getItem(KEY);
   const headers = { ...options.headers };
   if (token) headers.Authorization = `Bearer ${token}`;
   return fetch(path, { ...options, headers, credentials: 'omit', cache: 'no-store' });
@@ -35,10 +38,10 @@ export async function send(method, path, body) {
   try {
     answer = await ask(path, { ...options, signal: AbortSignal.timeout(10_000) });
   } catch {
-    return { ok: false, status: 0, document: null, words: 'The vision PC does not answer. Nothing was moved by this.' };
+    return { ok: false, status: 0, document: null, words: `The ${isOurs(path) ? 'vision PC' : 'emulator'} does not answer. Nothing was moved by this.` };
   }
   const document = await answer.json().catch(() => null);
-  if (answer.status === 401) wanted(document);
+  if (answer.status === 401 && isOurs(path)) wanted(document);
   return { ok: answer.ok, status: answer.status, document, words: answer.ok ? '' : refusal(document, answer.status) };
 }
 
@@ -52,8 +55,8 @@ export function refusal(document, status) {
 export function curl(method, path, body) {
   const parts = ['curl'];
   if (method !== 'GET') parts.push(`-X ${method}`);
-  parts.push(location.origin + path);
-  if (sessionStorage.getItem(KEY)) parts.push(`-H "Authorization: Bearer $(cat operate.token)"`);
+  parts.push(isOurs(path) ? location.origin + path : path);
+  if (isOurs(path) && sessionStorage.getItem(KEY)) parts.push(`-H "Authorization: Bearer $(cat operate.token)"`);
   if (body !== undefined) parts.push(`-H 'content-type: application/json' -d '${JSON.stringify(body)}'`);
   return parts.join(' ');
 }

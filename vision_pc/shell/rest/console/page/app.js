@@ -1,12 +1,14 @@
 // The console: puts the streams and the parts of the page together, and judges what is stale.
 
 import { forgetToken, onTokenWanted, send, setToken, takeToken } from './api.js';
-import { installActions, offerPrograms, say, update } from './actions.js';
+import { installActions, offerPrograms, say, tellCurl, update } from './actions.js';
 import { byId, write } from './dom.js';
+import { followEmulator } from './emulator.js';
+import { installFurther, showFurther } from './further.js';
 import { installLayers, pictureAge, showOverlay, showPicture } from './picture.js';
 import { showAlarms, showChips, showLadder, showResume } from './panels.js';
 import { addToPlots, clearPlots, drawPlots, installPlots } from './plots.js';
-import { installArm, paintArm, showArm } from './arm.js';
+import { installArm, paintArm, showArm, showTruth } from './arm.js';
 import { installStop } from './stop.js';
 import { followPictures, followState } from './stream.js';
 import { installTargets, pictureSize } from './targets.js';
@@ -44,6 +46,7 @@ function showSnapshot(snapshot) {
   else if (shot.look && shot.look.time_ns !== lookSeen.ns) lookSeen = { ns: shot.look.time_ns, at: shot.time };
   showVerdict(shot.look, shot.told, shot.time - lookSeen.at);
   showArm(shot);
+  showFurther(shot);
   addToPlots(shot);
 }
 
@@ -85,6 +88,7 @@ async function whoAmI() {
   if (!answer.ok || !answer.document) return;
   operate = answer.document.role === 'operate';
   if (recorded) return;
+  followEmulator(answer.document.emulator_face, showTruth);
   write(byId('whoami'), answer.document.token_wanted ? `${answer.document.role} (token)` : 'operate');
   offerPrograms();
   if (!operate) say('You may look and stop. Sign in with the operator’s token to move the arm.', true);
@@ -127,6 +131,8 @@ takeToken();
 if (recorded) installTransport();
 else installStop();
 installActions();
+installFurther();
+if (!recorded) tellCurl(byId('stop'), () => ['POST', '/stop']);
 installLayers();
 installArm();
 installTheme();
@@ -135,5 +141,8 @@ const again = [followState(showSnapshot, lost), followPictures(showPicture, noPi
 if (!recorded) installTargets();
 installSignIn(() => { whoAmI(); for (const begin of again) begin(); });
 whoAmI();
+addEventListener('keydown', (event) => { // Space stops the arm, so that Enter ticks
+  if (event.key === 'Enter' && event.target instanceof HTMLInputElement && event.target.type === 'checkbox') event.target.click();
+});
 setInterval(judge, 250);
 setInterval(() => { if (!document.hidden) drawPlots(); }, 300);

@@ -32,6 +32,11 @@ function show3D(is) {
   if (last) showArm(last);
 }
 
+/** Draws again what is shown, with where the arm really is. */
+export function showTruth() {
+  if (last) showArm(last);
+}
+
 /** Shows a snapshot. */
 export function showArm(shot) {
   last = shot;

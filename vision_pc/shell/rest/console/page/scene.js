@@ -7,6 +7,7 @@ import {
   SphereGeometry, Vector3, WebGLRenderer,
 } from './vendor/three.js';
 import { byId } from './dom.js';
+import { truth } from './emulator.js';
 
 const MOST = 3000; // points of the driven path
 const NEXT_M = 0.004;
@@ -40,7 +41,7 @@ export function installScene(anyway = false) {
   const sun = new DirectionalLight(0xffffff, 2.2);
   sun.position.set(2, -4, 8);
   scene.add(new AmbientLight(0xffffff, 1.5), sun);
-  view = { scene, camera, controls, renderer, canvas, links: [], joints: [], path: [], shownPath: null, aim: null, framed: false, told: '', last: [] };
+  view = { scene, camera, controls, renderer, canvas, links: [], joints: [], path: [], shownPath: null, aim: null, framed: false, told: '', last: [], really: [], ghost: null };
   paintScene();
   controls.addEventListener('change', draw);
   new ResizeObserver(draw).observe(canvas);
@@ -64,6 +65,7 @@ export function paintScene() {
   view.steel = new MeshLambertMaterial({ color: colour('--soft') });
   view.joint = new MeshLambertMaterial({ color: colour('--on') });
   view.driven = new LineDashedMaterial({ color: colour('--accent'), dashSize: 0.05, gapSize: 0.035 });
+  view.unlike = new LineDashedMaterial({ color: colour('--ghost'), dashSize: 0.08, gapSize: 0.05, depthTest: false });
   view.goal = new MeshLambertMaterial({ color: new Color('#d9a400') });
   view.thin = new LineBasicMaterial({ color: new Color('#d9a400') });
   for (const mesh of view.links) mesh.material = view.steel;
@@ -76,8 +78,9 @@ export function paintScene() {
 export function showArm(shot) {
   if (!view || view.canvas.hidden || !shot.skeleton.length || performance.now() - view.drawnAt < AGAIN_MS) return;
   const told = JSON.stringify([shot.look?.time_ns, shot.calibration?.R_BC]);
-  if (told === view.told && still(shot.skeleton, view.last)) return;
-  Object.assign(view, { told, last: shot.skeleton, drawnAt: performance.now() });
+  const really = truth() ?? [];
+  if (told === view.told && still(shot.skeleton, view.last) && still(really, view.really)) return;
+  Object.assign(view, { told, last: shot.skeleton, really, drawnAt: performance.now() });
   const points = shot.skeleton.map((point) => new Vector3(...point));
   points.splice(1, 0, new Vector3(0, 0, points[1].z)); // the pillar, then across to the lift's pivot
   if (!view.links.length) build(points);
@@ -85,6 +88,7 @@ export function showArm(shot) {
   view.joints.forEach((ball, index) => ball.position.copy(points[index + 1]));
   drive(points.at(-1));
   aim(shot, points.at(-1));
+  haunt(really);
   if (!view.framed) frame(points);
   draw();
 }
@@ -129,6 +133,17 @@ function line(points, material) {
   const geometry = new BufferGeometry();
   geometry.setAttribute('position', new BufferAttribute(new Float32Array(points.flatMap((p) => [p.x, p.y, p.z])), 3));
   return new Line(geometry, material);
+}
+
+/** The arm as it really is, over everything. */
+function haunt(really) {
+  if (view.ghost) { view.scene.remove(view.ghost); view.ghost.geometry.dispose(); view.ghost = null; }
+  if (!really.length) return;
+  const points = really.map((point) => new Vector3(...point));
+  points.splice(1, 0, new Vector3(0, 0, points[1].z));
+  view.ghost = line(points, view.unlike);
+  view.ghost.computeLineDistances();
+  view.scene.add(view.ghost);
 }
 
 /** Where the tool shall be by the newest look, once the camera's axes are known in the base. */

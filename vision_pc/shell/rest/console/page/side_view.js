@@ -1,6 +1,7 @@
 // The arm from the side, in the upright plane through its pillar and its tool, with its direction from above.
 
 import { byId } from './dom.js';
+import { truth } from './emulator.js';
 import { still } from './scene.js';
 
 const SVG = 'http://www.w3.org/2000/svg';
@@ -9,16 +10,19 @@ const MOST = 600; // points of the driven path
 const NEXT_M = 0.004;
 const path = [];
 let last = [];
+let lastTruth = [];
 let box = null; // [least r, least z, pixels a metre], grown as the arm needs it
 
 /** Draws a snapshot, where the arm has moved. */
 export function showSideView(shot) {
   const points = shot.skeleton;
-  if (!points.length || (still(points, last) && byId('side-view').childElementCount)) return;
-  last = points;
+  const really = truth() ?? [];
+  if (!points.length || (still(points, last) && still(really, lastTruth) && byId('side-view').childElementCount)) return;
+  [last, lastTruth] = [points, really];
   const tool = points.at(-1);
   const bearing = Math.atan2(tool[1], tool[0]);
-  const flat = [[0, 0], [0, points[1][2]], ...points.slice(1).map(([x, y, z]) => [x * Math.cos(bearing) + y * Math.sin(bearing), z])];
+  const seen = (arm) => [[0, 0], [0, arm[1][2]], ...arm.slice(1).map(([x, y, z]) => [x * Math.cos(bearing) + y * Math.sin(bearing), z])];
+  const flat = seen(points);
   const tip = flat.at(-1);
   const before = path.at(-1);
   if (!before || Math.hypot(before[0] - tip[0], before[1] - tip[1]) > NEXT_M) path.push(tip);
@@ -30,6 +34,7 @@ export function showSideView(shot) {
     shape('path', { class: 'way', d: line(path) }),
     ...flat.slice(1).map((end, index) => shape('path', { class: 'link', d: line([flat[index], end]), 'stroke-width': Math.max(13 - 2 * index, 4) })),
     ...flat.slice(1).map((joint, index) => shape('circle', { class: 'pivot', cx: at(...joint)[0], cy: at(...joint)[1], r: Math.max(6.5 - index, 3) })),
+    ...(really.length ? [shape('path', { class: 'ghost', d: line(seen(really)) })] : []),
     ...compass(bearing),
   );
 }

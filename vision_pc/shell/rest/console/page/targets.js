@@ -1,6 +1,6 @@
 // Targets by a click in the picture: what was recognised there, how well it is known, whether the arm reaches it.
 
-import { say, showCurl } from './actions.js';
+import { say, showCurl, tellCurl } from './actions.js';
 import { send } from './api.js';
 import { attribute, byId, make, write } from './dom.js';
 
@@ -31,6 +31,7 @@ export async function installTargets() {
   byId('left').addEventListener('blur', () => { cross = null; draw(); });
   byId('right').addEventListener('click', (event) => clickRight(pixel(event, byId('right'))));
   byId('find-holes').addEventListener('click', find);
+  tellCurl(byId('find-holes'), () => ['GET', '/targets?detect=true']);
   setInterval(poll, EVERY_MS);
 }
 
@@ -87,7 +88,6 @@ async function ask(body) {
 }
 
 async function find() {
-  showCurl('GET', '/targets?detect=true');
   const answer = await send('GET', '/targets?detect=true');
   if (!answer.ok) { say(answer.words, false); return; }
   holes = answer.document.holes;
@@ -133,7 +133,7 @@ function row(target) {
 }
 
 function act(button, method, path) {
-  for (const kind of ['focus', 'pointerenter']) button.addEventListener(kind, () => showCurl(method, path));
+  tellCurl(button, () => [method, path]);
   button.addEventListener('click', async () => {
     const answer = await send(method, path);
     if (!answer.ok) say(answer.words, false);

@@ -1,0 +1,120 @@
+"""What the console does beside the procedure: the emulated world, hand-eye calibration, the trial of valves."""
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import pytest
+from playwright.sync_api import Browser, Page, Route, expect
+
+from foundation.rest.tokens import Role
+from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, launched
+from tests.browser.open_console import console, eventually, opened, serious
+from tests.vision_pc.shell.rest_server import served_bench
+
+pytestmark = [
+    pytest.mark.realtime("processes"),
+    pytest.mark.timeout(400),
+    pytest.mark.skipif(CHROMIUM is None, reason=ABSENT),
+]
+LOOK, OPERATE = bytes(range(32)), bytes(range(1, 33))
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with launched() as started:
+        yield started
+
+
+class NearEmulator:
+    """The emulator's face, as the browser has it answer: the true arm, a little off what encoders say."""
+
+    at = "http://127.0.0.1:9"
+
+    def __init__(self, allowed: bool, shows_truth: bool) -> None:
+        self.restarts: list[dict[str, str]] = []
+        self.asked: list[dict[str, str]] = []
+        self._allowed, self._shows_truth = allowed, shows_truth
+
+    def answer_for(self, page: Page) -> None:
+        page.route(f"{self.at}/**", self._answer)
+
+    def _answer(self, route: Route) -> None:
+        self.asked.append(route.request.headers)
+        ours = {"access-control-allow-origin": "*"}
+        path = httpx.URL(route.request.url).path
+        if path == "/world/restart":
+            self.restarts.append(route.request.headers)
+            return route.fulfill(status=202, json={"restarts": True}, headers=ours)
+        if path == "/truth" and not self._shows_truth:
+            return route.fulfill(
+                status=404, json={"cause": "refused.truth_hidden", "detail": "-"}, headers=ours
+            )
+        points = [[0.0, 0.0, 0.0], [-0.19, 0.0, 0.85], [0.8, 0.0, 2.2], [3.5, 0.0, 1.0], [3.9, 0.0, 1.0]]
+        told = {"allowed": self._allowed} if path == "/faults" else {"time_ns": 1, "arm_points_m": points}
+        return route.fulfill(json=told, headers=ours)
+
+
+def test_the_true_arm_comes_from_the_emulator_alone_and_its_world_begins_anew(browser: Browser) -> None:
+    emulator, tokens = NearEmulator(allowed=True, shows_truth=True), {Role.OPERATE: OPERATE, Role.LOOK: LOOK}
+    with served_bench(emulator_face=emulator.at, tokens=tokens) as (url, _):
+        page_of = opened(browser, f"{url}#t={OPERATE.hex()}", emulator.answer_for, also=f"{emulator.at}/")
+        with page_of as page:
+            expect(page.locator("#side-view path.ghost")).to_have_count(1, timeout=WITHIN_MS)
+            expect(page.locator("#truth-told")).to_contain_text("truth (emulator)")
+            page.locator("#restart-world").hover()
+            expect(page.locator("#curl")).to_have_text(f"curl -X POST {emulator.at}/world/restart")
+            hold(page, "#restart-world")
+            eventually(lambda: len(emulator.restarts) == 1, page)
+    assert not [headers for headers in emulator.asked if "authorization" in headers]  # our token is ours
+
+
+def test_an_emulator_that_hides_its_truth_and_allows_nothing_is_shown_as_nothing(browser: Browser) -> None:
+    emulator = NearEmulator(allowed=False, shows_truth=False)
+    with (
+        served_bench(emulator_face=emulator.at) as (url, _),
+        opened(browser, url, emulator.answer_for, also=f"{emulator.at}/") as page,
+    ):
+        is_state(page, "standby")
+        eventually(lambda: len(emulator.asked) == 2, page)
+        expect(page.locator("#truth-told")).to_be_hidden()
+        expect(page.locator("#side-view path.ghost")).to_have_count(0)
+        expect(page.locator("#restart-world")).to_have_count(0)
+
+
+def test_hand_eye_and_the_trial_of_valves_are_on_the_page(browser: Browser) -> None:
+    with console(browser, viewport={"width": 1440, "height": 900}) as (page, _, _):
+        posted: list[tuple[str, Any]] = []
+        page.on("request", lambda asked: posted.append((httpx.URL(asked.url).path, asked.post_data_json))
+                if asked.method == "POST" else None)  # fmt: skip
+        page.locator("#valves summary").focus()
+        page.keyboard.press("Enter")  # by keyboard alone
+        page.keyboard.press("Tab")
+        hold_in_vain(page, "#start-valve-trials")
+        expect(page.locator("#answer")).to_contain_text("tool is empty", timeout=WITHIN_MS)
+        assert not posted
+        page.locator("#valves-safe").focus()
+        page.keyboard.press("Enter")
+        hold(page, "#start-valve-trials")
+        eventually(lambda: posted == [("/operations/valve-trials", {"confirmed": True})], page)
+        expect(page.locator('[data-kind="valve-trials"] .note')).to_contain_text(
+            re.compile("refused|failed|no_trials|link"), timeout=WITHIN_MS
+        )
+        page.locator("#hand-eye summary").click()
+        page.locator("#start-hand-eye-start").click()
+        expect(page.locator("#answer")).to_contain_text("Give the session a name", timeout=WITHIN_MS)
+        page.locator("#hand-eye-name").fill("monday")
+        page.locator("#start-hand-eye-start").click()
+        eventually(lambda: ("/operations/hand-eye-start", {"name": "monday"}) in posted, page)
+        assert page.locator("#start-hand-eye-next").is_disabled()  # it moves the arm, which is disabled
+        assert serious(page) == []
+
+
+def hold_in_vain(page: Page, button: str) -> None:
+    """Hold a button that sends nothing."""
+    expect(page.locator(button)).to_be_enabled(timeout=WITHIN_MS)
+    page.locator(button).hover()
+    page.mouse.down()
+    page.wait_for_timeout(800)
+    page.mouse.up()
