@@ -1,4 +1,4 @@
-"""What the console does beside the procedure: the emulated world, hand-eye calibration, the trial of valves."""
+"""What the console does beside the procedure: emulated world, hand-eye calibration, trial of valves."""
 
 import re
 from collections.abc import Iterator
