@@ -118,11 +118,11 @@ def prepared(config_dir: Path, task: JSON, sight: SightMaker | None = None) -> L
     return rig
 
 
-def settings_of(config_dir: Path, task: JSON) -> Settings:
-    """What was drawn, vision that adapts and a commissioned controller where they are asked for, and what was
-    assigned over it.
+def settings_of(config_dir: Path, task: JSON, over: JSON | None = None) -> Settings:
+    """What was drawn, ``over`` it, vision that adapts and a commissioned controller where they are asked for,
+    and what was assigned over it.
     """
-    asked = drawn_by(config_dir, task).overrides
+    asked = merged(drawn_by(config_dir, task).overrides, over or {})
     if task.get("adapting"):
         asked = merged(asked, {"vision": adapting(config_dir)})
     asked = merged(asked, parse_overrides(task["assignments"]))

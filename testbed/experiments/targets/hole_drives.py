@@ -8,20 +8,19 @@ import numpy as np
 from rich.table import Table
 from typer import Option
 
-from foundation.configuration import merged, parse_overrides
 from plant_emulator.core.camera.wall.bores import hole_places
 from protocol.errors import LongreachError, MeasurementFailed
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, seeds
-from testbed.campaigns.options import Assignments
+from testbed.campaigns.options import Adapting, Assignments, Commissioned
 from testbed.experiments.positioning.corrected_figures import LIMIT_MM, quantile, share
-from testbed.experiments.positioning.corrected_run import drawn_by, operate
+from testbed.experiments.positioning.corrected_run import operate, settings_of
 from testbed.experiments.positioning.worlds import ARMS, WorldName
 from testbed.lockstep.clock import run
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import table
-from testbed.scenarios.settings import Settings, load_settings
+from testbed.scenarios.settings import Settings
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.measuring import Click
 
@@ -40,6 +39,8 @@ class HoleDriveSettings(NamedTuple):
     arm: Annotated[str, Option("--drawn-arm", help="Which arm the scenarios are drawn for.")] = ARMS[0]
     holes: Annotated[int, Option(min=1, max=_MOST, help="Holes in one visit, the middle one first.")] = 1
     assignments: Assignments = None
+    adapting: Adapting = False
+    commissioned: Commissioned = False
 
 
 class HoleEnd(NamedTuple):
@@ -98,6 +99,7 @@ def hole_drive_tasks(request: CampaignRequest, settings: HoleDriveSettings) -> l
             "arm": settings.arm,
             "holes": settings.holes,
             "assignments": settings.assignments or [],
+            **{name: True for name in ("adapting", "commissioned") if getattr(settings, name)},
         }
         for seed in seeds(request)
     ]
@@ -137,11 +139,8 @@ def _settings(config_dir: Path, task: JSON) -> Settings:
         }
         for place in grid
     ]
-    drawn = drawn_by(config_dir, task).overrides
     scene = {"object_of_interest": {"markers": []}, "wall": {"drill_holes": holes}}
-    return load_settings(
-        config_dir, merged(merged(drawn, {"scene": scene}), parse_overrides(task["assignments"]))
-    )
+    return settings_of(config_dir, task, {"scene": scene})
 
 
 def _clicked(rig: LockstepRig, places: Array, wanted: int) -> list[tuple[str, Array]]:
