@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 import cv2
+from fastapi import FastAPI
 
 from foundation.event_log import EventLog
 from foundation.live.opening import open_show
@@ -109,9 +110,7 @@ class VisionService:
         application.links, self._told = nominal.links, partial(told, application)
         self._record_from(eyes, application)
         operations = Operations(application.arm.halt, log)
-        home, face = Home(asyncio.get_running_loop()), config.api.emulator_face
-        app = create_app(application, operations, self._programs, home, face)
-        self._server = server = RestServer(app, self._access, log)
+        self._server = server = RestServer(self._app(application, operations), self._access, log)
         leaving: list[asyncio.Task[None]] = []
 
         def leave() -> None:
@@ -147,6 +146,11 @@ class VisionService:
             await asyncio.to_thread(self._recorder.close)
         if self._show is not None:
             await asyncio.to_thread(self._show.close)
+
+    def _app(self, application: VisionApplication, operations: Operations) -> FastAPI:
+        """The API over what lives in this loop."""
+        home, face = Home(asyncio.get_running_loop()), self._config.api.emulator_face
+        return create_app(application, operations, self._programs, home, face)
 
     def _say_ready(self) -> None:
         host, port = self._socket.getsockname()
