@@ -99,13 +99,15 @@ def clean(
     json_file: JsonFile = None,
 ) -> None:
     """Remove all runs but the newest. One that is still running stays, and so does whatever is no run."""
-    from testbed.reporting.run_directory import all_runs
+    from testbed.reporting.run_directory import all_runs, write_index
 
     old = [run for run in all_runs(runs)[keep:] if not run.is_running]
     room_mb = sum(run.size_mb for run in old)
     if yes:
         for run in old:
             shutil.rmtree(run.directory)
+        if old:
+            write_index(runs)
     done = "removed" if yes else "would be removed; --yes removes them"
     out.print(f"{len(old)} runs, {room_mb:.0f} MB, {done}", highlight=False)
     for run in old:
@@ -115,13 +117,17 @@ def clean(
 
 @app.command("open", epilog="Example: longreach runs open last")
 def open_command(run: Run = "last", runs: Runs = DEFAULT_RUNS) -> None:
-    """Open a run's report in the browser, and print where it is."""
-    from testbed.reporting.run_directory import one_run
+    """Open a run's report in the browser, or with `all` the page of all runs, and print where it is."""
+    from testbed.reporting.run_directory import one_run, write_index
 
-    found = one_run(runs, run)
-    report = found.directory / "report.html"
-    if not report.is_file():
-        raise ConfigurationError("runs.no_report", f"{found.directory}: no report.html; it {found.ending}")
+    if run == "all":
+        report = write_index(runs)
+    else:
+        found = one_run(runs, run)
+        report = found.directory / "report.html"
+        if not report.is_file():
+            why = f"{found.directory}: no report.html; it {found.ending}"
+            raise ConfigurationError("runs.no_report", why)
     out.print(str(report), highlight=False, soft_wrap=True)
     webbrowser.open(report.resolve().as_uri())
 

@@ -101,6 +101,6 @@ def run_lockstep_demo(
         note_settings(directory, settings)
         with bars() as shown:
             done = run_lockstep(config_dir, overrides, choice, shown, directory)
-        curves = traces(done.truths, done.views, clearance_m)
+        curves = traces(done.truths, done.views, clearance_m, settings.arm)
         pictures = [rest.picture for rest in done.rests]
         return present(directory, done.outcome, curves, pictures, done.log.events, json_file)

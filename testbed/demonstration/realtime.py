@@ -99,7 +99,7 @@ def _presented(launch: Launch, choice: Choice, driven: Driven, wall_s: float, js
         details=_details(launch, driven, recording.faults),
         every=choice.holes,
     )
-    curves = traces(truths, driven.views, clearance_m)
+    curves = traces(truths, driven.views, clearance_m, launch.settings.arm)
     pictures = [rest.picture for rest in driven.rests]
     events = read_events(launch.records(VISION))
     return present(launch.directory, outcome, curves, pictures, events, json_file)

@@ -11,6 +11,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from nominal_arm.description import NominalArm
+from nominal_arm.dimensions import dh_links
 from plant_emulator.core.truth import PlantTruth, tool_error
 from protocol.errors import MeasurementFailed
 from testbed.reporting.console import Bar, Bars
@@ -228,7 +230,9 @@ def _true(
     return Errors(errors.mean(axis=0), float(np.mean(angles)))
 
 
-def traces(truths: Sequence[TimedTruth], views: Sequence[TracedView], clearance_m: float) -> Traces:
+def traces(
+    truths: Sequence[TimedTruth], views: Sequence[TracedView], clearance_m: float, arm: NominalArm
+) -> Traces:
     """The run's curves; times count from the first truth."""
     begin_ns = truths[0].time_ns
     return Traces(
@@ -239,4 +243,5 @@ def traces(truths: Sequence[TimedTruth], views: Sequence[TracedView], clearance_
         view_p_m=np.array([view.p_m for view in views]).reshape(-1, 3),
         q_cmd_rad=np.array([view.q_cmd_rad for view in views]).reshape(-1, 6),
         q_meas_rad=np.array([view.q_meas_rad for view in views]).reshape(-1, 6),
+        links=dh_links(arm),
     )

@@ -13,7 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Rectangle
 from numpy.typing import NDArray
 
+from nominal_arm.dimensions import DhLink
 from testbed.reporting.outcome import LIMIT_M, Stage
+from vision_pc.application.console.skeleton import skeleton
 
 Array = NDArray[np.float64]
 
@@ -43,7 +45,7 @@ class Traces(NamedTuple):
 
     From the plant: ``true_time_s`` (n,), ``true_p_m`` (n, 3) the tool in the world, ``true_error_m`` (n, 3).
     From the controller: ``view_time_s`` (m,), ``view_p_m`` (m, 3) the tool in the base by the rigid model,
-    ``q_cmd_rad`` and ``q_meas_rad`` (m, 6).
+    ``q_cmd_rad`` and ``q_meas_rad`` (m, 6). ``links`` are the arm's by its drawing.
     """
 
     true_time_s: Array
@@ -53,6 +55,7 @@ class Traces(NamedTuple):
     view_p_m: Array
     q_cmd_rad: Array
     q_meas_rad: Array
+    links: tuple[DhLink, ...] = ()
 
 
 def png(figure: Figure) -> bytes:
@@ -98,6 +101,24 @@ def _name_stages(axes: Axes, stages: Sequence[Stage]) -> None:
     top.tick_params(axis="x", labelrotation=20, labelsize=8)
     for label in top.get_xticklabels():
         label.set_horizontalalignment("left")
+
+
+def arm_plot(traces: Traces) -> str:
+    """The arm by its drawing at the measured joints, as it began and as it ended, and the way of its tool."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(11.0, 4.4), layout="constrained")
+        views = ((0, 2, "from the side"), (0, 1, "from above"))
+        for axes, (i, j, title) in zip(figure.subplots(1, 2), views, strict=True):
+            for row, colour, label in ((0, "0.65", "as it began"), (-1, "black", "as it ended")):
+                if len(traces.q_meas_rad):
+                    points = skeleton(traces.links, tuple(traces.q_meas_rad[row]))
+                    axes.plot(points[:, i], points[:, j], "-o", color=colour, linewidth=3.0, label=label)
+            way = traces.view_p_m
+            axes.plot(way[:, i], way[:, j], color=AXIS_COLOURS[0], linewidth=1.0, label="the tool's way")
+            axes.set(title=title, xlabel=f"{'xyz'[i]} / m, base", ylabel=f"{'xyz'[j]} / m, base")
+            axes.set_aspect("equal", adjustable="datalim")
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+        return svg(figure, "arm")
 
 
 def path_plot(traces: Traces, stages: Sequence[Stage]) -> str:

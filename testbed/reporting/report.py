@@ -2,14 +2,12 @@
 
 import base64
 import json
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from jinja2 import Environment, PackageLoader
 
 from testbed.reporting import outcome as outcomes
 from testbed.reporting import plots
@@ -17,6 +15,7 @@ from testbed.reporting import run_record as record
 from testbed.reporting.console import plain
 from testbed.reporting.events import event_lines, spans
 from testbed.reporting.outcome import Outcome
+from testbed.reporting.pages import rendered
 
 _JPEG = [cv2.IMWRITE_JPEG_QUALITY, 88]  # what was recorded keeps every pixel; the report shows it
 
@@ -44,14 +43,15 @@ def write_report(
     figures = outcomes.figures(outcome)
     (directory / "figures.json").write_text(json.dumps(plain(figures), indent=2) + "\n", encoding="utf-8")
     stages = outcome.stages
-    environment = Environment(loader=PackageLoader("testbed.reporting"), autoescape=True)
-    html = environment.get_template("report.html.j2").render(
+    html = rendered(
+        "report.html.j2",
         outcome=outcome,
         verdict=outcomes.verdict(outcome),
         rows=outcomes.rows(stages),
         plots=[
             ("Beside the object after each look", plots.target_plot(stages)),
             ("True error over time; the shaded band is wanted in x and y", plots.error_plot(traces, stages)),
+            ("The arm, by its drawing at the measured joints", plots.arm_plot(traces)),
             ("The tool's way", plots.path_plot(traces, stages)),
             ("Joint tracking at the encoders", plots.joint_plot(traces, stages)),
         ],
@@ -62,7 +62,7 @@ def write_report(
         spans=spans(events),
         lasted_s=max((line.at_s for line in event_lines(events)), default=0.0),
         events=event_lines(events),
-        written=time.strftime("%Y-%m-%d %H:%M:%S"),
+        shown=next((name for name, _ in _files(directory) if name.endswith("vision.mcap")), ""),
     )
     path = directory / "report.html"
     path.write_text(html, encoding="utf-8")

@@ -1,5 +1,6 @@
 """Where runs are kept: a new directory for each, with its record, and an index page of all of them."""
 
+import os
 import re
 import shutil
 import time
@@ -9,8 +10,10 @@ from pathlib import Path
 
 from protocol.errors import ConfigurationError, LongreachError
 from testbed.reporting import run_record as record
+from testbed.reporting.pages import rendered
 from testbed.reporting.run_record import RECORD_FILE, KeptRun
 
+INDEX = "index.html"
 _STAMP = re.compile(r"\d{8}-\d{6}(-\d+)?")
 
 
@@ -18,8 +21,8 @@ _STAMP = re.compile(r"\d{8}-\d{6}(-\d+)?")
 def run_directory(runs: Path) -> Iterator[Path]:
     """A new directory below ``runs``, named by the time of day, with ``run.json`` in it.
 
-    How the block ended is added to it. One that holds nothing else by then is removed. Raises
-    ConfigurationError where none can be made.
+    How the block ended is added to it, and the index page made anew. One that holds nothing else by then is
+    removed. Raises ConfigurationError where none can be made.
     """
     there = runs.exists()
     known = record.beginning()
@@ -40,6 +43,8 @@ def run_directory(runs: Path) -> Iterator[Path]:
                     runs.rmdir()
         else:
             record.note(directory, took_s=time.monotonic() - began_s, ended_by=ended_by)
+            with suppress(OSError):  # the run itself is kept
+                write_index(runs)
 
 
 def _new_directory(runs: Path) -> Path:
@@ -83,3 +88,25 @@ def one_run(runs: Path, name: str) -> KeptRun:
         kind = "several runs begin so" if fitting else "no such run"
         raise ConfigurationError("runs.not_found", f"{name}: {kind} in {runs}: {which}")
     return fitting[0]
+
+
+def write_index(runs: Path) -> Path:
+    """The page of all runs below ``runs``, with links to their reports, written there.
+
+    Raises ConfigurationError where there is no such directory, OSError where it cannot be written.
+    """
+    rows = [
+        {
+            "name": run.directory.name,
+            "report": (run.directory / "report.html").is_file(),
+            "ending": run.ending,
+            "command": run.command,
+            "code": run.code,
+            "took": f"{run.facts['took_s']:.0f}" if "took_s" in run.facts else "–",
+            "mb": f"{run.size_mb:.1f}",
+        }
+        for run in all_runs(runs)
+    ]
+    partial = runs / f"{INDEX}.{os.getpid()}"
+    partial.write_text(rendered("index.html.j2", runs=rows), encoding="utf-8")
+    return partial.replace(runs / INDEX)

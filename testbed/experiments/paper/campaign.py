@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import typer
+from matplotlib.figure import Figure
 from rich import table as rich
 
 from foundation.configuration import merged, parse_overrides
@@ -25,6 +26,7 @@ from testbed.experiments.paper.comparison import FACTOR, TABLES, Compared
 from testbed.experiments.paper.measurement import measure, trace
 from testbed.experiments.paper.report import write_comparison
 from testbed.reporting.console import out, table
+from testbed.reporting.plots import png
 from testbed.scenarios.scenario import load_scenario
 from testbed.scenarios.settings import load_settings
 
@@ -141,7 +143,7 @@ def paper_plot(names: Sequence[str], done: Paper) -> Mapping[str, bytes]:
         out.print(f"{name}: {published.FIGURES[name]}", highlight=False)
     report = write_comparison(done.request, done.settings, (beside, concluded), drawn, rows)
     out.print(f"report: {report}", highlight=False, soft_wrap=True)
-    return drawn
+    return {name: png(figure) for name, figure in drawn.items()}
 
 
 def paper_figures(names: Sequence[str], done: Paper) -> dict[str, Any]:
@@ -155,7 +157,7 @@ def paper_figures(names: Sequence[str], done: Paper) -> dict[str, Any]:
     }
 
 
-def _drawn(name: str, done: Paper, rows: list[Row]) -> bytes:
+def _drawn(name: str, done: Paper, rows: list[Row]) -> Figure:
     """A figure, from one measurement that is traced for it; the first seed whose measurement ends well."""
     request = done.request
     whole = next((row["seed"] for row in rows if not row["failure"]), request.seed)

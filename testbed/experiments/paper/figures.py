@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from testbed.campaigns.row_file import Row
 from testbed.experiments.paper.comparison import SUB_CENTIMETRE_MM, values
-from testbed.reporting.plots import AXIS_COLOURS, STYLE, png
+from testbed.reporting.plots import AXIS_COLOURS, STYLE
 
 Array = NDArray[np.float64]
 Trace = Mapping[str, Array]
@@ -27,13 +27,13 @@ def load_trace(path: Path) -> Trace:
         return dict(file)
 
 
-def draw(name: str, traced: Trace, rows: Sequence[Row]) -> bytes:
-    """Figure ``name`` as PNG bytes."""
+def draw(name: str, traced: Trace, rows: Sequence[Row]) -> Figure:
+    """Figure ``name``."""
     with matplotlib.rc_context(STYLE):
         return {"fig5": _fig5, "fig6": _fig6, "fig7": _fig7, "fig8": _fig8, "fig9": _fig9}[name](traced, rows)
 
 
-def _fig5(traced: Trace, rows: Sequence[Row]) -> bytes:
+def _fig5(traced: Trace, rows: Sequence[Row]) -> Figure:
     figure, (over_time, spread) = _panels()
     given = float(traced["input_s"][0])
     until = float(traced["input_s"][1])
@@ -50,10 +50,10 @@ def _fig5(traced: Trace, rows: Sequence[Row]) -> bytes:
         title="one measurement; rings: looks at rest; ticks: nothing seen",
     )
     _boxes(spread, rows, ("start", "oriented"), "r", "deg", "|Euler angle| / °")
-    return png(figure)
+    return figure
 
 
-def _fig6(traced: Trace, rows: Sequence[Row]) -> bytes:
+def _fig6(traced: Trace, rows: Sequence[Row]) -> Figure:
     figure, (front, flat) = _panels()
     wanted, driven = traced["corners_1"], traced["path_p_BT"]
     begun = traced["input_s"][2]
@@ -76,20 +76,20 @@ def _fig6(traced: Trace, rows: Sequence[Row]) -> bytes:
         flat.plot(np.linspace(0.0, 1.0, len(off)), off, color=colour, label=label)
     flat.set(xlabel="share of the circle's path", ylabel="out of its plane / mm", title="how planar it is")
     flat.legend()
-    return png(figure)
+    return figure
 
 
-def _fig7(traced: Trace, rows: Sequence[Row]) -> bytes:
+def _fig7(traced: Trace, rows: Sequence[Row]) -> Figure:
     figure, (over_time, spread) = _panels()
     given = traced["input_s"][1:3]
     _curves(over_time, traced, "error_m", float(traced["input_s"][3]), 1e3)
     _mark_inputs(over_time, given)
     over_time.set(xlabel="time / s", ylabel="error in the picture / mm", title="circle, then one input")
     _boxes(spread, rows, ("oriented", "input1", "input2"), "", "mm", "|error| / mm", axes_names="xy")
-    return png(figure)
+    return figure
 
 
-def _fig8(traced: Trace, rows: Sequence[Row]) -> bytes:
+def _fig8(traced: Trace, rows: Sequence[Row]) -> Figure:
     figure, (front, spread) = _panels()
     tool = traced["path_p_BT"]
     camera = traced["path_p_C0C"] @ traced["R_BC"].T
@@ -107,10 +107,10 @@ def _fig8(traced: Trace, rows: Sequence[Row]) -> bytes:
         xlabel="mean residual of the match / mm", ylabel="true error of its rotation / °",
         title=f"{len(error)} runs", xlim=(0.0, None), ylim=(0.0, None),
     )  # fmt: skip
-    return png(figure)
+    return figure
 
 
-def _fig9(traced: Trace, rows: Sequence[Row]) -> bytes:
+def _fig9(traced: Trace, rows: Sequence[Row]) -> Figure:
     figure, (over_time, spread) = _panels()
     given = traced["input_s"][2:4]
     after = traced["time_s"] > given[0] - 1.0
@@ -121,7 +121,7 @@ def _fig9(traced: Trace, rows: Sequence[Row]) -> bytes:
     over_time.set(xlabel="time / s", ylabel="error in the picture / mm", title="two inputs after the match")
     _boxes(spread, rows, ("input1", "input2"), "", "mm", "|error| / mm", axes_names="xy")
     spread.axhspan(0.0, SUB_CENTIMETRE_MM, color="0.9", zorder=0)
-    return png(figure)
+    return figure
 
 
 def _front(axes: Axes) -> None:

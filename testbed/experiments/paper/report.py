@@ -1,17 +1,18 @@
 """The comparison with the paper as one HTML file with everything in it."""
 
-import base64
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader
+from matplotlib.figure import Figure
 
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.row_file import Row
 from testbed.experiments.paper import published
 from testbed.experiments.paper.comparison import TABLES, Compared, Conclusion
+from testbed.reporting.pages import rendered
+from testbed.reporting.plots import svg
+from testbed.reporting.run_record import KeptRun, beginning
 
 EYES = {
     "opencv": "rendered pictures, markers by OpenCV from the left lens as in the paper",
@@ -24,22 +25,22 @@ def write_comparison(
     request: CampaignRequest,
     settings: Any,
     tables: tuple[Mapping[str, Sequence[Compared]], Mapping[str, Sequence[Conclusion]]],
-    pictures: Mapping[str, bytes],
+    drawn: Mapping[str, Figure],
     rows: Mapping[str, Sequence[Row]],
 ) -> Path:
     """The HTML file in ``request.out``: tables side by side, conclusions, figures, and every run."""
     beside, concluded = tables
-    environment = Environment(loader=PackageLoader("testbed.reporting"), autoescape=True)
-    html = environment.get_template("comparison.html.j2").render(
+    html = rendered(
+        "comparison.html.j2",
         request=request,
         settings=settings,
         eyes=EYES[settings.eyes],
         tables=[(TABLES[name].title, beside[name], concluded[name]) for name in beside],
-        figures=[(name, published.FIGURES[name], _data_uri(png)) for name, png in pictures.items()],
+        figures=[(name, published.FIGURES[name], svg(figure, name)) for name, figure in drawn.items()],
         kinds=[(kind, _columns(done), done) for kind, done in rows.items()],
-        written=time.strftime("%Y-%m-%d %H:%M:%S"),
+        run=KeptRun(request.out, beginning()),
     )
-    path: Path = request.out / f"{'-'.join([*beside, *pictures])}.html"
+    path: Path = request.out / f"{'-'.join([*beside, *drawn])}.html"
     path.write_text(html, encoding="utf-8")
     return path
 
@@ -50,7 +51,3 @@ def _columns(rows: Sequence[Row]) -> list[str]:
     wanted += [f"{stage}_{axis}_mm" for stage in ("input1", "input2") for axis in "xyz"]
     wanted += ["run_s", "failure"]
     return [column for column in wanted if any(row.get(column) is not None for row in rows)]
-
-
-def _data_uri(png: bytes) -> str:
-    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")

@@ -1,11 +1,13 @@
 """The paper's tables beside ours: numbers as printed, means and verdicts right, failures never numbers."""
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from protocol.errors import MeasurementFailed
 from testbed.campaigns.campaign import CampaignRequest, Task
@@ -24,6 +26,8 @@ from testbed.experiments.paper.measurement import RememberingEyes, bench, measur
 from testbed.experiments.paper.report import write_comparison
 from testbed.experiments.paper.tracing import Tracer
 from testbed.lockstep.clock import run
+from testbed.reporting.plots import png
+from testbed.reporting.run_record import beginning
 from testbed.scenarios.scenario import load_scenario
 
 pytestmark = pytest.mark.long
@@ -157,13 +161,18 @@ def test_the_report_has_every_figure_verdict_and_run_and_needs_nothing_beside_it
     beside = {"table2": compared("table2", rows)}
     concluded = {"table2": conclusions("table2", rows)}
     request = CampaignRequest(CONFIGS, tmp_path, runs=2)
-    drawn, measured = {"fig5": b"png"}, {"line": rows}
+    figure = Figure()
+    figure.subplots().plot([1.0, 2.0])
+    drawn, measured = {"fig5": figure}, {"line": rows}
     html = write_comparison(request, OPENCV, (beside, concluded), drawn, measured).read_text()
     assert TABLES["table2"].title in html
     assert "OUTSIDE 2" in html
     assert "measurement.x: &lt;lost&gt;" in html
-    assert "data:image/png;base64," in html
-    assert "http" not in html.replace("http-equiv", "")
+    assert html.count("<svg") == 1
+    assert "currentColor" in html, "drawn in the colours of the page, dark or light"
+    assert "prefers-color-scheme: dark" in html
+    assert beginning()["machine"]["kernel"] in html
+    assert not re.findall(r'(?:src|href)="(?:https?:)?//', html)
     assert costs({"line": rows})[0] == "line: 2 runs, 10.0 s and 8.0 CPU s a run, 1 failed"
 
 
@@ -185,7 +194,7 @@ def test_each_figure_is_drawn_from_a_trace(tmp_path: Path) -> None:
     ]
     for name in figures.KINDS:
         drawn = figures.draw(name, figures.load_trace(tmp_path / "trace.npz"), rows)
-        assert drawn.startswith(b"\x89PNG")
+        assert png(drawn).startswith(b"\x89PNG")
 
 
 @pytest.mark.experiment

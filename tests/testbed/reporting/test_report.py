@@ -90,7 +90,7 @@ def reported(directory: Path, traces: plots.Traces) -> str:
 def test_the_report_is_one_file_with_its_pictures_inside(tmp_path: Path, traces: plots.Traces) -> None:
     html = reported(tmp_path, traces)
     assert len(re.findall(r'src="data:image/jpeg;base64,', html)) == len(re.findall(r"\bsrc=", html)) == 1
-    assert html.count("<svg") == 4
+    assert html.count("<svg") == 5
     assert not re.findall(r'(?:src|href)="(?:https?:)?//', html)
     assert "<script>" not in html
     assert "within ±5 mm in x and y" in html
