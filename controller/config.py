@@ -1,6 +1,6 @@
 """What controller.yaml may say, with bounds on every number."""
 
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -52,9 +52,12 @@ JointFelt = Annotated[float, Field(ge=0.0, le=10.0)]
 
 
 class ParkingConfig(StrictModel):
-    """How the arm is brought to rest at the end of a motion and kept there, where it is switched on."""
+    """How the arm is brought to rest at the end of a motion and kept there.
 
-    enabled: bool
+    ``enabled``: ``auto`` parks behind valves with hysteresis alone; false, or else, the joint law goes on.
+    """
+
+    enabled: bool | Literal["auto"]
     band_mm: float = Field(gt=0.0, le=20.0)
     band_least_mrad: float = Field(gt=0.0, le=5.0)
     band_most_mrad: float = Field(gt=0.0, le=20.0)
@@ -66,6 +69,7 @@ class ParkingConfig(StrictModel):
     rest_ms: float = Field(gt=0.0, le=600_000.0)
     rest_exact_ms: float = Field(gt=0.0, le=600_000.0)
     felt_mrad_bar: tuple[JointFelt, JointFelt, JointFelt, JointFelt, JointFelt, JointFelt]
+    oil_mrad_bar: tuple[JointFelt, JointFelt, JointFelt, JointFelt, JointFelt, JointFelt]
     alarm_mm: float = Field(gt=0.0, le=100.0)
 
     @model_validator(mode="after")
@@ -249,7 +253,7 @@ class ControllerConfig(StrictModel):
 
     @model_validator(mode="after")
     def _parks_inside(self) -> Self:
-        if self.parking.enabled and self.parking.band_most_mrad >= self.settled.tolerance_mrad:
+        if self.parking.enabled is not False and self.parking.band_most_mrad >= self.settled.tolerance_mrad:
             raise ValueError(
                 f"parking.band_most_mrad = {self.parking.band_most_mrad} must lie below "
                 f"settled.tolerance_mrad = {self.settled.tolerance_mrad}, or a parked arm never settles"

@@ -84,13 +84,28 @@ def _curves(valves: ValveSet) -> Array:
     return curves
 
 
-def parking_law(config: ControllerConfig) -> ParkingLaw:
+def parking_law(config: ControllerConfig) -> ParkingLaw | None:
+    """The law by which the arm parks; None where the joint law goes on.
+
+    ``auto``: any valve with hysteresis, or too little known of it, lets the joint law hunt, and parks.
+    """
+    asked = config.parking.enabled
+    exact = _exact(config.valves)
+    return None if asked is False or (asked == "auto" and exact.all()) else _parking_law(config, exact)
+
+
+def _exact(valves: ValveSet) -> Array:
+    """Which valves (6,) pass a small flow steadily."""
+    hysteresis = [valve.hysteresis for valve in valves.joints]
+    return np.array([number.value + number.std < _EXACT for number in hysteresis])
+
+
+def _parking_law(config: ControllerConfig, exact: Array) -> ParkingLaw:
     parking, valves = config.parking, config.valves.joints
     half = np.array([[0.5 * valve.hysteresis.value] for valve in valves])
     half_std = np.array([[0.5 * valve.hysteresis.std] for valve in valves])
     std = np.array([[edge.deadband.std for edge in (valve.raising, valve.lowering)] for valve in valves])
     gain, late = _joint_gains(config).gain, _lateness(config)
-    exact = np.array([valve.hysteresis.value + valve.hysteresis.std < _EXACT for valve in valves])
     return ParkingLaw(
         band=parking.band_mm * _MM,
         band_least=parking.band_least_mrad * _MRAD,
@@ -108,6 +123,8 @@ def parking_law(config: ControllerConfig) -> ParkingLaw:
         keeping=_KEEPING * gain,
         exact=exact.astype(float),
         felt=np.array(parking.felt_mrad_bar) * _MRAD,
+        oil=np.where(exact, 0.0, parking.oil_mrad_bar) * _MRAD,
+        highest=surely_open(config.valves),
         dt_s=config.cycle_ms * _MS,
     )
 

@@ -131,7 +131,7 @@ def settings_from(arm: NominalArm, config: ControllerConfig) -> ScanSettings:
         table=table,
         load_compensation=config.joint_control.load_compensation and not config.valves.pressure_compensated,
         servo=servo_constants(arm, config),
-        parking=parking_law(config) if config.parking.enabled else None,
+        parking=parking_law(config),
         parking_alarm=config.parking.alarm_mm * _MM,
         planning=PlanningLimits(
             table=table,

@@ -14,6 +14,7 @@ import numpy as np
 from controller.core.kinematics.rotations import Array
 from controller.core.servo.drives import full_spool_speeds
 from controller.core.servo.keeping import kept, kept_begun
+from controller.core.servo.metering import learned, metered, metered_begun
 from controller.core.servo.parking_state import (
     AFTER,
     BAND,
@@ -24,14 +25,19 @@ from controller.core.servo.parking_state import (
     HASTE,
     HELD,
     KEPT,
-    LOAD_AT,
+    LOAD,
     MARK,
     NUDGED,
+    OIL,
+    OIL_AT,
+    OPENING,
     PARKED,
     PHASE,
     PLACE,
     QUIET,
     QUIET_AT,
+    RATE,
+    RESTED,
     SENSE,
     SHUT,
     SHUT_AT,
@@ -52,6 +58,8 @@ from foundation.compiled import kernel
 _SPEED_FILTER_S = 0.03
 _ERROR_FILTER_S = 0.5  # the encoder's noise dithers its digits: their mean is good for a tenth of one
 _CREEP_FILTER_S = 3.0  # of the slow creep of a parked joint: good for a microradian
+_RATE_FILTER_S = 0.5  # of the speed of a metered joint that is shut,
+_RELAXES_S = 2.0  # which goes on for so long: friction lets go of compressed oil
 _RATE_S = 1.0  # a creep that was watched for this long is believed by half
 _ARRIVED_RAD = 9.6e-5  # two digits: until the arm is parked, no joint is brought nearer
 _QUIET_S = 10.0  # the arm is parked when no joint moved for so long,
@@ -107,7 +115,7 @@ def park_step(
         state[SPEED, i] = keep * state[SPEED, i] + (1.0 - keep) * turned[i] / law.dt_s
         state[SINCE, i] += law.dt_s
         state[AFTER, i] += law.dt_s
-        if state[PHASE, i] == FOLLOWING and not _arrived(law, state, i, out[LEFT, i]):
+        if state[PHASE, i] == FOLLOWING and not _arrived(law, state, i, out[LEFT, i], given.load[i]):
             continue
         for side in range(2):
             slope = joints.curve[i, side, 1, 1] / joints.curve[i, side, 1, 0]
@@ -128,6 +136,8 @@ def _moved(law: ParkingLaw, state: Array, i: int, error: float, load: float, gai
         return float(kept(law, state, i, error, load, gains))
     if phase == NUDGED:
         return float(nudged(law, state, i, error, load, gains))
+    if law.oil[i] > 0.0:
+        return float(metered(law, state, i, error, load, gains))
     return float(inched(law, state, i, error, gains))
 
 
@@ -139,62 +149,93 @@ def _listened(law: ParkingLaw, state: Array, i: int, lever: float, error: float,
     """
     keep = math.exp(-law.dt_s / _CREEP_FILTER_S)
     state[CREPT, i] = keep * state[CREPT, i] + (1.0 - keep) * error
+    state[LOAD, i] = keep * state[LOAD, i] + (1.0 - keep) * load
     state[HELD, i] += law.dt_s
     state[QUIET, i] += law.dt_s
-    relaxes = law.loaded[i] == 0.0 and abs(load - state[LOAD_AT, i]) > _QUIET_BAR
+    relaxes = law.loaded[i] == 0.0 and abs(state[LOAD, i] - state[RESTED, i]) > _QUIET_BAR
     if relaxes or abs(state[CREPT, i] - state[QUIET_AT, i]) > law.quiet / lever:
-        state[QUIET, i], state[QUIET_AT, i], state[LOAD_AT, i] = 0.0, state[CREPT, i], load
+        state[QUIET, i], state[QUIET_AT, i], state[RESTED, i] = 0.0, state[CREPT, i], state[LOAD, i]
 
 
 @kernel
-def _arrived(law: ParkingLaw, state: Array, i: int, error: float) -> bool:
+def _arrived(law: ParkingLaw, state: Array, i: int, error: float, load: float) -> bool:
     """Whether the joint law is done with joint ``i``, which then is shut."""
     state[HELD, i] = state[HELD, i] + law.dt_s if abs(error) < state[BAND, i] else 0.0
     if state[HELD, i] < 2.0 * law.shutting[i] and state[SINCE, i] < law.patience:
         return False
     shut(state, i, error)
     state[DRIFT, i], state[HELD, i], state[CREPT, i] = 0.0, 0.0, error
+    state[OIL, i], state[LOAD, i] = error - law.oil[i] * load, load
     return True
 
 
 @kernel
 def _watched(law: ParkingLaw, state: Array, i: int, error: float, load: float, gains: Array) -> float:
-    """A shut valve: wait for the joint to rest, watch its creep, move it when it has left its band.
-
-    A parked joint is nudged when it creeps, and only then: an inch takes it through its play, of which the
-    encoder sees nothing. One without load is left alone.
-    """
-    since, pause = state[SINCE, i], 2.0 * law.shutting[i]
+    """A shut valve: wait for the joint to rest, watch its creep, move it when it has left its band."""
+    since, pause, before = state[SINCE, i], 2.0 * law.shutting[i], state[ERROR, i]
     keep = math.exp(-law.dt_s / min(max(0.3 * since, 0.02), _ERROR_FILTER_S))
-    state[ERROR, i] = keep * state[ERROR, i] + (1.0 - keep) * error
+    state[ERROR, i] = keep * before + (1.0 - keep) * error
+    state[OIL, i] = keep * state[OIL, i] + (1.0 - keep) * (error - law.oil[i] * load)
     if since < pause:
-        state[SHUT_AT, i] = state[ERROR, i]
+        state[SHUT_AT, i], state[OIL_AT, i], state[RATE, i] = state[ERROR, i], state[OIL, i], 0.0
         return 0.0
+    metered_joint = law.oil[i] > 0.0
+    if metered_joint and state[OPENING, i] > 0.0:
+        learned(law, state, i, gains)
+    state[RATE, i] += ((state[ERROR, i] - before) / law.dt_s - state[RATE, i]) * law.dt_s / _RATE_FILTER_S
     watched = since - pause
     rate = (state[ERROR, i] - state[SHUT_AT, i]) / max(watched, 1e-3)
-    off, band = state[ERROR, i] - state[PLACE, i], state[BAND, i]
-    sense = 1.0 if off > 0.0 else -1.0
+    off = state[ERROR, i] - state[PLACE, i]
+    if metered_joint and state[PARKED, i] == 0.0:
+        off += state[RATE, i] * _RELAXES_S
     if not _due(law, state, i, off, rate, watched):
         return 0.0
-    crept = since < 2.0 * pause or abs(state[ERROR, i] - state[SHUT_AT, i]) > 0.5 * band
-    hasty = law.loaded[i] > 0.0 and crept and sense * rate * law.rest[i] > 2.0 * band
-    state[HASTE, i] = state[HASTE, i] + 1.0 if hasty and sense == state[SENSE, i] else 0.0
+    return float(_moved_again(law, state, i, (error, load, off, rate, watched), gains))
+
+
+@kernel
+def _moved_again(
+    law: ParkingLaw, state: Array, i: int, seen: tuple[float, float, float, float, float], gains: Array
+) -> float:
+    """The first spool command of what brings shut joint ``i`` back.
+
+    ``seen``: error (rad), load (bar), how far off it is (rad), its rate (rad/s), for how long that was
+    watched (s). A parked joint is nudged when it creeps, and only then: an inch takes it through its play, of
+    which the encoder sees nothing. One without load is left alone.
+    """
+    error, load, off, rate, watched = seen
+    sense = 1.0 if off > 0.0 else -1.0
     gain = gains[0 if sense > 0.0 else 1]
+    leak = rate if law.oil[i] == 0.0 else (state[OIL, i] - state[OIL_AT, i]) / max(watched, 1e-3)
+    state[HASTE, i] = state[HASTE, i] + 1.0 if _hasty(law, state, i, sense, leak) else 0.0
     steadily = law.exact[i] > 0.0 and law.felt[i] > 0.0 and law.loaded[i] > 0.0 and abs(off) < _NEAR_RAD
     if steadily or state[HASTE, i] >= _HASTES:
-        kept_begun(state, i, rate, load)
+        kept_begun(state, i, leak, load)
         return float(kept(law, state, i, error, load, gains))
     if state[PARKED, i] > 0.0 and abs(off) < _FAR_RAD:
         state[DRIFT, i] = sense * max(sense * rate, _FORGETS * sense * state[DRIFT, i], 0.0)
         return float(nudge_begun(state, i, state[CREPT, i], sense, load))
+    if law.oil[i] > 0.0:
+        return float(metered_begun(state, i, off))
     trust = watched / (watched + _RATE_S)
     drift = trust * rate + (1.0 - trust) * state[DRIFT, i]
     return float(inch_begun(state, i, off, drift, sense, gain))
 
 
 @kernel
+def _hasty(law: ParkingLaw, state: Array, i: int, sense: float, leak: float) -> bool:
+    """Whether loaded joint ``i``, which leaks by ``leak`` (rad/s), has to be moved again too soon."""
+    crept = state[SINCE, i] < 4.0 * law.shutting[i]
+    crept = crept or abs(state[ERROR, i] - state[SHUT_AT, i]) > 0.5 * state[BAND, i]
+    fast = sense * leak * law.rest[i] > 2.0 * state[BAND, i]
+    return bool(law.loaded[i] > 0.0 and crept and fast and sense == state[SENSE, i])
+
+
+@kernel
 def _due(law: ParkingLaw, state: Array, i: int, off: float, rate: float, watched: float) -> bool:
     """Whether shut joint ``i``, ``off`` its place (rad) and moving at ``rate`` (rad/s), has to be moved."""
+    if state[PARKED, i] == 0.0 and law.oil[i] > 0.0:
+        return bool(watched > _RATE_FILTER_S and abs(off) > state[BAND, i])
     if state[PARKED, i] == 0.0:
         return bool(max(abs(off + rate * min(watched, law.latest[i])), abs(off)) > state[BAND, i])
     sense = 1.0 if off > 0.0 else -1.0

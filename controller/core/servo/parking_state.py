@@ -11,19 +11,27 @@ from controller.core.kinematics.rotations import Array
 # joint, filtered (rad/s); ERROR: filtered (rad); HELD: how long the following joint has been inside its band
 # (s), or since when it follows no more; BAND: that (rad). PARKED: 1 once the whole arm was at rest; PLACE:
 # error where the joint rested then (rad), 0 before. QUIET: how long CREPT has been about QUIET_AT (rad),
-# and the load about LOAD_AT (bar). Of the last inch or nudge, SENSE: ±1; OPENED: spool, without its sign;
-# FROM: error at which it began (rad); SEEN: 1 once the joint moved in it; FINE: 1 when it is shorter than can
-# be watched well; HASTE: how many in a row were due too soon. Of the shut joint, SHUT_AT: error when it had
-# come to rest (rad); DRIFT: its creep, as a rate of the error (rad/s); CREPT: error, filtered for seconds
+# and LOAD about RESTED (bar). Of the last inch or nudge, SENSE: ±1; OPENED: spool, without its sign;
+# FROM, LOAD_AT: error (rad) and load (bar) at which it began; SEEN: 1 once the joint moved in it; FINE: 1 when
+# it is shorter than can be watched well; HASTE: how many in a row were due too soon. Of the shut joint,
+# SHUT_AT: error when it had come to rest (rad); DRIFT: its creep, as a rate of the error (rad/s); CREPT: error, filtered for seconds
 # (rad); MARK: that at the last nudge, AFTER: time since (s). BIAS: of the kept joint, its leak in terms of
 # speed (rad/s); OWED: what rounding has kept from its valve (spool); FELT: its load, filtered for long (bar);
 # SINCE: how long it has been too high (s); MARK: error when its valve was shut for that (rad). Learned,
 # raising and lowering: EDGE, the spool at which the joint moves; DOUBT, how far before it an inch begins;
-# NUDGE, where a nudge begins (spool), 0 before the first; PUSH, its end by the load pressure (bar).
+# NUDGE, where a nudge begins (spool), 0 before the first; PUSH, its end by the load pressure (bar). LOAD: the
+# load pressure, filtered for seconds (bar). Of a metered joint, OIL: error less what its oil is compressed by
+# (rad), which changes by what flows alone; OIL_AT: that when the joint had been shut, OIL_FROM: when its inch
+# began; RATE: of the oil through an open valve, of the error of a shut joint (rad/s); WAY: that the last inch
+# was for (rad), 0 before the first; GIVES: how many times as much oil it had; OPENING: how long its valve was
+# open (s), 0 once that has been learned from.
 PHASE, SINCE, SPEED, ERROR, HELD, BAND, PARKED, PLACE, QUIET, QUIET_AT = range(10)
 SENSE, OPENED, FROM, SEEN, FINE, HASTE, SHUT_AT, DRIFT = range(10, 18)
 MARK, AFTER, BIAS, LOAD_AT, CREPT, OWED, FELT = range(18, 25)
-EDGE, DOUBT, NUDGE, PUSH, STATE_ROWS = 25, 27, 29, 31, 33
+LOAD, RESTED, RATE, OIL, OIL_FROM, OIL_AT, WAY, GIVES, OPENING = range(25, 34)
+EDGE, DOUBT, NUDGE, PUSH, STATE_ROWS = 34, 36, 38, 40, 42
+
+_EARLY = 0.1  # of its deadband, before its edge: there a metered inch begins, however well that is known
 
 FOLLOWING, SHUT, OPEN, KEPT, NUDGED = 0.0, 1.0, 2.0, 3.0, 4.0
 
@@ -40,7 +48,8 @@ class ParkingLaw(NamedTuple):
     through twice its band in less is kept by an opening. ``keeping`` (6,), 1/s: gain of that.
     ``exact`` (6,): 1 for a valve that passes a small flow steadily. ``felt`` (6,), rad/bar: how far a kept
     joint has moved when friction, a spring before it slides, has changed the load pressure; 0: not used.
-    ``dt_s``: of a scan.
+    ``oil`` (6,), rad/bar: how far a joint moves with its valve shut as the load pressure falls; 0: its inches
+    are not metered. ``highest``: spool beyond which a valve is open, surely. ``dt_s``: of a scan.
     """
 
     band: float
@@ -59,6 +68,8 @@ class ParkingLaw(NamedTuple):
     keeping: Array
     exact: Array
     felt: Array
+    oil: Array
+    highest: Array
     dt_s: float
 
 
@@ -66,7 +77,9 @@ def parking_begun(law: ParkingLaw | None) -> Array:
     """The state (STATE_ROWS, 6) before the first inch: every valve as it is known."""
     state = np.zeros((STATE_ROWS, 6))
     if law is not None:
-        state[EDGE : EDGE + 2], state[DOUBT : DOUBT + 2] = law.deadband.T, law.spread.T
+        state[EDGE : EDGE + 2] = law.deadband.T
+        early = np.where(law.oil > 0.0, _EARLY * law.deadband.T, 0.0)
+        state[DOUBT : DOUBT + 2], state[GIVES] = np.maximum(law.spread.T, early), 1.0
     return state
 
 
@@ -74,7 +87,8 @@ def parking_ended(state: Array) -> Array:
     """``state`` when a motion begins: the joint law drives all joints; what was learned is kept."""
     follows = state.copy()
     follows[PHASE] = FOLLOWING
-    follows[[SINCE, HELD, PARKED, PLACE, HASTE, DRIFT, QUIET, BIAS, MARK, AFTER]] = 0.0
+    follows[[SINCE, HELD, PARKED, PLACE, HASTE, DRIFT, QUIET, BIAS, MARK, AFTER, WAY, OPENING]] = 0.0
+    follows[GIVES] = 1.0
     return follows
 
 
