@@ -8,23 +8,24 @@ from controller.core.kinematics.rotations import Array
 
 # Rows of the state (STATE_ROWS, 6), a column for each joint.
 # PHASE: FOLLOWING the joint law, SHUT, OPEN (an inch), NUDGED, or KEPT; SINCE: how long (s). SPEED: of the
-# joint, filtered (rad/s); ERROR: filtered (rad); HELD: how long the following joint has been inside its band
-# (s), or since when it follows no more; BAND: that (rad). PARKED: 1 once the whole arm was at rest; PLACE:
-# error where the joint rested then (rad), 0 before. QUIET: how long CREPT has been about QUIET_AT (rad),
-# and LOAD about RESTED (bar). Of the last inch or nudge, SENSE: ±1; OPENED: spool, without its sign;
-# FROM, LOAD_AT: error (rad) and load (bar) at which it began; SEEN: 1 once the joint moved in it; FINE: 1 when
-# it is shorter than can be watched well; HASTE: how many in a row were due too soon. Of the shut joint,
-# SHUT_AT: error when it had come to rest (rad); DRIFT: its creep, as a rate of the error (rad/s); CREPT: error, filtered for seconds
-# (rad); MARK: that at the last nudge, AFTER: time since (s). BIAS: of the kept joint, its leak in terms of
-# speed (rad/s); OWED: what rounding has kept from its valve (spool); FELT: its load, filtered for long (bar);
-# SINCE: how long it has been too high (s); MARK: error when its valve was shut for that (rad). Learned,
-# raising and lowering: EDGE, the spool at which the joint moves; DOUBT, how far before it an inch begins;
-# NUDGE, where a nudge begins (spool), 0 before the first; PUSH, its end by the load pressure (bar). LOAD: the
-# load pressure, filtered for seconds (bar). Of a metered joint, OIL: error less what its oil is compressed by
-# (rad), which changes by what flows alone; OIL_AT: that when the joint had been shut, OIL_FROM: when its inch
-# began; RATE: of the oil through an open valve, of the error of a shut joint (rad/s); WAY: that the last inch
-# was for (rad), 0 before the first; GIVES: how many times as much oil it had; OPENING: how long its valve was
-# open (s), 0 once that has been learned from.
+# joint, filtered (rad/s); ERROR: filtered (rad); HELD: how long the following joint has been inside its
+# band (s), or since when it follows no more; BAND: that (rad). PARKED: 1 once the whole arm was at rest;
+# PLACE: error where the joint rested then (rad), 0 before. QUIET: how long CREPT has been about QUIET_AT
+# (rad), and LOAD about RESTED (bar). Of the last inch or nudge, SENSE: ±1; OPENED: spool, without its sign;
+# FROM, LOAD_AT: error (rad) and load (bar) at which it began; SEEN: 1 once the joint moved in it; FINE: 1
+# when it is shorter than can be watched well; HASTE: how many in a row were due too soon. Of the shut
+# joint, SHUT_AT: error when it had come to rest (rad); DRIFT: its creep, as a rate of the error (rad/s);
+# CREPT: error, filtered for seconds (rad); MARK: that at the last nudge, AFTER: time since (s). BIAS: of
+# the kept joint, its leak in terms of speed (rad/s); OWED: what rounding has kept from its valve (spool);
+# FELT: its load, filtered for long (bar); SINCE: how long it has been too high (s); MARK: error when its
+# valve was shut for that (rad). Learned, raising and lowering: EDGE, the spool at which the joint moves;
+# DOUBT, how far before it an inch begins; NUDGE, where a nudge begins (spool), 0 before the first; PUSH,
+# its end by the load pressure (bar). LOAD: the load pressure, filtered for seconds (bar). Of a metered
+# joint, OIL: error less what its oil is compressed by (rad), which changes by what flows alone; OIL_AT:
+# that when the joint had been shut, OIL_FROM: when its inch began; RATE: of the oil through an open valve,
+# of the error of a shut joint (rad/s); WAY: that the last inch was for (rad), 0 before the first; GIVES:
+# how many times as much oil it had; OPENING: how long its valve was open (s), 0 once that has been learned
+# from.
 PHASE, SINCE, SPEED, ERROR, HELD, BAND, PARKED, PLACE, QUIET, QUIET_AT = range(10)
 SENSE, OPENED, FROM, SEEN, FINE, HASTE, SHUT_AT, DRIFT = range(10, 18)
 MARK, AFTER, BIAS, LOAD_AT, CREPT, OWED, FELT = range(18, 25)

@@ -1,10 +1,12 @@
 """Drawn machines with a drawn motion each, and how they come to its end: controller and plant alone."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
+from zlib import crc32
 
 import numpy as np
+import typer
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
@@ -19,8 +21,9 @@ from protocol.faults import FaultCode, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import ReferencePose
 from testbed.experiments.positioning import axes
+from testbed.experiments.positioning.axes import Axis
 from testbed.experiments.positioning.corrected_run import commissioned
-from testbed.experiments.positioning.worlds import ARMS
+from testbed.experiments.positioning.worlds import ARMS, WORLDS, WorldName
 from testbed.lockstep.core_loop import ClosedLoop
 from testbed.reporting.console import table
 from testbed.scenarios.arms import arm_overrides
@@ -31,7 +34,17 @@ _FURTHEST_M, _NEAREST_M, _TURN_DEG = 0.3, 0.03, 8.0
 _TARGETS = 20
 _MOST_KG = 100.0
 VALVE_SETS = ("servo", "mobile")
+REAL = "real"  # mobile valves, and all else that the real worlds draw of a machine
 WORLD = "drawn targets within 0.3 m, 0 to 100 kg, friction ×0.6 to 1.7; mobile valves drawn"
+_OF_A_MACHINE: Mapping[str, tuple[Axis, ...]] = {
+    "servo": (axes.friction,),
+    "mobile": (axes.friction, axes.mobile_valves),
+    REAL: tuple(axis for axis in WORLDS[WorldName.REAL].axes if getattr(axes, axis.name, None) is axis),
+}
+
+MachineKinds = Annotated[
+    str, typer.Option("--machines", help="servo, mobile (valves), real (all of a machine), by commas.")
+]
 
 JSON = dict[str, Any]
 
@@ -58,6 +71,7 @@ def drawn_machine(config_dir: Path, task: JSON) -> DrawnMachine:
 
     ``known``: what is believed of every deadband over what a commissioning would state of it. Mobile valves
     are drawn about plant.yaml's and stated as commissioned; servo valves are as the data sheet says.
+    ``real``: mobile valves, and whatever else the real worlds draw of a machine, camera and wall apart.
     """
     rng = np.random.default_rng([task["seed"], _STREAM])
     overrides = arm_overrides(config_dir, task["arm"])
@@ -67,14 +81,19 @@ def drawn_machine(config_dir: Path, task: JSON) -> DrawnMachine:
         "plant": {"payload": {"mass_kg": mass_kg}},
         "controller": {"parking": {"enabled": task["parks"]}},
     }
-    own = merged(own, axes.friction.draw(rng, usual))
-    if task["valves"] == "mobile":
-        own = merged(own, axes.mobile_valves.draw(rng, usual))
+    real = task["valves"] == REAL
+    for axis in _OF_A_MACHINE[task["valves"]]:
+        own = merged(own, axis.draw(_stream(task["seed"], axis) if real else rng, usual))
     asked = merged(overrides, own)
     settings = load_settings(config_dir, asked)
-    if task["valves"] == "mobile":
+    if task["valves"] != "servo":
         settings = commissioned(config_dir, asked, settings, task["seed"])
     return DrawnMachine(_known(settings, task["known"]), mass_kg, rng)
+
+
+def _stream(seed: int, axis: Axis) -> np.random.Generator:
+    """A stream for each axis: one that is added changes no other."""
+    return np.random.default_rng([seed, _STREAM, crc32(axis.name.encode())])
 
 
 def _known(settings: Settings, share: float) -> Settings:
@@ -145,10 +164,17 @@ def left(loop: ClosedLoop) -> np.ndarray:
     return np.array(resolve(tool, loop.state.motion.desired, loop.settings.servo.gains).q_error)
 
 
-def machines(runs: int, first: int) -> Iterator[JSON]:
-    """``seed``, ``arm`` and ``valves`` of so many runs: the four kinds of machine in turn."""
+def machines(runs: int, first: int, kinds: str) -> Iterator[JSON]:
+    """``seed``, ``arm`` and ``valves`` of so many runs: every kind with both arms in turn.
+
+    Raises BadParameter for a kind that is not known.
+    """
+    sets = kinds.split(",")
+    for name in sets:
+        if name not in _OF_A_MACHINE:
+            raise typer.BadParameter(f"no machines '{name}'; known: {', '.join(_OF_A_MACHINE)}")
     for k in range(runs):
-        yield {"seed": first + k, "arm": ARMS[k // 2 % 2], "valves": VALVE_SETS[k % 2]}
+        yield {"seed": first + k, "arm": ARMS[k // len(sets) % 2], "valves": sets[k % len(sets)]}
 
 
 def broken_off(rows: Sequence[Any]) -> list[Table]:

@@ -16,9 +16,11 @@ from testbed.campaigns.experiment import Check, Experiment, Finished, at_most
 from testbed.experiments.positioning.worlds import ARMS
 from testbed.experiments.resting.machines import (
     JSON,
+    REAL,
     VALVE_SETS,
     WORLD,
     MachineKind,
+    MachineKinds,
     arrived,
     broken_off,
     drawn_machine,
@@ -39,6 +41,7 @@ class ParkingOptions(NamedTuple):
 
     minutes: Annotated[float, typer.Option("--minutes", min=0.1, help="At rest, after parking.")] = 10.0
     law: Annotated[str, typer.Option("--law", help="parking, or joint: the joint law goes on.")] = "parking"
+    machines: MachineKinds = ",".join(VALVE_SETS)
 
 
 class ParkingRow(NamedTuple):
@@ -67,11 +70,11 @@ ParkedRows = Finished[ParkingOptions, ParkingRow]
 
 
 def parking_tasks(request: CampaignRequest, options: ParkingOptions) -> list[Task]:
-    """One task a run, the four kinds of machine in turn."""
+    """One task a run, the kinds of machine in turn."""
     own = {"minutes": options.minutes, "law": options.law, "parks": options.law == "parking", "known": 1.0}
     return [
         {"key": f"{task['seed']}-{options.law}-{options.minutes:g}", **task, **own}
-        for task in machines(request.runs, request.seed)
+        for task in machines(request.runs, request.seed, options.machines)
     ]
 
 
@@ -134,7 +137,7 @@ def parking_table(done: ParkedRows) -> list[Table]:
     """By arm and set of valves: millimetres moved, and how they were kept."""
     lines = []
     for arm in ARMS:
-        for valves in VALVE_SETS:
+        for valves in (*VALVE_SETS, REAL):
             rows = _of(done, arm, valves)
             if rows:
                 moved = np.array([row.moved_mm for row in rows])
@@ -159,7 +162,7 @@ def parking_verdict(done: ParkedRows) -> list[Check]:
     """No more than a millimetre in the worst run of each kind of machine, and none that failed."""
     checks = [at_most("runs that failed", float(sum(bool(row.failure) for row in done.rows)), 0.0)]
     for arm in ARMS:
-        for valves in VALVE_SETS:
+        for valves in (*VALVE_SETS, REAL):
             moved = [row.moved_mm for row in _of(done, arm, valves)]
             if moved:
                 checks.append(at_most(f"moved by most, {arm}, {valves}", max(moved), MOVED_MM, "mm"))

@@ -14,9 +14,11 @@ from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, 
 from testbed.experiments.positioning.worlds import ARMS
 from testbed.experiments.resting.machines import (
     JSON,
+    REAL,
     VALVE_SETS,
     WORLD,
     MachineKind,
+    MachineKinds,
     arrived,
     broken_off,
     drawn_machine,
@@ -38,10 +40,14 @@ class SettleOptions(NamedTuple):
         "80,100,120"
     )
     seconds: Annotated[float, typer.Option("--seconds", min=5.0, help="After the motion's end.")] = 20.0
+    machines: MachineKinds = ",".join(VALVE_SETS)
 
 
 class SettleRow(NamedTuple):
-    """One motion's end. Times in s after it until a joint is inside 0.3 mrad for good, nan: never."""
+    """One motion's end. Times in s after it until a joint is inside 0.3 mrad for good, nan: never.
+
+    ``rest_mrad``: rms of the joint that moves most about its mean, over the later half of the time.
+    """
 
     failure: str
     seed: int
@@ -55,6 +61,7 @@ class SettleRow(NamedTuple):
     wrist3_s: float
     all_s: float
     end_mrad: float
+    rest_mrad: float
     cpu_s: float
 
 
@@ -73,7 +80,7 @@ def settle_tasks(request: CampaignRequest, options: SettleOptions) -> list[Task]
             "known": share,
             "seconds": options.seconds,
         }
-        for task in machines(request.runs, request.seed)
+        for task in machines(request.runs, request.seed, options.machines)
         for share in shares
         for law in LAWS
     ]
@@ -86,8 +93,8 @@ def settle(config_dir: Path, task: JSON) -> JSON:
     errors = []
     for _ in range(round(task["seconds"] / loop.settings.cycle_s)):
         stepped(loop)
-        errors.append(np.abs(left(loop)))
-    outside = np.asarray(np.array(errors) > _INSIDE_RAD)
+        errors.append(left(loop))
+    outside = np.asarray(np.abs(errors) > _INSIDE_RAD)
     times = [came_in(column, loop.settings.cycle_s) for column in outside.T]
     return {
         "seed": task["seed"],
@@ -95,7 +102,8 @@ def settle(config_dir: Path, task: JSON) -> JSON:
         "known_percent": 100.0 * task["known"],
         **{f"{name}_s": time for name, time in zip(JOINT_NAMES, times, strict=True)},
         "all_s": came_in(np.asarray(outside.any(axis=1)), loop.settings.cycle_s),
-        "end_mrad": 1e3 * float(errors[-1].max()),
+        "end_mrad": 1e3 * float(np.abs(errors[-1]).max()),
+        "rest_mrad": 1e3 * float(np.std(errors[len(errors) // 2 :], axis=0).max()),
     }
 
 
@@ -114,18 +122,19 @@ def settle_table(done: SettledRows) -> list[Table]:
         came = np.array([row.all_s for row in rows])
         lines.append(
             (arm, valves, f"{percent:g}", law, len(rows), *(_median(column) for column in times.T),
-             _median(came), int(np.isfinite(came).sum()), f"{max(row.end_mrad for row in rows):.2f}")
+             _median(came), int(np.isfinite(came).sum()), f"{max(row.end_mrad for row in rows):.2f}",
+             f"{np.median([row.rest_mrad for row in rows]):.3f}", f"{max(row.rest_mrad for row in rows):.3f}")
         )  # fmt: skip
     headings = (
         "arm", "valves", "% known", "law", "runs", *(f"{name} s" for name in JOINT_NAMES), "all s",
-        "came in", "left mrad, worst",
+        "came in", "left mrad, worst", "rms at rest mrad", "worst",
     )  # fmt: skip
     return [table("into 0.3 mrad for good, median; –: most never", headings, lines), *broken_off(done.rows)]
 
 
 def _kinds(done: SettledRows) -> list[tuple[str, str, float, str]]:
     percents = sorted({row.known_percent for row in done.rows if not row.failure})
-    kinds = [(a, v, p, law) for a in ARMS for v in VALVE_SETS for p in percents for law in LAWS]
+    kinds = [(a, v, p, law) for a in ARMS for v in (*VALVE_SETS, REAL) for p in percents for law in LAWS]
     return [kind for kind in kinds if _of(done, *kind)]
 
 
@@ -148,6 +157,10 @@ def settle_verdict(done: SettledRows) -> list[Check]:
         limit = 1.0 if law == "parking" and percent == 100.0 else None
         checks.append(
             at_least(f"share in position, {arm}, {valves}, {percent:g} %, {law}", float(np.mean(came)), limit)
+        )
+        moves = float(np.median([row.rest_mrad for row in _of(done, arm, valves, percent, law)]))
+        checks.append(
+            at_most(f"rms at rest, median, {arm}, {valves}, {percent:g} %, {law}", moves, None, "mrad")
         )
     return checks
 

@@ -1,4 +1,4 @@
-"""Metered inches on one joint whose friction holds it against compressed oil, and lets go of it for seconds."""
+"""Metered inches on one joint whose friction holds it against compressed oil, and lets go of it slowly."""
 
 import math
 from collections import deque

@@ -5,8 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+import typer
 
 from controller.core.servo.parking_state import KEPT, PHASE
+from controller.core.settings import settings_from
 from protocol.faults import Reason
 from protocol.pose import Pose
 from protocol.reference_messages import ReferencePose
@@ -107,9 +109,27 @@ def test_a_joint_came_in_when_it_was_outside_for_the_last_time() -> None:
 
 
 def test_runs_are_of_the_four_kinds_in_turn() -> None:
-    kinds = [(task["arm"], task["valves"]) for task in machines(8, 50)]
+    kinds = [(task["arm"], task["valves"]) for task in machines(8, 50, "servo,mobile")]
     assert len(set(kinds)) == 4
     assert kinds[:4] == kinds[4:]
+    assert [(task["arm"], task["valves"]) for task in machines(3, 50, "real")] == [
+        ("plant", "real"), ("plant_long_crane", "real"), ("plant", "real"),
+    ]  # fmt: skip
+    with pytest.raises(typer.BadParameter, match="no machines 'reel'; known: servo, mobile, real"):
+        list(machines(1, 50, "mobile,reel"))
+
+
+def test_a_real_machine_is_drawn_without_camera_and_wall() -> None:
+    """As the mobile one in its load and its motion, and besides in whatever a machine differs by."""
+    mobile, real = (drawn_machine(CONFIGS, TASK | {"valves": valves}) for valves in ("mobile", "real"))
+    assert real.mass_kg == mobile.mass_kg
+    assert real.settings.plant.oil.bulk_modulus_mpa != mobile.settings.plant.oil.bulk_modulus_mpa
+    assert real.settings.plant.valve_set == "mobile"
+    assert real.settings.controller.commissioned is not None
+    assert real.settings.scene == mobile.settings.scene
+    law = settings_from(real.settings.arm, real.settings.controller).parking
+    assert law is not None
+    assert law.oil[0] > 0.0
 
 
 def test_what_is_known_of_a_deadband_is_scaled_and_its_spread_told() -> None:
@@ -150,14 +170,15 @@ def test_arms_that_never_come_in_are_told() -> None:
     rows = [
         SettleRow("", t["seed"], MachineKind(t["arm"], t["valves"], t["law"], 20.0), 100.0 * t["known"],
                   *[1.0] * 6,
-                  math.nan if t["law"] == "joint" else 4.0, 0.1, 3.0)
+                  math.nan if t["law"] == "joint" else 4.0, 0.1, 0.05, 3.0)
         for t in tasks
     ]  # fmt: skip
     done = Finished(REQUEST, SettleOptions(known="80,100"), tasks, rows, 0)
-    checks = settle_verdict(done)
+    checks = [check for check in settle_verdict(done) if check.what.startswith("share")]
     assert {check.met for check in checks if "parking" in check.what and "100" in check.what} == {True}
     assert {check.met for check in checks if "joint" in check.what} == {None}
     table = settle_table(done)[0]
-    assert set(table.columns[-3].cells) == {"–", "4.0"}
+    assert set(table.columns[-5].cells) == {"–", "4.0"}
+    assert set(table.columns[-1].cells) == {"0.050"}
     never = [row._replace(all_s=math.nan) for row in rows]
     assert False in {check.met for check in settle_verdict(done._replace(rows=never))}
