@@ -131,6 +131,7 @@ COINCIDENCES = {
         "vision.recorded_odometry.disparity_std_px",
         "scene.camera.rectification.disparity_px",
     ): "a spread, one eye",
+    ("controller.parking.*_mm", "scene.object_of_interest.*.misplaced_m*"): "a tool at rest, and a print",
     ("vision.targets.carried_std_m", "scene.object_of_interest.*.misplaced_m*"): "a drive's, and a print's",
 }
 """Pairs of different things that happen to be equal: patterns of both keys → what they are."""
