@@ -122,6 +122,19 @@ def test_the_profile_of_figures_reads_the_faces_that_the_services_have() -> None
         assert parse_overrides(words)[stem]["live"]["port"] is None, "off without the profile's variable"
 
 
+def test_the_profile_of_campaigns_is_one_image_on_the_internal_network() -> None:
+    services = document()["services"]
+    profile = {name: each for name, each in services.items() if each.get("profiles") == ["campaign"]}
+    assert set(profile) == {"scheduler", "worker", "campaign"}
+    for each in profile.values():
+        assert (each["image"], each["networks"]) == ("longreach:latest", ["machine"])
+        assert "ports" not in each
+    assert profile["worker"]["command"][2] == "tcp://scheduler:8786"
+    assert profile["worker"]["command"][3:5] == ["--nthreads", "1"], "a run has a core of its own"
+    (_, rows) = profile["campaign"]["volumes"][1].split(":")
+    assert f" {rows} " in (ROOT / "Dockerfile").read_text().replace("\\\n", " "), "else root's"
+
+
 @pytest.mark.docker
 def test_compose_accepts_the_file() -> None:
     compose = compose_command()

@@ -3,10 +3,12 @@
 import math
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -51,6 +53,28 @@ def measured(task: dict[str, Any]) -> dict[str, Any]:
     return {"twice": 2 * task["number"], "process": os.getpid(), "nothing": math.nan, "trace.bin": file}
 
 
+def held_once(place: str, task: dict[str, Any]) -> dict[str, Any]:
+    """Run number 1 says at its first time which process it is in, and waits there to be killed."""
+    told = Path(place)
+    if task["number"] == 1 and not told.exists():
+        begun = told.with_suffix(".begun")
+        begun.write_text(str(os.getpid()))
+        begun.rename(told)
+        time.sleep(600.0)
+    return {"process": os.getpid()}
+
+
+def kill_who_tells(place: Path) -> int:
+    """Kill the process that is named in ``place``, once it is there; its number."""
+    for _ in range(1200):
+        if place.exists():
+            process = int(place.read_text())
+            os.kill(process, signal.SIGKILL)
+            return process
+        time.sleep(0.1)
+    raise TimeoutError(f"{place} was not written")
+
+
 def resigning(task: dict[str, Any]) -> dict[str, Any]:
     """A run during which its worker leaves the cluster for good."""
     worker = distributed.get_worker()
@@ -90,6 +114,22 @@ def test_a_lost_worker_and_a_bug_are_told_and_tried_again_when_resumed(tmp_path:
     assert second["failure"].startswith("campaign.worker_lost: ")
     with pytest.raises(ConfigurationError):  # so it would have been run
         run_campaign(tmp_path, measured, broken, scheduler="nonsense://x", title="broken")
+
+
+@pytest.mark.experiment  # processes that are killed and start again: minutes on a busy machine
+def test_a_worker_that_is_killed_costs_no_row(tmp_path: Path) -> None:
+    place = tmp_path / "process"
+    asked = [{"key": f"run {number}", "number": number} for number in range(5)]
+    with ThreadPoolExecutor(1) as other:
+        killed = other.submit(kill_who_tells, place)
+        rows = run_campaign(
+            tmp_path / "rows", partial(held_once, str(place)), asked, scheduler=None, title="five"
+        )
+        victim = killed.result()
+    assert [row["key"] for row in rows] == [task["key"] for task in asked]
+    assert [row["failure"] for row in rows] == [None] * 5
+    assert rows[1]["process"] != victim
+    assert len((tmp_path / "rows" / "rows.csv").read_text().splitlines()) == 6  # none twice
 
 
 def test_an_existing_scheduler_does_the_runs(tmp_path: Path) -> None:
