@@ -6,11 +6,16 @@ import pytest
 
 from foundation.configuration import merged
 from protocol.errors import ConfigurationError
+from testbed.realtime import launch as launching
 from testbed.realtime.launch import Launch, prepare
 from testbed.scenarios.settings import load_settings, with_face
 from tests.support.paths import CONFIGS
 
-pytestmark = pytest.mark.realtime
+
+@pytest.fixture(autouse=True)
+def nobody_listens(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is started here: whether others of this machine have a port does not matter."""
+    monkeypatch.setattr(launching, "check_ports", lambda uses: None)
 
 
 def launch(tmp_path: Path, allow_faults: bool, show_truth: bool) -> Launch:
