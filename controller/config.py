@@ -244,6 +244,12 @@ class ControllerConfig(StrictModel):
         return self
 
     @property
+    def parks(self) -> bool:
+        """Whether the arm parks; ``auto``: behind valves of which any may have hysteresis."""
+        asked = self.parking.enabled
+        return asked is True or (asked == "auto" and not all(valve.exact for valve in self.valves.joints))
+
+    @property
     def stream_close_ms(self) -> float:
         """Silence in a stream at which a scan centres the valves, so that the plant has it by silence_ms.
 
@@ -253,7 +259,7 @@ class ControllerConfig(StrictModel):
 
     @model_validator(mode="after")
     def _parks_inside(self) -> Self:
-        if self.parking.enabled is not False and self.parking.band_most_mrad >= self.settled.tolerance_mrad:
+        if self.parks and self.parking.band_most_mrad >= self.settled.tolerance_mrad:
             raise ValueError(
                 f"parking.band_most_mrad = {self.parking.band_most_mrad} must lie below "
                 f"settled.tolerance_mrad = {self.settled.tolerance_mrad}, or a parked arm never settles"

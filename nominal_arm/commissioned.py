@@ -40,6 +40,9 @@ class MeasuredNumber(StrictModel):
         return None
 
 
+_EXACT = 0.005  # of spool
+
+
 class ValveEdge(StrictModel):
     """One direction of a spool. With commanded opening u beyond ``deadband`` (shares of full spool, 0…1):
 
@@ -93,6 +96,11 @@ class JointValve(StrictModel):
             if not 0.0 <= number.value <= most:
                 raise ValueError(f"{name} {number.value} must lie in 0…{most:g}")
         return self
+
+    @property
+    def exact(self) -> bool:
+        """Whether it surely passes a small flow steadily: next to no hysteresis."""
+        return self.hysteresis.value + self.hysteresis.std < _EXACT
 
 
 class ValveSet(StrictModel):

@@ -21,7 +21,6 @@ _CARRIED = 0.4  # gain times lateness that a joint's loop bears: 23° of its pha
 # and until it rests after its valve has shut.
 _BREAKS_AWAY, _RUNS_ON = 0.7, 0.3
 _KEEPING = 0.6  # of the joint's gain: keeps a joint that leaks, so softly that its load does not swing
-_EXACT = 0.005  # of spool: a valve with less hysteresis passes a small flow steadily
 
 
 def servo_constants(arm: NominalArm, config: ControllerConfig) -> ServoConstants:
@@ -85,23 +84,13 @@ def _curves(valves: ValveSet) -> Array:
 
 
 def parking_law(config: ControllerConfig) -> ParkingLaw | None:
-    """The law by which the arm parks; None where the joint law goes on.
-
-    ``auto``: any valve with hysteresis, or too little known of it, lets the joint law hunt, and parks.
-    """
-    asked = config.parking.enabled
-    exact = _exact(config.valves)
-    return None if asked is False or (asked == "auto" and exact.all()) else _parking_law(config, exact)
+    """The law by which the arm parks; None where the joint law goes on."""
+    return _parking_law(config) if config.parks else None
 
 
-def _exact(valves: ValveSet) -> Array:
-    """Which valves (6,) pass a small flow steadily."""
-    hysteresis = [valve.hysteresis for valve in valves.joints]
-    return np.array([number.value + number.std < _EXACT for number in hysteresis])
-
-
-def _parking_law(config: ControllerConfig, exact: Array) -> ParkingLaw:
+def _parking_law(config: ControllerConfig) -> ParkingLaw:
     parking, valves = config.parking, config.valves.joints
+    exact = np.array([valve.exact for valve in valves])
     half = np.array([[0.5 * valve.hysteresis.value] for valve in valves])
     half_std = np.array([[0.5 * valve.hysteresis.std] for valve in valves])
     std = np.array([[edge.deadband.std for edge in (valve.raising, valve.lowering)] for valve in valves])
