@@ -18,14 +18,16 @@ _TIMES = 8
 
 
 def picture(places: dict[int, tuple[float, float, float]]) -> Image:
-    """Upright markers, by number (x, y of the first corner, side) px, each pixel the mean of 64 samples."""
+    """Upright markers, by number (x, y of the first corner, side) px, each pixel the mean of 64 samples.
+
+    Sides of a multiple of 0.75 px have cells of whole samples.
+    """
     large = np.full((240 * _TIMES, 320 * _TIMES), 200, np.uint8)
     for number, (x, y, side) in places.items():
         size = round(_TIMES * side)
         column, row = round(_TIMES * (x + 0.5)), round(_TIMES * (y + 0.5))  # pixel centres at integers
-        large[row : row + size, column : column + size] = cv2.aruco.generateImageMarker(
-            DICTIONARY, number, size
-        )
+        marker = cv2.aruco.generateImageMarker(DICTIONARY, number, size)
+        large[row : row + size, column : column + size] = np.minimum(marker, 200)  # one paper, in and around
     small = cv2.resize(large, (320, 240), interpolation=cv2.INTER_AREA)
     noise = np.random.default_rng(1).normal(0.0, 2.0, small.shape)
     return np.clip(cv2.GaussianBlur(small.astype(float), (0, 0), 0.6) + noise, 0, 255).astype(np.uint8)
@@ -36,10 +38,11 @@ def corners(x: float, y: float, side: float) -> Array:
 
 
 def test_corners_are_as_good_as_they_say_and_small_markers_are_kept() -> None:
-    places = {3: (40.25, 30.5, 40.0), 7: (150.5, 60.25, 13.0)}
+    places = {3: (40.25, 30.5, 39.0), 7: (150.5, 60.25, 13.5)}
     found = found_markers(picture(places), "DICT_4X4_1000")
     assert [marker.number for marker in found] == [3, 7]
-    assert [(marker.method, marker.std_px) for marker in found] == [("edges", 0.05), ("edges", 0.15)]
+    assert [marker.method for marker in found] == ["cells", "cells"]
+    assert 0.0 < found[0].std_px < found[1].std_px < 0.2
     for marker in found:
         errors = marker.corners - corners(*places[marker.number])
         assert np.abs(errors).max() < 4.0 * marker.std_px
@@ -47,7 +50,7 @@ def test_corners_are_as_good_as_they_say_and_small_markers_are_kept() -> None:
     assert [marker.number for marker in found_markers(picture(places), "DICT_4X4_1000", frozenset({7}))] == [
         7
     ]
-    too_small = found_markers(picture({7: (150.5, 60.25, 10.0)}), "DICT_4X4_1000")
+    too_small = found_markers(picture({7: (150.5, 60.25, 7.5)}), "DICT_4X4_1000")
     assert too_small == []
 
 

@@ -1,4 +1,7 @@
-"""Every marker in a picture, of any number: for people and for putting a camera into service."""
+"""Every marker in a picture, of any number: for people and for putting a camera into service.
+
+What OpenCV's detector finds is refined; what it finds square but cannot read is read from a fit of its cells.
+"""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -6,12 +9,17 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from vision_pc.core.perception import marker_edges
+from vision_pc.core.perception import marker_edges, marker_template
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
 
-LEAST_SIDE_PX = 11.0  # of the mean edge: a 4x4 marker's cells then have 1.8 px
-_WINDOWS = (7, 13, 23, 45)  # px: one window loses markers whose border is far thinner or wider
+LEAST_SIDE_PX = 8.0  # of the mean edge: a cell of a 36h11 then has 1 px
+_WINDOWS = (5, 9, 13, 23, 45)  # px: one window loses markers whose border is far thinner or wider
+_USUAL, _SENSITIVE = (
+    7.0,
+    3.0,
+)  # grey levels that a border is darker by; [M] 3 loses half as many of 75° or 12 px
+_GROWN_PX = 1.0  # squares of few pixels are found too small
 _EDGE_STD_PX = 0.05  # corners by edge lines, noise 2, sides from 16 px on
 _LONG_PX = 16.0  # shorter edges have fewer than ten profiles
 _SHORT_EDGE_STD_PX = 0.15
@@ -19,8 +27,12 @@ _GRADIENT_STD_PX = 0.25  # by gradients in a small window
 _ROUGH_STD_PX = 0.7  # as the detector has them
 
 
+_READ_LIKE = 0.9  # correlation of a marker that OpenCV did not read with what it is said to be
+_CORRECTION = 0.6  # share of the wrong cells that a dictionary could correct
+
+
 class PictureMarker(NamedTuple):
-    """A marker's number, its corners (4, 2) px in ArUco's order, how they were refined (``edges``,
+    """A marker's number, its corners (4, 2) px in ArUco's order, how they were refined (``cells``, ``edges``,
     ``gradients``, ``rough``), and their standard deviation per coordinate, px.
     """
 
@@ -43,23 +55,83 @@ def found_markers(
     With ``wanted`` numbers only these are given, and other threshold windows than ``window_px`` are tried
     only while one of them is missing; without, all windows are tried.
     """
-    quads: list[tuple[int, Array]] = []
-    for window in (window_px, *(other for other in _WINDOWS if other != window_px)):
-        if wanted and wanted <= {number for number, _ in quads}:
+    book = _book(dictionary)
+    markers: list[PictureMarker] = []
+    unread: list[Array] = []
+    for window, darker in ((window_px, _USUAL), *((other, _SENSITIVE) for other in _WINDOWS)):
+        if wanted and wanted <= {marker.number for marker in markers}:
             break
-        corners, ids, _ = _detector(dictionary, window).detectMarkers(image)
-        for number, quad in zip([] if ids is None else ids.ravel(), corners, strict=True):
+        quads, ids, rejected = _detector(dictionary, window, darker).detectMarkers(image)
+        for number, quad in zip([] if ids is None else ids.ravel(), quads, strict=True):
             place = quad.reshape(4, 2).astype(np.float64)
-            if (not wanted or int(number) in wanted) and not _is_known(quads, int(number), place):
-                quads.append((int(number), place))
-    markers = [refined(image, number, quad) for number, quad in quads]
+            if (not wanted or int(number) in wanted) and not _is_known(markers, int(number), place):
+                markers.append(refined(image, int(number), place, _cells(book, int(number))))
+        unread += [quad.reshape(4, 2).astype(np.float64) for quad in rejected]
+    if not wanted or not wanted <= {marker.number for marker in markers}:
+        markers += _read(image, unread, markers, book, wanted)
     kept = [marker for marker in markers if marker.side_px >= LEAST_SIDE_PX]
     return sorted(kept, key=lambda marker: (marker.number, *marker.corners[0]))
 
 
-def refined(image: Image, number: int, rough: Array) -> PictureMarker:
-    """The marker with its corners refined by edge lines, else by gradients, else as they are."""
+def _read(
+    image: Image,
+    quads: list[Array],
+    markers: list[PictureMarker],
+    book: cv2.aruco.Dictionary,
+    wanted: frozenset[int],
+) -> list[PictureMarker]:
+    """Markers in squares that the detector could not read, where their cells, fitted, have a number."""
+    found: list[PictureMarker] = []
+    for quad in quads:
+        if any(_covers(marker.corners, quad) for marker in (*markers, *found)):
+            continue
+        for start in (quad, _grown(quad)):
+            marker = _read_one(image, start, book)
+            if marker is not None and (not wanted or marker.number in wanted):
+                found.append(marker)
+                break
+    return found
+
+
+def _read_one(image: Image, quad: Array, book: cv2.aruco.Dictionary) -> PictureMarker | None:
+    """The marker about ``quad`` whose number its cells have, if they have one."""
+    blank = np.full((book.markerSize + 2,) * 2, 0.5)
+    blank[[0, -1]] = blank[:, [0, -1]] = 0.0
+    shown = marker_template.fit(image, quad, blank, known=False)
+    if shown is None:
+        return None
+    bits = (shown.cells[1:-1, 1:-1] > 0.5).astype(np.uint8)
+    good, number, turns = book.identify(bits, _CORRECTION)
+    if not good:
+        return None
+    fitted = marker_template.fit(image, np.roll(shown.corners, turns, axis=0), _cells(book, number))
+    if fitted is None or fitted.likeness < _READ_LIKE:
+        return None
+    return PictureMarker(int(number), fitted.corners, "cells", fitted.std_px)
+
+
+def _grown(quad: Array) -> Array:
+    """The square with its corners moved away from its middle."""
+    away = quad - quad.mean(axis=0)
+    return np.asarray(quad + _GROWN_PX * away / np.linalg.norm(away, axis=1, keepdims=True))
+
+
+def _covers(corners: Array, quad: Array) -> bool:
+    """Whether both are about the same square."""
+    side = float(np.linalg.norm(corners[0] - corners[1]))
+    return bool(np.linalg.norm(corners.mean(axis=0) - quad.mean(axis=0)) < 0.5 * side)
+
+
+def refined(image: Image, number: int, rough: Array, cells: Array) -> PictureMarker:
+    """The marker with its corners refined by all of its ``cells``, else by edge lines, by gradients, or as
+    they are.
+    """
     edges = marker_edges.refine(image, rough, lambda pixels: pixels)
+    starts = [rough] if edges is None or not np.isfinite(edges).all() else [edges, rough]
+    for start in starts:
+        fitted = marker_template.fit(image, start, cells)
+        if fitted is not None:
+            return PictureMarker(number, fitted.corners, "cells", fitted.std_px)
     if edges is not None and np.isfinite(edges).all():
         found = PictureMarker(number, edges, "edges", _EDGE_STD_PX)
         return found if found.side_px >= _LONG_PX else found._replace(std_px=_SHORT_EDGE_STD_PX)
@@ -82,7 +154,7 @@ def drawn(image: Image, markers: list[PictureMarker]) -> Image:
     picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     for marker in markers:
         outline = np.round(8.0 * marker.corners).astype(np.int32)
-        colour = (60, 200, 60) if marker.method == "edges" else (40, 160, 255)
+        colour = (60, 200, 60) if marker.method in ("cells", "edges") else (40, 160, 255)
         cv2.polylines(picture, [outline], True, colour, 1, cv2.LINE_AA, 3)
         x, y = (round(float(value)) for value in marker.corners[0])
         cv2.circle(picture, (x, y), 2, (60, 60, 255), -1)
@@ -90,22 +162,27 @@ def drawn(image: Image, markers: list[PictureMarker]) -> Image:
     return np.asarray(picture, dtype=np.uint8)
 
 
-def _is_known(quads: list[tuple[int, Array]], number: int, place: Array) -> bool:
+def _is_known(markers: list[PictureMarker], number: int, place: Array) -> bool:
     """Whether a marker of this number was found about there already."""
-    side = float(np.linalg.norm(place[0] - place[1]))
-    return any(
-        known == number and np.linalg.norm(quad.mean(axis=0) - place.mean(axis=0)) < 0.5 * side
-        for known, quad in quads
-    )
+    return any(marker.number == number and _covers(marker.corners, place) for marker in markers)
+
+
+def _cells(book: cv2.aruco.Dictionary, number: int) -> Array:
+    """Ink 0 and paper 1 of a marker, (n, n), border included."""
+    return (book.generateImageMarker(number, book.markerSize + 2) > 0).astype(np.float64)
 
 
 @lru_cache(maxsize=16)
-def _detector(dictionary: str, window: int) -> cv2.aruco.ArucoDetector:
+def _book(dictionary: str) -> cv2.aruco.Dictionary:
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+
+
+@lru_cache(maxsize=16)
+def _detector(dictionary: str, window: int, darker: float) -> cv2.aruco.ArucoDetector:
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
     parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = window
+    parameters.adaptiveThreshConstant = darker
     parameters.minMarkerPerimeterRate = 0.02  # 40 px around in a picture 2000 px wide
     parameters.perspectiveRemovePixelPerCell = 8
-    return cv2.aruco.ArucoDetector(
-        cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary)), parameters
-    )
+    return cv2.aruco.ArucoDetector(_book(dictionary), parameters)

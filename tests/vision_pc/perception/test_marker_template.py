@@ -1,0 +1,102 @@
+"""Markers fitted with all of their cells: exact corners, honest σ, numbers that OpenCV does not read."""
+
+import cv2
+import numpy as np
+import pytest
+
+from testbed.experiments.markers.rendered_tags import MarkerAspect, TagPicture, tags
+from vision_pc.core.perception.marker_template import TemplateFit, fit
+from vision_pc.core.perception.picture_markers import found_markers
+from vision_pc.core.se3 import Array
+
+FAMILY = "DICT_APRILTAG_36h11"
+BOOK = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+BLANK = np.pad(np.full((6, 6), 0.5), 1)
+
+
+def cells_of(number: int) -> Array:
+    return (BOOK.generateImageMarker(number, 8) > 0).astype(np.float64)
+
+
+def picture_of(aspect: MarkerAspect) -> TagPicture:
+    return tags(FAMILY, aspect, np.random.default_rng(11))
+
+
+def fitted(picture: TagPicture, known: bool) -> list[tuple[int, Array, TemplateFit]]:
+    """Every marker, begun 0.5 px (σ) from its corners: number, true corners, fit."""
+    rng = np.random.default_rng(3)
+    made = []
+    for number, corners in picture.corners.items():
+        cells = cells_of(number) if known else BLANK
+        found = fit(picture.image, corners + rng.normal(0.0, 0.5, (4, 2)), cells, known)
+        assert found is not None
+        made.append((number, corners, found))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("aspect", "limit_px"),
+    [
+        (MarkerAspect(60.0), 0.02),
+        (MarkerAspect(20.0), 0.06),
+        (MarkerAspect(14.0), 0.1),
+        (MarkerAspect(40.0, angle_deg=70.0), 0.06),
+        (MarkerAspect(40.0, blur_px=2.0), 0.06),
+        (MarkerAspect(40.0, noise_grey=20.0), 0.1),
+    ],
+    ids=["60 px", "20 px", "14 px", "70 deg", "blur", "noise"],
+)
+def test_corners_are_exact_and_as_sure_as_told(aspect: MarkerAspect, limit_px: float) -> None:
+    found = fitted(picture_of(aspect), known=True)
+    errors = np.array([one.corners - corners for _, corners, one in found])
+    told = np.array([one.std_px for *_, one in found])[:, None, None]
+    assert np.sqrt(np.mean(errors**2)) < limit_px
+    assert 0.3 < np.mean((errors / told) ** 2) < 3.0
+
+
+def test_cells_are_read_where_the_number_is_not_known() -> None:
+    found = fitted(picture_of(MarkerAspect(20.0)), known=False)
+    right = [((one.cells > 0.5) == cells_of(number)).all() for number, _, one in found]
+    assert sum(right) >= 17  # begun 1.3 px off, one may end elsewhere
+
+
+def test_another_number_is_not_what_is_seen() -> None:
+    picture = picture_of(MarkerAspect(40.0))
+    for number, corners in picture.corners.items():
+        assert fit(picture.image, corners, cells_of((number + 100) % 587)) is None
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        np.full((4, 2), np.nan),
+        np.zeros((4, 2)),
+        np.array([[10.0, 10.0], [50.0, 10.0], [10.0, 50.0], [50.0, 50.0]]),  # a bow tie
+        np.array([[10.0, 10.0], [30.0, 10.0], [50.0, 10.0], [70.0, 10.0]]),  # on a line
+        np.array([[-90.0, -90.0], [-50.0, -90.0], [-50.0, -50.0], [-90.0, -50.0]]),
+        np.array([[700.0, 700.0], [740.0, 700.0], [740.0, 740.0], [700.0, 740.0]]),
+        np.array([[10.0, 10.0], [10.0, 50.0], [50.0, 50.0], [50.0, 10.0]]),  # seen from behind
+    ],
+    ids=["nan", "point", "bow tie", "line", "outside", "partly outside", "from behind"],
+)
+@pytest.mark.parametrize("known", [True, False])
+def test_what_is_no_square_in_the_picture_is_no_marker(corners: Array, known: bool) -> None:
+    image = np.random.default_rng(1).integers(0, 255, (720, 1280)).astype(np.uint8)
+    assert fit(image, corners, cells_of(5), known) is None
+
+
+def test_markers_that_opencv_sees_and_cannot_read_are_read() -> None:
+    picture = picture_of(MarkerAspect(14.0))
+    _, ids, _ = cv2.aruco.ArucoDetector(BOOK).detectMarkers(picture.image)
+    found = found_markers(picture.image, FAMILY)
+    assert {marker.number for marker in found} <= picture.corners.keys()
+    assert len(ids) + 3 < len(found)
+    for marker in found:
+        assert marker.method == "cells"
+        assert np.abs(marker.corners - picture.corners[marker.number]).max() < 0.4
+
+
+def test_only_wanted_numbers_are_told() -> None:
+    picture = picture_of(MarkerAspect(14.0))
+    wanted = frozenset(list(picture.corners)[:2])
+    assert {marker.number for marker in found_markers(picture.image, FAMILY, wanted)} == wanted
