@@ -108,6 +108,13 @@ def test_a_bare_wall_is_refused() -> None:
         assert refused(bare.sighted(), Click("left", np.array([u, 250.0]))).cause == "target.low_texture"
 
 
+def test_an_edge_of_shade_on_a_bare_wall_tells_nothing_of_it() -> None:
+    rows, columns = np.indices((SIZE, SIZE), dtype=np.float32)
+    shaded = scene(120.0 + 20.0 * np.tanh((0.3 * rows + columns - 0.65 * SIZE) / 24.0), TILTED)
+    pixel = shaded.pixel(0.0, 0.0)
+    assert refused(shaded.sighted(), Click("left", pixel, "plane")).cause == "target.low_texture"
+
+
 def test_a_place_on_a_depth_edge_is_refused() -> None:
     near = facing(0.03, -0.02, 0.86, (9.0, -13.0, 4.0))
     edge = scene(rock(), TILTED, step=(-0.05, near))

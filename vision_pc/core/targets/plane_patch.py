@@ -18,6 +18,7 @@ from foundation.compiled import kernel
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
+from vision_pc.core.targets.patch_texture import explained, refuse_bare
 from vision_pc.core.targets.target import TargetRefused
 from vision_pc.core.types import CameraCalibration, Image, StereoPair
 
@@ -27,14 +28,11 @@ _CONVERGED_PX = 2e-4
 _HUBER = 2.5
 _ROW_STD = 0.5  # px that the right eye's rows may be off what is believed
 _LAGS = 5  # px over which what is left over is alike
-_EXPLAINED = 0.85  # share of a quadrant's texture that the plane must explain
-_LEFT_OVER = 2.5  # grey: what may be left over for all that
 _STEEPEST = math.radians(65.0)
 _LEAST_PIXELS = 300
 _FLOOR_PX = 0.004  # [M] what interpolation leaves (docs/targets.md)
 _CURVED = 0.04  # 1/m [E] of a wall that rises by 4 mm over a metre: its middle lies off the plane
 _MORE = 1.5  # [M] variance over what the residuals tell: gradients are noisy too
-_WORST_PX = 0.25  # disparity that is not known better than this is not known
 
 Mask = NDArray[np.bool_]
 
@@ -118,7 +116,9 @@ def align(
     reach = float(np.abs(patch.x).max())
     bent = (_CURVED * reach**2 / 3.0) ** 2
     covariance = whole[:3, :3] + np.diag([floor + bent, 3.0 * floor / reach**2, 3.0 * floor / reach**2])
-    quality = _refuse_misfit(patch, sums.residuals, whole[0, 0] ** 0.5 * rate)
+    quality = explained(patch.grey, sums.residuals, patch.used > 0.0, whole[0, 0] ** 0.5 * rate)
+    if used is None:  # beside a hole its rim tells too, and its width is looked at
+        refuse_bare(patch.grey, sums.residuals)
     plane = PlanePatch(theta[:3], covariance, ray, quality, 1.0 / rate)
     _refuse_steep(plane)
     return plane
@@ -171,37 +171,6 @@ def _smooth(image: Image) -> Array:
 def _disparity_rate(camera: CameraCalibration) -> float:
     """Pixels of disparity for 1/m of inverse depth."""
     return float(camera.right.K[0, 0] * np.linalg.norm(camera.right.X_CE[:3, 3]))
-
-
-def _refuse_misfit(patch: _Patch, residuals: Array, disparity_std: float) -> float:
-    """How much of the texture the plane explains. Raises TargetRefused where a quarter is off it."""
-    if not disparity_std < _WORST_PX:
-        raise TargetRefused(
-            "target.low_texture",
-            f"target: disparity is known to {disparity_std:.2f} px, limit {_WORST_PX:g} px: bare surface",
-        )
-    half = patch.grey.shape[0] // 2
-    parts = [(slice(0, half), slice(0, half)), (slice(0, half), slice(half, None)),
-             (slice(half, None), slice(0, half)), (slice(half, None), slice(half, None))]  # fmt: skip
-    off = 0
-    for part in parts:
-        used = patch.used[part] > 0.0
-        if used.sum() < 20:
-            continue
-        left = float(residuals[part][used].std())
-        share = 1.0 - (left / max(float(patch.grey[part][used].std()), 1e-9)) ** 2
-        off += left > _LEFT_OVER and share < _EXPLAINED
-    used = patch.used > 0.0
-    total = 1.0 - (float(residuals[used].std()) / max(float(patch.grey[used].std()), 1e-9)) ** 2
-    if off:
-        cause = "target.depth_edge" if off < 4 else "target.not_planar"
-        why = f"target: no plane explains {off} of the 4 quarters about it ({total:.2f} of the texture)"
-        raise TargetRefused(cause, why)
-    if total < 0.3:
-        raise TargetRefused(
-            "target.low_texture", f"target: both eyes agree on {total:.2f} of the texture only"
-        )
-    return max(total, 0.0)
 
 
 def _refuse_steep(plane: PlanePatch) -> None:
