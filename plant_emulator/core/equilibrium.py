@@ -25,6 +25,8 @@ from protocol.errors import ConfigurationError
 
 Array = NDArray[np.float64]
 
+_TO_AND_FRO = 100  # rounds; a mesh that still goes from flank to flank finds rest on none
+
 
 def gravity_torque(mechanism: Mechanism, q: Array) -> Array:
     """Generalised gravity force (n,) at pose ``q`` (n,): Σ axis · (r × m g) over the bodies behind."""
@@ -58,13 +60,17 @@ def _on_a_flank(torque: Array, half: float, stiffness: float) -> Array:
     return torque * (1.0 / stiffness + (half / size if size > 0.0 else 0.0))
 
 
-def _relaxed(model: Model, q: Array, flexible: list[int]) -> Array:
-    """``q`` (n,) with everything elastic or loose where the torques at ``q`` put it."""
+def _relaxed(model: Model, q: Array, flexible: list[int], held: float | None = None) -> Array:
+    """``q`` (n,) with everything elastic or loose where the torques at ``q`` put it; the slew's mesh at
+    ``held`` (rad) in its play.
+    """
     found, torque = q.copy(), standing_torque(model, q)
     found[flexible] = torque[flexible] / model.mechanism.stiffness[flexible]
     mesh, tilt = model.loose.mesh, model.loose.tilt
     at = int(mesh[loose.M_AT])
-    if at >= 0:
+    if at >= 0 and held is not None:
+        found[at] = held
+    elif at >= 0:
         found[[at]] = _on_a_flank(torque[[at]], mesh[loose.M_HALF], mesh[loose.M_STIFFNESS])
     at = int(tilt[loose.T_AT])
     if at >= 0:
@@ -76,13 +82,17 @@ def _relaxed(model: Model, q: Array, flexible: list[int]) -> Array:
 def bent_pose(model: Model, q: Array, still: float = 1e-15) -> Array:
     """``q`` (n,) with its springs where stiffness balances gravity, and what is loose on its lower flank.
 
-    To ``still`` (rad) at most. Raises ConfigurationError for an arm that comes to no rest.
+    A mesh that is pushed off either flank rests between them, held by the ring's friction. To ``still`` (rad)
+    at most. Raises ConfigurationError for an arm that comes to no rest.
     """
     mechanism = model.mechanism
     flexible = [i for i in range(len(q)) if mechanism.stiffness[i] > 0.0 and mechanism.free[i] > 0.0]
-    for _ in range(200):
-        bent = _relaxed(model, q, flexible)
+    held: float | None = None
+    for turn in range(200):
+        bent = _relaxed(model, q, flexible, held)
         change = float(np.max(np.abs(bent - q), initial=0.0))
+        if turn == _TO_AND_FRO:
+            held = _between_flanks(model, q, bent)
         q = bent
         if change < still:
             return q
@@ -92,6 +102,15 @@ def bent_pose(model: Model, q: Array, still: float = 1e-15) -> Array:
         "configuration.no_equilibrium",
         f"flexibility: the arm does not come to rest, its hinges still move by {change:g} rad",
     )
+
+
+def _between_flanks(model: Model, q: Array, other: Array) -> float | None:
+    """Where in its play the slew's mesh has no torque, rad, if ``q`` and ``other`` have it on two flanks."""
+    at = int(model.loose.mesh[loose.M_AT])
+    if at < 0 or not q[at] * other[at] < 0.0:
+        return None
+    here, there = (float(standing_torque(model, pose)[at]) for pose in (q, other))
+    return float(q[at] + (other[at] - q[at]) * here / (here - there))
 
 
 def _check_stroke(row: Array, angle: float, joint: str) -> None:

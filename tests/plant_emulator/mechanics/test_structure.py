@@ -84,6 +84,16 @@ def test_a_tilted_base_decides_the_flank_too(tilt: float) -> None:
     assert lies == pytest.approx(-np.sign(tilt) * 0.6, abs=0.05)
 
 
+def test_a_boom_that_is_pulled_off_both_flanks_starts_between_them() -> None:
+    slew = {"hose_nm": 3.0, "hose_nm_rad": 5e4, "backlash_mrad": 2.0}
+    plant = Plant(plant_config(errors=on(loose_slew=slew)), 1)
+    at = plant._model.places.angle[int(plant._model.loose.mesh[loose.M_AT])]
+    began = float(plant._state[at])
+    assert abs(began) < 0.5e-3  # of 1 mrad to either flank
+    Driver(plant).run(0.5)
+    assert plant._state[at] == pytest.approx(began, abs=2e-5)
+
+
 def test_encoders_do_not_see_the_play() -> None:
     tips, counts = [], []
     for pull in (-100.0, 100.0):
