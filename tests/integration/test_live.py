@@ -53,6 +53,29 @@ async def test_every_part_is_shown_with_its_schemas(rig: Running) -> None:
     assert len(latest["/scene"].entities) > 5
 
 
+async def test_a_look_is_shown_as_vision_told_it(rig: Running) -> None:
+    assert rig.launch.foxglove is not None
+    async with (
+        watching(rig.launch.foxglove) as viewer,
+        httpx.AsyncClient(base_url=rig.launch.rest_url) as rest,
+    ):
+        topics = ("/vision/frame", "/vision/observation", "/vision/look")
+        await viewer.until(lambda each: all(topic in each.channels for topic in topics))
+        await viewer.subscribe(*topics)
+        asked = {"Prefer": f"wait={WITHIN_S:g}"}
+        answer = (await rest.post("/operations/look", json={}, headers=asked, timeout=WITHIN_S + 10.0)).json()
+        assert answer["state"] == "succeeded", answer
+        await viewer.until(lambda each: set(topics) <= {shown.topic for shown in each.shown})
+    shown = {topic: [each.message for each in viewer.shown if each.topic == topic] for topic in topics}
+    look, told = shown["/vision/look"][-1], answer["result"]
+    assert [look.p_CM_x_m, look.p_CM_y_m, look.p_CM_z_m] == pytest.approx(told["X_CM"]["p_m"], abs=1e-12)
+    seen = {each.capture_ns: each for each in shown["/vision/observation"]}
+    frames = [frame for frame in shown["/vision/frame"] if frame.capture_ns in seen]
+    assert frames
+    assert all((frame.width, frame.height) == (1280, 720) for frame in frames)
+    assert all(seen[frame.capture_ns].frame_id == frame.frame_id for frame in frames)
+
+
 async def told_by_all(rig: Running) -> dict[str, set[str]]:
     """Samples of each family, once all three tell theirs."""
     async with httpx.AsyncClient(timeout=20.0) as asked, asyncio.timeout(WITHIN_S):

@@ -9,8 +9,11 @@ import pytest
 
 from plant_emulator.shell.recording import read_truth
 from testbed.realtime import probe
-from testbed.realtime.launch import PLANT
+from testbed.realtime.launch import PLANT, VISION
 from testbed.realtime.rest_rig import RestRig
+from testbed.recordings.comparison import OPERATION, REFERENCE
+from testbed.recordings.decision_replay import DecisionReplay
+from testbed.recordings.recorded_vision import recorded_vision
 from tests.integration.services import Running, running
 
 pytestmark = pytest.mark.realtime("processes")
@@ -146,3 +149,19 @@ def test_a_move_moves_the_true_tool_as_far_as_asked(rig: Running, face: httpx.Cl
     first, last = np.searchsorted(times, [began_ns, ended_ns])
     went = tool_W[min(int(last), len(tool_W) - 1)] - tool_W[int(first) - 1]
     assert went == pytest.approx([0.0, -0.06, 0.02], abs=0.006)
+
+
+def test_the_recorded_programs_decide_the_same_again(rig: Running, face: httpx.Client) -> None:
+    """In real time too: what they read is recorded, in its order. One failed, one may have been cancelled."""
+    operations = face.get("/operations").json()
+    recorded = recorded_vision(rig.launch.records(VISION) / "vision.mcap")
+    deadline = time.monotonic() + 30.0
+    compared = DecisionReplay(recorded).run()
+    while compared.of[OPERATION] < len(operations) and time.monotonic() < deadline:
+        time.sleep(0.5)
+        compared = DecisionReplay(recorded).run()
+    assert compared.first is None
+    assert compared.alike == compared.of
+    assert compared.of[OPERATION] == len(operations)
+    moves = [operation for operation in operations if operation["kind"] == "move"]
+    assert compared.of[REFERENCE] >= len(moves)
