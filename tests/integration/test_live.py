@@ -62,9 +62,7 @@ async def test_a_look_is_shown_as_vision_told_it(rig: Running) -> None:
         topics = ("/vision/frame", "/vision/observation", "/vision/look")
         await viewer.until(lambda each: all(topic in each.channels for topic in topics))
         await viewer.subscribe(*topics)
-        asked = {"Prefer": f"wait={WITHIN_S:g}"}
-        answer = (await rest.post("/operations/look", json={}, headers=asked, timeout=WITHIN_S + 10.0)).json()
-        assert answer["state"] == "succeeded", answer
+        answer = await looked(rest)
         await viewer.until(lambda each: set(topics) <= {shown.topic for shown in each.shown})
     shown = {topic: [each.message for each in viewer.shown if each.topic == topic] for topic in topics}
     look, told = shown["/vision/look"][-1], answer["result"]
@@ -74,6 +72,18 @@ async def test_a_look_is_shown_as_vision_told_it(rig: Running) -> None:
     assert frames
     assert all((frame.width, frame.height) == (1280, 720) for frame in frames)
     assert all(seen[frame.capture_ns].frame_id == frame.frame_id for frame in frames)
+
+
+async def looked(rest: httpx.AsyncClient) -> dict[str, Any]:
+    """A look that succeeded, once camera and controller are there."""
+    waiting = {"Prefer": f"wait={WITHIN_S:g}"}
+    async with asyncio.timeout(2.0 * WITHIN_S):
+        while True:
+            sent = await rest.post("/operations/look", json={}, headers=waiting, timeout=WITHIN_S + 10.0)
+            answer: dict[str, Any] = sent.json()
+            if answer.get("state") == "succeeded":
+                return answer
+            await asyncio.sleep(0.5)
 
 
 async def told_by_all(rig: Running) -> dict[str, set[str]]:
