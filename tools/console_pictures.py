@@ -19,7 +19,7 @@ from playwright.sync_api import Page, expect, sync_playwright
 from testbed.realtime.launch import prepare
 from testbed.realtime.rest_rig import RestRig
 from testbed.realtime.supervisor import supervised
-from testbed.scenarios.settings import chosen_overrides
+from testbed.scenarios.settings import chosen_overrides, with_face
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
@@ -57,10 +57,10 @@ def main() -> int:
 
 @contextlib.contextmanager
 def services() -> Iterator[str]:
-    """The address of the console over the standard world of seed 1."""
+    """The address of the console over the standard world of seed 1, with where its arm really is."""
     config = ROOT / "configs"
     with tempfile.TemporaryDirectory() as directory:
-        overrides = chosen_overrides(config, "standard", 1, [])
+        overrides = with_face(chosen_overrides(config, "standard", 1, []), True, True)
         launch = prepare(config, overrides, Path(directory), any_ports=True)
         with supervised(launch.services, launch.directory):
             rig = RestRig(launch.rest_url)
@@ -80,6 +80,7 @@ def drive(page: Page) -> None:
         expect(row).to_contain_text("done", timeout=_WITHIN_MS)
     if page.locator("#scene-canvas").is_hidden():
         page.locator("#scene-kind").click()
+    expect(page.locator("#truth-told")).to_be_visible(timeout=_WITHIN_MS)
     page.locator("#jog-x-plus").hover()
 
 
