@@ -1,13 +1,13 @@
 # Longreach: everything runs from the virtual environment in .venv; `make help` lists the targets.
 #
-# A fresh machine needs Python 3.11 and make. Dependencies are pinned with hashes in requirements.lock
+# A fresh machine needs Python 3.11, 3.12 or 3.13 and make. Dependencies are pinned with hashes in requirements.lock
 # (what runs) and requirements-dev.lock (that and what tests); pip finds them where it is configured to.
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
 
-PYTHON ?= $(shell command -v python3.11 || command -v python3)
+PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3.13 || command -v python3)
 VENV := .venv
 BIN := $(VENV)/bin
 RUN_STAMP := $(VENV)/.stamp-run
@@ -20,14 +20,14 @@ PROCESSES ?= 2
 FOREIGN_TOOLS := mbpoll tshark gcc
 BROWSERS := chromium chromium-browser google-chrome
 
-.PHONY: help setup setup-dev demo test coverage foreign-tools browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
+.PHONY: help setup setup-dev demo test pythons coverage foreign-tools browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
 $(BIN)/python:
-	@test -n "$(PYTHON)" || { echo "Longreach needs Python 3.11: none was found; name one with PYTHON=..." >&2; exit 1; }
-	@"$(PYTHON)" -c 'import sys; found = ".".join(map(str, sys.version_info[:3])); sys.exit(0 if sys.version_info[:2] == (3, 11) else f"Longreach needs Python 3.11, found {found} at {sys.executable}; name another with PYTHON=...")'
+	@test -n "$(PYTHON)" || { echo "Longreach needs Python 3.11, 3.12 or 3.13: none was found; name one with PYTHON=..." >&2; exit 1; }
+	@"$(PYTHON)" -c 'import sys; found = ".".join(map(str, sys.version_info[:3])); sys.exit(0 if (3, 11) <= sys.version_info[:2] <= (3, 13) else f"Longreach needs Python 3.11, 3.12 or 3.13, found {found} at {sys.executable}; name another with PYTHON=...")'
 	"$(PYTHON)" -m venv $(VENV)
 
 $(RUN_STAMP): requirements.lock pyproject.toml | $(BIN)/python
@@ -92,6 +92,9 @@ types: $(DEV_STAMP)  ## mypy, strict
 
 imports: $(DEV_STAMP)  ## who may import whom
 	$(BIN)/lint-imports
+
+pythons: $(DEV_STAMP)  ## wheel, lock and demo in a fresh environment of every Python from 3.11 to 3.13 that is here
+	$(BIN)/python -m pytest -m experiment --timeout 900 -s -rs tests/packaging/test_pythons.py
 
 compose-test: $(DEV_STAMP)  ## build the image, bring the tool to the object with compose
 	$(BIN)/python -m pytest -m docker --timeout 1800 -s $(ARGS)
