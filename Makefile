@@ -94,7 +94,7 @@ imports: $(DEV_STAMP)  ## who may import whom
 	$(BIN)/lint-imports
 
 pythons: $(DEV_STAMP)  ## wheel, lock and demo in a fresh environment of every Python from 3.11 to 3.13 that is here
-	$(BIN)/python -m pytest -m experiment --timeout 900 -s -rs tests/packaging/test_pythons.py
+	$(BIN)/python -m pytest -m experiment --timeout 3600 -s -rs tests/packaging/test_pythons.py $(ARGS)
 
 compose-test: $(DEV_STAMP)  ## build the image, bring the tool to the object with compose
 	$(BIN)/python -m pytest -m docker --timeout 1800 -s $(ARGS)

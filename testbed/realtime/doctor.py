@@ -23,6 +23,7 @@ WANTED_DISK_MB = 512
 SLEEPS = 400
 SLEEP_S = 0.001
 PYTHONS = ((3, 11), (3, 12), (3, 13))  # the lock is resolved for the first and installs on all
+PYTHONS_IN_WORDS = "Python 3.11, 3.12 or 3.13"
 LATE_WARNING_US = 5000.0  # one cycle: a timer later than this at the 99th percentile will cost overruns
 
 
@@ -39,7 +40,7 @@ def python_check() -> HealthCheck:
     """Whether this is a Python that the locked dependencies are for."""
     found = f"{platform.python_implementation()} {platform.python_version()}"
     good = sys.version_info[:2] in PYTHONS
-    advice = "" if good else "install Python 3.11, 3.12 or 3.13; make clean setup"
+    advice = "" if good else f"install {PYTHONS_IN_WORDS}; make clean setup"
     return HealthCheck("python", "ok" if good else "failed", found, advice)
 
 
