@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from rich.table import Table
@@ -15,10 +15,14 @@ from testbed.campaigns.campaign import CampaignRequest, Task, run_campaign
 from testbed.campaigns.typed_rows import typed
 from testbed.reporting.console import out, table, write_json
 
+if TYPE_CHECKING:  # a command that only shows its help need not wait for it
+    from matplotlib.figure import Figure
+
 S = TypeVar("S")  # settings beyond the request's
 R = TypeVar("R")  # a row
 
 _STYLES = {True: "green", False: "bold red", None: "dim"}
+_DPI = 110  # of --plot
 _VERDICTS = {True: "met", False: "NOT met", None: ""}
 
 
@@ -75,7 +79,8 @@ class Experiment(Generic[S, R]):
 
     ``settings``: a NamedTuple of options, annotated for the command line. ``run`` is called with the
     configuration directory and a task, or with the task alone where it is not ``configured``. ``table``,
-    ``plot`` (name → PNG) and ``figures`` (for JSON) show the rows, ``verdict`` compares them with limits.
+    ``plot`` (name → figure) and ``figures`` (for JSON) show the rows, ``verdict`` compares them with limits.
+    All go into one page beside the rows; not ``page``: ``plot`` writes one of its own.
     ``runs``, ``seed``: the defaults; 0 runs: the tasks do not depend on them.
     ``world``, ``eyes``: where the settings do not say. ``workers``: 0 where a run is shorter than the start
     of a worker. ``out``: where rows are kept, if not in ``runs/NAME``.
@@ -89,7 +94,7 @@ class Experiment(Generic[S, R]):
     run: Callable[..., Any]
     table: Callable[[Finished[S, R]], Sequence[Table]]
     verdict: Callable[[Finished[S, R]], Sequence[Check]]
-    plot: Callable[[Finished[S, R]], Mapping[str, bytes]] = nothing
+    plot: Callable[[Finished[S, R]], "Mapping[str, Figure]"] = nothing
     figures: Callable[[Finished[S, R]], Mapping[str, Any]] = nothing
     runs: int = 0
     seed: int = 1
@@ -98,6 +103,7 @@ class Experiment(Generic[S, R]):
     configured: bool = True
     workers: int = 2
     out: Path | None = None
+    page: bool = True
 
     @property
     def directory(self) -> Path:
@@ -106,21 +112,20 @@ class Experiment(Generic[S, R]):
 
 
 def perform(experiment: Experiment[S, R], request: CampaignRequest, settings: S) -> bool:
-    """Whether every limit was met; tables, verdict and pictures are out, the rows in ``request.out``."""
+    """Whether every limit was met; tables and verdict are printed, rows and page are in ``request.out``."""
     tasks = experiment.tasks(request, settings)
     function = partial(experiment.run, request.config_dir) if experiment.configured else experiment.run
     campaign = run_campaign(request, function, tasks, experiment.name)
     rows = [typed(experiment.row, row) for row in campaign.rows]
     done = Finished(request, settings, tasks, rows, campaign.reused)
-    for made in experiment.table(done):
+    tables = [*experiment.table(done), *_failures(campaign.rows)]
+    for made in tables:
         out.print(made)
-    _show_failures(campaign.rows)
     checks = experiment.verdict(done)
     show_checks(checks)
-    pictures = experiment.plot(done)
-    _write(pictures, request)
-    told = _conditions(experiment, done)
+    drawn, told = experiment.plot(done), _conditions(experiment, done)
     out.print(told, highlight=False, soft_wrap=True)
+    _leave(experiment, request, (told, checks, tables, drawn))
     passed = all(check.met is not False for check in checks)
     figures = {
         "experiment": experiment.name,
@@ -165,18 +170,16 @@ def _words(value: Any) -> str:
     return " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
 
 
-def _show_failures(rows: Sequence[Mapping[str, Any]]) -> None:
-    """The causes of failed runs, how often each, and the key of one of them."""
+def _failures(rows: Sequence[Mapping[str, Any]]) -> list[Table]:
+    """The causes of failed runs, how often each, and the key of one of them; no table where none failed."""
     failed = [row for row in rows if row.get("failure")]
     causes = Counter(str(row["failure"]).partition(" ")[0].rstrip(":") for row in failed)
     cells = []
     for cause, count in sorted(causes.items()):
         first = next(row for row in failed if str(row["failure"]).startswith(cause))
         cells.append((cause, count, first["key"], str(first["failure"]).splitlines()[0]))
-    if cells:
-        out.print(
-            table("runs that failed, and count as failed above", ("cause", "runs", "such as", ""), cells)
-        )
+    headings = ("cause", "runs", "such as", "")
+    return [table("runs that failed, and count as failed above", headings, cells)] if cells else []
 
 
 def show_checks(checks: Sequence[Check]) -> None:
@@ -189,12 +192,20 @@ def show_checks(checks: Sequence[Check]) -> None:
         out.print(made)
 
 
-def _write(pictures: Mapping[str, bytes], request: CampaignRequest) -> None:
-    for number, (name, png) in enumerate(pictures.items()):
-        path = request.plot if request.plot is not None and number == 0 else request.out / f"{name}.png"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(png)
-        out.print(f"picture: {path}", style="dim", highlight=False, soft_wrap=True)
+def _leave(experiment: Experiment[S, R], request: CampaignRequest, shown: tuple[Any, ...]) -> None:
+    """The page, and the first figure where --plot wants it."""
+    from testbed.reporting.experiment_page import write_experiment_page  # here: help need not wait for it
+
+    told, checks, tables, drawn = shown
+    if request.plot is not None and drawn:
+        request.plot.parent.mkdir(parents=True, exist_ok=True)
+        next(iter(drawn.values())).savefig(request.plot, dpi=_DPI)
+        out.print(f"picture: {request.plot}", style="dim", highlight=False, soft_wrap=True)
+    if experiment.page:
+        request.out.mkdir(parents=True, exist_ok=True)
+        heading = (experiment.name, experiment.title)
+        path = write_experiment_page(request.out, heading, told, checks, tables, drawn)
+        out.print(f"report: {path}", style="dim", highlight=False, soft_wrap=True)
 
 
 def seeds(request: CampaignRequest) -> range:

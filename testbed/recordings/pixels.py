@@ -15,7 +15,7 @@ from plant_emulator.core.camera.camera_motion import STILL, CameraView, Capture
 from plant_emulator.core.camera.exposures import Exposures, Shot
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.camera.stereo_camera import StereoCamera
-from plant_emulator.core.faults.kinds import Fault
+from plant_emulator.core.faults.kinds import FAULTS, Fault
 from plant_emulator.shell.recording import FaultRecord, read_truth
 
 Eyes = tuple[NDArray[np.uint8], NDArray[np.uint8]]
@@ -70,7 +70,7 @@ class RenderedPixels:
         """
         recording = read_truth(truth)
         config = SceneConfig.model_validate(recording.run.get("scene", {}))
-        faults = [(record, _fault(record.fault)) for record in recording.faults]
+        faults = [(record, _fault(record.fault)) for record in recording.faults if _is_ours(record.fault)]
         exposures = Exposures(config.camera, config.seed)
         self._shots: dict[int, Shot] = {}
         for record in recording.truths:
@@ -103,6 +103,11 @@ def checked(stamp: RecordedStamp, eyes: Eyes) -> tuple[tuple[str, int, int], ...
     told = (("left", stamp.crc_left, eyes[0]), ("right", stamp.crc_right, eyes[1]))
     found = ((name, crc, zlib.crc32(np.ascontiguousarray(picture).data)) for name, crc, picture in told)
     return tuple(each for each in found if each[1] != each[2])
+
+
+def _is_ours(said: Mapping[str, Any]) -> bool:
+    """Whether it may act on pictures: one of another package acts on valves, encoders, pump, load alone."""
+    return said.get("kind") in FAULTS
 
 
 def _fault(said: Mapping[str, Any]) -> Fault:

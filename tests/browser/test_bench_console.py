@@ -18,7 +18,8 @@ from controller.shell.scan_recorder import FILE
 from testbed.realtime.launch import CONTROLLER, VISION
 from tests.browser.chromium import ABSENT, CHROMIUM, hold, is_state, launched
 from tests.browser.stop_times import RESTED_S, read_scans, standby_openings, stop_times
-from tests.integration.services import Running, running
+from tests.integration.services import Running, running, until_healthy
+from tests.support.paired import mean_and_half_width
 
 pytestmark = [
     pytest.mark.bench,
@@ -32,7 +33,6 @@ MINUTES = float(os.environ.get("CONSOLE_MINUTES", "30"))
 TRIALS = int(os.environ.get("CONSOLE_STOPS", "100"))
 EVERY_SCAN_HZ = 1000  # or as many as there are
 PAGE_KB, WATCHER_PERCENT, CANVAS_MS, HEAP_MB, STOP_MS = 250.0, 6.0, 120.0, 1.0, 150.0
-HEALTHY_S = 120.0
 
 
 @pytest.fixture(scope="module")
@@ -45,10 +45,7 @@ def browser() -> Iterator[Browser]:
 def services(directory: Path, *assignments: str) -> Iterator[Running]:
     """The three services, with pictures and a session."""
     with running(directory, *assignments) as rig:
-        until_s = time.monotonic() + HEALTHY_S
-        while rig.face.get("/health").status_code != httpx.codes.OK:
-            assert time.monotonic() < until_s, rig.face.get("/health").text
-            time.sleep(0.5)
+        until_healthy(rig)
         yield rig
 
 
@@ -162,13 +159,10 @@ def test_watchers_cost_little_and_disturb_no_scan(tmp_path: Path) -> None:
         print(f"{count} watchers: {np.mean(shares):.1f} % of a core (± {np.std(shares):.1f}), "
               f"{np.mean(late):.2f} overruns in {WINDOW_S:.0f} s")  # fmt: skip
     one = np.mean([each[1][0] - each[0][0] for each in taken])
-    more = np.array([each[5][1] - each[0][1] for each in taken], dtype=float)
-    half = 1.96 * np.std(more, ddof=1) / np.sqrt(len(more))
-    print(
-        f"a watcher: {one:.1f} % of a core; five: {np.mean(more):+.2f} ± {half:.2f} overruns (95 %, paired)"
-    )
+    more, half = mean_and_half_width([each[5][1] - each[0][1] for each in taken])
+    print(f"a watcher: {one:.1f} % of a core; five: {more:+.2f} ± {half:.2f} overruns (95 %, paired)")
     assert one <= WATCHER_PERCENT
-    assert np.mean(more) - half <= 0.0
+    assert more - half <= 0.0
 
 
 def test_the_heap_of_an_open_page_stays_flat(browser: Browser, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +16,7 @@ from testbed.scenarios.settings import chosen_overrides
 from tests.support.paths import CONFIGS, ROOT
 
 START_S = 60.0
+HEALTHY_S = 120.0
 
 
 class Running(NamedTuple):
@@ -27,17 +29,38 @@ class Running(NamedTuple):
 
 @contextmanager
 def running(
-    directory: Path, *assignments: str, only: tuple[str, ...] = (), foxglove: int | None = None
+    directory: Path,
+    *assignments: str,
+    only: tuple[str, ...] = (),
+    foxglove: int | None = None,
+    recorded: bool = True,
 ) -> Iterator[Running]:
     """All three services (or ``only`` some) with free ports and the standard world of seed 1."""
     overrides = chosen_overrides(CONFIGS, "standard", 1, list(assignments))
     launch = prepare(CONFIGS, overrides, directory, any_ports=True, foxglove=foxglove)
     services = [service for service in launch.services if not only or service.name in only]
+    if not recorded:
+        services = [each._replace(arguments=_without_recording(each.arguments)) for each in services]
     with (
         supervised(services, directory) as supervisor,
         httpx.Client(base_url=launch.rest_url, timeout=10.0) as face,
     ):
         yield Running(launch, supervisor, face)
+
+
+def _without_recording(options: tuple[str, ...]) -> tuple[str, ...]:
+    if "--record-dir" not in options:
+        return options
+    at = options.index("--record-dir")
+    return (*options[:at], *options[at + 2 :])
+
+
+def until_healthy(rig: Running) -> None:
+    """Return once vision has pictures and a session."""
+    until_s = time.monotonic() + HEALTHY_S
+    while rig.face.get("/health").status_code != httpx.codes.OK:
+        assert time.monotonic() < until_s, rig.face.get("/health").text
+        time.sleep(0.5)
 
 
 def run_service(module: str, *arguments: str) -> subprocess.CompletedProcess[str]:

@@ -20,7 +20,6 @@ from testbed.experiments.hand_eye.guided_experiment import (
     word_of,
 )
 from testbed.reporting.console import table
-from testbed.reporting.plots import png
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from vision_pc.config.choices import Method
 
@@ -201,7 +200,7 @@ def _nees_band(runs: int) -> tuple[float, float]:
     return low, high
 
 
-def guided_plot(done: Guided) -> dict[str, bytes]:
+def guided_plot(done: Guided) -> dict[str, Figure]:
     """Error of X over samples, and errors of the located targets."""
     rows = _ended(done)
     if not rows:
@@ -233,7 +232,7 @@ def guided_plot(done: Guided) -> dict[str, bytes]:
         right.set_ylim(top=1.35 * right.get_ylim()[1])
         right.legend(fontsize=8, ncol=3, loc="upper center")
     figure.suptitle(f"{len(rows)} guided sessions on the emulated arm")
-    return {"hand-eye-guided": png(figure)}
+    return {"hand-eye-guided": figure}
 
 
 GUIDED = Experiment(

@@ -1,6 +1,5 @@
 """The experiments' rows as pictures, beside the paper's figures where it printed any."""
 
-import io
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -20,7 +19,7 @@ _HIGHLIGHTED = {
 }
 
 
-def sweep_plot(rows: Sequence[SweepRow]) -> bytes:
+def sweep_plot(rows: Sequence[SweepRow]) -> Figure:
     """Fig. 7 as a picture: rotation and translation error of each method over d, with the bound."""
     figure = Figure(figsize=(11.0, 4.6), layout="constrained")
     for axes, unit, value, bound in (
@@ -40,10 +39,10 @@ def sweep_plot(rows: Sequence[SweepRow]) -> bytes:
         axes.grid(alpha=0.3, which="both")
     figure.axes[0].legend(frameon=False, fontsize=8)
     figure.suptitle(f"Hua et al. 2024, Fig. 7: noise on {rows[0].noise_on}; grey: the other methods")
-    return _png(figure)
+    return figure
 
 
-def localisation_plot(rows: Sequence[LocalisationRow]) -> bytes:
+def localisation_plot(rows: Sequence[LocalisationRow]) -> Figure:
     """Fig. 5 and 6 as a picture: error with its interval, share within 3 mm; the paper's figures as dots."""
     mine = [r for r in rows if r.task == "all" and r.error_mm < 12.0]
     names = [f"{r.method}\n{r.samples}" for r in mine]
@@ -65,10 +64,10 @@ def localisation_plot(rows: Sequence[LocalisationRow]) -> bytes:
         axes.set_xticks(x, names, rotation=90, fontsize=7)
         axes.legend(frameon=False)
         axes.grid(alpha=0.3, axis="y")
-    return _png(figure)
+    return figure
 
 
-def intrinsics_plot(maps: Sequence[dict[str, Any]]) -> bytes:
+def intrinsics_plot(maps: Sequence[dict[str, Any]]) -> Figure:
     """Fig. 4 as a picture: for each detector where corners fell, and the error of each view."""
     figure = Figure(figsize=(3.4 * len(maps), 5.6), layout="constrained")
     axes = figure.subplots(2, len(maps), squeeze=False)
@@ -83,10 +82,5 @@ def intrinsics_plot(maps: Sequence[dict[str, Any]]) -> bytes:
         below.set(xlabel="view (dashed: named as outlying above)", ylabel="rms error / px")
         below.tick_params(axis="x", rotation=90, labelsize=7)
     figure.colorbar(image, ax=axes[0], shrink=0.8)
-    return _png(figure)
+    return figure
 
-
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=120)
-    return buffer.getvalue()

@@ -26,7 +26,6 @@ from testbed.experiments.paper.comparison import FACTOR, TABLES, Compared
 from testbed.experiments.paper.measurement import measure, trace
 from testbed.experiments.paper.report import write_comparison
 from testbed.reporting.console import out, table
-from testbed.reporting.plots import png
 from testbed.scenarios.scenario import load_scenario
 from testbed.scenarios.settings import load_settings
 
@@ -132,7 +131,7 @@ def paper_verdict(names: Sequence[str], done: Paper) -> list[Check]:
     return checks or [Check("measurements", f"{sum(map(len, rows.values()))}", "some", all(rows.values()))]
 
 
-def paper_plot(names: Sequence[str], done: Paper) -> Mapping[str, bytes]:
+def paper_plot(names: Sequence[str], done: Paper) -> Mapping[str, Figure]:
     """The paper's figures with ours; they and the tables are in one HTML file too."""
     rows = by_kind(done)
     drawn = {name: _drawn(name, done, rows[figures.KINDS[name]]) for name in names if name in figures.KINDS}
@@ -143,7 +142,7 @@ def paper_plot(names: Sequence[str], done: Paper) -> Mapping[str, bytes]:
         out.print(f"{name}: {published.FIGURES[name]}", highlight=False)
     report = write_comparison(done.request, done.settings, (beside, concluded), drawn, rows)
     out.print(f"report: {report}", highlight=False, soft_wrap=True)
-    return {name: png(figure) for name, figure in drawn.items()}
+    return drawn
 
 
 def paper_figures(names: Sequence[str], done: Paper) -> dict[str, Any]:
@@ -217,6 +216,7 @@ def _experiment(name: str, title: str, names: Sequence[str]) -> Experiment[Paper
         table=of(paper_tables),
         verdict=of(paper_verdict),
         plot=of(paper_plot),
+        page=False,
         figures=of(paper_figures),
         runs=20,
         out=OUT,

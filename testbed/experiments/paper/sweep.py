@@ -18,7 +18,7 @@ from testbed.experiments.paper.campaign import OUT, PaperEyes, PaperSettings, pa
 from testbed.experiments.paper.comparison import SUB_CENTIMETRE_MM, worst
 from testbed.experiments.paper.measurement import measure
 from testbed.reporting.console import table
-from testbed.reporting.plots import AXIS_COLOURS, STYLE, png
+from testbed.reporting.plots import AXIS_COLOURS, STYLE
 from testbed.scenarios.scenario import load_scenario
 
 World = Mapping[str, Any]
@@ -151,7 +151,7 @@ def sweep_verdict(done: Conditions) -> list[Check]:
     return [Check("conditions measured", f"{len(measured)}", "all", all(measured.values()))]
 
 
-def sweep_plot(done: Conditions) -> dict[str, bytes]:
+def sweep_plot(done: Conditions) -> dict[str, Figure]:
     """A picture for each condition."""
     return {f"sweep-{name}": _plot(name, _figures(name, _swept(done))) for name in done.settings.chosen}
 
@@ -199,7 +199,7 @@ def _table(name: str, records: list[dict[str, Any]]) -> Table:
     return table(f"worse of |x| and |y| in the picture, by {SWEEPS[name].label}", headings, cells)
 
 
-def _plot(name: str, records: list[dict[str, Any]]) -> bytes:
+def _plot(name: str, records: list[dict[str, Any]]) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(6.0, 4.2), layout="constrained")
         axes = figure.subplots()
@@ -212,7 +212,7 @@ def _plot(name: str, records: list[dict[str, Any]]) -> bytes:
         axes.set(xlabel=SWEEPS[name].label, ylabel="worse of |x|, |y| / mm", ylim=(0.0, None))
         axes.set_title("line: median; dotted: 95 %")
         axes.legend()
-        return png(figure)
+        return figure
 
 
 SWEEP = Experiment(

@@ -6,6 +6,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
+from matplotlib.figure import Figure
 from rich.table import Table
 
 from testbed.campaigns.campaign import CampaignRequest, Task
@@ -107,7 +108,7 @@ def positioning_verdict(done: Positioned) -> list[Check]:
     ]
 
 
-def positioning_plot(done: Positioned) -> dict[str, bytes]:
+def positioning_plot(done: Positioned) -> dict[str, Figure]:
     """How many of the runs end within which error."""
     title = f"{len(done.rows)} runs, world: {done.settings.world}, eyes: {done.settings.eyes}"
     worst = worst_mm(done.rows, "look1")

@@ -7,15 +7,15 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from testbed.reporting.plots import AXIS_COLOURS, STYLE, png
+from testbed.reporting.plots import AXIS_COLOURS, STYLE
 
 _REACH_MM = 8.0  # of the axes
 
 
 def errors_plot(
     arms: Mapping[str, Sequence[Any]], branches: Mapping[str, str], limit_mm: float, title: str
-) -> bytes:
-    """PNG: for each arm the share of runs (all of them, also the failed) within an error, one line a branch.
+) -> Figure:
+    """For each arm the share of runs (all of them, also the failed) within an error, one line a branch.
 
     ``arms``: name → rows; ``branches``: field of the rows → words.
     """
@@ -36,4 +36,4 @@ def errors_plot(
         faces[0].set_ylabel("runs within / %")
         faces[0].legend(loc="lower right")
         figure.suptitle(title)
-        return png(figure)
+        return figure

@@ -13,7 +13,7 @@ from scipy import stats
 from testbed.campaigns.experiment import Check, at_most, inside
 from testbed.reporting.console import table
 from testbed.reporting.outcome import LIMIT_M
-from testbed.reporting.plots import AXIS_COLOURS, STYLE, png
+from testbed.reporting.plots import AXIS_COLOURS, STYLE
 from vision_pc.core.positioning.expected_end import ExpectedEnd, ellipse_level
 from vision_pc.core.se3 import Array
 
@@ -119,8 +119,8 @@ def reliability(told: Sequence[Told], worst_mm: Array) -> list[tuple[float, floa
     return found
 
 
-def reliability_plot(groups: Mapping[str, tuple[Sequence[Told], Array]], title: str) -> bytes:
-    """PNG: share that ended inside over the probability told, a line a group, the diagonal is honest."""
+def reliability_plot(groups: Mapping[str, tuple[Sequence[Told], Array]], title: str) -> Figure:
+    """Share that ended inside over the probability told, a line a group, the diagonal is honest."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(4.6, 4.2), layout="constrained")
         axes = figure.subplots()
@@ -133,7 +133,7 @@ def reliability_plot(groups: Mapping[str, tuple[Sequence[Told], Array]], title: 
         axes.set(xlabel="probability told", ylabel="share that ended inside", xlim=(0, 1.02), ylim=(0, 1.05))
         axes.legend(loc="upper left")
         figure.suptitle(title)
-        return png(figure)
+        return figure
 
 
 def _brier(told: Sequence[Told], worst_mm: Array) -> float:

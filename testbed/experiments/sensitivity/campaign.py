@@ -19,7 +19,7 @@ from testbed.experiments.positioning.worlds import WORLDS, WorldName
 from testbed.experiments.sensitivity.mixed_worlds import mixed_rig, sources_of
 from testbed.experiments.sensitivity.sobol import Limited, Runs, limited
 from testbed.reporting.console import out, table
-from testbed.reporting.plots import AXIS_COLOURS, STYLE, png
+from testbed.reporting.plots import AXIS_COLOURS, STYLE
 
 _RUN_S = 10.0  # [M] processor time of one run, for what is told before
 _LEAST = 4  # samples, below which no interval is told
@@ -164,13 +164,13 @@ def _rivals(names: Sequence[str], found: Limited) -> str:
     return " or ".join(names[i] for i in order[:enough])
 
 
-def sensitivity_plot(done: Varied) -> dict[str, bytes]:
+def sensitivity_plot(done: Varied) -> dict[str, Figure]:
     """A bar a source: total and alone, with their intervals."""
     names, whole, found = found_in(done)
     return {} if found is None else {"sensitivity": _bars(names, found, f"{len(whole.A)} samples")}
 
 
-def _bars(names: Sequence[str], found: Limited, told: str) -> bytes:
+def _bars(names: Sequence[str], found: Limited, told: str) -> Figure:
     order = np.argsort(found.indices.total)
     places = np.arange(len(order))
     with matplotlib.rc_context(STYLE):
@@ -187,7 +187,7 @@ def _bars(names: Sequence[str], found: Limited, told: str) -> bytes:
         axes.set(xlabel="share of the variance of true x and y; whiskers: 95 %", title=told)
         axes.set_xlim(min(0.0, float(found.first_ends.min())), None)
         axes.legend(loc="lower right")
-        return png(figure)
+        return figure
 
 
 def sensitivity_figures(done: Varied) -> Mapping[str, Any]:

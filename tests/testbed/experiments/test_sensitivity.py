@@ -158,5 +158,7 @@ def test_the_command_names_what_limits_tells_the_cost_and_goes_on(
     assert "12 samples of 9 runs: 108 runs, about 0.3 h of one core" in told
     assert "limited by │ payload" in told
     assert "samples left out for a failed run │ 1 of 12" in told
-    assert (tmp_path / "sensitivity.png").stat().st_size > 10_000
+    page = (tmp_path / "sensitivity.html").read_text(encoding="utf-8")
+    assert page.count("<svg") == 1
+    assert "samples left out for a failed run" in page
     assert len(sensitivity_tasks(request, SensitivitySettings())) == 108

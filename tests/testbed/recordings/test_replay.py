@@ -3,15 +3,19 @@
 import json
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
 import pytest
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from numpy.typing import NDArray
 
 from foundation.configuration import load
 from foundation.recording.reading import RecordingUnreadable
 from plant_emulator.config.scene import SceneConfig
+from plant_emulator.core.faults.kinds import OwnFault
 from plant_emulator.core.plant import Plant
+from plant_emulator.shell.recording import read_truth
 from plant_emulator.shell.truth_recorder import TruthRecorder
 from protocol.errors import ConfigurationError
 from protocol.reference_messages import ReferencePose
@@ -69,12 +73,23 @@ def test_without_pixels_those_of_the_same_run_are_rendered(recorded: RecordedRun
     assert refused.value.cause == "recording.no_pictures"
 
 
-def moving_frames(directory: Path) -> Path:
+class Shaken(OwnFault):
+    """As an installed package has it, but not installed where the recording is replayed."""
+
+    kind: Literal["shaken"] = "shaken"
+
+    def encoder_shift(self, elapsed_s: float) -> NDArray[np.float64]:
+        return np.full(6, 0.001)
+
+
+def moving_frames(directory: Path, *faults: OwnFault) -> Path:
     """A recording of frames taken while the arm moves, by a camera that shows motion."""
     scene = {"camera": {"motion_blur_samples": 2, "shutter": {"kind": "rolling"}}}
     settings = load_settings(CONFIGS, {"vision": {"recording": {"images": "none"}}, "scene": scene})
     rig = LockstepRig(settings, 1, RunLog())
     with closing(rig.record_in(directory, "session 7")):
+        for fault in faults:
+            rig.world.plant.inject(fault)
         rig.command("enable")
         here = rig.world.states[-1].X_BT
         x, y, z = here.p_m
@@ -88,8 +103,12 @@ async def watched(rig: LockstepRig) -> None:
         await watch.after(1, 5.0)
 
 
-def test_pictures_of_a_camera_that_shows_motion_are_rendered_again(tmp_path: Path) -> None:
-    compared = replayed(moving_frames(tmp_path))
+@pytest.mark.parametrize("faults", [(), (Shaken(),)], ids=["", "under a disturbance of somebody's own"])
+def test_pictures_of_a_camera_that_shows_motion_are_rendered_again(
+    tmp_path: Path, faults: tuple[OwnFault, ...]
+) -> None:
+    compared = replayed(moving_frames(tmp_path, *faults))
+    assert len(read_truth(tmp_path / FILES[0]).faults) == len(faults)
     assert compared.first is None
     assert compared.alike[FRAME] == compared.of[FRAME] >= 2
 
