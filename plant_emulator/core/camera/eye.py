@@ -13,7 +13,7 @@ from plant_emulator.core.camera.lighting import NO_GLARE, glare_on, shadow_on
 from plant_emulator.core.camera.plates import Placed, Plate, Sheets, placed, ray_to_plane, sheets
 from plant_emulator.core.camera.scene import Cover, Scene
 from plant_emulator.core.camera.true_eye import TrueEye
-from plant_emulator.core.camera.wall import bores, wall_painter
+from plant_emulator.core.camera.wall import bores, tubes, wall_painter
 from plant_emulator.core.camera.wall.wall_texture import SIZE, SIZE_BITS, Texture
 
 Grey = NDArray[np.uint8]
@@ -52,6 +52,8 @@ class Eye:
         self._paint_wall(picture, X_EOs, time_s)
         for group in (self._on_wall, self._sheets(_of("O", covers))):
             self._paint_plates(picture, group, X_EOs @ group.poses[:, None], group.poses, time_s)
+        if self._tubes:
+            tubes.paint(picture, self._rays, self._tubes, self._view(X_EOs, time_s), X_EOs[0], self.lens)
         for passer, group in zip(self._scene.passers, self._passing, strict=True):
             X_OPs = np.stack([passer.pose(time_s + end_s) for end_s in self._ends_s])
             self._paint_plates(picture, group, (X_EOs @ X_OPs)[None], X_OPs[:1], time_s)
@@ -66,6 +68,10 @@ class Eye:
     def _bores(self) -> tuple[bores.Bore, ...]:
         wall = self._scene.config.wall
         return tuple(bores.bore(hole, wall) for hole in wall.drill_holes if hole.depth_m > 0.0)
+
+    @cached_property
+    def _tubes(self) -> tuple[tubes.Tube, ...]:
+        return tuple(tubes.tube(config) for config in self._scene.config.wall.tubes)
 
     @cached_property
     def _on_wall(self) -> Sheets:
@@ -113,9 +119,12 @@ class Eye:
             _SKY_GREY,
         )
         if self._bores:
-            shadow = shadow_on(self._scene.config.lighting.shadow, np.eye(4), time_s)
-            seen = bores.view(X_EOs, wall, shadow)
-            bores.cut(picture, self._rays, self._bores, seen, X_EOs[0], self.lens)
+            bores.cut(picture, self._rays, self._bores, self._view(X_EOs, time_s), X_EOs[0], self.lens)
+
+    def _view(self, X_EOs: Matrix, time_s: float) -> bores.View:
+        """How the eye sees the wall's plane."""
+        shadow = shadow_on(self._scene.config.lighting.shadow, np.eye(4), time_s)
+        return bores.view(X_EOs, self._scene.config.wall, shadow)
 
     def _paint_plates(
         self, picture: Grey, group: Sheets, X_EPs: Matrix, X_OPs: Matrix, time_s: float

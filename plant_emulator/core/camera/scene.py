@@ -26,6 +26,7 @@ from plant_emulator.core.camera.surroundings import (
     front_of,
     passer_plate,
     rebar_plates,
+    tube_outline,
 )
 from plant_emulator.core.faults.kinds import MarkerCovered
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
@@ -162,6 +163,7 @@ class Scene:
         }
         self._standing = (
             *(plate for block in config.wall.blocks for plate in block_outline(block)),
+            *(tube_outline(tube) for tube in config.wall.tubes),
             *(bar for mat in config.rebar for bar in rebar_plates(mat)),
             *self._obstacles("wall"),
         )

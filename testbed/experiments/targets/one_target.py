@@ -35,6 +35,9 @@ ROWS = {
     "hole-2.0": Kinded("hole, 2 m", "hole", Aspect(2.0), 1.0),
     "broken-1.0": Kinded("hole, rim broken by 0.2 to 0.4 r", "hole", Aspect(1.0, broken=(0.2, 0.4)), 0.5),
     "oblique-1.0": Kinded("hole, 30 to 45° aslant", "hole", Aspect(1.0, (30.0, 45.0)), 0.5),
+    "tube-1.0": Kinded(
+        "tube that stands 60 to 200 mm out, 1 m", "hole", Aspect(1.0, standing_m=(0.06, 0.2)), 0.5
+    ),
     "plane-0.7": Kinded("click, 0.7 m", "plane", Aspect(0.7, broken=None), 0.5),
     "plane-1.0": Kinded("click, 1 m", "plane", Aspect(1.0, broken=None), 0.5),
     "plane-1.5": Kinded("click, 1.5 m", "plane", Aspect(1.5, broken=None), 1.0),

@@ -11,10 +11,12 @@ from tests.vision_pc.targets.wall_scene import (
     SIZE,
     X_CM,
     WallScene,
+    before_the_wall,
     rock,
     scene,
 )
 from vision_pc.core import se3
+from vision_pc.core.perception import intrinsics
 from vision_pc.core.targets import plane_patch
 from vision_pc.core.targets.measuring import Click, KnownTarget, again, at_click, holes
 from vision_pc.core.targets.target import TargetRefused, frame_on
@@ -59,6 +61,22 @@ def test_every_hole_is_found_and_measured_and_nothing_else(face: WallScene) -> N
         assert seen.diameter_m == pytest.approx(DIAMETER, abs=0.002)
         assert off @ np.linalg.solve(seen.covariance[:3, :3], off) < 22.0
         assert np.abs(seen.outline.mean(axis=0) - face.pixel(*place)).max() < 1.0
+
+
+def test_the_mouth_of_a_tube_is_measured_where_it_stands_not_on_the_wall_behind(face: WallScene) -> None:
+    place, length = (0.02, 0.08), 0.12
+    tube = before_the_wall(face, place, length)
+    true = se3.apply(face.X_CW, np.array([[*place, length]]))[0]
+    pixel = intrinsics.project(CAMERA.left, true[None])[0]
+    seen = at_click(tube.sighted(), Click("left", pixel, "hole"))
+    off = seen.X_CO[:3, 3] - true
+    ray = true / np.linalg.norm(true)
+    assert np.linalg.norm(off - ray * (ray @ off)) < 0.0008
+    assert abs(ray @ off) < 0.006
+    assert off @ np.linalg.solve(seen.covariance[:3, :3], off) < 22.0
+    assert seen.diameter_m == pytest.approx(DIAMETER, abs=0.002)
+    assert np.degrees(np.arccos(seen.X_CO[:3, 2] @ face.X_CW[:3, 2])) < 3.0
+    assert len(holes(tube.sighted())) == len(HOLES) + 1
 
 
 def test_a_click_in_a_hole_means_the_hole_and_a_hole_of_another_size_is_none(face: WallScene) -> None:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from vision_pc.core.se3 import Array
-from vision_pc.core.targets.circle_hole import DarkSpot
+from vision_pc.core.targets.round_edge import DarkSpot
 from vision_pc.core.types import Image
 
 _SURROUNDINGS_PX = 101

@@ -13,10 +13,10 @@ from vision_pc.core.perception import intrinsics
 from vision_pc.core.perception.camera_correction import as_believed
 from vision_pc.core.perception.object_of_interest import lens_covariance
 from vision_pc.core.se3 import Array
-from vision_pc.core.targets import circle_hole, plane_patch, row_matching
-from vision_pc.core.targets.circle_hole import DarkSpot
+from vision_pc.core.targets import circle_hole, free_rim, plane_patch, row_matching
 from vision_pc.core.targets.hole_search import dark_spots
 from vision_pc.core.targets.plane_patch import PlanePatch
+from vision_pc.core.targets.round_edge import DarkSpot
 from vision_pc.core.targets.target import Kind, TargetObservation, TargetRefused, frame_on, with_roll
 from vision_pc.core.targets.wider_patch import wider
 from vision_pc.core.types import CameraCalibration, FrameObservation, StereoPair
@@ -158,7 +158,13 @@ def _measured_hole(
     diameter_mm: float | None,
 ) -> TargetObservation:
     diameters = sighted.settings.diameters_m(diameter_mm)
-    hole = circle_hole.measure(sighted.pair, camera, spot, depths, diameters)
+    try:
+        hole = circle_hole.measure(sighted.pair, camera, spot, depths, diameters)
+    except TargetRefused as refused:
+        try:
+            hole = free_rim.measure(sighted.pair, camera, spot, depths, diameters)
+        except TargetRefused:
+            raise refused from None
     bias = _bias(sighted, hole.X_CO, hole.plane)
     covariance = with_roll(hole.covariance + bias, hole.X_CO)
     return TargetObservation(

@@ -84,8 +84,9 @@ def height_of_wall(wall: WallConfig, x: float, y: float) -> float:
 
 
 def hole_places(wall: WallConfig) -> Matrix:
-    """Middles (n, 3) in O of the mouths of all drill holes."""
+    """Middles (n, 3) in O of the mouths of all drill holes, then of all tubes that stand before the wall."""
     middles = [(*hole.centre_m, height_of_wall(wall, *hole.centre_m)) for hole in wall.drill_holes]
+    middles += [(*tube.centre_m, tube.length_m) for tube in wall.tubes]
     return np.array(middles, dtype=np.float64).reshape(-1, 3)
 
 
@@ -149,7 +150,7 @@ def _cut(
             grey += rim * (shape[5] * lit - grey)
             inside = share_below(_edge(mouth, turn) - far, long, short)
             if inside > 0.0:
-                grey += inside * (_inside(x, y, s, t, shape, seen.eye) * lit - grey)
+                grey += inside * (grey_inside(x, y, s, t, shape, seen.eye) * lit - grey)
             picture[i, j] = np.uint8(min(max(grey, 0.0), 255.0) + 0.5)
 
 
@@ -176,7 +177,7 @@ def _edge(reach: Matrix, turn: float) -> float:
 
 
 @allocation_free(inline="always")
-def _inside(x: float, y: float, s: float, t: float, shape: Matrix, eye: Matrix) -> float:
+def grey_inside(x: float, y: float, s: float, t: float, shape: Matrix, eye: Matrix) -> float:
     """The grey of what the ray that enters at (x, y) from the middle meets in the tube."""
     radius, depth = shape[2], shape[3]
     far = math.hypot(x, y)
@@ -192,12 +193,12 @@ def _inside(x: float, y: float, s: float, t: float, shape: Matrix, eye: Matrix) 
     if down >= depth:
         return float(shape[4])
     turn = math.atan2(y + ky * down, x + kx * down) * radius
-    grain = 0.85 + 0.3 * _scatter(math.floor(turn / 0.004), math.floor(down / 0.004))
+    grain = 0.85 + 0.3 * scatter(math.floor(turn / 0.004), math.floor(down / 0.004))
     return float(shape[4] + (shape[6] - shape[4]) * grain * math.exp(-down / (2.0 * radius * _FADE)))
 
 
 @allocation_free(inline="always")
-def _scatter(i: float, j: float) -> float:
+def scatter(i: float, j: float) -> float:
     """A number in 0…1 that looks random for each cell."""
     mixed = math.sin(12.9898 * i + 78.233 * j) * 43758.5453
     return mixed - math.floor(mixed)
