@@ -1,7 +1,6 @@
 """`longreach commission`: try the joints out, find the valves, write commissioned.yaml."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -78,7 +77,7 @@ def _tried_out(
     settings: Settings, request: CommissionRequest, joints: Sequence[int], session: CommissioningSession
 ) -> bool:
     """Whether all ``joints`` were tried out; what broke it off is told, the arm then stands."""
-    with _keeping(session), bars() as shown, shown.step("trying out the valves") as bar:
+    with bars() as shown, shown.step("trying out the valves") as bar:
         if request.records is not None:
             link = settings.controller.reference_link
             controller = LiveController(link.host, link.port, request.records)
@@ -97,17 +96,6 @@ def _tried_out(
     where = f"{name}: {trouble.value:.4g}, limit {trouble.limit:.4g}; the arm stands, what was found is kept"
     err.print(f"{trouble.cause}: {where}", style="bold red", highlight=False)
     return False
-
-
-@contextmanager
-def _keeping(session: CommissioningSession) -> Iterator[None]:
-    """Ctrl-C inside is told with what is kept."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        kept = f"{len(session.recordings())} joints are kept in {session.directory}"
-        err.print(f"{kept}; the same command goes on from there", highlight=False, soft_wrap=True)
-        raise
 
 
 def _found(session: CommissioningSession, settings: Settings) -> dict[int, JointFindings]:

@@ -117,10 +117,10 @@ def _fig9(traced: Trace, rows: Sequence[Row]) -> Figure:
     shown = {name: value[after] for name, value in traced.items() if name in ("time_s", "error_m")}
     _curves(over_time, shown, "error_m", float(traced["time_s"][-1]), 1e3)
     _mark_inputs(over_time, given)
-    over_time.axhspan(-SUB_CENTIMETRE_MM, SUB_CENTIMETRE_MM, color="0.9", zorder=0)
+    over_time.axhspan(-SUB_CENTIMETRE_MM, SUB_CENTIMETRE_MM, color="0.5", alpha=0.2, linewidth=0, zorder=0)
     over_time.set(xlabel="time / s", ylabel="error in the picture / mm", title="two inputs after the match")
     _boxes(spread, rows, ("input1", "input2"), "", "mm", "|error| / mm", axes_names="xy")
-    spread.axhspan(0.0, SUB_CENTIMETRE_MM, color="0.9", zorder=0)
+    spread.axhspan(0.0, SUB_CENTIMETRE_MM, color="0.5", alpha=0.2, linewidth=0, zorder=0)
     return figure
 
 

@@ -208,7 +208,7 @@ def _plot(name: str, records: list[dict[str, Any]]) -> Figure:
             median, p95 = ([record[words][of] for record in records] for of in ("median_mm", "p95_mm"))
             axes.plot(at, median, "o-", color=colour, label=words)
             axes.plot(at, p95, ":", color=colour)
-        axes.axhspan(0.0, SUB_CENTIMETRE_MM, color="0.92", zorder=0)
+        axes.axhspan(0.0, SUB_CENTIMETRE_MM, color="0.5", alpha=0.2, linewidth=0, zorder=0)
         axes.set(xlabel=SWEEPS[name].label, ylabel="worse of |x|, |y| / mm", ylim=(0.0, None))
         axes.set_title("line: median; dotted: 95 %")
         axes.legend()

@@ -30,7 +30,7 @@ def errors_plot(
                 axes.step(
                     np.append(0.0, worst), np.append(0.0, share), where="post", color=colour, label=words
                 )
-            axes.axvspan(0.0, limit_mm, color="0.92", zorder=0)
+            axes.axvspan(0.0, limit_mm, color="0.5", alpha=0.2, linewidth=0, zorder=0)
             axes.set(xlabel="worse of true |x|, |y| / mm", xlim=(0.0, _REACH_MM), ylim=(0.0, 101.0))
             axes.set_title(f"{arm}: {len(rows)} runs")
         faces[0].set_ylabel("runs within / %")
