@@ -31,7 +31,7 @@ from protocol.errors import ConfigurationError, LinkLost, LongreachError
 from testbed.campaigns.provenance import content_hash, provenance_of
 from testbed.campaigns.row_file import Row, RowFile
 from testbed.campaigns.typed_rows import flat
-from testbed.reporting.console import bars, err, out, plain
+from testbed.reporting.console import bars, kept_on_ctrl_c, out, plain
 
 distributed: Any = untyped  # it has types in part only
 
@@ -116,17 +116,13 @@ def run_campaign(request: CampaignRequest, function: Run, tasks: Sequence[Task],
     out.print(told, style="dim", highlight=False, soft_wrap=True)
     if to_do:
         checked = partial(_on_same_evidence, function, evidence)
-        try:
-            workers = min(request.workers, len(to_do))
+        workers = min(request.workers, len(to_do))
+        with kept_on_ctrl_c(lambda: f"{len(file.rows)} rows are kept in {file.path}"):
             for task, row in _results(checked, to_do, request.scheduler, workers, title):
                 key = str(task["key"])
                 named = {"key": key, "configuration": configurations[key]}
                 whole = named | _files_written(directory, "-".join(named.values()), row)
                 done[key, configurations[key]] = file.append(whole)
-        except KeyboardInterrupt:
-            kept_now = f"{len(file.rows)} rows are kept in {file.path}; the same command goes on from there"
-            err.print(kept_now, highlight=False, soft_wrap=True)
-            raise
     rows = [{name: done[item].get(name) for name in file.columns} for item in configurations.items()]
     return Campaign(rows, len(tasks) - len(to_do))
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from testbed.cli.ctrl_c import nothing_half_made
 from testbed.cli.options import JsonFile
 from testbed.reporting.console import out, table, write_json
 
@@ -62,7 +63,8 @@ def recover_command(
     """Write what can be read of a cut or damaged recording anew, with its index; tell what could not."""
     from foundation.recording.recovery import recover
 
-    found = recover(file, target)
+    with nothing_half_made(target):
+        found = recover(file, target)
     for damage in found.damages:
         out.print(f"lost at byte {damage.offset}: {damage.what}", highlight=False)
     out.print(f"{found.messages} messages, {_length(found):.1f} s in {target}", highlight=False)
@@ -95,7 +97,8 @@ def to_ros2_command(
     """Write a recording as a ROS 2 bag of standard messages: pictures, frames, joints, poses, scene, log."""
     from testbed.recordings.ros2 import to_ros2
 
-    made = to_ros2(file, directory)
+    with nothing_half_made(directory):
+        made = to_ros2(file, directory)
     for damage in made.damages:
         out.print(f"not read, at byte {damage.offset}: {damage.what}", highlight=False)
     out.print(table(str(directory), ("topic", "messages"), [*made.written.items()]))
@@ -119,7 +122,8 @@ def merge_command(
     from testbed.recordings.merging import merge
 
     files = [file for path in what for file in (sorted(path.rglob("*.mcap")) if path.is_dir() else [path])]
-    clocks = merge(files, target, attached or [])
+    with nothing_half_made(target):
+        clocks = merge(files, target, attached or [])
     rows = [
         (name, f"{1e-6 * at.offset_ns:+.3f}", f"{at.drift_ppm:+.2f}", f"{1e-3 * at.uncertainty_ns:.0f}")
         for name, at in clocks.items()

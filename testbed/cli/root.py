@@ -12,11 +12,12 @@ import typer
 from typer.exceptions import TyperException
 
 from protocol.errors import LongreachError
+from testbed.cli.ctrl_c import INTERRUPTED, LONG, long_command
 from testbed.cli.later import Later, LaterGroup
 from testbed.reporting.console import Verbosity, err
 
 FAILED = 2
-INTERRUPTED = 130  # as a shell has it for SIGINT
+_TYPED = "longreach.typed"  # the words after `longreach`, in the context's notes
 LATER = {
     "experiment": Later("testbed.cli.experiment", "Seeded experiments that write tables."),
     "runs": Later("testbed.cli.runs", "Runs that were kept."),
@@ -82,6 +83,7 @@ class RootGroup(LaterGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """The command that ``args`` begin with, loaded, and the other arguments."""
+        ctx.meta[_TYPED] = list(args)
         if args[0] not in EXPERIMENTS:
             return super().resolve_command(ctx, args)
         from testbed.cli.experiment import ExperimentGroup
@@ -115,7 +117,9 @@ class RootGroup(LaterGroup):
         except LongreachError as error:
             _end(f"{error.cause}: {error}", FAILED)
         except KeyboardInterrupt:
-            _end("ended by Ctrl-C", INTERRUPTED)
+            name = long_command(ctx.meta.get(_TYPED, []))
+            again = f"; run again, it {LONG[name].again}" if name else ""
+            _end(f"ended by Ctrl-C{again}", INTERRUPTED)
         except BrokenPipeError:
             raise  # the reader of our output has gone; typer ends quietly
         except OSError as error:

@@ -19,7 +19,7 @@ from testbed.lockstep.eyes import eyes_with
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
 from testbed.lockstep.world import World
-from testbed.reporting.console import bars, err, out, write_json
+from testbed.reporting.console import bars, err, kept_on_ctrl_c, out, write_json
 from testbed.reporting.plots import png
 from testbed.scenarios.settings import Overrides, Settings, load_settings
 
@@ -77,7 +77,11 @@ def _tried_out(
     settings: Settings, request: CommissionRequest, joints: Sequence[int], session: CommissioningSession
 ) -> bool:
     """Whether all ``joints`` were tried out; what broke it off is told, the arm then stands."""
-    with bars() as shown, shown.step("trying out the valves") as bar:
+    with (
+        kept_on_ctrl_c(lambda: f"{len(session.finished)} joints are kept in {session.directory}"),
+        bars() as shown,
+        shown.step("trying out the valves") as bar,
+    ):
         if request.records is not None:
             link = settings.controller.reference_link
             controller = LiveController(link.host, link.port, request.records)

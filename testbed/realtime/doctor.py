@@ -101,10 +101,11 @@ def disk_check(runs: Path) -> HealthCheck:
     """How much room there is for recordings."""
     place = next(parent for parent in (runs.absolute(), *runs.absolute().parents) if parent.exists())
     free_mb = shutil.disk_usage(place).free // 2**20
-    good = free_mb >= WANTED_DISK_MB and os.access(place, os.W_OK)
-    return HealthCheck(
-        "disk", "ok" if good else "failed", f"{free_mb} MB free for {runs}", "" if good else "make room"
-    )
+    found = f"{free_mb} MB free for {runs}"
+    if not os.access(place, os.W_OK):
+        return HealthCheck("disk", "failed", f"{place} is not writable", "name another directory with --out")
+    good = free_mb >= WANTED_DISK_MB
+    return HealthCheck("disk", "ok" if good else "failed", found, "" if good else "make room")
 
 
 def timer_check() -> HealthCheck:
@@ -120,9 +121,8 @@ def timer_check() -> HealthCheck:
         f"resolution {resolution_ns:.0f} ns; 1 ms sleeps end {cuts[49]:.0f}/{cuts[98]:.0f} µs late (p50/p99)"
     )
     good = cuts[98] < LATE_WARNING_US
-    return HealthCheck(
-        "timer", "ok" if good else "warning", found, "" if good else "expect overruns; see realtime notes"
-    )
+    advice = "" if good else "expect overruns; demo --lockstep has none"
+    return HealthCheck("timer", "ok" if good else "warning", found, advice)
 
 
 def scheduling_check() -> HealthCheck:

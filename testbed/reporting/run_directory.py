@@ -10,6 +10,7 @@ from pathlib import Path
 
 from protocol.errors import ConfigurationError, LongreachError
 from testbed.reporting import run_record as record
+from testbed.reporting.console import kept_on_ctrl_c
 from testbed.reporting.pages import rendered
 from testbed.reporting.run_record import RECORD_FILE, KeptRun
 
@@ -30,21 +31,27 @@ def run_directory(runs: Path) -> Iterator[Path]:
     began_s, ended_by = time.monotonic(), ""
     try:
         record.note(directory, **known)
-        yield directory
+        with kept_on_ctrl_c(lambda: f"what was recorded is kept in {directory}" if _kept(directory) else ""):
+            yield directory
     except BaseException as error:
         ended_by = f"{error.cause}: {error}" if isinstance(error, LongreachError) else type(error).__name__
         raise
     finally:
-        files = (path for path in directory.rglob("*") if path.is_file())
-        if all(file.name.startswith(RECORD_FILE) for file in files):
+        if _kept(directory):
+            record.note(directory, took_s=time.monotonic() - began_s, ended_by=ended_by)
+            with suppress(OSError):  # the run itself is kept
+                write_index(runs)
+        else:
             shutil.rmtree(directory)
             with suppress(OSError):  # others are there
                 if not there:
                     runs.rmdir()
-        else:
-            record.note(directory, took_s=time.monotonic() - began_s, ended_by=ended_by)
-            with suppress(OSError):  # the run itself is kept
-                write_index(runs)
+
+
+def _kept(directory: Path) -> bool:
+    """Whether there is anything in it beside its record."""
+    files = (path for path in directory.rglob("*") if path.is_file())
+    return not all(file.name.startswith(RECORD_FILE) for file in files)
 
 
 def _new_directory(runs: Path) -> Path:

@@ -249,6 +249,8 @@ async def test_broken_json_too_much_and_unknown_paths(station: Bench) -> None:
     refused(await station.client.get("/operations/none"), 404, "refused.unknown_operation")
     refused(await station.client.get("/operations/none/events"), 404, "refused.unknown_operation")
     refused(await station.client.delete("/operations"), 405, "request.method_not_allowed")
+    unknown = refused(await station.client.post("/operations/lok"), 404, "refused.unknown_program")
+    assert unknown["detail"] == "no program 'lok'; did you mean look?"
 
 
 async def test_unreachable_targets_fail_with_the_controllers_reason(station: Bench) -> None:

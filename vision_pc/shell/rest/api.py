@@ -24,7 +24,7 @@ from vision_pc.shell.rest.console.routes import PAGE, Console, add_console
 from vision_pc.shell.rest.hand_eye_routes import add_session
 from vision_pc.shell.rest.link_view import LinkView, link_view
 from vision_pc.shell.rest.metrics import add_metrics
-from vision_pc.shell.rest.operation_routes import add_programs, add_resources
+from vision_pc.shell.rest.operation_routes import add_programs, add_resources, add_unknown
 from vision_pc.shell.rest.operations import Operations
 from vision_pc.shell.rest.problems import STATUS_OF_CAUSE
 from vision_pc.shell.rest.state_view import state_json
@@ -84,6 +84,7 @@ def create_app(
     if application.hand_eye is not None:
         add_session(app, operations, application.hand_eye)
         add_programs(app, application, operations, (program for program in table if program.tag == HAND_EYE))
+    add_unknown(app, [program.name for program in table])
     return app
 
 

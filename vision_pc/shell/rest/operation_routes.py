@@ -1,6 +1,7 @@
 """Routes of the operation resources: starting every program, reading, cancelling, and following as events."""
 
-from collections.abc import AsyncIterable, AsyncIterator, Iterable
+from collections.abc import AsyncIterable, AsyncIterator, Iterable, Sequence
+from difflib import get_close_matches
 from http import HTTPStatus
 from typing import Annotated, Any
 
@@ -50,6 +51,16 @@ def add_programs(
     waiting = Waiting()
     for program in programs:
         _add_program(app, application, operations, program, waiting)
+
+
+def add_unknown(app: FastAPI, known: Sequence[str]) -> None:
+    """Adds the refusal of a program that is none of ``known``; after all others."""
+
+    @app.post("/operations/{name}", include_in_schema=False)
+    async def unknown(name: str) -> None:
+        close = get_close_matches(name, known, 1)
+        hint = f"did you mean {close[0]}?" if close else f"known: {', '.join(known)}"
+        raise RequestRefused("refused.unknown_program", f"no program '{name}'; {hint}")
 
 
 def _add_program(

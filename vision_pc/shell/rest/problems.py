@@ -7,6 +7,7 @@ from foundation import problems
 
 STATUS_OF_CAUSE = {
     "refused.unknown_operation": HTTPStatus.NOT_FOUND,
+    "refused.unknown_program": HTTPStatus.NOT_FOUND,
     "refused.too_many_followers": HTTPStatus.SERVICE_UNAVAILABLE,
     "refused.key_reused": HTTPStatus.UNPROCESSABLE_ENTITY,
     "refused.key_spent": HTTPStatus.GONE,
