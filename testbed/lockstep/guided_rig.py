@@ -7,7 +7,7 @@ from typing import TypeVar
 from nominal_arm.dimensions import dimensions
 from plant_emulator.core.camera.scene import Scene
 from protocol.errors import MeasurementFailed, MotionUnsettled, RequestRefused
-from protocol.faults import CommandCode, GroupState
+from protocol.faults import CommandCode
 from testbed.lockstep.clock import run
 from testbed.lockstep.eyes import camera_eyes
 from testbed.lockstep.rig import SimulatedTimeLog
@@ -84,10 +84,16 @@ def take_all(rig: GuidedRig, informative: bool) -> int:
 
 
 def recover(rig: GuidedRig) -> None:
-    """What an operator does after a fault: RESET as soon as the arm has come to rest, ENABLE."""
-    while rig.run(rig.link.next_state()).group_state == GroupState.STOPPING:  # RESET is refused until it ends
-        pass
-    rig.run(rig.link.command(CommandCode.RESET))
+    """What an operator does after a fault: RESET, again while the arm still ramps down, then ENABLE."""
+    while True:
+        try:
+            rig.run(rig.link.command(CommandCode.RESET))
+        except RequestRefused as error:
+            if error.cause != "refused.stopping":
+                raise
+            rig.run(rig.link.next_state())
+        else:
+            break
     rig.run(rig.link.next_state())
     rig.run(rig.link.command(CommandCode.ENABLE))
     rig.run(rig.link.next_state())
