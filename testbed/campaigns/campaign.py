@@ -31,7 +31,8 @@ from protocol.errors import ConfigurationError, LinkLost, LongreachError
 from testbed.campaigns.provenance import content_hash, provenance_of
 from testbed.campaigns.row_file import Row, RowFile
 from testbed.campaigns.typed_rows import flat
-from testbed.reporting.console import bars, kept_on_ctrl_c, out, plain
+from testbed.reporting.console import bars, out, plain
+from testbed.reporting.ctrl_c import kept_on_ctrl_c
 
 distributed: Any = untyped  # it has types in part only
 

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.ctrl_c import nothing_half_made
 from testbed.cli.options import JsonFile
 from testbed.reporting.console import out, table, write_json
+from testbed.reporting.ctrl_c import nothing_half_made
 
 if TYPE_CHECKING:
     from foundation.recording.recovery import Contents

@@ -12,9 +12,9 @@ import typer
 from typer.exceptions import TyperException
 
 from protocol.errors import LongreachError
-from testbed.cli.ctrl_c import INTERRUPTED, LONG, long_command
 from testbed.cli.later import Later, LaterGroup
 from testbed.reporting.console import Verbosity, err
+from testbed.reporting.ctrl_c import INTERRUPTED, LONG, long_command
 
 FAILED = 2
 _TYPED = "longreach.typed"  # the words after `longreach`, in the context's notes

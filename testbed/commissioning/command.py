@@ -19,7 +19,8 @@ from testbed.lockstep.eyes import eyes_with
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
 from testbed.lockstep.world import World
-from testbed.reporting.console import bars, err, kept_on_ctrl_c, out, write_json
+from testbed.reporting.console import bars, err, out, write_json
+from testbed.reporting.ctrl_c import kept_on_ctrl_c
 from testbed.reporting.plots import png
 from testbed.scenarios.settings import Overrides, Settings, load_settings
 

@@ -188,14 +188,3 @@ def bars(*, quiet: bool = False) -> Iterator[Bars]:
     )
     with Progress(*columns, console=err, disable=quiet or not sys.stderr.isatty()) as progress:
         yield Bars(progress, quiet)
-
-
-@contextmanager
-def kept_on_ctrl_c(told: Callable[[], str]) -> Iterator[None]:
-    """Where Ctrl-C ends the block, ``told`` is asked what is kept, and it is said; empty: nothing is."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        if kept := told():
-            err.print(kept, markup=False, highlight=False, soft_wrap=True)
-        raise

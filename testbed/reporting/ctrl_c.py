@@ -4,11 +4,13 @@ The command line ends with it, the table of docs/commands.md is it, and a long t
 """
 
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
+
+from testbed.reporting.console import err
 
 INTERRUPTED = 130  # as a shell has it for SIGINT
 
@@ -75,4 +77,15 @@ def nothing_half_made(target: Path) -> Iterator[None]:
             shutil.rmtree(target, ignore_errors=True)
         elif not there:
             target.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def kept_on_ctrl_c(told: Callable[[], str]) -> Iterator[None]:
+    """Where Ctrl-C ends the block, ``told`` is asked what is kept, and it is said; empty: nothing is."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if kept := told():
+            err.print(kept, markup=False, highlight=False, soft_wrap=True)
         raise
