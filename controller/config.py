@@ -65,6 +65,9 @@ class ParkingConfig(StrictModel):
     fastest_mrad_s: float = Field(gt=0.0, le=200.0)
     patience_ms: float = Field(ge=0.0, le=60_000.0)
     loaded: tuple[bool, bool, bool, bool, bool, bool]
+    calm_mm: float = Field(gt=0.0, le=20.0)
+    calm_ms: float = Field(gt=0.0, le=60_000.0)
+    stays_ms: float = Field(gt=0.0, le=600_000.0)
     quiet_mm: float = Field(gt=0.0, le=20.0)
     rest_ms: float = Field(gt=0.0, le=600_000.0)
     rest_exact_ms: float = Field(gt=0.0, le=600_000.0)

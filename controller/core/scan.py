@@ -8,7 +8,6 @@ import numpy as np
 
 from controller.core.group_states import Stimulus, transition
 from controller.core.kinematics.rotations import Array
-from controller.core.kinematics.triples import norm
 from controller.core.plant_watch import cycle_frozen, link_lost, update_watch
 from controller.core.references.streaming import pace, silence, update_fade
 from controller.core.requests import answer_request, enter_mode, follow_reference, is_live, react_to_fault
@@ -23,8 +22,6 @@ from controller.core.scan_types import (
 )
 from controller.core.servo.drives import Circuit, load_pressures
 from controller.core.servo.joint_control import JointFilters, unmoved
-from controller.core.servo.parking import at_rest, park_step, parked_here
-from controller.core.servo.parking_state import BAND, DRIFT, KEPT, PHASE, off_place, parking_ended
 from controller.core.servo.pose_servo import tool_state
 from controller.core.servo.servo_step import (
     FURTHEST,
@@ -39,9 +36,9 @@ from controller.core.servo.servo_step import (
     servo_step,
 )
 from controller.core.settings import ScanSettings
+from controller.core.standing import stood
 from controller.core.supervision import Evidence, Fault, ServoOutput, first_fault, readings, update_timers
 from controller.core.trajectories.motion import advance, at_standstill
-from nominal_arm.description import JOINT_NAMES
 from protocol.axes_group import GROUP_STATE, Mode
 from protocol.faults import FaultCode
 from protocol.pose import Pose
@@ -57,7 +54,6 @@ from protocol.reference_messages import (
 # The plant may take the watchdog's reset on the edge or on the level: a slow square wave serves both.
 _RESET_HALF_PERIOD = 8
 _UNLOADED = np.zeros(6)
-_STILL_ASTRAY = 0.8  # of the alarm's limit: nearer, a parked tool that was astray no longer is
 
 
 def scan(settings: ScanSettings, state: ScanState, inputs: ScanInput) -> tuple[ScanState, ScanOutput]:
@@ -175,7 +171,7 @@ def _drive_valves(
     out = np.empty((ROWS, 6))
     finite, settled = servo_step(settings.servo, given, dt_s, out)
     if settings.parking is not None and finite:
-        state = _parked(settings, state, given, out, events)
+        state = stood(settings, state, given, out, events)
     if not finite:
         state, event = react_to_fault(settings, state, Fault(FaultCode.NUMERIC, float("nan"), 0.0))
         events.append(event)
@@ -186,34 +182,6 @@ def _drive_valves(
         filters=JointFilters(out[PT1], out[LOAD], out[SENSE], out[FURTHEST]),
         settled_s=state.settled_s + dt_s if inside else 0.0,
     )
-
-
-def _parked(
-    settings: ScanSettings, state: ScanState, given: ServoInput, out: Array, events: list[ScanEvent]
-) -> ScanState:
-    """``state`` with parking in place of the joint law in ``out`` while the arm stands; tells of changes."""
-    assert settings.parking is not None
-    if state.motion.path is not None or state.mode is not Mode.STANDBY:
-        if state.parked:
-            events.append(ScanEvent("unparked", state.mode.name, 0.0, 0.0))
-        return state._replace(parking=parking_ended(state.parking), parked=False, astray=False)
-    parking = state.parking.copy()
-    park_step(settings.servo, settings.parking, given, state.watch.turned, out, parking)
-    parked = state.parked or at_rest(settings.parking, parking)
-    if parked and not state.parked:
-        parking = parked_here(parking)
-    away = norm(state.tool.J_BT[:3] @ off_place(parking))
-    limit = settings.parking_alarm * (_STILL_ASTRAY if state.astray else 1.0)
-    astray = parked and away > limit
-    if parked and not state.parked:
-        events.append(ScanEvent("parked", "VALVES_SHUT", away, settings.parking_alarm))
-    for joint in np.flatnonzero((parking[PHASE] == KEPT) & (state.parking[PHASE] != KEPT)):
-        held = 2.0 * parking[BAND, joint] / settings.parking.rest[joint]
-        cause = f"{JOINT_NAMES[joint].upper()}_IS_KEPT_BY_AN_OPENING"
-        events.append(ScanEvent("leaking", cause, abs(float(parking[DRIFT, joint])), float(held)))
-    if astray and not state.astray:
-        events.append(ScanEvent("astray", "PARKED_TOOL_LEFT_ITS_PLACE", away, settings.parking_alarm))
-    return state._replace(parking=parking, parked=parked, astray=astray)
 
 
 def _load(settings: ScanSettings, state: ScanState) -> Array:
@@ -270,7 +238,8 @@ def _pose(p: np.ndarray, quaternion: np.ndarray) -> Pose:
 def _view(settings: ScanSettings, state: ScanState, sensed_ns: int) -> ControllerView:
     watch, motion = state.watch, state.motion
     healthy = link_lost(settings, watch) is None and cycle_frozen(settings, watch) is None
-    settled = state.mode is Mode.STANDBY and state.settled_s >= settings.settled.time
+    stays = settings.parking is None or state.standing.rests
+    settled = stays and state.mode is Mode.STANDBY and state.settled_s >= settings.settled.time
     flags = (
         (FLAG_PLANT_LINK_OK if healthy else 0)
         | (FLAG_EMERGENCY_LATCHED if state.mode is Mode.EMERGENCY else 0)

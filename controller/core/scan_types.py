@@ -99,14 +99,29 @@ class ScanOutput(NamedTuple):
     events: tuple[ScanEvent, ...]
 
 
+class Standing(NamedTuple):
+    """How far the arm has come to rest since its motion ended, ``since_s`` ago, where it parks.
+
+    ``rests``: no joint is brought nearer any more; ``parked``: it has been quiet for long; ``astray``: the
+    parked tool is further from its place than is told.
+    """
+
+    since_s: float
+    rests: bool
+    parked: bool
+    astray: bool
+
+
+MOVES = Standing(0.0, False, False, False)
+
+
 class ScanState(NamedTuple):
     """What a scan leaves to the next. Arrays are never written to.
 
     ``fault``: the first one since the last reset. ``settled_s``: how long the arm has been inside the
     tolerance. ``stream``: the open one, None in every mode but STREAMING. ``fade``: see ``update_fade``.
     ``rearming``: scans in a row in which the plant's watchdog was asked to be re-armed. ``parking``: see
-    ``servo.parking``; ``parked``: the joint law has handed over all joints; ``astray``: the parked tool is
-    further from its place than is told.
+    ``servo.parking``; ``standing``: how far the arm has come to rest.
     """
 
     cycle: int
@@ -124,8 +139,7 @@ class ScanState(NamedTuple):
     fade: float
     rearming: int
     parking: Array
-    parked: bool
-    astray: bool
+    standing: Standing
 
 
 def idle(q_meas: Array) -> ServoOutput:
@@ -154,6 +168,5 @@ def initial_state(settings: ScanSettings) -> ScanState:
         fade=0.0,
         rearming=0,
         parking=parking_begun(settings.parking),
-        parked=False,
-        astray=False,
+        standing=MOVES,
     )

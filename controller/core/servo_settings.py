@@ -20,6 +20,7 @@ _CARRIED = 0.4  # gain times lateness that a joint's loop bears: 23° of its pha
 # A joint's gain goes with the pace of its oil's spring: so long, times the gain, until a joint breaks away,
 # and until it rests after its valve has shut.
 _BREAKS_AWAY, _RUNS_ON = 0.7, 0.3
+_LEAVES = 0.9  # of the tolerance: a joint that rests is brought back before the arm is not settled any more
 _KEEPING = 0.6  # of the joint's gain: keeps a joint that leaks, so softly that its load does not swing
 
 
@@ -102,6 +103,10 @@ def _parking_law(config: ControllerConfig) -> ParkingLaw:
         slowest=parking.slowest_mrad_s * _MRAD,
         fastest=parking.fastest_mrad_s * _MRAD,
         patience=parking.patience_ms * _MS,
+        calm_way=parking.calm_mm * _MM,
+        calm=parking.calm_ms * _MS,
+        leaves=_LEAVES * config.settled.tolerance_mrad * _MRAD,
+        stays=parking.stays_ms * _MS,
         quiet=parking.quiet_mm * _MM,
         deadband=_edges(config.valves, "deadband") + half,
         spread=np.hypot(std, half_std),

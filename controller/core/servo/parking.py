@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from controller.core.kinematics.rotations import Array
+from controller.core.servo.coming_to_rest import ARM_RESTS, calm_counted
 from controller.core.servo.drives import full_spool_speeds
 from controller.core.servo.keeping import kept, kept_begun
 from controller.core.servo.metering import learned, metered, metered_begun
@@ -71,6 +72,7 @@ _WATCHED_S = 4.0  # so long a parked joint is watched before it is nudged
 _NUDGED_AT = 0.5  # of the band: a parked joint that crept so far is nudged
 _NEAR_RAD = 5e-4  # from there on a valve that passes small flows steadily keeps a joint that is felt
 _FAR_RAD = 1e-3  # a parked joint that was pushed so far off is brought back by an inch
+_PART = 0.5  # of its way: a slew near its place, which relaxes by as much again
 _FORGETS = 0.95  # of a creep that was seen: what comes after a nudge is less, as long as it held
 _AGAIN_RAD = 7e-6  # beyond where its encoder was at the last nudge: by the slow filter; its noise is 1 µrad
 
@@ -78,7 +80,7 @@ _AGAIN_RAD = 7e-6  # beyond where its encoder was at the last nudge: by the slow
 def at_rest(law: ParkingLaw, state: Array) -> bool:
     """Whether no joint moves the tool any more, each shut near its place or kept; or it never will."""
     away = state[PHASE] != FOLLOWING
-    stands = (state[PHASE] == SHUT) & (np.abs(state[ERROR]) < 1.5 * state[BAND])
+    stands = (state[PHASE] == SHUT) & (np.abs(state[ERROR] - state[PLACE]) < 1.5 * state[BAND])
     leans = (state[PHASE] == KEPT) & (state[QUIET] > _LEANS_S)
     rests = (stands & (state[QUIET] > _QUIET_S)) | leans
     return bool(rests.all() or (away & (state[HELD] > _LONGEST_S)).all())
@@ -87,7 +89,7 @@ def at_rest(law: ParkingLaw, state: Array) -> bool:
 def parked_here(state: Array) -> Array:
     """``state`` with the arm parked: from now on shut joints are kept where they rest."""
     here = state.copy()
-    here[PARKED], here[PLACE] = 1.0, np.where(state[PHASE] == SHUT, state[ERROR], 0.0)
+    here[PARKED], here[PLACE] = ARM_RESTS, np.where(state[PHASE] == SHUT, state[ERROR], 0.0)
     here[MARK] = here[CREPT] = here[PLACE]
     return here
 
@@ -122,6 +124,7 @@ def park_step(
             gains[side] = joints.flow_gain[i, side] * slope * speeds[i, side]
         spool = _moved(law, state, i, out[LEFT, i], given.load[i], gains)
         _listened(law, state, i, lever, out[LEFT, i], given.load[i])
+        calm_counted(law, state, i, lever)
         out[VALVES, i] = max(-joints.limit, min(joints.limit, spool))
         out[Q_CMD, i], out[QD_CMD, i], out[PT1, i] = given.q_meas[i], 0.0, 0.0
 
@@ -216,7 +219,8 @@ def _moved_again(
         state[DRIFT, i] = sense * max(sense * rate, _FORGETS * sense * state[DRIFT, i], 0.0)
         return float(nudge_begun(state, i, state[CREPT, i], sense, load))
     if law.oil[i] > 0.0:
-        return float(metered_begun(state, i, off))
+        relaxes = law.loaded[i] == 0.0 and abs(off) < 2.0 * law.leaves
+        return float(metered_begun(state, i, _PART * off if relaxes else off))
     trust = watched / (watched + _RATE_S)
     drift = trust * rate + (1.0 - trust) * state[DRIFT, i]
     return float(inch_begun(state, i, off, drift, sense, gain))
@@ -235,7 +239,8 @@ def _hasty(law: ParkingLaw, state: Array, i: int, sense: float, leak: float) -> 
 def _due(law: ParkingLaw, state: Array, i: int, off: float, rate: float, watched: float) -> bool:
     """Whether shut joint ``i``, ``off`` its place (rad) and moving at ``rate`` (rad/s), has to be moved."""
     if state[PARKED, i] == 0.0 and law.oil[i] > 0.0:
-        return bool(watched > _RATE_FILTER_S and abs(off) > state[BAND, i])
+        most = state[BAND, i] if law.loaded[i] > 0.0 else max(law.leaves, state[BAND, i])
+        return bool(watched > _RATE_FILTER_S and abs(off) > most)
     if state[PARKED, i] == 0.0:
         return bool(max(abs(off + rate * min(watched, law.latest[i])), abs(off)) > state[BAND, i])
     sense = 1.0 if off > 0.0 else -1.0

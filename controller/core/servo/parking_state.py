@@ -9,28 +9,29 @@ from controller.core.kinematics.rotations import Array
 # Rows of the state (STATE_ROWS, 6), a column for each joint.
 # PHASE: FOLLOWING the joint law, SHUT, OPEN (an inch), NUDGED, or KEPT; SINCE: how long (s). SPEED: of the
 # joint, filtered (rad/s); ERROR: filtered (rad); HELD: how long the following joint has been inside its
-# band (s), or since when it follows no more; BAND: that (rad). PARKED: 1 once the whole arm was at rest;
-# PLACE: error where the joint rested then (rad), 0 before. QUIET: how long CREPT has been about QUIET_AT
-# (rad), and LOAD about RESTED (bar). Of the last inch or nudge, SENSE: ±1; OPENED: spool, without its sign;
-# FROM, LOAD_AT: error (rad) and load (bar) at which it began; SEEN: 1 once the joint moved in it; FINE: 1
-# when it is shorter than can be watched well; HASTE: how many in a row were due too soon. Of the shut
-# joint, SHUT_AT: error when it had come to rest (rad); DRIFT: its creep, as a rate of the error (rad/s);
-# CREPT: error, filtered for seconds (rad); MARK: that at the last nudge, AFTER: time since (s). BIAS: of
-# the kept joint, its leak in terms of speed (rad/s); OWED: what rounding has kept from its valve (spool);
-# FELT: its load, filtered for long (bar); SINCE: how long it has been too high (s); MARK: error when its
-# valve was shut for that (rad). Learned, raising and lowering: EDGE, the spool at which the joint moves;
-# DOUBT, how far before it an inch begins; NUDGE, where a nudge begins (spool), 0 before the first; PUSH,
-# its end by the load pressure (bar). LOAD: the load pressure, filtered for seconds (bar). Of a metered
-# joint, OIL: error less what its oil is compressed by (rad), which changes by what flows alone; OIL_AT:
-# that when the joint had been shut, OIL_FROM: when its inch began; RATE: of the oil through an open valve,
-# of the error of a shut joint (rad/s); WAY: that the last inch was for (rad), 0 before the first; GIVES:
-# how many times as much oil it had; OPENING: how long its valve was open (s), 0 once that has been learned
-# from.
+# band (s), or since when it follows no more; BAND: that (rad). PARKED: 1 once the joint rests, 2 once the
+# whole arm does; PLACE: error where the joint rested then (rad), 0 before. CALM: how long it has been near
+# CALM_AT (rad). QUIET: how long CREPT has been about QUIET_AT (rad), and LOAD about RESTED (bar). Of the
+# last inch or nudge, SENSE: ±1; OPENED: spool, without its sign; FROM, LOAD_AT: error (rad) and load (bar)
+# at which it began; SEEN: 1 once the joint moved in it; FINE: 1 when it is shorter than can be watched
+# well; HASTE: how many in a row were due too soon. Of the shut joint, SHUT_AT: error when it had come to
+# rest (rad); DRIFT: its creep, as a rate of the error (rad/s); CREPT: error, filtered for seconds (rad);
+# MARK: that at the last nudge, AFTER: time since (s). BIAS: of the kept joint, its leak in terms of speed
+# (rad/s); OWED: what rounding has kept from its valve (spool); FELT: its load, filtered for long (bar);
+# SINCE: how long it has been too high (s); MARK: error when its valve was shut for that (rad). Learned,
+# raising and lowering: EDGE, the spool at which the joint moves; DOUBT, how far before it an inch begins;
+# NUDGE, where a nudge begins (spool), 0 before the first; PUSH, its end by the load pressure (bar). LOAD:
+# the load pressure, filtered for seconds (bar). Of a metered joint, OIL: error less what its oil is
+# compressed by (rad), which changes by what flows alone; OIL_AT: that when the joint had been shut,
+# OIL_FROM: when its inch began; RATE: of the oil through an open valve, of the error of a shut joint
+# (rad/s); WAY: that the last inch was for (rad), 0 before the first; GIVES: how many times as much oil it
+# had; OPENING: how long its valve was open (s), 0 once that has been learned from.
 PHASE, SINCE, SPEED, ERROR, HELD, BAND, PARKED, PLACE, QUIET, QUIET_AT = range(10)
 SENSE, OPENED, FROM, SEEN, FINE, HASTE, SHUT_AT, DRIFT = range(10, 18)
 MARK, AFTER, BIAS, LOAD_AT, CREPT, OWED, FELT = range(18, 25)
 LOAD, RESTED, RATE, OIL, OIL_FROM, OIL_AT, WAY, GIVES, OPENING = range(25, 34)
-EDGE, DOUBT, NUDGE, PUSH, STATE_ROWS = 34, 36, 38, 40, 42
+CALM, CALM_AT = 34, 35
+EDGE, DOUBT, NUDGE, PUSH, STATE_ROWS = 36, 38, 40, 42, 44
 
 _EARLY = 0.1  # of its deadband, before its edge: there a metered inch begins, however well that is known
 
@@ -42,11 +43,13 @@ class ParkingLaw(NamedTuple):
 
     ``band`` (m, of the tool at the joint's lever) between ``band_least`` and ``band_most`` (rad): error at
     which a shut joint begins an inch. ``slowest``, ``fastest``: of an inch (rad/s). ``patience`` (s): time
-    that the joint law has to arrive. ``quiet`` (m): a joint rests that moves the tool by no more in 10 s.
-    ``deadband``, ``spread``: what is known of it when it opens (spool). ``latest`` (s): from a command until
-    motion is seen; ``shutting`` (s): how long a joint moves on when its valve is told to shut; ``loaded``: 1
-    where gravity makes a joint creep, 0 where parked it only relaxes. ``rest`` (6,), s: a joint that leaks
-    through twice its band in less is kept by an opening. ``keeping`` (6,), 1/s: gain of that.
+    that the joint law has to arrive. ``calm_way`` (m), ``calm`` (s): a joint rests that moved the tool by no
+    more for so long, and is brought back when it is ``leaves`` (rad) off. ``stays`` (s): after a motion, an
+    arm that does not come to rest counts as resting. ``quiet`` (m): a joint rests that moves the tool by no
+    more in 10 s. ``deadband``, ``spread``: what is known of it when it opens (spool). ``latest`` (s): from a
+    command until motion is seen; ``shutting`` (s): how long a joint moves on when its valve is told to shut;
+    ``loaded``: 1 where gravity makes a joint creep, 0 where parked it only relaxes. ``rest`` (6,), s: a joint
+    that leaks through twice its band in less is kept by an opening. ``keeping`` (6,), 1/s: gain of that.
     ``exact`` (6,): 1 for a valve that passes a small flow steadily. ``felt`` (6,), rad/bar: how far a kept
     joint has moved when friction, a spring before it slides, has changed the load pressure; 0: not used.
     ``oil`` (6,), rad/bar: how far a joint moves with its valve shut as the load pressure falls; 0: its inches
@@ -59,6 +62,10 @@ class ParkingLaw(NamedTuple):
     slowest: float
     fastest: float
     patience: float
+    calm_way: float
+    calm: float
+    leaves: float
+    stays: float
     quiet: float
     deadband: Array
     spread: Array
@@ -88,7 +95,7 @@ def parking_ended(state: Array) -> Array:
     """``state`` when a motion begins: the joint law drives all joints; what was learned is kept."""
     follows = state.copy()
     follows[PHASE] = FOLLOWING
-    follows[[SINCE, HELD, PARKED, PLACE, HASTE, DRIFT, QUIET, BIAS, MARK, AFTER, WAY, OPENING]] = 0.0
+    follows[[SINCE, HELD, PARKED, PLACE, HASTE, DRIFT, QUIET, CALM, BIAS, MARK, AFTER, WAY, OPENING]] = 0.0
     follows[GIVES] = 1.0
     return follows
 

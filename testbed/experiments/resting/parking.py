@@ -96,7 +96,7 @@ def park_and_watch(config_dir: Path, task: JSON) -> JSON:
 def _rested_after(loop: ClosedLoop, parks: bool) -> float:
     """Seconds until the arm parks, or settles by the joint law; nan when it does not within the time."""
     for cycles in range(round(_WAIT_S / loop.settings.cycle_s)):
-        if loop.state.parked if parks else loop.view.flags & FLAG_SETTLED:
+        if loop.state.standing.parked if parks else loop.view.flags & FLAG_SETTLED:
             return cycles * loop.settings.cycle_s
         stepped(loop)
     return math.nan

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import typer
 
-from controller.core.servo.parking_state import KEPT, PHASE
+from controller.core.servo.parking_state import KEPT, OPEN, PHASE
 from controller.core.settings import settings_from
 from protocol.faults import Reason
 from protocol.pose import Pose
-from protocol.reference_messages import ReferencePose
+from protocol.reference_messages import FLAG_SETTLED, ReferencePose
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Finished
 from testbed.campaigns.typed_rows import flat
@@ -40,10 +40,19 @@ TASK = {"seed": 8102, "arm": "plant", "valves": "mobile", "law": "parking", "par
 
 
 class Parked(NamedTuple):
-    """A machine that has parked, with the names of what its controller told on the way."""
+    """A machine that has parked, with the names of what its controller told on the way.
+
+    ``within_s``: inside the tolerance for long enough; ``settled_s``: the flag came; ``parked_s``: told.
+    ``moved_mm``: the true tool since the flag; ``inches``: scans with one since then.
+    """
 
     loop: ClosedLoop
     told: list[str]
+    within_s: float
+    settled_s: float
+    parked_s: float
+    moved_mm: float
+    inches: int
 
 
 @pytest.fixture(scope="module")
@@ -54,18 +63,38 @@ def parked() -> Parked:
     controller = machine.settings.controller.model_copy(update={"parking": alarm})
     loop = arrived(machine._replace(settings=machine.settings._replace(controller=controller)), 8102)
     told: list[str] = []
+    within_s = settled_s = math.nan
+    stood, moved_mm, inches = np.zeros(3), 0.0, 0
     for _ in range(round(100.0 / loop.settings.cycle_s)):
         stepped(loop)
         assert loop.outputs is not None
         told += [event.name for event in loop.outputs.events]
-        if loop.state.parked:
+        now_s, tool = 1e-9 * loop.now_ns, loop.plant.truth().X_BT[:3, 3]
+        if math.isnan(within_s) and loop.state.settled_s >= loop.settings.settled.time:
+            within_s = now_s
+        if math.isnan(settled_s) and loop.view.flags & FLAG_SETTLED:
+            settled_s, stood = now_s, tool.copy()
+        if not math.isnan(settled_s):
+            moved_mm = max(moved_mm, 1e3 * float(np.linalg.norm(tool - stood)))
+            inches += int((loop.state.parking[PHASE] == OPEN).any())
+        if loop.state.standing.parked:
             break
-    return Parked(loop, told)
+    return Parked(loop, told, within_s, settled_s, now_s, moved_mm, inches)
+
+
+def test_an_arm_is_settled_when_it_will_stay_and_not_before(parked: Parked) -> None:
+    """Inside its tolerance the arm still inches on; once it is told to be settled nothing does any more."""
+    law = parked.loop.settings.parking
+    assert law is not None
+    assert parked.within_s + 1.0 < parked.settled_s < parked.parked_s
+    assert parked.inches == 0
+    assert parked.moved_mm < 0.5
+    assert "restless" not in parked.told
 
 
 def test_mobile_valves_park_and_tell_it(parked: Parked, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every valve centred, the integral stopped, the alarm at its limit, and the next motion takes over."""
-    loop, told = parked
+    loop, told = parked.loop, parked.told
     assert told.count("parked") == 1
     assert not any(loop.view.valves)
     assert (loop.state.servo.q_cmd == np.array(loop.view.q_meas)).all()
@@ -76,11 +105,11 @@ def test_mobile_valves_park_and_tell_it(parked: Parked, monkeypatch: pytest.Monk
     assert row["astray"] > 0  # nothing stands to a thousandth of a millimetre
     assert row["kept"] == ""
     assert flat(row)["machine_valves"] == "mobile"
-    assert loop.state.parked
+    assert loop.state.standing.parked
     x, y, z = loop.view.X_BT.p_m
     near = Pose((x, y, z + 0.02), loop.view.X_BT.q_wxyz)
     assert loop.refer(lambda i: ReferencePose(i, near, 0.0)) is Reason.ACCEPTED
-    assert not loop.state.parked
+    assert not loop.state.standing.parked
     assert loop.outputs is not None
     assert [event.name for event in loop.outputs.events].count("unparked") == 1
 

@@ -1,0 +1,154 @@
+"""When an arm behind shut valves counts as at rest, and what it still does then."""
+
+import numpy as np
+import pytest
+
+from controller.core.scan_types import ScanEvent
+from controller.core.servo.coming_to_rest import (
+    ARM_RESTS,
+    JOINT_RESTS,
+    calm_counted,
+    may_stay,
+    rested_here,
+    restless,
+)
+from controller.core.servo.parking import _due, _moved_again
+from controller.core.servo.parking_state import (
+    BAND,
+    CALM,
+    CREPT,
+    ERROR,
+    FOLLOWING,
+    KEPT,
+    MARK,
+    NUDGED,
+    OPEN,
+    PARKED,
+    PHASE,
+    PLACE,
+    SHUT,
+    WAY,
+    ParkingLaw,
+    parking_begun,
+    parking_ended,
+)
+from controller.core.standing import _rested
+
+DT_S, LEVER_M, WAY_M, CALM_S, LEAVES_RAD = 0.005, 5.0, 2e-4, 3.0, 2.7e-4
+ONES, GAINS = np.ones(6), np.full(2, 0.4)
+LAW = ParkingLaw(
+    band=4e-4, band_least=7e-5, band_most=2e-4, slowest=4e-4, fastest=1e-2, patience=6.0,
+    calm_way=WAY_M, calm=CALM_S, leaves=LEAVES_RAD, stays=30.0, quiet=1e-4,
+    deadband=np.full((6, 2), 0.08), spread=np.full((6, 2), 0.004), latest=0.3 * ONES, shutting=0.2 * ONES,
+    loaded=np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0]), rest=3.0 * ONES, keeping=1.5 * ONES, exact=0.0 * ONES,
+    felt=0.0 * ONES, oil=3e-4 * ONES, highest=np.full((6, 2), 0.16), dt_s=DT_S,
+)  # fmt: skip
+
+
+def _shut_at(error: float) -> np.ndarray:
+    state = parking_begun(LAW)
+    state[PHASE], state[ERROR], state[BAND] = SHUT, error, 1e-4
+    return state
+
+
+def _passed(state: np.ndarray, seconds: float) -> None:
+    for _ in range(round(seconds / DT_S)):
+        for joint in range(6):
+            calm_counted(LAW, state, joint, LEVER_M)
+
+
+def test_a_joint_rests_where_it_has_been_calm_for_long_enough() -> None:
+    state = _shut_at(1.5e-4)
+    _passed(state, CALM_S - 0.1)
+    assert not state[PARKED].any()
+    state[ERROR, 1] += 1.1 * WAY_M / LEVER_M  # this one has moved the tool by more than is calm,
+    state[ERROR, 2] += 0.9 * WAY_M / LEVER_M  # this one by less
+    _passed(state, 0.2)
+    assert state[PARKED].tolist() == [JOINT_RESTS, 0.0, *[JOINT_RESTS] * 4]
+    assert state[PLACE, 2] == state[MARK, 2] == state[CREPT, 2] == state[ERROR, 2]
+    _passed(state, CALM_S)
+    assert (state[PARKED] == JOINT_RESTS).all()
+
+
+@pytest.mark.parametrize("phase", [OPEN, FOLLOWING, NUDGED, KEPT])
+def test_a_joint_with_its_valve_open_does_not_rest(phase: float) -> None:
+    state = _shut_at(0.0)
+    state[PHASE, 3] = phase
+    _passed(state, 2.0 * CALM_S)
+    assert state[PARKED, 3] == 0.0
+    assert restless(LAW, state)[3] == (phase != KEPT)
+    assert restless(LAW, state).sum() == (phase != KEPT)
+
+
+def test_a_joint_outside_the_tolerance_never_rests() -> None:
+    state = _shut_at(-1.01 * LEAVES_RAD)
+    _passed(state, 2.0 * CALM_S)
+    assert not state[PARKED].any()
+    state[PHASE, 4] = KEPT
+    assert restless(LAW, state).all()
+    assert not may_stay(LAW, state)
+
+
+def test_a_resting_joint_that_others_push_is_judged_anew_until_the_arm_rests() -> None:
+    state = _shut_at(0.0)
+    _passed(state, 1.1 * CALM_S)
+    pushed = state.copy()
+    pushed[ERROR, 2] = 1.1e-4
+    here = rested_here(pushed)
+    _passed(pushed, DT_S)
+    assert pushed[PARKED, 2] == pushed[PLACE, 2] == 0.0
+    assert restless(LAW, pushed).tolist() == [False, False, True, False, False, False]
+    _passed(here, DT_S)
+    assert here[PARKED, 2] == ARM_RESTS
+
+
+def test_an_arm_at_rest_keeps_its_places_and_its_kept_joints() -> None:
+    state = _shut_at(1e-4)
+    _passed(state, 1.1 * CALM_S)
+    state[ERROR] += 2e-5  # crept, but not so far that it matters
+    state[PHASE, 4], state[PARKED, 4], state[PARKED, 5] = KEPT, 0.0, 0.0
+    here = rested_here(state)
+    assert here[PARKED].tolist() == [ARM_RESTS] * 4 + [0.0, ARM_RESTS]
+    assert here[PLACE, 0] == 1e-4
+    assert here[PLACE, 5] == here[ERROR, 5]
+    assert not parking_ended(here)[[PARKED, PLACE, CALM]].any()
+
+
+def test_an_arm_that_does_not_come_to_rest_stays_as_it_is_and_tells_which_joint() -> None:
+    state, events = _shut_at(0.0), list[ScanEvent]()
+    _passed(state, 1.1 * CALM_S)
+    state[PARKED, 0], state[CALM, 0] = 0.0, 1.2
+    assert not _rested(LAW, False, LAW.stays - 0.1, state, events)[0]
+    for phase in (OPEN, NUDGED, FOLLOWING):
+        moving = state.copy()
+        moving[PHASE, 3] = phase
+        assert not _rested(LAW, False, LAW.stays + 0.1, moving, events)[0]
+    far = state.copy()
+    far[ERROR, 0] = 1.1 * LEAVES_RAD
+    assert not _rested(LAW, False, LAW.stays + 0.1, far, events)[0]
+    assert events == []
+    rests, here = _rested(LAW, False, LAW.stays + 0.1, state, events)
+    assert rests
+    assert (here[PARKED] == ARM_RESTS).all()
+    assert events == [ScanEvent("restless", "SLEW", 1.2, CALM_S)]
+    assert _rested(LAW, True, LAW.stays + 0.2, here, events) == (True, here)
+    assert len(events) == 1
+
+
+def test_an_arm_whose_joints_all_rest_does_so_at_once_and_tells_nothing() -> None:
+    state, events = _shut_at(0.0), list[ScanEvent]()
+    _passed(state, 1.1 * CALM_S)
+    rests, here = _rested(LAW, False, 5.0, state, events)
+    assert rests
+    assert (here[PARKED] == ARM_RESTS).all()
+    assert events == []
+
+
+def test_a_slew_is_brought_back_only_when_the_arm_would_not_be_settled_and_half_of_the_way() -> None:
+    """It relaxes by as much again as an inch moves it, and every inch costs its play."""
+    state = _shut_at(0.0)
+    due = [_due(LAW, state, joint, off, 0.0, 2.0) for joint in (0, 1) for off in (9e-5, 2.5e-4, 2.8e-4)]
+    assert due == [False, False, True, False, True, True]
+    for joint, off, way in ((0, 4e-4, 2e-4), (0, 6e-4, 6e-4), (1, 4e-4, 4e-4)):
+        _moved_again(LAW, state, joint, (off, 0.0, off, 0.0, 2.0), GAINS)
+        assert state[WAY, joint] == pytest.approx(way)
