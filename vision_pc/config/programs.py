@@ -134,6 +134,18 @@ class RulerSettings(StrictModel):
     carried: float = Field(ge=0.0, le=1.0)
 
 
+class AtRestSettings(StrictModel):
+    """Pictures at rest, averaged at both ends of a watched drive.
+
+    ``pictures``: how many; 1: the first one begins the drive as it is. The means of their two halves agree
+    to ``agree_m``, or ``patience_s`` have passed; what they disagree by is then part of the spread told.
+    """
+
+    pictures: int = Field(ge=1, le=200)
+    agree_m: float = Field(gt=0.0, le=0.1)
+    patience_s: Seconds
+
+
 class LocalErrorModelSettings(StrictModel):
     """Best mode: three legs along n, s and a, a local map, and mid-course corrections.
 
@@ -167,6 +179,7 @@ class LocalErrorModelSettings(StrictModel):
     servo_std_m: float = Field(ge=0.0, le=0.05)
     adaptive: AdaptiveDriveSettings
     ruler: RulerSettings
+    at_rest: AtRestSettings
     goal_std_limit_m: float = Field(gt=0.0, le=1.0)
     first_share: float = Field(ge=0.3, le=0.98)
     near_m: float = Field(ge=0.0, le=1.0)

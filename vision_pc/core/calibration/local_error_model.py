@@ -22,6 +22,7 @@ from vision_pc.core.calibration.backlash import (
     slew_between,
     slew_lever,
 )
+from vision_pc.core.calibration.camera_at_rest import AtRest, at_rest
 from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
 from vision_pc.core.calibration.odometry_ruler import SHARED, Ruler, fitted_ruler
 from vision_pc.core.calibration.watched_drive import TakeUp, drive, first_take_up
@@ -144,10 +145,13 @@ async def watched_path(
     is then always on the same side.
     """
     async with eyes.watch(markers=markers, odometry=True) as watch:
+        begun = await at_rest(watch, settings.at_rest)
         end = await drive(arm, waypoints, take_up, dimensions, settings)
+        ended = await at_rest(watch, settings.at_rest, len(watch.samples))
     overrun = slew_between(end.view.X_BT_cmd, end.view.X_BT)
-    track = track_of(watch.samples, overrun)._replace(left=end.left[None], take_up=end.take_up)
-    track = track._replace(unrest=end.take_up.unrest_m(end.view.X_BT, dimensions))
+    track = track_of(watch.samples, overrun, begun, max(AT_REST, settings.at_rest.pictures))
+    swings = (end.take_up.unrest_m(end.view.X_BT, dimensions), begun.apart_m, ended.apart_m)
+    track = track._replace(left=end.left[None], take_up=end.take_up, unrest=max(swings))
     if not markers:
         return track
     held = [s.X_CO for s in watch.samples if s.X_C0C is not None]
@@ -164,8 +168,17 @@ def ruled(track: LocalTrack, ruler: Ruler | None) -> LocalTrack:
     return track if ruler is None else track._replace(X_KC=ruler.measured(track.X_KC), ruler=ruler)
 
 
-def track_of(samples: tuple[WatchSample, ...], overrun: float) -> LocalTrack:
-    """The track of a watch. Raises MeasurementFailed when odometry was lost at its end or over a fifth."""
+def track_of(
+    samples: tuple[WatchSample, ...],
+    overrun: float,
+    begun: AtRest | None = None,
+    ended: int = AT_REST,
+) -> LocalTrack:
+    """The track of a watch, from the mean of what has ``begun`` it (None: its first) on.
+
+    It ends with the mean of the last ``ended``. Raises MeasurementFailed when odometry was lost at its end or
+    over a fifth.
+    """
     held = [s for s in samples if s.X_C0C is not None]
     if len(held) < 0.8 * len(samples) or len(held) < AT_REST or samples[-1].X_C0C is None:
         raise MeasurementFailed(
@@ -173,7 +186,9 @@ def track_of(samples: tuple[WatchSample, ...], overrun: float) -> LocalTrack:
         )
     X_C0C = np.array([s.X_C0C for s in held])
     X_BT = np.array([s.X_BT for s in held])
-    X_KC0 = inverse(settled_pose(X_C0C[-AT_REST:]))
+    if begun is not None and len(X_C0C[begun.pictures]) > 1:
+        X_C0C[0] = settled_pose(X_C0C[begun.pictures])
+    X_KC0 = inverse(settled_pose(X_C0C[-ended:]))
     X_KC = X_KC0 @ X_C0C
     X_KC[-1] = np.eye(4)
     time_s = 1e-9 * np.array([float(s.time_ns) for s in held])

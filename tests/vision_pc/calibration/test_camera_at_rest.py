@@ -1,0 +1,121 @@
+"""Pictures of a camera on a boom that rocks: how many are waited for, and what their mean is worth."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.vision_pc.program_settings import BOOM, shipped
+from tests.vision_pc.synthetic import SyntheticRig, draw, silent
+from vision_pc.config.programs import AtRestSettings, LocalErrorModelSettings
+from vision_pc.core.calibration.camera_at_rest import AtRest, at_rest, halves_apart_m
+from vision_pc.core.calibration.local_error_model import (
+    record_local_track,
+    three_legs,
+    track_of,
+    watched_path,
+)
+from vision_pc.core.calibration.watched_drive import first_take_up
+from vision_pc.core.se3 import Array, transform
+from vision_pc.core.types import WatchSample
+
+ROCKS_M, ROCKS_HZ = 1e-3, 2.3
+SIXTEEN = AtRestSettings(pictures=16, agree_m=3e-4, patience_s=5.0)
+ONE = SIXTEEN.model_copy(update={"pictures": 1})
+
+
+def _at(x: float) -> Array:
+    return transform(np.eye(3), np.array([x, 0.0, 0.0]))
+
+
+class RockingWatch:
+    """A picture every tenth of a second of a camera that rocks, ever less by ``decay_s``; some are lost."""
+
+    health = None
+
+    def __init__(self, decay_s: float, lost: tuple[int, ...] = ()) -> None:
+        self.samples: tuple[WatchSample, ...] = ()
+        self._decay_s, self._lost = decay_s, lost
+        self._add()
+
+    def _add(self) -> None:
+        k = len(self.samples)
+        x = ROCKS_M * math.exp(-0.1 * k / self._decay_s) * math.cos(0.2 * math.pi * ROCKS_HZ * k)
+        pose = None if k in self._lost else _at(x)
+        self.samples += (WatchSample(k * 100_000_000, np.eye(4), pose, None, None),)
+
+    async def after(self, count: int, timeout_s: float) -> WatchSample | None:
+        assert timeout_s > 0.1
+        self._add()
+        return self.samples[-1] if len(self.samples) > count else None
+
+
+class SilentWatch(RockingWatch):
+    async def after(self, count: int, timeout_s: float) -> WatchSample | None:
+        return None
+
+
+async def test_one_picture_is_taken_as_it_is() -> None:
+    watch = RockingWatch(1.0)
+    assert await at_rest(watch, ONE) == AtRest(slice(0, 1), 0.0)  # type: ignore[arg-type]
+    assert len(watch.samples) == 1
+
+
+async def test_as_many_as_asked_for_are_waited_for_and_lost_ones_do_not_count() -> None:
+    watch = RockingWatch(1.0, lost=(3, 5))
+    found = await at_rest(watch, SIXTEEN)  # type: ignore[arg-type]
+    assert found.pictures == slice(0, 16)
+    assert len(watch.samples) == 18
+    assert found.apart_m < SIXTEEN.agree_m
+    later = await at_rest(watch, SIXTEEN, before=len(watch.samples))  # type: ignore[arg-type]
+    assert later.pictures == slice(16, 32)
+
+
+async def test_a_camera_that_does_not_rest_is_given_up_and_by_how_much_is_told() -> None:
+    class Drifting(RockingWatch):
+        def _add(self) -> None:
+            k = len(self.samples)
+            self.samples += (WatchSample(k * 100_000_000, np.eye(4), _at(1e-3 * k), None, None),)
+
+    watch = Drifting(1.0)
+    found = await at_rest(watch, SIXTEEN)  # type: ignore[arg-type]
+    assert 0.1 * len(watch.samples) == pytest.approx(SIXTEEN.patience_s, abs=0.3)
+    assert found.apart_m == pytest.approx(8e-3, rel=0.05)
+    silent_watch = SilentWatch(1.0)
+    assert (await at_rest(silent_watch, SIXTEEN)).pictures == slice(0, 1)  # type: ignore[arg-type]
+
+
+def test_halves_that_turn_are_apart_too() -> None:
+    turned = np.array([[np.cos(a), -np.sin(a)] for a in (0.0, 1e-3)])
+    X = np.tile(np.eye(4), (4, 1, 1))
+    X[2:, 0, :2], X[2:, 1, :2] = turned[1], [-turned[1, 1], turned[1, 0]]
+    assert halves_apart_m(X) == pytest.approx(1e-3, rel=1e-2)
+    assert halves_apart_m(X[:1]) == halves_apart_m(X[:0]) == 0.0
+
+
+async def test_a_track_begins_with_the_mean_of_what_rested() -> None:
+    watch = RockingWatch(1e9)
+    found = await at_rest(watch, SIXTEEN)  # type: ignore[arg-type]
+    samples = list(watch.samples)
+    samples += [WatchSample((16 + k) * 100_000_000, np.eye(4), _at(0.5), None, None) for k in range(8)]
+    first, mean = (track_of(tuple(samples), 0.0, begun).X_KC[0, 0, 3] for begun in (None, found))
+    assert first == pytest.approx(-0.5 + ROCKS_M)
+    assert mean == pytest.approx(-0.5, abs=0.2 * ROCKS_M)
+
+
+async def test_a_drive_is_watched_from_rest_to_rest() -> None:
+    """The pictures are of before and after the drive; what their halves disagree by is unrest."""
+    maps = shipped().local_map
+    settings = LocalErrorModelSettings.model_validate(maps.model_dump() | {"at_rest": SIXTEEN.model_dump()})
+    seen = {}
+    for name, asked in (("one", maps), ("sixteen", settings)):
+        rig = SyntheticRig(draw(np.random.default_rng(3), glitch_share=0.0), 3)
+        here = (await rig.view()).X_BT
+        path = three_legs(here, 0.2)
+        seen[name] = await watched_path(rig, rig, path, first_take_up(asked), BOOM, asked)
+    assert len(seen["sixteen"].X_BT) >= len(seen["one"].X_BT) + 31
+    assert seen["one"].unrest == 0.0
+    assert 0.0 < seen["sixteen"].unrest < 1e-3
+    rig = SyntheticRig(draw(np.random.default_rng(3), glitch_share=0.0), 3)
+    track = await record_local_track(rig, rig, silent, settings, BOOM)
+    assert track.unrest > 0.0
