@@ -20,7 +20,7 @@ PROCESSES ?= 2
 FOREIGN_TOOLS := mbpoll tshark gcc
 BROWSERS := chromium chromium-browser google-chrome
 
-.PHONY: help setup setup-dev demo test pythons coverage foreign-tools browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
+.PHONY: help setup setup-dev demo test pythons coverage foreign-tools peers browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -66,6 +66,8 @@ foreign-tools:  ## Debian's mbpoll, tshark and C compiler, which some tests use 
 	$$as_root apt-get update -qq && DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y -qq --no-install-recommends $${missing/gcc/gcc libc6-dev} > /dev/null \
 	|| { echo "foreign tools:$$missing could not be installed; their tests are skipped" >&2; exit 1; }
 
+peers: $(PEERS_STAMP)  ## readers and detectors of others, which some tests and benchmarks ask too (two are GPL: never in a dependency)
+
 browser:  ## Debian's Chromium, in which the tests try the console (root or sudo)
 	@for name in $(BROWSERS); do if command -v $$name > /dev/null; then echo "browser: $$name is there"; exit 0; fi; done; \
 	if [ "$$(id -u)" = 0 ]; then as_root=; elif command -v sudo > /dev/null; then as_root=sudo; \
@@ -73,7 +75,7 @@ browser:  ## Debian's Chromium, in which the tests try the console (root or sudo
 	$$as_root apt-get update -qq && DEBIAN_FRONTEND=noninteractive $$as_root apt-get install -y -qq --no-install-recommends chromium > /dev/null \
 	|| { echo "browser: chromium could not be installed; the console is NOT tried" >&2; exit 1; }
 
-bench: $(PEERS_STAMP)  ## benchmarks, with their limits and their peers (one of them GPL: never in a dependency)
+bench: $(PEERS_STAMP)  ## benchmarks, with their limits and their peers
 	$(BIN)/python -m pytest -m bench --benchmark-enable -s $(ARGS)
 
 experiments: $(DEV_STAMP)  ## long, seeded experiments

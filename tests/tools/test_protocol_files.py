@@ -232,7 +232,7 @@ def test_what_runs_the_text_is_as_strict_as_it_says(statement: str, why: str) ->
 
 @pytest.mark.parametrize("name", ["types_twincat_codesys.st", "helpers.st", "fields.st"])
 def test_a_parser_of_others_reads_the_text(name: str) -> None:
-    blark = pytest.importorskip("blark.parse", reason="blark is not installed: pip install blark")
+    blark = pytest.importorskip("blark.parse", reason="blark is not installed: make peers")
     path = FOLDER / name
     (parsed,) = blark.parse(path)
     assert parsed.exception is None

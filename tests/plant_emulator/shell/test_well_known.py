@@ -1,7 +1,5 @@
 """Other people's readers find in the plant's recording what they know: frames in one tree, a drawing."""
 
-import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +22,7 @@ from plant_emulator.shell.truth_recorder import CAMERA as CALIBRATION
 from plant_emulator.shell.truth_recorder import CAPTURE, EVENT, FRAMES, LOG, SCENE, TOPICS, TruthRecorder
 from tests.plant_emulator.plant_world import Driver, plant_config
 from tests.support.paths import CONFIGS
+from tests.support.rerun import needs_rerun, rerun
 
 SCENE_CONFIG = load(SceneConfig, CONFIGS / "scene.yaml")
 SESSION = session_entries("plant_emulator", {SESSION_VARIABLE: "7"})
@@ -152,13 +151,8 @@ def test_recording_does_not_change_the_plant() -> None:
     assert np.array_equal(seen.truth().pressures, unseen.truth().pressures)
 
 
-@pytest.mark.skipif(shutil.which("rerun") is None, reason="rerun is not installed (make bench installs it)")
+@needs_rerun
 def test_rerun_finds_every_topic(recorded: Path, tmp_path: Path) -> None:
-    environment = {"HOME": str(tmp_path), "PATH": "/usr/bin:/bin"}  # no telemetry is set up, none is sent
-    rerun = shutil.which("rerun")
-    told = subprocess.run(
-        [rerun, "mcap", "check", recorded], capture_output=True, text=True, env=environment, timeout=60.0
-    )
-    assert told.returncode == 0, told.stderr
-    assert "error" not in told.stdout.lower()
-    assert all(topic.name in told.stdout for topic in TOPICS if topic.name not in (CAPTURE, EVENT))
+    told = rerun(tmp_path, "mcap", "check", recorded)
+    assert "error" not in told.lower()
+    assert all(topic.name in told for topic in TOPICS if topic.name not in (CAPTURE, EVENT))

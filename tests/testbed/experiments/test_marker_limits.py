@@ -73,7 +73,7 @@ def test_every_reader_reads_plain_markers_with_their_corners_in_order(name: str)
 def test_the_april_tag_library_reads_them_where_it_is_installed() -> None:
     reader = readers(FAMILY).get(readers_module.PUPIL)
     if reader is None:
-        pytest.skip("pupil-apriltags is not installed (make bench installs it)")
+        pytest.skip("pupil-apriltags is not installed: make peers")
     picture = tags(FAMILY, MarkerAspect(60.0), np.random.default_rng(1))
     seen = judged(reader(picture.image), [], picture)
     assert (seen.found, seen.false) == (18, 0)

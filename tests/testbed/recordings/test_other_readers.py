@@ -5,8 +5,6 @@ that does not hold all that it names, repeated bytes, kinds of numbers that it d
 2^53 s. Its earlier versions did not come back from a message that holds its own kind.
 """
 
-import shutil
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +19,7 @@ from foundation.recording.messages import MessageField, format_of, message_class
 from foundation.recording.reading import messages
 from foundation.recording.recovery import contents
 from testbed.recordings.merging import merge
+from tests.support.rerun import needs_rerun, rerun
 from tests.testbed.lockstep.recorded_run import FILES, RecordedRun
 from vision_pc.shell.recording import vision_recorder as vision
 
@@ -122,7 +121,7 @@ def _stamps(message: Any) -> Iterator[Any]:
                     yield from _stamps(each)
 
 
-@pytest.mark.skipif(shutil.which("rerun") is None, reason="rerun is not installed (make bench installs it)")
+@needs_rerun
 @pytest.mark.parametrize("name", [Path(FILES[2]).name, MERGED])
 def test_rerun_has_an_entity_for_every_topic(files: dict[str, Path], tmp_path: Path, name: str) -> None:
     found = contents(files[name])
@@ -134,14 +133,3 @@ def test_rerun_has_an_entity_for_every_topic(files: dict[str, Path], tmp_path: P
     told = rerun(tmp_path, "rrd", "stats", tmp_path / "made.rrd").splitlines()
     assert topics <= {line.partition(":")[0] for line in told}
     assert {"/camera/left/image", "/camera/left/calibration", "/vision/tf"} <= topics
-
-
-def rerun(home: Path, *words: Any) -> str:
-    """What its command line says; without a home of its own it would set up telemetry."""
-    command = [str(shutil.which("rerun")), *map(str, words)]
-    environment = {"HOME": str(home), "PATH": "/usr/bin:/bin"}
-    done = subprocess.run(
-        command, capture_output=True, text=True, env=environment, timeout=120.0, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout + done.stderr
