@@ -54,10 +54,10 @@ def verify(file: File, json_file: JsonFile = None) -> None:
     raise typer.Exit(0 if _whole(found) else 1)
 
 
-@app.command("recover", epilog="Example: longreach recording recover truth.mcap truth.recovered.mcap")
+@app.command("recover", epilog="Example: longreach recording recover truth.mcap --out whole.mcap")
 def recover_command(
     file: File,
-    target: Annotated[Path, typer.Argument(metavar="NEW", help="Where the whole file goes.")],
+    target: Annotated[Path, typer.Option("--out", help="Where the whole file goes.")],
     json_file: JsonFile = None,
 ) -> None:
     """Write what can be read of a cut or damaged recording anew, with its index; tell what could not."""
@@ -132,9 +132,9 @@ def merge_command(
     write_json(json_file, {name: clock._asdict() for name, clock in clocks.items()})
 
 
-@app.command("layout", epilog="Example: longreach recording layout longreach.json")
+@app.command("layout", epilog="Example: longreach recording layout --out longreach.json")
 def layout_command(
-    target: Annotated[Path, typer.Argument(metavar="NEW", help="Where the layout goes.")],
+    target: Annotated[Path, typer.Option("--out", help="Where the layout goes.")],
 ) -> None:
     """Write a viewer's layout: scene, picture with outlines, plots and log of a merged recording."""
     from testbed.recordings.layout import layout_text

@@ -32,9 +32,9 @@ def effects_command(
     draw_effects(config_dir, directory, json_file)
 
 
-@app.command("machine", epilog="Example: longreach picture machine docs/images/machine.png")
+@app.command("machine", epilog="Example: longreach picture machine --out docs/images/machine.png")
 def machine_command(
-    path: Annotated[Path, typer.Argument(help="Where the picture goes (PNG or SVG).")],
+    path: Annotated[Path, typer.Option("--out", help="Where the picture goes (PNG or SVG).")],
     config_dir: ConfigDir = DEFAULT_CONFIG,
 ) -> None:
     """The nominal arm from the side at its start pose, with the frames B, T, C, M and O."""
@@ -45,9 +45,9 @@ def machine_command(
     out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB", highlight=False)
 
 
-@app.command("run", epilog="Example: longreach picture run docs/images/run.webp --seed 1")
+@app.command("run", epilog="Example: longreach picture run --out docs/images/run.webp --seed 1")
 def run_command(
-    path: Annotated[Path, typer.Argument(help="Where the animation goes (WebP or GIF).")],
+    path: Annotated[Path, typer.Option("--out", help="Where the animation goes (WebP or GIF).")],
     scenario: Annotated[str, typer.Option(help="Draw the world from this scenario.")] = "standard",
     seed: Annotated[int, typer.Option(min=0, help="The same seed is the same world.")] = 1,
     config_dir: ConfigDir = DEFAULT_CONFIG,

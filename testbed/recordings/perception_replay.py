@@ -45,7 +45,7 @@ def pixels_for(recording: RecordedVision, truth: Path | None) -> Pixels:
     """
     if truth is None and recording.images == "raw":
         return KeptPixels()
-    source = truth or recording.path.parents[1] / "plant_emulator" / "truth.mcap"
+    source = truth or recording.run / "plant_emulator" / "truth.mcap"
     if not source.is_file():
         why = f"{recording.path.name} holds no whole pictures and there is no {source}; --truth names it"
         raise RecordingUnreadable("recording.no_pictures", why)

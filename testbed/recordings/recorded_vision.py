@@ -29,6 +29,11 @@ class RecordedVision(NamedTuple):
     exact: bool
     pictured: bool
 
+    @property
+    def run(self) -> Path:
+        """The run's directory, where `longreach up` leaves it and the other processes' recordings."""
+        return self.path.absolute().parent.parent
+
 
 def recorded_vision(path: Path, overrides: Mapping[str, Any] | None = None) -> RecordedVision:
     """The recording at ``path``, its configuration with ``overrides`` laid over it.

@@ -79,9 +79,9 @@ def samples_of_pictures(
     run_samples((pictures, poses, camera), board, form, setup, to)
 
 
-@app.command(epilog="Example: longreach hand-eye drawing configs/cabinet.png")
+@app.command(epilog="Example: longreach hand-eye drawing --out configs/cabinet.png")
 def drawing(
-    file: Annotated[Path, typer.Argument(help="PNG to write.")],
+    file: Annotated[Path, typer.Option("--out", help="Where the PNG goes.")],
     scenario: Annotated[str, typer.Option(help="Whose cabinet.")] = "hand_eye",
     config_dir: ConfigDir = DEFAULT_CONFIG,
 ) -> None:

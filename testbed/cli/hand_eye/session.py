@@ -210,10 +210,10 @@ def resume(
     _do(context, url, act)
 
 
-@app.command(epilog="Example: longreach hand-eye session export runs/hand-eye/monday.json samples.json")
+@app.command(epilog="Example: longreach hand-eye session export runs/hand-eye/monday.json --out samples.json")
 def export(
     session: Annotated[Path, typer.Argument(help="A session's file.")],
-    samples: Annotated[Path, typer.Argument(help="Where to write its samples.")],
+    samples: Annotated[Path, typer.Option("--out", help="Where its samples go.")],
 ) -> None:
     """A session's samples as a file for `longreach hand-eye solve` and `compare`."""
     from testbed.hand_eye import session_text

@@ -183,7 +183,7 @@ def show_recording(
     ``truth``: the plant's recording, by default that of the same run. ``port`` 0: a free one. ``told`` gets
     its address, what was read, and where pictures come from. Raises OSError, RecordingUnreadable.
     """
-    run = recording.path.parents[1]
+    run = recording.run
     timeline = Timeline(recording, run / "controller" / "controller.mcap")
     pictures = ShownPictures(timeline, truth or run / "plant_emulator" / "truth.mcap")
     with socket.create_server(("127.0.0.1", port)) as listener:

@@ -55,7 +55,7 @@ CASES = (
     Case("validate plant"),
     Case("validate plant-survey --out {out}"),
     Case("picture effects --out {out}"),
-    Case("picture run {out}/run.webp"),
+    Case("picture run --out {out}/run.webp"),
     Case("recording merge {made} --out {out}/merged.mcap"),
     Case("replay {made}/vision_pc/vision.mcap"),
     Case("proxy --listen-port 47091 --port 47092"),

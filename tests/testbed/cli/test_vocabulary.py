@@ -55,6 +55,8 @@ def test_one_word_for_one_thing(commands: dict[str, Any]) -> None:
     for path, command in commands.items():
         assert not options(command) & SAID_OTHERWISE, path
         assert path in WITHOUT_FIGURES or "--json" in options(command), path
+        named = [getattr(p, "help", None) or "" for p in command.params if p.param_type_name == "argument"]
+        assert not [told for told in named if "Where" in told or "to write" in told], (path, "wants --out")
     assert set(commands) >= WITHOUT_FIGURES
     several = {"camera loop", "hand-eye camera-share", "experiment paper", "experiment best-mode"}
     assert all({"--count", "--seed"} <= options(commands[path]) for path in several)

@@ -38,7 +38,7 @@ def test_a_cut_recording_is_told_and_made_whole(cut: Path, tmp_path: Path) -> No
     told = json.loads((tmp_path / "told.json").read_text())
     assert f"at byte {told['damages'][0]['offset']}: cut off" in said
     assert (told["messages"], told["complete"], told["whole"]) == (30, False, False)
-    assert "30 messages" in asked("recover", cut, tmp_path / "g.mcap")
+    assert "30 messages" in asked("recover", cut, "--out", tmp_path / "g.mcap")
     assert "30 messages read; whole" in asked("verify", tmp_path / "g.mcap")
     assert "/a" in (said := asked("info", tmp_path / "g.mcap"))
     assert "session 7" in said

@@ -204,6 +204,17 @@ def test_what_if_tells_what_moves(
     assert moved["object in a frame"]["largest_mm"] > 0.0
 
 
+def test_a_recording_may_be_named_from_where_it_lies(
+    recorded: RecordedRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its own name alone has no folder in it from which those beside it were found."""
+    source = recorded.directory / FILES[2]
+    monkeypatch.chdir(source.parent)
+    found = recorded_vision(Path(source.name))
+    assert found.run == source.parent.parent
+    assert pixels_for(found._replace(images="none"), None) is not None
+
+
 def test_what_cannot_be_replayed_is_named(recorded: RecordedRun, tmp_path: Path) -> None:
     source = recorded.directory / FILES[2]
 
