@@ -192,21 +192,28 @@ class AmbiguousWall:
     def __init__(self) -> None:
         self.clicks: list[dict[str, Any]] = []
         self.targets: list[dict[str, Any]] = []
+        self.finds = 0
 
     def answer_for(self, page: Page) -> None:
         page.route("**/targets", self._answer)
+        page.route("**/targets/t1/find", self._find)
+
+    def _find(self, route: Route) -> None:
+        self.finds += 1
+        return route.fulfill(json=self.targets[0])
 
     def _answer(self, route: Route) -> None:
         if route.request.method == "GET":
             return route.fulfill(json={"targets": self.targets})
         body = route.request.post_data_json
         self.clicks.append(body)
-        if "other_u_px" not in body:
+        if "other_u_px" not in body and "kind" not in body:
             candidates = [{"other_px": [600.0, 300.0]}, {"other_px": [640.0, 300.0]}]
             told = {"cause": "target.ambiguous", "detail": "two places look alike", "candidates": candidates}
             return route.fulfill(status=422, json=told)
         outline = [[590.0, 290.0], [610.0, 290.0], [600.0, 310.0]]
-        made = {"id": "t1", "recognised": "hole 45.0 mm", "known": "measured", "aimed": True,
+        kind = body.get("kind", "hole")
+        made = {"id": "t1", "kind": kind, "recognised": "hole 45.0 mm", "known": "measured", "aimed": True,
                 "std_mm": {"x": 0.2, "y": 0.1, "z": 0.4}, "distance_mm": 800.0, "reachable": True,
                 "carried_mm": 0.0, "outline": outline}  # fmt: skip
         self.targets = [made]
@@ -233,7 +240,24 @@ def test_a_click_in_the_picture_makes_a_target(browser: Browser) -> None:
             page.keyboard.press("ArrowLeft")
             page.keyboard.press("Enter")
             eventually(lambda: len(wall.clicks) == 3, page)
-    first, second, third = wall.clicks
+            page.locator("#teach").click()  # by a click, then by a rectangle
+            expect(page.locator("#teach")).to_have_attribute("aria-pressed", "true")
+            page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.25 * box["height"])
+            eventually(lambda: len(wall.clicks) == 4, page)
+            expect(page.locator("#teach")).to_have_attribute("aria-pressed", "false")
+            scale = box["width"] / 1280.0
+            page.mouse.move(box["x"] + 300.0 * scale, box["y"] + 200.0 * scale)
+            page.mouse.down()
+            page.mouse.move(box["x"] + 380.0 * scale, box["y"] + 260.0 * scale, steps=3)
+            page.mouse.up()
+            eventually(lambda: len(wall.clicks) == 5, page)
+            page.locator("#target-rows button", has_text="Find").click()
+            eventually(lambda: wall.finds == 1, page)
+    first, second, third, taught, drawn = wall.clicks
+    assert (taught["kind"], "size_px" in taught) == ("template", False)
+    assert (drawn["kind"], abs(drawn["size_px"] - 80) <= 2) == ("template", True)
+    assert abs(drawn["u_px"] - 340.0) < 2.0
+    assert abs(drawn["v_px"] - 230.0) < 2.0
     assert first["frame_id"] > 0
     assert abs(first["u_px"] - 640.0) < 2.0
     assert abs(first["v_px"] - 180.0) < 2.0

@@ -30,7 +30,7 @@ from vision_pc.config.vision import LinkSettings, MotionSettings, VisionConfig
 from vision_pc.core.perception.intrinsics import calibration, distorted
 from vision_pc.core.targets.keeper import KeptTarget, TargetKeeper
 from vision_pc.core.targets.measuring import Click
-from vision_pc.core.targets.target import Candidate, TargetObservation, TargetRefused
+from vision_pc.core.targets.target import Candidate, TargetObservation, TargetRefused, Taught
 from vision_pc.core.types import FrameObservation, Look, MarkerObservation, StereoPair
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
@@ -99,7 +99,18 @@ class SyntheticEyes:
             raise TargetRefused("target.ambiguous", "target: places look alike", places)
         look, square = await self.rig.look(1), 10.0 * np.array(_SQUARE)
         seen = TargetObservation("hole", look.X_CO, 1e-6 * np.eye(6), np.eye(6), 0.9, square, 0.045)
+        if click.kind == "template":
+            taught = Taught(np.zeros((3, 3)), 0.001)
+            seen = seen._replace(kind="template", diameter_m=None, taught=taught)
         return self.targets.add(seen, 7, look.X_BT, None)
+
+    async def found_again(self, target_id: str) -> KeptTarget:
+        kept = self.targets.get(target_id)
+        if kept.taught is None:
+            raise TargetRefused("target.not_taught", "target: only a template is found again by its looks")
+        look = await self.rig.look(1)
+        seen = TargetObservation("template", look.X_CO, 1e-6 * np.eye(6), np.eye(6), 0.8, kept.outline)
+        return self.targets.found(target_id, seen, 9, look.X_BT)
 
     async def detected_holes(self, diameter_mm: float | None) -> tuple[int, list[TargetObservation]]:
         kept = await self.target_at(Click("left", np.zeros(2)), None)

@@ -42,13 +42,14 @@ class Aspect(NamedTuple):
     """How a wall is looked at: distance (m), least and greatest tilt (degrees); what its rims have lost.
 
     ``broken``: least and greatest share of the radius; None: there are no holes. ``standing_m``: in place of
-    holes tubes stand before the wall, by so much.
+    holes tubes stand before the wall, by so much. ``again``: a second pair is taken from elsewhere.
     """
 
     distance_m: float
     tilt_deg: tuple[float, float] = (0.0, 20.0)
     broken: tuple[float, float] | None = (0.0, 0.15)
     standing_m: tuple[float, float] | None = None
+    again: bool = False
 
 
 class DrawnWall(NamedTuple):
@@ -66,6 +67,15 @@ class DrawnWall(NamedTuple):
     whole: NDArray[np.bool_]
     contrast: float
     tilt_deg: float
+    then: "LaterPair | None" = None
+
+
+class LaterPair(NamedTuple):
+    """The same wall from elsewhere: as vision sees it, with a camera that is known, the same aim there."""
+
+    seen: Sighted
+    known: Sighted
+    aim: Array
 
 
 def drawn_wall(config_dir: Path, seed: int, aspect: Aspect, over: Mapping[str, Any]) -> DrawnWall:
@@ -210,6 +220,11 @@ def _pictured(settings: Settings, rng: np.random.Generator, place: Array, aspect
     nominal = intrinsics.calibration(settings.vision.camera)
     observation = observe(pair, nominal, markers)
     told = observation._replace(offset=StereoOffset(0.0, 0.0, 1e-6, 1e-6))
+    then = None
+    if aspect.again:
+        turned = aspect._replace(distance_m=aspect.distance_m * rng.uniform(0.8, 1.2), again=False)
+        later = _pictured(settings, rng, place, turned)
+        then = LaterPair(later.seen, later.known, later.aim)
     return DrawnWall(
         Sighted(pair, nominal, observation, markers, targets),
         Sighted(pair, true_calibration(settings), told, markers, targets),
@@ -219,6 +234,7 @@ def _pictured(settings: Settings, rng: np.random.Generator, place: Array, aspect
         whole=_whole(camera, places, tool),
         contrast=config.wall.contrast_grey,
         tilt_deg=tilt,
+        then=then,
     )
 
 

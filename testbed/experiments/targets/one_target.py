@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from testbed.experiments.targets.drawn_walls import GROUP, Aspect, DrawnWall, drawn_wall
+from testbed.experiments.targets.drawn_walls import GROUP, Aspect, DrawnWall, LaterPair, drawn_wall
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
-from vision_pc.core.targets.measuring import Click, Sighted, at_click, holes
+from vision_pc.core.targets.measuring import Click, KnownTarget, Sighted, anywhere, at_click, holes
 from vision_pc.core.targets.target import TargetObservation, TargetRefused
 
 NAN = float("nan")
@@ -43,6 +43,9 @@ ROWS = {
     "plane-1.5": Kinded("click, 1.5 m", "plane", Aspect(1.5, broken=None), 1.0),
     "plane-2.0": Kinded("click, 2 m", "plane", Aspect(2.0, broken=None), 1.0),
     "slanted-1.0": Kinded("click, 30 to 45° aslant", "plane", Aspect(1.0, (30.0, 45.0), None), 0.5),
+    "taught-1.0": Kinded(
+        "taught at 1 m, found again anywhere", "taught", Aspect(1.0, broken=None, again=True), 0.5
+    ),
     "bare": Kinded("click on a bare wall", "bare", Aspect(1.0, broken=None)),
     "repetitive": Kinded("click on a chessboard", "repetitive", Aspect(1.0, (0.0, 35.0), None)),
 }
@@ -99,6 +102,8 @@ def one_target(config_dir: Path, task: JSON) -> JSON:
         "row": task["row"], "seed": seed, "distance_m": asked.aspect.distance_m,
         "tilt_deg": wall.tilt_deg, "contrast": wall.contrast,
     }  # fmt: skip
+    if wall.then is not None:
+        return about | _of_template(wall, wall.then)
     return about | (_of_hole(wall) if asked.kind == "hole" else _of_click(wall))
 
 
@@ -129,6 +134,29 @@ def _of_click(wall: DrawnWall) -> JSON:
     }
 
 
+def _of_template(wall: DrawnWall, then: LaterPair) -> JSON:
+    """Taught in the first pair, found anywhere in the second."""
+    began = time.process_time()
+    try:
+        seen = _again(wall.seen, then.seen, wall.pixel)
+    except TargetRefused as refused:
+        return {"refused": refused.cause, "wrong": False, "measure_ms": _ms_since(began)}
+    spent = _ms_since(began)
+    row = {"refused": "", "wrong": _across(seen.X_CO[:3, 3], then.aim[:3, 3]) > _SAME_M, "measure_ms": spent}
+    row |= {"seen": target_error(seen, then.aim, seen.covariance)}
+    try:
+        alone = _again(wall.known, then.known, wall.pixel)
+    except TargetRefused:
+        return row
+    return row | {"known": target_error(alone, then.aim, alone.covariance, along_too=False)}
+
+
+def _again(first: Sighted, second: Sighted, pixel: Array) -> TargetObservation:
+    """Raises TargetRefused."""
+    made = at_click(first, Click("left", pixel, "template"))
+    return anywhere(second, KnownTarget("template", made.X_CO, made.covariance, None, made.taught))
+
+
 def _of_hole(wall: DrawnWall) -> JSON:
     began = time.process_time()
     told = holes(wall.seen)
@@ -155,8 +183,13 @@ def _of_hole(wall: DrawnWall) -> JSON:
     }
 
 
-def target_error(seen: TargetObservation, true: Array, covariance: Array) -> TargetError:
-    """How ``seen`` differs from the frame ``true`` (4, 4), and by how much more than ``covariance`` says."""
+def target_error(
+    seen: TargetObservation, true: Array, covariance: Array, along_too: bool = True
+) -> TargetError:
+    """How ``seen`` differs from the frame ``true`` (4, 4), and by how much more than ``covariance`` says.
+
+    ``along_too``: False leaves what lies along the line of sight out of all.
+    """
     p = true[:3, 3]
     ray = p / np.linalg.norm(p)
     off = se3.local(seen.X_CO, true)  # true less told
@@ -165,7 +198,8 @@ def target_error(seen: TargetObservation, true: Array, covariance: Array) -> Tar
     along = np.append(ray, np.zeros(3))[:, None]
     normal = np.zeros((6, 2))
     normal[3:] = seen.X_CO[:3, :2]
-    every = np.hstack([along, normal] if seen.kind == "plane" else [across, along, normal])
+    parts = [normal] if seen.kind == "plane" else [across, normal]
+    every = np.hstack([along, *parts] if along_too else parts)
     shares = [_share(off, covariance, part) for part in (every, across, along, normal)]
     turned = float(np.degrees(np.arccos(min(float(seen.X_CO[:3, 2] @ true[:3, 2]), 1.0))))
     return TargetError(

@@ -34,7 +34,13 @@ class Bench:
         self.states: Any = SimpleNamespace(state=SimpleNamespace(X_BT=to_pose(np.eye(4))))
         self.carrier = TargetCarrier(self.targets, self.sensor, self.states)
         seen: Any = SimpleNamespace(
-            kind="plane", X_CO=FAR, covariance=1e-8 * np.eye(6), diameter_m=None, quality=1.0, outline=None
+            kind="plane",
+            X_CO=FAR,
+            covariance=1e-8 * np.eye(6),
+            diameter_m=None,
+            quality=1.0,
+            outline=None,
+            taught=None,
         )
         self.kept = self.targets.add(cast(TargetObservation, seen), 1, np.eye(4), None)
 

@@ -57,6 +57,23 @@ def test_the_truth_is_found_again(camera: CameraCalibration, generator: np.rando
     assert found.cost_after < 1e-6 < 1e3 < found.cost_before
 
 
+def test_a_camera_and_a_point_that_no_view_tells_of_stay_where_they_are(
+    camera: CameraCalibration, generator: np.random.Generator
+) -> None:
+    exact, _ = problem(camera, generator, 0.0)
+    views, depths = exact.views, exact.depths
+    told = (views.camera != CAMERAS - 1) & (views.point != 7)
+    unseen = exact._replace(
+        views=Views(*(part[told] for part in views)),
+        depths=Depths(*(part[(depths.point != 7) & (depths.camera != CAMERAS - 1)] for part in depths)),
+    )
+    off = disturbed(unseen, generator)
+    found = bundle_adjustment.adjusted(off, (camera.left, camera.right), 0.1, 50.0)
+    np.testing.assert_allclose(found.X_CC0[:-1], exact.X_CC0[:-1], atol=1e-6)
+    np.testing.assert_array_equal(found.X_CC0[-1], off.X_CC0[-1])
+    np.testing.assert_array_equal(found.points[7], off.points[7])
+
+
 def test_cost_of_noise_is_its_degrees_of_freedom(
     camera: CameraCalibration, generator: np.random.Generator
 ) -> None:

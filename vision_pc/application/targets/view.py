@@ -20,8 +20,9 @@ class ClickBody(BaseModel):
     """A click on one eye's picture, in px of the camera's own pictures (the live right eye is half as large).
 
     ``frame_id`` of the picture that was clicked, among those shown in the last 3 s; None: a fresh one.
-    ``kind`` auto: a hole where one is under the click, else the surface. ``other_u_px``, ``other_v_px``: the
-    same place in the other eye, where one click is ambiguous.
+    ``kind`` auto: a hole where one is under the click, else the surface; template: what is there is taught,
+    ``size_px`` wide (60), and found again by its looks. ``other_u_px``, ``other_v_px``: the same place in the
+    other eye, where one click is ambiguous.
     """
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -29,7 +30,8 @@ class ClickBody(BaseModel):
     u_px: float = Field(ge=-10_000.0, le=10_000.0, examples=[812.4])
     v_px: float = Field(ge=-10_000.0, le=10_000.0, examples=[301.0])
     frame_id: int | None = Field(None, ge=0, lt=2**63, examples=[4711])
-    kind: Literal["auto", "plane", "hole"] = "auto"
+    kind: Literal["auto", "plane", "hole", "template"] = "auto"
+    size_px: int | None = Field(None, ge=30, le=120, examples=[60])
     diameter_mm: float | None = Field(None, gt=5.0, le=500.0, examples=[45.0])
     other_u_px: float | None = Field(None, ge=-10_000.0, le=10_000.0)
     other_v_px: float | None = Field(None, ge=-10_000.0, le=10_000.0)
@@ -39,7 +41,9 @@ class ClickBody(BaseModel):
         other = None
         if self.other_u_px is not None and self.other_v_px is not None:
             other = np.array([self.other_u_px, self.other_v_px])
-        return Click(self.eye, np.array([self.u_px, self.v_px]), self.kind, self.diameter_mm, other)
+        return Click(
+            self.eye, np.array([self.u_px, self.v_px]), self.kind, self.diameter_mm, other, self.size_px
+        )
 
 
 def target_json(
@@ -92,6 +96,8 @@ def candidate_json(candidate: Candidate) -> JSON:
 
 
 def _in_words(kind: str, diameter_m: float | None) -> str:
+    if kind == "template":
+        return "taught patch"
     return "surface" if diameter_m is None else f"{kind} {1e3 * diameter_m:.1f} mm"
 
 

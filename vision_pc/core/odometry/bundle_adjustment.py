@@ -184,11 +184,20 @@ def _summed(summation: scipy.sparse.csr_array, values: Array) -> Array:
     return np.asarray(summation @ values.reshape(len(values), -1)).reshape(-1, *values.shape[1:])
 
 
+def _damped(blocks: Array, damping: float) -> Array:
+    """Blocks (n, d, d), their diagonals raised by a share; one where nothing is known: they are solved."""
+    eye = np.eye(blocks.shape[1])
+    diagonal = np.einsum("nij,ij->nij", blocks, eye)
+    return np.asarray(blocks + damping * diagonal + (eye != 0.0) * (diagonal == 0.0))
+
+
 def _step(blocks: _Blocks, damping: float) -> tuple[Array, Array]:
-    """Moves of the free poses (k, 6) and of the points (m, 3): points eliminated, then put back."""
+    """Moves of the free poses (k, 6) and of the points (m, 3): points eliminated, then put back.
+
+    What no view tells of stays where it is.
+    """
     free, count = blocks.W.shape[:2]
-    V = blocks.V + damping * np.einsum("mij,ij->mij", blocks.V, np.eye(3))
-    H = blocks.H + damping * np.einsum("kij,ij->kij", blocks.H, np.eye(6))
+    V, H = _damped(blocks.V, damping), _damped(blocks.H, damping)
     eliminated = blocks.W @ np.linalg.inv(V)  # (k, m, 6, 3)
     flat = eliminated.transpose(0, 2, 1, 3).reshape(6 * free, 3 * count)
     mixed = blocks.W.transpose(0, 2, 1, 3).reshape(6 * free, 3 * count)

@@ -15,7 +15,7 @@ from vision_pc.config.targets import TargetSettings
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.measuring import KnownTarget
-from vision_pc.core.targets.target import Kind, TargetObservation
+from vision_pc.core.targets.target import Kind, TargetObservation, Taught
 
 Known = Literal["measured", "carried", "lost"]
 _MOST = 100
@@ -42,11 +42,12 @@ class KeptTarget:
     X_BO: Array | None
     known: Known = "measured"
     way_m: float = 0.0
+    taught: Taught | None = None
 
     @property
     def believed(self) -> KnownTarget:
         """Where it is, for who measures it again."""
-        return KnownTarget(self.kind, self.X_CO, self.covariance, self.diameter_m)
+        return KnownTarget(self.kind, self.X_CO, self.covariance, self.diameter_m, self.taught)
 
 
 class TargetKeeper:
@@ -85,7 +86,7 @@ class TargetKeeper:
         self._made += 1
         kept = KeptTarget(
             f"t{self._made}", seen.kind, seen.X_CO, seen.covariance, seen.diameter_m, seen.quality,
-            seen.outline, frame_id, X_BT, X_BO,
+            seen.outline, frame_id, X_BT, X_BO, taught=seen.taught,
         )  # fmt: skip
         self._all[kept.id] = kept
         self._aimed = kept.id
@@ -108,6 +109,15 @@ class TargetKeeper:
         kept.X_CO, kept.covariance, kept.X_BT = X_CO, covariance, X_BT
         if measured:
             kept.known, kept.way_m = "measured", 0.0
+
+    def found(self, target_id: str, seen: TargetObservation, frame_id: int, X_BT: Array) -> KeptTarget:
+        """Note where a target was found again, and aim at it. Raises as ``get``."""
+        kept = self.get(target_id)
+        kept.X_CO, kept.covariance, kept.quality = seen.X_CO, seen.covariance, seen.quality
+        kept.outline, kept.frame_id, kept.X_BT = seen.outline, frame_id, X_BT
+        kept.known, kept.way_m = "measured", 0.0
+        self._aimed = target_id
+        return kept
 
     def carry(self, X_C0C: Array | None, X_BT_before: Array, X_BT: Array) -> None:
         """The camera went from C0, where the arm stood at ``X_BT_before``, to C; None: nobody knows where."""

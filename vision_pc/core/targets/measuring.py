@@ -13,11 +13,11 @@ from vision_pc.core.perception import intrinsics
 from vision_pc.core.perception.camera_correction import as_believed
 from vision_pc.core.perception.object_of_interest import lens_covariance
 from vision_pc.core.se3 import Array
-from vision_pc.core.targets import circle_hole, free_rim, plane_patch, row_matching
+from vision_pc.core.targets import circle_hole, free_rim, plane_patch, row_matching, template_target
 from vision_pc.core.targets.hole_search import dark_spots
 from vision_pc.core.targets.plane_patch import PlanePatch
 from vision_pc.core.targets.round_edge import DarkSpot
-from vision_pc.core.targets.target import Kind, TargetObservation, TargetRefused, frame_on, with_roll
+from vision_pc.core.targets.target import Kind, TargetObservation, TargetRefused, Taught, frame_on, with_roll
 from vision_pc.core.targets.wider_patch import wider
 from vision_pc.core.types import CameraCalibration, FrameObservation, StereoPair
 
@@ -48,13 +48,17 @@ class Sighted(NamedTuple):
 
 
 class Click(NamedTuple):
-    """A place in one eye's picture, px; ``other``: the same in the other eye, where one is not enough."""
+    """A place in one eye's picture, px; ``other``: the same in the other eye, where one is not enough.
+
+    ``size_px``: of a template, how wide what is taught is.
+    """
 
     eye: Literal["left", "right"]
     pixel: Array
-    kind: Literal["auto", "plane", "hole"] = "auto"
+    kind: Literal["auto", "plane", "hole", "template"] = "auto"
     diameter_mm: float | None = None
     other: Array | None = None
+    size_px: int | None = None
 
 
 class KnownTarget(NamedTuple):
@@ -64,10 +68,13 @@ class KnownTarget(NamedTuple):
     X_CO: Array
     covariance: Array
     diameter_m: float | None
+    taught: Taught | None = None
 
 
 def at_click(sighted: Sighted, click: Click) -> TargetObservation:
     """The target that is meant by a click. Raises TargetRefused with its cause."""
+    if click.kind == "template":
+        return _taught(sighted, click)
     if click.eye == "right":
         return _at_left_again(sighted, click)
     pair, camera = sighted.pair, sighted.believed
@@ -103,6 +110,8 @@ def again(sighted: Sighted, known: KnownTarget) -> TargetObservation:
     """
     camera = sighted.believed
     p = known.X_CO[:3, 3]
+    if known.taught is not None:
+        return _found_again(sighted, known.taught, known)
     pixel = _visible(sighted, camera, known)
     depths = float(p[2]) * (1.0 - _DEPTH_SHARE), float(p[2]) * (1.0 + _DEPTH_SHARE)
     if known.kind == "plane":
@@ -119,6 +128,57 @@ def again(sighted: Sighted, known: KnownTarget) -> TargetObservation:
             f"target: found {1e3 * off:.0f} mm from where it is expected, limit {1e3 * limit:.0f} mm",
         )
     return seen._replace(X_CO=_turned_least(known.X_CO, seen.X_CO))
+
+
+def anywhere(sighted: Sighted, known: KnownTarget) -> TargetObservation:
+    """A template found anywhere in the left picture, whatever was believed of its place.
+
+    Raises TargetRefused: ``target.not_taught`` for a target of another kind, ``target.not_found``,
+    ``target.ambiguous``, and as ``at_click``.
+    """
+    if known.taught is None:
+        raise TargetRefused("target.not_taught", "target: only a template is found again by its looks")
+    return _found_again(sighted, known.taught, known, everywhere=True)
+
+
+def _taught(sighted: Sighted, click: Click) -> TargetObservation:
+    """The surface at a click, and what it looks like."""
+    seen = at_click(sighted, click._replace(kind="plane"))
+    eye, half = sighted.believed.left, (click.size_px or 2 * _HALF) // 2
+    taught = template_target.teach(sighted.pair.left, eye, seen.X_CO, half)
+    return seen._replace(
+        kind="template", taught=taught, outline=template_target.outline(eye, taught, seen.X_CO)
+    )
+
+
+def _found_again(
+    sighted: Sighted, taught: Taught, known: KnownTarget, everywhere: bool = False
+) -> TargetObservation:
+    """A template where it lies now; within the picture's rest it was expected, or ``everywhere``."""
+    camera, expected, reach = sighted.believed, known.X_CO, None
+    if not everywhere:
+        _visible(sighted, camera, known)
+        spread = 3.0 * math.sqrt(float(np.trace(known.covariance[:3, :3]))) + _AGAIN_M
+        reach = int(spread * camera.left.K[0, 0] / expected[2, 3]) + 4
+    place = template_target.find(sighted.pair.left, camera.left, taught, expected, reach)
+    found = row_matching.match(sighted.pair, camera, place.pixel, sighted.settings.depths_m)
+    plane = _plane(sighted.pair, camera, place.pixel, found.inverse_depth)
+    laid = template_target.lay(sighted.pair.left, camera.left, taught, plane, place)
+    on_plane, bias = _on_plane(sighted, camera, plane), _bias(sighted, laid.X, plane)
+    in_plane = np.zeros((6, 3))
+    in_plane[:3, :2], in_plane[3:, 2] = laid.X[:3, :2], laid.X[:3, 2]
+    shifted = in_plane @ laid.covariance @ in_plane.T
+    J = _moved_by_plane(plane)
+    bias += 0.5 * shifted  # what was taught is noisy too, in every frame alike
+    return on_plane._replace(
+        kind="template",
+        X_CO=laid.X,
+        covariance=J @ plane.covariance @ J.T + 0.5 * shifted + bias + 1e-10 * np.eye(6),
+        bias=bias,
+        quality=laid.correlation,
+        outline=template_target.outline(camera.left, taught, laid.X),
+        taught=taught,
+    )
 
 
 def _plane(pair: StereoPair, camera: CameraCalibration, pixel: Array, inverse_depth: float) -> PlanePatch:

@@ -6,6 +6,7 @@ import { attribute, byId, make, write } from './dom.js';
 
 const SVG = 'http://www.w3.org/2000/svg';
 const EVERY_MS = 1000;
+const DRAG_PX = 12; // of the pictures: a longer drag draws a rectangle
 const STEP_PX = 10; // of the cross that keys move; with Shift one pixel
 const KNOWN = { measured: 'seen', carried: 'carried by odometry', lost: '▲ lost: click it again' };
 let size = [1280, 720]; // of the camera's pictures
@@ -13,6 +14,7 @@ let targets = [];
 let holes = [];
 let asked = null; // the click that wants its place in the other eye: its body, and candidates
 let cross = null; // where keys have pointed
+let pressed = null; // where the button went down
 
 /** Has clicks make targets, where the service knows them. */
 export async function installTargets() {
@@ -26,11 +28,13 @@ export async function installTargets() {
   byId('left').parentElement.classList.add('aimable');
   attribute(byId('left'), 'tabindex', '0');
   attribute(byId('left'), 'aria-label', 'Left eye, live. Click a place, or point with the arrow keys and press Enter, to make it the target');
-  byId('left').parentElement.addEventListener('click', (event) => click(pixel(event, byId('left'))));
+  byId('left').parentElement.addEventListener('pointerdown', (event) => { pressed = pixel(event, byId('left')); });
+  byId('left').parentElement.addEventListener('click', (event) => clickOrDrag(pixel(event, byId('left'))));
   byId('left').addEventListener('keydown', keys);
   byId('left').addEventListener('blur', () => { cross = null; draw(); });
   byId('right').addEventListener('click', (event) => clickRight(pixel(event, byId('right'))));
   byId('find-holes').addEventListener('click', find);
+  byId('teach').addEventListener('click', () => teach(!teaching()));
   tellCurl(byId('find-holes'), () => ['GET', '/targets?detect=true']);
   setInterval(poll, EVERY_MS);
 }
@@ -58,10 +62,22 @@ function keys(event) {
   draw();
 }
 
+const teaching = () => byId('teach').getAttribute('aria-pressed') === 'true';
+const teach = (on) => byId('teach').setAttribute('aria-pressed', String(on));
+
+/** A click, or a rectangle: what is in it is taught. */
+function clickOrDrag([u, v]) {
+  const sides = pressed ? [u - pressed[0], v - pressed[1]].map(Math.abs) : [0, 0];
+  if (Math.max(...sides) < DRAG_PX) return click([u, v]);
+  const middle = [(u + pressed[0]) / 2, (v + pressed[1]) / 2].map((px) => Number(px.toFixed(1)));
+  return click(middle, { kind: 'template', size_px: Math.min(Math.max(Math.round(Math.max(...sides)), 30), 120) });
+}
+
 /** A click in the left eye: bound to the picture that was on the screen. */
-function click([u, v]) {
+function click([u, v], more = teaching() ? { kind: 'template' } : {}) {
   const frame = Number(byId('left').dataset.frame);
-  return ask({ u_px: u, v_px: v, ...(frame ? { frame_id: frame } : {}) });
+  teach(false);
+  return ask({ u_px: u, v_px: v, ...(frame ? { frame_id: frame } : {}), ...more });
 }
 
 /** The same place in the right eye, where the left alone does not tell it. */
@@ -111,7 +127,7 @@ const worst = (target) => Math.max(...Object.values(target.std_mm)).toFixed(1);
 const far = (target) => (target.distance_mm === null ? '' : `, ${target.distance_mm.toFixed(0)} mm away${target.reachable ? '' : ', OUT OF REACH of one step'}`);
 
 function rows() {
-  const told = JSON.stringify(targets.map((t) => [t.id, t.known, t.aimed, t.recognised, t.std_mm, t.distance_mm]));
+  const told = JSON.stringify(targets.map((t) => [t.id, t.known, t.aimed, t.kind, t.recognised, t.std_mm, t.distance_mm]));
   const list = byId('target-rows');
   if (list.dataset.told === told) return;
   list.dataset.told = told;
@@ -128,8 +144,15 @@ function row(target) {
   const forget = make('button', { type: 'button', 'aria-label': `Forget ${name}` }, 'Forget');
   act(aim, 'POST', `/targets/${target.id}/aim`);
   act(forget, 'DELETE', `/targets/${target.id}`);
-  line.append(make('span', { class: 'acts' }, aim, forget));
+  line.append(make('span', { class: 'acts' }, ...(target.kind === 'template' ? [again(target, name)] : []), aim, forget));
   return line;
+}
+
+/** A taught patch is found by its looks, also after it was lost. */
+function again(target, name) {
+  const button = make('button', { type: 'button', 'aria-label': `Find ${name}` }, 'Find');
+  act(button, 'POST', `/targets/${target.id}/find`);
+  return button;
 }
 
 function act(button, method, path) {
