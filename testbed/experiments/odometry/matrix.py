@@ -8,21 +8,26 @@ import tempfile
 import time
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-import typer
-from rich.table import Table
 
 from foundation.configuration import load
 from protocol.errors import ConfigurationError, LongreachError
 from testbed.campaigns.campaign import CampaignRequest, Task
-from testbed.campaigns.experiment import Check, Experiment, Finished, at_most, inside, seeds
+from testbed.campaigns.experiment import Experiment, seeds
 from testbed.experiments.odometry import orb_slam3
-from testbed.experiments.odometry.judging import FREEDOM, gross, judged
+from testbed.experiments.odometry.judging import gross, judged
+from testbed.experiments.odometry.real_sequences import REAL_KINDS, available, real_sequence
 from testbed.experiments.odometry.sequences import KINDS, Sequence, sequence
-from testbed.reporting.console import table
+from testbed.experiments.odometry.verdict import (
+    MatrixRow,
+    MatrixSettings,
+    matrix_figures,
+    matrix_table,
+    matrix_verdict,
+)
 from testbed.reporting.trajectory_errors import trajectory_errors
 from vision_pc.config.vision import RectifiedPairSettings, VisionConfig
 from vision_pc.core.odometry.segments import SegmentedOdometry
@@ -30,58 +35,23 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, StereoPair
 from vision_pc.shell.cameras.sequence import SequenceResult, follow_pairs, read_calibration
 
-NEES_BAND = (0.7, 1.5)
 _NAN = float("nan")
 _WORDS_SEEDS = (3, 4)  # walls that the peer's vocabulary is grown on
 
 
-class MatrixSettings(NamedTuple):
-    """Which kinds, how long, and whether beside the peer."""
-
-    kind: Annotated[list[str], typer.Option(help="Only these kinds; may be given again.")] = []  # noqa: RUF012
-    pairs: Annotated[int, typer.Option(help="Pairs of a sequence, over 1.1 m.", min=12, max=600)] = 40
-    peer: Annotated[bool, typer.Option(help="ORB-SLAM3 on the same pictures, where it is installed.")] = True
-
-
-class MatrixRow(NamedTuple):
-    """One sequence. ``wrong``: pairs located, but off by more than three standard deviations and a floor.
-
-    ``gross``: off by more than 30 mm, whatever was told. ``nees`` the mean error² over variance; ``peer_``
-    of ORB-SLAM3.
-    """
-
-    kind: str
-    seed: int
-    pairs: int
-    located: int
-    maps: int
-    losses: str
-    ate_mm: float
-    worst_mm: float
-    told_mm: float
-    wrong: int
-    gross: int
-    nees: float
-    ms: float
-    peer_located: float
-    peer_ate_mm: float
-    peer_worst_mm: float
-    peer_gross: float
-    peer_ms: float
-    failure: str = ""
-    cpu_s: float = _NAN
-
-
-Rows = Finished[MatrixSettings, MatrixRow]
-
-
 def matrix_tasks(request: CampaignRequest, settings: MatrixSettings) -> list[Task]:
-    """Every kind under every seed. Raises ConfigurationError for a kind that there is not."""
-    unknown = [name for name in settings.kind if name not in KINDS]
+    """Every kind under every seed, and every real one that is there.
+
+    Raises ConfigurationError for a kind that there is not.
+    """
+    unknown = [name for name in settings.kind if name not in (*KINDS, *REAL_KINDS)]
     if unknown:
+        every = ", ".join((*KINDS, *REAL_KINDS))
         raise ConfigurationError(
-            "configuration.unknown_kind", f"--kind {unknown[0]}: one of {', '.join(KINDS)} is wanted"
+            "configuration.unknown_kind", f"--kind {unknown[0]}: one of {every} is wanted"
         )
+    chosen = settings.kind or (*KINDS, *REAL_KINDS)
+    real = [name for name in chosen if name in REAL_KINDS and settings.real and available()]
     return [
         {
             "key": f"{name}-{seed}-{settings.pairs}" + ("" if settings.peer else "-alone"),
@@ -90,24 +60,30 @@ def matrix_tasks(request: CampaignRequest, settings: MatrixSettings) -> list[Tas
             "pairs": settings.pairs,
             "peer": settings.peer,
         }
-        for name in settings.kind or KINDS
+        for name in chosen
+        if name in KINDS
         for seed in seeds(request)
+    ] + [
+        {"key": name if settings.peer else f"{name}-alone", "kind": name, "seed": 0, "peer": settings.peer}
+        for name in real
     ]
 
 
 def one_row(config_dir: Path, task: Task) -> MatrixRow:
-    """The sequence rendered, followed and judged."""
+    """The sequence rendered, or read, followed and judged."""
     cv2.setNumThreads(1)
     config = load(VisionConfig, config_dir / "vision.yaml")
-    made = sequence(config_dir, task["kind"], task["seed"], task["pairs"])
+    name = task["kind"]
+    real = name in REAL_KINDS
+    made = real_sequence(name) if real else sequence(config_dir, name, task["seed"], task["pairs"])
     began = time.process_time()
-    result, refusal = _followed(config, made, KINDS[task["kind"]].exact)
+    result, refusal = _followed(config, made, not real and KINDS[name].exact)
     ms = 1e3 * (time.process_time() - began) / len(made.pairs)
     told = judged(result, made.X_C0C)
     causes = " ".join(f"{cause} {count}" for cause, count in result.losses.most_common())
     peer = _peer(config_dir, config, made) if task["peer"] and not refusal else _NO_PEER
     return MatrixRow(
-        task["kind"],
+        name,
         task["seed"],
         len(made.pairs),
         told.located,
@@ -197,90 +173,6 @@ def _words(config_dir: Path) -> Path:
         pairs += sequence(config_dir, "depth_steps", seed, 12).pairs[::3]
     orb_slam3.vocabulary([pair.left for pair in pairs], path)
     return path
-
-
-def _mean(rows: list[MatrixRow], column: str) -> float:
-    values = [float(getattr(row, column)) for row in rows]
-    known = [value for value in values if np.isfinite(value)]
-    return float(np.mean(known)) if known else _NAN
-
-
-def _middle(rows: list[MatrixRow], column: str) -> float:
-    known = [value for row in rows if np.isfinite(value := float(getattr(row, column)))]
-    return float(np.median(known)) if known else _NAN
-
-
-def matrix_table(done: Rows) -> list[Table]:
-    """A line a kind, over its seeds: medians, but worst errors, counts of pairs, and mean NEES."""
-    heads = ["kind", "located", "ATE mm", "worst mm", "σ told mm", "wrong", "NEES/6", "ms a pair"]
-    heads += [f"ORB-SLAM3: {name}" for name in ("located", "ATE mm", "worst mm", "> 30 mm", "ms")]
-    return [table("odometry of recordings", heads, [_line(name, rows) for name, rows in _by_kind(done)])]
-
-
-def _line(name: str, rows: list[MatrixRow]) -> list[str]:
-    pairs = sum(row.pairs for row in rows)
-    peers = [row for row in rows if np.isfinite(row.peer_located)]
-    seen = sum(row.pairs for row in peers)
-    return [
-        KINDS[name].words,
-        f"{sum(row.located for row in rows) / pairs:.0%}",
-        _number(_middle(rows, "ate_mm")),
-        _number(max(row.worst_mm for row in rows)),
-        _number(_middle(rows, "told_mm")),
-        str(sum(row.wrong for row in rows)),
-        _number(_mean(rows, "nees") / FREEDOM),
-        _number(_middle(rows, "ms"), 0),
-        f"{sum(row.peer_located for row in peers) / seen:.0%}" if seen else "",
-        _number(_middle(peers, "peer_ate_mm")),
-        _number(max((row.peer_worst_mm for row in peers), default=_NAN)),
-        f"{sum(row.peer_gross for row in peers):.0f}" if seen else "",
-        _number(_middle(peers, "peer_ms"), 0),
-    ]
-
-
-def _number(value: float, digits: int = 2) -> str:
-    return f"{value:.{digits}f}" if np.isfinite(value) else ""
-
-
-def _by_kind(done: Rows) -> list[tuple[str, list[MatrixRow]]]:
-    kinds = {name: [row for row in done.rows if row.kind == name and not row.failure] for name in KINDS}
-    return [(name, rows) for name, rows in kinds.items() if rows]
-
-
-def matrix_verdict(done: Rows) -> list[Check]:
-    """Nothing wrong and not told; what cannot be used is refused; errors are as large as told."""
-    kinds = dict(_by_kind(done))
-    usable = [row for name, rows in kinds.items() for row in rows if not KINDS[name].refused]
-    useless = [row for name, rows in kinds.items() for row in rows if KINDS[name].refused]
-    pairs = sum(row.pairs for row in usable)
-    checks = [
-        at_most(f"wrong and not told, of {pairs} pairs", sum(row.wrong for row in usable), 0.0),
-        at_most("pairs located that nobody can locate", sum(row.located for row in useless), 0.0),
-        at_most("runs that failed", sum(bool(row.failure) for row in done.rows), 0.0),
-        inside("error² / variance told, over the kinds", _nees(usable), NEES_BAND),
-    ]
-    if still := kinds.get("still_wall"):
-        checks.append(
-            at_most("ATE on the still wall, calibration exact", _middle(still, "ate_mm"), 0.1, "mm")
-        )
-    if known := [row for row in usable if np.isfinite(row.peer_gross)]:
-        words = ("off by more than 30 mm", "pairs")
-        checks += [
-            at_most(f"{words[0]}: Longreach", sum(row.gross for row in known), None, words[1]),
-            at_most(f"{words[0]}: ORB-SLAM3", sum(row.peer_gross for row in known), None, words[1]),
-        ]
-    return checks
-
-
-def _nees(rows: list[MatrixRow]) -> float:
-    """Relative to its expectation; every kind weighs alike."""
-    kinds = sorted({row.kind for row in rows})
-    return float(np.nanmean([_mean([row for row in rows if row.kind == k], "nees") for k in kinds])) / FREEDOM
-
-
-def matrix_figures(done: Rows) -> dict[str, Any]:
-    """NEES over its expectation by kind."""
-    return {"nees": {name: _mean(rows, "nees") / FREEDOM for name, rows in _by_kind(done)}}
 
 
 ODOMETRY_MATRIX = Experiment(

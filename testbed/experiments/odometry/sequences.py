@@ -6,6 +6,7 @@ Every sequence has a drawn way, wall, and what factory calibrations leave of rec
 
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
+from zlib import crc32
 
 import numpy as np
 
@@ -31,6 +32,7 @@ _TURNS_DEG = (2.0, 3.0, 2.0)
 _BEHIND = se3.transform(np.eye(3), (0.0, 0.0, -5.0))  # the tool: out of sight
 _BLIND = CameraBlind(grey=0)
 _MIDDLE_S = 2.0  # when what moves is in the middle of the picture
+_ASIDE_M = 0.35  # the camera's own way, and its turn: what comes late is out of sight before
 
 
 class DrawnWay(NamedTuple):
@@ -96,26 +98,59 @@ def _mover(share: float) -> Callable[[DrawnWay, np.random.Generator], JSON]:
     """
 
     def scene(drawn: DrawnWay, rng: np.random.Generator) -> JSON:
-        stand_off = float(rng.uniform(0.25, 0.5) * drawn.distance_m)
-        whole = (drawn.distance_m - stand_off) * WIDTH / FOCAL_PX
-        width = share * whole
+        stand_off, whole = _before_the_wall(drawn, rng)
         comes = 0.5 * (1.0 + share) * whole / _MIDDLE_S  # m/s: outside of the first picture
-        speed = float(
-            rng.choice([-1.0, 1.0]) * comes * (1.0 if rng.random() < 0.5 else rng.uniform(0.05, 0.5))
-        )
-        rise = float(rng.uniform(-0.05, 0.05))
-        there = (drawn.X_C0C[len(drawn.X_C0C) // 2, :2, 3]) * (1.0, -1.0)
-        passer = {
-            "size_m": [width, 5.0],
-            "start_m": [float(there[0]) - _MIDDLE_S * speed, float(there[1]), stand_off],
-            "velocity_m_s": [speed, rise, 0.0],
-            "period_s": 600.0,
-            "texture_seed": int(rng.integers(1 << 30)),
-            "contrast_grey": 22.0,
-        }
-        return {"passers": [passer]}
+        speed = comes * (1.0 if rng.random() < 0.5 else rng.uniform(0.05, 0.5))
+        return _passer(drawn, rng, (share * whole, stand_off), speed, _MIDDLE_S)
 
     return scene
+
+
+def _late(share: float) -> Callable[[DrawnWay, np.random.Generator], JSON]:
+    """A board that is out of sight until a third of the sequence and more is over, and then comes in."""
+
+    def scene(drawn: DrawnWay, rng: np.random.Generator) -> JSON:
+        stand_off, whole = _before_the_wall(drawn, rng)
+        lasts_s = len(drawn.X_C0C) / RATE_HZ
+        enters_s, middle_s = lasts_s * rng.uniform(0.33, 0.45), lasts_s * rng.uniform(0.6, 0.75)
+        way = 0.5 * (1.0 + share) * whole + _ASIDE_M  # from the edge to the middle of the picture
+        return _passer(drawn, rng, (share * whole, stand_off), way / (middle_s - enters_s), middle_s)
+
+    return scene
+
+
+def _slow(drawn: DrawnWay, rng: np.random.Generator) -> JSON:
+    """A board that is there from the first picture on and goes by a few mm from picture to picture."""
+    stand_off, whole = _before_the_wall(drawn, rng)
+    width = rng.uniform(0.15, 0.4) * whole
+    return _passer(drawn, rng, (width, stand_off), rng.uniform(0.01, 0.05), _MIDDLE_S)
+
+
+def _before_the_wall(drawn: DrawnWay, rng: np.random.Generator) -> tuple[float, float]:
+    """How far before the wall something moves, and how wide the picture is there, m."""
+    stand_off = float(rng.uniform(0.25, 0.5) * drawn.distance_m)
+    return stand_off, (drawn.distance_m - stand_off) * WIDTH / FOCAL_PX
+
+
+def _passer(
+    drawn: DrawnWay, rng: np.random.Generator, size: tuple[float, float], speed: float, middle_s: float
+) -> JSON:
+    """A board, ``size`` its width and how far it is before the wall, that is in the middle of the picture at
+    ``middle_s``.
+    """
+    velocity = float(rng.choice([-1.0, 1.0])) * float(speed)
+    rise = float(rng.uniform(-0.05, 0.05))
+    at = min(round(middle_s * RATE_HZ), len(drawn.X_C0C) - 1)
+    there = drawn.X_C0C[at, :2, 3] * (1.0, -1.0)
+    passer = {
+        "size_m": [float(size[0]), 5.0],
+        "start_m": [float(there[0]) - middle_s * velocity, float(there[1]), size[1]],
+        "velocity_m_s": [velocity, rise, 0.0],
+        "period_s": 600.0,
+        "texture_seed": int(rng.integers(1 << 30)),
+        "contrast_grey": 22.0,
+    }
+    return {"passers": [passer]}
 
 
 def _camera(**settings: Any) -> Callable[[DrawnWay, np.random.Generator], JSON]:
@@ -134,12 +169,21 @@ KINDS: dict[str, SequenceKind] = {
     "mover_10": SequenceKind("a thing moves over 10 % of the picture", _mover(0.1)),
     "mover_30": SequenceKind("over 30 %", _mover(0.3)),
     "mover_60": SequenceKind("over 60 %", _mover(0.6)),
+    "late_10": SequenceKind("it comes late, over 10 %", _late(0.1)),
+    "late_30": SequenceKind("late, over 30 %", _late(0.3)),
+    "late_60": SequenceKind("late, over 60 %", _late(0.6)),
+    "slow_mover": SequenceKind("a slow thing, 10 to 50 mm/s", _slow),
     "darkness": SequenceKind("6 % of the light", _camera(exposure_gain=0.06, noise_grey=1.5)),
     "blur": SequenceKind("exposures of 80 ms in motion", _camera(exposure_us=80_000, motion_blur_samples=6)),
     "gap_1": SequenceKind("1 black pair", black=1),
+    "gap_2": SequenceKind("2 black pairs", black=2),
     "gap_5": SequenceKind("5 black pairs", black=5),
+    "gap_10": SequenceKind("10 black pairs", black=10),
     "gap_20": SequenceKind("20 black pairs", black=20),
+    "left_out_1": SequenceKind("1 pair missing", left_out=1),
+    "left_out_2": SequenceKind("2 pairs missing", left_out=2),
     "left_out_5": SequenceKind("5 pairs missing", left_out=5),
+    "left_out_10": SequenceKind("10 pairs missing", left_out=10),
     "left_out_20": SequenceKind("20 pairs missing", left_out=20),
     "rows_0.3": SequenceKind("right picture 0.3 px lower", rows_px=0.3),
     "rows_3": SequenceKind("right picture 3 px lower", rows_px=3.0, refused=True),
@@ -152,7 +196,7 @@ _SIZES = ((672, 376), (1920, 1080), (2208, 1242))  # a ZED's other ones
 
 def sequence(config_dir: Any, name: str, seed: int, count: int) -> Sequence:
     """``count`` pairs of kind ``name``, as ``seed`` draws them."""
-    kind, rng = KINDS[name], np.random.default_rng((0x0D0, seed, sorted(KINDS).index(name)))
+    kind, rng = KINDS[name], np.random.default_rng((0x0D0, seed, crc32(name.encode())))
     gone = kind.left_out
     drawn = _drawn(kind, rng, count + gone)
     config = load(SceneConfig, config_dir / "scene.yaml", _overrides(kind, drawn, rng, seed))

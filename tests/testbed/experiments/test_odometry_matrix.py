@@ -9,17 +9,13 @@ from protocol.errors import ConfigurationError
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Check, Finished
 from testbed.experiments.odometry.judging import gross, is_wrong, judged
-from testbed.experiments.odometry.matrix import (
-    MatrixRow,
-    MatrixSettings,
-    matrix_tasks,
-    matrix_verdict,
-    one_row,
-)
+from testbed.experiments.odometry.matrix import matrix_tasks, one_row
+from testbed.experiments.odometry.real_sequences import REAL_KINDS, available, real_sequence
 from testbed.experiments.odometry.sequences import KINDS, sequence
+from testbed.experiments.odometry.verdict import MatrixRow, MatrixSettings, matrix_verdict
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import OdometryPose
+from vision_pc.core.types import Image, OdometryPose
 from vision_pc.shell.cameras.sequence import PairRecord, SequenceResult
 
 CONFIGS = Path("configs")
@@ -77,6 +73,42 @@ def test_a_gap_is_in_the_middle(name: str) -> None:
         assert steps.tolist() == [100_000_000] * 3 + [600_000_000] + [100_000_000] * 3
 
 
+@pytest.mark.parametrize("name", ["late_10", "late_60"])
+def test_what_comes_late_is_out_of_sight_first(name: str) -> None:
+    """The board is darker than the wall: the left picture's darkest block tells whether it is there."""
+    for seed in (1, 2, 3):
+        pairs = sequence(CONFIGS, name, seed, 12).pairs
+        there = [_darkest(pair.left) < 0.92 * _darkest(pairs[0].left) for pair in pairs]
+        assert not any(there[:4])
+        assert any(there[5:11])
+
+
+def _darkest(picture: Image) -> float:
+    """The mean of the darkest vertical strip."""
+    return float(picture.reshape(720, 32, 40).mean(axis=(0, 2)).min())
+
+
+@pytest.mark.parametrize("seed", [1320, 1321])
+def test_what_moves_from_the_first_picture_on_is_never_taken_for_the_world(seed: int) -> None:
+    """With 1320 the board is all that is seen at the end, with the wall in a corner: once 287 mm, told 1 mm.
+
+    A slow one goes along with the camera while that speeds up: once 72 mm, told 3 mm.
+    """
+    for name in ("mover_60", "slow_mover"):
+        row = one_row(CONFIGS, {"kind": name, "seed": seed, "pairs": 40, "peer": False})
+        assert row.wrong == 0, name
+
+
+@pytest.mark.skipif(not available(), reason="LONGREACH_DATA has no pictures of OpenCV")
+def test_real_pictures_of_a_board_that_moves_are_lost_rather_than_wrong() -> None:
+    """Once 283 mm off, told 0.8 mm: the board was followed. What is seen again is found again."""
+    made = real_sequence("real_twice")
+    assert (len(made.pairs), made.told.width_px) == (25, 640)
+    row = one_row(CONFIGS, {"kind": "real_twice", "seed": 0, "peer": False})
+    assert (row.wrong, row.gross) == (0, 0)
+    assert row.located >= 2
+
+
 def test_a_row_is_right_within_what_it_tells() -> None:
     row = one_row(CONFIGS, {"kind": "wall", "seed": 1, "pairs": 6, "peer": False})
     assert (row.located, row.wrong, row.gross, row.losses) == (6, 0, 0, "")
@@ -91,13 +123,21 @@ def test_a_calibration_of_another_size_is_a_refusal_and_no_failure() -> None:
 
 def test_tasks_and_verdict_name_every_kind() -> None:
     request = CampaignRequest(CONFIGS, Path("nowhere"), runs=2, seed=5)
-    assert len(matrix_tasks(request, MatrixSettings())) == 2 * len(KINDS)
+    rendered = matrix_tasks(request, MatrixSettings(real=False))
+    assert len(rendered) == 2 * len(KINDS)
+    real = matrix_tasks(request, MatrixSettings())[len(rendered) :]
+    assert len(real) == (len(REAL_KINDS) if available() else 0)
     with pytest.raises(ConfigurationError, match="--kind walls: one of still_wall, wall"):
         matrix_tasks(request, MatrixSettings(kind=["walls"]))
     nan = float("nan")
     good = MatrixRow("wall", 5, 40, 40, 1, "", 1.0, 1.0, 1.0, 0, 0, 6.0, 20.0, nan, nan, nan, nan, nan)
     useless = good._replace(kind="swapped", located=0, nees=nan)
-    assert all(c.met for c in _checks([good, useless]))
+    assert all(c.met is not False for c in _checks([good, useless]))
+    assert [c.found for c in _checks([good]) if c.what == "real pictures"] == ["not there: LONGREACH_DATA"]
+    moved = good._replace(kind="real_rest", seed=0, wrong=1)
+    assert [c.what for c in _checks([good, moved]) if c.met is False] == [
+        "real: wrong and not told, of 40 pairs"
+    ]
     for worse in (good._replace(wrong=1), good._replace(nees=60.0), useless._replace(located=3)):
         assert [c.met for c in _checks([good, useless, worse])].count(False) == 1
 

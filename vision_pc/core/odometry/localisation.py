@@ -25,6 +25,8 @@ _SHARED = 2.0  # depths share the errors of the poses at which they were learnt:
 _KEPT = 3  # keyframes whose patches are kept: 4 MB each
 _NOWHERE = np.zeros((0, 2))
 _FEW = 0.5  # of the points that should be seen: fewer may not bring about a motion that nobody foresaw
+_DOUBTED_SHARE = 0.05  # of a second motion: what was outvoted may be the world
+_SECOND_POINTS = 12  # at least, of a second motion
 _LEAST_NOISE_PX = 0.03  # what matching leaves even in clean pictures
 
 
@@ -72,6 +74,7 @@ class Localiser:
         settings: OdometrySettings,
         keyframe_map: KeyframeMap,
         readout: Readout,
+        doubted: bool = False,
     ) -> None:
         self._camera = camera
         self._settings = settings
@@ -80,6 +83,7 @@ class Localiser:
         self._kept: list[Templates] = []
         self._readout = readout
         self._first_twist: Array | None = None
+        self._doubted = doubted
 
     def localise(
         self,
@@ -106,7 +110,7 @@ class Localiser:
         good &= coarse.good & tracking.inside(pixels, frame.left_static)
         part, pixels = part.only(good), pixels[good]
         if len(pixels) >= self._settings.minimum_inliers:
-            chosen = self._chosen(self._map.points[part.ids], pixels, expected, prior, int(visible.sum()))
+            chosen = self._chosen(frame, keyframe, part, pixels, expected, prior)
             if isinstance(chosen, str):
                 return chosen
             inliers = chosen.inliers
@@ -117,19 +121,27 @@ class Localiser:
         return "too_few_points"
 
     def _chosen(
-        self, points: Array, pixels: Array, expected: Array, prior: MotionPrior | None, visible: int
+        self,
+        frame: Frame,
+        keyframe: Keyframe,
+        found: Keyframe,
+        pixels: Array,
+        expected: Array,
+        prior: MotionPrior | None,
     ) -> "_Motion | str":
-        """The motion to believe of those that fit ``points``, or the loss's cause.
+        """The motion to believe of those that fit the ``pixels`` (n, 2) of the points ``found`` of
+        ``keyframe``, or the loss's cause.
 
-        A motion that nobody foresaw takes the larger part of the ``visible`` points.
+        A motion that nobody foresaw takes the larger part of the points that should be seen.
         """
+        points = self._map.points[found.ids]
         X_CC0, inliers = self._coarse_pose(points, pixels, expected)
         rest = np.flatnonzero(~inliers)
         other = self._second(points[rest], pixels[rest], expected, len(points))
         nothing = np.zeros(len(points), dtype=bool)
         if other is None:
-            held = int(inliers.sum())
-            if prior is not None and held < _FEW * visible and not prior.agrees(X_CC0, points, self._camera):
+            few = self._watchful and inliers.sum() < _FEW * self._shown(frame, keyframe, X_CC0)
+            if few and (prior is None or not prior.agrees(X_CC0, points, self._camera)):
                 return "sudden_motion"
             return _Motion(X_CC0, inliers, nothing)
         theirs = nothing.copy()
@@ -140,6 +152,16 @@ class Localiser:
         if ours_fits == prior.agrees(other[0], points, self._camera):
             return "two_motions"
         return _Motion(X_CC0, inliers, theirs) if ours_fits else _Motion(other[0], theirs, inliers)
+
+    @property
+    def _watchful(self) -> bool:
+        """Whether nobody knows what the camera sees."""
+        return self._settings.prior_floor_px > 0.0
+
+    def _shown(self, frame: Frame, keyframe: Keyframe, X_CC0: Array) -> int:
+        """How many points of ``keyframe`` a camera at ``X_CC0`` has in its picture."""
+        views = intrinsics.project(self._camera.left, se3.apply(X_CC0, self._map.points[keyframe.ids]))
+        return int(tracking.inside(views, frame.left_static).sum())
 
     def _keep(self, templates: Templates) -> None:
         """Keep these and those of the few keyframes looked for last; the others are forgotten."""
@@ -173,10 +195,11 @@ class Localiser:
 
     def _second(self, points: Array, pixels: Array, expected: Array, of: int) -> tuple[Array, Flags] | None:
         """Another pose on which points agree that disagree with the first: something large moves, or all
-        but it. They must be ``second_motion_share`` of ``of`` points at least.
+        but it. They must be ``second_motion_share`` of ``of`` points at least; fewer will do in a map whose
+        beginning is doubted.
         """
-        share = self._settings.second_motion_share
-        least = max(self._settings.minimum_inliers, int(share * of))
+        share = _DOUBTED_SHARE if self._doubted else self._settings.second_motion_share
+        least = max(_SECOND_POINTS if self._watchful else self._settings.minimum_inliers, int(share * of))
         if share == 0.0 or len(points) < least:
             return None
         found = self._coarse_pose(points, pixels, expected)

@@ -57,12 +57,10 @@ class SegmentedOdometry:
 
     @property
     def withdrawn(self) -> list[int]:
-        """Maps whose poses are not to be believed after all: two motions were seen before any was foreseen,
-        or, where that happened, the sequence ended too soon for anything else.
+        """Maps whose poses are not to be believed after all: two motions were seen in them that nothing tells
+        apart, or, after that happened, the sequence ended too soon for anything else.
         """
-        mixed = [k for k, one in enumerate(self._maps) if one.mixed]
-        last = len(self._maps) - 1
-        return [*mixed, last] if mixed and last not in mixed and self._maps[last].undecided else mixed
+        return [k for k, one in enumerate(self._maps) if one.doubtful]
 
     @property
     def last_loss(self) -> str | None:
@@ -122,7 +120,8 @@ class SegmentedOdometry:
 
     def _begun(self, pair: StereoPair) -> PlacedPose | None:
         """The first pose of a new map, if the pair suffices for one."""
-        fresh = StereoOdometry(self._camera, self._settings, readout=self.readout)
+        doubted = any(one.mixed for one in self._maps)
+        fresh = StereoOdometry(self._camera, self._settings, readout=self.readout, doubted=doubted)
         pose = fresh.process(pair)
         if pose is None:
             return None

@@ -21,6 +21,7 @@ _TRIES = 3  # keyframes to try before a frame is lost
 _TOOL_MOVED = 2e-3  # m or rad
 _DARK = 8.0  # mean grey level below which the light is too poor
 _DARK_STEP = 8  # px between the pixels that are asked
+_PROBATION = 20  # pairs: what stands in view from a map's beginning has shown by then that it moves
 
 
 class StereoOdometry:
@@ -28,7 +29,8 @@ class StereoOdometry:
 
     ``camera`` should have the right eye's offset put in (``intrinsics.with_offset``): a disparity error
     bends and scales the path. What moves with the camera is left out by ``tool`` and the tool marker's
-    pose, once one was given. ``readout``: of a camera whose shutter may roll.
+    pose, once one was given. ``readout``: of a camera whose shutter may roll. ``doubted``: something was seen
+    to move before, and nothing told which of it the world is.
     """
 
     def __init__(
@@ -37,13 +39,14 @@ class StereoOdometry:
         settings: OdometrySettings,
         tool: ToolMarkerSettings | None = None,
         readout: Readout | None = None,
+        doubted: bool = False,
     ) -> None:
         self._camera = camera
         self._settings = settings
         self._tool = tool
         self._map = KeyframeMap(camera, settings.depth_floor_px)
         self._readout = readout or Readout(camera, learns=False)
-        self._localiser = Localiser(camera, settings, self._map, self._readout)
+        self._localiser = Localiser(camera, settings, self._map, self._readout, doubted)
         self._mapper = Mapper(camera, settings, self._map, self._readout)
         self._X_C0C = se3.identity()
         self._motion = se3.identity()
@@ -53,6 +56,8 @@ class StereoOdometry:
         self._smooths = False
         self._lost_frames = self._frames = 0
         self._history = MotionHistory(settings.prior_floor_px)
+        self._doubted = doubted
+        self._located = 0
         self.last_loss: str | None = None
         self.last_detail: str | None = None
         self.mixed = False
@@ -64,9 +69,9 @@ class StereoOdometry:
         return len(self._map.keyframes)
 
     @property
-    def undecided(self) -> bool:
-        """Whether motions are to be foreseen, but none can be yet."""
-        return self._history.undecided
+    def doubtful(self) -> bool:
+        """Whether its poses cannot be believed yet: what moved before may be all that it sees."""
+        return self.mixed or (self._doubted and self._located < _PROBATION)
 
     def process(self, pair: StereoPair, X_CM: Array | None = None) -> OdometryPose | None:
         """The camera's pose at ``pair``, or None when it is lost; then ``last_loss`` names the cause.
@@ -85,6 +90,8 @@ class StereoOdometry:
         frame = Frame(used, tracking.halved(used.left), *self._static)
         self._readout.foresee(None if self._lost_frames else self._X_C0C, self._motion)
         outcome = self._localise(frame) if self._map.keyframes else self._initialise(frame)
+        if isinstance(outcome, PoseEstimate) and len(outcome.moving) and self.doubtful:
+            outcome = "two_motions"
         self._frames += 1
         if isinstance(outcome, str):
             dark = float(pair.left[::_DARK_STEP, ::_DARK_STEP].mean()) < _DARK
@@ -92,12 +99,13 @@ class StereoOdometry:
             self.last_loss, self.last_detail = ("too_dark", None) if dark else (cause, detail or None)
             self._motion = se3.identity()
             self._lost_frames += 1
-            self.mixed |= cause == "two_motions" and self._history.undecided
+            self.mixed |= cause == "two_motions" and self._on_probation
             self._history.lost()
             return None
         self._motion = se3.identity() if self._lost_frames else se3.inverse(self._X_C0C) @ outcome.X_C0C
         self._history.found(outcome.X_C0C, self._camera, self._map.points[outcome.ids], outcome.residual_px)
         self._X_C0C = outcome.X_C0C
+        self._located += 1
         self._lost_frames = 0
         self.last_loss = self.last_detail = None
         cells = tracking.grid_cells(outcome.pixels, pair.left.shape, self._settings)
@@ -111,6 +119,11 @@ class StereoOdometry:
             outcome.residual_px,
             self._pairs(outcome),
         )
+
+    @property
+    def _on_probation(self) -> bool:
+        """Whether two motions that nothing tells apart may have been in the map from its beginning."""
+        return bool(self._settings.prior_floor_px) and self._located < _PROBATION
 
     def _pairs(self, found: PoseEstimate) -> PointPairs:
         """The points of ``found`` that both eyes see."""
@@ -148,7 +161,9 @@ class StereoOdometry:
             self._lost_frames % len(self._map.keyframes)
         ]  # a different one each time
         found = relocalised(frame.pair.left, frame.left_static, keyframe, self._camera, self._settings)
-        return outcome if found is None else self._localiser.localise(frame, keyframe, found, both_eyes=True)
+        if found is None:
+            return outcome
+        return self._localiser.localise(frame, keyframe, found, both_eyes=True, prior=self._history.prior)
 
     def _both_eyes(self) -> bool:
         """Whether the right eye's turn has come."""
