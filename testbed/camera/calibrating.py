@@ -8,6 +8,7 @@ from protocol.errors import ConfigurationError, MeasurementFailed, RequestRefuse
 from testbed.camera.boards import AskedBoard, found_board
 from testbed.camera.checking import PLAIN
 from testbed.camera.pairs import Taken, take
+from testbed.pictures.board_question import question
 from testbed.reporting.console import bars, out, table, write_json
 from vision_pc.config.camera import CameraSettings
 from vision_pc.config.camera_files.reading import read_calibrations, write_calibration
@@ -39,6 +40,7 @@ def run_calibrate(
         out.print(
             f"no board in both eyes: {', '.join(missed)}", style="yellow", highlight=False, soft_wrap=True
         )
+    question([pair.left for pair in taken.pairs], board, len(views))
     if views:
         _guide(views, (width, height))
     found = stereo_fit.fit(views, (width, height), lens, f"{Path(source).name}, longreach camera calibrate")

@@ -12,7 +12,8 @@ import numpy as np
 from protocol.errors import MeasurementFailed
 from testbed.camera.boards import AskedBoard, found_board
 from testbed.camera.pairs import Taken, take
-from testbed.reporting.console import out, table, write_json
+from testbed.pictures.board_question import question
+from testbed.reporting.console import bars, out, table, write_json
 from vision_pc.config.camera import PinholePair
 from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.config.vision import VisionConfig
@@ -61,6 +62,8 @@ def run_check(
     rectify = Rectifier(told) if isinstance(told, StereoCalibration) else None
     rectified = [rectify(pair) for pair in taken.pairs] if rectify else taken.pairs
     views = [] if board is None else boards_in(rectified, board)
+    if board is not None and not views:
+        question([pair.left for pair in rectified], board, 0)
     rows = pair_check.rows_of(
         [PointPairs(view.left, view.right) for view in views]
         or [pair_check.matched(pair) for pair in rectified],
@@ -114,8 +117,8 @@ def figures(found: Sequence[CameraFinding], rows: RowReport | None, good: bool) 
 
 
 def cells_of(rows: RowReport) -> list[list[str]]:
-    """The rows' medians by place, as shown."""
-    return [[f"{value:+.2f}" for value in row] for row in rows.cells_px]
+    """The rows' medians by place, as shown; a dash where nothing was seen."""
+    return [[f"{value:+.2f}" if np.isfinite(value) else "–" for value in row] for row in rows.cells_px]
 
 
 def stamps(taken: Taken) -> list[CameraFinding]:
@@ -169,9 +172,11 @@ def row_findings(rows: RowReport | None, raw: bool) -> list[CameraFinding]:
 def boards_in(pairs: Sequence[StereoPair], board: AskedBoard) -> list[PairView]:
     """The board's corners in the pairs where both eyes see it: exact points, of which none is mistaken."""
     views = []
-    for k, pair in enumerate(pairs):
-        with contextlib.suppress(MeasurementFailed):
-            views.append(found_board(pair, board, str(k)))
+    with bars() as shown, shown.step("looking for the board") as bar:
+        for k, pair in enumerate(pairs):
+            with contextlib.suppress(MeasurementFailed):
+                views.append(found_board(pair, board, str(k)))
+            bar.update((k + 1) / len(pairs), f"{len(views)} boards in both eyes")
     return views
 
 

@@ -258,7 +258,7 @@ def odometry(
         Path,
         typer.Option(
             help="YAML with fx_px, fy_px, cx_px, cy_px, baseline_m (and right_cx_px, width_px, height_px), "
-            "or KITTI's calib.txt with P0: and P1:."
+            "KITTI's calib.txt with P0: and P1:, or of raw pairs any file that `longreach camera` reads."
         ),
     ],
     options: OdometryOptions,

@@ -21,7 +21,7 @@ class AskedTarget(NamedTuple):
     marker: Annotated[int | None, typer.Option(help="The number of a marker.")] = None
     size_mm: Annotated[
         float, typer.Option(min=1.0, max=400.0, help="Side of the marker, or of a board's square.")
-    ] = 24.0
+    ] = 25.0
     charuco: Annotated[bool, typer.Option("--charuco", help="The board is a ChArUco board.")] = False
     marker_mm: Annotated[
         float | None, typer.Option(help="Side of its markers; three quarters of a square if not given.")

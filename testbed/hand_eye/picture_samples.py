@@ -12,6 +12,7 @@ from protocol.errors import MeasurementFailed, RequestRefused
 from testbed.hand_eye.importer import FORMAT
 from testbed.hand_eye.pose_text import file_text, numbers
 from testbed.hand_eye.robot_poses import RobotPoses
+from testbed.pictures.board_question import question
 from testbed.reporting.console import out
 from vision_pc.config.camera_files.reading import read_calibration
 from vision_pc.config.choices import Detector, LensModel, Setup
@@ -112,7 +113,8 @@ def sample_file(
 ) -> tuple[dict[str, Any], list[str]]:
     """The content of the samples' file, and the names of pictures without a board.
 
-    Raises RequestRefused (``refused.hand_eye.count``) where fewer than three boards are left.
+    Raises RequestRefused (``refused.hand_eye.count``) where fewer than three boards are left, or
+    ``refused.board.counts`` where the pictures show another one.
     """
     target = _points(board)
     samples, missed = [], []
@@ -122,6 +124,7 @@ def sample_file(
             missed.append(path.name)
         else:
             samples.append(sample)
+    question([read_grey(path) for path, _ in pairs], board, len(samples))
     if len(samples) < _LEAST:
         raise RequestRefused(
             "refused.hand_eye.count",
@@ -200,17 +203,10 @@ def _pose(view: BoardView, camera: CameraFile) -> Array:
     return X
 
 
-def write_samples(
-    content: dict[str, Any], missed: list[str], board: Checkerboard | Charuco, to: Path
-) -> None:
+def write_samples(content: dict[str, Any], missed: list[str], to: Path) -> None:
     """Write the file and say what was left out. Raises OSError."""
     if missed:
         out.print(f"no board in {', '.join(missed)}", style="yellow", highlight=False, soft_wrap=True)
-    if isinstance(board, Checkerboard) and (board.columns + board.rows) % 2 == 0:
-        out.print(
-            f"a board of {board.columns}x{board.rows} corners looks the same half a turn on: its upper edge "
-            "must be up in every picture", style="yellow", highlight=False, soft_wrap=True,
-        )  # fmt: skip
     to.write_text(json.dumps(content, indent=1), encoding="utf-8")
     known = "with" if "camera_covariance" in content else "without"
     out.print(

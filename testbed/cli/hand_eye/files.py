@@ -16,6 +16,7 @@ from testbed.hand_eye import picture_samples, presentation, trajectories
 from testbed.hand_eye.importer import ImportOptions, load
 from testbed.hand_eye.robot_poses import read_robot_poses
 from testbed.hand_eye.trajectories import PairingOptions
+from testbed.pictures.board_question import question
 from testbed.reporting.console import out, write_json
 from testbed.scenarios.settings import chosen_overrides, load_settings
 from vision_pc.config.choices import Detector, Method, Setup
@@ -123,6 +124,7 @@ def run_intrinsics_of_pictures(
     views, missed = intrinsics_experiment.detect(pictures, chosen, detector)
     for name in missed:
         out.print(f"no board in {name}", style="yellow", highlight=False)
+    question([image for _, image in pictures], chosen, len(views))
     height, width = pictures[0][1].shape
     found = zhang.calibrate(views, width, height)
     name = "charuco" if board.charuco else detector.value
@@ -156,7 +158,7 @@ def run_samples(
     pairs = picture_samples.matched(picture_samples.pictures_in(pictures), found, poses.name)
     chosen = _board(board)
     content, missed = picture_samples.sample_file(pairs, picture_samples.read_camera(camera), chosen, setup)
-    picture_samples.write_samples(content, missed, chosen, to)
+    picture_samples.write_samples(content, missed, to)
 
 
 def run_drawing(file: Path, scenario: str, config_dir: Path) -> None:

@@ -30,9 +30,9 @@ class SampleSource(NamedTuple):
 class PicturedBoard(NamedTuple):
     """The board in the pictures."""
 
-    columns: Annotated[int, typer.Option(min=2, help="Inner corners across; squares with --charuco.")] = 8
+    columns: Annotated[int, typer.Option(min=2, help="Inner corners across; squares with --charuco.")] = 9
     rows: Annotated[int, typer.Option(min=2, help="Inner corners down; squares with --charuco.")] = 6
-    square_mm: Annotated[float, typer.Option(min=0.1, help="Side of a square.")] = 24.0
+    square_mm: Annotated[float, typer.Option(min=0.1, help="Side of a square.")] = 25.0
     charuco: Annotated[bool, typer.Option("--charuco", help="The board is a ChArUco board.")] = False
     marker_mm: Annotated[float, typer.Option(min=0.1, help="Side of a ChArUco board's marker.")] = 18.0
     dictionary: Annotated[str, typer.Option(help="Its dictionary, as OpenCV names it.")] = "DICT_5X5_100"

@@ -33,7 +33,8 @@ from vision_pc.config.vision import RectifiedPairSettings, VisionConfig
 from vision_pc.core.odometry.segments import SegmentedOdometry
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, StereoPair
-from vision_pc.shell.cameras.sequence import SequenceResult, follow_pairs, read_calibration
+from vision_pc.shell.cameras.sequence import SequenceResult, follow_pairs
+from vision_pc.shell.cameras.sequence_calibration import read_calibration
 
 _NAN = float("nan")
 _WORDS_SEEDS = (3, 4)  # walls that the peer's vocabulary is grown on

@@ -9,12 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from protocol.errors import ConfigurationError, MeasurementFailed
+from tests.vision_pc.config.test_camera_files import ZED
 from tests.vision_pc.odometry.test_odometry import pair_at
 from tests.vision_pc.rendering import wall_texture
+from vision_pc.config.camera_files.reading import read_calibration, write_calibration
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.types import CameraCalibration, StereoPair
-from vision_pc.shell.cameras import sequence
+from vision_pc.shell.cameras import sequence, sequence_calibration
 
 YAML = "fx_px: 530.0\nfy_px: 530.0\ncx_px: 639.5\ncy_px: 359.5\nbaseline_m: 0.12\n"
 KITTI = """P0: 530.0 0 639.5 0 0 530.0 359.5 0 0 0 1 0
@@ -65,7 +67,7 @@ def test_sequence_is_followed_and_written(
 def test_calibrations_agree(camera: CameraCalibration, tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text, encoding="utf-8")
     blank = np.zeros((720, 1280), np.uint8)
-    found = sequence.read_calibration(tmp_path / name, StereoPair(blank, blank, 0, 0))
+    found = sequence_calibration.read_calibration(tmp_path / name, StereoPair(blank, blank, 0, 0))
     assert (found.width, found.height) == (1280, 720)
     for ours, theirs in ((camera.left, found.left), (camera.right, found.right)):
         np.testing.assert_allclose(theirs.K, ours.K)
@@ -121,5 +123,25 @@ def test_a_calibration_for_another_size_is_named(tmp_path: Path, text: str, word
     (tmp_path / "camera.yaml").write_text(text, encoding="utf-8")
     blank = np.zeros((480, 752), np.uint8)
     with pytest.raises(ConfigurationError, match=words) as refused:
-        sequence.read_calibration(tmp_path / "camera.yaml", StereoPair(blank, blank, 0, 0))
+        sequence_calibration.read_calibration(tmp_path / "camera.yaml", StereoPair(blank, blank, 0, 0))
     assert refused.value.cause == "configuration.wrong_size"
+
+
+def test_pairs_of_a_camera_as_it_comes_are_rectified_by_its_file(tmp_path: Path) -> None:
+    """A ZED's file, and ours made of it; a file for another size says both."""
+    zed, ours = tmp_path / "SN1.conf", tmp_path / "camera.yaml"
+    zed.write_text(ZED, encoding="utf-8")
+    write_calibration(ours, read_calibration(zed, (1280, 720)))
+    picture = np.random.default_rng(1).integers(0, 255, (720, 1280), np.uint8)
+    pair = StereoPair(picture, picture, 5, 1)
+    found = [sequence_calibration.recorded_camera(file, pair) for file in (zed, ours)]
+    np.testing.assert_array_equal(found[0].camera.left.K, found[1].camera.left.K)
+    done = [one.rectified(pair) for one in found]
+    np.testing.assert_array_equal(done[0].right, done[1].right)
+    assert (done[0].frame_id, done[0].capture_ns) == (1, 5)
+    assert not np.array_equal(done[0].left, picture)
+    half = StereoPair(picture[::2, ::2].copy(), picture[::2, ::2].copy(), 0, 0)
+    with pytest.raises(ConfigurationError, match="for pictures of 1280 x 720, but 640 x 360 came"):
+        sequence_calibration.recorded_camera(ours, half)
+    (tmp_path / "of_rectified.yaml").write_text(YAML, encoding="utf-8")
+    assert sequence_calibration.recorded_camera(tmp_path / "of_rectified.yaml", pair).rectified(pair) is pair

@@ -1,4 +1,4 @@
-"""Odometry over a recorded sequence: two directories of rectified pictures in, a TUM trajectory out."""
+"""Odometry over a recorded sequence: two directories of pictures in, a TUM trajectory out."""
 
 import csv
 from collections import Counter
@@ -6,21 +6,16 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
-from foundation.configuration import load
 from protocol.errors import ConfigurationError, MeasurementFailed
-from vision_pc.config.camera import CameraSettings, EyeSettings, PinholePair
-from vision_pc.config.vision import RectifiedPairSettings, VisionConfig
+from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.odometry.segments import SegmentedOdometry
-from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, OdometryPose, StereoPair
+from vision_pc.core.types import OdometryPose, StereoPair
 from vision_pc.shell.cameras.directory import read_grey
+from vision_pc.shell.cameras.sequence_calibration import recorded_camera
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".bmp", ".tif", ".tiff")
-_OFF_CENTRE = 0.15  # of width or height: rectification moves principal points by a tenth at most
 _NS_FROM = 10**15  # a file name that is a number this great counts nanoseconds
 
 
@@ -107,30 +102,6 @@ def count_pairs(left: Path) -> int:
     return len(_pictures(left))
 
 
-def read_calibration(path: Path, pair: StereoPair) -> CameraCalibration:
-    """The calibration in ``path`` for pictures like ``pair``'s.
-
-    YAML with fx_px, fy_px, cx_px, cy_px, baseline_m and, where the right eye's differs, right_cx_px; or a
-    text file with KITTI's projection matrices ``P0:`` and ``P1:``. Raises ConfigurationError.
-    """
-    found = _kitti(path) if path.suffix == ".txt" else load(RectifiedPairSettings, path)
-    height, width = pair.left.shape
-    _check_size(path, found, width, height)
-    left = EyeSettings(fx_px=found.fx_px, fy_px=found.fy_px, cx_px=found.cx_px, cy_px=found.cy_px)
-    right_cx = found.cx_px if found.right_cx_px is None else found.right_cx_px
-    return intrinsics.calibration(
-        CameraSettings(
-            stale_ms=1000.0,
-            frozen_frames=0,
-            width_px=width,
-            height_px=height,
-            calibration=PinholePair(
-                left=left, right=left.model_copy(update={"cx_px": right_cx}), baseline_m=found.baseline_m
-            ),
-        )
-    )
-
-
 def follow(
     left: Path,
     right: Path,
@@ -139,14 +110,13 @@ def follow(
     rate_hz: float = 10.0,
     report: Callable[[PairRecord], None] = lambda record: None,
 ) -> SequenceResult:
-    """The odometry of a whole sequence; ``report`` hears of every pair. Raises MeasurementFailed if all
-    were lost.
+    """The odometry of a whole sequence, rectified first where ``calibration`` is of a camera as it comes;
+    ``report`` hears of every pair. Raises MeasurementFailed if all were lost.
     """
+    known = recorded_camera(calibration, next(read_pairs(left, right, rate_hz)))
     result = follow_pairs(
-        lambda: read_pairs(left, right, rate_hz),
-        lambda pair: SegmentedOdometry(
-            read_calibration(calibration, pair), config.odometry, config.recorded_odometry
-        ),
+        lambda: map(known.rectified, read_pairs(left, right, rate_hz)),
+        lambda pair: SegmentedOdometry(known.camera, config.odometry, config.recorded_odometry),
         report,
     )
     if result.lost == len(result.records):
@@ -238,28 +208,6 @@ def write_side_file(path: Path, result: SequenceResult) -> None:
             table.writerow(line)
 
 
-def _check_size(path: Path, found: RectifiedPairSettings, width: int, height: int) -> None:
-    """Raises ConfigurationError where the calibration is not for pictures of this size."""
-    wanted = (found.width_px or width, found.height_px or height)
-    if wanted != (width, height):
-        raise ConfigurationError(
-            "configuration.wrong_size",
-            f"{path}: for pictures of {wanted[0]} x {wanted[1]}, but {width} x {height} came",
-        )
-    if found.width_px is None:
-        middle = ((width - 1) / 2.0, (height - 1) / 2.0)
-        for name, value, centre, size in zip(
-            ("cx_px", "cy_px"), (found.cx_px, found.cy_px), middle, (width, height), strict=True
-        ):
-            if abs(value - centre) > _OFF_CENTRE * size:
-                raise ConfigurationError(
-                    "configuration.wrong_size",
-                    f"{path}: {name} {value:g} is {abs(value - centre):.0f} px from the middle of pictures of"
-                    f" {width} x {height} ({_OFF_CENTRE * size:.0f} px at most): it is for another size, or"
-                    " lacks width_px and height_px",
-                )
-
-
 def _pictures(directory: Path) -> list[Path]:
     if not directory.is_dir():
         raise ConfigurationError("configuration.bad_sequence", f"{directory}: no such directory")
@@ -286,26 +234,3 @@ def _times_ns(directory: Path, names: list[Path], rate_hz: float) -> list[int]:
     if all(name.stem.isdigit() and int(name.stem) >= _NS_FROM for name in names):
         return [int(name.stem) for name in names]
     return [round(index * 1e9 / rate_hz) for index in range(len(names))]
-
-
-def _kitti(path: Path) -> RectifiedPairSettings:
-    """From the first two projection matrices: P1 = K [I | (−fx·b, 0, 0)]."""
-    try:
-        rows = dict(
-            line.split(":", 1) for line in path.read_text(encoding="ascii").splitlines() if ":" in line
-        )
-        P0, P1 = (np.array(rows[name].split(), dtype=np.float64).reshape(3, 4) for name in ("P0", "P1"))
-    except OSError as error:
-        raise ConfigurationError("configuration.unreadable", f"{path}: {error.strerror}") from error
-    except (KeyError, ValueError) as error:
-        raise ConfigurationError(
-            "configuration.bad_sequence", f"{path}: rows P0: and P1: are wanted ({error})"
-        ) from error
-    return RectifiedPairSettings(
-        fx_px=float(P0[0, 0]),
-        fy_px=float(P0[1, 1]),
-        cx_px=float(P0[0, 2]),
-        cy_px=float(P0[1, 2]),
-        right_cx_px=float(P1[0, 2]),
-        baseline_m=float(P0[0, 3] - P1[0, 3]) / float(P0[0, 0]),
-    )
