@@ -27,6 +27,7 @@ from testbed.lockstep.simulated_measurements import load_eye_model, simulated_si
 from testbed.reporting.console import bars
 from testbed.scenarios.settings import Settings, load_settings
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult
+from vision_pc.core.se3 import Array
 
 _AVERAGED = 25  # truths at 50 Hz: half a second at rest
 JSON = dict[str, Any]
@@ -97,9 +98,9 @@ def one_run(config_dir: Path, task: JSON) -> JSON:
     return row | branches | {"simulated_s": 1e-9 * rig.world.time_ns}
 
 
-def drawn_by(config_dir: Path, task: JSON) -> Drawn:
-    """The scenario of a task, which has seed, arm and world."""
-    return draw(config_dir, task["seed"], task["arm"], WORLDS[WorldName(task["world"])])
+def drawn_by(config_dir: Path, task: JSON, unturned: Array | None = None) -> Drawn:
+    """The scenario of a task, which has seed, arm and world; ``unturned`` as of ``draw``."""
+    return draw(config_dir, task["seed"], task["arm"], WORLDS[WorldName(task["world"])], unturned)
 
 
 def prepared(config_dir: Path, task: JSON, sight: SightMaker | None = None) -> LockstepRig:
@@ -118,11 +119,13 @@ def prepared(config_dir: Path, task: JSON, sight: SightMaker | None = None) -> L
     return rig
 
 
-def settings_of(config_dir: Path, task: JSON, over: JSON | None = None) -> Settings:
-    """What was drawn, ``over`` it, vision that adapts and a commissioned controller where they are asked for,
-    and what was assigned over it.
+def settings_of(
+    config_dir: Path, task: JSON, over: JSON | None = None, unturned: Array | None = None
+) -> Settings:
+    """What was drawn (``unturned`` as of ``draw``), ``over`` it, vision that adapts and a commissioned
+    controller where they are asked for, and what was assigned over it.
     """
-    asked = merged(drawn_by(config_dir, task).overrides, over or {})
+    asked = merged(drawn_by(config_dir, task, unturned).overrides, over or {})
     if task.get("adapting"):
         asked = merged(asked, {"vision": adapting(config_dir)})
     asked = merged(asked, parse_overrides(task["assignments"]))

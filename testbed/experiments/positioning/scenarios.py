@@ -28,6 +28,8 @@ from vision_pc.core.se3 import Array, exp_so3, inverse, log_so3, transform
 _TRIES = 20_000
 _STREAM = 0x62657374
 _JOINT_MARGIN = math.radians(4.0)  # the path's legs and the controller's own margins
+_WRIST_BENT = math.radians(6.0)  # the controller refuses a wrist that is stretched: singular below 2.9°
+_CLEARANCE_M = 0.1
 _RIM_PX = 12.0
 JSON = dict[str, Any]
 
@@ -49,11 +51,12 @@ class _Pose(NamedTuple):
     distance_m: float
 
 
-def draw(config_dir: Path, seed: int, arm: str, world: DrawnWorld) -> Drawn:
+def draw(config_dir: Path, seed: int, arm: str, world: DrawnWorld, unturned: Array | None = None) -> Drawn:
     """The scenario of ``seed`` on ``arm``, a name of ``arms/`` or a directory.
 
-    ``shown`` counts what was drawn and not kept: ``unreachable`` and ``unseen``. Raises ConfigurationError
-    for an unknown arm, or when no draw of many can be done.
+    ``unturned``: places (n, 3) in O that the tool is driven to as it stands, not turned parallel to the
+    object; they are within reach too. ``shown`` counts what was drawn and not kept: ``unreachable`` and
+    ``unseen``. Raises ConfigurationError for an unknown arm, or when no draw of many can be done.
     """
     files = arm_overrides(config_dir, arm)
     settings = load_settings(config_dir, files)
@@ -66,7 +69,7 @@ def draw(config_dir: Path, seed: int, arm: str, world: DrawnWorld) -> Drawn:
     while unreachable + unseen < _TRIES:
         pose = _posed(rng, settings)
         scene = merged(_scene(rng, pose), beside.get("scene", {}))
-        if not _reached(pose, settings.arm, leg_m):
+        if not _reached(pose, settings.arm, _goals(pose, leg_m, unturned)):
             unreachable += 1
         elif not _in_view(pose, usual.scene, scene):
             unseen += 1
@@ -167,32 +170,42 @@ def _vector_deg(R: Array) -> list[float]:
 
 
 def _goal(pose: _Pose, X_TM: Array) -> tuple[Array, Array]:
-    """X_WT turned parallel to the object where it stands, and at the object with 0.1 m of clearance."""
+    """X_WT turned parallel to the object where it stands, and at the object with clearance."""
     R_WT = pose.X_WO[:3, :3] @ X_TM[:3, :3].T
     turned = transform(R_WT, pose.X_WT[:3, 3])
-    clearance = R_WT @ pose.X_TC[:3, :3] @ np.array([0.0, 0.0, 0.1])  # along the camera's axis
+    clearance = R_WT @ pose.X_TC[:3, 2] * _CLEARANCE_M  # along the camera's axis
     return turned, transform(R_WT, pose.X_WO[:3, 3] - clearance)
 
 
-def _reached(pose: _Pose, arm: NominalArm, leg_m: float) -> bool:
-    table, branch = dh_table(arm.dh), np.radians(pose.start_deg)
-    limits = np.radians([[joint.lower_deg, joint.upper_deg] for joint in arm.joints])
+def _goals(pose: _Pose, leg_m: float, unturned: Array | None) -> list[Array]:
+    """X_WT that are driven to: turned parallel, ``leg_m`` behind that along each axis, at ``unturned``
+    places, and last at the object.
+    """
     turned, goal = _goal(pose, transform(np.diag([1.0, -1.0, -1.0]), np.zeros(3)))
     back = turned.copy()
     back[:3, 3] -= turned[:3, :3] @ np.full(3, leg_m)
-    for X in (turned, back, goal):
+    clearance = (pose.X_WT @ pose.X_TC)[:3, 2] * _CLEARANCE_M
+    places = np.zeros((0, 3)) if unturned is None else unturned
+    tools = places @ pose.X_WO[:3, :3].T + pose.X_WO[:3, 3] - clearance
+    return [turned, back, *(transform(pose.X_WT[:3, :3], p_WT) for p_WT in tools), goal]
+
+
+def _reached(pose: _Pose, arm: NominalArm, goals: list[Array]) -> bool:
+    table, branch = dh_table(arm.dh), np.radians(pose.start_deg)
+    limits = np.radians([[joint.lower_deg, joint.upper_deg] for joint in arm.joints])
+    for X in goals:
         verdict, q, _, _ = joint_angles(table, X[:3, :3].copy(), X[:3, 3].copy(), branch)
         if verdict != REACHED or np.any(q < limits[:, 0] + _JOINT_MARGIN):
             return False
-        if np.any(q > limits[:, 1] - _JOINT_MARGIN) or abs(q[4]) < math.radians(6.0):
+        if np.any(q > limits[:, 1] - _JOINT_MARGIN) or abs(q[4]) < _WRIST_BENT:
             return False
         box = arm.workspace
         for value, (low, high) in zip(X[:3, 3], (box.x_m, box.y_m, box.z_m), strict=True):
             if not low + 0.1 < value < high - 0.1:
                 return False
     # what bends downwards must still be within the boom's reach
-    stretched = goal.copy()
-    stretched[:3, 3] += 0.1 * goal[:3, 3] / np.linalg.norm(goal[:3, 3])
+    stretched = goals[-1].copy()
+    stretched[:3, 3] += 0.1 * stretched[:3, 3] / np.linalg.norm(stretched[:3, 3])
     return bool(joint_angles(table, stretched[:3, :3].copy(), stretched[:3, 3].copy(), branch)[0] == REACHED)
 
 

@@ -107,7 +107,7 @@ def hole_drive_tasks(request: CampaignRequest, settings: HoleDriveSettings) -> l
 
 def hole_drive(config_dir: Path, task: JSON) -> JSON:
     """The row of one machine. Raises MeasurementFailed where it sees no hole."""
-    settings = _settings(config_dir, task)
+    settings = hole_scenario(config_dir, task)
     rig = LockstepRig(settings, task["seed"], RunLog())
     rig.command("enable")
     places = hole_places(settings.scene.wall)
@@ -123,8 +123,11 @@ def hole_drive(config_dir: Path, task: JSON) -> JSON:
     return row | {"seen": len(targets)} | ends | missing
 
 
-def _settings(config_dir: Path, task: JSON) -> Settings:
-    """The scenario of a seed of the best mode, nine holes where its markers would be."""
+def hole_scenario(config_dir: Path, task: JSON) -> Settings:
+    """The scenario of a seed of the best mode, nine holes where its markers would be.
+
+    The arm reaches those that are driven to with the tool as it stands: a visit does not turn it first.
+    """
     rng = np.random.default_rng([task["seed"], _STREAM])
     grid = [(0.0, 0.0)] + [
         (x, y) for y in (0.17, 0.0, -0.17) for x in (-0.2, 0.0, 0.2) if (x, y) != (0.0, 0.0)
@@ -140,7 +143,8 @@ def _settings(config_dir: Path, task: JSON) -> Settings:
         for place in grid
     ]
     scene = {"object_of_interest": {"markers": []}, "wall": {"drill_holes": holes}}
-    return settings_of(config_dir, task, {"scene": scene})
+    wanted = np.array([[*hole["centre_m"], 0.0] for hole in holes[: task["holes"]]])
+    return settings_of(config_dir, task, {"scene": scene}, wanted)
 
 
 def _clicked(rig: LockstepRig, places: Array, wanted: int) -> list[tuple[str, Array]]:

@@ -6,6 +6,10 @@ import numpy as np
 import pytest
 import typer
 
+from controller.core.kinematics.denavit_hartenberg import dh_table, tool_pose
+from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
+from plant_emulator.core.camera.scene import R_WO_FACING_ARM
+from plant_emulator.core.camera.wall.bores import hole_places
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Finished
 from testbed.campaigns.typed_rows import typed
@@ -15,6 +19,7 @@ from testbed.experiments.targets.hole_drives import (
     HoleDriveSettings,
     hole_drive_table,
     hole_drive_verdict,
+    hole_scenario,
 )
 from testbed.experiments.targets.one_look import (
     TARGETS,
@@ -105,6 +110,26 @@ def test_what_was_refused_counts_as_not_told_and_a_wrong_answer_fails() -> None:
     assert checks["click on a bare wall, 2: wrong answers"].met is False
     assert target_table(finished([*good, refused]))[0].row_count == 1
     assert TARGETS.runs == 200
+
+
+@pytest.mark.parametrize(("seed", "holes"), [(45666, 1), (5023, 9)])
+def test_the_arm_can_be_at_every_hole_that_is_driven_to_as_the_tool_stands(seed: int, holes: int) -> None:
+    task = {"seed": seed, "world": "lab", "arm": "plant", "holes": holes, "assignments": []}
+    settings = hole_scenario(CONFIGS, task)
+    start, table = np.radians(settings.plant.start_pose_deg), dh_table(settings.arm.dh)
+    X_WT, mount = tool_pose(table, start), settings.scene.mount
+    at, joints, box = settings.scene.object_of_interest, settings.arm.joints, settings.arm.workspace
+    R_WO = R_WO_FACING_ARM @ se3.exp_so3(np.radians(at.tilt_deg))
+    clearance = X_WT[:3, :3] @ se3.exp_so3(np.radians(mount.rotation_deg)) @ np.array([0.0, 0.0, 0.1])
+    for place in hole_places(settings.scene.wall)[:holes]:
+        goal = R_WO @ place + np.array(at.position_m) - clearance
+        verdict, q, _, _ = joint_angles(table, X_WT[:3, :3].copy(), goal, start)
+        assert verdict == REACHED
+        assert abs(q[4]) > np.radians(5.5), "the wrist is stretched: the controller would refuse it"
+        assert all(
+            joint.lower_deg < a < joint.upper_deg for joint, a in zip(joints, np.degrees(q), strict=True)
+        )
+        assert all(low < x < high for x, (low, high) in zip(goal, (box.x_m, box.y_m, box.z_m), strict=True))
 
 
 def test_a_hole_that_was_not_reached_is_outside() -> None:
