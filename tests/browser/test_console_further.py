@@ -1,5 +1,9 @@
-"""What the console does beside the procedure: emulated world, hand-eye calibration, trial of valves."""
+"""What the console does beside the procedure: emulated world, hand-eye calibration, trial of valves.
 
+And what it says of clicks and services that are no use.
+"""
+
+import contextlib
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -9,9 +13,13 @@ import pytest
 from playwright.sync_api import Browser, Page, Route, expect
 
 from foundation.rest.tokens import Role
+from protocol.faults import GroupState
 from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, launched
 from tests.browser.open_console import console, eventually, opened, serious
 from tests.vision_pc.shell.rest_server import served_bench
+from vision_pc.core.targets.keeper import KeptTarget
+from vision_pc.core.targets.measuring import Click
+from vision_pc.core.targets.target import TargetRefused
 
 pytestmark = [
     pytest.mark.realtime("processes"),
@@ -81,6 +89,65 @@ def test_an_emulator_that_hides_its_truth_and_allows_nothing_is_shown_as_nothing
         expect(page.locator("#truth-told")).to_be_hidden()
         expect(page.locator("#side-view path.ghost")).to_have_count(0)
         expect(page.locator("#restart-world")).to_have_count(0)
+
+
+CLICKS_IN_VAIN = {
+    "target.outside_picture": "target: 40 px from the picture's rim are wanted",
+    "target.frame_too_old": "target: picture 12 is no longer kept",
+    "target.low_texture": "target: the surface is bare",
+    "target.ambiguous": "target: 3 places look alike",
+    "target.not_planar": "target: what is there is no plane",
+    "target.hidden": "target: the tool is before it",
+}
+
+
+def test_a_click_that_means_nothing_is_answered_in_words_and_nothing_moves(
+    browser: Browser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with served_bench() as (url, bench):
+        bench.eyes.picture_s = 0.5
+        causes = list(CLICKS_IN_VAIN)
+
+        async def refuse(click: Click, frame_id: int | None) -> KeptTarget:
+            raise TargetRefused(causes[0], CLICKS_IN_VAIN[causes[0]])
+
+        monkeypatch.setattr(bench.eyes, "target_at", refuse)
+        with opened(browser, url, viewport={"width": 1280, "height": 844}) as page:
+            expect(page.locator("#left")).to_have_attribute("data-frame", re.compile("[1-9]"))
+            while causes:
+                page.locator("#left").click(force=True)  # the overlay above it lets clicks rise
+                told = f"{CLICKS_IN_VAIN[causes[0]]} ({causes[0]})"
+                expect(page.locator("#answer")).to_contain_text(told, timeout=WITHIN_MS)
+                causes.pop(0)
+            expect(page.locator("#target-rows li.aimed")).to_contain_text("the object’s markers")
+            expect(page.locator("#answer")).to_be_in_viewport()
+            is_state(page, "standby")
+    assert bench.controller.group is GroupState.STANDBY
+
+
+def test_who_clicks_while_another_operator_works_is_told_so(browser: Browser) -> None:
+    with served_bench() as (url, bench), opened(browser, url) as page:
+        bench.eyes.picture_s = 0.5
+        bench.eyes.look_s = 3.0
+        expect(page.locator("#left")).to_have_attribute("data-frame", re.compile("[1-9]"))
+        other = httpx.post(f"{url}/operations/orientation-adjustment", json={})
+        assert other.status_code == 202, other.text
+        page.locator("#left").click(force=True)  # the overlay above it lets clicks rise
+        expect(page.locator("#answer")).to_contain_text("(refused.busy)", timeout=WITHIN_MS)
+        assert httpx.get(f"{url}/targets").json() == {"targets": []}
+
+
+def test_a_page_left_open_goes_on_when_its_service_has_begun_anew(browser: Browser) -> None:
+    with contextlib.ExitStack() as outer:
+        with served_bench() as (url, _):
+            page = outer.enter_context(opened(browser, url))
+            is_state(page, "standby")
+        expect(page.locator("#chips")).to_contain_text("no word from the vision PC", timeout=WITHIN_MS)
+        with served_bench(enabled=False, port=httpx.URL(url).port or 0):
+            is_state(page, "disabled")  # what is told is the new service's
+            expect(page.locator("html")).not_to_have_class("stale", timeout=WITHIN_MS)
+            hold(page, "#enable")
+            is_state(page, "standby")
 
 
 def test_hand_eye_and_the_trial_of_valves_are_on_the_page(browser: Browser) -> None:

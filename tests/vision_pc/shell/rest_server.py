@@ -32,9 +32,12 @@ def served_bench(
     tokens: Mapping[Role, bytes] = MappingProxyType({}),
     link_timeout_ms: int = 30_000,  # this machine may be busy
     emulator_face: str = "",
+    port: int = 0,
 ) -> Iterator[tuple[str, Bench]]:
-    """Its URL, and what it works on; ``add`` adds routes of the test's own; ``tokens``: who is asked."""
-    listening = socket.create_server(("127.0.0.1", 0), backlog=512)
+    """Its URL, and what it works on; ``add`` adds routes of the test's own; ``tokens``: who is asked;
+    ``port``: 0 for any.
+    """
+    listening = socket.create_server(("127.0.0.1", port), backlog=512)
     started, leave = threading.Event(), threading.Event()
     benches: list[Bench] = []
 
