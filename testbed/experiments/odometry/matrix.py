@@ -28,6 +28,7 @@ from testbed.experiments.odometry.verdict import (
     matrix_table,
     matrix_verdict,
 )
+from testbed.reporting.console import out
 from testbed.reporting.trajectory_errors import trajectory_errors
 from vision_pc.config.vision import RectifiedPairSettings, VisionConfig
 from vision_pc.core.odometry.segments import SegmentedOdometry
@@ -52,7 +53,10 @@ def matrix_tasks(request: CampaignRequest, settings: MatrixSettings) -> list[Tas
             "configuration.unknown_kind", f"--kind {unknown[0]}: one of {every} is wanted"
         )
     chosen = settings.kind or (*KINDS, *REAL_KINDS)
-    real = [name for name in chosen if name in REAL_KINDS and settings.real and available()]
+    real = [name for name in chosen if name in REAL_KINDS and settings.real]
+    if real and not available():
+        out.print("real pictures are left out: LONGREACH_DATA names no directory with them", style="yellow")
+        real = []
     return [
         {
             "key": f"{name}-{seed}-{settings.pairs}" + ("" if settings.peer else "-alone"),

@@ -134,13 +134,21 @@ def test_tasks_and_verdict_name_every_kind() -> None:
     good = MatrixRow("wall", 5, 40, 40, 1, "", 1.0, 1.0, 1.0, 0, 0, 6.0, 20.0, nan, nan, nan, nan, nan)
     useless = good._replace(kind="swapped", located=0, nees=nan)
     assert all(c.met is not False for c in _checks([good, useless]))
-    assert [c.found for c in _checks([good]) if c.what == "real pictures"] == ["not there: LONGREACH_DATA"]
     moved = good._replace(kind="real_rest", seed=0, wrong=1)
     assert [c.what for c in _checks([good, moved]) if c.met is False] == [
         "real: wrong and not told, of 40 pairs"
     ]
     for worse in (good._replace(wrong=1), good._replace(nees=60.0), useless._replace(located=3)):
         assert [c.met for c in _checks([good, useless, worse])].count(False) == 1
+
+
+def test_real_pictures_that_are_not_there_are_left_out_aloud(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("LONGREACH_DATA", str(tmp_path))
+    request = CampaignRequest(CONFIGS, tmp_path, runs=1, seed=5)
+    assert not matrix_tasks(request, MatrixSettings(kind=["real_rest"]))
+    assert "real pictures are left out: LONGREACH_DATA" in capsys.readouterr().out
 
 
 def _checks(rows: list[MatrixRow]) -> list[Check]:

@@ -26,6 +26,7 @@ _KEPT = 3  # keyframes whose patches are kept: 4 MB each
 _NOWHERE = np.zeros((0, 2))
 _FEW = 0.5  # of the points that should be seen: fewer may not bring about a motion that nobody foresaw
 _DOUBTED_SHARE = 0.05  # of a second motion: what was outvoted may be the world
+_DOUBTED_TOLERANCE = 0.35  # of ``ransac_px``: one pose can hold the world and what is slow for many pictures
 _SECOND_POINTS = 12  # at least, of a second motion
 _LEAST_NOISE_PX = 0.03  # what matching leaves even in clean pictures
 
@@ -84,6 +85,7 @@ class Localiser:
         self._readout = readout
         self._first_twist: Array | None = None
         self._doubted = doubted
+        self._ransac_px = settings.ransac_px * (_DOUBTED_TOLERANCE if doubted else 1.0)
 
     def localise(
         self,
@@ -184,7 +186,7 @@ class Localiser:
             tvec=X_CC0[:3, 3].reshape(3, 1).copy(),
             useExtrinsicGuess=True,
             iterationsCount=100,
-            reprojectionError=self._settings.ransac_px / float(self._camera.left.K[0, 0]),
+            reprojectionError=self._ransac_px / float(self._camera.left.K[0, 0]),
             confidence=0.999,
         )
         flags = np.zeros(len(points), dtype=bool)

@@ -123,7 +123,7 @@ class StereoOdometry:
     @property
     def _on_probation(self) -> bool:
         """Whether two motions that nothing tells apart may have been in the map from its beginning."""
-        return bool(self._settings.prior_floor_px) and self._located < _PROBATION
+        return bool(self._settings.prior_floor_px) and (self._doubted or self._located < _PROBATION)
 
     def _pairs(self, found: PoseEstimate) -> PointPairs:
         """The points of ``found`` that both eyes see."""
