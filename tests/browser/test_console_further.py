@@ -101,8 +101,9 @@ CLICKS_IN_VAIN = {
 }
 
 
+@pytest.mark.parametrize("width", [390, 1280])
 def test_a_click_that_means_nothing_is_answered_in_words_and_nothing_moves(
-    browser: Browser, monkeypatch: pytest.MonkeyPatch
+    browser: Browser, monkeypatch: pytest.MonkeyPatch, width: int
 ) -> None:
     with served_bench() as (url, bench):
         bench.eyes.picture_s = 0.5
@@ -112,7 +113,7 @@ def test_a_click_that_means_nothing_is_answered_in_words_and_nothing_moves(
             raise TargetRefused(causes[0], CLICKS_IN_VAIN[causes[0]])
 
         monkeypatch.setattr(bench.eyes, "target_at", refuse)
-        with opened(browser, url, viewport={"width": 1280, "height": 844}) as page:
+        with opened(browser, url, viewport={"width": width, "height": 844}) as page:
             expect(page.locator("#left")).to_have_attribute("data-frame", re.compile("[1-9]"))
             while causes:
                 page.locator("#left").click(force=True)  # the overlay above it lets clicks rise
