@@ -20,7 +20,7 @@ from vision_pc.core.calibration.orientation import adjust_orientation
 from vision_pc.core.ports import ArmView
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult, look_then_move_corrected
 from vision_pc.core.positioning.foreseen_end import seen_end
-from vision_pc.core.positioning.learned_servo import after_fine_corrections
+from vision_pc.core.positioning.learned_servo import after_fine_corrections, worth_correcting
 from vision_pc.core.positioning.look_then_move import Ended
 from vision_pc.core.se3 import Array, transform
 from vision_pc.core.types import Look, WatchSample
@@ -152,14 +152,25 @@ def test_turns_of_the_joints_are_found_again_in_the_step_they_make() -> None:
     assert np.allclose(q[:3] - Q_START[:3], turns, atol=1e-5)
 
 
+def _stopped(ends: Array, thresholds: list[float]) -> Array:
+    """Of drawn ends (n, drives, 2) the one that is kept: the first nearer than its threshold, or the last."""
+    inside = np.linalg.norm(ends, axis=2) <= [*thresholds, np.inf]
+    return np.asarray(ends[np.arange(len(ends)), inside.argmax(axis=1)])
+
+
 @pytest.mark.parametrize("spread_mm", [0.3, 0.8, 2.0])
 def test_what_fine_corrections_leave_is_what_drawn_ones_leave(spread_mm: float) -> None:
-    rng = np.random.default_rng(3)
-    ends = rng.normal(0.0, 1e-3 * spread_mm, (20_000, 5, 2))
-    inside = np.linalg.norm(ends, axis=2) <= 1e-3
-    last = np.where(inside.any(axis=1), inside.argmax(axis=1), 4)
-    left = ends[np.arange(len(ends)), last]
-    assert after_fine_corrections(1e-6 * spread_mm**2, 1e-3, 5) == pytest.approx(left.var(), rel=0.03)
+    """And no thresholds that are wider or narrower throughout leave less, but by the nudge's own floor."""
+    variance, nudge, drives = 1e-6 * spread_mm**2, 6e-4, 5
+    ends = np.random.default_rng(3).normal(0.0, 1e-3 * spread_mm, (40_000, drives, 2))
+    thresholds = [worth_correcting(variance, nudge, left) for left in range(drives - 1, 0, -1)]
+    assert min(thresholds) >= nudge
+    assert thresholds == sorted(thresholds)  # with fewer drives left more is kept
+    left = _stopped(ends, thresholds).var()
+    assert after_fine_corrections(variance, nudge, drives) == pytest.approx(left, rel=0.03)
+    for factor in (0.7, 1.4):
+        others = [max(nudge, factor * threshold) for threshold in thresholds]
+        assert left < 1.01 * _stopped(ends, others).var()
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.03, -0.02])

@@ -27,7 +27,7 @@ from vision_pc.core.calibration.local_error_model import (
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.positioning.expected_end import ExpectedEnd
 from vision_pc.core.positioning.foreseen_end import Wanted, foreseen_end, seen_end
-from vision_pc.core.positioning.learned_servo import expected_left
+from vision_pc.core.positioning.learned_servo import expected_left, servo_spread, worth_correcting
 from vision_pc.core.positioning.look_then_move import (
     Ended,
     PositioningResult,
@@ -85,7 +85,7 @@ async def look_then_move_corrected(
     residuals = [goal_K - p_CM]
     far = float(np.linalg.norm(residuals[0])) > map_settings.near_m
     parts = 2 if far and settings.corrections else 1
-    while _needs_another_motion(residuals, parts, settings, map_settings):
+    while _needs_another_motion(residuals, parts, track, settings, map_settings):
         fitted = fit_error_model(track, p_CM, dimensions, map_settings)
         x, covariance = solve_step(fitted, residuals[-1])
         share = map_settings.first_share if len(steps) + 1 < parts else 1.0
@@ -109,22 +109,32 @@ async def look_then_move_corrected(
 
 
 def _needs_another_motion(
-    residuals: list[Array], parts: int, settings: PositioningSettings, map_settings: LocalErrorModelSettings
+    residuals: list[Array],
+    parts: int,
+    track: LocalTrack,
+    settings: PositioningSettings,
+    map_settings: LocalErrorModelSettings,
 ) -> bool:
     """Whether a further drive is due after the ``residuals`` (3,) before it, as odometry saw them.
 
     The first ``parts`` motions make up the whole way. After them fine corrections follow while the residual
-    is outside ``nudge_m``, until a few in a row were of no use: the first may have gone into backlash.
+    is outside ``nudge_m``, and where drives adapt also worth another one after what they left in ``track``;
+    until a few in a row were of no use: the first may have gone into backlash.
     """
     drives = len(residuals) - 1
+    left = settings.corrections + 1 - drives
     if drives < parts:
         return True
+    if left < 1:
+        return False
     sizes = [math.hypot(residual[0], residual[1]) for residual in residuals[parts:]]
     useless = len(sizes) - 1 - int(np.argmin(sizes))
     adaptive = map_settings.adaptive
-    most = adaptive.useless if adaptive.enabled else _USELESS
-    enough = adaptive.nudge_m if adaptive.enabled else settings.nudge_m
-    return drives <= settings.corrections and sizes[-1] > enough and useless < most
+    most, enough = _USELESS, settings.nudge_m
+    if adaptive.enabled:
+        variance = servo_spread(track, map_settings).variance
+        most, enough = adaptive.useless, worth_correcting(variance, adaptive.nudge_m, left)
+    return sizes[-1] > enough and useless < most
 
 
 def _in_words(residual: Array) -> str:

@@ -2,7 +2,7 @@
 
 One unknown scale of the configured spread, with an inverse-gamma prior worth a few drives. Each drive that
 was to end at the goal gives its miss by odometry. Joints that were seen not to answer in a band widen the
-prior. What is left after fine corrections then follows from the spread and the threshold they stop at.
+prior. When fine corrections stop, and what is left after them, follows from the spread.
 """
 
 import math
@@ -59,17 +59,25 @@ def expected_left(track: LocalTrack, dimensions: BoomDimensions, settings: Local
     return np.asarray(boom_levers(track.X_BT_now, dimensions) @ mean)
 
 
-def after_fine_corrections(variance: float, nudge_m: float, drives: int) -> float:
-    """Variance m² in x and y of the end when drives of that ``variance`` repeat until within ``nudge_m``.
+def worth_correcting(variance: float, nudge_m: float, drives: int) -> float:
+    """The distance m in x and y beyond which one of ``drives`` further drives is expected to end nearer.
 
-    With ``drives`` of them at most; the last one stands. Two directions, alike and normal: a drive ends
-    inside with probability 1 − exp(−n²/2), n the threshold in standard deviations.
+    At least ``nudge_m``. Loose steel may fall to its other side in a drive of less than a millimetre: where
+    drives leave more than there is, the end stays as it is.
     """
-    half = 0.5 * nudge_m**2 / variance
-    outside = math.exp(-half)
-    if outside > 1.0 - 1e-9:
-        return variance
-    within = variance * (1.0 - half * outside / (1.0 - outside))  # of those inside
-    never = outside**drives
-    beyond = variance * (1.0 + half)
-    return (1.0 - never) * within + never * beyond
+    return max(nudge_m, math.sqrt(2.0 * after_fine_corrections(variance, nudge_m, drives)))
+
+
+def after_fine_corrections(variance: float, nudge_m: float, drives: int) -> float:
+    """Variance m² in x and y of the end when drives of that ``variance`` repeat while that is worth it.
+
+    With ``drives`` of them at most; the last one stands. Optimal stopping: the square of an end's distance is
+    exponential (two directions, alike and normal), and one that is below what the other drives are expected
+    to leave, or below ``nudge_m``, is kept.
+    """
+    kept = 0.5 * nudge_m**2 / variance
+    share = 1.0  # of the variance, that the last drive leaves
+    for _ in range(drives - 1):
+        enough = max(kept, share)
+        share = 1.0 - math.exp(-enough) * (1.0 + enough - share)
+    return variance * share
