@@ -107,6 +107,7 @@ CHOICES = {
     "vision.programs.positioning.corrections": "a choice",
     "vision.programs.looking_and_moving.*": "choices and limits of a loop",
     "vision.programs.local_map.leg_m": "a choice",
+    "vision.programs.local_map.at_rest.pictures": "a choice",
     "vision.programs.local_map.*_limit_m": "a limit",
     "vision.programs.local_map.near_m": "a limit",
     "vision.hand_eye.marker_*": "another marker's, printed on it",
