@@ -173,6 +173,20 @@ def test_what_fine_corrections_leave_is_what_drawn_ones_leave(spread_mm: float) 
         assert left < 1.01 * _stopped(ends, others).var()
 
 
+@pytest.mark.parametrize(("missed_mm", "corrected"), [(0.1, True), (4.0, False)])
+async def test_an_end_is_corrected_only_where_drives_leave_less(missed_mm: float, corrected: bool) -> None:
+    """The same arm and object, whose way in two parts ends outside the nudge; what drives left differs."""
+    arm = BandedRig(10, [3e-3, 1.5e-3, 1.2e-3])
+    await adjust_orientation(arm, arm, silent, PROGRAMS.orientation)
+    track = await record_local_track(arm, arm, silent, settings(), BOOM)
+    misses = 1e-3 * missed_mm * np.random.default_rng(1).choice([-1.0, 1.0], (12, 3))
+    positioning, local_map = PROGRAMS.positioning, settings(nudge_m=3e-4)
+    result = await look_then_move_corrected(
+        arm, arm, silent, positioning, local_map, BOOM, track._replace(misses=misses)
+    )
+    assert (len(result.positioning.steps) > 2) is corrected
+
+
 @pytest.mark.parametrize("late_s", [0.0, 0.03, -0.02])
 def test_a_camera_that_is_late_is_found_in_the_legs(late_s: float) -> None:
     """Pictures show where the tool was ``late_s`` before their stamp; nothing else is wrong but noise."""

@@ -49,3 +49,12 @@ def test_what_is_known_exactly_is_certain() -> None:
     assert expected_end(np.zeros(3), tight, 5e-3).inside == pytest.approx(1.0)
     assert expected_end(np.array([6e-3, 0.0, 0.0]), tight, 5e-3).inside == 0.0
     assert expected_end(np.array([0.0, 6e-3, 0.0]), tight, 5e-3).inside == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("freedom", [38.0, math.inf])
+def test_a_probability_never_passes_one(freedom: float) -> None:
+    """Sums of its nodes do, by a rounding, for some spreads."""
+    tight = [std * std * np.eye(2) for std in np.linspace(2e-4, 9e-4, 40)]
+    told = [probability_inside(np.array([8e-5, -6e-5]), spread, 5e-3, freedom) for spread in tight]
+    assert max(told) <= 1.0
+    assert min(told) > 0.99

@@ -68,7 +68,8 @@ def ellipse_level(freedom: float, share: float = 0.95) -> float:
 
 def probability_inside(mean: Array, covariance: Array, limit: float, freedom: float = math.inf) -> float:
     """Probability that both of two errors with ``mean`` (2,), ``covariance`` (2, 2) are within ±``limit``."""
-    return float(np.mean([_normal(mean, covariance * size, limit) for size in _sizes(freedom)]))
+    share = float(np.mean([_normal(mean, covariance * size, limit) for size in _sizes(freedom)]))
+    return min(share, 1.0)  # the nodes' sum may pass it by a rounding
 
 
 @lru_cache(maxsize=64)
