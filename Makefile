@@ -20,7 +20,7 @@ PROCESSES ?= 2
 FOREIGN_TOOLS := mbpoll tshark gcc
 BROWSERS := chromium chromium-browser google-chrome
 
-.PHONY: help setup setup-dev demo test pythons coverage foreign-tools peers browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
+.PHONY: help setup setup-dev demo test pythons coverage foreign-tools peers viewer browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -67,6 +67,10 @@ foreign-tools:  ## Debian's mbpoll, tshark and C compiler, which some tests use 
 	|| { echo "foreign tools:$$missing could not be installed; their tests are skipped" >&2; exit 1; }
 
 peers: $(PEERS_STAMP)  ## readers and detectors of others, which some tests and benchmarks ask too (two are GPL: never in a dependency)
+
+viewer: $(RUN_STAMP)  ## Foxglove Studio 1.48, in which the tests look at recordings (needs npm; 179 MB, not shipped)
+	@test -d $(VENV)/viewer || $(BIN)/python -m tools.foxglove_studio.fetch $(VENV)/viewer \
+	|| { echo "viewer: not fetched; recordings are NOT looked at in it" >&2; exit 1; }
 
 browser:  ## Debian's Chromium, in which the tests try the console (root or sudo)
 	@for name in $(BROWSERS); do if command -v $$name > /dev/null; then echo "browser: $$name is there"; exit 0; fi; done; \

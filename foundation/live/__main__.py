@@ -1,8 +1,9 @@
 """The live face as a process: of the service that started it, or shared by several.
 
 ``python -m foundation.live own LISTENER LINK NAME`` takes over two sockets, and ends when the service does;
-``python -m foundation.live shared NAME PORT`` serves on loopback, without a token, whoever of this user
-connects to the abstract socket NAME, until it is asked to end. Other settings come as JSON on stdin.
+``python -m foundation.live shared NAME PORT ORIGIN…`` serves on loopback, without a token, whoever of this
+user connects to the abstract socket NAME, until it is asked to end; pages of each ORIGIN may look. Other
+settings come as JSON on stdin.
 """
 
 import argparse
@@ -12,6 +13,7 @@ import signal
 import socket
 import struct
 import sys
+from collections.abc import Sequence
 
 from foundation.event_log import EventLog, process_log
 from foundation.live.face import LiveFace
@@ -35,8 +37,8 @@ async def _own(
         await face.fed(reader, writer)
 
 
-async def _shared(name: str, port: int, log: EventLog) -> None:
-    settings = LiveSettings(port=port)
+async def _shared(name: str, port: int, origins: Sequence[str], log: EventLog) -> None:
+    settings = LiveSettings(port=port, allowed_origins=tuple(origins))
     stop = asyncio.Event()
     when_asked_to_end(stop.set)
     face = LiveFace(access_of(settings, "live"), log, "longreach: vision, controller, and the plant's truth")
@@ -77,8 +79,8 @@ def main() -> int:
     with process_log("live") as log:
         try:
             if arguments.whose == "shared":
-                name, port = arguments.sockets
-                asyncio.run(_shared(name, int(port), log))
+                name, port, *origins = arguments.sockets
+                asyncio.run(_shared(name, int(port), origins, log))
                 return 0
             # A signal to the whole process group reaches the service too, which then closes its end.
             for number in (signal.SIGINT, signal.SIGTERM):

@@ -11,11 +11,12 @@ class LiveSettings(StrictModel):
 
     ``port``: none: there is no such face; 0: any free one. ``allowed_hosts``: names that it may be called by
     beside loopback and ``host``; ``allowed_origins``: of pages that may connect, such as
-    ``https://viewer.example``. ``tokens``: who may look; compulsory where ``host`` is not loopback.
+    ``https://viewer.example``; viewers that are programs of their own are pages in a file, which no site can
+    claim to be. ``tokens``: who may look; compulsory where ``host`` is not loopback.
     """
 
     host: str = Field("127.0.0.1", min_length=1)
     port: int | None = Field(None, ge=0, le=65535)
     allowed_hosts: tuple[HostName, ...] = ()
-    allowed_origins: tuple[str, ...] = ()
+    allowed_origins: tuple[str, ...] = ("file://",)
     tokens: TokenSources = TokenSources()

@@ -126,5 +126,6 @@ def prepare(
 
     services = tuple(map(service, (PLANT, CONTROLLER, VISION)))
     if foxglove is not None:
-        services += (Service(LIVE, "foundation.live", ("shared", feeds, str(foxglove)), session),)
+        shown_to = ("shared", feeds, str(foxglove), *settings.vision.live.allowed_origins)
+        services += (Service(LIVE, "foundation.live", shown_to, session),)
     return launch._replace(services=services)

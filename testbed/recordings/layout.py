@@ -1,6 +1,7 @@
 """A layout for viewers of the Foxglove family: the scene in 3D, the picture with outlines, plots, the log."""
 
 import json
+from collections.abc import Sequence
 from typing import Any
 
 from controller.shell import scan_recorder as controller
@@ -35,24 +36,42 @@ def topics_shown() -> dict[str, set[str]]:
 def layout_text() -> str:
     """The layout file."""
     plots = {f"Plot!{number}": _plot(title, paths) for number, (title, paths) in enumerate(PLOTS.items())}
-    right: Any = _SCENE
-    left: Any = _PICTURE
-    for panel in plots:
-        left = {"first": left, "second": panel, "direction": "column", "splitPercentage": 45}
     panels = {_SCENE: _scene(), _PICTURE: _picture(), _LOG: {"topicToRender": vision.LOG}, **plots}
-    below = {"first": right, "second": _LOG, "direction": "column", "splitPercentage": 75}
-    tree = {"first": left, "second": below, "direction": "row", "splitPercentage": 45}
-    document = {"configById": panels, "globalVariables": {}, "userNodes": {}, "layout": tree}
+    left = _beside("column", [_PICTURE, *plots], [34.0, *[66.0 / len(plots)] * len(plots)])
+    tree = _beside("row", [left, _beside("column", [_SCENE, _LOG], [78.0, 22.0])], [40.0, 60.0])
+    viewer = {"globalVariables": {}, "userNodes": {}, "playbackConfig": {"speed": 1.0}}
+    document = {"configById": panels, "layout": tree, **viewer}
     return json.dumps(document, indent=2) + "\n"
 
 
+def _beside(direction: str, panels: Sequence[Any], shares: Sequence[float]) -> Any:
+    """A tree of splits in which each panel has its share of the whole."""
+    if len(panels) == 1:
+        return panels[0]
+    rest = _beside(direction, panels[1:], shares[1:])
+    percent = round(100.0 * shares[0] / sum(shares), 1)
+    return {"first": panels[0], "second": rest, "direction": direction, "splitPercentage": percent}
+
+
 def _scene() -> dict[str, Any]:
-    topics = {topic: {"visible": True} for topic in (plant.SCENE, vision.PATH)}
+    """Seen from beside the wall. Every frame's parent is the world: lines to it would hide the arm."""
     return {
         "followTf": scene_messages.WORLD,
         "followMode": "follow-none",
-        "topics": topics,
-        "scene": {"transforms": {"labelSize": 0.1, "axisScale": 0.3}},
+        "cameraState": {
+            "perspective": True,
+            "distance": 9.0,
+            "phi": 68.0,
+            "thetaOffset": 25.0,
+            "target": [0.0, 0.0, 0.0],
+            "targetOffset": [2.0, 0.0, 1.0],
+            "targetOrientation": [0.0, 0.0, 0.0, 1.0],
+            "fovy": 45.0,
+            "near": 0.05,
+            "far": 500.0,
+        },
+        "topics": {topic: {"visible": True} for topic in (plant.SCENE, vision.PATH)},
+        "scene": {"transforms": {"labelSize": 0.06, "axisScale": 0.3, "lineWidth": 0.0}},
     }
 
 
@@ -67,4 +86,5 @@ def _plot(title: str, paths: tuple[str, ...]) -> dict[str, Any]:
         {"value": path, "enabled": True, "timestampMethod": "receiveTime", "color": _COLOURS[number % 6]}
         for number, path in enumerate(paths)
     ]
-    return {"title": title, "paths": curves, "showLegend": True, "isSynced": True, "showXAxisLabels": True}
+    legend = {"showLegend": True, "legendDisplay": "left", "sidebarDimension": 200}
+    return {"title": title, "paths": curves, "isSynced": True, "showXAxisLabels": True, **legend}

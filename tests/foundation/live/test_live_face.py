@@ -18,6 +18,8 @@ from foundation.event_log import EventLog
 from foundation.live import wire
 from foundation.live.face import VIEWERS_MAX, LiveFace
 from foundation.live.feed import LiveFeed
+from foundation.live.opening import access_of
+from foundation.live.settings import LiveSettings
 from foundation.recording.mcap_file import Entries, Topic
 from foundation.recording.messages import MessageField, format_of, message_class
 from foundation.recording.recording_thread import RecordSink
@@ -187,6 +189,16 @@ async def test_what_is_no_subscription_is_told_and_harms_nothing(tmp_path: Path,
         await viewer.connection.send(said)
         await viewer.until(lambda each: len(each.statuses) == 1)
         await viewer.until(lambda each: len(each.channels) == 3)
+
+
+async def test_a_viewer_on_the_desk_is_served(tmp_path: Path) -> None:
+    """To its own engine it is a page in a file. One that a browser opened says null."""
+    async with fed(tmp_path, access_of(LiveSettings(), "live")) as rig:
+        async with watching(rig.port, origin="file://") as viewer:
+            assert viewer.info
+        with pytest.raises(InvalidStatus):
+            async with watching(rig.port, origin="null"):
+                pass
 
 
 async def test_pages_of_others_are_refused(tmp_path: Path) -> None:
