@@ -3,7 +3,10 @@
 Numbers are part of the written protocol: never renumber, only append.
 """
 
+import math
 from enum import IntEnum
+
+from protocol.errors import RequestRefused
 
 
 class GroupState(IntEnum):
@@ -183,6 +186,16 @@ REASON_TEXTS: dict[Reason, str] = {
     Reason.BAD_TAG: "in BYE: the tag of HELLO is not the one of its content",
 }
 
+# The unit of "v" and "l", where they always have the same one.
+REASON_UNITS: dict[Reason, str] = {
+    Reason.OUTSIDE_WORKSPACE: "m",
+    Reason.JOINT_LIMIT: "rad",
+    Reason.UNREACHABLE: "m",
+    Reason.TOO_FAR: "m",
+    Reason.BAD_DURATION: "s",
+    Reason.STALE: "s",
+}
+
 FAULT_TEXTS: dict[FaultCode, str] = {
     FaultCode.NONE: "no fault",
     FaultCode.PLANT_LINK_LOST: "the fieldbus did not answer, or did not echo the controller's cycle",
@@ -202,3 +215,18 @@ FAULT_TEXTS: dict[FaultCode, str] = {
     FaultCode.PLANT_STATUS: "the plant reports a fault in its status word",
     FaultCode.REFERENCE_STALE: "no fresh reference came in time while streamed ones were followed",
 }
+
+
+def refusal(what: str, reason: Reason, value: float, limit: float) -> RequestRefused:
+    """The exception for a refused ``what``, in words for people; its cause is ``refused.`` and the reason."""
+    words = reason.name.lower()
+    numbers = f": {_measured(reason, value)}, limit {_measured(reason, limit)}" if value or limit else ""
+    return RequestRefused(f"refused.{words}", f"{what} refused: {words.replace('_', ' ')}{numbers}")
+
+
+def _measured(reason: Reason, number: float) -> str:
+    """Angles are told in degrees, as everywhere on the faces for people."""
+    unit = REASON_UNITS.get(reason)
+    if unit == "rad":
+        return f"{math.degrees(number):.2f} deg"
+    return f"{number:g} {unit}" if unit else f"{number:g}"

@@ -12,8 +12,8 @@ from typing import NamedTuple
 from protocol.channel import LinkStatistics
 from protocol.client_session import ReferenceClient
 from protocol.clock_offset import OffsetEstimate
-from protocol.errors import LinkLost, RequestRefused
-from protocol.faults import CommandCode, Reason
+from protocol.errors import LinkLost
+from protocol.faults import CommandCode, Reason, refusal
 from protocol.reference_messages import Acknowledgement, Command, Request, State, StreamedPose, StreamRefused
 from protocol.session_events import (
     AcknowledgementReceived,
@@ -195,7 +195,8 @@ class ReferenceLink:
         acknowledgement = await self.ask(request)
         already = isinstance(request, Command) and acknowledgement.reason is Reason.ALREADY_DONE
         if acknowledgement.reason is not Reason.ACCEPTED and not already:
-            raise refusal(request, acknowledgement)
+            what = request.code.name.lower() if isinstance(request, Command) else type(request).__name__
+            raise refusal(what, acknowledgement.reason, acknowledgement.value, acknowledgement.limit)
         return acknowledgement
 
     async def ask(self, request: Request) -> Acknowledgement:
@@ -272,11 +273,3 @@ class ReferenceLink:
         self._reconnect_ns = self._clock.now_ns + _RECONNECT_NS
         for command_id, answer in self._answers.items():
             self._answers[command_id] = self.not_connected() if answer is None else answer
-
-
-def refusal(request: Request, answer: Acknowledgement) -> RequestRefused:
-    """The exception for a refusing acknowledgement; its cause is ``refused.`` and the controller's reason."""
-    reason = answer.reason.name.lower()
-    what = request.code.name.lower() if isinstance(request, Command) else type(request).__name__
-    numbers = f": {answer.value:g}, limit {answer.limit:g}" if answer.value or answer.limit else ""
-    return RequestRefused(f"refused.{reason}", f"{what} refused: {reason.replace('_', ' ')}{numbers}")

@@ -3,7 +3,7 @@
 import numpy as np
 
 from protocol.errors import RequestRefused
-from protocol.faults import GroupState
+from protocol.faults import GroupState, refusal
 from protocol.reference_messages import FLAG_SETTLED, FLAG_STREAMING, State, StreamedPose
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.core.ports import ArmView
@@ -44,20 +44,16 @@ class ArmStream:
 
         A state that does not name the stream's motion was under way when the stream was opened.
         """
-        refusal = self._link.refusal_of(self.stream_id)
+        refused = self._link.refusal_of(self.stream_id)
         state = self._link.state
         self._begun |= state.motion_id == self.stream_id
         if self._begun:
             refuse_broken(state)
             if not state.flags & FLAG_STREAMING or state.motion_id != self.stream_id:
                 raise RequestRefused("refused.not_streaming", "the controller has ended the stream")
-        if refusal is not None:
-            reason = refusal.reason.name.lower()
-            raise RequestRefused(
-                f"refused.{reason}",
-                f"streamed reference {refusal.number} refused: {reason.replace('_', ' ')}: "
-                f"{refusal.value:g}, limit {refusal.limit:g}",
-            )
+        if refused is not None:
+            what = f"streamed reference {refused.number}"
+            raise refusal(what, refused.reason, refused.value, refused.limit)
 
 
 def refuse_broken(state: State) -> None:
