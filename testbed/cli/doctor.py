@@ -9,6 +9,7 @@ from rich.text import Text
 from foundation.configuration import parse_overrides
 from plant_emulator.shell.installed_faults import installed_faults
 from protocol.errors import ConfigurationError
+from testbed.arms.check import check_arm
 from testbed.realtime import doctor
 from testbed.realtime.arm_check import arm_check
 from testbed.realtime.doctor import HealthCheck
@@ -48,6 +49,7 @@ def _all_checks(config_dir: Path, overrides: Overrides, runs: Path) -> Iterator[
         return  # told above; without a configuration there are no ports to look at
     yield _peers_check(settings)
     yield arm_check(settings.arm, settings.vision.link)
+    yield _drawing_check(settings)
     for use in ports_in_use(settings):
         yield doctor.port_check(use)
 
@@ -60,6 +62,14 @@ def _extensions_check() -> HealthCheck:
     found = "; ".join(wrong or names) or "none"
     advice = "mend or uninstall the package; the rest works without it" if wrong else ""
     return HealthCheck("extensions", "warning" if wrong else "ok", found, advice)
+
+
+def _drawing_check(settings: Settings) -> HealthCheck:
+    """Whether arm.yaml draws the machine that is emulated; a real one needs no plant.yaml."""
+    wrong = [one for one in check_arm(settings) if one.verdict != "ok"]
+    found = "; ".join(f"{one.name}: {one.found}" for one in wrong) or "as the emulated machine is built"
+    advice = "longreach arm check tells which keys; a drawing of a real machine may differ" if wrong else ""
+    return HealthCheck("drawing", "warning" if wrong else "ok", found, advice)
 
 
 def _peers_check(settings: Settings) -> HealthCheck:

@@ -1,6 +1,8 @@
 """The doctor finds what is there and names what is wrong."""
 
+import json
 import os
+import shutil
 import socket
 import tomllib
 from pathlib import Path
@@ -8,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from foundation.configuration import read_yaml
+from testbed.cli.doctor import examine
 from testbed.realtime import doctor
 from testbed.realtime.ports import PortUse
 from tests.support.paths import ROOT
@@ -82,3 +85,22 @@ def test_a_wrong_configuration_file_is_quoted(tmp_path: Path) -> None:
     assert check.verdict == "failed"
     assert "plant.yaml" in check.found
     assert "\n" not in check.found
+
+
+def test_a_drawing_that_is_not_of_the_machine_is_named_and_no_shipped_arm_is(tmp_path: Path) -> None:
+    """A longer boom in arm.yaml alone is a valid file, and sends the tool 0.2 m beside."""
+    configs = tmp_path / "configs"
+    shutil.copytree(ROOT / "configs", configs)
+    assert drawing(configs, tmp_path)["verdict"] == "ok"
+    assert drawing(configs / "arms" / "rock_breaker", tmp_path)["verdict"] == "ok"
+    arm = configs / "arm.yaml"
+    arm.write_text(arm.read_text().replace("a_m: 1.5999981865314723", "a_m: 1.80"))
+    told = drawing(configs, tmp_path)
+    assert (told["verdict"], told["found"]) == ("warning", "boom: drawn 1.8 m, built 1.6 m")
+
+
+def drawing(configs: Path, tmp_path: Path) -> dict[str, str]:
+    figures = tmp_path / "doctor.json"
+    examine(configs, [], tmp_path / "runs", figures)
+    (row,) = (row for row in json.loads(figures.read_text())["checks"] if row["name"] == "drawing")
+    return row  # type: ignore[no-any-return]
