@@ -100,6 +100,7 @@ def look_json(judged: JudgedLook) -> JSON:
             "frames": look.frames,
             "failed_tool": look.failed_tool,
             "failed_object": look.failed_object,
+            "by_outline": look.by_outline,
             "std_tool_mm": xyz(look.std_tool_m),
             "std_object_mm": xyz(look.std_object_m),
             "std_tool_deg": degrees(look.std_tool_rad),

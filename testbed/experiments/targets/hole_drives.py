@@ -9,6 +9,7 @@ from rich.table import Table
 from typer import Option
 
 from plant_emulator.core.camera.wall.bores import hole_places
+from plant_emulator.core.faults.kinds import MarkerCovered
 from protocol.errors import LongreachError, MeasurementFailed
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, seeds
@@ -41,6 +42,7 @@ class HoleDriveSettings(NamedTuple):
     assignments: Assignments = None
     adapting: Adapting = False
     commissioned: Commissioned = False
+    bare_tool: Annotated[bool, Option(help="The tool's marker is covered after one look.")] = False
 
 
 class HoleEnd(NamedTuple):
@@ -99,7 +101,7 @@ def hole_drive_tasks(request: CampaignRequest, settings: HoleDriveSettings) -> l
             "arm": settings.arm,
             "holes": settings.holes,
             "assignments": settings.assignments or [],
-            **{name: True for name in ("adapting", "commissioned") if getattr(settings, name)},
+            **{name: True for name in ("adapting", "commissioned", "bare_tool") if getattr(settings, name)},
         }
         for seed in seeds(request)
     ]
@@ -113,6 +115,8 @@ def hole_drive(config_dir: Path, task: JSON) -> JSON:
     places = hole_places(settings.scene.wall)
     row = {name: task[name] for name in ("seed", "world", "arm", "holes")}
     targets = _clicked(rig, places, task["holes"])
+    if task.get("bare_tool"):
+        _bare_tool(rig, targets[0][0])
     ends = {
         f"hole{number}": _visited(rig, target, place) for number, (target, place) in enumerate(targets, 1)
     }
@@ -162,6 +166,14 @@ def _clicked(rig: LockstepRig, places: Array, wanted: int) -> list[tuple[str, Ar
         (run(rig.camera.target_at(Click("left", pixel, "hole"), None)).id, hole) for pixel, hole in chosen
     ]
     return [(target, places[hole]) for target, hole in made]
+
+
+def _bare_tool(rig: LockstepRig, target: str) -> None:
+    """One look with the tool's marker, which nobody sees after it: no marker is left in any picture."""
+    rig.camera.targets.aim(target)
+    run(rig.camera.look())
+    number = rig.world.settings.scene.tool_marker.marker_id
+    rig.world.plant.inject(MarkerCovered(marker_id=number, share=1.0))
 
 
 def _visited(rig: LockstepRig, target: str, place_O: Array) -> HoleEnd:

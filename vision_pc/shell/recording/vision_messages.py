@@ -133,7 +133,7 @@ LookMessage = message_class(
         *_place("CM"),
         *_place("CO"),
         *_several("X_CM", "X_CO", "X_BT", "cov_CM", "cov_CO", "frame_cov_CM", "frame_cov_CO"),
-        *_integers("frames", "failed_tool", "failed_object"),
+        *_integers("frames", "failed_tool", "failed_object", "by_outline"),
         *map(MessageField, _OFFSET),
     ],
 )
