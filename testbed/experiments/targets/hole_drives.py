@@ -114,17 +114,15 @@ def hole_drive(config_dir: Path, task: JSON) -> JSON:
     rig.command("enable")
     places = hole_places(settings.scene.wall)
     row = {name: task[name] for name in ("seed", "world", "arm", "holes")}
-    targets = _clicked(rig, places, task["holes"])
-    if task.get("bare_tool"):
-        _bare_tool(rig, targets[0][0])
-    ends = {
-        f"hole{number}": _visited(rig, target, place) for number, (target, place) in enumerate(targets, 1)
-    }
-    missing = {
-        f"hole{number}": HoleEnd(failure="target.no_hole")
-        for number in range(len(targets) + 1, task["holes"] + 1)
-    }
-    return row | {"seen": len(targets)} | ends | missing
+    ends: dict[int, HoleEnd] = {}
+    while targets := _clicked(rig, places, task["holes"], set(ends)):
+        if task.get("bare_tool") and not ends:
+            _bare_tool(rig, targets[0][0])
+        ends |= {hole: _visited(rig, target, places[hole]) for target, hole in targets}
+    if not ends:
+        raise MeasurementFailed("target.no_hole", "hole-drives: no hole is seen from the start pose")
+    every = [*ends.values(), *[HoleEnd(failure="target.no_hole")] * (task["holes"] - len(ends))]
+    return row | {"seen": len(ends)} | {f"hole{number}": end for number, end in enumerate(every, 1)}
 
 
 def hole_scenario(config_dir: Path, task: JSON) -> Settings:
@@ -151,21 +149,19 @@ def hole_scenario(config_dir: Path, task: JSON) -> Settings:
     return settings_of(config_dir, task, {"scene": scene}, wanted)
 
 
-def _clicked(rig: LockstepRig, places: Array, wanted: int) -> list[tuple[str, Array]]:
-    """Targets with the true places in O of their holes: as many as are wanted and seen, the middle one first.
+def _clicked(rig: LockstepRig, places: Array, wanted: int, driven: set[int]) -> list[tuple[str, int]]:
+    """Targets and which holes they are: as many as are wanted and seen, the middle one first.
 
-    Raises MeasurementFailed (``target.no_hole``) for none.
+    None of the holes ``driven`` to again: one that the tool hid is clicked from another place.
     """
     truth = rig.world.plant.truth()
     true_C = places @ truth.R_CO.T + truth.p_CO
     seen = [(pixel, int(np.linalg.norm(true_C - p_C, axis=1).argmin())) for pixel, p_C in rig.holes()]
-    if not seen:
-        raise MeasurementFailed("target.no_hole", "hole-drives: no hole is seen from the start pose")
-    chosen = sorted(seen, key=lambda hole: hole[1])[:wanted]
-    made = [
+    new = sorted((hole for hole in seen if hole[1] not in driven), key=lambda hole: hole[1])
+    chosen = new[: wanted - len(driven)]
+    return [
         (run(rig.camera.target_at(Click("left", pixel, "hole"), None)).id, hole) for pixel, hole in chosen
     ]
-    return [(target, places[hole]) for target, hole in made]
 
 
 def _bare_tool(rig: LockstepRig, target: str) -> None:
