@@ -17,6 +17,7 @@ from protocol.faults import GroupState
 from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, launched
 from tests.browser.open_console import console, eventually, opened, serious
 from tests.vision_pc.shell.rest_server import served_bench
+from vision_pc.application.ports import Seen
 from vision_pc.core.targets.keeper import KeptTarget
 from vision_pc.core.targets.measuring import Click
 from vision_pc.core.targets.target import TargetRefused
@@ -186,3 +187,19 @@ def hold_in_vain(page: Page, button: str) -> None:
     page.mouse.down()
     page.wait_for_timeout(800)
     page.mouse.up()
+
+
+def test_a_tool_without_its_marker_is_told(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
+    with served_bench() as (url, bench):
+        bench.eyes.picture_s = 0.5
+        plain = bench.eyes.seen
+
+        def unread() -> Seen | None:
+            found = plain()
+            if found is None:
+                return None
+            return found._replace(observation=found.observation._replace(by_outline=True))
+
+        monkeypatch.setattr(bench.eyes, "seen", unread)
+        with opened(browser, url) as page:
+            expect(page.locator("#seen-told")).to_contain_text("tool by its outline, marker unread")

@@ -131,6 +131,7 @@ def seen_json(seen: Seen | None) -> JSON:
         "X_CO": None if found.X_CO is None else pose_json(found.X_CO),
         "missing_tool": found.missing_tool,
         "missing_object": found.missing_object,
+        "by_outline": found.by_outline,
         "stereo_offset_px": None if offset is None else [offset.x_px, offset.y_px],
         "stereo_offset_std_px": None if offset is None else [offset.std_x_px, offset.std_y_px],
     }  # fmt: skip

@@ -128,7 +128,8 @@ function words(overlay) {
   const of = (name, axes) => (axes ? `${name} seen` : `▲ ${name} ${(overlay.missing[name] ?? 'not_seen').replaceAll('_', ' ')}`);
   const residual = Math.max(...overlay.markers.map((marker) => marker.residual_px), 0);
   const error = overlay.error_mm ? ` · off by ${overlay.error_mm.map((mm) => signed(mm, 1)).join(' ')} mm` : '';
-  return `${of('tool', overlay.tool)} · ${of('object', overlay.object)} · ${residual.toFixed(2)} px${error}`;
+  const tool = overlay.by_outline ? '▲ tool by its outline, marker unread' : of('tool', overlay.tool);
+  return `${tool} · ${of('object', overlay.object)} · ${residual.toFixed(2)} px${error}`;
 }
 
 const open = (points) => `M${points.map((point) => point.join(' ')).join('L')}`;
