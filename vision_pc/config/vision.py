@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from foundation.configuration import HostName, StrictModel, configuration_hash
 from foundation.live.settings import LiveSettings
@@ -19,6 +19,18 @@ from vision_pc.config.programs import ProgramSettings
 from vision_pc.config.targets import TargetSettings
 
 Positive = Annotated[float, Field(gt=0.0)]
+
+
+def _ordered(sides: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    x_min, y_min, x_max, y_max = sides
+    if not (x_min < x_max and y_min < y_max):
+        raise ValueError(
+            f"{list(sides)} must be x_min, y_min, x_max, y_max with each minimum below its maximum"
+        )
+    return sides
+
+
+Rectangle = Annotated[tuple[float, float, float, float], AfterValidator(_ordered)]
 
 # Keys that this file once had: all of the arm's dimensions are derived from arm.yaml.
 _MOVED_TO_ARM = ("programs.local_map.arm", "hand_eye.arm.links", "hand_eye.wrist_to_tool_m")
@@ -36,8 +48,8 @@ class ToolMarkerSettings(StrictModel):
 
     id: int = Field(ge=0, le=999)
     size_m: float = Field(gt=0.005, le=2.0)
-    carried_m: tuple[tuple[float, float, float, float], ...] = ()
-    outline_m: tuple[tuple[float, float, float, float], ...] = ()
+    carried_m: tuple[Rectangle, ...] = ()
+    outline_m: tuple[Rectangle, ...] = ()
     outline_limit_px: float = Field(1.5, gt=0.0, le=4.0)
 
 

@@ -16,7 +16,7 @@ from tests.support.paths import CONFIGS
 from vision_pc.config.vision import MarkerSettings
 from vision_pc.core.perception import intrinsics, look
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, FrameObservation, Image, StereoPair
+from vision_pc.core.types import CameraCalibration, FrameObservation, Image, StereoPair, ToolPieces
 
 _COVERED = MarkerCovered(marker_id=0, share=1.0)
 Change = Callable[[Image], Image]
@@ -25,9 +25,9 @@ Change = Callable[[Image], Image]
 class Pictures:
     """Of an arm at rest: some that show the marker, and some after a fault."""
 
-    def __init__(self, fault: Fault, seed: int = 1) -> None:
-        settings = load_settings(CONFIGS, {})
-        rig = LockstepRig(settings, seed, RunLog())
+    def __init__(self, fault: Fault, wall_seed: int = 1) -> None:
+        settings = load_settings(CONFIGS, {"scene": {"wall": {"texture_seed": wall_seed}}})
+        rig = LockstepRig(settings, 1, RunLog())
         rig.command("enable")
         self.camera: CameraCalibration = intrinsics.calibration(settings.vision.camera)
         self.settings: MarkerSettings = settings.vision.markers
@@ -131,6 +131,38 @@ def test_an_outline_that_tells_one_direction_is_not_learnt(covered: Pictures) ->
     seen = covered.seen(covered.settings.model_copy(update={"tool": tool}))
     assert seen[4].tool is None
     assert seen[-1].missing_tool == "not_seen"
+
+
+def blank_from(share: float, pieces: ToolPieces) -> Change:
+    """A picture that is even to the right of where ``share`` of the outline's pieces are."""
+    column = int(np.quantile(pieces.middles[:, 0], share))
+
+    def change(image: Image) -> Image:
+        changed = image.copy()
+        changed[:, column:] = 120
+        return changed
+
+    return change
+
+
+@pytest.mark.parametrize(("share", "known"), [(0.8, True), (0.55, False), (0.45, False)])
+def test_enough_of_the_outline_must_be_there(covered: Pictures, share: float, known: bool) -> None:
+    taught = covered.seen()[4].tool
+    assert taught is not None
+    left, right = (blank_from(share, pieces) for pieces in taught.outlines)
+    seen = covered.seen(left=left, right=right)[5:]
+    assert [each.missing_tool for each in seen] == [None if known else "not_seen"] * 5
+
+
+def test_what_is_no_outline_of_the_tool_is_not_believed(covered: Pictures) -> None:
+    """A drawing of another tool: what is learnt along it belongs to the wall, and is gone before another."""
+    wall = ((-0.16, -0.30, 0.20, 0.16),)
+    tool = covered.settings.tool.model_copy(update={"outline_m": wall})
+    other = Pictures(_COVERED, wall_seed=99)
+    other.before = covered.before
+    seen = other.seen(covered.settings.model_copy(update={"tool": tool}))
+    assert seen[4].tool is not None
+    assert [each.missing_tool for each in seen[5:]] == ["not_seen"] * 5
 
 
 def test_nothing_is_known_where_nothing_is_seen() -> None:

@@ -28,6 +28,7 @@ _CONTRAST = 10.0  # grey levels between both sides
 _CLEAR = 1.6  # times as steep as any other place in reach
 _FEWEST = 8  # pieces in an eye
 _SHARE = 0.5  # of those that were taught must be found
+_VAGUE_PX = 0.25  # [D] standard deviation of a shift that is not worth having
 _ROUNDS = 6  # of Tukey's weights
 _TUKEY = 4.7
 _SINGULAR = 1e12  # condition of a fit that means nothing
@@ -90,7 +91,8 @@ def remembered(
 
 
 def shifts(memory: ToolMemory, pair: StereoPair) -> tuple[OutlineShift, OutlineShift] | None:
-    """How the outline has moved in the left and the right eye, None where too little of it is found."""
+    """How the outline has moved in the left and the right eye, None where too little of it
+    is found, or its pieces disagree."""
     found = [
         _shift(image, outline)
         for image, outline in zip((pair.left, pair.right), memory.outlines, strict=True)
@@ -243,4 +245,6 @@ def _shift(image: Image, outline: ToolPieces) -> OutlineShift | None:
         weights = np.maximum(1.0 - (residuals / (_TUKEY * spread)) ** 2, 0.0) ** 2
     covariance = spread**2 * np.linalg.inv(information)
     std_px = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    if std_px > _VAGUE_PX:
+        return None
     return OutlineShift(np.asarray(x[:2], dtype=np.float64), float(x[2]), about, std_px)
