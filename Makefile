@@ -20,7 +20,7 @@ PROCESSES ?= 2
 FOREIGN_TOOLS := mbpoll tshark gcc
 BROWSERS := chromium chromium-browser google-chrome
 
-.PHONY: help setup setup-dev demo test pythons coverage foreign-tools peers viewer browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
+.PHONY: help setup setup-dev demo test pythons coverage foreign-tools peers viewer prometheus browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -71,6 +71,10 @@ peers: $(PEERS_STAMP)  ## readers and detectors of others, which some tests and 
 viewer: $(RUN_STAMP)  ## Foxglove Studio 1.48, in which the tests look at recordings (needs npm; 179 MB, not shipped)
 	@test -d $(VENV)/viewer || $(BIN)/python -m tools.foxglove_studio.fetch $(VENV)/viewer \
 	|| { echo "viewer: not fetched; recordings are NOT looked at in it" >&2; exit 1; }
+
+prometheus: $(RUN_STAMP)  ## Debian's Prometheus, unpacked and not installed, which the tests let read the figures
+	@test -x $(VENV)/prometheus/usr/bin/prometheus || { cd $(VENV) && apt-get download -qq prometheus && dpkg-deb -x prometheus_*.deb prometheus && rm prometheus_*.deb; } \
+	|| { echo "prometheus: not fetched; nothing reads the figures" >&2; exit 1; }
 
 browser:  ## Debian's Chromium, in which the tests try the console (root or sudo)
 	@for name in $(BROWSERS); do if command -v $$name > /dev/null; then echo "browser: $$name is there"; exit 0; fi; done; \
