@@ -70,6 +70,17 @@ def jog(page: Page) -> None:
     raise AssertionError("no jog was accepted")
 
 
+def test_the_row_back_to_the_first_pose_says_when_the_newest_move_was_a_jog(browser: Browser) -> None:
+    with console(browser) as (page, _, _url):
+        hold(page, "#enable")
+        is_state(page, "standby")
+        jog(page)
+        note(page, "home", "jog: done")
+        hold(page, "#start-home")
+        row = page.locator('#procedure li[data-kind="home"] .note')
+        expect(row).to_have_text(re.compile("^done"), timeout=WITHIN_MS)
+
+
 def test_stop_ends_a_motion_by_click_and_by_key(browser: Browser) -> None:
     with console(browser) as (page, bench, url):
         bench.controller.speed = 0.0001  # 20 mm take minutes: nothing ends before it is stopped

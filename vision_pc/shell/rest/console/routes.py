@@ -168,6 +168,7 @@ def _operation_json(operation: Operation) -> JSON:
         "id": operation.id,
         "kind": operation.kind,
         "state": operation.state.value,
+        "request": operation.request,
         "progress": round(operation.progress, 4),
         "note": operation.note,
         "started_at": operation.started_at,

@@ -157,7 +157,8 @@ function showStep(step, line, busy) {
   bar.hidden = !runs;
   if (runs) { if (last.progress === null) bar.removeAttribute('value'); else bar.value = last.progress; }
   const note = line.querySelector('.note');
-  write(note, last ? words(last) : hint(step));
+  const other = step.kind === 'home' && last?.request && !last.request.X_BT; // a jog is a move too
+  write(note, last ? (other ? 'jog: ' : '') + words(last) : hint(step));
   note.classList.toggle('failed', last?.state === 'failed');
 }
 
