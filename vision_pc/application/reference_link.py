@@ -6,6 +6,7 @@ be interpolated through the link's clock offset. Datagrams are carried by a tran
 nothing here opens a socket or waits anywhere else.
 """
 
+import re
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -195,7 +196,7 @@ class ReferenceLink:
         acknowledgement = await self.ask(request)
         already = isinstance(request, Command) and acknowledgement.reason is Reason.ALREADY_DONE
         if acknowledgement.reason is not Reason.ACCEPTED and not already:
-            what = request.code.name.lower() if isinstance(request, Command) else type(request).__name__
+            what = _words(request.code.name if isinstance(request, Command) else type(request).__name__)
             raise refusal(what, acknowledgement.reason, acknowledgement.value, acknowledgement.limit)
         return acknowledgement
 
@@ -273,3 +274,8 @@ class ReferenceLink:
         self._reconnect_ns = self._clock.now_ns + _RECONNECT_NS
         for command_id, answer in self._answers.items():
             self._answers[command_id] = self.not_connected() if answer is None else answer
+
+
+def _words(name: str) -> str:
+    """``EMERGENCY_STOP`` and ``ReferencePose`` as people write them."""
+    return re.sub(r"_|(?<=[a-z])(?=[A-Z])", " ", name).lower()

@@ -82,7 +82,7 @@ class StillRig:
     async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
         why = self.refuse(X_BT_ref)
         if why is not None:
-            raise RequestRefused(f"refused.{why}", f"ReferencePose refused: {why.replace('_', ' ')}")
+            raise RequestRefused(f"refused.{why}", f"reference pose refused: {why.replace('_', ' ')}")
         self.moves.append(X_BT_ref)
         self.X_BT = X_BT_ref
         noise = self._rng.normal(size=6) * np.repeat(self._robot, 3)
