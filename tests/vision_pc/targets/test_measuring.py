@@ -9,6 +9,7 @@ from tests.vision_pc.targets.wall_scene import (
     DIAMETER,
     HOLES,
     SIZE,
+    VISION,
     X_CM,
     WallScene,
     before_the_wall,
@@ -16,6 +17,7 @@ from tests.vision_pc.targets.wall_scene import (
     scene,
 )
 from vision_pc.core import se3
+from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.targets import plane_patch
 from vision_pc.core.targets.measuring import Click, KnownTarget, again, at_click, holes
@@ -189,3 +191,33 @@ def test_a_known_target_behind_the_tool_is_hidden(face: WallScene) -> None:
     with pytest.raises(TargetRefused) as caught:
         again(face.sighted(), known)
     assert caught.value.cause == "target.hidden"
+
+
+@pytest.mark.parametrize("eye", ["left", "right"])
+def test_a_click_on_the_tool_is_refused_however_well_the_tool_itself_could_be_measured(
+    face: WallScene, eye: str
+) -> None:
+    for place in ((0.0, 0.0), (0.05, -0.05), (-0.07, 0.0), (0.0, -0.08)):  # marker, plate, its rim, bracket
+        p = se3.apply(X_CM, np.array([[*place, 0.0]]))
+        pixel = intrinsics.project(getattr(CAMERA, eye), p)[0]
+        for kind in ("auto", "plane", "hole", "template"):
+            told = refused(face.sighted(), Click(eye, pixel, kind))  # type: ignore[arg-type]
+            assert (told.cause, str(told)) == ("target.hidden", "target: the tool is before it")
+
+
+def test_what_the_tool_hides_from_the_other_eye_is_refused(face: WallScene) -> None:
+    hidden = static_pixels(X_CM, VISION.markers.tool, CAMERA)
+    tried = 0
+    for x in np.arange(0.06, 0.24, 0.04):
+        for y in (-0.25, -0.30, -0.35):
+            (u, v), (u_right, v_right) = (face.pixel(x, y, eye).astype(int) for eye in ("left", "right"))
+            assert hidden[0][v, u]
+            assert not hidden[1][v_right, u_right]
+            told = refused(face.sighted(), Click("left", face.pixel(x, y), "plane"))
+            tried += told.cause in (
+                "target.no_match",
+                "target.ambiguous",
+                "target.low_texture",
+                "target.depth_edge",
+            )
+    assert tried == 15

@@ -1,6 +1,7 @@
 """Targets measured: at a click, all holes of a picture, and one that is known already once more."""
 
 import math
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -79,6 +80,7 @@ def at_click(sighted: Sighted, click: Click) -> TargetObservation:
         return _at_left_again(sighted, click)
     pair, camera = sighted.pair, sighted.believed
     row_matching.refuse_outside(click.pixel, camera)
+    _refuse_hidden(sighted, camera, (click.pixel,), 0)
     depths = sighted.settings.depths_m
     if click.other is not None:
         depth = row_matching.depth_of(camera, click.pixel, click.other)
@@ -253,14 +255,21 @@ def _visible(sighted: Sighted, camera: CameraCalibration, known: KnownTarget) ->
     pixels = [intrinsics.project(eye, known.X_CO[None, :3, 3])[0] for eye in (camera.left, camera.right)]
     for pixel in pixels:
         row_matching.refuse_outside(pixel, camera)
-    X_CM = sighted.observation.X_CM
-    if X_CM is not None:
-        masks = static_pixels(X_CM, sighted.markers.tool, camera)
-        for mask, (u, v) in zip(masks, pixels, strict=True):
-            left, top, right, bottom = _region(u, v, _HIDDEN_RADIUS_PX, camera)
-            if not mask[top:bottom, left:right].all():
-                raise TargetRefused("target.hidden", "target: the tool is before it")
+    _refuse_hidden(sighted, camera, pixels, _HIDDEN_RADIUS_PX)
     return np.asarray(pixels[0])
+
+
+def _refuse_hidden(
+    sighted: Sighted, camera: CameraCalibration, pixels: Sequence[Array], radius_px: int
+) -> None:
+    """Raises TargetRefused where an eye sees the tool at its pixel (2,); ``pixels``: the left eye's first."""
+    X_CM = sighted.observation.X_CM
+    if X_CM is None:
+        return
+    for mask, pixel in zip(static_pixels(X_CM, sighted.markers.tool, camera), pixels, strict=False):
+        left, top, right, bottom = _region(pixel[0], pixel[1], radius_px, camera)
+        if not mask[top:bottom, left:right].all():
+            raise TargetRefused("target.hidden", "target: the tool is before it")
 
 
 def _on_plane(sighted: Sighted, camera: CameraCalibration, plane: PlanePatch) -> TargetObservation:
@@ -367,7 +376,12 @@ def _at_left_again(sighted: Sighted, click: Click) -> TargetObservation:
             right=believed.left._replace(X_CE=se3.inverse(believed.right.X_CE)),
         )
     pair = sighted.pair._replace(left=sighted.pair.right, right=sighted.pair.left)
-    told = sighted.observation._replace(errors=None, offset=offset and offset._replace(x_px=0.0, y_px=0.0))
+    X_CM = sighted.observation.X_CM
+    told = sighted.observation._replace(
+        X_CM=None if X_CM is None else se3.inverse(X_CR) @ X_CM,
+        errors=None,
+        offset=offset and offset._replace(x_px=0.0, y_px=0.0),
+    )
     seen = at_click(
         sighted._replace(pair=pair, camera=exchanged, observation=told), click._replace(eye="left")
     )

@@ -61,11 +61,15 @@ def match(pair: StereoPair, camera: CameraCalibration, pixel: Array, depths_m: t
         raise TargetRefused(cause, f"target: correlation {best:.2f}, at least {_LEAST} is wanted")
     alike = found.scores > found.scores[0] - _MARGIN
     if alike.sum() > 1:
-        raise _ambiguous(camera, ray, found.places[alike], "places of the right picture look alike")
+        raise _ambiguous(
+            camera, ray, found.places[alike], f"{alike.sum()} places look alike in the other eye"
+        )
     back = _peaks(pair.left, _template(pair.right, found.places[0]), _way_back(pixel, ends))
     alike = back.scores > back.scores[0] - _MARGIN if len(back.scores) else np.zeros(0, dtype=bool)
     if alike.sum() != 1 or np.abs(back.places[0] - pixel).max() > _BACK:
-        raise _ambiguous(camera, ray, found.places[:1], "the way back from the right eye leads elsewhere")
+        raise _ambiguous(
+            camera, ray, found.places[:1], "the other eye's place for it lies elsewhere in this one"
+        )
     return Match(found.places[0], float(found.scores[0]), _inverse_depth(camera, ray, found.places[0]))
 
 
@@ -86,7 +90,7 @@ def _ambiguous(camera: CameraCalibration, ray: Array, places: Array, why: str) -
         inverse = _inverse_depth(camera, ray, place)
         if inverse > 0.0:
             candidates.append(Candidate((float(place[0]), float(place[1])), ray / inverse))
-    return TargetRefused("target.ambiguous", f"target: {len(places)} {why}", tuple(candidates))
+    return TargetRefused("target.ambiguous", f"target: {why}", tuple(candidates))
 
 
 def _template(image: Image, pixel: Array) -> Image:

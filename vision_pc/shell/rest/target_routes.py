@@ -8,6 +8,7 @@ from fastapi.responses import JSONResponse
 
 from foundation.rest.refusals import respond
 from vision_pc.application.application import VisionApplication
+from vision_pc.application.console.advice import advice
 from vision_pc.application.results import JSON
 from vision_pc.application.targets.view import ClickBody, candidate_json, hole_json, target_json
 from vision_pc.core.targets.keeper import KeptTarget
@@ -38,7 +39,8 @@ def _add_making(app: FastAPI, application: VisionApplication, operations: Operat
 
         422 says why not: ``target.ambiguous`` with ``candidates``, ``target.low_texture``,
         ``target.depth_edge``, ``target.not_planar``, ``target.outside_picture``, ``target.frame_too_old``,
-        ``target.no_match``, ``target.no_hole``, ``target.not_round``, ``target.wrong_size``.
+        ``target.no_match``, ``target.hidden``, ``target.no_hole``, ``target.not_round``,
+        ``target.wrong_size``; ``advice`` says what to do.
         """
         operations.refuse_busy()
         try:
@@ -46,7 +48,7 @@ def _add_making(app: FastAPI, application: VisionApplication, operations: Operat
         except TargetRefused as refused:
             candidates = [candidate_json(candidate) for candidate in refused.candidates]
             told = {"instance": request.url.path, "candidates": candidates}
-            return respond(problem_of(refused) | told)
+            return respond(problem_of(refused) | told | {"advice": advice(refused.cause)})
         document = _shown(application, kept)
         application.log.write("target_made", **document)
         return JSONResponse(document, HTTPStatus.CREATED, {"Location": f"/targets/{kept.id}"})

@@ -14,6 +14,7 @@ let targets = [];
 let holes = [];
 let asked = null; // the click that wants its place in the other eye: its body, and candidates
 let cross = null; // where keys have pointed
+let polling = false;
 let pressed = null; // where the button went down
 
 /** Has clicks make targets, where the service knows them. */
@@ -98,9 +99,10 @@ async function ask(body) {
   } else {
     const candidates = answer.document?.candidates ?? [];
     if (candidates.length) asked = { body, candidates };
-    say(`${answer.words}${candidates.length ? ' Click the same place in the right eye: the candidates are drawn there.' : ''}`, false);
+    const advice = candidates.length ? 'Click the same place in the right eye: the candidates are drawn there.' : answer.document?.advice;
+    say([answer.words, advice].filter(Boolean).join('. '), false);
   }
-  await poll();
+  await refresh();
 }
 
 async function find() {
@@ -111,10 +113,17 @@ async function find() {
   say(holes.length ? `${holes.length} holes found: click one to make it the target.` : 'No hole was found in this picture.', true);
 }
 
-async function poll() {
-  if (document.hidden) return;
+async function refresh() {
   const answer = await send('GET', '/targets');
   if (answer.ok) take(answer.document);
+}
+
+/** One request at a time: those that wait in vain must not take the connections that STOP needs. */
+async function poll() {
+  if (document.hidden || polling) return;
+  polling = true;
+  await refresh();
+  polling = false;
 }
 
 function take(document_) {
@@ -160,7 +169,7 @@ function act(button, method, path) {
   button.addEventListener('click', async () => {
     const answer = await send(method, path);
     if (!answer.ok) say(answer.words, false);
-    await poll();
+    await refresh();
   });
 }
 
