@@ -13,9 +13,10 @@ import pytest
 from playwright.sync_api import Browser, Page, Route, expect
 
 from foundation.rest.tokens import Role
-from protocol.faults import GroupState
+from protocol.faults import FaultCode, GroupState
 from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, launched
 from tests.browser.open_console import console, eventually, opened, serious
+from tests.browser.stranding_relay import stranding
 from tests.vision_pc.shell.rest_server import served_bench
 from vision_pc.application.ports import Seen
 from vision_pc.core.targets.keeper import KeptTarget
@@ -150,6 +151,64 @@ def test_a_page_left_open_goes_on_when_its_service_has_begun_anew(browser: Brows
             expect(page.locator("html")).not_to_have_class("stale", timeout=WITHIN_MS)
             hold(page, "#enable")
             is_state(page, "standby")
+
+
+HIDDEN = """(hidden) => {
+    Object.defineProperty(document, 'hidden', { value: hidden, configurable: true });
+    document.dispatchEvent(new Event('visibilitychange'));
+}"""
+
+
+def test_a_page_left_open_over_night_follows_nothing_and_is_up_to_date_in_the_morning(
+    browser: Browser,
+) -> None:
+    def with_clock(page: Page) -> None:
+        page.clock.install()
+
+    with served_bench() as (url, bench), opened(browser, url, with_clock) as page:
+        bench.eyes.picture_s = 0.5
+        is_state(page, "standby")
+        expect(page.locator("#left")).to_have_attribute("data-frame", re.compile("[1-9]"))
+        page.evaluate(HIDDEN, True)
+        shown = page.locator("#left").get_attribute("data-frame") or ""
+        asked: list[str] = []
+        page.on("request", lambda sent: asked.append(sent.url))
+        page.clock.fast_forward("08:00:00")
+        page.wait_for_timeout(1_000)
+        assert asked == []
+        expect(page.locator("html")).to_have_class("stale")
+        bench.controller.break_down(FaultCode.EMERGENCY_STOP)  # what has happened over night
+        page.evaluate(HIDDEN, False)
+        is_state(page, "error_stop")
+        expect(page.locator("html")).not_to_have_class("stale", timeout=WITHIN_MS)
+        expect(page.locator("#alarm-line")).to_contain_text("emergency")
+        expect(page.locator("#left")).not_to_have_attribute("data-frame", shown, timeout=WITHIN_MS)
+        expect(page.locator("#no-picture")).to_be_hidden()
+
+
+def test_streams_that_died_without_a_word_are_begun_anew_and_stop_is_heard_meanwhile(
+    browser: Browser,
+) -> None:
+    with served_bench() as (url, bench), stranding(httpx.URL(url).port or 0) as relay:
+        bench.eyes.picture_s = 0.5
+        bench.controller.speed = 0.0001
+        with opened(browser, relay.url) as page:
+            is_state(page, "standby")
+            expect(page.locator("#left")).to_have_attribute("data-frame", re.compile("[1-9]"))
+            moving = httpx.post(f"{url}/operations/move", json={"offset_tool_m": [0.02, 0.0, 0.0]})
+            assert moving.status_code == 202, moving.text
+            is_state(page, "moving")
+            assert relay.strand() >= 2
+            expect(page.locator("#chips")).to_contain_text("no word from the vision PC", timeout=WITHIN_MS)
+            page.keyboard.press("Escape")
+            expect(page.locator("#stop-told")).to_contain_text("stopped", timeout=WITHIN_MS)
+            eventually(lambda: bench.controller.group is GroupState.STANDBY, page)
+            relay.strand()
+            expect(page.locator("#chips")).to_contain_text("no word from the vision PC", timeout=WITHIN_MS)
+            expect(page.locator("html")).not_to_have_class("stale", timeout=WITHIN_MS)
+            is_state(page, "standby")
+            shown = page.locator("#left").get_attribute("data-frame") or ""
+            expect(page.locator("#left")).not_to_have_attribute("data-frame", shown, timeout=WITHIN_MS)
 
 
 def test_hand_eye_and_the_trial_of_valves_are_on_the_page(browser: Browser) -> None:

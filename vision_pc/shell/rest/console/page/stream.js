@@ -1,4 +1,4 @@
-// The two streams of the page. Each begins anew when it breaks; neither runs while nobody sees the page.
+// The two streams of the page. Each begins anew when it breaks or falls silent; neither runs while nobody sees the page.
 
 import { ask } from './api.js';
 
@@ -7,6 +7,7 @@ const STATE = '/events';
 const PICTURES = '/camera/live';
 const MOST = { [STATE]: 3, [PICTURES]: 2 }; // in all windows of a browser, which has six connections to a service
 const YIELDED_MS = 1500;
+const SILENT_MS = { [STATE]: 5000, [PICTURES]: 10_000 }; // a stream may stand for ever after the computer has slept
 const yields = []; // what has each stream of this page end for a while
 const windows = new BroadcastChannel('longreach-console');
 windows.addEventListener('message', (event) => yieldHere(event.data));
@@ -45,16 +46,25 @@ function follow(path, read, lost) {
     const ended = new AbortController();
     running = ended;
     while (!ended.signal.aborted) {
+      const silence = new AbortController();
+      let silent = null;
+      const listen = () => {
+        clearTimeout(silent);
+        silent = setTimeout(() => silence.abort(), SILENT_MS[path]);
+      };
       try {
         await withPlace(path, async () => {
-          const answer = await ask(path, { signal: ended.signal });
+          listen();
+          const answer = await ask(path, { signal: AbortSignal.any([ended.signal, silence.signal]) });
           if (!answer.ok) throw Object.assign(new Error('refused'), { document: await answer.json().catch(() => null), status: answer.status });
-          await read(answer.body.getReader(), () => { failures = 0; });
+          await read(answer.body.getReader(), () => { failures = 0; listen(); });
         });
         lost({ status: 0 });
       } catch (error) {
         if (ended.signal.aborted) return;
         lost({ status: error.status ?? 0, document: error.document ?? null, crowded: error.crowded ?? false });
+      } finally {
+        clearTimeout(silent);
       }
       const wait = AGAIN_MS[Math.min(failures++, AGAIN_MS.length - 1)];
       await new Promise((resolve) => { setTimeout(resolve, wait); });
