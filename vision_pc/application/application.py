@@ -46,7 +46,7 @@ class VisionApplication:
     ``positioning`` are the settings by which looks are judged. ``hand_eye`` is the guided session, if there
     is one on this rig. ``overload`` returns one sentence while the machine is overloaded, else nothing,
     ``figures`` what the service counts of itself, ``looks`` how many were taken. ``links`` are those of
-    the arm's drawing, for who draws it.
+    the arm's drawing, for who draws it. ``times_anew``: how often the machine has begun anew.
     """
 
     def __init__(
@@ -76,6 +76,7 @@ class VisionApplication:
         self.figures: Callable[[], dict[str, Any]] = dict
         self.links: tuple[DhLink, ...] = ()
         self.looks = 0
+        self.times_anew = 0
         self._latest: JudgedLook | None = None
 
     def tap(self, arm: Callable[[StoppableArm], StoppableArm], eyes: Callable[[Eyes], Eyes]) -> None:
@@ -94,8 +95,18 @@ class VisionApplication:
     def latest_look(self) -> JudgedLook:
         """The latest look of any program. Raises RequestRefused (``refused.no_look_yet``)."""
         if self._latest is None:
-            raise RequestRefused("refused.no_look_yet", "nothing was looked at since the service started")
+            raise RequestRefused(
+                "refused.no_look_yet", "nothing was looked at since service and machine started"
+            )
         return self._latest
+
+    def begin_anew(self) -> None:
+        """Forget what holds for one run of the machine: local calibrations, the look, targets' places."""
+        self.calibration = self.track = self._latest = None
+        self.camera.targets.lose()
+        self.times_anew += 1
+        lost = [kept.id for kept in self.camera.targets.list()]
+        self.log.write("machine_begun_anew", "warning", targets_lost=lost)
 
     async def look_alone(self, frames: int | None) -> JudgedLook:
         """A look without a controller, remembered as any other. Raises as ``Camera.look_alone``."""

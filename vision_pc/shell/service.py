@@ -33,6 +33,7 @@ from vision_pc.application.program import Program
 from vision_pc.config.vision import VisionConfig
 from vision_pc.shell.camera_eyes import open_eyes
 from vision_pc.shell.cameras import open_camera
+from vision_pc.shell.link.machine_watch import MachineWatch
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint
 from vision_pc.shell.monotonic_clock import MonotonicClock
 from vision_pc.shell.recording.opening import open_recording
@@ -105,6 +106,7 @@ class VisionService:
         arm = LinkArm(link, config.motion)
         guided = GuidedCalibration(arm, eyes, link, config, nominal, log, self._sessions)
         application = VisionApplication(arm, eyes, link, eyes, config.programs, nominal.boom, log, guided)
+        MachineWatch(camera, link, application.begin_anew)
         watch = SelfWatch(log, _LIMITS, self._work, log.record_dir)
         application.overload, application.figures = lambda: watch.overload, self._counted
         application.links, self._told = nominal.links, partial(told, application)

@@ -23,6 +23,7 @@ _OF_CAUSE = {
     "link.camera_frozen": "The same picture comes again and again: start the camera anew.",
     "link.wrong_arm": "Vision and controller have different arm.yaml files: give both the same.",
     "link.session_occupied": "Another client holds the controller: end it, or wait.",
+    "machine.begun_anew": "Reset, enable, turn parallel, calibrate; click the targets again.",
     "machine.overloaded": "Close other work on this machine.",
     "recording.unwritable": "Events cannot be recorded: look after the disk.",
     "refused.busy": "Wait for the operation that runs, or cancel it.",

@@ -18,6 +18,7 @@ from vision_pc.core.calibration.local_calibration import LocalCalibration
 from vision_pc.core.se3 import from_pose
 
 _ALARMS_SHOWN = 20
+_ANEW = "the machine was started anew: local calibration and targets are void"
 
 
 class Glimpse(NamedTuple):
@@ -41,6 +42,7 @@ class Glimpse(NamedTuple):
     tracked: bool
     clearance_m: float
     tolerance_m: float
+    times_anew: int = 0
 
 
 def glimpse(application: VisionApplication) -> Glimpse:
@@ -71,20 +73,29 @@ def glimpse(application: VisionApplication) -> Glimpse:
         application.track is not None,
         positioning.clearance_m,
         positioning.tolerance_m,
+        application.times_anew,
     )
 
 
 class Overview:
-    """Turns glimpses into documents, and remembers alarms and where the arm stood at first."""
+    """Turns glimpses into documents, and remembers alarms and where the arm stood at first.
+
+    ``anew_at``: when the machine has begun anew (s since 1970); what was found out before is void.
+    """
 
     def __init__(self, links: tuple[DhLink, ...]) -> None:
         self.alarms = AlarmList()
         self._links = links
         self._home: JSON | None = None
+        self.anew_at: float | None = None
+        self._times_anew = 0
 
     def note(self, now_s: float, seen: Glimpse) -> None:
         """Take note of what is wrong at ``now_s``."""
         self.alarms.update(now_s, conditions(seen))
+        if seen.times_anew != self._times_anew:
+            self._times_anew, self.anew_at = seen.times_anew, now_s
+            self.alarms.happened(now_s, "machine.begun_anew", _ANEW)
         if self._home is None and seen.state is not None:
             self._home = pose_json(from_pose(seen.state.X_BT))
 
@@ -111,6 +122,7 @@ class Overview:
             "look": None if seen.look is None else look_json(seen.look),
             "calibration": calibration,
             "tracked": seen.tracked,
+            "anew_at": self.anew_at,
             "tolerance_mm": 1e3 * seen.tolerance_m,
             "overlay": None if view is None else overlay(view, seen.clearance_m, seen.tolerance_m, told),
             "alarms": [alarm_json(alarm) for alarm in self.alarms.rows[:_ALARMS_SHOWN]],

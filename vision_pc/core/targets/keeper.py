@@ -138,12 +138,17 @@ class TargetKeeper:
             kept.covariance = turn @ kept.covariance @ turn.T + more
             kept.X_BT, kept.known, kept.way_m = X_BT, "carried", kept.way_m + way
 
+    def lose(self) -> None:
+        """Nobody knows any more where they are."""
+        for kept in self._all.values():
+            kept.known = "lost"
+
     def refuse_lost(self, X_BT: Array) -> None:
         """Raises RequestRefused (``refused.target_lost``) when the aimed target's place is not known here."""
         kept = self.aimed
         if kept is not None and (kept.known == "lost" or _apart(kept.X_BT, X_BT)):
             raise RequestRefused(
-                "refused.target_lost", f"target {kept.id}: the arm was moved unwatched; click it again"
+                "refused.target_lost", f"target {kept.id}: the arm went unwatched; click it again"
             )
 
 

@@ -87,7 +87,8 @@ class Console:
         if self.pictures.followers and (not operations or operations[-1].state.ended):
             self._measure_when_due(now_s, seen.state)
         self._number += 1
-        told = _told(operations)
+        anew_s = self._overview.anew_at or 0.0
+        told = _told([each for each in operations if (each.ended_at or now_s) >= anew_s])
         document = {
             "number": self._number,
             "time": now_s,

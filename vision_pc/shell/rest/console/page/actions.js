@@ -180,6 +180,7 @@ function hint(step) {
 function words(operation) {
   if (['queued', 'running'].includes(operation.state)) return operation.note;
   const when = ago(shot.time - operation.ended_at);
+  if (operation.ended_at < shot.anew_at) return `void, ${when}: the machine was started anew since`;
   if (operation.state === 'failed') return `▲ failed ${when}: ${operation.note} (${operation.cause})`;
   if (operation.state === 'cancelled') return `cancelled ${when}`;
   fetchResult(operation);

@@ -29,6 +29,10 @@ function showSnapshot(snapshot) {
     banner('The vision PC was started anew. What it had learned is gone, and the arm is disabled: begin with ENABLE.', true);
     say('', true);
   }
+  else if (!recorded && shot && shot.anew_at !== snapshot.anew_at) {
+    banner('The machine was started anew. Local calibration and targets are void: reset and enable, begin with “Turn parallel”, click the targets again.', true);
+    say('', true);
+  }
   instance = snapshot.service.instance;
   shot = snapshot;
   came = performance.now();
