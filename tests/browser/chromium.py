@@ -29,7 +29,7 @@ def is_state(page: Page, state: str, within_ms: float = WITHIN_MS) -> None:
     expect(page.locator("#ladder li.on")).to_have_attribute("data-state", state, timeout=within_ms)
 
 
-def hold(page: Page, button: str) -> None:
+def hold(page: Page, button: str, by_key: bool = False) -> None:
     """Hold a button for as long as it wants to be held, until the page has sent a command.
 
     While a busy machine has the page hear nothing, its buttons are off: then once more.
@@ -44,10 +44,17 @@ def hold(page: Page, button: str) -> None:
     try:
         for _ in range(20):
             expect(page.locator(button)).to_be_enabled(timeout=WITHIN_MS)
-            page.locator(button).hover()
-            page.mouse.down()
+            if by_key:
+                page.locator(button).focus()
+                page.keyboard.down("Enter")
+            else:
+                page.locator(button).hover()
+                page.mouse.down()
             page.wait_for_timeout(_HOLD_MS)
-            page.mouse.up()
+            if by_key:
+                page.keyboard.up("Enter")
+            else:
+                page.mouse.up()
             for _ in range(20):
                 if sent:
                     return

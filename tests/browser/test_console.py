@@ -190,10 +190,7 @@ def test_everybody_can_use_it(browser: Browser, theme: str) -> None:
         place = page.locator("#stop").bounding_box()
         assert place is not None
         assert place["y"] + place["height"] <= phone["height"]  # in view without scrolling
-        page.locator("#reset").focus()  # by keyboard alone
-        page.keyboard.down("Enter")
-        page.wait_for_timeout(800)
-        page.keyboard.up("Enter")
+        hold(page, "#reset", by_key=True)
         is_state(page, "disabled")
 
 

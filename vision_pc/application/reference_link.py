@@ -165,11 +165,9 @@ class ReferenceLink:
     # Programs wait here.
     async def next_state(self) -> State:
         """The next state to come. Raises LinkLost when the session is lost first, or none comes in time."""
-        received, losses = self._received, self._losses
-        if not await self._clock.until(
-            lambda: self._received > received or self._losses > losses, _WAIT_FOR_STATE_S
-        ):
-            raise LinkLost("link.silent", f"no state from the controller within {_WAIT_FOR_STATE_S:g} s")
+        received, losses, within_s = self._received, self._losses, self._patience_s(_WAIT_FOR_STATE_S)
+        if not await self._clock.until(lambda: self._received > received or self._losses > losses, within_s):
+            raise LinkLost("link.silent", f"no state from the controller within {within_s:g} s")
         return self.state
 
     async def pose_at(self, local_ns: int) -> Array:
@@ -220,12 +218,13 @@ class ReferenceLink:
 
     async def answer(self, command_id: int) -> Acknowledgement:
         """The acknowledgement of a submitted request. Raises LinkLost when none comes in time."""
+        within_s = self._patience_s(_ACKNOWLEDGEMENT_S)
         try:
-            await self._clock.until(lambda: self._answers[command_id] is not None, _ACKNOWLEDGEMENT_S)
+            await self._clock.until(lambda: self._answers[command_id] is not None, within_s)
         finally:
             answer = self._answers.pop(command_id)
         if answer is None:
-            raise LinkLost("link.unanswered", f"no acknowledgement within {_ACKNOWLEDGEMENT_S:g} s")
+            raise LinkLost("link.unanswered", f"no acknowledgement within {within_s:g} s")
         if isinstance(answer, LinkLost):
             raise answer
         return answer
@@ -243,6 +242,11 @@ class ReferenceLink:
         """The first refusal of a reference of this stream."""
         refused = self._refusal
         return refused if refused is not None and refused.stream_id == stream_id else None
+
+    def _patience_s(self, least_s: float) -> float:
+        """``least_s``, or longer where the controller allows longer silences: it ends the session then."""
+        welcome = self._session.welcome
+        return least_s if welcome is None else max(least_s, 1e-3 * welcome.link_timeout_ms)
 
     def _handle(self, event: ClientEvent) -> None:
         if isinstance(event, StateReceived):
