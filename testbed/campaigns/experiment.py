@@ -48,7 +48,9 @@ def at_most(what: str, value: float, limit: float | None, unit: str = "") -> Che
 
 
 def inside(what: str, value: float, band: tuple[float, float] | None) -> Check:
-    """A figure that is to lie in ``band``; None: for information."""
+    """A figure that is to lie in ``band``; None: for information. NaN was not measured, so it is not met."""
+    if not np.isfinite(value):
+        return Check(what, "not measured", "" if band is None else f"{band[0]:.3f} to {band[1]:.3f}", False)
     if band is None:
         return Check(what, f"{value:.3f}", "", None)
     return Check(what, f"{value:.3f}", f"{band[0]:.3f} to {band[1]:.3f}", bool(band[0] <= value <= band[1]))

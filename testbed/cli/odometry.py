@@ -4,19 +4,29 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from foundation.configuration import load, parse_overrides
+from protocol.errors import ConfigurationError
 from testbed.cli.options import OdometryOptions
 from testbed.reporting.console import bars, out, write_json
 from testbed.reporting.trajectory_errors import TrajectoryErrors, read_tum, trajectory_errors
 from vision_pc.config.vision import VisionConfig
+from vision_pc.core import se3
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import StereoPair
 from vision_pc.shell.cameras.sequence import (
     PairRecord,
+    Recorded,
     SequenceResult,
     count_pairs,
     follow,
     write_side_file,
     write_tum,
 )
+
+_SAME_S = 1e-4
+_GAP_S = 0.3  # the rig's own limit between two states
 
 
 class OdometryRequest(NamedTuple):
@@ -37,6 +47,7 @@ def run_odometry(request: OdometryRequest, json_file: Path | None) -> bool:
     overrides = parse_overrides(request.settings).get("vision")
     config = load(VisionConfig, request.config_dir / "vision.yaml", overrides)
     truth = None if request.options.truth is None else read_tum(request.options.truth)
+    tool_at = ToolPoses(request.options.tool_poses)
     count = count_pairs(request.left)
     with bars() as shown, shown.step("following the camera") as bar:
 
@@ -45,21 +56,15 @@ def run_odometry(request: OdometryRequest, json_file: Path | None) -> bool:
             bar.update((record.frame_id + 1) / count, f"pair {record.frame_id + 1} of {count}: {held}")
 
         began = time.process_time()
-        result = follow(
-            request.left, request.right, request.calibration, config, request.options.rate_hz, report
-        )
+        known = Recorded(request.left, request.right, request.calibration, request.options.rate_hz, tool_at)
+        result = follow(known, config, report)
         spent_ms = 1e3 * (time.process_time() - began) / len(result.records)
+    tool_at.require()
     files = _written(request.options.trajectory, result)
     _print(result, spent_ms, files)
-    figures: dict[str, object] = {
-        "pairs": len(result.records),
-        "lost": result.lost,
-        "losses": dict(result.losses),
-        "maps": len(result.joints),
-        "maps_apart": len(result.apart),
-        "keyframes": result.keyframes,
-        "readout_share": result.readout_share,
+    figures = _figures(result) | {
         "milliseconds_a_pair": spent_ms,
+        "pairs_with_tool_pose": len(tool_at.used),
         "trajectories": [str(path) for path in files],
     }
     if truth is not None:
@@ -68,6 +73,54 @@ def run_odometry(request: OdometryRequest, json_file: Path | None) -> bool:
         figures["truth"] = errors._asdict()
     write_json(json_file, figures)
     return result.lost == 0 and not result.apart
+
+
+def _figures(result: SequenceResult) -> dict[str, object]:
+    return {
+        "pairs": len(result.records),
+        "lost": result.lost,
+        "losses": dict(result.losses),
+        "maps": len(result.joints),
+        "maps_apart": len(result.apart),
+        "keyframes": result.keyframes,
+        "readout_share": result.readout_share,
+    }
+
+
+class ToolPoses:
+    """Where the tool was at a pair's capture, by a file of poses, if there is one. Raises ConfigurationError.
+
+    ``used``: the pairs that it had a pose for.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        self._times_s, self._poses = (np.zeros(0), np.zeros((0, 4, 4))) if path is None else read_tum(path)
+        self.used: set[int] = set()
+
+    def __call__(self, pair: StereoPair) -> Array | None:
+        """X_BT between two poses that are no further apart than states may be; None where there are none."""
+        found = self._between(pair.capture_ns / 1e9)
+        if found is not None:
+            self.used.add(pair.frame_id)
+        return found
+
+    def _between(self, at_s: float) -> Array | None:
+        times_s, poses = self._times_s, self._poses
+        newer = int(np.searchsorted(times_s, at_s - _SAME_S))
+        if newer < len(times_s) and times_s[newer] - at_s <= _SAME_S:
+            return np.asarray(poses[newer])
+        if newer in (0, len(times_s)) or times_s[newer] - times_s[newer - 1] > _GAP_S:
+            return None
+        fraction = (at_s - times_s[newer - 1]) / (times_s[newer] - times_s[newer - 1])
+        return se3.interpolate(poses[newer - 1], poses[newer], float(fraction))
+
+    def require(self) -> None:
+        """Raise ConfigurationError when no pair had a pose."""
+        if self._path is not None and not self.used:
+            told = f"{self._times_s[0]:.3f} to {self._times_s[-1]:.3f} s"
+            why = f"{self._path}: {told}, and no pair was taken then: the clocks do not overlap"
+            raise ConfigurationError("configuration.bad_trajectory", why)
 
 
 def _written(trajectory: Path, result: SequenceResult) -> list[Path]:

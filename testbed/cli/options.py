@@ -114,6 +114,13 @@ class OdometryOptions(NamedTuple):
         Path | None,
         typer.Option(help="True poses of the left camera (TUM): prints ATE, RPE, scale and drift."),
     ] = None
+    tool_poses: Annotated[
+        Path | None,
+        typer.Option(
+            help="Poses of the arm's tool as its controller told them (TUM, the pairs' clock), where an arm "
+            "carries the camera: tells its motion from that of what moves before it."
+        ),
+    ] = None
 
 
 class IdentifyOptions(NamedTuple):

@@ -153,6 +153,10 @@ class FrameOdometry:
         """Why the last frame was lost, None if it was not."""
         return self._odometry.last_loss
 
-    def process(self, frame: SimulatedFrame, X_CM: Array | None = None) -> OdometryPose | None:
-        """The camera's pose at ``frame``, None when it is lost."""
+    def process(
+        self, frame: SimulatedFrame, X_CM: Array | None = None, X_BT: Array | None = None
+    ) -> OdometryPose | None:
+        """The camera's pose at ``frame``, None when it is lost; nothing moves before it, so ``X_BT`` is not
+        asked.
+        """
         return self._odometry.process(frame.shown, X_CM, frame.capture_ns, frame.frame_id)

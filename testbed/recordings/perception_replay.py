@@ -145,14 +145,15 @@ class PerceptionReplay:
         seen = self._at.get(pair.capture_ns)
         X_CM = seen.X_CM if said.tool_given and seen is not None else None
         odometry = self._odometry[said.odometry]
-        found = odometry.process(pair, X_CM)
+        X_BT = np.reshape(said.X_BT, (4, 4)) if said.X_BT else None
+        found = odometry.process(pair, X_CM, X_BT)
         if found is not None:
             self._poses[pair.capture_ns] = found
         made = own.TrackedFrame(
             said.odometry,
             pair.capture_ns,
             pair.frame_id,
-            X_CM is not None,
+            own.ToldWithFrame(X_CM is not None, X_BT),
             found or odometry.last_loss or "lost",
         )
         self._compared(ODOMETRY, said.frame_id, said, own.tracked_bytes(made))

@@ -41,10 +41,10 @@ def read_tum(path: Path) -> tuple[Array, Array]:
     except OSError as error:
         raise ConfigurationError("configuration.unreadable", f"{path}: {error}") from error
     except ValueError as error:
-        raise ConfigurationError("configuration.bad_truth", f"{path}: {error}") from error
+        raise ConfigurationError("configuration.bad_trajectory", f"{path}: {error}") from error
     if rows.shape[1] != 8 or not np.isfinite(rows).all() or (np.linalg.norm(rows[:, 4:], axis=1) < 0.5).any():
         raise ConfigurationError(
-            "configuration.bad_truth",
+            "configuration.bad_trajectory",
             f"{path}: lines of t x y z qx qy qz qw are wanted, {rows.shape[1]} columns were found",
         )
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
@@ -68,7 +68,7 @@ def trajectory_errors(
     chosen = [k for k, gap in enumerate(apart) if gap <= 0.5 * period]
     if len(chosen) < _FEWEST:
         raise ConfigurationError(
-            "configuration.bad_truth",
+            "configuration.bad_trajectory",
             f"{name}: {len(chosen)} poses within half a period of a pair ({_FEWEST} are wanted): the clocks"
             " do not overlap",
         )

@@ -143,6 +143,17 @@ class LookSettings(StrictModel):
         return self
 
 
+class ArmMotionSettings(StrictModel):
+    """How far the camera's motion may be from what the controller's state says of the tool's: standard
+    deviations of place and turn, and of the place as a share of the way. ``lever_m``: from tool to camera.
+    """
+
+    place_std_m: float = Field(gt=0.0, le=0.5)
+    way_share: float = Field(ge=0.0, le=0.5)
+    turn_std_rad: float = Field(gt=0.0, le=0.5)
+    lever_m: float = Field(ge=0.0, le=20.0)
+
+
 class OdometrySettings(StrictModel):
     """Stereo odometry against a persistent keyframe map.
 
@@ -176,6 +187,7 @@ class OdometrySettings(StrictModel):
     adjusted_keyframes: int = Field(ge=0, le=20)
     keyframes: int = Field(ge=2, le=1000)
     right_every: int = Field(ge=0, le=1000)
+    arm_motion: ArmMotionSettings
 
     @property
     def noise_px(self) -> float:

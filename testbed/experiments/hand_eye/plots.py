@@ -83,4 +83,3 @@ def intrinsics_plot(maps: Sequence[dict[str, Any]]) -> Figure:
         below.tick_params(axis="x", rotation=90, labelsize=7)
     figure.colorbar(image, ax=axes[0], shrink=0.8)
     return figure
-

@@ -119,6 +119,7 @@ def _followed(config: VisionConfig, made: Sequence, exact: bool) -> tuple[Sequen
             return follow_pairs(
                 lambda: made.pairs,
                 lambda pair: SegmentedOdometry(read_calibration(path, pair), config.odometry, recorded),
+                tool_at=lambda pair: made.arm.get(pair.frame_id),
             ), ""
         except LongreachError as error:
             return SequenceResult([], [], 0), error.cause

@@ -32,6 +32,8 @@ _TURNS_DEG = (2.0, 3.0, 2.0)
 _BEHIND = se3.transform(np.eye(3), (0.0, 0.0, -5.0))  # the tool: out of sight
 _BLIND = CameraBlind(grey=0)
 _MIDDLE_S = 2.0  # when what moves is in the middle of the picture
+_STRAIN, _BENT_RAD_M = 4e-3, 2e-3  # [E] of the rigid model: of the way, and rad a metre
+_SWING_M, _STATE_NOISE_M = 3e-3, 2e-4  # [E] booms that swing; the encoders' steps
 _ASIDE_M = 0.35  # the camera's own way, and its turn: what comes late is out of sight before
 
 
@@ -45,18 +47,22 @@ class DrawnWay(NamedTuple):
 
 
 class Sequence(NamedTuple):
-    """Rendered ``pairs``, where the left eye truly was (n, 4, 4), and the calibration that is believed."""
+    """Rendered ``pairs``, where the left eye truly was (n, 4, 4), and the calibration that is believed.
+
+    ``arm``: X_BT by the pair's number, what the state of an arm that carries the camera says of its tool.
+    """
 
     pairs: list[StereoPair]
     X_C0C: Array
     told: RectifiedPairSettings
+    arm: dict[int, Array] = {}  # noqa: RUF012
 
 
 class SequenceKind(NamedTuple):
     """One kind: what it is in ``words``, overrides of the scene, pairs that are black or left out, what is
     done to the pictures, and whether the calibration is exact and known to be (``exact``) or of another size.
 
-    ``refused``: nothing but a refusal by name is right.
+    ``refused``: nothing but a refusal by name is right. ``arm``: the state of an arm is told as well.
     """
 
     words: str
@@ -68,6 +74,7 @@ class SequenceKind(NamedTuple):
     rows_px: float | None = None
     another_size: bool = False
     refused: bool = False
+    arm: bool = False
 
 
 def _blocks(drawn: DrawnWay, rng: np.random.Generator) -> JSON:
@@ -191,6 +198,21 @@ KINDS: dict[str, SequenceKind] = {
     "swapped": SequenceKind("eyes swapped", spoil=_swapped, refused=True),
     "another_size": SequenceKind("calibration of another size", another_size=True, refused=True),
 }
+_WITH_ARM = (
+    "wall",
+    "mover_10",
+    "mover_30",
+    "mover_60",
+    "late_10",
+    "late_30",
+    "late_60",
+    "slow_mover",
+    "rolling",
+)
+KINDS |= {
+    f"{name}_arm": KINDS[name]._replace(words=f"{KINDS[name].words}; arm's state told", arm=True)
+    for name in _WITH_ARM
+}
 _SIZES = ((672, 376), (1920, 1080), (2208, 1242))  # a ZED's other ones
 
 
@@ -204,7 +226,32 @@ def sequence(config_dir: Any, name: str, seed: int, count: int) -> Sequence:
     camera = StereoCamera(config.camera, scene, seed)
     kept = [k for k in range(count + gone) if not count // 2 <= k < count // 2 + gone]
     pairs = list(_rendered(kind, camera, scene, drawn, kept))
-    return Sequence(pairs, np.stack([drawn.X_C0C[k] for k in kept]), _told(kind, rng))
+    told = _told(kind, rng)
+    X_BT = _state(drawn.X_C0C, rng)
+    arm = {number: X_BT[k] for number, k in enumerate(kept)} if kind.arm else {}
+    return Sequence(pairs, drawn.X_C0C[kept], told, arm)
+
+
+def _state(X_C0C: Array, rng: np.random.Generator) -> Array:
+    """X_BT (n, 4, 4) of an arm that carries the camera at ``X_C0C``, by its own rigid model: it bends by some
+    millimetres a metre, its booms swing, and camera and tool are about half a metre apart, turned anyhow.
+    """
+    tool = se3.transform(se3.exp_so3(rng.normal(0.0, 1.0, 3)), rng.uniform(-0.4, 0.4, 3))
+    base = se3.transform(se3.exp_so3(rng.normal(0.0, 1.0, 3)), rng.uniform(-3.0, 3.0, 3))
+    strain, bent = rng.normal(0.0, _STRAIN, (3, 3)), rng.normal(0.0, _BENT_RAD_M, (3, 3))
+    swing, hz, phase = rng.uniform(0.0, _SWING_M) * _unit(rng), rng.uniform(0.6, 2.0), rng.uniform(0.0, 6.3)
+    found = []
+    for k, X in enumerate(X_C0C):
+        place = X[:3, 3] + strain @ X[:3, 3] + swing * np.sin(2.0 * np.pi * hz * k / RATE_HZ + phase)
+        place = place + rng.normal(0.0, _STATE_NOISE_M, 3)
+        turn = se3.exp_so3(bent @ X[:3, 3]) @ X[:3, :3]
+        found.append(base @ se3.transform(turn, place) @ tool)
+    return np.stack(found)
+
+
+def _unit(rng: np.random.Generator) -> Array:
+    direction = rng.normal(0.0, 1.0, 3)
+    return np.asarray(direction / np.linalg.norm(direction))
 
 
 def _drawn(kind: SequenceKind, rng: np.random.Generator, count: int) -> DrawnWay:

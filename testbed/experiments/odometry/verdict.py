@@ -158,9 +158,11 @@ def _real(done: Rows) -> list[Check]:
 
 
 def _nees(rows: list[MatrixRow]) -> float:
-    """Relative to its expectation; every kind weighs alike."""
+    """Relative to its expectation; every kind weighs alike. NaN where every pair was lost."""
     kinds = sorted({row.kind for row in rows})
-    return float(np.nanmean([_mean([row for row in rows if row.kind == k], "nees") for k in kinds])) / FREEDOM
+    means = [_mean([row for row in rows if row.kind == kind], "nees") for kind in kinds]
+    known = [value for value in means if np.isfinite(value)]
+    return float(np.mean(known)) / FREEDOM if known else _NAN
 
 
 def matrix_figures(done: Rows) -> dict[str, Any]:

@@ -134,10 +134,12 @@ class OpencvOdometry:
         """Why the last frame was lost, None if it was not."""
         return self._odometry.last_loss
 
-    def process(self, frame: OpencvFrame, X_CM: Array | None = None) -> OdometryPose | None:
+    def process(
+        self, frame: OpencvFrame, X_CM: Array | None = None, X_BT: Array | None = None
+    ) -> OdometryPose | None:
         """The camera's pose at ``frame``, None when it is lost."""
         pair = StereoPair(frame.left, frame.right(), frame.capture_ns, frame.frame_id)
-        return self._odometry.process(pair, X_CM)
+        return self._odometry.process(pair, X_CM, X_BT)
 
 
 def _detected(image: Image, settings: MarkerSettings) -> dict[int, Array]:

@@ -130,8 +130,10 @@ class NotingOdometry:
         """Why the last frame was lost."""
         return self._odometry.last_loss
 
-    def process(self, frame: StereoPair, X_CM: Array | None = None) -> OdometryPose | None:
+    def process(
+        self, frame: StereoPair, X_CM: Array | None = None, X_BT: Array | None = None
+    ) -> OdometryPose | None:
         """The pose, noted."""
-        pose = self._odometry.process(frame, X_CM)
+        pose = self._odometry.process(frame, X_CM, X_BT)
         self._followed.frames.append(Tracked(self._shown[frame.frame_id], X_CM, pose))
         return pose

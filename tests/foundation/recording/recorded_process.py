@@ -19,6 +19,7 @@ from tests.controller.shell.test_scan_recorder import config_of, scans
 from tests.plant_emulator.shell.test_recording import truth
 from tests.support.paths import CONFIGS
 from tests.vision_pc.shell.recording.test_bench_vision_recorder import CONFIG, frames, measured
+from vision_pc.shell.recording.vision_messages import ToldWithFrame
 from vision_pc.shell.recording.vision_recorder import FRAME, VisionRecorder
 
 Put = Callable[[int], None]
@@ -72,7 +73,7 @@ def _vision(path: Path) -> Put:
         pair = kept[number % len(kept)]._replace(capture_ns=now_ns, frame_id=number)
         seen, pose = measured(pair)
         recorder.observed(pair, None, seen)
-        recorder.tracked(1, pair, None, pose)
+        recorder.tracked(1, pair, ToldWithFrame(False, None), pose)
 
     return put
 

@@ -73,6 +73,20 @@ def test_a_gap_is_in_the_middle(name: str) -> None:
         assert steps.tolist() == [100_000_000] * 3 + [600_000_000] + [100_000_000] * 3
 
 
+def test_an_arm_tells_about_the_cameras_motion_and_not_the_truth() -> None:
+    """Ways of the tool are the camera's to a centimetre a metre, and never to the last bit."""
+    made = sequence(CONFIGS, "wall_arm", 1, 12)
+    assert not sequence(CONFIGS, "wall", 1, 12).arm
+    off = []
+    for k in range(1, 12):
+        told = se3.inverse(made.arm[0]) @ made.arm[k]
+        true = se3.inverse(made.X_C0C[0]) @ made.X_C0C[k]
+        turn = [se3.angle_between(X[:3, :3], np.eye(3)) for X in (told, true)]
+        assert turn[0] == pytest.approx(turn[1], abs=8e-3)
+        off.append(abs(np.linalg.norm(told[:3, 3]) - np.linalg.norm(true[:3, 3])))
+    assert 1e-4 < max(off) < 0.012 + 2.0 * np.sin(max(turn) / 2.0)
+
+
 @pytest.mark.parametrize("name", ["late_10", "late_60"])
 def test_what_comes_late_is_out_of_sight_first(name: str) -> None:
     """The board is darker than the wall: the left picture's darkest block tells whether it is there."""

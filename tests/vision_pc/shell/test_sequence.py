@@ -45,9 +45,8 @@ def test_sequence_is_followed_and_written(
     calibration = tmp_path / "camera.yaml"
     calibration.write_text(YAML, encoding="utf-8")
     heard: list[int] = []
-    outcome = sequence.follow(
-        left, right, calibration, config, report=lambda record: heard.append(record.frame_id)
-    )
+    recorded = sequence.Recorded(left, right, calibration)
+    outcome = sequence.follow(recorded, config, report=lambda record: heard.append(record.frame_id))
     assert (outcome.lost, outcome.losses, outcome.apart, heard) == (0, {}, [], [0, 1, 2])
     sequence.write_side_file(tmp_path / "path.csv", outcome)
     with (tmp_path / "path.csv").open(newline="") as stream:
@@ -100,13 +99,13 @@ def test_bad_sequences_are_refused(config: VisionConfig, tmp_path: Path) -> None
     with pytest.raises(ConfigurationError, match="no such directory"):
         next(sequence.read_pairs(left, tmp_path / "nowhere", 10.0))
     with pytest.raises(ConfigurationError, match=r"calib\.txt"):
-        sequence.follow(left, right, calibration, config)
+        sequence.follow(sequence.Recorded(left, right, calibration), config)
     calibration.write_text("P0: 1 2 3\n", encoding="ascii")
     with pytest.raises(ConfigurationError, match="P0: and P1: are wanted"):
-        sequence.follow(left, right, calibration, config)
+        sequence.follow(sequence.Recorded(left, right, calibration), config)
     calibration.write_text(KITTI, encoding="ascii")
     with pytest.raises(MeasurementFailed, match="all 2 pairs lost, last cause too_dark"):
-        sequence.follow(left, right, calibration, config)
+        sequence.follow(sequence.Recorded(left, right, calibration), config)
     (right / "1.png").unlink()
     with pytest.raises(ConfigurationError, match="2 pictures, but 1"):
         next(sequence.read_pairs(left, right, 10.0))

@@ -24,6 +24,7 @@ _LARGEST_TURN = np.radians(25.0)  # beyond it a keyframe's patches no longer loo
 _LARGEST_ZOOM = 1.35
 _LEAST_SHARED = 15  # points with the window, for a keyframe to hold it
 _LEAST_SCALE_STD = 2e-5
+_OLDEST = 0.2  # of points: may be mismatched
 
 
 class Keyframe(NamedTuple):
@@ -100,6 +101,12 @@ class KeyframeMap:
     def next_number(self) -> int:
         """The number of the next keyframe."""
         return self.keyframes[-1].number + 1 if self.keyframes else 0
+
+    def shown_since(self, ids: Indices) -> int:
+        """The number of the keyframe that first showed points ``ids``, but for the oldest of them: what they
+        belong to was in the map from then on.
+        """
+        return int(np.quantile(self._first[ids], _OLDEST))
 
     def initialise_scale(self, ids: Indices) -> None:
         """Take the scale of the whole map to be as certain as the depths of its first points ``ids`` make

@@ -11,7 +11,7 @@ from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import patches, tracking
 from vision_pc.core.odometry.keyframe_map import Indices, Keyframe, KeyframeMap
-from vision_pc.core.odometry.motion_prior import MotionPrior
+from vision_pc.core.odometry.motion_prior import Foreseen
 from vision_pc.core.odometry.rolling import PointViews, Readout
 from vision_pc.core.odometry.templates import Templates
 from vision_pc.core.odometry.tracking import Flags
@@ -24,10 +24,12 @@ _NO_OFFSET = StereoOffset(0.0, 0.0, 1e-9, 1e-9)
 _SHARED = 2.0  # depths share the errors of the poses at which they were learnt: measured against the truth
 _KEPT = 3  # keyframes whose patches are kept: 4 MB each
 _NOWHERE = np.zeros((0, 2))
+_NOTHING_FORESEEN = Foreseen()
 _FEW = 0.5  # of the points that should be seen: fewer may not bring about a motion that nobody foresaw
-_DOUBTED_SHARE = 0.05  # of a second motion: what was outvoted may be the world
-_DOUBTED_TOLERANCE = 0.35  # of ``ransac_px``: one pose can hold the world and what is slow for many pictures
+_STRICT_SHARE = 0.05  # of a second motion: what was outvoted may be the world
+_STRICT = 0.35  # of ``ransac_px``: one pose can hold the world and what is slow for many pictures
 _SECOND_POINTS = 12  # at least, of a second motion
+_GROSS = 4.0  # times what the arm's motion may differ by: nobody asked for more than that
 _LEAST_NOISE_PX = 0.03  # what matching leaves even in clean pictures
 
 
@@ -84,8 +86,9 @@ class Localiser:
         self._kept: list[Templates] = []
         self._readout = readout
         self._first_twist: Array | None = None
+        self.mixed_since: int | None = None
+        """The keyframe from which on both motions of the last picture were in the map; None: one was seen."""
         self._doubted = doubted
-        self._ransac_px = settings.ransac_px * (_DOUBTED_TOLERANCE if doubted else 1.0)
 
     def localise(
         self,
@@ -93,11 +96,11 @@ class Localiser:
         keyframe: Keyframe,
         expected: Array,
         both_eyes: bool,
-        prior: MotionPrior | None = None,
+        foreseen: Foreseen = _NOTHING_FORESEEN,
     ) -> PoseEstimate | str:
         """The pose of ``frame``, expected about at ``expected`` (X_C0C), or why the keyframe's points do
         not hold. Of both eyes, or of the left one alone: quicker, and it teaches less about depths.
-        Where two motions fit, ``prior`` decides, if it can.
+        Where two motions fit, what is ``foreseen`` decides, if it can.
         """
         guess = intrinsics.project(
             self._camera.left, se3.apply(se3.inverse(expected), self._map.points[keyframe.ids])
@@ -112,12 +115,13 @@ class Localiser:
         good &= coarse.good & tracking.inside(pixels, frame.left_static)
         part, pixels = part.only(good), pixels[good]
         if len(pixels) >= self._settings.minimum_inliers:
-            chosen = self._chosen(frame, keyframe, part, pixels, expected, prior)
+            chosen = self._chosen(frame, keyframe, part, pixels, expected, foreseen)
             if isinstance(chosen, str):
                 return chosen
             inliers = chosen.inliers
             if int(inliers.sum()) >= self._settings.minimum_inliers:
-                part, residual = part.only(inliers), None if prior is None else prior.residual_px
+                part, usual = part.only(inliers), foreseen.motion
+                residual = None if usual is None else usual.residual_px
                 found = self._refined(frame, part, pixels[inliers], chosen.X_CC0, both_eyes, residual)
                 return found if isinstance(found, str) else found._replace(moving=pixels[chosen.moving])
         return "too_few_points"
@@ -129,7 +133,7 @@ class Localiser:
         found: Keyframe,
         pixels: Array,
         expected: Array,
-        prior: MotionPrior | None,
+        foreseen: Foreseen,
     ) -> "_Motion | str":
         """The motion to believe of those that fit the ``pixels`` (n, 2) of the points ``found`` of
         ``keyframe``, or the loss's cause.
@@ -137,23 +141,27 @@ class Localiser:
         A motion that nobody foresaw takes the larger part of the points that should be seen.
         """
         points = self._map.points[found.ids]
-        X_CC0, inliers = self._coarse_pose(points, pixels, expected)
+        self.mixed_since = None
+        strict = self._doubted or (self._watchful and foreseen.arm is not None and self._readout.is_global)
+        X_CC0, inliers = self._coarse_pose(points, pixels, expected, strict)
         rest = np.flatnonzero(~inliers)
-        other = self._second(points[rest], pixels[rest], expected, len(points))
+        other = self._second(points[rest], pixels[rest], expected, len(points), strict)
         nothing = np.zeros(len(points), dtype=bool)
         if other is None:
             few = self._watchful and inliers.sum() < _FEW * self._shown(frame, keyframe, X_CC0)
-            if few and (prior is None or not prior.agrees(X_CC0, points, self._camera)):
+            if few and not foreseen.agrees(X_CC0, points, self._camera):
+                return "sudden_motion"
+            most = 1.0 if self._watchful else _GROSS
+            if foreseen.arm is not None and not foreseen.arm.agrees(se3.inverse(X_CC0), most):
                 return "sudden_motion"
             return _Motion(X_CC0, inliers, nothing)
         theirs = nothing.copy()
         theirs[rest[other[1]]] = True
-        if prior is None:
-            return "two_motions"
-        ours_fits = prior.agrees(X_CC0, points, self._camera)
-        if ours_fits == prior.agrees(other[0], points, self._camera):
-            return "two_motions"
-        return _Motion(X_CC0, inliers, theirs) if ours_fits else _Motion(other[0], theirs, inliers)
+        number = foreseen.chosen((X_CC0, other[0]), points, self._camera)
+        self.mixed_since = max(self._map.shown_since(found.ids[one]) for one in (inliers, theirs))
+        if isinstance(number, str):
+            return number
+        return (_Motion(X_CC0, inliers, theirs), _Motion(other[0], theirs, inliers))[number]
 
     @property
     def _watchful(self) -> bool:
@@ -172,8 +180,11 @@ class Localiser:
             old.forget()
         self._kept = self._kept[-_KEPT:]
 
-    def _coarse_pose(self, points: Array, pixels: Array, expected: Array) -> tuple[Array, Flags]:
-        """X_CC0 from the left eye alone by RANSAC, and the points that agree with it."""
+    def _coarse_pose(
+        self, points: Array, pixels: Array, expected: Array, strict: bool
+    ) -> tuple[Array, Flags]:
+        """X_CC0 from the left eye alone by RANSAC, and the points that agree with it; ``strict``: closely."""
+        most_px = self._settings.ransac_px * (_STRICT if strict else 1.0)
         X_CC0 = se3.inverse(expected)
         rays = intrinsics.normalised(self._camera.left, pixels)
         rays = self._readout.straight(self._camera.left, rays, se3.apply(X_CC0, points))
@@ -186,7 +197,7 @@ class Localiser:
             tvec=X_CC0[:3, 3].reshape(3, 1).copy(),
             useExtrinsicGuess=True,
             iterationsCount=100,
-            reprojectionError=self._ransac_px / float(self._camera.left.K[0, 0]),
+            reprojectionError=most_px / float(self._camera.left.K[0, 0]),
             confidence=0.999,
         )
         flags = np.zeros(len(points), dtype=bool)
@@ -195,16 +206,18 @@ class Localiser:
             X_CC0 = se3.transform(se3.exp_so3(rotation.ravel()), position.ravel())
         return X_CC0, flags
 
-    def _second(self, points: Array, pixels: Array, expected: Array, of: int) -> tuple[Array, Flags] | None:
+    def _second(
+        self, points: Array, pixels: Array, expected: Array, of: int, strict: bool
+    ) -> tuple[Array, Flags] | None:
         """Another pose on which points agree that disagree with the first: something large moves, or all
-        but it. They must be ``second_motion_share`` of ``of`` points at least; fewer will do in a map whose
-        beginning is doubted.
+        but it. They must be ``second_motion_share`` of ``of`` points at least; fewer will do where what moves
+        may be the larger part (``strict``).
         """
-        share = _DOUBTED_SHARE if self._doubted else self._settings.second_motion_share
+        share = _STRICT_SHARE if strict else self._settings.second_motion_share
         least = max(_SECOND_POINTS if self._watchful else self._settings.minimum_inliers, int(share * of))
         if share == 0.0 or len(points) < least:
             return None
-        found = self._coarse_pose(points, pixels, expected)
+        found = self._coarse_pose(points, pixels, expected, strict)
         return found if int(found[1].sum()) >= least else None
 
     def _refined(

@@ -1,10 +1,12 @@
 """What the motion so far foresees of the next picture, and how far that may be wrong."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from vision_pc.core import se3
+from vision_pc.core.odometry.arm_motion import ArmPrior
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration
@@ -13,6 +15,9 @@ _REMEMBERED = 6  # pictures
 _FEWEST = 3
 _TIMES = 3.0  # the largest surprise of late, or the usual residual
 _RESIDUAL_FLOOR_PX = 0.1
+
+
+UNDECIDED = "two_motions: the arm's state still fits both"
 
 
 class MotionPrior(NamedTuple):
@@ -27,6 +32,42 @@ class MotionPrior(NamedTuple):
     def agrees(self, X_CC0: Array, points: Array, camera: CameraCalibration) -> bool:
         """Whether a camera at ``X_CC0`` sees ``points`` (n, 3) about where they were foreseen."""
         return shift_px(se3.inverse(self.X_C0C), X_CC0, points, camera) < self.tolerance_px
+
+
+class Foreseen(NamedTuple):
+    """What is known of the next picture beforehand: from the motion so far, and from the arm's own
+    state, which is believed first.
+    """
+
+    motion: MotionPrior | None = None
+    arm: ArmPrior | None = None
+
+    @property
+    def known(self) -> bool:
+        """Whether anything is."""
+        return self.motion is not None or self.arm is not None
+
+    def agrees(self, X_CC0: Array, points: Array, camera: CameraCalibration) -> bool:
+        """Whether ``X_CC0``, which sees ``points`` (n, 3), was foreseen; False where nothing was."""
+        if self.arm is not None:
+            return self.arm.agrees(se3.inverse(X_CC0))
+        return self.motion is not None and self.motion.agrees(X_CC0, points, camera)
+
+    def chosen(self, places: Sequence[Array], points: Array, camera: CameraCalibration) -> int | str:
+        """Which of two ``places`` (X_CC0) of the camera was foreseen, or the loss's cause where that does not
+        tell.
+        """
+        if self.arm is not None:
+            fits = [self.arm.agrees(se3.inverse(X_CC0)) for X_CC0 in places]
+            if fits.count(True) == 1:
+                return fits.index(True)
+            if not any(fits):
+                return "two_motions"
+        if self.motion is not None:
+            fits = [self.motion.agrees(X_CC0, points, camera) for X_CC0 in places]
+            if fits.count(True) == 1:
+                return fits.index(True)
+        return "two_motions" if self.arm is None else UNDECIDED
 
 
 class MotionHistory:

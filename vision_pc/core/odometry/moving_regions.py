@@ -53,8 +53,9 @@ def _in_front(polygon: Array) -> Array:
 
 
 def without(static: Flags, moving: Array) -> Flags:
-    """``static`` (height, width) without what lies around the pixels ``moving`` (n, 2)."""
-    mask = static.astype(np.uint8)
-    for x, y in moving:
-        cv2.circle(mask, (round(float(x)), round(float(y))), _AROUND_PX, 0, cv2.FILLED)
-    return mask.astype(bool)
+    """``static`` (height, width) without what lies between and around the pixels ``moving`` (n, 2)."""
+    moved = np.zeros(static.shape, np.uint8)
+    hull = cv2.convexHull(np.rint(moving).astype(np.int32))
+    cv2.fillConvexPoly(moved, hull, 1)
+    cv2.polylines(moved, [hull], isClosed=True, color=1, thickness=2 * _AROUND_PX)
+    return np.asarray(static & (moved == 0))

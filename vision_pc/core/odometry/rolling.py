@@ -59,6 +59,11 @@ class Readout:
         self._X_C0C: Array | None = None
         self._before = self._twist = self._fastest = np.zeros(6)
 
+    @property
+    def is_global(self) -> bool:
+        """Whether an earlier pass found no rolling: what one motion leaves is then not the shutter's."""
+        return self._known and not self.share
+
     def begin(self, share: float) -> None:
         """Begin with a ``share`` that is known about: from an earlier pass over the same pictures."""
         self.share, self._known = share, True

@@ -14,6 +14,7 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, PointPairs, StereoPair
 
 _FEWEST_DISPARITIES = 5
+_PATIENCE = 20  # pairs: two motions that differ by millimetres a picture are centimetres apart then
 _NOTHING = np.zeros((6, 6))
 
 
@@ -47,6 +48,7 @@ class SegmentedOdometry:
         self._errors = [WayError(recorded.disparity_std_px)]
         self._current = 0
         self._straight = False
+        self._X_BT: Array | None = None
         self._lost = self._since_search = 0
         self.joints: list[Array | None] = [se3.identity()]
 
@@ -55,12 +57,12 @@ class SegmentedOdometry:
         """How many keyframes all maps hold."""
         return sum(one.keyframes for one in self._maps)
 
-    @property
-    def withdrawn(self) -> list[int]:
-        """Maps whose poses are not to be believed after all: two motions were seen in them that nothing tells
-        apart, or, after that happened, the sequence ended too soon for anything else.
+    def is_withdrawn(self, segment: int, capture_ns: int) -> bool:
+        """Whether a pose of map ``segment`` is not to be believed after all: two motions were seen in it that
+        nothing tells apart, or not yet then; or, after that happened, the sequence ended too soon.
         """
-        return [k for k, one in enumerate(self._maps) if one.doubtful]
+        one = self._maps[segment]
+        return one.doubtful or capture_ns in one.withdrawn_ns
 
     @property
     def last_loss(self) -> str | None:
@@ -72,12 +74,17 @@ class SegmentedOdometry:
         """The loss's figure, where it has one."""
         return self._maps[self._current].last_detail
 
-    def process(self, pair: StereoPair) -> PlacedPose | None:
-        """The camera's pose at ``pair``, or None when it is lost; then ``last_loss`` names the cause."""
+    def process(self, pair: StereoPair, X_BT: Array | None = None) -> PlacedPose | None:
+        """The camera's pose at ``pair``, or None when it is lost; then ``last_loss`` names the cause.
+
+        ``X_BT``: where the arm's own state has the tool, if there is an arm that tells.
+        """
+        self._X_BT = X_BT
         pose = self._follow(self._current, pair)
         if pose is None:
             self._lost += 1
-            if self._lost < self._recorded.restart_after or not self._maps[self._current].keyframes:
+            patience = _PATIENCE if self._maps[self._current].undecided else self._recorded.restart_after
+            if self._lost < patience or not self._maps[self._current].keyframes:
                 return None
             return self._returned(pair) or self._begun(pair)
         self._lost = 0
@@ -99,7 +106,7 @@ class SegmentedOdometry:
         if self._maps[k].mixed:
             return None
         before = self._maps[k].keyframes
-        pose = self._maps[k].process(pair)
+        pose = self._maps[k].process(pair, X_BT=self._X_BT)
         if pose is None:
             return None
         grown = self._maps[k].keyframes > before
@@ -122,7 +129,7 @@ class SegmentedOdometry:
         """The first pose of a new map, if the pair suffices for one."""
         doubted = any(one.mixed for one in self._maps)
         fresh = StereoOdometry(self._camera, self._settings, readout=self.readout, doubted=doubted)
-        pose = fresh.process(pair)
+        pose = fresh.process(pair, X_BT=self._X_BT)
         if pose is None:
             return None
         self._maps.append(fresh)

@@ -5,10 +5,11 @@ import numpy as np
 from vision_pc.config.vision import OdometrySettings, ToolMarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import tracking
+from vision_pc.core.odometry.arm_motion import ArmHistory
 from vision_pc.core.odometry.keyframe_map import Keyframe, KeyframeMap
 from vision_pc.core.odometry.localisation import Frame, Localiser, PoseEstimate
 from vision_pc.core.odometry.mapping import Mapper
-from vision_pc.core.odometry.motion_prior import MotionHistory
+from vision_pc.core.odometry.motion_prior import UNDECIDED, Foreseen, MotionHistory
 from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.odometry.relocalisation import relocalised
 from vision_pc.core.odometry.rolling import Readout
@@ -56,10 +57,14 @@ class StereoOdometry:
         self._smooths = False
         self._lost_frames = self._frames = 0
         self._history = MotionHistory(settings.prior_floor_px)
+        self._arm = ArmHistory(settings.arm_motion)
         self._doubted = doubted
         self._located = 0
         self.last_loss: str | None = None
         self.last_detail: str | None = None
+        self._alone: list[tuple[int, int]] = []
+        self.withdrawn_ns: set[int] = set()
+        """Captures whose poses may be of neither of two motions: those were seen to be two only later."""
         self.mixed = False
         """Its points went two ways before anything foresaw which is the world's: none can be believed."""
 
@@ -69,15 +74,23 @@ class StereoOdometry:
         return len(self._map.keyframes)
 
     @property
+    def undecided(self) -> bool:
+        """Whether the last pair was lost because two motions have not gone far enough apart yet."""
+        return self.last_loss is not None and f"{self.last_loss}: {self.last_detail}" == UNDECIDED
+
+    @property
     def doubtful(self) -> bool:
         """Whether its poses cannot be believed yet: what moved before may be all that it sees."""
         return self.mixed or (self._doubted and self._located < _PROBATION)
 
-    def process(self, pair: StereoPair, X_CM: Array | None = None) -> OdometryPose | None:
+    def process(
+        self, pair: StereoPair, X_CM: Array | None = None, X_BT: Array | None = None
+    ) -> OdometryPose | None:
         """The camera's pose at ``pair``, or None when it is lost; then ``last_loss`` names the cause.
 
         ``X_CM``: the tool marker as seen in this pair, to keep the tool out of the static world; the last
-        one holds. Causes: ``too_dark``, ``no_texture``, ``too_few_points``, ``poor_coverage``,
+        one holds. ``X_BT``: where the arm's own state has the tool, which tells the camera's motion from that
+        of what moves before it. Causes: ``too_dark``, ``no_texture``, ``too_few_points``, ``poor_coverage``,
         ``two_motions``, ``sudden_motion``, ``bad_rectification``, ``swapped_eyes``; ``last_detail`` has the
         figure of the last two.
         """
@@ -88,22 +101,21 @@ class StereoOdometry:
             self._smooths = is_noisy(pair.left)  # once for the whole map: patches are compared across frames
         used = smoothed(pair) if self._smooths else pair
         frame = Frame(used, tracking.halved(used.left), *self._static)
+        foreseen = Foreseen(self._history.prior, self._arm.prior(X_BT))
         self._readout.foresee(None if self._lost_frames else self._X_C0C, self._motion)
-        outcome = self._localise(frame) if self._map.keyframes else self._initialise(frame)
-        if isinstance(outcome, PoseEstimate) and len(outcome.moving) and self.doubtful:
+        outcome = self._localise(frame, foreseen) if self._map.keyframes else self._initialise(frame)
+        if isinstance(outcome, PoseEstimate) and len(outcome.moving) and self.doubtful and X_BT is None:
             outcome = "two_motions"
         self._frames += 1
+        if X_BT is not None:
+            self._reconsider(pair, outcome)
         if isinstance(outcome, str):
-            dark = float(pair.left[::_DARK_STEP, ::_DARK_STEP].mean()) < _DARK
-            cause, _, detail = outcome.partition(": ")
-            self.last_loss, self.last_detail = ("too_dark", None) if dark else (cause, detail or None)
-            self._motion = se3.identity()
-            self._lost_frames += 1
-            self.mixed |= cause == "two_motions" and self._on_probation
-            self._history.lost()
+            self.mixed |= outcome == "two_motions" and self._on_probation and X_BT is None
+            self._lose(pair, outcome)
             return None
         self._motion = se3.identity() if self._lost_frames else se3.inverse(self._X_C0C) @ outcome.X_C0C
         self._history.found(outcome.X_C0C, self._camera, self._map.points[outcome.ids], outcome.residual_px)
+        self._arm.found(outcome.X_C0C, X_BT)
         self._X_C0C = outcome.X_C0C
         self._located += 1
         self._lost_frames = 0
@@ -125,6 +137,26 @@ class StereoOdometry:
         """Whether two motions that nothing tells apart may have been in the map from its beginning."""
         return bool(self._settings.prior_floor_px) and (self._doubted or self._located < _PROBATION)
 
+    def _lose(self, pair: StereoPair, why: str) -> None:
+        """Keep in mind that ``pair`` could not be used."""
+        dark = float(pair.left[::_DARK_STEP, ::_DARK_STEP].mean()) < _DARK
+        cause, _, detail = why.partition(": ")
+        self.last_loss, self.last_detail = ("too_dark", None) if dark else (cause, detail or None)
+        self._motion = se3.identity()
+        self._lost_frames += 1
+        self._history.lost()
+
+    def _reconsider(self, pair: StereoPair, outcome: PoseEstimate | str) -> None:
+        """Two motions seen now may have passed for one while both were in the map: no pose from then on is
+        to be believed but those found with both known.
+        """
+        since = self._localiser.mixed_since
+        if since is not None:
+            self.withdrawn_ns |= {time_ns for time_ns, newest in self._alone if newest > since}
+            self._alone = [one for one in self._alone if one[1] <= since]
+        elif isinstance(outcome, PoseEstimate) and self._located:  # a map's first pose is right
+            self._alone.append((pair.capture_ns, self._map.next_number))
+
     def _pairs(self, found: PoseEstimate) -> PointPairs:
         """The points of ``found`` that both eyes see."""
         both = found.seen_right
@@ -141,17 +173,15 @@ class StereoOdometry:
         """The first pair's pose, the identity, with a first keyframe."""
         return self._mapper.begin(frame, self._X_C0C)
 
-    def _localise(self, frame: Frame) -> PoseEstimate | str:
+    def _localise(self, frame: Frame, foreseen: Foreseen) -> PoseEstimate | str:
         """The pose against the most similar keyframes: from the expected motion on, from none, or from
         nowhere.
         """
         outcome: PoseEstimate | str = "too_few_points"
         for expected in (self._X_C0C @ self._motion, self._X_C0C):
             for keyframe in self._map.nearest(expected)[:_TRIES]:
-                outcome = self._localiser.localise(
-                    frame, keyframe, expected, self._both_eyes(), self._history.prior
-                )
-                if outcome in ("two_motions", "sudden_motion") and self._history.prior is not None:
+                outcome = self._localiser.localise(frame, keyframe, expected, self._both_eyes(), foreseen)
+                if outcome in ("two_motions", "sudden_motion", UNDECIDED) and foreseen.known:
                     return outcome  # another start would only let the other motion win
                 if isinstance(outcome, PoseEstimate):
                     if len(outcome.ids) < self._settings.keyframe_overlap * len(keyframe.ids):
@@ -163,7 +193,7 @@ class StereoOdometry:
         found = relocalised(frame.pair.left, frame.left_static, keyframe, self._camera, self._settings)
         if found is None:
             return outcome
-        return self._localiser.localise(frame, keyframe, found, both_eyes=True, prior=self._history.prior)
+        return self._localiser.localise(frame, keyframe, found, both_eyes=True, foreseen=foreseen)
 
     def _both_eyes(self) -> bool:
         """Whether the right eye's turn has come."""

@@ -28,7 +28,9 @@ class Odometry(Protocol[F_contra]):
 
     @property
     def last_loss(self) -> str | None: ...
-    def process(self, frame: F_contra, X_CM: Array | None = None, /) -> OdometryPose | None: ...
+    def process(
+        self, frame: F_contra, X_CM: Array | None = None, X_BT: Array | None = None, /
+    ) -> OdometryPose | None: ...
 
 
 class Sensor(Protocol[F_contra]):
@@ -74,7 +76,7 @@ class Watcher(Generic[F]):
         capture.
         """
         observation = self._observed(frame)
-        tracked = self._tracked(frame, observation) if self._wants_odometry else None
+        tracked = self._tracked(frame, observation, X_BT) if self._wants_odometry else None
         seen = observation if self._markers else None
         sample = WatchSample(
             frame.capture_ns,
@@ -103,10 +105,10 @@ class Watcher(Generic[F]):
         self._observation = observation
         return observation
 
-    def _tracked(self, frame: F, observation: FrameObservation | None) -> OdometryPose | None:
+    def _tracked(self, frame: F, observation: FrameObservation | None, X_BT: Array) -> OdometryPose | None:
         if self._odometry is None:
             self._odometry = self._sensor.odometry(self._observation)
-        tracked = self._odometry.process(frame, None if observation is None else observation.X_CM)
+        tracked = self._odometry.process(frame, None if observation is None else observation.X_CM, X_BT)
         if tracked is None:
             self._last_loss = self._odometry.last_loss
         else:

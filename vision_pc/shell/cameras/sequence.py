@@ -19,6 +19,9 @@ _PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".bmp", ".tif", ".tiff")
 _NS_FROM = 10**15  # a file name that is a number this great counts nanoseconds
 
 
+ToolAt = Callable[[StereoPair], Array | None]
+
+
 class PairRecord(NamedTuple):
     """What became of one pair: its pose in the C0 of map ``segment``, or None and the ``loss``'s cause with
     its figure.
@@ -102,29 +105,41 @@ def count_pairs(left: Path) -> int:
     return len(_pictures(left))
 
 
+class Recorded(NamedTuple):
+    """Two directories of pictures, their calibration, pairs a second where no times are, and where the tool
+    of the arm was, as in ``follow_pairs``.
+    """
+
+    left: Path
+    right: Path
+    calibration: Path
+    rate_hz: float = 10.0
+    tool_at: ToolAt = lambda pair: None
+
+    def pairs(self) -> Iterator[StereoPair]:
+        """The pairs, as ``read_pairs`` has them."""
+        return read_pairs(self.left, self.right, self.rate_hz)
+
+
 def follow(
-    left: Path,
-    right: Path,
-    calibration: Path,
-    config: VisionConfig,
-    rate_hz: float = 10.0,
-    report: Callable[[PairRecord], None] = lambda record: None,
+    recorded: Recorded, config: VisionConfig, report: Callable[[PairRecord], None] = lambda record: None
 ) -> SequenceResult:
-    """The odometry of a whole sequence, rectified first where ``calibration`` is of a camera as it comes;
+    """The odometry of a whole sequence, rectified first where its calibration is of a camera as it comes;
     ``report`` hears of every pair. Raises MeasurementFailed if all were lost.
     """
-    known = recorded_camera(calibration, next(read_pairs(left, right, rate_hz)))
+    known = recorded_camera(recorded.calibration, next(recorded.pairs()))
     result = follow_pairs(
-        lambda: map(known.rectified, read_pairs(left, right, rate_hz)),
+        lambda: map(known.rectified, recorded.pairs()),
         lambda pair: SegmentedOdometry(known.camera, config.odometry, config.recorded_odometry),
         report,
+        recorded.tool_at,
     )
     if result.lost == len(result.records):
         last = result.records[-1]
         figure = "" if last.detail is None else f" ({last.detail})"
         raise MeasurementFailed(
             "measurement.odometry_lost",
-            f"{left}: all {len(result.records)} pairs lost, last cause {last.loss}{figure}",
+            f"{recorded.left}: all {len(result.records)} pairs lost, last cause {last.loss}{figure}",
         )
     return result
 
@@ -133,19 +148,37 @@ def follow_pairs(
     pairs: Callable[[], Iterable[StereoPair]],
     begin: Callable[[StereoPair], SegmentedOdometry],
     report: Callable[[PairRecord], None] = lambda record: None,
+    tool_at: ToolAt = lambda pair: None,
 ) -> SequenceResult:
     """What odometry, begun with the first of ``pairs``, finds in all of them; poses that later pairs show to
-    be of two motions are lost after all. Where the shutter turns out to roll, all pairs are followed again.
+    be of two motions are lost after all. Where the shutter turns out to roll, or an arm is
+    there to ask, all pairs are followed again.
+    ``tool_at``: X_BT, where the state of the arm that carries the camera had its tool; None: not told.
     """
-    result, share = _one_pass(pairs(), begin, 0.0, report)
-    return _one_pass(pairs(), begin, share, report)[0] if share else result
+    given = _Given(tool_at)
+    result, share = _one_pass(pairs(), begin, None, report, given)
+    return _one_pass(pairs(), begin, share, report, given)[0] if share or given.any else result
+
+
+class _Given:
+    """Where the tool was, and whether that was told of any pair."""
+
+    def __init__(self, tool_at: ToolAt) -> None:
+        self._tool_at = tool_at
+        self.any = False
+
+    def __call__(self, pair: StereoPair) -> Array | None:
+        X_BT = self._tool_at(pair)
+        self.any |= X_BT is not None
+        return X_BT
 
 
 def _one_pass(
     pairs: Iterable[StereoPair],
     begin: Callable[[StereoPair], SegmentedOdometry],
-    readout_share: float,
+    readout_share: float | None,
     report: Callable[[PairRecord], None],
+    tool_at: ToolAt,
 ) -> tuple[SequenceResult, float]:
     """What is found, and the readout's share of the interval between pairs, 0 of a global shutter."""
     records: list[PairRecord] = []
@@ -153,9 +186,9 @@ def _one_pass(
     for pair in pairs:
         if odometry is None:
             odometry = begin(pair)
-            if readout_share:
+            if readout_share is not None:
                 odometry.readout.begin(readout_share)
-        placed = odometry.process(pair)
+        placed = odometry.process(pair, tool_at(pair))
         segment, pose = (None, None) if placed is None else placed
         loss = odometry.last_loss if pose is None else None
         detail = odometry.last_detail if pose is None else None
@@ -163,10 +196,9 @@ def _one_pass(
         report(records[-1])
     if odometry is None:
         return SequenceResult([], [], 0), 0.0
-    withdrawn = odometry.withdrawn
     records = [
         record._replace(segment=None, pose=None, loss="two_motions")
-        if record.segment in withdrawn
+        if record.segment is not None and odometry.is_withdrawn(record.segment, record.capture_ns)
         else record
         for record in records
     ]

@@ -6,6 +6,7 @@ from typing import Protocol
 from vision_pc.core.perception.watch import Odometry, Sensor
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraErrors, FrameObservation, OdometryPose, StereoPair, WatchSample
+from vision_pc.shell.recording.vision_messages import ToldWithFrame
 
 
 class MeasurementRecord(Protocol):
@@ -16,7 +17,7 @@ class MeasurementRecord(Protocol):
     ) -> None: ...
     def odometry_begun(self, previous: FrameObservation | None) -> int: ...
     def tracked(
-        self, odometry: int, pair: StereoPair, X_CM: Array | None, found: OdometryPose | str
+        self, odometry: int, pair: StereoPair, told: ToldWithFrame, found: OdometryPose | str
     ) -> None: ...
     def fitted(self, samples: Sequence[WatchSample], found: CameraErrors | None) -> None: ...
 
@@ -60,8 +61,11 @@ class RecordedOdometry:
         """Why the last frame was lost."""
         return self._odometry.last_loss
 
-    def process(self, frame: StereoPair, X_CM: Array | None = None, /) -> OdometryPose | None:
+    def process(
+        self, frame: StereoPair, X_CM: Array | None = None, X_BT: Array | None = None, /
+    ) -> OdometryPose | None:
         """What the odometry makes of the frame."""
-        found = self._odometry.process(frame, X_CM)
-        self._record.tracked(self._number, frame, X_CM, found or self._odometry.last_loss or "lost")
+        found = self._odometry.process(frame, X_CM, X_BT)
+        told = ToldWithFrame(X_CM is not None, X_BT)
+        self._record.tracked(self._number, frame, told, found or self._odometry.last_loss or "lost")
         return found

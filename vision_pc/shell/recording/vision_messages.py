@@ -37,15 +37,20 @@ class OdometryStart(NamedTuple):
     capture_ns: int
 
 
+class ToldWithFrame(NamedTuple):
+    """What odometry is told beside a frame: whether where the tool marker is, and the arm's state X_BT."""
+
+    tool_given: bool
+    X_BT: Array | None
+
+
 class TrackedFrame(NamedTuple):
-    """What odometry ``found`` in a frame, or why it lost it; ``tool_given``: it was told where the tool
-    marker is.
-    """
+    """What odometry ``found`` in a frame, or why it lost it."""
 
     odometry: int
     capture_ns: int
     frame_id: int
-    tool_given: bool
+    told: ToldWithFrame
     found: OdometryPose | str
 
 
@@ -114,6 +119,7 @@ OdometryMessage = message_class(
         *_integers("inliers"),
         MessageField("coverage"),
         MessageField("residual_px"),
+        *_several("X_BT"),
     ],
 )
 CameraErrorsMessage = message_class(
@@ -204,7 +210,8 @@ def start_bytes(made: OdometryStart) -> bytes:
 
 def tracked_bytes(made: TrackedFrame) -> bytes:
     """longreach.Odometry: the pose, or why it is lost."""
-    stamp = {name: getattr(made, name) for name in ("odometry", "frame_id", "capture_ns", "tool_given")}
+    stamp = {name: getattr(made, name) for name in ("odometry", "frame_id", "capture_ns")}
+    stamp |= made.told._asdict()
     pose = made.found
     if isinstance(pose, str):
         return _filled(OdometryMessage, **stamp, digest=digest(pose), lost=pose)

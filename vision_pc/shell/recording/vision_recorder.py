@@ -29,7 +29,6 @@ from vision_pc.application.reference_link import ReferenceLink, Streamed, Submit
 from vision_pc.config.vision import RecordingSettings, VisionConfig
 from vision_pc.core.perception.intrinsics import calibration
 from vision_pc.core.perception.watch import Sensor
-from vision_pc.core.se3 import Array
 from vision_pc.core.types import (
     CameraErrors,
     FrameObservation,
@@ -152,10 +151,12 @@ class VisionRecorder:
         )
         return self._odometries
 
-    def tracked(self, odometry: int, pair: StereoPair, X_CM: Array | None, found: OdometryPose | str) -> None:
+    def tracked(
+        self, odometry: int, pair: StereoPair, told: own.ToldWithFrame, found: OdometryPose | str
+    ) -> None:
         """Record where odometry finds the camera, or why it does not."""
         self._keep_frame(pair)
-        made = own.TrackedFrame(odometry, pair.capture_ns, pair.frame_id, X_CM is not None, found)
+        made = own.TrackedFrame(odometry, pair.capture_ns, pair.frame_id, told, found)
         self._put(ODOMETRY, made, pair.capture_ns)
         if isinstance(found, OdometryPose):
             self._put(TRACK, found, pair.capture_ns)
@@ -172,7 +173,7 @@ class VisionRecorder:
         self.looks += 1
         self._put(LOOK, made, look.time_ns, wanted=True)
 
-    # Told by what programs reach arm and eyes through.
+    # ToldWithFrame by what programs reach arm and eyes through.
     def read(self, read: reads.Read) -> None:
         """Record an answer that a program got."""
         self._put(READ, read, self._now_ns(), wanted=True)
@@ -181,7 +182,7 @@ class VisionRecorder:
         """Record a sample of a watch that a program may see."""
         self._put(SAMPLE, made, made.sample.time_ns, wanted=True)
 
-    # Told by the link and by the log.
+    # ToldWithFrame by the link and by the log.
     def listen_to(self, link: ReferenceLink) -> None:
         """Record the references that go out over ``link``, and how the clocks stand."""
         self._link = link

@@ -13,6 +13,7 @@ from foundation.recording.recording_thread import DirectRecording
 from tests.support.paths import CONFIGS
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.types import FrameObservation, MarkerObservation, OdometryPose, PointPairs, StereoPair
+from vision_pc.shell.recording.vision_messages import ToldWithFrame
 from vision_pc.shell.recording.vision_recorder import VisionRecorder
 
 CONFIG = load(VisionConfig, CONFIGS / "vision.yaml")
@@ -71,7 +72,7 @@ def test_recording_costs_little_of_a_core(tmp_path: Path, images: str) -> None:
             seen, pose = measured(pair)
             tick_s = time.thread_time()
             recorder.observed(pair, None, seen)
-            recorder.tracked(1, pair, None, pose)
+            recorder.tracked(1, pair, ToldWithFrame(False, None), pose)
             told_s += time.thread_time() - tick_s
         recorder.close()
         return told_s, time.process_time() - began_s

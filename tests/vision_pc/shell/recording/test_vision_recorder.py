@@ -15,7 +15,12 @@ from tests.support.paths import CONFIGS
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core.types import CameraErrors, FrameObservation, Look, StereoPair
 from vision_pc.shell.recording import vision_recorder as names
-from vision_pc.shell.recording.vision_messages import CombinedLook, ObservationMessage
+from vision_pc.shell.recording.vision_messages import (
+    CombinedLook,
+    ObservationMessage,
+    OdometryMessage,
+    ToldWithFrame,
+)
 from vision_pc.shell.recording.vision_recorder import WAITING_FRAMES, VisionRecorder
 
 CONFIG = load(VisionConfig, CONFIGS / "vision.yaml")
@@ -91,11 +96,14 @@ def test_a_frame_is_kept_once_and_no_more_than_some_wait() -> None:
     made, sink = recorder(images="raw")
     for number in range(1, WAITING_FRAMES + 4):
         made.observed(pair(number), None, seen(number))
-        made.tracked(1, pair(number), None, "no_texture")
+        made.tracked(1, pair(number), ToldWithFrame(False, np.eye(4) if number == 2 else None), "no_texture")
     assert made.missed == 3
     taken = sink.take()
     assert len(taken[names.FRAME]) == len(taken[names.IMAGES[0]]) == WAITING_FRAMES
     assert len(taken[names.OBSERVATION]) == len(taken[names.ODOMETRY]) == WAITING_FRAMES + 3
+    states = [list(OdometryMessage.FromString(data).X_BT) for data in taken[names.ODOMETRY]]
+    assert states[1] == np.eye(4).ravel().tolist()
+    assert states[0] == states[2] == []
     made.observed(pair(99), None, seen(99))
     assert made.counts()["frames_missed"] == 3
     assert len(sink.take()[names.FRAME]) == 1

@@ -1,0 +1,135 @@
+"""The arm's own state tells the camera's motion from that of what moves before it."""
+
+import numpy as np
+import pytest
+
+from tests.vision_pc.odometry.test_odometry import pair_at
+from tests.vision_pc.odometry.test_odometry_worlds import TRUE, moving
+from tests.vision_pc.rendering import cropped, wall_texture
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core import se3
+from vision_pc.core.odometry import StereoOdometry
+from vision_pc.core.odometry.arm_motion import ArmHistory, ArmPrior
+from vision_pc.core.odometry.segments import SegmentedOdometry
+from vision_pc.core.perception import intrinsics
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraCalibration, StereoPair
+from vision_pc.shell.cameras.sequence import follow_pairs
+
+X_CT = se3.transform(se3.exp_so3([0.4, -1.1, 2.0]), (0.2, -0.3, 0.1))  # nobody knows it
+X_BC0 = se3.transform(se3.exp_so3([1.0, 0.2, -0.7]), (3.0, -1.0, 0.5))
+
+
+def told(X_C0C: Array) -> Array:
+    """X_BT of an arm whose model is right."""
+    return X_BC0 @ X_C0C @ X_CT
+
+
+def prior_at(config: VisionConfig, X_C0C: Array) -> ArmPrior:
+    history = ArmHistory(config.odometry.arm_motion)
+    history.found(se3.identity(), told(se3.identity()))
+    prior = history.prior(told(X_C0C))
+    assert prior is not None
+    return prior
+
+
+def test_wherever_the_camera_sits_the_arm_foresees_how_far_it_goes(
+    config: VisionConfig, generator: np.random.Generator
+) -> None:
+    for _ in range(20):
+        X = se3.transform(se3.exp_so3(generator.normal(0.0, 0.05, 3)), generator.normal(0.0, 0.2, 3))
+        prior = prior_at(config, X)
+        assert prior.agrees(X)
+        farther = X.copy()
+        farther[:3, 3] *= 1.0 + 0.4 / np.linalg.norm(X[:3, 3])
+        assert not prior.agrees(farther)
+        turned = X.copy()
+        turn = se3.log_so3(X[:3, :3])
+        turned[:3, :3] = se3.exp_so3(turn * (1.0 + 0.02 / np.linalg.norm(turn)))
+        assert not prior.agrees(turned)
+
+
+def test_tolerances_are_of_the_configured_size(config: VisionConfig) -> None:
+    limit = 3.0 * config.odometry.arm_motion.place_std_m
+    for share, agrees in ((0.95, True), (1.05, False)):
+        X = se3.transform(np.eye(3), (share * limit, 0.0, 0.0))
+        assert prior_at(config, se3.identity()).agrees(X) is agrees
+    X = se3.transform(np.eye(3), (3.0 * limit, 0.0, 0.0))
+    assert prior_at(config, se3.identity()).agrees(X, tolerance=4.0)
+
+
+def test_without_a_state_nothing_is_foreseen(config: VisionConfig) -> None:
+    history = ArmHistory(config.odometry.arm_motion)
+    history.found(se3.identity(), None)
+    assert history.prior(se3.identity()) is None
+    history.found(se3.identity(), se3.identity())
+    assert history.prior(None) is None
+    assert history.prior(se3.identity()) is not None
+
+
+@pytest.fixture(scope="module")
+def texture() -> Array:
+    return wall_texture(1, 22.0)
+
+
+@pytest.mark.parametrize("share", [0.45, 0.6])
+def test_the_rig_goes_on_where_something_large_moves(
+    camera: CameraCalibration, config: VisionConfig, texture: Array, share: float
+) -> None:
+    """What was ``two_motions`` without the arm; and an arm that says it stands still is believed too."""
+    pairs = moving(camera, texture, share)
+    odometry = StereoOdometry(camera, config.odometry)
+    found = [odometry.process(pair, X_BT=told(X)) for pair, X in zip(pairs, TRUE, strict=True)]
+    errors = [np.linalg.norm(se3.local(X, f.X_C0C)[:3]) for X, f in zip(TRUE, found, strict=True) if f]
+    assert len(errors) >= len(TRUE) - 1, "undecided until both are 12 mm apart"
+    assert found[-1] is not None
+    assert max(errors) < 1e-3
+    still = StereoOdometry(camera, config.odometry)
+    stood = [still.process(pair, X_BT=told(TRUE[0])) for pair in pairs]
+    assert stood[-1] is None
+    assert still.last_loss in ("two_motions", "sudden_motion")
+
+
+def test_one_motion_that_the_arm_did_not_make_is_not_believed(
+    camera: CameraCalibration, config: VisionConfig, texture: Array
+) -> None:
+    """All that the camera sees moves by 0.15 m and the arm by nothing."""
+    places = [se3.transform(np.eye(3), (0.03 * k, 0.0, 0.0)) for k in range(6)]
+    odometry = StereoOdometry(camera, config.odometry)
+    for k, X in enumerate(places):
+        found = odometry.process(pair_at(camera, texture, X, seed=k), X_BT=told(places[0]))
+    assert found is None
+    assert odometry.last_loss == "sudden_motion"
+
+
+def passing(camera: CameraCalibration, texture: Array, step: float) -> tuple[list[StereoPair], list[Array]]:
+    """A thing over 60 % of the picture from the first pair on, ``step`` m a pair."""
+    pairs, places = [], []
+    for k in range(12):
+        X = se3.transform(np.eye(3), (0.01 * k, 0.0, 0.0))
+        Y = X @ se3.transform(np.eye(3), (-step * k, 0.3 * step * k, 0.0))
+        rest, part = (pair_at(camera, texture, place, z=z, seed=k) for place, z in ((X, 1.5), (Y, 1.2)))
+        left, right = (
+            np.hstack([b[:, :384], a[:, 384:]]) for a, b in ((rest.left, part.left), (rest.right, part.right))
+        )
+        pairs.append(StereoPair(left, right, k, k))
+        places.append(X)
+    return pairs, places
+
+
+def test_a_recording_with_an_arm_is_located_once_the_motions_are_apart(config: VisionConfig) -> None:
+    camera = cropped(intrinsics.calibration(config.camera))
+    pairs, places = passing(camera, wall_texture(1, 22.0, 1000), step=0.008)
+
+    def begin(_: StereoPair) -> SegmentedOdometry:
+        return SegmentedOdometry(camera, config.odometry, config.recorded_odometry)
+
+    blind = follow_pairs(lambda: pairs, begin)
+    assert blind.lost == len(pairs)
+    result = follow_pairs(lambda: pairs, begin, tool_at=lambda pair: told(places[pair.frame_id]))
+    assert result.lost <= 4, result.losses
+    assert {record.segment for record in result.records} <= {0, None}, "the first map is kept meanwhile"
+    details = [record.detail for record in result.records if record.loss == "two_motions"]
+    assert "the arm's state still fits both" in details
+    for pose in result.poses:
+        assert np.linalg.norm(pose.X_C0C[:3, 3] - places[pose.frame_id][:3, 3]) < 3e-3
