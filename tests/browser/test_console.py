@@ -243,7 +243,7 @@ def test_a_click_in_the_picture_makes_a_target(browser: Browser) -> None:
             page.locator("#right").click()
             expect(page.locator("#target-rows li.aimed")).to_contain_text("hole 45.0 mm")
             expect(page.locator("#aims path.goal")).to_have_count(1)
-            expect(page.locator("#answer")).to_contain_text("±0.4 mm, 800 mm away")
+            expect(page.locator("#answer")).to_contain_text("±0.2 mm across, ±0.4 mm in depth, 800 mm away")
             page.locator("#left").focus()  # by keyboard alone
             page.keyboard.press("ArrowLeft")
             page.keyboard.press("Enter")

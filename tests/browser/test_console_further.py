@@ -9,12 +9,14 @@ from collections.abc import Iterator
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, Route, expect
 
 from foundation.rest.tokens import Role
+from protocol.errors import MeasurementFailed
 from protocol.faults import FaultCode, GroupState
-from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, launched
+from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, launched, note
 from tests.browser.open_console import console, eventually, opened, serious
 from tests.browser.stranding_relay import stranding
 from tests.vision_pc.shell.rest_server import served_bench
@@ -22,6 +24,7 @@ from vision_pc.application.ports import Seen
 from vision_pc.core.targets.keeper import KeptTarget
 from vision_pc.core.targets.measuring import Click
 from vision_pc.core.targets.target import TargetRefused
+from vision_pc.core.types import Look
 
 pytestmark = [
     pytest.mark.realtime("processes"),
@@ -126,6 +129,85 @@ def test_a_click_that_means_nothing_is_answered_in_words_and_nothing_moves(
             expect(page.locator("#answer")).to_be_in_viewport()
             is_state(page, "standby")
     assert bench.controller.group is GroupState.STANDBY
+
+
+def click_until(page: Page, words: str) -> None:
+    """Click the middle of the left eye, and wait for the answer."""
+    page.locator("#left").click(force=True)  # the overlay above it lets clicks rise
+    expect(page.locator("#answer")).to_contain_text(words, timeout=WITHIN_MS)
+
+
+def second_picture(page: Page) -> None:
+    """Wait for it: the bench keeps no first one."""
+    expect(page.locator("#left")).to_have_attribute("data-frame", re.compile(r"[2-9]|\d\d"))
+
+
+def test_what_is_out_of_reach_is_told_at_the_click_and_refused_at_go(browser: Browser) -> None:
+    with served_bench(enabled=False) as (url, bench):
+        bench.eyes.picture_s = 0.5
+        X_BO = bench.rig.truth.X_BO.copy()
+        X_BO[:3, 3] += bench.rig.X_BC_true()[:3, 2] * 2.5  # m farther ahead
+        bench.rig.truth = bench.rig.truth._replace(X_BO=X_BO)
+        with opened(browser, url) as page:
+            second_picture(page)
+            expect(page.locator("#seen-told")).to_contain_text("object seen")
+            click_until(page, "OUT OF REACH of one step. Jog nearer")
+            expect(page.locator("#target-rows li.aimed")).to_contain_text("OUT OF REACH")
+            hold(page, "#enable")
+            is_state(page, "standby")
+            hold(page, "#start-local-track")
+            note(page, "local-track", "done")
+            began = bench.rig.q.copy()
+            hold(page, "#start-look-then-move")
+            note(page, "look-then-move", "limit 1.5 m (measurement.step_too_large)")
+            expect(page.locator("#alarm-rows")).to_contain_text("Jog nearer, then repeat the step.")
+            is_state(page, "standby")
+            assert np.array_equal(bench.rig.q, began)
+            page.locator("#jog-frame").select_option("base")
+            for _ in range(40):  # to where the arm ends
+                page.locator("#jog-step").select_option("100")
+                page.locator("#jog-x-plus").click(force=True)
+                page.wait_for_timeout(300)
+                if (
+                    "refused.unreachable"
+                    in page.locator('#procedure li[data-kind="home"] .note').inner_text()
+                ):
+                    break
+            expect(page.locator("#alarm-rows")).to_contain_text("Choose a target within the arm's reach")
+
+
+def test_a_row_of_targets_is_visited_and_who_is_not_enabled_is_told_what_comes_next(browser: Browser) -> None:
+    with served_bench(enabled=False) as (url, bench):
+        bench.eyes.picture_s = 0.5
+        with opened(browser, url) as page:
+            second_picture(page)
+            click_until(page, "Next: ENABLE.")
+            expect(page.locator("#start-visit")).to_be_hidden()
+            hold(page, "#enable")
+            is_state(page, "standby")
+            click_until(page, "Next: local calibration (step 2), then Go.")
+            hold(page, "#start-visit")
+            told = page.locator('#target-steps li[data-kind="visit"] .note')
+            expect(told).to_contain_text(re.compile(r"done .*: t1 \d\.\d mm beside, t2 \d\.\d mm beside"),
+                                         timeout=WITHIN_MS)  # fmt: skip
+            click_until(page, "Hold Go to drive there.")
+
+
+def test_a_tool_that_was_moved_is_refused_with_what_to_do(
+    browser: Browser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    why = "tool: its outline has moved by 2.3 px, limit 1.5 px, since its marker was seen"
+    with served_bench() as (url, bench), opened(browser, url) as page:
+
+        async def refuse(frames: int | None = None) -> Look:
+            raise MeasurementFailed("measurement.tool_moved", why)
+
+        monkeypatch.setattr(bench.eyes, "look", refuse)
+        is_state(page, "standby")
+        page.locator("#start-look").click()
+        note(page, "look", f"{why} (measurement.tool_moved). The tool is not where it was: straighten it")
+        expect(page.locator("#alarm-rows")).to_contain_text("straighten it, or show its marker once again")
+        is_state(page, "standby")
 
 
 def test_who_clicks_while_another_operator_works_is_told_so(browser: Browser) -> None:

@@ -8,6 +8,7 @@ from nominal_arm.dimensions import dh_links
 from protocol.reference_messages import State
 from testbed.recordings.console.timeline import Timeline
 from testbed.reporting.console import plain
+from vision_pc.application.console.advice import advice
 from vision_pc.application.console.alarms import LOW, AlarmList
 from vision_pc.application.console.overview import Glimpse, Overview, conditions, ellipse_of, told_by
 from vision_pc.application.ports import CameraStatus, Seen
@@ -143,6 +144,7 @@ class Moments:
             "started_at": self.seconds(each.begun_ns),
             "ended_at": self.seconds(each.ended_ns) if over and each.ended_ns is not None else None,
             "cause": each.cause if over else None,
+            "advice": advice(each.cause) if over and each.cause else None,
         }
 
     def _noted(self) -> list[tuple[int, Any]]:

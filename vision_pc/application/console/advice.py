@@ -37,6 +37,7 @@ _OF_CAUSE = {
     "refused.role": "You may look and stop. To move the arm, sign in with the operator's token.",
     "measurement.object_not_seen": "Bring the object's markers into the left eye's picture, well lit.",
     "measurement.tool_not_seen": "Bring the tool's marker into the left eye's picture, well lit.",
+    "measurement.step_too_large": "Jog nearer, then repeat the step.",
     "measurement.tool_moved": "The tool is not where it was: straighten it, or show its marker once again.",
     "measurement.odometry_lost": "Too little texture, or too fast: light the scene, keep the view free.",
     "measurement.match_poor": "Repeat the local calibration with longer segments.",

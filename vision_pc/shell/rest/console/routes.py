@@ -23,6 +23,7 @@ from foundation.rest.tokens import Role
 from protocol.errors import LongreachError
 from protocol.reference_messages import State
 from vision_pc.application.application import VisionApplication
+from vision_pc.application.console.advice import advice
 from vision_pc.application.console.overview import Glimpse, Overview, ellipse_of, glimpse, told_by
 from vision_pc.application.console.pace import MeasuringPace
 from vision_pc.application.results import JSON
@@ -97,6 +98,7 @@ class Console:
             "state": None if seen.state is None else arm_json(seen.state),
             "operations": [_operation_json(operation) for operation in operations],
             "told": told,
+            "looked_at": None if seen.look is None else now_s - _age_s(seen.look.look.time_ns),
         } | self._overview.document(seen, ellipse_of(told))
         data = json.dumps(document, separators=(",", ":"), allow_nan=False)
         return f"id: {self._number}\nevent: snapshot\ndata: {data}\n\n".encode()
@@ -158,6 +160,10 @@ async def _endless(pictures: Broadcast) -> AsyncIterator[bytes]:
         yield each
 
 
+def _age_s(captured_ns: int) -> float:
+    return 1e-9 * (time.monotonic_ns() - captured_ns)
+
+
 def _told(operations: list[Operation]) -> JSON | None:
     """What the newest operation told of where it would end; nothing once something else has moved the arm."""
     moving = [operation for operation in operations if operation.kind != "look"]
@@ -165,6 +171,7 @@ def _told(operations: list[Operation]) -> JSON | None:
 
 
 def _operation_json(operation: Operation) -> JSON:
+    cause = None if operation.problem is None else str(operation.problem["cause"])
     return {
         "id": operation.id,
         "kind": operation.kind,
@@ -174,5 +181,6 @@ def _operation_json(operation: Operation) -> JSON:
         "note": operation.note,
         "started_at": operation.started_at,
         "ended_at": operation.ended_at,
-        "cause": None if operation.problem is None else operation.problem["cause"],
+        "cause": cause,
+        "advice": None if cause is None else advice(cause),
     }

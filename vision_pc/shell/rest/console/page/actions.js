@@ -146,7 +146,7 @@ function able(id, is, why) {
 }
 
 function showStep(step, line, busy) {
-  line.hidden = Boolean(step.method) && step.method !== method();
+  line.hidden = (Boolean(step.method) && step.method !== method()) || step.wanted?.() === false;
   const mine = step.kind === 'home' ? 'move' : step.kind;
   const last = shot?.operations.findLast((operation) => operation.kind === mine);
   const runs = busy && busy === last;
@@ -168,20 +168,28 @@ function ready(step) {
   return step.free ? shot?.state : enabled();
 }
 
+const calibrated = () => Boolean(method() === 'corrected' ? shot?.tracked : shot?.calibration);
+
 function hint(step) {
-  if (step.kind === 'look-then-move') {
-    const ready = method() === 'corrected' ? shot?.tracked : shot?.calibration;
-    return ready ? 'ready' : 'after step 2';
-  }
+  if (step.kind === 'look-then-move') return calibrated() ? 'ready' : 'after step 2';
+  if (step.kind === 'visit') return 'calibrates where that is wanted';
   return '';
 }
+
+/** What is to be held next to come to the target. */
+export function nextStep() {
+  if (!enabled()) return 'Next: ENABLE.';
+  return calibrated() ? 'Hold Go to drive there.' : 'Next: local calibration (step 2), then Go.';
+}
+
+const visited = (targets, worst) => targets.map((each) => `${each.target} ${worst({ x: each.error_mm.x, y: each.error_mm.y }).toFixed(1)} mm beside`).join(', ');
 
 /** An operation in one line. */
 function words(operation) {
   if (['queued', 'running'].includes(operation.state)) return operation.note;
   const when = ago(shot.time - operation.ended_at);
   if (operation.ended_at < shot.anew_at) return `void, ${when}: the machine was started anew since`;
-  if (operation.state === 'failed') return `▲ failed ${when}: ${operation.note} (${operation.cause})`;
+  if (operation.state === 'failed') return `▲ failed ${when}: ${operation.note} (${operation.cause}). ${operation.advice ?? ''}`;
   if (operation.state === 'cancelled') return `cancelled ${when}`;
   fetchResult(operation);
   return `done ${when}${summary(operation.kind, results.get(operation.id))}`;
@@ -207,6 +215,7 @@ function summary(kind, result) {
   if (kind === 'hand-eye-sample') return `, sample ${result.count}: ±${result.std_mm.toFixed(2)} mm, ±${result.std_deg.toFixed(3)}°`;
   if (kind === 'hand-eye-solve') return `: ${result.verdict}`;
   if (kind === 'valve-trials') return `: play of ${Object.keys(result.play_mrad).length} joints`;
+  if (kind === 'visit') return `: ${visited(result.targets, worst)}`;
   if (kind === 'move') return `, ${result.miss_mm.toFixed(1)} mm beside`;
   if (result.look ?? result.error_mm) {
     const error = (result.look ?? result).error_mm;

@@ -11,7 +11,7 @@ import { addToPlots, clearPlots, drawPlots, installPlots } from './plots.js';
 import { installArm, paintArm, showArm, showTruth } from './arm.js';
 import { installStop } from './stop.js';
 import { followPictures, followState } from './stream.js';
-import { installTargets, pictureSize } from './targets.js';
+import { installTargets, showTargets } from './targets.js';
 import { installTransport, recorded, showTransport } from './transport.js';
 import { showVerdict } from './verdict.js';
 
@@ -20,7 +20,6 @@ let shot = null;
 let came = 0;
 let instance = null;
 let operate = false;
-let lookSeen = { ns: 0, at: 0 };
 let lastTrouble = null;
 let crowded = false; // no place for pictures among the windows of this browser
 
@@ -43,12 +42,10 @@ function showSnapshot(snapshot) {
   showResume(shot.state, shot.alarms);
   showAlarms(shot.alarms);
   showOverlay(shot.overlay, shot.tolerance_mm);
-  pictureSize(shot.overlay?.size);
+  showTargets(shot.overlay?.size, ['moving', 'stopping'].includes(shot.state?.group_state));
   update(shot, operate);
   if (shot.recorded && showTransport(shot.recorded)) clearPlots();
-  if (recorded && shot.look) lookSeen = { ns: shot.look.time_ns, at: shot.looked_at };
-  else if (shot.look && shot.look.time_ns !== lookSeen.ns) lookSeen = { ns: shot.look.time_ns, at: shot.time };
-  showVerdict(shot.look, shot.told, shot.time - lookSeen.at);
+  showVerdict(shot.look, shot.told, shot.time - shot.looked_at);
   showArm(shot);
   showFurther(shot);
   addToPlots(shot);

@@ -78,7 +78,7 @@ export function showAlarms(alarms) {
     return make('tr', { class: lasts ? 'active' : 'ended' },
       make('td', { class: 'num' }, clock(alarm.began_at)),
       make('td', {}, lasts ? make('span', { class: `prio prio-${alarm.priority}` }, `${MARKS[alarm.priority]} ${alarm.priority}`) : make('span', { class: 'prio' }, '–')),
-      make('td', {}, `${alarm.detail}. `, make('b', {}, lasts ? alarm.advice : ''), make('small', {}, make('code', {}, alarm.cause), ended && ` · ${ended}`)));
+      make('td', {}, `${alarm.detail}. `, make('b', {}, lasts || alarm.ended_at === alarm.began_at ? alarm.advice : ''), make('small', {}, make('code', {}, alarm.cause), ended && ` · ${ended}`)));
   });
   if (!rows.length) rows.push(make('tr', { class: 'ended' }, make('td', { colspan: 3 }, recorded ? 'Nothing had happened by then.' : 'Nothing has happened since the console was opened.')));
   const told = rows.map((row) => row.textContent).join('|');

@@ -1,6 +1,6 @@
 // Targets by a click in the picture: what was recognised there, how well it is known, whether the arm reaches it.
 
-import { say, showCurl, tellCurl } from './actions.js';
+import { addSteps, nextStep, say, showCurl, tellCurl } from './actions.js';
 import { send } from './api.js';
 import { attribute, byId, make, write } from './dom.js';
 
@@ -15,6 +15,7 @@ let holes = [];
 let asked = null; // the click that wants its place in the other eye: its body, and candidates
 let cross = null; // where keys have pointed
 let polling = false;
+let moves = false; // the arm: what was seen in a picture is elsewhere in the next
 let pressed = null; // where the button went down
 
 /** Has clicks make targets, where the service knows them. */
@@ -25,6 +26,7 @@ export async function installTargets() {
     return;
   }
   byId('targets').hidden = false;
+  addSteps([{ kind: 'visit', words: 'Visit all targets, the oldest first', verb: 'Visit', wanted: () => targets.length > 1 }], byId('target-steps'));
   take(answer.document);
   byId('left').parentElement.classList.add('aimable');
   attribute(byId('left'), 'tabindex', '0');
@@ -40,9 +42,13 @@ export async function installTargets() {
   setInterval(poll, EVERY_MS);
 }
 
-/** The size of the pictures, which clicks are told in. */
-export function pictureSize(given) {
+/** The size of the pictures, which clicks are told in, and whether the arm moves. */
+export function showTargets(given, moving) {
   if (given) size = given;
+  if (moving === moves) return;
+  moves = moving;
+  if (moves) holes = [];
+  draw();
 }
 
 export const aimed = () => targets.find((target) => target.aimed);
@@ -95,7 +101,7 @@ async function ask(body) {
   holes = [];
   if (answer.ok) {
     const made = answer.document;
-    say(`Target ${made.id}: ${made.recognised}, known to ±${worst(made)} mm${far(made)}. Hold Go to drive there.`, made.reachable !== false);
+    say(`Target ${made.id}: ${made.recognised}, known to ${precision(made)}${far(made)}. ${made.reachable === false ? 'Jog nearer, then click it again.' : nextStep()}`, made.reachable !== false);
   } else {
     const candidates = answer.document?.candidates ?? [];
     if (candidates.length) asked = { body, candidates };
@@ -132,7 +138,7 @@ function take(document_) {
   draw();
 }
 
-const worst = (target) => Math.max(...Object.values(target.std_mm)).toFixed(1);
+const precision = ({ std_mm: { x, y, z } }) => `±${Math.max(x, y).toFixed(1)} mm across, ±${z.toFixed(1)} mm in depth`;
 const far = (target) => (target.distance_mm === null ? '' : `, ${target.distance_mm.toFixed(0)} mm away${target.reachable ? '' : ', OUT OF REACH of one step'}`);
 
 function rows() {
@@ -148,7 +154,7 @@ function row(target) {
   const name = target.id ? `${target.id} ${target.recognised}` : target.recognised;
   const line = make('li', { class: target.aimed ? 'aimed' : '' }, make('b', {}, target.aimed ? `▸ ${name}` : name));
   if (!target.id) return line;
-  line.append(make('span', {}, `${KNOWN[target.known] ?? target.known} · ±${worst(target)} mm${far(target)}`));
+  line.append(make('span', {}, `${KNOWN[target.known] ?? target.known} · ${precision(target)}${far(target)}`));
   const aim = make('button', { type: 'button', disabled: target.aimed, 'aria-label': `Aim at ${name}` }, 'Aim');
   const forget = make('button', { type: 'button', 'aria-label': `Forget ${name}` }, 'Forget');
   act(aim, 'POST', `/targets/${target.id}/aim`);
@@ -175,7 +181,7 @@ function act(button, method, path) {
 
 /** Outlines of targets that are seen from here, of holes that were found, candidates, and the keys' cross. */
 function draw() {
-  const seen = targets.filter((target) => target.known === 'measured' && !target.carried_mm);
+  const seen = targets.filter((target) => target.known === 'measured' && !target.carried_mm && !moves);
   byId('aims').setAttribute('viewBox', `0 0 ${size[0]} ${size[1]}`);
   byId('aims').replaceChildren(
     ...holes.map((hole) => path(hole.outline, 'hole')),
