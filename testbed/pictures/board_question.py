@@ -32,7 +32,8 @@ def counts_shown(pictures: Sequence[Image]) -> tuple[int, int] | None:
 def question(pictures: Sequence[Image], board: Checkerboard | Charuco, found: int) -> None:
     """Say what is doubtful about ``board``, of which ``found`` pictures show one.
 
-    Raises RequestRefused (``refused.board.counts``) where none does, and another one is there.
+    Raises RequestRefused (``refused.board.counts``) where another one is there, and none is found, or
+    ``board`` is but a part of it: it may be another part in every picture.
     """
     if isinstance(board, Charuco):
         return
@@ -44,7 +45,7 @@ def question(pictures: Sequence[Image], board: Checkerboard | Charuco, found: in
             f"{board.columns}x{board.rows}: --columns and --rows count corners where four squares meet, "
             "one fewer than squares each way"
         )
-        if not found:
+        if not found or (shown[0] >= asked[0] and shown[1] >= asked[1]):
             raise RequestRefused("refused.board.counts", why)
         out.print(why, style="yellow", highlight=False, soft_wrap=True)
     if (board.columns + board.rows) % 2 == 0:

@@ -26,10 +26,13 @@ def solve(
     ] = False,
     json_file: JsonFile = None,
 ) -> None:
-    """X from samples, with covariance, residuals, proof and verdict; or the reason why not."""
+    """X from samples, with covariance, residuals, proof and verdict; or the reason why not.
+
+    Exit status 1 when the verdict is questioned.
+    """
     from testbed.cli.hand_eye.files import run_solve
 
-    run_solve(source, method, as_given, json_file)
+    raise typer.Exit(0 if run_solve(source, method, as_given, json_file) else 1)
 
 
 @app.command(epilog="Example: longreach hand-eye compare hand.tum camera.tum --camera-in-target")

@@ -53,8 +53,10 @@ def _offset(text: str) -> float | None:
         ) from error
 
 
-def run_solve(source: SampleSource, method: Method, as_given: bool, json_file: Path | None) -> None:
-    """Print X and all that is known about it. Raises LongreachError where there is no X to believe."""
+def run_solve(source: SampleSource, method: Method, as_given: bool, json_file: Path | None) -> bool:
+    """Print X and all that is known about it. Returns whether nothing about it is doubtful, or doubts were
+    not to count. Raises LongreachError where there is no X to believe.
+    """
     pairs = _samples(source)
     try:
         result, found = judgement.believed(pairs, method, as_given)
@@ -66,24 +68,27 @@ def run_solve(source: SampleSource, method: Method, as_given: bool, json_file: P
         out.print(f"note: {note}", style="yellow", highlight=False, soft_wrap=True)
     figures = presentation.result_figures(result)
     if pairs.corners is not None:
-        figures["image_space"] = _adjusted(pairs, result, as_given)
+        figures["image_space"], doubts = _adjusted(pairs, result, as_given)
+        found = found.with_doubts(doubts)
     for line, style in presentation.judgement_lines(found):
         out.print(line, style=style, highlight=False, soft_wrap=True)
     figures["verdict"] = presentation.judgement_figures(found)
     write_json(json_file, figures)
+    return as_given or found.verdict == "good"
 
 
-def _adjusted(pairs: PosePairs, result: HandEyeResult, as_given: bool) -> dict[str, object]:
+def _adjusted(
+    pairs: PosePairs, result: HandEyeResult, as_given: bool
+) -> tuple[dict[str, object], list[judgement.Doubt]]:
+    """What image-space adjustment finds, and what of that is doubtful."""
     noise = result.noise
     robot = None
     if noise is not None and noise.robot_rotation > 0.0 and noise.robot_translation > 0.0:
         robot = RobotNoise(noise.robot_rotation, noise.robot_translation)
     found = bundle.adjust(pairs, result, robot)
     doubt = judgement.corner_doubt(found.pixel_noise)
-    if doubt is not None:
-        if doubt.refused and not as_given:
-            raise MeasurementFailed(doubt.cause, doubt.reason)
-        out.print(f"questioned: {doubt.reason}", style="yellow", highlight=False, soft_wrap=True)
+    if doubt is not None and doubt.refused and not as_given:
+        raise MeasurementFailed(doubt.cause, doubt.reason)
     covariance = found.covariance + (0.0 if result.of_lens is None else result.of_lens)
     std = 1e3 * np.sqrt(np.diag(covariance)[:3])
     x, y, z = 1e3 * found.X[:3, 3]
@@ -93,13 +98,14 @@ def _adjusted(pairs: PosePairs, result: HandEyeResult, as_given: bool) -> dict[s
         highlight=False,
         soft_wrap=True,
     )
-    return {
+    figures: dict[str, object] = {
         "X": presentation.pose_figures(found.X),
         "Z": presentation.pose_figures(found.Z),
         "covariance_p_theta": covariance,
         "corner_noise_px": found.pixel_noise,
         "sample_rms_px": found.sample_rms_px,
     }
+    return figures, [] if doubt is None else [doubt]
 
 
 def run_compare(source: SampleSource, json_file: Path | None) -> None:

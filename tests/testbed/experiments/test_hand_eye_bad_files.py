@@ -40,3 +40,18 @@ def test_a_refused_file_gives_its_number_only_as_given(tmp_path: Path) -> None:
     assert told.exit_code == 0, told.output
     assert "verdict: refused" in told.output
     assert "residuals" in told.output
+
+
+def test_a_questioned_file_gives_its_number_and_status_1(tmp_path: Path) -> None:
+    """Camera lengths 3 % too long: a target measured a little wrongly."""
+    good = good_file(40, 1)
+    for sample in good["samples"]:
+        for row in sample["camera"][:3]:
+            row[3] *= 1.03
+    file = tmp_path / "samples.json"
+    file.write_text(json.dumps(good), encoding="utf-8")
+    said = CliRunner().invoke(app, ["hand-eye", "solve", str(file)])
+    assert "verdict: questioned" in said.output
+    assert "residuals" in said.output
+    assert said.exit_code == 1
+    assert CliRunner().invoke(app, ["hand-eye", "solve", str(file), "--as-given"]).exit_code == 0

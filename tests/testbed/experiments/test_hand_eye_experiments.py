@@ -104,7 +104,8 @@ def test_solve_writes_what_it_prints(tmp_path: Path) -> None:
     path, X = samples_file(tmp_path)
     report = tmp_path / "x.json"
     result = CliRunner().invoke(app, ["hand-eye", "solve", str(path), "--json", str(report)])
-    assert result.exit_code == 0, result.output
+    assert "questioned: the camera is 1056 mm from the hand" in result.output  # as the scene was drawn
+    assert result.exit_code == 1, result.output
     figures = json.loads(report.read_text(encoding="utf-8"))
     np.testing.assert_allclose(figures["X"]["matrix"], X, atol=1e-9)
     assert figures["certificate"]["holds"]

@@ -32,12 +32,19 @@ def test_squares_taken_for_corners_are_refused_and_fewer_corners_are_told(
     with pytest.raises(RequestRefused, match="show a board of 9x6 inner corners, asked for are 10x7") as no:
         question([board(9, 6)], Checkerboard(10, 7, 0.025), 0)
     assert no.value.cause == "refused.board.counts"
-    question([board(9, 6)], Checkerboard(8, 5, 0.025), 1)
-    assert "9x6 inner corners, asked for are 8x5" in capsys.readouterr().out
+    question([board(9, 6)], Checkerboard(10, 5, 0.025), 1)
+    assert "9x6 inner corners, asked for are 10x5" in capsys.readouterr().out
     for fine in (Checkerboard(9, 6, 0.025), Checkerboard(6, 9, 0.025), Charuco(9, 7, 0.025, 0.018, 0)):
         question([board(9, 6)], fine, 1)
     assert not capsys.readouterr().out
     question([BARE], Checkerboard(10, 7, 0.025), 0)  # nothing there: whoever asked says so
+
+
+@pytest.mark.parametrize("asked", [(8, 5), (9, 5), (6, 8)])
+def test_a_board_is_not_taken_for_a_part_of_it(asked: tuple[int, int]) -> None:
+    with pytest.raises(RequestRefused, match="show a board of 9x6 inner corners, asked for are") as no:
+        question([board(9, 6)], Checkerboard(*asked, 0.025), 12)
+    assert no.value.cause == "refused.board.counts"
 
 
 def test_a_board_without_an_up_is_questioned(capsys: pytest.CaptureFixture[str]) -> None:

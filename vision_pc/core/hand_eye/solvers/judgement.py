@@ -5,6 +5,7 @@ Here each doubt has a cause, a sentence with the figure and its limit, and says 
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -82,6 +83,10 @@ class Judgement(NamedTuple):
         if not self.doubts:
             return "good"
         return "refused" if self.doubts[0].refused else "questioned"
+
+    def with_doubts(self, more: Sequence[Doubt]) -> "Judgement":
+        """The same with ``more`` doubts."""
+        return self._replace(doubts=_gravest_first([*self.doubts, *more]))
 
     def demand(self) -> None:
         """Raise MeasurementFailed with the first doubt that forbids X."""
