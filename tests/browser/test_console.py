@@ -222,7 +222,7 @@ class AmbiguousWall:
         outline = [[590.0, 290.0], [610.0, 290.0], [600.0, 310.0]]
         kind = body.get("kind", "hole")
         made = {"id": "t1", "kind": kind, "recognised": "hole 45.0 mm", "known": "measured", "aimed": True,
-                "std_mm": {"x": 0.2, "y": 0.1, "z": 0.4}, "distance_mm": 800.0, "reachable": True,
+                "std_sight_mm": {"across": 0.2, "along": 0.4}, "distance_mm": 800.0, "reachable": True,
                 "carried_mm": 0.0, "outline": outline}  # fmt: skip
         self.targets = [made]
         return route.fulfill(status=201, json=made)

@@ -24,7 +24,10 @@ pytestmark = [
 ]
 WITHIN_MS = 180_000.0  # a world that begins anew, on a machine that may be busy
 UP = ("up", "--free-ports", "--allow-faults", "--show-truth", "--scenario", "drill_face", "--seed", "7")
-SETTINGS = ("--set", "plant_service.renderer_scheduling=normal")  # or a busy machine has no pictures at all
+SETTINGS = (  # for a machine that is busy: else it has no pictures at all, and loses the link now and then
+    *("--set", "plant_service.renderer_scheduling=normal"),
+    *("--set", "controller.reference_link.link_timeout_ms=5000"),
+)
 
 
 @pytest.fixture(scope="module")

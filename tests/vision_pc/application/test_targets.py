@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from protocol.errors import RequestRefused
+from tests.vision_pc.program_settings import shipped
+from vision_pc.application.targets.view import target_json
 from vision_pc.config.targets import TargetSettings
 from vision_pc.core import se3
 from vision_pc.core.targets.keeper import TargetKeeper
@@ -59,3 +61,13 @@ def test_the_newest_is_aimed_at_and_forgetting_it_goes_back_to_the_markers() -> 
         kept.aim("t1")
     assert caught.value.cause == "refused.unknown_target"
     assert keeper(150).list()[0].id == "t51"
+
+
+def test_how_well_a_place_is_known_is_told_by_the_line_of_sight() -> None:
+    kept = keeper()
+    target = kept.get("t1")
+    ray = X_CO[:3, 3] / np.linalg.norm(X_CO[:3, 3])
+    target.covariance[:3, :3] = 1e-8 * np.eye(3) + (0.004**2 - 1e-8) * np.outer(ray, ray)
+    told = target_json(target, kept, shipped().positioning, None)
+    assert told["std_sight_mm"] == {"across": 0.1, "along": 4.0}
+    assert told["std_mm"]["x"] > 0.3  # the axes mix both where the target is beside the middle

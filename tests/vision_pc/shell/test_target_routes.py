@@ -23,6 +23,7 @@ async def test_a_click_makes_a_target_that_is_aimed_at_and_can_be_forgotten(stat
     assert document["recognised"] == "hole 45.0 mm"
     assert document["aimed"] is True
     assert document["std_mm"]["x"] == pytest.approx(1.0)
+    assert document["std_sight_mm"] == {"across": 1.0, "along": 1.0}
     listed = (await station.client.get("/targets", params={"detect": True})).json()
     assert [target["id"] for target in listed["targets"]] == ["t1"]
     assert listed["holes"][0]["diameter_mm"] == 45.0

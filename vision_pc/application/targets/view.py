@@ -64,6 +64,7 @@ def target_json(
         "X_BO": None if kept.X_BO is None else pose_json(kept.X_BO),
         "normal_C": [round(float(v), 6) for v in kept.X_CO[:3, 2]],
         "std_mm": xyz(np.sqrt(np.diag(kept.covariance)[:3])),
+        "std_sight_mm": _by_the_sight(kept),
         "std_deg": degrees(np.sqrt(np.diag(kept.covariance)[3:])),
         "diameter_mm": None if kept.diameter_m is None else round(1e3 * kept.diameter_m, 2),
         "quality": round(kept.quality, 3),
@@ -93,6 +94,15 @@ def candidate_json(candidate: Candidate) -> JSON:
         "other_px": [round(float(v), 2) for v in candidate.right_px],
         "p_C_m": [round(float(v), 4) for v in candidate.p_C],
     }
+
+
+def _by_the_sight(kept: KeptTarget) -> JSON:
+    """Standard deviations across the line of sight (the worst) and along it."""
+    place, ray = kept.covariance[:3, :3], kept.X_CO[:3, 3] / np.linalg.norm(kept.X_CO[:3, 3])
+    beside = np.eye(3) - np.outer(ray, ray)
+    across = math.sqrt(float(np.linalg.eigvalsh(beside @ place @ beside)[-1]))
+    along = math.sqrt(float(ray @ place @ ray))
+    return {"across": round(1e3 * across, 3), "along": round(1e3 * along, 3)}
 
 
 def _in_words(kind: str, diameter_m: float | None) -> str:

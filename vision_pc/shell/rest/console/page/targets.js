@@ -138,11 +138,11 @@ function take(document_) {
   draw();
 }
 
-const precision = ({ std_mm: { x, y, z } }) => `±${Math.max(x, y).toFixed(1)} mm across, ±${z.toFixed(1)} mm in depth`;
+const precision = ({ std_sight_mm: { across, along } }) => `±${across.toFixed(1)} mm across, ±${along.toFixed(1)} mm in depth`;
 const far = (target) => (target.distance_mm === null ? '' : `, ${target.distance_mm.toFixed(0)} mm away${target.reachable ? '' : ', OUT OF REACH of one step'}`);
 
 function rows() {
-  const told = JSON.stringify(targets.map((t) => [t.id, t.known, t.aimed, t.kind, t.recognised, t.std_mm, t.distance_mm]));
+  const told = JSON.stringify(targets.map((t) => [t.id, t.known, t.aimed, t.kind, t.recognised, t.std_sight_mm, t.distance_mm]));
   const list = byId('target-rows');
   if (list.dataset.told === told) return;
   list.dataset.told = told;
