@@ -191,6 +191,12 @@ def test_a_row_of_targets_is_visited_and_who_is_not_enabled_is_told_what_comes_n
             expect(told).to_contain_text(re.compile(r"done .*: t1 \d\.\d mm beside, t2 \d\.\d mm beside"),
                                          timeout=WITHIN_MS)  # fmt: skip
             click_until(page, "Hold Go to drive there.")
+            for _ in range(8):
+                assert httpx.post(f"{url}/targets", json={"u_px": 600.0, "v_px": 300.0}).status_code == 201
+            newest = page.locator("#target-rows li.aimed")
+            expect(newest).to_contain_text("t11")
+            page.locator("#targets").scroll_into_view_if_needed()
+            expect(newest).to_be_in_viewport()  # of a list that scrolls
 
 
 def test_a_tool_that_was_moved_is_refused_with_what_to_do(

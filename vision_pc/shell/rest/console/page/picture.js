@@ -1,6 +1,7 @@
 // The live picture: canvases for both eyes and the loupe, and what was detected as drawings over them.
 
 import { byId, signed, write } from './dom.js';
+import { aimed } from './targets.js';
 import { recorded } from './transport.js';
 
 const SVG = 'http://www.w3.org/2000/svg';
@@ -129,7 +130,9 @@ function words(overlay) {
   const residual = Math.max(...overlay.markers.map((marker) => marker.residual_px), 0);
   const error = overlay.error_mm ? ` · off by ${overlay.error_mm.map((mm) => signed(mm, 1)).join(' ')} mm` : '';
   const tool = overlay.by_outline ? '▲ tool by its outline, marker unread' : of('tool', overlay.tool);
-  return `${tool} · ${of('object', overlay.object)} · ${residual.toFixed(2)} px${error}`;
+  const target = aimed();
+  const object = target?.known === 'carried' && !overlay.object ? 'target carried by odometry' : of(target ? 'target' : 'object', overlay.object);
+  return `${tool} · ${object} · ${residual.toFixed(2)} px${error}`;
 }
 
 const open = (points) => `M${points.map((point) => point.join(' ')).join('L')}`;

@@ -51,6 +51,7 @@ export function showTargets(given, moving) {
   draw();
 }
 
+/** What programs look at in place of the object's markers. */
 export const aimed = () => targets.find((target) => target.aimed);
 
 function pixel(event, canvas) {
@@ -148,6 +149,8 @@ function rows() {
   list.dataset.told = told;
   const markers = { id: '', aimed: !aimed(), recognised: 'the object’s markers', known: '' };
   list.replaceChildren(...[markers, ...targets].map(row));
+  const line = list.querySelector('.aimed'); // of a long row the newest, which is aimed at, is the last
+  if (line) list.scrollTop = line.offsetTop - list.offsetTop;
 }
 
 function row(target) {
