@@ -103,6 +103,7 @@ CLICKS_IN_VAIN = {
     "target.ambiguous": "target: 3 places look alike",
     "target.not_planar": "target: what is there is no plane",
     "target.hidden": "target: the tool is before it",
+    "target.moves": "target: what is there has moved by 7 px since",
 }
 
 

@@ -18,6 +18,7 @@ from vision_pc.core.ports import PairsAtRest
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.keeper import KeptTarget, TargetKeeper
 from vision_pc.core.targets.measuring import Click, anywhere, at_click, holes
+from vision_pc.core.targets.moving_thing import refuse_moved
 from vision_pc.core.targets.target import TargetObservation, TargetRefused
 from vision_pc.core.types import FrameObservation, Look, StereoPair
 
@@ -117,11 +118,13 @@ class CameraEyes(FrameEyes[StereoPair]):
         """Measure what a click means in a picture that was shown (None: in a fresh one), and keep it.
 
         Raises TargetRefused: ``target.frame_too_old`` for a picture that is no longer kept or was taken
-        before the arm moved, and as ``at_click``; RequestRefused (``refused.moving``), LinkLost.
+        before the arm moved, ``target.moves`` for what is elsewhere in the newest picture, and as
+        ``at_click``; RequestRefused (``refused.moving``), LinkLost.
         """
         pair = await self._clicked(frame_id)
         X_BT = await self._at_rest_since(pair)
-        observation, found = await self.aside(lambda: self._measured(pair, click))
+        newest = self._frames.newest or pair
+        observation, found = await self.aside(lambda: self._measured(pair, click, newest))
         X_CM = observation.X_CM
         X_BO = None
         if X_CM is not None:
@@ -179,7 +182,11 @@ class CameraEyes(FrameEyes[StereoPair]):
             )
         return now
 
-    def _measured(self, pair: StereoPair, click: Click) -> tuple[FrameObservation, TargetObservation]:
+    def _measured(
+        self, pair: StereoPair, click: Click, newest: StereoPair
+    ) -> tuple[FrameObservation, TargetObservation]:
         before = None if self._latest is None else self._latest[1]
         observation = self._aimed.plain(pair, before)
-        return observation, at_click(self._aimed.sighted(pair, observation), click)
+        found = at_click(self._aimed.sighted(pair, observation), click)
+        refuse_moved(getattr(pair, click.eye), getattr(newest, click.eye), click.pixel)
+        return observation, found

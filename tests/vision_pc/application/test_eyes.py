@@ -26,6 +26,8 @@ from vision_pc.config.vision import LinkSettings, VisionConfig
 from vision_pc.core.perception.intrinsics import calibration
 from vision_pc.core.positioning.look_then_move import judge
 from vision_pc.core.se3 import transform
+from vision_pc.core.targets.measuring import Click
+from vision_pc.core.targets.target import TargetRefused
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.camera_eyes import OpenedEyes, open_eyes
 from vision_pc.shell.cameras import CameraSource
@@ -194,6 +196,19 @@ async def test_what_is_not_there_is_not_seen(bench: Bench, pictures: Pictures) -
     with pytest.raises(MeasurementFailed) as failed:
         await bench.eyes.look(3)
     assert failed.value.cause == "measurement.object_not_seen"
+
+
+async def test_a_click_is_refused_where_what_was_clicked_has_moved_since(
+    bench: Bench, pictures: Pictures
+) -> None:
+    click = Click("left", np.array([500.0, 150.0]), "plane")
+    shown = await bench.eyes.pair_after(0)
+    assert (await bench.eyes.target_at(click, shown.frame_id)).frame_id == shown.frame_id
+    bench.camera.play(pictures.moving[3:4])
+    await bench.camera.frame_after(time.monotonic_ns())
+    with pytest.raises(TargetRefused, match=r"something else|moved by 1. px") as refused:
+        await bench.eyes.target_at(click, shown.frame_id)
+    assert refused.value.cause == "target.moves"
 
 
 async def test_a_silent_camera_is_told_and_no_old_picture_is_used(bench: Bench) -> None:

@@ -39,7 +39,7 @@ def _add_making(app: FastAPI, application: VisionApplication, operations: Operat
 
         422 says why not: ``target.ambiguous`` with ``candidates``, ``target.low_texture``,
         ``target.depth_edge``, ``target.not_planar``, ``target.outside_picture``, ``target.frame_too_old``,
-        ``target.no_match``, ``target.hidden``, ``target.no_hole``, ``target.not_round``,
+        ``target.no_match``, ``target.hidden``, ``target.moves``, ``target.no_hole``, ``target.not_round``,
         ``target.wrong_size``; ``advice`` says what to do.
         """
         operations.refuse_busy()
