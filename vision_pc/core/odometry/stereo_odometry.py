@@ -178,7 +178,8 @@ class StereoOdometry:
         nowhere.
         """
         outcome: PoseEstimate | str = "too_few_points"
-        for expected in (self._X_C0C @ self._motion, self._X_C0C):
+        at_rest = np.array_equal(self._motion, se3.identity())
+        for expected in (self._X_C0C,) if at_rest else (self._X_C0C @ self._motion, self._X_C0C):
             for keyframe in self._map.nearest(expected)[:_TRIES]:
                 outcome = self._localiser.localise(frame, keyframe, expected, self._both_eyes(), foreseen)
                 if outcome in ("two_motions", "sudden_motion", UNDECIDED) and foreseen.known:
