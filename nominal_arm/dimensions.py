@@ -42,6 +42,13 @@ def dimensions(arm: NominalArm) -> Dimensions:
     return Dimensions(dh_links(arm), boom_dimensions(arm))
 
 
+def joint_ranges(arm: NominalArm) -> dict[str, tuple[float, float]]:
+    """The lower and upper bound of each joint by its name, rad."""
+    return {
+        joint.name: (math.radians(joint.lower_deg), math.radians(joint.upper_deg)) for joint in arm.joints
+    }
+
+
 def dh_links(arm: NominalArm) -> tuple[DhLink, ...]:
     """The seven links of Mäkinen et al. 2023, Table 1; the last is a mock link without a joint."""
     return tuple(

@@ -217,11 +217,15 @@ FAULT_TEXTS: dict[FaultCode, str] = {
 }
 
 
-def refusal(what: str, reason: Reason, value: float, limit: float) -> RequestRefused:
-    """The exception for a refused ``what``, in words for people; its cause is ``refused.`` and the reason."""
+def refusal(what: str, reason: Reason, value: float, limit: float, of: str = "") -> RequestRefused:
+    """The exception for a refused ``what``, in words for people; its cause is ``refused.`` and the reason.
+
+    ``of``: what the limit is of, where that is known.
+    """
     words = reason.name.lower()
     numbers = f": {_measured(reason, value)}, limit {_measured(reason, limit)}" if value or limit else ""
-    return RequestRefused(f"refused.{words}", f"{what} refused: {words.replace('_', ' ')}{numbers}")
+    which = f" of {of}" if of else ""
+    return RequestRefused(f"refused.{words}", f"{what} refused: {words.replace('_', ' ')}{which}{numbers}")
 
 
 def _measured(reason: Reason, number: float) -> str:

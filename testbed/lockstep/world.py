@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from foundation.secret_source import read_key
+from nominal_arm.dimensions import joint_ranges
 from plant_emulator.core.camera.scene import Scene
 from plant_emulator.core.faults.kinds import CouplerSilent
 from plant_emulator.core.plant import Plant
@@ -72,6 +73,7 @@ class World:
         )
         self.record = LinkRecord(self.log, self.clock)
         self.link = ReferenceLink(session, self.clock, self.clock, self.record, "controller")
+        self.link.ranges = joint_ranges(settings.arm)
         self.link.connect()
 
     @property

@@ -104,6 +104,7 @@ class VisionApplication:
         """Forget what holds for one run of the machine: local calibrations, the look, targets' places."""
         self.calibration = self.track = self._latest = None
         self.camera.targets.lose()
+        self.controller.begin_anew()
         self.times_anew += 1
         lost = [kept.id for kept in self.camera.targets.list()]
         self.log.write("machine_begun_anew", "warning", targets_lost=lost)

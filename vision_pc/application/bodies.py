@@ -223,6 +223,12 @@ class PoseBody(RequestBody):
         return self
 
 
+class HomeBody(RequestBody):
+    """The way back: ``duration_s`` 0 takes the time that the controller's limits ask for."""
+
+    duration_s: float = Field(0.0, ge=0.0, le=60.0)
+
+
 class MoveBody(RequestBody):
     """A point-to-point motion: to ``X_BT``, or by an offset along the axes of base or tool (just one)."""
 

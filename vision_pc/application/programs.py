@@ -11,6 +11,7 @@ from protocol.errors import RequestRefused
 from protocol.pose import Pose
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.bodies import (
+    HomeBody,
     LineEquationBody,
     LocalTrackBody,
     LookBody,
@@ -161,6 +162,14 @@ async def _move(application: VisionApplication, body: MoveBody, report: Report) 
     return MoveResult(X_BT_ref, view.X_BT)
 
 
+async def _home(application: VisionApplication, body: HomeBody, report: Report) -> MoveResult:
+    report(0.1, "moving back")
+    X_BT_ref = application.controller.home
+    assert X_BT_ref is not None  # needed: an enabled arm has been heard
+    view = await application.arm.move_to(X_BT_ref, duration_s=body.duration_s)
+    return MoveResult(X_BT_ref, view.X_BT)
+
+
 async def _valve_trials(application: VisionApplication, body: ValveTrialsBody, report: Report) -> TrialsSeen:
     return await watch_trials(application, report)
 
@@ -281,6 +290,14 @@ PROGRAMS: tuple[Program[Any, Any], ...] = (
         run=_move,
         to_json=move_json,
         body=MoveBody,
+        needs=BLIND,
+    ),
+    Program(
+        "home",
+        "Move the tool back to where it stood when the machine was first heard",
+        run=_home,
+        to_json=move_json,
+        body=HomeBody,
         needs=BLIND,
     ),
     Program(

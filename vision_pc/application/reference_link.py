@@ -7,13 +7,13 @@ nothing here opens a socket or waits anywhere else.
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from protocol.channel import LinkStatistics
 from protocol.client_session import ReferenceClient
 from protocol.clock_offset import OffsetEstimate
-from protocol.errors import LinkLost
+from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import CommandCode, Reason, refusal
 from protocol.reference_messages import Acknowledgement, Command, Request, State, StreamedPose, StreamRefused
 from protocol.session_events import (
@@ -27,11 +27,12 @@ from protocol.session_events import (
 )
 from vision_pc.application.ports import Clock, LinkTransport
 from vision_pc.application.state_history import StateHistory
-from vision_pc.core.se3 import Array
+from vision_pc.core.se3 import Array, from_pose
 
 _WAIT_FOR_STATE_S = 1.0
 _ACKNOWLEDGEMENT_S = 2.0
 _RECONNECT_NS = 500_000_000
+_SAME_RAD, _MARGIN_RAD = 1e-4, 0.02
 _EXPLAINED = {Reason.WRONG_ARM: "it drives another arm than arm.yaml says (compare with longreach doctor)"}
 
 
@@ -56,6 +57,8 @@ class ReferenceLink:
     """One link to the controller; it reconnects on its own from ``connect`` until ``disconnect``.
 
     ``peer`` names the controller in messages. ``listeners`` are told what ``journal`` is told, after it.
+    ``home``: X_BT where the arm stood when the machine was first heard. ``ranges``: of the joints (rad), if
+    the arm that the controller must drive is known: a refusal then names the joint.
     """
 
     def __init__(
@@ -72,6 +75,8 @@ class ReferenceLink:
         self._received_ns = 0
         self._losses = 0
         self._answers: dict[int, Acknowledgement | LinkLost | None] = {}
+        self.home: Array | None = None
+        self.ranges: Mapping[str, tuple[float, float]] = {}
         self._refusal: StreamRefused | None = None
         self._lost_reason: Reason | None = None
         self._reconnect_ns: int | None = None
@@ -154,6 +159,10 @@ class ReferenceLink:
         """A time of the controller's clock on ours."""
         return controller_ns - (self._session.clock_offset_ns or 0)
 
+    def begin_anew(self) -> None:
+        """The machine has begun anew: where it is heard next is where it stands first."""
+        self.home = None
+
     def not_connected(self) -> LinkLost:
         """The error that says why there is no session."""
         if self._lost_reason is None:
@@ -195,8 +204,17 @@ class ReferenceLink:
         already = isinstance(request, Command) and acknowledgement.reason is Reason.ALREADY_DONE
         if acknowledgement.reason is not Reason.ACCEPTED and not already:
             what = _words(request.code.name if isinstance(request, Command) else type(request).__name__)
-            raise refusal(what, acknowledgement.reason, acknowledgement.value, acknowledgement.limit)
+            raise self.refused(what, acknowledgement.reason, acknowledgement.value, acknowledgement.limit)
         return acknowledgement
+
+    def refused(self, what: str, reason: Reason, value: float, limit: float) -> RequestRefused:
+        """The error of a refused ``what``; at a joint's limit with the joints that end there, or just beyond:
+        controllers keep a margin.
+        """
+        ends = self.ranges.items() if reason is Reason.JOINT_LIMIT else ()
+        left = {name: limit - lower if value < limit else upper - limit for name, (lower, upper) in ends}
+        named = [name for name, margin in left.items() if -_SAME_RAD < margin < _MARGIN_RAD]
+        return refusal(what, reason, value, limit, " or ".join(named))
 
     async def ask(self, request: Request) -> Acknowledgement:
         """The acknowledgement of any request, also one that refuses it. Raises LinkLost."""
@@ -251,6 +269,8 @@ class ReferenceLink:
     def _handle(self, event: ClientEvent) -> None:
         if isinstance(event, StateReceived):
             self._history.add(event.state)
+            if self.home is None:
+                self.home = from_pose(event.state.X_BT)
             self._received += 1
             self._received_ns = self._clock.now_ns
         elif isinstance(event, AcknowledgementReceived):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from protocol.errors import RequestRefused
-from protocol.faults import GroupState, refusal
+from protocol.faults import GroupState
 from protocol.reference_messages import FLAG_SETTLED, FLAG_STREAMING, State, StreamedPose
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.core.ports import ArmView
@@ -53,7 +53,7 @@ class ArmStream:
                 raise RequestRefused("refused.not_streaming", "the controller has ended the stream")
         if refused is not None:
             what = f"streamed reference {refused.number}"
-            raise refusal(what, refused.reason, refused.value, refused.limit)
+            raise self._link.refused(what, refused.reason, refused.value, refused.limit)
 
 
 def refuse_broken(state: State) -> None:

@@ -22,7 +22,7 @@ from foundation.self_watch import SelfWatch
 from foundation.service_main import ServiceOptions, say_ready, when_asked_to_end
 from foundation.statistics import StatisticsFile, resident_mb
 from nominal_arm.description import NominalArm
-from nominal_arm.dimensions import dimensions
+from nominal_arm.dimensions import dimensions, joint_ranges
 from protocol.errors import ConfigurationError
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.camera_eyes import CameraEyes
@@ -95,10 +95,16 @@ class VisionService:
             await self._serve()
         return 0
 
+    def _endpoint(self) -> UdpEndpoint:
+        settings, arm = self._config.link, self._arm
+        made = UdpEndpoint(settings, settings.expected_arm(arm), self._log, MonotonicClock())
+        made.link.ranges = {} if settings.any_arm else joint_ranges(arm)
+        return made
+
     async def _serve(self) -> None:
         cv2.setNumThreads(1)  # one core is for the controller and the plant
         config, nominal, log = self._config, dimensions(self._arm), self._log
-        endpoint = UdpEndpoint(config.link, config.link.expected_arm(self._arm), log, MonotonicClock())
+        endpoint = self._endpoint()
         self._link = link = endpoint.link
         camera = open_camera(config.camera)
         self._opened = opened = open_eyes(camera, link, config, log)

@@ -509,3 +509,22 @@ async def test_events_are_recorded_and_a_full_disk_refuses_motion(tmp_path: Any)
             "refused.recording_failed",
         )
         assert (await made.post("/stop")).status_code == 200
+
+
+@pytest.mark.realtime
+async def test_home_is_where_the_arm_was_first_heard() -> None:
+    """And, once the machine has begun anew, where it stands then."""
+    async with bench() as made:
+        await made.post("/enable")
+        first = made.station.controller.home
+        assert first is not None
+        away = await made.run("move", {"offset_base_m": [0.0, 0.04, 0.02]})
+        back = (await made.run("home"))["result"]
+        assert back["X_BT_ref"]["p_m"] == pytest.approx(first[:3, 3], abs=1e-6)
+        assert back["miss_mm"] < 2.0
+        assert np.linalg.norm(np.subtract(away["result"]["X_BT"]["p_m"], first[:3, 3])) > 0.03
+        await made.run("move", {"offset_base_m": [0.0, 0.04, 0.0]})
+        made.station.begin_anew()
+        await until(lambda: made.station.controller.home is not None)
+        again = (await made.run("home"))["result"]["X_BT_ref"]["p_m"]
+        assert np.subtract(again, first[:3, 3])[1] == pytest.approx(0.04, abs=3e-3)

@@ -10,7 +10,7 @@ import pytest
 
 from foundation.event_log import EventLog
 from protocol.errors import LinkLost, MotionUnsettled, RequestRefused
-from protocol.faults import CommandCode, FaultCode, GroupState
+from protocol.faults import CommandCode, FaultCode, GroupState, Reason
 from protocol.reference_messages import ANY_ARM, Command, ReferencePose
 from tests.support.log_lines import HeardLog
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
@@ -195,6 +195,21 @@ async def test_unreachable_is_refused_whole(
     assert refused.value.cause == "refused.unreachable"
     await asyncio.sleep(0.05)
     assert np.array_equal(controller.rig.q, before)
+
+
+@pytest.mark.parametrize(
+    ("limit_deg", "named"),
+    [(104.7, " of lift"), (104.2, " of lift"), (-8.7, ""), (89.5, " of wrist1 or wrist2"), (80.0, "")],
+)
+def test_a_refused_joint_is_named_by_its_bound(link: ReferenceLink, limit_deg: float, named: str) -> None:
+    limit = float(np.float32(np.radians(limit_deg)))
+    link.ranges = {"lift": (np.radians(-9.2), np.radians(104.7))}
+    link.ranges |= dict.fromkeys(("wrist1", "wrist2"), (-np.pi / 2, np.pi / 2))
+    told = str(link.refused("path", Reason.JOINT_LIMIT, 2.0, limit))
+    assert told == f"path refused: joint limit{named}: 114.59 deg, limit {limit_deg:.2f} deg"
+    assert "lift" not in str(link.refused("path", Reason.TOO_FAST, 2.0, limit))
+    below = link.refused("path", Reason.JOINT_LIMIT, np.radians(-9.0), np.radians(-8.7))
+    assert str(below) == "path refused: joint limit of lift: -9.00 deg, limit -8.70 deg"
 
 
 async def test_a_controller_that_is_not_there_is_named_and_found_when_it_comes() -> None:

@@ -15,7 +15,7 @@ from vision_pc.application.console.skeleton import skeleton
 from vision_pc.application.ports import CameraStatus, Seen
 from vision_pc.application.results import JSON, JudgedLook, calibration_json, look_json, pose_json
 from vision_pc.core.calibration.local_calibration import LocalCalibration
-from vision_pc.core.se3 import from_pose
+from vision_pc.core.se3 import Array
 
 _ALARMS_SHOWN = 20
 _ANEW = "the machine was started anew: local calibration and targets are void"
@@ -43,6 +43,7 @@ class Glimpse(NamedTuple):
     clearance_m: float
     tolerance_m: float
     times_anew: int = 0
+    home: Array | None = None
 
 
 def glimpse(application: VisionApplication) -> Glimpse:
@@ -74,11 +75,12 @@ def glimpse(application: VisionApplication) -> Glimpse:
         positioning.clearance_m,
         positioning.tolerance_m,
         application.times_anew,
+        link.home,
     )
 
 
 class Overview:
-    """Turns glimpses into documents, and remembers alarms and where the arm stood at first.
+    """Turns glimpses into documents, and remembers alarms.
 
     ``anew_at``: when the machine has begun anew (s since 1970); what was found out before is void.
     """
@@ -86,7 +88,6 @@ class Overview:
     def __init__(self, links: tuple[DhLink, ...]) -> None:
         self.alarms = AlarmList()
         self._links = links
-        self._home: JSON | None = None
         self.anew_at: float | None = None
         self._times_anew = 0
 
@@ -96,8 +97,6 @@ class Overview:
         if seen.times_anew != self._times_anew:
             self._times_anew, self.anew_at = seen.times_anew, now_s
             self.alarms.happened(now_s, "machine.begun_anew", _ANEW)
-        if self._home is None and seen.state is not None:
-            self._home = pose_json(from_pose(seen.state.X_BT))
 
     def document(self, seen: Glimpse, told: ToldEllipse | None) -> JSON:
         """The document of one glimpse. ``told``: the ellipse of the newest drive, where it still holds."""
@@ -118,7 +117,7 @@ class Overview:
             "recording": seen.recording,
             "overload": seen.overload or None,
             "skeleton": self._points(seen.state),
-            "home": self._home,
+            "home": None if seen.home is None else pose_json(seen.home),
             "look": None if seen.look is None else look_json(seen.look),
             "calibration": calibration,
             "tracked": seen.tracked,

@@ -98,7 +98,6 @@ function row(step) {
 
 function stepRequest(step) {
   if (step.request) return step.request();
-  if (step.kind === 'home') return shot?.home && ['POST', '/operations/move', { X_BT: shot.home }];
   if (step.kind === 'look-then-move') return ['POST', '/operations/look-then-move', { method: method() }];
   return ['POST', `/operations/${step.kind}`];
 }
@@ -147,8 +146,8 @@ function able(id, is, why) {
 
 function showStep(step, line, busy) {
   line.hidden = (Boolean(step.method) && step.method !== method()) || step.wanted?.() === false;
-  const mine = step.kind === 'home' ? 'move' : step.kind;
-  const last = shot?.operations.findLast((operation) => operation.kind === mine);
+  const jogs = step.kind === 'home' ? 'move' : ''; // what became of a jog is told in this row
+  const last = shot?.operations.findLast((operation) => [step.kind, jogs].includes(operation.kind));
   const runs = busy && busy === last;
   able(`start-${step.kind}`, may && !busy && ready(step), busy ? `${busy.kind} is running` : step.of ? `while ${step.of}` : 'enable first');
   byId(`start-${step.kind}`).hidden = Boolean(runs);
@@ -157,8 +156,7 @@ function showStep(step, line, busy) {
   bar.hidden = !runs;
   if (runs) { if (last.progress === null) bar.removeAttribute('value'); else bar.value = last.progress; }
   const note = line.querySelector('.note');
-  const other = step.kind === 'home' && last?.request && !last.request.X_BT; // a jog is a move too
-  write(note, last ? (other ? 'jog: ' : '') + words(last) : hint(step));
+  write(note, last ? (last.kind === jogs ? 'jog: ' : '') + words(last) : hint(step));
   note.classList.toggle('failed', last?.state === 'failed');
 }
 
