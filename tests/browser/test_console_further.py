@@ -182,7 +182,7 @@ def test_a_row_of_targets_is_visited_and_who_is_not_enabled_is_told_what_comes_n
         bench.eyes.picture_s = 0.5
         with opened(browser, url) as page:
             second_picture(page)
-            click_until(page, "Next: ENABLE.")
+            click_until(page, "Next: ENABLE, then click it once more")
             expect(page.locator("#start-visit")).to_be_hidden()
             hold(page, "#enable")
             is_state(page, "standby")

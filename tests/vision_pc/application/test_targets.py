@@ -43,6 +43,9 @@ def test_a_motion_that_nobody_watched_loses_it() -> None:
     with pytest.raises(RequestRefused, match="click it again") as caught:
         kept.refuse_lost(AFTER)
     assert caught.value.cause == "refused.target_lost"
+    one, settings = kept.get("t1"), shipped().positioning
+    told = [target_json(one, kept, settings, None, at)["known"] for at in (None, START, AFTER)]
+    assert told == ["measured", "measured", "lost"]
     kept.carry(None, START, AFTER)
     assert kept.get("t1").known == "lost"
     kept.carry(np.eye(4), AFTER, AFTER)  # what is lost is not found by standing still
@@ -68,6 +71,6 @@ def test_how_well_a_place_is_known_is_told_by_the_line_of_sight() -> None:
     target = kept.get("t1")
     ray = X_CO[:3, 3] / np.linalg.norm(X_CO[:3, 3])
     target.covariance[:3, :3] = 1e-8 * np.eye(3) + (0.004**2 - 1e-8) * np.outer(ray, ray)
-    told = target_json(target, kept, shipped().positioning, None)
+    told = target_json(target, kept, shipped().positioning, None, None)
     assert told["std_sight_mm"] == {"across": 0.1, "along": 4.0}
     assert told["std_mm"]["x"] > 0.3  # the axes mix both where the target is beside the middle

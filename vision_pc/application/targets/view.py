@@ -47,16 +47,22 @@ class ClickBody(BaseModel):
 
 
 def target_json(
-    kept: KeptTarget, keeper: TargetKeeper, settings: PositioningSettings, p_CM: Array | None
+    kept: KeptTarget,
+    keeper: TargetKeeper,
+    settings: PositioningSettings,
+    p_CM: Array | None,
+    X_BT: Array | None,
 ) -> JSON:
-    """One target; ``p_CM`` (3,) where the tool's marker was seen last, None before that."""
+    """One target. ``p_CM`` (3,) where the tool's marker was seen last, None before that; ``X_BT`` where the
+    arm stands unwatched, None where somebody watches.
+    """
     aimed = keeper.aimed
     step = None if p_CM is None else kept.X_CO[:3, 3] - p_CM - np.array([0.0, 0.0, settings.clearance_m])
     length = None if step is None else float(np.linalg.norm(step))
     return {
         "id": kept.id,
         "kind": kept.kind,
-        "known": kept.known,
+        "known": kept.known if X_BT is None else keeper.known_at(kept, X_BT),
         "aimed": aimed is not None and aimed.id == kept.id,
         "recognised": _in_words(kept.kind, kept.diameter_m),
         "frame_id": kept.frame_id,

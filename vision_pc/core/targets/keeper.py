@@ -138,6 +138,10 @@ class TargetKeeper:
             kept.covariance = turn @ kept.covariance @ turn.T + more
             kept.X_BT, kept.known, kept.way_m = X_BT, "carried", kept.way_m + way
 
+    def known_at(self, kept: KeptTarget, X_BT: Array) -> Known:
+        """How its place is known while the arm stands at ``X_BT``, where nobody has watched it go."""
+        return "lost" if _apart(kept.X_BT, X_BT) else kept.known
+
     def lose(self) -> None:
         """Nobody knows any more where they are."""
         for kept in self._all.values():
@@ -146,7 +150,7 @@ class TargetKeeper:
     def refuse_lost(self, X_BT: Array) -> None:
         """Raises RequestRefused (``refused.target_lost``) when the aimed target's place is not known here."""
         kept = self.aimed
-        if kept is not None and (kept.known == "lost" or _apart(kept.X_BT, X_BT)):
+        if kept is not None and self.known_at(kept, X_BT) == "lost":
             raise RequestRefused(
                 "refused.target_lost", f"target {kept.id}: the arm went unwatched; click it again"
             )

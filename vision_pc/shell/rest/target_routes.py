@@ -7,10 +7,12 @@ from fastapi import FastAPI, Query, Request, Response
 from fastapi.responses import JSONResponse
 
 from foundation.rest.refusals import respond
+from protocol.errors import LinkLost
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.console.advice import advice
 from vision_pc.application.results import JSON
 from vision_pc.application.targets.view import ClickBody, candidate_json, hole_json, target_json
+from vision_pc.core.se3 import Array, from_pose
 from vision_pc.core.targets.keeper import KeptTarget
 from vision_pc.core.targets.target import TargetRefused
 from vision_pc.shell.rest.operations import Operations
@@ -106,4 +108,16 @@ def _shown(application: VisionApplication, kept: KeptTarget) -> JSON:
     seen = application.camera.seen()
     X_CM = None if seen is None else seen.observation.X_CM
     p_CM = None if X_CM is None else X_CM[:3, 3]
-    return target_json(kept, application.camera.targets, application.positioning, p_CM)
+    return target_json(
+        kept, application.camera.targets, application.positioning, p_CM, _unwatched(application)
+    )
+
+
+def _unwatched(application: VisionApplication) -> Array | None:
+    """Where the arm stands, X_BT (4, 4), unwatched; None while somebody watches, or nobody knows."""
+    if not application.camera.carries:
+        return None
+    try:
+        return from_pose(application.controller.state.X_BT)
+    except LinkLost:
+        return None

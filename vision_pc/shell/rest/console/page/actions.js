@@ -176,7 +176,7 @@ function hint(step) {
 
 /** What is to be held next to come to the target. */
 export function nextStep() {
-  if (!enabled()) return 'Next: ENABLE.';
+  if (!enabled()) return 'Next: ENABLE, then click it once more: a disabled arm sinks, and loses its targets.';
   return calibrated() ? 'Hold Go to drive there.' : 'Next: local calibration (step 2), then Go.';
 }
 

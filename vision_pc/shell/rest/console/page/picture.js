@@ -131,7 +131,8 @@ function words(overlay) {
   const error = overlay.error_mm ? ` · off by ${overlay.error_mm.map((mm) => signed(mm, 1)).join(' ')} mm` : '';
   const tool = overlay.by_outline ? '▲ tool by its outline, marker unread' : of('tool', overlay.tool);
   const target = aimed();
-  const object = target?.known === 'carried' && !overlay.object ? 'target carried by odometry' : of(target ? 'target' : 'object', overlay.object);
+  const object = target?.known === 'lost' ? '▲ target lost' : target?.known === 'carried' && !overlay.object ? 'target carried by odometry'
+    : of(target ? 'target' : 'object', overlay.object);
   return `${tool} · ${object} · ${residual.toFixed(2)} px${error}`;
 }
 
