@@ -186,7 +186,10 @@ def test_a_row_of_targets_is_visited_and_who_is_not_enabled_is_told_what_comes_n
             expect(page.locator("#start-visit")).to_be_hidden()
             hold(page, "#enable")
             is_state(page, "standby")
+            page.set_viewport_size({"width": 390, "height": 844})
             click_until(page, "Next: local calibration (step 2), then Go.")
+            expect(page.locator("#answer")).to_be_in_viewport()  # though its place is far below
+            page.set_viewport_size({"width": 1280, "height": 720})
             hold(page, "#start-visit")
             told = page.locator('#target-steps li[data-kind="visit"] .note')
             expect(told).to_contain_text(re.compile(r"done .*: t1 \d\.\d mm beside, t2 \d\.\d mm beside"),

@@ -19,10 +19,12 @@ const STEPS = [
   { kind: 'looking-and-moving', words: '4 Visual servoing', verb: 'Servo' },
   { kind: 'home', words: 'Back to the first pose', verb: 'Go back' },
 ];
+const FRESH_MS = 8000;
 const results = new Map(); // of operations that have ended, by id
 const rows = []; // [step, its line]
 let shot = null;
 let may = false; // operate
+let saidFor = null;
 
 const method = () => byId('method').value;
 const enabled = () => shot?.state?.group_state === 'standby';
@@ -118,10 +120,12 @@ export function showCurl(...asked) {
   write(byId('curl'), curl(...asked));
 }
 
-/** One line about the last request. */
+/** One line about the last request; on a phone it is above STOP, what was refused until something else is said. */
 export function say(words, fine) {
   write(byId('answer'), words);
-  attribute(byId('answer'), 'class', fine ? '' : 'refused');
+  attribute(byId('answer'), 'class', !fine ? 'refused' : words ? 'fresh' : '');
+  clearTimeout(saidFor);
+  if (fine) saidFor = setTimeout(() => attribute(byId('answer'), 'class', ''), FRESH_MS);
 }
 
 /** Brings buttons and rows up to date with a snapshot; `operate`: whether this token may move the arm. */
