@@ -131,6 +131,24 @@ def test_a_tool_that_passes_beside_the_singularity_is_refused_before_a_joint_run
     _assert_nothing_moves(bench)
 
 
+@pytest.mark.parametrize(
+    ("begin_deg", "end_deg"),
+    [
+        ((-3.32, 47.6, -69.4, 70.13, 26.14, -83.68), (-2.56, 51.27, -70.29, 79.09, -20.67, -87.13)),
+        ((-2.05, 46.97, -66.91, 70.74, -22.82, -80.89), (-7.35, 48.69, -69.45, 78.58, 16.32, -89.0)),
+    ],
+)
+def test_a_joint_that_goes_on_while_damping_takes_hold_stays_in_its_range(
+    settings: ScanSettings, begin_deg: tuple[float, ...], end_deg: tuple[float, ...]
+) -> None:
+    """Both ways were accepted, and wrist 3 was commanded 1.0 and 2.0° beyond its planned range: the second
+    ended by a fault.
+    """
+    bench = Bench(settings, tuple(np.radians(begin_deg))).enabled()
+    assert bench.refer(_pose_at(settings, end_deg)).reason in (Reason.SINGULAR, Reason.JOINT_LIMIT)
+    _assert_nothing_moves(bench)
+
+
 def test_what_is_accepted_near_the_singularity_is_followed_to_its_end(settings: ScanSettings) -> None:
     answers = []
     for swing in (0.0, 4.0, 32.0):

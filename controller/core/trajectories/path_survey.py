@@ -5,7 +5,8 @@ Every segment is sampled at SAMPLES instants: workspace, reach, joint range, wri
 speed and acceleration in Cartesian and in joint terms. Beside the stretched wrist, where wrist 1 and 3 turn
 fast, each of the steps is sampled _PARTS times.
 
-While the wrist is as good as stretched, its servo is damped and lets wrist 1 rest. The survey does so too:
+While the wrist is as good as stretched, its servo is damped and lets wrist 1 rest, after it has gone on a
+little. The survey does so too:
 it passes from the angles with which the path goes in to those with which it comes out, and refuses what
 wrist 1 would have to swing between them.
 """
@@ -173,6 +174,25 @@ def _obstacle_at_ends(
 
 
 @kernel
+def _coasting_obstacle(
+    bounds: Array, arm: ArmGeometry, q: Angles, before: Angles
+) -> tuple[int, float, float]:
+    """Whether wrist 1 or 3 would leave its range while damping takes hold: they go on by less than a straight
+    line, from the last step that was not damped to the singularity, would have them.
+    """
+    left, gone = math.sin(before[4] + arm.offsets[4]), math.sin(q[4] + arm.offsets[4])
+    if abs(left) < _DAMPED or abs(left) <= abs(gone):
+        return _ACCEPTED, 0.0, 0.0
+    for i in (3, 5):
+        end = before[i] + (q[i] - before[i]) * left / (left - gone)
+        if end < bounds[0, i]:
+            return _JOINT, end, bounds[0, i]
+        if end > bounds[1, i]:
+            return _JOINT, end, bounds[1, i]
+    return _ACCEPTED, 0.0, 0.0
+
+
+@kernel
 def _follow(
     limits: PlanningLimits, arm: ArmGeometry, pose: tuple[Triple, Quadruple], before: Angles, held: float
 ) -> tuple[int, float, float, Angles, bool]:
@@ -188,6 +208,9 @@ def _follow(
         return _REACH, value, limit, q, False
     damped = _stretch(arm, q) < _DAMPED
     if damped:
+        code, value, limit = _coasting_obstacle(limits.planned_range, arm, q, before)
+        if code != _ACCEPTED:
+            return code, value, limit, q, damped
         q = q[0], q[1], q[2], before[3], q[4], before[5]
     elif held > 0.0 and abs(q[3] - before[3]) > _SWING_RAD:
         return _SINGULAR, abs(q[3] - before[3]), _SWING_RAD, q, damped
