@@ -22,6 +22,7 @@ _LEAST_POINTS = 20
 _ABOUT = 0.02  # what a pass over a recording knows the share to
 _HALF = 0.5  # the same where the motion before is unknown too
 _UNKNOWN = 0.12  # of the motion during the readout: acceleration, and what the share is found to
+_TURNS = 2.0  # the same of a turn, over what it does to the picture: rows that lag look like one
 
 
 class PointViews(NamedTuple):
@@ -85,7 +86,7 @@ class Readout:
     def _moved_by(self, twist: Array, depth_m: float) -> Array:
         way = self.share * twist
         place = float(np.linalg.norm(way[:3]) + depth_m * np.linalg.norm(way[3:]))
-        return np.array([place] * 3 + [place / depth_m] * 3)
+        return np.array([place] * 3 + [_TURNS * place / depth_m] * 3)
 
     def foresee(self, X_C0C: Array | None, motion: Array) -> None:
         """The picture before was taken at ``X_C0C`` after ``motion``; None: it was lost, nothing is known."""
