@@ -19,7 +19,7 @@ ENV PATH=/opt/longreach/bin:$PATH \
 # Dependencies first: this layer changes only with the lock file.
 WORKDIR /build
 COPY requirements.lock ./
-RUN pip install --no-cache-dir --quiet --require-hashes -r requirements.lock
+RUN pip install --no-cache-dir --quiet --no-deps --require-hashes -r requirements.lock
 
 COPY pyproject.toml README.md LICENSE ./
 COPY foundation foundation

@@ -31,18 +31,18 @@ $(BIN)/python:
 	"$(PYTHON)" -m venv $(VENV)
 
 $(RUN_STAMP): requirements.lock pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --no-deps --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	@echo "compiling the kernels of plant, camera and odometry, once: about half a minute"
 	$(BIN)/python -m testbed.lockstep.warm_up
 	@touch $@
 
 $(DEV_STAMP): requirements-dev.lock $(RUN_STAMP)
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-dev.lock
+	$(BIN)/python -m pip install --quiet --no-deps --require-hashes -r requirements-dev.lock
 	@touch $@
 
 $(PEERS_STAMP): requirements-peers.lock $(DEV_STAMP)
-	$(BIN)/python -m pip install --quiet --require-hashes -r requirements-peers.lock
+	$(BIN)/python -m pip install --quiet --no-deps --require-hashes -r requirements-peers.lock
 	@touch $@
 
 setup: $(RUN_STAMP)  ## virtual environment with what runs
@@ -111,7 +111,7 @@ compose-test: $(DEV_STAMP)  ## build the image, bring the tool to the object wit
 
 $(AUDIT)/.stamp: requirements-audit.lock | $(BIN)/python
 	"$(PYTHON)" -m venv $(AUDIT)
-	$(AUDIT)/bin/python -m pip install --quiet --require-hashes -r requirements-audit.lock
+	$(AUDIT)/bin/python -m pip install --quiet --no-deps --require-hashes -r requirements-audit.lock
 	@touch $@
 
 sbom: $(AUDIT)/.stamp  ## bill of materials of what runs: dist/longreach.cdx.json (CycloneDX), checked against the lock

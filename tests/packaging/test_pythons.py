@@ -50,7 +50,7 @@ def test_the_lock_installs_and_the_demo_ends_at_the_object(version: str, tmp_pat
     call(found, "-m", "venv", tmp_path / "fresh", cwd=tmp_path)
     python = tmp_path / "fresh" / "bin" / "python"
     lock = ROOT / "requirements.lock"
-    call(python, "-m", "pip", "install", "--quiet", "--require-hashes", "-r", lock, cwd=tmp_path)
+    call(python, "-m", "pip", "install", "--quiet", "--no-deps", "--require-hashes", "-r", lock, cwd=tmp_path)
     call(python, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", wheel, cwd=tmp_path)
     (tmp_path / "empty").mkdir()
     told = call(python.parent / "longreach", "demo", "--lockstep", "--seed", "1", cwd=tmp_path / "empty")
