@@ -81,10 +81,12 @@ def install_problems(
     status_of_cause: Mapping[str, HTTPStatus],
     explain: Explain = invalid_request,
     refuse: Refuse | None = None,
+    advise: Callable[[str], str] | None = None,
 ) -> None:
     """Make every error of ``app`` a problem document, and limit request bodies in size and time.
 
     ``explain``: the problem of a request that does not fit its schema. ``refuse``: see BodyLimit.
+    ``advise``: what to do about a cause; documents have it as ``advice``.
     """
     app.add_middleware(BodyLimit, limit=MAX_BODY_BYTES, within_s=BODY_WITHIN_S, refuse=refuse)
 
@@ -103,4 +105,5 @@ def install_problems(
     @app.exception_handler(LongreachError)
     @app.exception_handler(Exception)
     async def failed(request: Request, error: Exception) -> JSONResponse:
-        return respond(problem_of(error, status_of_cause) | {"instance": request.url.path})
+        document = problem_of(error, status_of_cause) | {"instance": request.url.path}
+        return respond(document | ({"advice": advise(document["cause"])} if advise else {}))

@@ -94,6 +94,10 @@ def test_stop_ends_a_motion_by_click_and_by_key(browser: Browser) -> None:
             began = len(httpx.get(f"{url}/operations").json())
             stop()
             expect(page.locator("#stop-told")).to_contain_text("stopped", timeout=WITHIN_MS)
+            told, button = (page.locator(place).bounding_box() for place in ("#stop-told", "#stop"))
+            assert told is not None
+            assert button is not None  # what became of it is read where one has clicked
+            assert told["y"] + told["height"] < button["y"] + button["height"]
             eventually(lambda: bench.controller.group is GroupState.STANDBY, page)
             operations = httpx.get(f"{url}/operations").json()
             assert len(operations) == began
@@ -176,6 +180,11 @@ def test_a_token_is_asked_for_and_a_watcher_may_stop_alone(browser: Browser) -> 
             assert OPERATE.hex() not in page.url  # it is in no history either
 
 
+_SMALL = """[...document.querySelectorAll('button')]
+    .map((button) => [button.id || button.textContent, button.getBoundingClientRect().height])
+    .filter(([, height]) => height > 0 && height < 44)"""  # too small for a thumb
+
+
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_everybody_can_use_it(browser: Browser, theme: str) -> None:
     phone = {"width": 390, "height": 844}
@@ -187,6 +196,7 @@ def test_everybody_can_use_it(browser: Browser, theme: str) -> None:
         page.set_viewport_size(phone)
         page.wait_for_timeout(500)
         assert page.evaluate("document.documentElement.scrollWidth") <= phone["width"]
+        assert page.evaluate(_SMALL) == []
         place = page.locator("#stop").bounding_box()
         assert place is not None
         assert place["y"] + place["height"] <= phone["height"]  # in view without scrolling
@@ -239,6 +249,7 @@ def test_a_click_in_the_picture_makes_a_target(browser: Browser) -> None:
             assert box is not None
             page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.25 * box["height"])
             expect(page.locator("#answer")).to_contain_text("two places look alike")
+            expect(page.locator("#answer")).to_contain_text("Click the same place in the right eye")
             expect(page.locator("#right-aims path")).to_have_count(2)
             page.locator("#right").click()
             expect(page.locator("#target-rows li.aimed")).to_contain_text("hole 45.0 mm")

@@ -228,7 +228,8 @@ def test_who_clicks_while_another_operator_works_is_told_so(browser: Browser) ->
         other = httpx.post(f"{url}/operations/orientation-adjustment", json={})
         assert other.status_code == 202, other.text
         page.locator("#left").click(force=True)  # the overlay above it lets clicks rise
-        expect(page.locator("#answer")).to_contain_text("(refused.busy)", timeout=WITHIN_MS)
+        busy = "(refused.busy). Wait for the operation that runs, or cancel it."
+        expect(page.locator("#answer")).to_contain_text(busy, timeout=WITHIN_MS)
         assert httpx.get(f"{url}/targets").json() == {"targets": []}
 
 

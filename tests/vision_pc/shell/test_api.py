@@ -97,6 +97,12 @@ async def test_nothing_moves_before_enable(station: Bench) -> None:
     assert (await station.client.get("/operations")).json() == []
 
 
+async def test_a_refusal_says_what_to_do(station: Bench) -> None:
+    asked = await station.post("/operations/move", {"offset_base_m": [0.0, 0.1, 0.0]})
+    assert refused(asked, 409, "refused.disabled")["advice"] == "Hold ENABLE first."
+    assert refused(await station.client.get("/looks/latest"), 404, "refused.no_look_yet")["advice"]
+
+
 async def test_a_look_needs_no_enable(station: Bench) -> None:
     refused(await station.client.get("/looks/latest"), 404, "refused.no_look_yet")
     look = await station.run("look", {"frames": 5})

@@ -15,6 +15,7 @@ from foundation.rest.refusals import respond
 from foundation.rest.server import install_problems
 from protocol.faults import CommandCode
 from vision_pc.application.application import VisionApplication
+from vision_pc.application.console.advice import advice
 from vision_pc.application.console.overview import Overview
 from vision_pc.application.hand_eye_programs import HAND_EYE
 from vision_pc.application.program import Program, by_name
@@ -36,13 +37,15 @@ DESCRIPTION = """
 Drives the tool to the object: orientation adjustment, local calibration by motion, look-then-move.
 
 Every long step is `202` with an operation resource (`Location`). Errors are RFC 9457 problem documents with a
-machine-readable `cause`. Nothing moves before `POST /enable`; `POST /stop` is always accepted.
+machine-readable `cause`, and `advice` what to do. Nothing moves before `POST /enable`; `POST /stop` is always
+accepted.
 
 Where tokens are configured, every request carries one: `Authorization: Bearer TOKEN`, or Basic with the token
 as password. The role `look` may GET and stop, `operate` may do everything. Otherwise: 401 `refused.no_token`
 or `refused.wrong_token`, 403 `refused.role`.
 """
-_EXAMPLE = problem(409, "refused.disabled", "move: the arm is disabled; enable first")
+_EXAMPLE = problem(409, "refused.disabled", "move: the arm is disabled; enable first",
+                   advice=advice("refused.disabled"))  # fmt: skip
 _PROBLEM: JSON = {"description": "A problem", "content": {MEDIA_TYPE: {"example": _EXAMPLE}}}
 
 
@@ -67,7 +70,7 @@ def create_app(
         docs_url=None,
         redoc_url=None,
     )
-    install_problems(app, STATUS_OF_CAUSE)
+    install_problems(app, STATUS_OF_CAUSE, advise=advice)
     add_docs(app)
     add_console(app, Console(application, operations, Overview(application.links), home), emulator_face)
     if home is not None:

@@ -15,7 +15,7 @@ const STEPS = [
   { kind: 'orientation-adjustment', words: '1 Turn parallel', verb: 'Turn' },
   { kind: 'local-track', words: '2 Local calibration', verb: 'Calibrate', method: 'corrected' },
   { kind: 'trajectory-matching', words: '2 Local calibration', verb: 'Calibrate', method: 'calibrated' },
-  { kind: 'look-then-move', words: '3 Go to the object', verb: 'Go', primary: true },
+  { kind: 'look-then-move', words: '3 Go to the target', verb: 'Go', primary: true },
   { kind: 'looking-and-moving', words: '4 Visual servoing', verb: 'Servo' },
   { kind: 'home', words: 'Back to the first pose', verb: 'Go back' },
 ];
@@ -68,7 +68,7 @@ export function button(words, request, { id, hold, primary } = {}) {
     const asked = request();
     if (!asked) return;
     const answer = await send(...asked);
-    say(answer.ok ? `${words}: accepted.` : answer.words, answer.ok);
+    say(answer.ok ? `${words}: accepted.` : answer.words, answer.ok, answer.ok);
   };
   if (hold) onHold(made, act, () => say(`${words}: hold it for 0.6 s.`, true));
   else made.addEventListener('click', act);
@@ -120,12 +120,12 @@ export function showCurl(...asked) {
   write(byId('curl'), curl(...asked));
 }
 
-/** One line about the last request; on a phone it is above STOP, what was refused until something else is said. */
-export function say(words, fine) {
+/** One line about the last request, `brief`ly or until something else is said; on a phone it is above STOP. */
+export function say(words, fine, brief = false) {
   write(byId('answer'), words);
   attribute(byId('answer'), 'class', !fine ? 'refused' : words ? 'fresh' : '');
   clearTimeout(saidFor);
-  if (fine) saidFor = setTimeout(() => attribute(byId('answer'), 'class', ''), FRESH_MS);
+  if (fine) saidFor = setTimeout(() => (brief ? say('', true) : attribute(byId('answer'), 'class', '')), FRESH_MS);
 }
 
 /** Brings buttons and rows up to date with a snapshot; `operate`: whether this token may move the arm. */
@@ -153,7 +153,7 @@ function showStep(step, line, busy) {
   const jogs = step.kind === 'home' ? 'move' : ''; // what became of a jog is told in this row
   const last = shot?.operations.findLast((operation) => [step.kind, jogs].includes(operation.kind));
   const runs = busy && busy === last;
-  able(`start-${step.kind}`, may && !busy && ready(step), busy ? `${busy.kind} is running` : step.of ? `while ${step.of}` : 'enable first');
+  able(`start-${step.kind}`, may && !busy && ready(step), busy ? `${rows.find(([other]) => other.kind === busy.kind)?.[0].words ?? busy.kind} is running` : step.of ? `while ${step.of}` : 'enable first');
   byId(`start-${step.kind}`).hidden = Boolean(runs);
   byId(`cancel-${step.kind}`).hidden = !runs || !may;
   const bar = line.querySelector('progress');

@@ -48,7 +48,7 @@ export async function send(method, path, body) {
 /** A problem document as one line. */
 export function refusal(document, status) {
   if (!document) return `Refused (${status}).`;
-  return `▲ ${document.detail} (${document.cause})`;
+  return [`▲ ${document.detail} (${document.cause})`, document.advice].filter(Boolean).join('. ');
 }
 
 /** The same request for a shell. */

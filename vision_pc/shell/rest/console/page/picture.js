@@ -60,7 +60,7 @@ function loupeSize() {
   const square = drawn?.aim?.square;
   const px = square ? (Math.hypot(square[1][0] - square[0][0], square[1][1] - square[0][1]) * LOUPE.mm) / (2 * tolerance) : LOUPE.most;
   const width = Math.min(Math.max(px, LOUPE.least), LOUPE.most);
-  write(byId('loupe-told'), square ? `${((width / px) * LOUPE.mm).toFixed(0)} mm across, at the aim` : 'the middle');
+  write(byId('loupe-told'), square ? `${((width / px) * LOUPE.mm).toFixed(0)} mm across` : 'the middle');
   return [width, (width * 9) / 16];
 }
 
@@ -133,7 +133,7 @@ function words(overlay) {
   const target = aimed();
   const object = target?.known === 'lost' ? '▲ target lost' : target?.known === 'carried' && !overlay.object ? 'target carried by odometry'
     : of(target ? 'target' : 'object', overlay.object);
-  return `${tool} · ${object} · ${residual.toFixed(2)} px${error}`;
+  return `${tool} · ${object} · marker fit ${residual.toFixed(2)} px${error}`;
 }
 
 const open = (points) => `M${points.map((point) => point.join(' ')).join('L')}`;

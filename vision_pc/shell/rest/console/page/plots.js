@@ -57,7 +57,7 @@ export function addToPlots(shot) {
     values.forEach((value, line) => data[line + 1].push(value));
     while (data[0].length > KEPT || data[0].at(-1) - data[0][0] > SPAN_S) for (const column of data) column.shift();
     const worst = values.reduce((most, value) => (value !== null && Math.abs(value) > Math.abs(most ?? 0) ? value : most), values[0]);
-    write(now, worst === null ? '–' : worst.toFixed(strip.digits));
+    write(now, worst === null ? '–' : worst.toFixed(strip.digits).replace('-', '−'));
   }
 }
 

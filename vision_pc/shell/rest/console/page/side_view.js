@@ -66,7 +66,7 @@ function compass(bearing) {
     shape('circle', { class: 'dial', cx: x, cy: y, r }),
     shape('path', { class: 'metre', d: `M${x} ${y - r}v-5` }),
     shape('path', { class: 'needle', d: `M${x} ${y}L${tip[0]} ${tip[1]}` }),
-    label(`${((bearing * 180) / Math.PI).toFixed(0).replace('-', '−')}°`, x - 10, y + r + 13),
+    label(`${Math.round((bearing * 180) / Math.PI) || 0}°`.replace('-', '−'), x - 10, y + r + 13),
   ];
 }
 

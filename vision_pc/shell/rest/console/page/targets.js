@@ -1,7 +1,7 @@
 // Targets by a click in the picture: what was recognised there, how well it is known, whether the arm reaches it.
 
 import { addSteps, nextStep, say, showCurl, tellCurl } from './actions.js';
-import { send } from './api.js';
+import { refusal, send } from './api.js';
 import { attribute, byId, make, write } from './dom.js';
 
 const SVG = 'http://www.w3.org/2000/svg';
@@ -106,13 +106,14 @@ async function ask(body) {
   } else {
     const candidates = answer.document?.candidates ?? [];
     if (candidates.length) asked = { body, candidates };
-    const advice = candidates.length ? 'Click the same place in the right eye: the candidates are drawn there.' : answer.document?.advice;
-    say([answer.words, advice].filter(Boolean).join('. '), false);
+    const advice = 'Click the same place in the right eye: the candidates are drawn there.';
+    say(candidates.length ? refusal({ ...answer.document, advice }) : answer.words, false);
   }
   await refresh();
 }
 
 async function find() {
+  say('Looking for holes …', true);
   const answer = await send('GET', '/targets?detect=true');
   if (!answer.ok) { say(answer.words, false); return; }
   holes = answer.document.holes;
@@ -155,7 +156,7 @@ function rows() {
 
 function row(target) {
   const name = target.id ? `${target.id} ${target.recognised}` : target.recognised;
-  const line = make('li', { class: target.aimed ? 'aimed' : '' }, make('b', {}, target.aimed ? `▸ ${name}` : name));
+  const line = make('li', { class: target.aimed ? 'aimed' : '' }, make('b', {}, target.aimed ? `◎ ${name}` : name));
   if (!target.id) return line;
   line.append(make('span', {}, `${KNOWN[target.known] ?? target.known} · ${precision(target)}${far(target)}`));
   const aim = make('button', { type: 'button', disabled: target.aimed, 'aria-label': `Aim at ${name}` }, 'Aim');

@@ -1,4 +1,4 @@
-// Error at the object: the looked error with its uncertainty, the told ellipse, tolerance and verdict.
+// Error at the target: the looked error with its uncertainty, the told ellipse, tolerance and verdict.
 
 import { ago, byId, make, signed, write } from './dom.js';
 
