@@ -1,8 +1,9 @@
 """Nobody knows the truth: no number that controller or vision believes is the plant's own by construction.
 
-Every number of arm, controller and vision is set against every hidden number of plant and scene in the
-same unit, for both arms. Two may be equal only where the truth can be measured (a drawing, a gauge, a ruler),
-where the number is a choice and no belief, or where they are of different things: each with its reason.
+Every number of arm, controller and vision is set against every hidden number of plant and scene in the same
+unit: of every arm, with either set of valves, and of vision that adapts. Two may be equal only where the
+truth can be measured (a drawing, a gauge, a ruler), where the number is a choice and no belief, or where
+they are of different things: each with its reason.
 """
 
 import re
@@ -15,12 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from foundation.configuration import parse_overrides
+from foundation.configuration import parse_overrides, read_yaml
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.units import BAR, LITRE_PER_MINUTE
 from plant_emulator.config.valves import JOINT_NAMES, JointName
-from testbed.experiments.positioning.worlds import ARMS
-from testbed.scenarios.arms import arm_overrides
+from testbed.scenarios.arms import arm_names, arm_overrides
 from testbed.scenarios.settings import Settings, load_settings
 from tests.support.paths import CONFIGS
 
@@ -86,6 +86,8 @@ CHOICES = {
     "controller.flight_recorder_scans": "of the recorder",
     "controller.fifo_priority": "of the process",
     "controller.joint_control.feed_forward": "the share of what arm.yaml believes",
+    "controller.joint_control.valve_limit": "a limit",
+    "controller.pose_servo.damping_*": "of the inverse near a singular pose",
     "vision.camera.stream.*": "of the link",
     "vision.camera.uvc.*": "another camera's",
     "vision.camera.directory.*": "of a recording",
@@ -134,6 +136,19 @@ COINCIDENCES = {
     ): "a spread, one eye",
     ("controller.parking.*_mm", "scene.object_of_interest.*.misplaced_m*"): "a tool at rest, and a print",
     ("vision.targets.carried_std_m", "scene.object_of_interest.*.misplaced_m*"): "a drive's, and a print's",
+    ("controller.valves.*.flow_gain.std", "plant.valves.*.deadband*"): "of a speed, and of spool",
+    ("controller.valves.*.full_stroke_ms.value", "plant.valves.*.delay_ms"): "a spool's way, and its drive",
+    ("vision.programs.local_map.rotation_std", "plant.valves.*.hysteresis"): "of a turn, and of spool",
+    (
+        "vision.markers.calibration.focal_difference_px",
+        "scene.camera.rectification.vertical_px",
+    ): "a spread of focal lengths, and rows",
+    ("vision.markers.calibration.exposed_s", "plant.valves.*.delay_ms"): "a choice of pictures, and a drive",
+    (
+        "vision.programs.local_map.ruler.noise_m",
+        "scene.object_of_interest.*.misplaced_m*",
+    ): "of odometry, and a print",
+    ("vision.programs.local_map.ruler.carried", "plant.errors.encoder_noise.rms_lsb"): "a share, and digits",
 }
 """Pairs of different things that happen to be equal: patterns of both keys → what they are."""
 
@@ -223,9 +238,18 @@ def of_hidden(settings: Settings) -> list[Known]:
     return [known for known in all_hidden(settings) if not matches(known.key, MEASURABLE)]
 
 
+MOBILE = {"plant": {"valve_set": "mobile"}, "controller": {"valves": {"name": "mobile"}}}
+WORLDS = [*arm_names(CONFIGS), "mobile", "adapting"]
+
+
 @cache
-def settings_of(arm: str) -> Settings:
-    return load_settings(CONFIGS, arm_overrides(CONFIGS, arm))
+def settings_of(world: str) -> Settings:
+    """Of an arm as it ships; of the default arm with mobile valves, or with vision that adapts."""
+    if world == "mobile":
+        return load_settings(CONFIGS, MOBILE)
+    if world == "adapting":
+        return load_settings(CONFIGS, {"vision": read_yaml(CONFIGS / "vision_adapting.yaml")})
+    return load_settings(CONFIGS, arm_overrides(CONFIGS, world))
 
 
 def speeds(plant: PlantConfig, name: JointName) -> list[Known]:
@@ -269,9 +293,9 @@ def equalities(believed: list[Known], hidden: list[Known]) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("arm", ARMS)
-def test_no_belief_is_the_plants_own_number(arm: str) -> None:
-    assert equalities(of_believed(settings_of(arm)), of_hidden(settings_of(arm))) == []
+@pytest.mark.parametrize("world", WORLDS)
+def test_no_belief_is_the_plants_own_number(world: str) -> None:
+    assert equalities(of_believed(settings_of(world)), of_hidden(settings_of(world))) == []
 
 
 @pytest.mark.parametrize(
@@ -292,7 +316,7 @@ def test_a_truth_that_was_copied_is_found(assignment: str, found: str) -> None:
 
 @pytest.mark.parametrize("patterns", [MEASURABLE, CHOICES], ids=["measurable", "choices"])
 def test_every_excuse_is_needed_and_has_a_reason(patterns: dict[str, str]) -> None:
-    both = [all_believed(settings_of(arm)) + all_hidden(settings_of(arm)) for arm in ARMS]
+    both = [all_believed(settings_of(world)) + all_hidden(settings_of(world)) for world in WORLDS]
     keys = [known.key for found in both for known in found]
     for pattern, reason in patterns.items():
         assert any(matches(key, {pattern: reason}) for key in keys), f"{pattern} is of nothing"
@@ -300,7 +324,7 @@ def test_every_excuse_is_needed_and_has_a_reason(patterns: dict[str, str]) -> No
 
 
 def test_every_coincidence_is_still_one() -> None:
-    worlds = [settings_of(arm) for arm in ARMS]
+    worlds = [settings_of(world) for world in WORLDS]
     pairs = [pair for world in worlds for pair in product(of_believed(world), of_hidden(world))]
     for one, other in COINCIDENCES:
         assert any(
