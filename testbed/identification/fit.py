@@ -152,7 +152,7 @@ def identify(
         runs += windows.runs
     near = shoot(problem, windows.theta, Plan(0.0, 12, 4, DAMPINGS, 1e-2, all_free), pool, tell)
     problem = problem._replace(std=problem.std * _left_over(near, len(joints)))
-    whole = shoot(problem, near.theta, Plan(0.0, 6, 3, DAMPINGS, 1e-6, all_free), pool, tell)
+    whole = shoot(problem, near.theta, Plan(0.0, 6, 3, DAMPINGS, 1e-6, all_free), pool, tell, near)
     whole = whole._replace(runs=whole.runs + near.runs + runs)
     return Identified(problem, list(joints), simple, reported(problem, whole))
 

@@ -22,7 +22,8 @@ from testbed.identification.free_run import Smoothed, Start, measured, predicted
 from testbed.identification.parameters import Parameter, changed, entry, moved_start
 from testbed.identification.recording import Array, MotionRecording
 
-_STEP = 0.01  # of a prior's spread, or of what is left of it: over which a difference is taken
+_STEP = 0.01  # of a prior's spread: over which a first difference is taken, and at most
+_PART = 0.3  # of σ: over which differences are taken once it is known
 _GAINED = 0.2  # of the cost: a step that gains less is the last one
 _GOOD_PART = 0.5  # of the gain that a linear model promises: such a step is taken
 DAMPINGS = (0.0, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
@@ -169,9 +170,12 @@ def shoot(
     plan: Plan,
     pool: Executor | None = None,
     tell: Callable[[str], None] = lambda note: None,
+    near: Fit | None = None,
 ) -> Fit:
     """Gauss and Newton's damped steps from ``theta`` until one gains little.
 
+    ``near``: a fit whose σ say over how little the first differences are taken. Without it they are coarse,
+    and what curves seems to tell apart what no recording does: such a covariance is too small.
     Raises ConfigurationError when there is no plant at ``theta``.
     """
     mapped: Callable[..., Any] = map if pool is None else pool.map
@@ -183,14 +187,13 @@ def shoot(
         )
     free = np.array([j for j in range(len(theta)) if j not in plan.held], dtype=np.int64)
     steps, runs, part, left = np.zeros(len(theta)), 1, 0.0, plan.jacobians
-    steps[free] = _STEP * problem.spreads[free]
+    steps[free] = _STEP * problem.spreads[free] if near is None else _fine(problem, near.covariance, free)
     for number in range(plan.most_steps):
         fresh = part < _GOOD_PART and left > 0
         if fresh:
             columns, left = jacobian(problem, plan.window_s, now.theta, now.found, steps, mapped), left - 1
             runs += len(free)
-            stds = np.sqrt(np.diag(_inverse(problem, columns, free))[free])
-            steps[free] = np.clip(0.3 * stds, 1e-4 * problem.spreads[free], _STEP * problem.spreads[free])
+            steps[free] = _fine(problem, _inverse(problem, columns, free), free)
         best, promised, tried = _step(problem, plan, now, columns, free)
         gained, now, runs = now.cost - best.cost, best, runs + tried
         part = gained / promised if promised > 0.0 else 1.0
@@ -200,6 +203,12 @@ def shoot(
         if done and gained < _GAINED + plan.least_gain * now.cost:
             break
     return _fit(problem, now, columns, _inverse(problem, columns, free), runs)
+
+
+def _fine(problem: FitProblem, covariance: Array, free: NDArray[np.int64]) -> Array:
+    """Over what (f,) differences of the ``free`` parameters are taken, whose errors have ``covariance``."""
+    spreads = problem.spreads[free]
+    return np.clip(_PART * np.sqrt(np.diag(covariance)[free]), 1e-4 * spreads, _STEP * spreads)
 
 
 def refined(problem: FitProblem, fit: Fit, theta: Array, plan: Plan) -> Fit:
