@@ -16,6 +16,7 @@ from plant_emulator.core.faults.effects import (
     load_kg,
     sensor_fault_reported,
     stuck_encoders,
+    swapped_valves,
     try_out,
 )
 from plant_emulator.core.faults.kinds import AnyFault, OwnFault
@@ -313,6 +314,7 @@ class Plant:
         """Bring everything that faults change to what those in force make of it."""
         active, now_ns = self.faults.active, self.time_ns
         self._load_kg = load_kg(active, now_ns, self._payload_kg)
+        self._commands.swap(swapped_valves(self.faults.in_force()))
         break_hydraulics(active, now_ns, self._model, self._healthy_omega, self._state)
         self._encoders.hold(stuck_encoders(self.faults.in_force()), self._shafts.angle)
         put_payload(self._model, self._bare_tool, self._load_kg, self.config, self._chain)

@@ -168,6 +168,13 @@ def commission(
             "is asked over its own link (controller.reference_link).",
         ),
     ] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KIND[,KEY=VALUE]",
+            help="Break this of the emulated arm at the start, such as valve_swapped,joint=tilt; repeatable.",
+        ),
+    ] = None,
     seed: Seed = 1,
     config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
@@ -179,10 +186,12 @@ def commission(
     """
     from foundation.configuration import parse_overrides
     from testbed.commissioning.command import CommissionRequest, run_commission
+    from testbed.scenarios.named_requests import fault_orders
 
     overrides = parse_overrides(settings or [])
     names = [name.strip() for name in joints.split(",")]
-    request = CommissionRequest(config_dir, overrides, names, directory, seed, json_file, records)
+    broken = fault_orders(fault or [])
+    request = CommissionRequest(config_dir, overrides, names, directory, seed, json_file, records, broken)
     raise typer.Exit(0 if run_commission(request) else 1)
 
 

@@ -9,12 +9,16 @@ from typing import NamedTuple
 import yaml
 
 from nominal_arm.description import JOINT_NAMES
-from protocol.errors import ConfigurationError, LongreachError
+from plant_emulator.core.camera.scene import Scene
+from plant_emulator.core.fault_execution import obey
+from plant_emulator.core.faults.orders import FaultOrder
+from protocol.errors import ConfigurationError, LinkLost, LongreachError, MeasurementFailed
 from testbed.commissioning.findings import JointFindings, commissioned_from, joint_findings
 from testbed.commissioning.live_run import LiveController, excite_live
-from testbed.commissioning.lockstep_run import excite_in_lockstep, with_excitation
+from testbed.commissioning.lockstep_run import Excited, excite_in_lockstep, with_excitation
 from testbed.commissioning.presentation import findings_figures, findings_table, joint_figure
 from testbed.commissioning.session import CommissioningSession
+from testbed.commissioning.trouble_words import trouble_words
 from testbed.lockstep.eyes import eyes_with
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
@@ -31,7 +35,7 @@ class CommissionRequest(NamedTuple):
     """Which machine, which joints (names), and the session's directory; ``json``: figures as well.
 
     ``records``: the directory that a running controller records in; it is tried out in place of the emulated
-    one.
+    one. ``faults``: what of the emulated arm is broken from the start.
     """
 
     config_dir: Path
@@ -41,6 +45,7 @@ class CommissionRequest(NamedTuple):
     seed: int
     json: Path | None
     records: Path | None = None
+    faults: tuple[FaultOrder, ...] = ()
 
 
 def run_commission(request: CommissionRequest) -> bool:
@@ -50,6 +55,10 @@ def run_commission(request: CommissionRequest) -> bool:
     numbers unfit to be used, is told; what was found so far is kept. Raises ConfigurationError for an unknown
     joint or another machine's session.
     """
+    if request.faults and request.records is not None:
+        raise ConfigurationError(
+            "configuration.not_emulated", "--fault breaks the emulated arm; with --records there is none"
+        )
     settings = load_settings(request.config_dir, request.overrides)
     joints = [_joint(name) for name in request.joints]
     session = CommissioningSession(request.directory, settings.arm, settings.controller)
@@ -77,7 +86,22 @@ def _joint(name: str) -> int:
 def _tried_out(
     settings: Settings, request: CommissionRequest, joints: Sequence[int], session: CommissioningSession
 ) -> bool:
-    """Whether all ``joints`` were tried out; what broke it off is told, the arm then stands."""
+    """Whether all ``joints`` were tried out; what broke it off is told and noted, the arm then stands."""
+    try:
+        ended = _excited(settings, request, joints, session)
+    except (MeasurementFailed, LinkLost) as error:
+        return _broken_off(session, error.cause, f"{error.cause}: {error}")
+    minutes = ended.seconds / 60.0
+    out.print(f"{minutes:.1f} min of arm time, to be below {LONGEST_MIN:g}", highlight=False)
+    if ended.trouble is not None:
+        return _broken_off(session, ended.trouble.cause, trouble_words(ended.trouble))
+    session.ended_by(None)
+    return True
+
+
+def _excited(
+    settings: Settings, request: CommissionRequest, joints: Sequence[int], session: CommissioningSession
+) -> Excited:
     with (
         kept_on_ctrl_c(lambda: f"{len(session.finished)} joints are kept in {session.directory}"),
         bars() as shown,
@@ -86,20 +110,18 @@ def _tried_out(
         if request.records is not None:
             link = settings.controller.reference_link
             controller = LiveController(link.host, link.port, request.records)
-            ended = excite_live(controller, settings, session.keep, bar.update)
-        else:
-            world = World(with_excitation(settings, joints), request.seed, RunLog())
-            eyes = eyes_with(world, simulated_sight(world, load_eye_model(request.config_dir), request.seed))
-            ended = excite_in_lockstep(world, session.keep, bar.update, eyes)
-    minutes = ended.seconds / 60.0
-    out.print(f"{minutes:.1f} min of arm time, to be below {LONGEST_MIN:g}", highlight=False)
-    trouble = ended.trouble
-    session.ended_by(None if trouble is None else trouble.cause)
-    if trouble is None:
-        return minutes < LONGEST_MIN
-    name = JOINT_NAMES[trouble.joint]
-    where = f"{name}: {trouble.value:.4g}, limit {trouble.limit:.4g}; the arm stands, what was found is kept"
-    err.print(f"{trouble.cause}: {where}", style="bold red", highlight=False)
+            return excite_live(controller, settings, session.keep, bar.update)
+        world = World(with_excitation(settings, joints), request.seed, RunLog())
+        for order in request.faults:
+            obey(order, world.plant, Scene(settings.scene).cover)
+        eyes = eyes_with(world, simulated_sight(world, load_eye_model(request.config_dir), request.seed))
+        return excite_in_lockstep(world, session.keep, bar.update, eyes)
+
+
+def _broken_off(session: CommissioningSession, cause: str, told: str) -> bool:
+    session.ended_by(cause)
+    kept = f"{told}; the arm stands, what was found is kept"
+    err.print(kept, style="bold red", highlight=False, soft_wrap=True, markup=False)
     return False
 
 

@@ -33,6 +33,7 @@ _GAINS = (0.05, 20.0)
 # rad/s a spool, over 5 s of ramp it stands for 1.2e-4 of spool: not 5 % of the smallest deadband, 0.3 %.
 _RESIDUAL_RAD = 1.5e-4
 RESOLVED = 0.1  # of a play: it is told to 20 % with two of such σ
+_LEAST_BAR = 0.05  # friction alone asks for some bar at a reversal
 _CURVED = 0.02  # share of the flow at the greatest opening that curvature must make to be told
 _KNOTS = (0.25, 0.5, 0.75, 1.0)
 
@@ -71,10 +72,12 @@ class JointFindings(NamedTuple):
 def joint_findings(recording: JointRecording, compensated: bool) -> JointFindings:
     """What ``recording`` says of its joint; ``compensated``: whether the valve's flow is independent of load.
 
-    Raises MeasurementFailed when it says too little, when a number sits at its bound
+    Raises MeasurementFailed when it says too little (``measurement.no_pressures``: no chamber's pressure
+    follows what moves it), when a number sits at its bound
     (``measurement.at_bound``), or when the joint behaves otherwise than the model
     (``measurement.unlike_model``).
     """
+    _with_pressures(recording)
     strokes = strokes_in(recording, compensated)
     raising, lowering = edge_findings(strokes, 1.0), edge_findings(strokes, -1.0)
     angle = recording.q[:, recording.joint]
@@ -94,6 +97,17 @@ def joint_findings(recording: JointRecording, compensated: bool) -> JointFinding
     for name, edge in (("raising", raising), ("lowering", lowering)):
         _judge(f"{JOINT_NAMES[recording.joint]} {name}", edge)
     return _with_play(found, recording)
+
+
+def _with_pressures(recording: JointRecording) -> None:
+    """A chamber that oil goes into and out of does not keep its pressure to the last digit."""
+    for name, pressure in zip("ab", recording.chambers[recording.driving].T, strict=True):
+        if len(pressure) and not np.ptp(pressure) > _LEAST_BAR:  # a NaN is no pressure either
+            raise MeasurementFailed(
+                "measurement.no_pressures",
+                f"{JOINT_NAMES[recording.joint]}: chamber {name} stands at {pressure[0]:.4g} bar while the "
+                f"valve is tried out: {_LEAST_BAR:g} bar of change are wanted at least",
+            )
 
 
 def _with_play(found: JointFindings, recording: JointRecording) -> JointFindings:

@@ -93,6 +93,7 @@ def _excited(
             return Excited(seconds, program.trouble)
         if program.excitation is None and program.inner.fault.code:
             fault = program.inner.fault
+            _rest(world)
             raise MeasurementFailed(
                 "measurement.stopped", f"fault {fault.code.name.lower()} after {seconds:.1f} s"
             )

@@ -17,6 +17,7 @@ from plant_emulator.core.faults.kinds import (
     SupplyLost,
     ValveSlow,
     ValveStuck,
+    ValveSwapped,
 )
 from plant_emulator.core.faults.schedule import Injection
 from plant_emulator.core.layout import N_ACTUATORS, SPOOL_RATE
@@ -52,6 +53,11 @@ def break_hydraulics(
             state[SPOOL_RATE : SPOOL_RATE + N_ACTUATORS][omega == 0.0] = 0.0
             if not fault.pump_runs(elapsed_s):
                 model.circuit[col.C_RUNNING] = 0.0
+
+
+def swapped_valves(faults: Sequence[AnyFault]) -> list[int]:
+    """The joints whose valves go the other way."""
+    return sorted({fault.index for fault in faults if isinstance(fault, ValveSwapped)})
 
 
 def load_kg(active: Sequence[Injection], now_ns: int, healthy_kg: float) -> float:

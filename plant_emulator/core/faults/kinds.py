@@ -60,6 +60,12 @@ class ValveSlow(JointFault):
     bandwidth_share: Annotated[float, Field(ge=0.01, le=1.0)]
 
 
+class ValveSwapped(JointFault):
+    """The plugs of the valve's two solenoids are swapped: the spool goes the other way."""
+
+    kind: Literal["valve_swapped"] = "valve_swapped"
+
+
 class SupplyLost(BaseFault):
     """The pump stops and its line is dumped to tank; the status word says so."""
 
@@ -177,6 +183,7 @@ CameraFault = CameraFrozen | CameraBlind | FramesDropped | MarkerCovered
 Fault = (
     ValveStuck
     | ValveSlow
+    | ValveSwapped
     | SupplyLost
     | EncoderStuck
     | EncoderJump

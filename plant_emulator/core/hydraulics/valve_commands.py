@@ -1,6 +1,7 @@
 """From valve images to spool targets: enable bit, watchdog, delay of the drive electronics, hysteresis."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +43,7 @@ class ValveCommands:
         self.spool_target: NDArray[np.float64] = np.zeros(N_ACTUATORS)
         self.tripped = False
         self._half_play = np.array(drive.half_hysteresis)
+        self._senses = np.ones(N_ACTUATORS)
         self._delays = {
             delay: [i for i, own in enumerate(drive.delay_ns) if own == delay]
             for delay in sorted(set(drive.delay_ns))
@@ -78,6 +80,11 @@ class ValveCommands:
         self._image = image
         self._command(tuple(image.valves) if self.enabled else _SHUT, now_ns)
 
+    def swap(self, valves: Sequence[int]) -> None:
+        """Let ``valves``, and no others, go against what leaves the drive electronics from now on."""
+        self._senses[:] = 1.0
+        self._senses[list(valves)] = -1.0
+
     def next_ns(self) -> int:
         """When something will change by itself: a command leaves the delay, or the watchdog trips."""
         return min(self._pending[0].due_ns if self._pending else NEVER_NS, self._deadline_ns())
@@ -89,7 +96,7 @@ class ValveCommands:
             self._command(_SHUT, now_ns)
         while self._pending and self._pending[0].due_ns <= now_ns:
             _, who, valves = self._pending.pop(0)
-            told, play = np.clip(valves, -1.0, 1.0), self._half_play[who]
+            told, play = np.clip(self._senses[who] * valves, -1.0, 1.0), self._half_play[who]
             self.target[who] = told
             self.spool_target[who] = np.clip(self.spool_target[who], told - play, told + play)
 

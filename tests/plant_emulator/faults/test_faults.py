@@ -20,6 +20,7 @@ from plant_emulator.core.faults.kinds import (
     SupplyLost,
     ValveSlow,
     ValveStuck,
+    ValveSwapped,
 )
 from plant_emulator.core.faults.schedule import FaultSchedule
 from plant_emulator.core.hydraulics.valves import orifice_flow
@@ -79,6 +80,17 @@ def test_a_mended_valve_obeys_again(plant: Plant) -> None:
     driver.run(0.2)
     assert plant.truth().spools[LIFT] == pytest.approx(0.0, abs=1e-3)
     assert plant.truth().faults == ()
+
+
+def test_a_swapped_valve_goes_the_other_way_until_it_is_mended(plant: Plant) -> None:
+    driver = Driver(plant)
+    number = plant.inject(ValveSwapped(joint="lift")).number
+    driver.run(0.2, LIFT_UP)
+    assert plant.truth().spools[LIFT] == pytest.approx(-0.3, abs=1e-3)
+    assert np.abs(plant.truth().spools[[0, 2, 3, 4, 5]]).max() == 0.0
+    plant.clear(number)
+    driver.run(0.2, LIFT_UP)
+    assert plant.truth().spools[LIFT] == pytest.approx(0.3, abs=1e-3)
 
 
 @pytest.mark.parametrize("share", [0.5, 0.1])
@@ -235,7 +247,11 @@ def test_faults_that_are_not_the_plants_change_nothing_in_it() -> None:
 
 
 EVERY: list[dict[str, Any]] = [
-    *({"kind": kind, "joint": joint} for kind in ("valve_stuck", "encoder_stuck") for joint in JOINTS),
+    *(
+        {"kind": kind, "joint": joint}
+        for kind in ("valve_stuck", "valve_swapped", "encoder_stuck")
+        for joint in JOINTS
+    ),
     {"kind": "valve_slow", "joint": "wrist3", "bandwidth_share": 0.3},
     {"kind": "encoder_jump", "joint": "slew", "angle_mrad": -3.5},
     {"kind": "encoder_bias", "joint": "tilt", "angle_mrad": 3.5, "ramp_s": 0.5},

@@ -1,8 +1,10 @@
 """`longreach commission` on one joint: found, kept, written, resumed; and what it refuses."""
 
 import json
+import shutil
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -12,9 +14,12 @@ from controller.core.settings import settings_from
 from foundation.configuration import parse_overrides
 from nominal_arm.commissioned import Commissioned
 from protocol.errors import ConfigurationError, MeasurementFailed
+from protocol.faults import GroupState
 from testbed.commissioning.command import CommissionRequest, run_commission
 from testbed.commissioning.findings import joint_findings
-from testbed.commissioning.recording import load_recording
+from testbed.commissioning.recording import JointRecording, load_recording
+from testbed.lockstep.world import World
+from testbed.scenarios.named_requests import fault_orders
 from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
 
@@ -26,6 +31,40 @@ FAST = ("controller.excitation.ramps=3", "plant.valves.deadband=0.02")
 def requested(directory: Path, *assignments: str) -> CommissionRequest:
     overrides = parse_overrides([*FAST, *assignments])
     return CommissionRequest(CONFIGS, overrides, ["wrist3"], directory, 1, directory / "figures.json")
+
+
+MOBILE = (
+    "plant.valve_set=mobile",
+    "controller.valves.name=mobile",
+    "controller.valves.pressure_compensated=true",
+)
+
+
+class Watched(NamedTuple):
+    """What a command told on its error stream, line by line, and the ``worlds`` that it made."""
+
+    told: list[str]
+    worlds: list[World]
+
+
+@pytest.fixture
+def watched(monkeypatch: pytest.MonkeyPatch) -> Watched:
+    worlds: list[World] = []
+
+    def made(*arguments: Any) -> World:
+        worlds.append(World(*arguments))
+        return worlds[-1]
+
+    monkeypatch.setattr("testbed.commissioning.command.World", made)
+    lines: list[str] = []
+    monkeypatch.setattr("testbed.commissioning.command.err.print", lambda told, **_: lines.append(str(told)))
+    return Watched(lines, worlds)
+
+
+def assert_stands(world: World) -> None:
+    """Every valve is centred, and the group moves no more."""
+    assert np.all(world.plant.truth().valves == 0.0)
+    assert world.states[-1].group_state is not GroupState.MOVING
 
 
 @pytest.fixture(scope="module")
@@ -97,9 +136,76 @@ def test_a_joint_that_is_not_the_models_is_refused(session: Path) -> None:
     assert raised.value.cause == "measurement.unlike_model"
 
 
-def test_a_plant_that_does_not_move_ends_it_and_keeps_what_was_found(tmp_path: Path) -> None:
-    stiff = ["controller.excitation.search_rate_1_s=0.1", "plant.valves.deadband=0.45"]
-    dead = requested(tmp_path)._replace(overrides=parse_overrides(stiff))
-    assert not run_commission(dead)
-    assert json.loads((tmp_path / "session.json").read_text())["ended_by"] == "commissioning.no_motion"
-    assert not (tmp_path / "commissioned.yaml").exists()
+@pytest.mark.parametrize(
+    ("fault", "assignment", "told"),
+    [
+        ("valve_stuck,joint=wrist1", "", "commissioning.no_motion: wrist1: does not move"),
+        ("valve_swapped,joint=wrist1", "", "commissioning.wrong_way: wrist1: turns against its valve word"),
+        ("", "plant.actuators.wrist1.rotary.to_deg=1", "commissioning.blocked: wrist1: stands still under"),
+        ("encoder_jump,joint=wrist1,angle_mrad=30,start_after_s=4", "", "measurement.stopped: fault encoder"),
+    ],
+)
+def test_a_plant_that_misbehaves_is_named_stands_and_keeps_what_was_found(
+    session: Path, tmp_path: Path, watched: Watched, fault: str, assignment: str, told: str
+) -> None:
+    directory = tmp_path / "session"
+    shutil.copytree(session, directory)
+    (directory / "commissioned.yaml").unlink()
+    asked = requested(directory, *([assignment] if assignment else []))
+    faults = fault_orders([fault] if fault else [])
+    assert not run_commission(asked._replace(joints=["wrist3", "wrist1"], faults=faults))
+    (line,) = [each for each in watched.told if each.startswith(("commissioning.", "measurement."))]
+    assert line.startswith(told)
+    assert line.endswith("; the arm stands, what was found is kept")
+    assert_stands(watched.worlds[0])
+    assert json.loads((directory / "session.json").read_text())["ended_by"] == line.partition(":")[0]
+    assert (directory / "wrist3.npz").exists()
+    assert not (directory / "commissioned.yaml").exists()
+    assert list(json.loads((directory / "figures.json").read_text())["joints"]) == ["wrist 3"]
+
+
+def test_a_boom_that_swings_on_its_load_holding_valve_is_named(tmp_path: Path, watched: Watched) -> None:
+    undamped = ["plant.valves.counterbalance.lag_ms=20", "plant.payload.mass_kg=100"]
+    asked = requested(tmp_path)._replace(joints=["lift"], overrides=parse_overrides([*MOBILE, *undamped]))
+    assert not run_commission(asked)
+    (line,) = [each for each in watched.told if each.startswith("commissioning.")]
+    assert line.startswith("commissioning.oscillates: lift: swings to and fro")
+    assert_stands(watched.worlds[0])
+
+
+def test_faults_are_of_the_emulated_arm(tmp_path: Path) -> None:
+    asked = requested(tmp_path)._replace(records=tmp_path, faults=fault_orders(["supply_lost"]))
+    with pytest.raises(ConfigurationError) as raised:
+        run_commission(asked)
+    assert raised.value.cause == "configuration.not_emulated"
+
+
+def _without_pressures(recording: JointRecording) -> JointRecording:
+    return recording._replace(chambers=np.zeros_like(recording.chambers))
+
+
+def _cut(recording: JointRecording) -> JointRecording:
+    n = int(np.searchsorted(recording.t, 8.0))
+    rows = ("t", "stroke", "driving", "valve", "q", "chambers", "supply", "back", "full_speed")
+    return recording._replace(**{name: getattr(recording, name)[:n] for name in rows})
+
+
+def _unexcited(recording: JointRecording) -> JointRecording:
+    return recording._replace(valve=np.zeros_like(recording.valve))
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "cause"),
+    [
+        (_without_pressures, "measurement.no_pressures"),
+        (_cut, "measurement.too_few_strokes"),
+        (_unexcited, "measurement.too_few_strokes"),
+    ],
+)
+def test_a_recording_that_says_too_little_is_named(
+    session: Path, spoilt: Callable[[JointRecording], JointRecording], cause: str
+) -> None:
+    recording = load_recording(session / "wrist3.npz")
+    with pytest.raises(MeasurementFailed) as raised:
+        joint_findings(spoilt(recording), compensated=False)
+    assert raised.value.cause == cause
