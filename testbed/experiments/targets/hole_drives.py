@@ -1,5 +1,6 @@
 """`longreach experiment hole-drives`: the worlds of the best mode with holes for markers, one look a hole."""
 
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -24,6 +25,7 @@ from testbed.reporting.console import table
 from testbed.scenarios.settings import Settings
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.measuring import Click
+from vision_pc.core.targets.target import TargetRefused
 
 NAN = float("nan")
 _INSIDE = 0.98
@@ -115,10 +117,13 @@ def hole_drive(config_dir: Path, task: JSON) -> JSON:
     places = hole_places(settings.scene.wall)
     row = {name: task[name] for name in ("seed", "world", "arm", "holes")}
     ends: dict[int, HoleEnd] = {}
-    while targets := _clicked(rig, places, task["holes"], set(ends)):
+    targets = _clicked(rig, places, task["holes"], set())
+    while targets:
         if task.get("bare_tool") and not ends:
             _bare_tool(rig, targets[0][0])
-        ends |= {hole: _visited(rig, target, places[hole]) for target, hole in targets}
+        target, hole = targets.pop(0)
+        ends[hole] = _visited(rig, target, places[hole])
+        targets += _clicked(rig, places, task["holes"], {*ends, *(hole for _, hole in targets)})
     if not ends:
         raise MeasurementFailed("target.no_hole", "hole-drives: no hole is seen from the start pose")
     every = [*ends.values(), *[HoleEnd(failure="target.no_hole")] * (task["holes"] - len(ends))]
@@ -149,19 +154,22 @@ def hole_scenario(config_dir: Path, task: JSON) -> Settings:
     return settings_of(config_dir, task, {"scene": scene}, wanted)
 
 
-def _clicked(rig: LockstepRig, places: Array, wanted: int, driven: set[int]) -> list[tuple[str, int]]:
+def _clicked(rig: LockstepRig, places: Array, wanted: int, clicked: set[int]) -> list[tuple[str, int]]:
     """Targets and which holes they are: as many as are wanted and seen, the middle one first.
 
-    None of the holes ``driven`` to again: one that the tool hid is clicked from another place.
+    None of the holes that were ``clicked``: one that the tool hid is clicked from where it no longer does.
     """
+    if len(clicked) == wanted:
+        return []
     truth = rig.world.plant.truth()
     true_C = places @ truth.R_CO.T + truth.p_CO
     seen = [(pixel, int(np.linalg.norm(true_C - p_C, axis=1).argmin())) for pixel, p_C in rig.holes()]
-    new = sorted((hole for hole in seen if hole[1] not in driven), key=lambda hole: hole[1])
-    chosen = new[: wanted - len(driven)]
-    return [
-        (run(rig.camera.target_at(Click("left", pixel, "hole"), None)).id, hole) for pixel, hole in chosen
-    ]
+    new = sorted((hole for hole in seen if hole[1] not in clicked), key=lambda hole: hole[1])
+    targets = []
+    for pixel, hole in new[: wanted - len(clicked)]:
+        with contextlib.suppress(TargetRefused):  # such as beside the tool: clicked later
+            targets.append((run(rig.camera.target_at(Click("left", pixel, "hole"), None)).id, hole))
+    return targets
 
 
 def _bare_tool(rig: LockstepRig, target: str) -> None:

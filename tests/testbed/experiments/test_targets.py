@@ -1,6 +1,9 @@
 """Drawn walls are what they say, and the verdict over their rows counts what was not told."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -13,10 +16,13 @@ from plant_emulator.core.camera.wall.bores import hole_places
 from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Finished
 from testbed.campaigns.typed_rows import typed
+from testbed.experiments.targets import hole_drives
 from testbed.experiments.targets.drawn_walls import Aspect, drawn_wall
 from testbed.experiments.targets.hole_drives import (
     HoleDriveRow,
     HoleDriveSettings,
+    HoleEnd,
+    hole_drive,
     hole_drive_table,
     hole_drive_verdict,
     hole_scenario,
@@ -33,7 +39,7 @@ from tests.support.paths import CONFIGS
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.targets.measuring import Click, at_click
-from vision_pc.core.targets.target import TargetObservation
+from vision_pc.core.targets.target import TargetObservation, TargetRefused
 
 REQUEST = CampaignRequest(CONFIGS, Path("nowhere"), runs=2, seed=7)
 
@@ -149,3 +155,46 @@ def test_a_hole_that_was_not_reached_is_outside() -> None:
     one = typed(HoleDriveRow, cells | {"hole2_worst_mm": None, "hole2_failure": "target.hidden: x"})
     assert met([*rows, one, one, one])[2] is False
     assert hole_drive_table(Finished(REQUEST, settings, (), rows, 0))[0].row_count == 3
+
+
+class PassedBy:
+    """A rig whose holes (of three in a row) are seen from some of the stops only; one click is refused."""
+
+    SEEN = ([0, 1], [1, 2], [1], [0])  # from the start, and after each drive
+
+    def __init__(self, *_: object) -> None:
+        plant = SimpleNamespace(truth=lambda: SimpleNamespace(R_CO=np.eye(3), p_CO=np.zeros(3)))
+        self.world = SimpleNamespace(plant=plant)
+        self.camera, self.stop, self.refusals = self, 0, 1
+
+    def command(self, _: str) -> None:
+        """Enabled."""
+
+    def holes(self) -> list[tuple[Any, Any]]:
+        return [(np.array([hole, 0.0]), PLACES[hole]) for hole in self.SEEN[self.stop]]
+
+    async def target_at(self, click: Click, _: None) -> SimpleNamespace:
+        hole = int(click.pixel[0])
+        if hole == 1 and self.refusals:
+            self.refusals = 0
+            raise TargetRefused("target.hidden", "target: the tool is before it")
+        return SimpleNamespace(id=f"t{hole}")
+
+
+PLACES = np.array([[0.2 * number, 0.0, 1.0] for number in range(3)])
+
+
+def test_a_hole_that_is_seen_on_the_way_alone_is_driven_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    def visited(rig: PassedBy, target: str, _: object) -> HoleEnd:
+        rig.stop += 1
+        return HoleEnd(known=target)
+
+    for name, fake in (("LockstepRig", PassedBy), ("hole_scenario", lambda *_: MagicMock()),
+                       ("hole_places", lambda _: PLACES), ("_visited", visited)):  # fmt: skip
+        monkeypatch.setattr(hole_drives, name, fake)
+    asked = {"seed": 1, "world": "lab", "arm": "plant", "holes": 3}
+    driven = hole_drive(CONFIGS, asked)
+    assert [driven[f"hole{number}"].known for number in (1, 2, 3)] == ["t0", "t1", "t2"]
+    assert driven["seen"] == 3
+    monkeypatch.setattr(PassedBy, "SEEN", ([0, 1], [1], [1], [0]))
+    assert hole_drive(CONFIGS, asked)["hole3"].failure == "target.no_hole"
