@@ -193,6 +193,9 @@ def test_everybody_can_use_it(browser: Browser, theme: str) -> None:
         is_state(page, "error_stop")
         expect(page.locator("html")).to_have_attribute("data-theme", theme)
         assert serious(page) == []
+        page.set_viewport_size({"width": 1920, "height": 1080})
+        for part in ("#eye", "#arm", "#operate", "#strips", "#alarms"):  # at once, without scrolling
+            expect(page.locator(part)).to_be_in_viewport(ratio=0.99)
         page.set_viewport_size(phone)
         page.wait_for_timeout(500)
         assert page.evaluate("document.documentElement.scrollWidth") <= phone["width"]

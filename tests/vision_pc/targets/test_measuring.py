@@ -21,6 +21,7 @@ from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.targets import plane_patch
 from vision_pc.core.targets.measuring import Click, KnownTarget, again, at_click, holes
+from vision_pc.core.targets.round_edge import RAYS, DarkSpot, edge
 from vision_pc.core.targets.target import TargetRefused, frame_on
 from vision_pc.core.targets.wider_patch import normal_std, wider
 
@@ -221,3 +222,20 @@ def test_what_the_tool_hides_from_the_other_eye_is_refused(face: WallScene) -> N
                 "target.depth_edge",
             )
     assert tried == 15
+
+
+@pytest.mark.parametrize("light", [1.0, 0.25])
+def test_the_edge_of_a_hole_is_found_in_sun_and_in_shade_and_none_in_noise(light: float) -> None:
+    rng = np.random.default_rng(4)
+    rows, columns = np.mgrid[:80, :80]
+    off = np.hypot(columns - 40.3, rows - 39.6)
+    wall = 112.0 - 64.0 * np.clip(11.5 - off, 0.0, 1.0)  # 48 in the hole, of 11 px
+    noise = rng.normal(0.0, 2.0, wall.shape)
+    found = edge(np.clip(light * wall + noise, 0, 255).astype(np.uint8), SPOT)
+    assert len(found) >= 0.9 * RAYS
+    assert np.abs(found.mean(axis=0) - (40.3, 39.6)).max() < 0.3
+    bare = np.clip(light * 112.0 + noise, 0, 255).astype(np.uint8)
+    assert len(edge(bare, SPOT)) < 0.1 * RAYS
+
+
+SPOT = DarkSpot(np.array([40.0, 40.0]), 11.0)

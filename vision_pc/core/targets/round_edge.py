@@ -19,7 +19,9 @@ _WITHIN = 0.035  # of the radius: how far an edge point of the circle may be off
 _WITHIN_PX = 0.35  # and in any case
 _LEAST_SHARE = 0.5  # of the rays must show the circle's edge
 _WIDEST_GAP = math.radians(150.0)
-_CONTRAST = 18.0  # grey levels from inside to outside
+_CONTRAST = 18.0  # grey levels from inside to outside, and in shade
+_CONTRAST_SHARE = 0.3  # of the grey around, but more than noise makes:
+_LEAST_CONTRAST = 9.0
 FLOOR_PX = 0.04  # [M] what light in the hole and places where the rim breaks out do to its middle
 GRAIN_PX = 7.5  # [M] along the rim over which the texture that shifts an edge is alike (docs/targets.md)
 _TIGHT = 2.5  # of the usual distance from the circle: what is farther out of it is no part of the edge
@@ -61,12 +63,13 @@ def edge(image: Image, spot: DarkSpot, share: float = 1.0) -> Array:
     if min(part.shape) < 8:
         return np.zeros((0, 2))
     smooth = cv2.GaussianBlur(part.astype(np.float64), (5, 5), 0.7)
-    points = _edge_points(np.asarray(smooth), u - left, v - top, spot.radius, share)
+    contrast = min(_CONTRAST, max(_LEAST_CONTRAST, _CONTRAST_SHARE * float(np.median(part))))
+    points = _edge_points(np.asarray(smooth), u - left, v - top, spot.radius, share, contrast)
     return np.asarray(points[np.isfinite(points[:, 0])] + [left, top])
 
 
 @kernel(nogil=True)
-def _edge_points(image: Array, u: float, v: float, radius: float, share: float) -> Array:
+def _edge_points(image: Array, u: float, v: float, radius: float, share: float, contrast: float) -> Array:
     """Edge points (rays, 2), NaN where a ray shows none.
 
     Of each ray the first place outwards from 0.4 radii at which the grey has risen half of the way to the
@@ -89,7 +92,7 @@ def _edge_points(image: Array, u: float, v: float, radius: float, share: float) 
             profile[i] = _bilinear(image, x, y)
         if not inside:
             continue
-        at = _rise(profile, count, share)
+        at = _rise(profile, count, share, contrast)
         if math.isnan(at):
             continue
         r = first + at * _STEP
@@ -107,9 +110,9 @@ def _bilinear(image: Array, x: float, y: float) -> float:
 
 
 @kernel(nogil=True)
-def _rise(profile: Array, count: int, share: float) -> float:
+def _rise(profile: Array, count: int, share: float, contrast: float) -> float:
     """Where the profile crosses half of its first rise of at least ``share`` of its steepest from dark to
-    bright, in samples; NaN without.
+    bright, in samples; NaN where that is below ``contrast``.
     """
     span = int(2.4 / _STEP)  # px over which an edge rises
     best, at = 0.0, -1
@@ -117,7 +120,7 @@ def _rise(profile: Array, count: int, share: float) -> float:
         rise = profile[i + span] - profile[i]
         if rise > best:
             best, at = rise, i
-    if best < _CONTRAST:
+    if best < contrast:
         return math.nan
     for i in range(at):
         rise = profile[i + span] - profile[i]
