@@ -45,7 +45,7 @@ def hold(page: Page, button: str, by_key: bool = False) -> None:
         for _ in range(20):
             expect(page.locator(button)).to_be_enabled(timeout=WITHIN_MS)
             if by_key:
-                page.locator(button).focus()
+                reach(page, button)
                 page.keyboard.down("Enter")
             else:
                 page.locator(button).hover()
@@ -62,6 +62,15 @@ def hold(page: Page, button: str, by_key: bool = False) -> None:
     finally:
         page.remove_listener("request", note_command)
     raise AssertionError(f"{button} was held, and nothing was sent")
+
+
+def reach(page: Page, element: str) -> None:
+    """Press Tab until the focus is on it."""
+    for _ in range(100):
+        if page.evaluate("selector => document.activeElement.matches(selector)", element):
+            return
+        page.keyboard.press("Tab")
+    raise AssertionError(f"{element} is not reached by Tab")
 
 
 def note(page: Page, kind: str, words: str) -> None:

@@ -15,7 +15,7 @@ from playwright.sync_api import Browser, Page, Route, expect
 
 from foundation.rest.tokens import Role
 from protocol.faults import FaultCode, GroupState
-from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, launched, note
+from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, launched, note, reach
 from tests.browser.open_console import console, eventually, opened, serious
 from tests.vision_pc.shell.rest_server import served_bench
 
@@ -42,20 +42,27 @@ def slip(page: Page) -> None:
     raise AssertionError("a slip was not noticed")
 
 
-def test_the_procedure_by_clicks_ends_inside_the_tolerance(browser: Browser) -> None:
+@pytest.mark.parametrize("by_key", [False, True])
+def test_the_procedure_by_clicks_or_keys_alone_ends_inside_the_tolerance(
+    browser: Browser, by_key: bool
+) -> None:
     with console(browser) as (page, bench, _):
         assert page.locator("#start-look-then-move").is_disabled()
-        slip(page)
+        if not by_key:
+            slip(page)
         is_state(page, "disabled")
-        hold(page, "#enable")
+        hold(page, "#enable", by_key)
         is_state(page, "standby")
         for kind in ("orientation-adjustment", "local-track", "look-then-move"):
-            hold(page, f"#start-{kind}")
+            hold(page, f"#start-{kind}", by_key)
             note(page, kind, "done")
         expect(page.locator("#verdict-told")).to_contain_text("Inside ±5 mm, and so are the 95 % intervals.")
         expect(page.locator("#verdict-told")).to_contain_text(re.compile(r"Told before: .* inside"))
         assert max(abs(1e3 * bench.rig.true_error(0.1)[:2])) < 5.0
-        page.locator("#jog-x-plus").hover()
+        if by_key:
+            reach(page, "#jog-x-plus")
+        else:
+            page.locator("#jog-x-plus").hover()
         expect(page.locator("#curl")).to_contain_text('"offset_tool_m":[0.02,0,0]')
         expect(page.locator("#overlay path.told")).to_have_count(1)
         assert int(page.locator("#left").get_attribute("data-frame") or 0) > 0
@@ -157,6 +164,23 @@ def test_a_silent_controller_is_named_and_stop_says_that_nobody_heard(browser: B
             expect(page.locator("#chips .abnormal-1").first).to_be_visible()
             page.locator("#stop").click()
             expect(page.locator("#stop-told")).to_contain_text("hardware stop", timeout=WITHIN_MS)
+
+
+def test_a_frozen_camera_is_named_with_what_to_do_and_the_page_goes_on_with_it(browser: Browser) -> None:
+    with served_bench() as (url, bench):
+        bench.eyes.picture_s = 0.1
+        with opened(browser, url) as page:
+            expect(page.locator("#left")).to_have_attribute("data-frame", re.compile("[1-9]"))
+            bench.eyes.trouble = "link.camera_frozen"
+            expect(page.locator("#chips .abnormal-2")).to_have_text("camera ◆ frozen")
+            expect(page.locator("#alarm-line")).to_contain_text("start the camera anew")
+            told = re.compile(r"This picture is \d+ s old. The camera: frozen")
+            expect(page.locator("#no-picture")).to_have_text(told)
+            is_state(page, "standby")
+            bench.eyes.trouble = None
+            expect(page.locator("#no-picture")).to_be_hidden()
+            expect(page.locator("#alarm-line")).to_have_text("No alarm")
+            expect(page.locator("#chips")).to_contain_text("camera 100.0 /s")
 
 
 def test_a_token_is_asked_for_and_a_watcher_may_stop_alone(browser: Browser) -> None:

@@ -59,6 +59,7 @@ class SyntheticEyes:
     def __init__(self, rig: SyntheticRig, controller: LoopbackController) -> None:
         self.rig, self.controller = rig, controller
         self.connected = True
+        self.trouble: str | None = None
         self.look_s = 0.02
         self.pictures = 0
         self.picture_s = 0.02
@@ -79,7 +80,7 @@ class SyntheticEyes:
             await asyncio.sleep(0.1)  # pictures at rest
 
     def status(self) -> CameraStatus:
-        return CameraStatus(self.connected, 10.0, 1, 100.0)
+        return CameraStatus(self.connected, 10.0, 1, 100.0, trouble=self.trouble)
 
     async def latest_png(self) -> bytes:
         return b"\x89PNG\r\n\x1a\n" + bytes(8)
@@ -121,6 +122,8 @@ class SyntheticEyes:
     async def pair_after(self, capture_ns: int) -> StereoPair:
         if not self.connected:
             raise LinkLost("link.camera_silent", "no picture")
+        if self.trouble:
+            raise LinkLost(self.trouble, "no picture")
         await asyncio.sleep(self.picture_s)
         self.pictures += 1
         picture = np.full((CAMERA.height, CAMERA.width), 60 + self.pictures % 60, dtype=np.uint8)
