@@ -87,8 +87,9 @@ def of_parts() -> Iterator[RealityFigure]:
     spools = load(PlantConfig, ROOT / "configs" / "plant.yaml").valve_sets["mobile"]
     edges = [overlap for name in JOINT_NAMES for overlap in spools.of(name, 40.0).deadband]
     yield RealityFigure(
-        "overlap of a mobile spool", "±0.8 of 7 mm: 11 %", "Danfoss PVE series 4 manual, p. 17",
-        f"{100 * min(edges):.1f} to {100 * max(edges):.1f} %", "set by configuration, around it",
+        "overlap of a mobile spool", "out of neutral by ±0.8 of 7 mm, 11 %, for its own direction indicator",
+        "Danfoss PVE series 4 manual, p. 17; no figure of the overlap itself was found",
+        f"{100 * min(edges):.1f} to {100 * max(edges):.1f} %", "set by configuration, up to it",
     )  # fmt: skip
     yield RealityFigure(
         "neutral to full stroke", "120 to 230 ms", "Danfoss PVG 32, recalled, not verified",
@@ -108,8 +109,8 @@ def of_parts() -> Iterator[RealityFigure]:
     camera = load(SceneConfig, ROOT / "configs" / "scene.yaml").camera
     fb = camera.lens.fx_px * camera.baseline_m
     yield RealityFigure(
-        "depth told of a wall at 12 m, disparity 3.5 px off",
-        "25 m, f·b 80.4 px·m",
+        "depth told of a wall at 25 m, disparity 3.5 px off",
+        "12 m, f·b 80.4 px·m",
         "stereolabs/zed-sdk issue 44",
         f"{_told_m(80.4):.0f} m by the same law; with our f·b of {fb:.1f} {_told_m(fb):.0f} m",
         "inside; `real` worlds draw ±3.5 px",
@@ -117,8 +118,8 @@ def of_parts() -> Iterator[RealityFigure]:
 
 
 def _told_m(fb: float) -> float:
-    """What a camera with ``fb`` (px m) that is off by 3.5 px of disparity says of 12 m."""
-    return fb / (fb / 12.0 - 3.5)
+    """What a camera with ``fb`` (px m) that is off by 3.5 px of disparity says of 25 m."""
+    return fb / (fb / 25.0 + 3.5)
 
 
 def _each(values: list[float], low: float, high: float) -> str:

@@ -16,7 +16,7 @@ from protocol.errors import ConfigurationError, LinkLost, LongreachError, Measur
 from testbed.commissioning.findings import JointFindings, commissioned_from, joint_findings
 from testbed.commissioning.live_run import LiveController, excite_live
 from testbed.commissioning.lockstep_run import Excited, excite_in_lockstep, with_excitation
-from testbed.commissioning.presentation import findings_figures, findings_table, joint_figure
+from testbed.commissioning.presentation import findings_figures, findings_tables, joint_figure
 from testbed.commissioning.session import CommissioningSession
 from testbed.commissioning.trouble_words import trouble_words
 from testbed.lockstep.eyes import eyes_with
@@ -68,7 +68,7 @@ def run_commission(request: CommissionRequest) -> bool:
     complete = _tried_out(settings, request, to_do, session) if to_do else True
     found = _found(session, settings)
     if found:
-        out.print(findings_table(found))
+        out.print(*findings_tables(found), sep="\n")
     write_json(request.json, {"joints": findings_figures(found), "complete": complete})
     whole = complete and all(joint in found for joint in joints)
     if whole:
@@ -146,4 +146,5 @@ def _write(found: Mapping[int, JointFindings], settings: Settings, session: Comm
     content = commissioned_from(found, settings.arm, settings.controller, sources, made)
     path = session.directory / "commissioned.yaml"
     path.write_text(yaml.safe_dump(content.model_dump(mode="json"), sort_keys=False), encoding="utf-8")
-    out.print(f"written: {path}; the controller takes it as controller.commissioned={path}", highlight=False)
+    told = f"written: {path}; the controller takes it as controller.commissioned={path.resolve()}"
+    out.print(told, highlight=False, soft_wrap=True)

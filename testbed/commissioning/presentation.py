@@ -14,24 +14,29 @@ from testbed.commissioning.valve_fit import EdgeFindings, smoothed_speed
 from testbed.reporting.console import table
 from testbed.reporting.plots import AXIS_COLOURS, JOINTS
 
-_HEADINGS = (
+_OF_EDGES = (
     "joint", "sense", "deadband %", "hysteresis %", "lag ms", "response ms", "flow / nominal", "curve",
-    "left mrad", "friction bar", "load bar", "half play mrad", "travel mrad", "s",
+    "left mrad",
 )  # fmt: skip
+_OF_JOINTS = ("joint", "friction bar", "load bar", "half play mrad", "travel mrad", "s")
 
 
-def findings_table(found: Mapping[int, JointFindings]) -> Table:
-    """One row an edge; spools in per cent of the full one, each number with its standard deviation."""
-    rows = [
-        row
+def findings_tables(found: Mapping[int, JointFindings]) -> list[Table]:
+    """One row an edge, then one a joint; spools in per cent of the full one, numbers ± standard deviation."""
+    edges = [
+        ("" if sense == "lowering" else JOINTS[joint], *_edge_cells(sense, edge))
         for joint, one in sorted(found.items())
-        for row in (_row(joint, "raising", one, one.raising), _row(joint, "lowering", one, one.lowering))
+        for sense, edge in (("raising", one.raising), ("lowering", one.lowering))
     ]
-    return table("commissioning: value ± standard deviation", _HEADINGS, rows)
+    joints = [(JOINTS[joint], *_joint_cells(one)) for joint, one in sorted(found.items())]
+    return [
+        table("commissioning: valves, value ± standard deviation", _OF_EDGES, edges),
+        table("commissioning: joints", _OF_JOINTS, joints),
+    ]
 
 
-def _row(joint: int, sense: str, one: JointFindings, edge: EdgeFindings) -> tuple[object, ...]:
-    edge_cells = (
+def _edge_cells(sense: str, edge: EdgeFindings) -> tuple[str, ...]:
+    return (
         f"{sense}, by its outlet" if edge.by_outlet else sense,
         _told(edge.deadband, 100.0, 3),
         _told(edge.hysteresis, 100.0, 2),
@@ -41,14 +46,12 @@ def _row(joint: int, sense: str, one: JointFindings, edge: EdgeFindings) -> tupl
         f"{edge.curvature:+.2f}",
         f"{1e3 * edge.residual:.3f}",
     )
-    if sense != "raising":
-        return ("", *edge_cells, "", "", "", "", "")
-    friction = one.friction
+
+
+def _joint_cells(one: JointFindings) -> tuple[str, ...]:
     return (
-        JOINTS[joint],
-        *edge_cells,
-        _told(friction.friction, 1.0, 1),
-        _told(friction.load, 1.0, 1),
+        _told(one.friction.friction, 1.0, 1),
+        _told(one.friction.load, 1.0, 1),
         _play_told(one),
         f"{1e3 * one.travel:.0f}",
         f"{one.seconds:.0f}",

@@ -10,7 +10,7 @@ from testbed.scenarios.settings import Settings
 
 @axis(
     "disparity ±3.5 px, rows ±1 px",
-    "[S] zed-sdk 44: a ZED from the factory showed 12 m as 25 m: 3.5 px; [E] rows",
+    "[S] zed-sdk 44: a ZED from the factory showed 25 m as 12 m: 3.5 px; [E] rows",
 )
 def rectification(rng: np.random.Generator, _usual: Settings) -> JSON:
     """What the maker's calibration leaves."""
