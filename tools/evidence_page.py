@@ -86,7 +86,8 @@ def sections(results: Path = RESULTS) -> dict[str, str]:
     heads = (
         "rows | command | runs | one look: within 5 mm | median, 95 % | two looks | median, 95 % | stopped"
     )
-    heads += " | error² / variance told | in the ellipse | silent misses | limits met"
+    heads += " | error² / variance told: before moving, by odometry | in the ellipse | silent misses"
+    heads += " | limits met"
     lines = "what was changed | runs | one look: median, worst | within 5 mm | error / σ told | silent misses"
     return {
         "evidence": table(heads, (_campaign(one) for one in drawn)),
@@ -119,7 +120,7 @@ def _campaign(one: Kept) -> Sequence[str]:
     """A line of drawn machines; a run that stopped counts as outside."""
     rows = [typed(PositioningRow, row) for row in one.rows]
     first, second = worst_mm(rows, "look1"), worst_mm(rows, "look2")
-    before = told(rows, "look1", "before")
+    before, after = (told(rows, "look1", when) for when in ("before", "after"))
     asked = checks_of(rows, WORLDS[WorldName(rows[0].world)].demands)
     judged = [check.met for check in asked if check.met is not None]
     return [
@@ -131,9 +132,9 @@ def _campaign(one: Kept) -> Sequence[str]:
         f"{share(second, LIMIT_MM):.0%}",
         _pair(second, 95),
         str(sum(map(_stopped, rows))),
-        f"{nees(before):.2f}",
-        f"{covered(before):.0%}",
-        str(silent_misses(before, first)),
+        f"{nees(before):.2f}, {nees(after):.2f}",
+        f"{covered(before):.0%}, {covered(after):.0%}",
+        f"{silent_misses(before, first)}, {silent_misses(after, first)}",
         f"{sum(judged)} of {len(judged)}",
     ]
 

@@ -50,7 +50,9 @@ def test_rows_of_targets_stand_on_their_own_page_with_wrong_answers_told(tmp_pat
 
 def _row(seed: int, error_mm: float, probability: float, failure: str = "") -> PositioningRow:
     told = Told(probability=probability, std_x_mm=0.5, std_y_mm=0.5, distance2=2.0, level2=5.99)
-    end = Branch(XYZ(error_mm, 0.0, 0.0), std_mm=XYZ(0.5, 0.5, 1.0), worst_mm=error_mm, before=told)
+    true, std = XYZ(error_mm, 0.0, 0.0), XYZ(0.5, 0.5, 1.0)
+    seen = told._replace(probability=0.9 if error_mm < 7.5 else 0.1)
+    end = Branch(true, std_mm=std, worst_mm=error_mm, before=told, after=seen)
     stopped = Branch(failure="motion.not_settled: x")
     first = stopped if failure else end
     return PositioningRow(seed, "plant", 0.0, 0.0, 0.0, 0.0, 0.0, "real", look1=first, look2=first)
@@ -82,7 +84,7 @@ def test_rows_that_are_kept_are_counted_with_their_stops_and_silent_misses(tmp_p
     ]
     assert cells[4].startswith("7.00, ")
     assert cells[7] == "1", "stopped"
-    assert cells[10] == "1", "the one that was told 0.5 was no silent miss"
+    assert cells[10] == "1, 1", "the one that was told 0.5 before moving, 0.1 by odometry, was none"
 
 
 @pytest.mark.parametrize(("error_mm", "verdict"), [(0.4, "yes"), (1.6, "NO"), (5.5, "NO")])
