@@ -325,8 +325,12 @@ def _columns(X_BT: Array, play: Array, X_BT_now: Array, dimensions: BoomDimensio
 
 
 def _sides(track: LocalTrack, dimensions: BoomDimensions, settings: LocalErrorModelSettings) -> Array:
-    """On which side of the slew's backlash (N,), −1…1, the load lies along ``track``."""
-    return backlash_sides(slew_angles(track.X_BT, dimensions.wrist_to_tool), settings.reversal_rad)
+    """On which side of the slew's backlash (N,), −1…1, the load lies along ``track``.
+
+    Where drives adapt: −1 or 1. The encoder turns back only once the load has crossed all of it.
+    """
+    sides = backlash_sides(slew_angles(track.X_BT, dimensions.wrist_to_tool), settings.reversal_rad)
+    return np.where(sides > 0.0, 1.0, -1.0) if settings.adaptive.enabled else sides
 
 
 def _prior(settings: LocalErrorModelSettings) -> Array:

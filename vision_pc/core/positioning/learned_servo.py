@@ -19,7 +19,7 @@ from vision_pc.core.calibration.local_error_model import TAKEN_UP, LocalTrack
 from vision_pc.core.se3 import Array
 
 _ACROSS = 2.0  # of a miss, x and y are seen without the look's range
-_TURNED, _ENDS = 0.75, 3.0  # of so many ends before any was seen, on the other side: [M] 6 of 24
+_TURNED, _ENDS = 0.5, 2.0  # of so many ends before any was seen, on the other side: [M] 6 of 24
 
 
 class ServoSpread(NamedTuple):
@@ -65,7 +65,7 @@ def turned_share(track: LocalTrack) -> float:
 
 def expected_side(track: LocalTrack) -> float:
     """The side of the slew's backlash on which the next end is expected: the likelier one."""
-    return -TAKEN_UP if turned_share(track) > 0.5 else TAKEN_UP
+    return -TAKEN_UP if turned_share(track) >= 0.5 else TAKEN_UP
 
 
 def expected_left(track: LocalTrack, dimensions: BoomDimensions, settings: LocalErrorModelSettings) -> Array:
