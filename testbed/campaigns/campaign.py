@@ -7,55 +7,21 @@ all the runs are made in this process, one after the other.
 
 import hashlib
 import json
-import logging
-import signal
-import threading
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager, suppress
+from collections.abc import Mapping, Sequence
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
-import dask
-import distributed as untyped
-import numba
-from distributed.client import FuturesCancelledError
-from distributed.comm.addressing import parse_address, parse_host_port
-from distributed.comm.core import CommClosedError
-from distributed.scheduler import KilledWorker
-
-from protocol.errors import ConfigurationError, LinkLost, LongreachError
+from protocol.errors import ConfigurationError, LinkLost
 from testbed.campaigns.provenance import content_hash, provenance_of
 from testbed.campaigns.row_file import Row, RowFile
-from testbed.campaigns.typed_rows import flat
-from testbed.reporting.console import bars, out, plain
+from testbed.campaigns.time_spent import CameBack, TimeSpent, came_back, time_spent
+from testbed.campaigns.workforce import AGAIN, Run, Task, results
+from testbed.reporting.console import out, plain
 from testbed.reporting.ctrl_c import kept_on_ctrl_c
 
-distributed: Any = untyped  # it has types in part only
-
-Task = dict[str, Any]
-Run = Callable[[Task], Any]
-"""A task to its row: flat, or a NamedTuple."""
-
-REACH_S = 3.0  # a scheduler that does not answer by then is not there
-_WORKERS_S = 20.0  # for the first worker of a scheduler to be there
-_MEMORY_LIMIT = "4GiB"  # of one embedded worker; beyond it is ended, and the run begun again
-_WORN_BYTES = 3 << 29  # of an embedded worker between two runs; beyond it, a new one takes over
-_PATIENCE_S = 60.0  # without a result until somebody asks whether anyone is working
-_RESTART_S = 600.0  # a worker that has not restarted by then stays away for the rest of the campaign
-_AGAIN = "campaign."  # causes that say nothing about the run itself: a resumed campaign tries it again
-_QUIET = {
-    "distributed.worker.memory.target": False,
-    "distributed.worker.memory.spill": False,
-    "distributed.worker.memory.pause": False,  # a paused worker would wait for ever: its memory is one run's
-    "distributed.scheduler.allowed-failures": 1,  # a run that ends its worker twice would do so again
-    "distributed.scheduler.worker-ttl": None,  # compiled kernels may keep a worker from answering for long
-    "distributed.comm.timeouts.connect": "120s",  # on a busy machine a worker takes its time to start
-    "distributed.admin.large-graph-warning-threshold": "1GiB",
-}
+__all__ = ["Campaign", "CampaignRequest", "Run", "Task", "configuration_of", "evidence_of", "run_campaign"]
 
 
 class CampaignRequest(NamedTuple):
@@ -77,10 +43,14 @@ class CampaignRequest(NamedTuple):
 
 
 class Campaign(NamedTuple):
-    """One row for each task, in their order; ``reused`` of them were there already."""
+    """One row for each task, in their order; ``reused`` of them were there already.
+
+    ``spent``: where the time of those measured now went; None where there was none to speak of.
+    """
 
     rows: list[Row]
     reused: int
+    spent: TimeSpent | None
 
 
 def run_campaign(request: CampaignRequest, function: Run, tasks: Sequence[Task], title: str) -> Campaign:
@@ -96,7 +66,7 @@ def run_campaign(request: CampaignRequest, function: Run, tasks: Sequence[Task],
     Raises ConfigurationError for a key given twice or a malformed address, LinkLost when the scheduler does
     not answer, has no workers, or goes away; the rows done until then are kept.
     """
-    directory = request.out
+    directory, began_s = request.out, time.perf_counter()
     evidence = {scenario: evidence_of(function, scenario) for scenario in {_scenario(task) for task in tasks}}
     configurations = {str(task["key"]): configuration_of(evidence[_scenario(task)], task) for task in tasks}
     if len(configurations) != len(tasks):
@@ -115,17 +85,22 @@ def run_campaign(request: CampaignRequest, function: Run, tasks: Sequence[Task],
     )
     told = f"{title}: {len(tasks) - len(to_do)} rows reused, {len(to_do)} measured now"
     out.print(told, style="dim", highlight=False, soft_wrap=True)
+    runs: list[CameBack] = []
+    at_once = 1
     if to_do:
         checked = partial(_on_same_evidence, function, evidence)
         workers = min(request.workers, len(to_do))
         with kept_on_ctrl_c(lambda: f"{len(file.rows)} rows are kept in {file.path}"):
-            for task, row in _results(checked, to_do, request.scheduler, workers, title):
-                key = str(task["key"])
+            for made in results(checked, to_do, request.scheduler, workers, title):
+                key = str(made.task["key"])
                 named = {"key": key, "configuration": configurations[key]}
-                whole = named | _files_written(directory, "-".join(named.values()), row)
+                whole = named | _files_written(directory, "-".join(named.values()), made.row)
                 done[key, configurations[key]] = file.append(whole)
+                at_once = made.at_once
+                if run := came_back(time.perf_counter() - began_s, made.row):
+                    runs.append(run)
     rows = [{name: done[item].get(name) for name in file.columns} for item in configurations.items()]
-    return Campaign(rows, len(tasks) - len(to_do))
+    return Campaign(rows, len(tasks) - len(to_do), time_spent(at_once, runs))
 
 
 def configuration_of(evidence: Mapping[str, Any], task: Mapping[str, Any]) -> str:
@@ -162,14 +137,12 @@ def _on_same_evidence(function: Run, evidence: Mapping[str | None, Mapping[str, 
     """The run, on a worker whose sources, files and libraries are those of the campaign's client."""
     wanted, here = evidence[_scenario(task)], evidence_of(function, _scenario(task))
     if other := [name for name in wanted if wanted[name] != here[name]]:
-        raise LinkLost(
-            f"{_AGAIN}other_worker", f"the worker's {', '.join(other)} are not those of the client"
-        )
+        raise LinkLost(f"{AGAIN}other_worker", f"the worker's {', '.join(other)} are not those of the client")
     return function(task)
 
 
 def _conclusive(row: Row) -> bool:
-    return not str(row.get("failure") or "").startswith(_AGAIN)
+    return not str(row.get("failure") or "").startswith(AGAIN)
 
 
 def _files_written(directory: Path, stem: str, row: Row) -> Row:
@@ -193,192 +166,3 @@ def _note(directory: Path, entries: Sequence[Mapping[str, Any]]) -> None:
         path.write_text("".join(f"{line}\n" for line in dict.fromkeys(known + lines)), encoding="utf-8")
     except OSError as error:
         raise ConfigurationError("output.unwritable", f"{path}: {error.strerror}") from error
-
-
-class _Done(NamedTuple):
-    row: Row
-    worker: str
-    memory: int  # bytes that the worker's process holds after the run
-
-
-def _run_on_worker(function: Run, task: Task) -> _Done:
-    row, worker = _run(function, task), distributed.get_worker()
-    return _Done(row, worker.address, worker.monitor.get_process_memory())
-
-
-def _run(function: Run, task: Task) -> Row:
-    """One run; whatever it raises becomes its row's failure."""
-    cv2.setNumThreads(1)
-    numba.set_num_threads(1)
-    began, cpu_s = time.perf_counter(), time.process_time()
-    row: Row
-    try:
-        row = {"failure": "", **flat(function(task))}
-    except LongreachError as error:
-        row = {"failure": f"{error.cause}: {error}"}
-    except Exception as error:
-        row = {"failure": f"{_AGAIN}exception: {type(error).__name__}: {error}"}
-    times = {"run_s": time.perf_counter() - began, "cpu_s": time.process_time() - cpu_s}
-    return row | {name: round(value, 3) for name, value in times.items()}
-
-
-class _Workforce(NamedTuple):
-    client: Any
-    places: int  # runs at once
-    ours: bool  # whether the workers were started here, and may be replaced
-
-
-def _results(
-    function: Run, tasks: Sequence[Task], scheduler: str | None, workers: int, title: str
-) -> Iterator[tuple[Task, Row]]:
-    """Each task with its row, as they are done."""
-    if scheduler is None and workers == 0:
-        made: Generator[tuple[Task, Row], None, None] = ((task, _run(function, task)) for task in tasks)
-    else:
-        made = _distributed(function, tasks, scheduler, workers)
-    spent: list[float] = []
-    failed = 0
-    with bars() as shown, shown.step(title) as bar, closing(made):
-        for task, row in made:
-            spent.append(row.get("run_s") or 0.0)
-            failed += bool(row["failure"])
-            mean_s = sum(spent) / len(spent)
-            note = f"{len(spent)} of {len(tasks)}, {mean_s:.1f} s a run, {failed} failed"
-            bar.update(len(spent) / len(tasks), note)
-            yield task, row
-
-
-def _distributed(
-    function: Run, tasks: Sequence[Task], scheduler: str | None, workers: int
-) -> Generator[tuple[Task, Row], None, None]:
-    with _workforce(scheduler, workers) as force:
-        waiting = iter(tasks)
-        under_way: dict[Any, Task] = {}
-
-        def start(count: int) -> None:
-            for task in islice(waiting, count):
-                under_way[force.client.submit(_run_on_worker, function, task, pure=False)] = task
-
-        start(force.places)
-        while under_way:
-            future = _first_done(force.client, list(under_way))
-            task = under_way.pop(future)
-            done = _outcome(future)
-            if force.ours and done.memory > _WORN_BYTES:
-                force.client.restart_workers([done.worker], timeout=_RESTART_S, raise_for_error=False)
-            start(1)
-            yield task, done.row
-
-
-def _first_done(client: Any, futures: Sequence[Any]) -> Any:
-    """The first of ``futures`` that has ended, however. Raises LinkLost when nobody works on them."""
-    while True:
-        ended = [future for future in futures if future.status != "pending"]
-        if ended:
-            return ended[0]
-        try:
-            with client.as_current():
-                distributed.wait(futures, timeout=_PATIENCE_S, return_when="FIRST_COMPLETED")
-        except (TimeoutError, FuturesCancelledError):  # cancelled: the loop above sees which
-            if not client.scheduler_info(n_workers=-1)["workers"]:
-                why = "no worker is left; the rows done until then are kept"
-                raise LinkLost("link.workers_lost", why) from None
-
-
-def _outcome(future: Any) -> _Done:
-    """What a finished future holds. Raises LinkLost when its scheduler has gone away."""
-    if future.status in ("cancelled", "lost"):
-        raise LinkLost("link.scheduler_lost", "the scheduler went away; the rows done until then are kept")
-    try:
-        done: _Done = future.result(timeout=REACH_S)
-    except KilledWorker as error:
-        return _Done({"failure": f"{_AGAIN}worker_lost: {error}"}, "", 0)
-    except (OSError, CommClosedError) as error:
-        raise LinkLost("link.scheduler_lost", f"the scheduler went away: {error}") from error
-    return done
-
-
-@contextmanager
-def _workforce(scheduler: str | None, workers: int) -> Iterator[_Workforce]:
-    """Workers that are there, with a client of their scheduler; those started here are ended again."""
-    with ExitStack() as stack:
-        stack.enter_context(dask.config.set(_QUIET))
-        if scheduler is None:
-            cluster = stack.enter_context(_started(workers))
-            client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
-            client.register_plugin(_IgnoresCtrlC())  # for those that replace worn ones
-            yield _Workforce(client, workers, True)
-        else:
-            client = stack.enter_context(_reached(scheduler))
-            yield _Workforce(client, 2 * sum(client.nthreads().values()), False)
-
-
-class _IgnoresCtrlC(distributed.WorkerPlugin):  # type: ignore[misc]
-    """A worker leaves Ctrl-C to its client, which ends it in order."""
-
-    def setup(self, worker: Any) -> None:
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-@contextmanager
-def _ctrl_c_ignored() -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():
-        yield  # signals are the main thread's
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-@contextmanager
-def _started(workers: int) -> Iterator[Any]:
-    """A cluster of worker processes on loopback. Raises LinkLost (``link.workers_not_started``)."""
-    try:
-        with _ctrl_c_ignored():  # workers inherit it: the client alone acts on Ctrl-C
-            cluster = distributed.LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",
-                scheduler_kwargs={"dashboard": False},
-                memory_limit=_MEMORY_LIMIT,
-                silence_logs=logging.CRITICAL,
-            )
-    except (OSError, RuntimeError) as error:
-        raise LinkLost(
-            "link.workers_not_started", f"{workers} workers could not be started: {error}"
-        ) from error
-    try:
-        yield cluster
-    finally:
-        with suppress(TimeoutError):  # a worker that will not end does so with this process
-            cluster.close()
-
-
-@contextmanager
-def _reached(scheduler: str) -> Iterator[Any]:
-    """A client of the scheduler at ``scheduler``, which has at least one worker."""
-    try:
-        parse_host_port(parse_address(scheduler, strict=True)[1])  # before a client is made that cannot be
-        client = distributed.Client(scheduler, timeout=REACH_S, set_as_default=False)
-    except ValueError as error:
-        raise ConfigurationError(
-            "configuration.bad_address", f"scheduler '{scheduler}': {error}; wanted such as tcp://host:8786"
-        ) from error
-    except OSError as error:
-        raise LinkLost(
-            "link.scheduler_unreachable", f"scheduler {scheduler} does not answer within {REACH_S:g} s"
-        ) from error
-    with client:
-        try:
-            client.wait_for_workers(1, timeout=_WORKERS_S)
-        except TimeoutError as error:
-            raise LinkLost(
-                "link.scheduler_without_workers",
-                f"scheduler {scheduler} has no worker after {_WORKERS_S:g} s",
-            ) from error
-        yield client

@@ -31,11 +31,24 @@ def checks_of(rows: Sequence[PositioningRow], asked: Demands) -> list[Check]:
         at_most("two looks: 95 %", quantile(two, 95), asked.q95_mm, "mm"),
         at_most("the servo's floor alone after two: median", quantile(floor, 50), None, "mm"),
         at_most("the servo's floor alone after two: 95 %", quantile(floor, 95), None, "mm"),
+        *_drives_apart(rows),
         at_most("one look: error over told σ, at most", worst_ratio(rows, "look1"), None),
         *told_checks("one look", told(rows, "look1", "before"), one, asked.honest),
         *told_checks("two looks", told(rows, "look2", "before"), two, False),
         *told_checks("one look, by odometry", told(rows, "look1", "after"), one, False),
         *told_checks("one shot", told(rows, "one_shot", "before"), shot, False),
+    ]
+
+
+def _drives_apart(rows: Sequence[PositioningRow]) -> list[Check]:
+    """How differently drives end, one standard deviation of an axis; what all end off alike, a map learns."""
+    ends = [vectors(rows, name, "servo_mm") for name in ("one_shot", "look1", "look2")]
+    ends = [each[np.isfinite(each).all(axis=1)] for each in ends]
+    variances = [each.var(axis=0, ddof=1) for each in ends if len(each) > 1]
+    if not variances:
+        return []
+    return [
+        at_most("how differently drives end, 1 σ an axis", float(np.sqrt(np.mean(variances))), None, "mm")
     ]
 
 

@@ -18,10 +18,11 @@ import distributed
 import pytest
 
 from protocol.errors import ConfigurationError, LinkLost, MeasurementFailed
-from testbed.campaigns import campaign, provenance
-from testbed.campaigns.campaign import REACH_S, CampaignRequest, configuration_of, evidence_of
+from testbed.campaigns import campaign, provenance, workforce
+from testbed.campaigns.campaign import CampaignRequest, configuration_of, evidence_of
 from testbed.campaigns.provenance import PACKAGES, imported_sources
 from testbed.campaigns.row_file import RowFile, cell
+from testbed.campaigns.workforce import REACH_S
 
 pytestmark = pytest.mark.long
 
@@ -145,7 +146,7 @@ def test_an_existing_scheduler_does_the_runs(tmp_path: Path) -> None:
 def test_workers_that_are_all_gone_are_not_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(campaign, "_PATIENCE_S", 1.0)
+    monkeypatch.setattr(workforce, "_PATIENCE_S", 1.0)
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0",
         protocol="tcp", host="127.0.0.1",

@@ -1,0 +1,62 @@
+"""What a second worker is worth, beside what a second process of plain arithmetic is worth here."""
+
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from testbed.campaigns.campaign import CampaignRequest, run_campaign
+from testbed.campaigns.time_spent import TimeSpent
+from testbed.experiments.positioning.lockstep_demo import one_run
+from tests.support.paths import ROOT
+
+RUNS = 8  # even, and all of one seed, so that no worker waits for the other at the end
+KEPT = 0.95  # of what the machine has to give
+LOOP = (
+    "import time; began = time.perf_counter(); total = 0\n"
+    "for number in range(60_000_000): total += number & 7\n"
+    "print(time.perf_counter() - began)"
+)
+pytestmark = [pytest.mark.bench, pytest.mark.timeout(3600)]
+
+
+def loops_s(at_once: int) -> float:
+    """How long the slowest of so many processes takes for arithmetic that touches no memory."""
+    begun = [
+        subprocess.Popen([sys.executable, "-c", LOOP], stdout=subprocess.PIPE, text=True)
+        for _ in range(at_once)
+    ]
+    return max(float(process.communicate()[0]) for process in begun)
+
+
+def second_core() -> float:
+    """How many times as much two processes do as one, the middle of three measurements."""
+    return sorted(2.0 * loops_s(1) / loops_s(2) for _ in range(3))[1]
+
+
+def campaign(directory: Path, workers: int) -> TimeSpent:
+    request = CampaignRequest(ROOT / "configs", directory / str(workers), workers=workers, fresh=True)
+    task = {"scenario": "standard", "seed": 9201, "looks": 2, "assignments": []}
+    tasks = [{"key": f"run-{number}", **task} for number in range(RUNS)]
+    done = run_campaign(request, partial(one_run, request.config_dir), tasks, f"{RUNS} runs")
+    assert not [row["failure"] for row in done.rows if row["failure"]]
+    assert done.spent is not None
+    return done.spent
+
+
+def test_a_second_worker_is_worth_what_a_second_process_is(tmp_path: Path) -> None:
+    before = second_core()
+    one, two = campaign(tmp_path, 1), campaign(tmp_path, 2)
+    yardstick = min(before, second_core())
+    whole = one.wall_s / two.wall_s
+    running = (one.wall_s - one.start_s) / (two.wall_s - two.start_s)
+    print(f"\n{one.told()}\n{two.told()}")
+    print(
+        f"two workers over one: {running:.2f} times once the runs have begun, {whole:.2f} with the start; "
+        f"two processes of plain arithmetic over one: {yardstick:.2f}"
+    )
+    if min(one.cores, two.cores) < 0.9:
+        pytest.skip("other work has had the cores: nothing is said about workers")
+    assert running >= KEPT * yardstick
