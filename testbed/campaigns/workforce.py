@@ -117,6 +117,11 @@ def results(
             yield each
 
 
+def _one_by_one(function: Run, tasks: Sequence[Task]) -> Generator[MeasuredTask, None, None]:
+    for task in tasks:
+        yield MeasuredTask(task, _run(function, task), 1)
+
+
 def _distributed(
     function: Run, tasks: Sequence[Task], scheduler: str | None, workers: int
 ) -> Generator[MeasuredTask, None, None]:

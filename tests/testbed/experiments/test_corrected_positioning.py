@@ -191,3 +191,14 @@ def test_the_picture_counts_runs_that_failed() -> None:
     figure = errors_plot({"plant": rows, "plant_long_crane": [failed("why")]}, BRANCHES, 5.0, "title")
     ends = [[line.get_ydata()[-1] for line in axes.lines] for axes in figure.axes]
     assert ends == [[100.0] * len(BRANCHES), [0.0] * len(BRANCHES)]
+
+
+def test_what_all_drives_end_off_alike_is_not_how_differently_they_end() -> None:
+    def ended(off_mm: float) -> PositioningRow:
+        names = [f"{name}_servo_{axis}_mm" for name in ("one_shot", "look1", "look2") for axis in "xyz"]
+        return row(0.5, **dict.fromkeys(names, 0.8 + off_mm))
+
+    rows = [ended(off_mm) for off_mm in (-0.3, 0.0, 0.3)] + [failed("measurement.tool_not_seen: x")]
+    found = {check.what: check for check in checks_of(rows, LAB.demands)}
+    assert found["how differently drives end, 1 σ an axis"].found == "0.300 mm"
+    assert not any("differently" in check.what for check in checks_of(rows[:1], LAB.demands))
