@@ -48,11 +48,15 @@ def test_the_procedure_by_clicks_or_keys_alone_ends_inside_the_tolerance(
 ) -> None:
     with console(browser) as (page, bench, _):
         assert page.locator("#start-look-then-move").is_disabled()
+        expect(page.locator("#procedure-wants")).to_have_text("hold ENABLE first")
+        page.keyboard.press("Escape")
+        expect(page.locator("#answer")).to_contain_text("What was running has ended; the arm is disabled.")
         if not by_key:
             slip(page)
         is_state(page, "disabled")
         hold(page, "#enable", by_key)
         is_state(page, "standby")
+        expect(page.locator("#procedure-wants")).to_have_text("")
         for kind in ("orientation-adjustment", "local-track", "look-then-move"):
             hold(page, f"#start-{kind}", by_key)
             note(page, kind, "done")
@@ -106,6 +110,7 @@ def test_stop_ends_a_motion_by_click_and_by_key(browser: Browser) -> None:
             assert button is not None  # what became of it is read where one has clicked
             assert told["y"] + told["height"] < button["y"] + button["height"]
             eventually(lambda: bench.controller.group is GroupState.STANDBY, page)
+            expect(page.locator("#answer")).to_contain_text("ENABLE still holds.")
             operations = httpx.get(f"{url}/operations").json()
             assert len(operations) == began
             eventually(

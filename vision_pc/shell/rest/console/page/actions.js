@@ -20,6 +20,8 @@ const STEPS = [
   { kind: 'home', words: 'Back to the first pose', verb: 'Go back' },
 ];
 const FRESH_MS = 8000;
+const AFTER_STOP = { disabled: 'the arm is disabled', error_stop: 'the fault stays latched' };
+const WANTED = { disabled: 'hold ENABLE first', error_stop: 'after RESET and ENABLE' }; // for programs that move
 const results = new Map(); // of operations that have ended, by id
 const rows = []; // [step, its line]
 let shot = null;
@@ -39,7 +41,7 @@ export function installActions() {
   }
   byId('copy').addEventListener('click', () => navigator.clipboard?.writeText(byId('curl').textContent));
   byId('method').addEventListener('change', () => update(shot, may));
-  document.addEventListener('stopped', () => say('Stopped. What was running has ended; ENABLE still holds.', true));
+  document.addEventListener('stopped', () => say(`Stopped. What was running has ended; ${AFTER_STOP[shot?.state?.group_state] ?? 'ENABLE still holds'}.`, true));
 }
 
 /** Adds a row for every program of an installed package, once. */
@@ -138,6 +140,7 @@ export function update(snapshot, operate) {
   able('disable', state && state.group_state !== 'disabled', 'is disabled');
   able('reset', may && state?.group_state === 'error_stop' && !state.emergency_latched, 'nothing to reset');
   able('release', may && Boolean(state?.emergency_latched), 'no emergency stop is latched');
+  write(byId('procedure-wants'), (may && WANTED[state?.group_state]) || '');
   for (const [step, line] of rows) showStep(step, line, busy);
   for (const jog of byId('jog').children) able(jog.id, may && enabled() && !busy, 'enable first, and wait until nothing runs');
 }
