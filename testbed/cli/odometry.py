@@ -84,6 +84,7 @@ def _figures(result: SequenceResult) -> dict[str, object]:
         "maps_apart": len(result.apart),
         "keyframes": result.keyframes,
         "readout_share": result.readout_share,
+        "offset": None if result.offset is None else result.offset._asdict(),
     }
 
 
@@ -145,6 +146,11 @@ def _print(result: SequenceResult, spent_ms: float, files: list[Path]) -> None:
         out.print(
             f"the shutter rolls: rows are read over {100.0 * result.readout_share:.0f} % of the time between"
             " pairs; taken out"
+        )
+    if result.offset is not None:
+        out.print(
+            f"all disparities are {result.offset.px:+.2f} px off, known to {result.offset.std_px:.2f} px from"
+            " the way itself; taken out"
         )
     for path, k in zip(files[1:], result.apart, strict=True):
         first = next(record for record in result.records if record.segment == k)

@@ -19,6 +19,7 @@ from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Experiment, seeds
 from testbed.experiments.odometry import orb_slam3
 from testbed.experiments.odometry.judging import gross, judged
+from testbed.experiments.odometry.open_worlds import OPEN_KINDS, open_sequence
 from testbed.experiments.odometry.real_sequences import REAL_KINDS, available, real_sequence
 from testbed.experiments.odometry.sequences import KINDS, Sequence, sequence
 from testbed.experiments.odometry.verdict import (
@@ -38,6 +39,7 @@ from vision_pc.shell.cameras.sequence import SequenceResult, follow_pairs
 from vision_pc.shell.cameras.sequence_calibration import read_calibration
 
 _NAN = float("nan")
+_EVERY = (*KINDS, *OPEN_KINDS, *REAL_KINDS)
 _WORDS_SEEDS = (3, 4)  # walls that the peer's vocabulary is grown on
 
 
@@ -46,13 +48,13 @@ def matrix_tasks(request: CampaignRequest, settings: MatrixSettings) -> list[Tas
 
     Raises ConfigurationError for a kind that there is not.
     """
-    unknown = [name for name in settings.kind if name not in (*KINDS, *REAL_KINDS)]
+    unknown = [name for name in settings.kind if name not in _EVERY]
     if unknown:
-        every = ", ".join((*KINDS, *REAL_KINDS))
+        every = ", ".join(_EVERY)
         raise ConfigurationError(
             "configuration.unknown_kind", f"--kind {unknown[0]}: one of {every} is wanted"
         )
-    chosen = settings.kind or (*KINDS, *REAL_KINDS)
+    chosen = settings.kind or _EVERY
     real = [name for name in chosen if name in REAL_KINDS and settings.real]
     if real and not available():
         out.print("real pictures are left out: LONGREACH_DATA names no directory with them", style="yellow")
@@ -66,7 +68,7 @@ def matrix_tasks(request: CampaignRequest, settings: MatrixSettings) -> list[Tas
             "peer": settings.peer,
         }
         for name in chosen
-        if name in KINDS
+        if name not in REAL_KINDS
         for seed in seeds(request)
     ] + [
         {"key": name if settings.peer else f"{name}-alone", "kind": name, "seed": 0, "peer": settings.peer}
@@ -79,10 +81,9 @@ def one_row(config_dir: Path, task: Task) -> MatrixRow:
     cv2.setNumThreads(1)
     config = load(VisionConfig, config_dir / "vision.yaml")
     name = task["kind"]
-    real = name in REAL_KINDS
-    made = real_sequence(name) if real else sequence(config_dir, name, task["seed"], task["pairs"])
+    made = _made(config_dir, task)
     began = time.process_time()
-    result, refusal = _followed(config, made, not real and KINDS[name].exact)
+    result, refusal = _followed(config, made, name in KINDS and KINDS[name].exact)
     ms = 1e3 * (time.process_time() - began) / len(made.pairs)
     told = judged(result, made.X_C0C)
     causes = " ".join(f"{cause} {count}" for cause, count in result.losses.most_common())
@@ -103,6 +104,15 @@ def one_row(config_dir: Path, task: Task) -> MatrixRow:
         ms,
         *peer,
     )
+
+
+def _made(config_dir: Path, task: Task) -> Sequence:
+    name = task["kind"]
+    if name in REAL_KINDS:
+        return real_sequence(name)
+    if name in OPEN_KINDS:
+        return open_sequence(name, task["seed"], task["pairs"])
+    return sequence(config_dir, name, task["seed"], task["pairs"])
 
 
 def _followed(config: VisionConfig, made: Sequence, exact: bool) -> tuple[SequenceResult, str]:
@@ -156,7 +166,7 @@ def _peer(config_dir: Path, config: VisionConfig, made: Sequence) -> _Peer:
         path = Path(directory) / "camera.yaml"
         _write(path, made.told)
         camera: CameraCalibration = read_calibration(path, made.pairs[0])
-    found = orb_slam3.follow(camera, _words(config_dir), made.pairs)
+    found = orb_slam3.follow_apart(camera, _words(config_dir), made.pairs)
     off, worst = gross([(pose.frame_id, pose.X_C0C) for pose in found.poses], made.X_C0C)
     return _Peer(
         len(found.poses),

@@ -6,8 +6,10 @@ text form (Gálvez-López and Tardós 2012).
 """
 
 import importlib.util
+import multiprocessing
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -108,6 +110,12 @@ def _medians(
 
 def _nearest(descriptors: Descriptors, centres: Descriptors) -> NDArray[np.intp]:
     return np.asarray(np.argmin(np.bitwise_count(descriptors[:, None] ^ centres[None]).sum(axis=2), axis=1))
+
+
+def follow_apart(camera: CameraCalibration, words: Path, pairs: list[StereoPair]) -> PeerTrack:
+    """The same in a process of its own: the peer keeps the first camera that a process tells it for ever."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as apart:
+        return apart.submit(follow, camera, words, pairs).result()
 
 
 def follow(camera: CameraCalibration, words: Path, pairs: list[StereoPair]) -> PeerTrack:

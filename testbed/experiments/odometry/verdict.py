@@ -7,13 +7,15 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from testbed.campaigns.experiment import Check, Finished, at_most, inside
+from testbed.campaigns.experiment import Check, Finished, at_least, at_most, inside
 from testbed.experiments.odometry.judging import FREEDOM
+from testbed.experiments.odometry.open_worlds import OPEN_KINDS
 from testbed.experiments.odometry.real_sequences import REAL_KINDS
 from testbed.experiments.odometry.sequences import KINDS
 from testbed.reporting.console import table
 
 NEES_BAND = (0.7, 1.5)
+LEAST_LOCATED = 0.95
 _NAN = float("nan")
 
 
@@ -74,6 +76,8 @@ def matrix_table(done: Rows) -> list[Table]:
     heads = ["kind", "located", "ATE mm", "worst mm", "σ told mm", "wrong", "NEES/6", "ms a pair"]
     heads += [f"ORB-SLAM3: {name}" for name in ("located", "ATE mm", "worst mm", "> 30 mm", "ms")]
     made = [table("odometry of recordings", heads, [_line(*one) for one in _by_kind(done, KINDS)])]
+    if opened := [_line(*one) for one in _by_kind(done, OPEN_KINDS)]:
+        made.append(table("roads and rooms, rendered", heads, opened))
     if real := [_line(*one) for one in _by_kind(done, REAL_KINDS)]:
         made.append(table("real pictures, against a camera at rest", heads, real))
     return made
@@ -84,7 +88,7 @@ def _line(name: str, rows: list[MatrixRow]) -> list[str]:
     peers = [row for row in rows if np.isfinite(row.peer_located)]
     seen = sum(row.pairs for row in peers)
     return [
-        (REAL_KINDS if name in REAL_KINDS else KINDS)[name].words,
+        _words(name),
         f"{sum(row.located for row in rows) / pairs:.0%}",
         _number(_middle(rows, "ate_mm")),
         _number(max(row.worst_mm for row in rows)),
@@ -98,6 +102,12 @@ def _line(name: str, rows: list[MatrixRow]) -> list[str]:
         f"{sum(row.peer_gross for row in peers):.0f}" if seen else "",
         _number(_middle(peers, "peer_ms"), 0),
     ]
+
+
+def _words(name: str) -> str:
+    if name in OPEN_KINDS:
+        return OPEN_KINDS[name].words
+    return (REAL_KINDS if name in REAL_KINDS else KINDS)[name].words
 
 
 def _number(value: float, digits: int = 2) -> str:
@@ -125,7 +135,26 @@ def matrix_verdict(done: Rows) -> list[Check]:
         checks.append(
             at_most("ATE on the still wall, calibration exact", _middle(still, "ate_mm"), 0.1, "mm")
         )
-    return checks + _beside(usable) + _real(done)
+    return checks + _beside(usable) + _open(done) + _real(done)
+
+
+def _open(done: Rows) -> list[Check]:
+    """The same of roads and rooms, where they were asked for; ATE beside the peer's where that ran."""
+    rows = [row for _, rows in _by_kind(done, OPEN_KINDS) for row in rows]
+    if not rows:
+        return []
+    pairs = sum(row.pairs for row in rows)
+    checks = [
+        at_most(
+            f"roads and rooms: wrong and not told, of {pairs} pairs", sum(row.wrong for row in rows), 0.0
+        ),
+        at_least("roads and rooms: located", sum(row.located for row in rows) / pairs, LEAST_LOCATED),
+        inside("roads and rooms: error² / variance told", _nees(rows), NEES_BAND),
+    ]
+    if known := [row for row in rows if row.ate_mm > 0.0 and row.peer_ate_mm > 0.0]:
+        ratio = float(np.median([row.ate_mm / row.peer_ate_mm for row in known]))
+        checks.append(at_most("roads and rooms: ATE over ORB-SLAM3's, median", ratio, 1.0))
+    return checks
 
 
 def _beside(rows: list[MatrixRow]) -> list[Check]:

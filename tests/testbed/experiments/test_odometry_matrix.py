@@ -10,6 +10,7 @@ from testbed.campaigns.campaign import CampaignRequest
 from testbed.campaigns.experiment import Check, Finished
 from testbed.experiments.odometry.judging import gross, is_wrong, judged
 from testbed.experiments.odometry.matrix import matrix_tasks, one_row
+from testbed.experiments.odometry.open_worlds import OPEN_KINDS
 from testbed.experiments.odometry.real_sequences import REAL_KINDS, available, real_sequence
 from testbed.experiments.odometry.sequences import KINDS, sequence
 from testbed.experiments.odometry.verdict import MatrixRow, MatrixSettings, matrix_verdict
@@ -145,7 +146,7 @@ def test_a_calibration_of_another_size_is_a_refusal_and_no_failure() -> None:
 def test_tasks_and_verdict_name_every_kind() -> None:
     request = CampaignRequest(CONFIGS, Path("nowhere"), runs=2, seed=5)
     rendered = matrix_tasks(request, MatrixSettings(real=False))
-    assert len(rendered) == 2 * len(KINDS)
+    assert len(rendered) == 2 * len(KINDS) + 2 * len(OPEN_KINDS)
     real = matrix_tasks(request, MatrixSettings())[len(rendered) :]
     assert len(real) == (len(REAL_KINDS) if available() else 0)
     with pytest.raises(ConfigurationError, match="--kind walls: one of still_wall, wall"):
@@ -158,6 +159,16 @@ def test_tasks_and_verdict_name_every_kind() -> None:
     assert [c.what for c in _checks([good, moved]) if c.met is False] == [
         "real: wrong and not told, of 40 pairs"
     ]
+    on_a_road = good._replace(kind="road", peer_ate_mm=2.0)
+    assert all(c.met is not False for c in _checks([good, on_a_road]))
+    for worse in (
+        on_a_road._replace(wrong=1),
+        on_a_road._replace(located=30),
+        on_a_road._replace(nees=60.0),
+        on_a_road._replace(ate_mm=3.0),
+    ):
+        (missed,) = (c.what for c in _checks([good, worse]) if c.met is False)
+        assert missed.startswith("roads and rooms")
     for worse in (good._replace(wrong=1), good._replace(nees=60.0), useless._replace(located=3)):
         assert [c.met for c in _checks([good, useless, worse])].count(False) == 1
 

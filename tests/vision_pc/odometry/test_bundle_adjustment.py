@@ -57,6 +57,44 @@ def test_the_truth_is_found_again(camera: CameraCalibration, generator: np.rando
     assert found.cost_after < 1e-6 < 1e3 < found.cost_before
 
 
+def offset_told(camera: CameraCalibration, at: Problem, offset_px: float) -> bundle_adjustment.OffsetTold:
+    """What ``at`` tells of an offset after the right eye's columns were moved by it, and all was adjusted."""
+    nothing = np.zeros(0, dtype=np.int64)
+    rays = at.views.rays.copy()
+    rays[at.views.eye == 1, 0] += offset_px / camera.right.K[0, 0]
+    moved = at._replace(
+        views=at.views._replace(rays=rays), depths=Depths(nothing, nothing, np.zeros(0), np.zeros(0))
+    )
+    eyes = (camera.left, camera.right)
+    found = bundle_adjustment.adjusted(moved, eyes, 0.1, 0.3)
+    settled = moved._replace(X_CC0=found.X_CC0, points=found.points)
+    return bundle_adjustment.shared_offset(settled, eyes, 0.1, 0.3)
+
+
+@pytest.mark.parametrize("offset_px", [0.3, 0.0, -0.15])
+def test_near_and_far_points_on_the_way_tell_the_offset_of_all_disparities(
+    camera: CameraCalibration, generator: np.random.Generator, offset_px: float
+) -> None:
+    told = offset_told(camera, problem(camera, generator, 0.02)[0], offset_px)
+    assert told.score / told.information == pytest.approx(offset_px, abs=0.03)
+    assert told.information**-0.5 < 0.05
+
+
+def test_points_of_one_distance_do_not_tell_the_offset(
+    camera: CameraCalibration, generator: np.random.Generator
+) -> None:
+    """Before a wall, along it, an offset is as good as another scale."""
+    at, points = problem(camera, generator, 0.0)
+    wall = np.column_stack([points[:, :2], np.full(len(points), 8.0)])
+    poses = np.stack([se3.transform(np.eye(3), (0.1 * k, 0.02 * k, 0.0)) for k in range(CAMERAS)])
+    X_EC = np.stack([se3.inverse(e.X_CE) for e in (camera.left, camera.right)])
+    X = X_EC[at.views.eye] @ poses[at.views.camera]
+    seen = np.einsum("nij,nj->ni", X[:, :3, :3], wall[at.views.point]) + X[:, :3, 3]
+    flat = at._replace(X_CC0=poses, points=wall, views=at.views._replace(rays=seen[:, :2] / seen[:, 2:]))
+    alike, apart = offset_told(camera, flat, 0.0), offset_told(camera, at, 0.0)
+    assert alike.information < 1e-3 * apart.information
+
+
 def test_a_camera_and_a_point_that_no_view_tells_of_stay_where_they_are(
     camera: CameraCalibration, generator: np.random.Generator
 ) -> None:

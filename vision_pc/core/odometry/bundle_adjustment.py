@@ -19,6 +19,7 @@ from vision_pc.core.types import CameraModel
 
 _ROUNDS = 6
 _DAMPING = (1e-6, 1e4)  # first, and the one at which nothing better is thought to be near
+_UNDAMPED = 1e-10  # what is solved once and for what it tells: damping would look like knowledge
 _LEAST_DEPTH = 1e-2  # m; nothing nearer is in the map
 _CONVERGED = 1e-4  # relative fall of the cost
 
@@ -94,6 +95,28 @@ def adjusted(
     return Adjusted(X_CC0, points, cost_before, cost)
 
 
+class OffsetTold(NamedTuple):
+    """What views tell of one number: their ``information`` of it (1/σ²), and that times what it is."""
+
+    information: float
+    score: float
+
+
+def shared_offset(
+    problem: Problem, eyes: tuple[CameraModel, CameraModel], noise_px: float, huber_px: float
+) -> OffsetTold:
+    """What the views of ``problem``, adjusted already, tell of an offset (px) of all the right eye's columns,
+    whatever poses and points are: near and far points that are seen on the way disagree on where it ends.
+    """
+    linear = _Linearisation(problem, eyes, noise_px, huber_px)
+    alone, blocks, missed = linear.with_offset(problem.X_CC0, problem.points, noise_px)
+    taken = _step(blocks, _UNDAMPED)
+    taken_by = float((blocks.b * taken[0]).sum() + (blocks.c * taken[1]).sum())
+    given = linear.blocks(problem.X_CC0, problem.points)
+    explained = float((given.b * taken[0]).sum() + (given.c * taken[1]).sum())
+    return OffsetTold(max(alone - taken_by, 0.0), missed - explained)
+
+
 class _Blocks(NamedTuple):
     """Normal equations: poses H (k, 6, 6) b (k, 6), points V (m, 3, 3) c (m, 3), mixed W (k, m, 6, 3)."""
 
@@ -133,14 +156,29 @@ class _Linearisation:
         robust = np.where(size < self._huber, size**2, self._huber * (2.0 * size - self._huber))
         return float(robust.sum())
 
-    def blocks(self, X_CC0: Array, points: Array) -> _Blocks:
-        """The normal equations at ``X_CC0`` and ``points``; a pose moves by [p; θ] in its own camera."""
+    def with_offset(self, X_CC0: Array, points: Array, noise_px: float) -> tuple[float, _Blocks, float]:
+        """As if the views missed by an offset of 1 px of the right eye's columns and by nothing else: its own
+        square, the normal equations, and its product with what the views truly miss by.
+        """
+        errors, _, _ = self._errors(X_CC0, points)
+        weights = np.minimum(1.0, self._huber / np.maximum(np.linalg.norm(errors, axis=1), 1e-12))
+        offset = np.zeros_like(errors)
+        offset[: len(self._views.eye), 0] = self._views.eye / noise_px
+        blocks = self.blocks(X_CC0, points, offset)
+        weighted = weights[:, None] * offset
+        return float((weighted * offset).sum()), blocks, float((weighted * errors).sum())
+
+    def blocks(self, X_CC0: Array, points: Array, missed: Array | None = None) -> _Blocks:
+        """The normal equations at ``X_CC0`` and ``points``; a pose moves by [p; θ] in its own camera.
+        ``missed`` (n, 2): in place of what the views miss by, which weighs them all the same.
+        """
         errors, rate, in_camera = self._errors(X_CC0, points)
         weights = np.minimum(1.0, self._huber / np.maximum(np.linalg.norm(errors, axis=1), 1e-12))
         turn = np.cross(in_camera[:, None, :], rate)  # a · (θ × p) = (p × a) · θ
         to_pose = np.concatenate([rate, turn], axis=2)
         to_point = rate @ X_CC0[self._camera, :3, :3]
 
+        errors = errors if missed is None else missed
         moves, count = self._moves, len(points)
         by_point = np.swapaxes(weights[:, None, None] * to_point, 1, 2)
         by_pose = np.swapaxes(weights[moves, None, None] * to_pose[moves], 1, 2)

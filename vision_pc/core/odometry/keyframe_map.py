@@ -178,11 +178,21 @@ class KeyframeMap:
         self._directions[ids] = away * self._inverse_depths[ids][:, None]
         self.points[ids] = found.points
 
+    def offset_told(self, window: int, noise_px: float, huber_px: float) -> bundle_adjustment.OffsetTold:
+        """What the newest ``window`` keyframes tell of an offset of the right eye's columns, from what both
+        eyes saw and from nothing else.
+        """
+        chosen = self.keyframes[-window:]
+        problem, _ = self._problem(chosen[:1], chosen[1:], np.concatenate([one.ids for one in chosen]), True)
+        found = bundle_adjustment.adjusted(problem, self._eyes, noise_px, huber_px)
+        there = problem._replace(X_CC0=found.X_CC0, points=found.points)
+        return bundle_adjustment.shared_offset(there, self._eyes, noise_px, huber_px)
+
     def _problem(
-        self, held: list[Keyframe], free: list[Keyframe], shown: Indices
+        self, held: list[Keyframe], free: list[Keyframe], shown: Indices, views_alone: bool = False
     ) -> tuple[bundle_adjustment.Problem, Indices]:
         """The problem of ``held`` and ``free`` keyframes, and the map points (m,) of it: those ``shown`` by
-        at least two of them.
+        at least two of them. ``views_alone``: without what the frames between them taught of depths.
         """
         chosen = [*held, *free]
         every = np.concatenate([keyframe.ids for keyframe in chosen])
@@ -192,7 +202,7 @@ class KeyframeMap:
         depths: list[tuple[Array, Array]] = []
         for k, keyframe in enumerate(chosen):
             mine = np.isin(keyframe.ids, ids)
-            first = self._first[keyframe.ids] == keyframe.number
+            first = (self._first[keyframe.ids] == keyframe.number) & (not views_alone)
             for eye, seen, there in (
                 (0, mine, keyframe.rays),
                 (1, mine & keyframe.seen_right & ~first, keyframe.right_rays),  # its depth says that already

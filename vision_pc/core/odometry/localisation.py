@@ -25,6 +25,7 @@ _SHARED = 2.0  # depths share the errors of the poses at which they were learnt:
 _KEPT = 3  # keyframes whose patches are kept: 4 MB each
 _NOWHERE = np.zeros((0, 2))
 _NOTHING_FORESEEN = Foreseen()
+_UNEXPLAINED = 0.16  # of the picture's parts: more that do not show what they should is a second motion
 _FEW = 0.5  # of the points that should be seen: fewer may not bring about a motion that nobody foresaw
 _STRICT_SHARE = 0.05  # of a second motion: what was outvoted may be the world
 _STRICT = 0.35  # of ``ransac_px``: one pose can hold the world and what is slow for many pictures
@@ -108,9 +109,8 @@ class Localiser:
         visible = tracking.inside(guess, frame.left_static)
         part = keyframe.only(visible)
         self._keep(keyframe.templates)
-        coarse = tracking.track_halved(
-            keyframe.halved, frame.halved, part.pixels, guess[visible], self._settings
-        )
+        before = tracking.alike(keyframe.halved, frame.halved) if self._watchful else keyframe.halved
+        coarse = tracking.track_halved(before, frame.halved, part.pixels, guess[visible], self._settings)
         pixels, good = self._found(part, frame.pair.left, coarse.points, expected, self._camera.left)
         good &= coarse.good & tracking.inside(pixels, frame.left_static)
         part, pixels = part.only(good), pixels[good]
@@ -148,8 +148,8 @@ class Localiser:
         other = self._second(points[rest], pixels[rest], expected, len(points), strict)
         nothing = np.zeros(len(points), dtype=bool)
         if other is None:
-            few = self._watchful and inliers.sum() < _FEW * self._shown(frame, keyframe, X_CC0)
-            if few and not foreseen.agrees(X_CC0, points, self._camera):
+            unforeseen = self._watchful and not foreseen.agrees(X_CC0, points, self._camera)
+            if unforeseen and self._misses(frame, keyframe, found.ids[inliers], X_CC0):
                 return "sudden_motion"
             most = 1.0 if self._watchful else _GROSS
             if foreseen.arm is not None and not foreseen.arm.agrees(se3.inverse(X_CC0), most):
@@ -168,10 +168,22 @@ class Localiser:
         """Whether nobody knows what the camera sees."""
         return self._settings.prior_floor_px > 0.0
 
-    def _shown(self, frame: Frame, keyframe: Keyframe, X_CC0: Array) -> int:
-        """How many points of ``keyframe`` a camera at ``X_CC0`` has in its picture."""
+    def _misses(self, frame: Frame, keyframe: Keyframe, held: Indices, X_CC0: Array) -> bool:
+        """Whether a camera at ``X_CC0``, held by the points ``held`` of ``keyframe``, misses too much of the
+        others: half of all, or all in parts of the picture, where something else may be the world.
+        """
         views = intrinsics.project(self._camera.left, se3.apply(X_CC0, self._map.points[keyframe.ids]))
-        return int(tracking.inside(views, frame.left_static).sum())
+        shown = tracking.inside(views, frame.left_static)
+        seen = np.isin(keyframe.ids, held)
+        if int(seen.sum()) < _FEW * int(shown.sum()):
+            return True
+        sought = shown & ~seen
+        there, matched = self._found(
+            keyframe.only(sought), frame.pair.left, views[sought], se3.inverse(X_CC0), self._camera.left
+        )
+        near = np.linalg.norm(there - views[sought], axis=1) < self._settings.ransac_px
+        seen[sought] = matched & near
+        return tracking.unexplained(views[shown], seen[shown], frame.left_static.shape) > _UNEXPLAINED
 
     def _keep(self, templates: Templates) -> None:
         """Keep these and those of the few keyframes looked for last; the others are forgotten."""
@@ -302,9 +314,12 @@ class Localiser:
             se3.apply(X_CC0, self._map.points[ids]), rays, errors, seen, self._map.sensitivity(ids, X_CC0)
         )
         self._learn_readout(keyframe, views, max(residual, _LEAST_NOISE_PX))
+        told = self._told(weights)
+        if self._watchful:  # a map's first picture shows its noise only now
+            told *= max(1.0, residual / self._noise_px) ** 2
         self._map.update(ids, X_CC0, errors, seen, self._noise_px)
         self._noise_px = max(residual, _LEAST_NOISE_PX)
-        covariance = self._told(weights) * se3.inverse_covariance(X_CC0, solution.covariances[0])
+        covariance = told * se3.inverse_covariance(X_CC0, solution.covariances[0])
         if self._readout.share:
             depth = float(np.median(views.points_C[:, 2]))
             covariance = covariance + np.diag(self._readout.std(depth) ** 2)

@@ -10,6 +10,7 @@ from vision_pc.core.odometry.keyframe_map import Keyframe, KeyframeMap, triangul
 from vision_pc.core.odometry.localisation import Frame, PoseEstimate
 from vision_pc.core.odometry.moving_regions import without
 from vision_pc.core.odometry.rolling import Readout
+from vision_pc.core.odometry.shared_offset import SharedOffset
 from vision_pc.core.odometry.templates import Templates
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics
@@ -30,11 +31,13 @@ class Mapper:
         settings: OdometrySettings,
         keyframe_map: KeyframeMap,
         readout: Readout,
+        offset: SharedOffset,
     ) -> None:
         self._camera = camera
         self._settings = settings
         self._map = keyframe_map
         self._readout = readout
+        self._offset = offset
 
     def begin(self, frame: Frame, X_C0C: Array) -> PoseEstimate | str:
         """The first keyframe at ``X_C0C``, or why the pair shows too little to hold on to: ``no_texture``,
@@ -73,6 +76,7 @@ class Mapper:
             self._map.adjust(
                 self._settings.adjusted_keyframes, self._settings.noise_px, self._settings.huber_px
             )
+        self._offset.learn(self._map, self._settings)
         return estimate._replace(X_C0C=self._map.keyframes[-1].X_C0C)
 
     def _add_keyframe(self, frame: Frame, estimate: PoseEstimate) -> None:

@@ -8,8 +8,10 @@ from vision_pc.config.vision import OdometrySettings, RecordedSettings
 from vision_pc.core import se3
 from vision_pc.core.odometry.keyframe_map import disparity_metres
 from vision_pc.core.odometry.rolling import Readout
+from vision_pc.core.odometry.shared_offset import FoundOffset, SharedOffset
 from vision_pc.core.odometry.stereo_odometry import StereoOdometry
 from vision_pc.core.odometry.straightening import straightened
+from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, PointPairs, StereoPair
 
@@ -44,13 +46,30 @@ class SegmentedOdometry:
         )
         self._recorded = recorded
         self.readout = Readout(camera, learns=True)
-        self._maps = [StereoOdometry(camera, self._settings, readout=self.readout)]
-        self._errors = [WayError(recorded.disparity_std_px)]
+        self.offset = SharedOffset(learns=recorded.disparity_std_px > 0.0)
+        self._begin_anew()
         self._current = 0
         self._straight = False
         self._X_BT: Array | None = None
         self._lost = self._since_search = 0
         self.joints: list[Array | None] = [se3.identity()]
+
+    def _begin_anew(self) -> None:
+        """An empty first map, of the camera as it is believed now."""
+        self._maps = [StereoOdometry(self._camera, self._settings, readout=self.readout, offset=self.offset)]
+        self._errors = [WayError(self._recorded.disparity_std_px)]
+
+    def correct(self, offset: FoundOffset) -> None:
+        """Before the first pair: take out the ``offset`` that an earlier pass over the pairs found."""
+        self._camera = intrinsics.with_offset(self._camera, offset.px, 0.0)
+        self._recorded = self._recorded.model_copy(update={"disparity_std_px": offset.std_px})
+        self.offset = SharedOffset(learns=False)
+        self._begin_anew()
+
+    @property
+    def offset_found(self) -> FoundOffset | None:
+        """The disparities' offset and its standard deviation, px, where the recording shows it."""
+        return self.offset.found(self._recorded.disparity_std_px)
 
     @property
     def keyframes(self) -> int:
@@ -96,8 +115,7 @@ class SegmentedOdometry:
     def _straightened(self, pair: StereoPair, seen: PointPairs) -> PlacedPose | None:
         """The first pose, found anew with the right eye's rows as the first map's points show them."""
         self._camera, self._straight = straightened(self._camera, seen), True
-        self._maps = [StereoOdometry(self._camera, self._settings, readout=self.readout)]
-        self._errors = [WayError(self._recorded.disparity_std_px)]
+        self._begin_anew()
         pose = self._follow(0, pair)
         return None if pose is None else PlacedPose(0, pose)
 
@@ -128,7 +146,9 @@ class SegmentedOdometry:
     def _begun(self, pair: StereoPair) -> PlacedPose | None:
         """The first pose of a new map, if the pair suffices for one."""
         doubted = any(one.mixed for one in self._maps)
-        fresh = StereoOdometry(self._camera, self._settings, readout=self.readout, doubted=doubted)
+        fresh = StereoOdometry(
+            self._camera, self._settings, readout=self.readout, offset=self.offset, doubted=doubted
+        )
         pose = fresh.process(pair, X_BT=self._X_BT)
         if pose is None:
             return None

@@ -13,6 +13,7 @@ from vision_pc.core.odometry.motion_prior import UNDECIDED, Foreseen, MotionHist
 from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.odometry.relocalisation import relocalised
 from vision_pc.core.odometry.rolling import Readout
+from vision_pc.core.odometry.shared_offset import SharedOffset
 from vision_pc.core.odometry.smoothing import is_noisy, smoothed
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
@@ -30,8 +31,9 @@ class StereoOdometry:
 
     ``camera`` should have the right eye's offset put in (``intrinsics.with_offset``): a disparity error
     bends and scales the path. What moves with the camera is left out by ``tool`` and the tool marker's
-    pose, once one was given. ``readout``: of a camera whose shutter may roll. ``doubted``: something was seen
-    to move before, and nothing told which of it the world is.
+    pose, once one was given. ``readout``: of a camera whose shutter may roll; ``offset``: of eyes whose
+    columns may be off. ``doubted``: something was seen to move before, and nothing told which of it the
+    world is.
     """
 
     def __init__(
@@ -41,6 +43,7 @@ class StereoOdometry:
         tool: ToolMarkerSettings | None = None,
         readout: Readout | None = None,
         doubted: bool = False,
+        offset: SharedOffset | None = None,
     ) -> None:
         self._camera = camera
         self._settings = settings
@@ -48,7 +51,9 @@ class StereoOdometry:
         self._map = KeyframeMap(camera, settings.depth_floor_px)
         self._readout = readout or Readout(camera, learns=False)
         self._localiser = Localiser(camera, settings, self._map, self._readout, doubted)
-        self._mapper = Mapper(camera, settings, self._map, self._readout)
+        self._mapper = Mapper(
+            camera, settings, self._map, self._readout, offset or SharedOffset(learns=False)
+        )
         self._X_C0C = se3.identity()
         self._motion = se3.identity()
         everything = np.ones((camera.height, camera.width), dtype=bool)

@@ -17,6 +17,9 @@ Flags = NDArray[np.bool_]
 _BLOCK = 7  # px: neighbourhood whose gradients make a feature good
 _STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.003)
 _COARSE_STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
+_PARTS = (6, 4)  # columns and rows: a person or a lorry fills some of them
+_PART_VIEWS, _PART_SHARE = 4, 0.3  # a part has so many views at least, and that share of them is seen
+_SAME_LIGHT = 0.02
 _BORDER = 8  # px: a window this close to the rim has lost too much of itself
 
 
@@ -72,6 +75,31 @@ def grid_cells(points: Array, shape: tuple[int, ...], settings: OdometrySettings
         ).astype(int)
         cells[row, column] = True
     return cells
+
+
+def unexplained(views: Array, seen: Flags, shape: tuple[int, ...]) -> float:
+    """The share of ``views`` (n, 2) px that lie in parts of a picture of ``shape`` where hardly any is
+    ``seen`` (n,): of parts with some views.
+    """
+    columns, rows = _PARTS
+    part = (views[:, 0] * columns / shape[1]).astype(int) + columns * (views[:, 1] * rows / shape[0]).astype(
+        int
+    )
+    count = np.bincount(part, minlength=columns * rows)
+    held = np.bincount(part, weights=seen, minlength=columns * rows)
+    some = count >= _PART_VIEWS
+    missed = some & (held < _PART_SHARE * count)
+    return float(count[missed].sum() / max(count[some].sum(), 1))
+
+
+def alike(image: Image, other: Image) -> Image:
+    """``image`` as bright as ``other`` is: exposures differ from picture to picture, and flow is followed by
+    grey levels.
+    """
+    gain = (float(other.mean()) + 1.0) / (float(image.mean()) + 1.0)
+    if abs(gain - 1.0) < _SAME_LIGHT:
+        return image
+    return np.asarray(cv2.convertScaleAbs(image, alpha=gain), dtype=np.uint8)
 
 
 def inside(pixels: Array, static: Flags) -> Flags:

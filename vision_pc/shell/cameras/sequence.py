@@ -10,6 +10,7 @@ from protocol.errors import ConfigurationError, MeasurementFailed
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.odometry.segments import SegmentedOdometry
+from vision_pc.core.odometry.shared_offset import FoundOffset
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import OdometryPose, StereoPair
 from vision_pc.shell.cameras.directory import read_grey
@@ -38,13 +39,15 @@ class PairRecord(NamedTuple):
 class SequenceResult(NamedTuple):
     """What became of a sequence, pair by pair; ``joints[k]``: map k's C0 in the first's, None: unknown.
 
-    ``readout_share``: of the interval between pairs, where the camera's shutter rolls.
+    ``readout_share``: of the interval between pairs, where the camera's shutter rolls. ``offset``: of the
+    right eye's columns, where the way showed it and it was taken out.
     """
 
     records: list[PairRecord]
     joints: list[Array | None]
     keyframes: int
     readout_share: float = 0.0
+    offset: FoundOffset | None = None
 
     @property
     def poses(self) -> list[OdometryPose]:
@@ -151,13 +154,29 @@ def follow_pairs(
     tool_at: ToolAt = lambda pair: None,
 ) -> SequenceResult:
     """What odometry, begun with the first of ``pairs``, finds in all of them; poses that later pairs show to
-    be of two motions are lost after all. Where the shutter turns out to roll, or an arm is
-    there to ask, all pairs are followed again.
+    be of two motions are lost after all. Where the shutter turns out to roll, disparities turn out to be off,
+    or an arm is there to ask, all pairs are followed again.
     ``tool_at``: X_BT, where the state of the arm that carries the camera had its tool; None: not told.
     """
     given = _Given(tool_at)
-    result, share = _one_pass(pairs(), begin, None, report, given)
-    return _one_pass(pairs(), begin, share, report, given)[0] if share or given.any else result
+    result, learnt = _one_pass(pairs(), begin, _Learnt(), report, given)
+    if learnt.any or given.any:
+        return _one_pass(pairs(), begin, learnt, report, given)[0]
+    return result
+
+
+class _Learnt(NamedTuple):
+    """What a pass over the pairs shows of the camera, None: nothing was asked; the share is 0 of a global
+    shutter.
+    """
+
+    readout_share: float | None = None
+    offset: FoundOffset | None = None
+
+    @property
+    def any(self) -> bool:
+        """Whether it is worth to follow all pairs again."""
+        return bool(self.readout_share) or self.offset is not None
 
 
 class _Given:
@@ -176,18 +195,20 @@ class _Given:
 def _one_pass(
     pairs: Iterable[StereoPair],
     begin: Callable[[StereoPair], SegmentedOdometry],
-    readout_share: float | None,
+    known: _Learnt,
     report: Callable[[PairRecord], None],
     tool_at: ToolAt,
-) -> tuple[SequenceResult, float]:
-    """What is found, and the readout's share of the interval between pairs, 0 of a global shutter."""
+) -> tuple[SequenceResult, _Learnt]:
+    """What is found with what is ``known`` of the camera, and what was learnt of it."""
     records: list[PairRecord] = []
     odometry: SegmentedOdometry | None = None
     for pair in pairs:
         if odometry is None:
             odometry = begin(pair)
-            if readout_share is not None:
-                odometry.readout.begin(readout_share)
+            if known.offset is not None:
+                odometry.correct(known.offset)
+            if known.readout_share is not None:
+                odometry.readout.begin(known.readout_share)
         placed = odometry.process(pair, tool_at(pair))
         segment, pose = (None, None) if placed is None else placed
         loss = odometry.last_loss if pose is None else None
@@ -195,7 +216,7 @@ def _one_pass(
         records.append(PairRecord(pair.frame_id, pair.capture_ns, segment, pose, loss, detail))
         report(records[-1])
     if odometry is None:
-        return SequenceResult([], [], 0), 0.0
+        return SequenceResult([], [], 0), known
     records = [
         record._replace(segment=None, pose=None, loss="two_motions")
         if record.segment is not None and odometry.is_withdrawn(record.segment, record.capture_ns)
@@ -203,7 +224,8 @@ def _one_pass(
         for record in records
     ]
     share = odometry.readout.share
-    return SequenceResult(records, odometry.joints, odometry.keyframes, share), share
+    result = SequenceResult(records, odometry.joints, odometry.keyframes, share, known.offset)
+    return result, _Learnt(share, odometry.offset_found)
 
 
 def write_tum(path: Path, poses: list[OdometryPose]) -> None:

@@ -1,0 +1,52 @@
+"""The disparities' offset of a recording: windows of keyframes that agree are believed, others are not."""
+
+import pytest
+
+from vision_pc.config.vision import VisionConfig
+from vision_pc.core.odometry.bundle_adjustment import OffsetTold
+from vision_pc.core.odometry.shared_offset import SharedOffset
+
+BELIEVED_PX = 0.3
+
+
+class Keyframes:
+    """In place of a map: a keyframe more at every asking, and what the windows tell of the offset."""
+
+    def __init__(self, offsets: list[float], std_px: float) -> None:
+        self.keyframes = [self] * 4
+        self.number = 0
+        self._told = iter([OffsetTold(std_px**-2.0, offset * std_px**-2.0) for offset in offsets])
+
+    def offset_told(self, window: int, noise_px: float, huber_px: float) -> OffsetTold:
+        return next(self._told)
+
+
+def learnt(config: VisionConfig, offsets: list[float], std_px: float = 0.01) -> SharedOffset:
+    shared, keyframes = SharedOffset(learns=True), Keyframes(offsets, std_px)
+    for _ in offsets:
+        shared.learn(keyframes, config.odometry)  # type: ignore[arg-type]
+    return shared
+
+
+def test_windows_that_agree_are_believed_to_what_matching_leaves(config: VisionConfig) -> None:
+    found = learnt(config, [0.20, 0.22, 0.21]).found(BELIEVED_PX)
+    assert found is not None
+    assert found.px == pytest.approx(0.21)
+    assert 0.04 < found.std_px < 0.06
+
+
+@pytest.mark.parametrize(
+    ("offsets", "std_px"),
+    [([], 0.01), ([0.2], 0.05), ([-0.4, 0.1, 0.7], 0.01), ([4.0, 4.0, 4.0], 0.01)],
+    ids=["none", "too vague", "at odds", "no rectified pair"],
+)
+def test_what_is_not_known_better_is_left_as_it_was(
+    config: VisionConfig, offsets: list[float], std_px: float
+) -> None:
+    assert learnt(config, offsets, std_px).found(BELIEVED_PX) is None
+
+
+def test_of_a_camera_that_is_known_exactly_nothing_is_learnt(config: VisionConfig) -> None:
+    shared = SharedOffset(learns=False)
+    shared.learn(Keyframes([0.2], 0.01), config.odometry)  # type: ignore[arg-type]
+    assert shared.found(BELIEVED_PX) is None

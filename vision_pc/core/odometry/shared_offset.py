@@ -1,0 +1,60 @@
+"""The offset that all disparities of a recording share, found from the recording itself.
+
+Rectification that leaves the right eye turned by a hundredth of a degree moves its columns by a tenth of a
+pixel. That puts far points at wrong depths, and far more so than near ones; as the camera goes on, what it
+sees of both no longer fits one motion. So an offset shows wherever a way leads past near and far things,
+and it does not where all is about equally far: there it is as good as a change of scale.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from vision_pc.config.vision import OdometrySettings
+from vision_pc.core.odometry.keyframe_map import KeyframeMap
+
+_WINDOW = 4  # keyframes that are adjusted together
+_EVERY = 2  # keyframes
+_TIMES = 5.0  # of what views that err apart would leave: those of one point share what its patch gets wrong
+_FLOOR_PX = 0.04  # matching's own bias
+_ENOUGH = 0.5  # of what was believed before
+_MOST_PX = 3.0  # more is no rectified pair
+_SPREAD = 1.4826  # from the median of deviations to a standard deviation
+
+
+class FoundOffset(NamedTuple):
+    """Of the right eye's columns (picture minus model), and its standard deviation."""
+
+    px: float
+    std_px: float
+
+
+class SharedOffset:
+    """Learns the right eye's offset from windows of keyframes, where it ``learns``."""
+
+    def __init__(self, learns: bool) -> None:
+        self._learns = learns
+        self._windows: list[FoundOffset] = []
+
+    def learn(self, keyframe_map: KeyframeMap, settings: OdometrySettings) -> None:
+        """A keyframe was made: learn from the newest ones."""
+        keyframes = keyframe_map.keyframes
+        if not self._learns or len(keyframes) < _WINDOW or keyframes[-1].number % _EVERY:
+            return
+        told = keyframe_map.offset_told(_WINDOW, settings.noise_px, settings.huber_px)
+        if told.information > 0.0:
+            self._windows.append(FoundOffset(told.score / told.information, told.information**-0.5))
+
+    def found(self, std_px: float) -> FoundOffset | None:
+        """The offset, None where it is not known much better than to ``std_px``, which was believed of it
+        before: windows are weighed by what they know, and must agree.
+        """
+        if not self._windows:
+            return None
+        offsets, stds = np.array(self._windows).T
+        weights = stds**-2.0
+        offset = float((weights * offsets).sum() / weights.sum())
+        spread = _SPREAD * float(np.median(np.abs(offsets - offset))) / math.sqrt(len(offsets))
+        known = FoundOffset(offset, math.hypot(_TIMES * float(weights.sum()) ** -0.5, spread, _FLOOR_PX))
+        return known if known.std_px < _ENOUGH * std_px and abs(offset) < _MOST_PX else None
