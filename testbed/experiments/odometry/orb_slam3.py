@@ -6,10 +6,11 @@ text form (Gálvez-López and Tardós 2012).
 """
 
 import importlib.util
-import multiprocessing
+import pickle
+import subprocess
+import sys
 import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -114,8 +115,18 @@ def _nearest(descriptors: Descriptors, centres: Descriptors) -> NDArray[np.intp]
 
 def follow_apart(camera: CameraCalibration, words: Path, pairs: list[StereoPair]) -> PeerTrack:
     """The same in a process of its own: the peer keeps the first camera that a process tells it for ever."""
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as apart:
-        return apart.submit(follow, camera, words, pairs).result()
+    with tempfile.TemporaryDirectory() as directory:
+        given, found = Path(directory) / "given", Path(directory) / "found"
+        given.write_bytes(pickle.dumps((camera, words, pairs)))
+        asked = f"from {__name__} import answer; answer({str(given)!r}, {str(found)!r})"
+        subprocess.run([sys.executable, "-c", asked], check=True, stdout=subprocess.DEVNULL)
+        track: PeerTrack = pickle.loads(found.read_bytes())
+    return track
+
+
+def answer(given: str, found: str) -> None:
+    """Follow what ``follow_apart`` wrote to ``given``, and write the track to ``found``."""
+    Path(found).write_bytes(pickle.dumps(follow(*pickle.loads(Path(given).read_bytes()))))
 
 
 def follow(camera: CameraCalibration, words: Path, pairs: list[StereoPair]) -> PeerTrack:

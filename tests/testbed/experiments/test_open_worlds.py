@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from foundation.configuration import load
+from testbed.experiments.odometry import orb_slam3
 from testbed.experiments.odometry.judging import judged
 from testbed.experiments.odometry.open_worlds import CAR, OPEN_KINDS, open_sequence
 from testbed.experiments.odometry.ray_casting import CastWorld, RayCaster, Rectangle, rough_texture
@@ -119,3 +120,19 @@ def test_a_thing_that_fills_most_of_the_picture_is_not_the_world(road: Sequence)
     found = judged(followed(road, pairs), road.X_C0C)
     assert found.wrong == 0
     assert found.located < 0.4 * COUNT
+
+
+@pytest.mark.skipif(not orb_slam3.installed(), reason="pyorbslam3 is GPL: `make peers` installs it")
+def test_the_peer_is_told_the_camera_of_each_sequence(road: Sequence, tmp_path: Path) -> None:
+    """Its library keeps the first camera that a process tells it: a road was then 2.5 times as long."""
+    words = tmp_path / "words.txt"
+    orb_slam3.vocabulary([pair.left for pair in road.pairs[::4]], words)
+    camera = known(road)
+    far = camera.right._replace(X_CE=se3.transform(np.eye(3), (2.5 * road.told.baseline_m, 0.0, 0.0)))
+    way = []
+    for one in (camera._replace(right=far), camera):
+        poses = orb_slam3.follow_apart(one, words, road.pairs).poses
+        assert [pose.frame_id for pose in poses] == list(range(COUNT))
+        way.append(float(np.linalg.norm(poses[-1].X_C0C[:3, 3])))
+    assert way[0] == pytest.approx(2.5 * way[1], rel=0.05)
+    assert way[1] == pytest.approx(float(np.linalg.norm(road.X_C0C[-1, :3, 3])), rel=0.05)
