@@ -41,14 +41,14 @@ def excite_live(
     """Enable the arm and let its controller try out its joints; ``keep`` gets each that is finished.
 
     Whatever ends this early (Ctrl-C too) stops and disables the arm. Raises ConfigurationError
-    (``commissioning.no_trials``, ``commissioning.other_session``, ``commissioning.bad_recording``), LinkLost
-    when the controller is silent, MeasurementFailed (``measurement.stopped``) when somebody else stopped it.
+    (``commissioning.link_taken``, ``.no_trials``, ``.other_session``, ``.bad_recording``), LinkLost when the
+    controller is silent, MeasurementFailed (``measurement.stopped``) when somebody else stopped it.
     """
     expected = basis_of(settings.arm, settings.controller).model_dump()
     _summary(controller.records, expected)
     began_s = time.monotonic()
     with LiveClient(controller.host, controller.port) as client:
-        client.connect()
+        _connect(client)
         try:
             _enable(client)
             while _moving(client):
@@ -62,6 +62,19 @@ def excite_live(
     told = _last_summary(controller.records, expected)
     _keep(controller.records, told, settings, keep)
     return Excited(seconds, _trouble_of(told))
+
+
+def _connect(client: LiveClient) -> None:
+    try:
+        client.connect()
+    except LinkLost as error:
+        if error.cause != "link.occupied":
+            raise
+        raise ConfigurationError(
+            "commissioning.link_taken",
+            f"{error}, such as the vision PC of `longreach up`: end that, or let it try the valves out "
+            "(POST /operations/valve-trials)",
+        ) from error
 
 
 def _enable(client: LiveClient) -> None:

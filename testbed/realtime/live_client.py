@@ -12,7 +12,13 @@ from protocol.errors import LinkLost
 from protocol.faults import CommandCode, Reason
 from protocol.pose import Pose
 from protocol.reference_messages import Acknowledgement, Command, ReferencePose, Request, State
-from protocol.session_events import AcknowledgementReceived, ClientEvent, SessionLost, StateReceived
+from protocol.session_events import (
+    AcknowledgementReceived,
+    ClientEvent,
+    ConnectionDelayed,
+    SessionLost,
+    StateReceived,
+)
 
 _TURN_S = 0.002
 
@@ -27,6 +33,7 @@ class LiveClient:
         self.state: State | None = None
         self.answers: dict[int, Acknowledgement] = {}
         self._open = False
+        self._occupied = False
         self._session = ReferenceClient(time.monotonic_ns(), 0, state_period_ms)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -46,7 +53,8 @@ class LiveClient:
         return self._session.connected
 
     def connect(self, timeout_s: float = 10.0) -> State:
-        """The first state of a new session. Raises LinkLost when none comes in time."""
+        """The first state of a new session. Raises LinkLost when none comes in time, ``link.occupied`` when
+        somebody else has the link."""
         deadline_s = time.monotonic() + timeout_s
         self.state = None
         while self.state is None:
@@ -55,6 +63,8 @@ class LiveClient:
                 self._session.connect(time.monotonic_ns())
             self._turn()
             if time.monotonic() > deadline_s:
+                if self._occupied:
+                    raise LinkLost("link.occupied", f"another client has had the link for {timeout_s:g} s")
                 raise LinkLost("link.not_connected", f"no session within {timeout_s:g} s")
         return self.state
 
@@ -116,5 +126,7 @@ class LiveClient:
                 self.answers[event.acknowledgement.command_id] = event.acknowledgement
             elif isinstance(event, StateReceived):
                 self.state = event.state
+            elif isinstance(event, ConnectionDelayed):
+                self._occupied = event.reason is Reason.SESSION_OCCUPIED
             elif isinstance(event, SessionLost):
                 self._open = False

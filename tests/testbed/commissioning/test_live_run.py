@@ -12,6 +12,7 @@ import pytest
 from foundation.configuration import parse_overrides
 from protocol.errors import ConfigurationError, LongreachError
 from testbed.commissioning.live_run import LiveController, excite_live, read_trial
+from testbed.realtime.live_client import LiveClient
 from testbed.scenarios.settings import Settings, load_settings
 from tests.controller.shell.plant_server import PlantServer, plant_server
 from tests.support.paths import CONFIGS
@@ -80,6 +81,17 @@ async def test_a_controller_that_only_servos_is_named(tmp_path: Path) -> None:
         with pytest.raises(ConfigurationError) as raised:
             await asyncio.to_thread(excited, live, settings_with())
     assert raised.value.cause == "commissioning.no_trials"
+
+
+async def test_a_link_that_somebody_else_has_is_named(tmp_path: Path) -> None:
+    mode = ("controller.excitation.enabled=true", "controller.excitation.joints=[5]")
+    async with plant_server() as server, controller(server, tmp_path, *mode) as live:
+        with LiveClient(live.host, live.port) as other:
+            await asyncio.to_thread(other.connect)
+            with pytest.raises(ConfigurationError) as raised:
+                await asyncio.to_thread(excited, live, settings_with())
+        assert all(image.valves == (0.0,) * 6 for image in server.written)
+    assert raised.value.cause == "commissioning.link_taken"
 
 
 async def test_a_controller_of_another_configuration_is_named(tmp_path: Path) -> None:
