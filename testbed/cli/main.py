@@ -24,6 +24,7 @@ from testbed.cli.options import (
     Settings,
     SoakOptions,
     StartOptions,
+    TriedElsewhere,
 )
 from testbed.cli.root import RootGroup, show_version
 from testbed.reporting.console import writable
@@ -154,20 +155,15 @@ def replay(
 
 
 @app.command(epilog="Example: longreach commission --joints slew,lift --out runs/commission/monday")
+@unfolded
 def commission(
+    elsewhere: TriedElsewhere,
     joints: Annotated[
         str, typer.Option(help="Which joints, by name, in this order.")
     ] = "slew,lift,tilt,wrist1,wrist2,wrist3",
     directory: Annotated[
         Path, typer.Option("--out", help="The session: joints that are there are not tried out again.")
     ] = DEFAULT_RUNS / "commission",
-    records: Annotated[
-        Path | None,
-        typer.Option(
-            help="Of a running controller with controller.excitation.enabled=true: its --record-dir. It "
-            "is asked over its own link (controller.reference_link).",
-        ),
-    ] = None,
     fault: Annotated[
         list[str] | None,
         typer.Option(
@@ -191,7 +187,8 @@ def commission(
     overrides = parse_overrides(settings or [])
     names = [name.strip() for name in joints.split(",")]
     broken = fault_orders(fault or [])
-    request = CommissionRequest(config_dir, overrides, names, directory, seed, json_file, records, broken)
+    machine = config_dir, overrides, names, directory, seed
+    request = CommissionRequest(*machine, json_file, elsewhere.records, broken, elsewhere.seen)
     raise typer.Exit(0 if run_commission(request) else 1)
 
 

@@ -93,6 +93,22 @@ class Disturbed(NamedTuple):
     ] = None
 
 
+class TriedElsewhere(NamedTuple):
+    """What a running machine says of valves that were, or are to be, tried out there."""
+
+    records: Annotated[
+        Path | None,
+        typer.Option(
+            help="Of a running controller with controller.excitation.enabled=true: its --record-dir. It "
+            "is asked over its own link (controller.reference_link), unless all joints are finished there.",
+        ),
+    ] = None
+    seen: Annotated[
+        Path | None,
+        typer.Option(help="What the vision PC's operation valve-trials answered: plays, the camera's delay."),
+    ] = None
+
+
 class SoakOptions(NamedTuple):
     """How long a soak lasts, and how hard it is."""
 

@@ -14,10 +14,10 @@ from plant_emulator.core.fault_execution import obey
 from plant_emulator.core.faults.orders import FaultOrder
 from protocol.errors import ConfigurationError, LinkLost, LongreachError, MeasurementFailed
 from testbed.commissioning.findings import JointFindings, commissioned_from, joint_findings
-from testbed.commissioning.live_run import LiveController, excite_live
+from testbed.commissioning.live_run import LiveController, excite_live, take_finished
 from testbed.commissioning.lockstep_run import Excited, excite_in_lockstep, with_excitation
 from testbed.commissioning.presentation import findings_figures, findings_tables, joint_figure
-from testbed.commissioning.session import CommissioningSession
+from testbed.commissioning.session import CommissioningSession, trials_told
 from testbed.commissioning.trouble_words import trouble_words
 from testbed.lockstep.eyes import eyes_with
 from testbed.lockstep.run_log import RunLog
@@ -35,7 +35,8 @@ class CommissionRequest(NamedTuple):
     """Which machine, which joints (names), and the session's directory; ``json``: figures as well.
 
     ``records``: the directory that a running controller records in; it is tried out in place of the emulated
-    one. ``faults``: what of the emulated arm is broken from the start.
+    one; joints that are finished there are taken as they are. ``seen``: what the vision PC's ``valve-trials``
+    answered about them. ``faults``: what of the emulated arm is broken from the start.
     """
 
     config_dir: Path
@@ -46,6 +47,7 @@ class CommissionRequest(NamedTuple):
     json: Path | None
     records: Path | None = None
     faults: tuple[FaultOrder, ...] = ()
+    seen: Path | None = None
 
 
 def run_commission(request: CommissionRequest) -> bool:
@@ -62,13 +64,17 @@ def run_commission(request: CommissionRequest) -> bool:
     settings = load_settings(request.config_dir, request.overrides)
     joints = [_joint(name) for name in request.joints]
     session = CommissioningSession(request.directory, settings.arm, settings.controller)
+    if request.seen is not None:
+        session.keep_seen(trials_told(request.seen))
+    if request.records is not None:
+        take_finished(request.records, settings, session.keep)
     to_do = [joint for joint in joints if joint not in session.finished]
     told = f"{len(joints) - len(to_do)} joints are in {request.directory}, {len(to_do)} are tried out now"
     out.print(told, style="dim", highlight=False)
     complete = _tried_out(settings, request, to_do, session) if to_do else True
     found = _found(session, settings)
     if found:
-        out.print(*findings_tables(found), sep="\n")
+        out.print(*findings_tables(found, session.seen), sep="\n")
     write_json(request.json, {"joints": findings_figures(found), "complete": complete})
     whole = complete and all(joint in found for joint in joints)
     if whole:
@@ -143,7 +149,7 @@ def _found(session: CommissioningSession, settings: Settings) -> dict[int, Joint
 def _write(found: Mapping[int, JointFindings], settings: Settings, session: CommissioningSession) -> None:
     made = datetime.now(UTC).isoformat(timespec="seconds"), f"longreach commission {version('longreach')}"
     sources = {joint: session.source(joint) for joint in found}
-    content = commissioned_from(found, settings.arm, settings.controller, sources, made)
+    content = commissioned_from(found, settings.arm, settings.controller, sources, made, session.seen)
     path = session.directory / "commissioned.yaml"
     path.write_text(yaml.safe_dump(content.model_dump(mode="json"), sort_keys=False), encoding="utf-8")
     told = f"written: {path}; the controller takes it as controller.commissioned={path.resolve()}"

@@ -22,6 +22,7 @@ from protocol.errors import MeasurementFailed
 from testbed.commissioning.friction_fit import FrictionFindings, friction_findings
 from testbed.commissioning.margins import MARGINS, gain_within
 from testbed.commissioning.recording import JointRecording, strokes_in
+from testbed.commissioning.session import TrialsTold
 from testbed.commissioning.uncertain import Uncertain, midway
 from testbed.commissioning.valve_fit import EdgeFindings, edge_findings
 from vision_pc.core.calibration.joint_play import JointSeen, PlayFound, joint_play, mean_delay
@@ -152,10 +153,12 @@ def commissioned_from(
     config: ControllerConfig,
     recordings: Mapping[int, str],
     made: tuple[str, str],
+    seen: TrialsTold | None = None,
 ) -> Commissioned:
     """commissioned.yaml's content: what was ``found`` in place of what ``config`` believed.
 
-    ``recordings``: what each joint's numbers came from. ``made``: when (UTC) and by what.
+    ``recordings``: what each joint's numbers came from. ``made``: when (UTC) and by what. ``seen``: plays
+    and delay that the vision PC told, where no odometry is in the recordings.
     """
     valves = {
         JOINT_NAMES[joint]: _valve(one, config.valves.joints[joint], config.cycle_ms, recordings[joint])
@@ -168,31 +171,42 @@ def commissioned_from(
         basis=basis_of(arm, config),
         valves=known,
         tuning=_tuning(found, config),
-        play_mrad=_play(found, recordings),
-        camera_delay_ms=_camera_delay(found),
+        play_mrad=_play(found, recordings, seen),
+        camera_delay_ms=_camera_delay(found, seen),
     )
 
 
-def _play(found: Mapping[int, JointFindings], recordings: Mapping[int, str]) -> JointPlay:
+def _play(
+    found: Mapping[int, JointFindings], recordings: Mapping[int, str], seen: TrialsTold | None
+) -> JointPlay:
     """Half the play of every joint that odometry saw, on whichever side of the encoder."""
+    told = {
+        JOINT_NAMES[joint]: Uncertain(1e3 * one.play.half, 1e3 * one.play.half_std)
+        for joint, one in found.items()
+        if one.play is not None
+    }
+    if seen is not None:
+        told = {name: Uncertain(one.value, one.std) for name, one in seen.play_mrad.items()} | told
     return JointPlay(
         **{
-            JOINT_NAMES[joint]: _number(
-                Uncertain(1e3 * abs(one.play.half), 1e3 * one.play.half_std), (None, None), recordings[joint]
-            )
-            for joint, one in found.items()
-            if one.play is not None
+            name: _number(Uncertain(abs(one.value), one.std), (None, None), recordings[joint])
+            for joint, name in enumerate(JOINT_NAMES)
+            if joint in found and (one := told.get(name)) is not None
         }
     )
 
 
-def _camera_delay(found: Mapping[int, JointFindings]) -> MeasuredNumber | None:
+def _camera_delay(found: Mapping[int, JointFindings], seen: TrialsTold | None) -> MeasuredNumber | None:
     """How late pictures are stamped, by all joints that odometry saw."""
     plays = [one.play for one in found.values() if one.play is not None]
-    if not plays:
+    if plays:
+        late, std = mean_delay(plays)
+        recording = f"odometry beside {len(plays)} joints"
+        return MeasuredNumber(value=1e3 * late, std=1e3 * std, recording=recording)
+    if seen is None or seen.camera_delay_ms is None:
         return None
-    late, std = mean_delay(plays)
-    return MeasuredNumber(value=1e3 * late, std=1e3 * std, recording=f"odometry beside {len(plays)} joints")
+    told = seen.camera_delay_ms
+    return MeasuredNumber(value=told.value, std=told.std, recording="valve-trials of the vision PC")
 
 
 def _valve(found: JointFindings, before: JointValve, cycle_ms: float, recording: str) -> JointValve:

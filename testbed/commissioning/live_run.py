@@ -64,6 +64,15 @@ def excite_live(
     return Excited(seconds, _trouble_of(told))
 
 
+def take_finished(records: Path, settings: Settings, keep: Callable[[JointRecording], None]) -> None:
+    """``keep`` gets each joint that is finished in ``records``, whoever had the valves tried out.
+
+    Raises ConfigurationError as ``excite_live`` does.
+    """
+    expected = basis_of(settings.arm, settings.controller).model_dump()
+    _keep(records, _summary(records, expected), settings, keep)
+
+
 def _connect(client: LiveClient) -> None:
     try:
         client.connect()
@@ -73,7 +82,7 @@ def _connect(client: LiveClient) -> None:
         raise ConfigurationError(
             "commissioning.link_taken",
             f"{error}, such as the vision PC of `longreach up`: end that, or let it try the valves out "
-            "(POST /operations/valve-trials)",
+            "(POST /operations/valve-trials) and run this again with --seen",
         ) from error
 
 

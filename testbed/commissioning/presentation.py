@@ -7,8 +7,10 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from controller.core.excitation.plan import StrokeKind
+from nominal_arm.description import JOINT_NAMES
 from testbed.commissioning.findings import JointFindings
 from testbed.commissioning.recording import JointRecording, strokes_in
+from testbed.commissioning.session import ToldNumber, TrialsTold
 from testbed.commissioning.uncertain import Uncertain
 from testbed.commissioning.valve_fit import EdgeFindings, smoothed_speed
 from testbed.reporting.console import table
@@ -21,14 +23,21 @@ _OF_EDGES = (
 _OF_JOINTS = ("joint", "friction bar", "load bar", "half play mrad", "travel mrad", "s")
 
 
-def findings_tables(found: Mapping[int, JointFindings]) -> list[Table]:
-    """One row an edge, then one a joint; spools in per cent of the full one, numbers ± standard deviation."""
+def findings_tables(found: Mapping[int, JointFindings], seen: TrialsTold | None = None) -> list[Table]:
+    """One row an edge, then one a joint; spools in per cent of the full one, numbers ± standard deviation.
+
+    ``seen``: plays that the vision PC told, where no odometry is in the recordings.
+    """
     edges = [
         ("" if sense == "lowering" else JOINTS[joint], *_edge_cells(sense, edge))
         for joint, one in sorted(found.items())
         for sense, edge in (("raising", one.raising), ("lowering", one.lowering))
     ]
-    joints = [(JOINTS[joint], *_joint_cells(one)) for joint, one in sorted(found.items())]
+    told = {} if seen is None else {str(name): one for name, one in seen.play_mrad.items()}
+    joints = [
+        (JOINTS[joint], *_joint_cells(one, told.get(JOINT_NAMES[joint])))
+        for joint, one in sorted(found.items())
+    ]
     return [
         table("commissioning: valves, value ± standard deviation", _OF_EDGES, edges),
         table("commissioning: joints", _OF_JOINTS, joints),
@@ -48,19 +57,19 @@ def _edge_cells(sense: str, edge: EdgeFindings) -> tuple[str, ...]:
     )
 
 
-def _joint_cells(one: JointFindings) -> tuple[str, ...]:
+def _joint_cells(one: JointFindings, told: ToldNumber | None) -> tuple[str, ...]:
     return (
         _told(one.friction.friction, 1.0, 1),
         _told(one.friction.load, 1.0, 1),
-        _play_told(one),
+        _play_told(one, told),
         f"{1e3 * one.travel:.0f}",
         f"{one.seconds:.0f}",
     )
 
 
-def _play_told(one: JointFindings) -> str:
+def _play_told(one: JointFindings, by_vision: ToldNumber | None) -> str:
     if one.play is None:
-        return one.unseen
+        return one.unseen if by_vision is None else _told(Uncertain(by_vision.value, by_vision.std), 1.0, 3)
     told = _told(Uncertain(one.play.half, one.play.half_std), 1e3, 3)
     return told if one.resolved else f"{told} (not to 20 %)"
 

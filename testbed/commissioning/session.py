@@ -3,15 +3,46 @@
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from controller.commissioning import basis_of
 from controller.config import ControllerConfig
+from foundation.configuration import StrictModel, validated
 from nominal_arm.description import JOINT_NAMES, NominalArm
+from plant_emulator.config.valves import JointName
 from protocol.errors import ConfigurationError
 from testbed.commissioning.recording import JointRecording, load_recording
 
+_SEEN = "seen.json"
 _DIGITS = 16  # of a recording's hash, told with every number
+
+
+class ToldNumber(StrictModel):
+    """A number and its standard deviation, in the unit that its name says."""
+
+    value: float
+    std: Annotated[float, Field(gt=0.0)]
+
+
+class TrialsTold(StrictModel):
+    """What ``valve-trials`` answers: half the plays, why others were not seen, the camera's delay."""
+
+    play_mrad: dict[JointName, ToldNumber]
+    unseen: dict[JointName, str] = Field(default_factory=dict)
+    camera_delay_ms: ToldNumber | None = None
+
+
+def trials_told(path: Path) -> TrialsTold:
+    """What the vision PC told in ``path``: the operation as its API gives it, or its result alone.
+
+    Raises ConfigurationError (``commissioning.bad_session``, ``configuration.…``) for anything else.
+    """
+    found = _read(path)
+    if found is None:
+        raise ConfigurationError("commissioning.bad_session", f"{path}: no such file")
+    return validated(TrialsTold, found.get("result") or found, str(path))
 
 
 class CommissioningSession:
@@ -51,6 +82,20 @@ class CommissioningSession:
         """Keep the recording of a finished joint."""
         self._write()
         recording.save(self._file(recording.joint))
+
+    @property
+    def seen(self) -> TrialsTold | None:
+        """Plays and delay that the vision PC has told, None for none."""
+        path = self.directory / _SEEN
+        return trials_told(path) if path.is_file() else None
+
+    def keep_seen(self, seen: TrialsTold) -> None:
+        """Keep what the vision PC tells of joints, with what it told of others before."""
+        before = self.seen
+        if before is not None:
+            seen = seen.model_copy(update={"play_mrad": before.play_mrad | seen.play_mrad})
+        self._write()
+        (self.directory / _SEEN).write_text(seen.model_dump_json(indent=2) + "\n", encoding="utf-8")
 
     def ended_by(self, cause: str | None) -> None:
         """Note what broke the latest run off, None for nothing."""

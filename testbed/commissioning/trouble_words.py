@@ -36,7 +36,9 @@ WORDS = {
 
 def trouble_words(trouble: Trouble) -> str:
     """``cause: joint: what: value, limit``, without a stop at its end."""
-    words = WORDS[trouble.cause.removeprefix("commissioning.")]
+    words = WORDS.get(trouble.cause.removeprefix("commissioning."))
+    if words is None:  # stopped from outside, or a controller's that knows more than we do
+        return f"{trouble.cause}: {JOINT_NAMES[trouble.joint]}"
     value, limit = words.scale * trouble.value, words.scale * trouble.limit
     told = f"{value:.4g} {words.unit}, limit {limit:.4g}"
     return f"{trouble.cause}: {JOINT_NAMES[trouble.joint]}: {words.what}: {told}"

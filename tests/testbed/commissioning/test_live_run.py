@@ -1,17 +1,32 @@
 """`longreach commission` against a running controller: asked over its link, found in its records."""
 
 import asyncio
+import io
 import json
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
+import yaml
 
+from controller.commissioning import basis_of
+from controller.shell.trial_records import TrialRecords
 from foundation.configuration import parse_overrides
+from foundation.event_log import EventLog
+from nominal_arm.commissioned import Commissioned
 from protocol.errors import ConfigurationError, LongreachError
+from protocol.faults import CommandCode
+from testbed.commissioning.command import CommissionRequest, run_commission
 from testbed.commissioning.live_run import LiveController, excite_live, read_trial
+from testbed.commissioning.lockstep_run import with_excitation
+from testbed.commissioning.session import trials_told
+from testbed.lockstep.clock import run
+from testbed.lockstep.run_log import RunLog
+from testbed.lockstep.world import World
 from testbed.realtime.live_client import LiveClient
 from testbed.scenarios.settings import Settings, load_settings
 from tests.controller.shell.plant_server import PlantServer, plant_server
@@ -101,6 +116,66 @@ async def test_a_controller_of_another_configuration_is_named(tmp_path: Path) ->
             await asyncio.to_thread(excited, live, settings_with("controller.valves.name=other"))
         assert all(image.valves == (0.0,) * 6 for image in server.written)
     assert raised.value.cause == "commissioning.other_session"
+
+
+ANSWER = {
+    "play_mrad": {"wrist3": {"value": -0.11, "std": 0.01}},
+    "unseen": {"tilt": "the wall was out of sight"},
+    "camera_delay_ms": {"value": 12.0, "std": 0.8},
+}
+
+
+async def left_behind(records: Path, settings: Settings, joint: int) -> None:
+    """What a controller leaves in ``records`` once it has tried out ``joint``, in simulated time."""
+    world = World(with_excitation(settings, [joint]), 1, RunLog())
+    side = world.controller
+    program: Any = SimpleNamespace(plan=side.plan, excitation=side.excitation, samples=[])
+    basis = basis_of(settings.arm, settings.controller)
+    trials = TrialRecords(records, program, basis, EventLog("controller", io.StringIO()))
+    world.connect()
+    run(world.link.command(CommandCode.ENABLE))
+    told = 0
+    while not side.excitation.finished(program.plan):
+        world.clock.advance()
+        program.excitation, program.samples = side.excitation, program.samples + side.samples[told:]
+        told = len(side.samples)
+        trials.follow()
+    await trials.close()
+
+
+async def test_what_the_vision_pc_let_be_tried_out_is_taken_with_its_plays(tmp_path: Path) -> None:
+    assignments = ("controller.excitation.ramps=2", "plant.valves.deadband=0.02")
+    overrides = parse_overrides(list(assignments))
+    await left_behind(tmp_path, load_settings(CONFIGS, overrides), 5)
+    answered = tmp_path / "operation.json"
+    answered.write_text(json.dumps({"id": "7", "state": "succeeded", "result": ANSWER}))
+    directory = tmp_path / "session"
+    request = CommissionRequest(CONFIGS, overrides, ["wrist3"], directory, 1, None, tmp_path, seen=answered)
+    assert run_commission(request)  # nobody serves at the configured port
+    content = yaml.safe_load((directory / "commissioned.yaml").read_text())
+    found = Commissioned.model_validate(content)
+    assert found.valves.wrist3.raising.deadband.value == pytest.approx(0.02, rel=0.02)
+    assert found.play_mrad.wrist3 is not None
+    assert (found.play_mrad.wrist3.value, found.play_mrad.wrist3.std) == (0.11, 0.01)
+    assert found.camera_delay_ms is not None
+    assert found.camera_delay_ms.value == 12.0
+
+
+@pytest.mark.parametrize(
+    ("text", "cause"),
+    [
+        ("{", "commissioning.bad_session"),
+        ('{"result": {"unseen": {}}}', "configuration.missing"),
+        ('{"play_mrad": {"elbow": {"value": 1, "std": 1}}}', "configuration.literal_error"),
+        ('{"play_mrad": {"slew": {"value": 1, "std": 0}}}', "configuration.greater_than"),
+    ],
+)
+def test_an_answer_that_is_none_is_named(tmp_path: Path, text: str, cause: str) -> None:
+    path = tmp_path / "operation.json"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError) as raised:
+        trials_told(path)
+    assert raised.value.cause == cause
 
 
 def test_a_recording_that_is_none_is_named(tmp_path: Path) -> None:
