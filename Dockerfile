@@ -6,7 +6,7 @@ FROM ${BASE}
 RUN /usr/sbin/useradd --create-home --uid 10001 longreach \
     && python -m venv /opt/longreach \
     && install -d -o longreach -g longreach /var/lib/longreach \
-    && install -d -o longreach -g longreach /var/lib/longreach-campaigns \
+    && install -d -o longreach -g longreach /var/lib/longreach-campaigns /var/lib/longreach-records \
     && install -d -o longreach -g longreach -m 700 /var/lib/longreach-tokens /var/lib/longreach-watch
 ENV PATH=/opt/longreach/bin:$PATH \
     OMP_NUM_THREADS=1 \

@@ -21,6 +21,9 @@ from foundation.event_log import EventLog, process_log
 from foundation.signs_of_life import signs_of_life
 from protocol.errors import LongreachError
 
+RECORDS = "LONGREACH_RECORDS"
+"""The environment's variable for a directory in which every service records, each in one of its own."""
+
 _REFUSED, _INTERRUPTED = 2, 130  # exit statuses
 _M_MMAP_THRESHOLD, _M_ARENA_MAX = -3, -8  # glibc's malloc.h
 _LARGE_BLOCK, _HEAPS = 128 * 1024, 2
@@ -120,6 +123,11 @@ def when_asked_to_end(call: Callable[[], None]) -> None:
         asyncio.get_running_loop().add_signal_handler(number, call)
 
 
+def _records(service: str) -> Path | None:
+    named = os.environ.get(RECORDS)
+    return Path(named) / service if named else None
+
+
 def _options(program: ServiceProgram, argv: list[str] | None) -> ServiceOptions:
     epilog = f"example: {program.example}"
     parser = argparse.ArgumentParser(f"python -m {program.name}", None, program.description, epilog)
@@ -135,7 +143,12 @@ def _options(program: ServiceProgram, argv: list[str] | None) -> ServiceOptions:
         metavar="FILE.KEY=VALUE",
         help="override a key; repeatable; keys of other services' files are left to them",
     )
-    parser.add_argument("--record-dir", type=Path, help=f"write {program.records} in this directory")
+    parser.add_argument(
+        "--record-dir",
+        type=Path,
+        default=_records(program.name),
+        help=f"write {program.records} in this directory; else in ${RECORDS}/{program.name}, if set",
+    )
     parser.add_argument(
         "--foxglove",
         type=int,

@@ -11,7 +11,7 @@ import pytest
 
 from foundation.event_log import EventLog
 from foundation.ports import bound_tcp, bound_udp
-from foundation.service_main import ServiceOptions, ServiceProgram, Switch, service_main
+from foundation.service_main import RECORDS, ServiceOptions, ServiceProgram, Switch, service_main
 from protocol.errors import ConfigurationError, LinkLost
 
 Body = Callable[[EventLog], int]
@@ -40,6 +40,19 @@ def program(made: Made) -> ServiceProgram:
     return ServiceProgram(
         "plant_emulator", "It.", "so", "a.yaml", "all", made.make, (switch,), "plant_service"
     )
+
+
+@pytest.mark.parametrize(("named", "recorded"), [("monday", "monday/plant_emulator"), ("", None)])
+def test_containers_name_by_the_environment_where_all_record(
+    monkeypatch: pytest.MonkeyPatch, named: str, recorded: str | None
+) -> None:
+    monkeypatch.setenv(RECORDS, named)
+    made = Made(lambda log: 0)
+    assert service_main(program(made), ["--config-dir", "c"]) == 0
+    assert made.options is not None
+    assert made.options.record_dir == (None if recorded is None else Path(recorded))
+    assert service_main(program(made), ["--config-dir", "c", "--record-dir", "own"]) == 0
+    assert made.options.record_dir == Path("own"), "what is said is what counts"
 
 
 def refusing(error: Exception) -> Body:
