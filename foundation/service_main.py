@@ -128,7 +128,7 @@ def _records(service: str) -> Path | None:
     return Path(named) / service if named else None
 
 
-def _options(program: ServiceProgram, argv: list[str] | None) -> ServiceOptions:
+def _parser(program: ServiceProgram) -> argparse.ArgumentParser:
     epilog = f"example: {program.example}"
     parser = argparse.ArgumentParser(f"python -m {program.name}", None, program.description, epilog)
     parser.add_argument("--version", action="store_true", help="print the version and end")
@@ -160,7 +160,11 @@ def _options(program: ServiceProgram, argv: list[str] | None) -> ServiceOptions:
     )
     for switch in program.switches:
         parser.add_argument(switch.name, action="store_true", help=switch.help)
-    arguments = parser.parse_args(argv)
+    return parser
+
+
+def _options(program: ServiceProgram, argv: list[str] | None) -> ServiceOptions:
+    arguments = _parser(program).parse_args(argv)
     if arguments.version:
         print(f"{program.name} {importlib.metadata.version('longreach')}")
         raise SystemExit(0)
