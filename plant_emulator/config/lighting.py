@@ -1,5 +1,7 @@
 """Configuration of the light: a shadow whose edge wanders over the scene, and a lamp that glares."""
 
+import math
+
 from pydantic import Field, model_validator
 
 from foundation.configuration import StrictModel
@@ -10,7 +12,8 @@ class ShadowConfig(StrictModel):
 
     Points whose way along ``direction_deg`` (in O, from x towards y) is less than the edge's keep ``factor``
     of their light; 1: no shadow. The edge is ``start_m`` along that direction at time 0 and wanders with
-    ``speed_m_s``; after ``way_m`` it begins again. ``penumbra_m`` is the width of its ramp.
+    ``speed_m_s``; after ``way_m`` it begins again. ``penumbra_m`` is the width of its ramp. ``carried``: the
+    lamp and what stands before it are on the arm, and ``start_m`` counts from the camera, not from O.
     """
 
     factor: float = Field(default=1.0, ge=0.0, le=1.0)
@@ -19,10 +22,20 @@ class ShadowConfig(StrictModel):
     speed_m_s: float = Field(default=0.1, ge=0.0, le=20.0)
     way_m: float = Field(default=2.0, gt=0.0, le=100.0)
     penumbra_m: float = Field(default=0.02, ge=0.001, le=2.0)
+    carried: bool = False
 
-    def edge_m(self, time_s: float) -> float:
-        """Where the edge is along its direction."""
-        return self.start_m + self.speed_m_s * time_s % self.way_m
+    @property
+    def normal(self) -> tuple[float, float]:
+        """The direction's x and y in O."""
+        angle = math.radians(self.direction_deg)
+        return math.cos(angle), math.sin(angle)
+
+    def edge_m(self, time_s: float, camera_m: tuple[float, float]) -> float:
+        """Where the edge is along its direction; ``camera_m``: x and y of the camera in O."""
+        edge_m = self.start_m + self.speed_m_s * time_s % self.way_m
+        if not self.carried:
+            return edge_m
+        return edge_m + self.normal[0] * camera_m[0] + self.normal[1] * camera_m[1]
 
 
 class GlareConfig(StrictModel):

@@ -8,7 +8,7 @@ from foundation.configuration import StrictModel
 from plant_emulator.config.boards import AnyBoardConfig
 from plant_emulator.config.camera import CameraConfig
 from plant_emulator.config.lighting import LightingConfig
-from plant_emulator.config.surroundings import PasserConfig, RebarConfig, WallConfig
+from plant_emulator.config.surroundings import CableConfig, PasserConfig, RebarConfig, WallConfig
 
 Vector3 = tuple[float, float, float]
 SmallAngle = Annotated[float, Field(ge=-90.0, le=90.0)]
@@ -113,6 +113,7 @@ class SceneConfig(StrictModel):
     obstacles: tuple[ObstacleConfig, ...] = Field(default=(), max_length=32)
     boards: tuple[AnyBoardConfig, ...] = Field(default=(), max_length=16)
     rebar: tuple[RebarConfig, ...] = Field(default=(), max_length=8)
+    cables: tuple[CableConfig, ...] = Field(default=(), max_length=16)
     passers: tuple[PasserConfig, ...] = Field(default=(), max_length=8)
     lighting: LightingConfig = LightingConfig()
     mount: PoseConfig

@@ -45,12 +45,16 @@ class TubeConfig(StrictModel):
 class BarePatchConfig(StrictModel):
     """A round patch of the wall with little to see: smooth plaster, shotcrete, a wet stain. Centre in O axes.
 
-    ``contrast`` is the share of the wall's contrast that it has left.
+    ``contrast`` is the share of the wall's contrast that it has left. A wet one shines: ``gloss_grey`` is
+    added where a mirror would show the lamp of ``lighting.glare``, less around it as a bell of standard
+    deviation ``gloss_width_m``, so that each eye sees it elsewhere.
     """
 
     centre_m: tuple[float, float]
     radius_m: float = Field(gt=0.01, le=2.0)
     contrast: float = Field(default=0.1, ge=0.0, le=1.0)
+    gloss_grey: float = Field(default=0.0, ge=0.0, le=2000.0)
+    gloss_width_m: float = Field(default=0.08, ge=0.01, le=1.0)
 
 
 class BlockConfig(StrictModel):
@@ -112,6 +116,24 @@ class RebarConfig(StrictModel):
             raise ValueError(
                 f"spacing_m {self.spacing_m:g}: more than 40 bars side by side over {self.size_m}"
             )
+        return self
+
+
+class CableConfig(StrictModel):
+    """A cable before the wall between two ends in O axes, ``sag_m`` lower in its middle."""
+
+    ends_m: tuple[tuple[float, float, float], tuple[float, float, float]]
+    sag_m: float = Field(default=0.1, ge=0.0, le=5.0)
+    diameter_m: float = Field(default=0.02, ge=0.004, le=0.2)
+    grey: float = Field(default=45.0, ge=0.0, le=255.0)
+
+    @model_validator(mode="after")
+    def _hangs_before_the_wall(self) -> "CableConfig":
+        (x0, y0, z0), (x1, y1, z1) = self.ends_m
+        if not min(z0, z1) > 0.0:
+            raise ValueError(f"ends_m: z = {min(z0, z1):g}, a cable hangs before the wall: above 0")
+        if math.hypot(x1 - x0, y1 - y0, z1 - z0) < 0.05:
+            raise ValueError("ends_m: the ends must be 0.05 m apart")
         return self
 
 

@@ -13,7 +13,7 @@ from plant_emulator.core.camera.lighting import NO_GLARE, glare_on, shadow_on
 from plant_emulator.core.camera.plates import Placed, Plate, Sheets, placed, ray_to_plane, sheets
 from plant_emulator.core.camera.scene import Cover, Scene
 from plant_emulator.core.camera.true_eye import TrueEye
-from plant_emulator.core.camera.wall import bores, tubes, wall_painter
+from plant_emulator.core.camera.wall import bores, gloss, tubes, wall_painter
 from plant_emulator.core.camera.wall.wall_texture import SIZE, SIZE_BITS, Texture
 
 Grey = NDArray[np.uint8]
@@ -49,19 +49,20 @@ class Eye:
         X_EOs = X_EWs @ self._scene.mounts.X_WO
         X_EMs = np.stack([X_EW @ view.X_WM for X_EW, view in zip(X_EWs, views, strict=True)])
         time_s = 1e-9 * capture.capture_ns + offset_s
-        self._paint_wall(picture, X_EOs, time_s)
+        edge_m = self._edge_m(views[0].X_WC, time_s)
+        self._paint_wall(picture, X_EOs, edge_m)
         for group in (self._on_wall, self._sheets(_of("O", covers))):
-            self._paint_plates(picture, group, X_EOs @ group.poses[:, None], group.poses, time_s)
+            self._paint_plates(picture, group, X_EOs @ group.poses[:, None], group.poses, edge_m)
         if self._tubes:
-            tubes.paint(picture, self._rays, self._tubes, self._view(X_EOs, time_s), X_EOs[0], self.lens)
+            tubes.paint(picture, self._rays, self._tubes, self._view(X_EOs, edge_m), X_EOs[0], self.lens)
         for passer, group in zip(self._scene.passers, self._passing, strict=True):
             X_OPs = np.stack([passer.pose(time_s + end_s) for end_s in self._ends_s])
-            self._paint_plates(picture, group, (X_EOs @ X_OPs)[None], X_OPs[:1], time_s)
+            self._paint_plates(picture, group, (X_EOs @ X_OPs)[None], X_OPs[:1], edge_m)
         for group in (self._on_tool, self._sheets(_of("M", covers))):
             X_EPs = X_EMs @ group.poses[:, None]
             # only light asks where in the scene the tool is
             X_OPs = np.linalg.inv(X_EOs[0]) @ X_EPs[:, 0] if self._scene.shaded else group.poses
-            self._paint_plates(picture, group, X_EPs, X_OPs, time_s)
+            self._paint_plates(picture, group, X_EPs, X_OPs, edge_m)
         return picture
 
     @cached_property
@@ -88,13 +89,18 @@ class Eye:
     def _sheets(self, plates: tuple[Plate, ...]) -> Sheets:
         return sheets(plates, self._scene.config.wall.lighting_gradient_per_m)
 
-    def _paint_wall(self, picture: Grey, X_EOs: Matrix, time_s: float) -> None:
+    def _edge_m(self, X_WC: Matrix, time_s: float) -> float:
+        """Where the shade's edge is, seen by either eye of the camera at ``X_WC`` (4, 4)."""
+        X_OC = np.linalg.inv(self._scene.mounts.X_WO) @ X_WC
+        return self._scene.config.lighting.shadow.edge_m(time_s, (float(X_OC[0, 3]), float(X_OC[1, 3])))
+
+    def _paint_wall(self, picture: Grey, X_EOs: Matrix, edge_m: float) -> None:
         wall = self._scene.config.wall
         per_m = 1000.0 / wall.texel_mm
         to_texels = np.array([[per_m, 0.0, SIZE / 2.0], [0.0, per_m, SIZE / 2.0], [0.0, 0.0, 1.0]])
         homographies = (to_texels @ ray_to_plane(X_EOs))[[0, -1]]
         along, down = wall.lighting_gradient_per_m[0] / per_m, -wall.lighting_gradient_per_m[1] / per_m
-        shadow = shadow_on(self._scene.config.lighting.shadow, np.eye(4), time_s)
+        shadow = shadow_on(self._scene.config.lighting.shadow, np.eye(4), edge_m)
         shadow[:2] /= per_m
         shadow[2] -= (shadow[0] + shadow[1]) * SIZE / 2.0
         light = np.array([1.0 - (along + down) * SIZE / 2.0, along, down, *shadow])
@@ -118,23 +124,26 @@ class Eye:
             relief,
             _SKY_GREY,
         )
+        if any(patch.gloss_grey for patch in wall.bare_patches):
+            seen, lamp = self._view(X_EOs, edge_m), self._scene.config.lighting.glare
+            gloss.shine(picture, self._rays, wall.bare_patches, lamp, seen, X_EOs[0], self.lens)
         if self._bores:
-            bores.cut(picture, self._rays, self._bores, self._view(X_EOs, time_s), X_EOs[0], self.lens)
+            bores.cut(picture, self._rays, self._bores, self._view(X_EOs, edge_m), X_EOs[0], self.lens)
 
-    def _view(self, X_EOs: Matrix, time_s: float) -> bores.View:
+    def _view(self, X_EOs: Matrix, edge_m: float) -> bores.View:
         """How the eye sees the wall's plane."""
-        shadow = shadow_on(self._scene.config.lighting.shadow, np.eye(4), time_s)
+        shadow = shadow_on(self._scene.config.lighting.shadow, np.eye(4), edge_m)
         return bores.view(X_EOs, self._scene.config.wall, shadow)
 
     def _paint_plates(
-        self, picture: Grey, group: Sheets, X_EPs: Matrix, X_OPs: Matrix, time_s: float
+        self, picture: Grey, group: Sheets, X_EPs: Matrix, X_OPs: Matrix, edge_m: float
     ) -> None:
         """Paint ``group``, at ``X_EPs`` (n, m, 4, 4) in the eye and ``X_OPs`` (n, 4, 4) in the scene."""
         if not group.plates:
             return
         for one in placed(group.rims, X_EPs, self.lens, self._size):
             plate = group.plates[one.number]
-            surface = self._surface(group, one, X_OPs[one.number], time_s)
+            surface = self._surface(group, one, X_OPs[one.number], edge_m)
             if plate.levels:
                 panel = panel_painter.Panel(plate.edges_x, plate.edges_y, plate.levels)
                 panel_painter.paint_panel(picture, self._rays, one.homographies, panel, one.box, surface)
@@ -142,13 +151,13 @@ class Eye:
                 grid = rasteriser.Grid(plate.edges_x, plate.edges_y, plate.grey)
                 rasteriser.paint_plate(picture, self._rays, one.homographies, grid, one.box, surface)
 
-    def _surface(self, group: Sheets, one: Placed, X_OP: Matrix, time_s: float) -> rays.Surface:
+    def _surface(self, group: Sheets, one: Placed, X_OP: Matrix, edge_m: float) -> rays.Surface:
         plate, eye_P, lighting = group.plates[one.number], one.eye_P, self._scene.config.lighting
         curve, across, up = plate.bend
         return rays.Surface(
             group.lights[one.number],
             np.array([curve, across, -up, eye_P[0], -eye_P[1], eye_P[2]]),
-            shadow_on(lighting.shadow, X_OP, time_s),
+            shadow_on(lighting.shadow, X_OP, edge_m),
             glare_on(lighting.glare, X_OP, eye_P) if plate.glossy else NO_GLARE,
         )
 

@@ -1,7 +1,5 @@
 """Shadow and glare in the coordinates of one plate, as the painters take them."""
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,17 +11,16 @@ NO_SHADOW = np.array([0.0, 0.0, 0.0, 1.0])
 NO_GLARE = np.zeros(4)
 
 
-def shadow_on(config: ShadowConfig, X_OP: Array, time_s: float) -> Array:
+def shadow_on(config: ShadowConfig, X_OP: Array, edge_m: float) -> Array:
     """(per m right, per m down, constant, factor) of a plate at X_OP (4x4).
 
-    The first three give the distance beyond the shadow's edge in widths of its ramp.
+    The first three give the distance beyond the shadow's edge, ``edge_m`` now, in widths of its ramp.
     """
     if config.factor == 1.0:
         return NO_SHADOW.copy()
-    angle = math.radians(config.direction_deg)
-    normal = np.array([math.cos(angle), math.sin(angle)])
+    normal = np.array(config.normal)
     right, up, origin = (normal @ X_OP[:2, column] for column in (0, 1, 3))
-    beyond = np.array([right, -up, origin - config.edge_m(time_s)]) / config.penumbra_m
+    beyond = np.array([right, -up, origin - edge_m]) / config.penumbra_m
     return np.append(beyond, config.factor)
 
 

@@ -23,6 +23,7 @@ from plant_emulator.core.camera.plates import Plate as Plate
 from plant_emulator.core.camera.surroundings import (
     block_outline,
     block_plates,
+    cable_plates,
     front_of,
     passer_plate,
     rebar_plates,
@@ -165,6 +166,7 @@ class Scene:
             *(plate for block in config.wall.blocks for plate in block_outline(block)),
             *(tube_outline(tube) for tube in config.wall.tubes),
             *(bar for mat in config.rebar for bar in rebar_plates(mat)),
+            *(piece for cable in config.cables for piece in cable_plates(cable)),
             *self._obstacles("wall"),
         )
         self.tool_plates = (*self._bracket(), tool_marker, *self._obstacles("tool"))
@@ -184,6 +186,7 @@ class Scene:
             *self._wall_markers,
             *(plate for block in blocks for plate in block_plates(block, config.wall)),
             *(plate for mat in config.rebar for plate in rebar_plates(mat)),
+            *(plate for cable in config.cables for plate in cable_plates(cable)),
             *(plate for board in config.boards for plate in board_plates(board)),
             *self._obstacles("wall"),
         )

@@ -61,6 +61,56 @@ def test_a_shadow_darkens_by_its_factor_and_its_edge_wanders() -> None:
         assert round(column) - 40.5 + (120.0 - profile).sum() / 60.0 == pytest.approx(column, abs=0.2)
 
 
+@pytest.mark.parametrize("direction_deg", [0.0, 180.0])
+def test_a_carried_shade_goes_with_the_camera_and_is_one_for_both_eyes(direction_deg: float) -> None:
+    """As of a boom before its lamp: its edge stays at one column, and at one place of the wall for a pair."""
+    shadow = {
+        "factor": 0.5,
+        "direction_deg": direction_deg,
+        "start_m": 0.1,
+        "speed_m_s": 0.0,
+        "carried": True,
+    }
+    eyes = even(lighting={"shadow": shadow})
+    first, edges = wall_view(eyes.scene, 1.0), []
+    for moved in (0.0, 0.15):
+        view = first._replace(X_WC=first.X_WC @ transform(np.eye(3), np.array([moved, 0.0, 0.0])))
+        pair = at(eyes, Capture(1, 0, view))
+        step = [np.abs(np.diff(picture[100].astype(float))) for picture in pair]
+        edges.append([(np.arange(1279) * each).sum() / each.sum() + 0.5 for each in step])
+    assert edges[1] == pytest.approx(edges[0], abs=0.3)
+    X_OC = np.linalg.inv(eyes.scene.mounts.X_WO) @ first.X_WC
+    place = X_OC[0, 3] + math.copysign(0.1, math.cos(math.radians(direction_deg)))
+    assert edges[0][LEFT] == pytest.approx(on_wall(eyes, first, place, 0.0)[0], abs=0.3)
+    baseline_px = eyes.config.baseline_m * eyes.config.lens.fx_px / 1.0
+    assert edges[0][LEFT] - edges[0][1] == pytest.approx(baseline_px, abs=1.0)
+
+
+def test_a_wet_patch_shines_where_a_mirror_would_show_the_lamp_and_nowhere_else() -> None:
+    view = wall_view(even().scene, 0.9)
+    eye = (np.linalg.inv(even().scene.mounts.X_WO) @ view.X_WC)[:3, 3]
+    place = eye[:2] + np.array([0.2, 0.12])  # beside what hangs on the wall
+    lamp = [*(place + (place - eye[:2]) * 1.2 / eye[2]), 1.2]  # a mirror there shows it
+    patch = {"centre_m": (place + np.array([0.01, 0.0])).tolist(), "radius_m": 0.16, "contrast": 1.0}
+    pairs = []
+    for gloss in ({}, {"gloss_grey": 60.0, "gloss_width_m": 0.02}):
+        eyes = even(wall=EVEN | {"bare_patches": [patch | gloss]}, lighting={"glare": {"lamp_m": lamp}})
+        pairs.append(at(eyes, Capture(1, 0, view)))
+    v, u = np.mgrid[0:720, 0:1280]
+    middles = []
+    for dry, wet in zip(*pairs, strict=True):
+        added = wet.astype(float) - dry
+        assert added.min() >= 0.0
+        assert added.max() == pytest.approx(60.0, abs=2.0)
+        middles.append([(added * axis).sum() / added.sum() for axis in (u, v)])
+    assert middles[LEFT] == pytest.approx(on_wall(eyes, view, *place), abs=2.0)
+    left = pairs[1][LEFT].astype(float) - pairs[0][LEFT]
+    assert not left[:, round(on_wall(eyes, view, place[0] + 0.19, place[1])[0]) :].any()
+    paint = eyes.config.baseline_m * eyes.config.lens.fx_px / 0.9
+    shown = paint * 0.9 / (0.9 + 1.2)  # the lamp's image lies that far behind the wall
+    assert middles[LEFT][0] - middles[RIGHT][0] == pytest.approx(shown, abs=4.0)
+
+
 def test_a_shadow_lies_on_markers_and_on_what_the_tool_carries() -> None:
     shaded = even(lighting={"shadow": {"factor": 0.5, "start_m": 5.0, "speed_m_s": 0.0}})
     view = start_view(shaded.scene)
@@ -73,11 +123,11 @@ def test_a_shadow_lies_on_markers_and_on_what_the_tool_carries() -> None:
 def test_a_tilted_plates_shadow_is_that_of_its_points() -> None:
     config = scene_config({"lighting": {"shadow": {"factor": 0.4, "direction_deg": 30.0}}}).lighting.shadow
     X_OP = transform(rotation_from_vector(np.array([0.3, -0.5, 0.2])), np.array([0.1, -0.2, 0.4]))
-    a, b, c, factor = shadow_on(config, X_OP, 3.0)
+    a, b, c, factor = shadow_on(config, X_OP, config.edge_m(3.0, (9.0, 9.0)))
     s, t = 0.07, 0.11  # right, down
     x, y, _, _ = X_OP @ [s, -t, 0.0, 1.0]
     way = math.cos(math.radians(30.0)) * x + math.sin(math.radians(30.0)) * y
-    assert a * s + b * t + c == pytest.approx((way - config.edge_m(3.0)) / config.penumbra_m)
+    assert a * s + b * t + c == pytest.approx((way - config.edge_m(3.0, (0.0, 0.0))) / config.penumbra_m)
     assert factor == 0.4
 
 

@@ -110,6 +110,25 @@ def test_bars_stand_where_the_mat_says() -> None:
         assert (near * profile[near]).sum() / profile[near].sum() == pytest.approx(column, abs=0.1)
 
 
+def test_a_cable_hangs_between_its_ends_and_hides_what_is_behind() -> None:
+    ends = [[-0.9, 0.25, 0.1], [-0.2, 0.15, 0.1]]
+    eyes = clean(wall=EVEN, cables=[{"ends_m": ends, "sag_m": 0.12, "diameter_m": 0.03, "grey": 20.0}])
+    view = wall_view(eyes.scene, 1.0)
+    picture = eyes.render_eye(LEFT, view, 1).astype(float)
+    for share in (0.25, 0.5, 0.75):
+        x, y = -0.9 + 0.7 * share, 0.25 - 0.1 * share - 4.0 * 0.12 * share * (1.0 - share)
+        column, row = column_of(eyes, view, x, y, 0.1)
+        near = np.arange(round(row) - 25, round(row) + 26)
+        profile = (120.0 - picture[near, round(column)]) / 100.0
+        slope = (-0.1 - 4.0 * 0.12 * (1.0 - 2.0 * share)) / 0.7
+        thick = 0.03 * eyes.config.lens.fx_px / 0.9 * np.hypot(1.0, slope)
+        assert (near * profile).sum() / profile.sum() == pytest.approx(row, abs=0.7)
+        assert profile.sum() == pytest.approx(thick, rel=0.06)
+    assert len(eyes.scene.hiding(0.0)) == 16
+    with pytest.raises(ConfigurationError, match="before the wall"):
+        clean(cables=[{"ends_m": [[0.0, 0.0, 0.1], [0.5, 0.0, 0.0]]}])
+
+
 def test_what_passes_is_where_its_speed_has_brought_it() -> None:
     even = PERSON | {"contrast_grey": 0.0, "mean_grey": 220.0}
     eyes = clean(wall=EVEN, passers=[even])
