@@ -54,6 +54,19 @@ def test_corners_are_as_good_as_they_say_and_small_markers_are_kept() -> None:
     assert too_small == []
 
 
+@pytest.mark.parametrize("name", ["DICT_4X4_50", "DICT_5X5_100", "DICT_6X6_250", "DICT_7X7_50"])
+def test_every_size_that_opencv_has_of_a_family_is_known(name: str, tmp_path: Path) -> None:
+    """A book of 250 is the first quarter of one of 1000: others name the small one."""
+    book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+    shown = np.full((200, 200), 255, np.uint8)
+    shown[50:150, 50:150] = cv2.aruco.generateImageMarker(book, 17, 100)
+    cv2.imwrite(str(tmp_path / "a.png"), shown)
+    result = CliRunner().invoke(
+        app, ["markers", str(tmp_path / "a.png"), "--dictionary", name, "--number", "17"]
+    )
+    assert result.exit_code == 0, result.output
+
+
 def test_a_pair_is_listed_drawn_and_written(tmp_path: Path) -> None:
     left, right = tmp_path / "left.png", tmp_path / "right.png"
     cv2.imwrite(str(left), picture({3: (60.0, 30.0, 40.0)}))
