@@ -37,11 +37,16 @@ class TrialsTold(StrictModel):
 def trials_told(path: Path) -> TrialsTold:
     """What the vision PC told in ``path``: the operation as its API gives it, or its result alone.
 
-    Raises ConfigurationError (``commissioning.bad_session``, ``configuration.…``) for anything else.
+    Raises ConfigurationError: ``commissioning.no_trials`` for one that failed, ``commissioning.bad_session``,
+    ``configuration.…`` for anything else.
     """
     found = _read(path)
     if found is None:
         raise ConfigurationError("commissioning.bad_session", f"{path}: no such file")
+    problem = found.get("problem") or found
+    if isinstance(problem, dict) and "cause" in problem:
+        why = f"{problem['cause']}: {problem.get('detail')}"
+        raise ConfigurationError("commissioning.no_trials", f"{path}: the operation failed: {why}")
     return validated(TrialsTold, found.get("result") or found, str(path))
 
 

@@ -165,6 +165,8 @@ async def test_what_the_vision_pc_let_be_tried_out_is_taken_with_its_plays(tmp_p
     ("text", "cause"),
     [
         ("{", "commissioning.bad_session"),
+        ('{"cause": "link.camera_silent", "detail": "no picture"}', "commissioning.no_trials"),
+        ('{"result": null, "problem": {"cause": "refused.cancelled"}}', "commissioning.no_trials"),
         ('{"result": {"unseen": {}}}', "configuration.missing"),
         ('{"play_mrad": {"elbow": {"value": 1, "std": 1}}}', "configuration.literal_error"),
         ('{"play_mrad": {"slew": {"value": 1, "std": 0}}}', "configuration.greater_than"),
