@@ -11,7 +11,8 @@ closed valves. Between s = −1 and s = +1 lie
 2 b: b > 0 where the tool moves while the encoder stands (play on the encoder's side), b < 0 where the encoder
 moves while the tool stands (loose steel behind it). Slow triangles pass the same angles out and back at
 many speeds, which keeps b apart from τ. A long boom swings on beside all of that: where one frequency takes
-clearly more away than chance, each triangle has a swing of its own with it.
+clearly more away than chance, it is fitted along, either as a boom that the encoder's own motion drives, or
+as a swing of each triangle's own.
 """
 
 import math
@@ -21,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import bilinear, lfilter
 from scipy.spatial.transform import Rotation
 
 from protocol.errors import MeasurementFailed
@@ -33,6 +35,7 @@ _CROSSED_RAD = 2e-3  # after so much of a triangle the load has come along
 _WINDOW_S = 0.2  # of the encoder's speed and acceleration
 _SWING_S = 0.8  # longer than a swing of the boom: what is left of the speed over it does not swing
 _SWINGS_RAD_S = 2.0 * math.pi * np.arange(0.4, 4.6, 0.05)  # up to half of ten pictures a second
+_DAMPINGS = (0.01, 0.03, 0.1)  # of a boom on its oil
 _SWUNG = 0.85  # of what is left without: less is a swing
 _LEAST_FRAMES = 8  # of a triangle's half
 _LEAST_PAIRS = 2
@@ -79,7 +82,7 @@ class _Rows(NamedTuple):
 
 class _Motion(NamedTuple):
     """The encoders at every capture at ``t`` (m,) s: angle, speed, its swinging part and acceleration (m,) of
-    the joint, ``others`` (m, 5).
+    the joint, ``others`` (m, 5). ``behind`` (k, m): by what booms of k kinds lag behind it.
     """
 
     t: Array
@@ -88,6 +91,7 @@ class _Motion(NamedTuple):
     swing: Array
     a: Array
     others: Array
+    behind: Array
 
 
 def joint_play(seen: JointSeen) -> PlayFound:
@@ -137,7 +141,27 @@ def _motion(seen: JointSeen) -> _Motion:
         speed - steady,
         (after - 2.0 * here + before) / half**2,
         others - others.mean(axis=0) if len(others) else others,
+        _behind(seen, times),
     )
+
+
+def _behind(seen: JointSeen, times: Array) -> Array:
+    """For every frequency and damping (k, m): the angle of a boom that the encoder drives, less its own.
+
+    Driven at its root by q the boom's own angle is q through (2ζωs + ω²)/(s² + 2ζωs + ω²): no derivative of
+    q is wanted.
+    """
+    step = float(np.median(np.diff(seen.t)))
+    even = np.arange(seen.t[0], seen.t[-1] + step, step)
+    q = np.interp(even, seen.t, seen.q[:, seen.joint])
+    moved = q - q[0]
+    found = []
+    for omega in _SWINGS_RAD_S:
+        for zeta in _DAMPINGS:
+            down = [1.0, 2.0 * zeta * omega, omega**2]
+            b, a = bilinear(down[1:], down, 1.0 / step)
+            found.append(np.interp(times, even, lfilter(b, a, moved) - moved))
+    return np.array(found)
 
 
 def _triangles(seen: JointSeen, motion: _Motion) -> list[_Rows]:
@@ -174,13 +198,14 @@ def _found(along: Array, motion: _Motion, halves: Sequence[_Rows]) -> PlayFound:
     The spread is that of leaving out one triangle after the other: what a swing leaves in a triangle is alike
     from frame to frame.
     """
-    whole, omega = _fit(along, motion, halves), 0.0
-    swings = [_fit(along, motion, halves, each) for each in _SWINGS_RAD_S]
+    whole, swing = _fit(along, motion, halves), _STIFF
+    ways = [*(_Swing(float(omega)) for omega in _SWINGS_RAD_S), *(_Swing(0.0, e) for e in motion.behind)]
+    swings = [_fit(along, motion, halves, each) for each in ways]
     best = int(np.argmin([fit.residual for fit in swings]))
     if swings[best].residual < _SWUNG * whole.residual:
-        whole, omega = swings[best], float(_SWINGS_RAD_S[best])
+        whole, swing = swings[best], ways[best]
     n = len(halves)
-    others = [_fit(along, motion, [*halves[:k], *halves[k + 1 :]], omega) for k in range(n)]
+    others = [_fit(along, motion, [*halves[:k], *halves[k + 1 :]], swing) for k in range(n)]
     widened = (n - 1) / math.sqrt(n) * math.sqrt((n - 1) / (n - 3))
     half_std, delay_std = (widened * float(np.std([fit[k] for fit in others])) for k in (0, 1))
     return PlayFound(
@@ -193,8 +218,18 @@ def _found(along: Array, motion: _Motion, halves: Sequence[_Rows]) -> PlayFound:
     )
 
 
-def _fit(along: Array, motion: _Motion, halves: Sequence[_Rows], omega: float = 0.0) -> _Fit:
-    """``omega`` (rad/s): of the swings; 0: without. What is left counts by its degrees of freedom."""
+class _Swing(NamedTuple):
+    """``omega`` (rad/s) of each triangle's own swing, 0: none; ``behind`` (m,): of a driven boom."""
+
+    omega: float
+    behind: Array | None = None
+
+
+_STIFF = _Swing(0.0)
+
+
+def _fit(along: Array, motion: _Motion, halves: Sequence[_Rows], swing: _Swing = _STIFF) -> _Fit:
+    """What is left counts by its degrees of freedom."""
     rows = np.concatenate([half.rows for half in halves])
     senses = np.concatenate([np.full(len(half.rows), half.sense) for half in halves])
     x = motion.q[rows] - motion.q[rows].mean()
@@ -205,7 +240,8 @@ def _fit(along: Array, motion: _Motion, halves: Sequence[_Rows], omega: float = 
     turned = along[rows] @ (slopes / size**2)  # in radians of the joint
     matrix = np.column_stack(
         [np.ones_like(x), x, x**2, x**3, senses, motion.v[rows], motion.swing[rows], motion.a[rows],
-         motion.others[rows], *_swings(motion.t, halves, omega)]
+         motion.others[rows], *_swings(motion.t, halves, swing.omega),
+         *([] if swing.behind is None else [swing.behind[rows]])]
     )  # fmt: skip
     units = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
     scaled, *_ = np.linalg.lstsq(matrix / units, turned, rcond=None)
