@@ -106,11 +106,16 @@ async def test_the_side_that_is_expected_is_the_likelier_one() -> None:
     assert 0.0 < turned_share(track) < turned_share(few) < 0.5 <= turned_share(many) < 1.0
 
 
-@pytest.mark.parametrize(("off_mm", "drives"), [(4.5, 6), (6.5, 10)])
-async def test_what_odometry_sees_outside_the_tolerance_is_driven_again(off_mm: float, drives: int) -> None:
+@pytest.mark.parametrize(
+    ("off_mm", "corrections", "drives"), [(4.5, 5, 6), (6.5, 5, 10), (6.5, 0, 1)], ids=str
+)
+async def test_what_odometry_sees_outside_the_tolerance_is_driven_again_unless_one_shot_was_asked_for(
+    off_mm: float, corrections: int, drives: int
+) -> None:
     _, track = await calibrated(10, repeat(False))
     local_map = settings(outside=4, useless=10)
-    residuals = [np.array([0.5, 0.0, 0.5])]
-    while _needs_another_motion(residuals, 2, track, POSITIONING, local_map, 0.0):
+    asked = POSITIONING.model_copy(update={"corrections": corrections})
+    residuals, parts = [np.array([0.5, 0.0, 0.5])], 2 if corrections else 1
+    while _needs_another_motion(residuals, parts, track, asked, local_map, 0.0):
         residuals.append(np.array([1e-3 * off_mm, 0.0, 0.0]))
     assert len(residuals) - 1 == drives

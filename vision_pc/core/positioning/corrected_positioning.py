@@ -133,14 +133,15 @@ def _needs_another_motion(
     is outside ``nudge_m``, and where drives adapt also worth another one after what they left in ``track``
     and what the slew's backlash may (``servo_spread``); until a few in a row were of no use: the first may
     have gone into backlash. Where drives adapt and odometry sees the tool outside the tolerance, there may be
-    ``adaptive.outside`` more.
+    ``adaptive.outside`` more; not where no correction is allowed.
     """
     drives = len(residuals) - 1
     left = settings.corrections + 1 - drives
     if drives < parts:
         return True
     adaptive = map_settings.adaptive
-    more = adaptive.outside if adaptive.enabled and _is_outside(residuals[-1], settings) else 0
+    again = settings.corrections > 0 and adaptive.enabled and _is_outside(residuals[-1], settings)
+    more = adaptive.outside if again else 0
     if left + more < 1:
         return False
     sizes = [math.hypot(residual[0], residual[1]) for residual in residuals[parts:]]

@@ -19,7 +19,7 @@ from vision_pc.core.calibration.local_error_model import TAKEN_UP, LocalTrack
 from vision_pc.core.se3 import Array
 
 _ACROSS = 2.0  # of a miss, x and y are seen without the look's range
-_TURNED, _ENDS = 0.5, 2.0  # of so many ends before any was seen, on the other side: [M] 6 of 24
+_TURNED, _ENDS = 0.5, 2.0  # of so many ends before any was seen, on the other side: [M] 6 of 25
 
 
 class ServoSpread(NamedTuple):
