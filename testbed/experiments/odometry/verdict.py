@@ -125,12 +125,15 @@ def matrix_verdict(done: Rows) -> list[Check]:
     usable = [row for name, rows in kinds.items() for row in rows if not KINDS[name].refused]
     useless = [row for name, rows in kinds.items() for row in rows if KINDS[name].refused]
     pairs = sum(row.pairs for row in usable)
-    checks = [
-        at_most(f"wrong and not told, of {pairs} pairs", sum(row.wrong for row in usable), 0.0),
-        at_most("pairs located that nobody can locate", sum(row.located for row in useless), 0.0),
-        at_most("runs that failed", sum(bool(row.failure) for row in done.rows), 0.0),
-        inside("error² / variance told, over the kinds", _nees(usable), NEES_BAND),
-    ]
+    checks = [at_most("runs that failed", sum(bool(row.failure) for row in done.rows), 0.0)]
+    if usable:
+        checks += [
+            at_most(f"wrong and not told, of {pairs} pairs", sum(row.wrong for row in usable), 0.0),
+            inside("error² / variance told, over the kinds", _nees(usable), NEES_BAND),
+        ]
+    if useless:
+        located = sum(row.located for row in useless)
+        checks.append(at_most("pairs located that nobody can locate", located, 0.0))
     if still := kinds.get("still_wall"):
         checks.append(
             at_most("ATE on the still wall, calibration exact", _middle(still, "ate_mm"), 0.1, "mm")
