@@ -32,7 +32,7 @@ from vision_pc.core.types import WatchSample
 
 _OFFSET_STD_M = 1.0  # of the offset: free
 _ROUNDS = 5  # of reweighting
-TAKEN_UP = -1.0  # the side of the backlash after a positive turn of the slew
+_TAKEN_UP = np.array([-1.0])  # the side of the backlash after a positive turn of the slew
 
 # Columns of Φ, entries of θ.
 _ROTATION = slice(0, 3)
@@ -53,7 +53,6 @@ class LocalTrack(NamedTuple):
     reference. ``left`` (P, 3) rad: the same of slew, lift and tilt; ``take_up``: how the last path ended.
     ``misses`` (D, 3) m in B: how far from what was wanted fine drives ended, by odometry. ``ruler``: what
     makes odometry's lengths the look's, already in ``X_KC``; None where it is not asked for or not told.
-    ``sides`` (P,), −1…1: of the slew's backlash, on which each path ended by its encoder.
     ``unrest`` m: how far the tool was seen to go to and fro, by its encoders, where it should have rested.
     """
 
@@ -67,7 +66,6 @@ class LocalTrack(NamedTuple):
     misses: Array
     ruler: Ruler | None = None
     unrest: float = 0.0
-    sides: Array = np.zeros(0)
 
     @property
     def X_BT_now(self) -> Array:
@@ -87,8 +85,8 @@ class LocalErrorModel(NamedTuple):
     """The fitted model R d = x + Φ(x) θ about the present pose ``X_BT``, for an arm of ``dimensions``.
 
     ``R`` (3, 3) rotates the axes of K into B; ``theta`` (n,), ``covariance`` (n, n). ``residual_m``: rms of
-    the fit; ``condition``: of the rotational information of the track. ``side``: of the slew's backlash, on
-    which the track ended, −1…1. ``delay``: None where it is not asked for.
+    the fit; ``condition``: of the rotational information of the track. Holds for steps that end as the track
+    did, after a positive turn of the slew (backlash taken up). ``delay``: None where it is not asked for.
     """
 
     R: Array
@@ -98,14 +96,7 @@ class LocalErrorModel(NamedTuple):
     residual_m: float
     condition: float
     dimensions: BoomDimensions
-    side: float = TAKEN_UP
     delay: CameraDelay | None = None
-
-    @property
-    def backlash_m2(self) -> float:
-        """Expected square (m²) of how far the tool stands from where it is, on the backlash's other side."""
-        square = self.theta[_BACKLASH] ** 2 + self.covariance[_BACKLASH, _BACKLASH]
-        return float(4.0 * square * (slew_lever(self.X_BT) ** 2).sum())
 
     @property
     def scale(self) -> float:
@@ -161,7 +152,6 @@ async def watched_path(
     track = track_of(watch.samples, overrun, begun, max(AT_REST, settings.at_rest.pictures))
     swings = (end.take_up.unrest_m(end.view.X_BT, dimensions), begun.apart_m, ended.apart_m)
     track = track._replace(left=end.left[None], take_up=end.take_up, unrest=max(swings))
-    track = track._replace(sides=_sides(track, dimensions, settings)[-1:])
     if not markers:
         return track
     held = [s.X_CO for s in watch.samples if s.X_C0C is not None]
@@ -223,7 +213,6 @@ def extended(track: LocalTrack, further: LocalTrack) -> LocalTrack:
         np.concatenate([track.misses, further.misses]),
         track.ruler,
         further.unrest,
-        np.concatenate([track.sides, further.sides]),
     )
 
 
@@ -252,7 +241,7 @@ def fit_error_model(
     m = track.X_KC[:, :3, 3] + track.X_KC[:, :3, :3] @ p_CM  # marker points: the lever arm is gone
     p = track.X_BT[:, :3, 3]
     R = _kabsch(m, p)
-    h = _sides(track, dimensions, settings)
+    h = backlash_sides(slew_angles(track.X_BT, dimensions.wrist_to_tool), settings.reversal_rad)
     columns = _columns(track.X_BT, h, track.X_BT_now, dimensions)
     Phi = columns.reshape(-1, columns.shape[2])
     wanted = ((m - m[-1]) @ R.T - (p - p[-1])).ravel()
@@ -280,27 +269,18 @@ def fit_error_model(
     if settings.delay_std_s > 0.0:
         delay = CameraDelay(float(theta[-1]), float(np.sqrt(covariance[-1, -1])))
         theta, covariance = theta[:-1], covariance[:-1, :-1]
-    side = float(h[-1])
-    return LocalErrorModel(R, track.X_BT_now, theta, covariance, residual, condition, dimensions, side, delay)
+    return LocalErrorModel(R, track.X_BT_now, theta, covariance, residual, condition, dimensions, delay)
 
 
-def solve_step(fitted: LocalErrorModel, d: Array, side: float | None = None) -> tuple[Array, Array]:
-    """(x (3,): the nominal step in B that moves the marker by ``d`` (3,) in K, its covariance (3×3) in B).
-
-    ``side``: of the slew's backlash, on which it shall end; None: on that on which the track did.
-    """
+def solve_step(fitted: LocalErrorModel, d: Array) -> tuple[Array, Array]:
+    """(x (3,): the nominal step in B that moves the marker by ``d`` (3,) in K, its covariance (3×3) in B)."""
     wanted = fitted.R @ d
     here = fitted.X_BT
     x, columns = wanted, np.zeros((3, len(fitted.theta)))
     for _ in range(20):
         goal = transform(here[:3, :3], here[:3, 3] + x)
-        columns = _columns(goal[None], np.array([TAKEN_UP]), here, fitted.dimensions)[0]
+        columns = _columns(goal[None], _TAKEN_UP, here, fitted.dimensions)[0]
         columns[:, _OFFSET] = 0.0  # the offset is the error of the track's end alone
-        if side is not None:
-            ends = np.array(
-                [slew_lever(goal) * (side - TAKEN_UP), slew_lever(here) * (fitted.side - TAKEN_UP)]
-            )
-            columns[:, _BACKLASH] = ends[0] - ends[1]
         x = wanted - columns @ fitted.theta
     return x, columns @ fitted.covariance @ columns.T
 
@@ -320,17 +300,8 @@ def _columns(X_BT: Array, play: Array, X_BT_now: Array, dimensions: BoomDimensio
     fields = error_fields(np.concatenate([X_BT, X_BT_now[None]]), dimensions)
     Phi[:, :, _ARM_ERRORS] = fields[:-1] - fields[-1]
     levers = np.array([slew_lever(X) for X in X_BT])
-    Phi[:, :, _BACKLASH] = levers * (play - TAKEN_UP)[:, None]
+    Phi[:, :, _BACKLASH] = levers * (play - _TAKEN_UP)[:, None]
     return Phi
-
-
-def _sides(track: LocalTrack, dimensions: BoomDimensions, settings: LocalErrorModelSettings) -> Array:
-    """On which side of the slew's backlash (N,), −1…1, the load lies along ``track``.
-
-    Where drives adapt: −1 or 1. The encoder turns back only once the load has crossed all of it.
-    """
-    sides = backlash_sides(slew_angles(track.X_BT, dimensions.wrist_to_tool), settings.reversal_rad)
-    return np.where(sides > 0.0, 1.0, -1.0) if settings.adaptive.enabled else sides
 
 
 def _prior(settings: LocalErrorModelSettings) -> Array:

@@ -27,12 +27,7 @@ from vision_pc.core.calibration.local_error_model import (
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.positioning.expected_end import ExpectedEnd
 from vision_pc.core.positioning.foreseen_end import Wanted, foreseen_end, seen_end
-from vision_pc.core.positioning.learned_servo import (
-    expected_left,
-    expected_side,
-    servo_spread,
-    worth_correcting,
-)
+from vision_pc.core.positioning.learned_servo import expected_left, servo_spread, worth_correcting
 from vision_pc.core.positioning.look_then_move import (
     Ended,
     PositioningResult,
@@ -88,11 +83,11 @@ async def look_then_move_corrected(
     steps: list[Step] = []
     looks = [judge(look, settings)]
     residuals = [goal_K - p_CM]
-    parts, backlash_m2 = _parts(residuals[0], settings, map_settings), 0.0
-    while _needs_another_motion(residuals, parts, track, settings, map_settings, backlash_m2):
+    far = float(np.linalg.norm(residuals[0])) > map_settings.near_m
+    parts = 2 if far and settings.corrections else 1
+    while _needs_another_motion(residuals, parts, track, settings, map_settings):
         fitted = fit_error_model(track, p_CM, dimensions, map_settings)
-        side = expected_side(track) if map_settings.adaptive.enabled else None
-        x, covariance = solve_step(fitted, residuals[-1], side)
+        x, covariance = solve_step(fitted, residuals[-1])
         share = map_settings.first_share if len(steps) + 1 < parts else 1.0
         wanted = Wanted(x, covariance, share, max(settings.corrections + 1 - len(steps), 1))
         steps.append(_step(look, fitted, track, wanted, settings, map_settings))
@@ -102,21 +97,15 @@ async def look_then_move_corrected(
         goal_K = drive.X_KC[0][:3, :3] @ goal_K + drive.X_KC[0][:3, 3]
         residuals.append(goal_K - p_CM)
         missed = (fitted.R @ residuals[-1])[None] if share == 1.0 else np.zeros((0, 3))
-        track, backlash_m2 = extended(track, drive._replace(misses=missed)), fitted.backlash_m2
+        track = extended(track, drive._replace(misses=missed))
     seen = seen_end(residuals, look, fitted, track, settings, map_settings)
     report(0.9, f"looking; odometry says inside with probability {seen.inside:.2f}")
     looks.append(judge(await eyes.look(), settings))
     report(1.0, f"error {1e3 * looks[-1].error_m[0]:+.1f} {1e3 * looks[-1].error_m[1]:+.1f} mm")
-    unresolved = map_settings.adaptive.enabled and _is_outside(seen.mean_m, settings)
+    unresolved = map_settings.adaptive.enabled and np.abs(seen.mean_m[:2]).max() > settings.tolerance_m
     stopped = Ended.NOT_RESOLVED if unresolved else Ended.INPUT_LIMIT
     ended = Ended.REACHED if reached(looks[-1], settings) else stopped
     return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), seen, track, fitted.delay)
-
-
-def _parts(way: Array, settings: PositioningSettings, map_settings: LocalErrorModelSettings) -> int:
-    """How many motions make up the whole ``way`` (3,): two where it is long and corrections are allowed."""
-    far = float(np.linalg.norm(way)) > map_settings.near_m
-    return 2 if far and settings.corrections else 1
 
 
 def _needs_another_motion(
@@ -125,37 +114,30 @@ def _needs_another_motion(
     track: LocalTrack,
     settings: PositioningSettings,
     map_settings: LocalErrorModelSettings,
-    backlash_m2: float,
 ) -> bool:
     """Whether a further drive is due after the ``residuals`` (3,) before it, as odometry saw them.
 
     The first ``parts`` motions make up the whole way. After them fine corrections follow while the residual
-    is outside ``nudge_m``, and where drives adapt also worth another one after what they left in ``track``
-    and what the slew's backlash may (``servo_spread``); until a few in a row were of no use: the first may
-    have gone into backlash. Where drives adapt and odometry sees the tool outside the tolerance, there may be
-    ``adaptive.outside`` more; not where no correction is allowed.
+    is outside ``nudge_m``, and where drives adapt also worth another one after what they left in ``track``;
+    until a few in a row were of no use: the first may have gone into backlash. Where drives adapt and
+    odometry sees the tool outside the tolerance there may be ``adaptive.outside`` more, but for an open-loop
+    step, which is one drive.
     """
     drives = len(residuals) - 1
     left = settings.corrections + 1 - drives
     if drives < parts:
         return True
     adaptive = map_settings.adaptive
-    again = settings.corrections > 0 and adaptive.enabled and _is_outside(residuals[-1], settings)
-    more = adaptive.outside if again else 0
-    if left + more < 1:
+    outside = adaptive.enabled and np.abs(residuals[-1][:2]).max() > settings.tolerance_m
+    if left < 1 - (adaptive.outside if outside and settings.corrections else 0):
         return False
     sizes = [math.hypot(residual[0], residual[1]) for residual in residuals[parts:]]
     useless = len(sizes) - 1 - int(np.argmin(sizes))
     most, enough = _USELESS, settings.nudge_m
     if adaptive.enabled:
-        variance = servo_spread(track, map_settings, backlash_m2).variance
+        variance = servo_spread(track, map_settings).variance
         most, enough = adaptive.useless, worth_correcting(variance, adaptive.nudge_m, max(left, 1))
     return sizes[-1] > enough and useless < most
-
-
-def _is_outside(residual: Array, settings: PositioningSettings) -> bool:
-    """Whether odometry sees the tool outside the tolerance in x or y."""
-    return bool(np.abs(residual[:2]).max() > settings.tolerance_m)
 
 
 def _in_words(residual: Array) -> str:

@@ -40,7 +40,7 @@ def foreseen_end(
     then corrected until odometry finds it small, and odometry's own error counts for all of the way.
     """
     rest = 1.0 if wanted.share == 1.0 else (1.0 - wanted.share) ** 2
-    spread = servo_spread(track, map_settings, fitted.backlash_m2)
+    spread = servo_spread(track, map_settings)
     covariance = fitted.R.T @ (rest * wanted.covariance + spread.variance * np.eye(3)) @ fitted.R
     if settings.corrections and map_settings.adaptive.enabled:
         across = 0.5 * float(np.trace(covariance[:2, :2]))

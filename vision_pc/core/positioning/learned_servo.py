@@ -2,9 +2,7 @@
 
 One unknown scale of the configured spread, with an inverse-gamma prior worth a few drives. Each drive that
 was to end at the goal gives its miss by odometry. Joints that were seen not to answer in a band widen the
-prior. So does the slew's backlash: a slew that came too far is brought back through all of it, and the tool
-then stands to the other side of its encoder. When fine corrections stop, and what is left after them, follows
-from the spread.
+prior. When fine corrections stop, and what is left after them, follows from the spread.
 """
 
 import math
@@ -15,11 +13,10 @@ import numpy as np
 from nominal_arm.dimensions import BoomDimensions
 from vision_pc.config.programs import LocalErrorModelSettings
 from vision_pc.core.calibration.arm_fields import boom_levers
-from vision_pc.core.calibration.local_error_model import TAKEN_UP, LocalTrack
+from vision_pc.core.calibration.local_error_model import LocalTrack
 from vision_pc.core.se3 import Array
 
 _ACROSS = 2.0  # of a miss, x and y are seen without the look's range
-_TURNED, _ENDS = 0.5, 2.0  # of so many ends before any was seen, on the other side: [M] 6 of 25
 
 
 class ServoSpread(NamedTuple):
@@ -29,19 +26,13 @@ class ServoSpread(NamedTuple):
     freedom: float
 
 
-def servo_spread(
-    track: LocalTrack, settings: LocalErrorModelSettings, backlash_m2: float = 0.0
-) -> ServoSpread:
-    """What the next drive is expected to leave, where the slew's backlash moves the tool by the root of
-    ``backlash_m2``.
-    """
+def servo_spread(track: LocalTrack, settings: LocalErrorModelSettings) -> ServoSpread:
+    """What the next drive is expected to leave."""
     if not settings.adaptive.enabled:
         return ServoSpread(settings.servo_std_m**2, math.inf)
     banded = bool(np.any(track.take_up.gaps > settings.adaptive.gap_rad))
     band = settings.adaptive.band_std_m if banded else 0.0
-    turned = turned_share(track)
-    aside = turned * (1.0 - turned) * backlash_m2 / _ACROSS
-    prior = settings.servo_std_m**2 + band**2 + aside
+    prior = settings.servo_std_m**2 + band**2
     seen = prior + settings.odometry_std_m**2
     freedom = settings.adaptive.servo_freedom
     misses = np.concatenate([track.misses, _left_over(track, settings)])
@@ -56,16 +47,6 @@ def _left_over(track: LocalTrack, settings: LocalErrorModelSettings) -> Array:
     beyond = np.maximum(np.abs(track.left[:1]) - settings.adaptive.residual_rad, 0.0)
     reach = float(np.linalg.norm(track.X_BT_now[:2, 3]))
     return reach * beyond[beyond.any(axis=1)]
-
-
-def turned_share(track: LocalTrack) -> float:
-    """How many of the next ends are expected on the side of the slew's backlash that is not wanted."""
-    return (float(np.count_nonzero(track.sides > 0.0)) + _TURNED) / (len(track.sides) + _ENDS)
-
-
-def expected_side(track: LocalTrack) -> float:
-    """The side of the slew's backlash on which the next end is expected: the likelier one."""
-    return -TAKEN_UP if turned_share(track) >= 0.5 else TAKEN_UP
 
 
 def expected_left(track: LocalTrack, dimensions: BoomDimensions, settings: LocalErrorModelSettings) -> Array:

@@ -1,0 +1,33 @@
+"""What odometry sees outside the tolerance is driven again, beyond the corrections that were asked for."""
+
+import numpy as np
+import pytest
+
+from tests.vision_pc.program_settings import BOOM, shipped
+from tests.vision_pc.synthetic import SyntheticRig, draw, silent
+from vision_pc.config.programs import LocalErrorModelSettings
+from vision_pc.core.calibration.local_error_model import record_local_track
+from vision_pc.core.positioning.corrected_positioning import _needs_another_motion
+
+PROGRAMS = shipped()
+MAP, POSITIONING = PROGRAMS.local_map, PROGRAMS.positioning
+
+
+def settings(outside: int) -> LocalErrorModelSettings:
+    adaptive = MAP.adaptive.model_dump() | {"enabled": True, "outside": outside, "useless": 10}
+    return LocalErrorModelSettings.model_validate(MAP.model_dump() | {"adaptive": adaptive})
+
+
+@pytest.mark.parametrize(
+    ("off_mm", "corrections", "drives"), [(4.5, 5, 6), (6.5, 5, 10), (6.5, 0, 1)], ids=str
+)
+async def test_what_odometry_sees_outside_the_tolerance_is_driven_again_unless_one_shot_was_asked_for(
+    off_mm: float, corrections: int, drives: int
+) -> None:
+    arm = SyntheticRig(draw(np.random.default_rng(10), servo_std=2e-5), 10)
+    track = await record_local_track(arm, arm, silent, settings(4), BOOM)
+    asked = POSITIONING.model_copy(update={"corrections": corrections})
+    residuals, parts = [np.array([0.5, 0.0, 0.5])], 2 if corrections else 1
+    while _needs_another_motion(residuals, parts, track, asked, settings(4)):
+        residuals.append(np.array([1e-3 * off_mm, 0.0, 0.0]))
+    assert len(residuals) - 1 == drives
