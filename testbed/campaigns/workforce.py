@@ -100,9 +100,7 @@ def results(
     Raises LinkLost when nobody is there or everybody has gone, ConfigurationError for a malformed address.
     """
     if scheduler is None and workers == 0:
-        made: Generator[MeasuredTask, None, None] = (
-            MeasuredTask(task, _run(function, task), 1) for task in tasks
-        )
+        made = _one_by_one(function, tasks)
     else:
         made = _distributed(function, tasks, scheduler, workers)
     spent: list[float] = []

@@ -32,11 +32,12 @@ def test_every_switch_is_a_key_of_the_scene_or_a_fault(shipped: SceneConfig) -> 
         if effect.fault is None:
             assert on != off, effect.name
             path = effect.switch.split(" ")[0].replace("markers[].", "tool_marker.").split(".")
-            value: object = shipped.model_dump()
+            value: object = on.model_dump()
             for key in path:
                 assert isinstance(value, dict), effect.switch
-                assert key in value, effect.switch
-                value = value[key]
+                assert key.removesuffix("[]") in value, effect.switch
+                value = value[key.removesuffix("[]")]
+                value = value[0] if key.endswith("[]") else value
         else:
             assert effect.switch.split(" ")[1].rstrip(",") == effect.fault.kind
             assert not effect.on
