@@ -91,3 +91,11 @@ def test_an_audit_that_crashes_is_no_audit(tmp_path: Path, capsys: pytest.Captur
     said = capsys.readouterr().out
     assert "cannot resolve host" in said
     assert "nothing is known" in said
+
+
+@pytest.mark.parametrize("name", ["Makefile", "Dockerfile"])
+def test_locks_are_installed_without_resolving_again(name: str) -> None:
+    """A newer release of what is asked for by an extra would be taken for unpinned, and refused."""
+    lines = [line for line in (ROOT / name).read_text().splitlines() if "--require-hashes" in line]
+    assert lines
+    assert all("--no-deps --require-hashes" in line for line in lines)
