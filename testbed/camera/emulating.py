@@ -1,5 +1,5 @@
-"""`longreach camera emulate`: pairs of a board as the emulator's raw camera takes them, for who has no
-camera yet.
+"""`longreach camera emulate`: pairs of a board, or of the scene's markers, as the emulator's raw camera takes
+them, for who has no camera yet.
 """
 
 from pathlib import Path
@@ -25,6 +25,9 @@ _PERIOD_NS = 100_000_000
 _BEHIND = se3.transform(np.eye(3), (0.0, 0.0, -5.0))  # the tool marker, out of sight
 _RIM_PX = 6.0
 _TRIES = 4000
+_AWAY_M = (0.9, 1.3)  # from the object, as on the arm when it looks
+_ASIDE_M = ((0.15, 0.22), (-0.08, 0.08))  # to the right of the object: the tool's marker hides none of it
+_TURNED_DEG = 4.0
 
 
 def board_pairs(scene: SceneConfig, board: AskedBoard, count: int, seed: int) -> list[StereoPair]:
@@ -42,6 +45,25 @@ def board_pairs(scene: SceneConfig, board: AskedBoard, count: int, seed: int) ->
         for k in range(count):
             X_WC = X_WP @ se3.inverse(_view(eyes, board, X_WP, rng))
             left, right = eyes.render(X_WC, X_WC @ _BEHIND, k + 1)
+            pairs.append(StereoPair(left, right, (k + 1) * _PERIOD_NS, k + 1))
+            bar.update((k + 1) / count)
+    return pairs
+
+
+def marker_pairs(scene: SceneConfig, count: int, seed: int) -> list[StereoPair]:
+    """``count`` pairs of the object's markers and the tool's, as the scene's camera sees them on an arm that
+    rests before the wall, in a place drawn by ``seed``.
+    """
+    eyes = StereoCamera(scene.camera, Scene(scene), seed)
+    mounts, rng = eyes.scene.mounts, np.random.default_rng([seed, 0x6D61726B])
+    turn = se3.exp_so3(np.radians(rng.uniform(-_TURNED_DEG, _TURNED_DEG, 3)))
+    place = [rng.uniform(*between) for between in (*_ASIDE_M, _AWAY_M)]
+    X_WC = mounts.X_WO @ se3.transform(np.diag([1.0, -1.0, -1.0]) @ turn, place)
+    X_WM = X_WC @ se3.inverse(mounts.X_TC) @ mounts.X_TM
+    pairs: list[StereoPair] = []
+    with bars() as shown, shown.step("rendering markers") as bar:
+        for k in range(count):
+            left, right = eyes.render(X_WC, X_WM, k + 1)
             pairs.append(StereoPair(left, right, (k + 1) * _PERIOD_NS, k + 1))
             bar.update((k + 1) / count)
     return pairs
@@ -85,9 +107,11 @@ def _config(board: AskedBoard) -> AnyBoardConfig:
     return CharucoConfig.model_validate({"kind": "charuco", **where, **marker})
 
 
-def run_emulate(scene: SceneConfig, board: AskedBoard, count: int, seed: int, to: Path) -> None:
-    """Write the pairs to ``to``: a film where it ends in .avi, else a recording's directory."""
-    pairs = board_pairs(scene, board, count, seed)
+def run_emulate(scene: SceneConfig, board: AskedBoard | None, count: int, seed: int, to: Path) -> None:
+    """Write pairs of ``board``, or of the markers where it is None, to ``to``: a film where it ends in .avi,
+    else a recording's directory.
+    """
+    pairs = marker_pairs(scene, count, seed) if board is None else board_pairs(scene, board, count, seed)
     if to.suffix.lower() == ".avi":
         _film(pairs, to)
     else:
@@ -95,7 +119,8 @@ def run_emulate(scene: SceneConfig, board: AskedBoard, count: int, seed: int, to
         for pair in pairs:
             recorder.add(pair)
         recorder.close()
-    out.print(f"{to}: {len(pairs)} raw pairs of a board", highlight=False)
+    what = "the markers" if board is None else "a board"
+    out.print(f"{to}: {len(pairs)} raw pairs of {what}", highlight=False)
 
 
 def _film(pairs: list[StereoPair], to: Path) -> None:

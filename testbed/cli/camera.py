@@ -101,17 +101,21 @@ def emulate(
     board: PicturedBoard,
     to: Annotated[Path, typer.Option("--out", help="A directory, or a film that ends in .avi.")],
     pairs: Annotated[int, typer.Option(min=1, help="How many pairs.")] = 24,
+    markers: Annotated[
+        bool, typer.Option("--markers", help="The scene's markers, as the arm shows them, and no board.")
+    ] = False,
     scenario: Annotated[str, typer.Option(help="Whose camera.")] = "raw_camera",
     seed: Seed = 1,
     config_dir: ConfigDir = DEFAULT_CONFIG,
     settings: Settings = None,
 ) -> None:
-    """Pairs of a board as the emulator's raw camera takes them."""
+    """Pairs of a board, or of the markers, as the emulator's raw camera takes them."""
     from testbed.camera.emulating import run_emulate
     from testbed.scenarios.settings import chosen_overrides, load_settings
 
     overrides = chosen_overrides(config_dir, scenario, seed, settings or [])
-    run_emulate(load_settings(config_dir, overrides).scene, _board_of(board), pairs, seed, to)
+    asked = None if markers else _board_of(board)
+    run_emulate(load_settings(config_dir, overrides).scene, asked, pairs, seed, to)
 
 
 @app.command(epilog="Example: longreach camera loop camera.yaml --count 3 --seed 40001")

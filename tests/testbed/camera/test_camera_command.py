@@ -68,6 +68,20 @@ def test_a_film_of_the_raw_camera_becomes_a_file_that_rectifies_it(tmp_path: Pat
     assert good.exit_code == 0, good.output
 
 
+def test_a_film_of_the_markers_shows_them_to_both_eyes(tmp_path: Path) -> None:
+    """The last step of "Your camera in an hour": the film of the board had none."""
+    film = tmp_path / "markers.avi"
+    made = ended("emulate", "--markers", "--pairs", 2, "--out", film, *HALVED, *CONFIG)
+    assert made.exit_code == 0, made.output
+    assert "2 raw pairs of the markers" in made.output
+    taken, picture = cv2.VideoCapture(str(film)).read()
+    assert taken
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_1000)
+    for eye in np.hsplit(np.asarray(picture), 2):
+        _, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(eye)
+        assert set(np.ravel(ids).tolist()) == {0, 1, 2, 3}
+
+
 @pytest.mark.parametrize(
     ("down", "exchanged", "bad"), [(0.1, False, ""), (3.0, False, "rows off, median"), (0.1, True, "eyes")]
 )

@@ -273,6 +273,24 @@ async def test_film_of_both_eyes_is_cut_in_two(config: VisionConfig, tmp_path: P
         assert abs(time.monotonic_ns() - pair.capture_ns - 30_000_000) < 1_000_000_000
 
 
+async def test_a_film_is_played_at_its_own_rate_over_and_over(config: VisionConfig, tmp_path: Path) -> None:
+    """A look takes longer than a short film, which was over in a moment and then no camera for a second."""
+    path, rate_hz, count = tmp_path / "film.avi", 20, 3
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), rate_hz, (2 * WIDTH, HEIGHT))
+    for k in range(count):
+        film.write(np.full((HEIGHT, 2 * WIDTH, 3), 40 * k + 40, np.uint8))
+    film.release()
+    async with opened(settings(config, "uvc", uvc={"device": str(path)}, frozen_frames=0)) as camera:
+        pairs = []
+        async for pair in camera.pairs():
+            pairs.append(pair)
+            if len(pairs) > 2 * count:
+                break
+    between_s = 1e-9 * (pairs[-1].capture_ns - pairs[0].capture_ns) / (pairs[-1].frame_id - pairs[0].frame_id)
+    assert between_s > 0.9 / rate_hz
+    assert {round(float(pair.left.mean()), -1) for pair in pairs} == {40.0, 80.0, 120.0}
+
+
 async def test_film_of_another_size_is_refused(config: VisionConfig, tmp_path: Path) -> None:
     path = tmp_path / "film.avi"
     film = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (WIDTH, HEIGHT))

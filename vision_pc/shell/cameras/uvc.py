@@ -1,6 +1,7 @@
 """A stereo camera that shows both eyes side by side in one UVC picture, such as a ZED2 at 2560×720."""
 
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -44,8 +45,15 @@ def halves(picture: Image, source: str) -> tuple[Image, Image]:
     return left, right
 
 
+def _begins_anew(film: cv2.VideoCapture) -> bool:
+    """Whether ``film`` gives its first picture again."""
+    return bool(film.set(cv2.CAP_PROP_POS_FRAMES, 0)) and film.grab()
+
+
 class UvcCamera(CameraSource):
-    """Grabs side-by-side pictures and cuts them in two. ``device`` may also be the path of a film."""
+    """Grabs side-by-side pictures and cuts them in two. ``device`` may also be the path of a film, which is
+    played at its own rate, over and over.
+    """
 
     def _produce(self) -> None:
         device = self._settings.uvc.device
@@ -80,9 +88,12 @@ class UvcCamera(CameraSource):
         self._prepare(film)
         source = str(self._settings.uvc.device)
         latency_ns = int(self._settings.uvc.latency_ms * 1e6)
-        frame_id = 0
+        between_s = 1.0 / max(film.get(cv2.CAP_PROP_FPS), 1.0) if Path(source).is_file() else 0.0
+        frame_id, due_s = 0, time.monotonic()
         while not self._stop.is_set():
-            if not film.grab():
+            self._stop.wait(due_s - time.monotonic())
+            due_s += between_s
+            if not film.grab() and not (between_s and frame_id and _begins_anew(film)):
                 raise LinkLost("link.camera_missing", f"{source}: no more pictures")
             capture_ns = time.monotonic_ns() - latency_ns
             taken, picture = film.retrieve()
