@@ -89,9 +89,9 @@ def test_clicks_and_a_world_begun_anew(browser: Browser, tmp_path: Path) -> None
     with console(browser, tmp_path) as page:
         began = tool_m(page)
         tool = page.locator("#overlay path.marker.tool")
-        click(page, middle_px(tool), "the tool is before it (target.hidden). Click beside the tool")
         page.locator("#find-holes").click()
         expect(page.locator("#answer")).to_contain_text("holes found", timeout=WITHIN_MS)
+        click(page, middle_px(tool), "the tool is before it (target.hidden). Click beside the tool")
         hole = middle_px(page.locator("#aims path.hole").nth(4))
         click(page, hole, "Target t1: hole 4")
         is_state(page, "disabled")

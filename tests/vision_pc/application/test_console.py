@@ -1,10 +1,13 @@
 """What a console is shown: alarms from beginning to end, pixels of the overlay, the arm's line."""
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import vision_pc
 from foundation.configuration import load
 from nominal_arm.description import NominalArm
 from nominal_arm.dimensions import dh_links
@@ -58,6 +61,17 @@ def test_what_happened_is_kept_and_what_is_kept_is_bounded() -> None:
 def test_every_fault_says_what_to_do(fault: FaultCode) -> None:
     assert FAULT_TEXTS[fault]
     assert advice(f"fault.{fault.name.lower()}") != advice("fault.another")
+
+
+def test_all_that_is_measured_in_vain_says_what_to_do() -> None:
+    written = "\n".join(
+        file.read_text(encoding="utf-8") for file in Path(vision_pc.__file__).parent.rglob("*.py")
+    )
+    causes = set(re.findall(r'"((?:measurement|target)\.[a-z_]+)"', written))
+    assert len(causes) > 40
+    assert [
+        cause for cause in sorted(causes) if advice(cause) == advice(f"{cause.partition('.')[0]}.new")
+    ] == []
 
 
 def test_a_cause_without_a_sentence_has_that_of_its_area() -> None:

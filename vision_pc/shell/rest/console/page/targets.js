@@ -11,7 +11,7 @@ const STEP_PX = 10; // of the cross that keys move; with Shift one pixel
 const KNOWN = { measured: 'seen', carried: 'carried by odometry', lost: '▲ lost: click it again' };
 let size = [1280, 720]; // of the camera's pictures
 let targets = [];
-let holes = [];
+let holes = []; // as found from where the arm is: they stay drawn, for a row of targets is clicked one by one
 let asked = null; // the click that wants its place in the other eye: its body, and candidates
 let cross = null; // where keys have pointed
 let polling = false;
@@ -99,7 +99,6 @@ async function ask(body) {
   say('Measuring what is there …', true);
   const answer = await send('POST', '/targets', body);
   asked = null;
-  holes = [];
   if (answer.ok) {
     const made = answer.document;
     say(`Target ${made.id}: ${made.recognised}, known to ${precision(made)}${far(made)}. ${made.reachable === false ? 'Jog nearer, then click it again.' : nextStep()}`, made.reachable !== false);
