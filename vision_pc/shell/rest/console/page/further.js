@@ -12,8 +12,8 @@ const named = (path) => () => {
 };
 const HAND_EYE = [
   { kind: 'hand-eye-start', words: '1 Begin a session here', verb: 'Begin', free: true, request: named('/operations/hand-eye-start') },
-  { kind: 'hand-eye-next', words: '2 Next pose', verb: 'Drive' },
-  { kind: 'hand-eye-sample', words: '3 Sample, then 2 again', verb: 'Sample', free: true },
+  { kind: 'hand-eye-sample', words: '2 Sample where the arm stands', verb: 'Sample', free: true },
+  { kind: 'hand-eye-next', words: '3 Next pose, then 2 again', verb: 'Drive' },
   { kind: 'hand-eye-solve', words: '4 Solve', verb: 'Solve', free: true },
   { kind: 'hand-eye-back', words: 'Back to the starting pose', verb: 'Drive back' },
 ];
