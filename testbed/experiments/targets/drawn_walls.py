@@ -32,6 +32,7 @@ _DECOYS_MM = (28.0, 70.0)  # holes of other widths: to find one of them is to fi
 _AROUND = ((0.20, 0.02), (-0.19, 0.05), (0.03, 0.21), (-0.02, -0.20), (0.21, -0.19))
 _OFF_AXIS = 0.21  # 12 degrees
 _RIM_PX = 75.0
+_CLEARANCE_M = 0.1  # of the tool before the wall, where it is at the goal
 _TOOL_PX = 115.0  # half of what plate and bracket hide to either side, with room for the surface around
 _BOARD = {"kind": "checkerboard", "columns": 40, "rows": 40}
 _STREAM = 0x77616C6C
@@ -201,10 +202,10 @@ def _tool(rng: np.random.Generator, usual: Settings) -> JSON:
 def _pictured(settings: Settings, rng: np.random.Generator, place: Array, aspect: Aspect) -> DrawnWall:
     config, scene = settings.scene, Scene(settings.scene)
     camera = StereoCamera(config.camera, scene, config.seed)
-    X_CM = se3.transform(
-        np.diag([1.0, -1.0, -1.0]) @ se3.exp_so3(0.1 * rng.standard_normal(3)),
-        [rng.choice([-1.0, 1.0]) * rng.uniform(0.17, 0.22), rng.uniform(0.02, 0.1), rng.uniform(0.38, 0.45)],
-    )
+    turned = np.diag([1.0, -1.0, -1.0]) @ se3.exp_so3(0.1 * rng.standard_normal(3))
+    beside = [rng.choice([-1.0, 1.0]) * rng.uniform(0.17, 0.22), rng.uniform(0.02, 0.1)]
+    before = min(rng.uniform(0.38, 0.45), aspect.distance_m - _CLEARANCE_M)
+    X_CM = se3.transform(turned, [*beside, before])
     point = np.array([*place, _height(config.wall, place)])
     tilt = rng.uniform(*aspect.tilt_deg)
     while True:
@@ -222,8 +223,8 @@ def _pictured(settings: Settings, rng: np.random.Generator, place: Array, aspect
     told = observation._replace(offset=StereoOffset(0.0, 0.0, 1e-6, 1e-6))
     then = None
     if aspect.again:
-        turned = aspect._replace(distance_m=aspect.distance_m * rng.uniform(0.8, 1.2), again=False)
-        later = _pictured(settings, rng, place, turned)
+        elsewhere = aspect._replace(distance_m=aspect.distance_m * rng.uniform(0.8, 1.2), again=False)
+        later = _pictured(settings, rng, place, elsewhere)
         then = LaterPair(later.seen, later.known, later.aim)
     return DrawnWall(
         Sighted(pair, nominal, observation, markers, targets),

@@ -29,6 +29,7 @@ class Kinded(NamedTuple):
 
 
 ROWS = {
+    "hole-0.4": Kinded("hole, 0.4 m", "hole", Aspect(0.4), 0.5),
     "hole-0.7": Kinded("hole, 0.7 m", "hole", Aspect(0.7), 0.5),
     "hole-1.0": Kinded("hole, 1 m", "hole", Aspect(1.0), 0.5),
     "hole-1.5": Kinded("hole, 1.5 m", "hole", Aspect(1.5), 1.0),

@@ -66,6 +66,19 @@ def test_every_hole_is_found_and_measured_and_nothing_else(face: WallScene) -> N
         assert np.abs(seen.outline.mean(axis=0) - face.pixel(*place)).max() < 1.0
 
 
+def test_a_hole_that_is_wider_than_what_is_compared_elsewhere_is_found_close_to_the_wall() -> None:
+    close = scene(rock(), facing(0.01, 0.02, 0.38, (6.0, -9.0, 4.0)), tool=False)
+    found = holes(close.sighted())
+    assert len(found) == len(HOLES)
+    for place in HOLES:
+        p = close.point(*place)
+        seen = min(found, key=lambda hole: float(np.linalg.norm(hole.X_CO[:3, 3] - p)))
+        ray = p / np.linalg.norm(p)
+        off = seen.X_CO[:3, 3] - p
+        assert np.linalg.norm(off - ray * (ray @ off)) < 0.0004
+        assert seen.diameter_m == pytest.approx(DIAMETER, abs=0.001)
+
+
 def test_the_mouth_of_a_tube_is_measured_where_it_stands_not_on_the_wall_behind(face: WallScene) -> None:
     place, length = (0.02, 0.08), 0.12
     tube = before_the_wall(face, place, length)

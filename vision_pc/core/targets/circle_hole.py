@@ -25,6 +25,7 @@ _RING = 2.6  # radii that the surface is taken from, and at least:
 _LEAST_RING_PX = 24
 _MOST_RING_PX = 60
 _WIDER_RING_PX = 45
+_MATCHED = 1.25  # radii that the eyes are compared in: the dark inside alone looks alike everywhere
 _EYES_APART = 0.08  # of the diameter by which the two eyes' middles may differ
 _ROUNDS = 3
 
@@ -59,7 +60,7 @@ def measure(
     nearest, farthest = max(depths_m[0], widest[0]), min(depths_m[1], widest[1])
     if not nearest < farthest:
         raise TargetRefused("target.wrong_size", "target: no hole of such a diameter looks like that here")
-    found = row_matching.match(pair, camera, spot.middle, (nearest, farthest))
+    found = row_matching.match(pair, camera, spot.middle, (nearest, farthest), compared_px(spot))
     plane = _surface(pair, camera, spot, found.inverse_depth)
     edges = edge(pair.left, spot)
     for _ in range(_ROUNDS):
@@ -84,6 +85,11 @@ def measure(
             f"target: a hole of {1e3 * hole.diameter_m:.1f} mm, {low:.0f} to {high:.0f} mm are wanted",
         )
     return hole
+
+
+def compared_px(spot: DarkSpot) -> int:
+    """Half of what the eyes are compared in, px: the rim of ``spot`` with it."""
+    return max(row_matching.HALF, int(_MATCHED * spot.radius))
 
 
 def _surface(pair: StereoPair, camera: CameraCalibration, spot: DarkSpot, inverse_depth: float) -> PlanePatch:

@@ -15,7 +15,7 @@ import numpy as np
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets import plane_patch, row_matching
-from vision_pc.core.targets.circle_hole import Hole, outline_of
+from vision_pc.core.targets.circle_hole import Hole, compared_px, outline_of
 from vision_pc.core.targets.plane_patch import PlanePatch, normal_of
 from vision_pc.core.targets.round_edge import FLOOR_PX, RAYS, DarkSpot, axes_of, circle, edge
 from vision_pc.core.targets.target import TargetRefused, frame_on
@@ -78,7 +78,7 @@ def measure(
     if not nearest < farthest:
         raise TargetRefused("target.wrong_size", "target: no tube of such a diameter looks like that here")
     _refuse_ragged(edge(pair.left, spot, _FIRST))  # before what takes long
-    found = row_matching.match(pair, camera, spot.middle, (nearest, farthest))
+    found = row_matching.match(pair, camera, spot.middle, (nearest, farthest), compared_px(spot))
     ray = np.append(intrinsics.normalised(camera.left, spot.middle[None])[0], 1.0)
     around, std = _around(pair, camera, spot, depths_m), _MOUNTED
     if around is None:

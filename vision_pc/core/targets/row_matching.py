@@ -15,7 +15,8 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.targets.target import Candidate, TargetRefused
 from vision_pc.core.types import CameraCalibration, CameraModel, Image, StereoPair
 
-_HALF = 15  # px of the template on either side
+HALF = 15  # px of the template on either side
+_BLURRED = 2  # px beyond it, for the smoothing
 _ROWS = 3  # px that the right eye may be off its row
 _LEAST = 0.60  # correlation below which nothing was found
 _APART = 4  # px between peaks that are different places
@@ -38,14 +39,23 @@ class _Peaks(NamedTuple):
     scores: Array
 
 
-def match(pair: StereoPair, camera: CameraCalibration, pixel: Array, depths_m: tuple[float, float]) -> Match:
+def match(
+    pair: StereoPair,
+    camera: CameraCalibration,
+    pixel: Array,
+    depths_m: tuple[float, float],
+    half: int = HALF,
+) -> Match:
     """The one place in the right picture that looks like ``pixel`` (2,) px of the left one.
 
-    ``depths_m``: nearest and farthest. Raises TargetRefused: ``target.outside_picture``,
-    ``target.low_texture``, ``target.ambiguous`` with candidates, ``target.no_match``.
+    ``depths_m``: nearest and farthest. ``half``: px about it that are compared, fewer at the picture's rim.
+    Raises TargetRefused: ``target.outside_picture``, ``target.low_texture``, ``target.ambiguous`` with
+    candidates, ``target.no_match``.
     """
     refuse_outside(pixel, camera)
-    template = _template(pair.left, pixel)
+    to_rim = np.minimum(pixel, np.array([camera.width, camera.height]) - 1 - pixel).min()
+    half = min(half, int(to_rim) - _BLURRED)
+    template = _template(pair.left, pixel, half)
     contrast = float(template.std())
     if contrast < _TEXTURE:
         raise TargetRefused(
@@ -64,7 +74,7 @@ def match(pair: StereoPair, camera: CameraCalibration, pixel: Array, depths_m: t
         raise _ambiguous(
             camera, ray, found.places[alike], f"{alike.sum()} places look alike in the other eye"
         )
-    back = _peaks(pair.left, _template(pair.right, found.places[0]), _way_back(pixel, ends))
+    back = _peaks(pair.left, _template(pair.right, found.places[0], half), _way_back(pixel, ends))
     alike = back.scores > back.scores[0] - _MARGIN if len(back.scores) else np.zeros(0, dtype=bool)
     if alike.sum() != 1 or np.abs(back.places[0] - pixel).max() > _BACK:
         raise _ambiguous(
@@ -93,9 +103,10 @@ def _ambiguous(camera: CameraCalibration, ray: Array, places: Array, why: str) -
     return TargetRefused("target.ambiguous", f"target: {why}", tuple(candidates))
 
 
-def _template(image: Image, pixel: Array) -> Image:
+def _template(image: Image, pixel: Array, half: int) -> Image:
     u, v = np.rint(pixel).astype(int)
-    rows, columns = slice(max(v - _HALF - 2, 0), v + _HALF + 3), slice(max(u - _HALF - 2, 0), u + _HALF + 3)
+    reach = half + _BLURRED
+    rows, columns = slice(max(v - reach, 0), v + reach + 1), slice(max(u - reach, 0), u + reach + 1)
     return np.asarray(cv2.GaussianBlur(image[rows, columns], (5, 5), 1.0), dtype=np.uint8)
 
 
