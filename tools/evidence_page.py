@@ -1,7 +1,8 @@
 """The tables of docs/evidence.md, made from the rows under docs/results; ``python -m tools.evidence_page``.
 
 ``python -m tools.evidence_page keep RUN NAME COMMIT COMMAND…`` copies a campaign's rows there first: RUN is
-its directory, COMMIT what it ran on, COMMAND what was typed.
+its directory, COMMIT what it ran on, COMMAND what was typed. Rows that no longer count, for what was changed
+since, have the reason in their about.json (``superseded``).
 """
 
 import json
@@ -41,12 +42,16 @@ _MOST_MEDIAN_MM, _MOST_RATIO = 1.5, 3.0  # of a changed machine
 
 
 class Kept(NamedTuple):
-    """A campaign's rows as they stand under docs/results, and what they are evidence of."""
+    """A campaign's rows as they stand under docs/results, and what they are evidence of.
+
+    ``superseded``: why they are history, empty for those that count.
+    """
 
     name: str
     command: str
     commit: str
     rows: list[dict[str, Any]]
+    superseded: str = ""
 
     @property
     def experiment(self) -> str:
@@ -57,7 +62,8 @@ class Kept(NamedTuple):
 def kept(directory: Path) -> Kept:
     """The campaign in ``directory``."""
     about = json.loads((directory / _ABOUT).read_text(encoding="utf-8"))
-    return Kept(directory.name, about["command"], about["commit"], RowFile(directory / "rows.csv").rows)
+    rows = RowFile(directory / "rows.csv").rows
+    return Kept(directory.name, about["command"], about["commit"], rows, about.get("superseded", ""))
 
 
 def every_kept(results: Path = RESULTS) -> list[Kept]:

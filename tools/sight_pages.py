@@ -13,15 +13,11 @@ from testbed.campaigns.experiment import Finished
 from testbed.campaigns.typed_rows import typed
 from testbed.experiments.markers.limits import HEADS, MARKER_LIMITS, by_value, line, summary
 from testbed.experiments.markers.one_picture import AXES, PEERS, WORDS, LimitRow
-from testbed.experiments.targets.hole_drives import (
-    HOLE_DRIVES,
-    HoleDriveRow,
-    HoleDriveSettings,
-    hole_drive_verdict,
-)
+from testbed.experiments.targets.hole_drives import HOLE_DRIVES
 from testbed.experiments.targets.one_look import TargetSceneSettings, target_verdict
 from testbed.experiments.targets.one_target import ROWS, TargetRow
 from tools.evidence_page import RESULTS, ROOT, Kept, every_kept, headed, verdict_lines
+from tools.hole_drive_tables import drive_tables
 from tools.protocol_page import filled
 from tools.tables import table
 
@@ -42,7 +38,7 @@ def sections(results: Path = RESULTS) -> dict[str, str]:
     told = "figure | found | asked | met"
     return {
         "target scenes": "\n\n".join(headed(one, _scenes(one)) for one in scenes),
-        "hole drives": "\n\n".join(headed(one, table(told, _drives(one))) for one in drives),
+        "hole drives": drive_tables(drives),
         "marker limits": "\n\n".join(headed(one, _limits(one)) for one in limits),
         "marker verdict": "\n\n".join(headed(one, table(told, verdict_lines(one))) for one in limits),
     }
@@ -109,14 +105,6 @@ def _limits(one: Kept) -> str:
         if of
     ]
     return "\n\n".join([*made, table(" | ".join(("what", "ours", *PEERS)), summary(rows))])
-
-
-def _drives(one: Kept) -> list[list[str]]:
-    rows = [typed(HoleDriveRow, row) for row in one.rows]
-    settings = HoleDriveSettings(holes=int(max(row.holes or 1 for row in rows)))
-    checks = hole_drive_verdict(Finished(_REQUEST, settings, (), rows, len(rows)))
-    words = {True: "yes", False: "NO", None: ""}
-    return [[check.what, check.found, check.asked, words[check.met]] for check in checks]
 
 
 def rendered(text: str) -> str:

@@ -48,6 +48,51 @@ def test_rows_of_targets_stand_on_their_own_page_with_wrong_answers_told(tmp_pat
     assert "| 0 of 1 |" in made
 
 
+def _driven(directory: Path, worlds: list[str], worst_mm: list[float | None]) -> Path:
+    """The rows of a campaign of drives to one hole each."""
+    directory.mkdir()
+    file = RowFile(directory / "rows.csv")
+    for seed, (world, worst) in enumerate(zip(worlds, worst_mm, strict=True)):
+        cells = {"seed": seed, "world": world, "arm": "plant", "holes": 1, "hole1_worst_mm": worst}
+        file.append(cells | {"hole1_failure": "target.no_hole: none" if worst is None else None})
+    (directory / "tasks.jsonl").write_text("{}\n", encoding="utf-8")
+    return directory
+
+
+def test_drives_of_a_kind_are_judged_together_and_never_by_few_nor_by_another_worlds_limit(
+    tmp_path: Path,
+) -> None:
+    results, typed_in = tmp_path / "results", "longreach experiment hole-drives"
+    keep(_driven(tmp_path / "a", ["lab"] * 150, [0.5] * 150), "a", "abc1234", f"{typed_in} --seed 1", results)
+    few = sight_pages.sections(results)["hole drives"]
+    assert "| `lab`, 4 m arm | one look, the first hole | 150 | 1.000 | " in few
+    assert "| ≥ 0.98 of 200 | too few to say |" in few
+    keep(_driven(tmp_path / "b", ["lab"] * 50, [None] + [0.5] * 49), "b", "abc1234", typed_in, results)
+    keep(_driven(tmp_path / "c", ["real"], [0.4]), "c", "abc1234", f"{typed_in} --world real", results)
+    made = sight_pages.sections(results)["hole drives"].splitlines()
+    assert made[2].startswith("| `lab`, 4 m arm | one look, the first hole | 200 | 0.995 | ")
+    assert made[2].endswith("| ≥ 0.98 of 200 | yes |")
+    assert made[3].startswith("| `real`, 4 m arm | one look, the first hole | 1 | 1.000 | ")
+    assert made[3].endswith("|  |  |")
+    assert any(line.endswith("| 50 | 50 | 49 | 0.50, 0.50, 0.50 | 1: `target.no_hole` |") for line in made)
+
+
+def test_rows_that_were_superseded_are_shown_with_the_reason_and_not_counted(tmp_path: Path) -> None:
+    results = tmp_path / "results"
+    into = keep(
+        _driven(tmp_path / "a", ["lab"], [9.0]), "a", "abc1234", "longreach experiment hole-drives", results
+    )
+    about = json.loads((into / "about.json").read_text(encoding="utf-8"))
+    (into / "about.json").write_text(
+        json.dumps(about | {"superseded": "the hole was hidden"}), encoding="utf-8"
+    )
+    keep(_driven(tmp_path / "b", ["lab"], [0.5]), "b", "abc1234", "longreach experiment hole-drives", results)
+    together, _, earlier = sight_pages.sections(results)["hole drives"].partition("not counted above")
+    assert "| `lab`, 4 m arm | one look, the first hole | 1 | 1.000 | " in together
+    assert "9.00" not in together
+    assert "| 9.00, 9.00, 9.00 |  | the hole was hidden |" in earlier
+
+
 def _row(seed: int, error_mm: float, probability: float, failure: str = "") -> PositioningRow:
     told = Told(probability=probability, std_x_mm=0.5, std_y_mm=0.5, distance2=2.0, level2=5.99)
     true, std = XYZ(error_mm, 0.0, 0.0), XYZ(0.5, 0.5, 1.0)

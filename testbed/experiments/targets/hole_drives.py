@@ -29,6 +29,7 @@ from vision_pc.core.targets.target import TargetRefused
 
 NAN = float("nan")
 _INSIDE = 0.98
+ASKED = 200  # machines whose share inside is asked for: of fewer no limit is called met
 _MOST = 9
 _STREAM = 0x686F6C65
 _AVERAGED = 25  # truths at 50 Hz: half a second at rest
@@ -227,21 +228,33 @@ def _figures(ends: Sequence[HoleEnd]) -> list[str]:
 
 
 def hole_drive_verdict(done: Driven) -> list[Check]:
-    """Of the first hole of each run, and of all. A run that failed is outside."""
+    """Of the first hole of each run, and of all. A run that failed is outside.
+
+    What is asked is asked of the laboratory's machines, and of 200: fewer that are inside prove nothing yet.
+    """
     first = np.array([row.ends[0].worst_mm if row.ends else NAN for row in done.rows])
-    judged = _INSIDE if done.settings.world is WorldName.LAB else None
+    lab = done.settings.world is WorldName.LAB
     checks = [
-        at_least("one look to a hole: share within 5 mm", share(first, LIMIT_MM), judged),
+        _within("one look to a hole", first, lab),
         at_most("one look to a hole: 95 %", quantile(first, 95), None, "mm"),
     ]
     if done.settings.holes > 1:
         every = np.array([end.worst_mm for row in done.rows for end in row.ends or [HoleEnd()]])
         seconds = np.array([end.seconds for row in done.rows for end in row.ends])
         checks += [
-            at_least("all holes of a visit: share within 5 mm", share(every, LIMIT_MM), judged),
+            _within("all holes of a visit", every, lab),
             at_most("arm's time a hole: median", quantile(seconds, 50), None, "s"),
         ]
     return checks
+
+
+def _within(what: str, worst: Array, judged: bool) -> Check:
+    found = share(worst, LIMIT_MM)
+    check = at_least(f"{what}, {len(worst)} driven to: share within 5 mm", found, _INSIDE if judged else None)
+    few = len(worst) < ASKED
+    return check._replace(
+        asked=check.asked and f"{check.asked} of {ASKED}", met=None if few and check.met else check.met
+    )
 
 
 HOLE_DRIVES = Experiment(

@@ -14,8 +14,9 @@ from controller.core.kinematics.inverse_kinematics import REACHED, joint_angles
 from plant_emulator.core.camera.scene import R_WO_FACING_ARM
 from plant_emulator.core.camera.wall.bores import hole_places
 from testbed.campaigns.campaign import CampaignRequest
-from testbed.campaigns.experiment import Finished
+from testbed.campaigns.experiment import Check, Finished
 from testbed.campaigns.typed_rows import typed
+from testbed.experiments.positioning.worlds import WorldName
 from testbed.experiments.targets import hole_drives
 from testbed.experiments.targets.drawn_walls import Aspect, drawn_wall
 from testbed.experiments.targets.hole_drives import (
@@ -142,19 +143,34 @@ def test_a_hole_that_was_not_reached_is_outside() -> None:
     good = {"worst_mm": 1.0, "x_mm": 1.0, "y_mm": 0.5, "told": 0.99, "seconds": 25.0}
     cells = {"seed": 1, "world": "lab", "holes": 2}
     cells |= {f"hole{number}_{name}": value for number in (1, 2) for name, value in good.items()}
-    rows = [typed(HoleDriveRow, cells) for _ in range(49)]
+    rows = [typed(HoleDriveRow, cells) for _ in range(199)]
     failed = typed(HoleDriveRow, {"seed": 2, "world": "lab", "failure": "target.no_hole: none"})
     settings = HoleDriveSettings(holes=2)
 
     def met(rows: list[HoleDriveRow]) -> list[bool | None]:
         return [check.met for check in hole_drive_verdict(Finished(REQUEST, settings, (), rows, 0))]
 
-    assert met(rows) == [True, None, True, None]
+    assert met([*rows, rows[0]]) == [True, None, True, None]
     assert met([*rows, failed]) == [True, None, True, None]
-    assert met([*rows, failed, failed])[0] is False
+    assert met([*rows, *[failed] * 5])[0] is False
     one = typed(HoleDriveRow, cells | {"hole2_worst_mm": None, "hole2_failure": "target.hidden: x"})
-    assert met([*rows, one, one, one])[2] is False
+    assert met([*rows, *[one] * 10])[2] is False
     assert hole_drive_table(Finished(REQUEST, settings, (), rows, 0))[0].row_count == 3
+
+
+def test_a_few_runs_and_another_world_call_no_limit_met() -> None:
+    good = typed(HoleDriveRow, {"seed": 1, "world": "lab", "holes": 1, "hole1_worst_mm": 0.4})
+    bad = good._replace(hole1=HoleEnd(worst_mm=6.0))
+
+    def first(rows: list[HoleDriveRow], world: WorldName) -> Check:
+        return hole_drive_verdict(Finished(REQUEST, HoleDriveSettings(world), (), rows, 0))[0]
+
+    assert first([good], WorldName.LAB) == Check(
+        "one look to a hole, 1 driven to: share within 5 mm", "1.000", "≥ 0.98 of 200", None
+    )
+    assert first([good, bad], WorldName.LAB).met is False
+    assert first([good] * 200, WorldName.LAB).met is True
+    assert first([good] * 200, WorldName.REAL)[2:] == ("", None)
 
 
 class PassedBy:
