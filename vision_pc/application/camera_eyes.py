@@ -24,6 +24,7 @@ from vision_pc.core.types import FrameObservation, Look, StereoPair
 
 T = TypeVar("T")
 _MOST_SHOWN = 32
+_COMPARED_NS = 300_000_000  # [E] after a click: what goes by at 1.5 cm/s, 1 m away, has moved by 2 px
 _MOVED = 0.001  # m, rad: an arm that did so since a picture was taken has moved
 _R_TM = np.diag([1.0, -1.0, -1.0])  # nominal axes of the tool's marker
 
@@ -122,9 +123,11 @@ class CameraEyes(FrameEyes[StereoPair]):
         ``at_click``; RequestRefused (``refused.moving``), LinkLost.
         """
         pair = await self._clicked(frame_id)
+        newest = await self._later(pair)
         X_BT = await self._at_rest_since(pair)
-        newest = self._frames.newest or pair
         observation, found = await self.aside(lambda: self._measured(pair, click, newest))
+        if self._latest is None:  # so that how far the tool has to go is told of the first click too
+            self._latest = pair, observation
         X_CM = observation.X_CM
         X_BO = None
         if X_CM is not None:
@@ -171,6 +174,13 @@ class CameraEyes(FrameEyes[StereoPair]):
                 f"target: picture {frame_id} is not among those shown in the last {1e-9 * self._kept_ns:g} s",
             )
         return kept[-1]
+
+    async def _later(self, pair: StereoPair) -> StereoPair:
+        """A picture so much later than ``pair`` that what moves is seen elsewhere in it."""
+        newest = self._frames.newest or pair
+        while newest.capture_ns < pair.capture_ns + _COMPARED_NS:
+            newest = await self._frames.frame_after(newest.capture_ns)
+        return newest
 
     async def _at_rest_since(self, pair: StereoPair) -> Array:
         self._refuse_moving()

@@ -203,11 +203,25 @@ async def test_a_click_is_refused_where_what_was_clicked_has_moved_since(
 ) -> None:
     click = Click("left", np.array([500.0, 150.0]), "plane")
     shown = await bench.eyes.pair_after(0)
+    assert bench.eyes.seen() is None
     assert (await bench.eyes.target_at(click, shown.frame_id)).frame_id == shown.frame_id
+    seen = bench.eyes.seen()
+    assert seen is not None
+    assert seen.observation.X_CM is not None, "how far the tool has to go is told of the first click too"
     bench.camera.play(pictures.moving[3:4])
     await bench.camera.frame_after(time.monotonic_ns())
     with pytest.raises(TargetRefused, match=r"something else|moved by 1. px") as refused:
         await bench.eyes.target_at(click, shown.frame_id)
+    assert refused.value.cause == "target.moves"
+
+
+async def test_a_click_in_a_fresh_picture_waits_to_see_whether_what_was_clicked_moves(
+    bench: Bench, pictures: Pictures
+) -> None:
+    bench.camera.play(pictures.moving[:4])
+    await bench.camera.frame_after(time.monotonic_ns())
+    with pytest.raises(TargetRefused) as refused:
+        await bench.eyes.target_at(Click("left", np.array([500.0, 150.0]), "plane"), None)
     assert refused.value.cause == "target.moves"
 
 

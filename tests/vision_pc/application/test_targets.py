@@ -52,6 +52,17 @@ def test_a_motion_that_nobody_watched_loses_it() -> None:
     assert kept.get("t1").known == "lost"
 
 
+def test_a_motion_that_was_refused_loses_nothing() -> None:
+    kept = keeper()
+    crept = se3.transform(np.eye(3), START[:3, 3] + [0.001, 0.0, 0.0])
+    kept.carry(None, START, crept)
+    one = kept.get("t1")
+    assert (one.known, one.way_m) == ("measured", 0.0)
+    kept.refuse_lost(crept)
+    kept.carry(None, AFTER, AFTER)  # it was clicked elsewhere
+    assert one.known == "lost"
+
+
 def test_the_newest_is_aimed_at_and_forgetting_it_goes_back_to_the_markers() -> None:
     kept = keeper(3)
     aimed = kept.aimed

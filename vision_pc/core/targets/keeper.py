@@ -120,10 +120,16 @@ class TargetKeeper:
         return kept
 
     def carry(self, X_C0C: Array | None, X_BT_before: Array, X_BT: Array) -> None:
-        """The camera went from C0, where the arm stood at ``X_BT_before``, to C; None: nobody knows where."""
+        """The camera went from C0, where the arm stood at ``X_BT_before``, to C; None: nobody knows where.
+
+        An arm that stands where it stood has lost nothing.
+        """
+        gone = _apart(X_BT_before, X_BT)
         for kept in self._all.values():
-            if X_C0C is None or _apart(kept.X_BT, X_BT_before):
+            if _apart(kept.X_BT, X_BT_before) or (X_C0C is None and gone):
                 kept.known = "lost"
+                continue
+            if X_C0C is None:  # such as a motion that was refused
                 continue
             if kept.known == "lost":
                 continue

@@ -67,8 +67,10 @@ def match(
     found = _peaks(pair.right, template, ends)
     if not len(found.scores) or found.scores[0] < _LEAST:
         best = found.scores[0] if len(found.scores) else 0.0
-        cause = "target.low_texture" if contrast < 3.0 * _TEXTURE else "target.no_match"
-        raise TargetRefused(cause, f"target: correlation {best:.2f}, at least {_LEAST} is wanted")
+        bare = contrast < 3.0 * _TEXTURE
+        cause, why = ("low_texture", ", and little to see") if bare else ("no_match", "")
+        told = f"correlation {best:.2f}, at least {_LEAST} is wanted"
+        raise TargetRefused(f"target.{cause}", f"target: nothing looks like it in the other eye{why}: {told}")
     alike = found.scores > found.scores[0] - _MARGIN
     if alike.sum() > 1:
         raise _ambiguous(
