@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from testbed.campaigns.campaign import CampaignRequest
-from testbed.campaigns.experiment import Finished
+from testbed.campaigns.experiment import Check, Finished
 from testbed.campaigns.row_file import RowFile
 from testbed.campaigns.typed_rows import typed
 from testbed.experiments.catalogue import catalogue
@@ -37,6 +37,7 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "evidence.md"
 RESULTS = ROOT / "docs" / "results"
 ON_PAGES_OF_SIGHT = ("targets", "hole-drives", "marker-limits")  # ``tools.sight_pages`` shows them
+WORDS = {True: "yes", False: "NO", None: ""}
 _ABOUT = "about.json"
 _MOST_MEDIAN_MM, _MOST_RATIO = 1.5, 3.0  # of a changed machine
 
@@ -85,10 +86,12 @@ def keep(run: Path, name: str, commit: str, command: str, results: Path = RESULT
 def sections(results: Path = RESULTS) -> dict[str, str]:
     """Every generated section by its name."""
     found = every_kept(results)
-    drawn = [one for one in found if one.experiment == "best-mode"]
-    changed = [one for one in found if one.experiment == "changed-machine"]
+    current = [one for one in found if not one.superseded]
+    drawn = [one for one in current if one.experiment == "best-mode"]
+    changed = [one for one in current if one.experiment == "changed-machine"]
     elsewhere = ("best-mode", "changed-machine", *ON_PAGES_OF_SIGHT)
-    others = [one for one in found if one.experiment not in elsewhere]
+    others = [one for one in current if one.experiment not in elsewhere]
+    earlier = [one for one in found if one.superseded and one.experiment not in ON_PAGES_OF_SIGHT]
     heads = (
         "rows | command | runs | one look: within 5 mm | median, 95 % | two looks | median, 95 % | stopped"
     )
@@ -103,6 +106,7 @@ def sections(results: Path = RESULTS) -> dict[str, str]:
         "other campaigns": "\n\n".join(
             headed(one, table("figure | found | asked | met", verdict_lines(one))) for one in others
         ),
+        "history": table("rows | command | runs | limits met then | since", map(_history, earlier)),
     }
 
 
@@ -118,8 +122,32 @@ def verdict_lines(one: Kept) -> list[list[str]]:
     rows = [typed(experiment.row, row) for row in one.rows]
     request = CampaignRequest(ROOT / "configs", RESULTS)
     done = Finished(request, experiment.settings(), (), rows, len(rows))
-    words = {True: "yes", False: "NO", None: ""}
-    return [[check.what, check.found, check.asked, words[check.met]] for check in experiment.verdict(done)]
+    return [[check.what, check.found, check.asked, WORDS[check.met]] for check in experiment.verdict(done)]
+
+
+def _history(one: Kept) -> list[str]:
+    """A line of rows that no longer count."""
+    judged = [line[-1] for line in _judged(one) if line[-1]]
+    return [
+        f"`docs/results/{one.name}`, commit `{one.commit}`",
+        f"`{one.command}`",
+        str(len(one.rows)),
+        f"{judged.count('yes')} of {len(judged)}",
+        one.superseded,
+    ]
+
+
+def _judged(one: Kept) -> list[list[str]]:
+    """Lines that end with whether what is asked there was met, empty where nothing is."""
+    if one.experiment == "changed-machine":
+        return _changes(one)
+    if one.experiment == "best-mode":
+        return [[WORDS[check.met]] for check in _asked([typed(PositioningRow, row) for row in one.rows])]
+    return verdict_lines(one)
+
+
+def _asked(rows: list[PositioningRow]) -> list[Check]:
+    return checks_of(rows, WORLDS[WorldName(rows[0].world)].demands)
 
 
 def _campaign(one: Kept) -> Sequence[str]:
@@ -127,8 +155,7 @@ def _campaign(one: Kept) -> Sequence[str]:
     rows = [typed(PositioningRow, row) for row in one.rows]
     first, second = worst_mm(rows, "look1"), worst_mm(rows, "look2")
     before, after = (told(rows, "look1", when) for when in ("before", "after"))
-    asked = checks_of(rows, WORLDS[WorldName(rows[0].world)].demands)
-    judged = [check.met for check in asked if check.met is not None]
+    judged = [check.met for check in _asked(rows) if check.met is not None]
     return [
         f"`docs/results/{one.name}`, commit `{one.commit}`",
         f"`{one.command}`",

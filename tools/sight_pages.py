@@ -32,16 +32,26 @@ _HEADS += " | error² / variance told | along | camera known | CPU ms | limits m
 def sections(results: Path = RESULTS) -> dict[str, str]:
     """Every generated section by its name."""
     kept = every_kept(results)
-    scenes = [one for one in kept if one.experiment == "targets"]
+    scenes = [one for one in kept if one.experiment == "targets" and not one.superseded]
     drives = [one for one in kept if one.experiment == HOLE_DRIVES.name]
     limits = [one for one in kept if one.experiment == MARKER_LIMITS.name]
     told = "figure | found | asked | met"
     return {
-        "target scenes": "\n\n".join(headed(one, _scenes(one)) for one in scenes),
+        "target scenes": "\n\n".join([*(headed(one, _scenes(one)) for one in scenes), *_earlier(kept)]),
         "hole drives": drive_tables(drives),
         "marker limits": "\n\n".join(headed(one, _limits(one)) for one in limits),
         "marker verdict": "\n\n".join(headed(one, table(told, verdict_lines(one))) for one in limits),
     }
+
+
+def _earlier(kept: Sequence[Kept]) -> list[str]:
+    """The rows of scenes that no longer count, as a paragraph; nothing where there are none."""
+    told = [
+        f"`{one.command}`, commit `{one.commit}`, `docs/results/{one.name}`: {one.superseded}."
+        for one in kept
+        if one.experiment == "targets" and one.superseded
+    ]
+    return [f"No longer counted: {' '.join(told)}"] if told else []
 
 
 def _scenes(one: Kept) -> str:

@@ -77,6 +77,20 @@ def test_drives_of_a_kind_are_judged_together_and_never_by_few_nor_by_another_wo
     assert any(line.endswith("| 50 | 50 | 49 | 0.50, 0.50, 0.50 | 1: `target.no_hole` |") for line in made)
 
 
+def test_rows_that_no_longer_count_are_history_with_the_reason_and_their_verdict(tmp_path: Path) -> None:
+    run, results = tmp_path / "run", tmp_path / "results"
+    run.mkdir()
+    _campaign(run, [_row(1, 0.4, 0.99)])
+    into = keep(run, "real", "abc1234", "longreach experiment best-mode", results)
+    about = json.loads((into / "about.json").read_text(encoding="utf-8"))
+    (into / "about.json").write_text(json.dumps(about | {"superseded": "it parks now"}), encoding="utf-8")
+    made = sections(results)
+    assert made["evidence"].count("\n") == 1, "no line of rows that count"
+    line = made["history"].splitlines()[-1]
+    assert line.startswith("| `docs/results/real`, commit `abc1234` | `longreach experiment best-mode` | 1 | ")
+    assert line.endswith("| 6 of 8 | it parks now |")
+
+
 def test_rows_that_were_superseded_are_shown_with_the_reason_and_not_counted(tmp_path: Path) -> None:
     results = tmp_path / "results"
     into = keep(
