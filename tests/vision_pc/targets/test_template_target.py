@@ -1,5 +1,6 @@
 """A patch that was taught is found again by its looks, or it is said why not."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -86,6 +87,23 @@ def test_what_looks_like_another_place_is_not_taught_and_not_found() -> None:
     with pytest.raises(TargetRefused) as caught:
         anywhere(tiled.sighted(), known(made))
     assert caught.value.cause == "target.ambiguous"
+
+
+@pytest.mark.parametrize(("alike_texels", "ambiguous"), [(4.0, False), (2.0, True)])
+def test_a_place_that_looks_alike_from_afar_alone_is_told_from_it_by_its_fine_texture(
+    taught: TargetObservation, alike_texels: float, ambiguous: bool
+) -> None:
+    wall, other = rock(), rock(seed=8)
+    fine = other - cv2.GaussianBlur(other, (0, 0), alike_texels)
+    here, there = np.s_[805:955, 875:1025], np.s_[1075:1225, 1055:1205]  # the first about PLACE
+    wall[there] = cv2.GaussianBlur(wall, (0, 0), alike_texels)[here] + fine[here]
+    both = scene(wall, AFTER, seed=9)
+    if ambiguous:
+        with pytest.raises(TargetRefused) as caught:
+            anywhere(both.sighted(), known(taught))
+        assert caught.value.cause == "target.ambiguous"
+    else:
+        assert across_mm(anywhere(both.sighted(), known(taught)).X_CO, both.point(*PLACE)) < 0.2
 
 
 def test_only_a_template_is_found_anywhere(wall: WallScene, taught: TargetObservation) -> None:

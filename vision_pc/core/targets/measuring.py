@@ -14,7 +14,14 @@ from vision_pc.core.perception import intrinsics
 from vision_pc.core.perception.camera_correction import as_believed
 from vision_pc.core.perception.object_of_interest import lens_covariance
 from vision_pc.core.se3 import Array
-from vision_pc.core.targets import circle_hole, free_rim, plane_patch, row_matching, template_target
+from vision_pc.core.targets import (
+    circle_hole,
+    free_rim,
+    plane_patch,
+    row_matching,
+    template_search,
+    template_target,
+)
 from vision_pc.core.targets.hole_search import dark_spots
 from vision_pc.core.targets.plane_patch import PlanePatch
 from vision_pc.core.targets.round_edge import DarkSpot
@@ -162,7 +169,7 @@ def _found_again(
         _visible(sighted, camera, known)
         spread = 3.0 * math.sqrt(float(np.trace(known.covariance[:3, :3]))) + _AGAIN_M
         reach = int(spread * camera.left.K[0, 0] / expected[2, 3]) + 4
-    place = template_target.find(sighted.pair.left, camera.left, taught, expected, reach)
+    place = template_search.find(sighted.pair.left, camera.left, taught, expected, reach)
     found = row_matching.match(sighted.pair, camera, place.pixel, sighted.settings.depths_m)
     plane = _plane(sighted.pair, camera, place.pixel, found.inverse_depth)
     laid = template_target.lay(sighted.pair.left, camera.left, taught, plane, place)

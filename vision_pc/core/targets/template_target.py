@@ -5,7 +5,6 @@ would see it and searched for; a second place that looks as good is refused. The
 both eyes measure there, and shifted and turned in that plane until the left eye's greys agree.
 """
 
-import math
 from typing import NamedTuple
 
 import cv2
@@ -16,26 +15,14 @@ from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.plane_patch import PlanePatch, residual_spread
 from vision_pc.core.targets.target import TargetRefused, Taught, frame_on
+from vision_pc.core.targets.template_search import APART, MARGIN, Place, drawn_as_seen, places_like, turned
 from vision_pc.core.types import CameraModel, Image
 
 LEAST_HALF, MOST_HALF = 15, 60  # px on either side of what is taught
-_LEAST = 0.6  # correlation below which it was not found
-_MARGIN = 0.1  # by which the best place must beat every other
-_APART = 0.5  # of its half width between places that are different ones
-_SCALES = (0.72, 0.85, 1.0, 1.18, 1.39)  # of its size in the picture, where nobody knows how far it is
-_ROLLS_DEG = (-20.0, -10.0, 0.0, 10.0, 20.0)
-_COARSE = 2  # a picture half as fine is searched first
 _SMOOTHED = 1.1
 _STEPS = 20
 _FLOOR_PX = 0.012  # [M] what interpolation and the surface's relief leave
 _AGREE = 0.7  # correlation that is left once it lies where it belongs
-
-
-class Place(NamedTuple):
-    """Where a taught patch lies: its middle (2,) px of the left eye, its turn from the camera's x, rad."""
-
-    pixel: Array
-    turn: float
 
 
 class Laid(NamedTuple):
@@ -62,11 +49,11 @@ def teach(image: Image, eye: CameraModel, X: Array, half_px: int) -> Taught:
         )
     taught = Taught(_sampled(_smooth(image), u, v), texel)
     pixel = intrinsics.project(eye, X[None, :3, 3])[0]
-    found = _search(image, _drawn(eye, taught, X, half), None, half)
+    found = places_like(image, drawn_as_seen(eye, taught, X, half), None, half)
     others = [
         place
         for place, score in found
-        if score > 1.0 - 2.0 * _MARGIN and np.linalg.norm(place - pixel) > _APART * half
+        if score > 1.0 - 2.0 * MARGIN and np.linalg.norm(place - pixel) > APART * half
     ]
     if others:
         at = others[0]
@@ -76,30 +63,6 @@ def teach(image: Image, eye: CameraModel, X: Array, half_px: int) -> Taught:
     return taught
 
 
-def find(image: Image, eye: CameraModel, taught: Taught, expected: Array, reach_px: int | None) -> Place:
-    """Where ``taught`` is in a left picture: within ``reach_px`` of ``expected`` (4, 4), None: anywhere.
-
-    Raises TargetRefused: ``target.not_found``, ``target.ambiguous``.
-    """
-    half = len(taught.grey) // 2
-    level = frame_on(expected[:3, 3], expected[:3, 2])
-    turn = math.atan2(*(float(expected[:3, 0] @ level[:3, k]) for k in (1, 0)))
-    if reach_px is not None:
-        pixel = intrinsics.project(eye, expected[None, :3, 3])[0]
-        found = _search(image, _drawn(eye, taught, expected, half), (pixel, reach_px), half)
-        return Place(_only(found, half), turn)
-    small = cv2.resize(image, None, fx=1.0 / _COARSE, fy=1.0 / _COARSE, interpolation=cv2.INTER_AREA)
-    tried = list[tuple[float, Array, float]]()
-    for scale in _SCALES:
-        for roll_deg in _ROLLS_DEG:
-            drawn = _drawn(eye, taught, _turned(expected, math.radians(roll_deg)), half, scale / _COARSE)
-            for place, score in _search(np.asarray(small), drawn, None, len(drawn) // 2):
-                tried.append((score, place * _COARSE + 0.5 * (_COARSE - 1), math.radians(roll_deg)))
-    tried.sort(key=lambda each: -each[0])
-    best = _only([(place, score) for score, place, _ in tried], half)
-    return Place(best, turn + next(roll for _, place, roll in tried if place is best))
-
-
 def lay(image: Image, eye: CameraModel, taught: Taught, plane: PlanePatch, place: Place) -> Laid:
     """``taught`` on ``plane``, shifted and turned in it from ``place`` until the greys agree.
 
@@ -107,7 +70,7 @@ def lay(image: Image, eye: CameraModel, taught: Taught, plane: PlanePatch, place
     """
     smooth, half = _smooth(image), len(taught.grey) // 2
     ray = np.append(intrinsics.normalised(eye, place.pixel[None])[0], 1.0)
-    X = _turned(frame_on(plane.meet(ray), plane.n), place.turn)
+    X = turned(frame_on(plane.meet(ray), plane.n), place.turn)
     T, count = taught.grey, len(taught.grey)
     J = np.zeros((count, count, 6))
     J[..., 3], J[..., 4] = T, 1.0
@@ -158,13 +121,9 @@ def _compared(
 
 def _shifted(X: Array, step: Array) -> Array:
     """``X`` shifted along its x and y (m), then turned about its z (rad)."""
-    moved = _turned(X, float(step[2]))
+    moved = turned(X, float(step[2]))
     moved[:3, 3] = X[:3, 3] + X[:3, :2] @ step[:2]
     return moved
-
-
-def _turned(X: Array, angle: float) -> Array:
-    return np.asarray(X @ se3.transform(se3.exp_so3(np.array([0.0, 0.0, angle])), np.zeros(3)))
 
 
 def _pixels(eye: CameraModel, X: Array, half: int, texel_m: float) -> tuple[Array, Array]:
@@ -186,61 +145,3 @@ def _sampled(smooth: Array, u: Array, v: Array) -> Array:
     return np.asarray(
         cv2.remap(smooth, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), dtype=np.float64
     )
-
-
-def _drawn(eye: CameraModel, taught: Taught, X: Array, half: int, scale: float = 1.0) -> Image:
-    """The taught patch as the eye sees it at ``X``, (m, m), ``scale`` times as fine."""
-    u, v = intrinsics.project(eye, X[None, :3, 3])[0]
-    side = max(int(half * scale * float(taught.texel_m * eye.K[0, 0] / X[2, 3]) * 0.8), 6)
-    offsets = np.arange(-side, side + 1) / (scale if scale > 0.0 else 1.0)
-    columns, rows = np.meshgrid(u + offsets, v + offsets)
-    rays = intrinsics.normalised(eye, np.column_stack([columns.ravel(), rows.ravel()]))
-    directions = np.column_stack([rays, np.ones(len(rays))])
-    n = X[:3, 2]
-    on = ((n @ X[:3, 3]) / (directions @ n))[:, None] * directions - X[:3, 3]
-    x, y = (on @ X[:3, 0] / taught.texel_m + half, -(on @ X[:3, 1]) / taught.texel_m + half)
-    shape = columns.shape
-    grey = taught.grey.astype(np.float32)
-    picture = cv2.remap(
-        grey, x.reshape(shape).astype(np.float32), y.reshape(shape).astype(np.float32), cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )  # fmt: skip
-    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
-
-
-def _search(
-    image: Image, drawn: Image, about: tuple[Array, int] | None, half: int
-) -> list[tuple[Array, float]]:
-    """Places (2,) px that look like ``drawn``, best first, and their correlations."""
-    left = top = 0
-    side = len(drawn) // 2
-    part = image
-    if about is not None:
-        (u, v), reach = np.rint(about[0]).astype(int), about[1] + side
-        left, top = max(u - reach, 0), max(v - reach, 0)
-        part = image[top : max(v + reach + 1, 0), left : max(u + reach + 1, 0)]
-    if min(part.shape) < len(drawn) + 2:
-        return []
-    scores = cv2.matchTemplate(cv2.GaussianBlur(part, (5, 5), 0.8), drawn, cv2.TM_CCOEFF_NORMED)
-    size = 2 * max(int(_APART * half), 2) + 1
-    peaks = (scores >= cv2.dilate(scores, np.ones((size, size), np.uint8))) & (scores > 0.4)
-    rows, columns = np.nonzero(peaks)
-    order = np.argsort(-scores[rows, columns], kind="stable")[:20]
-    return [
-        (np.array([columns[k] + left + side, rows[k] + top + side], dtype=np.float64),
-         float(scores[rows[k], columns[k]]))
-        for k in order
-    ]  # fmt: skip
-
-
-def _only(found: list[tuple[Array, float]], half: int) -> Array:
-    if not found or found[0][1] < _LEAST:
-        score = found[0][1] if found else 0.0
-        raise TargetRefused("target.not_found", f"target: correlation {score:.2f}, {_LEAST} is wanted")
-    best, score = found[0]
-    for place, other in found[1:]:
-        if other > score - _MARGIN and np.linalg.norm(place - best) > _APART * half:
-            raise TargetRefused(
-                "target.ambiguous", f"target: the place at ({place[0]:.0f}, {place[1]:.0f}) px looks as alike"
-            )
-    return best
