@@ -37,7 +37,7 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "evidence.md"
 RESULTS = ROOT / "docs" / "results"
 ON_PAGES_OF_SIGHT = ("targets", "hole-drives", "marker-limits")  # ``tools.sight_pages`` shows them
-WORDS = {True: "yes", False: "NO", None: ""}
+MET = {True: "yes", False: "NO", None: ""}
 _ABOUT = "about.json"
 _MOST_MEDIAN_MM, _MOST_RATIO = 1.5, 3.0  # of a changed machine
 
@@ -122,7 +122,7 @@ def verdict_lines(one: Kept) -> list[list[str]]:
     rows = [typed(experiment.row, row) for row in one.rows]
     request = CampaignRequest(ROOT / "configs", RESULTS)
     done = Finished(request, experiment.settings(), (), rows, len(rows))
-    return [[check.what, check.found, check.asked, WORDS[check.met]] for check in experiment.verdict(done)]
+    return [[check.what, check.found, check.asked, MET[check.met]] for check in experiment.verdict(done)]
 
 
 def _history(one: Kept) -> list[str]:
@@ -142,7 +142,7 @@ def _judged(one: Kept) -> list[list[str]]:
     if one.experiment == "changed-machine":
         return _changes(one)
     if one.experiment == "best-mode":
-        return [[WORDS[check.met]] for check in _asked([typed(PositioningRow, row) for row in one.rows])]
+        return [[MET[check.met]] for check in _asked([typed(PositioningRow, row) for row in one.rows])]
     return verdict_lines(one)
 
 

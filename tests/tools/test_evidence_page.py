@@ -87,7 +87,9 @@ def test_rows_that_no_longer_count_are_history_with_the_reason_and_their_verdict
     made = sections(results)
     assert made["evidence"].count("\n") == 1, "no line of rows that count"
     line = made["history"].splitlines()[-1]
-    assert line.startswith("| `docs/results/real`, commit `abc1234` | `longreach experiment best-mode` | 1 | ")
+    assert line.startswith(
+        "| `docs/results/real`, commit `abc1234` | `longreach experiment best-mode` | 1 | "
+    )
     assert line.endswith("| 6 of 8 | it parks now |")
 
 
