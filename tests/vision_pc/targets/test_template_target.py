@@ -106,6 +106,17 @@ def test_a_place_that_looks_alike_from_afar_alone_is_told_from_it_by_its_fine_te
         assert across_mm(anywhere(both.sighted(), known(taught)).X_CO, both.point(*PLACE)) < 0.2
 
 
+def test_a_patch_on_the_edge_of_a_shade_is_told_from_other_places_on_that_edge() -> None:
+    wall = rock(contrast=12.0)
+    rows, columns = np.indices(wall.shape)
+    wall[columns - 875.0 > 1.4 * (rows - 880.0)] *= 0.4  # goes through PLACE
+    made = at_click(
+        (before := scene(wall, BEFORE)).sighted(), Click("left", before.pixel(*PLACE), "template")
+    )
+    later = scene(wall, AFTER, seed=9)
+    assert across_mm(anywhere(later.sighted(), known(made)).X_CO, later.point(*PLACE)) < 0.3
+
+
 def test_only_a_template_is_found_anywhere(wall: WallScene, taught: TargetObservation) -> None:
     with pytest.raises(TargetRefused) as caught:
         anywhere(wall.sighted(), KnownTarget("plane", taught.X_CO, taught.covariance, None))

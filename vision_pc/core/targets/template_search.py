@@ -25,6 +25,8 @@ _ROLLS_DEG = (-20.0, -10.0, 0.0, 10.0, 20.0)
 _COARSE = 2  # a picture half as fine is searched first; places that look alike there are looked at finely:
 _FINER_SCALES, _FINER_ROLLS_DEG = (0.92, 1.0, 1.09), (-5.0, 0.0, 5.0)
 _FINE_REACH_PX, _MOST_RIVALS = 8, 8
+TEXTURE_MARGIN = 0.3  # by which fine texture agrees less at a place that is another one
+_BLOCK_PX, _BLOCK_REACH_PX = 15, 2  # of it, and by how much each may lie elsewhere
 
 
 class Place(NamedTuple):
@@ -35,12 +37,16 @@ class Place(NamedTuple):
 
 
 class _Tried(NamedTuple):
-    """A place (2,) px that looks like what was taught: its correlation, at which size and turn (rad)."""
+    """A place (2,) px that looks like what was taught: its correlation, at which size and turn (rad).
+
+    ``texture``: how well fine texture agrees there.
+    """
 
     pixel: Array
     score: float
     scale: float
     roll: float
+    texture: float = 0.0
 
 
 def find(image: Image, eye: CameraModel, taught: Taught, expected: Array, reach_px: int | None) -> Place:
@@ -64,8 +70,7 @@ def find(image: Image, eye: CameraModel, taught: Taught, expected: Array, reach_
                 tried.append(_Tried(place * _COARSE + 0.5 * (_COARSE - 1), score, scale, float(roll)))
     tried.sort(key=lambda each: -each.score)
     if len(_rivals(tried, half)) > 1:
-        tried = [_finely(image, eye, taught, expected, one) for one in _rivals(tried, half)]
-        tried.sort(key=lambda each: -each.score)
+        tried = _of_its_texture([_finely(image, eye, taught, expected, one) for one in _rivals(tried, half)])
     best = _only([(each.pixel, each.score) for each in tried], half)
     return Place(best, turn + next(each.roll for each in tried if each.pixel is best))
 
@@ -90,8 +95,43 @@ def _finely(image: Image, eye: CameraModel, taught: Taught, expected: Array, fou
             drawn = drawn_as_seen(eye, taught, X, len(taught.grey) // 2, float(scale))
             for place, score in places_like(image, drawn, (found.pixel, _FINE_REACH_PX), len(drawn) // 2)[:1]:
                 if score > best.score:
-                    best = _Tried(place, score, float(scale), float(roll))
+                    texture = texture_alike(image, drawn, place)
+                    best = _Tried(place, score, float(scale), float(roll), texture)
     return best
+
+
+def _of_its_texture(tried: list[_Tried]) -> list[_Tried]:
+    """Those whose fine texture agrees about as well as that of any, best correlation first."""
+    limit = max(each.texture for each in tried) - TEXTURE_MARGIN
+    return sorted((each for each in tried if each.texture > limit), key=lambda each: -each.score)
+
+
+def texture_alike(image: Image, drawn: Image, place: Array) -> float:
+    """How well the fine texture at ``place`` (2,) px agrees with ``drawn``: the median over blocks, each
+    within a few px of its place.
+
+    The edge of a shade looks alike wherever it goes; what it falls on does not.
+    """
+    side, (u, v) = len(drawn) // 2, np.rint(place).astype(int)
+    top, left = max(v - side - _BLOCK_REACH_PX, 0), max(u - side - _BLOCK_REACH_PX, 0)
+    seen = _without_slow(image[top : v + side + 1 + _BLOCK_REACH_PX, left : u + side + 1 + _BLOCK_REACH_PX])
+    wanted, alike = _without_slow(drawn), list[float]()
+    for row in range(0, len(drawn) - _BLOCK_PX + 1, _BLOCK_PX):
+        for column in range(0, len(drawn) - _BLOCK_PX + 1, _BLOCK_PX):
+            y, x = v - side + row - top, u - side + column - left  # of the block in what is seen
+            about = seen[
+                max(y - _BLOCK_REACH_PX, 0) : y + _BLOCK_PX + _BLOCK_REACH_PX,
+                max(x - _BLOCK_REACH_PX, 0) : x + _BLOCK_PX + _BLOCK_REACH_PX,
+            ]
+            block = wanted[row : row + _BLOCK_PX, column : column + _BLOCK_PX]
+            if min(about.shape) >= _BLOCK_PX:
+                alike.append(float(cv2.matchTemplate(about, block, cv2.TM_CCOEFF_NORMED).max()))
+    return float(np.median(alike)) if alike else 0.0
+
+
+def _without_slow(part: Image) -> Array:
+    grey = part.astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(grey, (0, 0), 1.0) - cv2.GaussianBlur(grey, (0, 0), 4.0))
 
 
 def drawn_as_seen(eye: CameraModel, taught: Taught, X: Array, half: int, scale: float = 1.0) -> Image:

@@ -15,7 +15,16 @@ from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.plane_patch import PlanePatch, residual_spread
 from vision_pc.core.targets.target import TargetRefused, Taught, frame_on
-from vision_pc.core.targets.template_search import APART, MARGIN, Place, drawn_as_seen, places_like, turned
+from vision_pc.core.targets.template_search import (
+    APART,
+    MARGIN,
+    TEXTURE_MARGIN,
+    Place,
+    drawn_as_seen,
+    places_like,
+    texture_alike,
+    turned,
+)
 from vision_pc.core.types import CameraModel, Image
 
 LEAST_HALF, MOST_HALF = 15, 60  # px on either side of what is taught
@@ -49,11 +58,14 @@ def teach(image: Image, eye: CameraModel, X: Array, half_px: int) -> Taught:
         )
     taught = Taught(_sampled(_smooth(image), u, v), texel)
     pixel = intrinsics.project(eye, X[None, :3, 3])[0]
-    found = places_like(image, drawn_as_seen(eye, taught, X, half), None, half)
+    drawn = drawn_as_seen(eye, taught, X, half)
+    alike = texture_alike(image, drawn, pixel) - TEXTURE_MARGIN
     others = [
         place
-        for place, score in found
-        if score > 1.0 - 2.0 * MARGIN and np.linalg.norm(place - pixel) > APART * half
+        for place, score in places_like(image, drawn, None, half)
+        if score > 1.0 - 2.0 * MARGIN
+        and np.linalg.norm(place - pixel) > APART * half
+        and texture_alike(image, drawn, place) > alike
     ]
     if others:
         at = others[0]
