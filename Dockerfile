@@ -11,6 +11,8 @@ RUN /usr/sbin/useradd --create-home --uid 10001 longreach \
 ENV PATH=/opt/longreach/bin:$PATH \
     OMP_NUM_THREADS=1 \
     OPENBLAS_NUM_THREADS=1 \
+    MALLOC_TRIM_THRESHOLD_=268435456 \
+    MALLOC_MMAP_THRESHOLD_=268435456 \
     PYTHONUNBUFFERED=1 \
     PYTHONDONTWRITEBYTECODE=1 \
     NUMBA_CACHE_DIR=/var/lib/longreach/numba \

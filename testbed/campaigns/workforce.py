@@ -38,7 +38,16 @@ _MEMORY_LIMIT = "4GiB"  # of one embedded worker; beyond it is ended, and the ru
 _WORN_BYTES = 3 << 29  # of an embedded worker between two runs; beyond it, a new one takes over
 _PATIENCE_S = 60.0  # without a result until somebody asks whether anyone is working
 _RESTART_S = 600.0  # a worker that has not restarted by then stays away for the rest of the campaign
+SPAWN_ENVIRONMENT = {
+    "OMP_NUM_THREADS": 1,
+    "OPENBLAS_NUM_THREADS": 1,
+    "MKL_NUM_THREADS": 1,
+    "MALLOC_TRIM_THRESHOLD_": 1 << 28,
+    "MALLOC_MMAP_THRESHOLD_": 1 << 28,
+}
+"""Of a worker. By Dask's own the memory of each picture is given back: 460,000 page faults a run, not 20,000."""
 _QUIET = {
+    "distributed.nanny.pre-spawn-environ": SPAWN_ENVIRONMENT,
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,  # a paused worker would wait for ever: its memory is one run's

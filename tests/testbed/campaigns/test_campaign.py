@@ -2,6 +2,7 @@
 
 import math
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import distributed
+import numpy as np
 import pytest
 
 from protocol.errors import ConfigurationError, LinkLost, MeasurementFailed
@@ -52,6 +54,14 @@ def measured(task: dict[str, Any]) -> dict[str, Any]:
         os._exit(1)
     file = bytes([task["number"]])
     return {"twice": 2 * task["number"], "process": os.getpid(), "nothing": math.nan, "trace.bin": file}
+
+
+def faults(_task: dict[str, Any]) -> dict[str, Any]:
+    """The page faults of pictures of 2 MiB that are made and dropped, one after the other."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(40):
+        np.ones(1 << 21, np.uint8)
+    return {"faults": resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before}
 
 
 def held_once(place: str, task: dict[str, Any]) -> dict[str, Any]:
@@ -286,6 +296,11 @@ def test_another_version_of_a_library_measures_anew(monkeypatch: pytest.MonkeyPa
     before = evidence_of(measured)
     monkeypatch.setattr(provenance, "library_versions", lambda: {"numpy": "0.1"})
     assert evidence_of(measured) != before
+
+
+def test_a_worker_keeps_the_memory_of_its_pictures(tmp_path: Path) -> None:
+    (row,) = run_campaign(tmp_path, faults, tasks(1), scheduler=None, workers=1, title="one")
+    assert row["faults"] < 4_000  # 20,480 where each is given back to the system
 
 
 def test_a_worker_with_other_sources_or_files_makes_no_rows(
