@@ -1,11 +1,14 @@
 """The program that watches a controller try out its valves, in lockstep, and what it refuses."""
 
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from functools import partial
+from typing import Any
 
 import pytest
 
 from foundation.configuration import parse_overrides
-from protocol.errors import RequestRefused
+from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import GroupState
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
@@ -18,10 +21,51 @@ from vision_pc.application.valve_trials import TrialsSeen, trials_json
 pytestmark = pytest.mark.timeout(600)  # a minute of arm time, on a busy machine
 
 
-def watched(*assignments: str) -> tuple[LockstepRig, TrialsSeen]:
+class SilentEyes:
+    """Eyes that once hear nothing more of the camera, and if it is ``dead`` never again."""
+
+    def __init__(self, rig: LockstepRig, after: int, dead: bool) -> None:
+        self._rig, self._eyes, self._after, self._dead = rig, rig.application.eyes, after, dead
+        self._silent = False
+
+    @asynccontextmanager
+    async def watch(self, **wanted: bool) -> AsyncIterator[Any]:
+        if self._silent and self._dead:
+            for _ in range(100):  # as long as a camera is waited for
+                await self._rig.link.next_state()
+            raise LinkLost("link.camera_silent", "newest picture is 1728 ms old, limit 1000 ms")
+        async with self._eyes.watch(**wanted) as watch:
+            yield SilentWatch(self, watch)
+
+    def refuse(self, count: int) -> None:
+        if count >= self._after and not self._silent:
+            self._silent = True
+            raise LinkLost("link.camera_silent", "newest picture is 1728 ms old, limit 1000 ms")
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._eyes, name)
+
+
+class SilentWatch:
+    def __init__(self, eyes: SilentEyes, watch: Any) -> None:
+        self._eyes, self._watch = eyes, watch
+
+    async def after(self, count: int, timeout_s: float) -> Any:
+        self._eyes.refuse(count)
+        return await self._watch.after(count, timeout_s)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._watch, name)
+
+
+def watched(
+    *assignments: str, silent_after: int | None = None, dead: bool = False
+) -> tuple[LockstepRig, TrialsSeen]:
     settings = load_settings(CONFIGS, parse_overrides(["controller.cycle_ms=10", *assignments]))
     sight = partial(simulated_sight, model=load_eye_model(CONFIGS), seed=1)
     rig = LockstepRig(settings, 1, RunLog(), sight)
+    if silent_after is not None:
+        rig.application.eyes = SilentEyes(rig, silent_after, dead)
     with bars(quiet=True) as shown, shown.step("valve-trials") as bar:
         found = rig.operate("valve-trials", {"confirmed": True}, bar)
     return rig, found
@@ -48,3 +92,18 @@ def test_a_controller_in_no_such_mode_is_named_and_disabled() -> None:
     with pytest.raises(RequestRefused) as raised:
         watched()
     assert raised.value.cause == "refused.no_trials"
+
+
+def test_a_silent_camera_costs_the_joint_that_was_tried_out_meanwhile() -> None:
+    trials = ("controller.excitation.enabled=true", "controller.excitation.joints=[4, 5]")
+    rig, found = watched(*trials, "controller.excitation.ramps=2", silent_after=100)
+    assert rig.link.state.group_state is GroupState.DISABLED
+    assert list(found.plays) == ["wrist3"]
+    assert list(found.unseen) == ["wrist2"]
+    assert found.unseen["wrist2"].startswith("no picture for ")
+
+
+def test_a_camera_that_stays_silent_ends_the_trials() -> None:
+    with pytest.raises(LinkLost) as raised:
+        watched("controller.excitation.enabled=true", silent_after=20, dead=True)
+    assert raised.value.cause == "link.camera_silent"
