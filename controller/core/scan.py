@@ -25,6 +25,7 @@ from controller.core.servo.joint_control import JointFilters, unmoved
 from controller.core.servo.pose_servo import tool_state
 from controller.core.servo.servo_step import (
     FURTHEST,
+    LEFT,
     LOAD,
     PT1,
     Q_CMD,
@@ -36,7 +37,7 @@ from controller.core.servo.servo_step import (
     servo_step,
 )
 from controller.core.settings import ScanSettings
-from controller.core.standing import stood
+from controller.core.standing import rests_settled, stood
 from controller.core.supervision import Evidence, Fault, ServoOutput, first_fault, readings, update_timers
 from controller.core.trajectories.motion import advance, at_standstill
 from protocol.axes_group import GROUP_STATE, Mode
@@ -176,7 +177,7 @@ def _drive_valves(
         state, event = react_to_fault(settings, state, Fault(FaultCode.NUMERIC, float("nan"), 0.0))
         events.append(event)
         return _centre_valves(settings, state)
-    inside = settled and state.motion.path is None
+    inside = state.motion.path is None and (settled or rests_settled(settings, state, out[LEFT]))
     return state._replace(
         servo=ServoOutput(out[Q_CMD], out[QD_CMD], out[VALVES], desired.v),
         filters=JointFilters(out[PT1], out[LOAD], out[SENSE], out[FURTHEST]),

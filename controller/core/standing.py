@@ -6,6 +6,7 @@ from controller.core.kinematics.rotations import Array
 from controller.core.kinematics.triples import norm
 from controller.core.scan_types import MOVES, ScanEvent, ScanState, Standing
 from controller.core.servo.coming_to_rest import may_stay, rested_here, restless
+from controller.core.servo.flanks import flanks_followed, stays_within
 from controller.core.servo.parking import at_rest, park_step, parked_here
 from controller.core.servo.parking_state import (
     BAND,
@@ -33,8 +34,11 @@ def stood(
     if state.motion.path is not None or state.mode is not Mode.STANDBY:
         if state.standing.parked:
             events.append(ScanEvent("unparked", state.mode.name, 0.0, 0.0))
-        return state._replace(parking=parking_ended(state.parking), standing=MOVES)
+        parking = parking_ended(state.parking)
+        flanks_followed(parking, state.watch.q_meas, settings.parking.dt_s)
+        return state._replace(parking=parking, standing=MOVES)
     parking = state.parking.copy()
+    flanks_followed(parking, state.watch.q_meas, settings.parking.dt_s)
     park_step(settings.servo, settings.parking, given, state.watch.turned, out, parking)
     since_s = state.standing.since_s + settings.parking.dt_s
     rests, parking = _rested(settings.parking, state.standing.rests, since_s, parking, events)
@@ -53,6 +57,13 @@ def stood(
     if astray and not state.standing.astray:
         events.append(ScanEvent("astray", "PARKED_TOOL_LEFT_ITS_PLACE", away, settings.parking_alarm))
     return state._replace(parking=parking, standing=Standing(since_s, rests, parked, astray))
+
+
+def rests_settled(settings: ScanSettings, state: ScanState, left: Array) -> bool:
+    """Whether an arm that rests, ``left`` (6,) rad off, stays so: in the tolerance, or by its play."""
+    if settings.parking is None or not state.standing.rests:
+        return False
+    return stays_within(settings.parking, state.parking, left, settings.servo.tolerance)
 
 
 def _rested(

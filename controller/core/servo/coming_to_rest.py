@@ -8,6 +8,7 @@ is, and the arm *rests* when all of them do. Only then does it count as settled.
 import numpy as np
 
 from controller.core.kinematics.rotations import Array
+from controller.core.servo.flanks import left_at, stays_within
 from controller.core.servo.parking_state import (
     CALM,
     CALM_AT,
@@ -40,7 +41,8 @@ def calm_counted(law: ParkingLaw, state: Array, i: int, lever: float) -> None:
         state[CALM, i], state[CALM_AT, i] = 0.0, here
     if phase != SHUT or state[PARKED, i] == ARM_RESTS:
         return
-    off, outside = abs(state[ERROR, i] - state[PLACE, i]), abs(state[ERROR, i]) > law.leaves
+    off, error = abs(state[ERROR, i] - state[PLACE, i]), state[ERROR, i]
+    outside = abs(error) > left_at(law, state, i, error, law.leaves)
     if state[PARKED, i] == JOINT_RESTS and (outside or off > _PUSHED_RAD):
         state[PARKED, i], state[PLACE, i], state[CALM, i] = 0.0, 0.0, 0.0
     elif state[PARKED, i] == 0.0 and state[CALM, i] > law.calm and not outside:
@@ -64,7 +66,7 @@ def restless(law: ParkingLaw, state: Array) -> Array:
 def may_stay(law: ParkingLaw, state: Array) -> bool:
     """Whether no joint is on its way, and all are near enough: an arm whose time is over may stay so."""
     moves = np.isin(state[PHASE], (FOLLOWING, OPEN, NUDGED))
-    return bool((~moves & (np.abs(state[ERROR]) < law.leaves)).all())
+    return bool(not moves.any() and stays_within(law, state, state[ERROR], law.leaves))
 
 
 def rested_here(state: Array) -> Array:

@@ -12,6 +12,7 @@ import math
 from controller.core.kinematics.rotations import Array
 from controller.core.servo.parking_state import (
     DOUBT,
+    EASE,
     EDGE,
     ERROR,
     FROM,
@@ -22,6 +23,7 @@ from controller.core.servo.parking_state import (
     OPEN,
     OPENED,
     OPENING,
+    PARKED,
     PHASE,
     RATE,
     SENSE,
@@ -44,6 +46,9 @@ _TOO_MUCH = 1.5  # times what was wanted: the edge is nearer than it was believe
 _STEP = 0.1  # by a tenth of the deadband at least,
 _LOWEST = 0.5  # never by more than half of it
 _SHORTEST_S = 0.05  # of an opening, for its flow
+_KEEPS = 0.5  # of what it may be off: by so much a joint still presses on when its oil has been let out
+_HELD = 1.4  # of what friction holds: more let out, it would come back where the load is not as learned
+_EASES_S = 5.0  # how soon a resting joint's oil is believed to be at ease
 
 
 @kernel
@@ -64,6 +69,40 @@ def metered_begun(state: Array, i: int, off: float) -> float:
     state[OIL_FROM, i] = state[OIL, i]
     state[OPENED, i] = max(state[EDGE + side, i] - state[DOUBT + side, i], 0.0)
     return sense * float(state[OPENED, i])
+
+
+@kernel
+def let_out(law: ParkingLaw, state: Array, i: int) -> float:
+    """How much oil (rad, with the sense of its flow) to let out of joint ``i``; 0: none, it is not there yet.
+
+    Friction holds a joint that has arrived against the oil that moved it, and lets go of it later: it would
+    go on by all that, and come back through its play. What is learned of the load is not wholly trusted:
+    where nothing shakes, a joint rests under any that friction holds.
+    """
+    oil, error = state[ERROR, i] - state[OIL, i], state[ERROR, i]
+    sense = 1.0 if oil > state[EASE, i] else -1.0
+    most = _HELD * abs(oil) + 2.0 * law.leaves
+    presses, short = min(sense * (oil - state[EASE, i]), most), max(sense * error, 0.0)
+    if short > law.leaves or presses - short < law.leaves:
+        return 0.0
+    return float(-sense * (presses - max(short, _KEEPS * law.leaves)))
+
+
+@kernel
+def eased(law: ParkingLaw, state: Array, i: int, load: float) -> float:
+    """The first spool command that lets oil out of shut joint ``i``; 0 while there is nothing to let out.
+
+    From a joint that rests, what its oil is compressed by at ease is learned.
+    """
+    if state[PARKED, i] > 0.0:
+        state[EASE, i] += (law.oil[i] * load - state[EASE, i]) * law.dt_s / _EASES_S
+        return 0.0
+    oil = let_out(law, state, i)
+    if oil == 0.0:
+        return 0.0
+    spool = metered_begun(state, i, oil)
+    state[GIVES, i] = 1.0  # oil that was let out before moved nothing, as it should
+    return float(spool)
 
 
 @kernel

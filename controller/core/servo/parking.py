@@ -14,13 +14,16 @@ import numpy as np
 from controller.core.kinematics.rotations import Array
 from controller.core.servo.coming_to_rest import ARM_RESTS, calm_counted
 from controller.core.servo.drives import full_spool_speeds
+from controller.core.servo.flanks import left_at, turned_to
 from controller.core.servo.keeping import kept, kept_begun
-from controller.core.servo.metering import learned, metered, metered_begun
+from controller.core.servo.metering import eased, learned, metered, metered_begun
 from controller.core.servo.parking_state import (
     AFTER,
     BAND,
+    CAME,
     CREPT,
     DRIFT,
+    EASE,
     ERROR,
     FOLLOWING,
     HASTE,
@@ -169,6 +172,8 @@ def _arrived(law: ParkingLaw, state: Array, i: int, error: float, load: float) -
     shut(state, i, error)
     state[DRIFT, i], state[HELD, i], state[CREPT, i] = 0.0, 0.0, error
     state[OIL, i], state[LOAD, i] = error - law.oil[i] * load, load
+    if state[CAME, i] == 0.0:  # it has stood since the start
+        state[EASE, i] = law.oil[i] * load
     return True
 
 
@@ -191,6 +196,10 @@ def _watched(law: ParkingLaw, state: Array, i: int, error: float, load: float, g
     off = state[ERROR, i] - state[PLACE, i]
     if metered_joint and state[PARKED, i] == 0.0:
         off += state[RATE, i] * _RELAXES_S
+    if metered_joint and law.loaded[i] == 0.0 and law.play[i] > 0.0:
+        spool = eased(law, state, i, load)
+        if state[PHASE, i] != SHUT:
+            return float(spool)
     if not _due(law, state, i, off, rate, watched):
         return 0.0
     return float(_moved_again(law, state, i, (error, load, off, rate, watched), gains))
@@ -220,6 +229,7 @@ def _moved_again(
         return float(nudge_begun(state, i, state[CREPT, i], sense, load))
     if law.oil[i] > 0.0:
         relaxes = law.loaded[i] == 0.0 and abs(off) < 2.0 * law.leaves
+        turned_to(state, i, sense)
         return float(metered_begun(state, i, _PART * off if relaxes else off))
     trust = watched / (watched + _RATE_S)
     drift = trust * rate + (1.0 - trust) * state[DRIFT, i]
@@ -239,8 +249,8 @@ def _hasty(law: ParkingLaw, state: Array, i: int, sense: float, leak: float) -> 
 def _due(law: ParkingLaw, state: Array, i: int, off: float, rate: float, watched: float) -> bool:
     """Whether shut joint ``i``, ``off`` its place (rad) and moving at ``rate`` (rad/s), has to be moved."""
     if state[PARKED, i] == 0.0 and law.oil[i] > 0.0:
-        most = state[BAND, i] if law.loaded[i] > 0.0 else max(law.leaves, state[BAND, i])
-        return bool(watched > _RATE_FILTER_S and abs(off) > most)
+        least = state[BAND, i] if law.loaded[i] > 0.0 else max(law.leaves, state[BAND, i])
+        return bool(watched > _RATE_FILTER_S and abs(off) > left_at(law, state, i, off, least))
     if state[PARKED, i] == 0.0:
         return bool(max(abs(off + rate * min(watched, law.latest[i])), abs(off)) > state[BAND, i])
     sense = 1.0 if off > 0.0 else -1.0

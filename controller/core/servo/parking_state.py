@@ -25,13 +25,16 @@ from controller.core.kinematics.rotations import Array
 # compressed by (rad), which changes by what flows alone; OIL_AT: that when the joint had been shut,
 # OIL_FROM: when its inch began; RATE: of the oil through an open valve, of the error of a shut joint
 # (rad/s); WAY: that the last inch was for (rad), 0 before the first; GIVES: how many times as much oil it
-# had; OPENING: how long its valve was open (s), 0 once that has been learned from.
+# had; OPENING: how long its valve was open (s), 0 once that has been learned from. CAME: the sense, ±1, in
+# which the joint turned last by its encoder, or was told to, 0 before; FURTHEST: how far that went; WENT: the
+# encoder, filtered (rad). EASE: what the oil of a metered joint is compressed by once friction has let go of
+# it (rad).
 PHASE, SINCE, SPEED, ERROR, HELD, BAND, PARKED, PLACE, QUIET, QUIET_AT = range(10)
 SENSE, OPENED, FROM, SEEN, FINE, HASTE, SHUT_AT, DRIFT = range(10, 18)
 MARK, AFTER, BIAS, LOAD_AT, CREPT, OWED, FELT = range(18, 25)
 LOAD, RESTED, RATE, OIL, OIL_FROM, OIL_AT, WAY, GIVES, OPENING = range(25, 34)
-CALM, CALM_AT = 34, 35
-EDGE, DOUBT, NUDGE, PUSH, STATE_ROWS = 36, 38, 40, 42, 44
+CALM, CALM_AT, CAME, FURTHEST, WENT, EASE = range(34, 40)
+EDGE, DOUBT, NUDGE, PUSH, STATE_ROWS = 40, 42, 44, 46, 48
 
 _EARLY = 0.1  # of its deadband, before its edge: there a metered inch begins, however well that is known
 
@@ -53,7 +56,9 @@ class ParkingLaw(NamedTuple):
     ``exact`` (6,): 1 for a valve that passes a small flow steadily. ``felt`` (6,), rad/bar: how far a kept
     joint has moved when friction, a spring before it slides, has changed the load pressure; 0: not used.
     ``oil`` (6,), rad/bar: how far a joint moves with its valve shut as the load pressure falls; 0: its inches
-    are not metered. ``highest``: spool beyond which a valve is open, surely. ``dt_s``: of a scan.
+    are not metered. ``play`` (6,), rad: how far beyond its place a joint is left that would have to go
+    through its play to come back; 0: not known. ``highest``: spool beyond which a valve is open, surely.
+    ``dt_s``: of a scan.
     """
 
     band: float
@@ -77,6 +82,7 @@ class ParkingLaw(NamedTuple):
     exact: Array
     felt: Array
     oil: Array
+    play: Array
     highest: Array
     dt_s: float
 

@@ -41,7 +41,7 @@ LAW = ParkingLaw(
     calm_way=WAY_M, calm=CALM_S, leaves=LEAVES_RAD, stays=30.0, quiet=1e-4,
     deadband=np.full((6, 2), 0.08), spread=np.full((6, 2), 0.004), latest=0.3 * ONES, shutting=0.2 * ONES,
     loaded=np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0]), rest=3.0 * ONES, keeping=1.5 * ONES, exact=0.0 * ONES,
-    felt=0.0 * ONES, oil=3e-4 * ONES, highest=np.full((6, 2), 0.16), dt_s=DT_S,
+    felt=0.0 * ONES, oil=3e-4 * ONES, play=0.0 * ONES, highest=np.full((6, 2), 0.16), dt_s=DT_S,
 )  # fmt: skip
 
 

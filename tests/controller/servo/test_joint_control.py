@@ -31,7 +31,7 @@ PLAIN = JointGains(
     flow_gain=np.ones((6, 2)),
     blend=np.full((6, 2), 0.001),
     curve=np.tile(np.array([[0.0, 0.0], [1.0, 1.0]]), (6, 2, 1, 1)),
-    half_play=np.zeros(6),
+    half_play=0.0 * ONES,
     limit=1.0,
 )
 SPEEDS = np.stack([2.0 * ONES, 4.0 * ONES], axis=1)

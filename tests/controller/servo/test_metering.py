@@ -64,6 +64,7 @@ METERED = ParkingLaw(
     exact=0.0 * ONES,
     felt=0.0 * ONES,
     oil=OIL_RAD_BAR * ONES,
+    play=0.0 * ONES,
     highest=np.full((6, 2), 0.16),
     dt_s=DT_S,
 )

@@ -72,6 +72,7 @@ def _law(deadband: float, spread: float) -> ParkingLaw:
         exact=0.0 * ONES,
         felt=0.0 * ONES,
         oil=0.0 * ONES,
+        play=0.0 * ONES,
         highest=np.full((6, 2), 2.0 * deadband),
         dt_s=DT_S,
     )

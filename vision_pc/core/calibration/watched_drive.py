@@ -18,6 +18,7 @@ from vision_pc.core.ports import Arm, ArmView
 from vision_pc.core.se3 import Array, transform
 
 _WENT = 0.5  # of a turn back that the encoders must show
+_TOO_FAR = 2.0  # residuals beyond its end a joint is turned back: the servo leaves one within its play
 _BOOM = slice(0, 3)  # slew, lift, tilt
 
 
@@ -81,8 +82,8 @@ async def drive(
         pace = np.sqrt(np.abs(take_up.turns).max() / max(settings.take_up_rad, 1e-6))
         view = await arm.move_to(end, duration_s=settings.take_up_s * float(np.clip(pace, 1.0, 3.0)))
         take_up = _widened(take_up, view, settings)
-        view, left = await _waited(arm, view, end, dimensions, settings)
-        beyond = np.sign(take_up.turns) * left > settings.adaptive.residual_rad
+        view, left = await _waited(arm, view, end, take_up, dimensions, settings)
+        beyond = np.sign(take_up.turns) * left > _TOO_FAR * settings.adaptive.residual_rad
         if not beyond.any():
             break
         view = await arm.move_to(_turned(end, take_up.turns, dimensions))
@@ -90,14 +91,19 @@ async def drive(
 
 
 async def _waited(
-    arm: Arm, view: ArmView, end: Array, dimensions: BoomDimensions, settings: LocalErrorModelSettings
+    arm: Arm,
+    view: ArmView,
+    end: Array,
+    take_up: TakeUp,
+    dimensions: BoomDimensions,
+    settings: LocalErrorModelSettings,
 ) -> tuple[ArmView, Array]:
     """The view at ``end`` and what is left (3,), after the servo's integral had time for a joint that is
-    short of it.
+    short of it. One that came too far is not sent back: that would take it through its play.
     """
     left = joint_turns(end, view.X_BT, dimensions)
     for _ in range(settings.adaptive.repeats):
-        if np.abs(left).max() <= settings.adaptive.residual_rad:
+        if (np.sign(take_up.turns) * left).min() >= -settings.adaptive.residual_rad:
             break
         view = await arm.move_to(end)
         left, before = joint_turns(end, view.X_BT, dimensions), left
