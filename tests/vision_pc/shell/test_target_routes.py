@@ -59,6 +59,21 @@ async def test_what_cannot_be_told_is_a_problem_with_its_cause_and_candidates(st
     assert (await station.client.get("/targets")).json() == {"targets": []}
 
 
+@pytest.mark.parametrize(
+    ("half", "words"),
+    [
+        ({"other_u_px": 4.0}, "give both, or none"),
+        ({"size_px": 60}, "size_px is of a template, and kind is auto"),
+    ],
+)
+async def test_half_a_wish_is_refused_in_words_and_not_left_out(
+    station: Bench, half: dict[str, float], words: str
+) -> None:
+    answer = await station.post("/targets", {"u_px": 5.0, "v_px": 3.0} | half)
+    assert answer.status_code == 422
+    assert words in answer.json()["detail"]
+
+
 async def test_programs_refuse_a_target_that_is_not_there(station: Bench) -> None:
     await station.post("/enable")
     assert (await station.run("local-track"))["state"] == "succeeded"

@@ -4,7 +4,7 @@ import math
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from vision_pc.application.results import JSON, degrees, pose_json, xyz
 from vision_pc.config.programs import PositioningSettings
@@ -35,6 +35,14 @@ class ClickBody(BaseModel):
     diameter_mm: float | None = Field(None, gt=5.0, le=500.0, examples=[45.0])
     other_u_px: float | None = Field(None, ge=-10_000.0, le=10_000.0)
     other_v_px: float | None = Field(None, ge=-10_000.0, le=10_000.0)
+
+    @model_validator(mode="after")
+    def _whole(self) -> "ClickBody":
+        if (self.other_u_px is None) != (self.other_v_px is None):
+            raise ValueError("other_u_px and other_v_px are one place: give both, or none")
+        if self.size_px is not None and self.kind != "template":
+            raise ValueError(f"size_px is of a template, and kind is {self.kind}")
+        return self
 
     def click(self) -> Click:
         """The click itself."""
