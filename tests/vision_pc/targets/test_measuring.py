@@ -9,6 +9,7 @@ from tests.vision_pc.targets.wall_scene import (
     DIAMETER,
     HOLES,
     SIZE,
+    TEXEL,
     VISION,
     X_CM,
     WallScene,
@@ -19,7 +20,7 @@ from tests.vision_pc.targets.wall_scene import (
 from vision_pc.core import se3
 from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.perception import intrinsics
-from vision_pc.core.targets import plane_patch
+from vision_pc.core.targets import measuring, plane_patch
 from vision_pc.core.targets.measuring import Click, KnownTarget, again, at_click, holes
 from vision_pc.core.targets.round_edge import RAYS, DarkSpot, edge
 from vision_pc.core.targets.target import TargetRefused, frame_on
@@ -77,6 +78,29 @@ def test_a_hole_that_is_wider_than_what_is_compared_elsewhere_is_found_close_to_
         off = seen.X_CO[:3, 3] - p
         assert np.linalg.norm(off - ray * (ray @ off)) < 0.0004
         assert seen.diameter_m == pytest.approx(DIAMETER, abs=0.001)
+
+
+def test_a_hole_that_is_dark_in_a_part_of_it_alone_is_measured_whole() -> None:
+    wall, radius = rock(), 0.5 * DIAMETER / TEXEL
+    rows, columns = np.indices(wall.shape)
+    x, y = columns - (SIZE - 1) / 2 - HOLES[0][0] / TEXEL, rows - (SIZE - 1) / 2 + HOLES[0][1] / TEXEL
+    wall[(np.hypot(x, y) < radius - 1.0) & (x < 0.1 * radius)] = 95.0
+    close = scene(wall, facing(0.01, 0.02, 0.38, (6.0, -9.0, 4.0)), tool=False)
+    found = holes(close.sighted())
+    assert len(found) == len(HOLES)
+    p = close.point(*HOLES[0])
+    seen = min(found, key=lambda hole: float(np.linalg.norm(hole.X_CO[:3, 3] - p)))
+    assert np.linalg.norm(seen.X_CO[:3, 3] - p) < 0.0005
+    assert seen.diameter_m == pytest.approx(DIAMETER, abs=0.0015)
+
+
+def test_a_hole_of_which_a_part_is_a_spot_too_is_told_once(
+    face: WallScene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = measuring.dark_spots(face.pair.left)
+    parts = [DarkSpot(spot.middle + 0.3 * spot.radius, 0.8 * spot.radius) for spot in whole]
+    monkeypatch.setattr(measuring, "dark_spots", lambda _: [*whole, *parts])
+    assert len(holes(face.sighted())) == len(HOLES)
 
 
 def test_the_mouth_of_a_tube_is_measured_where_it_stands_not_on_the_wall_behind(face: WallScene) -> None:

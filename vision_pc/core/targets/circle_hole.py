@@ -26,6 +26,7 @@ _LEAST_RING_PX = 24
 _MOST_RING_PX = 60
 _WIDER_RING_PX = 45
 _MATCHED = 1.25  # radii that the eyes are compared in: the dark inside alone looks alike everywhere
+_PART = 1.15  # of its radius by which a hole is wider than a spot that is a part of it
 _EYES_APART = 0.08  # of the diameter by which the two eyes' middles may differ
 _ROUNDS = 3
 
@@ -61,7 +62,26 @@ def measure(
     if not nearest < farthest:
         raise TargetRefused("target.wrong_size", "target: no hole of such a diameter looks like that here")
     found = row_matching.match(pair, camera, spot.middle, (nearest, farthest), compared_px(spot))
-    plane = _surface(pair, camera, spot, found.inverse_depth)
+    try:
+        hole = _measured(pair, camera, spot, found.inverse_depth)
+    except TargetRefused as refused:
+        # What is seen inside may be as bright as the rim, and the dark be a part of the hole.
+        wide = DarkSpot(spot.middle, 0.25 * sum(diameters_m) * focal * found.inverse_depth)
+        if refused.cause != "target.not_round" or wide.radius < _PART * spot.radius:
+            raise
+        hole = _measured(pair, camera, wide, found.inverse_depth)
+    if not diameters_m[0] <= hole.diameter_m <= diameters_m[1]:
+        low, high = (1e3 * size for size in diameters_m)
+        raise TargetRefused(
+            "target.wrong_size",
+            f"target: a hole of {1e3 * hole.diameter_m:.1f} mm, {low:.0f} to {high:.0f} mm are wanted",
+        )
+    return hole
+
+
+def _measured(pair: StereoPair, camera: CameraCalibration, spot: DarkSpot, inverse_depth: float) -> Hole:
+    """The hole at ``spot``, of whatever diameter. Raises TargetRefused as ``measure``."""
+    plane = _surface(pair, camera, spot, inverse_depth)
     edges = edge(pair.left, spot)
     for _ in range(_ROUNDS):
         left = circle(camera.left, edges, plane)
@@ -77,14 +97,7 @@ def measure(
         raise TargetRefused(
             "target.not_round", f"target: the eyes see the hole's middle {1e3 * apart:.1f} mm apart"
         )
-    hole = _hole(camera, left, right, plane)
-    if not diameters_m[0] <= hole.diameter_m <= diameters_m[1]:
-        low, high = (1e3 * size for size in diameters_m)
-        raise TargetRefused(
-            "target.wrong_size",
-            f"target: a hole of {1e3 * hole.diameter_m:.1f} mm, {low:.0f} to {high:.0f} mm are wanted",
-        )
-    return hole
+    return _hole(camera, left, right, plane)
 
 
 def compared_px(spot: DarkSpot) -> int:

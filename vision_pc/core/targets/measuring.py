@@ -102,13 +102,20 @@ def at_click(sighted: Sighted, click: Click) -> TargetObservation:
 
 def holes(sighted: Sighted, diameter_mm: float | None = None) -> list[TargetObservation]:
     """All holes of the configured diameter in the picture, from left to right."""
-    camera, found = sighted.believed, []
+    camera, found = sighted.believed, list[TargetObservation]()
     for spot in dark_spots(sighted.pair.left):
         try:
-            found.append(_measured_hole(sighted, camera, spot, sighted.settings.depths_m, diameter_mm))
+            hole = _measured_hole(sighted, camera, spot, sighted.settings.depths_m, diameter_mm)
         except TargetRefused:
             continue
+        if not any(_one_hole(hole, other) for other in found):  # the whole of it may be a spot, and a part
+            found.append(hole)
     return sorted(found, key=lambda hole: float(hole.X_CO[0, 3] / hole.X_CO[2, 3]))
+
+
+def _one_hole(one: TargetObservation, other: TargetObservation) -> bool:
+    apart = float(np.linalg.norm(one.X_CO[:3, 3] - other.X_CO[:3, 3]))
+    return apart < 0.5 * (one.diameter_m or 0.0)
 
 
 def again(sighted: Sighted, known: KnownTarget) -> TargetObservation:
