@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from itertools import islice
+from multiprocessing import resource_tracker
+from types import FrameType
 from typing import Any, NamedTuple
 
 import cv2
@@ -114,8 +116,10 @@ def results(
         made = _distributed(function, tasks, scheduler, workers)
     spent: list[float] = []
     failed = 0
-    with bars() as shown, shown.step(title) as bar, closing(made):
+    with _ctrl_c_noted() as noted, bars() as shown, shown.step(title) as bar, closing(made):
         for each in made:
+            if noted:
+                raise KeyboardInterrupt
             spent.append(each.row.get("run_s") or 0.0)
             failed += bool(each.row["failure"])
             mean_s = sum(spent) / len(spent)
@@ -187,7 +191,6 @@ def _workforce(scheduler: str | None, workers: int) -> Iterator[_Workforce]:
         if scheduler is None:
             cluster = stack.enter_context(_started(workers))
             client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
-            client.register_plugin(_IgnoresCtrlC())  # for those that replace worn ones
             yield _Workforce(client, workers, workers, True)
         else:
             client = stack.enter_context(_reached(scheduler))
@@ -195,31 +198,42 @@ def _workforce(scheduler: str | None, workers: int) -> Iterator[_Workforce]:
             yield _Workforce(client, there, 2 * there, False)
 
 
-class _IgnoresCtrlC(distributed.WorkerPlugin):  # type: ignore[misc]
-    """A worker leaves Ctrl-C to its client, which ends it in order."""
+@contextmanager
+def _ctrl_c_noted() -> Iterator[list[int]]:
+    """Whether Ctrl-C came: where it is raised in a finaliser, Python swallows it."""
+    noted: list[int] = []
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield noted  # signals are the main thread's
+        return
 
-    def setup(self, worker: Any) -> None:
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
+    def note(number: int, frame: FrameType | None) -> None:
+        noted.append(number)
+        before(number, frame)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield noted
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
-def _ctrl_c_ignored() -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():
-        yield  # signals are the main thread's
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _ctrl_c_held_back() -> Iterator[None]:
+    """Ctrl-C takes effect after the block; threads and processes begun in it never hear of it."""
+    resource_tracker.ensure_running()  # else the first of the processes does so, and lets Ctrl-C in
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
 def _started(workers: int) -> Iterator[Any]:
     """A cluster of worker processes on loopback. Raises LinkLost (``link.workers_not_started``)."""
     try:
-        with _ctrl_c_ignored():  # workers inherit it: the client alone acts on Ctrl-C
+        with _ctrl_c_held_back():  # workers inherit it: the client alone acts on Ctrl-C
             cluster = distributed.LocalCluster(
                 n_workers=workers,
                 threads_per_worker=1,

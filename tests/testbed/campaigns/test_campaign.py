@@ -64,6 +64,20 @@ def faults(_task: dict[str, Any]) -> dict[str, Any]:
     return {"faults": resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before}
 
 
+class Finalised:
+    """Gets Ctrl-C where Python swallows what is raised."""
+
+    def __del__(self) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+
+
+def swallowing(task: dict[str, Any]) -> dict[str, Any]:
+    if task["number"] == 1:
+        Finalised()
+    return {}
+
+
 def held_once(place: str, task: dict[str, Any]) -> dict[str, Any]:
     """Run number 1 says at its first time which process it is in, and waits there to be killed."""
     told = Path(place)
@@ -301,6 +315,13 @@ def test_another_version_of_a_library_measures_anew(monkeypatch: pytest.MonkeyPa
 def test_a_worker_keeps_the_memory_of_its_pictures(tmp_path: Path) -> None:
     (row,) = run_campaign(tmp_path, faults, tasks(1), scheduler=None, workers=1, title="one")
     assert row["faults"] < 4_000  # 20,480 where each is given back to the system
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_ctrl_c_in_a_finaliser_ends_the_campaign_all_the_same(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(tmp_path, swallowing, tasks(4), scheduler=None, workers=0, title="four")
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_a_worker_with_other_sources_or_files_makes_no_rows(

@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -82,15 +83,25 @@ def test_a_folder_that_cannot_be_written_is_said_before_the_work(
     assert time.process_time() - began_s < 30.0
 
 
-def interrupted(*arguments: str, after: Path) -> tuple[int, str]:
-    """Status and stderr of a command that gets Ctrl-C, as all its processes do, once ``after`` exists."""
+def starts_workers(process: int) -> bool:
+    """Whether ``process`` has begun the first of its workers."""
+    with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # threads and processes come and go
+        for thread in Path(f"/proc/{process}/task").glob("*/children"):
+            for child in thread.read_text().split():
+                if b"multiprocessing" in Path(f"/proc/{child}/cmdline").read_bytes():
+                    return True
+    return False
+
+
+def interrupted(*arguments: str, after: Path | Callable[[int], bool]) -> tuple[int, str]:
+    """Status and stderr of a command that gets Ctrl-C, as all its processes do, once ``after`` is there."""
     child = subprocess.Popen(
         [*LONGREACH, *arguments], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
         start_new_session=True,
     )  # fmt: skip
     try:
         deadline_s = time.monotonic() + 240.0  # a start on a busy machine
-        while not list(after.parent.glob(after.name)):
+        while not (after(child.pid) if callable(after) else list(after.parent.glob(after.name))):
             assert child.poll() is None, child.communicate()
             assert time.monotonic() < deadline_s
             time.sleep(0.05)
@@ -122,6 +133,15 @@ def test_ctrl_c_in_a_campaign_keeps_the_rows_and_says_so(tmp_path: Path) -> None
     assert status == 130
     assert f"rows are kept in {tmp_path}/rows.csv" in told
     assert "longreach: ended by Ctrl-C; run again, it goes on from there" in told
+
+
+@pytest.mark.timeout(400)
+def test_ctrl_c_while_workers_start_is_not_lost(tmp_path: Path) -> None:
+    status, told = interrupted(
+        "experiment", "plant-campaign", "--count", "400", "--out", str(tmp_path), after=starts_workers
+    )
+    assert status == 130
+    assert "longreach: ended by Ctrl-C" in told
 
 
 @pytest.mark.parametrize("command", [("up",), ("demo",), ("soak", "--minutes", "0.1")])
