@@ -203,7 +203,7 @@ class RecordedSettings(StrictModel):
 
     After ``restart_after`` pairs lost in a row a new map is begun; every ``rejoin_every`` pairs the old ones
     are searched. ``disparity_std_px``: of the offset that all disparities share, part of the covariance; of
-    what differs from depth to depth ``depth_told_px`` is. The floor weighs them.
+    what differs from depth to depth is at least ``depth_told_px``. The floor weighs them.
     """
 
     restart_after: int = Field(ge=1, le=1000)

@@ -229,7 +229,8 @@ class PointPairs(NamedTuple):
 class OdometryPose(NamedTuple):
     """The camera's pose in the first camera frame, from one pair, and how well it is known.
 
-    ``pairs``: the points that hold it and that both eyes see.
+    ``pairs``: the points that hold it and that both eyes see. ``by_offset`` (6,): how it goes by a px of an
+    offset that all disparities share; ``shown_by`` (n,): the keyframes that first showed the points.
     """
 
     capture_ns: int
@@ -240,6 +241,8 @@ class OdometryPose(NamedTuple):
     coverage: float
     residual_px: float
     pairs: PointPairs | None = None
+    by_offset: Array | None = None
+    shown_by: NDArray[np.int64] | None = None
 
 
 class WatchSample(NamedTuple):

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vision_pc.core import se3
-from vision_pc.core.odometry import bundle_adjustment
+from vision_pc.core.odometry import bundle_adjustment, offset_drift
+from vision_pc.core.odometry.offset_drift import HeldBy
 from vision_pc.core.odometry.templates import Templates
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
@@ -24,6 +25,7 @@ _LARGEST_TURN = np.radians(25.0)  # beyond it a keyframe's patches no longer loo
 _LARGEST_ZOOM = 1.35
 _LEAST_SHARED = 15  # points with the window, for a keyframe to hold it
 _LEAST_SCALE_STD = 2e-5
+SHARED = 2.0  # depths share the errors of the poses at which they were learnt: measured against the truth
 _OLDEST = 0.2  # of points: may be mismatched
 
 
@@ -69,20 +71,31 @@ class KeyframeMap:
     whole map, relative.
     """
 
-    def __init__(self, camera: CameraCalibration, depth_floor_px: float) -> None:
+    def __init__(self, camera: CameraCalibration, depth_floor_px: float, depth_told_px: float = 0.0) -> None:
         self.keyframes: list[Keyframe] = []
         self.points = np.zeros((0, 3))
         self._eyes = (camera.left, camera.right)
         self._depth_floor_px = depth_floor_px
-        self._least_std = depth_floor_px / disparity_metres(camera)
+        self._disparity_metres = disparity_metres(camera)
+        self._least_std = depth_floor_px / self._disparity_metres
         self._origins, self._directions = np.zeros((0, 3)), np.zeros((0, 3))
-        self._inverse_depths, self._information = np.zeros(0), np.zeros(0)
+        self._told_std = depth_told_px / self._disparity_metres
+        self._inverse_depths, self._information, self._told = np.zeros(0), np.zeros(0), np.zeros(0)
         self._first = np.zeros(0, dtype=np.int64)  # number of the keyframe that first shows each point
+        self._by_offset = np.zeros((0, 6))  # how its pose goes by a px of the disparities' offset
         self.scale_std = 0.0
 
-    def add_points(self, X_C0C: Array, points_C: Array, noise_px: float) -> Indices:
+    def add_points(
+        self,
+        X_C0C: Array,
+        points_C: Array,
+        noise_px: float,
+        by_offset: Array | None = None,
+        told_px: float = 0.0,
+    ) -> Indices:
         """The numbers given to new ``points_C`` (n, 3), triangulated by a camera at ``X_C0C``, which becomes
-        the next keyframe.
+        the next keyframe. ``by_offset`` (6,): how its pose goes by a px of the disparities' offset;
+        ``told_px``: what matching truly leaves, where that is known.
         """
         first, count = len(self.points), len(points_C)
         inverse_depths = 1.0 / points_C[:, 2]
@@ -93,7 +106,11 @@ class KeyframeMap:
         self._inverse_depths = np.concatenate([self._inverse_depths, inverse_depths])
         std = noise_px * self._least_std / self._depth_floor_px
         self._information = np.concatenate([self._information, np.full(count, std**-2.0)])
+        told = max(noise_px, told_px) / self._disparity_metres
+        self._told = np.concatenate([self._told, np.full(count, told**-2.0)])
         self._first = np.concatenate([self._first, np.full(count, self.next_number)])
+        drift = np.zeros(6) if by_offset is None else by_offset
+        self._by_offset = np.vstack([self._by_offset, np.tile(drift, (count, 1))])
         self.points = np.vstack([self.points, se3.apply(X_C0C, points_C)])
         return np.arange(first, first + count)
 
@@ -101,6 +118,10 @@ class KeyframeMap:
     def next_number(self) -> int:
         """The number of the next keyframe."""
         return self.keyframes[-1].number + 1 if self.keyframes else 0
+
+    def shown_by(self, ids: Indices) -> Indices:
+        """The numbers (n,) of the keyframes that first showed points ``ids``."""
+        return self._first[ids]
 
     def shown_since(self, ids: Indices) -> int:
         """The number of the keyframe that first showed points ``ids``, but for the oldest of them: what they
@@ -131,9 +152,22 @@ class KeyframeMap:
         rates = -self._directions[ids] / self._inverse_depths[ids][:, None] ** 2
         return np.stack([_image_rates(eye, X_CC0, self.points[ids], rates) for eye in self._eyes])
 
+    def by_offset(self, ids: Indices, X_CC0: Array, weights: Array) -> Array:
+        """How a pose that points ``ids`` hold with ``weights`` (2, n) goes by a px of the disparities'
+        offset: [δp; δθ] (6,) in C0, with all that they have gone themselves.
+        """
+        points = self.points[ids]
+        moved = offset_drift.moved(self._by_offset[ids], self._origins[ids], points)
+        held = HeldBy(points, moved, self.sensitivity(ids, X_CC0), weights)
+        return offset_drift.pose_by_offset(self._eyes, se3.inverse(X_CC0), held, self._disparity_metres)
+
     def stds(self, ids: Indices) -> Array:
         """Standard deviations (n,) of the inverse depths, 1/m."""
         return np.asarray(np.maximum(self._information[ids] ** -0.5, self._least_std))
+
+    def told_stds(self, ids: Indices) -> Array:
+        """What inverse depths truly are known to (n,), 1/m: the floor of ``stds`` is what weighs them."""
+        return np.asarray(np.maximum(self._told[ids] ** -0.5, self._told_std))
 
     def update(self, ids: Indices, X_CC0: Array, errors_px: Array, weights: Array, noise_px: float) -> None:
         """Correct the points ``ids`` by what a frame at ``X_CC0`` saw.
@@ -143,7 +177,9 @@ class KeyframeMap:
         """
         J = self.sensitivity(ids, X_CC0)
         precision = weights[:, :, None] / noise_px**2
-        self._information[ids] += (precision * J * J).sum(axis=(0, 2))
+        added = (precision * J * J).sum(axis=(0, 2))
+        self._information[ids] += added
+        self._told[ids] += added / SHARED
         step = (precision * J * errors_px).sum(axis=(0, 2)) / np.maximum(
             self._information[ids], self.stds(ids) ** -2.0
         )

@@ -10,7 +10,7 @@ import numpy as np
 from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import patches, tracking
-from vision_pc.core.odometry.keyframe_map import Indices, Keyframe, KeyframeMap
+from vision_pc.core.odometry.keyframe_map import SHARED, Indices, Keyframe, KeyframeMap
 from vision_pc.core.odometry.motion_prior import Foreseen
 from vision_pc.core.odometry.rolling import PointViews, Readout
 from vision_pc.core.odometry.templates import Templates
@@ -21,7 +21,6 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel, Image, StereoOffset, StereoPair
 
 _NO_OFFSET = StereoOffset(0.0, 0.0, 1e-9, 1e-9)
-_SHARED = 2.0  # depths share the errors of the poses at which they were learnt: measured against the truth
 _KEPT = 3  # keyframes whose patches are kept: 4 MB each
 _NOWHERE = np.zeros((0, 2))
 _NOTHING_FORESEEN = Foreseen()
@@ -29,8 +28,12 @@ _UNEXPLAINED = 0.16  # of the picture's parts: more that do not show what they s
 _FEW = 0.5  # of the points that should be seen: fewer may not bring about a motion that nobody foresaw
 _STRICT_SHARE = 0.05  # of a second motion: what was outvoted may be the world
 _STRICT = 0.35  # of ``ransac_px``: one pose can hold the world and what is slow for many pictures
+_DEPTHS = 3.0  # standard deviations of a point's depth
 _SECOND_POINTS = 12  # at least, of a second motion
 _GROSS = 4.0  # times what the arm's motion may differ by: nobody asked for more than that
+_TAILS = 1.5  # [E] of a pose's variance: single pictures are off by more than a normal error
+_FEW_POINTS = 140.0  # [E] with so many a patch that is followed wrongly adds that variance again
+_UNKNOWNS = 7  # of a pose and the map's size
 _LEAST_NOISE_PX = 0.03  # what matching leaves even in clean pictures
 
 
@@ -48,7 +51,7 @@ class Frame(NamedTuple):
 class PoseEstimate(NamedTuple):
     """A pair's pose against the map, with the map points (n,) that hold it, where the left eye sees them,
     and the right eye's rays (n, 2) to those that it sees (n,). ``moving`` (m, 2): where the left eye saw
-    points that went another way.
+    points that went another way. ``by_offset`` (6,): how the pose goes by a px of the disparities' offset.
     """
 
     X_C0C: Array
@@ -59,6 +62,7 @@ class PoseEstimate(NamedTuple):
     seen_right: Flags
     residual_px: float
     moving: Array = _NOWHERE
+    by_offset: Array | None = None
 
 
 class _Motion(NamedTuple):
@@ -144,9 +148,7 @@ class Localiser:
         self.mixed_since = None
         strict = self._doubted or (self._watchful and foreseen.arm is not None and self._readout.is_global)
         X_CC0, inliers = self._coarse_pose(points, pixels, expected, strict)
-        rest = np.flatnonzero(~inliers)
-        other = self._second(points[rest], pixels[rest], expected, len(points), strict)
-        nothing = np.zeros(len(points), dtype=bool)
+        other = self._second(found.ids, pixels, (X_CC0, inliers), expected, strict)
         if other is None:
             unforeseen = self._watchful and not foreseen.agrees(X_CC0, points, self._camera)
             if unforeseen and self._misses(frame, keyframe, found.ids[inliers], X_CC0):
@@ -154,14 +156,23 @@ class Localiser:
             most = 1.0 if self._watchful else _GROSS
             if foreseen.arm is not None and not foreseen.arm.agrees(se3.inverse(X_CC0), most):
                 return "sudden_motion"
-            return _Motion(X_CC0, inliers, nothing)
-        theirs = nothing.copy()
-        theirs[rest[other[1]]] = True
-        number = foreseen.chosen((X_CC0, other[0]), points, self._camera)
+            return _Motion(X_CC0, inliers, np.zeros(len(points), dtype=bool))
+        X_theirs, theirs = other
+        number = foreseen.chosen((X_CC0, X_theirs), points, self._camera)
         self.mixed_since = max(self._map.shown_since(found.ids[one]) for one in (inliers, theirs))
         if isinstance(number, str):
             return number
-        return (_Motion(X_CC0, inliers, theirs), _Motion(other[0], theirs, inliers))[number]
+        return (_Motion(X_CC0, inliers, theirs), _Motion(X_theirs, theirs, inliers))[number]
+
+    def _by_depth(self, ids: Indices, pixels: Array, X_CC0: Array) -> Flags:
+        """Which points ``ids`` (n,), seen at ``pixels``, miss a camera at ``X_CC0`` by no more than another
+        depth of theirs would bring about: seen from far aside that is many pixels, and no other motion.
+        """
+        missed = pixels - intrinsics.project(self._camera.left, se3.apply(X_CC0, self._map.points[ids]))
+        by_depth = self._map.sensitivity(ids, X_CC0)[0] * self._map.stds(ids)[:, None]
+        steps = (missed * by_depth).sum(axis=1) / np.maximum((by_depth**2).sum(axis=1), 1e-12)
+        left = missed - np.clip(steps, -_DEPTHS, _DEPTHS)[:, None] * by_depth
+        return np.asarray(np.linalg.norm(left, axis=1) < self._settings.ransac_px)
 
     @property
     def _watchful(self) -> bool:
@@ -219,18 +230,27 @@ class Localiser:
         return X_CC0, flags
 
     def _second(
-        self, points: Array, pixels: Array, expected: Array, of: int, strict: bool
+        self, ids: Indices, pixels: Array, first: tuple[Array, Flags], expected: Array, strict: bool
     ) -> tuple[Array, Flags] | None:
-        """Another pose on which points agree that disagree with the first: something large moves, or all
-        but it. They must be ``second_motion_share`` of ``of`` points at least; fewer will do where what moves
-        may be the larger part (``strict``).
+        """Another pose on which points ``ids`` (n,) at ``pixels`` agree that disagree with the ``first``, and
+        which (n,): something large moves, or all but it. They must be ``second_motion_share`` of all at
+        least, whatever their depths are; fewer and any will do where what moves may be the larger part
+        (``strict``).
         """
+        X_CC0, inliers = first
         share = _STRICT_SHARE if strict else self._settings.second_motion_share
-        least = max(_SECOND_POINTS if self._watchful else self._settings.minimum_inliers, int(share * of))
-        if share == 0.0 or len(points) < least:
+        least = max(
+            _SECOND_POINTS if self._watchful else self._settings.minimum_inliers, int(share * len(ids))
+        )
+        rest = np.flatnonzero(~inliers)
+        if share == 0.0 or len(rest) < least:
             return None
-        found = self._coarse_pose(points, pixels, expected, strict)
-        return found if int(found[1].sum()) >= least else None
+        found, agree = self._coarse_pose(self._map.points[ids[rest]], pixels[rest], expected, strict)
+        theirs = np.zeros(len(ids), dtype=bool)
+        theirs[rest[agree]] = True
+        if not strict:
+            agree = agree[agree] & ~self._by_depth(ids[theirs], pixels[theirs], X_CC0)
+        return (found, theirs) if int(agree.sum()) >= least else None
 
     def _refined(
         self,
@@ -314,16 +334,16 @@ class Localiser:
             se3.apply(X_CC0, self._map.points[ids]), rays, errors, seen, self._map.sensitivity(ids, X_CC0)
         )
         self._learn_readout(keyframe, views, max(residual, _LEAST_NOISE_PX))
-        told = self._told(weights)
-        if self._watchful:  # a map's first picture shows its noise only now
-            told *= max(1.0, residual / self._noise_px) ** 2
+        told = self._told(ids, X_CC0, errors, weights) if self._watchful else SHARED
         self._map.update(ids, X_CC0, errors, seen, self._noise_px)
         self._noise_px = max(residual, _LEAST_NOISE_PX)
         covariance = told * se3.inverse_covariance(X_CC0, solution.covariances[0])
         if self._readout.share:
             depth = float(np.median(views.points_C[:, 2]))
             covariance = covariance + np.diag(self._readout.std(depth) ** 2)
-        return PoseEstimate(se3.inverse(X_CC0), covariance, ids, pixels, rays[1], seen[1] > 0.0, residual)
+        by_offset = self._map.by_offset(ids, X_CC0, weights) if self._watchful else None
+        found = PoseEstimate(se3.inverse(X_CC0), covariance, ids, pixels, rays[1], seen[1] > 0.0, residual)
+        return found._replace(by_offset=by_offset)
 
     def _weights(self, ids: Indices, X_CC0: Array) -> Array:
         """Weights (2, n) 0…1 of the eyes' views: less where an uncertain depth moves the view."""
@@ -340,14 +360,24 @@ class Localiser:
         eyes = (self._camera.left, self._camera.right)
         self._readout.learn(eyes, views, self._first_twist, noise_px)
 
-    def _told(self, weights: Array) -> float:
-        """What the solution's covariance is multiplied by: views (2, n) of ``weights`` are believed less than
-        their errors deserve where the depths' floor is above what depths differ by.
+    def _told(self, ids: Indices, X_CC0: Array, errors: Array, weights: Array) -> float:
+        """What the solution's covariance is multiplied by in pictures that nobody here knows."""
+        missed = max(self._expected(ids, X_CC0, weights), self._missed(errors, weights))
+        return SHARED * missed * (_TAILS + (_FEW_POINTS / len(ids)) ** 2)
+
+    def _expected(self, ids: Indices, X_CC0: Array, weights: Array) -> float:
+        """What views (2, n) miss by, squared, of what their ``weights`` expect of them, as well as depths are
+        known truly: the floor that weighs them is above that.
         """
+        moved = np.linalg.norm(self._map.sensitivity(ids, X_CC0), axis=2) * self._map.told_stds(ids)
         information = weights**2
-        share2 = (self._settings.depth_told_px / self._settings.depth_floor_px) ** 2
-        truly = information + share2 * (1.0 - information)  # variance, of the one that the weight stands for
-        return _SHARED * float((information * truly).sum() / information.sum())
+        truly = information * (1.0 + (moved / self._noise_px) ** 2)
+        return float((information * truly).sum() / information.sum())
+
+    def _missed(self, errors: Array, weights: Array) -> float:
+        """The same by what they do miss by, ``errors`` (2, n, 2) px."""
+        missed = (errors * weights[:, :, None] / self._noise_px) ** 2
+        return float(missed.sum() / max(2 * int((weights > 0.0).sum()) - _UNKNOWNS, 1))
 
     def _solve(self, points: Array, rays: Array, weights: Array, X_CC0: Array) -> BodyPoses:
         return stereo_pose.solve(

@@ -64,7 +64,9 @@ class Mapper:
         if len(estimate.moving):
             frame = frame._replace(left_static=without(frame.left_static, estimate.moving))
         points_C, pixels, right_rays = self._new_points(frame, estimate.pixels)
-        ids = self._map.add_points(estimate.X_C0C, points_C, self._settings.noise_px)
+        ids = self._map.add_points(
+            estimate.X_C0C, points_C, self._settings.noise_px, estimate.by_offset, estimate.residual_px
+        )
         grown = estimate._replace(
             ids=np.concatenate([estimate.ids, ids]),
             pixels=np.vstack([estimate.pixels, pixels]),

@@ -11,13 +11,12 @@ from vision_pc.core.odometry.rolling import Readout
 from vision_pc.core.odometry.shared_offset import FoundOffset, SharedOffset
 from vision_pc.core.odometry.stereo_odometry import StereoOdometry
 from vision_pc.core.odometry.straightening import straightened
+from vision_pc.core.odometry.way_error import WayError
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, PointPairs, StereoPair
 
-_FEWEST_DISPARITIES = 5
 _PATIENCE = 20  # pairs: two motions that differ by millimetres a picture are centimetres apart then
-_NOTHING = np.zeros((6, 6))
 
 
 class PlacedPose(NamedTuple):
@@ -127,8 +126,8 @@ class SegmentedOdometry:
         pose = self._maps[k].process(pair, X_BT=self._X_BT)
         if pose is None:
             return None
-        grown = self._maps[k].keyframes > before
-        return pose._replace(covariance=self._errors[k].after(pose, grown))
+        made = self._maps[k].newest if self._maps[k].keyframes > before else None
+        return pose._replace(covariance=self._errors[k].after(pose, made))
 
     def _older(self) -> list[int]:
         """The maps before the current one that may be believed, the newest first."""
@@ -154,7 +153,7 @@ class SegmentedOdometry:
             return None
         self._maps.append(fresh)
         self._errors.append(WayError(self._recorded.disparity_std_px, self._bent(pose)))
-        self._errors[-1].after(pose, grown=True)
+        self._errors[-1].after(pose, 0)
         self.joints.append(None)
         self._current = len(self._maps) - 1
         self._lost = self._since_search = 0
@@ -190,33 +189,3 @@ class SegmentedOdometry:
         if there is not None:
             self.joints[self._current] = there @ X_old_new
         self._current = k
-
-
-class WayError:
-    """Adds up what odometry gets wrong along its way: each keyframe's error goes on into the next, and an
-    offset of all disparities, ``disparity_std_px``, scales the way. ``begins`` (6×6): of the map's first.
-    """
-
-    def __init__(self, disparity_std_px: float, begins: Array = _NOTHING) -> None:
-        self._std_px = disparity_std_px
-        self._base = begins
-        self._base_at = self._at = np.zeros(3)
-        self._rate = np.zeros(3)  # m of the place a px of offset
-
-    def after(self, pose: OdometryPose, grown: bool) -> Array:
-        """The covariance (6×6) of ``pose`` in its C0; ``grown``: the pair became a keyframe."""
-        place = pose.X_C0C[:3, 3]
-        if pose.pairs is not None:
-            disparities = pose.pairs.left[:, 0] - pose.pairs.right[:, 0]
-            seen = disparities[disparities > 0.0]
-            if len(seen) >= _FEWEST_DISPARITIES:  # near points hold the place: weights by disparity squared
-                self._rate = self._rate + (place - self._at) * (seen.sum() / (seen @ seen))
-        self._at = place
-        lever = np.eye(6)
-        lever[:3, 3:] = -se3.hat(place - self._base_at)
-        total = lever @ self._base @ lever.T + pose.covariance
-        if grown:
-            self._base, self._base_at = total, place
-        shared = np.zeros((6, 6))
-        shared[:3, :3] = self._std_px**2 * np.outer(self._rate, self._rate)
-        return np.asarray(total + shared)

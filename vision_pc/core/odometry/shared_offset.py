@@ -16,8 +16,8 @@ from vision_pc.core.odometry.keyframe_map import KeyframeMap
 
 _WINDOW = 4  # keyframes that are adjusted together
 _EVERY = 2  # keyframes
-_TIMES = 5.0  # of what views that err apart would leave: those of one point share what its patch gets wrong
-_FLOOR_PX = 0.04  # matching's own bias
+_TIMES = 2.0  # of what views that err apart would leave: those of one point share what its patch gets wrong
+_FLOOR_PX = 0.03  # matching's own bias
 _ENOUGH = 0.5  # of what was believed before
 _MOST_PX = 3.0  # more is no rectified pair
 _SPREAD = 1.4826  # from the median of deviations to a standard deviation

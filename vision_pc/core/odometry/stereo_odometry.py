@@ -48,7 +48,7 @@ class StereoOdometry:
         self._camera = camera
         self._settings = settings
         self._tool = tool
-        self._map = KeyframeMap(camera, settings.depth_floor_px)
+        self._map = KeyframeMap(camera, settings.depth_floor_px, settings.depth_told_px)
         self._readout = readout or Readout(camera, learns=False)
         self._localiser = Localiser(camera, settings, self._map, self._readout, doubted)
         self._mapper = Mapper(
@@ -77,6 +77,11 @@ class StereoOdometry:
     def keyframes(self) -> int:
         """How many keyframes the map holds."""
         return len(self._map.keyframes)
+
+    @property
+    def newest(self) -> int:
+        """The number of the newest keyframe."""
+        return self._map.next_number - 1
 
     @property
     def undecided(self) -> bool:
@@ -125,16 +130,22 @@ class StereoOdometry:
         self._located += 1
         self._lost_frames = 0
         self.last_loss = self.last_detail = None
-        cells = tracking.grid_cells(outcome.pixels, pair.left.shape, self._settings)
+        return self._told(pair, outcome)
+
+    def _told(self, pair: StereoPair, found: PoseEstimate) -> OdometryPose:
+        """What is told of ``pair``, located as ``found``."""
+        cells = tracking.grid_cells(found.pixels, pair.left.shape, self._settings)
         return OdometryPose(
             pair.capture_ns,
             pair.frame_id,
-            outcome.X_C0C,
-            outcome.covariance,
-            len(outcome.ids),
+            found.X_C0C,
+            found.covariance,
+            len(found.ids),
             float(cells.mean()),
-            outcome.residual_px,
-            self._pairs(outcome),
+            found.residual_px,
+            self._pairs(found),
+            found.by_offset,
+            None if found.by_offset is None else self._map.shown_by(found.ids),
         )
 
     @property

@@ -1,0 +1,53 @@
+"""What odometry gets wrong along its way, added up: a covariance from the map's first pair on."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vision_pc.core import se3
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import OdometryPose
+
+_NOTHING = np.zeros((6, 6))
+_ASTRAY = 0.15  # [E] of what an offset does to a pose, in every direction: the way is not linear in it
+
+
+class _Keyframe(NamedTuple):
+    """Where a keyframe is, and the covariance (6×6) of that without what an offset does."""
+
+    place: Array
+    covariance: Array
+
+
+class WayError:
+    """Adds up what odometry gets wrong along its way: each keyframe's error goes on into what is seen from
+    it, until what was there before holds the pose again; and an offset of all disparities,
+    ``disparity_std_px``, bends the way. ``begins`` (6×6): of the map's first pair.
+    """
+
+    def __init__(self, disparity_std_px: float, begins: Array = _NOTHING) -> None:
+        self._std_px = disparity_std_px
+        self._keyframes: dict[int, _Keyframe] = {0: _Keyframe(np.zeros(3), begins)}
+
+    def after(self, pose: OdometryPose, made: int | None) -> Array:
+        """The covariance (6×6) of ``pose`` in its C0; ``made``: the number of the keyframe that it became."""
+        place = pose.X_C0C[:3, 3]
+        total = pose.covariance + self._held(pose.shown_by, place)
+        if made is not None:
+            self._keyframes[made] = _Keyframe(place, total)
+        by_offset = np.zeros(6) if pose.by_offset is None else pose.by_offset
+        bent = np.outer(by_offset, by_offset)
+        bent[:3, :3] += _ASTRAY**2 * (by_offset[:3] @ by_offset[:3]) * np.eye(3)
+        bent[3:, 3:] += _ASTRAY**2 * (by_offset[3:] @ by_offset[3:]) * np.eye(3)
+        return np.asarray(total + self._std_px**2 * bent)
+
+    def _held(self, shown_by: NDArray[np.int64] | None, place: Array) -> Array:
+        """The covariance (6×6), at ``place``, of what keyframes ``shown_by`` (n,) hold: each by its share."""
+        total = np.zeros((6, 6))
+        numbers, counts = np.unique([0] if shown_by is None else shown_by, return_counts=True)
+        for number, count in zip(numbers.tolist(), counts.tolist(), strict=True):
+            before, lever = self._keyframes[number], np.eye(6)
+            lever[:3, 3:] = -se3.hat(place - before.place)
+            total += count / counts.sum() * (lever @ before.covariance @ lever.T)
+        return total
