@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from testbed.campaigns.campaign import CampaignRequest
-from testbed.campaigns.experiment import Check, Finished
+from testbed.campaigns.experiment import Finished
 from testbed.campaigns.typed_rows import typed
 from testbed.experiments.markers.limits import HEADS, MARKER_LIMITS, by_value, line, summary
 from testbed.experiments.markers.one_picture import AXES, PEERS, WORDS, LimitRow
@@ -134,9 +134,8 @@ def _drive_tables(kept: Sequence[Kept]) -> str:
     current = [one for one in kept if not one.superseded]
     kinds = dict.fromkeys(map(_kind, current))
     together = [
-        line
+        _together([row for one in current if _kind(one) == kind for row in _rows(one)], kind)
         for kind in kinds
-        for line in _lines([row for one in current if _kind(one) == kind for row in _rows(one)], kind)
     ]
     parts = [table(_TOGETHER, together), table(_EACH, map(_campaign, current))]
     earlier = [[*_campaign(one), one.superseded] for one in kept if one.superseded]
@@ -155,26 +154,25 @@ def _rows(one: Kept) -> list[HoleDriveRow]:
     return [typed(HoleDriveRow, row) for row in one.rows]
 
 
-def _lines(rows: list[HoleDriveRow], kind: tuple[str, str, int, bool]) -> list[list[str]]:
-    """Of the first hole of each run, and of all where there are more."""
+def _together(rows: list[HoleDriveRow], kind: tuple[str, str, int, bool]) -> list[str]:
+    """One kind's line: of the hole of each run, or of all holes of all visits."""
     world, arm, holes, bare = kind
     done = Finished(_REQUEST, HoleDriveSettings(WorldName(world), holes=holes), (), rows, 0)
-    checks = [check for check in hole_drive_verdict(done) if "share" in check.what]
-    about = f"`{world}`, {_ARMS.get(arm, arm)}"
-    covered = ", marker covered after one look" if bare else ""
-    every = [(f"one look, the first hole{covered}", [row.ends[:1] or [HoleEnd()] for row in rows])]
-    if holes > 1:
-        every.append((f"visit of {holes} holes", [row.ends or [HoleEnd()] * holes for row in rows]))
-    return [
-        _line(about, what, [end for of in ends for end in of], check)
-        for (what, ends), check in zip(every, checks, strict=True)
-    ]
-
-
-def _line(about: str, what: str, ends: Sequence[HoleEnd], check: Check) -> list[str]:
+    check = [check for check in hole_drive_verdict(done) if "share" in check.what][-1]
+    what = "one look, one hole" if holes == 1 else f"visits of {holes} holes"
+    ends = [end for row in rows for end in row.ends or [HoleEnd()] * holes]
     met = "too few to say" if check.met is None and check.asked else MET[check.met]
     seconds = quantile(np.array([end.seconds for end in ends]), 50)
-    return [about, what, str(len(ends)), check.found, _spread(ends), f"{seconds:.0f}", check.asked, met]
+    return [
+        f"`{world}`, {_ARMS.get(arm, arm)}",
+        f"{what}, marker covered after one look" if bare else what,
+        str(len(ends)),
+        check.found,
+        _spread(ends),
+        f"{seconds:.0f}",
+        check.asked,
+        met,
+    ]
 
 
 def _spread(ends: Iterable[HoleEnd]) -> str:

@@ -65,14 +65,14 @@ def test_drives_of_a_kind_are_judged_together_and_never_by_few_nor_by_another_wo
     results, typed_in = tmp_path / "results", "longreach experiment hole-drives"
     keep(_driven(tmp_path / "a", ["lab"] * 150, [0.5] * 150), "a", "abc1234", f"{typed_in} --seed 1", results)
     few = sight_pages.sections(results)["hole drives"]
-    assert "| `lab`, 4 m arm | one look, the first hole | 150 | 1.000 | " in few
+    assert "| `lab`, 4 m arm | one look, one hole | 150 | 1.000 | " in few
     assert "| ≥ 0.98 of 200 | too few to say |" in few
     keep(_driven(tmp_path / "b", ["lab"] * 50, [None] + [0.5] * 49), "b", "abc1234", typed_in, results)
     keep(_driven(tmp_path / "c", ["real"], [0.4]), "c", "abc1234", f"{typed_in} --world real", results)
     made = sight_pages.sections(results)["hole drives"].splitlines()
-    assert made[2].startswith("| `lab`, 4 m arm | one look, the first hole | 200 | 0.995 | ")
+    assert made[2].startswith("| `lab`, 4 m arm | one look, one hole | 200 | 0.995 | ")
     assert made[2].endswith("| ≥ 0.98 of 200 | yes |")
-    assert made[3].startswith("| `real`, 4 m arm | one look, the first hole | 1 | 1.000 | ")
+    assert made[3].startswith("| `real`, 4 m arm | one look, one hole | 1 | 1.000 | ")
     assert made[3].endswith("|  |  |")
     assert any(line.endswith("| 50 | 50 | 49 | 0.50, 0.50, 0.50 | 1: `target.no_hole` |") for line in made)
 
@@ -104,7 +104,7 @@ def test_rows_that_were_superseded_are_shown_with_the_reason_and_not_counted(tmp
     )
     keep(_driven(tmp_path / "b", ["lab"], [0.5]), "b", "abc1234", "longreach experiment hole-drives", results)
     together, _, earlier = sight_pages.sections(results)["hole drives"].partition("not counted above")
-    assert "| `lab`, 4 m arm | one look, the first hole | 1 | 1.000 | " in together
+    assert "| `lab`, 4 m arm | one look, one hole | 1 | 1.000 | " in together
     assert "9.00" not in together
     assert "| 9.00, 9.00, 9.00 |  | the hole was hidden |" in earlier
 
