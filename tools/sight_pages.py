@@ -33,7 +33,7 @@ _REQUEST = CampaignRequest(ROOT / "configs", RESULTS)
 _HEADS = (
     "row | scenes | told | holes found | across mm, camera known: median, 95 % | along mm, as seen | normal °"
 )
-_HEADS += " | error² / variance told | along | camera known | CPU ms | limits met"
+_HEADS += " | error² / variance told | along | camera known | CPU ms | limits met | rows"
 _ARMS = {"plant": "4 m arm", "plant_long_crane": "10 m crane"}
 _TOGETHER = (
     "machines | what | driven to | share within 5 mm | median, 95 %, worst mm | s a hole | asked | met"
@@ -49,7 +49,7 @@ def sections(results: Path = RESULTS) -> dict[str, str]:
     limits = [one for one in kept if one.experiment == MARKER_LIMITS.name]
     told = "figure | found | asked | met"
     return {
-        "target scenes": "\n\n".join([*(headed(one, _scenes(one)) for one in scenes), *_earlier(kept)]),
+        "target scenes": "\n\n".join([_scenes(scenes), *_earlier(kept)]),
         "hole drives": _drive_tables(drives),
         "marker limits": "\n\n".join(headed(one, _limits(one)) for one in limits),
         "marker verdict": "\n\n".join(headed(one, table(told, verdict_lines(one))) for one in limits),
@@ -66,17 +66,22 @@ def _earlier(kept: Sequence[Kept]) -> list[str]:
     return [f"No longer counted: {' '.join(told)}"] if told else []
 
 
-def _scenes(one: Kept) -> str:
-    rows = [typed(TargetRow, row) for row in one.rows]
+def _scenes(kept: Sequence[Kept]) -> str:
+    """One table of all rows, those of a name together; what was typed for them; false holes of all."""
+    typed_in = {one.name: [typed(TargetRow, row) for row in one.rows] for one in kept}
     lines = []
     for name, asked in ROWS.items():
-        of = [row for row in rows if row.row == name]
-        if of:
-            refusing = asked.kind in ("bare", "repetitive")
-            lines.append([asked.words, len(of), *(_refusals(of) if refusing else _errors(of)), _met(of)])
-    false = sum(row.false or 0 for row in rows if row.visible)
-    pictures = sum(1 for row in rows if row.visible)
-    return table(_HEADS, lines) + f"\n\nFalse holes: {false} in {pictures} pictures."
+        for campaign, rows in typed_in.items():
+            of = [row for row in rows if row.row == name]
+            if of:
+                refusing = asked.kind in ("bare", "repetitive")
+                cells = _refusals(of) if refusing else _errors(of)
+                lines.append([asked.words, len(of), *cells, _met(of), campaign.removeprefix("targets-")])
+    pictures = [row for rows in typed_in.values() for row in rows if row.visible]
+    false = sum(row.false or 0 for row in pictures)
+    campaigns = ([f"`docs/results/{one.name}`", f"`{one.command}`", f"`{one.commit}`"] for one in kept)
+    parts = [table(_HEADS, lines), f"False holes: {false} in {len(pictures)} pictures."]
+    return "\n\n".join([*parts, table("rows | command | commit", campaigns)])
 
 
 def _refusals(rows: Sequence[TargetRow]) -> list[str]:
