@@ -42,9 +42,10 @@ def turned_to(state: Array, i: int, sense: float) -> None:
 def left_at(law: ParkingLaw, state: Array, i: int, off: float, least: float) -> float:
     """How far off (rad) joint ``i``, which is ``off`` (rad), may stay: by ``least``, and its play.
 
-    A loaded one never so far that the arm would not be settled: it creeps on.
+    A loaded one only where it was raised too far, and never so far that the arm would not be settled: it
+    sinks by itself, and being raised brings it to the same flank each time.
     """
-    if off * state[CAME, i] >= 0.0:
+    if off * state[CAME, i] >= 0.0 or (law.loaded[i] > 0.0 and off > 0.0):
         return least
     most = least + law.play[i]
     return float(most if law.loaded[i] == 0.0 else min(most, max(least, law.leaves)))

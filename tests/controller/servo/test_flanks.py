@@ -93,11 +93,14 @@ def test_the_flank_is_that_of_the_last_turn_and_noise_is_none() -> None:
 
 @pytest.mark.parametrize("joint", [0, 2])
 def test_a_joint_is_brought_back_only_from_beyond_its_play(joint: int) -> None:
-    least, most = (LEAVES_RAD, LEAVES_RAD + PLAY_RAD) if joint == 0 else (BAND_RAD, LEAVES_RAD)
+    least = LEAVES_RAD if joint == 0 else BAND_RAD
     state = parking_begun(LAW)
     state[PHASE], state[BAND] = SHUT, BAND_RAD
     for came in (-1.0, 1.0):
         state[CAME] = came
+        most = LEAVES_RAD + PLAY_RAD
+        if joint != 0:  # a loaded joint sinks; raising it always ends on the same flank
+            most = LEAVES_RAD if came > 0.0 else least
         for share, due in ((0.9, False), (1.1, True)):
             assert _due(LAW, state, joint, -came * share * most, 0.0, 2.0) is due, (came, share)
         for share, due in ((0.9, False), (1.1, True)):  # short of its place there is no play to go through
