@@ -28,6 +28,9 @@ _ROUGH_STD_PX = 0.7  # as the detector has them
 
 
 _READ_LIKE = 0.9  # correlation of a marker that OpenCV did not read with what it is said to be
+_SHOWS_LIKE = (
+    0.6  # the same of the cells' middles, of any marker: keys of a keyboard have 0.1, a screen's edge 0.5
+)
 _CORRECTION = 0.6  # share of the wrong cells that a dictionary could correct
 
 
@@ -69,7 +72,11 @@ def found_markers(
         unread += [quad.reshape(4, 2).astype(np.float64) for quad in rejected]
     if not wanted or not wanted <= {marker.number for marker in markers}:
         markers += _read(image, unread, markers, book, wanted)
-    kept = [marker for marker in markers if marker.side_px >= LEAST_SIDE_PX]
+    kept = [
+        marker
+        for marker in markers
+        if marker.side_px >= LEAST_SIDE_PX and looks_right(image, marker, _cells(book, marker.number))
+    ]
     return sorted(kept, key=lambda marker: (marker.number, *marker.corners[0]))
 
 
@@ -108,6 +115,21 @@ def _read_one(image: Image, quad: Array, book: cv2.aruco.Dictionary) -> PictureM
     if fitted is None or fitted.likeness < _READ_LIKE:
         return None
     return PictureMarker(int(number), fitted.corners, "cells", fitted.std_px)
+
+
+def looks_right(image: Image, marker: PictureMarker, cells: Array) -> bool:
+    """Whether a marker, read by chance perhaps, looks like its ``cells`` (n, n): a fit of all of them is
+    vague on other things; where there is none the grey levels in their middles must go with them.
+    """
+    if marker.method == "cells":
+        return marker.std_px < _ROUGH_STD_PX
+    count = len(cells)
+    square = np.array([[0, 0], [count, 0], [count, count], [0, count]], dtype=np.float32)
+    H = cv2.getPerspectiveTransform(square, marker.corners.astype(np.float32))
+    rows, columns = (index.ravel() + 0.5 for index in np.indices(cells.shape))
+    middles = cv2.perspectiveTransform(np.column_stack([columns, rows])[None].astype(np.float32), H)[0]
+    grey = cv2.remap(image, middles[:, 0].copy(), middles[:, 1].copy(), cv2.INTER_LINEAR).ravel()
+    return bool(np.corrcoef(grey, cells.ravel())[0, 1] >= _SHOWS_LIKE)
 
 
 def _grown(quad: Array) -> Array:
