@@ -148,7 +148,10 @@ class Localiser:
         self.mixed_since = None
         strict = self._doubted or (self._watchful and foreseen.arm is not None and self._readout.is_global)
         X_CC0, inliers = self._coarse_pose(points, pixels, expected, strict)
-        other = self._second(found.ids, pixels, (X_CC0, inliers), expected, strict)
+        forgiving = (
+            foreseen.arm is None and not strict
+        )  # an arm tells which of two it is: none is to be missed
+        other = self._second(found.ids, pixels, (X_CC0, inliers), expected, strict, forgiving)
         if other is None:
             unforeseen = self._watchful and not foreseen.agrees(X_CC0, points, self._camera)
             if unforeseen and self._misses(frame, keyframe, found.ids[inliers], X_CC0):
@@ -230,12 +233,18 @@ class Localiser:
         return X_CC0, flags
 
     def _second(
-        self, ids: Indices, pixels: Array, first: tuple[Array, Flags], expected: Array, strict: bool
+        self,
+        ids: Indices,
+        pixels: Array,
+        first: tuple[Array, Flags],
+        expected: Array,
+        strict: bool,
+        forgiving: bool,
     ) -> tuple[Array, Flags] | None:
         """Another pose on which points ``ids`` (n,) at ``pixels`` agree that disagree with the ``first``, and
         which (n,): something large moves, or all but it. They must be ``second_motion_share`` of all at
-        least, whatever their depths are; fewer and any will do where what moves may be the larger part
-        (``strict``).
+        least, and where that is ``forgiving`` whatever their depths are; fewer will do where what moves may
+        be the larger part (``strict``).
         """
         X_CC0, inliers = first
         share = _STRICT_SHARE if strict else self._settings.second_motion_share
@@ -248,7 +257,7 @@ class Localiser:
         found, agree = self._coarse_pose(self._map.points[ids[rest]], pixels[rest], expected, strict)
         theirs = np.zeros(len(ids), dtype=bool)
         theirs[rest[agree]] = True
-        if not strict:
+        if forgiving:
             agree = agree[agree] & ~self._by_depth(ids[theirs], pixels[theirs], X_CC0)
         return (found, theirs) if int(agree.sum()) >= least else None
 
