@@ -148,9 +148,8 @@ class Localiser:
         self.mixed_since = None
         strict = self._doubted or (self._watchful and foreseen.arm is not None and self._readout.is_global)
         X_CC0, inliers = self._coarse_pose(points, pixels, expected, strict)
-        forgiving = (
-            foreseen.arm is None and not strict
-        )  # an arm tells which of two it is: none is to be missed
+        # An arm tells which of two motions is the camera's: with one, none is to be missed.
+        forgiving = foreseen.arm is None and not strict
         other = self._second(found.ids, pixels, (X_CC0, inliers), expected, strict, forgiving)
         if other is None:
             unforeseen = self._watchful and not foreseen.agrees(X_CC0, points, self._camera)
