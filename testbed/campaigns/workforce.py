@@ -118,14 +118,14 @@ def results(
     failed = 0
     with _ctrl_c_noted() as noted, bars() as shown, shown.step(title) as bar, closing(made):
         for each in made:
-            if noted:
-                raise KeyboardInterrupt
             spent.append(each.row.get("run_s") or 0.0)
             failed += bool(each.row["failure"])
             mean_s = sum(spent) / len(spent)
             note = f"{len(spent)} of {len(tasks)}, {mean_s:.1f} s a run, {failed} failed"
             bar.update(len(spent) / len(tasks), note)
             yield each
+            if noted:  # the row is kept first
+                raise KeyboardInterrupt
 
 
 def _one_by_one(function: Run, tasks: Sequence[Task]) -> Generator[MeasuredTask, None, None]:

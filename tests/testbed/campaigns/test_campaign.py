@@ -321,6 +321,7 @@ def test_a_worker_keeps_the_memory_of_its_pictures(tmp_path: Path) -> None:
 def test_ctrl_c_in_a_finaliser_ends_the_campaign_all_the_same(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         run_campaign(tmp_path, swallowing, tasks(4), scheduler=None, workers=0, title="four")
+    assert len(RowFile(tmp_path / "rows.csv").rows) == 2  # that of the run in which it came, too
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
