@@ -217,15 +217,15 @@ FAULT_TEXTS: dict[FaultCode, str] = {
 }
 
 
-def refusal(what: str, reason: Reason, value: float, limit: float, of: str = "") -> RequestRefused:
+def refusal(what: str, reason: Reason, value: float, limit: float, which: str = "") -> RequestRefused:
     """The exception for a refused ``what``, in words for people; its cause is ``refused.`` and the reason.
 
-    ``of``: what the limit is of, where that is known.
+    ``which``: whose limit or what fault it is, where that is known: "of lift", "by overspeed".
     """
     words = reason.name.lower()
     numbers = f": {_measured(reason, value)}, limit {_measured(reason, limit)}" if value or limit else ""
-    which = f" of {of}" if of else ""
-    return RequestRefused(f"refused.{words}", f"{what} refused: {words.replace('_', ' ')}{which}{numbers}")
+    named = f" {which}" if which else ""
+    return RequestRefused(f"refused.{words}", f"{what} refused: {words.replace('_', ' ')}{named}{numbers}")
 
 
 def _measured(reason: Reason, number: float) -> str:

@@ -14,7 +14,7 @@ from protocol.channel import LinkStatistics
 from protocol.client_session import ReferenceClient
 from protocol.clock_offset import OffsetEstimate
 from protocol.errors import LinkLost, RequestRefused
-from protocol.faults import CommandCode, Reason, refusal
+from protocol.faults import CommandCode, FaultCode, Reason, refusal
 from protocol.reference_messages import Acknowledgement, Command, Request, State, StreamedPose, StreamRefused
 from protocol.session_events import (
     AcknowledgementReceived,
@@ -209,12 +209,14 @@ class ReferenceLink:
 
     def refused(self, what: str, reason: Reason, value: float, limit: float) -> RequestRefused:
         """The error of a refused ``what``; at a joint's limit with the joints that end there, or just beyond:
-        controllers keep a margin.
+        controllers keep a margin; with the fault that is latched, once a state has told it.
         """
+        if reason is Reason.ERROR_LATCHED and self.connected and self.state.fault is not FaultCode.NONE:
+            return refusal(what, reason, value, limit, f"by {_words(self.state.fault.name)}")
         ends = self.ranges.items() if reason is Reason.JOINT_LIMIT else ()
         left = {name: limit - lower if value < limit else upper - limit for name, (lower, upper) in ends}
         named = [name for name, margin in left.items() if -_SAME_RAD < margin < _MARGIN_RAD]
-        return refusal(what, reason, value, limit, " or ".join(named))
+        return refusal(what, reason, value, limit, f"of {' or '.join(named)}" if named else "")
 
     async def ask(self, request: Request) -> Acknowledgement:
         """The acknowledgement of any request, also one that refuses it. Raises LinkLost."""

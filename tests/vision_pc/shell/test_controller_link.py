@@ -153,6 +153,10 @@ async def test_a_fault_in_motion_is_named(
     with pytest.raises(RequestRefused) as refused:
         await moving
     assert refused.value.cause == "refused.fault_following_error"
+    with pytest.raises(RequestRefused) as again:
+        await arm.move_to(shifted(0.0, 0.1, 0.0))
+    assert again.value.cause == "refused.error_latched"
+    assert str(again.value) == "reference pose refused: error latched by following error"
 
 
 async def test_another_motion_overtakes(link: ReferenceLink, arm: LinkArm) -> None:
