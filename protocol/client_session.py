@@ -13,8 +13,7 @@ from protocol.faults import Reason
 from protocol.open_requests import OpenRequests
 from protocol.reference_messages import (
     ANY_ARM,
-    CAPABILITY_PATHS,
-    CAPABILITY_STREAMING,
+    DEFAULT_OFFER,
     Acknowledgement,
     Bye,
     Command,
@@ -63,7 +62,7 @@ class ReferenceClient:
         nonce: int,
         arm_hash: int = ANY_ARM,
         state_period_ms: int = 20,
-        capabilities: int = CAPABILITY_PATHS | CAPABILITY_STREAMING,
+        capabilities: int = DEFAULT_OFFER,
         first_sequence: int = 1,
         key: LinkKey | None = None,
     ) -> None:

@@ -163,6 +163,10 @@ FLAG_STREAMING = 1 << 3
 CAPABILITY_PATHS = 1 << 0
 CAPABILITY_STREAMING = 1 << 1
 CAPABILITY_AUTHENTICATION = 1 << 2
+CAPABILITY_VALVE_TRIALS = 1 << 3
+
+DEFAULT_OFFER = CAPABILITY_PATHS | CAPABILITY_STREAMING | CAPABILITY_VALVE_TRIALS
+"""What a client offers where nothing else is chosen."""
 
 Request = ReferencePose | ReferencePath | Command
 

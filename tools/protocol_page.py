@@ -67,6 +67,8 @@ CAPABILITIES = {
     "PATHS": "REFERENCE_PATH is understood",
     "STREAMING": "START_STREAM, END_STREAM, STREAMED_POSE and STREAM_REFUSED are understood",
     "AUTHENTICATION": "every datagram of the session is signed (clause 11)",
+    "VALVE_TRIALS": "ENABLE begins a trial of the valves: the controller was started for that,"
+    " and follows no reference",
 }
 COLUMNS = {Asked.MOVE: "reference", Asked.STREAMED: "streamed reference"}
 

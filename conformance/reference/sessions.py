@@ -9,6 +9,7 @@ from protocol.pose import IDENTITY
 from protocol.reference_messages import (
     CAPABILITY_PATHS,
     CAPABILITY_STREAMING,
+    CAPABILITY_VALVE_TRIALS,
     Acknowledgement,
     Bye,
     HeartbeatReply,
@@ -22,7 +23,7 @@ from protocol.reference_messages import (
 case = reference.case
 # What a busy machine may add to a deadline before it counts as missed.
 SLACK_MS = 100
-TABLED = CAPABILITY_PATHS | CAPABILITY_STREAMING
+TABLED = CAPABILITY_PATHS | CAPABILITY_STREAMING | CAPABILITY_VALVE_TRIALS
 
 
 def hello(peer: Peer, nonce: int, **header: int) -> bytes:

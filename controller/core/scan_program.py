@@ -7,6 +7,7 @@ from controller.core.scan import scan
 from controller.core.scan_types import ScanInput, ScanOutput, ScanState, initial_state
 from controller.core.settings import settings_from
 from nominal_arm.description import NominalArm
+from protocol.reference_messages import CAPABILITY_PATHS, CAPABILITY_STREAMING, CAPABILITY_VALVE_TRIALS
 
 
 class ScanProgram:
@@ -23,6 +24,12 @@ class ScanProgram:
         self.samples: list[ExcitationSample] = []
         self._state = initial_state(self.settings)
         self.excitation = ExcitationProgram(self._state)
+
+    @property
+    def capabilities(self) -> int:
+        """What is granted to a client; one that was granted trials knows what ENABLE begins."""
+        follows = CAPABILITY_PATHS | CAPABILITY_STREAMING
+        return follows if self.plan is None else follows | CAPABILITY_VALVE_TRIALS
 
     @property
     def state(self) -> ScanState:

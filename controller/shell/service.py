@@ -73,6 +73,7 @@ class ControllerService:
             arm_hash=configuration_hash(arm),
             cycle_ns=cycle_ns,
             link_timeout_ms=config.reference_link.link_timeout_ms,
+            capabilities=self._program.capabilities,
             key=read_key(config.reference_link.link_key),
         )
         self._reference = ReferencePort(server, config.reference_link, log)

@@ -33,6 +33,7 @@ class ControllerSide:
             arm_hash=configuration_hash(settings.arm),
             cycle_ns=self.cycle_ns,
             link_timeout_ms=config.reference_link.link_timeout_ms,
+            capabilities=self._program.capabilities,
             key=read_key(config.reference_link.link_key),
         )
         self.valve_words = encode_valves(ValveImage(0, 0, (0.0,) * 6))

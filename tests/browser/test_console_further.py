@@ -1,12 +1,10 @@
-"""What the console does beside the procedure: emulated world, hand-eye calibration, trial of valves.
-
-And what it says of clicks and services that are no use.
+"""What the console does beside the procedure: the emulated world; what it says of clicks and services that
+are no use.
 """
 
 import contextlib
 import re
 from collections.abc import Iterator
-from typing import Any
 
 import httpx
 import numpy as np
@@ -17,7 +15,7 @@ from foundation.rest.tokens import Role
 from protocol.errors import MeasurementFailed
 from protocol.faults import FaultCode, GroupState
 from tests.browser.chromium import ABSENT, CHROMIUM, WITHIN_MS, hold, is_state, launched, note
-from tests.browser.open_console import console, eventually, opened, serious
+from tests.browser.open_console import eventually, opened
 from tests.browser.stranding_relay import stranding
 from tests.vision_pc.shell.rest_server import served_bench
 from vision_pc.application.ports import Seen
@@ -302,43 +300,6 @@ def test_streams_that_died_without_a_word_are_begun_anew_and_stop_is_heard_meanw
             is_state(page, "standby")
             shown = page.locator("#left").get_attribute("data-frame") or ""
             expect(page.locator("#left")).not_to_have_attribute("data-frame", shown, timeout=WITHIN_MS)
-
-
-def test_hand_eye_and_the_trial_of_valves_are_on_the_page(browser: Browser) -> None:
-    with console(browser, viewport={"width": 1440, "height": 900}) as (page, _, _):
-        posted: list[tuple[str, Any]] = []
-        page.on("request", lambda asked: posted.append((httpx.URL(asked.url).path, asked.post_data_json))
-                if asked.method == "POST" else None)  # fmt: skip
-        page.locator("#valves summary").focus()
-        page.keyboard.press("Enter")  # by keyboard alone
-        page.keyboard.press("Tab")
-        hold_in_vain(page, "#start-valve-trials")
-        expect(page.locator("#answer")).to_contain_text("tool is empty", timeout=WITHIN_MS)
-        assert not posted
-        page.locator("#valves-safe").focus()
-        page.keyboard.press("Enter")
-        hold(page, "#start-valve-trials")
-        eventually(lambda: posted == [("/operations/valve-trials", {"confirmed": True})], page)
-        expect(page.locator('[data-kind="valve-trials"] .note')).to_contain_text(
-            re.compile("refused|failed|no_trials|link"), timeout=WITHIN_MS
-        )
-        page.locator("#hand-eye summary").click()
-        page.locator("#start-hand-eye-start").click()
-        expect(page.locator("#answer")).to_contain_text("Give the session a name", timeout=WITHIN_MS)
-        page.locator("#hand-eye-name").fill("monday")
-        page.locator("#start-hand-eye-start").click()
-        eventually(lambda: ("/operations/hand-eye-start", {"name": "monday"}) in posted, page)
-        assert page.locator("#start-hand-eye-next").is_disabled()  # it moves the arm, which is disabled
-        assert serious(page) == []
-
-
-def hold_in_vain(page: Page, button: str) -> None:
-    """Hold a button that sends nothing."""
-    expect(page.locator(button)).to_be_enabled(timeout=WITHIN_MS)
-    page.locator(button).hover()
-    page.mouse.down()
-    page.wait_for_timeout(800)
-    page.mouse.up()
 
 
 def test_a_tool_without_its_marker_is_told(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,12 @@ from nominal_arm.description import NominalArm
 from nominal_arm.dimensions import dh_links
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import GroupState
-from protocol.reference_messages import ANY_ARM
+from protocol.reference_messages import (
+    ANY_ARM,
+    CAPABILITY_PATHS,
+    CAPABILITY_STREAMING,
+    CAPABILITY_VALVE_TRIALS,
+)
 from tests.support.log_lines import HeardLog
 from tests.support.paths import CONFIGS
 from tests.vision_pc.program_settings import BOOM, shipped
@@ -173,11 +178,16 @@ def quick(settings: ProgramSettings) -> ProgramSettings:
 
 @asynccontextmanager
 async def bench(
-    seed: int = 0, record_dir: Path | None = None, link_timeout_ms: int = 500, **truth: Any
+    seed: int = 0,
+    record_dir: Path | None = None,
+    link_timeout_ms: int = 500,
+    tries_valves: bool = False,
+    **truth: Any,
 ) -> AsyncIterator[Bench]:
-    """A bench with the controller connected and disabled."""
+    """A bench with the controller connected and disabled; ``tries_valves``: what it says of itself."""
     rig = SyntheticRig(draw(np.random.default_rng(seed), **truth), seed, rate_hz=100.0)
-    controller = LoopbackController(rig, link_timeout_ms=link_timeout_ms)
+    granted = CAPABILITY_PATHS | CAPABILITY_STREAMING | (CAPABILITY_VALVE_TRIALS if tries_valves else 0)
+    controller = LoopbackController(rig, link_timeout_ms=link_timeout_ms, capabilities=granted)
     await controller.start()
     log = HeardLog("vision_pc")
     if record_dir is not None:

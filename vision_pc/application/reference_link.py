@@ -15,7 +15,15 @@ from protocol.client_session import ReferenceClient
 from protocol.clock_offset import OffsetEstimate
 from protocol.errors import LinkLost, RequestRefused
 from protocol.faults import CommandCode, FaultCode, Reason, refusal
-from protocol.reference_messages import Acknowledgement, Command, Request, State, StreamedPose, StreamRefused
+from protocol.reference_messages import (
+    CAPABILITY_VALVE_TRIALS,
+    Acknowledgement,
+    Command,
+    Request,
+    State,
+    StreamedPose,
+    StreamRefused,
+)
 from protocol.session_events import (
     AcknowledgementReceived,
     ClientEvent,
@@ -132,6 +140,12 @@ class ReferenceLink:
     def authenticated(self) -> bool:
         """Return True if a session is open in which every datagram is signed."""
         return self._session.authenticated
+
+    @property
+    def tries_valves(self) -> bool:
+        """Return True if ENABLE begins a trial of the valves: the controller of this session says so."""
+        granted = self._session.welcome
+        return bool(granted and granted.capabilities & CAPABILITY_VALVE_TRIALS)
 
     @property
     def statistics(self) -> LinkStatistics:

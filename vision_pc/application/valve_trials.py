@@ -34,10 +34,12 @@ async def watch_trials(application: VisionApplication, report: Report) -> Trials
     """Enable the arm, watch until its controller has tried out its valves, and disable it.
 
     A camera that is silent for less than ``_SILENT_S`` costs the joint that was tried out meanwhile, no more.
-    Raises RequestRefused (``refused.no_trials``) when nothing begins to move: the controller is in no such
-    mode, or has finished; what ``Eyes.watch`` raises; LinkLost.
+    Raises RequestRefused (``refused.no_trials``): the controller is in no such mode, which it tells without
+    being enabled, or nothing begins to move, for it has finished; what ``Eyes.watch`` raises; LinkLost.
     """
     controller = application.controller
+    if controller.connected and not controller.tries_valves:
+        raise RequestRefused("refused.no_trials", "the controller was not started to try out its valves")
     states: list[State] = []
     stretches: list[tuple[WatchSample, ...]] = []
     while not states or controller.state.group_state is GroupState.MOVING:
@@ -98,7 +100,7 @@ async def _begun(application: VisionApplication) -> None:
     await _disabled(application)
     raise RequestRefused(
         "refused.no_trials",
-        "the controller is enabled and nothing moves: start it with controller.excitation.enabled=true",
+        "the controller is enabled and nothing moves: it has tried out all that it was started for",
     )
 
 

@@ -92,6 +92,7 @@ class Moments:
             round_trip_us=None,
             trouble=None,
             authenticated=False,
+            tries_valves=False,
             datagrams_lost=0,
             camera=CameraStatus(True, age_ms, self._of.frames.count(time_ns), 0.0),
             recording=True,

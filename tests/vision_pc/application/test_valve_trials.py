@@ -88,10 +88,18 @@ def test_play_and_delay_are_found_and_the_arm_is_left_disabled() -> None:
     assert late["value"] == pytest.approx(12.0, abs=3.0)
 
 
-def test_a_controller_in_no_such_mode_is_named_and_disabled() -> None:
-    with pytest.raises(RequestRefused) as raised:
-        watched()
+def test_a_controller_in_no_such_mode_is_named_and_not_enabled() -> None:
+    settings = load_settings(CONFIGS, parse_overrides(["controller.cycle_ms=10"]))
+    log, sight = RunLog(), partial(simulated_sight, model=load_eye_model(CONFIGS), seed=1)
+    rig = LockstepRig(settings, 1, log, sight)
+    with (
+        pytest.raises(RequestRefused, match="not started to try out its valves") as raised,
+        bars(quiet=True) as shown,
+        shown.step("valve-trials") as bar,
+    ):
+        rig.operate("valve-trials", {"confirmed": True}, bar)
     assert raised.value.cause == "refused.no_trials"
+    assert [event for event in log.events if "STANDBY" in str(event)] == []  # it was never enabled
 
 
 def test_a_silent_camera_costs_the_joint_that_was_tried_out_meanwhile() -> None:

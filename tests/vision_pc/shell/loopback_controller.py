@@ -16,6 +16,9 @@ from protocol.authentication import LinkKey
 from protocol.errors import RequestRefused
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.reference_messages import (
+    CAPABILITY_PATHS,
+    CAPABILITY_STREAMING,
+    CAPABILITY_VALVE_TRIALS,
     FLAG_EMERGENCY_LATCHED,
     FLAG_PLANT_LINK_OK,
     FLAG_SETTLED,
@@ -51,9 +54,13 @@ class LoopbackController(asyncio.DatagramProtocol):
         clock_ahead_ns: int = 7_000_000_000,
         key: LinkKey | None = None,
         link_timeout_ms: int = 500,
+        capabilities: int = CAPABILITY_PATHS | CAPABILITY_STREAMING,
     ) -> None:
         self.rig, self.speed, self.clock_ahead_ns = rig, speed, clock_ahead_ns
-        self.session = ReferenceServer(1, 0xA12, int(CYCLE_S * 1e9), link_timeout_ms, key=key)
+        self.session = ReferenceServer(
+            1, 0xA12, int(CYCLE_S * 1e9), link_timeout_ms, capabilities=capabilities, key=key
+        )
+        self._tries_valves = bool(capabilities & CAPABILITY_VALVE_TRIALS)
         self.group, self.fault, self.emergency = GroupState.DISABLED, FaultCode.NONE, False
         self.motion: list[tuple[Array, Array, int]] = []  # X_from, X_goal, cycles
         self.motion_id, self.motion_done, self.cycle, self.step = 0, False, 0, 0
@@ -159,6 +166,9 @@ class LoopbackController(asyncio.DatagramProtocol):
             if self.group is not GroupState.DISABLED:
                 return Reason.ALREADY_DONE
             self.group = GroupState.STANDBY
+            if self._tries_valves:  # for as long as nobody stops it
+                X = forward(self.rig.q)
+                self.motion, self.step, self.group = [(X, X, 10**9)], 0, GroupState.MOVING
         else:
             self.motion, self.group = [], GroupState.DISABLED
         return Reason.ACCEPTED

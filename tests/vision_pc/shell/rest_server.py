@@ -33,6 +33,7 @@ def served_bench(
     link_timeout_ms: int = 30_000,  # this machine may be busy
     emulator_face: str = "",
     port: int = 0,
+    tries_valves: bool = False,
 ) -> Iterator[tuple[str, Bench]]:
     """Its URL, and what it works on; ``add`` adds routes of the test's own; ``tokens``: who is asked;
     ``port``: 0 for any.
@@ -42,7 +43,7 @@ def served_bench(
     benches: list[Bench] = []
 
     async def serve() -> None:
-        async with bench(link_timeout_ms=link_timeout_ms) as made:
+        async with bench(link_timeout_ms=link_timeout_ms, tries_valves=tries_valves) as made:
             made.controller.speed = 50.0
             if enabled:
                 await made.post("/enable")

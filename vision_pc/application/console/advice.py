@@ -37,7 +37,7 @@ _OF_CAUSE = {
     "refused.role": "You may look and stop. To move the arm, sign in with the operator's token.",
     "refused.emergency_latched": "Make sure that all is safe; release, reset, enable.",
     "refused.error_latched": "See the alarm for its cause; then reset and enable.",
-    "refused.no_trials": "Start the controller with controller.excitation.enabled=true.",
+    "refused.no_trials": "Start the controller anew, with controller.excitation.enabled=true.",
     "refused.stopping": "Wait until the arm rests, then repeat.",
     "refused.target_lost": "Click it again, or forget it.",
     "refused.unknown_target": "Click a place in the picture first.",

@@ -32,6 +32,7 @@ class Glimpse(NamedTuple):
     round_trip_us: float | None
     trouble: tuple[str, str] | None
     authenticated: bool
+    tries_valves: bool
     datagrams_lost: int
     camera: CameraStatus
     recording: bool
@@ -64,6 +65,7 @@ def glimpse(application: VisionApplication) -> Glimpse:
         None if clock is None else clock.round_trip_ns / 1e3,
         trouble,
         link.authenticated,
+        link.tries_valves,
         link.statistics.lost,
         application.camera.status(),
         application.log.healthy,
@@ -111,6 +113,7 @@ class Overview:
                 "round_trip_us": seen.round_trip_us,
                 "trouble": seen.trouble,
                 "authenticated": seen.authenticated,
+                "tries_valves": seen.tries_valves,
                 "lost": seen.datagrams_lost,
             },
             "camera": seen.camera._asdict(),

@@ -55,6 +55,9 @@ class LinkView(BaseModel):
 
     connected: bool = Field(description="a session is open and a state has come in it")
     authenticated: bool = Field(description="every datagram of the open session is signed")
+    tries_valves: bool = Field(
+        description="POST /enable alone begins a trial of the valves: the controller was started for that"
+    )
     trouble: LinkTrouble | None = Field(description="none with a session")
     state_age_ms: float | None = Field(description="ms since the newest state; none without one")
     datagrams: LinkCounters
@@ -75,6 +78,7 @@ def link_view(link: Controller) -> LinkView:
     return LinkView(
         connected=link.connected,
         authenticated=link.authenticated,
+        tries_valves=link.tries_valves,
         trouble=trouble,
         state_age_ms=None if far is None else round(link.state_age_ns / 1e6, 3),
         datagrams=LinkCounters(**asdict(tally)),

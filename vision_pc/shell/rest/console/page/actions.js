@@ -140,7 +140,7 @@ export function update(snapshot, operate) {
   able('disable', state && state.group_state !== 'disabled', 'is disabled');
   able('reset', may && state?.group_state === 'error_stop' && !state.emergency_latched, 'nothing to reset');
   able('release', may && Boolean(state?.emergency_latched), 'no emergency stop is latched');
-  write(byId('procedure-wants'), (may && WANTED[state?.group_state]) || '');
+  write(byId('procedure-wants'), shot?.link.tries_valves ? 'this controller only tries out valves' : (may && WANTED[state?.group_state]) || '');
   for (const [step, line] of rows) showStep(step, line, busy);
   for (const jog of byId('jog').children) able(jog.id, may && enabled() && !busy, 'enable first, and wait until nothing runs');
 }

@@ -6,7 +6,7 @@ import { byId, write } from './dom.js';
 import { followEmulator } from './emulator.js';
 import { installFurther, showFurther } from './further.js';
 import { installLayers, pictureAge, showOverlay, showPicture } from './picture.js';
-import { showAlarms, showChips, showLadder, showResume } from './panels.js';
+import { showAlarms, showChips, showLadder, showResume, showTrials } from './panels.js';
 import { addToPlots, clearPlots, drawPlots, installPlots } from './plots.js';
 import { installArm, paintArm, showArm, showTruth } from './arm.js';
 import { installStop } from './stop.js';
@@ -39,7 +39,8 @@ function showSnapshot(snapshot) {
   lastTrouble = null;
   judge();
   showLadder(shot.state);
-  showResume(shot.state, shot.alarms);
+  showTrials(shot);
+  showResume(shot);
   showAlarms(shot.alarms);
   showOverlay(shot.overlay, shot.tolerance_mm);
   showTargets(shot.overlay?.size, ['moving', 'stopping'].includes(shot.state?.group_state));

@@ -4,6 +4,19 @@ import { attribute, byId, clock, make, milliseconds, write } from './dom.js';
 import { chipsOf, recorded } from './transport.js';
 
 const STATES = { disabled: 'disabled', standby: 'standby', moving: 'moving', stopping: 'stopping', error_stop: 'error stop' };
+const TRIALS = {
+  disabled: ['◆ ENABLE moves the arm: it begins a trial of the valves',
+    'What: one joint after another, to and fro, about 15 minutes in all. The controller was started for that (controller.excitation.enabled).',
+    'How far: as shipped 3° a stroke (wrists 5°), 0.2 m at the tool; never more than 15°.',
+    'Before: the tool must be empty, and nobody within reach.',
+    'To end it: STOP, Space or Esc closes all valves.',
+    '“Commissioning: valves” below does the same with odometry watching.'],
+  moving: ['◆ The valves are being tried out, one joint after another', 'To end it: STOP, Space or Esc closes all valves.'],
+  standby: ['The trial of the valves has ended, or was stopped',
+    'Disable, then ENABLE goes on with the joint that was not finished.',
+    'For the procedure start the controller without controller.excitation.enabled: this one does nothing else.'],
+};
+TRIALS.stopping = TRIALS.standby;
 const MARKS = { 1: '▲', 2: '◆', 3: '●' };
 
 /** Chips of the header: [name, value, priority of what is wrong or 0]. */
@@ -41,8 +54,21 @@ export function showLadder(state) {
   }
 }
 
+/** Before ENABLE is held: what it begins, where the controller was started to try out its valves. */
+export function showTrials(shot) {
+  const [place, enable] = [byId('trials'), byId('enable')];
+  place.hidden = !shot.link.tries_valves;
+  write(enable.querySelector('small'), place.hidden ? 'hold' : 'hold: it moves');
+  if (place.hidden) { enable.removeAttribute('aria-describedby'); return; }
+  attribute(enable, 'aria-describedby', 'trials');
+  const [lead, ...lines] = TRIALS[shot.state?.group_state] ?? TRIALS.disabled;
+  if (place.dataset.told === lead) return;
+  place.dataset.told = lead;
+  place.replaceChildren(make('strong', {}, lead), make('ul', {}, ...lines.map((line) => make('li', {}, line))));
+}
+
 /** Step by step on after a fault: only what is left is to be done. */
-export function showResume(state, alarms) {
+export function showResume({ state, alarms, link }) {
   const list = byId('resume');
   const broken = state && (state.group_state === 'error_stop' || state.emergency_latched);
   list.hidden = !broken;
@@ -51,7 +77,7 @@ export function showResume(state, alarms) {
   const steps = [
     ...(state.emergency_latched ? ['Hold RELEASE: the emergency stop is latched'] : []),
     'Hold RESET',
-    'Hold ENABLE; then repeat the step that was interrupted',
+    link.tries_valves ? 'Hold ENABLE: the trial goes on, and the arm moves' : 'Hold ENABLE; then repeat the step that was interrupted',
   ];
   const rows = [make('li', { class: 'cause' }, cause ? `${cause.detail}. ${cause.advice}` : `fault: ${state.fault}`), ...steps.map((words, index) => make('li', { class: index ? '' : 'next' }, words))];
   const told = rows.map((row) => row.className + row.textContent).join('|');
