@@ -209,7 +209,8 @@ def test_a_token_is_asked_for_and_a_watcher_may_stop_alone(browser: Browser) -> 
             assert OPERATE.hex() not in page.url  # it is in no history either
 
 
-_SMALL = """[...document.querySelectorAll('button')]
+_TOUCHED = "button, select, summary, .named input, label:has([type=checkbox])"
+_SMALL = f"""[...document.querySelectorAll('{_TOUCHED}')]
     .map((button) => [button.id || button.textContent, button.getBoundingClientRect().height])
     .filter(([, height]) => height > 0 && height < 44)"""  # too small for a thumb
 
@@ -228,7 +229,10 @@ def test_everybody_can_use_it(browser: Browser, theme: str) -> None:
         page.set_viewport_size(phone)
         page.wait_for_timeout(500)
         assert page.evaluate("document.documentElement.scrollWidth") <= phone["width"]
+        for folded in ("#hand-eye", "#valves"):
+            page.locator(f"{folded} summary").click()
         assert page.evaluate(_SMALL) == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= phone["width"]
         place = page.locator("#stop").bounding_box()
         assert place is not None
         assert place["y"] + place["height"] <= phone["height"]  # in view without scrolling
@@ -290,21 +294,25 @@ def test_a_click_in_the_picture_makes_a_target(browser: Browser) -> None:
             page.locator("#left").focus()  # by keyboard alone
             page.keyboard.press("ArrowLeft")
             page.keyboard.press("Enter")
-            eventually(lambda: len(wall.clicks) == 3, page)
+            expect(page.locator("#right")).to_be_focused()  # from the likeliest place on
+            expect(page.locator("#right-aims path.kept")).to_have_count(1)
+            page.keyboard.press("ArrowRight")
+            page.keyboard.press("Enter")
+            eventually(lambda: len(wall.clicks) == 4, page)
             page.locator("#teach").click()  # by a click, then by a rectangle
             expect(page.locator("#teach")).to_have_attribute("aria-pressed", "true")
             page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.25 * box["height"])
-            eventually(lambda: len(wall.clicks) == 4, page)
+            eventually(lambda: len(wall.clicks) == 5, page)
             expect(page.locator("#teach")).to_have_attribute("aria-pressed", "false")
             scale = box["width"] / 1280.0
             page.mouse.move(box["x"] + 300.0 * scale, box["y"] + 200.0 * scale)
             page.mouse.down()
             page.mouse.move(box["x"] + 380.0 * scale, box["y"] + 260.0 * scale, steps=3)
             page.mouse.up()
-            eventually(lambda: len(wall.clicks) == 5, page)
+            eventually(lambda: len(wall.clicks) == 6, page)
             page.locator("#target-rows button", has_text="Find").click()
             eventually(lambda: wall.finds == 1, page)
-    first, second, third, taught, drawn = wall.clicks
+    first, second, third, keyed, taught, drawn = wall.clicks
     assert (taught["kind"], "size_px" in taught) == ("template", False)
     assert (drawn["kind"], abs(drawn["size_px"] - 80) <= 2) == ("template", True)
     assert abs(drawn["u_px"] - 340.0) < 2.0
@@ -314,6 +322,7 @@ def test_a_click_in_the_picture_makes_a_target(browser: Browser) -> None:
     assert abs(first["v_px"] - 180.0) < 2.0
     assert second == first | {"other_u_px": second["other_u_px"], "other_v_px": second["other_v_px"]}
     assert third["u_px"] == 630.0
+    assert keyed == third | {"other_u_px": 610.0, "other_v_px": 300.0}
 
 
 def test_the_pages_of_the_api_come_from_here(browser: Browser) -> None:

@@ -193,6 +193,11 @@ def test_a_row_of_targets_is_visited_and_who_is_not_enabled_is_told_what_comes_n
             expect(told).to_contain_text(re.compile(r"done .*: t1 \d\.\d mm beside, t2 \d\.\d mm beside"),
                                          timeout=WITHIN_MS)  # fmt: skip
             click_until(page, "Hold Go to drive there.")
+            bench.controller.break_down(FaultCode.FOLLOWING_ERROR)
+            is_state(page, "error_stop")
+            expect(page.locator("#answer")).to_have_text("")  # that is no longer what comes next
+            hold(page, "#reset")
+            is_state(page, "disabled")
             for _ in range(8):
                 assert httpx.post(f"{url}/targets", json={"u_px": 600.0, "v_px": 300.0}).status_code == 201
             newest = page.locator("#target-rows li.aimed")

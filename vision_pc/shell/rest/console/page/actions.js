@@ -132,9 +132,10 @@ export function say(words, fine, brief = false) {
 
 /** Brings buttons and rows up to date with a snapshot; `operate`: whether this token may move the arm. */
 export function update(snapshot, operate) {
+  const [was, state] = [shot?.state?.group_state, snapshot?.state];
+  if (was && was !== 'error_stop' && state?.group_state === 'error_stop' && byId('answer').className !== 'refused') say('', true); // what was to be done next is not
   shot = snapshot;
   may = operate;
-  const state = shot?.state;
   const busy = running();
   able('enable', may && state?.group_state === 'disabled', 'already enabled, or a fault is latched');
   able('disable', state && state.group_state !== 'disabled', 'is disabled');

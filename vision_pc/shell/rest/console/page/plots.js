@@ -5,7 +5,7 @@ import { byId, make, write } from './dom.js';
 
 const KEPT = 1200; // ten a second for two minutes
 const SPAN_S = 120;
-const HEIGHT = 96;
+const HEIGHT = 101;
 const JOINTS = ['slew', 'lift', 'tilt', 'wrist1', 'wrist2', 'wrist3'];
 const STRIPS = [
   { id: 'joint-error', title: 'Joint error, mrad', lines: JOINTS, floor: 0.5, digits: 2, of: (s) => s.state.q_cmd_deg.map((q, i) => ((s.state.q_meas_deg[i] - q) * Math.PI) / 0.18) },
@@ -31,7 +31,7 @@ export function installPlots() {
     const plot = new uPlot({
       width: Math.max(place.clientWidth, 120), height: HEIGHT, padding: [4, 14, 0, 0], legend: { show: false }, cursor: { show: false },
       scales: { x: { time: false, range: () => [-SPAN_S, 0] }, y: { range: (_, low, high) => range(strip, low, high) } },
-      axes: [{ ...axis, size: 20, values: (_, at) => at.map((t) => (t ? `${t} s` : 'now')), splits: () => [-120, -60, 0] }, axis],
+      axes: [{ ...axis, size: 25, gap: 7, values: (_, at) => at.map((t) => (t ? `${t} s` : 'now')), splits: () => [-120, -60, 0] }, axis],
       series: [{}, ...strip.lines.map((_, line) => ({ stroke: colour('--ink'), width: line ? 1 : 1.5, dash: DASHES[line], points: { show: false } }))],
     }, shown(data), place);
     made[index] = { strip, data, plot, now, place };

@@ -13,7 +13,7 @@ let size = [1280, 720]; // of the camera's pictures
 let targets = [];
 let holes = []; // as found from where the arm is: they stay drawn, for a row of targets is clicked one by one
 let asked = null; // the click that wants its place in the other eye: its body, and candidates
-let cross = null; // where keys have pointed
+let cross = null; // where keys have pointed: in which eye, and at which pixel
 let polling = false;
 let moves = false; // the arm: what was seen in a picture is elsewhere in the next
 let pressed = null; // where the button went down
@@ -29,12 +29,15 @@ export async function installTargets() {
   addSteps([{ kind: 'visit', words: 'Visit all targets, the oldest first', verb: 'Visit', wanted: () => targets.length > 1 }], byId('target-steps'));
   take(answer.document);
   byId('left').parentElement.classList.add('aimable');
-  attribute(byId('left'), 'tabindex', '0');
+  for (const eye of ['left', 'right']) {
+    attribute(byId(eye), 'tabindex', '0');
+    byId(eye).addEventListener('keydown', (event) => keys(event, eye));
+    byId(eye).addEventListener('blur', () => { cross = null; draw(); });
+  }
+  attribute(byId('right'), 'aria-label', 'Right eye, live. Where the left eye does not tell the place alone, click it here, or point with the arrow keys and press Enter');
   attribute(byId('left'), 'aria-label', 'Left eye, live. Click a place, or point with the arrow keys and press Enter, to make it the target');
   byId('left').parentElement.addEventListener('pointerdown', (event) => { pressed = pixel(event, byId('left')); });
   byId('left').parentElement.addEventListener('click', (event) => clickOrDrag(pixel(event, byId('left'))));
-  byId('left').addEventListener('keydown', keys);
-  byId('left').addEventListener('blur', () => { cross = null; draw(); });
   byId('right').addEventListener('click', (event) => clickRight(pixel(event, byId('right'))));
   byId('find-holes').addEventListener('click', find);
   byId('teach').addEventListener('click', () => teach(!teaching()));
@@ -59,14 +62,14 @@ function pixel(event, canvas) {
   return [((event.clientX - box.left) / box.width) * size[0], ((event.clientY - box.top) / box.height) * size[1]].map((px) => Number(px.toFixed(1)));
 }
 
-function keys(event) {
+function keys(event, eye) {
   const way = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
-  if (event.key === 'Enter' && cross) click(cross);
+  if (event.key === 'Enter' && cross) (eye === 'left' ? click : clickRight)(cross.at);
   if (!way) return;
   event.preventDefault();
   const step = event.shiftKey ? 1 : STEP_PX;
-  cross ??= [size[0] / 2, size[1] / 2];
-  cross = cross.map((at, axis) => Math.min(Math.max(at + step * way[axis], 0), size[axis]));
+  const from = cross?.at ?? [size[0] / 2, size[1] / 2];
+  cross = { eye, at: from.map((at, axis) => Math.min(Math.max(at + step * way[axis], 0), size[axis])) };
   draw();
 }
 
@@ -107,8 +110,15 @@ async function ask(body) {
     if (candidates.length) asked = { body, candidates };
     const advice = 'Click the same place in the right eye: the candidates are drawn there.';
     say(candidates.length ? refusal({ ...answer.document, advice }) : answer.words, false);
+    if (candidates.length && document.activeElement === byId('left')) pointRight(candidates[0].other_px);
   }
   await refresh();
+}
+
+/** Who points by keys goes on in the right eye, from the likeliest place on. */
+function pointRight(at) {
+  byId('right').focus();
+  cross = { eye: 'right', at };
 }
 
 async function find() {
@@ -189,10 +199,13 @@ function draw() {
   byId('aims').replaceChildren(
     ...holes.map((hole) => path(hole.outline, 'hole')),
     ...seen.map((target) => path(target.outline, target.aimed ? 'goal' : 'kept')),
-    ...(cross ? [mark(cross, 'cross')] : []),
+    ...(cross?.eye === 'left' ? [mark(cross.at, 'cross')] : []),
   );
   byId('right-aims').setAttribute('viewBox', `0 0 ${size[0]} ${size[1]}`);
-  byId('right-aims').replaceChildren(...(asked?.candidates ?? []).map((candidate) => mark(candidate.other_px, 'cross')));
+  byId('right-aims').replaceChildren(
+    ...(asked?.candidates ?? []).map((candidate) => mark(candidate.other_px, 'cross')),
+    ...(cross?.eye === 'right' ? [mark(cross.at, 'kept')] : []),
+  );
 }
 
 function path(points, kind) {
