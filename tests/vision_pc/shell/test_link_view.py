@@ -49,11 +49,20 @@ def test_every_counter_is_shown_with_its_unit() -> None:
         assert len(described) > 20, name
 
 
+async def test_a_controller_that_enable_alone_sets_going_is_told_while_it_is_there() -> None:
+    async with bench(tries_valves=True) as made:
+        assert (await made.client.get("/link")).json()["tries_valves"] is True
+        await made.controller.stop(say_goodbye=False)
+        await until(lambda: not made.station.controller.connected)
+        assert (await made.client.get("/link")).json()["tries_valves"] is False
+
+
 async def test_the_rest_face_shows_the_link() -> None:
     async with bench() as made:
         seen = (await made.client.get("/link")).json()
         assert seen["connected"] is True
         assert seen["authenticated"] is False
+        assert seen["tries_valves"] is False
         assert seen["datagrams"]["received"] >= 1
         assert seen["dropped"] == 0
         assert seen["clock"]["uncertainty_ns"] > 0
