@@ -154,6 +154,8 @@ def test_a_fault_is_told_with_the_way_on_and_a_lost_service_greys_the_page(brows
             is_state(page, "standby")
         expect(page.locator("html")).to_have_class("stale", timeout=WITHIN_MS)
         expect(page.locator("#chips")).to_contain_text("no word from the vision PC")
+        expect(page.locator("#alarm-line")).to_contain_text("Alarms are not known")
+        assert not [each for each in serious(page) if "no word" in each]  # greyed is what is old, not this
         expect(page.locator("#enable")).to_be_disabled()
         page.keyboard.press("Escape")
         expect(page.locator("#stop-told")).to_contain_text("NOT acknowledged", timeout=WITHIN_MS)
@@ -193,11 +195,18 @@ def test_a_token_is_asked_for_and_a_watcher_may_stop_alone(browser: Browser) -> 
         bench.eyes.picture_s = 0.5
         with opened(browser, url) as page:
             expect(page.locator("#sign-in")).to_be_visible(timeout=WITHIN_MS)
+            expect(page.locator("#chips")).to_have_text("console ▲ wants a token")
+            expect(page.locator("#no-picture")).to_have_text("Sign in to see the machine.")
+            expect(page.locator("#alarm-line")).to_contain_text("Alarms are not known")
             page.locator("#token").fill("ab" * 32)
             page.locator("#sign-in button").click()
             expect(page.locator("#sign-in-why")).to_contain_text("none of this service", timeout=WITHIN_MS)
+            page.locator("#stop").click()  # who asks for a stop in vain is told so at once
+            expect(page.locator("#stop-told")).to_contain_text("(refused.wrong_token)", timeout=WITHIN_MS)
+            expect(page.locator("#stop-told")).to_contain_text("hardware stop", timeout=WITHIN_MS)
             page.locator("#token").fill(LOOK.hex())
             page.locator("#sign-in button").click()
+            expect(page.locator("#stop-told")).to_contain_text("stopped", timeout=WITHIN_MS)
             is_state(page, "standby")
             expect(page.locator("#whoami")).to_contain_text("look")
             expect(page.locator("#start-local-track")).to_be_disabled()

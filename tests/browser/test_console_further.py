@@ -223,6 +223,20 @@ def test_a_tool_that_was_moved_is_refused_with_what_to_do(
         is_state(page, "standby")
 
 
+def test_a_double_click_is_one_target_and_a_click_before_there_is_a_picture_none(browser: Browser) -> None:
+    with served_bench() as (url, bench), opened(browser, url) as page:
+        bench.eyes.picture_s = 0.5
+        second_picture(page)
+        page.evaluate("document.querySelector('#left').removeAttribute('data-frame')")
+        page.locator("#left").click(force=True)
+        expect(page.locator("#answer")).to_contain_text("There is no picture yet: wait for one, then click.")
+        second_picture(page)
+        page.locator("#left").dblclick(force=True)
+        expect(page.locator("#answer")).to_contain_text("Target t1: ", timeout=WITHIN_MS)
+        page.wait_for_timeout(1_000)
+        assert [each["id"] for each in httpx.get(f"{url}/targets").json()["targets"]] == ["t1"]
+
+
 def test_who_clicks_while_another_operator_works_is_told_so(browser: Browser) -> None:
     with served_bench() as (url, bench), opened(browser, url) as page:
         bench.eyes.picture_s = 0.5

@@ -6,7 +6,7 @@ import { byId, write } from './dom.js';
 import { followEmulator } from './emulator.js';
 import { installFurther, showFurther } from './further.js';
 import { installLayers, pictureAge, showOverlay, showPicture } from './picture.js';
-import { showAlarms, showChips, showLadder, showResume, showTrials } from './panels.js';
+import { showAlarms, showChips, showLadder, showResume, showTrials, showUnknown } from './panels.js';
 import { addToPlots, clearPlots, drawPlots, installPlots } from './plots.js';
 import { installArm, paintArm, showArm, showTruth } from './arm.js';
 import { installStop } from './stop.js';
@@ -57,9 +57,11 @@ function judge() {
   const old = came ? performance.now() - came : null;
   const stale = old === null || old > STALE_MS;
   document.documentElement.classList.toggle('stale', stale);
-  showChips(shot, stale ? (old === null ? null : Math.round(old / 1000)) : null);
+  const locked = lastTrouble?.status === 401;
+  showChips(shot, stale ? (old === null ? null : Math.round(old / 1000)) : null, locked);
+  if (stale) showUnknown();
   if (stale && shot && !recorded) update(null, false);
-  pictureAge(shot?.camera.trouble ? `The camera: ${shot.camera.trouble.replace('link.camera_', '')}.` : stale ? `${recorded ? 'The replay' : 'The vision PC'} does not answer.`
+  pictureAge(shot?.camera.trouble ? `The camera: ${shot.camera.trouble.replace('link.camera_', '')}.` : stale && locked ? 'Sign in to see the machine.' : stale ? `${recorded ? 'The replay' : 'The vision PC'} does not answer.`
     : crowded ? 'Other windows of this browser show the pictures.' : '');
 }
 
@@ -100,12 +102,11 @@ function signIn(document_) {
   const dialog = byId('sign-in');
   if (dialog.open) return;
   write(byId('sign-in-why'), document_?.cause === 'refused.wrong_token' ? '▲ The token is none of this service’s.' : 'Paste it from its file, or open the address that was printed with #t=…');
-  dialog.showModal();
+  dialog.show(); // not modal: STOP must answer whoever presses it, if only that it was refused
 }
 
 function installSignIn(begin) {
   onTokenWanted(signIn);
-  byId('sign-in').addEventListener('cancel', (event) => event.preventDefault());
   byId('sign-in').querySelector('form').addEventListener('submit', () => {
     forgetToken();
     setToken(byId('token').value);

@@ -19,10 +19,10 @@ const TRIALS = {
 TRIALS.stopping = TRIALS.standby;
 const MARKS = { 1: '▲', 2: '◆', 3: '●' };
 
-/** Chips of the header: [name, value, priority of what is wrong or 0]. */
-export function showChips(shot, stale) {
+/** Chips of the header: [name, value, priority of what is wrong or 0]; `locked`: nothing is told without a token. */
+export function showChips(shot, stale, locked) {
   const state = shot?.state;
-  const chips = stale !== null || !shot ? [['console', `no word from the ${recorded ? 'replay' : 'vision PC'}${stale === null ? '' : ` for ${stale} s`}`, 1]] : shot.recorded ? chipsOf(shot) : [
+  const chips = locked && (stale !== null || !shot) ? [['console', 'wants a token', 1]] : stale !== null || !shot ? [['console', `no word from the ${recorded ? 'replay' : 'vision PC'}${stale === null ? '' : ` for ${stale} s`}`, 1]] : shot.recorded ? chipsOf(shot) : [
     ['controller', state ? milliseconds(shot.link.age_ms) + ' ago' : 'no session', state ? (shot.link.age_ms > 200 ? 2 : 0) : 1],
     ['plant', !state ? 'unknown' : state.plant_link_ok ? 'answers' : 'silent', !state ? 0 : state.plant_link_ok ? 0 : 1],
     ['camera', shot.camera.trouble ? shot.camera.trouble.replace('link.camera_', '') : `${shot.camera.rate_hz.toFixed(1)} /s`, shot.camera.trouble ? 2 : 0],
@@ -91,6 +91,12 @@ function showWorst(active) {
   attribute(line, 'class', worst ? `line-${worst.priority}` : '');
   const more = active.length > 1 ? ` (and ${active.length - 1} more)` : '';
   write(line.firstElementChild, worst ? `${MARKS[worst.priority]} ${clock(worst.began_at)} ${worst.detail}. ${worst.advice}${more}` : 'No alarm');
+}
+
+/** No alarm is known of while nothing is heard; one that was active still stands there. */
+export function showUnknown() {
+  const line = byId('alarm-line');
+  if (!line.className) write(line.firstElementChild, recorded ? 'No word from the replay' : 'Alarms are not known: nothing is heard');
 }
 
 /** Active alarms first, then those that ended. */

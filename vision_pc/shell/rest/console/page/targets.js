@@ -14,6 +14,7 @@ let targets = [];
 let holes = []; // as found from where the arm is: they stay drawn, for a row of targets is clicked one by one
 let asked = null; // the click that wants its place in the other eye: its body, and candidates
 let cross = null; // where keys have pointed: in which eye, and at which pixel
+let measuring = false; // what was clicked
 let polling = false;
 let moves = false; // the arm: what was seen in a picture is elsewhere in the next
 let pressed = null; // where the button went down
@@ -87,8 +88,9 @@ function clickOrDrag([u, v]) {
 /** A click in the left eye: bound to the picture that was on the screen. */
 function click([u, v], more = teaching() ? { kind: 'template' } : {}) {
   const frame = Number(byId('left').dataset.frame);
+  if (!frame) { say('There is no picture yet: wait for one, then click.', false); return null; }
   teach(false);
-  return ask({ u_px: u, v_px: v, ...(frame ? { frame_id: frame } : {}), ...more });
+  return ask({ u_px: u, v_px: v, frame_id: frame, ...more });
 }
 
 /** The same place in the right eye, where the left alone does not tell it. */
@@ -97,10 +99,14 @@ function clickRight([u, v]) {
   return ask({ ...asked.body, other_u_px: u, other_v_px: v });
 }
 
+/** One at a time: a double click is one target. */
 async function ask(body) {
+  if (measuring) return;
+  measuring = true;
   showCurl('POST', '/targets', body);
   say('Measuring what is there …', true);
   const answer = await send('POST', '/targets', body);
+  measuring = false;
   asked = null;
   if (answer.ok) {
     const made = answer.document;
