@@ -9,7 +9,15 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+)
 
 from protocol.errors import ConfigurationError
 
@@ -141,8 +149,7 @@ def validated(
 ) -> ModelT:
     """``data`` as a validated ``model``; ``where`` names its origin in the error.
 
-    ``directory``: from where paths of further files (``or_its_file``) are counted, else from the working
-    directory.
+    ``directory``: where the further files are that it names (``beside``), else in the working directory.
     """
     try:
         return model.model_validate(data, context={"directory": directory or Path()})
@@ -169,18 +176,29 @@ def _like(model: Any, loc: tuple[int | str, ...]) -> str:
     return f"no such key; {hint}" if known else "no such key"
 
 
+def beside(value: str | Path, info: ValidationInfo) -> Path:
+    """Where the file is that a configuration names: in the configuration's directory, in one that this lies
+    over, else from the working directory; where there is none, in the configuration's directory.
+    """
+    directory = (info.context or {}).get("directory", Path())
+    places = [layer / value for layer in reversed(layers(directory))]
+    return next((path for path in [*places, Path(value)] if path.exists()), places[0])
+
+
 def or_its_file(model: type[BaseModel]) -> BeforeValidator:
     """For ``Annotated[M, or_its_file(M)]``: a mapping as it stands, or the path of a YAML file that holds it.
 
-    A relative path counts from the directory of the file in which it is written.
+    A relative path is looked for as ``beside`` does.
     """
 
     def opened(value: Any, info: ValidationInfo) -> Any:
-        if not isinstance(value, str):
-            return value
-        return load(model, (info.context or {}).get("directory", Path()) / value)
+        return load(model, beside(value, info)) if isinstance(value, str) else value
 
     return BeforeValidator(opened)
+
+
+ConfiguredFile = Annotated[Path, AfterValidator(beside)]
+"""The path of a file that a configuration names, see ``beside``."""
 
 
 def parse_overrides(assignments: Sequence[str]) -> dict[str, dict[str, Any]]:

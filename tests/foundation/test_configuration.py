@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from foundation.configuration import (
+    ConfiguredFile,
     StrictModel,
     configuration_hash,
     load,
@@ -123,3 +124,30 @@ def test_the_hash_follows_the_values_and_nothing_else() -> None:
     assert 0 < configuration_hash(arm) < 2**64
     # The value itself is on the wire: it must be the same on every machine.
     assert configuration_hash(Link(length_m=1.5)) == 0x78B3D2F0E9567012
+
+
+class Fitted(StrictModel):
+    drawing: ConfiguredFile
+
+
+def test_a_named_file_is_beside_its_configuration_or_below_it_or_else_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    below, above, here = (tmp_path / name for name in ("below", "above", "here"))
+    for directory in (below, above, here):
+        directory.mkdir()
+    (below / "machine.yaml").write_text("drawing: front.png\n")
+    (above / "base.yaml").write_text("over: ../below\n")
+    monkeypatch.chdir(here)
+
+    def found() -> Path:
+        return load(Fitted, above / "machine.yaml").drawing
+
+    assert found() == above / "front.png", "nowhere: where it is wanted"
+    for directory in (here, below, above):
+        (directory / "front.png").touch()
+        assert found().resolve() == directory / "front.png"
+    assert (
+        load(Fitted, above / "machine.yaml", {"drawing": str(here / "front.png")}).drawing
+        == here / "front.png"
+    )

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, ValidationInfo, model_validator
 
-from foundation.configuration import StrictModel
+from foundation.configuration import StrictModel, beside
 from protocol.errors import ConfigurationError
 from vision_pc.config.stereo_camera import StereoCalibration
 
@@ -74,8 +74,7 @@ def _opened(value: Any, info: ValidationInfo) -> Any:
         read_calibration,  # numpy, which most commands do without
     )
 
-    beside = (info.context or {}).get("directory", Path()) / value
-    path = beside if beside.exists() else Path(value)
+    path = beside(value, info)
     size = (info.data.get("width_px", 0), info.data.get("height_px", 0))
     found = read_calibration(path, size)
     if (found.width_px, found.height_px) != size:
@@ -102,8 +101,7 @@ class CameraSettings(StrictModel):
 
     ``calibration`` is a ``PinholePair`` for pictures that are used as they come, or the path of a camera's
     calibration file (ours, ZED, Kalibr, OpenCV): every pair is then rectified by it, and vision has the
-    rectified pictures' intrinsics. A relative path counts from the directory of ``vision.yaml``, else from
-    the working directory.
+    rectified pictures' intrinsics.
     """
 
     source: Literal["stream", "uvc", "directory"] = "stream"

@@ -1,11 +1,10 @@
 """Settings of guided hand-eye sampling: section ``hand_eye`` of ``vision.yaml``."""
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from foundation.configuration import StrictModel
+from foundation.configuration import ConfiguredFile, StrictModel
 
 Degrees = Annotated[float, Field(gt=0.0, le=90.0)]
 Metres = Annotated[float, Field(gt=0.0, le=5.0)]
@@ -21,7 +20,7 @@ class CabinetSettings(StrictModel):
     ``targets_m``: name → place from the front's middle, x right and y up.
     """
 
-    drawing: Path
+    drawing: ConfiguredFile
     texel_mm: float = Field(gt=0.05, le=5.0)
     targets_m: dict[str, tuple[float, float]] = Field(min_length=1, max_length=32)
 

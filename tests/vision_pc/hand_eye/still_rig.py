@@ -35,8 +35,7 @@ X_BT_START = se3.transform(
 def still_settings(seed: int = 1, **overrides: Any) -> Settings:
     """The hand-eye scenario's world; ``overrides`` by file."""
     drawn = chosen_overrides(CONFIGS, "hand_eye", seed, [])
-    cabinet = {"vision": {"cabinet": {"drawing": str(CONFIGS / "cabinet.png")}}}
-    return load_settings(CONFIGS, merged(merged(drawn, cabinet), overrides))
+    return load_settings(CONFIGS, merged(drawn, overrides))
 
 
 class StillRig:

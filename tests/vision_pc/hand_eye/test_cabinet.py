@@ -6,12 +6,15 @@ import cv2
 import numpy as np
 import pytest
 
+from foundation.configuration import load
 from plant_emulator.core.camera.boards import board_points, board_pose
 from protocol.errors import MeasurementFailed
 from tests.vision_pc.hand_eye.still_rig import CONFIGS, X_BT_START, StillRig, still_settings
+from vision_pc.application.hand_eye.store import load_drawing
+from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.hand_eye.guided import cabinet
-from vision_pc.core.hand_eye.guided.cabinet import CabinetLocator, Drawing, Target
+from vision_pc.core.hand_eye.guided.cabinet import CabinetLocator, Drawing
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.types import CameraCalibration, StereoPair
 
@@ -27,12 +30,18 @@ EXACT = {  # a camera that is as vision believes
 
 def drawing() -> Drawing:
     """The shipped drawing with its targets."""
-    settings = still_settings().vision.cabinet
-    assert settings is not None
-    picture = cv2.imread(str(CONFIGS / "cabinet.png"), cv2.IMREAD_GRAYSCALE)
-    assert picture is not None
-    targets = tuple(Target(name, x, y) for name, (x, y) in settings.targets_m.items())
-    return Drawing(np.asarray(picture, dtype=np.uint8), 1e-3 * settings.texel_mm, targets)
+    return load_drawing(still_settings().vision.cabinet)
+
+
+@pytest.mark.parametrize("arm", ["", "arms/long_crane"])
+def test_the_drawing_is_found_from_every_directory_and_for_every_arm(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arm: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert (
+        load_drawing(load(VisionConfig, CONFIGS / arm / "vision.yaml").cabinet).picture.shape
+        == drawing().picture.shape
+    )
 
 
 async def seen(
