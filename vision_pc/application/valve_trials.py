@@ -20,6 +20,7 @@ from vision_pc.core.ports import Report
 from vision_pc.core.types import WatchSample
 
 _BEGINS_STATES = 400  # within which the group must show MOVING
+_TOLD = 10  # pictures between two notes of progress: the trials take minutes
 _SILENT_S = 15.0  # of the camera, until the trials are given up
 
 
@@ -79,7 +80,7 @@ async def _watch(
                     at = int(np.argmax(np.abs(state.valves)))
                 await watch.after(len(watch.samples), 0.0)  # raises what ended the watching
                 seen = sum(map(len, stretches)) + len(watch.samples)
-                report(min(0.05 + 0.15 * at, 0.95), f"{JOINT_NAMES[at]}: {seen} pictures")
+                report(min(0.05 + 0.15 * at, 0.95), f"{JOINT_NAMES[at]}: {seen - seen % _TOLD} pictures")
                 state = await controller.next_state()
         finally:
             stretches.append(watch.samples)

@@ -63,10 +63,11 @@ class Operation:
     _change: asyncio.Event = field(default_factory=asyncio.Event, repr=False)
 
     def report(self, progress: float, note: str) -> None:
-        """Notes progress 0…1; without effect once ended."""
-        if not self.state.ended:
-            self.progress, self.note = min(max(progress, 0.0), 1.0), note
-            self.notes.append((self.progress, note))
+        """Notes progress 0…1; without effect once ended, or where it is what was noted last."""
+        told = (min(max(progress, 0.0), 1.0), note)
+        if not self.state.ended and told != (self.progress, self.note):
+            self.progress, self.note = told
+            self.notes.append(told)
             self.touch()
 
     def touch(self) -> None:
