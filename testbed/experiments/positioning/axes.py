@@ -73,6 +73,22 @@ def mobile_valves(rng: np.random.Generator, usual: Settings) -> JSON:
 EDGES = ("supply_a", "return_b", "supply_b", "return_a")
 
 
+@axis(
+    "set to 240 to 280 bar, pilot ratio 2.7 to 6, opening range ×0.8 to 1.25, pilot's lag ×0.7 to 1.4",
+    "[S] data sheets: ratios of 3, 4.5 and more, set at least 1.3 times above the load; [E] range and lag",
+)
+def load_holding(rng: np.random.Generator, usual: Settings) -> JSON:
+    """The counterbalance valves of lift and tilt."""
+    hold = usual.plant.valve_sets["mobile"].counterbalance
+    drawn = {
+        "setting_bar": rng.uniform(240.0, 280.0),
+        "pilot_ratio": 4.0 * factor(rng, 1.5),
+        "range_bar": hold.range_bar * factor(rng, 1.25),
+        "lag_ms": hold.lag_ms * factor(rng, 1.4),
+    }
+    return {"plant": {"valves": {"counterbalance": drawn}}}
+
+
 @axis("×0.6 to 1.7 for each actuator", "[E] seals: wear, pressure and temperature")
 def friction(rng: np.random.Generator, usual: Settings) -> JSON:
     """Coulomb, static and viscous friction of an actuator, by one factor: it is the same seal."""

@@ -53,6 +53,7 @@ class WorldName(StrEnum):
 _HARDER = (axes_of_sight.lens, axes_of_sight.poor_light, axes_of_sight.tool_print, axes.wide_play)
 _REAL = (
     axes.mobile_valves,
+    axes.load_holding,
     axes.friction,
     axes.bending,
     axes.finer_bending,
