@@ -250,6 +250,23 @@ def test_who_clicks_while_another_operator_works_is_told_so(browser: Browser) ->
         assert httpx.get(f"{url}/targets").json() == {"targets": []}
 
 
+def test_what_was_not_answered_may_still_happen_and_the_page_says_so(browser: Browser) -> None:
+    with served_bench() as (url, _), opened(browser, url) as page:
+        is_state(page, "standby")
+        page.route("**/operations/move", lambda route: route.abort())
+        page.route("**/targets?detect=true", lambda route: route.abort())
+        page.route("**/operations/look", lambda _: None)  # heard, and never answered
+        told = page.locator("#answer")
+        page.locator("#jog-x-plus").click()
+        expect(told).to_contain_text(
+            "does not answer: it may still do what was asked. Watch the arm; STOP ends it."
+        )
+        page.locator("#find-holes").click()
+        expect(told).to_have_text("▲ The vision PC does not answer. Ask once more.")
+        page.locator("#start-look").click()
+        expect(told).to_contain_text("has not answered for 10 s: it may still do what was asked.")
+
+
 def test_a_page_left_open_goes_on_when_its_service_has_begun_anew(browser: Browser) -> None:
     with contextlib.ExitStack() as outer:
         with served_bench() as (url, _):

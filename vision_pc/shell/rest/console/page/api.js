@@ -1,6 +1,8 @@
 // Every request of the page: the token, the words of a refusal, and the same as a curl line.
 
 const KEY = 'longreach-token';
+const PATIENCE_MS = 10_000;
+export const MEASURING_MS = 30_000; // on a machine that is busy
 let wanted = () => {};
 
 /** Takes a token out of the address (`#t=…`), where it reaches no log, into this tab's memory. */
@@ -27,8 +29,8 @@ export function ask(path, options = {}) {
   return fetch(path, { ...options, headers, credentials: 'omit', cache: 'no-store' });
 }
 
-/** What a request led to: `ok`, `status`, the document, and a sentence for a person. */
-export async function send(method, path, body) {
+/** What a request led to: `ok`, `status`, the document, and a sentence for a person; `patience` in ms. */
+export async function send(method, path, body, patience = PATIENCE_MS) {
   const options = { method };
   if (body !== undefined) {
     options.headers = { 'Content-Type': 'application/json' };
@@ -36,13 +38,19 @@ export async function send(method, path, body) {
   }
   let answer;
   try {
-    answer = await ask(path, { ...options, signal: AbortSignal.timeout(10_000) });
-  } catch {
-    return { ok: false, status: 0, document: null, words: `The ${isOurs(path) ? 'vision PC' : 'emulator'} does not answer. Nothing was moved by this.` };
+    answer = await ask(path, { ...options, signal: AbortSignal.timeout(patience) });
+  } catch (error) {
+    return { ok: false, status: 0, document: null, words: unanswered(error.name === 'TimeoutError' && patience, method, isOurs(path) ? 'vision PC' : 'emulator') };
   }
   const document = await answer.json().catch(() => null);
   if (answer.status === 401 && isOurs(path)) wanted(document);
   return { ok: answer.ok, status: answer.status, document, words: answer.ok ? '' : refusal(document, answer.status) };
+}
+
+/** Who did not answer may have heard all the same, and still do it. */
+function unanswered(patience, method, who) {
+  const silent = patience ? `▲ The ${who} has not answered for ${patience / 1000} s` : `▲ The ${who} does not answer`;
+  return method === 'GET' ? `${silent}. Ask once more.` : `${silent}: it may still do what was asked. Watch the arm; STOP ends it.`;
 }
 
 /** A problem document as one line. */

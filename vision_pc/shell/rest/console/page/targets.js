@@ -1,7 +1,7 @@
 // Targets by a click in the picture: what was recognised there, how well it is known, whether the arm reaches it.
 
 import { addSteps, nextStep, say, showCurl, tellCurl } from './actions.js';
-import { refusal, send } from './api.js';
+import { MEASURING_MS, refusal, send } from './api.js';
 import { attribute, byId, make, write } from './dom.js';
 
 const SVG = 'http://www.w3.org/2000/svg';
@@ -105,7 +105,7 @@ async function ask(body) {
   measuring = true;
   showCurl('POST', '/targets', body);
   say('Measuring what is there …', true);
-  const answer = await send('POST', '/targets', body);
+  const answer = await send('POST', '/targets', body, MEASURING_MS);
   measuring = false;
   asked = null;
   if (answer.ok) {
@@ -129,7 +129,7 @@ function pointRight(at) {
 
 async function find() {
   say('Looking for holes …', true);
-  const answer = await send('GET', '/targets?detect=true');
+  const answer = await send('GET', '/targets?detect=true', undefined, MEASURING_MS);
   if (!answer.ok) { say(answer.words, false); return; }
   holes = answer.document.holes;
   take(answer.document);
