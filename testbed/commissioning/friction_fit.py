@@ -14,9 +14,9 @@ import numpy as np
 
 from controller.core.excitation.plan import StrokeKind
 from protocol.errors import MeasurementFailed
+from testbed.commissioning.ramp_fit import smoothed_speed
 from testbed.commissioning.recording import Array, StrokeRecord
 from testbed.commissioning.uncertain import Uncertain, repeated
-from testbed.commissioning.valve_fit import smoothed_speed
 
 _MOVES = 0.3  # of the greatest speed of a stroke, above which it surely slides
 _FLOOR_BAR = 0.15  # what the seals' own dynamics leave, as repeating shows on the emulator

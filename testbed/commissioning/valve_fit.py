@@ -12,7 +12,9 @@ is the deadband d, whatever h and τ are.
 
 A load that runs ahead of its oil empties the chamber behind it as fast as the *outlet* edge lets it, while
 the other one is filled from the tank: then e and p are the outlet's, and so is the deadband. Return edges
-open first, so that it is the smaller one.
+open first, so that it is the smaller one. A load that is nearly balanced runs ahead at small openings and
+has to be pushed at greater ones, within one ramp: each reading is fitted by the rows in which it holds. An
+outlet that has a few bar left is no longer turbulent, e ∝ √(Δp / √(1 + (δ/Δp)²)): δ is found along.
 """
 
 import math
@@ -20,63 +22,30 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import minimize_scalar
 
 from controller.core.excitation.plan import StrokeKind
 from protocol.errors import MeasurementFailed
-from testbed.commissioning.recording import Array, StrokeRecord
+from testbed.commissioning.ramp_fit import (
+    CLEARLY,
+    FED_BAR,
+    NOISE_RAD,
+    SLOW,
+    RampFits,
+    fit_flowing,
+    fit_step,
+    smoothed_speed,
+)
+from testbed.commissioning.recording import StrokeRecord
 from testbed.commissioning.uncertain import Uncertain, repeated
 
-_SLOW, _FAST = 0.15, 0.92  # of the ramp's top speed, between which its halves are used
-_SMOOTH_S = 0.2  # of the speed that sorts samples; the fit itself uses angles
-_FED_BAR = 1.0  # above the tank: less, and a chamber is filled from there
-_SWINGS_RAD = 5.0e-5  # left by rows in motion, from which on rows with flow are tried: a load swings
-_OPENING = 0.3  # of the rising ramp, in which the valve may still be closed
-_LEAST_S = 0.2  # in motion, on one half of a triangle or on a step
-_GAP_SAMPLES = 20
-_CLEARLY = 1.3  # times less is left: more than chance
-_SETTLES_S = 0.15  # a step's flow, after its delay
-_DELAYS_S = np.arange(0.0, 0.3, 0.001)
+_LAMINAR_BAR = 8.0  # the most at which an edge's flow may turn from laminar to turbulent
+_MOSTLY, _PARTLY = 0.5, 0.05  # of the ramps' motion, in which the load runs ahead
 # Standard deviation of what repeating does not average out: leakage past the spool and the orifice's laminar
 # part shift the rim, the other errors grow with the deadband. [M] drawn machines of 9000 to 9027.
 _RIM_FLOOR, _RIM_SHARE = 6.0e-5, 0.0025
-_GAIN_FLOOR = 0.01
 _DELAY_FLOOR_S = 0.003
-_CURVATURE_STD = 1.0  # prior of the flow's curvature: progressive notches have 0.7
-_NOISE_RAD = 2.0e-5  # of an encoder reading
 _WIDTH_FLOOR, _WIDTH_SHARE = 1.5e-5, 8.0e-4  # of spool, of the rim; [M] as the rims'
-
-
-class _Part(NamedTuple):
-    """Rows of a stroke in motion, and the weights of the rims whose sum holds there."""
-
-    stroke: StrokeRecord
-    rows: NDArray[np.intp]
-    weights: Array
-
-
-class RampFits(NamedTuple):
-    """All triangles of one sense. ``gain``: flow over nominal where the valve opens; ``curvature`` k of the
-    flow, f(x) = x + k x²; ``compliance``: κ (rad/bar); arrays (n,), one number a triangle: spools where flow
-    begins and ends, the command's rate (1/s), residual (rad)."""
-
-    gain: Uncertain
-    curvature: float
-    compliance: float
-    rising: Array
-    falling: Array
-    rate: Array
-    residual: Array
-
-
-class StepFit(NamedTuple):
-    """One step: spool, time (s) from command to flow, speed over the nominal one at full opening."""
-
-    spool: float
-    delay: float
-    relative_speed: float
-    residual: float
 
 
 class EdgeFindings(NamedTuple):
@@ -106,39 +75,60 @@ def edge_findings(strokes: Sequence[StrokeRecord], sense: float) -> EdgeFindings
 
     Both readings of the pressures are tried: the filling edge alone, which holds for every valve, and four
     edges alike, which suffers less from air in the oil. The second is told where it leaves clearly less.
-    Where the load runs ahead neither holds, and the outlet edge is told.
+    Where the load runs ahead neither holds, and the outlet edge is told; that also holds where it runs ahead
+    in so much of the ramps that what is left says too little.
     """
     mine = [stroke for stroke in strokes if stroke.sense == sense]
-    if _runs_ahead(mine):
+    ahead = _runs_ahead(mine)
+    if ahead > _MOSTLY:
         return _by_outlet(mine)
     alike = [stroke._replace(e=stroke.e_by_load, inlet=stroke.load) for stroke in mine]
-    filling, all_four = _found(mine), _found(alike)
-    return all_four if all_four.residual * _CLEARLY < filling.residual else filling
+    try:
+        filling, all_four = _found(mine), _found(alike)
+    except MeasurementFailed:
+        if ahead < _PARTLY:
+            raise
+        return _by_outlet(mine)
+    return all_four if all_four.residual * CLEARLY < filling.residual else filling
 
 
 def _full_triangles(strokes: Sequence[StrokeRecord]) -> list[StrokeRecord]:
     return [stroke for stroke in strokes if stroke.kind is StrokeKind.RAMP][1:]  # one found the way
 
 
-def _runs_ahead(strokes: Sequence[StrokeRecord]) -> bool:
-    """Whether the chamber to be filled stands at the tank's pressure for most of the ramps' motion."""
+def _runs_ahead(strokes: Sequence[StrokeRecord]) -> float:
+    """The share of the ramps' motion in which the chamber to be filled stands at the tank's pressure."""
     shares = []
     for stroke in _full_triangles(strokes):
         speed = smoothed_speed(stroke)
-        shares.append(np.mean(stroke.fed_bar[speed > _SLOW * speed.max()] < _FED_BAR))
-    return bool(shares) and float(np.mean(shares)) > 0.5
+        shares.append(np.mean(stroke.fed_bar[speed > SLOW * speed.max()] < FED_BAR))
+    return float(np.mean(shares)) if shares else 0.0
 
 
 def _by_outlet(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
     """The findings by the outlet edge; gain and flow over the inlet's nominal speed, as the others'."""
-    told = _found([stroke._replace(e=stroke.e_by_outlet, inlet=-stroke.outlet) for stroke in strokes])
-    shares = [np.median(stroke.e_by_outlet / stroke.e) for stroke in _full_triangles(strokes)]
+
+    def left(laminar_bar: float) -> float:
+        return _found([_emptying(stroke, laminar_bar) for stroke in strokes]).residual
+
+    best = minimize_scalar(left, bounds=(0.0, _LAMINAR_BAR), method="bounded", options={"xatol": 0.2})
+    emptied = [_emptying(stroke, float(best.x)) for stroke in strokes]
+    told = _found(emptied)
+    shares = [np.median(stroke.e / was.e) for stroke, was in zip(emptied, strokes, strict=True)]
     share = float(np.mean(shares))
     return told._replace(
         gain=Uncertain(share * told.gain.value, share * told.gain.std),
         flow=tuple((spool, share * speed) for spool, speed in told.flow),
         by_outlet=True,
     )
+
+
+def _emptying(stroke: StrokeRecord, laminar_bar: float) -> StrokeRecord:
+    """``stroke`` read by its outlet, whose flow is laminar far below ``laminar_bar``."""
+    back = stroke.inlet - stroke.fed_bar
+    drop = np.maximum(stroke.outlet - back, 1e-9)
+    e = stroke.e_by_outlet * np.sqrt(drop / np.hypot(drop, laminar_bar))
+    return stroke._replace(e=e, inlet=-stroke.outlet, fed_bar=stroke.outlet - back)
 
 
 def _found(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
@@ -148,10 +138,10 @@ def _found(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
     if len(triangles) < 2 or len(steps) < 2:
         why = f"{len(triangles)} full ramps and {len(steps)} steps: two of each are wanted"
         raise MeasurementFailed("measurement.too_few_strokes", why)
-    ramps = _fit_flowing(triangles, [(s, fit.delay) for s, fit in zip(stepped, steps, strict=True)])
+    ramps = fit_flowing(triangles, [(s, fit.delay) for s, fit in zip(stepped, steps, strict=True)])
     middle = 0.5 * (ramps.rising + ramps.falling)
     residual = float(np.sqrt(np.mean(ramps.residual**2)))
-    beyond = max(residual / _NOISE_RAD, 1.0)  # what is left beyond the noise is the model's
+    beyond = max(residual / NOISE_RAD, 1.0)  # what is left beyond the noise is the model's
     hysteresis, lag = _loop(ramps, beyond)
     floor = beyond * math.hypot(_RIM_FLOOR, _RIM_SHARE * float(middle.mean()))
     return EdgeFindings(
@@ -167,62 +157,12 @@ def _found(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
     )
 
 
-def _fit_flowing(triangles: Sequence[StrokeRecord], steps: Sequence[tuple[StrokeRecord, float]]) -> RampFits:
-    """The fit by rows in motion; where a load swings, by rows with flow, if that leaves clearly less.
-
-    A load that swings on its oil is quick and slow while the flow hardly changes, and rows that are sorted by
-    its speed hold such in which the spool still stands in its hysteresis.
-    """
-    try:
-        by_speed = fit_ramps(triangles, steps)
-    except MeasurementFailed as error:
-        return _fit_by_flow(triangles, steps, error)
-    left = float(np.sqrt(np.mean(by_speed.residual**2)))
-    if left < _SWINGS_RAD:
-        return by_speed
-    try:
-        by_flow = _fit_by_flow(triangles, steps, None)
-    except MeasurementFailed:
-        return by_speed
-    return by_flow if _CLEARLY * float(np.sqrt(np.mean(by_flow.residual**2))) < left else by_speed
-
-
-def _fit_by_flow(
-    triangles: Sequence[StrokeRecord],
-    steps: Sequence[tuple[StrokeRecord, float]],
-    error: MeasurementFailed | None,
-) -> RampFits:
-    """By the triangles whose both halves show flow. Raises ``error``, if any, where two are too few."""
-    compliance = _compliance(triangles)
-    told, why = [], error
-    for stroke in triangles:
-        try:
-            _halves(stroke, compliance)
-            told.append(stroke)
-        except MeasurementFailed as short:
-            why = why or short
-    if why is not None and len(told) < 2:
-        raise why
-    return fit_ramps(told, steps, compliance)
-
-
-def _compliance(triangles: Sequence[StrokeRecord]) -> float:
-    """The oil's compliance (rad/bar) without a valve's model: while a ramp rises, its flow has no swings."""
-    found = []
-    for stroke in triangles:
-        rows = np.arange(round(_OPENING * stroke.top), stroke.top)
-        x = np.linspace(-1.0, 1.0, len(rows))
-        matrix = np.column_stack([x**k for k in range(4)] + [stroke.inlet[rows[0]] - stroke.inlet[rows]])
-        units = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
-        solved, *_ = np.linalg.lstsq(matrix / units, stroke.turned[rows], rcond=None)
-        found.append(float(solved[-1] / units[-1]))
-    return max(float(np.median(found)), 0.0)
-
-
 def _loop(ramps: RampFits, beyond: float) -> tuple[Uncertain, Uncertain]:
     """Hysteresis (of spool) and lag (s): the loop's width is h + 2 ρ τ, at two rates ρ or more.
 
-    ``beyond``: times the floor of the spread.
+    ``beyond``: times the floor of the spread. What the floor stands for all widths share, whatever their
+    rate: the hysteresis has it once, and reaching from two rates to rate 0 does not multiply it, as it does
+    scatter.
     """
     width = ramps.rising - ramps.falling
     matrix = np.column_stack([np.ones_like(width), 2.0 * ramps.rate])
@@ -232,156 +172,7 @@ def _loop(ramps: RampFits, beyond: float) -> tuple[Uncertain, Uncertain]:
         )
     found, *_ = np.linalg.lstsq(matrix, width, rcond=None)
     floor = beyond * math.hypot(_WIDTH_FLOOR, _WIDTH_SHARE * float(ramps.rising.mean()))
-    error = math.hypot(floor, float(np.std(width - matrix @ found)) * 2.0)
-    covariance = error**2 * np.linalg.inv(matrix.T @ matrix)
-    stds = np.sqrt(np.diag(covariance))
-    return Uncertain(float(found[0]), float(stds[0])), Uncertain(float(found[1]), float(stds[1]))
-
-
-def fit_ramps(
-    triangles: Sequence[StrokeRecord],
-    steps: Sequence[tuple[StrokeRecord, float]] = (),
-    compliance: float = 0.0,
-) -> RampFits:
-    """The RampFits of one sense's triangles: one gain, curvature and compliance, two rims each.
-
-    ``steps``, each with its delay (s), reach further open than triangles: they tell the curvature.
-    ``compliance`` (rad/bar) sorts rows by the flow that it makes of speed and pressure; 0: by the speed.
-
-    Given the rims, all else is linear: they alone are sought, by Gauss-Newton. Raises MeasurementFailed when
-    too little of a triangle moved, or when flow over nominal is not positive.
-    """
-    rates = np.array([_rate(stroke) for stroke in triangles])
-    one_each = iter(np.eye(2 * len(triangles)))
-    halves = [
-        _Part(stroke, rows, next(one_each)) for stroke in triangles for rows in _halves(stroke, compliance)
-    ]
-    outward = np.zeros(2 * len(triangles))
-    outward[0::2] = _at_rest(rates)
-    parts = halves + [_Part(s, rows, outward) for s, delay in steps for rows in _plateau(s, delay)]
-    start = np.array([stroke.u[rows].min() for stroke, rows, _ in halves])
-
-    def left_at(rims: Array) -> Array:
-        return _misfit(parts, rims)[0]
-
-    fit = least_squares(left_at, start, x_scale=1e-3, method="lm")
-    left, found = _misfit(parts, fit.x)
-    if not found[0] > 0.0:
-        raise MeasurementFailed(
-            "measurement.ramp_unlike_model", f"flow over nominal is {found[0]:.3g}, wanted > 0"
-        )
-    ends = np.cumsum([0, *(len(rows) for _, rows, _ in halves)])
-    residual = [float(np.sqrt(np.mean(left[ends[k] : ends[k + 2]] ** 2))) for k in range(0, len(halves), 2)]
-    return RampFits(
-        gain=Uncertain(float(found[0]), _GAIN_FLOOR * float(found[0])),
-        curvature=float(found[1] / found[0]),
-        compliance=float(found[2]),
-        rising=fit.x[0::2],
-        falling=fit.x[1::2],
-        rate=rates,
-        residual=np.array(residual),
-    )
-
-
-def _misfit(parts: Sequence[_Part], rims: Array) -> tuple[Array, Array]:
-    """What the best linear fit at these rims leaves (rad), and its gain, gain · curvature, κ, and offsets."""
-    blocks, targets = [], []
-    for k, (stroke, rows, weights) in enumerate(parts):
-        beyond = np.maximum(stroke.u[rows] - weights @ rims, 0.0)
-        block = np.zeros((len(rows), 3 + len(parts)))
-        block[:, 0] = _integral(stroke.t[rows], stroke.e[rows] * beyond)
-        block[:, 1] = _integral(stroke.t[rows], stroke.e[rows] * beyond**2)
-        block[:, 2] = -(stroke.inlet[rows] - stroke.inlet[rows[0]])
-        block[:, 3 + k] = 1.0
-        blocks.append(block)
-        targets.append(stroke.turned[rows])
-    prior = np.zeros((1, 3 + len(parts)))
-    scale = max(float(np.abs(blocks[0][:, 0]).max()), 1e-9) / max(float(np.abs(targets[0]).max()), 1e-9)
-    prior[0, 1] = _NOISE_RAD * scale / _CURVATURE_STD
-    matrix, wanted = np.vstack([*blocks, prior]), np.concatenate([*targets, np.zeros(1)])
-    units = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
-    solved, *_ = np.linalg.lstsq(matrix / units, wanted, rcond=None)
-    return wanted - (matrix / units) @ solved, solved / units
-
-
-def _rate(stroke: StrokeRecord) -> float:
-    return float(np.median(np.abs(np.diff(stroke.u)) / np.diff(stroke.t)))
-
-
-def _halves(stroke: StrokeRecord, compliance: float) -> list[NDArray[np.intp]]:
-    """The rows in motion, or with flow, on the rising and the falling half of a triangle."""
-    speed = smoothed_speed(stroke, compliance)
-    top = float(speed.max())
-    index = np.arange(len(speed))
-    slow = np.abs(np.gradient(stroke.u, stroke.t)) < 1.5 * _rate(stroke)  # not the quick turn at the top
-    usable = (speed > _SLOW * top) & (speed < _FAST * top) & slow
-    found = []
-    for name, half in (("rising", usable & (index < stroke.top)), ("falling", usable & (index > stroke.top))):
-        rows = _longest_run(half)
-        seconds = float(stroke.t[rows[-1]] - stroke.t[rows[0]]) if len(rows) else 0.0
-        if seconds < _LEAST_S:
-            raise MeasurementFailed(
-                "measurement.ramp_too_short",
-                f"{seconds:.2f} s in motion on the {name} ramp, at least {_LEAST_S:g} s wanted",
-            )
-        found.append(rows)
-    return found
-
-
-def _plateau(stroke: StrokeRecord, delay: float) -> list[NDArray[np.intp]]:
-    """The rows of a step once its flow is steady."""
-    rows = np.flatnonzero(stroke.t > delay + _SETTLES_S)
-    return [rows] if len(rows) and stroke.t[rows[-1]] - stroke.t[rows[0]] >= _LEAST_S else []
-
-
-def _at_rest(rates: Array) -> Array:
-    """Weights with which the rims of rising ramps at these rates make that of a spool that has come out and
-    stands: the lag's part grows with the rate, and is left out by a line through them."""
-    if np.ptp(rates) < 0.2 * rates.mean():
-        return np.full(len(rates), 1.0 / len(rates))
-    matrix = np.column_stack([np.ones_like(rates), rates])
-    return np.asarray(np.linalg.pinv(matrix)[0])
-
-
-def _longest_run(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """The longest run of samples for which ``flags`` hold; a swing may interrupt it shortly."""
-    rows = np.flatnonzero(flags)
-    if len(rows) == 0:
-        return rows
-    runs = np.split(rows, np.flatnonzero(np.diff(rows) > _GAP_SAMPLES) + 1)
-    longest = max(runs, key=len)
-    return np.arange(longest[0], longest[-1] + 1)
-
-
-def fit_step(stroke: StrokeRecord) -> StepFit:
-    """The StepFit of a step: the delay is the one with which constant flow from then on fits best."""
-    passed = _integral(stroke.t, stroke.e)
-    best: tuple[float, float, float] | None = None
-    for delay in _DELAYS_S:
-        if delay > 0.6 * stroke.t[-1]:
-            break
-        since = np.maximum(passed - np.interp(delay, stroke.t, passed), 0.0)
-        matrix = np.column_stack([np.ones_like(since), since, -1e-4 * (stroke.inlet - stroke.inlet[0])])
-        found, *_ = np.linalg.lstsq(matrix, stroke.turned, rcond=None)
-        residual = float(np.sqrt(np.mean((stroke.turned - matrix @ found) ** 2)))
-        if best is None or residual < best[0]:
-            best = residual, float(delay), float(found[1])
-    if best is None:
-        raise MeasurementFailed("measurement.step_too_short", f"a step of {stroke.t[-1]:.3f} s")
-    residual, delay, speed = best
-    return StepFit(float(stroke.u[stroke.top]), delay, speed, residual)
-
-
-def smoothed_speed(stroke: StrokeRecord, compliance: float = 0.0) -> Array:
-    """The mean speed (n,) rad/s along the stroke's sense over a window about each sample; with
-    ``compliance`` (rad/bar) that of the oil that flows in."""
-    passed = stroke.turned + compliance * stroke.inlet
-    half = max(1, round(0.5 * _SMOOTH_S / float(np.median(np.diff(stroke.t)))))
-    index = np.arange(len(stroke.t))
-    before, after = np.maximum(index - half, 0), np.minimum(index + half, len(index) - 1)
-    return np.asarray((passed[after] - passed[before]) / (stroke.t[after] - stroke.t[before]))
-
-
-def _integral(t: Array, values: Array) -> Array:
-    """The integral (n,) from the first sample on, by trapezoids."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t))])
+    scatter = 2.0 * float(np.std(width - matrix @ found))
+    reach = np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
+    hysteresis = Uncertain(float(found[0]), math.hypot(scatter * float(reach[0]), floor))
+    return hysteresis, Uncertain(float(found[1]), math.hypot(scatter, floor) * float(reach[1]))

@@ -17,6 +17,7 @@ from tests.controller.conftest import CONFIGS
 DT_S = 0.01
 LSB = 2.0 * np.pi / 2**17
 FULL_SPEED = 2.0
+RETURN_BAR = 10.0
 START = np.radians([0.0, 50.0, -75.0, 0.0, -25.0, 0.0])
 
 
@@ -34,7 +35,8 @@ def plan_for(*joints: int) -> ExcitationPlan:
 @dataclass
 class ToyValve:
     """``raise_at``, ``lower_at``: deadbands of the spool, signs apart; ``play``: full hysteresis; ``gain``:
-    flow over nominal; ``delay_s`` before the spool hears; ``friction_bar``: of the load pressure."""
+    flow over nominal; ``delay_s`` before the spool hears; ``friction_bar``: of the load pressure.
+    ``outlet_at``, ``outlet_gain``: of the edge that lets a load go which runs ahead of its oil, raising."""
 
     joint: int
     raise_at: float = 0.05
@@ -45,6 +47,8 @@ class ToyValve:
     friction_bar: float = 8.0
     swapped: bool = False
     dead: bool = False
+    outlet_at: float = np.inf
+    outlet_gain: float = 0.0
     curve: float = 0.0  # of the flow: f(x) = x + curve x²
     stop_at: float = np.inf  # rad of turn from the start
     swing_rad_s: float = 0.0
@@ -53,6 +57,7 @@ class ToyValve:
     q: np.ndarray = field(default_factory=START.copy)
     load_bar: float = 0.0
     time_s: float = 0.0
+    ahead: bool = False
     commands: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -67,6 +72,9 @@ class ToyValve:
         x = -self.spool if self.swapped else self.spool
         opening = max(x - self.raise_at, 0.0) if x > 0.0 else min(x + self.lower_at, 0.0)
         speed = 0.0 if self.dead else self.gain * FULL_SPEED * opening * (1.0 + self.curve * abs(opening))
+        running = self.outlet_gain * FULL_SPEED * max(x - self.outlet_at, 0.0)
+        self.ahead = running > max(speed, 0.0)
+        speed = running if self.ahead else speed
         speed += self.swing_rad_s * math.sin(2.0 * math.pi * 6.0 * self.time_s) * (command != 0.0)
         self.q[self.joint] = min(self.q[self.joint] + DT_S * speed, START[self.joint] + self.stop_at)
         self.load_bar = self.friction_bar * math.copysign(1.0, speed) if speed else self.load_bar
@@ -84,11 +92,12 @@ def tried(valve: ToyValve, plan: ExcitationPlan) -> tuple[Excitation, Trouble | 
         before = state
         state, trouble = excite(plan, state, Measured(q, 100.0), DT_S)
         driving = before.phase is not Phase.RESTING or state.spool != 0.0
-        pressures = tuple((100.0 + 0.5 * valve.load_bar, 100.0 - 0.5 * valve.load_bar) for _ in range(6))
+        filled = RETURN_BAR if valve.ahead else 100.0 + 0.5 * valve.load_bar
+        pressures = tuple((filled, 100.0 - 0.5 * valve.load_bar) for _ in range(6))
         samples.append(
             ExcitationSample(
-                round(cycle * DT_S * 1e9), before.stroke, driving, state.spool, q, pressures, 190.0, 10.0,
-                (FULL_SPEED, FULL_SPEED),
+                round(cycle * DT_S * 1e9), before.stroke, driving, state.spool, q, pressures,
+                190.0, RETURN_BAR, (FULL_SPEED, FULL_SPEED),
             )
         )  # fmt: skip
         if trouble is not None or state.phase is Phase.ENDED:

@@ -5,9 +5,10 @@ import pytest
 
 from controller.core.excitation.plan import StrokeKind
 from protocol.errors import MeasurementFailed
+from testbed.commissioning.ramp_fit import fit_ramps
 from testbed.commissioning.recording import StrokeRecord, load_recording, recording_of, strokes_in
 from testbed.commissioning.uncertain import Uncertain, repeated
-from testbed.commissioning.valve_fit import EdgeFindings, edge_findings, fit_ramps
+from testbed.commissioning.valve_fit import EdgeFindings, edge_findings
 from tests.controller.excitation.toy_valve import ToyValve, arm, plan_for, tried
 
 
@@ -64,6 +65,40 @@ def test_a_load_that_runs_ahead_is_metered_by_its_outlet() -> None:
     assert misled.deadband.value != pytest.approx(0.05, rel=0.02)
 
 
+def test_a_load_that_runs_ahead_at_small_openings_alone_is_metered_by_its_inlet_beyond() -> None:
+    """A nearly balanced wrist: let go by its outlet at first, pushed by its inlet from an opening on."""
+    strokes = strokes_of(ToyValve(5, 0.07, 0.06, play=0.02, outlet_at=0.062, outlet_gain=0.35))
+    assert any(np.any(stroke.fed_bar < 1.0) for stroke in strokes)
+    found = edge_findings(strokes, 1.0)
+    assert not found.by_outlet
+    assert found.residual < 4.0e-5
+    assert found.deadband.value == pytest.approx(0.07, rel=0.02)
+    assert honest(found.deadband, 0.07)
+    assert found.hysteresis.value == pytest.approx(0.02, rel=0.05)
+
+
+def test_what_all_ramps_share_is_in_the_loop_once() -> None:
+    """Reaching from two rates to rate 0 multiplies what differs between ramps, not what they share."""
+    found = edge_findings(strokes_of(ToyValve(5, 0.10, 0.10, play=0.03)), 1.0)
+    shared = np.hypot(1.5e-5, 8.0e-4 * (0.10 + 0.5 * 0.03))  # as is stated of the rims' own errors
+    assert shared <= found.hysteresis.std < 1.3 * shared
+
+
+def test_an_outlet_with_a_few_bar_left_is_laminar() -> None:
+    """So is its flow, in proportion to the pressure: taken for turbulent, the rim would be misplaced."""
+    strokes = []
+    for stroke in strokes_of(ToyValve(5, 0.05, 0.06)):
+        drop = 1.5 + 6.0 * np.exp(-stroke.t)  # bar
+        turbulent = stroke.e / np.sqrt(drop / np.hypot(drop, 3.0))
+        outlet = stroke.inlet - stroke.fed_bar + drop
+        tank = {"inlet": stroke.inlet - stroke.fed_bar, "fed_bar": np.zeros_like(stroke.t)}
+        strokes.append(stroke._replace(e_by_outlet=turbulent, outlet=outlet, **tank))
+    found = edge_findings(strokes, 1.0)
+    assert found.by_outlet
+    assert found.deadband.value == pytest.approx(0.05, rel=0.01)
+    assert honest(found.deadband, 0.05)
+
+
 def test_a_load_that_swings_on_its_oil_is_told_by_the_flow() -> None:
     """Speed and pressure swing against each other: the flow of the two together does not."""
     strokes = []
@@ -96,7 +131,7 @@ def test_too_few_strokes_are_refused() -> None:
 
 def test_a_ramp_that_hardly_moved_is_refused() -> None:
     ramp = next(stroke for stroke in strokes_of(ToyValve(5)) if stroke.kind is StrokeKind.RAMP)
-    series = ("t", "u", "turned", "e", "load", "q", "inlet")
+    series = ("t", "u", "turned", "e", "load", "q", "inlet", "fed_bar")
     short = ramp._replace(**{name: getattr(ramp, name)[: ramp.top + 12] for name in series})
     with pytest.raises(MeasurementFailed) as raised:
         fit_ramps([short])
