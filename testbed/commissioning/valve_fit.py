@@ -45,7 +45,7 @@ _MOSTLY, _PARTLY = 0.5, 0.05  # of the ramps' motion, in which the load runs ahe
 # part shift the rim, the other errors grow with the deadband. [M] drawn machines of 9000 to 9027.
 _RIM_FLOOR, _RIM_SHARE = 6.0e-5, 0.0025
 _DELAY_FLOOR_S = 0.003
-_WIDTH_FLOOR, _WIDTH_SHARE = 1.5e-5, 8.0e-4  # of spool, of the rim; [M] as the rims'
+_WIDTH_FLOOR, _WIDTH_SHARE = 8.0e-6, 1.2e-3  # of spool, of the rim; [M] 9101 to 9141
 
 
 class EdgeFindings(NamedTuple):
