@@ -23,7 +23,7 @@ from vision_pc.application.link_arm import LinkArm
 from vision_pc.application.program import Program, by_name
 from vision_pc.application.results import JSON
 from vision_pc.core.se3 import Array
-from vision_pc.core.targets.measuring import Click
+from vision_pc.core.targets.sighting import Click
 from vision_pc.core.types import Look
 from vision_pc.shell.installed_programs import every_program, installed_programs
 from vision_pc.shell.recording.recorded_ports import record_programs

@@ -20,7 +20,7 @@ from tests.browser.stranding_relay import stranding
 from tests.vision_pc.shell.rest_server import served_bench
 from vision_pc.application.ports import Seen
 from vision_pc.core.targets.keeper import KeptTarget
-from vision_pc.core.targets.measuring import Click
+from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import TargetRefused
 from vision_pc.core.types import Look
 

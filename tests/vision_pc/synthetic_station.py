@@ -34,7 +34,7 @@ from vision_pc.config.targets import TargetSettings
 from vision_pc.config.vision import LinkSettings, MotionSettings, VisionConfig
 from vision_pc.core.perception.intrinsics import calibration, distorted
 from vision_pc.core.targets.keeper import KeptTarget, TargetKeeper
-from vision_pc.core.targets.measuring import Click
+from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import Candidate, TargetObservation, TargetRefused, Taught
 from vision_pc.core.types import FrameObservation, Look, MarkerObservation, StereoPair
 from vision_pc.shell.link.udp_endpoint import UdpEndpoint

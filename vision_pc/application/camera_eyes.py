@@ -17,8 +17,10 @@ from vision_pc.core.perception.look import combine
 from vision_pc.core.ports import PairsAtRest
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.keeper import KeptTarget, TargetKeeper
-from vision_pc.core.targets.measuring import Click, anywhere, at_click, holes
+from vision_pc.core.targets.known_target import anywhere
+from vision_pc.core.targets.measuring import at_click, holes
 from vision_pc.core.targets.moving_thing import refuse_moved
+from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import TargetObservation, TargetRefused
 from vision_pc.core.types import FrameObservation, Look, StereoPair
 

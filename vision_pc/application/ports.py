@@ -17,7 +17,7 @@ from vision_pc.core.perception.watch import Sensor
 from vision_pc.core.ports import Arm
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.keeper import KeptTarget, TargetKeeper
-from vision_pc.core.targets.measuring import Click
+from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import TargetObservation
 from vision_pc.core.types import (
     CameraCalibration,

@@ -24,7 +24,7 @@ from testbed.lockstep.run_log import RunLog
 from testbed.reporting.console import table
 from testbed.scenarios.settings import Settings
 from vision_pc.core.se3 import Array
-from vision_pc.core.targets.measuring import Click
+from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import TargetRefused
 
 NAN = float("nan")

@@ -9,7 +9,9 @@ import numpy as np
 from testbed.experiments.targets.drawn_walls import GROUP, Aspect, DrawnWall, LaterPair, drawn_wall
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
-from vision_pc.core.targets.measuring import Click, KnownTarget, Sighted, anywhere, at_click, holes
+from vision_pc.core.targets.known_target import anywhere
+from vision_pc.core.targets.measuring import at_click, holes
+from vision_pc.core.targets.sighting import Click, KnownTarget, Sighted
 from vision_pc.core.targets.target import TargetObservation, TargetRefused
 
 NAN = float("nan")

@@ -39,7 +39,8 @@ from testbed.experiments.targets.one_target import TargetRow, target_error
 from tests.support.paths import CONFIGS
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
-from vision_pc.core.targets.measuring import Click, at_click
+from vision_pc.core.targets.measuring import at_click
+from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import TargetObservation, TargetRefused
 
 REQUEST = CampaignRequest(CONFIGS, Path("nowhere"), runs=2, seed=7)

@@ -26,7 +26,7 @@ from vision_pc.config.vision import LinkSettings, VisionConfig
 from vision_pc.core.perception.intrinsics import calibration
 from vision_pc.core.positioning.look_then_move import judge
 from vision_pc.core.se3 import transform
-from vision_pc.core.targets.measuring import Click
+from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import TargetRefused
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.camera_eyes import OpenedEyes, open_eyes

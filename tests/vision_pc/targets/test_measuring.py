@@ -21,8 +21,10 @@ from vision_pc.core import se3
 from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.targets import measuring, plane_patch
-from vision_pc.core.targets.measuring import Click, KnownTarget, again, at_click, holes
+from vision_pc.core.targets.known_target import again
+from vision_pc.core.targets.measuring import at_click, holes
 from vision_pc.core.targets.round_edge import RAYS, DarkSpot, edge
+from vision_pc.core.targets.sighting import Click, KnownTarget
 from vision_pc.core.targets.target import TargetRefused, frame_on
 from vision_pc.core.targets.wider_patch import normal_std, wider
 

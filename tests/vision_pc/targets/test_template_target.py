@@ -7,7 +7,9 @@ import pytest
 from tests.vision_pc.rendering import facing
 from tests.vision_pc.targets.wall_scene import SIZE, WallScene, rock, scene
 from vision_pc.core import se3
-from vision_pc.core.targets.measuring import Click, KnownTarget, again, anywhere, at_click
+from vision_pc.core.targets.known_target import again, anywhere
+from vision_pc.core.targets.measuring import at_click
+from vision_pc.core.targets.sighting import Click, KnownTarget
 from vision_pc.core.targets.target import TargetObservation, TargetRefused, frame_on
 
 PLACE = (-0.05, 0.12)

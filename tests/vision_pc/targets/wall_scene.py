@@ -13,7 +13,7 @@ from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.perception.look import observe
 from vision_pc.core.se3 import Array
-from vision_pc.core.targets.measuring import Sighted
+from vision_pc.core.targets.sighting import Sighted
 from vision_pc.core.types import StereoPair
 
 VISION = load(VisionConfig, CONFIGS / "vision.yaml")

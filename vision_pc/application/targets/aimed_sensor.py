@@ -9,7 +9,8 @@ from vision_pc.core.odometry import StereoOdometry
 from vision_pc.core.pixel_sensor import PixelSensor
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.keeper import TargetKeeper
-from vision_pc.core.targets.measuring import KnownTarget, Sighted, again
+from vision_pc.core.targets.known_target import again
+from vision_pc.core.targets.sighting import KnownTarget, Sighted
 from vision_pc.core.targets.target import TargetRefused
 from vision_pc.core.types import CameraErrors, FrameObservation, StereoPair, WatchSample
 

@@ -10,7 +10,7 @@ from vision_pc.application.results import JSON, degrees, pose_json, xyz
 from vision_pc.config.programs import PositioningSettings
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.keeper import KeptTarget, TargetKeeper
-from vision_pc.core.targets.measuring import Click
+from vision_pc.core.targets.sighting import Click
 from vision_pc.core.targets.target import Candidate, TargetObservation
 
 Pixel = float

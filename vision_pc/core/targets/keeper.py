@@ -14,7 +14,7 @@ from protocol.errors import RequestRefused
 from vision_pc.config.targets import TargetSettings
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
-from vision_pc.core.targets.measuring import KnownTarget
+from vision_pc.core.targets.sighting import KnownTarget
 from vision_pc.core.targets.target import Kind, TargetObservation, Taught
 
 Known = Literal["measured", "carried", "lost"]
