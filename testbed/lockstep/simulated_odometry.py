@@ -37,8 +37,8 @@ class TrackingNoise(StrictModel):
 
 
 class _Seen(NamedTuple):
-    """Those of a keyframe's ``of`` map points that the left eye sees (n,), where both eyes do (n, 2), and
-    whether the right one does.
+    """Those of ``of`` map points that the left eye sees (n,), where both eyes do (n, 2), and whether the
+    right one does.
     """
 
     ids: Indices
@@ -46,6 +46,20 @@ class _Seen(NamedTuple):
     right: Array
     in_right: Flags
     of: int
+
+
+class _InView(NamedTuple):
+    """Where the eyes see all of the map's points (n, 2), and whether they do (n,)."""
+
+    left: Array
+    right: Array
+    in_left: Flags
+    in_right: Flags
+
+    def of_keyframe(self, ids: Indices) -> _Seen:
+        """What is in view of a keyframe's points."""
+        seen = ids[self.in_left[ids]]
+        return _Seen(seen, self.left[seen], self.right[seen], self.in_right[seen], len(ids))
 
 
 class ModelOdometry:
@@ -96,7 +110,8 @@ class ModelOdometry:
                 self._keyframes.clear()
                 return None
             return self._found(np.zeros((6, 6)), time_ns, number, points)
-        best = max((self._seen(ids, shown) for ids in self._keyframes), key=lambda seen: len(seen.ids))
+        view = self._in_view(shown)
+        best = max((view.of_keyframe(ids) for ids in self._keyframes), key=lambda seen: len(seen.ids))
         if len(best.ids) < self._settings.minimum_inliers:
             return None
         covariance = self._solve(best)
@@ -112,14 +127,13 @@ class ModelOdometry:
             self._static = static_pixels(X_CM, self._tool, self._camera)
             self._masked_for = X_CM
 
-    def _seen(self, ids: Indices, shown: Capture) -> _Seen:
-        """What is in view of a keyframe's points."""
-        left, right = self._view.project(shown, self._true[ids])
-        hidden = self._view.hidden(shown, self._true[ids])
+    def _in_view(self, shown: Capture) -> _InView:
+        """Where both eyes see the map's points; keyframes share most of them."""
+        left, right = self._view.project(shown, self._true)
+        hidden = self._view.hidden(shown, self._true)
         in_left = inside(left, self._static[0]) & ~hidden[0]
         in_right = inside(right, self._static[1]) & ~hidden[1]
-        right = np.where(in_right[:, None], right, 0.0)
-        return _Seen(ids[in_left], left[in_left], right[in_left], in_right[in_left], len(ids))
+        return _InView(left, np.where(in_right[:, None], right, 0.0), in_left, in_right)
 
     def _solve(self, seen: _Seen) -> Array:
         """The pose's covariance; the pose itself is kept."""

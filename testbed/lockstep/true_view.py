@@ -1,5 +1,6 @@
 """What the true camera would see, without painting it: corners, wall points, and what hides what."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -7,17 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.config.camera import CameraConfig
-from plant_emulator.core.camera.camera_motion import Capture
+from plant_emulator.core.camera.camera_motion import CameraView, Capture
 from plant_emulator.core.camera.scene import Plate, Scene
 from plant_emulator.core.camera.true_eye import TrueEye, as_read, true_eyes
+from vision_pc.core import se3_stacks
 from vision_pc.core.se3 import Array, apply, inverse
 
 Flags = NDArray[np.bool_]
 
 _RIM_PX = 3.0  # OpenCV's detector leaves out what is nearer to the picture's rim
-
-
 _ON_IT_M = 1e-6
+_BOTH = (0, 1)  # the left eye and the right one
 _TRACKABLE = 0.4  # share of the wall's contrast below which nothing holds a tracked point
 
 
@@ -26,6 +27,54 @@ class SeenMarker(NamedTuple):
 
     left: Array | None
     right: Array | None
+
+
+class _Screens(NamedTuple):
+    """Rectangles before the wall: W in the axes of each (k, 4, 4), corners ``low`` and ``high`` (k, 2)."""
+
+    X_PW: Array
+    low: Array
+    high: Array
+
+    def hide(self, eye_W: Array, points_W: Array) -> Flags:
+        """Which of the points (n, 3) lie behind one of them, seen from ``eye_W`` (3,)."""
+        from_P, points_P = _in_each(self.X_PW, eye_W[None]), _in_each(self.X_PW, points_W)
+        height, depth = from_P[..., 2], points_P[..., 2]
+        deeper = (depth < -_ON_IT_M) & (height > 0.0)
+        share = height / np.where(deeper, height - depth, np.inf)
+        at = from_P[..., :2] + (points_P[..., :2] - from_P[..., :2]) * share[..., None]
+        within = np.all((at >= self.low[:, None]) & (at <= self.high[:, None]), axis=2)
+        return np.asarray(np.any(deeper & within, axis=0))
+
+
+class _Glance:
+    """One capture as both eyes get it: what all points have in common is found once."""
+
+    def __init__(self, shown: Capture, eyes: tuple[TrueEye, TrueEye], camera: CameraConfig) -> None:
+        self.shown = shown
+        self._eyes = eyes
+        self._camera = camera
+        self._turned = [eye.pose(shown.drift_px) for eye in eyes]
+        self._views: dict[float, CameraView] = {}
+
+    def seen(self, eye: int, points: Array, on_tool: bool = False) -> Array:
+        """Pixels (n, 2) of points (n, 3), in M if ``on_tool`` and else in W, each as its row is read."""
+
+        def at(offset_s: float) -> Array:
+            view = self._view(offset_s)
+            points_W = apply(view.X_WM, points) if on_tool else points
+            return self._eyes[eye].seen_from(view.X_WC @ self._turned[eye], points_W)
+
+        return as_read(at, self._camera)
+
+    def eye_W(self, eye: int) -> Array:
+        """Where the eye is, (3,), at the capture."""
+        return np.asarray((self.shown.view.X_WC @ self._turned[eye])[:3, 3])
+
+    def _view(self, offset_s: float) -> CameraView:
+        if offset_s not in self._views:
+            self._views[offset_s] = self.shown.view_at(offset_s)
+        return self._views[offset_s]
 
 
 class TrueView:
@@ -39,28 +88,36 @@ class TrueView:
         self._scene = scene
         wall = scene.config.wall
         self._wall_is_plain = not (wall.bare_patches or wall.blocks or scene.hiding(0.0))
-        self._outlines = [_outline(plate) for plate in scene.tool_plates]
+        self._standing = _screens(scene.mounts.X_WO, scene.standing)
+        corners = scene.marker_corners()
+        self._hung = [number for number, (parent, _) in corners.items() if parent == "O"]
+        self._hung_W = apply(scene.mounts.X_WO, _stacked([corners[number][1] for number in self._hung]))
+        self._carried = [number for number, (parent, _) in corners.items() if parent == "M"]
+        outlines = [_outline(plate) for plate in scene.tool_plates]
+        self._carried_M = _stacked([*(corners[number][1] for number in self._carried), *outlines])
+        self._latest: _Glance | None = None
 
     def markers(self, shown: Capture) -> dict[int, SeenMarker]:
         """Every marker's exact corners in both eyes."""
-        hiding = [self._hiding(eye, shown) for eye in self._eyes]
-        standing = self._scene.hiding(_time_s(shown))
-        seen = {}
-        for number, (parent, corners) in self._scene.marker_corners().items():
-            on_tool = parent == "M"
-            points = corners if on_tool else apply(self._scene.mounts.X_WO, corners)
-            both = [
-                None
-                if not on_tool and self._behind(eye, shown, points, standing).any()
-                else self._whole(self._seen_by(eye, shown, points, on_tool), [] if on_tool else hidden)
-                for eye, hidden in zip(self._eyes, hiding, strict=True)
-            ]
-            seen[number] = SeenMarker(*both)
-        return seen
+        left, right = (self._corners(shown, eye) for eye in _BOTH)
+        return {number: SeenMarker(pixels, right[number]) for number, pixels in left.items()}
+
+    def _corners(self, shown: Capture, eye: int) -> dict[int, Array | None]:
+        """What one eye sees of every marker: pixels (4, 2), None where it is out of view or hidden."""
+        glance = self._glance(shown)
+        hung = glance.seen(eye, self._hung_W).reshape(-1, 4, 2)
+        behind = np.asarray(self._behind(glance, eye, self._hung_W).reshape(-1, 4).any(axis=1))
+        on_tool = glance.seen(eye, self._carried_M, on_tool=True).reshape(-1, 4, 2)
+        carried, outlines = np.split(on_tool, [len(self._carried)])
+        hiding = [outline.astype(np.float32) for outline in outlines if np.isfinite(outline).all()]
+        found = {number: self._whole(carried[k], []) for k, number in enumerate(self._carried)}
+        for number, pixels, is_behind in zip(self._hung, hung, behind, strict=True):
+            found[number] = None if is_behind else self._whole(pixels, hiding)
+        return found
 
     def project(self, shown: Capture, points_W: Array) -> tuple[Array, Array]:
         """Exact (left, right) pixels (n, 2) of points (n, 3) that rest in W; NaN behind the eye."""
-        left, right = (self._seen_by(eye, shown, points_W) for eye in self._eyes)
+        left, right = (self._glance(shown).seen(eye, points_W) for eye in _BOTH)
         return left, right
 
     def inside(self, pixels: Array) -> Array:
@@ -71,8 +128,7 @@ class TrueView:
 
     def hidden(self, shown: Capture, points_W: Array) -> tuple[Flags, Flags]:
         """Which of the points (n, 3) something before the wall hides from the left and the right eye."""
-        standing = self._scene.hiding(_time_s(shown))
-        left, right = (self._behind(eye, shown, points_W, standing) for eye in self._eyes)
+        left, right = (self._behind(self._glance(shown), eye, points_W) for eye in _BOTH)
         return left, right
 
     def on_wall(self, shown: Capture, rays: Array) -> Array:
@@ -88,7 +144,7 @@ class TrueView:
         if self._wall_is_plain:
             return apply(self._scene.mounts.X_WO, points)
         points = self._rough(self._scene.mounts.X_WO, start, points)
-        return points[~self._behind(self._eyes[0], shown, points, self._scene.hiding(_time_s(shown)))]
+        return points[~self._behind(self._glance(shown), 0, points)]
 
     def _rough(self, X_WO: Array, start: Array, points: Array) -> Array:
         """In W: the points of the wall's plane, or of the block's face before them, that are not bare."""
@@ -110,39 +166,39 @@ class TrueView:
         hidden = any(cv2.intersectConvexConvex(quad, other)[0] > 0.0 for other in hiding)
         return None if hidden else pixels
 
-    def _behind(self, eye: TrueEye, shown: Capture, points_W: Array, standing: tuple[Plate, ...]) -> Flags:
-        """Which of the points (n, 3) lie behind one of the rectangles ``standing`` before the wall."""
-        behind = np.zeros(len(points_W), dtype=bool)
-        eye_W = (shown.view.X_WC @ eye.pose(shown.drift_px))[None, :3, 3]
-        for plate in standing:
-            X_PW = inverse(self._scene.mounts.X_WO @ plate.X_parent_plate)
-            (from_P,), points_P = apply(X_PW, eye_W), apply(X_PW, points_W)
-            deeper = points_P[:, 2] < -_ON_IT_M
-            if from_P[2] <= 0.0 or not deeper.any():
-                continue
-            share = from_P[2] / np.where(deeper, from_P[2] - points_P[:, 2], np.inf)
-            at = from_P[:2] + (points_P[:, :2] - from_P[:2]) * share[:, None]
-            low = [plate.edges_x[0], -plate.edges_y[-1]]
-            high = [plate.edges_x[-1], -plate.edges_y[0]]
-            behind |= deeper & np.all((at >= low) & (at <= high), axis=1)
-        return behind
+    def _behind(self, glance: _Glance, eye: int, points_W: Array) -> Flags:
+        """Which of the points (n, 3) lie behind something that stands or passes before the wall."""
+        eye_W, time_s = glance.eye_W(eye), 1e-9 * glance.shown.capture_ns
+        behind = self._standing.hide(eye_W, points_W)
+        passing = self._scene.passing(time_s)
+        return (
+            behind | _screens(self._scene.mounts.X_WO, passing).hide(eye_W, points_W) if passing else behind
+        )
 
-    def _hiding(self, eye: TrueEye, shown: Capture) -> list[Array]:
-        outlines = [self._seen_by(eye, shown, outline, on_tool=True) for outline in self._outlines]
-        return [o.astype(np.float32) for o in outlines if np.isfinite(o).all()]
-
-    def _seen_by(self, eye: TrueEye, shown: Capture, points: Array, on_tool: bool = False) -> Array:
-        """Pixels (n, 2) of points (n, 3), in M if ``on_tool`` and else in W, each as its row is read."""
-
-        def at(offset_s: float) -> Array:
-            view = shown.view_at(offset_s)
-            return eye.project(view.X_WC, apply(view.X_WM, points) if on_tool else points, shown.drift_px)
-
-        return as_read(at, self._camera)
+    def _glance(self, shown: Capture) -> _Glance:
+        """What all that is asked of one capture has in common."""
+        if self._latest is None or self._latest.shown is not shown:
+            self._latest = _Glance(shown, self._eyes, self._camera)
+        return self._latest
 
 
-def _time_s(shown: Capture) -> float:
-    return 1e-9 * shown.capture_ns
+def _in_each(X: Array, points: Array) -> Array:
+    """Points (n, 3) in the axes of each of the poses (k, 4, 4): (k, n, 3)."""
+    return np.asarray(points @ X[:, :3, :3].swapaxes(1, 2) + X[:, None, :3, 3])
+
+
+def _screens(X_WO: Array, plates: Sequence[Plate]) -> _Screens:
+    """The rectangles of ``plates``, which stand in O."""
+    poses = [X_WO @ plate.X_parent_plate for plate in plates]
+    low = [(plate.edges_x[0], -plate.edges_y[-1]) for plate in plates]
+    high = [(plate.edges_x[-1], -plate.edges_y[0]) for plate in plates]
+    return _Screens(
+        se3_stacks.inverse(np.reshape(poses, (-1, 4, 4))), np.reshape(low, (-1, 2)), np.reshape(high, (-1, 2))
+    )
+
+
+def _stacked(corners: Sequence[Array]) -> Array:
+    return np.reshape(corners, (-1, 3))
 
 
 def _outline(plate: Plate) -> Array:

@@ -142,7 +142,7 @@ class Scene:
 
     ``mounts`` are the true poses (4x4) that the plant chains its own to: base and object in the world, camera
     and tool marker in the tool centre point. ``wall_plates`` have parent O, ``tool_plates`` parent M; both in
-    painting order, and ``passers`` come between them.
+    painting order, and ``passers`` come between them. ``standing``: outlines, in O, of what hides the wall.
     """
 
     def __init__(self, config: SceneConfig) -> None:
@@ -162,7 +162,7 @@ class Scene:
             marker.marker_id: ("O", plate)
             for marker, plate in zip(config.object_of_interest.markers, self._wall_markers, strict=True)
         }
-        self._standing = (
+        self.standing = (
             *(plate for block in config.wall.blocks for plate in block_outline(block)),
             *(tube_outline(tube) for tube in config.wall.tubes),
             *(bar for mat in config.rebar for bar in rebar_plates(mat)),
@@ -196,10 +196,13 @@ class Scene:
         """What passes between wall and tool."""
         return tuple(Passer(passer_plate(config), config) for config in self.config.passers)
 
+    def passing(self, time_s: float) -> tuple[Plate, ...]:
+        """Outlines, in O, of what moves before the wall, at ``time_s``."""
+        return tuple(front_of(passer.size_m, passer.place_m(time_s)) for passer in self.config.passers)
+
     def hiding(self, time_s: float) -> tuple[Plate, ...]:
         """Outlines, in O, of everything that hides points of the wall at ``time_s``."""
-        passing = (front_of(passer.size_m, passer.place_m(time_s)) for passer in self.config.passers)
-        return (*self._standing, *passing)
+        return (*self.standing, *self.passing(time_s))
 
     def marker_corners(self) -> dict[int, tuple[Literal["O", "M"], Matrix]]:
         """Marker id → (parent frame "O" or "M", 4x3 corners in it in metres, ArUco order)."""

@@ -35,7 +35,10 @@ class TrueEye(NamedTuple):
 
     def project(self, X_WC: Matrix, points: Matrix, drift_px: tuple[float, float] = (0.0, 0.0)) -> Matrix:
         """Exact image coordinates (n, 2) px of points (n, 3) in W; NaN behind the eye."""
-        X_WE = X_WC @ self.pose(drift_px)
+        return self.seen_from(X_WC @ self.pose(drift_px), points)
+
+    def seen_from(self, X_WE: Matrix, points: Matrix) -> Matrix:
+        """The same where the eye's own pose in W is known."""
         return self.lens.project((points - X_WE[:3, 3]) @ X_WE[:3, :3])
 
 
