@@ -39,7 +39,7 @@ from plant_emulator.core.mechanics.geometry import Chain, base_tilt, transform
 from plant_emulator.core.mechanics.loose import set_phases
 from plant_emulator.core.mechanics.multibody import forward_kinematics
 from plant_emulator.core.model import Model, build_model, put_payload
-from plant_emulator.core.right_hand_side import EncoderShafts, advance, new_work
+from plant_emulator.core.right_hand_side import EncoderShafts, advance_commanded, new_work
 from plant_emulator.core.sensors import Encoders
 from plant_emulator.core.stability import check_step, modes
 from plant_emulator.core.truth import Mounts, PlantTruth, inverse
@@ -129,12 +129,13 @@ class Plant:
         self._owed_ns += duration_ns
         while self._owed_ns >= self._step_ns:
             self._events()
-            until = min(self._commands.next_ns(), self.faults.next_ns(), self.time_ns + self._owed_ns)
-            steps = min(max(-(-(until - self.time_ns) // self._step_ns), 1), self._owed_ns // self._step_ns)
-            advance(
+            until = min(self._commands.deadline_ns(), self.faults.next_ns(), self.time_ns + self._owed_ns)
+            steps = min(max(self._steps_to(until), 1), self._owed_ns // self._step_ns)
+            advance_commanded(
                 self._state,
                 self._drive,
-                self._commands.spool_target,
+                self._commands.targets,
+                self._leaving(steps),
                 self._shafts,
                 steps,
                 self._step_ns * 1e-9,
@@ -145,6 +146,16 @@ class Plant:
             self._owed_ns -= steps * self._step_ns
         self._events()
         self._cycle = (self._cycle + 1) & 0xFFFFFFFF
+
+    def _steps_to(self, time_ns: int) -> int:
+        """How many steps lead to ``time_ns`` or just beyond."""
+        return -(-(time_ns - self.time_ns) // self._step_ns)
+
+    def _leaving(self, steps: int) -> Array:
+        """What leaves the drives within the next ``steps``, as ``advance_commanded`` takes it."""
+        last_ns = self.time_ns + (steps - 1) * self._step_ns
+        rows = [(self._steps_to(due_ns), *what) for due_ns, *what in self._commands.leaving(last_ns)]
+        return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
     def read(self) -> SensorImage:
         """The sensors at this instant, as the fieldbus carries them."""
@@ -220,7 +231,7 @@ class Plant:
             supply=float(state[SUPPLY]),
             oil_temperature_degc=float(state[TEMPERATURE]),
             payload_kg=self._load_kg,
-            valves=self._commands.target.copy(),
+            valves=self._commands.targets.told.copy(),
             spools=state[SPOOL : SPOOL + N_ACTUATORS].copy(),
             flows=work.flows[:, [col.F_NET_A, col.F_NET_B]].copy(),
             faults=tuple(sorted(fault.name for fault in self.faults.in_force())),

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from foundation.compiled import allocation_free
 from plant_emulator.core import columns as col
 from plant_emulator.core.hydraulics.oil_rates import JOINT, add_oil
+from plant_emulator.core.hydraulics.valve_commands import ValveTargets, take
 from plant_emulator.core.hydraulics.valves import slew_limited
 from plant_emulator.core.layout import N_ACTUATORS, Q, state_size
 from plant_emulator.core.mechanics.loose import add_looseness
@@ -122,3 +123,29 @@ def advance(
         for i in range(N_ACTUATORS):
             angle = state[Q + JOINT[i]]
             shaft[i] = min(max(shaft[i], angle - half_play[i]), angle + half_play[i])
+
+
+@allocation_free
+def advance_commanded(
+    state: Array,
+    drive: Array,
+    valves: ValveTargets,
+    leaving: Array,
+    encoders: EncoderShafts,
+    steps: int,
+    h: float,
+    model: Model,
+    work: Work,
+) -> None:
+    """``advance`` by ``steps`` while commands arrive: rows of ``leaving`` (n, 3) are step, valve, command.
+
+    A command acts from the start of its step on; rows are in order, their steps below ``steps``.
+    """
+    done = 0
+    for k in range(leaving.shape[0]):
+        step = int(leaving[k, 0])
+        if step > done:
+            advance(state, drive, valves.spool, encoders, step - done, h, model, work)
+            done = step
+        take(valves, int(leaving[k, 1]), leaving[k, 2])
+    advance(state, drive, valves.spool, encoders, steps - done, h, model, work)

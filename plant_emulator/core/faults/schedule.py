@@ -118,6 +118,8 @@ class FaultSchedule:
 
     def next_ns(self) -> int:
         """When the next fault begins, ends, or is to be asked again."""
+        if not (self.active or self.planned):
+            return NEVER_NS
         starts = [one.start_ns for one in self.planned]
         ends = [one.end_ns for one in self.active if one.end_ns is not None]
         return min([*starts, *ends, self._again_ns(), NEVER_NS])
@@ -128,6 +130,9 @@ class FaultSchedule:
     def settle(self, now_ns: int) -> bool:
         """Let everything due by now begin or end; whether anything did, or is to be asked again."""
         before = self.active
+        if not (before or self.planned):
+            self._asked_ns = now_ns
+            return False
         again = self._again_ns() <= now_ns
         self._asked_ns = now_ns
         for injection in before:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.compiled import allocation_free
 from plant_emulator.core.layout import N_ACTUATORS
 from protocol.errors import ImageRefused
 from protocol.process_image import CONTROL_ENABLE, CONTROL_RESET_WATCHDOG, ValveImage
@@ -22,34 +23,50 @@ class ValveDrive(NamedTuple):
     half_hysteresis: tuple[float, ...]
 
 
-class _Pending(NamedTuple):
-    """Commands of the valves ``who`` on their way through the drive electronics."""
+class ValveTargets(NamedTuple):
+    """Where the six valves are sent, (6,) each, −1…1.
+
+    ``told``: what is in force. ``spool``: where the spools go, dragged along by what is told with the
+    hysteresis as its play (``half_hysteresis`` each way). ``senses``: −1 where a valve goes the other way.
+    """
+
+    told: NDArray[np.float64]
+    spool: NDArray[np.float64]
+    half_hysteresis: NDArray[np.float64]
+    senses: NDArray[np.float64]
+
+
+class Leaving(NamedTuple):
+    """A valve's command that leaves the drive electronics at ``due_ns``."""
 
     due_ns: int
-    who: list[int]
-    valves: NDArray[np.float64]  # (len(who),)
+    valve: int
+    command: float
+
+
+@allocation_free
+def take(valves: ValveTargets, valve: int, command: float) -> None:
+    """Let ``command`` be in force for one valve."""
+    told, play = min(max(valves.senses[valve] * command, -1.0), 1.0), valves.half_hysteresis[valve]
+    valves.told[valve] = told
+    valves.spool[valve] = min(max(valves.spool[valve], told - play), told + play)
 
 
 class ValveCommands:
-    """What the valves are told. ``target`` (6,) in −1…1 is in force; ``tripped`` while the watchdog is.
+    """What the valves are told. ``targets`` are in force; ``tripped`` while the watchdog is.
 
-    ``spool_target`` (6,) is where the spools go: the target drags it along with the hysteresis as its play.
     The watchdog trips when the controller's cycle counter stands still for longer than ``watchdog_ns``; until
-    a first image it waits. Whoever owns the time calls ``settle`` when it has reached ``next_ns``.
+    a first image it waits. Whoever owns the time calls ``settle`` when it has reached ``deadline_ns``, and
+    lets what ``leaving`` gives act in time.
     """
 
     def __init__(self, drive: ValveDrive, watchdog_ns: int) -> None:
-        self.target: NDArray[np.float64] = np.zeros(N_ACTUATORS)
-        self.spool_target: NDArray[np.float64] = np.zeros(N_ACTUATORS)
+        half = np.array(drive.half_hysteresis)
+        self.targets = ValveTargets(np.zeros(N_ACTUATORS), np.zeros(N_ACTUATORS), half, np.ones(N_ACTUATORS))
         self.tripped = False
-        self._half_play = np.array(drive.half_hysteresis)
-        self._senses = np.ones(N_ACTUATORS)
-        self._delays = {
-            delay: [i for i, own in enumerate(drive.delay_ns) if own == delay]
-            for delay in sorted(set(drive.delay_ns))
-        }
+        self._delays_ns = drive.delay_ns
         self._watchdog_ns = watchdog_ns
-        self._pending: list[_Pending] = []
+        self._pending: dict[tuple[int, int], float] = {}  # when it is due and for which valve → command
         self._image: ValveImage | None = None
         self._fresh_ns = 0
 
@@ -82,32 +99,28 @@ class ValveCommands:
 
     def swap(self, valves: Sequence[int]) -> None:
         """Let ``valves``, and no others, go against what leaves the drive electronics from now on."""
-        self._senses[:] = 1.0
-        self._senses[list(valves)] = -1.0
+        self.targets.senses[:] = 1.0
+        self.targets.senses[list(valves)] = -1.0
 
-    def next_ns(self) -> int:
-        """When something will change by itself: a command leaves the delay, or the watchdog trips."""
-        return min(self._pending[0].due_ns if self._pending else NEVER_NS, self._deadline_ns())
-
-    def settle(self, now_ns: int) -> None:
-        """Let what is due by now happen: the watchdog, then commands that leave the delay."""
-        if now_ns >= self._deadline_ns():
-            self.tripped = True
-            self._command(_SHUT, now_ns)
-        while self._pending and self._pending[0].due_ns <= now_ns:
-            _, who, valves = self._pending.pop(0)
-            told, play = np.clip(self._senses[who] * valves, -1.0, 1.0), self._half_play[who]
-            self.target[who] = told
-            self.spool_target[who] = np.clip(self.spool_target[who], told - play, told + play)
-
-    def _deadline_ns(self) -> int:
+    def deadline_ns(self) -> int:
+        """When the watchdog trips unless an image comes."""
         if self._image is None or self.tripped:
             return NEVER_NS
         return self._fresh_ns + self._watchdog_ns + 1
 
+    def settle(self, now_ns: int) -> None:
+        """Let what is due by now happen: the watchdog, then commands that leave the delay."""
+        if now_ns >= self.deadline_ns():
+            self.tripped = True
+            self._command(_SHUT, now_ns)
+        for _, valve, command in self.leaving(now_ns):
+            take(self.targets, valve, command)
+
+    def leaving(self, until_ns: int) -> list[Leaving]:
+        """What leaves the drive electronics by ``until_ns``, in this order; it is no longer kept here."""
+        due = sorted([key for key in self._pending if key[0] <= until_ns])
+        return [Leaving(*key, self._pending.pop(key)) for key in due]
+
     def _command(self, valves: tuple[float, ...], now_ns: int) -> None:
-        told = np.array(valves)
-        for delay, who in self._delays.items():
-            due = now_ns + delay
-            kept = [p for p in self._pending if p.who is not who or p.due_ns < due]
-            self._pending = sorted([*kept, _Pending(due, who, told[who])], key=lambda p: p.due_ns)
+        for valve, command in enumerate(valves):
+            self._pending[now_ns + self._delays_ns[valve], valve] = command
