@@ -142,11 +142,15 @@ class ReferenceServer:
         if self._session:
             self._send(refusal, now_ns)
 
+    def state_due(self, now_ns: int) -> bool:
+        """Whether the period that the client asked for has passed, so that ``publish`` would send."""
+        # Half a cycle of tolerance, lest jitter of the scan makes every other period a cycle longer.
+        return self._session is not None and now_ns + self._cycle_ns // 2 >= self._session.next_state_ns
+
     def publish(self, state: State, now_ns: int) -> None:
         """Sends ``state`` if the period that the client asked for has passed; to be called every cycle."""
         session = self._session
-        # Half a cycle of tolerance, lest jitter of the scan makes every other period a cycle longer.
-        if session is None or now_ns + self._cycle_ns // 2 < session.next_state_ns:
+        if session is None or not self.state_due(now_ns):
             return
         period_ns = session.welcome.state_period_ms * NS_PER_MS
         session.next_state_ns = max(session.next_state_ns + period_ns, now_ns)

@@ -34,7 +34,7 @@ def stood(
     if state.motion.path is not None or state.mode is not Mode.STANDBY:
         if state.standing.parked:
             events.append(ScanEvent("unparked", state.mode.name, 0.0, 0.0))
-        parking = parking_ended(state.parking)
+        parking = state.parking.copy() if state.standing == MOVES else parking_ended(state.parking)
         flanks_followed(parking, state.watch.q_meas, settings.parking.dt_s)
         return state._replace(parking=parking, standing=MOVES)
     parking = state.parking.copy()
@@ -42,7 +42,7 @@ def stood(
     park_step(settings.servo, settings.parking, given, state.watch.turned, out, parking)
     since_s = state.standing.since_s + settings.parking.dt_s
     rests, parking = _rested(settings.parking, state.standing.rests, since_s, parking, events)
-    parked = state.standing.parked or (rests and at_rest(settings.parking, parking))
+    parked = state.standing.parked or (rests and at_rest(parking))
     if parked and not state.standing.parked:
         parking = parked_here(parking)
     away = norm(state.tool.J_BT[:3] @ off_place(parking))

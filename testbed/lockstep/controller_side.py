@@ -4,7 +4,7 @@ from controller.core.excitation.plan import ExcitationPlan
 from controller.core.excitation.program import ExcitationProgram, ExcitationSample
 from controller.core.inbox import Inbox
 from controller.core.scan_program import ScanProgram
-from controller.core.scan_types import ScanInput, ScanOutput
+from controller.core.scan_types import RuntimeStatistics, ScanInput, ScanOutput, to_state
 from controller.shell.scan_recorder import ScanRecorder
 from foundation.configuration import configuration_hash
 from foundation.secret_source import read_key
@@ -67,7 +67,8 @@ class ControllerSide:
             self._server.acknowledge(acknowledgement, now_ns)
         if output.refusal is not None:
             self._server.refuse_streamed(output.refusal, now_ns)
-        self._server.publish(self._state_message(output), now_ns)
+        if self._server.state_due(now_ns):
+            self._server.publish(self._state_message(output), now_ns)
         self.valve_words = encode_valves(output.valves)
         return output, [data for data, _ in self._server.outgoing(now_ns)]
 
@@ -88,13 +89,5 @@ class ControllerSide:
 
     def _state_message(self, output: ScanOutput) -> State:
         """The state to publish: here no cycle is ever late."""
-        lost = self._server.statistics
-        return State(
-            **output.view._asdict(),
-            overruns=0,
-            lateness_p50_us=0,
-            lateness_p99_us=0,
-            lateness_max_us=0,
-            references_lost=lost.lost,
-            references_dropped=lost.dropped,
-        )
+        link = self._server.statistics
+        return to_state(output.view, RuntimeStatistics(0, 0, 0, 0, link.lost, link.dropped))

@@ -80,13 +80,16 @@ _FORGETS = 0.95  # of a creep that was seen: what comes after a nudge is less, a
 _AGAIN_RAD = 7e-6  # beyond where its encoder was at the last nudge: by the slow filter; its noise is 1 µrad
 
 
-def at_rest(law: ParkingLaw, state: Array) -> bool:
+@kernel
+def at_rest(state: Array) -> bool:
     """Whether no joint moves the tool any more, each shut near its place or kept; or it never will."""
-    away = state[PHASE] != FOLLOWING
-    stands = (state[PHASE] == SHUT) & (np.abs(state[ERROR] - state[PLACE]) < 1.5 * state[BAND])
-    leans = (state[PHASE] == KEPT) & (state[QUIET] > _LEANS_S)
-    rests = (stands & (state[QUIET] > _QUIET_S)) | leans
-    return bool(rests.all() or (away & (state[HELD] > _LONGEST_S)).all())
+    rests = too_long = True
+    for i in range(6):
+        phase, quiet = state[PHASE, i], state[QUIET, i]
+        stands = phase == SHUT and abs(state[ERROR, i] - state[PLACE, i]) < 1.5 * state[BAND, i]
+        rests = rests and ((stands and quiet > _QUIET_S) or (phase == KEPT and quiet > _LEANS_S))
+        too_long = too_long and phase != FOLLOWING and state[HELD, i] > _LONGEST_S
+    return bool(rests or too_long)
 
 
 def parked_here(state: Array) -> Array:

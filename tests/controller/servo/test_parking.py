@@ -155,7 +155,7 @@ def test_a_parked_joint_that_stands_is_left_where_it_rests() -> None:
     law, state = _law(0.08, 0.004), parking_begun(_law(0.08, 0.004))
     state[PHASE], state[BAND], state[ERROR], state[QUIET] = SHUT, BAND_RAD, 1.4 * BAND_RAD, 100.0
     state[SHUT_AT] = state[ERROR]
-    assert at_rest(law, state)
+    assert at_rest(state)
     here = parked_here(state)
     assert (here[PLACE] == 1.4 * BAND_RAD).all()
     assert not off_place(here).any()
@@ -227,18 +227,18 @@ def test_the_arm_rests_when_every_joint_does() -> None:
     law = _law(0.08, 0.004)
     state = parking_begun(law)
     state[PHASE], state[BAND], state[QUIET] = SHUT, BAND_RAD, 11.0
-    assert at_rest(law, state)
+    assert at_rest(state)
     for row, value in ((PHASE, OPEN), (PHASE, FOLLOWING), (QUIET, 9.0), (ERROR, 2.0 * BAND_RAD)):
         restless = state.copy()
         restless[row, 3] = value
-        assert not at_rest(law, restless)
+        assert not at_rest(restless)
         restless[HELD] = 301.0  # as it is, then; but not while the joint law still drives
-        assert at_rest(law, restless) == (value != FOLLOWING or row != PHASE)
+        assert at_rest(restless) == (value != FOLLOWING or row != PHASE)
     leaking = state.copy()
     leaking[PHASE, 4], leaking[ERROR, 4] = KEPT, 3e-4
-    assert not at_rest(law, leaking)
+    assert not at_rest(leaking)
     leaking[QUIET, 4] = 36.0
-    assert at_rest(law, leaking)
+    assert at_rest(leaking)
 
 
 def test_what_moves_the_tool_is_not_quiet_nor_is_a_slew_whose_oil_relaxes() -> None:
