@@ -109,7 +109,6 @@ class Plant:
         play = config.errors.backlash
         half_play = np.asarray(play.half_width_mrad) * 1e-3 if play.enabled else np.zeros(N_ACTUATORS)
         self._shafts = EncoderShafts(self._state[list(DRIVEN)].copy(), half_play)
-        self._drive = np.zeros(N_ACTUATORS)
         self._commands = ValveCommands(_valve_drive(config.valves), round(config.watchdog_ms * 1e6))
         self.faults = FaultSchedule()
         self._healthy_omega = self._model.actuators[:, col.A_OMEGA].copy()
@@ -133,7 +132,6 @@ class Plant:
             steps = min(max(self._steps_to(until), 1), self._owed_ns // self._step_ns)
             advance_commanded(
                 self._state,
-                self._drive,
                 self._commands.targets,
                 self._leaving(steps),
                 self._shafts,

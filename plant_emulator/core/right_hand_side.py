@@ -128,7 +128,6 @@ def advance(
 @allocation_free
 def advance_commanded(
     state: Array,
-    drive: Array,
     valves: ValveTargets,
     leaving: Array,
     encoders: EncoderShafts,
@@ -145,7 +144,7 @@ def advance_commanded(
     for k in range(leaving.shape[0]):
         step = int(leaving[k, 0])
         if step > done:
-            advance(state, drive, valves.spool, encoders, step - done, h, model, work)
+            advance(state, valves.drive, valves.spool, encoders, step - done, h, model, work)
             done = step
         take(valves, int(leaving[k, 1]), leaving[k, 2])
-    advance(state, drive, valves.spool, encoders, steps - done, h, model, work)
+    advance(state, valves.drive, valves.spool, encoders, steps - done, h, model, work)

@@ -9,10 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.core.kinematics.fused import fused
 from controller.core.kinematics.rotations import Array
 from controller.core.kinematics.triples import Angles, Rows, Triple, Vector
-from foundation.compiled import kernel
+from foundation.compiled import fused, kernel
 
 REACHED = 0
 TOO_FAR = 1  # the wrist centre lies beyond the outstretched boom, or inside its folded reach

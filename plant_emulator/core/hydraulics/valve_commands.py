@@ -27,11 +27,13 @@ class ValveTargets(NamedTuple):
     """Where the six valves are sent, (6,) each, −1…1.
 
     ``told``: what is in force. ``spool``: where the spools go, dragged along by what is told with the
-    hysteresis as its play (``half_hysteresis`` each way). ``senses``: −1 where a valve goes the other way.
+    hysteresis as its play (``half_hysteresis`` each way). ``drive``: how far the slew limit has let them.
+    ``senses``: −1 where a valve goes the other way.
     """
 
     told: NDArray[np.float64]
     spool: NDArray[np.float64]
+    drive: NDArray[np.float64]
     half_hysteresis: NDArray[np.float64]
     senses: NDArray[np.float64]
 
@@ -61,8 +63,8 @@ class ValveCommands:
     """
 
     def __init__(self, drive: ValveDrive, watchdog_ns: int) -> None:
-        half = np.array(drive.half_hysteresis)
-        self.targets = ValveTargets(np.zeros(N_ACTUATORS), np.zeros(N_ACTUATORS), half, np.ones(N_ACTUATORS))
+        shut, half = np.zeros(N_ACTUATORS), np.array(drive.half_hysteresis)
+        self.targets = ValveTargets(shut.copy(), shut.copy(), shut.copy(), half, np.ones(N_ACTUATORS))
         self.tripped = False
         self._delays_ns = drive.delay_ns
         self._watchdog_ns = watchdog_ns

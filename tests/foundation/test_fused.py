@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from controller.core.kinematics.fused import fused
-from foundation.compiled import kernel
+from foundation.compiled import fused, kernel
 
 
 @kernel
