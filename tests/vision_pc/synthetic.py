@@ -185,6 +185,7 @@ class SyntheticRig:
         self.period_s, self.speed = 1.0 / rate_hz, speed
         self.q = Q_START.copy()
         self.slew_play = 0.0
+        self.booms_play = np.zeros(2)
         self.time_ns = 0
         self.motions = 0
         self.watching: SyntheticWatch | None = None
@@ -202,6 +203,7 @@ class SyntheticRig:
     def X_BT_true(self) -> Array:
         q = self.q + self.truth.encoder_offset
         q[0] += self.slew_play
+        q[1:3] += self.booms_play
         frames = chain(q)
         tip = frames[-1][:2, 3]
         reach = np.array([math.dist(tip, frames[i][:2, 3]) for i in (1, 2)])  # of the load from lift and tilt

@@ -103,6 +103,11 @@ class LocalErrorModel(NamedTuple):
         """By how much odometry's lengths differ from the arm's, relative."""
         return float(self.theta[_SCALE])
 
+    @property
+    def slew_play(self) -> float:
+        """Half of the slew's play (rad), as the legs have shown it."""
+        return abs(float(self.theta[_BACKLASH]))
+
 
 async def record_local_track(
     arm: Arm, eyes: Eyes, report: Report, settings: LocalErrorModelSettings, dimensions: BoomDimensions

@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from vision_pc.config.programs import LocalErrorModelSettings, PositioningSettings
+from vision_pc.core.calibration.arm_fields import boom_levers
+from vision_pc.core.calibration.backlash import slew_lever
 from vision_pc.core.calibration.local_error_model import LocalErrorModel, LocalTrack
 from vision_pc.core.positioning.expected_end import ExpectedEnd, expected_end
 from vision_pc.core.positioning.learned_servo import after_fine_corrections, servo_spread
@@ -13,6 +15,7 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import Look
 
 _KEPT = 2.0 / 3.0  # of ``nudge_m``: width of the Gaussian that stands for its edge
+_OTHER_FLANK = 0.25  # of motions end on the slew's other flank; [M] one of four, crane-real 8511 to 8514
 
 
 class Wanted(NamedTuple):
@@ -37,11 +40,15 @@ def foreseen_end(
     """The error expected at the end of all motions.
 
     When a correction follows, the model's error counts for the rest of the way alone. The end of a motion is
-    then corrected until odometry finds it small, and odometry's own error counts for all of the way.
+    then corrected until odometry finds it small, and odometry's own error counts for all of the way. Where
+    drives adapt, joints have play: nothing corrects what it leaves of an open-loop step.
     """
     rest = 1.0 if wanted.share == 1.0 else (1.0 - wanted.share) ** 2
     spread = servo_spread(track, map_settings)
-    covariance = fitted.R.T @ (rest * wanted.covariance + spread.variance * np.eye(3)) @ fitted.R
+    in_base = rest * wanted.covariance + spread.variance * np.eye(3)
+    if map_settings.adaptive.enabled and not settings.corrections:
+        in_base += _uncorrected_play(wanted.x, fitted, map_settings)
+    covariance = fitted.R.T @ in_base @ fitted.R
     if settings.corrections and map_settings.adaptive.enabled:
         across = 0.5 * float(np.trace(covariance[:2, :2]))
         kept = after_fine_corrections(across, map_settings.adaptive.nudge_m, wanted.drives)
@@ -70,6 +77,21 @@ def seen_end(
     covariance = _odometry_covariance(residuals[0], np.eye(3), fitted.scale, track, map_settings)
     covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + _unrest_covariance(track)
     return expected_end(residuals[-1], covariance, settings.tolerance_m)
+
+
+def _uncorrected_play(x: Array, fitted: LocalErrorModel, settings: LocalErrorModelSettings) -> Array:
+    """Covariance (3, 3) m² in B of what play leaves of a step ``x`` (3,) m that is driven in one go.
+
+    The slew may come to rest on the other flank of the play that the legs have shown, here as at each end of
+    the legs; lift and tilt stood there on either flank of theirs, half of what takes it up. Two of three legs
+    tell each turn of the map, and the way is longer than they are.
+    """
+    carried = float(np.linalg.norm(x)) / (math.sqrt(2.0) * settings.leg_m)
+    flank = 2.0 * fitted.slew_play * slew_lever(fitted.X_BT)
+    booms = boom_levers(fitted.X_BT, fitted.dimensions)[:, 1:]
+    at_leg = 0.5 * settings.adaptive.boom_take_up_rad * float(np.linalg.norm(booms))
+    slew = _OTHER_FLANK * (1.0 + carried**2) * np.outer(flank, flank)
+    return np.asarray(slew + (carried * at_leg) ** 2 * np.eye(3))
 
 
 def _after_fine_corrections(end_covariance: Array, nudge_m: float, servo_std_m: float) -> Array:

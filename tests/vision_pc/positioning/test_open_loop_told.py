@@ -1,0 +1,86 @@
+"""What is told of a drive that nothing corrects, where joints have play."""
+
+import numpy as np
+import pytest
+
+from tests.vision_pc.program_settings import BOOM, shipped
+from tests.vision_pc.synthetic import SyntheticRig, draw, silent
+from vision_pc.config.programs import LocalErrorModelSettings
+from vision_pc.core.calibration.backlash import slew_lever
+from vision_pc.core.calibration.local_error_model import (
+    LocalTrack,
+    fit_error_model,
+    record_local_track,
+    solve_step,
+)
+from vision_pc.core.calibration.orientation import adjust_orientation
+from vision_pc.core.positioning.corrected_positioning import look_then_move_corrected
+from vision_pc.core.positioning.foreseen_end import Wanted, foreseen_end
+from vision_pc.core.se3 import Array
+
+PROGRAMS = shipped()
+ONE_DRIVE = PROGRAMS.positioning.model_copy(update={"corrections": 0})
+
+
+def adapting(**changes: float) -> LocalErrorModelSettings:
+    adaptive = PROGRAMS.local_map.adaptive.model_copy(update={"enabled": True, **changes})
+    return PROGRAMS.local_map.model_copy(update={"adaptive": adaptive})
+
+
+class PlayingRig(SyntheticRig):
+    """Lift and tilt have play before their encoders, half as wide as is drawn for real machines."""
+
+    def __init__(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        super().__init__(draw(rng, servo_std=5e-5, odometry_scale=1.0), seed)
+        self.half_booms = rng.uniform(3e-5, 3e-4, 2)
+
+    def advance(self, q: Array) -> None:
+        self.booms_play = np.clip(self.booms_play - (q - self.q)[1:3], -self.half_booms, self.half_booms)
+        super().advance(q)
+
+
+async def calibrated(seed: int) -> tuple[PlayingRig, LocalTrack]:
+    arm = PlayingRig(seed)
+    await adjust_orientation(arm, arm, silent, PROGRAMS.orientation)
+    return arm, await record_local_track(arm, arm, silent, adapting(), BOOM)
+
+
+async def test_an_open_loop_step_is_told_as_wide_as_play_makes_it() -> None:
+    """Told without what lift and tilt leave in the legs, error² over variance was 2.0."""
+    squares = []
+    for seed in range(10, 22):
+        arm, track = await calibrated(seed)
+        result = await look_then_move_corrected(arm, arm, silent, ONE_DRIVE, adapting(), BOOM, track)
+        error = arm.true_error(ONE_DRIVE.clearance_m)[:2]
+        told = result.positioning.steps[0].expected.covariance[:2, :2]
+        squares.append(float(error @ np.linalg.solve(told, error)) / 2.0)
+    assert 0.3 < np.mean(squares) < 1.6, squares
+
+
+async def test_play_is_told_of_one_drive_and_not_of_corrected_ones() -> None:
+    """The slew's other flank along its lever, at the end and in the legs; lift and tilt in the legs alone."""
+    arm, track = await calibrated(10)
+    look = await arm.look()
+    fitted = fit_error_model(track, look.X_CM[:3, 3], BOOM, adapting())
+    assert 0.4 < fitted.slew_play / arm.truth.play < 1.3  # the legs' other errors are in it
+
+    def told(way_m: float, corrections: int, take_up_rad: float) -> Array:
+        settings = PROGRAMS.positioning.model_copy(update={"corrections": corrections})
+        x, covariance = solve_step(fitted, np.array([way_m, 0.0, 0.0]))
+        wanted = Wanted(x, covariance, 1.0, 1)
+        local_map = adapting(boom_take_up_rad=take_up_rad)
+        camera = foreseen_end(look, fitted, track, wanted, settings, local_map).covariance
+        return fitted.R @ camera @ fitted.R.T
+
+    assert np.array_equal(told(0.8, 4, 3e-4), told(0.8, 4, 0.0))
+    lever = slew_lever(fitted.X_BT)
+    along = lever / np.linalg.norm(lever)
+    across = np.array([-along[1], along[0], 0.0])
+    x = solve_step(fitted, np.array([0.8, 0.0, 0.0]))[0]
+    in_legs = float(x @ x) / (2.0 * PROGRAMS.local_map.leg_m**2)
+    alone = told(0.8, 0, 0.0)
+    flank = along @ alone @ along - across @ alone @ across
+    assert flank == pytest.approx((1.0 + in_legs) * (fitted.slew_play * np.linalg.norm(lever)) ** 2, rel=0.1)
+    carried = [across @ (told(way, 0, 3e-4) - told(way, 0, 0.0)) @ across for way in (0.2, 0.8)]
+    assert carried[1] == pytest.approx(16.0 * carried[0], rel=0.05)
