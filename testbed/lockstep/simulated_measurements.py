@@ -8,6 +8,7 @@ rectification, prints and what hides what on one side; poses, covariances, offse
 
 from collections import Counter
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -138,8 +139,13 @@ class SimulatedSensor:
 
     def _bias(self, marker: int, corner: int, pixel: Array) -> Array:
         """Standard normal (2,), the same whenever this corner falls onto the same pixel."""
-        at = np.rint(pixel).astype(int)
-        return np.random.default_rng([self._seed, marker, corner, int(at[0]), int(at[1])]).standard_normal(2)
+        u, v = np.rint(pixel).astype(int).tolist()
+        return _standard_normal(self._seed, marker, corner, u, v)
+
+
+@lru_cache(maxsize=4096)
+def _standard_normal(*seed: int) -> Array:
+    return np.random.default_rng(seed).standard_normal(2)
 
 
 class FrameOdometry:

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.compiled import kernel
 from plant_emulator.config.camera import CameraConfig
 from plant_emulator.core.camera.camera_motion import CameraView, Capture
 from plant_emulator.core.camera.scene import Plate, Scene
@@ -35,16 +36,6 @@ class _Screens(NamedTuple):
     X_PW: Array
     low: Array
     high: Array
-
-    def hide(self, eye_W: Array, points_W: Array) -> Flags:
-        """Which of the points (n, 3) lie behind one of them, seen from ``eye_W`` (3,)."""
-        from_P, points_P = _in_each(self.X_PW, eye_W[None]), _in_each(self.X_PW, points_W)
-        height, depth = from_P[..., 2], points_P[..., 2]
-        deeper = (depth < -_ON_IT_M) & (height > 0.0)
-        share = height / np.where(deeper, height - depth, np.inf)
-        at = from_P[..., :2] + (points_P[..., :2] - from_P[..., :2]) * share[..., None]
-        within = np.all((at >= self.low[:, None]) & (at <= self.high[:, None]), axis=2)
-        return np.asarray(np.any(deeper & within, axis=0))
 
 
 class _Glance:
@@ -168,12 +159,12 @@ class TrueView:
 
     def _behind(self, glance: _Glance, eye: int, points_W: Array) -> Flags:
         """Which of the points (n, 3) lie behind something that stands or passes before the wall."""
-        eye_W, time_s = glance.eye_W(eye), 1e-9 * glance.shown.capture_ns
-        behind = self._standing.hide(eye_W, points_W)
-        passing = self._scene.passing(time_s)
-        return (
-            behind | _screens(self._scene.mounts.X_WO, passing).hide(eye_W, points_W) if passing else behind
-        )
+        eye_W, behind = glance.eye_W(eye), np.zeros(len(points_W), dtype=bool)
+        _hide(self._standing, eye_W, points_W, behind)
+        passing = self._scene.passing(1e-9 * glance.shown.capture_ns)
+        if passing:
+            _hide(_screens(self._scene.mounts.X_WO, passing), eye_W, points_W, behind)
+        return behind
 
     def _glance(self, shown: Capture) -> _Glance:
         """What all that is asked of one capture has in common."""
@@ -182,9 +173,30 @@ class TrueView:
         return self._latest
 
 
-def _in_each(X: Array, points: Array) -> Array:
-    """Points (n, 3) in the axes of each of the poses (k, 4, 4): (k, n, 3)."""
-    return np.asarray(points @ X[:, :3, :3].swapaxes(1, 2) + X[:, None, :3, 3])
+@kernel(nogil=True)
+def _hide(screens: _Screens, eye_W: Array, points_W: Array, behind: Flags) -> None:
+    """Set in ``behind`` (n,) which of the points (n, 3) lie behind a screen, seen from ``eye_W`` (3,)."""
+    for k in range(screens.X_PW.shape[0]):
+        X, low, high = screens.X_PW[k], screens.low[k], screens.high[k]
+        eye_x, eye_y, height = _placed(X, eye_W)
+        if height <= 0.0:
+            continue
+        for i in range(points_W.shape[0]):
+            x, y, depth = _placed(X, points_W[i])
+            if depth < -_ON_IT_M:
+                share = height / (height - depth)
+                across, up = eye_x + (x - eye_x) * share, eye_y + (y - eye_y) * share
+                behind[i] |= low[0] <= across <= high[0] and low[1] <= up <= high[1]
+
+
+@kernel(nogil=True)
+def _placed(X: Array, p: Array) -> tuple[float, float, float]:
+    """The point ``p`` (3,) in the axes of X (4, 4)."""
+    return (
+        X[0, 0] * p[0] + X[0, 1] * p[1] + X[0, 2] * p[2] + X[0, 3],
+        X[1, 0] * p[0] + X[1, 1] * p[1] + X[1, 2] * p[2] + X[1, 3],
+        X[2, 0] * p[0] + X[2, 1] * p[1] + X[2, 2] * p[2] + X[2, 3],
+    )
 
 
 def _screens(X_WO: Array, plates: Sequence[Plate]) -> _Screens:
