@@ -224,6 +224,24 @@ _SMALL = f"""[...document.querySelectorAll('{_TOUCHED}')]
     .filter(([, height]) => height > 0 && height < 44)"""  # too small for a thumb
 
 
+# what lies under STOP or the alarm line when the focus comes to it, from above and from below
+_HIDDEN_FOCUS = f"""async () => {{
+    const parts = [...document.querySelectorAll('main :is({_TOUCHED})')];
+    const [line, bar] = ['#alarm-line', '#stop-place'].map((place) => document.querySelector(place));
+    const hidden = [];
+    for (const from of [0, document.body.scrollHeight]) for (const each of parts) {{
+        scrollTo(0, from);
+        each.focus();
+        if (document.activeElement !== each) continue;
+        await new Promise(requestAnimationFrame);
+        const at = each.getBoundingClientRect();
+        const below = at.bottom > bar.getBoundingClientRect().top;
+        if (below || at.top < line.getBoundingClientRect().bottom) hidden.push(each.id || each.textContent);
+    }}
+    return hidden;
+}}"""
+
+
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_everybody_can_use_it(browser: Browser, theme: str) -> None:
     phone = {"width": 390, "height": 844}
@@ -242,6 +260,7 @@ def test_everybody_can_use_it(browser: Browser, theme: str) -> None:
             page.locator(f"{folded} summary").click()
         assert page.evaluate(_SMALL) == []
         assert page.evaluate("document.documentElement.scrollWidth") <= phone["width"]
+        assert page.evaluate(_HIDDEN_FOCUS) == []
         place = page.locator("#stop").bounding_box()
         assert place is not None
         assert place["y"] + place["height"] <= phone["height"]  # in view without scrolling

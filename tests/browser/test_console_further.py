@@ -116,14 +116,17 @@ def test_a_click_that_means_nothing_is_answered_in_words_and_nothing_moves(
         async def refuse(click: Click, frame_id: int | None) -> KeptTarget:
             raise TargetRefused(causes[0], CLICKS_IN_VAIN[causes[0]])
 
-        monkeypatch.setattr(bench.eyes, "target_at", refuse)
         with opened(browser, url, viewport={"width": width, "height": 844}) as page:
             expect(page.locator("#left")).to_have_attribute("data-frame", re.compile("[1-9]"))
+            page.locator("#find-holes").click()
+            expect(page.locator("#aims path.hole")).to_have_count(1, timeout=WITHIN_MS)
+            monkeypatch.setattr(bench.eyes, "target_at", refuse)
             while causes:
                 page.locator("#left").click(force=True)  # the overlay above it lets clicks rise
                 told = f"{CLICKS_IN_VAIN[causes[0]]} ({causes[0]})"
                 expect(page.locator("#answer")).to_contain_text(told, timeout=WITHIN_MS)
                 causes.pop(0)
+            expect(page.locator("#aims path.hole")).to_have_count(1)  # of a row, clicked one by one
             expect(page.locator("#target-rows li.aimed")).to_contain_text("the object’s markers")
             expect(page.locator("#answer")).to_be_in_viewport()
             is_state(page, "standby")
