@@ -197,6 +197,11 @@ class OdometrySettings(StrictModel):
         """Standard deviation of one tracked coordinate that the robust weights go with."""
         return self.huber_px / 3.0
 
+    @property
+    def watchful(self) -> bool:
+        """Whether nobody knows what the camera sees, so that motions are foreseen."""
+        return self.prior_floor_px > 0.0
+
 
 class RecordedSettings(StrictModel):
     """What odometry does otherwise in recordings of a camera that nobody here knows.

@@ -6,8 +6,8 @@ import numpy as np
 from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import pair_faults, patches, tracking
+from vision_pc.core.odometry.frame import Frame, PoseEstimate
 from vision_pc.core.odometry.keyframe_map import Keyframe, KeyframeMap, triangulated
-from vision_pc.core.odometry.localisation import Frame, PoseEstimate
 from vision_pc.core.odometry.moving_regions import without
 from vision_pc.core.odometry.rolling import Readout
 from vision_pc.core.odometry.shared_offset import SharedOffset

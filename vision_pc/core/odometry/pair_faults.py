@@ -4,7 +4,7 @@ import numpy as np
 
 from vision_pc.config.vision import OdometrySettings
 from vision_pc.core.odometry import tracking
-from vision_pc.core.odometry.localisation import Frame
+from vision_pc.core.odometry.frame import Frame
 from vision_pc.core.se3 import Array
 
 _MOST = 0.8

@@ -6,8 +6,9 @@ from vision_pc.config.vision import OdometrySettings, ToolMarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import tracking
 from vision_pc.core.odometry.arm_motion import ArmHistory
+from vision_pc.core.odometry.frame import Frame, PoseEstimate
 from vision_pc.core.odometry.keyframe_map import Keyframe, KeyframeMap
-from vision_pc.core.odometry.localisation import Frame, Localiser, PoseEstimate
+from vision_pc.core.odometry.localisation import Localiser
 from vision_pc.core.odometry.mapping import Mapper
 from vision_pc.core.odometry.motion_prior import UNDECIDED, Foreseen, MotionHistory
 from vision_pc.core.odometry.moving_regions import static_pixels
@@ -151,7 +152,7 @@ class StereoOdometry:
     @property
     def _on_probation(self) -> bool:
         """Whether two motions that nothing tells apart may have been in the map from its beginning."""
-        return bool(self._settings.prior_floor_px) and (self._doubted or self._located < _PROBATION)
+        return self._settings.watchful and (self._doubted or self._located < _PROBATION)
 
     def _lose(self, pair: StereoPair, why: str) -> None:
         """Keep in mind that ``pair`` could not be used."""

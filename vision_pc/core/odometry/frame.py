@@ -1,0 +1,40 @@
+"""One pair in work, and the pose that is found of it."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vision_pc.core.odometry.keyframe_map import Indices
+from vision_pc.core.odometry.tracking import Flags
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import Image, StereoPair
+
+_NOWHERE = np.zeros((0, 2))
+
+
+class Frame(NamedTuple):
+    """One pair in work, its left picture ``halved``, and where each eye may see the static world (height,
+    width).
+    """
+
+    pair: StereoPair
+    halved: Image
+    left_static: Flags
+    right_static: Flags
+
+
+class PoseEstimate(NamedTuple):
+    """A pair's pose against the map, with the map points (n,) that hold it, where the left eye sees them,
+    and the right eye's rays (n, 2) to those that it sees (n,). ``moving`` (m, 2): where the left eye saw
+    points that went another way. ``by_offset`` (6,): how the pose goes by a px of the disparities' offset.
+    """
+
+    X_C0C: Array
+    covariance: Array
+    ids: Indices
+    pixels: Array
+    right_rays: Array
+    seen_right: Flags
+    residual_px: float
+    moving: Array = _NOWHERE
+    by_offset: Array | None = None
