@@ -14,10 +14,8 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel
 
 _SURE = 8.0  # standard deviations, before a shutter is believed to roll
-_LEAST_SHARE, _MOST_SHARE = (
-    0.02,
-    1.05,
-)  # 0.7 ms at 30 pictures a second; a readout ends before the next begins
+_LEAST_SHARE = 0.05  # 1.7 ms at 30 pictures a second: what looks like less may be depths that are off
+_MOST_SHARE = 1.05  # a readout ends before the next begins
 _LEAST_POINTS = 20
 _ABOUT = 0.02  # what a pass over a recording knows the share to
 _HALF = 0.5  # the same where the motion before is unknown too
