@@ -117,6 +117,27 @@ def shared_offset(
     return OffsetTold(max(alone - taken_by, 0.0), missed - explained)
 
 
+class Drifts(NamedTuple):
+    """How all poses of a problem go by a px of the right eye's columns, ``twists`` (k, 6) in their own
+    cameras, and all ``points`` (m, 3) in C0.
+    """
+
+    twists: Array
+    points: Array
+
+
+def moved_by_offset(
+    problem: Problem, eyes: tuple[CameraModel, CameraModel], px: tuple[float, float], drifts: Drifts
+) -> tuple[Array, Array]:
+    """By how much more the free poses (twists (k, 6)) and the points (m, 3) of ``problem``, adjusted already,
+    go by a px of the right eye's columns than ``drifts`` says, which is from before. Known depths go with
+    their points. ``px``: as ``noise_px`` and ``huber_px`` of ``adjusted``.
+    """
+    linear = _Linearisation(problem, eyes, *px)
+    missed = linear.offset(px[0]) - linear.gone(problem.X_CC0, problem.points, drifts)
+    return _step(linear.blocks(problem.X_CC0, problem.points, missed), _UNDAMPED)
+
+
 class _Blocks(NamedTuple):
     """Normal equations: poses H (k, 6, 6) b (k, 6), points V (m, 3, 3) c (m, 3), mixed W (k, m, 6, 3)."""
 
@@ -162,11 +183,25 @@ class _Linearisation:
         """
         errors, _, _ = self._errors(X_CC0, points)
         weights = np.minimum(1.0, self._huber / np.maximum(np.linalg.norm(errors, axis=1), 1e-12))
-        offset = np.zeros_like(errors)
-        offset[: len(self._views.eye), 0] = self._views.eye / noise_px
+        offset = self.offset(noise_px)
         blocks = self.blocks(X_CC0, points, offset)
         weighted = weights[:, None] * offset
         return float((weighted * offset).sum()), blocks, float((weighted * errors).sum())
+
+    def offset(self, noise_px: float) -> Array:
+        """What 1 px of the right eye's columns makes of all errors (n, 2)."""
+        found = np.zeros((len(self._camera), 2))
+        found[: len(self._views.eye), 0] = self._views.eye / noise_px
+        return found
+
+    def gone(self, X_CC0: Array, points: Array, drifts: Drifts) -> Array:
+        """How what is expected of the views (n, 2) goes by ``drifts``; nothing of known depths."""
+        _, rate, in_camera = self._errors(X_CC0, points)
+        to_point = rate @ X_CC0[self._camera, :3, :3]
+        found = np.einsum("nij,nj->ni", _to_pose(rate, in_camera), drifts.twists[self._camera])
+        found += np.einsum("nij,nj->ni", to_point, drifts.points[self._point])
+        found[len(self._views.eye) :] = 0.0
+        return np.asarray(found)
 
     def blocks(self, X_CC0: Array, points: Array, missed: Array | None = None) -> _Blocks:
         """The normal equations at ``X_CC0`` and ``points``; a pose moves by [p; θ] in its own camera.
@@ -174,8 +209,7 @@ class _Linearisation:
         """
         errors, rate, in_camera = self._errors(X_CC0, points)
         weights = np.minimum(1.0, self._huber / np.maximum(np.linalg.norm(errors, axis=1), 1e-12))
-        turn = np.cross(in_camera[:, None, :], rate)  # a · (θ × p) = (p × a) · θ
-        to_pose = np.concatenate([rate, turn], axis=2)
+        to_pose = _to_pose(rate, in_camera)
         to_point = rate @ X_CC0[self._camera, :3, :3]
 
         errors = errors if missed is None else missed
@@ -209,6 +243,12 @@ class _Linearisation:
         errors[count:, 0] = (self._depths.inverse - near) / self._depths.std
         rate[count:, 0, 2] = -(near**2) / self._depths.std
         return errors, rate, in_camera
+
+
+def _to_pose(rate: Array, in_camera: Array) -> Array:
+    """How errors (n, 2, 6) change with their pose, from how they do with points (n, 3) in its camera."""
+    turn = np.cross(in_camera[:, None, :], rate)  # a · (θ × p) = (p × a) · θ
+    return np.concatenate([rate, turn], axis=2)
 
 
 def _summation(group: NDArray[np.int64], groups: int) -> scipy.sparse.csr_array:

@@ -5,63 +5,22 @@ is unknown about it, only that is uncertain, and about equally so for near and f
 adds what it saw.
 """
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
 from vision_pc.core import se3
-from vision_pc.core.odometry import bundle_adjustment, offset_drift
-from vision_pc.core.odometry.offset_drift import HeldBy
-from vision_pc.core.odometry.templates import Templates
-from vision_pc.core.odometry.tracking import Flags
+from vision_pc.core.odometry import bundle_adjustment
+from vision_pc.core.odometry.keyframe import Indices, Keyframe
+from vision_pc.core.odometry.offset_drift import Lines, MapDrift, PoseDrift
+from vision_pc.core.odometry.triangulation import disparity_metres
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, CameraModel, Image
+from vision_pc.core.types import CameraCalibration, CameraModel
 
-Indices = NDArray[np.int64]
-
-_NEAR = 0.1  # m: nearer depths are mismatches
 _LARGEST_TURN = np.radians(25.0)  # beyond it a keyframe's patches no longer look alike
 _LARGEST_ZOOM = 1.35
 _LEAST_SHARED = 15  # points with the window, for a keyframe to hold it
 _LEAST_SCALE_STD = 2e-5
 SHARED = 2.0  # depths share the errors of the poses at which they were learnt: measured against the truth
 _OLDEST = 0.2  # of points: may be mismatched
-
-
-class Keyframe(NamedTuple):
-    """A remembered left picture (also ``halved``), its pose, and the map points ``ids`` (n,) that it shows.
-
-    ``pixels`` (n, 2) where it shows them, ``rays`` (n, 2) the same undistorted, ``surfaces`` (n, 3) from
-    ``patches.planes``; ``right_rays`` (n, 2) in the right eye, where ``seen_right`` (n,). Keyframes are
-    numbered in the order in which they were made. ``templates`` are of all points that it was made with,
-    ``rows`` (n,) which of those these are.
-    """
-
-    number: int
-    X_C0C: Array
-    left: Image
-    halved: Image
-    ids: Indices
-    pixels: Array
-    rays: Array
-    surfaces: Array
-    right_rays: Array
-    seen_right: Flags
-    templates: Templates
-    rows: Indices
-
-    def only(self, chosen: Flags) -> "Keyframe":
-        """The keyframe with the ``chosen`` (n,) of its points."""
-        return self._replace(
-            ids=self.ids[chosen],
-            pixels=self.pixels[chosen],
-            rays=self.rays[chosen],
-            surfaces=self.surfaces[chosen],
-            right_rays=self.right_rays[chosen],
-            seen_right=self.seen_right[chosen],
-            rows=self.rows[chosen],
-        )
 
 
 class KeyframeMap:
@@ -71,7 +30,13 @@ class KeyframeMap:
     whole map, relative.
     """
 
-    def __init__(self, camera: CameraCalibration, depth_floor_px: float, depth_told_px: float = 0.0) -> None:
+    def __init__(
+        self,
+        camera: CameraCalibration,
+        depth_floor_px: float,
+        depth_told_px: float = 0.0,
+        drifts: bool = False,
+    ) -> None:
         self.keyframes: list[Keyframe] = []
         self.points = np.zeros((0, 3))
         self._eyes = (camera.left, camera.right)
@@ -82,7 +47,7 @@ class KeyframeMap:
         self._told_std = depth_told_px / self._disparity_metres
         self._inverse_depths, self._information, self._told = np.zeros(0), np.zeros(0), np.zeros(0)
         self._first = np.zeros(0, dtype=np.int64)  # number of the keyframe that first shows each point
-        self._by_offset = np.zeros((0, 6))  # how its pose goes by a px of the disparities' offset
+        self._drift = MapDrift(camera) if drifts else None
         self.scale_std = 0.0
 
     def add_points(
@@ -90,11 +55,11 @@ class KeyframeMap:
         X_C0C: Array,
         points_C: Array,
         noise_px: float,
-        by_offset: Array | None = None,
+        drift: Array | None = None,
         told_px: float = 0.0,
     ) -> Indices:
         """The numbers given to new ``points_C`` (n, 3), triangulated by a camera at ``X_C0C``, which becomes
-        the next keyframe. ``by_offset`` (6,): how its pose goes by a px of the disparities' offset;
+        the next keyframe. ``drift`` (6,): how its pose goes by a px of the disparities' offset;
         ``told_px``: what matching truly leaves, where that is known.
         """
         first, count = len(self.points), len(points_C)
@@ -109,8 +74,8 @@ class KeyframeMap:
         told = max(noise_px, told_px) / self._disparity_metres
         self._told = np.concatenate([self._told, np.full(count, told**-2.0)])
         self._first = np.concatenate([self._first, np.full(count, self.next_number)])
-        drift = np.zeros(6) if by_offset is None else by_offset
-        self._by_offset = np.vstack([self._by_offset, np.tile(drift, (count, 1))])
+        if self._drift is not None:
+            self._drift.add(self.next_number, count, drift)
         self.points = np.vstack([self.points, se3.apply(X_C0C, points_C)])
         return np.arange(first, first + count)
 
@@ -152,14 +117,17 @@ class KeyframeMap:
         rates = -self._directions[ids] / self._inverse_depths[ids][:, None] ** 2
         return np.stack([_image_rates(eye, X_CC0, self.points[ids], rates) for eye in self._eyes])
 
-    def by_offset(self, ids: Indices, X_CC0: Array, weights: Array) -> Array:
+    def drift(self, ids: Indices, X_CC0: Array, weights: Array) -> PoseDrift | None:
         """How a pose that points ``ids`` hold with ``weights`` (2, n) goes by a px of the disparities'
-        offset: [δp; δθ] (6,) in C0, with all that they have gone themselves.
+        offset, with all that they have gone themselves; None where that is not followed.
         """
-        points = self.points[ids]
-        moved = offset_drift.moved(self._by_offset[ids], self._origins[ids], points)
-        held = HeldBy(points, moved, self.sensitivity(ids, X_CC0), weights)
-        return offset_drift.pose_by_offset(self._eyes, se3.inverse(X_CC0), held, self._disparity_metres)
+        if self._drift is None:
+            return None
+        gone = self._drift.of_points(ids, self._lines(ids))
+        return self._drift.of_pose(se3.inverse(X_CC0), self.points[ids], gone, weights)
+
+    def _lines(self, ids: Indices) -> Lines:
+        return Lines(self._first[ids], self._origins[ids], self._directions[ids], self._inverse_depths[ids])
 
     def stds(self, ids: Indices) -> Array:
         """Standard deviations (n,) of the inverse depths, 1/m."""
@@ -169,20 +137,29 @@ class KeyframeMap:
         """What inverse depths truly are known to (n,), 1/m: the floor of ``stds`` is what weighs them."""
         return np.asarray(np.maximum(self._told[ids] ** -0.5, self._told_std))
 
-    def update(self, ids: Indices, X_CC0: Array, errors_px: Array, weights: Array, noise_px: float) -> None:
+    def update(
+        self,
+        ids: Indices,
+        X_CC0: Array,
+        errors_px: Array,
+        weights: Array,
+        noise_px: float,
+        drift: PoseDrift | None = None,
+    ) -> None:
         """Correct the points ``ids`` by what a frame at ``X_CC0`` saw.
 
         ``errors_px`` (2, n, 2) measured minus expected in both eyes, ``weights`` (2, n) 0…1, ``noise_px``
-        of one coordinate.
+        of one coordinate; ``drift`` of the frame's pose, where it is followed.
         """
         J = self.sensitivity(ids, X_CC0)
         precision = weights[:, :, None] / noise_px**2
         added = (precision * J * J).sum(axis=(0, 2))
         self._information[ids] += added
         self._told[ids] += added / SHARED
-        step = (precision * J * errors_px).sum(axis=(0, 2)) / np.maximum(
-            self._information[ids], self.stds(ids) ** -2.0
-        )
+        known = np.maximum(self._information[ids], self.stds(ids) ** -2.0)
+        step = (precision * J * errors_px).sum(axis=(0, 2)) / known
+        if self._drift is not None and drift is not None:
+            self._drift.learn(ids, (precision * J * drift.views).sum(axis=(0, 2)) / known)
         limit = 3.0 * self.stds(ids)
         self._inverse_depths[ids] += np.clip(step, -limit, limit)
         self._information[ids] = np.minimum(self._information[ids], self._least_std**-2.0)
@@ -206,6 +183,10 @@ class KeyframeMap:
             return
         problem, ids = self._problem(held, free, shown)
         found = bundle_adjustment.adjusted(problem, self._eyes, noise_px, huber_px)
+        there = problem._replace(X_CC0=found.X_CC0, points=found.points)
+        if self._drift is not None:
+            numbers = [keyframe.number for keyframe in (*held, *free)]
+            self._drift.adjust(there, numbers, ids, self._lines(ids), (noise_px, huber_px))
         for keyframe, X_CC0 in zip(free, found.X_CC0[len(held) :], strict=True):
             self._move(keyframe, se3.inverse(X_CC0))
         lengths = np.linalg.norm(self._directions[ids], axis=1)
@@ -290,25 +271,3 @@ def _image_rates(eye: CameraModel, X_CC0: Array, points: Array, rates: Array) ->
     seen, moved = se3.apply(X_EC0, points), rates @ X_EC0[:3, :3].T
     slopes = (moved[:, :2] - seen[:, :2] / seen[:, 2:] * moved[:, 2:]) / seen[:, 2:]
     return np.asarray(slopes * (eye.K[0, 0], eye.K[1, 1]))
-
-
-def disparity_metres(camera: CameraCalibration) -> float:
-    """Depth times disparity, px m."""
-    return float(camera.right.K[0, 0] * np.linalg.norm(camera.right.X_CE[:3, 3]))
-
-
-def triangulated(
-    left_rays: Array, right_rays: Array, camera: CameraCalibration, least_disparity_px: float
-) -> tuple[Array, Flags]:
-    """Points (n, 3) in C on the left eye's rays (n, 2) where the right eye's columns (n, 2) put them, and
-    which are at a sensible depth (n,): with at least this disparity.
-    """
-    X_RC = se3.inverse(camera.right.X_CE)
-    directions = np.column_stack([left_rays, np.ones(len(left_rays))])
-    a, b = directions @ X_RC[:3, :3].T, X_RC[:3, 3]
-    divisor = right_rays[:, 0] * a[:, 2] - a[:, 0]
-    usable = divisor < -1e-6 if b[0] < 0.0 else divisor > 1e-6
-    depth = (b[0] - right_rays[:, 0] * b[2]) / np.where(usable, divisor, 1.0)
-    return directions * depth[:, None], usable & (depth > _NEAR) & (
-        depth * least_disparity_px < disparity_metres(camera)
-    )

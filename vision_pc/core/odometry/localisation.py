@@ -8,7 +8,8 @@ from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import patches, pose_spread, tracking
 from vision_pc.core.odometry.frame import Frame, PoseEstimate
-from vision_pc.core.odometry.keyframe_map import SHARED, Indices, Keyframe, KeyframeMap
+from vision_pc.core.odometry.keyframe import Indices, Keyframe
+from vision_pc.core.odometry.keyframe_map import SHARED, KeyframeMap
 from vision_pc.core.odometry.motion_choice import MotionChoice, Tracked
 from vision_pc.core.odometry.motion_prior import Foreseen
 from vision_pc.core.odometry.rolling import PointViews, Readout
@@ -177,15 +178,15 @@ class Localiser:
         told = SHARED
         if self._settings.watchful:
             told = pose_spread.widened(self._map, ids, X_CC0, errors, weights, self._noise_px)
-        self._map.update(ids, X_CC0, errors, seen, self._noise_px)
+        drift = self._map.drift(ids, X_CC0, weights)
+        self._map.update(ids, X_CC0, errors, seen, self._noise_px, drift)
         self._noise_px = max(residual, _LEAST_NOISE_PX)
         covariance = told * se3.inverse_covariance(X_CC0, solution.covariances[0])
         if self._readout.share:
             depth = float(np.median(views.points_C[:, 2]))
             covariance = covariance + np.diag(self._readout.std(depth) ** 2)
-        by_offset = self._map.by_offset(ids, X_CC0, weights) if self._settings.watchful else None
         found = PoseEstimate(se3.inverse(X_CC0), covariance, ids, pixels, rays[1], seen[1] > 0.0, residual)
-        return found._replace(by_offset=by_offset)
+        return found._replace(by_offset=None if drift is None else drift.pose)
 
     def _weights(self, ids: Indices, X_CC0: Array) -> Array:
         """Weights (2, n) 0…1 of the eyes' views: less where an uncertain depth moves the view."""

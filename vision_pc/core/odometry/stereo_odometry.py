@@ -7,7 +7,8 @@ from vision_pc.core import se3
 from vision_pc.core.odometry import tracking
 from vision_pc.core.odometry.arm_motion import ArmHistory
 from vision_pc.core.odometry.frame import Frame, PoseEstimate
-from vision_pc.core.odometry.keyframe_map import Keyframe, KeyframeMap
+from vision_pc.core.odometry.keyframe import Keyframe
+from vision_pc.core.odometry.keyframe_map import KeyframeMap
 from vision_pc.core.odometry.localisation import Localiser
 from vision_pc.core.odometry.mapping import Mapper
 from vision_pc.core.odometry.motion_prior import UNDECIDED, Foreseen, MotionHistory
@@ -49,7 +50,9 @@ class StereoOdometry:
         self._camera = camera
         self._settings = settings
         self._tool = tool
-        self._map = KeyframeMap(camera, settings.depth_floor_px, settings.depth_told_px)
+        self._map = KeyframeMap(
+            camera, settings.depth_floor_px, settings.depth_told_px, drifts=settings.watchful
+        )
         self._readout = readout or Readout(camera, learns=False)
         self._localiser = Localiser(camera, settings, self._map, self._readout, doubted)
         self._mapper = Mapper(
