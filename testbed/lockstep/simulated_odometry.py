@@ -10,10 +10,10 @@ from plant_emulator.core.camera.camera_motion import Capture
 from testbed.lockstep.true_view import TrueView
 from vision_pc.config.vision import OdometrySettings, ToolMarkerSettings
 from vision_pc.core import se3
-from vision_pc.core.odometry.keyframe import Indices
+from vision_pc.core.odometry.keyframes.keyframe import Indices
+from vision_pc.core.odometry.keyframes.triangulation import triangulated
 from vision_pc.core.odometry.moving_regions import static_pixels
 from vision_pc.core.odometry.tracking import Flags, inside
-from vision_pc.core.odometry.triangulation import triangulated
 from vision_pc.core.perception import intrinsics, stereo_pose
 from vision_pc.core.perception.stereo_pose import BodyView, Priors
 from vision_pc.core.se3 import Array

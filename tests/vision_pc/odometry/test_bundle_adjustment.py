@@ -9,8 +9,9 @@ from tests.vision_pc.odometry.test_odometry import pair_at
 from tests.vision_pc.rendering import wall_texture
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
-from vision_pc.core.odometry import StereoOdometry, bundle_adjustment
-from vision_pc.core.odometry.bundle_adjustment import Depths, Problem, Views
+from vision_pc.core.odometry import StereoOdometry
+from vision_pc.core.odometry.keyframes import bundle_adjustment
+from vision_pc.core.odometry.keyframes.bundle_adjustment import Depths, Problem, Views
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration
 

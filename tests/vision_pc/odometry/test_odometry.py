@@ -11,7 +11,7 @@ from tests.vision_pc.rendering import Marker, facing, finish, render, wall_textu
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.odometry import StereoOdometry, moving_regions, patches, smoothing
-from vision_pc.core.odometry.triangulation import triangulated
+from vision_pc.core.odometry.keyframes.triangulation import triangulated
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, StereoPair

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from vision_pc.core import se3
-from vision_pc.core.odometry.keyframe import Indices
-from vision_pc.core.odometry.keyframe_map import KeyframeMap
-from vision_pc.core.odometry.offset_drift import PoseDrift
-from vision_pc.core.odometry.triangulation import disparity_metres
+from vision_pc.core.odometry.keyframes.keyframe import Indices
+from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
+from vision_pc.core.odometry.keyframes.offset_drift import PoseDrift
+from vision_pc.core.odometry.keyframes.triangulation import disparity_metres
 from vision_pc.core.perception import stereo_pose
 from vision_pc.core.perception.stereo_pose import BodyView, Priors
 from vision_pc.core.se3 import Array

@@ -3,7 +3,7 @@
 import pytest
 
 from vision_pc.config.vision import VisionConfig
-from vision_pc.core.odometry.bundle_adjustment import OffsetTold
+from vision_pc.core.odometry.keyframes.bundle_adjustment import OffsetTold
 from vision_pc.core.odometry.shared_offset import SharedOffset
 
 BELIEVED_PX = 0.3

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vision_pc.core.odometry.templates import Templates
+from vision_pc.core.odometry.keyframes.templates import Templates
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vision_pc.core.odometry.keyframe import Indices
+from vision_pc.core.odometry.keyframes.keyframe import Indices
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image, StereoPair

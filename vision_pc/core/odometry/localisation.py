@@ -8,12 +8,12 @@ from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import patches, pose_spread, tracking
 from vision_pc.core.odometry.frame import Frame, PoseEstimate
-from vision_pc.core.odometry.keyframe import Indices, Keyframe
-from vision_pc.core.odometry.keyframe_map import SHARED, KeyframeMap
+from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
+from vision_pc.core.odometry.keyframes.keyframe_map import SHARED, KeyframeMap
+from vision_pc.core.odometry.keyframes.templates import Templates
 from vision_pc.core.odometry.motion_choice import MotionChoice, Tracked
 from vision_pc.core.odometry.motion_prior import Foreseen
 from vision_pc.core.odometry.rolling import PointViews, Readout
-from vision_pc.core.odometry.templates import Templates
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics, stereo_pose
 from vision_pc.core.perception.stereo_pose import BodyPoses, BodyView, Priors

@@ -7,14 +7,14 @@ from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import pair_faults, patches, tracking
 from vision_pc.core.odometry.frame import Frame, PoseEstimate
-from vision_pc.core.odometry.keyframe import Keyframe
-from vision_pc.core.odometry.keyframe_map import KeyframeMap
+from vision_pc.core.odometry.keyframes.keyframe import Keyframe
+from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
+from vision_pc.core.odometry.keyframes.templates import Templates
+from vision_pc.core.odometry.keyframes.triangulation import triangulated
 from vision_pc.core.odometry.moving_regions import without
 from vision_pc.core.odometry.rolling import Readout
 from vision_pc.core.odometry.shared_offset import SharedOffset
-from vision_pc.core.odometry.templates import Templates
 from vision_pc.core.odometry.tracking import Flags
-from vision_pc.core.odometry.triangulation import triangulated
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, Image

@@ -12,8 +12,8 @@ from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
 from vision_pc.core.odometry import patches, tracking
 from vision_pc.core.odometry.frame import Frame
-from vision_pc.core.odometry.keyframe import Indices, Keyframe
-from vision_pc.core.odometry.keyframe_map import KeyframeMap
+from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
+from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
 from vision_pc.core.odometry.motion_prior import Foreseen
 from vision_pc.core.odometry.rolling import Readout
 from vision_pc.core.odometry.tracking import Flags

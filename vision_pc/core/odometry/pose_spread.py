@@ -6,8 +6,8 @@ what depths are known to, and by what is left in the views themselves: the large
 
 import numpy as np
 
-from vision_pc.core.odometry.keyframe import Indices
-from vision_pc.core.odometry.keyframe_map import SHARED, KeyframeMap
+from vision_pc.core.odometry.keyframes.keyframe import Indices
+from vision_pc.core.odometry.keyframes.keyframe_map import SHARED, KeyframeMap
 from vision_pc.core.se3 import Array
 
 _TAILS = 1.5  # [E] of a pose's variance: single pictures are off by more than a normal error

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
-from vision_pc.core.odometry.keyframe import Keyframe
+from vision_pc.core.odometry.keyframes.keyframe import Keyframe
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array

@@ -6,11 +6,11 @@ import numpy as np
 
 from vision_pc.config.vision import OdometrySettings, RecordedSettings
 from vision_pc.core import se3
+from vision_pc.core.odometry.keyframes.triangulation import disparity_metres
 from vision_pc.core.odometry.rolling import Readout
 from vision_pc.core.odometry.shared_offset import FoundOffset, SharedOffset
 from vision_pc.core.odometry.stereo_odometry import StereoOdometry
 from vision_pc.core.odometry.straightening import straightened
-from vision_pc.core.odometry.triangulation import disparity_metres
 from vision_pc.core.odometry.way_error import WayError
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vision_pc.config.vision import OdometrySettings
-from vision_pc.core.odometry.keyframe_map import KeyframeMap
+from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
 
 _WINDOW = 4  # keyframes that are adjusted together
 _EVERY = 2  # keyframes

@@ -7,8 +7,8 @@ from vision_pc.core import se3
 from vision_pc.core.odometry import tracking
 from vision_pc.core.odometry.arm_motion import ArmHistory
 from vision_pc.core.odometry.frame import Frame, PoseEstimate
-from vision_pc.core.odometry.keyframe import Keyframe
-from vision_pc.core.odometry.keyframe_map import KeyframeMap
+from vision_pc.core.odometry.keyframes.keyframe import Keyframe
+from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
 from vision_pc.core.odometry.localisation import Localiser
 from vision_pc.core.odometry.mapping import Mapper
 from vision_pc.core.odometry.motion_prior import UNDECIDED, Foreseen, MotionHistory

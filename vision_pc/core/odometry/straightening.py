@@ -7,7 +7,7 @@ Disparities say nothing of themselves, but rows must agree: what they miss by is
 import numpy as np
 
 from vision_pc.core import se3
-from vision_pc.core.odometry.triangulation import triangulated
+from vision_pc.core.odometry.keyframes.triangulation import triangulated
 from vision_pc.core.perception import intrinsics
 from vision_pc.core.types import CameraCalibration, PointPairs
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vision_pc.core.odometry.templates import Templates
+from vision_pc.core.odometry.keyframes.templates import Templates
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import Image

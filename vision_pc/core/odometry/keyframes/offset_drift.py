@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from vision_pc.core import se3
-from vision_pc.core.odometry import bundle_adjustment
-from vision_pc.core.odometry.keyframe import Indices
-from vision_pc.core.odometry.triangulation import disparity_metres
+from vision_pc.core.odometry.keyframes import bundle_adjustment
+from vision_pc.core.odometry.keyframes.keyframe import Indices
+from vision_pc.core.odometry.keyframes.triangulation import disparity_metres
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel
 

@@ -1,0 +1,1 @@
+"""What odometry remembers: keyframes and the points that they show, held together."""
