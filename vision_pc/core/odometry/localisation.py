@@ -11,7 +11,7 @@ from vision_pc.core.odometry.frame import Frame, PoseEstimate
 from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
 from vision_pc.core.odometry.keyframes.keyframe_map import SHARED, KeyframeMap
 from vision_pc.core.odometry.keyframes.templates import Templates
-from vision_pc.core.odometry.motion_choice import MotionChoice, Tracked
+from vision_pc.core.odometry.motion_choice import FoundPoints, MotionChoice
 from vision_pc.core.odometry.motion_prior import Foreseen
 from vision_pc.core.odometry.rolling import PointViews, Readout
 from vision_pc.core.odometry.tracking import Flags
@@ -75,7 +75,7 @@ class Localiser:
         good &= coarse.good & tracking.inside(pixels, frame.left_static)
         part, pixels = part.only(good), pixels[good]
         if len(pixels) >= self._settings.minimum_inliers:
-            chosen = self._choice.chosen(frame, Tracked(keyframe, part, pixels), expected, foreseen)
+            chosen = self._choice.chosen(frame, FoundPoints(keyframe, part, pixels), expected, foreseen)
             if isinstance(chosen, str):
                 return chosen
             inliers = chosen.inliers

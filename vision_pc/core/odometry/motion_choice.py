@@ -26,11 +26,12 @@ _FEW = 0.5  # of the points that should be seen: fewer may not bring about a mot
 _STRICT_SHARE = 0.05  # of a second motion: what was outvoted may be the world
 _STRICT = 0.35  # of ``ransac_px``: one pose can hold the world and what is slow for many pictures
 _DEPTHS = 3.0  # standard deviations of a point's depth
+_BY_DEPTH = 0.9  # of a second motion's points: such depths put all of them off, a slow thing but some
 _SECOND_POINTS = 12  # at least, of a second motion
 _GROSS = 4.0  # times what the arm's motion may differ by: nobody asked for more than that
 
 
-class Motion(NamedTuple):
+class SeenMotion(NamedTuple):
     """A pose, the points (n,) that agree with it, and those that agree on another."""
 
     X_CC0: Array
@@ -38,7 +39,7 @@ class Motion(NamedTuple):
     moving: Flags
 
 
-class Tracked(NamedTuple):
+class FoundPoints(NamedTuple):
     """Points of a ``whole`` keyframe, those of them that were ``found`` (n), and where, px (n, 2)."""
 
     whole: Keyframe
@@ -67,7 +68,9 @@ class MotionChoice:
         self.mixed_since: int | None = None
         """The keyframe from which on both motions of the last picture were in the map; None: one was seen."""
 
-    def chosen(self, frame: Frame, tracked: Tracked, expected: Array, foreseen: Foreseen) -> Motion | str:
+    def chosen(
+        self, frame: Frame, tracked: FoundPoints, expected: Array, foreseen: Foreseen
+    ) -> SeenMotion | str:
         """The motion to believe of those that fit what was ``tracked`` into ``frame``, expected about at
         ``expected`` (X_C0C); or the loss's cause: ``two_motions``, with its detail, or ``sudden_motion``.
 
@@ -84,15 +87,17 @@ class MotionChoice:
         forgiving = foreseen.arm is None and not strict
         other = self._second(ids, pixels, (X_CC0, inliers), expected, strict, forgiving)
         if other is None:
-            return self._single(frame, tracked, Motion(X_CC0, inliers, np.zeros_like(inliers)), foreseen)
+            return self._single(frame, tracked, SeenMotion(X_CC0, inliers, np.zeros_like(inliers)), foreseen)
         X_theirs, theirs = other
         number = foreseen.chosen((X_CC0, X_theirs), points, self._camera)
         self.mixed_since = max(self._map.shown_since(ids[one]) for one in (inliers, theirs))
         if isinstance(number, str):
             return number
-        return (Motion(X_CC0, inliers, theirs), Motion(X_theirs, theirs, inliers))[number]
+        return (SeenMotion(X_CC0, inliers, theirs), SeenMotion(X_theirs, theirs, inliers))[number]
 
-    def _single(self, frame: Frame, tracked: Tracked, only: Motion, foreseen: Foreseen) -> Motion | str:
+    def _single(
+        self, frame: Frame, tracked: FoundPoints, only: SeenMotion, foreseen: Foreseen
+    ) -> SeenMotion | str:
         """The ``only`` motion that is seen, or ``sudden_motion`` where it goes against what is known."""
         X_CC0, ids = only.X_CC0, tracked.found.ids
         watchful = self._settings.watchful
@@ -160,8 +165,8 @@ class MotionChoice:
     ) -> tuple[Array, Flags] | None:
         """Another pose on which points ``ids`` (n,) at ``pixels`` agree that disagree with the ``first``, and
         which (n,): something large moves, or all but it. They must be ``second_motion_share`` of all at
-        least, and where that is ``forgiving`` whatever their depths are; fewer will do where what moves may
-        be the larger part (``strict``).
+        least; fewer will do where what moves may be the larger part (``strict``). Points that other depths
+        would nearly all put right are none, if that is to be ``forgiving``.
         """
         X_CC0, inliers = first
         share = _STRICT_SHARE if strict else self._settings.second_motion_share
@@ -175,16 +180,19 @@ class MotionChoice:
         found, agree = self._coarse_pose(self._map.points[ids[rest]], pixels[rest], expected, strict)
         theirs = np.zeros(len(ids), dtype=bool)
         theirs[rest[agree]] = True
-        if forgiving:
-            agree = agree[agree] & ~self._by_depth(ids[theirs], pixels[theirs], X_CC0)
-        return (found, theirs) if int(agree.sum()) >= least else None
+        if int(agree.sum()) < least:
+            return None
+        if forgiving and self._by_depth(ids[theirs], pixels[theirs], X_CC0).mean() > _BY_DEPTH:
+            return None
+        return found, theirs
 
     def _by_depth(self, ids: Indices, pixels: Array, X_CC0: Array) -> Flags:
         """Which points ``ids`` (n,), seen at ``pixels``, miss a camera at ``X_CC0`` by no more than another
-        depth of theirs would bring about: seen from far aside that is many pixels, and no other motion.
+        depth would bring about, as well as depths are truly known: seen from far aside that is many pixels,
+        and no other motion.
         """
         missed = pixels - intrinsics.project(self._camera.left, se3.apply(X_CC0, self._map.points[ids]))
-        by_depth = self._map.sensitivity(ids, X_CC0)[0] * self._map.stds(ids)[:, None]
+        by_depth = self._map.sensitivity(ids, X_CC0)[0] * self._map.told_stds(ids)[:, None]
         steps = (missed * by_depth).sum(axis=1) / np.maximum((by_depth**2).sum(axis=1), 1e-12)
         left = missed - np.clip(steps, -_DEPTHS, _DEPTHS)[:, None] * by_depth
         return np.asarray(np.linalg.norm(left, axis=1) < self._settings.ransac_px)
