@@ -1,4 +1,5 @@
-"""The tables of docs/evidence.md, made from the rows under docs/results; ``python -m tools.evidence_page``.
+"""The tables of docs/evidence.md and docs/evidence_history.md, made from the rows under docs/results;
+``python -m tools.evidence_page``.
 
 ``python -m tools.evidence_page keep RUN NAME COMMIT COMMAND…`` copies a campaign's rows there first: RUN is
 its directory, COMMIT what it ran on, COMMAND what was typed. Rows that no longer count, for what was changed
@@ -34,7 +35,7 @@ from tools.protocol_page import filled
 from tools.tables import table
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "evidence.md"
+PAGES = (ROOT / "docs" / "evidence.md", ROOT / "docs" / "evidence_history.md")
 RESULTS = ROOT / "docs" / "results"
 ON_PAGES_OF_SIGHT = ("targets", "hole-drives", "marker-limits")  # ``tools.sight_pages`` shows them
 MET = {True: "yes", False: "NO", None: ""}
@@ -213,4 +214,5 @@ def rendered(text: str) -> str:
 if __name__ == "__main__":
     if sys.argv[1:2] == ["keep"]:
         keep(Path(sys.argv[2]), sys.argv[3], sys.argv[4], " ".join(sys.argv[5:]))
-    PAGE.write_text(rendered(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for page in PAGES:
+        page.write_text(rendered(page.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""docs/evidence.md is what its rows say, and rows that are kept are read again."""
+"""docs/evidence.md and its history are what their rows say, and rows that are kept are read again."""
 
 import json
 from pathlib import Path
@@ -10,13 +10,19 @@ from testbed.campaigns.typed_rows import XYZ, flat
 from testbed.experiments.positioning.corrected_run import Branch, PositioningRow
 from testbed.experiments.positioning.told import Told
 from tools import sight_pages
-from tools.evidence_page import PAGE, keep, rendered, sections
-
-TEXT = PAGE.read_text(encoding="utf-8")
+from tools.evidence_page import PAGES, keep, rendered, sections
 
 
-def test_the_tables_are_those_of_the_rows() -> None:
-    assert rendered(TEXT) == TEXT, "run: python -m tools.evidence_page"
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_tables_are_those_of_the_rows(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert rendered(text) == text, "run: python -m tools.evidence_page"
+
+
+def test_every_table_is_on_one_page() -> None:
+    texts = [page.read_text(encoding="utf-8") for page in PAGES]
+    for name in sections():
+        assert sum(f"<!-- generated: {name} -->" in text for text in texts) == 1, name
 
 
 @pytest.mark.parametrize("page", sight_pages.PAGES, ids=lambda page: page.stem)
