@@ -17,8 +17,8 @@ from testbed.cli.main import app
 pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).parents[3]
-EVIDENCE = ROOT / "docs" / "evidence.md"  # shows the commands that were run, under the names they had then
-PAGES = [ROOT / "README.md", *(page for page in (ROOT / "docs").rglob("*.md") if page != EVIDENCE)]
+EVIDENCE = {ROOT / "docs" / name for name in ("evidence.md", "evidence_history.md")}  # the names of then
+PAGES = [ROOT / "README.md", *(page for page in (ROOT / "docs").rglob("*.md") if page not in EVIDENCE)]
 SAID_OTHERWISE = {"--runs", "--directory", "--output", "--outdir", "--drawn", "--n", "--number-of-runs"}
 WITHOUT_FIGURES = {  # commands that print none, so that there is nothing for --json to write
     "up", "sniff", "init", "token new", "arm new", "arm draw", "picture machine", "picture run", "runs open",

@@ -55,11 +55,28 @@ def bias_of(sighted: Sighted, X: Array, plane: PlanePatch) -> Array:
         radial = math.sqrt(errors.covariance[6, 6])
     covariance = np.asarray(lens_covariance(X, sighted.markers, radial))
     ray, before = X[:3, 3] / X[2, 3], frame_on(X[:3, 3], plane.n)
+    baseline_m = float(np.linalg.norm(sighted.camera.right.X_CE[:3, 3]))
+    others = [radial * turned_by_radial(plane.n, ray, baseline_m)]
     for offset_px, baseline in _shared_errors(sighted):
-        n = plane.n * (1.0 + baseline) + np.array([0.0, 0.0, offset_px * plane.offset_rate])
+        others.append(plane.n * baseline + np.array([0.0, 0.0, offset_px * plane.offset_rate]))
+    for other in others:
+        n = plane.n + other
         moved = se3.local(before, frame_on(ray / (n @ ray), n))
         covariance += np.outer(moved, moved)
     return covariance
+
+
+def turned_by_radial(n: Array, ray: Array, baseline_m: float) -> Array:
+    """How a plane's n (3,) 1/m turns about its place on ``ray`` (z = 1) with an error of both eyes' k1.
+
+    k1 moves what is at (x, y) by k1 r² (x, y), at x in one eye and at x − d in the other. Its gradient in the
+    disparity d = baseline n·(x, y, 1) is a turn: 3 k1 (2 x − d) for a plane that faces the camera.
+    """
+    (x, y, _), d = ray, baseline_m * float(n @ ray)
+    (d_x, d_y, _), other = baseline_m * n, x - d
+    g_x = 3.0 * (1.0 - d_x) * (x**2 - other**2) - 2.0 * x * y * d_y
+    g_y = 2.0 * y * (d - x * d_x) + d_y * (3.0 * other**2 - x**2 - 2.0 * y**2)
+    return np.array([g_x, g_y, -g_x * x - g_y * y]) / baseline_m
 
 
 def _shared_errors(sighted: Sighted) -> list[tuple[float, float]]:
