@@ -17,7 +17,8 @@ from vision_pc.core.types import CameraCalibration, StereoPair
 
 HALF = 30  # px of a plane's patch on either side
 _WIDER = (42, 56)  # px, where the normal wants more
-_LENS_PX = 0.06  # [E] disparity that a k1 of 0.001, which nobody told of, makes where the tool usually is
+_LENS_K1 = 0.001  # [E] of both eyes, where nobody told of one
+_LENS_PX = 0.06  # disparity that such a k1 makes where the tool usually is
 
 
 def plane_at(pair: StereoPair, camera: CameraCalibration, pixel: Array, inverse_depth: float) -> PlanePatch:
@@ -56,7 +57,8 @@ def bias_of(sighted: Sighted, X: Array, plane: PlanePatch) -> Array:
     covariance = np.asarray(lens_covariance(X, sighted.markers, radial))
     ray, before = X[:3, 3] / X[2, 3], frame_on(X[:3, 3], plane.n)
     baseline_m = float(np.linalg.norm(sighted.camera.right.X_CE[:3, 3]))
-    others = [radial * turned_by_radial(plane.n, ray, baseline_m)]
+    turn = radial or _LENS_K1
+    others = [turn * turned_by_radial(plane.n, ray, baseline_m)]
     for offset_px, baseline in _shared_errors(sighted):
         others.append(plane.n * baseline + np.array([0.0, 0.0, offset_px * plane.offset_rate]))
     for other in others:
