@@ -26,6 +26,7 @@ from vision_pc.core.types import FrameObservation, Look, StereoPair
 
 T = TypeVar("T")
 _MOST_SHOWN = 32
+_ANSWERED_NS = 20_000_000_000  # who is asked for the place in the other eye has to find it there first
 _COMPARED_NS = 300_000_000  # [E] after a click: what goes by at 1.5 cm/s, 1 m away, has moved by 2 px
 _MOVED = 0.001  # m, rad: an arm that did so since a picture was taken has moved
 _R_TM = np.diag([1.0, -1.0, -1.0])  # nominal axes of the tool's marker
@@ -55,6 +56,7 @@ class CameraEyes(FrameEyes[StereoPair]):
         self._clearance_m = config.programs.positioning.clearance_m
         self._kept_ns = int(1e9 * config.targets.kept_s)
         self._shown: deque[StereoPair] = deque(maxlen=_MOST_SHOWN)
+        self._asked: StereoPair | None = None  # of the last click that wants its place in the other eye
         self._carrier = carrier
 
     def status(self) -> CameraStatus:
@@ -124,10 +126,15 @@ class CameraEyes(FrameEyes[StereoPair]):
         before the arm moved, ``target.moves`` for what is elsewhere in the newest picture, and as
         ``at_click``; RequestRefused (``refused.moving``), LinkLost.
         """
-        pair = await self._clicked(frame_id)
+        pair = await self._clicked(frame_id, answers=click.other is not None)
         newest = await self._later(pair)
         X_BT = await self._at_rest_since(pair)
-        observation, found = await self.aside(lambda: self._measured(pair, click, newest))
+        self._asked = None
+        try:
+            observation, found = await self.aside(lambda: self._measured(pair, click, newest))
+        except TargetRefused as refused:
+            self._asked = pair if refused.candidates else None
+            raise
         if self._latest is None:  # so that how far the tool has to go is told of the first click too
             self._latest = pair, observation
         X_CM = observation.X_CM
@@ -165,17 +172,20 @@ class CameraEyes(FrameEyes[StereoPair]):
         if not self._shown or self._shown[-1].frame_id != pair.frame_id:
             self._shown.append(pair)
 
-    async def _clicked(self, frame_id: int | None) -> StereoPair:
+    async def _clicked(self, frame_id: int | None, answers: bool = False) -> StereoPair:
+        """``answers``: it tells the place in the other eye too; the picture asked about is kept longer."""
         now_ns = self._runtime.clock.now_ns
         if frame_id is None:
             return await self._frames.frame_after(now_ns)
-        kept = [pair for pair in self._shown if pair.frame_id & 0xFFFFFFFF == frame_id & 0xFFFFFFFF]
-        if not kept or now_ns - kept[-1].capture_ns > self._kept_ns:
-            raise TargetRefused(
-                "target.frame_too_old",
-                f"target: picture {frame_id} is not among those shown in the last {1e-9 * self._kept_ns:g} s",
-            )
-        return kept[-1]
+        asked = self._asked if answers else None
+        for pair, kept_ns in [(asked, _ANSWERED_NS), *((shown, self._kept_ns) for shown in self._shown)]:
+            same = pair is not None and pair.frame_id & 0xFFFFFFFF == frame_id & 0xFFFFFFFF
+            if pair is not None and same and now_ns - pair.capture_ns <= kept_ns:
+                return pair
+        raise TargetRefused(
+            "target.frame_too_old",
+            f"target: picture {frame_id} is not among those shown in the last {1e-9 * self._kept_ns:g} s",
+        )
 
     async def _later(self, pair: StereoPair) -> StereoPair:
         """A picture so much later than ``pair`` that what moves is seen elsewhere in it."""

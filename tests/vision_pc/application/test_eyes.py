@@ -20,14 +20,15 @@ from tests.vision_pc.conftest import VISION_YAML
 from tests.vision_pc.rendering import Marker, draw_marker, draw_wall, facing, finish, wall_texture
 from tests.vision_pc.shell.loopback_controller import LoopbackController, until
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward
+from vision_pc.application import camera_eyes
 from vision_pc.application.reference_link import ReferenceLink
 from vision_pc.application.results import JudgedLook, look_json
 from vision_pc.config.vision import LinkSettings, VisionConfig
 from vision_pc.core.perception.intrinsics import calibration
 from vision_pc.core.positioning.look_then_move import judge
 from vision_pc.core.se3 import transform
-from vision_pc.core.targets.sighting import Click
-from vision_pc.core.targets.target import TargetRefused
+from vision_pc.core.targets.sighting import Click, Sighted
+from vision_pc.core.targets.target import Candidate, TargetObservation, TargetRefused
 from vision_pc.core.types import StereoPair
 from vision_pc.shell.camera_eyes import OpenedEyes, open_eyes
 from vision_pc.shell.cameras import CameraSource
@@ -213,6 +214,32 @@ async def test_a_click_is_refused_where_what_was_clicked_has_moved_since(
     with pytest.raises(TargetRefused, match=r"something else|moved by 1. px") as refused:
         await bench.eyes.target_at(click, shown.frame_id)
     assert refused.value.cause == "target.moves"
+
+
+async def test_who_is_asked_for_the_other_eye_has_time_to_find_the_place_there(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured = camera_eyes.at_click
+
+    def ambiguous_alone(sighted: Sighted, click: Click) -> TargetObservation:
+        if click.other is None:
+            raise TargetRefused("target.ambiguous", "look alike", (Candidate((5.0, 6.0), np.zeros(3)),))
+        return measured(sighted, click._replace(other=None))
+
+    monkeypatch.setattr(camera_eyes, "at_click", ambiguous_alone)
+    click = Click("left", np.array([500.0, 150.0]), "plane")
+    shown = await bench.eyes.pair_after(0)
+    with pytest.raises(TargetRefused, match="look alike"):
+        await bench.eyes.target_at(click, shown.frame_id)
+    newest = shown
+    for _ in range(40):  # more than are kept for a first click
+        newest = await bench.eyes.pair_after(newest.capture_ns)
+    answer = click._replace(other=np.array([450.0, 150.0]))
+    assert (await bench.eyes.target_at(answer, shown.frame_id)).frame_id == shown.frame_id
+    for late in (click, answer):  # it was answered: the picture is kept no longer
+        with pytest.raises(TargetRefused) as refused:
+            await bench.eyes.target_at(late, shown.frame_id)
+        assert refused.value.cause == "target.frame_too_old"
 
 
 async def test_a_click_in_a_fresh_picture_waits_to_see_whether_what_was_clicked_moves(
