@@ -341,6 +341,23 @@ def test_streams_that_died_without_a_word_are_begun_anew_and_stop_is_heard_meanw
             expect(page.locator("#left")).not_to_have_attribute("data-frame", shown, timeout=WITHIN_MS)
 
 
+def test_holes_are_found_at_rest_alone_for_their_outlines_stay_drawn(browser: Browser) -> None:
+    with served_bench() as (url, bench):
+        bench.eyes.picture_s = 0.5
+        bench.controller.speed = 0.0001
+        with opened(browser, url) as page:
+            is_state(page, "standby")
+            assert httpx.post(f"{url}/operations/move", json={"offset_tool_m": [0.02, 0.0, 0.0]}).is_success
+            is_state(page, "moving")
+            page.locator("#find-holes").click()
+            expect(page.locator("#answer")).to_contain_text("Wait until it is at rest, then find holes.")
+            expect(page.locator("#aims path.hole")).to_have_count(0)
+            page.keyboard.press("Escape")
+            is_state(page, "standby")
+            page.locator("#find-holes").click()
+            expect(page.locator("#aims path.hole")).to_have_count(1, timeout=WITHIN_MS)
+
+
 def test_a_tool_without_its_marker_is_told(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> None:
     with served_bench() as (url, bench):
         bench.eyes.picture_s = 0.5

@@ -9,6 +9,7 @@ const EVERY_MS = 1000;
 const DRAG_PX = 12; // of the pictures: a longer drag draws a rectangle
 const STEP_PX = 10; // of the cross that keys move; with Shift one pixel
 const KNOWN = { measured: 'seen', carried: 'carried by odometry', lost: '▲ lost: click it again' };
+const IN_MOTION = '▲ The arm moves. Wait until it is at rest, then find holes.';
 let size = [1280, 720]; // of the camera's pictures
 let targets = [];
 let holes = []; // as found from where the arm is: they stay drawn, for a row of targets is clicked one by one
@@ -127,10 +128,13 @@ function pointRight(at) {
   cross = { eye: 'right', at };
 }
 
+/** At rest only: outlines of a picture in motion would stay drawn beside the holes, and be clicked there. */
 async function find() {
+  if (moves) { say(IN_MOTION, false); return; }
   say('Looking for holes …', true);
   const answer = await send('GET', '/targets?detect=true', undefined, MEASURING_MS);
   if (!answer.ok) { say(answer.words, false); return; }
+  if (moves) { say(IN_MOTION, false); return; }
   holes = answer.document.holes;
   take(answer.document);
   say(holes.length ? `${holes.length} holes found: click one to make it the target.` : 'No hole was found in this picture.', true);
