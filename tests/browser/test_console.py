@@ -315,8 +315,14 @@ def test_a_click_in_the_picture_makes_a_target(browser: Browser) -> None:
             expect(page.locator("#answer")).to_contain_text("two places look alike")
             expect(page.locator("#answer")).to_contain_text("Click the same place in the right eye")
             expect(page.locator("#right-aims path")).to_have_count(2)
+            asked = page.locator("#right").bounding_box()
+            assert asked is not None
+            assert asked["width"] > 0.8 * box["width"]  # what looks alike is told apart in a large picture
             page.locator("#right").click()
             expect(page.locator("#target-rows li.aimed")).to_contain_text("hole 45.0 mm")
+            answered = page.locator("#right").bounding_box()
+            assert answered is not None
+            assert answered["width"] < 0.5 * box["width"]
             expect(page.locator("#aims path.goal")).to_have_count(1)
             expect(page.locator("#answer")).to_contain_text("±0.2 mm across, ±0.4 mm in depth, 800 mm away")
             page.locator("#left").focus()  # by keyboard alone

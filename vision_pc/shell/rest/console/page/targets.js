@@ -52,7 +52,7 @@ export function showTargets(given, moving) {
   if (given) size = given;
   if (moving === moves) return;
   moves = moving;
-  if (moves) holes = [];
+  if (moves) { holes = []; askFor(null); }
   draw();
 }
 
@@ -108,18 +108,24 @@ async function ask(body) {
   say('Measuring what is there …', true);
   const answer = await send('POST', '/targets', body, MEASURING_MS);
   measuring = false;
-  asked = null;
+  askFor(null);
   if (answer.ok) {
     const made = answer.document;
     say(`Target ${made.id}: ${made.recognised}, known to ${precision(made)}${far(made)}. ${made.reachable === false ? 'Jog nearer, then click it again.' : nextStep()}`, made.reachable !== false);
   } else {
     const candidates = answer.document?.candidates ?? [];
-    if (candidates.length) asked = { body, candidates };
+    if (candidates.length) askFor({ body, candidates });
     const advice = 'Click the same place in the right eye: the candidates are drawn there.';
     say(candidates.length ? refusal({ ...answer.document, advice }) : answer.words, false);
     if (candidates.length && document.activeElement === byId('left')) pointRight(candidates[0].other_px);
   }
   await refresh();
+}
+
+/** The right eye is large for as long as a place is wanted in it: what looks alike lies close together. */
+function askFor(question) {
+  asked = question;
+  byId('right-place').closest('.under').classList.toggle('asked', asked !== null);
 }
 
 /** Who points by keys goes on in the right eye, from the likeliest place on. */
