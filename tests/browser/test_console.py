@@ -333,7 +333,10 @@ def test_a_click_in_the_picture_makes_a_target(browser: Browser) -> None:
             page.keyboard.press("ArrowRight")
             page.keyboard.press("Enter")
             eventually(lambda: len(wall.clicks) == 4, page)
+            expect(page.locator(".under.asked")).to_have_count(0)
             page.locator("#teach").click()  # by a click, then by a rectangle
+            box = page.locator("#left").bounding_box()
+            assert box is not None
             expect(page.locator("#teach")).to_have_attribute("aria-pressed", "true")
             page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.25 * box["height"])
             eventually(lambda: len(wall.clicks) == 5, page)
