@@ -178,6 +178,26 @@ def test_what_is_out_of_reach_is_told_at_the_click_and_refused_at_go(browser: Br
             expect(page.locator("#alarm-rows")).to_contain_text("Choose a target within the arm's reach")
 
 
+def test_a_target_that_another_console_has_made_is_told_before_go(browser: Browser) -> None:
+    with served_bench() as (url, bench):
+        bench.eyes.picture_s = 0.5
+        with opened(browser, url) as page:
+            second_picture(page)
+            click_until(page, "Target t1: hole 45.0 mm")
+            page.wait_for_timeout(2_500)  # two polls later it is still what was said
+            expect(page.locator("#answer")).to_contain_text("Target t1: hole 45.0 mm")
+            assert httpx.post(f"{url}/targets", json={"u_px": 5.0, "v_px": 3.0}).status_code == 201
+            told = "Not by this page, the target is another one now: t2 hole 45.0 mm. Go drives there."
+            expect(page.locator("#answer")).to_contain_text(told, timeout=WITHIN_MS)
+            click_until(page, "Target t3: hole 45.0 mm")
+            page.locator("#target-rows li", has_text="t1 hole").get_by_text("Aim", exact=True).click()
+            expect(page.locator("#target-rows li.aimed")).to_contain_text("t1 hole")
+            page.wait_for_timeout(2_500)
+            expect(page.locator("#answer")).to_contain_text("Target t3: hole 45.0 mm")
+            assert httpx.delete(f"{url}/targets/t1").is_success
+            expect(page.locator("#answer")).to_contain_text("now: the object’s markers", timeout=WITHIN_MS)
+
+
 def test_a_row_of_targets_is_visited_and_who_is_not_enabled_is_told_what_comes_next(browser: Browser) -> None:
     with served_bench(enabled=False) as (url, bench):
         bench.eyes.picture_s = 0.5

@@ -30,7 +30,7 @@ let saidFor = null;
 
 const method = () => byId('method').value;
 const enabled = () => shot?.state?.group_state === 'standby';
-const running = () => shot?.operations.find((operation) => !operation.result && ['queued', 'running'].includes(operation.state));
+export const running = () => shot?.operations.find((operation) => !operation.result && ['queued', 'running'].includes(operation.state));
 
 /** Makes the buttons. `stale()`: whether what is shown is old. */
 export function installActions() {

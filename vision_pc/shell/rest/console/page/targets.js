@@ -1,6 +1,6 @@
 // Targets by a click in the picture: what was recognised there, how well it is known, whether the arm reaches it.
 
-import { addSteps, nextStep, say, showCurl, tellCurl } from './actions.js';
+import { addSteps, nextStep, running, say, showCurl, tellCurl } from './actions.js';
 import { MEASURING_MS, refusal, send } from './api.js';
 import { attribute, byId, make, write } from './dom.js';
 
@@ -18,6 +18,7 @@ let cross = null; // where keys have pointed: in which eye, and at which pixel
 let measuring = false; // what was clicked
 let polling = false;
 let moves = false; // the arm: what was seen in a picture is elsewhere in the next
+let ours = true; // what is aimed at may be another: this page has just asked for it, or a program ran
 let pressed = null; // where the button went down
 
 /** Has clicks make targets, where the service knows them. */
@@ -49,6 +50,7 @@ export async function installTargets() {
 
 /** The size of the pictures, which clicks are told in, and whether the arm moves. */
 export function showTargets(given, moving) {
+  if (running()) ours = true;
   if (given) size = given;
   if (moving === moves) return;
   moves = moving;
@@ -103,7 +105,7 @@ function clickRight([u, v]) {
 /** One at a time: a double click is one target. */
 async function ask(body) {
   if (measuring) return;
-  measuring = true;
+  measuring = ours = true;
   showCurl('POST', '/targets', body);
   say('Measuring what is there …', true);
   const answer = await send('POST', '/targets', body, MEASURING_MS);
@@ -146,16 +148,26 @@ async function find() {
   say(holes.length ? `${holes.length} holes found: click one to make it the target.` : 'No hole was found in this picture.', true);
 }
 
-async function refresh() {
+/** ``own``: after what this page has asked for, which is done. */
+async function refresh(own = true) {
   const answer = await send('GET', '/targets');
-  if (answer.ok) take(answer.document);
+  if (!answer.ok) return;
+  if (!own && !ours) tellChanged(answer.document.targets.find((target) => target.aimed));
+  if (own || !measuring) ours = false;
+  take(answer.document);
+}
+
+/** Who was told "hold Go to drive there" must not drive to what another console has clicked since. */
+function tellChanged(now) {
+  if (now?.id === aimed()?.id) return;
+  say(`▲ Not by this page, the target is another one now: ${now ? `${now.id} ${now.recognised}. Go drives there.` : 'the object’s markers.'}`, false);
 }
 
 /** One request at a time: those that wait in vain must not take the connections that STOP needs. */
 async function poll() {
   if (document.hidden || polling) return;
   polling = true;
-  await refresh();
+  await refresh(false);
   polling = false;
 }
 
@@ -202,6 +214,7 @@ function again(target, name) {
 function act(button, method, path) {
   tellCurl(button, () => [method, path]);
   button.addEventListener('click', async () => {
+    ours = true;
     const answer = await send(method, path);
     if (!answer.ok) say(answer.words, false);
     await refresh();
