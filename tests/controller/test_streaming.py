@@ -1,70 +1,30 @@
-"""Streamed references through the scan: limits kept at every scan, silence, refusals, what never resumes."""
+"""Streamed references through the scan: limits kept at every scan, silence, what never resumes."""
 
 import math
-from collections.abc import Callable
-from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from controller.config import ControllerConfig
-from controller.core.kinematics.rotations import Array, conjugate, quaternion_product, vector_from_quaternion
 from controller.core.settings import ScanSettings
 from protocol.axes_group import Mode
 from protocol.faults import CommandCode, FaultCode, GroupState, Reason, Severity
 from protocol.pose import Pose
 from protocol.process_image import CONTROL_ENABLE
-from protocol.reference_messages import FLAG_SETTLED, FLAG_STREAMING, StreamRefused
+from protocol.reference_messages import FLAG_STREAMING
 from tests.controller.obedient_plant import Bench
-
-ZERO = (0.0,) * 6
-SLOWS_S, CLOSES_S, CYCLE_S = 0.076, 0.088, 0.005
-
-
-def opened(settings: ScanSettings) -> Bench:
-    """A bench with an open stream that no reference has come in yet."""
-    bench = Bench(settings).enabled()
-    bench.open_stream()
-    return bench
-
-
-def turned(pose: Pose, vector: Array) -> Pose:
-    """``pose`` turned in B by a rotation vector."""
-    angle = float(np.linalg.norm(vector))
-    axis = vector / angle if angle else vector
-    turn = np.array([math.cos(angle / 2), *(math.sin(angle / 2) * axis)])
-    w, x, y, z = quaternion_product(turn, np.array(pose.q_wxyz)).tolist()
-    return pose._replace(q_wxyz=(w, x, y, z))
-
-
-def streamed(
-    bench: Bench, rate_hz: float, seconds: float, at: Callable[[float], Pose], twist: tuple[float, ...] = ZERO
-) -> None:
-    """References of ``at`` (seconds) at ``rate_hz``, every one of them followed; scans go on in between."""
-    scans, sent = round(seconds / CYCLE_S), 0
-    for k in range(scans):
-        t = k * CYCLE_S
-        if t * rate_hz >= sent:
-            sent += 1
-            assert bench.stream(bench.last.view.stream_number + 1, at(t), twist_ref=twist) is None
-        else:
-            bench.step()
-
-
-def commanded(bench: Bench) -> Array:
-    """Positions of the desired tool (n, 3), one a scan."""
-    return np.array([output.view.X_BT_cmd.p_m for output in bench.outputs])
-
-
-def turns(bench: Bench) -> Array:
-    """Mean angular velocities of the desired tool (n − 1, 3), one between every two scans."""
-    q = np.array([output.view.X_BT_cmd.q_wxyz for output in bench.outputs])
-    steps = [vector_from_quaternion(quaternion_product(b, conjugate(a))) for a, b in pairwise(q)]
-    return np.array(steps) / CYCLE_S
-
-
-def longest(rows: Array) -> float:
-    return float(np.linalg.norm(rows, axis=1).max())
+from tests.controller.streamed import (
+    CLOSES_S,
+    CYCLE_S,
+    SLOWS_S,
+    ZERO,
+    commanded,
+    longest,
+    opened,
+    streamed,
+    turned,
+    turns,
+)
 
 
 @pytest.mark.parametrize("rate_hz", [15.0, 30.0, 60.0])
@@ -222,150 +182,6 @@ def test_numbers_rise_and_wrap(settings: ScanSettings) -> None:
     assert bench.last.view.stream_number == 5
 
 
-def edge(settings: ScanSettings) -> float:
-    return settings.streaming.distance_m
-
-
-REFUSED = [
-    (lambda p, s: p._replace(p_m=(math.nan, 0.0, 0.0)), {}, Reason.NOT_FINITE, None),
-    (lambda p, s: p._replace(p_m=(p.p_m[0], 1e-310, p.p_m[2])), {}, Reason.NOT_FINITE, None),
-    (lambda p, s: p._replace(q_wxyz=(math.inf, 0.0, 0.0, 0.0)), {}, Reason.NOT_FINITE, None),
-    (lambda p, s: p, {"twist_ref": (0.0, math.nan, 0.0, 0.0, 0.0, 0.0)}, Reason.NOT_FINITE, None),
-    (lambda p, s: p, {"twist_ref": (0.0, 0.0, 0.0, 1e-310, 0.0, 0.0)}, Reason.NOT_FINITE, None),
-    (
-        lambda p, s: p._replace(q_wxyz=tuple(1.002 * q for q in p.q_wxyz)),
-        {},
-        Reason.NOT_UNIT_QUATERNION,
-        1.002,
-    ),
-    (lambda p, s: moved(p, 1.001 * edge(s)), {}, Reason.TOO_FAR, 0.5005),
-    (lambda p, s: turned(p, np.array([0.0, 0.0, 0.54])), {}, Reason.TOO_FAR, 0.54),
-    (lambda p, s: p, {"age_s": 0.26}, Reason.STALE, 0.26),
-    (lambda p, s: p, {"twist_ref": (0.0, 0.2, 0.0, 0.0, 0.0, 0.0)}, Reason.TOO_FAST, 0.2),
-    (lambda p, s: p, {"twist_ref": (0.0, 0.0, 0.0, 0.0, 0.0, -0.2)}, Reason.TOO_FAST, 0.2),
-    (lambda p, s: p, {"stream_id": 9_999}, Reason.NOT_STREAMING, 9999.0),
-]
-
-
-def moved(pose: Pose, y: float) -> Pose:
-    return pose._replace(p_m=(pose.p_m[0], pose.p_m[1] + y, pose.p_m[2]))
-
-
-@pytest.mark.parametrize(("spoil", "more", "reason", "value"), REFUSED)
-def test_what_is_refused_changes_nothing(
-    settings: ScanSettings,
-    spoil: Callable[[Pose, ScanSettings], Pose],
-    more: dict[str, object],
-    reason: Reason,
-    value: float | None,
-) -> None:
-    bench = opened(settings)
-    assert bench.stream(1, bench.shifted(y=0.02)) is None
-    stream, path = bench.state.stream, bench.state.motion.path
-    at = Pose(*bench.last.view.X_BT_cmd)
-    refusal = bench.stream(2, spoil(at, settings), **more)
-    assert isinstance(refusal, StreamRefused)
-    assert refusal.reason is reason
-    if value is not None:
-        assert refusal.value == pytest.approx(value, abs=2e-3)
-    assert bench.state.stream is stream
-    assert bench.state.motion.path is path
-    assert ("streamed", reason.name) in [event[:2] for event in bench.last.events]
-
-
-def test_just_inside_the_limits_is_followed(settings: ScanSettings) -> None:
-    bench = opened(settings)
-    here = bench.shifted()
-    assert bench.stream(1, moved(here, 0.999 * edge(settings)), age_s=0.24) is None
-    assert bench.stream(2, turned(here, np.array([0.0, 0.0, 0.52]))) is None
-    assert bench.stream(3, here, twist_ref=(0.0, 0.11, 0.0, 0.0, 0.0, 0.09)) is None
-    doubled = here._replace(q_wxyz=tuple(-q for q in here.q_wxyz))
-    assert bench.stream(4, doubled) is None
-    assert bench.state.motion.path is not None
-    bench.run(0.06)
-
-
-@pytest.mark.parametrize(
-    ("way", "reason"),
-    [((1.0, 0.0, 0.0), Reason.OUTSIDE_WORKSPACE), ((0.0, 0.0, -1.0), Reason.OUTSIDE_WORKSPACE)],
-)
-def test_references_that_lead_out_are_refused_on_the_way(
-    settings: ScanSettings, way: tuple[float, float, float], reason: Reason
-) -> None:
-    bench = opened(settings)
-    for number in range(1, 4000):
-        x, y, z = bench.last.view.X_BT_cmd.p_m
-        ahead = Pose((x + 0.1 * way[0], y + 0.1 * way[1], z + 0.1 * way[2]), bench.last.view.X_BT_cmd.q_wxyz)
-        refusal = bench.stream(number, ahead)
-        if refusal is not None:
-            break
-    assert refusal is not None
-    assert refusal.reason in (reason, Reason.UNREACHABLE, Reason.JOINT_LIMIT, Reason.SINGULAR)
-    assert bench.last.view.group_state is GroupState.MOVING
-    bench.run(0.2)
-    assert bench.last.view.fault is FaultCode.REFERENCE_STALE  # and not a limit that was run into
-
-
-def test_refused_references_do_not_keep_a_stream_alive(settings: ScanSettings) -> None:
-    bench = Bench(settings).streaming()
-    number = bench.last.view.stream_number
-    nan = bench.shifted()._replace(p_m=(math.nan, 0.0, 0.0))
-    for k in range(1, 25):
-        bench.stream(number + k, nan)
-    assert bench.last.view.fault is FaultCode.REFERENCE_STALE
-
-
-def test_the_end_of_a_stream_leads_to_its_newest_reference(settings: ScanSettings) -> None:
-    bench = Bench(settings).streaming()
-    goal = bench.shifted(z=0.1)
-    stream_id = bench.last.view.motion_id
-    assert bench.stream(bench.last.view.stream_number + 1, goal) is None
-    assert bench.command(CommandCode.END_STREAM) is Reason.ACCEPTED
-    assert not bench.last.view.flags & FLAG_STREAMING
-    refusal = bench.stream(3000, bench.shifted())
-    assert refusal is not None
-    assert refusal.reason is Reason.NOT_STREAMING
-    bench.run(6.0)
-    view = bench.last.view
-    assert (view.motion_id, view.motion_done) == (stream_id, True)
-    assert view.flags & FLAG_SETTLED
-    assert view.X_BT_cmd.p_m == pytest.approx(goal.p_m, abs=1e-9)
-    assert view.group_state is GroupState.STANDBY
-
-
-def test_a_stream_without_references_ends_at_once(settings: ScanSettings) -> None:
-    bench = opened(settings)
-    assert bench.command(CommandCode.END_STREAM) is Reason.ACCEPTED
-    assert bench.last.view.group_state is GroupState.STANDBY
-    assert bench.last.view.motion_done
-
-
-def test_the_end_of_a_moving_reference_comes_to_rest(settings: ScanSettings) -> None:
-    bench = opened(settings)
-    home = bench.shifted()
-    streamed(bench, 30.0, 1.5, lambda t: moved(home, 0.08 * t), (0.0, 0.08, 0.0, 0.0, 0.0, 0.0))
-    last = bench.state.stream.goal.p  # type: ignore[union-attr]
-    assert bench.command(CommandCode.END_STREAM) is Reason.ACCEPTED
-    bench.run(4.0)
-    assert bench.last.view.motion_done
-    assert bench.last.view.X_BT_cmd.p_m == pytest.approx(last.tolist(), abs=1e-9)
-
-
-def test_a_stop_ends_a_stream(settings: ScanSettings) -> None:
-    bench = Bench(settings).streaming()
-    number, goal = bench.last.view.stream_number + 1, bench.shifted(z=0.2)
-    assert bench.command(CommandCode.STOP) is Reason.ACCEPTED
-    refusal = bench.stream(number, goal)
-    assert refusal is not None
-    assert refusal.reason is Reason.STOPPING
-    bench.run(2.0)
-    assert bench.last.view.group_state is GroupState.STANDBY
-    assert not bench.last.view.motion_done
-    refusal = bench.stream(number + 1, goal)
-    assert refusal is not None
-    assert refusal.reason is Reason.NOT_STREAMING
-
-
 def test_the_first_reference_is_waited_for_at_rest(settings: ScanSettings) -> None:
     bench = opened(settings)
     held = bench.last.view.X_BT_cmd
@@ -374,28 +190,6 @@ def test_the_first_reference_is_waited_for_at_rest(settings: ScanSettings) -> No
     assert bench.last.view.X_BT_cmd == held
     bench.run(0.03)
     assert bench.last.view.fault is FaultCode.REFERENCE_STALE
-
-
-def test_a_reference_outside_any_stream_is_told_the_id_it_named(settings: ScanSettings) -> None:
-    bench = Bench(settings).enabled()
-    refusal = bench.stream(1, bench.shifted(), stream_id=4711)
-    assert refusal is not None
-    assert (refusal.reason, refusal.value, refusal.limit) == (Reason.NOT_STREAMING, 4711.0, 0.0)
-
-
-def test_the_end_of_the_session_closes_its_stream_to_the_next_one(settings: ScanSettings) -> None:
-    bench = Bench(settings).streaming()
-    number, goal = bench.last.view.stream_number + 1, bench.shifted(z=0.2)
-    bench.link_alive = False
-    bench.step()
-    bench.link_alive = True
-    refusal = bench.stream(number, goal)
-    assert refusal is not None
-    assert refusal.reason is Reason.NOT_STREAMING
-    assert bench.command(CommandCode.END_STREAM) is Reason.NOT_STREAMING
-    bench.run(0.1)
-    assert bench.last.view.fault is FaultCode.REFERENCE_STALE
-    assert bench.last.valves.valves == ZERO
 
 
 def test_supervision_goes_on_in_a_stream(settings: ScanSettings) -> None:
