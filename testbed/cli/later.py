@@ -1,6 +1,7 @@
 """Commands that are loaded when they are asked for: help and completion must not wait for what they need."""
 
 import importlib
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -28,14 +29,14 @@ class Later(NamedTuple):
         return typer.main.get_command(app)
 
 
-class LaterGroup(TyperGroup):
+class LaterGroup(TyperGroup, ABC):
     """A group of which some commands are loaded later: ``later`` has what is told of each before that."""
 
     later: Mapping[str, str]
 
+    @abstractmethod
     def load(self, name: str) -> Any:
         """The command called ``name``, one of ``later``."""
-        raise NotImplementedError
 
     def list_commands(self, ctx: Any) -> list[str]:
         """The names: those that are here, then the others."""

@@ -13,7 +13,7 @@ from protocol.faults import GroupState
 from testbed.lockstep.rig import LockstepRig
 from testbed.lockstep.run_log import RunLog
 from testbed.lockstep.simulated_measurements import load_eye_model, simulated_sight
-from testbed.reporting.console import bars
+from testbed.reporting.console import QuietBar, bars
 from testbed.scenarios.settings import load_settings
 from tests.support.paths import CONFIGS
 from vision_pc.application.valve_trials import TrialsSeen, trials_json
@@ -59,26 +59,35 @@ class SilentWatch:
 
 
 def watched(
-    *assignments: str, silent_after: int | None = None, dead: bool = False
+    *assignments: str,
+    silent_after: int | None = None,
+    dead: bool = False,
+    notes: list[str] | None = None,
 ) -> tuple[LockstepRig, TrialsSeen]:
     settings = load_settings(CONFIGS, parse_overrides(["controller.cycle_ms=10", *assignments]))
     sight = partial(simulated_sight, model=load_eye_model(CONFIGS), seed=1)
     rig = LockstepRig(settings, 1, RunLog(), sight)
     if silent_after is not None:
         rig.application.eyes = SilentEyes(rig, silent_after, dead)
-    with bars(quiet=True) as shown, shown.step("valve-trials") as bar:
-        found = rig.operate("valve-trials", {"confirmed": True}, bar)
-    return rig, found
+    bar = QuietBar()
+    if notes is not None:
+        bar.update = lambda fraction, note="": notes.append(note)  # type: ignore[method-assign]
+    return rig, rig.operate("valve-trials", {"confirmed": True}, bar)
 
 
 def test_play_and_delay_are_found_and_the_arm_is_left_disabled() -> None:
+    notes: list[str] = []
     rig, found = watched(
         "controller.excitation.enabled=true",
         "controller.excitation.joints=[5]",
         "controller.excitation.ramps=2",
         "scene.camera.stamps.delay_ms=12",
+        notes=notes,
     )
     assert rig.link.state.group_state is GroupState.DISABLED
+    pictures = [int(note.split()[1]) for note in notes if note.endswith("pictures")]
+    assert pictures[-1] > 100
+    assert len(set(pictures)) <= pictures[-1] // 10 + 1, "an operation keeps each note that is new"
     told = trials_json(found)
     assert list(told["play_mrad"]) == ["wrist3"]
     play, late = told["play_mrad"]["wrist3"], told["camera_delay_ms"]

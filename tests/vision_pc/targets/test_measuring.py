@@ -80,6 +80,8 @@ def test_a_hole_that_is_wider_than_what_is_compared_elsewhere_is_found_close_to_
         off = seen.X_CO[:3, 3] - p
         assert np.linalg.norm(off - ray * (ray @ off)) < 0.0004
         assert seen.diameter_m == pytest.approx(DIAMETER, abs=0.001)
+        k1_turns = 3.0 * 0.001 * 0.12 / p[2]  # that near the eyes see it from places so far apart
+        assert np.sqrt(seen.bias[3, 3] + seen.bias[4, 4]) > 0.8 * k1_turns
 
 
 def test_a_hole_that_is_dark_in_a_part_of_it_alone_is_measured_whole() -> None:
