@@ -16,7 +16,7 @@ ENV PATH=/opt/longreach/bin:$PATH \
     PYTHONUNBUFFERED=1 \
     PYTHONDONTWRITEBYTECODE=1 \
     NUMBA_CACHE_DIR=/var/lib/longreach/numba \
-    MPLCONFIGDIR=/tmp/matplotlib
+    MPLCONFIGDIR=/var/lib/longreach/matplotlib
 
 # Dependencies first: this layer changes only with the lock file.
 WORKDIR /build
