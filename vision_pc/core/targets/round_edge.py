@@ -158,7 +158,7 @@ def _fitted(points: Array, px_m: float) -> Circle:
         off = points - middle
         far = np.linalg.norm(off, axis=1)
         kept = np.abs(far - radius) < within
-        if turn > 3:  # what is a little beyond the edge is where it begins to break out
+        if turn > 3 and kept.any():  # what is a little beyond the edge is where it begins to break out
             usual = 1.48 * float(np.median(np.abs(far[kept] - radius)))
             kept &= np.abs(far - radius) < max(_TIGHT * usual, 0.1 * px_m)
         if kept.sum() < 8:
