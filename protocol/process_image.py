@@ -8,6 +8,8 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
+from operator import gt, lt, mul
 from typing import Any, NamedTuple
 
 from protocol.errors import ImageRefused, RequestRefused
@@ -118,37 +120,42 @@ OUTPUT_TABLE = (
 # fmt: on
 
 
-_Field = tuple[Register, int, int, bool]
 _RANGES = {"H": (0, 2**16 - 1), "h": (-(2**15), 2**15 - 1), "i": (-(2**31), 2**31 - 1)}  # of struct's codes
 
 
-def _layout(table: tuple[Register, ...]) -> struct.Struct:
-    return struct.Struct("<" + "".join(f"{row.count}{row.code}" for row in table))
+class _Codec:
+    """What encoding and decoding need of a table, taken apart once: both are done in every cycle.
+
+    An image's numbers are what its layout packs, none of them reserved; ``said`` are made of its values.
+    """
+
+    def __init__(self, table: tuple[Register, ...]) -> None:
+        packed = [row for row in table if not row.reserved]
+        self.rows = tuple(row for row in packed if row.constant is None and not row.closes)
+        self.layout = struct.Struct("<" + "".join(map(_code, table)))
+        self.words = struct.Struct(f"<{sum(row.words for row in table)}H")
+        self.said = tuple(row for row in self.rows for _ in range(row.count))
+        self.scales = tuple(row.scale for row in self.said)
+        self.lows, self.highs = tuple(row.low for row in self.said), tuple(row.high for row in self.said)
+        self.counters = tuple(place for place, row in enumerate(self.said) if row.counter)
+        ends = list(accumulate(row.count for row in packed))
+        places = [(row, end - row.count, end) for row, end in zip(packed, ends, strict=True)]
+        self.constants = tuple((k, row.constant) for row, k, _ in places if row.constant is not None)
+        self.places = tuple((k, end, row.scale) for row, k, end in places if row in self.rows)
+        bounded = [one for one in places if one[0] in self.rows]
+        self.bounded = tuple(one for one in bounded if (one[0].low, one[0].high) != _RANGES[one[0].code])
 
 
+def _code(row: Register) -> str:
+    """The row in struct's letters; what is reserved is packed as zeros and not unpacked."""
+    return f"{2 * row.words}x" if row.reserved else f"{row.count}{row.code}"
+
+
+_INPUT, _OUTPUT = _Codec(INPUT_TABLE), _Codec(OUTPUT_TABLE)
 _ECHO_CYCLE, _STATUS = (
     next(row.address - INPUT_ADDRESS for row in INPUT_TABLE if row.name == name)
     for name in ("echo_cycle", "status")
 )
-
-
-def _fields(table: tuple[Register, ...]) -> list[_Field]:
-    """The rows that say something, each with its place among the numbers and whether a number can be off."""
-    fields: list[_Field] = []
-    begin = 0
-    for row in table:
-        end = begin + row.count
-        if not (row.reserved or row.closes):
-            fields.append((row, begin, end, (row.low, row.high) != _RANGES[row.code]))
-        begin = end
-    return fields
-
-
-_INPUT_FIELDS, _OUTPUT_FIELDS = _fields(INPUT_TABLE), _fields(OUTPUT_TABLE)
-_INPUT_LAYOUT = _layout(INPUT_TABLE)
-_OUTPUT_LAYOUT = _layout(OUTPUT_TABLE)
-_INPUT_WORDS = struct.Struct(f"<{INPUT_WORDS}H")
-_OUTPUT_WORDS = struct.Struct(f"<{OUTPUT_WORDS}H")
 
 
 def encode_sensors(image: SensorImage) -> list[int]:
@@ -157,9 +164,8 @@ def encode_sensors(image: SensorImage) -> list[int]:
     Analog values saturate at the ends of their register. Raises RequestRefused for NaN, infinity, or counts
     beyond 32 bits.
     """
-    values = image._asdict()
-    values["pressures_bar"] = [pressure for pair in image.pressures_bar for pressure in pair]
-    return list(_INPUT_WORDS.unpack(_INPUT_LAYOUT.pack(*_raw_values(values, INPUT_TABLE))))
+    pressures = [pressure for pair in image.pressures_bar for pressure in pair]
+    return _encoded(image._replace(pressures_bar=pressures), _INPUT)  # type: ignore[arg-type]
 
 
 def acknowledge(words: list[int], echo_cycle: int, status: int) -> None:
@@ -174,10 +180,9 @@ def decode_sensors(words: Sequence[int]) -> SensorImage:
     Raises ImageRefused: wrong count (``image.bad_length``), not words at all (``image.not_words``), written
     after another table (``image.layout``), torn (``image.torn``).
     """
-    values = _decoded(words, _INPUT_FIELDS, _INPUT_WORDS, _INPUT_LAYOUT)
-    pressures = values["pressures_bar"]
-    values["pressures_bar"] = tuple(zip(pressures[0::2], pressures[1::2], strict=True))
-    return SensorImage(**values)
+    flat = SensorImage(*_decoded(words, _INPUT))
+    pressures: Any = flat.pressures_bar
+    return flat._replace(pressures_bar=tuple(zip(pressures[0::2], pressures[1::2], strict=True)))
 
 
 def encode_valves(image: ValveImage) -> list[int]:
@@ -185,7 +190,7 @@ def encode_valves(image: ValveImage) -> list[int]:
 
     Raises RequestRefused for NaN, infinity or a spool command beyond −1…1.
     """
-    return list(_OUTPUT_WORDS.unpack(_OUTPUT_LAYOUT.pack(*_raw_values(image._asdict(), OUTPUT_TABLE))))
+    return _encoded(image, _OUTPUT)
 
 
 def decode_valves(words: Sequence[int]) -> ValveImage:
@@ -194,39 +199,32 @@ def decode_valves(words: Sequence[int]) -> ValveImage:
     Raises ImageRefused: wrong count (``image.bad_length``), not words at all (``image.not_words``), a spool
     command of −32768 (``image.out_of_range``), which is found in a torn image too, torn (``image.torn``).
     """
-    return ValveImage(**_decoded(words, _OUTPUT_FIELDS, _OUTPUT_WORDS, _OUTPUT_LAYOUT))
+    return ValveImage(*_decoded(words, _OUTPUT))
 
 
-def _raw_values(values: dict[str, Any], table: tuple[Register, ...]) -> list[int]:
-    raw: list[int] = []
-    for row in table:
-        if row.reserved:
-            raw += (0,) * row.count
-        elif row.closes:
-            raw.append(raw[0])
-        elif row.constant is not None:
-            raw.append(row.constant)
-        elif row.counter:
-            raw.append(values[row.name] % CYCLE_MODULUS)
-        elif row.count == 1:
-            raw += _scaled((values[row.name],), row)
+def _encoded(values: Sequence[Any], codec: _Codec) -> list[int]:
+    """The words of an image whose ``values`` are those of the codec's rows."""
+    numbers: list[float] = []
+    for value, row in zip(values, codec.rows, strict=True):
+        if row.count == 1:
+            numbers.append(value)
+        elif len(value) == row.count:
+            numbers += value
         else:
-            raw += _scaled(values[row.name], row)
-    return raw
-
-
-def _scaled(numbers: Sequence[float], row: Register) -> list[int]:
-    if len(numbers) != row.count:
-        raise RequestRefused(
-            "refused.not_encodable", f"{row.name}: {len(numbers)} values, wanted {row.count}"
-        )
+            raise RequestRefused(
+                "refused.not_encodable", f"{row.name}: {len(value)} values, wanted {row.count}"
+            )
+    for place in codec.counters:
+        numbers[place] %= CYCLE_MODULUS
     try:
-        raw = [round(value * row.scale) for value in numbers]
-    except (ValueError, OverflowError):  # not a finite number: found below
+        raw = list(map(round, map(mul, numbers, codec.scales)))
+    except (ValueError, OverflowError):  # not a finite number: which one is found below
         raw = []
-    if raw and row.low <= min(raw) and max(raw) <= row.high:
-        return raw
-    return [_raw(value, row) for value in numbers]
+    if not raw or any(map(lt, raw, codec.lows)) or any(map(gt, raw, codec.highs)):
+        raw = list(map(_raw, numbers, codec.said))
+    for place, constant in codec.constants:
+        raw.insert(place, constant)
+    return list(codec.words.unpack(codec.layout.pack(*raw, raw[0])))
 
 
 def _raw(value: float, row: Register) -> int:
@@ -243,29 +241,28 @@ def _raw(value: float, row: Register) -> int:
     )
 
 
-def _decoded(
-    words: Sequence[int], fields: list[_Field], words_layout: struct.Struct, layout: struct.Struct
-) -> dict[str, Any]:
-    if len(words) * 2 != layout.size:
-        raise ImageRefused("image.bad_length", f"{len(words)} words: the image has {layout.size // 2}")
+def _decoded(words: Sequence[int], codec: _Codec) -> list[Any]:
+    """The values of the codec's rows, a tuple where a row has several."""
+    if len(words) * 2 != codec.layout.size:
+        raise ImageRefused("image.bad_length", f"{len(words)} words: the image has {codec.layout.size // 2}")
     try:
-        numbers = layout.unpack(words_layout.pack(*words))
+        numbers = codec.layout.unpack(codec.words.pack(*words))
     except struct.error as error:
         raise ImageRefused("image.not_words", f"not 16-bit words: {error}") from error
-    values: dict[str, Any] = {}
-    for row, begin, end, checked in fields:
-        raw = numbers[begin:end]
-        if row.constant is not None:
-            if raw[0] != row.constant:
-                raise ImageRefused("image.layout", f"layout word {raw[0]:#06x}: wanted {row.constant:#06x}")
-            continue
-        if checked and (row.low > min(raw) or max(raw) > row.high):
-            number = min(raw) if min(raw) < row.low else max(raw)
+    for place, constant in codec.constants:
+        if numbers[place] != constant:
+            raise ImageRefused("image.layout", f"layout word {numbers[place]:#06x}: wanted {constant:#06x}")
+    for row, begin, end in codec.bounded:
+        least, most = min(numbers[begin:end]), max(numbers[begin:end])
+        if least < row.low or most > row.high:
+            number = least if least < row.low else most
             raise ImageRefused("image.out_of_range", f"{row.name} = {number}: wanted {row.low}…{row.high}")
-        scale = row.scale
-        scaled = raw if scale == 1.0 else tuple([number / scale for number in raw])
-        values[row.name] = scaled[0] if end - begin == 1 else scaled
     # Last: an impossible value is one in a torn image too, and is refused when it comes, not when it acts.
     if numbers[0] != numbers[-1]:
         raise ImageRefused("image.torn", f"cycle {numbers[0]} at the start, {numbers[-1]} at the end")
+    values: list[Any] = []
+    for begin, end, scale in codec.places:
+        raw = numbers[begin:end]
+        scaled = raw if scale == 1.0 else tuple([number / scale for number in raw])
+        values.append(scaled[0] if end - begin == 1 else scaled)
     return values

@@ -1,5 +1,7 @@
 """The true lens of one eye: exact projection, and the ray map that inverts it for every pixel."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,12 +39,28 @@ class Lens:
         Newton's method on the distortion polynomial. Raises ValueError when the polynomial cannot be inverted
         within the picture, that is where the distorted picture would fold over.
         """
-        ray_x = np.empty((height, width), dtype=np.float32)
-        ray_y = np.empty((height, width), dtype=np.float32)
-        worst = _invert(ray_x, ray_y, self.focal, self.centre, self._coefficients)
-        if not worst < 1e-10:
-            raise ValueError("the lens distortion cannot be inverted everywhere inside the picture")
-        return Rays(ray_x, ray_y)
+        return _ray_map(
+            width,
+            height,
+            tuple(self.focal.tolist()),
+            tuple(self.centre.tolist()),
+            tuple(self._coefficients.tolist()),
+        )
+
+
+@lru_cache(maxsize=4)
+def _ray_map(
+    width: int, height: int, focal: tuple[float, ...], centre: tuple[float, ...], k: tuple[float, ...]
+) -> Rays:
+    """The same, kept for the next camera with this lens: campaigns make one for every run."""
+    ray_x = np.empty((height, width), dtype=np.float32)
+    ray_y = np.empty((height, width), dtype=np.float32)
+    worst = _invert(ray_x, ray_y, np.array(focal), np.array(centre), np.array(k))
+    if not worst < 1e-10:
+        raise ValueError("the lens distortion cannot be inverted everywhere inside the picture")
+    for component in (ray_x, ray_y):
+        component.flags.writeable = False
+    return Rays(ray_x, ray_y)
 
 
 @kernel(nogil=True)
