@@ -8,7 +8,8 @@ import pytest
 from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.synthetic import SyntheticRig, draw, silent
 from vision_pc.config.programs import AtRestSettings, LocalErrorModelSettings
-from vision_pc.core.calibration.camera_at_rest import AtRest, at_rest, halves_apart_m
+from vision_pc.core.calibration.camera_at_rest import AtRest, at_rest, begun_at, halves_apart_m, tracked
+from vision_pc.core.calibration.local_calibration import settled_pose
 from vision_pc.core.calibration.local_error_model import (
     record_local_track,
     three_legs,
@@ -98,9 +99,45 @@ async def test_a_track_begins_with_the_mean_of_what_rested() -> None:
     found = await at_rest(watch, SIXTEEN)  # type: ignore[arg-type]
     samples = list(watch.samples)
     samples += [WatchSample((16 + k) * 100_000_000, np.eye(4), _at(0.5), None, None) for k in range(8)]
-    first, mean = (track_of(tuple(samples), 0.0, begun).X_KC[0, 0, 3] for begun in (None, found))
+    rested = begun_at(tracked(watch.samples), found, SIXTEEN.agree_m)
+    first, mean = (track_of(tuple(samples), 0.0, begun).X_KC[0, 0, 3] for begun in (None, rested))
     assert first == pytest.approx(-0.5 + ROCKS_M)
     assert mean == pytest.approx(-0.5, abs=0.2 * ROCKS_M)
+
+
+class SinkingWatch(RockingWatch):
+    """The same camera on a boom that sinks through the play before its encoder while it rocks."""
+
+    sinks_m_s = 0.0
+
+    def _add(self) -> None:
+        super()._add()
+        rocked, time_s = self.samples[-1], 0.1 * (len(self.samples) - 1)
+        assert rocked.X_C0C is not None
+        sunk = _at(rocked.X_C0C[0, 3] + self.sinks_m_s * min(time_s, 4.0))
+        self.samples = (*self.samples[:-1], rocked._replace(X_C0C=sunk))
+
+
+@pytest.mark.parametrize("sinks_m_s", [5e-4, 1e-3])
+async def test_what_a_boom_sinks_before_its_drive_is_a_part_of_the_way(sinks_m_s: float) -> None:
+    """The goal was told where the watch began, not where the camera has come to rest until the drive."""
+    watch = SinkingWatch(0.5)
+    watch.sinks_m_s = sinks_m_s
+    found = await at_rest(watch, SIXTEEN)  # type: ignore[arg-type]
+    assert found.pictures.start > 20, "it waits until it no longer sinks"
+    X = tracked(watch.samples)
+    assert begun_at(X, found, SIXTEEN.agree_m)[0, 3] == pytest.approx(0.0, abs=0.3 * ROCKS_M)
+    assert X[found.pictures, 0, 3].mean() == pytest.approx(4.0 * sinks_m_s, rel=0.1)
+
+
+async def test_a_camera_that_only_rocked_begins_with_those_at_rest() -> None:
+    watch = RockingWatch(0.3)
+    found = AtRest(slice(24, 40), 0.0)
+    while len(watch.samples) < 40:
+        await watch.after(len(watch.samples), 1.0)
+    X = tracked(watch.samples)
+    assert (begun_at(X, found, SIXTEEN.agree_m) == settled_pose(X[found.pictures])).all()
+    assert begun_at(X, AtRest(slice(0, 1), 0.0), SIXTEEN.agree_m)[0, 3] == ROCKS_M
 
 
 async def test_a_drive_is_watched_from_rest_to_rest() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from vision_pc.config.programs import AtRestSettings
 from vision_pc.core.calibration.local_calibration import settled_pose
 from vision_pc.core.ports import Watch
-from vision_pc.core.se3 import Array, local
+from vision_pc.core.se3 import Array, local, retract
 from vision_pc.core.types import WatchSample
 
 _LEVER_M = 1.0  # from the camera to what it looks at: there its turns count
@@ -49,10 +49,30 @@ async def at_rest(watch: Watch, settings: AtRestSettings, before: int = 0) -> At
             return found
 
 
+def begun_at(X: Array, found: AtRest, agree_m: float) -> Array:
+    """Where the camera (4, 4) was when its watch began, of which ``X`` (N, 4, 4) are the poses.
+
+    The mean of the pictures ``found`` at rest. Where it has moved by more than ``agree_m`` until then, as
+    while a boom sinks through the play before its encoder, the first pictures and their trend tell it: the
+    goal of the drive was told there.
+    """
+    resting = found.pictures
+    first, settled = X[: resting.stop - resting.start], settled_pose(X[resting])
+    if len(first) < 2 or _metres(local(settled_pose(first), settled)) <= agree_m:
+        return X[0] if len(first) < 2 else settled
+    half = len(first) // 2
+    early, late = settled_pose(first[:half]), settled_pose(first[half:])
+    return retract(early, -0.5 * (1.0 - 1.0 / half) * local(early, late))
+
+
 def halves_apart_m(X: Array) -> float:
     """How far (m) the mean poses of both halves of ``X`` (N, 4, 4) are apart, seen a metre away."""
     if len(X) < 2:
         return 0.0
     half = len(X) // 2
-    moved = local(settled_pose(X[:half]), settled_pose(X[half:]))
+    return _metres(local(settled_pose(X[:half]), settled_pose(X[half:])))
+
+
+def _metres(moved: Array) -> float:
+    """How far a motion (6,) takes what the camera looks at."""
     return float(np.hypot(np.linalg.norm(moved[:3]), _LEVER_M * np.linalg.norm(moved[3:])))

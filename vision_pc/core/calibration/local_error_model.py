@@ -22,7 +22,7 @@ from vision_pc.core.calibration.backlash import (
     slew_between,
     slew_lever,
 )
-from vision_pc.core.calibration.camera_at_rest import AtRest, at_rest
+from vision_pc.core.calibration.camera_at_rest import at_rest, begun_at, tracked
 from vision_pc.core.calibration.local_calibration import AT_REST, rotation_information, settled_pose
 from vision_pc.core.calibration.odometry_ruler import SHARED, Ruler, fitted_ruler
 from vision_pc.core.calibration.watched_drive import TakeUp, drive, first_take_up
@@ -151,10 +151,11 @@ async def watched_path(
     """
     async with eyes.watch(markers=markers, odometry=True) as watch:
         begun = await at_rest(watch, settings.at_rest)
+        first = begun_at(tracked(watch.samples), begun, settings.at_rest.agree_m)
         end = await drive(arm, waypoints, take_up, dimensions, settings)
         ended = await at_rest(watch, settings.at_rest, len(watch.samples))
     overrun = slew_between(end.view.X_BT_cmd, end.view.X_BT)
-    track = track_of(watch.samples, overrun, begun, max(AT_REST, settings.at_rest.pictures))
+    track = track_of(watch.samples, overrun, first, max(AT_REST, settings.at_rest.pictures))
     swings = (end.take_up.unrest_m(end.view.X_BT, dimensions), begun.apart_m, ended.apart_m)
     track = track._replace(left=end.left[None], take_up=end.take_up, unrest=max(swings))
     if not markers:
@@ -176,10 +177,10 @@ def ruled(track: LocalTrack, ruler: Ruler | None) -> LocalTrack:
 def track_of(
     samples: tuple[WatchSample, ...],
     overrun: float,
-    begun: AtRest | None = None,
+    first: Array | None = None,
     ended: int = AT_REST,
 ) -> LocalTrack:
-    """The track of a watch, from the mean of what has ``begun`` it (None: its first) on.
+    """The track of a watch, from the camera at ``first`` (4, 4; None: as its first picture has it) on.
 
     It ends with the mean of the last ``ended``. Raises MeasurementFailed when odometry was lost at its end or
     over a fifth.
@@ -191,8 +192,8 @@ def track_of(
         )
     X_C0C = np.array([s.X_C0C for s in held])
     X_BT = np.array([s.X_BT for s in held])
-    if begun is not None and len(X_C0C[begun.pictures]) > 1:
-        X_C0C[0] = settled_pose(X_C0C[begun.pictures])
+    if first is not None:
+        X_C0C[0] = first
     X_KC0 = inverse(settled_pose(X_C0C[-ended:]))
     X_KC = X_KC0 @ X_C0C
     X_KC[-1] = np.eye(4)
