@@ -66,6 +66,7 @@ _RATE_FILTER_S = 0.5  # of the speed of a metered joint that is shut,
 _RELAXES_S = 2.0  # which goes on for so long: friction lets go of compressed oil
 _RATE_S = 1.0  # a creep that was watched for this long is believed by half
 _ARRIVED_RAD = 9.6e-5  # two digits: until the arm is parked, no joint is brought nearer
+_NEARLY = 1.5  # of that: a kept joint stays there
 _QUIET_S = 10.0  # the arm is parked when no joint moved for so long,
 _LEANS_S = 35.0  # nor a kept one, which by then leans on one flank of the play before its encoder,
 _LONGEST_S = 300.0  # or when its joints have been away from the joint law for so long
@@ -93,9 +94,13 @@ def at_rest(state: Array) -> bool:
 
 
 def parked_here(state: Array) -> Array:
-    """``state`` with the arm parked: from now on shut joints are kept where they rest."""
+    """``state`` with the arm parked: from now on its joints are kept where they rest.
+
+    A kept joint that is near its goal, too: it would take minutes to creep there, and the tool with it.
+    """
     here = state.copy()
-    here[PARKED], here[PLACE] = ARM_RESTS, np.where(state[PHASE] == SHUT, state[ERROR], 0.0)
+    near = (state[PHASE] == KEPT) & (np.abs(state[ERROR]) < _ARRIVED_RAD * _NEARLY)
+    here[PARKED], here[PLACE] = ARM_RESTS, np.where((state[PHASE] == SHUT) | near, state[ERROR], 0.0)
     here[MARK] = here[CREPT] = here[PLACE]
     return here
 

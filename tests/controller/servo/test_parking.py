@@ -170,6 +170,15 @@ def test_a_parked_joint_that_stands_is_left_where_it_rests() -> None:
     assert _moved(law, here, 0, 1.4 * BAND_RAD + 3.0 * BAND_RAD, 50.0, GAINS) > 0.0
 
 
+def test_a_kept_joint_near_its_goal_stays_there_once_the_arm_is_parked() -> None:
+    """Two joints of a crane that crept the last tenth of a milliradian took the tool 2 mm along."""
+    state = parking_begun(_law(0.08, 0.004))
+    state[PHASE], state[ERROR] = KEPT, [1.4e-4, -1.4e-4, 1.5e-4, 4e-4, 0.0, -2e-5]
+    here = parked_here(state)
+    assert here[PLACE].tolist() == [1.4e-4, -1.4e-4, 0.0, 0.0, 0.0, -2e-5]
+    assert not off_place(here)[[0, 1, 4, 5]].any()
+
+
 def test_a_parked_joint_that_was_pushed_far_away_is_brought_back() -> None:
     rest = _rest(_law(0.08, 0.002), Joint(2e-3, 0.08, -4e-6), 60.0)
     assert OPEN in rest.phases
