@@ -290,14 +290,15 @@ class AmbiguousWall:
         body = route.request.post_data_json
         self.clicks.append(body)
         if "other_u_px" not in body and "kind" not in body:
-            candidates = [{"other_px": [600.0, 300.0]}, {"other_px": [640.0, 300.0]}]
+            places = (([600.0, 300.0], 1638.2), ([640.0, 300.0], 660.4))
+            candidates = [{"other_px": at, "distance_mm": far} for at, far in places]
             told = {"cause": "target.ambiguous", "detail": "two places look alike", "candidates": candidates}
             return route.fulfill(status=422, json=told)
         outline = [[590.0, 290.0], [610.0, 290.0], [600.0, 310.0]]
         kind = body.get("kind", "hole")
         made = {"id": "t1", "kind": kind, "recognised": "hole 45.0 mm", "known": "measured", "aimed": True,
                 "std_sight_mm": {"across": 0.2, "along": 0.4}, "distance_mm": 800.0, "reachable": True,
-                "carried_mm": 0.0, "outline": outline}  # fmt: skip
+                "carried_mm": 0.0, "outline": outline, "X_CO": {"p_m": [0.1, 0.2, 0.6]}}  # fmt: skip
         self.targets = [made]
         return route.fulfill(status=201, json=made)
 
@@ -314,7 +315,9 @@ def test_a_click_in_the_picture_makes_a_target(browser: Browser) -> None:
             page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.25 * box["height"])
             expect(page.locator("#answer")).to_contain_text("two places look alike")
             expect(page.locator("#answer")).to_contain_text("Click the same place in the right eye")
+            expect(page.locator("#answer")).to_contain_text("by its distance from the camera: 660, 1638 mm")
             expect(page.locator("#right-aims path")).to_have_count(2)
+            expect(page.locator("#right-aims text")).to_have_text(["1638", "660"])
             asked = page.locator("#right").bounding_box()
             assert asked is not None
             assert asked["width"] > 0.8 * box["width"]  # what looks alike is told apart in a large picture
@@ -325,6 +328,10 @@ def test_a_click_in_the_picture_makes_a_target(browser: Browser) -> None:
             assert answered["width"] < 0.5 * box["width"]
             expect(page.locator("#aims path.goal")).to_have_count(1)
             expect(page.locator("#answer")).to_contain_text("±0.2 mm across, ±0.4 mm in depth, 800 mm away")
+            expect(page.locator("#answer")).to_contain_text(
+                "You chose how far it is: 640 mm from the camera."
+            )
+            expect(page.locator("#candidates button")).to_have_count(0)
             page.locator("#left").focus()  # by keyboard alone
             page.keyboard.press("ArrowLeft")
             page.keyboard.press("Enter")
@@ -349,7 +356,12 @@ def test_a_click_in_the_picture_makes_a_target(browser: Browser) -> None:
             eventually(lambda: len(wall.clicks) == 6, page)
             page.locator("#target-rows button", has_text="Find").click()
             eventually(lambda: wall.finds == 1, page)
-    first, second, third, keyed, taught, drawn = wall.clicks
+            page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.25 * box["height"])
+            expect(page.locator("#candidates button")).to_have_text(["660", "1638"])
+            page.get_by_label("It is 660 mm from the camera").click()
+            eventually(lambda: len(wall.clicks) == 8, page)
+    first, second, third, keyed, taught, drawn, _, chosen = wall.clicks
+    assert (chosen["other_u_px"], chosen["other_v_px"]) == (640.0, 300.0)
     assert (taught["kind"], "size_px" in taught) == ("template", False)
     assert (drawn["kind"], abs(drawn["size_px"] - 80) <= 2) == ("template", True)
     assert abs(drawn["u_px"] - 340.0) < 2.0

@@ -198,6 +198,95 @@ def test_a_target_that_another_console_has_made_is_told_before_go(browser: Brows
             expect(page.locator("#answer")).to_contain_text("now: the object’s markers", timeout=WITHIN_MS)
 
 
+def test_go_drives_to_the_target_that_the_page_showed_though_another_console_has_clicked_since(
+    browser: Browser,
+) -> None:
+    with served_bench() as (url, bench):
+        bench.eyes.picture_s = 0.5
+        with opened(browser, url) as page, opened(browser, url) as other:
+            is_state(page, "standby")
+            hold(page, "#start-local-track")
+            note(page, "local-track", "done")
+            note(page, "look-then-move", "ready: to the object’s markers")
+            page.route("**/targets", lambda route: route.abort())  # what follows comes too late for this page
+            second_picture(other)
+            click_until(other, "Target t1: hole 45.0 mm")
+            page.locator("#start-look-then-move").hover()
+            named = '{"method":"corrected","target":"markers"}'
+            expect(page.locator("#curl")).to_contain_text(named)
+            page.locator("#start-looking-and-moving").hover()
+            expect(page.locator("#curl")).to_contain_text('{"target":"markers"}')
+            hold(page, "#start-look-then-move")
+            note(page, "look-then-move", "done")
+            assert bench.eyes.targets.aimed is None
+            page.unroute("**/targets")
+            click_until(page, "Target t2: hole 45.0 mm")
+            page.route("**/targets", lambda route: route.abort())
+            click_until(other, "Target t3: hole 45.0 mm")
+            hold(page, "#start-look-then-move")
+            eventually(
+                lambda: httpx.get(f"{url}/operations").json()[-1]["request"].get("target") == "t2", page
+            )
+            for each in (page, other):  # whoever drove
+                note(each, "look-then-move", " at t2: x")
+            hold(page, "#start-visit")
+            eventually(lambda: httpx.get(f"{url}/operations").json()[-1]["kind"] == "visit", page)
+            row = httpx.get(f"{url}/operations").json()[-1]["request"]["targets"]
+            assert row == ["t1", "t2"]
+            page.keyboard.press("Escape")
+            assert httpx.delete(f"{url}/targets/t2").is_success
+            is_state(page, "standby")
+            hold(page, "#start-orientation-adjustment")
+            expect(page.locator("#answer")).to_contain_text(
+                "no target 't2'; known: t1, t3 (refused.unknown_target)"
+            )
+
+
+def test_what_another_console_does_to_the_group_voids_advice_and_reasons(browser: Browser) -> None:
+    with served_bench(enabled=False) as (url, bench):
+        bench.eyes.picture_s = 0.5
+        with opened(browser, url) as page:
+            second_picture(page)
+            jog, answer = page.locator("#jog-x-plus"), page.locator("#answer")
+            expect(jog).to_have_attribute("title", "the arm is disabled: hold ENABLE first")
+            click_until(page, "Next: ENABLE, then click it once more")
+            assert httpx.post(f"{url}/enable").is_success
+            expect(answer).to_have_text("")
+            expect(jog).to_have_attribute("title", "")
+            expect(page.locator("#enable")).to_have_attribute("title", "the arm is enabled")
+            click_until(page, "Next: local calibration (step 2), then Go.")
+            page.keyboard.press("Escape")
+            expect(answer).to_contain_text("ENABLE still holds.")
+            assert httpx.post(f"{url}/disable").is_success
+            expect(answer).to_have_text("")
+            bench.eyes.look_s = 3.0
+            assert httpx.post(f"{url}/enable").is_success
+            assert httpx.post(f"{url}/operations/orientation-adjustment", json={}).status_code == 202
+            expect(jog).to_have_attribute("title", "1 Turn parallel is running")
+            page.locator("#left").click(force=True)
+            expect(answer).to_contain_text("(refused.busy)")
+            expect(answer).to_have_attribute(
+                "data-said", re.compile(r"\d\d:\d\d:\d\d")
+            )  # it stays, with its time
+            bench.silence()
+            expect(jog).to_have_attribute("title", "no word from the controller", timeout=WITHIN_MS)
+        assert bench.eyes.targets.list()
+
+
+def test_a_strip_says_which_line_is_which_joint(browser: Browser) -> None:
+    with served_bench() as (url, _), opened(browser, url) as page:
+        is_state(page, "standby")
+        for strip in ("#strip-joint-error", "#strip-valves"):
+            names = page.locator(f"{strip} .legend li")
+            expect(names).to_have_text(["slew", "lift", "tilt", "wrist1", "wrist2", "wrist3"])
+            line = "(each) => each.getAttribute('stroke') + each.getAttribute('stroke-dasharray')"
+            assert len(set(names.locator("path").evaluate_all(f"all => all.map({line})"))) == 6
+            expect(page.locator(f"{strip} .live-value")).to_have_text(
+                re.compile(r"^(slew|lift|tilt|wrist\d) ")
+            )
+        expect(page.locator("#strip-supply .legend")).to_have_count(0)
+
+
 def test_a_row_of_targets_is_visited_and_who_is_not_enabled_is_told_what_comes_next(browser: Browser) -> None:
     with served_bench(enabled=False) as (url, bench):
         bench.eyes.picture_s = 0.5
@@ -250,8 +339,11 @@ def test_a_double_click_is_one_target_and_a_click_before_there_is_a_picture_none
     with served_bench() as (url, bench), opened(browser, url) as page:
         bench.eyes.picture_s = 0.5
         second_picture(page)
-        page.evaluate("document.querySelector('#left').removeAttribute('data-frame')")
-        page.locator("#left").click(force=True)
+        page.evaluate("""() => {
+            const left = document.querySelector('#left');
+            left.removeAttribute('data-frame');
+            left.dispatchEvent(new MouseEvent('click', { bubbles: true }));
+        }""")  # at once: the next picture comes when it likes
         expect(page.locator("#answer")).to_contain_text("There is no picture yet: wait for one, then click.")
         second_picture(page)
         page.locator("#left").dblclick(force=True)

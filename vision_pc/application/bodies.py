@@ -138,9 +138,27 @@ class ValveTrialsBody(RequestBody):
     confirmed: Literal[True] = Field(examples=[True])
 
 
+_TARGET = Own(
+    str | None,
+    Field(
+        None,
+        max_length=20,
+        description="Of `/targets`, or `markers`: it is aimed at from then on. Left out: what is aimed at,"
+        " which another client may have changed just now",
+        examples=[None],
+    ),
+)
+
+
+class TurnSettings(OrientationSettings):
+    """Orientation adjustment, and parallel to which target (None: as aimed)."""
+
+    target: str | None = None
+
+
 OrientationBody = body_of(
-    "OrientationBody", "Orientation adjustment (7)(8).", OrientationSettings,
-    form="frame_true", repetitions=1, limit_deg=None,
+    "OrientationBody", "Orientation adjustment (7)(8).", TurnSettings,
+    form="frame_true", repetitions=1, limit_deg=None, target=_TARGET,
 )  # fmt: skip
 LineEquationBody = body_of(
     "LineEquationBody", "Line equation (10)-(16): circle and one input.", LineEquationSettings,
@@ -179,10 +197,7 @@ LookThenMoveBody = body_of(
     LookThenMoveSettings,
     # Its own: it has a default, because no configuration chooses it.
     method=Own(Literal["calibrated", "corrected"], "calibrated"),
-    target=Own(
-        str | None,
-        Field(None, max_length=20, description="Of `/targets`; it is aimed at from then on", examples=[None]),
-    ),
+    target=_TARGET,
     inputs=1,
     clearance_m=0.1,
     tolerance_mm=5.0,
@@ -192,8 +207,9 @@ LookThenMoveBody = body_of(
 
 
 class ServoingSettings(VisualServoingSettings):
-    """Visual servoing, and the distance to the object that it shall leave: as for look-then-move."""
+    """Visual servoing, the distance to the object that it shall leave, and which target (None: as aimed)."""
 
+    target: str | None = None
     clearance_m: Annotated[float, *PositioningSettings.model_fields["clearance_m"].metadata]
 
 
@@ -206,6 +222,7 @@ LookingAndMovingBody = body_of(
     clearance_m=0.1,
     settle_mm=Copy(1.0, also={"settle_growth": 0.0}),  # asked for by name, it is not to be widened
     timeout_s=None,
+    target=_TARGET,
 )
 
 

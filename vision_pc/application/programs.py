@@ -23,6 +23,7 @@ from vision_pc.application.bodies import (
     PositioningMethod,
     ServoingSettings,
     TrajectoryBody,
+    TurnSettings,
     ValveTrialsBody,
 )
 from vision_pc.application.hand_eye_programs import HAND_EYE_PROGRAMS
@@ -55,7 +56,6 @@ from vision_pc.application.visit import VISIT
 from vision_pc.config.programs import (
     LineEquationSettings,
     LocalErrorModelSettings,
-    OrientationSettings,
     TrajectorySettings,
 )
 from vision_pc.core.calibration import (
@@ -85,8 +85,9 @@ async def _look(application: VisionApplication, body: LookBody, report: Report) 
 
 
 async def _orientation(
-    application: VisionApplication, settings: OrientationSettings, report: Report
+    application: VisionApplication, settings: TurnSettings, report: Report
 ) -> OrientationResult:
+    _aim(application, settings.target)
     return await orientation.adjust_orientation(application.arm, application.eyes, report, settings)
 
 
@@ -123,8 +124,7 @@ async def _look_then_move(
 ) -> PositioningResult | CorrectedResult:
     arm, eyes = application.arm, application.eyes
     application.positioning = settings
-    if settings.target is not None:
-        application.camera.targets.aim(settings.target)
+    _aim(application, settings.target)
     if settings.method is PositioningMethod.CORRECTED:
         assert application.track is not None  # needed
         track, application.track = application.track, None  # a motion that fails leaves a gap in it
@@ -142,6 +142,7 @@ async def _looking_and_moving(
 ) -> ServoingResult:
     """In the camera axes of the local track, or else of the calibration."""
     arm, eyes = application.arm, application.eyes
+    _aim(application, settings.target)
     look = await eyes.look()
     if application.track is not None:
         R_TC = camera_in_tool(application.track, look.X_CM[:3, 3])
@@ -174,6 +175,11 @@ async def _valve_trials(application: VisionApplication, body: ValveTrialsBody, r
     return await watch_trials(application, report)
 
 
+def _aim(application: VisionApplication, target: str | None) -> None:
+    if target is not None:
+        application.camera.targets.aim(target)
+
+
 def _target(body: MoveBody, X_BT: Array) -> Array:
     """X_BT_ref of a move request."""
     R, p = X_BT[:3, :3], X_BT[:3, 3]
@@ -196,10 +202,14 @@ def calibration_of_the_method(
         raise RequestRefused("refused.not_calibrated", why)
 
 
-def known_target(application: VisionApplication, name: str, settings: LookThenMoveSettings) -> None:
+def known_target(
+    application: VisionApplication,
+    name: str,
+    settings: TurnSettings | LookThenMoveSettings | ServoingSettings,
+) -> None:
     """The target that is named, if one is."""
     if settings.target is not None:
-        application.camera.targets.get(settings.target)
+        application.camera.targets.refuse_unknown(settings.target)
 
 
 def camera_axes(application: VisionApplication, name: str, settings: Any) -> None:
@@ -225,7 +235,8 @@ PROGRAMS: tuple[Program[Any, Any], ...] = (
         run=_orientation,
         to_json=orientation_json,
         body=OrientationBody,
-        settings=lambda application: application.settings.orientation,
+        settings=lambda application: TurnSettings(**application.settings.orientation.model_dump()),
+        needs=(*MOVING, known_target),
         core=orientation.adjust_orientation,
         source="Mäkinen et al. 2023, 3.1, (7)(8)",
     ),
@@ -280,7 +291,7 @@ PROGRAMS: tuple[Program[Any, Any], ...] = (
             clearance_m=application.settings.positioning.clearance_m,
             **application.settings.looking_and_moving.model_dump(),
         ),
-        needs=(*MOVING, camera_axes),
+        needs=(*MOVING, camera_axes, known_target),
         core=visual_servoing.servo_to_object,
         source="Mäkinen et al. 2023, section 6, names it as possible",
     ),

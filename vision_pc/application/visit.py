@@ -112,7 +112,7 @@ VISIT = Program(
         "Targets of `/targets` in their order, by the corrected look-then-move.",
         VisitSettings,
         targets=Own(
-            Annotated[tuple[Id, ...], Field(min_length=1, max_length=50)] | None,
+            Annotated[tuple[Id, ...], Field(min_length=1, max_length=100)] | None,
             Field(None, examples=[["t1", "t2"]], description="Left out: all, oldest first"),
         ),
         clearance_m=0.1,

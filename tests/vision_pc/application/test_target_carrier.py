@@ -13,7 +13,7 @@ from tests.support.paths import CONFIGS
 from vision_pc.application.targets.aimed_sensor import AimedSensor
 from vision_pc.application.targets.carrier import TargetCarrier
 from vision_pc.core.se3 import Array, to_pose, transform
-from vision_pc.core.targets.keeper import TargetKeeper
+from vision_pc.core.targets.keeper import MARKERS, TargetKeeper
 from vision_pc.core.targets.target import TargetObservation
 from vision_pc.core.types import Look
 
@@ -86,7 +86,7 @@ def test_a_motion_that_nobody_watched_is_noticed_at_the_next_look() -> None:
     with pytest.raises(RequestRefused) as refused, bench.carrier.looking():
         pytest.fail("looked at a target that nobody knows")
     assert refused.value.cause == "refused.target_lost"
-    bench.targets.aim(None)
+    bench.targets.aim(MARKERS)
     assert bench.carrier.object_wanted
     with bench.carrier.looking():
         assert not bench.sensor.resting  # markers need none of this

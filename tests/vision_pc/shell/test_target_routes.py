@@ -52,7 +52,9 @@ async def test_what_cannot_be_told_is_a_problem_with_its_cause_and_candidates(st
     assert answer.status_code == 422
     assert answer.headers["content-type"] == "application/problem+json"
     assert answer.json()["cause"] == "target.ambiguous"
-    assert answer.json()["candidates"] == [{"other_px": [5.0, 6.0], "p_C_m": [0.1, 0.2, 1.0]}]
+    assert answer.json()["candidates"] == [
+        {"other_px": [5.0, 6.0], "p_C_m": [0.1, 0.2, 1.0], "distance_mm": 1024.7}
+    ]
     old = await station.post("/targets", {"u_px": 5.0, "v_px": 3.0, "frame_id": 1})
     assert old.json()["cause"] == "target.frame_too_old"
     assert (await station.post("/targets", {"u_px": 5.0})).status_code == 422
@@ -72,6 +74,31 @@ async def test_half_a_wish_is_refused_in_words_and_not_left_out(
     answer = await station.post("/targets", {"u_px": 5.0, "v_px": 3.0} | half)
     assert answer.status_code == 422
     assert words in answer.json()["detail"]
+
+
+@pytest.mark.parametrize(
+    ("program", "more"),
+    [
+        ("orientation-adjustment", {}),
+        ("look-then-move", {}),
+        ("looking-and-moving", {"timeout_s": 0.3}),  # this bench's pictures do not follow its arm
+    ],
+)
+async def test_who_names_a_target_drives_to_it_whatever_another_has_clicked_since(
+    station: Bench, program: str, more: dict[str, float]
+) -> None:
+    await station.post("/enable")
+    assert (await station.run("trajectory-matching"))["state"] == "succeeded"
+    for _ in range(2):
+        await station.post("/targets", {"u_px": 5.0, "v_px": 3.0})
+    for named, aimed in (("t1", "t1"), ("markers", None), ("t2", "t2")):
+        await station.post("/enable")  # servoing that fails leaves this arm disabled
+        await station.run(program, {"target": named} | more)
+        kept = station.eyes.targets.aimed
+        assert (None if kept is None else kept.id) == aimed
+    await station.post("/enable")
+    refused = await station.post(f"/operations/{program}", {"target": "t9"})
+    assert (refused.status_code, refused.json()["cause"]) == (404, "refused.unknown_target")
 
 
 async def test_programs_refuse_a_target_that_is_not_there(station: Bench) -> None:

@@ -98,6 +98,7 @@ _OF_CAUSE = {
     "refused.hand_eye.none": "This service has no hand-eye calibration: start it with one.",
     "refused.hand_eye.not_solved": "Solve first.",
     "target.ambiguous": "Click something that is there once, or the same place in the other eye too.",
+    "target.contradicted": "Look again where it is in the other eye, or click beside what repeats itself.",
     "target.depth_edge": "Click beside the step.",
     "target.frame_too_old": "Click in the live picture, with the arm at rest.",
     "target.hidden": "Click beside the tool, or jog until the tool is beside the place.",

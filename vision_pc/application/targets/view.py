@@ -107,6 +107,7 @@ def candidate_json(candidate: Candidate) -> JSON:
     return {
         "other_px": [round(float(v), 2) for v in candidate.right_px],
         "p_C_m": [round(float(v), 4) for v in candidate.p_C],
+        "distance_mm": round(1e3 * float(np.linalg.norm(candidate.p_C)), 1),
     }
 
 

@@ -18,6 +18,7 @@ from vision_pc.core.targets.sighting import KnownTarget
 from vision_pc.core.targets.target import Kind, TargetObservation, Taught
 
 Known = Literal["measured", "carried", "lost"]
+MARKERS = "markers"  # in place of an id: the object's markers
 _MOST = 100
 _STILL = 0.003  # m or rad: more than a settled arm creeps
 
@@ -75,11 +76,15 @@ class TargetKeeper:
         """What programs look at in place of the object's markers."""
         return None if self._aimed is None else self._all[self._aimed]
 
-    def aim(self, target_id: str | None) -> None:
-        """Have programs look at a target from now on; None: at the markers. Raises as ``get``."""
-        if target_id is not None:
+    def aim(self, target_id: str) -> None:
+        """Have programs look at a target, or at the ``MARKERS``, from now on. Raises as ``get``."""
+        self.refuse_unknown(target_id)
+        self._aimed = None if target_id == MARKERS else target_id
+
+    def refuse_unknown(self, target_id: str) -> None:
+        """Raises as ``get`` for what is neither a target nor the ``MARKERS``."""
+        if target_id != MARKERS:
             self.get(target_id)
-        self._aimed = target_id
 
     def add(self, seen: TargetObservation, frame_id: int, X_BT: Array, X_BO: Array | None) -> KeptTarget:
         """Keep a new one and aim at it; the oldest goes where there would be too many."""

@@ -7,6 +7,7 @@ from vision_pc.core.targets.hole_search import dark_spots
 from vision_pc.core.targets.place_on_plane import HALF, bias_of, on_plane, plane_at
 from vision_pc.core.targets.round_edge import DarkSpot
 from vision_pc.core.targets.sighting import Click, Sighted, refuse_hidden, region
+from vision_pc.core.targets.surroundings import refuse_contradicted
 from vision_pc.core.targets.target import TargetObservation, TargetRefused, with_roll
 from vision_pc.core.types import CameraCalibration
 
@@ -33,9 +34,11 @@ def at_click(sighted: Sighted, click: Click) -> TargetObservation:
     if click.kind != "plane":
         hole = _hole_at(sighted, camera, click, depths)
         if hole is not None:
-            return hole
+            return refuse_contradicted(sighted, camera, click.pixel, hole)
     found = row_matching.match(pair, camera, click.pixel, depths)
-    return on_plane(sighted, camera, plane_at(pair, camera, click.pixel, found.inverse_depth))
+    plane = plane_at(pair, camera, click.pixel, found.inverse_depth)
+    seen = on_plane(sighted, camera, plane)
+    return seen if click.other is None else refuse_contradicted(sighted, camera, click.pixel, seen)
 
 
 def holes(sighted: Sighted, diameter_mm: float | None = None) -> list[TargetObservation]:

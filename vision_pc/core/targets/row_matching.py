@@ -23,6 +23,7 @@ _APART = 4  # px between peaks that are different places
 _MARGIN = 0.10  # by how much the best peak must beat every other
 _BACK = 1.5  # px by which the way back may miss
 _RIM = 40  # px at the picture's rim in which nothing is measured
+_MOST_TOLD = 24  # places that look alike
 _TEXTURE = 1.6  # grey: standard deviation of a smoothed template below which it shows noise alone
 
 
@@ -32,6 +33,14 @@ class Match(NamedTuple):
     right_px: Array
     score: float
     inverse_depth: float
+
+
+class Alike(NamedTuple):
+    """A place (2,) px of the right eye that looks like a pixel of the left one, and what it means."""
+
+    place: Array
+    inverse_depth: float
+    candidate: Candidate
 
 
 class _Peaks(NamedTuple):
@@ -85,6 +94,23 @@ def match(
     return Match(found.places[0], float(found.scores[0]), _inverse_depth(camera, ray, found.places[0]))
 
 
+def places_alike(
+    pair: StereoPair, camera: CameraCalibration, pixel: Array, depths_m: tuple[float, float]
+) -> list[Alike]:
+    """All places in the right picture that look as much like ``pixel`` as the best one, best first.
+
+    None where nothing looks like it.
+    """
+    ray = np.append(intrinsics.normalised(camera.left, pixel[None])[0], 1.0)
+    ends = np.array([_seen_right(camera, ray, 1.0 / depth) for depth in depths_m])
+    found = _peaks(pair.right, _template(pair.left, pixel, HALF), ends)
+    return [
+        Alike(place, inverse, Candidate((float(place[0]), float(place[1])), ray / inverse))
+        for place in found.places[found.scores > max(found.scores.max(initial=-1.0) - _MARGIN, _LEAST)]
+        if (inverse := _inverse_depth(camera, ray, place)) > 0.0
+    ]
+
+
 def refuse_outside(pixel: Array, camera: CameraCalibration) -> None:
     """Raises TargetRefused (``target.outside_picture``) too near to the rim of the left picture."""
     limit = np.array([camera.width, camera.height]) - 1 - _RIM
@@ -98,7 +124,7 @@ def refuse_outside(pixel: Array, camera: CameraCalibration) -> None:
 
 def _ambiguous(camera: CameraCalibration, ray: Array, places: Array, why: str) -> TargetRefused:
     candidates = []
-    for place in places[:8]:
+    for place in places[:_MOST_TOLD]:
         inverse = _inverse_depth(camera, ray, place)
         if inverse > 0.0:
             candidates.append(Candidate((float(place[0]), float(place[1])), ray / inverse))

@@ -39,10 +39,10 @@ def _add_making(app: FastAPI, application: VisionApplication, operations: Operat
         """201: measured, kept, and aimed at: programs look at it in place of the object's markers. Nothing
         moves.
 
-        422 says why not: ``target.ambiguous`` with ``candidates``, ``target.low_texture``,
-        ``target.depth_edge``, ``target.not_planar``, ``target.outside_picture``, ``target.frame_too_old``,
-        ``target.no_match``, ``target.hidden``, ``target.moves``, ``target.no_hole``, ``target.not_round``,
-        ``target.wrong_size``; ``advice`` says what to do.
+        422 says why not: ``target.ambiguous`` and ``target.contradicted`` with ``candidates``,
+        ``target.low_texture``, ``target.depth_edge``, ``target.not_planar``, ``target.outside_picture``,
+        ``target.frame_too_old``, ``target.no_match``, ``target.hidden``, ``target.moves``,
+        ``target.no_hole``, ``target.not_round``, ``target.wrong_size``; ``advice`` says what to do.
         """
         operations.refuse_busy()
         try:

@@ -1,7 +1,7 @@
 // What the operator asks for: the group, the procedure, jogging. Each is one public request, shown as a curl line.
 
 import { curl, send } from './api.js';
-import { ago, attribute, byId, make, signed, write } from './dom.js';
+import { ago, attribute, byId, clock, make, signed, write } from './dom.js';
 import { onHold } from './hold.js';
 
 const GROUP = [
@@ -12,27 +12,33 @@ const GROUP = [
 ];
 const STEPS = [
   { kind: 'look', words: 'Look', verb: 'Look', free: true },
-  { kind: 'orientation-adjustment', words: '1 Turn parallel', verb: 'Turn' },
+  { kind: 'orientation-adjustment', words: '1 Turn parallel', verb: 'Turn', aims: true },
   { kind: 'local-track', words: '2 Local calibration', verb: 'Calibrate', method: 'corrected' },
   { kind: 'trajectory-matching', words: '2 Local calibration', verb: 'Calibrate', method: 'calibrated' },
-  { kind: 'look-then-move', words: '3 Go to the target', verb: 'Go', primary: true },
-  { kind: 'looking-and-moving', words: '4 Visual servoing', verb: 'Servo' },
+  { kind: 'look-then-move', words: '3 Go to the target', verb: 'Go', primary: true, aims: true },
+  { kind: 'looking-and-moving', words: '4 Visual servoing', verb: 'Servo', aims: true },
   { kind: 'home', words: 'Back to the first pose', verb: 'Go back' },
 ];
 const FRESH_MS = 8000;
 const AFTER_STOP = { disabled: 'the arm is disabled', error_stop: 'the fault stays latched' };
+const WHY_NOT = { disabled: 'the arm is disabled: hold ENABLE first', error_stop: 'a fault is latched: reset and enable first', moving: 'the arm moves', stopping: 'the arm is stopping', standby: 'the arm is enabled' };
 const WANTED = { disabled: 'hold ENABLE first', error_stop: 'after RESET and ENABLE' }; // for programs that move
 const results = new Map(); // of operations that have ended, by id
 const rows = []; // [step, its line]
 let shot = null;
 let may = false; // operate
 let saidFor = null;
+let saidWhile = null; // the group's state for which what was said is advice
+let goal = () => null; // [id, words] of the target that is shown; null while that is not known
 
 const method = () => byId('method').value;
 const enabled = () => shot?.state?.group_state === 'standby';
 export const running = () => shot?.operations.find((operation) => !operation.result && ['queued', 'running'].includes(operation.state));
 
-/** Makes the buttons. `stale()`: whether what is shown is old. */
+/** `given()` tells the target that the page shows: what drives to it names it, whatever others click meanwhile. */
+export const nameGoal = (given) => { goal = given; };
+
+/** Makes the buttons. */
 export function installActions() {
   for (const action of GROUP) byId('group-buttons').append(button(action.words, () => ['POST', action.path], action));
   addSteps(STEPS, byId('procedure'));
@@ -41,7 +47,7 @@ export function installActions() {
   }
   byId('copy').addEventListener('click', () => navigator.clipboard?.writeText(byId('curl').textContent));
   byId('method').addEventListener('change', () => update(shot, may));
-  document.addEventListener('stopped', () => say(`Stopped. What was running has ended; ${AFTER_STOP[shot?.state?.group_state] ?? 'ENABLE still holds'}.`, true));
+  document.addEventListener('stopped', () => advise(`Stopped. What was running has ended; ${AFTER_STOP[shot?.state?.group_state] ?? 'ENABLE still holds'}.`));
 }
 
 /** Adds a row for every program of an installed package, once. */
@@ -102,8 +108,8 @@ function row(step) {
 
 function stepRequest(step) {
   if (step.request) return step.request();
-  if (step.kind === 'look-then-move') return ['POST', '/operations/look-then-move', { method: method() }];
-  return ['POST', `/operations/${step.kind}`];
+  const body = { ...(step.kind === 'look-then-move' && { method: method() }), ...(step.aims && goal()?.id && { target: goal().id }) };
+  return ['POST', `/operations/${step.kind}`, ...(Object.keys(body).length ? [body] : [])];
 }
 
 function jogRequest(axis, sign) {
@@ -124,26 +130,47 @@ export function showCurl(...asked) {
 
 /** One line about the last request, `brief`ly or until something else is said; on a phone it is above STOP. */
 export function say(words, fine, brief = false) {
+  const said = Date.now() / 1000;
   write(byId('answer'), words);
   attribute(byId('answer'), 'class', !fine ? 'refused' : words ? 'fresh' : '');
+  byId('answer').removeAttribute('data-said');
   clearTimeout(saidFor);
+  saidWhile = null;
+  if (!fine) saidFor = setTimeout(() => attribute(byId('answer'), 'data-said', clock(said)), FRESH_MS); // it stays, as what has been
   if (fine) saidFor = setTimeout(() => (brief ? say('', true) : attribute(byId('answer'), 'class', '')), FRESH_MS);
 }
 
+/** Says what is to be done next: no longer once the group's state is another one, whoever has changed it. */
+export function advise(words) {
+  say(words, true);
+  saidWhile = settled(shot?.state);
+}
+
+const settled = (state) => (['moving', 'stopping'].includes(state?.group_state) ? 'standby' : state?.group_state ?? null);
+
 /** Brings buttons and rows up to date with a snapshot; `operate`: whether this token may move the arm. */
 export function update(snapshot, operate) {
-  const [was, state] = [shot?.state?.group_state, snapshot?.state];
-  if (was && was !== 'error_stop' && state?.group_state === 'error_stop' && byId('answer').className !== 'refused') say('', true); // what was to be done next is not
+  const state = snapshot?.state;
+  if (saidWhile && state && settled(state) !== saidWhile) say('', true); // what was to be done next is not
   shot = snapshot;
   may = operate;
   const busy = running();
-  able('enable', may && state?.group_state === 'disabled', 'already enabled, or a fault is latched');
-  able('disable', state && state.group_state !== 'disabled', 'is disabled');
-  able('reset', may && state?.group_state === 'error_stop' && !state.emergency_latched, 'nothing to reset');
-  able('release', may && Boolean(state?.emergency_latched), 'no emergency stop is latched');
+  const why = whyNot(busy);
+  able('enable', may && state?.group_state === 'disabled', why || WHY_NOT[state?.group_state]);
+  able('disable', state && state.group_state !== 'disabled', state ? 'the arm is disabled' : why);
+  able('reset', may && state?.group_state === 'error_stop' && !state.emergency_latched, state?.emergency_latched ? 'release the emergency stop first' : state ? 'no fault is latched' : why);
+  able('release', may && Boolean(state?.emergency_latched), state ? 'no emergency stop is latched' : why);
   write(byId('procedure-wants'), shot?.link.tries_valves ? 'this controller only tries out valves' : (may && WANTED[state?.group_state]) || '');
-  for (const [step, line] of rows) showStep(step, line, busy);
-  for (const jog of byId('jog').children) able(jog.id, may && enabled() && !busy, 'enable first, and wait until nothing runs');
+  for (const [step, line] of rows) showStep(step, line, busy, why);
+  for (const jog of byId('jog').children) able(jog.id, may && enabled() && !busy, why || WHY_NOT[state?.group_state]);
+}
+
+/** Why nothing can be asked for, whatever the group's state is; '' where something can. */
+function whyNot(busy) {
+  if (!shot) return 'no word from the vision PC';
+  if (!may) return 'you may look and stop: sign in to move the arm';
+  if (!shot.state) return 'no word from the controller';
+  return busy ? `${rows.find(([step]) => step.kind === busy.kind)?.[0].words ?? busy.kind} is running` : '';
 }
 
 function able(id, is, why) {
@@ -152,12 +179,13 @@ function able(id, is, why) {
   attribute(made, 'title', is ? '' : why);
 }
 
-function showStep(step, line, busy) {
+function showStep(step, line, busy, why) {
   line.hidden = (Boolean(step.method) && step.method !== method()) || step.wanted?.() === false;
   const jogs = step.kind === 'home' ? 'move' : ''; // what became of a jog is told in this row
   const last = shot?.operations.findLast((operation) => [step.kind, jogs].includes(operation.kind));
   const runs = busy && busy === last;
-  able(`start-${step.kind}`, may && !busy && ready(step), busy ? `${rows.find(([other]) => other.kind === busy.kind)?.[0].words ?? busy.kind} is running` : step.of ? `while ${step.of}` : 'enable first');
+  const known = !step.aims || goal();
+  able(`start-${step.kind}`, may && !busy && known && ready(step), why || (ready(step) ? 'the targets are not known yet' : step.of ? `while ${step.of}` : WHY_NOT[shot.state.group_state]));
   byId(`start-${step.kind}`).hidden = Boolean(runs);
   byId(`cancel-${step.kind}`).hidden = !runs || !may;
   const bar = line.querySelector('progress');
@@ -177,10 +205,12 @@ function ready(step) {
 const calibrated = () => Boolean(method() === 'corrected' ? shot?.tracked : shot?.calibration);
 
 function hint(step) {
-  if (step.kind === 'look-then-move') return calibrated() ? 'ready' : 'after step 2';
+  if (step.kind === 'look-then-move') return calibrated() ? `ready${toward(goal())}` : 'after step 2';
   if (step.kind === 'visit') return 'calibrates where that is wanted';
   return '';
 }
+
+const toward = (target) => (target?.words ? `: to ${target.words}` : '');
 
 /** What is to be held next to come to the target. */
 export function nextStep() {
@@ -198,7 +228,8 @@ function words(operation) {
   if (operation.state === 'failed') return `▲ failed ${when}: ${operation.note} (${operation.cause}). ${operation.advice ?? ''}`;
   if (operation.state === 'cancelled') return `cancelled ${when}`;
   fetchResult(operation);
-  return `done ${when}${summary(operation.kind, results.get(operation.id))}`;
+  const target = operation.request?.target;
+  return `done ${when}${target && target !== 'markers' ? ` at ${target}` : ''}${summary(operation.kind, results.get(operation.id))}`;
 }
 
 async function fetchResult(operation) {

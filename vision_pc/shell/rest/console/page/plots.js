@@ -5,7 +5,8 @@ import { byId, make, write } from './dom.js';
 
 const KEPT = 1200; // ten a second for two minutes
 const SPAN_S = 120;
-const HEIGHT = 101;
+const HEIGHT = 122;
+const LEGEND = 32; // px of two rows of names
 const JOINTS = ['slew', 'lift', 'tilt', 'wrist1', 'wrist2', 'wrist3'];
 const STRIPS = [
   { id: 'joint-error', title: 'Joint error, mrad', lines: JOINTS, floor: 0.5, digits: 2, of: (s) => s.state.q_cmd_deg.map((q, i) => ((s.state.q_meas_deg[i] - q) * Math.PI) / 0.18) },
@@ -14,7 +15,7 @@ const STRIPS = [
   { id: 'lateness', title: 'Lateness p99, µs', lines: ['p99'], floor: 500, zero: true, digits: 0, of: (s) => [s.state.cycle.lateness_p99_us] },
   { id: 'age', title: 'Link age, ms', lines: ['age'], floor: 40, zero: true, digits: 0, of: (s) => [s.link.age_ms] },
 ];
-const DASHES = [[], [6, 3], [2, 2], [8, 2, 2, 2], [4, 4], [1, 3]];
+const DASHES = [[], [7, 3], [2, 2], [], [7, 3], [2, 2]]; // thrice for what turns the arm, thrice for its wrist
 const made = [];
 
 /** Makes the strips anew, in the colours of the page as it is. */
@@ -25,17 +26,37 @@ export function installPlots() {
   STRIPS.forEach((strip, index) => {
     const now = make('span', { class: 'live-value' }, '–');
     const place = make('div', {});
-    byId('strips').append(make('div', { id: `strip-${strip.id}` }, make('h3', {}, strip.title, now), place));
+    const style_ = (line) => ({ stroke: colour(strip.lines.length === 1 || line < 3 ? '--ink' : '--accent'), width: 1.4, dash: DASHES[line] });
+    byId('strips').append(make('div', { id: `strip-${strip.id}` }, make('h3', {}, strip.title, now), ...legend(strip, style_), place));
     const data = made[index]?.data ?? [[], ...strip.lines.map(() => [])];
     const axis = { stroke: colour('--soft'), grid: { stroke: colour('--line'), width: 0.5 }, ticks: { show: false }, font: '11px system-ui', size: 34, gap: 2 };
     const plot = new uPlot({
-      width: Math.max(place.clientWidth, 120), height: HEIGHT, padding: [4, 14, 0, 0], legend: { show: false }, cursor: { show: false },
+      width: Math.max(place.clientWidth, 120), height: height(strip), padding: [4, 14, 0, 0], legend: { show: false }, cursor: { show: false },
       scales: { x: { time: false, range: () => [-SPAN_S, 0] }, y: { range: (_, low, high) => range(strip, low, high) } },
-      axes: [{ ...axis, size: 25, gap: 7, values: (_, at) => at.map((t) => (t ? `${t} s` : 'now')), splits: () => [-120, -60, 0] }, axis],
-      series: [{}, ...strip.lines.map((_, line) => ({ stroke: colour('--ink'), width: line ? 1 : 1.5, dash: DASHES[line], points: { show: false } }))],
+      axes: [{ ...axis, size: 25, gap: 7, values: (_, at) => at.map((t) => (t ? `${t} s` : 'now')), splits: () => [-120, -60, 0] }, { ...axis, space: 20 }],
+      series: [{}, ...strip.lines.map((_, line) => ({ ...style_(line), points: { show: false } }))],
     }, shown(data), place);
     made[index] = { strip, data, plot, now, place };
   });
+}
+
+const height = (strip) => HEIGHT - (strip.lines.length > 1 ? LEGEND : 0);
+
+/** Which line is which joint. */
+function legend({ lines }, style) {
+  if (lines.length === 1) return [];
+  const list = make('ul', { class: 'legend' });
+  lines.forEach((name, line) => {
+    const { stroke, width, dash } = style(line);
+    const sample = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
+    sample.setAttribute('viewBox', '0 0 17 5');
+    sample.setAttribute('aria-hidden', 'true');
+    const drawn = document.createElementNS(sample.namespaceURI, 'path');
+    for (const [attribute, value] of Object.entries({ d: 'M0 2.5H17', stroke, 'stroke-width': width, 'stroke-dasharray': dash.join(' ') })) drawn.setAttribute(attribute, value);
+    sample.append(drawn);
+    list.append(make('li', {}, sample, name));
+  });
+  return [list];
 }
 
 function range({ floor, zero }, low, high) {
@@ -56,8 +77,9 @@ export function addToPlots(shot) {
     data[0].push(shot.time);
     values.forEach((value, line) => data[line + 1].push(value));
     while (data[0].length > KEPT || data[0].at(-1) - data[0][0] > SPAN_S) for (const column of data) column.shift();
-    const worst = values.reduce((most, value) => (value !== null && Math.abs(value) > Math.abs(most ?? 0) ? value : most), values[0]);
-    write(now, worst === null ? '–' : worst.toFixed(strip.digits).replace('-', '−'));
+    const worst = values.reduce((most, value, line) => (value !== null && Math.abs(value) > Math.abs(values[most] ?? 0) ? line : most), 0);
+    const of = strip.lines.length > 1 ? `${strip.lines[worst]} ` : '';
+    write(now, values[worst] === null ? '–' : of + values[worst].toFixed(strip.digits).replace('-', '−'));
   }
 }
 
@@ -68,9 +90,9 @@ export function clearPlots() {
 
 /** Draws; called less often than values come. */
 export function drawPlots() {
-  for (const { data, plot, place } of made) {
+  for (const { strip, data, plot, place } of made) {
     const width = Math.max(place.clientWidth, 120);
-    if (plot.width !== width) plot.setSize({ width, height: HEIGHT });
+    if (plot.width !== width) plot.setSize({ width, height: height(strip) });
     plot.setData(shown(data));
   }
 }

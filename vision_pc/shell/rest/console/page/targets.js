@@ -1,8 +1,9 @@
 // Targets by a click in the picture: what was recognised there, how well it is known, whether the arm reaches it.
 
-import { addSteps, nextStep, running, say, showCurl, tellCurl } from './actions.js';
+import { addSteps, advise, nameGoal, nextStep, running, say, showCurl, tellCurl } from './actions.js';
 import { MEASURING_MS, refusal, send } from './api.js';
-import { attribute, byId, make, write } from './dom.js';
+import { distances, labels, offer } from './candidates.js';
+import { attribute, byId, make } from './dom.js';
 
 const SVG = 'http://www.w3.org/2000/svg';
 const EVERY_MS = 1000;
@@ -26,10 +27,12 @@ export async function installTargets() {
   const answer = await send('GET', '/targets');
   if (!answer.ok) {
     if (answer.status !== 404) setTimeout(installTargets, 3000); // such as before somebody signed in
+    else nameGoal(() => ({})); // this service knows markers alone
     return;
   }
   byId('targets').hidden = false;
-  addSteps([{ kind: 'visit', words: 'Visit all targets, the oldest first', verb: 'Visit', wanted: () => targets.length > 1 }], byId('target-steps'));
+  nameGoal(() => ({ id: aimed()?.id ?? 'markers', words: named(aimed()) }));
+  addSteps([{ kind: 'visit', words: 'Visit all targets, the oldest first', verb: 'Visit', wanted: () => targets.length > 1, request: () => ['POST', '/operations/visit', { targets: targets.map((target) => target.id) }] }], byId('target-steps'));
   take(answer.document);
   byId('left').parentElement.classList.add('aimable');
   for (const eye of ['left', 'right']) {
@@ -113,11 +116,14 @@ async function ask(body) {
   askFor(null);
   if (answer.ok) {
     const made = answer.document;
-    say(`Target ${made.id}: ${made.recognised}, known to ${precision(made)}${far(made)}. ${made.reachable === false ? 'Jog nearer, then click it again.' : nextStep()}`, made.reachable !== false);
+    const chosen = 'other_u_px' in body ? ` You chose how far it is: ${(1000 * Math.hypot(...made.X_CO.p_m)).toFixed(0)} mm from the camera. Can that be?` : '';
+    const told = `Target ${made.id}: ${made.recognised}, known to ${precision(made)}${far(made)}.${chosen}`;
+    if (made.reachable === false) say(`${told} Jog nearer, then click it again.`, false);
+    else advise(`${told} ${nextStep()}`);
   } else {
     const candidates = answer.document?.candidates ?? [];
     if (candidates.length) askFor({ body, candidates });
-    const advice = 'Click the same place in the right eye: the candidates are drawn there.';
+    const advice = `Click the same place in the right eye, where the candidates are drawn, or take one by its distance from the camera: ${candidates.length && distances(candidates)}`;
     say(candidates.length ? refusal({ ...answer.document, advice }) : answer.words, false);
     if (candidates.length && document.activeElement === byId('left')) pointRight(candidates[0].other_px);
   }
@@ -128,6 +134,7 @@ async function ask(body) {
 function askFor(question) {
   asked = question;
   byId('right-place').closest('.under').classList.toggle('asked', asked !== null);
+  offer(asked?.candidates ?? [], (candidate) => clickRight(candidate.other_px));
 }
 
 /** Who points by keys goes on in the right eye, from the likeliest place on. */
@@ -160,7 +167,7 @@ async function refresh(own = true) {
 /** Who was told "hold Go to drive there" must not drive to what another console has clicked since. */
 function tellChanged(now) {
   if (now?.id === aimed()?.id) return;
-  say(`▲ Not by this page, the target is another one now: ${now ? `${now.id} ${now.recognised}. Go drives there.` : 'the object’s markers.'}`, false);
+  say(`▲ Not by this page, the target is another one now: ${named(now)}.${now ? ' Go drives there.' : ''}`, false);
 }
 
 /** One request at a time: those that wait in vain must not take the connections that STOP needs. */
@@ -178,6 +185,7 @@ function take(document_) {
 }
 
 const precision = ({ std_sight_mm: { across, along } }) => `±${across.toFixed(1)} mm across, ±${along.toFixed(1)} mm in depth`;
+const named = (target) => (target ? `${target.id} ${target.recognised}` : 'the object’s markers');
 const far = (target) => (target.distance_mm === null ? '' : `, ${target.distance_mm.toFixed(0)} mm away${target.reachable ? '' : ', OUT OF REACH of one step'}`);
 
 function rows() {
@@ -185,14 +193,14 @@ function rows() {
   const list = byId('target-rows');
   if (list.dataset.told === told) return;
   list.dataset.told = told;
-  const markers = { id: '', aimed: !aimed(), recognised: 'the object’s markers', known: '' };
+  const markers = { id: '', aimed: !aimed(), recognised: named(), known: '' };
   list.replaceChildren(...[markers, ...targets].map(row));
   const line = list.querySelector('.aimed'); // of a long row the newest, which is aimed at, is the last
   if (line) list.scrollTop = line.offsetTop - list.offsetTop;
 }
 
 function row(target) {
-  const name = target.id ? `${target.id} ${target.recognised}` : target.recognised;
+  const name = target.id ? named(target) : target.recognised;
   const line = make('li', { class: target.aimed ? 'aimed' : '' }, make('b', {}, target.aimed ? `◎ ${name}` : name));
   if (!target.id) return line;
   line.append(make('span', {}, `${KNOWN[target.known] ?? target.known} · ${precision(target)}${far(target)}`));
@@ -233,6 +241,7 @@ function draw() {
   byId('right-aims').setAttribute('viewBox', `0 0 ${size[0]} ${size[1]}`);
   byId('right-aims').replaceChildren(
     ...(asked?.candidates ?? []).map((candidate) => mark(candidate.other_px, 'cross')),
+    ...labels(asked?.candidates ?? []),
     ...(cross?.eye === 'right' ? [mark(cross.at, 'kept')] : []),
   );
 }
