@@ -25,7 +25,8 @@ from testbed.commissioning.recording import JointRecording, strokes_in
 from testbed.commissioning.session import TrialsTold
 from testbed.commissioning.uncertain import Uncertain, midway
 from testbed.commissioning.valve_fit import EdgeFindings, edge_findings
-from vision_pc.core.calibration.joint_play import JointSeen, PlayFound, joint_play, mean_delay
+from vision_pc.core.calibration.joint_motion import JointSeen
+from vision_pc.core.calibration.joint_play import PlayFound, joint_play, mean_delay
 
 DEADBAND_MOST = 0.3  # what the compensation can hold
 _GAINS = (0.05, 20.0)

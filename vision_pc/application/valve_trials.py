@@ -15,7 +15,8 @@ from protocol.faults import CommandCode, GroupState
 from protocol.reference_messages import State
 from vision_pc.application.application import VisionApplication
 from vision_pc.application.results import JSON
-from vision_pc.core.calibration.joint_play import JointSeen, PlayFound, joint_play, mean_delay
+from vision_pc.core.calibration.joint_motion import JointSeen
+from vision_pc.core.calibration.joint_play import PlayFound, joint_play, mean_delay
 from vision_pc.core.ports import Report
 from vision_pc.core.types import WatchSample
 

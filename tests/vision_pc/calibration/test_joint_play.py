@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from protocol.errors import MeasurementFailed
-from vision_pc.core.calibration.joint_play import JointSeen, joint_play, mean_delay
+from vision_pc.core.calibration.joint_motion import JointSeen, evenly
+from vision_pc.core.calibration.joint_play import joint_play, mean_delay
 from vision_pc.core.se3 import Array, exp_so3, transform
 
 _LEVER_M = 3.0
@@ -76,6 +77,21 @@ def test_a_boom_that_swings_beside_its_joint_is_not_taken_for_play(seed: int) ->
     assert found.half == pytest.approx(2e-4, rel=0.2)
     assert abs(found.half - 2e-4) < 3.5 * found.half_std
     assert found.half_std < 2.5e-5  # 6e-5 and more without the swings
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_stamps_that_scatter_do_not_widen_the_play(seed: int) -> None:
+    seen = seen_of(encoder_side=2e-4, late_s=0.008, seed=seed)
+    scatter = 0.003 * np.random.default_rng(seed).standard_normal(len(seen.seen_t))
+    found = joint_play(seen._replace(seen_t=seen.seen_t + scatter))
+    assert found.half == pytest.approx(2e-4, rel=0.1)
+    assert found.half_std < 8e-6  # 8.8e-6 to 1.3e-5 by the stamps as told
+    assert found.delay == pytest.approx(0.008, abs=0.0012)
+
+
+def test_a_camera_that_does_not_expose_evenly_is_taken_at_its_word() -> None:
+    stamps = np.cumsum(np.random.default_rng(1).uniform(0.05, 0.15, 60))
+    assert np.array_equal(evenly(stamps), stamps)
 
 
 def on_a_boom(seen: JointSeen, hertz: float, damping: float) -> JointSeen:
