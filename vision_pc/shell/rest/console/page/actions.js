@@ -21,6 +21,7 @@ const STEPS = [
 ];
 const FRESH_MS = 8000;
 const AFTER_STOP = { disabled: 'the arm is disabled', error_stop: 'the fault stays latched' };
+const STILL_MOVES = { held: 'The tool rolls out for half a second, and swings: wait until it rests.', shut: 'With its valves shut it sinks slowly.' };
 const WHY_NOT = { disabled: 'the arm is disabled: hold ENABLE first', error_stop: 'a fault is latched: reset and enable first', moving: 'the arm moves', stopping: 'the arm is stopping', standby: 'the arm is enabled' };
 const WANTED = { disabled: 'hold ENABLE first', error_stop: 'after RESET and ENABLE' }; // for programs that move
 const results = new Map(); // of operations that have ended, by id
@@ -47,7 +48,7 @@ export function installActions() {
   }
   byId('copy').addEventListener('click', () => navigator.clipboard?.writeText(byId('curl').textContent));
   byId('method').addEventListener('change', () => update(shot, may));
-  document.addEventListener('stopped', () => advise(`Stopped. What was running has ended; ${AFTER_STOP[shot?.state?.group_state] ?? 'ENABLE still holds'}.`));
+  document.addEventListener('stopped', () => advise(`Stopped. What was running has ended; ${AFTER_STOP[shot?.state?.group_state] ?? 'ENABLE still holds'}. ${STILL_MOVES[shot?.state?.group_state === 'disabled' ? 'shut' : 'held']}`));
 }
 
 /** Adds a row for every program of an installed package, once. */
