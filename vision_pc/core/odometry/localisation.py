@@ -23,8 +23,6 @@ from vision_pc.core.types import CameraCalibration, CameraModel, Image, StereoOf
 _NO_OFFSET = StereoOffset(0.0, 0.0, 1e-9, 1e-9)
 _KEPT = 3  # keyframes whose patches are kept: 4 MB each
 _NOTHING_FORESEEN = Foreseen()
-_ROUNDS = 3  # of weighing points by what they miss
-_LEAST_TRUST = 0.3  # a point that counts for less is not remembered either
 _LEAST_NOISE_PX = 0.03  # what matching leaves even in clean pictures
 
 
@@ -115,11 +113,10 @@ class Localiser:
             right, seen_right = self._seen_right(frame, keyframe, right, X_CC0)
         rays = self._rays(pixels, right, se3.apply(X_CC0, points))
         seen = np.stack([np.ones(len(points)), seen_right.astype(np.float64)])
-        X_CC0, trust = self._agreed(keyframe.ids, rays, seen, X_CC0)
+        X_CC0 = self._solve(points, rays, seen * self._weights(keyframe.ids, X_CC0), X_CC0).X_CA[0]
         errors = self._errors(points, rays, X_CC0)
         size = np.max(np.linalg.norm(errors, axis=2) * seen, axis=0)
         held = size < 3.0 * max(self._settings.huber_px, float(np.median(size)))
-        held &= trust >= _LEAST_TRUST
         cells = tracking.grid_cells(pixels[held], frame.pair.left.shape, self._settings)
         if int(held.sum()) < self._settings.minimum_inliers:
             return "too_few_points"
@@ -128,20 +125,7 @@ class Localiser:
         left = float(np.sqrt(np.mean(errors[0][held] ** 2)))
         if most_px is not None and left > most_px:
             return "two_motions"
-        seen = seen[:, held]
-        return self._settled(keyframe.only(held), pixels[held], rays[:, held], seen, trust[held], X_CC0)
-
-    def _agreed(self, ids: Indices, rays: Array, seen: Array, X_CC0: Array) -> tuple[Array, Array]:
-        """The pose on which points ``ids`` (n,) agree, near ``X_CC0``, where both eyes' ``rays`` (2, n, 2) to
-        them are ``seen`` (2, n); and how far each of them counts.
-        """
-        points, weights = self._map.points[ids], seen * self._weights(ids, X_CC0)
-        stds, trust = self._map.view_stds(ids, X_CC0, self._noise_px), np.ones(len(ids))
-        X_CC0 = self._solve(points, rays, weights, X_CC0).X_CA[0]
-        for _ in range(_ROUNDS if self._settings.watchful else 0):
-            trust = pose_spread.trusted(self._errors(points, rays, X_CC0), stds, seen)
-            X_CC0 = self._solve(points, rays, weights * np.sqrt(trust), X_CC0).X_CA[0]
-        return X_CC0, trust
+        return self._settled(keyframe.only(held), pixels[held], rays[:, held], seen[:, held], X_CC0)
 
     def _expected_right(self, points_C: Array) -> Array:
         """Where the right eye's rows show ``points_C`` (n, 3), px (n, 2)."""
@@ -177,27 +161,27 @@ class Localiser:
         return right, usable & matched & on_row
 
     def _settled(
-        self, keyframe: Keyframe, pixels: Array, rays: Array, seen: Array, trust: Array, X_CC0: Array
+        self, keyframe: Keyframe, pixels: Array, rays: Array, seen: Array, X_CC0: Array
     ) -> PoseEstimate:
         """The pose from the points that held, which in turn learn from it."""
         ids = keyframe.ids
-        weights = seen * self._weights(ids, X_CC0) * np.sqrt(trust)
+        weights = seen * self._weights(ids, X_CC0)
         solution = self._solve(self._map.points[ids], rays, weights, X_CC0)
         X_CC0 = solution.X_CA[0]
         self._map.rescale(solution.sizes[0], solution.size_stds[0])
         errors = self._errors(self._map.points[ids], rays, X_CC0)
-        counted = seen * trust
-        residual = float(np.sqrt((errors**2 * counted[:, :, None]).sum() / (2.0 * counted.sum())))
+        residual = float(np.sqrt((errors**2 * seen[:, :, None]).sum() / (2.0 * seen.sum())))
         views = PointViews(
             se3.apply(X_CC0, self._map.points[ids]), rays, errors, seen, self._map.sensitivity(ids, X_CC0)
         )
         self._learn_readout(keyframe, views, max(residual, _LEAST_NOISE_PX))
-        covariance = SHARED * se3.inverse_covariance(X_CC0, solution.covariances[0])
+        told = SHARED
         if self._settings.watchful:
-            covariance = pose_spread.covariance(self._map, ids, X_CC0, errors, weights, self._noise_px)
+            told = pose_spread.widened(self._map, ids, X_CC0, errors, weights, self._noise_px)
         drift = self._map.drift(ids, X_CC0, weights)
-        self._map.update(ids, X_CC0, errors, counted, self._noise_px, drift)
+        self._map.update(ids, X_CC0, errors, seen, self._noise_px, drift)
         self._noise_px = max(residual, _LEAST_NOISE_PX)
+        covariance = told * se3.inverse_covariance(X_CC0, solution.covariances[0])
         if self._readout.share:
             depth = float(np.median(views.points_C[:, 2]))
             covariance = covariance + np.diag(self._readout.std(depth) ** 2)

@@ -1,53 +1,41 @@
-"""How well a pose is known in pictures of a camera that nobody here knows, and which points it should trust.
+"""How much wider a pose is told than its solution has it, in pictures of a camera that nobody here knows.
 
-The solution weighs views by a floor that depths of any recording deserve, so its own covariance tells of that
-floor. What a pose truly errs by follows from what its points truly do, each with the hold that it has on the
-pose (Huber 1967; for few points MacKinnon and White 1985): single near points at the edge of a depth step,
-whose patch shows two surfaces, are a few of three hundred, and yet hold much of it.
+The solution weighs views by a floor that depths of any recording deserve. What views truly miss by is told by
+what depths are known to, and by what is left in the views themselves: the larger counts.
 """
 
 import numpy as np
 
 from vision_pc.core.odometry.keyframes.keyframe import Indices
-from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
+from vision_pc.core.odometry.keyframes.keyframe_map import SHARED, KeyframeMap
 from vision_pc.core.se3 import Array
 
-_USUAL = 2.5  # times what the median point misses by: a point that misses by so much counts half
+_TAILS = 1.5  # [E] of a pose's variance: single pictures are off by more than a normal error
+_FEW_POINTS = 140.0  # [E] with so many a patch that is followed wrongly adds that variance again
+_UNKNOWNS = 7  # of a pose and the map's size
 
 
-def trusted(errors_px: Array, stds_px: Array, seen: Array) -> Array:
-    """How far points (n,) count, 0…1, that miss by ``errors_px`` (2, n, 2) where ``stds_px`` (2, n) are
-    expected; of those views that were ``seen`` (2, n).
-
-    As of a Cauchy distribution: what misses by more than the others do is followed wrongly, or moves.
-    """
-    missed = np.where(seen > 0.0, ((errors_px / stds_px[:, :, None]) ** 2).sum(axis=2), 0.0)
-    size = np.sqrt(missed.sum(axis=0) / np.maximum(2.0 * seen.sum(axis=0), 1.0))
-    usual = max(_USUAL * float(np.median(size)), 1e-9)
-    return np.asarray(1.0 / (1.0 + (size / usual) ** 2))
-
-
-def covariance(
+def widened(
     keyframe_map: KeyframeMap, ids: Indices, X_CC0: Array, errors_px: Array, weights: Array, noise_px: float
-) -> Array:
-    """The covariance (6×6), [δp; δθ] in C0, of a camera at ``X_CC0`` that the points ``ids`` (n,) hold with
+) -> float:
+    """What the covariance of a camera at ``X_CC0`` is multiplied by, which the points ``ids`` (n,) hold with
     ``weights`` (2, n) of views of ``noise_px`` that miss by ``errors_px`` (2, n, 2).
-
-    What depths err by as well as they are known, and what points do miss by, as if each were left out: it has
-    drawn the pose towards itself. As if points had nothing in common.
     """
-    rates = _by_points(keyframe_map.pose_rates(ids, X_CC0))
-    precisions = _by_points(np.repeat((weights / noise_px)[:, :, None] ** 2, 2, axis=2))
-    pulls = precisions[..., None] * rates  # of a px that a view misses by
-    information = np.einsum("nik,nil->kl", pulls, rates)
-    known = np.linalg.inv(information)
-    moved = _by_points(keyframe_map.sensitivity(ids, X_CC0) * keyframe_map.told_stds(ids)[:, None])
-    hold = np.einsum("nik,kl,njl->nij", rates, known, pulls)
-    alone = np.linalg.solve(np.eye(hold.shape[1]) - hold, _by_points(errors_px)[..., None])[..., 0]
-    scores = np.einsum("knid,kni->knd", np.stack([pulls, pulls]), np.stack([moved, alone])).reshape(-1, 6)
-    return np.asarray(known @ scores.T @ scores @ known)
+    moved = np.linalg.norm(keyframe_map.sensitivity(ids, X_CC0), axis=2) * keyframe_map.told_stds(ids)
+    missed = max(_expected(moved / noise_px, weights), _missed(errors_px * weights[:, :, None] / noise_px))
+    return SHARED * missed * (_TAILS + (_FEW_POINTS / len(ids)) ** 2)
 
 
-def _by_points(views: Array) -> Array:
-    """Views (2, n, 2, ...) of both eyes as the four numbers of each point (n, 4, ...)."""
-    return np.swapaxes(views, 0, 1).reshape(views.shape[1], 4, *views.shape[3:])
+def _expected(moved: Array, weights: Array) -> float:
+    """What views (2, n) miss by, squared, of what their ``weights`` expect of them, where depths as they are
+    truly known move them by ``moved`` (2, n) of their noise: the floor that weighs them is above that.
+    """
+    information = weights**2
+    truly = information * (1.0 + moved**2)
+    return float((information * truly).sum() / information.sum())
+
+
+def _missed(errors: Array) -> float:
+    """The same by what they do miss by, ``errors`` (2, n, 2) of what is expected; 0 where none was seen."""
+    seen = int((errors != 0.0).any(axis=2).sum())
+    return float((errors**2).sum() / max(2 * seen - _UNKNOWNS, 1))

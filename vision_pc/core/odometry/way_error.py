@@ -10,11 +10,7 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import OdometryPose
 
 _NOTHING = np.zeros((6, 6))
-_ASTRAY = 0.004  # [E] of what an offset does to a pose, in every direction: depths are not linear in it
-_OWN = 0.4  # [E] of the spread that a pose's points tell, in an old map: their depths are better than told
-_YOUNG = 3.0  # [E] of the same in a map's first pairs: what two eyes match wrongly, later pictures find out
-_FEW = 75.0  # [E] points: with so few the ones that hold a pose have something in common
-_HANDED_ON = 7.0  # [E] of a keyframe's spread: the next ones see the same points, and err the same way again
+_ASTRAY = 0.15  # [E] of what an offset does to a pose, in every direction: the way is not linear in it
 
 
 class _Keyframe(NamedTuple):
@@ -33,17 +29,13 @@ class WayError:
     def __init__(self, disparity_std_px: float, begins: Array = _NOTHING) -> None:
         self._std_px = disparity_std_px
         self._keyframes: dict[int, _Keyframe] = {0: _Keyframe(np.zeros(3), begins)}
-        self._poses = 0
 
     def after(self, pose: OdometryPose, made: int | None) -> Array:
         """The covariance (6×6) of ``pose`` in its C0; ``made``: the number of the keyframe that it became."""
         place = pose.X_C0C[:3, 3]
-        few = (_FEW / pose.inliers) ** 2
-        held = self._held(pose.shown_by, place)
-        total = held + (few + _OWN + _YOUNG / (1.0 + self._poses)) * pose.covariance
+        total = pose.covariance + self._held(pose.shown_by, place)
         if made is not None:
-            self._keyframes[made] = _Keyframe(place, held + _HANDED_ON * (1.0 + few) * pose.covariance)
-        self._poses += 1
+            self._keyframes[made] = _Keyframe(place, total)
         by_offset = np.zeros(6) if pose.by_offset is None else pose.by_offset
         bent = np.outer(by_offset, by_offset)
         bent[:3, :3] += _ASTRAY**2 * (by_offset[:3] @ by_offset[:3]) * np.eye(3)

@@ -10,7 +10,7 @@ import numpy as np
 from vision_pc.core import se3
 from vision_pc.core.odometry.keyframes import bundle_adjustment
 from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
-from vision_pc.core.odometry.keyframes.offset_drift import Lines, MapDrift, PoseDrift, view_rates
+from vision_pc.core.odometry.keyframes.offset_drift import Lines, MapDrift, PoseDrift
 from vision_pc.core.odometry.keyframes.triangulation import disparity_metres
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel
@@ -117,11 +117,6 @@ class KeyframeMap:
         rates = -self._directions[ids] / self._inverse_depths[ids][:, None] ** 2
         return np.stack([_image_rates(eye, X_CC0, self.points[ids], rates) for eye in self._eyes])
 
-    def pose_rates(self, ids: Indices, X_CC0: Array) -> Array:
-        """How the eyes' views of points ``ids`` move with the camera's [δp; δθ] in C0, px (2, n, 2, 6)."""
-        X_C0C, points = se3.inverse(X_CC0), self.points[ids]
-        return np.stack([view_rates(eye, X_C0C, points)[1] for eye in self._eyes])
-
     def drift(self, ids: Indices, X_CC0: Array, weights: Array) -> PoseDrift | None:
         """How a pose that points ``ids`` hold with ``weights`` (2, n) goes by a px of the disparities'
         offset, with all that they have gone themselves; None where that is not followed.
@@ -141,11 +136,6 @@ class KeyframeMap:
     def told_stds(self, ids: Indices) -> Array:
         """What inverse depths truly are known to (n,), 1/m: the floor of ``stds`` is what weighs them."""
         return np.asarray(np.maximum(self._told[ids] ** -0.5, self._told_std))
-
-    def view_stds(self, ids: Indices, X_CC0: Array, noise_px: float) -> Array:
-        """What views of points ``ids`` by a camera at ``X_CC0`` truly miss by, px (2, n)."""
-        moved = np.linalg.norm(self.sensitivity(ids, X_CC0), axis=2) * self.told_stds(ids)
-        return np.asarray(np.hypot(noise_px, moved))
 
     def update(
         self,
