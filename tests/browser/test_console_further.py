@@ -382,6 +382,23 @@ def test_what_was_not_answered_may_still_happen_and_the_page_says_so(browser: Br
         expect(told).to_contain_text("has not answered for 10 s: it may still do what was asked.")
 
 
+def test_what_a_network_held_up_is_refused_when_it_comes_at_last(browser: Browser) -> None:
+    """The page sends when it was looked at; what comes late moves nothing, STOP is heard all the same."""
+    with served_bench() as (url, _), opened(browser, url) as page:
+        is_state(page, "standby")
+        held: list[Route] = []
+        page.route("**/operations/move", lambda route: held.append(route))
+        page.locator("#jog-x-plus").click()
+        page.wait_for_timeout(6000)
+        held[0].continue_()
+        told = page.locator("#answer")
+        expect(told).to_contain_text("at most 5 s: nothing was done (refused.asked_too_late)")
+        assert not httpx.get(f"{url}/operations").json()
+        page.unroute("**/operations/move")
+        page.locator("#jog-x-plus").click()
+        eventually(lambda: [one["kind"] for one in httpx.get(f"{url}/operations").json()] == ["move"], page)
+
+
 def test_a_page_left_open_goes_on_when_its_service_has_begun_anew(browser: Browser) -> None:
     with contextlib.ExitStack() as outer:
         with served_bench() as (url, _):

@@ -2,6 +2,8 @@
 
 import asyncio
 import json
+import re
+import time
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -534,3 +536,25 @@ async def test_home_is_where_the_arm_was_first_heard() -> None:
         await until(lambda: made.station.controller.home is not None)
         again = (await made.run("home"))["result"]["X_BT_ref"]["p_m"]
         assert np.subtract(again, first[:3, 3])[1] == pytest.approx(0.04, abs=3e-3)
+
+
+async def test_what_was_asked_long_ago_is_refused_and_stops_are_taken(station: Bench) -> None:
+    """A request that a network held up moves nothing; who says nothing of the time is not judged."""
+    await station.post("/enable")
+
+    async def asked(path: str, shown: str, body: Any = None) -> httpx.Response:
+        return await station.client.post(path, json=body, headers={"Longreach-Shown": shown})
+
+    now_s = time.time()
+    document = refused(await asked("/operations/look", f"{now_s - 6.0}"), 409, "refused.asked_too_late")
+    assert re.search(r"6\.\d s ago, at most 5 s: nothing was done", document["detail"])
+    assert document["advice"]
+    for path, shown_s in (("/operations/move", now_s - 3600.0), ("/enable", now_s + 60.0)):
+        refused(await asked(path, f"{shown_s}"), 409, "refused.asked_too_late")
+    for nonsense in ("yesterday", "nan", "inf", ""):
+        refused(await asked("/operations/look", nonsense), 400, "request.bad_header")
+    assert not (await station.client.get("/operations")).json()
+    look = await asked("/operations/look", f"{now_s - 1.0}")
+    assert look.status_code == 202
+    assert (await asked(f"/operations/{look.json()['id']}/cancel", f"{now_s - 60.0}")).status_code == 200
+    assert (await asked("/stop", f"{now_s - 3600.0}")).status_code == 200

@@ -26,6 +26,8 @@ _OF_CAUSE = {
     "machine.begun_anew": "Reset, enable, turn parallel, calibrate; click the targets again.",
     "machine.overloaded": "Close other work on this machine.",
     "recording.unwritable": "Events cannot be recorded: look after the disk.",
+    "refused.asked_too_late": "The network held it up. Look at the machine, then ask once more.",
+    "request.bad_header": "Send the time of a snapshot of GET /events, or leave the header out.",
     "refused.busy": "Wait for the operation that runs, or cancel it.",
     "refused.disabled": "Hold ENABLE first.",
     "refused.moving": "Wait until the arm rests, or stop it.",

@@ -4,7 +4,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from http import HTTPStatus
 from typing import Any
 
-from fastapi import FastAPI, Request, Response
+from fastapi import Depends, FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 
@@ -21,6 +21,7 @@ from vision_pc.application.hand_eye_programs import HAND_EYE
 from vision_pc.application.program import Program, by_name
 from vision_pc.application.programs import PROGRAMS
 from vision_pc.application.results import JSON, calibration_json, look_json, seen_json
+from vision_pc.shell.rest.asked_lately import asked_lately
 from vision_pc.shell.rest.console.routes import PAGE, Console, add_console
 from vision_pc.shell.rest.hand_eye_routes import add_session
 from vision_pc.shell.rest.link_view import LinkView, link_view
@@ -67,6 +68,7 @@ def create_app(
         version="1",
         description=DESCRIPTION,
         responses={"4XX": _PROBLEM, "5XX": _PROBLEM},
+        dependencies=[Depends(asked_lately(STOPS))],
         docs_url=None,
         redoc_url=None,
     )

@@ -12,6 +12,7 @@ STATUS_OF_CAUSE = {
     "refused.key_reused": HTTPStatus.UNPROCESSABLE_ENTITY,
     "refused.key_spent": HTTPStatus.GONE,
     "request.repeated_header": HTTPStatus.BAD_REQUEST,
+    "request.bad_header": HTTPStatus.BAD_REQUEST,
     "refused.unknown_target": HTTPStatus.NOT_FOUND,
     "refused.no_look_yet": HTTPStatus.NOT_FOUND,
     "refused.bad_target": HTTPStatus.UNPROCESSABLE_ENTITY,

@@ -4,6 +4,7 @@ const KEY = 'longreach-token';
 const PATIENCE_MS = 10_000;
 export const MEASURING_MS = 30_000; // on a machine that is busy
 let wanted = () => {};
+let shown = null;
 
 /** Takes a token out of the address (`#t=…`), where it reaches no log, into this tab's memory. */
 export function takeToken() {
@@ -16,6 +17,8 @@ export function takeToken() {
 
 export const setToken = (token) => sessionStorage.setItem(KEY, token.trim());
 export const forgetToken = () => sessionStorage.removeItem(KEY);
+/** The service's `time` of what the page shows: what is asked of it and comes much later is refused. */
+export const setShown = (time) => { shown = time; };
 export const onTokenWanted = (tell) => { wanted = tell; };
 
 /** Whether `path` is of this service; else it is the emulator's own address, which gets no token of ours. */
@@ -31,9 +34,10 @@ export function ask(path, options = {}) {
 
 /** What a request led to: `ok`, `status`, the document, and a sentence for a person; `patience` in ms. */
 export async function send(method, path, body, patience = PATIENCE_MS) {
-  const options = { method };
+  const options = { method, headers: {} };
+  if (shown !== null && isOurs(path) && method === 'POST') options.headers['Longreach-Shown'] = String(shown);
   if (body !== undefined) {
-    options.headers = { 'Content-Type': 'application/json' };
+    options.headers['Content-Type'] = 'application/json';
     options.body = JSON.stringify(body);
   }
   let answer;

@@ -1,6 +1,6 @@
 // The console: puts the streams and the parts of the page together, and judges what is stale.
 
-import { forgetToken, onTokenWanted, send, setToken, takeToken } from './api.js';
+import { forgetToken, onTokenWanted, send, setShown, setToken, takeToken } from './api.js';
 import { installActions, offerPrograms, say, tellCurl, update } from './actions.js';
 import { byId, write } from './dom.js';
 import { followEmulator } from './emulator.js';
@@ -34,6 +34,7 @@ function showSnapshot(snapshot) {
   }
   instance = snapshot.service.instance;
   shot = snapshot;
+  setShown(snapshot.time);
   came = performance.now();
   if (lastTrouble?.crowded) banner('', false);
   lastTrouble = null;
