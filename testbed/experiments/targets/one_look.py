@@ -9,13 +9,12 @@ from rich.table import Table
 
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished, at_least, at_most, inside, seeds
-from testbed.experiments.targets.one_target import ROWS, TargetRow, one_target
+from testbed.experiments.targets.one_target import REFUSING, ROWS, TargetRow, one_target
 from testbed.reporting.console import table
 
 _NORMAL_DEG = 1.5
 _NEES = (0.8, 1.25)
 _DETECTED, _FALSE = 0.99, 0.02
-_REFUSING = ("bare", "repetitive")
 _SPREAD = ("lateral_mm", "depth_mm", "normal_deg")
 _RATIOS = ("nees", "nees_lateral", "nees_depth", "nees_normal")
 
@@ -43,11 +42,16 @@ def target_tasks(request: CampaignRequest, settings: TargetSceneSettings) -> lis
 
 
 def target_table(done: Scenes) -> list[Table]:
-    """Errors and what was told of them, as vision sees the wall and with a camera that is known."""
+    """Errors and what was told of them, as vision sees the wall and with a camera that is known.
+
+    Nothing where only rows that must be refused were run: the verdict says it all.
+    """
     heads = ["row", "scenes", "told", "across mm: median, 95 %", "along mm", "normal °"]
     heads += ["error² / variance told", "across", "along", "normal", "CPU ms"]
     rows = _rows(done)
-    seen = {name: of for name, of in rows.items() if name not in _REFUSING}
+    seen = {name: of for name, of in rows.items() if name not in REFUSING}
+    if not seen:
+        return []
     return [
         table("as vision sees it: the tool's marker tells of the camera", heads, _cells(seen, "seen")),
         table("the camera known: the measurement alone", heads, _cells(seen, "known")),
@@ -88,7 +92,7 @@ def target_verdict(done: Scenes) -> list[Check]:
     """What is asked of every row. A hole that was not told counts as not detected."""
     rows, checks = _rows(done), list[Check]()
     for name, of in rows.items():
-        if name in _REFUSING:
+        if name in REFUSING:
             wrong = sum(row.wrong for row in of)
             checks.append(at_most(f"{ROWS[name].words}, {len(of)}: wrong answers", wrong, 0))
             told = float(np.mean([not row.refused for row in of]))

@@ -53,6 +53,7 @@ ROWS = {
     "repetitive": Kinded("click on a chessboard", "repetitive", Aspect(1.0, (0.0, 35.0), None)),
 }
 """Name → row; a task names one."""
+REFUSING = ("bare", "repetitive")  # rows whose walls have nothing that one pair could tell rightly
 
 
 class TargetError(NamedTuple):
@@ -107,7 +108,7 @@ def one_target(config_dir: Path, task: JSON) -> JSON:
     }  # fmt: skip
     if wall.then is not None:
         return about | _of_template(wall, wall.then)
-    return about | (_of_hole(wall) if asked.kind == "hole" else _of_click(wall))
+    return about | (_of_hole(wall) if asked.kind == "hole" else _of_click(wall, asked.kind))
 
 
 def _surface(kind: str, seed: int) -> JSON:
@@ -120,20 +121,22 @@ def _surface(kind: str, seed: int) -> JSON:
     return {}
 
 
-def _of_click(wall: DrawnWall) -> JSON:
+def _of_click(wall: DrawnWall, kind: str) -> JSON:
+    """On a wall without holes; one told is wrong. What must be refused is clicked as on the console."""
+    click = Click("left", wall.pixel, "auto" if kind in REFUSING else "plane")
     began = time.process_time()
     try:
-        seen = at_click(wall.seen, Click("left", wall.pixel, "plane"))
+        seen = at_click(wall.seen, click)
     except TargetRefused as refused:
         return {"refused": refused.cause, "wrong": False, "measure_ms": _ms_since(began)}
     spent = _ms_since(began)
     error = target_error(seen, wall.aim, seen.covariance)
     return {
         "refused": "",
-        "wrong": _elsewhere(seen, wall.aim),
+        "wrong": seen.kind == "hole" or _elsewhere(seen, wall.aim),
         "measure_ms": spent,
         "seen": error,
-        "known": _known(wall.known, Click("left", wall.pixel, "plane"), wall.aim),
+        "known": _known(wall.known, click, wall.aim),
     }
 
 

@@ -35,7 +35,7 @@ from testbed.experiments.targets.one_look import (
     target_tasks,
     target_verdict,
 )
-from testbed.experiments.targets.one_target import TargetRow, target_error
+from testbed.experiments.targets.one_target import TargetRow, one_target, target_error
 from tests.support.paths import CONFIGS
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
@@ -117,7 +117,26 @@ def test_what_was_refused_counts_as_not_told_and_a_wrong_answer_fails() -> None:
     checks = {check.what: check for check in target_verdict(finished(bare))}
     assert checks["click on a bare wall, 2: wrong answers"].met is False
     assert target_table(finished([*good, refused]))[0].row_count == 1
+    assert not target_table(finished(bare))
     assert TARGETS.runs == 200
+
+
+def test_what_must_be_refused_is_clicked_as_on_the_console_and_a_hole_there_is_wrong(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    board = {"row": "repetitive", "seed": 3000}
+    assert one_target(CONFIGS, board)["refused"] == "target.ambiguous"
+    at_a_hole = drawn_wall(CONFIGS, 20, Aspect(1.0), {})
+    hole = at_click(at_a_hole.known, Click("left", at_a_hole.pixel, "hole"))
+    clicked: list[Click] = []
+
+    def believing(_: object, click: Click) -> TargetObservation:
+        clicked.append(click)
+        return hole
+
+    monkeypatch.setattr("testbed.experiments.targets.one_target.at_click", believing)
+    assert one_target(CONFIGS, board)["wrong"]
+    assert {click.kind for click in clicked} == {"auto"}
 
 
 @pytest.mark.parametrize(("seed", "holes"), [(45666, 1), (5023, 9)])
