@@ -16,7 +16,7 @@ from scipy import stats
 
 from testbed.campaigns.campaign import CampaignRequest, Task
 from testbed.campaigns.experiment import Check, Experiment, Finished
-from testbed.campaigns.options import EyesKind
+from testbed.campaigns.options import Adapting, Commissioned, EyesKind
 from testbed.experiments.positioning.corrected import (
     BOTH_ARMS,
     BRANCHES,
@@ -40,6 +40,8 @@ class AgreeSettings(NamedTuple):
 
     world: ChosenWorld = WorldName.LAB
     arm: Annotated[str, typer.Option(help="Which arm runs; both: in turn.")] = BOTH_ARMS
+    adapting: Adapting = False
+    commissioned: Commissioned = False
 
 
 class EyesRow(NamedTuple):
@@ -87,12 +89,11 @@ Seen = Finished[AgreeSettings, EyesRow]
 
 
 def agree_tasks(request: CampaignRequest, settings: AgreeSettings) -> list[Task]:
-    """The same seeds with both eyes."""
-    return [
-        task | {"key": f"{eyes}-{task['key']}"}
-        for eyes in EyesKind
-        for task in positioning_tasks(request, DrawnSettings(settings.world, settings.arm, eyes))
-    ]
+    """The same seeds with both eyes, pair by pair: a campaign that is broken off has whole pairs."""
+    world, arm, *machine = settings
+    drawn = [DrawnSettings(world, arm, eyes, None, *machine) for eyes in EyesKind]
+    pairs = zip(*(positioning_tasks(request, each) for each in drawn), strict=True)
+    return [task | {"key": f"{task['eyes']}-{task['key']}"} for pair in pairs for task in pair]
 
 
 def seen_run(config_dir: Path, task: Task) -> dict[str, Any]:

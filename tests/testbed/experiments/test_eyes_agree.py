@@ -1,12 +1,24 @@
 """Pictures against the eye model, in pairs: few or scattered runs show nothing, and stopped runs count."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from testbed.campaigns.campaign import CampaignRequest
+from testbed.campaigns.options import EyesKind
 from testbed.campaigns.typed_rows import typed
-from testbed.experiments.positioning.eyes_agree import EyesRow, Pairs, compare, paired
+from testbed.experiments.positioning.eyes_agree import (
+    AgreeSettings,
+    EyesRow,
+    Pairs,
+    agree_tasks,
+    compare,
+    paired,
+)
+from testbed.experiments.positioning.worlds import WorldName
+from tests.support.paths import CONFIGS
 
 RNG = np.random.default_rng(3)
 WORLDS = RNG.lognormal(0.0, 0.6, 30)  # what both eyes share: a hard world is hard with either
@@ -64,3 +76,15 @@ def test_pairs_are_of_one_seed_and_arm_and_a_stopped_run_is_counted_once() -> No
     assert (error.pixels.tolist(), error.model.tolist()) == ([1.0], [2.0])
     assert (error.pixels_stopped, error.model_stopped) == (1, 0)
     assert odometry.pixels[0] == pytest.approx(0.3 * 2**0.5)
+
+
+def test_a_campaign_runs_pair_after_pair_on_machines_as_they_were_asked_for() -> None:
+    request = CampaignRequest(CONFIGS, Path("nowhere"), runs=2, seed=8)
+    tasks = agree_tasks(request, AgreeSettings(WorldName.REAL, adapting=True, commissioned=True))
+    assert [(task["seed"], task["eyes"]) for task in tasks] == [
+        *((8, eyes) for eyes in EyesKind),
+        *((9, eyes) for eyes in EyesKind),
+    ]
+    for task in tasks:
+        assert (task["world"], task["adapting"], task["commissioned"]) == ("real", True, True)
+    assert "adapting" not in agree_tasks(request, AgreeSettings())[0]
