@@ -48,6 +48,24 @@ def test_what_was_not_answered_may_still_happen_and_the_page_says_so(browser: Br
         expect(told).to_contain_text("has not answered for 10 s: it may still do what was asked.")
 
 
+def test_who_opened_the_page_is_asked_until_it_is_answered(browser: Browser) -> None:
+    """On a slow network that one question may be lost while pictures come: nobody had to reload the page."""
+    lost: list[Route] = []
+
+    def lose_the_first(page: Page) -> None:
+        page.route("**/access", lambda route: lost.append(route) if len(lost) < 2 else route.continue_())
+
+    with served_bench(enabled=False) as (url, _), opened(browser, url, before=lose_the_first) as page:
+        is_state(page, "disabled")
+        enable = page.locator("#enable")
+        expect(enable).to_have_attribute("title", "the vision PC has not told yet who you are")
+        expect(enable).to_be_disabled()
+        expect(page.locator("#whoami")).to_have_text("operate", timeout=WITHIN_MS)
+        assert len(lost) == 2
+        hold(page, "#enable")
+        is_state(page, "standby")
+
+
 def test_what_a_network_held_up_is_refused_when_it_comes_at_last(browser: Browser) -> None:
     """The page sends when it was looked at; what comes late moves nothing, STOP is heard all the same."""
     with served_bench() as (url, _), opened(browser, url) as page:

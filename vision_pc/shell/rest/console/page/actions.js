@@ -27,7 +27,7 @@ const WANTED = { disabled: 'hold ENABLE first', error_stop: 'after RESET and ENA
 const results = new Map(); // of operations that have ended, by id
 const rows = []; // [step, its line]
 let shot = null;
-let may = false; // operate
+let may = null; // operate; null: not known yet
 let saidFor = null;
 let saidWhile = null; // the group's state for which what was said is advice
 let goal = () => null; // [id, words] of the target that is shown; null while that is not known
@@ -169,6 +169,7 @@ export function update(snapshot, operate) {
 /** Why nothing can be asked for, whatever the group's state is; '' where something can. */
 function whyNot(busy) {
   if (!shot) return 'no word from the vision PC';
+  if (may === null) return 'the vision PC has not told yet who you are';
   if (!may) return 'you may look and stop: sign in to move the arm';
   if (!shot.state) return 'no word from the controller';
   return busy ? `${rows.find(([step]) => step.kind === busy.kind)?.[0].words ?? busy.kind} is running` : '';

@@ -16,10 +16,13 @@ import { installTransport, recorded, showTransport } from './transport.js';
 import { showVerdict } from './verdict.js';
 
 const STALE_MS = 500;
+const ASK_AGAIN_MS = 2000;
 let shot = null;
 let came = 0;
 let instance = null;
-let operate = false;
+let operate = null; // not known yet
+let question = null; // … asked, and not answered yet
+let answeredBy = null; // the instance of the service that said who this is
 let lastTrouble = null;
 let crowded = false; // no place for pictures among the windows of this browser
 
@@ -38,6 +41,7 @@ function showSnapshot(snapshot) {
   came = performance.now();
   if (lastTrouble?.crowded) banner('', false);
   lastTrouble = null;
+  if (answeredBy !== instance && !question) whoAmI();
   judge();
   showLadder(shot.state);
   showTrials(shot);
@@ -88,9 +92,16 @@ function banner(words, brief) {
   if (brief) bannerEnds = setTimeout(() => { place.hidden = true; }, 15_000);
 }
 
+/** Asked until it is answered: on a slow network the first question may be lost while pictures come. */
 async function whoAmI() {
+  const mine = question = Symbol('question');
   const answer = await send('GET', '/access');
-  if (!answer.ok || !answer.document) return;
+  const answered = answer.ok && answer.document;
+  if (!answered) await new Promise((resolve) => { setTimeout(resolve, ASK_AGAIN_MS); });
+  if (mine !== question) return; // asked anew since, with another token
+  question = null;
+  if (!answered) return;
+  answeredBy = instance;
   operate = answer.document.role === 'operate';
   if (recorded) return;
   followEmulator(answer.document.emulator_face, showTruth);
@@ -143,7 +154,7 @@ installTheme();
 update(null, false);
 const again = [followState(showSnapshot, lost), followPictures(showPicture, noPicture)];
 if (!recorded) installTargets();
-installSignIn(() => { whoAmI(); for (const begin of again) begin(); });
+installSignIn(() => { answeredBy = null; whoAmI(); for (const begin of again) begin(); });
 whoAmI();
 addEventListener('keydown', (event) => { // Space stops the arm, so that Enter ticks
   if (event.key === 'Enter' && event.target instanceof HTMLInputElement && event.target.type === 'checkbox') event.target.click();
