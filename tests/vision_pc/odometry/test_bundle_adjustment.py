@@ -38,7 +38,7 @@ def problem(
     depths = Depths(
         np.zeros(POINTS, dtype=np.int64), np.arange(POINTS), 1.0 / points[:, 2], np.full(POINTS, 1e-3)
     )
-    return Problem(poses, FIXED, points, Views(k, m, eye, rays), depths), points
+    return Problem(poses, FIXED, points, Views(k, m, eye, rays, np.zeros(len(k))), depths), points
 
 
 def disturbed(at: Problem, generator: np.random.Generator) -> Problem:
@@ -191,3 +191,18 @@ def test_a_full_map_goes_on(
 @pytest.fixture(scope="module")
 def texture() -> Array:
     return wall_texture(1, 22.0, 3200)
+
+
+def test_views_that_are_known_to_be_off_do_not_draw_keyframes_away(
+    camera: CameraCalibration, generator: np.random.Generator
+) -> None:
+    """A sixth of the points is seen 0.6 px to one side by the last camera: patches at a depth step are."""
+    exact, _ = problem(camera, generator, 0.02)
+    astray = (exact.views.point < POINTS // 6) & (exact.views.camera == CAMERAS - 1)
+    rays = exact.views.rays + np.outer(astray, (0.6 / camera.left.K[0, 0], 0.0))
+    away = []
+    for stds in (np.zeros(len(astray)), 0.6 * astray):
+        told = exact._replace(views=exact.views._replace(rays=rays, stds=stds))
+        found = bundle_adjustment.adjusted(told, (camera.left, camera.right), 0.1, 0.3)
+        away.append(np.linalg.norm(se3.local(exact.X_CC0[-1], found.X_CC0[-1])))
+    assert away[1] < 0.4 * away[0]

@@ -117,7 +117,8 @@ def test_an_offset_of_all_disparities_bends_the_way_as_it_is_told() -> None:
     std = np.sqrt(np.diag(told))
     assert std[[0, 4]] == pytest.approx([0.005, 0.0008], rel=0.03)
     assert told[0, 4] == pytest.approx(0.005 * 0.0008, rel=0.01)
-    assert (std[[1, 2]] < 0.3 * std[0]).all()  # what is not linear in the offset goes astray
+    assert (std[[1, 2]] > 0.0).all()  # what is not linear in the offset goes astray
+    assert (std[[1, 2]] < 0.05 * std[0]).all()
 
 
 def test_a_keyframes_error_goes_on_until_an_older_one_holds_the_pose_again() -> None:
@@ -127,16 +128,28 @@ def test_a_keyframes_error_goes_on_until_an_older_one_holds_the_pose_again() -> 
     error.after(pose_at(0.0, own, [0]), 1)
     error.after(pose_at(0.0, own, [1]), 2)
 
-    def variance(shown_by: list[int]) -> float:
-        return float(error.after(pose_at(0.0, own, shown_by), None)[0, 0])
+    def held(shown_by: list[int]) -> float:
+        return float(error.after(pose_at(0.0, own, shown_by), None)[0, 0]) - 1e-6
 
-    assert variance([2] * 10) == pytest.approx(3e-6)
-    assert variance([1] * 5 + [2] * 5) == pytest.approx(2.5e-6)
-    assert variance([0] * 10) == pytest.approx(1e-6)
+    assert held([1] * 10) >= 1e-6
+    assert np.sqrt(held([2] * 10)) == pytest.approx(2.0 * np.sqrt(held([1] * 10)))
+    assert np.sqrt(held([1] * 5 + [2] * 5)) == pytest.approx(1.5 * np.sqrt(held([1] * 10)))
+    assert held([0] * 10) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_keyframes_that_turn_to_one_side_are_told() -> None:
+    """A road of 29 keyframes, each a ten-thousandth to the same side: once 2.8 mrad off, told 0.6."""
+    error, turns = WayError(0.0), np.diag([0.0, 0.0, 0.0, 1e-8, 1e-8, 1e-8])
+    error.after(pose_at(0.0, NOTHING, [0]), 0)
+    for number in range(1, 30):
+        error.after(pose_at(0.0, turns, [number - 1]), number)
+    assert np.sqrt(error.after(pose_at(0.0, turns, [29]), None)[4, 4]) > 2.8e-3
 
 
 def test_a_turn_swings_what_is_ahead() -> None:
     error, turned = WayError(0.0), np.diag([0.0, 0.0, 0.0, 1e-6, 1e-6, 1e-6])
     error.after(pose_at(0.0, turned, [0]), 0)
     ahead = pose_at(0.0, NOTHING, [0])._replace(X_C0C=se3.transform(np.eye(3), (0.0, 0.0, 2.0)))
-    assert np.sqrt(error.after(ahead, None)[0, 0]) == pytest.approx(2e-3)
+    turn = np.sqrt(error.after(pose_at(0.0, NOTHING, [0]), None)[4, 4])
+    assert turn >= 1e-3
+    assert np.sqrt(error.after(ahead, None)[0, 0]) == pytest.approx(2.0 * turn)

@@ -27,6 +27,7 @@ class PoseEstimate(NamedTuple):
     """A pair's pose against the map, with the map points (n,) that hold it, where the left eye sees them,
     and the right eye's rays (n, 2) to those that it sees (n,). ``moving`` (m, 2): where the left eye saw
     points that went another way. ``by_offset`` (6,): how the pose goes by a px of the disparities' offset.
+    ``match_stds`` (2, n) px of where both eyes see the points, as far as patches tell; 0: not asked.
     """
 
     X_C0C: Array
@@ -36,5 +37,6 @@ class PoseEstimate(NamedTuple):
     right_rays: Array
     seen_right: Flags
     residual_px: float
+    match_stds: Array
     moving: Array = _NOWHERE
     by_offset: Array | None = None

@@ -2,6 +2,8 @@
 residuals, and a bill of health.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vision_pc.config.vision import OdometrySettings
@@ -24,6 +26,17 @@ _NO_OFFSET = StereoOffset(0.0, 0.0, 1e-9, 1e-9)
 _KEPT = 3  # keyframes whose patches are kept: 4 MB each
 _NOTHING_FORESEEN = Foreseen()
 _LEAST_NOISE_PX = 0.03  # what matching leaves even in clean pictures
+
+
+class _Views(NamedTuple):
+    """Where the eyes see points: left ``pixels`` (n, 2), ``rays`` (2, n, 2), which are ``seen`` (2, n), and
+    what their patches tell of that, ``match_stds`` (2, n) px.
+    """
+
+    pixels: Array
+    rays: Array
+    seen: Array
+    match_stds: Array
 
 
 class Localiser:
@@ -113,7 +126,9 @@ class Localiser:
             right, seen_right = self._seen_right(frame, keyframe, right, X_CC0)
         rays = self._rays(pixels, right, se3.apply(X_CC0, points))
         seen = np.stack([np.ones(len(points)), seen_right.astype(np.float64)])
-        X_CC0 = self._solve(points, rays, seen * self._weights(keyframe.ids, X_CC0), X_CC0).X_CA[0]
+        stds = self._match_stds(frame, keyframe, (pixels, right), seen_right, X_CC0)
+        weights = seen * self._weights(keyframe.ids, X_CC0, stds)
+        X_CC0 = self._solve(points, rays, weights, X_CC0).X_CA[0]
         errors = self._errors(points, rays, X_CC0)
         size = np.max(np.linalg.norm(errors, axis=2) * seen, axis=0)
         held = size < 3.0 * max(self._settings.huber_px, float(np.median(size)))
@@ -125,7 +140,22 @@ class Localiser:
         left = float(np.sqrt(np.mean(errors[0][held] ** 2)))
         if most_px is not None and left > most_px:
             return "two_motions"
-        return self._settled(keyframe.only(held), pixels[held], rays[:, held], seen[:, held], X_CC0)
+        views = _Views(pixels[held], rays[:, held], seen[:, held], stds[:, held])
+        return self._settled(keyframe.only(held), views, X_CC0)
+
+    def _match_stds(
+        self, frame: Frame, keyframe: Keyframe, found: tuple[Array, Array], seen_right: Flags, X_CC0: Array
+    ) -> Array:
+        """What patches tell of where both eyes' pictures show the points ``found`` (n, 2), px (2, n)."""
+        stds = np.zeros((2, len(seen_right)))
+        if self._settings.watchful:
+            left, right = self._camera.left, self._camera.right
+            X_C0C = se3.inverse(X_CC0)
+            stds[0] = patches.match_stds(keyframe, frame.pair.left, found[0], X_C0C, left, left)
+            stds[1, seen_right] = patches.match_stds(
+                keyframe.only(seen_right), frame.pair.right, found[1][seen_right], X_C0C, left, right
+            )
+        return stds
 
     def _expected_right(self, points_C: Array) -> Array:
         """Where the right eye's rows show ``points_C`` (n, 3), px (n, 2)."""
@@ -160,12 +190,11 @@ class Localiser:
         on_row = np.abs(right[:, 1] - guess[:, 1]) < self._settings.row_error_px
         return right, usable & matched & on_row
 
-    def _settled(
-        self, keyframe: Keyframe, pixels: Array, rays: Array, seen: Array, X_CC0: Array
-    ) -> PoseEstimate:
+    def _settled(self, keyframe: Keyframe, found: "_Views", X_CC0: Array) -> PoseEstimate:
         """The pose from the points that held, which in turn learn from it."""
-        ids = keyframe.ids
-        weights = seen * self._weights(ids, X_CC0)
+        ids, rays, seen = keyframe.ids, found.rays, found.seen
+        trust = seen * self._noise_px / np.hypot(self._noise_px, found.match_stds)
+        weights = seen * self._weights(ids, X_CC0, found.match_stds)
         solution = self._solve(self._map.points[ids], rays, weights, X_CC0)
         X_CC0 = solution.X_CA[0]
         self._map.rescale(solution.sizes[0], solution.size_stds[0])
@@ -175,23 +204,35 @@ class Localiser:
             se3.apply(X_CC0, self._map.points[ids]), rays, errors, seen, self._map.sensitivity(ids, X_CC0)
         )
         self._learn_readout(keyframe, views, max(residual, _LEAST_NOISE_PX))
-        told = SHARED
+        covariance = SHARED * se3.inverse_covariance(X_CC0, solution.covariances[0])
         if self._settings.watchful:
-            told = pose_spread.widened(self._map, ids, X_CC0, errors, weights, self._noise_px)
+            covariance = pose_spread.covariance(self._map, ids, X_CC0, errors, weights, self._noise_px)
         drift = self._map.drift(ids, X_CC0, weights)
-        self._map.update(ids, X_CC0, errors, seen, self._noise_px, drift)
-        self._noise_px = max(residual, _LEAST_NOISE_PX)
-        covariance = told * se3.inverse_covariance(X_CC0, solution.covariances[0])
+        self._map.update(ids, X_CC0, errors, trust**2, self._noise_px, drift)
+        usual = float(np.sqrt(((errors * trust[:, :, None]) ** 2).sum() / (2.0 * seen.sum())))
+        self._noise_px = max(usual, _LEAST_NOISE_PX)
         if self._readout.share:
             depth = float(np.median(views.points_C[:, 2]))
             covariance = covariance + np.diag(self._readout.std(depth) ** 2)
-        found = PoseEstimate(se3.inverse(X_CC0), covariance, ids, pixels, rays[1], seen[1] > 0.0, residual)
-        return found._replace(by_offset=None if drift is None else drift.pose)
+        by_offset = None if drift is None else drift.pose
+        return PoseEstimate(
+            se3.inverse(X_CC0),
+            covariance,
+            ids,
+            found.pixels,
+            rays[1],
+            seen[1] > 0.0,
+            residual,
+            found.match_stds,
+            by_offset=by_offset,
+        )
 
-    def _weights(self, ids: Indices, X_CC0: Array) -> Array:
-        """Weights (2, n) 0…1 of the eyes' views: less where an uncertain depth moves the view."""
+    def _weights(self, ids: Indices, X_CC0: Array, match_stds: Array) -> Array:
+        """Weights (2, n) 0…1 of the eyes' views: less where an uncertain depth moves the view, or the parts
+        of a patch do not agree on it.
+        """
         moved = np.linalg.norm(self._map.sensitivity(ids, X_CC0), axis=2) * self._map.stds(ids)
-        return np.asarray(self._noise_px / np.hypot(self._noise_px, moved))
+        return np.asarray(self._noise_px / np.hypot(self._noise_px, np.hypot(moved, match_stds)))
 
     def _learn_readout(self, keyframe: Keyframe, views: PointViews, noise_px: float) -> None:
         """Of the first keyframe's points alone: later ones have been shown by several pictures."""

@@ -45,13 +45,13 @@ class Mapper:
         """The first keyframe at ``X_C0C``, or why the pair shows too little to hold on to: ``no_texture``,
         ``bad_rectification``, ``swapped_eyes``; the last two with their figure behind a colon.
         """
-        points_C, pixels, right_rays = self._new_points(frame, np.zeros((0, 2)))
+        points_C, pixels, right_rays, stds = self._new_points(frame, np.zeros((0, 2)))
         if len(pixels) < self._settings.minimum_inliers:
             return pair_faults.fault(frame, self._settings)
-        ids = self._map.add_points(X_C0C, points_C, self._settings.noise_px)
+        ids = self._map.add_points(X_C0C, points_C, np.hypot(self._settings.noise_px, stds[1]))
         self._map.initialise_scale(ids)
         estimate = PoseEstimate(
-            X_C0C, np.zeros((6, 6)), ids, pixels, right_rays, np.ones(len(ids), dtype=bool), 0.0
+            X_C0C, np.zeros((6, 6)), ids, pixels, right_rays, np.ones(len(ids), dtype=bool), 0.0, stds
         )
         self._add_keyframe(frame, estimate)
         return estimate
@@ -65,15 +65,20 @@ class Mapper:
             self._map.forget(self._map.nearest(estimate.X_C0C)[-1])
         if len(estimate.moving):
             frame = frame._replace(left_static=without(frame.left_static, estimate.moving))
-        points_C, pixels, right_rays = self._new_points(frame, estimate.pixels)
+        points_C, pixels, right_rays, stds = self._new_points(frame, estimate.pixels)
         ids = self._map.add_points(
-            estimate.X_C0C, points_C, self._settings.noise_px, estimate.by_offset, estimate.residual_px
+            estimate.X_C0C,
+            points_C,
+            np.hypot(self._settings.noise_px, stds[1]),
+            estimate.by_offset,
+            estimate.residual_px,
         )
         grown = estimate._replace(
             ids=np.concatenate([estimate.ids, ids]),
             pixels=np.vstack([estimate.pixels, pixels]),
             right_rays=np.vstack([estimate.right_rays, right_rays]),
             seen_right=np.concatenate([estimate.seen_right, np.ones(len(ids), dtype=bool)]),
+            match_stds=np.hstack([estimate.match_stds, stds]),
         )
         self._add_keyframe(frame, grown)
         if self._settings.adjusted_keyframes:
@@ -100,6 +105,7 @@ class Mapper:
                 patches.planes(rays, points_C[:, 2]),
                 estimate.right_rays,
                 estimate.seen_right,
+                estimate.match_stds,
                 self._templates(left, estimate.pixels),
                 np.arange(len(rays)),
             )
@@ -108,9 +114,9 @@ class Mapper:
     def _templates(self, image: Image, pixels: Array) -> Templates:
         return Templates(image, pixels, 2 * (self._settings.patch_px // 2) + 1)
 
-    def _new_points(self, frame: Frame, taken: Array) -> tuple[Array, Array, Array]:
-        """New points (m, 3) in C, their left pixels (m, 2) and right rays (m, 2), where the picture holds
-        none of ``taken`` (n, 2).
+    def _new_points(self, frame: Frame, taken: Array) -> tuple[Array, Array, Array, Array]:
+        """New points (m, 3) in C, their left pixels (m, 2), right rays (m, 2) and what their patches tell of
+        both (2, m), px, where the picture holds none of ``taken`` (n, 2).
         """
         left, right = frame.pair.left, frame.pair.right
         pixels = tracking.features(left, frame.left_static, taken, self._settings)
@@ -131,6 +137,7 @@ class Mapper:
             patches.planes(rays, points_C[:, 2]),
             rays,
             np.zeros(len(rays), dtype=bool),
+            np.zeros((2, len(rays))),
             self._templates(left, pixels),
             np.arange(len(rays)),
         )
@@ -139,10 +146,20 @@ class Mapper:
         )
         points_C, good = self._triangulated(frame, pixels, found)
         good &= matched
+        stds = self._match_stds(patch.only(good), right, found[good])
         points_C, seen = points_C[good], intrinsics.normalised(self._camera.right, found)[good]
         rays = self._readout.straight(self._camera.left, points_C[:, :2] / points_C[:, 2:], points_C)
         right_rays = self._readout.straight(self._camera.right, seen, points_C)
-        return points_C[:, 2:] * np.column_stack([rays, np.ones(len(rays))]), pixels[good], right_rays
+        points_C = points_C[:, 2:] * np.column_stack([rays, np.ones(len(rays))])
+        return points_C, pixels[good], right_rays, stds
+
+    def _match_stds(self, keyframe: Keyframe, right: Image, found: Array) -> Array:
+        """Of new points (2, m), px: the left eye shows what is sought."""
+        stds = np.zeros((2, len(found)))
+        if self._settings.watchful:
+            eyes = (self._camera.left, self._camera.right)
+            stds[1] = patches.match_stds(keyframe, right, found, se3.identity(), *eyes)
+        return stds
 
     def _triangulated(self, frame: Frame, left: Array, right: Array) -> tuple[Array, Flags]:
         """Points (n, 3) in C of matched pixels (n, 2) of both eyes, and which of them make sense (n,)."""

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from foundation.compiled import allocation_free
 from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
+from vision_pc.core.odometry import patch_parts
 from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
 from vision_pc.core.odometry.keyframes.templates import FLAT, Patches, is_inside
 from vision_pc.core.odometry.tracking import Flags
@@ -99,6 +100,17 @@ def found(
     ends, likeness = guess.copy(), np.empty(len(guess))
     _match(sought, keyframe.rows, image, ends, likeness, warps, _room(sought.side))
     return ends, likeness >= settings.likeness
+
+
+def match_stds(
+    keyframe: Keyframe, image: Image, pixels: Array, X_C0C: Array, keyframe_eye: CameraModel, eye: CameraModel
+) -> Array:
+    """The standard deviations (n,) px, of one coordinate, of where the keyframe's points were found: at
+    ``pixels`` (n, 2) of ``image``, by ``eye`` of a camera at ``X_C0C``.
+    """
+    X_EK = se3.inverse(X_C0C @ eye.X_CE) @ keyframe.X_C0C
+    warps = distortions(keyframe.rays, keyframe.surfaces, X_EK, keyframe_eye, eye)
+    return patch_parts.match_stds(keyframe, image, pixels, warps)
 
 
 class _Room(NamedTuple):

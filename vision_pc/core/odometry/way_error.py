@@ -10,32 +10,39 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import OdometryPose
 
 _NOTHING = np.zeros((6, 6))
-_ASTRAY = 0.15  # [E] of what an offset does to a pose, in every direction: the way is not linear in it
+_ASTRAY = 0.004  # [E] of what an offset does to a pose, in every direction: depths are not linear in it
+_HANDED_ON = 1.2  # [E] of a keyframe's error: the next ones match the same surfaces, and err the same way
 
 
 class _Keyframe(NamedTuple):
-    """Where a keyframe is, and the covariance (6×6) of that without what an offset does."""
+    """Where a keyframe is, and the ``root`` (6×6) of that place's covariance without what an offset does: of
+    errors that all keyframes before it made alike.
+    """
 
     place: Array
-    covariance: Array
+    root: Array
 
 
 class WayError:
     """Adds up what odometry gets wrong along its way: each keyframe's error goes on into what is seen from
     it, until what was there before holds the pose again; and an offset of all disparities,
     ``disparity_std_px``, bends the way. ``begins`` (6×6): of the map's first pair.
+
+    Errors of keyframes add up as if all went the same way. On a road one after the other turns to the same
+    side by a ten-thousandth: the same houses are beside it, and each is matched as the one before.
     """
 
     def __init__(self, disparity_std_px: float, begins: Array = _NOTHING) -> None:
         self._std_px = disparity_std_px
-        self._keyframes: dict[int, _Keyframe] = {0: _Keyframe(np.zeros(3), begins)}
+        self._keyframes: dict[int, _Keyframe] = {0: _Keyframe(np.zeros(3), _root(begins))}
 
     def after(self, pose: OdometryPose, made: int | None) -> Array:
         """The covariance (6×6) of ``pose`` in its C0; ``made``: the number of the keyframe that it became."""
         place = pose.X_C0C[:3, 3]
-        total = pose.covariance + self._held(pose.shown_by, place)
+        held = self._held(pose.shown_by, place)
+        total = pose.covariance + held @ held.T
         if made is not None:
-            self._keyframes[made] = _Keyframe(place, total)
+            self._keyframes[made] = _Keyframe(place, held + _HANDED_ON * _root(pose.covariance))
         by_offset = np.zeros(6) if pose.by_offset is None else pose.by_offset
         bent = np.outer(by_offset, by_offset)
         bent[:3, :3] += _ASTRAY**2 * (by_offset[:3] @ by_offset[:3]) * np.eye(3)
@@ -43,11 +50,19 @@ class WayError:
         return np.asarray(total + self._std_px**2 * bent)
 
     def _held(self, shown_by: NDArray[np.int64] | None, place: Array) -> Array:
-        """The covariance (6×6), at ``place``, of what keyframes ``shown_by`` (n,) hold: each by its share."""
+        """The root (6×6) of the covariance, at ``place``, of what keyframes ``shown_by`` (n,) hold: each by
+        its share.
+        """
         total = np.zeros((6, 6))
         numbers, counts = np.unique([0] if shown_by is None else shown_by, return_counts=True)
         for number, count in zip(numbers.tolist(), counts.tolist(), strict=True):
             before, lever = self._keyframes[number], np.eye(6)
             lever[:3, 3:] = -se3.hat(place - before.place)
-            total += count / counts.sum() * (lever @ before.covariance @ lever.T)
+            total += count / counts.sum() * (lever @ before.root)
         return total
+
+
+def _root(covariance: Array) -> Array:
+    """The symmetric root (6×6) of a covariance: roots of like ones have like directions, and add up."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)

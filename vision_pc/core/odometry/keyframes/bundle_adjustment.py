@@ -26,13 +26,14 @@ _CONVERGED = 1e-4  # relative fall of the cost
 
 class Views(NamedTuple):
     """Who saw what: ``camera`` (n,) and ``point`` (n,) count within the problem, ``eye`` (n,) 0 left 1 right,
-    ``rays`` (n, 2) undistorted.
+    ``rays`` (n, 2) undistorted. ``stds`` (n,) px: what views are off by beside the usual noise.
     """
 
     camera: NDArray[np.int64]
     point: NDArray[np.int64]
     eye: NDArray[np.int64]
     rays: Array
+    stds: Array
 
 
 class Depths(NamedTuple):
@@ -109,7 +110,7 @@ def shared_offset(
     whatever poses and points are: near and far points that are seen on the way disagree on where it ends.
     """
     linear = _Linearisation(problem, eyes, noise_px, huber_px)
-    alone, blocks, missed = linear.with_offset(problem.X_CC0, problem.points, noise_px)
+    alone, blocks, missed = linear.with_offset(problem.X_CC0, problem.points)
     taken = _step(blocks, _UNDAMPED)
     taken_by = float((blocks.b * taken[0]).sum() + (blocks.c * taken[1]).sum())
     given = linear.blocks(problem.X_CC0, problem.points)
@@ -134,7 +135,7 @@ def moved_by_offset(
     their points. ``px``: as ``noise_px`` and ``huber_px`` of ``adjusted``.
     """
     linear = _Linearisation(problem, eyes, *px)
-    missed = linear.offset(px[0]) - linear.gone(problem.X_CC0, problem.points, drifts)
+    missed = linear.offset() - linear.gone(problem.X_CC0, problem.points, drifts)
     return _step(linear.blocks(problem.X_CC0, problem.points, missed), _UNDAMPED)
 
 
@@ -167,7 +168,8 @@ class _Linearisation:
         self._of_camera = _summation(camera, free)
         self._of_pair = _summation(camera * points + point, free * points)
         self._of_point = _summation(self._point, points)
-        self._scale = np.array([eye.K[0, 0] for eye in eyes])[views.eye] / noise_px
+        self._noise_px = np.hypot(noise_px, views.stds)
+        self._scale = np.array([eye.K[0, 0] for eye in eyes])[views.eye] / self._noise_px
         self._X_EC = np.stack([se3.inverse(eye.X_CE) for eye in eyes])[views.eye]
         self._huber = huber_px / noise_px
 
@@ -177,21 +179,21 @@ class _Linearisation:
         robust = np.where(size < self._huber, size**2, self._huber * (2.0 * size - self._huber))
         return float(robust.sum())
 
-    def with_offset(self, X_CC0: Array, points: Array, noise_px: float) -> tuple[float, _Blocks, float]:
+    def with_offset(self, X_CC0: Array, points: Array) -> tuple[float, _Blocks, float]:
         """As if the views missed by an offset of 1 px of the right eye's columns and by nothing else: its own
         square, the normal equations, and its product with what the views truly miss by.
         """
         errors, _, _ = self._errors(X_CC0, points)
         weights = np.minimum(1.0, self._huber / np.maximum(np.linalg.norm(errors, axis=1), 1e-12))
-        offset = self.offset(noise_px)
+        offset = self.offset()
         blocks = self.blocks(X_CC0, points, offset)
         weighted = weights[:, None] * offset
         return float((weighted * offset).sum()), blocks, float((weighted * errors).sum())
 
-    def offset(self, noise_px: float) -> Array:
+    def offset(self) -> Array:
         """What 1 px of the right eye's columns makes of all errors (n, 2)."""
         found = np.zeros((len(self._camera), 2))
-        found[: len(self._views.eye), 0] = self._views.eye / noise_px
+        found[: len(self._views.eye), 0] = self._views.eye / self._noise_px
         return found
 
     def gone(self, X_CC0: Array, points: Array, drifts: Drifts) -> Array:

@@ -17,8 +17,9 @@ class Keyframe(NamedTuple):
     """A remembered left picture (also ``halved``), its pose, and the map points ``ids`` (n,) that it shows.
 
     ``pixels`` (n, 2) where it shows them, ``rays`` (n, 2) the same undistorted, ``surfaces`` (n, 3) from
-    ``patches.planes``; ``right_rays`` (n, 2) in the right eye, where ``seen_right`` (n,). Keyframes are
-    numbered in the order in which they were made. ``templates`` are of all points that it was made with,
+    ``patches.planes``; ``right_rays`` (n, 2) in the right eye, where ``seen_right`` (n,);
+    ``match_stds`` (2, n) px of where both eyes see them, as far as patches tell. Keyframes are numbered in
+    the order in which they were made. ``templates`` are of all points that it was made with,
     ``rows`` (n,) which of those these are.
     """
 
@@ -32,6 +33,7 @@ class Keyframe(NamedTuple):
     surfaces: Array
     right_rays: Array
     seen_right: Flags
+    match_stds: Array
     templates: Templates
     rows: Indices
 
@@ -44,5 +46,6 @@ class Keyframe(NamedTuple):
             surfaces=self.surfaces[chosen],
             right_rays=self.right_rays[chosen],
             seen_right=self.seen_right[chosen],
+            match_stds=self.match_stds[:, chosen],
             rows=self.rows[chosen],
         )

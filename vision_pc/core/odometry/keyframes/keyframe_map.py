@@ -10,7 +10,7 @@ import numpy as np
 from vision_pc.core import se3
 from vision_pc.core.odometry.keyframes import bundle_adjustment
 from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
-from vision_pc.core.odometry.keyframes.offset_drift import Lines, MapDrift, PoseDrift
+from vision_pc.core.odometry.keyframes.offset_drift import Lines, MapDrift, PoseDrift, view_rates
 from vision_pc.core.odometry.keyframes.triangulation import disparity_metres
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel
@@ -54,13 +54,13 @@ class KeyframeMap:
         self,
         X_C0C: Array,
         points_C: Array,
-        noise_px: float,
+        noise_px: Array | float,
         drift: Array | None = None,
         told_px: float = 0.0,
     ) -> Indices:
         """The numbers given to new ``points_C`` (n, 3), triangulated by a camera at ``X_C0C``, which becomes
-        the next keyframe. ``drift`` (6,): how its pose goes by a px of the disparities' offset;
-        ``told_px``: what matching truly leaves, where that is known.
+        the next keyframe, their disparities to ``noise_px`` (n,). ``drift`` (6,): how its pose goes by a px
+        of the disparities' offset; ``told_px``: what matching truly leaves, where that is known.
         """
         first, count = len(self.points), len(points_C)
         inverse_depths = 1.0 / points_C[:, 2]
@@ -69,10 +69,10 @@ class KeyframeMap:
             [self._directions, (points_C * inverse_depths[:, None]) @ X_C0C[:3, :3].T]
         )
         self._inverse_depths = np.concatenate([self._inverse_depths, inverse_depths])
-        std = noise_px * self._least_std / self._depth_floor_px
-        self._information = np.concatenate([self._information, np.full(count, std**-2.0)])
-        told = max(noise_px, told_px) / self._disparity_metres
-        self._told = np.concatenate([self._told, np.full(count, told**-2.0)])
+        std = np.full(count, noise_px) * self._least_std / self._depth_floor_px
+        self._information = np.concatenate([self._information, _precisions(std)])
+        told = np.full(count, np.maximum(noise_px, told_px)) / self._disparity_metres
+        self._told = np.concatenate([self._told, _precisions(told)])
         self._first = np.concatenate([self._first, np.full(count, self.next_number)])
         if self._drift is not None:
             self._drift.add(self.next_number, count, drift)
@@ -116,6 +116,11 @@ class KeyframeMap:
         """How far the eyes' views of points ``ids`` move with their inverse depths, px m (2, n, 2)."""
         rates = -self._directions[ids] / self._inverse_depths[ids][:, None] ** 2
         return np.stack([_image_rates(eye, X_CC0, self.points[ids], rates) for eye in self._eyes])
+
+    def pose_rates(self, ids: Indices, X_CC0: Array) -> Array:
+        """How the eyes' views of points ``ids`` move with the camera's [δp; δθ] in C0, px (2, n, 2, 6)."""
+        X_C0C, points = se3.inverse(X_CC0), self.points[ids]
+        return np.stack([view_rates(eye, X_C0C, points)[1] for eye in self._eyes])
 
     def drift(self, ids: Indices, X_CC0: Array, weights: Array) -> PoseDrift | None:
         """How a pose that points ``ids`` hold with ``weights`` (2, n) goes by a px of the disparities'
@@ -215,7 +220,7 @@ class KeyframeMap:
         every = np.concatenate([keyframe.ids for keyframe in chosen])
         ids, counts = np.unique(every[np.isin(every, shown)], return_counts=True)
         ids = ids[counts > 1]
-        cameras, numbers, eyes, rays = [], [], [], []
+        cameras, numbers, eyes, rays, stds = [], [], [], [], []
         depths: list[tuple[Array, Array]] = []
         for k, keyframe in enumerate(chosen):
             mine = np.isin(keyframe.ids, ids)
@@ -228,10 +233,15 @@ class KeyframeMap:
                 cameras.append(np.full(len(numbers[-1]), k))
                 eyes.append(np.full(len(numbers[-1]), eye))
                 rays.append(there[seen])
+                stds.append(keyframe.match_stds[eye, seen])
             own = np.searchsorted(ids, keyframe.ids[mine & first])
             depths.append((np.full(len(own), k), own))
         views = bundle_adjustment.Views(
-            np.concatenate(cameras), np.concatenate(numbers), np.concatenate(eyes), np.concatenate(rays)
+            np.concatenate(cameras),
+            np.concatenate(numbers),
+            np.concatenate(eyes),
+            np.concatenate(rays),
+            np.concatenate(stds),
         )
         camera, point = (np.concatenate(part) for part in zip(*depths, strict=True))
         known = bundle_adjustment.Depths(
@@ -263,6 +273,11 @@ class KeyframeMap:
         zoom = abs(np.log(max(1.0 - X[2, 3] / depth, 0.05))) / np.log(_LARGEST_ZOOM)
         turn = se3.angle_between(X[:3, :3], np.eye(3)) / _LARGEST_TURN
         return float(shift + zoom + turn)
+
+
+def _precisions(stds: Array) -> Array:
+    """Inverse variances, one by one: a whole array's power differs in the last bit, and runs repeat."""
+    return np.array([std**-2.0 for std in stds.tolist()])
 
 
 def _image_rates(eye: CameraModel, X_CC0: Array, points: Array, rates: Array) -> Array:

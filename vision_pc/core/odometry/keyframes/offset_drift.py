@@ -73,9 +73,8 @@ class MapDrift:
         """
         J, r = [], []
         for k, eye in enumerate(self._eyes):
-            by_point = _by_point(eye, X_C0C, points)
-            turned = np.cross(by_point, (points - X_C0C[:3, 3])[:, None, :])  # by · (L × θ) = (by × L) · θ
-            J.append(np.concatenate([-by_point, turned], axis=2))
+            by_point, by_camera = view_rates(eye, X_C0C, points)
+            J.append(by_camera)
             r.append(np.array([float(k), 0.0]) - np.einsum("nij,nj->ni", by_point, gone))
         by_pose, missed, each = np.stack(J), np.stack(r), weights[:, :, None]
         A, b = (by_pose * each[..., None]).reshape(-1, 6), (missed * each).ravel()
@@ -109,12 +108,16 @@ class MapDrift:
         return np.asarray(keyframe[:, :3] + np.cross(keyframe[:, 3:], lever))
 
 
-def _by_point(eye: CameraModel, X_C0C: Array, points: Array) -> Array:
-    """How what ``eye`` of a camera at ``X_C0C`` sees goes with ``points`` (n, 3) in C0, px/m (n, 2, 3)."""
+def view_rates(eye: CameraModel, X_C0C: Array, points: Array) -> tuple[Array, Array]:
+    """How what ``eye`` of a camera at ``X_C0C`` sees goes with ``points`` (n, 3) in C0, px/m (n, 2, 3), and
+    with the camera, by [δp; δθ] in C0 (n, 2, 6).
+    """
     X_EC0 = se3.inverse(X_C0C @ eye.X_CE)
     seen = se3.apply(X_EC0, points)
     slopes = np.zeros((len(seen), 2, 3))
     for axis in range(2):
         slopes[:, axis, axis] = eye.K[axis, axis] / seen[:, 2]
         slopes[:, axis, 2] = -eye.K[axis, axis] * seen[:, axis] / seen[:, 2] ** 2
-    return np.asarray(slopes @ X_EC0[:3, :3])
+    by_point = slopes @ X_EC0[:3, :3]
+    turned = np.cross(by_point, (points - X_C0C[:3, 3])[:, None, :])  # by · (L × θ) = (by × L) · θ
+    return np.asarray(by_point), np.concatenate([-by_point, turned], axis=2)

@@ -1,0 +1,108 @@
+"""What is told of a pose that few near points hold, some of them followed wrongly."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vision_pc.core import se3
+from vision_pc.core.odometry import pose_spread
+from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
+from vision_pc.core.odometry.keyframes.triangulation import disparity_metres
+from vision_pc.core.perception import stereo_pose
+from vision_pc.core.perception.stereo_pose import BodyView, Priors
+from vision_pc.core.se3 import Array
+from vision_pc.core.types import CameraCalibration, StereoOffset
+
+FAR, NEAR, ASTRAY = 150, 12, 6  # points at 3 m, at 0.8 m, and of these the ones that are followed wrongly
+TRUE = se3.transform(se3.exp_so3([0.004, -0.006, 0.002]), (0.03, -0.02, 0.01))
+NOISE_PX, DEPTH_PX, WRONG_PX = 0.08, 0.05, 0.5
+TRIALS = 60
+
+
+class Told(NamedTuple):
+    """Mean error² over variance (1: honest) by the spread and by the solution's own covariance."""
+
+    spread: float
+    solution: float
+
+
+def world(generator: np.random.Generator) -> Array:
+    depths = np.concatenate([np.full(FAR, 3.0), np.full(NEAR, 0.8)]) * generator.uniform(
+        0.95, 1.05, FAR + NEAR
+    )
+    return np.column_stack([generator.uniform(-0.4, 0.4, (FAR + NEAR, 2)) * depths[:, None], depths])
+
+
+def told(camera: CameraCalibration, wrong_px: float) -> Told:
+    generator = np.random.default_rng(8)
+    found = [_one(camera, generator, wrong_px) for _ in range(TRIALS)]
+    return Told(*np.mean(found, axis=0).tolist())
+
+
+def _one(camera: CameraCalibration, generator: np.random.Generator, wrong_px: float) -> tuple[float, float]:
+    true, eyes = world(generator), (camera.left, camera.right)
+    inverse = 1.0 / true[:, 2] + generator.normal(0.0, DEPTH_PX, len(true)) / disparity_metres(camera)
+    known = KeyframeMap(camera, 0.2, DEPTH_PX, drifts=True)
+    ids = known.add_points(se3.identity(), true / (true[:, 2:] * inverse[:, None]), DEPTH_PX)
+    off = generator.normal(0.0, NOISE_PX, (2, len(true), 2))
+    off[:, -ASTRAY:] += generator.normal(0.0, wrong_px, (ASTRAY, 2))
+    at = [se3.apply(se3.inverse(TRUE @ eye.X_CE), true) for eye in eyes]
+    rays = np.stack([p[:, :2] / p[:, 2:] for p in at]) + off / camera.left.K[0, 0]
+    ones = np.ones((2, len(true)))
+    priors = Priors(NOISE_PX, 1e-9, StereoOffset(0.0, 0.0, 1e-9, 1e-9))
+    solution = stereo_pose.solve([BodyView(known.points, rays, ones)], [se3.inverse(TRUE)], camera, priors)
+    X_CC0 = solution.X_CA[0]
+    there = [se3.apply(se3.inverse(eye.X_CE) @ X_CC0, known.points) for eye in eyes]
+    errors = (rays - np.stack([p[:, :2] / p[:, 2:] for p in there])) * camera.left.K[0, 0]
+    spread = pose_spread.of_points(known, ids, X_CC0, errors, ones, NOISE_PX)
+    own = se3.inverse_covariance(X_CC0, solution.covariances[0])
+    error = se3.local(TRUE, se3.inverse(X_CC0))
+    first, second = (float(error @ np.linalg.solve(C, error)) / 6.0 for C in (spread, own))
+    return first, second
+
+
+def test_a_pose_that_wrong_points_hold_is_told_as_wide_as_it_is(camera: CameraCalibration) -> None:
+    """Six of 162 points, near ones: the solution's own covariance knows nothing of them."""
+    astray, clean = told(camera, WRONG_PX), told(camera, 0.0)
+    assert astray.solution > 2.0, "these points would mislead nobody"
+    assert 0.5 < astray.spread < 1.5
+    assert 0.5 < clean.spread < 1.5
+
+
+def test_what_points_miss_by_counts_as_if_each_were_left_out(camera: CameraCalibration) -> None:
+    """A point draws the pose towards itself, most where few others hold it: its residual hides that."""
+    generator = np.random.default_rng(9)
+    points = world(generator)[-20:]
+    known = KeyframeMap(camera, 0.2, 1e-6, drifts=True)  # depths that are known
+    ids, X = known.add_points(se3.identity(), points, 1e-6), se3.inverse(TRUE)
+    J = np.swapaxes(known.pose_rates(ids, X), 0, 1).reshape(len(ids), 4, 6)
+    missed = generator.normal(0.0, 0.3, (len(ids), 4))
+    whole = np.linalg.lstsq(J.reshape(-1, 6), missed.ravel(), rcond=None)[0]
+    errors = np.swapaxes((missed - J @ whole).reshape(len(ids), 2, 2), 0, 1)
+    wanted = np.zeros((6, 6))
+    for k in range(len(ids)):
+        others = np.arange(len(ids)) != k
+        left = np.linalg.lstsq(J[others].reshape(-1, 6), missed[others].ravel(), rcond=None)[0]
+        wanted += np.outer(whole - left, whole - left)
+    ones = np.ones((2, len(ids)))
+    spread = pose_spread.of_points(known, ids, X, errors, ones, NOISE_PX)
+    spread -= pose_spread.of_points(known, ids, X, np.zeros_like(errors), ones, NOISE_PX)
+    np.testing.assert_allclose(spread, wanted, rtol=1e-6, atol=1e-12)
+
+
+def test_what_points_have_in_common_is_told_too_and_more_so_of_few(camera: CameraCalibration) -> None:
+    generator, widths = np.random.default_rng(9), []
+    for few in (300, 30):
+        known = KeyframeMap(camera, 0.2, DEPTH_PX, drifts=True)
+        ids = known.add_points(se3.identity(), world(generator).repeat(2, axis=0)[:few], DEPTH_PX)
+        seen = (
+            known,
+            ids,
+            se3.inverse(TRUE),
+            generator.normal(0.0, 0.1, (2, few, 2)),
+            np.ones((2, few)),
+            0.1,
+        )
+        widths.append(pose_spread.covariance(*seen) / pose_spread.of_points(*seen))
+    assert (widths[0] > 1.9).all()
+    assert (widths[1] > 2.0 * widths[0]).all()
