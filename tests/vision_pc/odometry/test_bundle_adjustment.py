@@ -12,6 +12,7 @@ from vision_pc.core import se3
 from vision_pc.core.odometry import StereoOdometry
 from vision_pc.core.odometry.keyframes import bundle_adjustment
 from vision_pc.core.odometry.keyframes.bundle_adjustment import Depths, Problem, Views
+from vision_pc.core.odometry.segments import SegmentedOdometry
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration
 
@@ -186,6 +187,21 @@ def test_a_full_map_goes_on(
         assert odometry.keyframes <= 3
         assert np.linalg.norm(se3.local(X, pose.X_C0C)[:3]) < 1e-3
     assert odometry.keyframes == 3
+
+
+def test_a_full_map_of_a_recording_tells_what_its_new_keyframes_err_by(
+    camera: CameraCalibration, config: VisionConfig, long_way: list[Array], texture: Array
+) -> None:
+    """Once it ended in a KeyError: a keyframe that took the place of another was not seen to be new."""
+    settings = config.odometry.model_copy(update={"keyframes": 2, "keyframe_overlap": 0.9})
+    odometry = SegmentedOdometry(camera, settings, config.recorded_odometry)
+    for k, X in enumerate(long_way[:5]):
+        placed = odometry.process(pair_at(camera, texture, X, seed=k))
+        assert placed is not None, odometry.last_loss
+        error = se3.local(X, placed.pose.X_C0C)
+        if k:
+            assert error @ np.linalg.solve(placed.pose.covariance, error) < 30.0
+    assert odometry.keyframes == 2
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from foundation.compiled import allocation_free
 from vision_pc.config.vision import OdometrySettings
 from vision_pc.core import se3
-from vision_pc.core.odometry import patch_parts
+from vision_pc.core.odometry.keyframes import patch_parts
 from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
 from vision_pc.core.odometry.keyframes.templates import FLAT, Patches, is_inside
 from vision_pc.core.odometry.tracking import Flags

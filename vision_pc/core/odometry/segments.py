@@ -122,11 +122,11 @@ class SegmentedOdometry:
         """The pose in map ``k``."""
         if self._maps[k].mixed:
             return None
-        before = self._maps[k].keyframes
+        before = self._maps[k].newest
         pose = self._maps[k].process(pair, X_BT=self._X_BT)
         if pose is None:
             return None
-        made = self._maps[k].newest if self._maps[k].keyframes > before else None
+        made = self._maps[k].newest if self._maps[k].newest > before else None  # a full map forgets another
         return pose._replace(covariance=self._errors[k].after(pose, made))
 
     def _older(self) -> list[int]:

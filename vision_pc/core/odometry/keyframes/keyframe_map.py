@@ -49,6 +49,7 @@ class KeyframeMap:
         self._first = np.zeros(0, dtype=np.int64)  # number of the keyframe that first shows each point
         self._drift = MapDrift(camera) if drifts else None
         self.scale_std = 0.0
+        self._forgotten = -1  # the greatest number of a keyframe that was left out
 
     def add_points(
         self,
@@ -81,8 +82,8 @@ class KeyframeMap:
 
     @property
     def next_number(self) -> int:
-        """The number of the next keyframe."""
-        return self.keyframes[-1].number + 1 if self.keyframes else 0
+        """The number of the next keyframe: no one's before, not even of one that was forgotten."""
+        return max([keyframe.number for keyframe in self.keyframes[-1:]] + [self._forgotten]) + 1
 
     def shown_by(self, ids: Indices) -> Indices:
         """The numbers (n,) of the keyframes that first showed points ``ids``."""
@@ -172,6 +173,7 @@ class KeyframeMap:
 
     def forget(self, keyframe: Keyframe) -> None:
         """Leave ``keyframe`` out of the map; its points stay for those that share them."""
+        self._forgotten = max(self._forgotten, keyframe.number)
         self.keyframes = [kept for kept in self.keyframes if kept is not keyframe]
 
     def adjust(self, window: int, noise_px: float, huber_px: float) -> None:
