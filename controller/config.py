@@ -48,6 +48,19 @@ class JointControlConfig(StrictModel):
         return self
 
 
+Damping = Annotated[float, Field(ge=0.0, le=100.0)]
+
+
+class LoadHoldingConfig(StrictModel):
+    """How joints are lowered whose load a load-holding valve keeps; without it they are lowered as others."""
+
+    pilot_damping_mrad_s_bar: tuple[Damping, Damping, Damping, Damping, Damping, Damping] = (0.0,) * 6
+    pilot_high_pass_ms: float = Field(default=1500.0, gt=0.0, le=60_000.0)
+    slowest_mrad_s: float = Field(default=10.0, gt=0.0, le=1000.0)
+    setting_bar: float = Field(default=250.0, gt=0.0, le=1000.0)
+    pilot_ratio: float = Field(default=4.0, gt=0.0, le=50.0)
+
+
 JointFelt = Annotated[float, Field(ge=0.0, le=10.0)]
 
 
@@ -224,6 +237,7 @@ class ControllerConfig(StrictModel):
     scan_lead: float = Field(ge=0.1, le=1.0)
     pose_servo: PoseServoConfig
     joint_control: JointControlConfig
+    load_holding: LoadHoldingConfig = LoadHoldingConfig()
     parking: ParkingConfig
     motion: MotionConfig
     streaming: StreamingConfig

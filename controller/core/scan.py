@@ -20,13 +20,14 @@ from controller.core.scan_types import (
     Sextuple,
     idle,
 )
-from controller.core.servo.drives import Circuit, load_pressures
-from controller.core.servo.joint_control import JointFilters, unmoved
+from controller.core.servo.drives import Circuit, load_pressures, pilot_pressures
+from controller.core.servo.joint_control import JointFilters, Pressures, unmoved
 from controller.core.servo.pose_servo import tool_state
 from controller.core.servo.servo_step import (
     FURTHEST,
     LEFT,
     LOAD,
+    PILOT,
     PT1,
     Q_CMD,
     QD_CMD,
@@ -165,7 +166,7 @@ def _drive_valves(
         state.watch.q_meas,
         state.servo.q_cmd,
         state.filters,
-        _load(settings, state),
+        _felt(settings, state),
         circuit,
         slow_load,
     )
@@ -180,16 +181,17 @@ def _drive_valves(
     inside = state.motion.path is None and (settled or rests_settled(settings, state, out[LEFT]))
     return state._replace(
         servo=ServoOutput(out[Q_CMD], out[QD_CMD], out[VALVES], desired.v),
-        filters=JointFilters(out[PT1], out[LOAD], out[SENSE], out[FURTHEST]),
+        filters=JointFilters(out[PT1], out[LOAD], out[SENSE], out[FURTHEST], out[PILOT]),
         settled_s=state.settled_s + dt_s if inside else 0.0,
     )
 
 
-def _load(settings: ScanSettings, state: ScanState) -> Array:
-    sensors = state.watch.sensors
+def _felt(settings: ScanSettings, state: ScanState) -> Pressures:
+    sensors, drives = state.watch.sensors, settings.servo.drives
     if sensors is None:
-        return state.filters.load
-    return load_pressures(settings.servo.drives, sensors.pressures_bar)
+        return Pressures(state.filters.load, state.filters.pilot)
+    chambers = sensors.pressures_bar
+    return Pressures(load_pressures(drives, chambers), pilot_pressures(drives, chambers))
 
 
 def _circuit(settings: ScanSettings, state: ScanState) -> tuple[Circuit, Array]:
@@ -202,7 +204,7 @@ def _circuit(settings: ScanSettings, state: ScanState) -> tuple[Circuit, Array]:
 
 def _centre_valves(settings: ScanSettings, state: ScanState) -> ScanState:
     """``state`` at rest; the slow load pressure follows the load, so enabling starts without a kick."""
-    filters = unmoved(_load(settings, state))
+    filters = unmoved(_felt(settings, state).load, state.filters.pilot)
     return state._replace(servo=idle(state.watch.q_meas), filters=filters, settled_s=0.0)
 
 

@@ -162,7 +162,7 @@ def initial_state(settings: ScanSettings) -> ScanState:
         tool=tool,
         motion=holding(tool.p_BT, tool.quaternion),
         servo=idle(watch.q_meas),
-        filters=unmoved(np.zeros(6)),
+        filters=unmoved(np.zeros(6), np.zeros(6)),
         settled_s=0.0,
         stream=None,
         fade=0.0,

@@ -4,8 +4,8 @@ import numpy as np
 
 from controller.config import ControllerConfig
 from controller.core.kinematics.rotations import Array
-from controller.core.servo.drives import drive_table, rated_circuit
-from controller.core.servo.joint_control import JointGains
+from controller.core.servo.drives import RATIO, drive_table, rated_circuit
+from controller.core.servo.joint_control import JointGains, LoadHolding
 from controller.core.servo.parking_state import ParkingLaw
 from controller.core.servo.pose_servo import ServoGains
 from controller.core.servo.servo_step import ServoConstants
@@ -21,13 +21,14 @@ _CARRIED = 0.4  # gain times lateness that a joint's loop bears: 23° of its pha
 # and until it rests after its valve has shut.
 _BREAKS_AWAY, _RUNS_ON = 0.7, 0.3
 _LEAVES = 0.9  # of the tolerance: a joint that rests is brought back before the arm is not settled any more
+_HOLDS_NONE = LoadHolding(np.zeros(6), 1.0, 1.0, 1.0, np.ones(6))
 _KEEPING = 0.6  # of the joint's gain: keeps a joint that leaks, so softly that its load does not swing
 
 
 def servo_constants(arm: NominalArm, config: ControllerConfig) -> ServoConstants:
     return ServoConstants(
         gains=_servo_gains(config),
-        joints=_joint_gains(config),
+        joints=_joint_gains(config)._replace(holding=_load_holding(arm, config)),
         drives=drive_table(arm.drives),
         rated=rated_circuit(arm.rated),
         tolerance=config.settled.tolerance_mrad * _MRAD,
@@ -62,6 +63,20 @@ def _joint_gains(config: ControllerConfig) -> JointGains:
         curve=curve,
         half_play=np.array([0.5 * valve.hysteresis.value for valve in valves.joints]),
         limit=joint.valve_limit,
+        holding=_HOLDS_NONE,
+    )
+
+
+def _load_holding(arm: NominalArm, config: ControllerConfig) -> LoadHolding:
+    """Nothing where the flow goes with the load: that damps by itself, and holds no loads."""
+    holding = config.load_holding
+    damping = np.array(holding.pilot_damping_mrad_s_bar) * _MRAD
+    return LoadHolding(
+        damping=damping if config.valves.pressure_compensated else np.zeros(6),
+        high_pass=holding.pilot_high_pass_ms * _MS,
+        slowest=holding.slowest_mrad_s * _MRAD,
+        setting=holding.setting_bar,
+        lifted=holding.pilot_ratio / drive_table(arm.drives)[:, RATIO],
     )
 
 

@@ -51,6 +51,12 @@ def load_pressures(drives: Array, pressures_bar: tuple[tuple[float, float], ...]
     return load
 
 
+def pilot_pressures(drives: Array, pressures_bar: tuple[tuple[float, float], ...]) -> Array:
+    """The pressures (6,), bar, of the chambers b, referred to chamber a: ratio · p_b."""
+    pilot: Array = drives[:, RATIO] * np.array(pressures_bar)[:, 1]
+    return pilot
+
+
 @kernel
 def full_spool_speeds(drives: Array, q: Array, rated: Circuit, circuit: Circuit, load: Array) -> Array:
     """Joint speeds (6, 2), rad/s, at full spool, raising and lowering, at joint angles q (6,).

@@ -128,13 +128,13 @@ def park_step(
         state[SPEED, i] = keep * state[SPEED, i] + (1.0 - keep) * turned[i] / law.dt_s
         state[SINCE, i] += law.dt_s
         state[AFTER, i] += law.dt_s
-        if state[PHASE, i] == FOLLOWING and not _arrived(law, state, i, out[LEFT, i], given.load[i]):
+        if state[PHASE, i] == FOLLOWING and not _arrived(law, state, i, out[LEFT, i], given.felt.load[i]):
             continue
         for side in range(2):
             slope = joints.curve[i, side, 1, 1] / joints.curve[i, side, 1, 0]
             gains[side] = joints.flow_gain[i, side] * slope * speeds[i, side]
-        spool = _moved(law, state, i, out[LEFT, i], given.load[i], gains)
-        _listened(law, state, i, lever, out[LEFT, i], given.load[i])
+        spool = _moved(law, state, i, out[LEFT, i], given.felt.load[i], gains)
+        _listened(law, state, i, lever, out[LEFT, i], given.felt.load[i])
         calm_counted(law, state, i, lever)
         out[VALVES, i] = max(-joints.limit, min(joints.limit, spool))
         out[Q_CMD, i], out[QD_CMD, i], out[PT1, i] = given.q_meas[i], 0.0, 0.0

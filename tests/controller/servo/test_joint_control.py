@@ -14,13 +14,21 @@ from controller.core.servo.drives import (
     load_pressures,
     rated_circuit,
 )
-from controller.core.servo.joint_control import JointGains, pt1_step, unmoved, valve_commands
+from controller.core.servo.joint_control import (
+    JointFilters,
+    JointGains,
+    LoadHolding,
+    Pressures,
+    pt1_step,
+    unmoved,
+    valve_commands,
+)
 from controller.core.servo.pose_servo import ServoGains, resolve, tool_state
 from controller.core.trajectories.paths import at_rest
 from nominal_arm.description import NominalArm
 
 ONES = np.ones(6)
-REST = unmoved(np.zeros(6))
+REST = unmoved(np.zeros(6), np.zeros(6))
 PLAIN = JointGains(
     gain=2.0 * ONES,
     time_constant=np.zeros(6),
@@ -33,8 +41,14 @@ PLAIN = JointGains(
     curve=np.tile(np.array([[0.0, 0.0], [1.0, 1.0]]), (6, 2, 1, 1)),
     half_play=0.0 * ONES,
     limit=1.0,
+    holding=LoadHolding(np.zeros(6), 1.0, 0.01, 250.0, 4.0 * ONES),
 )
 SPEEDS = np.stack([2.0 * ONES, 4.0 * ONES], axis=1)
+NO_LOAD = Pressures(np.zeros(6), np.zeros(6))
+
+
+def loaded(bar: float) -> Pressures:
+    return Pressures(bar * ONES, np.zeros(6))
 
 
 @pytest.mark.parametrize("dt_s", [0.001, 0.005, 0.01])
@@ -54,7 +68,7 @@ def test_pt1_does_not_depend_on_how_time_is_cut() -> None:
 
 def test_proportional_law_is_scaled_by_the_nominal_speeds() -> None:
     error = np.array([0.1, -0.1, 0.2, 0.0, -0.2, 0.05])
-    u, _ = valve_commands(PLAIN, REST, error, np.zeros(6), np.zeros(6), SPEEDS, 0.005)
+    u, _ = valve_commands(PLAIN, REST, error, np.zeros(6), NO_LOAD, SPEEDS, 0.005)
     assert u == pytest.approx(np.where(error > 0, 2.0 * error / 2.0, 2.0 * error / 4.0))
 
 
@@ -62,7 +76,7 @@ def test_lift_and_tilt_pass_through_their_pt1_the_others_do_not() -> None:
     gains = PLAIN._replace(time_constant=np.array([0.0, 0.1, 0.1, 0.0, 0.0, 0.0]))
     filters, trace = REST, []
     for _ in range(100):
-        u, filters = valve_commands(gains, filters, 0.1 * ONES, np.zeros(6), np.zeros(6), SPEEDS, 0.005)
+        u, filters = valve_commands(gains, filters, 0.1 * ONES, np.zeros(6), NO_LOAD, SPEEDS, 0.005)
         trace.append(u)
     times = 0.005 * np.arange(100)
     for joint in range(6):
@@ -72,14 +86,14 @@ def test_lift_and_tilt_pass_through_their_pt1_the_others_do_not() -> None:
 
 def test_feed_forward_gives_the_nominal_spool_for_the_speed() -> None:
     speed = np.array([0.2, -0.2, 0.4, -0.4, 0.0, 0.1])
-    u, _ = valve_commands(PLAIN._replace(feed_forward=1.0), REST, 0 * ONES, speed, 0 * ONES, SPEEDS, 0.005)
+    u, _ = valve_commands(PLAIN._replace(feed_forward=1.0), REST, 0 * ONES, speed, NO_LOAD, SPEEDS, 0.005)
     assert u == pytest.approx(np.where(speed > 0, speed / 2.0, speed / 4.0))
 
 
 def test_deadband_is_added_in_the_sense_of_the_command_and_fades_at_zero() -> None:
     gains = PLAIN._replace(deadband=np.full((6, 2), 0.03), blend=np.full((6, 2), 0.001))
     error = np.array([0.05, -0.05, 0.0005, -0.0005, 0.0, 1e-5])
-    u, _ = valve_commands(gains, REST, error, np.zeros(6), np.zeros(6), SPEEDS, 0.005)
+    u, _ = valve_commands(gains, REST, error, np.zeros(6), NO_LOAD, SPEEDS, 0.005)
     assert u[:2] == pytest.approx([0.05 + 0.03, -0.025 - 0.03])
     assert 0.0 < u[2] < 0.03
     assert u[4] == 0.0
@@ -88,18 +102,18 @@ def test_deadband_is_added_in_the_sense_of_the_command_and_fades_at_zero() -> No
 
 def test_pressure_damping_acts_on_changes_and_forgets_the_static_load() -> None:
     gains = PLAIN._replace(damping=0.002 * ONES, high_pass=0.5)
-    filters = unmoved(40.0 * ONES)
-    still, _ = valve_commands(gains, filters, 0 * ONES, 0 * ONES, 40.0 * ONES, SPEEDS, 0.005)
+    filters = unmoved(40.0 * ONES, 0.0 * ONES)
+    still, _ = valve_commands(gains, filters, 0 * ONES, 0 * ONES, loaded(40.0), SPEEDS, 0.005)
     assert still == pytest.approx(np.zeros(6))
-    first, filters = valve_commands(gains, filters, 0 * ONES, 0 * ONES, 50.0 * ONES, SPEEDS, 0.005)
+    first, filters = valve_commands(gains, filters, 0 * ONES, 0 * ONES, loaded(50.0), SPEEDS, 0.005)
     assert first == pytest.approx(-0.002 * 10.0 / 4.0 * ONES)  # yields to a rising load
     for _ in range(1000):
-        last, filters = valve_commands(gains, filters, 0 * ONES, 0 * ONES, 50.0 * ONES, SPEEDS, 0.005)
+        last, filters = valve_commands(gains, filters, 0 * ONES, 0 * ONES, loaded(50.0), SPEEDS, 0.005)
     assert np.abs(last).max() < 1e-6
 
 
 def test_commands_stay_inside_the_valve_limit() -> None:
-    u, _ = valve_commands(PLAIN._replace(limit=0.8), REST, 9 * ONES, 0 * ONES, 0 * ONES, SPEEDS, 0.005)
+    u, _ = valve_commands(PLAIN._replace(limit=0.8), REST, 9 * ONES, 0 * ONES, NO_LOAD, SPEEDS, 0.005)
     assert u == pytest.approx(0.8 * ONES)
 
 
@@ -170,3 +184,42 @@ def test_the_desired_motion_passes_undamped_to_the_joints(table: Array) -> None:
     resolved = resolve(tool, moving, GAINS)
     assert resolved.damping_squared == 0.0
     assert tool.J_BT @ resolved.qd_cmd == pytest.approx([0.1, -0.05, 0.02, 0.0, 0.1, 0.0], abs=1e-12)
+
+
+HOLDING = PLAIN._replace(holding=PLAIN.holding._replace(damping=np.array([0.0, 0.002, 0.0, 0.0, 0.0, 0.0])))
+DOWN = np.array([-0.1, -0.1, 0.0, 0.0, 0.0, 0.0])
+
+
+def lowered(filters: JointFilters, pilot_bar: float, qd_cmd: Array) -> tuple[Array, JointFilters]:
+    felt = Pressures(np.zeros(6), pilot_bar * ONES)
+    return valve_commands(HOLDING, filters, 0 * ONES, qd_cmd, felt, SPEEDS, 0.005)
+
+
+def test_the_pilot_pressure_that_lowering_took_is_kept_at_rest_and_filled_up_to_the_next_time() -> None:
+    filters = REST._replace(pilot=40.0 * (DOWN < 0.0) * (HOLDING.holding.damping > 0.0))
+    first, filters = lowered(filters, 40.0, DOWN)
+    assert first == pytest.approx(np.zeros(6))
+    assert filters.pilot == pytest.approx([0.0, 40.0, 0.0, 0.0, 0.0, 0.0])
+    for bar, qd_cmd in ((10.0, 0 * ONES), (20.0, -DOWN)):  # at rest, and raised
+        still, filters = lowered(filters, bar, qd_cmd)
+        assert still == pytest.approx(np.zeros(6))
+    assert unmoved(np.zeros(6), filters.pilot).pilot[1] == 40.0  # after the valves were shut, too
+    again, filters = lowered(filters, 15.0, DOWN)
+    assert again == pytest.approx([0.0, 0.002 * (15.0 - 40.0) / 4.0, 0.0, 0.0, 0.0, 0.0])
+    for _ in range(2000):
+        last, filters = lowered(filters, 15.0, DOWN)
+    assert np.abs(last).max() < 1e-6  # a pressure that lasts is no error
+
+
+def test_a_pilot_pressure_that_rises_too_far_slows_the_lowering() -> None:
+    filters = REST._replace(pilot=40.0 * ONES)
+    over, _ = lowered(filters, 50.0, DOWN)
+    assert over[1] == pytest.approx(0.002 * 10.0 / 2.0)
+    slow, _ = lowered(filters, 50.0, 0.05 * DOWN)  # half of the slowest speed in full force
+    assert slow[1] == pytest.approx(0.5 * over[1])
+
+
+def test_before_the_first_lowering_the_data_sheet_says_the_pilot_pressure() -> None:
+    first, filters = lowered(REST, 10.0, DOWN)  # no load pressure: 250 = 10 + 4 · 60
+    assert first[1] == pytest.approx(0.002 * (10.0 - 60.0) / 4.0)
+    assert 59.0 < filters.pilot[1] < 60.0
