@@ -92,7 +92,7 @@ def sections(results: Path = RESULTS) -> dict[str, str]:
     changed = [one for one in current if one.experiment == "changed-machine"]
     elsewhere = ("best-mode", "changed-machine", *ON_PAGES_OF_SIGHT)
     others = [one for one in current if one.experiment not in elsewhere]
-    earlier = [one for one in found if one.superseded and one.experiment not in ON_PAGES_OF_SIGHT]
+    earlier = [one for one in found if one.superseded]
     heads = (
         "rows | command | runs | one look: within 5 mm | median, 95 % | two looks | median, 95 % | stopped"
     )

@@ -1,4 +1,4 @@
-"""The tables of docs/targets.md and docs/markers.md, made from the rows under docs/results;
+"""The tables of docs/targets.md and docs/markers.md, made from the rows under docs/results that count;
 ``python -m tools.sight_pages``.
 """
 
@@ -43,27 +43,17 @@ _EACH = "command | commit, rows | runs | driven to | within 5 mm | median, 95 %,
 
 def sections(results: Path = RESULTS) -> dict[str, str]:
     """Every generated section by its name."""
-    kept = every_kept(results)
-    scenes = [one for one in kept if one.experiment == "targets" and not one.superseded]
+    kept = [one for one in every_kept(results) if not one.superseded]
+    scenes = [one for one in kept if one.experiment == "targets"]
     drives = [one for one in kept if one.experiment == HOLE_DRIVES.name]
     limits = [one for one in kept if one.experiment == MARKER_LIMITS.name]
     told = "figure | found | asked | met"
     return {
-        "target scenes": "\n\n".join([_scenes(scenes), *_earlier(kept)]),
+        "target scenes": _scenes(scenes),
         "hole drives": _drive_tables(drives),
         "marker limits": "\n\n".join(headed(one, _limits(one)) for one in limits),
         "marker verdict": "\n\n".join(headed(one, table(told, verdict_lines(one))) for one in limits),
     }
-
-
-def _earlier(kept: Sequence[Kept]) -> list[str]:
-    """The rows of scenes that no longer count, as a paragraph; nothing where there are none."""
-    told = [
-        f"`{one.command}`, commit `{one.commit}`, `docs/results/{one.name}`: {one.superseded}."
-        for one in kept
-        if one.experiment == "targets" and one.superseded
-    ]
-    return [f"No longer counted: {' '.join(told)}"] if told else []
 
 
 def _scenes(kept: Sequence[Kept]) -> str:
@@ -135,18 +125,12 @@ def _limits(one: Kept) -> str:
 
 
 def _drive_tables(kept: Sequence[Kept]) -> str:
-    """All current campaigns together, each of them, and those that were superseded with the reason."""
-    current = [one for one in kept if not one.superseded]
-    kinds = dict.fromkeys(map(_kind, current))
+    """All campaigns of a kind together, then each of them."""
+    kinds = dict.fromkeys(map(_kind, kept))
     together = [
-        _together([row for one in current if _kind(one) == kind for row in _rows(one)], kind)
-        for kind in kinds
+        _together([row for one in kept if _kind(one) == kind for row in _rows(one)], kind) for kind in kinds
     ]
-    parts = [table(_TOGETHER, together), table(_EACH, map(_campaign, current))]
-    earlier = [[*_campaign(one), one.superseded] for one in kept if one.superseded]
-    if earlier:
-        parts += ["Before what was changed since; not counted above:", table(f"{_EACH} | since", earlier)]
-    return "\n\n".join(parts)
+    return "\n\n".join([table(_TOGETHER, together), table(_EACH, map(_campaign, kept))])
 
 
 def _kind(one: Kept) -> tuple[str, str, int, bool]:

@@ -99,7 +99,7 @@ def test_rows_that_no_longer_count_are_history_with_the_reason_and_their_verdict
     assert line.endswith("| 6 of 8 | it parks now |")
 
 
-def test_rows_that_were_superseded_are_shown_with_the_reason_and_not_counted(tmp_path: Path) -> None:
+def test_drives_that_were_superseded_are_history_too_and_not_counted(tmp_path: Path) -> None:
     results = tmp_path / "results"
     into = keep(
         _driven(tmp_path / "a", ["lab"], [9.0]), "a", "abc1234", "longreach experiment hole-drives", results
@@ -109,10 +109,11 @@ def test_rows_that_were_superseded_are_shown_with_the_reason_and_not_counted(tmp
         json.dumps(about | {"superseded": "the hole was hidden"}), encoding="utf-8"
     )
     keep(_driven(tmp_path / "b", ["lab"], [0.5]), "b", "abc1234", "longreach experiment hole-drives", results)
-    together, _, earlier = sight_pages.sections(results)["hole drives"].partition("not counted above")
-    assert "| `lab`, 4 m arm | one look, one hole | 1 | 1.000 | " in together
-    assert "9.00" not in together
-    assert "| 9.00, 9.00, 9.00 |  | the hole was hidden |" in earlier
+    counted = sight_pages.sections(results)["hole drives"]
+    assert "| `lab`, 4 m arm | one look, one hole | 1 | 1.000 | " in counted
+    assert "9.00" not in counted
+    history = sections(results)["history"].splitlines()[2:]
+    assert [line.endswith("| the hole was hidden |") for line in history] == [True]
 
 
 def _row(seed: int, error_mm: float, probability: float, failure: str = "") -> PositioningRow:
