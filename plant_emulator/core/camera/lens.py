@@ -52,7 +52,9 @@ class Lens:
 def _ray_map(
     width: int, height: int, focal: tuple[float, ...], centre: tuple[float, ...], k: tuple[float, ...]
 ) -> Rays:
-    """The same, kept for the next camera with this lens: campaigns make one for every run."""
+    """The rays of all pixels through this lens, read-only, kept for the next camera that has it: campaigns
+    make one for every run. Raises ValueError as ``ray_map``.
+    """
     ray_x = np.empty((height, width), dtype=np.float32)
     ray_y = np.empty((height, width), dtype=np.float32)
     worst = _invert(ray_x, ray_y, np.array(focal), np.array(centre), np.array(k))

@@ -1,4 +1,4 @@
-"""Tells the processor which memory will be wanted: compilers of Python have no word for it."""
+"""Loads of texels, and hints which memory will be wanted: compilers of Python have no word for either."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from foundation.compiled import allocation_free
 
 ir: Any = cgutils.ir  # type: ignore[attr-defined]  # llvmlite, as numba has it
+Pairs = NDArray[np.uint16]
 Words = NDArray[np.int32]
 Real32 = NDArray[np.float32]
 
 _READ, _INTO_EVERY_CACHE, _DATA = 0, 3, 1
-_STEP = 8  # words between hints: half a line of the cache
+_STEP = 8  # pixels between hints: half a line of the cache, where two texels come to a pixel
 _LINE = 16  # float32 in a line of the cache
 
 
@@ -35,16 +36,31 @@ def _typed(context: Any, words: Any, index: Any) -> tuple[Any, Callable[..., Any
     return types.void(words, index), generate
 
 
+def _typed_load(context: Any, pairs: Any, index: Any) -> tuple[Any, Callable[..., Any]]:
+    """``load_both(pairs, index)`` as numba types and generates it."""
+
+    def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        array = context.make_array(pairs)(context, builder, arguments[0])
+        place = builder.gep(array.data, [arguments[1]])
+        both = builder.load(builder.bitcast(place, ir.IntType(32).as_pointer()))
+        both.align = 2  # a pair may begin anywhere
+        return both
+
+    return types.int32(pairs, index), generate
+
+
 _declared: Any = cgutils.get_or_insert_function
 _prefetch: Any = intrinsic(_typed)
+load_both: Any = intrinsic(_typed_load)
+"""The pair at an index (intp) and, in the upper 16 bits, the one after it, which must be there: int32."""
 
 
 @allocation_free
-def fetch_ahead(texture: Words, words: Words, ahead: int, count: int) -> None:
-    """Hint that the words ``ahead`` of the indices ``words`` will be wanted; a hint may be wrong."""
-    last = np.uint32(texture.shape[0] - 1)
+def fetch_ahead(texture: Pairs, words: Words, ahead: int, count: int) -> None:
+    """Hint that the pairs ``ahead`` of the indices ``words`` will be wanted; a hint may be wrong."""
+    last = np.int32(texture.shape[0] - 1)
     for j in range(0, count, _STEP):
-        _prefetch(texture, np.intp(np.uint32(words[j] + ahead) & last))
+        _prefetch(texture, np.intp(min(max(words[j] + ahead, np.int32(0)), last)))
 
 
 @allocation_free

@@ -1,9 +1,9 @@
 """Compiled loops that paint the wall: trilinear sampling of its periodic texture, vectorised row segment by
 segment.
 
-Each texel is stored together with its right, lower and diagonal neighbour in one 32-bit word, so that a
-sample costs one load. Coordinates, blending and light are separate loops over short buffers, because
-compilers vectorise those and leave only the loads scalar.
+Each texel is stored together with its lower neighbour in 16 bits, so that one load of 32 bits takes all four
+texels of a sample. Coordinates, blending and light are separate loops over short buffers, because compilers
+vectorise those and leave only the loads scalar.
 """
 
 from typing import Any, NamedTuple
@@ -11,44 +11,41 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.compiled import allocation_free, kernel
+from foundation.compiled import allocation_free
 from plant_emulator.core.camera.rays import Rays
-from plant_emulator.core.camera.wall.fetching import fetch_ahead, fetch_line
+from plant_emulator.core.camera.wall.fetching import Pairs, fetch_ahead, fetch_line, load_both
 
 Grey = NDArray[np.uint8]
 Words = NDArray[np.int32]
 Real32 = NDArray[np.float32]
 Real64 = NDArray[np.float64]
 Scalar32 = Any  # np.float32 inside compiled code: type checkers see it as a plain float at the call
+Word = Any  # np.int32
 
 TILE_ROWS = 16
 TILE_COLUMNS = 128
+MARGIN = 32
 _NEAR = np.float32(1e-6)  # smallest inverse depth, per metre, that still counts as in front
 _ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 _EIGHT, _WHITE = np.float32(8.0), np.float32(255.0)
 _SECOND_WAVE, _SECOND_PHASE = np.float32(1.37), np.float32(0.3)
 
 
-@kernel(nogil=True)
-def packed(texture: Grey) -> Words:
-    """Flat words of a periodic square texture: texel, right, lower and lower right neighbour, 8 bits each."""
-    size = texture.shape[0]
-    words = np.empty(size * size, dtype=np.int32)
-    for row in range(size):
-        below = (row + 1) % size
-        for column in range(size):
-            right = (column + 1) % size
-            word = np.uint32(texture[row, column]) | (np.uint32(texture[row, right]) << np.uint32(8))
-            word |= np.uint32(texture[below, column]) << np.uint32(16)
-            word |= np.uint32(texture[below, right]) << np.uint32(24)
-            words[row * size + column] = np.int32(word)
-    return words
+def packed(texture: Grey) -> Pairs:
+    """Flat pairs of a periodic square texture: each texel and, in the upper 8 bits, its lower neighbour.
+
+    A row goes on for ``MARGIN`` texels into its own beginning: the last texel has its right neighbour, and
+    rows are not a power of two apart, where they would drive each other out of the cache.
+    """
+    pairs = texture.astype(np.uint16)
+    pairs |= np.roll(pairs, -1, axis=0) << 8
+    return np.pad(pairs, ((0, 0), (0, MARGIN)), mode="wrap").ravel()
 
 
 class WallTexture(NamedTuple):
     """Packed mip levels of the wall, the finest 2**finest_bits texels to a side."""
 
-    levels: tuple[Words, ...]
+    levels: tuple[Pairs, ...]
     finest_bits: int
 
 
@@ -62,8 +59,8 @@ class _Tile(NamedTuple):
     bottom: int
     left: int
     right: int
-    fine: Words
-    coarse: Words
+    fine: Pairs
+    coarse: Pairs
     bits: int
     scale: Scalar32
 
@@ -247,33 +244,37 @@ def _locate(
     count: int,
 ) -> None:
     """Fill ``words`` with the index of the texel above and left of each place, ``part_*`` with the rest."""
-    mask, shift = np.int32((1 << bits) - 1), np.int32(bits)
+    mask, row_length = np.int32((1 << bits) - 1), np.int32((1 << bits) + MARGIN)
     for j in range(count):
         u, v = along[j] * scale - _HALF, down[j] * scale - _HALF
         column, row = np.floor(u), np.floor(v)
         part_x[j], part_y[j] = u - column, v - row
-        at_row = np.int32(np.int32(np.int32(row) & mask) << shift)
-        words[j] = np.int32(at_row | np.int32(np.int32(column) & mask))
+        at_row = np.int32(np.int32(np.int32(row) & mask) * row_length)
+        words[j] = np.int32(at_row + np.int32(np.int32(column) & mask))
 
 
 @allocation_free
-def _load(texture: Words, words: Words, count: int) -> None:
-    """Replace each index in ``words`` by the texel word found there."""
+def _load(texture: Pairs, words: Words, count: int) -> None:
+    """Replace each index in ``words`` by the pair found there and the one right of it."""
     for j in range(count):
-        words[j] = texture[np.uint32(words[j])]
+        words[j] = load_both(texture, np.intp(words[j]))
 
 
 @allocation_free(fastmath=True)
 def _interpolate(words: Words, part_x: Real32, part_y: Real32, grey: Real32, count: int) -> None:
-    byte = np.int32(255)
     for j in range(count):
         word, a = words[j], part_x[j]
-        upper_left, upper_right = np.float32(word & byte), np.float32((word >> np.int32(8)) & byte)
-        lower_left = np.float32((word >> np.int32(16)) & byte)
-        lower_right = np.float32((word >> np.int32(24)) & byte)
+        upper_left, lower_left = _byte(word, 0), _byte(word, 8)
+        upper_right, lower_right = _byte(word, 16), _byte(word, 24)
         upper = upper_left + (upper_right - upper_left) * a
         lower = lower_left + (lower_right - lower_left) * a
         grey[j] = upper + (lower - upper) * part_y[j]
+
+
+@allocation_free(inline="always")
+def _byte(word: Word, shift: int) -> Scalar32:
+    """The 8 bits of ``word`` from ``shift`` on; kept at 32 bits, since vectors of 64 hold half as many."""
+    return np.float32(np.int32(np.int32(word >> np.int32(shift)) & np.int32(255)))
 
 
 @allocation_free(fastmath=True)

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from plant_emulator.config.surroundings import WallConfig
 from plant_emulator.core.camera.wall import wall_painter
+from plant_emulator.core.camera.wall.fetching import Pairs
 
 SIZE_BITS = 12
 SIZE = 1 << SIZE_BITS
@@ -22,7 +23,7 @@ _PATCH_DETAIL_BITS = 2  # patches are cut out at 4 x 4 samples a cell, so that t
 
 Grey = NDArray[np.uint8]
 Field = NDArray[np.float32]
-Texture = tuple[NDArray[np.int32], ...]
+Texture = tuple[Pairs, ...]
 
 
 def wall_texture(seed: int, mean_grey: float, contrast_grey: float) -> Grey:
