@@ -8,15 +8,13 @@ adds what it saw.
 import numpy as np
 
 from vision_pc.core import se3
-from vision_pc.core.odometry.keyframes import bundle_adjustment
+from vision_pc.core.odometry.keyframes import bundle_adjustment, shared_views
 from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
 from vision_pc.core.odometry.keyframes.offset_drift import Lines, MapDrift, PoseDrift, view_rates
 from vision_pc.core.odometry.keyframes.triangulation import disparity_metres
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel
 
-_LARGEST_TURN = np.radians(25.0)  # beyond it a keyframe's patches no longer look alike
-_LARGEST_ZOOM = 1.35
 _LEAST_SHARED = 15  # points with the window, for a keyframe to hold it
 _LEAST_SCALE_STD = 2e-5
 SHARED = 2.0  # depths share the errors of the poses at which they were learnt: measured against the truth
@@ -219,33 +217,7 @@ class KeyframeMap:
         at least two of them. ``views_alone``: without what the frames between them taught of depths.
         """
         chosen = [*held, *free]
-        every = np.concatenate([keyframe.ids for keyframe in chosen])
-        ids, counts = np.unique(every[np.isin(every, shown)], return_counts=True)
-        ids = ids[counts > 1]
-        cameras, numbers, eyes, rays, stds = [], [], [], [], []
-        depths: list[tuple[Array, Array]] = []
-        for k, keyframe in enumerate(chosen):
-            mine = np.isin(keyframe.ids, ids)
-            first = (self._first[keyframe.ids] == keyframe.number) & (not views_alone)
-            for eye, seen, there in (
-                (0, mine, keyframe.rays),
-                (1, mine & keyframe.seen_right & ~first, keyframe.right_rays),  # its depth says that already
-            ):
-                numbers.append(np.searchsorted(ids, keyframe.ids[seen]))
-                cameras.append(np.full(len(numbers[-1]), k))
-                eyes.append(np.full(len(numbers[-1]), eye))
-                rays.append(there[seen])
-                stds.append(keyframe.match_stds[eye, seen])
-            own = np.searchsorted(ids, keyframe.ids[mine & first])
-            depths.append((np.full(len(own), k), own))
-        views = bundle_adjustment.Views(
-            np.concatenate(cameras),
-            np.concatenate(numbers),
-            np.concatenate(eyes),
-            np.concatenate(rays),
-            np.concatenate(stds),
-        )
-        camera, point = (np.concatenate(part) for part in zip(*depths, strict=True))
+        ids, views, camera, point = shared_views.shared(chosen, shown, self._first, views_alone)
         known = bundle_adjustment.Depths(
             camera, point, self._inverse_depths[ids[point]], self.stds(ids[point])
         )
@@ -264,17 +236,11 @@ class KeyframeMap:
 
     def nearest(self, X_C0C: Array) -> list[Keyframe]:
         """Keyframes, those first that look most like what a camera at ``X_C0C`` sees."""
-        likeness = [(self._view_distance(keyframe, X_C0C), -k) for k, keyframe in enumerate(self.keyframes)]
+        likeness = [
+            (keyframe.view_distance(self.points[keyframe.ids], X_C0C), -k)
+            for k, keyframe in enumerate(self.keyframes)
+        ]
         return [self.keyframes[-k] for _, k in sorted(likeness)]
-
-    def _view_distance(self, keyframe: Keyframe, X_C0C: Array) -> float:
-        """Shift of the picture from keyframe to camera as a share of its width, with turn and zoom added."""
-        depth = float(np.median(se3.apply(se3.inverse(keyframe.X_C0C), self.points[keyframe.ids])[:, 2]))
-        X = se3.inverse(keyframe.X_C0C) @ X_C0C
-        shift = np.linalg.norm(X[:2, 3] / depth + X[:2, 2])
-        zoom = abs(np.log(max(1.0 - X[2, 3] / depth, 0.05))) / np.log(_LARGEST_ZOOM)
-        turn = se3.angle_between(X[:3, :3], np.eye(3)) / _LARGEST_TURN
-        return float(shift + zoom + turn)
 
 
 def _precisions(stds: Array) -> Array:
