@@ -11,10 +11,8 @@ from vision_pc.core.odometry.keyframes.keyframe import Indices
 from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
 from vision_pc.core.se3 import Array
 
-_IN_COMMON = (
-    2.5  # [E] points err together: their depths were learnt at the same poses, their patches are alike
-)
-_FEW_POINTS = 60.0  # [E] with so few that is by one more
+_IN_COMMON = 4.0  # [E] points err together: depths were learnt at the same poses, patches are alike
+_FEW_POINTS = 75.0  # [E] with so few that is by one more
 
 
 def covariance(
