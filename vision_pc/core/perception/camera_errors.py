@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.compiled import kernel
 from vision_pc.config.vision import CalibrationDoubts, MarkerSettings
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics
@@ -230,8 +231,18 @@ def _gather(H: Array, g: Array, J: Array, residual: Array, corners: _Corners) ->
     error = residual[seen] / std[:, None]
     weight = np.sqrt(1.0 / np.maximum(1.0, np.linalg.norm(error, axis=1) / _HUBER))
     scaled, error = J[seen] * (weight / std)[:, None, None], error * weight[:, None]
-    np.add.at(H, body, np.einsum("nra,nrb->nab", scaled, scaled))
-    np.add.at(g, body, np.einsum("nra,nr->na", scaled, error))
+    _add_to_bodies(H, g, body, scaled, error)
+
+
+@kernel(nogil=True)
+def _add_to_bodies(H: Array, g: Array, body: NDArray[np.int64], J: Array, error: Array) -> None:
+    """Add the two rows of each of ``J`` (n, 2, u), with their ``error`` (n, 2), to its body's equations."""
+    for i in range(J.shape[0]):
+        k, first, second = body[i], J[i, 0], J[i, 1]
+        for a in range(J.shape[2]):
+            g[k, a] += first[a] * error[i, 0] + second[a] * error[i, 1]
+            for b in range(J.shape[2]):
+                H[k, a, b] += first[a] * first[b] + second[a] * second[b]
 
 
 def _linearised(
