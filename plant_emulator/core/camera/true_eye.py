@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.compiled import kernel
 from plant_emulator.config.camera import CameraConfig
 from plant_emulator.core.camera.lens import Lens
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
@@ -64,8 +65,22 @@ def as_read(project: Callable[[float], Matrix], config: CameraConfig) -> Matrix:
     if line_s == 0.0:
         return middle
     early, late = project(-0.5 * line_s * last), project(0.5 * line_s * last)
-    seen = middle
-    for _ in range(_ROW_SEARCHES):
-        share = np.clip(2.0 * seen[:, 1:2] / last - 1.0, -1.0, 1.0)
-        seen = middle + 0.5 * share * (late - early) + 0.5 * share**2 * (late + early - 2.0 * middle)
+    seen = middle.copy()
+    _move_to_rows(seen, middle, late - early, late + early - 2.0 * middle, float(last))
     return seen
+
+
+@kernel(nogil=True)
+def _move_to_rows(seen: Matrix, middle: Matrix, way: Matrix, bow: Matrix, last: float) -> None:
+    """Move ``seen`` (n, 2) from ``middle`` along its parabola to where it is when its own row is read."""
+    for i in range(seen.shape[0]):
+        for _ in range(_ROW_SEARCHES):
+            share = 2.0 * seen[i, 1] / last - 1.0
+            if share > 1.0:  # not min and max: what is behind the eye is NaN and stays it
+                share = 1.0
+            elif share < -1.0:
+                share = -1.0
+            for axis in range(2):
+                seen[i, axis] = (
+                    middle[i, axis] + 0.5 * share * way[i, axis] + 0.5 * (share * share) * bow[i, axis]
+                )
