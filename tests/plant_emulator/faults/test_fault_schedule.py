@@ -1,7 +1,10 @@
-"""Any sequence of injections, clearings and looks keeps the schedule and its trace consistent."""
+"""Faults begin and end when they should, and any sequence of injections, clearings and looks keeps the
+schedule and its trace consistent.
+"""
 
 from collections import Counter
 
+import numpy as np
 import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
@@ -9,14 +12,22 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from plant_emulator.core.faults.kinds import (
     CameraFrozen,
+    CouplerSilent,
     EncoderStuck,
     Fault,
     PayloadDrop,
     SupplyLost,
+    ValveSlow,
     ValveStuck,
 )
 from plant_emulator.core.faults.schedule import FaultSchedule, Injection
+from plant_emulator.core.plant import Plant
 from protocol.errors import RequestRefused
+from protocol.process_image import CONTROL_ENABLE, ValveImage
+from tests.plant_emulator.plant_world import plant_config
+
+LIFT_UP = (0.0, 0.3, 0.0, 0.0, 0.0, 0.0)
+MS = 1_000_000
 
 FEW: list[Fault] = [
     SupplyLost(),
@@ -110,3 +121,90 @@ class Schedule(RuleBasedStateMachine):
 
 TestSchedule = Schedule.TestCase
 TestSchedule.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
+
+
+def test_a_planned_fault_begins_and_ends_at_its_simulated_times() -> None:
+    plant = Plant(plant_config(), seed=1)
+    plant.inject(ValveStuck(joint="lift"), start_ns=10 * MS, duration_ns=5 * MS)
+    seen = []
+    for _ in range(20):
+        plant.advance(MS)
+        seen.append(bool(plant.truth().faults))
+    assert [k + 1 for k, broken in enumerate(seen) if broken] == [10, 11, 12, 13, 14]
+    assert [(c.phase, c.time_ns) for c in plant.faults.changes] == [
+        ("planned", 0), ("began", 10 * MS), ("ended", 15 * MS)
+    ]  # fmt: skip
+    assert plant.faults.changes[1].as_dict() == {
+        "number": 1, "name": "valve_stuck.lift", "phase": "began", "time_ns": 10 * MS,
+        "start_ns": 10 * MS, "end_ns": 15 * MS, "fault": {"kind": "valve_stuck", "joint": "lift"},
+    }  # fmt: skip
+
+
+def test_planning_ahead_and_injecting_in_time_are_the_same_to_the_last_bit() -> None:
+    ahead, in_time, split = (Plant(plant_config(), seed=3) for _ in range(3))
+    fault: Fault = ValveSlow(joint="lift", bandwidth_share=0.2)
+    ahead.inject(fault, 100 * MS, 50 * MS)
+    split.inject(fault, 100 * MS, 50 * MS)
+    for plant in (ahead, in_time, split):
+        plant.write(ValveImage(1, CONTROL_ENABLE, LIFT_UP))
+    ahead.advance(200 * MS)
+    for _ in range(200):
+        split.advance(MS)
+    in_time.advance(100 * MS)
+    number = in_time.inject(fault).number
+    in_time.advance(50 * MS)
+    in_time.clear(number)
+    in_time.advance(50 * MS)
+    np.testing.assert_array_equal(ahead._state, in_time._state)
+    np.testing.assert_array_equal(ahead._state, split._state)
+    assert ahead.read() == in_time.read()._replace(plant_cycle=1)
+
+
+def test_the_schedule_refuses_what_cannot_be() -> None:
+    schedule = FaultSchedule()
+    for start_ns, duration_ns in ((9, None), (None, 0), (20, -5)):
+        with pytest.raises(RequestRefused) as refusal:
+            schedule.inject(SupplyLost(), 10, start_ns, duration_ns)
+        assert refusal.value.cause == "refused.fault_time"
+    schedule.inject(SupplyLost(), 10, 20, 10)
+    schedule.inject(SupplyLost(), 10, 30, 10)  # the one begins as the other ends
+    schedule.inject(ValveStuck(joint="lift"), 10, 25)
+    schedule.inject(ValveStuck(joint="tilt"), 10, 25)
+    for start_ns, duration_ns in ((15, 6), (15, None), (39, 1), (12, 100)):
+        with pytest.raises(RequestRefused) as refusal:
+            schedule.inject(SupplyLost(), 10, start_ns, duration_ns)
+        assert refusal.value.cause == "refused.fault_present"
+    with pytest.raises(RequestRefused) as refusal:
+        schedule.clear(99, 11)
+    assert refusal.value.cause == "refused.no_such_fault"
+    for start in range(60):
+        schedule.inject(CouplerSilent(), 11, 100 + start, 1)
+    with pytest.raises(RequestRefused) as refusal:
+        schedule.inject(PayloadDrop(), 11)
+    assert refusal.value.cause == "refused.too_many_faults"
+
+
+def test_the_schedule_keeps_a_trace_of_every_change() -> None:
+    schedule = FaultSchedule()
+    first = schedule.inject(SupplyLost(), 0)
+    assert schedule.settle(0)
+    later = schedule.inject(PayloadDrop(), 0, 50)
+    assert schedule.next_ns() == 50
+    assert not schedule.settle(49)
+    schedule.clear(later.number, 49)
+    schedule.clear_all(60)
+    assert [(c.phase, c.time_ns, c.injection.number) for c in schedule.changes] == [
+        ("began", 0, first.number), ("planned", 0, later.number),
+        ("withdrawn", 49, later.number), ("ended", 60, first.number),
+    ]  # fmt: skip
+    assert schedule.in_force() == []
+
+
+def test_a_fault_due_to_end_before_anybody_looked_still_leaves_its_trace() -> None:
+    schedule = FaultSchedule()
+    schedule.inject(SupplyLost(), 0, 10, 5)
+    assert schedule.settle(100)
+    assert schedule.of_kind(SupplyLost) == SupplyLost()
+    assert schedule.next_ns() == 15  # it ends at the next look
+    assert schedule.settle(100)
+    assert schedule.of_kind(SupplyLost) is None
