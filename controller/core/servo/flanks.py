@@ -51,8 +51,15 @@ def left_at(law: ParkingLaw, state: Array, i: int, off: float, least: float) -> 
     return float(most if law.loaded[i] == 0.0 else min(most, max(least, law.leaves)))
 
 
+@kernel
+def came_too_far(law: ParkingLaw, state: Array, i: int, off: float) -> bool:
+    """Whether joint ``i``, ``off`` (rad), passed its end by less than what it is left at for its play."""
+    passed = law.loaded[i] == 0.0 and law.play[i] > 0.0 and off * state[CAME, i] < 0.0
+    return bool(passed and abs(off) <= left_at(law, state, i, off, law.leaves))
+
+
 def stays_within(law: ParkingLaw, state: Array, off: Array, least: float) -> bool:
     """Whether all joints, ``off`` (6,) rad, may stay: within ``least``, and the slew within its play."""
-    came_too_far = (off * state[CAME] < 0.0) & (law.loaded == 0.0)
-    most = np.where(came_too_far, least + law.play, least)
+    passed = (off * state[CAME] < 0.0) & (law.loaded == 0.0)
+    most = np.where(passed, least + law.play, least)
     return bool((np.abs(off) <= most).all())

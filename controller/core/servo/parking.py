@@ -14,7 +14,7 @@ import numpy as np
 from controller.core.kinematics.rotations import Array
 from controller.core.servo.coming_to_rest import ARM_RESTS, calm_counted
 from controller.core.servo.drives import full_spool_speeds
-from controller.core.servo.flanks import left_at, turned_to
+from controller.core.servo.flanks import came_too_far, left_at, turned_to
 from controller.core.servo.keeping import kept, kept_begun
 from controller.core.servo.metering import eased, learned, metered, metered_begun
 from controller.core.servo.parking_state import (
@@ -173,9 +173,13 @@ def _listened(law: ParkingLaw, state: Array, i: int, lever: float, error: float,
 
 @kernel
 def _arrived(law: ParkingLaw, state: Array, i: int, error: float, load: float) -> bool:
-    """Whether the joint law is done with joint ``i``, which then is shut."""
+    """Whether the joint law is done with joint ``i``, which then is shut.
+
+    Or must not go on: a joint that came too far would be taken back through its play, on to its other flank.
+    """
     state[HELD, i] = state[HELD, i] + law.dt_s if abs(error) < state[BAND, i] else 0.0
-    if state[HELD, i] < 2.0 * law.shutting[i] and state[SINCE, i] < law.patience:
+    waits = state[HELD, i] < 2.0 * law.shutting[i] and state[SINCE, i] < law.patience
+    if waits and not came_too_far(law, state, i, error):
         return False
     shut(state, i, error)
     state[DRIFT, i], state[HELD, i], state[CREPT, i] = 0.0, 0.0, error

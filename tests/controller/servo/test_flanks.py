@@ -13,6 +13,7 @@ from controller.core.scan_types import ScanState, initial_state
 from controller.core.servo.coming_to_rest import calm_counted, may_stay, rested_here
 from controller.core.servo.flanks import flanks_followed, left_at, stays_within
 from controller.core.servo.metering import eased, let_out
+from controller.core.servo.parking import _arrived as _done
 from controller.core.servo.parking import _due, _listened, _moved
 from controller.core.servo.parking_state import (
     AFTER,
@@ -109,6 +110,22 @@ def test_a_joint_is_brought_back_only_from_beyond_its_play(joint: int) -> None:
     narrow = LAW._replace(play=1e-4 * ONES)
     assert left_at(narrow, state, joint, -3e-4, 1e-4) == pytest.approx(2e-4)
     assert left_at(LAW, state, joint, 3e-4, 1e-4) == 1e-4
+
+
+@pytest.mark.parametrize("came", [-1.0, 1.0])
+def test_the_joint_law_takes_no_joint_back_through_its_play(came: float) -> None:
+    def shut(law: ParkingLaw, error: float, joint: int = 0) -> bool:
+        state = parking_begun(law)
+        state[BAND], state[CAME] = BAND_RAD, came
+        return _done(law, state, joint, came * error, 0.0) and state[PHASE, joint] == SHUT
+
+    most = LEAVES_RAD + PLAY_RAD
+    assert shut(LAW, -0.1 * LEAVES_RAD)  # as soon as it has passed its end
+    assert shut(LAW, -0.9 * most)
+    assert not shut(LAW, -1.1 * most)  # farther off than its play is wide
+    assert not shut(LAW, 0.9 * most)  # short of its end
+    assert not shut(LAW, -0.9 * most, joint=2)  # a loaded joint sinks by itself
+    assert not shut(UNKNOWN, -0.5 * LEAVES_RAD)
 
 
 def test_an_arm_whose_slew_came_too_far_rests_and_is_settled_until_it_goes_on(
