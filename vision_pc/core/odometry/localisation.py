@@ -15,7 +15,7 @@ from vision_pc.core.odometry.keyframes.keyframe_map import SHARED, KeyframeMap
 from vision_pc.core.odometry.keyframes.templates import Templates
 from vision_pc.core.odometry.motion_choice import FoundPoints, MotionChoice
 from vision_pc.core.odometry.motion_prior import Foreseen
-from vision_pc.core.odometry.rolling import PointViews, Readout
+from vision_pc.core.odometry.rolling import PointViews, Readout, TakenOut
 from vision_pc.core.odometry.tracking import Flags
 from vision_pc.core.perception import intrinsics, stereo_pose
 from vision_pc.core.perception.stereo_pose import BodyPoses, BodyView, Priors
@@ -56,8 +56,27 @@ class Localiser:
         self._noise_px = settings.noise_px
         self._kept: list[Templates] = []
         self._readout = readout
-        self._first_twist: Array | None = None
+        self._first: TakenOut | None = None
         self._choice = MotionChoice(camera, settings, keyframe_map, readout, doubted)
+
+    def begun(self, first: PoseEstimate) -> Array:
+        """The ``first`` keyframe was made: of its motion is known what was taken out of it, if anything. The
+        covariance (6×6) of all that is seen from it that is owed to what is not known of that.
+        """
+        if self._readout.taken_out.twist.any():
+            self._first = self._readout.taken_out
+        if not self._readout.share:
+            return np.zeros((6, 6))
+        X_CC0, points = se3.inverse(first.X_C0C), self._map.points[first.ids]
+        rays = np.stack([intrinsics.normalised(self._camera.left, first.pixels), first.right_rays])
+        seen = np.stack([np.ones(len(points)), first.seen_right.astype(np.float64)])
+        nothing = np.zeros((2, len(points), 2))
+        views = PointViews(se3.apply(X_CC0, points), rays, nothing, seen, nothing)
+        return self._by_readout(first.ids, X_CC0, views, seen)
+
+    def _by_readout(self, ids: Indices, X_CC0: Array, views: PointViews, weights: Array) -> Array:
+        eyes = (self._camera.left, self._camera.right)
+        return self._readout.spread(eyes, views, self._map.pose_rates(ids, X_CC0), weights)
 
     @property
     def mixed_since(self) -> int | None:
@@ -212,8 +231,7 @@ class Localiser:
         usual = float(np.sqrt(((errors * trust[:, :, None]) ** 2).sum() / (2.0 * seen.sum())))
         self._noise_px = max(usual, _LEAST_NOISE_PX)
         if self._readout.share:
-            depth = float(np.median(views.points_C[:, 2]))
-            covariance = covariance + np.diag(self._readout.std(depth) ** 2)
+            covariance = covariance + self._by_readout(ids, X_CC0, views, weights)
         by_offset = None if drift is None else drift.pose
         return PoseEstimate(
             se3.inverse(X_CC0),
@@ -238,11 +256,11 @@ class Localiser:
         """Of the first keyframe's points alone: later ones have been shown by several pictures."""
         if keyframe.number:
             return
-        if self._first_twist is None:  # the first picture moved as it did until the second one
-            self._first_twist = self._readout.twist
+        if self._first is None:  # the first picture moved as it did until the second one
+            self._first = self._readout.taken_out._replace(share=0.0)
             return
         eyes = (self._camera.left, self._camera.right)
-        self._readout.learn(eyes, views, self._first_twist, noise_px)
+        self._readout.learn(eyes, views, self._first, noise_px)
 
     def _solve(self, points: Array, rays: Array, weights: Array, X_CC0: Array) -> BodyPoses:
         return stereo_pose.solve(

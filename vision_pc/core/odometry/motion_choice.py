@@ -83,6 +83,9 @@ class MotionChoice:
             self._settings.watchful and foreseen.arm is not None and self._readout.is_global
         )
         X_CC0, inliers = self._coarse_pose(points, pixels, expected, strict)
+        if self._readout.share and inliers.any():  # how it moved is known about now
+            self._readout.moved(se3.inverse(X_CC0))
+            X_CC0, inliers = self._coarse_pose(points, pixels, se3.inverse(X_CC0), strict)
         # An arm tells which of two motions is the camera's: with one, none is to be missed.
         forgiving = foreseen.arm is None and not strict
         other = self._second(ids, pixels, (X_CC0, inliers), expected, strict, forgiving)

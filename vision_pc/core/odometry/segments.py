@@ -2,11 +2,8 @@
 
 from typing import NamedTuple
 
-import numpy as np
-
 from vision_pc.config.vision import OdometrySettings, RecordedSettings
 from vision_pc.core import se3
-from vision_pc.core.odometry.keyframes.triangulation import disparity_metres
 from vision_pc.core.odometry.rolling import Readout
 from vision_pc.core.odometry.shared_offset import FoundOffset, SharedOffset
 from vision_pc.core.odometry.stereo_odometry import StereoOdometry
@@ -116,7 +113,10 @@ class SegmentedOdometry:
         self._camera, self._straight = straightened(self._camera, seen), True
         self._begin_anew()
         pose = self._follow(0, pair)
-        return None if pose is None else PlacedPose(0, pose)
+        if pose is None:
+            return None
+        self._errors[0] = WayError(self._recorded.disparity_std_px, self._maps[0].begins)
+        return PlacedPose(0, pose)
 
     def _follow(self, k: int, pair: StereoPair) -> OdometryPose | None:
         """The pose in map ``k``."""
@@ -152,20 +152,12 @@ class SegmentedOdometry:
         if pose is None:
             return None
         self._maps.append(fresh)
-        self._errors.append(WayError(self._recorded.disparity_std_px, self._bent(pose)))
+        self._errors.append(WayError(self._recorded.disparity_std_px, fresh.begins))
         self._errors[-1].after(pose, 0)
         self.joints.append(None)
         self._current = len(self._maps) - 1
         self._lost = self._since_search = 0
         return PlacedPose(self._current, pose)
-
-    def _bent(self, pose: OdometryPose) -> Array:
-        """The covariance of a map's beginning that is owed to a shutter that rolls."""
-        if not self.readout.share or pose.pairs is None:
-            return np.zeros((6, 6))
-        disparity = float(np.median(pose.pairs.left[:, 0] - pose.pairs.right[:, 0]))
-        depth = disparity_metres(self._camera) / max(disparity, self._settings.least_disparity_px)
-        return np.diag(self.readout.begun_std(depth) ** 2)
 
     def _rejoined(self, pair: StereoPair, pose: OdometryPose) -> PlacedPose | None:
         """The pose in the first map's part, where ``pair`` shows it again; the newer map is then left."""

@@ -74,6 +74,8 @@ class StereoOdometry:
         self._alone: list[tuple[int, int]] = []
         self.withdrawn_ns: set[int] = set()
         """Captures whose poses may be of neither of two motions: those were seen to be two only later."""
+        self.begins = np.zeros((6, 6))
+        """The covariance, of all that is seen from it, that the first picture's own motion leaves."""
         self.mixed = False
         """Its points went two ways before anything foresaw which is the world's: none can be believed."""
 
@@ -116,7 +118,8 @@ class StereoOdometry:
         used = smoothed(pair) if self._smooths else pair
         frame = Frame(used, tracking.halved(used.left), *self._static)
         foreseen = Foreseen(self._history.prior, self._arm.prior(X_BT))
-        self._readout.foresee(None if self._lost_frames else self._X_C0C, self._motion)
+        known = self._map.keyframes and not self._lost_frames
+        self._readout.foresee(pair.frame_id, self._X_C0C if known else None, self._motion)
         outcome = self._localise(frame, foreseen) if self._map.keyframes else self._initialise(frame)
         if isinstance(outcome, PoseEstimate) and len(outcome.moving) and self.doubtful and X_BT is None:
             outcome = "two_motions"
@@ -191,7 +194,10 @@ class StereoOdometry:
 
     def _initialise(self, frame: Frame) -> PoseEstimate | str:
         """The first pair's pose, the identity, with a first keyframe."""
-        return self._mapper.begin(frame, self._X_C0C)
+        first = self._mapper.begin(frame, self._X_C0C)
+        if isinstance(first, PoseEstimate):
+            self.begins = self._localiser.begun(first)
+        return first
 
     def _localise(self, frame: Frame, foreseen: Foreseen) -> PoseEstimate | str:
         """The pose against the most similar keyframes: from the expected motion on, from none, or from

@@ -2,13 +2,14 @@
 
 import csv
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 from protocol.errors import ConfigurationError, MeasurementFailed
 from vision_pc.config.vision import VisionConfig
 from vision_pc.core import se3
+from vision_pc.core.odometry.rolling import PictureMotion, PlacedPicture, motions
 from vision_pc.core.odometry.segments import SegmentedOdometry
 from vision_pc.core.odometry.shared_offset import FoundOffset
 from vision_pc.core.se3 import Array
@@ -17,6 +18,7 @@ from vision_pc.shell.cameras.directory import read_grey
 from vision_pc.shell.cameras.sequence_calibration import recorded_camera
 
 _PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".bmp", ".tif", ".tiff")
+_SAME_SHARE = 0.02  # of a readout, that two passes over the same pairs find
 _NS_FROM = 10**15  # a file name that is a number this great counts nanoseconds
 
 
@@ -160,23 +162,32 @@ def follow_pairs(
     """
     given = _Given(tool_at)
     result, learnt = _one_pass(pairs(), begin, _Learnt(), report, given)
-    if learnt.any or given.any:
-        return _one_pass(pairs(), begin, learnt, report, given)[0]
+    if not learnt.any and not given.any:
+        return result
+    result, again = _one_pass(pairs(), begin, learnt, report, given)
+    if again.differs_from(learnt):
+        return _one_pass(pairs(), begin, again, report, given)[0]
     return result
 
 
 class _Learnt(NamedTuple):
     """What a pass over the pairs shows of the camera, None: nothing was asked; the share is 0 of a global
-    shutter.
+    shutter. ``motions``: of the camera about the pictures, by their numbers.
     """
 
     readout_share: float | None = None
     offset: FoundOffset | None = None
+    motions: Mapping[int, PictureMotion] = {}
 
     @property
     def any(self) -> bool:
         """Whether it is worth to follow all pairs again."""
         return bool(self.readout_share) or self.offset is not None
+
+    def differs_from(self, before: "_Learnt") -> bool:
+        """Whether it shows a shutter that rolls otherwise than an earlier pass had it, or more motions."""
+        share, then = self.readout_share or 0.0, before.readout_share or 0.0
+        return share > 0.0 and (abs(share - then) > _SAME_SHARE or len(self.motions) > len(before.motions))
 
 
 class _Given:
@@ -208,7 +219,7 @@ def _one_pass(
             if known.offset is not None:
                 odometry.correct(known.offset)
             if known.readout_share is not None:
-                odometry.readout.begin(known.readout_share)
+                odometry.readout.begin(known.readout_share, known.motions)
         placed = odometry.process(pair, tool_at(pair))
         segment, pose = (None, None) if placed is None else placed
         loss = odometry.last_loss if pose is None else None
@@ -217,6 +228,13 @@ def _one_pass(
         report(records[-1])
     if odometry is None:
         return SequenceResult([], [], 0), known
+    moved = motions(
+        [
+            PlacedPicture(record.frame_id, record.capture_ns, record.segment, record.pose.X_C0C)
+            for record in records
+            if record.pose is not None and record.segment is not None
+        ]
+    )
     records = [
         record._replace(segment=None, pose=None, loss="two_motions")
         if record.segment is not None and odometry.is_withdrawn(record.segment, record.capture_ns)
@@ -225,7 +243,7 @@ def _one_pass(
     ]
     share = odometry.readout.share
     result = SequenceResult(records, odometry.joints, odometry.keyframes, share, known.offset)
-    return result, _Learnt(share, odometry.offset_found)
+    return result, _Learnt(share, odometry.offset_found or known.offset, moved)
 
 
 def write_tum(path: Path, poses: list[OdometryPose]) -> None:
