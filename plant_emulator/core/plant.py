@@ -1,8 +1,11 @@
 """The plant: valve commands in, sensors out, physics in between, and the truth for its own recording only."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.compiled import settled
 from plant_emulator.config.plant import PlantConfig
 from plant_emulator.config.units import BAR
 from plant_emulator.config.valves import JOINT_NAMES, ValvesConfig
@@ -110,6 +113,7 @@ class Plant:
         half_play = np.asarray(play.half_width_mrad) * 1e-3 if play.enabled else np.zeros(N_ACTUATORS)
         self._shafts = EncoderShafts(self._state[list(DRIVEN)].copy(), half_play)
         self._commands = ValveCommands(_valve_drive(config.valves), round(config.watchdog_ms * 1e6))
+        self._advance = settled(advance_commanded, *self._advanced(0))
         self.faults = FaultSchedule()
         self._healthy_omega = self._model.actuators[:, col.A_OMEGA].copy()
         self._cycle = 0
@@ -130,20 +134,17 @@ class Plant:
             self._events()
             until = min(self._commands.deadline_ns(), self.faults.next_ns(), self.time_ns + self._owed_ns)
             steps = min(max(self._steps_to(until), 1), self._owed_ns // self._step_ns)
-            advance_commanded(
-                self._state,
-                self._commands.targets,
-                self._leaving(steps),
-                self._shafts,
-                steps,
-                self._step_ns * 1e-9,
-                self._model,
-                self._work,
-            )
+            self._advance(*self._advanced(steps))
             self.time_ns += steps * self._step_ns
             self._owed_ns -= steps * self._step_ns
         self._events()
         self._cycle = (self._cycle + 1) & 0xFFFFFFFF
+
+    def _advanced(self, steps: int) -> tuple[Any, ...]:
+        """What ``advance_commanded`` takes for the next ``steps``."""
+        drive, leaving = self._commands.targets, self._leaving(steps)
+        step_s = self._step_ns * 1e-9
+        return self._state, drive, leaving, self._shafts, steps, step_s, self._model, self._work
 
     def _steps_to(self, time_ns: int) -> int:
         """How many steps lead to ``time_ns`` or just beyond."""

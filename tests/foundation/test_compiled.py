@@ -125,6 +125,18 @@ def test_a_cache_that_cannot_be_made_costs_time_and_a_warning(made: Path, tmp_pa
     assert err.count("compiled kernels are not kept") == 1
 
 
+@pytest.mark.parametrize("disabled", ["0", "1"])
+def test_a_settled_kernel_says_the_same(made: Path, monkeypatch: pytest.MonkeyPatch, disabled: str) -> None:
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", disabled)
+    script = """
+from foundation.compiled import settled
+from made.caller import answer
+once = settled(answer, 1.0)
+print(once(10.0), once(20.0), answer(10.0))
+"""
+    assert said(started(made, script)) == (21.0, 41.0, 21.0)
+
+
 def test_relative_imports_and_packages_are_followed(tmp_path: Path) -> None:
     for name, text in {
         "made/__init__.py": "from made import base\n",

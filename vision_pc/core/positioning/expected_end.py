@@ -5,7 +5,7 @@ freedom it is normal.
 """
 
 import math
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -86,13 +86,20 @@ def _chi_square(share: float | Array, freedom: float) -> Array:
     return np.asarray(2.0 * gammaincinv(0.5 * freedom, share))
 
 
+@cache
+def _gauss_legendre() -> tuple[Array, Array]:
+    """Nodes (n,) in −1…1 and their weights, which take 10 ms to find."""
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    return nodes, weights
+
+
 def _normal(mean: Array, covariance: Array, limit: float) -> float:
     """The same of a normal: over x, of how probable y is given x."""
     std = math.sqrt(covariance[0, 0])
     low, high = max(-limit, mean[0] - _REACH * std), min(limit, mean[0] + _REACH * std)
     if low >= high:
         return 0.0
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    nodes, weights = _gauss_legendre()
     x = 0.5 * (high + low) + 0.5 * (high - low) * nodes
     density = np.exp(-0.5 * ((x - mean[0]) / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
     slope = covariance[0, 1] / covariance[0, 0]
