@@ -230,7 +230,8 @@ class OdometryPose(NamedTuple):
     """The camera's pose in the first camera frame, from one pair, and how well it is known.
 
     ``pairs``: the points that hold it and that both eyes see. ``by_offset`` (6,): how it goes by a px of an
-    offset that all disparities share; ``shown_by`` (n,): the keyframes that first showed the points.
+    offset that all disparities share; ``held_by``: by the numbers of the keyframes that first showed the
+    points, how (6×6) it goes with the [δp; δθ] that all points of one have in common.
     """
 
     capture_ns: int
@@ -242,7 +243,7 @@ class OdometryPose(NamedTuple):
     residual_px: float
     pairs: PointPairs | None = None
     by_offset: Array | None = None
-    shown_by: NDArray[np.int64] | None = None
+    held_by: Mapping[int, Array] | None = None
 
 
 class WatchSample(NamedTuple):

@@ -12,12 +12,12 @@ from vision_pc.core.types import CameraCalibration
 POINTS = np.array([[0.1, 0.0, 2.0], [-0.2, 0.1, 3.0]])
 
 
-def grown(known: KeyframeMap, x: float) -> Keyframe:
-    """The next keyframe of ``known``, at ``x`` m to the right."""
+def grown(known: KeyframeMap, x: float, points: Array = POINTS) -> Keyframe:
+    """The next keyframe of ``known``, at ``x`` m to the right, and the first to show ``points`` in C."""
     number, X_C0C = known.next_number, se3.transform(np.eye(3), (x, 0.0, 0.0))
-    ids = known.add_points(X_C0C, POINTS, 0.1)
+    ids = known.add_points(X_C0C, points, 0.1)
     picture = np.zeros((8, 8), dtype=np.uint8)
-    rays: Array = POINTS[:, :2] / POINTS[:, 2:]
+    rays: Array = points[:, :2] / points[:, 2:]
     known.keyframes.append(
         Keyframe(
             number,
@@ -29,10 +29,10 @@ def grown(known: KeyframeMap, x: float) -> Keyframe:
             rays,
             np.zeros((2, 3)),
             rays,
-            np.ones(2, dtype=bool),
-            np.zeros((2, 2)),
+            np.ones(len(ids), dtype=bool),
+            np.zeros((2, len(ids))),
             Templates(picture, rays, 3),
-            np.arange(2),
+            np.arange(len(ids)),
         )
     )
     return known.keyframes[-1]

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tests.vision_pc.odometry.test_keyframe_map import grown
 from vision_pc.core import se3
 from vision_pc.core.odometry import pose_spread
 from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
@@ -90,19 +91,39 @@ def test_what_points_miss_by_counts_as_if_each_were_left_out(camera: CameraCalib
     np.testing.assert_allclose(spread, wanted, rtol=1e-6, atol=1e-12)
 
 
-def test_what_points_have_in_common_is_told_too_and_more_so_of_few(camera: CameraCalibration) -> None:
+def test_the_keyframe_that_shows_what_is_near_holds_the_camera_aside(camera: CameraCalibration) -> None:
+    """A tenth of the points: moved as one, they move the pose by what the solution makes of that."""
+    points = world(np.random.default_rng(9))
+    known = KeyframeMap(camera, 0.2, DEPTH_PX, drifts=True)
+    far = grown(known, 0.0, points[:FAR]).ids
+    near = grown(known, 0.0, points[FAR:]).ids
+    ids, ones = np.concatenate([far, near]), np.ones((2, FAR + NEAR))
+    shares = pose_spread.held_by(known, ids, se3.inverse(TRUE), ones)
+    assert sorted(shares) == [0, 1]
+    np.testing.assert_allclose(shares[0] + shares[1], np.eye(6), atol=1e-9)
+    moved = np.array([0.0, 0.0, 0.0, 0.0, 1e-4, 0.0])  # the near points turn about C0
+    J = np.swapaxes(known.pose_rates(ids, se3.inverse(TRUE)), 0, 1).reshape(len(ids), 4, 6)
+    views = np.where(np.isin(ids, near)[:, None], J @ moved, 0.0)
+    pose = np.linalg.lstsq(J.reshape(-1, 6), views.ravel(), rcond=None)[0]
+    np.testing.assert_allclose(shares[1] @ moved, pose, rtol=1e-6, atol=1e-12)
+    assert shares[1][0, 0] > 0.5
+
+
+def test_of_few_points_more_is_told_and_most_where_they_hold_the_pose_least(
+    camera: CameraCalibration,
+) -> None:
     generator, widths = np.random.default_rng(9), []
     for few in (300, 30):
         known = KeyframeMap(camera, 0.2, DEPTH_PX, drifts=True)
-        ids = known.add_points(se3.identity(), world(generator).repeat(2, axis=0)[:few], DEPTH_PX)
-        seen = (
-            known,
-            ids,
-            se3.inverse(TRUE),
-            generator.normal(0.0, 0.1, (2, few, 2)),
-            np.ones((2, few)),
-            0.1,
-        )
-        widths.append(pose_spread.covariance(*seen) / pose_spread.of_points(*seen))
-    assert (widths[0] > 1.9).all()
-    assert (widths[1] > 2.0 * widths[0]).all()
+        points = world(generator).repeat(2, axis=0)[:few]
+        ids = known.add_points(se3.identity(), points, DEPTH_PX)
+        off = generator.normal(0.0, 0.1, (2, few, 2))
+        seen = (known, ids, se3.inverse(TRUE), off, np.ones((2, few)), 0.1)
+        told, points_alone = pose_spread.covariance(*seen), pose_spread.of_points(*seen)
+        depth = np.median(se3.apply(se3.inverse(TRUE), points)[:, 2])
+        unit = np.outer(size := np.array([1.0] * 3 + [depth] * 3), size)
+        _, axes = np.linalg.eigh(points_alone * unit)
+        widths.append(np.diag(axes.T @ (told * unit) @ axes) / np.diag(axes.T @ (points_alone * unit) @ axes))
+    assert widths[0][:5].max() < 1.1
+    assert 3.5 < widths[0][5] < 4.5
+    assert (widths[1] > widths[0] + 4.0).all()

@@ -35,6 +35,14 @@ def test_windows_that_agree_are_believed_to_what_matching_leaves(config: VisionC
     assert 0.03 < found.std_px < 0.05
 
 
+def test_of_few_windows_more_is_told(config: VisionConfig) -> None:
+    """An open road has three or four (8805: 0.13 px off, told 0.057)."""
+    few, many = (learnt(config, [0.20, 0.22, 0.21] * n).found(BELIEVED_PX) for n in (1, 10))
+    assert few is not None
+    assert many is not None
+    assert few.std_px > 1.25 * many.std_px
+
+
 @pytest.mark.parametrize(
     ("offsets", "std_px"),
     [([], 0.01), ([0.2], 0.1), ([-0.4, 0.1, 0.7], 0.01), ([4.0, 4.0, 4.0], 0.01)],

@@ -1,5 +1,6 @@
 """One pair in work, and the pose that is found of it."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ class PoseEstimate(NamedTuple):
     and the right eye's rays (n, 2) to those that it sees (n,). ``moving`` (m, 2): where the left eye saw
     points that went another way. ``by_offset`` (6,): how the pose goes by a px of the disparities' offset.
     ``match_stds`` (2, n) px of where both eyes see the points, as far as patches tell; 0: not asked.
+    ``held_by``: as of an ``OdometryPose``.
     """
 
     X_C0C: Array
@@ -40,3 +42,4 @@ class PoseEstimate(NamedTuple):
     match_stds: Array
     moving: Array = _NOWHERE
     by_offset: Array | None = None
+    held_by: Mapping[int, Array] | None = None

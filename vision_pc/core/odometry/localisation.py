@@ -224,8 +224,10 @@ class Localiser:
         )
         self._learn_readout(keyframe, views, max(residual, _LEAST_NOISE_PX))
         covariance = SHARED * se3.inverse_covariance(X_CC0, solution.covariances[0])
+        held_by = None
         if self._settings.watchful:
             covariance = pose_spread.covariance(self._map, ids, X_CC0, errors, weights, self._noise_px)
+            held_by = pose_spread.held_by(self._map, ids, X_CC0, weights)
         drift = self._map.drift(ids, X_CC0, weights)
         self._map.update(ids, X_CC0, errors, trust**2, self._noise_px, drift)
         usual = float(np.sqrt(((errors * trust[:, :, None]) ** 2).sum() / (2.0 * seen.sum())))
@@ -243,6 +245,7 @@ class Localiser:
             residual,
             found.match_stds,
             by_offset=by_offset,
+            held_by=held_by,
         )
 
     def _weights(self, ids: Indices, X_CC0: Array, match_stds: Array) -> Array:

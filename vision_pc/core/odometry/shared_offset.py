@@ -17,6 +17,7 @@ from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
 _WINDOW = 4  # keyframes that are adjusted together
 _EVERY = 2  # keyframes
 _TIMES = 2.0  # of what views that err apart would leave: those of one point share what its patch gets wrong
+_FEW_WINDOWS = 2.0  # [E] with so few the variance is twice as large: of three that agree little is known
 _FLOOR_PX = 0.03  # matching's own bias
 _ENOUGH = 0.5  # of what was believed before
 _MOST_PX = 3.0  # more is no rectified pair
@@ -57,4 +58,6 @@ class SharedOffset:
         offset = float((weights * offsets).sum() / weights.sum())
         spread = _SPREAD * float(np.median(np.abs(offsets - offset))) / math.sqrt(len(offsets))
         known = FoundOffset(offset, math.hypot(_TIMES * float(weights.sum()) ** -0.5, spread, _FLOOR_PX))
-        return known if known.std_px < _ENOUGH * std_px and abs(offset) < _MOST_PX else None
+        if known.std_px >= _ENOUGH * std_px or abs(offset) >= _MOST_PX:
+            return None
+        return known._replace(std_px=known.std_px * math.sqrt(1.0 + _FEW_WINDOWS / len(offsets)))

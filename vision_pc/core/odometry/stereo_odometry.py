@@ -152,7 +152,7 @@ class StereoOdometry:
             found.residual_px,
             self._pairs(found),
             found.by_offset,
-            None if found.by_offset is None else self._map.shown_by(found.ids),
+            found.held_by,
         )
 
     @property

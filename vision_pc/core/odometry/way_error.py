@@ -1,9 +1,9 @@
 """What odometry gets wrong along its way, added up: a covariance from the map's first pair on."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vision_pc.core import se3
 from vision_pc.core.se3 import Array
@@ -11,7 +11,6 @@ from vision_pc.core.types import OdometryPose
 
 _NOTHING = np.zeros((6, 6))
 _ASTRAY = 0.004  # [E] of what an offset does to a pose, in every direction: depths are not linear in it
-_HANDED_ON = 1.2  # [E] of a keyframe's error: the next ones match the same surfaces, and err the same way
 
 
 class _Keyframe(NamedTuple):
@@ -39,26 +38,25 @@ class WayError:
     def after(self, pose: OdometryPose, made: int | None) -> Array:
         """The covariance (6×6) of ``pose`` in its C0; ``made``: the number of the keyframe that it became."""
         place = pose.X_C0C[:3, 3]
-        held = self._held(pose.shown_by, place)
+        held = self._held(pose.held_by or {0: np.eye(6)}, place)
         total = pose.covariance + held @ held.T
         if made is not None:
-            self._keyframes[made] = _Keyframe(place, held + _HANDED_ON * _root(pose.covariance))
+            self._keyframes[made] = _Keyframe(place, held + _root(pose.covariance))
         by_offset = np.zeros(6) if pose.by_offset is None else pose.by_offset
         bent = np.outer(by_offset, by_offset)
         bent[:3, :3] += _ASTRAY**2 * (by_offset[:3] @ by_offset[:3]) * np.eye(3)
         bent[3:, 3:] += _ASTRAY**2 * (by_offset[3:] @ by_offset[3:]) * np.eye(3)
         return np.asarray(total + self._std_px**2 * bent)
 
-    def _held(self, shown_by: NDArray[np.int64] | None, place: Array) -> Array:
-        """The root (6×6) of the covariance, at ``place``, of what keyframes ``shown_by`` (n,) hold: each by
-        its share.
+    def _held(self, held_by: Mapping[int, Array], place: Array) -> Array:
+        """The root (6×6) of the covariance, at ``place``, of what keyframes got wrong and hand on: each what
+        of it its points hold.
         """
         total = np.zeros((6, 6))
-        numbers, counts = np.unique([0] if shown_by is None else shown_by, return_counts=True)
-        for number, count in zip(numbers.tolist(), counts.tolist(), strict=True):
+        for number, share in held_by.items():
             before, lever = self._keyframes[number], np.eye(6)
             lever[:3, 3:] = -se3.hat(place - before.place)
-            total += count / counts.sum() * (lever @ before.root)
+            total += share @ lever @ before.root
         return total
 
 
