@@ -120,8 +120,8 @@ def excited_joints(recording: MotionRecording) -> list[int]:
         most = int(np.argmax(moved))
         raise ConfigurationError(
             "recording.no_excitation",
-            f"no joint is moved by its valve: at most {JOINTS[most]} by {1e3 * moved[most]:.2f} mrad,"
-            f" wanted {1e3 * _MOVED_RAD:g}",
+            f"no joint is moved by its valve: at most {JOINTS[most]} by {1e3 * moved[most]:.2f} mrad"
+            f" (wanted {1e3 * _MOVED_RAD:g}), its valve word by {told[most]:.4f} (wanted more than 0)",
         )
     for joint in joints:
         _check_joint(recording, joint)

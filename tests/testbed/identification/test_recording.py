@@ -84,7 +84,7 @@ def _swapped(told: MotionRecording) -> MotionRecording:
         (_with("time_s", 50, 0.505), "recording.uneven", "15.00 ms after sample 49"),
         (lambda told: told.part(0.0, 3.0), "recording.too_short", "3.0 s to fit"),
         (lambda told: told.part(0.0, 6.0), "recording.too_short", "0.0 s held out"),
-        (_with("valves", slice(None), 0.0), "recording.no_excitation", "wanted 2"),
+        (_with("valves", slice(None), 0.0), "recording.no_excitation", "its valve word by 0.0000"),
         (_with("angles", slice(None), 0.1), "recording.no_excitation", "by 0.00 mrad"),
         (_with("pressures", (slice(None), 1, 1), 5e6), "recording.no_pressures", "lift_b_bar stands still"),
         (_with("valves", (10, 2), 0.01), "recording.no_rest", "a valve word of 0.01"),
