@@ -57,8 +57,10 @@ class ScriptedArm:
         ([1.8 * RESIDUAL_RAD], 1, 1),  # within its play: sent back it would go through all of that
         ([-1.8 * RESIDUAL_RAD, -1.2 * RESIDUAL_RAD, 0.0], 3, 1),  # short: the servo has more time
         ([2.2 * RESIDUAL_RAD, 0.0], 2, 2),  # farther than a servo leaves it: from behind its end, again
+        ([2.3 * RESIDUAL_RAD, 2.2 * RESIDUAL_RAD], 2, 2),  # as far once more: it stays, drives expect it
+        ([9.0 * RESIDUAL_RAD, 7.0 * RESIDUAL_RAD, 5.0 * RESIDUAL_RAD, 3.0 * RESIDUAL_RAD], 4, 4),
     ],
-    ids=["there", "a little too far", "short", "much too far"],
+    ids=["there", "a little too far", "short", "much too far", "as far each time", "always too far"],
 )
 async def test_a_joint_that_came_too_far_is_never_sent_back_to_the_end(
     beyond: list[float], to_end: int, elsewhere: int
@@ -67,3 +69,4 @@ async def test_a_joint_that_came_too_far_is_never_sent_back_to_the_end(
     ended = await drive(arm, [END], first_take_up(settings), BOOM, settings)  # type: ignore[arg-type]
     assert (arm.to_end, arm.elsewhere) == (to_end, elsewhere)
     assert ended.left[0] == pytest.approx(beyond[-1], abs=1e-6)
+    assert joint_turns(END, ended.view.X_BT, BOOM)[0] == pytest.approx(beyond[-1], abs=1e-6)  # it ends there

@@ -6,6 +6,7 @@ side (as a machinist approaches a dimension). How far it must first be turned ba
 the encoders show whether it went. Where it did not, it is turned back farther, now and in later drives.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from vision_pc.core.se3 import Array, transform
 
 _WENT = 0.5  # of a turn back that the encoders must show
 _TOO_FAR = 2.0  # residuals beyond its end a joint is turned back: the servo leaves one within its play
+_ALIKE = 0.9  # of what it was beyond or short the last time: it comes no nearer
 _BOOM = slice(0, 3)  # slew, lift, tilt
 
 
@@ -76,16 +78,18 @@ async def drive(
     take_up = _widened(take_up, (await arm.view()), settings)
     before = _turned(end, take_up.turns, dimensions)
     view = await arm.follow([*on_the_way, before], segment_s=settings.segment_s, dwell_s=settings.dwell_s)
-    left = np.zeros(3)
-    for _ in range(settings.adaptive.repeats + 1):
+    left, lately = np.zeros(3), math.inf
+    for again in reversed(range(settings.adaptive.repeats + 1)):
         view, take_up = await _turned_back(arm, view, end, take_up, dimensions, settings)
         pace = np.sqrt(np.abs(take_up.turns).max() / max(settings.take_up_rad, 1e-6))
         view = await arm.move_to(end, duration_s=settings.take_up_s * float(np.clip(pace, 1.0, 3.0)))
         take_up = _widened(take_up, view, settings)
         view, left = await _waited(arm, view, end, take_up, dimensions, settings)
-        beyond = np.sign(take_up.turns) * left > _TOO_FAR * settings.adaptive.residual_rad
-        if not beyond.any():
+        beyond = float((np.sign(take_up.turns) * left).max())
+        # one that comes as far each time is left there: further drives expect it
+        if beyond <= _TOO_FAR * settings.adaptive.residual_rad or beyond > _ALIKE * lately or not again:
             break
+        lately = beyond
         view = await arm.move_to(_turned(end, take_up.turns, dimensions))
     return DriveEnd(view, take_up, left)
 
@@ -107,7 +111,7 @@ async def _waited(
             break
         view = await arm.move_to(end)
         left, before = joint_turns(end, view.X_BT, dimensions), left
-        if np.abs(left).max() > 0.9 * np.abs(before).max():
+        if np.abs(left).max() > _ALIKE * np.abs(before).max():
             break
     return view, left
 

@@ -16,6 +16,7 @@ from vision_pc.core.calibration.arm_fields import boom_levers
 from vision_pc.core.calibration.local_error_model import LocalTrack
 from vision_pc.core.se3 import Array
 
+_NEAR = 4.0  # residuals: a joint that passes its end by its play is left there, and does so each time
 _ACROSS = 2.0  # of a miss, x and y are seen without the look's range
 
 
@@ -54,7 +55,7 @@ def expected_left(track: LocalTrack, dimensions: BoomDimensions, settings: Local
 
     A drive that did not come near its end is unlike the others and does not count.
     """
-    near = np.abs(track.left).max(axis=1) < 2.0 * settings.adaptive.residual_rad
+    near = np.abs(track.left).max(axis=1) < _NEAR * settings.adaptive.residual_rad
     mean = track.left[near].sum(axis=0) / (np.count_nonzero(near) + 1)
     return np.asarray(boom_levers(track.X_BT_now, dimensions) @ mean)
 
