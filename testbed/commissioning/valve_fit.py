@@ -46,7 +46,7 @@ _MOSTLY, _PARTLY = 0.5, 0.05  # of the ramps' motion, in which the load runs ahe
 # load that swings on its load-holding valve. [M] 92 deadbands of drawn machines, 7400 to 7418.
 _RIM_FLOOR, _RIM_SHARE = 4.2e-5, 0.00175
 _DELAY_FLOOR_S = 0.003
-_WIDTH_FLOOR, _WIDTH_SHARE = 8.0e-6, 1.2e-3  # of spool, of the rim; [M] 9101 to 9141
+_WIDTH_FLOOR, _WIDTH_SHARE = 8.0e-6, 6.0e-4  # of spool, of the rim; [M] one joint of each of 7500 to 7528
 
 
 class EdgeFindings(NamedTuple):

@@ -36,7 +36,7 @@ _LEAST_PAIRS = 2
 _DRIFT = 3  # its order in time
 _FLOOR_RAD = 2.0e-6  # what all triangles share: the arc beyond its third order, swing, the map's points
 _FLOOR_SHARE = 0.01  # [M] of the play; 46 joints of machines 7400 to 7418 in lockstep
-_DELAY_FLOOR_S = 3e-4  # [M] of the same
+_DELAY_FLOOR_S = 1.5e-4  # [M] one joint of each of 7500 to 7528
 
 
 class PlayFound(NamedTuple):
