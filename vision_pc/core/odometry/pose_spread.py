@@ -13,8 +13,7 @@ from vision_pc.core.odometry.keyframes.keyframe_map import KeyframeMap
 from vision_pc.core.se3 import Array
 
 _FEW_POINTS = 75.0  # [E] of so few the variance is larger by that of the points: one may hold the pose aside
-_WEAKEST = 4.0  # [E] of the variance, in the direction in which points hold the pose least
-_ELSEWHERE = 0.8  # [E] of the others
+_TIMES = (0.7, 0.7, 0.7, 0.7, 2.0, 4.0)  # [E] of the variance; last the two in which points hold a pose least
 
 
 def covariance(
@@ -23,7 +22,7 @@ def covariance(
     """The covariance (6×6), [δp; δθ] in C0, of a camera at ``X_CC0`` that the points ``ids`` (n,) hold with
     ``weights`` (2, n) of views of ``noise_px`` that miss by ``errors_px`` (2, n, 2).
 
-    What ``of_points`` tells, more where points are few, and in the direction in which they hold the pose
+    What ``of_points`` tells, more where points are few, and in the two directions in which they hold the pose
     least, a turn counted by how far it moves what is at their depth: what patches err by together ends up
     there, and there alone are single poses three and more of their standard deviations off.
     """
@@ -31,7 +30,7 @@ def covariance(
     depth = float(np.median(se3.apply(X_CC0, keyframe_map.points[ids])[:, 2]))
     unit = np.outer(size := np.array([1.0, 1.0, 1.0, depth, depth, depth]), size)
     values, axes = np.linalg.eigh(alone * unit)  # rising
-    times = np.array([*[_ELSEWHERE] * 5, _WEAKEST]) + (_FEW_POINTS / len(ids)) ** 2
+    times = np.array(_TIMES) + (_FEW_POINTS / len(ids)) ** 2
     return np.asarray((axes * (times * values)) @ axes.T / unit)
 
 
