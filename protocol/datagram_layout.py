@@ -4,7 +4,7 @@ All numbers are little-endian and sit at a multiple of their own size, so a comp
 aligns give the same structure.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
@@ -61,8 +61,9 @@ class Kind(IntEnum):
 class Field:
     """One field of a header or payload: ``count`` numbers of struct type ``code``.
 
-    ``low``…``high`` bound an integer (``high`` None: up to the end of its type). ``poses`` counts the poses
-    that the numbers form. A code of ``x`` is padding: sent as zero, ignored on receipt.
+    ``low``…``high`` bound an integer (``high`` None: up to the end of its type, which ``highest`` tells).
+    ``poses`` counts the poses that the numbers form. A code of ``x`` is padding: sent as zero, ignored on
+    receipt.
     """
 
     name: str
@@ -74,16 +75,16 @@ class Field:
     high: int | None = None
     enum: type[IntEnum] | None = None
     poses: int = 0
+    highest: int = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        most = 2 ** (8 * self.size) - 1 if self.high is None else self.high
+        object.__setattr__(self, "highest", most)  # asked of every field of every message: found once
 
     @property
     def size(self) -> int:
         """Bytes that the field occupies."""
         return _TYPE_BYTES[self.code] * self.count
-
-    @property
-    def highest(self) -> int:
-        """Largest value that an integer field may take."""
-        return self.high if self.high is not None else 2 ** (8 * self.size) - 1
 
 
 def struct_format(fields: tuple[Field, ...]) -> str:

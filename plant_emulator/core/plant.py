@@ -29,13 +29,13 @@ from plant_emulator.core.layout import (
     DRIVEN,
     HINGES,
     N_ACTUATORS,
-    N_COORDINATES,
     PRESSURE_A,
     PRESSURE_B,
     RATE,
     SPOOL,
     SUPPLY,
     TEMPERATURE,
+    Q,
 )
 from plant_emulator.core.mechanics.elastic import start_angles
 from plant_emulator.core.mechanics.geometry import Chain, base_tilt, transform
@@ -58,6 +58,7 @@ from protocol.process_image import (
 
 Array = NDArray[np.float64]
 
+_JOINT_ANGLES, _JOINT_RATES = Q + np.array(DRIVEN), RATE + np.array(DRIVEN)  # in the state
 _INSTANT_S = 1e-4  # over which a velocity is a difference of poses
 
 NOMINAL_MOUNTS = Mounts(
@@ -100,18 +101,15 @@ class Plant:
         self._state = rest_state(self._model, start, config.oil.temperature_degc)
         check_step(self._model, self._state, config.step_ms * 1e-3, self._chain.names)
         self._work = new_work(self._model)
-        self._bending = [
-            [
-                angle
-                for angle, name in zip(self._model.places.angle, self._chain.names, strict=True)
-                if hinge in name
-            ]
-            for hinge in HINGES
-        ]
+        self._forward = settled(forward_kinematics, start, self._model.mechanism, self._work.multibody)
+        named = list(zip(self._model.places.angle, self._chain.names, strict=True))
+        bending = [[angle for angle, name in named if hinge in name] for hinge in HINGES]
+        self._bending = np.concatenate(bending)
+        self._first_bending = np.cumsum([0, *map(len, bending[:-1])])
         self._encoders = Encoders(config.errors, self._rng)
         play = config.errors.backlash
         half_play = np.asarray(play.half_width_mrad) * 1e-3 if play.enabled else np.zeros(N_ACTUATORS)
-        self._shafts = EncoderShafts(self._state[list(DRIVEN)].copy(), half_play)
+        self._shafts = EncoderShafts(self._state[_JOINT_ANGLES].copy(), half_play)
         self._commands = ValveCommands(_valve_drive(config.valves), round(config.watchdog_ms * 1e6))
         self._advance = settled(advance_commanded, *self._advanced(0))
         self.faults = FaultSchedule()
@@ -210,12 +208,11 @@ class Plant:
         X_WC, X_WM = X_WT @ mounts.X_TC, X_WT @ mounts.X_TM
         X_CW = inverse(X_WC)
         X_CM, X_CO = X_CW @ X_WM, X_CW @ mounts.X_WO
-        driven = list(DRIVEN)
         return PlantTruth(
             time_ns=self.time_ns,
-            q=state[driven],
-            q_rate=state[RATE : RATE + N_COORDINATES][driven],
-            deflections=np.array([state[angles].sum() for angles in self._bending]),
+            q=state[_JOINT_ANGLES],
+            q_rate=state[_JOINT_RATES],
+            deflections=np.add.reduceat(state[self._bending], self._first_bending),
             X_BT=X_BT,
             X_WB=X_WB,
             X_WT=X_WT,
@@ -265,7 +262,7 @@ class Plant:
 
     def _poses(self, q: Array) -> tuple[Array, Array, Array]:
         """X_WB, X_BT and X_WT (4, 4) at angles ``q`` (n,) of the chain; a base that rocks is where it is."""
-        forward_kinematics(q, self._model.mechanism, self._work.multibody)
+        self._forward(q, self._model.mechanism, self._work.multibody)
         work, X_WB = self._work.multibody, self._mounts.X_WB
         rotation, origin = work.rotation, work.origin
         X_BT = transform(rotation[-1], origin[-1]) @ self._chain.X_BT_home
