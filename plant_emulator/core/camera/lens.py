@@ -1,6 +1,7 @@
 """The true lens of one eye: exact projection, and the ray map that inverts it for every pixel."""
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,14 @@ Real32 = NDArray[np.float32]
 _STRAIGHT = 0.01  # coefficients below it bend a marker's side by less than its rim is wide
 
 
+class Optics(NamedTuple):
+    """``focal`` and ``centre`` (2,) px; ``coefficients`` (5,) of the distortion: k1, k2, p1, p2, k3."""
+
+    focal: Real64
+    centre: Real64
+    coefficients: Real64
+
+
 class Lens:
     """Pinhole with Brown-Conrady distortion; pixel (0, 0) is centred at image coordinates (0, 0), as in
     OpenCV. ``bends``: straight lines are visibly bent, as in pictures that nobody rectified.
@@ -25,13 +34,12 @@ class Lens:
         self.focal = np.array([config.fx_px, config.fy_px])
         self.centre = np.array([config.cx_px + shift_u_px, config.cy_px + shift_v_px])
         self._coefficients = np.array([config.k1, config.k2, config.p1, config.p2, config.k3])
+        self.optics = Optics(self.focal, self.centre, self._coefficients)
         self.bends = bool(np.abs(self._coefficients).max() > _STRAIGHT)
 
     def project(self, points: Real64) -> Real64:
         """Image coordinates (n, 2) px of points (n, 3) in the eye's axes; NaN where not in front."""
-        depth = np.where(points[:, 2:3] > 1e-6, points[:, 2:3], np.nan)
-        image: Real64 = _distort_all(points[:, :2] / depth, self._coefficients) * self.focal + self.centre
-        return image
+        return np.asarray(_project_all(points, self.optics))
 
     def ray_map(self, width: int, height: int) -> Rays:
         """The rays of all pixels of a picture.
@@ -77,11 +85,19 @@ def _distort(x: float, y: float, k: Real64) -> tuple[float, float]:
 
 
 @kernel(nogil=True)
-def _distort_all(points: Real64, k: Real64) -> Real64:
-    result = np.empty_like(points)
+def projected(point: Real64, optics: Optics) -> tuple[float, float]:
+    """Image coordinates (px) of ``point`` (3,) in the eye's axes; NaN where it is not in front."""
+    depth = point[2] if point[2] > 1e-6 else np.nan
+    u, v = _distort(point[0] / depth, point[1] / depth, optics.coefficients)
+    return u * optics.focal[0] + optics.centre[0], v * optics.focal[1] + optics.centre[1]
+
+
+@kernel(nogil=True)
+def _project_all(points: Real64, optics: Optics) -> Real64:
+    image = np.empty((points.shape[0], 2))
     for i in range(points.shape[0]):
-        result[i, 0], result[i, 1] = _distort(points[i, 0], points[i, 1], k)
-    return result
+        image[i, 0], image[i, 1] = projected(points[i], optics)
+    return image
 
 
 @kernel(nogil=True)

@@ -9,12 +9,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from plant_emulator.core.camera.lens import Lens
+from foundation.compiled import kernel
+from plant_emulator.core.camera.lens import Lens, Optics, projected
 
 Grey = NDArray[np.uint8]
 Matrix = NDArray[np.float64]
+Pixels = NDArray[np.int64]
 
 Box = tuple[int, int, int, int]
+Span = tuple[int, int]
 
 _COARSEST_TEXELS = 8
 _RIM_PX = 2  # a plate's rim touches pixels this far outside its projected corners
@@ -135,12 +138,11 @@ def placed(rims: Matrix, X_EPs: Matrix, lens: Lens, size: tuple[int, int]) -> It
     and the last row, or of all; ``size`` (width, height).
     """
     R, p = X_EPs[..., :3, :3], X_EPs[..., :3, 3]
-    # seen from behind, no plate of this scene has anything to show
-    numbers = np.flatnonzero(((R[..., 2] * p).sum(axis=-1) < 0.0).all(axis=-1))
-    boxes = _boxes(rims[numbers], R[numbers], p[numbers], lens, size)
-    filled = (boxes[:, 0] < boxes[:, 1]) & (boxes[:, 2] < boxes[:, 3])
-    numbers, boxes = numbers[filled], boxes[filled]
-    R, p = R[numbers], p[numbers]
+    around = _outlines(rims) if lens.bends else rims
+    in_eye = around[:, None] @ np.swapaxes(R, -1, -2) + p[:, :, None]
+    boxes = _boxes(in_eye, X_EPs, lens.optics, size)
+    numbers = np.flatnonzero(boxes[:, 0] < boxes[:, 1])
+    boxes, R, p = boxes[numbers], R[numbers], p[numbers]
     homographies = ray_to_plane(X_EPs[numbers])
     eyes_P = -(np.swapaxes(R, -1, -2) @ p[..., None])[..., 0].mean(axis=1)
     for k, number in enumerate(numbers.tolist()):
@@ -165,15 +167,57 @@ def _outlines(rims: Matrix) -> Matrix:
     return np.asarray(sides.reshape(len(rims), -1, 3))
 
 
-def _boxes(rims: Matrix, R: Matrix, p: Matrix, lens: Lens, size: tuple[int, int]) -> NDArray[np.int64]:
-    """Pixel rows and columns (n, 4) that each plate may touch: top, bottom, left, right."""
-    if lens.bends:
-        rims = _outlines(rims)
-    in_eye = rims[:, None] @ np.swapaxes(R, -1, -2) + p[:, :, None]
-    near = in_eye[..., 2] <= _NEAREST_M
-    image = lens.project(in_eye.reshape(-1, 3)).reshape(*in_eye.shape[:3], 2)
-    whole, none = near.any(axis=-1, keepdims=True), near.all(axis=-1, keepdims=True)
-    low = np.where(whole, 0.0, np.clip(np.floor(image.min(axis=2)) - _RIM_PX, 0, size))
-    high = np.where(whole, size, np.clip(np.ceil(image.max(axis=2)) + _RIM_PX + 1, 0, size))
-    first, last = low.min(axis=1), np.where(none, 0.0, high).max(axis=1)
-    return np.stack([first[:, 1], last[:, 1], first[:, 0], last[:, 0]], axis=1).astype(np.int64)
+@kernel(nogil=True)
+def _boxes(in_eye: Matrix, X_EPs: Matrix, optics: Optics, size: tuple[int, int]) -> Pixels:
+    """Pixel rows and columns (n, 4) that each plate may touch, half open: top, bottom, left, right.
+
+    ``in_eye`` (n, m, k, 3): the points about each at each instant. All zero where there is nothing to see:
+    seen from behind, no plate of this scene has anything to show.
+    """
+    boxes = np.zeros((in_eye.shape[0], 4), dtype=np.int64)
+    for k in range(in_eye.shape[0]):
+        if not _faces(X_EPs[k]):
+            continue
+        top, bottom, left, right = size[1], 0, size[0], 0
+        for m in range(in_eye.shape[1]):
+            rows, columns = _touched(in_eye[k, m], optics, size)
+            top, bottom = min(top, rows[0]), max(bottom, rows[1])
+            left, right = min(left, columns[0]), max(right, columns[1])
+        if top < bottom and left < right:
+            boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3] = top, bottom, left, right
+    return boxes
+
+
+@kernel(nogil=True)
+def _faces(X_EPs: Matrix) -> bool:
+    """Whether the plate at ``X_EPs`` (m, 4, 4) turns its front to the eye at every instant."""
+    facing = True
+    for X in X_EPs:
+        facing = facing and X[0, 2] * X[0, 3] + X[1, 2] * X[1, 3] + X[2, 2] * X[2, 3] < 0.0
+    return facing
+
+
+@kernel(nogil=True)
+def _touched(points: Matrix, optics: Optics, size: tuple[int, int]) -> tuple[Span, Span]:
+    """Rows and columns that what has ``points`` (k, 3) about it may touch: all where some are too near."""
+    near = 0
+    first_u, last_u, first_v, last_v = np.inf, -np.inf, np.inf, -np.inf
+    for point in points:
+        if point[2] <= _NEAREST_M:
+            near += 1
+            continue
+        u, v = projected(point, optics)
+        first_u, last_u = min(first_u, u), max(last_u, u)
+        first_v, last_v = min(first_v, v), max(last_v, v)
+    if near == len(points):
+        return (0, 0), (0, 0)
+    if near > 0:
+        return (0, size[1]), (0, size[0])
+    return _within(first_v, last_v, size[1]), _within(first_u, last_u, size[0])
+
+
+@kernel(nogil=True)
+def _within(first: float, last: float, count: int) -> Span:
+    """The pixels from ``first`` to ``last`` with a plate's rim, of the ``count`` that there are."""
+    low, high = np.floor(first) - _RIM_PX, np.ceil(last) + _RIM_PX + 1
+    return int(min(max(low, 0.0), count)), int(min(max(high, 0.0), count))

@@ -5,6 +5,7 @@ import math
 import cv2
 import numpy as np
 
+from foundation.compiled import kernel
 from vision_pc.config.camera import CameraSettings, EyeSettings
 from vision_pc.config.stereo_camera import StereoCalibration
 from vision_pc.core import se3
@@ -12,6 +13,7 @@ from vision_pc.core.perception.rectification import rectified_camera
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel
 
+_SAME = np.eye(3)  # neither turned nor scaled
 _UNDISTORT_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-10)
 
 
@@ -51,19 +53,27 @@ def normalised(eye: CameraModel, pixels: Array) -> Array:
     if not eye.distortion.any():
         return np.asarray((pixels - eye.K[:2, 2]) / (eye.K[0, 0], eye.K[1, 1]))
     points = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
-    found = cv2.undistortPointsIter(points, eye.K, eye.distortion, np.eye(3), np.eye(3), _UNDISTORT_UNTIL)
+    found = cv2.undistortPointsIter(points, eye.K, eye.distortion, _SAME, _SAME, _UNDISTORT_UNTIL)
     return np.asarray(found, dtype=np.float64).reshape(-1, 2)
 
 
 def distorted(eye: CameraModel, rays: Array) -> Array:
     """Pixels (n, 2) of image coordinates x/z, y/z (n, 2) in the eye's axes; inverse of ``normalised``."""
-    x, y = rays[:, 0], rays[:, 1]
-    k1, k2, p1, p2, k3 = eye.distortion
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-    v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-    return np.stack([eye.K[0, 0] * u + eye.K[0, 2], eye.K[1, 1] * v + eye.K[1, 2]], axis=1)
+    return np.asarray(_distorted(rays, eye.distortion, eye.K))
+
+
+@kernel(nogil=True)
+def _distorted(rays: Array, distortion: Array, K: Array) -> Array:
+    k1, k2, p1, p2, k3 = distortion[0], distortion[1], distortion[2], distortion[3], distortion[4]
+    pixels = np.empty(rays.shape)
+    for i in range(rays.shape[0]):
+        x, y = rays[i, 0], rays[i, 1]
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+        pixels[i, 0], pixels[i, 1] = K[0, 0] * u + K[0, 2], K[1, 1] * v + K[1, 2]
+    return pixels
 
 
 def project(eye: CameraModel, points_C: Array) -> Array:

@@ -123,11 +123,12 @@ def _inverse(H: Array) -> Array:
 
 def _eyes(camera: CameraCalibration) -> Array:
     """Both eyes as (2, 14): R_EC row by row, p_EC, focal lengths."""
-    rows = []
-    for eye in (camera.left, camera.right):
+    eyes = np.empty((2, 14))
+    for row, eye in zip(eyes, (camera.left, camera.right), strict=True):
         X_EC = se3.inverse(eye.X_CE)
-        rows.append(np.concatenate([X_EC[:3, :3].ravel(), X_EC[:3, 3], [eye.K[0, 0], eye.K[1, 1]]]))
-    return np.stack(rows)
+        row[:9], row[9:12] = X_EC[:3, :3].ravel(), X_EC[:3, 3]
+        row[12], row[13] = eye.K[0, 0], eye.K[1, 1]
+    return eyes
 
 
 @kernel(nogil=True)
