@@ -225,6 +225,23 @@ def test_a_pose_takes_upon_itself_what_is_not_known_of_the_motion(
     assert np.diag(lost.spread(eyes, views, rates, weights)) == pytest.approx(100.0 * np.diag(told))
 
 
+def test_what_is_not_known_of_the_first_pictures_motion_is_told_of_all_that_follow(
+    camera: CameraCalibration, config: VisionConfig
+) -> None:
+    texture, told = wall_texture(1, 22.0, 1000), []
+    for unknown in (1e-4, 0.03):
+        odometry = SegmentedOdometry(camera, config.odometry, config.recorded_odometry)
+        first = PictureMotion(np.zeros(6), np.array([0.0, 0.0, 0.0, unknown, unknown, unknown]))
+        odometry.readout.begin(SHARE, {0: first, 1: first._replace(unknown=np.full(6, 1e-6))})
+        placed = [
+            odometry.process(pair_at(camera, texture, se3.identity())._replace(frame_id=number))
+            for number in (0, 1)
+        ]
+        assert placed[1] is not None
+        told.append(np.sqrt(np.diag(placed[1].pose.covariance)))
+    assert (told[1] > 3.0 * told[0])[3:].all()
+
+
 def test_a_map_of_two_motions_is_withdrawn(camera: CameraCalibration, config: VisionConfig) -> None:
     """A thing over 60 % of the picture from the first pair on: its first pose was a compromise."""
     texture = wall_texture(1, 22.0, 1000)
