@@ -91,8 +91,7 @@ async def look_then_move_corrected(
         share = map_settings.first_share if len(steps) + 1 < parts else 1.0
         wanted = Wanted(x, covariance, share, max(settings.corrections + 1 - len(steps), 1))
         steps.append(_step(look, fitted, track, wanted, settings, map_settings))
-        done = min(len(steps) / (settings.corrections + 1), 1.0)
-        report(0.2 + 0.6 * done, _in_words(residuals[-1]))
+        report(0.2 + 0.6 * min(len(steps) / (settings.corrections + 1), 1.0), _in_words(residuals[-1]))
         path = watched_path(arm, eyes, [steps[-1].X_BT_ref], track.take_up, dimensions, map_settings)
         drive = ruled(await path, track.ruler)
         goal_K = drive.X_KC[0][:3, :3] @ goal_K + drive.X_KC[0][:3, 3]
