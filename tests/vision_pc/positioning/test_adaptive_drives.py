@@ -20,7 +20,11 @@ from vision_pc.core.calibration.orientation import adjust_orientation
 from vision_pc.core.ports import ArmView
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult, look_then_move_corrected
 from vision_pc.core.positioning.foreseen_end import seen_end
-from vision_pc.core.positioning.learned_servo import after_fine_corrections, worth_correcting
+from vision_pc.core.positioning.learned_servo import (
+    after_fine_corrections,
+    expected_left,
+    worth_correcting,
+)
 from vision_pc.core.positioning.look_then_move import Ended
 from vision_pc.core.se3 import Array, transform
 from vision_pc.core.types import Look, WatchSample
@@ -140,6 +144,18 @@ async def test_an_arm_that_hunts_is_not_promised_to_stand_inside(later: bool) ->
     if not later:
         assert told.std_m[0] > 0.5 * 2e-3 * reach * 0.9
     assert result.seen.inside < 0.9  # of the end, odometry knows where it was, not where it will be
+
+
+async def test_what_drives_leave_alike_is_expected_of_the_next_also_where_a_slew_passes_its_end() -> None:
+    rig = BandedRig(10, [0.0, 0.0, 0.0])
+    track = await record_local_track(rig, rig, silent, settings(), BOOM)
+    residual = settings().adaptive.residual_rad
+    passed = np.array([[2.4 * residual, 0.0, 0.0]] * 3)
+    levers = boom_levers(track.X_BT_now, BOOM)
+    expected = expected_left(track._replace(left=passed), BOOM, settings())
+    assert expected == pytest.approx(0.75 * levers @ passed[0])  # the mean, shrunk
+    far = np.array([*passed, [9.0 * residual, 0.0, 0.0]])  # one that was stopped on its way is unlike them
+    assert expected_left(track._replace(left=far), BOOM, settings()) == pytest.approx(expected)
 
 
 def test_turns_of_the_joints_are_found_again_in_the_step_they_make() -> None:
