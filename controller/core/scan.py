@@ -22,6 +22,7 @@ from controller.core.scan_types import (
 )
 from controller.core.servo.drives import Circuit, load_pressures, pilot_pressures
 from controller.core.servo.joint_control import JointFilters, Pressures, unmoved
+from controller.core.servo.parking import drive_step
 from controller.core.servo.pose_servo import tool_state
 from controller.core.servo.servo_step import (
     FURTHEST,
@@ -38,7 +39,7 @@ from controller.core.servo.servo_step import (
     servo_step,
 )
 from controller.core.settings import ScanSettings
-from controller.core.standing import rests_settled, stood
+from controller.core.standing import parking_before, rests_settled, stands_now, stood
 from controller.core.supervision import Evidence, Fault, ServoOutput, first_fault, readings, update_timers
 from controller.core.trajectories.motion import advance, at_standstill
 from protocol.axes_group import GROUP_STATE, Mode
@@ -171,9 +172,15 @@ def _drive_valves(
         slow_load,
     )
     out = np.empty((ROWS, 6))
-    finite, settled = servo_step(settings.servo, given, dt_s, out)
-    if settings.parking is not None and finite:
-        state = stood(settings, state, given, out, events)
+    if settings.parking is None:
+        finite, settled = servo_step(settings.servo, given, dt_s, out)
+    else:
+        parking, turned = parking_before(state), state.watch.turned
+        finite, settled = drive_step(
+            settings.servo, settings.parking, given, turned, stands_now(state), out, parking
+        )
+        if finite:
+            state = stood(settings, state, parking, events)
     if not finite:
         state, event = react_to_fault(settings, state, Fault(FaultCode.NUMERIC, float("nan"), 0.0))
         events.append(event)

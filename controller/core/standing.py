@@ -6,8 +6,8 @@ from controller.core.kinematics.rotations import Array
 from controller.core.kinematics.triples import norm
 from controller.core.scan_types import MOVES, ScanEvent, ScanState, Standing
 from controller.core.servo.coming_to_rest import may_stay, rested_here, restless
-from controller.core.servo.flanks import flanks_followed, stays_within
-from controller.core.servo.parking import at_rest, park_step, parked_here
+from controller.core.servo.flanks import stays_within
+from controller.core.servo.parking import at_rest, parked_here
 from controller.core.servo.parking_state import (
     BAND,
     CALM,
@@ -18,7 +18,6 @@ from controller.core.servo.parking_state import (
     off_place,
     parking_ended,
 )
-from controller.core.servo.servo_step import ServoInput
 from controller.core.settings import ScanSettings
 from nominal_arm.description import JOINT_NAMES
 from protocol.axes_group import Mode
@@ -26,37 +25,55 @@ from protocol.axes_group import Mode
 _STILL_ASTRAY = 0.8  # of the alarm's limit: nearer, a parked tool that was astray no longer is
 
 
-def stood(
-    settings: ScanSettings, state: ScanState, given: ServoInput, out: Array, events: list[ScanEvent]
-) -> ScanState:
-    """``state`` with parking in place of the joint law in ``out`` while the arm stands; tells of changes."""
-    assert settings.parking is not None
-    if state.motion.path is not None or state.mode is not Mode.STANDBY:
+def stands_now(state: ScanState) -> bool:
+    """Whether the arm has no motion to make: it comes to rest, or is parked."""
+    return state.motion.path is None and state.mode is Mode.STANDBY
+
+
+def parking_before(state: ScanState) -> Array:
+    """A copy of how far the joints are parked, for this scan to go on from: at a motion's start none is."""
+    if stands_now(state) or state.standing == MOVES:
+        return state.parking.copy()
+    return parking_ended(state.parking)
+
+
+def stood(settings: ScanSettings, state: ScanState, parking: Array, events: list[ScanEvent]) -> ScanState:
+    """``state`` with ``parking`` as ``drive_step`` left it; tells of changes."""
+    if not stands_now(state):
         if state.standing.parked:
             events.append(ScanEvent("unparked", state.mode.name, 0.0, 0.0))
-        parking = state.parking.copy() if state.standing == MOVES else parking_ended(state.parking)
-        flanks_followed(parking, state.watch.q_meas, settings.parking.dt_s)
         return state._replace(parking=parking, standing=MOVES)
-    parking = state.parking.copy()
-    flanks_followed(parking, state.watch.q_meas, settings.parking.dt_s)
-    park_step(settings.servo, settings.parking, given, state.watch.turned, out, parking)
-    since_s = state.standing.since_s + settings.parking.dt_s
-    rests, parking = _rested(settings.parking, state.standing.rests, since_s, parking, events)
-    parked = state.standing.parked or (rests and at_rest(parking))
-    if parked and not state.standing.parked:
+    law, before = _law(settings), state.standing
+    since_s = before.since_s + law.dt_s
+    rests, parking = _rested(law, before.rests, since_s, parking, events)
+    parked = before.parked or (rests and at_rest(parking))
+    if parked and not before.parked:
         parking = parked_here(parking)
-    away = norm(state.tool.J_BT[:3] @ off_place(parking))
-    limit = settings.parking_alarm * (_STILL_ASTRAY if state.standing.astray else 1.0)
-    astray = parked and away > limit
-    if parked and not state.standing.parked:
+    away = norm(state.tool.J_BT[:3] @ off_place(parking)) if parked else 0.0
+    astray = away > settings.parking_alarm * (_STILL_ASTRAY if before.astray else 1.0)
+    if parked and not before.parked:
         events.append(ScanEvent("parked", "VALVES_SHUT", away, settings.parking_alarm))
-    for joint in np.flatnonzero((parking[PHASE] == KEPT) & (state.parking[PHASE] != KEPT)):
-        held = 2.0 * parking[BAND, joint] / settings.parking.rest[joint]
-        cause = f"{JOINT_NAMES[joint].upper()}_IS_KEPT_BY_AN_OPENING"
-        events.append(ScanEvent("leaking", cause, abs(float(parking[DRIFT, joint])), float(held)))
-    if astray and not state.standing.astray:
+    _kept_told(law, state.parking, parking, events)
+    if astray and not before.astray:
         events.append(ScanEvent("astray", "PARKED_TOOL_LEFT_ITS_PLACE", away, settings.parking_alarm))
     return state._replace(parking=parking, standing=Standing(since_s, rests, parked, astray))
+
+
+def _law(settings: ScanSettings) -> ParkingLaw:
+    assert settings.parking is not None
+    return settings.parking
+
+
+def _kept_told(law: ParkingLaw, before: Array, parking: Array, events: list[ScanEvent]) -> None:
+    """Tell which joints are kept by an opening since this scan."""
+    phases, were = parking[PHASE].tolist(), before[PHASE].tolist()
+    if phases == were:
+        return
+    for joint in range(6):
+        if phases[joint] == KEPT != were[joint]:
+            held = 2.0 * parking[BAND, joint] / law.rest[joint]
+            cause = f"{JOINT_NAMES[joint].upper()}_IS_KEPT_BY_AN_OPENING"
+            events.append(ScanEvent("leaking", cause, abs(float(parking[DRIFT, joint])), float(held)))
 
 
 def rests_settled(settings: ScanSettings, state: ScanState, left: Array) -> bool:

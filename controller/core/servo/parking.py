@@ -14,7 +14,7 @@ import numpy as np
 from controller.core.kinematics.rotations import Array
 from controller.core.servo.coming_to_rest import ARM_RESTS, calm_counted
 from controller.core.servo.drives import full_spool_speeds
-from controller.core.servo.flanks import came_too_far, left_at, turned_to
+from controller.core.servo.flanks import came_too_far, flanks_followed, left_at, turned_to
 from controller.core.servo.keeping import kept, kept_begun
 from controller.core.servo.metering import eased, learned, metered, metered_begun
 from controller.core.servo.parking_state import (
@@ -49,7 +49,16 @@ from controller.core.servo.parking_state import (
     SPEED,
     ParkingLaw,
 )
-from controller.core.servo.servo_step import LEFT, PT1, Q_CMD, QD_CMD, VALVES, ServoConstants, ServoInput
+from controller.core.servo.servo_step import (
+    LEFT,
+    PT1,
+    Q_CMD,
+    QD_CMD,
+    VALVES,
+    ServoConstants,
+    ServoInput,
+    servo_step,
+)
 from controller.core.servo.small_moves import (
     inch_begun,
     inched,
@@ -103,6 +112,29 @@ def parked_here(state: Array) -> Array:
     here[PARKED], here[PLACE] = ARM_RESTS, np.where((state[PHASE] == SHUT) | near, state[ERROR], 0.0)
     here[MARK] = here[CREPT] = here[PLACE]
     return here
+
+
+@kernel
+def drive_step(
+    constants: ServoConstants,
+    law: ParkingLaw,
+    given: ServoInput,
+    turned: Array,
+    stands: bool,
+    out: Array,
+    state: Array,
+) -> tuple[bool, bool]:
+    """``servo_step``, and while the arm ``stands`` ``park_step``; ``state`` follows the flanks in both.
+
+    One kernel, because telling the types of ``given`` takes longer than the arithmetic. After commands that
+    are not finite ``state`` is as it was.
+    """
+    finite, inside = servo_step(constants, given, law.dt_s, out)
+    if finite:
+        flanks_followed(state, given.q_meas, law.dt_s)
+        if stands:
+            park_step(constants, law, given, turned, out, state)
+    return finite, inside
 
 
 @kernel
