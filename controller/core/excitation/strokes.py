@@ -35,6 +35,8 @@ _FALLEN = 0.05  # of the ramp's top speed, at which a falling ramp has done its 
 _TURNING_1_S = 1.5  # of the opening at the top, each second; at least the ramp's own rate
 _TURNED = 0.93  # of the speed at the top, below which the spool follows again
 _LAG_S = 0.1  # of valve and speed filter, at most that of a servo valve
+_QUICKLY = 0.5  # of the opening at the top, beyond the known slack: a swing may hide that the speed falls
+_LEVER = 2.0  # of the way between low and top, below low: a rim further down was read off a swing
 _UP_SHARE = 0.45  # of the way, on which a ramp rises
 _LOW = 0.3  # of a ramp's top speed (and its square, of the way): where it surely moves
 _UNSURE = 3.0  # times what a ramp begins below a rim that only a search has seen
@@ -170,13 +172,19 @@ def _side(sense: float) -> int:
 
 def _with_rim(state: Excitation, stroke: Stroke, speed: float) -> Excitation:
     """``state`` at a ramp's top: the line through what the joint did at low and at present speed tells where
-    the valve opens, and how much a spool beyond that gives."""
+    the valve opens, and how much a spool beyond that gives.
+
+    Where a load swings, either speed may be any: what an earlier ramp told stays where the line reaches far.
+    """
     joint, side, spool = stroke.joint, _side(sense_of(state, stroke)), abs(state.spool)
     if not speed > state.low_speed > 0.0 or not spool > state.low:
         return state
     rim, slope = state.rim.copy(), state.slope.copy()
-    slope[joint, side] = (speed - state.low_speed) / (spool - state.low)
-    rim[joint, side] = max(state.low - state.low_speed / slope[joint, side], 0.0)
+    told = (speed - state.low_speed) / (spool - state.low)
+    below = state.low_speed / told
+    if slope[joint, side] > 0.0 and below > _LEVER * (spool - state.low):
+        return state
+    slope[joint, side], rim[joint, side] = told, max(state.low - below, 0.0)
     return state._replace(rim=rim, slope=slope)
 
 
@@ -217,7 +225,7 @@ def _ramp(settings: ExcitationPlan, state: Excitation, q: Array, dt_s: float) ->
         state = _with_slack(limits, state, stroke)
     elif state.phase is Phase.FALLING and not slower:  # a swing of the load had only looked like it
         state = state._replace(phase=Phase.TURNING)
-    if state.phase is Phase.TURNING:
+    if state.phase is Phase.TURNING and state.top - abs(state.spool) < _quickly_back(limits, state, stroke):
         step = sense * max(_turning_rate(state, stroke) * dt_s, abs(step))
     spool = state.spool - step
     far = turned_by(state, stroke, q) > _ENOUGH * float(limits.travel[stroke.joint])
@@ -242,10 +250,25 @@ def _rising(limits: ExcitationLimits, state: Excitation, stroke: Stroke, q: Arra
     return state._replace(spool=state.spool + step)
 
 
+def _opening(state: Excitation, stroke: Stroke) -> float:
+    """How far (spool) the valve is open at a ramp's top."""
+    rim = float(state.rim[stroke.joint, _side(sense_of(state, stroke))])
+    return max(state.top - rim, 0.0)
+
+
 def _turning_rate(state: Excitation, stroke: Stroke) -> float:
     """How fast (1/s) the spool's command turns back at a ramp's top."""
-    rim = float(state.rim[stroke.joint, _side(sense_of(state, stroke))])
-    return _TURNING_1_S * max(state.top - rim, 0.0)
+    return _TURNING_1_S * _opening(state, stroke)
+
+
+def _quickly_back(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> float:
+    """How far (spool) the command turns back quickly: further, it would pass what the ramp shall show.
+
+    The first, slow triangle does so for as long as the speed does not fall: it finds the slack.
+    """
+    if stroke.speed < float(limits.top_speed[stroke.joint]):
+        return state.top
+    return float(state.slack[stroke.joint]) + _QUICKLY * _opening(state, stroke)
 
 
 def _with_slack(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> Excitation:
@@ -256,8 +279,9 @@ def _with_slack(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> 
     """
     rate = max(_turning_rate(state, stroke), stroke.pace * limits.ramp_rate)
     quick = rate * _LAG_S + 2.0 * (1.0 - _TURNED) * rate / _TURNING_1_S
+    back = min(state.top - abs(state.spool), _quickly_back(limits, state, stroke))
     slack = state.slack.copy()
-    slack[stroke.joint] = max(state.top - abs(state.spool) - quick, slack[stroke.joint])
+    slack[stroke.joint] = max(back - quick, slack[stroke.joint])
     return state._replace(phase=Phase.FALLING, phase_s=0.0, slack=slack)
 
 

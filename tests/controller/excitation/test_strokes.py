@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from controller.core.excitation.excitation_state import Measured, Phase, begun, driven
-from controller.core.excitation.plan import StrokeKind
+from controller.core.excitation.excitation_state import Excitation, Measured, Phase, begun, driven
+from controller.core.excitation.plan import ExcitationPlan, StrokeKind
 from controller.core.excitation.strokes import excite
 from tests.controller.excitation.toy_valve import DT_S, FULL_SPEED, LSB, START, ToyValve, plan_for, tried
 
@@ -61,6 +61,56 @@ def test_a_step_that_runs_away_ends_and_makes_the_next_one_smaller() -> None:
     again = state._replace(stroke=first + 2, still_s=9.0, phase_s=9.0, speed=np.zeros(6), q_before=q)
     again, _ = excite(plan, again, Measured(q, 100.0), DT_S)
     assert abs(again.spool) - 0.05 == pytest.approx(plan.strokes[first + 2].speed / 4.0, rel=0.15)
+
+
+def at_a_full_ramp(**now: float) -> tuple[ExcitationPlan, Excitation]:
+    """Wrist 3 in its second full triangle out: earlier ones saw it open at 0.05, and 0.03 of slack."""
+    plan = plan_for(5)
+    known = np.zeros((6, 2))
+    rim, slope = known.copy(), known.copy()
+    rim[5], slope[5] = 0.05, 2.0
+    slack = np.zeros(6)
+    slack[5] = 0.03
+    state = begun(START, 4)._replace(rim=rim, slope=slope, slack=slack, away=1.0, **now)
+    assert plan.strokes[4].speed == plan.limits.top_speed[5]
+    return plan, state
+
+
+def scanned(plan: ExcitationPlan, state: Excitation, speed: float) -> Excitation:
+    """``state`` after one scan in which wrist 3 turned at ``speed`` (rad/s), as before."""
+    q, speeds = state.q_before.copy(), np.zeros(6)
+    q[5] += DT_S * speed
+    speeds[5] = speed
+    state, trouble = excite(plan, state._replace(speed=speeds), Measured(q, 100.0), DT_S)
+    assert trouble is None
+    return state
+
+
+@pytest.mark.parametrize(
+    ("low_share", "rim", "slope"), [(0.3, 0.08 - 0.02 * 0.3 / 0.7, 0.7 / 0.02), (0.8, 0.05, None)]
+)
+def test_a_rim_that_a_swinging_load_told_is_not_believed(
+    low_share: float, rim: float, slope: float | None
+) -> None:
+    """``low_share`` of the top's speed at 0.08 of 0.1: on the crest of its swing a boom was quick there."""
+    plan, state = at_a_full_ramp(phase=Phase.RISING, spool=0.1, low=0.08)
+    speed = plan.strokes[4].speed
+    state = scanned(plan, state._replace(low_speed=low_share * speed), 1.001 * speed)
+    assert state.phase is Phase.TURNING
+    assert state.rim[5, 0] == pytest.approx(rim, abs=1e-4)
+    assert state.slope[5, 0] == pytest.approx(slope * speed if slope else 2.0, rel=0.01)
+
+
+def test_a_falling_ramp_is_slow_even_if_a_swing_hides_that_it_falls() -> None:
+    plan, state = at_a_full_ramp(phase=Phase.TURNING, spool=0.07, top=0.1, top_speed=0.05)
+    spools = [state.spool]
+    for _ in range(60):
+        state = scanned(plan, state, 0.05)  # no slower than at the top
+        spools.append(state.spool)
+    quick = -np.diff(spools) > 1.5 * plan.limits.ramp_rate * DT_S
+    assert spools[0] - spools[np.flatnonzero(quick)[-1] + 1] == pytest.approx(0.5 * (0.1 - 0.05), abs=1e-3)
+    assert not quick[-20:].any()  # to 0 and past it before
+    assert state.slack[5] == 0.03
 
 
 @pytest.mark.parametrize(

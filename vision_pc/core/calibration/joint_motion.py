@@ -19,6 +19,7 @@ _CONSTANT = 1e-3  # of the spool: a step's command stands
 _SLOW_RAD_S = 2e-3  # above it the encoder surely moves, and the play is on one side
 _CROSSED_RAD = 2e-3  # after so much of a triangle the load has come along
 _SMOOTH_S = 0.1  # of an encoder, by parabolas: half a period of the quickest swing that can be seen
+_ACCELERATION_S = 0.5  # of its second derivative, which an encoder's digit would drown otherwise
 _LEAST_SMOOTHED = 5  # readings
 _LEAST_FRAMES = 8  # of a triangle's half
 _UNEVEN = 0.25  # of the period: captures further off their line are not evenly taken
@@ -47,7 +48,7 @@ class Triangle(NamedTuple):
 
 
 class JointMotion(NamedTuple):
-    """Encoders at captures at ``t`` (m,) s: angle and speed (m,) of the joint, ``others`` (m, 5).
+    """Encoders at captures at ``t`` (m,) s: the joint's angle, speed, acceleration (m,); ``others`` (m, 5).
 
     ``fine_t``, ``fine_q`` (n,): the joint's smoothed angle at even steps.
     """
@@ -55,6 +56,7 @@ class JointMotion(NamedTuple):
     t: Array
     q: Array
     v: Array
+    a: Array
     others: Array
     fine_t: Array
     fine_q: Array
@@ -76,16 +78,20 @@ def motion_at(seen: JointSeen, times: Array) -> JointMotion:
     """The encoders of ``seen`` at ``times`` (m,) s."""
     step = float(np.median(np.diff(seen.t)))
     fine_t = np.arange(seen.t[0], seen.t[-1] + step, step)
-    window = max(2 * round(0.5 * _SMOOTH_S / step) + 1, _LEAST_SMOOTHED)
+    window, wide = (
+        max(2 * round(0.5 * span / step) + 1, _LEAST_SMOOTHED) for span in (_SMOOTH_S, _ACCELERATION_S)
+    )
     raw = np.column_stack([np.interp(fine_t, seen.t, q) for q in seen.q.T])
     smooth = savgol_filter(raw, window, 2, axis=0)
     speed = savgol_filter(raw[:, seen.joint], window, 2, deriv=1, delta=step)
+    gains = savgol_filter(raw[:, seen.joint], wide, 2, deriv=2, delta=step)
     at = [np.interp(times, fine_t, q) for q in smooth.T]
     others = [q - q.mean() for k, q in enumerate(at) if k != seen.joint]
     return JointMotion(
         t=times,
         q=np.asarray(at[seen.joint]),
         v=np.asarray(np.interp(times, fine_t, speed)),
+        a=np.asarray(np.interp(times, fine_t, gains)),
         others=np.column_stack(others),
         fine_t=fine_t,
         fine_q=np.asarray(smooth[:, seen.joint]),

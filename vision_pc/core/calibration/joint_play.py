@@ -9,8 +9,8 @@ with s = ±1 the sense of motion, v the encoder's speed, qₖ the encoders of th
 behind their closed valves, and a slow drift for what they creep within their own plays, where encoders show
 nothing. Between s = −1 and s = +1 lie 2 b: b > 0 where the tool moves while the encoder stands (play on the
 encoder's side), b < 0 where the encoder moves while the tool stands (loose steel behind it). Slow triangles
-pass the same angles out and back at many speeds, which keeps b apart from τ. Swings: ``boom_swing``; smoothed
-encoders and even stamps: ``joint_motion``.
+pass the same angles out and back at many speeds, which keeps b apart from τ. Swings: ``boom_swing``, or where
+none is seen a lag with the acceleration; smoothed encoders and even stamps: ``joint_motion``.
 """
 
 import math
@@ -34,8 +34,8 @@ from vision_pc.core.se3 import Array
 
 _LEAST_PAIRS = 2
 _DRIFT = 3  # its order in time
-_FLOOR_RAD = 2.0e-6  # what all triangles share: the arc beyond its third order, swing, the map's points
-_FLOOR_SHARE = 0.01  # [M] of the play; 46 joints of machines 7400 to 7418 in lockstep
+# What all triangles share: the arc beyond its third order, swing, the map's points; and of the play.
+_FLOOR_RAD, _FLOOR_SHARE = 1.5e-6, 0.002  # [M] one joint of each of 7600 to 7642 in lockstep
 _DELAY_FLOOR_S = 1.5e-4  # [M] one joint of each of 7500 to 7528
 
 
@@ -144,11 +144,20 @@ def _but(triangles: list[Triangle], k: int) -> list[Triangle]:
 def _fit(sight: _Sight) -> _Fit:
     turned, fixed = _system(sight)
     swings = [swing_columns(swing, sight.motion, sight.triangles) for swing in sight.swings]
-    matrix = np.hstack([fixed, *swings])
+    matrix = np.hstack([fixed, *(swings or [_lagging(sight)])])
     units = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
     scaled, *_ = np.linalg.lstsq(matrix / units, turned, rcond=None)
     solved = scaled / units
     return _Fit(float(solved[4] / solved[1]), -float(solved[5] / solved[1]), rest_of(turned, matrix))
+
+
+def _lagging(sight: _Sight) -> Array:
+    """What a boom that swings too quickly to be seen lags behind its root by (m, 1), over its swing's square.
+
+    A ramp's rows begin at some speed and end at less: unaccounted for, it would be a play of some µrad.
+    """
+    rows = np.concatenate([one.rows for one in sight.triangles])
+    return np.asarray(sight.motion.a[rows][:, None])
 
 
 def _system(sight: _Sight) -> tuple[Array, Array]:
