@@ -22,6 +22,7 @@ from controller.core.servo.parking_state import (
     BAND,
     CAME,
     CREPT,
+    DRAGS,
     DRIFT,
     EASE,
     ERROR,
@@ -86,7 +87,9 @@ _NUDGED_AT = 0.5  # of the band: a parked joint that crept so far is nudged
 _NEAR_RAD = 5e-4  # from there on a valve that passes small flows steadily keeps a joint that is felt
 _FAR_RAD = 1e-3  # a parked joint that was pushed so far off is brought back by an inch
 _PART = 0.5  # of its way: a slew near its place, which relaxes by as much again
-_FORGETS = 0.95  # of a creep that was seen: what comes after a nudge is less, as long as it held
+_DRAGS_RAD = (
+    3e-6  # beyond where its encoder was at the last nudge, a joint drags it along again: its creep shows
+)
 _AGAIN_RAD = 7e-6  # beyond where its encoder was at the last nudge: by the slow filter; its noise is 1 µrad
 
 
@@ -111,6 +114,7 @@ def parked_here(state: Array) -> Array:
     near = (state[PHASE] == KEPT) & (np.abs(state[ERROR]) < _ARRIVED_RAD * _NEARLY)
     here[PARKED], here[PLACE] = ARM_RESTS, np.where((state[PHASE] == SHUT) | near, state[ERROR], 0.0)
     here[MARK] = here[CREPT] = here[PLACE]
+    here[DRIFT] = np.where(state[PHASE] == SHUT, 0.0, state[DRIFT])
     return here
 
 
@@ -269,7 +273,7 @@ def _moved_again(
         kept_begun(state, i, leak, load)
         return float(kept(law, state, i, error, load, gains))
     if state[PARKED, i] > 0.0 and abs(off) < _FAR_RAD:
-        state[DRIFT, i] = sense * max(sense * rate, _FORGETS * sense * state[DRIFT, i], 0.0)
+        _creep_seen(state, i, sense)
         return float(nudge_begun(state, i, state[CREPT, i], sense, load))
     if law.oil[i] > 0.0:
         relaxes = law.loaded[i] == 0.0 and abs(off) < 2.0 * law.leaves
@@ -278,6 +282,19 @@ def _moved_again(
     trust = watched / (watched + _RATE_S)
     drift = trust * rate + (1.0 - trust) * state[DRIFT, i]
     return float(inch_begun(state, i, off, drift, sense, gain))
+
+
+@kernel
+def _creep_seen(state: Array, i: int, sense: float) -> None:
+    """Believe what joint ``i`` crept by while it dragged its encoder: after a nudge that stands for long.
+
+    By more the further that was; a creep from before the arm was parked was that of oil which relaxed.
+    """
+    seen = max(sense * (state[CREPT, i] - state[MARK, i]) - _DRAGS_RAD, 0.0)
+    trust = 1.0 if state[DRIFT, i] == 0.0 else seen / (seen + _AGAIN_RAD - _DRAGS_RAD)
+    creep = sense * seen / max(state[DRAGS, i], _WATCHED_S)
+    state[DRIFT, i] += trust * (creep - state[DRIFT, i])
+    state[DRAGS, i] = 0.0
 
 
 @kernel
@@ -303,5 +320,7 @@ def _due(law: ParkingLaw, state: Array, i: int, off: float, rate: float, watched
     crept = sense * (state[CREPT, i] - state[PLACE, i]) > _NUDGED_AT * state[BAND, i] and off * rate > 0.0
     # what the encoder saw of the last nudge is taken off
     state[MARK, i] = sense * min(sense * state[MARK, i], sense * state[CREPT, i])
-    again = sense * (state[CREPT, i] - state[MARK, i]) > _AGAIN_RAD
+    moved = sense * (state[CREPT, i] - state[MARK, i])
+    state[DRAGS, i] = state[DRAGS, i] + law.dt_s if moved > _DRAGS_RAD else 0.0
+    again = moved > _AGAIN_RAD
     return bool(law.loaded[i] > 0.0 and crept and again and not (state[PHASE] == NUDGED).any())

@@ -126,7 +126,7 @@ def _learn(law: ParkingLaw, state: Array, i: int, edge: float) -> None:
 
 @kernel
 def nudge_begun(state: Array, i: int, error: float, sense: float, load: float) -> float:
-    """The first spool command of a nudge that shall raise joint ``i`` by about its band.
+    """The first spool command of a nudge that shall raise joint ``i`` as far beyond its place as it sank.
 
     ``error`` (rad): by the encoder now; ``load`` (bar). The last nudge raised the joint by what it sank
     since, less what the encoder saw of that: so the push of the next one is chosen.
@@ -137,7 +137,9 @@ def nudge_begun(state: Array, i: int, error: float, sense: float, load: float) -
     elif sense == state[SENSE, i]:
         sunk = sense * (error - state[MARK, i])
         rose = max(sense * state[DRIFT, i] * state[AFTER, i] - sunk, 0.0)
-        more = min(max(state[BAND, i] / max(rose, 0.1 * state[BAND, i]), 0.5), 1.5)
+        band, sunk_by = state[BAND, i], sense * (error - state[PLACE, i])
+        wanted = min(max(2.0 * sunk_by, band), 2.0 * band)
+        more = min(max(wanted / max(rose, 0.1 * band), 0.5), 2.0)
         state[PUSH + side, i] = min(max(more * state[PUSH + side, i], _LEAST_BAR), _MOST_BAR)
     state[MARK, i], state[AFTER, i], state[PHASE, i], state[SINCE, i] = error, 0.0, NUDGED, 0.0
     state[OPENED, i], state[SENSE, i], state[LOAD_AT, i] = state[NUDGE + side, i], sense, load

@@ -13,6 +13,7 @@ from controller.core.servo.parking_state import (
     BAND,
     CREPT,
     DOUBT,
+    DRIFT,
     EDGE,
     ERROR,
     FOLLOWING,
@@ -21,11 +22,13 @@ from controller.core.servo.parking_state import (
     KEPT,
     LOAD,
     MARK,
+    NUDGE,
     NUDGED,
     OPEN,
     PARKED,
     PHASE,
     PLACE,
+    PUSH,
     QUIET,
     RESTED,
     SENSE,
@@ -148,6 +151,25 @@ def test_a_parked_joint_that_creeps_is_nudged_within_the_play_of_its_encoder(
     assert (np.sign(opened) == -np.sign(creep)).all()
     assert set(rest.phases) == {SHUT, NUDGED}
     assert (rest.spools != 0.0).mean() < 0.15
+
+
+def test_a_parked_joint_is_nudged_by_what_it_creeps_not_by_what_it_crept() -> None:
+    """A crane's loads crept thirty times as fast before the arm was parked: weak nudges were taken for strong
+    ones, and with each of a dozen in ten minutes the encoders sank by a part of a digit."""
+    law, state = _law(0.08, 0.004), parking_begun(_law(0.08, 0.004))
+    state[PHASE], state[BAND], state[SENSE], state[AFTER] = SHUT, BAND_RAD, 1.0, 100.0
+    state[DRIFT], state[NUDGE], state[PUSH] = 8e-6, 0.04, 0.03
+    here = parked_here(state)
+    rng, creep = np.random.default_rng(3), 2.5e-7
+    for scan in range(round(400.0 / DT_S)):
+        here[[SINCE, AFTER], 0] += DT_S
+        error = creep * DT_S * scan + rng.normal(0.0, 0.3 * DIGIT)
+        _listened(law, here, 0, 4.0, error, 50.0)
+        if _moved(law, here, 0, error, 50.0, GAINS) > 0.0:
+            break
+    assert here[PHASE, 0] == NUDGED
+    assert here[DRIFT, 0] == pytest.approx(creep, rel=0.2)
+    assert here[PUSH, 0] > 0.03
 
 
 def test_a_parked_joint_that_stands_is_left_where_it_rests() -> None:
