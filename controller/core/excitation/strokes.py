@@ -22,6 +22,15 @@ from controller.core.excitation.plan import (
     Stroke,
     StrokeKind,
 )
+from controller.core.excitation.valve_seen import (
+    TURNED,
+    quickly_back,
+    side_of,
+    turning_rate,
+    with_rim,
+    with_slack,
+    with_steeper,
+)
 from controller.core.kinematics.rotations import Array
 from controller.core.servo.joint_control import pt1_step
 
@@ -31,12 +40,6 @@ _STILL_RAD_S = 1.0e-3
 _DRIFT_FILTER_S = 1.0
 _CREEPS_RAD_S = 1.5e-3  # a wrist's, twice
 _FALLEN = 0.05  # of the ramp's top speed, at which a falling ramp has done its work
-# A spool with hysteresis stands still while its command turns back: that part is passed quickly.
-_TURNING_1_S = 1.5  # of the opening at the top, each second; at least the ramp's own rate
-_TURNED = 0.93  # of the speed at the top, below which the spool follows again
-_LAG_S = 0.1  # of valve and speed filter, at most that of a servo valve
-_QUICKLY = 0.5  # of the opening at the top, beyond the known slack: a swing may hide that the speed falls
-_LEVER = 2.0  # of the way between low and top, below low: a rim further down was read off a swing
 _UP_SHARE = 0.45  # of the way, on which a ramp rises
 _LOW = 0.3  # of a ramp's top speed (and its square, of the way): where it surely moves
 _UNSURE = 3.0  # times what a ramp begins below a rim that only a search has seen
@@ -160,32 +163,11 @@ def _first_spool(limits: ExcitationLimits, state: Excitation, stroke: Stroke) ->
     if stroke.kind is StrokeKind.SEARCH:
         return 0.0
     sense = sense_of(state, stroke)
-    rim, slope = float(state.rim[stroke.joint, _side(sense)]), float(state.slope[stroke.joint, _side(sense)])
+    at = stroke.joint, side_of(sense)
+    rim, slope = float(state.rim[at]), float(state.slope[at])
     if stroke.kind is StrokeKind.RAMP:
         return sense * max(rim - (1.0 if slope > 0.0 else _UNSURE) * limits.start_below, 0.0)
     return sense * min(rim + (stroke.speed / slope if slope > 0.0 else 0.0), limits.spool_max)
-
-
-def _side(sense: float) -> int:
-    return 0 if sense > 0.0 else 1
-
-
-def _with_rim(state: Excitation, stroke: Stroke, speed: float) -> Excitation:
-    """``state`` at a ramp's top: the line through what the joint did at low and at present speed tells where
-    the valve opens, and how much a spool beyond that gives.
-
-    Where a load swings, either speed may be any: what an earlier ramp told stays where the line reaches far.
-    """
-    joint, side, spool = stroke.joint, _side(sense_of(state, stroke)), abs(state.spool)
-    if not speed > state.low_speed > 0.0 or not spool > state.low:
-        return state
-    rim, slope = state.rim.copy(), state.slope.copy()
-    told = (speed - state.low_speed) / (spool - state.low)
-    below = state.low_speed / told
-    if slope[joint, side] > 0.0 and below > _LEVER * (spool - state.low):
-        return state
-    slope[joint, side], rim[joint, side] = told, max(state.low - below, 0.0)
-    return state._replace(rim=rim, slope=slope)
 
 
 def _wanted(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> float:
@@ -208,7 +190,7 @@ def _search(settings: ExcitationPlan, state: Excitation, q: Array, dt_s: float) 
     sense = sense_of(state, stroke)
     if turned_by(state, stroke, q) >= settings.limits.moved:
         rim = state.rim.copy()
-        rim[stroke.joint, _side(sense)] = abs(state.spool)
+        rim[stroke.joint, side_of(sense)] = abs(state.spool)
         return _done(state._replace(rim=rim), settings)
     return state._replace(spool=state.spool + sense * settings.limits.search_rate * dt_s)
 
@@ -220,13 +202,13 @@ def _ramp(settings: ExcitationPlan, state: Excitation, q: Array, dt_s: float) ->
     step = sense * stroke.pace * limits.ramp_rate * dt_s
     if state.phase is Phase.RISING:
         return _rising(limits, state, stroke, q, step)
-    slower = speed < _TURNED * state.top_speed
+    slower = speed < TURNED * state.top_speed
     if state.phase is Phase.TURNING and slower:
-        state = _with_slack(limits, state, stroke)
+        state = with_slack(limits, state, stroke)
     elif state.phase is Phase.FALLING and not slower:  # a swing of the load had only looked like it
         state = state._replace(phase=Phase.TURNING)
-    if state.phase is Phase.TURNING and state.top - abs(state.spool) < _quickly_back(limits, state, stroke):
-        step = sense * max(_turning_rate(state, stroke) * dt_s, abs(step))
+    if state.phase is Phase.TURNING and state.top - abs(state.spool) < quickly_back(limits, state, stroke):
+        step = sense * max(turning_rate(state, stroke) * dt_s, abs(step))
     spool = state.spool - step
     far = turned_by(state, stroke, q) > _ENOUGH * float(limits.travel[stroke.joint])
     if far or sense * spool <= 0.0 or (speed < _FALLEN * state.top_speed and state.still_s > 0.1):
@@ -238,7 +220,7 @@ def _rising(limits: ExcitationLimits, state: Excitation, stroke: Stroke, q: Arra
     sense, turned = sense_of(state, stroke), turned_by(state, stroke, q)
     speed, wanted = sense * float(state.speed[stroke.joint]), _wanted(limits, state, stroke)
     if speed >= stroke.speed or turned >= _UP_SHARE * wanted:
-        state = _with_rim(state, stroke, speed)
+        state = with_rim(state, stroke, speed)
         back = sense * float(state.slack[stroke.joint])
         top = abs(state.spool)
         return state._replace(
@@ -250,60 +232,11 @@ def _rising(limits: ExcitationLimits, state: Excitation, stroke: Stroke, q: Arra
     return state._replace(spool=state.spool + step)
 
 
-def _opening(state: Excitation, stroke: Stroke) -> float:
-    """How far (spool) the valve is open at a ramp's top."""
-    rim = float(state.rim[stroke.joint, _side(sense_of(state, stroke))])
-    return max(state.top - rim, 0.0)
-
-
-def _turning_rate(state: Excitation, stroke: Stroke) -> float:
-    """How fast (1/s) the spool's command turns back at a ramp's top."""
-    return _TURNING_1_S * _opening(state, stroke)
-
-
-def _quickly_back(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> float:
-    """How far (spool) the command turns back quickly: further, it would pass what the ramp shall show.
-
-    The first, slow triangle does so for as long as the speed does not fall: it finds the slack.
-    """
-    if stroke.speed < float(limits.top_speed[stroke.joint]):
-        return state.top
-    return float(state.slack[stroke.joint]) + _QUICKLY * _opening(state, stroke)
-
-
-def _with_slack(limits: ExcitationLimits, state: Excitation, stroke: Stroke) -> Excitation:
-    """``state`` on the falling ramp, with what its command had to turn back before the speed fell.
-
-    What the lag and the speed's fall itself took is left out, so that the next ramp's leap falls short. Every
-    estimate is short, that of a ramp whose leap was already right most of all: the greatest is kept.
-    """
-    rate = max(_turning_rate(state, stroke), stroke.pace * limits.ramp_rate)
-    quick = rate * _LAG_S + 2.0 * (1.0 - _TURNED) * rate / _TURNING_1_S
-    back = min(state.top - abs(state.spool), _quickly_back(limits, state, stroke))
-    slack = state.slack.copy()
-    slack[stroke.joint] = max(back - quick, slack[stroke.joint])
-    return state._replace(phase=Phase.FALLING, phase_s=0.0, slack=slack)
-
-
 def _step(settings: ExcitationPlan, state: Excitation, q: Array) -> Excitation:
     limits, stroke = settings.limits, settings.strokes[state.stroke]
     speed = sense_of(state, stroke) * float(state.speed[stroke.joint])
     state = state._replace(top_speed=max(state.top_speed, speed))
     far = turned_by(state, stroke, q) >= _wanted(limits, state, stroke)
     if far or state.phase_s >= limits.step_s or speed > _RUNS_AWAY * float(limits.top_speed[stroke.joint]):
-        return _done(_with_steeper(state, stroke), settings)
+        return _done(with_steeper(state, stroke), settings)
     return state
-
-
-def _with_steeper(state: Excitation, stroke: Stroke) -> Excitation:
-    """``state`` after a step that was faster than the ramps had said: the next one opens by less.
-
-    A load that swings spoils what a ramp says, and oil that flows progressively is quicker further out.
-    """
-    joint, side = stroke.joint, _side(sense_of(state, stroke))
-    opened = abs(state.spool) - float(state.rim[joint, side])
-    if opened <= 0.0:
-        return state
-    slope = state.slope.copy()
-    slope[joint, side] = max(state.top_speed / opened, float(slope[joint, side]))
-    return state._replace(slope=slope)
