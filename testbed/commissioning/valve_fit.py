@@ -75,22 +75,33 @@ def edge_findings(strokes: Sequence[StrokeRecord], sense: float) -> EdgeFindings
     """What the strokes of one sense say. Raises MeasurementFailed where they say too little.
 
     Both readings of the pressures are tried: the filling edge alone, which holds for every valve, and four
-    edges alike, which suffers less from air in the oil. The second is told where it leaves clearly less.
-    Where the load runs ahead neither holds, and the outlet edge is told; that also holds where it runs ahead
-    in so much of the ramps that what is left says too little.
+    edges alike, which suffers less from air in the oil. The second is told where it leaves clearly less, and
+    may say nothing. Where the load runs ahead neither holds, and the outlet edge is told; that also holds
+    where it runs ahead in so much of the ramps that what is left says too little.
     """
     mine = [stroke for stroke in strokes if stroke.sense == sense]
     ahead = _runs_ahead(mine)
     if ahead > _MOSTLY:
         return _by_outlet(mine)
     alike = [stroke._replace(e=stroke.e_by_load, inlet=stroke.load) for stroke in mine]
-    try:
-        filling, all_four = _found(mine), _found(alike)
-    except MeasurementFailed:
-        if ahead < _PARTLY:
-            raise
+    filling, why = _told(mine)
+    all_four, _ = _told(alike)
+    if (filling is None or all_four is None) and ahead >= _PARTLY:
         return _by_outlet(mine)
-    return all_four if all_four.residual * CLEARLY < filling.residual else filling
+    if why is not None:
+        raise why
+    assert filling is not None
+    if all_four is not None and all_four.residual * CLEARLY < filling.residual:
+        return all_four
+    return filling
+
+
+def _told(strokes: Sequence[StrokeRecord]) -> tuple[EdgeFindings | None, MeasurementFailed | None]:
+    """What one reading of the pressures says, or why it says nothing."""
+    try:
+        return _found(strokes), None
+    except MeasurementFailed as error:
+        return None, error
 
 
 def _full_triangles(strokes: Sequence[StrokeRecord]) -> list[StrokeRecord]:

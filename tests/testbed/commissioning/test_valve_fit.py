@@ -121,6 +121,13 @@ def test_a_recording_survives_its_file(tmp_path) -> None:  # type: ignore[no-unt
     assert np.array_equal(again.q, recording.q)
 
 
+def test_edges_that_are_not_alike_are_told_by_the_one_that_fills() -> None:
+    """Machine 41901's tilt: read as four edges alike it had a flow below 0, and was refused for that."""
+    strokes = [stroke._replace(e_by_load=-stroke.e) for stroke in strokes_of(ToyValve(5, 0.05, 0.06))]
+    for sense, true in ((1.0, 0.05), (-1.0, 0.06)):
+        assert edge_findings(strokes, sense).deadband.value == pytest.approx(true, rel=0.02)
+
+
 def test_too_few_strokes_are_refused() -> None:
     strokes = strokes_of(ToyValve(5))
     searches = [stroke for stroke in strokes if stroke.kind is StrokeKind.SEARCH]
