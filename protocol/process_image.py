@@ -9,7 +9,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from operator import gt, lt, mul
+from operator import mul
 from typing import Any, NamedTuple
 
 from protocol.errors import ImageRefused, RequestRefused
@@ -136,7 +136,6 @@ class _Codec:
         self.words = struct.Struct(f"<{sum(row.words for row in table)}H")
         self.said = tuple(row for row in self.rows for _ in range(row.count))
         self.scales = tuple(row.scale for row in self.said)
-        self.lows, self.highs = tuple(row.low for row in self.said), tuple(row.high for row in self.said)
         self.counters = tuple(place for place, row in enumerate(self.said) if row.counter)
         ends = list(accumulate(row.count for row in packed))
         places = [(row, end - row.count, end) for row, end in zip(packed, ends, strict=True)]
@@ -218,12 +217,18 @@ def _encoded(values: Sequence[Any], codec: _Codec) -> list[int]:
         numbers[place] %= CYCLE_MODULUS
     try:
         raw = list(map(round, map(mul, numbers, codec.scales)))
-    except (ValueError, OverflowError):  # not a finite number: which one is found below
-        raw = []
-    if not raw or any(map(lt, raw, codec.lows)) or any(map(gt, raw, codec.highs)):
-        raw = list(map(_raw, numbers, codec.said))
+        return _packed(raw, codec)
+    except (ValueError, OverflowError, struct.error):  # not finite, or out of range: which is found below
+        return _packed(list(map(_raw, numbers, codec.said)), codec)
+
+
+def _packed(raw: list[int], codec: _Codec) -> list[int]:
+    """The words of ``raw``. Raises struct.error for a value that its row does not hold."""
     for place, constant in codec.constants:
         raw.insert(place, constant)
+    for row, begin, end in codec.bounded:
+        if min(raw[begin:end]) < row.low or max(raw[begin:end]) > row.high:
+            raise struct.error(f"{row.name}: wanted {row.low}…{row.high}")
     return list(codec.words.unpack(codec.layout.pack(*raw, raw[0])))
 
 

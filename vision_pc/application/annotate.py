@@ -13,7 +13,7 @@ from vision_pc.core.types import CameraCalibration, FrameObservation, StereoPair
 _GREEN, _ORANGE, _WHITE, _BLACK = (80, 220, 80), (40, 150, 255), (255, 255, 255), (0, 0, 0)
 _AXIS_M = 0.06
 _LINE_PX = 24
-_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 3]
+_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]  # level 3 takes half as long again for an eighth less
 
 
 def annotated(
