@@ -102,7 +102,7 @@ class AdaptiveDriveSettings(StrictModel):
     ``useless``: fine corrections in a row without improvement after which the machine is said not to resolve
     what is left. ``outside``: drives beyond the positioning's corrections while odometry sees the tool
     outside the tolerance. ``nudge_m``: in place of the positioning's, for drives that end alike are worth
-    correcting by less.
+    correcting by less. ``leg_end_std_m``: what else than play shaped each end of a leg, of an open-loop step.
     """
 
     enabled: bool
@@ -119,6 +119,7 @@ class AdaptiveDriveSettings(StrictModel):
     useless: int = Field(ge=1, le=10)
     outside: int = Field(ge=0, le=10)
     nudge_m: float = Field(gt=0.0, le=0.1)
+    leg_end_std_m: float = Field(ge=0.0, le=0.05)
 
 
 class RulerSettings(StrictModel):

@@ -83,13 +83,15 @@ def _uncorrected_play(x: Array, fitted: LocalErrorModel, settings: LocalErrorMod
     """Covariance (3, 3) m² in B of what play leaves of a step ``x`` (3,) m that is driven in one go.
 
     The slew may come to rest on the other flank of the play that the legs have shown, here as at each end of
-    the legs; lift and tilt stood there on either flank of theirs, half of what takes it up. Two of three legs
-    tell each turn of the map, and the way is longer than they are.
+    the legs; lift and tilt stood there on either flank of theirs, half of what takes it up. What else such
+    machines do there, loose steel that falls over, booms that bend otherwise than the model's, is known as a
+    whole alone. Two of three legs tell each turn of the map, and the way is longer than they are.
     """
     carried = float(np.linalg.norm(x)) / (math.sqrt(2.0) * settings.leg_m)
     flank = 2.0 * fitted.slew_play * slew_lever(fitted.X_BT)
     booms = boom_levers(fitted.X_BT, fitted.dimensions)[:, 1:]
     at_leg = 0.5 * settings.adaptive.boom_take_up_rad * float(np.linalg.norm(booms))
+    at_leg = math.hypot(at_leg, settings.adaptive.leg_end_std_m)
     slew = _OTHER_FLANK * (1.0 + carried**2) * np.outer(flank, flank)
     return np.asarray(slew + (carried * at_leg) ** 2 * np.eye(3))
 
