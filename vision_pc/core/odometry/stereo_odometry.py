@@ -211,16 +211,21 @@ class StereoOdometry:
                 if outcome in ("two_motions", "sudden_motion", UNDECIDED) and foreseen.known:
                     return outcome  # another start would only let the other motion win
                 if isinstance(outcome, PoseEstimate):
-                    if len(outcome.ids) < self._settings.keyframe_overlap * len(keyframe.ids):
-                        return self._add_keyframe(frame, keyframe, outcome)
-                    return outcome
+                    return self._kept_up(frame, keyframe, outcome)
         keyframe = self._map.keyframes[
             self._lost_frames % len(self._map.keyframes)
         ]  # a different one each time
         found = relocalised(frame.pair.left, frame.left_static, keyframe, self._camera, self._settings)
         if found is None:
             return outcome
-        return self._localiser.localise(frame, keyframe, found, both_eyes=True, foreseen=foreseen)
+        outcome = self._localiser.localise(frame, keyframe, found, both_eyes=True, foreseen=foreseen)
+        return self._kept_up(frame, keyframe, outcome) if isinstance(outcome, PoseEstimate) else outcome
+
+    def _kept_up(self, frame: Frame, keyframe: Keyframe, found: PoseEstimate) -> PoseEstimate | str:
+        """``found``, with a new keyframe where few of ``keyframe``'s points are left in view."""
+        if len(found.ids) < self._settings.keyframe_overlap * len(keyframe.ids):
+            return self._add_keyframe(frame, keyframe, found)
+        return found
 
     def _both_eyes(self) -> bool:
         """Whether the right eye's turn has come."""
