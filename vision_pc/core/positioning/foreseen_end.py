@@ -15,6 +15,7 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import Look
 
 _KEPT = 2.0 / 3.0  # of ``nudge_m``: width of the Gaussian that stands for its edge
+_FOUND_PX = 0.2  # markers of known size tell the offset three times as well; holes and planes do not at all
 _OTHER_FLANK = 0.25  # of motions end on the slew's other flank; [M] one of four, crane-real 8511 to 8514
 
 
@@ -57,7 +58,7 @@ def foreseen_end(
     elif settings.corrections:
         covariance = _after_fine_corrections(covariance, settings.nudge_m, map_settings.servo_std_m)
     if settings.corrections or map_settings.adaptive.enabled:  # the model, too, goes by odometry's lengths
-        covariance += _odometry_covariance(wanted.x, fitted.R.T, fitted.scale, track, map_settings)
+        covariance += _odometry_covariance(wanted.x, fitted.R.T, look, fitted.scale, track, map_settings)
     covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + _unrest_covariance(track)
     return expected_end(np.zeros(3), covariance, settings.tolerance_m, spread.freedom)
 
@@ -74,7 +75,7 @@ def seen_end(
 
     ``fitted``: the model of its last drive, ``track`` with it.
     """
-    covariance = _odometry_covariance(residuals[0], np.eye(3), fitted.scale, track, map_settings)
+    covariance = _odometry_covariance(residuals[0], np.eye(3), look, fitted.scale, track, map_settings)
     covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + _unrest_covariance(track)
     return expected_end(residuals[-1], covariance, settings.tolerance_m)
 
@@ -114,13 +115,16 @@ def _unrest_covariance(track: LocalTrack) -> Array:
 
 
 def _odometry_covariance(
-    d: Array, R: Array, lengths: float, track: LocalTrack, settings: LocalErrorModelSettings
+    d: Array, R: Array, look: Look, lengths: float, track: LocalTrack, settings: LocalErrorModelSettings
 ) -> Array:
     """Covariance (3, 3) m² of a way ``R`` ``d`` (3,), camera axes, as odometry measures it.
 
-    ``lengths``: by how much they differ from the arm's, relative.
+    ``lengths``: by how much they differ from the arm's, relative. ``odometry_scale_std`` is of a camera whose
+    offset is found; by one that is not, odometry's lengths are off as the look's distance is.
     """
     adaptive, scale = settings.adaptive, settings.odometry_scale_std
+    if adaptive.enabled and look.offset is not None and look.offset.std_x_px > _FOUND_PX:
+        scale = math.hypot(scale, math.sqrt(look.cov_CO[2, 2]) / abs(look.X_CO[2, 3]))
     if track.ruler is None and adaptive.enabled:
         scale = math.hypot(scale, adaptive.lens_share * max(abs(lengths) - adaptive.lens_from, 0.0))
     covariance: Array = (settings.odometry_std_m**2 + (scale * float(np.linalg.norm(d))) ** 2) * np.eye(3)
