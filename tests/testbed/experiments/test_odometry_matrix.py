@@ -120,6 +120,14 @@ def test_a_slow_thing_is_not_followed_for_long() -> None:
     assert row.wrong == 0
 
 
+def test_a_thing_that_was_held_for_the_world_for_long_spoils_the_whole_map() -> None:
+    """Both motions were in one map since its first picture, for thirty: 35 of 40 pairs, up to 94 mm off."""
+    row = one_row(CONFIGS, {"kind": "slow_mover", "seed": 46305, "pairs": 40, "peer": False})
+    assert row.wrong == 0
+    kept = one_row(CONFIGS, {"kind": "left_out_10", "seed": 46305, "pairs": 40, "peer": False})
+    assert (kept.located, kept.wrong) == (38, 0)
+
+
 def test_what_an_arm_could_tell_apart_is_not_put_down_to_depths() -> None:
     """Reported once on this seed: 8 pairs wrong, 19 mm: a slow thing had passed for a rolling shutter."""
     row = one_row(CONFIGS, {"kind": "slow_mover_arm", "seed": 46261, "pairs": 40, "peer": False})

@@ -127,7 +127,8 @@ class StereoOdometry:
         if X_BT is not None:
             self._reconsider(pair, outcome)
         if isinstance(outcome, str):
-            self.mixed |= outcome == "two_motions" and self._on_probation and X_BT is None
+            from_the_start = self._on_probation or self._localiser.mixed_since == 0
+            self.mixed |= outcome == "two_motions" and from_the_start and X_BT is None
             self._lose(pair, outcome)
             return None
         self._motion = se3.identity() if self._lost_frames else se3.inverse(self._X_C0C) @ outcome.X_C0C
