@@ -26,7 +26,7 @@ from protocol.session_events import (
     SessionLost,
     SessionOpened,
 )
-from tests.protocol.wire import ARM, MS, TIMEOUT_MS, Wire, a_server, kind_of
+from tests.protocol.wire import ARM, MS, TIMEOUT_MS, Wire, a_server, dropped_causes, kind_of
 
 SECRET = bytes(range(32))
 KEY = LinkKey(SECRET)
@@ -36,10 +36,6 @@ STOP = Command(1, CommandCode.STOP)
 
 def a_wire(client: LinkKey | None = KEY, server: LinkKey | None = KEY, **wire: Any) -> Wire:
     return Wire(server=a_server(key=server), client=ReferenceClient(7, key=client), **wire)
-
-
-def causes(events: list[Any]) -> list[str]:
-    return [event.cause for event in events if isinstance(event, DatagramDropped)]
 
 
 def session_keys(wire: Wire) -> Any:
@@ -99,7 +95,7 @@ class TestSessions:
     def test_hello_with_a_bad_tag_is_told_so(self) -> None:
         server = a_server(key=KEY)
         data = encode(Hello(5, 7, ARM, 20), Header(0, 1, 0), KEY.of_client(1, 2, 3).sends)
-        assert causes(server.receive(data, "a", 0)) == ["authentication.bad_tag"]
+        assert dropped_causes(server.receive(data, "a", 0)) == ["authentication.bad_tag"]
         ((answer, _),) = server.outgoing()
         assert decode(answer).message == Bye(Reason.BAD_TAG)
         assert server.statistics.bad_tag == 1
@@ -120,7 +116,7 @@ class TestSessions:
             (KEY.of_controller(nonce + 1, 77, 9).sends, "authentication.bad_tag"),  # of another HELLO
             (KEY.of_hello(), "authentication.bad_tag"),
         ):
-            assert causes(client.receive(encode(welcome, header, key), 1)) == [cause]
+            assert dropped_causes(client.receive(encode(welcome, header, key), 1)) == [cause]
             assert not client.connected
         right = encode(welcome, header, KEY.of_controller(nonce, 77, 9).sends)
         assert [type(event) for event in client.receive(right, 1)] == [Connected]
@@ -171,14 +167,14 @@ class TestSessions:
         wire = a_wire(loses=lambda direction, data: bool(held) and data in held).connect().run(60)
         recorded = list(wire.sent_up)
         requests = len(wire.requests())
-        assert {cause for data in recorded[1:] for cause in causes(wire.give_server(data))} <= {
+        assert {cause for data in recorded[1:] for cause in dropped_causes(wire.give_server(data))} <= {
             "authentication.replayed",
             "sequence.reordered",
         }
         replayed = wire.server.statistics.replayed
         assert replayed >= len(recorded) - 2
         wire.run(TIMEOUT_MS * 16)  # more than a window of heartbeats
-        assert causes(wire.give_server(recorded[3])) == ["authentication.too_old"]
+        assert dropped_causes(wire.give_server(recorded[3])) == ["authentication.too_old"]
         assert wire.server.statistics.too_old == 1
         assert len(wire.requests()) == requests
         assert wire.client.connected
@@ -198,12 +194,12 @@ class TestSessions:
         lost = wire.server.statistics.lost
         assert beat(3) == []
         assert wire.server.statistics.lost == lost + 2
-        assert causes(beat(1)) == ["sequence.reordered"]
+        assert dropped_causes(beat(1)) == ["sequence.reordered"]
         assert wire.server.statistics.lost == lost + 1
-        assert causes(beat(1)) == ["authentication.replayed"]
-        assert causes(beat(3)) == ["authentication.replayed"]
+        assert dropped_causes(beat(1)) == ["authentication.replayed"]
+        assert dropped_causes(beat(3)) == ["authentication.replayed"]
         assert wire.server.statistics.lost == lost + 1
-        assert causes(beat(3 + MAX_GAP_DATAGRAMS + 1)) == ["sequence.jump"]
+        assert dropped_causes(beat(3 + MAX_GAP_DATAGRAMS + 1)) == ["sequence.jump"]
         assert beat(4) == []
 
     def test_nothing_of_an_earlier_session_is_used(self) -> None:
@@ -219,7 +215,7 @@ class TestSessions:
             wire.give_server(data)
             bent = bytearray(data)  # with the new session's number written over the old one
             bent[16:24] = session.to_bytes(8, "little")
-            assert causes(wire.give_server(resealed(bytes(bent))))
+            assert dropped_causes(wire.give_server(resealed(bytes(bent))))
         assert wire.server.session == session
         assert len(wire.requests()) == requests
         assert wire.run(50).client.connected
@@ -270,7 +266,7 @@ class TestSessions:
         session = decode(data).header.session
         late = (TIMEOUT_MS + 1) * MS
         beat = encode(Heartbeat(late), Header(session, 2, late), KEY.of_client(5, session, 0xB007).sends)
-        assert causes(server.receive(beat, "a", late)) == ["session.unknown"]
+        assert dropped_causes(server.receive(beat, "a", late)) == ["session.unknown"]
         assert server.session is None
 
     def test_lost_confirmations_and_welcomes_are_made_up_for(self) -> None:

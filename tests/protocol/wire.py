@@ -1,15 +1,22 @@
 """A client and a server joined by a wire that the test controls: delay, loss, order and both clocks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from protocol.client_session import ReferenceClient
 from protocol.datagram import decode
 from protocol.faults import Reason
-from protocol.reference_messages import Acknowledgement
+from protocol.reference_messages import Acknowledgement, Bye
 from protocol.server_session import ReferenceServer
-from protocol.session_events import ClientEvent, Connected, RequestReceived, ServerEvent
+from protocol.session_events import (
+    AcknowledgementReceived,
+    ClientEvent,
+    Connected,
+    DatagramDropped,
+    RequestReceived,
+    ServerEvent,
+)
 
 MS = 1_000_000
 CYCLE_NS = 5 * MS
@@ -116,3 +123,19 @@ class Wire:
 def kind_of(data: bytes) -> str:
     """Name of the message in a datagram."""
     return type(decode(data).message).__name__
+
+
+def dropped_causes(events: Sequence[object]) -> list[str]:
+    """Causes of the datagrams that were dropped, in order."""
+    return [event.cause for event in events if isinstance(event, DatagramDropped)]
+
+
+def answers(wire: Wire) -> list[Acknowledgement]:
+    """What the client has been acknowledged."""
+    return [e.acknowledgement for e in wire.client_events if isinstance(e, AcknowledgementReceived)]
+
+
+def byes(wire: Wire) -> list[Reason]:
+    """Reasons of the BYEs that the server has queued."""
+    messages = [decode(data).message for data, _ in wire.server.outgoing(wire.server_ns)]
+    return [message.reason for message in messages if isinstance(message, Bye)]

@@ -87,9 +87,7 @@ _NUDGED_AT = 0.5  # of the band: a parked joint that crept so far is nudged
 _NEAR_RAD = 5e-4  # from there on a valve that passes small flows steadily keeps a joint that is felt
 _FAR_RAD = 1e-3  # a parked joint that was pushed so far off is brought back by an inch
 _PART = 0.5  # of its way: a slew near its place, which relaxes by as much again
-_DRAGS_RAD = (
-    3e-6  # beyond where its encoder was at the last nudge, a joint drags it along again: its creep shows
-)
+_DRAGS_RAD = 3e-6  # from there on a joint drags its encoder along again, and its creep shows
 _AGAIN_RAD = 7e-6  # beyond where its encoder was at the last nudge: by the slow filter; its noise is 1 µrad
 
 
@@ -286,9 +284,9 @@ def _moved_again(
 
 @kernel
 def _creep_seen(state: Array, i: int, sense: float) -> None:
-    """Believe what joint ``i`` crept by while it dragged its encoder: after a nudge that stands for long.
+    """Believe how fast joint ``i`` crept while it dragged its encoder; after a nudge that stands for a while.
 
-    By more the further that was; a creep from before the arm was parked was that of oil which relaxed.
+    The longer the way, the more. What it crept by before the arm was parked is forgotten then: oil relaxed.
     """
     seen = max(sense * (state[CREPT, i] - state[MARK, i]) - _DRAGS_RAD, 0.0)
     trust = 1.0 if state[DRIFT, i] == 0.0 else seen / (seen + _AGAIN_RAD - _DRAGS_RAD)

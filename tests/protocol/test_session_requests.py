@@ -1,0 +1,227 @@
+"""Requests of a session on a wire that delays, loses, repeats and reorders."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from conformance.bytes_of import with_number
+from protocol import errors
+from protocol.client_session import ReferenceClient
+from protocol.datagram import Header, decode, encode
+from protocol.faults import CommandCode, Reason
+from protocol.pose import IDENTITY
+from protocol.reference_messages import (
+    Acknowledgement,
+    Command,
+    Heartbeat,
+    HeartbeatReply,
+    ReferencePath,
+    ReferencePose,
+)
+from protocol.session_events import (
+    SessionLost,
+)
+from tests.protocol.wire import MS, Wire, a_server, answers, dropped_causes, kind_of
+
+STOP = Command(0, CommandCode.STOP)
+ENABLE = Command(0, CommandCode.ENABLE)
+MOVE = ReferencePose(0, IDENTITY, 1.0)
+
+
+class TestRequests:
+    def test_one_request_one_execution_one_answer(self) -> None:
+        wire = Wire().connect()
+        asked = [wire.client.submit(request, wire.now_ns) for request in (ENABLE, MOVE, STOP)]
+        wire.run(100)
+        assert wire.requests() == [
+            ENABLE._replace(command_id=asked[0]),
+            MOVE._replace(command_id=asked[1]),
+            STOP._replace(command_id=asked[2]),
+        ]
+        assert answers(wire) == [Acknowledgement(i, Reason.ACCEPTED, 0.0, 0.0) for i in asked]
+
+    def test_a_request_is_resent_under_its_id_until_it_is_answered(self) -> None:
+        wire = Wire().connect()
+        refused: list[bytes] = []
+
+        def loses(direction: str, data: bytes) -> bool:
+            if kind_of(data) == "Command" and len(refused) < 3:
+                refused.append(data)
+                return True
+            return False
+
+        wire.loses = loses
+        asked = wire.client.submit(STOP, wire.now_ns)
+        wire.run(200)
+        assert len(refused) == 3
+        assert len({decode(data).header.sequence for data in refused}) == 3
+        assert wire.requests() == [STOP._replace(command_id=asked)]
+        assert [a.command_id for a in answers(wire)] == [asked]
+
+    def test_a_lost_answer_is_repeated_and_not_executed_again(self) -> None:
+        wire = Wire(answer=Reason.UNREACHABLE).connect()
+        lost: list[bytes] = []
+
+        def loses(direction: str, data: bytes) -> bool:
+            if kind_of(data) == "Acknowledgement" and len(lost) < 4:
+                lost.append(data)
+                return True
+            return False
+
+        wire.loses = loses
+        asked = wire.client.submit(MOVE, wire.now_ns)
+        wire.run(300)
+        assert len(wire.requests()) == 1
+        assert answers(wire) == [Acknowledgement(asked, Reason.UNREACHABLE, 0.0, 0.0)]
+
+    def test_one_datagram_a_hundred_times_has_one_effect(self) -> None:
+        wire = Wire().connect()
+        wire.client.submit(MOVE, wire.now_ns)
+        (move,) = wire.client.outgoing(wire.now_ns)
+        events = [wire.give_server(move) for _ in range(100)]
+        assert len(wire.requests()) == 1
+        assert [dropped_causes(e) for e in events[1:]] == [["sequence.duplicate"]] * 99
+        assert wire.server.statistics.duplicated == 99
+
+    def test_a_request_is_not_answered_before_the_controller_has_decided(self) -> None:
+        wire = Wire(answer=None).connect()
+        asked = wire.client.submit(MOVE, wire.now_ns)
+        wire.run(150)
+        assert len(wire.requests()) == 1
+        assert answers(wire) == []
+        wire.server.acknowledge(Acknowledgement(asked, Reason.JOINT_LIMIT, 1.7, 1.6), wire.server_ns)
+        wire.run(10)
+        assert answers(wire) == [Acknowledgement(asked, Reason.JOINT_LIMIT, 1.7, 1.6)]
+
+    def test_a_motion_cannot_overtake_the_stop_that_was_to_end_it(self) -> None:
+        wire = Wire().connect()
+        lost: list[bytes] = []
+
+        def loses(direction: str, data: bytes) -> bool:
+            if kind_of(data) == "ReferencePose" and not lost:
+                lost.append(data)
+                return True
+            return False
+
+        wire.loses = loses
+        moved = wire.client.submit(MOVE, wire.now_ns)
+        stopped = wire.client.submit(STOP, wire.now_ns)
+        wire.run(200)
+        assert wire.requests() == [STOP._replace(command_id=stopped)]
+        assert Acknowledgement(moved, Reason.OVERTAKEN, float(moved), float(stopped)) in answers(wire)
+
+    def test_an_id_with_another_content_is_refused(self) -> None:
+        wire = Wire().connect()
+        session = wire.server.session or 0
+        send = partial(Header, session)
+        wire.give_server(encode(Command(5, CommandCode.ENABLE), send(100, wire.now_ns)))
+        wire.give_server(encode(Command(5, CommandCode.STOP), send(101, wire.now_ns)))
+        replies = [
+            decode(data).message for data, _ in wire.server.outgoing() if kind_of(data) == "Acknowledgement"
+        ]
+        assert replies == [
+            Acknowledgement(5, Reason.ACCEPTED, 0.0, 0.0),
+            Acknowledgement(5, Reason.REPEATED_COMMAND_ID, 0.0, 0.0),
+        ]
+        assert len(wire.requests()) == 1
+
+    @pytest.mark.parametrize(
+        ("request_", "ignored"),
+        [
+            (ENABLE._replace(command_id=5), range(52, 56)),
+            (ReferencePath(5, (IDENTITY,), 0.0, 0.0), [*range(52, 56), *range(56 + 56, 40 + 1360)]),
+        ],
+        ids=["Command", "ReferencePath"],
+    )
+    def test_padding_and_unused_waypoints_do_not_make_another_request(
+        self, request_: Command | ReferencePath, ignored: Sequence[int]
+    ) -> None:
+        wire = Wire().connect()
+        plain = bytearray(encode(request_, Header(wire.server.session or 0, 100, wire.now_ns)))
+        wire.give_server(bytes(plain))
+        for n, place in enumerate([ignored[0], ignored[-1], *ignored[:: max(len(ignored) // 7, 1)]]):
+            dirty = bytearray(plain)
+            dirty[place] = 0xA5
+            wire.give_server(with_number(bytes(dirty), 24, "I", 101 + n))
+        replies = [decode(d).message for d, _ in wire.server.outgoing() if kind_of(d) == "Acknowledgement"]
+        assert len(replies) > 4
+        assert set(replies) == {Acknowledgement(5, Reason.ACCEPTED, 0.0, 0.0)}
+        assert wire.requests() == [request_]
+
+    def test_a_heartbeat_s_own_time_is_repeated_as_it_came(self) -> None:
+        wire = Wire().connect()
+        session = wire.server.session or 0
+        for n, sent_ns in enumerate((0, 1, 2**64 - 1)):
+            wire.give_server(encode(Heartbeat(sent_ns), Header(session, 100 + n, wire.now_ns)))
+        replies = [m for d, _ in wire.server.outgoing() if isinstance(m := decode(d).message, HeartbeatReply)]
+        assert [reply.sent_ns for reply in replies] == [0, 1, 2**64 - 1]
+
+    def test_a_request_with_nan_is_recognised_when_it_comes_again(self) -> None:
+        wire = Wire(answer=Reason.NOT_FINITE).connect()
+        nan = MOVE._replace(command_id=5, duration_s=float("nan"))
+        for sequence in (100, 101):
+            wire.give_server(encode(nan, Header(wire.server.session or 0, sequence, wire.now_ns)))
+        replies = [
+            decode(data).message for data, _ in wire.server.outgoing() if kind_of(data) == "Acknowledgement"
+        ]
+        assert replies == [Acknowledgement(5, Reason.NOT_FINITE, 0.0, 0.0)] * 2
+        assert len(wire.requests()) == 1
+
+    def test_what_no_request_can_say_is_answered_by_the_session(self) -> None:
+        wire = Wire().connect()
+        command = encode(Command(5, CommandCode.STOP), Header(wire.server.session or 0, 100, wire.now_ns))
+        assert wire.give_server(with_number(command, 48, "I", 77)) == []
+        replies = [
+            decode(data).message for data, _ in wire.server.outgoing() if kind_of(data) == "Acknowledgement"
+        ]
+        assert replies == [Acknowledgement(5, Reason.UNKNOWN_COMMAND, 77.0, 0.0)]
+
+    def test_stops_are_repeated_before_all_other_open_requests(self) -> None:
+        wire = Wire().connect()
+        moves = [wire.client.submit(MOVE, wire.now_ns) for _ in range(200)]
+        wire.client.outgoing(wire.now_ns)
+        stop = wire.client.submit(STOP, wire.now_ns)
+        sent = [decode(data).message for data in wire.client.outgoing(wire.now_ns)]
+        assert sent == [STOP._replace(command_id=stop)]  # at once, however many are open
+        wire.client.tick(wire.now_ns + 30_000_000)
+        again = [decode(data).message for data in wire.client.outgoing(wire.now_ns + 30_000_000)]
+        ids = [message.command_id for message in again if isinstance(message, Command | ReferencePose)]
+        assert ids == [stop, *moves]
+
+    def test_what_cannot_be_sent_is_refused_without_using_up_an_id(self) -> None:
+        wire = Wire().connect()
+        first = wire.client.submit(STOP, wire.now_ns)
+        with pytest.raises(errors.RequestRefused):
+            wire.client.submit(ReferencePath(0, (), 0.0, 0.0), wire.now_ns)
+        assert wire.client.submit(STOP, wire.now_ns) == first + 1
+
+    @settings(max_examples=25)
+    @given(st.integers(0, 2**32 - 1))
+    def test_every_request_is_executed_at_most_once_and_answered_on_a_terrible_wire(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        wire = Wire(
+            client=ReferenceClient(7, first_sequence=2**32 - 20), server=a_server(first_sequence=2**32 - 9)
+        )
+        wire.connect()
+        wire.loses = lambda direction, data: rng.random() < 0.3
+        asked = []
+        for _ in range(12):
+            if wire.client.connected:
+                asked.append(wire.client.submit(MOVE, wire.now_ns))
+            wire.up_ns = int(rng.integers(0, 12 * MS))  # reorders
+            wire.down_ns = int(rng.integers(0, 12 * MS))
+            if wire.upward and rng.random() < 0.5:
+                wire.upward.append(wire.upward[int(rng.integers(len(wire.upward)))])  # duplicates
+            wire.run(6)
+        wire.run(900)
+        executed = [request.command_id for request in wire.requests()]
+        assert executed == sorted(set(executed))
+        answered = [a.command_id for a in answers(wire)]
+        lost = [i for e in wire.client_events if isinstance(e, SessionLost) for i in e.unanswered]
+        assert sorted(answered + lost) == asked
+        for answer in answers(wire):
+            assert (answer.reason is Reason.ACCEPTED) == (answer.command_id in executed)
