@@ -16,13 +16,17 @@ from testbed.identification.keeping import reported
 from testbed.identification.operating import SUPPLY_EDGE, Operating, file_model, operating
 from testbed.identification.parameters import Parameter, base_of, parameters_of, start_parameters
 from testbed.identification.pressure_fit import PressureFit, pressure_fit
+from testbed.identification.problem import FitProblem, misfit, signals_of
 from testbed.identification.recording import Array, MotionRecording
-from testbed.identification.shooting import DAMPINGS, Fit, FitProblem, Plan, misfit, shoot, signals_of
+from testbed.identification.shooting import DAMPINGS, Fit, Plan, shoot
 from testbed.identification.static_fit import DeadZone, ForceBalance, balance, dead_zone
 
 WINDOW_S = 0.5
 LONG_S = 2.0
 _FAR = 300.0  # of the noise, in one run: a plant that leaves more goes through longer windows first
+NEAR = Plan(0.0, 24, 8, DAMPINGS, 1e-2, frozenset())
+WHOLE = Plan(0.0, 24, 8, DAMPINGS, 1e-6, frozenset())
+"""Of one run: until noise and slopes are told well, then to the end. What they do not reach is refused."""
 _ROUNDING = 1.0 / math.sqrt(12.0) / COUNTS_PER_RADIAN  # rad rms of a count
 
 
@@ -150,9 +154,9 @@ def identify(
     if misfit(problem, windows.theta) > _FAR:
         windows = shoot(problem, windows.theta, Plan(LONG_S, 6, 2, DAMPINGS, 0.05, all_free), pool, tell)
         runs += windows.runs
-    near = shoot(problem, windows.theta, Plan(0.0, 12, 4, DAMPINGS, 1e-2, all_free), pool, tell)
+    near = shoot(problem, windows.theta, NEAR, pool, tell)
     problem = problem._replace(std=problem.std * _left_over(near, len(joints)))
-    whole = shoot(problem, near.theta, Plan(0.0, 6, 3, DAMPINGS, 1e-6, all_free), pool, tell, near)
+    whole = shoot(problem, near.theta, WHOLE, pool, tell, near)
     whole = whole._replace(runs=whole.runs + near.runs + runs)
     return Identified(problem, list(joints), simple, reported(problem, whole))
 

@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from testbed.identification.problem import FitProblem
 from testbed.identification.recording import Array
-from testbed.identification.shooting import Fit, FitProblem, Plan, refined
+from testbed.identification.shooting import Fit, Plan, refined
 
 IDENTIFIED_BELOW = 0.5
 """σ over the prior's spread below which the recording, and not the prior, says what a parameter is."""
@@ -72,4 +73,5 @@ def reported(problem: FitProblem, fit: Fit) -> Fit:
     if not told.kept:
         return fit._replace(covariance=covariance)
     plan = Plan(0.0, 1, 0, (0.0, 0.1), 1e-6, frozenset(told.kept))
-    return refined(problem, fit, told.theta * s, plan)._replace(covariance=covariance, kept=told.kept)
+    moved = refined(problem, fit, told.theta * s, plan)
+    return moved._replace(covariance=covariance, kept=told.kept, promised=fit.promised)

@@ -18,8 +18,8 @@ from testbed.identification.emulated import record
 from testbed.identification.excitation import Piece
 from testbed.identification.fit import problem_of
 from testbed.identification.parameters import Parameter, parameters_of
+from testbed.identification.problem import FitProblem, jacobian, signals
 from testbed.identification.recording import Array, MotionRecording
-from testbed.identification.shooting import FitProblem, jacobian, signals
 
 _REST = Piece("rest", (), 0.0, 0.3)
 _STEP = 1e-3  # of a prior's spread

@@ -9,14 +9,16 @@ from protocol.errors import ConfigurationError
 from testbed.identification.fit import Identified
 from testbed.identification.free_run import measured, predicted
 from testbed.identification.parameters import Parameter, moved_start
+from testbed.identification.problem import FitProblem, plant_of
 from testbed.identification.recording import Array, MotionRecording
-from testbed.identification.shooting import FitProblem, plant_of
 
 LEAST_FIT = 0.9
 """Of a joint's angle on held-out motion: 1 − |error| / |motion|; below it, a plant is not believed."""
 MOST_SPREADS = 4.0
 MOST_PUSHED = 4.0
 """σ: a machine without load may well be fitted with a little less than none, and is none."""
+MOST_PROMISED = 1.0
+"""By how much χ² could still fall, as the last slopes tell: one σ off its minimum, all numbers together."""
 _LAGS = 20
 
 
@@ -84,7 +86,14 @@ def whiteness(residual: Array) -> float:
 
 
 def check_believable(found: Identified, signals: list[SignalFit]) -> None:
-    """Raise ConfigurationError for a parameter at its bound, or a joint that is not predicted."""
+    """Raise ConfigurationError for a fit that is not at its minimum, for a parameter at its bound, or a joint
+    that is not predicted."""
+    if not found.whole.promised <= MOST_PROMISED:
+        raise ConfigurationError(
+            "identification.not_converged",
+            f"the fit: χ² of {found.whole.cost:.0f} would still fall by {found.whole.promised:.3g},"
+            f" wanted at most {MOST_PROMISED:g}: its numbers are not where the recording has them",
+        )
     for index, (parameter, theta) in enumerate(zip(found.problem.parameters, found.whole.theta, strict=True)):
         if not parameter.of_start:
             _check_parameter(found, index, parameter, float(theta))

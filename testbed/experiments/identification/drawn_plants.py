@@ -25,14 +25,16 @@ from testbed.identification.excitation import held_out, standard, widest_overlap
 from testbed.identification.findings import excess, findings
 from testbed.identification.fit import Identified, identify
 from testbed.identification.parameters import Parameter, base_of, changed, parameters_of
+from testbed.identification.problem import plant_of
 from testbed.identification.recording import Array
-from testbed.identification.shooting import plant_of
-from testbed.identification.validation import validate
+from testbed.identification.validation import check_believable, validate
 from testbed.reporting.console import Columns, listed
 from testbed.scenarios.settings import load_settings
 
 FILE_KG = 60.0  # [D] the plant file's payload, around which the true one is drawn
 JOINTS = (0, 1, 2)
+_WRONG = 2.0
+"""NEES above which a fit is wrong: by chance one of 3000 plants of 36 parameters is above it."""
 _REACH = 2.0  # spreads of its prior: how far a parameter is drawn at most
 _MACHINE = Machine("drawn", "0" * 16, "servo")
 
@@ -51,7 +53,8 @@ class IdentifiedRow(NamedTuple):
     """One plant: NEES over its parameters, the parameter that is furthest off in σ, and the prediction.
 
     ``fit`` and ``before``: the least share of a joint's held-out motion that the fitted plant and the plant
-    file predict. ``chi2``: of what is left, over the noise. ``untuned_mm``, ``on_file_mm``, ``on_plant_mm``:
+    file predict. ``chi2``: of what is left, over the noise. ``promised``: χ² that the fit had still to
+    fall by, as its last slopes tell. ``untuned_mm``, ``on_file_mm``, ``on_plant_mm``:
     how far (rms) the drawn plant's tool is from its reference in one motion, with the controller as
     configured, tuned on the fitted plant, and tuned on the drawn one itself; nan unless asked for.
     """
@@ -67,6 +70,7 @@ class IdentifiedRow(NamedTuple):
     fit: float
     before: float
     plant_runs: int
+    promised: float
     untuned_mm: float = float("nan")
     on_file_mm: float = float("nan")
     on_plant_mm: float = float("nan")
@@ -89,7 +93,10 @@ def drawn_theta(parameters: list[Parameter], rng: np.random.Generator) -> Array:
 
 
 def identified_plant(config_dir: Path, task: dict[str, Any]) -> IdentifiedRow:
-    """The plant of ``task``'s ``seed``, recorded and identified in this process."""
+    """The plant of ``task``'s ``seed``, recorded and identified in this process.
+
+    Raises ConfigurationError where `longreach identify` refuses the plant, with its cause.
+    """
     overrides = {"payload": {"mass_kg": FILE_KG}, "valve_set": task["valve_set"]}
     file = load(PlantConfig, config_dir / "plant.yaml", overrides)
     known = parameters_of(file, JOINTS)
@@ -100,7 +107,9 @@ def identified_plant(config_dir: Path, task: dict[str, Any]) -> IdentifiedRow:
     machine = _MACHINE._replace(valve_set=task["valve_set"])
     told = record(true_plant, machine, standard(overlap), held_out(overlap), task["seed"])
     found = identify(file, told, check_recording(told, machine))
-    angles = [signal for signal in validate(found, told) if signal.signal.endswith("angle")]
+    signals = validate(found, told)
+    check_believable(found, signals)
+    angles = [signal for signal in signals if signal.signal.endswith("angle")]
     row = _row(task["seed"], found, theta)._replace(
         fit=min(signal.fit for signal in angles), before=min(signal.before for signal in angles)
     )
@@ -150,6 +159,7 @@ def _row(seed: int, found: Identified, theta: Array) -> IdentifiedRow:
         fit=float("nan"),
         before=float("nan"),
         plant_runs=found.runs,
+        promised=found.whole.promised,
     )
 
 
@@ -185,12 +195,14 @@ def draw_table(done: Drawn) -> list[Table]:
 
 
 def draw_verdict(done: Drawn) -> list[Check]:
-    """All parameters within 3 σ, NEES in its band, motion predicted, within six minutes of one core."""
+    """None wrong and not refused; of those identified all parameters within 3 σ, NEES in its band, motion
+    predicted, within six minutes of one core."""
     good = [row for row in done.rows if not row.failure]
     if not good:
         return [Check("plants identified", "0", f"{len(done.rows)}", False)]
     return [
         Check("plants identified", f"{len(good)}", f"{len(done.rows)}", len(good) == len(done.rows)),
+        at_most("wrong and not refused", float(sum(row.nees > _WRONG for row in good)), 0.0),
         at_most("parameters outside 3 σ", float(sum(row.outside for row in good)), 0.0),
         inside("NEES, mean", float(np.mean([row.nees for row in good])), (0.8, 1.25)),
         at_least("held-out motion predicted, least", 100.0 * min(row.fit for row in good), 99.0, "%"),

@@ -20,8 +20,9 @@ from testbed.identification.keeping import reported
 from testbed.identification.parameters import base_of, changed, parameters_of
 from testbed.identification.plant_file import write_plant_file
 from testbed.identification.pressure_fit import PressureFit
+from testbed.identification.problem import FitProblem, signals
 from testbed.identification.recording import MotionRecording
-from testbed.identification.shooting import Fit, FitProblem, signals
+from testbed.identification.shooting import Fit
 from testbed.identification.validation import check_believable, validate, whiteness
 
 CONFIGS = Path(__file__).parents[3] / "configs"
@@ -59,7 +60,9 @@ def found_at(problem: FitProblem, told: dict[str, float], sure: float = 0.02) ->
     slopes = np.zeros((left.size, len(theta)))
     slopes[np.arange(len(theta)), np.arange(len(theta))] = 1.0 / (sure * problem.spreads)
     cost = float(np.sum(left**2))
-    fit = Fit(theta, np.diag((sure * problem.spreads) ** 2), cost, cost, left.size, 1, left, slopes)
+    fit = Fit(
+        theta, np.diag((sure * problem.spreads) ** 2), cost, cost, left.size, 1, left, slopes, promised=0.0
+    )
     return Identified(problem, [1], Simple([], None, PressureFit(8e8, 1e6, [])), fit)
 
 
@@ -87,6 +90,19 @@ def test_a_machine_that_moves_otherwise_than_its_plant_is_refused(
     with pytest.raises(ConfigurationError, match=r"lift angle: -?\d+\.\d % of the held-out") as caught:
         check_believable(wrong, validate(wrong, recorded))
     assert caught.value.cause == "identification.not_predicted"
+
+
+def test_a_fit_that_was_broken_off_is_refused_by_name(
+    true_fit: Identified, recorded: MotionRecording
+) -> None:
+    """All of its numbers may look well, and its motion be predicted: its σ are not those of its errors."""
+    signals_of = validate(true_fit, recorded)
+    with pytest.raises(ConfigurationError, match=r"would still fall by 84, wanted at most 1:") as caught:
+        check_believable(true_fit._replace(whole=true_fit.whole._replace(promised=84.0)), signals_of)
+    assert caught.value.cause == "identification.not_converged"
+    unknown = true_fit._replace(whole=true_fit.whole._replace(promised=float("nan")))
+    with pytest.raises(ConfigurationError, match="still fall by nan"):
+        check_believable(unknown, signals_of)
 
 
 def _pushed_at_the_bound(true_fit: Identified, by: float) -> Identified:

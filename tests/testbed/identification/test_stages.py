@@ -15,8 +15,9 @@ from testbed.identification.fit import problem_of, simple_stages
 from testbed.identification.free_run import measured, predicted, start_of
 from testbed.identification.operating import file_model, operating
 from testbed.identification.parameters import base_of, changed, entry, parameters_of, value
+from testbed.identification.problem import FitProblem, jacobian, signals
 from testbed.identification.recording import MotionRecording
-from testbed.identification.shooting import DAMPINGS, FitProblem, Plan, jacobian, shoot, signals
+from testbed.identification.shooting import DAMPINGS, Plan, shoot
 
 pytestmark = pytest.mark.long
 
