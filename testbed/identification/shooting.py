@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import ConfigurationError
-from testbed.identification.bounded_step import bounded_move, information_of_step
 from testbed.identification.problem import FitProblem, cost, jacobian, plant_of, residuals, signals
 from testbed.identification.recording import Array
 
@@ -191,3 +190,32 @@ def _inverse(problem: FitProblem, columns: Array, free: NDArray[np.int64]) -> Ar
 def _trial(problem: FitProblem, window_s: float, theta: Array) -> _Trial:
     found = signals(problem, window_s, theta)
     return _Trial(theta, found, cost(problem, theta, found))
+
+
+def information_of_step(columns: Array, spreads: Array, damping: float = 0.0) -> Array:
+    """JᵀJ + damping · diag JᵀJ + prior (f, f) for ``columns`` (m, f), in units of the priors' ``spreads``.
+
+    Scaled so, it is well conditioned; Marquardt (1963) damps along its diagonal.
+    """
+    scaled = columns * spreads
+    found = scaled.T @ scaled
+    return np.asarray(found + np.diag(damping * np.diag(found) + 1.0))
+
+
+def bounded_move(information: Array, downhill: Array, low: Array, high: Array) -> Array:
+    """The move (f,) inside ``low`` to ``high`` that gains most of 2 xᵀ downhill − xᵀ information x.
+
+    What would leave its bounds is put there, and the others are solved for again: they make up for it. A step
+    that is merely cut off there goes on as if the one at its bound had moved, and may well lead uphill.
+    """
+    move, fixed = np.zeros(len(downhill)), np.zeros(len(downhill), dtype=bool)
+    while not fixed.all():
+        free = ~fixed
+        asked = downhill[free] - information[np.ix_(free, fixed)] @ move[fixed]
+        move[free] = np.linalg.solve(information[np.ix_(free, free)], asked)
+        beyond = free & ((move < low) | (move > high))
+        if not beyond.any():
+            break
+        move[beyond] = np.clip(move[beyond], low[beyond], high[beyond])
+        fixed |= beyond
+    return move

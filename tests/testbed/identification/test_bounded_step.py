@@ -1,9 +1,9 @@
-"""A step within bounds, against all corners and edges of a small box tried one by one."""
+"""A step of Gauss and Newton within bounds, against SciPy's bounded least squares."""
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from testbed.identification.bounded_step import bounded_move, information_of_step
+from testbed.identification.shooting import bounded_move, information_of_step
 
 COLUMNS = np.array([[10.0, 9.5], [0.0, 1.0], [1.0, 0.0]])
 ASKED = np.array([-12.0, 3.0, -3.0])
