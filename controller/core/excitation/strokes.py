@@ -40,6 +40,7 @@ _STILL_RAD_S = 1.0e-3
 _DRIFT_FILTER_S = 1.0
 _CREEPS_RAD_S = 1.5e-3  # a wrist's, twice
 _FALLEN = 0.05  # of the ramp's top speed, at which a falling ramp has done its work
+_STANDS_S = 0.4  # longer than a swinging load stands at its turn, while oil still flows
 _UP_SHARE = 0.45  # of the way, on which a ramp rises
 _LOW = 0.3  # of a ramp's top speed (and its square, of the way): where it surely moves
 _UNSURE = 3.0  # times what a ramp begins below a rim that only a search has seen
@@ -211,7 +212,8 @@ def _ramp(settings: ExcitationPlan, state: Excitation, q: Array, dt_s: float) ->
         step = sense * max(turning_rate(state, stroke) * dt_s, abs(step))
     spool = state.spool - step
     far = turned_by(state, stroke, q) > _ENOUGH * float(limits.travel[stroke.joint])
-    if far or sense * spool <= 0.0 or (speed < _FALLEN * state.top_speed and state.still_s > 0.1):
+    stands = speed < _FALLEN * state.top_speed and state.still_s > _STANDS_S
+    if far or sense * spool <= 0.0 or stands:
         return _done(state, settings)
     return state._replace(spool=spool)
 

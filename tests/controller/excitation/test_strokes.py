@@ -113,6 +113,18 @@ def test_a_falling_ramp_is_slow_even_if_a_swing_hides_that_it_falls() -> None:
     assert state.slack[5] == 0.03
 
 
+def test_a_falling_ramp_goes_on_while_a_swinging_load_stands_at_its_turn() -> None:
+    """A slew's swing of 1.5 Hz takes all of a slow turn away for a third of a second, and oil still flows."""
+    plan, state = at_a_full_ramp(phase=Phase.FALLING, spool=0.07, top=0.1, top_speed=0.05)
+    for _ in range(33):
+        state = scanned(plan, state, 0.0)
+        assert state.phase is Phase.FALLING
+    for _ in range(12):
+        state = scanned(plan, state, 0.0)
+    assert state.phase is Phase.RESTING
+    assert state.stroke == 5
+
+
 @pytest.mark.parametrize(
     ("creep", "swing", "rests"), [(0.0, 0.0, True), (1.1e-3, 0.0, True), (0.0, 6e-3, False)]
 )
