@@ -18,6 +18,7 @@ _LEAST_TURN_RAD = 8e-3  # of a triangle, out or back
 _CONSTANT = 1e-3  # of the spool: a step's command stands
 _SLOW_RAD_S = 2e-3  # above it the encoder surely moves, and the play is on one side
 _CROSSED_RAD = 2e-3  # after so much of a triangle the load has come along
+_STANDS_RAD_S, _STANDS_S = 1.0e-3, 0.1  # no longer moving, and for how long
 _SMOOTH_S = 0.1  # of an encoder, by parabolas: half a period of the quickest swing that can be seen
 _ACCELERATION_S = 0.5  # of its second derivative, which an encoder's digit would drown otherwise
 _LEAST_SMOOTHED = 5  # readings
@@ -109,10 +110,26 @@ def triangles_in(seen: JointSeen, motion: JointMotion) -> list[Triangle]:
         constant = np.ptp(seen.valve[first:end]) < _CONSTANT
         if constant or np.ptp(seen.q[first:end, seen.joint]) < _LEAST_TURN_RAD:
             continue
-        inside = (motion.t > seen.t[first]) & (motion.t < seen.t[end - 1])
+        inside = (motion.t > seen.t[first]) & (motion.t < _stands_at(motion, seen.t[first], seen.t[end - 1]))
         turned = sense[first] * (motion.q - seen.q[first, seen.joint])
         moves = (sense[first] * motion.v > _SLOW_RAD_S) & (turned > _CROSSED_RAD)
         rows = np.flatnonzero(inside & moves)
         if len(rows) >= _LEAST_FRAMES:
             found.append(Triangle(rows, float(sense[first])))
     return found
+
+
+def _stands_at(motion: JointMotion, first: float, last: float) -> float:
+    """When (s) the joint, having moved between ``first`` and ``last``, stands; ``last`` if it never does.
+
+    A load that swings stands at its turn and may come back through the play: from there on the side on which
+    it lies is not known.
+    """
+    fine = (motion.fine_t >= first) & (motion.fine_t <= last)
+    t, q = motion.fine_t[fine], motion.fine_q[fine]
+    step = float(motion.fine_t[1] - motion.fine_t[0])
+    stands = np.abs(np.gradient(q, step)) < _STANDS_RAD_S
+    moved = np.abs(q - q[0]) > _CROSSED_RAD
+    lasting = np.convolve(stands & moved, np.ones(max(round(_STANDS_S / step), 1)), mode="full")[: len(q)]
+    found = np.flatnonzero(lasting >= round(_STANDS_S / step) - 0.5)
+    return float(t[found[0]] - _STANDS_S) if len(found) else last

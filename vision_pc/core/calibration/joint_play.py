@@ -21,6 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from protocol.errors import MeasurementFailed
+from vision_pc.core.calibration.block_spread import block_spreads
 from vision_pc.core.calibration.boom_swing import Swing, rest_of, swing_columns, swings_in
 from vision_pc.core.calibration.joint_motion import (
     JointMotion,
@@ -54,10 +55,11 @@ class PlayFound(NamedTuple):
 
 
 class _Fit(NamedTuple):
-    """Half the play (rad), delay (s), and what the fit leaves (rad)."""
+    """Half the play (rad), delay (s), the camera's ``turn`` over the joint's, what the fit leaves (rad)."""
 
     half: float
     delay: float
+    turn: float
     residual: float
 
 
@@ -120,35 +122,41 @@ def _swinging(sight: _Sight) -> _Sight:
 
 
 def _found(sight: _Sight) -> PlayFound:
-    """The spread is that of leaving out one triangle after the other: what a fit cannot tell of a swing is
-    alike from frame to frame.
-    """
-    whole, n = _fit(sight), len(sight.triangles)
-    others = [_fit(sight._replace(triangles=_but(sight.triangles, k))) for k in range(n)]
-    widened = (n - 1) / math.sqrt(n) * math.sqrt((n - 1) / (n - 3))
-    half_std, delay_std = (widened * float(np.std([fit[k] for fit in others])) for k in (0, 1))
+    """The spread is that of triangles: what a fit cannot tell of a swing is alike from frame to frame."""
+    turned, columns = _columns(sight)
+    whole = _solved(turned, columns)
+    sums = np.zeros((2, columns.shape[1]))  # of small changes of the unknowns: half the play, the delay
+    sums[0, 1], sums[0, 4] = -whole.half / whole.turn, 1.0 / whole.turn
+    sums[1, 1], sums[1, 5] = -whole.delay / whole.turn, -1.0 / whole.turn
+    sizes = [len(one.rows) for one in sight.triangles]
+    half_std, delay_std = block_spreads(columns, turned, sums, sizes)
     return PlayFound(
         half=whole.half,
         half_std=math.hypot(half_std, _FLOOR_RAD, _FLOOR_SHARE * whole.half),
         delay=whole.delay,
         delay_std=math.hypot(delay_std, _DELAY_FLOOR_S),
         residual=whole.residual,
-        triangles=n,
+        triangles=len(sizes),
     )
 
 
-def _but(triangles: list[Triangle], k: int) -> list[Triangle]:
-    return [*triangles[:k], *triangles[k + 1 :]]
-
-
 def _fit(sight: _Sight) -> _Fit:
+    return _solved(*_columns(sight))
+
+
+def _solved(turned: Array, columns: Array) -> _Fit:
+    units = np.maximum(np.abs(columns).max(axis=0), 1e-12)
+    scaled, *_ = np.linalg.lstsq(columns / units, turned, rcond=None)
+    found = scaled / units
+    turn = float(found[1])
+    return _Fit(float(found[4]) / turn, -float(found[5]) / turn, turn, rest_of(turned, columns))
+
+
+def _columns(sight: _Sight) -> tuple[Array, Array]:
+    """What odometry saw (m,), and all that may have made it (m, k)."""
     turned, fixed = _system(sight)
     swings = [swing_columns(swing, sight.motion, sight.triangles) for swing in sight.swings]
-    matrix = np.hstack([fixed, *(swings or [_lagging(sight)])])
-    units = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
-    scaled, *_ = np.linalg.lstsq(matrix / units, turned, rcond=None)
-    solved = scaled / units
-    return _Fit(float(solved[4] / solved[1]), -float(solved[5] / solved[1]), rest_of(turned, matrix))
+    return turned, np.hstack([fixed, *(swings or [_lagging(sight)])])
 
 
 def _lagging(sight: _Sight) -> Array:
