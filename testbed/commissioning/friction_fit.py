@@ -14,7 +14,7 @@ import numpy as np
 
 from controller.core.excitation.plan import StrokeKind
 from protocol.errors import MeasurementFailed
-from testbed.commissioning.ramp_fit import smoothed_speed
+from testbed.commissioning.ramp_rows import smoothed_speed
 from testbed.commissioning.recording import Array, StrokeRecord
 from testbed.commissioning.uncertain import Uncertain, repeated
 

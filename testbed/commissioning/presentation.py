@@ -9,7 +9,7 @@ from rich.table import Table
 from controller.core.excitation.plan import StrokeKind
 from nominal_arm.description import JOINT_NAMES
 from testbed.commissioning.findings import JointFindings
-from testbed.commissioning.ramp_fit import smoothed_speed
+from testbed.commissioning.ramp_rows import smoothed_speed
 from testbed.commissioning.recording import JointRecording, strokes_in
 from testbed.commissioning.session import ToldNumber, TrialsTold
 from testbed.commissioning.uncertain import Uncertain

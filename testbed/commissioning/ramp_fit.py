@@ -1,6 +1,8 @@
 """The rims of one valve edge, its flow and its oil's compliance from triangles, its delay from steps; pure.
 
-Integrated once, dq/dt = g e f(u − c) − κ dp/dt is linear in all but the rims c: they alone are sought.
+Integrated once, dq/dt = g e f(u − c) − κ dp/dt − α da/dt is linear in all but the rims c: they alone are
+sought. a(p) is how far air in the oil is compressed: a slew's chambers stand a few bar above the tank, where
+it makes the oil softer by a third, and what it swallows while a ramp rises would be taken for deadband.
 """
 
 from collections.abc import Sequence
@@ -11,21 +13,16 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from protocol.errors import MeasurementFailed
+from testbed.commissioning.ramp_rows import Half, halves_of, plateaus, rate_of
 from testbed.commissioning.recording import Array, StrokeRecord
 from testbed.commissioning.uncertain import Uncertain
 
-SLOW, _FAST = 0.15, 0.92  # of the ramp's top speed, between which its halves are used
-_SMOOTH_S = 0.2  # of the speed that sorts samples; the fit itself uses angles
-FED_BAR = 1.0  # above the tank: less, and a chamber is filled from there, and its edge meters nothing
-_SWINGS_RAD = 5.0e-5  # left by rows in motion, from which on rows with flow are tried: a load swings
 _OPENING = 0.3  # of the rising ramp, in which the valve may still be closed
-_LEAST_S = 0.2  # in motion, on one half of a triangle or on a step
-_GAP_SAMPLES = 20
-CLEARLY = 1.3  # times less is left: more than chance
-_SETTLES_S = 0.15  # a step's flow, after its delay
+_SHARED = 4  # unknowns of all parts, before an offset each
 _DELAYS_S = np.arange(0.0, 0.3, 0.001)
 _GAIN_FLOOR = 0.01
 _CURVATURE_STD = 1.0  # prior of the flow's curvature: progressive notches have 0.7
+_AIR_BAR = 80.0  # prior of what air makes of the compliance: 1 % of air in oil that is as stiff as 8000 bar
 NOISE_RAD = 2.0e-5  # of an encoder reading
 
 
@@ -39,16 +36,21 @@ class _Part(NamedTuple):
 
 class RampFits(NamedTuple):
     """All triangles of one sense. ``gain``: flow over nominal where the valve opens; ``curvature`` k of the
-    flow, f(x) = x + k x²; ``compliance``: κ (rad/bar); arrays (n,), one number a triangle: spools where flow
-    begins and ends, the command's rate (1/s), residual (rad)."""
+    flow, f(x) = x + k x²; ``compliance``: κ (rad/bar); ``residual`` (rad).
+
+    One a half of a triangle, (m,): ``rims``, the spools where flow begins or ends; ``ways``, 1 where it
+    begins, −1 where it ends; ``rates`` of the command (1/s); ``covariance`` (m, m) of the rims, as far as
+    what is left is chance.
+    """
 
     gain: Uncertain
     curvature: float
     compliance: float
-    rising: Array
-    falling: Array
-    rate: Array
-    residual: Array
+    rims: Array
+    ways: Array
+    rates: Array
+    covariance: Array
+    residual: float
 
 
 class StepFit(NamedTuple):
@@ -61,42 +63,15 @@ class StepFit(NamedTuple):
 
 
 def fit_flowing(triangles: Sequence[StrokeRecord], steps: Sequence[tuple[StrokeRecord, float]]) -> RampFits:
-    """The fit by rows in motion; where a load swings, by rows with flow, if that leaves clearly less.
+    """The fit by rows with flow, and where they are too few by rows in motion.
 
     A load that swings on its oil is quick and slow while the flow hardly changes, and rows that are sorted by
     its speed hold such in which the spool still stands in its hysteresis.
     """
     try:
-        by_speed = fit_ramps(triangles, steps)
-    except MeasurementFailed as error:
-        return _fit_by_flow(triangles, steps, error)
-    left = float(np.sqrt(np.mean(by_speed.residual**2)))
-    if left < _SWINGS_RAD:
-        return by_speed
-    try:
-        by_flow = _fit_by_flow(triangles, steps, None)
+        return fit_ramps(triangles, steps, _compliance(triangles))
     except MeasurementFailed:
-        return by_speed
-    return by_flow if CLEARLY * float(np.sqrt(np.mean(by_flow.residual**2))) < left else by_speed
-
-
-def _fit_by_flow(
-    triangles: Sequence[StrokeRecord],
-    steps: Sequence[tuple[StrokeRecord, float]],
-    error: MeasurementFailed | None,
-) -> RampFits:
-    """By the triangles whose both halves show flow. Raises ``error``, if any, where two are too few."""
-    compliance = _compliance(triangles)
-    told, why = [], error
-    for stroke in triangles:
-        try:
-            _halves(stroke, compliance)
-            told.append(stroke)
-        except MeasurementFailed as short:
-            why = why or short
-    if why is not None and len(told) < 2:
-        raise why
-    return fit_ramps(told, steps, compliance)
+        return fit_ramps(triangles, steps)
 
 
 def _compliance(triangles: Sequence[StrokeRecord]) -> float:
@@ -117,7 +92,7 @@ def fit_ramps(
     steps: Sequence[tuple[StrokeRecord, float]] = (),
     compliance: float = 0.0,
 ) -> RampFits:
-    """The RampFits of one sense's triangles: one gain, curvature and compliance, two rims each.
+    """The RampFits of one sense's triangles: one gain, curvature, compliance and share of air, two rims each.
 
     ``steps``, each with its delay (s), reach further open than triangles: they tell the curvature.
     ``compliance`` (rad/bar) sorts rows by the flow that it makes of speed and pressure; 0: by the speed.
@@ -125,87 +100,79 @@ def fit_ramps(
     Given the rims, all else is linear: they alone are sought, by Gauss-Newton. Raises MeasurementFailed when
     too little of a triangle moved, or when flow over nominal is not positive.
     """
-    rates = np.array([_rate(stroke) for stroke in triangles])
-    one_each = iter(np.eye(2 * len(triangles)))
-    halves = [
-        _Part(stroke, rows, next(one_each)) for stroke in triangles for rows in _halves(stroke, compliance)
+    halves = halves_of(triangles, compliance)
+    ways, rates = np.array([half.way for half in halves]), np.array([rate_of(half.stroke) for half in halves])
+    parts = [
+        _Part(half.stroke, rows, own)
+        for half, own in zip(halves, np.eye(len(halves)), strict=True)
+        for rows in half.runs
     ]
-    outward = np.zeros(2 * len(triangles))
-    outward[0::2] = _at_rest(rates)
-    parts = halves + [_Part(s, rows, outward) for s, delay in steps for rows in _plateau(s, delay)]
-    start = np.array([stroke.u[rows].min() for stroke, rows, _ in halves])
-
-    def left_at(rims: Array) -> Array:
-        return _misfit(parts, rims)[0]
-
-    fit = least_squares(left_at, start, x_scale=1e-3, method="lm")
-    left, found = _misfit(parts, fit.x)
+    told = sum(len(part.rows) for part in parts)
+    outward = np.zeros(len(halves))
+    outward[ways > 0.0] = _at_rest(rates[ways > 0.0])
+    parts += [_Part(s, rows, outward) for s, delay in steps for rows in plateaus(s, delay)]
+    airy = _AIR_BAR * _compliance(triangles)
+    rims, jacobian = _rims(parts, halves, np.column_stack([np.ones_like(ways), ways, ways * rates]), airy)
+    left, found = _misfit(parts, rims, airy)
     if not found[0] > 0.0:
         raise MeasurementFailed(
             "measurement.ramp_unlike_model", f"flow over nominal is {found[0]:.3g}, wanted > 0"
         )
-    ends = np.cumsum([0, *(len(rows) for _, rows, _ in halves)])
-    residual = [float(np.sqrt(np.mean(left[ends[k] : ends[k + 2]] ** 2))) for k in range(0, len(halves), 2)]
+    residual = float(np.sqrt(np.mean(left[:told] ** 2)))
     return RampFits(
         gain=Uncertain(float(found[0]), _GAIN_FLOOR * float(found[0])),
         curvature=float(found[1] / found[0]),
         compliance=float(found[2]),
-        rising=fit.x[0::2],
-        falling=fit.x[1::2],
-        rate=rates,
-        residual=np.array(residual),
+        rims=rims,
+        ways=ways,
+        rates=rates,
+        covariance=np.asarray(np.linalg.pinv(jacobian.T @ jacobian) * residual**2),
+        residual=residual,
     )
 
 
-def _misfit(parts: Sequence[_Part], rims: Array) -> tuple[Array, Array]:
-    """What the best linear fit at these rims leaves (rad), and its gain, gain · curvature, κ, and offsets."""
+def _rims(parts: Sequence[_Part], halves: Sequence[Half], tied: Array, airy: float) -> tuple[Array, Array]:
+    """The rims (m,) that leave the least, and the derivatives of what is left; ``tied`` (m, 3): by what few
+    numbers rims of one valve go together."""
+
+    def left_at(rims: Array) -> Array:
+        return _misfit(parts, rims, airy)[0]
+
+    def left_by(few: Array) -> Array:
+        return left_at(tied @ few)
+
+    # From where rows begin, a short half may end beyond all its rows, where no flow says which way is back.
+    seen = np.array([min(half.stroke.u[rows].min() for rows in half.runs) for half in halves])
+    together = least_squares(left_by, np.linalg.pinv(tied) @ seen, x_scale=1e-3, method="lm")
+    fits = [least_squares(left_at, start, x_scale=1e-3, method="lm") for start in (seen, tied @ together.x)]
+    fit = min(fits, key=lambda one: float(one.cost))
+    return np.asarray(fit.x), np.asarray(fit.jac)
+
+
+def _misfit(parts: Sequence[_Part], rims: Array, airy: float) -> tuple[Array, Array]:
+    """What the best linear fit at these rims leaves (rad), and its gain, gain · curvature, κ, α, and offsets.
+
+    ``airy``: prior of α (rad); where it is 0, or no ``air`` is told, α is 0.
+    """
     blocks, targets = [], []
     for k, (stroke, rows, weights) in enumerate(parts):
         beyond = np.maximum(stroke.u[rows] - weights @ rims, 0.0)
-        block = np.zeros((len(rows), 3 + len(parts)))
+        block = np.zeros((len(rows), _SHARED + len(parts)))
         block[:, 0] = _integral(stroke.t[rows], stroke.e[rows] * beyond)
         block[:, 1] = _integral(stroke.t[rows], stroke.e[rows] * beyond**2)
         block[:, 2] = -(stroke.inlet[rows] - stroke.inlet[rows[0]])
-        block[:, 3 + k] = 1.0
+        block[:, 3] = -(stroke.air[rows] - stroke.air[rows[0]]) if airy > 0.0 else 0.0
+        block[:, _SHARED + k] = 1.0
         blocks.append(block)
         targets.append(stroke.turned[rows])
-    prior = np.zeros((1, 3 + len(parts)))
+    prior = np.zeros((2, _SHARED + len(parts)))
     scale = max(float(np.abs(blocks[0][:, 0]).max()), 1e-9) / max(float(np.abs(targets[0]).max()), 1e-9)
     prior[0, 1] = NOISE_RAD * scale / _CURVATURE_STD
-    matrix, wanted = np.vstack([*blocks, prior]), np.concatenate([*targets, np.zeros(1)])
+    prior[1, 3] = NOISE_RAD / airy if airy > 0.0 else 1.0
+    matrix, wanted = np.vstack([*blocks, prior]), np.concatenate([*targets, np.zeros(len(prior))])
     units = np.maximum(np.abs(matrix).max(axis=0), 1e-12)
     solved, *_ = np.linalg.lstsq(matrix / units, wanted, rcond=None)
     return wanted - (matrix / units) @ solved, solved / units
-
-
-def _rate(stroke: StrokeRecord) -> float:
-    return float(np.median(np.abs(np.diff(stroke.u)) / np.diff(stroke.t)))
-
-
-def _halves(stroke: StrokeRecord, compliance: float) -> list[NDArray[np.intp]]:
-    """The rows in motion, or with flow, on either half of a triangle, rising first, while its edge meters."""
-    speed = smoothed_speed(stroke, compliance)
-    top = float(speed.max())
-    index = np.arange(len(speed))
-    slow = np.abs(np.gradient(stroke.u, stroke.t)) < 1.5 * _rate(stroke)  # not the quick turn at the top
-    usable = (speed > SLOW * top) & (speed < _FAST * top) & slow & (stroke.fed_bar > FED_BAR)
-    found = []
-    for name, half in (("rising", usable & (index < stroke.top)), ("falling", usable & (index > stroke.top))):
-        rows = _longest_run(half)
-        seconds = float(stroke.t[rows[-1]] - stroke.t[rows[0]]) if len(rows) else 0.0
-        if seconds < _LEAST_S:
-            raise MeasurementFailed(
-                "measurement.ramp_too_short",
-                f"{seconds:.2f} s in motion on the {name} ramp, at least {_LEAST_S:g} s wanted",
-            )
-        found.append(rows)
-    return found
-
-
-def _plateau(stroke: StrokeRecord, delay: float) -> list[NDArray[np.intp]]:
-    """The rows of a step once its flow is steady and metered by the edge that is told."""
-    rows = _longest_run((stroke.t > delay + _SETTLES_S) & (stroke.fed_bar > FED_BAR))
-    return [rows] if len(rows) and stroke.t[rows[-1]] - stroke.t[rows[0]] >= _LEAST_S else []
 
 
 def _at_rest(rates: Array) -> Array:
@@ -215,16 +182,6 @@ def _at_rest(rates: Array) -> Array:
         return np.full(len(rates), 1.0 / len(rates))
     matrix = np.column_stack([np.ones_like(rates), rates])
     return np.asarray(np.linalg.pinv(matrix)[0])
-
-
-def _longest_run(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """The longest run of samples for which ``flags`` hold; a swing may interrupt it shortly."""
-    rows = np.flatnonzero(flags)
-    if len(rows) == 0:
-        return rows
-    runs = np.split(rows, np.flatnonzero(np.diff(rows) > _GAP_SAMPLES) + 1)
-    longest = max(runs, key=len)
-    return np.arange(longest[0], longest[-1] + 1)
 
 
 def fit_step(stroke: StrokeRecord) -> StepFit:
@@ -244,16 +201,6 @@ def fit_step(stroke: StrokeRecord) -> StepFit:
         raise MeasurementFailed("measurement.step_too_short", f"a step of {stroke.t[-1]:.3f} s")
     residual, delay, speed = best
     return StepFit(float(stroke.u[stroke.top]), delay, speed, residual)
-
-
-def smoothed_speed(stroke: StrokeRecord, compliance: float = 0.0) -> Array:
-    """The mean speed (n,) rad/s along the stroke's sense over a window about each sample; with
-    ``compliance`` (rad/bar) that of the oil that flows in."""
-    passed = stroke.turned + compliance * stroke.inlet
-    half = max(1, round(0.5 * _SMOOTH_S / float(np.median(np.diff(stroke.t)))))
-    index = np.arange(len(stroke.t))
-    before, after = np.maximum(index - half, 0), np.minimum(index + half, len(index) - 1)
-    return np.asarray((passed[after] - passed[before]) / (stroke.t[after] - stroke.t[before]))
 
 
 def _integral(t: Array, values: Array) -> Array:

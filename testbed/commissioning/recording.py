@@ -15,6 +15,10 @@ from protocol.errors import ConfigurationError
 
 Array = NDArray[np.float64]
 
+_ATMOSPHERE_BAR = 1.01
+_LEAST_BAR = 0.1  # cavitation: nothing is told of air there
+_POLYTROPIC = 1.2  # of air in oil: 1 where it keeps the oil's temperature, 1.4 where it has no time to
+
 
 class SeenPose(NamedTuple):
     """The camera's pose in its first frame (4, 4) by odometry, at ``time_ns`` of the controller's clock."""
@@ -100,10 +104,10 @@ class StrokeRecord(NamedTuple):
 
     ``u`` (n,): the spool's size; ``turned`` (n,) rad; ``q`` (n,). ``e`` (n,) rad/s: nominal speed at full
     opening by the pressure left across the edge that fills, ``inlet`` (n,) bar: of the chamber that it fills.
-    ``e_by_load``, ``load`` (n,): the same for a valve whose edges are alike, by p_a − ratio · p_b, bar,
-    positive against the motion. ``e_by_outlet``, ``outlet``: as the first two, of the edge and the chamber
-    that are emptied. ``fed_bar`` (n,): by how much ``inlet`` is above the tank. ``nominal`` (n,) rad/s:
-    at the rated pressures. ``top``: index of the greatest spool.
+    ``load`` (n,): p_a − ratio · p_b, bar, positive against the motion. ``e_by_outlet``, ``outlet``: as ``e``
+    and ``inlet``, of the edge and the chamber that are emptied. ``fed_bar`` (n,): by how much ``inlet`` is
+    above the tank. ``air`` (n,): how far air in the oil of ``inlet`` is compressed, as a share of its volume
+    at the atmosphere. ``nominal`` (n,) rad/s: at the rated pressures. ``top``: index of the greatest spool.
     """
 
     kind: StrokeKind
@@ -113,7 +117,6 @@ class StrokeRecord(NamedTuple):
     turned: Array
     e: Array
     inlet: Array
-    e_by_load: Array
     load: Array
     q: Array
     top: int
@@ -121,6 +124,12 @@ class StrokeRecord(NamedTuple):
     e_by_outlet: Array
     outlet: Array
     fed_bar: Array
+    air: Array
+
+    @property
+    def compensated(self) -> bool:
+        """Whether ``e`` is that of a valve whose flow is independent of the load."""
+        return np.array_equal(self.e, self.nominal)
 
 
 def strokes_in(recording: JointRecording, compensated: bool) -> list[StrokeRecord]:
@@ -154,7 +163,6 @@ def _along(rec: JointRecording, kind: StrokeKind, rows: NDArray[np.intp], sense:
         turned=sense * (q - q[0]),
         e=_available(rec, rows, inlet, sense),
         inlet=inlet,
-        e_by_load=_available_by_load(rec, rows, load, sense),
         load=sense * load,
         q=q,
         top=int(np.argmax(u)),
@@ -162,7 +170,13 @@ def _along(rec: JointRecording, kind: StrokeKind, rows: NDArray[np.intp], sense:
         e_by_outlet=_available_by_outlet(rec, rows, outlet, sense),
         outlet=outlet,
         fed_bar=inlet - rec.back[rows],
+        air=air_compressed(inlet),
     )
+
+
+def air_compressed(pressure: Array) -> Array:
+    """The share (n,) of its volume at the atmosphere that air loses at ``pressure`` (bar, absolute)."""
+    return np.asarray(1.0 - (_ATMOSPHERE_BAR / np.maximum(pressure, _LEAST_BAR)) ** (1.0 / _POLYTROPIC))
 
 
 def _available(rec: JointRecording, rows: NDArray[np.intp], inlet: Array, sense: float) -> Array:
@@ -190,13 +204,3 @@ def _available_by_outlet(rec: JointRecording, rows: NDArray[np.intp], outlet: Ar
     rated = (r * r * (supply - r * back) if raising else r * supply - back) / (1.0 + r**3)
     left = np.maximum(outlet - rec.back[rows], 0.0)
     return np.asarray(rec.full_speed[rows, 0 if raising else 1] * np.sqrt(left / rated))
-
-
-def _available_by_load(rec: JointRecording, rows: NDArray[np.intp], load: Array, sense: float) -> Array:
-    """Nominal speed with the load's pressure taken off, as in ``drives.full_spool_speeds``."""
-    ratio, (supply, back) = rec.area_ratio, rec.rated
-    if sense > 0.0:
-        left = rec.supply[rows] - ratio * rec.back[rows] - load
-        return np.asarray(rec.full_speed[rows, 0] * np.sqrt(np.maximum(left, 1.0) / (supply - ratio * back)))
-    left = ratio * rec.supply[rows] - rec.back[rows] + load
-    return np.asarray(rec.full_speed[rows, 1] * np.sqrt(np.maximum(left, 1.0) / (ratio * supply - back)))

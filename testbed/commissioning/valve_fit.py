@@ -1,14 +1,13 @@
 """Deadband, hysteresis, delay and flow of one valve edge from ramps and steps; pure functions.
 
-Above the deadband's rim c the joint moves with dq/dt = g e f(u − c) − κ dp/dt, f(x) = x + k x²: g is the
-true flow over the nominal one, e the nominal speed at full opening at the measured pressures, u the spool, p
-the pressure of the chamber that is filled and κ its oil's compliance. Integrated once, every unknown is a
-factor of a measured signal: encoders are not differentiated, and the oil that fills the chambers instead of
-moving the load is not taken for deadband.
+Above the deadband's rim c the joint moves with dq/dt = g e f(u − c) − κ dp/dt − α da/dt, f(x) = x + k x²: g
+is the true flow over the nominal one, e the nominal speed at full opening at the measured pressures, u the
+spool, p the pressure of the chamber that is filled, κ its oil's compliance and a(p) how far the air in it is
+compressed. Integrated once, every unknown is a factor of a measured signal: encoders are not differentiated,
+and the oil that fills the chambers instead of moving the load is not taken for deadband.
 
 On its way up the spool lags behind its command by half the hysteresis h and by the delay τ, on its way down
-it leads by the first: c_rising = d + h/2 + ρ τ, c_falling = d − h/2 − ρ τ at the ramp's rate ρ. So the mean
-is the deadband d, whatever h and τ are.
+it leads by the first: c_rising = d + h/2 + ρ τ, c_falling = d − h/2 − ρ τ at the ramp's rate ρ: ``loop_fit``.
 
 A load that runs ahead of its oil empties the chamber behind it as fast as the *outlet* edge lets it, while
 the other one is filled from the tank: then e and p are the outlet's, and so is the deadband. Return edges
@@ -17,7 +16,6 @@ has to be pushed at greater ones, within one ramp: each reading is fitted by the
 outlet that has a few bar left is no longer turbulent, e ∝ √(Δp / √(1 + (δ/Δp)²)): δ is found along.
 """
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -26,27 +24,18 @@ from scipy.optimize import minimize_scalar
 
 from controller.core.excitation.plan import StrokeKind
 from protocol.errors import MeasurementFailed
-from testbed.commissioning.ramp_fit import (
-    CLEARLY,
-    FED_BAR,
-    NOISE_RAD,
-    SLOW,
-    RampFits,
-    fit_flowing,
-    fit_step,
-    smoothed_speed,
-)
-from testbed.commissioning.recording import StrokeRecord
+from testbed.commissioning.loop_fit import Floor, loop_of
+from testbed.commissioning.ramp_fit import fit_flowing, fit_step
+from testbed.commissioning.ramp_rows import FED_BAR, SLOW, smoothed_speed
+from testbed.commissioning.recording import StrokeRecord, air_compressed
 from testbed.commissioning.uncertain import Uncertain, repeated
 
 _LAMINAR_BAR = 8.0  # the most at which an edge's flow may turn from laminar to turbulent
 _MOSTLY, _PARTLY = 0.5, 0.05  # of the ramps' motion, in which the load runs ahead
-# Standard deviation of what repeating does not average out: leakage past the spool and the orifice's laminar
-# part shift the rim, the other errors grow with the deadband, and with the square of what the model leaves: a
-# load that swings on its load-holding valve. [M] 92 deadbands of drawn machines, 7400 to 7418.
-_RIM_FLOOR, _RIM_SHARE = 4.2e-5, 0.00175
+# What repeating does not average out: leakage past the spool and the orifice's laminar part shift the rim of
+# a flow that depends on the load. [M] one joint of each of 9301 to 9330.
+_DEPENDENT, _COMPENSATED = Floor(6.5e-5, 2.0e-5), Floor(1.5e-5, 8.0e-6)
 _DELAY_FLOOR_S = 0.003
-_WIDTH_FLOOR, _WIDTH_SHARE = 8.0e-6, 6.0e-4  # of spool, of the rim; [M] one joint of each of 7500 to 7528
 
 
 class EdgeFindings(NamedTuple):
@@ -74,34 +63,19 @@ class EdgeFindings(NamedTuple):
 def edge_findings(strokes: Sequence[StrokeRecord], sense: float) -> EdgeFindings:
     """What the strokes of one sense say. Raises MeasurementFailed where they say too little.
 
-    Both readings of the pressures are tried: the filling edge alone, which holds for every valve, and four
-    edges alike, which suffers less from air in the oil. The second is told where it leaves clearly less, and
-    may say nothing. Where the load runs ahead neither holds, and the outlet edge is told; that also holds
-    where it runs ahead in so much of the ramps that what is left says too little.
+    The filling edge tells, unless the load runs ahead of its oil: then the outlet edge does, also where so
+    much of the ramps is ahead that what is left says too little.
     """
     mine = [stroke for stroke in strokes if stroke.sense == sense]
     ahead = _runs_ahead(mine)
     if ahead > _MOSTLY:
         return _by_outlet(mine)
-    alike = [stroke._replace(e=stroke.e_by_load, inlet=stroke.load) for stroke in mine]
-    filling, why = _told(mine)
-    all_four, _ = _told(alike)
-    if (filling is None or all_four is None) and ahead >= _PARTLY:
-        return _by_outlet(mine)
-    if why is not None:
-        raise why
-    assert filling is not None
-    if all_four is not None and all_four.residual * CLEARLY < filling.residual:
-        return all_four
-    return filling
-
-
-def _told(strokes: Sequence[StrokeRecord]) -> tuple[EdgeFindings | None, MeasurementFailed | None]:
-    """What one reading of the pressures says, or why it says nothing."""
     try:
-        return _found(strokes), None
-    except MeasurementFailed as error:
-        return None, error
+        return _found(mine)
+    except MeasurementFailed:
+        if ahead < _PARTLY:
+            raise
+        return _by_outlet(mine)
 
 
 def _full_triangles(strokes: Sequence[StrokeRecord]) -> list[StrokeRecord]:
@@ -140,7 +114,9 @@ def _emptying(stroke: StrokeRecord, laminar_bar: float) -> StrokeRecord:
     back = stroke.inlet - stroke.fed_bar
     drop = np.maximum(stroke.outlet - back, 1e-9)
     e = stroke.e_by_outlet * np.sqrt(drop / np.hypot(drop, laminar_bar))
-    return stroke._replace(e=e, inlet=-stroke.outlet, fed_bar=stroke.outlet - back)
+    return stroke._replace(
+        e=e, inlet=-stroke.outlet, fed_bar=stroke.outlet - back, air=-air_compressed(stroke.outlet)
+    )
 
 
 def _found(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
@@ -151,40 +127,16 @@ def _found(strokes: Sequence[StrokeRecord]) -> EdgeFindings:
         why = f"{len(triangles)} full ramps and {len(steps)} steps: two of each are wanted"
         raise MeasurementFailed("measurement.too_few_strokes", why)
     ramps = fit_flowing(triangles, [(s, fit.delay) for s, fit in zip(stepped, steps, strict=True)])
-    middle = 0.5 * (ramps.rising + ramps.falling)
-    residual = float(np.sqrt(np.mean(ramps.residual**2)))
-    beyond = max(residual / NOISE_RAD, 1.0)  # what is left beyond the noise is the model's
-    hysteresis, lag = _loop(ramps, beyond)
-    floor = beyond**2 * math.hypot(_RIM_FLOOR, _RIM_SHARE * float(middle.mean()))
+    floor = _COMPENSATED if all(s.compensated for s in strokes) else _DEPENDENT
+    loop = loop_of(ramps, floor)
     return EdgeFindings(
-        deadband=repeated(middle.tolist(), floor),
-        hysteresis=hysteresis,
-        lag=lag,
+        deadband=loop.deadband,
+        hysteresis=loop.hysteresis,
+        lag=loop.lag,
         response=repeated([step.delay for step in steps], _DELAY_FLOOR_S),
         gain=ramps.gain,
         curvature=ramps.curvature,
         compliance=ramps.compliance,
         flow=tuple((step.spool, step.relative_speed) for step in steps),
-        residual=residual,
+        residual=ramps.residual,
     )
-
-
-def _loop(ramps: RampFits, beyond: float) -> tuple[Uncertain, Uncertain]:
-    """Hysteresis (of spool) and lag (s): the loop's width is h + 2 ρ τ, at two rates ρ or more.
-
-    ``beyond``: times the floor of the spread. What the floor stands for all widths share, whatever their
-    rate: the hysteresis has it once, and reaching from two rates to rate 0 does not multiply it, as it does
-    scatter.
-    """
-    width = ramps.rising - ramps.falling
-    matrix = np.column_stack([np.ones_like(width), 2.0 * ramps.rate])
-    if np.ptp(ramps.rate) < 0.2 * ramps.rate.mean():
-        raise MeasurementFailed(
-            "measurement.one_pace", "all ramps have one pace: hysteresis and lag look alike"
-        )
-    found, *_ = np.linalg.lstsq(matrix, width, rcond=None)
-    floor = beyond * math.hypot(_WIDTH_FLOOR, _WIDTH_SHARE * float(ramps.rising.mean()))
-    scatter = 2.0 * float(np.std(width - matrix @ found))
-    reach = np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
-    hysteresis = Uncertain(float(found[0]), math.hypot(scatter * float(reach[0]), floor))
-    return hysteresis, Uncertain(float(found[1]), math.hypot(scatter, floor) * float(reach[1]))

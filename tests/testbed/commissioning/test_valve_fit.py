@@ -5,8 +5,15 @@ import pytest
 
 from controller.core.excitation.plan import StrokeKind
 from protocol.errors import MeasurementFailed
-from testbed.commissioning.ramp_fit import fit_ramps
-from testbed.commissioning.recording import StrokeRecord, load_recording, recording_of, strokes_in
+from testbed.commissioning.loop_fit import Floor, loop_of
+from testbed.commissioning.ramp_fit import RampFits, fit_ramps
+from testbed.commissioning.recording import (
+    StrokeRecord,
+    air_compressed,
+    load_recording,
+    recording_of,
+    strokes_in,
+)
 from testbed.commissioning.uncertain import Uncertain, repeated
 from testbed.commissioning.valve_fit import EdgeFindings, edge_findings
 from tests.controller.excitation.toy_valve import ToyValve, arm, plan_for, tried
@@ -17,6 +24,11 @@ def strokes_of(valve: ToyValve) -> list[StrokeRecord]:
     _, trouble, samples = tried(valve, plan)
     assert trouble is None
     return strokes_in(recording_of(arm(), valve.joint, plan.strokes, samples), compensated=False)
+
+
+def first_rows(stroke: StrokeRecord, count: int) -> StrokeRecord:
+    series = [name for name, values in stroke._asdict().items() if isinstance(values, np.ndarray)]
+    return stroke._replace(**{name: getattr(stroke, name)[:count] for name in series})
 
 
 def honest(found: Uncertain, true: float, most: float = 3.5) -> bool:
@@ -47,7 +59,6 @@ def test_a_load_that_runs_ahead_is_metered_by_its_outlet() -> None:
     strokes = [
         stroke._replace(
             e=stroke.e * (1.0 + 0.3 * stroke.t),
-            e_by_load=stroke.e * (1.0 + 0.3 * stroke.t),
             inlet=np.full_like(stroke.t, 10.0),
             fed_bar=np.zeros_like(stroke.t),
             e_by_outlet=stroke.e,
@@ -80,8 +91,8 @@ def test_a_load_that_runs_ahead_at_small_openings_alone_is_metered_by_its_inlet_
 def test_what_all_ramps_share_is_in_the_loop_once() -> None:
     """Reaching from two rates to rate 0 multiplies what differs between ramps, not what they share."""
     found = edge_findings(strokes_of(ToyValve(5, 0.10, 0.10, play=0.03)), 1.0)
-    shared = 6.0e-4 * (0.10 + 0.5 * 0.03)  # as is stated of such rims
-    assert shared <= found.hysteresis.std < 1.2 * shared
+    shared = 2.0e-5  # as is stated of valves whose flow depends on the load
+    assert shared <= found.hysteresis.std < 1.3 * shared
 
 
 def test_an_outlet_with_a_few_bar_left_is_laminar() -> None:
@@ -91,8 +102,8 @@ def test_an_outlet_with_a_few_bar_left_is_laminar() -> None:
         drop = 1.5 + 6.0 * np.exp(-stroke.t)  # bar
         turbulent = stroke.e / np.sqrt(drop / np.hypot(drop, 3.0))
         outlet = stroke.inlet - stroke.fed_bar + drop
-        tank = {"inlet": stroke.inlet - stroke.fed_bar, "fed_bar": np.zeros_like(stroke.t)}
-        strokes.append(stroke._replace(e_by_outlet=turbulent, outlet=outlet, **tank))
+        tank = stroke._replace(inlet=stroke.inlet - stroke.fed_bar, fed_bar=np.zeros_like(stroke.t))
+        strokes.append(tank._replace(e_by_outlet=turbulent, outlet=outlet))
     found = edge_findings(strokes, 1.0)
     assert found.by_outlet
     assert found.deadband.value == pytest.approx(0.05, rel=0.01)
@@ -111,6 +122,73 @@ def test_a_load_that_swings_on_its_oil_is_told_by_the_flow() -> None:
     assert found.compliance == pytest.approx(3e-4, rel=0.1)
 
 
+def test_air_in_the_oil_is_not_taken_for_deadband() -> None:
+    """A slew's chambers stand a few bar above the tank, where air makes the oil softer the less they bear:
+    taken for stiff, rising ramps seemed to begin late, and the loop seemed wider (machines 41893, 41905)."""
+    strokes = []
+    for stroke in strokes_of(ToyValve(5, 0.05, 0.06, play=0.02)):
+        inlet = 12.0 + 12.0 * (1.0 - np.exp(-stroke.turned / 0.02))
+        air = air_compressed(inlet)
+        swallowed = 6e-4 * (inlet - inlet[0]) + 0.048 * (air - air[0])
+        strokes.append(stroke._replace(turned=stroke.turned - swallowed, inlet=inlet, air=air))
+    for sense, true in ((1.0, 0.05), (-1.0, 0.06)):
+        found = edge_findings(strokes, sense)
+        assert found.deadband.value == pytest.approx(true, abs=5e-5)
+        assert found.hysteresis.value == pytest.approx(0.02, abs=1e-4)
+        blind = edge_findings([stroke._replace(air=np.zeros_like(stroke.t)) for stroke in strokes], sense)
+        assert abs(blind.deadband.value - true) > 1e-4
+
+
+def test_oil_that_moves_an_actuator_within_its_play_is_left_out() -> None:
+    """It is flow that neither presses nor turns the encoder: the ramp's first rows are not the model's."""
+    strokes = []
+    for stroke in strokes_of(ToyValve(5, 0.05, 0.05, play=0.03)):
+        pressing = np.minimum(stroke.turned, 3e-3)
+        crossed = np.clip(stroke.turned - 3e-3, 0.0, 6e-4)
+        turned, inlet = stroke.turned - pressing - crossed, stroke.inlet + pressing / 3e-4
+        strokes.append(stroke._replace(turned=turned, inlet=inlet))
+    found = edge_findings(strokes, 1.0)
+    assert found.residual < 2.5e-5
+    assert found.deadband.value == pytest.approx(0.05, abs=1e-4)
+    assert found.hysteresis.value == pytest.approx(0.03, abs=2e-4)
+
+
+def test_a_ramp_that_hardly_fell_tells_by_its_rising_half() -> None:
+    strokes = strokes_of(ToyValve(5, 0.05, 0.06, play=0.02))
+    cut = [k for k, s in enumerate(strokes) if s.kind is StrokeKind.RAMP and s.sense > 0.0][-1]
+    strokes[cut] = first_rows(strokes[cut], strokes[cut].top + 12)
+    found = edge_findings(strokes, 1.0)
+    assert found.deadband.value == pytest.approx(0.05, rel=0.01)
+    assert found.hysteresis.value == pytest.approx(0.02, rel=0.02)
+
+
+def test_a_rim_counts_as_much_as_its_rows_tell_of_it() -> None:
+    """A falling ramp of 0.2 s misses its rim by 1e-3: it is known to be that unsure."""
+    ways, rates = np.array([1.0, 1.0, -1.0, -1.0, -1.0]), np.array([0.01, 0.02, 0.01, 0.02, 0.01])
+    rims = 0.05 + ways * (0.5 * 0.02 + rates * 0.07)
+    rims[-1] += 1e-3
+    stds = np.array([1e-5, 1e-5, 1e-5, 1e-5, 1e-3])
+    told = RampFits(Uncertain(1.0, 0.01), 0.0, 0.0, rims, ways, rates, np.diag(stds**2), 2e-5)
+    loop = loop_of(told, Floor(0.0, 0.0))
+    assert honest(loop.deadband, 0.05)
+    assert loop.deadband.value == pytest.approx(0.05, abs=1e-6)
+    assert loop.hysteresis.value == pytest.approx(0.02, abs=1e-6)
+    assert loop.lag.value == pytest.approx(0.07, abs=1e-4)
+    sure = loop_of(told._replace(covariance=np.diag(np.full(5, 1e-10))), Floor(0.0, 0.0))
+    assert sure.deadband.std > 5.0 * loop.deadband.std  # scatter that its rows do not explain widens all
+
+
+def test_one_pace_is_refused() -> None:
+    strokes = [
+        s
+        for s in strokes_of(ToyValve(5))
+        if s.kind is not StrokeKind.RAMP or np.diff(s.u[:50]).max() < 1.5e-4
+    ]
+    with pytest.raises(MeasurementFailed) as raised:
+        edge_findings(strokes, 1.0)
+    assert raised.value.cause == "measurement.one_pace"
+
+
 def test_a_recording_survives_its_file(tmp_path) -> None:  # type: ignore[no-untyped-def]
     plan = plan_for(5)
     _, _, samples = tried(ToyValve(5), plan)
@@ -119,13 +197,6 @@ def test_a_recording_survives_its_file(tmp_path) -> None:  # type: ignore[no-unt
     again = load_recording(tmp_path / "joint.npz")
     assert again.joint == 5
     assert np.array_equal(again.q, recording.q)
-
-
-def test_edges_that_are_not_alike_are_told_by_the_one_that_fills() -> None:
-    """Machine 41901's tilt: read as four edges alike it had a flow below 0, and was refused for that."""
-    strokes = [stroke._replace(e_by_load=-stroke.e) for stroke in strokes_of(ToyValve(5, 0.05, 0.06))]
-    for sense, true in ((1.0, 0.05), (-1.0, 0.06)):
-        assert edge_findings(strokes, sense).deadband.value == pytest.approx(true, rel=0.02)
 
 
 def test_too_few_strokes_are_refused() -> None:
@@ -138,10 +209,8 @@ def test_too_few_strokes_are_refused() -> None:
 
 def test_a_ramp_that_hardly_moved_is_refused() -> None:
     ramp = next(stroke for stroke in strokes_of(ToyValve(5)) if stroke.kind is StrokeKind.RAMP)
-    series = ("t", "u", "turned", "e", "load", "q", "inlet", "fed_bar")
-    short = ramp._replace(**{name: getattr(ramp, name)[: ramp.top + 12] for name in series})
     with pytest.raises(MeasurementFailed) as raised:
-        fit_ramps([short])
+        fit_ramps([first_rows(ramp, ramp.top + 12)])
     assert raised.value.cause == "measurement.ramp_too_short"
 
 
