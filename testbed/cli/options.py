@@ -153,4 +153,11 @@ class IdentifyOptions(NamedTuple):
     plant_file: Annotated[
         Path, typer.Option("--out", help="Where the identified plant goes.", callback=writable)
     ] = Path("plant_identified.yaml")
+    unsure: Annotated[
+        bool,
+        typer.Option(
+            "--unsure",
+            help="Write the plant also where what is left is not noise: without σ, which do not hold.",
+        ),
+    ] = False
     workers: Annotated[int, typer.Option(min=1, max=64, help="Processes that run the plant.")] = 2

@@ -17,11 +17,12 @@ from testbed.identification.recording import MotionRecording
 
 
 def write_plant_file(
-    path: Path, found: Identified, config: PlantConfig, recording: MotionRecording
+    path: Path, found: Identified, config: PlantConfig, recording: MotionRecording, sure: bool = True
 ) -> PlantConfig:
     """Write ``config`` with what was fitted in it to ``path``; the plant that loads from there.
 
-    A parameter that the recording does not tell keeps the file's number. Raises ConfigurationError when the
+    A parameter that the recording does not tell keeps the file's number. Not ``sure``: σ do not hold, and are
+    not written. Raises ConfigurationError when the
     file cannot be written.
     """
     told = {finding.name: finding for finding in findings(found)}
@@ -30,14 +31,15 @@ def write_plant_file(
     data = changed(found.problem.base, [p for p, _ in machine], np.array([theta for _, theta in machine]))
     data["step_ms"] = _step_ms(data, config.step_ms)
     notes = {
-        key: _provenance(told[p.name], recording)
+        key: _provenance(told[p.name], recording, sure)
         for p, _ in machine
         if not told[p.name].kept
         for key in p.keys
     }
     lines = [
         f"# Identified from a recording of '{recording.about.arm}', sha256 {recording.sha256}.",
-        "# [I ±σ, recording]: fitted to it. All else is as in the plant file that the fit began with.",
+        f"# [I {'±σ' if sure else 'σ unknown'}, recording]: fitted to it."
+        " All else is as in the plant file that the fit began with.",
         *_lines(data, (), notes),
     ]
     try:
@@ -57,9 +59,10 @@ def _step_ms(data: dict[str, Any], wished: float) -> float:
     return wished
 
 
-def _provenance(finding: FittedNumber, recording: MotionRecording) -> str:
+def _provenance(finding: FittedNumber, recording: MotionRecording, sure: bool) -> str:
     spread = f"{finding.percent:.2g} %" if finding.percent < 100.0 else f"{finding.std:.2g} {finding.unit}"
-    return f"[I ±{spread}, recording {recording.sha256[:12]}]"
+    told = f"±{spread}" if sure else "σ unknown"
+    return f"[I {told}, recording {recording.sha256[:12]}]"
 
 
 def _lines(data: Any, path: Key, notes: dict[Key, str], depth: int = 0) -> list[str]:

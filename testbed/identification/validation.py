@@ -19,6 +19,10 @@ MOST_PUSHED = 4.0
 """σ: a machine without load may well be fitted with a little less than none, and is none."""
 MOST_PROMISED = 1.0
 """By how much χ² could still fall, as the last slopes tell: one σ off its minimum, all numbers together."""
+LEAST_WHITE = 0.6
+"""Of a signal's first autocorrelations, those in the band of noise. On development plants 0.8 or more in
+every signal of a plant of the model; 0.3 down to none in some signal where it has what the model does not.
+"""
 _LAGS = 20
 
 
@@ -105,6 +109,21 @@ def check_believable(found: Identified, signals: list[SignalFit]) -> None:
                 f"{one.signal}: {100.0 * one.fit:.1f} % of the held-out motion is predicted, wanted"
                 f" {100.0 * LEAST_FIT:g}: the arm behaves otherwise than the model",
             )
+
+
+def check_noise(signals: list[SignalFit]) -> None:
+    """Raise ConfigurationError where what the fit leaves of a signal is not noise: the model lacks something.
+
+    Numbers then make up for what is missing, by more than their σ, however well all motion is predicted.
+    """
+    worst = min(signals, key=lambda signal: signal.white)
+    if not worst.white >= LEAST_WHITE:
+        raise ConfigurationError(
+            "identification.not_noise",
+            f"{worst.signal}: {100.0 * worst.white:.0f} % of the autocorrelations of what is left are as of"
+            f" noise, wanted {100.0 * LEAST_WHITE:g}: the model lacks what the machine or a sensor has, and"
+            " σ do not hold; --unsure writes the plant without them",
+        )
 
 
 def _check_parameter(found: Identified, index: int, parameter: Parameter, theta: float) -> None:

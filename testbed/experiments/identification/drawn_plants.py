@@ -27,7 +27,7 @@ from testbed.identification.fit import Identified, identify
 from testbed.identification.parameters import Parameter, base_of, changed, parameters_of
 from testbed.identification.problem import plant_of
 from testbed.identification.recording import Array
-from testbed.identification.validation import check_believable, validate
+from testbed.identification.validation import check_believable, check_noise, validate
 from testbed.reporting.console import Columns, listed
 from testbed.scenarios.settings import load_settings
 
@@ -54,7 +54,8 @@ class IdentifiedRow(NamedTuple):
 
     ``fit`` and ``before``: the least share of a joint's held-out motion that the fitted plant and the plant
     file predict. ``chi2``: of what is left, over the noise. ``promised``: χ² that the fit had still to
-    fall by, as its last slopes tell. ``untuned_mm``, ``on_file_mm``, ``on_plant_mm``:
+    fall by, as its last slopes tell. ``white``: the least share of a signal's autocorrelations that are as of
+    noise. ``untuned_mm``, ``on_file_mm``, ``on_plant_mm``:
     how far (rms) the drawn plant's tool is from its reference in one motion, with the controller as
     configured, tuned on the fitted plant, and tuned on the drawn one itself; nan unless asked for.
     """
@@ -71,6 +72,7 @@ class IdentifiedRow(NamedTuple):
     before: float
     plant_runs: int
     promised: float
+    white: float
     untuned_mm: float = float("nan")
     on_file_mm: float = float("nan")
     on_plant_mm: float = float("nan")
@@ -109,9 +111,12 @@ def identified_plant(config_dir: Path, task: dict[str, Any]) -> IdentifiedRow:
     found = identify(file, told, check_recording(told, machine))
     signals = validate(found, told)
     check_believable(found, signals)
+    check_noise(signals)
     angles = [signal for signal in signals if signal.signal.endswith("angle")]
     row = _row(task["seed"], found, theta)._replace(
-        fit=min(signal.fit for signal in angles), before=min(signal.before for signal in angles)
+        fit=min(signal.fit for signal in angles),
+        before=min(signal.before for signal in angles),
+        white=min(signal.white for signal in signals),
     )
     return _with_following(row, config_dir, task, true_plant, found) if task["tuned"] else row
 
@@ -160,6 +165,7 @@ def _row(seed: int, found: Identified, theta: Array) -> IdentifiedRow:
         before=float("nan"),
         plant_runs=found.runs,
         promised=found.whole.promised,
+        white=float("nan"),
     )
 
 

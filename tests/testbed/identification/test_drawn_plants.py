@@ -11,7 +11,7 @@ from testbed.experiments.identification import drawn_plants
 from testbed.experiments.identification.drawn_plants import DrawSettings, IdentifiedRow, draw_verdict
 from tests.support.paths import CONFIGS
 
-GOOD = IdentifiedRow(1, 36, 35, 1.0, 0, 2.5, "lift play", 1.0, 0.9985, -0.5, 140, 0.1, cpu_s=60.0)
+GOOD = IdentifiedRow(1, 36, 35, 1.0, 0, 2.5, "lift play", 1.0, 0.9985, -0.5, 140, 0.1, 0.9, cpu_s=60.0)
 
 
 def _check(rows: list[IdentifiedRow], named: str) -> Check:

@@ -23,7 +23,7 @@ from testbed.identification.pressure_fit import PressureFit
 from testbed.identification.problem import FitProblem, signals
 from testbed.identification.recording import MotionRecording
 from testbed.identification.shooting import Fit
-from testbed.identification.validation import check_believable, validate, whiteness
+from testbed.identification.validation import check_believable, check_noise, validate, whiteness
 
 CONFIGS = Path(__file__).parents[3] / "configs"
 MACHINE = Machine("an arm", "0123456789abcdef", "servo")
@@ -103,6 +103,17 @@ def test_a_fit_that_was_broken_off_is_refused_by_name(
     unknown = true_fit._replace(whole=true_fit.whole._replace(promised=float("nan")))
     with pytest.raises(ConfigurationError, match="still fall by nan"):
         check_believable(unknown, signals_of)
+
+
+def test_a_fit_that_leaves_more_than_noise_is_refused_by_name(
+    true_fit: Identified, recorded: MotionRecording
+) -> None:
+    white = [signal._replace(white=0.85) for signal in validate(true_fit, recorded)]
+    check_noise(white)
+    coloured = [*white[:2], white[2]._replace(white=0.3), white[3]]
+    with pytest.raises(ConfigurationError, match=r"lift pressure b: 30 % .* wanted 60: .*--unsure") as caught:
+        check_noise(coloured)
+    assert caught.value.cause == "identification.not_noise"
 
 
 def _pushed_at_the_bound(true_fit: Identified, by: float) -> Identified:
