@@ -21,7 +21,7 @@ from testbed.identification.planning import candidates, chosen, information_of, 
 from testbed.identification.plant_file import write_plant_file
 from testbed.identification.recording import hex_hash, read_recording, write_recording
 from testbed.identification.report import first_stages, found_table, validation_table
-from testbed.identification.validation import check_believable, check_noise, validate
+from testbed.identification.validation import check_believable, check_noise, leaves_noise, validate
 from testbed.reporting.console import Columns, bars, listed, out, writable, write_json
 from testbed.scenarios.settings import load_settings
 
@@ -57,7 +57,7 @@ def run_identify(
     check_believable(found, signals)
     if not options.unsure:
         check_noise(signals)
-    write_plant_file(options.plant_file, found, asked.plant, told, sure=not options.unsure)
+    write_plant_file(options.plant_file, found, asked.plant, told, leaves_noise(signals))
     out.print(f"{options.plant_file}: the plant, as the emulator loads it", highlight=False, soft_wrap=True)
     return True
 

@@ -111,13 +111,18 @@ def check_believable(found: Identified, signals: list[SignalFit]) -> None:
             )
 
 
+def leaves_noise(signals: list[SignalFit]) -> bool:
+    """Whether what the fit leaves of every signal is noise, so that σ hold."""
+    return all(signal.white >= LEAST_WHITE for signal in signals)
+
+
 def check_noise(signals: list[SignalFit]) -> None:
     """Raise ConfigurationError where what the fit leaves of a signal is not noise: the model lacks something.
 
     Numbers then make up for what is missing, by more than their σ, however well all motion is predicted.
     """
-    worst = min(signals, key=lambda signal: signal.white)
-    if not worst.white >= LEAST_WHITE:
+    if not leaves_noise(signals):
+        worst = min(signals, key=lambda signal: signal.white)
         raise ConfigurationError(
             "identification.not_noise",
             f"{worst.signal}: {100.0 * worst.white:.0f} % of the autocorrelations of what is left are as of"

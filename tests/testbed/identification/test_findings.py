@@ -10,6 +10,8 @@ import yaml
 from foundation.configuration import load
 from plant_emulator.config.plant import PlantConfig
 from protocol.errors import ConfigurationError
+from testbed.cli import identify
+from testbed.cli.options import IdentifyOptions
 from testbed.identification.checks import Machine, check_recording
 from testbed.identification.emulated import FINE_STEP_MS, record
 from testbed.identification.excitation import Piece
@@ -186,6 +188,35 @@ def test_the_plant_file_loads_and_is_the_plant_that_was_fitted(
     there = signals(true_fit.problem, 0.0, true_fit.whole.theta)
     assert there is not None
     assert np.abs(again / true_fit.problem.std[0] - there[:, 0]).max() < 1e-3
+
+
+@pytest.mark.parametrize(("white", "told"), [(0.3, "[I σ unknown, recording"), (0.9, "[I ±0.3 %, recording")])
+def test_what_is_no_noise_is_written_when_asked_for_and_without_spreads(
+    true_fit: Identified,
+    recorded: MotionRecording,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    white: float,
+    told: str,
+) -> None:
+    left = [signal._replace(white=white) for signal in validate(true_fit, recorded)]
+    answers = {
+        "read_recording": recorded,
+        "check_recording": [1],
+        "identify": true_fit,
+        "validate": left,
+    }
+    for name, answer in answers.items():
+        monkeypatch.setattr(identify, name, lambda *_args, answer=answer: answer)
+    path, asked = tmp_path / "plant.yaml", identify.asked_of(CONFIGS, [])
+    options = IdentifyOptions(plant_file=path, workers=1)
+    if white < 0.5:
+        with pytest.raises(ConfigurationError, match="as of noise, wanted 60"):
+            identify.run_identify(asked, path, options, 1, None)
+        assert not path.exists()
+    assert identify.run_identify(asked, path, options._replace(unsure=True), 1, None)
+    assert told in path.read_text()
+    assert told.split(",", maxsplit=1)[0].replace("0.3 %", "σ") in path.read_text().splitlines()[1]
 
 
 def test_a_plant_file_that_cannot_be_written_is_one_line(
