@@ -48,7 +48,7 @@ def stood(settings: ScanSettings, state: ScanState, parking: Array, events: list
     rests, parking = _rested(law, before.rests, since_s, parking, events)
     parked = before.parked or (rests and at_rest(parking))
     if parked and not before.parked:
-        parking = parked_here(parking)
+        parking = parked_here(law, parking)
     away = norm(state.tool.J_BT[:3] @ off_place(parking)) if parked else 0.0
     astray = away > settings.parking_alarm * (_STILL_ASTRAY if before.astray else 1.0)
     if parked and not before.parked:

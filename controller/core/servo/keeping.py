@@ -10,6 +10,8 @@ on which the encoder sees it sink: noise would let it wander from one to the oth
 
 import math
 
+import numpy as np
+
 from controller.core.kinematics.rotations import Array
 from controller.core.servo.parking_state import (
     BIAS,
@@ -41,7 +43,9 @@ _CALM_S = 5.0  # quiet for so long, a kept joint needs little: less gain of a sl
 _SOFT, _SOFT_FILTER_S, _LEANS_RAD_S = 0.25, 1.0, 4e-6  # ten times what the encoder's noise makes of that gain
 _SOFT_FELT, _LEARNS_FELT = 0.4, 0.25  # instead, of a joint whose way is felt within its play,
 _EXCITED_RAD = 1e-4  # and is not calm further off
-_FELT_RAD, _FELT_S = 1e-4, 60.0  # what that way is limited to, and forgotten in: friction relaxes, too
+_FELT_RAD, _FELT_S = 1e-4, 60.0  # what that way is limited to, and forgotten in: friction relaxes, too;
+_SILENT_S = 200.0  # instead, where the encoder does not tell otherwise
+_BOTH = 2.0  # when encoder and load tell that it sank: openings between a spool's edges do next to nothing
 _HIGH_RAD, _STUBBORN_S = 1e-4, 5.0  # a joint stands so much too high for so long: its valve is shut
 
 
@@ -52,6 +56,11 @@ def kept_begun(state: Array, i: int, drift: float, load: float) -> None:
     state[SENSE, i] = 1.0 if state[ERROR, i] > state[PLACE, i] else -1.0
     state[BIAS, i] = min(max(state[SENSE, i] * drift, 0.0), _LEAKS_RAD_S)
     state[FELT, i], state[OWED, i], state[MARK, i] = load, 0.0, -_HIGH_RAD
+
+
+def calm_gain(law: ParkingLaw) -> Array:
+    """The gain (6,) of kept joints once they are calm (1/s)."""
+    return np.asarray(np.where(law.felt > 0.0, _SOFT_FELT, _SOFT) * law.keeping)
 
 
 @kernel
@@ -77,6 +86,8 @@ def kept(law: ParkingLaw, state: Array, i: int, error: float, load: float, gains
     side = 0 if sense > 0.0 else 1
     gain, below = gains[side], sense * (state[ERROR, i] - state[PLACE, i])
     outside = math.copysign(max(abs(below) - _ZONE_RAD, 0.0), below)
+    if state[PARKED, i] > 0.0 and min(outside, sense * sunk) > 0.0:
+        learns *= _BOTH
     doubt = gain * _SURE * law.spread[i, side]
     bias = state[BIAS, i] + learns * k * k * (outside + sense * sunk) * law.dt_s
     state[BIAS, i] = min(max(bias, -doubt), doubt + law.fastest)
@@ -95,7 +106,9 @@ def _felt(law: ParkingLaw, state: Array, i: int, load: float) -> float:
     if law.felt[i] == 0.0:
         return 0.0
     most = _FELT_RAD / law.felt[i]
-    state[FELT, i] += (load - state[FELT, i]) * law.dt_s / _FELT_S
+    below = state[ERROR, i] - state[PLACE, i]
+    contradicted = below * (state[FELT, i] - load) < 0.0 and abs(below) > _ZONE_RAD
+    state[FELT, i] += (load - state[FELT, i]) * law.dt_s / (_FELT_S if contradicted else _SILENT_S)
     state[FELT, i] = min(max(state[FELT, i], load - most), load + most)
     return float(law.felt[i] * (state[FELT, i] - load))
 

@@ -15,17 +15,19 @@ from controller.core.kinematics.rotations import Array
 from controller.core.servo.coming_to_rest import ARM_RESTS, calm_counted
 from controller.core.servo.drives import full_spool_speeds
 from controller.core.servo.flanks import came_too_far, flanks_followed, left_at, turned_to
-from controller.core.servo.keeping import kept, kept_begun
+from controller.core.servo.keeping import calm_gain, kept, kept_begun
 from controller.core.servo.metering import eased, learned, metered, metered_begun
 from controller.core.servo.parking_state import (
     AFTER,
     BAND,
+    BIAS,
     CAME,
     CREPT,
     DRAGS,
     DRIFT,
     EASE,
     ERROR,
+    FELT,
     FOLLOWING,
     HASTE,
     HELD,
@@ -103,14 +105,18 @@ def at_rest(state: Array) -> bool:
     return bool(rests or too_long)
 
 
-def parked_here(state: Array) -> Array:
+def parked_here(law: ParkingLaw, state: Array) -> Array:
     """``state`` with the arm parked: from now on its joints are kept where they rest.
 
     A kept joint that is near its goal, too: it would take minutes to creep there, and the tool with it.
+    Its valve stays as it is: what held it there, against its error and what its load had told, is bias now.
     """
     here = state.copy()
     near = (state[PHASE] == KEPT) & (np.abs(state[ERROR]) < _ARRIVED_RAD * _NEARLY)
     here[PARKED], here[PLACE] = ARM_RESTS, np.where((state[PHASE] == SHUT) | near, state[ERROR], 0.0)
+    left = here[PLACE] - state[PLACE] + law.felt * (state[FELT] - state[LOAD])
+    here[BIAS] += np.where(near, calm_gain(law) * state[SENSE] * left, 0.0)
+    here[FELT] = np.where(near, state[LOAD], state[FELT])
     here[MARK] = here[CREPT] = here[PLACE]
     here[DRIFT] = np.where(state[PHASE] == SHUT, 0.0, state[DRIFT])
     return here

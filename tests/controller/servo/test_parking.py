@@ -11,11 +11,13 @@ from controller.core.servo.parking import _listened, _moved, at_rest, parked_her
 from controller.core.servo.parking_state import (
     AFTER,
     BAND,
+    BIAS,
     CREPT,
     DOUBT,
     DRIFT,
     EDGE,
     ERROR,
+    FELT,
     FOLLOWING,
     HASTE,
     HELD,
@@ -159,7 +161,7 @@ def test_a_parked_joint_is_nudged_by_what_it_creeps_not_by_what_it_crept() -> No
     law, state = _law(0.08, 0.004), parking_begun(_law(0.08, 0.004))
     state[PHASE], state[BAND], state[SENSE], state[AFTER] = SHUT, BAND_RAD, 1.0, 100.0
     state[DRIFT], state[NUDGE], state[PUSH] = 8e-6, 0.04, 0.03
-    here = parked_here(state)
+    here = parked_here(_law(0.08, 0.004), state)
     rng, creep = np.random.default_rng(3), 2.5e-7
     for scan in range(round(400.0 / DT_S)):
         here[[SINCE, AFTER], 0] += DT_S
@@ -178,7 +180,7 @@ def test_a_parked_joint_that_stands_is_left_where_it_rests() -> None:
     state[PHASE], state[BAND], state[ERROR], state[QUIET] = SHUT, BAND_RAD, 1.4 * BAND_RAD, 100.0
     state[SHUT_AT] = state[ERROR]
     assert at_rest(state)
-    here = parked_here(state)
+    here = parked_here(_law(0.08, 0.004), state)
     assert (here[PLACE] == 1.4 * BAND_RAD).all()
     assert not off_place(here).any()
     for error in (0.4 * BAND_RAD, 3.0 * BAND_RAD):
@@ -196,9 +198,35 @@ def test_a_kept_joint_near_its_goal_stays_there_once_the_arm_is_parked() -> None
     """Two joints of a crane that crept the last tenth of a milliradian took the tool 2 mm along."""
     state = parking_begun(_law(0.08, 0.004))
     state[PHASE], state[ERROR] = KEPT, [1.4e-4, -1.4e-4, 1.5e-4, 4e-4, 0.0, -2e-5]
-    here = parked_here(state)
+    here = parked_here(_law(0.08, 0.004), state)
     assert here[PLACE].tolist() == [1.4e-4, -1.4e-4, 0.0, 0.0, 0.0, -2e-5]
     assert not off_place(here)[[0, 1, 4, 5]].any()
+
+
+def test_the_valve_of_a_kept_joint_stays_as_it_is_when_the_arm_is_parked() -> None:
+    """What pushed it to its goal, and what its load told, ended at once: a crane's lift sank by 0.6 mm."""
+    law = _law(0.02, 0.001)._replace(exact=ONES, felt=ONES / BAR_RAD)
+    state = parking_begun(law)
+    state[PHASE], state[SENSE], state[QUIET], state[ERROR] = KEPT, [1.0, -1.0, 1.0, 1.0, 1.0, 1.0], 40.0, 3e-5
+    state[LOAD], state[FELT], state[BIAS] = 50.3, 50.0, 4e-4
+    here = parked_here(law, state)
+    assert not off_place(here).any()
+    for joint in range(2):
+        before, after = (
+            np.mean([_moved(law, at, joint, 3e-5, 50.3, GAINS) for _ in range(200)]) for at in (state, here)
+        )
+        assert after == pytest.approx(before, abs=0.3 / VALVE_FULL_SCALE)
+
+
+@pytest.mark.parametrize(("seen", "left"), [(0.0, 0.6), (-5e-5, 0.3), (5e-5, 0.6)])
+def test_a_load_that_fell_is_remembered_unless_the_encoder_says_otherwise(seen: float, left: float) -> None:
+    """A lift sank by 0.1 mrad in three minutes, within its play: its load told, and was forgotten in one."""
+    law = _law(0.02, 0.001)._replace(exact=ONES, felt=1e-4 * ONES)
+    state = parking_begun(law)
+    state[PHASE], state[SENSE], state[PARKED], state[FELT] = KEPT, 1.0, 2.0, 50.0
+    for scan in range(scans := round(150.0 / DT_S)):
+        _moved(law, state, 0, seen, load := 50.0 - 0.5 * scan / scans, GAINS)
+    assert (state[FELT, 0] - load) / 0.5 == pytest.approx(left, abs=0.15)
 
 
 def test_a_parked_joint_that_was_pushed_far_away_is_brought_back() -> None:
