@@ -52,8 +52,8 @@ def run_identify(
         out.print(made)
     chi = excess(found)
     out.print(f"χ² of what is left: {chi:.2f} of the noise; {found.runs} runs of the plant")
-    figures = {"recording": told.sha256, "chi2_per_sample": chi, "parameters": fitted, "signals": signals}
-    write_json(json_file, figures)
+    figures = {"recording": told.sha256, "chi2_per_sample": chi, "chi2_still_promised": found.whole.promised}
+    write_json(json_file, {**figures, "parameters": fitted, "signals": signals})
     check_believable(found, signals)
     if not options.unsure:
         check_noise(signals)
