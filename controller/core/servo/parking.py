@@ -50,6 +50,8 @@ from controller.core.servo.parking_state import (
     SHUT_AT,
     SINCE,
     SPEED,
+    STEADY,
+    STEADY_AT,
     ParkingLaw,
 )
 from controller.core.servo.servo_step import (
@@ -83,6 +85,7 @@ _QUIET_S = 10.0  # the arm is parked when no joint moved for so long,
 _LEANS_S = 35.0  # nor a kept one, which by then leans on one flank of the play before its encoder,
 _LONGEST_S = 300.0  # or when its joints have been away from the joint law for so long
 _QUIET_BAR = 0.05  # with a slew of 4 cm³/degree 0.01 mrad of its friction
+_STEADY_RAD_S = 1e-5  # and whose leak does not change by more: oil that drains away took a lift 1.5 mm along
 _HASTES = 3.0  # moves in a row that were due too soon tell a joint that leaks from one that still relaxes
 _WATCHED_S = 4.0  # so long a parked joint is watched before it is nudged
 _NUDGED_AT = 0.5  # of the band: a parked joint that crept so far is nudged
@@ -100,7 +103,9 @@ def at_rest(state: Array) -> bool:
     for i in range(6):
         phase, quiet = state[PHASE, i], state[QUIET, i]
         stands = phase == SHUT and abs(state[ERROR, i] - state[PLACE, i]) < 1.5 * state[BAND, i]
-        rests = rests and ((stands and quiet > _QUIET_S) or (phase == KEPT and quiet > _LEANS_S))
+        rests = rests and (
+            (stands and quiet > _QUIET_S) or (phase == KEPT and min(quiet, state[STEADY, i]) > _LEANS_S)
+        )
         too_long = too_long and phase != FOLLOWING and state[HELD, i] > _LONGEST_S
     return bool(rests or too_long)
 
@@ -209,6 +214,9 @@ def _listened(law: ParkingLaw, state: Array, i: int, lever: float, error: float,
     relaxes = law.loaded[i] == 0.0 and abs(state[LOAD, i] - state[RESTED, i]) > _QUIET_BAR
     if relaxes or abs(state[CREPT, i] - state[QUIET_AT, i]) > law.quiet / lever:
         state[QUIET, i], state[QUIET_AT, i], state[RESTED, i] = 0.0, state[CREPT, i], state[LOAD, i]
+    state[STEADY, i] += law.dt_s
+    if law.felt[i] > 0.0 and abs(state[BIAS, i] - state[STEADY_AT, i]) > _STEADY_RAD_S:
+        state[STEADY, i], state[STEADY_AT, i] = 0.0, state[BIAS, i]
 
 
 @kernel

@@ -29,12 +29,13 @@ from controller.core.kinematics.rotations import Array
 # which the joint turned last by its encoder, or was told to, 0 before; FURTHEST: how far that went; WENT: the
 # encoder, filtered (rad). EASE: what the oil of a metered joint is compressed by once friction has let go of
 # it (rad). DRAGS: for how long a parked joint has dragged its encoder along since its last nudge (s).
+# STEADY: for how long the BIAS of a kept joint has been about STEADY_AT (rad/s).
 PHASE, SINCE, SPEED, ERROR, HELD, BAND, PARKED, PLACE, QUIET, QUIET_AT = range(10)
 SENSE, OPENED, FROM, SEEN, FINE, HASTE, SHUT_AT, DRIFT = range(10, 18)
 MARK, AFTER, BIAS, LOAD_AT, CREPT, OWED, FELT = range(18, 25)
 LOAD, RESTED, RATE, OIL, OIL_FROM, OIL_AT, WAY, GIVES, OPENING = range(25, 34)
-CALM, CALM_AT, CAME, FURTHEST, WENT, EASE, DRAGS = range(34, 41)
-EDGE, DOUBT, NUDGE, PUSH, STATE_ROWS = 41, 43, 45, 47, 49
+CALM, CALM_AT, CAME, FURTHEST, WENT, EASE, DRAGS, STEADY, STEADY_AT = range(34, 43)
+EDGE, DOUBT, NUDGE, PUSH, STATE_ROWS = 43, 45, 47, 49, 51
 
 _EARLY = 0.1  # of its deadband, before its edge: there a metered inch begins, however well that is known
 
@@ -101,7 +102,9 @@ def parking_ended(state: Array) -> Array:
     """``state`` when a motion begins: the joint law drives all joints; what was learned is kept."""
     follows = state.copy()
     follows[PHASE] = FOLLOWING
-    follows[[SINCE, HELD, PARKED, PLACE, HASTE, DRIFT, QUIET, CALM, BIAS, MARK, AFTER, WAY, OPENING]] = 0.0
+    follows[
+        [SINCE, HELD, PARKED, PLACE, HASTE, DRIFT, QUIET, CALM, BIAS, MARK, AFTER, WAY, OPENING, STEADY]
+    ] = 0.0
     follows[GIVES] = 1.0
     return follows
 

@@ -39,6 +39,7 @@ from controller.core.servo.parking_state import (
     SINCE,
     SPEED,
     STATE_ROWS,
+    STEADY,
     ParkingLaw,
     off_place,
     parking_begun,
@@ -296,8 +297,21 @@ def test_the_arm_rests_when_every_joint_does() -> None:
     leaking = state.copy()
     leaking[PHASE, 4], leaking[ERROR, 4] = KEPT, 3e-4
     assert not at_rest(leaking)
-    leaking[QUIET, 4] = 36.0
+    leaking[[QUIET, STEADY], 4] = 36.0
     assert at_rest(leaking)
+
+
+@pytest.mark.parametrize(("drift", "steady"), [(1.5e-7, True), (1e-6, False)])
+def test_a_kept_joint_whose_leak_still_changes_does_not_rest(drift: float, steady: bool) -> None:
+    """Quiet by its encoder, a lift whose oil drained away was parked, and sank within its play."""
+    law = _law(0.02, 0.001)._replace(exact=ONES, felt=ONES / BAR_RAD)
+    state = parking_begun(law)
+    state[PHASE, 0] = KEPT
+    for scan in range(round(60.0 / DT_S)):
+        state[BIAS, 0] = 1e-4 + drift * DT_S * scan
+        _listened(law, state, 0, 5.0, 0.0, 50.0)
+    assert (state[STEADY, 0] > 35.0) == steady
+    assert state[QUIET, 0] > 35.0
 
 
 def test_what_moves_the_tool_is_not_quiet_nor_is_a_slew_whose_oil_relaxes() -> None:
