@@ -5,9 +5,8 @@ import numpy as np
 from controller.core.kinematics.rotations import Array
 from controller.core.kinematics.triples import norm
 from controller.core.scan_types import MOVES, ScanEvent, ScanState, Standing
-from controller.core.servo.coming_to_rest import may_stay, rested_here, restless
+from controller.core.servo.coming_to_rest import at_rest, may_stay, parked_here, rested_here, restless
 from controller.core.servo.flanks import stays_within
-from controller.core.servo.parking import at_rest, parked_here
 from controller.core.servo.parking_state import (
     BAND,
     CALM,

@@ -12,22 +12,20 @@ import math
 import numpy as np
 
 from controller.core.kinematics.rotations import Array
-from controller.core.servo.coming_to_rest import ARM_RESTS, calm_counted
+from controller.core.servo.coming_to_rest import ARRIVED_RAD, calm_counted, listened
 from controller.core.servo.drives import full_spool_speeds
 from controller.core.servo.flanks import came_too_far, flanks_followed, left_at, turned_to
-from controller.core.servo.keeping import calm_gain, kept, kept_begun
+from controller.core.servo.keeping import kept, kept_begun
 from controller.core.servo.metering import eased, learned, metered, metered_begun
 from controller.core.servo.parking_state import (
     AFTER,
     BAND,
-    BIAS,
     CAME,
     CREPT,
     DRAGS,
     DRIFT,
     EASE,
     ERROR,
-    FELT,
     FOLLOWING,
     HASTE,
     HELD,
@@ -41,17 +39,12 @@ from controller.core.servo.parking_state import (
     PARKED,
     PHASE,
     PLACE,
-    QUIET,
-    QUIET_AT,
     RATE,
-    RESTED,
     SENSE,
     SHUT,
     SHUT_AT,
     SINCE,
     SPEED,
-    STEADY,
-    STEADY_AT,
     ParkingLaw,
 )
 from controller.core.servo.servo_step import (
@@ -75,17 +68,9 @@ from foundation.compiled import kernel
 
 _SPEED_FILTER_S = 0.03
 _ERROR_FILTER_S = 0.5  # the encoder's noise dithers its digits: their mean is good for a tenth of one
-_CREEP_FILTER_S = 3.0  # of the slow creep of a parked joint: good for a microradian
 _RATE_FILTER_S = 0.5  # of the speed of a metered joint that is shut,
 _RELAXES_S = 2.0  # which goes on for so long: friction lets go of compressed oil
 _RATE_S = 1.0  # a creep that was watched for this long is believed by half
-_ARRIVED_RAD = 9.6e-5  # two digits: until the arm is parked, no joint is brought nearer
-_NEARLY = 1.5  # of that: a kept joint stays there
-_QUIET_S = 10.0  # the arm is parked when no joint moved for so long,
-_LEANS_S = 35.0  # nor a kept one, which by then leans on one flank of the play before its encoder,
-_LONGEST_S = 300.0  # or when its joints have been away from the joint law for so long
-_QUIET_BAR = 0.05  # with a slew of 4 cm³/degree 0.01 mrad of its friction
-_STEADY_RAD_S = 1e-5  # and whose leak does not change by more: oil that drains away took a lift 1.5 mm along
 _HASTES = 3.0  # moves in a row that were due too soon tell a joint that leaks from one that still relaxes
 _WATCHED_S = 4.0  # so long a parked joint is watched before it is nudged
 _NUDGED_AT = 0.5  # of the band: a parked joint that crept so far is nudged
@@ -94,37 +79,6 @@ _FAR_RAD = 1e-3  # a parked joint that was pushed so far off is brought back by 
 _PART = 0.5  # of its way: a slew near its place, which relaxes by as much again
 _DRAGS_RAD = 3e-6  # from there on a joint drags its encoder along again, and its creep shows
 _AGAIN_RAD = 7e-6  # beyond where its encoder was at the last nudge: by the slow filter; its noise is 1 µrad
-
-
-@kernel
-def at_rest(state: Array) -> bool:
-    """Whether no joint moves the tool any more, each shut near its place or kept; or it never will."""
-    rests = too_long = True
-    for i in range(6):
-        phase, quiet = state[PHASE, i], state[QUIET, i]
-        stands = phase == SHUT and abs(state[ERROR, i] - state[PLACE, i]) < 1.5 * state[BAND, i]
-        rests = rests and (
-            (stands and quiet > _QUIET_S) or (phase == KEPT and min(quiet, state[STEADY, i]) > _LEANS_S)
-        )
-        too_long = too_long and phase != FOLLOWING and state[HELD, i] > _LONGEST_S
-    return bool(rests or too_long)
-
-
-def parked_here(law: ParkingLaw, state: Array) -> Array:
-    """``state`` with the arm parked: from now on its joints are kept where they rest.
-
-    A kept joint that is near its goal, too: it would take minutes to creep there, and the tool with it.
-    Its valve stays as it is: what held it there, against its error and what its load had told, is bias now.
-    """
-    here = state.copy()
-    near = (state[PHASE] == KEPT) & (np.abs(state[ERROR]) < _ARRIVED_RAD * _NEARLY)
-    here[PARKED], here[PLACE] = ARM_RESTS, np.where((state[PHASE] == SHUT) | near, state[ERROR], 0.0)
-    left = here[PLACE] - state[PLACE] + law.felt * (state[FELT] - state[LOAD])
-    here[BIAS] += np.where(near, calm_gain(law) * state[SENSE] * left, 0.0)
-    here[FELT] = np.where(near, state[LOAD], state[FELT])
-    here[MARK] = here[CREPT] = here[PLACE]
-    here[DRIFT] = np.where(state[PHASE] == SHUT, 0.0, state[DRIFT])
-    return here
 
 
 @kernel
@@ -165,7 +119,7 @@ def park_step(
     gains = np.empty(2)
     for i in range(6):
         lever = max(math.sqrt(J_BT[0, i] ** 2 + J_BT[1, i] ** 2 + J_BT[2, i] ** 2), 1e-3)
-        least = law.band_least if state[PARKED, i] > 0.0 else _ARRIVED_RAD
+        least = law.band_least if state[PARKED, i] > 0.0 else ARRIVED_RAD
         if law.loaded[i] == 0.0:
             least = law.band_most
         state[BAND, i] = min(max(law.band / lever, least), law.band_most)
@@ -179,7 +133,7 @@ def park_step(
             slope = joints.curve[i, side, 1, 1] / joints.curve[i, side, 1, 0]
             gains[side] = joints.flow_gain[i, side] * slope * speeds[i, side]
         spool = _moved(law, state, i, out[LEFT, i], given.felt.load[i], gains)
-        _listened(law, state, i, lever, out[LEFT, i], given.felt.load[i])
+        listened(law, state, i, lever, out[LEFT, i], given.felt.load[i])
         calm_counted(law, state, i, lever)
         out[VALVES, i] = max(-joints.limit, min(joints.limit, spool))
         out[Q_CMD, i], out[QD_CMD, i], out[PT1, i] = given.q_meas[i], 0.0, 0.0
@@ -198,25 +152,6 @@ def _moved(law: ParkingLaw, state: Array, i: int, error: float, load: float, gai
     if law.oil[i] > 0.0:
         return float(metered(law, state, i, error, load, gains))
     return float(inched(law, state, i, error, gains))
-
-
-@kernel
-def _listened(law: ParkingLaw, state: Array, i: int, lever: float, error: float, load: float) -> None:
-    """Count how long joint ``i`` has moved the tool by no more than the quiet, and been off the joint law.
-
-    One without load relaxes within the play before its encoder; the oil, ``load`` (bar), tells how long.
-    """
-    keep = math.exp(-law.dt_s / _CREEP_FILTER_S)
-    state[CREPT, i] = keep * state[CREPT, i] + (1.0 - keep) * error
-    state[LOAD, i] = keep * state[LOAD, i] + (1.0 - keep) * load
-    state[HELD, i] += law.dt_s
-    state[QUIET, i] += law.dt_s
-    relaxes = law.loaded[i] == 0.0 and abs(state[LOAD, i] - state[RESTED, i]) > _QUIET_BAR
-    if relaxes or abs(state[CREPT, i] - state[QUIET_AT, i]) > law.quiet / lever:
-        state[QUIET, i], state[QUIET_AT, i], state[RESTED, i] = 0.0, state[CREPT, i], state[LOAD, i]
-    state[STEADY, i] += law.dt_s
-    if law.felt[i] > 0.0 and abs(state[BIAS, i] - state[STEADY_AT, i]) > _STEADY_RAD_S:
-        state[STEADY, i], state[STEADY_AT, i] = 0.0, state[BIAS, i]
 
 
 @kernel

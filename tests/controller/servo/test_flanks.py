@@ -10,11 +10,11 @@ import pytest
 from controller.commissioning import basis_of, commissioned_config
 from controller.config import ControllerConfig
 from controller.core.scan_types import ScanState, initial_state
-from controller.core.servo.coming_to_rest import calm_counted, may_stay, rested_here
+from controller.core.servo.coming_to_rest import calm_counted, listened, may_stay, rested_here
 from controller.core.servo.flanks import flanks_followed, left_at, stays_within
 from controller.core.servo.metering import eased, let_out
 from controller.core.servo.parking import _arrived as _done
-from controller.core.servo.parking import _due, _listened, _moved
+from controller.core.servo.parking import _due, _moved
 from controller.core.servo.parking_state import (
     AFTER,
     BAND,
@@ -220,7 +220,7 @@ def _arrived(law: ParkingLaw, came: float, squeezed: float, seconds: float = 40.
         flanks_followed(state, np.full(6, 1.0 + seen), DT_S)
         if scan == 0:
             state[CREPT, 0], state[OIL, 0], state[CAME, 0] = -seen, -seen - OIL_RAD_BAR * load, came
-        _listened(law, state, 0, 4.0, -seen, load)
+        listened(law, state, 0, 4.0, -seen, load)
         command = _moved(law, state, 0, -seen, load, GAINS)
         calm_counted(law, state, 0, 4.0)
         late = commands[0]

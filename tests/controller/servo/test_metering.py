@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from controller.config import ControllerConfig
+from controller.core.servo.coming_to_rest import listened
 from controller.core.servo.metering import learned, metered_begun
-from controller.core.servo.parking import _listened, _moved
+from controller.core.servo.parking import _moved
 from controller.core.servo.parking_state import (
     AFTER,
     BAND,
@@ -110,7 +111,7 @@ def _way(law: ParkingLaw, joint: Held, seconds: float = 40.0) -> Way:
         state[SPEED, 0] = keep * state[SPEED, 0] + (1.0 - keep) * (seen - before) / DT_S
         state[[SINCE, AFTER], 0] += DT_S
         load = (oil - angle) / joint.oil + 0.2 * math.sin(2.0 * math.pi * 20.0 * DT_S * scan)
-        _listened(law, state, 0, 4.0, -seen, load)
+        listened(law, state, 0, 4.0, -seen, load)
         command = _moved(law, state, 0, -seen, load, GAINS)
         late = commands[0]
         commands.append(command)

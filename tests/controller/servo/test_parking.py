@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from controller.core.servo.parking import _listened, _moved, at_rest, parked_here
+from controller.core.servo.coming_to_rest import at_rest, listened, parked_here
+from controller.core.servo.parking import _moved
 from controller.core.servo.parking_state import (
     AFTER,
     BAND,
@@ -121,7 +122,7 @@ def _rest(law: ParkingLaw, joint: Joint, seconds: float, parked: bool = True) ->
         keep = math.exp(-DT_S / 0.03)
         state[SPEED, 0] = keep * state[SPEED, 0] + (1.0 - keep) * (seen - before) / DT_S
         state[[SINCE, AFTER], 0] += DT_S
-        _listened(law, state, 0, 4.0, -seen, 50.0)
+        listened(law, state, 0, 4.0, -seen, 50.0)
         command = _moved(law, state, 0, -seen, 50.0 + BAR_RAD * angle, GAINS)
         late = commands[0]
         commands.append(round(command * VALVE_FULL_SCALE) / VALVE_FULL_SCALE)
@@ -167,7 +168,7 @@ def test_a_parked_joint_is_nudged_by_what_it_creeps_not_by_what_it_crept() -> No
     for scan in range(round(400.0 / DT_S)):
         here[[SINCE, AFTER], 0] += DT_S
         error = creep * DT_S * scan + rng.normal(0.0, 0.3 * DIGIT)
-        _listened(law, here, 0, 4.0, error, 50.0)
+        listened(law, here, 0, 4.0, error, 50.0)
         if _moved(law, here, 0, error, 50.0, GAINS) > 0.0:
             break
     assert here[PHASE, 0] == NUDGED
@@ -309,7 +310,7 @@ def test_a_kept_joint_whose_leak_still_changes_does_not_rest(drift: float, stead
     state[PHASE, 0] = KEPT
     for scan in range(round(60.0 / DT_S)):
         state[BIAS, 0] = 1e-4 + drift * DT_S * scan
-        _listened(law, state, 0, 5.0, 0.0, 50.0)
+        listened(law, state, 0, 5.0, 0.0, 50.0)
     assert (state[STEADY, 0] > 35.0) == steady
     assert state[QUIET, 0] > 35.0
 
@@ -318,17 +319,17 @@ def test_what_moves_the_tool_is_not_quiet_nor_is_a_slew_whose_oil_relaxes() -> N
     law = _law(0.08, 0.004)._replace(loaded=np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0]))
     state = parking_begun(law)
 
-    def listened(joint: int, error: float, load: float) -> float:
+    def quiet_after(joint: int, error: float, load: float) -> float:
         state[CREPT, joint], state[LOAD, joint] = error, load
-        _listened(law, state, joint, 5.0, error, load)
+        listened(law, state, joint, 5.0, error, load)
         return float(state[QUIET, joint])
 
     for joint in (0, 1):
-        listened(joint, 1e-3, 50.0)
-        assert [listened(joint, 1e-3 + 1.9e-5, 50.0) for _ in range(3)][-1] == pytest.approx(3 * DT_S)
-        assert listened(joint, 1e-3 + 2.1e-5, 50.0) == 0.0
-    assert listened(1, 1e-3 + 2.1e-5, 51.0) > 0.0
-    assert listened(0, 1e-3 + 2.1e-5, 50.06) == 0.0
+        quiet_after(joint, 1e-3, 50.0)
+        assert [quiet_after(joint, 1e-3 + 1.9e-5, 50.0) for _ in range(3)][-1] == pytest.approx(3 * DT_S)
+        assert quiet_after(joint, 1e-3 + 2.1e-5, 50.0) == 0.0
+    assert quiet_after(1, 1e-3 + 2.1e-5, 51.0) > 0.0
+    assert quiet_after(0, 1e-3 + 2.1e-5, 50.06) == 0.0
 
 
 def test_a_slew_whose_pressure_the_pump_shakes_is_quiet() -> None:
@@ -336,10 +337,10 @@ def test_a_slew_whose_pressure_the_pump_shakes_is_quiet() -> None:
     law, state = _law(0.08, 0.004)._replace(loaded=np.zeros(6)), parking_begun(_law(0.08, 0.004))
     state[LOAD] = state[RESTED] = 50.0
     for scan in range(2000):
-        _listened(law, state, 0, 5.0, 0.0, 50.0 + 2.0 * math.sin(2.0 * math.pi * 20.0 * DT_S * scan))
+        listened(law, state, 0, 5.0, 0.0, 50.0 + 2.0 * math.sin(2.0 * math.pi * 20.0 * DT_S * scan))
     assert state[QUIET, 0] == pytest.approx(2000 * DT_S)
     for _ in range(2000):
-        _listened(law, state, 0, 5.0, 0.0, 50.1)
+        listened(law, state, 0, 5.0, 0.0, 50.1)
     assert state[QUIET, 0] < 1900 * DT_S
 
 
