@@ -48,11 +48,9 @@ _UNSURE_S = 2.0  # through the doubt about an edge
 _SURELY_SHUT = 0.5  # of its edge, from where a valve is opened slowly for the first time
 _RISES_RAD_S2 = 1e-3  # so slowly: by what the lateness of a mobile valve adds, no joint leaves its play
 _AHEAD_S = 0.7  # before the opening that the oil felt, the next nudge begins
-_PUSH_BAR, _LEAST_BAR, _MOST_BAR = (
-    0.15,
-    0.03,
-    3.0,
-)  # of the load pressure: the first nudge's, bounds of others
+_PUSH_BAR, _LEAST_BAR = 0.15, 0.03  # of the load pressure: the first nudge's, the least of others
+_MOST_BAR = 0.8  # a crane's lift rises 0.15 mrad by that, and beyond friction goes through all its play: 5 mm
+_HELD_S = 15.0  # a nudge is judged when the joint has stayed for so long: oil that relaxes tells nothing
 
 
 @kernel
@@ -129,12 +127,12 @@ def nudge_begun(state: Array, i: int, error: float, sense: float, load: float) -
     """The first spool command of a nudge that shall raise joint ``i`` as far beyond its place as it sank.
 
     ``error`` (rad): by the encoder now; ``load`` (bar). The last nudge raised the joint by what it sank
-    since, less what the encoder saw of that: so the push of the next one is chosen.
+    since, less what the encoder saw of that: so the push of the next one is chosen, if that held.
     """
     side = 0 if sense > 0.0 else 1
     if state[NUDGE + side, i] == 0.0:
         state[NUDGE + side, i], state[PUSH + side, i] = _SURELY_SHUT * state[EDGE + side, i], _PUSH_BAR
-    elif sense == state[SENSE, i]:
+    elif sense == state[SENSE, i] and state[AFTER, i] > _HELD_S:
         sunk = sense * (error - state[MARK, i])
         rose = max(sense * state[DRIFT, i] * state[AFTER, i] - sunk, 0.0)
         band, sunk_by = state[BAND, i], sense * (error - state[PLACE, i])

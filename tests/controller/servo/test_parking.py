@@ -46,6 +46,7 @@ from controller.core.servo.parking_state import (
     parking_begun,
     parking_ended,
 )
+from controller.core.servo.small_moves import nudge_begun
 from protocol.process_image import VALVE_FULL_SCALE
 
 DT_S, GAIN, DIGIT, BAND_RAD = 0.005, 0.4, 4.8e-5, 1e-4
@@ -174,6 +175,21 @@ def test_a_parked_joint_is_nudged_by_what_it_creeps_not_by_what_it_crept() -> No
     assert here[PHASE, 0] == NUDGED
     assert here[DRIFT, 0] == pytest.approx(creep, rel=0.2)
     assert here[PUSH, 0] > 0.03
+
+
+@pytest.mark.parametrize(("after", "grows"), [(5.0, False), (40.0, True)])
+def test_a_nudge_that_did_not_hold_says_nothing_of_how_strong_it_was(after: float, grows: bool) -> None:
+    """Between a drive's end and its look oil still relaxes: each nudge was due again within seconds and
+    twice as strong, until one of 1.7 bar took a crane's lift through its play, the tool by 5 mm."""
+    state = parking_begun(_law(0.08, 0.004))
+    state[BAND], state[SENSE], state[DRIFT], state[NUDGE], state[PUSH] = BAND_RAD, 1.0, 4e-6, 0.04, 0.3
+    pushes = []
+    for _ in range(8):
+        state[AFTER, 0] = after
+        nudge_begun(state, 0, state[MARK, 0] + 4e-6 * after, 1.0, 50.0)
+        pushes.append(state[PUSH, 0])
+    assert (pushes[0] > 0.3) == grows
+    assert max(pushes) <= 0.8  # a crane's lift rises by 0.15 mrad
 
 
 def test_a_parked_joint_that_stands_is_left_where_it_rests() -> None:
