@@ -46,15 +46,7 @@ class TestRequests:
 
     def test_a_request_is_resent_under_its_id_until_it_is_answered(self) -> None:
         wire = Wire().connect()
-        refused: list[bytes] = []
-
-        def loses(direction: str, data: bytes) -> bool:
-            if kind_of(data) == "Command" and len(refused) < 3:
-                refused.append(data)
-                return True
-            return False
-
-        wire.loses = loses
+        refused = wire.loses_first(3, "Command")
         asked = wire.client.submit(STOP, wire.now_ns)
         wire.run(200)
         assert len(refused) == 3
@@ -64,15 +56,7 @@ class TestRequests:
 
     def test_a_lost_answer_is_repeated_and_not_executed_again(self) -> None:
         wire = Wire(answer=Reason.UNREACHABLE).connect()
-        lost: list[bytes] = []
-
-        def loses(direction: str, data: bytes) -> bool:
-            if kind_of(data) == "Acknowledgement" and len(lost) < 4:
-                lost.append(data)
-                return True
-            return False
-
-        wire.loses = loses
+        wire.loses_first(4, "Acknowledgement")
         asked = wire.client.submit(MOVE, wire.now_ns)
         wire.run(300)
         assert len(wire.requests()) == 1
@@ -99,15 +83,7 @@ class TestRequests:
 
     def test_a_motion_cannot_overtake_the_stop_that_was_to_end_it(self) -> None:
         wire = Wire().connect()
-        lost: list[bytes] = []
-
-        def loses(direction: str, data: bytes) -> bool:
-            if kind_of(data) == "ReferencePose" and not lost:
-                lost.append(data)
-                return True
-            return False
-
-        wire.loses = loses
+        wire.loses_first(1, "ReferencePose")
         moved = wire.client.submit(MOVE, wire.now_ns)
         stopped = wire.client.submit(STOP, wire.now_ns)
         wire.run(200)

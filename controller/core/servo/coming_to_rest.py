@@ -127,10 +127,10 @@ def at_rest(state: Array) -> bool:
     rests = too_long = True
     for i in range(6):
         phase, quiet = state[PHASE, i], state[QUIET, i]
-        stands = phase == SHUT and abs(state[ERROR, i] - state[PLACE, i]) < 1.5 * state[BAND, i]
-        rests = rests and (
-            (stands and quiet > _QUIET_S) or (phase == KEPT and min(quiet, state[STEADY, i]) > _LEANS_S)
-        )
+        near = abs(state[ERROR, i] - state[PLACE, i]) < 1.5 * state[BAND, i]
+        stands = phase == SHUT and near and quiet > _QUIET_S
+        leans = phase == KEPT and min(quiet, state[STEADY, i]) > _LEANS_S
+        rests = rests and (stands or leans)
         too_long = too_long and phase != FOLLOWING and state[HELD, i] > _LONGEST_S
     return bool(rests or too_long)
 
