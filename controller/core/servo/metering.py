@@ -11,8 +11,10 @@ import math
 
 from controller.core.kinematics.rotations import Array
 from controller.core.servo.parking_state import (
+    CAME,
     DOUBT,
     EASE,
+    EASE_AT,
     EDGE,
     ERROR,
     FROM,
@@ -31,6 +33,7 @@ from controller.core.servo.parking_state import (
     SINCE,
     SPEED,
     WAY,
+    WENT,
     ParkingLaw,
 )
 from foundation.compiled import kernel
@@ -48,6 +51,8 @@ _LOWEST = 0.5  # never by more than half of it
 _SHORTEST_S = 0.05  # of an opening, for its flow
 _KEEPS = 0.5  # of what it may be off: by so much a joint still presses on when its oil has been let out
 _HELD = 1.4  # of what friction holds: more let out, it would come back where the load is not as learned
+_MOST_LOADED = 4.0  # of what it may be off: what is let out of a loaded joint at once
+_SAME_LOAD_RAD = 5e-3  # so near, the load of a loaded joint is what it was at ease
 _EASES_S = 5.0  # how soon a resting joint's oil is believed to be at ease
 
 
@@ -77,15 +82,26 @@ def let_out(law: ParkingLaw, state: Array, i: int) -> float:
 
     Friction holds a joint that has arrived against the oil that moved it, and lets go of it later: it would
     go on by all that, and come back through its play. What is learned of the load is not wholly trusted:
-    where nothing shakes, a joint rests under any that friction holds.
+    where nothing shakes, a joint rests under any that friction holds. One that sinks is not held up so.
     """
     oil, error = state[ERROR, i] - state[OIL, i], state[ERROR, i]
     sense = 1.0 if oil > state[EASE, i] else -1.0
     most = _HELD * abs(oil) + 2.0 * law.leaves
+    if law.loaded[i] > 0.0:
+        if not _raised_here(state, i, sense):
+            return 0.0
+        most = _MOST_LOADED * law.leaves
     presses, short = min(sense * (oil - state[EASE, i]), most), max(sense * error, 0.0)
     if short > law.leaves or presses - short < law.leaves:
         return 0.0
     return float(-sense * (presses - max(short, _KEEPS * law.leaves)))
+
+
+@kernel
+def _raised_here(state: Array, i: int, sense: float) -> bool:
+    """Whether loaded joint ``i`` was raised, presses on, and is where its load at ease was learned."""
+    near = state[EASE, i] != 0.0 and abs(state[WENT, i] - state[EASE_AT, i]) < _SAME_LOAD_RAD
+    return bool(near and sense > 0.0 and state[CAME, i] > 0.0)
 
 
 @kernel
@@ -95,7 +111,10 @@ def eased(law: ParkingLaw, state: Array, i: int, load: float) -> float:
     From a joint that rests, what its oil is compressed by at ease is learned.
     """
     if state[PARKED, i] > 0.0:
+        if abs(state[WENT, i] - state[EASE_AT, i]) > _SAME_LOAD_RAD and law.loaded[i] > 0.0:
+            state[EASE, i] = law.oil[i] * load
         state[EASE, i] += (law.oil[i] * load - state[EASE, i]) * law.dt_s / _EASES_S
+        state[EASE_AT, i] = state[WENT, i]
         return 0.0
     oil = let_out(law, state, i)
     if oil == 0.0:

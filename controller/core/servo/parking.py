@@ -167,7 +167,7 @@ def _arrived(law: ParkingLaw, state: Array, i: int, error: float, load: float) -
     shut(state, i, error)
     state[DRIFT, i], state[HELD, i], state[CREPT, i] = 0.0, 0.0, error
     state[OIL, i], state[LOAD, i] = error - law.oil[i] * load, load
-    if state[CAME, i] == 0.0:  # it has stood since the start
+    if state[CAME, i] == 0.0 and law.loaded[i] == 0.0:  # it has stood since the start
         state[EASE, i] = law.oil[i] * load
     return True
 
@@ -191,7 +191,7 @@ def _watched(law: ParkingLaw, state: Array, i: int, error: float, load: float, g
     off = state[ERROR, i] - state[PLACE, i]
     if metered_joint and state[PARKED, i] == 0.0:
         off += state[RATE, i] * _RELAXES_S
-    if metered_joint and law.loaded[i] == 0.0 and law.play[i] > 0.0:
+    if metered_joint and law.play[i] > 0.0:
         spool = eased(law, state, i, load)
         if state[PHASE, i] != SHUT:
             return float(spool)

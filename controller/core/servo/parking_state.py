@@ -27,15 +27,16 @@ from controller.core.kinematics.rotations import Array
 # (rad/s); WAY: that the last inch was for (rad), 0 before the first; GIVES: how many times as much oil it
 # had; OPENING: how long its valve was open (s), 0 once that has been learned from. CAME: the sense, ±1, in
 # which the joint turned last by its encoder, or was told to, 0 before; FURTHEST: how far that went; WENT: the
-# encoder, filtered (rad). EASE: what the oil of a metered joint is compressed by once friction has let go of
-# it (rad). DRAGS: for how long a parked joint has dragged its encoder along since its last nudge (s).
-# STEADY: for how long the BIAS of a kept joint has been about STEADY_AT (rad/s).
+# encoder, filtered (rad). EASE: what the oil of a metered joint is compressed by once friction has let go
+# of it (rad); EASE_AT: the encoder where that was seen last (rad). DRAGS: for how long a parked joint has
+# dragged its encoder along since its last nudge (s). STEADY: for how long the BIAS of a kept joint has been
+# about STEADY_AT (rad/s).
 PHASE, SINCE, SPEED, ERROR, HELD, BAND, PARKED, PLACE, QUIET, QUIET_AT = range(10)
 SENSE, OPENED, FROM, SEEN, FINE, HASTE, SHUT_AT, DRIFT = range(10, 18)
 MARK, AFTER, BIAS, LOAD_AT, CREPT, OWED, FELT = range(18, 25)
 LOAD, RESTED, RATE, OIL, OIL_FROM, OIL_AT, WAY, GIVES, OPENING = range(25, 34)
-CALM, CALM_AT, CAME, FURTHEST, WENT, EASE, DRAGS, STEADY, STEADY_AT = range(34, 43)
-EDGE, DOUBT, NUDGE, PUSH, STATE_ROWS = 43, 45, 47, 49, 51
+CALM, CALM_AT, CAME, FURTHEST, WENT, EASE, EASE_AT, DRAGS, STEADY, STEADY_AT = range(34, 44)
+EDGE, DOUBT, NUDGE, PUSH, STATE_ROWS = 44, 46, 48, 50, 52
 
 _EARLY = 0.1  # of its deadband, before its edge: there a metered inch begins, however well that is known
 

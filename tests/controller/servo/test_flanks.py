@@ -21,6 +21,7 @@ from controller.core.servo.parking_state import (
     CAME,
     CREPT,
     EASE,
+    EASE_AT,
     ERROR,
     OIL,
     OPEN,
@@ -30,6 +31,7 @@ from controller.core.servo.parking_state import (
     SHUT,
     SINCE,
     SPEED,
+    WENT,
     ParkingLaw,
     parking_begun,
     parking_ended,
@@ -186,10 +188,36 @@ def test_what_a_joint_is_loaded_with_is_learned_while_it_rests() -> None:
     for _ in range(round(20.0 / DT_S)):
         assert eased(LAW, state, 0, 2.0) == 0.0
     assert state[EASE, 0] == pytest.approx(2.0 * OIL_RAD_BAR, rel=0.03)
-    state[OIL, 1] = -2e-3
-    assert eased(LAW, state, 1, 2.0) < 0.0
-    assert state[PHASE].tolist() == [SHUT, OPEN, *[SHUT] * 4]
     assert not state[EASE, 1:].any()
+    state[PARKED, 0], state[OIL, 0] = 0.0, -3e-3
+    assert eased(LAW, state, 0, 2.0) < 0.0
+    assert state[PHASE].tolist() == [OPEN, *[SHUT] * 5]
+
+
+def test_oil_is_let_out_of_a_raised_joint_where_its_load_is_known() -> None:
+    """Gravity loads it with 57 bar, friction with 3 more while it is raised: it would creep on by those."""
+    state = parking_begun(LAW)
+    state[PHASE], state[PARKED, 1], state[CAME, 1], state[WENT, 1] = SHUT, 1.0, 1.0, 0.6
+    state[EASE, 1], state[EASE_AT, 1] = (
+        40.0 * OIL_RAD_BAR,
+        0.5,
+    )  # from elsewhere: it is not averaged with that
+    assert eased(LAW, state, 1, 57.0) == 0.0
+    assert (state[EASE, 1], state[EASE_AT, 1]) == (pytest.approx(57.0 * OIL_RAD_BAR), 0.6)
+    state[PARKED, 1], state[ERROR, 1] = 0.0, 1e-4
+
+    def out(bar: float, came: float = 1.0, at: float = 0.603) -> float:
+        state[OIL, 1], state[CAME, 1], state[WENT, 1] = 1e-4 - bar * OIL_RAD_BAR, came, at
+        return let_out(LAW, state, 1)
+
+    assert out(60.0) == pytest.approx(-(3.0 * OIL_RAD_BAR - 0.5 * LEAVES_RAD))
+    assert out(57.5) == 0.0
+    assert out(70.0) == pytest.approx(-3.5 * LEAVES_RAD)  # what was learned is not wholly trusted
+    assert out(60.0, came=-1.0) == 0.0  # lowered
+    assert out(54.0) == 0.0  # it sinks, and is raised
+    assert out(60.0, at=0.606) == 0.0  # gravity may be otherwise there
+    state[EASE, 1] = 0.0
+    assert out(60.0) == 0.0  # nothing was learned
 
 
 class Arrived(NamedTuple):
