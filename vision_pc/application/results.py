@@ -222,7 +222,7 @@ def positioning_json(result: PositioningResult | CorrectedResult) -> JSON:
         return positioning_json(result.positioning) | {
             "camera_delay_ms": delay,
             "measured_miss_mm": xyz(result.measured_residual_m),
-            "expected": expected_json(result.positioning.steps[0].expected),
+            "expected": expected_json(result.expected),
             "seen": expected_json(result.seen),
         }
     return verdict_json(result.final) | {

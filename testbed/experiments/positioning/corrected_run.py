@@ -157,16 +157,17 @@ def driven(rig: LockstepRig, body: JSON) -> Branch:
         return Branch(failure=f"{error.cause}: {error}")
     error_mm = true_error_mm(rig)
     steps, final = result.positioning.steps, result.positioning.final
-    off_mm = 1e3 * (np.array(rig.link.state.X_BT.p_m) - steps[-1].X_BT_ref[:3, 3])
+    reference_m = steps[-1].X_BT_ref[:3, 3] if steps else np.full(3, math.nan)
+    off_mm = 1e3 * (np.array(rig.link.state.X_BT.p_m) - reference_m)
     X_BC = np.linalg.inv(rig.world.plant.truth().X_WB) @ rig.world.plant.truth().X_WC
     return Branch(
         true_mm=xyz(error_mm),
         servo_mm=xyz(X_BC[:3, :3].T @ off_mm),
-        std_mm=xyz([1e3 * float(value) for value in steps[0].expected.std_m]),
+        std_mm=xyz([1e3 * float(value) for value in result.expected.std_m]),
         measured_mm=xyz([1e3 * float(value) for value in result.measured_residual_m]),
         look_mm=xyz([1e3 * float(value) for value in final.error_m]),
         worst_mm=float(np.abs(error_mm[:2]).max()),
-        before=told_of(steps[0].expected, error_mm),
+        before=told_of(result.expected, error_mm),
         after=told_of(result.seen, error_mm),
         steps=len(steps),
         ended=result.positioning.ended,

@@ -188,7 +188,6 @@ def _visited(rig: LockstepRig, target: str, place_O: Array) -> HoleEnd:
         (visited,) = operate(rig, "visit", {"targets": [target]})
     except LongreachError as error:
         return HoleEnd(failure=f"{error.cause}: {error}")
-    steps = visited.result.positioning.steps
     clearance = np.array([0.0, 0.0, rig.world.settings.vision.programs.positioning.clearance_m])
     errors = [
         truth.p_CO + truth.R_CO @ place_O - truth.p_CM - clearance for truth in rig.world.truths[-_AVERAGED:]
@@ -198,7 +197,7 @@ def _visited(rig: LockstepRig, target: str, place_O: Array) -> HoleEnd:
         x_mm=float(x),
         y_mm=float(y),
         worst_mm=float(max(abs(x), abs(y))),
-        told=steps[0].expected.inside if steps else NAN,
+        told=visited.result.expected.inside,
         seconds=1e-9 * (rig.world.time_ns - began_ns),
         known=visited.known,
         carried_mm=1e3 * visited.way_m,

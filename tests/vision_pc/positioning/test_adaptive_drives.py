@@ -8,6 +8,7 @@ import pytest
 
 from tests.vision_pc.program_settings import BOOM, shipped
 from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward, inverse_kinematics, silent
+from vision_pc.application.results import positioning_json
 from vision_pc.config.programs import LocalErrorModelSettings
 from vision_pc.core.calibration.arm_fields import boom_levers, joint_turns
 from vision_pc.core.calibration.local_error_model import (
@@ -202,6 +203,45 @@ async def test_an_end_is_corrected_only_where_drives_leave_less(missed_mm: float
         arm, arm, silent, positioning, local_map, BOOM, track._replace(misses=misses)
     )
     assert (len(result.positioning.steps) > 2) is corrected
+
+
+@pytest.mark.parametrize(
+    ("missed_mm", "depth_mm", "corrections", "stays"),
+    [(9.0, 0.0, 5, True), (0.1, 0.0, 5, False), (9.0, 30.0, 5, False), (9.0, 0.0, 0, False)],
+)
+async def test_a_tool_that_stands_nearer_than_drives_end_stays(
+    missed_mm: float, depth_mm: float, corrections: int, stays: bool
+) -> None:
+    """A look shows 2 mm: of six drives that leave 9 mm each the best would end farther off."""
+    arm = BandedRig(10, [3e-3, 1.5e-3, 1.2e-3])
+    await adjust_orientation(arm, arm, silent, PROGRAMS.orientation)
+    track = await record_local_track(arm, arm, silent, settings(), BOOM)
+    positioning = PROGRAMS.positioning.model_copy(update={"corrections": corrections, "aim_m": 0.0})
+    local_map = settings(nudge_m=3e-4)
+    misses = 1e-3 * missed_mm * np.random.default_rng(1).choice([-1.0, 1.0], (12, 3))
+    track = track._replace(misses=misses)
+    off = np.array([1.2e-3, -1.6e-3, 1e-3 * depth_mm])
+    look = await arm.look()
+    goal = look.X_CM[:3, 3] + off + [0.0, 0.0, positioning.clearance_m]
+    look = look._replace(X_CO=transform(look.X_CO[:3, :3], goal))
+    seen = arm.look
+
+    async def first_look() -> Look:
+        arm.look = seen  # type: ignore[method-assign]
+        return look
+
+    arm.look, before = first_look, arm.motions  # type: ignore[method-assign]
+    result = await look_then_move_corrected(arm, arm, silent, positioning, local_map, BOOM, track)
+    assert (result.positioning.ended is Ended.NEAR_ENOUGH) is stays
+    assert (arm.motions == before) is stays
+    if stays:
+        assert (result.positioning.steps, len(result.positioning.looks)) == ((), 1)
+        assert result.expected is result.seen
+        assert result.seen.mean_m == pytest.approx(off)
+        assert result.seen.std_m == pytest.approx(np.sqrt(np.diag(look.cov_CM + look.cov_CO)[:3]))
+        assert result.track is track
+        told = positioning_json(result)
+        assert (told["steps"], told["ended"], told["expected"]) == ([], "near_enough", told["seen"])
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.03, -0.02])

@@ -13,8 +13,8 @@ PROGRAMS = shipped()
 MAP, POSITIONING = PROGRAMS.local_map, PROGRAMS.positioning
 
 
-def settings(outside: int) -> LocalErrorModelSettings:
-    adaptive = MAP.adaptive.model_dump() | {"enabled": True, "outside": outside, "useless": 10}
+def settings(outside: int, useless: int = 10) -> LocalErrorModelSettings:
+    adaptive = MAP.adaptive.model_dump() | {"enabled": True, "outside": outside, "useless": useless}
     return LocalErrorModelSettings.model_validate(MAP.model_dump() | {"adaptive": adaptive})
 
 
@@ -29,5 +29,16 @@ async def test_what_odometry_sees_outside_the_tolerance_is_driven_again_unless_o
     asked = POSITIONING.model_copy(update={"corrections": corrections})
     residuals, parts = [np.array([0.5, 0.0, 0.5])], 2 if corrections else 1
     while _needs_another_motion(residuals, parts, track, asked, settings(4)):
+        residuals.append(np.array([1e-3 * off_mm, 0.0, 0.0]))
+    assert len(residuals) - 1 == drives
+
+
+@pytest.mark.parametrize(("off_mm", "drives"), [(4.5, 5), (6.5, 7)], ids=str)
+async def test_ends_that_scatter_are_driven_again_while_outside(off_mm: float, drives: int) -> None:
+    """Two drives make up the way; of those after it three may bring nothing, and two more while outside."""
+    arm = SyntheticRig(draw(np.random.default_rng(10), servo_std=2e-5), 10)
+    track = await record_local_track(arm, arm, silent, settings(2, 3), BOOM)
+    residuals = [np.array([0.5, 0.0, 0.5])]
+    while _needs_another_motion(residuals, 2, track, POSITIONING, settings(2, 3)):
         residuals.append(np.array([1e-3 * off_mm, 0.0, 0.0]))
     assert len(residuals) - 1 == drives

@@ -26,7 +26,7 @@ from vision_pc.core.calibration.local_error_model import (
 )
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.positioning.expected_end import ExpectedEnd
-from vision_pc.core.positioning.foreseen_end import Wanted, foreseen_end, seen_end
+from vision_pc.core.positioning.foreseen_end import Wanted, foreseen_end, looked_at_end, seen_end
 from vision_pc.core.positioning.learned_servo import expected_left, servo_spread, worth_correcting
 from vision_pc.core.positioning.look_then_move import (
     Ended,
@@ -46,6 +46,7 @@ _STALE = 0.003  # m or rad: more than a settled arm creeps
 class CorrectedResult(NamedTuple):
     """The result, the error in K axes that odometry measured before the last look, and the track so far.
 
+    Without a step, what was ``seen`` is what the one look tells.
     ``delay``: of the camera, as the newest model has it; None where it was not asked for.
     """
 
@@ -59,6 +60,12 @@ class CorrectedResult(NamedTuple):
         """The error (3,) m in K axes that odometry measured at the end."""
         return self.seen.mean_m
 
+    @property
+    def expected(self) -> ExpectedEnd:
+        """What was told of the end before anything moved."""
+        steps = self.positioning.steps
+        return steps[0].expected if steps else self.seen
+
 
 async def look_then_move_corrected(
     arm: Arm,
@@ -71,6 +78,7 @@ async def look_then_move_corrected(
 ) -> CorrectedResult:
     """The result of one look, two drives with a correction between them, and a look for the verdict.
 
+    Where drives adapt, a tool that stands nearer to its goal than they are expected to leave it stays there.
     ``track`` must end where the arm stands. Raises MeasurementFailed when the arm was moved since
     (``measurement.calibration_stale``), the step is too long, or odometry is lost; errors of arm and eyes
     pass through.
@@ -85,6 +93,10 @@ async def look_then_move_corrected(
     residuals = [goal_K - p_CM]
     far = float(np.linalg.norm(residuals[0])) > map_settings.near_m
     parts = 2 if far and settings.corrections else 1
+    if _stands_near_enough(residuals[0], track, settings, map_settings):
+        here = looked_at_end(residuals[0], look, track, settings)
+        ended = Ended.REACHED if reached(looks[0], settings) else Ended.NEAR_ENOUGH
+        return CorrectedResult(PositioningResult(tuple(looks), (), ended), here, track)
     while _needs_another_motion(residuals, parts, track, settings, map_settings):
         fitted = fit_error_model(track, p_CM, dimensions, map_settings)
         x, covariance = solve_step(fitted, residuals[-1])
@@ -108,6 +120,21 @@ async def look_then_move_corrected(
     return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), seen, track, fitted.delay)
 
 
+def _stands_near_enough(
+    residual: Array, track: LocalTrack, settings: PositioningSettings, map_settings: LocalErrorModelSettings
+) -> bool:
+    """Whether a look's ``residual`` (3,) is less than the drives that may follow are expected to leave.
+
+    An open-loop step is one drive that was asked for.
+    """
+    adaptive = map_settings.adaptive
+    if not adaptive.enabled or not settings.corrections or abs(residual[2]) > settings.depth_aim_m:
+        return False
+    variance = servo_spread(track, map_settings).variance
+    enough = worth_correcting(variance, adaptive.nudge_m, settings.corrections + 1)
+    return math.hypot(residual[0], residual[1]) <= enough
+
+
 def _needs_another_motion(
     residuals: list[Array],
     parts: int,
@@ -120,8 +147,8 @@ def _needs_another_motion(
     The first ``parts`` motions make up the whole way. After them fine corrections follow while the residual
     is outside ``nudge_m``, and where drives adapt also worth another one after what they left in ``track``;
     until a few in a row were of no use: the first may have gone into backlash. Where drives adapt and
-    odometry sees the tool outside the tolerance there may be ``adaptive.outside`` more, but for an open-loop
-    step, which is one drive.
+    odometry sees the tool outside the tolerance there may be ``adaptive.outside`` more, of no use or in all:
+    ends that scatter widely may still come inside. But for an open-loop step, which is one drive.
     """
     drives = len(residuals) - 1
     left = settings.corrections + 1 - drives
@@ -136,7 +163,8 @@ def _needs_another_motion(
     most, enough = _USELESS, settings.nudge_m
     if adaptive.enabled:
         variance = servo_spread(track, map_settings).variance
-        most, enough = adaptive.useless, worth_correcting(variance, adaptive.nudge_m, max(left, 1))
+        most = adaptive.useless + (adaptive.outside if outside else 0)
+        enough = worth_correcting(variance, adaptive.nudge_m, max(left, 1))
     return sizes[-1] > enough and useless < most
 
 

@@ -75,9 +75,17 @@ def seen_end(
 
     ``fitted``: the model of its last drive, ``track`` with it.
     """
-    covariance = _odometry_covariance(residuals[0], np.eye(3), look, fitted.scale, track, map_settings)
-    covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + _unrest_covariance(track)
-    return expected_end(residuals[-1], covariance, settings.tolerance_m)
+    here = looked_at_end(residuals[-1], look, track, settings)
+    way = _odometry_covariance(residuals[0], np.eye(3), look, fitted.scale, track, map_settings)
+    return expected_end(here.mean_m, here.covariance + way, settings.tolerance_m)
+
+
+def looked_at_end(
+    residual: Array, look: Look, track: LocalTrack, settings: PositioningSettings
+) -> ExpectedEnd:
+    """What ``look`` tells of a tool that stays ``residual`` (3,) m off its goal."""
+    covariance = look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + _unrest_covariance(track)
+    return expected_end(residual, covariance, settings.tolerance_m)
 
 
 def _uncorrected_play(x: Array, fitted: LocalErrorModel, settings: LocalErrorModelSettings) -> Array:

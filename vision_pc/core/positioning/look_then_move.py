@@ -48,14 +48,15 @@ class Step(NamedTuple):
 
 
 class Ended(StrEnum):
-    """Why no further input followed: inside the aim, no use, the inputs are used up, or the machine could not
-    bring what odometry saw outside the tolerance inside it.
+    """Why no further input followed: inside the aim, no use, the inputs are used up, the machine could not
+    bring what odometry saw outside the tolerance inside it, or the tool stood nearer than drives end.
     """
 
     REACHED = "reached"
     NOT_IMPROVING = "not_improving"
     INPUT_LIMIT = "input_limit"
     NOT_RESOLVED = "not_resolved"
+    NEAR_ENOUGH = "near_enough"
 
 
 class PositioningResult(NamedTuple):
