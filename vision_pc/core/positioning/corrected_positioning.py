@@ -30,6 +30,7 @@ from vision_pc.core.positioning.foreseen_end import Wanted, foreseen_end, looked
 from vision_pc.core.positioning.learned_servo import expected_left, servo_spread, worth_correcting
 from vision_pc.core.positioning.look_then_move import (
     Ended,
+    LookVerdict,
     PositioningResult,
     Step,
     judge,
@@ -89,14 +90,10 @@ async def look_then_move_corrected(
     p_CM = look.X_CM[:3, 3]
     goal_K = p_CM + positioning_error(look, settings.clearance_m)  # where the marker shall be, in K
     steps: list[Step] = []
-    looks = [judge(look, settings)]
     residuals = [goal_K - p_CM]
-    far = float(np.linalg.norm(residuals[0])) > map_settings.near_m
-    parts = 2 if far and settings.corrections else 1
     if _stands_near_enough(residuals[0], track, settings, map_settings):
-        here = looked_at_end(residuals[0], look, track, settings)
-        ended = Ended.REACHED if reached(looks[0], settings) else Ended.NEAR_ENOUGH
-        return CorrectedResult(PositioningResult(tuple(looks), (), ended), here, track)
+        return _stayed(look, track, settings, report)
+    parts = 2 if settings.corrections and np.linalg.norm(residuals[0]) > map_settings.near_m else 1
     while _needs_another_motion(residuals, parts, track, settings, map_settings):
         fitted = fit_error_model(track, p_CM, dimensions, map_settings)
         x, covariance = solve_step(fitted, residuals[-1])
@@ -112,12 +109,21 @@ async def look_then_move_corrected(
         track = extended(track, drive._replace(misses=missed))
     seen = seen_end(residuals, look, fitted, track, settings, map_settings)
     report(0.9, f"looking; odometry says inside with probability {seen.inside:.2f}")
-    looks.append(judge(await eyes.look(), settings))
-    report(1.0, f"error {1e3 * looks[-1].error_m[0]:+.1f} {1e3 * looks[-1].error_m[1]:+.1f} mm")
+    looks = judge(look, settings), judge(await eyes.look(), settings)
+    report(1.0, _error_in_words(looks[-1]))
     unresolved = map_settings.adaptive.enabled and np.abs(seen.mean_m[:2]).max() > settings.tolerance_m
     stopped = Ended.NOT_RESOLVED if unresolved else Ended.INPUT_LIMIT
     ended = Ended.REACHED if reached(looks[-1], settings) else stopped
-    return CorrectedResult(PositioningResult(tuple(looks), tuple(steps), ended), seen, track, fitted.delay)
+    return CorrectedResult(PositioningResult(looks, tuple(steps), ended), seen, track, fitted.delay)
+
+
+def _stayed(look: Look, track: LocalTrack, settings: PositioningSettings, report: Report) -> CorrectedResult:
+    """The result without a step: what ``look`` tells of a tool that stays where it is."""
+    verdict = judge(look, settings)
+    report(1.0, f"{_error_in_words(verdict)}: nearer than drives end")
+    ended = Ended.REACHED if reached(verdict, settings) else Ended.NEAR_ENOUGH
+    seen = looked_at_end(verdict.error_m, look, track, settings)
+    return CorrectedResult(PositioningResult((verdict,), (), ended), seen, track)
 
 
 def _stands_near_enough(
@@ -166,6 +172,10 @@ def _needs_another_motion(
         most = adaptive.useless + (adaptive.outside if outside else 0)
         enough = worth_correcting(variance, adaptive.nudge_m, max(left, 1))
     return sizes[-1] > enough and useless < most
+
+
+def _error_in_words(verdict: LookVerdict) -> str:
+    return f"error {1e3 * verdict.error_m[0]:+.1f} {1e3 * verdict.error_m[1]:+.1f} mm"
 
 
 def _in_words(residual: Array) -> str:
