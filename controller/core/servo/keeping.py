@@ -45,7 +45,8 @@ _SOFT_FELT, _LEARNS_FELT = 0.4, 0.25  # instead, of a joint whose way is felt wi
 _EXCITED_RAD = 1e-4  # and is not calm further off
 _FELT_RAD, _FELT_S = 1e-4, 60.0  # what that way is limited to, and forgotten in: friction relaxes, too;
 _SILENT_S = 200.0  # instead, where the encoder does not tell otherwise
-_BOTH = 2.0  # when encoder and load tell that it sank: openings between a spool's edges do next to nothing
+_HASTENS = 4.0  # while its load tells that a parked joint sinks: between a spool's edges openings do little,
+_TELLS_RAD = 1.5e-5  # by a tenth of a bar, and the encoder, within its play, does not tell otherwise
 _HIGH_RAD, _STUBBORN_S = 1e-4, 5.0  # a joint stands so much too high for so long: its valve is shut
 
 
@@ -86,8 +87,8 @@ def kept(law: ParkingLaw, state: Array, i: int, error: float, load: float, gains
     side = 0 if sense > 0.0 else 1
     gain, below = gains[side], sense * (state[ERROR, i] - state[PLACE, i])
     outside = math.copysign(max(abs(below) - _ZONE_RAD, 0.0), below)
-    if state[PARKED, i] > 0.0 and min(outside, sense * sunk) > 0.0:
-        learns *= _BOTH
+    if state[PARKED, i] > 0.0 and outside >= 0.0 and sense * sunk > _TELLS_RAD:
+        learns *= _HASTENS
     doubt = gain * _SURE * law.spread[i, side]
     bias = state[BIAS, i] + learns * k * k * (outside + sense * sunk) * law.dt_s
     state[BIAS, i] = min(max(bias, -doubt), doubt + law.fastest)

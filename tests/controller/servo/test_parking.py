@@ -247,6 +247,26 @@ def test_a_load_that_fell_is_remembered_unless_the_encoder_says_otherwise(seen: 
     assert (state[FELT, 0] - load) / 0.5 == pytest.approx(left, abs=0.15)
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_parked_joint_whose_load_tells_that_it_sinks_is_caught_sooner(side: float) -> None:
+    """Between a spool's edges an opening does next to nothing; a lift sank by 1 mm on the way there."""
+    law = _law(0.02, 0.001)._replace(exact=ONES, felt=1e-4 * ONES)
+
+    def learned(bar: float, seen: float = 0.0, parked: float = 2.0) -> float:
+        """What the bias changes by in a second, times its usual rate (rad/s)."""
+        state = parking_begun(law)
+        state[PHASE], state[SENSE], state[PARKED], state[FELT] = KEPT, side, parked, 50.0
+        state[ERROR], state[QUIET] = side * seen, 40.0
+        for _ in range(round(1.0 / DT_S)):
+            _moved(law, state, 0, side * seen, 50.0 - side * bar, GAINS)
+        return float(state[BIAS, 0]) / bar
+
+    usual = learned(0.12)
+    assert learned(0.5) == pytest.approx(4.0 * usual, rel=0.05)
+    assert learned(0.5, parked=0.0) == pytest.approx(usual, rel=0.05)
+    assert 0.0 < learned(0.5, seen=-2.6e-5) < usual  # the encoder tells otherwise
+
+
 def test_a_parked_joint_that_was_pushed_far_away_is_brought_back() -> None:
     rest = _rest(_law(0.08, 0.002), Joint(2e-3, 0.08, -4e-6), 60.0)
     assert OPEN in rest.phases
