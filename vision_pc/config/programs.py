@@ -101,8 +101,9 @@ class AdaptiveDriveSettings(StrictModel):
     than ``lens_from``, the lenses differ, and the look does not share ``lens_share`` of the rest.
     ``useless``: fine corrections in a row without improvement after which the machine is said not to resolve
     what is left. ``outside``: drives beyond the positioning's corrections while odometry sees the tool
-    outside the tolerance. ``nudge_m``: in place of the positioning's, for drives that end alike are worth
-    correcting by less. ``leg_end_std_m``: what else than play shaped each end of a leg, of an open-loop step.
+    outside half of the tolerance. ``nudge_m``: in place of the positioning's, for drives that end alike are
+    worth correcting by less. ``leg_end_std_m``: what else than play shaped each end of a leg, of an open-loop
+    step.
     """
 
     enabled: bool

@@ -41,6 +41,7 @@ from vision_pc.core.se3 import Array, local, transform
 from vision_pc.core.types import Look
 
 _USELESS = 2  # fine corrections in a row that brought no improvement
+_DOUBTFUL = 0.5  # of the tolerance: what is told beforehand does not expect ends farther off
 _STALE = 0.003  # m or rad: more than a settled arm creeps
 
 
@@ -153,15 +154,15 @@ def _needs_another_motion(
     The first ``parts`` motions make up the whole way. After them fine corrections follow while the residual
     is outside ``nudge_m``, and where drives adapt also worth another one after what they left in ``track``;
     until a few in a row were of no use: the first may have gone into backlash. Where drives adapt and
-    odometry sees the tool outside the tolerance there may be ``adaptive.outside`` more, of no use or in all:
-    ends that scatter widely may still come inside. But for an open-loop step, which is one drive.
+    odometry sees the tool outside half of the tolerance there may be ``adaptive.outside`` more, of no use or
+    in all: ends that scatter widely may still come inside. But for an open-loop step, which is one drive.
     """
     drives = len(residuals) - 1
     left = settings.corrections + 1 - drives
     if drives < parts:
         return True
     adaptive = map_settings.adaptive
-    outside = adaptive.enabled and np.abs(residuals[-1][:2]).max() > settings.tolerance_m
+    outside = adaptive.enabled and np.abs(residuals[-1][:2]).max() > _DOUBTFUL * settings.tolerance_m
     if left < 1 - (adaptive.outside if outside and settings.corrections else 0):
         return False
     sizes = [math.hypot(residual[0], residual[1]) for residual in residuals[parts:]]
