@@ -220,6 +220,20 @@ def test_oil_is_let_out_of_a_raised_joint_where_its_load_is_known() -> None:
     assert out(60.0) == 0.0  # nothing was learned
 
 
+def test_a_raised_joint_that_has_arrived_opens_its_valve_to_let_oil_out() -> None:
+    """Before it is off its place at all; one whose play nobody has found waits until it is."""
+
+    def spool(law: ParkingLaw) -> float:
+        state = parking_begun(law)
+        state[PHASE], state[SINCE], state[BAND] = SHUT, 1.0, BAND_RAD
+        state[CAME, 1], state[WENT, 1], state[EASE, 1], state[EASE_AT, 1] = 1.0, 0.6, 57.0 * OIL_RAD_BAR, 0.6
+        state[OIL, 1] = -60.0 * OIL_RAD_BAR
+        return float(_moved(law, state, 1, 0.0, 60.0, GAINS))
+
+    assert spool(LAW) < 0.0
+    assert spool(UNKNOWN) == 0.0
+
+
 class Arrived(NamedTuple):
     """True angles (rad) from where it arrived, in the sense in which it came; how often its valve opened."""
 

@@ -1,0 +1,139 @@
+"""A joint that leaks is kept by an opening on one side of its valve's overlap."""
+
+import numpy as np
+import pytest
+
+from controller.core.servo.coming_to_rest import listened, parked_here
+from controller.core.servo.parking import _moved
+from controller.core.servo.parking_state import (
+    BIAS,
+    ERROR,
+    FELT,
+    KEPT,
+    LOAD,
+    PARKED,
+    PHASE,
+    PLACE,
+    QUIET,
+    SENSE,
+    STEADY,
+    off_place,
+    parking_begun,
+)
+from protocol.process_image import VALVE_FULL_SCALE
+from tests.controller.servo.poor_joint import BAND_RAD, BAR_RAD, DT_S, GAINS, ONES, Joint, poor_law, resting
+
+
+def test_a_kept_joint_near_its_goal_stays_there_once_the_arm_is_parked() -> None:
+    """Two joints of a crane that crept the last tenth of a milliradian took the tool 2 mm along."""
+    state = parking_begun(poor_law(0.08, 0.004))
+    state[PHASE], state[ERROR] = KEPT, [1.4e-4, -1.4e-4, 1.5e-4, 4e-4, 0.0, -2e-5]
+    here = parked_here(poor_law(0.08, 0.004), state)
+    assert here[PLACE].tolist() == [1.4e-4, -1.4e-4, 0.0, 0.0, 0.0, -2e-5]
+    assert not off_place(here)[[0, 1, 4, 5]].any()
+
+
+def test_the_valve_of_a_kept_joint_stays_as_it_is_when_the_arm_is_parked() -> None:
+    """What pushed it to its goal, and what its load told, ended at once: a crane's lift sank by 0.6 mm."""
+    law = poor_law(0.02, 0.001)._replace(exact=ONES, felt=ONES / BAR_RAD)
+    state = parking_begun(law)
+    state[PHASE], state[SENSE], state[QUIET], state[ERROR] = KEPT, [1.0, -1.0, 1.0, 1.0, 1.0, 1.0], 40.0, 3e-5
+    state[LOAD], state[FELT], state[BIAS] = 50.3, 50.0, 4e-4
+    here = parked_here(law, state)
+    assert not off_place(here).any()
+    for joint in range(2):
+        before, after = (
+            np.mean([_moved(law, at, joint, 3e-5, 50.3, GAINS) for _ in range(200)]) for at in (state, here)
+        )
+        assert after == pytest.approx(before, abs=0.3 / VALVE_FULL_SCALE)
+
+
+@pytest.mark.parametrize(("seen", "left"), [(0.0, 0.6), (-5e-5, 0.3), (5e-5, 0.6)])
+def test_a_load_that_fell_is_remembered_unless_the_encoder_says_otherwise(seen: float, left: float) -> None:
+    """A lift sank by 0.1 mrad in three minutes, within its play: its load told, and was forgotten in one."""
+    law = poor_law(0.02, 0.001)._replace(exact=ONES, felt=1e-4 * ONES)
+    state = parking_begun(law)
+    state[PHASE], state[SENSE], state[PARKED], state[FELT] = KEPT, 1.0, 2.0, 50.0
+    for scan in range(scans := round(150.0 / DT_S)):
+        _moved(law, state, 0, seen, load := 50.0 - 0.5 * scan / scans, GAINS)
+    assert (state[FELT, 0] - load) / 0.5 == pytest.approx(left, abs=0.15)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_parked_joint_whose_load_tells_that_it_sinks_is_caught_sooner(side: float) -> None:
+    """Between a spool's edges an opening does next to nothing; a lift sank by 1 mm on the way there."""
+    law = poor_law(0.02, 0.001)._replace(exact=ONES, felt=1e-4 * ONES)
+
+    def learned(bar: float, seen: float = 0.0, parked: float = 2.0) -> float:
+        """What the bias changes by in a second, times its usual rate (rad/s)."""
+        state = parking_begun(law)
+        state[PHASE], state[SENSE], state[PARKED], state[FELT] = KEPT, side, parked, 50.0
+        state[ERROR], state[QUIET] = side * seen, 40.0
+        for _ in range(round(1.0 / DT_S)):
+            _moved(law, state, 0, side * seen, 50.0 - side * bar, GAINS)
+        return float(state[BIAS, 0]) / bar
+
+    usual = learned(0.12)
+    assert learned(0.5) == pytest.approx(4.0 * usual, rel=0.05)
+    assert learned(0.5, parked=0.0) == pytest.approx(usual, rel=0.05)
+    assert 0.0 < learned(0.5, seen=-2.6e-5) < usual  # the encoder tells otherwise
+
+
+@pytest.mark.parametrize("creep", [-1e-3, 4e-4])
+def test_a_joint_that_leaks_too_fast_is_kept_by_an_opening(creep: float) -> None:
+    """Steadily on one side of the overlap, and still: within a third of the play before its encoder.
+
+    One step of the valve's word is 12 µrad/s here, a hundred times what would leave it there.
+    """
+    rest = resting(poor_law(0.08, 0.004), Joint(0.0, 0.083, creep, 5e-5), 120.0, parked=False)
+    assert rest.state[PHASE, 0] == KEPT
+    settled = round(30.0 / DT_S)
+    assert np.ptp(rest.errors[-settled:]) < 0.33 * BAND_RAD
+    assert (np.sign(rest.spools[-settled:]) == -np.sign(creep)).all()
+    slow = resting(poor_law(0.08, 0.002), Joint(0.0, 0.083, 0.02 * creep), 90.0, parked=False)
+    assert slow.state[PHASE, 0] != KEPT
+
+
+def test_a_valve_that_passes_small_flows_keeps_a_loaded_joint_that_is_felt() -> None:
+    law, joint = poor_law(0.02, 0.001), Joint(0.0, 0.0205, -1e-5, 5e-5)
+    assert resting(law, joint, 30.0, parked=False).state[PHASE, 0] != KEPT
+    felt = law._replace(exact=ONES, felt=ONES / BAR_RAD)
+    assert resting(felt, joint, 30.0, parked=False).state[PHASE, 0] == KEPT
+    for lacks in ("exact", "felt", "loaded"):
+        less = felt._replace(**{lacks: 0.0 * ONES})
+        assert resting(less, joint, 30.0, parked=False).state[PHASE, 0] != KEPT
+
+
+def test_a_kept_joint_is_felt_within_the_play_before_its_encoder() -> None:
+    """Oil drains away for minutes, and with it what the valve has to pass; the encoder sees little of it."""
+    law = poor_law(0.02, 0.001)._replace(exact=ONES, rest=1e3 * ONES)
+    joint = Joint(0.0, 0.0205, -2e-5, 6e-5, -1e-6)
+    unfelt, felt = (
+        resting(one, joint, 150.0, parked=False) for one in (law, law._replace(felt=ONES / BAR_RAD))
+    )
+    moved = [np.ptp(rest.errors[round(60.0 / DT_S) :]) for rest in (unfelt, felt)]
+    assert felt.state[PHASE, 0] == KEPT
+    assert moved[1] < 0.6 * moved[0]
+    assert moved[1] < 6e-5
+
+
+def test_a_kept_joint_whose_leak_turns_over_is_kept_on_the_other_side() -> None:
+    law = poor_law(0.02, 0.001)._replace(exact=ONES, felt=ONES / BAR_RAD)
+    rest = resting(law, Joint(0.0, 0.0205, -2e-5, 5e-5, 1e-6), 150.0, parked=False)
+    assert (np.sign(rest.spools[-100:]) == -1.0).all()
+    assert rest.spools.max() > 0.0
+    assert np.abs(rest.errors[-100:]).max() < 2e-4
+    assert np.abs(rest.errors).max() < 5e-4
+
+
+@pytest.mark.parametrize(("drift", "steady"), [(1.5e-7, True), (1e-6, False)])
+def test_a_kept_joint_whose_leak_still_changes_does_not_rest(drift: float, steady: bool) -> None:
+    """Quiet by its encoder, a lift whose oil drained away was parked, and sank within its play."""
+    law = poor_law(0.02, 0.001)._replace(exact=ONES, felt=ONES / BAR_RAD)
+    state = parking_begun(law)
+    state[PHASE, 0] = KEPT
+    for scan in range(round(60.0 / DT_S)):
+        state[BIAS, 0] = 1e-4 + drift * DT_S * scan
+        listened(law, state, 0, 5.0, 0.0, 50.0)
+    assert (state[STEADY, 0] > 35.0) == steady
+    assert state[QUIET, 0] > 35.0
