@@ -19,6 +19,7 @@ from controller.core.servo.parking_state import (
     EDGE,
     ERROR,
     FELT,
+    HASTE,
     KEPT,
     MARK,
     OWED,
@@ -30,6 +31,7 @@ from controller.core.servo.parking_state import (
     SINCE,
     ParkingLaw,
 )
+from controller.core.servo.small_moves import shut
 from foundation.compiled import kernel
 from protocol.process_image import VALVE_FULL_SCALE
 
@@ -48,6 +50,8 @@ _SILENT_S = 200.0  # instead, where the encoder does not tell otherwise
 _HASTENS = 4.0  # while its load tells that a parked joint sinks: between a spool's edges openings do little,
 _TELLS_RAD = 1.5e-5  # by a tenth of a bar, and the encoder, within its play, does not tell otherwise
 _HIGH_RAD, _STUBBORN_S = 1e-4, 5.0  # a joint stands so much too high for so long: its valve is shut
+FAR_RAD = 1e-3  # a joint that went so far is not kept, whatever its valve passes: an inch brings it back,
+_NOT_AGAIN = -1e6  # and until the next motion no number of inches in a row tells that it leaks
 
 
 @kernel
@@ -80,6 +84,10 @@ def kept(law: ParkingLaw, state: Array, i: int, error: float, load: float, gains
         lean = 0.0 if feels else _LEANS_RAD_S
     keep = math.exp(-law.dt_s / filter_s)
     state[ERROR, i] = keep * state[ERROR, i] + (1.0 - keep) * error
+    if abs(state[ERROR, i] - state[PLACE, i]) > FAR_RAD:
+        shut(state, i, error)
+        state[HASTE, i] = _NOT_AGAIN
+        return 0.0
     sunk = _felt(law, state, i, load)
     if feels and _stubborn(state, i):
         return 0.0

@@ -15,7 +15,7 @@ from controller.core.kinematics.rotations import Array
 from controller.core.servo.coming_to_rest import ARRIVED_RAD, calm_counted, listened
 from controller.core.servo.drives import full_spool_speeds
 from controller.core.servo.flanks import came_too_far, flanks_followed, left_at, turned_to
-from controller.core.servo.keeping import kept, kept_begun
+from controller.core.servo.keeping import FAR_RAD, kept, kept_begun
 from controller.core.servo.metering import eased, learned, metered, metered_begun
 from controller.core.servo.parking_state import (
     AFTER,
@@ -75,7 +75,6 @@ _HASTES = 3.0  # moves in a row that were due too soon tell a joint that leaks f
 _WATCHED_S = 4.0  # so long a parked joint is watched before it is nudged
 _NUDGED_AT = 0.5  # of the band: a parked joint that crept so far is nudged
 _NEAR_RAD = 5e-4  # from there on a valve that passes small flows steadily keeps a joint that is felt
-_FAR_RAD = 1e-3  # a parked joint that was pushed so far off is brought back by an inch
 _PART = 0.5  # of its way: a slew near its place, which relaxes by as much again
 _DRAGS_RAD = 3e-6  # from there on a joint drags its encoder along again, and its creep shows
 _AGAIN_RAD = 7e-6  # beyond where its encoder was at the last nudge: by the slow filter; its noise is 1 µrad
@@ -216,12 +215,13 @@ def _moved_again(
     sense = 1.0 if off > 0.0 else -1.0
     gain = gains[0 if sense > 0.0 else 1]
     leak = rate if law.oil[i] == 0.0 else (state[OIL, i] - state[OIL_AT, i]) / max(watched, 1e-3)
-    state[HASTE, i] = state[HASTE, i] + 1.0 if _hasty(law, state, i, sense, leak) else 0.0
+    hasty = _hasty(law, state, i, sense, leak)
+    state[HASTE, i] = state[HASTE, i] + 1.0 if hasty else min(state[HASTE, i], 0.0)
     steadily = law.exact[i] > 0.0 and law.felt[i] > 0.0 and law.loaded[i] > 0.0 and abs(off) < _NEAR_RAD
     if steadily or state[HASTE, i] >= _HASTES:
         kept_begun(state, i, leak, load)
         return float(kept(law, state, i, error, load, gains))
-    if state[PARKED, i] > 0.0 and abs(off) < _FAR_RAD:
+    if state[PARKED, i] > 0.0 and abs(off) < FAR_RAD:
         _creep_seen(state, i, sense)
         return float(nudge_begun(state, i, state[CREPT, i], sense, load))
     if law.oil[i] > 0.0:

@@ -15,6 +15,7 @@ from controller.core.servo.parking_state import (
     ERROR,
     PARKED,
     PHASE,
+    SENSE,
     SHUT,
     SINCE,
     SPEED,
@@ -83,9 +84,10 @@ class Joint(NamedTuple):
     ramp: float = 0.0
 
 
-def resting(law: ParkingLaw, joint: Joint, seconds: float, parked: bool = True) -> Rest:
+def resting(law: ParkingLaw, joint: Joint, seconds: float, parked: bool = True, phase: float = SHUT) -> Rest:
     rng, state = np.random.default_rng(5), parking_begun(law)
-    state[PHASE, 0], state[BAND, 0], state[PARKED, 0] = SHUT, BAND_RAD, float(parked)
+    state[PHASE, 0], state[BAND, 0], state[PARKED, 0] = phase, BAND_RAD, float(parked)
+    state[SENSE, 0] = -math.copysign(1.0, joint.creep)
     state[ERROR, 0] = state[CREPT, 0] = joint.error
     commands = deque([0.0] * round(DELAY_S / DT_S), maxlen=round(DELAY_S / DT_S))
     angle, seen, spool = -joint.error, -joint.error, 0.0

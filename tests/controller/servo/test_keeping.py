@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 
 from controller.core.servo.coming_to_rest import listened, parked_here
+from controller.core.servo.keeping import FAR_RAD
 from controller.core.servo.parking import _moved
 from controller.core.servo.parking_state import (
     BIAS,
     ERROR,
     FELT,
+    HASTE,
     KEPT,
     LOAD,
     PARKED,
@@ -16,9 +18,11 @@ from controller.core.servo.parking_state import (
     PLACE,
     QUIET,
     SENSE,
+    SHUT,
     STEADY,
     off_place,
     parking_begun,
+    parking_ended,
 )
 from protocol.process_image import VALVE_FULL_SCALE
 from tests.controller.servo.poor_joint import BAND_RAD, BAR_RAD, DT_S, GAINS, ONES, Joint, poor_law, resting
@@ -137,3 +141,23 @@ def test_a_kept_joint_whose_leak_still_changes_does_not_rest(drift: float, stead
         listened(law, state, 0, 5.0, 0.0, 50.0)
     assert (state[STEADY, 0] > 35.0) == steady
     assert state[QUIET, 0] > 35.0
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_joint_that_its_opening_carries_off_is_kept_no_more(side: float) -> None:
+    """A crane's tilt went to and fro by 30 mrad while kept: no edge was where it was believed."""
+    law = poor_law(0.08, 0.004)
+    rest = resting(law, Joint(0.0, 0.05, side * -1e-3, 5e-5), 60.0, parked=False, phase=KEPT)
+    assert 1e-3 < np.abs(rest.errors).max() < 2.5e-3
+    assert np.abs(rest.errors[-round(30.0 / DT_S) :]).max() < FAR_RAD
+
+
+@pytest.mark.parametrize(("phase", "off", "is_kept"), [(SHUT, 0.0, True), (KEPT, 1.1 * FAR_RAD, False)])
+def test_a_joint_that_was_lost_is_not_kept_again_before_the_next_motion(
+    phase: float, off: float, is_kept: bool
+) -> None:
+    """It leaks too fast for inches in either, and is told to again and again."""
+    rest = resting(poor_law(0.08, 0.004), Joint(off, 0.083, -1e-3, 5e-5), 60.0, parked=False, phase=phase)
+    shut = rest.phases.tolist().index(SHUT)
+    assert (KEPT in rest.phases[shut:]) == is_kept
+    assert parking_ended(rest.state)[HASTE, 0] == 0.0
