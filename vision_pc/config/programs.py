@@ -99,11 +99,9 @@ class AdaptiveDriveSettings(StrictModel):
     ``servo_freedom``: how many drives ``servo_std_m`` is worth before any was seen. A joint that does not
     answer in a band is less exact: by ``band_std_m``. Where odometry's lengths differ from the arm's by more
     than ``lens_from``, the lenses differ, and the look does not share ``lens_share`` of the rest.
-    ``useless``: fine corrections in a row without improvement after which the machine is said not to resolve
-    what is left. ``outside``: drives beyond the positioning's corrections while odometry sees the tool
-    outside half of the tolerance. ``nudge_m``: in place of the positioning's, for drives that end alike are
-    worth correcting by less. ``leg_end_std_m``: what else than play shaped each end of a leg, of an open-loop
-    step.
+    ``outside``: drives beyond the positioning's corrections while odometry sees the tool outside half of the
+    tolerance. ``nudge_m``: in place of the positioning's, for drives that end alike are worth correcting by
+    less. ``leg_end_std_m``: what else than play shaped each end of a leg, of an open-loop step.
     """
 
     enabled: bool
@@ -117,7 +115,6 @@ class AdaptiveDriveSettings(StrictModel):
     band_std_m: float = Field(ge=0.0, le=0.05)
     lens_from: float = Field(ge=0.0, le=0.1)
     lens_share: float = Field(ge=0.0, le=1.0)
-    useless: int = Field(ge=1, le=10)
     outside: int = Field(ge=0, le=10)
     nudge_m: float = Field(gt=0.0, le=0.1)
     leg_end_std_m: float = Field(ge=0.0, le=0.05)

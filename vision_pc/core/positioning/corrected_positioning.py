@@ -152,27 +152,26 @@ def _needs_another_motion(
     """Whether a further drive is due after the ``residuals`` (3,) before it, as odometry saw them.
 
     The first ``parts`` motions make up the whole way. After them fine corrections follow while the residual
-    is outside ``nudge_m``, and where drives adapt also worth another one after what they left in ``track``;
-    until a few in a row were of no use: the first may have gone into backlash. Where drives adapt and
-    odometry sees the tool outside half of the tolerance there may be ``adaptive.outside`` more, of no use or
-    in all: ends that scatter widely may still come inside. But for an open-loop step, which is one drive.
+    is outside ``nudge_m``, until two in a row were of no use: the first may have gone into backlash. Where
+    drives adapt, they follow while another one is worth it after what they left in ``track``; and while
+    odometry sees the tool outside half of the tolerance there may be ``adaptive.outside`` more of them, for
+    ends that scatter widely may still come inside. But for an open-loop step, which is one drive.
     """
     drives = len(residuals) - 1
-    left = settings.corrections + 1 - drives
     if drives < parts:
         return True
     adaptive = map_settings.adaptive
-    outside = adaptive.enabled and np.abs(residuals[-1][:2]).max() > _DOUBTFUL * settings.tolerance_m
-    if left < 1 - (adaptive.outside if outside and settings.corrections else 0):
+    far_off = np.abs(residuals[-1][:2]).max() > _DOUBTFUL * settings.tolerance_m
+    more = adaptive.outside if adaptive.enabled and settings.corrections and far_off else 0
+    left = settings.corrections + 1 + more - drives
+    if left < 1:
         return False
     sizes = [math.hypot(residual[0], residual[1]) for residual in residuals[parts:]]
-    useless = len(sizes) - 1 - int(np.argmin(sizes))
-    most, enough = _USELESS, settings.nudge_m
     if adaptive.enabled:
         variance = servo_spread(track, map_settings).variance
-        most = adaptive.useless + (adaptive.outside if outside else 0)
-        enough = worth_correcting(variance, adaptive.nudge_m, max(left, 1))
-    return sizes[-1] > enough and useless < most
+        return sizes[-1] > worth_correcting(variance, adaptive.nudge_m, left)
+    useless = len(sizes) - 1 - int(np.argmin(sizes))
+    return sizes[-1] > settings.nudge_m and useless < _USELESS
 
 
 def _error_in_words(verdict: LookVerdict) -> str:
