@@ -96,9 +96,10 @@ class AdaptiveDriveSettings(StrictModel):
     measured angles were seen farther apart than ``gap_rad`` at rest turns back by ``bands`` times that,
     ``most_rad`` at most. What is left beyond ``residual_rad`` is waited for or driven again, at most
     ``repeats`` times.
-    ``servo_freedom``: how many drives ``servo_std_m`` is worth before any was seen. A joint that does not
-    answer in a band is less exact: by ``band_std_m``. Where odometry's lengths differ from the arm's by more
-    than ``lens_from``, the lenses differ, and the look does not share ``lens_share`` of the rest.
+    ``servo_std_m``: in place of the local map's, where machines need this. ``servo_freedom``: how many drives
+    it is worth before any was seen. A joint that does not answer in a band is less exact: by ``band_std_m``.
+    Where odometry's lengths differ from the arm's by more than ``lens_from``, the lenses differ, and the look
+    does not share ``lens_share`` of the rest.
     ``outside``: drives beyond the positioning's corrections while odometry sees the tool outside half of the
     tolerance. ``nudge_m``: in place of the positioning's, for drives that end alike are worth correcting by
     less. ``leg_end_std_m``: what else than play shaped each end of a leg, of an open-loop step.
@@ -111,6 +112,7 @@ class AdaptiveDriveSettings(StrictModel):
     most_rad: float = Field(gt=0.0, le=0.1)
     residual_rad: float = Field(gt=0.0, le=0.01)
     repeats: int = Field(ge=0, le=10)
+    servo_std_m: float = Field(ge=0.0, le=0.05)
     servo_freedom: float = Field(gt=2.0, le=1000.0)
     band_std_m: float = Field(ge=0.0, le=0.05)
     lens_from: float = Field(ge=0.0, le=0.1)

@@ -14,9 +14,9 @@ MAP, POSITIONING = PROGRAMS.local_map, PROGRAMS.positioning
 
 
 def settings(outside: int, servo_std_m: float = 3e-4) -> LocalErrorModelSettings:
-    adaptive = MAP.adaptive.model_dump() | {"enabled": True, "outside": outside}
-    changed = {"adaptive": adaptive, "servo_std_m": servo_std_m}
-    return LocalErrorModelSettings.model_validate(MAP.model_dump() | changed)
+    changed = {"enabled": True, "outside": outside, "servo_std_m": servo_std_m}
+    adaptive = MAP.adaptive.model_dump() | changed
+    return LocalErrorModelSettings.model_validate(MAP.model_dump() | {"adaptive": adaptive})
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ def servo_spread(track: LocalTrack, settings: LocalErrorModelSettings) -> ServoS
         return ServoSpread(settings.servo_std_m**2, math.inf)
     banded = bool(np.any(track.take_up.gaps > settings.adaptive.gap_rad))
     band = settings.adaptive.band_std_m if banded else 0.0
-    prior = settings.servo_std_m**2 + band**2
+    prior = settings.adaptive.servo_std_m**2 + band**2
     seen = prior + settings.odometry_std_m**2
     freedom = settings.adaptive.servo_freedom
     misses = np.concatenate([track.misses, _left_over(track, settings)])
