@@ -153,6 +153,12 @@ class Bench:
         assert answer.status_code == 202, answer.text
         return await self.ended(answer.headers["Location"])
 
+    async def succeeded(self, kind: str, body: Any = None) -> dict[str, Any]:
+        """As ``run``; one that did not succeed fails the test with its problem."""
+        operation = await self.run(kind, body)
+        assert operation["state"] == "succeeded", operation["problem"]
+        return operation
+
     async def ended(self, location: str) -> dict[str, Any]:
         for _ in range(3000):
             operation: dict[str, Any] = (await self.client.get(location)).json()

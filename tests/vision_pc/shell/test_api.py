@@ -41,15 +41,12 @@ def refused(answer: httpx.Response, status: int, cause: str) -> dict[str, Any]:
 async def test_the_whole_procedure_brings_the_tool_inside_5_mm(station: Bench) -> None:
     assert (await station.post("/enable")).json()["group_state"] == "standby"
     before = np.abs(station.rig.true_error(0.1)[:2]).max()
-    oriented = await station.run("orientation-adjustment")
-    assert oriented["state"] == "succeeded"
+    await station.succeeded("orientation-adjustment")
     assert station.rig.true_orientation_error() < np.radians(0.3)
-    matched = await station.run("trajectory-matching")
-    assert matched["state"] == "succeeded", matched["problem"]
+    matched = await station.succeeded("trajectory-matching")
     assert matched["result"]["rotation_std_deg"] < 2.0
     for _ in range(2):
-        moved = await station.run("look-then-move", {"inputs": 1, "tolerance_mm": 5.0, "aim_mm": 0.0})
-        assert moved["state"] == "succeeded", moved["problem"]
+        moved = await station.succeeded("look-then-move", {"inputs": 1, "tolerance_mm": 5.0, "aim_mm": 0.0})
     error = 1e3 * station.rig.true_error(0.1)
     assert np.abs(error[:2]).max() < 5.0 < 1e3 * before
     result = moved["result"]
@@ -68,9 +65,8 @@ async def test_the_whole_procedure_brings_the_tool_inside_5_mm(station: Bench) -
 async def test_best_mode_needs_one_look(station: Bench) -> None:
     await station.post("/enable")
     await station.run("orientation-adjustment")
-    assert (await station.run("local-track"))["state"] == "succeeded"
-    moved = await station.run("look-then-move", {"method": "corrected"})
-    assert moved["state"] == "succeeded", moved["problem"]
+    await station.succeeded("local-track")
+    moved = await station.succeeded("look-then-move", {"method": "corrected"})
     assert len(moved["result"]["looks"]) == 2  # one before, one for the verdict
     assert np.abs(station.rig.true_error(0.1)[:2]).max() < 0.005
     assert abs(moved["result"]["measured_miss_mm"]["x"]) < 5.0
@@ -80,8 +76,7 @@ async def test_line_equation_moves_once_and_looks_at_the_result(station: Bench) 
     await station.post("/enable")
     await station.run("orientation-adjustment")
     before = np.linalg.norm(station.rig.true_error(0.1)[:2])
-    line = await station.run("line-equation", {"minimum": "fit", "radius_m": 0.15})
-    assert line["state"] == "succeeded", line["problem"]
+    line = await station.succeeded("line-equation", {"minimum": "fit", "radius_m": 0.15})
     assert np.linalg.norm(station.rig.true_error(0.1)[:2]) < 0.3 * before
     assert line["result"]["look"]["verdict"] in ("inside", "outside")
 
@@ -107,8 +102,7 @@ async def test_a_refusal_says_what_to_do(station: Bench) -> None:
 
 async def test_a_look_needs_no_enable(station: Bench) -> None:
     refused(await station.client.get("/looks/latest"), 404, "refused.no_look_yet")
-    look = await station.run("look", {"frames": 5})
-    assert look["state"] == "succeeded"
+    look = await station.succeeded("look", {"frames": 5})
     assert look["result"]["frames"] == 5
     assert look["result"]["X_CO"]["q_wxyz"]
 
@@ -129,7 +123,7 @@ async def test_one_operation_at_a_time(station: Bench) -> None:
     assert first.json()["id"] in document["detail"]
     assert (await station.client.get("/state")).json()["operation"] == first.json()["id"]
     await station.ended(first.headers["Location"])
-    assert (await station.run("look"))["state"] == "succeeded"
+    await station.succeeded("look")
 
 
 async def test_a_request_may_wait_for_the_end(station: Bench) -> None:
@@ -348,7 +342,7 @@ async def test_emergency_stop_latches_until_released_and_reset(station: Bench) -
     refused(await station.post("/operations/move", body), 409, "refused.error_latched")
     assert (await station.post("/reset")).json()["group_state"] == "disabled"
     await station.post("/enable")
-    assert (await station.run("move", body))["state"] == "succeeded"
+    await station.succeeded("move", body)
 
 
 async def test_a_fault_in_motion_fails_the_operation_by_name(station: Bench) -> None:
@@ -447,7 +441,7 @@ async def test_without_a_camera(station: Bench) -> None:
     refused(await station.client.get("/health"), 503, "link.degraded")
     refused(await station.post("/operations/look"), 503, "link.camera_silent")
     await station.post("/enable")
-    assert (await station.run("move", {"offset_base_m": [0.0, 0.05, 0.0]}))["state"] == "succeeded"
+    await station.succeeded("move", {"offset_base_m": [0.0, 0.05, 0.0]})
 
 
 async def test_state_and_health_and_picture(station: Bench) -> None:

@@ -95,7 +95,7 @@ def test_a_pause_of_the_bus_alone_or_a_new_camera_alone_is_no_restart() -> None:
 async def test_what_was_found_out_is_void_then() -> None:
     async with bench() as made:
         await made.post("/enable")
-        assert (await made.run("look"))["state"] == "succeeded"
+        await made.succeeded("look")
         made.station.track = made.station.calibration = cast(Any, object())
         answer = await made.post("/targets", {"u_px": 600.0, "v_px": 300.0})
         assert answer.status_code == 201, answer.text

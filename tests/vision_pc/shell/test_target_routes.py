@@ -42,7 +42,7 @@ async def test_a_target_of_an_arm_that_has_gone_unwatched_is_told_as_lost(statio
     await station.post("/enable")
     await station.post("/targets", {"u_px": 812.4, "v_px": 301.0})
     assert (await station.client.get("/targets/t1")).json()["known"] == "measured"
-    assert (await station.run("move", {"offset_base_m": [0.0, 0.02, 0.0]}))["state"] == "succeeded"
+    await station.succeeded("move", {"offset_base_m": [0.0, 0.02, 0.0]})
     station.eyes.carries = True  # nobody watches now
     assert (await station.client.get("/targets/t1")).json()["known"] == "lost"
 
@@ -88,7 +88,7 @@ async def test_who_names_a_target_drives_to_it_whatever_another_has_clicked_sinc
     station: Bench, program: str, more: dict[str, float]
 ) -> None:
     await station.post("/enable")
-    assert (await station.run("trajectory-matching"))["state"] == "succeeded"
+    await station.succeeded("trajectory-matching")
     for _ in range(2):
         await station.post("/targets", {"u_px": 5.0, "v_px": 3.0})
     for named, aimed in (("t1", "t1"), ("markers", None), ("t2", "t2")):
@@ -103,7 +103,7 @@ async def test_who_names_a_target_drives_to_it_whatever_another_has_clicked_sinc
 
 async def test_programs_refuse_a_target_that_is_not_there(station: Bench) -> None:
     await station.post("/enable")
-    assert (await station.run("local-track"))["state"] == "succeeded"
+    await station.succeeded("local-track")
     request = {"method": "corrected", "target": "t9"}
     answer = await station.post("/operations/look-then-move", request)
     assert answer.status_code == 404
@@ -116,8 +116,7 @@ async def test_a_row_of_targets_is_visited_with_one_track(station: Bench) -> Non
     await station.post("/enable")
     for _ in range(2):
         await station.post("/targets", {"u_px": 5.0, "v_px": 3.0})
-    ended = await station.run("visit", {"targets": ["t1", "t2"]})
-    assert ended["state"] == "succeeded", ended["problem"]
+    ended = await station.succeeded("visit", {"targets": ["t1", "t2"]})
     assert [each["calibrated"] for each in ended["result"]["targets"]] == [True, False]
     assert [each["target"] for each in ended["result"]["targets"]] == ["t1", "t2"]
 
