@@ -22,6 +22,10 @@ from vision_pc.config.vision import MotionSettings
 from vision_pc.core.ports import ArmView, Eyes, ReferenceStream
 from vision_pc.core.se3 import Array, to_pose
 
+_NOISE_NS = 100_000_000  # of an encoder's digits; no arm goes to and fro faster than five times a second
+_CREEPS_RAD = (
+    5e-4  # at most: friction lets go of 0.3 to 0.6 mrad, most of it in the first half of the waiting
+)
 _BEGIN_STATES = 50  # states after the acknowledgement by which the motion must have begun
 
 
@@ -125,8 +129,19 @@ class LinkArm:
 
 
 def _to_and_fro(states: list[State]) -> Array:
-    """How far (6,) rad each encoder went in the later half of the waiting, when the motion had died away."""
-    return np.asarray(np.ptp([state.q_meas for state in states], axis=0), dtype=np.float64)
+    """How far (6,) rad each encoder went to and fro in ``states``, of when the motion had died away.
+
+    The smaller of its farthest rise and its farthest fall, of means that leave little of its noise: a joint
+    that creeps goes one way, and where it stands is known when it is looked at. One that went farther than
+    joints creep may be on its way back later.
+    """
+    slots = np.array([(state.time_ns - states[0].time_ns) // _NOISE_NS for state in states])
+    angles = np.array([state.q_meas for state in states])
+    q = np.array([angles[slots == slot].mean(axis=0) for slot in np.unique(slots)])
+    rise = (q - np.minimum.accumulate(q)).max(axis=0)
+    fall = (np.maximum.accumulate(q) - q).max(axis=0)
+    way = np.ptp(q, axis=0)
+    return np.asarray(np.where(way > _CREEPS_RAD, way, np.minimum(rise, fall)))
 
 
 class CarryingArm:

@@ -34,6 +34,7 @@ from tests.vision_pc.synthetic import SyntheticRig, forward, inverse_kinematics
 from vision_pc.core.se3 import Array, from_pose, local, retract, to_pose
 
 CYCLE_S = 0.01
+SWING_CYCLES = 20
 
 
 async def until(condition: Callable[[], object], limit_s: float = 3.0) -> None:
@@ -209,7 +210,7 @@ class LoopbackController(asyncio.DatagramProtocol):
         settled = self.group is GroupState.STANDBY and not self.never_settles
         flags = FLAG_PLANT_LINK_OK | (FLAG_SETTLED if settled else 0)
         flags |= FLAG_EMERGENCY_LATCHED if self.emergency else 0
-        swing = self.swing_rad * (-1.0) ** self.cycle
+        swing = self.swing_rad * (-1.0) ** (self.cycle // SWING_CYCLES)
         q = tuple(float(v) + swing for v in self.rig.q)
         pose = to_pose(forward(self.rig.q))
         severity = Severity.STOP if self.fault is not FaultCode.NONE else Severity.NONE
