@@ -23,9 +23,7 @@ from vision_pc.core.ports import ArmView, Eyes, ReferenceStream
 from vision_pc.core.se3 import Array, to_pose
 
 _NOISE_NS = 100_000_000  # of an encoder's digits; no arm goes to and fro faster than five times a second
-_CREEPS_RAD = (
-    5e-4  # at most: friction lets go of 0.3 to 0.6 mrad, most of it in the first half of the waiting
-)
+_CREEPS_RAD = 5e-4  # at most: friction lets go of 0.3 to 0.6 mrad, most of it before the later half
 _BEGIN_STATES = 50  # states after the acknowledgement by which the motion must have begun
 
 
