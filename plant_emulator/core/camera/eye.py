@@ -32,6 +32,7 @@ class Eye:
         readout_s = config.shutter.line_s * (config.height_px - 1)
         self._ends_s = (0.0,) if readout_s == 0.0 else (-0.5 * readout_s, 0.5 * readout_s)
         self._rays = true.lens.ray_map(*self._size)
+        self._widest = np.array([extreme(axis) for axis in self._rays for extreme in (np.min, np.max)])
         self._scene = scene
         self._texture = texture
 
@@ -141,7 +142,7 @@ class Eye:
         """Paint ``group``, at ``X_EPs`` (n, m, 4, 4) in the eye and ``X_OPs`` (n, 4, 4) in the scene."""
         if not group.plates:
             return
-        for one in placed(group.rims, X_EPs, self.lens, self._size):
+        for one in placed(group.rims, X_EPs, self.lens, self._size, self._widest):
             plate = group.plates[one.number]
             surface = self._surface(group, one, X_OPs[one.number], edge_m)
             if plate.levels:

@@ -22,6 +22,7 @@ Span = tuple[int, int]
 _COARSEST_TEXELS = 8
 _RIM_PX = 2  # a plate's rim touches pixels this far outside its projected corners
 _NEAREST_M = 0.02
+_ASIDE = 1.05  # of the widest rays: farther aside nothing is seen, not even a rim
 _ALONG = 8  # points on each side of a plate, where the lens bends straight lines
 
 
@@ -131,16 +132,19 @@ def sheets(plates: tuple[Plate, ...], gradient_per_m: tuple[float, float]) -> Sh
     return Sheets(plates, poses, rims, lights)
 
 
-def placed(rims: Matrix, X_EPs: Matrix, lens: Lens, size: tuple[int, int]) -> Iterator[Placed]:
+def placed(
+    rims: Matrix, X_EPs: Matrix, lens: Lens, size: tuple[int, int], widest: Matrix
+) -> Iterator[Placed]:
     """The plates that may be seen, in their order.
 
     ``rims`` (n, 8, 3) as in Sheets; ``X_EPs`` (n, m, 4, 4) the plates in the eye at the instants of the first
-    and the last row, or of all; ``size`` (width, height).
+    and the last row, or of all; ``size`` (width, height); ``widest`` (4,) of the eye's normalised rays: least
+    and greatest x and y.
     """
     R, p = X_EPs[..., :3, :3], X_EPs[..., :3, 3]
     around = _outlines(rims) if lens.bends else rims
     in_eye = around[:, None] @ np.swapaxes(R, -1, -2) + p[:, :, None]
-    boxes = _boxes(in_eye, X_EPs, lens.optics, size)
+    boxes = _boxes(in_eye, X_EPs, lens.optics, size, widest)
     numbers = np.flatnonzero(boxes[:, 0] < boxes[:, 1])
     boxes, R, p = boxes[numbers], R[numbers], p[numbers]
     homographies = ray_to_plane(X_EPs[numbers])
@@ -168,7 +172,7 @@ def _outlines(rims: Matrix) -> Matrix:
 
 
 @kernel(nogil=True)
-def _boxes(in_eye: Matrix, X_EPs: Matrix, optics: Optics, size: tuple[int, int]) -> Pixels:
+def _boxes(in_eye: Matrix, X_EPs: Matrix, optics: Optics, size: tuple[int, int], widest: Matrix) -> Pixels:
     """Pixel rows and columns (n, 4) that each plate may touch, half open: top, bottom, left, right.
 
     ``in_eye`` (n, m, k, 3): the points about each at each instant. All zero where there is nothing to see:
@@ -180,12 +184,27 @@ def _boxes(in_eye: Matrix, X_EPs: Matrix, optics: Optics, size: tuple[int, int])
             continue
         top, bottom, left, right = size[1], 0, size[0], 0
         for m in range(in_eye.shape[1]):
+            if _beside(in_eye[k, m], widest):
+                continue
             rows, columns = _touched(in_eye[k, m], optics, size)
             top, bottom = min(top, rows[0]), max(bottom, rows[1])
             left, right = min(left, columns[0]), max(right, columns[1])
         if top < bottom and left < right:
             boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3] = top, bottom, left, right
     return boxes
+
+
+@kernel(nogil=True)
+def _beside(points: Matrix, widest: Matrix) -> bool:
+    """Whether all ``points`` (k, 3) are beyond one of the planes through the eye and the picture's sides.
+
+    Also those behind the eye: what they are about, a flat thing or nearly, then is there as a whole.
+    """
+    left = right = above = below = True
+    for x, y, z in points:
+        left, right = left and x < _ASIDE * widest[0] * z, right and x > _ASIDE * widest[1] * z
+        above, below = above and y < _ASIDE * widest[2] * z, below and y > _ASIDE * widest[3] * z
+    return left or right or above or below
 
 
 @kernel(nogil=True)

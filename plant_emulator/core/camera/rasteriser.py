@@ -77,7 +77,7 @@ def _paint_rows(
     edges_x, edges_y, grey = grid
     top, bottom, left, right = box
     h, places = room.h, room.places
-    reach_s, reach_t = _most_reach(rays, homographies, box)
+    reach_s, reach_t = most_reach(rays, homographies, box)
     for i in range(top, bottom):
         row_homography(homographies, i, out.shape[0], h)
         places_on_plate(rays.x[i, left:right], rays.y[i, left:right], h, places)
@@ -88,11 +88,11 @@ def _paint_rows(
                 continue
             if bend[0] != 0.0:
                 s, t = bent(s, t, bend)
-            if _beyond(s, reach_s, edges_x) or _beyond(t, reach_t, edges_y):
+            if beyond(s, reach_s, edges_x) or beyond(t, reach_t, edges_y):
                 continue
             column, row = _first_cell(edges_x, s - reach_s, column), _first_cell(edges_y, t - reach_t, row)
             lit = (light[0] + light[1] * s + light[2] * t) * shaded(s, t, shadow), highlight(s, t, glare)
-            if _within(s, reach_s, edges_x, column) and _within(t, reach_t, edges_y, row):
+            if within(s, reach_s, edges_x, column) and within(t, reach_t, edges_y, row):
                 value = grey[row, column] * lit[0] + lit[1]
             else:
                 at, under = meet_plate(rays, h, i, left + k), np.float64(out[i, left + k])
@@ -101,7 +101,7 @@ def _paint_rows(
 
 
 @allocation_free
-def _most_reach(rays: Rays, homographies: Real64, box: tuple[int, int, int, int]) -> tuple[float, float]:
+def most_reach(rays: Rays, homographies: Real64, box: tuple[int, int, int, int]) -> tuple[float, float]:
     """More than half a pixel's extent on the plate, right and down (m), anywhere in ``box``.
 
     The extent grows with the inverse square of the nearness, which is linear over the picture: it is largest
@@ -120,13 +120,13 @@ def _most_reach(rays: Rays, homographies: Real64, box: tuple[int, int, int, int]
 
 
 @allocation_free(inline="always")
-def _beyond(place: float, reach: float, edges: Real64) -> bool:
+def beyond(place: float, reach: float, edges: Real64) -> bool:
     """Whether nothing of a pixel is on the plate."""
     return bool(place + reach <= edges[0] or place - reach >= edges[-1])
 
 
 @allocation_free(inline="always")
-def _within(place: float, reach: float, edges: Real64, cell: int) -> bool:
+def within(place: float, reach: float, edges: Real64, cell: int) -> bool:
     """Whether all of a pixel is in one cell."""
     return bool(edges[cell] <= place - reach and place + reach <= edges[cell + 1])
 
@@ -146,7 +146,7 @@ def _blended(
     s_u, s_v, t_u, t_v = abs(at.s_u), abs(at.s_v), abs(at.t_u), abs(at.t_v)
     s_reach, t_reach = 0.5 * (s_u + s_v), 0.5 * (t_u + t_v)
     column, row = _first_cell(edges_x, s - s_reach, cell[0]), _first_cell(edges_y, t - t_reach, cell[1])
-    if _within(s, s_reach, edges_x, column) and _within(t, t_reach, edges_y, row):
+    if within(s, s_reach, edges_x, column) and within(t, t_reach, edges_y, row):
         return float(grey[row, column] * lit[0] + lit[1])
     last_column = _cell_weights(s, s_u, s_v, edges_x, column, weight_x)
     last_row = _cell_weights(t, t_u, t_v, edges_y, row, weight_y)
