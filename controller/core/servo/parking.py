@@ -166,9 +166,8 @@ def _arrived(law: ParkingLaw, state: Array, i: int, error: float, load: float) -
     shut(state, i, error)
     state[DRIFT, i], state[HELD, i], state[CREPT, i] = 0.0, 0.0, error
     state[OIL, i], state[LOAD, i] = error - law.oil[i] * load, load
-    if (
-        state[CAME, i] == 0.0 and law.loaded[i] == 0.0
-    ):  # it has stood since the start; loads are learned at rest
+    # one that has stood since the start is at ease; those of loaded joints are learned at rest
+    if state[CAME, i] == 0.0 and law.loaded[i] == 0.0:
         state[EASE, i] = law.oil[i] * load
     return True
 

@@ -37,37 +37,26 @@ from controller.core.servo.parking_state import (
 from controller.core.servo_settings import parking_law
 from foundation.configuration import load
 from nominal_arm.commissioned import MeasuredNumber
+from tests.controller.servo.poor_joint import (
+    BAND_RAD,
+    DELAY_S,
+    DIGIT,
+    DT_S,
+    GAIN,
+    GAINS,
+    LAG_S,
+    ONES,
+    poor_law,
+)
 from tests.support.paths import CONFIGS
 
-DT_S, GAIN, DIGIT, BAND_RAD, OIL_RAD_BAR = 0.005, 0.4, 4.8e-5, 1e-4, 3.5e-4
-GAINS, ONES = np.full(2, GAIN), np.ones(6)
-DELAY_S, LAG_S, RELAXES_S = 0.012, 0.057, 2.0
+OIL_RAD_BAR, RELAXES_S = 3.5e-4, 2.0
 LATE_S = DELAY_S + LAG_S + 1.5 * DT_S
-METERED = ParkingLaw(
-    band=4e-4,
-    band_least=7e-5,
-    band_most=2e-4,
-    slowest=4e-4,
-    fastest=1e-2,
-    patience=6.0,
-    calm_way=2e-4,
-    calm=3.0,
-    leaves=2.7e-4,
-    stays=30.0,
-    quiet=1e-4,
-    deadband=np.full((6, 2), 0.08),
-    spread=np.full((6, 2), 0.004),
+METERED = poor_law(0.08, 0.004)._replace(
     latest=(LATE_S + 0.3) * ONES,
     shutting=(LATE_S + 0.13) * ONES,
     loaded=0.0 * ONES,
-    rest=3.0 * ONES,
-    keeping=1.5 * ONES,
-    exact=0.0 * ONES,
-    felt=0.0 * ONES,
     oil=OIL_RAD_BAR * ONES,
-    play=0.0 * ONES,
-    highest=np.full((6, 2), 0.16),
-    dt_s=DT_S,
 )
 
 
