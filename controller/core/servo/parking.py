@@ -222,7 +222,7 @@ def _moved_again(
         return float(kept(law, state, i, error, load, gains))
     if state[PARKED, i] > 0.0 and abs(off) < FAR_RAD:
         _creep_seen(state, i, sense)
-        return float(nudge_begun(state, i, state[CREPT, i], sense, load))
+        return float(nudge_begun(law, state, i, state[CREPT, i], sense, load))
     if law.oil[i] > 0.0:
         relaxes = law.loaded[i] == 0.0 and abs(off) < 2.0 * law.leaves
         turned_to(state, i, sense)

@@ -51,6 +51,7 @@ _AHEAD_S = 0.7  # before the opening that the oil felt, the next nudge begins
 _PUSH_BAR, _LEAST_BAR = 0.15, 0.03  # of the load pressure: the first nudge's, the least of others
 _MOST_BAR = 0.8  # a crane's lift rises 0.15 mrad by that, and beyond friction goes through all its play: 5 mm
 _HELD_S = 15.0  # a nudge is judged when the joint has stayed for so long: oil that relaxes tells nothing
+_HARDER = 1.2  # the next of one that was not: a joint may leak so fast, and sinks by a bit with each
 
 
 @kernel
@@ -123,21 +124,25 @@ def _learn(law: ParkingLaw, state: Array, i: int, edge: float) -> None:
 
 
 @kernel
-def nudge_begun(state: Array, i: int, error: float, sense: float, load: float) -> float:
+def nudge_begun(law: ParkingLaw, state: Array, i: int, error: float, sense: float, load: float) -> float:
     """The first spool command of a nudge that shall raise joint ``i`` as far beyond its place as it sank.
 
     ``error`` (rad): by the encoder now; ``load`` (bar). The last nudge raised the joint by what it sank
-    since, less what the encoder saw of that: so the push of the next one is chosen, if that held.
+    since, less what the encoder saw of that: so the push of the next one is chosen, if that held. If not, it
+    is pushed harder, up to what raises it by as much as nudges ever shall.
     """
     side = 0 if sense > 0.0 else 1
     if state[NUDGE + side, i] == 0.0:
         state[NUDGE + side, i], state[PUSH + side, i] = _SURELY_SHUT * state[EDGE + side, i], _PUSH_BAR
-    elif sense == state[SENSE, i] and state[AFTER, i] > _HELD_S:
-        sunk = sense * (error - state[MARK, i])
-        rose = max(sense * state[DRIFT, i] * state[AFTER, i] - sunk, 0.0)
+    elif sense == state[SENSE, i]:
         band, sunk_by = state[BAND, i], sense * (error - state[PLACE, i])
-        wanted = min(max(2.0 * sunk_by, band), 2.0 * band)
-        more = min(max(wanted / max(rose, 0.1 * band), 0.5), 2.0)
+        rises = _HARDER * law.oil[i] * state[PUSH + side, i]  # 0 where that is not known
+        more = _HARDER if 0.0 < rises < 2.0 * band else 1.0
+        if state[AFTER, i] > _HELD_S:
+            sunk = sense * (error - state[MARK, i])
+            rose = max(sense * state[DRIFT, i] * state[AFTER, i] - sunk, 0.0)
+            wanted = min(max(2.0 * sunk_by, band), 2.0 * band)
+            more = min(max(wanted / max(rose, 0.1 * band), 0.5), 2.0)
         state[PUSH + side, i] = min(max(more * state[PUSH + side, i], _LEAST_BAR), _MOST_BAR)
     state[MARK, i], state[AFTER, i], state[PHASE, i], state[SINCE, i] = error, 0.0, NUDGED, 0.0
     state[OPENED, i], state[SENSE, i], state[LOAD_AT, i] = state[NUDGE + side, i], sense, load

@@ -100,15 +100,35 @@ def test_a_parked_joint_is_nudged_by_what_it_creeps_not_by_what_it_crept() -> No
 def test_a_nudge_that_did_not_hold_says_nothing_of_how_strong_it_was(after: float, grows: bool) -> None:
     """Between a drive's end and its look oil still relaxes: each nudge was due again within seconds and
     twice as strong, until one of 1.7 bar took a crane's lift through its play, the tool by 5 mm."""
-    state = parking_begun(poor_law(0.08, 0.004))
+    law, state = poor_law(0.08, 0.004), parking_begun(poor_law(0.08, 0.004))
     state[BAND], state[SENSE], state[DRIFT], state[NUDGE], state[PUSH] = BAND_RAD, 1.0, 4e-6, 0.04, 0.3
     pushes = []
     for _ in range(8):
         state[AFTER, 0] = after
-        nudge_begun(state, 0, state[MARK, 0] + 4e-6 * after, 1.0, 50.0)
+        nudge_begun(law, state, 0, state[MARK, 0] + 4e-6 * after, 1.0, 50.0)
         pushes.append(state[PUSH, 0])
     assert (pushes[0] > 0.3) == grows
     assert max(pushes) <= 0.8  # a crane's lift rises by 0.15 mrad
+
+
+def test_nudges_that_never_hold_become_harder_up_to_what_they_may_raise() -> None:
+    """A wrist that leaked 16 µrad/s was nudged by the same 0.1 mrad each six seconds: its encoder sank by
+    7 µrad with each, and the tool by a millimetre in ten minutes."""
+    law, state = poor_law(0.08, 0.004)._replace(oil=2e-4 * ONES), parking_begun(poor_law(0.08, 0.004))
+    state[BAND], state[SENSE], state[DRIFT], state[NUDGE], state[PUSH] = BAND_RAD, 1.0, 4e-6, 0.04, 0.15
+    pushes = []
+    for _ in range(20):
+        state[AFTER, 0] = 6.0
+        nudge_begun(law, state, 0, state[MARK, 0] + 7e-6, 1.0, 50.0)
+        pushes.append(state[PUSH, 0])
+    assert (np.diff(pushes[:8]) > 0.0).all()
+    assert pushes[-1] == pytest.approx(0.8)
+    weak = law._replace(oil=5e-4 * ONES)  # 0.4 bar raise this one by two bands
+    state[PUSH] = 0.15
+    for _ in range(20):
+        state[AFTER, 0] = 6.0
+        nudge_begun(weak, state, 0, state[MARK, 0] + 7e-6, 1.0, 50.0)
+    assert 0.3 < state[PUSH, 0] <= 0.4
 
 
 def test_a_parked_joint_that_stands_is_left_where_it_rests() -> None:
