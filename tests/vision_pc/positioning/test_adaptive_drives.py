@@ -154,7 +154,10 @@ async def test_what_drives_leave_alike_is_expected_of_the_next_also_where_a_slew
     passed = np.array([[2.4 * residual, 0.0, 0.0]] * 3)
     levers = boom_levers(track.X_BT_now, BOOM)
     expected = expected_left(track._replace(left=passed), BOOM, settings())
-    assert expected == pytest.approx(0.75 * levers @ passed[0])  # the mean, shrunk
+    assert expected == pytest.approx(1.75 / 1.85 * levers @ passed[0])  # nearly all of what is left each time
+    moved_on = np.array([np.zeros(3)] * 3 + [passed[0]] * 2)
+    newest = expected_left(track._replace(left=moved_on), BOOM, settings())
+    assert 0.7 < np.linalg.norm(newest) / np.linalg.norm(levers @ passed[0]) < 0.8  # what was before fades
     far = np.array([*passed, [9.0 * residual, 0.0, 0.0]])  # one that was stopped on its way is unlike them
     assert expected_left(track._replace(left=far), BOOM, settings()) == pytest.approx(expected)
 

@@ -18,6 +18,10 @@ from vision_pc.core.se3 import Array
 
 _NEAR = 4.0  # residuals: a joint that passes its end by its play is left there, and does so each time
 _ACROSS = 2.0  # of a miss, x and y are seen without the look's range
+_FADE = 0.5  # what a drive counts of the one after it: a servo leaves the same again, not for ever
+_DOUBT = (
+    0.1  # drives that left nothing, beside those seen: a joint's ends lie closer together than to its goal
+)
 
 
 class ServoSpread(NamedTuple):
@@ -51,12 +55,13 @@ def _left_over(track: LocalTrack, settings: LocalErrorModelSettings) -> Array:
 
 
 def expected_left(track: LocalTrack, dimensions: BoomDimensions, settings: LocalErrorModelSettings) -> Array:
-    """Displacement (3,) m in B that drives leave alike: the mean, shrunk, for half of one end is chance.
+    """Displacement (3,) m in B that the next drive is expected to leave: what drives left, of late above all.
 
     A drive that did not come near its end is unlike the others and does not count.
     """
-    near = np.abs(track.left).max(axis=1) < _NEAR * settings.adaptive.residual_rad
-    mean = track.left[near].sum(axis=0) / (np.count_nonzero(near) + 1)
+    left = track.left[np.abs(track.left).max(axis=1) < _NEAR * settings.adaptive.residual_rad]
+    weights = _FADE ** np.arange(len(left))[::-1]
+    mean = weights @ left / (weights.sum() + _DOUBT)
     return np.asarray(boom_levers(track.X_BT_now, dimensions) @ mean)
 
 
