@@ -46,7 +46,8 @@ _LEAST_SEEN_RAD = 3e-5  # by that filter: six standard deviations of its noise
 _EASY = 0.2  # of way / lateness²: a joint that is accelerated so overshoots by nothing when shut half way
 _UNSURE_S = 2.0  # through the doubt about an edge
 _SURELY_SHUT = 0.5  # of its edge, from where a valve is opened slowly for the first time
-_RISES_RAD_S2 = 1e-3  # so slowly: by what the lateness of a mobile valve adds, no joint leaves its play
+_RISES_RAD_S2 = 1e-3  # at least: by what the lateness of a mobile valve adds then, no joint leaves its play,
+_RISES_1_S2 = 20.0  # of its band: nor one with a short lever, which may leak a band in ten seconds
 _AHEAD_S = 0.7  # before the opening that the oil felt, the next nudge begins
 _PUSH_BAR, _LEAST_BAR = 0.15, 0.03  # of the load pressure: the first nudge's, the least of others
 _MOST_BAR = 0.8  # a crane's lift rises 0.15 mrad by that, and beyond friction goes through all its play: 5 mm
@@ -157,7 +158,7 @@ def nudged(law: ParkingLaw, state: Array, i: int, error: float, load: float, gai
     """
     sense = state[SENSE, i]
     side = 0 if sense > 0.0 else 1
-    rise = _RISES_RAD_S2 / gains[side]
+    rise = max(_RISES_RAD_S2, _RISES_1_S2 * state[BAND, i]) / gains[side]
     state[OPENED, i] += rise * law.dt_s
     felt = abs(load - state[LOAD_AT, i]) > state[PUSH + side, i]
     highest = law.deadband[i, side] + _SURE * law.spread[i, side]

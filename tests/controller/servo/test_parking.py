@@ -40,7 +40,7 @@ from controller.core.servo.parking_state import (
     parking_begun,
     parking_ended,
 )
-from controller.core.servo.small_moves import nudge_begun
+from controller.core.servo.small_moves import nudge_begun, nudged
 from tests.controller.servo.poor_joint import (
     BAND_RAD,
     DIGIT,
@@ -129,6 +129,17 @@ def test_nudges_that_never_hold_become_harder_up_to_what_they_may_raise() -> Non
         state[AFTER, 0] = 6.0
         nudge_begun(weak, state, 0, state[MARK, 0] + 7e-6, 1.0, 50.0)
     assert 0.3 < state[PUSH, 0] <= 0.4
+
+
+@pytest.mark.parametrize(("band", "rises"), [(3e-5, 1e-3), (2e-4, 4e-3)])
+def test_the_wider_its_band_the_faster_a_joint_is_nudged(band: float, rises: float) -> None:
+    """A first nudge took 42 s to open a wrist's valve, while the wrist leaked by 0.7 mrad."""
+    law, state = poor_law(0.08, 0.004), parking_begun(poor_law(0.08, 0.004))
+    state[BAND], state[PHASE] = band, NUDGED
+    began = nudge_begun(law, state, 0, 0.0, 1.0, 50.0)
+    for _ in range(round(1.0 / DT_S)):
+        opened = nudged(law, state, 0, 0.0, 50.0, GAINS)
+    assert opened - began == pytest.approx(rises / GAINS[0], rel=1e-3)
 
 
 def test_a_parked_joint_that_stands_is_left_where_it_rests() -> None:
