@@ -197,7 +197,8 @@ class PositioningSettings(StrictModel):
     shot. Beyond the rest of the way they are nudges, while the error that odometry measures exceeds
     ``nudge_m``.
     An error below ``aim_m`` in x and y and ``depth_aim_m`` in z is left alone: play and stiction make a
-    smaller step a gamble.
+    smaller step a gamble. ``axis_std_rad``: how far the camera's axis, along which ``clearance_m`` is kept,
+    is off where its calibration has it; 0: it is there.
     """
 
     clearance_m: float = Field(ge=0.0, le=1.0)
@@ -211,6 +212,7 @@ class PositioningSettings(StrictModel):
     servo_std_m: float = Field(ge=0.0, le=0.05)
     corrections: int = Field(ge=0, le=10)
     nudge_m: float = Field(ge=0.0, le=0.1)
+    axis_std_rad: float = Field(ge=0.0, le=0.1)
 
 
 class VisualServoingSettings(StrictModel):

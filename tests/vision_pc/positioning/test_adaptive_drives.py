@@ -20,7 +20,7 @@ from vision_pc.core.calibration.local_error_model import (
 from vision_pc.core.calibration.orientation import adjust_orientation
 from vision_pc.core.ports import ArmView
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult, look_then_move_corrected
-from vision_pc.core.positioning.foreseen_end import seen_end
+from vision_pc.core.positioning.foreseen_end import looked_at_end, seen_end
 from vision_pc.core.positioning.learned_servo import (
     after_fine_corrections,
     expected_left,
@@ -299,3 +299,8 @@ def test_lenses_that_differ_widen_what_is_told() -> None:
         stds.append(seen_end(far, look, fitted, track, PROGRAMS.positioning, settings()).std_m[0])
     assert stds[0] < 0.3e-3
     assert 0.6e-3 < stds[1] < 3e-3
+    # the clearance is kept along an axis that the camera's calibration knows to a pixel
+    turned = PROGRAMS.positioning.model_copy(update={"axis_std_rad": 0.004})
+    aside, exact = (looked_at_end(far[1], look, track, each) for each in (turned, PROGRAMS.positioning))
+    grown = np.diag(aside.covariance - exact.covariance)
+    assert grown == pytest.approx([(0.004 * turned.clearance_m) ** 2] * 2 + [0.0])

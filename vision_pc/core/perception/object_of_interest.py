@@ -153,7 +153,8 @@ def lens_covariance(X: Array, settings: MarkerSettings, radial_std: float) -> Ar
     the other moves what is far from the middle of the picture, radially.
 
     An error of the principal point is left out: it turns all directions alike, which is to say that C lies
-    a little otherwise in the camera's body, and no relation between things seen changes.
+    a little otherwise in the camera's body, and no relation between things seen changes but the direction in
+    which a clearance is kept (``PositioningSettings.axis_std_rad``).
     """
     covariance = np.diag([0.0, 0.0, (settings.focal_std * float(X[2, 3])) ** 2, 0.0, 0.0, 0.0])
     if radial_std > 0.0:

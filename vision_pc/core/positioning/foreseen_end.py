@@ -59,7 +59,7 @@ def foreseen_end(
         covariance = _after_fine_corrections(covariance, settings.nudge_m, map_settings.servo_std_m)
     if settings.corrections or map_settings.adaptive.enabled:  # the model, too, goes by odometry's lengths
         covariance += _odometry_covariance(wanted.x, fitted.R.T, look, fitted.scale, track, map_settings)
-    covariance += look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + _unrest_covariance(track)
+    covariance += _looked_covariance(look, track, settings)
     return expected_end(np.zeros(3), covariance, settings.tolerance_m, spread.freedom)
 
 
@@ -84,8 +84,7 @@ def looked_at_end(
     residual: Array, look: Look, track: LocalTrack, settings: PositioningSettings
 ) -> ExpectedEnd:
     """What ``look`` tells of a tool that stays ``residual`` (3,) m off its goal."""
-    covariance = look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + _unrest_covariance(track)
-    return expected_end(residual, covariance, settings.tolerance_m)
+    return expected_end(residual, _looked_covariance(look, track, settings), settings.tolerance_m)
 
 
 def _uncorrected_play(x: Array, fitted: LocalErrorModel, settings: LocalErrorModelSettings) -> Array:
@@ -114,12 +113,16 @@ def _after_fine_corrections(end_covariance: Array, nudge_m: float, servo_std_m: 
     return np.asarray(np.linalg.inv(np.linalg.inv(end_covariance) + kept), dtype=np.float64)
 
 
-def _unrest_covariance(track: LocalTrack) -> Array:
-    """Covariance (3, 3) m² of where an arm that goes to and fro is when it is looked at; no drive ends that.
+def _looked_covariance(look: Look, track: LocalTrack, settings: PositioningSettings) -> Array:
+    """Covariance (3, 3) m² of the error that ``look`` tells: of tool and object as they were seen, of the
+    axis along which the clearance is kept, and of where an arm that goes to and fro was just then.
 
-    Half of the way: a sine's standard deviation is 0.35 of it, and loose steel goes farther than its encoder.
+    Half of that way: a sine's standard deviation is 0.35 of it, and loose steel goes farther than its
+    encoder. No drive ends any of that.
     """
-    return (0.5 * track.unrest) ** 2 * np.eye(3)
+    aside = (settings.axis_std_rad * settings.clearance_m) ** 2 * np.diag([1.0, 1.0, 0.0])
+    unrest = (0.5 * track.unrest) ** 2 * np.eye(3)
+    return np.asarray(look.cov_CM[:3, :3] + look.cov_CO[:3, :3] + aside + unrest)
 
 
 def _odometry_covariance(
