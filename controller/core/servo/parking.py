@@ -259,7 +259,9 @@ def _due(law: ParkingLaw, state: Array, i: int, off: float, rate: float, watched
     """Whether shut joint ``i``, ``off`` its place (rad) and moving at ``rate`` (rad/s), has to be moved."""
     if state[PARKED, i] == 0.0 and law.oil[i] > 0.0:
         least = state[BAND, i] if law.loaded[i] > 0.0 else max(law.leaves, state[BAND, i])
-        return bool(watched > _RATE_FILTER_S and abs(off) > left_at(law, state, i, off, least))
+        # how far one goes on that leaves its place is told by waiting: an inch for a guess makes it hunt
+        waits = _RELAXES_S if off * state[RATE, i] > 0.0 else _RATE_FILTER_S
+        return bool(watched > waits and abs(off) > left_at(law, state, i, off, least))
     if state[PARKED, i] == 0.0:
         return bool(max(abs(off + rate * min(watched, law.latest[i])), abs(off)) > state[BAND, i])
     sense = 1.0 if off > 0.0 else -1.0

@@ -26,6 +26,7 @@ from controller.core.servo.parking_state import (
     PARKED,
     PHASE,
     PLACE,
+    RATE,
     SHUT,
     WAY,
     ParkingLaw,
@@ -152,3 +153,16 @@ def test_a_slew_is_brought_back_only_when_the_arm_would_not_be_settled_and_half_
     for joint, off, way in ((0, 4e-4, 2e-4), (0, 6e-4, 6e-4), (1, 4e-4, 4e-4)):
         _moved_again(LAW, state, joint, (off, 0.0, off, 0.0, 2.0), GAINS)
         assert state[WAY, joint] == pytest.approx(way)
+
+
+@pytest.mark.parametrize("joint", [0, 3])
+def test_a_joint_that_still_leaves_its_place_is_waited_for(joint: int) -> None:
+    """A wrist that went on by 1 mrad/s for a moment was brought back by twice of what it was off, and then
+    from the other side, for as long as anybody waited (a crane, 44751)."""
+    state, off = _shut_at(0.0), 5e-4
+    state[RATE, joint] = 1e-4  # and on
+    due = [_due(LAW, state, joint, off, 0.0, watched) for watched in (0.4, 0.7, 1.9, 2.1)]
+    assert due == [False, False, False, True]
+    state[RATE, joint] = -1e-4  # it comes by itself, and off says how far
+    due = [_due(LAW, state, joint, off, 0.0, watched) for watched in (0.4, 0.7)]
+    assert due == [False, True]
