@@ -11,6 +11,7 @@ from tests.vision_pc.synthetic import Q_START, SyntheticRig, draw, forward, inve
 from vision_pc.application.results import positioning_json
 from vision_pc.config.programs import LocalErrorModelSettings
 from vision_pc.core.calibration.arm_fields import boom_levers, joint_turns
+from vision_pc.core.calibration.backlash import slew_lever
 from vision_pc.core.calibration.local_error_model import (
     fit_error_model,
     record_local_track,
@@ -18,6 +19,7 @@ from vision_pc.core.calibration.local_error_model import (
     track_of,
 )
 from vision_pc.core.calibration.orientation import adjust_orientation
+from vision_pc.core.calibration.watched_drive import drive, first_take_up, widened_by_sight
 from vision_pc.core.ports import ArmView
 from vision_pc.core.positioning.corrected_positioning import CorrectedResult, look_then_move_corrected
 from vision_pc.core.positioning.foreseen_end import looked_at_end, seen_end
@@ -160,6 +162,42 @@ async def test_what_drives_leave_alike_is_expected_of_the_next_also_where_a_slew
     assert 0.7 < np.linalg.norm(newest) / np.linalg.norm(levers @ passed[0]) < 0.8  # what was before fades
     far = np.array([*passed, [9.0 * residual, 0.0, 0.0]])  # one that was stopped on its way is unlike them
     assert expected_left(track._replace(left=far), BOOM, settings()) == pytest.approx(expected)
+
+
+def test_steel_that_is_loose_beyond_an_encoder_is_taken_up_as_far_as_odometry_saw_it_go() -> None:
+    """A crane's loose slew, 1.6 mrad, went 6 mm too far each time, whichever way it was corrected."""
+    X = forward(Q_START)
+    first, bands, most = first_take_up(settings()), settings().adaptive.bands, settings().adaptive.most_rad
+    lever = slew_lever(X)
+    for miss in (7e-4 * lever, -7e-4 * lever):
+        taken = widened_by_sight(first, miss, X, settings())
+        assert taken.turns == pytest.approx([bands * 7e-4, *first.turns[1:]])
+    for small in (2e-4 * lever, 0.01 * np.array([X[0, 3], X[1, 3], 1.0])):  # less, or not by the slew
+        assert widened_by_sight(first, small, X, settings()).turns == pytest.approx(first.turns)
+    back = first._replace(turns=-first.turns)
+    assert widened_by_sight(back, 1.0 * lever, X, settings()).turns[0] == -most
+
+
+class TimedRig(BandedRig):
+    """Notes how long each motion to a pose was to take."""
+
+    took: list[float]
+
+    async def move_to(self, X_BT_ref: Array, duration_s: float = 0.0) -> ArmView:
+        self.took.append(duration_s)
+        return await super().move_to(X_BT_ref, duration_s)
+
+
+async def test_a_longer_turn_takes_up_play_no_faster() -> None:
+    first, took = first_take_up(settings()), list[float]()
+    for longer in (1.0, 2.0):
+        rig = TimedRig(10, [0.0, 0.0, 0.0])
+        rig.took = []
+        end = (await rig.view()).X_BT_cmd
+        await drive(rig, [end], first._replace(turns=longer * first.turns), BOOM, settings())
+        took.append(max(rig.took))
+    assert took[1] == pytest.approx(2.0 * took[0])
+    assert took[0] > 0.0
 
 
 def test_turns_of_the_joints_are_found_again_in_the_step_they_make() -> None:

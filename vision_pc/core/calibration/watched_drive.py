@@ -14,12 +14,13 @@ import numpy as np
 from nominal_arm.dimensions import BoomDimensions
 from vision_pc.config.programs import LocalErrorModelSettings
 from vision_pc.core.calibration.arm_fields import boom_levers, joint_turns
-from vision_pc.core.calibration.backlash import before_take_up
+from vision_pc.core.calibration.backlash import before_take_up, slew_lever
 from vision_pc.core.ports import Arm, ArmView
 from vision_pc.core.se3 import Array, transform
 
 _WENT = 0.5  # of a turn back that the encoders must show
 _TOO_FAR = 2.0  # residuals beyond its end a joint is turned back: the servo leaves one within its play
+_SLOWEST = 6.0  # times the time of the usual turn: a longer one is faster after all
 _ALIKE = 0.9  # of what it was beyond or short the last time: it comes no nearer
 _BOOM = slice(0, 3)  # slew, lift, tilt
 
@@ -58,6 +59,19 @@ class DriveEnd(NamedTuple):
     left: Array
 
 
+def widened_by_sight(take_up: TakeUp, miss: Array, X_BT: Array, settings: LocalErrorModelSettings) -> TakeUp:
+    """``take_up`` after a drive that by odometry ended ``miss`` (3,) m in B beside its goal, at ``X_BT``.
+
+    Steel that is loose beyond the slew's encoder stands on either side of its play. A turn that is shorter
+    does not take it up: the tool goes too far then, whichever way it is corrected.
+    """
+    lever = slew_lever(X_BT)
+    loose = settings.adaptive.bands * abs(float(lever @ miss)) / float(lever @ lever)
+    turns = take_up.turns.copy()
+    turns[0] = math.copysign(min(max(abs(turns[0]), loose), settings.adaptive.most_rad), turns[0])
+    return take_up._replace(turns=turns)
+
+
 async def drive(
     arm: Arm,
     waypoints: list[Array],
@@ -81,8 +95,9 @@ async def drive(
     left, lately = np.zeros(3), math.inf
     for again in reversed(range(settings.adaptive.repeats + 1)):
         view, take_up = await _turned_back(arm, view, end, take_up, dimensions, settings)
-        pace = np.sqrt(np.abs(take_up.turns).max() / max(settings.take_up_rad, 1e-6))
-        view = await arm.move_to(end, duration_s=settings.take_up_s * float(np.clip(pace, 1.0, 3.0)))
+        pace = float(np.abs(take_up.turns).max()) / max(settings.take_up_rad, 1e-6)
+        # no faster for being longer: loose steel would go on to the other side
+        view = await arm.move_to(end, duration_s=settings.take_up_s * min(max(pace, 1.0), _SLOWEST))
         take_up = _widened(take_up, view, settings)
         view, left = await _waited(arm, view, end, take_up, dimensions, settings)
         beyond = float((np.sign(take_up.turns) * left).max())

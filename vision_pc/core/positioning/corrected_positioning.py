@@ -24,6 +24,7 @@ from vision_pc.core.calibration.local_error_model import (
     solve_step,
     watched_path,
 )
+from vision_pc.core.calibration.watched_drive import widened_by_sight
 from vision_pc.core.ports import Arm, Eyes, Report
 from vision_pc.core.positioning.expected_end import ExpectedEnd
 from vision_pc.core.positioning.foreseen_end import Wanted, foreseen_end, looked_at_end, seen_end
@@ -108,6 +109,9 @@ async def look_then_move_corrected(
         residuals.append(goal_K - p_CM)
         missed = (fitted.R @ residuals[-1])[None] if share == 1.0 else np.zeros((0, 3))
         track = extended(track, drive._replace(misses=missed))
+        if map_settings.adaptive.enabled and share == 1.0:
+            taken = widened_by_sight(track.take_up, missed[0], track.X_BT_now, map_settings)
+            track = track._replace(take_up=taken)
     seen = seen_end(residuals, look, fitted, track, settings, map_settings)
     report(0.9, f"looking; odometry says inside with probability {seen.inside:.2f}")
     looks = judge(look, settings), judge(await eyes.look(), settings)
