@@ -107,11 +107,8 @@ async def look_then_move_corrected(
         drive = ruled(await path, track.ruler)
         goal_K = drive.X_KC[0][:3, :3] @ goal_K + drive.X_KC[0][:3, 3]
         residuals.append(goal_K - p_CM)
-        missed = (fitted.R @ residuals[-1])[None] if share == 1.0 else np.zeros((0, 3))
-        track = extended(track, drive._replace(misses=missed))
-        if map_settings.adaptive.enabled and share == 1.0:
-            taken = widened_by_sight(track.take_up, missed[0], track.X_BT_now, map_settings)
-            track = track._replace(take_up=taken)
+        missed = fitted.R @ residuals[-1] if share == 1.0 else None
+        track = _gone_on(track, drive, missed, map_settings)
     seen = seen_end(residuals, look, fitted, track, settings, map_settings)
     report(0.9, f"looking; odometry says inside with probability {seen.inside:.2f}")
     looks = judge(look, settings), judge(await eyes.look(), settings)
@@ -120,6 +117,18 @@ async def look_then_move_corrected(
     stopped = Ended.NOT_RESOLVED if unresolved else Ended.INPUT_LIMIT
     ended = Ended.REACHED if reached(looks[-1], settings) else stopped
     return CorrectedResult(PositioningResult(looks, tuple(steps), ended), seen, track, fitted.delay)
+
+
+def _gone_on(
+    track: LocalTrack, drive: LocalTrack, missed: Array | None, settings: LocalErrorModelSettings
+) -> LocalTrack:
+    """``track`` with a ``drive`` that by odometry ``missed`` its goal by (3,) m in B; None: it had none."""
+    if missed is None:
+        return extended(track, drive._replace(misses=np.zeros((0, 3))))
+    track = extended(track, drive._replace(misses=missed[None]))
+    if not settings.adaptive.enabled:
+        return track
+    return track._replace(take_up=widened_by_sight(track.take_up, missed, track.X_BT_now, settings))
 
 
 def _stayed(look: Look, track: LocalTrack, settings: PositioningSettings, report: Report) -> CorrectedResult:
