@@ -21,7 +21,11 @@ from vision_pc.core.calibration.local_error_model import (
 from vision_pc.core.calibration.orientation import adjust_orientation
 from vision_pc.core.calibration.watched_drive import drive, first_take_up, widened_by_sight
 from vision_pc.core.ports import ArmView
-from vision_pc.core.positioning.corrected_positioning import CorrectedResult, look_then_move_corrected
+from vision_pc.core.positioning.corrected_positioning import (
+    CorrectedResult,
+    _gone_on,
+    look_then_move_corrected,
+)
 from vision_pc.core.positioning.foreseen_end import looked_at_end, seen_end
 from vision_pc.core.positioning.learned_servo import (
     after_fine_corrections,
@@ -176,6 +180,18 @@ def test_steel_that_is_loose_beyond_an_encoder_is_taken_up_as_far_as_odometry_sa
         assert widened_by_sight(first, small, X, settings()).turns == pytest.approx(first.turns)
     back = first._replace(turns=-first.turns)
     assert widened_by_sight(back, 1.0 * lever, X, settings()).turns[0] == -most
+
+
+async def test_a_fine_drive_that_missed_widens_the_turn_of_those_that_follow() -> None:
+    rig = BandedRig(10, [0.0, 0.0, 0.0])
+    track = await record_local_track(rig, rig, silent, settings(), BOOM)
+    miss = 2e-3 * slew_lever(track.X_BT_now)
+    turns = [
+        _gone_on(track, track, missed, settings(enabled)).take_up.turns[0]
+        for missed, enabled in ((miss, True), (None, True), (miss, False))
+    ]
+    assert turns == pytest.approx([settings().adaptive.bands * 2e-3, *[track.take_up.turns[0]] * 2])
+    assert len(_gone_on(track, track, miss, settings()).misses) == 1
 
 
 class TimedRig(BandedRig):

@@ -19,9 +19,7 @@ from vision_pc.core.se3 import Array
 _NEAR = 4.0  # residuals: a joint that passes its end by its play is left there, and does so each time
 _ACROSS = 2.0  # of a miss, x and y are seen without the look's range
 _FADE = 0.5  # what a drive counts of the one after it: a servo leaves the same again, not for ever
-_DOUBT = (
-    0.1  # drives that left nothing, beside those seen: a joint's ends lie closer together than to its goal
-)
+_DOUBT = 0.1  # drives that left nothing, beside those seen: joints' ends differ less than they miss by
 
 
 class ServoSpread(NamedTuple):
