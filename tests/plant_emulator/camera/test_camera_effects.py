@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from plant_emulator.core.camera import imager
 from plant_emulator.core.camera.camera_motion import STILL, CameraMotion, CameraView, motion_between
 from plant_emulator.core.camera.stereo_camera import LEFT, RIGHT, StereoCamera
 from plant_emulator.core.camera.wall.wall_texture import SIZE, wall_texture
@@ -246,3 +247,19 @@ def test_still_is_still() -> None:
     view = start_view(clean_camera().scene)
     for X, Y in zip(STILL.at(view, 1.0), view, strict=True):
         assert np.array_equal(X, Y)
+
+
+def test_light_becomes_grey_as_dirt_vignetting_gain_and_curve_say() -> None:
+    """Against the same in double precision: rounded, not cut off."""
+    rng = np.random.default_rng(4)
+    picture = rng.integers(0, 256, (40, 60)).astype(np.uint8)
+    passed, added = rng.uniform(0.6, 1.0, (40, 60)), rng.uniform(0.0, 15.0, (40, 60))
+    response = 255.0 * np.minimum(np.arange(257) / 255.0, 1.0) ** 0.6
+    v, u = np.mgrid[0:40, 0:60]
+    falls = 1.3 * (1.0 - 1e-4 * ((u - 28.5) ** 2 + (v - 21.0) ** 2))
+    light = np.clip((picture * passed + added) * falls, 0.0, 255.0)
+    wanted = np.interp(light, np.arange(257), response)
+    single = [part.astype(np.float32) for part in (passed, added, response)]
+    line = imager._Line(np.empty(60, np.float32), np.empty(60, np.int32))
+    imager._expose(picture, single[0], single[1], 1.3, 1e-4, (28.5, 21.0), single[2], line)
+    assert np.abs(picture - wanted).max() < 0.501
