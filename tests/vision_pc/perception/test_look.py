@@ -187,6 +187,20 @@ def test_marker_that_jumped_out_of_its_region_is_found(
     assert then.X_CO is not None
 
 
+def test_a_marker_that_was_refused_is_looked_for_again_at_once(
+    camera: CameraCalibration, config: VisionConfig, generator: np.random.Generator
+) -> None:
+    """The first frame knows nothing of the right eye's offset: refused there, lost for the whole look."""
+    tool, target = tool_marker(facing(0.1, 0.0, 0.5, (10, 15, 0))), object_markers(facing(-0.4, 0.0, 1.0))
+    odd = render(camera, (*target, tool._replace(size=0.11)), generator, frame_id=1)
+    seen = look.observe(odd, camera, config.markers)
+    assert seen.rejected == {"wrong_size": 1}
+    true = render(camera, (*target, tool), generator, frame_id=2)
+    seen = look.observe(true, camera, config.markers, seen)
+    assert seen.X_CM is not None
+    assert seen.rejected == {}
+
+
 def test_a_marker_that_comes_into_view_is_found_although_frames_are_skipped(
     camera: CameraCalibration, config: VisionConfig, generator: np.random.Generator
 ) -> None:

@@ -13,7 +13,7 @@ from vision_pc.config.vision import MarkerSettings, VisionConfig
 from vision_pc.core import se3
 from vision_pc.core.perception import intrinsics, look, marker_edges, markers
 from vision_pc.core.se3 import Array
-from vision_pc.core.types import CameraCalibration, CameraModel, FrameObservation
+from vision_pc.core.types import CameraCalibration, CameraModel, FrameObservation, StereoPair
 
 STRONG_LENS = np.array([-0.17, 0.025, 0.001, -0.0005, 0.0])
 OBJECT_LAYOUT = ((1, -0.2, 0.0), (2, 0.2, 0.0), (3, 0.0, 0.2))
@@ -265,6 +265,43 @@ def test_unknown_repeated_and_foreign_markers_are_refused(
     assert seen.X_CO is None
     assert seen.markers == ()
     assert seen.rejected == {"unknown_id": 1, "repeated_id": 2}
+
+
+def in_shade(pair: StereoPair, columns: list[float], left: float) -> StereoPair:
+    """``pair`` in a shade that leaves ``left`` of the light beyond a column of each eye's picture."""
+    pictures = []
+    for image, column in zip((pair.left, pair.right), columns, strict=True):
+        beyond = np.clip((np.arange(image.shape[1]) - column) / 20.0 + 0.5, 0.0, 1.0)  # penumbra 20 px wide
+        pictures.append(np.rint(image * (1.0 - (1.0 - left) * beyond)).astype(np.uint8))
+    return pair._replace(left=pictures[0], right=pictures[1])
+
+
+@pytest.mark.parametrize("left", [0.6, 0.4, 0.25])
+def test_a_marker_half_in_the_shade_is_read(
+    camera: CameraCalibration, config: VisionConfig, generator: np.random.Generator, left: float
+) -> None:
+    """Its white in the shade is nearer to black than to white in the light."""
+    tool, X_CO = tool_marker(facing(0.1, 0.0, 0.5, (10, 15, 0))), facing(-0.4, 0.0, 1.0)
+    pair = render(camera, (tool, *object_markers(X_CO)), generator)
+    middles = [float(exact_corners(eye, tool)[:, 0].mean()) for eye in (camera.left, camera.right)]
+    seen = look.observe(in_shade(pair, middles, left), camera, config.markers)
+    assert seen.X_CM is not None
+    assert np.abs(se3.local(tool.X_CA, seen.X_CM)[:3]).max() < 1e-3
+    assert len(seen.markers) == 4
+    assert all(marker.corners_right is not None for marker in seen.markers)
+    assert seen.rejected == {}
+
+
+def test_a_repeated_marker_is_no_better_where_shade_hides_one(
+    camera: CameraCalibration, config: VisionConfig, generator: np.random.Generator
+) -> None:
+    """The one in the light is read at once, its twin only in the logarithm."""
+    light, dark = (Marker(0, 0.10, facing(x, 0.0, 0.6)) for x in (-0.15, 0.15))
+    pair = render(camera, (light, dark), generator)
+    middles = [float(exact_corners(eye, dark)[:, 0].mean()) for eye in (camera.left, camera.right)]
+    seen = look.observe(in_shade(pair, middles, 0.25), camera, config.markers)
+    assert seen.X_CM is None
+    assert seen.rejected == {"repeated_id": 2}
 
 
 def test_marker_of_the_wrong_size_is_refused(

@@ -17,6 +17,7 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, FrameObservation, Image, Look, StereoOffset, StereoPair
 
 _FULL_SEARCH_EVERY = 10  # own frames: so that a marker that comes into view is found while others are tracked
+_REFUSED = frozenset({"edges", "residual", "wrong_size"})  # what was there and is to be looked at again
 
 
 def observe(
@@ -143,20 +144,22 @@ class _Found(NamedTuple):
 
 def _found(pair: StereoPair, settings: MarkerSettings, previous: FrameObservation | None) -> _Found:
     """Rough corners in the left picture: around the last frame's markers if all of them are there again,
-    else anywhere.
+    else anywhere; so too after one was refused, which may have been for what was not yet known of the camera.
 
     Frames may have been skipped: what counts is how many were observed, not their numbers.
     """
     before = () if previous is None else previous.markers
     since = 0 if previous is None else previous.since_full_search + 1
     complete = len(before) == len(settings.sizes)
-    if before and (complete or since < _FULL_SEARCH_EVERY):
+    refused = previous is not None and not _REFUSED.isdisjoint(previous.rejected)
+    if before and (complete or (since < _FULL_SEARCH_EVERY and not refused)):
         region = _region(
             pair.left, np.concatenate([m.corners_left for m in before]), settings.region_margin_px
         )
-        rough, refused = markers.detect(pair.left, settings, region)
-        if {m.marker_id for m in before} <= set(rough):
-            return _Found(rough, refused, since)
+        wanted = frozenset(m.marker_id for m in before)
+        rough, counts = markers.detect(pair.left, settings, region, wanted)
+        if wanted <= rough.keys():
+            return _Found(rough, counts, since)
     return _Found(*markers.detect(pair.left, settings), 0)
 
 

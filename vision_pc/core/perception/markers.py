@@ -27,6 +27,8 @@ _SAME_POSE = 1e-3  # rad
 _ALIKE = 0.6  # correlation of a marker's cells between the eyes; a quad displaced by two cells has 0.2
 _UNIT_SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
 _SAMPLES = ((np.mgrid[0:14, 0:14].T.reshape(1, -1, 2) + 0.5) / 14.0).astype(np.float32)
+_DARK = 8.0  # grey levels that are told apart less and less: the sensor's noise there is as wide
+_LOGARITHMS = np.rint(255.0 * np.log1p(np.arange(256) / _DARK) / np.log1p(255.0 / _DARK)).astype(np.uint8)
 _CLEAR_FLIP = 20.0  # the same for the second planar solution, above which it is not pursued
 
 
@@ -47,35 +49,45 @@ def corner_points(size: float) -> Array:
 
 
 def detect(
-    image: Image, settings: MarkerSettings, region: Region | None = None
+    image: Image,
+    settings: MarkerSettings,
+    region: Region | None = None,
+    wanted: frozenset[int] | None = None,
 ) -> tuple[dict[int, Array], Counter[str]]:
     """Known markers in ``image`` by number, (4, 2) rough pixels (half a pixel and more), and counts of
     refusals.
 
-    Only inside ``region`` if one is given. Markers of other numbers are counted as ``unknown_id``; a number
-    that appears twice is trusted in neither place and counted as ``repeated_id``.
+    Only inside ``region`` if one is given. Where one of the ``wanted`` numbers (None: of all that are known)
+    is not read, the picture's logarithm is searched too: where a shadow crosses a marker, its white in the
+    shade is nearer to black than to white in the light, but not by its ratio. Markers of other numbers are
+    counted as ``unknown_id``; a number that appears twice is trusted in neither place and counted as
+    ``repeated_id``.
     """
     x0, y0, x1, y1 = region or (0, 0, image.shape[1], image.shape[0])
     if x1 - x0 < 16 or y1 - y0 < 16:
         return {}, Counter()
-    found, ids, _ = _detector(settings.dictionary, settings.threshold_window_px).detectMarkers(
-        image[y0:y1, x0:x1]
-    )
-    refused: Counter[str] = Counter()
-    if ids is None:
-        return {}, refused
-    numbers = [int(number) for number in ids.ravel()]
+    part, begin = image[y0:y1, x0:x1], np.array([x0, y0])
+    corners, refused, repeated = _read(part, settings)
+    if not (settings.sizes.keys() if wanted is None else wanted) <= corners.keys():
+        more, also_refused, also_repeated = _read(cv2.LUT(part, _LOGARITHMS), settings)
+        corners, refused, repeated = more | corners, refused | also_refused, repeated | also_repeated
+    return {number: quad + begin for number, quad in corners.items() if number not in repeated}, refused
+
+
+def _read(image: Image, settings: MarkerSettings) -> tuple[dict[int, Array], Counter[str], set[int]]:
+    """Known markers that ``image`` shows once, counts of refusals, and the numbers shown more often."""
+    found, ids, _ = _detector(settings.dictionary, settings.threshold_window_px).detectMarkers(image)
+    numbers = [] if ids is None else ids.ravel().tolist()
     times = Counter(numbers)
-    known = settings.sizes
-    corners = {}
-    for number, quad in zip(numbers, found, strict=True):
-        if number not in known:
-            refused["unknown_id"] += 1
-        elif times[number] > 1:
-            refused["repeated_id"] += 1
-        else:
-            corners[number] = quad.reshape(4, 2).astype(np.float64) + np.array([x0, y0])
-    return corners, refused
+    repeated = {number for number in settings.sizes if times[number] > 1}
+    corners = {
+        number: quad.reshape(4, 2).astype(np.float64)
+        for number, quad in zip(numbers, found, strict=True)
+        if number in settings.sizes and number not in repeated
+    }
+    unknown = sum(number not in settings.sizes for number in numbers)
+    again = sum(times[number] for number in repeated)
+    return corners, +Counter(unknown_id=unknown, repeated_id=again), repeated
 
 
 @lru_cache(maxsize=8)
@@ -189,7 +201,7 @@ def _right_rays(
     margin = settings.region_margin_px
     top, bottom = int(rough[:, 1].min()) - margin, int(rough[:, 1].max()) + margin
     region = (0, max(top, 0), min(int(rough[:, 0].max()) + margin, width), min(bottom, height))
-    found, _ = detect(pair.right, settings, region)
+    found, _ = detect(pair.right, settings, region, frozenset({number}))
     return _refined(pair.right, found[number], camera.right) if number in found else None
 
 
