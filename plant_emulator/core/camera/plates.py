@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from foundation.compiled import kernel
 from plant_emulator.core.camera.lens import Lens, Optics, projected
+from plant_emulator.core.camera.wall.fetching import Pairs, pairs_of
 
 Grey = NDArray[np.uint8]
 Matrix = NDArray[np.float64]
@@ -56,7 +57,7 @@ class Plate(NamedTuple):
     edges_y: Matrix
     grey: NDArray[np.float32]
     lit_by_wall: bool
-    levels: tuple[Grey, ...] = ()
+    levels: tuple[Pairs, ...] = ()
     bend: Bend = FLAT
     glossy: bool = False
 
@@ -82,13 +83,21 @@ def grid_plate(X_parent_plate: Matrix, cell_m: float, grey: NDArray[np.float32],
 def picture_plate(X_parent_plate: Matrix, texel_m: float, picture: Grey, lit_by_wall: bool) -> Plate:
     """A plate that shows ``picture`` with texels of ``texel_m``, its middle at the origin of its pose."""
     half_y, half_x = (0.5 * texel_m * count for count in picture.shape)
-    levels = [picture]
-    while min(levels[-1].shape) >= 2 * _COARSEST_TEXELS and not any(side % 2 for side in levels[-1].shape):
-        coarser = cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        levels.append(np.asarray(coarser, dtype=np.uint8))
+    count, sides = 1, picture.shape
+    while min(sides) >= 2 * _COARSEST_TEXELS and not any(side % 2 for side in sides):
+        count, sides = count + 1, (sides[0] // 2, sides[1] // 2)
     plain = np.zeros((1, 1), dtype=np.float32)
     edges_x, edges_y = np.array([-half_x, half_x]), np.array([-half_y, half_y])
-    return Plate(X_parent_plate, edges_x, edges_y, plain, lit_by_wall, tuple(levels))
+    return Plate(X_parent_plate, edges_x, edges_y, plain, lit_by_wall, halved(picture, count))
+
+
+def halved(picture: Grey, count: int) -> tuple[Pairs, ...]:
+    """``count`` mip levels of ``picture``, itself the first, each with its lower neighbours."""
+    levels = [picture]
+    for _ in range(count - 1):
+        coarser = cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        levels.append(np.asarray(coarser, dtype=np.uint8))
+    return tuple(pairs_of(level) for level in levels)
 
 
 class Sheets(NamedTuple):

@@ -17,6 +17,7 @@ from plant_emulator.core.camera.rays import (
     Rays,
     Surface,
     bent,
+    fetch_rays,
     highlight,
     meet_plate,
     places_on_plate,
@@ -29,6 +30,7 @@ Real32 = NDArray[np.float32]
 Real64 = NDArray[np.float64]
 
 _MARGIN = 1.3  # for what lenses add to the extent of a pixel
+_NEAR = 1e-9  # smallest inverse depth, 1/m, that still counts as in front
 NOISE_LENGTH = 1 << 20
 NOISE_UNIT = 256.0  # noise is kept in 1/256 grey levels
 
@@ -42,10 +44,11 @@ class Grid(NamedTuple):
 
 
 class _Room(NamedTuple):
-    """Where the homography of a row, the places of its pixels and their shares in cells are noted."""
+    """Where a row's homography, its pixels' places, which are on the rim and shares in cells are noted."""
 
     h: Real64
     places: Real64
+    on_rim: NDArray[np.bool_]
     weight_x: Real64
     weight_y: Real64
 
@@ -59,8 +62,60 @@ def paint_plate(
     the inverse depth, at the picture's first and last row.
     """
     rows, columns = grid.grey.shape
-    room = _Room(np.empty((3, 3)), np.empty((3, box[3] - box[2])), np.empty(columns), np.empty(rows))
-    _paint_rows(out, rays, homographies, grid, box, surface, room)
+    width = box[3] - box[2]
+    room = _Room(
+        np.empty((3, 3)), np.empty((3, width)), np.empty(width, np.bool_), np.empty(columns), np.empty(rows)
+    )
+    even = rows * columns == 1 and surface.bend[0] == 0.0 and surface.glare[3] == 0.0
+    (_paint_even_rows if even else _paint_rows)(out, rays, homographies, grid, box, surface, room)
+
+
+@allocation_free(nogil=True)
+def _paint_even_rows(
+    out: Grey,
+    rays: Rays,
+    homographies: Real64,
+    grid: Grid,
+    box: tuple[int, int, int, int],
+    surface: Surface,
+    room: _Room,
+) -> None:
+    """``_paint_rows``, to the same bit, of a flat matt plate of one cell: all but its rim at once."""
+    light, _, shadow, _ = surface
+    top, bottom, left, right = box
+    for i in range(top, bottom):
+        fetch_rays(rays, i + 1, left, right)
+        row_homography(homographies, i, out.shape[0], room.h)
+        reach = most_reach(rays, room.h, i, (left, right))
+        places_on_plate(rays.x[i, left:right], rays.y[i, left:right], room.h, room.places)
+        _paint_whole(out[i, left:right], grid, surface, reach, room)
+        for k in range(right - left):
+            if room.on_rim[k]:
+                s, t = room.places[0, k], room.places[1, k]
+                lit = (light[0] + light[1] * s + light[2] * t) * shaded(s, t, shadow), 0.0
+                at, under = meet_plate(rays, room.h, i, left + k), np.float64(out[i, left + k])
+                value = _blended(at, (s, t), grid, room, (0, 0), lit, under)
+                out[i, left + k] = np.uint8(min(max(value, 0.0), 255.0) + 0.5)
+
+
+@allocation_free
+def _paint_whole(target: Grey, grid: Grid, surface: Surface, reach: tuple[float, float], room: _Room) -> None:
+    """Paint what of a row is wholly on the only cell, and note what is on its rim."""
+    (left, right), (top, bottom) = (grid.edges_x[0], grid.edges_x[1]), (grid.edges_y[0], grid.edges_y[1])
+    (reach_s, reach_t), grey, shadow, on_rim = reach, np.float64(grid.grey[0, 0]), surface.shadow, room.on_rim
+    s, t, w = room.places[0], room.places[1], room.places[2]
+    even, per_s, per_t = surface.light[0], surface.light[1], surface.light[2]
+    for k in range(target.shape[0]):
+        across = (s[k] + reach_s > left) & (s[k] - reach_s < right)
+        down = (t[k] + reach_t > top) & (t[k] - reach_t < bottom)
+        whole_across = (left <= s[k] - reach_s) & (s[k] + reach_s <= right)
+        whole_down = (top <= t[k] - reach_t) & (t[k] + reach_t <= bottom)
+        in_front = w[k] > _NEAR
+        whole = whole_across & whole_down & in_front
+        on_rim[k] = across & down & in_front & (not whole)
+        value = grey * ((even + per_s * s[k] + per_t * t[k]) * shaded(s[k], t[k], shadow))
+        painted = np.uint8(np.int32(min(max(value, 0.0), 255.0) + 0.5))
+        target[k] = painted if whole else target[k]
 
 
 @allocation_free(nogil=True)
@@ -77,14 +132,15 @@ def _paint_rows(
     edges_x, edges_y, grey = grid
     top, bottom, left, right = box
     h, places = room.h, room.places
-    reach_s, reach_t = most_reach(rays, homographies, box)
     for i in range(top, bottom):
+        fetch_rays(rays, i + 1, left, right)
         row_homography(homographies, i, out.shape[0], h)
+        reach_s, reach_t = most_reach(rays, h, i, (left, right))
         places_on_plate(rays.x[i, left:right], rays.y[i, left:right], h, places)
         column = row = 0  # cells change slowly along a line of pixels: the search starts where it ended
         for k in range(right - left):
             s, t = places[0, k], places[1, k]
-            if places[2, k] <= 1e-9:
+            if places[2, k] <= _NEAR:
                 continue
             if bend[0] != 0.0:
                 s, t = bent(s, t, bend)
@@ -101,21 +157,19 @@ def _paint_rows(
 
 
 @allocation_free
-def most_reach(rays: Rays, homographies: Real64, box: tuple[int, int, int, int]) -> tuple[float, float]:
-    """More than half a pixel's extent on the plate, right and down (m), anywhere in ``box``.
+def most_reach(rays: Rays, h: Real64, i: int, columns: tuple[int, int]) -> tuple[float, float]:
+    """More than half a pixel's extent on the plate, right and down (m), anywhere in ``columns`` of row ``i``.
 
-    The extent grows with the inverse square of the nearness, which is linear over the picture: it is largest
-    at a corner, up to what lenses add.
+    The extent grows with the inverse square of the nearness, which is linear along the row: it is largest at
+    an end, up to what lenses add.
     """
     most_s = most_t = 0.0
-    for m in range(2):
-        for i in (box[0], box[1] - 1):
-            for j in (box[2], box[3] - 1):
-                at = meet_plate(rays, homographies[m], i, j)
-                if not at.in_front:
-                    return np.inf, np.inf
-                most_s = max(most_s, 0.5 * (abs(at.s_u) + abs(at.s_v)))
-                most_t = max(most_t, 0.5 * (abs(at.t_u) + abs(at.t_v)))
+    for j in (columns[0], columns[1] - 1):
+        at = meet_plate(rays, h, i, j)
+        if not at.in_front:
+            return np.inf, np.inf
+        most_s = max(most_s, 0.5 * (abs(at.s_u) + abs(at.s_v)))
+        most_t = max(most_t, 0.5 * (abs(at.t_u) + abs(at.t_v)))
     return _MARGIN * most_s, _MARGIN * most_t
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import allocation_free
+from plant_emulator.core.camera.wall.fetching import fetch_line
 
 Real32 = NDArray[np.float32]
 Real64 = NDArray[np.float64]
@@ -17,6 +18,14 @@ class Rays(NamedTuple):
 
     x: Real32
     y: Real32
+
+
+@allocation_free(inline="always")
+def fetch_rays(rays: Rays, i: int, first: int, last: int) -> None:
+    """Hint that the rays of row ``i`` from column ``first`` to ``last`` will be wanted."""
+    begin = i * rays.x.shape[1] + first
+    fetch_line(rays.x, begin, last - first)
+    fetch_line(rays.y, begin, last - first)
 
 
 class Surface(NamedTuple):

@@ -15,7 +15,7 @@ from plant_emulator.config.surroundings import (
     TubeConfig,
     WallConfig,
 )
-from plant_emulator.core.camera.plates import Plate, plain_plate
+from plant_emulator.core.camera.plates import Plate, halved, plain_plate
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
 
 Grey = NDArray[np.uint8]
@@ -113,8 +113,4 @@ def _spaced(half: float, spacing: float) -> Matrix:
 
 def _covered(outline: Plate, picture: Grey, lit_by_wall: bool) -> Plate:
     """The outline filled with a picture as wide as it and at least as high."""
-    levels = [picture]
-    for _ in range(_LEVELS - 1):
-        coarser = cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-        levels.append(np.asarray(coarser, dtype=np.uint8))
-    return outline._replace(lit_by_wall=lit_by_wall, levels=tuple(levels))
+    return outline._replace(lit_by_wall=lit_by_wall, levels=halved(picture, _LEVELS))

@@ -7,6 +7,7 @@ import pytest
 from plant_emulator.core.camera.panel_painter import Panel, paint_panel
 from plant_emulator.core.camera.plates import placed, ray_to_plane
 from plant_emulator.core.camera.rays import Rays, Surface
+from plant_emulator.core.camera.wall.fetching import pairs_of
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
 from tests.plant_emulator.camera.camera_world import clean_camera
 
@@ -56,8 +57,8 @@ def test_a_picture_is_painted_as_its_rays_and_footprints_say(texel_m: float) -> 
     homography = ray_to_plane(X_EP)
     picture, edges = np.zeros(SIZE[::-1], dtype=np.uint8), np.array([-HALF_M, HALF_M])
     surface = Surface(np.array([1.0, 0.0, 0.0]), np.zeros(6), np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(4))
-    box = (0, SIZE[1], 0, SIZE[0])
-    paint_panel(picture, RAYS, np.stack([homography] * 2), Panel(edges, edges, tuple(levels)), box, surface)
+    box, pairs = (0, SIZE[1], 0, SIZE[0]), tuple(pairs_of(level) for level in levels)
+    paint_panel(picture, RAYS, np.stack([homography] * 2), Panel(edges, edges, pairs), box, surface)
 
     rays = np.stack([RAYS.x, RAYS.y, np.ones_like(RAYS.x)], axis=-1).astype(np.float64)
     s, t, nearness = np.moveaxis(rays @ homography.T, -1, 0)

@@ -1,4 +1,6 @@
-"""Loads of texels, and hints which memory will be wanted: compilers of Python have no word for either."""
+"""Loads of four texels at once, and hints which memory will be wanted: compilers of Python have no word for
+either.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 from foundation.compiled import allocation_free
 
 ir: Any = cgutils.ir  # type: ignore[attr-defined]  # llvmlite, as numba has it
+Grey = NDArray[np.uint8]
 Pairs = NDArray[np.uint16]
 Words = NDArray[np.int32]
 Real32 = NDArray[np.float32]
@@ -53,6 +56,13 @@ _declared: Any = cgutils.get_or_insert_function
 _prefetch: Any = intrinsic(_typed)
 load_both: Any = intrinsic(_typed_load)
 """The pair at an index (intp) and, in the upper 16 bits, the one after it, which must be there: int32."""
+
+
+def pairs_of(texture: Grey) -> Pairs:
+    """Each texel (height, width) and, in the upper 8 bits, the one below it; below the last is the first."""
+    pairs = texture.astype(np.uint16)
+    pairs |= np.roll(pairs, -1, axis=0) << 8
+    return pairs
 
 
 @allocation_free

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import allocation_free
-from plant_emulator.core.camera.rays import Rays
-from plant_emulator.core.camera.wall.fetching import Pairs, fetch_ahead, fetch_line, load_both
+from plant_emulator.core.camera.rays import Rays, fetch_rays
+from plant_emulator.core.camera.wall.fetching import Pairs, fetch_ahead, load_both, pairs_of
 
 Grey = NDArray[np.uint8]
 Words = NDArray[np.int32]
@@ -37,9 +37,7 @@ def packed(texture: Grey) -> Pairs:
     A row goes on for ``MARGIN`` texels into its own beginning: the last texel has its right neighbour, and
     rows are not a power of two apart, where they would drive each other out of the cache.
     """
-    pairs = texture.astype(np.uint16)
-    pairs |= np.roll(pairs, -1, axis=0) << 8
-    return np.pad(pairs, ((0, 0), (0, MARGIN)), mode="wrap").ravel()
+    return np.pad(pairs_of(texture), ((0, 0), (0, MARGIN)), mode="wrap").ravel()
 
 
 class WallTexture(NamedTuple):
@@ -151,9 +149,7 @@ def _paint_tile(
     count, at_fine, at_coarse = right - left, np.int32(0), np.int32(0)
     for i in range(tile.top, tile.bottom):
         xs, ys = rays.x[i, left:right], rays.y[i, left:right]
-        below = (i + 1) * out.shape[1] + left
-        fetch_line(rays.x, below, count)
-        fetch_line(rays.y, below, count)
+        fetch_rays(rays, i + 1, left, right)
         _row_homography(homographies, i / (out.shape[0] - 1), line.h)
         _meet(xs, ys, line.h, along, down)
         if lit.relief[0] != 0.0:
