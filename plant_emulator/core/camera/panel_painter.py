@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import allocation_free
+from plant_emulator.core.camera.fetching import Pairs, Words, load_both
 from plant_emulator.core.camera.rasteriser import most_reach, share_below
 from plant_emulator.core.camera.rays import (
     PlatePoint,
@@ -22,11 +23,9 @@ from plant_emulator.core.camera.rays import (
     row_homography,
     shaded,
 )
-from plant_emulator.core.camera.wall.fetching import Pairs, Words, load_both
 
 Grey = NDArray[np.uint8]
 Real64 = NDArray[np.float64]
-Word = Any  # np.int32: type checkers see it as a plain int at the call
 Word = Any  # np.int32: type checkers see it as a plain int at the call
 
 _STRIDE = 16  # pixels

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import kernel
+from plant_emulator.core.camera.fetching import Pairs, pairs_of
 from plant_emulator.core.camera.lens import Lens, Optics, projected
-from plant_emulator.core.camera.wall.fetching import Pairs, pairs_of
 
 Grey = NDArray[np.uint8]
 Matrix = NDArray[np.float64]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import allocation_free
-from plant_emulator.core.camera.wall.fetching import fetch_line
+from plant_emulator.core.camera.fetching import fetch_line
 
 Real32 = NDArray[np.float32]
 Real64 = NDArray[np.float64]

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
+from plant_emulator.core.camera.fetching import pairs_of
 from plant_emulator.core.camera.panel_painter import Panel, paint_panel
 from plant_emulator.core.camera.plates import placed, ray_to_plane
 from plant_emulator.core.camera.rays import Rays, Surface
-from plant_emulator.core.camera.wall.fetching import pairs_of
 from plant_emulator.core.mechanics.geometry import rotation_from_vector, transform
 from tests.plant_emulator.camera.camera_world import clean_camera
 

@@ -69,15 +69,20 @@ def detect(
     part, begin = image[y0:y1, x0:x1], np.array([x0, y0])
     corners, refused, repeated = _read(part, settings)
     if not (settings.sizes.keys() if wanted is None else wanted) <= corners.keys():
-        more, also_refused, also_repeated = _read(cv2.LUT(part, _LOGARITHMS), settings)
+        more, also_refused, also_repeated = _read(_even_light(part), settings)
         corners, refused, repeated = more | corners, refused | also_refused, repeated | also_repeated
     return {number: quad + begin for number, quad in corners.items() if number not in repeated}, refused
+
+
+def _even_light(image: Image) -> Image:
+    """The picture's logarithm, in which a shadow takes the same from black and white."""
+    return np.asarray(cv2.LUT(image, _LOGARITHMS), dtype=np.uint8)
 
 
 def _read(image: Image, settings: MarkerSettings) -> tuple[dict[int, Array], Counter[str], set[int]]:
     """Known markers that ``image`` shows once, counts of refusals, and the numbers shown more often."""
     found, ids, _ = _detector(settings.dictionary, settings.threshold_window_px).detectMarkers(image)
-    numbers = [] if ids is None else ids.ravel().tolist()
+    numbers = [] if ids is None else [int(number) for number in ids.ravel()]
     times = Counter(numbers)
     repeated = {number for number in settings.sizes if times[number] > 1}
     corners = {

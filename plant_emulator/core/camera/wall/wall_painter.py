@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.compiled import allocation_free
+from plant_emulator.core.camera.fetching import Pairs, fetch_ahead, load_both, pairs_of
 from plant_emulator.core.camera.rays import Rays, fetch_rays
-from plant_emulator.core.camera.wall.fetching import Pairs, fetch_ahead, load_both, pairs_of
 
 Grey = NDArray[np.uint8]
 Words = NDArray[np.int32]

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plant_emulator.config.surroundings import WallConfig
+from plant_emulator.core.camera.fetching import Pairs
 from plant_emulator.core.camera.wall import wall_painter
-from plant_emulator.core.camera.wall.fetching import Pairs
 
 SIZE_BITS = 12
 SIZE = 1 << SIZE_BITS
