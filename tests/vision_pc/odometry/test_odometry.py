@@ -204,6 +204,25 @@ def test_black_picture_is_lost_and_the_next_one_is_found(
     assert np.linalg.norm(found.X_C0C[:3, 3] - true[3][:3, 3]) < 0.1e-3
 
 
+def test_light_that_comes_at_once_loses_nothing(
+    camera: CameraCalibration, config: VisionConfig, texture: Array
+) -> None:
+    """A shade leaves a faint wall within one frame: flow followed grey levels, and was lost for as long as no
+    keyframe had the light of now.
+    """
+    odometry = StereoOdometry(camera, config.odometry)
+    true = [se3.transform(np.eye(3), (0.04 * k, 0.01 * k, 0.0)) for k in range(12)]
+    for k, X in enumerate(true):
+        pair, light = pair_at(camera, texture, X, seed=k), 0.6 if k < 4 else 1.0
+        left, right = (
+            np.rint(light * (118.0 + 0.4 * (image - 118.0))).astype(np.uint8)
+            for image in (pair.left, pair.right)
+        )
+        found = odometry.process(pair._replace(left=left, right=right))
+        assert found is not None, f"picture {k}"
+        assert np.linalg.norm(se3.local(X, found.X_C0C)[:3]) < 0.3e-3
+
+
 def test_camera_that_jumped_while_blind_is_relocalised(
     camera: CameraCalibration, config: VisionConfig, texture: Array
 ) -> None:

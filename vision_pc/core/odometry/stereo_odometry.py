@@ -63,7 +63,7 @@ class StereoOdometry:
         everything = np.ones((camera.height, camera.width), dtype=bool)
         self._static = (everything, everything)
         self._masked_for: Array | None = None
-        self._smooths = False
+        self._smooths = self._other_light = False  # pictures are noisy; lit otherwise than keyframes were
         self._lost_frames = self._frames = 0
         self._history = MotionHistory(settings.prior_floor_px)
         self._arm = ArmHistory(settings.arm_motion)
@@ -201,17 +201,23 @@ class StereoOdometry:
         return first
 
     def _localise(self, frame: Frame, foreseen: Foreseen) -> PoseEstimate | str:
-        """The pose against the most similar keyframes: from the expected motion on, from none, or from
-        nowhere.
+        """The pose against the most similar keyframes: from the expected motion on, from none, in another
+        light, or from nowhere.
         """
         outcome: PoseEstimate | str = "too_few_points"
+        moved, both_eyes = self._X_C0C @ self._motion, self._both_eyes()
         at_rest = np.array_equal(self._motion, se3.identity())
-        for expected in (self._X_C0C,) if at_rest else (self._X_C0C @ self._motion, self._X_C0C):
+        tries = [(moved, False)] if at_rest else [(moved, False), (self._X_C0C, False)]
+        in_other_light = [(moved, True)]
+        for expected, other_light in in_other_light + tries if self._other_light else tries + in_other_light:
             for keyframe in self._map.nearest(expected)[:_TRIES]:
-                outcome = self._localiser.localise(frame, keyframe, expected, self._both_eyes(), foreseen)
+                outcome = self._localiser.localise(
+                    frame, keyframe, expected, both_eyes, foreseen, other_light
+                )
                 if outcome in ("two_motions", "sudden_motion", UNDECIDED) and foreseen.known:
                     return outcome  # another start would only let the other motion win
                 if isinstance(outcome, PoseEstimate):
+                    self._other_light = other_light
                     return self._kept_up(frame, keyframe, outcome)
         keyframe = self._map.keyframes[
             self._lost_frames % len(self._map.keyframes)
@@ -234,9 +240,12 @@ class StereoOdometry:
         return every > 0 and self._frames % every == 0
 
     def _add_keyframe(self, frame: Frame, keyframe: Keyframe, estimate: PoseEstimate) -> PoseEstimate | str:
-        """The pose with a new keyframe made, which takes both eyes."""
+        """The pose with a new keyframe made, which takes both eyes, and has the light of now."""
+        other_light, self._other_light = self._other_light, False
         if not estimate.seen_right.any():
-            both = self._localiser.localise(frame, keyframe, estimate.X_C0C, both_eyes=True)
+            both = self._localiser.localise(
+                frame, keyframe, estimate.X_C0C, both_eyes=True, other_light=other_light
+            )
             if isinstance(both, str):
                 return both
             estimate = both

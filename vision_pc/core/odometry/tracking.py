@@ -20,6 +20,9 @@ _COARSE_STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 _PARTS = (6, 4)  # columns and rows: a person or a lorry fills some of them
 _PART_VIEWS, _PART_SHARE = 4, 0.3  # a part has so many views at least, and that share of them is seen
 _SAME_LIGHT = 0.02
+_EVENED_PX = 31  # px of a halved picture: twice what flow looks at
+_EVENED_GREY = 40.0  # grey levels rms
+_EVENED_NOISE = 2.0  # what a place without texture has
 _BORDER = 8  # px: a window this close to the rim has lost too much of itself
 
 
@@ -100,6 +103,20 @@ def alike(image: Image, other: Image) -> Image:
     if abs(gain - 1.0) < _SAME_LIGHT:
         return image
     return np.asarray(cv2.convertScaleAbs(image, alpha=gain), dtype=np.uint8)
+
+
+def evened(image: Image) -> Image:
+    """``image`` as bright and as rich in contrast everywhere, seen over ``_EVENED_PX``: a shadow that comes
+    or goes leaves its edge alone.
+    """
+    fine = image.astype(np.float32)
+    fine -= _mean_around(fine)
+    fine *= _EVENED_GREY / (np.sqrt(_mean_around(fine * fine)) + _EVENED_NOISE)
+    return np.asarray(np.clip(fine + 128.0, 0.0, 255.0), dtype=np.uint8)
+
+
+def _mean_around(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray(cv2.blur(values, (_EVENED_PX, _EVENED_PX)), dtype=np.float32)
 
 
 def inside(pixels: Array, static: Flags) -> Flags:
