@@ -90,6 +90,8 @@ class MarkerSettings(StrictModel):
     The right eye's offset: ``offset_std_px`` before markers were seen, ``offset_drift_px`` px a root minute
     of random walk between frames, never known better than ``offset_floor_px``, nor, with ``shared_prints``,
     than print sizes and focal length allow: frames of the same prints share their errors.
+    ``finds_edge_shift``: a camera whose grey levels do not go with the light shows black smaller than it is;
+    by how much is found of each marker's own cells.
     """
 
     dictionary: Literal[
@@ -103,6 +105,7 @@ class MarkerSettings(StrictModel):
     object: tuple[ObjectMarkerSettings, ...] = Field(min_length=1)
     threshold_window_px: int = Field(ge=3, le=101)
     region_margin_px: int = Field(ge=10, le=500)
+    finds_edge_shift: bool
     corner_std_px: float = Field(gt=0.0, le=2.0)
     residual_limit_px: float = Field(gt=0.0, le=10.0)
     print_size_std: float = Field(gt=0.0, le=0.05)

@@ -123,7 +123,7 @@ def sight(
     refused: dict[int, str] = {}
     corrected = intrinsics.with_offset(camera, priors.offset.x_px, priors.offset.y_px)
     for number, rough in sorted(rough_left.items()):
-        left = _refined(pair.left, rough, camera.left)
+        left = _refined(pair.left, rough, camera.left, number, settings)
         if left is None:
             refused[number] = "edges"
             continue
@@ -169,8 +169,22 @@ def from_rays(
     return _posed(number, view, starts if doubtful else starts[:1], camera, settings, priors)
 
 
-def _refined(image: Image, rough: Array, eye: CameraModel) -> Array | None:
-    return marker_edges.refine(image, rough, lambda pixels: intrinsics.normalised(eye, pixels))
+def _refined(
+    image: Image, rough: Array, eye: CameraModel, number: int, settings: MarkerSettings
+) -> Array | None:
+    """Rays (4, 2) of a marker's corners, None where an edge cannot be followed; its edges moved back to where
+    they are, if the cells tell by how much they are seen elsewhere.
+    """
+
+    def undistort(pixels: Array) -> Array:
+        return intrinsics.normalised(eye, pixels)
+
+    rays = marker_edges.refine(image, rough, undistort)
+    if rays is None or not settings.finds_edge_shift:
+        return rays
+    seen = intrinsics.distorted(eye, rays)
+    shift = marker_edges.edge_shift(image, seen, marker_edges.cells_of(settings.dictionary, number))
+    return rays if shift is None else marker_edges.refine(image, seen, undistort, shift)
 
 
 def _planar_solutions(rays: Array, size: float) -> tuple[list[Array], Array]:
@@ -199,7 +213,8 @@ def _right_rays(
     if that fails. A prediction that a wrong size misplaced may meet a plate's rim: the pattern decides.
     """
     predicted = intrinsics.project(corrected.right, se3.apply(X_CA, corner_points(settings.sizes[number])))
-    rays = _refined(pair.right, predicted, camera.right) if np.isfinite(predicted).all() else None
+    whole = bool(np.isfinite(predicted).all())
+    rays = _refined(pair.right, predicted, camera.right, number, settings) if whole else None
     if rays is not None and _alike(pair, rough, intrinsics.distorted(camera.right, rays)):
         return rays
     height, width = pair.right.shape
@@ -207,7 +222,9 @@ def _right_rays(
     top, bottom = int(rough[:, 1].min()) - margin, int(rough[:, 1].max()) + margin
     region = (0, max(top, 0), min(int(rough[:, 0].max()) + margin, width), min(bottom, height))
     found, _ = detect(pair.right, settings, region, frozenset({number}))
-    return _refined(pair.right, found[number], camera.right) if number in found else None
+    if number not in found:
+        return None
+    return _refined(pair.right, found[number], camera.right, number, settings)
 
 
 def _alike(pair: StereoPair, left: Array, right: Array) -> bool:
