@@ -204,27 +204,44 @@ class StereoOdometry:
         """The pose against the most similar keyframes: from the expected motion on, from none, in another
         light, or from nowhere.
         """
+        moved = self._X_C0C @ self._motion
+        found = self._in_other_light(frame, moved, foreseen) if self._other_light else None
+        if found is not None:
+            return found
         outcome: PoseEstimate | str = "too_few_points"
-        moved, both_eyes = self._X_C0C @ self._motion, self._both_eyes()
         at_rest = np.array_equal(self._motion, se3.identity())
-        tries = [(moved, False)] if at_rest else [(moved, False), (self._X_C0C, False)]
-        in_other_light = [(moved, True)]
-        for expected, other_light in in_other_light + tries if self._other_light else tries + in_other_light:
+        for expected in (self._X_C0C,) if at_rest else (moved, self._X_C0C):
             for keyframe in self._map.nearest(expected)[:_TRIES]:
-                outcome = self._localiser.localise(
-                    frame, keyframe, expected, both_eyes, foreseen, other_light
-                )
+                outcome = self._localiser.localise(frame, keyframe, expected, self._both_eyes(), foreseen)
                 if outcome in ("two_motions", "sudden_motion", UNDECIDED) and foreseen.known:
                     return outcome  # another start would only let the other motion win
                 if isinstance(outcome, PoseEstimate):
-                    self._other_light = other_light
                     return self._kept_up(frame, keyframe, outcome)
+        found = self._in_other_light(frame, moved, foreseen)
+        return self._from_nowhere(frame, foreseen, outcome) if found is None else found
+
+    def _in_other_light(self, frame: Frame, expected: Array, foreseen: Foreseen) -> PoseEstimate | str | None:
+        """The pose by what a shadow does not change; None where that finds none that can be believed."""
+        for keyframe in self._map.nearest(expected)[:_TRIES]:
+            outcome = self._localiser.localise(
+                frame, keyframe, expected, self._both_eyes(), foreseen, other_light=True
+            )
+            if isinstance(outcome, PoseEstimate):
+                self._other_light = True
+                return self._kept_up(frame, keyframe, outcome)
+        self._other_light = False
+        return None
+
+    def _from_nowhere(
+        self, frame: Frame, foreseen: Foreseen, otherwise: PoseEstimate | str
+    ) -> PoseEstimate | str:
+        """The pose with no idea of it, by one keyframe's descriptors; ``otherwise`` where they find none."""
         keyframe = self._map.keyframes[
             self._lost_frames % len(self._map.keyframes)
         ]  # a different one each time
         found = relocalised(frame.pair.left, frame.left_static, keyframe, self._camera, self._settings)
         if found is None:
-            return outcome
+            return otherwise
         outcome = self._localiser.localise(frame, keyframe, found, both_eyes=True, foreseen=foreseen)
         return self._kept_up(frame, keyframe, outcome) if isinstance(outcome, PoseEstimate) else outcome
 
