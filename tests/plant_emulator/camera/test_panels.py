@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from plant_emulator.core.camera import rasteriser
 from plant_emulator.core.camera.fetching import pairs_of
 from plant_emulator.core.camera.panel_painter import Panel, paint_panel
 from plant_emulator.core.camera.plates import placed, ray_to_plane
@@ -84,3 +85,16 @@ def test_a_picture_is_painted_as_its_rays_and_footprints_say(texel_m: float) -> 
     off = np.abs(picture[well_inside] - expected[well_inside])
     assert off.max() < 6.0  # remap knows thirty-two places between two texels
     assert np.sqrt(np.mean(off**2)) < 1.0
+
+
+def test_an_even_plate_is_painted_as_any_other_to_the_same_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    X_EP = transform(rotation_from_vector(np.array([np.pi - 0.5, 0.6, 0.1])), np.array([0.05, 0.0, 0.7]))
+    homographies, edges = np.stack([ray_to_plane(X_EP)] * 2), np.array([-HALF_M, HALF_M])
+    grid = rasteriser.Grid(edges, edges, np.full((1, 1), 140.0, np.float32))
+    surface = Surface(np.array([1.1, 0.3, -0.2]), np.zeros(6), np.array([9.0, 4.0, 0.2, 0.5]), np.zeros(4))
+    pictures = [np.full(SIZE[::-1], 60, dtype=np.uint8) for _ in range(2)]
+    for picture in pictures:
+        rasteriser.paint_plate(picture, RAYS, homographies, grid, (0, SIZE[1], 0, SIZE[0]), surface)
+        monkeypatch.setattr(rasteriser, "_paint_even_rows", rasteriser._paint_rows)
+    assert len(np.unique(pictures[0])) > 30
+    np.testing.assert_array_equal(*pictures)

@@ -105,6 +105,16 @@ def _edge_points(image: Image, corners: Array, outward_px: float) -> tuple[Array
     return points, weights
 
 
+@kernel(nogil=True, inline="always")
+def grey_between(image: Image | Array, x: float, y: float) -> float:
+    """The grey between an image's pixels, bilinear; the pixel right of and below (x, y) must be there."""
+    column, row = int(x), int(y)
+    a, b = x - column, y - row
+    upper = image[row, column] * (1.0 - a) + image[row, column + 1] * a
+    lower = image[row + 1, column] * (1.0 - a) + image[row + 1, column + 1] * a
+    return float(upper * (1.0 - b) + lower * b)
+
+
 @kernel(nogil=True)
 def _profile_centroid(
     image: Image, cx: float, cy: float, nx: float, ny: float, steps: int
@@ -113,12 +123,7 @@ def _profile_centroid(
     first = last = moment = 0.0
     for j in range(-steps, steps + 1):
         s = j * _PROFILE_STEP
-        x, y = cx + nx * s, cy + ny * s
-        column, row = int(x), int(y)
-        fx, fy = x - column, y - row
-        upper = image[row, column] * (1.0 - fx) + image[row, column + 1] * fx
-        lower = image[row + 1, column] * (1.0 - fx) + image[row + 1, column + 1] * fx
-        value = upper * (1.0 - fy) + lower * fy
+        value = grey_between(image, cx + nx * s, cy + ny * s)
         if j == -steps:
             first = value
         else:
@@ -248,7 +253,7 @@ def _profile_shift(image: Image, H: Array, x: float, y: float, axis: int) -> flo
         column, row = u + along_u * s, v + along_v * s
         if not (0.0 <= column < image.shape[1] - 1 and 0.0 <= row < image.shape[0] - 1):
             return np.nan
-        value = _grey(image, column, row)
+        value = grey_between(image, column, row)
         if j == -steps:
             first = value
         else:
@@ -263,13 +268,3 @@ def _seen(H: Array, x: float, y: float) -> tuple[float, float]:
     """The pixel of a place in cells."""
     w = H[2, 0] * x + H[2, 1] * y + H[2, 2]
     return (H[0, 0] * x + H[0, 1] * y + H[0, 2]) / w, (H[1, 0] * x + H[1, 1] * y + H[1, 2]) / w
-
-
-@kernel(nogil=True, inline="always")
-def _grey(image: Image, column: float, row: float) -> float:
-    """The picture between its pixels, bilinear."""
-    j, i = int(column), int(row)
-    a, b = column - j, row - i
-    upper = image[i, j] * (1.0 - a) + image[i, j + 1] * a
-    lower = image[i + 1, j] * (1.0 - a) + image[i + 1, j + 1] * a
-    return float(upper * (1.0 - b) + lower * b)

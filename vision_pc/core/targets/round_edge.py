@@ -8,6 +8,7 @@ import numpy as np
 
 from foundation.compiled import kernel
 from vision_pc.core.perception import intrinsics
+from vision_pc.core.perception.marker_edges import grey_between
 from vision_pc.core.se3 import Array
 from vision_pc.core.targets.plane_patch import PlanePatch
 from vision_pc.core.targets.target import TargetRefused, frame_on
@@ -89,7 +90,7 @@ def _edge_points(image: Array, u: float, v: float, radius: float, share: float, 
             if not (x >= 0.0 and y >= 0.0 and x < width - 1.0 and y < height - 1.0):
                 inside = False
                 break
-            profile[i] = _bilinear(image, x, y)
+            profile[i] = grey_between(image, x, y)
         if not inside:
             continue
         at = _rise(profile, count, share, contrast)
@@ -98,15 +99,6 @@ def _edge_points(image: Array, u: float, v: float, radius: float, share: float, 
         r = first + at * _STEP
         points[k, 0], points[k, 1] = u + r * c, v + r * s
     return points
-
-
-@kernel(nogil=True, inline="always")
-def _bilinear(image: Array, x: float, y: float) -> float:
-    column, row = int(x), int(y)
-    a, b = x - column, y - row
-    upper = image[row, column] * (1.0 - a) + image[row, column + 1] * a
-    lower = image[row + 1, column] * (1.0 - a) + image[row + 1, column + 1] * a
-    return float(upper * (1.0 - b) + lower * b)
 
 
 @kernel(nogil=True)
