@@ -84,11 +84,11 @@ class StereoOffset(NamedTuple):
 
 
 class CameraErrors(NamedTuple):
-    """How a camera differs from its calibration: ``values`` (10,) and their ``covariance``.
+    """How a camera differs from its calibration: ``values`` (12,) and their ``covariance``.
 
     In order: the right eye's offset (x, y px), the baseline's relative error, how much longer the right
-    eye's focal lengths are (x, y px), its turn about its axis (rad), k1 of both eyes, and how much more k1,
-    p1 and p2 the right one has.
+    eye's focal lengths are (x, y px), its turn about its axis (rad), k1 of both eyes, how much more k1, p1
+    and p2 the right one has, k2 of both eyes, and how much more the right one has.
     """
 
     values: Array

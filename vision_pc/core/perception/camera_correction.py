@@ -10,17 +10,18 @@ from vision_pc.core.types import CameraCalibration, FrameObservation
 
 
 def prior_stds(settings: MarkerSettings) -> Array:
-    """Standard deviations (10,) of a camera's errors before anything was seen."""
+    """Standard deviations (12,) of a camera's errors before anything was seen."""
     doubts, offset = settings.calibration, settings.offset_std_px
     focal, tangential = doubts.focal_difference_px, doubts.tangential
     radial = max(settings.radial_std, 1e-6)
     lens = [radial, doubts.radial_difference, tangential, tangential]
+    lens += [doubts.quartic, doubts.quartic_difference]
     return np.array([offset, offset, doubts.baseline, focal, focal, doubts.roll_rad, *lens])
 
 
 def corrected(camera: CameraCalibration, values: Array) -> CameraCalibration:
-    """``camera`` with errors of these ``values`` (10,) taken into account."""
-    x, y, base, fx, fy, roll, k1, more, p1, p2 = (float(value) for value in values)
+    """``camera`` with errors of these ``values`` (12,) taken into account."""
+    x, y, base, fx, fy, roll, k1, more_k1, p1, p2, k2, more_k2 = (float(value) for value in values)
     K = camera.right.K.copy()
     K[0, 2] += x
     K[1, 2] += y
@@ -29,8 +30,8 @@ def corrected(camera: CameraCalibration, values: Array) -> CameraCalibration:
     X_CE = camera.right.X_CE.copy()
     X_CE[:3, 3] *= 1.0 + base
     X_CE[:3, :3] = X_CE[:3, :3] @ se3.exp_so3(np.array([0.0, 0.0, roll]))
-    left = camera.left.distortion + np.array([k1, 0.0, 0.0, 0.0, 0.0])
-    right = camera.right.distortion + np.array([k1 + more, 0.0, p1, p2, 0.0])
+    left = camera.left.distortion + np.array([k1, k2, 0.0, 0.0, 0.0])
+    right = camera.right.distortion + np.array([k1 + more_k1, k2 + more_k2, p1, p2, 0.0])
     return camera._replace(
         left=camera.left._replace(distortion=left),
         right=camera.right._replace(K=K, distortion=right, X_CE=X_CE),

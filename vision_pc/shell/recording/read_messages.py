@@ -153,7 +153,7 @@ def sample_of_message(message: Any) -> WatchSample:
     assert X_BT is not None
     seen = None
     if message.observed:
-        unknown = CameraErrors(np.full(10, np.nan), np.full((10, 10), np.nan))
+        unknown = CameraErrors(np.full(12, np.nan), np.full((12, 12), np.nan))
         found = unknown if message.errors_found else None
         seen = FrameObservation(
             message.time_ns, -1, X_CM, None, None, X_CO, None, None, (), {}, None, errors=found

@@ -80,7 +80,7 @@ def test_an_observation_says_from_which_one_it_went_on_and_whether_that_was_corr
     first, second = seen(1), seen(2)
     made.observed(pair(1), None, first)
     made.observed(pair(2), first, second)
-    errors = CameraErrors(np.zeros(10), np.eye(10))
+    errors = CameraErrors(np.zeros(12), np.eye(12))
     made.observed(pair(3), second._replace(errors=errors), seen(3))
     made.observed(pair(4), seen(9), seen(4))
     said = [ObservationMessage.FromString(data) for data in sink.take()[names.OBSERVATION]]
