@@ -25,7 +25,8 @@ from protocol.process_image import (
     encode_sensors,
     encode_valves,
 )
-from tests.support.structured_text import Programs, StructuredTextError, output
+from tests.support.structured_text import Programs, output
+from tests.support.structured_text_values import StructuredTextError
 from tools.plc_types import camel, member_name
 from tools.protocol_files import FILES, FOLDER
 from tools.protocol_page import signed_golden
