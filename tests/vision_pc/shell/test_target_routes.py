@@ -1,18 +1,10 @@
 """Targets over the REST face, in process."""
 
-from collections.abc import AsyncIterator
-
 import pytest
 
-from tests.vision_pc.synthetic_station import Bench, bench
+from tests.vision_pc.synthetic_station import Bench
 
 pytestmark = pytest.mark.realtime
-
-
-@pytest.fixture
-async def station() -> AsyncIterator[Bench]:
-    async with bench() as made:
-        yield made
 
 
 async def test_a_click_makes_a_target_that_is_aimed_at_and_can_be_forgotten(station: Bench) -> None:

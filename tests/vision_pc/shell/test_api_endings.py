@@ -1,0 +1,163 @@
+"""The REST face in process: what ends an operation, cancelled, stopped, failed, or without its links."""
+
+import asyncio
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from protocol.faults import CommandCode, FaultCode, GroupState
+from tests.vision_pc.shell.loopback_controller import until
+from tests.vision_pc.shell.problems import refused
+from tests.vision_pc.synthetic_station import Bench, bench
+
+pytestmark = pytest.mark.realtime
+
+
+async def test_unreachable_targets_fail_with_the_controllers_reason(station: Bench) -> None:
+    await station.post("/enable")
+    moved = await station.run("move", {"offset_base_m": [5.0, 0.0, 0.0]})
+    assert moved["state"] == "failed"
+    assert moved["problem"]["cause"] == "refused.unreachable"
+    assert moved["result"] is None
+    assert station.controller.group is GroupState.STANDBY
+
+
+async def test_a_symmetric_path_fails_and_the_arm_rests(station: Bench) -> None:
+    await station.post("/enable")
+    count = len(station.controller.requests)
+    ended = await station.run("trajectory-matching", {"segments_m": [0.2] * 5})
+    assert ended["problem"]["cause"] == "measurement.path_symmetric"
+    assert {request.code for request in station.controller.requests[count:]} == {CommandCode.STOP}
+
+
+async def test_an_object_out_of_view_fails_and_the_last_look_is_not_replaced(station: Bench) -> None:
+    await station.run("look")
+    before = (await station.client.get("/looks/latest")).json()
+    station.rig.blind_object = True
+    ended = await station.run("look")
+    assert ended["problem"]["cause"] == "measurement.object_not_seen"
+    assert (await station.client.get("/looks/latest")).json() == before
+
+
+async def test_cancel_stops_the_arm_and_ends_once(station: Bench) -> None:
+    await station.post("/enable")
+    move = await station.post("/operations/move", {"offset_base_m": [-0.8, 0.5, 0.5]})
+    location = move.headers["Location"]
+    await until(lambda: station.controller.group is GroupState.MOVING)
+    cancelled = await station.post(f"{location}/cancel")
+    assert cancelled.json()["state"] == "cancelled"
+    await until(lambda: station.controller.group is GroupState.STANDBY)
+    q = station.rig.q.copy()
+    await asyncio.sleep(0.05)
+    assert np.array_equal(station.rig.q, q)
+    refused(await station.post(f"{location}/cancel"), 409, "refused.already_ended")
+    assert (await station.client.get(location)).json()["state"] == "cancelled"
+    assert len(station.events("operation_ended")) == 1
+
+
+async def test_cancel_racing_with_the_end_leaves_one_end_state(station: Bench) -> None:
+    for delay in (0.0, 0.015, 0.02, 0.025, 0.03):
+        answer = await station.post("/operations/look")
+        await asyncio.sleep(delay)
+        await station.post(f"{answer.headers['Location']}/cancel")
+        final = await station.ended(answer.headers["Location"])
+        assert final["state"] in ("cancelled", "succeeded")
+    assert len(station.events("operation_ended")) == 5
+    assert station.operations.current is None
+
+
+async def test_stop_is_always_accepted_and_ends_the_operation(station: Bench) -> None:
+    assert (await station.post("/stop")).json()["accepted"] is True  # disabled
+    await station.post("/enable")
+    assert (await station.post("/stop")).status_code == 200  # standing
+    move = await station.post("/operations/move", {"offset_base_m": [-0.8, 0.5, 0.5]})
+    await until(lambda: station.controller.group is GroupState.MOVING)
+    assert (await station.post("/stop")).status_code == 200
+    ended = await station.ended(move.headers["Location"])
+    assert ended["state"] in ("cancelled", "failed")
+    station.controller.break_down(FaultCode.ENCODER_JUMP)
+    assert (await station.post("/stop")).status_code == 200  # in error
+
+
+async def test_stop_while_looking_ends_the_operation_before_it_moves(station: Bench) -> None:
+    await station.post("/enable")
+    station.eyes.look_s = 0.5
+    started = await station.post("/operations/orientation-adjustment")
+    await asyncio.sleep(0.05)
+    await station.post("/stop")
+    assert (await station.ended(started.headers["Location"]))["state"] == "cancelled"
+    assert station.rig.motions == 0
+
+
+async def test_emergency_stop_latches_until_released_and_reset(station: Bench) -> None:
+    await station.post("/enable")
+    assert (await station.post("/emergency-stop")).json()["emergency_latched"] is True
+    refused(await station.post("/enable"), 409, "refused.emergency_latched")
+    refused(await station.post("/reset"), 409, "refused.emergency_latched")
+    body = {"offset_base_m": [0.0, 0.1, 0.0]}
+    refused(await station.post("/operations/move", body), 409, "refused.emergency_latched")
+    assert (await station.post("/emergency-release")).json()["group_state"] == "error_stop"
+    refused(await station.post("/operations/move", body), 409, "refused.error_latched")
+    assert (await station.post("/reset")).json()["group_state"] == "disabled"
+    await station.post("/enable")
+    await station.succeeded("move", body)
+
+
+async def test_a_fault_in_motion_fails_the_operation_by_name(station: Bench) -> None:
+    await station.post("/enable")
+    move = await station.post("/operations/move", {"offset_base_m": [-0.8, 0.5, 0.5]})
+    await until(lambda: station.controller.group is GroupState.MOVING)
+    station.controller.break_down(FaultCode.SUPPLY_PRESSURE_LOST)
+    ended = await station.ended(move.headers["Location"])
+    assert ended["problem"]["cause"] == "refused.fault_supply_pressure_lost"
+    state = (await station.client.get("/state")).json()
+    assert (state["group_state"], state["fault"]) == ("error_stop", "supply_pressure_lost")
+
+
+async def test_without_a_controller(station: Bench) -> None:
+    await station.controller.stop()
+    await asyncio.sleep(0.05)
+    health = await station.client.get("/health")
+    document = refused(health, 503, "link.degraded")
+    assert document["controller"] is False
+    assert document["camera"] is True
+    for path in ("/state",):
+        assert (await station.client.get(path)).status_code == 503
+    assert refused(await station.post("/operations/local-track"), 503, "link.shutdown")
+    assert (await station.post("/operations/look")).status_code == 202  # a camera is put into service alone
+    assert (await station.post("/stop")).status_code == 503
+
+
+async def test_without_a_camera(station: Bench) -> None:
+    station.eyes.connected = False
+    refused(await station.client.get("/health"), 503, "link.degraded")
+    refused(await station.post("/operations/look"), 503, "link.camera_silent")
+    await station.post("/enable")
+    await station.succeeded("move", {"offset_base_m": [0.0, 0.05, 0.0]})
+
+
+async def test_events_are_recorded_and_a_full_disk_refuses_motion(tmp_path: Any) -> None:
+    async with bench(record_dir=tmp_path) as made:
+        await made.run("look")
+        lines = [json.loads(line) for line in (tmp_path / "events.jsonl").read_text().splitlines()]
+        assert {"link_connected", "operation_queued", "look", "operation_ended"} <= {
+            line["event"] for line in lines
+        }
+
+        class Full:
+            def write(self, text: str) -> int:
+                raise OSError(28, "No space left on device")
+
+            def close(self) -> None: ...
+
+        made.station.log._file.close()  # type: ignore[union-attr]
+        made.station.log._file = Full()  # type: ignore[assignment]
+        await made.post("/enable")
+        refused(
+            await made.post("/operations/move", {"offset_base_m": [0, 0.1, 0]}),
+            409,
+            "refused.recording_failed",
+        )
+        assert (await made.post("/stop")).status_code == 200

@@ -1,0 +1,207 @@
+"""The REST face in process: waiting for the end, bodies, headers and keys, problems."""
+
+import json
+import re
+import time
+from collections.abc import AsyncIterator
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.vision_pc.shell.problems import refused
+from tests.vision_pc.synthetic_station import Bench
+from vision_pc.shell.rest import operations, waiting
+
+pytestmark = pytest.mark.realtime
+
+
+async def test_a_request_may_wait_for_the_end(station: Bench) -> None:
+    done = await station.post("/operations/look", Prefer="respond-async, wait=60")
+    assert done.status_code == 200
+    assert done.headers["Preference-Applied"] == "wait=60"
+    assert done.json()["state"] == "succeeded"
+    assert done.json()["result"]["verdict"]
+    assert done.headers["Location"] == f"/operations/{done.json()['id']}"
+    failed = await station.post("/operations/local-track", Prefer="wait=60")
+    refused(failed, 409, "refused.disabled")
+
+
+async def test_waiting_ends_with_its_time_and_the_operation_goes_on(station: Bench) -> None:
+    station.eyes.look_s = 0.5
+    going = await station.post("/operations/look", Prefer="wait=0")
+    assert going.status_code == 202
+    assert going.headers["Preference-Applied"] == "wait=0"
+    assert going.json()["state"] in ("queued", "running")
+    assert (await station.ended(going.headers["Location"]))["state"] == "succeeded"
+    plain = await station.post("/operations/look", Prefer="handling=lenient")
+    assert plain.status_code == 202
+    assert "Preference-Applied" not in plain.headers
+    await station.ended(plain.headers["Location"])
+
+
+@pytest.mark.parametrize(
+    ("fields", "wait_s"),
+    [
+        (["wait=3"], 3),
+        (["respond-async, wait=10"], 10),
+        (["handling=lenient", 'Wait = "5" ; x=1'], 5),
+        (["wait=2, wait=9"], 2),
+        (["wait=99999999"], waiting.MAX_WAIT_S),
+        (["wait=-1"], None),
+        (["wait=1.5"], None),
+        (["wait"], None),
+        (["nowait=3"], None),
+        ([], None),
+    ],
+)
+def test_the_header_is_read_as_the_rfc_has_it(fields: list[str], wait_s: int | None) -> None:
+    assert waiting.preferred_wait_s(fields) == wait_s
+
+
+async def test_who_finds_no_place_to_wait_is_answered_at_once(
+    station: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(waiting, "MAX_WAITING", 0)
+    answer = await station.post("/operations/look", Prefer="wait=60")
+    assert answer.status_code == 202
+    assert "Preference-Applied" not in answer.headers
+    await station.ended(answer.headers["Location"])
+
+
+@pytest.mark.parametrize(
+    ("kind", "body"),
+    [
+        ("move", {}),
+        ("move", {"offset_base_m": [0, 0, 0], "offset_tool_m": [0, 0, 0]}),
+        ("move", {"offset_base_m": [0, 0]}),
+        ("move", {"offset_base_m": [0, 0, 100.0]}),
+        ("move", {"X_BT": {"p_m": [3, 0, 1], "q_wxyz": [1, 1, 0, 0]}}),
+        ("move", {"offset_base_m": [0, 0, 0], "speed": 3}),
+        ("look", {"frames": 0}),
+        ("look", {"frames": 10_000}),
+        ("trajectory-matching", {"segments_m": [0.1]}),
+        ("trajectory-matching", {"method": "magic"}),
+        ("line-equation", {"points": 500}),
+        ("look-then-move", {"tolerance_mm": -1.0}),
+        ("orientation-adjustment", {"form": 7}),
+        ("looking-and-moving", {"gain": 2.0}),
+        ("looking-and-moving", {"settle_mm": -1.0}),
+    ],
+)
+async def test_bad_bodies_are_named(station: Bench, kind: str, body: Any) -> None:
+    document = refused(await station.post(f"/operations/{kind}", body), 422, "request.invalid")
+    assert document["faults"][0]["at"][0] == "body"
+
+
+@pytest.mark.parametrize("text", ["NaN", "Infinity", "1e999"])
+async def test_numbers_that_are_none_are_refused(station: Bench, text: str) -> None:
+    content = f'{{"offset_base_m": [0, 0, {text}]}}'
+    headers = {"content-type": "application/json"}
+    answer = await station.client.post("/operations/move", content=content, headers=headers)
+    refused(answer, 422, "request.invalid")
+
+
+async def test_broken_json_too_much_and_unknown_paths(station: Bench) -> None:
+    headers = {"content-type": "application/json"}
+    answer = await station.client.post("/operations/move", content="{", headers=headers)
+    refused(answer, 422, "request.invalid")
+    answer = await station.client.post("/operations/move", content=b"[" * 20_000, headers=headers)
+    refused(answer, 413, "request.too_large")
+
+    async def unannounced() -> AsyncIterator[bytes]:
+        for _ in range(20):
+            yield b"[" * 1000
+
+    answer = await station.client.post("/operations/move", content=unannounced(), headers=headers)
+    refused(answer, 413, "request.too_large")
+    refused(await station.client.get("/nowhere"), 404, "request.not_found")
+    refused(await station.client.get("/operations/none"), 404, "refused.unknown_operation")
+    refused(await station.client.get("/operations/none/events"), 404, "refused.unknown_operation")
+    refused(await station.client.delete("/operations"), 405, "request.method_not_allowed")
+    unknown = refused(await station.client.post("/operations/lok"), 404, "refused.unknown_program")
+    assert unknown["detail"] == "no program 'lok'; did you mean look?"
+
+
+async def test_the_same_idempotency_key_is_the_same_operation(station: Bench) -> None:
+    await station.post("/enable")
+    body = {"offset_base_m": [0.0, 0.1, 0.0]}
+    first = await station.post("/operations/move", body, Idempotency_Key="k1")
+    again = await station.post("/operations/move", body, Idempotency_Key="k1")
+    assert first.json()["id"] == again.json()["id"]
+    await station.ended(first.headers["Location"])
+    later = await station.post("/operations/move", body, Idempotency_Key="k1")
+    assert later.json()["state"] == "succeeded"
+    other = {"offset_base_m": [0.0, 0.2, 0.0]}
+    refused(await station.post("/operations/move", other, Idempotency_Key="k1"), 422, "refused.key_reused")
+    assert len((await station.client.get("/operations")).json()) == 1
+
+
+async def test_the_key_of_a_forgotten_operation_is_spent(
+    station: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(operations, "_REMEMBERED", 2)
+    monkeypatch.setattr(operations, "_KEYS_REMEMBERED", 3)
+    for number in range(3):
+        started = await station.post("/operations/look", Idempotency_Key=f"k{number}")
+        await station.ended(started.headers["Location"])
+    refused(await station.post("/operations/look", Idempotency_Key="k0"), 410, "refused.key_spent")
+    assert (await station.post("/operations/look", Idempotency_Key="k1")).json()["state"] == "succeeded"
+    started = await station.post("/operations/look", Idempotency_Key="k3")
+    await station.ended(started.headers["Location"])
+    again = await station.post(
+        "/operations/look", Idempotency_Key="k0"
+    )  # beyond the keys that are remembered
+    assert again.status_code == 202
+    await station.ended(again.headers["Location"])
+
+
+async def test_two_idempotency_keys_are_refused(station: Bench) -> None:
+    keys = [("Idempotency-Key", "k1"), ("Idempotency-Key", "k2")]
+    refused(await station.client.post("/operations/look", headers=keys), 400, "request.repeated_header")
+    assert not station.operations.list()
+
+
+@pytest.mark.parametrize(
+    "body",
+    ['{"inputs": 1, "inputs": 2}', '{"inputs": 1, "x": {"a": 1, "b": 2, "a": 1}}', '[{"a": 1, "a": 1}]'],
+)
+async def test_a_member_that_is_written_twice_is_refused(station: Bench, body: str) -> None:
+    headers = {"Content-Type": "application/json"}
+    answer = await station.client.post("/operations/look-then-move", content=body, headers=headers)
+    assert "twice" in refused(answer, 400, "request.duplicate_member")["detail"]
+    assert not station.operations.list()
+
+
+async def test_an_error_that_nobody_expected_is_a_problem_too(station: Bench) -> None:
+    async def broken(frames: int | None = None) -> None:
+        raise ZeroDivisionError("secret")
+
+    station.eyes.look = broken  # type: ignore[assignment]
+    ended = await station.run("look")
+    assert ended["problem"]["cause"] == "internal"
+    assert "secret" not in json.dumps(ended)
+    assert "ZeroDivisionError" in station.events("operation_broke")[0]["error"]
+    assert station.operations.current is None
+
+
+async def test_what_was_asked_long_ago_is_refused_and_stops_are_taken(station: Bench) -> None:
+    """A request that a network held up moves nothing; who says nothing of the time is not judged."""
+    await station.post("/enable")
+
+    async def asked(path: str, shown: str, body: Any = None) -> httpx.Response:
+        return await station.client.post(path, json=body, headers={"Longreach-Shown": shown})
+
+    now_s = time.time()
+    document = refused(await asked("/operations/look", f"{now_s - 6.0}"), 409, "refused.asked_too_late")
+    assert re.search(r"6\.\d s ago, at most 5 s: nothing was done", document["detail"])
+    assert document["advice"]
+    for path, shown_s in (("/operations/move", now_s - 3600.0), ("/enable", now_s + 60.0)):
+        refused(await asked(path, f"{shown_s}"), 409, "refused.asked_too_late")
+    for nonsense in ("yesterday", "nan", "inf", ""):
+        refused(await asked("/operations/look", nonsense), 400, "request.bad_header")
+    assert not (await station.client.get("/operations")).json()
+    look = await asked("/operations/look", f"{now_s - 1.0}")
+    assert look.status_code == 202
+    assert (await asked(f"/operations/{look.json()['id']}/cancel", f"{now_s - 60.0}")).status_code == 200
+    assert (await asked("/stop", f"{now_s - 3600.0}")).status_code == 200
