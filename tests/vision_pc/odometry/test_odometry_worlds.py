@@ -16,6 +16,8 @@ from vision_pc.core.types import CameraCalibration, StereoPair
 
 TRUE = [se3.transform(np.eye(3), (0.02 * k, 0.01 * k, 0.0)) for k in range(6)]
 GREY = 118.0
+DISPARITY_PX = 42.0  # of the wall
+PENUMBRA_PX = 20.0
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +59,33 @@ def test_bare_patches_of_the_wall_do_no_harm(
     errors, losses = errors_and_losses(StereoOdometry(camera, config.odometry), pairs)
     assert max(errors) < 0.4e-3
     assert not losses
+
+
+def shaded(pair: StereoPair, edge: float) -> StereoPair:
+    """``pair`` where the wall is in the shade right of ``edge``, a share of the left picture's columns."""
+    columns = np.arange(pair.left.shape[1])
+    pictures = []
+    for picture, disparity_px in ((pair.left, 0.0), (pair.right, DISPARITY_PX)):
+        beyond = np.clip((columns + disparity_px - edge * len(columns)) / PENUMBRA_PX, 0.0, 1.0)
+        pictures.append(np.rint(picture * (1.0 - 0.64 * beyond)).astype(np.uint8))
+    return pair._replace(left=pictures[0], right=pictures[1])
+
+
+def test_a_shadow_that_comes_and_goes_leaves_no_trace(
+    camera: CameraCalibration, config: VisionConfig, texture: Array
+) -> None:
+    """An arm at rest before a wall over which a shadow sweeps: each time a keyframe was made where few points
+    held it, and the path walked off by a millimetre and more in a minute.
+    """
+    odometry = StereoOdometry(camera, config.odometry)
+    rest = pair_at(camera, texture, np.eye(4))
+    errors = []
+    for k, edge in enumerate(3 * [1.0, 0.8, 0.6, 0.4, 0.2, 0.0, 0.3, 0.7]):
+        found = odometry.process(shaded(rest, edge))
+        assert found is not None, f"picture {k}: {odometry.last_loss}"
+        errors.append(float(np.linalg.norm(found.X_C0C[:3, 3])))
+    assert max(errors) < 0.2e-3
+    assert odometry.keyframes == 1
 
 
 def test_a_depth_step_does_no_harm(camera: CameraCalibration, config: VisionConfig, texture: Array) -> None:

@@ -216,7 +216,7 @@ class StereoOdometry:
                 if outcome in ("two_motions", "sudden_motion", UNDECIDED) and foreseen.known:
                     return outcome  # another start would only let the other motion win
                 if isinstance(outcome, PoseEstimate):
-                    return self._kept_up(frame, keyframe, outcome)
+                    return self._kept_up(frame, keyframe, outcome, foreseen)
         found = self._in_other_light(frame, moved, foreseen)
         return self._from_nowhere(frame, foreseen, outcome) if found is None else found
 
@@ -228,7 +228,7 @@ class StereoOdometry:
             )
             if isinstance(outcome, PoseEstimate):
                 self._other_light = True
-                return self._kept_up(frame, keyframe, outcome)
+                return self._kept_up(frame, keyframe, outcome, foreseen)
         self._other_light = False
         return None
 
@@ -243,13 +243,26 @@ class StereoOdometry:
         if found is None:
             return otherwise
         outcome = self._localiser.localise(frame, keyframe, found, both_eyes=True, foreseen=foreseen)
-        return self._kept_up(frame, keyframe, outcome) if isinstance(outcome, PoseEstimate) else outcome
+        return (
+            self._kept_up(frame, keyframe, outcome, foreseen)
+            if isinstance(outcome, PoseEstimate)
+            else outcome
+        )
 
-    def _kept_up(self, frame: Frame, keyframe: Keyframe, found: PoseEstimate) -> PoseEstimate | str:
-        """``found``, with a new keyframe where few of ``keyframe``'s points are left in view."""
-        if len(found.ids) < self._settings.keyframe_overlap * len(keyframe.ids):
-            return self._add_keyframe(frame, keyframe, found)
-        return found
+    def _kept_up(
+        self, frame: Frame, keyframe: Keyframe, found: PoseEstimate, foreseen: Foreseen
+    ) -> PoseEstimate | str:
+        """``found``, with a new keyframe where few of ``keyframe``'s points are left in view. Those that a
+        shadow hides are not gone: each new keyframe stands where few points hold it, and the path with it.
+        """
+        wanted = self._settings.keyframe_overlap * len(keyframe.ids)
+        if len(found.ids) < wanted and not self._other_light:
+            shaded = self._localiser.localise(
+                frame, keyframe, found.X_C0C, self._both_eyes(), foreseen, other_light=True
+            )
+            if isinstance(shaded, PoseEstimate) and len(shaded.ids) > len(found.ids):
+                found, self._other_light = shaded, True
+        return self._add_keyframe(frame, keyframe, found) if len(found.ids) < wanted else found
 
     def _both_eyes(self) -> bool:
         """Whether the right eye's turn has come."""
