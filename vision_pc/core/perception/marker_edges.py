@@ -119,7 +119,9 @@ def grey_between(image: Image | Array, x: float, y: float) -> float:
 def _profile_centroid(
     image: Image, cx: float, cy: float, nx: float, ny: float, steps: int
 ) -> tuple[float, float]:
-    """Centroid (px along the normal) of one profile's gradient, and the rise in grey levels across it."""
+    """Centroid (px along the normal) of one profile's gradient, and the rise in grey levels across it; 0 for
+    both where there is hardly any. The profile must lie within the image.
+    """
     first = last = moment = 0.0
     for j in range(-steps, steps + 1):
         s = j * _PROFILE_STEP
@@ -130,7 +132,7 @@ def _profile_centroid(
             moment += (s - 0.5 * _PROFILE_STEP) * (value - last)
         last = value
     rise = last - first
-    if rise < 1.0:
+    if abs(rise) < 1.0:
         return 0.0, 0.0
     return moment / rise, rise
 
@@ -247,20 +249,12 @@ def _profile_shift(image: Image, H: Array, x: float, y: float, axis: int) -> flo
         return np.nan
     along_u, along_v = along_u / length, along_v / length
     steps = int(min(0.5 * length, _REACH) / _PROFILE_STEP)
-    first = last = moment = 0.0
-    for j in range(-steps, steps + 1):
-        s = j * _PROFILE_STEP
-        column, row = u + along_u * s, v + along_v * s
+    for end in (-steps * _PROFILE_STEP, steps * _PROFILE_STEP):
+        column, row = u + along_u * end, v + along_v * end
         if not (0.0 <= column < image.shape[1] - 1 and 0.0 <= row < image.shape[0] - 1):
             return np.nan
-        value = grey_between(image, column, row)
-        if j == -steps:
-            first = value
-        else:
-            moment += (s - 0.5 * _PROFILE_STEP) * (value - last)
-        last = value
-    rise = last - first
-    return moment / rise if abs(rise) >= _CONTRAST else np.nan
+    offset, rise = _profile_centroid(image, u, v, along_u, along_v, steps)
+    return offset if abs(rise) >= _CONTRAST else np.nan
 
 
 @kernel(nogil=True, inline="always")
