@@ -1,4 +1,4 @@
-"""``python -m tools.evidence`` makes every table anew that is made of the rows under docs/results.
+"""``python -m tools.evidence`` makes all tables and pictures anew that are made of rows under docs/results.
 
 ``python -m tools.evidence keep RUN NAME COMMIT COMMAND…`` copies a campaign's rows there first: RUN is its
 directory, COMMIT what it ran on, COMMAND what was typed.
@@ -11,8 +11,9 @@ import sys
 from pathlib import Path
 
 from tools.evidence.campaigns import supersede
-from tools.evidence.kept_rows import committed, keep
+from tools.evidence.kept_rows import committed, every_kept, keep
 from tools.evidence.pages import PAGES, sections
+from tools.evidence.pictures import IMAGES, pictures
 from tools.protocol_page import filled
 
 if __name__ == "__main__":
@@ -26,3 +27,5 @@ if __name__ == "__main__":
     made = sections()
     for page in PAGES:
         page.write_text(filled(page.read_text(encoding="utf-8"), made), encoding="utf-8")
+    for stem, figure in pictures(every_kept()).items():
+        figure.savefig(IMAGES / f"{stem}.png", dpi=110)

@@ -31,7 +31,7 @@ _RATIOS = "machine | after | pairs | stopped with one | pictures over model, 90 
 _PROBABILITIES = "machine | P told | looks | mean told | ended within 5 mm"
 
 
-class _Row(NamedTuple):
+class MachineRun(NamedTuple):
     """A run, and as what it is compared with the same seed's other eyes."""
 
     world: WorldName
@@ -47,21 +47,26 @@ def counts(one: Kept) -> bool:
 
 def sections(kept: Iterable[Kept]) -> dict[str, str]:
     """Every generated section by its name."""
-    rows = [_row(one, row) for one in kept if counts(one) for row in one.rows]
+    found = rows(kept)
     return {
-        "real machines": table(_ENDS, _ends(rows)),
-        "pictures and model": table(_RATIOS, _ratios([row.seen for row in rows if row.seen])),
-        "told probabilities": table(_PROBABILITIES, _probabilities(rows)),
+        "real machines": table(_ENDS, _ends(found)),
+        "pictures and model": table(_RATIOS, _ratios([row.seen for row in found if row.seen])),
+        "told probabilities": table(_PROBABILITIES, _probabilities(found)),
     }
 
 
-def _row(one: Kept, row: dict[str, Any]) -> _Row:
+def rows(kept: Iterable[Kept]) -> list[MachineRun]:
+    """The runs of all campaigns that count here."""
+    return [_row(one, row) for one in kept if counts(one) for row in one.rows]
+
+
+def _row(one: Kept, row: dict[str, Any]) -> MachineRun:
     seen = typed(EyesRow, row) if one.experiment == EYES_AGREE.name else None
     eyes = EyesKind(seen.eyes) if seen else EyesKind.MODEL
-    return _Row(WorldName(row["world"]), eyes, typed(PositioningRow, row), seen)
+    return MachineRun(WorldName(row["world"]), eyes, typed(PositioningRow, row), seen)
 
 
-def _ends(rows: Sequence[_Row]) -> Iterable[Sequence[str]]:
+def _ends(rows: Sequence[MachineRun]) -> Iterable[Sequence[str]]:
     """A line for each machine, eyes and look that has rows."""
     for world, machine in MACHINES.items():
         for eyes, seen_by in _EYES.items():
@@ -82,7 +87,7 @@ def _end(runs: Sequence[PositioningRow], world: WorldName, look: str) -> list[st
         *told_checks("told", before, worst, True),
     ]
     missed = [check.what.removeprefix("told: ") for check in checks if check.met is False]
-    words = [f"{least:.0%}", *([f"95 % ≤ {most:g} mm"] if most else []), "0.8 to 1.25", "no silent miss"]
+    words = f"≥ {100.0 * (least or 0.0):.0f} %" + (f", 95 % ≤ {most:g} mm" if most else "")
     return [
         str(len(runs)),
         str(int(sum(worst <= LIMIT_MM))),
@@ -90,7 +95,7 @@ def _end(runs: Sequence[PositioningRow], world: WorldName, look: str) -> list[st
         str(sum(bool(run.failure or getattr(run, look).failure) for run in runs)),
         f"{nees(before):.2f}",
         str(silent_misses(before, worst)),
-        ", ".join(words),
+        words,
         ", ".join(missed),
     ]
 
@@ -114,7 +119,7 @@ def _ratios(rows: list[EyesRow]) -> Iterable[Sequence[str]]:
             ]
 
 
-def _probabilities(rows: Sequence[_Row]) -> Iterable[Sequence[str]]:
+def _probabilities(rows: Sequence[MachineRun]) -> Iterable[Sequence[str]]:
     """Of what was told before moving, all branches and both eyes together: how often it came true."""
     for world, machine in MACHINES.items():
         runs = [row.run for row in rows if row.world == world]
