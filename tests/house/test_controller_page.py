@@ -1,4 +1,4 @@
-"""docs/controller.md against the code: state and fault tables, numbers, the functions that it names."""
+"""docs/controller.md and docs/parking.md against the code: states, faults, numbers, functions named."""
 
 import importlib
 import re
@@ -15,6 +15,7 @@ from protocol.faults import FAULT_TEXTS, Reason, Severity
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "controller.md").read_text(encoding="utf-8")
+PARKING_PAGE = (ROOT / "docs" / "parking.md").read_text(encoding="utf-8")
 CONFIG = load(ControllerConfig, ROOT / "configs" / "controller.yaml")
 
 
@@ -90,5 +91,19 @@ def test_the_numbers_of_the_page_are_the_configuration_s() -> None:
         f"more than {CONFIG.motion.first_point_distance_m:g} m away",
         f"{stream.distance_m:g} m or {stream.turn_deg:g}° from the commanded pose",
         f"age ({stream.max_age_ms:g} ms at most)",
+    ):
+        assert text in flat, text
+
+
+def test_the_numbers_of_the_page_on_parking_are_the_configuration_s() -> None:
+    parking = CONFIG.parking
+    flat = " ".join(PARKING_PAGE.split())
+    for text in (
+        f"The joint law has {parking.patience_ms * 1e-3:g} s to arrive",
+        f"band ({parking.band_mm:g} mm of the tool",
+        f"to {parking.band_most_mrad:g} mrad, once parked from {parking.band_least_mrad:g} on",
+        f"`calm_mm` ({parking.calm_mm:g}) for `calm_ms` ({parking.calm_ms * 1e-3:g} s)",
+        f"`stays_ms` ({parking.stays_ms * 1e-3:g} s)",
+        f"half its band ({parking.band_least_mrad:g} mrad at least)",
     ):
         assert text in flat, text
