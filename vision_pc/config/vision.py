@@ -168,7 +168,8 @@ class OdometrySettings(StrictModel):
 
     A frame in which ``second_motion_share`` of the points agree on another motion than the rest is lost: what
     moves cannot be told from the world. 0: not asked. With ``prior_floor_px`` above 0 the motion before
-    tells, as long as it foresees the picture to that and what it failed by of late.
+    tells, as long as it foresees the picture to that and what it failed by of late. ``pictures_a_place``
+    from one place teach depths and scale, 0: all do.
     """
 
     features: int = Field(ge=30, le=5000)
@@ -192,6 +193,7 @@ class OdometrySettings(StrictModel):
     least_disparity_px: float = Field(gt=0.0, le=20.0)
     depth_floor_px: float = Field(gt=0.0, le=2.0)
     depth_told_px: float = Field(ge=0.0, le=2.0)
+    pictures_a_place: int = Field(ge=0, le=10000)
     keyframe_overlap: float = Field(gt=0.05, le=0.99)
     adjusted_keyframes: int = Field(ge=0, le=20)
     keyframes: int = Field(ge=2, le=1000)
@@ -223,6 +225,7 @@ class RecordedSettings(StrictModel):
     prior_floor_px: float = Field(ge=0.0, le=50.0)
     depth_floor_px: float = Field(gt=0.0, le=2.0)
     depth_told_px: float = Field(ge=0.0, le=2.0)
+    pictures_a_place: int = Field(ge=0, le=10000)
     disparity_std_px: float = Field(ge=0.0, le=5.0)
 
 

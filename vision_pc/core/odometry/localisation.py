@@ -12,6 +12,7 @@ from vision_pc.core.odometry import patches, pose_spread, tracking
 from vision_pc.core.odometry.frame import Frame, PoseEstimate
 from vision_pc.core.odometry.keyframes.keyframe import Indices, Keyframe
 from vision_pc.core.odometry.keyframes.keyframe_map import SHARED, KeyframeMap
+from vision_pc.core.odometry.keyframes.teaching_pictures import TeachingPictures
 from vision_pc.core.odometry.keyframes.templates import Templates
 from vision_pc.core.odometry.motion_choice import FoundPoints, MotionChoice
 from vision_pc.core.odometry.motion_prior import Foreseen
@@ -23,6 +24,7 @@ from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, CameraModel, Image, StereoOffset
 
 _NO_OFFSET = StereoOffset(0.0, 0.0, 1e-9, 1e-9)
+_NO_SCALE = 1e-9
 _KEPT = 3  # keyframes whose patches are kept: 4 MB each
 _NOTHING_FORESEEN = Foreseen()
 _LEAST_NOISE_PX = 0.03  # what matching leaves even in clean pictures
@@ -58,6 +60,7 @@ class Localiser:
         self._readout = readout
         self._first: TakenOut | None = None
         self._choice = MotionChoice(camera, settings, keyframe_map, readout, doubted)
+        self._teaching = TeachingPictures(settings.pictures_a_place)
 
     def begun(self, first: PoseEstimate) -> Array:
         """The ``first`` keyframe was made: of its motion is known what was taken out of it, if anything. The
@@ -219,13 +222,15 @@ class Localiser:
         return right, usable & matched & on_row
 
     def _settled(self, keyframe: Keyframe, found: "_Views", X_CC0: Array) -> PoseEstimate:
-        """The pose from the points that held, which in turn learn from it."""
+        """The pose from the points that held; they learn from it, unless pictures from there have taught."""
         ids, rays, seen = keyframe.ids, found.rays, found.seen
         trust = seen * self._noise_px / np.hypot(self._noise_px, found.match_stds)
         weights = seen * self._weights(ids, X_CC0, found.match_stds)
-        solution = self._solve(self._map.points[ids], rays, weights, X_CC0)
+        teaches = self._teaching.teaches(X_CC0, self._map.points[ids], self._map.next_number)
+        solution = self._solve(self._map.points[ids], rays, weights, X_CC0, teaches)
         X_CC0 = solution.X_CA[0]
-        self._map.rescale(solution.sizes[0], solution.size_stds[0])
+        if teaches:
+            self._map.rescale(solution.sizes[0], solution.size_stds[0])
         errors = self._errors(self._map.points[ids], rays, X_CC0)
         residual = float(np.sqrt((errors**2 * seen[:, :, None]).sum() / (2.0 * seen.sum())))
         views = PointViews(
@@ -238,12 +243,12 @@ class Localiser:
             covariance = pose_spread.covariance(self._map, ids, X_CC0, errors, weights, self._noise_px)
             held_by = pose_spread.held_by(self._map, ids, X_CC0, weights)
         drift = self._map.drift(ids, X_CC0, weights)
-        self._map.update(ids, X_CC0, errors, trust**2, self._noise_px, drift)
+        if teaches:
+            self._map.update(ids, X_CC0, errors, trust**2, self._noise_px, drift)
         usual = float(np.sqrt(((errors * trust[:, :, None]) ** 2).sum() / (2.0 * seen.sum())))
         self._noise_px = max(usual, _LEAST_NOISE_PX)
         if self._readout.share:
             covariance = covariance + self._by_readout(ids, X_CC0, views, weights)
-        by_offset = None if drift is None else drift.pose
         return PoseEstimate(
             se3.inverse(X_CC0),
             covariance,
@@ -253,7 +258,7 @@ class Localiser:
             seen[1] > 0.0,
             residual,
             found.match_stds,
-            by_offset=by_offset,
+            by_offset=None if drift is None else drift.pose,
             held_by=held_by,
         )
 
@@ -274,12 +279,15 @@ class Localiser:
         eyes = (self._camera.left, self._camera.right)
         self._readout.learn(eyes, views, self._first, noise_px)
 
-    def _solve(self, points: Array, rays: Array, weights: Array, X_CC0: Array) -> BodyPoses:
+    def _solve(
+        self, points: Array, rays: Array, weights: Array, X_CC0: Array, scales: bool = True
+    ) -> BodyPoses:
+        """The pose, and with ``scales`` how much larger than the map the points are."""
         return stereo_pose.solve(
             [BodyView(points, rays, weights)],
             [X_CC0],
             self._camera,
-            Priors(self._noise_px, self._map.scale_std, _NO_OFFSET),
+            Priors(self._noise_px, self._map.scale_std if scales else _NO_SCALE, _NO_OFFSET),
         )
 
     def _errors(self, points: Array, rays: Array, X_CC0: Array) -> Array:

@@ -13,6 +13,7 @@ from vision_pc.core.perception import intrinsics
 from vision_pc.core.se3 import Array
 from vision_pc.core.types import CameraCalibration, OdometryPose, PointPairs, StereoPair
 
+_OTHERWISE = ("second_motion_share", "prior_floor_px", "depth_floor_px", "depth_told_px", "pictures_a_place")
 _PATIENCE = 20  # pairs: two motions that differ by millimetres a picture are centimetres apart then
 
 
@@ -34,12 +35,7 @@ class SegmentedOdometry:
         self, camera: CameraCalibration, settings: OdometrySettings, recorded: RecordedSettings
     ) -> None:
         self._camera = camera
-        self._settings = settings.model_copy(
-            update={
-                name: getattr(recorded, name)
-                for name in ("second_motion_share", "prior_floor_px", "depth_floor_px", "depth_told_px")
-            }
-        )
+        self._settings = settings.model_copy(update={name: getattr(recorded, name) for name in _OTHERWISE})
         self._recorded = recorded
         self.readout = Readout(camera, learns=True)
         self.offset = SharedOffset(learns=recorded.disparity_std_px > 0.0)
