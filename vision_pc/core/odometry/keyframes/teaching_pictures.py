@@ -25,10 +25,12 @@ class TeachingPictures:
         """Whether one more picture at ``X_CC0``, of ``points`` (n, 3) in C0, is among the first there, or
         since the last of so many ``keyframes`` was made: its points have not been seen before.
         """
+        if not self._a_place:
+            return True
         X = X_CC0 @ self._X_C0C
         shift = np.linalg.norm(X[:3, 3]) / np.median(se3.apply(X_CC0, points)[:, 2])
         elsewhere = shift + se3.angle_between(X[:3, :3], np.eye(3)) > _ELSEWHERE
         if elsewhere or keyframes > self._keyframes:
             self._X_C0C, self._keyframes, self._taken = se3.inverse(X_CC0), keyframes, 0
         self._taken += 1
-        return not self._a_place or self._taken <= self._a_place
+        return self._taken <= self._a_place
