@@ -31,7 +31,7 @@ _EVERY_NS = 2_000_000_000
 
 
 class Ran(NamedTuple):
-    """A run's event log as its digest, and where the tool truly was in W every 2 s and at the end (n, 3), m."""
+    """The digest of a run's event log, and the tool in W every 2 s and at the end (n, 3), m, truly."""
 
     digest: str
     tool_m: list[list[float]]
