@@ -22,7 +22,7 @@ from tests.conformance.mutants.breaking import Mutant
 from tests.conformance.mutants.named import PLAIN
 from tests.support.paths import DOCS
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("the suite runs once for every broken controller")
 
 PAGE = DOCS / "protocol.md"
 simulated = pytest.mark.usefixtures("network")

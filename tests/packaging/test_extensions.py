@@ -159,7 +159,7 @@ def test_asked_for_by_name_a_broken_one_says_why(broken: Path) -> None:
     assert catalogue.catalogue()["sweep"] == catalogue.OURS["sweep"]
 
 
-@pytest.mark.long
+@pytest.mark.slow("pip installs an extension")
 def test_lockstep_runs_its_program_under_its_disturbance(broken: Path) -> None:
     (broken / "other_crane-1.0.dist-info" / "entry_points.txt").write_text(
         "[longreach.programs]\nx = broken_crane:X\n"

@@ -11,7 +11,7 @@ import pytest
 
 from tests.testbed.lockstep_digests import PINNED, RECIPES, SEEDS, machine, ran
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow("whole runs in lockstep")
 
 _QUICK = (("hand_eye", 1), ("servoing", 1))
 _ALL = [(recipe, seed) for recipe in RECIPES for seed in SEEDS]
