@@ -237,7 +237,7 @@ class Worn(OwnFault):
 
 
 async def test_the_api_serves_its_program_and_the_console_is_told(site: Path) -> None:
-    async with bench(link_timeout_ms=30_000) as made:
+    async with bench() as made:
         served = create_app(made.station, made.operations, installed_programs.every_program())
         made.client = httpx.AsyncClient(transport=httpx.ASGITransport(app=served), base_url="http://vision")
         async with made.client:
