@@ -23,12 +23,21 @@ BROWSERS := chromium chromium-browser google-chrome
 
 # What `make test` leaves to `make test-all`: campaigns, mutants, and what needs programs of others.
 LABORATORY := $(addprefix tests/, \
-	browser packaging tools \
-	$(addprefix conformance/test_, c_controller.py coupler_mutants.py key_suite.py mutant_report.py reference_suite.py systematic.py) \
+	bad_input browser packaging tools \
+	$(addprefix conformance/test_, c_controller.py coupler_mutants.py coupler_suite.py first_hour.py key_suite.py \
+		mutant_report.py reference_suite.py runner.py systematic.py) \
+	$(addprefix controller/test_, after_stop.py load_holding.py) \
 	dissector/test_tshark.py \
-	$(addprefix integration/test_, event_logs.py flood.py foreign_peers.py killed_controller.py live.py prometheus.py stop_behind_flood.py) \
+	foundation/test_compiled.py \
+	$(addprefix integration/test_, event_logs.py flood.py foreign_peers.py killed_controller.py live.py missing_parts.py \
+		prometheus.py stop_behind_flood.py) \
+	longreach/test_documented.py \
+	plant_emulator/shell/test_plant_process.py \
 	$(addprefix testbed/, arms camera campaigns cli commissioning dashboard demonstration experiments exports hand_eye \
-		identification pictures recordings reporting validation))
+		identification lockstep/test_closed_loop_lockstep.py pictures recordings reporting scenarios/test_nobody_knows.py \
+		validation) \
+	$(addprefix vision_pc/, application/test_valve_trials.py perception/test_chance_markers.py shell/test_api_schema.py \
+		$(addprefix odometry/test_, arm_motion.py odometry_worlds.py segments.py)))
 
 .PHONY: help setup setup-dev demo test test-all pythons coverage foreign-tools peers viewer prometheus browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
 
