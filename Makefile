@@ -6,6 +6,8 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
+# Byte code is kept whatever the surroundings say: without it each of our many processes compiles every source anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3.13 || command -v python3)
 VENV := .venv
@@ -36,8 +38,9 @@ LABORATORY := $(addprefix tests/, \
 	$(addprefix testbed/, arms camera campaigns cli commissioning dashboard demonstration experiments exports hand_eye \
 		identification lockstep/test_closed_loop_lockstep.py pictures recordings reporting scenarios/test_nobody_knows.py \
 		validation) \
-	$(addprefix vision_pc/, application/test_valve_trials.py perception/test_chance_markers.py shell/test_api_schema.py \
-		$(addprefix odometry/test_, arm_motion.py odometry_worlds.py segments.py)))
+	$(addprefix vision_pc/, $(addprefix application/test_, add_a_program.py valve_trials.py) \
+		$(addprefix odometry/test_, arm_motion.py odometry_worlds.py segments.py) perception/test_chance_markers.py \
+		shell/test_api_schema.py))
 
 .PHONY: help setup setup-dev demo test test-all pythons coverage foreign-tools peers viewer prometheus browser bench experiments docs lint types imports compose-test sbom audit lock page-vendor clean
 

@@ -58,24 +58,14 @@ def run(folder: Path, *arguments: str, **files: str) -> tuple[int, list[str]]:
     return ended.returncode, ended.stdout.splitlines()
 
 
-@pytest.mark.parametrize("processes", [(), DISTRIBUTED], ids=["one", "two"])
-def test_a_real_time_test_is_retried_once_named_and_counted(
-    processes: tuple[str, ...], tmp_path: Path
-) -> None:
-    status, lines = run(tmp_path, *processes, test_it=FLAKY.format(mark=MARKED, count=1, wanted=1))
-    assert status == 0, lines
-    assert "1 passed, 1 rerun" in lines[-1]
-    assert any("1 retried, at most 3 may be: test_it.py::test_flaky[0]" in line for line in lines)
-    assert any("too early" in line for line in lines), "what failed is printed"
-
-
-@pytest.mark.parametrize(("retried", "failed"), [(3, 0), (4, 1)])
-@pytest.mark.parametrize("processes", [(), DISTRIBUTED], ids=["one", "two"])
-def test_more_than_three_retried_fail_a_run(
+@pytest.mark.parametrize(("processes", "retried", "failed"), [((), 3, 0), (DISTRIBUTED, 4, 1)])
+def test_tests_in_real_time_are_retried_once_and_named_and_more_than_three_fail_a_run(
     processes: tuple[str, ...], retried: int, failed: int, tmp_path: Path
 ) -> None:
     status, lines = run(tmp_path, *processes, test_it=FLAKY.format(mark=MARKED, count=retried, wanted=1))
     assert f"{retried} passed, {retried} rerun" in lines[-1]
+    assert any(f"{retried} retried, at most 3 may be: test_it.py::test_flaky[0], " in line for line in lines)
+    assert any("too early" in line for line in lines), "what failed is printed"
     assert status == failed
 
 
@@ -101,15 +91,14 @@ def test_a_test_without_the_mark_is_never_retried(tmp_path: Path) -> None:
     assert (tmp_path / "test_it.0").read_text() == "1"
 
 
-@pytest.mark.parametrize("processes", [(), (*DISTRIBUTED, "-n", "1")], ids=["none", "one"])
-def test_what_is_slow_is_begun_first_and_real_time_last(processes: tuple[str, ...], tmp_path: Path) -> None:
+def test_what_is_slow_is_begun_first_and_real_time_last(tmp_path: Path) -> None:
     kinds = ("realtime", "plain", "slow")
     marks = (MARKED, "", "@pytest.mark.slow('x')")
     files = {
         f"test_{i}": PASSES.format(mark=mark, what=kind)
         for i, (kind, mark) in enumerate(zip(kinds, marks, strict=True))
     }
-    status, lines = run(tmp_path, *processes, "-rP", **files)
+    status, lines = run(tmp_path, *DISTRIBUTED, "-n", "1", "-rP", **files)
     assert status == 0
     assert [line for line in lines if line in kinds] == ["slow", "plain", "realtime"]
 
