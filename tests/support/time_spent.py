@@ -19,7 +19,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
             seconds[report.nodeid] += report.duration
             if "slow" in report.keywords:
                 marked.add(report.nodeid)
-    terminalreporter.write_sep("=", "time by folder: process-seconds, tests")
+    if seconds:
+        terminalreporter.write_sep("=", "time by folder: process-seconds, tests")
     for folder, times in _by_folder(seconds):
         terminalreporter.write_line(f"{sum(times):8.1f} {len(times):6d}  {folder}")
     unmarked = {test: spent for test, spent in seconds.items() if spent > SLOW_S and test not in marked}
